@@ -5,9 +5,11 @@
 #include <utility>
 
 #include "fcl_penetration.h"
+#include "novaphy/collision/overlaps.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/input_checks.h"
+#include "novaphy/core/warning.h"
 #include "rigid_contacts.h"
 #include "soft_contacts.h"
 
@@ -164,8 +166,20 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
   const uint64_t version = contacts.rigid_contact_count.version();
   rigid_contacts_->collide(state, contacts, dt.value_or(0.0f));
   // Unless a capture has recorded the search: then nothing was written.
-  if (contacts.rigid_contact_count.version() != version)
-    contacts.set_rigid_contacts_found_from(*model_, state.body_q);
+  if (contacts.rigid_contact_count.version() == version) return;
+  contacts.set_rigid_contacts_found_from(*model_, state.body_q);
+  warn_of_overlaps(state, contacts);
+}
+
+void CollisionPipeline::warn_of_overlaps(const SimState& state, const Contacts& contacts) {
+  if (!options_.warns_of_overlaps || has_looked_for_overlaps_ || launch_recorder() != nullptr ||
+      !model_->device().is_cpu() || *contacts.rigid_contact_count.data() == 0)
+    return;
+  has_looked_for_overlaps_ = true;
+  const std::vector<ShapeOverlap> overlaps = find_overlaps(*model_, state, contacts);
+  if (overlaps.empty()) return;
+  warn_of("CollisionPipeline: ", overlap_text(*model_, overlaps),
+          "; filter_overlaps of add_urdf and add_mjcf leaves them out");
 }
 
 }  // namespace novaphy

@@ -2,6 +2,7 @@
 #include <pybind11/stl/filesystem.h>
 
 #include "convert.h"
+#include "novaphy/collision/overlaps.h"
 #ifdef NOVAPHY_PYTHON_IO
 #include "novaphy/io/robot.h"
 #endif
@@ -103,6 +104,26 @@ Unsupported to_unsupported(std::string_view function, const std::string& given) 
                            {{"error", Unsupported::Error}, {"warn", Unsupported::Warn}});
 }
 
+// add(builder, alone) adds the robot to the builder. With `filter`, pairs of its shapes that
+// overlap where its joints start never meet: those of a model of the robot alone.
+template <class Add>
+RobotImport add_robot(ModelBuilder& builder, bool filter, const Add& add) {
+  std::vector<ShapeOverlap> overlaps;
+  if (filter) {
+    ModelBuilder alone(builder.up_axis());
+    alone.default_shape_cfg = builder.default_shape_cfg;
+    alone.default_joint_cfg = builder.default_joint_cfg;
+    alone.balance_inertia = false;  // which warns
+    add(alone, true);
+    overlaps = find_overlaps(alone.finalize(Device::cpu()));
+  }
+  RobotImport result = add(builder, false);
+  const auto shape = [&](int32_t k) { return result.shapes[static_cast<size_t>(k)]; };
+  for (const ShapeOverlap& o : overlaps)
+    builder.add_shape_collision_filter_pair(shape(o.shape0), shape(o.shape1));
+  return with_warnings(std::move(result));
+}
+
 RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xform,
                         std::optional<bool> floating, py::handle base_joint, int32_t parent_body,
                         float scale, bool hide_visuals, bool parse_visuals_as_colliders,
@@ -113,11 +134,11 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
                         std::optional<int32_t> mesh_maxhullvert,
                         const std::string& joint_damping_mode, py::handle package_dirs,
                         const std::string& mimic, bool mend_inertias,
-                        const std::string& unsupported) {
+                        const std::string& unsupported, bool filter_overlaps) {
   constexpr const char* name = "add_urdf";
   const std::string text = source_text(name, source);
   check_opens(text);
-  const UrdfOptions options{
+  UrdfOptions options{
       .xform = to_transform(xform, "xform"),
       .floating = floating,
       .base_joint = to_base_joint(base_joint),
@@ -148,21 +169,26 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
                                 {"independent", MimicMode::Independent}}),
       .mend_inertias = mend_inertias,
       .unsupported = to_unsupported(name, unsupported)};
-  return with_warnings(add_urdf(builder, text, options));
+  return add_robot(builder, filter_overlaps, [&](ModelBuilder& to, bool alone) {
+    options.parent_body = alone ? -1 : parent_body;
+    return add_urdf(to, text, options);
+  });
 }
 
 RobotImport add_mjcf_to(ModelBuilder& builder, py::handle source, py::handle xform,
                         bool collapse_fixed_joints, bool enable_self_collisions,
-                        py::handle package_dirs, const std::string& unsupported) {
+                        py::handle package_dirs, const std::string& unsupported,
+                        bool filter_overlaps) {
   constexpr const char* name = "add_mjcf";
   const std::string text = source_text(name, source);
   check_opens(text);
-  return with_warnings(add_mjcf(builder, text,
-                                {.xform = to_transform(xform, "xform"),
-                                 .collapse_fixed_joints = collapse_fixed_joints,
-                                 .enable_self_collisions = enable_self_collisions,
-                                 .package_dirs = to_folders(name, package_dirs),
-                                 .unsupported = to_unsupported(name, unsupported)}));
+  const MjcfOptions options{.xform = to_transform(xform, "xform"),
+                            .collapse_fixed_joints = collapse_fixed_joints,
+                            .enable_self_collisions = enable_self_collisions,
+                            .package_dirs = to_folders(name, package_dirs),
+                            .unsupported = to_unsupported(name, unsupported)};
+  return add_robot(builder, filter_overlaps,
+                   [&](ModelBuilder& to, bool) { return add_mjcf(to, text, options); });
 }
 
 const char* target_name(ActuatorTarget target) {
@@ -292,14 +318,15 @@ void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
       "Joints start at 0 or the nearest limit. mesh_maxhullvert: colliders of meshes become hulls. "
       "joint_damping_mode: \"passive\" or \"drive\" (target_kd). mimic: \"follow\", \"refuse\", "
       "\"fixed\" or "
-      "\"independent\". ValueError and "
+      "\"independent\". filter_overlaps: pairs of its shapes that overlap where its joints start "
+      "never meet; False: the first collide names them, with their depth. ValueError and "
       "NotImplementedError name file, line and element; the builder is then as it was. OSError: "
       "no such file. What is not read gives a UserWarning.";
   constexpr const char* mjcf_doc =
       "Adds the bodies, joints, geoms and motors of an MJCF file: a path, or the XML itself. A "
       "subset; what would change the physics and is not in it raises NotImplementedError by name. "
       "Returns a RobotImport. xform: pose of the file's world (m, xyzw). Joints start at 0, or "
-      "where init_qpos says, or at the nearest limit. Errors as of add_urdf.";
+      "where init_qpos says, or at the nearest limit. filter_overlaps and errors as of add_urdf.";
 #ifdef NOVAPHY_PYTHON_IO
   bind_result(io);
   builder.def("add_urdf", &add_urdf_to, "source"_a, py::kw_only(), "xform"_a = py::none(),
@@ -310,10 +337,11 @@ void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
               "bodies_follow_joint_ordering"_a = true, "collapse_fixed_joints"_a = false,
               "mesh_maxhullvert"_a = py::none(), "joint_damping_mode"_a = "passive",
               "package_dirs"_a = py::none(), "mimic"_a = "follow", "mend_inertias"_a = true,
-              "unsupported"_a = "error", urdf_doc);
+              "unsupported"_a = "error", "filter_overlaps"_a = false, urdf_doc);
   builder.def("add_mjcf", &add_mjcf_to, "source"_a, py::kw_only(), "xform"_a = py::none(),
               "collapse_fixed_joints"_a = false, "enable_self_collisions"_a = true,
-              "package_dirs"_a = py::none(), "unsupported"_a = "error", mjcf_doc);
+              "package_dirs"_a = py::none(), "unsupported"_a = "error", "filter_overlaps"_a = false,
+              mjcf_doc);
 #else
   static_cast<void>(io);
   const auto missing = [&](const char* name, const char* doc) {

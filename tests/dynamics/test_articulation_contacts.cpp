@@ -147,7 +147,7 @@ TEST(ArticulationContacts, SweepsSolveTheContactProblem) {
       c.cfm = i == 2 ? 0.2 : 0.0;
       c.bias = 0.1 * static_cast<double>(i);
       set_diagonals(c);
-      set_steps(c);
+      set_steps(0.01, c);
     }
     double worst = 1;
     for (int sweeps = 0; sweeps < 20000 && worst > 1e-14; ++sweeps) {
@@ -194,7 +194,7 @@ TEST(ArticulationContacts, ThePyramidBoundsEachTangent) {
   c.sides[0] = {rates, rows.jacobian, rows.response, kWidth};
   c.friction = 0.1;
   set_diagonals(c);
-  set_steps(c);
+  set_steps(0.01, c);
   c.bias = -slip(c, 0) - 1.0;  // pushed in
   for (int i = 0; i < 2000; ++i) sweep(c, false);
   EXPECT_GT(c.impulse[0], 0.0);
@@ -245,13 +245,45 @@ TEST(ArticulationContacts, NormalsThatJointsHardlyPartAreSoft) {
   for (const double mobility : {1e-12, 1e-6, 1e-4}) {
     c.normal = mobility;
     c.cfm = 0.0;
-    set_steps(c);
+    set_steps(0.01, c);
     EXPECT_NEAR(1.0 / c.normal_step, 1e-3 * (whole + 1e-3 * mobility), 1e-8);
   }
   c.normal = 0.01;  // others stay as hard as they are
   c.cfm = 0.0;
-  set_steps(c);
+  set_steps(0.01, c);
   EXPECT_EQ(c.cfm, 0.0);
+}
+
+TEST(ArticulationContacts, NormalsThatNothingMovesAreAsSoftAsTheMassSays) {
+  PgsNumbers<double> c;
+  c.mass = 4.0;
+  for (const double mobility : {1e-12, 1e-4, 1e-3}) {
+    c.normal = mobility;
+    c.cfm = 0.0;
+    set_steps(0.01, c);
+    EXPECT_NEAR(1.0 / c.normal_step, 1e-2 / c.mass, 1e-9);
+    EXPECT_NEAR(c.softness, 1e-2 / c.mass, 1e-6);
+  }
+  c.normal = 1.0 / c.mass;  // what hangs on nothing has that
+  c.cfm = 0.0;
+  set_steps(0.01, c);
+  EXPECT_EQ(c.cfm, 0.0);
+}
+
+// A hinge of the inertia I with a contact at the lever l, which wants to move 0.01 m.
+TEST(ArticulationContacts, ShiftsTurnNoJointFar) {
+  constexpr double kInertia = 0.02, kWay = 0.01;
+  for (const double lever : {1e-5, 1e-3, 0.01, 0.04, 0.2}) {
+    PgsNumbers<double> c;
+    c.normal = c.apart = lever * lever / kInertia;
+    c.mass = 1e6;
+    c.reach = lever / kInertia;
+    c.shift = -kWay / 0.01;
+    set_steps(0.01, c);
+    const double angle = 0.01 * c.reach * -c.shift / (c.normal + c.softness);
+    EXPECT_LT(angle, 0.1 * (1 + 1e-6));
+    EXPECT_EQ(c.lack > 0.0, kWay / lever > 0.1 * 1.05) << lever;
+  }
 }
 
 }  // namespace

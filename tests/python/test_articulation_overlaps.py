@@ -117,6 +117,46 @@ def test_what_no_motion_can_part_falls_as_if_it_did_not_overlap() -> None:
     assert strongest < 6.1 * GRAVITY
 
 
+def arm(offset: float, mass: float) -> novaphy.ModelBuilder:
+    """A base, and two links on hinges of one axis, of which the last one overlaps the base on it.
+
+    `offset` (m): the lever of the overlap about the axis.
+    """
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    light = novaphy.ShapeConfig(density=0.0)
+    base, first, last = (
+        builder.add_link(mass=m, inertia=np.eye(3) * 0.01 * m) for m in (9.0, mass, mass)
+    )
+    builder.add_shape_sphere(base, radius=0.1, cfg=light)
+    at = ((offset, 0.0, 0.15), UPRIGHT)
+    builder.add_shape_sphere(last, radius=0.1, xform=at, cfg=light)
+    joints = [builder.add_joint_fixed(-1, base)]
+    joints.append(builder.add_joint_revolute(base, first, axis=(0, 0, 1)))
+    joints.append(builder.add_joint_revolute(first, last, axis=(0, 1e-4, 1)))
+    builder.add_articulation(joints)
+    return builder
+
+
+@pytest.mark.filterwarnings("ignore:.*overlaps at the start")
+@pytest.mark.parametrize("dt", [1e-3, 4e-3])
+@pytest.mark.parametrize("offset", [0.0, 1e-7, 1e-5, 1e-4, 1e-3])
+def test_contacts_that_nothing_moves_push_no_harder_than_the_moved_mass_allows(
+    offset: float, dt: float
+) -> None:
+    scene = Scene(arm(offset, mass=5.0), pgs_slop=0.0)
+    strongest = fastest = 0.0
+    before = scene.state.joint_q.numpy()
+    for _ in range(50):
+        scene.step(dt)
+        strongest = max(strongest, scene.force())
+        fastest = max(fastest, float(np.abs(scene.state.joint_qd.numpy()).max()))
+        after = scene.state.joint_q.numpy()
+        assert np.abs(after - before).max() < 0.11  # no shift turns a joint farther
+        before = after
+    assert strongest < 10.0 / dt * 1.001  # N: 0.01 m/s of 10 kg, a hundred times
+    assert fastest < 10.0
+
+
 def random_tree(rng: np.random.Generator, root: int) -> str:
     def body(depth: int, name: str) -> str:
         place = rng.uniform(-0.15, 0.15, 3) + (np.array([0, 0, 0.4]) if depth == 3 else 0)
@@ -154,6 +194,55 @@ def test_random_bodies_that_overlap_at_first_do_not_explode(seed: int) -> None:
         for _ in range(100):
             scene.step(2e-3)
             assert np.abs(scene.state.joint_qd.numpy()).max() < 100.0
+
+
+def violent_scene(seed: int) -> tuple[Scene, float]:
+    """Bodies in each other, of any density, with random speeds, options and time step."""
+    rng = np.random.default_rng([seed, 1])
+    builder = novaphy.ModelBuilder()
+    bodies = "".join(random_tree(rng, k) for k in range(rng.integers(1, 4)))
+    density = 10.0 ** rng.uniform(1, 5)
+    builder.add_mjcf(
+        f'<mujoco><default><geom density="{density}"/></default><worldbody>'
+        f'<geom type="plane" size="5 5 1"/>{bodies}</worldbody></mujoco>'
+    )
+    scene = Scene(
+        builder,
+        friction_cone=str(rng.choice(["cone", "pyramid"])),
+        compliant_contacts=bool(rng.random() < 0.2),
+        pgs_iterations=int(rng.choice([5, 30, 100])),
+    )
+    speeds = rng.normal(size=scene.model.joint_dof_count) * rng.choice([0.0, 1.0, 30.0])
+    scene.state.joint_qd.assign(speeds.astype(np.float32))
+    return scene, float(rng.choice([1e-3, 2e-3, 4e-3, 1e-2]))
+
+
+def check_violent_scenes(seeds: range, steps: int) -> None:
+    for seed in seeds:
+        scene, dt = violent_scene(seed)
+        try:
+            for _ in range(steps):
+                scene.step(dt)
+        except RuntimeError as error:
+            assert "SolverFeatherstone.step: " in str(error), seed
+        for state in (scene.state, scene.after):
+            for name in ("joint_q", "joint_qd", "body_q", "body_qd"):
+                assert np.isfinite(getattr(state, name).numpy()).all(), (seed, name)
+
+
+@pytest.mark.skipif(not novaphy.has_io(), reason="needs NOVAPHY_WITH_IO")
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("chunk", range(8))
+def test_violent_scenes_stay_finite_or_raise(chunk: int) -> None:
+    check_violent_scenes(range(25 * chunk, 25 * (chunk + 1)), steps=25)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not novaphy.has_io(), reason="needs NOVAPHY_WITH_IO")
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("chunk", range(20))
+def test_twenty_thousand_violent_scenes_stay_finite_or_raise(chunk: int) -> None:
+    check_violent_scenes(range(1000 * chunk, 1000 * (chunk + 1)), steps=100)
 
 
 def quadruped(friction: float) -> Scene:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -207,6 +208,96 @@ def test_self_collisions():
     fixed = robot(a, b, c, joint("ab", "a", "b", kind="fixed"), joint("bc", "b", "c"))
     for collapse in (False, True):  # a and b are one
         assert loaded(fixed, collapse_fixed_joints=collapse)[0].shape_contact_pair_count == 0
+
+
+BALL = INERTIAL + f"<collision>{SPHERE}</collision>"
+
+
+def three_balls(options: dict[str, bool], copies: int = 1) -> tuple[novaphy.Model, list[str]]:
+    """The model, and what the first collides say. The third ball is 0.03 m in the first one."""
+    at = '<origin xyz="{} 0 0"/>'.format  # neighbours do not meet
+    text = robot(
+        *(link(name, BALL) for name in "abc"),
+        joint("i", "a", "b", at(0.1)),
+        joint("j", "b", "c", at(0.07)),
+    )
+    builder = novaphy.ModelBuilder()
+    builder.add_urdf(text, floating=True, **options)
+    builder.add_shape_sphere(builder.add_body(), radius=0.1)  # of another mechanism
+    all_worlds = novaphy.ModelBuilder()
+    for _ in range(copies):
+        all_worlds.add_world(builder)
+    all_worlds.add_ground_plane()
+    model = all_worlds.finalize()
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        for _ in range(3):
+            pipeline.collide(model.state(), contacts)
+    return model, [str(w.message) for w in said]
+
+
+@pytest.mark.parametrize("copies", [1, 3])
+def test_overlaps_at_the_start_are_named_once_or_left_out(copies: int):
+    model, said = three_balls({}, copies)
+    assert len(said) == 1
+    assert said[0].startswith(
+        "CollisionPipeline: 1 pair of shapes overlaps at the start: "
+        '"a/collision_0" and "c/collision_0" by 0.03'
+    )
+    assert said[0].endswith("; filter_overlaps of add_urdf and add_mjcf leaves them out")
+    apart, said = three_balls({"filter_overlaps": True}, copies)
+    assert said == []
+    pairs = [m.shape_contact_pair_count for m in (model, apart)]
+    assert pairs[1] == pairs[0] - copies
+
+
+def test_overlaps_away_from_the_start_are_not_named():
+    at = '<origin xyz="{} 0 0"/>'.format
+    axis = '<axis xyz="1 0 0"/>'
+    text = robot(
+        *(link(name, BALL) for name in "abc"),
+        joint("i", "a", "b", at(0.1)),
+        joint("j", "b", "c", at(0.2) + axis + '<limit effort="1" velocity="1"/>', kind="prismatic"),
+    )
+    model, state, result = loaded(text)
+    q = model.joint_q.numpy()
+    q[result.joint_coords["j"]] = -0.2
+    state.joint_q.assign(q)
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pipeline.collide(state, contacts)
+    assert contacts.active_rigid_contact_count == 1
+
+
+def test_links_without_mass_may_hang_on_joints_that_never_move():
+    still = '<axis xyz="0 1 0"/><limit effort="0" velocity="0" lower="-1" upper="1"/>'
+    swings = '<axis xyz="0 1 0"/><limit effort="9" velocity="9" lower="-3" upper="3"/>'
+    text = robot(
+        *(link(name) for name in "ab"),
+        link("c", ""),
+        link("d", ""),
+        joint("i", "a", "b", swings, kind="revolute"),
+        joint("j", "b", "c", still, kind="revolute"),
+        joint("k", "c", "d", still, kind="revolute"),
+    )
+    model, state, _ = loaded(text, xform=((0, 0, 0), (0.6, 0, 0, 0.8)))
+    after = model.state()
+    bare, rest, _ = loaded(
+        robot(link("a"), link("b"), joint("i", "a", "b", swings, kind="revolute")),
+        xform=((0, 0, 0), (0.6, 0, 0, 0.8)),
+    )
+    then = bare.state()
+    solvers = [novaphy.solvers.SolverFeatherstone(m) for m in (model, bare)]
+    for _ in range(20):
+        solvers[0].step(state, after, None, None, 2e-3)
+        solvers[1].step(rest, then, None, None, 2e-3)
+        state, after, rest, then = after, state, then, rest
+    np.testing.assert_array_equal(state.joint_qd.numpy(), [rest.joint_qd.numpy()[0], 0, 0])
 
 
 def test_joints_start_within_their_limits():

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import re
 import sys
 import warnings
 from pathlib import Path
@@ -60,6 +61,7 @@ class Robot:
         self.is_urdf = path.suffix == ".urdf"
         if self.is_urdf:
             inside = [p for p in path.parents if p == folder or folder in p.parents]
+            inside += folder.parents[:2]
             self.result = self.builder.add_urdf(
                 path,
                 hide_visuals=True,
@@ -91,6 +93,15 @@ class Robot:
         return self.state.body_q.numpy()[:, :3].astype(float)
 
 
+def overlaps_of(pipeline, state, contacts) -> int:
+    """How many pairs the warning of the first collide counts."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        pipeline.collide(state, contacts)
+    found = (re.search(r"(\d+) pairs? of shapes overlap", str(w.message)) for w in said)
+    return sum(int(match[1]) for match in found if match)
+
+
 def in_the_air(path: Path, folder: Path) -> dict[str, float]:
     rate = force = 0.0
     overlaps = 0
@@ -102,8 +113,7 @@ def in_the_air(path: Path, folder: Path) -> dict[str, float]:
             novaphy.CollisionPipeline(model),
         )
         contacts = pipeline.contacts()
-        overlaps = max(overlaps, len(getattr(pipeline, "overlaps", ())))
-        pipeline.collide(robot.state, contacts)
+        overlaps = max(overlaps, overlaps_of(pipeline, robot.state, contacts))
         robot.step(solver, contacts=contacts)  # an error here is of the file
         try:
             for _ in range(round(1 / DT)):
@@ -254,7 +264,7 @@ def measure(path: Path, folder: Path, names: list[str]) -> dict[str, object]:
             try:
                 row |= what[name](path, folder)
             except Exception as error:  # a file that is refused
-                row["note"] = str(error).replace("\n", " ")
+                row["note"] = str(error).replace("\n", " ").split(f"{path.name}:")[-1].strip()
                 break
     return row
 

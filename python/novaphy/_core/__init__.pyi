@@ -1463,6 +1463,7 @@ class ModelBuilder(_Native):
         enable_self_collisions: bool = True,
         package_dirs: Sequence[str | os.PathLike[str]] | None = None,
         unsupported: str = "error",
+        filter_overlaps: bool = False,
     ) -> io.RobotImport: ...
     def add_urdf(
         self,
@@ -1488,6 +1489,7 @@ class ModelBuilder(_Native):
         mimic: str = "follow",
         mend_inertias: bool = True,
         unsupported: str = "error",
+        filter_overlaps: bool = False,
     ) -> io.RobotImport: ...
     def finalize(
         self,

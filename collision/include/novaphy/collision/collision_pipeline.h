@@ -40,6 +40,8 @@ struct CollisionOptions {
   float soft_contact_margin = 0.01f;
   bool deterministic = true;  // contacts are always made in candidate order, also with false
   std::optional<bool> requires_grad = {};  // handed on to contacts(); the model's when empty
+  // On the CPU, the first collide that finds contacts warns of overlaps (overlaps.h).
+  bool warns_of_overlaps = true;
 };
 
 // Soft contacts: a record for every active particle and every shape with
@@ -135,9 +137,11 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
 
  private:
   int32_t count_pairs() const;  // within a use
+  void warn_of_overlaps(const SimState& state, const Contacts& contacts);
 
   std::shared_ptr<const Model> model_;
   CollisionOptions options_;
+  bool has_looked_for_overlaps_ = false;
   std::shared_ptr<detail::SoftContacts> soft_contacts_;
   std::shared_ptr<detail::RigidContacts> rigid_contacts_;
   std::shared_ptr<ExclusiveUse> in_use_ = std::make_shared<ExclusiveUse>();  // of both

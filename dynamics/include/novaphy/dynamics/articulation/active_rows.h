@@ -11,10 +11,10 @@
 
 namespace novaphy::articulation {
 
-inline constexpr float kSlides = 1e-5f;        // relative: nearer to the cone is on it
-inline constexpr double kRegularity = 1e-7;    // of redundant rows, relative to their diagonal
-inline constexpr float kLeastSlip = 1e-6f;     // m/s
-inline constexpr float kConverged = 1e-5f;     // m/s: of shifts
+inline constexpr float kSlides = 1e-5f;      // relative: nearer to the cone is on it
+inline constexpr double kRegularity = 1e-7;  // of redundant rows, relative to their diagonal
+inline constexpr float kLeastSlip = 1e-6f;   // m/s
+inline constexpr float kConverged = 1e-5f;   // m/s: of shifts
 
 inline float tangent_length(float x, float y) { return math::sqrt(x * x + y * y); }
 
@@ -191,8 +191,8 @@ inline void note_contact(const ContactRows& of, const ContactLaw<float>& law, bo
   const ContactBranch branch = branch_of(c, law.cone);
   const bool jumps = !row.elastic && row.before < -law.restitution_threshold;
   // By a part of what changes with q.
-  const bool softened = branch.active && c.cfm > row.target.cfm;
   const bool shifts = c.shifted > 0.0f;
+  const bool softened = (branch.active && c.cfm > row.target.cfm) || (shifts && c.lack > 0.0f);
   const bool shifting =
       shifts && math::abs(moving_slip(c) + c.shift + c.softness * c.shifted) >= kConverged;
   if ((by_restitution && jumps) || softened || shifting) to.all.jumps = 1;

@@ -34,7 +34,8 @@ struct AdjointContact : IslandContact {
 // p_h = M^-1 (h - J^T y) and the shift p:
 //   -p_h . dM p + mu . (dJ of p_h) - y . (dJ of (v' + p) + d beta + d(softness) mu)
 // The softness is a part of j . M^-1 j of each side, which changes by 2 x . dj - x . dM x with
-// x = M^-1 j. Its small part by other axes is left out: it is 5e-5 of the shift.
+// x = M^-1 j, and one by the mass m of the trees. Its small part by other axes is left out: it is
+// 5e-5 of the shift.
 
 // y of an island, before solve_adjoint. Of `island`, besides what that takes:
 //   for_shifted(f)       f(contact), of the rows that shift, in their order
@@ -329,6 +330,9 @@ void add_softness_gradient(const AdjointContact& row, float dt, const TreeOf& tr
     Workspace<float> ws = on.ws;
     AdjointMemory<float> memory = memory_of(at.tree);
     const int32_t n = tree.dof_count;
+    const float mass = row.solver.mass, by_mass = softness_of_mass(mass) / mass;
+    for (int32_t i = 0; mass > 0.0f && (side == 0 || !itself) && i < tree.link_count; ++i)
+      if (is_moved(tree, i)) memory.moved_mass[i] -= row.shift_z * row.solver.shifted * by_mass;
     RowSigns signs{{0.0f, 0.0f}};
     signs.of[side] = RowSigns{}.of[side];
     float *const lambda = memory.scratch, *const x = lambda + 2 * n;

@@ -141,9 +141,15 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
   solver.tangent[0] = product(1, 1);
   solver.tangent[1] = product(1, 2);
   solver.tangent[2] = product(2, 2);
-  DualFloat apart(0.0f);
-  for (const DualSide& m : row.moved)
+  DualFloat apart(0.0f), mass(0.0f);
+  for (const DualSide& m : row.moved) {
     for (int32_t k = 0; k < m.dofs; ++k) apart = apart + m.jacobian[k] * m.response[k];
+    if (m.tree >= 0) mass = mass + moved_mass(trees.tree(m.tree), trees.workspace(m.tree));
+  }
+  solver.mass = mass.value;
+  solver.reach = 0.0f;
+  for (const DualSide& m : row.moved)
+    for (int32_t k = 0; k < m.dofs; ++k) raise(solver.reach, math::abs(m.response[k].value));
   if (itself && row.moved[0].tree >= 0) {
     const int32_t i = row.moved[0].tree;
     const DualFloat shared = shared_in_tree(trees.tree(i), trees.workspace(i), row.sides[0].link,
@@ -151,7 +157,7 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
     solver.apart += shared.value;
     apart = apart + shared;
   }
-  row.softness_tangent = kShiftSoftness * apart.tangent;
+  row.softness_tangent = kShiftSoftness * apart.tangent + softness_of_mass(mass).tangent;
   const auto mean = [&](const DualFloat* array) {
     return DualFloat(0.5f) * (array[c.shape0[at]] + array[c.shape1[at]]);
   };
@@ -164,7 +170,7 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
   row.solver.shift = row.goal.shift.value;
   row.solver.cfm = row.goal.cfm.value;
   row.solver.friction = row.mu.value;
-  set_steps<float>(row.solver);
+  set_steps<float>(law.dt.value, row.solver);
   row.solver.impulse[0] = impulse.x;
   row.solver.impulse[1] = impulse.y;
   row.solver.impulse[2] = impulse.z;

@@ -68,6 +68,22 @@ int32_t last_dof(const Tree<T>& tree, int32_t link) {
   return -1;
 }
 
+// Whether impulses may move a link.
+template <class T>
+bool is_moved(const Tree<T>& tree, int32_t link) {
+  while (link >= 0 && (tree.links[link].dofs == 0 || is_kinematic(tree.links[link])))
+    link = tree.links[link].parent;
+  return link >= 0;
+}
+// The mass of those links, kg.
+template <class T>
+T moved_mass(const Tree<T>& tree, const Workspace<T>& ws) {
+  T sum = T(0.0f);
+  for (int32_t i = 0; i < tree.link_count; ++i)
+    if (is_moved(tree, i)) sum = sum + ws.links[i].inertia.mass;
+  return sum;
+}
+
 // Adds to the rows of J {3, stride} the velocity of a link's point along the three axes, times
 // `sign`.
 template <class T>

@@ -225,6 +225,7 @@ void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
     to.rates = of.rates;
     to.jacobian = jacobian;
     to.response = of.moves ? response : nullptr;
+    row.solver.mass += moved_mass(of.tree, of.ws);
     for (int32_t k = 0; k < of.tree.dof_count; ++k) before += jacobian[k] * of.qd[k];
   }
   row.before = before;
@@ -246,7 +247,7 @@ inline void set_target(const ContactLaw<float>& law, const ContactMaterial<float
   row.solver.cfm = row.target.cfm;
   row.solver.friction = material.friction;
   row.elastic = material.restitution > 0.0f;
-  set_steps<float>(row.solver);
+  set_steps<float>(law.dt, row.solver);
 }
 
 // Starts from the impulses of the step before, times `scale`.
@@ -322,7 +323,7 @@ inline int32_t take_rates(float* rates, const float* qd, float dt, int32_t dofs,
                           Workspace<float>& ws) {
   ws.shift = rates + padded_dofs(dofs);
   for (int32_t k = 0; k < dofs; ++k) {
-    if (!is_finite(rates[k]) || !is_finite(ws.shift[k])) return k;
+    if (!has_finite_square(rates[k]) || !has_finite_square(ws.shift[k])) return k;
     if (rates[k] == ws.qd_next[k]) continue;
     ws.qdd[k] = (rates[k] - qd[k]) / dt;
     ws.qd_next[k] = rates[k];

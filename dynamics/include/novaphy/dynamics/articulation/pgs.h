@@ -21,9 +21,13 @@
 // Behind these sweeps, where an overlap wants more than the rates have, positions move at v' + p:
 //   p = M^-1 J_n^T mu,  0 <= mu, J_n (v' + p) + beta + softness mu >= 0, one of both = 0
 // What the joints of a tree let part hardly or not at all would take endless impulses. A normal
-// gets at least the part kLeastMobility of the J_n Y_n that its sides have each alone, by cfm, and
-// in shifts the softness kShiftSoftness of it. A contact without an impulse that only a speed above
-// kMoreSpeed closes in the step does not hold shifts: steps may leave such contacts out.
+// gets at least the part kLeastMobility of the J_n Y_n that its sides have each alone, and at least
+// kLeastOfMass / m, by cfm; in shifts it has the softness kShiftSoftness of the first and
+// kLeastOfMass / m. m is the mass of all that moves in the trees of the contact. A tree that hangs
+// on nothing has a J_n Y_n of at least 1 / m against others. An overlap deeper than the lever of a
+// joint is nothing that the joint can part: no contact shifts a dof by more than kMostShift. A
+// contact without an impulse that only a speed above kMoreSpeed closes in the step does not hold
+// shifts: steps may leave such contacts out.
 // Source: Guendelman, Bridson, Fedkiw, Nonconvex Rigid Bodies with Stacking (2003), section 7, for
 // shifts; Preclik, Models and Algorithms for Ultrascale Simulations of Non-smooth Granular Dynamics
 // (2014), section 4; Catto, Iterative Dynamics with Temporal Coherence (2005).
@@ -45,7 +49,9 @@ struct ContactLaw {
 inline constexpr float kRestSpeed = 0.01f;       // m/s
 inline constexpr float kMoreSpeed = 4.0f;        // m/s
 inline constexpr float kLeastMobility = 1e-3f;   // 1
+inline constexpr float kLeastOfMass = 1e-2f;     // 1
 inline constexpr float kShiftSoftness = 0.05f;   // 1
+inline constexpr float kMostShift = 0.1f;        // rad or m of a dof, in a step
 inline constexpr int32_t kShiftSweeps = 100;     // at most
 inline constexpr float kShiftTolerance = 1e-6f;  // m/s
 inline constexpr float kOtherAxes = 1e-3f;       // of the tangents' J Y in that of a normal alone
@@ -131,10 +137,13 @@ template <class T>
 struct PgsNumbers {
   T bias{}, shift{}, cfm{}, friction{};
   T normal{}, apart{};                       // J_n Y_n; that of the sides each alone, summed
+  T mass{};                                  // m, kg
+  T reach{};                                 // the largest number of Y_n
   T tangent[3] = {};                         // t1 t1, t1 t2, t2 t2 of J Y
   T normal_step{}, bound{}, tangent_step{};  // 1 / (J_n Y_n + cfm), s, 1 / s
   T impulse[3] = {};                         // along n, t1, t2
   T softness{}, shifted{};                   // of shifts: mu
+  T lack{};                                  // > 0: what kMostShift adds to the softness
 };
 template <class T>
 struct PgsContact : PgsNumbers<T> {
@@ -173,8 +182,19 @@ T row_product(const PgsContact<T>& c, int32_t i, int32_t j) {
       sum = sum + row_dot(s.jacobian + i * s.width, s.response + j * s.width, s.width);
   return sum;
 }
+// The largest number of y {count}, of either sign, or `least`.
+template <class T>
+T largest(const T* y, int64_t count, T least) {
+  for (int64_t k = 0; k < count; ++k) {
+    const T size = select(y[k] < T(0.0f), -y[k], y[k]);
+    least = select(size > least, size, least);
+  }
+  return least;
+}
 template <class T>
 void set_diagonals(PgsContact<T>& c) {
+  for (const RowSide<T>& s : c.sides)
+    if (s.response != nullptr) c.reach = largest(s.response, s.width, c.reach);
   c.normal = c.apart = row_product(c, 0, 0);
   c.tangent[0] = row_product(c, 1, 1);
   c.tangent[1] = row_product(c, 1, 2);
@@ -187,14 +207,24 @@ T tangent_bound(const PgsNumbers<T>& c) {
   return (c.tangent[0] + c.tangent[2]) * half + square_root(d * d + c.tangent[1] * c.tangent[1]);
 }
 
-// What sweeps divide by, behind set_diagonals and with cfm. 0 where nothing moves.
+// Of rates and of shifts, by the mass m.
 template <class T>
-void set_steps(PgsNumbers<T>& c) {
+T softness_of_mass(const T& mass) {
+  const auto some = mass > T(0.0f);
+  return select(some, T(kLeastOfMass) / select(some, mass, T(1.0f)), T(0.0f));
+}
+
+// What sweeps divide by, behind set_diagonals and with cfm and shift. 0 where nothing moves.
+template <class T>
+void set_steps(const T& dt, PgsNumbers<T>& c) {
   const T o = T(0.0f);
   const T whole = c.apart + T(kOtherAxes) * (c.normal + (c.tangent[0] + c.tangent[2]));
-  const T lack = T(kLeastMobility) * whole - c.normal;
+  const T by_sides = T(kLeastMobility) * whole, by_mass = softness_of_mass(c.mass);
+  const T lack = select(by_mass > by_sides, by_mass, by_sides) - c.normal;
   c.cfm = select(lack > c.cfm, lack, c.cfm);
-  c.softness = T(kShiftSoftness) * whole;
+  c.softness = T(kShiftSoftness) * whole + by_mass;
+  c.lack = c.shift * c.reach * (dt * T(-1.0f / kMostShift)) - (c.normal + c.softness);
+  c.softness = select(c.lack > o, c.softness + c.lack, c.softness);
   c.normal_step = select(c.normal > o, T(1.0f) / (c.normal + c.cfm), o);
   c.bound = tangent_bound(c);
   c.tangent_step = select(c.bound > o, T(1.0f) / c.bound, o);

@@ -225,8 +225,10 @@ int32_t settle(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T
 }
 
 // Takes dofs of some lanes to their velocity limits, or off them, behind a solve: those that would
-// be beyond, and those whose force r would pull outwards (not if `keep`). False: there are none.
-// given: what contacts and dry friction push the dofs with, N s or N m s; read where one is there.
+// be beyond, and those whose force r would pull outwards (not if `keep`). A dof with the limit 0
+// never leaves it: there the sign of r says which of its two limits it is at. False: there are
+// none. given: what contacts and dry friction push the dofs with, N s or N m s; read where one is
+// there.
 template <class T, class Mask>
 bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                      const Mask& lanes, bool keep, Workspace<T>& ws) {
@@ -253,8 +255,10 @@ bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
     if (!any(either(held, either(over, under)))) return;
     auto upper = has(branch, kVelocityAtUpper), lower = has(branch, kVelocityAtLower);
     if (any(held) && !keep) {
-      upper = both(upper, negate(ws.rhs[k] > o));
-      lower = both(lower, negate(ws.rhs[k] < o));
+      const auto still = both(held, negate(limit > o));
+      const auto from_upper = both(upper, ws.rhs[k] > o), from_lower = both(lower, ws.rhs[k] < o);
+      upper = either(both(upper, negate(from_upper)), both(from_lower, still));
+      lower = either(both(lower, negate(from_lower)), both(from_upper, still));
     }
     upper = either(upper, both(negate(held), over));
     lower = either(lower, both(negate(held), under));
@@ -297,10 +301,15 @@ int32_t begin_step(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& w
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.branch[k] = {};
   return -1;
 }
+// The squares of rates and accelerations must be finite too: new coordinates and body_qd take them.
+template <class T>
+auto has_finite_square(const T& x) {
+  return is_finite(x * x);
+}
 template <class T>
 int32_t find_infinite(const Tree<T>& tree, const Workspace<T>& ws) {
   for (int32_t k = 0; k < tree.dof_count; ++k)
-    if (!is_finite(ws.qdd[k])) return k;
+    if (!has_finite_square(ws.qdd[k])) return k;
   return -1;
 }
 
@@ -309,7 +318,7 @@ template <class T, class Mask>
 int32_t hold_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                    const Mask& lanes, Workspace<T>& ws) {
   for (int32_t round = 0;; ++round) {
-    for (int32_t k = 0; round > 0 && k < tree.dof_count; ++k) ws.given[k] = T(0.0f);
+    for (int32_t k = 0; k < tree.dof_count; ++k) ws.given[k] = T(0.0f);
     if (!next_held_rates(tree, in, options, lanes, round >= kFreeRounds, ws)) return -1;
     const int32_t failed = settle(tree, in, options, ws);
     if (failed >= 0) return failed;
@@ -319,7 +328,8 @@ int32_t hold_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
 // qdd and the branches in the workspace, M's factor with them. The result is the dof whose pivot is
 // not positive or whose acceleration is not finite (in any lane), counted from the tree's first;
 // -1: none. Velocity limits act in lanes that are `alone`: those of others act behind contacts,
-// which may push dofs off them (renew_branches).
+// which may push dofs off them (renew_branches). Dofs with the limit 0 are at it from the first
+// solve on, so they need no inertia.
 template <class T, class Mask>
 int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                    const Mask& alone, Workspace<T>& ws) {
@@ -327,6 +337,9 @@ int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   if (failed >= 0) return failed;
   for_drives(tree, [&](const Link& link, int32_t k) {
     ws.branch[k] = limit_branch(in.drives, link.dof, in.q[link.coord]);
+    if (follows(link)) return;
+    const auto still = negate(in.drives.velocity_limit[link.dof] > T(0.0f));
+    ws.branch[k] = with(ws.branch[k], still, kVelocityAtUpper);
   });
   failed = settle(tree, in, options, ws);
   if (failed < 0) failed = hold_rates(tree, in, options, alone, ws);
@@ -390,7 +403,7 @@ const T* moving_rates(const Tree<T>& tree, Workspace<T>& ws) {
 template <class T>
 int32_t first_not_finite(const Workspace<T>& ws, int32_t dofs) {
   for (int32_t k = 0; k < dofs; ++k)
-    if (!is_finite(ws.qd_next[k]) || !is_finite(ws.shift[k])) return k;
+    if (!has_finite_square(ws.qd_next[k]) || !has_finite_square(ws.shift[k])) return k;
   return -1;
 }
 

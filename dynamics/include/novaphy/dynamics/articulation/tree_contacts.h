@@ -162,6 +162,7 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
   const bool coupled = count <= kCoupledContacts;
   const T o = T(0.0f);
   const Vec3<T> none = {o, o, o};
+  const T mass = moved_mass(tree, ws);
   for (int32_t c = 0; c < count; ++c) {
     const TreeContact<T>& contact = contacts[c];
     const TreeContactLink<T>& link = links[c];
@@ -201,11 +202,13 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
     for (int r = 0; coupled && r < 3; ++r)
       for (int t = 0; t < 3; ++t) m.coupling[(3 * c + t) * rows + (3 * c + r)] = own.a[r][t];
     row.normal = row.apart = own.a[0][0];
+    row.mass = mass;
     row.shifted = o;
     row.tangent[0] = own.a[1][1];
     row.tangent[1] = own.a[1][2];
     row.tangent[2] = own.a[2][2];
-    set_steps<T>(row);
+    row.reach = largest(m.response + 3 * n * c, n, o);
+    set_steps<T>(law.dt, row);
     start_from<T>(row, law.cone, contact.start_normal,
                   math::dot(contact.start_tangent, row.frame.axes[1]),
                   math::dot(contact.start_tangent, row.frame.axes[2]));

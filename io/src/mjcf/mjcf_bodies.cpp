@@ -171,7 +171,10 @@ class BodiesReader {
         context_.not_read(e, std::string("the attribute ") + a->Name());
     double gravcomp[1] = {0.0};
     if (file_.numbers(e, "gravcomp", gravcomp) && gravcomp[0] != 0.0)
-      context_.notes.left_out(e, "gravcomp: gravity is that of a world, not of a body");
+      context_.notes.left_out(
+          e,
+          "gravcomp: gravity is that of a world; body_f may hold -gravcomp mass "
+          "gravity");
     Robot& robot = context_.robot;
     std::string name = outer.name_of(e);
     if (name.empty()) name = "body_" + std::to_string(robot.links.size());

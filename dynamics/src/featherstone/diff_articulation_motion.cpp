@@ -199,7 +199,8 @@ void add_limit_event(const Step& s, const ArticulationArguments& in, int32_t t, 
   const auto [first, count] = coordinates_of(tree);
   const float *const q_next = numbers(s.outputs[0].tensor), *const qd_next =
                                                                 numbers(s.outputs[1].tensor);
-  LimitEvent event{.tree = t};
+  LimitEvent event;
+  event.tree = t;
   double rate = 0.0;
   for (int32_t c = first; c < first + count; ++c) {
     const auto i = static_cast<size_t>(c);

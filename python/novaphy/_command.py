@@ -270,6 +270,9 @@ def make_parser() -> argparse.ArgumentParser:
     ):
         part = add(name, function)
         part.add_argument("file", help=what)
+        if name == "view":
+            text = "where package://NAME/FILE of a robot may be; may be given several times"
+            part.add_argument("--packages", metavar="FOLDER", action="append", help=text)
         add_arguments(part, 1, "passes")
     add("completion", completion)
     return parser

@@ -21,10 +21,9 @@ REACH = {"rad": math.pi, "m": 1.0}  # of the slider of a joint without limits
 def show_robot(args: argparse.Namespace) -> str:
     """Show a .urdf or .xml (MJCF) file until the window is closed; returns what is in it."""
     builder = _core.ModelBuilder()
-    if Path(args.file).suffix.lower() == ".urdf":
-        builder.add_urdf(args.file)
-    else:
-        builder.add_mjcf(args.file)
+    is_urdf = Path(args.file).suffix.lower() == ".urdf"
+    add = builder.add_urdf if is_urdf else builder.add_mjcf
+    add(args.file, package_dirs=args.packages, unsupported="warn")
     model = builder.finalize()
     state, q = model.state(), model.joint_q.numpy()
     with Stage(args, model, fps=FPS) as stage:

@@ -69,15 +69,15 @@ std::string source_text(std::string_view function, py::handle source) {
                    "a path or the text of the file, str or os.PathLike");
 }
 
-std::vector<std::filesystem::path> to_folders(py::handle value) {
+std::vector<std::filesystem::path> to_folders(std::string_view function, py::handle value) {
   std::vector<std::filesystem::path> folders;
   if (value.is_none()) return folders;
-  constexpr const char* name = "add_urdf: package_dirs";
+  const std::string name = std::string(function) + ": package_dirs";
   require(py::isinstance<py::sequence>(value) && !py::isinstance<py::str>(value) &&
               !py::isinstance<py::bytes>(value),
           ErrorKind::Type, name, ": expected a list of folders, got ", type_name(value));
   for (const py::handle folder : py::iter(value)) {
-    const std::string which = std::string(name) + "[" + std::to_string(folders.size()) + "]";
+    const std::string which = name + "[" + std::to_string(folders.size()) + "]";
     folders.emplace_back(path_text(folder, which, "a folder, str or os.PathLike"));
   }
   return folders;
@@ -97,6 +97,11 @@ RobotImport with_warnings(RobotImport result) {
   for (const std::string& text : result.warnings)
     if (PyErr_WarnEx(PyExc_UserWarning, text.c_str(), 1) != 0) throw py::error_already_set();
   return result;
+}
+
+Unsupported to_unsupported(std::string_view function, const std::string& given) {
+  return word<Unsupported>(function, "unsupported", given,
+                           {{"error", Unsupported::Error}, {"warn", Unsupported::Warn}});
 }
 
 // add(builder, alone) adds the robot to the builder. With `filter`, pairs of its shapes that
@@ -128,7 +133,8 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
                         bool bodies_follow_joint_ordering, bool collapse_fixed_joints,
                         std::optional<int32_t> mesh_maxhullvert,
                         const std::string& joint_damping_mode, py::handle package_dirs,
-                        const std::string& mimic, bool filter_overlaps) {
+                        const std::string& mimic, bool mend_inertias,
+                        const std::string& unsupported, bool filter_overlaps) {
   constexpr const char* name = "add_urdf";
   const std::string text = source_text(name, source);
   check_opens(text);
@@ -155,12 +161,14 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
       .joint_damping_mode = word<JointDampingMode>(
           name, "joint_damping_mode", joint_damping_mode,
           {{"passive", JointDampingMode::Passive}, {"drive", JointDampingMode::Drive}}),
-      .package_dirs = to_folders(package_dirs),
+      .package_dirs = to_folders(name, package_dirs),
       .mimic = word<MimicMode>(name, "mimic", mimic,
                                {{"follow", MimicMode::Follow},
                                 {"refuse", MimicMode::Refuse},
                                 {"fixed", MimicMode::Fixed},
-                                {"independent", MimicMode::Independent}})};
+                                {"independent", MimicMode::Independent}}),
+      .mend_inertias = mend_inertias,
+      .unsupported = to_unsupported(name, unsupported)};
   return add_robot(builder, filter_overlaps, [&](ModelBuilder& to, bool alone) {
     options.parent_body = alone ? -1 : parent_body;
     return add_urdf(to, text, options);
@@ -169,26 +177,89 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
 
 RobotImport add_mjcf_to(ModelBuilder& builder, py::handle source, py::handle xform,
                         bool collapse_fixed_joints, bool enable_self_collisions,
+                        py::handle package_dirs, const std::string& unsupported,
                         bool filter_overlaps) {
-  const std::string text = source_text("add_mjcf", source);
+  constexpr const char* name = "add_mjcf";
+  const std::string text = source_text(name, source);
   check_opens(text);
   const MjcfOptions options{.xform = to_transform(xform, "xform"),
                             .collapse_fixed_joints = collapse_fixed_joints,
-                            .enable_self_collisions = enable_self_collisions};
+                            .enable_self_collisions = enable_self_collisions,
+                            .package_dirs = to_folders(name, package_dirs),
+                            .unsupported = to_unsupported(name, unsupported)};
   return add_robot(builder, filter_overlaps,
                    [&](ModelBuilder& to, bool) { return add_mjcf(to, text, options); });
 }
 
+const char* target_name(ActuatorTarget target) {
+  return target == ActuatorTarget::Force      ? "joint_f"
+         : target == ActuatorTarget::Position ? "joint_target_q"
+                                              : "joint_target_qd";
+}
+
+std::string note_text(const RobotNote& note) {
+  return note.file + ":" + std::to_string(note.line) + ": " + note.element + ": " + note.text;
+}
+
+std::string report_text(const RobotReport& report) {
+  std::string text = "read:";
+  for (const auto& [kind, count] : report.read) text += " " + std::to_string(count) + " " + kind;
+  const auto add = [&](const char* title, const std::vector<RobotNote>& notes) {
+    if (notes.empty()) return;
+    text += std::string("\n") + title + ":";
+    for (const RobotNote& note : notes) text += "\n  " + note_text(note);
+  };
+  add("mended", report.mended);
+  add("left out", report.left_out);
+  add("ignored", report.ignored);
+  return text;
+}
+
+void bind_report(py::module_& io) {
+  py::class_<RobotNote>(io, "RobotNote", "What the reader has to say of an element of a file.")
+      .def_readonly("file", &RobotNote::file, "The file; <text> for XML given as text.")
+      .def_readonly("line", &RobotNote::line, "Line of the element.")
+      .def_readonly("element", &RobotNote::element, "The element, such as <joint name=\"knee\">.")
+      .def_readonly("text", &RobotNote::text, "What was done, and why.")
+      .def("__str__", &note_text);
+  py::class_<RobotReport>(io, "RobotReport",
+                          "What was read, mended and left out of a robot's file; str() lists it.")
+      .def_readonly("read", &RobotReport::read, "Kind of element to how many were read.")
+      .def_readonly("mended", &RobotReport::mended, "RobotNotes: what was changed to be read.")
+      .def_readonly("left_out", &RobotReport::left_out,
+                    "RobotNotes: what has no counterpart here and changes the motion, and files "
+                    "that are missing.")
+      .def_readonly("ignored", &RobotReport::ignored,
+                    "RobotNotes: what does not change the motion, or is up to the simulation.")
+      .def("__str__", &report_text);
+}
+
 void bind_result(py::module_& io) {
-  py::class_<RobotActuator>(io, "RobotActuator",
-                            "A motor of an MJCF file: joint_f[dof] = gear * clip(control, lower, "
-                            "upper).")
-      .def_readonly("name", &RobotActuator::name, "Of the motor.")
-      .def_readonly("joint", &RobotActuator::joint, "The joint that it turns.")
-      .def_readonly("dof", &RobotActuator::dof, "Row of joint_f.")
-      .def_readonly("gear", &RobotActuator::gear, "N or N*m per control.")
+  bind_report(io);
+  py::class_<RobotActuator>(
+      io, "RobotActuator",
+      "An actuator of an MJCF file: it adds gear * clip(control, lower, upper) + offset to one row "
+      "of a Control.")
+      .def_readonly("name", &RobotActuator::name, "Of the actuator.")
+      .def_readonly("joint", &RobotActuator::joint, "The joint that it moves.")
+      .def_property_readonly(
+          "target", [](const RobotActuator& a) { return target_name(a.target); },
+          "The array of the Control: joint_f, joint_target_q or joint_target_qd.")
+      .def_property_readonly(
+          "row",
+          [](const RobotActuator& a) {
+            return a.target == ActuatorTarget::Position ? a.coord : a.dof;
+          },
+          "Row of that array.")
+      .def_readonly("dof", &RobotActuator::dof, "Row of joint_qd.")
+      .def_readonly("gear", &RobotActuator::gear, "What is added per control.")
+      .def_readonly("offset", &RobotActuator::offset, "What is added without a control.")
       .def_readonly("lower", &RobotActuator::lower, "Least control.")
       .def_readonly("upper", &RobotActuator::upper, "Largest control.");
+  py::class_<RobotKeyframe>(io, "RobotKeyframe", "A keyframe of an MJCF file.")
+      .def_readonly("time", &RobotKeyframe::time, "s.")
+      .def_readonly("coord", &RobotKeyframe::coord, "First row of joint_q.")
+      .def_readonly("joint_q", &RobotKeyframe::joint_q, "Rows of joint_q from there on.");
   py::class_<RobotImport>(io, "RobotImport", "What add_urdf or add_mjcf added, by name.")
       .def_readonly("links", &RobotImport::links,
                     "Link name to body; of a merged link the body that it is part of.")
@@ -217,7 +288,20 @@ void bind_result(py::module_& io) {
       .def_readonly("shapes", &RobotImport::shapes, "The shapes, in order.")
       .def_readonly("articulations", &RobotImport::articulations, "The articulations, in order.")
       .def_readonly("actuators", &RobotImport::actuators, "RobotActuators, in order of the file.")
-      .def_readonly("warnings", &RobotImport::warnings, "What was not read, and why.");
+      .def_property_readonly(
+          "sites",
+          [](const RobotImport& r) {
+            py::dict sites;
+            for (const auto& [name, site] : r.sites)
+              sites[py::str(name)] = py::make_tuple(site.body, pose_tuple(site.pose));
+            return sites;
+          },
+          "Name of a site to its body (-1: the world) and its pose there (m, xyzw).")
+      .def_readonly("keyframes", &RobotImport::keyframes, "Name to RobotKeyframe.")
+      .def_readonly("timestep", &RobotImport::timestep, "s, that of the file; None: it has none.")
+      .def_readonly("report", &RobotImport::report, "The RobotReport.")
+      .def_readonly("warnings", &RobotImport::warnings,
+                    "The notes of the report, those of one text as one.");
 }
 
 }  // namespace
@@ -252,11 +336,12 @@ void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
               "ignore_inertial_definitions"_a = false, "joint_ordering"_a = "dfs",
               "bodies_follow_joint_ordering"_a = true, "collapse_fixed_joints"_a = false,
               "mesh_maxhullvert"_a = py::none(), "joint_damping_mode"_a = "passive",
-              "package_dirs"_a = py::none(), "mimic"_a = "follow", "filter_overlaps"_a = false,
-              urdf_doc);
+              "package_dirs"_a = py::none(), "mimic"_a = "follow", "mend_inertias"_a = true,
+              "unsupported"_a = "error", "filter_overlaps"_a = false, urdf_doc);
   builder.def("add_mjcf", &add_mjcf_to, "source"_a, py::kw_only(), "xform"_a = py::none(),
               "collapse_fixed_joints"_a = false, "enable_self_collisions"_a = true,
-              "filter_overlaps"_a = false, mjcf_doc);
+              "package_dirs"_a = py::none(), "unsupported"_a = "error", "filter_overlaps"_a = false,
+              mjcf_doc);
 #else
   static_cast<void>(io);
   const auto missing = [&](const char* name, const char* doc) {

@@ -67,7 +67,7 @@ TEST(Robots, HostileFilesAreRefusedAndTheBuilderStays) {
            {robot(hinge("fixed") + hinge("fixed")),
             "<text>:1: <joint name=\"j\">: expected different"},
            {robot(""), "expected one root"},
-           {robot(hinge("revolute")), "expected a <limit>"},
+           {robot(hinge("screw")), "type: expected revolute"},
            {robot(hinge("continuous", R"(<axis xyz="nan 0 0"/>)")), "expected finite numbers"}}) {
     const std::string said = message([&] { add_urdf(builder, text); });
     EXPECT_NE(said.find(expected), std::string::npos) << said;
@@ -84,14 +84,21 @@ TEST(Robots, AnMjcfFileBecomesBodiesAndMotors) {
       <geom type="box" size="0.5 0.5 0.5"/></body></worldbody>
     <actuator><motor joint="j" gear="7" ctrlrange="-1 2"/></actuator></mujoco>)");
   ASSERT_EQ(result.actuators.size(), 1u);
+  EXPECT_EQ(result.actuators[0].target, ActuatorTarget::Force);
   EXPECT_EQ(result.actuators[0].gear, 7.0f);
   EXPECT_EQ(result.actuators[0].upper, 2.0f);
   EXPECT_EQ(builder.joint_armature[0], 2.0f);
   EXPECT_FLOAT_EQ(builder.joint_limit_upper[0], 1.57079633f);
   EXPECT_FLOAT_EQ(builder.finalize()->body_mass.to_host()[0], 500.0f);
-  const std::string said =
-      message([&] { add_mjcf(builder, "<mujoco>\n<worldbody/><tendon/></mujoco>"); });
-  EXPECT_NE(said.find("<text>:2: <tendon>: this element is not read"), std::string::npos) << said;
+  const std::string text =
+      "<mujoco>\n<worldbody><geom size='1'/></worldbody><equality>\n<weld/></equality></mujoco>";
+  const std::string said = message([&] { add_mjcf(builder, text); });
+  EXPECT_NE(said.find("<text>:3: <weld>: an equality of the kind weld"), std::string::npos) << said;
+  const RobotImport rest = add_mjcf(builder, text, {.unsupported = Unsupported::Warn});
+  ASSERT_EQ(rest.report.left_out.size(), 1u);
+  EXPECT_EQ(rest.report.left_out[0].line, 3);
+  EXPECT_EQ(rest.report.read.at("geom"), 1);
+  EXPECT_EQ(rest.warnings.size(), 1u);
 }
 
 }  // namespace

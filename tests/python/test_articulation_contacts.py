@@ -477,6 +477,38 @@ def test_a_coordinate_that_is_not_finite_is_named(solver):
             solver(model).step(state, model.state(), None, None, 0.01)
 
 
+@pytest.mark.parametrize("rows", [8, 32, 33, 64, 65])
+def test_a_body_rests_on_any_number_of_contacts_alone_and_among_others(rows: int) -> None:
+    """Impulse is the change of momentum, and every world has the bits of one that is alone."""
+    one = novaphy.ModelBuilder()
+    one.add_ground_plane()
+    body = one.add_body(xform=((0, 0, 0.1), (0, 0, 0, 1)), mass=2.0, inertia=np.diag([0.1] * 3))
+    for k in range(rows):
+        angle = 2 * np.pi * k / rows
+        place = ((0.3 * np.cos(angle), 0.3 * np.sin(angle), -0.05), (0, 0, 0, 1))
+        one.add_shape_sphere(body, xform=place, radius=0.05, cfg=novaphy.ShapeConfig(density=0))
+    results = []
+    for worlds in (1, 17):
+        builder = novaphy.ModelBuilder()
+        builder.replicate(one, worlds)
+        model = builder.finalize()
+        solver = novaphy.solvers.SolverFeatherstone(model)
+        pipeline = novaphy.CollisionPipeline(model, rigid_contact_max=worlds * rows)
+        state, contacts = model.state(), pipeline.contacts()
+        for _ in range(60):
+            before = state.joint_qd.numpy()[2]
+            pipeline.collide(state, contacts)
+            solver.step(state, state, None, contacts, 1 / 240)
+        force = contacts.rigid_contacts()["force"].reshape(worlds, rows, 3)
+        rises = 240 * (state.joint_qd.numpy()[2] - before)  # m/s^2
+        assert abs(force[0, :, 2].sum() - 2.0 * (9.81 + rises)) < 1e-3
+        assert abs(state.joint_q.numpy()[2] - 0.1) < 5e-3 and abs(rises) < 0.05
+        results.append(
+            np.concatenate([state.joint_q.numpy().reshape(worlds, -1), force[:, :, 2]], 1)
+        )
+    assert (results[1] == results[0]).all()
+
+
 @pytest.mark.skipif(not novaphy.has_io(), reason="built without io")
 @pytest.mark.parametrize(
     ("torque", "softness", "moves"), [(0, 0, 2e-3), (0, 1e-5, 1e-4), (60, 0, 1)]

@@ -301,32 +301,50 @@ def test_stiffness_frames_and_merged_bodies():
 BAD = {
     "root": ("<robot/>", "expected the root element <mujoco>"),
     "empty": ("<mujoco/>", "expected a body or a geom"),
-    "include": ('<mujoco><include file="ant.xml"/></mujoco>', "<include>: this element is not"),
+    "include": ('<mujoco><include file="ant.xml"/></mujoco>', "needs package_dirs"),
+    "section": ("<mujoco><world/></mujoco>", "<world>: this element is not read"),
     "doctype": ('<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "entities are not read"),
     "deep": (mjcf("<body>" * 100_000), "expected XML"),
     "many bodies": (mjcf(hinged() * 100_000), "expected at most 10000 bodies"),
     "laughs": ('<!DOCTYPE m [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>'
                '<mujoco model="&b;"/>', "entities are not read"),
     "global": (mjcf(hinged(), '<compiler coordinate="global"/>'), 'coordinate="global" is not'),
-    "gravity": (mjcf(hinged(), '<option gravity="0 0 -1"/>'), "expected that of the builder"),
-    "wind": (mjcf(hinged(), '<option wind="1 0 0"/>'), "wind is not read"),
-    "tendon": (mjcf(hinged(), "<tendon/>"), "<tendon>: this element is not read"),
-    "equality": (mjcf(hinged(), after="<equality/>"), "<equality>: this element is not read"),
-    "geom type": (mjcf(hinged(geom='type="mesh" mesh="m"')), "the attribute mesh is not read"),
+    "gravity": (mjcf(hinged(), '<option gravity="0 0"/>'), "gravity: expected 3 number"),
+    "euler": (mjcf(hinged(), '<compiler eulerseq="xyw"/>'), "eulerseq: expected three of x"),
+    "flag": (mjcf(hinged(), '<option><flag limit="off"/></option>'), "expected enable or disable"),
+    "water": (mjcf(hinged(), '<option density="1000"/>'), "density: there are no forces of a fl"),
+    "tendon": (mjcf(hinged('name="j"'),
+                    after='<tendon><fixed stiffness="1"><joint joint="j" '
+                          'coef="1"/></fixed></tendon>'),
+               "<fixed>: a tendon that has forces"),
+    "equality": (mjcf(hinged('name="j"'), after='<equality><joint joint1="j"/></equality>'),
+                 "<joint>: an equality of the kind joint"),
+    "mesh": (mjcf(hinged(geom='type="mesh" mesh="m"')), 'there is no mesh "m"'),
+    "field": (mjcf(hinged(geom='type="hfield" hfield="h"')), "<geom>: a height field"),
+    "mesh file": (mjcf(hinged(geom='type="mesh" mesh="m"'),
+                       '<asset><mesh name="m" file="../../etc/m.obj"/></asset>'), "needs "
+                                                                                  "package_d"),
+    "vertices": (mjcf(hinged(geom='type="mesh" mesh="m"'),
+                      '<asset><mesh name="m" vertex="0 0 0 1"/></asset>'), "3 numbers a vertex"),
+    "faces": (mjcf(hinged(geom='type="mesh" mesh="m"'),
+                   '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" face="0 1 4"/></asset>'),
+              "face: expected numbers of vertices"),
+    "copies": (mjcf('<replicate count="1e9">' + hinged() + "</replicate>"), "count: expected a"),
+    "many copies": (mjcf('<replicate count="999999">' * 3 + "<site/>" + "</replicate>" * 3),
+                    "expected at most 1000000 elements"),
     "size": (mjcf(hinged(geom='type="box" size="1 1"')), "size: expected 3 numbers of a box"),
     "no size": (mjcf(hinged(geom="")), "size: expected 1 numbers"),
     "negative": (mjcf(hinged(geom='size="-1"')), "size: expected numbers > 0"),
     "nan": (mjcf(hinged(geom='size="nan"')), "size: expected finite numbers"),
     "friction": (mjcf(hinged(geom='size="1" friction="-1"')), "friction: expected numbers >= 0"),
-    "fluid": (mjcf(hinged(geom='size="1" fluidshape="ellipsoid"')), "fluidshape is not read"),
+    "fluid": (mjcf(hinged(geom='size="1" wings="2"')), "the attribute wings is not read"),
     "joint type": (mjcf(hinged('type="screw"')), 'got "screw"'),
-    "orientations": (mjcf('<body quat="1 0 0 0" euler="0 0 9"><geom size="1"/></body>'),
+    "orientations": (mjcf('<body zaxis="1 0 0" euler="0 0 9"><geom size="1"/></body>'),
                      "expected one orientation"),
     "axis": (mjcf(hinged('axis="0 0 0"')), "axis: expected a vector"),
     "range": (mjcf(hinged('range="2 1"')), "range: expected two numbers, the lower one first"),
     "limited": (mjcf(hinged('limited="true"')), "range: expected two numbers"),
     "armature": (mjcf(hinged('armature="-1"')), "armature: expected >= 0"),
-    "ref": (mjcf(hinged('ref="1"')), "ref is not read"),
     "names": (mjcf(hinged('name="a"') * 2), 'different names, got "a" twice'),
     "class": (mjcf(hinged('class="x"')), 'there is no default class "x"'),
     "below": (mjcf('<body><geom size="1"/><body><freejoint/><geom size="1"/></body></body>'),
@@ -334,13 +352,19 @@ BAD = {
     "massless": (mjcf(hinged(geom='size="1" density="0"')), "expected a mass"),
     "inertia": (mjcf('<body><inertial pos="0 0 0" mass="1" diaginertia="1 1 -1"/><joint/></body>'),
                 "positive definite"),
-    "position": (mjcf(hinged('name="a"'), after='<actuator><position joint="a"/></actuator>'),
-                 "<position>: this element"),
+    "muscle": (mjcf(hinged('name="a"'), after='<actuator><muscle joint="a"/></actuator>'),
+               "an actuator of the kind <muscle>"),
+    "lag": (mjcf(hinged('name="a"'),
+                 after='<actuator><position joint="a" timeconst="1"/></actuator>'),
+            "an actuator with dyntype filterexact"),
+    "gear": (mjcf(hinged('name="a" stiffness="1"'), after='<actuator><position joint="a" '
+                  'forcerange="-1 1"/></actuator>'), "forcerange: the drive of the joint has "
+                                                     "other"),
     "motor": (mjcf(hinged(), after='<actuator><motor joint="a"/></actuator>'),
               'there is no joint "a"'),
-    "start": (mjcf(hinged(), '<custom><numeric name="init_qpos" data="1 2"/></custom>'),
-              "data: expected 1 numbers, got 2"),
-    "mocap": (mjcf(hinged(body='mocap="true"')), "the attribute mocap is not read"),
+    "mocap": (mjcf(hinged(body='mocap="true"')), "mocap: expected a body in the world without j"),
+    "attach": (mjcf('<body><attach model="m"/></body>'), "<attach>: this element"),
+    "weight": (mjcf(hinged(body='gravcomp="1"')), "gravcomp: gravity is that of a world"),
 }  # fmt: skip
 
 
@@ -367,11 +391,11 @@ def test_a_source_that_is_no_text_is_named(source):
 
 
 def test_what_belongs_to_the_simulation_is_said():
-    with pytest.warns(UserWarning, match="not of the file: timestep integrator"):
+    with pytest.warns(UserWarning, match="not of the file: integrator"):
         loaded(mjcf(hinged(), '<option timestep="0.01" integrator="RK4"/>'))
 
 
-@pytest.mark.filterwarnings("ignore:.*not of the file")
+@pytest.mark.filterwarnings("ignore::UserWarning")
 def test_mutated_files_are_read_or_refused():
     from test_urdf import mutated
 

@@ -11,10 +11,6 @@ namespace {
 namespace art = articulation;
 using art::DualFloat;
 
-const ArticulationRows* rows_of(const Step& s) {
-  return static_cast<const ArticulationRows*>(s.values[0].tensor.range()->data());
-}
-
 // Some of the contacts that a step keeps.
 struct SomeContacts {
   std::vector<int32_t> shape0, shape1;
@@ -109,7 +105,7 @@ struct EndOfStep {
     }
     qdd = next->smooth;
     if (!next->inside.empty()) inside = next->inside;
-    const ArticulationRows* const rows = rows_of(s);
+    const ArticulationRows* const rows = rows_of_step(s);
     for (size_t t = 0; t < trees && !next->after.empty(); ++t)
       for (int32_t k = rows[t].first_dof;
            inside[t] == 0 && k < rows[t].first_dof + rows[t].dof_count; ++k)
@@ -128,117 +124,11 @@ bool is_apart(const ContactEvent& event) { return event.groups.size() > 1 && !ev
 
 template <class F>
 void for_dofs(const Step& s, const ContactEvent& event, const F& f) {
-  const ArticulationRows* const rows = rows_of(s);
+  const ArticulationRows* const rows = rows_of_step(s);
   size_t at = 0;
   for (const int32_t tree : event.trees)
     for (int32_t k = 0; k < rows[tree].dof_count; ++k)
       f(at++, static_cast<size_t>(rows[tree].first_dof + k));
-}
-
-}  // namespace
-
-namespace {
-
-// First and number of the coordinates of a tree.
-std::pair<int32_t, int32_t> coordinates_of(const art::Tree<float>& tree) {
-  int32_t begin = INT32_MAX, end = 0;
-  for (int32_t i = 0; i < tree.link_count; ++i) {
-    const art::Link& link = tree.links[i];
-    begin = std::min(begin, link.coord);
-    end = std::max(end, link.coord + link.dofs + (link.dofs > 1 ? 1 : 0));
-  }
-  return {begin, std::max(end - begin, 0)};
-}
-
-// A dof whose limit pushes in one of two steps that follow each other; `acts`: before the change.
-void add_limit_event(const Step& s, const ArticulationArguments& in, int32_t t, int32_t dof,
-                     bool acted) {
-  const ArticulationRows& of = rows_of(s)[t];
-  const art::Tree<float> tree = articulation_tree(in, of);
-  const art::StepInputs<float> inputs = articulation_inputs(in);
-  const art::StepOptions<float> options = articulation_options(in);
-  const art::Link* link = tree.links;
-  while (link->dof != dof) ++link;
-  const std::vector<float>& now = s.motion->branch;
-  std::vector<float> branch = now;
-  const auto bits = static_cast<int32_t>(now[static_cast<size_t>(dof)]);
-  const bool released = (bits & art::kLimitReleased) != 0;
-  if (!acted && (bits & art::kOutside) == 0) return;
-  // F_A: with the branch of before.
-  int32_t other = bits & ~(art::kOutside | art::kLimitReleased);
-  if (acted && released) other |= bits & art::kOutside;
-  if (acted && !released) return;  // inside again, behind a limit that had let go
-  branch[static_cast<size_t>(dof)] = static_cast<float>(other);
-  std::vector<uint64_t> work(
-      static_cast<size_t>(art::workspace_bytes<float>(of.link_count, of.dof_count) / 8 + 1));
-  auto ws = art::make_workspace<float>(work.data(), of.link_count, of.dof_count);
-  if (art::accelerate_again(tree, inputs, options, branch.data(), ws) >= 0) return;
-  art::free_rates(tree, inputs, options, ws);
-  std::vector<float> qdd(now.size()), q(static_cast<size_t>(s.in(G::kQ).size())), qd(now.size());
-  std::copy_n(ws.qdd, of.dof_count, qdd.data() + of.first_dof);
-  std::vector<Transformf> body_q(static_cast<size_t>(s.outputs[2].tensor.size() / 7));
-  std::vector<SpatialVectorf> body_qd(body_q.size());
-  art::finish_step(tree, inputs, options, ws, q.data(), qd.data(), body_q.data(), body_qd.data());
-
-  std::vector<float> by_q(q.size()), by_qd(qd.size());
-  if (acted) {  // by the force at the end of the step
-    std::vector<float> of_q(q.size()), of_qd(qd.size());
-    of_q[static_cast<size_t>(link->coord)] = in.limit_ke[dof];
-    of_qd[static_cast<size_t>(dof)] = in.limit_kd[dof];
-    std::vector<uint64_t> memory(
-        static_cast<size_t>(art::adjoint_bytes<float>(of.link_count, of.dof_count) / 8 + 1));
-    auto adjoint = art::make_adjoint_memory<float>(memory.data(), of.link_count, of.dof_count);
-    art::StepGradient<float> to{};
-    to.q = by_q.data();
-    to.qd = by_qd.data();
-    art::step_vjp(tree, inputs, options, qdd.data(), branch.data(), q.data(), qd.data(),
-                  {of_q.data(), of_qd.data(), nullptr, nullptr}, to, ws, adjoint);
-  } else {
-    by_q[static_cast<size_t>(link->coord)] = 1.0f;
-  }
-  const auto [first, count] = coordinates_of(tree);
-  const float *const q_next = numbers(s.outputs[0].tensor), *const qd_next =
-                                                                numbers(s.outputs[1].tensor);
-  LimitEvent event{.tree = t};
-  double rate = 0.0;
-  for (int32_t c = first; c < first + count; ++c) {
-    const auto i = static_cast<size_t>(c);
-    event.jump_q.push_back(q_next[c] - q[i]);
-    event.by_q.push_back(by_q[i]);
-    rate += double{by_q[i]} * (double{q[i]} - in.q[c]);
-  }
-  for (int32_t k = of.first_dof; k < of.first_dof + of.dof_count; ++k) {
-    const auto i = static_cast<size_t>(k);
-    event.jump_qd.push_back(qd_next[k] - qd[i]);
-    event.by_qd.push_back(by_qd[i]);
-    rate += double{by_qd[i]} * (double{qd[i]} - in.qd[k]);
-  }
-  event.rate = static_cast<float>(rate);
-  if (event.rate != 0.0f) s.motion->limits.push_back(std::move(event));
-}
-
-void note_limits(const Step& s, const ArticulationArguments& in, const MotionNotes* last) {
-  MotionNotes& notes = *s.motion;
-  const float* const branch = numbers(s.outputs[5].tensor);
-  notes.branch.assign(branch, branch + s.outputs[5].tensor.size());
-  if (last == nullptr) return;
-  const auto acts = [](float number) {
-    const auto bits = static_cast<int32_t>(number);
-    return (bits & art::kOutside) != 0 && (bits & art::kLimitReleased) == 0;
-  };
-  const std::vector<char>& touched = notes.found.touched;
-  for (int32_t t = 0; t < static_cast<int32_t>(s.count); ++t) {
-    const bool touches = !touched.empty() && touched[static_cast<size_t>(t)] != 0;
-    const ArticulationRows& of = rows_of(s)[t];
-    for (int32_t k = of.first_dof; k < of.first_dof + of.dof_count; ++k) {
-      const bool acted = acts(last->branch[static_cast<size_t>(k)]);
-      if (acted == acts(notes.branch[static_cast<size_t>(k)])) continue;
-      if (touches)
-        ++s.shared->motion.unmoved;
-      else
-        add_limit_event(s, in, t, k, acted);
-    }
-  }
 }
 
 }  // namespace
@@ -311,7 +201,7 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
   const EndOfStep end(s);
   const ArticulationArguments in = host_arguments(s);
   const art::StepInputs<float> inputs = articulation_inputs(in);
-  const ArticulationRows* const rows = rows_of(s);
+  const ArticulationRows* const rows = rows_of_step(s);
   const float *const q_next = numbers(s.outputs[0].tensor), *const qd_next =
                                                                 numbers(s.outputs[1].tensor);
   const art::StepOutputGradient<float> out = {
@@ -411,7 +301,7 @@ void move_on(const Step& s, const float* q, const float* qd, const float* qdd,
     return to.data();
   };
   const ArticulationArgumentsOf<DualFloat> a = dual_arguments(s, nullptr, none, take);
-  const ArticulationRows* const rows = rows_of(s);
+  const ArticulationRows* const rows = rows_of_step(s);
   const auto coordinates = static_cast<size_t>(s.in(G::kQ).size());
   const auto dofs = static_cast<size_t>(s.in(G::kQd).size());
   std::vector<DualFloat> x(coordinates), moved(coordinates), v(dofs), faster(dofs);
@@ -461,7 +351,7 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
   MotionNotes& notes = *s.motion;
   if (!notes.concerned()) return run(inputs);
   const ArticulationArguments in = host_arguments(s);
-  const ArticulationRows* const rows = rows_of(s);
+  const ArticulationRows* const rows = rows_of_step(s);
   const auto trees = static_cast<size_t>(s.count), dofs = static_cast<size_t>(s.in(G::kQd).size());
   const auto copy_of = [](const Tensor& like, const Tensor& from) {
     Tensor to(like.shape(), nova::DType::F32, Device::cpu());

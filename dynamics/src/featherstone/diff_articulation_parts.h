@@ -184,7 +184,7 @@ struct ArticulationStep::Shared {
   DerivativeOf contact_gradient = DerivativeOf::Code;
   MotionCounts motion;
   std::weak_ptr<const Step> last;  // with MotionNotes
-  int64_t next_step = 0;  // number of the next step that is recorded
+  int64_t next_step = 0;           // number of the next step that is recorded
   // On devices, whether a step since the last check is far from converged, and how many were.
   std::shared_ptr<bool> far = std::make_shared<bool>(false);
   int64_t far_steps = 0;
@@ -197,16 +197,16 @@ struct ArticulationStep::Shared {
 struct ArticulationStep::Step {
   std::shared_ptr<ArticulationStep::Shared> shared;
   std::shared_ptr<const Model> model;
-  detail::Tensor contacts = {};                       // KeptContacts; undefined without
-  int64_t contact_max = 0;                            // of them
-  std::optional<detail::FoundRows> found = {};        // copied whenever the step runs
-  bool follow = false;                                // they are of the state that it starts from
-  std::optional<DeviceArray<Vec3f>> force = {};       // of the contacts
+  detail::Tensor contacts = {};                  // KeptContacts; undefined without
+  int64_t contact_max = 0;                       // of them
+  std::optional<detail::FoundRows> found = {};   // copied whenever the step runs
+  bool follow = false;                           // they are of the state that it starts from
+  std::optional<DeviceArray<Vec3f>> force = {};  // of the contacts
   // Of the contacts, as long as they are those of the step: for the events between steps.
   std::optional<DeviceArray<int32_t>> point_id = {};
-  bool continues = false;  // it starts where the last one with contacts ended
-  bool by_restitution = false;                        // its gradient is asked for
-  bool dry = false;                                   // Shared::dry
+  bool continues = false;       // it starts where the last one with contacts ended
+  bool by_restitution = false;  // its gradient is asked for
+  bool dry = false;             // Shared::dry
   std::array<detail::Named, detail::kInputs> inputs;  // in the order of StepGradient, MoreInputs
   std::array<detail::Named, 7> values;   // rows, links, dof_parent, X_p, X_c, axis, target_mode
   std::array<detail::Named, 6> outputs;  // q, qd, body_q, body_qd, qdd, branch
@@ -218,7 +218,7 @@ struct ArticulationStep::Step {
   ArticulationArguments host = {};                  // of the first step, where others follow
   std::vector<detail::StepOutputs> following = {};  // each starts where the one before ended
   int64_t number = 0;
-  std::shared_ptr<bool> far = {};  // Shared::far
+  std::shared_ptr<bool> far = {};                    // Shared::far
   std::shared_ptr<detail::MotionNotes> motion = {};  // null: gradients are of the code
 
   // Whether its forward fills `contacts` anew, so that nobody minds who wrote there.
@@ -230,6 +230,9 @@ namespace detail {
 
 using Step = ArticulationStep::Step;
 
+inline const ArticulationRows* rows_of_step(const Step& s) {
+  return static_cast<const ArticulationRows*>(s.values[0].tensor.range()->data());
+}
 // Words of launches.
 // Those of ArticulationArguments.
 void add_arguments(const Step& s, std::vector<LaunchArgument>& words);

@@ -6,7 +6,9 @@
 namespace novaphy::detail {
 namespace {
 
-constexpr std::string_view kWithDefaults[] = {"geom", "joint", "motor", "site", "camera", "light"};
+constexpr std::string_view kActuators[] = {"general",     "motor",  "position", "velocity",
+                                           "intvelocity", "damper", "cylinder", "muscle",
+                                           "adhesion",    "plugin", "dcmotor"};
 
 Vec3d unit(const XmlFile& file, const Element& e, const char* attribute, const Vec3d& v) {
   const double length = std::sqrt(math::dot(v, v));
@@ -15,12 +17,11 @@ Vec3d unit(const XmlFile& file, const Element& e, const char* attribute, const V
   return v / length;
 }
 
-// The turn whose matrix has these columns.
-Quatd from_columns(const Vec3d& x, const Vec3d& y, const Vec3d& z) {
+// The turn whose matrix has x as its first and z as its last column.
+Quatd from_columns(const Vec3d& x, const Vec3d& z) {
   const Quatd first = turn_from_z(z);
   const Vec3d turned_x = math::rotate(first, Vec3d{1.0, 0.0, 0.0});
   const double angle = std::atan2(math::dot(math::cross(turned_x, x), z), math::dot(turned_x, x));
-  static_cast<void>(y);
   return math::multiply(turn(z, angle), first);
 }
 
@@ -36,35 +37,47 @@ MjcfDefaults::MjcfDefaults(const XmlFile& file) : file_(file) {
 void MjcfDefaults::read(const Element& e, const std::string& parent) {
   const char* given = e.Attribute("class");
   if (given == nullptr && !parent.empty()) file_.refuse(e, "class: expected a name, got none");
-  const std::string name = given == nullptr ? "main" : given;
+  // What is outermost is the default of all, whatever its name.
+  const std::string name = parent.empty() ? "main" : given;
   if (!parent.empty() && !classes_.emplace(name, classes_.at(parent)).second)
     file_.refuse(e, "class: expected different names, got \"" + name + "\" twice");
-  if (parent.empty()) classes_.emplace(name, Class{});
+  Class& to = classes_.at(name);
+  if (!parent.empty() || to.actuators.empty()) to.actuators.emplace_back();
   for (const Element* c = e.FirstChildElement(); c != nullptr; c = c->NextSiblingElement()) {
     const std::string_view kind = c->Name();
     if (kind == "default") continue;
-    if (std::find(std::begin(kWithDefaults), std::end(kWithDefaults), kind) ==
-        std::end(kWithDefaults)) {
-      if (kind == "material") continue;
-      file_.refuse(*c, "not read: defaults of this element", ErrorKind::NotImplemented);
-    }
+    if (std::find(std::begin(kActuators), std::end(kActuators), kind) != std::end(kActuators))
+      to.actuators.back().push_back(c);
     for (const auto* a = c->FirstAttribute(); a != nullptr; a = a->Next())
-      classes_.at(name)[c->Name()][a->Name()] = a->Value();
+      to.elements[c->Name()][a->Name()] = a->Value();
   }
-  if (parent.empty() && name != "main") classes_["main"] = classes_.at(name);
   for (const Element* c = e.FirstChildElement("default"); c != nullptr;
        c = c->NextSiblingElement("default"))
     read(*c, name);
+  if (parent.empty() && given != nullptr && name != given)
+    classes_.insert_or_assign(given, classes_.at(name));
 }
 
-const MjcfDefaults::Attributes* MjcfDefaults::of_class(const Element& e,
-                                                       const std::string& childclass) const {
+const MjcfDefaults::Class& MjcfDefaults::class_of(const Element& e,
+                                                  const std::string& childclass) const {
   const char* own = e.Attribute("class");
   const std::string name = own != nullptr ? own : childclass.empty() ? "main" : childclass;
   const auto found = classes_.find(name);
   if (found == classes_.end()) file_.refuse(e, "class: there is no default class \"" + name + "\"");
-  const auto element = found->second.find(e.Name());
-  return element == found->second.end() ? nullptr : &element->second;
+  return found->second;
+}
+
+const MjcfDefaults::Attributes* MjcfDefaults::of_class(const Element& e,
+                                                       const std::string& childclass) const {
+  const Class& in = class_of(e, childclass);
+  const std::string_view kind = e.Name();
+  const auto element =
+      in.elements.find(kind == "spatial" || kind == "fixed" ? "tendon" : std::string(kind));
+  return element == in.elements.end() ? nullptr : &element->second;
+}
+
+const MjcfDefaults::ActuatorClasses& MjcfDefaults::actuators(const Element& e) const {
+  return class_of(e, {}).actuators;
 }
 
 std::optional<std::string> MjcfDefaults::text(const Element& e, const char* attribute,
@@ -116,34 +129,42 @@ void MjcfDefaults::check_known(const Element& e, const std::string& childclass,
 
 Quatd MjcfDefaults::orientation(const Element& e, const std::string& childclass,
                                 const MjcfCompiler& compiler) const {
-  const auto ways = {"quat", "axisangle", "euler", "zaxis", "xyaxes"};
+  const auto ways = {"axisangle", "euler", "zaxis", "xyaxes"};
   if (std::count_if(ways.begin(), ways.end(), [&](auto* way) { return e.Attribute(way); }) > 1)
-    file_.refuse(e,
-                 "expected one orientation, got several of quat, axisangle, euler, zaxis, xyaxes");
+    file_.refuse(e, "expected one orientation, got several of axisangle, euler, zaxis, xyaxes");
   double v[6];
   const auto three = std::span(v).first(3), four = std::span(v).first(4);
-  if (numbers(e, "quat", childclass, four)) {
-    const double norm = std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3]);
-    if (!(norm > 1e-10)) file_.refuse(e, "quat: expected numbers that are not all zero");
-    return {v[1] / norm, v[2] / norm, v[3] / norm, v[0] / norm};
-  }
   if (numbers(e, "axisangle", childclass, four))
     return turn(unit(file_, e, "axisangle", {v[0], v[1], v[2]}), v[3] * compiler.angle);
-  if (numbers(e, "euler", childclass, three)) {  // about x, y, z of the turned frame
-    const Quatd x = turn({1.0, 0.0, 0.0}, v[0] * compiler.angle);
-    const Quatd y = turn({0.0, 1.0, 0.0}, v[1] * compiler.angle);
-    const Quatd z = turn({0.0, 0.0, 1.0}, v[2] * compiler.angle);
-    return math::multiply(math::multiply(x, y), z);
-  }
+  if (numbers(e, "euler", childclass, three)) return euler_turn({v[0], v[1], v[2]}, compiler);
   if (numbers(e, "zaxis", childclass, three))
     return turn_from_z(unit(file_, e, "zaxis", {v[0], v[1], v[2]}));
   if (numbers(e, "xyaxes", childclass, v)) {
     const Vec3d x = unit(file_, e, "xyaxes", {v[0], v[1], v[2]});
     const Vec3d given = {v[3], v[4], v[5]};
     const Vec3d y = unit(file_, e, "xyaxes", given - x * math::dot(x, given));
-    return from_columns(x, y, math::cross(x, y));
+    return from_columns(x, math::cross(x, y));
+  }
+  if (numbers(e, "quat", childclass, four)) {
+    const double norm = std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3]);
+    if (!(norm > 1e-10)) file_.refuse(e, "quat: expected numbers that are not all zero");
+    return {v[1] / norm, v[2] / norm, v[3] / norm, v[0] / norm};
   }
   return {0.0, 0.0, 0.0, 1.0};
+}
+
+Quatd euler_turn(const Vec3d& angles, const MjcfCompiler& compiler) {
+  Quatd q = {0.0, 0.0, 0.0, 1.0};
+  const double values[] = {angles.x, angles.y, angles.z};
+  for (size_t k = 0; k < 3; ++k) {
+    const char letter = compiler.euler[k];
+    const bool stays = letter <= 'Z';
+    const int axis = letter - (stays ? 'X' : 'x');
+    const Quatd one = turn({axis == 0 ? 1.0 : 0.0, axis == 1 ? 1.0 : 0.0, axis == 2 ? 1.0 : 0.0},
+                           values[k] * compiler.angle);
+    q = stays ? math::multiply(one, q) : math::multiply(q, one);
+  }
+  return q;
 }
 
 }  // namespace novaphy::detail

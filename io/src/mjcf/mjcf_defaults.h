@@ -8,22 +8,16 @@
 #include <string_view>
 #include <vector>
 
-#include "../robot/xml.h"
+#include "mjcf_settings.h"
 
 namespace novaphy::detail {
-
-// <compiler>: how angles and orientations are written.
-struct MjcfCompiler {
-  double angle = 3.14159265358979323846 / 180.0;  // radians per unit
-  bool auto_limits = true;
-  enum class Inertia { Auto, Always, Never } inertia_from_geom = Inertia::Auto;
-};
 
 class MjcfDefaults {
  public:
   explicit MjcfDefaults(const XmlFile& file);
 
-  // The attribute of an element; its own, that of its class, or that of `childclass`.
+  // The attribute of an element; its own, that of its class, or that of `childclass`. Classes have
+  // the defaults of <spatial> and <fixed> under tendon.
   std::optional<std::string> text(const Element& e, const char* attribute,
                                   const std::string& childclass) const;
   // As exactly out.size() finite numbers; false: there is none.
@@ -39,19 +33,29 @@ class MjcfDefaults {
   void check_known(const Element& e, const std::string& childclass,
                    std::span<const std::string_view> read,
                    std::span<const std::string_view> passed_over) const;
-  // The orientation of an element: quat, axisangle, euler, zaxis or xyaxes; else the identity.
+  // The <general>, <motor>, ... of the classes around an actuator's, outermost first, and its own.
+  using ActuatorClasses = std::vector<std::vector<const Element*>>;
+  const ActuatorClasses& actuators(const Element& e) const;
+  // The orientation of an element: axisangle, euler, zaxis or xyaxes, else quat; else the identity.
   Quatd orientation(const Element& e, const std::string& childclass,
                     const MjcfCompiler& compiler) const;
 
  private:
   using Attributes = std::map<std::string, std::string>;
-  using Class = std::map<std::string, Attributes>;  // by element
+  struct Class {
+    std::map<std::string, Attributes> elements;
+    ActuatorClasses actuators = {};
+  };
 
   void read(const Element& e, const std::string& parent);
+  const Class& class_of(const Element& e, const std::string& childclass) const;
   const Attributes* of_class(const Element& e, const std::string& childclass) const;
 
   const XmlFile& file_;
   std::map<std::string, Class> classes_;
 };
+
+// The turn of three angles of the file, by `eulerseq`.
+Quatd euler_turn(const Vec3d& angles, const MjcfCompiler& compiler);
 
 }  // namespace novaphy::detail

@@ -40,23 +40,42 @@ void add_moved(Mat33d& inertia, double mass, const Vec3d& p) {
     for (int j = 0; j < 3; ++j) inertia.m[i][j] += mass * add[i][j];
 }
 
-// Adds the mass of a link that has the pose `pose` in another one to that.
-void merge_mass(RobotLink& into, const RobotLink& link, const Posed& pose) {
-  if (link.mass == 0.0) return;
-  const Vec3d com = math::transform_point(pose, link.com);
-  const double mass = into.mass + link.mass;
-  const Vec3d center = (into.com * into.mass + com * link.mass) / mass;
-  Mat33d inertia = turned(pose.q, link.inertia);
+}  // namespace
+
+void add_mass(RobotLink& to, double mass, const Vec3d& com, const Mat33d& inertia) {
+  if (mass == 0.0) return;
+  const double sum = to.mass + mass;
+  const Vec3d center = (to.com * to.mass + com * mass) / sum;
   for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) inertia.m[i][j] += into.inertia.m[i][j];
-  add_moved(inertia, into.mass, into.com - center);
-  add_moved(inertia, link.mass, com - center);
-  into.mass = mass;
-  into.com = center;
-  into.inertia = inertia;
+    for (int j = 0; j < 3; ++j) to.inertia.m[i][j] += inertia.m[i][j];
+  if (to.mass != 0.0) add_moved(to.inertia, to.mass, to.com - center);
+  add_moved(to.inertia, mass, com - center);
+  to.mass = sum;
+  to.com = center;
 }
 
-}  // namespace
+// The pose of the child's joint frame in the parent's at the start.
+Posed start_pose(const RobotJoint& joint) {
+  Posed pose = identity_pose();
+  if (joint.type == JointType::BALL && joint.start.size() == 4)
+    pose.q = {joint.start[0], joint.start[1], joint.start[2], joint.start[3]};
+  size_t k = 0;
+  const auto unit = [](const Vec3f& a) {
+    const Vec3d axis = {a.x, a.y, a.z};
+    return axis / std::sqrt(math::dot(axis, axis));
+  };
+  for (const JointDofConfig& dof : joint.linear) {
+    const double q = k < joint.start.size() ? joint.start[k] : 0.0;
+    pose.p = pose.p + unit(dof.axis) * q;
+    ++k;
+  }
+  for (const JointDofConfig& dof : joint.angular) {
+    const double q = k < joint.start.size() ? joint.start[k] : 0.0;
+    pose.q = math::multiply(pose.q, turn(unit(dof.axis), q));
+    ++k;
+  }
+  return pose;
+}
 
 std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
                                                       std::vector<int32_t>& joints_out) {
@@ -88,7 +107,7 @@ std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
     if (at == link) continue;
     RobotLink& from = robot.links[static_cast<size_t>(link)];
     RobotLink& into = robot.links[static_cast<size_t>(at)];
-    merge_mass(into, from, pose);
+    add_mass(into, from.mass, math::transform_point(pose, from.com), turned(pose.q, from.inertia));
     for (RobotShape& shape : from.shapes) {
       shape.pose = math::multiply(pose, shape.pose);
       into.shapes.push_back(std::move(shape));

@@ -5,7 +5,6 @@
 #include <set>
 #include <unordered_map>
 
-#include "novaphy/io/mesh.h"
 #include "robot.h"
 
 namespace novaphy::detail {
@@ -59,27 +58,6 @@ std::vector<int32_t> tree_order(const Robot& robot, const Children& children, in
   return order;
 }
 
-// The pose of the child's joint frame in the parent's at the start.
-Posed start_pose(const RobotJoint& joint) {
-  Posed pose = identity_pose();
-  size_t k = 0;
-  const auto unit = [](const Vec3f& a) {
-    const Vec3d axis = {a.x, a.y, a.z};
-    return axis / std::sqrt(math::dot(axis, axis));
-  };
-  for (const JointDofConfig& dof : joint.linear) {
-    const double q = k < joint.start.size() ? joint.start[k] : 0.0;
-    pose.p = pose.p + unit(dof.axis) * q;
-    ++k;
-  }
-  for (const JointDofConfig& dof : joint.angular) {
-    const double q = k < joint.start.size() ? joint.start[k] : 0.0;
-    pose.q = math::multiply(pose.q, turn(unit(dof.axis), q));
-    ++k;
-  }
-  return pose;
-}
-
 // Joints start at 0, or where the file says: where that is outside of their limits, at the nearest.
 void start_within_limits(RobotJoint& joint) {
   if (joint.type != JointType::REVOLUTE && joint.type != JointType::PRISMATIC &&
@@ -121,6 +99,7 @@ class Emitter {
       place.emplace_back(static_cast<int32_t>(k), identity_pose());
     if (options_.collapse) place = collapse_links(robot_, joints);
 
+    for (const auto& [a, b] : robot_.pairs) in_pairs_.insert({a, b});
     order();
     add_links();
     add_joints();
@@ -139,7 +118,6 @@ class Emitter {
       result_.joint_dofs[joint_names[k]] = of(dof_);
       result_.joint_coords[joint_names[k]] = of(coord_);
     }
-    result_.warnings = std::move(robot_.warnings);
     target = std::move(builder_);
     return std::move(result_);
   }
@@ -192,6 +170,7 @@ class Emitter {
           has_inertia = has_inertia || inertia.m[i][k] != 0.0f;
         }
       if (has_inertia) args.inertia = inertia;
+      args.is_kinematic = link.is_kinematic;
       body_[static_cast<size_t>(index)] =
           at(options_.function, link.where, [&] { return builder_.add_link(args); });
     }
@@ -200,19 +179,14 @@ class Emitter {
     add_shapes(kWorldLink, robot_.world_shapes);
   }
 
-  const Mesh& mesh(const RobotShape& shape) {
-    const auto found = meshes_.find(shape.mesh.string());
-    if (found != meshes_.end()) return found->second;
-    return meshes_.emplace(shape.mesh.string(), load_mesh(shape.mesh, {.drop_degenerate = true}))
-        .first->second;
-  }
-
   void add_shapes(int32_t link, const std::vector<RobotShape>& shapes) {
     const int32_t body = link < 0 ? -1 : body_[static_cast<size_t>(link)];
     for (const RobotShape& shape : shapes) {
       const Posed pose = link < 0 ? math::multiply(options_.xform, shape.pose) : shape.pose;
       ShapeConfig cfg = shape.cfg;
       if (shape.color) cfg.color = shown(*shape.color);
+      const bool is_paired = in_pairs_.contains(shape.label);
+      if (is_paired) cfg.has_shape_collision = true;
       const int32_t index = at(options_.function, shape.where, [&] {
         if (shape.type != GeoType::MESH)
           return builder_.add_shape({.body = body,
@@ -221,7 +195,11 @@ class Emitter {
                                      .scale = to_float(shape.scale),
                                      .cfg = cfg,
                                      .label = shape.label});
-        const Mesh& surface = mesh(shape);
+        const Mesh& surface = *shape.surface;
+        if (shape.hull_vertices && options_.pairs_of_mujoco && cfg.is_visible) {
+          show_mesh(body, pose, shape, cfg);
+          cfg.is_visible = false;
+        }
         if (shape.hull_vertices)
           return builder_.add_shape_convex_hull(body, {.xform = to_float(pose),
                                                        .vertices = surface.vertices,
@@ -239,7 +217,22 @@ class Emitter {
       result_.shapes.push_back(index);
       if (shape.color) result_.shape_colors[index] = *shape.color;
       shapes_of_[row_of(shape.link)].emplace_back(index, &shape);
+      if (is_paired) named_shapes_[shape.label] = index;
     }
+  }
+
+  // The surface of which a hull collides.
+  void show_mesh(int32_t body, const Posed& pose, const RobotShape& shape, ShapeConfig cfg) {
+    cfg.has_shape_collision = cfg.has_particle_collision = false;
+    cfg.density = 0.0f;
+    const int32_t index = builder_.add_shape_mesh(body, {.xform = to_float(pose),
+                                                         .vertices = shape.surface->vertices,
+                                                         .indices = shape.surface->indices,
+                                                         .scale = to_float(shape.scale),
+                                                         .cfg = cfg,
+                                                         .label = shape.label + "/mesh"});
+    result_.shapes.push_back(index);
+    if (shape.color) result_.shape_colors[index] = *shape.color;
   }
 
   void add_joints() {
@@ -315,7 +308,7 @@ class Emitter {
                    .child_xform = to_float(joint.child_pose),
                    .linear_axes = joint.linear,
                    .angular_axes = joint.angular,
-                   .collision_filter_parent = !joint.meets_parent,
+                   .collision_filter_parent = !options_.pairs_of_mujoco && !joint.meets_parent,
                    .label = joint.name};
     int32_t parent =
         joint.parent < 0 ? options_.parent_body : body_[static_cast<size_t>(joint.parent)];
@@ -330,9 +323,17 @@ class Emitter {
       return builder_.add_joint(joint.type, parent, body_[static_cast<size_t>(joint.child)], args);
     });
     joint_[static_cast<size_t>(j)] = index;
-    const size_t dofs = joint.linear.size() + joint.angular.size();
-    for (size_t k = 0; k < joint.start.size() && k < dofs; ++k)
-      builder_.joint_q[builder_.joint_q.size() - dofs + k] = static_cast<float>(joint.start[k]);
+    const size_t coords =
+        joint.type == JointType::BALL ? 4 : joint.linear.size() + joint.angular.size();
+    for (size_t k = 0; k < joint.start.size() && k < coords; ++k)
+      builder_.joint_q[builder_.joint_q.size() - coords + k] = static_cast<float>(joint.start[k]);
+    if (joint.type == JointType::BALL || joint.type == JointType::FREE)
+      for (auto row = static_cast<size_t>(dof_[static_cast<size_t>(j)]);
+           row < builder_.joint_damping.size(); ++row) {
+        builder_.joint_damping[row] = static_cast<float>(joint.damping);
+        builder_.joint_armature[row] = static_cast<float>(joint.armature);
+        builder_.joint_friction[row] = static_cast<float>(joint.friction);
+      }
     return index;
   }
 
@@ -348,15 +349,22 @@ class Emitter {
     part_.resize(world + 1);
     std::iota(part_.begin(), part_.end(), size_t{0});
     const auto part_of = [&](int32_t link) { return part_[row_of(link)]; };
+    const auto is_one_part = [&](const RobotJoint& joint) {
+      if (joint.parent >= 0 && robot_.links[static_cast<size_t>(joint.parent)].is_between)
+        return true;
+      return joint.type == JointType::FIXED && (joint.parent >= 0 || options_.pairs_of_mujoco);
+    };
     for (const RobotJoint& joint : robot_.joints)
-      if (joint.type == JointType::FIXED && (joint.parent >= 0 || options_.pairs_of_mujoco)) {
+      if (is_one_part(joint)) {
         // The world keeps its number, whatever the order of the joints.
         const size_t to = part_of(joint.parent), from = part_of(joint.child);
         std::replace(part_.begin(), part_.end(), std::min(to, from), std::max(to, from));
       }
+    for (size_t k = 0; k < robot_.links.size(); ++k)
+      if (robot_.links[k].is_kinematic) kinematic_.push_back(part_[k]);
     for (RobotJoint& joint : robot_.joints) {
       joint.meets_parent = joint.parent >= 0 && part_of(joint.parent) == world;
-      if (part_of(joint.parent) != world)
+      if (part_of(joint.parent) != world && options_.filter_parent)
         neighbours_.insert(std::minmax(part_of(joint.parent), part_of(joint.child)));
     }
   }
@@ -364,11 +372,17 @@ class Emitter {
   void filter_links(size_t a, size_t b) {
     for (const auto& [i, unused_i] : shapes_of_[a])
       for (const auto& [k, unused_k] : shapes_of_[b])
-        if (i != k) builder_.add_shape_collision_filter_pair(i, k);
+        if (i != k) filter_shapes(i, k);
+  }
+  void filter_shapes(int32_t a, int32_t b) {
+    if (!kept_.contains(std::minmax(a, b))) builder_.add_shape_collision_filter_pair(a, b);
   }
 
   // The links of a part meet neither each other nor those of its neighbours.
   void filter() {
+    for (const auto& [a, b] : robot_.pairs)
+      if (named_shapes_.contains(a) && named_shapes_.contains(b))
+        kept_.insert(std::minmax(named_shapes_.at(a), named_shapes_.at(b)));
     std::vector<std::vector<size_t>> members(part_.size());
     for (size_t k = 0; k < part_.size(); ++k) members[part_[k]].push_back(k);
     const auto meet = [&](size_t a, size_t b) {
@@ -379,6 +393,11 @@ class Emitter {
       if (members[a].size() > 1) meet(a, a);
     for (const auto& [a, b] : neighbours_)
       if (a != b) meet(a, b);
+    // What follows a motion of its own moves neither what does so nor the world.
+    for (size_t k = 0; k < kinematic_.size(); ++k) {
+      if (options_.pairs_of_mujoco) meet(kinematic_[k], row_of(kWorldLink));
+      for (size_t l = 0; l < k; ++l) meet(kinematic_[l], kinematic_[k]);
+    }
     for (const auto& [a, b] : robot_.excluded) filter_links(row_of(a), row_of(b));
     if (!options_.self_collisions)
       for (size_t a = 0; a + 1 < shapes_of_.size(); ++a)
@@ -388,12 +407,15 @@ class Emitter {
 
   void filter_by_bits() {
     std::vector<std::pair<int32_t, const RobotShape*>> all;
-    for (const auto& shapes : shapes_of_) all.insert(all.end(), shapes.begin(), shapes.end());
+    for (const auto& shapes : shapes_of_)
+      for (const auto& shape : shapes)
+        if (shape.second->cfg.has_shape_collision || in_pairs_.contains(shape.second->label))
+          all.push_back(shape);
     for (size_t a = 0; a < all.size(); ++a)
       for (size_t b = a + 1; b < all.size(); ++b) {
         const RobotShape &x = *all[a].second, &y = *all[b].second;
         if ((x.contype & y.conaffinity) == 0 && (y.contype & x.conaffinity) == 0)
-          builder_.add_shape_collision_filter_pair(all[a].first, all[b].first);
+          filter_shapes(all[a].first, all[b].first);
       }
   }
 
@@ -406,9 +428,12 @@ class Emitter {
   std::vector<int32_t> dof_, coord_;         // of joints: their first rows
   std::vector<size_t> part_;                 // of the links of the file, and last of the world
   std::set<std::pair<size_t, size_t>> neighbours_;  // parts that a joint connects
+  std::vector<size_t> kinematic_;                   // parts
   // Of each link of the file, and last of the world: the shapes.
   std::vector<std::vector<std::pair<int32_t, const RobotShape*>>> shapes_of_;
-  std::unordered_map<std::string, Mesh> meshes_;
+  std::set<std::string> in_pairs_;                         // labels of shapes
+  std::unordered_map<std::string, int32_t> named_shapes_;  // of those
+  std::set<std::pair<int32_t, int32_t>> kept_;             // pairs that no filter takes
 };
 
 }  // namespace

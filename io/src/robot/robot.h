@@ -4,12 +4,15 @@
 
 #include <cmath>
 #include <filesystem>
+#include <functional>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "novaphy/core/error.h"
+#include "novaphy/io/mesh.h"
 #include "novaphy/io/robot.h"
 #include "novaphy/math/functions.h"
 
@@ -29,6 +32,7 @@ struct RobotShape {
   ShapeConfig cfg;
   std::string label, where;  // where: "file:line: <element>"
   std::filesystem::path mesh = {};
+  std::shared_ptr<const Mesh> surface = {};   // instead of `mesh`, where it was read already
   std::optional<int32_t> hull_vertices = {};  // the convex hull of the mesh
   std::optional<Vec4f> color = {};
   uint32_t contype = 1, conaffinity = 1;  // of MJCF
@@ -41,6 +45,9 @@ struct RobotLink {
   Vec3d com{};
   Mat33d inertia{};  // about com, along the axes of the link
   std::vector<RobotShape> shapes = {};
+  bool is_kinematic = false;
+  // It only carries the next joint of a body that has several: a part of the link on that joint.
+  bool is_between = false;
 };
 
 struct RobotJoint {
@@ -49,8 +56,9 @@ struct RobotJoint {
   int32_t parent, child;  // links
   Posed parent_pose, child_pose;
   std::vector<JointDofConfig> linear = {}, angular = {};
-  std::vector<double> start = {};   // coordinates of linear and angular; empty: 0
-  std::string leader = {};          // joint that it follows; empty: none
+  std::vector<double> start = {};  // coordinates of linear and angular; empty: 0
+  double damping = 0.0, armature = 0.0, friction = 0.0;  // of each axis of a BALL or FREE joint
+  std::string leader = {};                               // joint that it follows; empty: none
   double coef0 = 0.0, coef1 = 1.0;  // its coordinate: coef0 + coef1 times the leader's
   bool meets_parent = false;        // the child's shapes do, and the parent's
 };
@@ -61,7 +69,8 @@ struct Robot {
   std::vector<RobotShape> world_shapes = {};
   std::vector<RobotJoint> joints = {};
   std::vector<std::pair<int32_t, int32_t>> excluded = {};  // links of the file that do not meet
-  std::vector<std::string> warnings = {};
+  // Labels of shapes that meet whatever filters say.
+  std::vector<std::pair<std::string, std::string>> pairs = {};
 };
 
 struct EmitOptions {
@@ -72,6 +81,7 @@ struct EmitOptions {
   JointOrdering ordering;
   // Pairs as in MuJoCo: by contype and conaffinity; links welded to the world are a part of it.
   bool pairs_of_mujoco;
+  bool filter_parent = true;  // links do not meet those that a joint connects them with
 };
 
 inline Posed identity_pose() { return {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0, 1.0}}; }
@@ -95,6 +105,29 @@ inline Quatd turn(const Vec3d& axis, double angle) {
 Quatd turn_from_z(const Vec3d& to);
 // R I R^T
 Mat33d turned(const Quatd& q, const Mat33d& inertia);
+
+// Adds what has a mass, a centre and an inertia about that, in the frame of the link.
+void add_mass(RobotLink& to, double mass, const Vec3d& com, const Mat33d& inertia);
+
+// Whether a body may have this inertia: positive definite, also when it is rounded to float32.
+bool has_extent(const Mat33d& inertia);
+// A symmetric matrix as R diag(moments) R^T.
+struct PrincipalAxes {
+  double moments[3];
+  double axes[3][3];  // columns
+};
+PrincipalAxes principal_axes(const Mat33d& symmetric);
+// R diag(moments) R^T
+Mat33d from_axes(const PrincipalAxes& axes);
+// What a file gives a mass and no inertia, or the other way round. On a fixed joint its parent gets
+// both, which moves alike, and the world, if it is below, forgets them; else, if `moving`,
+// principal moments are at least those of a ball of water of that mass. `mended(link, text)` hears
+// of the latter.
+void mend_inertias(Robot& robot, bool moving, bool on_world,
+                   const std::function<void(size_t, const std::string&)>& mended);
+
+// The pose of the child's joint frame in the parent's at the start.
+Posed start_pose(const RobotJoint& joint);
 
 // Merges every link that hangs on a FIXED joint below another link into that. Returns, of each old
 // link, the link that it is part of now and its pose there; joints_out: the new index of each

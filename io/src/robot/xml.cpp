@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <cstdlib>
+#include <fstream>
 
 #include "novaphy/core/io/file.h"
 
@@ -27,29 +29,83 @@ fs::path resolved(const fs::path& path) {
   return error ? path.lexically_normal() : result;
 }
 
-fs::path in_packages(const std::string& where, std::string_view file,
+// The folders in a list of an environment variable.
+std::vector<fs::path> listed(const char* variable) {
+  std::vector<fs::path> folders;
+  const char* const given = std::getenv(variable);
+  std::string_view rest = given == nullptr ? "" : given;
+  while (!rest.empty()) {
+    const size_t end = std::min(rest.find(':'), rest.size());
+    if (end > 0) folders.emplace_back(rest.substr(0, end));
+    rest.remove_prefix(std::min(end + 1, rest.size()));
+  }
+  return folders;
+}
+
+// Whether a folder says that it is that package.
+bool is_package(const fs::path& folder, std::string_view name) {
+  std::ifstream file(folder / "package.xml");
+  std::string text(size_t{64} << 10, '\0');
+  file.read(text.data(), static_cast<std::streamsize>(text.size()));
+  text.resize(static_cast<size_t>(file.gcount()));
+  return text.find("<name>" + std::string(name) + "</name>") != std::string::npos;
+}
+
+// Where a package may be, likeliest first: what is given, what ROS says, and the folders that the
+// robot's file lies in, with the packages beside these.
+std::vector<fs::path> package_roots(std::string_view package, const fs::path& folder,
+                                    std::span<const fs::path> package_dirs) {
+  std::vector<fs::path> roots, dirs(package_dirs.begin(), package_dirs.end());
+  for (const fs::path& each : listed("ROS_PACKAGE_PATH")) dirs.push_back(each);
+  for (const fs::path& each : listed("AMENT_PREFIX_PATH")) dirs.push_back(each / "share");
+  for (const fs::path& each : dirs) {
+    roots.push_back(each / package);
+    if (resolved(each).filename() == package) roots.push_back(each);
+  }
+  // What may be read anyway.
+  for (const fs::path& each : {folder, folder.parent_path()})
+    if (!folder.empty()) roots.push_back(each / package);
+  int levels = 0;
+  for (fs::path at = folder; at.has_relative_path() && levels < 8;
+       at = at.parent_path(), ++levels) {
+    if (at.filename() == package || is_package(at, package)) roots.push_back(at);
+    if (is_package(at / package, package)) roots.push_back(at / package);
+  }
+  return roots;
+}
+
+fs::path in_packages(const std::string& where, std::string_view file, const fs::path& folder,
                      std::span<const fs::path> package_dirs) {
-  const std::string_view path = file.substr(10);  // "package://"
+  std::string_view path = file.substr(file.find("://") + 3);
+  path.remove_prefix(std::min(path.find_first_not_of('/'), path.size()));
   const size_t slash = path.find('/');
+  std::error_code none;
+  if (slash == std::string_view::npos && !path.empty() && path != ".." && !folder.empty() &&
+      fs::is_regular_file(folder / path, none))
+    return resolved(folder / path);
   require(slash != std::string_view::npos && slash > 0 && slash + 1 < path.size(), ErrorKind::Value,
           where, ": expected package://NAME/FILE, got ", file);
   const std::string_view package = path.substr(0, slash), rest = path.substr(slash + 1);
-  require(!package_dirs.empty(), ErrorKind::Value, where, ": ", file,
-          " needs package_dirs, the folders in which packages lie; got none");
-  for (const fs::path& folder : package_dirs) {
-    for (const fs::path& root : {folder / package, folder}) {
-      if (root == folder && resolved(folder).filename() != package) continue;
-      const fs::path found = resolved(root / rest);
-      std::error_code error;
-      if (!fs::exists(found, error)) continue;
-      require(is_inside(found, resolved(root)), ErrorKind::Value, where,
-              ": expected a file inside of its package, got ", file);
-      return found;
-    }
+  require(package != "." && package != "..", ErrorKind::Value, where,
+          ": expected a file inside of its package, got ", file);
+  const std::vector<fs::path> roots = package_roots(package, folder, package_dirs);
+  for (const fs::path& root : roots) {
+    const fs::path found = resolved(root / rest);
+    std::error_code error;
+    if (!fs::exists(found, error)) continue;
+    require(is_inside(found, resolved(root)), ErrorKind::Value, where,
+            ": expected a file inside of its package, got ", file);
+    return found;
   }
   std::string folders;
-  for (const fs::path& folder : package_dirs) folders += " " + folder.string();
-  fail(ErrorKind::Value, where, ": there is no ", file, " in package_dirs:", folders);
+  for (const fs::path& each : package_dirs) folders += " " + each.string();
+  fail(ErrorKind::Value, where, ": there is no ", file,
+       " in package_dirs, ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and around the file; package_dirs:",
+       folders.empty() ? " none" : folders);
+}
+
+bool names_package(std::string_view file) {
+  return file.starts_with("package://") || file.starts_with("model://");
 }
 
 }  // namespace
@@ -60,20 +116,24 @@ XmlSource read_source(std::string_view function, std::string_view source,
   while (first < source.size() && is_space(source[first])) ++first;
   require(first < source.size(), ErrorKind::Value, function,
           ": source: expected a path or XML, got nothing");
-  if (source[first] == '<') return {"<text>", std::string(source), {}};
+  // Some programs end texts with a 0.
+  const auto text_of = [](std::string_view all) {
+    return std::string(all.substr(0, all.find_last_not_of('\0') + 1));
+  };
+  if (source[first] == '<') return {"<text>", text_of(source), {}};
   require(source.find('\0') == std::string_view::npos && source.size() < 4096, ErrorKind::Value,
           function, ": source: expected a path, or XML that begins with '<', got ", source.size(),
           " bytes");
   fs::path path(source);
-  if (source.starts_with("package://"))
-    path = in_packages(std::string(function) + ": source", source, package_dirs);
-  std::string text = read_file(function, path);
-  return {path.string(), std::move(text), resolved(fs::absolute(path)).parent_path()};
+  if (names_package(source))
+    path = in_packages(std::string(function) + ": source", source, {}, package_dirs);
+  const std::string text = read_file(function, path);
+  return {path.string(), text_of(text), resolved(fs::absolute(path)).parent_path()};
 }
 
 fs::path resolve_file(const std::string& where, std::string_view file, const fs::path& folder,
                       std::span<const fs::path> package_dirs) {
-  if (file.starts_with("package://")) return in_packages(where, file, package_dirs);
+  if (names_package(file)) return in_packages(where, file, folder, package_dirs);
   if (file.starts_with("file://")) file.remove_prefix(7);
   require(!file.empty() && file.find('\0') == std::string_view::npos &&
               file.find("://") == std::string_view::npos,
@@ -118,10 +178,14 @@ XmlFile::XmlFile(std::string_view function, XmlSource source, const char* root)
     broken(document_.ErrorLineNum(), std::string("expected XML: ") + document_.ErrorStr());
   root_ = document_.RootElement();
   if (root_ == nullptr) broken(0, "expected an element, got none");
-  if (std::string_view(root_->Name()) != root)
+  if (root != nullptr && std::string_view(root_->Name()) != root)
     refuse(*root_, std::string("expected the root element <") + root + ">");
-  for (const Element* other = root_->NextSiblingElement(); other != nullptr;)
+  if (const Element* other = root_->NextSiblingElement())
     refuse(*other, "expected one root element, got a second one");
+  check_elements();
+}
+
+void XmlFile::check_elements() const {
   // No recursion: tinyxml2 itself has ended where it is too deep for that.
   int depth = 0;
   for (const tinyxml2::XMLNode* node = root_; node != nullptr;) {
@@ -149,11 +213,60 @@ XmlFile::XmlFile(std::string_view function, XmlSource source, const char* root)
   }
 }
 
+Element* XmlFile::replace(Element& element, const XmlFile& other) {
+  Element* first = nullptr;
+  tinyxml2::XMLNode *const parent = element.Parent(), *last = &element;
+  for (const Element* e = other.root().FirstChildElement(); e != nullptr;
+       e = e->NextSiblingElement()) {
+    last = parent->InsertAfterChild(last, e->DeepClone(&document_));
+    if (first == nullptr) first = last->ToElement();
+    keep_places(*e, *last->ToElement(), other);
+  }
+  parent->DeleteChild(&element);
+  return first;
+}
+
+void XmlFile::keep_places(const Element& from, Element& to, const XmlFile& other) {
+  const RobotNote place = other.note(from, {});
+  to.SetUserData(&origins_.emplace_back(place.file, place.line));
+  Element* copy = to.FirstChildElement();
+  for (const Element* e = from.FirstChildElement(); e != nullptr; e = e->NextSiblingElement()) {
+    keep_places(*e, *copy, other);
+    copy = copy->NextSiblingElement();
+  }
+}
+
+fs::path XmlFile::resolve(const Element& element, std::string_view path, std::string_view beside,
+                          std::span<const fs::path> package_dirs) const {
+  const std::string where = std::string(function_) + ": " + place(element);
+  const auto* const origin = static_cast<const Origin*>(element.GetUserData());
+  std::error_code error;
+  if (origin != nullptr && !source_.folder.empty() && !fs::exists(source_.folder / path, error)) {
+    const fs::path other = fs::path(origin->file).parent_path() / beside;
+    if (fs::exists(other, error))
+      return resolve_file(where, other.string(), source_.folder, package_dirs);
+  }
+  return resolve_file(where, path, source_.folder, package_dirs);
+}
+
+std::string XmlFile::text() const {
+  tinyxml2::XMLPrinter printer(nullptr, true);
+  document_.Print(&printer);
+  return {printer.CStr(), static_cast<size_t>(printer.CStrSize() - 1)};
+}
+
+RobotNote XmlFile::note(const Element& element, std::string text) const {
+  std::string name = std::string("<") + element.Name();
+  if (const char* given = element.Attribute("name")) name += std::string(" name=\"") + given + "\"";
+  name += ">";
+  if (const auto* origin = static_cast<const Origin*>(element.GetUserData()))
+    return {origin->file, origin->line, std::move(name), std::move(text)};
+  return {source_.name, element.GetLineNum(), std::move(name), std::move(text)};
+}
+
 std::string XmlFile::place(const Element& element) const {
-  std::string text = source_.name + ":" + std::to_string(element.GetLineNum()) + ": <";
-  text += element.Name();
-  if (const char* name = element.Attribute("name")) text += std::string(" name=\"") + name + "\"";
-  return text + ">";
+  const RobotNote at = note(element, {});
+  return at.file + ":" + std::to_string(at.line) + ": " + at.element;
 }
 
 void XmlFile::refuse(const Element& element, std::string_view why, ErrorKind kind) const {

@@ -3,6 +3,7 @@
 
 #include <tinyxml2.h>
 
+#include <deque>
 #include <filesystem>
 #include <span>
 #include <string>
@@ -33,12 +34,31 @@ std::filesystem::path resolve_file(const std::string& where, std::string_view fi
 
 class XmlFile {
  public:
-  // ErrorKind::Value: no XML, nested too deep, too large, another root element than `root`, a
-  // document type or entities.
+  // ErrorKind::Value: no XML, nested too deep, too large, another root element than `root` (null:
+  // any), a document type or entities.
   XmlFile(std::string_view function, XmlSource source, const char* root);
 
+  std::string_view function() const { return function_; }
   const XmlSource& source() const { return source_; }
   const Element& root() const { return *root_; }
+  Element& root() { return *root_; }
+  // Puts copies of the children of `other`'s root in the place of `element`, which goes. The copies
+  // keep the places that they have in their file. Returns the first; null: there is none.
+  Element* replace(Element& element, const XmlFile& other);
+  // The document as text, as it stands now.
+  std::string text() const;
+  // ErrorKind::Value: elements nested too deep, attributes twice, macros.
+  void check_elements() const;
+
+  // The path of a file that an element names: `path` in the folder of this file, else `beside` in
+  // the folder of the included file that the element comes from. ErrorKind::Value: see
+  // resolve_file.
+  std::filesystem::path resolve(const Element& element, std::string_view path,
+                                std::string_view beside,
+                                std::span<const std::filesystem::path> package_dirs) const;
+
+  // File, line, and the element as `<link name="a">`.
+  RobotNote note(const Element& element, std::string text) const;
   // "file:line: <link name="a">"
   std::string place(const Element& element) const;
   [[noreturn]] void refuse(const Element& element, std::string_view why,
@@ -58,8 +78,15 @@ class XmlFile {
  private:
   std::string_view function_;
   XmlSource source_;
+  struct Origin {
+    std::string file;
+    int line;
+  };
+  void keep_places(const Element& from, Element& to, const XmlFile& other);
+
+  std::deque<Origin> origins_;  // of elements of other files, which point here
   tinyxml2::XMLDocument document_;
-  const Element* root_ = nullptr;
+  Element* root_ = nullptr;
 };
 
 }  // namespace novaphy::detail

@@ -2,6 +2,7 @@
 #include <cmath>
 
 #include "urdf_check.h"
+#include "urdf_mend.h"
 #include "urdfdom.h"
 
 namespace novaphy {
@@ -20,12 +21,13 @@ Posed to_pose(const urdf::Pose& pose, double scale) {
 
 class Reader {
  public:
-  Reader(const ModelBuilder& builder, const XmlFile& file, const UrdfOptions& options)
-      : builder_(builder), file_(file), options_(options), scale_(options.scale) {}
+  Reader(const ModelBuilder& builder, XmlFile& file, const UrdfOptions& options, Notes& notes)
+      : builder_(builder), file_(file), options_(options), notes_(notes), scale_(options.scale) {}
 
   Robot run() {
-    elements_ = check_urdf(file_);
-    const auto model = parse_urdf("add_urdf: " + file_.source().name, file_.source().text);
+    mended_ = mend_urdf(file_, notes_);
+    elements_ = check_urdf(file_, notes_);
+    const auto model = parse_urdf("add_urdf: " + file_.source().name, file_.text());
     try {
       read(*model);
     } catch (...) {
@@ -39,7 +41,6 @@ class Reader {
  private:
   void read(const urdf::ModelInterface& model) {
     robot_.name = model.getName();
-    robot_.warnings = elements_.warnings;
     std::map<std::string, int32_t> index;
     for (const std::string& name : elements_.link_order) {
       const Element& e = *elements_.links.at(name);
@@ -57,6 +58,13 @@ class Reader {
       robot_.joints.push_back(read_joint(*joint, e, index));
       warn_of_zero_limits(*joint, e);
     }
+    if (options_.mend_inertias)
+      mend_inertias(robot_, true, options_.parent_body < 0,
+                    [&](size_t link, const std::string& text) {
+                      notes_.mended(*elements_.links.at(robot_.links[link].name), text);
+                    });
+    notes_.read("link", static_cast<int32_t>(robot_.links.size()));
+    notes_.read("joint", static_cast<int32_t>(elements_.joint_order.size()));
   }
 
   void add_base(int32_t root) {
@@ -94,13 +102,9 @@ class Reader {
       result.inertia = q.x == 0.0 && q.y == 0.0 && q.z == 0.0 ? inertia : turned(q, inertia);
       for (auto& row : result.inertia.m)
         for (double& value : row) value *= scale_ * scale_;
-      if (result.mass == 0.0)
-        for (const auto& row : result.inertia.m)
-          for (const double value : row)
-            if (value != 0.0) file_.refuse(e, "mass: expected > 0 with an inertia, got 0");
     } else if (link.inertial == nullptr && !options_.ignore_inertial_definitions &&
                link.parent_joint != nullptr && link.parent_joint->type != urdf::Joint::FIXED) {
-      robot_.warnings.push_back(file_.place(e) + ": it moves and has no <inertial>: its mass is 0");
+      notes_.mended(e, "it moves and has no <inertial>: its mass is 0");
     }
     read_shapes(link, e, result);
     return result;
@@ -108,29 +112,28 @@ class Reader {
 
   void read_shapes(const urdf::Link& link, const Element& e, RobotLink& to) {
     const bool from_visuals = options_.parse_visuals_as_colliders;
-    const bool has_visual = !link.visual_array.empty() && !options_.hide_visuals;
     size_t k = 0;
     const Element* at = e.FirstChildElement("visual");
+    bool has_visual = false;
     for (const auto& visual : link.visual_array) {
-      if (!options_.hide_visuals)
-        add_shape(to, visual->geometry, visual->origin, file_.place(*at),
-                  link.name + "/visual_" + std::to_string(k), false, true, color_of(*visual));
+      const std::string number = std::to_string(k++);
+      if (!options_.hide_visuals &&
+          add_shape(to, visual->geometry, visual->origin, *at, link.name + "/visual_" + number,
+                    false, true, color_of(*visual)))
+        has_visual = true;
       if (from_visuals)
-        add_shape(to, visual->geometry, visual->origin, file_.place(*at),
-                  link.name + "/collision_" + std::to_string(k), true,
-                  options_.force_show_colliders || !has_visual, color_of(*visual));
+        add_shape(to, visual->geometry, visual->origin, *at, link.name + "/collision_" + number,
+                  true, options_.force_show_colliders || !has_visual, color_of(*visual));
       at = at->NextSiblingElement("visual");
-      ++k;
     }
     if (from_visuals) return;
     k = 0;
     at = e.FirstChildElement("collision");
     for (const auto& collision : link.collision_array) {
-      add_shape(to, collision->geometry, collision->origin, file_.place(*at),
-                link.name + "/collision_" + std::to_string(k), true,
+      add_shape(to, collision->geometry, collision->origin, *at,
+                link.name + "/collision_" + std::to_string(k++), true,
                 options_.force_show_colliders || !has_visual, {});
       at = at->NextSiblingElement("collision");
-      ++k;
     }
   }
 
@@ -142,9 +145,11 @@ class Reader {
     return Vec4f{c.r, c.g, c.b, c.a};
   }
 
-  void add_shape(RobotLink& to, const urdf::GeometrySharedPtr& geometry, const urdf::Pose& origin,
-                 const std::string& where, const std::string& label, bool is_collider,
-                 bool is_visible, std::optional<Vec4f> color) {
+  // False: it is left out.
+  bool add_shape(RobotLink& to, const urdf::GeometrySharedPtr& geometry, const urdf::Pose& origin,
+                 const Element& e, const std::string& label, bool is_collider, bool is_visible,
+                 std::optional<Vec4f> color) {
+    const std::string where = file_.place(e);
     require(geometry != nullptr, ErrorKind::Value, "add_urdf: ", where,
             ": urdfdom left its geometry out");
     RobotShape shape{.type = GeoType::NONE,
@@ -168,23 +173,56 @@ class Reader {
         break;
       case urdf::Geometry::CYLINDER: {
         const auto& cylinder = static_cast<const urdf::Cylinder&>(*geometry);
-        shape.type = GeoType::CYLINDER;
+        const Element* const element = e.FirstChildElement("geometry")->FirstChildElement();
+        shape.type = mended_.capsules.contains(element) ? GeoType::CAPSULE : GeoType::CYLINDER;
         shape.scale = {cylinder.radius * scale_, 0.5 * cylinder.length * scale_, 0.0};
         break;
       }
-      case urdf::Geometry::MESH: {
-        const auto& mesh = static_cast<const urdf::Mesh&>(*geometry);
-        shape.type = GeoType::MESH;
-        shape.scale = to_vec(mesh.scale) * scale_;
-        shape.mesh = resolve_file("add_urdf: " + where, mesh.filename, file_.source().folder,
-                                  options_.package_dirs);
-        if (is_collider) shape.hull_vertices = options_.mesh_maxhullvert;
+      case urdf::Geometry::MESH:
+        if (!add_mesh(static_cast<const urdf::Mesh&>(*geometry), e, is_collider, shape))
+          return false;
         break;
-      }
       default:
         fail(ErrorKind::NotImplemented, "add_urdf: ", where, ": a shape that is not read");
     }
     to.shapes.push_back(std::move(shape));
+    return true;
+  }
+
+  // A mesh that cannot be read is no reason to refuse a robot of which it is only a picture.
+  bool add_mesh(const urdf::Mesh& mesh, const Element& e, bool is_collider, RobotShape& to) {
+    to.type = GeoType::MESH;
+    to.scale = to_vec(mesh.scale) * scale_;
+    if (is_collider) to.hull_vertices = options_.mesh_maxhullvert;
+    try {
+      const std::filesystem::path path = resolve_file("add_urdf: " + to.where, mesh.filename,
+                                                      file_.source().folder, options_.package_dirs);
+      to.surface = surface(path, to.scale);
+    } catch (const Error& error) {
+      if (is_collider && options_.unsupported == Unsupported::Error) {
+        if (std::string_view(error.what()).starts_with("add_urdf: ")) throw;
+        file_.refuse(e, error.what(), error.kind());
+      }
+      notes_.missing(e, std::string("its mesh is left out: ") + error.what());
+      return false;
+    }
+    return true;
+  }
+
+  // Each file once. A mirrored one has its own vertices, and `scale` becomes 1.
+  std::shared_ptr<const Mesh> surface(const std::filesystem::path& path, Vec3d& scale) {
+    auto& read = meshes_[path.string()];
+    if (read == nullptr)
+      read = std::make_shared<const Mesh>(load_mesh(path, {.drop_degenerate = true}));
+    if (scale.x > 0.0 && scale.y > 0.0 && scale.z > 0.0) return read;
+    Mesh mirrored = *read;
+    for (Vec3f& v : mirrored.vertices)
+      v = to_float(Vec3d{v.x * scale.x, v.y * scale.y, v.z * scale.z});
+    if (scale.x * scale.y * scale.z < 0.0)
+      for (size_t k = 0; k + 2 < mirrored.indices.size(); k += 3)
+        std::swap(mirrored.indices[k + 1], mirrored.indices[k + 2]);
+    scale = {1.0, 1.0, 1.0};
+    return std::make_shared<const Mesh>(std::move(mirrored));
   }
 
   RobotJoint read_joint(const urdf::Joint& joint, const Element& e,
@@ -260,10 +298,9 @@ class Reader {
     const bool is_read = robot_.joints.back().type != JointType::FIXED && joint.limits != nullptr;
     if (!is_read) return;
     if (joint.limits->velocity == 0.0)
-      robot_.warnings.push_back(file_.place(e) + ": velocity=\"0\" of its <limit>: it never moves");
+      notes_.ignored(e, "velocity=\"0\" of its <limit>: it never moves");
     if (joint.limits->effort == 0.0)
-      robot_.warnings.push_back(file_.place(e) +
-                                ": effort=\"0\" of its <limit>: its drive has no force");
+      notes_.ignored(e, "effort=\"0\" of its <limit>: its drive has no force");
   }
 
   JointDofConfig dof(const urdf::Joint& joint, const Vec3d& axis, double scale) const {
@@ -289,11 +326,14 @@ class Reader {
   }
 
   const ModelBuilder& builder_;
-  const XmlFile& file_;
+  XmlFile& file_;
   const UrdfOptions& options_;
+  Notes& notes_;
   const double scale_;
+  MendedUrdf mended_;
   UrdfElements elements_;
-  std::map<std::string, int> types_;  // of joints
+  std::map<std::string, std::shared_ptr<const Mesh>> meshes_;  // by path
+  std::map<std::string, int> types_;                           // of joints
   Robot robot_;
 };
 
@@ -328,20 +368,22 @@ RobotImport add_urdf(ModelBuilder& builder, std::string_view source, const UrdfO
                                 static_cast<double>(q.z) * q.z + static_cast<double>(q.w) * q.w);
   require(std::abs(norm - 1.0) <= 1e-3, ErrorKind::Value, name,
           ": xform.q: expected a quaternion of length 1 (to 1e-3), got one of length ", norm);
-  const detail::XmlFile file(name, detail::read_source(name, source, options.package_dirs),
-                             "robot");
-  detail::Robot robot = detail::Reader(builder, file, options).run();
+  detail::XmlFile file(name, detail::read_source(name, source, options.package_dirs), "robot");
+  detail::Notes notes(file, options.unsupported);
+  detail::Robot robot = detail::Reader(builder, file, options, notes).run();
   detail::Posed xform = detail::to_double(options.xform);
   xform.q = math::multiply(xform.q, detail::turn_up(options.up_axis, builder.up_axis()));
-  return detail::emit_robot(builder, std::move(robot),
-                            {.function = name,
-                             .xform = xform,
-                             .parent_body = options.parent_body,
-                             .collapse = options.collapse_fixed_joints,
-                             .self_collisions = options.enable_self_collisions,
-                             .bodies_follow = options.bodies_follow_joint_ordering,
-                             .ordering = options.joint_ordering,
-                             .pairs_of_mujoco = false});
+  RobotImport result = detail::emit_robot(builder, std::move(robot),
+                                          {.function = name,
+                                           .xform = xform,
+                                           .parent_body = options.parent_body,
+                                           .collapse = options.collapse_fixed_joints,
+                                           .self_collisions = options.enable_self_collisions,
+                                           .bodies_follow = options.bodies_follow_joint_ordering,
+                                           .ordering = options.joint_ordering,
+                                           .pairs_of_mujoco = false});
+  detail::set_report(result, notes.take());
+  return result;
 }
 
 }  // namespace novaphy

@@ -33,7 +33,7 @@ constexpr Rule kRules[] = {
     {"cylinder", "radius", 1, true, Sign::Positive},
     {"cylinder", "length", 1, true, Sign::Positive},
     {"sphere", "radius", 1, true, Sign::Positive},
-    {"mesh", "scale", 3, false, Sign::Positive},
+    {"mesh", "scale", 3, false},
     {"color", "rgba", 4, true},
     {"axis", "xyz", 3, true},
     {"limit", "lower", 1, false},
@@ -48,7 +48,7 @@ constexpr Rule kRules[] = {
 
 class Checker {
  public:
-  explicit Checker(const XmlFile& file) : file_(file) {}
+  Checker(const XmlFile& file, Notes& notes) : file_(file), notes_(notes) {}
 
   UrdfElements run() {
     const Element& robot = file_.root();
@@ -82,7 +82,7 @@ class Checker {
   void passed_over(const Element& e) {
     // Each kind once.
     if (seen_.insert(e.Name()).second)
-      found_.warnings.push_back(file_.place(e) + ": not read: <" + e.Name() + "> is no part of it");
+      notes_.ignored(e, std::string("not read: <") + e.Name() + "> is no part of it");
   }
 
   std::string name_of(const Element& e) const {
@@ -126,7 +126,7 @@ class Checker {
             return rule.attribute == name && std::string_view(e.Name()) == rule.element;
           });
       if (!known && seen_.insert(std::string(e.Name()) + "." + a->Name()).second)
-        found_.warnings.push_back(file_.place(e) + ": not read: the attribute " + a->Name());
+        notes_.ignored(e, std::string("not read: the attribute ") + a->Name());
     }
   }
 
@@ -293,12 +293,13 @@ class Checker {
   }
 
   const XmlFile& file_;
+  Notes& notes_;
   UrdfElements found_;
   std::set<std::string> seen_;
 };
 
 }  // namespace
 
-UrdfElements check_urdf(const XmlFile& file) { return Checker(file).run(); }
+UrdfElements check_urdf(const XmlFile& file, Notes& notes) { return Checker(file, notes).run(); }
 
 }  // namespace novaphy::detail

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "../robot/xml.h"
+#include "../robot/notes.h"
 
 namespace novaphy::detail {
 
@@ -14,10 +14,9 @@ struct UrdfElements {
   std::map<std::string, const Element*> links, joints;
   std::vector<std::string> link_order, joint_order;  // as in the file
   std::string root;                                  // the link without a parent
-  std::vector<std::string> warnings;                 // what the reader passes over
 };
 
 // Checks names, numbers and the tree: one root, each other link the child of one joint, no cycle.
-UrdfElements check_urdf(const XmlFile& file);
+UrdfElements check_urdf(const XmlFile& file, Notes& notes);
 
 }  // namespace novaphy::detail

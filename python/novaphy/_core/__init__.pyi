@@ -1461,6 +1461,8 @@ class ModelBuilder(_Native):
         xform: _Transform | None = None,
         collapse_fixed_joints: bool = False,
         enable_self_collisions: bool = True,
+        package_dirs: Sequence[str | os.PathLike[str]] | None = None,
+        unsupported: str = "error",
         filter_overlaps: bool = False,
     ) -> io.RobotImport: ...
     def add_urdf(
@@ -1485,6 +1487,8 @@ class ModelBuilder(_Native):
         joint_damping_mode: str = "passive",
         package_dirs: Sequence[str | os.PathLike[str]] | None = None,
         mimic: str = "follow",
+        mend_inertias: bool = True,
+        unsupported: str = "error",
         filter_overlaps: bool = False,
     ) -> io.RobotImport: ...
     def finalize(

@@ -40,6 +40,12 @@ enum class JointDampingMode {
   Drive     // JointDofConfig::target_kd
 };
 
+// What becomes of a part of a file that has no counterpart here.
+enum class Unsupported {
+  Error,  // ErrorKind::NotImplemented
+  Warn    // it is left out, and RobotReport::left_out has it
+};
+
 struct UrdfOptions {
   Transformf xform = Transformf::identity();  // of the root link, in the world or `parent_body`
   std::optional<bool> floating = {};          // true: FREE; false and empty: FIXED
@@ -63,19 +69,65 @@ struct UrdfOptions {
   // Where package://NAME/... is: a folder that has a folder NAME, or that is called NAME.
   std::vector<std::filesystem::path> package_dirs = {};
   MimicMode mimic = MimicMode::Follow;
+  // A mass without an inertia that a body can have gets one: on a fixed joint it is a part of its
+  // parent, else its principal moments are at least those of a ball of water. False: an error of
+  // ModelBuilder::finalize.
+  bool mend_inertias = true;
+  Unsupported unsupported = Unsupported::Error;
 };
 
 struct MjcfOptions {
   Transformf xform = Transformf::identity();
   bool collapse_fixed_joints = false;  // merges a body without a joint into its parent
   bool enable_self_collisions = true;
+  // Folders beside that of the file, and the one above it, that it may read from.
+  std::vector<std::filesystem::path> package_dirs = {};
+  Unsupported unsupported = Unsupported::Error;
 };
 
-// A motor of an MJCF file: joint_f[dof] = gear * clip(control, lower, upper).
+// What an actuator of an MJCF file drives.
+enum class ActuatorTarget {
+  Force,     // Control::joint_f
+  Position,  // Control::joint_target_q, by the drive of the dof
+  Velocity   // Control::joint_target_qd
+};
+
+// An actuator of an MJCF file: it adds gear * clip(control, lower, upper) + offset to the row `dof`
+// of joint_f or joint_target_qd, or to the row `coord` of joint_target_q.
 struct RobotActuator {
   std::string name, joint;
-  int32_t dof;  // row of joint_f
-  float gear, lower, upper;
+  ActuatorTarget target;
+  int32_t dof, coord;
+  float gear, offset, lower, upper;
+};
+
+// A site of an MJCF file: a frame of a body.
+struct RobotSite {
+  int32_t body;  // -1: the world
+  Transformf pose;
+};
+
+// A keyframe of an MJCF file: the rows of joint_q from `coord` on.
+struct RobotKeyframe {
+  float time;
+  int32_t coord;
+  std::vector<float> joint_q;
+};
+
+// What the reader has to say of an element.
+struct RobotNote {
+  std::string file;
+  int32_t line;
+  std::string element;  // <joint name="knee">
+  std::string text;
+};
+
+// What was read, mended and left out.
+struct RobotReport {
+  std::map<std::string, int32_t> read;  // elements that count, by kind
+  std::vector<RobotNote> mended;        // what was changed to be read
+  std::vector<RobotNote> left_out;      // what changes the motion and has no counterpart here
+  std::vector<RobotNote> ignored;       // what does not change it, or is up to the simulation
 };
 
 // What was added, by the names of the file.
@@ -89,7 +141,11 @@ struct RobotImport {
   std::map<int32_t, Vec4f> shape_colors;  // r, g, b, a of the shapes that have one
   std::vector<int32_t> shapes, articulations;
   std::vector<RobotActuator> actuators;  // in the order of the file
-  std::vector<std::string> warnings;     // what the file says and no option can take over
+  std::map<std::string, RobotSite> sites;
+  std::map<std::string, RobotKeyframe> keyframes;
+  std::optional<float> timestep;  // s, that of the file
+  RobotReport report;
+  std::vector<std::string> warnings;  // the notes of the report, those of one text as one
 };
 
 // Adds a robot of a URDF file: a path, package://NAME/..., or the XML itself. Links become bodies,

@@ -1,0 +1,118 @@
+// Limits of joints that begin or end to push (diff_articulation_motion.h).
+#include <algorithm>
+
+#include "diff_articulation_motion.h"
+#include "diff_articulation_parts.h"
+
+namespace novaphy::diff::detail {
+
+namespace art = articulation;
+
+// First and number of the coordinates of a tree.
+std::pair<int32_t, int32_t> coordinates_of(const art::Tree<float>& tree) {
+  int32_t begin = INT32_MAX, end = 0;
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const art::Link& link = tree.links[i];
+    begin = std::min(begin, link.coord);
+    end = std::max(end, link.coord + link.dofs + (link.dofs > 1 ? 1 : 0));
+  }
+  return {begin, std::max(end - begin, 0)};
+}
+
+namespace {
+
+// A dof whose limit pushes in one of two steps that follow each other; `acts`: before the change.
+void add_limit_event(const Step& s, const ArticulationArguments& in, int32_t t, int32_t dof,
+                     bool acted) {
+  const ArticulationRows& of = rows_of_step(s)[t];
+  const art::Tree<float> tree = articulation_tree(in, of);
+  const art::StepInputs<float> inputs = articulation_inputs(in);
+  const art::StepOptions<float> options = articulation_options(in);
+  const art::Link* link = tree.links;
+  while (link->dof != dof) ++link;
+  const std::vector<float>& now = s.motion->branch;
+  std::vector<float> branch = now;
+  const auto bits = static_cast<int32_t>(now[static_cast<size_t>(dof)]);
+  const bool released = (bits & art::kLimitReleased) != 0;
+  if (!acted && (bits & art::kOutside) == 0) return;
+  // F_A: with the branch of before.
+  int32_t other = bits & ~(art::kOutside | art::kLimitReleased);
+  if (acted && released) other |= bits & art::kOutside;
+  if (acted && !released) return;  // inside again, behind a limit that had let go
+  branch[static_cast<size_t>(dof)] = static_cast<float>(other);
+  std::vector<uint64_t> work(
+      static_cast<size_t>(art::workspace_bytes<float>(of.link_count, of.dof_count) / 8 + 1));
+  auto ws = art::make_workspace<float>(work.data(), of.link_count, of.dof_count);
+  if (art::accelerate_again(tree, inputs, options, branch.data(), ws) >= 0) return;
+  art::free_rates(tree, inputs, options, ws);
+  std::vector<float> qdd(now.size()), q(static_cast<size_t>(s.in(G::kQ).size())), qd(now.size());
+  std::copy_n(ws.qdd, of.dof_count, qdd.data() + of.first_dof);
+  std::vector<Transformf> body_q(static_cast<size_t>(s.outputs[2].tensor.size() / 7));
+  std::vector<SpatialVectorf> body_qd(body_q.size());
+  art::finish_step(tree, inputs, options, ws, q.data(), qd.data(), body_q.data(), body_qd.data());
+
+  std::vector<float> by_q(q.size()), by_qd(qd.size());
+  if (acted) {  // by the force at the end of the step
+    std::vector<float> of_q(q.size()), of_qd(qd.size());
+    of_q[static_cast<size_t>(link->coord)] = in.limit_ke[dof];
+    of_qd[static_cast<size_t>(dof)] = in.limit_kd[dof];
+    std::vector<uint64_t> memory(
+        static_cast<size_t>(art::adjoint_bytes<float>(of.link_count, of.dof_count) / 8 + 1));
+    auto adjoint = art::make_adjoint_memory<float>(memory.data(), of.link_count, of.dof_count);
+    art::StepGradient<float> to{};
+    to.q = by_q.data();
+    to.qd = by_qd.data();
+    art::step_vjp(tree, inputs, options, qdd.data(), branch.data(), q.data(), qd.data(),
+                  {of_q.data(), of_qd.data(), nullptr, nullptr}, to, ws, adjoint);
+  } else {
+    by_q[static_cast<size_t>(link->coord)] = 1.0f;
+  }
+  const auto [first, count] = coordinates_of(tree);
+  const float *const q_next = numbers(s.outputs[0].tensor), *const qd_next =
+                                                                numbers(s.outputs[1].tensor);
+  LimitEvent event;
+  event.tree = t;
+  double rate = 0.0;
+  for (int32_t c = first; c < first + count; ++c) {
+    const auto i = static_cast<size_t>(c);
+    event.jump_q.push_back(q_next[c] - q[i]);
+    event.by_q.push_back(by_q[i]);
+    rate += double{by_q[i]} * (double{q[i]} - in.q[c]);
+  }
+  for (int32_t k = of.first_dof; k < of.first_dof + of.dof_count; ++k) {
+    const auto i = static_cast<size_t>(k);
+    event.jump_qd.push_back(qd_next[k] - qd[i]);
+    event.by_qd.push_back(by_qd[i]);
+    rate += double{by_qd[i]} * (double{qd[i]} - in.qd[k]);
+  }
+  event.rate = static_cast<float>(rate);
+  if (event.rate != 0.0f) s.motion->limits.push_back(std::move(event));
+}
+
+}  // namespace
+
+void note_limits(const Step& s, const ArticulationArguments& in, const MotionNotes* last) {
+  MotionNotes& notes = *s.motion;
+  const float* const branch = numbers(s.outputs[5].tensor);
+  notes.branch.assign(branch, branch + s.outputs[5].tensor.size());
+  if (last == nullptr) return;
+  const auto acts = [](float number) {
+    const auto bits = static_cast<int32_t>(number);
+    return (bits & art::kOutside) != 0 && (bits & art::kLimitReleased) == 0;
+  };
+  const std::vector<char>& touched = notes.found.touched;
+  for (int32_t t = 0; t < static_cast<int32_t>(s.count); ++t) {
+    const bool touches = !touched.empty() && touched[static_cast<size_t>(t)] != 0;
+    const ArticulationRows& of = rows_of_step(s)[t];
+    for (int32_t k = of.first_dof; k < of.first_dof + of.dof_count; ++k) {
+      const bool acted = acts(last->branch[static_cast<size_t>(k)]);
+      if (acted == acts(notes.branch[static_cast<size_t>(k)])) continue;
+      if (touches)
+        ++s.shared->motion.unmoved;
+      else
+        add_limit_event(s, in, t, k, acted);
+    }
+  }
+}
+
+}  // namespace novaphy::diff::detail

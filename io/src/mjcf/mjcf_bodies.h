@@ -1,0 +1,77 @@
+// Bodies of MJCF files and the joints that move them.
+#pragma once
+
+#include "mjcf_context.h"
+
+namespace novaphy::detail {
+
+// Where the children of an element belong.
+struct BodyPart {
+  int32_t link = kWorldLink;
+  Posed frame = identity_pose();  // of the element in the link
+  std::string childclass = {};
+  bool is_static = true;  // fixed to the world, in which it has the pose
+  Posed in_world = identity_pose();
+  std::string suffix = {};  // of names, of a copy
+  bool with_mass = false;   // geoms have one
+  size_t geoms = 0;         // so far
+
+  // With the suffix; empty: the element has no name.
+  std::string name_of(const Element& e) const {
+    const char* const given = e.Attribute("name");
+    return given == nullptr || *given == '\0' ? std::string() : given + suffix;
+  }
+};
+
+// The joints of one body, as one joint of several degrees of freedom where that is the same, else
+// as a chain of joints with links without mass between them.
+class BodyJoints {
+ public:
+  // `outer`: where the body stands; `childclass`: that of its children.
+  BodyJoints(MjcfContext& context, const Element& body, const BodyPart& outer,
+             std::string childclass, std::string name);
+  // Adds links and joints; the body has the pose `pose` in the outer link. Returns its link.
+  int32_t add(const Posed& pose, bool is_mocap);
+  bool moves() const { return moves_; }
+
+ private:
+  struct Found {
+    const Element* element;
+    Posed frame;  // of what the element stands in, in the body
+    std::string childclass;
+  };
+  struct Scalar {  // a hinge or slide
+    MjcfJoint joint;
+    std::string name;
+    JointDofConfig dof;
+    Vec3d axis, anchor;
+    double ref;
+    bool is_hinge;
+  };
+  void collect(const Element& e, const Posed& frame, const std::string& childclass);
+  std::string new_name(const Element& e);
+  Scalar read_scalar(const Found& found, bool is_hinge);
+  void read_range(const Element& e, const std::string& childclass, double unit, bool is_ball,
+                  MjcfJoint& to, JointDofConfig& dof) const;
+  void add_ball(const Found& found, const std::string& type);
+  void add_free(const Element& e, const std::string& name, double damping, double friction,
+                double armature);
+  void add_group(std::span<const Scalar> group);
+  // Adds a joint whose child is the body, or a link between where another one follows.
+  RobotJoint& add_joint(std::string name, const Element& e, JointType type, bool is_last);
+  void note_joint(const std::string& name, MjcfJoint joint, int32_t dof);
+  double passive(const Element& e, const char* name, const std::string& childclass,
+                 bool acts) const;
+
+  MjcfContext& context_;
+  const Element& body_;
+  const BodyPart& outer_;
+  const std::string name_;
+  std::vector<Found> found_;
+  Posed pose_ = identity_pose();  // of what comes next, in parent_
+  int32_t parent_ = kWorldLink;
+  size_t named_ = 0;
+  bool moves_ = false, is_mocap_ = false;
+};
+
+}  // namespace novaphy::detail

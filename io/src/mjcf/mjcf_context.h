@@ -1,0 +1,80 @@
+// What the parts of the MJCF reader share while a file becomes a Robot.
+#pragma once
+
+#include <set>
+
+#include "mjcf_mesh.h"
+
+namespace novaphy::detail {
+
+// A hinge, slide, ball or free joint of the file.
+struct MjcfJoint {
+  const Element* element = nullptr;
+  int32_t joint = 0, dof = 0;  // of the Robot, and which of its degrees of freedom
+  bool is_scalar = false;      // hinge or slide
+  double stiffness = 0.0, spring_ref = 0.0;
+  double range[2] = {0.0, 0.0};
+  bool is_limited = false;
+  std::optional<std::pair<double, double>> force_range = {};  // of all actuators together
+};
+
+struct MjcfActuator {
+  const Element* element;
+  std::string name, joint;
+  ActuatorTarget target;
+  double gear, offset, lower, upper;
+};
+
+struct MjcfContext {
+  MjcfContext(const ModelBuilder& for_builder, const XmlFile& of_file, const MjcfOptions& with)
+      : builder(for_builder),
+        file(of_file),
+        options(with),
+        notes(of_file, with.unsupported),
+        settings(read_settings(of_file, notes)),
+        defaults(of_file),
+        assets(of_file, defaults, settings, with.package_dirs, notes) {}
+
+  [[noreturn]] void not_read(const Element& e, const std::string& what) const {
+    file.refuse(e, what + " is not read", ErrorKind::NotImplemented);
+  }
+
+  const ModelBuilder& builder;
+  const XmlFile& file;
+  const MjcfOptions& options;
+  Notes notes;
+  MjcfSettings settings;
+  MjcfDefaults defaults;
+  MjcfAssets assets;
+  Robot robot = {};
+  std::map<std::string, int32_t> bodies = {};  // links
+  std::map<std::string, MjcfJoint> joints = {};
+  std::vector<std::string> joint_order = {};  // as in qpos
+  std::set<std::string> geoms = {};
+  std::map<std::string, std::pair<int32_t, Posed>> sites = {};  // in their links
+  std::vector<MjcfActuator> actuators = {};
+};
+
+// <worldbody>: bodies, joints, geoms, sites.
+void read_bodies(MjcfContext& context);
+// A <geom>: its shape, and what it adds to the mass of its body.
+struct MjcfGeom {
+  RobotShape shape;
+  double mass = 0.0;
+  Vec3d com{};  // in the frame of the geom
+  Mat33d inertia{};
+};
+std::optional<MjcfGeom> read_geom(MjcfContext& context, const Element& e,
+                                  const std::string& childclass, const std::string& label);
+// <contact>: pairs and excluded bodies.
+void read_contacts(MjcfContext& context);
+// <actuator>; after the masses, which damping ratios need.
+void read_actuators(MjcfContext& context);
+// <equality>, <tendon>, <sensor> and what else has no counterpart.
+void read_others(MjcfContext& context);
+// The coordinates of the Robot's joints, in its order, from qpos; mocap bodies have the poses
+// `mocap`, position and quaternion each, or those of the file.
+std::vector<double> coordinates_of(const MjcfContext& context, const Element& e,
+                                   std::span<const double> qpos);
+
+}  // namespace novaphy::detail

@@ -1,0 +1,51 @@
+// Meshes and materials among the assets of MJCF files.
+#pragma once
+
+#include <map>
+#include <memory>
+
+#include "mjcf_defaults.h"
+#include "mjcf_mass.h"
+
+namespace novaphy::detail {
+
+struct MjcfMesh {
+  std::shared_ptr<const Mesh> surface;
+  MeshInertia inertia = MeshInertia::Legacy;
+  int32_t hull_vertices = kMaxHullVertices;
+  SolidMass mass(bool is_shell) const {
+    return mesh_mass(*surface, is_shell ? MeshInertia::Shell : inertia);
+  }
+};
+
+class MjcfAssets {
+ public:
+  // Reads the names; the files are read when they are used.
+  MjcfAssets(const XmlFile& file, const MjcfDefaults& defaults, const MjcfSettings& settings,
+             std::span<const std::filesystem::path> package_dirs, Notes& notes);
+
+  // The mesh of an element, read once. ErrorKind::Value: there is none of that name, or the file
+  // is refused.
+  const MjcfMesh& mesh(const Element& user, const std::string& name);
+  // Whether the file of a mesh is there; true for one without a file.
+  bool is_there(const std::string& name) const;
+  std::optional<Vec4f> color(const std::string& material) const;
+
+ private:
+  struct Asset {
+    const Element* element;
+    std::string file;  // empty: its vertices stand in the file
+    std::unique_ptr<MjcfMesh> mesh = {};
+  };
+  std::string path_of(const std::string& file) const;
+  MjcfMesh load(const Asset& asset);
+
+  const XmlFile& file_;
+  const MjcfDefaults& defaults_;
+  const MjcfCompiler& compiler_;
+  const std::span<const std::filesystem::path> package_dirs_;
+  std::map<std::string, Asset> meshes_;
+  std::map<std::string, Vec4f> colors_;
+};
+
+}  // namespace novaphy::detail

@@ -1,0 +1,44 @@
+// <compiler> and <option> of MJCF files: how the file is written, and what acts.
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <optional>
+#include <string>
+
+#include "../robot/notes.h"
+
+namespace novaphy::detail {
+
+struct MjcfCompiler {
+  double angle = 3.14159265358979323846 / 180.0;  // radians per unit
+  bool auto_limits = true;
+  enum class Inertia { Auto, Always, Never } inertia_from_geom = Inertia::Auto;
+  double groups[2] = {0.0, 5.0};  // of the geoms that have a mass
+  std::string euler = "xyz";      // capital letters: about axes that stay
+  std::filesystem::path mesh_folder = {};
+  bool strip_path = false, balance_inertia = false, fit_aabb = false;
+  double bound_mass = 0.0, bound_inertia = 0.0, total_mass = -1.0;
+};
+
+struct MjcfOption {
+  std::optional<Vec3d> gravity = {};
+  std::optional<double> timestep = {};
+  // What <flag> turns off.
+  bool contact = true, limit = true, friction = true, equality = true, actuation = true,
+       spring = true, damper = true, parent_filter = true, clamp_control = true;
+  bool has_fluid = false;        // density or viscosity
+  uint32_t disabled_groups = 0;  // of actuators
+};
+
+struct MjcfSettings {
+  MjcfCompiler compiler;
+  MjcfOption option;
+};
+
+MjcfSettings read_settings(const XmlFile& file, Notes& notes);
+
+// An attribute that is true or false.
+bool read_flag(const XmlFile& file, const Element& e, const char* name, std::string_view text);
+
+}  // namespace novaphy::detail

@@ -1,0 +1,41 @@
+// Collects the report of a reader.
+#pragma once
+
+#include "xml.h"
+
+namespace novaphy::detail {
+
+class Notes {
+ public:
+  Notes(const XmlFile& file, Unsupported unsupported) : file_(file), unsupported_(unsupported) {}
+
+  void read(const char* kind, int32_t count = 1) { report_.read[kind] += count; }
+  void mended(const Element& e, std::string text) {
+    report_.mended.push_back(file_.note(e, std::move(text)));
+  }
+  void ignored(const Element& e, std::string text) {
+    report_.ignored.push_back(file_.note(e, std::move(text)));
+  }
+  // What is left out though the reader knows it: a file is missing that only a picture needs.
+  void missing(const Element& e, std::string text) {
+    report_.left_out.push_back(file_.note(e, std::move(text)));
+  }
+  // Raises ErrorKind::NotImplemented unless such parts are left out. `text`: what has no
+  // counterpart here.
+  void left_out(const Element& e, const std::string& text) {
+    if (unsupported_ == Unsupported::Error)
+      file_.refuse(e, text + " (unsupported=\"warn\" leaves it out)", ErrorKind::NotImplemented);
+    report_.left_out.push_back(file_.note(e, text));
+  }
+  RobotReport take() { return std::move(report_); }
+
+ private:
+  const XmlFile& file_;
+  const Unsupported unsupported_;
+  RobotReport report_;
+};
+
+// Sets the report, and the warnings that follow from it.
+void set_report(RobotImport& result, RobotReport report);
+
+}  // namespace novaphy::detail

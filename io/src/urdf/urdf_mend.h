@@ -1,0 +1,17 @@
+// What robots' makers write in URDF files and its definition does not have, made to fit it.
+#pragma once
+
+#include <set>
+
+#include "../robot/notes.h"
+
+namespace novaphy::detail {
+
+struct MendedUrdf {
+  std::set<const Element*> capsules;  // <cylinder> elements that were <capsule>
+};
+
+// Changes the elements of the file; each change is noted.
+MendedUrdf mend_urdf(XmlFile& file, Notes& notes);
+
+}  // namespace novaphy::detail

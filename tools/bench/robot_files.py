@@ -1,0 +1,515 @@
+#!/usr/bin/env python3
+"""Which robot files of the world load, and whether what loads is right, beside MuJoCo or Pinocchio.
+
+    python tools/bench/robot_files.py FOLDER [--kind mjcf|urdf] [--manifest OUT.json]
+
+FOLDER has one folder a collection, such as an unpacked wheel of gymnasium or dm-control. Files with
+the same content count once, and so do pieces that other files include. A file is read when
+add_mjcf or add_urdf, finalize and one step give finite numbers. What NovaPhy reads with its default
+options is compared with MuJoCo at random states: masses, inertias, poses, mass matrix, inverse
+dynamics, forces of joints and actuators, pairs of geoms that may meet; URDF files with Pinocchio:
+mass matrix and gravity, of those without mended parts. Files are read in a process of their own,
+which may crash or take too long. Needs mujoco, and pin for URDF.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import hashlib
+import json
+import re
+import select
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+SECONDS = 120.0  # a file may take
+TOLERANCE = 1e-5
+
+
+def find_files(root: Path, kind: str) -> list[tuple[str, Path]]:
+    """Collection and path of each different file."""
+    seen: set[str] = set()
+    found = []
+    for collection in sorted(p for p in root.iterdir() if p.is_dir()):
+        files = sorted(collection.rglob("*.xml" if kind == "mjcf" else "*.urdf"))
+        texts = {f: f.read_bytes() for f in files if f.is_file()}
+        included = set()
+        if kind == "mjcf":
+            for file, text in texts.items():
+                for name in re.findall(rb'<include[^>]*file="([^"]*)"', text):
+                    included.add((file.parent / name.decode("utf-8", "replace")).resolve())
+        for file, text in texts.items():
+            if kind == "mjcf" and (
+                b"<mujoco" not in text or not re.search(rb"<worldbody|<include", text)
+            ):
+                continue
+            digest = hashlib.sha256(text).hexdigest()
+            if digest in seen or file.resolve() in included:
+                continue
+            seen.add(digest)
+            found.append((collection.name, file))
+    return found
+
+
+# What one worker does.
+
+
+def read_novaphy(path: str, kind: str, unsupported: str, folders: list[str]):
+    import numpy as np
+
+    import novaphy
+
+    builder = novaphy.ModelBuilder()
+    add = builder.add_mjcf if kind == "mjcf" else builder.add_urdf
+    robot = add(path, unsupported=unsupported, package_dirs=folders)
+    model = builder.finalize()
+    if model.joint_dof_count:
+        solver = novaphy.solvers.SolverFeatherstone(model)
+        now, then = model.state(), model.state()
+        solver.step(now, then, None, None, 1e-4)
+        if not np.isfinite(then.joint_q.numpy()).all():
+            raise ValueError("a step that is not finite")
+    return robot, model
+
+
+def work(task: dict) -> dict:
+    result: dict = {"novaphy": "", "warn": "", "oracle": "", "difference": {}}
+    path, kind, folders = task["path"], task["kind"], task["folders"]
+    warnings.simplefilter("ignore")
+    robot = model = exact = None
+    try:
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            robot, model = read_novaphy(path, kind, "error", folders)
+        raised = sum("principal moments were raised" in str(w.message) for w in said)
+    except Exception as error:
+        result["novaphy"] = f"{type(error).__name__}: {error}"
+        try:
+            read_novaphy(path, kind, "warn", folders)
+        except Exception as second:
+            result["warn"] = f"{type(second).__name__}: {second}"
+    try:
+        if kind == "mjcf":
+            import mujoco
+
+            exact = mujoco.MjModel.from_xml_path(path)
+        else:
+            import pinocchio
+
+            exact = pinocchio.buildModelFromUrdf(path)
+    except Exception as error:
+        result["oracle"] = f"{type(error).__name__}: {error}"
+    if kind == "urdf" and model is not None and exact is not None:
+        result["mended"] = len(robot.report.mended) + raised
+        result["difference"] = compare_urdf(exact, model, robot)
+    if kind == "mjcf" and model is not None and exact is not None:
+        result["mended"] = len(robot.report.mended)
+        result["difference"] = compare(exact, model, robot)
+    return result
+
+
+def compare(exact, model, robot) -> dict[str, float]:
+    """The largest differences, of the largest entry; pairs: how many only one has."""
+    import mujoco
+    import numpy as np
+
+    import novaphy
+
+    flags = mujoco.mjtDisableBit
+    off = flags.mjDSBL_LIMIT | flags.mjDSBL_FRICTIONLOSS | flags.mjDSBL_EQUALITY
+    exact.opt.disableflags |= off
+    bodies = [b for b in model.body_label if not is_between(b, robot.joints)]
+    worst: dict[str, float] = collections.defaultdict(float)
+    if len(bodies) != exact.nbody - 1:
+        return {"bodies": abs(len(bodies) - exact.nbody + 1)}
+    index = {label: k for k, label in enumerate(model.body_label)}
+    rows = [index[b] for b in bodies]
+    pairs = pairs_of_mujoco(exact)
+    exact.opt.disableflags |= flags.mjDSBL_CONTACT
+
+    def note(what: str, got, expected, least: float = 1e-12) -> None:
+        got, expected = np.asarray(got, float), np.asarray(expected, float)
+        scale = max(np.abs(expected).max(initial=0.0), least)
+        error = np.abs(got - expected).max(initial=0.0) / scale
+        worst[what] = max(worst[what], float(error if np.isfinite(error) else np.inf))
+
+    mass = model.body_mass.numpy()
+    # Of bodies that are held together: what has no inertia of its own adds to the one it is on.
+    weld = exact.body_weldid[1:]
+    groups = np.unique(weld[weld > 0])
+    sums = [[of[weld == g].sum() for g in groups] for of in (mass[rows], exact.body_mass[1:])]
+    note("mass", *sums)
+    alike = np.isclose(mass[rows], exact.body_mass[1:], rtol=1e-5) & (exact.body_mass[1:] > 0)
+    data = mujoco.MjData(exact)
+    state = model.state()
+    coordinates = model.joint_q_start.numpy()[:-1]
+    draw = np.random.default_rng(0)
+    com = model.body_com.numpy().astype(float)
+    inertia = model.body_inertia.numpy().astype(float)
+    for _ in range(4):
+        q, t = [], []
+        mujoco.mj_resetData(exact, data)
+        data.qvel[:] = draw.normal(size=exact.nv)
+        for body in range(1, exact.nbody):
+            if exact.body_mocapid[body] >= 0:
+                k = exact.body_mocapid[body]
+                q += [*data.mocap_pos[k], *np.roll(data.mocap_quat[k], -1)]
+                t.append(None)
+                continue
+            for j in range(
+                exact.body_jntadr[body], exact.body_jntadr[body] + exact.body_jntnum[body]
+            ):
+                a, d = exact.jnt_qposadr[j], exact.jnt_dofadr[j]
+                kind = exact.jnt_type[j]
+                if kind <= 1:
+                    quat = draw.normal(size=4)
+                    quat /= np.linalg.norm(quat)
+                    turn = np.zeros(9)
+                    mujoco.mju_quat2Mat(turn, quat)
+                    turn = turn.reshape(3, 3)
+                if kind == 0:
+                    row = int(np.flatnonzero(coordinates == len(q))[-1])
+                    data.qpos[a : a + 3] = draw.uniform(-1, 1, 3)
+                    data.qpos[a + 3 : a + 7] = quat
+                    q += [*data.qpos[a : a + 3], *np.roll(quat, -1)]
+                    arm = turn @ com[rows[body - 1]]
+                    if model.joint_type.numpy()[row] != novaphy.JointType.FREE:
+                        arm = 0 * arm  # slides and a ball joint, about the origin
+                    block = np.zeros((6, 6))
+                    block[:3, :3] = np.eye(3)
+                    block[:3, 3:] = -cross_matrix(arm) @ turn
+                    block[3:, 3:] = turn
+                    w = turn @ data.qvel[d + 3 : d + 6]
+                    t.append((d, block, [*np.cross(w, np.cross(w, arm)), 0, 0, 0]))
+                elif kind == 1:
+                    data.qpos[a : a + 4] = quat
+                    q += [*np.roll(quat, -1)]
+                    t.append((d, turn, [0, 0, 0]))
+                else:
+                    data.qpos[a] = draw.uniform(-1, 1)
+                    q.append(data.qpos[a])
+                    t.append((d, np.eye(1), [0]))
+        size = sum(6 if x is None else len(x[1]) for x in t)
+        if size != model.joint_dof_count or len(q) != model.joint_coord_count:
+            return {"dofs": abs(size - model.joint_dof_count)}
+        change, drift = np.zeros((size, exact.nv)), np.zeros(size)
+        at = 0
+        ours = []  # our rows that MuJoCo has
+        for x in t:
+            if x is None:
+                at += 6
+                continue
+            d, block, extra = x
+            n = len(block)
+            change[at : at + n, d : d + n] = block
+            drift[at : at + n] = extra
+            ours += range(at, at + n)
+            at += n
+        acceleration = draw.normal(size=exact.nv)
+        # Both engines get the same float32 numbers.
+        state.joint_q.assign(np.float32(q))
+        state.joint_qd.assign(np.float32(change @ data.qvel))
+        novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+        for k in range(exact.nu):
+            low, high = exact.actuator_ctrlrange[k] if exact.actuator_ctrllimited[k] else (-1, 1)
+            data.ctrl[k] = draw.uniform(low - 0.1, high + 0.1)
+        mujoco.mj_forward(exact, data)
+        pose = state.body_q.numpy().astype(float)
+        center, tensor, tensor_exact = [], [], []
+        for body, row in enumerate(rows, 1):
+            turn = np.zeros(9)
+            mujoco.mju_quat2Mat(turn, np.roll(pose[row, 3:], 1))
+            turn = turn.reshape(3, 3)
+            center.append(pose[row, :3] + turn @ com[row])
+            tensor.append(turn @ inertia[row] @ turn.T)
+            axes = data.ximat[body].reshape(3, 3)
+            tensor_exact.append(axes @ np.diag(exact.body_inertia[body]) @ axes.T)
+        if alike.any():
+            note("poses", np.array(center)[alike], data.xipos[1:][alike], 0.1)
+            note("inertia", np.array(tensor)[alike], np.array(tensor_exact)[alike])
+        note("origins", pose[rows, :3], data.xpos[1:], 0.1)
+        if not exact.nv:
+            break
+        note_forces(exact, data, model, robot, change, np.array(q), note)
+        if exact.nmocap:  # functions of dynamics know no kinematic bodies
+            continue
+        full = np.zeros((exact.nv, exact.nv))
+        mujoco.mj_fullM(exact, data, full)
+        kinds = novaphy.eval_mass_matrix(model, state)
+        note("mass matrix", change.T @ assembled(model, kinds) @ change, full)
+        tau = novaphy.eval_inverse_dynamics(
+            model, state, np.float32(change @ acceleration + drift)
+        ).astype(float)
+        tau = change.T @ np.asarray(tau).ravel()
+        note("inverse dynamics", tau, full @ acceleration + data.qfrc_bias)
+    worst["pairs"] = len(pairs ^ pairs_of(model, bodies, exact)) if pairs is not None else 0
+    return dict(worst)
+
+
+def compare_urdf(exact, model, robot) -> dict[str, float]:
+    """Mass matrix and gravity of the joints that both have, at random angles."""
+    import numpy as np
+    import pinocchio
+
+    import novaphy
+
+    data, worst = exact.createData(), collections.defaultdict(float)
+    draw = np.random.default_rng(0)
+    state = model.state()
+    for _ in range(4):
+        q, full_q = model.joint_q.numpy(), pinocchio.neutral(exact)
+        ours, theirs = [], []
+        for k in range(1, exact.njoints):
+            joint, name = exact.joints[k], exact.names[k]
+            if joint.nv != 1 or name not in robot.joints:
+                return {}  # planar and floating joints have other velocities
+            value = draw.uniform(-1, 1)
+            q[robot.joint_coords[name]] = value
+            full_q[joint.idx_q : joint.idx_q + joint.nq] = (
+                [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
+            )
+            ours.append(robot.joint_dofs[name])
+            theirs.append(joint.idx_v)
+        if not ours:
+            return {}
+        state.joint_q.assign(q)
+        state.joint_qd.zero_()
+        full = np.asarray(pinocchio.crba(exact, data, full_q))
+        full = np.triu(full) + np.triu(full, 1).T
+        gravity = pinocchio.computeGeneralizedGravity(exact, data, full_q)
+        armature = np.diag(model.joint_armature.numpy()[ours])
+        blocks = assembled(model, novaphy.eval_mass_matrix(model, state))[np.ix_(ours, ours)]
+        bias = novaphy.eval_bias(model, state).astype(float).ravel()[ours]
+        full = full[np.ix_(theirs, theirs)]
+        for what, got, expected in (
+            ("mass matrix", blocks - armature, full),
+            ("gravity", bias, gravity[theirs]),
+        ):
+            scale = max(np.abs(expected).max(), 1e-6)
+            worst[what] = max(worst[what], float(np.abs(got - expected).max() / scale))
+    return dict(worst)
+
+
+def is_between(label: str, joints) -> bool:
+    parts = label.split("/")
+    return any("/".join(parts[k:]) in joints for k in range(1, len(parts)))
+
+
+def cross_matrix(v):
+    import numpy as np
+
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def assembled(model, blocks):
+    import numpy as np
+
+    starts, ends = model.articulation_start.numpy(), model.articulation_end.numpy()
+    rows = model.joint_qd_start.numpy()
+    full = np.zeros((model.joint_dof_count,) * 2)
+    for k in range(len(ends)):
+        a, b = rows[starts[k]], rows[ends[k]]
+        full[a:b, a:b] = np.asarray(blocks[k])[: b - a, : b - a]
+    return full
+
+
+def note_forces(exact, data, model, robot, change, coordinates, note) -> None:
+    """The forces of springs, dampers and actuators, by the law of the drives."""
+    import numpy as np
+
+    get = {
+        name: getattr(model, name).numpy().astype(float)
+        for name in ("joint_target_ke", "joint_target_kd", "joint_damping", "joint_effort_limit")
+    }
+    arrays = {
+        "joint_f": np.zeros(model.joint_dof_count),
+        "joint_target_qd": np.zeros(model.joint_dof_count),
+        "joint_target_q": model.joint_target_q.numpy().astype(float),
+    }
+    names = [exact.actuator(k).name for k in range(exact.nu)]
+    for a in robot.actuators:
+        if a.target == "joint_target_q":
+            arrays[a.target][a.row] = 0.0
+    for k, a in enumerate(robot.actuators):
+        index = names.index(a.name) if a.name in names else k
+        control = min(max(data.ctrl[index], a.lower), a.upper)
+        arrays[a.target][a.row] += a.gear * control + a.offset
+    qd = change @ data.qvel
+    drive = get["joint_target_kd"] * (arrays["joint_target_qd"] - qd)
+    kinds, starts = model.joint_type.numpy(), model.joint_qd_start.numpy()
+    coords = model.joint_q_start.numpy()
+    q, target = np.zeros(len(qd)), np.zeros(len(qd))
+    for j in range(len(kinds)):  # joints with as many coordinates as degrees of freedom
+        d, n = starts[j], starts[j + 1] - starts[j]
+        c, m = coords[j], coords[j + 1] - coords[j]
+        if n == m:
+            q[d : d + n] = coordinates[c : c + n]
+            target[d : d + n] = arrays["joint_target_q"][c : c + n]
+    drive += get["joint_target_ke"] * (target - q)
+    limit = get["joint_effort_limit"]
+    total = arrays["joint_f"] + np.clip(drive, -limit, limit) - get["joint_damping"] * qd
+    note("forces", change.T @ total, data.qfrc_passive + data.qfrc_actuator)
+
+
+def pairs_of_mujoco(m):
+    """Pairs of geoms that MuJoCo's filters let through; None: too many to list."""
+    if m.ngeom > 1500:
+        return None
+    import mujoco
+
+    keep = not m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
+    excluded = {int(s) for s in m.exclude_signature}
+    pairs = set()
+    bits = mujoco.mjtDisableBit
+    if m.opt.disableflags & (bits.mjDSBL_CONTACT | bits.mjDSBL_CONSTRAINT):
+        return pairs
+    bodies, weld, parent = m.geom_bodyid, m.body_weldid, m.body_parentid
+    welds = [int(weld[b]) for b in bodies]
+    ups = [int(weld[parent[w]]) for w in welds]
+    types, affinities = m.geom_contype.tolist(), m.geom_conaffinity.tolist()
+    # Contacts between what has no degree of freedom do nothing.
+    still = {0} | {b for b in range(m.nbody) if m.body_mocapid[b] >= 0}
+    some = [g for g in range(m.ngeom) if types[g] or affinities[g]]
+    for i, a in enumerate(some):
+        for b in some[i + 1 :]:
+            if welds[a] == welds[b] or {welds[a], welds[b]} <= still:
+                continue
+            if keep and welds[a] and welds[b] and (welds[a] == ups[b] or welds[b] == ups[a]):
+                continue
+            if not (types[a] & affinities[b] or types[b] & affinities[a]):
+                continue
+            first, second = sorted((int(bodies[a]), int(bodies[b])))
+            if (first << 16) + second in excluded:
+                continue
+            pairs.add((a, b))
+    for k in range(m.npair):
+        pairs.add(tuple(sorted((int(m.pair_geom1[k]), int(m.pair_geom2[k])))))
+    return pairs
+
+
+def pairs_of(model, bodies, exact):
+    """Ours, as geoms of MuJoCo: by name, or by their place in their body."""
+    names = {exact.geom(g).name: g for g in range(exact.ngeom) if exact.geom(g).name}
+    owner = {b: k for k, b in enumerate(bodies, 1)}
+    owner["world"] = 0
+
+    def geom(label: str) -> int:
+        if label in names:
+            return names[label]
+        body, _, k = label.rpartition("/geom_")
+        return int(exact.body_geomadr[owner[body]]) + int(k)
+
+    labels = model.shape_label
+    return {
+        tuple(sorted((geom(labels[a]), geom(labels[b]))))
+        for a, b in model.shape_contact_pairs.numpy().tolist()
+    }
+
+
+def worker() -> None:
+    for line in sys.stdin:
+        task = json.loads(line)
+        print("\0" + json.dumps(work(task)), flush=True)
+
+
+# The main program.
+
+
+class Worker:
+    def __init__(self) -> None:
+        self.process: subprocess.Popen | None = None
+
+    def run(self, task: dict) -> dict:
+        if self.process is None:
+            self.process = subprocess.Popen(
+                [sys.executable, __file__, "--worker"],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+            )  # fmt: skip
+        self.process.stdin.write(json.dumps(task) + "\n")
+        self.process.stdin.flush()
+        while True:
+            ready, _, _ = select.select([self.process.stdout], [], [], SECONDS)
+            line = self.process.stdout.readline() if ready else ""
+            if line.startswith("\0"):
+                return json.loads(line[1:])
+            if not line:
+                self.process.kill()
+                what = "took too long" if not ready else f"crashed ({self.process.wait()})"
+                self.process = None
+                return {"novaphy": what, "warn": what, "oracle": "?", "difference": {}}
+
+
+def reason(text: str) -> str:
+    """An error without its names and numbers."""
+    text = re.sub(r"^\w+: (add_\w+: )?", "", text)
+    text = re.sub(r"^\S*:\d+: ", "", text)
+    text = re.sub(r'name="[^"]*"|"[^"]*"|/\S+', "…", text)
+    return re.sub(r"[-+]?\d[\d.e+-]*", "#", text)[:110]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--kind", choices=("mjcf", "urdf"), default="mjcf")
+    parser.add_argument("--only", help="collections, separated by commas")
+    parser.add_argument("--manifest", type=Path, help="writes all results to this file")
+    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.worker:
+        return worker()
+    if args.folder is None:
+        parser.error("expected a folder of collections")
+    runner, rows = Worker(), []
+    for collection, path in find_files(args.folder, args.kind):
+        if args.only and collection not in args.only.split(","):
+            continue
+        folders = [str(args.folder / collection)]
+        task = {"path": str(path), "kind": args.kind, "folders": folders}
+        row = {
+            "collection": collection,
+            "file": str(path.relative_to(args.folder)),
+            "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+            **runner.run(task),
+        }
+        rows.append(row)
+    if args.manifest:
+        args.manifest.write_text(json.dumps(rows, indent=1))
+    table(rows, args.kind)
+
+
+def table(rows: list[dict], kind: str) -> None:
+    oracle = "MuJoCo" if kind == "mjcf" else "Pinocchio"
+    print(
+        f"| collection | files | {oracle} | NovaPhy of these | left out listed | NovaPhy of all |"
+    )
+    print("|---|---|---|---|---|---|")
+    names = sorted({r["collection"] for r in rows})
+    for name in [*names, "all"]:
+        mine = [r for r in rows if name in ("all", r["collection"])]
+        both = [r for r in mine if not r["oracle"]]
+        read = sum(not r["novaphy"] for r in both)
+        warn = sum(not r["novaphy"] or not r["warn"] for r in both)
+        print(
+            f"| {name} | {len(mine)} | {len(both)} | {read} | {warn} "
+            f"| {sum(not r['novaphy'] for r in mine)} |"
+        )
+    for key, title in (("novaphy", f"Refused, of those that {oracle} reads"),
+                       ("warn", 'Refused with unsupported="warn"')):  # fmt: skip
+        ranks = collections.Counter(reason(r[key]) for r in rows if r[key] and not r["oracle"])
+        print(f"\n{title}:")
+        for text, count in ranks.most_common(25):
+            print(f"{count:5d}  {text}")
+    compared = [r for r in rows if r["difference"] and not (r["mended"] and kind == "urdf")]
+    names = sorted({k for r in compared for k in r["difference"]})
+    print(f"\nCompared: {len(compared)}. Largest difference, of the largest entry:")
+    for name in names:
+        values = [(r["difference"].get(name, 0.0), r["file"]) for r in compared]
+        bad = sum(v > (0 if name == "pairs" else TOLERANCE) for v, _ in values)
+        print(f"{name:18s} worst {max(values)[0]:9.2e}, {bad} files above: {max(values)[1]}")
+
+
+if __name__ == "__main__":
+    main()

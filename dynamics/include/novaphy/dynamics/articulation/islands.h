@@ -208,6 +208,7 @@ void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
   row.frame = contact_frame(normal);
   const bool itself = row.sides[0].tree == row.sides[1].tree;
   float before = 0.0f;
+  row.solver.mass = 0.0f;
   for (int side = 0; side < 2; ++side) {
     RowSide<float>& to = row.solver.sides[side];
     if (to.width == 0) continue;

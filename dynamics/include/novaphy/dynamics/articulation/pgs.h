@@ -193,6 +193,7 @@ T largest(const T* y, int64_t count, T least) {
 }
 template <class T>
 void set_diagonals(PgsContact<T>& c) {
+  c.reach = T(0.0f);
   for (const RowSide<T>& s : c.sides)
     if (s.response != nullptr) c.reach = largest(s.response, s.width, c.reach);
   c.normal = c.apart = row_product(c, 0, 0);

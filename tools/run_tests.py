@@ -183,8 +183,12 @@ def step(function: Callable[[], None]) -> Callable[[], None]:
 
 @step
 def lint() -> None:
-    """Includes keep the layers; ruff; shell scripts parse."""
+    """Includes keep the layers; counted faults shrink; ruff; shell scripts parse."""
     run("lint", sys.executable, "tools/lint/check_layers.py")
+    run("lint", sys.executable, "tools/lint/measure_house.py", "--check")
+    for line in (LOGS / "lint.log").read_text(encoding="utf-8").splitlines():
+        if line.startswith(("better:", "measure_house: write")):
+            print(f"   {line}")
     ruff = Path(sys.executable).with_name("ruff")
     run("lint", ruff, "check", "--no-cache", "--output-format=concise")
     run("lint", ruff, "format", "--no-cache", "--check")

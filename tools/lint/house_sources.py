@@ -1,0 +1,187 @@
+"""Sources without their comments and strings, and their functions: what measure_house.py counts."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+PHYSICS = ("collision", "dynamics", "vbd", "diff")
+ENGINE = ("backends", "core", "nova", "io", *PHYSICS)
+ROOMS = (*ENGINE, "python/src", "python/novaphy", "python/demos", "tools")
+CXX = (".h", ".hpp", ".cpp", ".cuh", ".inc")
+SUFFIXES = {*CXX, ".py", ".pyi"}
+
+TOKEN = re.compile(r"[A-Za-z_]\w*|\d[\w.']*|\"|::|->|<<|>>|&&|\|\||[-+*/%&|^=!<>]=|\+\+|--|[^\s\w]")
+# A comment, a raw string, a string or a character of C++; the quote of 1'000 is none.
+CXX_TEXT = re.compile(
+    r"//(?:\\\n|[^\n])*|/\*.*?\*/"
+    r"|\bR\"(?P<end>[^(\s]*)\(.*?\)(?P=end)\""
+    r"|\"(?:\\.|[^\"\\\n])*\"|(?<!\w)(?:u8|[uUL])?'(?:\\.|[^'\\\n])+'",
+    re.DOTALL,
+)
+PYTHON_TEXT = re.compile(
+    r"#[^\n]*|(\"\"\"|''')(?:\\.|.)*?\1|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'", re.DOTALL
+)
+DIRECTIVE = re.compile(r"^[ \t]*#(?:\\\n|[^\n])*", re.MULTILINE)
+
+
+@dataclass
+class Source:
+    """A file without its comments, its strings emptied; lines stay where they were."""
+
+    name: str
+    room: str
+    lines: int
+    code: str
+    tree: ast.Module | None = None  # of Python
+
+    @property
+    def is_cxx(self) -> bool:
+        return self.name.endswith(CXX)
+
+    def within(self, rooms: tuple[str, ...]) -> bool:
+        return self.room in rooms
+
+
+def blank(found: re.Match[str]) -> str:
+    """What stands for a comment or a string."""
+    text = found.group()
+    breaks = "\n" * text.count("\n")
+    if text.startswith(("//", "/*", "#")):
+        return breaks or " "
+    return "0" if text.lstrip("u8UL").startswith("'") else '""' + breaks
+
+
+def blank_python(found: re.Match[str]) -> str:
+    """What stands for a comment or a string of Python."""
+    text = found.group()
+    return ("" if text.startswith("#") else '""') + "\n" * text.count("\n")
+
+
+def without_docstrings(text: str, tree: ast.Module) -> str:
+    """The lines of a Python file, those of docstrings empty."""
+    lines = text.split("\n")
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        first = node.body[0] if node.body else None
+        if (
+            isinstance(first, ast.Expr)
+            and isinstance(first.value, ast.Constant)
+            and isinstance(first.value.value, str)
+        ):
+            for k in range(first.lineno - 1, first.end_lineno):
+                lines[k] = ""
+    return "\n".join(lines)
+
+
+def read_sources(root: Path) -> list[Source]:
+    """The sources of all rooms."""
+    sources = []
+    for path in sorted(
+        p for room in ROOMS for p in (root / room).rglob("*") if p.suffix in SUFFIXES
+    ):
+        name = path.relative_to(root).as_posix()
+        room = next(room for room in ROOMS if name.startswith(room + "/"))
+        text = path.read_text(encoding="utf-8")
+        tree = None
+        if name.endswith(CXX):
+            code = CXX_TEXT.sub(blank, text)
+        else:
+            tree = ast.parse(text)
+            code = PYTHON_TEXT.sub(blank_python, without_docstrings(text, tree))
+        if name.endswith(".pyi"):
+            room += " (stubs)"
+        sources.append(Source(name, room, text.count("\n"), code, tree))
+    return sources
+
+
+# ---- functions ----
+
+LABEL = re.compile(r"^(?:\s*(?:public|private|protected)\s*:(?!:))+\s*")
+SCOPE = re.compile(r"\bnamespace\b|\bextern\s*\"|^(?:typedef\s+)?(?:class|struct|union|enum)\b")
+KERNEL_NAME = re.compile(r"\bNOVAPHY_\w+\(\s*(\w+)")
+FUNCTION_NAME = re.compile(r"(operator\s*[^\s\w(]+|operator\(\)|~?\w+)\s*\(")
+
+
+def without_nested(text: str, opening: str, closing: str) -> str:
+    """The text outside of the outermost pairs of brackets; each pair stays, empty."""
+    kept, depth = [], 0
+    for c in text:
+        if c == closing and depth:
+            depth -= 1
+        if depth == 0:
+            kept.append(c)
+        if c == opening:
+            depth += 1
+    return "".join(kept)
+
+
+def without_template(head: str) -> str:
+    """A declaration without `template <...>` before it."""
+    while found := re.match(r"\s*template\s*(?=<)", head):
+        end, depth = found.end(), 0
+        while end < len(head):
+            depth += {"<": 1, ">": -1}.get(head[end], 0)
+            end += 1
+            if depth == 0:
+                break
+        head = head[end:]
+    return head.strip()
+
+
+def opens(head: str) -> str:
+    """What the brace behind `head` opens: a scope, a function, a value or another block."""
+    text = without_template(head)
+    if text.count("(") > text.count(")"):
+        return "value"  # of an argument
+    flat = without_nested(re.sub(r"operator\s*\(\)", "operator", text), "(", ")")
+    if SCOPE.search(flat) and not ("(" in flat and re.search(r"\)\s*(const\b.*)?$", flat)):
+        return "scope"
+    if re.search(r"\)\s*(noexcept\s*)?:(?!:)", flat) and re.search(r"[\w>]$", head):
+        return "value"  # of a member, in the list of a constructor
+    if "(" in flat and not re.search(r"(?<![=!<>])=(?!=)", re.sub(r"operator\S+", "", flat)):
+        return "function"
+    return "block"
+
+
+def cxx_functions(code: str) -> Iterator[tuple[str, int]]:
+    """Names and lines of functions, of the bodies of kernels too."""
+    code = DIRECTIVE.sub(lambda found: "\n" * found.group().count("\n"), code)
+    inside = depth = head_at = 0  # depth of blocks within a function or another block
+    name, first, is_function, is_value = "", 0, False, False
+    for mark in re.finditer(r"[{};]", code):
+        if inside:
+            depth += {"{": 1, "}": -1, ";": 0}[mark.group()]
+            if depth:
+                continue
+            inside = 0
+            if is_function:
+                yield name, code.count("\n", first, mark.start()) + 1
+            if is_value:
+                continue  # the head goes on behind the value
+        elif mark.group() == "{":
+            head = code[head_at : mark.start()]
+            kind = opens(LABEL.sub("", re.sub(r"\[\[.*?\]\]", "", head).lstrip()))
+            if kind != "scope":
+                inside, depth, is_function, is_value = 1, 1, kind == "function", kind == "value"
+                if is_function:
+                    label = LABEL.match(head)
+                    first = head_at + (label.end() if label else len(head) - len(head.lstrip()))
+                    head = without_template(head)
+                    found = KERNEL_NAME.search(head) or FUNCTION_NAME.search(head)
+                    name = found.group(1) if found else "?"
+                if not is_value:
+                    head_at = mark.end()
+                continue
+        head_at = mark.end()
+
+
+def python_functions(tree: ast.Module) -> Iterator[tuple[str, int]]:
+    """Names and lines of functions."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node.name, node.end_lineno - node.lineno + 1

@@ -1,0 +1,255 @@
+#!/usr/bin/env python3
+"""Measure the sources, and hold the lists of their faults.
+
+    tools/lint/measure_house.py            sizes of the folders, and the counts
+    tools/lint/measure_house.py --lists    every entry of every count besides
+    tools/lint/measure_house.py --check    compare the counts with tools/lint/house.txt
+    tools/lint/measure_house.py --write    write lower numbers, and drop what is mended
+
+house.txt names today's faults with their numbers. The lists may only shrink: --check fails on a
+new entry and on a higher number, and names them. --write never raises a number. The entry of a
+renamed file is edited by hand.
+
+Tests are left out. Tokens are identifiers, numbers and operators; a string is one token. Line
+breaks and comments change no number of tokens.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from pathlib import Path
+
+from house_sources import (
+    ENGINE,
+    PHYSICS,
+    ROOMS,
+    TOKEN,
+    Source,
+    cxx_functions,
+    python_functions,
+    read_sources,
+)
+
+MOST_FUNCTION_LINES = 60
+MOST_FILE_LINES = 400
+MOST_DRIVES = 8  # of the drive arrays of a joint that a file names, of twelve
+
+# ---- counts ----
+
+Counts = dict[str, int]  # entry -> its number
+
+
+def long_functions(sources: list[Source]) -> Counts:
+    found: Counts = {}
+    for source in sources:
+        if source.name.endswith(".pyi"):
+            continue
+        functions = cxx_functions(source.code) if source.is_cxx else python_functions(source.tree)
+        seen: Counter[str] = Counter()
+        for name, lines in functions:
+            if lines > MOST_FUNCTION_LINES:
+                seen[name] += 1
+                times = f" ({seen[name]})" if seen[name] > 1 else ""
+                found[f"{source.name} {name}{times}"] = lines
+    return found
+
+
+def long_files(sources: list[Source]) -> Counts:
+    return {s.name: s.lines for s in sources if s.tree is None or s.name.endswith(".py")
+            if s.lines > MOST_FILE_LINES}  # fmt: skip
+
+
+def matches(pattern: str, rooms: tuple[str, ...]) -> Callable[[list[Source]], Counts]:
+    """Counts how often the files of some rooms have a pattern."""
+    compiled = re.compile(pattern, re.MULTILINE)
+
+    def count(sources: list[Source]) -> Counts:
+        numbers = {s.name: len(compiled.findall(s.code)) for s in sources if s.within(rooms)}
+        return {name: number for name, number in numbers.items() if number}
+
+    return count
+
+
+TWIN = re.compile(
+    r"\b(?:class|struct)\s+(?:NOVAPHY_\w+\s+)?"
+    r"(Launched\w*|StepWork|ReversePass|TangentPass"
+    r"|(?:Device|Host|Cpu|Gpu)\w*(?:Step|Contacts|Adjoint|Tangent|Backward|Solution)\w*)\b[^;]*?\{"
+)
+
+
+def twin_classes(sources: list[Source]) -> Counts:
+    return {name: 1 for s in sources if s.within(PHYSICS) for name in TWIN.findall(s.code)}
+
+
+DRIVES = (
+    *("target_q", "target_qd", "target_ke", "target_kd", "damping", "armature"),
+    *("limit_lower", "limit_upper", "limit_ke", "limit_kd", "effort_limit", "velocity_limit"),
+)
+
+
+def lists_of_drives(sources: list[Source]) -> Counts:
+    spelled = [{d, "joint_" + d, d.title().replace("_", "")} for d in DRIVES]
+    found = {}
+    for source in sources:
+        if source.within(("dynamics", "vbd", "diff")):
+            words = set(re.findall(r"[A-Za-z_]\w*", source.code))
+            number = sum(1 for names in spelled if names & words)
+            if number > MOST_DRIVES:
+                found[source.name] = number
+    return found
+
+
+KINDS = {
+    "tetrahedron": r"[Tt]etrahedr|\bparticle_tet_|\bkTet",
+    "bending hinge": r"[Hh]inge|[Bb]ending|\bparticle_edge_",
+    "cone": (
+        r"\bCONE\b|(?<!friction_)\bcone_(?:support|distance|feature|bounds|inertia|mesh)"
+        r"|\bshape_cone\b|\bCone(?:Shape|Support|Law)\b"
+    ),
+    "ball joint": r"\bBALL\b|\bjoint_ball\b|\bLinkJoint::Ball\b",
+}
+
+
+def files_of_kinds(sources: list[Source]) -> Counts:
+    """The number of files that name one kind; demos and benchmarks may."""
+    found = {}
+    for kind, pattern in KINDS.items():
+        compiled = re.compile(pattern)
+        users = [s for s in sources if not s.name.startswith(("tools/bench/", "python/demos/"))]
+        found[kind] = sum(1 for s in users if compiled.search(s.code))
+    return found
+
+
+COUNTS: dict[str, Callable[[list[Source]], Counts]] = {
+    f"functions over {MOST_FUNCTION_LINES} lines": long_functions,
+    f"files over {MOST_FILE_LINES} lines": long_files,
+    "kernels with counted words": matches(
+        r"^NOVAPHY_(?:ROW|BLOCK|GRID)_KERNEL\(\s*\w+\s*,\s*(?:[^,]*\d|\w*Words)[^,]*,", ENGINE
+    ),
+    "positional argument lists": matches(
+        r"vector<LaunchArgument>|\.launch\([^;{]*\{(?!\s*\.)", PHYSICS
+    ),
+    "branches by host or device": matches(
+        r"\bis_cpu\(\)|\bon_cpu_\b|\blaunched_\b|\bon_device\(\)|#ifdef NOVAPHY_KERNEL", PHYSICS
+    ),
+    "twin classes": twin_classes,
+    f"files with over {MOST_DRIVES} of the drive arrays": lists_of_drives,
+    "files that name a kind": files_of_kinds,
+}
+
+
+# ---- the lists ----
+
+HEAD = """\
+# Today's faults, each with its number. The lists may only shrink: tools/lint/measure_house.py
+# --check compares, --write writes lower numbers.
+"""
+
+
+def read_lists(path: Path) -> dict[str, Counts]:
+    lists: dict[str, Counts] = {title: {} for title in COUNTS}
+    title = ""
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.startswith("["):
+            title = line.strip("[]")
+        elif line and not line.startswith("#"):
+            number, entry = line.split(" ", 1)
+            lists.setdefault(title, {})[entry] = int(number)
+    return lists
+
+
+def write_lists(path: Path, lists: dict[str, Counts]) -> None:
+    parts = [HEAD]
+    for title, counts in lists.items():
+        parts.append(f"\n[{title}]\n")
+        parts += [f"{number} {entry}\n" for entry, number in sorted(counts.items())]
+    path.write_text("".join(parts), encoding="utf-8")
+
+
+def compare(listed: dict[str, Counts], now: dict[str, Counts]) -> tuple[list[str], list[str]]:
+    """What became worse, and what became better."""
+    worse, better = [], []
+    for title, counts in now.items():
+        known = listed[title]
+        for entry, number in counts.items():
+            if number > known.get(entry, 0):
+                was = f"was {known[entry]}" if entry in known else "is new"
+                worse.append(f"{title}: {entry}: {number}, {was}")
+        for entry, number in known.items():
+            if counts.get(entry, 0) < number:
+                better.append(f"{title}: {entry}: {counts.get(entry, 'none')}, was {number}")
+    return worse, better
+
+
+def shrunk(listed: dict[str, Counts], now: dict[str, Counts]) -> dict[str, Counts]:
+    """The lists with lower numbers, and without what is mended."""
+    return {
+        title: {e: min(n, counts[e]) for e, n in listed[title].items() if counts.get(e)}
+        for title, counts in now.items()
+    }
+
+
+# ---- printing ----
+
+
+def print_sizes(sources: list[Source]) -> None:
+    sizes: dict[str, Counter[str]] = defaultdict(Counter)
+    for source in sources:
+        tokens = len(TOKEN.findall(source.code))
+        code = sum(1 for line in source.code.split("\n") if line.strip(' \t"'))
+        row = Counter(files=1, lines=source.lines, code=code, tokens=tokens)
+        sizes[source.room] += row
+        for together, rooms in (("engine", ENGINE), ("physics", PHYSICS)):
+            if source.within(rooms):
+                sizes[together] += row
+    columns = ("files", "lines", "code", "tokens")
+    print(f"{'':24}" + "".join(f"{column:>10}" for column in columns))
+    for room in (*ROOMS, "python/novaphy (stubs)", "engine", "physics"):
+        print(f"{room:24}" + "".join(f"{sizes[room][column]:10,}" for column in columns))
+
+
+def print_counts(now: dict[str, Counts], entries: bool) -> None:
+    for title, counts in now.items():
+        print(f"{title:48}{len(counts):5} entries, sum {sum(counts.values()):,}")
+        if entries:
+            for entry, number in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
+                print(f"  {number:5} {entry}")
+
+
+def main(arguments: list[str]) -> int:
+    """Print the measures, or compare or write the lists."""
+    parser = argparse.ArgumentParser(description="Measure the sources.")
+    parser.add_argument("--lists", action="store_true", help="print every entry")
+    parser.add_argument("--check", action="store_true", help="compare with the lists")
+    parser.add_argument("--write", action="store_true", help="write what became better")
+    parser.add_argument("root", nargs="?", type=Path, default=Path(__file__).resolve().parents[2])
+    options = parser.parse_args(arguments)
+    sources = read_sources(options.root)
+    now = {title: count(sources) for title, count in COUNTS.items()}
+    if not (options.check or options.write):
+        print_sizes(sources)
+        print_counts(now, options.lists)
+        return 0
+    path = options.root / "tools" / "lint" / "house.txt"
+    listed = read_lists(path)
+    worse, better = compare(listed, now)
+    for fault in worse:
+        print(f"worse: {fault}")
+    if options.write:
+        write_lists(path, shrunk(listed, now))
+        print(f"measure_house: {len(better)} entries written")
+    else:
+        for gain in better:
+            print(f"better: {gain}")
+        if better:
+            print("measure_house: write the lower numbers with tools/lint/measure_house.py --write")
+    print(f"measure_house: {len(sources)} files, {len(worse)} faults")
+    return 1 if worse else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -170,7 +170,7 @@ STEPS: dict[str, Callable[[], None]] = {}
 DEFAULT = ("lint", "tests")  # what runs without --all
 LIBRARIES = ("core", "io", "nova", "collision", "dynamics", "vbd", "diff")
 # Steps that build and check without a test of their own.
-WITHOUT_TESTS = ("lint", "symbols", "demos")
+WITHOUT_TESTS = ("lint", "symbols", "demos", "hashes")
 # What a slice of the build is looked at for: its libraries from outside.
 FROM_OUTSIDE = r"^exports\.|^install_consumer\."
 
@@ -397,6 +397,26 @@ def demos() -> None:
                 results.fail(str(error))
 
 
+@step
+def hashes() -> None:
+    """Scenes of the benchmarks have their bits, on a stand-in for a GPU too."""
+    compare = [wheel_python(), "-W", "ignore", "tools/bench/hash_scenes.py"]
+    with results.timed("tests"):
+        run("hashes", *compare)
+    # The wheel's module on libraries that have code for devices.
+    targets = ("novaphy_io", "novaphy_diff", "plugin_fake_ahead", "fake_driver")
+    tree = build("dev", "-DNOVAPHY_WITH_IO=ON", targets=targets)
+    fake = tree / "tests" / "fake_driver"
+    device = environment(
+        LD_LIBRARY_PATH=str(tree / "lib"),
+        NOVAPHY_BACKEND_PATH=str(fake / "fake_ahead"),
+        NOVAPHY_CUDA_DRIVER=str(fake / "libfake_driver.so"),
+        NOVAPHY_CACHE_DIR="off",
+    )
+    with results.timed("tests"):
+        run("hashes", *compare, "--device", "cuda:0", env=device)
+
+
 def build_slice(preset: str, *options: str, cases: str = "", folders: str = "none") -> Path:
     """Build a slice and look at its libraries; its options change only some cases of the tests."""
     tree = build(preset, f"-DNOVAPHY_TESTS={folders}", *options)
@@ -488,7 +508,7 @@ def install() -> None:
 
 @step
 def asan() -> None:
-    """The differentiable engine under AddressSanitizer and UndefinedBehaviorSanitizer."""
+    """The preset debug under AddressSanitizer and UndefinedBehaviorSanitizer."""
     build("asan", "-DNOVAPHY_QUICK_BUILD=ON")
     ctest("asan", "--preset", "asan")
 

@@ -10,6 +10,7 @@
 #include "fcl_penetration.h"
 #include "novaphy/collision/box_pairs.h"
 #include "novaphy/core/array_stamp.h"
+#include "novaphy/core/assert.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
@@ -155,6 +156,7 @@ struct RigidContacts::Impl {
       std::sort(found.begin(), found.end(), before_other);
     make_room(found.size());
     pair_count = static_cast<int64_t>(found.size());
+    NOVAPHY_ASSERT(found.size() <= pairs.rows());
     take_mesh_pairs(found);
     found.resize(pairs.rows());
     pairs.copy_from_host(std::span<const Vec2i>(found));
@@ -235,6 +237,7 @@ struct RigidContacts::Impl {
   int64_t rows_found() const {
     const Unobserved unobserved;
     const int64_t last = pair_count - 1;
+    NOVAPHY_ASSERT(std::is_sorted(before.data(), before.data() + pair_count));
     return int64_t{before.data()[last]} + counts.data()[last];
   }
   // Leaves out the rows that are farthest apart where there are more than `capacity`.

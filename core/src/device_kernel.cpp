@@ -5,6 +5,8 @@
 #include <cstring>
 #include <map>
 
+#include "novaphy/core/assert.h"
+
 namespace novaphy {
 namespace {
 
@@ -125,6 +127,9 @@ void DeviceKernel::launch(Device device, int64_t n,
   for (size_t k = 0; k < arguments.size(); ++k) {
     const LaunchArgument& a = arguments[k];
     words[k] = a.word;
+    // A word of an array is an address within it.
+    NOVAPHY_ASSERT(a.range == nullptr ||
+                   a.word - reinterpret_cast<uint64_t>(a.range->data()) <= a.range->bytes());
     if (a.range == nullptr) {
       require(a.row_bytes == 0, ErrorKind::Value, name_, ", ", a.name, ": expected at least ", n,
               " rows, got none");

@@ -1,6 +1,9 @@
 #include "novaphy/core/error.h"
 
 #include <cstdio>
+#include <cstdlib>
+
+#include "novaphy/core/assert.h"
 
 namespace novaphy {
 
@@ -19,6 +22,11 @@ void throw_error(ErrorKind kind, std::span<const MessagePart> parts) {
   std::string message;
   for (const MessagePart& part : parts) message += part.text();
   throw Error(kind, message);
+}
+
+void assertion_failed(const char* condition, const char* file, int line) noexcept {
+  std::fprintf(stderr, "%s:%d: NOVAPHY_ASSERT(%s) does not hold\n", file, line, condition);
+  std::abort();
 }
 
 }  // namespace novaphy

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "allocator.h"
+#include "novaphy/core/assert.h"
 #include "novaphy/core/backend.h"
 #include "novaphy/core/error.h"
 
@@ -11,6 +12,13 @@ namespace novaphy {
 namespace {
 
 thread_local ArrayObserver* t_observer = nullptr;
+
+// What stands in memory whose contents are undefined; 0: what stood there before.
+#ifdef NOVAPHY_DEBUG
+constexpr uint64_t kPoison = 0x7fa0'0000'7fa0'0000;  // two signaling NaNs
+#else
+constexpr uint64_t kPoison = 0;
+#endif
 
 bool overlap(size_t offset_a, size_t bytes_a, size_t offset_b, size_t bytes_b) {
   return offset_a < offset_b + bytes_b && offset_b < offset_a + bytes_a && bytes_a != 0 &&
@@ -82,12 +90,12 @@ std::shared_ptr<Storage> Storage::allocate(size_t bytes, Device device, bool zer
   storage->device_ = device;
   storage->bytes_ = bytes;
   storage->data_ = Allocator::get().allocate(context, bytes);
-  if (bytes != 0 && zeroed) {
+  if (bytes != 0 && (zeroed || kPoison != 0)) {
     novaphy_error error = make_error();
     // Whole words: a block is at least a multiple of 8 bytes.
-    check(
-        context.api->memory_fill(context.stream, storage->data_, 0, 8, (bytes + 7) / 8 * 8, &error),
-        error, "Storage.allocate");
+    check(context.api->memory_fill(context.stream, storage->data_, zeroed ? 0 : kPoison, 8,
+                                   (bytes + 7) / 8 * 8, &error),
+          error, "Storage.allocate");
   }
   return storage;
 }
@@ -139,6 +147,9 @@ std::shared_ptr<Range> Storage::range(size_t offset, size_t bytes) {
     made->has_overlaps_.store(!made->overlaps_.empty(), std::memory_order_release);
     for (; exports > 0; --exports) made->export_begins();
     at = ranges_.insert(at, std::move(made));
+    NOVAPHY_ASSERT(std::is_sorted(ranges_.begin(), ranges_.end(), [](const auto& a, const auto& b) {
+      return std::pair(a->offset_, a->bytes_) < std::pair(b->offset_, b->bytes_);
+    }));
   }
   return std::shared_ptr<Range>(shared_from_this(), at->get());
 }

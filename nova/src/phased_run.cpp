@@ -5,6 +5,7 @@
 #include <mutex>
 
 #include "fusion.h"
+#include "novaphy/core/assert.h"
 #include "novaphy/core/parallel.h"
 #include "phases.h"
 
@@ -71,6 +72,8 @@ PhasedRun::PhasedRun(const novaphy::DeviceContext& context, std::span<OpList::Op
         {first, k, p.phase, p.rows, parts_of(ops_.subspan(first, k - first), p.rows)});
   }
   make_chunks();
+  for (const Chain& chain : chains_)  // the parts share out the rows
+    NOVAPHY_ASSERT(chain.begin(0) == 0 && chain.begin(chain.parts) == chain.rows);
 }
 
 // In whole groups of rows.
@@ -102,6 +105,7 @@ void PhasedRun::make_chunks() {
                      [&](const Chunk& a, const Chunk& b) { return place(a) < place(b); });
     ends_.push_back(static_cast<int64_t>(chunks_.size()));
   }
+  NOVAPHY_ASSERT(std::is_sorted(ends_.begin(), ends_.end()));
 }
 
 struct PhasedRun::Failure {

@@ -6,6 +6,7 @@
 #include <thread>
 #include <vector>
 
+#include "novaphy/core/assert.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/exclusive_use.h"
 #include "novaphy/core/storage.h"
@@ -27,6 +28,29 @@ TEST(Storage, IsAlignedAndZeroFilledAlsoWhenTheBlockIsReused) {
     std::memset(bytes, 0xAB, 1000);
     if (round == 1) release_cached_memory();
   }
+}
+
+// The preset debug finds whoever reads what nobody wrote.
+TEST(Storage, UndefinedMemoryHoldsSignalingNaNInADebugBuild) {
+#ifdef NOVAPHY_DEBUG
+  Storage::allocate(1000, Device::cpu());  // leaves a block of zeros behind
+  const auto storage = Storage::allocate(1000, Device::cpu(), false);
+  const auto* const words = static_cast<const uint32_t*>(storage->data());
+  for (int k = 0; k < 250; ++k) ASSERT_EQ(words[k], 0x7fa00000u);
+#else
+  GTEST_SKIP() << "NOVAPHY_DEBUG is off";
+#endif
+}
+
+TEST(Assert, ABrokenInvariantEndsTheProcessInADebugBuild) {
+  int calls = 0;
+  const auto broken = [&] { return ++calls < 0; };
+#ifdef NOVAPHY_DEBUG
+  EXPECT_DEATH(NOVAPHY_ASSERT(broken()), R"(NOVAPHY_ASSERT\(broken\(\)\) does not hold)");
+#else
+  NOVAPHY_ASSERT(broken());
+#endif
+  EXPECT_EQ(calls, 0) << "not evaluated here";
 }
 
 TEST(Storage, ZeroBytesAreLegal) {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "novaphy/core/assert.h"
 #include "novaphy/core/error.h"
 #include "novaphy/vbd/slot_numbers_trace.h"
 
@@ -135,6 +136,9 @@ void ColorSlots::collect(const Model& model) {
       tables_[roles[c]].of_particles[static_cast<size_t>(place++)] = {e, c};
     }
   });
+  for (int role = 0; role < kRoles; ++role)  // the slots of a particle end where the next begin
+    NOVAPHY_ASSERT(std::equal(next[role].begin(), next[role].end() - 1,
+                              tables_[role].particle_begin.begin() + 1));
 }
 
 void ColorSlots::find_conflicts(const std::vector<int32_t>& colors, const Model& model) {
@@ -179,6 +183,7 @@ void ColorSlots::make_groups(const std::vector<int32_t>& colors) {
     }
     color_begin_.push_back(static_cast<int64_t>(filled_.size()));
   }
+  NOVAPHY_ASSERT(particle_.size() == filled_.size() * static_cast<size_t>(lanes_));
 }
 
 void ColorSlots::lay_slots(const Model& model) {
@@ -227,6 +232,9 @@ void ColorSlots::lay_slots(const Model& model) {
       }
       table.begin.push_back(table.begin.back() + most);
     }
+    NOVAPHY_ASSERT(table.begin.size() == filled_.size() + 1);
+    NOVAPHY_ASSERT(table.sources.size() == static_cast<size_t>(table.begin.back()) * lanes);
+    NOVAPHY_ASSERT(table.ints.size() == table.sources.size() * ints);
     table.corners = static_cast<size_t>(kind.corners);
     table.places.assign(kind.indices.rows() * table.corners, -1);
     for (size_t k = 0; k < table.sources.size(); ++k)

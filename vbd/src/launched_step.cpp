@@ -7,6 +7,7 @@
 #include <string_view>
 #include <utility>
 
+#include "novaphy/core/assert.h"
 #include "novaphy/core/error.h"
 #include "step_options.h"
 #include "vbd_gradient_kernels.h"
@@ -179,6 +180,7 @@ void LaunchedStep::build_tables(float dt) {
   t->colors = slots_.color_begin();
   t->has_conflicts = slots_.has_conflicts();
   const auto groups = static_cast<size_t>(t->colors.back());
+  NOVAPHY_ASSERT(std::is_sorted(t->colors.begin(), t->colors.end()));
   for (size_t c = 0; c + 1 < t->colors.size(); ++c)
     t->most_groups = std::max(t->most_groups, t->colors[c + 1] - t->colors[c]);
   t->particle = upload<int32_t>(host.particle, groups * lanes, device);

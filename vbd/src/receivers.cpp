@@ -1,6 +1,9 @@
 #include "receivers.h"
 
+#include <algorithm>
 #include <numeric>
+
+#include "novaphy/core/assert.h"
 
 namespace novaphy::vbd {
 
@@ -73,6 +76,8 @@ void Receivers::build(const ColorSlots& slots, int32_t particle_count, bool own_
     color_begin.push_back(static_cast<int64_t>(particle.size()));
   }
   begin.push_back(static_cast<int64_t>(entries.size()));
+  NOVAPHY_ASSERT(begin.size() == particle.size() + 1 && others.size() == particle.size());
+  NOVAPHY_ASSERT(std::is_sorted(begin.begin(), begin.end()));
 }
 
 }  // namespace novaphy::vbd

@@ -1,5 +1,6 @@
 #include "step_contacts.h"
 
+#include "novaphy/core/assert.h"
 #include "novaphy/core/error.h"
 #include "novaphy/vbd/contact_numbers_trace.h"
 
@@ -47,6 +48,7 @@ void StepContacts::update(const Model& model, const Contacts* contacts, float dt
                         {ke[s], kd[s], mu[s]}, dt);
     row += kContactFloats;
   }
+  NOVAPHY_ASSERT(row == numbers_.data() + numbers_.size());
 }
 
 void StepContacts::fill(Sweep& sweep) const {

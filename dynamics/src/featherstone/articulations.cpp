@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "articulation_kernels.h"
+#include "novaphy/core/assert.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/joint_args.h"
 #include "novaphy/core/sim/on_host.h"
@@ -102,6 +103,7 @@ class TreeMaker {
                                           model_.joint_dof_dim.data()[joint].x};
     for (int32_t k = 0; k < articulation::link_count(rows); ++k) {
       links.push_back(articulation::joint_link(rows, k, parent));
+      NOVAPHY_ASSERT(parent >= -1 && parent < link_count() - 1);  // a parent comes first
       if (kinematic && type == JointType::FREE) links.back().joint = LinkJoint::Kinematic;
       parent = link_count() - 1;
     }
@@ -132,6 +134,7 @@ class TreeMaker {
     }
     Link& link = links[static_cast<size_t>(first_ + link_of(joint))];
     link.leader = link_of(leader);
+    NOVAPHY_ASSERT(link.leader >= 0 && link.leader < link_count());
     link.multiplier = multiplier;
     link.offset = offset;
   }
@@ -145,6 +148,8 @@ class TreeMaker {
         if (link.dofs > 0) above = link.dof - first_dof + link.dofs - 1;
         p = link.parent;
       }
+      NOVAPHY_ASSERT(links[i].dofs == 0 ||
+                     links[i].dof == static_cast<int32_t>(dof_parent.size()));  // in their order
       for (int32_t k = 0; k < links[i].dofs; ++k) {
         dof_parent.push_back(k == 0 ? above : links[i].dof - first_dof + k - 1);
         joint_of_dof.push_back(links[i].joint);

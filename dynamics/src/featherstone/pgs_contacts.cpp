@@ -3,6 +3,7 @@
 #include <cstring>
 #include <utility>
 
+#include "novaphy/core/assert.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "pgs_contacts_step.h"
@@ -33,6 +34,7 @@ PgsContacts::PgsContacts(const Model& m, const Articulations& articulations)
   }
   memory_.resize(static_cast<size_t>(words));
   rates_.resize(static_cast<size_t>(rates));
+  NOVAPHY_ASSERT(std::is_sorted(memory_begin_.begin(), memory_begin_.end()));
   kept_friction_.resize(static_cast<size_t>(m.joint_dof_count()));
   root_.resize(static_cast<size_t>(count_));
   island_of_tree_.resize(static_cast<size_t>(count_));
@@ -161,6 +163,8 @@ void PgsContacts::find_islands() {
   for (const Friction& f : friction_) island_of_friction_.push_back(island(f.tree));
   island_rows_.build(island_of_row_, islands);
   island_friction_.build(island_of_friction_, islands);
+  NOVAPHY_ASSERT(island_rows_.all().size() == rows_.size());  // every row is of an island
+  NOVAPHY_ASSERT(island_friction_.all().size() == friction_.size());
   island_results_.assign(static_cast<size_t>(islands), {});
   island_joined_.assign(static_cast<size_t>(islands), 0);
   island_solved_.assign(static_cast<size_t>(islands), 0);
@@ -195,6 +199,7 @@ void PgsContacts::split_trees(bool alone) {
   }
   for (size_t i = 0; i < island_joined_.size(); ++i)
     if (!alone || island_joined_[i] != 0) islands_together_.push_back(static_cast<int32_t>(i));
+  NOVAPHY_ASSERT(alone_.size() + together_.size() == static_cast<size_t>(count_));
 }
 
 int32_t PgsContacts::count(int64_t tree) const {
@@ -309,6 +314,7 @@ void PgsContacts::place_friction() {
                          numbers_.data() + numbers, width(f.tree), f.dof};
     numbers += width(f.tree);
   }
+  NOVAPHY_ASSERT(numbers <= static_cast<int64_t>(numbers_.size()));
 }
 void PgsContacts::build_friction(const Step& s, int32_t i) {
   const Friction& f = friction_[static_cast<size_t>(i)];

@@ -7,6 +7,7 @@
 #include <memory>
 #include <utility>
 
+#include "novaphy/core/assert.h"
 #include "novaphy/core/cpu_level.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
@@ -175,6 +176,9 @@ void TreeSteps::constants_of(const Model& m, int32_t tree, float* to, int32_t st
     const auto* from = static_cast<const float*>(arrays[static_cast<size_t>(c)]->range()->data()) +
                        static_cast<int64_t>(row) * of.width;
     const int32_t begin = shape.constant_begin[c], end = shape.constant_begin[c + 1];
+    NOVAPHY_ASSERT((end - begin) % of.width == 0);
+    NOVAPHY_ASSERT(static_cast<size_t>(row) * of.width + (end - begin) <=
+                   arrays[static_cast<size_t>(c)]->bytes() / sizeof(float));
     for (int32_t i = begin; i < end; ++i) to[static_cast<int64_t>(i) * stride] = from[i - begin];
   }
 }
@@ -247,8 +251,10 @@ void TreeSteps::make_packs(std::span<const int32_t> trees, const TreeContacts* c
       if (first_[tree].group != group || is_coupled(sorted_[i]) != coupled) break;
       pack.contacts = std::max(pack.contacts, counts_[tree]);
     }
+    NOVAPHY_ASSERT(pack.count > 0 && pack.contacts <= kMostTreeContacts);
     packs_.push_back(pack);
   }
+  NOVAPHY_ASSERT(sorted_.size() == trees.size());
 }
 
 namespace {

@@ -6,6 +6,8 @@
 #include <span>
 #include <vector>
 
+#include "novaphy/core/assert.h"
+
 namespace novaphy {
 
 class IndexRows {
@@ -16,6 +18,7 @@ class IndexRows {
     size_t present = 0;
     for (const int32_t entry : entries) {
       if (entry < 0) continue;
+      NOVAPHY_ASSERT(entry < rows);
       ++begin_[static_cast<size_t>(entry) + 1];
       ++present;
     }
@@ -29,6 +32,7 @@ class IndexRows {
     }
     for (size_t k = begin_.size() - 1; k > 0; --k) begin_[k] = begin_[k - 1];
     begin_[0] = 0;
+    NOVAPHY_ASSERT(begin_.back() == static_cast<int64_t>(present));
   }
   void clear() { items_.clear(); }
 

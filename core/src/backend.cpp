@@ -11,6 +11,7 @@
 #include <memory>
 #include <mutex>
 
+#include "launch_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/parallel.h"
 #include "novaphy/cpu/query.h"
@@ -183,6 +184,7 @@ void Registry::say_interpreted() {
 
 const DeviceContext& Registry::open(Device device) {
   num_threads();  // a bad NOVAPHY_NUM_THREADS is reported here, where throwing is allowed
+  open_launch_trace();
   const std::lock_guard lock(mutex_);
   search();
   auto& slot = contexts_[static_cast<size_t>(device.type)][static_cast<size_t>(device.ordinal)];

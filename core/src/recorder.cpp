@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "novaphy/core/device_array.h"
+#include "novaphy/core/launch_trace.h"
 
 namespace novaphy {
 
@@ -30,13 +31,31 @@ void submit_launch(const Launch& launch) {
     if (argument.write && argument.range) argument.range->mark_written();
 }
 
-void launch_now(const DeviceContext& context, novaphy_kernel* kernel, const char* name, int64_t n,
-                std::span<const uint64_t> words) {
+namespace {
+
+[[gnu::always_inline]] inline void run_launch(const DeviceContext& context, novaphy_kernel* kernel,
+                                              const char* name, int64_t n,
+                                              std::span<const uint64_t> words) {
   novaphy_error error = make_error();
   const novaphy_status status = context.api->launch(context.stream, kernel, n, words.data(),
                                                     static_cast<uint32_t>(words.size()), &error);
   if (status != NOVAPHY_OK) [[unlikely]]
     check(status, error, name);
+}
+
+// By itself, so that a launch that is not traced keeps its registers.
+[[gnu::noinline]] void run_as_event(const DeviceContext& context, novaphy_kernel* kernel,
+                                    const char* name, int64_t n, std::span<const uint64_t> words) {
+  traced_launch(context, name, n, [&] { run_launch(context, kernel, name, n, words); });
+}
+
+}  // namespace
+
+void launch_now(const DeviceContext& context, novaphy_kernel* kernel, const char* name, int64_t n,
+                std::span<const uint64_t> words) {
+  if (detail::launches_are_traced) [[unlikely]]
+    return run_as_event(context, kernel, name, n, words);
+  run_launch(context, kernel, name, n, words);
 }
 
 }  // namespace novaphy

@@ -6,6 +6,7 @@
 #include <map>
 
 #include "fusion.h"
+#include "novaphy/core/launch_trace.h"
 #include "novaphy/core/parallel.h"
 #include "optional_entry.h"
 #include "phases.h"
@@ -18,8 +19,10 @@ int64_t active_rows(const OpList::Op& op, int64_t begin, int64_t rows) {
   return op.active ? std::clamp<int64_t>(*op.active - begin, 0, rows) : rows;
 }
 
-novaphy_status issue(const DeviceContext& context, novaphy_stream* stream, const OpList::Op& op,
-                     const uint64_t* words, novaphy_error& error) {
+namespace {
+
+novaphy_status enqueue(const DeviceContext& context, novaphy_stream* stream, const OpList::Op& op,
+                       const uint64_t* words, novaphy_error& error) {
   const novaphy_backend_api& api = *context.api;
   const auto bytes = static_cast<uint64_t>(op.n);
   switch (op.kind) {
@@ -38,13 +41,22 @@ novaphy_status issue(const DeviceContext& context, novaphy_stream* stream, const
   return NOVAPHY_OK;
 }
 
+}  // namespace
+
+novaphy_status issue(const DeviceContext& context, const OpList::Op& op, const uint64_t* words,
+                     novaphy_error& error) {
+  const auto run = [&] { return enqueue(context, context.stream, op, words, error); };
+  return op.kind == OpList::Op::Kind::Launch ? novaphy::traced_launch(context, op.name, op.n, run)
+                                             : run();
+}
+
 void issue_in_order(const DeviceContext& context, std::span<const OpList::Op> ops,
                     std::span<const uint64_t> words) {
   constexpr size_t kOpsPerInterruptCheck = 64;
   novaphy_error error = novaphy::make_error();
   for (size_t k = 0; k < ops.size(); ++k) {
     if (k % kOpsPerInterruptCheck == 0) novaphy::check_interrupt();
-    const novaphy_status status = issue(context, context.stream, ops[k], words.data(), error);
+    const novaphy_status status = issue(context, ops[k], words.data(), error);
     if (status != NOVAPHY_OK) [[unlikely]]
       novaphy::check(status, error, ops[k].name);
   }
@@ -187,7 +199,7 @@ novaphy_status DeviceGraph::issue_all(novaphy_stream* stream, std::span<const Op
   for (uint32_t k = 0; k < ops.size();) {
     const bool whole = list != lists_.end() && list->first == k;
     const novaphy_status status = whole ? context_.api->list_launch(list->list, stream, &error)
-                                        : issue(context_, stream, ops[k], words.data(), error);
+                                        : enqueue(context_, stream, ops[k], words.data(), error);
     name = ops[k].name;
     if (status != NOVAPHY_OK) return status;
     k = whole ? (list++)->last : k + 1;
@@ -251,7 +263,10 @@ DeviceGraph::~DeviceGraph() {
 
 void DeviceGraph::launch() const {
   novaphy_error error = novaphy::make_error();
-  novaphy::check(context_.api->graph_launch(graph_, context_.stream, &error), error, "graph");
+  const novaphy_status status = novaphy::traced_launch(context_, "graph", 1, [&] {
+    return context_.api->graph_launch(graph_, context_.stream, &error);
+  });
+  novaphy::check(status, error, "graph");
 }
 
 }  // namespace nova::detail

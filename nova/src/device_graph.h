@@ -15,9 +15,9 @@
 
 namespace nova::detail {
 
-// Issues one operation to a stream. OK, or the backend's status and message.
-novaphy_status issue(const novaphy::DeviceContext& context, novaphy_stream* stream,
-                     const OpList::Op& op, const uint64_t* words, novaphy_error& error);
+// Issues one operation to the device's stream. OK, or the backend's status and message.
+novaphy_status issue(const novaphy::DeviceContext& context, const OpList::Op& op,
+                     const uint64_t* words, novaphy_error& error);
 
 // Of the rows [begin, begin + rows) of a launch, on a device whose memory the host may dereference,
 // how many are to be computed now.

@@ -8,6 +8,8 @@
 
 #include "device_graph.h"
 #include "intervals.h"
+#include "novaphy/core/assert.h"
+#include "novaphy/core/launch_trace.h"
 #include "novaphy/core/parallel.h"
 #include "optional_entry.h"
 #include "phased_run.h"
@@ -60,7 +62,11 @@ void run_block(FusedRun& run, int64_t block) {
     const OpList::Op& op = run.ops[k];
     const bool many = next != end && next->first == k;
     const novaphy_status status =
-        many ? run.context.api->scan_launch(next->scan, begin, begin + rows, &error)
+        many ? novaphy::traced_launch(run.context, op.name, rows,
+                                      [&] {
+                                        return run.context.api->scan_launch(next->scan, begin,
+                                                                            begin + rows, &error);
+                                      })
              : run_rows(run.context, op, run.words.data(), n, begin, rows, error);
     if (status != NOVAPHY_OK) [[unlikely]] {
       run.note(block, status, error, op, many);
@@ -127,17 +133,20 @@ uint32_t end_of_scan(std::span<const OpList::Op> ops, const Segment& segment, ui
 novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op& op,
                         const uint64_t* words, int64_t n, int64_t begin, int64_t rows,
                         novaphy_error& error) {
-  if (rows == n) return issue(context, context.stream, op, words, error);
+  if (rows == n) return issue(context, op, words, error);
   const novaphy_backend_api& api = *context.api;
   if (op.kind == OpList::Op::Kind::Launch) {
     uint64_t arguments[kMaxFusedWords];
     const int64_t factor = op.n / n;
     const auto skip = static_cast<uint64_t>(begin * factor);
+    NOVAPHY_ASSERT(op.n % n == 0 && op.word_count <= kMaxFusedWords && op.layout != nullptr);
     std::memcpy(arguments, words + op.first_word, op.word_count * sizeof(uint64_t));
     for (const auto* list : {&op.layout->inputs, &op.layout->outputs, &op.layout->tables})
       for (const RowLayout::Word& w : *list) arguments[w.word] += skip * w.row_bytes;
-    return api.launch(context.stream, op.kernel, active_rows(op, begin * factor, rows * factor),
-                      arguments, op.word_count, &error);
+    return novaphy::traced_launch(context, op.name, rows * factor, [&] {
+      return api.launch(context.stream, op.kernel, active_rows(op, begin * factor, rows * factor),
+                        arguments, op.word_count, &error);
+    });
   }
   const int64_t row_bytes = op.n / n;
   const auto skip = static_cast<uint64_t>(begin * row_bytes);

@@ -251,8 +251,7 @@ void submit_launch(const DeviceContext& context, novaphy_kernel* kernel, const c
     if (recording()) return record(context, op, words, accesses);
     op.word_count = static_cast<uint32_t>(words.size());
     novaphy_error error = novaphy::make_error();
-    return novaphy::check(detail::issue(context, context.stream, op, words.data(), error), error,
-                          name);
+    return novaphy::check(detail::issue(context, op, words.data(), error), error, name);
   }
   launch_now(context, kernel, name, n, words);
 }

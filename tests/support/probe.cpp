@@ -5,6 +5,7 @@
 
 #include "novaphy/core/backend.h"
 #include "novaphy/core/device_array.h"
+#include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/parallel.h"
 
@@ -28,6 +29,12 @@ int run(const std::string& command, const std::string& argument) {
   } else if (command == "open") {
     novaphy::require_device(novaphy::Device::parse(argument));
     std::printf("opened\n");
+  } else if (command == "launch") {  // of a builtin
+    const auto in = novaphy::DeviceArray<int32_t>(4), out = novaphy::DeviceArray<int32_t>(4);
+    const novaphy::DeviceKernel kernel(argument.c_str());
+    kernel.launch(novaphy::Device::cpu(), 4,
+                  {novaphy::reads("in", in), novaphy::writes("out", out)});
+    std::printf("launched\n");
   } else if (command == "load") {
     const novaphy::BackendInfo info = novaphy::load_backend(argument);
     std::printf("%s %s %s\n", info.name.c_str(), info.version.c_str(),

@@ -2,9 +2,9 @@
 // name.
 #include <cmath>
 
-#include "allocations.h"
 #include "novaphy/nova/op_list.h"
 #include "optim_support.h"
+#include "support/allocations.h"
 
 namespace novaphy::testing {
 namespace {

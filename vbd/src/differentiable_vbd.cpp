@@ -104,6 +104,7 @@ struct DifferentiableVbd::Work {
   vbd::TangentPass tangent;
   const VbdGradientOptions gradient;
   Solved solved;
+  vbd::GradientMemory memory;
   std::vector<Vec3f> q_out, qd_out;
   bool has_info = false;
   VbdGradientInfo info;
@@ -175,7 +176,7 @@ void DifferentiableVbd::backward(const VbdStepInputs& in, const Vec3f* q_out_bar
     w.reverse.unrolled(q_out_bar, qd_out_bar);
     w.tell();
   }
-  vbd::put_gradients(w.reverse, in, gradients, w.gradient.implicit);
+  vbd::put_gradients(w.reverse, in, gradients, w.gradient.implicit, w.memory);
 }
 
 void DifferentiableVbd::forward(const VbdLaunchInputs& in, const DeviceArray<Vec3f>& q_out,

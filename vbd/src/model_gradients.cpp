@@ -18,12 +18,20 @@ void for_rows(void (*kernel)(const Arguments&, int64_t, int64_t), const Argument
 class Gradients {
  public:
   Gradients(const ReversePass& from, const VbdStepInputs& inputs, const VbdStepGradients& to,
-            bool solved)
-      : pass(from), in(inputs), g(to), m(from.step.model), h{inputs.dt, 0}, at_solution(solved) {}
+            bool solved, GradientMemory& keep)
+      : pass(from),
+        in(inputs),
+        g(to),
+        m(from.step.model),
+        h{inputs.dt, 0},
+        at_solution(solved),
+        memory(keep) {}
 
   void put_state() const {
     const bool guessed = !at_solution && pass.step.looked_back();
-    Rows by_gravity(g.gravity != nullptr ? pass.x_bar.size() : 0), by_last(pass.x_bar.size());
+    Rows &by_gravity = memory.by_gravity, &by_last = memory.by_last;
+    by_gravity.resize(g.gravity != nullptr ? pass.x_bar.size() : 0);
+    by_last.resize(pass.x_bar.size());
     for_rows<VbdParticleGradientArguments>(
         vbd_particle_gradient_row,
         {pass.step.slots.held_flags().data(),
@@ -59,7 +67,8 @@ class Gradients {
       }
     }
     if (g.gravity == nullptr) return;
-    const IndexRows of_worlds = particles_of_worlds(m);
+    IndexRows& of_worlds = memory.of_worlds;  // which stay as they are
+    if (of_worlds.empty()) of_worlds = particles_of_worlds(m);
     for_rows<VbdGravityGradientArguments>(
         vbd_gravity_gradient_row,
         {of_worlds.begins().data(), of_worlds.all().data(), by_gravity.data(), g.gravity},
@@ -97,10 +106,11 @@ class Gradients {
       for_rows<VbdRadiusGradientArguments>(vbd_radius_gradient_row,
                                            {pass.step.sweep.contact_begin, bars, g.particle_radius},
                                            static_cast<size_t>(m.particle_count()));
-    std::vector<int32_t> shape_of_contact;
+    std::vector<int32_t>& shape_of_contact = memory.shape_of_contact;
+    shape_of_contact.clear();
     for (const int32_t slot : contacts.slots())
       shape_of_contact.push_back(in.contacts->soft_contact_shape.data()[slot]);
-    IndexRows of_shapes;
+    IndexRows& of_shapes = memory.of_shapes;
     of_shapes.build(shape_of_contact, m.shape_count());
     for_rows<VbdShapeGradientArguments>(vbd_shape_gradient_row,
                                         {of_shapes.begins().data(),
@@ -123,6 +133,7 @@ class Gradients {
   const Model& m;
   FloatWord h;
   bool at_solution;
+  GradientMemory& memory;
 };
 
 }  // namespace
@@ -145,8 +156,8 @@ bool wants_damping(const VbdStepArrays& g) {
 }
 
 void put_gradients(const ReversePass& pass, const VbdStepInputs& inputs,
-                   const VbdStepGradients& gradients, bool at_solution) {
-  const Gradients g(pass, inputs, gradients, at_solution);
+                   const VbdStepGradients& gradients, bool at_solution, GradientMemory& memory) {
+  const Gradients g(pass, inputs, gradients, at_solution, memory);
   g.put_state();
   g.put_elements();
   g.put_contacts();

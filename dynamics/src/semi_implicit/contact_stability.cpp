@@ -370,10 +370,8 @@ void ContactWatch::find_changed(const TouchingRows& rows, const Model& model, fl
 
 void ContactWatch::check_depths(const TouchingRows& rows, const Model& model) {
   constexpr float kDeep = 0.25f;  // of the radius of gyration
-  struct Load {
-    float depth = 0.0f, lift = 0.0f;
-  };
-  std::vector<Load> loads(rows.q.size());
+  std::vector<Load>& loads = loads_;
+  loads.assign(rows.q.size(), {});
   const OnHost<Vec3f> gravity(model.gravity);
   const OnHost<int32_t> world(model.body_world);
   const auto gravity_of = [&](size_t b) {
@@ -448,13 +446,14 @@ void ContactWatch::look_at_pairs(const Model& model, float dt) {
 
 void ContactWatch::check_poses(const SimState& state) {
   if (warned_of_pose_) return;
-  const std::vector<Transformf> q = state.body_q.to_host();
-  const auto bad = std::find_if(q.begin(), q.end(), [](const Transformf& x) {
+  const OnHost<Transformf> poses(state.body_q);
+  const Transformf *const q = poses.data(), *const end = q + poses.size();
+  const auto bad = std::find_if(q, end, [](const Transformf& x) {
     return !std::isfinite(((x.p.x + x.p.y) + x.p.z) + ((x.q.x + x.q.y) + (x.q.z + x.q.w)));
   });
-  if (bad == q.end()) return;
+  if (bad == end) return;
   warned_of_pose_ = true;
-  warn_of(function_, ": body_q[", bad - q.begin(),
+  warn_of(function_, ": body_q[", bad - q,
           "]: expected finite numbers; the body meets nothing as it is");
 }
 

@@ -81,6 +81,10 @@ class NOVAPHY_DYNAMICS_API ContactWatch {
     int32_t next = 0;      // of seen
     int32_t changed = -1;  // its place among those that changed
   };
+  // Of a body: its deepest contact that carries it, and what springs carry of its weight, N.
+  struct Load {
+    float depth = 0.0f, lift = 0.0f;
+  };
   void find_changed(const detail::TouchingRows& rows, const Model& model, float dt);
   void check(const ContactLimit& limit, float dt);
   void check_friction(const ContactLimit& limit, float dt);
@@ -95,6 +99,7 @@ class NOVAPHY_DYNAMICS_API ContactWatch {
   ArrayStamp read_[5];                       // as they were
   std::vector<Touched> touched_;             // of bodies
   std::vector<int32_t> touching_, changed_;  // bodies
+  std::vector<Load> loads_;                  // of bodies
 };
 
 }  // namespace novaphy

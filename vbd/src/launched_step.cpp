@@ -406,7 +406,6 @@ void LaunchedStep::iterate_once(bool with_contacts, Mover how) const {
 }
 
 void LaunchedStep::iterate(bool with_contacts, std::span<const DeviceArray<Vec4f>> iterates) const {
-  const Tables& t = *tables_;
   const Device device = model_.device();
   const Mover how = mover();
   for (int32_t k = 1; k <= options_.iterations; ++k) {

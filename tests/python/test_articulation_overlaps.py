@@ -450,3 +450,44 @@ def test_gradients_of_shifts_are_those_of_differences(depth: float) -> None:
         step = 0.05 * np.eye(6)[k]
         by = (run(q0, qd0 + step) - run(q0, qd0 - step)) / 0.1
         assert by_qd[k] == pytest.approx(by, abs=2e-2 * float(np.abs(by_qd).max()))
+
+
+@needs_diff
+def test_shifts_do_not_change_when_all_masses_grow_alike() -> None:
+    from novaphy import diff, nova
+
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.5, density=0.0)
+    builder.add_ground_plane(cfg=surface)
+    links = [builder.add_link(mass=m, inertia=np.eye(3) * 0.01 * m) for m in (5.0, 1.0)]
+    at = ((0.4, 0.0, 0.0), UPRIGHT)
+    joints = [
+        builder.add_joint_revolute(
+            -1, links[0], axis=(0, 1, 0), parent_xform=((0, 0, 0.1), UPRIGHT)
+        ),
+        builder.add_joint_revolute(links[0], links[1], axis=(0, 1, 0), parent_xform=at),
+    ]
+    builder.add_articulation(joints)
+    builder.add_shape_sphere(links[1], radius=0.11, xform=((0.3, 0.0, 0.0), UPRIGHT), cfg=surface)
+    model = builder.finalize(requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_tolerance=1e-8)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    state, after = model.state(), model.state()
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    pipeline.collide(state, contacts)
+    model.body_mass.requires_grad = model.body_inertia.requires_grad = True
+    leaves = [diff.model_body_mass_tensor(model), diff.model_body_inertia_tensor(model)]
+    with nova.Tape() as tape:
+        solver.step(state, after, None, contacts, 2e-3)
+        loss = nova.sum(diff.state_joint_q_tensor(after))
+    tape.backward(loss)
+    shift = float(np.abs(after.joint_q.numpy()).max())
+    parts = [
+        a.numpy().astype(float) * a.grad.numpy() for a in (model.body_mass, model.body_inertia)
+    ]
+    assert shift > 1e-3 and np.abs(parts[0]).max() > 1e-2 * shift
+    assert abs(parts[0].sum() + parts[1].sum()) < 1e-4 * shift
+    alike = [nova.tensor(a.numpy()) for a in (model.body_mass, model.body_inertia)]
+    along = tape.jvp([loss], leaves, alike)
+    assert abs(float(along[0].item())) < 1e-4 * shift

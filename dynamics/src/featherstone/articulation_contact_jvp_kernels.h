@@ -6,6 +6,7 @@
 #include "novaphy/dynamics/articulation/contact_groups.h"
 #include "novaphy/dynamics/articulation/contact_jvp.h"
 #include "novaphy/dynamics/articulation/jvp_arguments.h"
+#include "novaphy/dynamics/articulation/matrix_trees.h"
 
 namespace novaphy {
 

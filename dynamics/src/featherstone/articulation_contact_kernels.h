@@ -10,6 +10,7 @@
 
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/dynamics/articulation/contact_groups.h"
+#include "novaphy/dynamics/articulation/matrix_trees.h"
 
 namespace novaphy {
 
@@ -303,9 +304,9 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
   });
   if (articulation::far_from_converged(result.residual, result.largest, s.all.tolerance.value))
     notes.far = 1;
-  articulation::raise(notes.all.residual,
-                      articulation::relative_residual(result.residual, result.largest,
-                                                      s.all.tolerance.value));
+  articulation::raise(
+      notes.all.residual,
+      articulation::relative_residual(result.residual, result.largest, s.all.tolerance.value));
   return result;
 }
 

@@ -9,6 +9,7 @@
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/dynamics/articulation/contact_adjoint.h"
 #include "novaphy/dynamics/articulation/contact_groups.h"
+#include "novaphy/dynamics/articulation/matrix_trees.h"
 #include "novaphy/dynamics/articulation/vjp_arguments.h"
 
 namespace novaphy {

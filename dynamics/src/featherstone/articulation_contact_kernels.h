@@ -8,9 +8,11 @@
 //   articulation_note_some, articulation_note_step   what branches a step took (active_rows.h)
 #pragma once
 
+// clang-format off: before what reads it
+#include "novaphy/dynamics/articulation/matrix_trees.h"
+// clang-format on
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/dynamics/articulation/contact_groups.h"
-#include "novaphy/dynamics/articulation/matrix_trees.h"
 
 namespace novaphy {
 

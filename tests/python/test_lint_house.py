@@ -72,6 +72,14 @@ def test_a_lower_number_is_written_when_asked(tmp_path, lines, kept):
     assert "better" not in lint(root, "--check").stdout
 
 
+def test_lists_begin_with_what_there_is(tmp_path):
+    root = house(tmp_path, lines=80, listed=70)
+    (root / "tools" / "lint" / "house.txt").unlink()
+    assert lint(root, "--write").returncode == 0
+    assert "80 vbd/step.cpp Launcher\n" in (root / "tools" / "lint" / "house.txt").read_text()
+    assert lint(root, "--check").stdout == "measure_house: 1 files, 0 faults\n"
+
+
 def test_a_higher_number_is_never_written(tmp_path):
     root = house(tmp_path, lines=80, listed=70)
     assert lint(root, "--write").returncode == 1

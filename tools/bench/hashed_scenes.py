@@ -276,6 +276,7 @@ def chain(device: str) -> Hashed:
     import novaphy
 
     model = novaphy_articulation.chain(30).finalize(device)
+    model.joint_qd.assign(np.linspace(-1, 1, 30, dtype=np.float32))
     return steps(model, novaphy.solvers.SolverFeatherstone(model), 40, 1e-3)
 
 

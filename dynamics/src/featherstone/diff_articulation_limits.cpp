@@ -9,10 +9,13 @@ namespace novaphy::diff::detail {
 namespace art = articulation;
 
 // First and number of the coordinates of a tree.
-std::pair<int32_t, int32_t> coordinates_of(const art::Tree<float>& tree) {
+std::pair<int32_t, int32_t> coordinates_of(const Step& s, int32_t tree) {
+  const ArticulationRows& of = rows_of_step(s)[tree];
+  const auto* const links =
+      static_cast<const art::Link*>(s.values[1].tensor.range()->data()) + of.first_link;
   int32_t begin = INT32_MAX, end = 0;
-  for (int32_t i = 0; i < tree.link_count; ++i) {
-    const art::Link& link = tree.links[i];
+  for (int32_t i = 0; i < of.link_count; ++i) {
+    const art::Link& link = links[i];
     begin = std::min(begin, link.coord);
     end = std::max(end, link.coord + link.dofs + (link.dofs > 1 ? 1 : 0));
   }
@@ -67,7 +70,7 @@ void add_limit_event(const Step& s, const ArticulationArguments& in, int32_t t, 
   } else {
     by_q[static_cast<size_t>(link->coord)] = 1.0f;
   }
-  const auto [first, count] = coordinates_of(tree);
+  const auto [first, count] = coordinates_of(s, t);
   const float *const q_next = numbers(s.outputs[0].tensor), *const qd_next =
                                                                 numbers(s.outputs[1].tensor);
   LimitEvent event;
@@ -91,7 +94,8 @@ void add_limit_event(const Step& s, const ArticulationArguments& in, int32_t t, 
 
 }  // namespace
 
-void note_limits(const Step& s, const ArticulationArguments& in, const MotionNotes* last) {
+void note_limits(const Step& s, const MotionNotes* last) {
+  const ArticulationArguments in = host_arguments(s);
   MotionNotes& notes = *s.motion;
   const float* const branch = numbers(s.outputs[5].tensor);
   notes.branch.assign(branch, branch + s.outputs[5].tensor.size());

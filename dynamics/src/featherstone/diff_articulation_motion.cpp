@@ -165,7 +165,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
     });
     notes.smooth = accelerations(s, in, others.rows());
   }
-  note_limits(s, in, last);
+  note_limits(s, last);
   if (!follows || same_controls(s, *notes.controls)) return;
   ArticulationArguments held = in;
   const ArticulationArguments of = host_arguments(*notes.controls);
@@ -265,7 +265,7 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
   notes.mismatch = std::move(mismatch);
   for (const LimitEvent& event : notes.limits) {
     const art::Tree<float> tree = articulation_tree(in, rows[event.tree]);
-    const auto first = coordinates_of(tree).first;
+    const auto first = coordinates_of(s, event.tree).first;
     double by = 0.0;
     for (size_t i = 0; i < event.by_q.size(); ++i)
       by += double{event.jump_q[i]} * y_q[static_cast<size_t>(first) + i];
@@ -390,7 +390,7 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
           nullptr, nullptr);
   for (const LimitEvent& event : notes.limits) {
     const art::Tree<float> tree = articulation_tree(in, rows[event.tree]);
-    float* const q = numbers(moved[G::kQ]) + coordinates_of(tree).first;
+    float* const q = numbers(moved[G::kQ]) + coordinates_of(s, event.tree).first;
     float* const qd = numbers(moved[G::kQd]) + tree.first_dof;
     double by = 0.0;
     for (size_t i = 0; i < event.by_q.size(); ++i) by += double{event.by_q[i]} * q[i];

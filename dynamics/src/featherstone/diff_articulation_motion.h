@@ -22,7 +22,6 @@
 #include <utility>
 #include <vector>
 
-#include "articulation_kernels.h"
 #include "contact_events.h"
 #include "novaphy/dynamics/featherstone/diff_articulation_step.h"
 #include "novaphy/nova/tape.h"
@@ -56,10 +55,9 @@ struct MotionNotes {
 };
 
 // First and number of the coordinates of a tree.
-std::pair<int32_t, int32_t> coordinates_of(const articulation::Tree<float>& tree);
+std::pair<int32_t, int32_t> coordinates_of(const ArticulationStep::Step& step, int32_t tree);
 // Notes the limits of a step that pushed otherwise in the one before (null: none).
-void note_limits(const ArticulationStep::Step& step, const ArticulationArguments& in,
-                 const MotionNotes* before);
+void note_limits(const ArticulationStep::Step& step, const MotionNotes* before);
 // Behind a step that has run, before the contacts of the solver are used again; `before` (null:
 // none): the step that ended where it starts.
 void note_motion(const std::shared_ptr<const ArticulationStep::Step>& step,

@@ -336,6 +336,9 @@ class ActuatorReader {
     // The spring of the joint has its part of the target, once.
     if (out.target == ActuatorTarget::Position && springs_.insert(a.joint).second)
       out.offset += joint.stiffness * joint.spring_ref / by;
+    for (const double number : {out.gear, out.offset})
+      if (!std::isfinite(static_cast<float>(number)))
+        file_.refuse(*a.element, "expected a force that float32 can hold");
     context_.actuators.push_back(std::move(out));
   }
 

@@ -146,15 +146,18 @@ namespace trees {
 }
 namespace tree_contacts {
 #include "articulation_contact_kernels.cuh"
+#undef NOVAPHY_MATRIX_TREES
 }
 namespace tree_contacts_vjp {
 #include "articulation_contact_vjp_kernels.cuh"
+#undef NOVAPHY_MATRIX_TREES
 }
 namespace tree_functions {
 #include "articulation_functions_kernels.cuh"
 }
 namespace tree_contacts_jvp {
 #include "articulation_contact_jvp_kernels.cuh"
+#undef NOVAPHY_MATRIX_TREES
 }
 namespace tree_tangents {
 #include "articulation_jvp_kernels.cuh"

@@ -96,9 +96,16 @@ TEST_F(ArticulationContactDevices, WhatAKinematicBodyCarriesHasTheBitsOfTheCpu) 
   expect_bits_of_the_cpu(turntable(), {.pairs = 12}, 8);
 }
 
-TEST_F(ArticulationContactDevices, SnakesOfManyHingesHaveTheBitsOfTheCpu) {
-  expect_bits_of_the_cpu(snakes(), {.pairs = 3}, 12);
+TEST_F(ArticulationContactDevices, SnakesOfManyHingesTouchNothingOnDevices) {
   expect_bits_of_the_cpu(snakes(), {.pairs = 4, .contacts = false}, 0);
+  try {
+    stepped(snakes(), Device::cuda(), {.pairs = 3});
+    FAIL() << "expected an error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::NotImplemented);
+    EXPECT_NE(std::string(error.what()).find("of more than 9 joints in a row"), std::string::npos)
+        << error.what();
+  }
 }
 
 TEST_F(ArticulationContactDevices, EveryOptionActsAsOnTheCpu) {

@@ -186,14 +186,6 @@ TEST_F(ArticulationGradientDevices, WhatAKinematicBodyCarriesHasTheBitsOfTheCpu)
   expect_gradients_of_the_cpu(turntable(), {.steps = 6});
 }
 
-TEST_F(ArticulationGradientDevices, SnakesOfManyHingesHaveTheBitsOfTheCpu) {
-  const Rollout how = {.steps = 3};
-  ContactBranches said;
-  const Result expected = trained(snakes(), Device::cpu(), how, &said);
-  EXPECT_GT(said.sticking + said.sliding, 0);
-  expect_same(trained(snakes(), Device::cuda(), how), expected, "");
-}
-
 TEST_F(ArticulationGradientDevices, PyramidsAndSoftContactsHaveTheBitsOfTheCpu) {
   for (const FeatherstoneOptions& options :
        {FeatherstoneOptions{.friction_cone = FrictionCone::Pyramid},

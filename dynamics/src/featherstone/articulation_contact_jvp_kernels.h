@@ -2,6 +2,9 @@
 // (articulation/contact_jvp.h), for devices; a row takes a group.
 #pragma once
 
+// clang-format off: before what reads it
+#include "novaphy/dynamics/articulation/matrix_trees.h"
+// clang-format on
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/dynamics/articulation/contact_groups.h"
 #include "novaphy/dynamics/articulation/contact_jvp.h"

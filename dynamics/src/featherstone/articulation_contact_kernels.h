@@ -8,6 +8,9 @@
 //   articulation_note_some, articulation_note_step   what branches a step took (active_rows.h)
 #pragma once
 
+// clang-format off: before what reads it
+#include "novaphy/dynamics/articulation/matrix_trees.h"
+// clang-format on
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/dynamics/articulation/contact_groups.h"
 
@@ -303,9 +306,9 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
   });
   if (articulation::far_from_converged(result.residual, result.largest, s.all.tolerance.value))
     notes.far = 1;
-  articulation::raise(notes.all.residual,
-                      articulation::relative_residual(result.residual, result.largest,
-                                                      s.all.tolerance.value));
+  articulation::raise(
+      notes.all.residual,
+      articulation::relative_residual(result.residual, result.largest, s.all.tolerance.value));
   return result;
 }
 

@@ -6,6 +6,9 @@
 //   articulation_material_gradient  those of a shape, in the order of its contacts
 #pragma once
 
+// clang-format off: before what reads it
+#include "novaphy/dynamics/articulation/matrix_trees.h"
+// clang-format on
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/dynamics/articulation/contact_adjoint.h"
 #include "novaphy/dynamics/articulation/contact_groups.h"

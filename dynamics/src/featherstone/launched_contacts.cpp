@@ -68,6 +68,9 @@ LaunchedContacts::LaunchedContacts(const Model& m, const Articulations& articula
   std::vector<int32_t> sides(2 * static_cast<size_t>(m.body_count()), -1), moved_by;
   for (size_t i = 0; i < count; ++i) {
     art::Tree<float> tree;
+    tree.followers = all_rows[i].followers;
+    tree.joints_in_a_row = all_rows[i].joints_in_a_row;
+    has_long_trees_ = has_long_trees_ || !art::has_matrix(tree);
     tree.link_count = all_rows[i].link_count;
     tree.dof_count = all_rows[i].dof_count;
     tree.links = all_links + all_rows[i].first_link;
@@ -219,6 +222,11 @@ void LaunchedContacts::step(std::vector<LaunchArgument> words, const Contacts* c
 void LaunchedContacts::step(std::vector<LaunchArgument> words, const ContactRowArguments& rows,
                             const FeatherstoneOptions& o, float dt, const ContactRecord& record) {
   const Device device = model_.device();
+  require(
+      !has_long_trees_, ErrorKind::NotImplemented,
+      "step: contacts, or dry friction of joints, of a model with an articulation of more than ",
+      art::kMatrixJoints, " joints in a row: expected the model on the cpu, got it on ",
+      device.str());
   reserve(rows.most);
   const bool forgets = record.notes && reserve_notes();
   const ContactKernels& k = contact_kernels();

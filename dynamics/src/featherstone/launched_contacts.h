@@ -109,6 +109,7 @@ class LaunchedContacts {
   DeviceArray<int32_t> side_of_body_, moved_by_, group_of_tree_, tree_begin_, trees_;
   ArrayStamp friction_stamp_;
   bool has_friction_ = false, on_stack_;
+  bool has_long_trees_ = false;  // without a mass matrix, which the kernels need
   Contacts none_;
   int64_t capacity_ = -1;  // contacts; -1: no memory was taken
   DeviceArray<int32_t> group_, contact_begin_, contacts_, chain_, nodes_, kept_begin_, sweeps_;

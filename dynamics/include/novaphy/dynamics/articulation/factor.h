@@ -16,13 +16,17 @@
 namespace novaphy::articulation {
 
 template <class T>
-bool has_matrix(const Tree<T>& tree) {
+bool has_matrix([[maybe_unused]] const Tree<T>& tree) {
+#ifdef NOVAPHY_MATRIX_TREES
+  return true;
+#else
   return tree.followers > 0 || tree.joints_in_a_row <= kMatrixJoints;
+#endif
 }
 // Whether a solve may leave out what does not hang together.
 template <class T>
 bool is_sparse(const Tree<T>& tree) {
-  return tree.followers == 0 && tree.joints_in_a_row <= kMatrixJoints;
+  return tree.followers == 0 && has_matrix(tree);
 }
 // f(above): above(k) is the next row towards the root that row k of L has an entry of; -1: none.
 template <class T, class F>

@@ -104,6 +104,19 @@ Unsupported to_unsupported(std::string_view function, const std::string& given) 
                            {{"error", Unsupported::Error}, {"warn", Unsupported::Warn}});
 }
 
+// While one is alive Python shows no warnings.
+struct NoWarnings {
+  const py::module_ warnings = py::module_::import("warnings");
+  const py::object context = warnings.attr("catch_warnings")();
+  NoWarnings() {
+    context.attr("__enter__")();
+    warnings.attr("simplefilter")("ignore");
+  }
+  NoWarnings(const NoWarnings&) = delete;
+  NoWarnings& operator=(const NoWarnings&) = delete;
+  ~NoWarnings() { context.attr("__exit__")(py::none(), py::none(), py::none()); }
+};
+
 // add(builder, alone) adds the robot to the builder. With `filter`, pairs of its shapes that
 // overlap where its joints start never meet: those of a model of the robot alone.
 template <class Add>
@@ -113,7 +126,7 @@ RobotImport add_robot(ModelBuilder& builder, bool filter, const Add& add) {
     ModelBuilder alone(builder.up_axis());
     alone.default_shape_cfg = builder.default_shape_cfg;
     alone.default_joint_cfg = builder.default_joint_cfg;
-    alone.balance_inertia = false;  // which warns
+    const NoWarnings no_warnings;  // which the user's model gives
     add(alone, true);
     overlaps = find_overlaps(alone.finalize(Device::cpu()));
   }

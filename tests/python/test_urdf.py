@@ -210,7 +210,11 @@ def test_self_collisions():
         assert loaded(fixed, collapse_fixed_joints=collapse)[0].shape_contact_pair_count == 0
 
 
-BALL = INERTIAL + f"<collision>{SPHERE}</collision>"
+BALL = (
+    '<inertial><mass value="2"/>'  # of moments that the builder raises
+    '<inertia ixx="0.03" iyy="0.04" izz="0.09" ixy="0" ixz="0" iyz="0"/></inertial>'
+    f"<collision>{SPHERE}</collision>"
+)
 
 
 def three_balls(options: dict[str, bool], copies: int = 1) -> tuple[novaphy.Model, list[str]]:

@@ -25,8 +25,8 @@ std::pair<int32_t, int32_t> coordinates_of(const Step& s, int32_t tree) {
 namespace {
 
 // A dof whose limit pushes in one of two steps that follow each other; `acts`: before the change.
-void add_limit_event(const Step& s, const ArticulationArguments& in, int32_t t, int32_t dof,
-                     bool acted) {
+void add_limit_event(const Step& s, int32_t t, int32_t dof, bool acted) {
+  const ArticulationArguments in = host_arguments(s);
   const ArticulationRows& of = rows_of_step(s)[t];
   const art::Tree<float> tree = articulation_tree(in, of);
   const art::StepInputs<float> inputs = articulation_inputs(in);
@@ -95,7 +95,6 @@ void add_limit_event(const Step& s, const ArticulationArguments& in, int32_t t, 
 }  // namespace
 
 void note_limits(const Step& s, const MotionNotes* last) {
-  const ArticulationArguments in = host_arguments(s);
   MotionNotes& notes = *s.motion;
   const float* const branch = numbers(s.outputs[5].tensor);
   notes.branch.assign(branch, branch + s.outputs[5].tensor.size());
@@ -114,7 +113,7 @@ void note_limits(const Step& s, const MotionNotes* last) {
       if (touches)
         ++s.shared->motion.unmoved;
       else
-        add_limit_event(s, in, t, k, acted);
+        add_limit_event(s, t, k, acted);
     }
   }
 }

@@ -73,6 +73,16 @@ std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
   return qdd;
 }
 
+// Without the contacts that hit in the step.
+std::vector<float> smooth_accelerations(const Step& s, const ArticulationArguments& in) {
+  if (!s.contacts.defined()) return accelerations(s, in, {});
+  const std::vector<int32_t>& hits = s.motion->found.hits;
+  const SomeContacts others(contact_rows_of(s), [&](int32_t i) {
+    return !std::binary_search(hits.begin(), hits.end(), i);
+  });
+  return accelerations(s, in, others.rows());
+}
+
 bool same_controls(const Step& a, const Step& b) {
   for (const G::Member m : {G::kJointF, G::kBodyF, G::kTargetQ, G::kTargetQd})
     if (a.in(m).range()->data() != b.in(m).range()->data()) return false;
@@ -159,11 +169,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
     notes.smooth.resize(dofs);
     for (size_t k = 0; k < dofs; ++k) notes.smooth[k] = (qd_next[k] - in.qd[k]) / s.dt;
   } else {
-    const std::vector<int32_t>& hits = notes.found.hits;
-    const SomeContacts others(contact_rows_of(s), [&](int32_t i) {
-      return !std::binary_search(hits.begin(), hits.end(), i);
-    });
-    notes.smooth = accelerations(s, in, others.rows());
+    notes.smooth = smooth_accelerations(s, in);
   }
   note_limits(s, last);
   if (!follows || same_controls(s, *notes.controls)) return;
@@ -173,15 +179,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
   held.body_f = of.body_f;
   held.target_q = of.target_q;
   held.target_qd = of.target_qd;
-  const std::vector<int32_t>& hits = notes.found.hits;
-  if (!s.contacts.defined()) {
-    notes.after = accelerations(s, held, {});
-    return;
-  }
-  const SomeContacts others(contact_rows_of(s), [&](int32_t i) {
-    return !std::binary_search(hits.begin(), hits.end(), i);
-  });
-  notes.after = accelerations(s, held, others.rows());
+  notes.after = smooth_accelerations(s, held);
 }
 
 void motion_vjp(const Step& s, std::span<const Tensor> outputs,

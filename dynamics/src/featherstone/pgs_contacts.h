@@ -120,6 +120,7 @@ class PgsContacts : private TreeContacts {
   void gather(const Model& model, const ContactRows& contacts, const ArticulationArguments* from);
   void find_islands();
   void build_row(const Step& step, Row& row);
+  void push_impulses(float sign);               // of all rows, into the rates
   std::vector<float> free_slips();              // J_n v' of each row
   int32_t hardest_row(int64_t island) const;    // FarIsland::at
   void set_target(const Step& step, Row& row);  // behind it, at the rates without impulses

@@ -26,16 +26,10 @@ bool hit_together(const ContactRows& c, const art::IslandContact& a, const art::
 // The rates without impulses, for a while: impulses come back with other roundings, so only behind
 // what the step writes.
 std::vector<float> PgsContacts::free_slips() {
-  const auto apply = [&](float sign) {
-    for (Row& row : rows_)
-      for (int32_t r = 0; r < 3; ++r) art::push(row.solver, r, sign * row.solver.impulse[r]);
-    for (const art::PgsJointFriction<float>& f : friction_rows_)
-      for (int32_t k = 0; k < f.width; ++k) f.rates[k] += sign * f.impulse * f.response[k];
-  };
-  apply(-1.0f);
+  push_impulses(-1.0f);
   std::vector<float> slips;
   for (const Row& row : rows_) slips.push_back(art::slip(row.solver, 0));
-  apply(1.0f);
+  push_impulses(1.0f);
   return slips;
 }
 

@@ -121,6 +121,13 @@ void PgsContacts::add_friction_gradients(float* to) {
     }
 }
 
+void PgsContacts::push_impulses(float sign) {
+  for (Row& row : rows_)
+    for (int32_t r = 0; r < 3; ++r) art::push(row.solver, r, sign * row.solver.impulse[r]);
+  for (const art::PgsJointFriction<float>& f : friction_rows_)
+    for (int32_t k = 0; k < f.width; ++k) f.rates[k] += sign * f.impulse * f.response[k];
+}
+
 void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
                       const ContactRows& contacts, const Vec3f* impulses, const float* friction,
                       const FeatherstoneOptions& options, const ContactGradient& more) {
@@ -165,21 +172,15 @@ void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
     build_friction(s, static_cast<int32_t>(i));
     friction_rows_[i].impulse = friction[trees_[friction_[i].tree].first_dof + friction_[i].dof];
   }
-  const auto apply = [&](float sign) {
-    for (Row& row : rows_)
-      for (int32_t r = 0; r < 3; ++r) art::push(row.solver, r, sign * row.solver.impulse[r]);
-    for (const art::PgsJointFriction<float>& f : friction_rows_)
-      for (int32_t k = 0; k < f.width; ++k) f.rates[k] += sign * f.impulse * f.response[k];
-  };
   for (Row& row : rows_) {
     const Vec3f& impulse = impulses[row.contact];
     row.solver.impulse[0] = impulse.x;
     row.solver.impulse[1] = impulse.y;
     row.solver.impulse[2] = impulse.z;
   }
-  apply(-1.0f);
+  push_impulses(-1.0f);
   for (Row& row : rows_) set_target(s, row);
-  apply(1.0f);
+  push_impulses(1.0f);
   const auto islands = static_cast<int64_t>(island_results_.size());
   bool shifts = false;
   for (int64_t i = 0; i < islands; ++i) {

@@ -31,7 +31,7 @@ int run(const std::string& command, const std::string& argument) {
     std::printf("opened\n");
   } else if (command == "launch") {  // of a builtin
     const auto in = novaphy::DeviceArray<int32_t>(4), out = novaphy::DeviceArray<int32_t>(4);
-    const novaphy::DeviceKernel kernel(argument.c_str());
+    static const novaphy::DeviceKernel kernel(argument.c_str());  // what it loads stays loaded
     kernel.launch(novaphy::Device::cpu(), 4,
                   {novaphy::reads("in", in), novaphy::writes("out", out)});
     std::printf("launched\n");

@@ -331,8 +331,10 @@ void add_softness_gradient(const AdjointContact& row, float dt, const TreeOf& tr
     AdjointMemory<float> memory = memory_of(at.tree);
     const int32_t n = tree.dof_count;
     const float mass = row.solver.mass, by_mass = softness_of_mass(mass) / mass;
+    const int32_t part = itself ? parted_link(tree, ws, row.sides[0].link, row.sides[1].link) : -1;
     for (int32_t i = 0; mass > 0.0f && (side == 0 || !itself) && i < tree.link_count; ++i)
-      if (is_moved(tree, i)) memory.moved_mass[i] -= row.shift_z * row.solver.shifted * by_mass;
+      if (hangs_on(tree, i, part))
+        memory.moved_mass[i] -= row.shift_z * row.solver.shifted * by_mass;
     RowSigns signs{{0.0f, 0.0f}};
     signs.of[side] = RowSigns{}.of[side];
     float *const lambda = memory.scratch, *const x = lambda + 2 * n;

@@ -68,20 +68,35 @@ int32_t last_dof(const Tree<T>& tree, int32_t link) {
   return -1;
 }
 
-// Whether impulses may move a link.
+// Whether impulses may move the joint of a link.
+inline bool is_moved(const Link& link) { return link.dofs > 0 && !is_kinematic(link); }
+// Whether a link is `above`, or hangs on it. `above` -1: on any joint that impulses may move.
 template <class T>
-bool is_moved(const Tree<T>& tree, int32_t link) {
-  while (link >= 0 && (tree.links[link].dofs == 0 || is_kinematic(tree.links[link])))
-    link = tree.links[link].parent;
-  return link >= 0;
+bool hangs_on(const Tree<T>& tree, int32_t link, int32_t above) {
+  while (link > above && !(above < 0 && is_moved(tree.links[link]))) link = tree.links[link].parent;
+  return above < 0 ? link >= 0 : link == above;
 }
-// The mass of those links, kg.
+// The mass of such links, kg.
 template <class T>
-T moved_mass(const Tree<T>& tree, const Workspace<T>& ws) {
+T hanging_mass(const Tree<T>& tree, const Workspace<T>& ws, int32_t above) {
   T sum = T(0.0f);
   for (int32_t i = 0; i < tree.link_count; ++i)
-    if (is_moved(tree, i)) sum = sum + ws.links[i].inertia.mass;
+    if (hangs_on(tree, i, above)) sum = sum + ws.links[i].inertia.mass;
   return sum;
+}
+// What parts two links of a tree: joints, of which the nearest to the root carries one link but not
+// the other. The link below it on the side of `a` or `b`, where less mass hangs on it; -1: none.
+template <class T>
+int32_t parted_link(const Tree<T>& tree, const Workspace<T>& ws, int32_t a, int32_t b) {
+  const auto nearest = [&](int32_t link, int32_t other) {
+    int32_t found = -1;
+    for (; link >= 0 && !hangs_on(tree, other, link); link = tree.links[link].parent)
+      if (is_moved(tree.links[link])) found = link;
+    return found;
+  };
+  const int32_t of_a = nearest(a, b), of_b = nearest(b, a);
+  if (of_a < 0 || of_b < 0) return of_a < 0 ? of_b : of_a;
+  return hanging_mass(tree, ws, of_b) < hanging_mass(tree, ws, of_a) ? of_b : of_a;
 }
 
 // Adds to the rows of J {3, stride} the velocity of a link's point along the three axes, times

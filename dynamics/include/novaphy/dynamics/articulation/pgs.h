@@ -23,11 +23,12 @@
 // What the joints of a tree let part hardly or not at all would take endless impulses. A normal
 // gets at least the part kLeastMobility of the J_n Y_n that its sides have each alone, and at least
 // kLeastOfMass / m, by cfm; in shifts it has the softness kShiftSoftness of the first and
-// kLeastOfMass / m. m is the mass of all that moves in the trees of the contact. A tree that hangs
-// on nothing has a J_n Y_n of at least 1 / m against others. An overlap deeper than the lever of a
-// joint is nothing that the joint can part: no contact shifts a dof by more than kMostShift. A
-// contact without an impulse that only a speed above kMoreSpeed closes in the step does not hold
-// shifts: steps may leave such contacts out.
+// kLeastOfMass / m. m is the mass of all that moves in the trees of the contact; of a tree that
+// touches itself, that of what joints can part, on the lighter side. A tree that hangs on nothing
+// has a J_n Y_n of at least 1 / m against others. An overlap deeper than the lever of a joint is
+// nothing that the joint can part: no contact shifts a dof by more than kMostShift. A contact
+// without an impulse that only a speed above kMoreSpeed closes in the step does not hold shifts:
+// steps may leave such contacts out.
 // Source: Guendelman, Bridson, Fedkiw, Nonconvex Rigid Bodies with Stacking (2003), section 7, for
 // shifts; Preclik, Models and Algorithms for Ultrascale Simulations of Non-smooth Granular Dynamics
 // (2014), section 4; Catto, Iterative Dynamics with Temporal Coherence (2005).

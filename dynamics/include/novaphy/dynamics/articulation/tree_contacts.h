@@ -162,7 +162,7 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
   const bool coupled = count <= kCoupledContacts;
   const T o = T(0.0f);
   const Vec3<T> none = {o, o, o};
-  const T mass = moved_mass(tree, ws);
+  const T mass = hanging_mass(tree, ws, -1);
   for (int32_t c = 0; c < count; ++c) {
     const TreeContact<T>& contact = contacts[c];
     const TreeContactLink<T>& link = links[c];

@@ -453,24 +453,78 @@ def test_gradients_of_shifts_are_those_of_differences(depth: float) -> None:
         assert by_qd[k] == pytest.approx(by, abs=2e-2 * float(np.abs(by_qd).max()))
 
 
-@needs_diff
-def test_shifts_do_not_change_when_all_masses_grow_alike() -> None:
-    from novaphy import diff, nova
+def low_arm(lower: float) -> novaphy.ModelBuilder:
+    """Two links on hinges, whose end is 1 cm in the ground; `lower` (rad): of the second one.
 
+    Angles grow downwards.
+    """
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(mu=0.5, density=0.0)
     builder.add_ground_plane(cfg=surface)
     links = [builder.add_link(mass=m, inertia=np.eye(3) * 0.01 * m) for m in (5.0, 1.0)]
-    at = ((0.4, 0.0, 0.0), UPRIGHT)
+    base, elbow = ((0.0, 0.0, 0.1), UPRIGHT), ((0.4, 0.0, 0.0), UPRIGHT)
     joints = [
+        builder.add_joint_revolute(-1, links[0], axis=(0, 1, 0), parent_xform=base),
         builder.add_joint_revolute(
-            -1, links[0], axis=(0, 1, 0), parent_xform=((0, 0, 0.1), UPRIGHT)
+            links[0], links[1], axis=(0, 1, 0), parent_xform=elbow, limit_lower=lower
         ),
-        builder.add_joint_revolute(links[0], links[1], axis=(0, 1, 0), parent_xform=at),
     ]
     builder.add_articulation(joints)
     builder.add_shape_sphere(links[1], radius=0.11, xform=((0.3, 0.0, 0.0), UPRIGHT), cfg=surface)
-    model = builder.finalize(requires_grad=True)
+    return builder
+
+
+def test_overlaps_shift_no_joint_out_of_its_limits() -> None:
+    scene = Scene(low_arm(-1e-4), pgs_slop=0.0)
+    strongest = 0.0
+    for _ in range(200):
+        scene.step(2e-3)
+        strongest = max(strongest, scene.force())
+        assert scene.state.joint_q.numpy()[1] > -2e-3
+    assert strongest < 10.0 * 6.0 * GRAVITY  # N
+
+
+@needs_diff
+@pytest.mark.parametrize("lower", [-1e-4, -3.0])
+def test_gradients_of_shifts_at_limits_are_those_of_differences(lower: float) -> None:
+    from novaphy import diff, nova
+
+    model = low_arm(lower).finalize(requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_tolerance=1e-8)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    weight = np.float32([1.0, -0.7])
+
+    def run(q: np.ndarray, tape: object = None) -> tuple[object, object]:
+        state, after = model.state(requires_grad=True), model.state()
+        state.joint_q.assign(q.astype(np.float32))
+        novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+        pipeline.collide(state, contacts)
+        if tape is None:
+            solver.step(state, after, None, contacts, 2e-3)
+            return after.joint_q.numpy().astype(float), None
+        with tape:
+            solver.step(state, after, None, contacts, 2e-3)
+            return state, nova.sum(diff.state_joint_q_tensor(after) * nova.tensor(weight))
+
+    tape = nova.Tape()
+    state, loss = run(np.zeros(2), tape)
+    tape.backward(loss)
+    moved, _ = run(np.zeros(2))
+    assert (moved[1] > -5e-4) == (lower > -1.0)  # rates alone: -2e-4
+    for k, eps in enumerate((1e-3, 2e-5)):
+        one = np.eye(2)[k]
+        by = float((run(eps * one)[0] - run(-eps * one)[0]) @ weight) / (2 * eps)
+        along = tape.jvp([loss], [diff.state_joint_q_tensor(state)], [nova.tensor(np.float32(one))])
+        assert along[0].item() == pytest.approx(state.joint_q.grad.numpy()[k], rel=1e-4)
+        assert along[0].item() == pytest.approx(by, rel=1e-2)
+
+
+@needs_diff
+def test_shifts_do_not_change_when_all_masses_grow_alike() -> None:
+    from novaphy import diff, nova
+
+    model = low_arm(-3.0).finalize(requires_grad=True)
     solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_tolerance=1e-8)
     pipeline = novaphy.CollisionPipeline(model)
     contacts = pipeline.contacts()

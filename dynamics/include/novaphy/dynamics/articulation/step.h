@@ -3,7 +3,8 @@
 //   M = H(q) + diag(armature + what drives add),  M qdd = f - bias(q, qd) + drives (drives.h) + r
 //   v  = qd + dt qdd, |v| <= velocity_limit for joints with one dof: with the force r of a dof that
 //   is at its limit, which pushes inwards only, and which the rest of the tree feels
-//   q' = q moved by v over dt (quaternions by the Cayley map; overlaps add shifts, pgs.h), then
+//   q' = q moved by v over dt (quaternions by the Cayley map; overlaps add shifts, pgs.h, that
+//   stay within the limits of joints), then
 //   qd' = v, of angular dofs times 1 - angular_damping dt
 //   q' and qd' of joints that follow others from theirs (mimic.h); body_q, body_qd of (q', qd')
 // Kinematic dofs have endless inertia: their qdd is 0, whatever pulls at them, nothing damps them,
@@ -391,11 +392,24 @@ T damping_factor(const Link& link, int32_t dof_of_link, const StepOptions<T>& op
   return is_angular(link, dof_of_link) ? T(1.0f) - options.angular_damping * options.dt : T(1.0f);
 }
 
-// What moves the coordinates: the new rates, with the shifts of contacts.
+// Whether a shift would take a dof that moves at v out of its limits, or farther out.
 template <class T>
-const T* moving_rates(const Tree<T>& tree, Workspace<T>& ws) {
+auto leaves_limits(const Link& link, const StepInputs<T>& in, const StepOptions<T>& options,
+                   const T& v, const T& shift) {
+  const T o = T(0.0f), q = in.q[link.coord] + options.dt * (v + shift);
+  return either(both(shift > o, q > in.drives.limit_upper[link.dof]),
+                both(shift < o, q < in.drives.limit_lower[link.dof]));
+}
+// What moves the coordinates: the new rates, with the shifts of contacts that stay within limits.
+template <class T>
+const T* moving_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
+                      Workspace<T>& ws) {
   if (ws.shift == nullptr) return ws.qd_next;
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.rhs[k] = ws.qd_next[k] + ws.shift[k];
+  for_drives(tree, [&](const Link& link, int32_t k) {
+    const T v = ws.qd_next[k];
+    ws.rhs[k] = select(leaves_limits(link, in, options, v, ws.shift[k]), v, ws.rhs[k]);
+  });
   return ws.rhs;
 }
 
@@ -412,7 +426,7 @@ template <class T>
 void finish_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                  Workspace<T>& ws, T* q_next, T* qd_next, Transform<T>* body_q,
                  SpatialVector<T>* body_qd) {
-  integrate_coordinates(tree, in.q, moving_rates(tree, ws), options.dt, q_next);
+  integrate_coordinates(tree, in.q, moving_rates(tree, in, options, ws), options.dt, q_next);
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
     for (int32_t j = 0; j < link.dofs; ++j)

@@ -276,8 +276,13 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
   free_rates(tree, in, options, ws);
   T* const of_moves = memory.scratch + n;
   for (int32_t k = 0; k < n; ++k) of_moves[k] = rate[k];
-  integrate_coordinates_vjp(tree, moving_rates(tree, ws), options.dt, tangent, rate);
+  integrate_coordinates_vjp(tree, moving_rates(tree, in, options, ws), options.dt, tangent, rate);
   for (int32_t k = 0; k < n; ++k) of_moves[k] = rate[k] - of_moves[k];
+  if (ws.shift == nullptr) return;
+  for_drives(tree, [&](const Link& link, int32_t k) {
+    const auto dropped = leaves_limits(link, in, options, ws.qd_next[k], ws.shift[k]);
+    of_moves[k] = select(dropped, T(0.0f), of_moves[k]);
+  });
 }
 
 // The second: the dynamics at the start of the step once more, with M's factor.

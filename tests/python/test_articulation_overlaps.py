@@ -485,11 +485,12 @@ def test_overlaps_shift_no_joint_out_of_its_limits() -> None:
 
 
 @needs_diff
-@pytest.mark.parametrize("lower", [-1e-4, -3.0])
+@pytest.mark.parametrize("lower", [-1e-4, -1e-3, -3.0])
 def test_gradients_of_shifts_at_limits_are_those_of_differences(lower: float) -> None:
     from novaphy import diff, nova
 
     model = low_arm(lower).finalize(requires_grad=True)
+    model.joint_limit_lower.requires_grad = True
     solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_tolerance=1e-8)
     pipeline = novaphy.CollisionPipeline(model)
     contacts = pipeline.contacts()
@@ -511,7 +512,10 @@ def test_gradients_of_shifts_at_limits_are_those_of_differences(lower: float) ->
     state, loss = run(np.zeros(2), tape)
     tape.backward(loss)
     moved, _ = run(np.zeros(2))
-    assert (moved[1] > -5e-4) == (lower > -1.0)  # rates alone: -2e-4
+    stops = lower == -1e-3  # the rates go to -2e-4, the shift without limits to -6e-3
+    assert moved[1] == pytest.approx({-1e-4: -2.1e-4, -1e-3: -1e-3, -3.0: -5.6e-3}[lower], rel=0.02)
+    by_limit = model.joint_limit_lower.grad.numpy()[1]
+    assert by_limit == pytest.approx(float(weight[1]), rel=1e-5) if stops else by_limit == 0.0
     for k, eps in enumerate((1e-3, 2e-5)):
         one = np.eye(2)[k]
         by = float((run(eps * one)[0] - run(-eps * one)[0]) @ weight) / (2 * eps)

@@ -392,15 +392,18 @@ T damping_factor(const Link& link, int32_t dof_of_link, const StepOptions<T>& op
   return is_angular(link, dof_of_link) ? T(1.0f) - options.angular_damping * options.dt : T(1.0f);
 }
 
-// Whether a shift would take a dof that moves at v out of its limits, or farther out.
+// The part of a shift of a dof that moves at v which does not take it out of its limits, or farther
+// out.
 template <class T>
-auto leaves_limits(const Link& link, const StepInputs<T>& in, const StepOptions<T>& options,
-                   const T& v, const T& shift) {
-  const T o = T(0.0f), q = in.q[link.coord] + options.dt * (v + shift);
-  return either(both(shift > o, q > in.drives.limit_upper[link.dof]),
-                both(shift < o, q < in.drives.limit_lower[link.dof]));
+T kept_shift(const Link& link, const StepInputs<T>& in, const StepOptions<T>& options, const T& v,
+             const T& shift) {
+  const T o = T(0.0f), q = in.q[link.coord] + options.dt * v;
+  const T up = (in.drives.limit_upper[link.dof] - q) / options.dt;
+  const T down = (in.drives.limit_lower[link.dof] - q) / options.dt;
+  const T most = select(up > o, up, o), least = select(down < o, down, o);
+  return select(shift > most, most, select(shift < least, least, shift));
 }
-// What moves the coordinates: the new rates, with the shifts of contacts that stay within limits.
+// What moves the coordinates: the new rates, with the shifts of contacts as far as limits let them.
 template <class T>
 const T* moving_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                       Workspace<T>& ws) {
@@ -408,7 +411,7 @@ const T* moving_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOp
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.rhs[k] = ws.qd_next[k] + ws.shift[k];
   for_drives(tree, [&](const Link& link, int32_t k) {
     const T v = ws.qd_next[k];
-    ws.rhs[k] = select(leaves_limits(link, in, options, v, ws.shift[k]), v, ws.rhs[k]);
+    ws.rhs[k] = v + kept_shift(link, in, options, v, ws.shift[k]);
   });
   return ws.rhs;
 }

@@ -66,6 +66,7 @@ template <class T>
 struct AdjointMemory {
   T *tangent = nullptr, *rate = nullptr, *scratch = nullptr;
   T* diagonal = nullptr;  // {dofs}: matrix_vjp, of the diagonal that stands beside H
+  T* stops = nullptr;     // {2 dofs}: of the upper and lower limits at which shifts stop
   SpatialVector<T>* wrench = nullptr;
   T *mass = nullptr, *moved_mass = nullptr;
   Vec3<T>*com = nullptr, *moved_com = nullptr;
@@ -75,7 +76,7 @@ template <class T>
 int64_t adjoint_bytes(int32_t links, int32_t dofs) {
   const int64_t per_link =
       sizeof(SpatialVector<T>) + 2 * (sizeof(T) + sizeof(Vec3<T>) + sizeof(Mat33<T>));
-  return (6 * dofs * static_cast<int64_t>(sizeof(T)) + links * per_link + 7) / 8 * 8;
+  return (8 * dofs * static_cast<int64_t>(sizeof(T)) + links * per_link + 7) / 8 * 8;
 }
 template <class T>
 AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) {
@@ -84,7 +85,8 @@ AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) 
   m.rate = m.tangent + dofs;
   m.scratch = m.rate + dofs;
   m.diagonal = m.scratch + 3 * dofs;
-  m.wrench = reinterpret_cast<SpatialVector<T>*>(m.diagonal + dofs);
+  m.stops = m.diagonal + dofs;
+  m.wrench = reinterpret_cast<SpatialVector<T>*>(m.stops + 2 * dofs);
   m.mass = reinterpret_cast<T*>(m.wrench + links);
   m.moved_mass = m.mass + links;
   m.com = reinterpret_cast<Vec3<T>*>(m.moved_mass + links);
@@ -142,12 +144,13 @@ void integrate_coordinates_vjp(const Tree<T>& tree, const T* qd, const T& dt, T*
 }
 
 // The gradients of a dof's drive, limits and damping, and what they give to q and qd. `diagonal`:
-// what has left the gradient of M's diagonal besides lambda qdd.
+// what has left the gradient of M's diagonal besides lambda qdd. `at_upper`, `at_lower`:
+// AdjointMemory stops.
 template <class T>
 void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& in,
                     const StepOptions<T>& options, const Branches<T>& branch, const T& qdd,
-                    const T& lambda, const T& diagonal, T& q_gradient, T& qd_gradient,
-                    const StepGradient<T>& g) {
+                    const T& lambda, const T& diagonal, const T& at_upper, const T& at_lower,
+                    T& q_gradient, T& qd_gradient, const StepGradient<T>& g) {
   using G = StepGradient<T>;
   const Drives<T>& d = in.drives;
   const int32_t row = link.dof + dof_of_link, mode = d.target_mode[row];
@@ -186,8 +189,10 @@ void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& 
   put(g, g.damping, G::kDamping, row, damps ? -(v_end * lambda) - by_kd : o);
   put(g, g.armature, G::kArmature, row, -(lambda * qdd) - diagonal);
   const T by_limit = of(one, limits, stop.stiffness * lambda);
-  put(g, g.limit_lower, G::kLimitLower, row, of(one, has(branch, kBelowLimit), by_limit));
-  put(g, g.limit_upper, G::kLimitUpper, row, of(one, has(branch, kAboveLimit), by_limit));
+  put(g, g.limit_lower, G::kLimitLower, row,
+      of(one, has(branch, kBelowLimit), by_limit) + at_lower);
+  put(g, g.limit_upper, G::kLimitUpper, row,
+      of(one, has(branch, kAboveLimit), by_limit) + at_upper);
   put(g, g.limit_ke, G::kLimitKe, row, of(one, limits, (stop.target - q_end) * lambda - by_ke));
   put(g, g.limit_kd, G::kLimitKd, row, of(one, limits, -(v_end * lambda) - by_kd));
   const T by_effort = select(has(branch, kEffortAtUpper), lambda, -lambda);
@@ -278,10 +283,19 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
   for (int32_t k = 0; k < n; ++k) of_moves[k] = rate[k];
   integrate_coordinates_vjp(tree, moving_rates(tree, in, options, ws), options.dt, tangent, rate);
   for (int32_t k = 0; k < n; ++k) of_moves[k] = rate[k] - of_moves[k];
+  for (int32_t k = 0; k < 2 * n; ++k) memory.stops[k] = T(0.0f);
   if (ws.shift == nullptr) return;
+  const T o = T(0.0f);
   for_drives(tree, [&](const Link& link, int32_t k) {
-    const auto dropped = leaves_limits(link, in, options, ws.qd_next[k], ws.shift[k]);
-    of_moves[k] = select(dropped, T(0.0f), of_moves[k]);
+    const T shift = ws.shift[k], kept = kept_shift(link, in, options, ws.qd_next[k], shift);
+    const auto cut = either(kept < shift, shift < kept);
+    const auto at_upper = both(cut, kept > o), at_lower = both(cut, kept < o);
+    const auto stops = either(at_upper, at_lower);
+    memory.stops[k] = select(at_upper, tangent[k], o);
+    memory.stops[n + k] = select(at_lower, tangent[k], o);
+    tangent[k] = select(stops, o, tangent[k]);
+    rate[k] = select(stops, rate[k] - of_moves[k], rate[k]);
+    of_moves[k] = select(cut, o, of_moves[k]);
   });
 }
 
@@ -357,7 +371,7 @@ void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
       tangent[k] = tangent[k] - phi_q[k];
       rate[k] = rate[k] - phi_qd[k];
       drive_gradient(link, j, in, options, ws.branch[k], ws.qdd[k], lambda[k], memory.diagonal[k],
-                     tangent[k], rate[k], g);
+                     memory.stops[k], memory.stops[n + k], tangent[k], rate[k], g);
       put(g, g.qd, G::kQd, row0 + k, rate[k]);
       T applied = lambda[k];
       if (is_free(link)) {  // a world wrench

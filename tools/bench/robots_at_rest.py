@@ -304,7 +304,7 @@ def in_a_process(path: Path, folder: Path, names: list[str], seconds: float) -> 
 def number(value: object) -> str:
     if value is None or (isinstance(value, float) and np.isnan(value)):
         return "–"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def main() -> None:

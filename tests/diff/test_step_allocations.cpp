@@ -12,9 +12,9 @@
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 #include "novaphy/vbd/diff_vbd.h"
-#include "novaphy/vbd/differentiable_vbd.h"
 #include "novaphy/vbd/solver_vbd.h"
 #include "support/allocations.h"
+#include "vbd/everything_scene.h"
 
 namespace novaphy::testing {
 namespace {
@@ -25,34 +25,6 @@ constexpr int kSteps = 40;  // some checks are of every 32nd step
 TEST(StepAllocations, TheCounterSeesWhatASolverWouldTake) {
   EXPECT_EQ(allocations_of([] { std::vector<int32_t> memory(3); }, 5), 5);
   EXPECT_EQ(allocations_of([] {}), 0);
-}
-
-// A cloth and a block over a plane, with springs and bending edges: everything that a particle may
-// be of. Some touch the plane.
-ModelBuilder particles() {
-  ModelBuilder b;
-  b.add_cloth_grid({.placement = {.pos = {0.0f, 0.0f, 0.5f}},
-                    .dim_x = 6,
-                    .dim_y = 6,
-                    .cell_x = 0.1,
-                    .cell_y = 0.1,
-                    .mass = 0.02f,
-                    .fix_left = true,
-                    .tri = {.ke = 20.0f, .ka = 30.0f, .kd = 0.05f},
-                    .edge = {.ke = 0.5f, .kd = 0.01f}});
-  b.add_soft_grid({.placement = {.pos = {0.0f, 0.0f, 0.09f}},
-                   .dim_x = 3,
-                   .dim_y = 3,
-                   .dim_z = 3,
-                   .density = 100.0,
-                   .k_mu = 300.0f,
-                   .k_lambda = 500.0f,
-                   .k_damp = 2.0f,
-                   .particle_radius = 0.1f});
-  b.add_spring(7, 60, 40.0f, 0.5f);
-  b.add_ground_plane({.cfg = ShapeConfig{.ke = 100.0f, .kd = 0.0f, .mu = 0.5f}});
-  b.color();
-  return b;
 }
 
 // Pendulums of two links with dry friction, each with a ball that rolls beside it: trees alone and
@@ -118,7 +90,7 @@ struct Scene {
 };
 
 TEST(StepAllocations, SemiImplicitParticlesTakeNone) {
-  Scene scene(particles());
+  Scene scene(EverythingScene::builder());
   SolverSemiImplicit solver(scene.model);
   EXPECT_EQ(scene.of_steps(solver), 0);
 }
@@ -141,7 +113,7 @@ TEST(StepAllocations, VbdTakesNone) {
   for (const VbdOptions& options :
        {VbdOptions{}, VbdOptions{.acceleration = 0.9f},
         VbdOptions{.initial_guess = VbdInitialGuess::Adaptive}, VbdOptions{.tolerance = 1e-3f}}) {
-    Scene scene(particles());
+    Scene scene(EverythingScene::builder());
     SolverVBD solver(scene.model, options);
     EXPECT_EQ(scene.of_steps(solver), 0);
   }
@@ -155,7 +127,7 @@ int64_t of_a_step(Scene& scene, SolverBase& solver) {
 }
 
 TEST(StepAllocations, DifferentiableSemiImplicitTakesHandlesOnly) {
-  Scene scene(particles());
+  Scene scene(EverythingScene::builder());
   diff::DiffSemiImplicitSolver solver(scene.model, {.enable_tetrahedra = true,
                                                     .enable_triangles = true,
                                                     .enable_springs = true,
@@ -167,19 +139,19 @@ TEST(StepAllocations, DifferentiableFeatherstoneTakesHandlesOnly) {
   for (const int count : {3, 40}) {
     Scene scene(trees(count));
     diff::DiffFeatherstoneSolver solver(scene.model, {.contact = ArticulationContact::Pgs});
-    EXPECT_LE(of_a_step(scene, solver), 123) << count;
+    EXPECT_LE(of_a_step(scene, solver), 105) << count;
   }
 }
 
 TEST(StepAllocations, DifferentiableVbdTakesHandlesOnly) {
-  Scene scene(particles());
+  Scene scene(EverythingScene::builder());
   diff::DiffSolverVBD solver(scene.model);
   EXPECT_LE(of_a_step(scene, solver), 7);
 }
 
 // A search checks the arrays of Contacts, by lists that it makes for that: as many for any model.
 TEST(StepAllocations, CollisionTakesListsOfItsChecksOnly) {
-  for (const ModelBuilder& builder : {particles(), trees(3), trees(40)}) {
+  for (const ModelBuilder& builder : {EverythingScene::builder(), trees(3), trees(40)}) {
     Scene scene(builder);
     constexpr int kCalls = 8;
     const auto collide = [&] { scene.pipeline->collide(scene.a, *scene.contacts); };
@@ -188,7 +160,7 @@ TEST(StepAllocations, CollisionTakesListsOfItsChecksOnly) {
 }
 
 TEST(StepAllocations, AVbdStepAndItsAdjointTakeNone) {
-  Scene scene(particles());
+  Scene scene(EverythingScene::builder());
   DifferentiableVbd step(scene.model);
   const auto n = static_cast<size_t>(scene.model->particle_count());
   std::vector<Vec3f> f(n), q(n), qd(n), bar(n, Vec3f{1.0f, 0.5f, 0.25f}), q_bar(n), qd_bar(n);

@@ -3,8 +3,10 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstring>
 #include <functional>
 #include <random>
+#include <type_traits>
 
 #include "novaphy/dynamics/articulation/dual.h"
 #include "novaphy/dynamics/articulation/step_vjp.h"
@@ -26,13 +28,25 @@ struct Scene {
   std::vector<SpatialVector<T>> body_f;
   articulation::StepOptions<T> options{T(0.01), T(0.5), true};
   articulation::StepInputs<T> inputs() const {
-    return {q.data(),
-            qd.data(),
-            joint_f.data(),
-            body_f.data(),
-            {mode.data(), target_q.data(), target_qd.data(), target_ke.data(), target_kd.data(),
-             damping.data(), armature.data(), limit_lower.data(), limit_upper.data(),
-             limit_ke.data(), limit_kd.data(), effort_limit.data(), velocity_limit.data()}};
+    articulation::StepInputs<T> in = {};
+    in.q = q.data();
+    in.qd = qd.data();
+    in.joint_f = joint_f.data();
+    in.target_q = target_q.data();
+    in.target_qd = target_qd.data();
+    in.target_ke = target_ke.data();
+    in.target_kd = target_kd.data();
+    in.damping = damping.data();
+    in.armature = armature.data();
+    in.limit_lower = limit_lower.data();
+    in.limit_upper = limit_upper.data();
+    in.limit_ke = limit_ke.data();
+    in.limit_kd = limit_kd.data();
+    in.effort_limit = effort_limit.data();
+    in.velocity_limit = velocity_limit.data();
+    in.body_f = body_f.data();
+    in.target_mode = mode.data();
+    return in;
   }
 };
 
@@ -209,31 +223,29 @@ void backward(Scene<double>& s, const Result<double>& r, const Weights& w, std::
   std::vector<unsigned char> memory(
       static_cast<size_t>(articulation::adjoint_bytes<double>(links, s.tree.dofs)));
   auto adjoint = articulation::make_adjoint_memory<double>(memory.data(), links, s.tree.dofs);
-  const auto at = [&](int i) { return all[static_cast<size_t>(i)].gradient.data(); };
-  articulation::StepGradient<double> g{at(0),
-                                       at(1),
-                                       at(2),
-                                       reinterpret_cast<SpatialVector<double>*>(at(3)),
-                                       at(4),
-                                       at(5),
-                                       at(6),
-                                       at(7),
-                                       at(8),
-                                       at(9),
-                                       at(10),
-                                       at(11),
-                                       at(12),
-                                       at(13),
-                                       at(14),
-                                       at(15),
-                                       at(16),
-                                       reinterpret_cast<Vec3<double>*>(at(17)),
-                                       reinterpret_cast<Mat33<double>*>(at(18)),
-                                       0};
+  articulation::StepGradient<double> g = {};
+  size_t next = 0;  // parts stand in the order of the list; gravity, its last, is none of them
+  articulation::for_each_gradient_array(
+      [&](auto& to) {
+        if (next < all.size())
+          to = reinterpret_cast<std::remove_reference_t<decltype(to)>>(all[next++].gradient.data());
+      },
+      g);
   const std::vector<double> branch(r.branch.begin(), r.branch.end());
   articulation::step_vjp(tree, s.inputs(), s.options, r.qdd.data(), branch.data(), r.q.data(),
                          r.qd.data(), {w.q.data(), w.qd.data(), w.body_q.data(), w.body_qd.data()},
                          g, ws, adjoint);
+}
+
+// Words of kernels and bits of `add` rely on that.
+TEST(ArticulationStep, ArraysStandInTheOrderOfTheirList) {
+  articulation::StepArrays<articulation::Each<int32_t>> places = {};
+  int32_t next = 0;
+  articulation::for_each_array([&](int32_t& place) { place = next++; }, places);
+  ASSERT_EQ(sizeof(places), sizeof(int32_t) * static_cast<size_t>(next));
+  std::vector<int32_t> numbers(static_cast<size_t>(next));
+  std::memcpy(numbers.data(), &places, sizeof(places));
+  for (int32_t i = 0; i < next; ++i) EXPECT_EQ(numbers[static_cast<size_t>(i)], i);
 }
 
 // The gradient of a symmetric part of an entry is what a change of one entry sees.

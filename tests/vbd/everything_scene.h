@@ -36,7 +36,7 @@ struct EverythingScene {
     control.particle_tri_activation.fill(0.05f);
     control.particle_tet_activation.fill(-0.03f);
   }
-  static std::shared_ptr<Model> make(float kd = 0.0f, Device device = Device::cpu()) {
+  static ModelBuilder builder(float kd = 0.0f) {
     ModelBuilder b;
     b.add_cloth_grid({.placement = {.pos = {0.0f, 0.0f, 0.5f}},
                       .dim_x = 4,
@@ -61,7 +61,10 @@ struct EverythingScene {
     for (size_t p = 0; p < b.particle_q.size(); ++p)
       b.particle_q[p].z += 0.02f * std::sin(2.0f * static_cast<float>(p));
     b.color();
-    auto model = b.finalize(device);
+    return b;
+  }
+  static std::shared_ptr<Model> make(float kd = 0.0f, Device device = Device::cpu()) {
+    auto model = builder(kd).finalize(device);
     model->soft_contact_ke = 100.0f;
     model->soft_contact_kd = kd;
     return model;

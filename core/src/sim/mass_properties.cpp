@@ -6,6 +6,7 @@
 #include <numbers>
 
 #include "novaphy/math/ldlt.h"
+#include "novaphy/math/principal_axes.h"
 
 namespace novaphy::detail {
 namespace {
@@ -125,25 +126,9 @@ Entries entries(const Mat33f& inertia) {
   return e;
 }
 
-// Ascending, by Jacobi's rotations.
-std::array<double, 3> principal_moments(Mat33d a) {
-  for (int turn = 0; turn < 30; ++turn) {
-    const int p = turn % 3 == 2 ? 1 : 0, q = turn % 3 == 0 ? 1 : 2;
-    if (a.m[q][p] == 0.0) continue;
-    const double angle = 0.5 * std::atan2(2.0 * a.m[q][p], a.m[q][q] - a.m[p][p]);
-    const double c = std::cos(angle), s = std::sin(angle);
-    for (int k = 0; k < 3; ++k) {
-      const double x = a.m[k][p], y = a.m[k][q];
-      a.m[k][p] = c * x - s * y;
-      a.m[k][q] = s * x + c * y;
-    }
-    for (int k = 0; k < 3; ++k) {
-      const double x = a.m[p][k], y = a.m[q][k];
-      a.m[p][k] = c * x - s * y;
-      a.m[q][k] = s * x + c * y;
-    }
-  }
-  std::array<double, 3> moments = {a.m[0][0], a.m[1][1], a.m[2][2]};
+// Ascending.
+std::array<double, 3> principal_moments(const Mat33d& a) {
+  std::array<double, 3> moments = std::to_array(math::principal_axes(a).moments);
   std::sort(moments.begin(), moments.end());
   return moments;
 }

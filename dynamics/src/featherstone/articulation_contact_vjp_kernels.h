@@ -220,7 +220,7 @@ inline void finish_adjoint(const GroupAdjoint& s, int32_t i) {
 }
 
 // Islands in the order of their first contacts, as on the host: they meet in kinematic bodies.
-NOVAPHY_ROW_KERNEL(articulation_contact_vjp, 103, ArticulationContactVjpArguments) {
+NOVAPHY_ROW_KERNEL(articulation_contact_vjp, 104, ArticulationContactVjpArguments) {
   const GroupAdjoint s(a, row);
   const int32_t* const trees = a.of.trees;
   a.status[row] = 0;

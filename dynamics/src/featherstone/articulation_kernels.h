@@ -32,7 +32,7 @@ NOVAPHY_ROW_KERNEL(articulation_step, 39, ArticulationStepArguments) {
   write_step(a, rows, tree, in, options, ws);
 }
 
-NOVAPHY_ROW_KERNEL(articulation_step_vjp, 60, ArticulationStepVjpArguments) {
+NOVAPHY_ROW_KERNEL(articulation_step_vjp, 61, ArticulationStepVjpArguments) {
   const ArticulationRows& rows = a.in.rows[row];
   NOVAPHY_ROW_SCRATCH(LocalWorkspace, local,
                       reinterpret_cast<LocalWorkspace*>(a.workspace + row * a.stride));

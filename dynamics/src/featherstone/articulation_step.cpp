@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "../step_sources.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 
@@ -120,42 +121,32 @@ int64_t step_workspace(const Articulations& articulations) {
   return on_host && bytes <= kRowStack ? 0 : bytes / static_cast<int64_t>(sizeof(float));
 }
 
+NamedStepArrays step_arrays(const Model& m, const SimState* state, const Control* control) {
+  NamedStepArrays all;
+  articulation::for_each_array(
+      [&](const auto& source, int32_t place) {
+        all[static_cast<size_t>(place)] = {source.name, source.find(m, state, control),
+                                           source.is_constant()};
+      },
+      kStepSources, kAt);
+  return all;
+}
+
 ArticulationArguments articulation_arguments(const Model& m, const Articulations& articulations,
                                              const SimState& in, const Control* control,
                                              const FeatherstoneOptions& options, float dt) {
-  const auto& target_q = control ? control->joint_target_q : m.joint_target_q;
-  const auto& target_qd = control ? control->joint_target_qd : m.joint_target_qd;
-  const auto& joint_f = control ? control->joint_f : m.joint_f;
-  return {reinterpret_cast<const ArticulationRows*>(articulations.rows().data()),
-          reinterpret_cast<const articulation::Link*>(articulations.links().data()),
-          articulations.dof_parent().data(),
-          m.joint_X_p.data(),
-          m.joint_X_c.data(),
-          m.joint_axis.data(),
-          m.body_mass.data(),
-          m.body_com.data(),
-          m.body_inertia.data(),
-          m.gravity.data(),
-          m.joint_target_mode.data(),
-          target_q.data(),
-          target_qd.data(),
-          m.joint_target_ke.data(),
-          m.joint_target_kd.data(),
-          m.joint_damping.data(),
-          m.joint_armature.data(),
-          m.joint_limit_lower.data(),
-          m.joint_limit_upper.data(),
-          m.joint_limit_ke.data(),
-          m.joint_limit_kd.data(),
-          m.joint_effort_limit.data(),
-          m.joint_velocity_limit.data(),
-          in.joint_q.data(),
-          in.joint_qd.data(),
-          joint_f.data(),
-          in.body_f.data(),
-          {dt, 0},
-          {options.angular_damping, 0},
-          options.implicit_drives ? 1 : 0};
+  ArticulationArguments a = {};
+  articulation::for_each_array(
+      [&](auto& to, const auto& source) { to = source.find(m, &in, control)->data(); }, a,
+      kStepSources);
+  a.target_mode = m.joint_target_mode.data();
+  a.rows = reinterpret_cast<const ArticulationRows*>(articulations.rows().data());
+  a.links = reinterpret_cast<const articulation::Link*>(articulations.links().data());
+  a.dof_parent = articulations.dof_parent().data();
+  a.dt = {dt, 0};
+  a.angular_damping = {options.angular_damping, 0};
+  a.implicit_drives = options.implicit_drives ? 1 : 0;
+  return a;
 }
 
 }  // namespace novaphy

@@ -1,9 +1,11 @@
 #include "novaphy/dynamics/featherstone/control_sensitivity.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <utility>
 
+#include "../step_sources.h"
 #include "active_contacts.h"
 #include "articulation_step.h"
 #include "novaphy/core/error.h"
@@ -36,62 +38,31 @@ struct OwnWorkspace {
 // The arrays of a step as dual numbers without tangents, in memory that is kept.
 class DualStep {
  public:
-  void load(const Model& m, const Tree<float>& tree, const ArticulationArguments& a) {
-    next_ = 0;
-    const auto coords = static_cast<size_t>(m.joint_coord_count());
-    const auto dofs = static_cast<size_t>(m.joint_dof_count());
-    const auto bodies = static_cast<size_t>(m.body_count());
-    const auto joints = static_cast<size_t>(m.joint_count());
+  void load(const NamedStepArrays& from, const Tree<float>& tree, const ArticulationArguments& a) {
+    D* to[kStepArrays];
+    for (size_t i = 0; i < kStepArrays; ++i) {
+      const auto* const numbers = static_cast<const float*>(from[i].array->range()->data());
+      arrays_[i].resize(from[i].array->bytes() / sizeof(float));
+      for (size_t k = 0; k < arrays_[i].size(); ++k) arrays_[i][k] = {numbers[k], 0.0f};
+      to[i] = arrays_[i].data();
+    }
+    point_arrays(arrays, to);
+    point_arrays(in_, to);
+    in_.target_mode = a.target_mode;
     tree_ = {tree.link_count, tree.dof_count, tree.links, tree.dof_parent, tree.first_dof};
     tree_.joints_in_a_row = tree.joints_in_a_row;
-    tree_.X_p = take<Transform<D>>(a.X_p, joints);
-    tree_.X_c = take<Transform<D>>(a.X_c, joints);
-    tree_.axis = take<Vec3<D>>(a.axis, dofs);
-    tree_.mass = take<D>(a.mass, bodies);
-    tree_.com = take<Vec3<D>>(a.com, bodies);
-    tree_.inertia = take<Mat33<D>>(a.inertia, bodies);
+    articulation::set_arrays(in_, 0, tree_);
     tree_.gravity = {D(tree.gravity.x), D(tree.gravity.y), D(tree.gravity.z)};
-    q = take<D>(a.q, coords);
-    qd = take<D>(a.qd, dofs);
-    joint_f = take<D>(a.joint_f, dofs);
-    target_q = take<D>(a.target_q, coords);
-    target_qd = take<D>(a.target_qd, dofs);
-    in_ = {q, qd, joint_f, take<SpatialVector<D>>(a.body_f, bodies), {}};
-    in_.drives = {a.target_mode,
-                  target_q,
-                  target_qd,
-                  take<D>(a.target_ke, dofs),
-                  take<D>(a.target_kd, dofs),
-                  take<D>(a.damping, dofs),
-                  take<D>(a.armature, dofs),
-                  take<D>(a.limit_lower, dofs),
-                  take<D>(a.limit_upper, dofs),
-                  take<D>(a.limit_ke, dofs),
-                  take<D>(a.limit_kd, dofs),
-                  take<D>(a.effort_limit, dofs),
-                  take<D>(a.velocity_limit, dofs)};
   }
   const Tree<D>& tree() const { return tree_; }
   const StepInputs<D>& inputs() const { return in_; }
 
-  D *q = nullptr, *qd = nullptr, *joint_f = nullptr, *target_q = nullptr, *target_qd = nullptr;
+  articulation::StepArrays<articulation::WritePointers<D>> arrays = {};
 
  private:
-  template <class T, class Value>
-  T* take(const Value* values, size_t rows) {
-    constexpr size_t kNumbers = sizeof(T) / sizeof(D);
-    static_assert(sizeof(Value) == kNumbers * sizeof(float));
-    if (next_ == arrays_.size()) arrays_.emplace_back();
-    std::vector<D>& to = arrays_[next_++];
-    to.resize(rows * kNumbers);
-    const auto* numbers = reinterpret_cast<const float*>(values);
-    for (size_t i = 0; i < to.size(); ++i) to[i] = {numbers[i], 0.0f};
-    return reinterpret_cast<T*>(to.data());
-  }
   Tree<D> tree_;
-  StepInputs<D> in_;
-  std::vector<std::vector<D>> arrays_ = std::vector<std::vector<D>>(32);
-  size_t next_ = 0;
+  StepInputs<D> in_ = {};
+  std::array<std::vector<D>, kStepArrays> arrays_;
 };
 
 void check_joints(const Model& m, const ControlSensitivityOptions& o) {
@@ -186,17 +157,17 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
               ", ", i % parameters(), "]: expected a finite number, got ", values[i]);
   }
   // A target that moves needs a drive that follows it.
-  void check_followed(const Tree<float>& tree, const articulation::Drives<float>& d,
+  void check_followed(const Tree<float>& tree, const StepInputs<float>& in,
                       std::span<const float> values, bool rate, const char* name) const {
     for (int32_t i = 0; i < tree.link_count; ++i) {
       const articulation::Link& link = tree.links[i];
       if (link.dofs == 0) continue;
-      const int32_t mode = d.target_mode[link.dof];
+      const int32_t mode = in.target_mode[link.dof];
       const bool one = articulation::has_one_dof(link);
       const bool follows =
           one && (rate ? articulation::has_velocity_drive(mode) && mode != 1 &&
-                             d.target_kd[link.dof] > 0.0f
-                       : articulation::has_position_drive(mode) && d.target_ke[link.dof] > 0.0f);
+                             in.target_kd[link.dof] > 0.0f
+                       : articulation::has_position_drive(mode) && in.target_ke[link.dof] > 0.0f);
       if (follows) continue;
       const auto first = static_cast<size_t>(articulation::local_dof(tree, link)) * parameters();
       for (size_t k = first; k < first + static_cast<size_t>(link.dofs) * parameters(); ++k)
@@ -249,17 +220,18 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
                     const float* from_dv, float* to_dv) {
     const auto seed = [&](const float* force, const float* target_q, const float* target_qd,
                           const float* change_q, const float* change_v) {
-      articulation::tangent_to_coordinates(
-          tree, q_in, change_q, [&](int32_t row, float value) { duals.q[row].tangent = value; });
+      articulation::tangent_to_coordinates(tree, q_in, change_q, [&](int32_t row, float value) {
+        duals.arrays.q[row].tangent = value;
+      });
       for (int32_t i = 0; i < tree.link_count; ++i) {
         const articulation::Link& link = tree.links[i];
         for (int32_t j = 0; j < link.dofs; ++j) {
           const int32_t k = articulation::local_dof(tree, link) + j, row = link.dof + j;
-          duals.qd[row].tangent = change_v[k];
-          duals.joint_f[row].tangent = force ? force[k] : 0.0f;
-          duals.target_qd[row].tangent = target_qd ? target_qd[k] : 0.0f;
+          duals.arrays.qd[row].tangent = change_v[k];
+          duals.arrays.joint_f[row].tangent = force ? force[k] : 0.0f;
+          duals.arrays.target_qd[row].tangent = target_qd ? target_qd[k] : 0.0f;
           if (articulation::has_one_dof(link))
-            duals.target_q[link.coord].tangent = target_q ? target_q[k] : 0.0f;
+            duals.arrays.target_q[link.coord].tangent = target_q ? target_q[k] : 0.0f;
         }
       }
     };
@@ -296,16 +268,16 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     const size_t n = parameters();
     const Vec3<D> local = {D(options.point_local.x), D(options.point_local.y),
                            D(options.point_local.z)};
-    for (size_t k = 0; k < q.size(); ++k) duals.q[k] = {q[k], 0.0f};
-    for (size_t k = 0; k < qd.size(); ++k) duals.qd[k] = {qd[k], 0.0f};
+    for (size_t k = 0; k < q.size(); ++k) duals.arrays.q[k] = {q[k], 0.0f};
+    for (size_t k = 0; k < qd.size(); ++k) duals.arrays.qd[k] = {qd[k], 0.0f};
     for (size_t p = 0; p < n; ++p) {
       articulation::tangent_to_coordinates(
           tree, q.data(), dq.data() + p * dofs,
-          [&](int32_t row, float value) { duals.q[row].tangent = value; });
+          [&](int32_t row, float value) { duals.arrays.q[row].tangent = value; });
       for (size_t k = 0; k < dofs; ++k)
-        duals.qd[static_cast<size_t>(first_dof) + k].tangent = dv[p * dofs + k];
-      articulation::link_frames(duals.tree(), duals.q, dual.ws);
-      articulation::link_motions(duals.tree(), duals.qd + first_dof, dual.ws);
+        duals.arrays.qd[static_cast<size_t>(first_dof) + k].tangent = dv[p * dofs + k];
+      articulation::link_frames(duals.tree(), duals.arrays.q, dual.ws);
+      articulation::link_motions(duals.tree(), duals.arrays.qd + first_dof, dual.ws);
       const PointState<D> at = articulation::point_state(dual.ws, point_link, local);
       const D position[3] = {at.position.x, at.position.y, at.position.z};
       const D rate[3] = {at.velocity.x, at.velocity.y, at.velocity.z};
@@ -420,8 +392,8 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
       articulation_arguments(m, s.articulations, state_in, control, s.options.solver, dt);
   const StepInputs<float> in = articulation_inputs(a);
   const StepOptions<float> options = articulation_options(a);
-  if (!s.is_torque()) s.check_followed(tree, in.drives, dcontrol, false, "dcontrol");
-  if (!dtarget_qd.empty()) s.check_followed(tree, in.drives, dtarget_qd, true, "dtarget_qd");
+  if (!s.is_torque()) s.check_followed(tree, in, dcontrol, false, "dcontrol");
+  if (!dtarget_qd.empty()) s.check_followed(tree, in, dtarget_qd, true, "dtarget_qd");
   require(s.same(state_in, s.q, s.qd, tree), ErrorKind::Runtime, kStep,
           ", state_in: expected the state that reset or the last step ended with");
   const bool touches = contacts != nullptr;
@@ -442,7 +414,7 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
     if (!articulation::renew_branches(tree, in, options, true, round, s.single.ws)) break;
     stepped = articulation::solve_accelerations(tree, in, options, s.single.ws) < 0;
   }
-  if (s.options.exact && stepped) s.duals.load(m, tree, a);
+  if (s.options.exact && stepped) s.duals.load(step_arrays(m, &state_in, control), tree, a);
   for (size_t p = 0; stepped && p < s.parameters(); ++p) {
     const auto c = s.control_tangent(dcontrol, dtarget_qd, p);
     float *const dq = s.next_dq.data() + p * s.dofs, *const dv = s.next_dv.data() + p * s.dofs;

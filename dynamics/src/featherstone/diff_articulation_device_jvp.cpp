@@ -39,7 +39,7 @@ class LaunchedDuals {
 int64_t dual_numbers(const Step& s) {
   int64_t sum = 0;
   for (const Named& in : s.inputs) sum += in.tensor.defined() ? in.tensor.size() : 0;
-  for (size_t i = 3; i < 6; ++i) sum += s.values[i].tensor.size();
+  for (size_t i = kFrameP; i <= kAxis; ++i) sum += s.values[i].tensor.size();
   for (size_t i = 0; i < 4; ++i) sum += s.outputs[i].tensor.size();
   return sum;
 }
@@ -78,9 +78,8 @@ void launch_jvp(const Step& s, std::span<const Tensor> t, std::span<const Tensor
   std::vector<LaunchArgument> words(sizeof(a) / sizeof(uint64_t));
   const auto* const values = reinterpret_cast<const uint64_t*>(&a);
   for (size_t i = 0; i < words.size(); ++i) words[i] = number(static_cast<int64_t>(values[i]));
-  for (const auto& [word, value] : {std::pair{0, 0}, {1, 1}, {2, 2}, {10, 6}})
-    words[static_cast<size_t>(word)] = argument(s.values[static_cast<size_t>(value)].name,
-                                                s.values[static_cast<size_t>(value)].tensor, false);
+  for (size_t i = kTargetMode; i < kValues; ++i)
+    words[kGradientArrays + i] = argument(s.values[i].name, s.values[i].tensor, false);
   words[kArticulationWords] = memory.part(a.q_next, true);
   words[kArticulationWords + 4] = argument(s.outputs[5].name, s.outputs[5].tensor, false);
   if (solves) {

@@ -25,19 +25,9 @@ Tensor tensor_of(const Array& array) {
 }
 
 void add_arguments(const Step& s, std::vector<LaunchArgument>& words) {
-  const auto value = [&](size_t i) {
-    words.push_back(argument(s.values[i].name, s.values[i].tensor, false));
-  };
-  const auto in = [&](G::Member m) { words.push_back(argument(s.inputs[m].name, s.in(m), false)); };
-  for (size_t i = 0; i < 6; ++i) value(i);
-  for (const G::Member m : {G::kMass, G::kCom, G::kInertia}) in(m);
-  words.push_back(argument(s.inputs[kGravity].name, s.in(kGravity), false));
-  value(6);
-  for (const G::Member m :
-       {G::kTargetQ, G::kTargetQd, G::kTargetKe, G::kTargetKd, G::kDamping, G::kArmature,
-        G::kLimitLower, G::kLimitUpper, G::kLimitKe, G::kLimitKd, G::kEffortLimit,
-        G::kVelocityLimit, G::kQ, G::kQd, G::kJointF, G::kBodyF})
-    in(m);
+  for (size_t i = 0; i < kGradientArrays; ++i)
+    words.push_back(argument(s.inputs[i].name, s.in(i), false));
+  for (const Named& value : s.values) words.push_back(argument(value.name, value.tensor, false));
   words.push_back(number(s.dt));
   words.push_back(number(s.options.angular_damping));
   words.push_back(number(static_cast<int64_t>(s.options.implicit_drives ? 1 : 0)));
@@ -107,22 +97,30 @@ bool prepare_contacts(const Step& s, const ArticulationArguments* from) {
 }
 
 ArticulationArguments host_arguments(const Step& s) {
-  std::vector<LaunchArgument> words;
-  add_arguments(s, words);
-  return to_arguments<ArticulationArguments>(words);
+  return arguments_of<float>(s, [](const Tensor& values, int32_t) { return numbers(values); });
 }
+
+namespace {
+
+ArticulationStepArguments host_step(const Step& s, const ArticulationArguments& in,
+                                    const StepOutputs& to) {
+  return {.in = in,
+          .q_next = numbers(to[0]),
+          .qd_next = numbers(to[1]),
+          .body_q = reinterpret_cast<Transformf*>(numbers(to[2])),
+          .body_qd = reinterpret_cast<SpatialVectorf*>(numbers(to[3])),
+          .qdd = numbers(to[4]),
+          .branch = numbers(to[5]),
+          .status = s.shared->status.mutable_data(),
+          .workspace = nullptr,
+          .stride = 0};
+}
+
+}  // namespace
+
 void run_host(const Step& s, const ArticulationArguments& in, const StepOutputs* from,
               const StepOutputs& to) {
-  ArticulationStepArguments a = {in,
-                                 numbers(to[0]),
-                                 numbers(to[1]),
-                                 reinterpret_cast<Transformf*>(numbers(to[2])),
-                                 reinterpret_cast<SpatialVectorf*>(numbers(to[3])),
-                                 numbers(to[4]),
-                                 numbers(to[5]),
-                                 s.shared->status.mutable_data(),
-                                 nullptr,
-                                 0};
+  ArticulationStepArguments a = host_step(s, in, to);
   if (from != nullptr) {
     a.in.q = numbers((*from)[0]);
     a.in.qd = numbers((*from)[1]);
@@ -159,31 +157,29 @@ void launch_contacts(const Step& s, std::vector<LaunchArgument> words, bool tell
 void run_forward(const Step& s, bool tell) {
   const nova::NoGrad no_grad;
   const bool on_host = s.shared->device.is_cpu();
-  std::vector<LaunchArgument> words;
-  add_arguments(s, words);
-  bool touches = false;
   if (on_host) {
     copy_found(s);
-    const auto in = to_arguments<ArticulationArguments>(words);
-    touches = prepare_contacts(s, &in);
+    const ArticulationArguments in = host_arguments(s);
+    const bool touches = prepare_contacts(s, &in);
     if (s.contacts.defined()) *kept_contacts(s).far = {};
     if (!touches && s.shared->runs_on_host()) return run_host(s, in, nullptr, outputs_of(s));
+    if (touches) {
+      const KeptContacts kept = kept_contacts(s);
+      s.shared->pgs->step(host_step(s, in, outputs_of(s)), *s.model, contact_rows_of(s), s.options,
+                          nullptr);
+      s.shared->pgs->write_impulses(kept.impulses, kept.friction);
+      *kept.far = s.shared->pgs->far_island();
+      for (const Named& out : s.outputs) out.tensor.range()->mark_written();
+      return;
+    }
   }
+  std::vector<LaunchArgument> words;
+  add_arguments(s, words);
   for (const Named& out : s.outputs) words.push_back(argument(out.name, out.tensor, true));
   words.push_back(writes_row("status", s.status));
   words.push_back(writes("workspace", s.workspace));
   words.push_back(number(s.stride));
   if (!on_host && s.contacts.defined()) return launch_contacts(s, std::move(words), tell);
-  if (touches) {
-    const KeptContacts kept = kept_contacts(s);
-    auto a = to_arguments<ArticulationStepArguments>(words);
-    a.status = s.shared->status.mutable_data();
-    s.shared->pgs->step(a, *s.model, contact_rows_of(s), s.options, nullptr);
-    s.shared->pgs->write_impulses(kept.impulses, kept.friction);
-    *kept.far = s.shared->pgs->far_island();
-    for (const Named& out : s.outputs) out.tensor.range()->mark_written();
-    return;
-  }
   step_kernel().launch(s.shared->device, s.count, words);
 }
 
@@ -203,7 +199,7 @@ void tell_contacts(const Step& s) {
   const ContactRows rows =
       kept_contacts(s).rows(s.follow, s.point_id ? s.point_id->data() : nullptr);
   if (s.motion)
-    s.motion->found = s.shared->pgs->events(rows, s.options, numbers(s.in(G::kQd)), s.continues);
+    s.motion->found = s.shared->pgs->events(rows, s.options, numbers(s.in(kAt.qd)), s.continues);
   s.shared->pgs->add_branches(s.shared->branches, rows, s.shared->options, s.by_restitution,
                               s.continues);
   if (s.force) write_forces(kept_contacts(s), *s.force, s.dt);
@@ -214,7 +210,7 @@ void tell_contacts(const Step& s) {
 std::vector<Tensor> reads_of(const Step& s) {
   std::vector<Tensor> all;
   for (const Named& in : s.inputs) all.push_back(in.tensor);
-  for (size_t i = 3; i < s.values.size(); ++i) all.push_back(s.values[i].tensor);
+  for (size_t i = kFrameP; i <= kTargetMode; ++i) all.push_back(s.values[i].tensor);
   return all;
 }
 

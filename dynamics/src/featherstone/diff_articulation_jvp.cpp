@@ -88,8 +88,8 @@ void run_jvp_of_steps(const Step& s, std::span<const Tensor> t, std::span<const 
         out[k] = Tensor(to[k].shape(), nova::DType::F32, Device::cpu());
     }
     run_jvp(s, i == 0 ? nullptr : &from, to, inputs, out);
-    inputs[G::kQ] = out[0];
-    inputs[G::kQd] = out[1];
+    inputs[kAt.q] = out[0];
+    inputs[kAt.qd] = out[1];
     from = to;
   }
   for (size_t i = 4 * (s.following.size() + 1); i < tangents.size(); ++i)

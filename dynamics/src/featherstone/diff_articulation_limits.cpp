@@ -12,7 +12,7 @@ namespace art = articulation;
 std::pair<int32_t, int32_t> coordinates_of(const Step& s, int32_t tree) {
   const ArticulationRows& of = rows_of_step(s)[tree];
   const auto* const links =
-      static_cast<const art::Link*>(s.values[1].tensor.range()->data()) + of.first_link;
+      static_cast<const art::Link*>(s.values[kLinks].tensor.range()->data()) + of.first_link;
   int32_t begin = INT32_MAX, end = 0;
   for (int32_t i = 0; i < of.link_count; ++i) {
     const art::Link& link = links[i];
@@ -48,7 +48,7 @@ void add_limit_event(const Step& s, int32_t t, int32_t dof, bool acted) {
   auto ws = art::make_workspace<float>(work.data(), of.link_count, of.dof_count);
   if (art::accelerate_again(tree, inputs, options, branch.data(), ws) >= 0) return;
   art::free_rates(tree, inputs, options, ws);
-  std::vector<float> qdd(now.size()), q(static_cast<size_t>(s.in(G::kQ).size())), qd(now.size());
+  std::vector<float> qdd(now.size()), q(static_cast<size_t>(s.in(kAt.q).size())), qd(now.size());
   std::copy_n(ws.qdd, of.dof_count, qdd.data() + of.first_dof);
   std::vector<Transformf> body_q(static_cast<size_t>(s.outputs[2].tensor.size() / 7));
   std::vector<SpatialVectorf> body_qd(body_q.size());

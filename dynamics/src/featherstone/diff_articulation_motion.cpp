@@ -52,16 +52,16 @@ std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
   std::array<std::vector<float>, 6> out;
   for (size_t i = 0; i < out.size(); ++i) out[i] = copy_of(s.outputs[i].tensor);
   std::vector<int32_t> status(static_cast<size_t>(s.count));
-  const ArticulationStepArguments a = {in,
-                                       out[0].data(),
-                                       out[1].data(),
-                                       reinterpret_cast<Transformf*>(out[2].data()),
-                                       reinterpret_cast<SpatialVectorf*>(out[3].data()),
-                                       out[4].data(),
-                                       out[5].data(),
-                                       status.data(),
-                                       nullptr,
-                                       0};
+  const ArticulationStepArguments a = {.in = in,
+                                       .q_next = out[0].data(),
+                                       .qd_next = out[1].data(),
+                                       .body_q = reinterpret_cast<Transformf*>(out[2].data()),
+                                       .body_qd = reinterpret_cast<SpatialVectorf*>(out[3].data()),
+                                       .qdd = out[4].data(),
+                                       .branch = out[5].data(),
+                                       .status = status.data(),
+                                       .workspace = nullptr,
+                                       .stride = 0};
   if (s.contacts.defined() && shared.pgs->prepare(*s.model, contacts, &in))
     shared.pgs->step(a, *s.model, contacts, s.options, nullptr);
   else
@@ -84,7 +84,7 @@ std::vector<float> smooth_accelerations(const Step& s, const ArticulationArgumen
 }
 
 bool same_controls(const Step& a, const Step& b) {
-  for (const G::Member m : {G::kJointF, G::kBodyF, G::kTargetQ, G::kTargetQd})
+  for (const int32_t m : {kAt.joint_f, kAt.body_f, kAt.target_q, kAt.target_qd})
     if (a.in(m).range()->data() != b.in(m).range()->data()) return false;
   return true;
 }
@@ -149,7 +149,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
   MotionNotes& notes = *s.motion;
   const ArticulationArguments in = host_arguments(s);
   const float* const qd_next = numbers(s.outputs[1].tensor);
-  const auto dofs = static_cast<size_t>(s.in(G::kQd).size());
+  const auto dofs = static_cast<size_t>(s.in(kAt.qd).size());
   MotionNotes* const last = before ? before->motion.get() : nullptr;
   bool follows = false;  // an event that has begun before ends at its start, or goes on
   if (last != nullptr) {
@@ -185,16 +185,16 @@ void note_motion(const std::shared_ptr<const Step>& step,
 void motion_vjp(const Step& s, std::span<const Tensor> outputs,
                 std::span<const nova::InputGradient> gradients, const Adjoint& run) {
   MotionNotes& notes = *s.motion;
-  const nova::InputGradient &of_q = gradients[G::kQ], &of_qd = gradients[G::kQd];
+  const nova::InputGradient &of_q = gradients[kAt.q], &of_qd = gradients[kAt.qd];
   if (!notes.concerned() || !of_q.grad.defined()) return run(gradients);
   std::vector<nova::InputGradient> all(gradients.begin(), gradients.end());
   const auto own = [](const Tensor& like) {
     return Tensor(like.shape(), nova::DType::F32, Device::cpu());
   };
-  all[G::kQ] = {own(s.in(G::kQ)), false};
-  all[G::kQd] = {own(s.in(G::kQd)), false};
+  all[kAt.q] = {own(s.in(kAt.q)), false};
+  all[kAt.qd] = {own(s.in(kAt.qd)), false};
   run(all);
-  float *const y_q = numbers(all[G::kQ].grad), *const y_qd = numbers(all[G::kQd].grad);
+  float *const y_q = numbers(all[kAt.q].grad), *const y_qd = numbers(all[kAt.qd].grad);
 
   const EndOfStep end(s);
   const ArticulationArguments in = host_arguments(s);
@@ -206,7 +206,7 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
       numbers(outputs[0]), numbers(outputs[1]),
       reinterpret_cast<const Transformf*>(numbers(outputs[2])),
       reinterpret_cast<const SpatialVectorf*>(numbers(outputs[3]))};
-  const auto dofs = static_cast<size_t>(s.in(G::kQd).size());
+  const auto dofs = static_cast<size_t>(s.in(kAt.qd).size());
   std::vector<float> p_q(dofs), correction(dofs), tangent(dofs);
   std::vector<float> mismatch(static_cast<size_t>(s.count));
   for (size_t t = 0; t < mismatch.size(); ++t) {
@@ -300,8 +300,8 @@ void move_on(const Step& s, const float* q, const float* qd, const float* qdd,
   };
   const ArticulationArgumentsOf<DualFloat> a = dual_arguments(s, nullptr, none, take);
   const ArticulationRows* const rows = rows_of_step(s);
-  const auto coordinates = static_cast<size_t>(s.in(G::kQ).size());
-  const auto dofs = static_cast<size_t>(s.in(G::kQd).size());
+  const auto coordinates = static_cast<size_t>(s.in(kAt.q).size());
+  const auto dofs = static_cast<size_t>(s.in(kAt.qd).size());
   std::vector<DualFloat> x(coordinates), moved(coordinates), v(dofs), faster(dofs);
   for (size_t i = 0; i < coordinates; ++i) x[i] = {q[i], 0.0f};
   for (size_t t = 0; t < dt.size(); ++t) {
@@ -350,7 +350,7 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
   if (!notes.concerned()) return run(inputs);
   const ArticulationArguments in = host_arguments(s);
   const ArticulationRows* const rows = rows_of_step(s);
-  const auto trees = static_cast<size_t>(s.count), dofs = static_cast<size_t>(s.in(G::kQd).size());
+  const auto trees = static_cast<size_t>(s.count), dofs = static_cast<size_t>(s.in(kAt.qd).size());
   const auto copy_of = [](const Tensor& like, const Tensor& from) {
     Tensor to(like.shape(), nova::DType::F32, Device::cpu());
     float* const x = numbers(to);
@@ -358,8 +358,8 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
     return to;
   };
   std::vector<Tensor> moved(inputs.begin(), inputs.end());
-  moved[G::kQ] = copy_of(s.in(G::kQ), inputs[G::kQ]);
-  moved[G::kQd] = copy_of(s.in(G::kQd), inputs[G::kQd]);
+  moved[kAt.q] = copy_of(s.in(kAt.q), inputs[kAt.q]);
+  moved[kAt.qd] = copy_of(s.in(kAt.qd), inputs[kAt.qd]);
   std::vector<float> delay(trees), jump(dofs);  // of the new coordinates, tangents
   for (const ContactEvent& event : notes.found.events) {
     const double approach = total_approach(event);
@@ -373,7 +373,7 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
       for (const int32_t tree : event.trees)
         art::tangent_to_gradient(
             articulation_tree(in, rows[tree]), in.q, covector.data() + rows[tree].first_dof,
-            [&](int32_t row, float value) { by += double{value} * numbers(moved[G::kQ])[row]; });
+            [&](int32_t row, float value) { by += double{value} * numbers(moved[kAt.q])[row]; });
       own[g] = by / event.groups[g].approach;
       all += by / approach;
     }
@@ -384,12 +384,12 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
     for (const int32_t tree : event.trees)
       delay[static_cast<size_t>(tree)] += static_cast<float>(all);
   }
-  move_on(s, in.q, in.qd, notes.smooth.data(), delay, numbers(moved[G::kQ]), numbers(moved[G::kQd]),
+  move_on(s, in.q, in.qd, notes.smooth.data(), delay, numbers(moved[kAt.q]), numbers(moved[kAt.qd]),
           nullptr, nullptr);
   for (const LimitEvent& event : notes.limits) {
     const art::Tree<float> tree = articulation_tree(in, rows[event.tree]);
-    float* const q = numbers(moved[G::kQ]) + coordinates_of(s, event.tree).first;
-    float* const qd = numbers(moved[G::kQd]) + tree.first_dof;
+    float* const q = numbers(moved[kAt.q]) + coordinates_of(s, event.tree).first;
+    float* const qd = numbers(moved[kAt.qd]) + tree.first_dof;
     double by = 0.0;
     for (size_t i = 0; i < event.by_q.size(); ++i) by += double{event.by_q[i]} * q[i];
     for (size_t i = 0; i < event.by_qd.size(); ++i) by += double{event.by_qd[i]} * qd[i];

@@ -4,13 +4,13 @@
 
 #include <algorithm>
 #include <array>
-#include <cstring>
 #include <memory>
 #include <optional>
 #include <span>
 #include <string>
 #include <vector>
 
+#include "../step_sources.h"
 #include "articulation_step.h"
 #include "launched_contacts.h"
 #include "novaphy/core/device_kernel.h"
@@ -32,11 +32,9 @@ using nova::argument;
 using nova::Tensor;
 inline constexpr const char* kName = "articulation_step";
 struct MotionNotes;
-using G = articulation::StepGradient<float>;
-// Inputs behind the members of G. Those of shapes only with contacts.
+// Inputs behind the arrays with a gradient (kAt). Those of shapes only with contacts.
 enum MoreInputs : size_t {
-  kGravity = G::kMembers,
-  kJointFriction,
+  kJointFriction = kGradientArrays,
   kShapeInputs,
   kMu = kShapeInputs,
   kRestitution,
@@ -44,6 +42,8 @@ enum MoreInputs : size_t {
   kDamping,
   kInputs
 };
+// What a step reads without a gradient, in the order of ArticulationArguments.
+enum Values : size_t { kFrameP, kFrameC, kAxis, kTargetMode, kRows, kLinks, kDofParent, kValues };
 
 struct Named {
   const char* name;
@@ -207,8 +207,8 @@ struct ArticulationStep::Step {
   bool continues = false;       // it starts where the last one with contacts ended
   bool by_restitution = false;  // its gradient is asked for
   bool dry = false;             // Shared::dry
-  std::array<detail::Named, detail::kInputs> inputs;  // in the order of StepGradient, MoreInputs
-  std::array<detail::Named, 7> values;   // rows, links, dof_parent, X_p, X_c, axis, target_mode
+  std::array<detail::Named, detail::kInputs> inputs;  // at kAt and MoreInputs
+  std::array<detail::Named, detail::kValues> values;
   std::array<detail::Named, 6> outputs;  // q, qd, body_q, body_qd, qdd, branch
   FeatherstoneOptions options;
   float dt = 0.0f;
@@ -231,22 +231,10 @@ namespace detail {
 using Step = ArticulationStep::Step;
 
 inline const ArticulationRows* rows_of_step(const Step& s) {
-  return static_cast<const ArticulationRows*>(s.values[0].tensor.range()->data());
+  return static_cast<const ArticulationRows*>(s.values[kRows].tensor.range()->data());
 }
-// Words of launches.
-// Those of ArticulationArguments.
+// Words of launches: those of ArticulationArguments.
 void add_arguments(const Step& s, std::vector<LaunchArgument>& words);
-// The words of a launch as the arguments of its kernel.
-template <class Arguments>
-Arguments to_arguments(const std::vector<LaunchArgument>& words) {
-  std::vector<uint64_t> values;
-  for (const LaunchArgument& word : words) values.push_back(word.word);
-  require(values.size() * sizeof(uint64_t) == sizeof(Arguments), ErrorKind::Runtime, kName,
-          ": wrong number of arguments");
-  Arguments a;
-  std::memcpy(&a, values.data(), sizeof(a));
-  return a;
-}
 
 // Also of an array that may not be written through this handle.
 Tensor tensor_of(const Array& array);
@@ -270,7 +258,30 @@ StepOutputs outputs_of(const Step& s);
 // What a replay of the step or of its adjoint reads and others may write.
 std::vector<Tensor> reads_of(const Step& s);
 
-// What the first step of an operation reads and does, on the host.
+// The arguments of the first step of an operation; take(values, place) gives the numbers of an
+// array.
+template <class T, class Take>
+ArticulationArgumentsOf<T> arguments_of(const Step& s, const Take& take) {
+  ArticulationArgumentsOf<T> a = {};
+  decltype(take(Tensor(), 0)) arrays[kStepArrays];
+  for (size_t i = 0; i < kStepArrays; ++i) {
+    const Named& of = i < kGradientArrays ? s.inputs[i] : s.values[i - kGradientArrays];
+    arrays[i] = take(of.tensor, static_cast<int32_t>(i));
+  }
+  point_arrays(a, arrays);
+  const auto indices = [&](Values i) {
+    return static_cast<const int32_t*>(s.values[i].tensor.range()->data());
+  };
+  a.target_mode = indices(kTargetMode);
+  a.rows = reinterpret_cast<const ArticulationRows*>(indices(kRows));
+  a.links = reinterpret_cast<const articulation::Link*>(indices(kLinks));
+  a.dof_parent = indices(kDofParent);
+  a.dt = {s.dt, 0};
+  a.angular_damping = {s.options.angular_damping, 0};
+  a.implicit_drives = s.options.implicit_drives ? 1 : 0;
+  return a;
+}
+// On the host.
 ArticulationArguments host_arguments(const Step& s);
 // The step from the state `from`, or the first one's, into `to`.
 void run_host(const Step& s, const ArticulationArguments& in, const StepOutputs* from,

@@ -52,6 +52,41 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   return op;
 }
 
+Named view(const char* name, const Array& array) { return {name, tensor_of(array)}; }
+
+void set_arrays(Step& s, const SimState& in, const SimState& out, const Control* control,
+                const nova::Operand& body_f, StepScratch scratch) {
+  const Model& m = *s.model;
+  const NamedStepArrays arrays = step_arrays(m, &in, control);
+  for (size_t i = 0; i < kStepArrays; ++i) {
+    Named& to = i < kGradientArrays ? s.inputs[i] : s.values[i - kGradientArrays];
+    to = view(arrays[i].name, *arrays[i].array);
+  }
+  s.inputs[kAt.body_f].tensor = {body_f.range, {body_f.rows, body_f.width}, nova::DType::F32};
+  s.inputs[kJointFriction] = view("joint_friction", m.joint_friction);
+  const Articulations& a = s.shared->articulations;
+  s.values[kTargetMode] = view("model.joint_target_mode", m.joint_target_mode);
+  s.values[kRows] = view("rows", a.rows());
+  s.values[kLinks] = view("links", a.links());
+  s.values[kDofParent] = view("dof_parent", a.dof_parent());
+  s.outputs = {view("joint_q", out.joint_q), view("joint_qd", out.joint_qd),
+               view("body_q", out.body_q),   view("body_qd", out.body_qd),
+               view("qdd", scratch[0]),      view("branch", scratch[1])};
+}
+
+void set_contacts(Step& s, const Contacts& contacts, FoundContacts found) {
+  s.contact_max = contacts.rigid_contact_max();
+  if (found == FoundContacts::Always || nova::current_capture() != nullptr)
+    s.found.emplace(contacts);
+  s.force = contacts.rigid_contact_force;
+  s.point_id = contacts.rigid_contact_point_id;
+  const Model& m = *s.model;
+  s.inputs[kMu] = view("shape_material_mu", m.shape_material_mu);
+  s.inputs[kRestitution] = view("shape_material_restitution", m.shape_material_restitution);
+  s.inputs[kStiffness] = view("shape_material_ke", m.shape_material_ke);
+  s.inputs[kDamping] = view("shape_material_kd", m.shape_material_kd);
+}
+
 }  // namespace
 
 ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions& options,
@@ -126,66 +161,26 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   join = join && !moves;
   if (join && pending_ && joins(m, in, out, control, body_f, dt, scratch)) return;
   flush();
-  const auto view = [](const char* name, const Array& array) {
-    return Named{name, tensor_of(array)};
-  };
   const Articulations& a = shared_->articulations;
-  const auto& joint_f = control ? control->joint_f : m.joint_f;
-  const auto& target_q = control ? control->joint_target_q : m.joint_target_q;
-  const auto& target_qd = control ? control->joint_target_qd : m.joint_target_qd;
   const bool touching = contacts != nullptr && contacts->rigid_contact_max() > 0;
-  auto step = std::make_shared<Step>(Step{
-      shared_,
-      m.shared_from_this(),
-      touching || shared_->dry ? tensor_of(scratch[2]) : Tensor(),
-      touching ? contacts->rigid_contact_max() : 0,
-      touching && (found == FoundContacts::Always || nova::current_capture() != nullptr)
-          ? std::optional<FoundRows>(*contacts)
-          : std::nullopt,
-      found != FoundContacts::Before,
-      touching ? std::optional<DeviceArray<Vec3f>>(contacts->rigid_contact_force) : std::nullopt,
-      touching ? std::optional<DeviceArray<int32_t>>(contacts->rigid_contact_point_id)
-               : std::nullopt,
-      shared_->ended == in.joint_q.range()->data(),
-      nova::Tape::active() != nullptr &&
-          nova::Tape::active()->carries_gradient(*m.shape_material_restitution.range()),
-      shared_->dry,
-      {view("joint_q", in.joint_q),
-       view("joint_qd", in.joint_qd),
-       view("joint_f", joint_f),
-       {"body_f", {body_f.range, {body_f.rows, body_f.width}, nova::DType::F32}},
-       view("joint_target_q", target_q),
-       view("joint_target_qd", target_qd),
-       view("joint_target_ke", m.joint_target_ke),
-       view("joint_target_kd", m.joint_target_kd),
-       view("joint_damping", m.joint_damping),
-       view("joint_armature", m.joint_armature),
-       view("joint_limit_lower", m.joint_limit_lower),
-       view("joint_limit_upper", m.joint_limit_upper),
-       view("joint_limit_ke", m.joint_limit_ke),
-       view("joint_limit_kd", m.joint_limit_kd),
-       view("joint_effort_limit", m.joint_effort_limit),
-       view("joint_velocity_limit", m.joint_velocity_limit),
-       view("body_mass", m.body_mass),
-       view("body_com", m.body_com),
-       view("body_inertia", m.body_inertia),
-       view("gravity", m.gravity),
-       view("joint_friction", m.joint_friction),
-       touching ? view("shape_material_mu", m.shape_material_mu) : Named{},
-       touching ? view("shape_material_restitution", m.shape_material_restitution) : Named{},
-       touching ? view("shape_material_ke", m.shape_material_ke) : Named{},
-       touching ? view("shape_material_kd", m.shape_material_kd) : Named{}},
-      {view("rows", a.rows()), view("links", a.links()), view("dof_parent", a.dof_parent()),
-       view("joint_X_p", m.joint_X_p), view("joint_X_c", m.joint_X_c),
-       view("joint_axis", m.joint_axis), view("joint_target_mode", m.joint_target_mode)},
-      {view("joint_q", out.joint_q), view("joint_qd", out.joint_qd), view("body_q", out.body_q),
-       view("body_qd", out.body_qd), view("qdd", scratch[0]), view("branch", scratch[1])},
-      shared_->options,
-      dt,
-      a.count(),
-      shared_->stride,
-      shared_->status,
-      shared_->workspace});
+  auto step = std::make_shared<Step>();
+  step->shared = shared_;
+  step->model = m.shared_from_this();
+  step->follow = found != FoundContacts::Before;
+  step->continues = shared_->ended == in.joint_q.range()->data();
+  const nova::Tape* const tape = nova::Tape::active();
+  step->by_restitution =
+      tape != nullptr && tape->carries_gradient(*m.shape_material_restitution.range());
+  step->dry = shared_->dry;
+  step->options = shared_->options;
+  step->dt = dt;
+  step->count = a.count();
+  step->stride = shared_->stride;
+  step->status = shared_->status;
+  step->workspace = shared_->workspace;
+  set_arrays(*step, in, out, control, body_f, scratch);
+  if (touching || shared_->dry) step->contacts = tensor_of(scratch[2]);
+  if (touching) set_contacts(*step, *contacts, found);
   step->number = number;
   step->far = shared_->far;
   if (touching) shared_->materials.check(m);
@@ -222,18 +217,17 @@ bool ArticulationStep::joins(const Model& m, const SimState& in, SimState& out,
                              const Control* control, const nova::Operand& body_f, float dt,
                              StepScratch scratch) {
   Step& first = *pending_;
-  const auto& joint_f = control ? control->joint_f : m.joint_f;
-  const auto& target_q = control ? control->joint_target_q : m.joint_target_q;
-  const auto& target_qd = control ? control->joint_target_qd : m.joint_target_qd;
-  const auto same = [&](G::Member member, const std::shared_ptr<Range>& range) {
-    return first.in(member).range()->data() == range->data();
+  const auto same = [&](int32_t place, const std::shared_ptr<Range>& range) {
+    return first.in(static_cast<size_t>(place)).range()->data() == range->data();
   };
+  bool same_inputs = same(kAt.body_f, body_f.range);
+  const NamedStepArrays arrays = step_arrays(m, &in, control);
+  for (const int32_t i : {kAt.joint_f, kAt.target_q, kAt.target_qd})
+    same_inputs = same_inputs && same(i, arrays[static_cast<size_t>(i)].array->range());
   const StepOutputs from = first.following.empty() ? outputs_of(first) : first.following.back();
   if (first.following.size() + 1 == kMostSteps || first.dt != dt ||
       from[0].range()->data() != in.joint_q.range()->data() ||
-      from[1].range()->data() != in.joint_qd.range()->data() ||
-      !same(G::kJointF, joint_f.range()) || !same(G::kTargetQ, target_q.range()) ||
-      !same(G::kTargetQd, target_qd.range()) || !same(G::kBodyF, body_f.range))
+      from[1].range()->data() != in.joint_qd.range()->data() || !same_inputs)
     return false;
   const StepOutputs to = {tensor_of(out.joint_q), tensor_of(out.joint_qd), tensor_of(out.body_q),
                           tensor_of(out.body_qd), tensor_of(scratch[0]),   tensor_of(scratch[1])};

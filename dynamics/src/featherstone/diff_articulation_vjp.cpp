@@ -19,7 +19,7 @@ const Kernels& kernels() {
 
 // Memory for the gradients of body_f, from which gravity's follow.
 DeviceArray<float>& wrench_memory(const Step& s) {
-  const auto numbers_of = static_cast<size_t>(s.in(G::kBodyF).size());
+  const auto numbers_of = static_cast<size_t>(s.in(kAt.body_f).size());
   DeviceArray<float>& memory = s.shared->wrenches;
   if (memory.size() != numbers_of) {
     const Unobserved unobserved;
@@ -29,14 +29,14 @@ DeviceArray<float>& wrench_memory(const Step& s) {
 }
 std::vector<LaunchArgument> gravity_words(const Step& s, const Tensor& gravity, bool add_gravity,
                                           const Tensor& body_f, bool add_body_f) {
-  return {argument("rows", s.values[0].tensor, false),
-          argument("links", s.values[1].tensor, false),
-          argument("body_mass", s.in(G::kMass), false),
+  return {argument("rows", s.values[kRows].tensor, false),
+          argument("links", s.values[kLinks].tensor, false),
+          argument("body_mass", s.in(kAt.mass), false),
           reads("gradient of body_f", s.shared->wrenches),
           argument("gradient of gravity", gravity, true),
           argument("gradient of body_f", body_f, true),
           number(s.count),
-          number(s.in(G::kBodyF).size() / 6),
+          number(s.in(kAt.body_f).size() / 6),
           number(gravity.size() / 3),
           number(int64_t{add_gravity}),
           number(int64_t{add_body_f})};
@@ -46,14 +46,50 @@ template <class Adjoint>
 void with_gravity(const Step& s, ArticulationStepVjpArguments a, const Tensor& gravity, bool add,
                   const Tensor& body_f, const Adjoint& adjoint) {
   if (!gravity.defined()) return adjoint(a);
-  constexpr int32_t kWrench = 1 << G::kBodyF;
+  constexpr int32_t kWrench = 1 << kAt.body_f;
   const bool add_body_f = (a.gradient.add & kWrench) != 0;
   a.gradient.body_f = reinterpret_cast<SpatialVectorf*>(wrench_memory(s).mutable_data());
   a.gradient.add &= ~kWrench;
   adjoint(a);
-  gravity_gradient_row(
-      to_arguments<GravityGradientArguments>(gravity_words(s, gravity, add, body_f, add_body_f)), 0,
-      1);
+  const GravityGradientArguments of_gravity = {
+      .rows = a.in.rows,
+      .links = a.in.links,
+      .mass = a.in.mass,
+      .wrenches = a.gradient.body_f,
+      .gravity = reinterpret_cast<Vec3f*>(numbers(gravity)),
+      .body_f = reinterpret_cast<SpatialVectorf*>(numbers(body_f)),
+      .count = s.count,
+      .bodies = s.in(kAt.body_f).size() / 6,
+      .worlds = gravity.size() / 3,
+      .add_gravity = add,
+      .add_body_f = add_body_f};
+  gravity_gradient_row(of_gravity, 0, 1);
+}
+
+// What the adjoint of the first step reads and writes, but gravity's gradient, which with_gravity
+// writes.
+ArticulationStepVjpArguments host_vjp(const Step& s, const ArticulationArguments& in,
+                                      std::span<const nova::InputGradient> gradients) {
+  ArticulationStepVjpArguments a = {};
+  a.in = in;
+  a.qdd = numbers(s.outputs[4].tensor);
+  a.branch = numbers(s.outputs[5].tensor);
+  a.q_next = numbers(s.outputs[0].tensor);
+  a.qd_next = numbers(s.outputs[1].tensor);
+  float* to[kGradientArrays];
+  for (size_t i = 0; i < kGradientArrays; ++i) {
+    to[i] = numbers(gradients[i].grad);
+    if (gradients[i].add) a.gradient.add |= int32_t{1} << i;
+  }
+  point_gradient_arrays(a.gradient, to);
+  a.gradient.gravity = nullptr;
+  a.workspace = const_cast<float*>(s.workspace.data());
+  a.stride = s.stride;
+  return a;
+}
+articulation::StepOutputGradient<float> output_gradient(const Tensor* of) {
+  return {numbers(of[0]), numbers(of[1]), reinterpret_cast<const Transformf*>(numbers(of[2])),
+          reinterpret_cast<const SpatialVectorf*>(numbers(of[3]))};
 }
 
 }  // namespace
@@ -63,21 +99,14 @@ void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
   require(!nova::current_capture(), ErrorKind::NotImplemented,
           "articulation_step: backward inside a ScopedCapture of a rollout outside of it is not "
           "there");
-  ArticulationStepVjpArguments a = {
-      s.host,  nullptr, nullptr, nullptr, nullptr, {}, {}, const_cast<float*>(s.workspace.data()),
-      s.stride};
-  float** const members = reinterpret_cast<float**>(&a.gradient);
-  int32_t add = 0;
-  for (size_t i = 0; i < G::kMembers; ++i) {
-    members[i] = numbers(gradients[i].grad);
-    if (gradients[i].add) add |= int32_t{1} << i;
-  }
-  bool add_gravity = gradients[kGravity].add;
-  constexpr int32_t kState = 1 << G::kQ | 1 << G::kQd;
+  ArticulationStepVjpArguments a = host_vjp(s, s.host, gradients);
+  int32_t add = a.gradient.add;
+  bool add_gravity = gradients[kAt.gravity].add;
+  constexpr int32_t kState = 1 << kAt.q | 1 << kAt.qd;
   float *const q_first = a.gradient.q, *const qd_first = a.gradient.qd;
   std::vector<float>& between = s.shared->between;
-  const auto nq = static_cast<size_t>(s.in(G::kQ).size());
-  const auto nv = static_cast<size_t>(s.in(G::kQd).size());
+  const auto nq = static_cast<size_t>(s.in(kAt.q).size());
+  const auto nv = static_cast<size_t>(s.in(kAt.qd).size());
   between.resize(2 * (nq + nv));
   for (size_t i = s.following.size() + 1; i-- > 0;) {
     const bool last = i == s.following.size(), first = i == 0;
@@ -86,20 +115,22 @@ void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
     };
     float* const to = between.data() + (i % 2) * (nq + nv);
     const float* const carried = between.data() + ((i + 1) % 2) * (nq + nv);
-    a.in.q = numbers(first ? s.in(G::kQ) : array(i - 1, 0));
-    a.in.qd = numbers(first ? s.in(G::kQd) : array(i - 1, 1));
+    a.in.q = numbers(first ? s.in(kAt.q) : array(i - 1, 0));
+    a.in.qd = numbers(first ? s.in(kAt.qd) : array(i - 1, 1));
     a.q_next = numbers(array(i, 0));
     a.qd_next = numbers(array(i, 1));
     a.qdd = numbers(array(i, 4));
     a.branch = numbers(array(i, 5));
     const Tensor* const mine = outputs.data() + 4 * i;
-    a.out = {last ? numbers(mine[0]) : carried, last ? numbers(mine[1]) : carried + nq,
-             reinterpret_cast<const Transformf*>(numbers(mine[2])),
-             reinterpret_cast<const SpatialVectorf*>(numbers(mine[3]))};
+    a.out = output_gradient(mine);
+    if (!last) {
+      a.out.q = carried;
+      a.out.qd = carried + nq;
+    }
     a.gradient.q = first ? q_first : to;
     a.gradient.qd = first ? qd_first : to + nq;
     a.gradient.add = first ? add : add & ~kState;
-    with_gravity(s, a, gradients[kGravity].grad, add_gravity, gradients[G::kBodyF].grad,
+    with_gravity(s, a, gradients[kAt.gravity].grad, add_gravity, gradients[kAt.body_f].grad,
                  [&](const ArticulationStepVjpArguments& all) {
                    s.shared->trees->vjp(all, *s.model, s.shared->all);
                  });
@@ -114,10 +145,9 @@ void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
 
 namespace {
 
-void run_vjp(const Step& s, std::span<const Tensor> outputs,
-             std::span<const nova::InputGradient> gradients) {
-  const nova::NoGrad no_grad;
-  require_converged(s, "backward");
+void launch_vjp(const Step& s, std::span<const Tensor> outputs,
+                std::span<const nova::InputGradient> gradients) {
+  const Tensor &gravity = gradients[kAt.gravity].grad, &body_f = gradients[kAt.body_f].grad;
   std::vector<LaunchArgument> words;
   add_arguments(s, words);
   for (const size_t i : {4, 5, 0, 1})
@@ -125,38 +155,18 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
   for (size_t i = 0; i < 4; ++i)
     words.push_back(argument("gradient of an output", outputs[i], false));
   int64_t add = 0;
-  for (size_t i = 0; i < G::kMembers; ++i) {
-    words.push_back(argument(s.inputs[i].name, gradients[i].grad, true));
+  for (size_t i = 0; i < kGradientArrays; ++i) {
+    const Tensor& to =
+        i == kAt.gravity ? Tensor() : gradients[i].grad;  // gravity_gradient writes that
+    words.push_back(argument(s.inputs[i].name, to, true));
     if (gradients[i].add) add |= int64_t{1} << i;
   }
   words.push_back(number(add));
   words.push_back(writes("workspace", s.workspace));
   words.push_back(number(s.stride));
-  for (size_t i = kJointFriction; i < gradients.size(); ++i)
-    if (gradients[i].grad.defined() && !gradients[i].add)
-      nova::submit_fill(gradients[i].grad.range(), 0.0f);
-  const Tensor &gravity = gradients[kGravity].grad, &body_f = gradients[G::kBodyF].grad;
-  const bool add_gravity = gradients[kGravity].add, add_body_f = gradients[G::kBodyF].add;
-  if (s.shared->runs_on_host()) {
-    const auto of = [&](size_t i) {
-      return i < gradients.size() ? numbers(gradients[i].grad) : nullptr;
-    };
-    const ContactGradient more = {of(kJointFriction), of(kMu), of(kRestitution), of(kStiffness),
-                                  of(kDamping)};
-    return with_gravity(s, to_arguments<ArticulationStepVjpArguments>(words), gravity, add_gravity,
-                        body_f, [&](const ArticulationStepVjpArguments& a) {
-                          if (prepare_contacts(s, nullptr) || more.joint_friction != nullptr) {
-                            const KeptContacts kept = kept_contacts(s);
-                            s.shared->pgs->vjp(a, *s.model, contact_rows_of(s), kept.impulses,
-                                               kept.friction, s.options, more);
-                            return;
-                          }
-                          s.shared->trees->vjp(a, *s.model, s.shared->all);
-                        });
-  }
   if (gravity.defined()) {
-    words[kGradientWords + G::kBodyF] = writes("gradient of body_f", wrench_memory(s));
-    words[kGradientWords + G::kMembers] = number(add & ~(int64_t{1} << G::kBodyF));
+    words[kGradientWords + kAt.body_f] = writes("gradient of body_f", wrench_memory(s));
+    words[kGradientWords + kGradientArrays] = number(add & ~(int64_t{1} << kAt.body_f));
   }
   if (s.contacts.defined() && s.shared->launched) {
     const auto to = [&](size_t i) {
@@ -170,8 +180,36 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
     kernels().vjp.launch(s.shared->device, s.count, words);
   }
   if (gravity.defined())
-    kernels().gravity.launch(s.shared->device, 1,
-                             gravity_words(s, gravity, add_gravity, body_f, add_body_f));
+    kernels().gravity.launch(
+        s.shared->device, 1,
+        gravity_words(s, gravity, gradients[kAt.gravity].add, body_f, gradients[kAt.body_f].add));
+}
+
+void run_vjp(const Step& s, std::span<const Tensor> outputs,
+             std::span<const nova::InputGradient> gradients) {
+  const nova::NoGrad no_grad;
+  require_converged(s, "backward");
+  for (size_t i = kJointFriction; i < gradients.size(); ++i)
+    if (gradients[i].grad.defined() && !gradients[i].add)
+      nova::submit_fill(gradients[i].grad.range(), 0.0f);
+  if (!s.shared->runs_on_host()) return launch_vjp(s, outputs, gradients);
+  const auto of = [&](size_t i) {
+    return i < gradients.size() ? numbers(gradients[i].grad) : nullptr;
+  };
+  const ContactGradient more = {of(kJointFriction), of(kMu), of(kRestitution), of(kStiffness),
+                                of(kDamping)};
+  ArticulationStepVjpArguments all = host_vjp(s, host_arguments(s), gradients);
+  all.out = output_gradient(outputs.data());
+  with_gravity(s, all, gradients[kAt.gravity].grad, gradients[kAt.gravity].add,
+               gradients[kAt.body_f].grad, [&](const ArticulationStepVjpArguments& a) {
+                 if (prepare_contacts(s, nullptr) || more.joint_friction != nullptr) {
+                   const KeptContacts kept = kept_contacts(s);
+                   s.shared->pgs->vjp(a, *s.model, contact_rows_of(s), kept.impulses, kept.friction,
+                                      s.options, more);
+                   return;
+                 }
+                 s.shared->trees->vjp(a, *s.model, s.shared->all);
+               });
 }
 
 }  // namespace

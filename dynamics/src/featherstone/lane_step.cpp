@@ -122,43 +122,39 @@ void gather_links(const LaneStepArguments& a, const Workspace<Lanes>& ws,
     }
 }
 
-Tree<Lanes> make_tree(const TreeShape& s, const Lanes* constants) {
-  const auto at = [&](TreeConstant c) {
-    return constants + s.constant_begin[static_cast<int32_t>(c)];
-  };
+// {lanes}: the first rows of arrays that trees do not share.
+const int32_t* first_rows(const LaneStepArguments& a, RowOf what) {
+  return what == RowOf::Coord ? a.coord : what == RowOf::Dof ? a.dof : a.body;
+}
+
+// The arrays of a step, in memory that begins at `next`.
+StepInputs<Lanes> gather_inputs(const LaneStepArguments& a, Lanes*& next) {
+  const TreeShape& s = a.shape;
+  const Lanes* arrays[kStepArrays];
+  for (size_t i = 0; i < kStepArrays; ++i)
+    arrays[i] = reinterpret_cast<const Lanes*>(a.constants) + s.constant[i];
+  for (int32_t k = 0; k < s.changing_count; ++k) {
+    const int32_t i = s.changing[k];
+    const StepRow of = kStepRows.at[i];
+    const int32_t numbers = of.width * s.count(of.of);
+    gather(a.in[i], first_rows(a, of.of), of.width, numbers, next);
+    arrays[i] = next;
+    next += numbers;
+  }
+  StepInputs<Lanes> in = {};
+  point_arrays(in, arrays);
+  in.target_mode = s.target_mode;
+  return in;
+}
+Tree<Lanes> make_tree(const TreeShape& s, const StepInputs<Lanes>& in) {
   Tree<Lanes> tree;
   tree.link_count = s.links;
   tree.dof_count = s.dofs;
   tree.joints_in_a_row = s.joints_in_a_row;
   tree.links = s.link_rows;
   tree.dof_parent = s.dof_parent;
-  tree.X_p = reinterpret_cast<const Transform<Lanes>*>(at(TreeConstant::FrameP));
-  tree.X_c = reinterpret_cast<const Transform<Lanes>*>(at(TreeConstant::FrameC));
-  tree.axis = reinterpret_cast<const Vec3<Lanes>*>(at(TreeConstant::Axis));
-  tree.mass = at(TreeConstant::Mass);
-  tree.com = reinterpret_cast<const Vec3<Lanes>*>(at(TreeConstant::Com));
-  tree.inertia = reinterpret_cast<const Mat33<Lanes>*>(at(TreeConstant::Inertia));
-  const Lanes* const g = at(TreeConstant::Gravity);
-  tree.gravity = {g[0], g[1], g[2]};
+  set_arrays(in, 0, tree);
   return tree;
-}
-Drives<Lanes> make_drives(const TreeShape& s, const Lanes* constants) {
-  const auto at = [&](TreeConstant c) {
-    return constants + s.constant_begin[static_cast<int32_t>(c)];
-  };
-  return {s.target_mode,
-          nullptr,
-          nullptr,
-          at(TreeConstant::TargetKe),
-          at(TreeConstant::TargetKd),
-          at(TreeConstant::Damping),
-          at(TreeConstant::Armature),
-          at(TreeConstant::LimitLower),
-          at(TreeConstant::LimitUpper),
-          at(TreeConstant::LimitKe),
-          at(TreeConstant::LimitKd),
-          at(TreeConstant::EffortLimit),
-          at(TreeConstant::VelocityLimit)};
 }
 
 [[gnu::flatten]] int32_t accelerate_lanes(const Tree<Lanes>& tree, const StepInputs<Lanes>& in,
@@ -202,24 +198,10 @@ bool run(const LaneStepArguments& a) {
     next += n;
     return mine;
   };
-  Lanes *const q = take(s.coords), *const qd = take(s.dofs), *const joint_f = take(s.dofs);
-  Lanes *const target_q = take(s.coords), *const target_qd = take(s.dofs);
-  Lanes* const body_f = take(6 * s.bodies);
+  const StepInputs<Lanes> in = gather_inputs(a, next);
+  const Tree<Lanes> tree = make_tree(s, in);
   Lanes *const q_next = take(s.coords), *const qd_next = take(s.dofs);
   Lanes *const body_q = take(7 * s.bodies), *const body_qd = take(6 * s.bodies);
-  gather(a.q, a.coord, 1, s.coords, q);
-  gather(a.qd, a.dof, 1, s.dofs, qd);
-  gather(a.joint_f, a.dof, 1, s.dofs, joint_f);
-  gather(a.target_q, a.coord, 1, s.coords, target_q);
-  gather(a.target_qd, a.dof, 1, s.dofs, target_qd);
-  gather(a.body_f, a.body, 6, 6 * s.bodies, body_f);
-
-  const auto* const constants = reinterpret_cast<const Lanes*>(a.constants);
-  const Tree<Lanes> tree = make_tree(s, constants);
-  StepInputs<Lanes> in = {q, qd, joint_f, reinterpret_cast<const SpatialVector<Lanes>*>(body_f),
-                          make_drives(s, constants)};
-  in.drives.target_q = target_q;
-  in.drives.target_qd = target_qd;
   const StepOptions<Lanes> options = {Lanes(a.dt), Lanes(a.angular_damping), a.implicit_drives};
   Workspace<Lanes> ws = make_workspace<Lanes>(next, s.links, s.dofs);
   const auto* const contacts = static_cast<const TreeContact<Lanes>*>(a.contacts);
@@ -241,7 +223,7 @@ bool run(const LaneStepArguments& a) {
                                    a.cone};
     TreeContactResult<Lanes> result;
     for (int32_t round = 0;; ++round) {
-      result = solve_lanes(tree, ws, law, a, links, qd, m);
+      result = solve_lanes(tree, ws, law, a, links, in.qd, m);
       ws.shift = m.shift;
       if (first_not_finite(ws, s.dofs) >= 0) return false;
       if (!renew_lanes(tree, in, options, contacts, a.contact_count, m, round, ws)) break;
@@ -277,34 +259,9 @@ bool step(const LaneStepArguments& a) {
 }
 
 using G = StepGradient<Lanes>;
-static_assert(G::kMembers == LaneVjpArguments::kMembers);
-
-// Numbers of a tree's rows of a gradient, and the width of a row.
-struct GradientRows {
-  int32_t numbers, width;
-  const int32_t* first;
-};
-GradientRows gradient_rows(const LaneStepArguments& a, int32_t member) {
-  const TreeShape& s = a.shape;
-  switch (member) {
-    case G::kQ:
-    case G::kTargetQ:
-      return {s.coords, 1, a.coord};
-    case G::kBodyF:
-      return {6 * s.bodies, 6, a.body};
-    case G::kMass:
-      return {s.bodies, 1, a.body};
-    case G::kCom:
-      return {3 * s.bodies, 3, a.body};
-    case G::kInertia:
-      return {9 * s.bodies, 9, a.body};
-    default:
-      return {s.dofs, 1, a.dof};
-  }
-}
 
 int64_t vjp_memory(const TreeShape& s) {
-  const int64_t gradients = 2 * s.coords + 13 * s.dofs + 19 * s.bodies;
+  const int64_t gradients = 2 * s.coords + 13 * s.dofs + 19 * s.bodies + 3;
   const int64_t more = 2 * s.coords + 4 * s.dofs + 13 * s.bodies;
   return (state_numbers(s) + gradients + more) * static_cast<int64_t>(sizeof(Lanes)) +
          workspace_bytes<Lanes>(s.links, s.dofs) + adjoint_bytes<Lanes>(s.links, s.dofs) + 192;
@@ -334,14 +291,8 @@ void run_vjp(const LaneVjpArguments& v) {
   };
   const auto dofs = [&](const float* from) { return take(from, a.dof, 1, s.dofs); };
   const auto coords = [&](const float* from) { return take(from, a.coord, 1, s.coords); };
-  const auto* const constants = reinterpret_cast<const Lanes*>(a.constants);
-  const Tree<Lanes> tree = make_tree(s, constants);
-  const Lanes *const q = coords(a.q), *const qd = dofs(a.qd), *const joint_f = dofs(a.joint_f);
-  const Lanes* const body_f = take(a.body_f, a.body, 6, s.bodies);
-  StepInputs<Lanes> in = {q, qd, joint_f, reinterpret_cast<const SpatialVector<Lanes>*>(body_f),
-                          make_drives(s, constants)};
-  in.drives.target_q = coords(a.target_q);
-  in.drives.target_qd = dofs(a.target_qd);
+  const StepInputs<Lanes> in = gather_inputs(a, next);
+  const Tree<Lanes> tree = make_tree(s, in);
   const StepOptions<Lanes> options = {Lanes(a.dt), Lanes(a.angular_damping), a.implicit_drives};
   const Lanes *const qdd = dofs(v.qdd), *const branch = dofs(v.branch);
   const Lanes *const q_next = coords(v.q_next), *const qd_next = dofs(v.qd_next);
@@ -353,23 +304,22 @@ void run_vjp(const LaneVjpArguments& v) {
   const StepOutputGradient<Lanes> out = {
       out_q, out_qd, reinterpret_cast<const Transform<Lanes>*>(out_body_q),
       reinterpret_cast<const SpatialVector<Lanes>*>(out_body_qd)};
-  Lanes* to[G::kMembers];
-  for (int32_t m = 0; m < G::kMembers; ++m) {
-    to[m] = v.gradient[m] == nullptr ? nullptr : next;
-    if (to[m] != nullptr) next += gradient_rows(a, m).numbers;
+  Lanes* to[kGradientArrays] = {};
+  for (size_t i = 0; i < kGradientArrays; ++i) {
+    if (v.gradient[i] == nullptr) continue;
+    to[i] = next;
+    next += kStepRows.at[i].width * s.count(kStepRows.at[i].of);
   }
-  G g;
-  static_assert(sizeof(G) == (G::kMembers + 1) * sizeof(void*));
-  __builtin_memcpy(static_cast<void*>(&g), to, sizeof(to));
-  g.add = 0;
+  G g = {};
+  point_gradient_arrays(g, to);
   Workspace<Lanes> ws = make_workspace<Lanes>(next, s.links, s.dofs);
   AdjointMemory<Lanes> memory = make_adjoint_memory<Lanes>(ws.branch + s.dofs, s.links, s.dofs);
   vjp_lanes(tree, in, options, qdd, branch, q_next, qd_next, out, g, ws, memory);
-  for (int32_t m = 0; m < G::kMembers; ++m) {
-    if (to[m] == nullptr) continue;
-    const GradientRows rows = gradient_rows(a, m);
-    (v.add >> m & 1 ? scatter_sum : scatter)(to[m], rows.first, rows.width, rows.numbers, a.used,
-                                             v.gradient[m]);
+  for (size_t i = 0; i < kGradientArrays; ++i) {
+    if (to[i] == nullptr) continue;
+    const StepRow of = kStepRows.at[i];
+    (v.add >> i & 1 ? scatter_sum : scatter)(to[i], first_rows(a, of.of), of.width,
+                                             of.width * s.count(of.of), a.used, v.gradient[i]);
   }
 }
 void vjp(const LaneVjpArguments& v) {

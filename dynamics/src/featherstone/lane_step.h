@@ -4,39 +4,35 @@
 
 #include <cstdint>
 
-#include "novaphy/dynamics/articulation/tree.h"
+#include "novaphy/dynamics/articulation/step_places.h"
 
 namespace novaphy::articulation {
-
-// The constants of trees, arrays of a model one behind the other; numbers per tree.
-enum class TreeConstant : int32_t {
-  FrameP,
-  FrameC,
-  Axis,
-  Mass,
-  Com,
-  Inertia,
-  Gravity,
-  TargetKe,
-  TargetKd,
-  Damping,
-  Armature,
-  LimitLower,
-  LimitUpper,
-  LimitKe,
-  LimitKd,
-  EffortLimit,
-  VelocityLimit,
-  Count
-};
-inline constexpr int32_t kTreeConstants = static_cast<int32_t>(TreeConstant::Count);
 
 struct TreeShape {
   int32_t links = 0, dofs = 0, coords = 0, bodies = 0, joints = 0, joints_in_a_row = 0;
   const Link* link_rows = nullptr;  // all rows counted from the tree's first
   const int32_t* dof_parent = nullptr;
   const int32_t* target_mode = nullptr;
-  int32_t constant_begin[kTreeConstants + 1] = {};
+  // Arrays of the model stand one behind the other: where each begins, and the numbers of all. The
+  // places of the others.
+  int32_t constant[kStepArrays] = {};
+  int32_t constants = 0;
+  int32_t changing[kStepArrays] = {}, changing_count = 0;
+
+  [[gnu::always_inline]] int32_t count(RowOf what) const {
+    switch (what) {
+      case RowOf::Coord:
+        return coords;
+      case RowOf::Dof:
+        return dofs;
+      case RowOf::Body:
+        return bodies;
+      case RowOf::Joint:
+        return joints;
+      default:
+        return 1;
+    }
+  }
 };
 
 // Rows are those of the arrays.
@@ -45,8 +41,7 @@ struct LaneStepArguments {
   const float* constants = nullptr;  // {numbers, lanes}
   int32_t used = 0;                  // lanes that are written; the others repeat one of them
   const int32_t *coord = nullptr, *dof = nullptr, *body = nullptr;  // {lanes}: first rows
-  const float *q = nullptr, *qd = nullptr, *joint_f = nullptr, *target_q = nullptr,
-              *target_qd = nullptr, *body_f = nullptr;
+  const float* in[kStepArrays] = {};                                // those of `changing` are read
   float *q_next = nullptr, *qd_next = nullptr, *body_q = nullptr, *body_qd = nullptr;
   float *qdd = nullptr, *branch = nullptr;  // null: not asked for
   float dt = 0.0f, angular_damping = 0.0f;
@@ -70,9 +65,8 @@ struct LaneVjpArguments {
   const float *qdd = nullptr, *branch = nullptr, *q_next = nullptr, *qd_next = nullptr;
   // Gradients of what it gave; null: zero.
   const float *out_q = nullptr, *out_qd = nullptr, *out_body_q = nullptr, *out_body_qd = nullptr;
-  static constexpr int32_t kMembers = 19;  // of StepGradient
-  float* gradient[kMembers] = {};          // null: not asked for
-  int32_t add = 0;                         // bits: to what is there
+  float* gradient[kGradientArrays] = {};  // null: not asked for
+  int32_t add = 0;                        // of StepGradient
 };
 
 struct LaneLevel {

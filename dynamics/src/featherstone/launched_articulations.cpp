@@ -1,7 +1,9 @@
 #include "launched_articulations.h"
 
+#include "../step_sources.h"
 #include "articulation_kernels.h"
 #include "articulation_step.h"
+#include "contact_launches.h"
 #include "novaphy/core/device_kernel.h"
 
 namespace novaphy {
@@ -53,46 +55,17 @@ void LaunchedArticulations::step(const SimState& in, const SimState& out, const 
   const bool has_rows = contacts_.has_rows(contacts);
   const int64_t bytes = contacts_.tree_stride() * static_cast<int64_t>(sizeof(float));
   const bool on_stack = has_rows ? contacts_.on_stack() : bytes <= kDeviceRowStack;
-  const std::vector<LaunchArgument> arguments = {
-      reads("rows", a.rows()),
-      reads("links", a.links()),
-      reads("dof_parent", a.dof_parent()),
-      value("model.joint_X_p", m.joint_X_p),
-      value("model.joint_X_c", m.joint_X_c),
-      value("model.joint_axis", m.joint_axis),
-      value("model.body_mass", m.body_mass),
-      value("model.body_com", m.body_com),
-      value("model.body_inertia", m.body_inertia),
-      value("model.gravity", m.gravity),
-      value("model.joint_target_mode", m.joint_target_mode),
-      value("joint_target_q", control ? control->joint_target_q : m.joint_target_q),
-      value("joint_target_qd", control ? control->joint_target_qd : m.joint_target_qd),
-      value("model.joint_target_ke", m.joint_target_ke),
-      value("model.joint_target_kd", m.joint_target_kd),
-      value("model.joint_damping", m.joint_damping),
-      value("model.joint_armature", m.joint_armature),
-      value("model.joint_limit_lower", m.joint_limit_lower),
-      value("model.joint_limit_upper", m.joint_limit_upper),
-      value("model.joint_limit_ke", m.joint_limit_ke),
-      value("model.joint_limit_kd", m.joint_limit_kd),
-      value("model.joint_effort_limit", m.joint_effort_limit),
-      value("model.joint_velocity_limit", m.joint_velocity_limit),
-      value("state_in.joint_q", in.joint_q),
-      value("state_in.joint_qd", in.joint_qd),
-      value("joint_f", control ? control->joint_f : m.joint_f),
-      value("state_in.body_f", in.body_f),
-      number(dt),
-      number(options.angular_damping),
-      number(int64_t{options.implicit_drives}),
-      writes("state_out.joint_q", out.joint_q),
-      writes("state_out.joint_qd", out.joint_qd),
-      writes("state_out.body_q", out.body_q),
-      writes("state_out.body_qd", out.body_qd),
-      writes("qdd", qdd_),
-      writes("branch", branch_),
-      writes("status", status_),
-      writes("workspace", workspace_),
-      number(on_stack ? 0 : contacts_.tree_stride())};
+  std::vector<LaunchArgument> arguments;
+  for (const NamedStepArray& of : step_arrays(m, &in, control))
+    arguments.push_back(value(of.name, *of.array));
+  add_words(arguments,
+            {value("model.joint_target_mode", m.joint_target_mode), reads("rows", a.rows()),
+             reads("links", a.links()), reads("dof_parent", a.dof_parent()), number(dt),
+             number(options.angular_damping), number(int64_t{options.implicit_drives}),
+             writes("state_out.joint_q", out.joint_q), writes("state_out.joint_qd", out.joint_qd),
+             writes("state_out.body_q", out.body_q), writes("state_out.body_qd", out.body_qd),
+             writes("qdd", qdd_), writes("branch", branch_), writes("status", status_),
+             writes("workspace", workspace_), number(on_stack ? 0 : contacts_.tree_stride())});
   if (has_rows)
     contacts_.step(arguments, contacts, options, dt);
   else

@@ -197,16 +197,16 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   c.articulations.check_values(m, control, true, kName);
   if (contacts != nullptr) c.materials.check(m);
   ArticulationStepArguments a = {
-      articulation_arguments(m, c.articulations, state_in, control, options_, dt),
-      state_out.joint_q.mutable_data(),
-      state_out.joint_qd.mutable_data(),
-      state_out.body_q.mutable_data(),
-      state_out.body_qd.mutable_data(),
-      c.qdd.data(),
-      c.branch.data(),
-      c.status.data(),
-      nullptr,
-      0};
+      .in = articulation_arguments(m, c.articulations, state_in, control, options_, dt),
+      .q_next = state_out.joint_q.mutable_data(),
+      .qd_next = state_out.joint_qd.mutable_data(),
+      .body_q = state_out.body_q.mutable_data(),
+      .body_qd = state_out.body_qd.mutable_data(),
+      .qdd = c.qdd.data(),
+      .branch = c.branch.data(),
+      .status = c.status.data(),
+      .workspace = nullptr,
+      .stride = 0};
   const bool penalty = options_.contact == ArticulationContact::Penalty;
   if (penalty && contacts != nullptr) {
     add_penalties(*contacts, a);

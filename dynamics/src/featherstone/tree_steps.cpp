@@ -7,6 +7,7 @@
 #include <memory>
 #include <utility>
 
+#include "../step_sources.h"
 #include "novaphy/core/assert.h"
 #include "novaphy/core/cpu_level.h"
 #include "novaphy/core/error.h"
@@ -43,39 +44,16 @@ namespace art = articulation;
 constexpr int64_t kPackChunk = 2;
 constexpr size_t kFewest = 3;  // trees that lanes are worth for
 
-// Numbers of a row of each constant, and what a tree has rows of.
-struct ConstantRows {
-  int32_t width;
-  enum { Joints, Dofs, Bodies, One } of;
-  int32_t choose(int32_t joints, int32_t dofs, int32_t bodies, int32_t one) const {
-    return of == Joints ? joints : of == Dofs ? dofs : of == Bodies ? bodies : one;
+// Constants stand one behind the other.
+void list_constants(const NamedStepArrays& arrays, art::TreeShape& shape) {
+  for (int32_t c = 0; c < static_cast<int32_t>(kStepArrays); ++c) {
+    if (!arrays[static_cast<size_t>(c)].is_constant) {
+      shape.changing[shape.changing_count++] = c;
+      continue;
+    }
+    shape.constant[c] = shape.constants;
+    shape.constants += kStepRows.at[c].width * shape.count(kStepRows.at[c].of);
   }
-};
-constexpr ConstantRows kConstantRows[art::kTreeConstants] = {
-    {7, ConstantRows::Joints}, {7, ConstantRows::Joints}, {3, ConstantRows::Dofs},
-    {1, ConstantRows::Bodies}, {3, ConstantRows::Bodies}, {9, ConstantRows::Bodies},
-    {3, ConstantRows::One},    {1, ConstantRows::Dofs},   {1, ConstantRows::Dofs},
-    {1, ConstantRows::Dofs},   {1, ConstantRows::Dofs},   {1, ConstantRows::Dofs},
-    {1, ConstantRows::Dofs},   {1, ConstantRows::Dofs},   {1, ConstantRows::Dofs},
-    {1, ConstantRows::Dofs},   {1, ConstantRows::Dofs}};
-std::array<const Array*, art::kTreeConstants> constant_arrays(const Model& m) {
-  return {&m.joint_X_p,
-          &m.joint_X_c,
-          &m.joint_axis,
-          &m.body_mass,
-          &m.body_com,
-          &m.body_inertia,
-          &m.gravity,
-          &m.joint_target_ke,
-          &m.joint_target_kd,
-          &m.joint_damping,
-          &m.joint_armature,
-          &m.joint_limit_lower,
-          &m.joint_limit_upper,
-          &m.joint_limit_ke,
-          &m.joint_limit_kd,
-          &m.joint_effort_limit,
-          &m.joint_velocity_limit};
 }
 
 }  // namespace
@@ -105,6 +83,7 @@ void TreeSteps::find_groups(const Model& m) {
   groups_.clear();
   const auto* all_links = reinterpret_cast<const art::Link*>(articulations_.links().data());
   const int32_t* modes = m.joint_target_mode.data();
+  const NamedStepArrays arrays = step_arrays(m, nullptr, nullptr);
   for (size_t i = 0; i < first_.size(); ++i) {
     const ArticulationRows& rows = trees_[i];
     std::vector<art::Link> links(all_links + rows.first_link,
@@ -146,11 +125,7 @@ void TreeSteps::find_groups(const Model& m) {
              groups_[g].shape.joints == shape.joints && groups_[g].shape.dofs == shape.dofs))
       ++g;
     if (g == groups_.size()) {
-      for (int32_t c = 0; c < art::kTreeConstants; ++c) {
-        const ConstantRows& of = kConstantRows[c];
-        const int32_t count = of.choose(shape.joints, shape.dofs, shape.bodies, 1);
-        shape.constant_begin[c + 1] = shape.constant_begin[c] + of.width * count;
-      }
+      list_constants(arrays, shape);
       groups_.push_back({shape, std::move(links), mode});
       Group& made = groups_.back();
       made.shape.dof_parent = articulations_.dof_parent().data() + rows.first_dof;
@@ -169,33 +144,35 @@ void TreeSteps::constants_of(const Model& m, int32_t tree, float* to, int32_t st
   const FirstRows& first = first_[static_cast<size_t>(tree)];
   const ArticulationRows& rows = trees_[tree];
   const art::TreeShape& shape = groups_[static_cast<size_t>(first.group)].shape;
-  const std::array<const Array*, art::kTreeConstants> arrays = constant_arrays(m);
-  for (int32_t c = 0; c < art::kTreeConstants; ++c) {
-    const ConstantRows& of = kConstantRows[c];
-    const int32_t row = of.choose(first.joint, rows.first_dof, first.body, rows.world);
-    const auto* from = static_cast<const float*>(arrays[static_cast<size_t>(c)]->range()->data()) +
-                       static_cast<int64_t>(row) * of.width;
-    const int32_t begin = shape.constant_begin[c], end = shape.constant_begin[c + 1];
-    NOVAPHY_ASSERT((end - begin) % of.width == 0);
-    NOVAPHY_ASSERT(static_cast<size_t>(row) * of.width + (end - begin) <=
-                   arrays[static_cast<size_t>(c)]->bytes() / sizeof(float));
-    for (int32_t i = begin; i < end; ++i) to[static_cast<int64_t>(i) * stride] = from[i - begin];
+  const NamedStepArrays arrays = step_arrays(m, nullptr, nullptr);
+  for (size_t c = 0; c < kStepArrays; ++c) {
+    if (!arrays[c].is_constant) continue;
+    const auto [of, width] = kStepRows.at[c];
+    const int32_t row = of == art::RowOf::Joint  ? first.joint
+                        : of == art::RowOf::Body ? first.body
+                        : of == art::RowOf::Dof  ? rows.first_dof
+                                                 : rows.world;
+    const int64_t at = static_cast<int64_t>(row) * width;
+    const int32_t begin = shape.constant[c], numbers = width * shape.count(of);
+    NOVAPHY_ASSERT(static_cast<size_t>(at + numbers) <= arrays[c].array->bytes() / sizeof(float));
+    const auto* from = static_cast<const float*>(arrays[c].array->range()->data()) + at;
+    for (int32_t i = 0; i < numbers; ++i) to[int64_t{begin + i} * stride] = from[i];
   }
 }
 
 // Reads the constants again when arrays were written.
 void TreeSteps::renew(const Model& m) {
-  const std::array<const Array*, art::kTreeConstants> arrays = constant_arrays(m);
-  stamps_.resize(arrays.size() + 1);
-  bool same = stamps_.back().matches(m.joint_target_mode);
+  bool same = mode_stamp_.matches(m.joint_target_mode);
   if (!same) find_groups(m);
-  for (size_t i = 0; i < arrays.size(); ++i) same = stamps_[i].matches(*arrays[i]) && same;
+  const NamedStepArrays arrays = step_arrays(m, nullptr, nullptr);
+  for (size_t c = 0; c < kStepArrays; ++c)
+    if (arrays[c].is_constant) same = stamps_[c].matches(*arrays[c].array) && same;
   if (same) return;
   const int32_t lanes = level_.lanes;
   std::vector<float> first, other;
   for (size_t g = 0; g < groups_.size(); ++g) {
     Group& group = groups_[g];
-    const int32_t numbers = group.shape.constant_begin[art::kTreeConstants];
+    const int32_t numbers = group.shape.constants;
     first.clear();
     other.resize(static_cast<size_t>(numbers));
     group.same = true;
@@ -217,8 +194,9 @@ void TreeSteps::renew(const Model& m) {
                      group.lines[0].numbers + p * static_cast<size_t>(numbers) * lanes + l, lanes);
       }
   }
-  for (size_t i = 0; i < arrays.size(); ++i) stamps_[i].set(*arrays[i]);
-  stamps_.back().set(m.joint_target_mode);
+  for (size_t c = 0; c < kStepArrays; ++c)
+    if (arrays[c].is_constant) stamps_[c].set(*arrays[c].array);
+  mode_stamp_.set(m.joint_target_mode);
 }
 
 // Trees of a group stand in the order of their numbers of contacts where their constants are the
@@ -366,7 +344,7 @@ void TreeSteps::set_lanes(art::LaneStepArguments& s, const ArticulationArguments
                           float* constants) const {
   const int32_t lanes = level_.lanes;
   const Group& group = groups_[static_cast<size_t>(pack.group)];
-  const int64_t own = int64_t{group.shape.constant_begin[art::kTreeConstants]} * lanes;
+  const int64_t own = int64_t{group.shape.constants} * lanes;
   const int32_t* const trees = sorted_.data() + pack.begin;
   const auto tree_of = [&](int32_t lane) { return trees[std::min(lane, pack.count - 1)]; };
   s.shape = group.shape;
@@ -392,12 +370,9 @@ void TreeSteps::set_lanes(art::LaneStepArguments& s, const ArticulationArguments
       s.constants = constants;
     }
   }
-  s.q = in.q;
-  s.qd = in.qd;
-  s.joint_f = in.joint_f;
-  s.target_q = in.target_q;
-  s.target_qd = in.target_qd;
-  s.body_f = &in.body_f->linear.x;
+  art::for_each_array(
+      [&](const auto* from, int32_t place) { s.in[place] = reinterpret_cast<const float*>(from); },
+      in, kAt);
   s.dt = in.dt.value;
   s.angular_damping = in.angular_damping.value;
   s.implicit_drives = in.implicit_drives != 0;
@@ -413,7 +388,7 @@ bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const 
   constexpr int64_t kContactNumbers = sizeof(art::TreeContact<float>) / sizeof(float);
   const int64_t state = level_.memory(shape, pack.contacts);
   const int64_t found = pack.contacts * kContactNumbers * lanes;
-  const int64_t own = int64_t{shape.constant_begin[art::kTreeConstants]} * lanes;
+  const int64_t own = int64_t{shape.constants} * lanes;
   auto* const bytes = static_cast<unsigned char*>(
       memory.aligned(state + (found + own + (3 + 1) * pack.contacts * lanes + 3 * lanes + 64) * 4));
   auto* const inputs = reinterpret_cast<float*>(bytes + (state + 63) / 64 * 64);
@@ -498,7 +473,7 @@ void TreeSteps::step(const ArticulationStepArguments& a, const Model& m,
 void TreeSteps::vjp_lanes(const ArticulationStepVjpArguments& a, const Model& m, const Pack& pack,
                           Memory& memory) const {
   const art::TreeShape& shape = groups_[static_cast<size_t>(pack.group)].shape;
-  const int64_t own = int64_t{shape.constant_begin[art::kTreeConstants]} * level_.lanes * 4;
+  const int64_t own = int64_t{shape.constants} * level_.lanes * 4;
   auto* const bytes =
       static_cast<unsigned char*>(memory.aligned(own + 64 + level_.vjp_memory(shape)));
   art::LaneVjpArguments v;
@@ -513,7 +488,9 @@ void TreeSteps::vjp_lanes(const ArticulationStepVjpArguments& a, const Model& m,
   v.out_qd = a.out.qd;
   if (a.out.body_q != nullptr) v.out_body_q = &a.out.body_q->p.x;
   if (a.out.body_qd != nullptr) v.out_body_qd = &a.out.body_qd->linear.x;
-  std::memcpy(static_cast<void*>(v.gradient), &a.gradient, sizeof(v.gradient));
+  art::for_each_gradient_array(
+      [&](auto* to, int32_t place) { v.gradient[place] = reinterpret_cast<float*>(to); },
+      a.gradient, kAt);
   v.add = a.gradient.add;
   level_.vjp(v);
 }

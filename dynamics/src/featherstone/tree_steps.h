@@ -89,7 +89,8 @@ class TreeSteps {
   const ArticulationRows* trees_;
   std::vector<FirstRows> first_;  // of each tree
   std::vector<Group> groups_;
-  std::vector<ArrayStamp> stamps_;
+  ArrayStamp stamps_[kStepArrays];  // of those in groups
+  ArrayStamp mode_stamp_;
   std::vector<int32_t> sorted_, counts_, keys_;
   IndexRows order_;
   std::vector<Pack> packs_;

@@ -6,6 +6,7 @@
 #include <mutex>
 #include <string>
 
+#include "../step_sources.h"
 #include "diff_trace_columns.h"
 #include "joint_forces.h"
 #include "novaphy/core/error.h"
@@ -49,25 +50,19 @@ JointBody<Real> load_body(TraceContext& c, const Int& body) {
 
 JointDof<Real> load_dof(TraceContext& c, int32_t k) {
   const Int dof = c.i32(c.source("dofs"), k), at = c.i32(c.source("coordinates"), k);
-  const auto of = [&](const char* name) { return Columns(c, name, &dof)[0]; };
   const Int mode = c.i32(c.source("joint_target_mode"), dof, 0);
   const auto is = [&](JointTargetMode wanted) { return mode == Int(static_cast<int32_t>(wanted)); };
   const Bool both_targets = is(JointTargetMode::POSITION_VELOCITY);
   const Bool position = both(at >= Int(0), either(both_targets, is(JointTargetMode::POSITION)));
   const Bool velocity = either(both_targets, is(JointTargetMode::VELOCITY));
-  const Real zero = 0.0f;
-  return {.axis = Columns(c, "joint_axis", &dof).vec3(),
-          .force = of("joint_f"),
-          .limit_lower = of("joint_limit_lower"),
-          .limit_upper = of("joint_limit_upper"),
-          .limit_ke = of("joint_limit_ke"),
-          .limit_kd = of("joint_limit_kd"),
-          .target_q = select(position, Columns(c, "joint_target_q", &at)[0], zero),
-          .target_qd = select(velocity, of("joint_target_qd"), zero),
-          .target_ke = select(position, of("joint_target_ke"), zero),
-          .target_kd = select(either(position, velocity), of("joint_target_kd"), zero),
-          .damping = of("joint_damping"),
-          .effort_limit = of("joint_effort_limit")};
+  JointDof<Real> d{.axis = Columns(c, "joint_axis", &dof).vec3()};
+  for_each_dof_number(
+      [&](Real& to, const auto& source, int32_t place) {
+        to = Columns(c, source.name, place == kAt.target_q ? &at : &dof)[0];
+      },
+      d, kStepSources, kAt);
+  select_drive(position, velocity, d);
+  return d;
 }
 
 std::vector<Real> list(const JointWrench<Real>& w) {
@@ -136,11 +131,12 @@ const nova::Kernel& joint_kernel(const std::vector<int32_t>& layouts) {
                                            {"body_com", DType::F32, 3, Access::Indexed},
                                            {"joint_axis", DType::F32, 3, Access::Indexed},
                                            {"joint_target_mode", DType::I32, 1, Access::Indexed}};
-  for (const char* of_dof :
-       {"joint_f", "joint_target_q", "joint_target_qd", "joint_target_ke", "joint_target_kd",
-        "joint_limit_lower", "joint_limit_upper", "joint_limit_ke", "joint_limit_kd",
-        "joint_damping", "joint_effort_limit"})
-    sources.push_back({of_dof, DType::F32, 1, Access::Indexed});
+  JointDof<float> d;
+  for_each_dof_number(
+      [&](float, const auto& source) {
+        sources.push_back({source.name, DType::F32, 1, Access::Indexed});
+      },
+      d, kStepSources);
   return kernels
       .emplace(layouts,
                nova::make_kernel(name, sources, {{"wrench", 12}},
@@ -161,8 +157,8 @@ bool any(const Array& force) {
 DiffJoints::DiffJoints(const Model& model, const Attach& attach)
     : attach_(attach), checks_(std::make_unique<JointForces>()) {
   const auto check = [](const char* name, float value) {
-    require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, "DiffSemiImplicitSolver: ", name,
-            ": expected a finite number >= 0, got ", value);
+    require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value,
+            "DiffSemiImplicitSolver: ", name, ": expected a finite number >= 0, got ", value);
   };
   check("joint_attach_ke", attach.ke);
   check("joint_attach_kd", attach.kd);
@@ -242,18 +238,12 @@ void DiffJoints::add(const Model& m, const Control* control, const Operand& body
                              nova::operand_of(m.body_com),
                              nova::operand_of(m.joint_axis),
                              nova::operand_of(m.joint_target_mode)};
-  const Array* const of_dofs[] = {control ? &control->joint_f : &m.joint_f,
-                                  control ? &control->joint_target_q : &m.joint_target_q,
-                                  control ? &control->joint_target_qd : &m.joint_target_qd,
-                                  &m.joint_target_ke,
-                                  &m.joint_target_kd,
-                                  &m.joint_limit_lower,
-                                  &m.joint_limit_upper,
-                                  &m.joint_limit_ke,
-                                  &m.joint_limit_kd,
-                                  &m.joint_damping,
-                                  &m.joint_effort_limit};
-  for (const Array* array : of_dofs) in.push_back(nova::operand_of(*array));
+  JointDof<float> d;
+  for_each_dof_number(
+      [&](float, const auto& source) {
+        in.push_back(nova::operand_of(*source.find(m, nullptr, control)));
+      },
+      d, kStepSources);
   const nova::Param params[] = {attach_.ke, attach_.kd};
   Operand both_sides = wrenches;
   both_sides.rows /= 2;

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "../step_sources.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/for_chunks.h"
@@ -162,43 +163,30 @@ float stable_dt(float w, float ke, float kd) {
 }
 
 struct DofArrays {
-  DofArrays(const Model& m, const Control* control)
-      : axis(m.joint_axis.data()),
-        force((control ? control->joint_f : m.joint_f).data()),
-        target_q((control ? control->joint_target_q : m.joint_target_q).data()),
-        target_qd((control ? control->joint_target_qd : m.joint_target_qd).data()),
-        target_ke(m.joint_target_ke.data()),
-        target_kd(m.joint_target_kd.data()),
-        lower(m.joint_limit_lower.data()),
-        upper(m.joint_limit_upper.data()),
-        limit_ke(m.joint_limit_ke.data()),
-        limit_kd(m.joint_limit_kd.data()),
-        damping(m.joint_damping.data()),
-        effort(m.joint_effort_limit.data()),
-        mode(m.joint_target_mode.data()) {}
-  const Vec3f* axis;
-  const float *force, *target_q, *target_qd, *target_ke, *target_kd, *lower, *upper, *limit_ke,
-      *limit_kd, *damping, *effort;
+  DofArrays(const Model& m, const Control* control) : mode(m.joint_target_mode.data()) {
+    articulation::for_each_array(
+        [&](auto& to, const auto& source) {
+          if (source.in_model != nullptr) to = source.find(m, nullptr, control)->data();
+        },
+        arrays, kStepSources);
+  }
+  articulation::StepArrays<articulation::ReadPointers<float>> arrays = {};
   const int32_t* mode;
 
   // `q`: the coordinate of the degree of freedom; -1: it has no target.
   JointDof<float> at(int32_t dof, int32_t q) const {
     const auto which = static_cast<JointTargetMode>(mode[dof]);
     const bool both = which == JointTargetMode::POSITION_VELOCITY;
-    const bool position = q >= 0 && (both || which == JointTargetMode::POSITION);
-    const bool velocity = both || which == JointTargetMode::VELOCITY;
-    return {.axis = axis[dof],
-            .force = force[dof],
-            .limit_lower = lower[dof],
-            .limit_upper = upper[dof],
-            .limit_ke = limit_ke[dof],
-            .limit_kd = limit_kd[dof],
-            .target_q = position ? target_q[q] : 0.0f,
-            .target_qd = velocity ? target_qd[dof] : 0.0f,
-            .target_ke = position ? target_ke[dof] : 0.0f,
-            .target_kd = position || velocity ? target_kd[dof] : 0.0f,
-            .damping = damping[dof],
-            .effort_limit = effort[dof]};
+    JointDof<float> d{.axis = arrays.axis[dof]};
+    for_each_dof_number(
+        [&](float& to, const float* from, int32_t place) {
+          const int32_t row = place == kAt.target_q ? q : dof;
+          if (row >= 0) to = from[row];
+        },
+        d, arrays, kAt);
+    select_drive(q >= 0 && (both || which == JointTargetMode::POSITION),
+                 both || which == JointTargetMode::VELOCITY, d);
+    return d;
   }
 };
 

@@ -6,35 +6,6 @@
 
 namespace novaphy::detail {
 
-PrincipalAxes principal_axes(const Mat33d& symmetric) {
-  PrincipalAxes p{{}, {{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}}};
-  Mat33d a = symmetric;
-  for (int sweep = 0; sweep < 30; ++sweep)  // Jacobi
-    for (const auto& [i, j] : {std::pair{0, 1}, {0, 2}, {1, 2}}) {
-      if (a.m[i][j] == 0.0) continue;
-      const double theta = (a.m[j][j] - a.m[i][i]) / (2.0 * a.m[i][j]);
-      const double t = (theta < 0.0 ? -1.0 : 1.0) / (std::abs(theta) + std::hypot(theta, 1.0));
-      const double c = 1.0 / std::hypot(t, 1.0), s = t * c;
-      for (int k = 0; k < 3; ++k) {
-        const double x = a.m[k][i], y = a.m[k][j];
-        a.m[k][i] = c * x - s * y;
-        a.m[k][j] = s * x + c * y;
-      }
-      for (int k = 0; k < 3; ++k) {
-        const double x = a.m[i][k], y = a.m[j][k];
-        a.m[i][k] = c * x - s * y;
-        a.m[j][k] = s * x + c * y;
-      }
-      for (auto& row : p.axes) {
-        const double x = row[i], y = row[j];
-        row[i] = c * x - s * y;
-        row[j] = s * x + c * y;
-      }
-    }
-  for (int k = 0; k < 3; ++k) p.moments[k] = a.m[k][k];
-  return p;
-}
-
 namespace {
 
 constexpr float kLeastArmature = 1e-3f;

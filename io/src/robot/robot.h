@@ -15,6 +15,7 @@
 #include "novaphy/io/mesh.h"
 #include "novaphy/io/robot.h"
 #include "novaphy/math/functions.h"
+#include "novaphy/math/principal_axes.h"
 
 namespace novaphy::detail {
 
@@ -111,12 +112,8 @@ void add_mass(RobotLink& to, double mass, const Vec3d& com, const Mat33d& inerti
 
 // Whether a body may have this inertia: positive definite, also when it is rounded to float32.
 bool has_extent(const Mat33d& inertia);
-// A symmetric matrix as R diag(moments) R^T.
-struct PrincipalAxes {
-  double moments[3];
-  double axes[3][3];  // columns
-};
-PrincipalAxes principal_axes(const Mat33d& symmetric);
+using math::principal_axes;
+using math::PrincipalAxes;
 // R diag(moments) R^T
 Mat33d from_axes(const PrincipalAxes& axes);
 // What a file gives a mass and no inertia, or the other way round. On a fixed joint its parent gets

@@ -15,23 +15,13 @@ struct ArticulationRows {
   int32_t joints_in_a_row;
 };
 
-// What a step reads. The arrays of a model, state and control; rows, links and dof_parent are those
-// of Articulations. With dual numbers as T, copies of them with their tangents.
+// What a step reads: the arrays of a model, state and control; links and dof_parent are those of
+// Articulations. With dual numbers as T, copies of them with their tangents.
 template <class T>
-struct ArticulationArgumentsOf {
+struct ArticulationArgumentsOf : articulation::StepInputs<T> {
   const ArticulationRows* rows;
   const articulation::Link* links;
   const int32_t* dof_parent;
-  const Transform<T>*X_p, *X_c;
-  const Vec3<T>* axis;
-  const T* mass;
-  const Vec3<T>* com;
-  const Mat33<T>* inertia;
-  const Vec3<T>* gravity;
-  const int32_t* target_mode;
-  const T *target_q, *target_qd, *target_ke, *target_kd, *damping, *armature, *limit_lower,
-      *limit_upper, *limit_ke, *limit_kd, *effort_limit, *velocity_limit, *q, *qd, *joint_f;
-  const SpatialVector<T>* body_f;
   FloatWord dt, angular_damping;
   int64_t implicit_drives;
 };
@@ -41,29 +31,20 @@ inline constexpr int kArticulationWords = 30;
 template <class T>
 articulation::Tree<T> articulation_tree(const ArticulationArgumentsOf<T>& a,
                                         const ArticulationRows& rows) {
-  return {rows.link_count,
-          rows.dof_count,
-          a.links + rows.first_link,
-          a.dof_parent + rows.first_dof,
-          rows.first_dof,
-          a.X_p,
-          a.X_c,
-          a.axis,
-          a.mass,
-          a.com,
-          a.inertia,
-          a.gravity[rows.world],
-          rows.followers,
-          rows.joints_in_a_row};
+  articulation::Tree<T> tree;
+  tree.link_count = rows.link_count;
+  tree.dof_count = rows.dof_count;
+  tree.links = a.links + rows.first_link;
+  tree.dof_parent = a.dof_parent + rows.first_dof;
+  tree.first_dof = rows.first_dof;
+  tree.followers = rows.followers;
+  tree.joints_in_a_row = rows.joints_in_a_row;
+  articulation::set_arrays(a, rows.world, tree);
+  return tree;
 }
 template <class T>
-articulation::StepInputs<T> articulation_inputs(const ArticulationArgumentsOf<T>& a) {
-  return {a.q,
-          a.qd,
-          a.joint_f,
-          a.body_f,
-          {a.target_mode, a.target_q, a.target_qd, a.target_ke, a.target_kd, a.damping, a.armature,
-           a.limit_lower, a.limit_upper, a.limit_ke, a.limit_kd, a.effort_limit, a.velocity_limit}};
+const articulation::StepInputs<T>& articulation_inputs(const ArticulationArgumentsOf<T>& a) {
+  return a;
 }
 template <class T>
 articulation::StepOptions<T> articulation_options(const ArticulationArgumentsOf<T>& a) {

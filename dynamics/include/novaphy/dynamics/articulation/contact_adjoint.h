@@ -331,7 +331,7 @@ void add_softness_gradient(const AdjointContact& row, float dt, const TreeOf& tr
     AdjointMemory<float> memory = memory_of(at.tree);
     const int32_t n = tree.dof_count;
     const float mass = row.solver.mass, by_mass = softness_of_mass(mass) / mass;
-    const int32_t part = itself ? parted_link(tree, ws, row.sides[0].link, row.sides[1].link) : -1;
+    const int32_t part = parted_link(tree, ws, row.sides);
     for (int32_t i = 0; mass > 0.0f && (side == 0 || !itself) && i < tree.link_count; ++i)
       if (hangs_on(tree, i, part))
         memory.moved_mass[i] -= row.shift_z * row.solver.shifted * by_mass;

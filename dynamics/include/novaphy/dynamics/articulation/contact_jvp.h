@@ -144,11 +144,8 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
   DualFloat apart(0.0f), mass(0.0f);
   for (const DualSide& m : row.moved) {
     for (int32_t k = 0; k < m.dofs; ++k) apart = apart + m.jacobian[k] * m.response[k];
-    if (m.tree < 0) continue;
-    const Tree<DualFloat> tree = trees.tree(m.tree);
-    const Workspace<DualFloat> w = trees.workspace(m.tree);
-    const int32_t part = itself ? parted_link(tree, w, row.sides[0].link, row.sides[1].link) : -1;
-    mass = mass + hanging_mass(tree, w, part);
+    if (m.tree >= 0)
+      mass = mass + parted_mass(trees.tree(m.tree), trees.workspace(m.tree), row.sides);
   }
   solver.mass = mass.value;
   solver.reach = 0.0f;

@@ -84,19 +84,26 @@ T hanging_mass(const Tree<T>& tree, const Workspace<T>& ws, int32_t above) {
     if (hangs_on(tree, i, above)) sum = sum + ws.links[i].inertia.mass;
   return sum;
 }
-// What parts two links of a tree: joints, of which the nearest to the root carries one link but not
-// the other. The link below it on the side of `a` or `b`, where less mass hangs on it; -1: none.
-template <class T>
-int32_t parted_link(const Tree<T>& tree, const Workspace<T>& ws, int32_t a, int32_t b) {
+// What parts the two sides of a contact of a tree with itself: joints, of which the nearest to the
+// root carries one link but not the other. The link below it on the side where less mass hangs on
+// it; -1: none, or sides of two trees.
+template <class T, class Side>
+int32_t parted_link(const Tree<T>& tree, const Workspace<T>& ws, const Side (&sides)[2]) {
+  if (sides[0].tree != sides[1].tree) return -1;
   const auto nearest = [&](int32_t link, int32_t other) {
     int32_t found = -1;
     for (; link >= 0 && !hangs_on(tree, other, link); link = tree.links[link].parent)
       if (is_moved(tree.links[link])) found = link;
     return found;
   };
-  const int32_t of_a = nearest(a, b), of_b = nearest(b, a);
+  const int32_t a = sides[0].link, b = sides[1].link, of_a = nearest(a, b), of_b = nearest(b, a);
   if (of_a < 0 || of_b < 0) return of_a < 0 ? of_b : of_a;
   return hanging_mass(tree, ws, of_b) < hanging_mass(tree, ws, of_a) ? of_b : of_a;
+}
+// The mass of the links of a tree that a contact parts, kg.
+template <class T, class Side>
+T parted_mass(const Tree<T>& tree, const Workspace<T>& ws, const Side (&sides)[2]) {
+  return hanging_mass(tree, ws, parted_link(tree, ws, sides));
 }
 
 // Adds to the rows of J {3, stride} the velocity of a link's point along the three axes, times

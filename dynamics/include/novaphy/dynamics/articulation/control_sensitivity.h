@@ -27,7 +27,6 @@ template <class T>
 void frozen_force_change(const Tree<T>& tree, const StepInputs<T>& in,
                          const StepOptions<T>& options, const Workspace<T>& ws,
                          const ControlTangent<T>& control, const T* dq, const T* dv, T* x) {
-  const Drives<T>& d = in.drives;
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
     const int32_t k = local_dof(tree, link);
@@ -45,18 +44,18 @@ void frozen_force_change(const Tree<T>& tree, const StepInputs<T>& in,
     }
     if (!has_one_dof(link)) continue;
     const int32_t branch = ws.branch[k];
-    DriveLaw<T> law = drive_law(d, link.dof, link.coord, branch, options.implicit_drives);
+    DriveLaw<T> law = drive_law(in, link.dof, link.coord, branch, options.implicit_drives);
     if (has(branch, kEffortClamped)) law.stiffness = law.rate = T(0.0f);
     T force = control.force ? control.force[k] : T(0.0f);
     if (control.target_q) force = force + law.stiffness * control.target_q[k];
-    if (control.target_qd && d.target_mode[link.dof] != 1)
+    if (control.target_qd && in.target_mode[link.dof] != 1)
       force = force + law.rate * control.target_qd[k];
     if (limit_acts<T>(branch)) {
-      const DriveLaw<T> stop = limit_law(d, link.dof, branch);
+      const DriveLaw<T> stop = limit_law(in, link.dof, branch);
       law.stiffness = law.stiffness + stop.stiffness;
       law.rate = law.rate + stop.rate;
     }
-    T rate = law.rate + d.damping[link.dof];
+    T rate = law.rate + in.damping[link.dof];
     if (options.implicit_drives) rate = rate + options.dt * law.stiffness;
     x[k] = (force - law.stiffness * dq[k]) - rate * dv[k];
   }

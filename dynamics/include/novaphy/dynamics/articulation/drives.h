@@ -11,19 +11,9 @@
 // Newton 1.8.
 #pragma once
 
-#include "novaphy/dynamics/articulation/tree.h"
+#include "novaphy/dynamics/articulation/step_arrays.h"
 
 namespace novaphy::articulation {
-
-// Rows are those of the tree's arrays; target_q has those of coordinates.
-template <class T>
-struct Drives {
-  const int32_t* target_mode = nullptr;  // JointTargetMode
-  const T *target_q = nullptr, *target_qd = nullptr, *target_ke = nullptr, *target_kd = nullptr,
-          *damping = nullptr, *armature = nullptr, *limit_lower = nullptr, *limit_upper = nullptr,
-          *limit_ke = nullptr, *limit_kd = nullptr, *effort_limit = nullptr,
-          *velocity_limit = nullptr;
-};
 
 // What a dof did in a step.
 enum Branch : int32_t {
@@ -57,22 +47,23 @@ struct DriveLaw {
 };
 // `row` is the dof's, `coord` its coordinate's.
 template <class T>
-DriveLaw<T> drive_law(const Drives<T>& d, int32_t row, int32_t coord, const Branches<T>& branch,
-                      bool implicit) {
+DriveLaw<T> drive_law(const StepInputs<T>& in, int32_t row, int32_t coord,
+                      const Branches<T>& branch, bool implicit) {
   const T o = T(0.0f);
-  const int32_t mode = d.target_mode[row];
-  const T ke = has_position_drive(mode) ? d.target_ke[row] : o;
-  const T kd = has_velocity_drive(mode) ? d.target_kd[row] : o;
-  const T qd = mode == 1 ? o : d.target_qd[row];
-  if (implicit || !any(has(branch, kOutside))) return {ke, d.target_q[coord], kd, qd};
+  const int32_t mode = in.target_mode[row];
+  const T ke = has_position_drive(mode) ? in.target_ke[row] : o;
+  const T kd = has_velocity_drive(mode) ? in.target_kd[row] : o;
+  const T qd = mode == 1 ? o : in.target_qd[row];
+  if (implicit || !any(has(branch, kOutside))) return {ke, in.target_q[coord], kd, qd};
   const auto outside = has(branch, kOutside);
-  return {select(outside, o, ke), d.target_q[coord], select(outside, o, kd), qd};
+  return {select(outside, o, ke), in.target_q[coord], select(outside, o, kd), qd};
 }
 // Of the limit that q is outside of.
 template <class T>
-DriveLaw<T> limit_law(const Drives<T>& d, int32_t row, const Branches<T>& branch) {
-  return {d.limit_ke[row], select(has(branch, kBelowLimit), d.limit_lower[row], d.limit_upper[row]),
-          d.limit_kd[row], T(0.0f)};
+DriveLaw<T> limit_law(const StepInputs<T>& in, int32_t row, const Branches<T>& branch) {
+  return {in.limit_ke[row],
+          select(has(branch, kBelowLimit), in.limit_lower[row], in.limit_upper[row]),
+          in.limit_kd[row], T(0.0f)};
 }
 template <class T>
 auto limit_acts(const Branches<T>& branch) {
@@ -81,11 +72,11 @@ auto limit_acts(const Branches<T>& branch) {
 
 // The branch that q is in. A limit without stiffness and damping is none.
 template <class T>
-Branches<T> limit_branch(const Drives<T>& d, int32_t row, const T& q) {
+Branches<T> limit_branch(const StepInputs<T>& in, int32_t row, const T& q) {
   const T o = T(0.0f);
-  const auto acts = either(d.limit_ke[row] > o, d.limit_kd[row] > o);
-  const auto below = both(acts, q < d.limit_lower[row]);
-  const auto above = both(both(acts, negate(below)), q > d.limit_upper[row]);
+  const auto acts = either(in.limit_ke[row] > o, in.limit_kd[row] > o);
+  const auto below = both(acts, q < in.limit_lower[row]);
+  const auto above = both(both(acts, negate(below)), q > in.limit_upper[row]);
   return with(with(Branches<T>{}, below, kBelowLimit), above, kAboveLimit);
 }
 
@@ -105,28 +96,30 @@ DriveTerm<T> drive_term(const DriveLaw<T>& law, const T& q, const T& v, const T&
 
 // Those of the drive and the limit of a dof of a joint with one, in its branch.
 template <class T>
-DriveTerm<T> branch_term(const Drives<T>& d, int32_t row, int32_t coord, const Branches<T>& branch,
-                         const T& q, const T& v, const T& dt, bool implicit) {
-  DriveTerm<T> term = drive_term(drive_law(d, row, coord, branch, implicit), q, v, dt, implicit);
+DriveTerm<T> branch_term(const StepInputs<T>& in, int32_t row, int32_t coord,
+                         const Branches<T>& branch, const T& q, const T& v, const T& dt,
+                         bool implicit) {
+  DriveTerm<T> term = drive_term(drive_law(in, row, coord, branch, implicit), q, v, dt, implicit);
   const auto clamped = has(branch, kEffortClamped), limits = limit_acts<T>(branch);
   if (any(clamped)) {
-    const T limit = d.effort_limit[row];
+    const T limit = in.effort_limit[row];
     term = {select(clamped, select(has(branch, kEffortAtUpper), limit, -limit), term.force),
             select(clamped, T(0.0f), term.diagonal)};
   }
   if (!any(limits)) return term;
-  const DriveTerm<T> stop = drive_term(limit_law(d, row, branch), q, v, dt, implicit);
+  const DriveTerm<T> stop = drive_term(limit_law(in, row, branch), q, v, dt, implicit);
   return {select(limits, term.force + stop.force, term.force),
           select(limits, term.diagonal + stop.diagonal, term.diagonal)};
 }
 
 // Likewise, damping included.
 template <class T>
-DriveTerm<T> dof_term(const Drives<T>& d, int32_t row, int32_t coord, const Branches<T>& branch,
-                      const T& q, const T& v, const T& dt, bool implicit) {
-  DriveTerm<T> term = branch_term(d, row, coord, branch, q, v, dt, implicit);
-  term.force = term.force - d.damping[row] * v;
-  if (implicit) term.diagonal = term.diagonal + dt * d.damping[row];
+DriveTerm<T> dof_term(const StepInputs<T>& in, int32_t row, int32_t coord,
+                      const Branches<T>& branch, const T& q, const T& v, const T& dt,
+                      bool implicit) {
+  DriveTerm<T> term = branch_term(in, row, coord, branch, q, v, dt, implicit);
+  term.force = term.force - in.damping[row] * v;
+  if (implicit) term.diagonal = term.diagonal + dt * in.damping[row];
   return term;
 }
 
@@ -136,16 +129,16 @@ struct AskedForces {
   T drive{}, stop{};
 };
 template <class T>
-AskedForces<T> asked_forces(const Drives<T>& d, int32_t row, int32_t coord,
+AskedForces<T> asked_forces(const StepInputs<T>& in, int32_t row, int32_t coord,
                             const Branches<T>& branch, const T& q, const T& v, const T& qdd,
                             const T& dt, bool implicit) {
   const T o = T(0.0f);
   const DriveTerm<T> drive =
-      drive_term(drive_law(d, row, coord, branch, implicit), q, v, dt, implicit);
+      drive_term(drive_law(in, row, coord, branch, implicit), q, v, dt, implicit);
   AskedForces<T> asked{drive.force - drive.diagonal * qdd, o};
   const auto outside = has(branch, kOutside);
   if (!any(outside)) return asked;
-  const DriveTerm<T> stop = drive_term(limit_law(d, row, branch), q, v, dt, implicit);
+  const DriveTerm<T> stop = drive_term(limit_law(in, row, branch), q, v, dt, implicit);
   asked.stop = select(outside, stop.force - stop.diagonal * qdd, o);
   return asked;
 }
@@ -178,6 +171,56 @@ Branches<T> next_branch(const Branches<T>& branch, const AskedForces<T>& asked,
   Branches<T> next = branch & (kOutside | kVelocityClamped);
   if (implicit) next = with(next, released, kLimitReleased);
   return with(with(next, upper, kEffortAtUpper), lower, kEffortAtLower);
+}
+
+// The gradients of a dof's drive, limits and damping, and what they give to q and qd. `diagonal`:
+// what has left the gradient of M's diagonal besides lambda qdd. `at_upper`, `at_lower`:
+// AdjointMemory stops (step_vjp.h).
+template <class T>
+void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& in,
+                    const StepOptions<T>& options, const Branches<T>& branch, const T& qdd,
+                    const T& lambda, const T& diagonal, const T& at_upper, const T& at_lower,
+                    T& q_gradient, T& qd_gradient, const StepGradient<T>& g) {
+  using G = StepGradient<T>;
+  const int32_t row = link.dof + dof_of_link, mode = in.target_mode[row];
+  const T o = T(0.0f), v = in.qd[row], dt = options.implicit_drives ? options.dt : o;
+  const bool one = has_one_dof(link), damps = one || link.joint == LinkJoint::Ball;
+  const auto outside = has(branch, kOutside), clamped = has(branch, kEffortClamped);
+  auto drives = negate(clamped);
+  if (!options.implicit_drives) drives = both(drives, negate(outside));
+  const auto limits = limit_acts<T>(branch);
+  DriveLaw<T> drive{o, o, o, o}, stop{o, o, o, o};
+  if (one) {
+    drive = drive_law(in, row, link.coord, branch, options.implicit_drives);
+    drive.stiffness = select(drives, drive.stiffness, o);
+    drive.rate = select(drives, drive.rate, o);
+    stop = limit_law(in, row, branch);
+    stop.stiffness = select(limits, stop.stiffness, o);
+    stop.rate = select(limits, stop.rate, o);
+  }
+  const T stiffness = drive.stiffness + stop.stiffness, by_v = drive.rate + stop.rate;
+  const T q = one ? in.q[link.coord] : o, damping = damps ? in.damping[row] : o;
+  const T v_end = v + dt * qdd, q_end = q + dt * v_end;
+  q_gradient = q_gradient - stiffness * lambda;
+  qd_gradient = qd_gradient - ((by_v + damping) + dt * stiffness) * lambda;
+  const bool position = one && has_position_drive(mode), velocity = one && has_velocity_drive(mode);
+  const auto of = [&](bool there, const auto& mask, const T& x) {
+    return there ? select(mask, x, o) : o;
+  };
+  if (one) put(g, &G::target_q, link.coord, of(position, drives, drive.stiffness * lambda));
+  put(g, &G::target_qd, row, of(velocity && mode != 1, drives, drive.rate * lambda));
+  const T by_kd = dt * diagonal, by_ke = dt * by_kd;
+  put(g, &G::target_ke, row, of(position, drives, (drive.target - q_end) * lambda - by_ke));
+  put(g, &G::target_kd, row, of(velocity, drives, (drive.target_rate - v_end) * lambda - by_kd));
+  put(g, &G::damping, row, damps ? -(v_end * lambda) - by_kd : o);
+  put(g, &G::armature, row, -(lambda * qdd) - diagonal);
+  const T by_limit = of(one, limits, stop.stiffness * lambda);
+  put(g, &G::limit_lower, row, of(one, has(branch, kBelowLimit), by_limit) + at_lower);
+  put(g, &G::limit_upper, row, of(one, has(branch, kAboveLimit), by_limit) + at_upper);
+  put(g, &G::limit_ke, row, of(one, limits, (stop.target - q_end) * lambda - by_ke));
+  put(g, &G::limit_kd, row, of(one, limits, -(v_end * lambda) - by_kd));
+  const T by_effort = select(has(branch, kEffortAtUpper), lambda, -lambda);
+  put(g, &G::effort_limit, row, of(one, clamped, by_effort));
 }
 
 }  // namespace novaphy::articulation

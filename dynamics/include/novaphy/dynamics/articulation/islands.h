@@ -226,9 +226,7 @@ void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
     to.rates = of.rates;
     to.jacobian = jacobian;
     to.response = of.moves ? response : nullptr;
-    const int32_t part =
-        itself ? parted_link(of.tree, of.ws, row.sides[0].link, row.sides[1].link) : -1;
-    row.solver.mass += hanging_mass(of.tree, of.ws, part);
+    row.solver.mass += parted_mass(of.tree, of.ws, row.sides);
     for (int32_t k = 0; k < of.tree.dof_count; ++k) before += jacobian[k] * of.qd[k];
   }
   row.before = before;

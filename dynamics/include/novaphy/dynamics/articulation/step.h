@@ -20,22 +20,6 @@
 namespace novaphy::articulation {
 
 template <class T>
-struct StepOptions {
-  T dt{};               // s
-  T angular_damping{};  // 1/s
-  bool implicit_drives = true;
-};
-
-// What acts and moves; rows of the arrays.
-template <class T>
-struct StepInputs {
-  const T *q = nullptr, *qd = nullptr;
-  const T* joint_f = nullptr;
-  const SpatialVector<T>* body_f = nullptr;
-  Drives<T> drives = {};
-};
-
-template <class T>
 void set_wrenches(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& ws) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
@@ -64,7 +48,7 @@ auto holds_rates(const Tree<T>& tree, const Workspace<T>& ws) {
 // The rate of a dof that is at its velocity limit, and else v.
 template <class T>
 T held_rate(const StepInputs<T>& in, int32_t row, const Branches<T>& branch, const T& v) {
-  const T limit = in.drives.velocity_limit[row];
+  const T limit = in.velocity_limit[row];
   return select(has(branch, kVelocityAtUpper), limit,
                 select(has(branch, kVelocityAtLower), -limit, v));
 }
@@ -84,7 +68,6 @@ void hold_accelerations(const Tree<T>& tree, const StepInputs<T>& in, const Step
 template <class T>
 void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                 const T* bias, Workspace<T>& ws) {
-  const Drives<T>& d = in.drives;
   const T endless = T(math::bits_float(0x7f800000));
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
@@ -93,16 +76,16 @@ void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
       const int32_t k = row - tree.first_dof;
       DriveTerm<T> term{T(0.0f), T(0.0f)};
       if (has_one_dof(link)) {
-        term = dof_term(d, row, link.coord, ws.branch[k], in.q[link.coord], in.qd[row], options.dt,
+        term = dof_term(in, row, link.coord, ws.branch[k], in.q[link.coord], in.qd[row], options.dt,
                         options.implicit_drives);
       } else if (link.joint == LinkJoint::Ball) {
-        term.force = -(d.damping[row] * in.qd[row]);
-        if (options.implicit_drives) term.diagonal = options.dt * d.damping[row];
+        term.force = -(in.damping[row] * in.qd[row]);
+        if (options.implicit_drives) term.diagonal = options.dt * in.damping[row];
       }
       const T applied = is_free(link) ? T(0.0f) : in.joint_f[row];
       ws.rhs[k] = (applied - bias[k]) + term.force;
       T& diagonal = ws.diagonal[k];
-      diagonal = is_kinematic(link) ? endless : d.armature[row] + term.diagonal;
+      diagonal = is_kinematic(link) ? endless : in.armature[row] + term.diagonal;
       if (has_one_dof(link))
         diagonal = select(has(ws.branch[k], kVelocityClamped), endless, diagonal);
     }
@@ -138,21 +121,21 @@ struct StepDrives {
   const StepOptions<T>& options;
 
   AskedForces<T> asked(const Link& link, const Branches<T>& branch, const T& qdd) const {
-    return asked_forces(in.drives, link.dof, link.coord, branch, in.q[link.coord], in.qd[link.dof],
-                        qdd, options.dt, options.implicit_drives);
+    return asked_forces(in, link.dof, link.coord, branch, in.q[link.coord], in.qd[link.dof], qdd,
+                        options.dt, options.implicit_drives);
   }
   T given(const Link& link, const Branches<T>& branch, const T& qdd) const {
-    return given_force(branch, asked(link, branch, qdd), in.drives.effort_limit[link.dof],
+    return given_force(branch, asked(link, branch, qdd), in.effort_limit[link.dof],
                        options.implicit_drives);
   }
   // What a solve with the branch takes for it.
   T assumed(const Link& link, const Branches<T>& branch, const T& qdd) const {
-    const DriveTerm<T> term = branch_term(in.drives, link.dof, link.coord, branch, in.q[link.coord],
+    const DriveTerm<T> term = branch_term(in, link.dof, link.coord, branch, in.q[link.coord],
                                           in.qd[link.dof], options.dt, options.implicit_drives);
     return term.force - term.diagonal * qdd;
   }
   Branches<T> next(const Link& link, const Branches<T>& branch, const T& qdd, bool keep) const {
-    return next_branch(branch, asked(link, branch, qdd), in.drives.effort_limit[link.dof],
+    return next_branch(branch, asked(link, branch, qdd), in.effort_limit[link.dof],
                        options.implicit_drives, keep);
   }
 };
@@ -239,9 +222,9 @@ bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
     inverse_dynamics<T>(tree, in.qd + tree.first_dof, ws.qdd, ws, ws.rhs);
     for_drives(tree, [&](const Link& link, int32_t k) {
       const int32_t row = link.dof;
-      const DriveTerm<T> term = dof_term(in.drives, row, link.coord, ws.branch[k], in.q[link.coord],
+      const DriveTerm<T> term = dof_term(in, row, link.coord, ws.branch[k], in.q[link.coord],
                                          in.qd[row], options.dt, options.implicit_drives);
-      const T inertial = ws.rhs[k] + (in.drives.armature[row] + term.diagonal) * ws.qdd[k];
+      const T inertial = ws.rhs[k] + (in.armature[row] + term.diagonal) * ws.qdd[k];
       ws.rhs[k] = (inertial - (in.joint_f[row] + term.force)) - ws.given[k] / options.dt;
     });
     gather_followers(tree, ws.rhs);
@@ -249,8 +232,7 @@ bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
   bool changes = false;
   for_drives(tree, [&](const Link& link, int32_t k) {
     if (follows(link)) return;
-    const T limit = in.drives.velocity_limit[link.dof],
-            v = in.qd[link.dof] + options.dt * ws.qdd[k];
+    const T limit = in.velocity_limit[link.dof], v = in.qd[link.dof] + options.dt * ws.qdd[k];
     const Branches<T> branch = ws.branch[k];
     const auto held = has(branch, kVelocityClamped), over = v > limit, under = v < -limit;
     if (!any(either(held, either(over, under)))) return;
@@ -337,9 +319,9 @@ int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   int32_t failed = begin_step(tree, in, ws);
   if (failed >= 0) return failed;
   for_drives(tree, [&](const Link& link, int32_t k) {
-    ws.branch[k] = limit_branch(in.drives, link.dof, in.q[link.coord]);
+    ws.branch[k] = limit_branch(in, link.dof, in.q[link.coord]);
     if (follows(link)) return;
-    const auto still = negate(in.drives.velocity_limit[link.dof] > T(0.0f));
+    const auto still = negate(in.velocity_limit[link.dof] > T(0.0f));
     ws.branch[k] = with(ws.branch[k], still, kVelocityAtUpper);
   });
   failed = settle(tree, in, options, ws);
@@ -398,8 +380,8 @@ template <class T>
 T kept_shift(const Link& link, const StepInputs<T>& in, const StepOptions<T>& options, const T& v,
              const T& shift) {
   const T o = T(0.0f), q = in.q[link.coord] + options.dt * v;
-  const T up = (in.drives.limit_upper[link.dof] - q) / options.dt;
-  const T down = (in.drives.limit_lower[link.dof] - q) / options.dt;
+  const T up = (in.limit_upper[link.dof] - q) / options.dt;
+  const T down = (in.limit_lower[link.dof] - q) / options.dt;
   const T most = select(up > o, up, o), least = select(down < o, down, o);
   return select(shift > most, most, select(shift < least, least, shift));
 }

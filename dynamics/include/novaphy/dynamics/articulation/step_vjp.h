@@ -17,41 +17,6 @@
 
 namespace novaphy::articulation {
 
-// Where gradients go; null: nobody wants it. `add`: bit i for the i-th member, to what is there;
-// else they are stored. Rows of the arrays.
-template <class T>
-struct StepGradient {
-  enum Member : int32_t {
-    kQ,
-    kQd,
-    kJointF,
-    kBodyF,
-    kTargetQ,
-    kTargetQd,
-    kTargetKe,
-    kTargetKd,
-    kDamping,
-    kArmature,
-    kLimitLower,
-    kLimitUpper,
-    kLimitKe,
-    kLimitKd,
-    kEffortLimit,
-    kVelocityLimit,
-    kMass,
-    kCom,
-    kInertia,
-    kMembers
-  };
-  T *q, *qd, *joint_f;
-  SpatialVector<T>* body_f;
-  T *target_q, *target_qd, *target_ke, *target_kd, *damping, *armature, *limit_lower, *limit_upper,
-      *limit_ke, *limit_kd, *effort_limit, *velocity_limit, *mass;
-  Vec3<T>* com;
-  Mat33<T>* inertia;
-  int32_t add;
-};
-
 // Gradients of what a step gives; null: zero.
 template <class T>
 struct StepOutputGradient {
@@ -96,16 +61,6 @@ AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) 
   return m;
 }
 
-template <class T>
-Mat33<T> operator+(const Mat33<T>& a, const Mat33<T>& b) {
-  return math::add(a, b);
-}
-template <class T, class Value>
-void put(const StepGradient<T>& g, Value* to, int32_t member, int32_t row, const Value& value) {
-  if (to == nullptr) return;
-  to[row] = g.add >> member & 1 ? to[row] + value : value;
-}
-
 // What the gradient g of p' of a FREE joint gives to its centre of mass: p' = x_com' - R(r') rc.
 template <class T>
 Vec3<T> free_com_gradient(const Tree<T>& tree, const Link& link, const T* q, const T* q_next,
@@ -143,62 +98,6 @@ void integrate_coordinates_vjp(const Tree<T>& tree, const T* qd, const T& dt, T*
   }
 }
 
-// The gradients of a dof's drive, limits and damping, and what they give to q and qd. `diagonal`:
-// what has left the gradient of M's diagonal besides lambda qdd. `at_upper`, `at_lower`:
-// AdjointMemory stops.
-template <class T>
-void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& in,
-                    const StepOptions<T>& options, const Branches<T>& branch, const T& qdd,
-                    const T& lambda, const T& diagonal, const T& at_upper, const T& at_lower,
-                    T& q_gradient, T& qd_gradient, const StepGradient<T>& g) {
-  using G = StepGradient<T>;
-  const Drives<T>& d = in.drives;
-  const int32_t row = link.dof + dof_of_link, mode = d.target_mode[row];
-  const T o = T(0.0f), v = in.qd[row], dt = options.implicit_drives ? options.dt : o;
-  const bool one = has_one_dof(link), damps = one || link.joint == LinkJoint::Ball;
-  const auto outside = has(branch, kOutside), clamped = has(branch, kEffortClamped);
-  auto drives = negate(clamped);
-  if (!options.implicit_drives) drives = both(drives, negate(outside));
-  const auto limits = limit_acts<T>(branch);
-  DriveLaw<T> drive{o, o, o, o}, stop{o, o, o, o};
-  if (one) {
-    drive = drive_law(d, row, link.coord, branch, options.implicit_drives);
-    drive.stiffness = select(drives, drive.stiffness, o);
-    drive.rate = select(drives, drive.rate, o);
-    stop = limit_law(d, row, branch);
-    stop.stiffness = select(limits, stop.stiffness, o);
-    stop.rate = select(limits, stop.rate, o);
-  }
-  const T stiffness = drive.stiffness + stop.stiffness, by_v = drive.rate + stop.rate;
-  const T q = one ? in.q[link.coord] : o, damping = damps ? d.damping[row] : o;
-  const T v_end = v + dt * qdd, q_end = q + dt * v_end;
-  q_gradient = q_gradient - stiffness * lambda;
-  qd_gradient = qd_gradient - ((by_v + damping) + dt * stiffness) * lambda;
-  const bool position = one && has_position_drive(mode), velocity = one && has_velocity_drive(mode);
-  const auto of = [&](bool there, const auto& mask, const T& x) {
-    return there ? select(mask, x, o) : o;
-  };
-  if (one)
-    put(g, g.target_q, G::kTargetQ, link.coord, of(position, drives, drive.stiffness * lambda));
-  put(g, g.target_qd, G::kTargetQd, row, of(velocity && mode != 1, drives, drive.rate * lambda));
-  const T by_kd = dt * diagonal, by_ke = dt * by_kd;
-  put(g, g.target_ke, G::kTargetKe, row,
-      of(position, drives, (drive.target - q_end) * lambda - by_ke));
-  put(g, g.target_kd, G::kTargetKd, row,
-      of(velocity, drives, (drive.target_rate - v_end) * lambda - by_kd));
-  put(g, g.damping, G::kDamping, row, damps ? -(v_end * lambda) - by_kd : o);
-  put(g, g.armature, G::kArmature, row, -(lambda * qdd) - diagonal);
-  const T by_limit = of(one, limits, stop.stiffness * lambda);
-  put(g, g.limit_lower, G::kLimitLower, row,
-      of(one, has(branch, kBelowLimit), by_limit) + at_lower);
-  put(g, g.limit_upper, G::kLimitUpper, row,
-      of(one, has(branch, kAboveLimit), by_limit) + at_upper);
-  put(g, g.limit_ke, G::kLimitKe, row, of(one, limits, (stop.target - q_end) * lambda - by_ke));
-  put(g, g.limit_kd, G::kLimitKd, row, of(one, limits, -(v_end * lambda) - by_kd));
-  const T by_effort = select(has(branch, kEffortAtUpper), lambda, -lambda);
-  put(g, g.effort_limit, G::kEffortLimit, row, of(one, clamped, by_effort));
-}
-
 template <class T>
 void add_mass_gradients(const Tree<T>& tree, const StepGradient<T>& g,
                         const AdjointMemory<T>& memory) {
@@ -206,11 +105,10 @@ void add_mass_gradients(const Tree<T>& tree, const StepGradient<T>& g,
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const int32_t body = tree.links[i].body;
     if (body < 0) continue;
-    put(g, g.body_f, G::kBodyF, body, -memory.wrench[i]);
-    put(g, g.mass, G::kMass, body, -(memory.mass[i] + memory.moved_mass[i]));
-    put(g, g.com, G::kCom, body, memory.moved_com[i] - memory.com[i]);
-    put(g, g.inertia, G::kInertia, body,
-        math::scale(memory.inertia[i] + memory.moved_inertia[i], T(-1.0f)));
+    put(g, &G::body_f, body, -memory.wrench[i]);
+    put(g, &G::mass, body, -(memory.mass[i] + memory.moved_mass[i]));
+    put(g, &G::com, body, memory.moved_com[i] - memory.com[i]);
+    put(g, &G::inertia, body, math::scale(memory.inertia[i] + memory.moved_inertia[i], T(-1.0f)));
   }
 }
 
@@ -367,12 +265,12 @@ void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
         by_limit = select(has(ws.branch[k], kVelocityAtUpper), pull, select(held, -pull, o));
         rate[k] = select(held, left, rate[k]);
       }
-      put(g, g.velocity_limit, G::kVelocityLimit, row0 + k, by_limit);
+      put(g, &G::velocity_limit, row0 + k, by_limit);
       tangent[k] = tangent[k] - phi_q[k];
       rate[k] = rate[k] - phi_qd[k];
       drive_gradient(link, j, in, options, ws.branch[k], ws.qdd[k], lambda[k], memory.diagonal[k],
                      memory.stops[k], memory.stops[n + k], tangent[k], rate[k], g);
-      put(g, g.qd, G::kQd, row0 + k, rate[k]);
+      put(g, &G::qd, row0 + k, rate[k]);
       T applied = lambda[k];
       if (is_free(link)) {  // a world wrench
         const SpatialVector<T> w = -memory.wrench[i];
@@ -380,16 +278,15 @@ void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
                             w.angular.x, w.angular.y, w.angular.z};
         applied = parts[j];
       }
-      put(g, g.joint_f, G::kJointF, row0 + k, applied);
+      put(g, &G::joint_f, row0 + k, applied);
     }
     if (link.dofs > 1)
-      for (int32_t c = 0; c < link.dofs + 1; ++c)
-        put(g, g.target_q, G::kTargetQ, link.coord + c, o);
+      for (int32_t c = 0; c < link.dofs + 1; ++c) put(g, &G::target_q, link.coord + c, o);
   }
   add_mass_gradients(tree, g, memory);
   if (g.q)
     tangent_to_gradient(tree, in.q, tangent,
-                        [&](int32_t row, const T& value) { put(g, g.q, G::kQ, row, value); });
+                        [&](int32_t row, const T& value) { put(g, &G::q, row, value); });
 }
 
 // All of them.

@@ -61,6 +61,34 @@ struct JointDof {
   T damping{}, effort_limit{};
 };
 
+// Calls visit(number of d, field of each of `a`...), of structs with the fields of StepArrays
+// (articulation/step_arrays.h).
+template <class Visit, class T, class... Arrays>
+void for_each_dof_number(const Visit& visit, JointDof<T>& d, Arrays&... a) {
+  visit(d.force, a.joint_f...);
+  visit(d.limit_lower, a.limit_lower...);
+  visit(d.limit_upper, a.limit_upper...);
+  visit(d.limit_ke, a.limit_ke...);
+  visit(d.limit_kd, a.limit_kd...);
+  visit(d.target_q, a.target_q...);
+  visit(d.target_qd, a.target_qd...);
+  visit(d.target_ke, a.target_ke...);
+  visit(d.target_kd, a.target_kd...);
+  visit(d.damping, a.damping...);
+  visit(d.effort_limit, a.effort_limit...);
+}
+// Leaves of the drive what the target mode has.
+template <class T, class Bool>
+void select_drive(const Bool& position, const Bool& velocity, JointDof<T>& d) {
+  using math::either;
+  using math::select;
+  const T zero = T(0.0f);
+  d.target_q = select(position, d.target_q, zero);
+  d.target_qd = select(velocity, d.target_qd, zero);
+  d.target_ke = select(position, d.target_ke, zero);
+  d.target_kd = select(either(position, velocity), d.target_kd, zero);
+}
+
 template <class T>
 struct JointAttach {
   T ke{}, kd{};

@@ -78,7 +78,8 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
       config_(config),
       particles_(*this->model(), step_options(config)),
       bodies_(body_options(config)),
-      materials_("DiffSemiImplicitSolver", {.ka = moves_bodies()}) {
+      materials_("DiffSemiImplicitSolver", {.ka = moves_bodies()}),
+      friction_smoothing_(huber_smoothing(config)) {
   materials_.check(*this->model());
   const auto check_option = [](const char* name, float value) {
     require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value,
@@ -104,6 +105,20 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
     uncovered_shapes_ = shapes_for_particles(*this->model());
   if (given && config.enable_rigid_contacts && moves_bodies())
     uncovered_pairs_ = this->model()->shape_contact_pair_count();
+  if (config.contact_gradient == DerivativeOf::Code) return;
+  constexpr const char* kName = "DiffSemiImplicitSolver: contact_gradient: \"motion\" is ";
+  require(device() == Device::cpu(), ErrorKind::NotImplemented, kName,
+          "there for models on the cpu only, this one is on ", device().str(), "; use \"code\"");
+  require(!config.enable_static_contacts, ErrorKind::NotImplemented, kName,
+          "not there with enable_static_contacts; give rollout a pipeline, or use \"code\"");
+  motion_ = std::make_unique<TouchMotion>(
+      *this->model(), TouchSettings{.bodies = moves_bodies(),
+                                    .particles = moves_particles(),
+                                    .rigid = moves_bodies() && config.enable_rigid_contacts,
+                                    .soft = moves_particles() && config.enable_particle_contacts,
+                                    .jointed = joints_.has_value(),
+                                    .elements = particles_.has_elements(),
+                                    .smoothing = friction_smoothing_});
 }
 
 // Elements that exert a force but are not enabled would be left out without a word.
@@ -192,10 +207,10 @@ void DiffSemiImplicitSolver::begin(const char* function, const Control* control,
   materials_.check(*model());
   check_contacts(function, contacts, found);
   particles_.begin(*model(), function);
-  check_other_gradients("DiffSemiImplicitSolver", *model(), control, contacts,
-                        [](std::string_view name) {
-                          return std::ranges::find(kSemiImplicitGradients, name) != std::end(kSemiImplicitGradients);
-                        });
+  check_other_gradients(
+      "DiffSemiImplicitSolver", *model(), control, contacts, [](std::string_view name) {
+        return std::ranges::find(kSemiImplicitGradients, name) != std::end(kSemiImplicitGradients);
+      });
   if (moves_bodies()) bodies_.begin(*model());
   values_.check(*model());
   if (moves_particles() && nova::current_capture() == nullptr)
@@ -231,49 +246,31 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
         contacts != nullptr && contacts->rigid_contacts_found_from(*model(), state_in.body_q), dt);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
   note_step(state_in, state_out, contacts, tables_, dt, true);
-  if (moves_particles())
-    particles_.run(*model(), state_in, state_out, control, contacts, tables_, dt);
-  if (!moves_bodies()) return;
+  std::optional<TouchedStep> touched =
+      begin_touches(state_in, state_out, nova::operand_of(state_in.particle_f),
+                    nova::operand_of(state_in.body_f), control, contacts, dt);
+  SimState& from = touched && touched->moved_in ? *touched->moved_in : state_in;
+  SimState& to = touched ? touched->to() : state_out;
+  if (moves_particles()) {
+    particles_.run(*model(), from, to, control, contacts, tables_, dt);
+    if (&from != &state_in) {
+      nova::submit_copy(state_in.particle_f.range(), from.particle_f.range());
+      nova::Tape::active()->mark_untracked(state_in.particle_f.range(),
+                                           "particle_f holds a copy of recorded values, through "
+                                           "which no gradient would flow; clear it before it is "
+                                           "used again");
+    }
+  }
+  if (!moves_bodies()) {
+    if (touched) motion_->end(*model(), *touched);
+    return;
+  }
   if (body_f_.rows() == 0 || nova::Tape::active() != nullptr)  // which remembers it
     body_f_ = DeviceArray<SpatialVectorf>(state_in.body_f.rows(), device());
-  bodies_.run(*model(), state_in, state_out, nova::operand_of(state_in.body_f),
-              joints_ ? &*joints_ : nullptr, control, contacts, tables_, particles_.wrenches(), dt,
-              nova::operand_of(body_f_));
+  bodies_.run(*model(), from, to, nova::operand_of(from.body_f), joints_ ? &*joints_ : nullptr,
+              control, contacts, tables_, particles_.wrenches(), dt, nova::operand_of(body_f_));
   if (contacts != nullptr) bodies_.write_contact_forces(*contacts);
-}
-
-// What gradient_info looks at of a step on a tape.
-void DiffSemiImplicitSolver::note_step(const SimState& in, const SimState& out,
-                                       const Contacts* contacts, const ContactTables& tables,
-                                       float dt, bool keeps) {
-  if (nova::Tape::active() == nullptr) return;
-  const bool particles = moves_particles() && config_.enable_particle_contacts,
-             bodies = moves_bodies() && config_.enable_rigid_contacts;
-  const auto place = [this](const SimState& state) {
-    return moves_bodies() ? state.body_q.range()->data() : state.particle_q.range()->data();
-  };
-  NotedStep step;
-  step.start = place(in);
-  step.end = place(out);
-  step.q = in.particle_q;
-  step.qd = in.particle_qd;
-  step.body_q = in.body_q;
-  step.body_qd = in.body_qd;
-  step.contacts = notes_.handles(contacts);
-  step.soft = particles;
-  step.rigid = bodies;
-  step.soft_follow = tables.particles_follow();
-  step.rigid_follow = tables.of_this_state();
-  step.kf_rate = kf_rate(config_.particle_kf_bound, dt);
-  step.smoothing = huber_smoothing(config_);
-  if (config_.enable_static_contacts) {
-    step.static_particles = particles;
-    step.static_reach = config_.static_contact_margin;
-    step.shapes_of = particles_.rows().pairs_of_particles();
-    step.shape = particles_.rows().shape();
-    if (bodies) step.plane_pairs = bodies_.plane_pairs().pairs();
-  }
-  notes_.add(*model(), std::move(step), keeps);
+  if (touched) motion_->end(*model(), *touched);
 }
 
 ParticleForces DiffSemiImplicitSolver::particle_forces(bool contacts) const {
@@ -337,13 +334,25 @@ void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
   }
   const ContactTables& tables = inputs.tables != nullptr ? *inputs.tables : tables_;
   note_step(in, out, inputs.contacts, tables, inputs.dt, inputs.checkpoints == nullptr);
-  if (moves_particles()) particles_.record(*model(), in, out, inputs, tables, scratch);
-  if (!moves_bodies()) return;
-  const nova::Operand total = scratch.empty() ? nova::Operand{} : nova::operand_of(scratch.back());
-  bodies_.run(*model(), in, out, inputs.body_forces, joints_ ? &*joints_ : nullptr, inputs.control,
-              inputs.contacts, tables, particles_.wrenches(), inputs.dt, total);
-  if (inputs.contacts != nullptr && inputs.tables == nullptr)
-    bodies_.write_contact_forces(*inputs.contacts);
+  std::optional<TouchedStep> touched = begin_touches(in, out, inputs.forces, inputs.body_forces,
+                                                     inputs.control, inputs.contacts, inputs.dt);
+  const SimState& from = touched ? touched->from() : in;
+  SimState& to = touched ? touched->to() : out;
+  if (moves_particles()) {
+    StepInputs own = inputs;
+    if (touched) own.forces = touched->forces;
+    particles_.record(*model(), from, to, own, tables, scratch);
+  }
+  if (moves_bodies()) {
+    const nova::Operand total =
+        scratch.empty() ? nova::Operand{} : nova::operand_of(scratch.back());
+    bodies_.run(*model(), from, to, touched ? touched->body_forces : inputs.body_forces,
+                joints_ ? &*joints_ : nullptr, inputs.control, inputs.contacts, tables,
+                particles_.wrenches(), inputs.dt, total);
+    if (inputs.contacts != nullptr && inputs.tables == nullptr)
+      bodies_.write_contact_forces(*inputs.contacts);
+  }
+  if (touched) motion_->end(*model(), *touched);
 }
 
 }  // namespace novaphy::diff

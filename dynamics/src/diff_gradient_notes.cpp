@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "gradient_notes_launches.h"
+#include "novaphy/core/error.h"
 #include "novaphy/core/storage.h"
-#include "novaphy/nova/tape.h"
 
 namespace novaphy {
 namespace {
@@ -226,6 +226,9 @@ GradientCounts GradientNotes::Looks::counts() const {
 void GradientNotes::add(const Model& model, NotedStep step, bool keeps) {
   if (ended_ != step.start) clear();
   ended_ = step.end;
+  add_to_all(model, std::move(step), keeps);
+}
+void GradientNotes::add_to_all(const Model& model, NotedStep step, bool keeps) {
   if (keeps)
     chain_.push_back(std::move(step));
   else
@@ -255,6 +258,18 @@ GradientCounts GradientNotes::counts(const Model& model) const {
 void GradientNotes::clear() {
   chain_.clear();
   looks_ = {};
+}
+
+GradientInfo gradient_info(const nova::Tape& tape) {
+  std::vector<GradientInfo> all;
+  for (const auto& witness : tape.witnesses())
+    if (const auto* of = dynamic_cast<const GradientWitness*>(witness.get()))
+      all.push_back(of->info());
+  require(!all.empty(), ErrorKind::Runtime,
+          "Tape.gradient_info: expected steps of a differentiable solver on the tape, got none");
+  require(tape.has_gone_back(), ErrorKind::Runtime,
+          "Tape.gradient_info: expected a backward of this tape before, got none");
+  return worst_of(all);
 }
 
 }  // namespace novaphy

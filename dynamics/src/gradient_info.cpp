@@ -1,5 +1,8 @@
 #include "novaphy/dynamics/gradient_info.h"
 
+#include <algorithm>
+#include <string_view>
+
 namespace novaphy {
 namespace {
 
@@ -15,9 +18,25 @@ std::string some(int64_t count, int64_t of) {
 }
 
 bool is_of_the_motion(const MotionCounts& m) {
-  return m.several == 0 && m.unmoved == 0 && m.rows_are_exact;
+  return m.several == 0 && m.unmoved == 0 && m.one_sided == 0 && m.stiff == 0 && m.rows_are_exact;
+}
+std::string motion_of_springs(const MotionCounts& m) {
+  std::string text = ", and the times at which they begin and end move with the state";
+  if (m.several + m.unmoved + m.one_sided + m.stiff == 0) return text;
+  text += ", but for short touches, which may have any length:";
+  const auto add = [&text](int64_t count, const char* what) {
+    if (count > 0) text += (text.back() == ':' ? " " : ", ") + std::to_string(count) + what;
+  };
+  add(m.several, " of several contacts at once");
+  add(m.unmoved, " of what joints, elements or adhesion hold");
+  add(m.stiff,
+      " that turn a body within ten steps or while friction changes between sticking and slipping, "
+      "or whose friction turns the slip around in a step");
+  add(m.one_sided, " whose begin or end is outside of the steps, or cut by a written state");
+  return text;
 }
 std::string motion_of(const MotionCounts& m) {
+  if (m.of_springs) return motion_of_springs(m);
   std::string text = ", and the times at which they begin move with the state";
   if (m.unmoved > 0)
     text += ", but for " + std::to_string(m.unmoved) +
@@ -78,9 +97,41 @@ GradientInfo gradient_info(const GradientCounts& c, bool implicit, const MotionC
   info.ended = c.ended;
   info.turned = c.turned;
   info.events = c.began + c.ended + c.turned;
+  if (motion != nullptr) {
+    info.several = motion->several;
+    info.one_sided = motion->one_sided;
+    info.ramp_steps = motion->ramp_steps;
+  }
   info.residual = c.residual;
   info.reason = reason_of(c, implicit, motion, info.events);
   return info;
+}
+
+GradientInfo worst_of(std::span<const GradientInfo> all) {
+  static constexpr std::string_view kLabels[] = {"exact of the motion", "exact of the code",
+                                                 "implicit", "frozen", "surrogate"};
+  const auto rank = [](const GradientInfo& of) {
+    return std::ranges::find(kLabels, of.label) - std::begin(kLabels);
+  };
+  GradientInfo sum = *std::ranges::max_element(all, {}, rank);
+  sum.steps = sum.exact_steps = sum.frozen_steps = sum.surrogate_steps = 0;
+  sum.several = sum.one_sided = sum.ramp_steps = 0;
+  sum.events = sum.began = sum.ended = sum.turned = 0;
+  for (const GradientInfo& of : all) {
+    sum.steps += of.steps;
+    sum.exact_steps += of.exact_steps;
+    sum.frozen_steps += of.frozen_steps;
+    sum.surrogate_steps += of.surrogate_steps;
+    sum.events += of.events;
+    sum.began += of.began;
+    sum.ended += of.ended;
+    sum.turned += of.turned;
+    sum.several += of.several;
+    sum.one_sided += of.one_sided;
+    sum.ramp_steps += of.ramp_steps;
+    sum.residual = std::max(sum.residual, of.residual);
+  }
+  return sum;
 }
 
 }  // namespace novaphy

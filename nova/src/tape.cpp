@@ -183,6 +183,8 @@ void Tape::Impl::forget() {
   uses.clear();
   params.clear();
   customs.clear();
+  witnesses.clear();
+  has_gone_back = false;
   hand_written.clear();
   nodes.clear();
   values.clear();
@@ -389,6 +391,7 @@ void Tape::backward(const Tensor& loss, const Tensor& seed) {
          shape_str(loss.shape()));
   NoGrad no_grad;
   impl_->backward(*n, seed);
+  impl_->has_gone_back = true;
 }
 
 void Tape::zero() {
@@ -402,19 +405,6 @@ void Tape::zero() {
     // Whoever holds the gradient's memory must see the zero now; what only the tape sees can wait.
     if (!n.ever_written && info.grad) submit_fill(info.grad, 0.0f);
   }
-}
-
-void Tape::reset() { impl_->forget(); }
-size_t Tape::size() const { return impl_->ops.size(); }
-std::vector<std::string> Tape::op_names() const {
-  std::vector<std::string> names;
-  for (const auto& op : impl_->ops) names.push_back(impl_->op_name(op));
-  return names;
-}
-size_t Tape::memory_bytes() const {
-  return impl_->ops.capacity() * sizeof(Impl::Op) + impl_->uses.capacity() * sizeof(Impl::Use) +
-         impl_->params.capacity() * sizeof(Param) +
-         impl_->nodes.size() * (sizeof(Impl::Node) + 4 * sizeof(void*));
 }
 
 }  // namespace nova

@@ -163,6 +163,8 @@ struct Tape::Impl {
   std::vector<HandWritten> hand_written;
   std::vector<Group> groups;
   bool in_group = false;  // the last of them is still growing
+  std::vector<std::shared_ptr<const Witness>> witnesses;
+  bool has_gone_back = false;
   int32_t of_step = -1;   // see Tape::StepScope
   novaphy::ExclusiveUses group_memory;
   NodeTable nodes;

@@ -11,7 +11,6 @@
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/diff/diff_semi_implicit_solver.h"
-#include "novaphy/diff/engine_kernels.h"
 #include "novaphy/diff/losses.h"
 #include "novaphy/diff/rigid_losses.h"
 #include "novaphy/diff/tensor_views.h"
@@ -85,8 +84,7 @@ void bind_operators(py::module_& m) {
       "rows that collide has not found from this state as it is: those of another state, rows that "
       "were written or copied in, or that a captured graph has found, and rows and poses of which "
       "another library has a writable view. A rollout that is given a Contacts holds all of its "
-      "rows "
-      "in all steps. "
+      "rows in all steps. "
       "ValueError: a state or contacts of another model.");
   m.def(
       "eval_static_particle_shape_contact_forces_generated",
@@ -98,8 +96,7 @@ void bind_operators(py::module_& m) {
   m.def("integrate_particles_generated", &diff::integrate_particles_generated, "model"_a,
         "particle_q"_a, "particle_qd"_a, "particle_f"_a, "dt"_a, release_gil(),
         "Symplectic Euler: (positions {n, 3} m, velocities {n, 3} m/s) after dt (s). Exact "
-        "gradients, also for gravity and "
-        "masses.");
+        "gradients, also for gravity and masses.");
   m.def("integrate_particles_with_static_contacts_generated",
         &diff::integrate_particles_with_static_contacts_generated, "model"_a, "particle_q"_a,
         "particle_qd"_a, "particle_f"_a, "soft_contact_margin"_a, "dt"_a, release_gil(),
@@ -213,8 +210,7 @@ void bind_trajectory(py::module_& m) {
       m, "Trajectory", py::dynamic_attr(),
       "steps + 1 states of a model, contiguous in time: len() states, [t] is a "
       "regular SimState. State 0 starts with the model's initial values. The states share their "
-      "force "
-      "arrays, which act in every step and are written through state 0 only.");
+      "force arrays, which act in every step and are written through state 0 only.");
   c.def(py::init([](const std::shared_ptr<Model>& model, int32_t steps, bool requires_grad,
                     const py::object& checkpoint) {
           return std::make_unique<Trajectory>(model, steps, requires_grad,
@@ -498,6 +494,28 @@ void set(Settings& settings, const char* name, Value DiffSolverConfig::*member, 
   settings.*member = value;
 }
 
+void add_contact_gradient(py::class_<Settings>& config) {
+  config.def_property(
+      "contact_gradient",
+      [](const Settings& s) { return contact_gradient_name(s.contact_gradient); },
+      [](Settings& s, const std::string& name) {
+        set(s, "contact_gradient", &DiffSolverConfig::contact_gradient,
+            to_contact_gradient("DiffSolverConfig", name));
+      },
+      "What gradients follow where contacts begin and end: \"code\", in which a contact has the "
+      "steps that it has, whatever the state; or \"motion\", in which the times of its begin and "
+      "end move with the state (CPU, outside of captures, without enable_static_contacts; others "
+      "raise NotImplementedError). States are the same.");
+}
+
+constexpr const char* kGradientInfo =
+    "GradientInfo of the last steps on a tape, each of which started where the one before "
+    "ended: a rollout or a loop of steps; of a captured one, of its last replay. It looks at "
+    "the states and contacts when it is called; with checkpoints steps are looked at as "
+    "they run. Steps are frozen where contacts push whose points and normals are held "
+    "(diff.rigid_contact_gradient_labels; those of particles of a Contacts that a rollout "
+    "does not find). The contacts of enable_static_contacts are exact, and count as events.";
+
 void bind_solver(py::module_& solvers) {
   const DiffSolverConfig d;
   py::class_<Settings> config(solvers, "DiffSolverConfig", "What a DiffSemiImplicitSolver covers.");
@@ -508,25 +526,27 @@ void bind_solver(py::module_& solvers) {
                   bool enable_rigid_contacts, float angular_damping,
                   const std::string& friction_law, std::optional<float> friction_smoothing,
                   bool enable_joints, float joint_attach_ke, float joint_attach_kd, bool strict,
-                  float particle_kf_bound) {
-        return Settings{{.enable_particles = enable_particles,
-                         .enable_particle_contacts = enable_particle_contacts,
-                         .enable_tetrahedra = enable_tetrahedra,
-                         .enable_triangles = enable_triangles,
-                         .enable_springs = enable_springs,
-                         .enable_bending = enable_bending,
-                         .enable_static_contacts = enable_static_contacts,
-                         .static_contact_margin = static_contact_margin,
-                         .particle_kf_bound = particle_kf_bound,
-                         .enable_rigid = enable_rigid,
-                         .enable_rigid_contacts = enable_rigid_contacts,
-                         .angular_damping = angular_damping,
-                         .friction_law = to_friction_law(friction_law),
-                         .friction_smoothing = friction_smoothing,
-                         .enable_joints = enable_joints,
-                         .joint_attach_ke = joint_attach_ke,
-                         .joint_attach_kd = joint_attach_kd,
-                         .strict = strict}};
+                  float particle_kf_bound, const std::string& contact_gradient) {
+        return Settings{
+            {.enable_particles = enable_particles,
+             .enable_particle_contacts = enable_particle_contacts,
+             .enable_tetrahedra = enable_tetrahedra,
+             .enable_triangles = enable_triangles,
+             .enable_springs = enable_springs,
+             .enable_bending = enable_bending,
+             .enable_static_contacts = enable_static_contacts,
+             .static_contact_margin = static_contact_margin,
+             .particle_kf_bound = particle_kf_bound,
+             .enable_rigid = enable_rigid,
+             .enable_rigid_contacts = enable_rigid_contacts,
+             .angular_damping = angular_damping,
+             .friction_law = to_friction_law(friction_law),
+             .friction_smoothing = friction_smoothing,
+             .enable_joints = enable_joints,
+             .joint_attach_ke = joint_attach_ke,
+             .joint_attach_kd = joint_attach_kd,
+             .strict = strict,
+             .contact_gradient = to_contact_gradient("DiffSolverConfig", contact_gradient)}};
       }),
       py::kw_only(), "enable_particles"_a = d.enable_particles,
       "enable_particle_contacts"_a = d.enable_particle_contacts,
@@ -538,7 +558,7 @@ void bind_solver(py::module_& solvers) {
       "friction_law"_a = friction_law_name(d.friction_law), "friction_smoothing"_a = py::none(),
       "enable_joints"_a = d.enable_joints, "joint_attach_ke"_a = d.joint_attach_ke,
       "joint_attach_kd"_a = d.joint_attach_kd, "strict"_a = d.strict,
-      "particle_kf_bound"_a = d.particle_kf_bound);
+      "particle_kf_bound"_a = d.particle_kf_bound, "contact_gradient"_a = "code");
 #define NOVAPHY_MEMBER(name, doc)                               \
   config.def_property(                                          \
       #name, [](const Settings& s) { return s.name; },          \
@@ -580,6 +600,7 @@ void bind_solver(py::module_& solvers) {
   NOVAPHY_MEMBER(enable_joints, "Joints hold their bodies, by springs and dampers.")
   NOVAPHY_MEMBER(joint_attach_ke, "N/m and N*m/rad, of what joints hold.")
   NOVAPHY_MEMBER(joint_attach_kd, "N*s/m, and 0.01 of it N*m*s/rad.")
+  add_contact_gradient(config);
   NOVAPHY_MEMBER(strict, "Refuse what is not covered instead of leaving it out.")
 #undef NOVAPHY_MEMBER
   add_settings_pickle(config);
@@ -593,8 +614,7 @@ void bind_solver(py::module_& solvers) {
       "radii, gravity, contact materials, activations, materials, rest lengths and rest angles of "
       "elements are exact; points and normals of contacts are frozen, but for those between bodies "
       "that collide has found from the state of the step as it is, see "
-      "diff.rigid_contact_gradient_labels. "
-      "Forces left in "
+      "diff.rigid_contact_gradient_labels. Forces left in "
       "state_in.particle_f are for reading: clear_forces() before the state is used again.");
   solver
       .def(py::init([](const std::shared_ptr<Model>& model, const Settings* given) {
@@ -623,31 +643,10 @@ void bind_solver(py::module_& solvers) {
       .def(
           "gradient_info",
           [](const DiffSemiImplicitSolver& s) { return to_fields(s.gradient_info()); },
-          "GradientInfo of the last steps on a tape, each of which started where the one before "
-          "ended: a rollout or a loop of steps; of a captured one, of its last replay. It looks at "
-          "the states and contacts when it is called; with checkpoints steps are looked at as "
-          "they run. Steps are frozen where contacts push whose points and normals are held "
-          "(diff.rigid_contact_gradient_labels; those of particles of a Contacts that a rollout "
-          "does not find). The contacts of enable_static_contacts are exact, and count as events.")
+          kGradientInfo)
       .def("clear_gradient_info", &DiffSemiImplicitSolver::clear_gradient_info,
            "Forgets what gradient_info counts.");
   add_fast_step(solver);
-}
-
-void bind_engine_programs(py::module_& m) {
-  m.def(
-      "engine_programs",
-      [] {
-        std::vector<nova::EngineKernel> kernels = nova::engine_kernels();
-        for (nova::EngineKernel& k : diff::engine_kernels()) kernels.push_back(std::move(k));
-        std::map<uint64_t, std::string> texts;
-        for (const nova::ir::Program& p : nova::programs_of(kernels))
-          texts[nova::ir::hash(p)] = nova::ir::to_string(p);
-        return texts;
-      },
-      release_gil(),
-      "The Programs of the engine's own kernels and of their adjoints that are built ahead: hash, "
-      "as in KernelInfo, to text.");
 }
 
 }  // namespace

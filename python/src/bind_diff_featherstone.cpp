@@ -14,15 +14,6 @@ using diff::DiffFeatherstoneSolver;
 
 namespace {
 
-diff::DerivativeOf to_contact_gradient(const std::string& name) {
-  if (name == "code") return diff::DerivativeOf::Code;
-  require(name == "motion", ErrorKind::Value,
-          "DiffFeatherstoneSolver: contact_gradient: expected "
-          "\"code\" or \"motion\", got \"",
-          name, "\"");
-  return diff::DerivativeOf::Motion;
-}
-
 }  // namespace
 
 void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
@@ -60,7 +51,7 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
                                      .max_depenetration_velocity = max_depenetration_velocity,
                                      .restitution_threshold = restitution_threshold,
                                      .compliant_contacts = compliant_contacts},
-                 allow_unconverged, to_contact_gradient(contact_gradient));
+                 allow_unconverged, to_contact_gradient("DiffFeatherstoneSolver", contact_gradient));
            }),
            py::arg("model").none(false), py::kw_only(), "angular_damping"_a = d.angular_damping,
            "implicit_drives"_a = d.implicit_drives, "contact"_a = "pgs", "friction_cone"_a = "cone",

@@ -11,9 +11,21 @@ GradientInfoFields to_fields(const GradientInfo& i, const py::dict& more) {
                   "exact_steps"_a = i.exact_steps, "frozen_steps"_a = i.frozen_steps,
                   "surrogate_steps"_a = i.surrogate_steps, "events"_a = i.events,
                   "began"_a = i.began, "ended"_a = i.ended, "turned"_a = i.turned,
-                  "residual"_a = i.residual);
+                  "several"_a = i.several, "one_sided"_a = i.one_sided,
+                  "ramp_steps"_a = i.ramp_steps, "residual"_a = i.residual);
   for (const auto& [name, value] : more) fields[name] = value;
   return {fields};
+}
+
+diff::DerivativeOf to_contact_gradient(const char* user, const std::string& name) {
+  if (name == "code") return diff::DerivativeOf::Code;
+  require(name == "motion", ErrorKind::Value, user,
+          ": contact_gradient: expected \"code\" or \"motion\", got \"", name, "\"");
+  return diff::DerivativeOf::Motion;
+}
+
+const char* contact_gradient_name(diff::DerivativeOf of) {
+  return of == diff::DerivativeOf::Motion ? "motion" : "code";
 }
 
 namespace {
@@ -21,7 +33,8 @@ namespace {
 // Those that all solvers tell.
 constexpr std::pair<const char*, const char*> kFields[] = {
     {"label",
-     "The worst of the steps: \"exact of the code\", \"implicit\", \"frozen\", \"surrogate\"."},
+     "The worst of the steps: \"exact of the motion\", \"exact of the code\", \"implicit\", "
+     "\"frozen\", \"surrogate\"."},
     {"reason", "One sentence: what makes it so and what follows, with step and pair."},
     {"steps", "How many."},
     {"exact_steps", "Those exact of the code, or implicit."},
@@ -31,7 +44,34 @@ constexpr std::pair<const char*, const char*> kFields[] = {
     {"began", "Contacts that began to push from one step to the next."},
     {"ended", "Contacts that no longer push."},
     {"turned", "Contacts that changed between sticking and slipping."},
+    {"several",
+     "With contact_gradient=\"motion\": steps in which several pairs hit at once; with springs "
+     "touches of several contacts at once, where they are short."},
+    {"one_sided",
+     "With contact_gradient=\"motion\" and springs: short touches whose begin or end is outside "
+     "of the steps, or cut by a written state or another dt."},
+    {"ramp_steps",
+     "With contact_gradient=\"motion\" and springs: steps with a contact within half a step of "
+     "its begin or end."},
     {"residual", "The largest miss of the law of contacts, relative to the largest impulse (1)."}};
+
+constexpr const char* kDoc =
+    "What the gradients of the steps of a solver are; each field as "
+    "attribute and as key. label, the worst of the steps: \"exact of the motion\", where the "
+    "times "
+    "of events move with the state too (contact_gradient=\"motion\"); \"exact of the code\", "
+    "the derivative of what each step computes, with the contacts that it has; \"implicit\", of "
+    "the solutions "
+    "of the steps (DiffSolverVBD); \"frozen\", where contacts push whose points or normals are "
+    "held; \"surrogate\", where the contact solve missed its law by more than 1e-3 of the "
+    "largest impulse, or a law jumps. reason: one sentence that says what follows, with step "
+    "and pair. steps = exact_steps + frozen_steps + surrogate_steps, where exact_steps counts "
+    "implicit ones too. events = began + ended + turned: contacts that began or ended to push, "
+    "or "
+    "changed between sticking and slipping, between two steps that follow each other. How an "
+    "event moves in time is not differentiated, so with events the gradient of the motion may "
+    "differ from that of the code, also in sign. residual: the largest, relative to the "
+    "impulses. Solvers tell more.";
 
 }  // namespace
 
@@ -45,21 +85,7 @@ void bind_gradient_info(py::module_& solvers) {
     PyErr_SetString(error, ("GradientInfo has no field '" + name + "', only " + names).c_str());
     throw py::error_already_set();
   };
-  py::class_<Info> type(
-      solvers, "GradientInfo",
-      "What the gradients of the steps of a solver are; each field as "
-      "attribute and as key. label, the worst of the steps: \"exact of the code\", the derivative "
-      "of what each step computes, with the contacts that it has; \"implicit\", of the solutions "
-      "of the steps (DiffSolverVBD); \"frozen\", where contacts push whose points or normals are "
-      "held; \"surrogate\", where the contact solve missed its law by more than 1e-3 of the "
-      "largest impulse, or a law jumps. reason: one sentence that says what follows, with step "
-      "and pair. steps = exact_steps + frozen_steps + surrogate_steps, where exact_steps counts "
-      "implicit ones too. events = began + ended + turned: contacts that began or ended to push, "
-      "or "
-      "changed between sticking and slipping, between two steps that follow each other. How an "
-      "event moves in time is not differentiated, so with events the gradient of the motion may "
-      "differ from that of the code, also in sign. residual: the largest, relative to the "
-      "impulses. Solvers tell more.");
+  py::class_<Info> type(solvers, "GradientInfo", kDoc);
   for (const auto& [field, doc] : kFields)
     type.def_property_readonly(
         field,

@@ -1,5 +1,7 @@
 // Tape, no_grad, capture, gradient checks.
+#include "gradient_info.h"
 #include "nova_types.h"
+#include "novaphy/dynamics/diff_gradient_notes.h"
 #include "novaphy/nova/gradcheck.h"
 
 namespace novaphy::python {
@@ -74,6 +76,18 @@ void record_custom(nova::Tape& tape, const std::string& name, const std::vector<
   tape.record_custom(std::move(op));
 }
 
+GradientInfoFields tape_info(const nova::Tape& tape) { return to_fields(gradient_info(tape)); }
+constexpr const char* kTapeInfo =
+    "GradientInfo of the steps of all differentiable solvers on this tape, behind a backward: the "
+    "worst label with its reason, the largest residual, and the sums of the counts. A solver of "
+    "articulations on a device, or in a capture, counts all steps since its clear_gradient_info. "
+    "novaphy.Error: no such step is on the tape, or no backward has run.";
+
+constexpr const char* kBackward =
+    "Pulls the gradient of `loss` back: leaves accumulate over calls, everything else starts anew. "
+    "Without `grad` the loss must hold one value (ValueError, also for a loss that is not on the "
+    "tape).";
+
 void bind_tape(py::module_& m) {
   py::class_<nova::Tape>(m, "Tape",
                          "Records the operations whose inputs carry gradients, and runs their "
@@ -100,10 +114,7 @@ void bind_tape(py::module_& m) {
           [](nova::Tape& tape, const Tensor& loss, const std::optional<Tensor>& grad) {
             tape.backward(loss, grad.value_or(Tensor()));
           },
-          "loss"_a, "grad"_a = py::none(), release_gil(),
-          "Pulls the gradient of `loss` back: leaves accumulate over calls, everything else starts "
-          "anew. Without `grad` "
-          "the loss must hold one value (ValueError, also for a loss that is not on the tape).")
+          "loss"_a, "grad"_a = py::none(), release_gil(), kBackward)
       .def("jvp", &nova::Tape::jvp, "outputs"_a, "inputs"_a, "tangents"_a, release_gil(),
            "Pushes tangents of leaves forward (forward mode): for each of `outputs` its derivative "
            "in the direction of `tangents`, one per input and shaped like it, as new tensors. The "
@@ -118,6 +129,7 @@ void bind_tape(py::module_& m) {
           "tensor"_a,
           "Whether a gradient flows through the tensor's value on this tape: a leaf, or the result "
           "of an operation that it recorded. backward() takes the latter.")
+      .def("gradient_info", &tape_info, kTapeInfo)
       .def("zero", &nova::Tape::zero, release_gil(),
            "All gradients that the tape touched are zero.")
       .def("reset", &nova::Tape::reset, "Forgets all operations.")

@@ -123,11 +123,9 @@ void DiffSolverVBD::keep_velocity(const SimState& in, StepInputs::Checkpoints* c
   keep(last_velocity_);
 }
 
-DiffVbdGradientInfo DiffSolverVBD::gradient_info() const {
-  check_replays();
-  const VbdGradientInfo of = steps_->info();
-  const bool implicit = options_.gradient.implicit;
-  GradientCounts counts = notes_.counts(*model());
+namespace {
+
+GradientInfo info_of(GradientCounts counts, const VbdGradientInfo& of, bool implicit) {
   if (implicit) {
     counts.residual = static_cast<float>(std::max(of.primal.relative, of.linear_residual));
     // What was allowed to stay unsolved is told of the last step alone.
@@ -137,8 +135,46 @@ DiffVbdGradientInfo DiffSolverVBD::gradient_info() const {
       counts.surrogate_step = counts.steps - 1;
     }
   }
-  return {novaphy::gradient_info(counts, implicit), of.primal, of.linear_residual, of.linear_sweeps,
-          of.converged};
+  return novaphy::gradient_info(counts, implicit);
+}
+
+}  // namespace
+
+struct DiffSolverVBD::Witness : GradientWitness {
+  std::shared_ptr<const Model> model;
+  std::shared_ptr<const DifferentiableVbd> steps;
+  bool implicit;
+  GradientNotes notes;
+  Witness(std::shared_ptr<const Model> m, std::shared_ptr<const DifferentiableVbd> s, bool i)
+      : model(std::move(m)), steps(std::move(s)), implicit(i) {}
+  GradientInfo info() const override {
+    return info_of(notes.counts(*model), steps->info(), implicit);
+  }
+};
+
+void DiffSolverVBD::note_step(const RecordedStep& step, const SimState& in, const SimState& out,
+                              bool keeps) {
+  NotedStep noted;
+  noted.start = in.particle_q.range()->data();
+  noted.end = out.particle_q.range()->data();
+  noted.q = out.particle_q;
+  noted.qd = out.particle_qd;
+  noted.body_q = in.body_q;
+  noted.body_qd = in.body_qd;
+  noted.contacts = step.contacts;
+  noted.soft = true;
+  noted.slip = options_.friction_epsilon;
+  witness_on_tape(witness_, [this] {
+    return std::make_shared<Witness>(model(), steps_, options_.gradient.implicit);
+  })->notes.add_to_all(*model(), noted, keeps);
+  notes_.add(*model(), std::move(noted), keeps);
+}
+
+DiffVbdGradientInfo DiffSolverVBD::gradient_info() const {
+  check_replays();
+  const VbdGradientInfo of = steps_->info();
+  return {info_of(notes_.counts(*model()), of, options_.gradient.implicit), of.primal,
+          of.linear_residual, of.linear_sweeps, of.converged};
 }
 
 // A replay cannot throw: this says afterwards why its results are no numbers.
@@ -249,17 +285,7 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   if (captured) nova::current_capture()->uses(in_use());
   RecordedStep::submit_forward(step);
   if (tape == nullptr) return keep_velocity(in, inputs.checkpoints.get(), scratch);
-  NotedStep noted;
-  noted.start = in.particle_q.range()->data();
-  noted.end = out.particle_q.range()->data();
-  noted.q = out.particle_q;
-  noted.qd = out.particle_qd;
-  noted.body_q = in.body_q;
-  noted.body_qd = in.body_qd;
-  noted.contacts = step->contacts;
-  noted.soft = true;
-  noted.slip = options_.friction_epsilon;
-  notes_.add(m, std::move(noted), inputs.checkpoints == nullptr);
+  note_step(*step, in, out, inputs.checkpoints == nullptr);
   nova::CustomOp op;
   op.name = "vbd_step";
   for (const RecordedStep::Input& input : step->differentiable()) op.inputs.push_back(input.tensor);

@@ -183,6 +183,8 @@ struct ArticulationStep::Shared {
   bool allow_unconverged = false;
   DerivativeOf contact_gradient = DerivativeOf::Code;
   MotionCounts motion;
+  struct Witness;
+  std::weak_ptr<Witness> witness;
   std::weak_ptr<const Step> last;  // with MotionNotes
   int64_t next_step = 0;           // number of the next step that is recorded
   // On devices, whether a step since the last check is far from converged, and how many were.

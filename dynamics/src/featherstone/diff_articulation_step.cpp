@@ -5,12 +5,20 @@
 #include "diff_articulation_motion.h"
 #include "diff_articulation_parts.h"
 #include "novaphy/core/sim/on_host.h"
+#include "novaphy/dynamics/diff_gradient_notes.h"
 
 namespace novaphy::diff {
 
 using namespace detail;
 
 namespace {
+
+ContactBranches all_branches(const ArticulationStep::Shared& shared) {
+  ContactBranches b = shared.launched ? shared.launched->branches() : shared.branches;
+  b.all.steps += shared.free_steps;
+  b.all.exact += shared.free_steps;
+  return b;
+}
 
 constexpr int32_t kLeastSweeps = 1000;  // at most, where impulses are differentiated
 
@@ -89,6 +97,62 @@ void set_contacts(Step& s, const Contacts& contacts, FoundContacts found) {
 
 }  // namespace
 
+// On the host a tape has counts of its own; replays and devices count for all.
+struct ArticulationStep::Shared::Witness : GradientWitness {
+  std::shared_ptr<Shared> shared;
+  GradientCounts counts;
+  MotionCounts motion;
+  bool has_replays;
+  Witness(std::shared_ptr<Shared> of, bool replays)
+      : shared(std::move(of)), motion(shared->motion), has_replays(replays) {
+    motion.several = motion.unmoved = 0;
+  }
+  GradientInfo info() const override {
+    const bool moves = shared->contact_gradient == DerivativeOf::Motion;
+    return gradient_info(has_replays ? all_branches(*shared).all : counts, false,
+                         moves ? &motion : nullptr);
+  }
+};
+
+namespace {
+
+// While one lives, counts of a step on a tape go to the tape's witness too.
+class CountsOfStep {
+ public:
+  explicit CountsOfStep(const std::shared_ptr<ArticulationStep::Shared>& shared)
+      : shared_(*shared) {
+    if (nova::Tape::active() == nullptr) return;
+    witness_ = witness_on_tape(shared->witness, [&] {
+      return std::make_shared<ArticulationStep::Shared::Witness>(shared, !shared->runs_on_host());
+    });
+    counts_ = std::exchange(shared_.branches.all, {});
+    motion_ = shared_.motion;
+    free_steps_ = shared_.free_steps;
+  }
+  CountsOfStep(const CountsOfStep&) = delete;
+  CountsOfStep& operator=(const CountsOfStep&) = delete;
+  ~CountsOfStep() {
+    if (!witness_) return;
+    GradientCounts now = std::exchange(shared_.branches.all, counts_);
+    note_steps(now, shared_.branches.all);
+    const int64_t free = shared_.free_steps - free_steps_;
+    now.steps += free;
+    now.exact += free;
+    note_steps(now, witness_->counts);
+    witness_->motion.several += shared_.motion.several - motion_.several;
+    witness_->motion.unmoved += shared_.motion.unmoved - motion_.unmoved;
+  }
+
+ private:
+  ArticulationStep::Shared& shared_;
+  std::shared_ptr<ArticulationStep::Shared::Witness> witness_;
+  GradientCounts counts_;
+  MotionCounts motion_;
+  int64_t free_steps_ = 0;
+};
+
+}  // namespace
+
 ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions& options,
                                    const char* user, bool allow_unconverged,
                                    DerivativeOf contact_gradient) {
@@ -153,6 +217,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
                               const Control* control, const Contacts* contacts, FoundContacts found,
                               const nova::Operand& body_f, float dt, StepScratch scratch,
                               bool join) {
+  const CountsOfStep counts(shared_);
   const int64_t number = shared_->next_step++;
   const bool moves =
       shared_->contact_gradient == DerivativeOf::Motion && nova::Tape::active() != nullptr;
@@ -245,12 +310,7 @@ void ArticulationStep::flush() {
 }
 void ArticulationStep::forget() { pending_ = nullptr; }
 
-ContactBranches ArticulationStep::branches() const {
-  ContactBranches b = shared_->launched ? shared_->launched->branches() : shared_->branches;
-  b.all.steps += shared_->free_steps;
-  b.all.exact += shared_->free_steps;
-  return b;
-}
+ContactBranches ArticulationStep::branches() const { return all_branches(*shared_); }
 void ArticulationStep::clear_branches() {
   shared_->free_steps = 0;
   shared_->ended = nullptr;

@@ -18,6 +18,7 @@ from . import (
     _Values,
 )
 from . import dtype as _dtype
+from .solvers import GradientInfo
 
 float32: Final[_dtype]
 int32: Final[_dtype]
@@ -276,6 +277,7 @@ class Tape(_Native):
     def __exit__(self, *args: object) -> None: ...
     def backward(self, loss: Tensor, grad: Tensor | None = None) -> None: ...
     def follows(self, tensor: Tensor) -> bool: ...
+    def gradient_info(self) -> GradientInfo: ...
     def jvp(
         self,
         outputs: Sequence[Tensor],

@@ -14,6 +14,7 @@
 #include "novaphy/dynamics/semi_implicit/diff_body_step.h"
 #include "novaphy/dynamics/semi_implicit/diff_joints.h"
 #include "novaphy/dynamics/semi_implicit/diff_particle_step.h"
+#include "novaphy/dynamics/semi_implicit/diff_touches.h"
 #include "novaphy/dynamics/semi_implicit/particle_stability.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 
@@ -44,6 +45,8 @@ struct DiffSolverConfig {
   // Of joints: N/m and N*m/rad; N*s/m, and 0.01 of it N*m*s/rad.
   float joint_attach_ke = 1.0e4f, joint_attach_kd = 1.0e2f;
   bool strict = true;  // refuse what is not covered instead of leaving it out
+  // What gradients follow where contacts begin and end (diff_touches.h); states are the same.
+  DerivativeOf contact_gradient = DerivativeOf::Code;
 };
 
 // One step runs generated kernels: the forces of springs, triangles, bending edges and tetrahedra
@@ -87,15 +90,19 @@ struct DiffSolverConfig {
 class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
  public:
   // ErrorKind::NotImplemented: the friction laws newton17 and newton18, which have no gradient
-  // here.
+  // here; DerivativeOf::Motion of a model on a device, or with enable_static_contacts. Steps with
+  // the latter raise inside a ScopedCapture.
   explicit DiffSemiImplicitSolver(std::shared_ptr<const Model> model,
                                   const DiffSolverConfig& config = {});
 
   const DiffSolverConfig& config() const { return config_; }
   // What the gradients are of the last steps on a tape, each of which started where the one before
   // ended; of a capture, of its last replay. ErrorKind::Runtime inside of one.
-  GradientInfo gradient_info() const { return novaphy::gradient_info(notes_.counts(*model())); }
-  void clear_gradient_info() { notes_.clear(); }
+  GradientInfo gradient_info() const;
+  void clear_gradient_info() {
+    notes_.clear();
+    touches_.clear();
+  }
 
   // The activations of triangles and tetrahedra are the control's, or the model's without one.
   // Errors as SolverBase::step; ErrorKind::Runtime inside a ScopedCapture, and under `strict` for
@@ -115,7 +122,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
  protected:
   std::vector<ScratchSpec> step_scratch() const override;
   bool step_writes_kept_memory() const override;
-  bool only_submits() const override { return true; }
+  bool only_submits() const override { return motion_ == nullptr; }
   bool begin_rollout(const RolloutInputs& inputs) override;
   void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                    StepScratch scratch) override;
@@ -128,6 +135,13 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   static void check_overflow(const Contacts& contacts);
   void begin(const char* function, const Control* control, const Contacts* contacts, bool found,
              bool of_this_state, float dt);
+  struct Witness;
+  std::shared_ptr<Witness> witness();
+  // On a tape, where gradients follow the motion; else nothing.
+  std::optional<TouchedStep> begin_touches(const SimState& in, SimState& out,
+                                           const nova::Operand& forces,
+                                           const nova::Operand& body_forces, const Control* control,
+                                           const Contacts* contacts, float dt);
   void note_step(const SimState& in, const SimState& out, const Contacts* contacts,
                  const ContactTables& tables, float dt, bool keeps);
   bool moves_particles() const;
@@ -142,10 +156,14 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   BodyStep bodies_;
   std::optional<DiffJoints> joints_;  // null: they are left out
   UnreadMaterials materials_;         // adhesion is of contacts of bodies
+  float friction_smoothing_;          // m/s, 0 with the law viscous
   EditedValues values_{"DiffSemiImplicitSolver"};
   GradientNotes notes_;
-  ContactTables tables_;                // of contacts that are given
-  DeviceArray<SpatialVectorf> body_f_;  // of step: with the wrenches of contacts
+  std::weak_ptr<Witness> witness_;
+  TouchList touches_;
+  std::unique_ptr<TouchMotion> motion_;  // null: gradients of the code
+  ContactTables tables_;                 // of contacts that are given
+  DeviceArray<SpatialVectorf> body_f_;   // of step: with the wrenches of contacts
 };
 
 }  // namespace novaphy::diff

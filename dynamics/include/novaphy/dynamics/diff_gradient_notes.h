@@ -11,6 +11,7 @@
 #include "novaphy/dynamics/export.h"
 #include "novaphy/dynamics/gradient_info.h"
 #include "novaphy/nova/incidence.h"
+#include "novaphy/nova/tape.h"
 
 namespace novaphy {
 
@@ -44,6 +45,8 @@ class NOVAPHY_DYNAMICS_API GradientNotes {
   // A step on a tape. `keeps`: its arrays stay as they are. One that does not start where the last
   // one ended begins a new chain, and the last one is forgotten.
   void add(const Model& model, NotedStep step, bool keeps);
+  // The same, but the last chain is kept.
+  void add_to_all(const Model& model, NotedStep step, bool keeps);
   // Of the chain, or of all steps that were looked at since the last clear. Waits for a device.
   GradientCounts counts(const Model& model) const;
   void clear();
@@ -75,5 +78,25 @@ class NOVAPHY_DYNAMICS_API GradientNotes {
   Looks looks_;
   const void* ended_ = nullptr;  // where the last step did
 };
+
+// What a solver says of its steps on one tape.
+struct NOVAPHY_DYNAMICS_API GradientWitness : nova::Tape::Witness {
+  virtual GradientInfo info() const = 0;
+};
+// The witness of a solver on the active tape, made by `make` where that tape has none.
+template <class T, class Make>
+std::shared_ptr<T> witness_on_tape(std::weak_ptr<T>& last, const Make& make) {
+  nova::Tape& tape = *nova::Tape::active();
+  if (const std::shared_ptr<T> known = last.lock())
+    for (const auto& witness : tape.witnesses())
+      if (witness == known) return known;
+  const std::shared_ptr<T> made = make();
+  last = made;
+  tape.add_witness(made);
+  return made;
+}
+// Of all solvers with steps on the tape: the worst label, with its reason, and the sums of counts.
+// ErrorKind::Runtime: there are none, or no backward has run.
+NOVAPHY_DYNAMICS_API GradientInfo gradient_info(const nova::Tape& tape);
 
 }  // namespace novaphy

@@ -1,12 +1,21 @@
 // GradientInfo: what the gradient of a differentiable solver is.
 #pragma once
 
+#include <span>
 #include <string>
 
 #include "novaphy/dynamics/articulation/gradient_counts.h"
 #include "novaphy/dynamics/export.h"
 
 namespace novaphy {
+
+namespace diff {
+// What gradients follow where contacts begin.
+enum class DerivativeOf : uint8_t {
+  Code,   // the steps as they ran: a contact begins in the same step
+  Motion  // its time moves with the state (on the CPU, outside of captures)
+};
+}  // namespace diff
 
 // Of the steps of a solver since the last clear. "Of the code": the derivative of what each step
 // computes, with the contacts that it has. That a contact begins, ends or changes between sticking
@@ -23,13 +32,21 @@ struct GradientInfo {
   // Contacts that began or ended, and that changed between sticking and slipping, between two
   // steps that follow each other; the sum of `began`, `ended` and `turned`.
   int64_t events = 0, began = 0, ended = 0, turned = 0;
-  float residual = 0.0f;  // largest, relative to the impulses
+  int64_t several = 0, one_sided = 0, ramp_steps = 0;  // of MotionCounts
+  float residual = 0.0f;                               // largest, relative to the impulses
 };
 
 // Of steps whose events move in time.
 struct MotionCounts {
-  int64_t several = 0;  // steps in which several pairs hit at once
-  int64_t unmoved = 0;  // limits of joints that begin or end to push in what touches something
+  // Steps in which several pairs hit at once; of springs touches of more than one point or pair.
+  int64_t several = 0;
+  // Limits of joints that begin or end to push in what touches something; of springs touches of
+  // what joints, elements or adhesion hold.
+  int64_t unmoved = 0;
+  int64_t one_sided = 0;   // of springs: touches whose begin or end is not in the steps, or is cut
+  int64_t stiff = 0;       // of springs: touches of few steps with a lever arm
+  int64_t ramp_steps = 0;  // of springs: steps with contacts within half a step of begin or end
+  bool of_springs = false;
   bool rows_are_exact = true;  // of gaps and overlaps: pgs_slop 0, pgs_erp 1
 };
 
@@ -37,5 +54,8 @@ struct MotionCounts {
 // `exact_steps` counts them. `motion` (null: of the code): the events of the steps move in time.
 NOVAPHY_DYNAMICS_API GradientInfo gradient_info(const GradientCounts& counts, bool implicit = false,
                                                 const MotionCounts* motion = nullptr);
+
+// The worst label with its reason, the largest residual, and the sums of counts. At least one.
+NOVAPHY_DYNAMICS_API GradientInfo worst_of(std::span<const GradientInfo> all);
 
 }  // namespace novaphy

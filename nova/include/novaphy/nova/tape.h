@@ -66,6 +66,13 @@ class NOVAPHY_NOVA_API Tape {
   void zero();                                // all gradients that this tape touched are zero
   void reset();                               // forgets all operations
   size_t size() const;
+  // What the maker of operations says of their gradients. A tape forgets witnesses with operations.
+  struct NOVAPHY_NOVA_API Witness {
+    virtual ~Witness();
+  };
+  void add_witness(std::shared_ptr<const Witness> witness);
+  std::span<const std::shared_ptr<const Witness>> witnesses() const;
+  bool has_gone_back() const;  // backward has run since the last reset
   std::vector<std::string> op_names() const;
   size_t memory_bytes() const;  // of the records themselves (not of states and gradients)
 

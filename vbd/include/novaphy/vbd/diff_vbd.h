@@ -14,6 +14,8 @@
 
 namespace novaphy::diff {
 
+struct RecordedStep;  // of diff_vbd.cpp
+
 // `residual`: of implicit gradients, that of the step or of the linear system.
 struct DiffVbdGradientInfo : GradientInfo {
   VbdResidual primal;          // how far the step of the last backward was from its solution
@@ -94,6 +96,7 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
                    StepScratch scratch) override;
 
  private:
+  void note_step(const RecordedStep& step, const SimState& in, const SimState& out, bool keeps);
   void check_replays() const;
   void begin();
   bool looks_back() const { return options_.initial_guess == VbdInitialGuess::Adaptive; }
@@ -108,6 +111,8 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   std::shared_ptr<std::string> failure_ = std::make_shared<std::string>();  // of a replay
   std::shared_ptr<const Contacts> last_contacts_;  // a copy of those of the last step
   GradientNotes notes_;
+  struct Witness;
+  std::weak_ptr<Witness> witness_;
   // Of the adaptive guess: see VbdStepInputs::last_velocity; and the same as the last step on a
   // tape and in a capture wrote it.
   DeviceArray<Vec4f> last_velocity_;

@@ -79,6 +79,27 @@ inline void note_step(const StepNotes& of, GradientCounts& to) {
   ++to.steps;
 }
 
+// Steps that come after those of `to`.
+inline void note_steps(const GradientCounts& of, GradientCounts& to) {
+  const auto first = [&](int64_t step, int64_t& of_all) {
+    const bool is_first = step >= 0 && of_all < 0;
+    if (is_first) of_all = to.steps + step;
+    return is_first;
+  };
+  if (first(of.event_step, to.event_step)) to.event = of.event;
+  if (first(of.frozen_step, to.frozen_step)) to.held = of.held;
+  first(of.surrogate_step, to.surrogate_step);
+  if (of.jumps != 0) to.jumps = 1;
+  to.exact += of.exact;
+  to.frozen += of.frozen;
+  to.surrogate += of.surrogate;
+  to.began += of.began;
+  to.ended += of.ended;
+  to.turned += of.turned;
+  if (to.residual < of.residual) to.residual = of.residual;
+  to.steps += of.steps;
+}
+
 // A contact of a step. `mode`: 0 where it does not push, 1 where it sticks, more where it slips;
 // `held`: its point or normal is.
 struct SeenContact {

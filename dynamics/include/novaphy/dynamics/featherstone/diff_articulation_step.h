@@ -53,12 +53,6 @@ enum class FoundContacts : uint8_t {
   Always   // so, anew whenever the step runs
 };
 
-// What gradients follow where contacts begin.
-enum class DerivativeOf : uint8_t {
-  Code,   // the steps as they ran: a contact begins in the same step
-  Motion  // its time moves with the state (on the CPU, outside of captures)
-};
-
 class NOVAPHY_DYNAMICS_API ArticulationStep {
  public:
   // Errors as SolverFeatherstone; ErrorKind::Value: a model whose joints have no dofs.

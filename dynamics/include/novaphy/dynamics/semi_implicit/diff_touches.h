@@ -1,0 +1,91 @@
+// Gradients of the motion through contacts of penalties: the times at which they begin and end move
+// with the state. On the host. Compiled into novaphy::dynamics where nova is built.
+//
+// A touch is a contact of one pair from its first step with a force to its last one. A touch that
+// begins and ends alone is one event: its bodies touch nothing else, and no joint or element holds
+// them. A state that is moved by dx reaches the surface later by dt = -J dq / (J v), J the gradient
+// of the gap. Each of its steps k, with the derivative D of the code, becomes
+//   dx' = D (dx + f_k dt) - f_k+1 dt
+// f: the rates of the state, with the forces that are applied in step k; at the begin and behind
+// the end without the force of the touch. The states between the steps have the derivatives of the
+// motion too. Transposed: s = sum over the steps of (D^T p)_k . f_k - p_k+1 . f_k+1, and the
+// gradient of q at the begin gets s J / |J v|.
+// Other contacts have the force averaged over a step, for the derivative only (touch_rows.h): where
+// |d| < h |v_n| / 2 the part s = 1/2 - d / (h |v_n|) of a step is in contact, so
+//   dF = s dF_in - (F_in - 0)/(h |v_n|) dd
+// Errors: O(h) of the first; of the second they grow with h w, w^2 = stiffness * inverse mass.
+// States do not change. Source: saltation matrices as in diff_articulation_motion.h; a hybrid
+// trajectory is sampled, so the part of the step replaces the branch.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/control.h"
+#include "novaphy/core/sim/model.h"
+#include "novaphy/core/sim/sim_state.h"
+#include "novaphy/dynamics/export.h"
+#include "novaphy/dynamics/gradient_info.h"
+#include "novaphy/nova/tensor.h"
+
+namespace novaphy::diff {
+
+namespace detail {
+struct TouchEvent;
+struct TouchWork;
+}  // namespace detail
+
+// The touches of steps, and what they say of gradients.
+class NOVAPHY_DYNAMICS_API TouchList {
+ public:
+  MotionCounts counts() const;
+  void clear();
+  std::vector<std::shared_ptr<detail::TouchEvent>> events;
+  int64_t ramp_steps = 0;
+};
+
+struct TouchSettings {
+  bool bodies = false, particles = false;  // which move
+  bool rigid = false, soft = false;        // which contacts act
+  bool jointed = false, elements = false;  // joints and elements are there
+  float smoothing = 0.0f;                  // m/s, of friction between bodies
+};
+
+// A step on a tape: what its kernels read and write instead of the states and forces that it was
+// given, or the same.
+struct NOVAPHY_DYNAMICS_API TouchedStep {
+  TouchedStep(const SimState& in, SimState& out);
+  TouchedStep(TouchedStep&&) noexcept;
+  ~TouchedStep();
+  const SimState& from() const { return moved_in ? *moved_in : *in; }
+  SimState& to() const { return moved_out ? *moved_out : *out; }
+
+  const SimState* in;
+  SimState* out;
+  std::unique_ptr<SimState> moved_in, moved_out;
+  nova::Operand forces, body_forces;  // of particles {n, 3}, of bodies {b, 6}
+  std::shared_ptr<detail::TouchWork> work;
+};
+
+class NOVAPHY_DYNAMICS_API TouchMotion {
+ public:
+  TouchMotion(const Model& model, const TouchSettings& settings);
+  ~TouchMotion();
+  TouchMotion(const TouchMotion&) = delete;
+  TouchMotion& operator=(const TouchMotion&) = delete;
+
+  // Around the kernels of a step, on an active tape. The touches that begin go to both lists; the
+  // first, of the solver, is cleared where the step does not start where the last one ended.
+  TouchedStep begin(const Model& model, const SimState& in, SimState& out,
+                    const nova::Operand& forces, const nova::Operand& body_forces,
+                    const Control* control, const Contacts* contacts, float kf_rate, float dt,
+                    TouchList& of_chain, TouchList& of_tape);
+  void end(const Model& model, TouchedStep& step);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace novaphy::diff

@@ -1,0 +1,109 @@
+// What a touch keeps, and what its steps do to tangents and gradients (diff_touches.h).
+#pragma once
+
+#include <array>
+#include <memory>
+#include <vector>
+
+#include "novaphy/nova/tape.h"
+#include "touch_rows.h"
+
+namespace novaphy::diff::detail {
+
+// Tangents of a side: of the centre of mass (or the particle), of the turn, and of both rates.
+using Tangent = std::array<Vec3d, 4>;
+constexpr size_t kPlace = 0, kTurn = 1, kVelocity = 2, kSpin = 3;
+inline double product(const Tangent& a, const Tangent& b) {
+  double sum = 0.0;
+  for (size_t k = 0; k < 4; ++k) sum += math::dot(a[k], b[k]);
+  return sum;
+}
+inline Tangent scaled(const Tangent& a, double by) {
+  return {a[0] * by, a[1] * by, a[2] * by, a[3] * by};
+}
+
+// Rows of states, or of their tangents or gradients; null: not there.
+struct StateRows {
+  float *body_q = nullptr, *body_qd = nullptr, *particle_q = nullptr, *particle_qd = nullptr,
+        *body_f = nullptr, *particle_f = nullptr;
+};
+
+// A side at a state: how its raw rows belong to tangents.
+struct SideFrame {
+  TouchSide side;
+  Quat<double> turn{};
+  Vec3d com{};  // from the origin of the body, world frame
+  Tangent tangent(const StateRows& raw) const;
+  void add_tangent(const Tangent& t, const StateRows& raw) const;
+  // Their transposes.
+  Tangent gradient(const StateRows& raw) const;
+  void add_gradient(const Tangent& g, const StateRows& raw) const;
+};
+
+// Up to this angle h w of a step the mean force has the derivative of the motion to a few percent.
+constexpr double kSoftAngle = 0.1;
+// Up to this angle a touch whose friction changes has it, unless the touch turns a body.
+constexpr double kFrictionAngle = 0.15;
+
+enum class TouchFlaw : uint8_t {
+  None,
+  Several,   // more contacts at once
+  OneSided,  // its begin or end is not in the steps, or is cut
+  Held,      // by joints, elements or adhesion
+  Long,      // too many steps
+  Rests      // it begins no faster than forces push in a step
+};
+
+struct TouchEvent {
+  int32_t first = 0, second = 0, point = 0;
+  std::array<Tangent, 2> delay_by{};  // of the sides' places and turns
+  double stiff_angle = 0.0;           // h w
+  bool turns = false;                 // the force has a moment about a centre of mass
+  // Friction turns the slip around in a step, or changes between sticking and slipping in a stiff
+  // touch or one that turns a body.
+  bool shakes = false;
+  bool slides = false;    // in the last step
+  double approach = 0.0;  // m/s
+  int32_t steps = 0;
+  TouchFlaw flaw = TouchFlaw::None;
+  bool whole = false;  // its end is known
+  bool ended = false;
+  bool is_window() const { return whole && flaw == TouchFlaw::None; }
+
+  // In one pass over a tape: the delay of a tangent, the mismatch of an adjoint, and behind which
+  // half of which step they are.
+  double delay = 0.0, mismatch = 0.0;
+  int32_t forward_at = -1, backward_at = -1;
+};
+
+// A step of a touch.
+struct TouchStep {
+  std::shared_ptr<TouchEvent> event;
+  int32_t number = 0;
+  std::array<SideFrame, 2> start, end;
+  std::array<Tangent, 2> before{}, after{};  // rates f at both
+  std::array<std::array<Vec3d, 2>, 2> applied{};
+};
+
+// A contact within half a step of its begin or end; `event` (null: none) may take care of it.
+struct TouchRamp {
+  TouchRow row;
+  std::array<SideFrame, 2> frames;
+  std::shared_ptr<TouchEvent> event;
+  bool acts() const { return event == nullptr || !event->is_window(); }
+};
+
+// What the two operations of a step share.
+struct TouchWork {
+  std::vector<std::shared_ptr<TouchStep>> steps;
+  std::vector<std::shared_ptr<TouchRamp>> ramps;
+};
+
+// The arrays of an operation, in the order of StateRows.
+using TouchArrays = std::array<nova::Operand, 6>;
+// Records that `to` holds the values of `from` with what the work adds to derivatives: at the start
+// of a step, or behind it.
+void record_touches(const std::shared_ptr<const TouchWork>& work, bool at_start,
+                    const TouchArrays& from, const TouchArrays& to);
+
+}  // namespace novaphy::diff::detail

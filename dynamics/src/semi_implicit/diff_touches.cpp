@@ -1,0 +1,397 @@
+#include "novaphy/dynamics/semi_implicit/diff_touches.h"
+
+#include <algorithm>
+#include <cmath>
+#include <tuple>
+#include <utility>
+
+#include "diff_touch_events.h"
+#include "novaphy/core/sim/enums.h"
+#include "novaphy/math/matrix.h"
+#include "novaphy/math/spatial.h"
+#include "novaphy/nova/op_list.h"
+
+namespace novaphy::diff {
+
+using namespace detail;
+using math::cross;
+using math::dot;
+
+namespace {
+
+constexpr int32_t kMostSteps = 200;      // of a touch that is one event
+constexpr double kLeastApproach = 1e-3;  // m/s
+
+Vec3d wide(const Vec3f& a) { return {a.x, a.y, a.z}; }
+Quat<double> wide(const Quatf& q) { return {q.x, q.y, q.z, q.w}; }
+
+template <class T>
+DeviceArray<T> array_of(const DeviceArray<T>& like) {
+  return DeviceArray<T>(like.rows(), like.device());
+}
+
+}  // namespace
+
+TouchedStep::TouchedStep(const SimState& from, SimState& to) : in(&from), out(&to) {}
+TouchedStep::TouchedStep(TouchedStep&&) noexcept = default;
+TouchedStep::~TouchedStep() = default;
+
+struct TouchMotion::Impl {
+  explicit Impl(const TouchSettings& s) : settings(s) {}
+
+  // What a step knows until its kernels have run.
+  struct Open {
+    std::shared_ptr<TouchEvent> event;
+    std::shared_ptr<TouchStep> last;  // null: it is no window
+  };
+
+  bool is_held(const TouchSide& side) const {
+    if (side.particle >= 0) return settings.elements;
+    return side.body >= 0 && jointed[static_cast<size_t>(side.body)];
+  }
+  static bool share(const TouchRow& a, const TouchRow& b) {
+    for (const TouchSide& x : a.sides)
+      for (const TouchSide& y : b.sides)
+        if (x.responds && x.is(y)) return true;
+    return false;
+  }
+  static bool same_pair(const TouchRow& a, const TouchRow& b) {
+    return a.first == b.first && a.second == b.second;
+  }
+  static bool is_pair(const TouchEvent& e, const TouchRow& row) {
+    return e.first == row.first && e.second == row.second;
+  }
+
+  SideFrame frame(const Model& m, const SimState& s, const TouchSide& side) const {
+    SideFrame f{.side = side};
+    if (side.body < 0) return f;
+    const Quatf& q = s.body_q.data()[side.body].q;
+    f.turn = wide(q);
+    f.com = wide(math::rotate(q, m.body_com.data()[side.body]));
+    return f;
+  }
+  // The accelerations that a force and a moment give.
+  static std::array<Vec3d, 2> respond(const Model& m, const SideFrame& at, const Vec3d& force,
+                                      const Vec3d& moment) {
+    if (!at.side.responds) return {};
+    if (at.side.particle >= 0)
+      return {force * double{m.particle_inv_mass.data()[at.side.particle]}, {}};
+    const auto b = static_cast<size_t>(at.side.body);
+    const Vec3d in_body = math::rotate_inverse(at.turn, moment);
+    const Mat33f& inverse = m.body_inv_inertia.data()[b];
+    const auto row = [&](int k) {
+      return double{inverse.m[k][0]} * in_body.x + double{inverse.m[k][1]} * in_body.y +
+             double{inverse.m[k][2]} * in_body.z;
+    };
+    return {force * double{m.body_inv_mass.data()[b]},
+            math::rotate(at.turn, Vec3d{row(0), row(1), row(2)})};
+  }
+  std::array<Vec3d, 2> applied(const TouchedStep& step, const TouchSide& side) const {
+    const auto load = [](const nova::Operand& of, int64_t at) {
+      const float* const f = static_cast<const float*>(of.range->data()) + at;
+      return Vec3d{f[0], f[1], f[2]};
+    };
+    if (side.particle >= 0) return {load(step.forces, int64_t{3} * side.particle), {}};
+    if (side.body < 0) return {};
+    return {load(step.body_forces, int64_t{6} * side.body),
+            load(step.body_forces, int64_t{6} * side.body + 3)};
+  }
+  static std::array<Vec3d, 2> rates(const SimState& s, const TouchSide& side) {
+    if (side.particle >= 0) return {wide(s.particle_qd.data()[side.particle]), {}};
+    if (side.body < 0) return {};
+    const SpatialVectorf& v = s.body_qd.data()[side.body];
+    return {wide(v.linear), wide(v.angular)};
+  }
+
+  bool follows(const SimState& in, float dt) const {
+    return at_q == place(in).first && at_version == place(in).second && last_dt == dt;
+  }
+  // The memory that tells states from each other, and its version.
+  std::pair<const void*, uint64_t> place(const SimState& s) const {
+    const auto of = [](const auto& q, const auto& qd) {
+      return std::pair<const void*, uint64_t>(q.range()->data(),
+                                              q.range()->version() + qd.range()->version());
+    };
+    return settings.bodies ? of(s.body_q, s.body_qd) : of(s.particle_q, s.particle_qd);
+  }
+
+  TouchArrays arrays(const StateFields& s, const nova::Operand& body_f,
+                     const nova::Operand& particle_f) const {
+    TouchArrays all;
+    if (settings.bodies) {
+      all[0] = nova::operand_of(s.body_q);
+      all[1] = nova::operand_of(s.body_qd);
+      all[4] = body_f;
+    }
+    if (settings.particles) {
+      all[2] = nova::operand_of(s.particle_q);
+      all[3] = nova::operand_of(s.particle_qd);
+      all[5] = particle_f;
+    }
+    return all;
+  }
+
+  // A change of friction, which several points may hide from each other: in a stiff touch, or of a
+  // body that turns.
+  static void watch_friction(const TouchRow& row, bool several, TouchEvent& event) {
+    if (!event.turns && event.stiff_angle <= kFrictionAngle) return;
+    if (row.slides != event.slides || (several && row.slip_taken > 0.0)) event.shakes = true;
+    event.slides = row.slides;
+  }
+
+  void begin_touch(const TouchRow& row, bool follows_last, float dt, TouchList& a, TouchList& b);
+  void find_steps(const Model& m, TouchedStep& step, bool follows_last, float dt, TouchList& a,
+                  TouchList& b);
+  void find_ramps(const Model& m, TouchedStep& step, TouchList& a, TouchList& b);
+  void move(const Model& m, TouchedStep& step) const;
+
+  TouchSettings settings;
+  std::vector<char> jointed;  // of bodies
+  std::vector<TouchRow> rows;
+  std::vector<Open> open, closing;
+  std::vector<std::shared_ptr<TouchRamp>> waiting;  // of the last step: their touch may follow
+  const void* at_q = nullptr;
+  uint64_t at_version = 0;
+  float last_dt = 0.0f;
+  const Control* last_control = nullptr;
+};
+
+TouchMotion::TouchMotion(const Model& model, const TouchSettings& settings)
+    : impl_(std::make_unique<Impl>(settings)) {
+  impl_->jointed.assign(static_cast<size_t>(model.body_count()), 0);
+  if (!settings.jointed) return;
+  const std::vector<int32_t> type = model.joint_type.to_host(),
+                             parent = model.joint_parent.to_host(),
+                             child = model.joint_child.to_host();
+  for (size_t j = 0; j < type.size(); ++j) {
+    if (type[j] == static_cast<int32_t>(JointType::FREE)) continue;
+    for (const int32_t body : {parent[j], child[j]})
+      if (body >= 0) impl_->jointed[static_cast<size_t>(body)] = 1;
+  }
+}
+TouchMotion::~TouchMotion() = default;
+
+void TouchMotion::Impl::begin_touch(const TouchRow& row, bool follows_last, float dt, TouchList& a,
+                                    TouchList& b) {
+  const auto event = std::make_shared<TouchEvent>();
+  event->first = row.first;
+  event->second = row.second;
+  event->point = row.point;
+  event->stiff_angle = double{dt} * std::sqrt(row.stiffness * row.inverse_mass);
+  event->approach = -row.speed;
+  event->shakes = row.slip_taken > 1.0;
+  event->slides = row.slides;
+  if (!follows_last) event->flaw = TouchFlaw::OneSided;
+  if (!(event->approach > kLeastApproach) && event->flaw == TouchFlaw::None)
+    event->flaw = TouchFlaw::Rests;
+  constexpr double kSign[] = {1.0, -1.0};
+  for (size_t i = 0; i < 2 && event->flaw == TouchFlaw::None; ++i) {
+    const Vec3d n = row.normal * (kSign[i] / event->approach);
+    event->delay_by[i] = {n, cross(row.sides[i].arm, n), {}, {}};
+    const double arm = dot(row.sides[i].arm, row.sides[i].arm),
+                 turn = dot(event->delay_by[i][kTurn], event->delay_by[i][kTurn]);
+    if (turn > 1e-6 * arm * dot(n, n)) event->turns = true;
+  }
+  for (TouchList* list : {&a, &b}) list->events.push_back(event);
+  for (const auto& ramp : waiting)
+    if (same_pair(ramp->row, row)) ramp->event = event;
+  open.push_back({event, nullptr});
+}
+
+void TouchMotion::Impl::find_steps(const Model& m, TouchedStep& step, bool follows_last, float dt,
+                                   TouchList& a, TouchList& b) {
+  // A touch that goes on, or begins, and its first contact.
+  for (const TouchRow& row : rows) {
+    if (!row.pushes) continue;
+    const auto known =
+        std::ranges::find_if(open, [&](const Open& o) { return is_pair(*o.event, row); });
+    if (known == open.end()) begin_touch(row, follows_last, dt, a, b);
+  }
+  closing.clear();
+  for (size_t i = 0; i < open.size();) {
+    Open& o = open[i];
+    TouchEvent& event = *o.event;
+    const TouchRow* mine = nullptr;
+    bool several = false, held = false;
+    for (const TouchRow& row : rows) {
+      if (!row.pushes || !is_pair(event, row)) continue;
+      several = several || mine != nullptr || row.point != event.point;
+      held = held || row.adheres || is_held(row.sides[0]) || is_held(row.sides[1]);
+      mine = &row;
+    }
+    for (const TouchRow& row : rows) {
+      if (!row.pushes || is_pair(event, row)) continue;
+      if (mine != nullptr)
+        several = several || share(*mine, row);
+      else if (o.last != nullptr)
+        for (const SideFrame& f : o.last->start)
+          for (const TouchSide& y : row.sides)
+            several = several || (f.side.responds && f.side.is(y));
+    }
+    if (event.flaw == TouchFlaw::None && several) event.flaw = TouchFlaw::Several;
+    if (event.flaw == TouchFlaw::None && held) event.flaw = TouchFlaw::Held;
+    if (mine == nullptr) {
+      event.ended = true;
+      closing.push_back(std::move(o));
+      open.erase(open.begin() + static_cast<std::ptrdiff_t>(i));
+      continue;
+    }
+    watch_friction(*mine, several, event);
+    if (event.steps >= kMostSteps && event.flaw == TouchFlaw::None) event.flaw = TouchFlaw::Long;
+    if (event.flaw == TouchFlaw::None) {
+      const auto s = std::make_shared<TouchStep>();
+      s->event = o.event;
+      s->number = event.steps;
+      for (size_t k = 0; k < 2; ++k) {
+        s->start[k] = frame(m, *step.in, mine->sides[k]);
+        s->applied[k] = applied(step, mine->sides[k]);
+        if (event.steps > 0) continue;
+        // Without the force of the touch.
+        const Vec3d force = mine->force * (k == 0 ? 1.0 : -1.0);
+        const auto without = respond(m, s->start[k], force, cross(mine->sides[k].arm, force));
+        s->before[k][kVelocity] = without[0];
+        s->before[k][kSpin] = without[1];
+      }
+      step.work->steps.push_back(s);
+    }
+    ++event.steps;
+    ++i;
+  }
+}
+
+void TouchMotion::Impl::find_ramps(const Model& m, TouchedStep& step, TouchList& a, TouchList& b) {
+  waiting.clear();
+  for (const TouchRow& row : rows) {
+    if (!row.ramp) continue;
+    const auto ramp = std::make_shared<TouchRamp>(TouchRamp{row, {}, nullptr});
+    for (size_t i = 0; i < 2; ++i) ramp->frames[i] = frame(m, *step.in, row.sides[i]);
+    for (const auto& list : {open, closing})
+      for (const Open& o : list)
+        if (is_pair(*o.event, row)) ramp->event = o.event;
+    if (ramp->event == nullptr) waiting.push_back(ramp);
+    step.work->ramps.push_back(ramp);
+  }
+  if (!step.work->ramps.empty())
+    for (TouchList* list : {&a, &b}) ++list->ramp_steps;
+}
+
+// Gives the kernels memory of their own, with what the touches add to derivatives.
+void TouchMotion::Impl::move(const Model& m, TouchedStep& step) const {
+  const SimState &in = *step.in, &out = *step.out;
+  StateFields from = in, to = out;
+  const auto fresh = [](auto& array) {
+    if (array.rows() > 0) array = array_of(array);
+  };
+  if (settings.bodies) {
+    fresh(from.body_q);
+    fresh(from.body_qd);
+    fresh(from.body_f);
+  }
+  if (settings.particles) {
+    fresh(from.particle_q);
+    fresh(from.particle_qd);
+    fresh(from.particle_f);
+  }
+  if (!step.work->steps.empty()) {
+    if (settings.bodies) {
+      fresh(to.body_q);
+      fresh(to.body_qd);
+    }
+    if (settings.particles) {
+      fresh(to.particle_q);
+      fresh(to.particle_qd);
+    }
+    step.moved_out = std::make_unique<SimState>(m, to);
+  }
+  const TouchArrays before = arrays(in, step.body_forces, step.forces);
+  if (settings.bodies) step.body_forces = nova::operand_of(from.body_f);
+  if (settings.particles) step.forces = nova::operand_of(from.particle_f);
+  step.moved_in = std::make_unique<SimState>(m, from);
+  record_touches(step.work, true, before, arrays(from, step.body_forces, step.forces));
+}
+
+TouchedStep TouchMotion::begin(const Model& model, const SimState& in, SimState& out,
+                               const nova::Operand& forces, const nova::Operand& body_forces,
+                               const Control* control, const Contacts* contacts, float kf_rate,
+                               float dt, TouchList& of_chain, TouchList& of_tape) {
+  Impl& t = *impl_;
+  nova::flush_deferred();
+  TouchedStep step(in, out);
+  step.forces = forces;
+  step.body_forces = body_forces;
+  step.work = std::make_shared<TouchWork>();
+  // Forces of joints act on free bodies too, and a change of them within a touch is no part of it.
+  const bool same = !t.settings.jointed || t.last_control == control;
+  const bool follows = t.follows(in, dt);
+  t.last_control = control;
+  if (!follows || !same) {
+    for (const Impl::Open& o : t.open)
+      if (o.event->flaw == TouchFlaw::None) o.event->flaw = TouchFlaw::OneSided;
+    if (!follows) t.open.clear();
+    if (!follows) t.waiting.clear();
+    if (t.at_q != t.place(in).first) of_chain.clear();
+  }
+  t.last_dt = dt;
+  t.rows.clear();
+  if (contacts != nullptr)
+    find_touches(model, in, *contacts,
+                 {t.settings.rigid, t.settings.soft, t.settings.smoothing, kf_rate, dt}, t.rows);
+  t.find_steps(model, step, follows, dt, of_chain, of_tape);
+  t.find_ramps(model, step, of_chain, of_tape);
+  if (!step.work->steps.empty() || !step.work->ramps.empty()) t.move(model, step);
+  return step;
+}
+
+void TouchMotion::end(const Model& model, TouchedStep& step) {
+  Impl& t = *impl_;
+  nova::flush_deferred();
+  const SimState &from = step.from(), &to = step.to();
+  // The accelerations of the step, on the tape's states.
+  const auto acceleration = [&](const TouchSide& side) {
+    const auto v0 = Impl::rates(from, side), v1 = Impl::rates(to, side);
+    const double by = 1.0 / double{t.last_dt};
+    return std::array<Vec3d, 2>{(v1[0] - v0[0]) * by, (v1[1] - v0[1]) * by};
+  };
+  // The rates behind a step of a touch, which are those at the start of this one, with the forces
+  // that were applied there.
+  const auto finish = [&](TouchStep& last) {
+    for (size_t k = 0; k < 2; ++k) {
+      const TouchSide& side = last.end[k].side;
+      const auto a = acceleration(side), now = t.applied(step, side);
+      const auto change = Impl::respond(model, last.end[k], now[0] - last.applied[k][0],
+                                        now[1] - last.applied[k][1]);
+      last.after[k][kVelocity] = a[0] - change[0];
+      last.after[k][kSpin] = a[1] - change[1];
+    }
+  };
+  for (const Impl::Open& o : t.closing) {
+    if (o.last == nullptr || o.event->flaw != TouchFlaw::None) continue;
+    finish(*o.last);
+    o.event->whole = true;
+  }
+  t.closing.clear();
+  for (const auto& s : step.work->steps) {
+    const auto open =
+        std::ranges::find_if(t.open, [&](const Impl::Open& o) { return o.event == s->event; });
+    if (open->last != nullptr) finish(*open->last);
+    open->last = s;
+    for (size_t k = 0; k < 2; ++k) {
+      const TouchSide& side = s->start[k].side;
+      s->end[k] = t.frame(model, to, side);
+      const auto v0 = Impl::rates(from, side), v1 = Impl::rates(to, side), a = acceleration(side);
+      s->before[k] = {v0[0], v0[1], s->before[k][kVelocity] + a[0], s->before[k][kSpin] + a[1]};
+      s->after[k] = {v1[0], v1[1], {}, {}};
+    }
+    if (s->number > 0) continue;
+    double push = 0.0;  // of a step, relative to the approach
+    for (size_t k = 0; k < 2; ++k)
+      push +=
+          product(s->event->delay_by[k], {s->before[k][kVelocity], s->before[k][kSpin], {}, {}});
+    if (std::abs(push) * double{t.last_dt} > 1.0) s->event->flaw = TouchFlaw::Rests;
+  }
+  if (step.moved_out)
+    record_touches(step.work, false, t.arrays(to, {}, {}), t.arrays(*step.out, {}, {}));
+  std::tie(t.at_q, t.at_version) = t.place(*step.out);
+}
+
+}  // namespace novaphy::diff

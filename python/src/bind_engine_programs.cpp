@@ -1,0 +1,26 @@
+// The Programs that are built ahead of time.
+#include <map>
+
+#include "nova_types.h"
+#include "novaphy/diff/engine_kernels.h"
+#include "part_bindings.h"
+
+namespace novaphy::python {
+
+void bind_engine_programs(py::module_& m) {
+  m.def(
+      "engine_programs",
+      [] {
+        std::vector<nova::EngineKernel> kernels = nova::engine_kernels();
+        for (nova::EngineKernel& k : diff::engine_kernels()) kernels.push_back(std::move(k));
+        std::map<uint64_t, std::string> texts;
+        for (const nova::ir::Program& p : nova::programs_of(kernels))
+          texts[nova::ir::hash(p)] = nova::ir::to_string(p);
+        return texts;
+      },
+      release_gil(),
+      "The Programs of the engine's own kernels and of their adjoints that are built ahead: hash, "
+      "as in KernelInfo, to text.");
+}
+
+}  // namespace novaphy::python

@@ -4,7 +4,8 @@
 #   const char* novaphy::detail::<name>_kernels_text();
 # which gives null without a backend for devices or where the condition is false. Headers take the place of their includes,
 # each once. core/device/ holds the twins of those that devices read otherwise; system headers are left out. The lines
-# "// kernel NAME WORDS NOVAPHY_ROW" (or _BLOCK, _GRID) that backends look for are made from the declarations. The text is
+# "// kernel NAME WORDS NOVAPHY_ROW" (or _BLOCK) that backends look for are made from the declarations; WORDS 0: as many
+# as the launch gives. The text is
 # C++17, which compilers of all vendors know. #include "<code>.inc" stays, for code that the build makes: the .cuh includes
 # it, and the text <code>_text.inc, the same as string literals.
 set(NOVAPHY_DEVICE_INCLUDES core/device core/include collision/include dynamics/include vbd/include)
@@ -48,11 +49,12 @@ function(novaphy_add_device_module target header)
     cmake_path(ABSOLUTE_PATH header)
     novaphy_append_device_text(${header})
     get_property(text GLOBAL PROPERTY NOVAPHY_DEVICE_TEXT)
-    string(REGEX MATCHALL "\nNOVAPHY_(ROW|BLOCK|GRID)_KERNEL\\([a-z0-9_]+, [0-9]+" kernels "${text}")
+    string(REGEX MATCHALL "\nNOVAPHY_(ROW|BLOCK)_KERNEL\\([a-z0-9_]+, ([0-9]+, )?[A-Z]" kernels "${text}")
     if(NOT kernels)
-      message(FATAL_ERROR "novaphy_add_device_module: no NOVAPHY_ROW_KERNEL(name, words, ...) in ${header}.")
+      message(FATAL_ERROR "novaphy_add_device_module: no NOVAPHY_ROW_KERNEL(name, ...) in ${header}.")
     endif()
-    list(TRANSFORM kernels REPLACE "\n(NOVAPHY_[A-Z]+)_KERNEL.([a-z0-9_]+), ([0-9]+)" "// kernel \\2 \\3 \\1\n")
+    list(TRANSFORM kernels REPLACE "\n(NOVAPHY_[A-Z]+)_KERNEL.([a-z0-9_]+), [A-Z]" "\n\\1_KERNEL(\\2, 0, A")
+    list(TRANSFORM kernels REPLACE "\n(NOVAPHY_[A-Z]+)_KERNEL.([a-z0-9_]+), ([0-9]+), [A-Z]" "// kernel \\2 \\3 \\1\n")
     string(JOIN "" kernels ${kernels})
     string(REGEX REPLACE "NOVAPHY_MADE_BY_THE_BUILD ([a-z_]+)" "#include \"\\1.inc\"" code "${text}")
     file(CONFIGURE OUTPUT ${CMAKE_CURRENT_BINARY_DIR}/${name}.cuh CONTENT "${kernels}${code}" @ONLY)

@@ -10,15 +10,19 @@ namespace novaphy {
 void find_contact_bodies(const Model& model, const Contacts& contacts,
                          const DeviceArray<int32_t>& rigid, const DeviceArray<int32_t>& soft) {
   // Never destroyed: recordings refer to it.
-  static const auto& kernel = *new DeviceKernel(contact_body, detail::contact_body_kernels_text);
-  const auto find = [&](const Array& shape0, const Array& shape1, const Array& bodies) {
-    kernel.launch(model.device(), static_cast<int64_t>(bodies.rows()),
-                  {reads_row("shape0", shape0), reads("shape1", shape1),
-                   reads("shape_body", model.shape_body), number(int64_t{model.shape_count()}),
-                   writes_row("bodies", bodies)});
+  static const auto& kernel =
+      *new Kernel<ContactBodyArguments>(contact_body, detail::contact_body_kernels_text);
+  const auto find = [&](const DeviceArray<int32_t>& shape0, const DeviceArray<int32_t>* shape1,
+                        const DeviceArray<int32_t>& bodies) {
+    run(kernel, static_cast<int64_t>(bodies.rows()),
+        {.shape0 = shape0,
+         .shape1 = shape1,
+         .shape_body = model.shape_body,
+         .shapes = model.shape_count(),
+         .bodies = bodies});
   };
-  find(contacts.rigid_contact_shape0, contacts.rigid_contact_shape1, rigid);
-  find(contacts.soft_contact_shape, Array(), soft);
+  find(contacts.rigid_contact_shape0, &contacts.rigid_contact_shape1, rigid);
+  find(contacts.soft_contact_shape, nullptr, soft);
 }
 
 bool particles_may_meet_bodies(const Model& model) {

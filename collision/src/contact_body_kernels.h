@@ -7,14 +7,14 @@
 namespace novaphy {
 
 struct ContactBodyArguments {
-  const int32_t* shape0;  // of each contact; -1: none
-  const int32_t* shape1;  // null: contacts have one shape only
-  const int32_t* shape_body;
-  int64_t shapes;
-  int32_t* bodies;  // a row for each contact, of one body or of two
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> shape0;         // of each contact; -1: none
+                    Optional<Reads<int32_t>> shape1;  // null: contacts have one shape only
+                    Reads<int32_t> shape_body; Number<int64_t> shapes;
+                    Writes<int32_t> bodies;  // a row for each contact, of one body or of two
+  )
 };
 // The bodies of the contact `row`; -1 for a shape of the world, and for one that is not there.
-NOVAPHY_ROW_KERNEL(contact_body, 5, ContactBodyArguments) {
+NOVAPHY_ROW_KERNEL(contact_body, ContactBodyArguments) {
   const auto body_of = [&](int32_t shape) {
     return shape >= 0 && shape < a.shapes ? a.shape_body[shape] : -1;
   };

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <vector>
 
-#include "novaphy/core/device_kernel.h"
+#include "novaphy/core/builtin_kernels.h"
 #include "novaphy/core/error.h"
 #include "rigid_sweep_kernels.h"
 #include "sweep_axis.h"
@@ -13,16 +13,13 @@ namespace {
 
 // Never destroyed: recordings refer to them.
 struct Kernels {
-  DeviceKernel key{rigid_sweep_key, rigid_sweep_kernels_text};
-  DeviceKernel sort{"sort_by_key_i32"};
-  DeviceKernel world{rigid_sweep_world, rigid_sweep_kernels_text};
-  DeviceKernel by_world{"incidence_i32"};
-  DeviceKernel entry{rigid_sweep_sort, rigid_sweep_kernels_text};
-  DeviceKernel chunk{rigid_sweep_chunk, rigid_sweep_kernels_text};
-  DeviceKernel count{rigid_sweep_count, rigid_sweep_kernels_text};
-  DeviceKernel total{rigid_sweep_total, rigid_sweep_kernels_text};
-  DeviceKernel scan{"exclusive_scan_i32"};
-  DeviceKernel write{rigid_sweep_write, rigid_sweep_kernels_text};
+  Kernel<RigidSweepKeyArguments> key{rigid_sweep_key, rigid_sweep_kernels_text};
+  Kernel<RigidSweepWorldArguments> world{rigid_sweep_world, rigid_sweep_kernels_text};
+  Kernel<RigidSweepSortArguments> entry{rigid_sweep_sort, rigid_sweep_kernels_text};
+  Kernel<RigidSweepChunkArguments> chunk{rigid_sweep_chunk, rigid_sweep_kernels_text};
+  Kernel<RigidSweepCountArguments> count{rigid_sweep_count, rigid_sweep_kernels_text};
+  Kernel<RigidSweepTotalArguments> total{rigid_sweep_total, rigid_sweep_kernels_text};
+  Kernel<RigidSweepWriteArguments> write{rigid_sweep_write, rigid_sweep_kernels_text};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
@@ -32,7 +29,8 @@ const Kernels& kernels() {
 constexpr int64_t kTotals = 256;
 constexpr int64_t kMostUnwrapped = 65536;  // shapes whose pairs int32 counts
 
-Array bytes(const std::shared_ptr<Storage>& storage) {
+Array bytes(size_t count, Device device) {
+  const auto storage = Storage::allocate(count, device);
   return {DType::uint8, storage->bytes(), 1, storage->range()};
 }
 int64_t chunks_of(int64_t count) { return (count + kSweepChunk - 1) / kSweepChunk; }
@@ -80,57 +78,74 @@ void RigidSweep::update(const Model& m, std::span<const int32_t> world) {
   totals_ = {};
   if (m.shape_count() > kMostUnwrapped) totals_ = DeviceArray<uint64_t>(kTotals, device);
   const int64_t chunks = chunks_of(m.shape_count());
-  entries_ = Storage::allocate(shapes * sizeof(SweepEntry), device);
-  chunks_ = Storage::allocate(static_cast<size_t>(chunks) * sizeof(SweepInterval), device);
-  coarse_ =
-      Storage::allocate(static_cast<size_t>(chunks_of(chunks)) * sizeof(SweepInterval), device);
+  entries_ = bytes(shapes * sizeof(SweepEntry), device);
+  chunks_ = bytes(static_cast<size_t>(chunks) * sizeof(SweepInterval), device);
+  coarse_ = bytes(static_cast<size_t>(chunks_of(chunks)) * sizeof(SweepInterval), device);
 }
 
-// The arguments of a struct RigidSweep, then the others.
-#define NOVAPHY_SWEEP_ARGUMENTS(m, shapes)                                                        \
-  reads("shapes", shapes), reads("shape_body", (m).shape_body),                                   \
-      reads("shape_flags", (m).shape_flags),                                                      \
-      reads("shape_collision_group", (m).shape_collision_group),                                  \
-      reads("shape_world", (m).shape_world), reads("filter_starts", filter_starts_),              \
-      reads("filtered", filtered_), reads("entries", bytes(entries_)),                            \
-      reads("chunks", bytes(chunks_)), reads("coarse", bytes(coarse_)), reads("starts", starts_), \
-      number(segments_), number(axis_)
+RigidSweepTables RigidSweep::tables(const Model& m, const Array& shapes) const {
+  return {.shapes = Untyped(shapes),
+          .body = m.shape_body,
+          .flags = m.shape_flags,
+          .group = m.shape_collision_group,
+          .world = m.shape_world,
+          .filter_starts = filter_starts_,
+          .filtered = filtered_,
+          .entries = Untyped(entries_),
+          .chunks = Untyped(chunks_),
+          .coarse = Untyped(coarse_),
+          .starts = starts_,
+          .segments = segments_,
+          .axis = axis_};
+}
 
 void RigidSweep::sort(const Model& m, const Array& shapes) {
   const Kernels& k = kernels();
-  const Device device = m.device();
   const int64_t count = m.shape_count(), chunks = chunks_of(count);
-  k.key.launch(device, count, {reads("shapes", shapes), number(axis_), writes_row("keys", keys_)});
-  k.sort.launch(device, count, {reads("keys", keys_), writes("order", order_)});
-  k.world.launch(device, count,
-                 {reads("shapes", shapes), reads_row("order", order_),
-                  reads("shape_world", m.shape_world), writes_row("segments", world_keys_)});
-  k.by_world.launch(device, segments_,
-                    {reads("segments", world_keys_), number(count), writes("starts", starts_),
-                     writes("items", items_)});
-  k.entry.launch(device, count,
-                 {reads("shapes", shapes), reads("order", order_), reads("starts", starts_),
-                  reads("items", items_), number(segments_), writes("entries", bytes(entries_))});
-  k.chunk.launch(device, chunks,
-                 {reads("entries", bytes(entries_)), reads("below", Array()), number(count),
-                  number(axis_), writes("chunks", bytes(chunks_))});
-  k.chunk.launch(device, chunks_of(chunks),
-                 {reads("entries", bytes(entries_)), reads("below", bytes(chunks_)), number(chunks),
-                  number(axis_), writes("chunks", bytes(coarse_))});
-  k.count.launch(device, count,
-                 {NOVAPHY_SWEEP_ARGUMENTS(m, shapes), writes_row("counts", counts_)});
-  k.scan.launch(device, count, {reads("counts", counts_), writes("before", before_)});
+  run(k.key, count, {.shapes = Untyped(shapes), .axis = axis_, .keys = keys_});
+  run(sort_by_key(), count, {.keys = keys_, .order = order_});
+  run(k.world, count,
+      {.shapes = Untyped(shapes),
+       .order = order_,
+       .world = m.shape_world,
+       .segments = world_keys_});
+  run(incidence(), segments_,
+      {.table = world_keys_, .slots = count, .offsets = starts_, .items = items_});
+  run(k.entry, count,
+      {.shapes = Untyped(shapes),
+       .order = order_,
+       .starts = starts_,
+       .items = items_,
+       .segments = segments_,
+       .entries = Untyped(entries_)});
+  run(k.chunk, chunks,
+      {.entries = Untyped(entries_),
+       .below = nullptr,
+       .count = count,
+       .axis = axis_,
+       .chunks = Untyped(chunks_)});
+  run(k.chunk, chunks_of(chunks),
+      {.entries = Untyped(entries_),
+       .below = Untyped(chunks_),
+       .count = chunks,
+       .axis = axis_,
+       .chunks = Untyped(coarse_)});
+  run(k.count, count, {.sweep = tables(m, shapes), .counts = counts_});
+  run(exclusive_scan(), count, {.in = counts_, .out = before_});
   if (totals_.rows() > 0)
-    k.total.launch(device, kTotals,
-                   {reads("counts", counts_), number(count), writes_row("totals", totals_)});
+    run(k.total, kTotals, {.counts = counts_, .shapes = count, .totals = totals_});
 }
 
 void RigidSweep::write(const Model& m, const Array& shapes, const DeviceArray<Vec2i>& pairs) {
-  kernels().write.launch(m.device(), m.shape_count(),
-                         {NOVAPHY_SWEEP_ARGUMENTS(m, shapes), reads_row("counts", counts_),
-                          reads_row("before", before_), reads("totals", totals_), number(kTotals),
-                          number(static_cast<int64_t>(pairs.rows())), writes("pairs", pairs),
-                          writes("pairs_found", found_)});
+  run(kernels().write, m.shape_count(),
+      {.sweep = tables(m, shapes),
+       .counts = counts_,
+       .before = before_,
+       .totals = totals_,
+       .total_rows = kTotals,
+       .capacity = pairs.rows(),
+       .pairs = pairs,
+       .pairs_found = found_});
 }
 
 }  // namespace novaphy::detail

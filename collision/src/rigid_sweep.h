@@ -9,6 +9,10 @@
 #include "novaphy/core/device_array.h"
 #include "novaphy/core/sim/model.h"
 
+namespace novaphy {
+struct RigidSweepTables;
+}
+
 namespace novaphy::detail {
 
 class RigidSweep {
@@ -23,11 +27,13 @@ class RigidSweep {
   const DeviceArray<int32_t>& found() const { return found_; }  // that number
 
  private:
+  RigidSweepTables tables(const Model& model, const Array& shapes) const;
+
   int64_t axis_ = 0, segments_ = 0;
   DeviceArray<int32_t> filter_starts_, filtered_;
   DeviceArray<int32_t> keys_, order_, world_keys_, starts_, items_, counts_, before_, found_;
   DeviceArray<uint64_t> totals_;
-  std::shared_ptr<Storage> entries_, chunks_, coarse_;
+  Array entries_, chunks_, coarse_;  // bytes
 };
 
 // The text of the kernels for devices; null: the build has none.

@@ -27,11 +27,11 @@ struct SweepInterval {
 inline SweepInterval no_interval() { return {3.0e38f, -3.0e38f}; }
 
 struct RigidSweepKeyArguments {
-  const RigidShape* shapes;
-  int64_t axis;
-  int32_t* keys;  // ascending as the lower ends
+  NOVAPHY_ARGUMENTS(Reads<RigidShape> shapes; Number<int64_t> axis;
+                    WritesRow<int32_t> keys;  // ascending as the lower ends
+  )
 };
-NOVAPHY_ROW_KERNEL(rigid_sweep_key, 3, RigidSweepKeyArguments) {
+NOVAPHY_ROW_KERNEL(rigid_sweep_key, RigidSweepKeyArguments) {
   const geometry::Box3& box = a.shapes[row].box;
   const float lower = geometry::component(box.lo, static_cast<int32_t>(a.axis));
   const int32_t bits = math::float_bits(lower);
@@ -40,12 +40,13 @@ NOVAPHY_ROW_KERNEL(rigid_sweep_key, 3, RigidSweepKeyArguments) {
 }
 
 struct RigidSweepWorldArguments {
-  const RigidShape* shapes;
-  const int32_t* order;  // of the keys
-  const int32_t* world;
-  int32_t* segments;  // of the sorted shapes: 0 for all worlds, then the worlds; -1: meets nothing
+  NOVAPHY_ARGUMENTS(Reads<RigidShape> shapes; ReadsRow<int32_t> order;  // of the keys
+                    Reads<int32_t> world;
+                    WritesRow<int32_t> segments;  // of the sorted shapes: 0 for all worlds, then
+                                                  // the worlds; -1: meets nothing
+  )
 };
-NOVAPHY_ROW_KERNEL(rigid_sweep_world, 4, RigidSweepWorldArguments) {
+NOVAPHY_ROW_KERNEL(rigid_sweep_world, RigidSweepWorldArguments) {
   const int32_t shape = a.order[row];
   const geometry::Box3& box = a.shapes[shape].box;
   const int32_t world = a.world[shape];
@@ -53,14 +54,12 @@ NOVAPHY_ROW_KERNEL(rigid_sweep_world, 4, RigidSweepWorldArguments) {
 }
 
 struct RigidSweepSortArguments {
-  const RigidShape* shapes;
-  const int32_t* order;
-  const int32_t* starts;  // of the segments in `items`, and the end
-  const int32_t* items;   // rows of `order`, segment by segment
-  int64_t segments;
-  SweepEntry* entries;
+  NOVAPHY_ARGUMENTS(Reads<RigidShape> shapes;
+                    Reads<int32_t> order, starts;  // of the segments in `items`, and the end
+                    Reads<int32_t> items;          // rows of `order`, segment by segment
+                    Number<int64_t> segments; Writes<SweepEntry> entries;)
 };
-NOVAPHY_ROW_KERNEL(rigid_sweep_sort, 6, RigidSweepSortArguments) {
+NOVAPHY_ROW_KERNEL(rigid_sweep_sort, RigidSweepSortArguments) {
   SweepEntry& entry = a.entries[row];
   entry.shape = -1;
   if (row >= a.starts[a.segments]) return;
@@ -69,15 +68,14 @@ NOVAPHY_ROW_KERNEL(rigid_sweep_sort, 6, RigidSweepSortArguments) {
 }
 
 struct RigidSweepChunkArguments {
-  const SweepEntry* entries;
-  const SweepInterval* below;  // null: the entries themselves
-  int64_t count;               // of those
-  int64_t axis;
-  SweepInterval* chunks;
+  NOVAPHY_ARGUMENTS(Reads<SweepEntry> entries;
+                    Optional<Reads<SweepInterval>> below;  // null: the entries themselves
+                    Number<int64_t> count;                 // of those
+                    Number<int64_t> axis; Writes<SweepInterval> chunks;)
 };
-NOVAPHY_ROW_KERNEL(rigid_sweep_chunk, 5, RigidSweepChunkArguments) {
+NOVAPHY_ROW_KERNEL(rigid_sweep_chunk, RigidSweepChunkArguments) {
   SweepInterval all = no_interval();
-  const int64_t end = (row + 1) * kSweepChunk < a.count ? (row + 1) * kSweepChunk : a.count;
+  const int64_t end = (row + 1) * kSweepChunk < a.count ? (row + 1) * kSweepChunk : a.count.value;
   for (int64_t k = row * kSweepChunk; k < end; ++k) {
     SweepInterval one = no_interval();
     if (a.below != nullptr) {
@@ -93,28 +91,22 @@ NOVAPHY_ROW_KERNEL(rigid_sweep_chunk, 5, RigidSweepChunkArguments) {
 }
 
 // What partners are asked by.
-struct RigidSweep {
-  const RigidShape* shapes;
-  const int32_t* body;
-  const int32_t* flags;
-  const int32_t* group;
-  const int32_t* world;
-  const int32_t* filter_starts;  // of every shape: those that it never touches are
-  const int32_t* filtered;       // filtered[filter_starts[s]] .. [filter_starts[s + 1] - 1]
-  const SweepEntry* entries;
-  const SweepInterval* chunks;  // of entries
-  const SweepInterval* coarse;  // of chunks
-  const int32_t* starts;
-  int64_t segments;
-  int64_t axis;
+struct RigidSweepTables {
+  NOVAPHY_ARGUMENTS(
+      Reads<RigidShape> shapes; Reads<int32_t> body, flags, group, world,
+                                filter_starts;  // of every shape: those that it never touches are
+      Reads<int32_t> filtered;  // filtered[filter_starts[s]] .. [filter_starts[s + 1] - 1]
+      Reads<SweepEntry> entries; Reads<SweepInterval> chunks;  // of entries
+      Reads<SweepInterval> coarse;                             // of chunks
+      Reads<int32_t> starts; Number<int64_t> segments, axis;)
 };
-inline PairedShape paired_shape(const RigidSweep& a, int32_t shape) {
+inline PairedShape paired_shape(const RigidSweepTables& a, int32_t shape) {
   return {a.body[shape], a.flags[shape], a.group[shape], a.world[shape]};
 }
 
 // Whether `other`, with that box, may touch the shape, their boxes meet, and the shape stands first
 // in the pair.
-inline bool is_partner(const RigidSweep& a, int32_t shape, int32_t other,
+inline bool is_partner(const RigidSweepTables& a, int32_t shape, int32_t other,
                        const geometry::Box3& other_box) {
   const RigidShape& own = a.shapes[shape];
   if (other == shape || !geometry::boxes_meet(own.box, other_box)) return false;
@@ -129,7 +121,8 @@ inline bool is_partner(const RigidSweep& a, int32_t shape, int32_t other,
 // Calls visit(other) for each shape of the entries [begin, end) that may touch the shape, whose box
 // meets its own, and before which it stands in a pair.
 template <class Visit>
-void for_partners_in(const RigidSweep& a, int32_t shape, int64_t begin, int64_t end, Visit& visit) {
+void for_partners_in(const RigidSweepTables& a, int32_t shape, int64_t begin, int64_t end,
+                     Visit& visit) {
   const RigidShape& own = a.shapes[shape];
   const auto axis = static_cast<int32_t>(a.axis);
   const float lo = geometry::component(own.box.lo, axis),
@@ -149,7 +142,7 @@ void for_partners_in(const RigidSweep& a, int32_t shape, int64_t begin, int64_t 
   }
 }
 template <class Visit>
-void for_partners(const RigidSweep& a, int32_t shape, Visit visit) {
+void for_partners(const RigidSweepTables& a, int32_t shape, Visit visit) {
   const int32_t world = a.world[shape];
   if (!has_flag(a.flags[shape], ShapeFlags::COLLIDE_SHAPES)) return;
   if (world < 0) {
@@ -161,10 +154,11 @@ void for_partners(const RigidSweep& a, int32_t shape, Visit visit) {
 }
 
 struct RigidSweepCountArguments {
-  RigidSweep sweep;
-  int32_t* counts;  // partners of each shape
+  NOVAPHY_ARGUMENTS(Part<RigidSweepTables> sweep;
+                    WritesRow<int32_t> counts;  // partners of each shape
+  )
 };
-NOVAPHY_ROW_KERNEL(rigid_sweep_count, 14, RigidSweepCountArguments) {
+NOVAPHY_ROW_KERNEL(rigid_sweep_count, RigidSweepCountArguments) {
   int32_t count = 0;
   for_partners(a.sweep, static_cast<int32_t>(row), [&](int32_t) { ++count; });
   a.counts[row] = count;
@@ -172,27 +166,26 @@ NOVAPHY_ROW_KERNEL(rigid_sweep_count, 14, RigidSweepCountArguments) {
 
 // Where a scan of the counts may wrap.
 struct RigidSweepTotalArguments {
-  const int32_t* counts;
-  int64_t shapes;
-  int64_t* totals;  // of every n-th shape
+  NOVAPHY_ARGUMENTS(Reads<int32_t> counts; Number<int64_t> shapes;
+                    WritesRow<int64_t> totals;  // of every n-th shape
+  )
 };
-NOVAPHY_ROW_KERNEL(rigid_sweep_total, 3, RigidSweepTotalArguments) {
+NOVAPHY_ROW_KERNEL(rigid_sweep_total, RigidSweepTotalArguments) {
   int64_t total = 0;
   for (int64_t k = row; k < a.shapes; k += n) total += a.counts[k];
   a.totals[row] = total;
 }
 
 struct RigidSweepWriteArguments {
-  RigidSweep sweep;
-  const int32_t* counts;
-  const int32_t* before;  // a scan of the counts
-  const int64_t* totals;  // null: the scan cannot wrap
-  int64_t total_rows;
-  int64_t capacity;      // of the pairs
-  Vec2i* pairs;          // the first ones, in ascending order
-  int32_t* pairs_found;  // all of them; 2^31 - 1: as many or more
+  NOVAPHY_ARGUMENTS(Part<RigidSweepTables> sweep;
+                    ReadsRow<int32_t> counts, before;      // a scan of the counts
+                    Optional<Reads<int64_t>> totals;       // null: the scan cannot wrap
+                    Number<int64_t> total_rows, capacity;  // of the pairs
+                    Writes<Vec2i> pairs;                   // the first ones, in ascending order
+                    Writes<int32_t> pairs_found;           // all of them; 2^31 - 1: as many or more
+  )
 };
-NOVAPHY_ROW_KERNEL(rigid_sweep_write, 20, RigidSweepWriteArguments) {
+NOVAPHY_ROW_KERNEL(rigid_sweep_write, RigidSweepWriteArguments) {
   const int64_t first = a.before[row];
   if (row == n - 1) {
     int64_t found = first + a.counts[row];

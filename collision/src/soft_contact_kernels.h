@@ -41,21 +41,19 @@ inline SurfaceDistance<float> surface_distance(const SoftContactShape& shape, co
   return plane_distance(x, shape.scale.x, shape.scale.y);
 }
 
+// A record carries no gradient, so what the search reads is detached.
 struct SoftContactShapeArguments {
-  const int32_t* candidates;  // shapes that particles may meet
-  const int32_t* body;
-  const Transformf* body_q;
-  const int32_t* type;
-  const Vec3f* scale;
-  const Transformf* xform;
-  const float* margin;
-  FloatWord gap;
-  const int32_t* geometry;  // of the shapes: rows of `views`, or -1
-  const geometry::GeometryView* views;
-  SoftContactShape* shapes;  // a row per shape of the model
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> candidates;  // shapes that particles may meet
+                    Reads<int32_t> body; Detached<Reads<Transformf>> body_q; Reads<int32_t> type;
+                    Detached<Reads<Vec3f>> scale; Detached<Reads<Transformf>> xform;
+                    Detached<Reads<float>> margin; Number<float> gap;
+                    Reads<int32_t> geometry;  // of the shapes: rows of `views`, or -1
+                    Reads<geometry::GeometryView> views;
+                    Writes<SoftContactShape> shapes;  // a row per shape of the model
+  )
 };
 // Makes the candidate shape `row` ready.
-NOVAPHY_ROW_KERNEL(soft_contact_shape, 11, SoftContactShapeArguments) {
+NOVAPHY_ROW_KERNEL(soft_contact_shape, SoftContactShapeArguments) {
   const int32_t s = a.candidates[row];
   SoftContactShape& shape = a.shapes[s];
   shape.type = static_cast<GeoType>(a.type[s]);
@@ -71,16 +69,14 @@ NOVAPHY_ROW_KERNEL(soft_contact_shape, 11, SoftContactShapeArguments) {
 }
 
 struct SoftContactTouchArguments {
-  const int32_t* pair_particle;  // these two: a row per pair
-  const int32_t* pair_shape;
-  const SoftContactShape* shapes;
-  const Vec3f* q;
-  const float* radius;
-  const int32_t* flags;
-  int32_t* touches;  // a row per pair
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> pair_particle;  // these two: a row per pair
+                    ReadsRow<int32_t> pair_shape; Reads<SoftContactShape> shapes;
+                    Detached<Reads<Vec3f>> q; Detached<Reads<float>> radius; Reads<int32_t> flags;
+                    WritesRow<int32_t> touches;  // a row per pair
+  )
 };
 // touches = 1 where the pair `row` touches, else 0.
-NOVAPHY_ROW_KERNEL(soft_contact_touch, 7, SoftContactTouchArguments) {
+NOVAPHY_ROW_KERNEL(soft_contact_touch, SoftContactTouchArguments) {
   const int32_t p = a.pair_particle[row];
   const SoftContactShape& shape = a.shapes[a.pair_shape[row]];
   bool touches = has_flag(a.flags[p], ParticleFlags::ACTIVE);
@@ -92,23 +88,18 @@ NOVAPHY_ROW_KERNEL(soft_contact_touch, 7, SoftContactTouchArguments) {
 }
 
 struct SoftContactWriteArguments {
-  const int32_t* pair_particle;  // these two: a row per pair
-  const int32_t* pair_shape;
-  const SoftContactShape* shapes;
-  const Vec3f* q;
-  const float* radius;
-  const int32_t* before;  // the slots before each pair: a scan of what soft_contact_touch wrote
-  int64_t slots;
-  int32_t* tids;  // of the pairs: in, whether they touch; out, their slot, or -1
-  int32_t* count;
-  int32_t* particle;  // the rest: a row per slot
-  int32_t* shape;
-  Vec3f* body_pos;
-  Vec3f* body_vel;
-  Vec3f* normal;
+  NOVAPHY_ARGUMENTS(
+      ReadsRow<int32_t> pair_particle;  // these two: a row per pair
+      ReadsRow<int32_t> pair_shape; Reads<SoftContactShape> shapes; Detached<Reads<Vec3f>> q;
+      Detached<Reads<float>> radius; ReadsRow<int32_t>
+          before;  // the slots before each pair: a scan of what soft_contact_touch wrote
+      Number<int64_t> slots;
+      UpdatesRow<int32_t> tids;  // of the pairs: in, whether they touch; out, their slot, or -1
+      Writes<int32_t> count, particle;  // the rest: a row per slot
+      Writes<int32_t> shape; Writes<Vec3f> body_pos, body_vel, normal;)
 };
 // Writes the record of the pair `row`, if it touches, into its slot.
-NOVAPHY_ROW_KERNEL(soft_contact_write, 14, SoftContactWriteArguments) {
+NOVAPHY_ROW_KERNEL(soft_contact_write, SoftContactWriteArguments) {
   const int32_t slot = a.before[row];
   const bool touches = a.tids[row] != 0;
   if (row == n - 1) *a.count = slot + (touches ? 1 : 0);
@@ -130,21 +121,17 @@ NOVAPHY_ROW_KERNEL(soft_contact_write, 14, SoftContactWriteArguments) {
 }
 
 struct SoftContactNoneArguments {
-  int32_t* count;
+  NOVAPHY_ARGUMENTS(Writes<int32_t> count;)
 };
 // The count where there are no pairs.
-NOVAPHY_ROW_KERNEL(soft_contact_none, 1, SoftContactNoneArguments) { a.count[row] = 0; }
+NOVAPHY_ROW_KERNEL(soft_contact_none, SoftContactNoneArguments) { a.count[row] = 0; }
 
 struct SoftContactClearArguments {
-  const int32_t* count;
-  int32_t* particle;  // the rest: a row per slot
-  int32_t* shape;
-  Vec3f* body_pos;
-  Vec3f* body_vel;
-  Vec3f* normal;
+  NOVAPHY_ARGUMENTS(Reads<int32_t> count; Writes<int32_t> particle;  // the rest: a row per slot
+                    Writes<int32_t> shape; Writes<Vec3f> body_pos, body_vel, normal;)
 };
 // Empties the slot `row` if it lies behind the last contact.
-NOVAPHY_ROW_KERNEL(soft_contact_clear, 6, SoftContactClearArguments) {
+NOVAPHY_ROW_KERNEL(soft_contact_clear, SoftContactClearArguments) {
   if (row < *a.count) return;
   a.particle[row] = -1;
   a.shape[row] = -1;
@@ -154,10 +141,10 @@ NOVAPHY_ROW_KERNEL(soft_contact_clear, 6, SoftContactClearArguments) {
 }
 
 struct ContactGenerationArguments {
-  int32_t* generation;
+  NOVAPHY_ARGUMENTS(UpdatesRow<int32_t> generation;)
 };
 // Raises the generation: a launch of its own, because steps that are run once more for a gradient
 // must not need the number as it was.
-NOVAPHY_ROW_KERNEL(contact_generation, 1, ContactGenerationArguments) { ++a.generation[row]; }
+NOVAPHY_ROW_KERNEL(contact_generation, ContactGenerationArguments) { ++a.generation[row]; }
 
 }  // namespace novaphy

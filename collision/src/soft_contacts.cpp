@@ -5,7 +5,7 @@
 
 #include "array_versions.h"
 #include "novaphy/collision/candidate_pairs.h"
-#include "novaphy/core/device_kernel.h"
+#include "novaphy/core/builtin_kernels.h"
 #include "novaphy/core/error.h"
 #include "soft_contact_kernels.h"
 
@@ -14,13 +14,12 @@ namespace {
 
 // Never destroyed: recordings refer to them.
 struct Kernels {
-  DeviceKernel shape{soft_contact_shape, soft_contact_kernels_text};
-  DeviceKernel touch{soft_contact_touch, soft_contact_kernels_text};
-  DeviceKernel scan{"exclusive_scan_i32"};
-  DeviceKernel write{soft_contact_write, soft_contact_kernels_text};
-  DeviceKernel none{soft_contact_none, soft_contact_kernels_text};
-  DeviceKernel clear{soft_contact_clear, soft_contact_kernels_text};
-  DeviceKernel generation{contact_generation, soft_contact_kernels_text};
+  Kernel<SoftContactShapeArguments> shape{soft_contact_shape, soft_contact_kernels_text};
+  Kernel<SoftContactTouchArguments> touch{soft_contact_touch, soft_contact_kernels_text};
+  Kernel<SoftContactWriteArguments> write{soft_contact_write, soft_contact_kernels_text};
+  Kernel<SoftContactNoneArguments> none{soft_contact_none, soft_contact_kernels_text};
+  Kernel<SoftContactClearArguments> clear{soft_contact_clear, soft_contact_kernels_text};
+  Kernel<ContactGenerationArguments> generation{contact_generation, soft_contact_kernels_text};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
@@ -101,54 +100,55 @@ void SoftContacts::collide(const SimState& state, Contacts& contacts, float gap)
   const Array shapes(DType::uint8, impl_->shapes->bytes(), 1, impl_->shapes->range());
   if (impl_->before.rows() < static_cast<size_t>(pairs))
     impl_->before = DeviceArray<int32_t>(static_cast<size_t>(pairs), device);
-  // What a record holds carries no gradient, so nothing that the search reads needs one.
-  const auto constant = [](const char* name, const Array& array) {
-    return reads(name, array).detached();
-  };
+  const Array& views = impl_->geometries->tables();
   if (pairs > 0) {
-    kernels().shape.launch(
-        device, shape_count,
-        {reads_row("candidates", impl_->candidates), reads("shape_body", m.shape_body),
-         constant("body_q", state.body_q), reads("shape_type", m.shape_type),
-         constant("shape_scale", m.shape_scale), constant("shape_transform", m.shape_transform),
-         constant("shape_margin", m.shape_margin), number(gap),
-         reads("geometry", impl_->geometries->of_shape()),
-         reads("views", impl_->geometries->tables()), writes("shapes", shapes)});
-    kernels().touch.launch(
-        device, pairs,
-        {reads_row("pair_particle", impl_->pair_particle),
-         reads_row("pair_shape", impl_->pair_shape), reads("shapes", shapes),
-         constant("particle_q", state.particle_q), constant("particle_radius", m.particle_radius),
-         reads("particle_flags", m.particle_flags),
-         writes_row("soft_contact_tids", contacts.soft_contact_tids)});
-    kernels().scan.launch(
-        device, pairs,
-        {reads("soft_contact_tids", contacts.soft_contact_tids), writes("before", impl_->before)});
-    kernels().write.launch(
-        device, pairs,
-        {reads_row("pair_particle", impl_->pair_particle),
-         reads_row("pair_shape", impl_->pair_shape), reads("shapes", shapes),
-         constant("particle_q", state.particle_q), constant("particle_radius", m.particle_radius),
-         reads_row("before", impl_->before), number(slots),
-         updates_row("soft_contact_tids", contacts.soft_contact_tids),
-         writes("soft_contact_count", contacts.soft_contact_count),
-         writes("soft_contact_particle", contacts.soft_contact_particle),
-         writes("soft_contact_shape", contacts.soft_contact_shape),
-         writes("soft_contact_body_pos", contacts.soft_contact_body_pos),
-         writes("soft_contact_body_vel", contacts.soft_contact_body_vel),
-         writes("soft_contact_normal", contacts.soft_contact_normal)});
+    run(kernels().shape, shape_count,
+        {.candidates = impl_->candidates,
+         .body = m.shape_body,
+         .body_q = state.body_q,
+         .type = m.shape_type,
+         .scale = m.shape_scale,
+         .xform = m.shape_transform,
+         .margin = m.shape_margin,
+         .gap = gap,
+         .geometry = impl_->geometries->of_shape(),
+         .views = Untyped(views),
+         .shapes = Untyped(shapes)});
+    run(kernels().touch, pairs,
+        {.pair_particle = impl_->pair_particle,
+         .pair_shape = impl_->pair_shape,
+         .shapes = Untyped(shapes),
+         .q = state.particle_q,
+         .radius = m.particle_radius,
+         .flags = m.particle_flags,
+         .touches = contacts.soft_contact_tids});
+    run(exclusive_scan(), pairs, {.in = contacts.soft_contact_tids, .out = impl_->before});
+    run(kernels().write, pairs,
+        {.pair_particle = impl_->pair_particle,
+         .pair_shape = impl_->pair_shape,
+         .shapes = Untyped(shapes),
+         .q = state.particle_q,
+         .radius = m.particle_radius,
+         .before = impl_->before,
+         .slots = slots,
+         .tids = contacts.soft_contact_tids,
+         .count = contacts.soft_contact_count,
+         .particle = contacts.soft_contact_particle,
+         .shape = contacts.soft_contact_shape,
+         .body_pos = contacts.soft_contact_body_pos,
+         .body_vel = contacts.soft_contact_body_vel,
+         .normal = contacts.soft_contact_normal});
+  } else {
+    run(kernels().none, 1, {.count = contacts.soft_contact_count});
   }
-  if (pairs == 0)
-    kernels().none.launch(device, 1, {writes("soft_contact_count", contacts.soft_contact_count)});
-  kernels().clear.launch(device, slots,
-                         {reads("soft_contact_count", contacts.soft_contact_count),
-                          writes("soft_contact_particle", contacts.soft_contact_particle),
-                          writes("soft_contact_shape", contacts.soft_contact_shape),
-                          writes("soft_contact_body_pos", contacts.soft_contact_body_pos),
-                          writes("soft_contact_body_vel", contacts.soft_contact_body_vel),
-                          writes("soft_contact_normal", contacts.soft_contact_normal)});
-  kernels().generation.launch(device, 1,
-                              {updates_row("contact_generation", contacts.contact_generation)});
+  run(kernels().clear, slots,
+      {.count = contacts.soft_contact_count,
+       .particle = contacts.soft_contact_particle,
+       .shape = contacts.soft_contact_shape,
+       .body_pos = contacts.soft_contact_body_pos,
+       .body_vel = contacts.soft_contact_body_vel,
+       .normal = contacts.soft_contact_normal});
+  run(kernels().generation, 1, {.generation = contacts.contact_generation});
 }
 
 }  // namespace novaphy::detail

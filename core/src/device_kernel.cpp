@@ -79,16 +79,14 @@ DeviceKernel::DeviceKernel(const char* builtin)
     : name_(builtin), all_(*new std::vector<std::unique_ptr<const Made>>) {}
 DeviceKernel::~DeviceKernel() = default;
 
-novaphy_kernel* DeviceKernel::get(const DeviceContext& context) const {
-  const Made* const first = first_.load(std::memory_order_acquire);
-  if (first != nullptr && first->context == &context) [[likely]]
-    return first->kernel;
+const DeviceKernel::Made& DeviceKernel::find(Device device) const {
+  const DeviceContext& context = device_context(device);
   const std::lock_guard lock(mutex_);
   for (const auto& made : all_)
-    if (made->context == &context) return made->kernel;
+    if (made->context == &context) return *made;
   all_.push_back(std::make_unique<const Made>(make(context)));
   if (all_.size() == 1) first_.store(all_.front().get(), std::memory_order_release);
-  return all_.back()->kernel;
+  return *all_.back();
 }
 
 DeviceKernel::Made DeviceKernel::make(const DeviceContext& context) const {
@@ -136,7 +134,7 @@ void DeviceKernel::launch(Device device, int64_t n,
       continue;
     }
     // A device that follows a pointer of another one is lost.
-    const Device own = a.range->storage().device();
+    const Device own = a.range->device();
     if (own != device) [[unlikely]]
       fail(ErrorKind::Value, name_, ", ", a.name, ": expected memory of ", device.str(), ", got ",
            own.str());
@@ -144,9 +142,98 @@ void DeviceKernel::launch(Device device, int64_t n,
       fail(ErrorKind::Value, name_, ", ", a.name, ": expected at least ", n, " rows, got ",
            a.range->bytes() / a.row_bytes);
   }
-  const DeviceContext& context = device_context(device);
+  const Made& made = get(device);
   submit_launch(
-      {context, get(context), name_, n, std::span(words.data(), arguments.size()), arguments});
+      {*made.context, made.kernel, name_, n, std::span(words.data(), arguments.size()), arguments});
+}
+
+namespace {
+
+const Array* array_of(uint64_t word) { return reinterpret_cast<const Array*>(word - kArrayBit); }
+// Null: no rows, or no array.
+Range* range_of(uint64_t word) {
+  return (word & kArrayBit) == 0 ? nullptr : array_of(word)->range().get();
+}
+
+// Says what is wrong with the first argument that is.
+[[noreturn, gnu::noinline]] void refuse(const char* kernel, std::span<const ArgumentInfo> infos,
+                                        const ArgumentWord* values, Device device, int64_t n) {
+  for (size_t k = 0; k < infos.size(); ++k) {
+    const ArgumentInfo& info = infos[k];
+    if (info.access == access::kNumber) continue;
+    require(values[k] == 0 || (values[k] & kArrayBit) != 0, ErrorKind::Runtime, kernel, ", ",
+            info.name, ": expected an array, got memory");
+    const Range* const range = range_of(values[k]);
+    if (range == nullptr && (info.access & access::kOptional) != 0) continue;
+    const size_t bytes = range == nullptr ? 0 : range->bytes();
+    require(range == nullptr || range->device() == device, ErrorKind::Value, kernel, ", ",
+            info.name, ": expected memory of ", device.str(), ", got ",
+            range == nullptr ? "" : range->device().str());
+    require(bytes >= static_cast<uint64_t>(n) * info.row_bytes, ErrorKind::Value, kernel, ", ",
+            info.name, ": expected at least ", n, " rows, got ",
+            info.row_bytes == 0 ? 0 : bytes / info.row_bytes);
+  }
+  fail(ErrorKind::Runtime, kernel, ": an argument changed during its launch");
+}
+
+}  // namespace
+
+void DeviceKernel::launch_arrays(int64_t n, std::span<const ArgumentInfo> infos,
+                                 const ArgumentWord* values) const {
+  if (n == 0) return;
+  const auto bits = [](const Device& device) { return std::bit_cast<uint64_t>(device); };
+  size_t first = 0;
+  while (first < infos.size() &&
+         (infos[first].access == access::kNumber || range_of(values[first]) == nullptr))
+    ++first;
+  require(first < infos.size(), ErrorKind::Value, name_, ": expected an argument with rows");
+  const Device device = range_of(values[first])->device();
+  const uint64_t device_bits = bits(device), rows = static_cast<uint64_t>(n);
+  std::array<uint64_t, kMostWords> words;
+  std::array<Range*, kMostWords> written;
+  size_t writes = 0;
+  bool fits = true;
+  for (size_t k = 0; k < infos.size(); ++k) {
+    const ArgumentInfo& info = infos[k];
+    uint64_t word = values[k];
+    if (info.access != access::kNumber) {
+      Range* const range = range_of(word);
+      if (range == nullptr) {
+        fits &= (info.row_bytes == 0 || (info.access & access::kOptional) != 0) &&
+                (word == 0 || (word & kArrayBit) != 0);
+        word = 0;
+      } else {
+        // A device that follows a pointer of another one is lost.
+        fits &= static_cast<int>(bits(range->device()) == device_bits) &
+                static_cast<int>(range->bytes() >= rows * info.row_bytes);
+        word = reinterpret_cast<uint64_t>(range->data());
+        if ((info.access & access::kWrite) != 0) written[writes++] = range;
+      }
+    }
+    words[k] = word;
+  }
+  if (!fits) [[unlikely]]
+    refuse(name_, infos, values, device, n);
+  const Made& made = get(device);
+  const std::span given(words.data(), infos.size());
+  if (launch_recorder() == nullptr) [[likely]] {
+    launch_now(*made.context, made.kernel, name_, n, given);
+    for (size_t k = 0; k < writes; ++k) written[k]->mark_written();
+    return;
+  }
+  std::vector<LaunchArgument> arguments(infos.size());
+  for (size_t k = 0; k < infos.size(); ++k) {
+    const auto& [name, row_bytes, access] = infos[k];
+    arguments[k].word = words[k];
+    arguments[k].name = name;
+    if (access == access::kNumber || words[k] == 0) continue;
+    arguments[k].range = array_of(values[k])->range();
+    arguments[k].row_bytes = row_bytes;
+    arguments[k].read = (access & access::kRead) != 0;
+    arguments[k].write = (access & access::kWrite) != 0;
+    arguments[k].differentiable = (access & access::kDifferentiable) != 0;
+  }
+  submit_launch({*made.context, made.kernel, name_, n, given, arguments});
 }
 
 }  // namespace novaphy

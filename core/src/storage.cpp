@@ -136,6 +136,7 @@ std::shared_ptr<Range> Storage::range(size_t offset, size_t bytes) {
     made->data_ = static_cast<unsigned char*>(data_) + offset;
     made->offset_ = offset;
     made->bytes_ = bytes;
+    made->device_ = device_;
     int64_t exports = external_ ? 1 : 0;  // its owner can write it at any time
     for (const auto& other : ranges_) {
       if (!made->overlaps(*other)) continue;

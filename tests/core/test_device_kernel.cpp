@@ -1,10 +1,12 @@
 // Hand-written kernels on the CPU, without the tensor runtime.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <numeric>
 #include <vector>
 
 #include "novaphy/core/device_kernel.h"
+#include "novaphy/core/launch_list.h"
 #include "novaphy/core/parallel.h"
 #include "support/bits.h"
 #include "support/scale_kernels.h"
@@ -12,8 +14,9 @@
 namespace novaphy::testing {
 namespace {
 
-const DeviceKernel kScale(test_scale, nullptr), kReverse(test_reverse, nullptr),
-    kScan("exclusive_scan_i32");
+const Kernel<ScaleArguments> kScale(test_scale, nullptr);
+const Kernel<ReverseArguments> kReverse(test_reverse, nullptr);
+const DeviceKernel kScan("exclusive_scan_i32");
 
 DeviceArray<float> ramp(size_t rows) {
   std::vector<float> values(rows);
@@ -30,11 +33,9 @@ TEST(DeviceKernel, RunsEveryRowOnceForAnyNumberOfThreads) {
     for (const int threads : {1, 2, 7}) {
       set_num_threads(threads);
       DeviceArray<float> y(rows), back(rows);
-      kScale.launch(Device::cpu(), static_cast<int64_t>(rows),
-                    {reads_row("x", x), writes_row("y", y), number(1.5f)});
+      run(kScale, static_cast<int64_t>(rows), {.x = x, .y = y, .factor = 1.5f});
       EXPECT_EQ(y.to_host(), expected) << rows << " rows, " << threads << " threads";
-      kReverse.launch(Device::cpu(), static_cast<int64_t>(rows),
-                      {reads("x", y), writes_row("y", back)});
+      run(kReverse, static_cast<int64_t>(rows), {.x = y, .y = back});
       EXPECT_EQ(back.to_host(), std::vector<float>(expected.rbegin(), expected.rend()));
     }
   }
@@ -45,11 +46,11 @@ TEST(DeviceKernel, RaisesTheVersionOfWhatItWritesOnly) {
   const DeviceArray<float> x = ramp(4);
   const DeviceArray<float> y(4);
   const uint64_t read = x.version(), written = y.version();
-  kScale.launch(Device::cpu(), 4, {reads_row("x", x), writes_row("y", y), number(2.0f)});
+  run(kScale, 4, {.x = x, .y = y, .factor = 2.0f});
   EXPECT_EQ(x.version(), read);
   EXPECT_GT(y.version(), written);
   const uint64_t now = y.version();
-  kScale.launch(Device::cpu(), 0, {reads_row("x", x), writes_row("y", y), number(2.0f)});
+  run(kScale, 0, {.x = x, .y = y, .factor = 2.0f});
   EXPECT_EQ(y.version(), now) << "no rows, nothing written";
 }
 
@@ -64,12 +65,66 @@ TEST(DeviceKernel, NamesTheKernelAndTheArgumentOfAMistake) {
   const DeviceArray<float> x = ramp(3), y(4), none(0);
   EXPECT_ERROR(kScale.launch(Device::cpu(), 4, {reads_row("x", x), writes_row("y", y)}),
                ErrorKind::Value, "test_scale: expected 3 arguments, got 2");
-  EXPECT_ERROR(
-      kScale.launch(Device::cpu(), 4, {reads_row("x", x), writes_row("y", y), number(1.0f)}),
-      ErrorKind::Value, "test_scale, x: expected at least 4 rows, got 3");
-  EXPECT_ERROR(
-      kScale.launch(Device::cpu(), 3, {reads_row("x", x), writes_row("y", none), number(1.0f)}),
-      ErrorKind::Value, "test_scale, y: expected at least 3 rows, got");
+  const auto scale = [](int64_t n, const DeviceArray<float>& from, const DeviceArray<float>& to) {
+    run(kScale, n, {.x = from, .y = to, .factor = 1.0f});
+  };
+  EXPECT_ERROR(scale(4, x, y), ErrorKind::Value, "test_scale, x: expected at least 4 rows, got 3");
+  EXPECT_ERROR(scale(3, x, none), ErrorKind::Value, "test_scale, y: expected at least 3 rows, got");
+}
+
+TEST(LaunchList, RunsItsLaunchesInOrderForAnyNumberOfThreads) {
+  const int before = num_threads();
+  for (const size_t rows : {1u, 300u, 5000u}) {
+    const DeviceArray<float> x = ramp(rows), y(rows), back(rows);
+    const auto n = static_cast<int64_t>(rows);
+    std::vector<float> expected = x.to_host();
+    for (float& v : expected) v *= 1.5f;
+    std::reverse(expected.begin(), expected.end());
+    LaunchList list(Device::cpu());
+    list.add(kScale, n, {.x = x, .y = y, .factor = 1.5f});
+    list.add(kReverse, n, {.x = y, .y = back}, 64);
+    for (const int threads : {1, 2, 7}) {
+      set_num_threads(threads);
+      DeviceArray<float>(back).zero();
+      const uint64_t version = back.version();
+      list.run();
+      EXPECT_EQ(back.to_host(), expected) << rows << " rows, " << threads << " threads";
+      EXPECT_GT(back.version(), version);
+    }
+  }
+  set_num_threads(before);
+}
+
+TEST(LaunchList, AStretchRunsAloneAndWhatIsSetDiffers) {
+  const DeviceArray<float> x = ramp(3), y(3), z(3), other(2);
+  LaunchList list(Device::cpu());
+  const auto first = list.add(kScale, 3, {.x = x, .y = y, .factor = 2.0f});
+  list.add(kScale, 0, {.x = x, .y = z, .factor = 9.0f});  // no rows: no phase
+  list.add(kScale, 3, {.x = y, .y = z, .factor = 4.0f});
+  list.run(0, 1);
+  EXPECT_EQ(y.to_host(), (std::vector<float>{0.5f, 2.5f, 4.5f}));
+  EXPECT_EQ(z.to_host(), (std::vector<float>{0.0f, 0.0f, 0.0f}));
+  const uint64_t version = y.version();
+  list.run(1, 3);
+  EXPECT_EQ(z.to_host(), (std::vector<float>{2.0f, 10.0f, 18.0f}));
+  EXPECT_EQ(y.version(), version);
+  list.set(first, {.x = z, .y = y, .factor = -1.0f});
+  list.run();
+  EXPECT_EQ(z.to_host(), (std::vector<float>{-8.0f, -40.0f, -72.0f}));
+  const auto set_other = [&] { list.set(first, {.x = other, .y = y, .factor = 1.0f}); };
+  EXPECT_ERROR(set_other(), ErrorKind::Value, "test_scale, x: expected at least 3 rows, got 2");
+}
+
+TEST(LaunchList, TakesMemoryOnTheCpuWhichALaunchByItselfRefuses) {
+  const std::vector<float> x = {1.0f, 2.0f};
+  std::vector<float> y(2);
+  LaunchList list(Device::cpu());
+  list.add(kScale, 2, {.x = direct(x), .y = direct(y), .factor = 3.0f});
+  list.run();
+  EXPECT_EQ(y, (std::vector<float>{3.0f, 6.0f}));
+  const DeviceArray<float> z(2);
+  const auto run_memory = [&] { run(kScale, 2, {.x = direct(x), .y = z, .factor = 3.0f}); };
+  EXPECT_ERROR(run_memory(), ErrorKind::Runtime, "test_scale, x: expected an array, got memory");
 }
 
 // What the backend refuses.

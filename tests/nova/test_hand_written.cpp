@@ -2,6 +2,7 @@
 #include <numeric>
 
 #include "novaphy/core/device_kernel.h"
+#include "novaphy/core/launch_list.h"
 #include "novaphy/core/parallel.h"
 #include "novaphy/nova/op_list.h"
 #include "support.h"
@@ -12,7 +13,9 @@ namespace {
 
 using nova::ScopedCapture;
 
-const DeviceKernel kScale(test_scale, nullptr), kReverse(test_reverse, nullptr);
+const novaphy::Kernel<ScaleArguments> kScale(test_scale, nullptr);
+const novaphy::Kernel<ScaleConstantArguments> kScaleConstant(test_scale_constant, nullptr);
+const novaphy::Kernel<ReverseArguments> kReverse(test_reverse, nullptr);
 
 DeviceArray<float> array_of(const Tensor& t) {
   return DeviceArray<float>(
@@ -20,13 +23,15 @@ DeviceArray<float> array_of(const Tensor& t) {
 }
 void scale(const Tensor& x, const Tensor& y, float factor, bool detached = false) {
   const DeviceArray<float> from = array_of(x), to = array_of(y);
-  LaunchArgument in = reads_row("x", from);
-  if (detached) in = std::move(in).detached();
-  kScale.launch(Device::cpu(), x.size(), {in, writes_row("y", to), number(factor)});
+  if (detached) {
+    run(kScaleConstant, x.size(), {.x = from, .y = to, .factor = factor});
+  } else {
+    run(kScale, x.size(), {.x = from, .y = to, .factor = factor});
+  }
 }
 void reverse(const Tensor& x, const Tensor& y) {
   const DeviceArray<float> from = array_of(x), to = array_of(y);
-  kReverse.launch(Device::cpu(), x.size(), {reads("x", from), writes_row("y", to)});
+  run(kReverse, x.size(), {.x = from, .y = to});
 }
 
 class HandWritten : public ::testing::Test {
@@ -93,6 +98,30 @@ TEST_F(HandWritten, ACaptureRunsNothingAndKeepsTheMemoryAlive) {
   EXPECT_EQ(out.to_host(), (std::vector<float>{0.0f, 0.0f}));
   scope->graph()->launch();
   EXPECT_EQ(out.to_host(), (std::vector<float>{6.0f, 3.0f}));
+}
+
+TEST_F(HandWritten, ACaptureRecordsALaunchList) {
+  const Tensor x = tensor({1.0f, 2.0f}), between({2}, DType::F32), out({2}, DType::F32);
+  const DeviceArray<float> from = array_of(x), middle = array_of(between), to = array_of(out);
+  LaunchList list(Device::cpu());
+  const auto first = list.add(kScale, 2, {.x = from, .y = middle, .factor = 3.0f});
+  list.add(kReverse, 2, {.x = middle, .y = to});
+  std::optional<ScopedCapture> scope(std::in_place);
+  list.run();
+  scope->end();
+  EXPECT_EQ(out.to_host(), (std::vector<float>{0.0f, 0.0f})) << "it runs nothing";
+  list.set(first, {.x = from, .y = middle, .factor = 5.0f});
+  write(x, {2.0f, 4.0f});
+  scope->graph()->launch();
+  EXPECT_EQ(out.to_host(), (std::vector<float>{12.0f, 6.0f})) << "as it was recorded";
+
+  const Tensor w = tensor({1.0f, 2.0f}, true);
+  const DeviceArray<float> carries = array_of(w);
+  list.set(first, {.x = carries, .y = middle, .factor = 5.0f});
+  Tape tape;
+  const TapeScope tape_scope(tape);
+  EXPECT_ERROR(list.run(), ErrorKind::Runtime,
+               "test_scale, x: it carries a gradient of the active Tape");
 }
 
 TEST_F(HandWritten, ADeferredListRunsThemAtItsPlace) {

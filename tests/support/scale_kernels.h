@@ -6,18 +6,22 @@
 namespace novaphy::testing {
 
 struct ScaleArguments {
-  const float* x;
-  float* y;
-  FloatWord factor;
+  NOVAPHY_ARGUMENTS(ReadsRow<float> x; WritesRow<float> y; Number<float> factor;)
 };
 // y = factor x, row by row.
-NOVAPHY_ROW_KERNEL(test_scale, 3, ScaleArguments) { a.y[row] = a.factor.value * a.x[row]; }
+NOVAPHY_ROW_KERNEL(test_scale, ScaleArguments) { a.y[row] = a.factor.value * a.x[row]; }
+
+struct ScaleConstantArguments {
+  NOVAPHY_ARGUMENTS(Detached<ReadsRow<float>> x; WritesRow<float> y; Number<float> factor;)
+};
+NOVAPHY_ROW_KERNEL(test_scale_constant, ScaleConstantArguments) {
+  a.y[row] = a.factor.value * a.x[row];
+}
 
 struct ReverseArguments {
-  const float* x;
-  float* y;
+  NOVAPHY_ARGUMENTS(Reads<float> x; WritesRow<float> y;)
 };
 // y is x from its end to its begin.
-NOVAPHY_ROW_KERNEL(test_reverse, 2, ReverseArguments) { a.y[row] = a.x[n - 1 - row]; }
+NOVAPHY_ROW_KERNEL(test_reverse, ReverseArguments) { a.y[row] = a.x[n - 1 - row]; }
 
 }  // namespace novaphy::testing

@@ -128,7 +128,7 @@ COUNTS: dict[str, Callable[[list[Source]], Counts]] = {
     f"functions over {MOST_FUNCTION_LINES} lines": long_functions,
     f"files over {MOST_FILE_LINES} lines": long_files,
     "kernels with counted words": matches(
-        r"^NOVAPHY_(?:ROW|BLOCK|GRID)_KERNEL\(\s*\w+\s*,\s*(?:[^,]*\d|\w*Words)[^,]*,", ENGINE
+        r"^NOVAPHY_(?:ROW|BLOCK|GRID)_KERNEL\(\s*\w+\s*,\s*(?:[^,)]*\d|\w*Words)[^,)]*,", ENGINE
     ),
     "positional argument lists": matches(
         r"vector<LaunchArgument>|\.launch\([^;{]*\{(?!\s*\.)", PHYSICS

@@ -1,5 +1,6 @@
 #include "launched_reverse.h"
 
+#include "novaphy/core/builtin_kernels.h"
 #include "vbd_adjoint_kernels.h"
 #include "vbd_gradient_kernels.h"
 
@@ -13,7 +14,8 @@ namespace {
 
 // Never destroyed: recordings refer to them.
 struct Kernels {
-#define NOVAPHY_VBD_KERNEL(name) DeviceKernel name{vbd_##name, detail::vbd_adjoint_kernels_text};
+#define NOVAPHY_VBD_KERNEL(name) \
+  Kernel<VbdAdjointArguments> name{vbd_##name, detail::vbd_adjoint_kernels_text};
   NOVAPHY_VBD_KERNEL(adjoint_solve)
   NOVAPHY_VBD_KERNEL(adjoint_solve_team)
   NOVAPHY_VBD_KERNEL(adjoint_slots)
@@ -23,7 +25,8 @@ struct Kernels {
   NOVAPHY_VBD_KERNEL(adjoint_start)
   NOVAPHY_VBD_KERNEL(adjoint_start_weights)
 #undef NOVAPHY_VBD_KERNEL
-#define NOVAPHY_VBD_KERNEL(name) DeviceKernel name{vbd_##name, detail::vbd_gradient_kernels_text};
+#define NOVAPHY_VBD_KERNEL(name) \
+  Kernel<decltype(vbd_##name)::Arguments> name{vbd_##name, detail::vbd_gradient_kernels_text};
   NOVAPHY_VBD_KERNEL(clear)
   NOVAPHY_VBD_KERNEL(adjoint_begin)
   NOVAPHY_VBD_KERNEL(adjoint_end)
@@ -39,20 +42,12 @@ struct Kernels {
   NOVAPHY_VBD_KERNEL(contact_shape)
   NOVAPHY_VBD_KERNEL(shape_gradient)
 #undef NOVAPHY_VBD_KERNEL
-  DeviceKernel incidence{"incidence_i32"};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
   return all;
 }
 
-constexpr int64_t kNone = 0;
-LaunchArgument read_if(const char* name, const Array& array) {
-  return array.rows() != 0 ? reads(name, array) : number(kNone);
-}
-LaunchArgument write_if(const char* name, const Array& array) {
-  return array.rows() != 0 ? writes(name, array) : number(kNone);
-}
 bool any(std::initializer_list<const Array*> arrays) {
   for (const Array* array : arrays)
     if (array->rows() != 0) return true;
@@ -139,74 +134,72 @@ void LaunchedReverse::reserve_contacts() {
 }
 
 void LaunchedReverse::clear(const Array& values) const {
-  kernels().clear.launch(step_.model_.device(),
-                         static_cast<int64_t>(values.bytes() / sizeof(float)),
-                         {writes("values", values)});
+  novaphy::run(kernels().clear, static_cast<int64_t>(values.bytes() / sizeof(float)),
+               {.values = Untyped(values)});
 }
 
 // Of the groups [first, end).
-std::vector<LaunchArgument> LaunchedReverse::arguments(bool with_contacts, const Array* before,
-                                                       int64_t first, int64_t end,
-                                                       const AtRest* rest) const {
-  std::vector<LaunchArgument> a = step_.sweep_arguments(with_contacts, first, end);
-  a.push_back(before != nullptr ? reads("before", *before) : number(kNone));
-  a.push_back(reads("x_bar", x_bar_));
-  a.push_back(updates("u", u_));
-  a.push_back(updates("d", d_));
-  a.push_back(updates("own", own_));
-  a.push_back(updates("start_bar", start_bar_));
-  a.push_back(updates("target_bar", target_bar_));
-  a.push_back(updates("mass_bar", mass_bar_));
-  a.push_back(with_contacts ? updates("contact_bars", contact_bars_) : number(kNone));
-  const auto row_if = [](const Array* rows) {
-    return rows != nullptr ? updates("multipliers", *rows) : number(kNone);
-  };
-  a.push_back(number(int64_t{rest != nullptr}));
-  a.push_back(row_if(rest != nullptr ? rest->multipliers : nullptr));
-  a.push_back(row_if(rest != nullptr ? rest->sum : nullptr));
-  a.push_back(reads("slot_particle", tables_.slot_particle));
-  a.push_back(updates("terms", terms_));
-  a.push_back(updates("numbers", numbers_));
-  a.push_back(reads("begins", tables_.begins));
-  int64_t threads = 0;
-  std::vector<LaunchArgument> ends;
-  for (const std::vector<int64_t>& slots : tables_.slots) {
+VbdAdjointArguments LaunchedReverse::arguments(bool with_contacts, const Rows4* before,
+                                               int64_t first, int64_t end,
+                                               const AtRest* rest) const {
+  int64_t first_lanes[kRoles], ends[kRoles], threads = 0;
+  for (size_t role = 0; role < kRoles; ++role) {
+    const std::vector<int64_t>& slots = tables_.slots[role];
     const int64_t begin = slots[static_cast<size_t>(first)];
-    a.push_back(number(begin * kVbdLanes));
+    first_lanes[role] = begin * kVbdLanes;
     threads += (slots[static_cast<size_t>(end)] - begin) * kVbdLanes;
-    ends.push_back(number(threads));
+    ends[role] = threads;
   }
-  a.insert(a.end(), ends.begin(), ends.end());
-  return a;
+  return {.sweep = step_.sweep_arguments(with_contacts, first, end),
+          .before = before,
+          .x_bar = x_bar_,
+          .u = u_,
+          .d = d_,
+          .own = own_,
+          .start_bar = start_bar_,
+          .target_bar = target_bar_,
+          .mass_bar = mass_bar_,
+          .contact_bars = with_contacts ? &contact_bars_ : nullptr,
+          .at_rest = int{rest != nullptr},
+          .multiplier = rest != nullptr ? rest->multipliers : nullptr,
+          .multiplier_sum = rest != nullptr ? rest->sum : nullptr,
+          .slot_particle = tables_.slot_particle,
+          .terms = terms_,
+          .numbers = numbers_,
+          .begins = tables_.begins,
+          .first = first_lanes,
+          .ends = ends};
 }
 
-void LaunchedReverse::receive(size_t color, const Array* own, const DeviceArray<Vec4f>& rows,
+void LaunchedReverse::receive(size_t color, const Rows4* own, const Rows4& rows,
                               int64_t parts) const {
   const Tables& t = tables_;
-  kernels().receive.launch(
-      step_.model_.device(), t.color_begin[color + 1] - t.color_begin[color],
-      {reads("particle", t.particle), reads("begin", t.begin), reads("others", t.others),
-       reads("entries", t.entries), number(t.color_begin[color]), number(int64_t{kVbdLanes}),
-       reads("terms", terms_), reads("is_own", t.is_own),
-       own != nullptr ? reads("own", *own) : number(kNone), updates("rows", rows), number(parts)});
+  novaphy::run(kernels().receive, t.color_begin[color + 1] - t.color_begin[color],
+               {.particle = t.particle,
+                .begin = t.begin,
+                .others = t.others,
+                .entries = t.entries,
+                .first = t.color_begin[color],
+                .lanes = kVbdLanes,
+                .terms = terms_,
+                .is_own = t.is_own,
+                .own = own,
+                .rows = rows,
+                .parts = parts});
 }
 
 // Back through the step of the groups [first, end), up to what particles get.
-void LaunchedReverse::reverse_groups(bool with_contacts, bool weights, const Array* before,
+void LaunchedReverse::reverse_groups(bool with_contacts, bool weights, const Rows4* before,
                                      int64_t first, int64_t end, const AtRest* rest) const {
-  const Device device = step_.model_.device();
-  const std::vector<LaunchArgument> a = arguments(with_contacts, before, first, end, rest);
+  const VbdAdjointArguments a = arguments(with_contacts, before, first, end, rest);
   const bool by_threads = step_.mover() == LaunchedStep::Mover::Thread ||
                           (rest != nullptr && rest->multipliers != nullptr);
-  if (by_threads) {
-    kernels().adjoint_solve.launch(device, (end - first) * kVbdLanes, a);
-  } else {
-    kernels().adjoint_solve_team.launch(device, step_.team_rows(end - first), a);
-  }
-  const DeviceKernel& slots =
-      rest != nullptr ? (weights ? kernels().adjoint_rest_weights : kernels().adjoint_rest)
-                      : (weights ? kernels().adjoint_weights : kernels().adjoint_slots);
-  slots.launch(device, static_cast<int64_t>(a.back().word), a);
+  const int64_t groups = end - first;
+  novaphy::run(by_threads ? kernels().adjoint_solve : kernels().adjoint_solve_team,
+               by_threads ? groups * kVbdLanes : team_threads(groups, step_.tables_->team), a);
+  novaphy::run(rest != nullptr ? (weights ? kernels().adjoint_rest_weights : kernels().adjoint_rest)
+                               : (weights ? kernels().adjoint_weights : kernels().adjoint_slots),
+               a.ends[kRoles - 1], a);
 }
 
 void LaunchedReverse::reverse_colors(bool with_contacts, bool weights) const {
@@ -223,20 +216,19 @@ void LaunchedReverse::reverse_colors(bool with_contacts, bool weights) const {
 }
 
 // `guess`: the bars of what iterations began with; null: of nothing.
-void LaunchedReverse::end(bool with_contacts, bool weights, const Array* guess,
+void LaunchedReverse::end(bool with_contacts, bool weights, const Rows4* guess,
                           const Array& qd_bar) const {
-  const Device device = step_.model_.device();
-  const auto particles = static_cast<int64_t>(step_.model_.particle_count());
-  kernels().adjoint_end.launch(
-      device, particles,
-      {reads_row("is_held", step_.is_held_), reads_row("x_bar", x_bar_),
-       guess != nullptr ? updates_row("guess", *guess) : number(kNone), read_if("qd_bar", qd_bar),
-       number(1.0f / step_.tables_->dt), updates_row("start_bar", start_bar_)});
+  novaphy::run(kernels().adjoint_end, step_.model_.particle_count(),
+               {.is_held = step_.is_held_,
+                .x_bar = x_bar_,
+                .guess = guess,
+                .qd_bar = Untyped(qd_bar),
+                .inverse_h = 1.0f / step_.tables_->dt,
+                .start_bar = start_bar_});
   const std::vector<int64_t>& colors = step_.tables_->colors;
-  const std::vector<LaunchArgument> a =
-      arguments(with_contacts, nullptr, 0, colors.back(), nullptr);
-  (weights ? kernels().adjoint_start_weights : kernels().adjoint_start)
-      .launch(device, static_cast<int64_t>(a.back().word), a);
+  const VbdAdjointArguments a = arguments(with_contacts, nullptr, 0, colors.back(), nullptr);
+  novaphy::run(weights ? kernels().adjoint_start_weights : kernels().adjoint_start,
+               a.ends[kRoles - 1], a);
   for (size_t color = 0; color + 1 < colors.size(); ++color) receive(color, nullptr, start_bar_);
 }
 
@@ -251,9 +243,11 @@ void LaunchedReverse::clear_parameters(bool with_contacts) const {
 void LaunchedReverse::begin(bool with_contacts, const Array& q_bar, const Array& qd_bar) {
   if (with_contacts) reserve_contacts();
   clear_parameters(with_contacts);
-  kernels().adjoint_begin.launch(step_.model_.device(), step_.model_.particle_count(),
-                                 {read_if("q_bar", q_bar), read_if("qd_bar", qd_bar),
-                                  number(1.0f / step_.tables_->dt), writes_row("x_bar", x_bar_)});
+  novaphy::run(kernels().adjoint_begin, step_.model_.particle_count(),
+               {.q_bar = Untyped(q_bar),
+                .qd_bar = Untyped(qd_bar),
+                .inverse_h = 1.0f / step_.tables_->dt,
+                .x_bar = x_bar_});
 }
 
 void LaunchedReverse::run(const VbdLaunchInputs& in, const Array& q_bar, const Array& qd_bar,
@@ -266,7 +260,7 @@ void LaunchedReverse::run(const VbdLaunchInputs& in, const Array& q_bar, const A
   const bool weights = wants_weights(g);
   reverse_colors(with_contacts, weights);
   const bool from_start = step_.options_.initial_guess == VbdInitialGuess::Previous;
-  const Array* const guess = from_start ? &start_bar_ : &target_bar_;
+  const Rows4* const guess = from_start ? &start_bar_ : &target_bar_;
   end(with_contacts, weights, in.last_velocity.rows() != 0 ? nullptr : guess, qd_bar);
   put(in, g, false);
 }
@@ -283,122 +277,127 @@ void LaunchedReverse::put(const VbdLaunchInputs& in, const VbdStepArrays& g, boo
 void LaunchedReverse::put_state(const VbdLaunchInputs& in, const VbdStepArrays& g,
                                 bool at_solution) const {
   const Model& m = step_.model_;
-  const float h = step_.tables_->dt;
   const bool guessed = !at_solution && in.last_velocity.rows() != 0;
   if (any({&g.particle_q, &g.particle_qd, &g.particle_f, &g.particle_mass, &g.gravity,
            &g.last_velocity}))
-    kernels().particle_gradient.launch(
-        m.device(), m.particle_count(),
-        {reads_row("is_held", step_.is_held_),
-         reads_row("inv_mass", m.particle_inv_mass),
-         reads_row("f", in.f),
-         reads_row("x_bar", x_bar_),
-         reads_row("start_bar", start_bar_),
-         reads_row("target_bar", target_bar_),
-         reads_row("mass_bar", mass_bar_),
-         number(h),
-         number(int64_t{in.targets.rows() != 0}),
-         write_if("particle_q", g.particle_q),
-         write_if("particle_qd", g.particle_qd),
-         write_if("particle_f", g.particle_f),
-         write_if("particle_mass", g.particle_mass),
-         any({&g.gravity}) ? writes_row("gravity_bar", gravity_bar_) : number(kNone),
-         write_if("last_velocity", g.last_velocity),
-         guessed ? reads_row("last_velocity", in.last_velocity) : number(kNone),
-         reads_row("qd", in.qd),
-         reads_row("world", m.particle_world),
-         reads("gravity", m.gravity),
-         number(int64_t{m.world_count()} - 1)});
+    novaphy::run(kernels().particle_gradient, m.particle_count(),
+                 {.is_held = step_.is_held_,
+                  .inv_mass = m.particle_inv_mass,
+                  .f = in.f,
+                  .x_bar = x_bar_,
+                  .start_bar = start_bar_,
+                  .target_bar = target_bar_,
+                  .mass_bar = mass_bar_,
+                  .h = step_.tables_->dt,
+                  .have_targets = int{in.targets.rows() != 0},
+                  .by_q = Untyped(g.particle_q),
+                  .by_qd = Untyped(g.particle_qd),
+                  .by_f = Untyped(g.particle_f),
+                  .by_mass = Untyped(g.particle_mass),
+                  .by_gravity = any({&g.gravity}) ? &gravity_bar_ : nullptr,
+                  .by_last = Untyped(g.last_velocity),
+                  .last = guessed ? &in.last_velocity : nullptr,
+                  .qd = in.qd,
+                  .world = m.particle_world,
+                  .gravity = m.gravity,
+                  .last_world = m.world_count() - 1});
   if (any({&g.targets}))
-    kernels().target_gradient.launch(
-        m.device(), step_.held_count(),
-        {reads_row("held", step_.held_), reads("x_bar", x_bar_), writes("targets", g.targets)});
+    novaphy::run(kernels().target_gradient, step_.held_count(),
+                 {.held = step_.held_, .x_bar = x_bar_, .by_targets = Untyped(g.targets)});
   if (any({&g.gravity}))
-    kernels().gravity_gradient.launch(
-        m.device(), m.world_count(),
-        {reads("begin", tables_.world_begin), reads("particles", tables_.of_worlds),
-         reads("gravity_bar", gravity_bar_), writes("gravity", g.gravity)});
+    novaphy::run(kernels().gravity_gradient, m.world_count(),
+                 {.begin = tables_.world_begin,
+                  .particles = tables_.of_worlds,
+                  .of_particles = gravity_bar_,
+                  .by_gravity = Untyped(g.gravity)});
 }
 
-std::vector<LaunchArgument> LaunchedReverse::law_bars(Role role) const {
-  LaunchArgument numbers = reads("numbers", numbers_);
-  numbers.word += static_cast<uint64_t>(tables_.numbers_begin[role]) * sizeof(float);
-  return {reads("places", tables_.places[role]), std::move(numbers), number(int64_t{kVbdLanes})};
+VbdLawArguments LaunchedReverse::law_bars(Role role) const {
+  return {.places = tables_.places[role],
+          .numbers = numbers_,
+          .first = tables_.numbers_begin[role],
+          .lanes = kVbdLanes};
 }
 
 void LaunchedReverse::put_elements(const VbdStepArrays& g) const {
   const Model& m = step_.model_;
-  const auto put = [&](const DeviceKernel& kernel, const Array& elements,
-                       std::vector<LaunchArgument> arguments,
-                       std::initializer_list<LaunchArgument> more) {
-    arguments.insert(arguments.end(), more.begin(), more.end());
-    kernel.launch(m.device(), static_cast<int64_t>(elements.rows()), arguments);
-  };
-  const LaunchArgument h = number(step_.tables_->dt);
+  const float h = step_.tables_->dt;
+  const auto rows = [](const Array& elements) { return static_cast<int64_t>(elements.rows()); };
   if (any({&g.particle_spring_stiffness, &g.particle_spring_damping,
            &g.particle_spring_rest_length}))
-    put(kernels().spring_gradient, m.particle_spring_indices, law_bars(kSpring),
-        {h, write_if("stiffness", g.particle_spring_stiffness),
-         write_if("damping", g.particle_spring_damping),
-         write_if("rest_length", g.particle_spring_rest_length)});
+    novaphy::run(kernels().spring_gradient, rows(m.particle_spring_indices),
+                 {.bars = law_bars(kSpring),
+                  .h = h,
+                  .by_stiffness = Untyped(g.particle_spring_stiffness),
+                  .by_damping = Untyped(g.particle_spring_damping),
+                  .by_rest_length = Untyped(g.particle_spring_rest_length)});
   if (any({&g.particle_tri_material, &g.particle_tri_activation, &g.particle_tri_area,
            &g.particle_tri_pose}))
-    put(kernels().triangle_gradient, m.particle_tri_indices, law_bars(kTriangle),
-        {reads("area", m.particle_tri_area), reads("material", m.particle_tri_material), h,
-         write_if("material", g.particle_tri_material),
-         write_if("activation", g.particle_tri_activation), write_if("area", g.particle_tri_area),
-         write_if("pose", g.particle_tri_pose)});
-  if (any({&g.particle_edge_material, &g.particle_edge_rest_angle, &g.particle_edge_rest_length})) {
-    std::vector<LaunchArgument> bars = law_bars(kHingeOpposite), ends = law_bars(kHingeEnd);
-    bars.insert(bars.end(), ends.begin(), ends.end());
-    put(kernels().edge_gradient, m.particle_edge_indices, std::move(bars),
-        {reads("material", m.particle_edge_material),
-         reads("rest_length", m.particle_edge_rest_length), h,
-         write_if("material", g.particle_edge_material),
-         write_if("rest_angle", g.particle_edge_rest_angle),
-         write_if("rest_length", g.particle_edge_rest_length)});
-  }
+    novaphy::run(kernels().triangle_gradient, rows(m.particle_tri_indices),
+                 {.bars = law_bars(kTriangle),
+                  .area = m.particle_tri_area,
+                  .material = m.particle_tri_material,
+                  .h = h,
+                  .by_material = Untyped(g.particle_tri_material),
+                  .by_activation = Untyped(g.particle_tri_activation),
+                  .by_area = Untyped(g.particle_tri_area),
+                  .by_pose = Untyped(g.particle_tri_pose)});
+  if (any({&g.particle_edge_material, &g.particle_edge_rest_angle, &g.particle_edge_rest_length}))
+    novaphy::run(kernels().edge_gradient, rows(m.particle_edge_indices),
+                 {.opposite = law_bars(kHingeOpposite),
+                  .end = law_bars(kHingeEnd),
+                  .material = m.particle_edge_material,
+                  .rest_length = m.particle_edge_rest_length,
+                  .h = h,
+                  .by_material = Untyped(g.particle_edge_material),
+                  .by_rest_angle = Untyped(g.particle_edge_rest_angle),
+                  .by_rest_length = Untyped(g.particle_edge_rest_length)});
   if (any({&g.particle_tet_material, &g.particle_tet_activation, &g.particle_tet_pose}))
-    put(kernels().tetrahedron_gradient, m.particle_tet_indices, law_bars(kTetrahedron),
-        {reads("pose", m.particle_tet_pose), reads("material", m.particle_tet_material), h,
-         write_if("material", g.particle_tet_material),
-         write_if("activation", g.particle_tet_activation), write_if("pose", g.particle_tet_pose)});
+    novaphy::run(kernels().tetrahedron_gradient, rows(m.particle_tet_indices),
+                 {.bars = law_bars(kTetrahedron),
+                  .pose = m.particle_tet_pose,
+                  .material = m.particle_tet_material,
+                  .h = h,
+                  .by_material = Untyped(g.particle_tet_material),
+                  .by_activation = Untyped(g.particle_tet_activation),
+                  .by_pose = Untyped(g.particle_tet_pose)});
 }
 
 void LaunchedReverse::put_contacts(const VbdLaunchInputs& in, const VbdStepArrays& g) {
   const Model& m = step_.model_;
-  const Device device = m.device();
   const bool with_contacts = in.have_contacts();
   if (any({&g.particle_radius}))
-    kernels().radius_gradient.launch(
-        device, m.particle_count(),
-        {with_contacts ? reads("contact_begin", step_.contact_begin_) : number(kNone),
-         with_contacts ? reads("contact_bars", contact_bars_) : number(kNone),
-         writes_row("radius", g.particle_radius)});
+    novaphy::run(kernels().radius_gradient, m.particle_count(),
+                 {.contact_begin = with_contacts ? &step_.contact_begin_ : nullptr,
+                  .contact_bars = with_contacts ? &contact_bars_ : nullptr,
+                  .by_radius = Untyped(g.particle_radius)});
   if (!any({&g.shape_margin, &g.shape_material_ke, &g.shape_material_kd, &g.shape_material_mu}))
     return;
   if (with_contacts) {
     const auto contacts = static_cast<int64_t>(in.contacts->soft_contact_max());
-    kernels().contact_shape.launch(
-        device, contacts,
-        {reads("begin", step_.contact_begin_), reads("items", step_.contact_items_),
-         number(int64_t{m.particle_count()}),
-         reads("soft_contact_shape", in.contacts->soft_contact_shape),
-         writes_row("shape_of_contact", shape_of_contact_)});
-    kernels().incidence.launch(device, m.shape_count(),
-                               {reads("shape_of_contact", shape_of_contact_), number(contacts),
-                                writes("begin", shape_begin_), writes("items", of_shapes_)});
+    novaphy::run(kernels().contact_shape, contacts,
+                 {.begin = step_.contact_begin_,
+                  .items = step_.contact_items_,
+                  .particles = m.particle_count(),
+                  .shape = in.contacts->soft_contact_shape,
+                  .shape_of_contact = shape_of_contact_});
+    novaphy::run(incidence(), m.shape_count(),
+                 {.table = shape_of_contact_,
+                  .slots = contacts,
+                  .offsets = shape_begin_,
+                  .items = of_shapes_});
   }
-  kernels().shape_gradient.launch(
-      device, m.shape_count(),
-      {with_contacts ? reads("begin", shape_begin_) : number(kNone),
-       with_contacts ? reads("contacts", of_shapes_) : number(kNone),
-       with_contacts ? reads("contact_bars", contact_bars_) : number(kNone),
-       reads_row("shape_material_mu", m.shape_material_mu), number(m.soft_contact_mu),
-       number(step_.tables_->dt), write_if("shape_margin", g.shape_margin),
-       write_if("shape_material_ke", g.shape_material_ke),
-       write_if("shape_material_kd", g.shape_material_kd),
-       write_if("shape_material_mu", g.shape_material_mu)});
+  novaphy::run(kernels().shape_gradient, m.shape_count(),
+               {.begin = with_contacts ? &shape_begin_ : nullptr,
+                .contacts = with_contacts ? &of_shapes_ : nullptr,
+                .contact_bars = with_contacts ? &contact_bars_ : nullptr,
+                .mu = m.shape_material_mu,
+                .model_mu = m.soft_contact_mu,
+                .h = step_.tables_->dt,
+                .by_margin = Untyped(g.shape_margin),
+                .by_ke = Untyped(g.shape_material_ke),
+                .by_kd = Untyped(g.shape_material_kd),
+                .by_mu = Untyped(g.shape_material_mu)});
 }
 
 }  // namespace novaphy::vbd

@@ -8,6 +8,7 @@
 #include "launched_step.h"
 #include "novaphy/vbd/differentiable_vbd.h"
 #include "receivers.h"
+#include "vbd_adjoint_kernels.h"
 #include "vbd_gradient_kernels.h"
 
 namespace novaphy::vbd {
@@ -25,8 +26,8 @@ class LaunchedReverse {
   friend class LaunchedSolution;
   // At a solution: given multipliers, or the sum of those that are found.
   struct AtRest {
-    const Array* multipliers = nullptr;
-    const Array* sum = nullptr;
+    const DeviceArray<Vec4f>* multipliers = nullptr;
+    const DeviceArray<Vec4f>* sum = nullptr;
   };
   // Made of the slots. Launches of captures keep them.
   struct Tables {
@@ -43,24 +44,25 @@ class LaunchedReverse {
   void build_tables();
   void reserve(int32_t iterates);
   void reserve_contacts();
+  using Rows4 = DeviceArray<Vec4f>;
   void clear(const Array& values) const;
-  std::vector<LaunchArgument> arguments(bool with_contacts, const Array* before, int64_t first,
-                                        int64_t end, const AtRest* rest) const;
-  void receive(size_t color, const Array* own, const DeviceArray<Vec4f>& rows,
+  VbdAdjointArguments arguments(bool with_contacts, const Rows4* before, int64_t first, int64_t end,
+                                const AtRest* rest) const;
+  void receive(size_t color, const Rows4* own, const DeviceArray<Vec4f>& rows,
                int64_t parts = kVbdReceiveAll) const;
   void clear_parameters(bool with_contacts) const;
   void begin(bool with_contacts, const Array& q_bar, const Array& qd_bar);
-  void reverse_groups(bool with_contacts, bool weights, const Array* before, int64_t first,
+  void reverse_groups(bool with_contacts, bool weights, const Rows4* before, int64_t first,
                       int64_t end, const AtRest* rest) const;
   void reverse_colors(bool with_contacts, bool weights) const;
-  void end(bool with_contacts, bool weights, const Array* guess, const Array& qd_bar) const;
+  void end(bool with_contacts, bool weights, const Rows4* guess, const Array& qd_bar) const;
   static bool wants_weights(const VbdStepArrays& g);
   // `at_solution`: the derivatives of the solution, which does not depend on the guess.
   void put(const VbdLaunchInputs& in, const VbdStepArrays& g, bool at_solution);
   void put_state(const VbdLaunchInputs& in, const VbdStepArrays& g, bool at_solution) const;
   void put_elements(const VbdStepArrays& g) const;
   void put_contacts(const VbdLaunchInputs& in, const VbdStepArrays& g);
-  std::vector<LaunchArgument> law_bars(Role role) const;
+  VbdLawArguments law_bars(Role role) const;
 
   LaunchedStep& step_;
   Tables tables_;

@@ -14,8 +14,8 @@ namespace {
 
 // Never destroyed, as those of LaunchedStep.
 struct Kernels {
-  DeviceKernel tangent{vbd_tangent, detail::vbd_tangent_kernels_text};
-  DeviceKernel move{vbd_tangent_move, detail::vbd_tangent_kernels_text};
+  Kernel<VbdTangentArguments> tangent{vbd_tangent, detail::vbd_tangent_kernels_text};
+  Kernel<VbdTangentMoveArguments> move{vbd_tangent_move, detail::vbd_tangent_kernels_text};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
@@ -37,40 +37,41 @@ void upload_rows(DeviceArray<Vec4f>& to, const Rows& rows) {
 
 }  // namespace
 
-void LaunchedSolution::tangent(size_t first_color, size_t last_color, const Array* x,
-                               const Array* load, const Array* force, const Array* force_slope,
-                               const Array* step_slope) const {
+void LaunchedSolution::tangent(size_t first_color, size_t last_color, const TangentRows& r) const {
   const std::vector<int64_t>& colors = step_.tables_->colors;
   const int64_t first = colors[first_color], end = colors[last_color];
-  std::vector<LaunchArgument> a = step_.sweep_arguments(with_contacts_, first, end);
-  for (const Array* read : {x, load})
-    a.push_back(read != nullptr ? reads("rows", *read) : number(int64_t{0}));
-  a.push_back(number(int64_t{keeps_loads_}));
-  for (const Array* written : {force, force_slope, step_slope})
-    a.push_back(written != nullptr ? updates("slopes", *written) : number(int64_t{0}));
-  kernels().tangent.launch(step_.model_.device(), (end - first) * kVbdLanes, a);
+  novaphy::run(kernels().tangent, (end - first) * kVbdLanes,
+               {.sweep = step_.sweep_arguments(with_contacts_, first, end),
+                .x = r.x,
+                .load = r.load,
+                .keeps_loads = int{keeps_loads_},
+                .force = r.force,
+                .force_slope = r.force_slope,
+                .step_slope = r.step_slope});
 }
 
 void LaunchedSolution::sweep(const Rows& load, Rows& z, Rows& image) {
-  const Device device = step_.model_.device();
   const LaunchedStep::Tables& t = *step_.tables_;
   upload_rows(load_, load);
   reverse_.clear(x_);
   for (size_t color = 0; color + 1 < t.colors.size(); ++color) {
-    tangent(color, color + 1, &x_, &load_, nullptr, nullptr, &moved_);
-    kernels().move.launch(device, (t.colors[color + 1] - t.colors[color]) * kVbdLanes,
-                          {reads("particle", t.particle), reads("filled", t.filled),
-                           number(t.colors[color]), reads("step", moved_), updates("x", x_)});
+    tangent(color, color + 1, {.x = &x_, .load = &load_, .step_slope = &moved_});
+    novaphy::run(kernels().move, (t.colors[color + 1] - t.colors[color]) * kVbdLanes,
+                 {.particle = t.particle,
+                  .filled = t.filled,
+                  .first_group = t.colors[color],
+                  .step = moved_,
+                  .x = x_});
   }
   reverse_.clear(result_);
-  tangent(0, t.colors.size() - 1, &x_, nullptr, nullptr, &result_, nullptr);
+  tangent(0, t.colors.size() - 1, {.x = &x_, .force_slope = &result_});
   z = download(x_);
   image = download(result_);
 }
 
 Rows LaunchedSolution::force() {
   reverse_.clear(result_);
-  tangent(0, step_.tables_->colors.size() - 1, nullptr, nullptr, &result_, nullptr, nullptr);
+  tangent(0, step_.tables_->colors.size() - 1, {.force = &result_});
   return download(result_);
 }
 

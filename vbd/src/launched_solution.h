@@ -43,9 +43,13 @@ class LaunchedSolution {
  private:
   KrylovResult reverse(const VbdLaunchInputs& in, const Array& q_bar, const Array& qd_bar,
                        const VbdStepArrays& gradients, const VbdGradientOptions& options);
-  // Of the groups of some colours. Null: not there, not wanted.
-  void tangent(size_t first_color, size_t last_color, const Array* x, const Array* load,
-               const Array* force, const Array* force_slope, const Array* step_slope) const;
+  // See VbdTangentArguments.
+  struct TangentRows {
+    const DeviceArray<Vec4f>*x = nullptr, *load = nullptr, *force = nullptr, *force_slope = nullptr,
+          *step_slope = nullptr;
+  };
+  // Of the groups of some colours.
+  void tangent(size_t first_color, size_t last_color, const TangentRows& rows) const;
 
   LaunchedStep& step_;
   LaunchedReverse& reverse_;

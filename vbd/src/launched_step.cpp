@@ -3,19 +3,17 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
-#include <cstring>
 #include <string_view>
 #include <utility>
 
 #include "novaphy/core/assert.h"
+#include "novaphy/core/builtin_kernels.h"
 #include "novaphy/core/error.h"
 #include "step_options.h"
-#include "vbd_gradient_kernels.h"
 #include "vbd_kernels.h"
 
 namespace novaphy::detail {
 const char* vbd_kernels_text();
-const char* vbd_gradient_kernels_text();
 }  // namespace novaphy::detail
 
 namespace novaphy::vbd {
@@ -23,64 +21,14 @@ namespace {
 
 constexpr const char* kName = "SolverVBD.step";
 
-// The same on the CPU, a row for each group.
-struct GroupArguments {
-  VbdSweepArguments of_devices;
-  const Sweep* sweep;
-  const SweepLevel* level;
-};
-template <class Function>
-void for_groups(const uint64_t* words, int64_t begin, int64_t end, const Function& function) {
-  GroupArguments a;
-  std::memcpy(&a, words, sizeof(a));
-  for (int64_t row = begin; row < end; ++row) function(a, *a.level, a.of_devices.first_group + row);
-}
-void prepare_rows(const uint64_t* words, int64_t, int64_t begin, int64_t end) {
-  for_groups(words, begin, end, [](const GroupArguments& a, const SweepLevel& level, int64_t g) {
-    level.prepare(*a.sweep, g);
-  });
-}
-void move_rows(const uint64_t* words, int64_t, int64_t begin, int64_t end) {
-  for_groups(words, begin, end, [](const GroupArguments& a, const SweepLevel& level, int64_t g) {
-    level.move(*a.sweep, g);
-  });
-}
-void residual_rows(const uint64_t* words, int64_t, int64_t begin, int64_t end) {
-  for_groups(words, begin, end, [](const GroupArguments& a, const SweepLevel& level, int64_t g) {
-    level.residual(*a.sweep, g, reinterpret_cast<ParticleResidual*>(a.of_devices.residual));
-  });
-}
-constexpr uint32_t kGroupWords = sizeof(GroupArguments) / sizeof(uint64_t);
-constexpr novaphy_row_function group_kernel(const char* name, void (*rows)(const uint64_t*, int64_t,
-                                                                           int64_t, int64_t)) {
-  return {sizeof(novaphy_row_function), name, kGroupWords, 0, rows};
-}
-constexpr novaphy_row_function kPrepareGroups = group_kernel("vbd_prepare_groups", prepare_rows),
-                               kMoveGroups = group_kernel("vbd_move_groups", move_rows),
-                               kResidualGroups = group_kernel("vbd_residual_groups", residual_rows);
-
 // Never destroyed: recordings refer to them.
 struct Kernels {
-#define NOVAPHY_VBD_KERNEL(name) DeviceKernel name{vbd_##name, detail::vbd_kernels_text};
-  NOVAPHY_VBD_KERNEL(predict)
+#define NOVAPHY_VBD_KERNEL(name) \
+  Kernel<decltype(vbd_##name)::Arguments> name{vbd_##name, detail::vbd_kernels_text};
   NOVAPHY_VBD_KERNEL(target)
   NOVAPHY_VBD_KERNEL(activation)
   NOVAPHY_VBD_KERNEL(contact)
-  NOVAPHY_VBD_KERNEL(prepare)
-  NOVAPHY_VBD_KERNEL(move)
-  NOVAPHY_VBD_KERNEL(move_guarded)
-  NOVAPHY_VBD_KERNEL(move_team)
-  NOVAPHY_VBD_KERNEL(commit)
-  NOVAPHY_VBD_KERNEL(accelerate)
-  NOVAPHY_VBD_KERNEL(finish)
-  NOVAPHY_VBD_KERNEL(residual)
 #undef NOVAPHY_VBD_KERNEL
-  DeviceKernel clear{vbd_clear, detail::vbd_gradient_kernels_text};
-  DeviceKernel keep{vbd_keep, detail::vbd_gradient_kernels_text};
-  DeviceKernel prepare_groups{kPrepareGroups, nullptr};
-  DeviceKernel move_groups{kMoveGroups, nullptr};
-  DeviceKernel residual_groups{kResidualGroups, nullptr};
-  DeviceKernel incidence{"incidence_i32"};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
@@ -91,7 +39,6 @@ bool has_code_for(Device device) {
   return device.type == DeviceType::CUDA ? NOVAPHY_VBD_CUDA : NOVAPHY_VBD_DLAN;
 }
 
-constexpr int64_t kTeamThreads = 128;
 // Colours of at least so many large teams fill a device.
 constexpr int64_t kManyTeams = 256;
 
@@ -162,7 +109,12 @@ void LaunchedStep::build_slots() {
   if (slots_.has_conflicts() && next_.rows() != n) next_ = DeviceArray<Vec4f>(n, device);
   value_stamps_.resize(values_.size());
   for (size_t k = 0; k < values_.size(); ++k) value_stamps_[k].set(*values_[k]);
+  forget_tables();
+}
+
+void LaunchedStep::forget_tables() {
   tables_ = nullptr;
+  for (std::optional<StepList>& list : lists_) list.reset();
 }
 
 void LaunchedStep::build_tables(float dt) {
@@ -222,35 +174,7 @@ void LaunchedStep::build_tables(float dt) {
     }
     *activated = {upload<int32_t>(element, device), upload<float>(alpha, device)};
   }
-  if (on_cpu_) {
-    Sweep sweeps[2];
-    for (int with = 0; with < 2; ++with) {
-      Sweep& s = sweeps[with];
-      s.particle = t->particle.data();
-      s.filled = t->filled.data();
-      s.mass_by_h2 = t->mass_by_h2.data();
-      for (int role = 0; role < kRoles; ++role)
-        s.slots[role] = {reinterpret_cast<const int64_t*>(t->begin[role].data()),
-                         t->ints[role].data(), const_cast<float*>(t->floats[role].data()),
-                         ((t->damped >> role) & 1) != 0};
-      if (with == 1) {
-        s.contact_begin = contact_begin_.data();
-        s.contacts = contact_numbers_.data();
-      }
-      const auto rows = [](const DeviceArray<Vec4f>& array) {
-        return const_cast<float*>(reinterpret_cast<const float*>(array.data()));
-      };
-      s.start = rows(start_);
-      s.target = rows(target_);
-      s.moved = rows(moved_);
-      s.x = rows(x_);
-      s.step = t->has_conflicts ? rows(next_) : nullptr;
-      s.regularization = options_.lhs_regularization;
-      s.slip = options_.friction_epsilon * dt;
-      s.safeguard = options_.safeguard;
-    }
-    t->sweeps = upload<uint8_t>(reinterpret_cast<const uint8_t*>(sweeps), sizeof(sweeps), device);
-  }
+  forget_tables();
   tables_ = std::move(t);
 }
 
@@ -261,7 +185,7 @@ void LaunchedStep::reserve_contacts(int32_t slots) {
   contact_begin_ = DeviceArray<int32_t>(static_cast<size_t>(model_.particle_count()) + 1, device);
   contact_items_ = DeviceArray<int32_t>(count, device);
   contact_numbers_ = DeviceArray<float>(count * kContactFloats, device);
-  tables_ = nullptr;  // point to them
+  forget_tables();
 }
 
 void LaunchedStep::update(float dt) {
@@ -280,46 +204,30 @@ void LaunchedStep::update(float dt) {
   if (tables_ == nullptr || tables_->dt != dt) build_tables(dt);
 }
 
-std::vector<LaunchArgument> LaunchedStep::sweep_arguments(bool with_contacts, int64_t first_group,
-                                                          int64_t end_group) const {
+VbdSweepArguments LaunchedStep::sweep_arguments(bool with_contacts, int64_t first_group,
+                                                int64_t end_group) const {
   const Tables& t = *tables_;
-  std::vector<LaunchArgument> a;
-  a.reserve(kGroupWords);
-  a.push_back(reads("particle", t.particle));
-  a.push_back(reads("filled", t.filled));
-  a.push_back(reads("mass_by_h2", t.mass_by_h2));
-  for (const auto& begin : t.begin) a.push_back(reads("begin", begin));
-  for (const auto& ints : t.ints) a.push_back(reads("ints", ints));
-  for (const auto& floats : t.floats) a.push_back(updates("floats", floats));
-  a.push_back(with_contacts ? reads("contact_begin", contact_begin_) : number(int64_t{0}));
-  a.push_back(with_contacts ? reads("contacts", contact_numbers_) : number(int64_t{0}));
-  a.push_back(reads("start", start_));
-  a.push_back(reads("target", target_));
-  a.push_back(updates("moved", moved_));
-  a.push_back(updates("x", x_));
-  a.push_back(updates("to", t.has_conflicts ? next_ : x_));
-  a.push_back(number(options_.lhs_regularization));
-  a.push_back(number(options_.friction_epsilon * t.dt));
-  a.push_back(number(damps_ ? (int64_t{1} << kRoles) - 1 : t.damped));
-  a.push_back(number(first_group));
-  a.push_back(number(end_group));
-  a.push_back(number(t.team));
-  a.push_back(writes("residual", of_particles_));
-  if (!on_cpu_) return a;
-  LaunchArgument sweep = reads("sweep", t.sweeps);
-  sweep.word += with_contacts ? sizeof(Sweep) : 0;
-  a.push_back(std::move(sweep));
-  a.push_back(number(static_cast<int64_t>(reinterpret_cast<intptr_t>(&level_))));
-  return a;
-}
-
-// Over some groups: on the CPU a row for each of them, else one for each of their lanes.
-void LaunchedStep::launch(const DeviceKernel& on_device, const DeviceKernel& on_cpu, int64_t groups,
-                          bool with_contacts, int64_t first_group) const {
-  const std::vector<LaunchArgument> arguments =
-      sweep_arguments(with_contacts, first_group, first_group + groups);
-  const DeviceKernel& kernel = on_cpu_ ? on_cpu : on_device;
-  kernel.launch(model_.device(), on_cpu_ ? groups : groups * kVbdLanes, arguments);
+  return {.particle = t.particle,
+          .filled = t.filled,
+          .mass_by_h2 = t.mass_by_h2,
+          .begin = t.begin,
+          .ints = t.ints,
+          .floats = t.floats,
+          .contact_begin = with_contacts ? &contact_begin_ : nullptr,
+          .contacts = with_contacts ? &contact_numbers_ : nullptr,
+          .start = start_,
+          .target = target_,
+          .moved = moved_,
+          .x = x_,
+          .to = t.has_conflicts ? next_ : x_,
+          .regularization = options_.lhs_regularization,
+          .slip = options_.friction_epsilon * t.dt,
+          .lanes = slots_.lanes(),
+          .damped = damps_ ? (int64_t{1} << kRoles) - 1 : t.damped,
+          .first_group = first_group,
+          .end_group = end_group,
+          .team = t.team,
+          .residual = of_particles_};
 }
 
 LaunchedStep::Mover LaunchedStep::mover() const {
@@ -331,103 +239,143 @@ LaunchedStep::Mover LaunchedStep::mover() const {
   return by_thread ? Mover::Thread : Mover::Team;
 }
 
-// Of a launch over the teams of some groups.
-int64_t LaunchedStep::team_rows(int64_t groups) const {
-  return (groups + tables_->team - 1) / tables_->team * kTeamThreads;
-}
-
 void LaunchedStep::activate(const Activated& to, Role role,
                             const DeviceArray<float>& activation) const {
   const auto rows = static_cast<int64_t>(to.element.rows());
   if (rows == 0) return;
-  kernels().activation.launch(
-      model_.device(), rows,
-      {reads_row("element", to.element), reads_row("alpha", to.alpha),
-       reads(role == kTriangle ? "particle_tri_activation" : "particle_tet_activation", activation),
-       updates("floats", tables_->floats[role]), number(int64_t{slots_.lanes()}),
-       number(int64_t{kFloats[role]}), number(int64_t{role == kTriangle ? 6 : 11})});
+  novaphy::run(kernels().activation, rows,
+               {.element = to.element,
+                .alpha = to.alpha,
+                .particle_tri_activation = role == kTriangle ? &activation : nullptr,
+                .particle_tet_activation = role == kTetrahedron ? &activation : nullptr,
+                .floats = tables_->floats[role],
+                .lanes = slots_.lanes(),
+                .width = int{kFloats[role]},
+                .number = role == kTriangle ? 6 : 11});
 }
 
 void LaunchedStep::find_contacts(const Contacts& c) const {
-  const Device device = model_.device();
   const auto particles = static_cast<int64_t>(model_.particle_count());
-  kernels().incidence.launch(
-      device, particles,
-      {reads("soft_contact_particle", c.soft_contact_particle),
-       number(int64_t{c.soft_contact_max()}), writes("contact_begin", contact_begin_),
-       writes("contact_items", contact_items_)});
-  kernels().contact.launch(device, c.soft_contact_max(),
-                           {reads("contact_begin", contact_begin_),
-                            reads("contact_items", contact_items_),
-                            number(particles),
-                            reads("soft_contact_count", c.soft_contact_count),
-                            updates("overflow", overflow_),
-                            reads("soft_contact_particle", c.soft_contact_particle),
-                            reads("soft_contact_shape", c.soft_contact_shape),
-                            reads("soft_contact_body_pos", c.soft_contact_body_pos),
-                            reads("soft_contact_body_vel", c.soft_contact_body_vel),
-                            reads("soft_contact_normal", c.soft_contact_normal),
-                            reads("particle_radius", model_.particle_radius),
-                            reads("shape_margin", model_.shape_margin),
-                            reads("shape_material_ke", model_.shape_material_ke),
-                            reads("shape_material_kd", model_.shape_material_kd),
-                            reads("shape_material_mu", model_.shape_material_mu),
-                            number(model_.soft_contact_ke),
-                            number(model_.soft_contact_kd),
-                            number(model_.soft_contact_mu),
-                            number(tables_->dt),
-                            writes("contacts", contact_numbers_)});
+  novaphy::run(incidence(), particles,
+               {.table = c.soft_contact_particle,
+                .slots = c.soft_contact_max(),
+                .offsets = contact_begin_,
+                .items = contact_items_});
+  novaphy::run(kernels().contact, c.soft_contact_max(),
+               {.begin = contact_begin_,
+                .items = contact_items_,
+                .particles = particles,
+                .count = c.soft_contact_count,
+                .overflow = overflow_,
+                .particle = c.soft_contact_particle,
+                .shape = c.soft_contact_shape,
+                .point = c.soft_contact_body_pos,
+                .velocity = c.soft_contact_body_vel,
+                .normal = c.soft_contact_normal,
+                .particle_radius = model_.particle_radius,
+                .shape_margin = model_.shape_margin,
+                .shape_material_ke = model_.shape_material_ke,
+                .shape_material_kd = model_.shape_material_kd,
+                .shape_material_mu = model_.shape_material_mu,
+                .model_ke = model_.soft_contact_ke,
+                .model_kd = model_.soft_contact_kd,
+                .model_mu = model_.soft_contact_mu,
+                .h = tables_->dt,
+                .numbers = contact_numbers_});
 }
 
 void LaunchedStep::commit(int64_t first_group, int64_t end_group,
                           const DeviceArray<Vec4f>& from) const {
   const auto lanes = static_cast<int64_t>(slots_.lanes());
-  kernels().commit.launch(model_.device(), (end_group - first_group) * lanes,
-                          {reads("particle", tables_->particle), number(first_group * lanes),
-                           reads("from", from), updates("x", x_)});
+  novaphy::run(
+      step_kernels().commit, (end_group - first_group) * lanes,
+      {.particle = tables_->particle, .first_lane = first_group * lanes, .from = from, .x = x_});
 }
 
-// One iteration; not by all colours in one launch.
-void LaunchedStep::iterate_once(bool with_contacts, Mover how) const {
-  const Tables& t = *tables_;
-  const Device device = model_.device();
-  const DeviceKernel& move = how == Mover::Team   ? kernels().move_team
-                             : options_.safeguard ? kernels().move_guarded
-                                                  : kernels().move;
-  for (size_t c = 0; c + 1 < t.colors.size(); ++c) {
-    const int64_t first = t.colors[c], groups = t.colors[c + 1] - first;
-    if (how == Mover::Team) {
-      move.launch(device, team_rows(groups), sweep_arguments(with_contacts, first, first + groups));
-    } else {
-      launch(move, kernels().move_groups, groups, with_contacts, first);
-    }
-    if (t.has_conflicts) commit(first, first + groups, next_);
-  }
+VbdTableArguments tables_of(const Model& m) {
+  return {.particle_spring_stiffness = m.particle_spring_stiffness,
+          .particle_spring_damping = m.particle_spring_damping,
+          .particle_spring_rest_length = m.particle_spring_rest_length,
+          .particle_tri_pose = m.particle_tri_pose,
+          .particle_tri_area = m.particle_tri_area,
+          .particle_tri_material = m.particle_tri_material,
+          .particle_edge_rest_angle = m.particle_edge_rest_angle,
+          .particle_edge_rest_length = m.particle_edge_rest_length,
+          .particle_edge_material = m.particle_edge_material,
+          .particle_tet_pose = m.particle_tet_pose,
+          .particle_tet_material = m.particle_tet_material,
+          .particle_mass = m.particle_mass,
+          .particle_flags = m.particle_flags,
+          .particle_spring_control = m.particle_spring_control};
 }
 
-void LaunchedStep::iterate(bool with_contacts, std::span<const DeviceArray<Vec4f>> iterates) const {
-  const Device device = model_.device();
+VbdFinishArguments LaunchedStep::finish_arguments(const VbdLaunchResults& out) const {
+  return {.start = start_, .x = x_, .h = tables_->dt, .q = out.q, .qd = out.qd, .faults = faults_};
+}
+
+StepArguments LaunchedStep::arguments(const VbdLaunchInputs& in,
+                                      const VbdLaunchResults& out) const {
+  const Model& m = model_;
+  return {.predict = {.particle_q = in.q,
+                      .particle_qd = in.qd,
+                      .particle_f = in.f,
+                      .particle_inv_mass = m.particle_inv_mass,
+                      .world = m.particle_world,
+                      .gravity = m.gravity,
+                      .last_world = m.world_count() - 1,
+                      .is_held = is_held_,
+                      .h = tables_->dt,
+                      .guess = static_cast<int64_t>(options_.initial_guess),
+                      .last_velocity = in.last_velocity,
+                      .next_last_velocity = out.updates_last ? &in.last_velocity : nullptr,
+                      .start = start_,
+                      .target = target_,
+                      .moved = moved_,
+                      .x = x_,
+                      .newer = newer_,
+                      .faults = faults_,
+                      .tables = tables_of(m)},
+          .sweep = sweep_arguments(in.have_contacts(), 0, 0),
+          .newer = newer_,
+          .older = older_,
+          .finish = finish_arguments(out)};
+}
+
+StepList LaunchedStep::make_list(const StepArguments& arguments, Mover how,
+                                 std::span<const DeviceArray<Vec4f>> iterates) const {
+  std::vector<WritesRow<VbdRow>> kept;
+  for (const DeviceArray<Vec4f>& rows : iterates) kept.emplace_back(rows);
+  return StepList({.device = model_.device(),
+                   .particles = model_.particle_count(),
+                   .lanes = slots_.lanes(),
+                   .colors = tables_->colors,
+                   .has_conflicts = tables_->has_conflicts,
+                   .safeguard = options_.safeguard,
+                   .team = how == Mover::Team ? tables_->team : 0,
+                   .iterations = options_.iterations,
+                   .chebyshev = chebyshev_},
+                  arguments, kept);
+}
+
+// That of a step that keeps no iterates is kept.
+StepList& LaunchedStep::list_for(const StepArguments& arguments, bool with_contacts) {
   const Mover how = mover();
-  for (int32_t k = 1; k <= options_.iterations; ++k) {
-    if (!iterates.empty())
-      kernels().keep.launch(
-          device, model_.particle_count(),
-          {reads_row("x", x_), writes_row("iterate", iterates[static_cast<size_t>(k - 1)])});
-    iterate_once(with_contacts, how);
-    if (options_.acceleration)
-      kernels().accelerate.launch(
-          device, model_.particle_count(),
-          {reads_row("is_held", is_held_),
-           with_contacts ? reads("contact_begin", contact_begin_) : number(int64_t{0}),
-           number(chebyshev_[static_cast<size_t>(k)]), number(int64_t{k}),
-           reads_row("start", start_), updates_row("moved", moved_), updates_row("x", x_),
-           updates_row("newer", newer_), updates_row("older", older_)});
+  if (how != list_mover_ || damps_ != list_damps_)
+    for (std::optional<StepList>& list : lists_) list.reset();
+  list_mover_ = how;
+  list_damps_ = damps_;
+  std::optional<StepList>& list = lists_[with_contacts ? 1 : 0];
+  if (!list) {
+    list.emplace(make_list(arguments, how, {}));
+  } else {
+    list->set(arguments.predict);
+    list->set(arguments.finish);
   }
+  return *list;
 }
 
 void LaunchedStep::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
                        const std::shared_ptr<ExclusiveUse>& in_use) {
-  const Device device = model_.device();
   const Contacts* const contacts = in.contacts;
   const bool with_contacts = in.have_contacts();
   if (with_contacts && contact_items_.rows() < static_cast<size_t>(contacts->soft_contact_max())) {
@@ -441,42 +389,11 @@ void LaunchedStep::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
   depend_on(std::span<const Array* const>(mesh_));
   constexpr size_t kOfElements = 11;  // the first of values_
   depend_on(std::span<const Array* const>(values_).subspan(in.trains_elements ? kOfElements : 0));
-  const auto last = [&] {
-    if (in.last_velocity.rows() == 0) return number(int64_t{0});
-    return out.updates_last ? updates_row("last_velocity", in.last_velocity)
-                            : reads_row("last_velocity", in.last_velocity);
-  };
-  const auto particles = static_cast<int64_t>(model_.particle_count());
-  std::vector<LaunchArgument> predict = {
-      reads_row("state_in.particle_q", in.q),
-      reads_row("state_in.particle_qd", in.qd),
-      reads_row("state_in.particle_f", in.f),
-      reads_row("model.particle_inv_mass", model_.particle_inv_mass),
-      reads_row("model.particle_world", model_.particle_world),
-      reads("model.gravity", model_.gravity),
-      number(int64_t{model_.world_count()} - 1),
-      reads_row("is_held", is_held_),
-      number(tables_->dt),
-      number(static_cast<int64_t>(options_.initial_guess)),
-      last(),
-      number(int64_t{out.updates_last}),
-      writes_row("start", start_),
-      writes_row("target", target_),
-      writes_row("moved", moved_),
-      writes_row("x", x_),
-      options_.acceleration ? writes_row("newer", newer_) : number(int64_t{0}),
-      updates_row("faults", faults_)};
-  static constexpr const char* kValueNames[] = {
-      "model.particle_spring_stiffness",   "model.particle_spring_damping",
-      "model.particle_spring_rest_length", "model.particle_tri_pose",
-      "model.particle_tri_area",           "model.particle_tri_material",
-      "model.particle_edge_rest_angle",    "model.particle_edge_rest_length",
-      "model.particle_edge_material",      "model.particle_tet_pose",
-      "model.particle_tet_material",       "model.particle_mass",
-      "model.particle_inv_mass",           "model.particle_flags",
-      "model.particle_spring_control"};
-  for (size_t k = 0; k < values_.size(); ++k) predict.push_back(reads(kValueNames[k], *values_[k]));
-  kernels().predict.launch(device, particles, predict);
+  const StepArguments a = arguments(in, out);
+  std::optional<StepList> keeping;  // iterates
+  if (!out.iterates.empty()) keeping.emplace(make_list(a, mover(), out.iterates));
+  const StepList& list = keeping ? *keeping : list_for(a, with_contacts);
+  list.predict();
   if (in.trains_elements) {
     reserve_training();
     put_numbers(in);
@@ -485,24 +402,18 @@ void LaunchedStep::run(const VbdLaunchInputs& in, const VbdLaunchResults& out,
     activate(tables_->tetrahedron, kTetrahedron, in.tet_activation);
   }
   if (with_contacts) find_contacts(*contacts);
-  launch(kernels().prepare, kernels().prepare_groups, tables_->colors.back(), with_contacts, 0);
+  list.prepare();
   if (in.targets.rows() != 0)
-    kernels().target.launch(
-        device, held_count(),
-        {reads_row("held", held_), reads_row("targets", in.targets), updates("x", x_)});
-  iterate(with_contacts, out.iterates);
+    novaphy::run(kernels().target, held_count(), {.held = held_, .targets = in.targets, .x = x_});
+  list.iterate(0, static_cast<size_t>(options_.iterations));
   iterations_run_ = options_.iterations;
-  finish(out);
+  list.finish();
   has_stepped_ = true;
   had_contacts_ = with_contacts;
 }
 
 void LaunchedStep::finish(const VbdLaunchResults& out) const {
-  kernels().finish.launch(
-      model_.device(), model_.particle_count(),
-      {reads_row("start", start_), reads_row("x", x_), number(tables_->dt),
-       writes_row("state_out.particle_q", out.q), writes_row("state_out.particle_qd", out.qd),
-       updates_row("faults", faults_)});
+  novaphy::run(step_kernels().finish, model_.particle_count(), finish_arguments(out));
 }
 
 void LaunchedStep::check() {
@@ -532,16 +443,18 @@ void LaunchedStep::check() {
        "; its results are NaN");
 }
 
-// After a run: one more iteration.
+// After a run that kept no iterates: one more iteration.
 void LaunchedStep::iterate_again(bool with_contacts) {
-  iterate_once(with_contacts, mover());
+  lists_[with_contacts ? 1 : 0]->move_again();
   ++iterations_run_;
 }
 
 void LaunchedStep::find_residuals(bool with_contacts) {
-  kernels().clear.launch(model_.device(), static_cast<int64_t>(of_particles_.rows()),
-                         {writes_row("residual", of_particles_)});
-  launch(kernels().residual, kernels().residual_groups, tables_->colors.back(), with_contacts, 0);
+  const int64_t groups = tables_->colors.back();
+  novaphy::run(step_kernels().clear, static_cast<int64_t>(of_particles_.rows()),
+               {.values = of_particles_});
+  novaphy::run(step_kernels().residual, groups * slots_.lanes(),
+               sweep_arguments(with_contacts, 0, groups));
 }
 
 VbdResidual LaunchedStep::residual() {

@@ -4,6 +4,7 @@
 
 #include <array>
 #include <memory>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -14,6 +15,8 @@
 #include "novaphy/core/sim/edited_values.h"
 #include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/vbd/differentiable_vbd.h"
+#include "novaphy/vbd/lane_slots_kernels.h"
+#include "step_list.h"
 #include "sweep.h"
 
 namespace novaphy::vbd {
@@ -90,33 +93,34 @@ class LaunchedStep {
     // Where elements are trained: of each lane of each slot, see LaneNumbers; and their materials.
     DeviceArray<int32_t> sources[kRoles];
     std::vector<Trained> trained;
-    DeviceArray<uint8_t> sweeps;  // on the CPU: a Sweep without contacts, and one with them
   };
   enum class Mover { Thread, Team };
 
   const Model& on_host();
   void build_slots();
   void build_tables(float dt);
+  void forget_tables();  // and the lists, which point to them
   void reserve_contacts(int32_t slots);
-  std::vector<LaunchArgument> sweep_arguments(bool with_contacts, int64_t first_group,
-                                              int64_t end_group) const;
-  void launch(const DeviceKernel& on_device, const DeviceKernel& on_cpu, int64_t groups,
-              bool with_contacts, int64_t first_group) const;
+  // Of arrays of this; while these live.
+  VbdSweepArguments sweep_arguments(bool with_contacts, int64_t first_group,
+                                    int64_t end_group) const;
   void find_contacts(const Contacts& contacts) const;
   void activate(const Activated& to, Role role, const DeviceArray<float>& activation) const;
   // launched_training.cpp
   void reserve_training();
   void put_numbers(const VbdLaunchInputs& in) const;
   void check_trained() const;
-  void iterate(bool with_contacts, std::span<const DeviceArray<Vec4f>> iterates) const;
-  void iterate_once(bool with_contacts, Mover how) const;
+  VbdFinishArguments finish_arguments(const VbdLaunchResults& out) const;
+  StepArguments arguments(const VbdLaunchInputs& in, const VbdLaunchResults& out) const;
+  StepList make_list(const StepArguments& arguments, Mover how,
+                     std::span<const DeviceArray<Vec4f>> iterates) const;
+  StepList& list_for(const StepArguments& arguments, bool with_contacts);
   void iterate_again(bool with_contacts);
   void finish(const VbdLaunchResults& out) const;
   // The particles of some groups are where rows of `from` say.
   void commit(int64_t first_group, int64_t end_group, const DeviceArray<Vec4f>& from) const;
   void find_residuals(bool with_contacts);
   Mover mover() const;
-  int64_t team_rows(int64_t groups) const;
 
   const Model& model_;
   const VbdOptions options_;
@@ -130,6 +134,9 @@ class LaunchedStep {
   ColorSlots slots_;
   uint64_t builds_ = 0;  // of the slots
   std::shared_ptr<Tables> tables_;
+  std::optional<StepList> lists_[2];  // of the tables: without contacts, and with them
+  Mover list_mover_ = Mover::Thread;  // what the lists were made for
+  bool list_damps_ = false;
   std::vector<Trained> trained_;  // of all tables that graphs may hold
   DeviceArray<int32_t> is_held_, held_;
   // Rows of four floats, one per particle.

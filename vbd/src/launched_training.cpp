@@ -17,11 +17,14 @@ namespace {
 
 // Never destroyed, as those of launched_step.cpp.
 struct Kernels {
-  DeviceKernel material{vbd_material, detail::vbd_kernels_text};
-  DeviceKernel spring{vbd_spring_numbers, detail::vbd_kernels_text};
-  DeviceKernel triangle{vbd_triangle_numbers, detail::vbd_kernels_text};
-  DeviceKernel hinge{vbd_hinge_numbers, detail::vbd_kernels_text};
-  DeviceKernel tetrahedron{vbd_tetrahedron_numbers, detail::vbd_kernels_text};
+#define NOVAPHY_VBD_KERNEL(name) \
+  Kernel<decltype(vbd_##name)::Arguments> name{vbd_##name, detail::vbd_kernels_text};
+  NOVAPHY_VBD_KERNEL(material)
+  NOVAPHY_VBD_KERNEL(spring_numbers)
+  NOVAPHY_VBD_KERNEL(triangle_numbers)
+  NOVAPHY_VBD_KERNEL(hinge_numbers)
+  NOVAPHY_VBD_KERNEL(tetrahedron_numbers)
+#undef NOVAPHY_VBD_KERNEL
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
@@ -82,38 +85,47 @@ void LaunchedStep::reserve_training() {
 void LaunchedStep::put_numbers(const VbdLaunchInputs& in) const {
   const Tables& t = *tables_;
   const Model& m = model_;
-  const Device device = m.device();
-  const auto put = [&](const DeviceKernel& kernel, Role role,
-                       std::initializer_list<LaunchArgument> of_elements) {
-    std::vector<LaunchArgument> a = {reads_row("source", t.sources[role]),
-                                     updates("floats", t.floats[role]),
-                                     number(int64_t{slots_.lanes()}), number(t.dt)};
-    a.insert(a.end(), of_elements);
-    kernel.launch(device, static_cast<int64_t>(t.sources[role].rows()), a);
-  };
+  const int64_t lanes = slots_.lanes();
+  const auto rows = [&t](Role role) { return static_cast<int64_t>(t.sources[role].rows()); };
   for (const Trained& trained : t.trained)
-    kernels().material.launch(
-        device, static_cast<int64_t>(trained.array->rows()),
-        {reads(trained.name, *trained.array), number(static_cast<int64_t>(trained.array->width())),
-         updates_row("allowed", trained.allowed)});
-  put(kernels().spring, kSpring,
-      {reads("particle_spring_stiffness", m.particle_spring_stiffness),
-       reads("particle_spring_damping", m.particle_spring_damping),
-       reads("particle_spring_rest_length", m.particle_spring_rest_length)});
-  put(kernels().triangle, kTriangle,
-      {reads("particle_tri_pose", m.particle_tri_pose),
-       reads("particle_tri_area", m.particle_tri_area),
-       reads("particle_tri_material", m.particle_tri_material),
-       reads("particle_tri_activation", in.tri_activation)});
+    novaphy::run(kernels().material, static_cast<int64_t>(trained.array->rows()),
+                 {.material = Untyped(*trained.array),
+                  .width = trained.array->width(),
+                  .allowed = trained.allowed});
+  novaphy::run(kernels().spring_numbers, rows(kSpring),
+               {.source = t.sources[kSpring],
+                .floats = t.floats[kSpring],
+                .lanes = lanes,
+                .h = t.dt,
+                .stiffness = m.particle_spring_stiffness,
+                .damping = m.particle_spring_damping,
+                .rest_length = m.particle_spring_rest_length});
+  novaphy::run(kernels().triangle_numbers, rows(kTriangle),
+               {.source = t.sources[kTriangle],
+                .floats = t.floats[kTriangle],
+                .lanes = lanes,
+                .h = t.dt,
+                .pose = m.particle_tri_pose,
+                .area = m.particle_tri_area,
+                .material = m.particle_tri_material,
+                .activation = in.tri_activation});
   for (const Role role : {kHingeOpposite, kHingeEnd})
-    put(kernels().hinge, role,
-        {reads("particle_edge_material", m.particle_edge_material),
-         reads("particle_edge_rest_length", m.particle_edge_rest_length),
-         reads("particle_edge_rest_angle", m.particle_edge_rest_angle)});
-  put(kernels().tetrahedron, kTetrahedron,
-      {reads("particle_tet_pose", m.particle_tet_pose),
-       reads("particle_tet_material", m.particle_tet_material),
-       reads("particle_tet_activation", in.tet_activation)});
+    novaphy::run(kernels().hinge_numbers, rows(role),
+                 {.source = t.sources[role],
+                  .floats = t.floats[role],
+                  .lanes = lanes,
+                  .h = t.dt,
+                  .material = m.particle_edge_material,
+                  .rest_length = m.particle_edge_rest_length,
+                  .rest_angle = m.particle_edge_rest_angle});
+  novaphy::run(kernels().tetrahedron_numbers, rows(kTetrahedron),
+               {.source = t.sources[kTetrahedron],
+                .floats = t.floats[kTetrahedron],
+                .lanes = lanes,
+                .h = t.dt,
+                .pose = m.particle_tet_pose,
+                .material = m.particle_tet_material,
+                .activation = in.tet_activation});
 }
 
 void LaunchedStep::check_trained() const {

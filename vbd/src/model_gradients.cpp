@@ -23,7 +23,7 @@ class Gradients {
         in(inputs),
         g(to),
         m(from.step.model),
-        h{inputs.dt, 0},
+        h(inputs.dt),
         at_solution(solved),
         memory(keep) {}
 
@@ -34,26 +34,26 @@ class Gradients {
     by_last.resize(pass.x_bar.size());
     for_rows<VbdParticleGradientArguments>(
         vbd_particle_gradient_row,
-        {pass.step.slots.held_flags().data(),
-         m.particle_inv_mass.data(),
-         in.particle_f,
-         pass.x_bar.data(),
-         pass.start_bar.data(),
-         pass.target_bar.data(),
-         pass.mass_bar.data(),
-         h,
-         int64_t{in.targets != nullptr},
-         g.particle_q,
-         g.particle_qd,
-         g.particle_f,
-         g.particle_mass,
-         g.gravity != nullptr ? by_gravity.data() : nullptr,
-         by_last.data(),
-         guessed ? reinterpret_cast<const VbdRow*>(in.last_velocity) : nullptr,
-         in.particle_qd,
-         m.particle_world.data(),
-         m.gravity.data(),
-         int64_t{m.world_count()} - 1},
+        {.is_held = direct(pass.step.slots.held_flags()),
+         .inv_mass = direct(m.particle_inv_mass.data()),
+         .f = direct(in.particle_f),
+         .x_bar = direct(pass.x_bar),
+         .start_bar = direct(pass.start_bar),
+         .target_bar = direct(pass.target_bar),
+         .mass_bar = direct(pass.mass_bar),
+         .h = h,
+         .have_targets = int{in.targets != nullptr},
+         .by_q = direct(g.particle_q),
+         .by_qd = direct(g.particle_qd),
+         .by_f = direct(g.particle_f),
+         .by_mass = direct(g.particle_mass),
+         .by_gravity = direct(g.gravity != nullptr ? by_gravity.data() : nullptr),
+         .by_last = direct(by_last),
+         .last = direct(guessed ? reinterpret_cast<const VbdRow*>(in.last_velocity) : nullptr),
+         .qd = direct(in.particle_qd),
+         .world = direct(m.particle_world.data()),
+         .gravity = direct(m.gravity.data()),
+         .last_world = m.world_count() - 1},
         pass.x_bar.size());
     if (g.last_velocity != nullptr)
       std::memcpy(g.last_velocity, by_last.data(), by_last.size() * sizeof(VbdRow));
@@ -61,7 +61,9 @@ class Gradients {
       const std::vector<int32_t>& held = pass.step.slots.held();
       if (in.targets != nullptr) {
         for_rows<VbdTargetGradientArguments>(
-            vbd_target_gradient_row, {held.data(), pass.x_bar.data(), g.targets}, held.size());
+            vbd_target_gradient_row,
+            {.held = direct(held), .x_bar = direct(pass.x_bar), .by_targets = direct(g.targets)},
+            held.size());
       } else {
         std::fill_n(g.targets, held.size(), Vec3f{});
       }
@@ -69,34 +71,51 @@ class Gradients {
     if (g.gravity == nullptr) return;
     IndexRows& of_worlds = memory.of_worlds;  // which stay as they are
     if (of_worlds.empty()) of_worlds = particles_of_worlds(m);
-    for_rows<VbdGravityGradientArguments>(
-        vbd_gravity_gradient_row,
-        {of_worlds.begins().data(), of_worlds.all().data(), by_gravity.data(), g.gravity},
-        static_cast<size_t>(m.world_count()));
+    for_rows<VbdGravityGradientArguments>(vbd_gravity_gradient_row,
+                                          {.begin = direct(of_worlds.begins().data()),
+                                           .particles = direct(of_worlds.all().data()),
+                                           .of_particles = direct(by_gravity),
+                                           .by_gravity = direct(g.gravity)},
+                                          static_cast<size_t>(m.world_count()));
   }
 
   void put_elements() const {
     for_rows<VbdSpringGradientArguments>(vbd_spring_gradient_row,
-                                         {pass.law_bars(kSpring), h, g.particle_spring_stiffness,
-                                          g.particle_spring_damping, g.particle_spring_rest_length},
+                                         {.bars = pass.law_bars(kSpring),
+                                          .h = h,
+                                          .by_stiffness = direct(g.particle_spring_stiffness),
+                                          .by_damping = direct(g.particle_spring_damping),
+                                          .by_rest_length = direct(g.particle_spring_rest_length)},
                                          m.particle_spring_indices.rows());
-    for_rows<VbdTriangleGradientArguments>(
-        vbd_triangle_gradient_row,
-        {pass.law_bars(kTriangle), m.particle_tri_area.data(), m.particle_tri_material.data(), h,
-         g.particle_tri_material, g.particle_tri_activation, g.particle_tri_area,
-         g.particle_tri_pose},
-        m.particle_tri_indices.rows());
-    for_rows<VbdEdgeGradientArguments>(
-        vbd_edge_gradient_row,
-        {pass.law_bars(kHingeOpposite), pass.law_bars(kHingeEnd), m.particle_edge_material.data(),
-         m.particle_edge_rest_length.data(), h, g.particle_edge_material,
-         g.particle_edge_rest_angle, g.particle_edge_rest_length},
-        m.particle_edge_indices.rows());
-    for_rows<VbdTetrahedronGradientArguments>(
-        vbd_tetrahedron_gradient_row,
-        {pass.law_bars(kTetrahedron), m.particle_tet_pose.data(), m.particle_tet_material.data(), h,
-         g.particle_tet_material, g.particle_tet_activation, g.particle_tet_pose},
-        m.particle_tet_indices.rows());
+    for_rows<VbdTriangleGradientArguments>(vbd_triangle_gradient_row,
+                                           {.bars = pass.law_bars(kTriangle),
+                                            .area = direct(m.particle_tri_area.data()),
+                                            .material = direct(m.particle_tri_material.data()),
+                                            .h = h,
+                                            .by_material = direct(g.particle_tri_material),
+                                            .by_activation = direct(g.particle_tri_activation),
+                                            .by_area = direct(g.particle_tri_area),
+                                            .by_pose = direct(g.particle_tri_pose)},
+                                           m.particle_tri_indices.rows());
+    for_rows<VbdEdgeGradientArguments>(vbd_edge_gradient_row,
+                                       {.opposite = pass.law_bars(kHingeOpposite),
+                                        .end = pass.law_bars(kHingeEnd),
+                                        .material = direct(m.particle_edge_material.data()),
+                                        .rest_length = direct(m.particle_edge_rest_length.data()),
+                                        .h = h,
+                                        .by_material = direct(g.particle_edge_material),
+                                        .by_rest_angle = direct(g.particle_edge_rest_angle),
+                                        .by_rest_length = direct(g.particle_edge_rest_length)},
+                                       m.particle_edge_indices.rows());
+    for_rows<VbdTetrahedronGradientArguments>(vbd_tetrahedron_gradient_row,
+                                              {.bars = pass.law_bars(kTetrahedron),
+                                               .pose = direct(m.particle_tet_pose.data()),
+                                               .material = direct(m.particle_tet_material.data()),
+                                               .h = h,
+                                               .by_material = direct(g.particle_tet_material),
+                                               .by_activation = direct(g.particle_tet_activation),
+                                               .by_pose = direct(g.particle_tet_pose)},
+                                              m.particle_tet_indices.rows());
   }
 
   void put_contacts() const {
@@ -104,7 +123,9 @@ class Gradients {
     const float* const bars = pass.contact_bars.data();
     if (g.particle_radius != nullptr)
       for_rows<VbdRadiusGradientArguments>(vbd_radius_gradient_row,
-                                           {pass.step.sweep.contact_begin, bars, g.particle_radius},
+                                           {.contact_begin = direct(pass.step.sweep.contact_begin),
+                                            .contact_bars = direct(bars),
+                                            .by_radius = direct(g.particle_radius)},
                                            static_cast<size_t>(m.particle_count()));
     std::vector<int32_t>& shape_of_contact = memory.shape_of_contact;
     shape_of_contact.clear();
@@ -113,16 +134,16 @@ class Gradients {
     IndexRows& of_shapes = memory.of_shapes;
     of_shapes.build(shape_of_contact, m.shape_count());
     for_rows<VbdShapeGradientArguments>(vbd_shape_gradient_row,
-                                        {of_shapes.begins().data(),
-                                         of_shapes.all().data(),
-                                         bars,
-                                         m.shape_material_mu.data(),
-                                         {m.soft_contact_mu, 0},
-                                         h,
-                                         g.shape_margin,
-                                         g.shape_material_ke,
-                                         g.shape_material_kd,
-                                         g.shape_material_mu},
+                                        {.begin = direct(of_shapes.begins().data()),
+                                         .contacts = direct(of_shapes.all().data()),
+                                         .contact_bars = direct(bars),
+                                         .mu = direct(m.shape_material_mu.data()),
+                                         .model_mu = m.soft_contact_mu,
+                                         .h = h,
+                                         .by_margin = direct(g.shape_margin),
+                                         .by_ke = direct(g.shape_material_ke),
+                                         .by_kd = direct(g.shape_material_kd),
+                                         .by_mu = direct(g.shape_material_mu)},
                                         static_cast<size_t>(m.shape_count()));
   }
 
@@ -131,7 +152,7 @@ class Gradients {
   const VbdStepInputs& in;
   const VbdStepGradients& g;
   const Model& m;
-  FloatWord h;
+  float h;
   bool at_solution;
   GradientMemory& memory;
 };

@@ -59,10 +59,17 @@ void ReversePass::for_groups(int64_t begin, int64_t end, Function&& function) {
 void ReversePass::receive(size_t color, Rows& rows) {
   const Receivers& r = receivers_;
   const int64_t first = r.color_begin[color];
-  const VbdReceiveArguments arguments = {r.particle.data(), r.begin.data(),  r.others.data(),
-                                         r.entries.data(),  first,           step.level.lanes,
-                                         terms_.data(),     r.is_own.data(), nullptr,
-                                         rows.data(),       kVbdReceiveAll};
+  const VbdReceiveArguments arguments = {.particle = direct(r.particle),
+                                         .begin = direct(r.begin),
+                                         .others = direct(r.others),
+                                         .entries = direct(r.entries),
+                                         .first = first,
+                                         .lanes = step.level.lanes,
+                                         .terms = direct(terms_.data()),
+                                         .is_own = direct(r.is_own),
+                                         .own = nullptr,
+                                         .rows = direct(rows),
+                                         .parts = kVbdReceiveAll};
   const int64_t n = r.color_begin[color + 1] - first;
   for_chunks(n, kParticlesPerChunk, [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t row = begin; row < end; ++row) vbd_receive_row(arguments, row, n);
@@ -84,8 +91,10 @@ void ReversePass::reverse_color(size_t color, const Rows& before) {
 
 void ReversePass::begin(const Vec3f* q_bar, const Vec3f* qd_bar) {
   const auto n = static_cast<int64_t>(x_bar.size());
-  const VbdAdjointBeginArguments arguments = {
-      q_bar, qd_bar, {1.0f / step.constants.dt, 0}, x_bar.data()};
+  const VbdAdjointBeginArguments arguments = {.q_bar = direct(q_bar),
+                                              .qd_bar = direct(qd_bar),
+                                              .inverse_h = 1.0f / step.constants.dt,
+                                              .x_bar = direct(x_bar)};
   for (int64_t p = 0; p < n; ++p) vbd_adjoint_begin_row(arguments, p, n);
 }
 
@@ -93,9 +102,12 @@ void ReversePass::begin(const Vec3f* q_bar, const Vec3f* qd_bar) {
 // strains and angles.
 void ReversePass::end(Row* guess, const Vec3f* qd_bar) {
   const auto n = static_cast<int64_t>(x_bar.size());
-  const VbdAdjointEndArguments arguments = {
-      step.slots.held_flags().data(), x_bar.data(),    guess, qd_bar,
-      {1.0f / step.constants.dt, 0},  start_bar.data()};
+  const VbdAdjointEndArguments arguments = {.is_held = direct(step.slots.held_flags()),
+                                            .x_bar = direct(x_bar),
+                                            .guess = direct(guess),
+                                            .qd_bar = direct(qd_bar),
+                                            .inverse_h = 1.0f / step.constants.dt,
+                                            .start_bar = direct(start_bar)};
   for (int64_t p = 0; p < n; ++p) vbd_adjoint_end_row(arguments, p, n);
   const std::vector<int64_t>& colors = step.slots.color_begin();
   for (size_t color = 0; color + 1 < colors.size(); ++color) {

@@ -27,8 +27,11 @@ class ReversePass {
   bool is_held(size_t p) const { return step.slots.is_held(static_cast<int32_t>(p)); }
 
   // By the numbers of the slots of a role.
-  VbdLawBars law_bars(Role role) const {
-    return {step.slots.table(role).places.data(), numbers_[role].data(), step.level.lanes};
+  VbdLawArguments law_bars(Role role) const {
+    return {.places = direct(step.slots.table(role).places),
+            .numbers = direct(numbers_[role]),
+            .first = 0,
+            .lanes = step.level.lanes};
   }
 
   StepWork& step;

@@ -2,19 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <utility>
 
 #include "novaphy/core/error.h"
-#include "novaphy/core/parallel.h"
-#include "novaphy/vbd/particle_step_trace.h"
 #include "step_options.h"
 
 namespace novaphy::vbd {
 namespace {
 
 constexpr const char* kName = "SolverVBD.step";
-constexpr int64_t kParticlesPerChunk = 512;
-constexpr int64_t kLanesPerChunk = 64;  // particles of a colour that one thread takes at a time
 
 float* floats(std::vector<Row>& rows) { return reinterpret_cast<float*>(rows.data()); }
 
@@ -39,6 +36,7 @@ StepWork::StepWork(const Model& m, const VbdOptions& o, bool keep_iterates) : mo
     values_.emplace_back("", array);
   const auto n = static_cast<size_t>(m.particle_count());
   for (std::vector<Row>* rows : {&start, &target, &moved, &x}) rows->resize(n);
+  faults_.resize(n);
   if (keep_iterates) iterates.assign(static_cast<size_t>(o.iterations) + 1, std::vector<Row>(n));
   if (o.acceleration) {
     newer_.resize(n);
@@ -53,38 +51,100 @@ void StepWork::build() {
   slots.build(model, level.lanes);
   ++builds;
   if (slots.has_conflicts()) next_.resize(x.size());
-  plan();
+  list_.reset();
   for (Stamped& s : values_) s.stamp.set(*s.array);
   constants = {};
 }
 
-// All chunks of a step, and where its phases end.
-void StepWork::plan() {
-  chunks_.clear();
-  ends_.clear();
-  const auto phase = [&](Task task, int32_t iteration, int64_t begin, int64_t end, int64_t size) {
-    if (begin == end) return;
-    for (int64_t first = begin; first < end; first += size)
-      chunks_.push_back({task, iteration, first, std::min(first + size, end)});
-    ends_.push_back(static_cast<int64_t>(chunks_.size()));
-  };
-  const auto n = static_cast<int64_t>(x.size());
-  const std::vector<int64_t>& colors = slots.color_begin();
-  const int64_t groups_per_chunk = kLanesPerChunk / level.lanes;
-  phase(Task::Predict, 0, 0, n, kParticlesPerChunk);
-  phase(Task::Prepare, 0, 0, colors.back(), groups_per_chunk);
-  iteration_ends_.assign(1, ends_.size());
-  for (int32_t k = 1; k <= options.iterations; ++k) {
-    if (!iterates.empty()) phase(Task::Keep, k - 1, 0, n, kParticlesPerChunk);
-    for (size_t c = 0; c + 1 < colors.size(); ++c) {
-      phase(Task::Move, k, colors[c], colors[c + 1], groups_per_chunk);
-      if (slots.has_conflicts()) phase(Task::Commit, k, colors[c], colors[c + 1], groups_per_chunk);
-    }
-    if (options.acceleration) phase(Task::Accelerate, k, 0, n, kParticlesPerChunk);
-    iteration_ends_.push_back(ends_.size());
+// What the sweep as it is reads and writes.
+VbdSweepArguments StepWork::sweep_arguments() {
+  Direct<const int64_t> begin[kRoles];
+  Direct<const int32_t> ints[kRoles];
+  Direct<float> numbers[kRoles];
+  int64_t damped = 0;
+  for (int role = 0; role < kRoles; ++role) {
+    const SlotTable& table = sweep.slots[role];
+    begin[role] = {table.begin};
+    ints[role] = {table.ints};
+    numbers[role] = {table.floats};
+    damped |= int64_t{table.damped} << role;
   }
-  if (!iterates.empty()) phase(Task::Keep, options.iterations, 0, n, kParticlesPerChunk);
-  phase(Task::Finish, 0, 0, n, kParticlesPerChunk);
+  return {.particle = direct(sweep.particle),
+          .filled = direct(sweep.filled),
+          .mass_by_h2 = direct(sweep.mass_by_h2),
+          .begin = begin,
+          .ints = ints,
+          .floats = numbers,
+          .contact_begin = direct(sweep.contact_begin),
+          .contacts = direct(sweep.contacts),
+          .start = direct(start),
+          .target = direct(target),
+          .moved = direct(moved),
+          .x = direct(x),
+          .to = direct(slots.has_conflicts() ? next_ : x),
+          .regularization = sweep.regularization,
+          .slip = sweep.slip,
+          .lanes = level.lanes,
+          .damped = damped,
+          .first_group = 0,
+          .end_group = 0,
+          .team = 0,
+          .residual = direct<float>(nullptr)};
+}
+
+// What a step of `arrays_` reads and writes.
+StepArguments StepWork::arguments() {
+  const Model& m = model;
+  return {.predict = {.particle_q = direct(arrays_.q),
+                      .particle_qd = direct(arrays_.qd),
+                      .particle_f = direct(arrays_.f),
+                      .particle_inv_mass = m.particle_inv_mass,
+                      .world = m.particle_world,
+                      .gravity = m.gravity,
+                      .last_world = m.world_count() - 1,
+                      .is_held = direct(slots.held_flags()),
+                      .h = constants.dt,
+                      .guess = static_cast<int64_t>(options.initial_guess),
+                      .last_velocity = direct(reinterpret_cast<const VbdRow*>(arrays_.last)),
+                      .next_last_velocity = nullptr,
+                      .start = direct(start),
+                      .target = direct(target),
+                      .moved = direct(moved),
+                      .x = direct(x),
+                      .newer = direct(newer_),
+                      .faults = direct(faults_),
+                      .tables = tables_of(m)},
+          .sweep = sweep_arguments(),
+          .newer = direct(newer_),
+          .older = direct(older_),
+          .finish = {.start = direct(start),
+                     .x = direct(x),
+                     .h = constants.dt,
+                     .q = direct(arrays_.q_out),
+                     .qd = direct(arrays_.qd_out),
+                     .faults = direct(faults_)}};
+}
+
+// The list for `arrays_`; made anew where its tables are others.
+void StepWork::make_list() {
+  const StepArguments a = arguments();
+  if (list_ && std::memcmp(&a.sweep, &*listed_, sizeof(a.sweep)) == 0) {
+    list_->set(a.predict);
+    list_->set(a.finish);
+    return;
+  }
+  std::vector<WritesRow<VbdRow>> kept;
+  for (std::vector<Row>& rows : iterates) kept.emplace_back(direct(rows));
+  list_.emplace(StepPlan{.device = Device::cpu(),
+                         .particles = static_cast<int64_t>(x.size()),
+                         .lanes = level.lanes,
+                         .colors = slots.color_begin(),
+                         .has_conflicts = slots.has_conflicts(),
+                         .safeguard = options.safeguard,
+                         .iterations = options.iterations,
+                         .chebyshev = chebyshev_},
+                a, kept);
+  listed_.emplace(a.sweep);
 }
 
 void StepWork::update(const DeviceArray<float>* tri_activation,
@@ -139,111 +199,44 @@ void StepWork::update(const DeviceArray<float>* tri_activation,
 
 void StepWork::run(const StepArrays& step_arrays, const Vec3f* targets) {
   arrays_ = step_arrays;
-  const size_t first = iteration_ends_.front(), last = iteration_ends_.back();
-  has_bad_inputs_ = false;
-  run_phases(0, first);
-  if (has_bad_inputs_) check_inputs();
+  make_list();
+  list_->predict_and_prepare();
+  if (std::any_of(faults_.begin(), faults_.end(), [](int32_t fault) { return fault != kNoFault; }))
+    check_inputs();
   if (targets != nullptr)
     for (const int32_t held : slots.held()) x[static_cast<size_t>(held)] = *targets++;
   if (options.tolerance) {
     iterate();
   } else {
-    run_phases(first, last);
+    list_->iterate(0, static_cast<size_t>(options.iterations));
     iterations_run_ = options.iterations;
   }
   check_positions();
-  run_phases(last, ends_.size());
+  list_->finish();
   has_stepped = true;
 }
 
 void StepWork::iterate_again() {
-  const size_t last = iteration_ends_.size() - 1;
-  run_phases(iteration_ends_[last - 1], iteration_ends_[last]);
+  const auto last = static_cast<size_t>(options.iterations);
+  list_->iterate(last - 1, last);
   ++iterations_run_;
 }
 
-void StepWork::finish_again() { run_phases(iteration_ends_.back(), ends_.size()); }
+void StepWork::finish_again() { list_->finish(); }
 
 // Until the residual is small enough.
 void StepWork::iterate() {
   for (iterations_run_ = 0; iterations_run_ < options.iterations;) {
     ++iterations_run_;
     const auto k = static_cast<size_t>(iterations_run_);
-    run_phases(iteration_ends_[k - 1], iteration_ends_[k]);
+    list_->iterate(k - 1, k);
     if (residual().relative <= static_cast<double>(*options.tolerance)) return;
   }
 }
 
-void StepWork::run_phases(size_t first, size_t last) {
-  const int64_t begin = first == 0 ? 0 : ends_[first - 1];
-  parallel_phases(
-      begin, std::span<const int64_t>(ends_).subspan(first, last - first),
-      [](void* pointer, int64_t chunk) {
-        auto* const work = static_cast<StepWork*>(pointer);
-        work->run_chunk(work->chunks_[static_cast<size_t>(chunk)]);
-      },
-      this);
-}
-
-void StepWork::run_chunk(const Chunk& chunk) {
-  switch (chunk.task) {
-    case Task::Predict:
-      return predict(chunk.begin, chunk.end);
-    case Task::Prepare:
-      for (int64_t group = chunk.begin; group < chunk.end; ++group) level.prepare(sweep, group);
-      return;
-    case Task::Move:
-      for (int64_t group = chunk.begin; group < chunk.end; ++group) level.move(sweep, group);
-      return;
-    case Task::Commit:
-      for (int64_t k = chunk.begin * level.lanes; k < chunk.end * level.lanes; ++k) {
-        const auto p = static_cast<size_t>(sweep.particle[k]);
-        x[p] = next_[p];
-      }
-      return;
-    case Task::Accelerate:
-      return accelerate(chunk);
-    case Task::Keep:
-      std::copy(x.begin() + chunk.begin, x.begin() + chunk.end,
-                iterates[static_cast<size_t>(chunk.iteration)].begin() + chunk.begin);
-      return;
-    case Task::Finish:
-      return finish(chunk.begin, chunk.end);
-  }
-}
-
-void StepWork::predict(int64_t begin, int64_t end) {
-  const auto [q, qd, f, q_out, qd_out, last] = arrays_;
-  const float* inv_mass = model.particle_inv_mass.data();
-  const int32_t* worlds = model.particle_world.data();
-  const int32_t last_world = model.world_count() - 1;
-  const float h = constants.dt;
-  bool good = true;
-  for (int64_t i = begin; i < end; ++i) {
-    const auto p = static_cast<size_t>(i);
-    start[p] = q[p];
-    good &= is_finite(q[p]);
-    if (slots.is_held(static_cast<int32_t>(p))) {
-      x[p] = target[p] = q[p];
-      moved[p] = Row();
-      continue;
-    }
-    const Vec3f& g = model.gravity.data()[worlds[p] < 0 ? last_world : worlds[p]];
-    const Vec4f before = last != nullptr ? last[p] : Vec4f{};
-    const Prediction prediction = predict_particle(
-        q[p], qd[p], f[p], inv_mass[p], g, h, static_cast<int32_t>(options.initial_guess),
-        before.w != 0.0f, {before.x, before.y, before.z});
-    target[p] = prediction.target;
-    moved[p] = prediction.moved;
-    good &= is_finite(prediction.target);
-    x[p] = q[p] + prediction.moved;
-    if (options.acceleration) newer_[p] = moved[p];
-  }
-  if (!good) has_bad_inputs_ = true;
-}
-
 // Says which of what the prediction reads is not finite.
-void StepWork::check_inputs() const {
+void StepWork::check_inputs() {
+  std::fill(faults_.begin(), faults_.end(), kNoFault);
   const auto check = [](const char* name, size_t row, const Vec3f& v) {
     require(is_finite(v), ErrorKind::Value, kName, ": ", name, "[", row,
             "]: expected finite numbers, got ", v.x, ", ", v.y, ", ", v.z);
@@ -263,29 +256,6 @@ void StepWork::check_positions() const {
     require(is_finite(x[p]), ErrorKind::Runtime, kName, ": particle ", p,
             ": its position is no longer finite after ", iterations_run_,
             " iterations; state_out was not written");
-}
-
-void StepWork::accelerate(const Chunk& chunk) {
-  const float omega = chebyshev_[static_cast<size_t>(chunk.iteration)];
-  for (int64_t i = chunk.begin; i < chunk.end; ++i) {
-    const auto p = static_cast<size_t>(i);
-    const auto particle = static_cast<int32_t>(i);
-    if (chunk.iteration > 1 && !slots.is_held(particle) && !contacts.touches(particle)) {
-      const Vec3f before = older_[p];
-      moved[p] = (Vec3f(moved[p]) - before) * omega + before;
-      x[p] = Vec3f(start[p]) + Vec3f(moved[p]);
-    }
-    older_[p] = newer_[p];
-    newer_[p] = moved[p];
-  }
-}
-
-void StepWork::finish(int64_t begin, int64_t end) {
-  for (int64_t i = begin; i < end; ++i) {
-    const auto p = static_cast<size_t>(i);
-    arrays_.q_out[p] = x[p];
-    arrays_.qd_out[p] = (Vec3f(x[p]) - Vec3f(start[p])) / constants.dt;
-  }
 }
 
 VbdResidual StepWork::residual() {

@@ -1,8 +1,9 @@
-// What a step of VBD works with: the tables, the positions, and the chunks of its phases.
+// What a step of VBD on the host works with: the tables, the positions, and the list of its
+// launches (step_list.h).
 #pragma once
 
-#include <atomic>
 #include <deque>
+#include <optional>
 #include <vector>
 
 #include "color_slots.h"
@@ -11,6 +12,7 @@
 #include "novaphy/vbd/rows_kernels.h"
 #include "novaphy/vbd/solver_vbd.h"
 #include "step_contacts.h"
+#include "step_list.h"
 #include "sweep.h"
 
 namespace novaphy::vbd {
@@ -63,38 +65,28 @@ class StepWork {
   // Friction is of friction_epsilon, and contacts do not attract.
   UnreadMaterials materials_{"SolverVBD", {.kf = false, .ka = false}};
   EditedValues edited_{"SolverVBD"};
-  enum class Task : uint8_t { Predict, Prepare, Move, Commit, Accelerate, Keep, Finish };
-  struct Chunk {
-    Task task;
-    int32_t iteration;
-    int64_t begin, end;  // groups or particles
-  };
   struct Stamped {
     const char* name;
     const Array* array;
     DerivedStamp stamp;
   };
 
-  void plan();
-  void run_phases(size_t first, size_t last);
-  void run_chunk(const Chunk& chunk);
-  void predict(int64_t begin, int64_t end);
-  void accelerate(const Chunk& chunk);
-  void finish(int64_t begin, int64_t end);
+  VbdSweepArguments sweep_arguments();
+  StepArguments arguments();
+  void make_list();
   void iterate();
-  void check_inputs() const;
+  void check_inputs();
   void check_positions() const;
 
   std::deque<Stamped> mesh_, values_;
   DerivedStamp activation_[2], world_;
-  std::vector<Chunk> chunks_;
-  std::vector<int64_t> ends_;
-  std::vector<size_t> iteration_ends_;  // phases
-  std::vector<float> chebyshev_;        // per iteration
+  std::optional<StepList> list_;
+  std::optional<VbdSweepArguments> listed_;  // what the list was made of
+  std::vector<float> chebyshev_;             // per iteration
   std::vector<Row> next_, newer_, older_;
   std::vector<ParticleResidual> of_particles_;
   int32_t iterations_run_ = 0;
-  std::atomic<bool> has_bad_inputs_{false};  // not finite; found while predicting
+  std::vector<int32_t> faults_;  // of each particle, see vbd::note_fault
   StepArrays arrays_;
 };
 

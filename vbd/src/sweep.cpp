@@ -1,5 +1,7 @@
 #include "sweep.h"
 
+#include <array>
+
 #include "novaphy/core/cpu_level.h"
 
 namespace novaphy::vbd {
@@ -16,12 +18,20 @@ extern const SweepLevel kLevel;
 }
 #endif
 
-const SweepLevel& sweep_level() {
-  return choose_cpu_level(std::to_array<const SweepLevel*>({
+namespace {
+constexpr std::array kLevels = {
 #ifdef NOVAPHY_X86_LEVELS
-      &avx512::kLevel, &avx2::kLevel,
+    &avx512::kLevel, &avx2::kLevel,
 #endif
-      &baseline::kLevel}));
+    &baseline::kLevel};
+}  // namespace
+
+const SweepLevel& sweep_level() { return choose_cpu_level(kLevels); }
+
+const SweepLevel& sweep_level_of(int64_t lanes) {
+  for (const SweepLevel* level : kLevels)
+    if (level->lanes == lanes) return *level;
+  return baseline::kLevel;
 }
 
 }  // namespace novaphy::vbd

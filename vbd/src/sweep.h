@@ -97,5 +97,7 @@ struct SweepLevel {
 // The level of NOVAPHY_CPU_ISA, else the best of this processor. ErrorKind::Runtime: the variable
 // names none that this processor has.
 const SweepLevel& sweep_level();
+// That of groups of so many lanes.
+const SweepLevel& sweep_level_of(int64_t lanes);
 
 }  // namespace novaphy::vbd

@@ -11,37 +11,35 @@
 namespace novaphy {
 
 struct VbdAdjointArguments {
-  VbdSweepArguments sweep;
-  const VbdRow* before;  // where the particles of the colour stood; null: they are there
-  const VbdRow* x_bar;
-  VbdRow* u;
-  VbdRow* d;
-  VbdRow* own;  // what a particle gives to its own position, but for its slots
-  VbdRow* start_bar;
-  VbdRow* target_bar;
-  float* mass_bar;               // by mass/h^2
-  float* contact_bars;           // kContactLawFloats for each contact of the step
-  int64_t at_rest;               // at a solution, where f = 0: with d = 0
-  const VbdRow* multiplier;      // at rest: u, instead of solving for it; else null
-  VbdRow* multiplier_sum;        // of u; null: not wanted
-  const int32_t* slot_particle;  // of each lane of each slot of each role; -1: none
-  float* terms;                  // of slots, 3 rows for their own and each other particle
-  float* numbers;                // of slots, by all their numbers
-  const int64_t* begins;         // where roles begin in these three: 5 numbers for each
-  int64_t first[5];              // by role: the first lane of the slots of the launch
-  int64_t ends[5];               // by role: threads up to its last one
+  NOVAPHY_ARGUMENTS(
+      Part<VbdSweepArguments> sweep; Optional<Reads<VbdRow>>
+          before;  // where the particles of the colour stood; null: they are there
+      Reads<VbdRow> x_bar;
+      Updates<VbdRow> u, d, own;  // what a particle gives to its own position, but for its slots
+      Updates<VbdRow> start_bar, target_bar; Updates<float> mass_bar;  // by mass/h^2
+      Optional<Updates<float>> contact_bars;     // kContactLawFloats for each contact of the step
+      Number<int64_t> at_rest;                   // at a solution, where f = 0: with d = 0
+      Optional<Updates<VbdRow>> multiplier;      // at rest: u, instead of solving for it; else null
+      Optional<Updates<VbdRow>> multiplier_sum;  // of u; null: not wanted
+      Reads<int32_t> slot_particle;              // of each lane of each slot of each role; -1: none
+      Updates<float> terms;            // of slots, 3 rows for their own and each other particle
+      Updates<float> numbers;          // of slots, by all their numbers
+      Reads<int64_t> begins;           // where roles begin in these three: 5 numbers for each
+      Each<Number<int64_t>, 5> first;  // by role: the first lane of the slots of the launch
+      Each<Number<int64_t>, 5> ends;   // by role: threads up to its last one
+  )
 };
 
 // "weights": also by the weights of slots; "rest": vbd_adjoint_slots at a solution; "start": of
 // what slots have of the start.
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve, 58, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve_team, 58, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_slots, 58, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_weights, 58, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_rest, 58, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_rest_weights, 58, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start, 58, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start_weights, 58, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve_team, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_slots, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_weights, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_rest, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_rest_weights, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start_weights, VbdAdjointArguments);
 
 #ifdef NOVAPHY_KERNEL
 namespace vbd {

@@ -12,37 +12,33 @@
 namespace novaphy {
 
 struct VbdClearArguments {
-  float* values;
+  NOVAPHY_ARGUMENTS(Writes<float> values;)
 };
-NOVAPHY_ROW_KERNEL(vbd_clear, 1, VbdClearArguments) { a.values[row] = 0.0f; }
+NOVAPHY_ROW_KERNEL(vbd_clear, VbdClearArguments) { a.values[row] = 0.0f; }
 
 struct VbdKeepArguments {
-  const VbdRow* x;
-  VbdRow* iterate;
+  NOVAPHY_ARGUMENTS(ReadsRow<VbdRow> x; WritesRow<VbdRow> iterate;)
 };
-NOVAPHY_ROW_KERNEL(vbd_keep, 2, VbdKeepArguments) { a.iterate[row] = a.x[row]; }
+NOVAPHY_ROW_KERNEL(vbd_keep, VbdKeepArguments) { a.iterate[row] = a.x[row]; }
 
 // The bars of the positions, of those of the results. v = (x - xn)/h.
 struct VbdAdjointBeginArguments {
-  const Vec3f* q_bar;   // null: 0
-  const Vec3f* qd_bar;  // null: 0
-  FloatWord inverse_h;
-  VbdRow* x_bar;
+  NOVAPHY_ARGUMENTS(Optional<Reads<Vec3f>> q_bar;   // null: 0
+                    Optional<Reads<Vec3f>> qd_bar;  // null: 0
+                    Number<float> inverse_h; WritesRow<VbdRow> x_bar;)
 };
-NOVAPHY_ROW_KERNEL(vbd_adjoint_begin, 4, VbdAdjointBeginArguments) {
+NOVAPHY_ROW_KERNEL(vbd_adjoint_begin, VbdAdjointBeginArguments) {
   const Vec3f by_v = a.qd_bar != nullptr ? a.qd_bar[row] * a.inverse_h.value : Vec3f{};
   a.x_bar[row] = to_row((a.q_bar != nullptr ? a.q_bar[row] : Vec3f{}) + by_v);
 }
 
 struct VbdAdjointEndArguments {
-  const int32_t* is_held;
-  const VbdRow* x_bar;
-  VbdRow* guess;  // the bars of what iterations began with; null: of nothing
-  const Vec3f* qd_bar;
-  FloatWord inverse_h;
-  VbdRow* start_bar;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> is_held; ReadsRow<VbdRow> x_bar; Optional<UpdatesRow<VbdRow>>
+                        guess;  // the bars of what iterations began with; null: of nothing
+                    Optional<Reads<Vec3f>> qd_bar; Number<float> inverse_h;
+                    UpdatesRow<VbdRow> start_bar;)
 };
-NOVAPHY_ROW_KERNEL(vbd_adjoint_end, 6, VbdAdjointEndArguments) {
+NOVAPHY_ROW_KERNEL(vbd_adjoint_end, VbdAdjointEndArguments) {
   if (a.guess != nullptr && a.is_held[row] == 0)
     a.guess[row] = to_row(to_vec3(a.guess[row]) + to_vec3(a.x_bar[row]));
   if (a.qd_bar != nullptr)
@@ -55,18 +51,14 @@ constexpr int64_t kVbdReceiveOwn = 1, kVbdReceiveOthers = 2,
 
 // See Receivers. `row`: from `first` on.
 struct VbdReceiveArguments {
-  const int32_t* particle;
-  const int64_t* begin;
-  const int64_t* others;  // from where on terms are of slots of other particles
-  const int64_t* entries;
-  int64_t first, lanes;
-  const float* terms;
-  const int32_t* is_own;
-  const VbdRow* own;  // null: 0
-  VbdRow* rows;
-  int64_t parts;
+  NOVAPHY_ARGUMENTS(Reads<int32_t> particle;
+                    Reads<int64_t> begin,
+                    others;  // from where on terms are of slots of other particles
+                    Reads<int64_t> entries; Number<int64_t> first, lanes; Reads<float> terms;
+                    Reads<int32_t> is_own; Optional<Reads<VbdRow>> own;  // null: 0
+                    Updates<VbdRow> rows; Number<int64_t> parts;)
 };
-NOVAPHY_ROW_KERNEL(vbd_receive, 11, VbdReceiveArguments) {
+NOVAPHY_ROW_KERNEL(vbd_receive, VbdReceiveArguments) {
   const int64_t r = a.first + row;
   const int32_t p = a.particle[r];
   const auto term = [&a](int64_t k) {
@@ -85,29 +77,19 @@ NOVAPHY_ROW_KERNEL(vbd_receive, 11, VbdReceiveArguments) {
 }
 
 struct VbdParticleGradientArguments {
-  const int32_t* is_held;
-  const float* inv_mass;
-  const Vec3f* f;
-  const VbdRow* x_bar;
-  const VbdRow* start_bar;
-  const VbdRow* target_bar;
-  const float* mass_bar;
-  FloatWord h;
-  int64_t have_targets;  // held particles go to targets
-  Vec3f* by_q;
-  Vec3f* by_qd;
-  Vec3f* by_f;
-  float* by_mass;
-  VbdRow* by_gravity;  // of the particle's world, from this particle
-  VbdRow* by_last;
-  // Of the adaptive guess, whose bars are then x_bar; null: those of the guess are in another bar.
-  const VbdRow* last;
-  const Vec3f* qd;
-  const int32_t* world;
-  const Vec3f* gravity;
-  int64_t last_world;
+  NOVAPHY_ARGUMENTS(
+      ReadsRow<int32_t> is_held; ReadsRow<float> inv_mass; ReadsRow<Vec3f> f;
+      ReadsRow<VbdRow> x_bar, start_bar, target_bar; ReadsRow<float> mass_bar; Number<float> h;
+      Number<int64_t> have_targets;  // held particles go to targets
+      Optional<Writes<Vec3f>> by_q, by_qd, by_f; Optional<Writes<float>> by_mass;
+      Optional<WritesRow<VbdRow>> by_gravity;  // of the particle's world, from this particle
+      Optional<Writes<VbdRow>> by_last;
+      // Of the adaptive guess, whose bars are then x_bar; null: those of the guess are in another
+      // bar.
+      Optional<ReadsRow<VbdRow>> last; ReadsRow<Vec3f> qd; ReadsRow<int32_t> world;
+      Reads<Vec3f> gravity; Number<int64_t> last_world;)
 };
-NOVAPHY_ROW_KERNEL(vbd_particle_gradient, 20, VbdParticleGradientArguments) {
+NOVAPHY_ROW_KERNEL(vbd_particle_gradient, VbdParticleGradientArguments) {
   const float h = a.h.value, w = a.inv_mass[row];
   const bool is_held = a.is_held[row] != 0;
   Vec3f by_target = to_vec3(a.target_bar[row]);
@@ -121,8 +103,8 @@ NOVAPHY_ROW_KERNEL(vbd_particle_gradient, 20, VbdParticleGradientArguments) {
     } else {
       const int32_t of = a.world[row];
       by_start = by_start + bar;
-      guess = vbd::adaptive_guess_bars(bar, a.qd[row], a.gravity[of < 0 ? a.last_world : of], h,
-                                       to_vec3(last));
+      guess = vbd::adaptive_guess_bars(bar, a.qd[row], a.gravity[of < 0 ? a.last_world.value : of],
+                                       h, to_vec3(last));
     }
   }
   by_start = by_start + by_target;
@@ -139,21 +121,19 @@ NOVAPHY_ROW_KERNEL(vbd_particle_gradient, 20, VbdParticleGradientArguments) {
 }
 
 struct VbdTargetGradientArguments {
-  const int32_t* held;
-  const VbdRow* x_bar;
-  Vec3f* by_targets;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> held; Reads<VbdRow> x_bar; Writes<Vec3f> by_targets;)
 };
-NOVAPHY_ROW_KERNEL(vbd_target_gradient, 3, VbdTargetGradientArguments) {
+NOVAPHY_ROW_KERNEL(vbd_target_gradient, VbdTargetGradientArguments) {
   a.by_targets[row] = to_vec3(a.x_bar[a.held[row]]);
 }
 
 struct VbdGravityGradientArguments {
-  const int32_t* begin;  // of each world, and behind the last
-  const int32_t* particles;
-  const VbdRow* of_particles;  // see VbdParticleGradientArguments
-  Vec3f* by_gravity;
+  NOVAPHY_ARGUMENTS(Reads<int32_t> begin;  // of each world, and behind the last
+                    Reads<int32_t> particles;
+                    Reads<VbdRow> of_particles;  // see VbdParticleGradientArguments
+                    Writes<Vec3f> by_gravity;)
 };
-NOVAPHY_ROW_KERNEL(vbd_gravity_gradient, 4, VbdGravityGradientArguments) {
+NOVAPHY_ROW_KERNEL(vbd_gravity_gradient, VbdGravityGradientArguments) {
   Vec3f sum{};
   for (int32_t k = a.begin[row]; k < a.begin[row + 1]; ++k)
     sum = sum + to_vec3(a.of_particles[a.particles[k]]);
@@ -166,8 +146,17 @@ struct VbdLawBars {
   const float* numbers;
   int64_t lanes;
 };
+struct VbdLawArguments {
+  NOVAPHY_ARGUMENTS(Reads<int64_t> places; Reads<float> numbers;  // of all roles
+                    Number<int64_t> first, lanes;                 // where those of the role begin
+  )
+};
 
 namespace vbd {
+
+inline VbdLawBars to_bars(const VbdLawArguments& a) {
+  return {a.places, a.numbers + a.first, a.lanes};
+}
 
 // By a number of the slot of a corner.
 template <Role role>
@@ -226,32 +215,27 @@ void put_pose(const VbdLawBars& bars, int64_t e, float* to) {
 }  // namespace vbd
 
 struct VbdSpringGradientArguments {
-  VbdLawBars bars;
-  FloatWord h;
-  float* by_stiffness;
-  float* by_damping;
-  float* by_rest_length;
+  NOVAPHY_ARGUMENTS(Part<VbdLawArguments> bars; Number<float> h;
+                    Optional<Writes<float>> by_stiffness, by_damping, by_rest_length;)
 };
-NOVAPHY_ROW_KERNEL(vbd_spring_gradient, 7, VbdSpringGradientArguments) {
+NOVAPHY_ROW_KERNEL(vbd_spring_gradient, VbdSpringGradientArguments) {
   using namespace vbd;
-  put(a.by_stiffness, row, law_bar<kSpring>(a.bars, row, 0));
-  put(a.by_damping, row, law_bar<kSpring>(a.bars, row, 1) / a.h.value);
-  put(a.by_rest_length, row, law_bar<kSpring>(a.bars, row, 2));
+  const VbdLawBars bars = to_bars(a.bars);
+  put(a.by_stiffness, row, law_bar<kSpring>(bars, row, 0));
+  put(a.by_damping, row, law_bar<kSpring>(bars, row, 1) / a.h.value);
+  put(a.by_rest_length, row, law_bar<kSpring>(bars, row, 2));
 }
 
 struct VbdEdgeGradientArguments {
-  VbdLawBars opposite, end;
-  const float* material;
-  const float* rest_length;
-  FloatWord h;
-  float* by_material;
-  float* by_rest_angle;
-  float* by_rest_length;
+  NOVAPHY_ARGUMENTS(Part<VbdLawArguments> opposite, end; Reads<float> material, rest_length;
+                    Number<float> h;
+                    Optional<Writes<float>> by_material, by_rest_angle, by_rest_length;)
 };
-NOVAPHY_ROW_KERNEL(vbd_edge_gradient, 12, VbdEdgeGradientArguments) {
+NOVAPHY_ROW_KERNEL(vbd_edge_gradient, VbdEdgeGradientArguments) {
   using namespace vbd;
+  const VbdLawBars opposite = to_bars(a.opposite), end = to_bars(a.end);
   const auto bar = [&](int k) {
-    return law_bar<kHingeOpposite>(a.opposite, row, k) + law_bar<kHingeEnd>(a.end, row, k);
+    return law_bar<kHingeOpposite>(opposite, row, k) + law_bar<kHingeEnd>(end, row, k);
   };
   const float* const c = a.material + 2 * row;
   const float length = a.rest_length[row], h = a.h.value;
@@ -262,46 +246,37 @@ NOVAPHY_ROW_KERNEL(vbd_edge_gradient, 12, VbdEdgeGradientArguments) {
 }
 
 struct VbdTriangleGradientArguments {
-  VbdLawBars bars;
-  const float* area;
-  const float* material;
-  FloatWord h;
-  float* by_material;
-  float* by_activation;
-  float* by_area;
-  float* by_pose;
+  NOVAPHY_ARGUMENTS(Part<VbdLawArguments> bars; Reads<float> area, material; Number<float> h;
+                    Optional<Writes<float>> by_material, by_activation, by_area, by_pose;)
 };
-NOVAPHY_ROW_KERNEL(vbd_triangle_gradient, 10, VbdTriangleGradientArguments) {
+NOVAPHY_ROW_KERNEL(vbd_triangle_gradient, VbdTriangleGradientArguments) {
   using namespace vbd;
+  const VbdLawBars bars = to_bars(a.bars);
   float* const to = a.by_material != nullptr ? a.by_material + 5 * row : nullptr;
   const float by_area =
-      put_elastic<kTriangle>(a.bars, row, a.area[row], a.material + 5 * row, a.h.value, to,
+      put_elastic<kTriangle>(bars, row, a.area[row], a.material + 5 * row, a.h.value, to,
                              a.by_activation != nullptr ? a.by_activation + row : nullptr);
   if (to != nullptr) to[3] = to[4] = 0.0f;
   put(a.by_area, row, by_area);
-  if (a.by_pose != nullptr) put_pose<kTriangle, 2>(a.bars, row, a.by_pose + 4 * row);
+  if (a.by_pose != nullptr) put_pose<kTriangle, 2>(bars, row, a.by_pose + 4 * row);
 }
 
 struct VbdTetrahedronGradientArguments {
-  VbdLawBars bars;
-  const Mat33f* pose;
-  const float* material;
-  FloatWord h;
-  float* by_material;
-  float* by_activation;
-  float* by_pose;
+  NOVAPHY_ARGUMENTS(Part<VbdLawArguments> bars; Reads<Mat33f> pose; Reads<float> material;
+                    Number<float> h; Optional<Writes<float>> by_material, by_activation, by_pose;)
 };
-NOVAPHY_ROW_KERNEL(vbd_tetrahedron_gradient, 9, VbdTetrahedronGradientArguments) {
+NOVAPHY_ROW_KERNEL(vbd_tetrahedron_gradient, VbdTetrahedronGradientArguments) {
   using namespace vbd;
+  const VbdLawBars bars = to_bars(a.bars);
   const Mat33f& pose = a.pose[row];
   const float volume = 1.0f / (math::determinant(pose) * 6.0f);
   const float by_volume =
-      put_elastic<kTetrahedron>(a.bars, row, volume, a.material + 3 * row, a.h.value,
+      put_elastic<kTetrahedron>(bars, row, volume, a.material + 3 * row, a.h.value,
                                 a.by_material != nullptr ? a.by_material + 3 * row : nullptr,
                                 a.by_activation != nullptr ? a.by_activation + row : nullptr);
   if (a.by_pose == nullptr) return;
   float* const to = a.by_pose + 9 * row;
-  put_pose<kTetrahedron, 3>(a.bars, row, to);
+  put_pose<kTetrahedron, 3>(bars, row, to);
   // The volume is 1/(6 det), and the derivative of det by a row is the cross product of the others.
   const float by_det = -(by_volume * volume) * (volume * 6.0f);
   for (int r = 0; r < 3; ++r) {
@@ -312,11 +287,10 @@ NOVAPHY_ROW_KERNEL(vbd_tetrahedron_gradient, 9, VbdTetrahedronGradientArguments)
 }
 
 struct VbdRadiusGradientArguments {
-  const int32_t* contact_begin;  // null: no contacts
-  const float* contact_bars;
-  float* by_radius;
+  NOVAPHY_ARGUMENTS(Optional<Reads<int32_t>> contact_begin;  // null: no contacts
+                    Optional<Reads<float>> contact_bars; WritesRow<float> by_radius;)
 };
-NOVAPHY_ROW_KERNEL(vbd_radius_gradient, 3, VbdRadiusGradientArguments) {
+NOVAPHY_ROW_KERNEL(vbd_radius_gradient, VbdRadiusGradientArguments) {
   float sum = 0.0f;
   if (a.contact_begin != nullptr)
     for (int32_t k = a.contact_begin[row]; k < a.contact_begin[row + 1]; ++k)
@@ -326,28 +300,22 @@ NOVAPHY_ROW_KERNEL(vbd_radius_gradient, 3, VbdRadiusGradientArguments) {
 
 // The shape of each contact, in the order of the particles; -1 behind the last.
 struct VbdContactShapeArguments {
-  const int32_t* begin;
-  const int32_t* items;
-  int64_t particles;
-  const int32_t* shape;
-  int32_t* shape_of_contact;
+  NOVAPHY_ARGUMENTS(Reads<int32_t> begin, items; Number<int64_t> particles; Reads<int32_t> shape;
+                    WritesRow<int32_t> shape_of_contact;)
 };
-NOVAPHY_ROW_KERNEL(vbd_contact_shape, 5, VbdContactShapeArguments) {
+NOVAPHY_ROW_KERNEL(vbd_contact_shape, VbdContactShapeArguments) {
   a.shape_of_contact[row] = row < a.begin[a.particles] ? a.shape[a.items[row]] : -1;
 }
 
 struct VbdShapeGradientArguments {
-  const int32_t* begin;     // of the contacts of each shape, and behind the last; null: none
-  const int32_t* contacts;  // in the order of the particles
-  const float* contact_bars;
-  const float* mu;
-  FloatWord model_mu, h;
-  float* by_margin;
-  float* by_ke;
-  float* by_kd;
-  float* by_mu;
+  NOVAPHY_ARGUMENTS(Optional<Reads<int32_t>>
+                        begin;  // of the contacts of each shape, and behind the last; null: none
+                    Optional<Reads<int32_t>> contacts;  // in the order of the particles
+                    Optional<Reads<float>> contact_bars; ReadsRow<float> mu;
+                    Number<float> model_mu, h;
+                    Optional<Writes<float>> by_margin, by_ke, by_kd, by_mu;)
 };
-NOVAPHY_ROW_KERNEL(vbd_shape_gradient, 10, VbdShapeGradientArguments) {
+NOVAPHY_ROW_KERNEL(vbd_shape_gradient, VbdShapeGradientArguments) {
   float margin = 0.0f, ke = 0.0f, kd = 0.0f, mu = 0.0f;
   const float mean = math::sqrt(a.model_mu.value * a.mu[row]);
   if (a.begin != nullptr)

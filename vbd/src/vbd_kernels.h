@@ -15,27 +15,29 @@
 
 namespace novaphy {
 
+// What the tables of a sweep were made of: not read, but a gradient of it would stop.
+struct VbdTableArguments {
+  NOVAPHY_ARGUMENTS(
+      Reads<float> particle_spring_stiffness, particle_spring_damping, particle_spring_rest_length;
+      Reads<Mat22f> particle_tri_pose; Reads<float> particle_tri_area, particle_tri_material;
+      Reads<float> particle_edge_rest_angle, particle_edge_rest_length, particle_edge_material;
+      Reads<Mat33f> particle_tet_pose; Reads<float> particle_tet_material, particle_mass;
+      Reads<int32_t> particle_flags; Reads<float> particle_spring_control;)
+};
+
 struct VbdPredictArguments {
-  const Vec3f* q;  // these three: a row per particle
-  const Vec3f* qd;
-  const Vec3f* f;
-  const float* inv_mass;
-  const int32_t* world;
-  const Vec3f* gravity;
-  int64_t last_world;
-  const int32_t* is_held;
-  FloatWord h;
-  int64_t guess;  // VbdInitialGuess
-  VbdRow* last;   // of the adaptive guess, else null: the velocity before the last step, and 1
-  int64_t updates_last;  // not 0: then that of this step
-  VbdRow* start;
-  VbdRow* target;
-  VbdRow* moved;
-  VbdRow* x;
-  VbdRow* newer;    // of Chebyshev's acceleration, else null
-  int32_t* faults;  // see vbd::note_fault
-  // What the tables of the sweep were made of: not read here, but a gradient of it would stop.
-  const float* tables_of[15];
+  NOVAPHY_ARGUMENTS(ReadsRow<Vec3f> particle_q, particle_qd, particle_f;  // a row per particle
+                    ReadsRow<float> particle_inv_mass; ReadsRow<int32_t> world;
+                    Reads<Vec3f> gravity; Number<int64_t> last_world; ReadsRow<int32_t> is_held;
+                    Number<float> h; Number<int64_t> guess;  // VbdInitialGuess
+                    // Of the adaptive guess, else null: the velocity before the last step, and 1;
+                    // and where that of this step goes, if it is wanted.
+                    Optional<ReadsRow<VbdRow>> last_velocity;
+                    Optional<WritesRow<VbdRow>> next_last_velocity;
+                    WritesRow<VbdRow> start, target, moved, x;
+                    Optional<WritesRow<VbdRow>> newer;  // of Chebyshev's acceleration, else null
+                    UpdatesRow<int32_t> faults;         // see vbd::note_fault
+                    Part<VbdTableArguments> tables;)
 };
 
 namespace vbd {
@@ -47,14 +49,12 @@ inline void note_fault(int32_t* faults, int64_t particle, int32_t fault) {
 
 }  // namespace vbd
 
-NOVAPHY_ROW_KERNEL(vbd_predict, 33, VbdPredictArguments) {
-  const Vec3f q = a.q[row];
+NOVAPHY_ROW_KERNEL(vbd_predict, VbdPredictArguments) {
+  const Vec3f q = a.particle_q[row], qd = a.particle_qd[row];
   a.start[row] = to_row(q);
   VbdRow last;
-  if (a.last != nullptr) {
-    last = a.last[row];
-    if (a.updates_last != 0) a.last[row] = vbd::to_last_velocity(a.qd[row]);
-  }
+  if (a.last_velocity != nullptr) last = a.last_velocity[row];
+  if (a.next_last_velocity != nullptr) a.next_last_velocity[row] = vbd::to_last_velocity(qd);
   if (a.is_held[row] != 0) {
     vbd::note_fault(a.faults, row, vbd::input_fault(q, {}, {}, {}));
     a.x[row] = a.target[row] = to_row(q);
@@ -63,9 +63,9 @@ NOVAPHY_ROW_KERNEL(vbd_predict, 33, VbdPredictArguments) {
   }
   const int32_t w = a.world[row];
   const vbd::Prediction p = vbd::predict_particle(
-      q, a.qd[row], a.f[row], a.inv_mass[row], a.gravity[w < 0 ? a.last_world : w], a.h.value,
-      static_cast<int32_t>(a.guess), last.w != 0.0f, to_vec3(last));
-  vbd::note_fault(a.faults, row, vbd::input_fault(q, a.qd[row], a.f[row], p.target));
+      q, qd, a.particle_f[row], a.particle_inv_mass[row], a.gravity[w < 0 ? a.last_world.value : w],
+      a.h.value, static_cast<int32_t>(a.guess), last.w != 0.0f, to_vec3(last));
+  vbd::note_fault(a.faults, row, vbd::input_fault(q, qd, a.particle_f[row], p.target));
   a.target[row] = to_row(p.target);
   a.moved[row] = to_row(p.moved);
   a.x[row] = to_row(q + p.moved);
@@ -73,25 +73,27 @@ NOVAPHY_ROW_KERNEL(vbd_predict, 33, VbdPredictArguments) {
 }
 
 struct VbdTargetArguments {
-  const int32_t* held;
-  const Vec3f* targets;
-  VbdRow* x;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> held; ReadsRow<Vec3f> targets; Updates<VbdRow> x;)
 };
 // Held particles go where targets say.
-NOVAPHY_ROW_KERNEL(vbd_target, 3, VbdTargetArguments) { a.x[a.held[row]] = to_row(a.targets[row]); }
+NOVAPHY_ROW_KERNEL(vbd_target, VbdTargetArguments) { a.x[a.held[row]] = to_row(a.targets[row]); }
 
 struct VbdActivationArguments {
-  const int32_t* element;  // of each lane of each slot, or -1
-  const float* alpha;      // without activation
-  const float* activation;
-  float* floats;
-  int64_t lanes, width, number;  // of a group; of a slot; which of its numbers
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> element;  // of each lane of each slot, or -1
+                    ReadsRow<float> alpha;      // without activation
+                    Optional<Reads<float>> particle_tri_activation, particle_tet_activation;  // one
+                    Updates<float> floats; Number<int64_t> lanes;  // of a group
+                    Number<int64_t> width;                         // of a slot
+                    Number<int64_t> number;                        // which of its numbers
+  )
 };
-NOVAPHY_ROW_KERNEL(vbd_activation, 7, VbdActivationArguments) {
+NOVAPHY_ROW_KERNEL(vbd_activation, VbdActivationArguments) {
   const int32_t e = a.element[row];
   if (e < 0) return;
+  const float* activation = a.particle_tri_activation;
+  if (activation == nullptr) activation = a.particle_tet_activation;
   const int64_t slot = row / a.lanes, lane = row - slot * a.lanes;
-  a.floats[(slot * a.width + a.number) * a.lanes + lane] = a.alpha[row] - a.activation[e];
+  a.floats[(slot * a.width + a.number) * a.lanes + lane] = a.alpha[row] - activation[e];
 }
 
 namespace vbd {
@@ -112,31 +114,20 @@ struct LaneNumbers {
 // The numbers of slots anew, from the model as it is: where its materials or rest shapes are
 // trained in a capture. `row`: over the lanes of all slots of a role.
 struct VbdSpringNumbersArguments {
-  const int32_t* source;
-  float* floats;
-  int64_t lanes;
-  FloatWord h;
-  const float* stiffness;
-  const float* damping;
-  const float* rest_length;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> source; Updates<float> floats; Number<int64_t> lanes;
+                    Number<float> h; Reads<float> stiffness, damping, rest_length;)
 };
-NOVAPHY_ROW_KERNEL(vbd_spring_numbers, 7, VbdSpringNumbersArguments) {
+NOVAPHY_ROW_KERNEL(vbd_spring_numbers, VbdSpringNumbersArguments) {
   const int32_t e = a.source[row] >> 2;
   if (e < 0) return;
   vbd::put_spring_numbers(a.stiffness[e], a.damping[e], a.rest_length[e], a.h.value,
                           vbd::LaneNumbers(a.floats, vbd::kSpring, row, a.lanes));
 }
 struct VbdTriangleNumbersArguments {
-  const int32_t* source;
-  float* floats;
-  int64_t lanes;
-  FloatWord h;
-  const Mat22f* pose;
-  const float* area;
-  const float* material;
-  const float* activation;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> source; Updates<float> floats; Number<int64_t> lanes;
+                    Number<float> h; Reads<Mat22f> pose; Reads<float> area, material, activation;)
 };
-NOVAPHY_ROW_KERNEL(vbd_triangle_numbers, 8, VbdTriangleNumbersArguments) {
+NOVAPHY_ROW_KERNEL(vbd_triangle_numbers, VbdTriangleNumbersArguments) {
   const int32_t e = a.source[row] >> 2;
   if (e < 0) return;
   vbd::put_triangle_numbers(a.source[row] & 3, a.pose[e], a.area[e], a.material + 5 * e,
@@ -144,15 +135,10 @@ NOVAPHY_ROW_KERNEL(vbd_triangle_numbers, 8, VbdTriangleNumbersArguments) {
                             vbd::LaneNumbers(a.floats, vbd::kTriangle, row, a.lanes));
 }
 struct VbdHingeNumbersArguments {
-  const int32_t* source;
-  float* floats;
-  int64_t lanes;
-  FloatWord h;
-  const float* material;
-  const float* rest_length;
-  const float* rest_angle;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> source; Updates<float> floats; Number<int64_t> lanes;
+                    Number<float> h; Reads<float> material, rest_length, rest_angle;)
 };
-NOVAPHY_ROW_KERNEL(vbd_hinge_numbers, 7, VbdHingeNumbersArguments) {
+NOVAPHY_ROW_KERNEL(vbd_hinge_numbers, VbdHingeNumbersArguments) {
   const int32_t e = a.source[row] >> 2;
   if (e < 0) return;
   static_assert(vbd::kFloats[vbd::kHingeOpposite] == vbd::kFloats[vbd::kHingeEnd]);
@@ -160,15 +146,10 @@ NOVAPHY_ROW_KERNEL(vbd_hinge_numbers, 7, VbdHingeNumbersArguments) {
                          vbd::LaneNumbers(a.floats, vbd::kHingeEnd, row, a.lanes));
 }
 struct VbdTetrahedronNumbersArguments {
-  const int32_t* source;
-  float* floats;
-  int64_t lanes;
-  FloatWord h;
-  const Mat33f* pose;
-  const float* material;
-  const float* activation;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> source; Updates<float> floats; Number<int64_t> lanes;
+                    Number<float> h; Reads<Mat33f> pose; Reads<float> material, activation;)
 };
-NOVAPHY_ROW_KERNEL(vbd_tetrahedron_numbers, 7, VbdTetrahedronNumbersArguments) {
+NOVAPHY_ROW_KERNEL(vbd_tetrahedron_numbers, VbdTetrahedronNumbersArguments) {
   const int32_t e = a.source[row] >> 2;
   if (e < 0) return;
   vbd::put_tetrahedron_numbers(a.source[row] & 3, a.pose[e], a.material + 3 * e, a.activation[e],
@@ -177,15 +158,15 @@ NOVAPHY_ROW_KERNEL(vbd_tetrahedron_numbers, 7, VbdTetrahedronNumbersArguments) {
 }
 
 struct VbdMaterialArguments {
-  const float* material;
-  int64_t width;
-  int32_t* allowed;  // of each element
+  NOVAPHY_ARGUMENTS(Reads<float> material; Number<int64_t> width;
+                    UpdatesRow<int32_t> allowed;  // of each element
+  )
 };
 // Whether materials fit the slots, which were laid when they were others: a number is finite and
 // not negative, and may be other than 0 only where `allowed` has the bit of its column. Else the
 // bit kVbdBadMaterial is set there. kVbdAnyMaterial: of an element that has no part.
 constexpr int32_t kVbdBadMaterial = 1 << 30, kVbdAnyMaterial = 1 << 29;
-NOVAPHY_ROW_KERNEL(vbd_material, 3, VbdMaterialArguments) {
+NOVAPHY_ROW_KERNEL(vbd_material, VbdMaterialArguments) {
   if ((a.allowed[row] & kVbdAnyMaterial) != 0) return;
   for (int64_t k = 0; k < a.width; ++k) {
     const float value = a.material[row * a.width + k];
@@ -196,35 +177,28 @@ NOVAPHY_ROW_KERNEL(vbd_material, 3, VbdMaterialArguments) {
 }
 
 struct VbdContactArguments {
-  const int32_t* begin;  // of each particle, and behind the last
-  const int32_t* items;  // slots of contacts, particle by particle
-  int64_t particles;
-  const int32_t* count;
-  int32_t* overflow;  // contacts that were found, and slots, where these were too few
-  const int32_t* particle;
-  const int32_t* shape;
-  const Vec3f* point;
-  const Vec3f* velocity;
-  const Vec3f* normal;
-  const float* radius;
-  const float* margin;
-  const float* ke;
-  const float* kd;
-  const float* mu;
-  FloatWord model_ke, model_kd, model_mu, h;
-  float* numbers;
+  NOVAPHY_ARGUMENTS(
+      Reads<int32_t> begin;  // of each particle, and behind the last
+      Reads<int32_t> items;  // slots of contacts, particle by particle
+      Number<int64_t> particles; Reads<int32_t> count;
+      Updates<int32_t> overflow;  // contacts that were found, and slots, where these were too few
+      Reads<int32_t> particle, shape; Reads<Vec3f> point, velocity, normal;
+      Reads<float> particle_radius, shape_margin, shape_material_ke, shape_material_kd;
+      Reads<float> shape_material_mu; Number<float> model_ke, model_kd, model_mu, h;
+      Writes<float> numbers;)
 };
-NOVAPHY_ROW_KERNEL(vbd_contact, 20, VbdContactArguments) {
+NOVAPHY_ROW_KERNEL(vbd_contact, VbdContactArguments) {
   if (row == 0 && *a.count > n && a.overflow[0] == 0) {
     a.overflow[0] = *a.count;
     a.overflow[1] = static_cast<int32_t>(n);
   }
   if (row >= a.begin[a.particles]) return;
   const int32_t slot = a.items[row], s = a.shape[slot];
-  vbd::put_contact_numbers(a.numbers + row * vbd::kContactFloats, a.point[slot], a.normal[slot],
-                           a.velocity[slot], a.radius[a.particle[slot]] + a.margin[s],
-                           {a.model_ke.value, a.model_kd.value, a.model_mu.value},
-                           {a.ke[s], a.kd[s], a.mu[s]}, a.h.value);
+  vbd::put_contact_numbers(
+      a.numbers + row * vbd::kContactFloats, a.point[slot], a.normal[slot], a.velocity[slot],
+      a.particle_radius[a.particle[slot]] + a.shape_margin[s],
+      {a.model_ke.value, a.model_kd.value, a.model_mu.value},
+      {a.shape_material_ke[s], a.shape_material_kd[s], a.shape_material_mu[s]}, a.h.value);
 }
 
 namespace vbd {
@@ -282,7 +256,7 @@ inline void put_step(const VbdSweepArguments& a, int32_t p, const Vec3f& d) {
 }  // namespace vbd
 
 // What the slots of a lane have of the start of the step. `row`: over the lanes of all groups.
-NOVAPHY_ROW_KERNEL(vbd_prepare, 32, VbdSweepArguments) {
+NOVAPHY_ROW_KERNEL(vbd_prepare, VbdSweepArguments) {
   using namespace vbd;
   const int64_t group = row / kVbdLanes;
   const auto lane = static_cast<int32_t>(row - group * kVbdLanes);
@@ -315,7 +289,7 @@ NOVAPHY_ROW_KERNEL(vbd_prepare, 32, VbdSweepArguments) {
 }
 
 // One step of each particle of a colour. `row`: over the lanes of its groups.
-NOVAPHY_ROW_KERNEL(vbd_move, 32, VbdSweepArguments) {
+NOVAPHY_ROW_KERNEL(vbd_move, VbdSweepArguments) {
   using namespace vbd;
   const int64_t of_color = row / kVbdLanes, group = a.first_group + of_color;
   const auto lane = static_cast<int32_t>(row - of_color * kVbdLanes);
@@ -326,7 +300,7 @@ NOVAPHY_ROW_KERNEL(vbd_move, 32, VbdSweepArguments) {
 }
 
 // The same, halved where the energy would rise, up to four times; then none.
-NOVAPHY_ROW_KERNEL(vbd_move_guarded, 32, VbdSweepArguments) {
+NOVAPHY_ROW_KERNEL(vbd_move_guarded, VbdSweepArguments) {
   using namespace vbd;
   const int64_t of_color = row / kVbdLanes, group = a.first_group + of_color;
   const auto lane = static_cast<int32_t>(row - of_color * kVbdLanes);
@@ -344,30 +318,23 @@ NOVAPHY_ROW_KERNEL(vbd_move_guarded, 32, VbdSweepArguments) {
 }
 
 struct VbdCommitArguments {
-  const int32_t* particle;
-  int64_t first_lane;
-  const VbdRow* from;
-  VbdRow* x;
+  NOVAPHY_ARGUMENTS(Reads<int32_t> particle; Number<int64_t> first_lane; Reads<VbdRow> from;
+                    Updates<VbdRow> x;)
 };
 // Where colours hold conflicts: all of a colour are where they went. (Lanes that are no particles
 // repeat the first.)
-NOVAPHY_ROW_KERNEL(vbd_commit, 4, VbdCommitArguments) {
+NOVAPHY_ROW_KERNEL(vbd_commit, VbdCommitArguments) {
   const int32_t p = a.particle[a.first_lane + row];
   a.x[p] = a.from[p];
 }
 
 struct VbdAccelerateArguments {
-  const int32_t* is_held;
-  const int32_t* contact_begin;  // null: no contacts
-  FloatWord omega;
-  int64_t iteration;
-  const VbdRow* start;
-  VbdRow* moved;
-  VbdRow* x;
-  VbdRow* newer;
-  VbdRow* older;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> is_held;
+                    Optional<Reads<int32_t>> contact_begin;  // null: no contacts
+                    Number<float> omega; Number<int64_t> iteration; ReadsRow<VbdRow> start;
+                    UpdatesRow<VbdRow> moved, x, newer, older;)
 };
-NOVAPHY_ROW_KERNEL(vbd_accelerate, 9, VbdAccelerateArguments) {
+NOVAPHY_ROW_KERNEL(vbd_accelerate, VbdAccelerateArguments) {
   const bool touches =
       a.contact_begin != nullptr && a.contact_begin[row] < a.contact_begin[row + 1];
   if (a.iteration > 1 && a.is_held[row] == 0 && !touches) {
@@ -381,14 +348,10 @@ NOVAPHY_ROW_KERNEL(vbd_accelerate, 9, VbdAccelerateArguments) {
 }
 
 struct VbdFinishArguments {
-  const VbdRow* start;
-  const VbdRow* x;
-  FloatWord h;
-  Vec3f* q;
-  Vec3f* qd;
-  int32_t* faults;
+  NOVAPHY_ARGUMENTS(ReadsRow<VbdRow> start, x; Number<float> h; WritesRow<Vec3f> q, qd;
+                    UpdatesRow<int32_t> faults;)
 };
-NOVAPHY_ROW_KERNEL(vbd_finish, 6, VbdFinishArguments) {
+NOVAPHY_ROW_KERNEL(vbd_finish, VbdFinishArguments) {
   const Vec3f x = to_vec3(a.x[row]);
   if (!vbd::is_finite(x)) vbd::note_fault(a.faults, row, vbd::kFaultResult);
   a.q[row] = x;
@@ -396,7 +359,7 @@ NOVAPHY_ROW_KERNEL(vbd_finish, 6, VbdFinishArguments) {
 }
 
 // As ParticleResidual: 3 numbers for each particle. `row`: over the lanes of all groups.
-NOVAPHY_ROW_KERNEL(vbd_residual, 32, VbdSweepArguments) {
+NOVAPHY_ROW_KERNEL(vbd_residual, VbdSweepArguments) {
   using namespace vbd;
   const int64_t group = row / kVbdLanes;
   const auto lane = static_cast<int32_t>(row - group * kVbdLanes);
@@ -413,7 +376,7 @@ NOVAPHY_ROW_KERNEL(vbd_residual, 32, VbdSweepArguments) {
   to[2] = math::dot(rounded, rounded);
 }
 
-NOVAPHY_BLOCK_KERNEL(vbd_move_team, 32, VbdSweepArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_move_team, VbdSweepArguments);
 
 #ifdef NOVAPHY_KERNEL
 namespace vbd {

@@ -10,25 +10,23 @@
 namespace novaphy {
 
 struct VbdTangentArguments {
-  VbdSweepArguments sweep;
-  const VbdRow* x;      // the direction; null: 0
-  const VbdRow* load;   // added to the derivative of f before it is solved with; null: 0
-  int64_t keeps_loads;  // see Tangents
-  VbdRow* force;  // f, its derivative, and that of the steps of the particles; null: not wanted
-  VbdRow* force_slope;
-  VbdRow* step_slope;
+  NOVAPHY_ARGUMENTS(Part<VbdSweepArguments> sweep;
+                    Optional<Reads<VbdRow>> x;  // the direction; null: 0
+                    Optional<Reads<VbdRow>>
+                        load;  // added to the derivative of f before it is solved with; null: 0
+                    Number<int64_t> keeps_loads;      // see Tangents
+                    Optional<Updates<VbdRow>> force;  // f, its derivative, and that of the steps of
+                                                      // the particles; null: not wanted
+                    Optional<Updates<VbdRow>> force_slope, step_slope;)
 };
-NOVAPHY_BLOCK_KERNEL(vbd_tangent, 38, VbdTangentArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_tangent, VbdTangentArguments);
 
 struct VbdTangentMoveArguments {
-  const int32_t* particle;
-  const int32_t* filled;
-  int64_t first_group;
-  const VbdRow* step;
-  VbdRow* x;
+  NOVAPHY_ARGUMENTS(Reads<int32_t> particle, filled; Number<int64_t> first_group;
+                    Reads<VbdRow> step; Updates<VbdRow> x;)
 };
 // The particles of a colour take their steps. `row`: over the lanes of its groups.
-NOVAPHY_ROW_KERNEL(vbd_tangent_move, 5, VbdTangentMoveArguments) {
+NOVAPHY_ROW_KERNEL(vbd_tangent_move, VbdTangentMoveArguments) {
   const int64_t of_color = row / kVbdLanes, group = a.first_group + of_color;
   if (row - of_color * kVbdLanes >= a.filled[group]) return;
   const int32_t p = a.particle[a.first_group * kVbdLanes + row];

@@ -71,8 +71,8 @@ novaphy_status create_program(novaphy_device* device, const void* data, uint64_t
   return status;
 }
 
-// Text whose kernels are named in lines "// kernel NAME WORDS", of one whose threads know
-// their block with " NOVAPHY_BLOCK" behind.
+// Text whose kernels are named in lines "// kernel NAME WORDS" (0: as many as a launch gives), of
+// one whose threads know their block with " NOVAPHY_BLOCK" behind.
 novaphy_status create_source(novaphy_device* device, const void* data, uint64_t bytes,
                              novaphy_module& module, novaphy_error* error) {
   const std::string text(static_cast<const char*>(data), bytes);
@@ -206,7 +206,7 @@ novaphy_status launch(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,
 novaphy_status launch_active(novaphy_stream* stream, novaphy_kernel* kernel, int64_t n,
                              const int32_t* active, const uint64_t* arguments,
                              uint32_t argument_count, novaphy_error* error) {
-  if (argument_count != kernel->argument_count) [[unlikely]]
+  if (kernel->argument_count != 0 && argument_count != kernel->argument_count) [[unlikely]]
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "kernel '%s': expected %u argument words, got %u",
                 kernel->name.c_str(), kernel->argument_count, argument_count);
   if (n <= 0 || n > INT32_MAX) [[unlikely]] {

@@ -5,9 +5,53 @@ struct FloatWord {
   float value;
   uint32_t unused;
 };
+
+// The access types of <novaphy/core/launch_arguments.h>: what a launch does, the host knows.
+template <class T>
+using Reads = const T*;
+template <class T>
+using ReadsRow = const T*;
+template <class T>
+using Writes = T*;
+template <class T>
+using WritesRow = T*;
+template <class T>
+using Updates = T*;
+template <class T>
+using UpdatesRow = T*;
+template <class A>
+using Optional = A;
+template <class A>
+using Detached = A;
+template <class A>
+using Part = A;
+template <class T>
+struct alignas(8) Number {
+  T value;
+  operator T() const { return value; }
+};
+template <class A, int n>
+struct Each {
+  A of[n];
+  const A& operator[](const int64_t k) const { return of[k]; }
+};
 }  // namespace novaphy
 
-#define NOVAPHY_ROW_KERNEL(NAME, WORDS, ARGUMENTS)                                     \
+#define NOVAPHY_ARGUMENTS(...) __VA_ARGS__
+
+#define NOVAPHY_FOURTH(A, B, C, D, ...) D
+#define NOVAPHY_ROW_KERNEL(...)                                                         \
+  NOVAPHY_FOURTH(__VA_ARGS__, NOVAPHY_COUNTED_ROW_KERNEL_, NOVAPHY_TYPED_ROW_KERNEL_, ) \
+  (__VA_ARGS__)
+#define NOVAPHY_BLOCK_KERNEL(...)                                                           \
+  NOVAPHY_FOURTH(__VA_ARGS__, NOVAPHY_COUNTED_BLOCK_KERNEL_, NOVAPHY_TYPED_BLOCK_KERNEL_, ) \
+  (__VA_ARGS__)
+#define NOVAPHY_TYPED_ROW_KERNEL_(NAME, ARGUMENTS) \
+  NOVAPHY_COUNTED_ROW_KERNEL_(NAME, sizeof(ARGUMENTS) / 8, ARGUMENTS)
+#define NOVAPHY_TYPED_BLOCK_KERNEL_(NAME, ARGUMENTS) \
+  NOVAPHY_COUNTED_BLOCK_KERNEL_(NAME, sizeof(ARGUMENTS) / 8, ARGUMENTS)
+
+#define NOVAPHY_COUNTED_ROW_KERNEL_(NAME, WORDS, ARGUMENTS)                            \
   static_assert(sizeof(ARGUMENTS) == 8 * (WORDS));                                     \
   inline void NAME##_row(const ARGUMENTS& a, const int64_t row, const int64_t n);      \
   NOVAPHY_KERNEL NAME(const ARGUMENTS arguments, const int64_t n, const device_sink) { \
@@ -16,10 +60,11 @@ struct FloatWord {
   }                                                                                    \
   inline void NAME##_row(const ARGUMENTS& a, const int64_t row, const int64_t n)
 
-#define NOVAPHY_BLOCK_KERNEL(NAME, WORDS, ARGUMENTS) static_assert(sizeof(ARGUMENTS) == 8 * (WORDS))
-#define NOVAPHY_BLOCK_BODY(NAME, ARGUMENTS)                                                      \
-  inline void NAME##_block(const ARGUMENTS& a, const int64_t block, const int64_t blocks);       \
-  NOVAPHY_KERNEL NAME(const ARGUMENTS arguments, const int64_t, const device_sink) {             \
-    NAME##_block(arguments, (int64_t)blockIdx.x, (int64_t)gridDim.x);                            \
-  }                                                                                              \
+#define NOVAPHY_COUNTED_BLOCK_KERNEL_(NAME, WORDS, ARGUMENTS) \
+  static_assert(sizeof(ARGUMENTS) == 8 * (WORDS))
+#define NOVAPHY_BLOCK_BODY(NAME, ARGUMENTS)                                                \
+  inline void NAME##_block(const ARGUMENTS& a, const int64_t block, const int64_t blocks); \
+  NOVAPHY_KERNEL NAME(const ARGUMENTS arguments, const int64_t, const device_sink) {       \
+    NAME##_block(arguments, (int64_t)blockIdx.x, (int64_t)gridDim.x);                      \
+  }                                                                                        \
   inline void NAME##_block(const ARGUMENTS& a, const int64_t block, const int64_t blocks)

@@ -46,6 +46,13 @@ NOVAPHY_CORE_API const DeviceContext& device_context(Device device);
 // Throws the C status as an Error (INDEX_OUT_OF_RANGE as Index, the others as Runtime), prefixed by
 // `what`.
 NOVAPHY_CORE_API void check(novaphy_status status, const novaphy_error& error, const char* what);
-inline novaphy_error make_error() { return {sizeof(novaphy_error), 0, {0}}; }
+// Without a message: the rest of its characters is not set.
+inline novaphy_error make_error() {
+  novaphy_error error;
+  error.struct_size = sizeof(novaphy_error);
+  error.status = 0;
+  error.message[0] = 0;
+  return error;
+}
 
 }  // namespace novaphy

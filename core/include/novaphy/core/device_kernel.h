@@ -1,8 +1,12 @@
-// DeviceKernel: the door for kernels that are no Programs: hand-written ones (row_kernel.h) and the
-// builtins of backends.
+// Kernel: the door for hand-written kernels (row_kernel.h), whose struct of arguments says what a
+// launch does to which array.
 //
-//   const DeviceKernel kScale(scale, scale_kernels_text);
-//   kScale.launch(n, {reads_row("x", x), writes_row("y", y), number(2.0f)});
+//   const Kernel<ScaleArguments> kScale(scale, scale_kernels_text);
+//   run(kScale, n, {.x = x, .y = y, .factor = 2.0f});
+//
+// DeviceKernel: the same for the builtins of backends, and for kernels without such a struct.
+//
+//   kScan.launch(device, n, {reads("in", in), writes("out", out)});
 //
 // One call says what the launch reads and writes, as ranges: that orders it among recorded
 // launches, raises versions and keeps the memory alive.
@@ -18,6 +22,7 @@
 #include "novaphy/core/device_array.h"
 #include "novaphy/core/export.h"
 #include "novaphy/core/recorder.h"
+#include "novaphy/core/row_kernel.h"
 
 namespace novaphy {
 
@@ -55,14 +60,22 @@ class NOVAPHY_CORE_API DeviceKernel {
   void launch(Device device, int64_t n, std::initializer_list<LaunchArgument> arguments) const {
     launch(device, n, std::span<const LaunchArgument>(arguments.begin(), arguments.size()));
   }
+  // The same of an array, or the bits of a number, for each argument.
+  void launch_arrays(int64_t n, std::span<const ArgumentInfo> infos,
+                     const ArgumentWord* values) const;
 
  private:
+  friend class LaunchList;
   struct Made {
     const DeviceContext* context;
     novaphy_module* module;
     novaphy_kernel* kernel;
   };
-  novaphy_kernel* get(const DeviceContext& context) const;
+  const Made& get(Device device) const {
+    const Made* const first = first_.load(std::memory_order_acquire);
+    return first != nullptr && first->context->id == device ? *first : find(device);
+  }
+  const Made& find(Device device) const;
   Made make(const DeviceContext& context) const;
 
   const char* name_;
@@ -72,5 +85,21 @@ class NOVAPHY_CORE_API DeviceKernel {
   mutable std::mutex mutex_;
   std::vector<std::unique_ptr<const Made>>& all_;  // never destroyed, like the devices
 };
+
+// A DeviceKernel whose arguments are of a struct.
+template <class A>
+class Kernel : public DeviceKernel {
+ public:
+  Kernel(const RowKernel<A>& kernel, DeviceText text) : DeviceKernel(kernel, text) {}
+  explicit Kernel(const char* builtin) : DeviceKernel(builtin) {}
+};
+
+// Over n rows, on the device of the arrays: now, or where this thread records. Errors as
+// DeviceKernel::launch.
+template <class A>
+void run(const Kernel<A>& kernel, int64_t n, const std::type_identity_t<A>& arguments) {
+  kernel.launch_arrays(n, detail::ArgumentTable<A>::kInfos,
+                       reinterpret_cast<const ArgumentWord*>(&arguments));
+}
 
 }  // namespace novaphy

@@ -21,6 +21,7 @@ class Storage;
 class NOVAPHY_CORE_API Range {
  public:
   Storage& storage() const { return *storage_; }
+  Device device() const { return device_; }
   size_t offset() const { return offset_; }
   size_t bytes() const { return bytes_; }
   void* data() const { return data_; }
@@ -62,6 +63,7 @@ class NOVAPHY_CORE_API Range {
   Storage* storage_ = nullptr;
   void* data_ = nullptr;
   size_t offset_ = 0, bytes_ = 0;
+  Device device_;
   std::atomic<uint64_t> version_{0};
   void export_begins();  // this and what follows: under the storage's mutex
   void export_ends();

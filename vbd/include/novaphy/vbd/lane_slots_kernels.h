@@ -19,24 +19,21 @@ namespace novaphy {
 constexpr int kVbdLanes = 4, kVbdLargeTeam = 8, kVbdTeamTerms = 832;
 
 struct VbdSweepArguments {
-  const int32_t* particle;  // of each lane of each group
-  const int32_t* filled;    // lanes of a group that are particles
-  const float* mass_by_h2;  // of each lane
-  const int64_t* begin[5];  // by role: the slots of a group
-  const int32_t* ints[5];
-  float* floats[5];
-  const int32_t* contact_begin;  // null: no contacts
-  const float* contacts;
-  const VbdRow* start;
-  const VbdRow* target;
-  VbdRow* moved;
-  VbdRow* x;
-  VbdRow* to;  // where the particles of a colour go: x, or memory of its own
-  FloatWord regularization, slip;
-  int64_t damped;  // bit of each role
-  int64_t first_group, end_group;
-  int64_t team;     // groups of a team: 1 or kVbdLargeTeam
-  float* residual;  // of vbd_residual
+  NOVAPHY_ARGUMENTS(Reads<int32_t> particle;        // of each lane of each group
+                    Reads<int32_t> filled;          // lanes of a group that are particles
+                    Reads<float> mass_by_h2;        // of each lane
+                    Each<Reads<int64_t>, 5> begin;  // by role: the slots of a group
+                    Each<Reads<int32_t>, 5> ints; Each<Updates<float>, 5> floats;
+                    Optional<Reads<int32_t>> contact_begin;  // null: no contacts
+                    Optional<Reads<float>> contacts; Reads<VbdRow> start, target;
+                    Updates<VbdRow> moved, x,
+                    to;  // where the particles of a colour go: x, or memory of its own
+                    Number<float> regularization, slip; Number<int64_t> lanes;  // of a group
+                    Number<int64_t> damped;                                     // bit of each role
+                    Number<int64_t> first_group, end_group,
+                    team;                    // groups of a team: 1 or kVbdLargeTeam
+                    Writes<float> residual;  // of vbd_residual
+  )
 };
 
 namespace vbd {

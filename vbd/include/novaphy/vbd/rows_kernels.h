@@ -6,6 +6,7 @@
 namespace novaphy {
 
 struct alignas(16) VbdRow {
+  using Element = Vec4f;  // of arrays of them
   float x = 0.0f, y = 0.0f, z = 0.0f, w = 0.0f;
   VbdRow() = default;
   VbdRow(const Vec3f& v) : x(v.x), y(v.y), z(v.z) {}

@@ -103,8 +103,9 @@ typedef enum novaphy_code_format {
 } novaphy_code_format;
 
 /* SOURCE modules: C++20 text without includes. A line "// kernel NAME WORDS" names each kernel and
- * its number of argument words; it is written NOVAPHY_KERNEL NAME(const novaphy_arguments<WORDS>
- * args, const int64_t n, const device_sink) { const int64_t i = NOVAPHY_ROW; if (i >= n) return;
+ * its number of argument words, or 0 for as many as a launch gives; it is written
+ *   NOVAPHY_KERNEL NAME(const novaphy_arguments<WORDS> args, const int64_t n, const device_sink) {
+ *     const int64_t i = NOVAPHY_ROW; if (i >= n) return;
  *     ... args.word[0] ...
  *   }
  * A struct of WORDS members of 8 bytes may stand for novaphy_arguments<WORDS>.

@@ -1,0 +1,343 @@
+// The arguments of a hand-written kernel, declared once: as a struct of access types, which say
+// what a launch does to each array. The kernel reads the same struct, as pointers and numbers.
+//
+//   struct ScaleArguments {
+//     NOVAPHY_ARGUMENTS(ReadsRow<float> x; WritesRow<float> y; Number<float> factor;)
+//   };
+//   NOVAPHY_ROW_KERNEL(scale, ScaleArguments) { a.y[row] = a.factor.value * a.x[row]; }
+//   run(kScale, n, {.x = x, .y = y, .factor = 2.0f});
+//
+// Access types have no default constructor: an argument that is left out does not compile, nor does
+// one of another element type, nor a kernel that writes what it declares to read. core/device/ has
+// the twins of these types for device code, which are plain pointers.
+#pragma once
+
+#include <array>
+#include <concepts>
+#include <cstddef>
+#include <cstdint>
+#include <new>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "novaphy/core/device_array.h"
+
+namespace novaphy {
+
+// What a launch does to an argument.
+namespace access {
+constexpr uint8_t kNumber = 0, kRead = 1, kWrite = 2, kOptional = 4, kDifferentiable = 8;
+}  // namespace access
+
+using ArgumentWord [[gnu::may_alias]] = uint64_t;
+constexpr uint64_t kArrayBit = 1;  // of the word of an array, before a launch
+
+// An argument word of a kernel.
+struct ArgumentInfo {
+  const char* name = "";
+  uint32_t row_bytes = 0;  // row i touches the bytes [i, i + 1) * row_bytes only; 0: any
+  uint8_t access = access::kNumber;
+};
+
+// An array whose element type the caller vouches for: rows of bytes, or of flat floats.
+struct Untyped {
+  explicit Untyped(const Array& of) : array(&of) {}
+  explicit Untyped(Array&&) = delete;
+  const Array* array;
+};
+
+// Memory as an argument, where the host calls the function of a row itself. A launch refuses it.
+template <class T>
+struct Direct {
+  T* rows;
+};
+template <class T>
+Direct<T> direct(T* rows) {
+  return {rows};
+}
+template <class T>
+Direct<const T> direct(const std::vector<T>& rows) {
+  return {rows.data()};
+}
+template <class T>
+Direct<T> direct(std::vector<T>& rows) {
+  return {rows.data()};
+}
+
+namespace detail {
+
+// Collects what the members of a struct are, in their order. Each member takes one Probe.
+struct ArgumentCollector {
+  std::array<ArgumentInfo, 128> words = {};
+  std::array<size_t, 128> member = {};  // of each word; its number
+  size_t count = 0;
+};
+struct Probe {
+  ArgumentCollector* to;
+  size_t member;
+  constexpr void add(const ArgumentInfo& info) const {
+    to->member[to->count] = member;
+    to->words[to->count++] = info;
+  }
+};
+
+// The elements of the arrays that a kernel sees as T.
+template <class T>
+struct ElementOf {
+  using type = T;
+};
+template <>
+struct ElementOf<int64_t> {
+  using type = uint64_t;
+};
+template <class T>
+requires requires { typename T::Element; }
+struct ElementOf<T> {
+  using type = typename T::Element;
+};
+template <class T>
+using ArrayOf = DeviceArray<typename ElementOf<std::remove_const_t<T>>::type>;
+
+template <class T>
+constexpr bool kIsFloat = true;
+template <std::integral T>
+constexpr bool kIsFloat<T> = false;
+template <>
+inline constexpr bool kIsFloat<Vec2i> = false;
+template <>
+inline constexpr bool kIsFloat<Vec3i> = false;
+template <>
+inline constexpr bool kIsFloat<Vec4i> = false;
+
+// One word: for the caller the address of the array, with a bit, or 0; for the kernel that of its
+// memory. A launch puts one for the other.
+template <class T, uint8_t kAccess, bool kOwnRow>
+class Argument {
+ public:
+  using Value = T;
+  static constexpr uint8_t kWhat = kAccess;
+  static constexpr bool kRow = kOwnRow;
+  static constexpr bool kMayMiss = (kAccess & access::kOptional) != 0;
+
+  Argument(const ArrayOf<T>& array) : word_(word_of(&array)) {}
+  Argument(ArrayOf<T>&&) = delete;
+  template <class Other>
+  Argument(const DeviceArray<Other>&) {
+    static_assert(!sizeof(Other), "an array of another element type than the kernel declares");
+  }
+  Argument(const ArrayOf<T>* array) requires kMayMiss : word_(word_of(array)) {}
+  Argument(std::nullptr_t) requires kMayMiss : word_(0) {}
+  Argument(const Untyped& untyped) : word_(word_of(untyped.array)) {}
+  template <class U>
+  requires std::convertible_to<U*, T*> Argument(const Direct<U>& memory)
+      : word_(reinterpret_cast<uint64_t>(memory.rows)) {}
+  // What another argument is, written or read otherwise.
+  template <class U, uint8_t kOther, bool kOtherRow>
+  requires std::convertible_to<U*, T*> Argument(const Argument<U, kOther, kOtherRow>& other)
+      : word_(other.word()) {}
+  constexpr Argument(const Probe& probe) : word_(0) {
+    probe.add({"", kOwnRow ? static_cast<uint32_t>(sizeof(T)) : 0, kAccess});
+  }
+  // For the kernel.
+  T* rows() const { return reinterpret_cast<T*>(word_); }
+  operator T*() const { return rows(); }
+  uint64_t word() const { return word_; }
+
+ private:
+  static uint64_t word_of(const Array* array) {
+    return array == nullptr ? 0 : reinterpret_cast<uint64_t>(array) | kArrayBit;
+  }
+  uint64_t word_;
+};
+
+template <class T>
+constexpr uint8_t kReadOf = access::kRead | (kIsFloat<T> ? access::kDifferentiable : 0);
+
+}  // namespace detail
+
+// reads and writes: any row in any row; Row: row i only in row i, so that the array has at least as
+// many rows as the launch. Float arrays that are read are differentiable (see LaunchArgument).
+template <class T>
+struct Reads : detail::Argument<const T, detail::kReadOf<T>, false> {
+  using detail::Argument<const T, detail::kReadOf<T>, false>::Argument;
+};
+template <class T>
+struct ReadsRow : detail::Argument<const T, detail::kReadOf<T>, true> {
+  using detail::Argument<const T, detail::kReadOf<T>, true>::Argument;
+};
+template <class T>
+struct Writes : detail::Argument<T, access::kWrite, false> {
+  using detail::Argument<T, access::kWrite, false>::Argument;
+};
+template <class T>
+struct WritesRow : detail::Argument<T, access::kWrite, true> {
+  using detail::Argument<T, access::kWrite, true>::Argument;
+};
+template <class T>
+struct Updates : detail::Argument<T, access::kWrite | detail::kReadOf<T>, false> {
+  using detail::Argument<T, access::kWrite | detail::kReadOf<T>, false>::Argument;
+};
+template <class T>
+struct UpdatesRow : detail::Argument<T, access::kWrite | detail::kReadOf<T>, true> {
+  using detail::Argument<T, access::kWrite | detail::kReadOf<T>, true>::Argument;
+};
+// May be null, or an array without rows.
+template <class A>
+struct Optional : detail::Argument<typename A::Value, A::kWhat | access::kOptional, A::kRow> {
+  using detail::Argument<typename A::Value, A::kWhat | access::kOptional, A::kRow>::Argument;
+};
+// Of values through which no gradient is meant to flow.
+template <class A>
+struct Detached
+    : detail::Argument<typename A::Value, A::kWhat & ~access::kDifferentiable & 0xff, A::kRow> {
+  using detail::Argument<typename A::Value, A::kWhat & ~access::kDifferentiable & 0xff,
+                         A::kRow>::Argument;
+};
+
+template <class T, size_t kBytes = sizeof(T)>
+struct Number;
+template <class T>
+struct Number<T, 8> {
+  T value;
+  template <class U>
+  constexpr Number(U v) : value(static_cast<T>(v)) {
+    static_assert(std::integral<U> == std::integral<T>,
+                  "a number of another type than the kernel declares");
+  }
+  constexpr Number(const detail::Probe& probe) : value{} { probe.add({}); }
+  operator T() const { return value; }
+};
+template <class T>
+struct Number<T, 4> {
+  T value;
+  uint32_t unused = 0;
+  template <class U>
+  constexpr Number(U v) : value(v) {
+    static_assert(std::same_as<U, T>, "a number of another type than the kernel declares");
+  }
+  constexpr Number(const detail::Probe& probe) : value{} { probe.add({}); }
+  operator T() const { return value; }
+};
+
+// Several arguments of one access, of an array of arrays or of numbers.
+template <class A, size_t n>
+struct Each {
+  A of[n];
+  template <class Array>
+  Each(const Array (&arrays)[n]) : Each(arrays, std::make_index_sequence<n>()) {}
+  constexpr Each(const detail::Probe& probe) : Each(probe, std::make_index_sequence<n>()) {}
+  const A& operator[](size_t k) const { return of[k]; }
+
+ private:
+  template <class Array, size_t... k>
+  Each(const Array (&arrays)[n], std::index_sequence<k...>) : of{arrays[k]...} {}
+  template <size_t... k>
+  constexpr Each(const detail::Probe& probe, std::index_sequence<k...>)
+      : of{(static_cast<void>(k), A(probe))...} {}
+};
+
+template <class T>
+struct Part;
+
+namespace detail {
+
+template <class A, size_t... k>
+constexpr bool takes_probes(std::index_sequence<k...>) {
+  return requires(Probe probe) { A{(static_cast<void>(k), probe)...}; };
+}
+// Members of a struct; those of several words are one.
+template <class A, size_t n = sizeof(A) / sizeof(uint64_t)>
+constexpr size_t count_members() {
+  static_assert(n > 0, "expected members of access types, Number, Each and Part only");
+  if constexpr (takes_probes<A>(std::make_index_sequence<n>())) {
+    return n;
+  } else {
+    return count_members<A, n - 1>();
+  }
+}
+template <class A, size_t... k>
+constexpr ArgumentCollector collect(std::index_sequence<k...>) {
+  ArgumentCollector found;
+  static_cast<void>(A{Probe{&found, k}...});
+  return found;
+}
+
+// The names in the text of a struct: each is what stands before a comma or a semicolon.
+template <size_t bytes>
+struct MemberNames {
+  char text[bytes] = {};
+  size_t at[bytes] = {}, count = 0;
+};
+template <size_t bytes>
+constexpr MemberNames<bytes> member_names(const char (&text)[bytes]) {
+  MemberNames<bytes> names;
+  size_t word = 0, letters = 0, end = 0, nested = 0;
+  bool in_word = false;
+  for (size_t k = 0; k + 1 < bytes; ++k) {
+    const char c = text[k];
+    const bool is_letter =
+        (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_';
+    if (is_letter && !in_word) word = k, letters = 0;
+    letters += is_letter;
+    in_word = is_letter;
+    nested += c == '<';
+    nested -= c == '>';
+    if (nested != 0 || (c != ',' && c != ';')) continue;
+    names.at[names.count++] = end;
+    for (size_t i = 0; i < letters; ++i) names.text[end++] = text[word + i];
+    ++end;
+  }
+  return names;
+}
+
+// What is known of a kernel's arguments.
+template <class A>
+struct ArgumentTable {
+  static_assert(std::is_trivially_copyable_v<A> && sizeof(A) % sizeof(uint64_t) == 0);
+  static constexpr size_t kWords = sizeof(A) / sizeof(uint64_t), kMembers = count_members<A>();
+  static constexpr MemberNames<sizeof(A::kText)> kNames = member_names(A::kText);
+  static_assert(kNames.count == kMembers, "expected all members within NOVAPHY_ARGUMENTS");
+  static constexpr std::array<ArgumentInfo, kWords> make() {
+    const ArgumentCollector found = collect<A>(std::make_index_sequence<kMembers>());
+    std::array<ArgumentInfo, kWords> infos;
+    for (size_t k = 0; k < kWords; ++k) {
+      infos[k] = found.words[k];
+      if (infos[k].name[0] == 0) infos[k].name = kNames.text + kNames.at[found.member[k]];
+    }
+    return infos;
+  }
+  static constexpr std::array<ArgumentInfo, kWords> kInfos = make();
+};
+
+// The arguments that a kernel gets: the words of a launch, where they lie.
+template <class A>
+const A& arguments_of(const uint64_t* words) {
+  return *std::launder(reinterpret_cast<const A*>(words));
+}
+
+}  // namespace detail
+
+// The arguments of several kernels, as one member.
+template <class T>
+struct Part : T {
+  Part(const T& of) : T(of) {}
+  constexpr Part(const detail::Probe& probe) : Part(probe, kMembers()) {
+    for (const ArgumentInfo& info : detail::ArgumentTable<T>::kInfos) probe.add(info);
+  }
+
+ private:
+  static constexpr auto kMembers() {
+    return std::make_index_sequence<detail::ArgumentTable<T>::kMembers>();
+  }
+  template <size_t... k>
+  constexpr Part(const detail::Probe&, std::index_sequence<k...>,
+                 detail::ArgumentCollector unused = {})
+      : T{(static_cast<void>(k), detail::Probe{&unused, 0})...} {}
+};
+
+}  // namespace novaphy
+
+#define NOVAPHY_ARGUMENTS(...) \
+  __VA_ARGS__                  \
+  static constexpr char kText[] = #__VA_ARGS__;

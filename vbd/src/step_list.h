@@ -1,0 +1,70 @@
+// A step of VBD as a list of launches: what follows what is written here, for the host and for
+// devices.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "novaphy/core/launch_list.h"
+#include "novaphy/core/sim/model.h"
+#include "step_kernel_set.h"
+
+namespace novaphy::vbd {
+
+// What the launches of a step read and write: arrays of a device, or memory of the host.
+struct StepArguments {
+  VbdPredictArguments predict;
+  VbdSweepArguments sweep;                    // of any groups
+  Optional<UpdatesRow<VbdRow>> newer, older;  // of Chebyshev's acceleration
+  VbdFinishArguments finish;
+};
+
+VbdTableArguments tables_of(const Model& model);
+
+struct StepPlan {
+  Device device;
+  int64_t particles = 0, lanes = 1;
+  std::span<const int64_t> colors;  // see ColorSlots::color_begin
+  bool has_conflicts = false, safeguard = false;
+  int64_t team = 0;  // groups that the threads of a block share; 0: a thread for each particle
+  int32_t iterations = 0;
+  std::span<const float> chebyshev;  // of each iteration; empty: no acceleration
+};
+
+class StepList {
+ public:
+  // `iterates`: where the positions before each iteration go, and those behind the last; fewer, or
+  // none: they are not kept.
+  StepList(const StepPlan& plan, const StepArguments& arguments,
+           std::span<const WritesRow<VbdRow>> iterates);
+
+  void set(const VbdPredictArguments& arguments) { list_.set(predict_, arguments); }
+  void set(const VbdFinishArguments& arguments) { list_.set(finish_, arguments); }
+
+  // The stretches of the list, in their order.
+  void predict() const { list_.run(predict_.number, prepare_.number); }
+  void prepare() const { list_.run(prepare_.number, iterations_.front()); }
+  void predict_and_prepare() const { list_.run(predict_.number, iterations_.front()); }
+  void iterate(size_t first, size_t last) const {
+    list_.run(iterations_[first], iterations_[last]);
+  }
+  void finish() const { list_.run(iterations_.back(), again_); }
+  // One more iteration, without acceleration.
+  void move_again() const { list_.run(again_, list_.size()); }
+
+ private:
+  void add_moves(const StepPlan& plan, const VbdSweepArguments& all);
+
+  LaunchList list_;
+  LaunchList::Place<VbdPredictArguments> predict_;
+  LaunchList::Place<VbdSweepArguments> prepare_;
+  LaunchList::Place<VbdFinishArguments> finish_;
+  std::vector<size_t> iterations_;  // where each begins, and behind the last
+  size_t again_ = 0;
+};
+
+// The threads of a launch by teams of so many groups.
+int64_t team_threads(int64_t groups, int64_t team);
+
+}  // namespace novaphy::vbd

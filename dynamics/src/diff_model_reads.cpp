@@ -91,7 +91,8 @@ void check_other_gradients(const char* solver, const Model& model, const Control
               ": expected requires_grad False, because no gradient reaches it, got True");
     });
   };
-  check("model.", model, "particle_q", "particle_qd", "body_q", "body_qd", "joint_q", "joint_qd");
+  check("model.", model, "particle_q", "particle_qd", "body_q", "body_qd", "joint_q", "joint_qd",
+        "act");
   if (control != nullptr) check("control.", *control);
   if (contacts != nullptr) check("contacts.", *contacts);
 }

@@ -105,9 +105,9 @@ void detail::add_solver_kernels(std::vector<nova::EngineKernel>& list) {
 
 void make_leaves(const SimState& state) {
   if (!state.requires_grad) return;
-  for (const Array* array :
-       std::initializer_list<const Array*>{&state.particle_q, &state.particle_qd, &state.body_q,
-                                           &state.body_qd, &state.joint_q, &state.joint_qd})
+  for (const Array* array : std::initializer_list<const Array*>{
+           &state.particle_q, &state.particle_qd, &state.body_q, &state.body_qd, &state.joint_q,
+           &state.joint_qd, &state.act})
     if (array->rows() != 0) nova::grad_info(*array->range()).requires_grad = true;
 }
 

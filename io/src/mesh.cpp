@@ -8,6 +8,7 @@
 #include <unordered_map>
 
 #include "assimp_scene.h"
+#include "glb.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/io/file.h"
 #include "whole_file.h"
@@ -34,10 +35,10 @@ std::string format_of(std::string_view function, const std::filesystem::path& pa
   std::string extension = path.extension().string();
   for (char& c : extension)
     if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
-  for (const std::string_view known : {".obj", ".stl", ".ply", ".dae"})
+  for (const std::string_view known : {".obj", ".stl", ".ply", ".dae", ".glb"})
     if (extension == known) return extension;
   fail(ErrorKind::Value, function, ": ", path.string(),
-       ": expected a name that ends in .obj, .stl, .ply or .dae, got ",
+       ": expected a name that ends in .obj, .stl, .ply, .dae or .glb, got ",
        extension.empty() ? "one without an ending" : extension);
 }
 
@@ -77,7 +78,9 @@ Mesh load_mesh(const std::filesystem::path& path, const MeshOptions& options) {
   std::string bytes = read_file(name, path);
   detail::check_whole(where, extension, bytes);
   if (extension == ".obj") bytes = detail::obj_for_assimp(where, bytes);
-  std::vector<Triangle> triangles = detail::read_triangles(where, bytes, extension);
+  std::vector<Triangle> triangles = extension == ".glb"
+                                        ? detail::read_glb(where, bytes)
+                                        : detail::read_triangles(where, bytes, extension);
   require(!triangles.empty(), ErrorKind::Value, where,
           ": expected at least one triangle, got an empty mesh");
   require(triangles.size() <= std::numeric_limits<int32_t>::max() / 3, ErrorKind::Value, where,

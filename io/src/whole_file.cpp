@@ -33,15 +33,21 @@ std::string_view take_line(std::string_view& text) {
   return line;
 }
 
+// The words of a line, in memory that is used again.
+void split(std::string_view line, std::vector<std::string_view>& words) {
+  const auto is_blank = [](char c) { return c == ' ' || c == '\t' || c == '\r'; };
+  words.clear();
+  for (size_t at = 0; at < line.size();) {
+    size_t end = at;
+    while (end < line.size() && !is_blank(line[end])) ++end;
+    if (end > at) words.push_back(line.substr(at, end - at));
+    at = end + 1;
+  }
+}
 std::vector<std::string_view> split(std::string_view line) {
   std::vector<std::string_view> words;
-  while (true) {
-    line.remove_prefix(std::min(line.find_first_not_of(" \t\r"), line.size()));
-    if (line.empty()) return words;
-    const size_t end = std::min(line.find_first_of(" \t\r"), line.size());
-    words.push_back(line.substr(0, end));
-    line.remove_prefix(end);
-  }
+  split(line, words);
+  return words;
 }
 
 size_t size_of_type(std::string_view type) {
@@ -190,12 +196,14 @@ bool is_number(std::string_view word) {
 std::string obj_for_assimp(const std::string& where, std::string_view bytes) {
   if (bytes.starts_with("\xEF\xBB\xBF")) bytes.remove_prefix(3);
   std::string text, line;
+  std::vector<std::string_view> words;
   text.reserve(bytes.size() + bytes.size() / 8);
   size_t next = 1;
   while (!bytes.empty()) {
     const size_t number = next;
     for (line.clear(); !bytes.empty();) {  // a line, and the next where it ends in a backslash
-      const size_t end = std::min(bytes.find_first_of("\r\n"), bytes.size());
+      size_t end = 0;
+      while (end < bytes.size() && bytes[end] != '\n' && bytes[end] != '\r') ++end;
       line.append(bytes.substr(0, end));
       const bool two = bytes.substr(end).starts_with("\r\n");
       bytes.remove_prefix(std::min(end + (two ? 2 : 1), bytes.size()));
@@ -208,9 +216,10 @@ std::string obj_for_assimp(const std::string& where, std::string_view bytes) {
       if (!line.starts_with("mtllib")) text.append(line).push_back('\n');
       continue;
     }
-    const std::vector<std::string_view> words =
-        split(std::string_view(line).substr(0, line.find('#')));
-    if (words.empty() || words[0] != "v") continue;  // normals, coordinates of textures
+    if (line.size() > 1 && (line[1] == 'n' || line[1] == 't'))
+      continue;  // normals, coordinates of textures
+    split(std::string_view(line).substr(0, line.find('#')), words);
+    if (words.empty() || words[0] != "v") continue;
     const size_t numbers = words.size() - 1;
     require((numbers == 3 || numbers == 4 || numbers == 6 || numbers == 7) &&
                 std::all_of(words.begin() + 1, words.end(), is_number),

@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ._core import (
+    ActuatorDynamics,
     Axis,
     BackendInfo,
     BodyFlags,
@@ -39,6 +40,7 @@ from ._core import (
     backends,
     build_info,
     dtype,
+    eval_actuator_forces,
     eval_bias,
     eval_center_of_mass,
     eval_energy,
@@ -87,6 +89,7 @@ from ._planned import explain_members, missing_from_module
 
 if TYPE_CHECKING:
     from . import assets, diff, envs, io, nova, solvers, testing, viewer
+    from ._select import Selection
     from .viewer import (
         ViewerFile,
         ViewerGL,
@@ -121,6 +124,7 @@ _FROM_VIEWER = (
 )
 
 __all__ = [
+    "ActuatorDynamics",
     "Axis",
     "BackendInfo",
     "BodyFlags",
@@ -158,6 +162,7 @@ __all__ = [
     "diff",
     "dtype",
     "envs",
+    "eval_actuator_forces",
     "eval_bias",
     "eval_center_of_mass",
     "eval_energy",
@@ -207,6 +212,20 @@ __all__ = [
     "version",
     "viewer",
 ]
+
+
+def _select(self: Model, pattern: str, *, world: int | None = None) -> Selection:
+    """Joints, bodies and actuators whose name matches, as a Selection.
+
+    pattern: of shell style (*, ?, [...]), for the name or for articulation/name, such as "*/knee*".
+    world: one world; None: all. ValueError: nothing matches; IndexError: no such world.
+    """
+    from ._select import Selection
+
+    return Selection(self, pattern, world)
+
+
+Model.select = _select  # type: ignore[method-assign]
 
 
 def __getattr__(name: str) -> object:

@@ -42,7 +42,7 @@ COMPLETION = """_novaphy() {
 }
 complete -o filenames -F _novaphy novaphy
 """
-VIEWED = (".msh", ".obj", ".stl", ".ply", ".dae", ".urdf", ".xml")
+VIEWED = (".msh", ".obj", ".stl", ".ply", ".dae", ".glb", ".urdf", ".xml")
 # Package -> the extra of novaphy that brings it, and what for.
 OPTIONAL = {
     "moderngl": ("gl", "ViewerGL"),
@@ -266,7 +266,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("info", info)
     for name, function, what in (
         ("replay", replay, "a recording: .nprec, or .npz"),
-        ("view", view, "a mesh: .msh, .obj, .stl, .ply, .dae; a robot: .urdf, .xml (MJCF)"),
+        ("view", view, "a mesh: .msh, .obj, .stl, .ply, .dae, .glb; a robot: .urdf, .xml (MJCF)"),
     ):
         part = add(name, function)
         part.add_argument("file", help=what)

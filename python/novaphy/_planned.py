@@ -237,8 +237,8 @@ NOT_BUILT: dict[str, str] = {
         "request_*_attributes get_requested_* EXTENDED_ATTRIBUTE* ExtendedAttribute* "
         "validate_extended_attributes"
     ),
-    "actuators as objects (drives are joint_target_*)": (
-        "actuators add_actuator ActuatorEntry actuator_entries"
+    "actuators as objects (add_actuator makes rows of Control.ctrl)": (
+        "actuators ActuatorEntry actuator_entries"
     ),
     "the first row of every world (body_world, joint_world, ... name the world of a row)": (
         "*_world_start articulation_world"

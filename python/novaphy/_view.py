@@ -64,7 +64,7 @@ def joint_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, float]]:
 
 
 def show_mesh(args: argparse.Namespace) -> str:
-    """Show the surface of a .msh, .obj, .stl, .ply or .dae file; returns what is in it."""
+    """Show the surface of a .msh, .obj, .stl, .ply, .dae or .glb file; returns what is in it."""
     if Path(args.file).suffix.lower() == ".msh":
         tets = io.load_tet_mesh(args.file)
         points, triangles = tets.vertices, boundary_triangles(np.asarray(tets.indices))

@@ -294,19 +294,21 @@ void bind_bodies(py::class_<ModelBuilder>& c) {
     c.def(
         name,
         [add](ModelBuilder& b, py::handle xform, py::handle com, py::handle inertia, float mass,
-              bool lock_inertia, bool is_kinematic, const std::optional<std::string>& label) {
+              bool lock_inertia, bool is_kinematic, float gravcomp,
+              const std::optional<std::string>& label) {
           BodyArgs args{.xform = to_transform(xform, "xform"),
                         .mass = mass,
                         .inertia = to_inertia(inertia),
                         .lock_inertia = lock_inertia,
                         .is_kinematic = is_kinematic,
+                        .gravcomp = gravcomp,
                         .label = text(label)};
           if (!com.is_none()) args.com = to_vec3(com, "com");
           return (b.*add)(args);
         },
         py::kw_only(), "xform"_a = py::none(), "com"_a = py::none(), "inertia"_a = py::none(),
-        "mass"_a = 0.0f, "lock_inertia"_a = false, "is_kinematic"_a = false, "label"_a = py::none(),
-        doc);
+        "mass"_a = 0.0f, "lock_inertia"_a = false, "is_kinematic"_a = false, "gravcomp"_a = 0.0f,
+        "label"_a = py::none(), doc);
   };
   bind(
       "add_body", &ModelBuilder::add_body,
@@ -314,6 +316,7 @@ void bind_bodies(py::class_<ModelBuilder>& c) {
       "world, and an articulation of that. `mass` (kg), `com` (m, body frame) and `inertia` (3x3, "
       "kg*m^2 about com; None: a point mass) are the base, to which shapes with a density add "
       "theirs unless lock_inertia. is_kinematic: it follows its velocity, no force moves it. "
+      "gravcomp: the part of its weight that a force at its centre of mass takes away. "
       "Returns the index. ValueError: a mass or inertia that no body has, also from finalize.");
   bind("add_link", &ModelBuilder::add_link,
        "As add_body, without a joint: finalize refuses a link that is the child of none. It may "

@@ -382,7 +382,8 @@ py::object controls_of(const Model& model, const py::object& control, int32_t st
                                         model.joint_target_qd,
                                         model.joint_act,
                                         model.particle_tri_activation,
-                                        model.particle_tet_activation}
+                                        model.particle_tet_activation,
+                                        model.ctrl}
                         : static_cast<const ControlFields&>(control.cast<const Control&>());
   const auto changes = [](const ControlRows& g) { return g.change(); };
   const int32_t count = std::any_of(given.begin(), given.end(), changes) ? steps : 1;
@@ -401,7 +402,8 @@ void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& given
              const Contacts* contacts, float dt, const py::object& forces,
              const py::object& body_forces, const py::object& targets, CollisionPipeline* pipeline,
              int32_t start, const std::optional<int32_t>& stop, const py::object& joint_f,
-             const py::object& joint_target_q, const py::object& joint_target_qd) {
+             const py::object& joint_target_q, const py::object& joint_target_qd,
+             const py::object& ctrl) {
   require(stop.value_or(0) >= 0, ErrorKind::Value, "rollout, stop: expected a state from 0 to ",
           trajectory.steps(), " or None, got ", stop.value_or(0));
   RolloutOptions options{
@@ -428,7 +430,8 @@ void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& given
       {"joint_target_q", &ControlFields::joint_target_q, joint_target_q, steps,
        model.joint_coord_count()},
       {"joint_target_qd", &ControlFields::joint_target_qd, joint_target_qd, steps,
-       model.joint_dof_count()}};
+       model.joint_dof_count()},
+      {"ctrl", &ControlFields::ctrl, ctrl, steps, model.actuator_count()}};
   const py::object control = controls_of(model, given_control, steps, rows_of_controls);
   const Control* one = nullptr;
   if (py::isinstance<Control>(control)) {
@@ -463,7 +466,7 @@ void bind_rollout(py::module_& solvers) {
       py::arg("control").none(true), py::arg("contacts").none(true), py::arg("dt"), py::kw_only(),
       "forces"_a = py::none(), "body_forces"_a = py::none(), "targets"_a = py::none(),
       "pipeline"_a = py::none(), "start"_a = 0, "stop"_a = py::none(), "joint_f"_a = py::none(),
-      "joint_target_q"_a = py::none(), "joint_target_qd"_a = py::none(),
+      "joint_target_q"_a = py::none(), "joint_target_qd"_a = py::none(), "ctrl"_a = py::none(),
       "The steps of a trajectory from its state `start` (kept) to `stop` (None: the last), with "
       "the "
       "bits of a loop of step in which every step starts from the force in trajectory.particle_f. "
@@ -473,8 +476,9 @@ void bind_rollout(py::module_& solvers) {
       "particles of SolverVBD or DiffSolverVBD are at the end of a step; NotImplementedError for "
       "other solvers. pipeline: a CollisionPipeline that finds the contacts of every step anew, "
       "instead of `contacts`. control: one for all steps, or a sequence of m, each for a m-th of "
-      "them. joint_f, joint_target_qd {dofs} or {steps, dofs} and joint_target_q {coordinates} or "
-      "{steps, coordinates} take the place of that array of the control, in every step or each in "
+      "them. joint_f, joint_target_qd {dofs} or {steps, dofs}, joint_target_q {coordinates} or "
+      "{steps, coordinates} and ctrl {actuators} or {steps, actuators} take the place of that "
+      "array of the control, in every step or each in "
       "its own. What acts is only read. A differentiable solver records on an active tape, with "
       "gradients for the forces "
       "and the controls, and may be captured; others raise there. ValueError: an argument of "

@@ -43,7 +43,19 @@ auto unlocked(F&& f) {
   return f();
 }
 
+void bind_actuator_forces(py::module_& m) {
+  m.def(
+      "eval_actuator_forces",
+      [](const Model& model, const SimState& state, const Control* control) {
+        return to_array(unlocked([&] { return eval_actuator_forces(model, state, control); }));
+      },
+      "model"_a, "state"_a, "control"_a = py::none(),
+      "The forces of the actuators {actuators} at a state, before their gears. control None: that "
+      "of the model. ValueError: a state or control of another model.");
+}
+
 void bind_functions(py::module_& m) {
+  bind_actuator_forces(m);
   m.def(
       "eval_inverse_dynamics",
       [](const Model& model, const SimState& state, py::handle qdd) {

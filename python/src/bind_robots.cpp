@@ -147,7 +147,8 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
                         std::optional<int32_t> mesh_maxhullvert,
                         const std::string& joint_damping_mode, py::handle package_dirs,
                         const std::string& mimic, bool mend_inertias,
-                        const std::string& unsupported, bool filter_overlaps) {
+                        const std::string& unsupported, bool filter_overlaps,
+                        bool ignore_zero_effort) {
   constexpr const char* name = "add_urdf";
   const std::string text = source_text(name, source);
   check_opens(text);
@@ -181,6 +182,7 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
                                 {"fixed", MimicMode::Fixed},
                                 {"independent", MimicMode::Independent}}),
       .mend_inertias = mend_inertias,
+      .ignore_zero_effort = ignore_zero_effort,
       .unsupported = to_unsupported(name, unsupported)};
   return add_robot(builder, filter_overlaps, [&](ModelBuilder& to, bool alone) {
     options.parent_body = alone ? -1 : parent_body;
@@ -202,12 +204,6 @@ RobotImport add_mjcf_to(ModelBuilder& builder, py::handle source, py::handle xfo
                             .unsupported = to_unsupported(name, unsupported)};
   return add_robot(builder, filter_overlaps,
                    [&](ModelBuilder& to, bool) { return add_mjcf(to, text, options); });
-}
-
-const char* target_name(ActuatorTarget target) {
-  return target == ActuatorTarget::Force      ? "joint_f"
-         : target == ActuatorTarget::Position ? "joint_target_q"
-                                              : "joint_target_qd";
 }
 
 std::string note_text(const RobotNote& note) {
@@ -249,26 +245,6 @@ void bind_report(py::module_& io) {
 
 void bind_result(py::module_& io) {
   bind_report(io);
-  py::class_<RobotActuator>(
-      io, "RobotActuator",
-      "An actuator of an MJCF file: it adds gear * clip(control, lower, upper) + offset to one row "
-      "of a Control.")
-      .def_readonly("name", &RobotActuator::name, "Of the actuator.")
-      .def_readonly("joint", &RobotActuator::joint, "The joint that it moves.")
-      .def_property_readonly(
-          "target", [](const RobotActuator& a) { return target_name(a.target); },
-          "The array of the Control: joint_f, joint_target_q or joint_target_qd.")
-      .def_property_readonly(
-          "row",
-          [](const RobotActuator& a) {
-            return a.target == ActuatorTarget::Position ? a.coord : a.dof;
-          },
-          "Row of that array.")
-      .def_readonly("dof", &RobotActuator::dof, "Row of joint_qd.")
-      .def_readonly("gear", &RobotActuator::gear, "What is added per control.")
-      .def_readonly("offset", &RobotActuator::offset, "What is added without a control.")
-      .def_readonly("lower", &RobotActuator::lower, "Least control.")
-      .def_readonly("upper", &RobotActuator::upper, "Largest control.");
   py::class_<RobotKeyframe>(io, "RobotKeyframe", "A keyframe of an MJCF file.")
       .def_readonly("time", &RobotKeyframe::time, "s.")
       .def_readonly("coord", &RobotKeyframe::coord, "First row of joint_q.")
@@ -300,7 +276,8 @@ void bind_result(py::module_& io) {
           "Shape to (r, g, b, a), of those whose file gives one.")
       .def_readonly("shapes", &RobotImport::shapes, "The shapes, in order.")
       .def_readonly("articulations", &RobotImport::articulations, "The articulations, in order.")
-      .def_readonly("actuators", &RobotImport::actuators, "RobotActuators, in order of the file.")
+      .def_readonly("actuators", &RobotImport::actuators,
+                    "Actuator name to its row of Control.ctrl.")
       .def_property_readonly(
           "sites",
           [](const RobotImport& r) {
@@ -332,11 +309,12 @@ void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
       "joint_damping_mode: \"passive\" or \"drive\" (target_kd). mimic: \"follow\", \"refuse\", "
       "\"fixed\" or "
       "\"independent\". filter_overlaps: pairs of its shapes that overlap where its joints start "
-      "never meet; False: the first collide names them, with their depth. ValueError and "
+      "never meet; False: the first collide names them, with their depth. ignore_zero_effort: "
+      "effort=\"0\" is no limit. ValueError and "
       "NotImplementedError name file, line and element; the builder is then as it was. OSError: "
       "no such file. What is not read gives a UserWarning.";
   constexpr const char* mjcf_doc =
-      "Adds the bodies, joints, geoms and motors of an MJCF file: a path, or the XML itself. A "
+      "Adds the bodies, joints, geoms and actuators of an MJCF file: a path, or the XML itself. A "
       "subset; what would change the physics and is not in it raises NotImplementedError by name. "
       "Returns a RobotImport. xform: pose of the file's world (m, xyzw). Joints start at 0, or "
       "where init_qpos says, or at the nearest limit. filter_overlaps and errors as of add_urdf.";
@@ -350,7 +328,8 @@ void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
               "bodies_follow_joint_ordering"_a = true, "collapse_fixed_joints"_a = false,
               "mesh_maxhullvert"_a = py::none(), "joint_damping_mode"_a = "passive",
               "package_dirs"_a = py::none(), "mimic"_a = "follow", "mend_inertias"_a = true,
-              "unsupported"_a = "error", "filter_overlaps"_a = false, urdf_doc);
+              "unsupported"_a = "error", "filter_overlaps"_a = false,
+              "ignore_zero_effort"_a = false, urdf_doc);
   builder.def("add_mjcf", &add_mjcf_to, "source"_a, py::kw_only(), "xform"_a = py::none(),
               "collapse_fixed_joints"_a = false, "enable_self_collisions"_a = true,
               "package_dirs"_a = py::none(), "unsupported"_a = "error", "filter_overlaps"_a = false,

@@ -159,6 +159,7 @@ py::list shape_sources(const Model& model) {
 using ModelClass = py::class_<Model, std::shared_ptr<Model>>;
 
 void add_model_pickle(ModelClass& c) {
+  c.def_readonly("actuator_label", &Model::actuator_label, "One name per actuator.");
   c.def(py::pickle(
       [](const Model& model) {
         model.check_structure("Model, pickle");
@@ -173,6 +174,7 @@ void add_model_pickle(ModelClass& c) {
         kept["shape_label"] = model.shape_label;
         kept["joint_label"] = model.joint_label;
         kept["articulation_label"] = model.articulation_label;
+        kept["actuator_label"] = model.actuator_label;
         kept["max_joints_per_articulation"] = model.max_joints_per_articulation;
         kept["max_dofs_per_articulation"] = model.max_dofs_per_articulation;
         kept["shape_collision_filter_pairs"] = model.shape_collision_filter_pairs;
@@ -194,6 +196,8 @@ void add_model_pickle(ModelClass& c) {
         model->joint_label = kept_value(kept, "joint_label").cast<decltype(model->joint_label)>();
         model->articulation_label =
             kept_value(kept, "articulation_label").cast<decltype(model->articulation_label)>();
+        model->actuator_label =
+            kept_value(kept, "actuator_label").cast<decltype(model->actuator_label)>();
         model->max_joints_per_articulation =
             kept_value(kept, "max_joints_per_articulation").cast<int32_t>();
         model->max_dofs_per_articulation =
@@ -493,6 +497,12 @@ void bind_enums(py::module_& m) {
             {"FREE", value_of(JointType::FREE)},
             {"DISTANCE", value_of(JointType::DISTANCE)},
             {"D6", value_of(JointType::D6)}});
+  add_enum(m, "IntEnum", "ActuatorDynamics",
+           "How the activation of an actuator follows its control.",
+           {{"NONE", value_of(ActuatorDynamics::NONE)},
+            {"INTEGRATOR", value_of(ActuatorDynamics::INTEGRATOR)},
+            {"FILTER", value_of(ActuatorDynamics::FILTER)},
+            {"FILTER_EXACT", value_of(ActuatorDynamics::FILTER_EXACT)}});
   add_enum(m, "IntEnum", "JointTargetMode", "What the drive of a degree of freedom has.",
            {{"NONE", value_of(JointTargetMode::NONE)},
             {"POSITION", value_of(JointTargetMode::POSITION)},

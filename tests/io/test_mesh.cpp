@@ -241,7 +241,7 @@ TEST_F(LoadMesh, RefusesWhatIsNoFileAndOtherEndings) {
   EXPECT_ERROR(load_mesh(folder_.path() / "none.obj"), ErrorKind::Value, "No such file");
   std::filesystem::create_directory(folder_.path() / "folder.obj");
   EXPECT_ERROR(load_mesh(folder_.path() / "folder.obj"), ErrorKind::Value, "got a folder");
-  refuse("cube.fbx", cube_obj(), ".obj, .stl, .ply or .dae, got .fbx");
+  refuse("cube.fbx", cube_obj(), ".obj, .stl, .ply, .dae or .glb, got .fbx");
   refuse("cube", cube_obj(), "without an ending");
 }
 

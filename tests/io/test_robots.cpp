@@ -84,12 +84,13 @@ TEST(Robots, AnMjcfFileBecomesBodiesAndMotors) {
       <geom type="box" size="0.5 0.5 0.5"/></body></worldbody>
     <actuator><motor joint="j" gear="7" ctrlrange="-1 2"/></actuator></mujoco>)");
   ASSERT_EQ(result.actuators.size(), 1u);
-  EXPECT_EQ(result.actuators[0].target, ActuatorTarget::Force);
-  EXPECT_EQ(result.actuators[0].gear, 7.0f);
-  EXPECT_EQ(result.actuators[0].upper, 2.0f);
+  EXPECT_EQ(result.actuators.at("j_motor"), 0);
   EXPECT_EQ(builder.joint_armature[0], 2.0f);
   EXPECT_FLOAT_EQ(builder.joint_limit_upper[0], 1.57079633f);
-  EXPECT_FLOAT_EQ(builder.finalize()->body_mass.to_host()[0], 500.0f);
+  const auto model = builder.finalize();
+  EXPECT_FLOAT_EQ(model->body_mass.to_host()[0], 500.0f);
+  EXPECT_EQ(model->actuator_gear.to_host()[0], 7.0f);
+  EXPECT_EQ(model->actuator_ctrl_range.to_host()[0].y, 2.0f);
   const std::string text =
       "<mujoco>\n<worldbody><geom size='1'/></worldbody><equality>\n<weld/></equality></mujoco>";
   const std::string said = message([&] { add_mjcf(builder, text); });

@@ -13,7 +13,7 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 STEPS, DT = 40, 1 / 480
 
 
-def scene() -> novaphy.ModelBuilder:
+def scene(actuators: bool = True) -> novaphy.ModelBuilder:
     """A hinge beyond its limit, a driven hinge, a ball joint, and a box that slides and bounces."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(mu=0.5)
@@ -44,6 +44,12 @@ def scene() -> novaphy.ModelBuilder:
         builder.add_joint_ball(links[1], links[2], **at),
     ]
     builder.add_articulation(joints)
+    if actuators:
+        lag = {"dynamics": novaphy.ActuatorDynamics.FILTER, "time": 0.05, "act": 0.2, "ctrl": 0.4}
+        builder.add_actuator(joints[0], ctrl_range=(-0.3, 0.3), bias=(0.3, 0.0, 0.0), **lag)
+        builder.add_actuator(joints[1], act_range=(-1.0, 0.22), force_range=(-1.0, 0.1), **lag)
+        builder.add_actuator(joints[1], act_range=(-1.0, 0.21), **lag)
+        builder.add_actuator(joints[1], ctrl=0.4)
     hinges = builder.joint_count - 3
     assert hinges == 2
     builder.joint_q[14:16] = [0.7, 0.1]
@@ -127,6 +133,16 @@ ACT = {
     "body_mass": scaled("body_mass"),
     "body_com": scaled("body_com"),
     "body_inertia": of("body_inertia", slice(None), np.eye(3) * 0.07),
+    **{
+        f"actuator_{name}": scaled(f"actuator_{name}")
+        for name in ("gear", "time", "ctrl_range", "act_range", "force_range")
+    },
+    "actuator_gain": of("actuator_gain", slice(0, 1), (1.3, 0.0, 0.0)),
+    "actuator_bias": of("actuator_bias", slice(0, 1), (0.4, -0.2, -0.1)),
+    "actuator_dynamics": of("actuator_dynamics", slice(0, 2), 1),
+    "body_gravcomp": of("body_gravcomp", slice(None), 0.2),
+    "ctrl": scaled("ctrl"),
+    "act": scaled("act"),
     "gravity": of("gravity", slice(None), (0.0, 1.0, -5.0)),
     "shape_material_mu": of("shape_material_mu", SHAPES, 0.1),
     "shape_material_restitution": of("shape_material_restitution", SHAPES, 0.6),
@@ -167,6 +183,12 @@ WRONG = {
     "inertia": (of("body_inertia", slice(2, 3), -np.eye(3)), r"body_inertia\[2\].*>= 0, got -1"),
     "axis": (of("joint_axis", HINGES, (0.0, 2.0, 0.0)), r"joint_axis\[12\]: .* length 1, got 2"),
     "frame": (of("joint_X_c", slice(3, 4), (0, 0, 0, 0, 0, 0, 2.0)), r"joint_X_c\[3\]: .*got 2"),
+    "actuator": (of("actuator_gain", slice(0, 1), np.nan), r"actuator_gain\[0\]: .*finite"),
+    "dynamics": (
+        of("actuator_dynamics", slice(1, 2), 0),
+        r"actuator_dynamics\[1\]: expected 1 to 3",
+    ),
+    "range": (of("actuator_ctrl_range", slice(1, 2), (1, 0)), r"actuator_ctrl_range\[1\]: .*first"),
     "mode": (of("joint_target_mode", HINGES, 9), r"joint_target_mode\[12\]: .*TargetMode, got 9"),
 }
 # Of the other ways of contact.
@@ -184,6 +206,8 @@ STRUCTURE = (
     "joint_world",
     "joint_mimic",
     "joint_mimic_coef",
+    "actuator_dof",
+    "actuator_state",
     "body_world",
     "shape_body",
     "shape_type",

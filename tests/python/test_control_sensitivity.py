@@ -633,6 +633,13 @@ def test_what_is_not_covered_raises() -> None:
         FeatherstoneAnalyticControlSensitivity(
             model, parameter_count=1, point_body=0, contact_projection=True, exact=True
         )
+    model.body_gravcomp.fill_(0.5)
+    now, then = model.state(), model.state()
+    s = FeatherstoneAnalyticControlSensitivity(model, parameter_count=1, point_body=0)
+    s.reset(now)
+    SolverFeatherstone(model).step(now, then, None, None, DT)
+    with pytest.raises(NotImplementedError, match="body_gravcomp: .*DiffFeatherstoneSolver"):
+        s.step(now, then, None, DT, np.ones((1, 1)))
 
 
 def test_bad_arguments_are_named() -> None:

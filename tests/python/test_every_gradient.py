@@ -22,6 +22,7 @@ FACES = [0, 1, 3, 0, 3, 2, 4, 6, 7, 4, 7, 5, 0, 4, 5, 0, 5, 1,
          2, 3, 7, 2, 7, 6, 0, 2, 6, 0, 6, 4, 1, 5, 7, 1, 7, 3]  # fmt: skip
 # What no step reads, because states begin with copies.
 STARTS = {f"model.{a}_{b}" for a in ("particle", "body", "joint") for b in ("q", "qd")}
+STARTS |= {"model.act"}
 
 
 @dataclasses.dataclass
@@ -69,6 +70,23 @@ def soft_for_vbd() -> novaphy.Model:
     return model
 
 
+def actuate(builder: novaphy.ModelBuilder, joints: list[int]) -> None:
+    """Actuators of all kinds, at the ends of ranges of all kinds."""
+    dynamics = novaphy.ActuatorDynamics
+    ranges = dict.fromkeys(("ctrl_range", "force_range", "act_range"), (-5.0, 5.0))
+    for joint, options in (
+        (0, {"gear": 2.0, "gain": (4.0, 0.0, 0.0), "bias": (0.1, 0.0, 0.0), "ctrl": 0.2,
+             "ctrl_range": (-1.0, 0.15), "dynamics": dynamics.FILTER_EXACT, "time": 0.01}),
+        (0, {"gain": (2.0, -0.3, -0.2), "bias": (0.1, -3.0, -0.6), "ctrl": 0.3, "gear": -1.2,
+             "ctrl_range": (-1.0, 1.0), "force_range": (-1e10, 1e10)}),
+        (1, {"gear": -1.5, "ctrl": 0.3, "force_range": (-0.2, 0.1)}),
+        (1, {"gear": 0.5, "ctrl": 0.3, "act": 0.4, "dynamics": dynamics.FILTER, "time": 0.02}),
+        (1, {"ctrl": 0.3, "act": 0.3, "act_range": (0.2, 0.3005),
+             "dynamics": dynamics.INTEGRATOR}),
+    ):  # fmt: skip
+        builder.add_actuator(joints[joint], **(ranges | options))
+
+
 def bodies(articulated: bool) -> novaphy.Model:
     """A ball, a box and a mesh on a plane, and an arm whose tip, a ball, touches it."""
     builder = novaphy.ModelBuilder()
@@ -86,7 +104,7 @@ def bodies(articulated: bool) -> novaphy.Model:
     links = [
         builder.add_link(
             xform=((3.0 + 0.3 * k, 0.0, 0.1), UPRIGHT), mass=1.0, com=(0.1, 0.01, 0.02),
-            inertia=np.diag([0.02, 0.03, 0.04]),
+            inertia=np.diag([0.02, 0.03, 0.04]), gravcomp=0.3 * articulated,
         )
         for k in range(2)
     ]  # fmt: skip
@@ -107,6 +125,8 @@ def bodies(articulated: bool) -> novaphy.Model:
         ),
     ]
     builder.add_articulation(joints)
+    if articulated:
+        actuate(builder, joints)
     tip = ((0.2, 0.0, 0.0), UPRIGHT)
     builder.add_shape_sphere(links[1], xform=tip, radius=0.103, cfg=light)
     model = builder.finalize()
@@ -243,6 +263,8 @@ def direction(name: str, values: np.ndarray, draw: np.random.Generator) -> np.nd
     is_unit = name.endswith(("joint_axis", "normal"))
     if not is_unit and (values >= 0).all() and values.any():
         way *= values  # which stays so
+    if name.endswith(("actuator_gain", "actuator_bias")):  # a motor stays one
+        way *= values != 0
     if name.endswith("inertia"):
         way = 0.1 * values * (way + np.swapaxes(way, -1, -2)) / np.abs(values).max()
     if values.ndim == 2 and values.shape[1] == 7:  # poses

@@ -173,7 +173,7 @@ def test_bad_meshes_are_python_errors_that_name_the_file(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.obj"):
         io.load_mesh(tmp_path / "none.obj")
     for name, text, message in [
-        ("a.fbx", SQUARE, r"expected a name that ends in \.obj, \.stl, \.ply or \.dae, got \.fbx"),
+        ("a.fbx", SQUARE, r"ends in \.obj, \.stl, \.ply, \.dae or \.glb, got \.fbx"),
         ("a.obj", "", r"a\.obj: expected a whole \.obj file; assimp says: "),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", "triangle 0: expected finite"),
         ("a.obj", SQUARE + "f 1 2 9\n", "assimp says: .*out of range"),

@@ -63,9 +63,11 @@ def test_the_ant_starts_within_its_ranges_and_has_its_motors():
     lower, upper = model.joint_limit_lower.numpy()[6:], model.joint_limit_upper.numpy()[6:]
     assert (lower <= q[7:]).all() and (q[7:] <= upper).all()
     assert_allclose(np.rad2deg(lower[:4]), [-30, 30, -30, -70], rtol=1e-6)
-    assert [m.joint for m in result.actuators[:3]] == ["hip_4", "ankle_4", "hip_1"]
-    assert [m.dof for m in result.actuators] == [12, 13, 6, 7, 8, 9, 10, 11]
-    assert {(m.gear, m.lower, m.upper) for m in result.actuators} == {(150, -1, 1)}
+    assert model.actuator_label[:3] == ["hip_4", "ankle_4", "hip_1"]
+    assert result.actuators["hip_1"] == 2
+    assert model.actuator_dof.numpy().tolist() == [12, 13, 6, 7, 8, 9, 10, 11]
+    assert (model.actuator_gear.numpy() == 150).all()
+    assert (model.actuator_ctrl_range.numpy() == [-1, 1]).all()
     armature = model.joint_armature.numpy()
     assert armature[:6].tolist() == [0] * 6 and armature[6:].tolist() == [1] * 8
     # Only the floor meets the geoms.
@@ -354,9 +356,8 @@ BAD = {
                 "positive definite"),
     "muscle": (mjcf(hinged('name="a"'), after='<actuator><muscle joint="a"/></actuator>'),
                "an actuator of the kind <muscle>"),
-    "lag": (mjcf(hinged('name="a"'),
-                 after='<actuator><position joint="a" timeconst="1"/></actuator>'),
-            "an actuator with dyntype filterexact"),
+    "early": (mjcf(hinged('name="a"'), after='<actuator><position joint="a" timeconst="1" '
+                   'actearly="true"/></actuator>'), "an actuator with actearly"),
     "gear": (mjcf(hinged('name="a" stiffness="1"'), after='<actuator><position joint="a" '
                   'forcerange="-1 1"/></actuator>'), "forcerange: the drive of the joint has "
                                                      "other"),
@@ -364,7 +365,6 @@ BAD = {
               'there is no joint "a"'),
     "mocap": (mjcf(hinged(body='mocap="true"')), "mocap: expected a body in the world without j"),
     "attach": (mjcf('<body><attach model="m"/></body>'), "<attach>: this element"),
-    "weight": (mjcf(hinged(body='gravcomp="1"')), "gravcomp: gravity is that of a world"),
 }  # fmt: skip
 
 

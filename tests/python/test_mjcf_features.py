@@ -116,6 +116,21 @@ FEATURES = {
         '<position class="x" joint="j"/><velocity class="y" joint="k"/>',
         before='<default><position kp="10" kv="2"/><velocity kv="3"/><default class="x"><motor '
         'ctrlrange="-.1 .2"/><position/></default><default class="y"><motor/></default></default>'),
+    "activations": actuated(
+        '<position joint="j" kp="20" kv="1" timeconst=".3"/><intvelocity joint="k" kp="9" '
+        'kv=".5" actrange="-.4 .6"/><general joint="j" dyntype="filter" dynprm=".2" gainprm="3"/>'
+        '<general joint="k" dyntype="integrator" actrange="-.5 .5" gear="-2"/>'
+        '<cylinder joint="j" area="2" bias="1 -2 -.1" timeconst=".5"/>'),
+    "gains by the state": actuated(
+        '<damper joint="j" kv="3" gear="2" ctrlrange="0 2"/><general joint="k" gaintype="affine" '
+        'gainprm="2 -1 -.5" biastype="affine" biasprm=".3 -1 -1" ctrlrange="0 1"/>'),
+    "ranges of forces": actuated(
+        '<position joint="j" kp="200" gear="-2" forcerange="-1 3"/>'
+        '<position joint="k" kp="50" kv="2"/><motor joint="k" gear="3" forcerange="-.2 .1"/>',
+        'actuatorfrcrange="-4 5"'),
+    "gravity compensation": mjcf(
+        '<body gravcomp=".7"><freejoint/>' + GEOM + '<body gravcomp="1.5"><joint type="ball"/>'
+        + GEOM + ARM.format(joint="") + "</body></body>"),
     "flags": actuated('<motor joint="j" ctrlrange="-.1 .1"/>', 'damping="3" stiffness="4"',
                       '<option gravity="1 2 3"><flag clampctrl="disable" '
                       'damper="disable"/></option>'),
@@ -259,7 +274,7 @@ def test_what_only_looks_as_if_it_acted_is_read():
         '<fixed limited="true" range="0 1"><joint joint="j" coef="1"/></fixed></tendon>'
     )
     model, robot = loaded(mjcf(inside, flags, after), xform=(0, 0, 1, 0, 0, 0, 1))
-    assert robot.report.left_out == [] and robot.actuators == []
+    assert robot.report.left_out == [] and robot.actuators == {}
     assert model.joint_limit_upper.numpy()[0] == 1e10 and model.shape_contact_pair_count == 0
     assert robot.sites == {"s": (0, (1, 2, 3, 0, 0, 0, 1))}
     assert robot.timestep is None and robot.report.read["tendon"] == 1
@@ -306,12 +321,9 @@ def test_a_control_moves_what_its_actuator_says():
     text = actuated('<position joint="j" kp="50" kv="20"/><motor joint="k" gear="2"/>',
                     before='<option gravity="0 0 0"/>')  # fmt: skip
     model, robot = loaded(text)
-    hold, push = robot.actuators
-    assert (hold.target, push.target) == ("joint_target_q", "joint_f")
+    assert robot.actuators == {"j_position": 0, "k_motor": 1}
     control, state, after = model.control(), model.state(), model.state()
-    values = control.joint_target_q.numpy()
-    values[hold.row] = hold.gear * 0.02 + hold.offset
-    control.joint_target_q.assign(values)
+    control.ctrl.assign([0.02, 0])
     solver = novaphy.solvers.SolverFeatherstone(model)
     for _ in range(1500):
         solver.step(state, after, control, None, 1e-2)

@@ -467,12 +467,12 @@ def test_scale_is_of_places_and_sizes():
 
 def test_planar_and_floating_joints_have_the_dofs_of_their_names():
     axis = '<axis xyz="0 0 1"/>'
-    for kind, dims, axes in (("planar", [2, 0], 2), ("floating", [3, 3], 6)):
+    for kind, dims, axes in (("planar", [2, 1], 3), ("floating", [3, 3], 6)):
         model, _, _ = loaded(robot(link("a"), link("b"), joint("j", "a", "b", axis, kind)))
         assert model.joint_dof_dim.numpy()[1].tolist() == dims
         assert model.joint_dof_count == axes
-        if kind == "planar":  # within the plane
-            assert_allclose(model.joint_axis.numpy() @ [0, 0, 1], [0, 0])
+        if kind == "planar":  # within the plane, and about its normal
+            assert_allclose(model.joint_axis.numpy() @ [0, 0, 1], [0, 0, 1])
 
 
 @pytest.mark.parametrize(

@@ -176,8 +176,8 @@ NO_PART = {
     "shape_aabb_lower": "found of the shapes when the model is made",
     "shape_aabb_upper": "found of the shapes when the model is made",
 }
-# Without rows, because a model with bodies, joints or articulations is refused.
-OF_BODIES = ("body_", "joint_", "articulation_")
+# Without rows, because a model with bodies, joints, articulations or actuators is refused.
+OF_BODIES = ("body_", "joint_", "articulation_", "actuator_", "act", "ctrl")
 NUMBERS_THAT_ACT = {"soft_contact_ke", "soft_contact_kd", "soft_contact_mu"}
 NUMBERS_THAT_RAISE = {
     "soft_contact_kf": 10.0,

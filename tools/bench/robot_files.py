@@ -213,9 +213,7 @@ def compare(exact, model, robot) -> dict[str, float]:
         state.joint_q.assign(np.float32(q))
         state.joint_qd.assign(np.float32(change @ data.qvel))
         novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
-        for k in range(exact.nu):
-            low, high = exact.actuator_ctrlrange[k] if exact.actuator_ctrllimited[k] else (-1, 1)
-            data.ctrl[k] = draw.uniform(low - 0.1, high + 0.1)
+        draw_controls(exact, data, draw)
         mujoco.mj_forward(exact, data)
         pose = state.body_q.numpy().astype(float)
         center, tensor, tensor_exact = [], [], []
@@ -233,7 +231,7 @@ def compare(exact, model, robot) -> dict[str, float]:
         note("origins", pose[rows, :3], data.xpos[1:], 0.1)
         if not exact.nv:
             break
-        note_forces(exact, data, model, robot, change, np.array(q), note)
+        note_forces(exact, data, model, robot, state, change, np.array(q), note)
         if exact.nmocap:  # functions of dynamics know no kinematic bodies
             continue
         full = np.zeros((exact.nv, exact.nv))
@@ -316,42 +314,63 @@ def assembled(model, blocks):
     return full
 
 
-def note_forces(exact, data, model, robot, change, coordinates, note) -> None:
-    """The forces of springs, dampers and actuators, by the law of the drives."""
+def draw_controls(exact, data, draw) -> None:
+    for k in range(exact.nu):
+        low, high = exact.actuator_ctrlrange[k] if exact.actuator_ctrllimited[k] else (-1, 1)
+        data.ctrl[k] = draw.uniform(low - 0.1, high + 0.1)
+    data.act[:] = draw.uniform(-1, 1, exact.na)
+
+
+def note_forces(exact, data, model, robot, state, change, coordinates, note) -> None:
+    """The forces of springs, dampers, actuators and gravity compensation."""
     import numpy as np
 
-    get = {
-        name: getattr(model, name).numpy().astype(float)
-        for name in ("joint_target_ke", "joint_target_kd", "joint_damping", "joint_effort_limit")
-    }
-    arrays = {
-        "joint_f": np.zeros(model.joint_dof_count),
-        "joint_target_qd": np.zeros(model.joint_dof_count),
-        "joint_target_q": model.joint_target_q.numpy().astype(float),
-    }
-    names = [exact.actuator(k).name for k in range(exact.nu)]
-    for a in robot.actuators:
-        if a.target == "joint_target_q":
-            arrays[a.target][a.row] = 0.0
-    for k, a in enumerate(robot.actuators):
-        index = names.index(a.name) if a.name in names else k
-        control = min(max(data.ctrl[index], a.lower), a.upper)
-        arrays[a.target][a.row] += a.gear * control + a.offset
+    import novaphy
+
     qd = change @ data.qvel
-    drive = get["joint_target_kd"] * (arrays["joint_target_qd"] - qd)
-    kinds, starts = model.joint_type.numpy(), model.joint_qd_start.numpy()
-    coords = model.joint_q_start.numpy()
-    q, target = np.zeros(len(qd)), np.zeros(len(qd))
-    for j in range(len(kinds)):  # joints with as many coordinates as degrees of freedom
+    total = -model.joint_damping.numpy().astype(float) * qd
+    stiffness, rest = model.joint_target_ke.numpy(), model.joint_target_q.numpy()
+    starts, coords = model.joint_qd_start.numpy(), model.joint_q_start.numpy()
+    for j in range(model.joint_count):  # joints with as many coordinates as degrees of freedom
         d, n = starts[j], starts[j + 1] - starts[j]
         c, m = coords[j], coords[j + 1] - coords[j]
         if n == m:
-            q[d : d + n] = coordinates[c : c + n]
-            target[d : d + n] = arrays["joint_target_q"][c : c + n]
-    drive += get["joint_target_ke"] * (target - q)
-    limit = get["joint_effort_limit"]
-    total = arrays["joint_f"] + np.clip(drive, -limit, limit) - get["joint_damping"] * qd
+            total[d : d + n] += stiffness[d : d + n] * (rest[c : c + n] - coordinates[c : c + n])
+    control = model.control()
+    ctrl, act = control.ctrl.numpy(), state.act.numpy()
+    names = [exact.actuator(k).name for k in range(exact.nu)]
+    forces = {}
+    for k, (name, row) in enumerate(sorted(robot.actuators.items(), key=lambda item: item[1])):
+        index = names.index(name) if name in names else k
+        forces[row] = data.actuator_force[index]
+        ctrl[row] = data.ctrl[index]
+        if exact.actuator_actnum[index]:
+            act[model.actuator_state.numpy()[row]] = data.act[exact.actuator_actadr[index]]
+    control.ctrl.assign(ctrl)
+    state.act.assign(act)
+    ours = novaphy.eval_actuator_forces(model, state, control).astype(float)
+    np.add.at(total, model.actuator_dof.numpy(), model.actuator_gear.numpy() * ours)
+    if not exact.jnt_actfrclimited.any():  # those are limits of joints there
+        note("actuators", [ours[row] for row in forces], list(forces.values()))
+    total += lifted(model, state)
     note("forces", change.T @ total, data.qfrc_passive + data.qfrc_actuator)
+
+
+def lifted(model, state):
+    """The forces of dofs that gravity compensation is: the bias of masses gravcomp * mass."""
+    import novaphy
+
+    mass, rates = model.body_mass.numpy(), state.joint_qd.numpy()
+    part = mass * model.body_gravcomp.numpy()
+    if not part.any():
+        return 0.0
+    try:
+        model.body_mass.assign(part)
+        state.joint_qd.zero_()
+        return novaphy.eval_bias(model, state).astype(float)
+    finally:
+        model.body_mass.assign(mass)
+        state.joint_qd.assign(rates)
 
 
 def pairs_of_mujoco(m):

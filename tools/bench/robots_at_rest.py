@@ -78,6 +78,8 @@ class Robot:
 
     def finalize(self) -> novaphy.Model:
         self.model = self.builder.finalize()
+        self.model.actuator_gain.zero_()  # drives hold the joints
+        self.model.actuator_bias.zero_()
         self.state, self.after = self.model.state(), self.model.state()
         novaphy.eval_fk(self.model, self.state.joint_q, self.state.joint_qd, self.state)
         return self.model

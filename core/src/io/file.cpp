@@ -18,7 +18,15 @@ std::string read_file(std::string_view function, const std::filesystem::path& pa
   std::ifstream file(path, std::ios::binary);
   require(file.is_open(), ErrorKind::Value, function, ": ", path.string(),
           ": expected a file that can be read, got: ", std::strerror(errno));
-  std::string bytes(std::istreambuf_iterator<char>(file), {});
+  std::string bytes;
+  const std::uintmax_t size = std::filesystem::file_size(path, ignored);
+  if (!ignored && size > 0 && size < (std::uintmax_t{1} << 32)) {
+    bytes.resize(size);
+    file.read(bytes.data(), static_cast<std::streamsize>(size));
+    bytes.resize(static_cast<size_t>(file.gcount()));
+  }
+  // What has no size, as a pipe, or grows.
+  if (!file.eof()) bytes.append(std::istreambuf_iterator<char>(file), {});
   require(!file.bad(), ErrorKind::Value, function, ": ", path.string(), ": reading it failed");
   return bytes;
 }

@@ -19,6 +19,7 @@ enum class Rule {
   Finite,
   NotNegative,
   AtMostOne,
+  Unread,
   Mass,
   Diagonal,
   NotZero,
@@ -106,6 +107,9 @@ void check_numbers(const char* solver, const Numbers& numbers) {
       case Rule::Finite:
       case Rule::NotNegative:
       case Rule::Diagonal:
+        break;
+      case Rule::Unread:
+        expect(v[0] == 0.0f, "0, which only solvers of articulations read otherwise", double{v[0]});
         break;
       case Rule::AtMostOne:
         expect(v[0] <= 1.0f, "at most 1", double{v[0]});
@@ -221,6 +225,9 @@ void EditedValues::check_limits(const Model& m) {
 }
 
 void EditedValues::check_arrays(const Model& m) {
+  require(m.actuator_count() == 0, ErrorKind::NotImplemented, solver_,
+          ": model: expected no actuators, which only solvers of articulations have, got ",
+          m.actuator_count());
   const Numbers all[kArrays] = {
 #define NOVAPHY_NUMBERS(name, rule) {#name, m.name, Rule::rule},
       NOVAPHY_EDITED_ARRAYS(NOVAPHY_NUMBERS)
@@ -275,6 +282,14 @@ void EditedValues::check_joint_arrays(const Model& m) {
       {"joint_axis", m.joint_axis, Rule::UnitVector},
       {"joint_X_p", m.joint_X_p, Rule::UnitFrame},
       {"joint_X_c", m.joint_X_c, Rule::UnitFrame},
+      {"actuator_gear", m.actuator_gear, Rule::Finite},
+      {"actuator_gain", m.actuator_gain, Rule::Finite},
+      {"actuator_bias", m.actuator_bias, Rule::Finite},
+      {"actuator_time", m.actuator_time, Rule::NotNegative},
+      {"actuator_ctrl_range", m.actuator_ctrl_range, Rule::Finite},
+      {"actuator_force_range", m.actuator_force_range, Rule::Finite},
+      {"actuator_act_range", m.actuator_act_range, Rule::Finite},
+      {"body_gravcomp", m.body_gravcomp, Rule::Finite},
       {"body_mass", m.body_mass, Rule::NotNegative},
       {"body_com", m.body_com, Rule::Finite},
       {"body_inertia", m.body_inertia, Rule::Diagonal},

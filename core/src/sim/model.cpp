@@ -33,6 +33,7 @@ SimState Model::state(std::optional<bool> grad) const {
   state.body_qd.assign(body_qd);
   state.joint_q.assign(joint_q);
   state.joint_qd.assign(joint_qd);
+  state.act.assign(act);
   return state;
 }
 
@@ -45,6 +46,7 @@ Control Model::control(std::optional<bool> grad) const {
   control.joint_act.assign(joint_act);
   control.particle_tri_activation.assign(particle_tri_activation);
   control.particle_tet_activation.assign(particle_tet_activation);
+  control.ctrl.assign(ctrl);
   return control;
 }
 

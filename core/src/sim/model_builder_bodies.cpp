@@ -35,6 +35,7 @@ int32_t ModelBuilder::append_body(std::string_view name, const BodyArgs& args, b
   const Transformf pose = detail::checked_pose(name, args.xform);
   detail::check_finite({name, "com"}, args.com);
   detail::check_mass({name, "mass"}, args.mass);
+  detail::check_finite({name, "gravcomp"}, args.gravcomp);
   if (args.inertia) {
     detail::check_inertia({name, "inertia"}, *args.inertia, {balance_inertia, bound_inertia});
     require(args.mass > 0.0f, ErrorKind::Value, name,
@@ -52,7 +53,8 @@ int32_t ModelBuilder::append_body(std::string_view name, const BodyArgs& args, b
                      .is_kinematic = args.is_kinematic,
                      .is_link = is_link,
                      .world = current_world_,
-                     .label = args.label.empty() ? "body_" + std::to_string(index) : args.label});
+                     .label = args.label.empty() ? "body_" + std::to_string(index) : args.label,
+                     .gravcomp = args.gravcomp});
   return index;
 }
 
@@ -148,11 +150,13 @@ void ModelBuilder::append_bodies(const ModelBuilder& b, const Transformf& xform)
 void ModelBuilder::upload_bodies(Model& m, const BodyMasses& masses) const {
   std::vector<Transformf> pose;
   std::vector<int32_t> flags, world;
+  std::vector<float> gravcomp;
   for (size_t b = 0; b < bodies_.size(); ++b) {
     pose.push_back(detail::checked_pose({"finalize", "body_q", b}, body_q[b]));
     flags.push_back(
         static_cast<int32_t>(bodies_[b].is_kinematic ? BodyFlags::KINEMATIC : BodyFlags::DYNAMIC));
     world.push_back(bodies_[b].world);
+    gravcomp.push_back(bodies_[b].gravcomp);
     m.body_label.push_back(bodies_[b].label);
   }
   m.body_q.copy_from_host(std::span<const Transformf>(pose));
@@ -162,6 +166,7 @@ void ModelBuilder::upload_bodies(Model& m, const BodyMasses& masses) const {
   m.body_inertia.copy_from_host(std::span<const Mat33f>(masses.inertia));
   m.body_flags.copy_from_host(std::span<const int32_t>(flags));
   m.body_world.copy_from_host(std::span<const int32_t>(world));
+  m.body_gravcomp.copy_from_host(std::span<const float>(gravcomp));
 }
 
 }  // namespace novaphy

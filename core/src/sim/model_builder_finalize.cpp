@@ -76,6 +76,8 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   counts.joint_coord_count = joint_coord_count();
   counts.joint_dof_count = joint_dof_count();
   counts.articulation_count = articulation_count();
+  counts.actuator_count = actuator_count();
+  counts.actuator_state_count = actuator_state_count();
   counts.spring_count = spring_count();
   counts.tri_count = tri_count();
   counts.edge_count = edge_count();
@@ -102,6 +104,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   upload_elements(m);
   upload_bodies(m, masses);
   upload_joints(m);
+  upload_actuators(m);
   upload(m.shape_body, body);
   upload(m.shape_flags, flags);
   upload(m.shape_collision_group, group);

@@ -1,9 +1,12 @@
 // A step of articulations, and its adjoints, one row per articulation: articulation/step.h and
-// step_vjp.h over the arrays of models and states.
+// step_vjp.h over the arrays of models and states. What acts besides the drives: actuators
+// (articulation/actuation.h), and gravity compensation, a force -gravcomp mass gravity at centres
+// of mass.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/row_scratch.h"
+#include "novaphy/dynamics/articulation/actuation.h"
 #include "novaphy/dynamics/articulation/vjp_arguments.h"
 
 namespace novaphy {
@@ -70,6 +73,133 @@ NOVAPHY_ROW_KERNEL(gravity_gradient, 11, GravityGradientArguments) {
   }
   for (int64_t b = 0; b < a.bodies && a.body_f != nullptr; ++b)
     a.body_f[b] = a.add_body_f != 0 ? a.body_f[b] + a.wrenches[b] : a.wrenches[b];
+}
+
+// A row per degree of freedom.
+struct ActuationArguments {
+  articulation::Actuation in;
+  float* out[articulation::kActuationOutputs];
+};
+NOVAPHY_ROW_KERNEL(actuation, 28, ActuationArguments) {
+  articulation::actuate(
+      a.in, static_cast<int32_t>(row),
+      [&](int32_t input, int32_t of, int32_t k) {
+        return articulation::DualFloat(
+            a.in.in[input][of * articulation::numbers_of_input(input) + k]);
+      },
+      [&](int32_t output, int32_t of, const articulation::DualFloat& v) {
+        a.out[output][of] = v.value;
+      });
+}
+
+struct ActuationJvpArguments {
+  articulation::Actuation in;
+  const float* tangent[articulation::kActuationInputs];  // null: zeros
+  float* out[articulation::kActuationOutputs];           // null: nobody wants it
+};
+NOVAPHY_ROW_KERNEL(actuation_jvp, 43, ActuationJvpArguments) {
+  articulation::actuate(
+      a.in, static_cast<int32_t>(row),
+      [&](int32_t input, int32_t of, int32_t k) {
+        const int32_t at = of * articulation::numbers_of_input(input) + k;
+        const float* const t = a.tangent[input];
+        return articulation::DualFloat(a.in.in[input][at], t != nullptr ? t[at] : 0.0f);
+      },
+      [&](int32_t output, int32_t of, const articulation::DualFloat& v) {
+        if (a.out[output] != nullptr) a.out[output][of] = v.tangent;
+      });
+}
+
+// Adds to the gradients, one number of an input after the other.
+struct ActuationVjpArguments {
+  articulation::Actuation in;
+  const float* out[articulation::kActuationOutputs];  // gradients; null: zeros
+  float* gradient[articulation::kActuationInputs];    // null: nobody wants it
+};
+NOVAPHY_ROW_KERNEL(actuation_vjp, 43, ActuationVjpArguments) {
+  const auto dof = static_cast<int32_t>(row);
+  const auto add = [&](int32_t input, int32_t of) {
+    if (a.gradient[input] == nullptr || of < 0) return;
+    const int32_t numbers = articulation::numbers_of_input(input);
+    for (int32_t seed = 0; seed < numbers; ++seed) {
+      float sum = 0.0f;
+      articulation::actuate(
+          a.in, dof,
+          [&](int32_t i, int32_t r, int32_t k) {
+            return articulation::DualFloat(a.in.in[i][r * articulation::numbers_of_input(i) + k],
+                                           i == input && r == of && k == seed ? 1.0f : 0.0f);
+          },
+          [&](int32_t output, int32_t r, const articulation::DualFloat& v) {
+            if (a.out[output] != nullptr) sum += a.out[output][r] * v.tangent;
+          });
+      a.gradient[input][of * numbers + seed] += sum;
+    }
+  };
+  for (int32_t input = 0; input < articulation::kActuated; ++input)
+    add(input, input == articulation::kTarget ? a.in.coord[dof] : dof);
+  for (int32_t i = a.in.first[dof]; i < a.in.first[dof + 1]; ++i) {
+    const int32_t k = a.in.order[i];
+    for (int32_t input = articulation::kActuated; input < articulation::kActuationInputs; ++input)
+      add(input, input == articulation::kActivation ? a.in.state[k] : k);
+  }
+}
+
+// A row per body: body_f and the force that takes a part of the weight away.
+struct GravcompArguments {
+  const int32_t* world;  // of the body; -1: the last
+  const float *gravcomp, *mass;
+  const Vec3f* gravity;
+  const SpatialVectorf* body_f;
+  int64_t worlds;
+  SpatialVectorf* out;
+};
+inline int64_t world_of(const GravcompArguments& a, int64_t body) {
+  return a.world[body] < 0 ? a.worlds - 1 : a.world[body];
+}
+NOVAPHY_ROW_KERNEL(gravity_compensation, 7, GravcompArguments) {
+  SpatialVectorf f = a.body_f[row];
+  f.linear = f.linear - a.gravity[world_of(a, row)] * (a.gravcomp[row] * a.mass[row]);
+  a.out[row] = f;
+}
+
+struct GravcompTangents {
+  GravcompArguments in;  // out: the tangent
+  const float *gravcomp, *mass;
+  const Vec3f* gravity;
+  const SpatialVectorf* body_f;  // null: zeros
+};
+NOVAPHY_ROW_KERNEL(gravity_compensation_jvp, 11, GravcompTangents) {
+  const int64_t world = world_of(a.in, row);
+  const float part = a.in.gravcomp[row], mass = a.in.mass[row];
+  float by_number = 0.0f;
+  if (a.gravcomp != nullptr) by_number += a.gravcomp[row] * mass;
+  if (a.mass != nullptr) by_number += part * a.mass[row];
+  SpatialVectorf f{};
+  if (a.body_f != nullptr) f = a.body_f[row];
+  f.linear = f.linear - a.in.gravity[world] * by_number;
+  if (a.gravity != nullptr) f.linear = f.linear - a.gravity[world] * (part * mass);
+  a.in.out[row] = f;
+}
+
+// Adds to the gradients. One row, so that the sums have one order.
+struct GravcompGradients {
+  GravcompArguments in;  // out: the gradient of the result
+  float *gravcomp, *mass;
+  Vec3f* gravity;
+  SpatialVectorf* body_f;  // null: nobody wants it
+  int64_t bodies;
+};
+NOVAPHY_ROW_KERNEL(gravity_compensation_vjp, 12, GravcompGradients) {
+  for (int64_t b = 0; b < a.bodies; ++b) {
+    const int64_t world = world_of(a.in, b);
+    const SpatialVectorf& g = a.in.out[b];
+    const float weight = -math::dot(g.linear, a.in.gravity[world]);
+    if (a.gravcomp != nullptr) a.gravcomp[b] += weight * a.in.mass[b];
+    if (a.mass != nullptr) a.mass[b] += weight * a.in.gravcomp[b];
+    if (a.gravity != nullptr)
+      a.gravity[world] = a.gravity[world] - g.linear * (a.in.gravcomp[b] * a.in.mass[b]);
+    if (a.body_f != nullptr) a.body_f[b] = a.body_f[b] + g;
+  }
 }
 
 }  // namespace novaphy

@@ -133,12 +133,23 @@ NamedStepArrays step_arrays(const Model& m, const SimState* state, const Control
 }
 
 ArticulationArguments articulation_arguments(const Model& m, const Articulations& articulations,
-                                             const SimState& in, const Control* control,
+                                             const SimState& in, const StepDrives& drives,
+                                             const Array& body_f,
                                              const FeatherstoneOptions& options, float dt) {
   ArticulationArguments a = {};
   articulation::for_each_array(
-      [&](auto& to, const auto& source) { to = source.find(m, &in, control)->data(); }, a,
+      [&](auto& to, const auto& source) { to = source.find(m, &in, nullptr)->data(); }, a,
       kStepSources);
+  const auto drive = [&](int32_t which) {
+    return static_cast<const float*>(drives[static_cast<size_t>(which)].raw());
+  };
+  a.joint_f = drive(articulation::kJointForce);
+  a.target_q = drive(articulation::kTarget);
+  a.target_qd = drive(articulation::kTargetRate);
+  a.target_ke = drive(articulation::kStiffness);
+  a.target_kd = drive(articulation::kDamping);
+  a.effort_limit = drive(articulation::kEffort);
+  a.body_f = static_cast<const SpatialVectorf*>(body_f.raw());
   a.target_mode = m.joint_target_mode.data();
   a.rows = reinterpret_cast<const ArticulationRows*>(articulations.rows().data());
   a.links = reinterpret_cast<const articulation::Link*>(articulations.links().data());

@@ -4,6 +4,7 @@
 #include <span>
 #include <string>
 
+#include "actuators.h"
 #include "articulation_kernels.h"
 #include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
@@ -41,7 +42,8 @@ int64_t step_workspace(const Articulations& articulations);
 
 // Host pointers.
 ArticulationArguments articulation_arguments(const Model& model, const Articulations& articulations,
-                                             const SimState& in, const Control* control,
+                                             const SimState& in, const StepDrives& drives,
+                                             const Array& body_f,
                                              const FeatherstoneOptions& options, float dt);
 
 }  // namespace novaphy

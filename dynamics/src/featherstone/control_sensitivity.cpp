@@ -327,6 +327,9 @@ FeatherstoneAnalyticControlSensitivity::FeatherstoneAnalyticControlSensitivity(
   require(o.articulation >= 0 && o.articulation < model->articulation_count(), ErrorKind::Index,
           kName, ", articulation: expected 0 <= articulation < ", model->articulation_count(),
           ", got ", o.articulation);
+  require(model->actuator_count() == 0, ErrorKind::NotImplemented, kName,
+          ": model: expected no actuators, got ", model->actuator_count(),
+          ": differentiate by DiffFeatherstoneSolver");
   require(o.parameter_count > 0, ErrorKind::Value, kName,
           ", parameter_count: expected a number > 0, got ", o.parameter_count);
   require(o.point_body >= 0 && o.point_body < model->body_count(), ErrorKind::Index, kName,
@@ -387,9 +390,13 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
           ", contacts: expected none without contact_projection");
   m.update_derived();
   s.articulations.check_values(m, control, false, kStep);
+  for (const float part : std::span(m.body_gravcomp.data(), m.body_gravcomp.rows()))
+    require(part == 0.0f, ErrorKind::NotImplemented, kStep,
+            ", model.body_gravcomp: expected 0, got ", part,
+            ": differentiate by DiffFeatherstoneSolver");
   const Tree<float> tree = s.articulations.tree(m, s.options.articulation);
-  const ArticulationArguments a =
-      articulation_arguments(m, s.articulations, state_in, control, s.options.solver, dt);
+  const ArticulationArguments a = articulation_arguments(
+      m, s.articulations, state_in, drives_of(m, control), state_in.body_f, s.options.solver, dt);
   const StepInputs<float> in = articulation_inputs(a);
   const StepOptions<float> options = articulation_options(a);
   if (!s.is_torque()) s.check_followed(tree, in, dcontrol, false, "dcontrol");

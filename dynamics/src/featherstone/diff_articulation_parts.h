@@ -139,6 +139,16 @@ struct FoundRows {
   DeviceArray<float> margin0, margin1;
 };
 
+// The drives and wrenches of a step, in its memory `scratch`: what its actuators and gravity
+// compensation make of them. Recorded on an active tape.
+struct ActuatedInputs {
+  StepDrives drives;
+  nova::Operand body_f;
+};
+ActuatedInputs submit_actuation(const std::shared_ptr<const Actuators>& actuators, const Model& m,
+                                const SimState& in, const SimState& out, const Control* control,
+                                const nova::Operand& body_f, float dt, StepScratch scratch);
+
 // What a step gives: q, qd, body_q, body_qd, and for its adjoint qdd and branch.
 using StepOutputs = std::array<Tensor, 6>;
 inline constexpr size_t kMostSteps = 8;  // of an operation: a tape takes 32 outputs
@@ -151,6 +161,7 @@ struct ArticulationStep::Shared {
         device(m.device()),
         articulations(m, user, Articulations::For::Steps),
         materials(unread_materials(o.contact, user)) {
+    actuators = std::make_shared<Actuators>(m);
     const auto count = static_cast<size_t>(articulations.count());
     for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
     if (device.is_cpu())
@@ -169,6 +180,7 @@ struct ArticulationStep::Shared {
   std::optional<TreeSteps> trees;            // on the cpu
   std::optional<LaunchedContacts> launched;  // on devices
   std::vector<int32_t> all;                  // articulations
+  std::shared_ptr<Actuators> actuators;
   int64_t stride = 0;
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;

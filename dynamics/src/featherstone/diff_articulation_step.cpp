@@ -62,10 +62,11 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
 
 Named view(const char* name, const Array& array) { return {name, tensor_of(array)}; }
 
-void set_arrays(Step& s, const SimState& in, const SimState& out, const Control* control,
+void set_arrays(Step& s, const SimState& in, const SimState& out, const StepDrives& drives,
                 const nova::Operand& body_f, StepScratch scratch) {
   const Model& m = *s.model;
-  const NamedStepArrays arrays = step_arrays(m, &in, control);
+  NamedStepArrays arrays = step_arrays(m, &in, nullptr);
+  read_instead(arrays, drives);
   for (size_t i = 0; i < kStepArrays; ++i) {
     Named& to = i < kGradientArrays ? s.inputs[i] : s.values[i - kGradientArrays];
     to = view(arrays[i].name, *arrays[i].array);
@@ -187,6 +188,11 @@ std::vector<ScratchSpec> ArticulationStep::scratch(const Model& model, int32_t c
     specs.push_back({novaphy::DType::float32,
                      static_cast<size_t>(KeptContacts::size(contact_max, model.joint_dof_count())),
                      1});
+  if (shared_->actuators->any())
+    for (const Array& drive : drives_of(model, nullptr))
+      specs.push_back({novaphy::DType::float32, drive.rows(), 1});
+  if (shared_->actuators->lifts())
+    specs.push_back({novaphy::DType::spatial_vector, static_cast<size_t>(model.body_count()), 1});
   return specs;
 }
 
@@ -198,6 +204,8 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
   const bool on_cpu = shared_->device.is_cpu();
   shared_->articulations.check_values(model, control, true, function);
   const nova::Tape* const tape = nova::Tape::active();
+  shared_->actuators->check(
+      model, function, tape != nullptr && tape->carries_gradient(*model.body_gravcomp.range()));
   shared_->dry = tape != nullptr && tape->carries_gradient(*model.joint_friction.range());
   if (on_cpu) {
     depend_on_modes(model, control);
@@ -223,11 +231,15 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
       shared_->contact_gradient == DerivativeOf::Motion && nova::Tape::active() != nullptr;
   require(!moves || !nova::current_capture(), ErrorKind::NotImplemented, kName,
           ": contact_gradient: motion is not there inside a ScopedCapture");
-  join = join && !moves;
+  const bool touching = contacts != nullptr && contacts->rigid_contact_max() > 0;
+  const bool is_actuated = shared_->actuators->any() || shared_->actuators->lifts();
+  join = join && !moves && !is_actuated;
   if (join && pending_ && joins(m, in, out, control, body_f, dt, scratch)) return;
   flush();
   const Articulations& a = shared_->articulations;
-  const bool touching = contacts != nullptr && contacts->rigid_contact_max() > 0;
+  const auto [drives, wrench] =
+      submit_actuation(shared_->actuators, m, in, out, control, body_f, dt,
+                       is_actuated ? scratch.subspan(touching || shared_->dry ? 3 : 2) : scratch);
   auto step = std::make_shared<Step>();
   step->shared = shared_;
   step->model = m.shared_from_this();
@@ -243,7 +255,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   step->stride = shared_->stride;
   step->status = shared_->status;
   step->workspace = shared_->workspace;
-  set_arrays(*step, in, out, control, body_f, scratch);
+  set_arrays(*step, in, out, drives, wrench, scratch);
   if (touching || shared_->dry) step->contacts = tensor_of(scratch[2]);
   if (touching) set_contacts(*step, *contacts, found);
   step->number = number;

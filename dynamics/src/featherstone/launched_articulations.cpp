@@ -26,6 +26,7 @@ LaunchedArticulations::LaunchedArticulations(const Model& m)
     : model_(m),
       articulations_(m, "SolverFeatherstone", Articulations::For::Steps),
       contacts_(m, articulations_),
+      actuated_(m),
       materials_(unread_materials(ArticulationContact::Pgs, kName)) {
   const Device device = m.device();
   const auto count = static_cast<size_t>(articulations_.count());
@@ -40,7 +41,6 @@ void LaunchedArticulations::step(const SimState& in, const SimState& out, const 
                                  const Contacts* contacts, const FeatherstoneOptions& options,
                                  float dt, const std::shared_ptr<ExclusiveUse>& in_use) {
   const Model& m = model_;
-  const Articulations& a = articulations_;
   articulations_.check_values(m, control, true, kName);
   if (contacts != nullptr) materials_.check(m);
   if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use);
@@ -51,25 +51,29 @@ void LaunchedArticulations::step(const SimState& in, const SimState& out, const 
   const auto value = [](const char* name, const Array& array) {
     return reads(name, array).detached();
   };
+  const auto [drives, body_f] = actuated_.begin(m, in, out, control, dt, kName);
   // Launches of contacts share the memory of a tree.
   const bool has_rows = contacts_.has_rows(contacts);
   const int64_t bytes = contacts_.tree_stride() * static_cast<int64_t>(sizeof(float));
   const bool on_stack = has_rows ? contacts_.on_stack() : bytes <= kDeviceRowStack;
+  NamedStepArrays arrays = step_arrays(m, &in, control);
+  read_instead(arrays, drives);
+  arrays[kAt.body_f] = {"body_f", &body_f, false};
   std::vector<LaunchArgument> arguments;
-  for (const NamedStepArray& of : step_arrays(m, &in, control))
-    arguments.push_back(value(of.name, *of.array));
-  add_words(arguments,
-            {value("model.joint_target_mode", m.joint_target_mode), reads("rows", a.rows()),
-             reads("links", a.links()), reads("dof_parent", a.dof_parent()), number(dt),
-             number(options.angular_damping), number(int64_t{options.implicit_drives}),
-             writes("state_out.joint_q", out.joint_q), writes("state_out.joint_qd", out.joint_qd),
-             writes("state_out.body_q", out.body_q), writes("state_out.body_qd", out.body_qd),
-             writes("qdd", qdd_), writes("branch", branch_), writes("status", status_),
-             writes("workspace", workspace_), number(on_stack ? 0 : contacts_.tree_stride())});
+  for (const NamedStepArray& of : arrays) arguments.push_back(value(of.name, *of.array));
+  add_words(
+      arguments,
+      {value("model.joint_target_mode", m.joint_target_mode), reads("rows", articulations_.rows()),
+       reads("links", articulations_.links()), reads("dof_parent", articulations_.dof_parent()),
+       number(dt), number(options.angular_damping), number(int64_t{options.implicit_drives}),
+       writes("state_out.joint_q", out.joint_q), writes("state_out.joint_qd", out.joint_qd),
+       writes("state_out.body_q", out.body_q), writes("state_out.body_qd", out.body_qd),
+       writes("qdd", qdd_), writes("branch", branch_), writes("status", status_),
+       writes("workspace", workspace_), number(on_stack ? 0 : contacts_.tree_stride())});
   if (has_rows)
     contacts_.step(arguments, contacts, options, dt);
   else
-    step_kernel().launch(m.device(), a.count(), arguments);
+    step_kernel().launch(m.device(), articulations_.count(), arguments);
 }
 
 void LaunchedArticulations::check() const {

@@ -5,6 +5,7 @@
 
 #include <memory>
 
+#include "actuators.h"
 #include "launched_contacts.h"
 #include "novaphy/core/exclusive_use.h"
 #include "novaphy/core/sim/unread_materials.h"
@@ -34,6 +35,7 @@ class LaunchedArticulations {
   const Model& model_;
   Articulations articulations_;
   LaunchedContacts contacts_;
+  ActuatedStep actuated_;
   UnreadMaterials materials_;
   DeviceArray<int32_t> status_;
   DeviceArray<float> qdd_, branch_, workspace_;

@@ -63,6 +63,7 @@ struct SolverFeatherstone::Cache {
   Cache(const Model& m, ArticulationContact contact)
       : articulations(m, "SolverFeatherstone", Articulations::For::Steps),
         trees(m, articulations),
+        actuated(m),
         pgs(m, articulations),
         materials(unread_materials(contact, kName)) {
     watch.leave_out_friction();  // its law is huber
@@ -84,6 +85,7 @@ struct SolverFeatherstone::Cache {
   std::vector<int32_t> status;
   std::vector<int32_t> all;  // articulations
   TreeSteps trees;
+  ActuatedStep actuated;
   EarlierState earlier;
   PgsContacts pgs;
   RigidBodies penalty;
@@ -115,6 +117,15 @@ void check_contacts(const Contacts* contacts, ArticulationContact contact) {
           ErrorKind::NotImplemented, kName,
           ": contacts: expected none with per_contact_shape_properties, which contact=\"pgs\" does "
           "not read");
+}
+
+// Where the forces of contacts go, zero; null: nowhere.
+Vec3f* cleared_forces(const Contacts* contacts, int32_t count) {
+  if (contacts == nullptr) return nullptr;
+  DeviceArray<Vec3f> forces = contacts->rigid_contact_force;
+  Vec3f* const force = forces.mutable_data();
+  std::fill_n(force, count, Vec3f{});
+  return force;
 }
 
 }  // namespace
@@ -196,8 +207,10 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   Cache& c = *cache_;
   c.articulations.check_values(m, control, true, kName);
   if (contacts != nullptr) c.materials.check(m);
+  const ActuatedStep::Read read = c.actuated.begin(m, state_in, state_out, control, dt, kName);
   ArticulationStepArguments a = {
-      .in = articulation_arguments(m, c.articulations, state_in, control, options_, dt),
+      .in = articulation_arguments(m, c.articulations, state_in, read.drives, read.body_f, options_,
+                                   dt),
       .q_next = state_out.joint_q.mutable_data(),
       .qd_next = state_out.joint_qd.mutable_data(),
       .body_q = state_out.body_q.mutable_data(),
@@ -213,12 +226,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
     if (c.watch.is_due(false)) c.watch.look(m, state_in, *contacts, dt, true, &c.free_bodies);
   }
   const ContactRows rows = contact_rows(penalty ? nullptr : contacts);
-  Vec3f* force = nullptr;
-  if (!penalty && contacts != nullptr) {
-    DeviceArray<Vec3f> forces = contacts->rigid_contact_force;
-    force = forces.mutable_data();
-    std::fill_n(force, rows.count, Vec3f{});
-  }
+  Vec3f* const force = penalty ? nullptr : cleared_forces(contacts, rows.count);
   // One articulation that fails writes nothing; the others have written theirs by then.
   const bool several = c.all.size() > 1;
   if (several) c.earlier.keep(state_out);
@@ -233,6 +241,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   if (failed && several) c.earlier.restore(state_out);
   if (failed)
     check_exploded(m, c.articulations, c.status, state_in, dt, c.pgs.largest_force(m), kName);
+  c.actuated.finish(state_out);
   mark_unrecorded_step(m, state_in, state_out, control);
 }
 

@@ -1,6 +1,4 @@
 // MJCF files become a Robot, and that goes into a builder.
-#include <cmath>
-
 #include "mjcf_context.h"
 #include "mjcf_include.h"
 
@@ -94,15 +92,8 @@ void add_keyframes(const MjcfContext& context, const Posed& xform, int32_t coord
 
 void add_actuators(const MjcfContext& context, ModelBuilder& builder, RobotImport& result) {
   for (const MjcfActuator& a : context.actuators) {
-    const int32_t dof = result.joint_dofs.at(a.joint);
-    result.actuators.push_back({a.name, a.joint, a.target, dof, result.joint_coords.at(a.joint),
-                                static_cast<float>(a.gear), static_cast<float>(a.offset),
-                                static_cast<float>(a.lower), static_cast<float>(a.upper)});
-    const double at_rest = a.gear * std::min(std::max(0.0, a.lower), a.upper) + a.offset;
-    const auto row = static_cast<size_t>(dof);
-    if (a.target == ActuatorTarget::Force) builder.joint_f[row] += static_cast<float>(at_rest);
-    if (a.target == ActuatorTarget::Velocity)
-      builder.joint_target_qd[row] += static_cast<float>(at_rest);
+    const std::string& name = a.args.label;
+    result.actuators[name] = builder.add_actuator(result.joints.at(a.joint), a.args);
   }
 }
 

@@ -1,4 +1,4 @@
-// <actuator> of MJCF files: forces and drives of hinges and slides.
+// <actuator> of MJCF files: rows of ModelBuilder::add_actuator, of hinges and slides.
 #include <algorithm>
 #include <cmath>
 
@@ -9,33 +9,44 @@ namespace novaphy::detail {
 namespace {
 
 constexpr std::string_view kRead[] = {
-    "name",      "class",     "group",       "joint",      "jointinparent",
-    "gear",      "ctrlrange", "ctrllimited", "forcerange", "forcelimited",
-    "kp",        "kv",        "dampratio",   "timeconst",  "inheritrange",
-    "gaintype",  "biastype",  "dyntype",     "gainprm",    "biasprm",
-    "dynprm",    "tendon",    "site",        "body",       "cranksite",
-    "slidersite"};
-constexpr std::string_view kPassedOver[] = {"user",        "actlimited", "actrange",    "actearly",
-                                            "lengthrange", "refsite",    "cranklength", "actdim",
-                                            "nsample",     "interp",     "delay"};
+    "name",       "class",      "group",       "joint",      "jointinparent",
+    "gear",       "ctrlrange",  "ctrllimited", "forcerange", "forcelimited",
+    "kp",         "kv",         "dampratio",   "timeconst",  "inheritrange",
+    "gaintype",   "biastype",   "dyntype",     "gainprm",    "biasprm",
+    "dynprm",     "tendon",     "site",        "body",       "cranksite",
+    "slidersite", "actlimited", "actrange",    "actearly",   "actdim",
+    "bias",       "area",       "diameter"};
+constexpr std::string_view kPassedOver[] = {"user",    "lengthrange", "refsite", "cranklength",
+                                            "nsample", "interp",      "delay"};
 
-// force = gain control + constant + by_length length + by_rate rate, each of the actuator, whose
-// length and rate are `gear` times those of the joint. MuJoCo's <general>, which all others are.
+// MuJoCo's <general>, which all others are.
 struct Law {
   std::string gain_type = "fixed", bias_type = "none", dynamics = "none";
-  double gain[3] = {1.0, 0.0, 0.0}, bias[3] = {0.0, 0.0, 0.0};
+  double gain[3] = {1.0, 0.0, 0.0}, bias[3] = {0.0, 0.0, 0.0}, time = 1.0;
   double inherit_range = 0.0;
   std::string kind = {};  // of the element that said so last
 };
+
+using Range = std::pair<double, double>;
+constexpr Range kNoRange = {-kJointUnlimited, kJointUnlimited};
 
 struct Actuator {
   const Element* element;
   std::string name, joint;
   Law law;
   double gear = 1.0;
-  double control[2] = {-1e10, 1e10};
-  std::optional<std::pair<double, double>> force = {};
+  Range control = kNoRange, force = kNoRange, activation = kNoRange;
+  // A part of the drive of its dof, and not a force alone.
+  bool is_servo() const {
+    return law.gain[1] != 0.0 || law.gain[2] != 0.0 || law.bias[1] != 0.0 || law.bias[2] != 0.0;
+  }
 };
+
+const std::map<std::string, ActuatorDynamics> kDynamics = {
+    {"none", ActuatorDynamics::NONE},
+    {"integrator", ActuatorDynamics::INTEGRATOR},
+    {"filter", ActuatorDynamics::FILTER},
+    {"filterexact", ActuatorDynamics::FILTER_EXACT}};
 
 class ActuatorReader {
  public:
@@ -47,7 +58,7 @@ class ActuatorReader {
          all = all->NextSiblingElement("actuator"))
       for (const Element* e = all->FirstChildElement(); e != nullptr; e = e->NextSiblingElement())
         read(*e);
-    for (const std::string& joint : context_.joint_order) set_drive(joint);
+    for (const std::string& joint : context_.joint_order) set_joint(joint);
     // In the order of the file.
     for (const Actuator& a : found_) add(a);
   }
@@ -74,6 +85,7 @@ class ActuatorReader {
       if (const char* type = e.Attribute("dyntype")) law.dynamics = type;
       first("gainprm", law.gain);
       first("biasprm", law.bias);
+      first("dynprm", {&law.time, 1});
       return;
     }
     // The others go on from what the same kind, or <general>, said last.
@@ -85,24 +97,47 @@ class ActuatorReader {
       const auto found = std::find_if(outer.rbegin(), outer.rend(), goes_on);
       if (found != outer.rend()) from = *found;
     }
-    law = Law{};
-    law.kind = kind;
-    if (kind != "position" && kind != "velocity") return;
+    law = Law{.kind = kind};
+    if (kind == "damper") {
+      law.gain_type = "affine";
+      law.gain[0] = 0.0;
+      law.gain[2] = one("kv") ? -*one("kv") : from.gain[2];
+      return;
+    }
+    if (kind == "cylinder") return apply_cylinder(e, law, from);
+    if (kind != "position" && kind != "velocity" && kind != "intvelocity") return;
     law.bias_type = "affine";
-    law.gain[0] = one(kind == "position" ? "kp" : "kv").value_or(from.gain[0]);
+    law.gain[0] = one(kind == "velocity" ? "kv" : "kp").value_or(from.gain[0]);
     if (kind == "velocity") {
       law.bias[2] = -law.gain[0];
       return;
     }
     law.bias[1] = -law.gain[0];
     law.bias[2] = from.bias[2];
-    law.dynamics = from.dynamics;
+    law.dynamics = kind == "intvelocity" ? "integrator" : from.dynamics;
+    law.time = from.time;
     law.inherit_range = one("inheritrange").value_or(from.inherit_range);
     const auto kv = one("kv"), ratio = one("dampratio"), lag = one("timeconst");
     if (kv && ratio) file_.refuse(e, "kv, dampratio: expected one of them");
     if (kv) law.bias[2] = -*kv;
     if (ratio) law.bias[2] = *ratio;
-    if (lag) law.dynamics = *lag == 0.0 ? "none" : "filterexact";
+    if (lag && kind == "position") {
+      law.dynamics = *lag == 0.0 ? "none" : "filterexact";
+      law.time = *lag;
+    }
+  }
+
+  void apply_cylinder(const Element& e, Law& law, const Law& from) const {
+    law.dynamics = "filter";
+    law.bias_type = "affine";
+    law.gain[0] = from.gain[0];
+    law.time = from.time;
+    std::copy(std::begin(from.bias), std::end(from.bias), law.bias);
+    double value[1];
+    if (file_.numbers(e, "timeconst", value)) law.time = value[0];
+    if (file_.numbers(e, "area", value)) law.gain[0] = value[0];
+    if (file_.numbers(e, "diameter", value)) law.gain[0] = 0.25 * M_PI * value[0] * value[0];
+    file_.numbers(e, "bias", law.bias);
   }
 
   void read(const Element& e) {
@@ -120,7 +155,9 @@ class ActuatorReader {
       outer.push_back(law);
     }
     apply(e, law, outer);
-    if (kind != "general" && kind != "motor" && kind != "position" && kind != "velocity")
+    constexpr std::string_view covered[] = {"general",     "motor",  "position", "velocity",
+                                            "intvelocity", "damper", "cylinder"};
+    if (std::find(std::begin(covered), std::end(covered), kind) == std::end(covered))
       return context_.notes.left_out(e, "an actuator of the kind <" + law.kind + ">");
     const auto joint = text(e, "joint") ? text(e, "joint") : text(e, "jointinparent");
     for (const char* other : {"tendon", "site", "body", "cranksite", "slidersite"})
@@ -136,8 +173,10 @@ class ActuatorReader {
     if (!read_law(a, found->second)) return;
     const char* const name = e.Attribute("name");
     a.name = name != nullptr ? name : *joint + "_" + std::string(kind);
-    if (!names_.insert(a.name).second && name != nullptr)
+    if (name != nullptr && names_.contains(a.name))
       file_.refuse(e, "name: expected different names, got \"" + a.name + "\" twice");
+    for (int k = 2; !names_.insert(a.name).second; ++k)
+      a.name = *joint + "_" + std::string(kind) + "_" + std::to_string(k);
     const auto group = number(e, "group").value_or(0.0);
     const auto disabled = context_.settings.option.disabled_groups;
     if (group >= 0.0 && group <= 30.0 && (disabled >> static_cast<int>(group) & 1u) != 0)
@@ -178,15 +217,18 @@ class ActuatorReader {
     return true;
   }
 
-  std::optional<std::pair<double, double>> range(const Element& e, const char* name,
-                                                 const char* flag) const {
+  // `always`: whatever the flag.
+  std::optional<Range> range(const Element& e, const char* name, const char* flag,
+                             bool always = false) const {
     const std::vector<double> values = list(e, name);
     if (!values.empty() && values.size() != 2)
       file_.refuse(e, std::string(name) + ": expected 2 numbers");
     const bool has_range = values.size() == 2 && values[0] != values[1];
     const std::string limited = text(e, flag).value_or("auto");
-    const bool is_limited = limited == "auto" ? context_.settings.compiler.auto_limits && has_range
-                                              : read_flag(file_, e, flag, limited);
+    const bool is_limited = always ? true
+                            : limited == "auto"
+                                ? context_.settings.compiler.auto_limits && has_range
+                                : read_flag(file_, e, flag, limited);
     if (!is_limited) return {};
     if (!(has_range && values[0] < values[1]))
       file_.refuse(e, std::string(name) + ": expected two numbers, the lower one first");
@@ -201,14 +243,19 @@ class ActuatorReader {
       context_.notes.left_out(e, "an actuator with " + what);
       return false;
     };
-    if (law.dynamics != "none") return refuse("dyntype " + law.dynamics);
-    if (law.gain_type == "affine" && law.gain[1] == 0.0 && law.gain[2] == 0.0)
-      law.gain_type = "fixed";
-    if (law.gain_type != "fixed") return refuse("gaintype " + law.gain_type);
+    if (!kDynamics.contains(law.dynamics)) return refuse("dyntype " + law.dynamics);
+    const bool has_state = law.dynamics != "none";
+    if (law.gain_type == "fixed")
+      law.gain[1] = law.gain[2] = 0.0;
+    else if (law.gain_type != "affine")
+      return refuse("gaintype " + law.gain_type);
     if (law.bias_type == "none")
       std::fill(std::begin(law.bias), std::end(law.bias), 0.0);
     else if (law.bias_type != "affine")
       return refuse("biastype " + law.bias_type);
+    const auto early = text(e, "actearly");
+    if (has_state && early && read_flag(file_, e, "actearly", *early)) return refuse("actearly");
+    if (number(e, "actdim").value_or(1.0) > 1.0) return refuse("actdim above 1");
     const std::vector<double> gear = list(e, "gear");
     if (!gear.empty()) a.gear = gear[0];
     // A damping ratio, of the inertia at the start.
@@ -216,18 +263,27 @@ class ActuatorReader {
       const double inertia = dof_inertia(joint) / (a.gear * a.gear);
       law.bias[2] *= -2.0 * std::sqrt(law.gain[0] * inertia);
     }
-    if (law.bias[1] > 0.0 || law.bias[2] > 0.0) return refuse("a spring or damper that pushes");
-    auto control = range(e, "ctrlrange", "ctrllimited");
+    const std::string kind = e.Name();
+    const bool is_integrated = kind == "intvelocity";
+    auto control = range(e, "ctrlrange", "ctrllimited", kind == "damper");
+    a.activation = range(e, "actrange", "actlimited", is_integrated && law.inherit_range <= 0.0)
+                       .value_or(kNoRange);
     if (law.inherit_range > 0.0 && joint.is_limited) {
       const double middle = 0.5 * (joint.range[0] + joint.range[1]);
       const double radius = 0.5 * (joint.range[1] - joint.range[0]) * law.inherit_range;
-      control = {middle - radius, middle + radius};
+      const Range inherited = {middle - radius, middle + radius};
+      if (is_integrated)
+        a.activation = inherited;
+      else
+        control = inherited;
     }
-    if (control && context_.settings.option.clamp_control) {
-      a.control[0] = control->first;
-      a.control[1] = control->second;
-    }
-    a.force = range(e, "forcerange", "forcelimited");
+    if (control && context_.settings.option.clamp_control) a.control = *control;
+    a.force = range(e, "forcerange", "forcelimited").value_or(kNoRange);
+    // Drives pull to where they go and against the velocity, whatever the control.
+    const Range& input = has_state ? a.activation : a.control;
+    for (const int k : {1, 2})
+      for (const double c : {input.first, input.second})
+        if (law.bias[k] + law.gain[k] * c > 0.0) return refuse("a spring or damper that pushes");
     return true;
   }
 
@@ -243,114 +299,71 @@ class ActuatorReader {
     return inertias_[static_cast<size_t>(joint.joint)][static_cast<size_t>(joint.dof)];
   }
 
-  // What a control does: a target of a drive, or a force.
-  static ActuatorTarget target_of(const Law& law) {
-    if (law.bias[1] < 0.0) return ActuatorTarget::Position;
-    return law.bias[2] < 0.0 ? ActuatorTarget::Velocity : ActuatorTarget::Force;
-  }
-
-  // The drive of a dof: its spring and all actuators that have gains.
-  void set_drive(const std::string& name) {
+  // The spring of a joint, and its limit of forces.
+  void set_joint(const std::string& name) {
     const MjcfJoint& joint = context_.joints.at(name);
     if (!joint.is_scalar) return;
-    JointDofConfig& dof = dof_of(joint);
-    Gains gains{joint.stiffness, 0.0};
-    double pull = joint.stiffness * joint.spring_ref;
+    if (joint.stiffness > 0.0) {
+      JointDofConfig& dof = dof_of(joint);
+      dof.target_ke = static_cast<float>(joint.stiffness);
+      dof.target_q = static_cast<float>(joint.spring_ref);
+      if (!std::isfinite(dof.target_ke))
+        file_.refuse(*joint.element, "expected a stiffness that float32 can hold");
+    }
     std::vector<Actuator*> all;
-    for (Actuator& a : found_) {
-      if (a.joint != name) continue;
-      all.push_back(&a);
-      gains.ke -= a.gear * a.gear * a.law.bias[1];
-      gains.kd -= a.gear * a.gear * a.law.bias[2];
-    }
-    limit_forces(all, joint, dof);
-    gains_[name] = gains;
-    if (gains.ke == 0.0 && gains.kd == 0.0) return;
-    dof.target_ke = static_cast<float>(gains.ke);
-    dof.target_kd = static_cast<float>(gains.kd);
-    dof.target_qd = 0.0f;
-    for (const Actuator* a : all)
-      if (target_of(a->law) == ActuatorTarget::Position)
-        pull += a->gear *
-                (a->law.gain[0] * std::clamp(0.0, a->control[0], a->control[1]) + a->law.bias[0]);
-    if (gains.ke > 0.0) dof.target_q = static_cast<float>(pull / gains.ke);
-  }
-
-  // Limits of forces, as far as a drive or a force of the joint has them.
-  void limit_forces(const std::vector<Actuator*>& all, const MjcfJoint& joint,
-                    JointDofConfig& dof) {
-    const bool is_alone = all.size() == 1 && joint.stiffness == 0.0;
-    for (Actuator* a : all) {
-      if (!a->force) continue;
-      const double f = std::abs(a->gear);
-      if (target_of(a->law) == ActuatorTarget::Force)
-        limit_control(*a, a->force->first, a->force->second);
-      else if (is_alone && a->force->first == -a->force->second)
-        dof.effort_limit =
-            static_cast<float>(std::min(1.0 * dof.effort_limit, f * a->force->second));
+    for (Actuator& a : found_)
+      if (a.joint == name) all.push_back(&a);
+    if (joint.force_range && !all.empty()) {
+      auto [lower, upper] = *joint.force_range;
+      Actuator& a = *all.front();
+      lower /= a.gear;
+      upper /= a.gear;
+      if (all.size() == 1 && a.gear != 0.0)
+        a.force = {std::max(a.force.first, std::min(lower, upper)),
+                   std::min(a.force.second, std::max(lower, upper))};
       else
-        context_.notes.left_out(*a->element,
-                                is_alone ? "forcerange: expected a symmetric one of a drive"
-                                         : "forcerange: the drive of the joint has other parts");
+        context_.notes.left_out(*joint.element, "actuatorfrcrange of a joint with several forces");
     }
-    if (!joint.force_range || all.empty()) return;
-    const auto [lower, upper] = *joint.force_range;
-    Actuator& a = *all.front();
-    const double gear = a.gear;
-    if (all.size() == 1 && target_of(a.law) == ActuatorTarget::Force && gear != 0.0)
-      limit_control(a, std::min(lower / gear, upper / gear), std::max(lower / gear, upper / gear));
-    else if (is_alone && lower == -upper)
-      dof.effort_limit = static_cast<float>(std::min(1.0 * dof.effort_limit, upper));
-    else
-      context_.notes.left_out(*joint.element,
-                              "actuatorfrcrange of a joint with several forces, or that is not "
-                              "symmetric");
-  }
-
-  // The controls that keep a force within its range.
-  void limit_control(Actuator& a, double lower, double upper) {
-    const double gain = a.law.gain[0];
-    if (gain == 0.0) return;
-    double low = (lower - a.law.bias[0]) / gain, high = (upper - a.law.bias[0]) / gain;
-    if (low > high) std::swap(low, high);
-    a.control[0] = std::clamp(a.control[0], low, high);
-    a.control[1] = std::clamp(a.control[1], low, high);
+    const auto servos =
+        std::count_if(all.begin(), all.end(), [](const Actuator* a) { return a->is_servo(); });
+    for (Actuator* a : all) {
+      if (a->force == kNoRange || !a->is_servo()) continue;
+      if (servos == 1 && joint.stiffness == 0.0) continue;
+      context_.notes.left_out(*a->element, "forcerange: the drive of the joint has other parts");
+      a->force = kNoRange;
+    }
   }
 
   void add(const Actuator& a) {
-    const MjcfJoint& joint = context_.joints.at(a.joint);
-    const Gains& gains = gains_.at(a.joint);
-    MjcfActuator out{.element = a.element,
-                     .name = a.name,
-                     .joint = a.joint,
-                     .target = target_of(a.law),
-                     .gear = a.gear * a.law.gain[0],
-                     .offset = a.gear * a.law.bias[0],
-                     .lower = a.control[0],
-                     .upper = a.control[1]};
-    const double by = out.target == ActuatorTarget::Position   ? gains.ke
-                      : out.target == ActuatorTarget::Velocity ? gains.kd
-                                                               : 1.0;
-    out.gear /= by;
-    out.offset /= by;
-    // The spring of the joint has its part of the target, once.
-    if (out.target == ActuatorTarget::Position && springs_.insert(a.joint).second)
-      out.offset += joint.stiffness * joint.spring_ref / by;
-    for (const double number : {out.gear, out.offset})
-      if (!std::isfinite(static_cast<float>(number)))
-        file_.refuse(*a.element, "expected a force that float32 can hold");
-    context_.actuators.push_back(std::move(out));
+    const auto vector = [](const double(&v)[3]) {
+      return Vec3f{static_cast<float>(v[0]), static_cast<float>(v[1]), static_cast<float>(v[2])};
+    };
+    const auto to_range = [](const Range& r) {
+      return Vec2f{static_cast<float>(r.first), static_cast<float>(r.second)};
+    };
+    ActuatorArgs args{.axis = context_.joints.at(a.joint).dof,
+                      .gear = static_cast<float>(a.gear),
+                      .gain = vector(a.law.gain),
+                      .bias = vector(a.law.bias),
+                      .dynamics = kDynamics.at(a.law.dynamics),
+                      .time = static_cast<float>(std::max(a.law.time, 1e-15)),
+                      .ctrl_range = to_range(a.control),
+                      .force_range = to_range(a.force),
+                      .act_range = to_range(a.activation),
+                      .label = a.name};
+    for (const float v :
+         {args.gear, args.gain.x, args.gain.y, args.gain.z, args.bias.x, args.bias.y, args.bias.z,
+          args.ctrl_range.x, args.ctrl_range.y, args.force_range.x, args.force_range.y,
+          args.act_range.x, args.act_range.y, args.time})
+      if (!std::isfinite(v)) file_.refuse(*a.element, "expected numbers that float32 can hold");
+    context_.actuators.push_back({a.joint, std::move(args)});
   }
 
-  struct Gains {
-    double ke, kd;
-  };
   MjcfContext& context_;
   const XmlFile& file_;
   const MjcfDefaults& defaults_;
   std::vector<Actuator> found_;
-  std::set<std::string> names_, springs_;
-  std::map<std::string, Gains> gains_;         // of joints
+  std::set<std::string> names_;
   std::vector<std::vector<double>> inertias_;  // of dofs, when they are needed
 };
 

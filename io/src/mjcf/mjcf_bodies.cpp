@@ -170,11 +170,7 @@ class BodiesReader {
       if (std::find(std::begin(known), std::end(known), a->Name()) == std::end(known))
         context_.not_read(e, std::string("the attribute ") + a->Name());
     double gravcomp[1] = {0.0};
-    if (file_.numbers(e, "gravcomp", gravcomp) && gravcomp[0] != 0.0)
-      context_.notes.left_out(
-          e,
-          "gravcomp: gravity is that of a world; body_f may hold -gravcomp mass "
-          "gravity");
+    file_.numbers(e, "gravcomp", gravcomp);
     Robot& robot = context_.robot;
     std::string name = outer.name_of(e);
     if (name.empty()) name = "body_" + std::to_string(robot.links.size());
@@ -183,6 +179,7 @@ class BodiesReader {
     const bool is_mocap = mocap != nullptr && read_flag(file_, e, "mocap", mocap);
     const Posed pose = math::multiply(outer.frame, pose_of(e));
     const int32_t index = joints.add(pose, is_mocap);
+    robot.links[static_cast<size_t>(index)].gravcomp = gravcomp[0];
     if (robot.links.size() > kMostBodies) file_.refuse(e, "expected at most 10000 bodies");
     if (!context_.bodies.emplace(name, index).second)
       file_.refuse(e, "name: expected different names, got \"" + name + "\" twice");

@@ -19,10 +19,8 @@ struct MjcfJoint {
 };
 
 struct MjcfActuator {
-  const Element* element;
-  std::string name, joint;
-  ActuatorTarget target;
-  double gear, offset, lower, upper;
+  std::string joint;
+  ActuatorArgs args;  // axis: in the joint of the Robot
 };
 
 struct MjcfContext {

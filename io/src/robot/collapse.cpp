@@ -77,6 +77,15 @@ Posed start_pose(const RobotJoint& joint) {
   return pose;
 }
 
+namespace {
+bool is_lifted_alike(const Robot& robot, const RobotJoint& joint) {
+  const auto gravcomp = [&](int32_t link) {
+    return robot.links[static_cast<size_t>(link)].gravcomp;
+  };
+  return gravcomp(joint.parent) == gravcomp(joint.child);
+}
+}  // namespace
+
 std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
                                                       std::vector<int32_t>& joints_out) {
   const auto count = static_cast<int32_t>(robot.links.size());
@@ -85,7 +94,7 @@ std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
     mover[static_cast<size_t>(robot.joints[j].child)] = static_cast<int32_t>(j);
   const auto goes = [&](int32_t link) {
     const RobotJoint& joint = robot.joints[static_cast<size_t>(mover[static_cast<size_t>(link)])];
-    return joint.type == JointType::FIXED && joint.parent >= 0;
+    return joint.type == JointType::FIXED && joint.parent >= 0 && is_lifted_alike(robot, joint);
   };
   std::vector<std::pair<int32_t, Posed>> place;
   std::vector<int32_t> renamed(robot.links.size(), -1);

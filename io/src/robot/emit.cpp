@@ -171,6 +171,7 @@ class Emitter {
         }
       if (has_inertia) args.inertia = inertia;
       args.is_kinematic = link.is_kinematic;
+      args.gravcomp = static_cast<float>(link.gravcomp);
       body_[static_cast<size_t>(index)] =
           at(options_.function, link.where, [&] { return builder_.add_link(args); });
     }

@@ -47,6 +47,7 @@ struct RobotLink {
   Mat33d inertia{};  // about com, along the axes of the link
   std::vector<RobotShape> shapes = {};
   bool is_kinematic = false;
+  double gravcomp = 0.0;  // part of its weight that a force takes away
   // It only carries the next joint of a body that has several: a part of the link on that joint.
   bool is_between = false;
 };

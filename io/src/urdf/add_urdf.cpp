@@ -265,11 +265,12 @@ class Reader {
         result.linear = {dof(joint, axis, scale_)};
         return result;
       case urdf::Joint::PLANAR: {
-        // Two translations along the plane; `axis` is its normal.
+        // Two translations along the plane, and a turn about its normal, `axis`.
         const Quatd q = turn_from_z(axis);
         result.type = JointType::D6;
         result.linear = {dof(joint, math::rotate(q, Vec3d{1.0, 0.0, 0.0}), scale_),
                          dof(joint, math::rotate(q, Vec3d{0.0, 1.0, 0.0}), scale_)};
+        result.angular = {dof(joint, axis, 1.0)};
         return result;
       }
       case urdf::Joint::FLOATING:
@@ -299,7 +300,9 @@ class Reader {
     if (!is_read) return;
     if (joint.limits->velocity == 0.0)
       notes_.ignored(e, "velocity=\"0\" of its <limit>: it never moves");
-    if (joint.limits->effort == 0.0)
+    if (joint.limits->effort == 0.0 && options_.ignore_zero_effort)
+      notes_.mended(e, "effort=\"0\" of its <limit>: no such limit");
+    else if (joint.limits->effort == 0.0)
       notes_.ignored(e, "effort=\"0\" of its <limit>: its drive has no force");
   }
 
@@ -311,7 +314,8 @@ class Reader {
         dof.limit_lower = static_cast<float>(joint.limits->lower * scale);
         dof.limit_upper = static_cast<float>(joint.limits->upper * scale);
       }
-      dof.effort_limit = static_cast<float>(joint.limits->effort);
+      if (joint.limits->effort != 0.0 || !options_.ignore_zero_effort)
+        dof.effort_limit = static_cast<float>(joint.limits->effort);
       dof.velocity_limit = static_cast<float>(joint.limits->velocity * scale);
     }
     if (joint.mimic != nullptr && options_.mimic == MimicMode::Follow)

@@ -8,6 +8,7 @@ from typing import Any, Final, Never, SupportsFloat, SupportsIndex, TypeAlias, o
 import numpy as np
 from numpy.typing import NDArray
 
+from .._select import Selection as _Selection
 from ..io import Mesh as _Mesh
 from . import diff as diff
 from . import io as io
@@ -260,6 +261,12 @@ class JointTargetMode(enum.IntEnum):
     POSITION_VELOCITY = 3
     EFFORT = 4
 
+class ActuatorDynamics(enum.IntEnum):
+    NONE = 0
+    INTEGRATOR = 1
+    FILTER = 2
+    FILTER_EXACT = 3
+
 class ParticleFlags(enum.IntFlag):
     ACTIVE = 1
 
@@ -297,6 +304,10 @@ class _Counts(_Native):
     def joint_coord_count(self) -> int: ...
     @property
     def articulation_count(self) -> int: ...
+    @property
+    def actuator_count(self) -> int: ...
+    @property
+    def actuator_state_count(self) -> int: ...
     @property
     def spring_count(self) -> int: ...
     @property
@@ -370,6 +381,7 @@ class Model(_Counts):
     body_inv_mass: _Field
     body_inertia: _Field
     body_inv_inertia: _Field
+    body_gravcomp: _Field
     body_flags: _Field
     body_world: _Field
     shape_body: _Field
@@ -435,6 +447,18 @@ class Model(_Counts):
     joint_velocity_limit: _Field
     articulation_start: _Field
     articulation_end: _Field
+    actuator_dof: _Field
+    actuator_state: _Field
+    actuator_dynamics: _Field
+    actuator_gear: _Field
+    actuator_gain: _Field
+    actuator_bias: _Field
+    actuator_time: _Field
+    actuator_ctrl_range: _Field
+    actuator_force_range: _Field
+    actuator_act_range: _Field
+    ctrl: _Field
+    act: _Field
     gravity: _Field
     soft_contact_ke: float
     soft_contact_kd: float
@@ -458,6 +482,9 @@ class Model(_Counts):
     def joint_label(self) -> list[str]: ...
     @property
     def articulation_label(self) -> list[str]: ...
+    @property
+    def actuator_label(self) -> list[str]: ...
+    def select(self, pattern: str, *, world: int | None = None) -> _Selection: ...
     @property
     def max_joints_per_articulation(self) -> int: ...
     @property
@@ -491,6 +518,7 @@ class SimState(_Counts):
     body_f: _Field
     joint_q: _Field
     joint_qd: _Field
+    act: _Field
     def clear_forces(self) -> None: ...
     def assign(self, source: SimState) -> None: ...
     def clone(self) -> SimState: ...
@@ -502,6 +530,7 @@ class Control(_Counts):
     joint_act: _Field
     particle_tri_activation: _Field
     particle_tet_activation: _Field
+    ctrl: _Field
     tri_activations: _Field
     tet_activations: _Field
     def clear(self, model: Model | None = None) -> None: ...
@@ -851,6 +880,7 @@ class ModelBuilder(_Native):
         mass: SupportsFloat = 0.0,
         lock_inertia: bool = False,
         is_kinematic: bool = False,
+        gravcomp: SupportsFloat = 0.0,
         label: str | None = None,
     ) -> int: ...
     def add_link(
@@ -862,6 +892,7 @@ class ModelBuilder(_Native):
         mass: SupportsFloat = 0.0,
         lock_inertia: bool = False,
         is_kinematic: bool = False,
+        gravcomp: SupportsFloat = 0.0,
         label: str | None = None,
     ) -> int: ...
     JointDofConfig: type[_JointDofConfig]
@@ -1061,6 +1092,25 @@ class ModelBuilder(_Native):
         enabled: bool = True,
         label: str | None = None,
     ) -> int: ...
+    def add_actuator(
+        self,
+        joint: SupportsIndex,
+        *,
+        axis: SupportsIndex = 0,
+        gear: SupportsFloat = 1.0,
+        gain: Sequence[SupportsFloat] = ...,
+        bias: Sequence[SupportsFloat] = ...,
+        dynamics: ActuatorDynamics | int = 0,
+        time: SupportsFloat = 1.0,
+        ctrl_range: Sequence[SupportsFloat] | None = None,
+        force_range: Sequence[SupportsFloat] | None = None,
+        act_range: Sequence[SupportsFloat] | None = None,
+        ctrl: SupportsFloat = 0.0,
+        act: SupportsFloat = 0.0,
+        label: str | None = None,
+    ) -> int: ...
+    @property
+    def actuator_count(self) -> int: ...
     def add_constraint_mimic(
         self,
         joint0: SupportsIndex,
@@ -1490,6 +1540,7 @@ class ModelBuilder(_Native):
         mend_inertias: bool = True,
         unsupported: str = "error",
         filter_overlaps: bool = False,
+        ignore_zero_effort: bool = False,
     ) -> io.RobotImport: ...
     def finalize(
         self,
@@ -1503,6 +1554,9 @@ def eval_fk(model: Model, joint_q: DeviceArray, joint_qd: DeviceArray, state: Si
 def eval_mimic(model: Model, joint_q: DeviceArray, joint_qd: DeviceArray) -> None: ...
 def eval_ik(model: Model, state: SimState, joint_q: DeviceArray, joint_qd: DeviceArray) -> None: ...
 def eval_inverse_dynamics(model: Model, state: SimState, qdd: _Vector) -> NDArray[np.float32]: ...
+def eval_actuator_forces(
+    model: Model, state: SimState, control: Control | None = None
+) -> NDArray[np.float32]: ...
 def eval_bias(model: Model, state: SimState) -> NDArray[np.float32]: ...
 def eval_forward_dynamics(model: Model, state: SimState, tau: _Vector) -> NDArray[np.float32]: ...
 def eval_mass_matrix(

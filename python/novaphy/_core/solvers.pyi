@@ -51,6 +51,7 @@ class SolverBase(_Native):
         joint_f: Tensor | DeviceArray | None = None,
         joint_target_q: Tensor | DeviceArray | None = None,
         joint_target_qd: Tensor | DeviceArray | None = None,
+        ctrl: Tensor | DeviceArray | None = None,
     ) -> None: ...
     def notify_model_changed(self, flags: ModelFlags | int) -> None: ...
 

@@ -78,7 +78,7 @@ def _check_opens(path: str | os.PathLike[str]) -> None:
 def load_mesh(
     path: str | os.PathLike[str], *, join_vertices: bool = True, drop_degenerate: bool = False
 ) -> Mesh:
-    """Read the triangles of an ``.obj``, ``.stl``, ``.ply`` or ``.dae`` file.
+    """Read the triangles of an ``.obj``, ``.stl``, ``.ply``, ``.dae`` or ``.glb`` file.
 
     Needs a build with ``NOVAPHY_WITH_IO=ON`` (`novaphy.has_io`), as wheels are.
 

@@ -12,7 +12,8 @@
 
 // X(field): the views that exist, one function per row.
 #define NOVAPHY_STATE_VIEWS(X) \
-  X(particle_q) X(particle_qd) X(particle_f) X(body_q) X(body_qd) X(body_f) X(joint_q) X(joint_qd)
+  X(particle_q)                \
+  X(particle_qd) X(particle_f) X(body_q) X(body_qd) X(body_f) X(joint_q) X(joint_qd) X(act)
 #define NOVAPHY_MODEL_VIEWS(X) \
   X(particle_mass)             \
   X(particle_radius)           \
@@ -23,6 +24,14 @@
   X(joint_target_kd)           \
   X(joint_damping)             \
   X(joint_friction)            \
+  X(actuator_gear)             \
+  X(actuator_gain)             \
+  X(actuator_bias)             \
+  X(actuator_time)             \
+  X(actuator_ctrl_range)       \
+  X(actuator_force_range)      \
+  X(actuator_act_range)        \
+  X(body_gravcomp)             \
   X(gravity)                   \
   X(shape_material_ke)         \
   X(shape_material_kd)         \
@@ -45,7 +54,8 @@
   X(tri_activation, particle_tri_activation) \
   X(joint_f, joint_f)                        \
   X(joint_target_q, joint_target_q)          \
-  X(joint_target_qd, joint_target_qd)
+  X(joint_target_qd, joint_target_qd)        \
+  X(ctrl, ctrl)
 
 namespace novaphy::diff {
 

@@ -30,7 +30,7 @@ struct MeshOptions {
 // Everything in the file as one mesh: all meshes of its scene, each where the nodes of the scene
 // put it (a mesh that is used twice comes twice; a mirroring node keeps the outside outside).
 //
-// * The format is the ending of the name: .obj, .stl, .ply or .dae, in any case.
+// * The format is the ending of the name: .obj, .stl, .ply, .dae or .glb, in any case.
 // * Polygons are cut into triangles. Points and lines are left out, and so are vertices that no
 //   triangle uses: of most formats assimp does not even say that they were there.
 // * Unit and axes: .dae says both, and comes in metres with z up. The others say nothing, and their

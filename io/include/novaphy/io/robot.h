@@ -73,6 +73,7 @@ struct UrdfOptions {
   // parent, else its principal moments are at least those of a ball of water. False: an error of
   // ModelBuilder::finalize.
   bool mend_inertias = true;
+  bool ignore_zero_effort = false;  // a <limit> with effort="0" leaves the force open
   Unsupported unsupported = Unsupported::Error;
 };
 
@@ -83,22 +84,6 @@ struct MjcfOptions {
   // Folders beside that of the file, and the one above it, that it may read from.
   std::vector<std::filesystem::path> package_dirs = {};
   Unsupported unsupported = Unsupported::Error;
-};
-
-// What an actuator of an MJCF file drives.
-enum class ActuatorTarget {
-  Force,     // Control::joint_f
-  Position,  // Control::joint_target_q, by the drive of the dof
-  Velocity   // Control::joint_target_qd
-};
-
-// An actuator of an MJCF file: it adds gear * clip(control, lower, upper) + offset to the row `dof`
-// of joint_f or joint_target_qd, or to the row `coord` of joint_target_q.
-struct RobotActuator {
-  std::string name, joint;
-  ActuatorTarget target;
-  int32_t dof, coord;
-  float gear, offset, lower, upper;
 };
 
 // A site of an MJCF file: a frame of a body.
@@ -140,7 +125,7 @@ struct RobotImport {
   std::map<std::string, Transformf> link_poses;
   std::map<int32_t, Vec4f> shape_colors;  // r, g, b, a of the shapes that have one
   std::vector<int32_t> shapes, articulations;
-  std::vector<RobotActuator> actuators;  // in the order of the file
+  std::map<std::string, int32_t> actuators;  // rows of Control::ctrl
   std::map<std::string, RobotSite> sites;
   std::map<std::string, RobotKeyframe> keyframes;
   std::optional<float> timestep;  // s, that of the file

@@ -1,5 +1,5 @@
-// Control: what drives the model during a step. Made by Model::control(), which copies the values of
-// the model.
+// Control: what drives the model during a step. Made by Model::control(), which copies the values
+// of the model.
 #pragma once
 
 #include <cstdint>
@@ -23,7 +23,8 @@ class Model;
     "velocity targets of the drives")                                                             \
   X(joint_act, float, 1, joint_dof_count, "1", "joint", "actuator inputs")                        \
   X(particle_tri_activation, float, 1, tri_count, "1", "", "triangle activations")                \
-  X(particle_tet_activation, float, 1, tet_count, "1", "", "tetrahedron activations")
+  X(particle_tet_activation, float, 1, tet_count, "1", "", "tetrahedron activations")             \
+  X(ctrl, float, 1, actuator_count, "1", "", "controls of the actuators")
 // clang-format on
 
 NOVAPHY_DECLARE_FIELDS(ControlFields, NOVAPHY_CONTROL_FIELDS, ModelCounts)

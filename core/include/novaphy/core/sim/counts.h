@@ -15,6 +15,8 @@ namespace novaphy {
   X(joint_dof_count, "joint degrees of freedom")                                                  \
   X(joint_coord_count, "joint coordinates")                                                       \
   X(articulation_count, "articulations")                                                          \
+  X(actuator_count, "actuators")                                                                  \
+  X(actuator_state_count, "activations of the actuators that have dynamics")                      \
   X(spring_count, "springs")                                                                      \
   X(tri_count, "triangles")                                                                       \
   X(edge_count, "bending edges")                                                                  \

@@ -14,10 +14,12 @@
 namespace novaphy {
 
 // X(array, rule). All numbers must be finite. NotNegative: and >= 0. Mass: and have a finite
-// inverse, or be 0. UnitPose: the quaternion has length 1. NotZero: axis or quaternion has a length
-// (those of joints have a gradient, and may leave 1). RestPose: the determinant is > 0.
+// inverse, or be 0. Unread: and be 0. UnitPose: the quaternion has length 1. NotZero: axis or
+// quaternion has a length (those of joints have a gradient, and may leave 1). RestPose: the
+// determinant is > 0.
 #define NOVAPHY_EDITED_ARRAYS(X)              \
   X(gravity, Finite)                          \
+  X(body_gravcomp, Unread)                    \
   X(particle_mass, Mass)                      \
   X(particle_inv_mass, NotNegative)           \
   X(particle_radius, NotNegative)             \
@@ -62,6 +64,7 @@ class NOVAPHY_CORE_API EditedValues {
  public:
   explicit EditedValues(const char* solver) : solver_(solver) {}
 
+  // ErrorKind::NotImplemented: a model with actuators.
   // Cheap while the arrays were not written since the last call. ErrorKind::Value names array and
   // row: what NOVAPHY_EDITED_ARRAYS asks for; joint_limit_lower at most joint_limit_upper; body_com
   // finite; of dynamic bodies body_mass > 0, body_inertia symmetric (to 1e-5 of its largest number)

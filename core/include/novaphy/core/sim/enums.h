@@ -82,6 +82,14 @@ enum class JointTargetMode : int32_t {
   EFFORT = 4,
 };
 
+// How the activation of an actuator follows its control.
+enum class ActuatorDynamics : int32_t {
+  NONE = 0,          // it has none: the control acts at once
+  INTEGRATOR = 1,    // act' = control
+  FILTER = 2,        // act' = (control - act) / time, explicit
+  FILTER_EXACT = 3,  // the same, exactly
+};
+
 // What SolverBase::notify_model_changed is told. Combine with |.
 enum class ModelFlags : int32_t {
   JOINT_PROPERTIES = 1,

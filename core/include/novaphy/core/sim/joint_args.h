@@ -76,6 +76,21 @@ struct DistanceJointArgs {
   std::string label = {};
 };
 
+// An actuator of one degree of freedom, see dynamics/articulation/actuation.h. Ranges: lower,
+// upper.
+struct ActuatorArgs {
+  int32_t axis = 0;  // degree of freedom of the joint
+  float gear = 1.0f;
+  Vec3f gain = {1.0f, 0.0f, 0.0f}, bias = {};  // a number, per length, per rate
+  ActuatorDynamics dynamics = ActuatorDynamics::NONE;
+  float time = 1.0f;  // s, of filters
+  Vec2f ctrl_range = {-kJointUnlimited, kJointUnlimited};
+  Vec2f force_range = {-kJointUnlimited, kJointUnlimited};
+  Vec2f act_range = {-kJointUnlimited, kJointUnlimited};
+  float ctrl = 0.0f, act = 0.0f;  // what controls and states start from
+  std::string label = {};         // "actuator_<index>" when empty
+};
+
 // What ModelBuilder::collapse_fixed_joints did; one entry per body or joint as it was.
 struct CollapsedJoints {
   std::vector<int32_t> body_remap = {}, joint_remap = {};  // the new index; -1: it is gone

@@ -83,6 +83,25 @@ namespace novaphy {
   X(articulation_end, int32_t, 1, articulation_count, "", "",                                     \
     "behind the last joint")
 
+// Actuators: novaphy/dynamics/articulation/actuation.h says what they do. Ranges: lower, upper;
+// -1e10, 1e10: none.
+#define NOVAPHY_MODEL_ACTUATOR_FIELDS(X)                                                          \
+  X(actuator_dof, int32_t, 1, actuator_count, "", "", "degree of freedom of the actuator")        \
+  X(actuator_state, int32_t, 1, actuator_count, "", "", "its row of act; -1: it has no dynamics") \
+  X(actuator_dynamics, int32_t, 1, actuator_count, "", "", "ActuatorDynamics")                    \
+  X(actuator_gear, float, 1, actuator_count, "1", "",                                             \
+    "its length and rate are those of the joint times the gear, and so is the joint's force")     \
+  X(actuator_gain, Vec3f, 1, actuator_count, "N or N*m", "",                                      \
+    "force per control: a number, per length, per rate")                                          \
+  X(actuator_bias, Vec3f, 1, actuator_count, "N or N*m", "",                                      \
+    "force without a control: a number, per length, per rate")                                    \
+  X(actuator_time, float, 1, actuator_count, "s", "", "time constant of a filter")                \
+  X(actuator_ctrl_range, Vec2f, 1, actuator_count, "1", "", "least and largest control")          \
+  X(actuator_force_range, Vec2f, 1, actuator_count, "N or N*m", "", "least and largest force")    \
+  X(actuator_act_range, Vec2f, 1, actuator_count, "1", "", "least and largest activation")        \
+  X(ctrl, float, 1, actuator_count, "1", "", "what a control starts from")                        \
+  X(act, float, 1, actuator_state_count, "1", "", "initial activations")
+
 // Which joints and articulations there are: does not change once a model is made.
 #define NOVAPHY_MODEL_STRUCTURE(X) \
   X(joint_type)                    \
@@ -96,6 +115,8 @@ namespace novaphy {
   X(joint_world)                   \
   X(joint_mimic)                   \
   X(joint_mimic_coef)              \
+  X(actuator_dof)                  \
+  X(actuator_state)                \
   X(articulation_start)            \
   X(articulation_end)
 
@@ -150,6 +171,8 @@ namespace novaphy {
     "rotational inertia about the centre of mass")                                                \
   X(body_inv_inertia, Mat33f, 1, body_count, "1/(kg*m^2)", "body",                                \
     "inverse of the inertia; 0 where that is 0")                                                  \
+  X(body_gravcomp, float, 1, body_count, "1", "",                                                 \
+    "part of the weight that a force at the centre of mass takes away")                           \
   X(body_flags, int32_t, 1, body_count, "", "",                                                   \
     "BodyFlags; a KINEMATIC body follows its velocity, no force moves it")                        \
   X(body_world, int32_t, 1, body_count, "", "", "world of the body; -1: all worlds")              \
@@ -198,6 +221,7 @@ namespace novaphy {
   X(shape_contact_pairs, Vec2i, 1, shape_contact_pair_count, "", "",                              \
     "shape pairs (i < j) that the rigid contact search visits, in lexicographic order")           \
   NOVAPHY_MODEL_JOINT_FIELDS(X)                                                                   \
+  NOVAPHY_MODEL_ACTUATOR_FIELDS(X)                                                                \
   X(gravity, Vec3f, 1, world_count, "m/s^2", "world",                                             \
     "gravity of every world; world -1 reads the last row")
 // clang-format on
@@ -255,7 +279,7 @@ struct ModelSettings : ModelNumbers {
   bool requires_grad = false;            // what state() and control() hand on
   std::vector<std::string> body_label;   // one per body
   std::vector<std::string> shape_label;  // one per shape
-  std::vector<std::string> joint_label, articulation_label;
+  std::vector<std::string> joint_label, articulation_label, actuator_label;
   int32_t max_joints_per_articulation = 0, max_dofs_per_articulation = 0;
   std::set<std::pair<int32_t, int32_t>>
       shape_collision_filter_pairs;  // (i < j): never in shape_contact_pairs

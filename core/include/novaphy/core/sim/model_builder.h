@@ -47,6 +47,7 @@ struct BodyArgs {
   std::optional<Mat33f> inertia = {};
   bool lock_inertia = false;  // shapes add nothing
   bool is_kinematic = false;  // follows its velocity, no force moves it; needs no mass
+  float gravcomp = 0.0f;      // part of the weight that a force at the centre of mass takes away
   std::string label = {};     // "body_<index>" when empty
 };
 
@@ -213,6 +214,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t joint_coord_count() const { return static_cast<int32_t>(joint_q.size()); }
   int32_t joint_dof_count() const { return static_cast<int32_t>(joint_qd.size()); }
   int32_t articulation_count() const { return static_cast<int32_t>(articulations_.size()); }
+  int32_t actuator_count() const { return static_cast<int32_t>(actuators_.size()); }
   int32_t spring_count() const { return static_cast<int32_t>(springs_.indices.size()); }
   int32_t tri_count() const { return static_cast<int32_t>(triangles_.indices.size()); }
   int32_t edge_count() const { return static_cast<int32_t>(edges_.indices.size()); }
@@ -298,9 +300,14 @@ class NOVAPHY_CORE_API ModelBuilder {
   // ErrorKind::Value: a joint of another type, one that follows already, a cycle, numbers that are
   // not finite; when the model is made: joints of different articulations.
   void add_constraint_mimic(int32_t joint0, int32_t joint1, float coef0 = 0.0f, float coef1 = 1.0f);
+  // An actuator of a REVOLUTE, PRISMATIC or D6 joint. Returns the index, the row of Control::ctrl.
+  // ErrorKind::Index: no such joint or axis; ErrorKind::Value: a joint of another type, a range in
+  // the wrong order, numbers that are not finite, a time constant that is not > 0.
+  int32_t add_actuator(int32_t joint, const ActuatorArgs& args = {});
   // Merges the child of every enabled FIXED joint into the parent: mass, shapes and joints. Joints
-  // with a label in `keep` stay; so do those whose child has another joint to a parent, or is
-  // kinematic under a body, and a root with more than one child in its articulation.
+  // with a label in `keep` stay; so do those whose child has another joint to a parent, is
+  // kinematic under a body, or has another gravcomp, and a root with more than one child in its
+  // articulation.
   CollapsedJoints collapse_fixed_joints(std::span<const std::string> keep = {});
 
   // All return the index of the shape. `body` -1 is the world. A plane belongs to the world or to a
@@ -367,6 +374,7 @@ class NOVAPHY_CORE_API ModelBuilder {
     bool is_link;
     int32_t world;
     std::string label = {};
+    float gravcomp = 0.0f;
     int32_t mover = -1;        // the joint of an articulation whose child it is
     Transformf added_at = {};  // of add_body: what its joint coordinates started as
   };
@@ -382,6 +390,10 @@ class NOVAPHY_CORE_API ModelBuilder {
     std::string label = {};
     int32_t mimic = -1;  // joint that it follows
     Vec2f mimic_coef = {};
+  };
+  struct Actuator {
+    int32_t dof;
+    ActuatorArgs args;
   };
   struct Articulation {
     int32_t start, end;  // joints
@@ -453,6 +465,9 @@ class NOVAPHY_CORE_API ModelBuilder {
                               const std::vector<char>& joint_stays);
   void check_joints() const;
   void upload_joints(Model& model) const;
+  void append_actuators(const ModelBuilder& builder, int32_t first_dof);
+  int32_t actuator_state_count() const;
+  void upload_actuators(Model& model) const;
   std::set<std::pair<int32_t, int32_t>> all_filter_pairs() const;
   // `mesh`: of MESH and CONVEX_MESH.
   int32_t append_shape(std::string_view function, const ShapeArgs& args,
@@ -498,6 +513,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   std::vector<Shape> shapes_;
   std::vector<Joint> joints_;
   std::vector<Articulation> articulations_;
+  std::vector<Actuator> actuators_;
   Springs springs_;
   Triangles triangles_;
   Edges edges_;

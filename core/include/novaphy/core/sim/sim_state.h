@@ -28,7 +28,9 @@ class Model;
     "force, then moment about the centre of mass", Applied)                                       \
   X(joint_q, float, 1, joint_coord_count, "m or rad", "joint", "joint coordinates",               \
     Carried)                                                                                      \
-  X(joint_qd, float, 1, joint_dof_count, "m/s or rad/s", "joint", "joint velocities", Carried)
+  X(joint_qd, float, 1, joint_dof_count, "m/s or rad/s", "joint", "joint velocities", Carried)    \
+  X(act, float, 1, actuator_state_count, "1", "", "activations of the actuators with dynamics",   \
+    Carried)
 // clang-format on
 
 NOVAPHY_DECLARE_FIELDS(StateFields, NOVAPHY_STATE_FIELDS, ModelCounts)

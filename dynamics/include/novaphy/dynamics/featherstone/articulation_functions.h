@@ -65,5 +65,10 @@ NOVAPHY_DYNAMICS_API std::vector<Vec3f> eval_center_of_mass(const Model& model,
                                                             const SimState& state);
 // {A}: kinetic and potential, J; without armature, the potential against the world's origin.
 NOVAPHY_DYNAMICS_API std::vector<Vec2f> eval_energy(const Model& model, const SimState& state);
+// The forces of the actuators at a state, before their gears. `control` null: the model's.
+// ErrorKind::Value: a state or control of another model.
+NOVAPHY_DYNAMICS_API std::vector<float> eval_actuator_forces(const Model& model,
+                                                             const SimState& state,
+                                                             const Control* control);
 
 }  // namespace novaphy

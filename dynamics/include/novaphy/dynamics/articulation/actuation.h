@@ -1,0 +1,171 @@
+// Actuators: what controls and activations add to the drives and forces of a step.
+//
+// An actuator has the length l = gear q and the rate v = gear qd of its degree of freedom, and
+//   c      the control, clipped to ctrl_range, or the activation where it has dynamics
+//   force  (gain0 + gain1 l + gain2 v) c + bias0 + bias1 l + bias2 v, clipped to force_range
+// of which the degree of freedom feels gear times. The numbers by l and v, which are not positive,
+// are a stiffness and a damping of the drive (drives.h), so a step is as stable as drives are; the
+// others are its target, or a force where nothing depends on l and v. A force range of a servo is
+// the effort limit of the drive about the middle of the range. Dynamics:
+//   integrator   act' = c
+//   filter       act' = (c - act) / time, explicit; filter_exact: its solution over the step
+// and then act is clipped to act_range. Source: MuJoCo, "Computation", actuation model.
+#pragma once
+
+#include "novaphy/dynamics/articulation/dual.h"
+
+namespace novaphy::articulation {
+
+// What a step reads; the first six are those of the drives, which it gives as well.
+enum ActuationInput : int32_t {
+  kJointForce,
+  kTarget,
+  kTargetRate,
+  kStiffness,
+  kDamping,
+  kEffort,
+  kActuated,  // how many
+  kControl = kActuated,
+  kActivation,
+  kGear,
+  kTime,
+  kGain,
+  kBias,
+  kControlRange,
+  kForceRange,
+  kActivationRange,
+  kActuationInputs
+};
+inline constexpr int32_t kNextActivation = kActuated, kActuationOutputs = kActuated + 1;
+inline int32_t numbers_of_input(int32_t input) {
+  if (input < kGain) return 1;
+  return input < kControlRange ? 3 : 2;
+}
+
+struct Actuation {
+  const int32_t *first, *order;  // actuators of dof d: order[first[d]] to order[first[d + 1] - 1]
+  const int32_t* coord;          // coordinate of each dof; -1: of a BALL, FREE or DISTANCE joint
+  const int32_t *state, *dynamics;
+  const float* in[kActuationInputs];
+  float dt;
+  uint32_t unused;
+};
+
+inline DualFloat clipped(const DualFloat& x, const DualFloat& lower, const DualFloat& upper) {
+  if (x < lower) return lower;
+  return x > upper ? upper : x;
+}
+// 1 - exp(-x) of x >= 0, also where it is small.
+inline DualFloat part_reached(const DualFloat& x) {
+  const float left = math::exp(-x.value), v = x.value;
+  const float small =
+      v * (1.0f - v / 2.0f * (1.0f - v / 3.0f * (1.0f - v / 4.0f * (1.0f - v / 5.0f))));
+  return {v < 0.1f ? small : 1.0f - left, left * x.tangent};
+}
+
+// number(input, row, k): number k of a row of an input. put(output, row, value).
+template <class Number, class Put>
+void next_activation(const Actuation& a, int32_t actuator, const DualFloat& control,
+                     const Number& number, const Put& put) {
+  const int32_t state = a.state[actuator], dynamics = a.dynamics[actuator];
+  const DualFloat act = number(kActivation, state, 0), dt = a.dt;
+  DualFloat part = dt;
+  if (dynamics > 1) {
+    const DualFloat time = number(kTime, actuator, 0), least = 1e-15f;
+    part = dt / (time < least ? least : time);
+  }
+  if (dynamics == 3) part = part_reached(part);
+  const DualFloat next = dynamics == 1 ? act + part * control : act + part * (control - act);
+  put(kNextActivation, state,
+      clipped(next, number(kActivationRange, actuator, 0), number(kActivationRange, actuator, 1)));
+}
+
+// Of one actuator at its control or activation: force part + by_length l + by_rate v.
+struct ActuatorForce {
+  DualFloat gear, part, by_length, by_rate, lower, upper;
+  bool is_servo, is_limited;
+};
+template <class Number>
+ActuatorForce actuator_force(int32_t actuator, const DualFloat& input, const Number& number) {
+  const auto gain = [&](int32_t k) { return number(kGain, actuator, k); };
+  const auto bias = [&](int32_t k) { return number(kBias, actuator, k); };
+  ActuatorForce f;
+  f.gear = number(kGear, actuator, 0);
+  f.part = gain(0) * input + bias(0);
+  f.by_length = gain(1) * input + bias(1);
+  f.by_rate = gain(2) * input + bias(2);
+  f.lower = number(kForceRange, actuator, 0);
+  f.upper = number(kForceRange, actuator, 1);
+  f.is_servo = gain(1).value != 0.0f || gain(2).value != 0.0f || bias(1).value != 0.0f ||
+               bias(2).value != 0.0f;
+  f.is_limited = f.lower.value > -1e10f || f.upper.value < 1e10f;
+  return f;
+}
+template <class Number>
+DualFloat clipped_control(int32_t actuator, const Number& number) {
+  return clipped(number(kControl, actuator, 0), number(kControlRange, actuator, 0),
+                 number(kControlRange, actuator, 1));
+}
+
+// The drive and force of a degree of freedom, and the activations of its actuators.
+template <class Number, class Put>
+void actuate(const Actuation& a, int32_t dof, const Number& number, const Put& put) {
+  const DualFloat none = 0.0f, half = 0.5f;
+  const int32_t coord = a.coord[dof];
+  DualFloat force = number(kJointForce, dof, 0), rate = number(kTargetRate, dof, 0),
+            stiffness = number(kStiffness, dof, 0), damping = number(kDamping, dof, 0),
+            effort = number(kEffort, dof, 0), target = coord < 0 ? none : number(kTarget, coord, 0);
+  if (a.first[dof] < a.first[dof + 1]) {
+    const DualFloat pull = stiffness * target, drag = damping * rate;
+    DualFloat asked = none;
+    for (int32_t i = a.first[dof]; i < a.first[dof + 1]; ++i) {
+      const int32_t k = a.order[i];
+      DualFloat input = clipped_control(k, number);
+      if (a.state[k] >= 0) {
+        next_activation(a, k, input, number, put);
+        input = number(kActivation, a.state[k], 0);
+      }
+      const ActuatorForce f = actuator_force(k, input, number);
+      const bool is_cut = !f.is_servo && (f.part < f.lower || f.part > f.upper);
+      if (!is_cut) {
+        stiffness = stiffness - f.gear * f.gear * f.by_length;
+        damping = damping - f.gear * f.gear * f.by_rate;
+      }
+      if (!f.is_servo) {
+        force = force + f.gear * clipped(f.part, f.lower, f.upper);
+        continue;
+      }
+      DualFloat part = f.part;
+      if (f.is_limited) {
+        const DualFloat middle = half * (f.lower + f.upper);
+        const DualFloat most = f.gear * (half * (f.upper - f.lower));
+        const DualFloat size = most < none ? -most : most;
+        if (size < effort) effort = size;
+        force = force + f.gear * middle;
+        part = part - middle;
+      }
+      asked = asked + f.gear * part;
+    }
+    if (stiffness > none) {
+      target = (pull + asked) / stiffness;
+    } else {
+      target = none;
+      force = force + pull;
+    }
+    const DualFloat to_rate = stiffness > none ? drag : drag + asked;
+    if (damping > none) {
+      rate = to_rate / damping;
+    } else {
+      rate = none;
+      force = force + to_rate;
+    }
+  }
+  put(kJointForce, dof, force);
+  if (coord >= 0) put(kTarget, coord, target);
+  put(kTargetRate, dof, rate);
+  put(kStiffness, dof, stiffness);
+  put(kDamping, dof, damping);
+  put(kEffort, dof, effort);
+}
+
+}  // namespace novaphy::articulation

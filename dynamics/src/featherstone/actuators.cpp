@@ -1,0 +1,312 @@
+#include "actuators.h"
+
+#include <algorithm>
+#include <string>
+
+#include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
+#include "novaphy/core/sim/for_chunks.h"
+#include "novaphy/core/sim/index_rows.h"
+#include "novaphy/core/sim/joint_args.h"
+#include "novaphy/core/sim/on_host.h"
+#include "novaphy/dynamics/featherstone/articulation_functions.h"
+
+namespace novaphy {
+namespace detail {
+const char* articulation_kernels_text();
+}
+
+namespace art = articulation;
+
+namespace {
+constexpr int64_t kRowsOfChunk = 512;
+}
+
+StepDrives drives_of(const Model& m, const Control* control) {
+  return {control ? control->joint_f : m.joint_f,
+          control ? control->joint_target_q : m.joint_target_q,
+          control ? control->joint_target_qd : m.joint_target_qd,
+          m.joint_target_ke,
+          m.joint_target_kd,
+          m.joint_effort_limit};
+}
+void read_instead(NamedStepArrays& arrays, const StepDrives& drives) {
+  const int32_t places[] = {kAt.joint_f,   kAt.target_q,  kAt.target_qd,
+                            kAt.target_ke, kAt.target_kd, kAt.effort_limit};
+  for (size_t i = 0; i < std::size(places); ++i)
+    arrays[static_cast<size_t>(places[i])].array = &drives[i];
+}
+
+ActuationArrays Actuators::inputs(const Model& m, const SimState& state, const Control* control) {
+  const StepDrives drives = drives_of(m, control);
+  return {drives[0],
+          drives[1],
+          drives[2],
+          drives[3],
+          drives[4],
+          drives[5],
+          control ? control->ctrl : m.ctrl,
+          state.act,
+          m.actuator_gear,
+          m.actuator_time,
+          m.actuator_gain,
+          m.actuator_bias,
+          m.actuator_ctrl_range,
+          m.actuator_force_range,
+          m.actuator_act_range};
+}
+
+Actuators::Actuators(const Model& m) : any_(m.actuator_count() > 0) {
+  if (!any_) return;
+  const Unobserved unobserved;
+  const Device device = m.device();
+  IndexRows lists;
+  lists.build(m.actuator_dof.to_host(), m.joint_dof_count());
+  first_ = DeviceArray<int32_t>::from_host(lists.begins(), device);
+  order_ = DeviceArray<int32_t>::from_host(lists.all(), device);
+  std::vector<int32_t> coord(static_cast<size_t>(m.joint_dof_count()), -1);
+  const OnHost<int32_t> type(m.joint_type), q(m.joint_q_start), qd(m.joint_qd_start);
+  for (size_t j = 0; j + 1 < q.size(); ++j) {
+    const auto of = static_cast<JointType>(type[j]);
+    if (of != JointType::REVOLUTE && of != JointType::PRISMATIC && of != JointType::D6) continue;
+    for (int32_t k = qd[j]; k < qd[j + 1]; ++k) coord[static_cast<size_t>(k)] = q[j] + k - qd[j];
+  }
+  coord_ = DeviceArray<int32_t>::from_host(coord, device);
+}
+
+namespace {
+
+// Of the values of a model on the host.
+class ActuatorCheck {
+ public:
+  ActuatorCheck(const Model& m, const char* user) : m_(m), user_(user) {}
+  void run() {
+    for (size_t k = 0; k < dof_.size(); ++k) {
+      check_range("actuator_ctrl_range", ctrl_[k], k);
+      check_range("actuator_force_range", force_[k], k);
+      check_range("actuator_act_range", act_[k], k);
+      const bool has_state = state_[k] >= 0;
+      require(has_state ? dynamics_[k] >= 1 && dynamics_[k] <= 3 : dynamics_[k] == 0,
+              ErrorKind::Value, user_, ": model.actuator_dynamics[", k, "]: expected ",
+              has_state ? "1 to 3 of an actuator with an activation, got "
+                        : "0 of an actuator without an activation, got ",
+              dynamics_[k]);
+      if (is_servo(k)) check_servo(k);
+    }
+  }
+
+ private:
+  template <class... Why>
+  void expect(bool good, size_t k, const char* array, Why&&... why) const {
+    require(good, ErrorKind::NotImplemented, user_, ": model.", array, "[", k, "] (\"",
+            m_.actuator_label[k], "\"): ", why...);
+  }
+  void check_range(const char* name, const Vec2f& range, size_t k) const {
+    require(range.x <= range.y, ErrorKind::Value, user_, ": model.", name, "[", k,
+            "]: expected the lower one first, got ", range.x, " and ", range.y);
+  }
+  bool is_servo(size_t k) const {
+    return gain_[k].y != 0.0f || gain_[k].z != 0.0f || bias_[k].y != 0.0f || bias_[k].z != 0.0f;
+  }
+  void check_servo(size_t k) const {
+    const auto dof = static_cast<size_t>(dof_[k]);
+    const Vec2f& input = state_[k] < 0 ? ctrl_[k] : act_[k];
+    for (const float c : {input.x, input.y})
+      expect(bias_[k].y + gain_[k].y * c <= 0.0f && bias_[k].z + gain_[k].z * c <= 0.0f, k,
+             "actuator_gain and actuator_bias",
+             "expected forces per length and rate <= 0 at every control of its range, got ",
+             bias_[k].y + gain_[k].y * c, " and ", bias_[k].z + gain_[k].z * c, " at ", c);
+    expect(mode_[dof] == static_cast<int32_t>(JointTargetMode::POSITION_VELOCITY), k,
+           "actuator_dof", "expected a degree of freedom of the joint_target_mode ",
+           "POSITION_VELOCITY, got ", mode_[dof]);
+    const Vec2f& force = force_[k];
+    if (force.x <= -kJointUnlimited && force.y >= kJointUnlimited) return;
+    expect(force.x > -kJointUnlimited && force.y < kJointUnlimited, k, "actuator_force_range",
+           "expected two ends, or none, of a force by length or rate, got ", force.x, " and ",
+           force.y);
+    bool alone = ke_[dof] == 0.0f && kd_[dof] == 0.0f;
+    for (size_t i = 0; i < dof_.size(); ++i)
+      alone = alone && (i == k || dof_[i] != dof_[k] || !is_servo(i));
+    expect(alone, k, "actuator_force_range",
+           "expected none where the degree of freedom has another drive or force by length or "
+           "rate, got ",
+           force.x, " and ", force.y);
+  }
+
+  const Model& m_;
+  const char* const user_;
+  const OnHost<int32_t> dof_{m_.actuator_dof}, state_{m_.actuator_state},
+      dynamics_{m_.actuator_dynamics}, mode_{m_.joint_target_mode};
+  const OnHost<float> ke_{m_.joint_target_ke}, kd_{m_.joint_target_kd};
+  const OnHost<Vec3f> gain_{m_.actuator_gain}, bias_{m_.actuator_bias};
+  const OnHost<Vec2f> ctrl_{m_.actuator_ctrl_range}, force_{m_.actuator_force_range},
+      act_{m_.actuator_act_range};
+};
+
+}  // namespace
+
+void Actuators::check(const Model& m, const char* user, bool gradient_by_gravcomp) {
+  const Array* const arrays[] = {
+      &m.body_gravcomp,        &m.actuator_gain,      &m.actuator_bias,   &m.actuator_ctrl_range,
+      &m.actuator_force_range, &m.actuator_act_range, &m.joint_target_ke, &m.joint_target_kd,
+      &m.joint_target_mode,    &m.actuator_dynamics};
+  checked_.resize(std::size(arrays));
+  bool same = true;
+  for (size_t i = 0; i < std::size(arrays); ++i) same = same && checked_[i].matches(*arrays[i]);
+  if (!same) {
+    const Unobserved unobserved;
+    const OnHost<float> gravcomp(m.body_gravcomp);
+    has_gravcomp_ = false;
+    for (size_t b = 0; b < gravcomp.size(); ++b)
+      has_gravcomp_ = has_gravcomp_ || gravcomp[b] != 0.0f;
+    if (any_) ActuatorCheck(m, user).run();
+    for (size_t i = 0; i < std::size(arrays); ++i) checked_[i].set(*arrays[i]);
+  }
+  lifts_ = has_gravcomp_ || gradient_by_gravcomp;
+  if (!lifts_) depend_on({&m.body_gravcomp});
+}
+
+LaunchArgument word_of(const char* name, const Array& array, bool write) {
+  if (array.rows() == 0) return {};
+  return (write ? updates(name, array) : reads(name, array)).detached();
+}
+
+LaunchWords Actuators::words(const Model& m, const ActuationArrays& inputs, float dt) const {
+  LaunchWords words = {word_of("actuators of a dof", first_, false),
+                       word_of("actuators by dof", order_, false),
+                       word_of("coordinate of a dof", coord_, false),
+                       word_of("model.actuator_state", m.actuator_state, false),
+                       word_of("model.actuator_dynamics", m.actuator_dynamics, false)};
+  for (const Array& array : inputs) words.push_back(word_of("input of actuators", array, false));
+  words.push_back(number(dt));
+  return words;
+}
+
+art::Actuation Actuators::on_host(const Model& m, const ActuationArrays& inputs, float dt) const {
+  art::Actuation a = {first_.data(),
+                      order_.data(),
+                      coord_.data(),
+                      m.actuator_state.data(),
+                      m.actuator_dynamics.data(),
+                      {},
+                      dt,
+                      0};
+  for (size_t i = 0; i < inputs.size(); ++i) a.in[i] = static_cast<const float*>(inputs[i].raw());
+  return a;
+}
+
+LaunchWords gravcomp_words(const Model& m, const Array& body_f) {
+  return {word_of("model.body_world", m.body_world, false),
+          word_of("model.body_gravcomp", m.body_gravcomp, false),
+          word_of("model.body_mass", m.body_mass, false),
+          word_of("model.gravity", m.gravity, false),
+          word_of("body_f", body_f, false),
+          number(int64_t{m.world_count()})};
+}
+
+// Never destroyed: recordings refer to them.
+const ActuationKernels& actuation_kernels() {
+  static const auto& kernels =
+      *new ActuationKernels{{actuation, detail::articulation_kernels_text},
+                            {actuation_vjp, detail::articulation_kernels_text},
+                            {actuation_jvp, detail::articulation_kernels_text},
+                            {gravity_compensation, detail::articulation_kernels_text},
+                            {gravity_compensation_vjp, detail::articulation_kernels_text},
+                            {gravity_compensation_jvp, detail::articulation_kernels_text}};
+  return kernels;
+}
+
+ActuatedStep::Read ActuatedStep::begin(const Model& m, const SimState& in, const SimState& out,
+                                       const Control* control, float dt, const char* user) {
+  actuators_.check(m, user);
+  Read read = {drives_of(m, control), in.body_f};
+  const bool on_host = m.device().is_cpu();
+  if (actuators_.any()) {
+    const ActuationArrays inputs = Actuators::inputs(m, in, control);
+    const auto dofs = m.joint_dof_count();
+    if (memory_[0].rows() == 0) {
+      const Unobserved unobserved;
+      for (size_t i = 0; i < art::kActuated; ++i)
+        memory_[i] = DeviceArray<float>(inputs[i].rows(), m.device());
+      if (on_host) memory_[art::kNextActivation] = DeviceArray<float>(in.act.rows(), m.device());
+    }
+    if (on_host) {
+      ActuationArguments a = {actuators_.on_host(m, inputs, dt), {}};
+      for (size_t i = 0; i < memory_.size(); ++i)
+        if (memory_[i].rows() > 0) a.out[i] = memory_[i].mutable_data();
+      for_chunks(dofs, kRowsOfChunk, [&](int64_t begin, int64_t end, int64_t) {
+        for (int64_t row = begin; row < end; ++row) actuation_row(a, row, dofs);
+      });
+    } else {
+      LaunchWords words = actuators_.words(m, inputs, dt);
+      for (size_t i = 0; i < art::kActuated; ++i)
+        words.push_back(word_of("drives of a step", memory_[i], true));
+      words.push_back(word_of("state_out.act", out.act, true));
+      actuation_kernels().forward.launch(m.device(), dofs, words);
+    }
+    std::copy_n(memory_.begin(), read.drives.size(), read.drives.begin());
+  }
+  if (actuators_.lifts()) {
+    if (body_f_.rows() == 0) {
+      const Unobserved unobserved;
+      body_f_ = DeviceArray<SpatialVectorf>(in.body_f.rows(), m.device());
+    }
+    if (on_host) {
+      const GravcompArguments a = {
+          m.body_world.data(), m.body_gravcomp.data(), m.body_mass.data(),    m.gravity.data(),
+          in.body_f.data(),    m.world_count(),        body_f_.mutable_data()};
+      for (int64_t row = 0; row < m.body_count(); ++row)
+        gravity_compensation_row(a, row, m.body_count());
+    } else {
+      LaunchWords words = gravcomp_words(m, in.body_f);
+      words.push_back(word_of("wrenches of a step", body_f_, true));
+      actuation_kernels().lift.launch(m.device(), m.body_count(), words);
+    }
+    read.body_f = body_f_;
+  }
+  return read;
+}
+
+std::vector<float> eval_actuator_forces(const Model& m, const SimState& state,
+                                        const Control* control) {
+  constexpr const char* name = "eval_actuator_forces";
+  require(state.model_id() == m.id() && (control == nullptr || control->model_id() == m.id()),
+          ErrorKind::Value, name, ": state, control: expected those of the model");
+  if (ArrayObserver* const observer = array_observer()) observer->host_read(name);
+  Actuators actuators(m);
+  actuators.check(m, name);
+  if (!actuators.any()) return {};
+  std::vector<std::vector<float>> values;
+  for (const Array& array : Actuators::inputs(m, state, control)) {
+    values.emplace_back(array.bytes() / sizeof(float));
+    if (!values.back().empty()) array.copy_to_host(values.back().data(), array.bytes());
+  }
+  const auto number = [&](int32_t input, int32_t row, int32_t k) {
+    return art::DualFloat(values[static_cast<size_t>(input)]
+                                [static_cast<size_t>(row * art::numbers_of_input(input) + k)]);
+  };
+  const OnHost<int32_t> dof(m.actuator_dof), activation(m.actuator_state);
+  const std::vector<int32_t> coord = actuators.coordinates();
+  const OnHost<float> q(state.joint_q), qd(state.joint_qd);
+  std::vector<float> forces;
+  for (size_t k = 0; k < dof.size(); ++k) {
+    const auto i = static_cast<int32_t>(k);
+    const auto row = static_cast<size_t>(dof[k]), at = static_cast<size_t>(coord[row]);
+    const art::DualFloat input = activation[k] < 0 ? art::clipped_control(i, number)
+                                                   : number(art::kActivation, activation[k], 0);
+    const art::ActuatorForce f = art::actuator_force(i, input, number);
+    const art::DualFloat length = f.gear * art::DualFloat(q[at]),
+                         rate = f.gear * art::DualFloat(qd[row]);
+    forces.push_back(
+        art::clipped(f.part + f.by_length * length + f.by_rate * rate, f.lower, f.upper).value);
+  }
+  return forces;
+}
+
+void ActuatedStep::finish(const SimState& out) const {
+  if (memory_[art::kNextActivation].rows() == 0) return;
+  DeviceArray<float> act = out.act;
+  act.assign(memory_[art::kNextActivation]);
+}
+
+}  // namespace novaphy

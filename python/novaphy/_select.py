@@ -1,0 +1,122 @@
+"""Model.select: joints, bodies and actuators by name, and their rows of any array."""
+
+from __future__ import annotations
+
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _core
+
+_COORDS = ("joint_q", "joint_target_q")
+
+
+class Selection:
+    """What Model.select found, over the worlds of a model.
+
+    joints, bodies, actuators, coords and dofs are indices, ascending. get copies their rows of a
+    field, set writes the rows; no other row changes. With several worlds that have as many rows,
+    values are {worlds, rows, ...}, otherwise {rows, ...}.
+    """
+
+    joints: NDArray[np.int32]
+    bodies: NDArray[np.int32]
+    actuators: NDArray[np.int32]
+    coords: NDArray[np.int32]
+    dofs: NDArray[np.int32]
+
+    def __init__(self, model: _core.Model, pattern: str, world: int | None) -> None:
+        if world is not None and not -1 <= world < model.world_count:
+            last = model.world_count - 1
+            raise IndexError(f"select: world: expected -1 to {last}, got {world}")
+        found = _Names(model, pattern, world)
+        kinds = ("joints", "bodies", "actuators", "coords", "dofs")
+        self._worlds: dict[str, NDArray[np.int32]] = {}
+        for kind, (rows, worlds) in zip(kinds, found.rows(), strict=True):
+            setattr(self, kind, rows)
+            self._worlds[kind] = worlds
+        if not len(self.joints) + len(self.bodies) + len(self.actuators):
+            raise ValueError(
+                f"select: pattern: expected the name of a joint, body or actuator, got {pattern!r}"
+            )
+
+    def rows(self, field: str) -> NDArray[np.int32]:
+        """Rows of a field of a Model, SimState or Control: joint_q, body_qd, ctrl, ..."""
+        return getattr(self, self._kind(field))  # type: ignore[no-any-return]
+
+    def get(self, owner: Any, field: str) -> NDArray[Any]:
+        """The rows of a field, a copy."""
+        kind = self._kind(field)
+        values = getattr(owner, field).numpy()[getattr(self, kind)]
+        counts = np.unique(self._worlds[kind], return_counts=True)[1]
+        if len(counts) < 2 or (counts != counts[0]).any():
+            return values  # type: ignore[no-any-return]
+        return values.reshape(len(counts), counts[0], *values.shape[1:])  # type: ignore[no-any-return]
+
+    def set(self, owner: Any, field: str, values: ArrayLike) -> None:
+        """Writes the rows of a field; values broadcast to the shape that get has."""
+        shape = self.get(owner, field).shape
+        array = getattr(owner, field)
+        every = array.numpy()
+        rows = self.rows(field)
+        every[rows] = np.broadcast_to(values, shape).reshape(len(rows), *every.shape[1:])
+        array.assign(every)
+
+    @staticmethod
+    def _kind(field: str) -> str:
+        if field in _COORDS:
+            return "coords"
+        if field == "ctrl" or field.startswith("actuator_"):
+            return "actuators"
+        for start, kind in (("body_", "bodies"), ("joint_", "dofs")):
+            if field.startswith(start):
+                return kind
+        raise ValueError(
+            f"Selection: field: expected one of joints, bodies or actuators, got {field!r}"
+        )
+
+
+class _Names:
+    """Which joints, bodies and actuators match, by name or by articulation/name."""
+
+    def __init__(self, model: _core.Model, pattern: str, world: int | None) -> None:
+        of_joint = model.joint_articulation.numpy()
+        worlds = {"joint": model.joint_world.numpy(), "body": model.body_world.numpy()}
+        names = ["" if a < 0 else model.articulation_label[a] for a in of_joint]
+        self.starts = {"coords": model.joint_q_start.numpy(), "dofs": model.joint_qd_start.numpy()}
+        owner = dict(zip(model.joint_child.numpy().tolist(), names, strict=True))
+        joint_of = np.searchsorted(self.starts["dofs"], model.actuator_dof.numpy(), "right") - 1
+
+        def matches(label: str, articulation: str, of_world: int) -> bool:
+            if world is not None and of_world != world:
+                return False
+            return fnmatchcase(label, pattern) or fnmatchcase(f"{articulation}/{label}", pattern)
+
+        self.world = {**worlds, "actuator": worlds["joint"][joint_of]}
+        self.found = {
+            "joint": [
+                j for j, label in enumerate(model.joint_label)
+                if matches(label, names[j], worlds["joint"][j])
+            ],
+            "body": [
+                b for b, label in enumerate(model.body_label)
+                if matches(label, owner.get(b, ""), worlds["body"][b])
+            ],
+            "actuator": [
+                k for k, label in enumerate(model.actuator_label)
+                if matches(label, names[joint_of[k]], worlds["joint"][joint_of[k]])
+            ],
+        }  # fmt: skip
+
+    def rows(self) -> list[tuple[NDArray[np.int32], NDArray[np.int32]]]:
+        """Rows, and the world of each: of joints, bodies, actuators, coords and dofs."""
+        pairs = [(rows, self.world[kind][rows]) for kind, rows in self.found.items()]
+        joints = self.found["joint"]
+        for starts in self.starts.values():
+            rows = [row for j in joints for row in range(starts[j], starts[j + 1])]
+            of_rows = [w for j in joints for w in
+                       [self.world["joint"][j]] * int(starts[j + 1] - starts[j])]  # fmt: skip
+            pairs.append((rows, np.array(of_rows, np.int32)))
+        return [(np.array(rows, np.int32), worlds) for rows, worlds in pairs]

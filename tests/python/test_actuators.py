@@ -104,6 +104,31 @@ def test_worlds_have_actuators_of_their_own_and_a_restored_model_too():
     assert_allclose(state.joint_qd.numpy(), np.array([1, 2, 3]) * DT, rtol=1e-6)
 
 
+def test_many_worlds_at_once_have_the_bits_of_each_alone():
+    one = novaphy.ModelBuilder()
+    link = one.add_link(mass=2.0, inertia=np.eye(3), com=(0.5, 0, 0), gravcomp=0.3)
+    joint = one.add_joint_revolute(-1, link, axis=(0, 1, 0))
+    one.add_articulation([joint])
+    one.add_actuator(joint, gain=(40, 0, 0), bias=(0, -40, -2), ctrl=0.3, force_range=(-6, 5))
+    starts = np.float32([0.0, 0.1, 0.9, -0.4, 0.3, 0.7])
+
+    def end(starts, solver):
+        every = novaphy.ModelBuilder()
+        every.replicate(one, len(starts))
+        model = every.finalize()
+        model.joint_q.assign(starts)
+        state = run(model, 40, solver=solver)
+        return np.array([state.joint_q.numpy(), state.joint_qd.numpy()])
+
+    solvers = [novaphy.solvers.SolverFeatherstone]
+    if novaphy.has_diff():
+        solvers.append(novaphy.solvers.DiffFeatherstoneSolver)
+    for solver in solvers:
+        alone = np.concatenate([end(starts[k : k + 1], solver) for k in range(6)], axis=1)
+        np.testing.assert_array_equal(end(starts, solver), alone)
+    assert np.abs(alone[1]).max() > 0.3
+
+
 REFUSED = {
     "pushes": ({"bias": (0, 1, 0)}, {}, NotImplementedError, "forces per length and rate <= 0"),
     "gain pushes": ({"gain": (0, 1, 0), "ctrl_range": (-1, 1)}, {}, NotImplementedError, "<= 0"),

@@ -93,7 +93,12 @@ void scatter_sum(const Lanes* from, const int32_t* first, int32_t width, int32_t
 
 // Numbers besides the workspace and that of contacts.
 int64_t state_numbers(const TreeShape& s) {
-  return 3 * s.coords + 4 * s.dofs + (6 + 7 + 6) * s.bodies;
+  int64_t numbers = s.coords + s.dofs + (7 + 6) * s.bodies;  // of the next state
+  for (int32_t k = 0; k < s.changing_count; ++k) {
+    const StepRow of = kStepRows.at[s.changing[k]];
+    numbers += of.width * s.count(of.of);
+  }
+  return numbers;
 }
 int64_t memory(const TreeShape& s, int32_t contacts) {
   return state_numbers(s) * static_cast<int64_t>(sizeof(Lanes)) +

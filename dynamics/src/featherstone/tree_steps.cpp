@@ -44,6 +44,14 @@ namespace art = articulation;
 constexpr int64_t kPackChunk = 2;
 constexpr size_t kFewest = 3;  // trees that lanes are worth for
 
+// What actuators give in place of the model's is no constant.
+NamedStepArrays arrays_of_lanes(const Model& m) {
+  NamedStepArrays arrays = step_arrays(m, nullptr, nullptr);
+  for (const int32_t place : {kAt.target_ke, kAt.target_kd, kAt.effort_limit})
+    arrays[static_cast<size_t>(place)].is_constant = m.actuator_count() == 0;
+  return arrays;
+}
+
 // Constants stand one behind the other.
 void list_constants(const NamedStepArrays& arrays, art::TreeShape& shape) {
   for (int32_t c = 0; c < static_cast<int32_t>(kStepArrays); ++c) {
@@ -83,7 +91,7 @@ void TreeSteps::find_groups(const Model& m) {
   groups_.clear();
   const auto* all_links = reinterpret_cast<const art::Link*>(articulations_.links().data());
   const int32_t* modes = m.joint_target_mode.data();
-  const NamedStepArrays arrays = step_arrays(m, nullptr, nullptr);
+  const NamedStepArrays arrays = arrays_of_lanes(m);
   for (size_t i = 0; i < first_.size(); ++i) {
     const ArticulationRows& rows = trees_[i];
     std::vector<art::Link> links(all_links + rows.first_link,
@@ -144,7 +152,7 @@ void TreeSteps::constants_of(const Model& m, int32_t tree, float* to, int32_t st
   const FirstRows& first = first_[static_cast<size_t>(tree)];
   const ArticulationRows& rows = trees_[tree];
   const art::TreeShape& shape = groups_[static_cast<size_t>(first.group)].shape;
-  const NamedStepArrays arrays = step_arrays(m, nullptr, nullptr);
+  const NamedStepArrays arrays = arrays_of_lanes(m);
   for (size_t c = 0; c < kStepArrays; ++c) {
     if (!arrays[c].is_constant) continue;
     const auto [of, width] = kStepRows.at[c];
@@ -164,7 +172,7 @@ void TreeSteps::constants_of(const Model& m, int32_t tree, float* to, int32_t st
 void TreeSteps::renew(const Model& m) {
   bool same = mode_stamp_.matches(m.joint_target_mode);
   if (!same) find_groups(m);
-  const NamedStepArrays arrays = step_arrays(m, nullptr, nullptr);
+  const NamedStepArrays arrays = arrays_of_lanes(m);
   for (size_t c = 0; c < kStepArrays; ++c)
     if (arrays[c].is_constant) same = stamps_[c].matches(*arrays[c].array) && same;
   if (same) return;

@@ -330,10 +330,7 @@ TEST(Optimisers, NothingIsAllocatedByALaterStep) {
     sgd.step();
     plain.step();
   };
-  steps();
-  const int64_t before = allocations();
-  for (int k = 0; k < 10; ++k) steps();
-  EXPECT_EQ(allocations(), before);
+  EXPECT_EQ(allocations_of(steps, 10), 0);
 }
 
 TEST(Optimisers, AnEmptyParameterIsNoError) {
@@ -419,9 +416,7 @@ TEST(OptimiserCapture, ALaunchAllocatesNothing) {
   capture.graph()->launch();
   nova::wait_for_compilers();  // threads of devices, which allocate
   capture.graph()->launch();
-  const int64_t before = allocations();
-  for (int k = 0; k < 5; ++k) capture.graph()->launch();
-  EXPECT_EQ(allocations(), before);
+  EXPECT_EQ(allocations_of([&] { capture.graph()->launch(); }, 5), 0);
 }
 
 TEST(OptimiserCapture, KeepsTheRateOfItsMoment) {

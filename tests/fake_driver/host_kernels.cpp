@@ -147,18 +147,18 @@ namespace trees {
 namespace tree_contacts {
 #include "articulation_contact_kernels.cuh"
 #undef NOVAPHY_MATRIX_TREES
-}
+}  // namespace tree_contacts
 namespace tree_contacts_vjp {
 #include "articulation_contact_vjp_kernels.cuh"
 #undef NOVAPHY_MATRIX_TREES
-}
+}  // namespace tree_contacts_vjp
 namespace tree_functions {
 #include "articulation_functions_kernels.cuh"
 }
 namespace tree_contacts_jvp {
 #include "articulation_contact_jvp_kernels.cuh"
 #undef NOVAPHY_MATRIX_TREES
-}
+}  // namespace tree_contacts_jvp
 namespace tree_tangents {
 #include "articulation_jvp_kernels.cuh"
 }
@@ -253,6 +253,12 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(trees::novaphy, articulation_step),
       OF_TEXT(trees::novaphy, articulation_step_vjp),
       OF_TEXT(trees::novaphy, gravity_gradient),
+      OF_TEXT(trees::novaphy, actuation),
+      OF_TEXT(trees::novaphy, actuation_vjp),
+      OF_TEXT(trees::novaphy, actuation_jvp),
+      OF_TEXT(trees::novaphy, gravity_compensation),
+      OF_TEXT(trees::novaphy, gravity_compensation_vjp),
+      OF_TEXT(trees::novaphy, gravity_compensation_jvp),
       OF_TEXT(tree_contacts::novaphy, articulation_contact_group),
       OF_TEXT(tree_contacts::novaphy, articulation_contact_step),
       OF_TEXT(tree_contacts::novaphy, articulation_contact_keep),

@@ -149,12 +149,6 @@ void DeviceKernel::launch(Device device, int64_t n,
 
 namespace {
 
-const Array* array_of(uint64_t word) { return reinterpret_cast<const Array*>(word - kArrayBit); }
-// Null: no rows, or no array.
-Range* range_of(uint64_t word) {
-  return (word & kArrayBit) == 0 ? nullptr : array_of(word)->range().get();
-}
-
 // Says what is wrong with the first argument that is.
 [[noreturn, gnu::noinline]] void refuse(const char* kernel, std::span<const ArgumentInfo> infos,
                                         const ArgumentWord* values, Device device, int64_t n) {
@@ -227,7 +221,8 @@ void DeviceKernel::launch_arrays(int64_t n, std::span<const ArgumentInfo> infos,
     arguments[k].word = words[k];
     arguments[k].name = name;
     if (access == access::kNumber || words[k] == 0) continue;
-    arguments[k].range = array_of(values[k])->range();
+    Range* const range = range_of(values[k]);
+    arguments[k].range = {range->storage().shared_from_this(), range};
     arguments[k].row_bytes = row_bytes;
     arguments[k].read = (access & access::kRead) != 0;
     arguments[k].write = (access & access::kWrite) != 0;

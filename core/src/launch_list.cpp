@@ -42,8 +42,7 @@ void LaunchList::put(size_t number, const ArgumentWord* values) {
             ": expected an array, got memory");
     has_memory_ = has_memory_ || is_memory;
     if (is_memory) continue;
-    const auto* const array = reinterpret_cast<const Array*>(word & ~kArrayBit);
-    range = array == nullptr ? nullptr : array->range().get();
+    range = range_of(word);
     word = range == nullptr ? 0 : reinterpret_cast<uint64_t>(range->data());
     if (range == nullptr && (info.access & access::kOptional) != 0) continue;
     op.writes_arrays |= range != nullptr && (info.access & access::kWrite) != 0;
@@ -66,7 +65,7 @@ void LaunchList::record(const Op& op) const {
     a.word = words_[op.first_word + k];
     a.name = name;
     if (range == nullptr) continue;
-    a.range = range->storage().range(range->offset(), range->bytes());
+    a.range = {range->storage().shared_from_this(), range};
     a.row_bytes = row_bytes;
     a.read = (access & access::kRead) != 0;
     a.write = (access & access::kWrite) != 0;

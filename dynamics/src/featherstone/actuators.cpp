@@ -166,42 +166,23 @@ void Actuators::check(const Model& m, const char* user, bool gradient_by_gravcom
   if (!lifts_) depend_on({&m.body_gravcomp});
 }
 
-LaunchArgument word_of(const char* name, const Array& array, bool write) {
-  if (array.rows() == 0) return {};
-  return (write ? updates(name, array) : reads(name, array)).detached();
+art::Actuation Actuators::arguments(const Model& m, const ActuationArrays& inputs, float dt) const {
+  return {.first = first_,
+          .order = order_,
+          .coord = coord_,
+          .state = m.actuator_state,
+          .dynamics = m.actuator_dynamics,
+          .in = each<art::kActuationInputs>([&](size_t i) { return Untyped(inputs[i]); }),
+          .dt = dt};
 }
 
-LaunchWords Actuators::words(const Model& m, const ActuationArrays& inputs, float dt) const {
-  LaunchWords words = {word_of("actuators of a dof", first_, false),
-                       word_of("actuators by dof", order_, false),
-                       word_of("coordinate of a dof", coord_, false),
-                       word_of("model.actuator_state", m.actuator_state, false),
-                       word_of("model.actuator_dynamics", m.actuator_dynamics, false)};
-  for (const Array& array : inputs) words.push_back(word_of("input of actuators", array, false));
-  words.push_back(number(dt));
-  return words;
-}
-
-art::Actuation Actuators::on_host(const Model& m, const ActuationArrays& inputs, float dt) const {
-  art::Actuation a = {first_.data(),
-                      order_.data(),
-                      coord_.data(),
-                      m.actuator_state.data(),
-                      m.actuator_dynamics.data(),
-                      {},
-                      dt,
-                      0};
-  for (size_t i = 0; i < inputs.size(); ++i) a.in[i] = static_cast<const float*>(inputs[i].raw());
-  return a;
-}
-
-LaunchWords gravcomp_words(const Model& m, const Array& body_f) {
-  return {word_of("model.body_world", m.body_world, false),
-          word_of("model.body_gravcomp", m.body_gravcomp, false),
-          word_of("model.body_mass", m.body_mass, false),
-          word_of("model.gravity", m.gravity, false),
-          word_of("body_f", body_f, false),
-          number(int64_t{m.world_count()})};
+GravcompInputs gravcomp_inputs(const Model& m, const Array& body_f) {
+  return {.world = m.body_world,
+          .gravcomp = m.body_gravcomp,
+          .mass = m.body_mass,
+          .gravity = m.gravity,
+          .body_f = Untyped(body_f),
+          .worlds = m.world_count()};
 }
 
 // Never destroyed: recordings refer to them.
@@ -230,19 +211,18 @@ ActuatedStep::Read ActuatedStep::begin(const Model& m, const SimState& in, const
         memory_[i] = DeviceArray<float>(inputs[i].rows(), m.device());
       if (on_host) memory_[art::kNextActivation] = DeviceArray<float>(in.act.rows(), m.device());
     }
+    const ActuationArguments a = {
+        .in = actuators_.arguments(m, inputs, dt),
+        .out = each<art::kActuationOutputs>([&](size_t i) {
+          return Untyped(on_host || i < art::kActuated ? memory_[i].range() : out.act.range());
+        })};
     if (on_host) {
-      ActuationArguments a = {actuators_.on_host(m, inputs, dt), {}};
-      for (size_t i = 0; i < memory_.size(); ++i)
-        if (memory_[i].rows() > 0) a.out[i] = memory_[i].mutable_data();
+      const ActuationArguments at = in_memory(a);
       for_chunks(dofs, kRowsOfChunk, [&](int64_t begin, int64_t end, int64_t) {
-        for (int64_t row = begin; row < end; ++row) actuation_row(a, row, dofs);
+        for (int64_t row = begin; row < end; ++row) actuation_row(at, row, dofs);
       });
     } else {
-      LaunchWords words = actuators_.words(m, inputs, dt);
-      for (size_t i = 0; i < art::kActuated; ++i)
-        words.push_back(word_of("drives of a step", memory_[i], true));
-      words.push_back(word_of("state_out.act", out.act, true));
-      actuation_kernels().forward.launch(m.device(), dofs, words);
+      run(actuation_kernels().forward, dofs, a);
     }
     std::copy_n(memory_.begin(), read.drives.size(), read.drives.begin());
   }
@@ -251,16 +231,13 @@ ActuatedStep::Read ActuatedStep::begin(const Model& m, const SimState& in, const
       const Unobserved unobserved;
       body_f_ = DeviceArray<SpatialVectorf>(in.body_f.rows(), m.device());
     }
+    const GravcompArguments a = {.in = gravcomp_inputs(m, in.body_f), .out = body_f_};
+    const int64_t bodies = m.body_count();
     if (on_host) {
-      const GravcompArguments a = {
-          m.body_world.data(), m.body_gravcomp.data(), m.body_mass.data(),    m.gravity.data(),
-          in.body_f.data(),    m.world_count(),        body_f_.mutable_data()};
-      for (int64_t row = 0; row < m.body_count(); ++row)
-        gravity_compensation_row(a, row, m.body_count());
+      const GravcompArguments at = in_memory(a);
+      for (int64_t row = 0; row < bodies; ++row) gravity_compensation_row(at, row, bodies);
     } else {
-      LaunchWords words = gravcomp_words(m, in.body_f);
-      words.push_back(word_of("wrenches of a step", body_f_, true));
-      actuation_kernels().lift.launch(m.device(), m.body_count(), words);
+      run(actuation_kernels().lift, bodies, a);
     }
     read.body_f = body_f_;
   }

@@ -15,7 +15,6 @@
 
 namespace novaphy {
 
-using LaunchWords = std::vector<LaunchArgument>;
 // As ActuationInput has them; arrays of no rows are none.
 using ActuationArrays = std::array<Array, articulation::kActuationInputs>;
 
@@ -41,11 +40,8 @@ class Actuators {
   std::vector<int32_t> coordinates() const { return coord_.to_host(); }
   // As ActuationInput has them.
   static ActuationArrays inputs(const Model& model, const SimState& state, const Control* control);
-  // The words of an Actuation.
-  LaunchWords words(const Model& model, const ActuationArrays& inputs, float dt) const;
-  // The same for the host.
-  articulation::Actuation on_host(const Model& model, const ActuationArrays& inputs,
-                                  float dt) const;
+  articulation::Actuation arguments(const Model& model, const ActuationArrays& inputs,
+                                    float dt) const;
 
  private:
   bool any_ = false, lifts_ = false, has_gravcomp_ = false;
@@ -53,13 +49,15 @@ class Actuators {
   std::vector<ArrayStamp> checked_;
 };
 
-// Words of a GravcompArguments but the last.
-LaunchWords gravcomp_words(const Model& model, const Array& body_f);
-// An array as a word of a launch, without a gradient; null where it has no rows.
-LaunchArgument word_of(const char* name, const Array& array, bool write);
+GravcompInputs gravcomp_inputs(const Model& model, const Array& body_f);
 
 struct ActuationKernels {
-  DeviceKernel forward, vjp, jvp, lift, lift_vjp, lift_jvp;
+  Kernel<ActuationArguments> forward;
+  Kernel<ActuationVjpArguments> vjp;
+  Kernel<ActuationJvpArguments> jvp;
+  Kernel<GravcompArguments> lift;
+  Kernel<GravcompGradients> lift_vjp;
+  Kernel<GravcompTangents> lift_jvp;
 };
 const ActuationKernels& actuation_kernels();
 

@@ -12,16 +12,14 @@
 
 namespace novaphy {
 
+// step.workspace has the responses of dry friction behind it. impulses {contacts} and
+// friction_impulses {dofs}: of the step. system: of a group, so many numbers for each contact, and
+// so many besides. status {groups}: 0, or 1 + the numbers that there was no room for.
 struct ArticulationContactJvpArguments {
-  ArticulationJvpArguments step;  // the workspace has the responses of dry friction behind it
-  ContactGroupArguments of;
-  const Vec3f* impulses;           // {contacts}, of the step
-  const float* friction_impulses;  // {dofs}
-  const articulation::DualFloat* joint_friction;
-  articulation::DualMaterials materials;
-  double* system;  // of a group: so many numbers for each contact, and so many besides
-  int64_t system_of_contact, system_of_group;
-  int32_t* status;  // {groups}: 0, or 1 + the numbers that there was no room for
+  NOVAPHY_ARGUMENTS(Part<ArticulationJvpArguments> step; Part<ContactGroupArguments> of;
+                    Given<Vec3f> impulses; Given<float> friction_impulses;
+                    Given<DualFloat> joint_friction, mu, restitution, ke, kd; Writes<double> system;
+                    Number<int64_t> system_of_contact, system_of_group; WritesRow<int32_t> status;)
 };
 
 // Memory of a contact of trees with so many dofs.
@@ -33,26 +31,18 @@ inline int64_t dual_contact_bytes(int32_t dofs) {
          8 * 8;
 }
 
-// What ContactGroup lists islands by.
-inline ArticulationArguments rows_of(const ArticulationJvpArguments& a) {
-  ArticulationArguments of = {};
-  of.rows = a.in.rows;
-  of.dt = a.in.dt;
-  return of;
-}
-
-struct GroupTangent : ContactGroup {
+struct GroupTangent : GroupLists {
   const ArticulationContactJvpArguments& all;
 
-  GroupTangent(const ArticulationArguments& rows, const ArticulationContactJvpArguments& arguments,
-               int64_t row)
-      : ContactGroup(rows, arguments.of, nullptr, 0, row, nullptr), all(arguments) {}
+  GroupTangent(const ArticulationContactJvpArguments& arguments, int64_t row)
+      : GroupLists(arguments.step.in.rows, arguments.of, arguments.step.in.dt.value, row, nullptr),
+        all(arguments) {}
 
   articulation::Tree<articulation::DualFloat> tree(int32_t i) const {
     return articulation_tree(all.step.in, rows(i));
   }
   unsigned char* memory(int32_t i) const {
-    return reinterpret_cast<unsigned char*>(all.step.workspace + i * all.step.stride);
+    return reinterpret_cast<unsigned char*>(all.step.workspace + i * all.step.stride.value);
   }
   articulation::Workspace<articulation::DualFloat> workspace(int32_t i) const {
     return articulation::make_workspace<articulation::DualFloat>(memory(i), rows(i).link_count,
@@ -66,7 +56,7 @@ struct GroupTangent : ContactGroup {
     return first + dof * dofs;
   }
   articulation::DualFloat limit(int32_t i, int32_t dof) const {
-    return all.joint_friction[rows(i).first_dof + dof] * articulation::DualFloat(how.dt);
+    return all.joint_friction[rows(i).first_dof + dof] * articulation::DualFloat(law.dt);
   }
   float friction_impulse(int32_t i, int32_t dof) const {
     return all.friction_impulses[rows(i).first_dof + dof];
@@ -103,10 +93,9 @@ inline void solve_island_tangent(const GroupTangent& s, int32_t root) {
 }
 
 // As on the host: no tangent of a group in which a tree fails.
-NOVAPHY_ROW_KERNEL(articulation_contact_jvp, 82, ArticulationContactJvpArguments) {
+NOVAPHY_ROW_KERNEL(articulation_contact_jvp, ArticulationContactJvpArguments) {
   using articulation::DualFloat;
-  const ArticulationArguments of = rows_of(a.step);
-  const GroupTangent s(of, a, row);
+  const GroupTangent s(a, row);
   const int32_t* const trees = a.of.trees;
   const articulation::StepInputs<DualFloat> in = articulation_inputs(a.step.in);
   const articulation::StepOptions<DualFloat> options = articulation_options(a.step.in);
@@ -131,9 +120,9 @@ NOVAPHY_ROW_KERNEL(articulation_contact_jvp, 82, ArticulationContactJvpArguments
     contact_sides(a.of.shapes, contact.contact, contact.sides);
     contact.follows = s.follows(contact.contact, contact.sides);
     int32_t widths[2];
-    articulation::set_widths(a.step.in.rows, contact.sides, widths);
+    articulation::set_widths(s.all_rows, contact.sides, widths);
     for (int side = 0; side < 2; ++side) contact.solver.sides[side].width = widths[side];
-    articulation::build_dual_contact(s.contacts, s, a.step.in.qd, law, a.materials,
+    articulation::build_dual_contact(s.contacts, s, in.qd, law, {a.mu, a.restitution, a.ke, a.kd},
                                      a.impulses[contact.contact], numbers, contact);
     for (const articulation::DualSide& m : contact.moved) numbers += 6 * m.dofs;
   }
@@ -148,7 +137,7 @@ NOVAPHY_ROW_KERNEL(articulation_contact_jvp, 82, ArticulationContactJvpArguments
       if (s.has_friction(i, k))
         articulation::push_dual_friction(tree, ws, k, s.limit(i, k), s.friction_impulse(i, k),
                                          s.response(i, k));
-    articulation::push_absent_friction(tree, ws, a.joint_friction, s.how.dt);
+    articulation::push_absent_friction(tree, ws, a.joint_friction, s.law.dt);
   }
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t)
     if (s.root(trees[t]) == trees[t]) solve_island_tangent(s, trees[t]);
@@ -163,8 +152,7 @@ NOVAPHY_ROW_KERNEL(articulation_contact_jvp, 82, ArticulationContactJvpArguments
     const articulation::Tree<DualFloat> tree = s.tree(trees[t]);
     articulation::Workspace<DualFloat> ws = s.workspace(trees[t]);
     ws.shift = ws.bias;
-    articulation::finish_step(tree, in, options, ws, a.step.q_next, a.step.qd_next, a.step.body_q,
-                              a.step.body_qd);
+    finish_step(a.step, tree, in, options, ws);
   }
 }
 

@@ -16,14 +16,13 @@
 
 namespace novaphy {
 
+// group: -1: the contact moves nothing. force, impulses: null: not asked for.
 struct ArticulationContactGroupArguments {
-  ContactShapes shapes;
-  const ArticulationRows* rows;
-  const int32_t* count;
-  int32_t* group;           // -1: the contact moves nothing
-  Vec3f *force, *impulses;  // null: not asked for
+  NOVAPHY_ARGUMENTS(Part<ContactShapes> shapes; Given<ArticulationRows> rows; Given<int32_t> count;
+                    WritesRow<int32_t> group; Optional<Writes<Vec3f>> force;
+                    Optional<Changed<Vec3f>> impulses;)
 };
-NOVAPHY_ROW_KERNEL(articulation_contact_group, 12, ArticulationContactGroupArguments) {
+NOVAPHY_ROW_KERNEL(articulation_contact_group, ArticulationContactGroupArguments) {
   a.group[row] = -1;
   if (row >= *a.count) return;
   if (a.force != nullptr) a.force[row] = Vec3f{};
@@ -31,39 +30,33 @@ NOVAPHY_ROW_KERNEL(articulation_contact_group, 12, ArticulationContactGroupArgum
   articulation::ContactSide sides[2];
   int32_t widths[2];
   const bool there = contact_sides(a.shapes, static_cast<int32_t>(row), sides);
-  const bool moves = articulation::set_widths(a.rows, sides, widths);
+  const ArticulationRows* const rows = a.rows;
+  const bool moves = articulation::set_widths(rows, sides, widths);
   if (moves)
-    a.group[row] = a.shapes.group_of_tree[articulation::moved_tree(a.rows, sides)];
+    a.group[row] = a.shapes.group_of_tree[articulation::moved_tree(rows, sides)];
   else if (!there)
     a.group[row] = 0;  // which says so
 }
 
+// step.status: also -1 - a contact that the group cannot have. moved_by: of links, bits of the
+// tree's dofs. most_alone: contacts of an island that tree_contacts.h takes. kept_begin: of each
+// group. kept_friction: {dofs}, of the step before and of this. now: a row per place in the lists.
+// sweeps: the most of an island of the group. For derivatives, null where they are not asked for:
+// impulses along n, t1, t2 and of dry friction, what branches there are, and with these `seen`, a
+// row per place in the lists, those of the step before and where the groups' begin. continues: the
+// step starts where the one before ended.
 struct ArticulationContactStepArguments {
-  ArticulationStepArguments step;  // status: also -1 - a contact that the group cannot have
-  ContactGroupArguments of;
-  const int32_t* point_id;
-  const int32_t* moved_by;  // of links: bits of the tree's dofs
-  FloatWord tolerance;
-  int64_t most_sweeps, warm_start;
-  int64_t most_alone;         // contacts of an island that tree_contacts.h takes
-  const int32_t* kept_begin;  // of each group
-  const articulation::KeptContact* kept;
-  const float* kept_dt;
-  float* kept_friction;            // {dofs}, of the step before and of this
-  articulation::KeptContact* now;  // a row per place in the lists
-  Vec3f* force;
-  int32_t* sweeps;  // the most of an island of the group
-  float* residual;
-  // For derivatives: impulses along n, t1, t2 and of dry friction, and what branches there are.
-  // Null: not asked for.
-  Vec3f* impulses;
-  float* friction_impulses;
-  articulation::BranchNotes* notes;
-  SeenContact* seen;  // with notes: a row per place in the lists
-  // Those of the step before, and where the groups' begin.
-  const SeenContact* seen_before;
-  const int32_t* seen_begin;
-  int64_t by_restitution, continues;  // 1: the step starts where the one before ended
+  NOVAPHY_ARGUMENTS(Part<ArticulationStepArguments> step; Part<ContactGroupArguments> of;
+                    Optional<Given<int32_t>> point_id; Given<int32_t> moved_by;
+                    Number<float> tolerance; Number<int64_t> most_sweeps, warm_start, most_alone;
+                    Given<int32_t> kept_begin; Given<articulation::KeptContact> kept;
+                    Given<float> kept_dt; Changed<float> kept_friction;
+                    Writes<articulation::KeptContact> now; Optional<Writes<Vec3f>> force;
+                    WritesRow<int32_t> sweeps; WritesRow<float> residual;
+                    Optional<Changed<Vec3f>> impulses; Optional<Changed<float>> friction_impulses;
+                    Optional<WritesRow<articulation::BranchNotes>> notes;
+                    Optional<Writes<SeenContact>> seen; Optional<Given<SeenContact>> seen_before;
+                    Optional<Given<int32_t>> seen_begin; Number<int64_t> by_restitution, continues;)
 };
 
 // Memory of a contact of trees with so many dofs, however it is solved.
@@ -93,9 +86,9 @@ struct GroupStep : ContactGroup {
   GroupStep(const ArticulationContactStepArguments& arguments, LocalIsland& local, int64_t row,
             float scale)
       : ContactGroup(arguments.step.in, arguments.of,
-                     arguments.step.stride > 0 ? arguments.step.workspace
-                                               : reinterpret_cast<float*>(local.bytes),
-                     arguments.step.stride, row, arguments.point_id),
+                     arguments.step.stride.value > 0 ? arguments.step.workspace + int64_t{0}
+                                                     : reinterpret_cast<float*>(local.bytes),
+                     arguments.step.stride.value, row, arguments.point_id),
         all(arguments),
         warm_scale(scale) {}
 
@@ -146,13 +139,13 @@ inline void join_step_contact(const GroupStep& s, int32_t place) {
   }
   articulation::KeptContact& now = s.all.now[place];
   now = articulation::KeptContact{};
-  now.shape0 = s.a.shapes.shape0[contact];
-  now.shape1 = s.a.shapes.shape1[contact];
+  now.shape0 = s.a.shapes.at.shape0[contact];
+  now.shape1 = s.a.shapes.at.shape1[contact];
   if (s.all.seen != nullptr) s.all.seen[place] = {now.shape0, now.shape1, -1, 0};
 }
 
 inline void list_step_contact(const GroupStep& s, int32_t place, int32_t& next_kept) {
-  if (list_contact(s, place) < 0 || s.all.warm_start == 0) return;
+  if (list_contact(s, place) < 0 || s.all.warm_start.value == 0) return;
   const int32_t begin = s.all.kept_begin[s.group];
   s.a.chain[place].kept =
       articulation::find_kept(s.all.kept + begin, s.all.kept_begin[s.group + 1] - begin, next_kept,
@@ -216,8 +209,8 @@ inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) 
   int32_t failed = -1;
   for (int32_t round = 0; failed < 0; ++round) {
     result = articulation::solve_tree_contacts(
-        of.tree, ws, s.law, static_cast<int32_t>(s.all.most_sweeps), s.all.tolerance.value, found,
-        links, node.rows, of.qd, m, ws.qd_next);
+        of.tree, ws, s.law, static_cast<int32_t>(s.all.most_sweeps.value), s.all.tolerance.value,
+        found, links, node.rows, of.qd, m, ws.qd_next);
     ws.shift = m.shift;
     failed = articulation::first_not_finite(ws, dofs);
     if (failed >= 0 ||
@@ -270,10 +263,10 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
       if (const articulation::KeptContact* const kept = s.kept(place))
         articulation::start_from_kept(*kept, s.warm_scale, s.law.cone, rows[n]);
     for_friction(s, root, [&](articulation::PgsJointFriction<float>& f, int32_t row) {
-      if (s.all.warm_start != 0)
+      if (s.all.warm_start.value != 0)
         articulation::warm_start(f, s.warm_scale * s.all.kept_friction[row]);
     });
-    result = articulation::sweep_island(s.law.cone, static_cast<int32_t>(s.all.most_sweeps),
+    result = articulation::sweep_island(s.law.cone, static_cast<int32_t>(s.all.most_sweeps.value),
                                         s.all.tolerance.value, contacts, friction);
     renewed = false;
     for (int32_t i = root; i >= 0; i = a.nodes[i].next)
@@ -292,13 +285,13 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
     take_contact(s, place, rows[n].frame, rows[n].solver.impulse);
   for_friction(s, root, [&](const articulation::PgsJointFriction<float>& f, int32_t row) {
     if (s.all.friction_impulses != nullptr) s.all.friction_impulses[row] = f.impulse;
-    if (s.all.warm_start != 0) s.all.kept_friction[row] = f.impulse;
+    if (s.all.warm_start.value != 0) s.all.kept_friction[row] = f.impulse;
   });
   if (s.all.notes == nullptr) return result;
   articulation::BranchNotes& notes = s.all.notes[s.group];
   n = 0;
   for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n) {
-    articulation::note_contact(s.contacts, s.law, s.all.by_restitution != 0, rows[n], notes);
+    articulation::note_contact(s.contacts, s.law, s.all.by_restitution.value != 0, rows[n], notes);
     s.all.seen[place] = articulation::seen_contact(s.contacts, rows[n], s.law.cone);
   }
   friction([&](const articulation::PgsJointFriction<float>& f) {
@@ -336,7 +329,7 @@ inline void solve_island(const GroupStep& s, int32_t root, articulation::IslandR
     for (int32_t i = root; i >= 0; i = a.nodes[i].next) hold_rates(s, i);
     return;
   }
-  if (friction || node.rows > s.all.most_alone) node.joined = 1;
+  if (friction || node.rows > s.all.most_alone.value) node.joined = 1;
   const articulation::IslandResult result =
       node.joined != 0 ? solve_joined(s, root) : solve_alone(s, root);
   if (worst.sweeps < result.sweeps) worst.sweeps = result.sweeps;
@@ -357,8 +350,8 @@ inline void finish_tree(const GroupStep& s, int32_t i) {
   write_step(s.all.step, rows, of.tree, s.in, s.how, of.ws);
 }
 
-NOVAPHY_ROW_KERNEL(articulation_contact_step, 95, ArticulationContactStepArguments) {
-  const float dt = a.step.in.dt.value, kept_dt = a.warm_start != 0 ? *a.kept_dt : 0.0f;
+NOVAPHY_ROW_KERNEL(articulation_contact_step, ArticulationContactStepArguments) {
+  const float dt = a.step.in.dt.value, kept_dt = a.warm_start.value != 0 ? *a.kept_dt : 0.0f;
   LocalIsland local;
   const GroupStep s(a, local, row, kept_dt > 0.0f ? dt / kept_dt : 1.0f);
   const int32_t* const trees = a.of.trees;
@@ -375,75 +368,63 @@ NOVAPHY_ROW_KERNEL(articulation_contact_step, 95, ArticulationContactStepArgumen
   for (int32_t k = s.first_tree(); k < s.end_tree(); ++k) finish_tree(s, trees[k]);
   a.sweeps[row] = worst.sweeps;
   a.residual[row] = worst.residual;
-  if (a.notes == nullptr || a.continues == 0) return;
+  if (a.notes == nullptr || a.continues.value == 0) return;
   const int32_t begin = a.seen_begin[row];
   note_events(a.seen_before + begin, a.seen_begin[row + 1] - begin, a.seen + s.first_place(),
               s.end_place() - s.first_place(), a.notes[row].all);
 }
 
 struct ArticulationContactKeepArguments {
-  const int32_t* begin;
-  const articulation::KeptContact* now;
-  int32_t* kept_begin;
-  articulation::KeptContact* kept;
-  float* kept_dt;
-  FloatWord dt;
-  int64_t groups;
+  NOVAPHY_ARGUMENTS(Given<int32_t> begin; Given<articulation::KeptContact> now;
+                    Writes<int32_t> kept_begin; Changed<articulation::KeptContact> kept;
+                    Writes<float> kept_dt; Number<float> dt; Number<int64_t> groups;)
 };
-NOVAPHY_ROW_KERNEL(articulation_contact_keep, 7, ArticulationContactKeepArguments) {
+NOVAPHY_ROW_KERNEL(articulation_contact_keep, ArticulationContactKeepArguments) {
   if (row == 0) *a.kept_dt = a.dt.value;
-  if (row <= a.groups) a.kept_begin[row] = a.begin[row];
-  if (row < a.begin[a.groups]) a.kept[row] = a.now[row];
+  if (row <= a.groups.value) a.kept_begin[row] = a.begin[row];
+  if (row < a.begin[a.groups.value]) a.kept[row] = a.now[row];
 }
 
 // The contacts of a step for its adjoint, which runs when the arrays hold those of others.
 struct ArticulationContactCopyArguments {
-  const int32_t *count, *shape0, *shape1;
-  const Vec3f *point0, *point1, *normal;
-  const float *margin0, *margin1;
-  int32_t *to_count, *to_shape0, *to_shape1;
-  Vec3f *to_point0, *to_point1, *to_normal;
-  float *to_margin0, *to_margin1;
-  int64_t most;
+  NOVAPHY_ARGUMENTS(Given<int32_t> count; Part<ContactPlaces> from; Changed<int32_t> to_count;
+                    Changed<int32_t> shape0, shape1; Changed<Vec3f> point0, point1, normal;
+                    Changed<float> margin0, margin1; Number<int64_t> most;)
 };
-NOVAPHY_ROW_KERNEL(articulation_contact_copy, 17, ArticulationContactCopyArguments) {
-  int32_t count = a.count == nullptr || *a.count < 0 ? 0 : *a.count;
-  if (count > a.most) count = static_cast<int32_t>(a.most);
+NOVAPHY_ROW_KERNEL(articulation_contact_copy, ArticulationContactCopyArguments) {
+  int32_t count = *a.count < 0 ? 0 : *a.count;
+  if (count > a.most.value) count = static_cast<int32_t>(a.most.value);
   if (row == 0) *a.to_count = count;
   if (row >= count) return;
-  a.to_shape0[row] = a.shape0[row];
-  a.to_shape1[row] = a.shape1[row];
-  a.to_point0[row] = a.point0[row];
-  a.to_point1[row] = a.point1[row];
-  a.to_normal[row] = a.normal[row];
-  a.to_margin0[row] = a.margin0[row];
-  a.to_margin1[row] = a.margin1[row];
+  a.shape0[row] = a.from.shape0[row];
+  a.shape1[row] = a.from.shape1[row];
+  a.point0[row] = a.from.point0[row];
+  a.point1[row] = a.from.point1[row];
+  a.normal[row] = a.from.normal[row];
+  a.margin0[row] = a.from.margin0[row];
+  a.margin1[row] = a.from.margin1[row];
 }
 
 // What branches the groups had: first of some of them, row by row, then of all. Keeps what was seen
 // for the next step.
 struct ArticulationNoteArguments {
-  const articulation::BranchNotes* notes;
-  articulation::BranchNotes* some;
-  const SeenContact* seen;
-  const int32_t* begin;  // of the groups
-  SeenContact* seen_before;
-  int32_t* seen_begin;
-  int64_t groups;
+  NOVAPHY_ARGUMENTS(Given<articulation::BranchNotes> notes;
+                    WritesRow<articulation::BranchNotes> some; Given<SeenContact> seen;
+                    Given<int32_t> begin; Changed<SeenContact> seen_before;
+                    Writes<int32_t> seen_begin; Number<int64_t> groups;)
 };
-NOVAPHY_ROW_KERNEL(articulation_note_some, 7, ArticulationNoteArguments) {
+NOVAPHY_ROW_KERNEL(articulation_note_some, ArticulationNoteArguments) {
   articulation::BranchNotes sum;
-  for (int64_t g = row; g < a.groups; g += n) articulation::note_all(a.notes[g], sum);
+  for (int64_t g = row; g < a.groups.value; g += n) articulation::note_all(a.notes[g], sum);
   a.some[row] = sum;
-  for (int64_t g = row; g <= a.groups; g += n) a.seen_begin[g] = a.begin[g];
-  for (int64_t k = row; k < a.begin[a.groups]; k += n) a.seen_before[k] = a.seen[k];
+  for (int64_t g = row; g <= a.groups.value; g += n) a.seen_begin[g] = a.begin[g];
+  for (int64_t k = row; k < a.begin[a.groups.value]; k += n) a.seen_before[k] = a.seen[k];
 }
 struct ArticulationNoteStepArguments {
-  const articulation::BranchNotes* some;
-  ContactBranches* branches;
-  int64_t count;
+  NOVAPHY_ARGUMENTS(Given<articulation::BranchNotes> some; Changed<ContactBranches> branches;
+                    Number<int64_t> count;)
 };
-NOVAPHY_ROW_KERNEL(articulation_note_step, 3, ArticulationNoteStepArguments) {
+NOVAPHY_ROW_KERNEL(articulation_note_step, ArticulationNoteStepArguments) {
   articulation::BranchNotes sum;
   for (int64_t k = 0; k < a.count; ++k) articulation::note_all(a.some[k], sum);
   articulation::note_step(sum, *a.branches);

@@ -16,18 +16,17 @@
 
 namespace novaphy {
 
+// impulses {contacts} and friction_impulses {dofs}: of the step. joint_friction: its gradient,
+// added to. materials: a row per contact; shape_of {2 contacts}: whose they are. Null: nobody wants
+// them. system: of a group, so many numbers for each contact, and so many besides. status {groups}:
+// 0, or 1 + the numbers that there was no room for.
 struct ArticulationContactVjpArguments {
-  ArticulationStepVjpArguments step;
-  ContactGroupArguments of;
-  const Vec3f* impulses;           // {contacts}, of the step
-  const float* friction_impulses;  // {dofs}
-  float* joint_friction;           // its gradient, added to; null: nobody wants it
-  // A row per contact; null: nobody wants them. shape_of {2 contacts}: whose they are.
-  articulation::MaterialGradient* materials;
-  int32_t* shape_of;
-  double* system;  // of a group: so many numbers for each contact, and so many besides
-  int64_t system_of_contact, system_of_group;
-  int32_t* status;  // {groups}: 0, or 1 + the numbers that there was no room for
+  NOVAPHY_ARGUMENTS(Part<ArticulationStepVjpArguments> step; Part<ContactGroupArguments> of;
+                    Given<Vec3f> impulses; Given<float> friction_impulses;
+                    Optional<Changed<float>> joint_friction;
+                    Optional<Writes<articulation::MaterialGradient>> materials;
+                    Optional<Writes<int32_t>> shape_of; Writes<double> system;
+                    Number<int64_t> system_of_contact, system_of_group; WritesRow<int32_t> status;)
 };
 
 // Memory of a contact of trees with so many dofs.
@@ -43,7 +42,7 @@ struct GroupAdjoint : ContactGroup {
 
   GroupAdjoint(const ArticulationContactVjpArguments& arguments, int64_t row)
       : ContactGroup(arguments.step.in, arguments.of, arguments.step.workspace,
-                     arguments.step.stride, row, nullptr),
+                     arguments.step.stride.value, row, nullptr),
         all(arguments) {}
 
   articulation::AdjointContact& row(int32_t place) const {
@@ -69,11 +68,9 @@ struct GroupIsland : ActiveIsland<GroupAdjoint> {
 // The dynamics of a tree at the start of the step, its rates behind the impulses, and the gradients
 // of those.
 inline void start_adjoint(const GroupAdjoint& s, int32_t i) {
-  const ArticulationStepVjpArguments& a = s.all.step;
   articulation::IslandTree of = s.tree(i);
   articulation::AdjointMemory<float> memory = s.adjoint(i);
-  articulation::step_vjp_rates(of.tree, s.in, s.how, a.qdd, a.branch, a.q_next, a.qd_next, a.out,
-                               of.ws, memory);
+  step_vjp_rates(s.all.step, of.tree, s.in, s.how, of.ws, memory);
   articulation::step_vjp_dynamics(of.tree, s.in, s.how, of.ws);
   const int32_t dofs = s.rows(i).dof_count;
   for (int32_t k = 0; k < 2 * articulation::padded_dofs(dofs); ++k)
@@ -146,20 +143,18 @@ inline void fill_rates(const GroupAdjoint& s, int32_t root) {
 }
 // Their adjoint, of all islands.
 inline void add_shifts(const GroupAdjoint& s) {
-  const ArticulationStepVjpArguments& a = s.all.step;
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
     const int32_t i = s.a.trees[t];
     articulation::IslandTree of = s.tree(i);
     articulation::AdjointMemory<float> memory = s.adjoint(i);
     of.ws.shift = of.rates + articulation::padded_dofs(s.rows(i).dof_count);
-    articulation::step_vjp_rates(of.tree, s.in, s.how, a.qdd, a.branch, a.q_next, a.qd_next, a.out,
-                                 of.ws, memory);
+    step_vjp_rates(s.all.step, of.tree, s.in, s.how, of.ws, memory);
     articulation::step_vjp_dynamics(of.tree, s.in, s.how, of.ws);
   }
   for (int32_t place = s.first_place(); place < s.end_place(); ++place) {
     if (s.a.chain[place].next == -2) continue;
     IslandNode& node =
-        s.a.nodes[s.find_root(articulation::moved_tree(s.step.rows, s.row(place).sides))];
+        s.a.nodes[s.find_root(articulation::moved_tree(s.all_rows, s.row(place).sides))];
     if (node.solved != -1) continue;
     node.solved = -2;
     const auto root = static_cast<int32_t>(&node - s.a.nodes);
@@ -200,8 +195,8 @@ inline void add_contact(const GroupAdjoint& s, int32_t place) {
   if (s.all.materials == nullptr) return;
   s.all.materials[row.contact] =
       articulation::material_gradient(s.law, s.material(row.contact), row);
-  s.all.shape_of[2 * row.contact] = s.a.shapes.shape0[row.contact];
-  s.all.shape_of[2 * row.contact + 1] = s.a.shapes.shape1[row.contact];
+  s.all.shape_of[2 * row.contact] = s.a.shapes.at.shape0[row.contact];
+  s.all.shape_of[2 * row.contact + 1] = s.a.shapes.at.shape1[row.contact];
 }
 
 inline void finish_adjoint(const GroupAdjoint& s, int32_t i) {
@@ -216,11 +211,11 @@ inline void finish_adjoint(const GroupAdjoint& s, int32_t i) {
       s.all.joint_friction[s.rows(i).first_dof + k] += push * memory.scratch[k];
     }
   }
-  articulation::step_vjp_inputs(of.tree, s.in, s.how, s.all.step.gradient, of.ws, memory);
+  articulation::step_vjp_inputs(of.tree, s.in, s.how, step_gradient(s.all.step), of.ws, memory);
 }
 
 // Islands in the order of their first contacts, as on the host: they meet in kinematic bodies.
-NOVAPHY_ROW_KERNEL(articulation_contact_vjp, 104, ArticulationContactVjpArguments) {
+NOVAPHY_ROW_KERNEL(articulation_contact_vjp, ArticulationContactVjpArguments) {
   const GroupAdjoint s(a, row);
   const int32_t* const trees = a.of.trees;
   a.status[row] = 0;
@@ -233,13 +228,13 @@ NOVAPHY_ROW_KERNEL(articulation_contact_vjp, 104, ArticulationContactVjpArgument
   for (int32_t place = s.first_place(); place < s.end_place(); ++place)
     if (a.of.chain[place].next != -2 &&
         solve_island_shifts(s,
-                            s.find_root(articulation::moved_tree(s.step.rows, s.row(place).sides))))
+                            s.find_root(articulation::moved_tree(s.all_rows, s.row(place).sides))))
       shifts = true;
   if (shifts) add_shifts(s);
   for (int32_t place = s.first_place(); place < s.end_place(); ++place)
     if (a.of.chain[place].next != -2)
       solve_island_adjoint(s,
-                           s.find_root(articulation::moved_tree(s.step.rows, s.row(place).sides)));
+                           s.find_root(articulation::moved_tree(s.all_rows, s.row(place).sides)));
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t)
     if (s.root(trees[t]) == trees[t]) solve_island_adjoint(s, trees[t]);
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
@@ -253,18 +248,18 @@ NOVAPHY_ROW_KERNEL(articulation_contact_vjp, 104, ArticulationContactVjpArgument
 }
 
 struct ArticulationMaterialClearArguments {
-  int32_t* shape_of;
+  NOVAPHY_ARGUMENTS(Writes<int32_t> shape_of;)
 };
-NOVAPHY_ROW_KERNEL(articulation_material_clear, 1, ArticulationMaterialClearArguments) {
+NOVAPHY_ROW_KERNEL(articulation_material_clear, ArticulationMaterialClearArguments) {
   a.shape_of[2 * row] = a.shape_of[2 * row + 1] = -1;
 }
-// Added to what is there; null: nobody wants it.
+// Added to what is there; null: nobody wants it. sides: of each shape its contacts, times 2, and
+// the side.
 struct ArticulationMaterialGradientArguments {
-  const int32_t *begin, *sides;  // of each shape: its contacts, times 2, and the side
-  const articulation::MaterialGradient* materials;
-  float *mu, *restitution, *ke, *kd;
+  NOVAPHY_ARGUMENTS(Given<int32_t> begin, sides; Given<articulation::MaterialGradient> materials;
+                    Optional<Changed<float>> mu, restitution, ke, kd;)
 };
-NOVAPHY_ROW_KERNEL(articulation_material_gradient, 7, ArticulationMaterialGradientArguments) {
+NOVAPHY_ROW_KERNEL(articulation_material_gradient, ArticulationMaterialGradientArguments) {
   for (int32_t k = a.begin[row]; k < a.begin[row + 1]; ++k) {
     const articulation::MaterialGradient& of = a.materials[a.sides[k] / 2];
     if (a.mu != nullptr) a.mu[row] += of.mu;

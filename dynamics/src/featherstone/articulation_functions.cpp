@@ -20,9 +20,9 @@ namespace {
 
 using Function = ArticulationFunction;
 
-const DeviceKernel& kernel() {
-  static const auto& kernel =
-      *new DeviceKernel(articulation_function, detail::articulation_functions_kernels_text);
+const Kernel<ArticulationFunctionArguments>& kernel() {
+  static const auto& kernel = *new Kernel<ArticulationFunctionArguments>(
+      articulation_function, detail::articulation_functions_kernels_text);
   return kernel;
 }
 
@@ -110,86 +110,66 @@ class Evaluation {
   }
 
  private:
+  // But for memory.
+  ArticulationFunctionArguments arguments(Function f, const Untyped& given,
+                                          const std::array<Untyped, 3>& results,
+                                          const Untyped& status) const {
+    const Model& m = model_;
+    return {.rows = Untyped(articulations_.rows()),
+            .links = Untyped(articulations_.links()),
+            .dof_parent = articulations_.dof_parent(),
+            .X_p = m.joint_X_p,
+            .X_c = m.joint_X_c,
+            .axis = m.joint_axis,
+            .mass = m.body_mass,
+            .com = m.body_com,
+            .inertia = m.body_inertia,
+            .gravity = m.gravity,
+            .armature = m.joint_armature,
+            .q = state_.joint_q,
+            .qd = state_.joint_qd,
+            .given = given,
+            .results = results,
+            .status = status,
+            .workspace = Untyped(nullptr),
+            .stride = 0,
+            .function = static_cast<int64_t>(f),
+            .include_armature = include_armature_,
+            .matrix_rows = matrix_rows_,
+            .matrix_columns = articulations_.max_dofs()};
+  }
+  size_t numbers(Function f) const {
+    return workspace_numbers(f, articulations_.max_links(), articulations_.max_dofs());
+  }
   template <Function F>
   void run_on_host(std::vector<int32_t>& status) const {
-    const Model& m = model_;
-    const ArticulationFunctionArguments all = {
-        reinterpret_cast<const ArticulationRows*>(articulations_.rows().data()),
-        reinterpret_cast<const articulation::Link*>(articulations_.links().data()),
-        articulations_.dof_parent().data(),
-        m.joint_X_p.data(),
-        m.joint_X_c.data(),
-        m.joint_axis.data(),
-        m.body_mass.data(),
-        m.body_com.data(),
-        m.body_inertia.data(),
-        m.gravity.data(),
-        m.joint_armature.data(),
-        state_.joint_q.data(),
-        state_.joint_qd.data(),
-        given_.data(),
-        {results_[0].data(), results_[1].data(), results_[2].data()},
-        status.data(),
-        nullptr,
-        0,
-        static_cast<int64_t>(F),
-        include_armature_ ? 1 : 0,
-        matrix_rows_,
-        articulations_.max_dofs()};
-    const size_t numbers =
-        workspace_numbers(F, articulations_.max_links(), articulations_.max_dofs());
+    const size_t numbers = this->numbers(F);
+    const ArticulationFunctionArguments all = in_memory(arguments(
+        F, Untyped(given_.data()), each<3>([&](size_t k) { return Untyped(results_[k].data()); }),
+        Untyped(status.data())));
     for_chunks(articulations_.count(), 4, [&](int64_t begin, int64_t end, int64_t) {
       // Of one articulation at a time, which a thread keeps.
       static thread_local std::vector<uint64_t> memory;
       if (memory.size() < numbers / 2) memory.resize(numbers / 2);
       ArticulationFunctionArguments a = all;
-      a.workspace = reinterpret_cast<float*>(memory.data());
+      a.workspace = Untyped(memory.data());
       for (int64_t i = begin; i < end; ++i) evaluate<F>(a, i);
     });
   }
   void launch(Function f, std::vector<int32_t>& status) const {
     const Unobserved unobserved;
-    const Model& m = model_;
-    const Device device = m.device();
-    const auto value = [](const char* name, const Array& array) {
-      return reads(name, array).detached();
-    };
-    const size_t stride =
-        workspace_numbers(f, articulations_.max_links(), articulations_.max_dofs());
+    const Device device = model_.device();
     const DeviceArray<float> given = DeviceArray<float>::from_host(given_, device);
-    const DeviceArray<float> workspace(count() * stride, device);
+    const DeviceArray<float> workspace(count() * numbers(f), device);
     const DeviceArray<int32_t> failed(count(), device);
     DeviceArray<float> results[3];
-    LaunchArgument to[3] = {number(int64_t{0}), number(int64_t{0}), number(int64_t{0})};
-    for (size_t k = 0; k < result_count_; ++k) {
+    for (size_t k = 0; k < result_count_; ++k)
       results[k] = DeviceArray<float>(results_[k].size(), device);
-      to[k] = writes("results", results[k]);
-    }
-    kernel().launch(device, articulations_.count(),
-                    {reads("rows", articulations_.rows()),
-                     reads("links", articulations_.links()),
-                     reads("dof_parent", articulations_.dof_parent()),
-                     value("model.joint_X_p", m.joint_X_p),
-                     value("model.joint_X_c", m.joint_X_c),
-                     value("model.joint_axis", m.joint_axis),
-                     value("model.body_mass", m.body_mass),
-                     value("model.body_com", m.body_com),
-                     value("model.body_inertia", m.body_inertia),
-                     value("model.gravity", m.gravity),
-                     value("model.joint_armature", m.joint_armature),
-                     value("state.joint_q", state_.joint_q),
-                     value("state.joint_qd", state_.joint_qd),
-                     value("given", given),
-                     to[0],
-                     to[1],
-                     to[2],
-                     writes("status", failed),
-                     writes("workspace", workspace),
-                     number(static_cast<int64_t>(stride)),
-                     number(static_cast<int64_t>(f)),
-                     number(int64_t{include_armature_}),
-                     number(matrix_rows_),
-                     number(int64_t{articulations_.max_dofs()})});
+    ArticulationFunctionArguments a = arguments(
+        f, Untyped(given), each<3>([&](size_t k) { return Untyped(results[k]); }), Untyped(failed));
+    a.workspace = workspace;
+    a.stride = numbers(f);
+    novaphy::run(kernel(), articulations_.count(), a);
     for (size_t k = 0; k < result_count_; ++k) {
       const std::vector<float> values = results[k].to_host();
       std::copy(values.begin(), values.end(), results_[k].begin());

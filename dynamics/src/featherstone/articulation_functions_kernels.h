@@ -22,23 +22,17 @@ enum class ArticulationFunction : int32_t {
 };
 
 // `given` and what a function of dofs gives: rows of dofs. Matrices: {articulations, matrix_rows,
-// matrix_columns}, padded with zeros. CenterOfMass gives three numbers, Energy two.
+// matrix_columns}, padded with zeros. CenterOfMass gives three numbers, Energy two. results: those
+// that there are. status: a row per articulation, 0, or 1 + the dof where M is not positive.
+// stride: numbers of the workspace for an articulation.
 struct ArticulationFunctionArguments {
-  const ArticulationRows* rows;
-  const articulation::Link* links;
-  const int32_t* dof_parent;
-  const Transformf *X_p, *X_c;
-  const Vec3f* axis;
-  const float* mass;
-  const Vec3f* com;
-  const Mat33f* inertia;
-  const Vec3f* gravity;
-  const float *armature, *q, *qd, *given;
-  float* results[3];  // those that there are
-  int32_t* status;    // a row per articulation: 0, or 1 + the dof where M is not positive
-  float* workspace;
-  int64_t stride;  // numbers of it for an articulation
-  int64_t function, include_armature, matrix_rows, matrix_columns;
+  NOVAPHY_ARGUMENTS(Given<ArticulationRows> rows; Given<articulation::Link> links;
+                    Given<int32_t> dof_parent; Given<Transformf> X_p, X_c; Given<Vec3f> axis;
+                    Given<float> mass; Given<Vec3f> com; Given<Mat33f> inertia;
+                    Given<Vec3f> gravity; Given<float> armature, q, qd, given;
+                    Each<Writes<float>, 3> results; Writes<int32_t> status; Writes<float> workspace;
+                    Number<int64_t> stride, function, include_armature;
+                    Number<int64_t> matrix_rows, matrix_columns;)
 };
 
 inline int64_t function_workspace_bytes(ArticulationFunction f, int64_t links, int64_t dofs) {
@@ -76,10 +70,11 @@ class ArticulationEvaluation {
     unsigned char* const memory = reinterpret_cast<unsigned char*>(a.workspace + i * a.stride);
     ws = articulation::make_workspace<float>(memory, tree.link_count, tree.dof_count);
     behind = memory + articulation::workspace_bytes<float>(tree.link_count, tree.dof_count);
+    q = a.q;
     qd = a.qd + tree.first_dof;
     armature = a.armature + tree.first_dof;
     a.status[i] = 0;
-    articulation::kinematics(tree, a.q, ws);
+    articulation::kinematics(tree, q, ws);
     articulation::clear_wrenches(tree, ws);
   }
 
@@ -94,7 +89,7 @@ class ArticulationEvaluation {
       ws.rhs[k] = tau[k] - ws.bias[k];
       ws.diagonal[k] = armature[k];
     }
-    const int32_t dof = articulation::factor(tree, a.q, ws);
+    const int32_t dof = articulation::factor(tree, q, ws);
     if (dof >= 0) a.status[i] = 1 + tree.first_dof + dof;
     if (dof >= 0) return false;
     articulation::find_accelerations(tree, qd, ws);
@@ -158,7 +153,7 @@ class ArticulationEvaluation {
       const bool done = accelerate(given());
       for (int32_t k = 0; k < tree.dof_count; ++k) of_dofs()[k] = done ? ws.qdd[k] : 0.0f;
     }
-    if constexpr (F == Function::MassMatrix) write_mass_matrix(0, a.include_armature != 0);
+    if constexpr (F == Function::MassMatrix) write_mass_matrix(0, a.include_armature.value != 0);
     if constexpr (F == Function::Jacobian) write_jacobian();
     if constexpr (F == Function::InverseDynamicsDerivatives) {
       write_derivatives(derivatives(given()), 2);
@@ -173,7 +168,8 @@ class ArticulationEvaluation {
     }
     if constexpr (F == Function::CenterOfMass) {
       const Vec3f com = articulation::center_of_mass(tree, ws).com;
-      reinterpret_cast<Vec3f*>(a.results[0])[i] = com;
+      float* const to = a.results[0];
+      reinterpret_cast<Vec3f*>(to)[i] = com;
     }
     if constexpr (F == Function::Energy) {
       articulation::link_motions(tree, qd, ws);
@@ -198,13 +194,13 @@ class ArticulationEvaluation {
   articulation::Tree<float> tree;
   articulation::Workspace<float> ws;
   unsigned char* behind;  // the workspace
-  const float *qd, *armature;
+  const float *q, *qd, *armature;
 };
 
-NOVAPHY_ROW_KERNEL(articulation_function, 24, ArticulationFunctionArguments) {
+NOVAPHY_ROW_KERNEL(articulation_function, ArticulationFunctionArguments) {
   using Function = ArticulationFunction;
   ArticulationEvaluation e(a, row);
-  switch (static_cast<Function>(a.function)) {
+  switch (static_cast<Function>(a.function.value)) {
     case Function::InverseDynamics:
       return e.run<Function::InverseDynamics>();
     case Function::Bias:

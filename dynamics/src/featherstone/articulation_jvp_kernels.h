@@ -11,30 +11,29 @@
 
 namespace novaphy {
 
+// tangents null: 0
 struct DualPackArguments {
-  const float *values, *tangents;  // tangents null: 0
-  DualFloat* to;
+  NOVAPHY_ARGUMENTS(Given<float> values, tangents; Changed<DualFloat> to;)
 };
-NOVAPHY_ROW_KERNEL(dual_pack, 3, DualPackArguments) {
+NOVAPHY_ROW_KERNEL(dual_pack, DualPackArguments) {
   a.to[row] = DualFloat(a.values[row], a.tangents != nullptr ? a.tangents[row] : 0.0f);
 }
 
 struct DualTangentArguments {
-  const DualFloat* from;
-  float* to;
+  NOVAPHY_ARGUMENTS(Given<DualFloat> from; Changed<float> to;)
 };
-NOVAPHY_ROW_KERNEL(dual_tangent, 2, DualTangentArguments) { a.to[row] = a.from[row].tangent; }
+NOVAPHY_ROW_KERNEL(dual_tangent, DualTangentArguments) { a.to[row] = a.from[row].tangent; }
 
-NOVAPHY_ROW_KERNEL(articulation_step_jvp, 37, ArticulationJvpArguments) {
+NOVAPHY_ROW_KERNEL(articulation_step_jvp, ArticulationJvpArguments) {
   const ArticulationRows& rows = a.in.rows[row];
   const articulation::Tree<DualFloat> tree = articulation_tree(a.in, rows);
   const articulation::StepInputs<DualFloat> in = articulation_inputs(a.in);
   const articulation::StepOptions<DualFloat> options = articulation_options(a.in);
   articulation::Workspace<DualFloat> ws = articulation::make_workspace<DualFloat>(
-      a.workspace + row * a.stride, rows.link_count, rows.dof_count);
+      a.workspace + row * a.stride.value, rows.link_count, rows.dof_count);
   if (articulation::accelerate_again(tree, in, options, a.branch, ws) >= 0) return;
   articulation::free_rates(tree, in, options, ws);
-  articulation::finish_step(tree, in, options, ws, a.q_next, a.qd_next, a.body_q, a.body_qd);
+  finish_step(a, tree, in, options, ws);
 }
 
 }  // namespace novaphy

@@ -15,54 +15,57 @@ namespace novaphy {
 struct LocalWorkspace {
   alignas(16) unsigned char bytes[kRowStack];
 };
-inline unsigned char* workspace_of(float* workspace, int64_t stride, int64_t row,
-                                   LocalWorkspace& local) {
-  return stride > 0 ? reinterpret_cast<unsigned char*>(workspace + row * stride) : local.bytes;
+template <class Arguments>
+unsigned char* workspace_of(const Arguments& a, int64_t row, LocalWorkspace& local) {
+  float* const own = a.workspace + row * a.stride.value;
+  return a.stride.value > 0 ? reinterpret_cast<unsigned char*>(own) : local.bytes;
 }
 
 // Nobody waits for a launch, so one that fails writes NaN.
-NOVAPHY_ROW_KERNEL(articulation_step, 39, ArticulationStepArguments) {
+NOVAPHY_ROW_KERNEL(articulation_step, ArticulationStepArguments) {
   const ArticulationRows& rows = a.in.rows[row];
   const articulation::Tree<float> tree = articulation_tree(a.in, rows);
   const articulation::StepInputs<float> in = articulation_inputs(a.in);
   const articulation::StepOptions<float> options = articulation_options(a.in);
   LocalWorkspace local;
   articulation::Workspace<float> ws = articulation::make_workspace<float>(
-      workspace_of(a.workspace, a.stride, row, local), rows.link_count, rows.dof_count);
+      workspace_of(a, row, local), rows.link_count, rows.dof_count);
   const int32_t failed = articulation::forward_step(tree, in, options, ws);
   a.status[row] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
   if (failed >= 0) return write_failure(a, rows);
   write_step(a, rows, tree, in, options, ws);
 }
 
-NOVAPHY_ROW_KERNEL(articulation_step_vjp, 61, ArticulationStepVjpArguments) {
+NOVAPHY_ROW_KERNEL(articulation_step_vjp, ArticulationStepVjpArguments) {
   const ArticulationRows& rows = a.in.rows[row];
   NOVAPHY_ROW_SCRATCH(LocalWorkspace, local,
-                      reinterpret_cast<LocalWorkspace*>(a.workspace + row * a.stride));
-  unsigned char* const memory = workspace_of(a.workspace, a.stride, row, local);
+                      reinterpret_cast<LocalWorkspace*>(a.workspace + row * a.stride.value));
+  unsigned char* const memory = workspace_of(a, row, local);
   articulation::Workspace<float> ws =
       articulation::make_workspace<float>(memory, rows.link_count, rows.dof_count);
   articulation::AdjointMemory<float> adjoint = articulation::make_adjoint_memory<float>(
       memory + articulation::workspace_bytes<float>(rows.link_count, rows.dof_count),
       rows.link_count, rows.dof_count);
-  articulation::step_vjp(articulation_tree(a.in, rows), articulation_inputs(a.in),
-                         articulation_options(a.in), a.qdd, a.branch, a.q_next, a.qd_next, a.out,
-                         a.gradient, ws, adjoint);
+  const articulation::Tree<float> tree = articulation_tree(a.in, rows);
+  const articulation::StepInputs<float> in = articulation_inputs(a.in);
+  const articulation::StepOptions<float> options = articulation_options(a.in);
+  step_vjp_rates(a, tree, in, options, ws, adjoint);
+  articulation::step_vjp_dynamics(tree, in, options, ws);
+  articulation::step_vjp_solve(tree, options, ws, adjoint);
+  articulation::step_vjp_inputs(tree, in, options, step_gradient(a), ws, adjoint);
 }
 
 // The gradient of gravity {worlds} from that of body_f: a force at each centre of mass, with its
-// mass. One row, so that the sums have one order.
+// mass. One row, so that the sums have one order. wrenches: the gradient of body_f, which goes on
+// to body_f.
 struct GravityGradientArguments {
-  const ArticulationRows* rows;
-  const articulation::Link* links;
-  const float* mass;
-  const SpatialVectorf* wrenches;  // the gradient of body_f, which goes on to body_f (null: nobody)
-  Vec3f* gravity;
-  SpatialVectorf* body_f;
-  int64_t count, bodies, worlds, add_gravity, add_body_f;
+  NOVAPHY_ARGUMENTS(Given<ArticulationRows> rows; Given<articulation::Link> links;
+                    Given<float> mass; Given<SpatialVectorf> wrenches; Changed<Vec3f> gravity;
+                    Optional<Changed<SpatialVectorf>> body_f;
+                    Number<int64_t> count, bodies, worlds, add_gravity, add_body_f;)
 };
-NOVAPHY_ROW_KERNEL(gravity_gradient, 11, GravityGradientArguments) {
-  for (int64_t w = 0; w < a.worlds && a.add_gravity == 0; ++w) a.gravity[w] = Vec3f{};
+NOVAPHY_ROW_KERNEL(gravity_gradient, GravityGradientArguments) {
+  for (int64_t w = 0; w < a.worlds && a.add_gravity.value == 0; ++w) a.gravity[w] = Vec3f{};
   for (int64_t i = 0; i < a.count; ++i) {
     Vec3f sum{};
     for (int32_t k = 0; k < a.rows[i].link_count; ++k) {
@@ -72,15 +75,15 @@ NOVAPHY_ROW_KERNEL(gravity_gradient, 11, GravityGradientArguments) {
     a.gravity[a.rows[i].world] = a.gravity[a.rows[i].world] + sum;
   }
   for (int64_t b = 0; b < a.bodies && a.body_f != nullptr; ++b)
-    a.body_f[b] = a.add_body_f != 0 ? a.body_f[b] + a.wrenches[b] : a.wrenches[b];
+    a.body_f[b] = a.add_body_f.value != 0 ? a.body_f[b] + a.wrenches[b] : a.wrenches[b];
 }
 
 // A row per degree of freedom.
 struct ActuationArguments {
-  articulation::Actuation in;
-  float* out[articulation::kActuationOutputs];
+  NOVAPHY_ARGUMENTS(Part<articulation::Actuation> in;
+                    Each<Optional<Changed<float>>, articulation::kActuationOutputs> out;)
 };
-NOVAPHY_ROW_KERNEL(actuation, 28, ActuationArguments) {
+NOVAPHY_ROW_KERNEL(actuation, ActuationArguments) {
   articulation::actuate(
       a.in, static_cast<int32_t>(row),
       [&](int32_t input, int32_t of, int32_t k) {
@@ -92,12 +95,13 @@ NOVAPHY_ROW_KERNEL(actuation, 28, ActuationArguments) {
       });
 }
 
+// Null: zeros, and nobody wants it.
 struct ActuationJvpArguments {
-  articulation::Actuation in;
-  const float* tangent[articulation::kActuationInputs];  // null: zeros
-  float* out[articulation::kActuationOutputs];           // null: nobody wants it
+  NOVAPHY_ARGUMENTS(Part<articulation::Actuation> in;
+                    Each<Given<float>, articulation::kActuationInputs> tangent;
+                    Each<Changed<float>, articulation::kActuationOutputs> out;)
 };
-NOVAPHY_ROW_KERNEL(actuation_jvp, 43, ActuationJvpArguments) {
+NOVAPHY_ROW_KERNEL(actuation_jvp, ActuationJvpArguments) {
   articulation::actuate(
       a.in, static_cast<int32_t>(row),
       [&](int32_t input, int32_t of, int32_t k) {
@@ -110,13 +114,13 @@ NOVAPHY_ROW_KERNEL(actuation_jvp, 43, ActuationJvpArguments) {
       });
 }
 
-// Adds to the gradients, one number of an input after the other.
+// Adds to the gradients, one number of an input after the other. Null: zeros, and nobody wants it.
 struct ActuationVjpArguments {
-  articulation::Actuation in;
-  const float* out[articulation::kActuationOutputs];  // gradients; null: zeros
-  float* gradient[articulation::kActuationInputs];    // null: nobody wants it
+  NOVAPHY_ARGUMENTS(Part<articulation::Actuation> in;
+                    Each<Given<float>, articulation::kActuationOutputs> out;
+                    Each<Changed<float>, articulation::kActuationInputs> gradient;)
 };
-NOVAPHY_ROW_KERNEL(actuation_vjp, 43, ActuationVjpArguments) {
+NOVAPHY_ROW_KERNEL(actuation_vjp, ActuationVjpArguments) {
   const auto dof = static_cast<int32_t>(row);
   const auto add = [&](int32_t input, int32_t of) {
     if (a.gradient[input] == nullptr || of < 0) return;
@@ -144,31 +148,31 @@ NOVAPHY_ROW_KERNEL(actuation_vjp, 43, ActuationVjpArguments) {
   }
 }
 
-// A row per body: body_f and the force that takes a part of the weight away.
-struct GravcompArguments {
-  const int32_t* world;  // of the body; -1: the last
-  const float *gravcomp, *mass;
-  const Vec3f* gravity;
-  const SpatialVectorf* body_f;
-  int64_t worlds;
-  SpatialVectorf* out;
+// A row per body: body_f and the force that takes a part of the weight away. The world of a body is
+// -1: the last.
+struct GravcompInputs {
+  NOVAPHY_ARGUMENTS(Given<int32_t> world; Given<float> gravcomp, mass; Given<Vec3f> gravity;
+                    Given<SpatialVectorf> body_f; Number<int64_t> worlds;)
 };
-inline int64_t world_of(const GravcompArguments& a, int64_t body) {
+inline int64_t world_of(const GravcompInputs& a, int64_t body) {
   return a.world[body] < 0 ? a.worlds - 1 : a.world[body];
 }
-NOVAPHY_ROW_KERNEL(gravity_compensation, 7, GravcompArguments) {
-  SpatialVectorf f = a.body_f[row];
-  f.linear = f.linear - a.gravity[world_of(a, row)] * (a.gravcomp[row] * a.mass[row]);
+struct GravcompArguments {
+  NOVAPHY_ARGUMENTS(Part<GravcompInputs> in; Changed<SpatialVectorf> out;)
+};
+NOVAPHY_ROW_KERNEL(gravity_compensation, GravcompArguments) {
+  SpatialVectorf f = a.in.body_f[row];
+  f.linear = f.linear - a.in.gravity[world_of(a.in, row)] * (a.in.gravcomp[row] * a.in.mass[row]);
   a.out[row] = f;
 }
 
+// The tangents; null: zeros.
 struct GravcompTangents {
-  GravcompArguments in;  // out: the tangent
-  const float *gravcomp, *mass;
-  const Vec3f* gravity;
-  const SpatialVectorf* body_f;  // null: zeros
+  NOVAPHY_ARGUMENTS(Part<GravcompInputs> in; Changed<SpatialVectorf> out;
+                    Given<float> gravcomp, mass; Given<Vec3f> gravity;
+                    Given<SpatialVectorf> body_f;)
 };
-NOVAPHY_ROW_KERNEL(gravity_compensation_jvp, 11, GravcompTangents) {
+NOVAPHY_ROW_KERNEL(gravity_compensation_jvp, GravcompTangents) {
   const int64_t world = world_of(a.in, row);
   const float part = a.in.gravcomp[row], mass = a.in.mass[row];
   float by_number = 0.0f;
@@ -178,21 +182,20 @@ NOVAPHY_ROW_KERNEL(gravity_compensation_jvp, 11, GravcompTangents) {
   if (a.body_f != nullptr) f = a.body_f[row];
   f.linear = f.linear - a.in.gravity[world] * by_number;
   if (a.gravity != nullptr) f.linear = f.linear - a.gravity[world] * (part * mass);
-  a.in.out[row] = f;
+  a.out[row] = f;
 }
 
-// Adds to the gradients. One row, so that the sums have one order.
+// Adds to the gradients; null: nobody wants it. out: that of the result. One row, so that the sums
+// have one order.
 struct GravcompGradients {
-  GravcompArguments in;  // out: the gradient of the result
-  float *gravcomp, *mass;
-  Vec3f* gravity;
-  SpatialVectorf* body_f;  // null: nobody wants it
-  int64_t bodies;
+  NOVAPHY_ARGUMENTS(Part<GravcompInputs> in; Given<SpatialVectorf> out;
+                    Changed<float> gravcomp, mass; Changed<Vec3f> gravity;
+                    Changed<SpatialVectorf> body_f; Number<int64_t> bodies;)
 };
-NOVAPHY_ROW_KERNEL(gravity_compensation_vjp, 12, GravcompGradients) {
+NOVAPHY_ROW_KERNEL(gravity_compensation_vjp, GravcompGradients) {
   for (int64_t b = 0; b < a.bodies; ++b) {
     const int64_t world = world_of(a.in, b);
-    const SpatialVectorf& g = a.in.out[b];
+    const SpatialVectorf& g = a.out[b];
     const float weight = -math::dot(g.linear, a.in.gravity[world]);
     if (a.gravcomp != nullptr) a.gravcomp[b] += weight * a.in.mass[b];
     if (a.mass != nullptr) a.mass[b] += weight * a.in.gravcomp[b];

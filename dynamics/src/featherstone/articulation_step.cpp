@@ -136,28 +136,14 @@ ArticulationArguments articulation_arguments(const Model& m, const Articulations
                                              const SimState& in, const StepDrives& drives,
                                              const Array& body_f,
                                              const FeatherstoneOptions& options, float dt) {
-  ArticulationArguments a = {};
-  articulation::for_each_array(
-      [&](auto& to, const auto& source) { to = source.find(m, &in, nullptr)->data(); }, a,
-      kStepSources);
-  const auto drive = [&](int32_t which) {
-    return static_cast<const float*>(drives[static_cast<size_t>(which)].raw());
-  };
-  a.joint_f = drive(articulation::kJointForce);
-  a.target_q = drive(articulation::kTarget);
-  a.target_qd = drive(articulation::kTargetRate);
-  a.target_ke = drive(articulation::kStiffness);
-  a.target_kd = drive(articulation::kDamping);
-  a.effort_limit = drive(articulation::kEffort);
-  a.body_f = static_cast<const SpatialVectorf*>(body_f.raw());
-  a.target_mode = m.joint_target_mode.data();
-  a.rows = reinterpret_cast<const ArticulationRows*>(articulations.rows().data());
-  a.links = reinterpret_cast<const articulation::Link*>(articulations.links().data());
-  a.dof_parent = articulations.dof_parent().data();
-  a.dt = {dt, 0};
-  a.angular_damping = {options.angular_damping, 0};
-  a.implicit_drives = options.implicit_drives ? 1 : 0;
-  return a;
+  NamedStepArrays arrays = step_arrays(m, &in, nullptr);
+  read_instead(arrays, drives);
+  arrays[kAt.body_f].array = &body_f;
+  return arguments_of<float>(
+      [&](int32_t place) { return Untyped(*arrays[static_cast<size_t>(place)].array); },
+      {m.joint_target_mode, Untyped(articulations.rows()), Untyped(articulations.links()),
+       articulations.dof_parent()},
+      options, dt);
 }
 
 }  // namespace novaphy

@@ -4,6 +4,7 @@
 #include <span>
 #include <string>
 
+#include "../step_sources.h"
 #include "actuators.h"
 #include "articulation_kernels.h"
 #include "novaphy/core/sim/unread_materials.h"
@@ -40,7 +41,30 @@ void depend_on_modes(const Model& model, const Control* control);  // of them, b
 // it.
 int64_t step_workspace(const Articulations& articulations);
 
-// Host pointers.
+// What a step reads besides the arrays of step_arrays.h.
+struct StepTables {
+  Given<int32_t> target_mode;
+  Given<ArticulationRows> rows;
+  Given<articulation::Link> links;
+  Given<int32_t> dof_parent;
+};
+// argument(place) gives the arrays, in the order of their places.
+template <class T, class Argument>
+ArticulationArgumentsOf<T> arguments_of(const Argument& argument, const StepTables& tables,
+                                        const FeatherstoneOptions& options, float dt) {
+  using A = GivenArrays<T>;
+  constexpr std::make_index_sequence<kGradientArrays> gradients;
+  constexpr std::make_index_sequence<kStepArrays - kGradientArrays> frames;
+  return {.arrays = step_arguments<articulation::GradientArrays<A>, 0>(argument, gradients),
+          .frames = step_arguments<articulation::FrameArrays<A>, kGradientArrays>(argument, frames),
+          .target_mode = tables.target_mode,
+          .rows = tables.rows,
+          .links = tables.links,
+          .dof_parent = tables.dof_parent,
+          .dt = dt,
+          .angular_damping = options.angular_damping,
+          .implicit_drives = options.implicit_drives};
+}
 ArticulationArguments articulation_arguments(const Model& model, const Articulations& articulations,
                                              const SimState& in, const StepDrives& drives,
                                              const Array& body_f,

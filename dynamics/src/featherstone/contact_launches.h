@@ -1,13 +1,9 @@
 // The kernels of LaunchedContacts.
 #pragma once
 
-#include <iterator>
-#include <utility>
-#include <vector>
-
 #include "articulation_contact_kernels.h"
 #include "articulation_contact_vjp_kernels.h"
-#include "novaphy/core/device_kernel.h"
+#include "novaphy/core/builtin_kernels.h"
 
 namespace novaphy {
 namespace detail {
@@ -16,26 +12,25 @@ const char* articulation_contact_vjp_kernels_text();
 }  // namespace detail
 
 struct ContactKernels {
-  DeviceKernel group{articulation_contact_group, detail::articulation_contact_kernels_text};
-  DeviceKernel lists{"incidence_i32"};
-  DeviceKernel step{articulation_contact_step, detail::articulation_contact_kernels_text};
-  DeviceKernel keep{articulation_contact_keep, detail::articulation_contact_kernels_text};
-  DeviceKernel copy{articulation_contact_copy, detail::articulation_contact_kernels_text};
-  DeviceKernel note_some{articulation_note_some, detail::articulation_contact_kernels_text};
-  DeviceKernel note_step{articulation_note_step, detail::articulation_contact_kernels_text};
-  DeviceKernel vjp{articulation_contact_vjp, detail::articulation_contact_vjp_kernels_text};
-  DeviceKernel clear{articulation_material_clear, detail::articulation_contact_vjp_kernels_text};
-  DeviceKernel materials{articulation_material_gradient,
-                         detail::articulation_contact_vjp_kernels_text};
+#define NOVAPHY_CONTACT_KERNEL(name) \
+  Kernel<decltype(articulation_##name)::Arguments> name{articulation_##name, text};
+  static constexpr DeviceText text = detail::articulation_contact_kernels_text,
+                              vjp_text = detail::articulation_contact_vjp_kernels_text;
+  NOVAPHY_CONTACT_KERNEL(contact_group)
+  NOVAPHY_CONTACT_KERNEL(contact_step)
+  NOVAPHY_CONTACT_KERNEL(contact_keep)
+  NOVAPHY_CONTACT_KERNEL(contact_copy)
+  NOVAPHY_CONTACT_KERNEL(note_some)
+  NOVAPHY_CONTACT_KERNEL(note_step)
+#undef NOVAPHY_CONTACT_KERNEL
+  Kernel<ArticulationContactVjpArguments> vjp{articulation_contact_vjp, vjp_text};
+  Kernel<ArticulationMaterialClearArguments> clear{articulation_material_clear, vjp_text};
+  Kernel<ArticulationMaterialGradientArguments> materials{articulation_material_gradient, vjp_text};
 };
 // Never destroyed: recordings refer to them.
 inline const ContactKernels& contact_kernels() {
   static const auto& all = *new ContactKernels;
   return all;
-}
-
-inline void add_words(std::vector<LaunchArgument>& to, std::vector<LaunchArgument> more) {
-  to.insert(to.end(), std::make_move_iterator(more.begin()), std::make_move_iterator(more.end()));
 }
 
 }  // namespace novaphy

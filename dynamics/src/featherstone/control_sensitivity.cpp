@@ -395,8 +395,8 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
             ", model.body_gravcomp: expected 0, got ", part,
             ": differentiate by DiffFeatherstoneSolver");
   const Tree<float> tree = s.articulations.tree(m, s.options.articulation);
-  const ArticulationArguments a = articulation_arguments(
-      m, s.articulations, state_in, drives_of(m, control), state_in.body_f, s.options.solver, dt);
+  const ArticulationArguments a = in_memory(articulation_arguments(
+      m, s.articulations, state_in, drives_of(m, control), state_in.body_f, s.options.solver, dt));
   const StepInputs<float> in = articulation_inputs(a);
   const StepOptions<float> options = articulation_options(a);
   if (!s.is_torque()) s.check_followed(tree, in, dcontrol, false, "dcontrol");

@@ -6,14 +6,11 @@ namespace {
 
 namespace art = articulation;
 
-// A gradient as a word of a launch; null where nobody wants it. What is added to is there then.
-LaunchArgument gradient_word(const nova::InputGradient& to) {
-  if (!to.wanted()) return {};
+// A gradient as an argument; null where nobody wants it. What is added to is there then.
+Untyped gradient_of(const nova::InputGradient& to) {
+  if (!to.wanted()) return Untyped(nullptr);
   if (!to.add) nova::submit_fill(to.grad.range(), 0.0f);
-  return argument("gradient", to.grad, true);
-}
-LaunchArgument tangent_word(const Tensor& tensor, bool write = false) {
-  return argument("tangent", tensor, write);
+  return argument(to.grad);
 }
 
 // The tensors of the arrays that have rows, and the place of each array among them; -1: it has no
@@ -47,77 +44,78 @@ void submit_drives(const std::shared_ptr<const Actuators>& actuators, const Mode
                    const ActuationArrays& inputs,
                    const std::array<Array, art::kActuationOutputs>& outputs, float dt) {
   const int64_t dofs = model.joint_dof_count();
-  const Device device = model.device();
   const Rows in(inputs), out(outputs);
-  const auto words = [actuators, owner = model.shared_from_this(), inputs, dt] {
-    return actuators->words(*owner, inputs, dt);
+  const auto arguments = [actuators, owner = model.shared_from_this(), inputs, dt] {
+    return actuators->arguments(*owner, inputs, dt);
   };
+  constexpr size_t kIn = art::kActuationInputs, kOut = art::kActuationOutputs;
   record({.name = "actuation",
           .inputs = in.tensors,
           .outputs = out.tensors,
           .vjp =
               [=](std::span<const Tensor> g, std::span<const nova::InputGradient> gradients) {
                 const nova::NoGrad no_grad;
-                LaunchWords all = words();
-                for (size_t i = 0; i < outputs.size(); ++i)
-                  all.push_back(tangent_word(out.of(g, i)));
-                for (size_t i = 0; i < inputs.size(); ++i)
-                  all.push_back(gradient_word(in.of(gradients, i)));
-                actuation_kernels().vjp.launch(device, dofs, all);
+                run(actuation_kernels().vjp, dofs,
+                    {.in = arguments(),
+                     .out = each<kOut>([&](size_t i) { return argument(out.of(g, i)); }),
+                     .gradient =
+                         each<kIn>([&](size_t i) { return gradient_of(in.of(gradients, i)); })});
               },
           .forward =
               [=] {
-                LaunchWords all = words();
-                for (const Array& array : outputs)
-                  all.push_back(word_of("drives of a step", array, true));
-                actuation_kernels().forward.launch(device, dofs, all);
+                run(actuation_kernels().forward, dofs,
+                    {.in = arguments(),
+                     .out = each<kOut>([&](size_t i) { return Untyped(outputs[i]); })});
               },
           .jvp =
               [=](std::span<const Tensor> t, std::span<const Tensor> tangents) {
                 const nova::NoGrad no_grad;
-                LaunchWords all = words();
-                for (size_t i = 0; i < inputs.size(); ++i) all.push_back(tangent_word(in.of(t, i)));
-                for (size_t i = 0; i < outputs.size(); ++i) {
-                  const Tensor to = out.of(tangents, i);
-                  if (to.defined()) nova::submit_fill(to.range(), 0.0f);
-                  all.push_back(tangent_word(to, true));
-                }
-                actuation_kernels().jvp.launch(device, dofs, all);
+                run(actuation_kernels().jvp, dofs,
+                    {.in = arguments(),
+                     .tangent = each<kIn>([&](size_t i) { return argument(in.of(t, i)); }),
+                     .out = each<kOut>([&](size_t i) {
+                       const Tensor to = out.of(tangents, i);
+                       if (to.defined()) nova::submit_fill(to.range(), 0.0f);
+                       return argument(to);
+                     })});
               }});
 }
 
 void submit_lift(const Model& model, const Array& body_f, const Array& sum) {
   const int64_t bodies = model.body_count();
-  const Device device = model.device();
-  const auto owner = model.shared_from_this();
+  const auto inputs = [owner = model.shared_from_this(), body_f] {
+    return gravcomp_inputs(*owner, body_f);
+  };
   record({.name = "gravity_compensation",
           .inputs = {tensor_of(model.body_gravcomp), tensor_of(model.body_mass),
                      tensor_of(model.gravity), tensor_of(body_f)},
           .outputs = {tensor_of(sum)},
           .vjp =
               [=](std::span<const Tensor> g, std::span<const nova::InputGradient> gradients) {
-                const nova::NoGrad no_grad;
-                LaunchWords all = gravcomp_words(*owner, body_f);
-                all.push_back(tangent_word(g[0]));
-                for (const nova::InputGradient& to : gradients) all.push_back(gradient_word(to));
                 if (!g[0].defined()) return;
-                all.push_back(number(bodies));
-                actuation_kernels().lift_vjp.launch(device, 1, all);
+                const nova::NoGrad no_grad;
+                run(actuation_kernels().lift_vjp, 1,
+                    {.in = inputs(),
+                     .out = argument(g[0]),
+                     .gravcomp = gradient_of(gradients[0]),
+                     .mass = gradient_of(gradients[1]),
+                     .gravity = gradient_of(gradients[2]),
+                     .body_f = gradient_of(gradients[3]),
+                     .bodies = bodies});
               },
           .forward =
-              [=] {
-                LaunchWords all = gravcomp_words(*owner, body_f);
-                all.push_back(word_of("wrenches of a step", sum, true));
-                actuation_kernels().lift.launch(device, bodies, all);
-              },
+              [=] { run(actuation_kernels().lift, bodies, {.in = inputs(), .out = Untyped(sum)}); },
           .jvp =
               [=](std::span<const Tensor> t, std::span<const Tensor> tangents) {
                 if (!tangents[0].defined()) return;
                 const nova::NoGrad no_grad;
-                LaunchWords all = gravcomp_words(*owner, body_f);
-                all.push_back(tangent_word(tangents[0], true));
-                for (const Tensor& tangent : t) all.push_back(tangent_word(tangent));
-                actuation_kernels().lift_jvp.launch(device, bodies, all);
+                run(actuation_kernels().lift_jvp, bodies,
+                    {.in = inputs(),
+                     .out = argument(tangents[0]),
+                     .gravcomp = argument(t[0]),
+                     .mass = argument(t[1]),
+                     .gravity = argument(t[2]),
+                     .body_f = argument(t[3])});
               }});
 }
 

@@ -8,31 +8,29 @@ namespace {
 // Dual numbers of arrays, one behind the other in memory that steps share.
 class LaunchedDuals {
  public:
-  LaunchedDuals(Device device, const DeviceArray<float>& memory)
-      : device_(device), memory_(memory) {}
-  LaunchArgument part(const DualFloat* first, bool write) const {
-    LaunchArgument a = write ? updates("duals", memory_) : reads("duals", memory_);
-    a.word = reinterpret_cast<uint64_t>(first);
-    return std::move(a).detached();
-  }
-  DualFloat* take(const Tensor& values, const Tensor& tangent) {
-    DualFloat* const to = static_cast<DualFloat*>(memory_.range()->data()) + used_;
-    used_ += values.size();
-    tangent_kernels().pack.launch(
-        device_, values.size(),
-        {argument("values", values, false), argument("tangents", tangent, false), part(to, true)});
+  explicit LaunchedDuals(const DeviceArray<float>& memory) : memory_(memory) {}
+  Untyped take(const Tensor& values, const Tensor& tangent) {
+    const Untyped to = part(values.size());
+    run(tangent_kernels().pack, values.size(),
+        {.values = argument(values), .tangents = argument(tangent), .to = to});
     return to;
   }
-  void write_tangent(const DualFloat* from, const Tensor& to) const {
-    if (!to.defined()) return;
-    tangent_kernels().tangent.launch(
-        device_, to.size(), {part(from, false), argument("tangent of an output", to, true)});
+  // So many dual numbers.
+  Untyped part(int64_t count) {
+    if (count == 0) return Untyped(nullptr);
+    const Range& all = *memory_.range();
+    const size_t bytes = static_cast<size_t>(count) * sizeof(DualFloat);
+    const size_t begin = used_;
+    used_ += bytes;
+    return Untyped(all.storage().range(all.offset() + begin, bytes));
+  }
+  static void write_tangent(const Untyped& from, const Tensor& to) {
+    if (to.defined()) run(tangent_kernels().tangent, to.size(), {.from = from, .to = argument(to)});
   }
 
  private:
-  Device device_;
   const DeviceArray<float>& memory_;
-  int64_t used_ = 0;
+  size_t used_ = 0;  // bytes
 };
 
 // Of all arrays of a step.
@@ -62,40 +60,31 @@ void launch_jvp(const Step& s, std::span<const Tensor> t, std::span<const Tensor
     const Unobserved unobserved;
     shared.duals = DeviceArray<float>(static_cast<size_t>(duals + s.count * stride), shared.device);
   }
-  LaunchedDuals memory(shared.device, shared.duals);
+  LaunchedDuals memory(shared.duals);
   const auto take = [&](const Tensor& values, const Tensor& tangent) {
     return memory.take(values, tangent);
   };
-  ArticulationJvpArguments a = {};
-  a.in = dual_arguments(s, nullptr, t, take);
   const auto out = [&](size_t i) { return take(s.outputs[i].tensor, Tensor()); };
-  a.q_next = out(0);
-  a.qd_next = out(1);
-  a.body_q = reinterpret_cast<Transform<DualFloat>*>(out(2));
-  a.body_qd = reinterpret_cast<SpatialVector<DualFloat>*>(out(3));
-  a.workspace = static_cast<float*>(shared.duals.range()->data()) + duals;
-  a.stride = stride;
-  std::vector<LaunchArgument> words(sizeof(a) / sizeof(uint64_t));
-  const auto* const values = reinterpret_cast<const uint64_t*>(&a);
-  for (size_t i = 0; i < words.size(); ++i) words[i] = number(static_cast<int64_t>(values[i]));
-  for (size_t i = kTargetMode; i < kValues; ++i)
-    words[kGradientArrays + i] = argument(s.values[i].name, s.values[i].tensor, false);
-  words[kArticulationWords] = memory.part(a.q_next, true);
-  words[kArticulationWords + 4] = argument(s.outputs[5].name, s.outputs[5].tensor, false);
+  const ArticulationArgumentsOf<DualFloat> in = dual_arguments(s, nullptr, t, take);
+  const Untyped results[] = {out(0), out(1), out(2), out(3)};
+  const ArticulationJvpArguments a = {.in = in,
+                                      .q_next = results[0],
+                                      .qd_next = results[1],
+                                      .body_q = results[2],
+                                      .body_qd = results[3],
+                                      .branch = argument(s.outputs[5].tensor),
+                                      .workspace = memory.part(s.count * stride / 2),
+                                      .stride = stride};
   if (solves) {
     const auto more = [&](size_t i) {
-      if (!s.in(i).defined()) return LaunchArgument();
-      return memory.part(take(s.in(i), i < t.size() ? t[i] : Tensor()), false);
+      return s.in(i).defined() ? take(s.in(i), i < t.size() ? t[i] : Tensor()) : Untyped(nullptr);
     };
     shared.launched->jvp(
-        std::move(words), kept_arguments(s, false), s.options, contact_record(s, false),
+        a, kept_arguments(s), s.options, contact_record(s),
         {more(kJointFriction), more(kMu), more(kRestitution), more(kStiffness), more(kDamping)});
   } else {
-    tangent_kernels().step.launch(shared.device, s.count, words);
+    run(tangent_kernels().step, s.count, a);
   }
-  const DualFloat* const results[] = {a.q_next, a.qd_next,
-                                      reinterpret_cast<const DualFloat*>(a.body_q),
-                                      reinterpret_cast<const DualFloat*>(a.body_qd)};
   for (size_t i = 0; i < tangents.size(); ++i) {
     if (i < std::size(results))
       memory.write_tangent(results[i], tangents[i]);

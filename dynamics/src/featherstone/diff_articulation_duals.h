@@ -7,13 +7,13 @@ namespace novaphy::diff::detail {
 
 using articulation::DualFloat;
 
-// Over `take(values, tangent)`, the dual numbers of an array; an undefined tangent is 0. `t`: of
-// the inputs. `from` (null: the step's inputs): the state that it starts from. Indices are those of
-// the step.
+// Over `take(values, tangent)`, the Untyped dual numbers of an array; an undefined tangent is 0.
+// `t`: of the inputs. `from` (null: the step's inputs): the state that it starts from. Indices are
+// those of the step.
 template <class Take>
 ArticulationArgumentsOf<DualFloat> dual_arguments(const Step& s, const StepOutputs* from,
                                                   std::span<const Tensor> t, const Take& take) {
-  return arguments_of<DualFloat>(s, [&](const Tensor& values, int32_t place) {
+  return step_arguments_of<DualFloat>(s, [&](const Tensor& values, int32_t place) {
     const auto i = static_cast<size_t>(place);
     const Tensor tangent = i < kGradientArrays ? t[i] : Tensor();
     const bool starts = from != nullptr && (place == kAt.q || place == kAt.qd);

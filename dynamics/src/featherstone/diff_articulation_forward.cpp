@@ -8,9 +8,9 @@ namespace novaphy::diff::detail {
 namespace {
 
 // Never destroyed: recordings refer to it.
-const DeviceKernel& step_kernel() {
-  static const auto& kernel =
-      *new DeviceKernel{articulation_step, novaphy::detail::articulation_kernels_text};
+const Kernel<ArticulationStepArguments>& step_kernel() {
+  static const auto& kernel = *new Kernel<ArticulationStepArguments>(
+      articulation_step, novaphy::detail::articulation_kernels_text);
   return kernel;
 }
 
@@ -24,50 +24,36 @@ Tensor tensor_of(const Array& array) {
       operand.range, {operand.rows, operand.width}, is_float ? nova::DType::F32 : nova::DType::I32};
 }
 
-void add_arguments(const Step& s, std::vector<LaunchArgument>& words) {
-  for (size_t i = 0; i < kGradientArrays; ++i)
-    words.push_back(argument(s.inputs[i].name, s.in(i), false));
-  for (const Named& value : s.values) words.push_back(argument(value.name, value.tensor, false));
-  words.push_back(number(s.dt));
-  words.push_back(number(s.options.angular_damping));
-  words.push_back(number(static_cast<int64_t>(s.options.implicit_drives ? 1 : 0)));
+// Numbers of the memory of contacts.
+Untyped part_of(const Step& s, int64_t first, int64_t count) {
+  if (count == 0) return Untyped(nullptr);
+  const Range& all = *s.contacts.range();
+  constexpr size_t kBytes = sizeof(float);
+  return Untyped(all.storage().range(all.offset() + static_cast<size_t>(first) * kBytes,
+                                     static_cast<size_t>(count) * kBytes));
 }
 
-ContactRowArguments kept_arguments(const Step& s, bool write) {
-  const auto part = [&](const char* name, int64_t first) {
-    LaunchArgument a = argument(name, s.contacts, write);
-    a.read = !write;
-    a.word += static_cast<uint64_t>(first) * sizeof(float);
-    return a;
-  };
+ContactArguments kept_arguments(const Step& s) {
   const int64_t most = s.contact_max;
-  ContactRowArguments rows;
-  rows.shape0 = part("contact_shape0", 0);
-  rows.shape1 = part("contact_shape1", most);
-  rows.point0 = part("contact_point0", 2 * most);
-  rows.point1 = part("contact_point1", 5 * most);
-  rows.normal = part("contact_normal", 8 * most);
-  rows.margin0 = part("contact_margin0", 14 * most);
-  rows.margin1 = part("contact_margin1", 15 * most);
-  rows.count = part("contact_count", kContactNumbers * most);
-  rows.most = most;
-  return rows;
+  return {.at = {.shape0 = part_of(s, 0, most),
+                 .shape1 = part_of(s, most, most),
+                 .point0 = part_of(s, 2 * most, 3 * most),
+                 .point1 = part_of(s, 5 * most, 3 * most),
+                 .normal = part_of(s, 8 * most, 3 * most),
+                 .margin0 = part_of(s, 14 * most, most),
+                 .margin1 = part_of(s, 15 * most, most)},
+          .count = part_of(s, kContactNumbers * most, 1),
+          .most = most};
 }
-ContactRecord contact_record(const Step& s, bool write) {
-  const auto part = [&](const char* name, int64_t first) {
-    LaunchArgument a = argument(name, s.contacts, write);
-    a.word += static_cast<uint64_t>(first) * sizeof(float);
-    return a;
-  };
-  ContactRecord record;
-  record.impulses = part("impulses", 11 * s.contact_max);
-  record.friction = part("friction_impulses", kContactNumbers * s.contact_max + 1 + kFarNumbers);
-  record.found = s.follow;
-  record.by_restitution = s.by_restitution;
-  record.continues = s.continues;
-  record.dry = s.dry;
-  record.records = true;
-  return record;
+ContactRecord contact_record(const Step& s) {
+  const int64_t most = s.contact_max, friction = kContactNumbers * most + 1 + kFarNumbers;
+  return {.impulses = part_of(s, 11 * most, 3 * most),
+          .friction = part_of(s, friction, s.contacts.size() - friction),
+          .found = s.follow,
+          .by_restitution = s.by_restitution,
+          .continues = s.continues,
+          .dry = s.dry,
+          .records = true};
 }
 bool works_on_host(const Step& s) {
   return nova::current_capture() && s.contacts.defined() && s.shared->device.is_cpu();
@@ -96,37 +82,37 @@ bool prepare_contacts(const Step& s, const ArticulationArguments* from) {
   return s.contacts.defined() && s.shared->pgs->prepare(*s.model, contact_rows_of(s), from);
 }
 
-ArticulationArguments host_arguments(const Step& s) {
-  return arguments_of<float>(s, [](const Tensor& values, int32_t) { return numbers(values); });
+ArticulationArguments step_arguments_of(const Step& s) {
+  return step_arguments_of<float>(s,
+                                  [](const Tensor& values, int32_t) { return argument(values); });
 }
 
 namespace {
 
-ArticulationStepArguments host_step(const Step& s, const ArticulationArguments& in,
-                                    const StepOutputs& to) {
+ArticulationStepArguments forward_arguments(const Step& s, const ArticulationArguments& in,
+                                            const StepOutputs& to) {
   return {.in = in,
-          .q_next = numbers(to[0]),
-          .qd_next = numbers(to[1]),
-          .body_q = reinterpret_cast<Transformf*>(numbers(to[2])),
-          .body_qd = reinterpret_cast<SpatialVectorf*>(numbers(to[3])),
-          .qdd = numbers(to[4]),
-          .branch = numbers(to[5]),
-          .status = s.shared->status.mutable_data(),
-          .workspace = nullptr,
-          .stride = 0};
+          .q_next = argument(to[0]),
+          .qd_next = argument(to[1]),
+          .body_q = argument(to[2]),
+          .body_qd = argument(to[3]),
+          .qdd = argument(to[4]),
+          .branch = argument(to[5]),
+          .status = s.status,
+          .workspace = s.workspace,
+          .stride = s.stride};
 }
 
 }  // namespace
 
 void run_host(const Step& s, const ArticulationArguments& in, const StepOutputs* from,
               const StepOutputs& to) {
-  ArticulationStepArguments a = host_step(s, in, to);
+  ArticulationStepArguments a = forward_arguments(s, in, to);
   if (from != nullptr) {
-    a.in.q = numbers((*from)[0]);
-    a.in.qd = numbers((*from)[1]);
+    a.in.arrays.q = argument((*from)[0]);
+    a.in.arrays.qd = argument((*from)[1]);
   }
-  s.shared->trees->step(a, *s.model, s.shared->all, s.options, nullptr, true);
-  for (const Tensor& tensor : to) tensor.range()->mark_written();
+  s.shared->trees->step(in_memory(a), *s.model, s.shared->all, s.options, nullptr, true);
 }
 StepOutputs outputs_of(const Step& s) {
   StepOutputs first;
@@ -142,45 +128,37 @@ void copy_found(const Step& s) {
 }
 
 // With contacts on a device. `tell`: notes its branches and writes the forces of its contacts.
-void launch_contacts(const Step& s, std::vector<LaunchArgument> words, bool tell) {
+void launch_contacts(const Step& s, const ArticulationStepArguments& step, bool tell) {
   LaunchedContacts& launched = *s.shared->launched;
-  if (s.copies_contacts())
-    launched.copy(s.found ? s.found->arguments() : ContactRowArguments(), kept_arguments(s, true));
-  ContactRowArguments rows = kept_arguments(s, false);
-  ContactRecord record = contact_record(s, true);
-  if (tell && s.force) rows.force = writes("rigid_contact_force", *s.force);
-  if (tell && s.point_id) rows.point_id = reads("rigid_contact_point_id", *s.point_id);
+  ContactArguments rows = kept_arguments(s);
+  if (s.copies_contacts()) launched.copy(s.found ? s.found->arguments() : launched.none(), rows);
+  ContactRecord record = contact_record(s);
+  if (tell && s.force) rows.force = *s.force;
+  if (tell && s.point_id) rows.point_id = *s.point_id;
   record.notes = tell;
-  launched.step(std::move(words), rows, s.options, s.dt, record);
+  launched.step(step, rows, s.options, record);
 }
 
 void run_forward(const Step& s, bool tell) {
   const nova::NoGrad no_grad;
   const bool on_host = s.shared->device.is_cpu();
-  if (on_host) {
+  const ArticulationStepArguments step = forward_arguments(s, step_arguments_of(s), outputs_of(s));
+  if (s.shared->runs_on_host() || (on_host && s.contacts.defined())) {
     copy_found(s);
-    const ArticulationArguments in = host_arguments(s);
-    const bool touches = prepare_contacts(s, &in);
+    const ArticulationStepArguments here = in_memory(step);
+    const bool touches = prepare_contacts(s, &here.in);
     if (s.contacts.defined()) *kept_contacts(s).far = {};
-    if (!touches && s.shared->runs_on_host()) return run_host(s, in, nullptr, outputs_of(s));
     if (touches) {
       const KeptContacts kept = kept_contacts(s);
-      s.shared->pgs->step(host_step(s, in, outputs_of(s)), *s.model, contact_rows_of(s), s.options,
-                          nullptr);
+      s.shared->pgs->step(here, *s.model, contact_rows_of(s), s.options, nullptr);
       s.shared->pgs->write_impulses(kept.impulses, kept.friction);
       *kept.far = s.shared->pgs->far_island();
-      for (const Named& out : s.outputs) out.tensor.range()->mark_written();
       return;
     }
+    return s.shared->trees->step(here, *s.model, s.shared->all, s.options, nullptr, true);
   }
-  std::vector<LaunchArgument> words;
-  add_arguments(s, words);
-  for (const Named& out : s.outputs) words.push_back(argument(out.name, out.tensor, true));
-  words.push_back(writes_row("status", s.status));
-  words.push_back(writes("workspace", s.workspace));
-  words.push_back(number(s.stride));
-  if (!on_host && s.contacts.defined()) return launch_contacts(s, std::move(words), tell);
-  step_kernel().launch(s.shared->device, s.count, words);
+  if (!on_host && s.contacts.defined()) return launch_contacts(s, step, tell);
+  run(step_kernel(), s.count, step);
 }
 
 // rigid_contact_force from the impulses of a step.
@@ -250,7 +228,7 @@ void run_all(const std::shared_ptr<const Step>& step) {
   submit_forward(step, false);
   StepOutputs from = outputs_of(s);
   for (const StepOutputs& to : s.following) {
-    run_host(s, s.host, &from, to);
+    run_host(s, *s.host, &from, to);
     from = to;
   }
 }

@@ -31,15 +31,15 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
   require_converged(s, "jvp");
   DualArrays duals;
   const auto take = [&](const Tensor& values, const Tensor& tangent) {
-    return duals.take(values, tangent);
+    return Untyped(duals.take(values, tangent));
   };
-  const ArticulationArgumentsOf<DualFloat> a = dual_arguments(s, from, t, take);
+  const ArticulationArgumentsOf<DualFloat> a = in_memory(dual_arguments(s, from, t, take));
   const articulation::StepInputs<DualFloat> inputs = articulation_inputs(a);
   const articulation::StepOptions<DualFloat> options = articulation_options(a);
-  DualFloat* const q = take(to[0], {});
-  DualFloat* const qd = take(to[1], {});
-  auto* const body_q = reinterpret_cast<Transform<DualFloat>*>(take(to[2], {}));
-  auto* const body_qd = reinterpret_cast<SpatialVector<DualFloat>*>(take(to[3], {}));
+  DualFloat* const q = duals.take(to[0], {});
+  DualFloat* const qd = duals.take(to[1], {});
+  auto* const body_q = reinterpret_cast<Transform<DualFloat>*>(duals.take(to[2], {}));
+  auto* const body_qd = reinterpret_cast<SpatialVector<DualFloat>*>(duals.take(to[3], {}));
   const auto count = static_cast<size_t>(s.count);
   std::vector<std::vector<uint64_t>> memory(count);
   std::vector<articulation::Tree<DualFloat>> all;
@@ -58,7 +58,7 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
   const bool all_move = std::all_of(moves.begin(), moves.end(), [](char m) { return m != 0; });
   if (all_move && (prepare_contacts(s, nullptr) || t[kJointFriction].defined())) {
     const auto of = [&](size_t i) {
-      return s.in(i).defined() ? take(s.in(i), i < t.size() ? t[i] : Tensor()) : nullptr;
+      return s.in(i).defined() ? duals.take(s.in(i), i < t.size() ? t[i] : Tensor()) : nullptr;
     };
     const ContactDuals more = {of(kJointFriction), of(kMu), of(kRestitution), of(kStiffness),
                                of(kDamping)};

@@ -57,8 +57,8 @@ void add_limit_event(const Step& s, int32_t t, int32_t dof, bool acted) {
   std::vector<float> by_q(q.size()), by_qd(qd.size());
   if (acted) {  // by the force at the end of the step
     std::vector<float> of_q(q.size()), of_qd(qd.size());
-    of_q[static_cast<size_t>(link->coord)] = in.limit_ke[dof];
-    of_qd[static_cast<size_t>(dof)] = in.limit_kd[dof];
+    of_q[static_cast<size_t>(link->coord)] = inputs.limit_ke[dof];
+    of_qd[static_cast<size_t>(dof)] = inputs.limit_kd[dof];
     std::vector<uint64_t> memory(
         static_cast<size_t>(art::adjoint_bytes<float>(of.link_count, of.dof_count) / 8 + 1));
     auto adjoint = art::make_adjoint_memory<float>(memory.data(), of.link_count, of.dof_count);
@@ -80,13 +80,13 @@ void add_limit_event(const Step& s, int32_t t, int32_t dof, bool acted) {
     const auto i = static_cast<size_t>(c);
     event.jump_q.push_back(q_next[c] - q[i]);
     event.by_q.push_back(by_q[i]);
-    rate += double{by_q[i]} * (double{q[i]} - in.q[c]);
+    rate += double{by_q[i]} * (double{q[i]} - inputs.q[c]);
   }
   for (int32_t k = of.first_dof; k < of.first_dof + of.dof_count; ++k) {
     const auto i = static_cast<size_t>(k);
     event.jump_qd.push_back(qd_next[k] - qd[i]);
     event.by_qd.push_back(by_qd[i]);
-    rate += double{by_qd[i]} * (double{qd[i]} - in.qd[k]);
+    rate += double{by_qd[i]} * (double{qd[i]} - inputs.qd[k]);
   }
   event.rate = static_cast<float>(rate);
   if (event.rate != 0.0f) s.motion->limits.push_back(std::move(event));

@@ -53,14 +53,14 @@ std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
   for (size_t i = 0; i < out.size(); ++i) out[i] = copy_of(s.outputs[i].tensor);
   std::vector<int32_t> status(static_cast<size_t>(s.count));
   const ArticulationStepArguments a = {.in = in,
-                                       .q_next = out[0].data(),
-                                       .qd_next = out[1].data(),
-                                       .body_q = reinterpret_cast<Transformf*>(out[2].data()),
-                                       .body_qd = reinterpret_cast<SpatialVectorf*>(out[3].data()),
-                                       .qdd = out[4].data(),
-                                       .branch = out[5].data(),
-                                       .status = status.data(),
-                                       .workspace = nullptr,
+                                       .q_next = direct(out[0]),
+                                       .qd_next = direct(out[1]),
+                                       .body_q = Untyped(out[2].data()),
+                                       .body_qd = Untyped(out[3].data()),
+                                       .qdd = direct(out[4]),
+                                       .branch = direct(out[5]),
+                                       .status = direct(status),
+                                       .workspace = Untyped(nullptr),
                                        .stride = 0};
   if (s.contacts.defined() && shared.pgs->prepare(*s.model, contacts, &in))
     shared.pgs->step(a, *s.model, contacts, s.options, nullptr);
@@ -69,7 +69,7 @@ std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
   const bool failed = std::any_of(status.begin(), status.end(), [](int32_t i) { return i != 0; });
   std::vector<float> qdd(out[1].size());
   for (size_t k = 0; k < qdd.size(); ++k)
-    qdd[k] = failed ? std::nanf("") : (out[1][k] - in.qd[k]) / s.dt;
+    qdd[k] = failed ? std::nanf("") : (out[1][k] - in.arrays.qd[k]) / s.dt;
   return qdd;
 }
 
@@ -92,8 +92,8 @@ bool same_controls(const Step& a, const Step& b) {
 // At the end of a step that no other follows: the contacts that push in it go on.
 std::vector<float> last_accelerations(const Step& s) {
   ArticulationArguments in = host_arguments(s);
-  in.q = numbers(s.outputs[0].tensor);
-  in.qd = numbers(s.outputs[1].tensor);
+  in.arrays.q = direct(numbers(s.outputs[0].tensor));
+  in.arrays.qd = direct(numbers(s.outputs[1].tensor));
   if (!s.contacts.defined()) return accelerations(s, in, {});
   const KeptContacts kept = kept_contacts(s);
   const SomeContacts pushing(contact_rows_of(s),
@@ -167,7 +167,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
     ++s.shared->motion.several;
   if (notes.found.hits.empty()) {
     notes.smooth.resize(dofs);
-    for (size_t k = 0; k < dofs; ++k) notes.smooth[k] = (qd_next[k] - in.qd[k]) / s.dt;
+    for (size_t k = 0; k < dofs; ++k) notes.smooth[k] = (qd_next[k] - in.arrays.qd[k]) / s.dt;
   } else {
     notes.smooth = smooth_accelerations(s, in);
   }
@@ -175,10 +175,10 @@ void note_motion(const std::shared_ptr<const Step>& step,
   if (!follows || same_controls(s, *notes.controls)) return;
   ArticulationArguments held = in;
   const ArticulationArguments of = host_arguments(*notes.controls);
-  held.joint_f = of.joint_f;
-  held.body_f = of.body_f;
-  held.target_q = of.target_q;
-  held.target_qd = of.target_qd;
+  held.arrays.joint_f = of.arrays.joint_f;
+  held.arrays.body_f = of.arrays.body_f;
+  held.arrays.target_q = of.arrays.target_q;
+  held.arrays.target_qd = of.arrays.target_qd;
   notes.after = smooth_accelerations(s, held);
 }
 
@@ -219,12 +219,12 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
     auto ws = art::make_workspace<float>(work.data(), of.link_count, of.dof_count);
     auto adjoint = art::make_adjoint_memory<float>(memory.data(), of.link_count, of.dof_count);
     art::step_vjp_end(tree, inputs, q_next, qd_next, out, ws, adjoint);
-    art::gradient_to_tangent(tree, in.q, y_q, tangent.data() + of.first_dof);
+    art::gradient_to_tangent(tree, inputs.q, y_q, tangent.data() + of.first_dof);
     double sum = end.inside[t] != 0 && !end.next->mismatch.empty() ? end.next->mismatch[t] : 0.0;
     for (int32_t k = 0; k < of.dof_count; ++k) {
       const auto row = static_cast<size_t>(of.first_dof + k);
       p_q[row] = adjoint.tangent[k];
-      sum += double{tangent[row]} * in.qd[row] + double{y_qd[row]} * notes.smooth[row];
+      sum += double{tangent[row]} * in.arrays.qd[row] + double{y_qd[row]} * notes.smooth[row];
       sum -= double{adjoint.tangent[k]} * qd_next[row] + double{adjoint.rate[k]} * end.qdd[row];
     }
     mismatch[t] = static_cast<float>(sum);
@@ -255,9 +255,9 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
     const ArticulationRows& of = rows[t];
     double back = 0.0;
     for (int32_t k = of.first_dof; k < of.first_dof + of.dof_count; ++k)
-      back += double{correction[static_cast<size_t>(k)]} * in.qd[k];
+      back += double{correction[static_cast<size_t>(k)]} * in.arrays.qd[k];
     mismatch[t] += static_cast<float>(back);
-    art::tangent_to_gradient(articulation_tree(in, of), in.q, correction.data() + of.first_dof,
+    art::tangent_to_gradient(articulation_tree(in, of), inputs.q, correction.data() + of.first_dof,
                              [&](int32_t row, float value) { y_q[row] += value; });
   }
   notes.mismatch = std::move(mismatch);
@@ -296,9 +296,9 @@ void move_on(const Step& s, const float* q, const float* qd, const float* qdd,
     std::vector<DualFloat>& to = arrays.emplace_back(static_cast<size_t>(values.size()));
     const float* const x = values.data<float>();
     for (size_t i = 0; i < to.size(); ++i) to[i] = {x[i], 0.0f};
-    return to.data();
+    return Untyped(to.data());
   };
-  const ArticulationArgumentsOf<DualFloat> a = dual_arguments(s, nullptr, none, take);
+  const ArticulationArgumentsOf<DualFloat> a = in_memory(dual_arguments(s, nullptr, none, take));
   const ArticulationRows* const rows = rows_of_step(s);
   const auto coordinates = static_cast<size_t>(s.in(kAt.q).size());
   const auto dofs = static_cast<size_t>(s.in(kAt.qd).size());
@@ -370,9 +370,9 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
       for_dofs(s, event,
                [&](size_t at, size_t row) { covector[row] = event.groups[g].normal_push[at]; });
       double by = 0.0;
-      for (const int32_t tree : event.trees)
+      for (const int32_t t : event.trees)
         art::tangent_to_gradient(
-            articulation_tree(in, rows[tree]), in.q, covector.data() + rows[tree].first_dof,
+            articulation_tree(in, rows[t]), in.arrays.q.rows(), covector.data() + rows[t].first_dof,
             [&](int32_t row, float value) { by += double{value} * numbers(moved[kAt.q])[row]; });
       own[g] = by / event.groups[g].approach;
       all += by / approach;
@@ -384,8 +384,8 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
     for (const int32_t tree : event.trees)
       delay[static_cast<size_t>(tree)] += static_cast<float>(all);
   }
-  move_on(s, in.q, in.qd, notes.smooth.data(), delay, numbers(moved[kAt.q]), numbers(moved[kAt.qd]),
-          nullptr, nullptr);
+  move_on(s, in.arrays.q, in.arrays.qd, notes.smooth.data(), delay, numbers(moved[kAt.q]),
+          numbers(moved[kAt.qd]), nullptr, nullptr);
   for (const LimitEvent& event : notes.limits) {
     const art::Tree<float> tree = articulation_tree(in, rows[event.tree]);
     float* const q = numbers(moved[kAt.q]) + coordinates_of(s, event.tree).first;

@@ -117,21 +117,10 @@ struct FoundRows {
             margin0.data(),
             margin1.data()};
   }
-  ContactRowArguments arguments() const {
-    const auto value = [](const char* name, const Array& array) {
-      return reads(name, array).detached();
-    };
-    ContactRowArguments a;
-    a.count = reads("rigid_contact_count", count);
-    a.shape0 = reads("rigid_contact_shape0", shape0);
-    a.shape1 = reads("rigid_contact_shape1", shape1);
-    a.point0 = value("rigid_contact_point0", point0);
-    a.point1 = value("rigid_contact_point1", point1);
-    a.normal = value("rigid_contact_normal", normal);
-    a.margin0 = value("rigid_contact_margin0", margin0);
-    a.margin1 = value("rigid_contact_margin1", margin1);
-    a.most = most;
-    return a;
+  ContactArguments arguments() const {
+    return {.at = {shape0, shape1, point0, point1, normal, margin0, margin1},
+            .count = count,
+            .most = most};
   }
   int32_t most;
   DeviceArray<int32_t> count, shape0, shape1;
@@ -229,7 +218,7 @@ struct ArticulationStep::Step {
   int64_t count = 0, stride = 0;
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;
-  ArticulationArguments host = {};                  // of the first step, where others follow
+  std::optional<ArticulationArguments> host = {};   // of the first step, where others follow
   std::vector<detail::StepOutputs> following = {};  // each starts where the one before ended
   int64_t number = 0;
   std::shared_ptr<bool> far = {};                    // Shared::far
@@ -247,9 +236,6 @@ using Step = ArticulationStep::Step;
 inline const ArticulationRows* rows_of_step(const Step& s) {
   return static_cast<const ArticulationRows*>(s.values[kRows].tensor.range()->data());
 }
-// Words of launches: those of ArticulationArguments.
-void add_arguments(const Step& s, std::vector<LaunchArgument>& words);
-
 // Also of an array that may not be written through this handle.
 Tensor tensor_of(const Array& array);
 inline float* numbers(const Tensor& tensor) {
@@ -258,8 +244,8 @@ inline float* numbers(const Tensor& tensor) {
 // Whether a capture records the step as work of the host.
 bool works_on_host(const Step& s);
 // Of launches: the arguments of the contacts that the step keeps, and of its impulses.
-ContactRowArguments kept_arguments(const Step& s, bool write);
-ContactRecord contact_record(const Step& s, bool write);
+ContactArguments kept_arguments(const Step& s);
+ContactRecord contact_record(const Step& s);
 inline KeptContacts kept_contacts(const Step& s) { return {numbers(s.contacts), s.contact_max}; }
 inline ContactRows contact_rows_of(const Step& s) { return kept_contacts(s).rows(s.follow); }
 // ErrorKind::Runtime where the step is far from converged and nobody allows it. `what`: backward or
@@ -272,31 +258,22 @@ StepOutputs outputs_of(const Step& s);
 // What a replay of the step or of its adjoint reads and others may write.
 std::vector<Tensor> reads_of(const Step& s);
 
-// The arguments of the first step of an operation; take(values, place) gives the numbers of an
-// array.
+// The arguments of the first step of an operation; take(values, place) gives those of an array.
 template <class T, class Take>
-ArticulationArgumentsOf<T> arguments_of(const Step& s, const Take& take) {
-  ArticulationArgumentsOf<T> a = {};
-  decltype(take(Tensor(), 0)) arrays[kStepArrays];
-  for (size_t i = 0; i < kStepArrays; ++i) {
-    const Named& of = i < kGradientArrays ? s.inputs[i] : s.values[i - kGradientArrays];
-    arrays[i] = take(of.tensor, static_cast<int32_t>(i));
-  }
-  point_arrays(a, arrays);
-  const auto indices = [&](Values i) {
-    return static_cast<const int32_t*>(s.values[i].tensor.range()->data());
-  };
-  a.target_mode = indices(kTargetMode);
-  a.rows = reinterpret_cast<const ArticulationRows*>(indices(kRows));
-  a.links = reinterpret_cast<const articulation::Link*>(indices(kLinks));
-  a.dof_parent = indices(kDofParent);
-  a.dt = {s.dt, 0};
-  a.angular_damping = {s.options.angular_damping, 0};
-  a.implicit_drives = s.options.implicit_drives ? 1 : 0;
-  return a;
+ArticulationArgumentsOf<T> step_arguments_of(const Step& s, const Take& take) {
+  const auto table = [&](Values i) { return argument(s.values[i].tensor); };
+  return arguments_of<T>(
+      [&](int32_t place) {
+        const auto i = static_cast<size_t>(place);
+        const Named& of = i < kGradientArrays ? s.inputs[i] : s.values[i - kGradientArrays];
+        return take(of.tensor, place);
+      },
+      {table(kTargetMode), table(kRows), table(kLinks), table(kDofParent)}, s.options, s.dt);
 }
-// On the host.
-ArticulationArguments host_arguments(const Step& s);
+ArticulationArguments step_arguments_of(const Step& s);
+inline ArticulationArguments host_arguments(const Step& s) {
+  return in_memory(step_arguments_of(s));
+}
 // The step from the state `from`, or the first one's, into `to`.
 void run_host(const Step& s, const ArticulationArguments& in, const StepOutputs* from,
               const StepOutputs& to);

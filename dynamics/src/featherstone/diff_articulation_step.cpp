@@ -267,8 +267,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   if (solves) {
     if (shared_->launched) {
       if (!step->copies_contacts())
-        shared_->launched->copy(detail::FoundRows(*contacts).arguments(),
-                                kept_arguments(*step, true));
+        shared_->launched->copy(contact_arguments(*contacts), kept_arguments(*step));
     } else {
       if (!shared_->pgs) shared_->pgs = std::make_unique<PgsContacts>(m, a);
       if (!step->copies_contacts()) kept_contacts(*step).copy(contact_rows(contacts));
@@ -286,7 +285,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   }
   pending_ = std::move(step);
   if (!join || solves || !shared_->runs_on_host() || nova::current_capture()) return flush();
-  pending_->host = host_arguments(*pending_);
+  pending_->host = step_arguments_of(*pending_);
 }
 
 // Whether the step is one operation with those that wait to be recorded; then it has run.
@@ -308,7 +307,7 @@ bool ArticulationStep::joins(const Model& m, const SimState& in, SimState& out,
     return false;
   const StepOutputs to = {tensor_of(out.joint_q), tensor_of(out.joint_qd), tensor_of(out.body_q),
                           tensor_of(out.body_qd), tensor_of(scratch[0]),   tensor_of(scratch[1])};
-  run_host(first, first.host, &from, to);
+  run_host(first, *first.host, &from, to);
   first.following.push_back(to);
   ++shared_->free_steps;
   return true;

@@ -5,12 +5,12 @@
 namespace novaphy::diff::detail {
 namespace {
 
-constexpr size_t kGradientWords = kArticulationWords + 8;  // before `gradient` of the adjoint
-
 // Never destroyed: recordings refer to them.
 struct Kernels {
-  DeviceKernel vjp{articulation_step_vjp, novaphy::detail::articulation_kernels_text};
-  DeviceKernel gravity{gravity_gradient, novaphy::detail::articulation_kernels_text};
+  Kernel<ArticulationStepVjpArguments> vjp{articulation_step_vjp,
+                                           novaphy::detail::articulation_kernels_text};
+  Kernel<GravityGradientArguments> gravity{gravity_gradient,
+                                           novaphy::detail::articulation_kernels_text};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
@@ -27,69 +27,59 @@ DeviceArray<float>& wrench_memory(const Step& s) {
   }
   return memory;
 }
-std::vector<LaunchArgument> gravity_words(const Step& s, const Tensor& gravity, bool add_gravity,
-                                          const Tensor& body_f, bool add_body_f) {
-  return {argument("rows", s.values[kRows].tensor, false),
-          argument("links", s.values[kLinks].tensor, false),
-          argument("body_mass", s.in(kAt.mass), false),
-          reads("gradient of body_f", s.shared->wrenches),
-          argument("gradient of gravity", gravity, true),
-          argument("gradient of body_f", body_f, true),
-          number(s.count),
-          number(s.in(kAt.body_f).size() / 6),
-          number(gravity.size() / 3),
-          number(int64_t{add_gravity}),
-          number(int64_t{add_body_f})};
-}
-// Calls `adjoint` with the arguments, and gives gravity its gradient (undefined: nobody wants it).
+// Calls `adjoint` with the arguments, and gives gravity its gradient (`add`: to what is there).
 template <class Adjoint>
-void with_gravity(const Step& s, ArticulationStepVjpArguments a, const Tensor& gravity, bool add,
-                  const Tensor& body_f, const Adjoint& adjoint) {
-  if (!gravity.defined()) return adjoint(a);
-  constexpr int32_t kWrench = 1 << kAt.body_f;
-  const bool add_body_f = (a.gradient.add & kWrench) != 0;
-  a.gradient.body_f = reinterpret_cast<SpatialVectorf*>(wrench_memory(s).mutable_data());
-  a.gradient.add &= ~kWrench;
+void with_gravity(const Step& s, ArticulationStepVjpArguments a, const nova::InputGradient& gravity,
+                  bool add, const Tensor& body_f, const Adjoint& adjoint) {
+  if (!gravity.grad.defined()) return adjoint(a);
+  constexpr int64_t kWrench = int64_t{1} << kAt.body_f;
+  const bool add_body_f = (a.add.value & kWrench) != 0;
+  a.gradient.body_f = Untyped(wrench_memory(s));
+  a.add.value &= ~kWrench;
   adjoint(a);
-  const GravityGradientArguments of_gravity = {
-      .rows = a.in.rows,
-      .links = a.in.links,
-      .mass = a.in.mass,
-      .wrenches = a.gradient.body_f,
-      .gravity = reinterpret_cast<Vec3f*>(numbers(gravity)),
-      .body_f = reinterpret_cast<SpatialVectorf*>(numbers(body_f)),
-      .count = s.count,
-      .bodies = s.in(kAt.body_f).size() / 6,
-      .worlds = gravity.size() / 3,
-      .add_gravity = add,
-      .add_body_f = add_body_f};
-  gravity_gradient_row(of_gravity, 0, 1);
+  const GravityGradientArguments of_gravity = {.rows = a.in.rows,
+                                               .links = a.in.links,
+                                               .mass = a.in.arrays.mass,
+                                               .wrenches = a.gradient.body_f,
+                                               .gravity = argument(gravity.grad),
+                                               .body_f = argument(body_f),
+                                               .count = s.count,
+                                               .bodies = s.in(kAt.body_f).size() / 6,
+                                               .worlds = gravity.grad.size() / 3,
+                                               .add_gravity = add,
+                                               .add_body_f = add_body_f};
+  if (s.shared->runs_on_host())
+    gravity_gradient_row(in_memory(of_gravity), 0, 1);
+  else
+    run(kernels().gravity, 1, of_gravity);
 }
 
-// What the adjoint of the first step reads and writes, but gravity's gradient, which with_gravity
+// Of the first step, from the gradients of what it gave, but for gravity's, which with_gravity
 // writes.
-ArticulationStepVjpArguments host_vjp(const Step& s, const ArticulationArguments& in,
-                                      std::span<const nova::InputGradient> gradients) {
-  ArticulationStepVjpArguments a = {};
-  a.in = in;
-  a.qdd = numbers(s.outputs[4].tensor);
-  a.branch = numbers(s.outputs[5].tensor);
-  a.q_next = numbers(s.outputs[0].tensor);
-  a.qd_next = numbers(s.outputs[1].tensor);
-  float* to[kGradientArrays];
-  for (size_t i = 0; i < kGradientArrays; ++i) {
-    to[i] = numbers(gradients[i].grad);
-    if (gradients[i].add) a.gradient.add |= int32_t{1} << i;
-  }
-  point_gradient_arrays(a.gradient, to);
-  a.gradient.gravity = nullptr;
-  a.workspace = const_cast<float*>(s.workspace.data());
-  a.stride = s.stride;
-  return a;
-}
-articulation::StepOutputGradient<float> output_gradient(const Tensor* of) {
-  return {numbers(of[0]), numbers(of[1]), reinterpret_cast<const Transformf*>(numbers(of[2])),
-          reinterpret_cast<const SpatialVectorf*>(numbers(of[3]))};
+ArticulationStepVjpArguments vjp_arguments(const Step& s, const ArticulationArguments& in,
+                                           const Tensor* outputs,
+                                           std::span<const nova::InputGradient> gradients) {
+  int64_t add = 0;
+  for (size_t i = 0; i < kGradientArrays; ++i)
+    if (gradients[i].add) add |= int64_t{1} << i;
+  const auto gradient = [&](int32_t place) {
+    return place == kAt.gravity ? Untyped(nullptr)
+                                : argument(gradients[static_cast<size_t>(place)].grad);
+  };
+  return {.in = in,
+          .q_next = argument(s.outputs[0].tensor),
+          .qd_next = argument(s.outputs[1].tensor),
+          .qdd = argument(s.outputs[4].tensor),
+          .branch = argument(s.outputs[5].tensor),
+          .out_q = argument(outputs[0]),
+          .out_qd = argument(outputs[1]),
+          .out_body_q = argument(outputs[2]),
+          .out_body_qd = argument(outputs[3]),
+          .gradient = step_arguments<articulation::GradientArrays<WantedArrays>, 0>(
+              gradient, std::make_index_sequence<kGradientArrays>()),
+          .add = add,
+          .workspace = s.workspace,
+          .stride = s.stride};
 }
 
 }  // namespace
@@ -99,11 +89,11 @@ void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
   require(!nova::current_capture(), ErrorKind::NotImplemented,
           "articulation_step: backward inside a ScopedCapture of a rollout outside of it is not "
           "there");
-  ArticulationStepVjpArguments a = host_vjp(s, s.host, gradients);
-  int32_t add = a.gradient.add;
+  ArticulationStepVjpArguments a = vjp_arguments(s, *s.host, outputs.data(), gradients);
+  int64_t add = a.add;
   bool add_gravity = gradients[kAt.gravity].add;
-  constexpr int32_t kState = 1 << kAt.q | 1 << kAt.qd;
-  float *const q_first = a.gradient.q, *const qd_first = a.gradient.qd;
+  constexpr int64_t kState = 1 << kAt.q | 1 << kAt.qd;
+  const auto q_first = a.gradient.q, qd_first = a.gradient.qd;
   std::vector<float>& between = s.shared->between;
   const auto nq = static_cast<size_t>(s.in(kAt.q).size());
   const auto nv = static_cast<size_t>(s.in(kAt.qd).size());
@@ -111,28 +101,32 @@ void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
   for (size_t i = s.following.size() + 1; i-- > 0;) {
     const bool last = i == s.following.size(), first = i == 0;
     const auto array = [&](size_t step, size_t k) {
-      return step == 0 ? s.outputs[k].tensor : s.following[step - 1][k];
+      return argument(step == 0 ? s.outputs[k].tensor : s.following[step - 1][k]);
     };
     float* const to = between.data() + (i % 2) * (nq + nv);
-    const float* const carried = between.data() + ((i + 1) % 2) * (nq + nv);
-    a.in.q = numbers(first ? s.in(kAt.q) : array(i - 1, 0));
-    a.in.qd = numbers(first ? s.in(kAt.qd) : array(i - 1, 1));
-    a.q_next = numbers(array(i, 0));
-    a.qd_next = numbers(array(i, 1));
-    a.qdd = numbers(array(i, 4));
-    a.branch = numbers(array(i, 5));
+    float* const carried = between.data() + ((i + 1) % 2) * (nq + nv);
+    a.in.arrays.q = first ? argument(s.in(kAt.q)) : array(i - 1, 0);
+    a.in.arrays.qd = first ? argument(s.in(kAt.qd)) : array(i - 1, 1);
+    a.q_next = array(i, 0);
+    a.qd_next = array(i, 1);
+    a.qdd = array(i, 4);
+    a.branch = array(i, 5);
     const Tensor* const mine = outputs.data() + 4 * i;
-    a.out = output_gradient(mine);
-    if (!last) {
-      a.out.q = carried;
-      a.out.qd = carried + nq;
+    a.out_q = last ? argument(mine[0]) : Untyped(carried);
+    a.out_qd = last ? argument(mine[1]) : Untyped(carried + nq);
+    a.out_body_q = argument(mine[2]);
+    a.out_body_qd = argument(mine[3]);
+    if (first) {
+      a.gradient.q = q_first;
+      a.gradient.qd = qd_first;
+    } else {
+      a.gradient.q = direct(to);
+      a.gradient.qd = direct(to + nq);
     }
-    a.gradient.q = first ? q_first : to;
-    a.gradient.qd = first ? qd_first : to + nq;
-    a.gradient.add = first ? add : add & ~kState;
-    with_gravity(s, a, gradients[kAt.gravity].grad, add_gravity, gradients[kAt.body_f].grad,
+    a.add = first ? add : add & ~kState;
+    with_gravity(s, a, gradients[kAt.gravity], add_gravity, gradients[kAt.body_f].grad,
                  [&](const ArticulationStepVjpArguments& all) {
-                   s.shared->trees->vjp(all, *s.model, s.shared->all);
+                   s.shared->trees->vjp(in_memory(all), *s.model, s.shared->all);
                  });
     add |= ~kState;
     add_gravity = true;
@@ -145,46 +139,6 @@ void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
 
 namespace {
 
-void launch_vjp(const Step& s, std::span<const Tensor> outputs,
-                std::span<const nova::InputGradient> gradients) {
-  const Tensor &gravity = gradients[kAt.gravity].grad, &body_f = gradients[kAt.body_f].grad;
-  std::vector<LaunchArgument> words;
-  add_arguments(s, words);
-  for (const size_t i : {4, 5, 0, 1})
-    words.push_back(argument(s.outputs[i].name, s.outputs[i].tensor, false));
-  for (size_t i = 0; i < 4; ++i)
-    words.push_back(argument("gradient of an output", outputs[i], false));
-  int64_t add = 0;
-  for (size_t i = 0; i < kGradientArrays; ++i) {
-    const Tensor& to =
-        i == kAt.gravity ? Tensor() : gradients[i].grad;  // gravity_gradient writes that
-    words.push_back(argument(s.inputs[i].name, to, true));
-    if (gradients[i].add) add |= int64_t{1} << i;
-  }
-  words.push_back(number(add));
-  words.push_back(writes("workspace", s.workspace));
-  words.push_back(number(s.stride));
-  if (gravity.defined()) {
-    words[kGradientWords + kAt.body_f] = writes("gradient of body_f", wrench_memory(s));
-    words[kGradientWords + kGradientArrays] = number(add & ~(int64_t{1} << kAt.body_f));
-  }
-  if (s.contacts.defined() && s.shared->launched) {
-    const auto to = [&](size_t i) {
-      return i < gradients.size() ? argument(s.inputs[i].name, gradients[i].grad, true)
-                                  : LaunchArgument();
-    };
-    s.shared->launched->vjp(
-        words, kept_arguments(s, false), s.options, contact_record(s, false),
-        {to(kJointFriction), to(kMu), to(kRestitution), to(kStiffness), to(kDamping)});
-  } else {
-    kernels().vjp.launch(s.shared->device, s.count, words);
-  }
-  if (gravity.defined())
-    kernels().gravity.launch(
-        s.shared->device, 1,
-        gravity_words(s, gravity, gradients[kAt.gravity].add, body_f, gradients[kAt.body_f].add));
-}
-
 void run_vjp(const Step& s, std::span<const Tensor> outputs,
              std::span<const nova::InputGradient> gradients) {
   const nova::NoGrad no_grad;
@@ -192,24 +146,29 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
   for (size_t i = kJointFriction; i < gradients.size(); ++i)
     if (gradients[i].grad.defined() && !gradients[i].add)
       nova::submit_fill(gradients[i].grad.range(), 0.0f);
-  if (!s.shared->runs_on_host()) return launch_vjp(s, outputs, gradients);
-  const auto of = [&](size_t i) {
-    return i < gradients.size() ? numbers(gradients[i].grad) : nullptr;
+  const auto of = [&](size_t i) { return i < gradients.size() ? gradients[i].grad : Tensor(); };
+  const auto adjoint = [&](const ArticulationStepVjpArguments& a) {
+    ArticulationStep::Shared& shared = *s.shared;
+    if (!shared.runs_on_host()) {
+      if (!s.contacts.defined() || !shared.launched) return run(kernels().vjp, s.count, a);
+      return shared.launched->vjp(
+          a, kept_arguments(s), s.options, contact_record(s),
+          {argument(of(kJointFriction)), argument(of(kMu)), argument(of(kRestitution)),
+           argument(of(kStiffness)), argument(of(kDamping))});
+    }
+    const ContactGradient more = {numbers(of(kJointFriction)), numbers(of(kMu)),
+                                  numbers(of(kRestitution)), numbers(of(kStiffness)),
+                                  numbers(of(kDamping))};
+    const ArticulationStepVjpArguments here = in_memory(a);
+    if (!prepare_contacts(s, nullptr) && more.joint_friction == nullptr)
+      return shared.trees->vjp(here, *s.model, shared.all);
+    const KeptContacts kept = kept_contacts(s);
+    shared.pgs->vjp(here, *s.model, contact_rows_of(s), kept.impulses, kept.friction, s.options,
+                    more);
   };
-  const ContactGradient more = {of(kJointFriction), of(kMu), of(kRestitution), of(kStiffness),
-                                of(kDamping)};
-  ArticulationStepVjpArguments all = host_vjp(s, host_arguments(s), gradients);
-  all.out = output_gradient(outputs.data());
-  with_gravity(s, all, gradients[kAt.gravity].grad, gradients[kAt.gravity].add,
-               gradients[kAt.body_f].grad, [&](const ArticulationStepVjpArguments& a) {
-                 if (prepare_contacts(s, nullptr) || more.joint_friction != nullptr) {
-                   const KeptContacts kept = kept_contacts(s);
-                   s.shared->pgs->vjp(a, *s.model, contact_rows_of(s), kept.impulses, kept.friction,
-                                      s.options, more);
-                   return;
-                 }
-                 s.shared->trees->vjp(a, *s.model, s.shared->all);
-               });
+  with_gravity(s, vjp_arguments(s, step_arguments_of(s), outputs.data(), gradients),
+               gradients[kAt.gravity], gradients[kAt.gravity].add, gradients[kAt.body_f].grad,
+               adjoint);
 }
 
 }  // namespace

@@ -1,6 +1,5 @@
 #include "launched_articulations.h"
 
-#include "../step_sources.h"
 #include "articulation_kernels.h"
 #include "articulation_step.h"
 #include "contact_launches.h"
@@ -14,9 +13,9 @@ namespace {
 
 constexpr const char* kName = "SolverFeatherstone.step";
 
-const DeviceKernel& step_kernel() {
+const Kernel<ArticulationStepArguments>& step_kernel() {
   static const auto& kernel =
-      *new DeviceKernel(articulation_step, detail::articulation_kernels_text);
+      *new Kernel<ArticulationStepArguments>(articulation_step, detail::articulation_kernels_text);
   return kernel;
 }
 
@@ -47,33 +46,26 @@ void LaunchedArticulations::step(const SimState& in, const SimState& out, const 
   depend_on_values(m, control);
   if (contacts != nullptr)
     depend_on({&m.shape_material_ka, &m.shape_material_mu_torsional, &m.shape_material_mu_rolling});
-  // What a tape makes of the results, mark_unrecorded_step says.
-  const auto value = [](const char* name, const Array& array) {
-    return reads(name, array).detached();
-  };
   const auto [drives, body_f] = actuated_.begin(m, in, out, control, dt, kName);
   // Launches of contacts share the memory of a tree.
   const bool has_rows = contacts_.has_rows(contacts);
   const int64_t bytes = contacts_.tree_stride() * static_cast<int64_t>(sizeof(float));
   const bool on_stack = has_rows ? contacts_.on_stack() : bytes <= kDeviceRowStack;
-  NamedStepArrays arrays = step_arrays(m, &in, control);
-  read_instead(arrays, drives);
-  arrays[kAt.body_f] = {"body_f", &body_f, false};
-  std::vector<LaunchArgument> arguments;
-  for (const NamedStepArray& of : arrays) arguments.push_back(value(of.name, *of.array));
-  add_words(
-      arguments,
-      {value("model.joint_target_mode", m.joint_target_mode), reads("rows", articulations_.rows()),
-       reads("links", articulations_.links()), reads("dof_parent", articulations_.dof_parent()),
-       number(dt), number(options.angular_damping), number(int64_t{options.implicit_drives}),
-       writes("state_out.joint_q", out.joint_q), writes("state_out.joint_qd", out.joint_qd),
-       writes("state_out.body_q", out.body_q), writes("state_out.body_qd", out.body_qd),
-       writes("qdd", qdd_), writes("branch", branch_), writes("status", status_),
-       writes("workspace", workspace_), number(on_stack ? 0 : contacts_.tree_stride())});
+  const ArticulationStepArguments step = {
+      .in = articulation_arguments(m, articulations_, in, drives, body_f, options, dt),
+      .q_next = out.joint_q,
+      .qd_next = out.joint_qd,
+      .body_q = out.body_q,
+      .body_qd = out.body_qd,
+      .qdd = qdd_,
+      .branch = branch_,
+      .status = status_,
+      .workspace = workspace_,
+      .stride = on_stack ? 0 : contacts_.tree_stride()};
   if (has_rows)
-    contacts_.step(arguments, contacts, options, dt);
+    contacts_.step(step, contacts, options);
   else
-    step_kernel().launch(m.device(), articulations_.count(), arguments);
+    run(step_kernel(), articulations_.count(), step);
 }
 
 void LaunchedArticulations::check() const {

@@ -20,9 +20,6 @@ constexpr size_t kKeptNumbers = sizeof(art::KeptContact) / sizeof(float),
                  kNoteNumbers = sizeof(art::BranchNotes) / sizeof(int32_t);
 constexpr int64_t kSomeNotes = 128;  // rows that add up the notes of groups
 
-// What a tape makes of the results, those who record them say.
-LaunchArgument value(const char* name, const Array& array) { return reads(name, array).detached(); }
-
 int64_t numbers(int64_t bytes) { return bytes / static_cast<int64_t>(sizeof(float)); }
 
 // The group of each articulation, from its world; how many there are.
@@ -109,18 +106,19 @@ LaunchedContacts::LaunchedContacts(const Model& m, const Articulations& articula
   residual_ = DeviceArray<float>(groups, device);
 }
 
-ContactRowArguments::ContactRowArguments(const Contacts& c)
-    : count(reads("rigid_contact_count", c.rigid_contact_count)),
-      shape0(reads("rigid_contact_shape0", c.rigid_contact_shape0)),
-      shape1(reads("rigid_contact_shape1", c.rigid_contact_shape1)),
-      point_id(reads("rigid_contact_point_id", c.rigid_contact_point_id)),
-      point0(value("rigid_contact_point0", c.rigid_contact_point0)),
-      point1(value("rigid_contact_point1", c.rigid_contact_point1)),
-      normal(value("rigid_contact_normal", c.rigid_contact_normal)),
-      margin0(value("rigid_contact_margin0", c.rigid_contact_margin0)),
-      margin1(value("rigid_contact_margin1", c.rigid_contact_margin1)),
-      force(writes("rigid_contact_force", c.rigid_contact_force)),
-      most(c.rigid_contact_max()) {}
+ContactArguments contact_arguments(const Contacts& c) {
+  return {.at = {.shape0 = c.rigid_contact_shape0,
+                 .shape1 = c.rigid_contact_shape1,
+                 .point0 = c.rigid_contact_point0,
+                 .point1 = c.rigid_contact_point1,
+                 .normal = c.rigid_contact_normal,
+                 .margin0 = c.rigid_contact_margin0,
+                 .margin1 = c.rigid_contact_margin1},
+          .count = c.rigid_contact_count,
+          .most = c.rigid_contact_max(),
+          .point_id = c.rigid_contact_point_id,
+          .force = c.rigid_contact_force};
+}
 
 void LaunchedContacts::reserve(int64_t contacts) {
   if (contacts <= capacity_) return;
@@ -153,125 +151,126 @@ bool LaunchedContacts::has_rows(const Contacts* contacts) {
          (friction || capacity_ > 0 || (contacts != nullptr && contacts->rigid_contact_max() > 0));
 }
 
-// The words of ContactShapes.
-std::vector<LaunchArgument> LaunchedContacts::shapes(const ContactRowArguments& rows) const {
-  return {rows.shape0,
-          rows.shape1,
-          reads("model.shape_body", model_.shape_body),
-          reads("side_of_body", side_of_body_),
-          reads("group_of_tree", group_of_tree_),
-          number(int64_t{model_.shape_count()}),
-          number(int64_t{model_.body_count()})};
+ContactShapes LaunchedContacts::shapes(const ContactArguments& contacts) const {
+  return {.at = contacts.at,
+          .shape_body = model_.shape_body,
+          .side_of_body = Untyped(side_of_body_),
+          .group_of_tree = group_of_tree_,
+          .shapes = model_.shape_count(),
+          .bodies = model_.body_count()};
 }
 
 // The contacts of each group, in their order.
-void LaunchedContacts::list_rows(const ContactRowArguments& rows,
-                                 const ContactRecord& record) const {
-  std::vector<LaunchArgument> group = shapes(rows);
-  add_words(group, {reads("rows", articulations_.rows()), rows.count, writes_row("group", group_),
-                    rows.force, record.impulses});
-  contact_kernels().group.launch(model_.device(), rows.most, group);
-  contact_kernels().lists.launch(
-      model_.device(), groups_,
-      {reads("group", group_), number(rows.most), writes("contact_begin", contact_begin_),
-       writes("contacts", contacts_)});
+void LaunchedContacts::list_contacts(const ContactArguments& contacts,
+                                     const ContactRecord& record) const {
+  run(contact_kernels().contact_group, contacts.most,
+      {.shapes = shapes(contacts),
+       .rows = Untyped(articulations_.rows()),
+       .count = contacts.count,
+       .group = group_,
+       .force = contacts.force,
+       .impulses = record.impulses});
+  run(incidence(), groups_,
+      {.table = group_, .slots = contacts.most, .offsets = contact_begin_, .items = contacts_});
 }
 
-// The words of ContactGroupArguments.
-std::vector<LaunchArgument> LaunchedContacts::group_words(const ContactRowArguments& rows,
-                                                          const FeatherstoneOptions& o,
-                                                          const ContactRecord& record,
-                                                          const DeviceArray<float>& memory,
-                                                          int64_t stride) const {
-  std::vector<LaunchArgument> words = shapes(rows);
-  add_words(words, {rows.point0,
-                    rows.point1,
-                    rows.normal,
-                    rows.margin0,
-                    rows.margin1,
-                    value("model.shape_material_mu", model_.shape_material_mu),
-                    value("model.shape_material_restitution", model_.shape_material_restitution),
-                    value("model.shape_material_ke", model_.shape_material_ke),
-                    value("model.shape_material_kd", model_.shape_material_kd),
-                    value("model.joint_friction", model_.joint_friction),
-                    reads("tree_begin", tree_begin_),
-                    reads("trees", trees_),
-                    reads("contact_begin", contact_begin_),
-                    reads("contacts", contacts_),
-                    number(o.pgs_erp),
-                    number(o.pgs_slop),
-                    number(o.pgs_cfm),
-                    number(o.max_depenetration_velocity),
-                    number(o.restitution_threshold),
-                    number(int64_t{o.compliant_contacts}),
-                    number(int64_t{o.friction_cone == FrictionCone::Cone}),
-                    reads("model.shape_type", model_.shape_type),
-                    number(int64_t{record.found}),
-                    writes("chain", chain_),
-                    writes("nodes", nodes_),
-                    writes("memory", memory),
-                    number(stride)});
-  return words;
+ContactGroupArguments LaunchedContacts::groups(const ContactArguments& contacts,
+                                               const FeatherstoneOptions& o,
+                                               const ContactRecord& record,
+                                               const DeviceArray<float>& memory,
+                                               int64_t stride) const {
+  return {.shapes = shapes(contacts),
+          .mu = model_.shape_material_mu,
+          .restitution = model_.shape_material_restitution,
+          .ke = model_.shape_material_ke,
+          .kd = model_.shape_material_kd,
+          .joint_friction = model_.joint_friction,
+          .tree_begin = tree_begin_,
+          .trees = trees_,
+          .contact_begin = contact_begin_,
+          .contacts = contacts_,
+          .shape_type = model_.shape_type,
+          .erp = o.pgs_erp,
+          .slop = o.pgs_slop,
+          .cfm = o.pgs_cfm,
+          .max_depenetration = o.max_depenetration_velocity,
+          .restitution_threshold = o.restitution_threshold,
+          .compliant = o.compliant_contacts,
+          .cone = o.friction_cone == FrictionCone::Cone,
+          .found = record.found,
+          .chain = Untyped(chain_),
+          .nodes = Untyped(nodes_),
+          .memory = memory,
+          .contact_stride = stride};
 }
 
-void LaunchedContacts::step(std::vector<LaunchArgument> words, const Contacts* contacts,
-                            const FeatherstoneOptions& o, float dt) {
-  step(std::move(words), ContactRowArguments(contacts == nullptr ? none_ : *contacts), o, dt, {});
+void LaunchedContacts::step(const ArticulationStepArguments& step, const Contacts* contacts,
+                            const FeatherstoneOptions& o) {
+  this->step(step, contact_arguments(contacts == nullptr ? none_ : *contacts), o, {});
 }
 
-void LaunchedContacts::step(std::vector<LaunchArgument> words, const ContactRowArguments& rows,
-                            const FeatherstoneOptions& o, float dt, const ContactRecord& record) {
-  const Device device = model_.device();
+void LaunchedContacts::step(const ArticulationStepArguments& step, const ContactArguments& contacts,
+                            const FeatherstoneOptions& o, const ContactRecord& record) {
   require(
       !has_long_trees_, ErrorKind::NotImplemented,
       "step: contacts, or dry friction of joints, of a model with an articulation of more than ",
       art::kMatrixJoints, " joints in a row: expected the model on the cpu, got it on ",
-      device.str());
-  reserve(rows.most);
+      model_.device().str());
+  reserve(contacts.most);
   const bool forgets = record.notes && reserve_notes();
   const ContactKernels& k = contact_kernels();
-  list_rows(rows, record);
-  add_words(words, group_words(rows, o, record, memory_, contact_stride_));
-  const LaunchArgument none;
-  add_words(words, {rows.point_id,
-                    reads("moved_by", moved_by_),
-                    number(o.pgs_tolerance),
-                    number(int64_t{o.pgs_iterations}),
-                    number(int64_t{o.warm_start}),
-                    number(int64_t{record.records ? 0 : art::kMostTreeContacts}),
-                    reads("kept_begin", kept_begin_),
-                    reads("kept", kept_),
-                    reads("kept_dt", kept_dt_),
-                    updates("kept_friction", kept_friction_),
-                    writes("now", now_),
-                    rows.force,
-                    writes_row("sweeps", sweeps_),
-                    writes_row("residual", residual_),
-                    record.impulses,
-                    record.friction,
-                    record.notes ? writes_row("notes", notes_) : none,
-                    record.notes ? writes("seen", seen_) : none,
-                    record.notes ? reads("seen_before", seen_before_) : none,
-                    record.notes ? reads("seen_begin", seen_begin_) : none,
-                    number(int64_t{record.by_restitution}),
-                    number(int64_t{record.continues && !forgets})});
-  k.step.launch(device, groups_, words);
-  if (record.notes) {
-    const int64_t some = std::min(groups_, kSomeNotes);
-    k.note_some.launch(
-        device, some,
-        {reads("notes", notes_), writes_row("some_notes", some_notes_), reads("seen", seen_),
-         reads("contact_begin", contact_begin_), updates("seen_before", seen_before_),
-         writes("seen_begin", seen_begin_), number(groups_)});
-    k.note_step.launch(
-        device, 1,
-        {reads("some_notes", some_notes_), updates("branches", branches_), number(some)});
-  }
+  list_contacts(contacts, record);
+  const Untyped none(nullptr);
+  const auto noted = [&](const Array& array) { return record.notes ? Untyped(array) : none; };
+  run(k.contact_step, groups_,
+      {.step = step,
+       .of = groups(contacts, o, record, memory_, contact_stride_),
+       .point_id = contacts.point_id,
+       .moved_by = moved_by_,
+       .tolerance = o.pgs_tolerance,
+       .most_sweeps = o.pgs_iterations,
+       .warm_start = o.warm_start,
+       .most_alone = record.records ? 0 : art::kMostTreeContacts,
+       .kept_begin = kept_begin_,
+       .kept = Untyped(kept_),
+       .kept_dt = kept_dt_,
+       .kept_friction = kept_friction_,
+       .now = Untyped(now_),
+       .force = contacts.force,
+       .sweeps = sweeps_,
+       .residual = residual_,
+       .impulses = record.impulses,
+       .friction_impulses = record.friction,
+       .notes = noted(notes_),
+       .seen = noted(seen_),
+       .seen_before = noted(seen_before_),
+       .seen_begin = noted(seen_begin_),
+       .by_restitution = record.by_restitution,
+       .continues = record.continues && !forgets});
+  if (record.notes) note_branches();
   if (o.warm_start)
-    k.keep.launch(device, std::max(rows.most, groups_ + 1),
-                  {reads("contact_begin", contact_begin_), reads("now", now_),
-                   writes("kept_begin", kept_begin_), updates("kept", kept_),
-                   writes("kept_dt", kept_dt_), number(dt), number(groups_)});
+    run(k.contact_keep, std::max(contacts.most, groups_ + 1),
+        {.begin = contact_begin_,
+         .now = Untyped(now_),
+         .kept_begin = kept_begin_,
+         .kept = Untyped(kept_),
+         .kept_dt = kept_dt_,
+         .dt = step.in.dt,
+         .groups = groups_});
+}
+
+void LaunchedContacts::note_branches() const {
+  const int64_t some = std::min(groups_, kSomeNotes);
+  run(contact_kernels().note_some, some,
+      {.notes = Untyped(notes_),
+       .some = Untyped(some_notes_),
+       .seen = Untyped(seen_),
+       .begin = contact_begin_,
+       .seen_before = Untyped(seen_before_),
+       .seen_begin = seen_begin_,
+       .groups = groups_});
+  run(contact_kernels().note_step, 1,
+      {.some = Untyped(some_notes_), .branches = Untyped(branches_), .count = some});
 }
 
 int32_t LaunchedContacts::sweeps() const {

@@ -3,10 +3,11 @@
 // order of its contacts, so with the bits of the cpu.
 #pragma once
 
-#include <vector>
-
-#include "novaphy/core/recorder.h"
+#include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
+#include "novaphy/dynamics/articulation/contact_groups.h"
+#include "novaphy/dynamics/articulation/jvp_arguments.h"
+#include "novaphy/dynamics/articulation/vjp_arguments.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
 #include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
@@ -14,33 +15,38 @@
 namespace novaphy {
 
 // The arrays of contacts, as arguments of launches.
-struct ContactRowArguments {
-  explicit ContactRowArguments(const Contacts& contacts);
-  ContactRowArguments() = default;
-  LaunchArgument count, shape0, shape1, point_id, point0, point1, normal, margin0, margin1;
-  LaunchArgument force;  // a null pointer: nobody wants it
-  int64_t most = 0;      // rows
+struct ContactArguments {
+  ContactPlaces at;
+  Given<int32_t> count;
+  int64_t most;  // rows
+  Optional<Given<int32_t>> point_id = nullptr;
+  Optional<Writes<Vec3f>> force = nullptr;  // null: nobody wants it
 };
+ContactArguments contact_arguments(const Contacts& contacts);
 
-// What a step does for its adjoint; arguments that are null pointers: nothing.
+// What a step does for its adjoint; null: nothing.
 struct ContactRecord {
-  LaunchArgument impulses = {}, friction = {};  // along n, t1, t2; of dofs with dry friction
+  Optional<Changed<Vec3f>> impulses = nullptr;  // along n, t1, t2
+  Optional<Changed<float>> friction = nullptr;  // of dofs with dry friction
   bool found = false;                           // ContactRows::found
   bool by_restitution = false;
   bool continues = false;  // it starts where the last one that noted ended
-  bool dry = false;    // joints have dry friction, or may have some in a replay
-  bool notes = false;  // adds its branches to branches()
+  bool dry = false;        // joints have dry friction, or may have some in a replay
+  bool notes = false;      // adds its branches to branches()
   bool records = false;
 };
 
-// Where the gradients go of what only contacts and dry friction read; they are added to. Or their
-// dual numbers.
+// Where the gradients go of what only contacts and dry friction read; they are added to. Null:
+// nobody wants it.
 struct ContactGradientArguments {
-  LaunchArgument joint_friction, mu, restitution, ke, kd;
+  Optional<Changed<float>> joint_friction, mu, restitution, ke, kd;
   bool of_materials() const {
-    return mu.range != nullptr || restitution.range != nullptr || ke.range != nullptr ||
-           kd.range != nullptr;
+    return (mu.word() | restitution.word() | ke.word() | kd.word()) != 0;
   }
+};
+// Their dual numbers; null: of a model without shapes.
+struct ContactDualArguments {
+  Given<articulation::DualFloat> joint_friction, mu, restitution, ke, kd;
 };
 
 class LaunchedContacts {
@@ -54,23 +60,24 @@ class LaunchedContacts {
   // Whether joints have dry friction. Looks again when the array was written.
   bool has_friction();
   // Takes memory for the contacts where that of steps before is too small, and forgets their
-  // impulses then. `step`: the arguments of ArticulationStepArguments.
-  void step(std::vector<LaunchArgument> step, const Contacts* contacts,
-            const FeatherstoneOptions& options, float dt);
+  // impulses then.
+  void step(const ArticulationStepArguments& step, const Contacts* contacts,
+            const FeatherstoneOptions& options);
   // The same of any rows; one that records starts from nothing, and solves all islands by pgs.h.
-  void step(std::vector<LaunchArgument> step, const ContactRowArguments& rows,
-            const FeatherstoneOptions& options, float dt, const ContactRecord& record);
+  void step(const ArticulationStepArguments& step, const ContactArguments& contacts,
+            const FeatherstoneOptions& options, const ContactRecord& record);
+  // The arrays of no contacts.
+  ContactArguments none() const { return contact_arguments(none_); }
   // Copies rows, but for their names and forces.
-  void copy(const ContactRowArguments& from, const ContactRowArguments& to) const;
-  // The adjoint of a step that was recorded. `step`: the arguments of ArticulationStepVjpArguments.
-  void vjp(std::vector<LaunchArgument> step, const ContactRowArguments& rows,
+  void copy(const ContactArguments& from, const ContactArguments& to) const;
+  // The adjoint of a step that was recorded.
+  void vjp(const ArticulationStepVjpArguments& step, const ContactArguments& contacts,
            const FeatherstoneOptions& options, const ContactRecord& record,
            const ContactGradientArguments& to);
-  // Likewise its tangent. `step`: the arguments of ArticulationJvpArguments; `duals`: dual numbers
-  // of joint_friction and of the materials.
-  void jvp(std::vector<LaunchArgument> step, const ContactRowArguments& rows,
+  // Likewise its tangent.
+  void jvp(const ArticulationJvpArguments& step, const ContactArguments& contacts,
            const FeatherstoneOptions& options, const ContactRecord& record,
-           const ContactGradientArguments& duals);
+           const ContactDualArguments& duals);
   // ErrorKind::Runtime: an adjoint or a tangent that ran had an island too large for its memory.
   void check_adjoint(const char* user) const;
   // Of the steps that noted theirs, since the last clear. Waits for them.
@@ -94,14 +101,15 @@ class LaunchedContacts {
 
  private:
   void reserve(int64_t contacts);
+  void note_branches() const;
   bool reserve_notes();  // whether what the step before saw was lost
   void reserve_adjoint(bool dry, bool materials);
-  void list_rows(const ContactRowArguments& rows, const ContactRecord& record) const;
-  std::vector<LaunchArgument> shapes(const ContactRowArguments& rows) const;
-  std::vector<LaunchArgument> group_words(const ContactRowArguments& rows,
-                                          const FeatherstoneOptions& options,
-                                          const ContactRecord& record,
-                                          const DeviceArray<float>& memory, int64_t stride) const;
+  // `record`: which results it clears.
+  void list_contacts(const ContactArguments& contacts, const ContactRecord& record) const;
+  ContactShapes shapes(const ContactArguments& contacts) const;
+  ContactGroupArguments groups(const ContactArguments& contacts, const FeatherstoneOptions& options,
+                               const ContactRecord& record, const DeviceArray<float>& memory,
+                               int64_t stride) const;
 
   const Model& model_;
   const Articulations& articulations_;

@@ -59,12 +59,19 @@ ContactBranches LaunchedContacts::branches() const {
   return all;
 }
 
-void LaunchedContacts::copy(const ContactRowArguments& from, const ContactRowArguments& to) const {
-  contact_kernels().copy.launch(
-      model_.device(), std::max<int64_t>(to.most, 1),
-      {from.count, from.shape0, from.shape1, from.point0, from.point1, from.normal, from.margin0,
-       from.margin1, to.count, to.shape0, to.shape1, to.point0, to.point1, to.normal, to.margin0,
-       to.margin1, number(to.most)});
+void LaunchedContacts::copy(const ContactArguments& from, const ContactArguments& to) const {
+  run(contact_kernels().contact_copy, std::max<int64_t>(to.most, 1),
+      {.count = from.count,
+       .from = from.at,
+       .to_count = Untyped(to.count),
+       .shape0 = Untyped(to.at.shape0),
+       .shape1 = Untyped(to.at.shape1),
+       .point0 = Untyped(to.at.point0),
+       .point1 = Untyped(to.at.point1),
+       .normal = Untyped(to.at.normal),
+       .margin0 = Untyped(to.at.margin0),
+       .margin1 = Untyped(to.at.margin1),
+       .most = to.most});
 }
 
 void LaunchedContacts::reserve_adjoint(bool dry, bool materials) {
@@ -97,54 +104,70 @@ void LaunchedContacts::reserve_adjoint(bool dry, bool materials) {
   shape_begin_ = DeviceArray<int32_t>(static_cast<size_t>(model_.shape_count()) + 1, device);
 }
 
-void LaunchedContacts::vjp(std::vector<LaunchArgument> words, const ContactRowArguments& rows,
-                           const FeatherstoneOptions& o, const ContactRecord& record,
-                           const ContactGradientArguments& to) {
-  const Device device = model_.device();
-  const bool materials = to.of_materials() && rows.most > 0;
-  reserve(rows.most);
+void LaunchedContacts::vjp(const ArticulationStepVjpArguments& step,
+                           const ContactArguments& contacts, const FeatherstoneOptions& o,
+                           const ContactRecord& record, const ContactGradientArguments& to) {
+  const bool materials = to.of_materials() && contacts.most > 0;
+  reserve(contacts.most);
   reserve_adjoint(record.dry, materials);
   const ContactKernels& k = contact_kernels();
-  ContactRecord lists;  // without results
-  list_rows(rows, lists);
-  if (materials) k.clear.launch(device, rows.most, {writes("shape_of", shape_of_)});
-  add_words(words, group_words(rows, o, record, adjoint_memory_, adjoint_stride_));
-  const LaunchArgument none;
-  add_words(words, {record.impulses, record.friction, to.joint_friction,
-                    materials ? writes("materials", materials_) : none,
-                    materials ? writes("shape_of", shape_of_) : none, writes("system", system_),
-                    number(system_of_contact_), number(system_of_group_),
-                    writes_row("status", adjoint_status_)});
-  k.vjp.launch(device, groups_, words);
+  list_contacts(contacts, {});
+  if (materials) run(k.clear, contacts.most, {.shape_of = shape_of_});
+  const Untyped none(nullptr);
+  run(k.vjp, groups_,
+      {.step = step,
+       .of = groups(contacts, o, record, adjoint_memory_, adjoint_stride_),
+       .impulses = record.impulses,
+       .friction_impulses = record.friction,
+       .joint_friction = to.joint_friction,
+       .materials = materials ? Untyped(materials_) : none,
+       .shape_of = materials ? Untyped(shape_of_) : none,
+       .system = Untyped(system_),
+       .system_of_contact = system_of_contact_,
+       .system_of_group = system_of_group_,
+       .status = adjoint_status_});
   if (!materials) return;
-  k.lists.launch(device, model_.shape_count(),
-                 {reads("shape_of", shape_of_), number(2 * rows.most),
-                  writes("shape_begin", shape_begin_), writes("shape_sides", shape_sides_)});
-  k.materials.launch(
-      device, model_.shape_count(),
-      {reads("shape_begin", shape_begin_), reads("shape_sides", shape_sides_),
-       reads("materials", materials_).detached(), to.mu, to.restitution, to.ke, to.kd});
+  run(incidence(), model_.shape_count(),
+      {.table = shape_of_,
+       .slots = 2 * contacts.most,
+       .offsets = shape_begin_,
+       .items = shape_sides_});
+  run(k.materials, model_.shape_count(),
+      {.begin = shape_begin_,
+       .sides = shape_sides_,
+       .materials = Untyped(materials_),
+       .mu = to.mu,
+       .restitution = to.restitution,
+       .ke = to.ke,
+       .kd = to.kd});
 }
 
-void LaunchedContacts::jvp(std::vector<LaunchArgument> words, const ContactRowArguments& rows,
+void LaunchedContacts::jvp(const ArticulationJvpArguments& step, const ContactArguments& contacts,
                            const FeatherstoneOptions& o, const ContactRecord& record,
-                           const ContactGradientArguments& duals) {
-  const Device device = model_.device();
-  reserve(rows.most);
+                           const ContactDualArguments& duals) {
+  reserve(contacts.most);
   reserve_adjoint(record.dry, false);
   const int64_t stride = dual_contact_bytes(articulations_.max_dofs()) / 4;
-  const auto numbers = static_cast<size_t>(std::max<int64_t>(rows.most, 1) * stride);
+  const auto numbers = static_cast<size_t>(std::max<int64_t>(contacts.most, 1) * stride);
   if (tangent_memory_.size() < numbers) {
     const Unobserved unobserved;
-    tangent_memory_ = DeviceArray<float>(numbers, device);
+    tangent_memory_ = DeviceArray<float>(numbers, model_.device());
   }
-  list_rows(rows, {});  // without results
-  add_words(words, group_words(rows, o, record, tangent_memory_, stride));
-  add_words(words,
-            {record.impulses, record.friction, duals.joint_friction, duals.mu, duals.restitution,
-             duals.ke, duals.kd, writes("system", system_), number(system_of_contact_),
-             number(system_of_group_), writes_row("status", adjoint_status_)});
-  tangent_kernels().contact_step.launch(device, groups_, words);
+  list_contacts(contacts, {});
+  run(tangent_kernels().contact_step, groups_,
+      {.step = step,
+       .of = groups(contacts, o, record, tangent_memory_, stride),
+       .impulses = record.impulses,
+       .friction_impulses = record.friction,
+       .joint_friction = duals.joint_friction,
+       .mu = duals.mu,
+       .restitution = duals.restitution,
+       .ke = duals.ke,
+       .kd = duals.kd,
+       .system = Untyped(system_),
+       .system_of_contact = system_of_contact_,
+       .system_of_group = system_of_group_,
+       .status = adjoint_status_});
 }
 
 void LaunchedContacts::check_adjoint(const char* user) const {

@@ -52,8 +52,8 @@ void PgsContacts::move_links(const ArticulationArguments& in, Transformf* body_q
       const ArticulationRows& rows = trees_[i];
       const art::Tree<float> tree = articulation_tree(in, rows);
       art::Workspace<float> ws = workspace(rows, i);
-      art::link_frames(tree, in.q, ws);
-      art::link_motions(tree, in.qd + rows.first_dof, ws);
+      art::link_frames(tree, in.arrays.q.rows(), ws);
+      art::link_motions(tree, in.arrays.qd + rows.first_dof, ws);
       if (body_q != nullptr) art::write_bodies(tree, ws, body_q, body_qd);
     }
   });
@@ -291,7 +291,7 @@ const art::KeptContact* PgsContacts::kept_of(size_t row) const {
 art::IslandTree PgsContacts::island_tree(const ArticulationArguments& in, int32_t tree) {
   const ArticulationRows& rows = trees_[tree];
   return {articulation_tree(in, rows), workspace(rows, tree),
-          rates_.data() + rates_begin_[static_cast<size_t>(tree)], in.qd + rows.first_dof,
+          rates_.data() + rates_begin_[static_cast<size_t>(tree)], in.arrays.qd + rows.first_dof,
           rows.moves != 0};
 }
 
@@ -471,7 +471,7 @@ void PgsContacts::step(const ArticulationStepArguments& a, const Model& m,
       continue;
     far_ = {of.sweeps, of.residual, of.largest, hardest_row(static_cast<int64_t>(i))};
   }
-  if (std::all_of(a.status, a.status + count_, [](int32_t status) { return status == 0; }))
+  if (std::all_of(a.status.rows(), a.status + count_, [](int32_t status) { return status == 0; }))
     keep(contacts, dt, force);
 
   for_trees([&](int32_t i, const ArticulationRows& rows, const art::Tree<float>& tree,

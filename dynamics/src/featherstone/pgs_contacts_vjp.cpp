@@ -135,7 +135,7 @@ void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
   const art::StepOptions<float> how = articulation_options(a.in);
   const auto start = [&](const art::Tree<float>& tree, art::Workspace<float>& ws,
                          art::AdjointMemory<float>& memory) {
-    art::step_vjp_rates(tree, in, how, a.qdd, a.branch, a.q_next, a.qd_next, a.out, ws, memory);
+    step_vjp_rates(a, tree, in, how, ws, memory);
     art::step_vjp_dynamics(tree, in, how, ws);
   };
   if (adjoint_.empty()) {
@@ -173,10 +173,7 @@ void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
     friction_rows_[i].impulse = friction[trees_[friction_[i].tree].first_dof + friction_[i].dof];
   }
   for (Row& row : rows_) {
-    const Vec3f& impulse = impulses[row.contact];
-    row.solver.impulse[0] = impulse.x;
-    row.solver.impulse[1] = impulse.y;
-    row.solver.impulse[2] = impulse.z;
+    std::copy_n(&impulses[row.contact].x, 3, row.solver.impulse);
   }
   push_impulses(-1.0f);
   for (Row& row : rows_) set_target(s, row);
@@ -223,8 +220,9 @@ void PgsContacts::vjp(const ArticulationStepVjpArguments& a, const Model& m,
   }
   if (more.joint_friction != nullptr) add_friction_gradients(more.joint_friction);
   for_trees([&](const ArticulationRows&, const art::Tree<float>& tree, art::Workspace<float>& ws,
-                art::AdjointMemory<float>& memory,
-                const float*) { art::step_vjp_inputs(tree, in, how, a.gradient, ws, memory); });
+                art::AdjointMemory<float>& memory, const float*) {
+    art::step_vjp_inputs(tree, in, how, step_gradient(a), ws, memory);
+  });
 }
 
 }  // namespace novaphy

@@ -170,13 +170,14 @@ void SolverFeatherstone::add_penalties(const Contacts& contacts, ArticulationSte
   const auto bodies = static_cast<size_t>(m.body_count());
   c.body_q.resize(bodies);
   c.body_qd.resize(bodies);
-  c.body_f.assign(a.in.body_f, a.in.body_f + bodies);
+  const SpatialVectorf* const body_f = a.in.arrays.body_f;
+  c.body_f.assign(body_f, body_f + bodies);
   c.pgs.move_links(a.in, c.body_q.data(), c.body_qd.data());
   c.penalty.prepare(m, &contacts);
   const RigidStep how = {FrictionLaw::Huber, options_.friction_smoothing, 0.0f, a.in.dt.value};
   c.penalty.add_contact_wrenches(m, c.body_q.data(), c.body_qd.data(), contacts, how,
                                  c.body_f.data());
-  a.in.body_f = c.body_f.data();
+  a.in.arrays.body_f = direct(c.body_f);
 }
 
 void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Control* control,
@@ -208,18 +209,18 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   c.articulations.check_values(m, control, true, kName);
   if (contacts != nullptr) c.materials.check(m);
   const ActuatedStep::Read read = c.actuated.begin(m, state_in, state_out, control, dt, kName);
-  ArticulationStepArguments a = {
+  ArticulationStepArguments a = in_memory(ArticulationStepArguments{
       .in = articulation_arguments(m, c.articulations, state_in, read.drives, read.body_f, options_,
                                    dt),
-      .q_next = state_out.joint_q.mutable_data(),
-      .qd_next = state_out.joint_qd.mutable_data(),
-      .body_q = state_out.body_q.mutable_data(),
-      .body_qd = state_out.body_qd.mutable_data(),
-      .qdd = c.qdd.data(),
-      .branch = c.branch.data(),
-      .status = c.status.data(),
-      .workspace = nullptr,
-      .stride = 0};
+      .q_next = state_out.joint_q,
+      .qd_next = state_out.joint_qd,
+      .body_q = state_out.body_q,
+      .body_qd = state_out.body_qd,
+      .qdd = direct(c.qdd),
+      .branch = direct(c.branch),
+      .status = direct(c.status),
+      .workspace = Untyped(nullptr),
+      .stride = 0});
   const bool penalty = options_.contact == ArticulationContact::Penalty;
   if (penalty && contacts != nullptr) {
     add_penalties(*contacts, a);

@@ -12,11 +12,12 @@ const char* articulation_jvp_kernels_text();
 }  // namespace detail
 
 struct TangentKernels {
-  DeviceKernel pack{dual_pack, detail::articulation_jvp_kernels_text};
-  DeviceKernel step{articulation_step_jvp, detail::articulation_jvp_kernels_text};
-  DeviceKernel contact_step{articulation_contact_jvp,
-                            detail::articulation_contact_jvp_kernels_text};
-  DeviceKernel tangent{dual_tangent, detail::articulation_jvp_kernels_text};
+  Kernel<DualPackArguments> pack{dual_pack, detail::articulation_jvp_kernels_text};
+  Kernel<ArticulationJvpArguments> step{articulation_step_jvp,
+                                        detail::articulation_jvp_kernels_text};
+  Kernel<ArticulationContactJvpArguments> contact_step{
+      articulation_contact_jvp, detail::articulation_contact_jvp_kernels_text};
+  Kernel<DualTangentArguments> tangent{dual_tangent, detail::articulation_jvp_kernels_text};
 };
 // Never destroyed: recordings refer to them.
 inline const TangentKernels& tangent_kernels() {

@@ -254,7 +254,7 @@ namespace {
 [[gnu::flatten]] void finish(const art::Tree<float>& tree, const art::StepInputs<float>& in,
                              const art::StepOptions<float>& how, art::Workspace<float>& ws,
                              const ArticulationStepArguments& a) {
-  art::finish_step(tree, in, how, ws, a.q_next, a.qd_next, a.body_q, a.body_qd);
+  finish_step(a, tree, in, how, ws);
 }
 [[gnu::flatten]] int32_t solve_accelerations(const art::Tree<float>& tree,
                                              const art::StepInputs<float>& in,
@@ -334,10 +334,7 @@ void TreeSteps::single(const ArticulationStepArguments& a, int64_t tree_row,
   }
   a.status[tree_row] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
   if (failed >= 0) return;
-  for (int32_t k = 0; keep && k < rows.dof_count; ++k) {
-    a.qdd[rows.first_dof + k] = ws.qdd[k];
-    a.branch[rows.first_dof + k] = static_cast<float>(ws.branch[k]);
-  }
+  if (keep) write_rates(a, rows, ws);
   finish(tree, in, how, ws, a);
 }
 
@@ -378,12 +375,13 @@ void TreeSteps::set_lanes(art::LaneStepArguments& s, const ArticulationArguments
       s.constants = constants;
     }
   }
+  const art::StepInputs<float> inputs = articulation_inputs(in);
   art::for_each_array(
       [&](const auto* from, int32_t place) { s.in[place] = reinterpret_cast<const float*>(from); },
-      in, kAt);
+      inputs, kAt);
   s.dt = in.dt.value;
   s.angular_damping = in.angular_damping.value;
-  s.implicit_drives = in.implicit_drives != 0;
+  s.implicit_drives = in.implicit_drives.value != 0;
 }
 
 // Several alike; false: one of them fails, and nothing is written.
@@ -408,12 +406,12 @@ bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const 
   art::LaneStepArguments s;
   FirstOfLanes first;
   set_lanes(s, a.in, m, pack, first, constants);
-  s.qdd = keep ? a.qdd : nullptr;
+  s.qdd = keep ? a.qdd.rows() : nullptr;
   s.branch = a.branch;
   s.q_next = a.q_next;
   s.qd_next = a.qd_next;
-  s.body_q = &a.body_q->p.x;
-  s.body_qd = &a.body_qd->linear.x;
+  s.body_q = &a.body_q[0].p.x;
+  s.body_qd = &a.body_qd[0].linear.x;
   s.contact_count = pack.contacts;
   if (pack.contacts > 0) {
     std::fill_n(inputs, found, 0.0f);
@@ -492,14 +490,16 @@ void TreeSteps::vjp_lanes(const ArticulationStepVjpArguments& a, const Model& m,
   v.branch = a.branch;
   v.q_next = a.q_next;
   v.qd_next = a.qd_next;
-  v.out_q = a.out.q;
-  v.out_qd = a.out.qd;
-  if (a.out.body_q != nullptr) v.out_body_q = &a.out.body_q->p.x;
-  if (a.out.body_qd != nullptr) v.out_body_qd = &a.out.body_qd->linear.x;
+  v.out_q = a.out_q;
+  v.out_qd = a.out_qd;
+  if (a.out_body_q != nullptr) v.out_body_q = &a.out_body_q[0].p.x;
+  if (a.out_body_qd != nullptr) v.out_body_qd = &a.out_body_qd[0].linear.x;
   art::for_each_gradient_array(
-      [&](auto* to, int32_t place) { v.gradient[place] = reinterpret_cast<float*>(to); },
+      [&](const auto& to, int32_t place) {
+        v.gradient[place] = reinterpret_cast<float*>(to.rows());
+      },
       a.gradient, kAt);
-  v.add = a.gradient.add;
+  v.add = static_cast<int32_t>(a.add.value);
   level_.vjp(v);
 }
 

@@ -16,6 +16,7 @@
 #include <concepts>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <new>
 #include <type_traits>
 #include <utility>
@@ -31,7 +32,14 @@ constexpr uint8_t kNumber = 0, kRead = 1, kWrite = 2, kOptional = 4, kDifferenti
 }  // namespace access
 
 using ArgumentWord [[gnu::may_alias]] = uint64_t;
-constexpr uint64_t kArrayBit = 1;  // of the word of an array, before a launch
+constexpr uint64_t kArrayBit = 1;  // of the word of a range, before a launch
+inline uint64_t word_of(const std::shared_ptr<Range>& range) {
+  return range == nullptr ? 0 : reinterpret_cast<uint64_t>(range.get()) | kArrayBit;
+}
+// Null: a number, memory, or no rows.
+inline Range* range_of(uint64_t word) {
+  return (word & kArrayBit) == 0 ? nullptr : reinterpret_cast<Range*>(word - kArrayBit);
+}
 
 // An argument word of a kernel.
 struct ArgumentInfo {
@@ -40,12 +48,22 @@ struct ArgumentInfo {
   uint8_t access = access::kNumber;
 };
 
-// An array whose element type the caller vouches for: rows of bytes, or of flat floats.
+// What the caller vouches for the element type of: an array of bytes or of flat floats, a range, or
+// memory of the host.
 struct Untyped {
-  explicit Untyped(const Array& of) : array(&of) {}
+  explicit Untyped(const Array& of) : word(word_of(of.range())) {}
   explicit Untyped(Array&&) = delete;
-  const Array* array;
+  explicit Untyped(const std::shared_ptr<Range>& range) : word(word_of(range)) {}
+  explicit Untyped(const void* memory) : word(reinterpret_cast<uint64_t>(memory)) {}
+  uint64_t word;
 };
+
+// Of each k < n what of(k) gives, in their order.
+template <size_t n, class Of>
+std::array<Untyped, n> each(const Of& of) {
+  return [&]<size_t... k>(std::index_sequence<k...>) { return std::array<Untyped, n>{of(k)...}; }
+  (std::make_index_sequence<n>());
+}
 
 // Memory as an argument, where the host calls the function of a row itself. A launch refuses it.
 template <class T>
@@ -110,8 +128,8 @@ inline constexpr bool kIsFloat<Vec3i> = false;
 template <>
 inline constexpr bool kIsFloat<Vec4i> = false;
 
-// One word: for the caller the address of the array, with a bit, or 0; for the kernel that of its
-// memory. A launch puts one for the other.
+// One word: for the caller the address of the array's range, with a bit, or 0; for the kernel that
+// of its memory. A launch puts one for the other.
 template <class T, uint8_t kAccess, bool kOwnRow>
 class Argument {
  public:
@@ -120,15 +138,16 @@ class Argument {
   static constexpr bool kRow = kOwnRow;
   static constexpr bool kMayMiss = (kAccess & access::kOptional) != 0;
 
-  Argument(const ArrayOf<T>& array) : word_(word_of(&array)) {}
+  Argument(const ArrayOf<T>& array) : word_(word_of(array.range())) {}
   Argument(ArrayOf<T>&&) = delete;
   template <class Other>
   Argument(const DeviceArray<Other>&) {
     static_assert(!sizeof(Other), "an array of another element type than the kernel declares");
   }
-  Argument(const ArrayOf<T>* array) requires kMayMiss : word_(word_of(array)) {}
+  Argument(const ArrayOf<T>* array) requires kMayMiss
+      : word_(array == nullptr ? 0 : word_of(array->range())) {}
   Argument(std::nullptr_t) requires kMayMiss : word_(0) {}
-  Argument(const Untyped& untyped) : word_(word_of(untyped.array)) {}
+  Argument(const Untyped& untyped) : word_(untyped.word) {}
   template <class U>
   requires std::convertible_to<U*, T*> Argument(const Direct<U>& memory)
       : word_(reinterpret_cast<uint64_t>(memory.rows)) {}
@@ -145,9 +164,6 @@ class Argument {
   uint64_t word() const { return word_; }
 
  private:
-  static uint64_t word_of(const Array* array) {
-    return array == nullptr ? 0 : reinterpret_cast<uint64_t>(array) | kArrayBit;
-  }
   uint64_t word_;
 };
 
@@ -226,12 +242,14 @@ struct Each {
   A of[n];
   template <class Array>
   Each(const Array (&arrays)[n]) : Each(arrays, std::make_index_sequence<n>()) {}
+  template <class Array>
+  Each(const std::array<Array, n>& arrays) : Each(arrays, std::make_index_sequence<n>()) {}
   constexpr Each(const detail::Probe& probe) : Each(probe, std::make_index_sequence<n>()) {}
   const A& operator[](size_t k) const { return of[k]; }
 
  private:
-  template <class Array, size_t... k>
-  Each(const Array (&arrays)[n], std::index_sequence<k...>) : of{arrays[k]...} {}
+  template <class Arrays, size_t... k>
+  Each(const Arrays& arrays, std::index_sequence<k...>) : of{arrays[k]...} {}
   template <size_t... k>
   constexpr Each(const detail::Probe& probe, std::index_sequence<k...>)
       : of{(static_cast<void>(k), A(probe))...} {}
@@ -335,6 +353,21 @@ struct Part : T {
                  detail::ArgumentCollector unused = {})
       : T{(static_cast<void>(k), detail::Probe{&unused, 0})...} {}
 };
+
+// The same with the memory of the cpu's arrays in their place, for functions of rows that the host
+// calls itself. Says that what they write is written.
+template <class A>
+A in_memory(A arguments) {
+  auto* const words = reinterpret_cast<ArgumentWord*>(&arguments);
+  for (size_t k = 0; k < detail::ArgumentTable<A>::kWords; ++k) {
+    const uint8_t access = detail::ArgumentTable<A>::kInfos[k].access;
+    Range* const range = access == access::kNumber ? nullptr : range_of(words[k]);
+    if (range == nullptr) continue;
+    words[k] = reinterpret_cast<uint64_t>(range->data());
+    if ((access & access::kWrite) != 0) range->mark_written();
+  }
+  return arguments;
+}
 
 }  // namespace novaphy
 

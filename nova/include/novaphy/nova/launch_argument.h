@@ -7,6 +7,9 @@
 namespace nova {
 
 // An undefined tensor: a null pointer.
+inline novaphy::Untyped argument(const Tensor& tensor) {
+  return tensor.defined() ? novaphy::Untyped(tensor.range()) : novaphy::Untyped(nullptr);
+}
 inline novaphy::LaunchArgument argument(const char* name, const Tensor& tensor, bool write) {
   novaphy::LaunchArgument made;
   if (!tensor.defined()) return made;

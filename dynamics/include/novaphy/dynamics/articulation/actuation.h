@@ -12,6 +12,7 @@
 // and then act is clipped to act_range. Source: MuJoCo, "Computation", actuation model.
 #pragma once
 
+#include "novaphy/core/row_kernel.h"
 #include "novaphy/dynamics/articulation/dual.h"
 
 namespace novaphy::articulation {
@@ -42,13 +43,11 @@ inline int32_t numbers_of_input(int32_t input) {
   return input < kControlRange ? 3 : 2;
 }
 
+// Actuators of dof d: order[first[d]] to order[first[d + 1] - 1]. coord: the coordinate of each
+// dof; -1: of a BALL, FREE or DISTANCE joint.
 struct Actuation {
-  const int32_t *first, *order;  // actuators of dof d: order[first[d]] to order[first[d + 1] - 1]
-  const int32_t* coord;          // coordinate of each dof; -1: of a BALL, FREE or DISTANCE joint
-  const int32_t *state, *dynamics;
-  const float* in[kActuationInputs];
-  float dt;
-  uint32_t unused;
+  NOVAPHY_ARGUMENTS(Reads<int32_t> first, order, coord, state, dynamics;
+                    novaphy::Each<Detached<Reads<float>>, kActuationInputs> in; Number<float> dt;)
 };
 
 inline DualFloat clipped(const DualFloat& x, const DualFloat& lower, const DualFloat& upper) {
@@ -68,7 +67,7 @@ template <class Number, class Put>
 void next_activation(const Actuation& a, int32_t actuator, const DualFloat& control,
                      const Number& number, const Put& put) {
   const int32_t state = a.state[actuator], dynamics = a.dynamics[actuator];
-  const DualFloat act = number(kActivation, state, 0), dt = a.dt;
+  const DualFloat act = number(kActivation, state, 0), dt = a.dt.value;
   DualFloat part = dt;
   if (dynamics > 1) {
     const DualFloat time = number(kTime, actuator, 0), least = 1e-15f;

@@ -7,6 +7,25 @@
 
 namespace novaphy {
 
+// Whether a gradient flows, the tape's operations say that launch the kernels.
+template <class T>
+using Given = Detached<Reads<T>>;
+template <class T>
+using Changed = Detached<Updates<T>>;
+
+template <class T>
+struct GivenArrays {
+  using Scalar = T;
+  template <articulation::RowOf, class Value>
+  using Array = Given<Value>;
+};
+// Null: nobody wants the gradient.
+struct WantedArrays {
+  using Scalar = float;
+  template <articulation::RowOf, class Value>
+  using Array = Optional<Changed<Value>>;
+};
+
 // Where an articulation's rows are.
 struct ArticulationRows {
   int32_t first_link, link_count, first_dof, dof_count, world;
@@ -18,16 +37,28 @@ struct ArticulationRows {
 // What a step reads: the arrays of a model, state and control; links and dof_parent are those of
 // Articulations. With dual numbers as T, copies of them with their tangents.
 template <class T>
-struct ArticulationArgumentsOf : articulation::StepInputs<T> {
-  const ArticulationRows* rows;
-  const articulation::Link* links;
-  const int32_t* dof_parent;
-  FloatWord dt, angular_damping;
-  int64_t implicit_drives;
+struct ArticulationArgumentsOf {
+  NOVAPHY_ARGUMENTS(Part<articulation::GradientArrays<GivenArrays<T>>> arrays;
+                    Part<articulation::FrameArrays<GivenArrays<T>>> frames;
+                    Given<int32_t> target_mode; Given<ArticulationRows> rows;
+                    Given<articulation::Link> links; Given<int32_t> dof_parent;
+                    Number<float> dt, angular_damping; Number<int64_t> implicit_drives;)
 };
 using ArticulationArguments = ArticulationArgumentsOf<float>;
-inline constexpr int kArticulationWords = 30;
 
+template <class T>
+articulation::StepInputs<T> articulation_inputs(const ArticulationArgumentsOf<T>& a) {
+  articulation::StepInputs<T> in = {};
+  const auto point = [](auto& to, const auto& from) { to = from; };
+  articulation::for_each_gradient_array(point, in, a.arrays);
+  articulation::for_each_frame_array(point, in, a.frames);
+  in.target_mode = a.target_mode;
+  return in;
+}
+template <class T>
+articulation::StepOptions<T> articulation_options(const ArticulationArgumentsOf<T>& a) {
+  return {T(a.dt.value), T(a.angular_damping.value), a.implicit_drives.value != 0};
+}
 template <class T>
 articulation::Tree<T> articulation_tree(const ArticulationArgumentsOf<T>& a,
                                         const ArticulationRows& rows) {
@@ -39,28 +70,18 @@ articulation::Tree<T> articulation_tree(const ArticulationArgumentsOf<T>& a,
   tree.first_dof = rows.first_dof;
   tree.followers = rows.followers;
   tree.joints_in_a_row = rows.joints_in_a_row;
-  articulation::set_arrays(a, rows.world, tree);
+  articulation::set_arrays(articulation_inputs(a), rows.world, tree);
   return tree;
 }
-template <class T>
-const articulation::StepInputs<T>& articulation_inputs(const ArticulationArgumentsOf<T>& a) {
-  return a;
-}
-template <class T>
-articulation::StepOptions<T> articulation_options(const ArticulationArgumentsOf<T>& a) {
-  return {T(a.dt.value), T(a.angular_damping.value), a.implicit_drives != 0};
-}
 
+// qdd and branch: a row per dof, what the adjoint needs of the step. status: a row per
+// articulation, 0, or 1 + the dof that failed. stride: numbers of the workspace for an
+// articulation; 0: they are on the stack.
 struct ArticulationStepArguments {
-  ArticulationArguments in;
-  float *q_next, *qd_next;
-  Transformf* body_q;
-  SpatialVectorf* body_qd;
-  float* qdd;       // a row per dof: what the adjoint needs of the step
-  float* branch;    // likewise
-  int32_t* status;  // a row per articulation: 0, or 1 + the dof that failed
-  float* workspace;
-  int64_t stride;  // numbers of it for an articulation; 0: they are on the stack
+  NOVAPHY_ARGUMENTS(Part<ArticulationArguments> in; Writes<float> q_next, qd_next;
+                    Writes<Transformf> body_q; Writes<SpatialVectorf> body_qd;
+                    Writes<float> qdd, branch; Writes<int32_t> status; Writes<float> workspace;
+                    Number<int64_t> stride;)
 };
 
 // NaN in the new state of an articulation, and in its accelerations.
@@ -81,17 +102,32 @@ inline void write_failure(const ArticulationStepArguments& a, const Articulation
   }
 }
 
-// The new state of an articulation, behind its rates, and what the adjoint needs.
+// The new state of an articulation, behind its rates.
+template <class Arguments, class T>
+void finish_step(const Arguments& a, const articulation::Tree<T>& tree,
+                 const articulation::StepInputs<T>& in, const articulation::StepOptions<T>& options,
+                 articulation::Workspace<T>& ws) {
+  T *const q = a.q_next, *const qd = a.qd_next;
+  Transform<T>* const body_q = a.body_q;
+  SpatialVector<T>* const body_qd = a.body_qd;
+  articulation::finish_step(tree, in, options, ws, q, qd, body_q, body_qd);
+}
+// What the adjoint needs.
+inline void write_rates(const ArticulationStepArguments& a, const ArticulationRows& rows,
+                        const articulation::Workspace<float>& ws) {
+  for (int32_t k = 0; k < rows.dof_count; ++k) {
+    a.qdd[rows.first_dof + k] = ws.qdd[k];
+    a.branch[rows.first_dof + k] = static_cast<float>(ws.branch[k]);
+  }
+}
+// Both.
 inline void write_step(const ArticulationStepArguments& a, const ArticulationRows& rows,
                        const articulation::Tree<float>& tree,
                        const articulation::StepInputs<float>& in,
                        const articulation::StepOptions<float>& options,
                        articulation::Workspace<float>& ws) {
-  for (int32_t k = 0; k < rows.dof_count; ++k) {
-    a.qdd[rows.first_dof + k] = ws.qdd[k];
-    a.branch[rows.first_dof + k] = static_cast<float>(ws.branch[k]);
-  }
-  articulation::finish_step(tree, in, options, ws, a.q_next, a.qd_next, a.body_q, a.body_qd);
+  write_rates(a, rows, ws);
+  finish_step(a, tree, in, options, ws);
 }
 
 }  // namespace novaphy

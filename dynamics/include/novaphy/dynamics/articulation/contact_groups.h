@@ -9,13 +9,16 @@
 
 namespace novaphy {
 
-// What the sides of contacts are found by.
+// The arrays of contacts.
+struct ContactPlaces {
+  NOVAPHY_ARGUMENTS(Given<int32_t> shape0, shape1; Given<Vec3f> point0, point1, normal;
+                    Given<float> margin0, margin1;)
+};
+// What the sides of contacts are found by. shape_body: {shapes}.
 struct ContactShapes {
-  const int32_t *shape0, *shape1;  // {contacts}
-  const int32_t* shape_body;       // {shapes}
-  const articulation::ContactSide* side_of_body;
-  const int32_t* group_of_tree;
-  int64_t shapes, bodies;
+  NOVAPHY_ARGUMENTS(Part<ContactPlaces> at; Given<int32_t> shape_body;
+                    Given<articulation::ContactSide> side_of_body; Given<int32_t> group_of_tree;
+                    Number<int64_t> shapes, bodies;)
 };
 // False: there is no such shape or body.
 inline bool contact_sides(const ContactShapes& s, int32_t contact,
@@ -23,7 +26,7 @@ inline bool contact_sides(const ContactShapes& s, int32_t contact,
   bool there = true;
   for (int side = 0; side < 2; ++side) {
     sides[side].tree = sides[side].link = -1;
-    const int32_t shape = side == 0 ? s.shape0[contact] : s.shape1[contact];
+    const int32_t shape = side == 0 ? s.at.shape0[contact] : s.at.shape1[contact];
     const bool is_shape = shape >= 0 && shape < s.shapes;
     const int32_t body = is_shape ? s.shape_body[shape] : -1;
     there = there && is_shape && body >= -1 && body < s.bodies;
@@ -47,22 +50,15 @@ struct ContactLink {
   int32_t kept;  // find_kept
 };
 
+// The trees of each group are ascending, and so are its contacts. found: ContactRows::found.
+// contact_stride: numbers of the memory for a contact.
 struct ContactGroupArguments {
-  ContactShapes shapes;
-  const Vec3f *point0, *point1, *normal;
-  const float *margin0, *margin1;
-  articulation::ShapeMaterials materials;
-  const float* joint_friction;
-  const int32_t *tree_begin, *trees;        // the trees of each group, ascending
-  const int32_t *contact_begin, *contacts;  // likewise its contacts
-  FloatWord erp, slop, cfm, max_depenetration, restitution_threshold;
-  int64_t compliant, cone;
-  const int32_t* shape_type;
-  int64_t found;  // ContactRows::found
-  ContactLink* chain;
-  IslandNode* nodes;
-  float* memory;
-  int64_t contact_stride;  // numbers of it for a contact
+  NOVAPHY_ARGUMENTS(Part<ContactShapes> shapes; Given<float> mu, restitution, ke, kd;
+                    Given<float> joint_friction; Given<int32_t> tree_begin, trees;
+                    Given<int32_t> contact_begin, contacts; Given<int32_t> shape_type;
+                    Number<float> erp, slop, cfm, max_depenetration, restitution_threshold;
+                    Number<int64_t> compliant, cone, found; Writes<ContactLink> chain;
+                    Writes<IslandNode> nodes; Writes<float> memory; Number<int64_t> contact_stride;)
 };
 
 // Memory of a tree: its workspace, its rates, the dry friction of its joints, and what an adjoint
@@ -87,42 +83,77 @@ inline int64_t contact_row_bytes(int32_t dofs) {
   return 12 * articulation::padded_dofs(dofs) * static_cast<int64_t>(sizeof(float));
 }
 
-struct ContactGroup {
-  const ArticulationArguments& step;
+// The lists of a group.
+struct GroupLists {
+  const ArticulationRows* const all_rows;
   const ContactGroupArguments& a;
-  float* const workspace;
-  const int64_t stride;
   const int32_t group;
-  const articulation::StepInputs<float> in;
-  const articulation::StepOptions<float> how;
   const articulation::ContactRows contacts;
   const articulation::ContactLaw<float> law;
 
-  ContactGroup(const ArticulationArguments& of_step, const ContactGroupArguments& arguments,
-               float* workspaces, int64_t numbers, int64_t row, const int32_t* point_id)
-      : step(of_step),
+  GroupLists(const ArticulationRows* rows, const ContactGroupArguments& arguments, float dt,
+             int64_t row, const int32_t* point_id)
+      : all_rows(rows),
         a(arguments),
-        workspace(workspaces),
-        stride(numbers),
         group(static_cast<int32_t>(row)),
-        in(articulation_inputs(of_step)),
-        how(articulation_options(of_step)),
-        contacts{0,        a.shapes.shape0, a.shapes.shape1, point_id,  a.point0,
-                 a.point1, a.normal,        a.margin0,       a.margin1, a.found != 0},
-        law{how.dt,
+        contacts{0,
+                 a.shapes.at.shape0,
+                 a.shapes.at.shape1,
+                 point_id,
+                 a.shapes.at.point0,
+                 a.shapes.at.point1,
+                 a.shapes.at.normal,
+                 a.shapes.at.margin0,
+                 a.shapes.at.margin1,
+                 a.found.value != 0},
+        law{dt,
             a.erp.value,
             a.slop.value,
             a.cfm.value,
             a.max_depenetration.value,
             a.restitution_threshold.value,
-            a.compliant != 0,
-            a.cone != 0} {}
+            a.compliant.value != 0,
+            a.cone.value != 0} {}
 
   int32_t first_tree() const { return a.tree_begin[group]; }
   int32_t end_tree() const { return a.tree_begin[group + 1]; }
   int32_t first_place() const { return a.contact_begin[group]; }
   int32_t end_place() const { return a.contact_begin[group + 1]; }
-  const ArticulationRows& rows(int32_t tree) const { return step.rows[tree]; }
+  const ArticulationRows& rows(int32_t tree) const { return all_rows[tree]; }
+  bool has_friction(int32_t i, int32_t dof) const {
+    return rows(i).moves != 0 && a.joint_friction[rows(i).first_dof + dof] > 0.0f;
+  }
+  int32_t& root(int32_t i) const { return a.nodes[i].root; }
+  int32_t find_root(int32_t i) const {
+    return articulation::find_root([&](int32_t t) -> int32_t& { return root(t); }, i);
+  }
+  // Of the first place of the group.
+  unsigned char* island_memory() const {
+    return reinterpret_cast<unsigned char*>(a.memory +
+                                            a.contact_begin[group] * a.contact_stride.value);
+  }
+  bool follows(int32_t contact, const articulation::ContactSide* sides) const {
+    return articulation::follows_plane(contacts, a.shape_type, contact, sides);
+  }
+};
+
+// A group with the dynamics of its trees.
+struct ContactGroup : GroupLists {
+  const ArticulationArguments& step;
+  float* const workspace;
+  const int64_t stride;
+  const articulation::StepInputs<float> in;
+  const articulation::StepOptions<float> how;
+
+  ContactGroup(const ArticulationArguments& of_step, const ContactGroupArguments& arguments,
+               float* workspaces, int64_t numbers, int64_t row, const int32_t* point_id)
+      : GroupLists(of_step.rows, arguments, of_step.dt.value, row, point_id),
+        step(of_step),
+        workspace(workspaces),
+        stride(numbers),
+        in(articulation_inputs(of_step)),
+        how(articulation_options(of_step)) {}
+
   unsigned char* memory(int32_t tree) const {
     return reinterpret_cast<unsigned char*>(workspace + tree * stride);
   }
@@ -132,38 +163,24 @@ struct ContactGroup {
     return {articulation_tree(step, r),
             articulation::make_workspace<float>(at, r.link_count, r.dof_count),
             reinterpret_cast<float*>(at + tree_rates_offset(r.link_count, r.dof_count)),
-            step.qd + r.first_dof, r.moves != 0};
+            in.qd + r.first_dof, r.moves != 0};
   }
   articulation::PgsJointFriction<float>* friction(int32_t i) const {
     return reinterpret_cast<articulation::PgsJointFriction<float>*>(
         tree(i).rates + 2 * articulation::padded_dofs(rows(i).dof_count));
-  }
-  bool has_friction(int32_t i, int32_t dof) const {
-    return rows(i).moves != 0 && a.joint_friction[rows(i).first_dof + dof] > 0.0f;
   }
   articulation::AdjointMemory<float> adjoint(int32_t i) const {
     const ArticulationRows& r = rows(i);
     return articulation::make_adjoint_memory<float>(
         memory(i) + island_tree_bytes(r.link_count, r.dof_count), r.link_count, r.dof_count);
   }
-  int32_t& root(int32_t i) const { return a.nodes[i].root; }
-  int32_t find_root(int32_t i) const {
-    return articulation::find_root([&](int32_t t) -> int32_t& { return root(t); }, i);
-  }
-  // Of the first place of the group.
-  unsigned char* island_memory() const {
-    return reinterpret_cast<unsigned char*>(a.memory + a.contact_begin[group] * a.contact_stride);
-  }
   articulation::ContactMaterial<float> material(int32_t contact) const {
-    return articulation::contact_material(a.materials, contacts, contact);
-  }
-  bool follows(int32_t contact, const articulation::ContactSide* sides) const {
-    return articulation::follows_plane(contacts, a.shape_type, contact, sides);
+    return articulation::contact_material({a.mu, a.restitution, a.ke, a.kd}, contacts, contact);
   }
 };
 
 // Makes a tree an island of its own.
-inline void start_node(const ContactGroup& s, int32_t i) {
+inline void start_node(const GroupLists& s, int32_t i) {
   IslandNode& node = s.a.nodes[i];
   node.root = node.last = i;
   node.next = node.first_row = node.last_row = -1;
@@ -172,7 +189,7 @@ inline void start_node(const ContactGroup& s, int32_t i) {
 
 // Joins the trees of a contact. The result: -1, or a tree of the group whose contact is with
 // something that is not of it.
-inline int32_t join_contact(const ContactGroup& s, int32_t place) {
+inline int32_t join_contact(const GroupLists& s, int32_t place) {
   const ContactGroupArguments& a = s.a;
   articulation::ContactSide sides[2];
   bool here = contact_sides(a.shapes, a.contacts[place], sides);
@@ -185,15 +202,15 @@ inline int32_t join_contact(const ContactGroup& s, int32_t place) {
   }
   a.chain[place].next = here ? -1 : -2;
   a.chain[place].kept = -1;
-  if (here && articulation::moves(s.step.rows, sides[0]) &&
-      articulation::moves(s.step.rows, sides[1]))
+  if (here && articulation::moves(s.all_rows, sides[0]) &&
+      articulation::moves(s.all_rows, sides[1]))
     articulation::join_trees([&](int32_t t) -> int32_t& { return s.root(t); }, sides[0].tree,
                              sides[1].tree);
   return here ? -1 : mine;
 }
 
 // Lists the trees of each island, behind all joins.
-inline void list_trees(const ContactGroup& s) {
+inline void list_trees(const GroupLists& s) {
   const ContactGroupArguments& a = s.a;
   for (int32_t k = s.first_tree(); k < s.end_tree(); ++k) {
     const int32_t i = a.trees[k], root = s.find_root(i);
@@ -204,12 +221,12 @@ inline void list_trees(const ContactGroup& s) {
 }
 
 // Puts a contact at the end of its island's list, whose root is the result; -1: it has none.
-inline int32_t list_contact(const ContactGroup& s, int32_t place) {
+inline int32_t list_contact(const GroupLists& s, int32_t place) {
   const ContactGroupArguments& a = s.a;
   if (a.chain[place].next == -2) return -1;
   articulation::ContactSide sides[2];
   contact_sides(a.shapes, a.contacts[place], sides);
-  const int32_t tree = articulation::moved_tree(s.step.rows, sides), root = s.find_root(tree);
+  const int32_t tree = articulation::moved_tree(s.all_rows, sides), root = s.find_root(tree);
   IslandNode& node = a.nodes[root];
   (node.rows == 0 ? node.first_row : a.chain[node.last_row].next) = place;
   node.last_row = place;
@@ -225,7 +242,7 @@ inline void build_row(const ContactGroup& s, int32_t contact, float*& numbers,
   contact_sides(s.a.shapes, contact, row.sides);
   row.follows = s.follows(contact, row.sides);
   int32_t widths[2];
-  articulation::set_widths(s.step.rows, row.sides, widths);
+  articulation::set_widths(s.all_rows, row.sides, widths);
   for (int side = 0; side < 2; ++side) row.solver.sides[side].width = widths[side];
   articulation::build_contact(
       s.contacts, [&](int32_t i) { return s.tree(i); }, numbers, row);
@@ -243,7 +260,7 @@ inline void build_dry(const ContactGroup& s, int32_t i) {
 }
 
 // What is solved of an island behind its impulses, for an adjoint or a tangent: the contacts that
-// push, and memory for the system of those. `Group`: a ContactGroup with a row for each contact,
+// push, and memory for the system of those. `Group`: GroupLists with a row for each contact,
 // whose arguments (`all`) hold that memory, so many numbers for each contact and so many besides.
 template <class Group>
 struct ActiveIsland {
@@ -270,12 +287,12 @@ struct ActiveIsland {
   // Null: there is no room, and the group's status says for how many numbers.
   double* system(int64_t numbers) const {
     const int64_t contacts = s.end_place() - s.first_place();
-    if (numbers > contacts * s.all.system_of_contact + s.all.system_of_group) {
+    const int64_t of_contact = s.all.system_of_contact, of_group = s.all.system_of_group;
+    if (numbers > contacts * of_contact + of_group) {
       s.all.status[s.group] = numbers < 0x7ffffffe ? static_cast<int32_t>(1 + numbers) : 0x7fffffff;
       return nullptr;
     }
-    return s.all.system +
-           (s.first_place() * s.all.system_of_contact + s.group * s.all.system_of_group);
+    return s.all.system + (s.first_place() * of_contact + s.group * of_group);
   }
 };
 

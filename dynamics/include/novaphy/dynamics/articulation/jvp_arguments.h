@@ -9,14 +9,12 @@ namespace novaphy {
 
 using articulation::DualFloat;
 
+// What the results were stays where a step fails. branch: of the step; a row per dof. stride:
+// numbers of the workspace for an articulation.
 struct ArticulationJvpArguments {
-  ArticulationArgumentsOf<DualFloat> in;
-  DualFloat *q_next, *qd_next;  // what they were stays where a step fails
-  Transform<DualFloat>* body_q;
-  SpatialVector<DualFloat>* body_qd;
-  const float* branch;  // of the step; a row per dof
-  float* workspace;
-  int64_t stride;  // numbers of it for an articulation
+  NOVAPHY_ARGUMENTS(Part<ArticulationArgumentsOf<DualFloat>> in; Changed<DualFloat> q_next, qd_next;
+                    Changed<Transform<DualFloat>> body_q; Changed<SpatialVector<DualFloat>> body_qd;
+                    Given<float> branch; Changed<float> workspace; Number<int64_t> stride;)
 };
 
 }  // namespace novaphy

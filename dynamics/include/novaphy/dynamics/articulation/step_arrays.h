@@ -1,10 +1,12 @@
 // The arrays that a step of trees reads: the one list of which arguments of kernels, gradients,
 // lanes, dual numbers, launches and names in messages are made.
 //
-// A says what a field is. ReadPointers, WritePointers: a pointer to the array. Each: a thing of the
-// same type for every array, as its place in the list. StepShape: the array's rows and width.
+// A says what a field is. ReadPointers, WritePointers: a pointer to the array. GivenArrays,
+// WantedArrays (arguments.h): an argument of kernels. Each: a thing of the same type for every
+// array, as its place in the list. StepShape: the array's rows and width.
 #pragma once
 
+#include "novaphy/core/row_kernel.h"
 #include "novaphy/dynamics/articulation/tree.h"
 #include "novaphy/math/matrix.h"
 
@@ -21,16 +23,12 @@ struct GradientArrays {
   using Array = typename A::template Array<row, Value>;
   using PerDof = Array<RowOf::Dof, T>;
 
-  Array<RowOf::Coord, T> q;
-  PerDof qd, joint_f;
-  Array<RowOf::Body, SpatialVector<T>> body_f;
-  Array<RowOf::Coord, T> target_q;
-  PerDof target_qd, target_ke, target_kd, damping, armature, limit_lower, limit_upper, limit_ke,
-      limit_kd, effort_limit, velocity_limit;
-  Array<RowOf::Body, T> mass;
-  Array<RowOf::Body, Vec3<T>> com;
-  Array<RowOf::Body, Mat33<T>> inertia;
-  Array<RowOf::World, Vec3<T>> gravity;
+  NOVAPHY_ARGUMENTS(Array<RowOf::Coord, T> q; PerDof qd, joint_f;
+                    Array<RowOf::Body, SpatialVector<T>> body_f; Array<RowOf::Coord, T> target_q;
+                    PerDof target_qd, target_ke, target_kd, damping, armature, limit_lower,
+                    limit_upper, limit_ke, limit_kd, effort_limit, velocity_limit;
+                    Array<RowOf::Body, T> mass; Array<RowOf::Body, Vec3<T>> com;
+                    Array<RowOf::Body, Mat33<T>> inertia; Array<RowOf::World, Vec3<T>> gravity;)
 };
 // Calls visit(field of each of `a`...) for every array. This order is that of the members.
 template <class Visit, class... Arrays>
@@ -61,17 +59,22 @@ constexpr void for_each_gradient_array(const Visit& visit, Arrays&... a) {
 template <class A>
 struct FrameArrays {
   using T = typename A::Scalar;
-  typename A::template Array<RowOf::Joint, Transform<T>> X_p, X_c;
-  typename A::template Array<RowOf::Dof, Vec3<T>> axis;
+  template <RowOf row, class Value>
+  using Array = typename A::template Array<row, Value>;
+  NOVAPHY_ARGUMENTS(Array<RowOf::Joint, Transform<T>> X_p, X_c; Array<RowOf::Dof, Vec3<T>> axis;)
 };
+template <class Visit, class... Arrays>
+constexpr void for_each_frame_array(const Visit& visit, Arrays&... a) {
+  visit(a.X_p...);
+  visit(a.X_c...);
+  visit(a.axis...);
+}
 template <class A>
 struct StepArrays : GradientArrays<A>, FrameArrays<A> {};
 template <class Visit, class... Arrays>
 constexpr void for_each_array(const Visit& visit, Arrays&... a) {
   for_each_gradient_array(visit, a...);
-  visit(a.X_p...);
-  visit(a.X_c...);
-  visit(a.axis...);
+  for_each_frame_array(visit, a...);
 }
 
 template <class T>

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <type_traits>
+#include <utility>
 
 #include "novaphy/dynamics/articulation/step_arrays.h"
 
@@ -53,6 +54,12 @@ void point_arrays(Arrays& arrays, T* const* to) {
         array = reinterpret_cast<std::remove_reference_t<decltype(array)>>(*to++);
       },
       arrays);
+}
+
+// The arrays that argument(place) gives, in the order of the list.
+template <class Arrays, int32_t first, class Argument, size_t... k>
+Arrays step_arguments(const Argument& argument, std::index_sequence<k...>) {
+  return {argument(first + static_cast<int32_t>(k))...};
 }
 
 }  // namespace novaphy

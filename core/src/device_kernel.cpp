@@ -149,14 +149,17 @@ void DeviceKernel::launch(Device device, int64_t n,
 
 namespace {
 
+bool is_memory(uint64_t word) { return word != 0 && (word & kArrayBit) == 0; }
+
 // Says what is wrong with the first argument that is.
 [[noreturn, gnu::noinline]] void refuse(const char* kernel, std::span<const ArgumentInfo> infos,
                                         const ArgumentWord* values, Device device, int64_t n) {
   for (size_t k = 0; k < infos.size(); ++k) {
     const ArgumentInfo& info = infos[k];
     if (info.access == access::kNumber) continue;
-    require(values[k] == 0 || (values[k] & kArrayBit) != 0, ErrorKind::Runtime, kernel, ", ",
-            info.name, ": expected an array, got memory");
+    require(!is_memory(values[k]) || (device.is_cpu() && launch_recorder() == nullptr),
+            ErrorKind::Runtime, kernel, ", ", info.name, ": expected an array, got memory");
+    if (is_memory(values[k])) continue;
     const Range* const range = range_of(values[k]);
     if (range == nullptr && (info.access & access::kOptional) != 0) continue;
     const size_t bytes = range == nullptr ? 0 : range->bytes();
@@ -177,11 +180,15 @@ void DeviceKernel::launch_arrays(int64_t n, std::span<const ArgumentInfo> infos,
   if (n == 0) return;
   const auto bits = [](const Device& device) { return std::bit_cast<uint64_t>(device); };
   size_t first = 0;
-  while (first < infos.size() &&
-         (infos[first].access == access::kNumber || range_of(values[first]) == nullptr))
-    ++first;
-  require(first < infos.size(), ErrorKind::Value, name_, ": expected an argument with rows");
-  const Device device = range_of(values[first])->device();
+  bool has_memory = false;
+  for (; first < infos.size(); ++first) {
+    if (infos[first].access == access::kNumber) continue;
+    if (range_of(values[first]) != nullptr) break;
+    has_memory |= is_memory(values[first]);
+  }
+  require(first < infos.size() || has_memory, ErrorKind::Value, name_,
+          ": expected an argument with rows");
+  const Device device = first < infos.size() ? range_of(values[first])->device() : Device::cpu();
   const uint64_t device_bits = bits(device), rows = static_cast<uint64_t>(n);
   std::array<uint64_t, kMostWords> words;
   std::array<Range*, kMostWords> written;
@@ -192,9 +199,10 @@ void DeviceKernel::launch_arrays(int64_t n, std::span<const ArgumentInfo> infos,
     uint64_t word = values[k];
     if (info.access != access::kNumber) {
       Range* const range = range_of(word);
-      if (range == nullptr) {
-        fits &= (info.row_bytes == 0 || (info.access & access::kOptional) != 0) &&
-                (word == 0 || (word & kArrayBit) != 0);
+      if (is_memory(word)) {
+        fits &= device.is_cpu() && launch_recorder() == nullptr;
+      } else if (range == nullptr) {
+        fits &= info.row_bytes == 0 || (info.access & access::kOptional) != 0;
         word = 0;
       } else {
         // A device that follows a pointer of another one is lost.

@@ -29,7 +29,7 @@ size_t LaunchList::append(const DeviceKernel& kernel, int64_t n,
 
 void LaunchList::put(size_t number, const ArgumentWord* values) {
   Op& op = ops_[number];
-  op.writes_arrays = false;
+  op.writes_arrays = op.has_memory = false;
   for (size_t k = 0; k < op.infos.size(); ++k) {
     const ArgumentInfo& info = op.infos[k];
     uint64_t& word = words_[op.first_word + k];
@@ -40,7 +40,7 @@ void LaunchList::put(size_t number, const ArgumentWord* values) {
     const bool is_memory = word != 0 && (word & kArrayBit) == 0;
     require(!is_memory || device_.is_cpu(), ErrorKind::Runtime, op.kernel->name(), ", ", info.name,
             ": expected an array, got memory");
-    has_memory_ = has_memory_ || is_memory;
+    op.has_memory |= is_memory;
     if (is_memory) continue;
     range = range_of(word);
     word = range == nullptr ? 0 : reinterpret_cast<uint64_t>(range->data());
@@ -54,6 +54,7 @@ void LaunchList::put(size_t number, const ArgumentWord* values) {
             op.kernel->name(), ", ", info.name, ": expected at least ", op.n, " rows, got ",
             info.row_bytes == 0 ? 0 : bytes / info.row_bytes);
   }
+  has_memory_ = std::any_of(ops_.begin(), ops_.end(), [](const Op& o) { return o.has_memory; });
 }
 
 void LaunchList::record(const Op& op) const {

@@ -1,17 +1,27 @@
 #include "novaphy/vbd/differentiable_vbd.h"
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <utility>
 #include <vector>
 
-#include "launched_reverse.h"
-#include "launched_solution.h"
-#include "model_derivatives.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/exclusive_use.h"
+#include "reverse_pass.h"
+#include "tangent_pass.h"
 
 namespace novaphy {
 namespace {
+
+using vbd::StepDerivatives;
+using vbd::StepInputs;
+
+// While one is alive nobody records what this thread does.
+struct Unrecorded : Unobserved {
+  LaunchRecorder* const before = set_launch_recorder(nullptr);
+  ~Unrecorded() { set_launch_recorder(before); }
+};
 
 void check_covered(const VbdOptions& o) {
   const auto refuse = [](bool given, const char* option) {
@@ -71,57 +81,74 @@ struct Solved {
 
 struct DifferentiableVbd::Work {
   Work(const Model& model, const VbdOptions& options, const VbdGradientOptions& gradient_options)
-      : step(model, options, !gradient_options.implicit),
+      : step(model, options),
         reverse(step),
         tangent(step),
         gradient(gradient_options),
         solved{gradient_options},
-        q_out(step.x.size()),
-        qd_out(step.x.size()) {}
+        q_out(step.x().rows(), model.device()),
+        qd_out(step.x().rows(), model.device()) {}
 
-  void run(const VbdStepInputs& in, Vec3f* q, Vec3f* qd) {
-    step.update(in.tri_activation, in.tet_activation, in.contacts, in.dt);
-    step.run({in.particle_q, in.particle_qd, in.particle_f, q, qd, in.last_velocity}, in.targets);
-    if (gradient.implicit)
-      solved.see_step(tangent.solve_step(static_cast<double>(gradient.tolerance),
-                                         gradient.newton_iterations, gradient.krylov_sweeps));
+  void run(const StepInputs& in, const vbd::StepResults& out, bool damps) {
+    {
+      const Unobserved of_the_model;
+      step.model().update_derived();
+    }
+    step.update(in.dt, damps);
+    step.run(in, out, in_use_of_caller);
+    if (!gradient.implicit) return;
+    step.check();
+    solved.see_step(tangent.solve_step(static_cast<double>(gradient.tolerance),
+                                       gradient.newton_iterations, gradient.krylov_sweeps));
   }
-  void run_again(const VbdStepInputs& in) {
-    run(in, q_out.data(), qd_out.data());
-    if (!gradient.implicit) solved.primal = step.residual();
+  // For derivatives, which look at what the step was like.
+  void run_again(const StepInputs& in, bool damps) {
+    run(in, {.q = q_out, .qd = qd_out, .keeps_iterates = !gradient.implicit}, damps);
+    if (!gradient.implicit) step.find_residuals();
   }
   void tell(const vbd::KrylovResult& linear) {
-    info = solved.see_linear(linear);
-    has_info = true;
-  }
-  void tell() {
-    info = {"exact", solved.primal, 0.0, 0, true};
+    if (gradient.implicit) info = solved.see_linear(linear);
     has_info = true;
   }
 
-  vbd::StepWork step;
+  void forward(const StepInputs& in, const vbd::StepResults& out) {
+    run(in, out, in.trains_elements);
+  }
+  void backward(const StepInputs& in, const vbd::ResultBars& bars, const StepDerivatives& to) {
+    run_again(in, in.trains_elements || vbd::wants_damping(to));
+    if (!gradient.implicit) {
+      reverse.unrolled(in, bars, to);
+      return tell({});
+    }
+    const Unobserved unobserved;
+    tell(reverse.implicit(in, bars, to, static_cast<double>(gradient.tolerance),
+                          gradient.krylov_sweeps));
+  }
+  // Of the positions and the velocities.
+  std::array<vbd::Rows, 2> slopes(const StepInputs& in, const StepDerivatives& direction) {
+    run_again(in, vbd::wants_damping(direction));
+    const vbd::SweepTangents along = vbd::tangents_along(step, in, direction);
+    vbd::KrylovResult found;
+    std::array<vbd::Rows, 2> all;
+    all[0] = gradient.implicit ? tangent.implicit(along, static_cast<double>(gradient.tolerance),
+                                                  gradient.krylov_sweeps, found)
+                               : tangent.unrolled(along);
+    tell(found);
+    for (size_t p = 0; p < all[0].size(); ++p)
+      all[1].emplace_back((Vec3f(all[0][p]) - Vec3f(along.start[p])) / in.dt);
+    return all;
+  }
+
+  vbd::Step step;
   vbd::ReversePass reverse;
   vbd::TangentPass tangent;
   const VbdGradientOptions gradient;
   Solved solved;
-  vbd::GradientMemory memory;
-  std::vector<Vec3f> q_out, qd_out;
-  bool has_info = false;
-  VbdGradientInfo info;
-  ExclusiveUse in_use;
-};
-
-struct DifferentiableVbd::Launched {
-  Launched(const Model& model, const VbdOptions& options, const VbdGradientOptions& gradient)
-      : step(model, options), reverse(step), solution(step, reverse), solved{gradient} {}
-
-  vbd::LaunchedStep step;
-  vbd::LaunchedReverse reverse;
-  vbd::LaunchedSolution solution;
-  Solved solved;
+  DeviceArray<Vec3f> q_out, qd_out;
   bool has_info = false;
   VbdGradientInfo info;  // implicit
   ExclusiveUse in_use;
+  std::shared_ptr<ExclusiveUse> in_use_of_caller;  // which a recording takes
 };
 
 DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const VbdOptions& options,
@@ -130,114 +157,57 @@ DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const V
   check_covered(options);
   check_gradient_options(options, gradient_options);
   SolverVBD(model_, options);  // makes its checks
-  if (!model_->device().is_cpu()) {
-    launched_ = std::make_unique<Launched>(*model_, options, gradient_options);
-    return;
-  }
   work_ = std::make_unique<Work>(*model_, options, gradient_options);
 }
 
 DifferentiableVbd::~DifferentiableVbd() = default;
 
-int32_t DifferentiableVbd::held_count() const {
-  return launched_ != nullptr ? launched_->step.held_count()
-                              : static_cast<int32_t>(work_->step.slots.held().size());
-}
+int32_t DifferentiableVbd::held_count() const { return work_->step.held_count(); }
 
 VbdGradientInfo DifferentiableVbd::info() const {
-  if (launched_ != nullptr) launched_->step.check();
-  require(launched_ != nullptr ? launched_->has_info : work_->has_info, ErrorKind::Runtime,
+  work_->step.check();
+  require(work_->has_info, ErrorKind::Runtime,
           "DiffSolverVBD.gradient_info: expected a backward before");
-  if (launched_ != nullptr && !launched_->solved.gradient.implicit)
-    return {"exact", launched_->step.last_residual(), 0.0, 0, true};
-  if (launched_ != nullptr) return launched_->info;
-  return work_->info;
+  if (work_->gradient.implicit) return work_->info;
+  return {"exact", work_->step.last_residual(), 0.0, 0, true};
 }
 
 void DifferentiableVbd::forward(const VbdStepInputs& in, Vec3f* q_out, Vec3f* qd_out) {
   const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.forward", "the solver");
-  model_->update_derived();
-  work_->step.damps = false;
-  work_->run(in, q_out, qd_out);
+  const Unrecorded unrecorded;
+  work_->forward({*model_, in}, {.q = direct(q_out), .qd = direct(qd_out)});
 }
 
 void DifferentiableVbd::backward(const VbdStepInputs& in, const Vec3f* q_out_bar,
                                  const Vec3f* qd_out_bar, const VbdStepGradients& gradients) {
   const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.backward", "the solver");
-  Work& w = *work_;
-  model_->update_derived();
-  w.step.damps = vbd::wants_damping(gradients);
-  w.run_again(in);
-  w.reverse.prepare(vbd::wants_weights(gradients));
-  if (w.gradient.implicit) {
-    w.tell(w.reverse.implicit(q_out_bar, qd_out_bar, static_cast<double>(w.gradient.tolerance),
-                              w.gradient.krylov_sweeps));
-  } else {
-    w.reverse.unrolled(q_out_bar, qd_out_bar);
-    w.tell();
-  }
-  vbd::put_gradients(w.reverse, in, gradients, w.gradient.implicit, w.memory);
-}
-
-void DifferentiableVbd::forward(const VbdLaunchInputs& in, const DeviceArray<Vec3f>& q_out,
-                                const DeviceArray<Vec3f>& qd_out,
-                                const std::shared_ptr<ExclusiveUse>& in_use) {
-  const ExclusiveUse::Scope scope(launched_->in_use, "DifferentiableVbd.forward", "the solver");
-  {
-    const Unobserved of_the_model;
-    model_->update_derived();
-  }
-  Launched& w = *launched_;
-  w.step.update(in.dt);
-  w.step.set_damps(in.trains_elements);
-  if (w.solved.gradient.implicit) {
-    w.solved.see_step(w.solution.run(in, {q_out, qd_out, {}}, w.solved.gradient, in_use));
-  } else {
-    w.step.run(in, {q_out, qd_out, {}}, in_use);
-  }
-}
-
-void DifferentiableVbd::backward(const VbdLaunchInputs& in, const Array& q_out_bar,
-                                 const Array& qd_out_bar, const VbdStepArrays& gradients,
-                                 const std::shared_ptr<ExclusiveUse>& in_use) {
-  const ExclusiveUse::Scope scope(launched_->in_use, "DifferentiableVbd.backward", "the solver");
-  {
-    const Unobserved of_the_model;
-    model_->update_derived();
-  }
-  Launched& w = *launched_;
-  w.step.update(in.dt);
-  w.step.set_damps(in.trains_elements || vbd::wants_damping(gradients));
-  if (w.solved.gradient.implicit) {
-    w.info = w.solved.see_linear(
-        w.solution.run_back(in, q_out_bar, qd_out_bar, gradients, w.solved.gradient, in_use,
-                            [&w](const vbd::Solution& found) { w.solved.see_step(found); }));
-  } else {
-    w.reverse.run(in, q_out_bar, qd_out_bar, gradients, in_use);
-  }
-  w.has_info = true;
+  const Unrecorded unrecorded;
+  work_->backward({*model_, in}, {q_out_bar, qd_out_bar}, vbd::derivatives_of(gradients));
 }
 
 void DifferentiableVbd::tangent(const VbdStepInputs& in, const VbdStepTangents& direction,
                                 Vec3f* q_out_slope, Vec3f* qd_out_slope) {
   const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.tangent", "the solver");
-  Work& w = *work_;
-  model_->update_derived();
-  w.step.damps = vbd::wants_damping(direction);
-  w.run_again(in);
-  w.tangent.prepare();
-  vbd::set_direction(w.tangent, in, direction);
-  if (w.gradient.implicit) {
-    w.tell(w.tangent.implicit(static_cast<double>(w.gradient.tolerance), w.gradient.krylov_sweeps));
-  } else {
-    w.tangent.unrolled();
-    w.tell();
-  }
-  for (size_t p = 0; p < w.q_out.size(); ++p) {
-    const Vec3f x = w.tangent.x_slope[p];
-    q_out_slope[p] = x;
-    qd_out_slope[p] = (x - Vec3f(w.tangent.start_slope[p])) / in.dt;
-  }
+  const Unrecorded unrecorded;
+  const auto slopes = work_->slopes({*model_, in}, vbd::derivatives_of(direction));
+  std::copy(slopes[0].begin(), slopes[0].end(), q_out_slope);
+  std::copy(slopes[1].begin(), slopes[1].end(), qd_out_slope);
+}
+
+void DifferentiableVbd::forward(const VbdLaunchInputs& in, const DeviceArray<Vec3f>& q_out,
+                                const DeviceArray<Vec3f>& qd_out,
+                                const std::shared_ptr<ExclusiveUse>& in_use) {
+  const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.forward", "the solver");
+  work_->in_use_of_caller = in_use;
+  work_->forward(StepInputs(in), {.q = q_out, .qd = qd_out});
+}
+
+void DifferentiableVbd::backward(const VbdLaunchInputs& in, const Array& q_out_bar,
+                                 const Array& qd_out_bar, const VbdStepArrays& gradients,
+                                 const std::shared_ptr<ExclusiveUse>& in_use) {
+  const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.backward", "the solver");
+  work_->in_use_of_caller = in_use;
+  work_->backward(StepInputs(in), {q_out_bar, qd_out_bar}, vbd::derivatives_of(gradients));
 }
 
 }  // namespace novaphy

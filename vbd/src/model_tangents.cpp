@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "model_derivatives.h"
 #include "novaphy/math/matrix.h"
 #include "novaphy/vbd/particle_step_trace.h"
+#include "tangent_pass.h"
 
 namespace novaphy::vbd {
 namespace {
@@ -15,97 +15,123 @@ Vec3f at(const Vec3f* rows, size_t row) { return rows != nullptr ? rows[row] : V
 
 class Direction {
  public:
-  Direction(TangentPass& to, const VbdStepInputs& inputs, const VbdStepTangents& direction)
-      : pass(to), in(inputs), t(direction), m(to.step.model), h(inputs.dt) {}
+  Direction(SweepTangents& all, const Step& of, const StepInputs& inputs,
+            const StepDerivatives& direction)
+      : to(all), step(of), in(inputs), t(direction), m(of.host_model()), h(inputs.dt) {}
 
   void set_state() const {
     const float* const inv_mass = m.particle_inv_mass.data();
     const auto worlds = static_cast<size_t>(m.world_count());
-    const bool previous = pass.step.options.initial_guess == VbdInitialGuess::Previous;
+    const bool previous = step.options().initial_guess == VbdInitialGuess::Previous;
+    const OnHost q_slope(t.particle_q), qd_slope(t.particle_qd), f_slope(t.particle_f),
+        target_slope(t.targets), gravity_slope(t.gravity);
+    const OnHost f(in.f), qd(in.qd);
+    const OnHost mass_slope(t.particle_mass), last_slope(t.last_velocity);
+    const OnHost last(in.last_velocity);
+    const std::vector<Vec3f> gravities = step.model().gravity.to_host();
     size_t held = 0;
-    for (size_t p = 0; p < pass.x_slope.size(); ++p) {
-      const Vec3f start = at(t.particle_q, p);
-      pass.start_slope[p] = start;
-      if (pass.step.slots.is_held(static_cast<int32_t>(p))) {
-        pass.x_slope[p] = in.targets != nullptr ? at(t.targets, held) : start;
+    for (size_t p = 0; p < to.x.size(); ++p) {
+      const Vec3f start = at(q_slope.rows, p);
+      to.start[p] = start;
+      if (step.is_held(p)) {
+        to.x[p] = in.targets.word() != 0 ? at(target_slope.rows, held) : start;
         ++held;
         continue;
       }
       const int32_t world = m.particle_world.data()[p];
-      const float w = inv_mass[p], mass = at(t.particle_mass, p);
+      const float w = inv_mass[p], mass = at(mass_slope.rows, p);
       const auto of = world < 0 ? worlds - 1 : static_cast<size_t>(world);
-      const Vec3f gravity = at(t.gravity, of), velocity = at(t.particle_qd, p);
-      const Vec3f acceleration =
-          (gravity + at(t.particle_f, p) * w) - in.particle_f[p] * ((w * w) * mass);
-      pass.target_slope[p] = start + (velocity + acceleration * h) * h;
-      pass.guess_slope[p] = previous ? start : Vec3f(pass.target_slope[p]);
-      if (pass.step.looked_back() && in.last_velocity[p].w != 0.0f) {
-        const Vec4f last = in.last_velocity[p];
-        const Vec3f slope = {at(t.last_velocity, 4 * p), at(t.last_velocity, 4 * p + 1),
-                             at(t.last_velocity, 4 * p + 2)};
-        pass.guess_slope[p] =
-            start + adaptive_guess_slope(in.particle_qd[p], m.gravity.data()[of], h,
-                                         {last.x, last.y, last.z}, velocity, gravity, slope);
+      const Vec3f gravity = at(gravity_slope.rows, of), velocity = at(qd_slope.rows, p);
+      const Vec3f acceleration = (gravity + at(f_slope.rows, p) * w) - f.rows[p] * ((w * w) * mass);
+      to.target[p] = start + (velocity + acceleration * h) * h;
+      to.guess[p] = previous ? start : Vec3f(to.target[p]);
+      if (step.looks_back(in) && last.rows[p].w != 0.0f) {
+        const float* const l = last_slope.rows;
+        const Vec3f slope = {at(l, 4 * p), at(l, 4 * p + 1), at(l, 4 * p + 2)};
+        to.guess[p] = start + adaptive_guess_slope(qd.rows[p], gravities[of], h, last.rows[p],
+                                                   velocity, gravity, slope);
       }
-      pass.mass_slope[p] = mass / (h * h);
+      to.mass[p] = mass / (h * h);
     }
   }
 
   void set_slots() const {
+    const OnHost particle_edge_material(t.particle_edge_material);
+    const OnHost particle_edge_rest_angle(t.particle_edge_rest_angle);
+    const OnHost particle_edge_rest_length(t.particle_edge_rest_length);
+    const OnHost particle_spring_damping(t.particle_spring_damping);
+    const OnHost particle_spring_rest_length(t.particle_spring_rest_length);
+    const OnHost particle_spring_stiffness(t.particle_spring_stiffness);
+    const OnHost particle_tet_activation(t.particle_tet_activation);
+    const OnHost particle_tet_material(t.particle_tet_material);
+    const OnHost particle_tet_pose(t.particle_tet_pose);
+    const OnHost particle_tri_activation(t.particle_tri_activation);
+    const OnHost particle_tri_area(t.particle_tri_area);
+    const OnHost particle_tri_material(t.particle_tri_material);
+    const OnHost particle_tri_pose(t.particle_tri_pose);
     for_lanes(kSpring, [&](const ColorSlots::Source& s, auto number) {
       const auto e = static_cast<size_t>(s.element);
-      number(0) = at(t.particle_spring_stiffness, e);
-      number(1) = at(t.particle_spring_damping, e) / h;
-      number(2) = at(t.particle_spring_rest_length, e);
+      number(0) = at(particle_spring_stiffness.rows, e);
+      number(1) = at(particle_spring_damping.rows, e) / h;
+      number(2) = at(particle_spring_rest_length.rows, e);
     });
     for (const Role role : {kHingeOpposite, kHingeEnd})
       for_lanes(role, [&](const ColorSlots::Source& s, auto number) {
         const auto e = static_cast<size_t>(s.element);
         const float* const c = m.particle_edge_material.data() + 2 * e;
         const float length = m.particle_edge_rest_length.data()[e];
-        const float slope = at(t.particle_edge_rest_length, e);
-        number(0) = at(t.particle_edge_material, 2 * e) * length + c[0] * slope;
-        number(1) = (at(t.particle_edge_material, 2 * e + 1) * length + c[1] * slope) / h;
-        number(2) = at(t.particle_edge_rest_angle, e);
+        const float slope = at(particle_edge_rest_length.rows, e);
+        number(0) = at(particle_edge_material.rows, 2 * e) * length + c[0] * slope;
+        number(1) = (at(particle_edge_material.rows, 2 * e + 1) * length + c[1] * slope) / h;
+        number(2) = at(particle_edge_rest_angle.rows, e);
       });
     for_lanes(kTriangle, [&](const ColorSlots::Source& s, auto number) {
       const auto e = static_cast<size_t>(s.element);
-      set_weights<2>(s, t.particle_tri_pose, number);
-      set_elastic(m.particle_tri_area.data()[e], at(t.particle_tri_area, e),
-                  m.particle_tri_material.data() + 5 * e, t.particle_tri_material, 5 * e,
-                  at(t.particle_tri_activation, e), number, law_begin(kTriangle));
+      set_weights<2>(s, particle_tri_pose.rows, number);
+      set_elastic(m.particle_tri_area.data()[e], at(particle_tri_area.rows, e),
+                  m.particle_tri_material.data() + 5 * e, particle_tri_material.rows, 5 * e,
+                  at(particle_tri_activation.rows, e), number, law_begin(kTriangle));
     });
     for_lanes(kTetrahedron, [&](const ColorSlots::Source& s, auto number) {
       const auto e = static_cast<size_t>(s.element);
       const Mat33f& pose = m.particle_tet_pose.data()[e];
-      set_weights<3>(s, t.particle_tet_pose, number);
+      set_weights<3>(s, particle_tet_pose.rows, number);
       const float volume = 1.0f / (math::determinant(pose) * 6.0f);
       float det_slope = 0.0f;
       for (size_t row = 0; row < 3; ++row) {
         const auto r = static_cast<int>(row);
         const Vec3f v = math::cross(math::row(pose, (r + 1) % 3), math::row(pose, (r + 2) % 3));
         const size_t first = 9 * e + 3 * row;
-        det_slope +=
-            math::dot(v, Vec3f{at(t.particle_tet_pose, first), at(t.particle_tet_pose, first + 1),
-                               at(t.particle_tet_pose, first + 2)});
+        det_slope += math::dot(
+            v, Vec3f{at(particle_tet_pose.rows, first), at(particle_tet_pose.rows, first + 1),
+                     at(particle_tet_pose.rows, first + 2)});
       }
       set_elastic(volume, -(volume * 6.0f) * (volume * det_slope),
-                  m.particle_tet_material.data() + 3 * e, t.particle_tet_material, 3 * e,
-                  at(t.particle_tet_activation, e), number, law_begin(kTetrahedron));
+                  m.particle_tet_material.data() + 3 * e, particle_tet_material.rows, 3 * e,
+                  at(particle_tet_activation.rows, e), number, law_begin(kTetrahedron));
     });
   }
 
   void set_contacts() const {
-    float* slope = pass.contact_slopes.data();
-    for (const int32_t slot : pass.step.contacts.slots()) {
-      const auto p = static_cast<size_t>(in.contacts->soft_contact_particle.data()[slot]);
-      const auto s = static_cast<size_t>(in.contacts->soft_contact_shape.data()[slot]);
-      const float mean = std::sqrt(m.soft_contact_mu * m.shape_material_mu.data()[s]);
-      *slope++ = at(t.particle_radius, p) + at(t.shape_margin, s);
-      *slope++ = 0.5f * at(t.shape_material_ke, s);
-      *slope++ = (0.5f * at(t.shape_material_kd, s)) / h;
-      *slope++ =
-          mean > 0.0f ? at(t.shape_material_mu, s) * (m.soft_contact_mu / (2.0f * mean)) : 0.0f;
+    if (!step.has_contacts()) return;
+    const std::vector<int32_t> begin = step.contact_begin().to_host(),
+                               items = step.contact_items().to_host(),
+                               particle = in.contacts->soft_contact_particle.to_host(),
+                               shape = in.contacts->soft_contact_shape.to_host();
+    const std::vector<float> friction = step.model().shape_material_mu.to_host();
+    const float model_mu = step.model().soft_contact_mu;
+    const OnHost radius(t.particle_radius), margin(t.shape_margin), ke(t.shape_material_ke),
+        kd(t.shape_material_kd), mu(t.shape_material_mu);
+    to.contacts.resize(items.size() * kContactLawFloats);
+    float* slope = to.contacts.data();
+    for (size_t k = 0; k < static_cast<size_t>(begin.back()); ++k) {
+      const auto slot = static_cast<size_t>(items[k]);
+      const auto p = static_cast<size_t>(particle[slot]), s = static_cast<size_t>(shape[slot]);
+      const float mean = std::sqrt(model_mu * friction[s]);
+      *slope++ = at(radius.rows, p) + at(margin.rows, s);
+      *slope++ = 0.5f * at(ke.rows, s);
+      *slope++ = (0.5f * at(kd.rows, s)) / h;
+      *slope++ = mean > 0.0f ? at(mu.rows, s) * (model_mu / (2.0f * mean)) : 0.0f;
     }
   }
 
@@ -113,11 +139,14 @@ class Direction {
   // Calls set(source, number) for every lane of every slot; number(k) is the slope of its k-th.
   template <class Set>
   void for_lanes(Role role, const Set& set) const {
-    const ColorSlots::Table& table = pass.step.slots.table(role);
-    const auto lanes = static_cast<size_t>(pass.step.level.lanes);
+    const ColorSlots::Table& table = step.slots().table(role);
+    const auto lanes = static_cast<size_t>(step.slots().lanes());
+    size_t first = 0;
+    for (int before = 0; before < role; ++before)
+      first += step.slots().table(static_cast<Role>(before)).floats.size();
     for (size_t k = 0; k < table.sources.size(); ++k) {
       if (table.sources[k].element < 0) continue;
-      float* const row = pass.number_slopes[role].data() +
+      float* const row = to.numbers.data() + first +
                          k / lanes * lanes * static_cast<size_t>(kFloats[role]) + k % lanes;
       set(table.sources[k],
           [row, lanes](int n) -> float& { return row[static_cast<size_t>(n) * lanes]; });
@@ -142,7 +171,7 @@ class Direction {
     }
   }
 
-  // See put_elastic in model_gradients.cpp.
+  // See put_elastic in vbd_gradient_kernels.h.
   template <class Numbers>
   void set_elastic(float size, float size_slope, const float* material, const float* slopes,
                    size_t row, float activation_slope, const Numbers& number, int first) const {
@@ -157,21 +186,31 @@ class Direction {
     number(first + 3) = (size * at(slopes, row + 2) + size_slope * material[2]) / h;
   }
 
-  TangentPass& pass;
-  const VbdStepInputs& in;
-  const VbdStepTangents& t;
+  SweepTangents& to;
+  const Step& step;
+  const StepInputs& in;
+  const StepDerivatives& t;
   const Model& m;
   float h;
 };
 
 }  // namespace
 
-void set_direction(TangentPass& pass, const VbdStepInputs& inputs,
-                   const VbdStepTangents& direction) {
-  const Direction d(pass, inputs, direction);
+SweepTangents tangents_along(const Step& step, const StepInputs& in,
+                             const StepDerivatives& direction) {
+  const size_t n = step.x().rows();
+  SweepTangents all;
+  for (Rows* rows : {&all.x, &all.start, &all.target, &all.guess}) rows->resize(n);
+  all.mass.resize(n);
+  size_t numbers = 0;
+  for (int role = 0; role < kRoles; ++role)
+    numbers += step.slots().table(static_cast<Role>(role)).floats.size();
+  all.numbers.resize(numbers);
+  const Direction d(all, step, in, direction);
   d.set_state();
   d.set_slots();
   d.set_contacts();
+  return all;
 }
 
 }  // namespace novaphy::vbd

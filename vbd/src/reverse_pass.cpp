@@ -1,160 +1,437 @@
 #include "reverse_pass.h"
 
-#include <algorithm>
-
-#include "novaphy/core/sim/for_chunks.h"
+#include "novaphy/core/builtin_kernels.h"
 #include "solution.h"
+
+namespace novaphy::detail {
+const char* vbd_gradient_kernels_text();
+}  // namespace novaphy::detail
 
 namespace novaphy::vbd {
 namespace {
 
-constexpr int64_t kGroupsPerChunk = 4;
-constexpr int64_t kParticlesPerChunk = 256;
+constexpr int64_t kGroupsPerChunk = 4;  // that a thread of the CPU takes at a time
+
+// Never destroyed: recordings refer to them.
+struct GradientKernels {
+#define NOVAPHY_VBD_KERNEL(name) \
+  Kernel<decltype(vbd_##name)::Arguments> name{vbd_##name, detail::vbd_gradient_kernels_text};
+  NOVAPHY_VBD_KERNEL(adjoint_begin)
+  NOVAPHY_VBD_KERNEL(adjoint_end)
+  NOVAPHY_VBD_KERNEL(receive)
+  NOVAPHY_VBD_KERNEL(particle_gradient)
+  NOVAPHY_VBD_KERNEL(target_gradient)
+  NOVAPHY_VBD_KERNEL(gravity_gradient)
+  NOVAPHY_VBD_KERNEL(spring_gradient)
+  NOVAPHY_VBD_KERNEL(edge_gradient)
+  NOVAPHY_VBD_KERNEL(triangle_gradient)
+  NOVAPHY_VBD_KERNEL(tetrahedron_gradient)
+  NOVAPHY_VBD_KERNEL(radius_gradient)
+  NOVAPHY_VBD_KERNEL(contact_shape)
+  NOVAPHY_VBD_KERNEL(shape_gradient)
+#undef NOVAPHY_VBD_KERNEL
+};
+const GradientKernels& kernels() {
+  static const auto& all = *new GradientKernels;
+  return all;
+}
+
+template <class... D>
+bool any(const D&... derivatives) {
+  return (derivatives.is_wanted() || ...);
+}
 
 }  // namespace
 
-void ReversePass::prepare(bool weights) {
-  const size_t n = step.x.size();
-  x_bar.assign(n, {});
-  if (builds_ != step.builds) {
-    receivers_.build(step.slots, step.model.particle_count(), false);
-    builds_ = step.builds;
-  }
-  terms_.resize(static_cast<size_t>(receivers_.terms_begin.back()));
-  bars_ = {};
+void ReversePass::build_tables() {
+  const ColorSlots& slots = step_.slots();
+  const Device device = step_.device();
+  const auto lanes = static_cast<size_t>(slots.lanes());
+  Receivers r;
+  r.build(slots, step_.model().particle_count(), !step_.on_cpu());
+  Tables t;
+  t.builds = step_.builds();
+  t.color_begin = r.color_begin;
+  t.particle = upload<int32_t>(r.particle, device);
+  t.is_own = upload<int32_t>(r.is_own, device);
+  t.begin = upload<uint64_t>(r.begin, device);
+  t.others = upload<uint64_t>(r.others, device);
+  t.entries = upload<uint64_t>(r.entries, device);
+  t.numbers_begin.assign(1, 0);
+  std::vector<int64_t> begins;
+  std::vector<int32_t> particle;
+  Sweep sweep;
+  slots.fill(sweep);
   for (int role = 0; role < kRoles; ++role) {
-    const size_t lanes = step.slots.table(static_cast<Role>(role)).sources.size();
-    numbers_[role].resize(lanes * static_cast<size_t>(kFloats[role]));
-    bars_.others[role] = terms_.data() + receivers_.terms_begin[static_cast<size_t>(role)];
-    bars_.numbers[role] = numbers_[role].data();
+    const ColorSlots::Table& table = slots.table(static_cast<Role>(role));
+    t.numbers_begin.push_back(t.numbers_begin.back() + static_cast<int64_t>(table.floats.size()));
+    const size_t before = particle.size();
+    begins.push_back(static_cast<int64_t>(before));
+    particle.resize(before + table.sources.size(), -1);
+    for (size_t g = 0; g + 1 < table.begin.size(); ++g)
+      for (auto s = static_cast<size_t>(table.begin[g]);
+           s < static_cast<size_t>(table.begin[g + 1]); ++s)
+        for (size_t lane = 0; lane < lanes; ++lane)
+          if (table.sources[s * lanes + lane].element >= 0)
+            particle[before + s * lanes + lane] = sweep.particle[g * lanes + lane];
+    t.places[role] = upload<uint64_t>(table.places, device);
   }
-  start_bar.resize(n);
-  target_bar.resize(n);
-  mass_bar.resize(n);
-  contact_bars.resize(step.contacts.count() * kContactLawFloats);
-  clear_parameters();
-  bars_.weights = weights;
-  bars_.x = floats(x_bar);
-  bars_.start = floats(start_bar);
-  bars_.target = floats(target_bar);
-  bars_.mass_by_h2 = mass_bar.data();
-  bars_.contacts = contact_bars.data();
+  t.slot_particle = upload<int32_t>(particle, device);
+  begins.insert(begins.end(), r.terms_begin.begin(), r.terms_begin.begin() + kRoles);
+  begins.insert(begins.end(), t.numbers_begin.begin(), t.numbers_begin.begin() + kRoles);
+  t.begins = upload<uint64_t>(begins, device);
+  const IndexRows worlds = particles_of_worlds(step_.host_model());
+  t.world_begin = upload<int32_t>(worlds.begins().data(), worlds.begins().size(), device);
+  t.of_worlds = upload<int32_t>(worlds.all().data(), worlds.all().size(), device);
+  tables_ = std::move(t);
+  terms_ = DeviceArray<float>(static_cast<size_t>(r.terms_begin.back()), device);
+  numbers_ = DeviceArray<float>(static_cast<size_t>(tables_.numbers_begin.back()), device);
 }
 
-void ReversePass::clear_parameters() {
-  for (Rows* rows : {&start_bar, &target_bar}) std::fill(rows->begin(), rows->end(), Row());
-  for (std::vector<float>* rows : {&mass_bar, &contact_bars})
-    std::fill(rows->begin(), rows->end(), 0.0f);
-  for (std::vector<float>& rows : numbers_) std::fill(rows.begin(), rows.end(), 0.0f);
+void ReversePass::reserve() {
+  const Unobserved unobserved;
+  const Device device = step_.device();
+  const auto n = static_cast<size_t>(step_.model().particle_count());
+  if (tables_.builds != step_.builds()) build_tables();
+  if (x_bar_.rows() != n) {
+    for (Rows4* rows :
+         {&x_bar_, &u_, &d_, &own_, &start_bar_, &target_bar_, &gravity_bar_, &multipliers_})
+      *rows = Rows4(n, device);
+    mass_bar_ = DeviceArray<float>(n, device);
+  }
+  const size_t contacts = step_.contact_items().rows();  // as many as the step has room for
+  if (contact_bars_.rows() == contacts * kContactLawFloats) return;
+  contact_bars_ = DeviceArray<float>(contacts * kContactLawFloats, device);
+  shape_of_contact_ = DeviceArray<int32_t>(contacts, device);
+  of_shapes_ = DeviceArray<int32_t>(contacts, device);
+  shape_begin_ = DeviceArray<int32_t>(static_cast<size_t>(step_.model().shape_count()) + 1, device);
 }
 
-template <class Function>
-void ReversePass::for_groups(int64_t begin, int64_t end, Function&& function) {
-  for_chunks(end - begin, kGroupsPerChunk, [&](int64_t first, int64_t last, int64_t) {
-    for (int64_t g = begin + first; g < begin + last; ++g) function(step.sweep, bars_, g);
-  });
+// Of the groups [first, end).
+VbdAdjointArguments ReversePass::arguments(const Rows4* before, int64_t first, int64_t end) const {
+  int64_t first_lanes[kRoles], ends[kRoles], threads = 0;
+  for (int role = 0; role < kRoles; ++role) {
+    const std::vector<int64_t>& slots = step_.slots().table(static_cast<Role>(role)).begin;
+    const int64_t begin = slots[static_cast<size_t>(first)];
+    first_lanes[role] = begin * kVbdLanes;
+    threads += (slots[static_cast<size_t>(end)] - begin) * kVbdLanes;
+    ends[role] = threads;
+  }
+  return {.sweep = step_.sweep(first, end),
+          .before = before,
+          .x_bar = x_bar_,
+          .u = u_,
+          .d = d_,
+          .own = own_,
+          .start_bar = start_bar_,
+          .target_bar = target_bar_,
+          .mass_bar = mass_bar_,
+          .contact_bars = key_.with_contacts ? &contact_bars_ : nullptr,
+          .at_rest = int{key_.at_rest},
+          .multiplier = nullptr,
+          .multiplier_sum = nullptr,
+          .slot_particle = tables_.slot_particle,
+          .terms = terms_,
+          .numbers = numbers_,
+          .begins = tables_.begins,
+          .first = first_lanes,
+          .ends = ends};
 }
 
-// Adds what slots of a colour computed for every particle.
-void ReversePass::receive(size_t color, Rows& rows) {
-  const Receivers& r = receivers_;
-  const int64_t first = r.color_begin[color];
-  const VbdReceiveArguments arguments = {.particle = direct(r.particle),
-                                         .begin = direct(r.begin),
-                                         .others = direct(r.others),
-                                         .entries = direct(r.entries),
-                                         .first = first,
-                                         .lanes = step.level.lanes,
-                                         .terms = direct(terms_.data()),
-                                         .is_own = direct(r.is_own),
-                                         .own = nullptr,
-                                         .rows = direct(rows),
-                                         .parts = kVbdReceiveAll};
-  const int64_t n = r.color_begin[color + 1] - first;
-  for_chunks(n, kParticlesPerChunk, [&](int64_t begin, int64_t end, int64_t) {
-    for (int64_t row = begin; row < end; ++row) vbd_receive_row(arguments, row, n);
-  });
+void ReversePass::add_receive(size_t color, const Rows4* own, const Rows4& rows, int64_t parts) {
+  const Tables& t = tables_;
+  list_->add(kernels().receive, t.color_begin[color + 1] - t.color_begin[color],
+             {.particle = t.particle,
+              .begin = t.begin,
+              .others = t.others,
+              .entries = t.entries,
+              .first = t.color_begin[color],
+              .lanes = step_.slots().lanes(),
+              .terms = terms_,
+              .is_own = t.is_own,
+              .own = own,
+              .rows = rows,
+              .parts = parts});
 }
 
-// Back through the step of one colour, whose particles stood at `before`.
-void ReversePass::reverse_color(size_t color, const Rows& before) {
-  const std::vector<int64_t>& colors = step.slots.color_begin();
-  const auto lanes = static_cast<int64_t>(step.level.lanes);
-  if (!bars_.at_rest)
-    for (int64_t k = colors[color] * lanes; k < colors[color + 1] * lanes; ++k) {
-      const auto p = static_cast<size_t>(step.sweep.particle[k]);
-      step.x[p] = before[p];
-    }
-  for_groups(colors[color], colors[color + 1], step.level.adjoint);
-  receive(color, x_bar);
+// Back through the step of some groups, up to what particles get.
+void ReversePass::add_groups(const VbdAdjointArguments& a) {
+  const AdjointKernels& adjoint = adjoint_kernels();
+  const int64_t groups = a.sweep.end_group - a.sweep.first_group, lanes = step_.slots().lanes();
+  const Kernel<VbdAdjointArguments>& slots = adjoint.slots[key_.at_rest][key_.weights];
+  if (step_.on_cpu()) {
+    list_->add(slots, groups * lanes, a, kGroupsPerChunk * lanes);
+    return;
+  }
+  if (key_.team == 0 || a.multiplier.word() != 0) {
+    list_->add(adjoint.solve, groups * lanes, a);
+  } else {
+    list_->add(adjoint.solve_team, team_threads(groups, key_.team), a);
+  }
+  list_->add(slots, a.ends[kRoles - 1], a);
 }
 
-void ReversePass::begin(const Vec3f* q_bar, const Vec3f* qd_bar) {
-  const auto n = static_cast<int64_t>(x_bar.size());
-  const VbdAdjointBeginArguments arguments = {.q_bar = direct(q_bar),
-                                              .qd_bar = direct(qd_bar),
-                                              .inverse_h = 1.0f / step.constants.dt,
-                                              .x_bar = direct(x_bar)};
-  for (int64_t p = 0; p < n; ++p) vbd_adjoint_begin_row(arguments, p, n);
-}
-
-// What the guess, the results and the slots have of the start: of v = (x - xn)/h, and of lengths,
-// strains and angles.
-void ReversePass::end(Row* guess, const Vec3f* qd_bar) {
-  const auto n = static_cast<int64_t>(x_bar.size());
-  const VbdAdjointEndArguments arguments = {.is_held = direct(step.slots.held_flags()),
-                                            .x_bar = direct(x_bar),
-                                            .guess = direct(guess),
-                                            .qd_bar = direct(qd_bar),
-                                            .inverse_h = 1.0f / step.constants.dt,
-                                            .start_bar = direct(start_bar)};
-  for (int64_t p = 0; p < n; ++p) vbd_adjoint_end_row(arguments, p, n);
-  const std::vector<int64_t>& colors = step.slots.color_begin();
+// Of what slots have of the start. On the CPU a particle gets its own when its colour comes.
+void ReversePass::add_starts() {
+  const std::vector<int64_t>& colors = step_.colors();
+  const Kernel<VbdAdjointArguments>& start = adjoint_kernels().start[key_.weights];
+  const int64_t lanes = step_.slots().lanes();
+  if (!step_.on_cpu()) {
+    const VbdAdjointArguments a = arguments(nullptr, 0, colors.back());
+    list_->add(start, a.ends[kRoles - 1], a);
+  }
   for (size_t color = 0; color + 1 < colors.size(); ++color) {
-    for_groups(colors[color], colors[color + 1], step.level.adjoint_start);
-    receive(color, start_bar);
+    const int64_t first = colors[color], end = colors[color + 1];
+    if (step_.on_cpu())
+      list_->add(start, (end - first) * lanes, arguments(nullptr, first, end),
+                 kGroupsPerChunk * lanes);
+    add_receive(color, nullptr, start_bar_);
   }
 }
 
-void ReversePass::unrolled(const Vec3f* q_bar, const Vec3f* qd_bar) {
-  begin(q_bar, qd_bar);
-  const size_t colors = step.slots.color_begin().size() - 1;
-  for (size_t k = step.iterates.size() - 1; k-- > 0;)
-    for (size_t color = colors; color-- > 0;) reverse_color(color, step.iterates[k]);
-  if (step.looked_back()) return end(nullptr, qd_bar);  // see vbd_particle_gradient
-  const bool from_start = step.options.initial_guess == VbdInitialGuess::Previous;
-  end((from_start ? start_bar : target_bar).data(), qd_bar);
+void ReversePass::make_list(const VbdAdjointBeginArguments& begin,
+                            const VbdAdjointEndArguments& end) {
+  const std::vector<int64_t>& colors = step_.colors();
+  const int64_t n = step_.model().particle_count();
+  list_.emplace(step_.device());
+  const auto clear = [&](const Array& values) {
+    list_->add(step_kernels().clear, static_cast<int64_t>(values.bytes() / sizeof(float)),
+               {.values = Untyped(values)});
+  };
+  for (const Array* rows :
+       std::initializer_list<const Array*>{&start_bar_, &target_bar_, &mass_bar_, &numbers_})
+    clear(*rows);
+  if (key_.with_contacts) clear(contact_bars_);
+  begin_ = list_->add(kernels().adjoint_begin, n, begin);
+  sweeps_ = list_->size();
+  const auto add_colors = [&](const Rows4* iterate, const Rows4* sum) {
+    for (size_t color = colors.size() - 1; color-- > 0;) {
+      const int64_t first = colors[color], groups = colors[color + 1] - first;
+      const bool commits = iterate != nullptr && step_.slots().has_conflicts();
+      if (commits)
+        list_->add(step_kernels().commit, groups * step_.slots().lanes(),
+                   step_.commit(first, *iterate));
+      VbdAdjointArguments a = arguments(commits ? nullptr : iterate, first, colors[color + 1]);
+      a.multiplier_sum = sum;
+      add_groups(a);
+      add_receive(color, &own_, x_bar_);
+    }
+  };
+  if (key_.at_rest) {
+    add_colors(nullptr, &multipliers_);
+  } else {
+    for (size_t k = step_.iterates().size(); k-- > 0;) add_colors(&step_.iterates()[k], nullptr);
+  }
+  // All groups at once, then what particles have of themselves before what others give them.
+  balance_ = list_->size();
+  if (key_.at_rest) {
+    VbdAdjointArguments a = arguments(nullptr, 0, colors.back());
+    a.multiplier = multipliers_;
+    add_groups(a);
+    for (const int64_t parts : {kVbdReceiveOwn, kVbdReceiveOthers})
+      for (size_t color = 0; color + 1 < colors.size(); ++color)
+        add_receive(color, &own_, x_bar_, parts);
+  }
+  end_ = list_->add(kernels().adjoint_end, n, end);
+  add_starts();
+}
+
+// The list for a step that was run.
+void ReversePass::prepare(const StepInputs& in, const ResultBars& bars, const StepDerivatives& to,
+                          bool at_rest) {
+  reserve();
+  const float inverse_h = 1.0f / step_.dt();
+  // The bars of what iterations began with, see vbd_particle_gradient.
+  const bool from_start = step_.options().initial_guess == VbdInitialGuess::Previous;
+  const Rows4* const guess = at_rest || step_.looks_back(in) ? nullptr
+                             : from_start                    ? &start_bar_
+                                                             : &target_bar_;
+  const VbdAdjointBeginArguments begin = {
+      .q_bar = bars.q, .qd_bar = bars.qd, .inverse_h = inverse_h, .x_bar = x_bar_};
+  const VbdAdjointEndArguments end = {.is_held = step_.is_held(),
+                                      .x_bar = x_bar_,
+                                      .guess = guess,
+                                      .qd_bar = bars.qd,
+                                      .inverse_h = inverse_h,
+                                      .start_bar = start_bar_};
+  const Key key = {.version = step_.version(),
+                   .team = step_.team(),
+                   .with_contacts = step_.has_contacts(),
+                   .damps = step_.damps(),
+                   .weights = wants_weights(to),
+                   .at_rest = at_rest};
+  if (list_ && key == key_) {
+    list_->set(begin_, begin);
+    list_->set(end_, end);
+    return;
+  }
+  key_ = key;
+  make_list(begin, end);
+}
+
+void ReversePass::unrolled(const StepInputs& in, const ResultBars& bars,
+                           const StepDerivatives& to) {
+  prepare(in, bars, to, false);
+  list_->run();
+  put(in, to);
+}
+
+KrylovResult ReversePass::implicit(const StepInputs& in, const ResultBars& bars,
+                                   const StepDerivatives& to, double tolerance, int32_t sweeps) {
+  prepare(in, bars, to, true);
+  list_->run(0, sweeps_);
+  const KrylovResult found = solve_transposed(*this, download(x_bar_), tolerance, sweeps);
+  list_->run(end_.number, list_->size());
+  put(in, to);
+  return found;
 }
 
 void ReversePass::reverse_sweep(const Rows& load, Rows& multipliers, Rows& left) {
-  x_bar = load;
-  bars_.x = floats(x_bar);
-  bars_.multiplier_sum = floats(multipliers);
-  for (size_t color = step.slots.color_begin().size() - 1; color-- > 0;) reverse_color(color, {});
-  bars_.multiplier_sum = nullptr;
-  left = x_bar;
+  upload_rows(x_bar_, load);
+  multipliers_.zero();
+  list_->run(sweeps_, balance_);
+  multipliers = download(multipliers_);
+  left = download(x_bar_);
 }
 
-const Rows& ReversePass::balance(const Rows& given, Rows& multipliers) {
-  const size_t colors = step.slots.color_begin().size() - 1;
-  clear_parameters();
-  x_bar = given;
-  bars_.x = floats(x_bar);
-  bars_.multiplier = floats(multipliers);
-  for_groups(0, step.slots.color_begin().back(), step.level.adjoint);
-  for (size_t color = 0; color < colors; ++color) receive(color, x_bar);
-  bars_.multiplier = nullptr;
-  return x_bar;
+Rows ReversePass::balance(const Rows& given, const Rows& multipliers) {
+  list_->run(0, begin_.number);
+  upload_rows(x_bar_, given);
+  upload_rows(multipliers_, multipliers);
+  list_->run(balance_, end_.number);
+  return download(x_bar_);
 }
 
-KrylovResult ReversePass::implicit(const Vec3f* q_bar, const Vec3f* qd_bar, double tolerance,
-                                   int32_t sweeps) {
-  begin(q_bar, qd_bar);
-  bars_.at_rest = true;
-  const Rows given = x_bar;
-  const KrylovResult result = solve_transposed(*this, given, tolerance, sweeps);
-  end(nullptr, qd_bar);
-  return result;
+void ReversePass::put(const StepInputs& in, const StepDerivatives& g) const {
+  put_state(in, g);
+  put_elements(g);
+  put_contacts(in, g);
+}
+
+void ReversePass::put_state(const StepInputs& in, const StepDerivatives& g) const {
+  const Model& m = step_.model();
+  const bool guessed = !key_.at_rest && step_.looks_back(in);
+  if (any(g.particle_q, g.particle_qd, g.particle_f, g.particle_mass, g.gravity, g.last_velocity))
+    novaphy::run(kernels().particle_gradient, m.particle_count(),
+                 {.is_held = step_.is_held(),
+                  .inv_mass = m.particle_inv_mass,
+                  .f = in.f,
+                  .x_bar = x_bar_,
+                  .start_bar = start_bar_,
+                  .target_bar = target_bar_,
+                  .mass_bar = mass_bar_,
+                  .h = step_.dt(),
+                  .have_targets = int{in.targets.word() != 0},
+                  .by_q = g.particle_q,
+                  .by_qd = g.particle_qd,
+                  .by_f = g.particle_f,
+                  .by_mass = g.particle_mass,
+                  .by_gravity = any(g.gravity) ? &gravity_bar_ : nullptr,
+                  .by_last = g.last_velocity,
+                  .last = guessed ? Optional<ReadsRow<VbdRow>>(in.last_velocity)
+                                  : Optional<ReadsRow<VbdRow>>(nullptr),
+                  .qd = in.qd,
+                  .world = m.particle_world,
+                  .gravity = m.gravity,
+                  .last_world = m.world_count() - 1});
+  if (any(g.targets))
+    novaphy::run(kernels().target_gradient, step_.held_count(),
+                 {.held = step_.held(),
+                  .x_bar = x_bar_,
+                  .has_targets = int{in.targets.word() != 0},
+                  .by_targets = g.targets});
+  if (any(g.gravity))
+    novaphy::run(kernels().gravity_gradient, m.world_count(),
+                 {.begin = tables_.world_begin,
+                  .particles = tables_.of_worlds,
+                  .of_particles = gravity_bar_,
+                  .by_gravity = g.gravity});
+}
+
+VbdLawArguments ReversePass::law_bars(Role role) const {
+  return {.places = tables_.places[role],
+          .numbers = numbers_,
+          .first = tables_.numbers_begin[role],
+          .lanes = step_.slots().lanes()};
+}
+
+void ReversePass::put_elements(const StepDerivatives& g) const {
+  const Model& m = step_.model();
+  const float h = step_.dt();
+  const auto rows = [](const Array& elements) { return static_cast<int64_t>(elements.rows()); };
+  if (any(g.particle_spring_stiffness, g.particle_spring_damping, g.particle_spring_rest_length))
+    novaphy::run(kernels().spring_gradient, rows(m.particle_spring_indices),
+                 {.bars = law_bars(kSpring),
+                  .h = h,
+                  .by_stiffness = g.particle_spring_stiffness,
+                  .by_damping = g.particle_spring_damping,
+                  .by_rest_length = g.particle_spring_rest_length});
+  if (any(g.particle_tri_material, g.particle_tri_activation, g.particle_tri_area,
+          g.particle_tri_pose))
+    novaphy::run(kernels().triangle_gradient, rows(m.particle_tri_indices),
+                 {.bars = law_bars(kTriangle),
+                  .area = m.particle_tri_area,
+                  .material = m.particle_tri_material,
+                  .h = h,
+                  .by_material = g.particle_tri_material,
+                  .by_activation = g.particle_tri_activation,
+                  .by_area = g.particle_tri_area,
+                  .by_pose = g.particle_tri_pose});
+  if (any(g.particle_edge_material, g.particle_edge_rest_angle, g.particle_edge_rest_length))
+    novaphy::run(kernels().edge_gradient, rows(m.particle_edge_indices),
+                 {.opposite = law_bars(kHingeOpposite),
+                  .end = law_bars(kHingeEnd),
+                  .material = m.particle_edge_material,
+                  .rest_length = m.particle_edge_rest_length,
+                  .h = h,
+                  .by_material = g.particle_edge_material,
+                  .by_rest_angle = g.particle_edge_rest_angle,
+                  .by_rest_length = g.particle_edge_rest_length});
+  if (any(g.particle_tet_material, g.particle_tet_activation, g.particle_tet_pose))
+    novaphy::run(kernels().tetrahedron_gradient, rows(m.particle_tet_indices),
+                 {.bars = law_bars(kTetrahedron),
+                  .pose = m.particle_tet_pose,
+                  .material = m.particle_tet_material,
+                  .h = h,
+                  .by_material = g.particle_tet_material,
+                  .by_activation = g.particle_tet_activation,
+                  .by_pose = g.particle_tet_pose});
+}
+
+void ReversePass::put_contacts(const StepInputs& in, const StepDerivatives& g) const {
+  const Model& m = step_.model();
+  const bool with_contacts = key_.with_contacts;
+  if (any(g.particle_radius))
+    novaphy::run(kernels().radius_gradient, m.particle_count(),
+                 {.contact_begin = with_contacts ? &step_.contact_begin() : nullptr,
+                  .contact_bars = with_contacts ? &contact_bars_ : nullptr,
+                  .by_radius = g.particle_radius});
+  if (!any(g.shape_margin, g.shape_material_ke, g.shape_material_kd, g.shape_material_mu)) return;
+  if (with_contacts) {
+    const auto contacts = static_cast<int64_t>(in.contacts->soft_contact_max());
+    novaphy::run(kernels().contact_shape, contacts,
+                 {.begin = step_.contact_begin(),
+                  .items = step_.contact_items(),
+                  .particles = m.particle_count(),
+                  .shape = in.contacts->soft_contact_shape,
+                  .shape_of_contact = shape_of_contact_});
+    novaphy::run(incidence(), m.shape_count(),
+                 {.table = shape_of_contact_,
+                  .slots = contacts,
+                  .offsets = shape_begin_,
+                  .items = of_shapes_});
+  }
+  novaphy::run(kernels().shape_gradient, m.shape_count(),
+               {.begin = with_contacts ? &shape_begin_ : nullptr,
+                .contacts = with_contacts ? &of_shapes_ : nullptr,
+                .contact_bars = with_contacts ? &contact_bars_ : nullptr,
+                .mu = m.shape_material_mu,
+                .model_mu = m.soft_contact_mu,
+                .h = step_.dt(),
+                .by_margin = g.shape_margin,
+                .by_ke = g.shape_material_ke,
+                .by_kd = g.shape_material_kd,
+                .by_mu = g.shape_material_mu});
 }
 
 }  // namespace novaphy::vbd

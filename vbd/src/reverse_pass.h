@@ -1,58 +1,87 @@
-// A step of VBD in reverse: from the derivatives of a scalar by its results to those by the
-// positions, targets and numbers that its sweeps read.
+// A step of VBD in reverse, as lists of launches: from the derivatives of a scalar by its results,
+// called bars, to those by what the step reads.
 #pragma once
+
+#include <optional>
+#include <vector>
 
 #include "krylov.h"
 #include "receivers.h"
 #include "rows.h"
-#include "step_work.h"
-#include "vbd_gradient_kernels.h"
+#include "step.h"
 
 namespace novaphy::vbd {
 
+// Of the results of a step; null: 0.
+struct ResultBars {
+  Derivative<Vec3f> q, qd;
+};
+
 class ReversePass {
  public:
-  explicit ReversePass(StepWork& work) : step(work) {}
+  explicit ReversePass(Step& step) : step_(step) {}
 
-  // Clears all derivatives. `weights`: also by the weights of slots.
-  void prepare(bool weights);
   // After a run that kept its iterates.
-  void unrolled(const Vec3f* q_bar, const Vec3f* qd_bar);
+  void unrolled(const StepInputs& in, const ResultBars& bars, const StepDerivatives& to);
   // At the solution. Returns how well the linear system was solved: the residual is the true one.
-  KrylovResult implicit(const Vec3f* q_bar, const Vec3f* qd_bar, double tolerance, int32_t sweeps);
+  KrylovResult implicit(const StepInputs& in, const ResultBars& bars, const StepDerivatives& to,
+                        double tolerance, int32_t sweeps);
 
   // For solution.h.
   void reverse_sweep(const Rows& load, Rows& multipliers, Rows& left);
-  const Rows& balance(const Rows& given, Rows& multipliers);
-  bool is_held(size_t p) const { return step.slots.is_held(static_cast<int32_t>(p)); }
-
-  // By the numbers of the slots of a role.
-  VbdLawArguments law_bars(Role role) const {
-    return {.places = direct(step.slots.table(role).places),
-            .numbers = direct(numbers_[role]),
-            .first = 0,
-            .lanes = step.level.lanes};
-  }
-
-  StepWork& step;
-  Rows x_bar;  // of the initial guess; of held particles: of where they are
-  Rows start_bar, target_bar;
-  std::vector<float> mass_bar;      // by mass/h^2
-  std::vector<float> contact_bars;  // see Adjoint
+  Rows balance(const Rows& given, const Rows& multipliers);
+  bool is_held(size_t p) const { return step_.is_held(p); }
 
  private:
-  void begin(const Vec3f* q_bar, const Vec3f* qd_bar);
-  void reverse_color(size_t color, const Rows& before);
-  template <class Function>
-  void for_groups(int64_t begin, int64_t end, Function&& function);
-  void receive(size_t color, Rows& rows);
-  void clear_parameters();
-  void end(Row* guess, const Vec3f* qd_bar);
+  using Rows4 = Step::Rows4;
+  // Made of the slots. Launches of captures keep them.
+  struct Tables {
+    uint64_t builds = 0;  // of the slots
+    std::vector<int64_t> numbers_begin, color_begin;
+    DeviceArray<int32_t> particle, is_own, slot_particle;
+    DeviceArray<uint64_t> begins;                  // of roles: see VbdAdjointArguments
+    DeviceArray<uint64_t> begin, others, entries;  // see Receivers
+    DeviceArray<uint64_t> places[kRoles];
+    DeviceArray<int32_t> world_begin, of_worlds;
+  };
+  // What a list was made for.
+  struct Key {
+    uint64_t version = 0;  // see Step::version
+    int64_t team = 0;
+    bool with_contacts = false, damps = false;
+    bool weights = false;  // also by the weights of slots
+    bool at_rest = false;  // at a solution
+    bool operator==(const Key&) const = default;
+  };
 
-  Receivers receivers_;
-  Adjoint bars_;
-  std::vector<float> terms_, numbers_[kRoles];
-  uint64_t builds_ = 0;  // of the tables that the receivers were made from
+  void prepare(const StepInputs& in, const ResultBars& bars, const StepDerivatives& to,
+               bool at_rest);
+  void build_tables();
+  void reserve();
+  VbdAdjointArguments arguments(const Rows4* before, int64_t first, int64_t end) const;
+  void make_list(const VbdAdjointBeginArguments& begin, const VbdAdjointEndArguments& end);
+  void add_groups(const VbdAdjointArguments& a);
+  void add_receive(size_t color, const Rows4* own, const Rows4& rows,
+                   int64_t parts = kVbdReceiveAll);
+  void add_starts();
+  void put(const StepInputs& in, const StepDerivatives& g) const;
+  void put_state(const StepInputs& in, const StepDerivatives& g) const;
+  void put_elements(const StepDerivatives& g) const;
+  void put_contacts(const StepInputs& in, const StepDerivatives& g) const;
+  VbdLawArguments law_bars(Role role) const;
+
+  Step& step_;
+  Tables tables_;
+  // Up to the bars of slots, targets and contacts: clears, the bars of the positions, sweeps in
+  // reverse, at a solution also what multipliers leave, and what slots have of the start.
+  std::optional<LaunchList> list_;
+  LaunchList::Place<VbdAdjointBeginArguments> begin_;
+  LaunchList::Place<VbdAdjointEndArguments> end_;
+  size_t sweeps_ = 0, balance_ = 0;  // where these stretches begin
+  Key key_;
+  Rows4 x_bar_, u_, d_, own_, start_bar_, target_bar_, gravity_bar_, multipliers_;
+  DeviceArray<float> mass_bar_, terms_, numbers_, contact_bars_;
+  DeviceArray<int32_t> shape_of_contact_, shape_begin_, of_shapes_;
 };
 
 }  // namespace novaphy::vbd

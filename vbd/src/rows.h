@@ -1,15 +1,26 @@
 // Vectors over the particles, as rows of 4 floats, for linear systems.
 #pragma once
 
+#include <span>
 #include <vector>
 
-#include "step_work.h"
+#include "novaphy/core/device_array.h"
+#include "novaphy/vbd/rows_kernels.h"
 
 namespace novaphy::vbd {
 
+using Row = VbdRow;
 using Rows = std::vector<Row>;
 
-inline float* floats(Rows& rows) { return reinterpret_cast<float*>(rows.data()); }
+static_assert(sizeof(Row) == sizeof(Vec4f));
+inline Rows download(const DeviceArray<Vec4f>& from) {
+  Rows rows(from.rows());
+  from.Array::copy_to_host(rows.data(), from.bytes());
+  return rows;
+}
+inline void upload_rows(DeviceArray<Vec4f>& to, const Rows& rows) {
+  to.Array::copy_from_host(rows.data(), to.bytes());
+}
 
 // In double precision, in the order of the particles.
 inline double inner(const Rows& a, const Rows& b) {

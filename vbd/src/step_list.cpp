@@ -45,12 +45,11 @@ StepList::StepList(const StepPlan& plan, const StepArguments& a,
   const int64_t n = plan.particles, groups = plan.colors.back();
   const auto keep = [&](size_t iteration) {
     if (iteration < iterates.size())
-      list_.add(kernels.keep, n, {.x = a.sweep.x, .iterate = iterates[iteration]},
-                kParticleRows);
+      list_.add(kernels.keep, n, {.x = a.sweep.x, .iterate = iterates[iteration]}, kParticleRows);
   };
   predict_ = list_.add(kernels.predict, n, a.predict, kParticleRows);
-  prepare_ = list_.add(kernels.prepare, groups * plan.lanes, of_groups(a.sweep, 0, groups),
-                       kLaneRows);
+  prepare_ =
+      list_.add(kernels.prepare, groups * plan.lanes, of_groups(a.sweep, 0, groups), kLaneRows);
   iterations_.push_back(list_.size());
   for (int32_t k = 1; k <= plan.iterations; ++k) {
     keep(static_cast<size_t>(k - 1));

@@ -1,4 +1,4 @@
-// What both ways of running a step make of the options and the model's numbers.
+// What a step makes of the options and the model's numbers.
 #pragma once
 
 #include <cmath>
@@ -31,6 +31,13 @@ inline void check_numbers(const Model& model) {
           ": model.soft_contact_restitution: expected the default ",
           ModelNumbers{}.soft_contact_restitution, ", because contacts of VBD do not bounce, got ",
           model.soft_contact_restitution);
+}
+
+// What a step asks the host about, a device and a recording cannot.
+inline void check_not_launched(const VbdOptions& o) {
+  require(!o.tolerance, ErrorKind::NotImplemented,
+          "SolverVBD: tolerance: a step that is launched does not ask how far it is (on a device, "
+          "or in a capture); set iterations");
 }
 
 // Chebyshev's factors: 1, 2/(2 - rho^2), then 4/(4 - rho^2 omega).

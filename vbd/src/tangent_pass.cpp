@@ -1,139 +1,164 @@
 #include "tangent_pass.h"
 
-#include <algorithm>
 #include <cmath>
 
-#include "novaphy/core/sim/for_chunks.h"
-
 namespace novaphy::vbd {
-namespace {
 
-constexpr int64_t kGroupsPerChunk = 8;
-
-}  // namespace
-
-template <class Function>
-void TangentPass::for_groups(size_t first_color, size_t last_color, Function&& function) {
-  const std::vector<int64_t>& colors = step.slots.color_begin();
-  const int64_t begin = colors[first_color], end = colors[last_color];
-  for_chunks(end - begin, kGroupsPerChunk, [&](int64_t first, int64_t last, int64_t) {
-    for (int64_t g = begin + first; g < begin + last; ++g) function(step.sweep, tangents_, g);
-  });
+void TangentPass::reserve() {
+  const Unobserved unobserved;
+  if (x_.rows() == step_.x().rows()) return;
+  for (Rows4* rows : {&x_, &load_, &result_, &moved_})
+    *rows = Rows4(step_.x().rows(), step_.device());
 }
 
-template <class Function>
-void TangentPass::for_particles(size_t color, Function&& function) {
-  const std::vector<int64_t>& colors = step.slots.color_begin();
-  const auto lanes = static_cast<int64_t>(step.level.lanes);
-  for (int64_t g = colors[color]; g < colors[color + 1]; ++g)
-    for (int64_t l = 0; l < step.sweep.filled[g]; ++l)
-      function(static_cast<size_t>(step.sweep.particle[g * lanes + l]));
+void TangentPass::put(const SweepTangents& along) {
+  reserve();
+  const Unobserved unobserved;
+  const Device device = step_.device();
+  start_ = upload<Vec4f>(along.start, device);
+  target_ = upload<Vec4f>(along.target, device);
+  mass_ = upload<float>(along.mass, device);
+  contacts_ = upload<float>(along.contacts, device);
+  numbers_ = upload<float>(along.numbers, device);
+  VbdTangentArguments a = arguments(0, step_.colors().size() - 1, true);
+  a.x = nullptr;
+  novaphy::run(tangent_kernels().start, step_.colors().back() * step_.slots().lanes(), a);
 }
 
-void TangentPass::prepare() {
-  const size_t n = step.x.size();
-  for (Rows* rows : {&x_slope, &start_slope, &target_slope, &guess_slope}) rows->assign(n, {});
-  mass_slope.assign(n, 0.0f);
-  contact_slopes.assign(step.contacts.count() * kContactLawFloats, 0.0f);
-  tangents_ = {};
+VbdTangentArguments TangentPass::arguments(size_t first_color, size_t last_color,
+                                           bool along) const {
+  const std::vector<int64_t>& colors = step_.colors();
+  int64_t begins[kRoles], begin = 0;
   for (int role = 0; role < kRoles; ++role) {
-    const size_t lanes = step.slots.table(static_cast<Role>(role)).sources.size();
-    number_slopes[role].assign(lanes * static_cast<size_t>(kFloats[role]), 0.0f);
-    tangents_.numbers[role] = number_slopes[role].data();
+    begins[role] = begin;
+    begin += static_cast<int64_t>(step_.slots().table(static_cast<Role>(role)).floats.size());
   }
-  tangents_.x = floats(x_slope);
-  tangents_.start = floats(start_slope);
-  tangents_.target = floats(target_slope);
-  tangents_.mass_by_h2 = mass_slope.data();
-  tangents_.contacts = contact_slopes.data();
+  return {.sweep = step_.sweep(colors[first_color], colors[last_color]),
+          .x = x_,
+          .start = along ? &start_ : nullptr,
+          .target = along ? &target_ : nullptr,
+          .mass = along ? &mass_ : nullptr,
+          .contacts = along ? if_any(contacts_) : nullptr,
+          .numbers = along ? &numbers_ : nullptr,
+          .begins = begins,
+          .load = nullptr,
+          .at_rest = int{!along},
+          .keeps_loads = int{keeps_loads_},
+          .force = nullptr,
+          .force_slope = nullptr,
+          .step_slope = nullptr};
 }
 
-void TangentPass::tangent_start() {
-  for_groups(0, step.slots.color_begin().size() - 1, step.level.tangent_start);
+void TangentPass::launch(const VbdTangentArguments& a) const {
+  const int64_t groups = a.sweep.end_group - a.sweep.first_group;
+  novaphy::run(tangent_kernels().tangent, groups * step_.slots().lanes(), a);
 }
 
-void TangentPass::unrolled() {
-  tangent_start();
-  for (size_t p = 0; p < x_slope.size(); ++p)
-    if (!is_held(p)) x_slope[p] = guess_slope[p];
-  Rows moved(x_slope.size());
-  tangents_.step_slope = floats(moved);
-  step.x = step.iterates.front();
-  const size_t colors = step.slots.color_begin().size() - 1;
-  for (size_t k = 0; k + 1 < step.iterates.size(); ++k)
-    for (size_t color = 0; color < colors; ++color) {
-      for_groups(color, color + 1, step.level.tangent);
-      for_particles(color, [&](size_t p) {
-        x_slope[p] = Vec3f(x_slope[p]) + Vec3f(moved[p]);
-        step.x[p] = step.iterates[k + 1][p];
-      });
+// The particles of a colour take their steps.
+void TangentPass::move(size_t color, const Rows4& x) const {
+  const int64_t first = step_.colors()[color], groups = step_.colors()[color + 1] - first;
+  novaphy::run(tangent_kernels().move, groups * step_.slots().lanes(),
+               {.particle = step_.particles(),
+                .filled = step_.filled(),
+                .first_group = first,
+                .lanes = step_.slots().lanes(),
+                .step = moved_,
+                .x = x});
+}
+
+Rows TangentPass::unrolled(const SweepTangents& along) {
+  put(along);
+  Rows slopes = along.x;
+  for (size_t p = 0; p < slopes.size(); ++p)
+    if (!is_held(p)) slopes[p] = along.guess[p];
+  upload_rows(x_, slopes);
+  const std::vector<Rows4>& iterates = step_.iterates();
+  const auto n = static_cast<int64_t>(x_.rows());
+  const auto copy = [n](const Rows4& from, const Rows4& to) {
+    novaphy::run(step_kernels().keep, n, {.x = from, .iterate = to});
+  };
+  copy(step_.x(), result_);
+  if (!iterates.empty()) copy(iterates.front(), step_.x());
+  for (size_t k = 0; k < iterates.size(); ++k)
+    for (size_t color = 0; color + 1 < step_.colors().size(); ++color) {
+      VbdTangentArguments a = arguments(color, color + 1, true);
+      a.step_slope = moved_;
+      launch(a);
+      move(color, x_);
+      const int64_t first = step_.colors()[color], groups = step_.colors()[color + 1] - first;
+      novaphy::run(step_kernels().commit, groups * step_.slots().lanes(),
+                   step_.commit(first, k + 1 < iterates.size() ? iterates[k + 1] : result_));
     }
-  tangents_.step_slope = nullptr;
+  return download(x_);
 }
 
 // A sweep from 0 with the load, at a solution, and the derivative of the forces along it.
 void TangentPass::sweep(const Rows& load, Rows& z, Rows& image) {
-  const Tangents kept = tangents_;
-  tangents_ = {};
-  tangents_.at_rest = true;
-  tangents_.keeps_loads = kept.keeps_loads;
-  const size_t colors = step.slots.color_begin().size() - 1;
-  Rows moved(load.size());
-  tangents_.x = floats(z);
-  tangents_.load = reinterpret_cast<const float*>(load.data());
-  tangents_.step_slope = floats(moved);
+  upload_rows(load_, load);
+  x_.zero();
+  const size_t colors = step_.colors().size() - 1;
   for (size_t color = 0; color < colors; ++color) {
-    for_groups(color, color + 1, step.level.tangent);
-    for_particles(color, [&](size_t p) { z[p] = Vec3f(z[p]) + Vec3f(moved[p]); });
+    VbdTangentArguments a = arguments(color, color + 1, false);
+    a.load = load_;
+    a.step_slope = moved_;
+    launch(a);
+    move(color, x_);
   }
-  tangents_.step_slope = nullptr;
-  tangents_.force_slope = floats(image);
-  for_groups(0, colors, step.level.tangent);
-  tangents_ = kept;
+  result_.zero();
+  VbdTangentArguments a = arguments(0, colors, false);
+  a.force_slope = result_;
+  launch(a);
+  z = download(x_);
+  image = download(result_);
 }
 
-KrylovResult TangentPass::implicit(double tolerance, int32_t sweeps) {
-  tangent_start();
-  const size_t colors = step.slots.color_begin().size() - 1;
-  // The derivative of the force: with the particles that move at rest the load, then what is left
-  // of it.
-  const auto force_slope = [&] {
-    Rows force(x_slope.size());
-    tangents_.force_slope = floats(force);
-    for_groups(0, colors, step.level.tangent);
-    tangents_.force_slope = nullptr;
-    return force;
-  };
-  tangents_.at_rest = true;
-  Rows load = force_slope();
+Rows TangentPass::force() {
+  reserve();
+  result_.zero();
+  VbdTangentArguments a = arguments(0, step_.colors().size() - 1, false);
+  a.x = nullptr;
+  a.force = result_;
+  launch(a);
+  return download(result_);
+}
+
+// The derivative of the forces along the direction that was put, and x.
+Rows TangentPass::force_slope(const Rows& x) {
+  upload_rows(x_, x);
+  result_.zero();
+  VbdTangentArguments a = arguments(0, step_.colors().size() - 1, true);
+  a.at_rest = 1;
+  a.force_slope = result_;
+  launch(a);
+  return download(result_);
+}
+
+Rows TangentPass::implicit(const SweepTangents& along, double tolerance, int32_t sweeps,
+                           KrylovResult& result) {
+  put(along);
+  Rows slopes = along.x;
+  // With the particles that move at rest the load, then what is left of it.
+  Rows load = force_slope(slopes);
   const double scale = std::sqrt(inner(load, load));
-  KrylovResult result;
   for (int round = 0; round < kRefinements; ++round) {
     Rows more;
     const double asked = kMargin * tolerance * (round > 0 ? 1.0 / result.residual : 1.0);
     result.iterations +=
         solve_linear(*this, more, load, asked, sweeps - result.iterations).iterations;
-    for (size_t p = 0; p < x_slope.size(); ++p)
-      if (!is_held(p)) x_slope[p] = Vec3f(x_slope[p]) + Vec3f(more[p]);
-    load = force_slope();
+    for (size_t p = 0; p < slopes.size(); ++p)
+      if (!is_held(p)) slopes[p] = Vec3f(slopes[p]) + Vec3f(more[p]);
+    load = force_slope(slopes);
     result.residual = scale == 0.0 ? 0.0 : std::sqrt(inner(load, load)) / scale;
     if (result.residual <= tolerance || result.iterations >= sweeps) break;
   }
-  return result;
-}
-
-Rows TangentPass::force() {
-  Rows force(step.x.size());
-  tangents_.force = floats(force);
-  for_groups(0, step.slots.color_begin().size() - 1, step.level.tangent);
-  tangents_.force = nullptr;
-  return force;
+  return slopes;
 }
 
 Solution TangentPass::solve_step(double tolerance, int32_t iterations, int32_t sweeps) {
-  tangents_ = {};
+  const Unobserved unobserved;
+  reserve();
   const Solution found = solve_nonlinear(*this, tolerance, iterations, sweeps);
-  step.finish_again();
+  step_.finish_again();
   return found;
 }
 

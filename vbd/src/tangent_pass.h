@@ -1,23 +1,34 @@
-// The derivative of a step of VBD along a direction, and Newton's method with it.
+// The derivative of a step of VBD along a direction, and Newton's method with it (solution.h):
+// sweeps and forces are launches; the host, which decides how far to go, has the rows.
 #pragma once
+
+#include <vector>
 
 #include "krylov.h"
 #include "rows.h"
 #include "solution.h"
-#include "step_work.h"
+#include "step.h"
 
 namespace novaphy::vbd {
 
+// What a sweep reads, along a direction; see VbdTangentArguments.
+struct SweepTangents {
+  Rows x;  // of held particles the direction
+  Rows start, target;
+  Rows guess;  // of where iterations began
+  std::vector<float> mass, contacts, numbers;
+};
+SweepTangents tangents_along(const Step& step, const StepInputs& in,
+                             const StepDerivatives& direction);
+
 class TangentPass {
  public:
-  explicit TangentPass(StepWork& work) : step(work) {}
+  explicit TangentPass(Step& step) : step_(step) {}
 
-  // Clears the direction.
-  void prepare();
-  // After a run that kept its iterates.
-  void unrolled();
-  // At the solution. Returns how well the linear system was solved: the residual is the true one.
-  KrylovResult implicit(double tolerance, int32_t sweeps);
+  // After a run that kept its iterates. Returns the derivatives of the positions.
+  Rows unrolled(const SweepTangents& along);
+  // At the solution. Also says how well the linear system was solved: the residual is the true one.
+  Rows implicit(const SweepTangents& along, double tolerance, int32_t sweeps, KrylovResult& found);
   // Moves a step that was run to its solution: until its relative residual is at most the
   // tolerance, or twice what rounding allows, or `iterations` are over.
   Solution solve_step(double tolerance, int32_t iterations, int32_t sweeps);
@@ -25,32 +36,30 @@ class TangentPass {
   // For solution.h.
   void sweep(const Rows& load, Rows& z, Rows& image);
   Rows force();
-  const Rows& starts() const { return step.start; }
-  const Rows& positions() const { return step.x; }
-  const Rows& moves() const { return step.moved; }
-  void place(const Rows& x, const Rows& moved) const {
-    step.x = x;
-    step.moved = moved;
-  }
-  VbdResidual residual() const { return step.residual(); }
-  void iterate_again() const { step.iterate_again(); }
-  void keep_loads(bool keep) { tangents_.keeps_loads = keep; }
-  bool is_held(size_t p) const { return step.slots.is_held(static_cast<int32_t>(p)); }
-
-  StepWork& step;
-  Rows x_slope;  // of held particles the direction; of the others the result
-  Rows start_slope, target_slope;
-  Rows guess_slope;  // of where iterations began
-  std::vector<float> mass_slope, contact_slopes, number_slopes[kRoles];  // see Tangents
+  Rows starts() const { return download(step_.start()); }
+  Rows positions() const { return download(step_.x()); }
+  Rows moves() const { return download(step_.moved()); }
+  void place(const Rows& x, const Rows& moved) { step_.place(x, moved); }
+  VbdResidual residual() { return step_.residual(); }
+  void iterate_again() { step_.iterate_again(); }
+  void keep_loads(bool keep) { keeps_loads_ = keep; }
+  bool is_held(size_t p) const { return step_.is_held(p); }
 
  private:
-  template <class Function>
-  void for_groups(size_t first_color, size_t last_color, Function&& function);
-  template <class Function>
-  void for_particles(size_t color, Function&& function);
-  void tangent_start();
+  using Rows4 = Step::Rows4;
 
-  Tangents tangents_;
+  void reserve();
+  void put(const SweepTangents& along);
+  // Of the groups of some colours, of positions alone or along the direction that was put.
+  VbdTangentArguments arguments(size_t first_color, size_t last_color, bool along) const;
+  void launch(const VbdTangentArguments& arguments) const;
+  void move(size_t color, const Rows4& x) const;
+  Rows force_slope(const Rows& x);
+
+  Step& step_;
+  bool keeps_loads_ = false;  // see Tangents
+  Rows4 x_, load_, result_, moved_, start_, target_;
+  DeviceArray<float> mass_, contacts_, numbers_;
 };
 
 }  // namespace novaphy::vbd

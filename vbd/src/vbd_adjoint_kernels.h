@@ -1,8 +1,8 @@
-// A colour of VBD in reverse on devices, as three launches; sweep_adjoint.cpp is the same on the
-// CPU, and explains it. vbd_adjoint_solve finds the multipliers u and the steps d of the particles,
-// a thread for each, or vbd_adjoint_solve_team by teams; vbd_adjoint_slots what their slots give to
-// positions and numbers, a thread for each lane of a slot; vbd_receive (vbd_gradient_kernels.h)
-// adds that up in slot order.
+// A colour of VBD in reverse on devices, as three launches; sweep_adjoint.cpp is the first two of
+// them on the CPU, and explains them. vbd_adjoint_solve finds the multipliers u and the steps d of
+// the particles, a thread for each, or vbd_adjoint_solve_team by teams; vbd_adjoint_slots what
+// their slots give to positions and numbers, a thread for each lane of a slot; vbd_receive
+// (vbd_gradient_kernels.h) adds that up in slot order.
 #pragma once
 
 #include "novaphy/vbd/lane_slots_kernels.h"
@@ -13,8 +13,8 @@ namespace novaphy {
 struct VbdAdjointArguments {
   NOVAPHY_ARGUMENTS(
       Part<VbdSweepArguments> sweep; Optional<Reads<VbdRow>>
-          before;  // where the particles of the colour stood; null: they are there
-      Reads<VbdRow> x_bar;
+          before;                 // where the particles of the colour stood; null: they are there
+      Updates<VbdRow> x_bar;      // read; on the CPU also what particles give to their own
       Updates<VbdRow> u, d, own;  // what a particle gives to its own position, but for its slots
       Updates<VbdRow> start_bar, target_bar; Updates<float> mass_bar;  // by mass/h^2
       Optional<Updates<float>> contact_bars;     // kContactLawFloats for each contact of the step

@@ -83,7 +83,7 @@ struct VbdParticleGradientArguments {
       Number<int64_t> have_targets;  // held particles go to targets
       Optional<Writes<Vec3f>> by_q, by_qd, by_f; Optional<Writes<float>> by_mass;
       Optional<WritesRow<VbdRow>> by_gravity;  // of the particle's world, from this particle
-      Optional<Writes<VbdRow>> by_last;
+      Optional<Writes<float>> by_last;         // rows of 4
       // Of the adaptive guess, whose bars are then x_bar; null: those of the guess are in another
       // bar.
       Optional<ReadsRow<VbdRow>> last; ReadsRow<Vec3f> qd; ReadsRow<int32_t> world;
@@ -112,7 +112,12 @@ NOVAPHY_ROW_KERNEL(vbd_particle_gradient, VbdParticleGradientArguments) {
   if (a.by_q != nullptr) a.by_q[row] = by_start;
   if (a.by_qd != nullptr) a.by_qd[row] = by_target * h + guess.by_velocity;
   if (a.by_gravity != nullptr) a.by_gravity[row] = to_row(by_target * (h * h) + guess.by_gravity);
-  if (a.by_last != nullptr) a.by_last[row] = to_row(guess.by_last);
+  if (a.by_last != nullptr) {
+    a.by_last[4 * row] = guess.by_last.x;
+    a.by_last[4 * row + 1] = guess.by_last.y;
+    a.by_last[4 * row + 2] = guess.by_last.z;
+    a.by_last[4 * row + 3] = 0.0f;
+  }
   if (a.by_f != nullptr) a.by_f[row] = by_target * ((h * h) * w);
   // m/h^2, and 1/m in the target.
   const float by_inverse = math::dot(by_target, a.f[row]) * (h * h);
@@ -121,10 +126,11 @@ NOVAPHY_ROW_KERNEL(vbd_particle_gradient, VbdParticleGradientArguments) {
 }
 
 struct VbdTargetGradientArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> held; Reads<VbdRow> x_bar; Writes<Vec3f> by_targets;)
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> held; Reads<VbdRow> x_bar; Number<int64_t> has_targets;
+                    Writes<Vec3f> by_targets;)
 };
 NOVAPHY_ROW_KERNEL(vbd_target_gradient, VbdTargetGradientArguments) {
-  a.by_targets[row] = to_vec3(a.x_bar[a.held[row]]);
+  a.by_targets[row] = a.has_targets != 0 ? to_vec3(a.x_bar[a.held[row]]) : Vec3f{};
 }
 
 struct VbdGravityGradientArguments {

@@ -30,10 +30,8 @@ struct VbdPredictArguments {
                     ReadsRow<float> particle_inv_mass; ReadsRow<int32_t> world;
                     Reads<Vec3f> gravity; Number<int64_t> last_world; ReadsRow<int32_t> is_held;
                     Number<float> h; Number<int64_t> guess;  // VbdInitialGuess
-                    // Of the adaptive guess, else null: the velocity before the last step, and 1;
-                    // and where that of this step goes, if it is wanted.
+                    // Of the adaptive guess, else null: the velocity before the last step, and 1.
                     Optional<ReadsRow<VbdRow>> last_velocity;
-                    Optional<WritesRow<VbdRow>> next_last_velocity;
                     WritesRow<VbdRow> start, target, moved, x;
                     Optional<WritesRow<VbdRow>> newer;  // of Chebyshev's acceleration, else null
                     UpdatesRow<int32_t> faults;         // see vbd::note_fault
@@ -42,7 +40,7 @@ struct VbdPredictArguments {
 
 namespace vbd {
 
-// The first that was wrong with a particle since the host asked (LaunchedStep::check).
+// The first that was wrong with a particle since the host asked (Step::check).
 inline void note_fault(int32_t* faults, int64_t particle, int32_t fault) {
   if (fault != kNoFault && faults[particle] == kNoFault) faults[particle] = fault;
 }
@@ -54,7 +52,6 @@ NOVAPHY_ROW_KERNEL(vbd_predict, VbdPredictArguments) {
   a.start[row] = to_row(q);
   VbdRow last;
   if (a.last_velocity != nullptr) last = a.last_velocity[row];
-  if (a.next_last_velocity != nullptr) a.next_last_velocity[row] = vbd::to_last_velocity(qd);
   if (a.is_held[row] != 0) {
     vbd::note_fault(a.faults, row, vbd::input_fault(q, {}, {}, {}));
     a.x[row] = a.target[row] = to_row(q);
@@ -349,11 +346,15 @@ NOVAPHY_ROW_KERNEL(vbd_accelerate, VbdAccelerateArguments) {
 
 struct VbdFinishArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<VbdRow> start, x; Number<float> h; WritesRow<Vec3f> q, qd;
-                    UpdatesRow<int32_t> faults;)
+                    UpdatesRow<int32_t> faults;
+                    // Of the adaptive guess: the velocity before the step, and where the next step
+                    // looks for that; null: not wanted.
+                    ReadsRow<Vec3f> qd_before; Optional<WritesRow<VbdRow>> last_velocity;)
 };
 NOVAPHY_ROW_KERNEL(vbd_finish, VbdFinishArguments) {
   const Vec3f x = to_vec3(a.x[row]);
   if (!vbd::is_finite(x)) vbd::note_fault(a.faults, row, vbd::kFaultResult);
+  if (a.last_velocity != nullptr) a.last_velocity[row] = vbd::to_last_velocity(a.qd_before[row]);
   a.q[row] = x;
   a.qd[row] = (x - to_vec3(a.start[row])) / a.h.value;
 }

@@ -292,10 +292,12 @@ novaphy_status incidence(const novaphy_host_api&, const IsaTable&, int64_t n, co
     if (table[s] >= 0) ++offsets[table[s] + 1];
   }
   std::partial_sum(offsets, offsets + n + 1, offsets);
-  std::vector<int32_t> next(offsets, offsets + n);
+  // Offsets run ahead to the ends of their rows, and are put back.
   for (int64_t s = 0; s < slots; ++s) {
-    if (table[s] >= 0) items[next[static_cast<size_t>(table[s])]++] = static_cast<int32_t>(s);
+    if (table[s] >= 0) items[offsets[table[s]]++] = static_cast<int32_t>(s);
   }
+  std::copy_backward(offsets, offsets + n, offsets + n + 1);
+  offsets[0] = 0;
   return NOVAPHY_OK;
 }
 

@@ -65,7 +65,8 @@ std::array<Untyped, n> each(const Of& of) {
   (std::make_index_sequence<n>());
 }
 
-// Memory as an argument, where the host calls the function of a row itself. A launch refuses it.
+// Memory as an argument, on the CPU: of a launch that runs at once, or of a function of a row that
+// the host calls. A launch on a device, and one that is recorded, refuse memory.
 template <class T>
 struct Direct {
   T* rows;

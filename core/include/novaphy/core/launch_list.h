@@ -62,7 +62,7 @@ class NOVAPHY_CORE_API LaunchList {
     std::span<const ArgumentInfo> infos;
     int64_t n;
     size_t first_word, first_phase;
-    bool writes_arrays = false;
+    bool writes_arrays = false, has_memory = false;
   };
   struct Chunk {
     size_t op;

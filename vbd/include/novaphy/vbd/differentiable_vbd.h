@@ -145,9 +145,7 @@ class NOVAPHY_VBD_API DifferentiableVbd {
  private:
   struct Work;
   std::shared_ptr<const Model> model_;
-  struct Launched;
-  std::unique_ptr<Work> work_;          // on the CPU
-  std::unique_ptr<Launched> launched_;  // on a device
+  std::unique_ptr<Work> work_;
 };
 
 }  // namespace novaphy

@@ -4,9 +4,8 @@
 #include <span>
 #include <vector>
 
-#include "launched_step.h"
 #include "novaphy/core/error.h"
-#include "vbd_kernels.h"
+#include "step.h"
 
 namespace novaphy::detail {
 const char* vbd_kernels_text();
@@ -15,8 +14,8 @@ const char* vbd_kernels_text();
 namespace novaphy::vbd {
 namespace {
 
-// Never destroyed, as those of launched_step.cpp.
-struct Kernels {
+// Never destroyed, as those of step_kernel_set.h.
+struct TrainingKernels {
 #define NOVAPHY_VBD_KERNEL(name) \
   Kernel<decltype(vbd_##name)::Arguments> name{vbd_##name, detail::vbd_kernels_text};
   NOVAPHY_VBD_KERNEL(material)
@@ -26,26 +25,25 @@ struct Kernels {
   NOVAPHY_VBD_KERNEL(tetrahedron_numbers)
 #undef NOVAPHY_VBD_KERNEL
 };
-const Kernels& kernels() {
-  static const auto& all = *new Kernels;
+const TrainingKernels& kernels() {
+  static const auto& all = *new TrainingKernels;
   return all;
 }
 
 }  // namespace
 
 // What put_numbers needs, for the tables as they are.
-void LaunchedStep::reserve_training() {
+void Step::reserve_training() {
   Tables& t = *tables_;
   if (!t.trained.empty()) return;
   const Unobserved unobserved;
-  const Device device = model_.device();
-  const Model& m = on_cpu_ ? model_ : *copy_;
+  const Model& m = host_model();
   for (int role = 0; role < kRoles; ++role) {
     const ColorSlots::Table& table = slots_.table(static_cast<Role>(role));
     std::vector<int32_t> sources;
     for (const auto& [element, corner] : table.sources)
       sources.push_back(element < 0 ? -1 : 4 * element + corner);
-    t.sources[role] = upload<int32_t>(sources, device);
+    t.sources[role] = upload<int32_t>(sources, device());
   }
   // `columns`: of coefficients that may be other than 0 where the element acts. Elements without a
   // corner, or over held particles alone, have no part, and may hold anything.
@@ -65,7 +63,7 @@ void LaunchedStep::reserve_training() {
     for (const Role of : {role, role == kHingeEnd ? kHingeOpposite : role})
       for (const ColorSlots::Source& source : slots_.table(of).of_particles)
         allowed[static_cast<size_t>(source.element)] = columns;
-    t.trained.push_back({name, &array, upload<int32_t>(allowed, device)});
+    t.trained.push_back({name, &array, upload<int32_t>(allowed, device())});
   };
   add("particle_spring_stiffness", model_.particle_spring_stiffness, m.particle_spring_indices, 2,
       kSpring, 0b1);
@@ -82,7 +80,7 @@ void LaunchedStep::reserve_training() {
 }
 
 // The numbers of all slots, from the model as it is.
-void LaunchedStep::put_numbers(const VbdLaunchInputs& in) const {
+void Step::put_numbers(const StepInputs& in) const {
   const Tables& t = *tables_;
   const Model& m = model_;
   const int64_t lanes = slots_.lanes();
@@ -128,7 +126,7 @@ void LaunchedStep::put_numbers(const VbdLaunchInputs& in) const {
                 .activation = in.tet_activation});
 }
 
-void LaunchedStep::check_trained() const {
+void Step::check_trained() const {
   for (const Trained& trained : trained_) {
     std::vector<int32_t> allowed = trained.allowed.to_host();
     const auto bad = std::find_if(allowed.begin(), allowed.end(),

@@ -1,0 +1,540 @@
+#include "step.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <string_view>
+#include <utility>
+
+#include "novaphy/core/assert.h"
+#include "novaphy/core/builtin_kernels.h"
+#include "novaphy/core/error.h"
+#include "step_options.h"
+
+namespace novaphy::vbd {
+namespace {
+
+constexpr const char* kName = "SolverVBD.step";
+
+bool has_code_for(Device device) {
+  return device.type == DeviceType::CUDA ? NOVAPHY_VBD_CUDA : NOVAPHY_VBD_DLAN;
+}
+
+// Colours of at least so many large teams fill a device.
+constexpr int64_t kManyTeams = 256;
+// The first of the values that are not of elements.
+constexpr size_t kOfElements = 11;
+
+}  // namespace
+
+Step::Step(const Model& m, const VbdOptions& o)
+    : model_(m),
+      options_(o),
+      on_cpu_(m.device().is_cpu()),
+      materials_("SolverVBD", {.kf = false, .ka = false}) {
+  require(on_cpu_ || has_code_for(m.device()), ErrorKind::NotImplemented,
+          "SolverVBD: model: expected one on the cpu, got one on ", m.device().str(),
+          ": this build has no code of VBD for it (NOVAPHY_WITH_VBD_",
+          m.device().type == DeviceType::CUDA ? "CUDA)" : "DLAN)");
+  if (!on_cpu_) check_not_launched(o);
+  const auto stamped = [this](std::vector<Stamped>& all,
+                              std::initializer_list<std::pair<const char*, const Array*>> arrays) {
+    all = std::vector<Stamped>(arrays.size());
+    size_t k = 0;
+    for (const auto& [name, array] : arrays) {
+      all[k].name = name;
+      all[k++].array = array;
+      read_.push_back(array);
+    }
+  };
+  stamped(mesh_, {{"particle_colors", &m.particle_colors},
+                  {"particle_spring_indices", &m.particle_spring_indices},
+                  {"particle_tri_indices", &m.particle_tri_indices},
+                  {"particle_edge_indices", &m.particle_edge_indices},
+                  {"particle_tet_indices", &m.particle_tet_indices}});
+  stamped(values_, {{"", &m.particle_spring_stiffness},
+                    {"", &m.particle_spring_damping},
+                    {"", &m.particle_spring_rest_length},
+                    {"", &m.particle_tri_pose},
+                    {"", &m.particle_tri_area},
+                    {"", &m.particle_tri_material},
+                    {"", &m.particle_edge_rest_angle},
+                    {"", &m.particle_edge_rest_length},
+                    {"", &m.particle_edge_material},
+                    {"", &m.particle_tet_pose},
+                    {"", &m.particle_tet_material},
+                    {"", &m.particle_mass},
+                    {"", &m.particle_inv_mass},
+                    {"", &m.particle_flags},
+                    {"", &m.particle_world},
+                    {"", &m.particle_spring_control}});
+  const auto n = static_cast<size_t>(m.particle_count());
+  for (Rows4* rows : {&start_, &target_, &moved_, &x_}) *rows = Rows4(n, device());
+  of_particles_ = DeviceArray<float>(3 * n, device());
+  faults_ = DeviceArray<int32_t>(n, device());
+  overflow_ = DeviceArray<int32_t>(2, device());
+  if (o.acceleration) {
+    newer_ = Rows4(n, device());
+    older_ = Rows4(n, device());
+    chebyshev_ = chebyshev_factors(*o.acceleration, o.iterations);
+  }
+  const Unobserved unobserved;
+  materials_.check(m);
+  edited_.check(m);
+  build();
+  for (Stamped& s : mesh_) s.stamp.set(*s.array);
+}
+
+void Step::build() {
+  const Unobserved unobserved;
+  if (!on_cpu_) copy_ = model_.to(Device::cpu());
+  const Model& m = host_model();
+  for (int32_t p = 0; p < m.particle_count(); ++p) {
+    const int32_t w = m.particle_world.data()[p];
+    require(w >= -1 && w < m.world_count(), ErrorKind::Index, kName, ": model.particle_world[", p,
+            "]: expected -1 to ", m.world_count() - 1, ", got ", w);
+  }
+  slots_.build(m, on_cpu_ ? sweep_level().lanes : kVbdLanes);
+  ++builds_;
+  is_held_ = upload<int32_t>(slots_.held_flags(), device());
+  held_ = upload<int32_t>(slots_.held(), device());
+  if (slots_.has_conflicts() && next_.rows() == 0) next_ = Rows4(x_.rows(), device());
+  for (Stamped& s : values_) s.stamp.set(*s.array);
+  tables_.reset();
+  forget_lists();
+}
+
+void Step::forget_lists() {
+  for (auto& of_contacts : lists_)
+    for (auto& of_damping : of_contacts)
+      for (std::optional<StepList>& list : of_damping) list.reset();
+  list_ = nullptr;
+  ++version_;
+}
+
+void Step::build_tables(float dt) {
+  const Model& m = host_model();
+  forget_lists();
+  // Activations are those of the step.
+  const std::vector<float> tri(m.particle_tri_activation.rows()),
+      tet(m.particle_tet_activation.rows());
+  slots_.set_constants(m, {tri.data(), tet.data(), dt});
+  Sweep host;
+  slots_.fill(host);
+  const auto lanes = static_cast<size_t>(slots_.lanes());
+  const auto groups = static_cast<size_t>(colors().back());
+  NOVAPHY_ASSERT(std::is_sorted(colors().begin(), colors().end()));
+  Tables& t = tables_.emplace();
+  t.dt = dt;
+  t.particle = upload<int32_t>(host.particle, groups * lanes, device());
+  t.filled = upload<int32_t>(host.filled, groups, device());
+  t.mass_by_h2 = upload<float>(host.mass_by_h2, groups * lanes, device());
+  for (int role = 0; role < kRoles; ++role) {
+    const ColorSlots::Table& table = slots_.table(static_cast<Role>(role));
+    if (table.sources.empty()) continue;
+    t.begin[role] = upload<uint64_t>(table.begin, device());
+    t.ints[role] = upload<int32_t>(table.ints, device());
+    t.floats[role] = upload<float>(table.floats, device());
+    if (table.damped) t.damped |= int64_t{1} << role;
+  }
+  if (!on_cpu_) find_team();
+  for (const auto& [role, number, activated] :
+       {std::tuple(kTriangle, size_t{6}, &t.triangle),
+        std::tuple(kTetrahedron, size_t{11}, &t.tetrahedron)}) {
+    const ColorSlots::Table& table = slots_.table(role);
+    std::vector<int32_t> element;
+    std::vector<float> alpha;
+    for (size_t k = 0; k < table.sources.size(); ++k) {
+      element.push_back(table.sources[k].element);
+      alpha.push_back(
+          table.floats[(k / lanes * static_cast<size_t>(kFloats[role]) + number) * lanes +
+                       k % lanes]);
+    }
+    activated->element = upload<int32_t>(element, device());
+    activated->alpha = upload<float>(alpha, device());
+  }
+}
+
+// The largest team for which there is room and work enough.
+void Step::find_team() {
+  int64_t most_groups = 0;
+  for (size_t c = 0; c + 1 < colors().size(); ++c)
+    most_groups = std::max(most_groups, colors()[c + 1] - colors()[c]);
+  const auto terms = [&](int64_t team) {
+    int64_t sum = 0;
+    for (int role = 0; role < kRoles; ++role) {
+      const std::vector<int64_t>& begin = slots_.table(static_cast<Role>(role)).begin;
+      int64_t most = 0;
+      for (size_t g = 0; g + 1 < begin.size(); ++g) most = std::max(most, begin[g + 1] - begin[g]);
+      sum += (most * team * kVbdLanes + 31) / 32 * 32;
+    }
+    return sum;
+  };
+  if (terms(1) <= kVbdTeamTerms) tables_->team = 1;
+  if (terms(kVbdLargeTeam) <= kVbdTeamTerms && most_groups >= kManyTeams * kVbdLargeTeam)
+    tables_->team = kVbdLargeTeam;
+}
+
+void Step::reserve_contacts(int32_t slots) {
+  const auto count = static_cast<size_t>(slots);
+  if (contact_items_.rows() >= count) return;
+  const Unobserved unobserved;
+  contact_begin_ = DeviceArray<int32_t>(x_.rows() + 1, device());
+  contact_items_ = DeviceArray<int32_t>(count, device());
+  contact_numbers_ = DeviceArray<float>(count * kContactFloats, device());
+  forget_lists();
+}
+
+void Step::update(float dt, bool damps) {
+  const Unobserved unobserved;
+  if (was_recorded_ && is_immediate()) check();
+  if (on_cpu_) materials_.check(model_);
+  edited_.check(model_);
+  check_numbers(model_);
+  for (const Stamped& s : mesh_)
+    require(s.stamp.matches(*s.array), ErrorKind::Value, kName, ": model.", s.name,
+            ": it was edited after the solver was made; make a new one");
+  if (std::any_of(values_.begin(), values_.end(),
+                  [](const Stamped& s) { return !s.stamp.matches(*s.array); }))
+    build();
+  if (!tables_ || tables_->dt != dt) build_tables(dt);
+  damps_ = damps;
+}
+
+VbdSweepArguments Step::sweep(int64_t first_group, int64_t end_group) const {
+  const Tables& t = *tables_;
+  return {.particle = t.particle,
+          .filled = t.filled,
+          .mass_by_h2 = t.mass_by_h2,
+          .begin = t.begin,
+          .ints = t.ints,
+          .floats = t.floats,
+          .contact_begin = has_contacts_ ? &contact_begin_ : nullptr,
+          .contacts = has_contacts_ ? &contact_numbers_ : nullptr,
+          .start = start_,
+          .target = target_,
+          .moved = moved_,
+          .x = x_,
+          .to = slots_.has_conflicts() ? next_ : x_,
+          .regularization = options_.lhs_regularization,
+          .slip = options_.friction_epsilon * t.dt,
+          .lanes = slots_.lanes(),
+          .damped = damps_ ? (int64_t{1} << kRoles) - 1 : t.damped,
+          .first_group = first_group,
+          .end_group = end_group,
+          .team = t.team,
+          .residual = of_particles_};
+}
+
+// The groups of a team, where those of a colour move by teams; else 0.
+int64_t Step::find_mover() const {
+  if (on_cpu_) return 0;
+  const char* const variable = std::getenv("NOVAPHY_VBD_SWEEP");
+  const std::string_view wanted = variable != nullptr ? variable : "";
+  require(wanted.empty() || wanted == "thread" || wanted == "team", ErrorKind::Value,
+          "NOVAPHY_VBD_SWEEP: expected thread or team, got '", wanted, "'");
+  return options_.safeguard || wanted == "thread" ? 0 : tables_->team;
+}
+
+// Writes an activation into the slots, where they do not hold it.
+void Step::activate(Activated& to, Role role, const DeviceArray<float>& activation) {
+  if (is_immediate() && !tables_->is_recorded) {
+    if (to.stamp.matches(activation)) return;
+    for (size_t e = 0; e < activation.rows(); ++e)
+      require(std::isfinite(activation.data()[e]), ErrorKind::Value, kName, ": ",
+              role == kTriangle ? "particle_tri_activation[" : "particle_tet_activation[", e,
+              "]: expected a finite number, got ", activation.data()[e]);
+    to.stamp.set(activation);
+  }
+  const auto rows = static_cast<int64_t>(to.element.rows());
+  if (rows == 0) return;
+  novaphy::run(step_kernels().activation, rows,
+               {.element = to.element,
+                .alpha = to.alpha,
+                .particle_tri_activation = role == kTriangle ? &activation : nullptr,
+                .particle_tet_activation = role == kTetrahedron ? &activation : nullptr,
+                .floats = tables_->floats[role],
+                .lanes = slots_.lanes(),
+                .width = int{kFloats[role]},
+                .number = role == kTriangle ? 6 : 11});
+}
+
+void Step::check_contacts(const Contacts& contacts) const {
+  constexpr const char* kContacts = "SolverVBD.step: contacts";
+  const Model& m = model_;
+  const int32_t count = *contacts.soft_contact_count.data();
+  require(count <= contacts.soft_contact_max(), ErrorKind::Runtime, kContacts, ": ", count,
+          " were found, but there are slots for ", contacts.soft_contact_max(),
+          "; make a pipeline with a larger soft_contact_max");
+  const int32_t* particle = contacts.soft_contact_particle.data();
+  const int32_t* shape = contacts.soft_contact_shape.data();
+  const int32_t* body = m.shape_body.data();
+  for (int32_t slot = 0; slot < count; ++slot) {
+    require(particle[slot] >= 0 && particle[slot] < m.particle_count(), ErrorKind::Index, kContacts,
+            ".soft_contact_particle[", slot, "]: expected 0 to ", m.particle_count() - 1, ", got ",
+            particle[slot]);
+    require(shape[slot] >= 0 && shape[slot] < m.shape_count(), ErrorKind::Index, kContacts,
+            ".soft_contact_shape[", slot, "]: expected 0 to ", m.shape_count() - 1, ", got ",
+            shape[slot]);
+    require(body[shape[slot]] < 0, ErrorKind::NotImplemented, kContacts, ": slot ", slot,
+            " touches shape ", shape[slot], " of body ", body[shape[slot]],
+            "; contacts with bodies are not there yet");
+  }
+}
+
+void Step::find_contacts(const Contacts& c) const {
+  const auto particles = static_cast<int64_t>(model_.particle_count());
+  novaphy::run(incidence(), particles,
+               {.table = c.soft_contact_particle,
+                .slots = c.soft_contact_max(),
+                .offsets = contact_begin_,
+                .items = contact_items_});
+  novaphy::run(step_kernels().contact, c.soft_contact_max(),
+               {.begin = contact_begin_,
+                .items = contact_items_,
+                .particles = particles,
+                .count = c.soft_contact_count,
+                .overflow = overflow_,
+                .particle = c.soft_contact_particle,
+                .shape = c.soft_contact_shape,
+                .point = c.soft_contact_body_pos,
+                .velocity = c.soft_contact_body_vel,
+                .normal = c.soft_contact_normal,
+                .particle_radius = model_.particle_radius,
+                .shape_margin = model_.shape_margin,
+                .shape_material_ke = model_.shape_material_ke,
+                .shape_material_kd = model_.shape_material_kd,
+                .shape_material_mu = model_.shape_material_mu,
+                .model_ke = model_.soft_contact_ke,
+                .model_kd = model_.soft_contact_kd,
+                .model_mu = model_.soft_contact_mu,
+                .h = tables_->dt,
+                .numbers = contact_numbers_});
+}
+
+VbdCommitArguments Step::commit(int64_t first_group, const Rows4& from) const {
+  return {.particle = tables_->particle,
+          .first_lane = first_group * slots_.lanes(),
+          .from = from,
+          .x = x_};
+}
+
+VbdTableArguments tables_of(const Model& m) {
+  return {.particle_spring_stiffness = m.particle_spring_stiffness,
+          .particle_spring_damping = m.particle_spring_damping,
+          .particle_spring_rest_length = m.particle_spring_rest_length,
+          .particle_tri_pose = m.particle_tri_pose,
+          .particle_tri_area = m.particle_tri_area,
+          .particle_tri_material = m.particle_tri_material,
+          .particle_edge_rest_angle = m.particle_edge_rest_angle,
+          .particle_edge_rest_length = m.particle_edge_rest_length,
+          .particle_edge_material = m.particle_edge_material,
+          .particle_tet_pose = m.particle_tet_pose,
+          .particle_tet_material = m.particle_tet_material,
+          .particle_mass = m.particle_mass,
+          .particle_flags = m.particle_flags,
+          .particle_spring_control = m.particle_spring_control};
+}
+
+StepArguments Step::arguments(const StepInputs& in, const StepResults& out) const {
+  const Model& m = model_;
+  return {
+      .predict = {.particle_q = in.q,
+                  .particle_qd = in.qd,
+                  .particle_f = in.f,
+                  .particle_inv_mass = m.particle_inv_mass,
+                  .world = m.particle_world,
+                  .gravity = m.gravity,
+                  .last_world = m.world_count() - 1,
+                  .is_held = is_held_,
+                  .h = tables_->dt,
+                  .guess = static_cast<int64_t>(options_.initial_guess),
+                  .last_velocity = in.last_velocity,
+                  .start = start_,
+                  .target = target_,
+                  .moved = moved_,
+                  .x = x_,
+                  .newer = newer_,
+                  .faults = faults_,
+                  .tables = tables_of(m)},
+      .sweep = sweep(0, 0),
+      .newer = newer_,
+      .older = older_,
+      .finish = {.start = start_,
+                 .x = x_,
+                 .h = tables_->dt,
+                 .q = out.q,
+                 .qd = out.qd,
+                 .faults = faults_,
+                 .qd_before = in.qd,
+                 .last_velocity = out.updates_last ? Optional<WritesRow<VbdRow>>(in.last_velocity)
+                                                   : Optional<WritesRow<VbdRow>>(nullptr)}};
+}
+
+StepList& Step::list_for(const StepInputs& in, const StepResults& out) {
+  if (const int64_t team = find_mover(); team != team_) {
+    forget_lists();
+    team_ = team;
+  }
+  std::vector<Rows4>& kept = iterates_;
+  if (out.keeps_iterates && kept.empty()) {
+    const Unobserved unobserved;
+    for (int32_t k = 0; k < options_.iterations; ++k) kept.emplace_back(x_.rows(), device());
+  }
+  const StepArguments a = arguments(in, out);
+  std::optional<StepList>& list = lists_[has_contacts_][damps_][out.keeps_iterates];
+  if (list) {
+    list->set(a.predict);
+    list->set(a.finish);
+    return *list;
+  }
+  std::vector<WritesRow<VbdRow>> iterates;
+  if (out.keeps_iterates) iterates.assign(kept.begin(), kept.end());
+  return list.emplace(StepPlan{.device = device(),
+                               .particles = model_.particle_count(),
+                               .lanes = slots_.lanes(),
+                               .colors = colors(),
+                               .has_conflicts = slots_.has_conflicts(),
+                               .safeguard = options_.safeguard,
+                               .team = team_,
+                               .iterations = options_.iterations,
+                               .chebyshev = chebyshev_},
+                      a, iterates);
+}
+
+void Step::run(const StepInputs& in, const StepResults& out,
+               const std::shared_ptr<ExclusiveUse>& in_use) {
+  const bool is_immediate = this->is_immediate();
+  has_contacts_ = in.contacts != nullptr && in.contacts->soft_contact_max() > 0;
+  if (is_immediate && has_contacts_) {
+    check_contacts(*in.contacts);
+    has_contacts_ = *in.contacts->soft_contact_count.data() > 0;
+  }
+  if (has_contacts_) reserve_contacts(in.contacts->soft_contact_max());
+  if (!is_immediate) {
+    check_not_launched(options_);
+    was_recorded_ = true;
+    if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use);
+    tables_->is_recorded = true;
+    model_.depend_on_numbers();
+    const std::span<const Array* const> read = read_;
+    depend_on(read.first(mesh_.size()));
+    depend_on(read.subspan(mesh_.size() + (in.trains_elements ? kOfElements : 0)));
+  }
+  list_ = &list_for(in, out);
+  list_->predict();
+  if (is_immediate) check_inputs(in);
+  if (in.trains_elements) {
+    reserve_training();
+    put_numbers(in);
+  } else {
+    activate(tables_->triangle, kTriangle, in.tri_activation);
+    activate(tables_->tetrahedron, kTetrahedron, in.tet_activation);
+  }
+  if (has_contacts_) find_contacts(*in.contacts);
+  list_->prepare();
+  if (in.targets.word() != 0)
+    novaphy::run(step_kernels().target, held_count(),
+                 {.held = held_, .targets = in.targets, .x = x_});
+  iterate(*list_);
+  if (is_immediate) check_positions();
+  list_->finish();
+}
+
+// With a tolerance until the residual is small enough.
+void Step::iterate(const StepList& list) {
+  iterations_run_ = options_.iterations;
+  if (!options_.tolerance) return list.iterate(0, static_cast<size_t>(options_.iterations));
+  for (iterations_run_ = 0; iterations_run_ < options_.iterations;) {
+    ++iterations_run_;
+    const auto k = static_cast<size_t>(iterations_run_);
+    list.iterate(k - 1, k);
+    if (residual().relative <= static_cast<double>(*options_.tolerance)) return;
+  }
+}
+
+// Says which of what the prediction reads is not finite.
+void Step::check_inputs(const StepInputs& in) {
+  const std::span faults(faults_.data(), faults_.rows());
+  if (std::all_of(faults.begin(), faults.end(), [](int32_t f) { return f == kNoFault; })) return;
+  faults_.zero();
+  const auto check = [](const char* name, size_t row, const Vec3f& v) {
+    require(is_finite(v), ErrorKind::Value, kName, ": ", name, "[", row,
+            "]: expected finite numbers, got ", v.x, ", ", v.y, ", ", v.z);
+  };
+  for (size_t p = 0; p < faults.size(); ++p) {
+    check("state_in.particle_q", p, on_host(in.q)[p]);
+    if (is_held(p)) continue;
+    check("state_in.particle_qd", p, on_host(in.qd)[p]);
+    check("state_in.particle_f", p, on_host(in.f)[p]);
+  }
+  fail(ErrorKind::Value, kName, ": state_in: the inertial target of a particle overflows float32");
+}
+
+// Before anything is written to the results.
+void Step::check_positions() const {
+  const Vec4f* const x = x_.data();
+  for (size_t p = 0; p < x_.rows(); ++p)
+    require(is_finite(Vec3f{x[p].x, x[p].y, x[p].z}), ErrorKind::Runtime, kName, ": particle ", p,
+            ": its position is no longer finite after ", iterations_run_,
+            " iterations; state_out was not written");
+}
+
+void Step::check() {
+  const Unobserved unobserved;
+  check_trained();
+  const std::vector<int32_t> faults = faults_.to_host(), overflow = overflow_.to_host();
+  const auto first_of = [&faults](auto&& is_kind) {
+    return std::find_if(faults.begin(), faults.end(), is_kind);
+  };
+  // Where a step reads what is not finite, that is why others are not.
+  auto found = first_of([](int32_t fault) { return fault != kNoFault && fault != kFaultResult; });
+  if (found == faults.end()) found = first_of([](int32_t fault) { return fault != kNoFault; });
+  if (found == faults.end() && overflow[0] == 0) return;
+  faults_.zero();
+  overflow_.zero();
+  constexpr const char* kSince = ": a step on a device, or a replay, since this was last asked: ";
+  require(overflow[0] == 0, ErrorKind::Runtime, kName, kSince, "contacts: ", overflow[0],
+          " were found, but there are slots for ", overflow[1],
+          "; make a pipeline with a larger soft_contact_max");
+  static constexpr const char* kWhat[] = {"",
+                                          "state_in.particle_q: expected finite numbers",
+                                          "state_in.particle_qd: expected finite numbers",
+                                          "state_in.particle_f: expected finite numbers",
+                                          "state_in: the inertial target overflows float32",
+                                          "its position did not stay finite"};
+  fail(ErrorKind::Runtime, kName, kSince, "particle ", found - faults.begin(), ": ", kWhat[*found],
+       "; its results are NaN");
+}
+
+void Step::iterate_again() {
+  list_->move_again();
+  ++iterations_run_;
+}
+
+void Step::finish_again() const { list_->finish(); }
+
+void Step::find_residuals() {
+  const int64_t groups = colors().back();
+  novaphy::run(step_kernels().clear, static_cast<int64_t>(of_particles_.rows()),
+               {.values = of_particles_});
+  novaphy::run(step_kernels().residual, groups * slots_.lanes(), sweep(0, groups));
+}
+
+VbdResidual Step::last_residual() const {
+  if (on_cpu_)
+    return sum_residuals(
+        std::span(reinterpret_cast<const ParticleResidual*>(of_particles_.data()), x_.rows()),
+        iterations_run_);
+  const std::vector<float> numbers = of_particles_.to_host();
+  return sum_residuals(
+      std::span(reinterpret_cast<const ParticleResidual*>(numbers.data()), x_.rows()),
+      iterations_run_);
+}
+
+VbdResidual Step::residual() {
+  find_residuals();
+  return last_residual();
+}
+
+}  // namespace novaphy::vbd

@@ -1,0 +1,185 @@
+// A step of VBD: its tables, its memory, and the list of its launches (step_list.h), on any device.
+// What a step asks of the host stands between two stretches of the list, on the CPU where nobody
+// records; elsewhere kernels note what is wrong (vbd::note_fault), and check() says so.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "color_slots.h"
+#include "novaphy/core/sim/derived_fields.h"
+#include "novaphy/core/sim/edited_values.h"
+#include "novaphy/core/sim/unread_materials.h"
+#include "rows.h"
+#include "step_inputs.h"
+#include "step_list.h"
+
+namespace novaphy::vbd {
+
+struct StepResults {
+  WritesRow<Vec3f> q, qd;
+  bool keeps_iterates = false;
+  bool updates_last = false;  // the velocity before the step goes to the inputs' last_velocity
+};
+
+template <class T, class U>
+DeviceArray<T> upload(const U* values, size_t count, Device device) {
+  static_assert(sizeof(T) == sizeof(U));
+  return DeviceArray<T>::from_host(std::span(reinterpret_cast<const T*>(values), count), device);
+}
+template <class T, class U>
+DeviceArray<T> upload(const std::vector<U>& values, Device device) {
+  return upload<T>(values.data(), values.size(), device);
+}
+
+class Step {
+ public:
+  using Rows4 = DeviceArray<Vec4f>;  // of four floats, one per particle
+
+  // ErrorKind::NotImplemented: a device for which the build has no code, or `tolerance` on one.
+  Step(const Model& m, const VbdOptions& o);
+
+  // The slots anew, from the model as it is now.
+  void build();
+  // What the tables are made of is as it was, or the tables are made anew. `damps`: terms of
+  // damping although all coefficients are 0. Errors as SolverVBD::step.
+  void update(float dt, bool damps = false);
+  // `in_use`: the use of the solver's memory, which a recording takes.
+  void run(const StepInputs& in, const StepResults& out,
+           const std::shared_ptr<ExclusiveUse>& in_use);
+  // After a run that kept no iterates: one more iteration, and the results of x as it is now.
+  void iterate_again();
+  void finish_again() const;
+  // Waits for what was launched. ErrorKind::Runtime: a step since the last check read or made
+  // numbers that are not finite, or contacts that had overflowed; says so once.
+  void check();
+  void find_residuals();
+  VbdResidual last_residual() const;  // that find_residuals found
+  VbdResidual residual();
+
+  const Model& model() const { return model_; }
+  // The model, or the copy of it that the tables were made from.
+  const Model& host_model() const { return on_cpu_ ? model_ : *copy_; }
+  const VbdOptions& options() const { return options_; }
+  Device device() const { return model_.device(); }
+  bool on_cpu() const { return on_cpu_; }
+  const ColorSlots& slots() const { return slots_; }
+  const std::vector<int64_t>& colors() const { return slots_.color_begin(); }
+  uint64_t builds() const { return builds_; }    // of the slots
+  uint64_t version() const { return version_; }  // of the memory of launches
+  float dt() const { return tables_->dt; }
+  bool damps() const { return damps_; }
+  int64_t team() const { return team_; }  // of the last run; 0: a thread for each particle
+  bool is_held(size_t p) const { return slots_.is_held(static_cast<int32_t>(p)); }
+  int32_t held_count() const { return static_cast<int32_t>(held_.rows()); }
+  // Whether a step begins where the velocity before says.
+  bool looks_back(const StepInputs& in) const {
+    return options_.initial_guess == VbdInitialGuess::Adaptive && in.last_velocity.word() != 0;
+  }
+
+  // Of the last run.
+  bool has_contacts() const { return has_contacts_; }
+  VbdSweepArguments sweep(int64_t first_group, int64_t end_group) const;
+  // The particles of some groups go where rows of `from` say.
+  VbdCommitArguments commit(int64_t first_group, const Rows4& from) const;
+  const std::vector<Rows4>& iterates() const { return iterates_; }
+  const Rows4& start() const { return start_; }
+  const Rows4& moved() const { return moved_; }
+  const Rows4& x() const { return x_; }
+  void place(const Rows& x, const Rows& moved) {
+    upload_rows(x_, x);
+    upload_rows(moved_, moved);
+  }
+  const DeviceArray<int32_t>& is_held() const { return is_held_; }
+  const DeviceArray<int32_t>& held() const { return held_; }
+  const DeviceArray<int32_t>& particles() const { return tables_->particle; }  // of all lanes
+  const DeviceArray<int32_t>& filled() const { return tables_->filled; }       // of all groups
+  // In the order of the particles, as many as there is room for.
+  const DeviceArray<int32_t>& contact_begin() const { return contact_begin_; }
+  const DeviceArray<int32_t>& contact_items() const { return contact_items_; }
+
+ private:
+  // A material of elements, and which of its numbers may be other than 0: see vbd_material.
+  struct Trained {
+    const char* name;
+    const Array* array;
+    DeviceArray<int32_t> allowed;
+  };
+  // Where the number of an activation lies, for each lane of each slot of a role.
+  struct Activated {
+    DeviceArray<int32_t> element;
+    DeviceArray<float> alpha;
+    DerivedStamp stamp;  // of the activation that the slots hold
+  };
+  // Made of a model and a step size.
+  struct Tables {
+    float dt = 0.0f;
+    int64_t damped = 0;        // bit of each role
+    int64_t team = 0;          // groups of a team; 0: one has too many slots
+    bool is_recorded = false;  // replays write activations
+    DeviceArray<int32_t> particle, filled;
+    DeviceArray<float> mass_by_h2;
+    DeviceArray<uint64_t> begin[kRoles];
+    DeviceArray<int32_t> ints[kRoles];
+    DeviceArray<float> floats[kRoles];
+    Activated triangle, tetrahedron;
+    // Where elements are trained: of each lane of each slot, see LaneNumbers; and their materials.
+    DeviceArray<int32_t> sources[kRoles];
+    std::vector<Trained> trained;
+  };
+  struct Stamped {
+    const char* name;
+    const Array* array;
+    DerivedStamp stamp;
+  };
+
+  // Whether the host sees at once what launches do.
+  bool is_immediate() const { return on_cpu_ && launch_recorder() == nullptr; }
+  void build_tables(float dt);
+  void find_team();
+  void forget_lists();
+  void check_contacts(const Contacts& contacts) const;
+  void reserve_contacts(int32_t slots);
+  void find_contacts(const Contacts& contacts) const;
+  void activate(Activated& to, Role role, const DeviceArray<float>& activation);
+  // training.cpp
+  void reserve_training();
+  void put_numbers(const StepInputs& in) const;
+  void check_trained() const;
+  StepArguments arguments(const StepInputs& in, const StepResults& out) const;
+  StepList& list_for(const StepInputs& in, const StepResults& out);
+  int64_t find_mover() const;
+  void iterate(const StepList& list);
+  void check_inputs(const StepInputs& in);
+  void check_positions() const;
+
+  const Model& model_;
+  const VbdOptions options_;
+  const bool on_cpu_;
+  UnreadMaterials materials_;
+  EditedValues edited_{"SolverVBD"};
+  std::shared_ptr<const Model> copy_;  // of a model on a device
+  std::vector<Stamped> mesh_, values_;
+  std::vector<const Array*> read_;  // the arrays of both
+  ColorSlots slots_;
+  uint64_t builds_ = 0, version_ = 0;
+  std::optional<Tables> tables_;
+  std::optional<StepList> lists_[2][2][2];  // with contacts, damping, iterates
+  StepList* list_ = nullptr;                // of the last run
+  int64_t team_ = 0;
+  std::vector<Trained> trained_;  // of all tables that graphs may hold
+  DeviceArray<int32_t> is_held_, held_;
+  Rows4 start_, target_, moved_, x_, next_, newer_, older_;
+  std::vector<Rows4> iterates_;  // the positions before each iteration
+  DeviceArray<int32_t> contact_begin_, contact_items_;
+  DeviceArray<float> contact_numbers_, of_particles_;
+  DeviceArray<int32_t> faults_;    // of each particle, see vbd::note_fault
+  DeviceArray<int32_t> overflow_;  // see VbdContactArguments
+  std::vector<float> chebyshev_;
+  int32_t iterations_run_ = 0;
+  bool has_contacts_ = false, damps_ = false, was_recorded_ = false;
+};
+
+}  // namespace novaphy::vbd

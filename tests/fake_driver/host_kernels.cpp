@@ -326,6 +326,7 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(vbd_gradient_text::novaphy, vbd_contact_shape),
       OF_TEXT(vbd_gradient_text::novaphy, vbd_shape_gradient),
       OF_TEXT(vbd_tangent_text::novaphy, vbd_tangent),
+      OF_TEXT(vbd_tangent_text::novaphy, vbd_tangent_start),
       OF_TEXT(vbd_tangent_text::novaphy, vbd_tangent_move),
 #endif
   };

@@ -152,9 +152,8 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
           contacts.soft_contact_pair_count(),
           "; the flags or worlds of shapes or particles were edited, use "
           "CollisionPipeline.contacts() again");
-  detail::check_fields(detail::const_fields<ContactFields>(contacts),
-                       ContactFields::expected_rows(contacts.counts()), model_->device(),
-                       "collide: contacts");
+  detail::check_fields<ContactFields>(contacts, contacts.counts(), model_->device(),
+                                      "collide: contacts");
   if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use_);
   if (contacts.per_contact_shape_properties()) {
     require(launch_recorder() == nullptr, ErrorKind::NotImplemented, name,

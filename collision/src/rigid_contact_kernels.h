@@ -7,7 +7,7 @@
 #include "novaphy/collision/geometry/collide.h"
 #include "novaphy/collision/geometry/geometry_view.h"
 #include "novaphy/collision/geometry/plane_pairs.h"
-#include "novaphy/collision/geometry/rigid_shape.h"
+#include "novaphy/collision/geometry/rigid_rows_kernels.h"
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/sim/enums.h"
 
@@ -52,31 +52,26 @@ inline bool is_mesh_pair(GeoType a, GeoType b) {
 }
 
 struct RigidContactShapeArguments {
-  const int32_t* body;
-  const int32_t* type;
-  const Vec3f* scale;
-  const Transformf* xform;
-  const float* margin;
-  const float* gap;
-  const Transformf* body_q;
-  const SpatialVectorf* body_qd;
-  const Vec3f* body_com;
-  const float* ka;
-  FloatWord dt;             // of the step that takes the rows; 0: any
-  const int32_t* geometry;  // of the shapes: rows of `views`, or -1
-  const geometry::GeometryView* views;
-  RigidShape* shapes;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> shape_body, shape_type; Detached<Reads<Vec3f>> shape_scale;
+                    Detached<Reads<Transformf>> shape_transform;
+                    Detached<Reads<float>> shape_margin, shape_gap;
+                    Detached<Reads<Transformf>> body_q; Detached<Reads<SpatialVectorf>> body_qd;
+                    Detached<Reads<Vec3f>> body_com; Detached<Reads<float>> shape_material_ka;
+                    Number<float> dt;            // of the step that takes the rows; 0: any
+                    ReadsRow<int32_t> geometry;  // rows of `views`, or -1
+                    Reads<geometry::GeometryView> views; Writes<RigidShape> shapes;)
 };
-NOVAPHY_ROW_KERNEL(rigid_contact_shape, 14, RigidContactShapeArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_shape, RigidContactShapeArguments) {
   RigidShape& shape = a.shapes[row];
-  const int32_t body = a.body[row];
-  shape.type = static_cast<GeoType>(a.type[row]);
+  const int32_t body = a.shape_body[row];
+  shape.type = static_cast<GeoType>(a.shape_type[row]);
   shape.geometry = a.geometry[row] < 0 ? nullptr : &a.views[a.geometry[row]];
-  shape.scale = a.scale[row];
-  shape.margin = a.margin[row];
-  shape.gap = a.gap[row];
+  shape.scale = a.shape_scale[row];
+  shape.margin = a.shape_margin[row];
+  shape.gap = a.shape_gap[row];
   shape.owner = body < 0 ? Transformf::identity() : a.body_q[body];
-  shape.pose = body < 0 ? a.xform[row] : math::multiply(shape.owner, a.xform[row]);
+  shape.pose =
+      body < 0 ? a.shape_transform[row] : math::multiply(shape.owner, a.shape_transform[row]);
   Vec3f centre = shape.pose.p;
   if (shape.geometry != nullptr) {
     const geometry::Box3& box = shape.geometry->box;
@@ -87,8 +82,8 @@ NOVAPHY_ROW_KERNEL(rigid_contact_shape, 14, RigidContactShapeArguments) {
     const SpatialVectorf twist = body < 0 ? SpatialVectorf{} : a.body_qd[body];
     const Vec3f com = body < 0 ? centre : math::transform_point(shape.owner, a.body_com[body]);
     // Adhesion acts up to ka.
-    shape.row_gap =
-        math::min(shape.gap, step_gap(shape, twist, centre - com, a.dt.value) + a.ka[row]);
+    shape.row_gap = math::min(
+        shape.gap, step_gap(shape, twist, centre - com, a.dt.value) + a.shape_material_ka[row]);
   }
   // Grown by rounding, so that the boxes part nothing that touches.
   const float beyond = (shape.margin + shape.row_gap) + 1.0e-4f;
@@ -138,14 +133,15 @@ inline void keep_rows(const RigidShape& s0, const RigidShape& s1, const geometry
 }
 
 struct RigidContactFindArguments {
-  const int32_t* pairs_found;  // as many of the pairs count; null: all
-  const Vec2i* pairs;
-  const RigidShape* shapes;
-  int64_t per_pair;               // rows of a pair without a plane, at most
-  geometry::Manifold* manifolds;  // a row per pair: the contacts that are rows
-  int32_t* counts;                // of these
+  NOVAPHY_ARGUMENTS(
+      Optional<Reads<int32_t>> pairs_found;  // as many of the pairs count; null: all
+      ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes;
+      Number<int64_t> per_pair;              // rows of a pair without a plane, at most
+      Writes<geometry::Manifold> manifolds;  // a row per pair: the contacts that are rows
+      WritesRow<int32_t> counts;             // of these
+  )
 };
-NOVAPHY_ROW_KERNEL(rigid_contact_find, 6, RigidContactFindArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_find, RigidContactFindArguments) {
   a.counts[row] = 0;
   if (a.pairs_found != nullptr && row >= *a.pairs_found) return;
   const Vec2i pair = a.pairs[row];
@@ -162,15 +158,13 @@ inline constexpr int64_t kLimitSums = 128;  // rows that add up
 // How many rows there are within each part, in rows that add up to it; those of mesh pairs
 // rigid_mesh_limit_sum adds.
 struct RigidContactLimitSumArguments {
-  const Vec2i* pairs;
-  const RigidShape* shapes;
-  const geometry::Manifold* manifolds;
-  const int32_t* counts;
-  const int32_t* before;
-  int64_t pair_count, capacity;
-  int32_t* sums;  // kLimitParts of each row
+  NOVAPHY_ARGUMENTS(Reads<Vec2i> pairs; Reads<RigidShape> shapes;
+                    Reads<geometry::Manifold> manifolds; Reads<int32_t> counts, before;
+                    Number<int64_t> pair_count, capacity;
+                    Writes<int32_t> sums;  // kLimitParts of each row
+  )
 };
-NOVAPHY_ROW_KERNEL(rigid_contact_limit_sum, 8, RigidContactLimitSumArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_limit_sum, RigidContactLimitSumArguments) {
   const int64_t last = a.pair_count - 1;
   if (a.before[last] + a.counts[last] <= a.capacity) return;
   int32_t sums[kLimitParts] = {};
@@ -187,13 +181,11 @@ NOVAPHY_ROW_KERNEL(rigid_contact_limit_sum, 8, RigidContactLimitSumArguments) {
 }
 
 struct RigidContactLimitArguments {
-  const int32_t* counts;
-  const int32_t* before;
-  const int32_t* sums;
-  int64_t pair_count, capacity, rows;  // of sums
-  RigidContactLimit* limit;
+  NOVAPHY_ARGUMENTS(Reads<int32_t> counts, before, sums;
+                    Number<int64_t> pair_count, capacity, rows;  // of sums
+                    Writes<RigidContactLimit> limit;)
 };
-NOVAPHY_ROW_KERNEL(rigid_contact_limit, 7, RigidContactLimitArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_limit, RigidContactLimitArguments) {
   const int64_t last = a.pair_count - 1;
   *a.limit = {a.before[last] + a.counts[last], 0, 0};
   if (a.limit->total <= a.capacity) return;
@@ -208,14 +200,11 @@ NOVAPHY_ROW_KERNEL(rigid_contact_limit, 7, RigidContactLimitArguments) {
 
 // How many rows of each pair only the part above the limit has.
 struct RigidContactFartherArguments {
-  const RigidContactLimit* limit;
-  const Vec2i* pairs;
-  const RigidShape* shapes;
-  const geometry::Manifold* manifolds;
-  const int32_t* counts;
-  int32_t* farther;
+  NOVAPHY_ARGUMENTS(Reads<RigidContactLimit> limit; ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes;
+                    Reads<geometry::Manifold> manifolds; ReadsRow<int32_t> counts;
+                    WritesRow<int32_t> farther;)
 };
-NOVAPHY_ROW_KERNEL(rigid_contact_farther, 6, RigidContactFartherArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_farther, RigidContactFartherArguments) {
   const RigidShape& s0 = a.shapes[a.pairs[row].x];
   const RigidShape& s1 = a.shapes[a.pairs[row].y];
   int32_t count = 0;
@@ -229,14 +218,11 @@ NOVAPHY_ROW_KERNEL(rigid_contact_farther, 6, RigidContactFartherArguments) {
 }
 
 struct RigidContactTrimArguments {
-  const RigidContactLimit* limit;
-  const Vec2i* pairs;
-  const RigidShape* shapes;
-  const int32_t* farther;  // before each pair
-  geometry::Manifold* manifolds;
-  int32_t* counts;
+  NOVAPHY_ARGUMENTS(Reads<RigidContactLimit> limit; ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes;
+                    ReadsRow<int32_t> farther;  // before each pair
+                    Updates<geometry::Manifold> manifolds; Updates<int32_t> counts;)
 };
-NOVAPHY_ROW_KERNEL(rigid_contact_trim, 6, RigidContactTrimArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_trim, RigidContactTrimArguments) {
   if (a.limit->part == 0 || a.counts[row] == 0) return;
   const RigidShape& s0 = a.shapes[a.pairs[row].x];
   const RigidShape& s1 = a.shapes[a.pairs[row].y];
@@ -252,24 +238,22 @@ NOVAPHY_ROW_KERNEL(rigid_contact_trim, 6, RigidContactTrimArguments) {
 }
 
 struct RigidContactWriteArguments {
-  const RigidContactLimit* limit;  // null: all fit
-  const int32_t* pairs_found;      // may be more than there is room for; null: all
-  const Vec2i* pairs;
-  const RigidShape* shapes;
-  const geometry::Manifold* manifolds;
-  const int32_t* counts;
-  const int32_t* before;  // the rows before each pair: a scan of the counts
-  int32_t* count;
-  RigidContactRows rows;
+  NOVAPHY_ARGUMENTS(
+      Optional<Reads<RigidContactLimit>> limit;  // null: all fit
+      Optional<Reads<int32_t>> pairs_found;      // may be more than there is room for; null: all
+      ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes; Reads<geometry::Manifold> manifolds;
+      ReadsRow<int32_t> counts;
+      ReadsRow<int32_t> before;  // the rows before each pair: a scan of the counts
+      Writes<int32_t> rigid_contact_count; Part<RigidContactRows> rows;)
 };
-NOVAPHY_ROW_KERNEL(rigid_contact_write, 19, RigidContactWriteArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_write, RigidContactWriteArguments) {
   const int32_t first = a.before[row], count = a.counts[row];
   if (row == n - 1) {
     // A pair for which there was no room counts as a row behind those that are there.
     const int64_t found = a.pairs_found == nullptr ? n : *a.pairs_found;
     int64_t rows = a.limit == nullptr ? first + count : a.limit->total;
-    if (found > n) rows = (rows > a.rows.capacity ? rows : a.rows.capacity) + (found - n);
-    *a.count = rows < 0x7FFFFFFF ? static_cast<int32_t>(rows) : 0x7FFFFFFF;
+    if (found > n) rows = (a.rows.capacity < rows ? rows : a.rows.capacity.value) + (found - n);
+    *a.rigid_contact_count = rows < 0x7FFFFFFF ? static_cast<int32_t>(rows) : 0x7FFFFFFF;
   }
   if (count == 0) return;
   const Vec2i pair = a.pairs[row];
@@ -281,41 +265,32 @@ NOVAPHY_ROW_KERNEL(rigid_contact_write, 19, RigidContactWriteArguments) {
 }
 
 struct RigidContactClearArguments {
-  int64_t pairs;
-  int32_t* count;
-  int32_t* shape0;  // the rest: a row per contact
-  int32_t* shape1;
-  Vec3f* point0;
-  Vec3f* point1;
-  Vec3f* offset0;
-  Vec3f* offset1;
-  Vec3f* normal;
-  float* margin0;
-  float* margin1;
-  int32_t* point_id;
-  Vec3f* force;
+  NOVAPHY_ARGUMENTS(Number<int64_t> pairs; Updates<int32_t> rigid_contact_count;
+                    Reads<int32_t> shape0;  // of the rows
+
+                    Part<RigidContactRows> rows; Writes<Vec3f> rigid_contact_force;)
 };
 // Empties the row if it lies behind the last contact, else its force; the row behind all sets the
 // count where no pair has done it.
-NOVAPHY_ROW_KERNEL(rigid_contact_clear, 13, RigidContactClearArguments) {
+NOVAPHY_ROW_KERNEL(rigid_contact_clear, RigidContactClearArguments) {
   if (row == n - 1) {
-    if (a.pairs == 0) *a.count = 0;
+    if (a.pairs == 0) *a.rigid_contact_count = 0;
     return;
   }
-  const bool touches = a.pairs != 0 && row < *a.count;
+  const bool touches = a.pairs != 0 && row < *a.rigid_contact_count;
   if (!touches && a.shape0[row] < 0) return;  // empty already
-  a.force[row] = Vec3f{};
+  a.rigid_contact_force[row] = Vec3f{};
   if (touches) return;
-  a.shape0[row] = -1;
-  a.shape1[row] = -1;
-  a.point0[row] = Vec3f{};
-  a.point1[row] = Vec3f{};
-  a.offset0[row] = Vec3f{};
-  a.offset1[row] = Vec3f{};
-  a.normal[row] = Vec3f{};
-  a.margin0[row] = 0.0f;
-  a.margin1[row] = 0.0f;
-  a.point_id[row] = -1;
+  a.rows.rigid_contact_shape0[row] = -1;
+  a.rows.rigid_contact_shape1[row] = -1;
+  a.rows.rigid_contact_point0[row] = Vec3f{};
+  a.rows.rigid_contact_point1[row] = Vec3f{};
+  a.rows.rigid_contact_offset0[row] = Vec3f{};
+  a.rows.rigid_contact_offset1[row] = Vec3f{};
+  a.rows.rigid_contact_normal[row] = Vec3f{};
+  a.rows.rigid_contact_margin0[row] = 0.0f;
+  a.rows.rigid_contact_margin1[row] = 0.0f;
+  a.rows.rigid_contact_point_id[row] = -1;
 }
 
 }  // namespace novaphy

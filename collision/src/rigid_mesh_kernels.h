@@ -3,7 +3,7 @@
 #pragma once
 
 #include "novaphy/collision/geometry/mesh_mesh.h"
-#include "novaphy/collision/geometry/rigid_shape.h"
+#include "novaphy/collision/geometry/rigid_rows_kernels.h"
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/row_scratch.h"
 
@@ -64,14 +64,14 @@ struct MeshContacts {
 };
 
 struct RigidMeshFindArguments {
-  const int32_t* mesh_pairs;  // rows of `pairs`
-  const Vec2i* pairs;
-  const RigidShape* shapes;
-  MeshContacts* scratch;  // a row per mesh pair, on devices
-  MeshRows* found;        // a row per mesh pair
-  int32_t* counts;        // a row per pair
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> mesh_pairs;  // rows of `pairs`
+                    Reads<Vec2i> pairs; Reads<RigidShape> shapes;
+                    Optional<Writes<MeshContacts>> scratch;  // a row per mesh pair, on devices
+                    Writes<MeshRows> found;                  // a row per mesh pair
+                    Updates<int32_t> counts;                 // a row per pair
+  )
 };
-NOVAPHY_ROW_KERNEL(rigid_mesh_find, 6, RigidMeshFindArguments) {
+NOVAPHY_ROW_KERNEL(rigid_mesh_find, RigidMeshFindArguments) {
   const Vec2i pair = a.pairs[a.mesh_pairs[row]];
   const RigidShape& s0 = a.shapes[pair.x];
   const RigidShape& s1 = a.shapes[pair.y];
@@ -110,14 +110,10 @@ NOVAPHY_ROW_KERNEL(rigid_mesh_find, 6, RigidMeshFindArguments) {
 
 // As rigid_contact_limit_sum, rigid_contact_farther and rigid_contact_trim do for other pairs.
 struct RigidMeshLimitSumArguments {
-  const int32_t* mesh_pairs;
-  const Vec2i* pairs;
-  const RigidShape* shapes;
-  const MeshRows* found;
-  int64_t mesh_pair_count;
-  int32_t* sums;
+  NOVAPHY_ARGUMENTS(Reads<int32_t> mesh_pairs; Reads<Vec2i> pairs; Reads<RigidShape> shapes;
+                    Reads<MeshRows> found; Number<int64_t> mesh_pair_count; Updates<int32_t> sums;)
 };
-NOVAPHY_ROW_KERNEL(rigid_mesh_limit_sum, 6, RigidMeshLimitSumArguments) {
+NOVAPHY_ROW_KERNEL(rigid_mesh_limit_sum, RigidMeshLimitSumArguments) {
   for (int64_t m = row; m < a.mesh_pair_count; m += n) {
     const Vec2i pair = a.pairs[a.mesh_pairs[m]];
     for (int32_t i = 0; i < a.found[m].count; ++i)
@@ -128,14 +124,11 @@ NOVAPHY_ROW_KERNEL(rigid_mesh_limit_sum, 6, RigidMeshLimitSumArguments) {
 }
 
 struct RigidMeshFartherArguments {
-  const RigidContactLimit* limit;
-  const int32_t* mesh_pairs;
-  const Vec2i* pairs;
-  const RigidShape* shapes;
-  const MeshRows* found;
-  int32_t* farther;
+  NOVAPHY_ARGUMENTS(Reads<RigidContactLimit> limit; ReadsRow<int32_t> mesh_pairs;
+                    Reads<Vec2i> pairs; Reads<RigidShape> shapes; Reads<MeshRows> found;
+                    Updates<int32_t> farther;)
 };
-NOVAPHY_ROW_KERNEL(rigid_mesh_farther, 6, RigidMeshFartherArguments) {
+NOVAPHY_ROW_KERNEL(rigid_mesh_farther, RigidMeshFartherArguments) {
   const Vec2i pair = a.pairs[a.mesh_pairs[row]];
   const RigidShape &s0 = a.shapes[pair.x], &s1 = a.shapes[pair.y];
   int32_t count = 0;
@@ -148,15 +141,12 @@ NOVAPHY_ROW_KERNEL(rigid_mesh_farther, 6, RigidMeshFartherArguments) {
 }
 
 struct RigidMeshTrimArguments {
-  const RigidContactLimit* limit;
-  const int32_t* mesh_pairs;
-  const Vec2i* pairs;
-  const RigidShape* shapes;
-  const int32_t* farther;  // before each pair
-  MeshRows* found;
-  int32_t* counts;
+  NOVAPHY_ARGUMENTS(Reads<RigidContactLimit> limit; ReadsRow<int32_t> mesh_pairs;
+                    Reads<Vec2i> pairs; Reads<RigidShape> shapes;
+                    Reads<int32_t> farther;  // before each pair
+                    Updates<MeshRows> found; Updates<int32_t> counts;)
 };
-NOVAPHY_ROW_KERNEL(rigid_mesh_trim, 7, RigidMeshTrimArguments) {
+NOVAPHY_ROW_KERNEL(rigid_mesh_trim, RigidMeshTrimArguments) {
   if (a.limit->part == 0) return;
   const Vec2i pair = a.pairs[a.mesh_pairs[row]];
   MeshRows& found = a.found[row];
@@ -170,14 +160,11 @@ NOVAPHY_ROW_KERNEL(rigid_mesh_trim, 7, RigidMeshTrimArguments) {
 }
 
 struct RigidMeshWriteArguments {
-  const int32_t* mesh_pairs;
-  const Vec2i* pairs;
-  const RigidShape* shapes;
-  const MeshRows* found;
-  const int32_t* before;  // the rows before each pair
-  RigidContactRows rows;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> mesh_pairs; Reads<Vec2i> pairs; Reads<RigidShape> shapes;
+                    Reads<MeshRows> found; Reads<int32_t> before;  // the rows before each pair
+                    Part<RigidContactRows> rows;)
 };
-NOVAPHY_ROW_KERNEL(rigid_mesh_write, 16, RigidMeshWriteArguments) {
+NOVAPHY_ROW_KERNEL(rigid_mesh_write, RigidMeshWriteArguments) {
   const Vec2i pair = a.pairs[a.mesh_pairs[row]];
   const MeshRows& found = a.found[row];
   const ToOwners owners = to_owners(a.shapes[pair.x], a.shapes[pair.y]);

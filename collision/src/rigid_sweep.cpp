@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <vector>
 
+#include "byte_array.h"
 #include "novaphy/core/builtin_kernels.h"
 #include "novaphy/core/error.h"
 #include "rigid_sweep_kernels.h"
@@ -29,10 +30,6 @@ const Kernels& kernels() {
 constexpr int64_t kTotals = 256;
 constexpr int64_t kMostUnwrapped = 65536;  // shapes whose pairs int32 counts
 
-Array bytes(size_t count, Device device) {
-  const auto storage = Storage::allocate(count, device);
-  return {DType::uint8, storage->bytes(), 1, storage->range()};
-}
 int64_t chunks_of(int64_t count) { return (count + kSweepChunk - 1) / kSweepChunk; }
 
 // The axis on which the shapes lie farthest apart where the model has its bodies.
@@ -78,9 +75,9 @@ void RigidSweep::update(const Model& m, std::span<const int32_t> world) {
   totals_ = {};
   if (m.shape_count() > kMostUnwrapped) totals_ = DeviceArray<uint64_t>(kTotals, device);
   const int64_t chunks = chunks_of(m.shape_count());
-  entries_ = bytes(shapes * sizeof(SweepEntry), device);
-  chunks_ = bytes(static_cast<size_t>(chunks) * sizeof(SweepInterval), device);
-  coarse_ = bytes(static_cast<size_t>(chunks_of(chunks)) * sizeof(SweepInterval), device);
+  entries_ = byte_array<SweepEntry>(shapes, device);
+  chunks_ = byte_array<SweepInterval>(static_cast<size_t>(chunks), device);
+  coarse_ = byte_array<SweepInterval>(static_cast<size_t>(chunks_of(chunks)), device);
 }
 
 RigidSweepTables RigidSweep::tables(const Model& m, const Array& shapes) const {

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "array_versions.h"
+#include "byte_array.h"
 #include "novaphy/collision/candidate_pairs.h"
 #include "novaphy/core/builtin_kernels.h"
 #include "novaphy/core/error.h"
@@ -49,8 +50,8 @@ struct SoftContacts::Impl {
   DeviceArray<int32_t> candidates;
   DeviceArray<int32_t> pair_particle, pair_shape;  // candidate_pairs.h
   // Scratch, kept from call to call.
-  std::shared_ptr<Storage> shapes;  // a SoftContactShape per shape
-  DeviceArray<int32_t> before;      // the slots before each pair
+  Array shapes;                 // a SoftContactShape per shape
+  DeviceArray<int32_t> before;  // the slots before each pair
 
   std::array<const Array*, 5> choosing() const {
     return {&model->shape_flags, &model->shape_body, &model->shape_type, &model->shape_world,
@@ -72,7 +73,7 @@ struct SoftContacts::Impl {
     candidates = DeviceArray<int32_t>::from_host(found, model->device());
     pair_particle = DeviceArray<int32_t>::from_host(pairs.particle, model->device());
     pair_shape = DeviceArray<int32_t>::from_host(pairs.shape, model->device());
-    shapes = Storage::allocate(body.size() * sizeof(SoftContactShape), model->device());
+    shapes = byte_array<SoftContactShape>(body.size(), model->device());
     versions.set(choosing());
   }
 };
@@ -97,7 +98,7 @@ void SoftContacts::collide(const SimState& state, Contacts& contacts, float gap)
   depend_on(impl_->choosing());  // which the host has read
   const int64_t pairs = contacts.soft_contact_pair_count(), slots = contacts.soft_contact_max();
   const auto shape_count = static_cast<int64_t>(impl_->candidates.rows());
-  const Array shapes(DType::uint8, impl_->shapes->bytes(), 1, impl_->shapes->range());
+  const Array& shapes = impl_->shapes;
   if (impl_->before.rows() < static_cast<size_t>(pairs))
     impl_->before = DeviceArray<int32_t>(static_cast<size_t>(pairs), device);
   const Array& views = impl_->geometries->tables();

@@ -11,7 +11,6 @@
 #include "novaphy/diff/engine_kernels.h"
 #include "novaphy/nova/host_work.h"
 #include "novaphy/nova/kernel.h"
-#include "novaphy/nova/launch_argument.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 #include "push_box_kernels.h"
@@ -19,7 +18,6 @@
 namespace novaphy::diff {
 
 using nova::Access;
-using nova::argument;
 using nova::DType;
 using nova::Real;
 using nova::Tensor;
@@ -127,12 +125,12 @@ const nova::Kernel& step_kernel() {
   return kernel;
 }
 
-const DeviceKernel& rollout_kernel() {
-  static const DeviceKernel kernel(push_box_rollout, nullptr);
+const Kernel<PushBoxRolloutArguments>& rollout_kernel() {
+  static const Kernel<PushBoxRolloutArguments> kernel(push_box_rollout, nullptr);
   return kernel;
 }
-const DeviceKernel& rollout_vjp_kernel() {
-  static const DeviceKernel kernel(push_box_rollout_vjp, nullptr);
+const Kernel<PushBoxRolloutVjpArguments>& rollout_vjp_kernel() {
+  static const Kernel<PushBoxRolloutVjpArguments> kernel(push_box_rollout_vjp, nullptr);
   return kernel;
 }
 
@@ -142,36 +140,58 @@ struct Rollout {
   int64_t steps = 0;
 };
 
-std::vector<LaunchArgument> arguments(const Rollout& r) {
-  std::vector<LaunchArgument> words;
-  for (const Tensor& in : r.in) words.push_back(argument("input", in, false));
-  words.push_back(number(r.steps));
-  return words;
+// Of an undefined tensor: none.
+DeviceArray<float> array_of(const Tensor& tensor) {
+  if (!tensor.defined()) return {};
+  const auto size = static_cast<size_t>(tensor.size());
+  return DeviceArray<float>(Array(novaphy::DType::float32, size, 1, tensor.range()));
 }
+
+// The inputs as arrays, which live as long as a launch of them.
+struct InputArrays {
+  DeviceArray<float> states[4], numbers[kPushBoxNumbers];
+
+  explicit InputArrays(const Inputs& in) {
+    for (size_t k = 0; k < 4; ++k) states[k] = array_of(in[k]);
+    for (size_t k = 0; k < kPushBoxNumbers; ++k) numbers[k] = array_of(in[4 + k]);
+  }
+  PushBoxArguments arguments(int64_t steps) const {
+    return {.pusher_x = states[0],
+            .pusher_v = states[1],
+            .box_x = states[2],
+            .box_v = states[3],
+            .numbers = numbers,
+            .steps = steps};
+  }
+};
 
 void run_forward(const Rollout& r) {
   const nova::NoGrad no_grad;
-  std::vector<LaunchArgument> words = arguments(r);
-  words.push_back(argument("box_x", r.x, true));
-  words.push_back(argument("box_v", r.v, true));
-  rollout_kernel().launch(r.x.device(), 1, words);
+  const InputArrays in(r.in);
+  const DeviceArray<float> x = array_of(r.x), v = array_of(r.v);
+  run(rollout_kernel(), 1, {.in = in.arguments(r.steps), .x = x, .v = v});
 }
 
 void run_vjp(const Rollout& r, std::span<const Tensor> outputs,
              std::span<const nova::InputGradient> gradients) {
   const nova::NoGrad no_grad;
-  std::vector<LaunchArgument> words = arguments(r);
-  words.push_back(argument("box_x", r.x, false));
-  words.push_back(argument("box_v", r.v, false));
-  for (const Tensor& seed : outputs)
-    words.push_back(argument("gradient of an output", seed, false));
+  const InputArrays in(r.in);
+  const DeviceArray<float> x = array_of(r.x), v = array_of(r.v);
+  const DeviceArray<float> x_bar = array_of(outputs[0]), v_bar = array_of(outputs[1]);
+  DeviceArray<float> gradient[kInputs];
   int64_t add = 0;
-  for (size_t k = 0; k < gradients.size(); ++k) {
-    words.push_back(argument("gradient of an input", gradients[k].grad, true));
+  for (size_t k = 0; k < kInputs; ++k) {
+    gradient[k] = array_of(gradients[k].grad);
     if (gradients[k].add) add |= int64_t{1} << k;
   }
-  words.push_back(number(add));
-  rollout_vjp_kernel().launch(r.x.device(), 1, words);
+  run(rollout_vjp_kernel(), 1,
+      {.in = in.arguments(r.steps),
+       .x = x,
+       .v = v,
+       .x_bar = x_bar,
+       .v_bar = v_bar,
+       .gradient = gradient,
+       .add = add});
 }
 
 // On the host.

@@ -9,15 +9,15 @@ namespace novaphy {
 inline constexpr int kPushBoxNumbers = 10;
 
 struct PushBoxArguments {
-  const float *pusher_x, *pusher_v;       // a row per step
-  const float *box_x, *box_v;             // the start
-  const float* numbers[kPushBoxNumbers];  // the members of PushBoxNumbers
-  int64_t steps;
+  NOVAPHY_ARGUMENTS(
+      Detached<Reads<float>> pusher_x, pusher_v;              // a row per step
+      Detached<Reads<float>> box_x, box_v;                    // the start
+      Each<Detached<Reads<float>>, kPushBoxNumbers> numbers;  // the members of PushBoxNumbers
+      Number<int64_t> steps;)
 };
-inline constexpr int kPushBoxWords = 5 + kPushBoxNumbers;
 
 inline PushBoxNumbers<float> push_box_numbers(const PushBoxArguments& a) {
-  const float* const* n = a.numbers;
+  const auto& n = a.numbers;
   return {*n[0], *n[1], *n[2], *n[3], *n[4], *n[5], *n[6], *n[7], *n[8], *n[9]};
 }
 
@@ -28,10 +28,10 @@ inline void push_box_list(const PushBoxNumbers<float>& n, float (&to)[kPushBoxNu
 }
 
 struct PushBoxRolloutArguments {
-  PushBoxArguments in;
-  float *x, *v;  // behind every step
+  NOVAPHY_ARGUMENTS(Part<PushBoxArguments> in; Writes<float> x, v;  // behind every step
+  )
 };
-NOVAPHY_ROW_KERNEL(push_box_rollout, kPushBoxWords + 2, PushBoxRolloutArguments) {
+NOVAPHY_ROW_KERNEL(push_box_rollout, PushBoxRolloutArguments) {
   const PushBoxNumbers<float> numbers = push_box_numbers(a.in);
   PushBoxState<float> box = {*a.in.box_x, *a.in.box_v};
   for (int64_t t = 0; t < a.in.steps; ++t) {
@@ -42,20 +42,20 @@ NOVAPHY_ROW_KERNEL(push_box_rollout, kPushBoxWords + 2, PushBoxRolloutArguments)
 }
 
 struct PushBoxRolloutVjpArguments {
-  PushBoxArguments in;
-  const float *x, *v;          // what the rollout gave
-  const float *x_bar, *v_bar;  // their gradients; null: zero
-  // Gradients of the inputs in the order of PushBoxArguments; null: nobody wants it.
-  float* gradient[4 + kPushBoxNumbers];
-  int64_t add;  // bit i: to what is there
+  NOVAPHY_ARGUMENTS(
+      Part<PushBoxArguments> in; Detached<Reads<float>> x, v;  // what the rollout gave
+      Optional<Detached<Reads<float>>> x_bar, v_bar;           // their gradients; null: zero
+      // Gradients of the inputs in the order of PushBoxArguments; null: nobody wants it.
+      Each<Optional<Detached<Updates<float>>>, 4 + kPushBoxNumbers> gradient;
+      Number<int64_t> add;  // bit i: to what is there
+  )
 };
 inline void push_box_give(const PushBoxRolloutVjpArguments& a, int i, int64_t row, float value) {
   float* const to = a.gradient[i];
   if (!to) return;
   to[row] = (a.add >> i) & 1 ? to[row] + value : value;
 }
-NOVAPHY_ROW_KERNEL(push_box_rollout_vjp, kPushBoxWords + 9 + kPushBoxNumbers,
-                   PushBoxRolloutVjpArguments) {
+NOVAPHY_ROW_KERNEL(push_box_rollout_vjp, PushBoxRolloutVjpArguments) {
   const PushBoxNumbers<float> numbers = push_box_numbers(a.in);
   PushBoxState<float> bar = {0.0f, 0.0f};  // gradient of the state behind step t
   float sums[kPushBoxNumbers] = {};

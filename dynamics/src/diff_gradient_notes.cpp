@@ -19,10 +19,9 @@ constexpr size_t kNumbers = sizeof(T) / sizeof(int32_t);
 constexpr size_t kParts = 64;
 constexpr int64_t kFewContacts = 256;
 
-// What a tape makes of the step, its own operations say.
-LaunchArgument value(const char* name, const Array& array) { return reads(name, array).detached(); }
-LaunchArgument value_if_any(const char* name, const Array& array) {
-  return array.rows() == 0 ? LaunchArgument() : value(name, array);
+// Null without rows.
+const DeviceArray<float>* if_any(const DeviceArray<float>& array) {
+  return array.rows() == 0 ? nullptr : &array;
 }
 
 template <class T>
@@ -34,29 +33,24 @@ void fill(const DeviceArray<int32_t>& array, const T& with) {
   to.copy_from_host(std::span<const int32_t>(words));
 }
 
-// The words of SoftModes.
-std::vector<LaunchArgument> mode_words_of_particles(const Model& m, const NotedStep& step) {
-  return {value("particle_mass", m.particle_mass),
-          value("shape_material_ke", m.shape_material_ke),
-          value("shape_material_kf", m.shape_material_kf),
-          value("shape_material_mu", m.shape_material_mu),
-          number(m.soft_contact_ke),
-          number(m.soft_contact_kf),
-          number(m.soft_contact_mu),
-          number(step.kf_rate)};
+SoftModes soft_modes(const Model& m, const NotedStep& step) {
+  return {.mass = m.particle_mass,
+          .ke = m.shape_material_ke,
+          .kf = m.shape_material_kf,
+          .mu = m.shape_material_mu,
+          .model_ke = m.soft_contact_ke,
+          .model_kf = m.soft_contact_kf,
+          .model_mu = m.soft_contact_mu,
+          .kf_rate = step.kf_rate};
 }
-// The words of RigidModes.
-std::vector<LaunchArgument> mode_words(const Model& m, const NotedStep& step) {
-  return {value("body_qd", step.body_qd),
-          value("body_com", m.body_com),
-          value("shape_material_ke", m.shape_material_ke),
-          value("shape_material_kd", m.shape_material_kd),
-          value("shape_material_kf", m.shape_material_kf),
-          value("shape_material_mu", m.shape_material_mu),
-          number(step.smoothing)};
-}
-void append(std::vector<LaunchArgument>& to, std::vector<LaunchArgument> more) {
-  to.insert(to.end(), more.begin(), more.end());
+RigidModes rigid_modes(const Model& m, const NotedStep& step) {
+  return {.body_qd = step.body_qd,
+          .body_com = m.body_com,
+          .ke = m.shape_material_ke,
+          .kd = m.shape_material_kd,
+          .kf = m.shape_material_kf,
+          .mu = m.shape_material_mu,
+          .smoothing = step.smoothing};
 }
 
 }  // namespace
@@ -75,29 +69,29 @@ void GradientNotes::Looks::at_soft(const Model& m, const NotedStep& step) {
   const auto rows = static_cast<int64_t>(c.soft_contact_particle.rows());
   if (rows == 0) return;
   soft.reserve(rows, m.device());
-  std::vector<LaunchArgument> words = {
-      updates_row("now", soft.now),
-      updates_row("before", soft.before),
-      reads("soft_contact_count", c.soft_contact_count),
-      reads("soft_contact_particle", c.soft_contact_particle),
-      reads("soft_contact_shape", c.soft_contact_shape),
-      value("soft_contact_body_pos", c.soft_contact_body_pos),
-      value("soft_contact_body_vel", c.soft_contact_body_vel),
-      value("soft_contact_normal", c.soft_contact_normal),
-      value("particle_q", step.q),
-      value("particle_qd", step.qd),
-      value("body_q", step.body_q),
-      value("body_qd", step.body_qd),
-      value("body_com", m.body_com),
-      reads("shape_body", m.shape_body),
-      reads("shape_type", m.shape_type),
-      value("shape_scale", m.shape_scale),
-      value("particle_radius", m.particle_radius),
-      step.slip > 0.0f ? value("shape_margin", m.shape_margin) : LaunchArgument()};
-  append(words, mode_words_of_particles(m, step));
-  append(words,
-         {number(step.slip), number(int64_t{step.soft_follow}), number(int64_t{m.shape_count()})});
-  note_kernels().soft.launch(m.device(), rows, words);
+  run(note_kernels().soft, rows,
+      {.seen = SeenRows{.now = Untyped(soft.now),
+                        .before = Untyped(soft.before),
+                        .count = c.soft_contact_count},
+       .particle = c.soft_contact_particle,
+       .shape = c.soft_contact_shape,
+       .point = c.soft_contact_body_pos,
+       .velocity = c.soft_contact_body_vel,
+       .normal = c.soft_contact_normal,
+       .q = step.q,
+       .qd = step.qd,
+       .body_q = step.body_q,
+       .body_qd = step.body_qd,
+       .body_com = m.body_com,
+       .shape_body = m.shape_body,
+       .shape_type = m.shape_type,
+       .shape_scale = m.shape_scale,
+       .radius = m.particle_radius,
+       .margin = step.slip > 0.0f ? &m.shape_margin : nullptr,
+       .modes = soft_modes(m, step),
+       .slip = step.slip,
+       .follows = step.soft_follow,
+       .shapes = m.shape_count()});
 }
 
 void GradientNotes::Looks::at_static_particles(const Model& m, const NotedStep& step) {
@@ -106,28 +100,28 @@ void GradientNotes::Looks::at_static_particles(const Model& m, const NotedStep& 
   const int64_t rows = all ? particles * m.shape_count() : step.shape.rows;
   if (rows == 0) return;
   soft.reserve(rows, m.device());
-  const LaunchArgument none;
-  const auto table = [&](const char* name, const std::shared_ptr<Range>& range) {
-    return reads(name, Array(DType::int32, range->bytes() / sizeof(int32_t), 1, range));
+  const auto table = [&](const std::shared_ptr<Range>& range) {
+    return Array(DType::int32, range->bytes() / sizeof(int32_t), 1, range);
   };
-  std::vector<LaunchArgument> words = {
-      updates("now", soft.now),
-      updates("before", soft.before),
-      none,
-      all ? none : table("pairs_of_particles", step.shapes_of->offsets),
-      all ? none : table("pair_shape", step.shape.range),
-      value("particle_q", step.q),
-      value("particle_qd", step.qd),
-      reads("shape_flags", m.shape_flags),
-      reads("shape_body", m.shape_body),
-      reads("shape_type", m.shape_type),
-      value("shape_transform", m.shape_transform),
-      value("shape_scale", m.shape_scale),
-      value("particle_radius", m.particle_radius),
-      value("shape_margin", m.shape_margin)};
-  append(words, mode_words_of_particles(m, step));
-  append(words, {number(step.static_reach), number(int64_t{m.shape_count()})});
-  note_kernels().static_particles.launch(m.device(), particles, words);
+  const Array begin = all ? Array() : table(step.shapes_of->offsets);
+  const Array shape = all ? Array() : table(step.shape.range);
+  run(note_kernels().static_particles, particles,
+      {.now = Untyped(soft.now),
+       .before = Untyped(soft.before),
+       .begin = Untyped(begin),
+       .shape = Untyped(shape),
+       .q = step.q,
+       .qd = step.qd,
+       .shape_flags = m.shape_flags,
+       .shape_body = m.shape_body,
+       .shape_type = m.shape_type,
+       .shape_transform = m.shape_transform,
+       .shape_scale = m.shape_scale,
+       .radius = m.particle_radius,
+       .margin = m.shape_margin,
+       .modes = soft_modes(m, step),
+       .reach = step.static_reach,
+       .shapes = m.shape_count()});
 }
 
 void GradientNotes::Looks::at_rigid(const Model& m, const NotedStep& step) {
@@ -135,47 +129,47 @@ void GradientNotes::Looks::at_rigid(const Model& m, const NotedStep& step) {
   const auto rows = static_cast<int64_t>(c.rigid_contact_shape0.rows());
   if (rows == 0) return;
   rigid.reserve(rows, m.device());
-  std::vector<LaunchArgument> words = {
-      updates_row("now", rigid.now),
-      updates_row("before", rigid.before),
-      reads("rigid_contact_count", c.rigid_contact_count),
-      reads("rigid_contact_shape0", c.rigid_contact_shape0),
-      reads("rigid_contact_shape1", c.rigid_contact_shape1),
-      value("rigid_contact_point0", c.rigid_contact_point0),
-      value("rigid_contact_point1", c.rigid_contact_point1),
-      value("rigid_contact_normal", c.rigid_contact_normal),
-      value("body_q", step.body_q),
-      reads("shape_body", m.shape_body),
-      reads("shape_type", m.shape_type),
-      value("shape_transform", m.shape_transform),
-      value("shape_scale", m.shape_scale),
-      reads("rigid_contact_point_id", c.rigid_contact_point_id),
-      value("rigid_contact_margin0", c.rigid_contact_margin0),
-      value("rigid_contact_margin1", c.rigid_contact_margin1),
-      value_if_any("rigid_contact_stiffness", c.rigid_contact_stiffness),
-      value_if_any("rigid_contact_damping", c.rigid_contact_damping),
-      value_if_any("rigid_contact_friction", c.rigid_contact_friction)};
-  append(words, mode_words(m, step));
-  append(words, {number(int64_t{step.rigid_follow}), number(int64_t{m.shape_count()})});
-  note_kernels().rigid.launch(m.device(), rows, words);
+  const FollowedContacts of = {.shape0 = c.rigid_contact_shape0,
+                               .shape1 = c.rigid_contact_shape1,
+                               .point0 = c.rigid_contact_point0,
+                               .point1 = c.rigid_contact_point1,
+                               .normal = c.rigid_contact_normal,
+                               .body_q = step.body_q,
+                               .shape_body = m.shape_body,
+                               .shape_type = m.shape_type,
+                               .shape_transform = m.shape_transform,
+                               .shape_scale = m.shape_scale};
+  run(note_kernels().rigid, rows,
+      {.seen = SeenRows{.now = Untyped(rigid.now),
+                        .before = Untyped(rigid.before),
+                        .count = c.rigid_contact_count},
+       .of = of,
+       .point_id = c.rigid_contact_point_id,
+       .margin0 = c.rigid_contact_margin0,
+       .margin1 = c.rigid_contact_margin1,
+       .row_ke = if_any(c.rigid_contact_stiffness),
+       .row_kd = if_any(c.rigid_contact_damping),
+       .row_mu = if_any(c.rigid_contact_friction),
+       .modes = rigid_modes(m, step),
+       .follows = step.rigid_follow,
+       .shapes = m.shape_count()});
 }
 
 void GradientNotes::Looks::at_planes(const Model& m, const NotedStep& step) {
   const int64_t pairs = step.plane_pairs.rows;
   rigid.reserve(pairs * kPlanePoints, m.device());
   const Array table(DType::int32, static_cast<size_t>(2 * pairs), 1, step.plane_pairs.range);
-  std::vector<LaunchArgument> words = {updates("now", rigid.now),
-                                       updates("before", rigid.before),
-                                       LaunchArgument(),
-                                       reads("pairs", table),
-                                       value("body_q", step.body_q),
-                                       reads("shape_body", m.shape_body),
-                                       reads("shape_type", m.shape_type),
-                                       value("shape_transform", m.shape_transform),
-                                       value("shape_scale", m.shape_scale),
-                                       value("shape_margin", m.shape_margin)};
-  append(words, mode_words(m, step));
-  note_kernels().planes.launch(m.device(), pairs, words);
+  run(note_kernels().planes, pairs,
+      {.now = Untyped(rigid.now),
+       .before = Untyped(rigid.before),
+       .pairs = Untyped(table),
+       .body_q = step.body_q,
+       .shape_body = m.shape_body,
+       .shape_type = m.shape_type,
+       .shape_transform = m.shape_transform,
+       .shape_scale = m.shape_scale,
+       .margin = m.shape_margin,
+       .modes = rigid_modes(m, step)});
 }
 
 void GradientNotes::Looks::look(const Model& m, const NotedStep& step) {
@@ -188,27 +182,34 @@ void GradientNotes::Looks::look(const Model& m, const NotedStep& step) {
   const int64_t contacts = soft.rows + rigid.rows;
   const bool continues = ended == step.start;
   ended = contacts > 0 ? step.end : nullptr;
-  const LaunchArgument number_of_step = number(steps++);
+  const int64_t step_number = steps++;
   if (contacts == 0) return;
-  // A replay of a capture begins anew.
-  const LaunchArgument begins = number(int64_t{parts.rows() == 0});
-  if (parts.rows() == 0) {
+  const bool begins = parts.rows() == 0;  // as a replay of a capture does
+  if (begins) {
     const Unobserved unobserved;
     parts = DeviceArray<int32_t>(kParts, m.device(), kNumbers<StepNotes>);
     sums = DeviceArray<int32_t>(1, m.device(), kNumbers<GradientCounts>);
   }
   const int64_t count = contacts > kFewContacts ? int64_t{kParts} : 1;
-  const LaunchArgument none;
-  note_kernels().events.launch(
-      m.device(), count,
-      {reads("soft_now", soft.now), reads("soft_before", soft.before),
-       reads("rigid_now", rigid.now), reads("rigid_before", rigid.before), number(soft.rows),
-       number(rigid.rows), number(int64_t{continues}), writes_row("parts", parts),
-       count == 1 ? updates("sums", sums) : none, number_of_step, begins});
-  if (count > 1)
-    note_kernels().step.launch(
-        m.device(), 1,
-        {reads("parts", parts), updates("sums", sums), number(count), number_of_step, begins});
+  const Array none;
+  run(note_kernels().events, count,
+      {.soft_now = Untyped(soft.now),
+       .soft_before = Untyped(soft.before),
+       .rigid_now = Untyped(rigid.now),
+       .rigid_before = Untyped(rigid.before),
+       .soft_count = soft.rows,
+       .rigid_count = rigid.rows,
+       .continues = continues,
+       .notes = Untyped(parts),
+       .counts = Untyped(count == 1 ? sums : none),
+       .step = step_number,
+       .begins = begins});
+  run(note_kernels().step, count > 1 ? 1 : 0,
+      {.notes = Untyped(parts),
+       .counts = Untyped(sums),
+       .parts = count,
+       .step = step_number,
+       .begins = begins});
 }
 
 GradientCounts GradientNotes::Looks::counts() const {

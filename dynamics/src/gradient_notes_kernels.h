@@ -16,8 +16,8 @@ namespace novaphy {
 
 // A row of a list, which keeps that of the step before.
 struct SeenRows {
-  SeenContact *now, *before;
-  const int32_t* count;  // of contacts
+  NOVAPHY_ARGUMENTS(UpdatesRow<SeenContact> now, before; Reads<int32_t> count;  // of contacts
+  )
 };
 inline bool next_seen(const SeenRows& of, int64_t row) {
   of.before[row] = of.now[row];
@@ -27,25 +27,23 @@ inline bool next_seen(const SeenRows& of, int64_t row) {
 
 // The materials of particles and shapes.
 struct SoftModes {
-  const float *mass, *ke, *kf, *mu;
-  FloatWord model_ke, model_kf, model_mu, kf_rate;
+  NOVAPHY_ARGUMENTS(Detached<Reads<float>> mass, ke, kf, mu;
+                    Number<float> model_ke, model_kf, model_mu, kf_rate;)
 };
 
 struct NoteSoftContactsArguments {
-  SeenRows seen;
-  const int32_t *particle, *shape;
-  const Vec3f *point, *velocity, *normal;  // of the shape, in the frame of its body
-  const Vec3f *q, *qd;                     // of the particles
-  const Transformf* body_q;
-  const SpatialVectorf* body_qd;
-  const Vec3f* body_com;
-  const int32_t *shape_body, *shape_type;
-  const Vec3f* shape_scale;
-  const float *radius, *margin;  // margin null: no part of the law
-  SoftModes modes;
-  FloatWord slip;   // m/s, > 0: a contact sticks below it
-  int64_t follows;  // points and normals follow the particles
-  int64_t shapes;
+  NOVAPHY_ARGUMENTS(Part<SeenRows> seen; Reads<int32_t> particle, shape;
+                    Detached<Reads<Vec3f>> point, velocity,
+                    normal;                        // of the shape, in the frame of its body
+                    Detached<Reads<Vec3f>> q, qd;  // of the particles
+                    Detached<Reads<Transformf>> body_q; Detached<Reads<SpatialVectorf>> body_qd;
+                    Detached<Reads<Vec3f>> body_com; Reads<int32_t> shape_body, shape_type;
+                    Detached<Reads<Vec3f>> shape_scale; Detached<Reads<float>> radius;
+                    Optional<Detached<Reads<float>>> margin;  // null: no part of the law
+                    Part<SoftModes> modes;
+                    Number<float> slip;       // m/s, > 0: a contact sticks below it
+                    Number<int64_t> follows;  // points and normals follow the particles
+                    Number<int64_t> shapes;)
 };
 // Of particle p and shape s; `v`: of the particle against the shape.
 inline int32_t soft_mode(float gap, const Vec3f& n, const Vec3f& v, const SoftModes& of, int64_t p,
@@ -61,7 +59,7 @@ inline int32_t soft_mode(float gap, const Vec3f& n, const Vec3f& v, const SoftMo
   return m.kf * speed >= math::abs((m.mu * gap) * m.ke) ? 2 : 1;
 }
 
-NOVAPHY_ROW_KERNEL(note_soft_contacts, 29, NoteSoftContactsArguments) {
+NOVAPHY_ROW_KERNEL(note_soft_contacts, NoteSoftContactsArguments) {
   if (!next_seen(a.seen, row)) return;
   const int32_t p = a.particle[row], s = a.shape[row];
   if (p < 0 || s < 0 || s >= a.shapes) return;
@@ -81,18 +79,16 @@ NOVAPHY_ROW_KERNEL(note_soft_contacts, 29, NoteSoftContactsArguments) {
 
 // Contacts of particles with shapes of the world, which a step finds by itself; a row per particle.
 struct NoteStaticParticlesArguments {
-  SeenRows seen;
-  const int32_t *begin, *shape;  // the shapes of each particle; null: all
-  const Vec3f *q, *qd;
-  const int32_t *shape_flags, *shape_body, *shape_type;
-  const Transformf* shape_transform;
-  const Vec3f* shape_scale;
-  const float *radius, *margin;
-  SoftModes modes;
-  FloatWord reach;
-  int64_t shapes;
+  NOVAPHY_ARGUMENTS(Updates<SeenContact> now, before;
+                    Optional<Reads<int32_t>> begin,
+                    shape;  // the shapes of each particle; null: all
+                    Detached<Reads<Vec3f>> q, qd;
+                    Reads<int32_t> shape_flags, shape_body, shape_type;
+                    Detached<Reads<Transformf>> shape_transform; Detached<Reads<Vec3f>> shape_scale;
+                    Detached<Reads<float>> radius, margin; Part<SoftModes> modes;
+                    Number<float> reach; Number<int64_t> shapes;)
 };
-NOVAPHY_ROW_KERNEL(note_static_particles, 24, NoteStaticParticlesArguments) {
+NOVAPHY_ROW_KERNEL(note_static_particles, NoteStaticParticlesArguments) {
   const int64_t begin = a.begin == nullptr ? row * a.shapes : a.begin[row];
   const int64_t end = a.begin == nullptr ? begin + a.shapes : a.begin[row + 1];
   for (int64_t k = begin; k < end; ++k) {
@@ -103,8 +99,8 @@ NOVAPHY_ROW_KERNEL(note_static_particles, 24, NoteStaticParticlesArguments) {
         StaticShapeType<bool>{is(GeoType::BOX), is(GeoType::SPHERE), is(GeoType::CAPSULE),
                               is(GeoType::CYLINDER), is(GeoType::CONE), is(GeoType::ELLIPSOID)},
         a.shape_transform[s], a.shape_scale[s], a.q[row]);
-    SeenContact& to = a.seen.now[k];
-    a.seen.before[k] = to;
+    SeenContact& to = a.now[k];
+    a.before[k] = to;
     to = SeenContact{};
     to.first = s;
     to.second = ContactPair::kParticle + static_cast<int32_t>(row);
@@ -135,10 +131,9 @@ inline Vec3f point_velocity(const SpatialVectorf& twist, const Transformf& pose,
 }
 
 struct RigidModes {
-  const SpatialVectorf* body_qd;
-  const Vec3f* body_com;
-  const float *ke, *kd, *kf, *mu;  // of the shapes
-  FloatWord smoothing;
+  NOVAPHY_ARGUMENTS(Detached<Reads<SpatialVectorf>> body_qd; Detached<Reads<Vec3f>> body_com;
+                    Detached<Reads<float>> ke, kd, kf, mu;  // of the shapes
+                    Number<float> smoothing;)
 };
 inline RigidContactMaterial<float> mean_of(const RigidModes& m, int32_t a, int32_t b) {
   return mean_rigid_contact_material<float>({m.ke[a], m.kd[a], m.kf[a], 0.0f, m.mu[a]},
@@ -146,14 +141,12 @@ inline RigidContactMaterial<float> mean_of(const RigidModes& m, int32_t a, int32
 }
 
 struct NoteRigidContactsArguments {
-  SeenRows seen;
-  FollowedContacts of;
-  const int32_t* point_id;
-  const float *margin0, *margin1, *row_ke, *row_kd, *row_mu;
-  RigidModes modes;
-  int64_t follows, shapes;
+  NOVAPHY_ARGUMENTS(Part<SeenRows> seen; Part<FollowedContacts> of; Reads<int32_t> point_id;
+                    Detached<Reads<float>> margin0, margin1;
+                    Optional<Detached<Reads<float>>> row_ke, row_kd, row_mu; Part<RigidModes> modes;
+                    Number<int64_t> follows, shapes;)
 };
-NOVAPHY_ROW_KERNEL(note_rigid_contacts, 28, NoteRigidContactsArguments) {
+NOVAPHY_ROW_KERNEL(note_rigid_contacts, NoteRigidContactsArguments) {
   if (!next_seen(a.seen, row)) return;
   const int32_t shapes[2] = {a.of.shape0[row], a.of.shape1[row]};
   for (const int32_t s : shapes)
@@ -187,17 +180,14 @@ NOVAPHY_ROW_KERNEL(note_rigid_contacts, 28, NoteRigidContactsArguments) {
 
 // Planes of the world and shapes of bodies, which a step finds by itself: eight points for each.
 struct NotePlanePairsArguments {
-  SeenRows seen;
-  const int32_t* pairs;  // {rows, 2}: plane, shape
-  const Transformf* body_q;
-  const int32_t *shape_body, *shape_type;
-  const Transformf* shape_transform;
-  const Vec3f* shape_scale;
-  const float* margin;
-  RigidModes modes;
+  NOVAPHY_ARGUMENTS(Updates<SeenContact> now, before;
+                    Reads<int32_t> pairs;  // {rows, 2}: plane, shape
+                    Detached<Reads<Transformf>> body_q; Reads<int32_t> shape_body, shape_type;
+                    Detached<Reads<Transformf>> shape_transform; Detached<Reads<Vec3f>> shape_scale;
+                    Detached<Reads<float>> margin; Part<RigidModes> modes;)
 };
 inline constexpr int64_t kPlanePoints = 8;
-NOVAPHY_ROW_KERNEL(note_plane_pairs, 17, NotePlanePairsArguments) {
+NOVAPHY_ROW_KERNEL(note_plane_pairs, NotePlanePairsArguments) {
   const int32_t plane = a.pairs[2 * row], shape = a.pairs[2 * row + 1], body = a.shape_body[shape];
   const Transformf pose = math::multiply(a.body_q[body], a.shape_transform[shape]);
   const Vec3f up = math::rotate(a.shape_transform[plane].q, Vec3f{0.0f, 0.0f, 1.0f});
@@ -209,8 +199,8 @@ NOVAPHY_ROW_KERNEL(note_plane_pairs, 17, NotePlanePairsArguments) {
   const float beyond = (is_box ? 0.0f : h.x) + a.margin[shape];
   const RigidContactMaterial<float> of = mean_of(a.modes, plane, shape);
   for (int32_t k = 0; k < kPlanePoints; ++k) {
-    SeenContact& to = a.seen.now[row * kPlanePoints + k];
-    a.seen.before[row * kPlanePoints + k] = to;
+    SeenContact& to = a.now[row * kPlanePoints + k];
+    a.before[row * kPlanePoints + k] = to;
     to = SeenContact{};
     to.first = plane;
     to.second = shape;
@@ -249,11 +239,12 @@ inline int32_t mode_in(const SeenContact* list, int64_t count, int64_t guess,
 
 // Lists of contacts of particles and of shapes; without rows where a step has none.
 struct NoteContactEventsArguments {
-  const SeenContact *soft_now, *soft_before, *rigid_now, *rigid_before;
-  int64_t soft_count, rigid_count, continues;
-  StepNotes* notes;        // a part in each row
-  GradientCounts* counts;  // null: note_gradient_step adds the parts up
-  int64_t step, begins;
+  NOVAPHY_ARGUMENTS(
+      Reads<SeenContact> soft_now, soft_before, rigid_now, rigid_before;
+      Number<int64_t> soft_count, rigid_count, continues;
+      WritesRow<StepNotes> notes;                // a part in each row
+      Optional<Updates<GradientCounts>> counts;  // null: note_gradient_step adds the parts up
+      Number<int64_t> step, begins;)
 };
 // Of step `step` of a chain; `begins`: the counts start here. Steps that nobody noted are exact.
 inline void note_step_of(const StepNotes& notes, int64_t step, bool begins, GradientCounts& to) {
@@ -272,7 +263,7 @@ inline void note_list(const SeenContact* all_now, const SeenContact* all_before,
     if (before.mode != 0 && mode_in(all_now, count, i, before) == 0) note_end(before, to);
   }
 }
-NOVAPHY_ROW_KERNEL(note_contact_events, 11, NoteContactEventsArguments) {
+NOVAPHY_ROW_KERNEL(note_contact_events, NoteContactEventsArguments) {
   StepNotes notes;
   const bool continues = a.continues != 0;
   note_list(a.soft_now, a.soft_before, a.soft_count, continues, row, n, notes);
@@ -282,11 +273,10 @@ NOVAPHY_ROW_KERNEL(note_contact_events, 11, NoteContactEventsArguments) {
 }
 
 struct NoteGradientStepArguments {
-  const StepNotes* notes;
-  GradientCounts* counts;
-  int64_t parts, step, begins;
+  NOVAPHY_ARGUMENTS(Reads<StepNotes> notes; Updates<GradientCounts> counts;
+                    Number<int64_t> parts, step, begins;)
 };
-NOVAPHY_ROW_KERNEL(note_gradient_step, 5, NoteGradientStepArguments) {
+NOVAPHY_ROW_KERNEL(note_gradient_step, NoteGradientStepArguments) {
   StepNotes sum;
   for (int64_t k = 0; k < a.parts; ++k) note_all(a.notes[k], sum);
   note_step_of(sum, a.step, a.begins != 0, *a.counts);

@@ -10,12 +10,15 @@ const char* gradient_notes_kernels_text();
 }
 
 struct NoteKernels {
-  DeviceKernel soft{note_soft_contacts, detail::gradient_notes_kernels_text};
-  DeviceKernel rigid{note_rigid_contacts, detail::gradient_notes_kernels_text};
-  DeviceKernel static_particles{note_static_particles, detail::gradient_notes_kernels_text};
-  DeviceKernel planes{note_plane_pairs, detail::gradient_notes_kernels_text};
-  DeviceKernel events{note_contact_events, detail::gradient_notes_kernels_text};
-  DeviceKernel step{note_gradient_step, detail::gradient_notes_kernels_text};
+  Kernel<NoteSoftContactsArguments> soft{note_soft_contacts, detail::gradient_notes_kernels_text};
+  Kernel<NoteRigidContactsArguments> rigid{note_rigid_contacts,
+                                           detail::gradient_notes_kernels_text};
+  Kernel<NoteStaticParticlesArguments> static_particles{note_static_particles,
+                                                        detail::gradient_notes_kernels_text};
+  Kernel<NotePlanePairsArguments> planes{note_plane_pairs, detail::gradient_notes_kernels_text};
+  Kernel<NoteContactEventsArguments> events{note_contact_events,
+                                            detail::gradient_notes_kernels_text};
+  Kernel<NoteGradientStepArguments> step{note_gradient_step, detail::gradient_notes_kernels_text};
 };
 // Never destroyed: recordings refer to them.
 inline const NoteKernels& note_kernels() {

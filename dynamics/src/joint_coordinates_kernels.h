@@ -13,20 +13,27 @@ namespace novaphy {
 
 // The joints of a model.
 struct JointArrays {
-  const int32_t *type, *parent, *child, *q_start, *qd_start;
-  const Vec2i* dims;
-  const Transformf *x_p, *x_c;
-  const Vec3f* axis;
-  const Vec3f* com;  // of the bodies
+  NOVAPHY_ARGUMENTS(Reads<int32_t> joint_type, joint_parent, joint_child, joint_q_start,
+                    joint_qd_start;
+                    Reads<Vec2i> joint_dof_dim; Reads<Transformf> joint_X_p, joint_X_c;
+                    Reads<Vec3f> joint_axis; Reads<Vec3f> body_com;)
 
-  bool is(int32_t j, JointType wanted) const { return type[j] == static_cast<int32_t>(wanted); }
+  bool is(int32_t j, JointType wanted) const {
+    return joint_type[j] == static_cast<int32_t>(wanted);
+  }
   bool is_six(int32_t j) const { return is(j, JointType::FREE) || is(j, JointType::DISTANCE); }
   JointAxes<float> axes(int32_t j) const {
-    return {axis + qd_start[j], dims[j].x, dims[j].y, is(j, JointType::BALL)};
+    return {joint_axis + joint_qd_start[j], joint_dof_dim[j].x, joint_dof_dim[j].y,
+            is(j, JointType::BALL)};
   }
   articulation::JointRows rows(int32_t j) const {
-    return {static_cast<JointType>(type[j]), j,        child[j], q_start[j], qd_start[j],
-            qd_start[j + 1] - qd_start[j],   dims[j].x};
+    return {static_cast<JointType>(joint_type[j]),
+            j,
+            joint_child[j],
+            joint_q_start[j],
+            joint_qd_start[j],
+            joint_qd_start[j + 1] - joint_qd_start[j],
+            joint_dof_dim[j].x};
   }
 };
 
@@ -41,7 +48,7 @@ struct BodyFrame {
 inline BodyFrame body_frame(const JointArrays& joints, const Transformf* q,
                             const SpatialVectorf* qd, int32_t body) {
   if (body < 0) return {};
-  return {q[body], qd[body], math::transform_point(q[body], joints.com[body])};
+  return {q[body], qd[body], math::transform_point(q[body], joints.body_com[body])};
 }
 
 // What a body's links have, besides body_q.
@@ -51,29 +58,32 @@ struct BodyPlace {
 };
 
 struct EvalFkArguments {
-  JointArrays joints;
-  const int32_t *begin, *end;  // joints of the articulations
-  const float *q, *qd;
-  Transformf* body_q;
-  SpatialVectorf* body_qd;
-  BodyPlace* places;  // {bodies}
+  NOVAPHY_ARGUMENTS(Part<JointArrays> joints; ReadsRow<int32_t> articulation_start,
+                                              articulation_end;  // joints of the articulations
+                    Reads<float> joint_q, joint_qd; Detached<Updates<Transformf>> body_q;
+                    Detached<Updates<SpatialVectorf>> body_qd;
+                    Writes<BodyPlace> places;  // {bodies}
+  )
 };
-NOVAPHY_ROW_KERNEL(eval_fk_articulation, 17, EvalFkArguments) {
+NOVAPHY_ROW_KERNEL(eval_fk_articulation, EvalFkArguments) {
   const JointArrays& joints = a.joints;
+  const float* const q = a.joint_q;
+  Transformf* const body_q = a.body_q;
+  SpatialVectorf* const body_qd = a.body_qd;
   articulation::Tree<float> tree;
-  tree.X_p = joints.x_p;
-  tree.X_c = joints.x_c;
-  tree.axis = joints.axis;
-  tree.com = joints.com;
+  tree.X_p = joints.joint_X_p;
+  tree.X_c = joints.joint_X_c;
+  tree.axis = joints.joint_axis;
+  tree.com = joints.body_com;
   articulation::LinkState<float> links[2];  // a link and the one before it
-  for (int32_t j = a.begin[row]; j < a.end[row]; ++j) {
+  for (int32_t j = a.articulation_start[row]; j < a.articulation_end[row]; ++j) {
     const articulation::JointRows joint = joints.rows(j);
     tree.first_dof = joint.dof;
     articulation::LinkState<float>* last = nullptr;
-    if (joints.parent[j] >= 0) {
-      const BodyPlace& place = a.places[joints.parent[j]];
+    if (joints.joint_parent[j] >= 0) {
+      const BodyPlace& place = a.places[joints.joint_parent[j]];
       last = &links[1];
-      last->q = a.body_q[joints.parent[j]].q;
+      last->q = body_q[joints.joint_parent[j]].q;
       last->p = place.p;
       last->origin = place.origin;
       last->v = place.v;
@@ -82,31 +92,30 @@ NOVAPHY_ROW_KERNEL(eval_fk_articulation, 17, EvalFkArguments) {
     for (int32_t k = 0; k < articulation::link_count(joint); ++k) {
       const articulation::Link link = articulation::joint_link(joint, k, last == nullptr ? -1 : 0);
       articulation::LinkState<float>& s = links[k % 2];
-      articulation::link_frame(tree, link, last, a.q, s);
+      articulation::link_frame(tree, link, last, q, s);
       articulation::set_axes(tree, link, s, axes);
-      const SpatialVectorf v = articulation::joint_motion(tree, link, axes, a.qd + joint.dof);
+      const SpatialVectorf v = articulation::joint_motion(tree, link, axes, a.joint_qd + joint.dof);
       s.v = last == nullptr ? v : last->v + v;
       last = &s;
     }
     a.places[joint.child] = {last->p, last->origin, last->v};
-    articulation::write_body(joint.child, *last, a.body_q, a.body_qd);
+    articulation::write_body(joint.child, *last, body_q, body_qd);
   }
 }
 
 struct EvalIkArguments {
-  JointArrays joints;
-  const Transformf* body_q;
-  const SpatialVectorf* body_qd;
-  float *q, *qd;
+  NOVAPHY_ARGUMENTS(Part<JointArrays> joints; Reads<Transformf> body_q;
+                    Reads<SpatialVectorf> body_qd; Writes<float> joint_q, joint_qd;)
 };
-NOVAPHY_ROW_KERNEL(eval_ik_joint, 14, EvalIkArguments) {
+NOVAPHY_ROW_KERNEL(eval_ik_joint, EvalIkArguments) {
   const JointArrays& joints = a.joints;
   const int32_t j = static_cast<int32_t>(row);
-  float *const c = a.q + joints.q_start[j], *const rate = a.qd + joints.qd_start[j];
-  const BodyFrame parent = body_frame(joints, a.body_q, a.body_qd, joints.parent[j]);
-  const BodyFrame child = body_frame(joints, a.body_q, a.body_qd, joints.child[j]);
-  const Transformf anchor = math::multiply(parent.pose, joints.x_p[j]);
-  const Transformf at = math::multiply(child.pose, joints.x_c[j]);
+  float *const c = a.joint_q + joints.joint_q_start[j], *const rate =
+                                                            a.joint_qd + joints.joint_qd_start[j];
+  const BodyFrame parent = body_frame(joints, a.body_q, a.body_qd, joints.joint_parent[j]);
+  const BodyFrame child = body_frame(joints, a.body_q, a.body_qd, joints.joint_child[j]);
+  const Transformf anchor = math::multiply(parent.pose, joints.joint_X_p[j]);
+  const Transformf at = math::multiply(child.pose, joints.joint_X_c[j]);
   JointMotion<float> motion;
   motion.pose = {math::rotate_inverse(anchor.q, at.p - anchor.p),
                  math::multiply(math::conjugate(anchor.q), at.q)};
@@ -123,23 +132,22 @@ NOVAPHY_ROW_KERNEL(eval_ik_joint, 14, EvalIkArguments) {
 }
 
 struct EvalMimicArguments {
-  const int32_t *leader, *q_start, *qd_start;
-  const Vec2f* coefs;
-  float *q, *qd;
+  NOVAPHY_ARGUMENTS(Reads<int32_t> joint_mimic, joint_q_start, joint_qd_start;
+                    Reads<Vec2f> joint_mimic_coef; Updates<float> joint_q, joint_qd;)
 };
 // A follower takes the joint that its leaders follow in the end, which nobody writes; by the
 // numbers of Articulations.
-NOVAPHY_ROW_KERNEL(eval_mimic_joint, 6, EvalMimicArguments) {
+NOVAPHY_ROW_KERNEL(eval_mimic_joint, EvalMimicArguments) {
   const int32_t joint = static_cast<int32_t>(row);
   int32_t leader = joint;
   float offset = 0.0f, multiplier = 1.0f;
-  for (; a.leader[leader] >= 0; leader = a.leader[leader]) {
-    offset += multiplier * a.coefs[leader].x;
-    multiplier *= a.coefs[leader].y;
+  for (; a.joint_mimic[leader] >= 0; leader = a.joint_mimic[leader]) {
+    offset += multiplier * a.joint_mimic_coef[leader].x;
+    multiplier *= a.joint_mimic_coef[leader].y;
   }
   if (leader == joint) return;
-  a.q[a.q_start[joint]] = multiplier * a.q[a.q_start[leader]] + offset;
-  a.qd[a.qd_start[joint]] = multiplier * a.qd[a.qd_start[leader]];
+  a.joint_q[a.joint_q_start[joint]] = multiplier * a.joint_q[a.joint_q_start[leader]] + offset;
+  a.joint_qd[a.joint_qd_start[joint]] = multiplier * a.joint_qd[a.joint_qd_start[leader]];
 }
 
 }  // namespace novaphy

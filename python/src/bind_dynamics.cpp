@@ -142,9 +142,9 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       "model"_a, "joint_q"_a, "joint_qd"_a, "state"_a,
       "Writes body_q and body_qd of the state: poses and velocities of the children of all joints "
       "of articulations, from joint_q {coordinates} and joint_qd {degrees of freedom}. Other "
-      "bodies stay. Quaternions are made unit. No gradient: on a tape it raises. ValueError: wrong "
-      "rows, a state of another model, a quaternion of length 0 (on a device that gives NaN). "
-      "Joints that follow others stand where joint_q has them: see eval_mimic.");
+      "bodies stay. Quaternions are made unit. No gradient: on a tape it raises for coordinates "
+      "that carry one. ValueError: wrong rows, a state of another model, a quaternion of length 0 "
+      "(NaN on a device, on a tape and in a capture). Followers stand where joint_q has them.");
   m.def(
       "eval_mimic",
       [](const Model& model, const Array& joint_q, const Array& joint_qd) {
@@ -153,8 +153,8 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       "model"_a, "joint_q"_a, "joint_qd"_a,
       "Writes the coordinates and rates of joints that follow others (add_constraint_mimic) from "
       "those of their leaders, in joint_q {coordinates} and joint_qd {degrees of freedom}, as a "
-      "step does: after you have written the leaders'. No gradient: on a tape it raises. "
-      "ValueError: wrong rows.");
+      "step does: after you have written the leaders'. No gradient: on a tape it raises for "
+      "coordinates that carry one. ValueError: wrong rows.");
   m.def(
       "eval_ik",
       [](const Model& model, const SimState& state, const Array& joint_q, const Array& joint_qd) {
@@ -162,10 +162,10 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       },
       "model"_a, "state"_a, "joint_q"_a, "joint_qd"_a,
       "Writes joint_q and joint_qd: coordinates and rates of all joints, from body_q and body_qd "
-      "of "
-      "the state. What the bodies do besides what their joint allows is left out; angles are those "
-      "in [-pi, pi]. No gradient: on a tape it raises. ValueError: wrong rows, a state of another "
-      "model; NotImplementedError: a D6 whose axes are not perpendicular.");
+      "of the state. What the bodies do besides what their joint allows is left out; angles are "
+      "those in [-pi, pi]. No gradient: on a tape it raises for poses and velocities that carry "
+      "one. ValueError: wrong rows, a state of another model; NotImplementedError: a D6 whose axes "
+      "are not perpendicular.");
   bind_featherstone(m, solvers);
 }
 

@@ -2,6 +2,7 @@
 // GPU, or on the fake driver (CMakeLists.txt).
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <functional>
@@ -21,6 +22,7 @@
 #include "novaphy/diff/rigid_losses.h"
 #include "novaphy/diff/tensor_views.h"
 #include "novaphy/diff/trajectory.h"
+#include "novaphy/dynamics/semi_implicit/contact_gradients.h"
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/ops.h"
@@ -614,6 +616,28 @@ TEST_F(RigidDevices, FourRowsOfAPairAreThoseOfTheCpu) {
   ASSERT_EQ(actual.size(), expected.size());
   for (size_t k = 0; k < actual.size(); ++k)
     EXPECT_TRUE(actual[k].second == expected[k].second) << actual[k].first;
+}
+
+// Of the rows of a box on a plane and of a ball on the box.
+TEST_F(RigidDevices, LabelsOfTheGradientsOfRowsAreThoseOfTheCpu) {
+  ModelBuilder builder;
+  builder.add_ground_plane({.cfg = kSurface});
+  const int32_t box = builder.add_body({.xform = {{0.0f, 0.0f, 0.099f}, Quatf::identity()}});
+  builder.add_shape_box(box, {.hx = 0.1f, .hy = 0.1f, .hz = 0.1f, .cfg = kSurface});
+  const int32_t ball = builder.add_body({.xform = {{0.02f, 0.0f, 0.297f}, Quatf::identity()}});
+  builder.add_shape_sphere(ball, {.radius = 0.1f, .cfg = kSurface});
+  const auto labels = [&](Device device) {
+    const auto model = builder.finalize(device);
+    CollisionPipeline pipeline(model);
+    Contacts contacts = pipeline.contacts();
+    const SimState state = model->state();
+    pipeline.collide(state, contacts);
+    return exact_contact_gradients(*model, state, contacts);
+  };
+  const std::vector<bool> expected = labels(Device::cpu());
+  EXPECT_EQ(expected.size(), 5u);
+  EXPECT_EQ(std::count(expected.begin(), expected.end(), true), 5);
+  EXPECT_EQ(labels(Device::cuda()), expected);
 }
 
 }  // namespace

@@ -185,10 +185,27 @@ def test_poses_of_joints_have_no_gradient_as_the_guide_says() -> None:
     model = builder.finalize()
     state = model.state()
     guide = (ROOT / "docs/guide/joints.md").read_text(encoding="utf-8")
-    assert "They have no gradient: on a tape they raise." in guide
+    assert "which a capture records" in guide
+    assert "on a tape they raise for values that carry one" in guide
+    now, replayed = model.state(), model.state()
+    with nova.ScopedCapture() as capture:
+        novaphy.eval_fk(model, replayed.joint_q, replayed.joint_qd, replayed)
+    for at in (now, replayed):
+        at.joint_q.assign(np.float32([0.5]))
+    capture.graph.launch()
+    novaphy.eval_fk(model, now.joint_q, now.joint_qd, now)
+    np.testing.assert_array_equal(replayed.body_q.numpy(), now.body_q.numpy())
+    assert replayed.body_q.numpy()[0, 3] != 0
+
+    diff = novaphy.diff
+    _ = diff.state_joint_qd_tensor(state, requires_grad=True)
+    _ = diff.state_body_qd_tensor(state, requires_grad=True)
     for function in (
         lambda: novaphy.eval_fk(model, state.joint_q, state.joint_qd, state),
         lambda: novaphy.eval_ik(model, state, state.joint_q, state.joint_qd),
     ):
-        with nova.Tape(), pytest.raises(novaphy.Error, match="Tape"):
+        with (
+            nova.Tape(),
+            pytest.raises(novaphy.Error, match="carries a gradient"),
+        ):
             function()

@@ -4,19 +4,13 @@
 
 namespace novaphy::detail {
 
-void check_fields(const std::vector<ConstField>& fields, const std::vector<size_t>& expected_rows,
-                  Device device, const char* what) {
-  require(fields.size() == expected_rows.size(), ErrorKind::Runtime, what, ": ", fields.size(),
-          " fields but ", expected_rows.size(), " row counts");
-  for (size_t i = 0; i < fields.size(); ++i) {
-    const FieldInfo& info = fields[i].info;
-    const Array& array = *fields[i].array;
-    require(array.rows() == expected_rows[i] && array.width() == info.width, ErrorKind::Value, what,
-            ": ", info.name, ": expected ", expected_rows[i], " rows (", info.count_name,
-            ") of width ", info.width, ", got ", array.rows(), " rows of width ", array.width());
-    require(array.device() == device || array.rows() == 0, ErrorKind::Value, what, ": ", info.name,
-            ": expected an array on ", device.str(), ", got one on ", array.device().str());
-  }
+void check_field(const FieldInfo& info, const Array& array, size_t expected_rows, Device device,
+                 const char* what) {
+  require(array.rows() == expected_rows && array.width() == info.width, ErrorKind::Value, what,
+          ": ", info.name, ": expected ", expected_rows, " rows (", info.count_name, ") of width ",
+          info.width, ", got ", array.rows(), " rows of width ", array.width());
+  require(array.device() == device || array.rows() == 0, ErrorKind::Value, what, ": ", info.name,
+          ": expected an array on ", device.str(), ", got one on ", array.device().str());
 }
 
 void assign_fields(const std::vector<MutableField>& targets, const std::vector<ConstField>& sources,

@@ -23,8 +23,7 @@ SimState::SimState(const Model& model, StateFields fields)
       counts_(model.counts()),
       device_(model.device()),
       model_id_(model.id()) {
-  detail::check_fields(detail::const_fields<StateFields>(*this), expected_rows(counts_), device_,
-                       "SimState");
+  detail::check_fields<StateFields>(*this, counts_, device_, "SimState");
 }
 
 SimState::SimState(const SimState& source, StateFields fields)

@@ -4,6 +4,7 @@
 
 #include "novaphy/collision/geometry/clip_manifold.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/on_host.h"
 #include "novaphy/dynamics/semi_implicit/contact_follows_kernels.h"
 
 namespace novaphy {
@@ -17,31 +18,32 @@ std::vector<bool> exact_contact_gradients(const Model& model, const SimState& st
           ": state: expected a state of the model, got one of another");
   require(contacts.model_id() == model.id(), ErrorKind::Value, name,
           ": contacts: expected contacts of the model, got those of another");
-  require(model.device().is_cpu(), ErrorKind::NotImplemented, name,
-          ": model: expected one on the cpu, got one on ", model.device().str());
-  const int32_t rows =
-      std::clamp(contacts.rigid_contact_count.data()[0], 0, contacts.rigid_contact_max());
+  const OnHost count(contacts.rigid_contact_count), shape0(contacts.rigid_contact_shape0),
+      shape1(contacts.rigid_contact_shape1), shape_body(model.shape_body),
+      shape_type(model.shape_type);
+  const OnHost point0(contacts.rigid_contact_point0), point1(contacts.rigid_contact_point1),
+      normal(contacts.rigid_contact_normal), shape_scale(model.shape_scale);
+  const OnHost body_q(state.body_q), shape_transform(model.shape_transform);
+  const int32_t rows = std::clamp(count[0], 0, contacts.rigid_contact_max());
   const bool follow = contacts.rigid_contacts_found_from(model, state.body_q);
-  const FollowedContacts of = {contacts.rigid_contact_shape0.data(),
-                               contacts.rigid_contact_shape1.data(),
-                               contacts.rigid_contact_point0.data(),
-                               contacts.rigid_contact_point1.data(),
-                               contacts.rigid_contact_normal.data(),
-                               state.body_q.data(),
-                               model.shape_body.data(),
-                               model.shape_type.data(),
-                               model.shape_transform.data(),
-                               model.shape_scale.data()};
+  const FollowedContacts of = {.shape0 = direct(shape0.data()),
+                               .shape1 = direct(shape1.data()),
+                               .point0 = direct(point0.data()),
+                               .point1 = direct(point1.data()),
+                               .normal = direct(normal.data()),
+                               .body_q = direct(body_q.data()),
+                               .shape_body = direct(shape_body.data()),
+                               .shape_type = direct(shape_type.data()),
+                               .shape_transform = direct(shape_transform.data()),
+                               .shape_scale = direct(shape_scale.data())};
   std::vector<bool> exact(static_cast<size_t>(rows));
   for (int32_t row = 0; row < rows; ++row) {
-    const int32_t shape[2] = {contacts.rigid_contact_shape0.data()[row],
-                              contacts.rigid_contact_shape1.data()[row]};
-    for (const int32_t s : shape)
+    const auto r = static_cast<size_t>(row);
+    for (const int32_t s : {shape0[r], shape1[r]})
       require(s >= 0 && s < model.shape_count(), ErrorKind::Index, name,
               ": contacts: rigid_contact_shape0, shape1[", row, "]: expected 0 to ",
               model.shape_count() - 1, ", got ", s);
-    if (!follow) continue;
-    exact[static_cast<size_t>(row)] = contact_follows(of, row);
+    exact[r] = follow && contact_follows(of, row);
   }
   return exact;
 }

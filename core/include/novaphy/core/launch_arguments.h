@@ -162,6 +162,7 @@ class Argument {
   // For the kernel.
   T* rows() const { return reinterpret_cast<T*>(word_); }
   operator T*() const { return rows(); }
+  T* operator->() const { return rows(); }
   uint64_t word() const { return word_; }
 
  private:

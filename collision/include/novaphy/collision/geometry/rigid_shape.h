@@ -68,47 +68,4 @@ inline CorePoints core_points(const RigidShape& a, const RigidShape& b, const Ve
           point.position + normal * (half + core_radius(b))};
 }
 
-// Where rows are written.
-struct RigidContactRows {
-  int64_t capacity;
-  int32_t* shape0;  // the rest: a row per contact
-  int32_t* shape1;
-  Vec3f* point0;
-  Vec3f* point1;
-  Vec3f* offset0;
-  Vec3f* offset1;
-  Vec3f* normal;
-  float* margin0;
-  float* margin1;
-  int32_t* point_id;
-};
-// Into the frames of the owners of a pair.
-struct ToOwners {
-  Transformf to0, to1;
-};
-inline ToOwners to_owners(const RigidShape& s0, const RigidShape& s1) {
-  return {math::inverse(s0.owner), math::inverse(s1.owner)};
-}
-// Row `at`, if it has room; the normal is from pair.x to pair.y.
-inline void write_contact(const RigidContactRows& rows, int64_t at, const Vec2i& pair,
-                          const RigidShape* shapes, const ToOwners& owners, const Vec3f& normal,
-                          const geometry::ContactPoint& point) {
-  if (at >= rows.capacity) return;
-  const RigidShape& s0 = shapes[pair.x];
-  const RigidShape& s1 = shapes[pair.y];
-  const Transformf &to0 = owners.to0, &to1 = owners.to1;
-  const CorePoints core = core_points(s0, s1, normal, point);
-  const float margin0 = core_radius(s0) + s0.margin, margin1 = core_radius(s1) + s1.margin;
-  rows.shape0[at] = pair.x;
-  rows.shape1[at] = pair.y;
-  rows.point0[at] = math::transform_point(to0, core.a);
-  rows.point1[at] = math::transform_point(to1, core.b);
-  rows.offset0[at] = math::rotate(to0.q, normal * margin0);
-  rows.offset1[at] = math::rotate(to1.q, normal * -margin1);
-  rows.normal[at] = normal;
-  rows.margin0[at] = margin0;
-  rows.margin1[at] = margin1;
-  rows.point_id[at] = point.feature;
-}
-
 }  // namespace novaphy

@@ -120,11 +120,17 @@ std::vector<MutableField> mutable_fields(Fields& fields) {
   return result;
 }
 
-// ErrorKind::Value, naming `what` and the field, unless every array has its expected rows, width
-// and device.
-NOVAPHY_CORE_API void check_fields(const std::vector<ConstField>& fields,
-                                   const std::vector<size_t>& expected_rows, Device device,
-                                   const char* what);
+// ErrorKind::Value, naming `what` and the field, unless the array has its expected rows, width and
+// device.
+NOVAPHY_CORE_API void check_field(const FieldInfo& info, const Array& array, size_t expected_rows,
+                                  Device device, const char* what);
+template <class Fields, class Counts>
+void check_fields(const Fields& fields, const Counts& counts, Device device, const char* what) {
+  Fields::visit_rows(fields, counts,
+                     [&](const FieldInfo& info, const Array& array, size_t expected_rows) {
+                       check_field(info, array, expected_rows, device, what);
+                     });
+}
 // Checks all fields (ErrorKind::Value: rows or device differ), then copies the values. Nothing is
 // copied after an error.
 NOVAPHY_CORE_API void assign_fields(const std::vector<MutableField>& targets,

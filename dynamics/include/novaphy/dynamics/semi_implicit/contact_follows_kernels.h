@@ -3,6 +3,7 @@
 #pragma once
 
 #include "novaphy/collision/diff_soft_contact_trace.h"
+#include "novaphy/core/row_kernel.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/semi_implicit/contact_turning_trace.h"
 
@@ -14,12 +15,10 @@ inline bool is_endless_plane(int32_t type, const Vec3f& scale) {
 
 // Arrays of contacts, of the model and of a state.
 struct FollowedContacts {
-  const int32_t *shape0, *shape1;
-  const Vec3f *point0, *point1, *normal;
-  const Transformf* body_q;
-  const int32_t *shape_body, *shape_type;
-  const Transformf* shape_transform;
-  const Vec3f* shape_scale;
+  NOVAPHY_ARGUMENTS(Reads<int32_t> shape0, shape1; Detached<Reads<Vec3f>> point0, point1, normal;
+                    Detached<Reads<Transformf>> body_q; Reads<int32_t> shape_body, shape_type;
+                    Detached<Reads<Transformf>> shape_transform;
+                    Detached<Reads<Vec3f>> shape_scale;)
 };
 // Whether the points and the normal of a row that was found from the state follow it.
 inline bool contact_follows(const FollowedContacts& c, int64_t row) {

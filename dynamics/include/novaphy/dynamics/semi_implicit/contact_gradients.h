@@ -15,8 +15,7 @@ namespace novaphy {
 // they stay as they are, the points in the frames of their bodies and the normal in the world. So
 // do all rows that were not found from `state` as it is now
 // (Contacts::rigid_contacts_found_from); a rollout that is given contacts holds all of them.
-// ErrorKind::Value: a state or contacts of another model;
-// ErrorKind::NotImplemented: not on the cpu.
+// Waits for a device. ErrorKind::Value: a state or contacts of another model.
 NOVAPHY_DYNAMICS_API std::vector<bool> exact_contact_gradients(const Model& model,
                                                                const SimState& state,
                                                                const Contacts& contacts);

@@ -1,0 +1,47 @@
+// The rows of rigid contacts as the kernels of a search write them.
+#pragma once
+
+#include "novaphy/collision/geometry/rigid_shape.h"
+#include "novaphy/core/row_kernel.h"
+
+namespace novaphy {
+
+// Where rows are written.
+struct RigidContactRows {
+  NOVAPHY_ARGUMENTS(Number<int64_t> capacity;
+                    Writes<int32_t> rigid_contact_shape0, rigid_contact_shape1;
+                    Writes<Vec3f> rigid_contact_point0, rigid_contact_point1, rigid_contact_offset0,
+                    rigid_contact_offset1, rigid_contact_normal;
+                    Writes<float> rigid_contact_margin0, rigid_contact_margin1;
+                    Writes<int32_t> rigid_contact_point_id;)
+};
+// Into the frames of the owners of a pair.
+struct ToOwners {
+  Transformf to0, to1;
+};
+inline ToOwners to_owners(const RigidShape& s0, const RigidShape& s1) {
+  return {math::inverse(s0.owner), math::inverse(s1.owner)};
+}
+// Row `at`, if it has room; the normal is from pair.x to pair.y.
+inline void write_contact(const RigidContactRows& rows, int64_t at, const Vec2i& pair,
+                          const RigidShape* shapes, const ToOwners& owners, const Vec3f& normal,
+                          const geometry::ContactPoint& point) {
+  if (at >= rows.capacity) return;
+  const RigidShape& s0 = shapes[pair.x];
+  const RigidShape& s1 = shapes[pair.y];
+  const Transformf &to0 = owners.to0, &to1 = owners.to1;
+  const CorePoints core = core_points(s0, s1, normal, point);
+  const float margin0 = core_radius(s0) + s0.margin, margin1 = core_radius(s1) + s1.margin;
+  rows.rigid_contact_shape0[at] = pair.x;
+  rows.rigid_contact_shape1[at] = pair.y;
+  rows.rigid_contact_point0[at] = math::transform_point(to0, core.a);
+  rows.rigid_contact_point1[at] = math::transform_point(to1, core.b);
+  rows.rigid_contact_offset0[at] = math::rotate(to0.q, normal * margin0);
+  rows.rigid_contact_offset1[at] = math::rotate(to1.q, normal * -margin1);
+  rows.rigid_contact_normal[at] = normal;
+  rows.rigid_contact_margin0[at] = margin0;
+  rows.rigid_contact_margin1[at] = margin1;
+  rows.rigid_contact_point_id[at] = point.feature;
+}
+
+}  // namespace novaphy

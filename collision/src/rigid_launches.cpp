@@ -1,0 +1,232 @@
+#include "rigid_launches.h"
+
+#include <algorithm>
+
+#include "byte_array.h"
+#include "novaphy/core/assert.h"
+#include "novaphy/core/builtin_kernels.h"
+#include "rigid_contact_kernels.h"
+#include "rigid_contacts.h"
+#include "rigid_mesh_kernels.h"
+
+namespace novaphy::detail {
+namespace {
+
+// Never destroyed: recordings refer to them.
+struct Kernels {
+  Kernel<RigidContactShapeArguments> shape{rigid_contact_shape, rigid_contact_kernels_text};
+  Kernel<RigidContactFindArguments> find{rigid_contact_find, rigid_contact_kernels_text};
+  Kernel<RigidContactLimitSumArguments> limit_sum{rigid_contact_limit_sum,
+                                                  rigid_contact_kernels_text};
+  Kernel<RigidContactLimitArguments> limit{rigid_contact_limit, rigid_contact_kernels_text};
+  Kernel<RigidContactFartherArguments> farther{rigid_contact_farther, rigid_contact_kernels_text};
+  Kernel<RigidContactTrimArguments> trim{rigid_contact_trim, rigid_contact_kernels_text};
+  Kernel<RigidContactWriteArguments> write{rigid_contact_write, rigid_contact_kernels_text};
+  Kernel<RigidContactClearArguments> clear{rigid_contact_clear, rigid_contact_kernels_text};
+  Kernel<RigidMeshFindArguments> find_mesh{rigid_mesh_find, rigid_mesh_kernels_text};
+  Kernel<RigidMeshLimitSumArguments> limit_sum_mesh{rigid_mesh_limit_sum, rigid_mesh_kernels_text};
+  Kernel<RigidMeshFartherArguments> farther_mesh{rigid_mesh_farther, rigid_mesh_kernels_text};
+  Kernel<RigidMeshTrimArguments> trim_mesh{rigid_mesh_trim, rigid_mesh_kernels_text};
+  Kernel<RigidMeshWriteArguments> write_mesh{rigid_mesh_write, rigid_mesh_kernels_text};
+};
+const Kernels& kernels() {
+  static const auto& all = *new Kernels;
+  return all;
+}
+
+template <class T>
+T* memory_of(const Array& array) {
+  return static_cast<T*>(array.range()->data());
+}
+
+RigidContactRows rows_of(const Contacts& c) {
+  return {.capacity = c.rigid_contact_max(),
+          .rigid_contact_shape0 = c.rigid_contact_shape0,
+          .rigid_contact_shape1 = c.rigid_contact_shape1,
+          .rigid_contact_point0 = c.rigid_contact_point0,
+          .rigid_contact_point1 = c.rigid_contact_point1,
+          .rigid_contact_offset0 = c.rigid_contact_offset0,
+          .rigid_contact_offset1 = c.rigid_contact_offset1,
+          .rigid_contact_normal = c.rigid_contact_normal,
+          .rigid_contact_margin0 = c.rigid_contact_margin0,
+          .rigid_contact_margin1 = c.rigid_contact_margin1,
+          .rigid_contact_point_id = c.rigid_contact_point_id};
+}
+
+}  // namespace
+
+void RigidLaunches::move(const Model& m, const SimState& state, const ShapeGeometries& geometries,
+                         float dt) {
+  const auto count = static_cast<size_t>(m.shape_count());
+  if (shapes_.rows() != count * sizeof(RigidShape))
+    shapes_ = byte_array<RigidShape>(count, m.device());
+  const Array views = geometries.tables();
+  run(kernels().shape, m.shape_count(),
+      {.shape_body = m.shape_body,
+       .shape_type = m.shape_type,
+       .shape_scale = m.shape_scale,
+       .shape_transform = m.shape_transform,
+       .shape_margin = m.shape_margin,
+       .shape_gap = m.shape_gap,
+       .body_q = state.body_q,
+       .body_qd = state.body_qd,
+       .body_com = m.body_com,
+       .shape_material_ka = m.shape_material_ka,
+       .dt = dt,
+       .geometry = geometries.of_shape(),
+       .views = Untyped(views),
+       .shapes = Untyped(shapes_)});
+}
+
+void RigidLaunches::reserve(const RigidPairs& pairs) {
+  const size_t rows = pairs.rows().rows(), mesh_rows = pairs.mesh_rows().rows();
+  const Device device = pairs.rows().device();
+  if (counts_.rows() != rows) {
+    manifolds_ = byte_array<geometry::Manifold>(rows, device);
+    counts_ = DeviceArray<int32_t>(rows, device);
+    before_ = DeviceArray<int32_t>(rows, device);
+  }
+  if (mesh_contacts_.rows() != mesh_rows * sizeof(MeshRows))
+    mesh_contacts_ = byte_array<MeshRows>(mesh_rows, device);
+}
+
+void RigidLaunches::find(const RigidPairs& pairs, int32_t contacts_per_pair) {
+  reserve(pairs);
+  run(kernels().find, pairs.count(),
+      {.pairs_found = pairs.found(),
+       .pairs = pairs.rows(),
+       .shapes = Untyped(shapes_),
+       .per_pair = contacts_per_pair,
+       .manifolds = Untyped(manifolds_),
+       .counts = counts_});
+  run(kernels().find_mesh, pairs.mesh_count(),
+      {.mesh_pairs = pairs.mesh_rows(),
+       .pairs = pairs.rows(),
+       .shapes = Untyped(shapes_),
+       .scratch = nullptr,  // RigidPairs refuses pairs of meshes on devices
+       .found = Untyped(mesh_contacts_),
+       .counts = counts_});
+}
+
+void RigidLaunches::scan(const RigidPairs& pairs) {
+  run(exclusive_scan(), pairs.count(), {.in = counts_, .out = before_});
+}
+
+// How much of the gaps of pairs there is room for.
+void RigidLaunches::find_limit(const RigidPairs& pairs, int64_t capacity) {
+  const int64_t count = pairs.count(), meshes = pairs.mesh_count();
+  if (limit_.rows() == 0) {
+    limit_sums_ = DeviceArray<int32_t>(kLimitSums * kLimitParts, counts_.device());
+    limit_ = byte_array<RigidContactLimit>(1, counts_.device());
+  }
+  run(kernels().limit_sum, kLimitSums,
+      {.pairs = pairs.rows(),
+       .shapes = Untyped(shapes_),
+       .manifolds = Untyped(manifolds_),
+       .counts = counts_,
+       .before = before_,
+       .pair_count = count,
+       .capacity = capacity,
+       .sums = limit_sums_});
+  run(kernels().limit_sum_mesh, meshes > 0 ? kLimitSums : 0,
+      {.mesh_pairs = pairs.mesh_rows(),
+       .pairs = pairs.rows(),
+       .shapes = Untyped(shapes_),
+       .found = Untyped(mesh_contacts_),
+       .mesh_pair_count = meshes,
+       .sums = limit_sums_});
+  run(kernels().limit, 1,
+      {.counts = counts_,
+       .before = before_,
+       .sums = limit_sums_,
+       .pair_count = count,
+       .capacity = capacity,
+       .rows = kLimitSums,
+       .limit = Untyped(limit_)});
+}
+
+void RigidLaunches::limit(const RigidPairs& pairs, int64_t capacity) {
+  find_limit(pairs, capacity);
+  const int64_t count = pairs.count(), meshes = pairs.mesh_count();
+  if (farther_.rows() != counts_.rows())
+    for (DeviceArray<int32_t>* of_pairs : {&farther_, &farther_before_})
+      *of_pairs = DeviceArray<int32_t>(counts_.rows(), counts_.device());
+  run(kernels().farther, count,
+      {.limit = Untyped(limit_),
+       .pairs = pairs.rows(),
+       .shapes = Untyped(shapes_),
+       .manifolds = Untyped(manifolds_),
+       .counts = counts_,
+       .farther = farther_});
+  run(kernels().farther_mesh, meshes,
+      {.limit = Untyped(limit_),
+       .mesh_pairs = pairs.mesh_rows(),
+       .pairs = pairs.rows(),
+       .shapes = Untyped(shapes_),
+       .found = Untyped(mesh_contacts_),
+       .farther = farther_});
+  run(exclusive_scan(), count, {.in = farther_, .out = farther_before_});
+  run(kernels().trim, count,
+      {.limit = Untyped(limit_),
+       .pairs = pairs.rows(),
+       .shapes = Untyped(shapes_),
+       .farther = farther_before_,
+       .manifolds = Untyped(manifolds_),
+       .counts = counts_});
+  run(kernels().trim_mesh, meshes,
+      {.limit = Untyped(limit_),
+       .mesh_pairs = pairs.mesh_rows(),
+       .pairs = pairs.rows(),
+       .shapes = Untyped(shapes_),
+       .farther = farther_before_,
+       .found = Untyped(mesh_contacts_),
+       .counts = counts_});
+  scan(pairs);
+}
+
+void RigidLaunches::write(const RigidPairs& pairs, bool limited, const Contacts& c) {
+  const Array none;
+  run(kernels().write, pairs.count(),
+      {.limit = Untyped(limited ? limit_ : none),
+       .pairs_found = pairs.found(),
+       .pairs = pairs.rows(),
+       .shapes = Untyped(shapes_),
+       .manifolds = Untyped(manifolds_),
+       .counts = counts_,
+       .before = before_,
+       .rigid_contact_count = c.rigid_contact_count,
+       .rows = rows_of(c)});
+  run(kernels().write_mesh, pairs.mesh_count(),
+      {.mesh_pairs = pairs.mesh_rows(),
+       .pairs = pairs.rows(),
+       .shapes = Untyped(shapes_),
+       .found = Untyped(mesh_contacts_),
+       .before = before_,
+       .rows = rows_of(c)});
+}
+
+void RigidLaunches::clear(int64_t pairs, int64_t last, const Contacts& c) {
+  run(kernels().clear, last + 1,
+      {.pairs = pairs,
+       .rigid_contact_count = c.rigid_contact_count,
+       .shape0 = c.rigid_contact_shape0,
+       .rows = rows_of(c),
+       .rigid_contact_force = c.rigid_contact_force});
+}
+
+std::span<const RigidShape> RigidLaunches::host_shapes() const {
+  return {memory_of<RigidShape>(shapes_), shapes_.rows() / sizeof(RigidShape)};
+}
+geometry::Manifold* RigidLaunches::host_manifolds() const {
+  return memory_of<geometry::Manifold>(manifolds_);
+}
+int32_t* RigidLaunches::host_counts() const { return memory_of<int32_t>(counts_); }
+
+int64_t RigidLaunches::rows_found(const RigidPairs& pairs) const {
+  const Unobserved unobserved;
+  const int64_t last = pairs.count() - 1;
+  NOVAPHY_ASSERT(std::is_sorted(before_.data(), before_.data() + pairs.count()));
+  return int64_t{before_.data()[last]} + counts_.data()[last];
+}
+
+}  // namespace novaphy::detail

@@ -1,0 +1,199 @@
+#include "rigid_pairs.h"
+
+#include <algorithm>
+#include <limits>
+#include <utility>
+
+#include "novaphy/collision/geometry/mesh_mesh.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
+#include "novaphy/core/sim/model_builder.h"
+#include "rigid_contact_kernels.h"
+
+namespace novaphy::detail {
+namespace {
+
+// The most contacts of a pair of types, in their order; 0 if the pair is not covered.
+int32_t most_contacts(GeoType a, GeoType b, int32_t per_pair) {
+  using geometry::is_convex_type;
+  if (is_mesh_pair(a, b)) {
+    const GeoType other = a == GeoType::MESH ? b : a;
+    return is_convex_type(other) || other == GeoType::MESH ? geometry::kMeshContacts : 0;
+  }
+  if (a != GeoType::PLANE)
+    return !is_convex_type(a) || !is_convex_type(b) ? 0 : a == GeoType::SPHERE ? 1 : per_pair;
+  switch (b) {
+    case GeoType::SPHERE:
+    case GeoType::ELLIPSOID:
+      return 1;
+    case GeoType::CAPSULE:
+      return 2;
+    case GeoType::BOX:
+    case GeoType::MESH:
+    case GeoType::CONVEX_MESH:
+      return 4;
+    case GeoType::CYLINDER:
+    case GeoType::CONE:
+      return 5;
+    default:
+      return 0;
+  }
+}
+
+}  // namespace
+
+RigidPairs::RigidPairs(std::shared_ptr<const Model> model, BroadPhase broad_phase,
+                       int32_t contacts_per_pair, std::optional<std::vector<Vec2i>> explicit_pairs)
+    : model_(std::move(model)),
+      broad_phase_(broad_phase),
+      contacts_per_pair_(contacts_per_pair),
+      explicit_(std::move(explicit_pairs)) {}
+
+std::array<const Array*, 7> RigidPairs::sources() const {
+  const Model& m = *model_;
+  return {&m.shape_body,  &m.shape_type,  &m.shape_contact_pairs,  &m.shape_scale,
+          &m.shape_flags, &m.shape_world, &m.shape_collision_group};
+}
+ShapePairRules RigidPairs::rules() const {
+  return {body_, flags_, group_, world_, &model_->shape_collision_filter_pairs};
+}
+
+void RigidPairs::update() {
+  if (versions_.match(sources())) return;
+  versions_.reset();
+  const Model& m = *model_;
+  body_ = m.shape_body.to_host();
+  for (size_t s = 0; s < body_.size(); ++s)
+    require(body_[s] >= -1 && body_[s] < m.body_count(), ErrorKind::Index,
+            "CollisionPipeline: model.shape_body[", s, "]: expected -1 to ", m.body_count() - 1,
+            ", got ", body_[s]);
+  type_ = m.shape_type.to_host();
+  flags_ = m.shape_flags.to_host();
+  group_ = m.shape_collision_group.to_host();
+  world_ = m.shape_world.to_host();
+  scale_ = m.shape_scale.to_host();
+  kernel_sweep_known_ = false;
+  most_rows_ = std::numeric_limits<int64_t>::max();
+  if (!are_swept()) {
+    rows_ = {};
+    most_rows_ = take(explicit_ ? *explicit_
+                      : broad_phase_ == BroadPhase::Explicit
+                          ? m.shape_contact_pairs.to_host()
+                          : make_shape_contact_pairs(body_, flags_, group_, world_,
+                                                     m.shape_collision_filter_pairs));
+  }
+  versions_.set(sources());
+}
+
+// Puts a pair in its order. Returns the most rows that it can have.
+int32_t RigidPairs::orient(Vec2i& pair) const {
+  const int32_t last = model_->shape_count() - 1;
+  require(pair.x >= 0 && pair.y >= 0 && pair.x <= last && pair.y <= last, ErrorKind::Index,
+          "CollisionPipeline: model.shape_contact_pairs: expected shapes from 0 to ", last,
+          ", got (", pair.x, ", ", pair.y, ")");
+  if (type_of(pair.x) > type_of(pair.y)) std::swap(pair.x, pair.y);
+  const GeoType a = type_of(pair.x), b = type_of(pair.y);
+  const int32_t most = most_contacts(a, b, contacts_per_pair_);
+  require(most > 0, ErrorKind::NotImplemented, "CollisionPipeline: shapes ", pair.x, " (",
+          geo_type_name(a), ") and ", pair.y, " (", geo_type_name(b),
+          ") may meet, and this pair of types is not there yet; ",
+          explicit_ ? "leave it out of shape_pairs_filtered"
+                    : "ModelBuilder.add_shape_collision_filter_pair or collision groups part them");
+  // On a GPU their normals and names were seen to differ from the CPU's in some rows.
+  require(model_->device().is_cpu() || !is_mesh_pair(a, b), ErrorKind::NotImplemented,
+          "CollisionPipeline: shapes ", pair.x, " (", geo_type_name(a), ") and ", pair.y, " (",
+          geo_type_name(b), ") may meet: contacts of meshes are found on the cpu, not on ",
+          model_->device().str());
+  const Vec3f& size = scale_[static_cast<size_t>(pair.x)];
+  require(a != GeoType::PLANE || !(size.x > 0.0f && size.y > 0.0f), ErrorKind::NotImplemented,
+          "CollisionPipeline: shape ", pair.x,
+          ": expected an infinite plane (width and length 0) for contacts with shapes, got one of ",
+          size.x, " by ", size.y);
+  return most;
+}
+
+// Takes pairs (i < j) as those to look at. Returns the most rows that they can have.
+int64_t RigidPairs::take(std::vector<Vec2i> found) {
+  int64_t rows = 0;
+  for (Vec2i& pair : found) rows += orient(pair);
+  const auto before = [](const Vec2i& a, const Vec2i& b) {
+    return a.x != b.x ? a.x < b.x : a.y < b.y;
+  };
+  if (!std::is_sorted(found.begin(), found.end(), before))
+    std::sort(found.begin(), found.end(), before);
+  make_room(found.size());
+  count_ = static_cast<int64_t>(found.size());
+  found_ = nullptr;
+  take_mesh_rows(found);
+  found.resize(rows_.rows());
+  rows_.copy_from_host(std::span<const Vec2i>(found));
+  return rows;
+}
+void RigidPairs::take_mesh_rows(std::span<const Vec2i> found) {
+  std::vector<int32_t> rows;
+  for (size_t k = 0; k < found.size(); ++k)
+    if (is_mesh_pair(type_of(found[k].x), type_of(found[k].y)))
+      rows.push_back(static_cast<int32_t>(k));
+  mesh_count_ = static_cast<int64_t>(rows.size());
+  if (rows.size() > mesh_rows_.rows())
+    mesh_rows_ = DeviceArray<int32_t>(rows.size(), model_->device());
+  rows.resize(mesh_rows_.rows());
+  mesh_rows_.copy_from_host(std::span<const int32_t>(rows));
+}
+void RigidPairs::make_room(size_t count) {
+  if (count > rows_.rows() || rows_.rows() == 0)
+    rows_ = DeviceArray<Vec2i>(count, model_->device());
+}
+
+// What kernels that find pairs cannot refuse.
+void RigidPairs::check_all() const {
+  const ShapePairRules rule = rules();
+  const auto count = static_cast<int32_t>(type_.size());
+  for (int32_t s = 0; s < count; ++s) {
+    const GeoType type = type_of(s);
+    if (geometry::is_convex_type(type)) continue;
+    for (int32_t other = 0; other < count; ++other) {
+      if (other == s || !may_touch(rule, s, other)) continue;
+      Vec2i pair{std::min(s, other), std::max(s, other)};
+      orient(pair);
+      require(type != GeoType::MESH, ErrorKind::NotImplemented, "CollisionPipeline: shapes ",
+              pair.x, " and ", pair.y,
+              " may meet: the broad phase \"sap\" finds pairs of meshes on the cpu only, and not "
+              "where it is recorded; use \"explicit\" or \"nxn\"");
+    }
+  }
+}
+
+void RigidPairs::sweep(std::span<const RigidShape> shapes) {
+  boxes_.resize(shapes.size());
+  for (size_t s = 0; s < boxes_.size(); ++s) boxes_[s] = shapes[s].box;
+  take(host_sweep_.box_pairs(boxes_, rules()));
+}
+
+// As many pairs as there is room for. Outside of a recording there is room for all.
+void RigidPairs::sweep_by_kernels(const Array& shapes) {
+  if (!kernel_sweep_known_) {
+    const Unobserved unobserved;  // the model is no part of what a capture records
+    check_all();
+    kernel_sweep_.update(*model_, world_);
+    kernel_sweep_known_ = true;
+  }
+  const auto shape_count = static_cast<int64_t>(type_.size());
+  constexpr int64_t kFew = 1024, kPerShape = 16;
+  make_room(static_cast<size_t>(std::max<int64_t>(
+      1, std::min(shape_count * (shape_count - 1) / 2, std::max(kFew, kPerShape * shape_count)))));
+  kernel_sweep_.sort(*model_, shapes);
+  kernel_sweep_.write(*model_, shapes, rows_);
+  if (launch_recorder() == nullptr) {
+    const auto found = static_cast<size_t>(kernel_sweep_.found().to_host()[0]);
+    if (found > rows_.rows()) {
+      make_room(found + found / 4);
+      kernel_sweep_.write(*model_, shapes, rows_);
+    }
+  }
+  count_ = static_cast<int64_t>(rows_.rows());
+  found_ = &kernel_sweep_.found();
+  mesh_count_ = 0;
+}
+
+}  // namespace novaphy::detail

@@ -73,8 +73,10 @@ void RigidPairs::update() {
   world_ = m.shape_world.to_host();
   scale_ = m.shape_scale.to_host();
   kernel_sweep_known_ = false;
-  most_rows_ = std::numeric_limits<int64_t>::max();
-  if (!are_swept()) {
+  if (are_swept()) {
+    most_rows_ = std::numeric_limits<int64_t>::max();
+    if (!m.device().is_cpu()) check_all();
+  } else {
     rows_ = {};
     most_rows_ = take(explicit_ ? *explicit_
                       : broad_phase_ == BroadPhase::Explicit

@@ -12,7 +12,7 @@
 namespace novaphy {
 namespace {
 
-// SolverSemiImplicit has checked the arguments, and refuses tapes and captures.
+// SolverSemiImplicit has checked the other arguments, and refuses tapes and captures.
 class DeviceSteps final : public diff::DiffSolverBase {
  public:
   DeviceSteps(const std::shared_ptr<const Model>& model, const SemiImplicitOptions& options)
@@ -25,6 +25,9 @@ class DeviceSteps final : public diff::DiffSolverBase {
                  .angular_damping = options.angular_damping,
                  .friction_law = options.friction_law,
                  .friction_smoothing = *options.friction_smoothing}) {
+    require(options.stick_ke == 0.0f, ErrorKind::NotImplemented,
+            "SolverSemiImplicit: stick_ke: expected 0 for a model on ", device().str(), ", got ",
+            options.stick_ke);
     if (!moves_bodies()) return;
     bodies_.begin(*model);
     joints_.emplace(*model,

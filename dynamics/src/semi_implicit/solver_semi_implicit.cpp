@@ -70,9 +70,6 @@ SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
           "SolverSemiImplicit: stick_ke: expected 0 with a friction law other than \"viscous\", "
           "got ",
           options.stick_ke);
-  require(options.stick_ke == 0.0f || this->model()->device().is_cpu(), ErrorKind::NotImplemented,
-          "SolverSemiImplicit: stick_ke: expected 0 for a model on ", this->model()->device().str(),
-          ", got ", options.stick_ke);
   check_option("joint_attach_ke", options.joint_attach_ke);
   check_option("joint_attach_kd", options.joint_attach_kd);
   check_covered(*this->model());

@@ -27,6 +27,7 @@
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/ops.h"
 #include "novaphy/nova/tape.h"
+#include "support/bits.h"
 #include "support/convex_shapes.h"
 #include "support/cuda_device.h"
 #include "support/device_bits.h"
@@ -638,6 +639,12 @@ TEST_F(RigidDevices, LabelsOfTheGradientsOfRowsAreThoseOfTheCpu) {
   EXPECT_EQ(expected.size(), 5u);
   EXPECT_EQ(std::count(expected.begin(), expected.end(), true), 5);
   EXPECT_EQ(labels(Device::cuda()), expected);
+}
+
+TEST_F(RigidDevices, StickingSpringsAreRefusedByName) {
+  const auto model = die({}).finalize(Device::cuda());
+  EXPECT_ERROR(SolverSemiImplicit(model, {.stick_ke = 1.0f}), ErrorKind::NotImplemented,
+               "stick_ke: expected 0 for a model on cuda:0, got 1");
 }
 
 }  // namespace

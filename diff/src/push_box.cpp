@@ -141,7 +141,7 @@ struct Rollout {
 };
 
 // Of an undefined tensor: none.
-DeviceArray<float> array_of(const Tensor& tensor) {
+DeviceArray<float> floats_of(const Tensor& tensor) {
   if (!tensor.defined()) return {};
   const auto size = static_cast<size_t>(tensor.size());
   return DeviceArray<float>(Array(novaphy::DType::float32, size, 1, tensor.range()));
@@ -152,8 +152,8 @@ struct InputArrays {
   DeviceArray<float> states[4], numbers[kPushBoxNumbers];
 
   explicit InputArrays(const Inputs& in) {
-    for (size_t k = 0; k < 4; ++k) states[k] = array_of(in[k]);
-    for (size_t k = 0; k < kPushBoxNumbers; ++k) numbers[k] = array_of(in[4 + k]);
+    for (size_t k = 0; k < 4; ++k) states[k] = floats_of(in[k]);
+    for (size_t k = 0; k < kPushBoxNumbers; ++k) numbers[k] = floats_of(in[4 + k]);
   }
   PushBoxArguments arguments(int64_t steps) const {
     return {.pusher_x = states[0],
@@ -168,7 +168,7 @@ struct InputArrays {
 void run_forward(const Rollout& r) {
   const nova::NoGrad no_grad;
   const InputArrays in(r.in);
-  const DeviceArray<float> x = array_of(r.x), v = array_of(r.v);
+  const DeviceArray<float> x = floats_of(r.x), v = floats_of(r.v);
   run(rollout_kernel(), 1, {.in = in.arguments(r.steps), .x = x, .v = v});
 }
 
@@ -176,12 +176,12 @@ void run_vjp(const Rollout& r, std::span<const Tensor> outputs,
              std::span<const nova::InputGradient> gradients) {
   const nova::NoGrad no_grad;
   const InputArrays in(r.in);
-  const DeviceArray<float> x = array_of(r.x), v = array_of(r.v);
-  const DeviceArray<float> x_bar = array_of(outputs[0]), v_bar = array_of(outputs[1]);
+  const DeviceArray<float> x = floats_of(r.x), v = floats_of(r.v);
+  const DeviceArray<float> x_bar = floats_of(outputs[0]), v_bar = floats_of(outputs[1]);
   DeviceArray<float> gradient[kInputs];
   int64_t add = 0;
   for (size_t k = 0; k < kInputs; ++k) {
-    gradient[k] = array_of(gradients[k].grad);
+    gradient[k] = floats_of(gradients[k].grad);
     if (gradients[k].add) add |= int64_t{1} << k;
   }
   run(rollout_vjp_kernel(), 1,

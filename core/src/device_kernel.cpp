@@ -151,6 +151,19 @@ namespace {
 
 bool is_memory(uint64_t word) { return word != 0 && (word & kArrayBit) == 0; }
 
+// Where a launch runs.
+Device device_of(const char* kernel, std::span<const ArgumentInfo> infos,
+                 const ArgumentWord* values) {
+  bool has_memory = false;
+  for (size_t k = 0; k < infos.size(); ++k) {
+    if (infos[k].access == access::kNumber) continue;
+    if (const Range* const range = range_of(values[k])) return range->device();
+    has_memory |= is_memory(values[k]);
+  }
+  require(has_memory, ErrorKind::Value, kernel, ": expected an argument with rows");
+  return Device::cpu();
+}
+
 // Says what is wrong with the first argument that is.
 [[noreturn, gnu::noinline]] void refuse(const char* kernel, std::span<const ArgumentInfo> infos,
                                         const ArgumentWord* values, Device device, int64_t n) {
@@ -179,16 +192,7 @@ void DeviceKernel::launch_arrays(int64_t n, std::span<const ArgumentInfo> infos,
                                  const ArgumentWord* values) const {
   if (n == 0) return;
   const auto bits = [](const Device& device) { return std::bit_cast<uint64_t>(device); };
-  size_t first = 0;
-  bool has_memory = false;
-  for (; first < infos.size(); ++first) {
-    if (infos[first].access == access::kNumber) continue;
-    if (range_of(values[first]) != nullptr) break;
-    has_memory |= is_memory(values[first]);
-  }
-  require(first < infos.size() || has_memory, ErrorKind::Value, name_,
-          ": expected an argument with rows");
-  const Device device = first < infos.size() ? range_of(values[first])->device() : Device::cpu();
+  const Device device = device_of(name_, infos, values);
   const uint64_t device_bits = bits(device), rows = static_cast<uint64_t>(n);
   std::array<uint64_t, kMostWords> words;
   std::array<Range*, kMostWords> written;

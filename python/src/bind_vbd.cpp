@@ -74,7 +74,7 @@ void bind_diff_vbd(py::module_& solvers) {
       "frozen. Other arrays that carry a gradient raise NotImplementedError by name. What "
       "initial_guess=\"adaptive\" keeps of a step goes from step to step and rollout to rollout "
       "until reset(), with its gradient where it is unrolled (a solution does not depend on it). "
-      "On a device there is no jvp, and no capture with gradient=\"implicit\".")
+      "On a device no jvp and no gradient=\"implicit\" stand in a capture.")
       .def(py::init(
                [](const std::shared_ptr<Model>& model, int32_t iterations, float friction_epsilon,
                   const std::string& initial_guess, float lhs_regularization,

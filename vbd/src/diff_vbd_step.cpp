@@ -335,10 +335,33 @@ RecordedStep::Slopes RecordedStep::tangents(std::span<const Tensor> slopes) cons
   return found;
 }
 
+void RecordedStep::device_tangents(std::span<const Tensor> slopes,
+                                   std::span<const Tensor> outputs) const {
+  require(nova::current_capture() == nullptr, ErrorKind::NotImplemented, kName,
+          ": expected jvp outside a ScopedCapture on ", model->device().str(),
+          ", because the host sets its directions");
+  const nova::NoGrad no_grad;
+  const std::vector<Input> all = differentiable();
+  VbdStepArrays direction;
+  for (size_t k = 0; k < all.size(); ++k)
+    if (slopes[k].defined())
+      direction.*all[k].array_bars = Array(
+          novaphy::DType::float32, all[k].size(*this), 1,
+          (all[k].is_targets ? part_of(slopes[k], first_target, target_count) : slopes[k]).range());
+  DeviceArray<Vec3f> found[2];
+  for (DeviceArray<Vec3f>& rows : found) {
+    const Unobserved unobserved;
+    rows = DeviceArray<Vec3f>(static_cast<size_t>(model->particle_count()), model->device());
+  }
+  steps->tangent(launch_inputs(), direction, found[0], found[1]);
+  for (size_t k = 0; k < 2; ++k)
+    nova::InputGradient{outputs[k], false}.put(
+        Tensor(found[k].range(), outputs[k].shape(), nova::DType::F32));
+}
+
 void RecordedStep::submit_tangent(const std::shared_ptr<RecordedStep>& step,
                                   std::span<const Tensor> slopes, std::span<const Tensor> outputs) {
-  require(!step->on_device(), ErrorKind::NotImplemented, kName, ": jvp on ",
-          step->model->device().str(), " is not there yet");
+  if (step->on_device()) return step->named([&] { step->device_tangents(slopes, outputs); });
   if (nova::current_capture() == nullptr) {
     const Slopes found = step->named([&] { return step->tangents(slopes); });
     for (size_t k = 0; k < 2; ++k)

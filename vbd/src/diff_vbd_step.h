@@ -65,7 +65,7 @@ struct RecordedStep {
   static void submit_backward(const std::shared_ptr<RecordedStep>& step,
                               std::span<const nova::Tensor> outputs,
                               std::span<const nova::InputGradient> to);
-  // ErrorKind::NotImplemented: on a device.
+  // ErrorKind::NotImplemented: in a capture on a device.
   static void submit_tangent(const std::shared_ptr<RecordedStep>& step,
                              std::span<const nova::Tensor> slopes,
                              std::span<const nova::Tensor> outputs);
@@ -90,6 +90,8 @@ struct RecordedStep {
   template <class Value>
   void put(std::span<const nova::InputGradient> to, const Value& value) const;
   Slopes tangents(std::span<const nova::Tensor> slopes) const;
+  void device_tangents(std::span<const nova::Tensor> slopes,
+                       std::span<const nova::Tensor> outputs) const;
   // As a launch of a capture on the CPU, which runs `run`.
   void capture(std::vector<nova::Tensor> reads, std::vector<nova::Tensor> results,
                std::function<void()> run) const;

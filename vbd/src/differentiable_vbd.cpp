@@ -8,8 +8,8 @@
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/exclusive_use.h"
-#include "reverse_pass.h"
-#include "tangent_pass.h"
+#include "step_adjoint.h"
+#include "step_tangent.h"
 
 namespace novaphy {
 namespace {
@@ -127,6 +127,7 @@ struct DifferentiableVbd::Work {
   // Of the positions and the velocities.
   std::array<vbd::Rows, 2> slopes(const StepInputs& in, const StepDerivatives& direction) {
     run_again(in, vbd::wants_damping(direction));
+    step.check();
     const vbd::SweepTangents along = vbd::tangents_along(step, in, direction);
     vbd::KrylovResult found;
     std::array<vbd::Rows, 2> all;
@@ -140,8 +141,8 @@ struct DifferentiableVbd::Work {
   }
 
   vbd::Step step;
-  vbd::ReversePass reverse;
-  vbd::TangentPass tangent;
+  vbd::StepAdjoint reverse;
+  vbd::StepTangent tangent;
   const VbdGradientOptions gradient;
   Solved solved;
   DeviceArray<Vec3f> q_out, qd_out;
@@ -208,6 +209,15 @@ void DifferentiableVbd::backward(const VbdLaunchInputs& in, const Array& q_out_b
   const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.backward", "the solver");
   work_->in_use_of_caller = in_use;
   work_->backward(StepInputs(in), {q_out_bar, qd_out_bar}, vbd::derivatives_of(gradients));
+}
+
+void DifferentiableVbd::tangent(const VbdLaunchInputs& in, const VbdStepArrays& direction,
+                                DeviceArray<Vec3f> q_out_slope, DeviceArray<Vec3f> qd_out_slope) {
+  const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.tangent", "the solver");
+  const Unrecorded unrecorded;
+  const auto slopes = work_->slopes(StepInputs(in), vbd::derivatives_of(direction));
+  q_out_slope.copy_from_host(std::vector<Vec3f>(slopes[0].begin(), slopes[0].end()));
+  qd_out_slope.copy_from_host(std::vector<Vec3f>(slopes[1].begin(), slopes[1].end()));
 }
 
 }  // namespace novaphy

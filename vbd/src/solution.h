@@ -1,6 +1,6 @@
 // The solution of a step of VBD, and what is linear there: Newton's method and a residual method
-// over the sweeps of a step, which run on the CPU (TangentPass, ReversePass) or on a device
-// (LaunchedSolution). The rows here are on the host in both cases.
+// over the sweeps of a step (StepTangent, StepAdjoint), which run where the model is. The rows here
+// are on the host.
 #pragma once
 
 #include <algorithm>

@@ -20,8 +20,6 @@ bool has_code_for(Device device) {
   return device.type == DeviceType::CUDA ? NOVAPHY_VBD_CUDA : NOVAPHY_VBD_DLAN;
 }
 
-// Colours of at least so many large teams fill a device.
-constexpr int64_t kManyTeams = 256;
 // The first of the values that are not of elements.
 constexpr size_t kOfElements = 11;
 
@@ -32,11 +30,13 @@ Step::Step(const Model& m, const VbdOptions& o)
       options_(o),
       on_cpu_(m.device().is_cpu()),
       materials_("SolverVBD", {.kf = false, .ka = false}) {
-  require(on_cpu_ || has_code_for(m.device()), ErrorKind::NotImplemented,
-          "SolverVBD: model: expected one on the cpu, got one on ", m.device().str(),
-          ": this build has no code of VBD for it (NOVAPHY_WITH_VBD_",
-          m.device().type == DeviceType::CUDA ? "CUDA)" : "DLAN)");
-  if (!on_cpu_) check_not_launched(o);
+  if (!on_cpu_) {
+    require(has_code_for(m.device()), ErrorKind::NotImplemented,
+            "SolverVBD: model: expected one on the cpu, got one on ", m.device().str(),
+            ": this build has no code of VBD for it (NOVAPHY_WITH_VBD_",
+            m.device().type == DeviceType::CUDA ? "CUDA)" : "DLAN)");
+    check_not_launched(o);
+  }
   const auto stamped = [this](std::vector<Stamped>& all,
                               std::initializer_list<std::pair<const char*, const Array*>> arrays) {
     all = std::vector<Stamped>(arrays.size());
@@ -71,6 +71,7 @@ Step::Step(const Model& m, const VbdOptions& o)
   const auto n = static_cast<size_t>(m.particle_count());
   for (Rows4* rows : {&start_, &target_, &moved_, &x_}) *rows = Rows4(n, device());
   of_particles_ = DeviceArray<float>(3 * n, device());
+  residuals_.resize(n);
   faults_ = DeviceArray<int32_t>(n, device());
   overflow_ = DeviceArray<int32_t>(2, device());
   if (o.acceleration) {
@@ -79,22 +80,23 @@ Step::Step(const Model& m, const VbdOptions& o)
     chebyshev_ = chebyshev_factors(*o.acceleration, o.iterations);
   }
   const Unobserved unobserved;
-  materials_.check(m);
   edited_.check(m);
   build();
+  materials_.check(host_model());
   for (Stamped& s : mesh_) s.stamp.set(*s.array);
 }
 
 void Step::build() {
   const Unobserved unobserved;
-  if (!on_cpu_) copy_ = model_.to(Device::cpu());
+  copy_ = on_cpu_ ? std::shared_ptr<const Model>(std::shared_ptr<const Model>(), &model_)
+                  : model_.to(Device::cpu());
   const Model& m = host_model();
   for (int32_t p = 0; p < m.particle_count(); ++p) {
     const int32_t w = m.particle_world.data()[p];
     require(w >= -1 && w < m.world_count(), ErrorKind::Index, kName, ": model.particle_world[", p,
             "]: expected -1 to ", m.world_count() - 1, ", got ", w);
   }
-  slots_.build(m, on_cpu_ ? sweep_level().lanes : kVbdLanes);
+  slots_.build(m, lanes_on(device()));
   ++builds_;
   is_held_ = upload<int32_t>(slots_.held_flags(), device());
   held_ = upload<int32_t>(slots_.held(), device());
@@ -112,69 +114,6 @@ void Step::forget_lists() {
   ++version_;
 }
 
-void Step::build_tables(float dt) {
-  const Model& m = host_model();
-  forget_lists();
-  // Activations are those of the step.
-  const std::vector<float> tri(m.particle_tri_activation.rows()),
-      tet(m.particle_tet_activation.rows());
-  slots_.set_constants(m, {tri.data(), tet.data(), dt});
-  Sweep host;
-  slots_.fill(host);
-  const auto lanes = static_cast<size_t>(slots_.lanes());
-  const auto groups = static_cast<size_t>(colors().back());
-  NOVAPHY_ASSERT(std::is_sorted(colors().begin(), colors().end()));
-  Tables& t = tables_.emplace();
-  t.dt = dt;
-  t.particle = upload<int32_t>(host.particle, groups * lanes, device());
-  t.filled = upload<int32_t>(host.filled, groups, device());
-  t.mass_by_h2 = upload<float>(host.mass_by_h2, groups * lanes, device());
-  for (int role = 0; role < kRoles; ++role) {
-    const ColorSlots::Table& table = slots_.table(static_cast<Role>(role));
-    if (table.sources.empty()) continue;
-    t.begin[role] = upload<uint64_t>(table.begin, device());
-    t.ints[role] = upload<int32_t>(table.ints, device());
-    t.floats[role] = upload<float>(table.floats, device());
-    if (table.damped) t.damped |= int64_t{1} << role;
-  }
-  if (!on_cpu_) find_team();
-  for (const auto& [role, number, activated] :
-       {std::tuple(kTriangle, size_t{6}, &t.triangle),
-        std::tuple(kTetrahedron, size_t{11}, &t.tetrahedron)}) {
-    const ColorSlots::Table& table = slots_.table(role);
-    std::vector<int32_t> element;
-    std::vector<float> alpha;
-    for (size_t k = 0; k < table.sources.size(); ++k) {
-      element.push_back(table.sources[k].element);
-      alpha.push_back(
-          table.floats[(k / lanes * static_cast<size_t>(kFloats[role]) + number) * lanes +
-                       k % lanes]);
-    }
-    activated->element = upload<int32_t>(element, device());
-    activated->alpha = upload<float>(alpha, device());
-  }
-}
-
-// The largest team for which there is room and work enough.
-void Step::find_team() {
-  int64_t most_groups = 0;
-  for (size_t c = 0; c + 1 < colors().size(); ++c)
-    most_groups = std::max(most_groups, colors()[c + 1] - colors()[c]);
-  const auto terms = [&](int64_t team) {
-    int64_t sum = 0;
-    for (int role = 0; role < kRoles; ++role) {
-      const std::vector<int64_t>& begin = slots_.table(static_cast<Role>(role)).begin;
-      int64_t most = 0;
-      for (size_t g = 0; g + 1 < begin.size(); ++g) most = std::max(most, begin[g + 1] - begin[g]);
-      sum += (most * team * kVbdLanes + 31) / 32 * 32;
-    }
-    return sum;
-  };
-  if (terms(1) <= kVbdTeamTerms) tables_->team = 1;
-  if (terms(kVbdLargeTeam) <= kVbdTeamTerms && most_groups >= kManyTeams * kVbdLargeTeam)
-    tables_->team = kVbdLargeTeam;
-}
-
 void Step::reserve_contacts(int32_t slots) {
   const auto count = static_cast<size_t>(slots);
   if (contact_items_.rows() >= count) return;
@@ -188,7 +127,7 @@ void Step::reserve_contacts(int32_t slots) {
 void Step::update(float dt, bool damps) {
   const Unobserved unobserved;
   if (was_recorded_ && is_immediate()) check();
-  if (on_cpu_) materials_.check(model_);
+  materials_.check(host_model());
   edited_.check(model_);
   check_numbers(model_);
   for (const Stamped& s : mesh_)
@@ -228,7 +167,7 @@ VbdSweepArguments Step::sweep(int64_t first_group, int64_t end_group) const {
 
 // The groups of a team, where those of a colour move by teams; else 0.
 int64_t Step::find_mover() const {
-  if (on_cpu_) return 0;
+  if (tables_->team == 0) return 0;
   const char* const variable = std::getenv("NOVAPHY_VBD_SWEEP");
   const std::string_view wanted = variable != nullptr ? variable : "";
   require(wanted.empty() || wanted == "thread" || wanted == "team", ErrorKind::Value,
@@ -257,29 +196,6 @@ void Step::activate(Activated& to, Role role, const DeviceArray<float>& activati
                 .lanes = slots_.lanes(),
                 .width = int{kFloats[role]},
                 .number = role == kTriangle ? 6 : 11});
-}
-
-void Step::check_contacts(const Contacts& contacts) const {
-  constexpr const char* kContacts = "SolverVBD.step: contacts";
-  const Model& m = model_;
-  const int32_t count = *contacts.soft_contact_count.data();
-  require(count <= contacts.soft_contact_max(), ErrorKind::Runtime, kContacts, ": ", count,
-          " were found, but there are slots for ", contacts.soft_contact_max(),
-          "; make a pipeline with a larger soft_contact_max");
-  const int32_t* particle = contacts.soft_contact_particle.data();
-  const int32_t* shape = contacts.soft_contact_shape.data();
-  const int32_t* body = m.shape_body.data();
-  for (int32_t slot = 0; slot < count; ++slot) {
-    require(particle[slot] >= 0 && particle[slot] < m.particle_count(), ErrorKind::Index, kContacts,
-            ".soft_contact_particle[", slot, "]: expected 0 to ", m.particle_count() - 1, ", got ",
-            particle[slot]);
-    require(shape[slot] >= 0 && shape[slot] < m.shape_count(), ErrorKind::Index, kContacts,
-            ".soft_contact_shape[", slot, "]: expected 0 to ", m.shape_count() - 1, ", got ",
-            shape[slot]);
-    require(body[shape[slot]] < 0, ErrorKind::NotImplemented, kContacts, ": slot ", slot,
-            " touches shape ", shape[slot], " of body ", body[shape[slot]],
-            "; contacts with bodies are not there yet");
-  }
 }
 
 void Step::find_contacts(const Contacts& c) const {
@@ -453,60 +369,6 @@ void Step::iterate(const StepList& list) {
   }
 }
 
-// Says which of what the prediction reads is not finite.
-void Step::check_inputs(const StepInputs& in) {
-  const std::span faults(faults_.data(), faults_.rows());
-  if (std::all_of(faults.begin(), faults.end(), [](int32_t f) { return f == kNoFault; })) return;
-  faults_.zero();
-  const auto check = [](const char* name, size_t row, const Vec3f& v) {
-    require(is_finite(v), ErrorKind::Value, kName, ": ", name, "[", row,
-            "]: expected finite numbers, got ", v.x, ", ", v.y, ", ", v.z);
-  };
-  for (size_t p = 0; p < faults.size(); ++p) {
-    check("state_in.particle_q", p, on_host(in.q)[p]);
-    if (is_held(p)) continue;
-    check("state_in.particle_qd", p, on_host(in.qd)[p]);
-    check("state_in.particle_f", p, on_host(in.f)[p]);
-  }
-  fail(ErrorKind::Value, kName, ": state_in: the inertial target of a particle overflows float32");
-}
-
-// Before anything is written to the results.
-void Step::check_positions() const {
-  const Vec4f* const x = x_.data();
-  for (size_t p = 0; p < x_.rows(); ++p)
-    require(is_finite(Vec3f{x[p].x, x[p].y, x[p].z}), ErrorKind::Runtime, kName, ": particle ", p,
-            ": its position is no longer finite after ", iterations_run_,
-            " iterations; state_out was not written");
-}
-
-void Step::check() {
-  const Unobserved unobserved;
-  check_trained();
-  const std::vector<int32_t> faults = faults_.to_host(), overflow = overflow_.to_host();
-  const auto first_of = [&faults](auto&& is_kind) {
-    return std::find_if(faults.begin(), faults.end(), is_kind);
-  };
-  // Where a step reads what is not finite, that is why others are not.
-  auto found = first_of([](int32_t fault) { return fault != kNoFault && fault != kFaultResult; });
-  if (found == faults.end()) found = first_of([](int32_t fault) { return fault != kNoFault; });
-  if (found == faults.end() && overflow[0] == 0) return;
-  faults_.zero();
-  overflow_.zero();
-  constexpr const char* kSince = ": a step on a device, or a replay, since this was last asked: ";
-  require(overflow[0] == 0, ErrorKind::Runtime, kName, kSince, "contacts: ", overflow[0],
-          " were found, but there are slots for ", overflow[1],
-          "; make a pipeline with a larger soft_contact_max");
-  static constexpr const char* kWhat[] = {"",
-                                          "state_in.particle_q: expected finite numbers",
-                                          "state_in.particle_qd: expected finite numbers",
-                                          "state_in.particle_f: expected finite numbers",
-                                          "state_in: the inertial target overflows float32",
-                                          "its position did not stay finite"};
-  fail(ErrorKind::Runtime, kName, kSince, "particle ", found - faults.begin(), ": ", kWhat[*found],
-       "; its results are NaN");
-}
-
 void Step::iterate_again() {
   list_->move_again();
   ++iterations_run_;
@@ -522,14 +384,8 @@ void Step::find_residuals() {
 }
 
 VbdResidual Step::last_residual() const {
-  if (on_cpu_)
-    return sum_residuals(
-        std::span(reinterpret_cast<const ParticleResidual*>(of_particles_.data()), x_.rows()),
-        iterations_run_);
-  const std::vector<float> numbers = of_particles_.to_host();
-  return sum_residuals(
-      std::span(reinterpret_cast<const ParticleResidual*>(numbers.data()), x_.rows()),
-      iterations_run_);
+  of_particles_.copy_to_host(std::span(&residuals_.data()->force, of_particles_.rows()));
+  return sum_residuals(residuals_, iterations_run_);
 }
 
 VbdResidual Step::residual() {

@@ -60,8 +60,8 @@ class Step {
   VbdResidual residual();
 
   const Model& model() const { return model_; }
-  // The model, or the copy of it that the tables were made from.
-  const Model& host_model() const { return on_cpu_ ? model_ : *copy_; }
+  // That of the host from which the slots were made: on a device a copy.
+  const Model& host_model() const { return *copy_; }
   const VbdOptions& options() const { return options_; }
   Device device() const { return model_.device(); }
   bool on_cpu() const { return on_cpu_; }
@@ -137,14 +137,18 @@ class Step {
 
   // Whether the host sees at once what launches do.
   bool is_immediate() const { return on_cpu_ && launch_recorder() == nullptr; }
+  // step_tables.cpp
   void build_tables(float dt);
   void find_team();
-  void forget_lists();
+  // step_checks.cpp
   void check_contacts(const Contacts& contacts) const;
+  void check_inputs(const StepInputs& in);
+  void check_positions() const;
+  void forget_lists();
   void reserve_contacts(int32_t slots);
   void find_contacts(const Contacts& contacts) const;
   void activate(Activated& to, Role role, const DeviceArray<float>& activation);
-  // training.cpp
+  // step_training.cpp
   void reserve_training();
   void put_numbers(const StepInputs& in) const;
   void check_trained() const;
@@ -152,15 +156,13 @@ class Step {
   StepList& list_for(const StepInputs& in, const StepResults& out);
   int64_t find_mover() const;
   void iterate(const StepList& list);
-  void check_inputs(const StepInputs& in);
-  void check_positions() const;
 
   const Model& model_;
   const VbdOptions options_;
   const bool on_cpu_;
   UnreadMaterials materials_;
   EditedValues edited_{"SolverVBD"};
-  std::shared_ptr<const Model> copy_;  // of a model on a device
+  std::shared_ptr<const Model> copy_;  // see host_model
   std::vector<Stamped> mesh_, values_;
   std::vector<const Array*> read_;  // the arrays of both
   ColorSlots slots_;
@@ -177,6 +179,7 @@ class Step {
   DeviceArray<float> contact_numbers_, of_particles_;
   DeviceArray<int32_t> faults_;    // of each particle, see vbd::note_fault
   DeviceArray<int32_t> overflow_;  // see VbdContactArguments
+  mutable std::vector<ParticleResidual> residuals_;
   std::vector<float> chebyshev_;
   int32_t iterations_run_ = 0;
   bool has_contacts_ = false, damps_ = false, was_recorded_ = false;

@@ -147,6 +147,8 @@ constexpr auto kLanes = with_lanes(kernel, rows);
 
 }  // namespace
 
+int lanes_on(Device device) { return device.is_cpu() ? sweep_level().lanes : kVbdLanes; }
+
 const StepKernels& step_kernels() {
   const DeviceText text = detail::vbd_kernels_text,
                    gradient_text = detail::vbd_gradient_kernels_text;

@@ -10,6 +10,9 @@
 
 namespace novaphy::vbd {
 
+// Of a group on a device.
+int lanes_on(Device device);
+
 struct StepKernels {
   Kernel<VbdPredictArguments> predict;
   Kernel<VbdTargetArguments> target;

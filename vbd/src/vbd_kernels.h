@@ -1,5 +1,4 @@
-// A step of VBD as kernels (row_kernel.h): what devices run, and what a capture records. The laws
-// and the order of their sums are those of sweep_slots.h, so the results have the same bits.
+// A step of VBD as kernels (row_kernel.h), with the laws and the order of sums of sweep_slots.h.
 //
 // A colour moves in one of two ways, of the same bits: vbd_move, a thread for each particle;
 // vbd_move_team, for devices only, where the threads of a block share the slots of some groups and

@@ -58,8 +58,8 @@ struct DiffVbdOptions {
 // residuals: see gradient_info(). Steps, rollouts, their backward and jvp can be captured; a
 // replay runs them on the host, or on the device of the model, where materials and rest shapes of
 // elements that carry a gradient may change from replay to replay (an element whose coefficients
-// are all 0 keeps them, or gradient_info() throws). On a device there is no jvp,
-// and no capture with implicit gradients (see DifferentiableVbd).
+// are all 0 keeps them, or gradient_info() throws). On a device no jvp and no
+// implicit gradients stand in a capture (see DifferentiableVbd).
 class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
  public:
   // Errors as DifferentiableVbd.

@@ -131,14 +131,16 @@ class NOVAPHY_VBD_API DifferentiableVbd {
   // The derivatives of the results along a direction.
   void tangent(const VbdStepInputs& inputs, const VbdStepTangents& direction, Vec3f* q_out_slope,
                Vec3f* qd_out_slope);
-  // On a device, where there is no tangent: launches, which may be recorded; with implicit
-  // gradients the host waits for them, so they may not. Errors as
-  // SolverVBD::step there; `in_use`: the use of the memory, which a recording takes. Bars without
-  // rows: 0.
+  // On any device: launches, which may be recorded; with implicit gradients, and for tangents, the
+  // host waits for them, so they may not. Errors as SolverVBD::step there; `in_use`: the use of the
+  // memory, which a recording takes. Bars without rows: 0.
   void forward(const VbdLaunchInputs& inputs, const DeviceArray<Vec3f>& q_out,
                const DeviceArray<Vec3f>& qd_out, const std::shared_ptr<ExclusiveUse>& in_use);
   void backward(const VbdLaunchInputs& inputs, const Array& q_out_bar, const Array& qd_out_bar,
                 const VbdStepArrays& gradients, const std::shared_ptr<ExclusiveUse>& in_use);
+  // Directions without rows: 0.
+  void tangent(const VbdLaunchInputs& inputs, const VbdStepArrays& direction,
+               DeviceArray<Vec3f> q_out_slope, DeviceArray<Vec3f> qd_out_slope);
   // Of the last backward or tangent. ErrorKind::Runtime: there was none.
   VbdGradientInfo info() const;
 

@@ -1,17 +1,17 @@
-#include "tangent_pass.h"
+#include "step_tangent.h"
 
 #include <cmath>
 
 namespace novaphy::vbd {
 
-void TangentPass::reserve() {
+void StepTangent::reserve() {
   const Unobserved unobserved;
   if (x_.rows() == step_.x().rows()) return;
   for (Rows4* rows : {&x_, &load_, &result_, &moved_})
     *rows = Rows4(step_.x().rows(), step_.device());
 }
 
-void TangentPass::put(const SweepTangents& along) {
+void StepTangent::put(const SweepTangents& along) {
   reserve();
   const Unobserved unobserved;
   const Device device = step_.device();
@@ -25,7 +25,7 @@ void TangentPass::put(const SweepTangents& along) {
   novaphy::run(tangent_kernels().start, step_.colors().back() * step_.slots().lanes(), a);
 }
 
-VbdTangentArguments TangentPass::arguments(size_t first_color, size_t last_color,
+VbdTangentArguments StepTangent::arguments(size_t first_color, size_t last_color,
                                            bool along) const {
   const std::vector<int64_t>& colors = step_.colors();
   int64_t begins[kRoles], begin = 0;
@@ -49,13 +49,13 @@ VbdTangentArguments TangentPass::arguments(size_t first_color, size_t last_color
           .step_slope = nullptr};
 }
 
-void TangentPass::launch(const VbdTangentArguments& a) const {
+void StepTangent::launch(const VbdTangentArguments& a) const {
   const int64_t groups = a.sweep.end_group - a.sweep.first_group;
   novaphy::run(tangent_kernels().tangent, groups * step_.slots().lanes(), a);
 }
 
 // The particles of a colour take their steps.
-void TangentPass::move(size_t color, const Rows4& x) const {
+void StepTangent::move(size_t color, const Rows4& x) const {
   const int64_t first = step_.colors()[color], groups = step_.colors()[color + 1] - first;
   novaphy::run(tangent_kernels().move, groups * step_.slots().lanes(),
                {.particle = step_.particles(),
@@ -66,7 +66,7 @@ void TangentPass::move(size_t color, const Rows4& x) const {
                 .x = x});
 }
 
-Rows TangentPass::unrolled(const SweepTangents& along) {
+Rows StepTangent::unrolled(const SweepTangents& along) {
   put(along);
   Rows slopes = along.x;
   for (size_t p = 0; p < slopes.size(); ++p)
@@ -93,7 +93,7 @@ Rows TangentPass::unrolled(const SweepTangents& along) {
 }
 
 // A sweep from 0 with the load, at a solution, and the derivative of the forces along it.
-void TangentPass::sweep(const Rows& load, Rows& z, Rows& image) {
+void StepTangent::sweep(const Rows& load, Rows& z, Rows& image) {
   upload_rows(load_, load);
   x_.zero();
   const size_t colors = step_.colors().size() - 1;
@@ -112,7 +112,7 @@ void TangentPass::sweep(const Rows& load, Rows& z, Rows& image) {
   image = download(result_);
 }
 
-Rows TangentPass::force() {
+Rows StepTangent::force() {
   reserve();
   result_.zero();
   VbdTangentArguments a = arguments(0, step_.colors().size() - 1, false);
@@ -123,7 +123,7 @@ Rows TangentPass::force() {
 }
 
 // The derivative of the forces along the direction that was put, and x.
-Rows TangentPass::force_slope(const Rows& x) {
+Rows StepTangent::force_slope(const Rows& x) {
   upload_rows(x_, x);
   result_.zero();
   VbdTangentArguments a = arguments(0, step_.colors().size() - 1, true);
@@ -133,7 +133,7 @@ Rows TangentPass::force_slope(const Rows& x) {
   return download(result_);
 }
 
-Rows TangentPass::implicit(const SweepTangents& along, double tolerance, int32_t sweeps,
+Rows StepTangent::implicit(const SweepTangents& along, double tolerance, int32_t sweeps,
                            KrylovResult& result) {
   put(along);
   Rows slopes = along.x;
@@ -154,7 +154,7 @@ Rows TangentPass::implicit(const SweepTangents& along, double tolerance, int32_t
   return slopes;
 }
 
-Solution TangentPass::solve_step(double tolerance, int32_t iterations, int32_t sweeps) {
+Solution StepTangent::solve_step(double tolerance, int32_t iterations, int32_t sweeps) {
   const Unobserved unobserved;
   reserve();
   const Solution found = solve_nonlinear(*this, tolerance, iterations, sweeps);

@@ -21,9 +21,9 @@ struct SweepTangents {
 SweepTangents tangents_along(const Step& step, const StepInputs& in,
                              const StepDerivatives& direction);
 
-class TangentPass {
+class StepTangent {
  public:
-  explicit TangentPass(Step& step) : step_(step) {}
+  explicit StepTangent(Step& step) : step_(step) {}
 
   // After a run that kept its iterates. Returns the derivatives of the positions.
   Rows unrolled(const SweepTangents& along);

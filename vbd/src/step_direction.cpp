@@ -5,7 +5,7 @@
 
 #include "novaphy/math/matrix.h"
 #include "novaphy/vbd/particle_step_trace.h"
-#include "tangent_pass.h"
+#include "step_tangent.h"
 
 namespace novaphy::vbd {
 namespace {

@@ -1,6 +1,5 @@
-#include "reverse_pass.h"
+#include "step_adjoint.h"
 
-#include "novaphy/core/builtin_kernels.h"
 #include "solution.h"
 
 namespace novaphy::detail {
@@ -13,37 +12,19 @@ namespace {
 constexpr int64_t kGroupsPerChunk = 4;  // that a thread of the CPU takes at a time
 
 // Never destroyed: recordings refer to them.
-struct GradientKernels {
-#define NOVAPHY_VBD_KERNEL(name) \
-  Kernel<decltype(vbd_##name)::Arguments> name{vbd_##name, detail::vbd_gradient_kernels_text};
-  NOVAPHY_VBD_KERNEL(adjoint_begin)
-  NOVAPHY_VBD_KERNEL(adjoint_end)
-  NOVAPHY_VBD_KERNEL(receive)
-  NOVAPHY_VBD_KERNEL(particle_gradient)
-  NOVAPHY_VBD_KERNEL(target_gradient)
-  NOVAPHY_VBD_KERNEL(gravity_gradient)
-  NOVAPHY_VBD_KERNEL(spring_gradient)
-  NOVAPHY_VBD_KERNEL(edge_gradient)
-  NOVAPHY_VBD_KERNEL(triangle_gradient)
-  NOVAPHY_VBD_KERNEL(tetrahedron_gradient)
-  NOVAPHY_VBD_KERNEL(radius_gradient)
-  NOVAPHY_VBD_KERNEL(contact_shape)
-  NOVAPHY_VBD_KERNEL(shape_gradient)
-#undef NOVAPHY_VBD_KERNEL
+struct Kernels {
+  Kernel<VbdAdjointBeginArguments> begin{vbd_adjoint_begin, detail::vbd_gradient_kernels_text};
+  Kernel<VbdAdjointEndArguments> end{vbd_adjoint_end, detail::vbd_gradient_kernels_text};
+  Kernel<VbdReceiveArguments> receive{vbd_receive, detail::vbd_gradient_kernels_text};
 };
-const GradientKernels& kernels() {
-  static const auto& all = *new GradientKernels;
+const Kernels& kernels() {
+  static const auto& all = *new Kernels;
   return all;
-}
-
-template <class... D>
-bool any(const D&... derivatives) {
-  return (derivatives.is_wanted() || ...);
 }
 
 }  // namespace
 
-void ReversePass::build_tables() {
+void StepAdjoint::build_tables() {
   const ColorSlots& slots = step_.slots();
   const Device device = step_.device();
   const auto lanes = static_cast<size_t>(slots.lanes());
@@ -88,7 +69,7 @@ void ReversePass::build_tables() {
   numbers_ = DeviceArray<float>(static_cast<size_t>(tables_.numbers_begin.back()), device);
 }
 
-void ReversePass::reserve() {
+void StepAdjoint::reserve() {
   const Unobserved unobserved;
   const Device device = step_.device();
   const auto n = static_cast<size_t>(step_.model().particle_count());
@@ -108,7 +89,7 @@ void ReversePass::reserve() {
 }
 
 // Of the groups [first, end).
-VbdAdjointArguments ReversePass::arguments(const Rows4* before, int64_t first, int64_t end) const {
+VbdAdjointArguments StepAdjoint::arguments(const Rows4* before, int64_t first, int64_t end) const {
   int64_t first_lanes[kRoles], ends[kRoles], threads = 0;
   for (int role = 0; role < kRoles; ++role) {
     const std::vector<int64_t>& slots = step_.slots().table(static_cast<Role>(role)).begin;
@@ -138,7 +119,7 @@ VbdAdjointArguments ReversePass::arguments(const Rows4* before, int64_t first, i
           .ends = ends};
 }
 
-void ReversePass::add_receive(size_t color, const Rows4* own, const Rows4& rows, int64_t parts) {
+void StepAdjoint::add_receive(size_t color, const Rows4* own, const Rows4& rows, int64_t parts) {
   const Tables& t = tables_;
   list_->add(kernels().receive, t.color_begin[color + 1] - t.color_begin[color],
              {.particle = t.particle,
@@ -155,7 +136,7 @@ void ReversePass::add_receive(size_t color, const Rows4* own, const Rows4& rows,
 }
 
 // Back through the step of some groups, up to what particles get.
-void ReversePass::add_groups(const VbdAdjointArguments& a) {
+void StepAdjoint::add_groups(const VbdAdjointArguments& a) {
   const AdjointKernels& adjoint = adjoint_kernels();
   const int64_t groups = a.sweep.end_group - a.sweep.first_group, lanes = step_.slots().lanes();
   const Kernel<VbdAdjointArguments>& slots = adjoint.slots[key_.at_rest][key_.weights];
@@ -172,7 +153,7 @@ void ReversePass::add_groups(const VbdAdjointArguments& a) {
 }
 
 // Of what slots have of the start. On the CPU a particle gets its own when its colour comes.
-void ReversePass::add_starts() {
+void StepAdjoint::add_starts() {
   const std::vector<int64_t>& colors = step_.colors();
   const Kernel<VbdAdjointArguments>& start = adjoint_kernels().start[key_.weights];
   const int64_t lanes = step_.slots().lanes();
@@ -189,7 +170,7 @@ void ReversePass::add_starts() {
   }
 }
 
-void ReversePass::make_list(const VbdAdjointBeginArguments& begin,
+void StepAdjoint::make_list(const VbdAdjointBeginArguments& begin,
                             const VbdAdjointEndArguments& end) {
   const std::vector<int64_t>& colors = step_.colors();
   const int64_t n = step_.model().particle_count();
@@ -202,7 +183,7 @@ void ReversePass::make_list(const VbdAdjointBeginArguments& begin,
        std::initializer_list<const Array*>{&start_bar_, &target_bar_, &mass_bar_, &numbers_})
     clear(*rows);
   if (key_.with_contacts) clear(contact_bars_);
-  begin_ = list_->add(kernels().adjoint_begin, n, begin);
+  begin_ = list_->add(kernels().begin, n, begin);
   sweeps_ = list_->size();
   const auto add_colors = [&](const Rows4* iterate, const Rows4* sum) {
     for (size_t color = colors.size() - 1; color-- > 0;) {
@@ -232,12 +213,12 @@ void ReversePass::make_list(const VbdAdjointBeginArguments& begin,
       for (size_t color = 0; color + 1 < colors.size(); ++color)
         add_receive(color, &own_, x_bar_, parts);
   }
-  end_ = list_->add(kernels().adjoint_end, n, end);
+  end_ = list_->add(kernels().end, n, end);
   add_starts();
 }
 
 // The list for a step that was run.
-void ReversePass::prepare(const StepInputs& in, const ResultBars& bars, const StepDerivatives& to,
+void StepAdjoint::prepare(const StepInputs& in, const ResultBars& bars, const StepDerivatives& to,
                           bool at_rest) {
   reserve();
   const float inverse_h = 1.0f / step_.dt();
@@ -269,14 +250,14 @@ void ReversePass::prepare(const StepInputs& in, const ResultBars& bars, const St
   make_list(begin, end);
 }
 
-void ReversePass::unrolled(const StepInputs& in, const ResultBars& bars,
+void StepAdjoint::unrolled(const StepInputs& in, const ResultBars& bars,
                            const StepDerivatives& to) {
   prepare(in, bars, to, false);
   list_->run();
   put(in, to);
 }
 
-KrylovResult ReversePass::implicit(const StepInputs& in, const ResultBars& bars,
+KrylovResult StepAdjoint::implicit(const StepInputs& in, const ResultBars& bars,
                                    const StepDerivatives& to, double tolerance, int32_t sweeps) {
   prepare(in, bars, to, true);
   list_->run(0, sweeps_);
@@ -286,7 +267,7 @@ KrylovResult ReversePass::implicit(const StepInputs& in, const ResultBars& bars,
   return found;
 }
 
-void ReversePass::reverse_sweep(const Rows& load, Rows& multipliers, Rows& left) {
+void StepAdjoint::reverse_sweep(const Rows& load, Rows& multipliers, Rows& left) {
   upload_rows(x_bar_, load);
   multipliers_.zero();
   list_->run(sweeps_, balance_);
@@ -294,144 +275,12 @@ void ReversePass::reverse_sweep(const Rows& load, Rows& multipliers, Rows& left)
   left = download(x_bar_);
 }
 
-Rows ReversePass::balance(const Rows& given, const Rows& multipliers) {
+Rows StepAdjoint::balance(const Rows& given, const Rows& multipliers) {
   list_->run(0, begin_.number);
   upload_rows(x_bar_, given);
   upload_rows(multipliers_, multipliers);
   list_->run(balance_, end_.number);
   return download(x_bar_);
-}
-
-void ReversePass::put(const StepInputs& in, const StepDerivatives& g) const {
-  put_state(in, g);
-  put_elements(g);
-  put_contacts(in, g);
-}
-
-void ReversePass::put_state(const StepInputs& in, const StepDerivatives& g) const {
-  const Model& m = step_.model();
-  const bool guessed = !key_.at_rest && step_.looks_back(in);
-  if (any(g.particle_q, g.particle_qd, g.particle_f, g.particle_mass, g.gravity, g.last_velocity))
-    novaphy::run(kernels().particle_gradient, m.particle_count(),
-                 {.is_held = step_.is_held(),
-                  .inv_mass = m.particle_inv_mass,
-                  .f = in.f,
-                  .x_bar = x_bar_,
-                  .start_bar = start_bar_,
-                  .target_bar = target_bar_,
-                  .mass_bar = mass_bar_,
-                  .h = step_.dt(),
-                  .have_targets = int{in.targets.word() != 0},
-                  .by_q = g.particle_q,
-                  .by_qd = g.particle_qd,
-                  .by_f = g.particle_f,
-                  .by_mass = g.particle_mass,
-                  .by_gravity = any(g.gravity) ? &gravity_bar_ : nullptr,
-                  .by_last = g.last_velocity,
-                  .last = guessed ? Optional<ReadsRow<VbdRow>>(in.last_velocity)
-                                  : Optional<ReadsRow<VbdRow>>(nullptr),
-                  .qd = in.qd,
-                  .world = m.particle_world,
-                  .gravity = m.gravity,
-                  .last_world = m.world_count() - 1});
-  if (any(g.targets))
-    novaphy::run(kernels().target_gradient, step_.held_count(),
-                 {.held = step_.held(),
-                  .x_bar = x_bar_,
-                  .has_targets = int{in.targets.word() != 0},
-                  .by_targets = g.targets});
-  if (any(g.gravity))
-    novaphy::run(kernels().gravity_gradient, m.world_count(),
-                 {.begin = tables_.world_begin,
-                  .particles = tables_.of_worlds,
-                  .of_particles = gravity_bar_,
-                  .by_gravity = g.gravity});
-}
-
-VbdLawArguments ReversePass::law_bars(Role role) const {
-  return {.places = tables_.places[role],
-          .numbers = numbers_,
-          .first = tables_.numbers_begin[role],
-          .lanes = step_.slots().lanes()};
-}
-
-void ReversePass::put_elements(const StepDerivatives& g) const {
-  const Model& m = step_.model();
-  const float h = step_.dt();
-  const auto rows = [](const Array& elements) { return static_cast<int64_t>(elements.rows()); };
-  if (any(g.particle_spring_stiffness, g.particle_spring_damping, g.particle_spring_rest_length))
-    novaphy::run(kernels().spring_gradient, rows(m.particle_spring_indices),
-                 {.bars = law_bars(kSpring),
-                  .h = h,
-                  .by_stiffness = g.particle_spring_stiffness,
-                  .by_damping = g.particle_spring_damping,
-                  .by_rest_length = g.particle_spring_rest_length});
-  if (any(g.particle_tri_material, g.particle_tri_activation, g.particle_tri_area,
-          g.particle_tri_pose))
-    novaphy::run(kernels().triangle_gradient, rows(m.particle_tri_indices),
-                 {.bars = law_bars(kTriangle),
-                  .area = m.particle_tri_area,
-                  .material = m.particle_tri_material,
-                  .h = h,
-                  .by_material = g.particle_tri_material,
-                  .by_activation = g.particle_tri_activation,
-                  .by_area = g.particle_tri_area,
-                  .by_pose = g.particle_tri_pose});
-  if (any(g.particle_edge_material, g.particle_edge_rest_angle, g.particle_edge_rest_length))
-    novaphy::run(kernels().edge_gradient, rows(m.particle_edge_indices),
-                 {.opposite = law_bars(kHingeOpposite),
-                  .end = law_bars(kHingeEnd),
-                  .material = m.particle_edge_material,
-                  .rest_length = m.particle_edge_rest_length,
-                  .h = h,
-                  .by_material = g.particle_edge_material,
-                  .by_rest_angle = g.particle_edge_rest_angle,
-                  .by_rest_length = g.particle_edge_rest_length});
-  if (any(g.particle_tet_material, g.particle_tet_activation, g.particle_tet_pose))
-    novaphy::run(kernels().tetrahedron_gradient, rows(m.particle_tet_indices),
-                 {.bars = law_bars(kTetrahedron),
-                  .pose = m.particle_tet_pose,
-                  .material = m.particle_tet_material,
-                  .h = h,
-                  .by_material = g.particle_tet_material,
-                  .by_activation = g.particle_tet_activation,
-                  .by_pose = g.particle_tet_pose});
-}
-
-void ReversePass::put_contacts(const StepInputs& in, const StepDerivatives& g) const {
-  const Model& m = step_.model();
-  const bool with_contacts = key_.with_contacts;
-  if (any(g.particle_radius))
-    novaphy::run(kernels().radius_gradient, m.particle_count(),
-                 {.contact_begin = with_contacts ? &step_.contact_begin() : nullptr,
-                  .contact_bars = with_contacts ? &contact_bars_ : nullptr,
-                  .by_radius = g.particle_radius});
-  if (!any(g.shape_margin, g.shape_material_ke, g.shape_material_kd, g.shape_material_mu)) return;
-  if (with_contacts) {
-    const auto contacts = static_cast<int64_t>(in.contacts->soft_contact_max());
-    novaphy::run(kernels().contact_shape, contacts,
-                 {.begin = step_.contact_begin(),
-                  .items = step_.contact_items(),
-                  .particles = m.particle_count(),
-                  .shape = in.contacts->soft_contact_shape,
-                  .shape_of_contact = shape_of_contact_});
-    novaphy::run(incidence(), m.shape_count(),
-                 {.table = shape_of_contact_,
-                  .slots = contacts,
-                  .offsets = shape_begin_,
-                  .items = of_shapes_});
-  }
-  novaphy::run(kernels().shape_gradient, m.shape_count(),
-               {.begin = with_contacts ? &shape_begin_ : nullptr,
-                .contacts = with_contacts ? &of_shapes_ : nullptr,
-                .contact_bars = with_contacts ? &contact_bars_ : nullptr,
-                .mu = m.shape_material_mu,
-                .model_mu = m.soft_contact_mu,
-                .h = step_.dt(),
-                .by_margin = g.shape_margin,
-                .by_ke = g.shape_material_ke,
-                .by_kd = g.shape_material_kd,
-                .by_mu = g.shape_material_mu});
 }
 
 }  // namespace novaphy::vbd

@@ -17,9 +17,9 @@ struct ResultBars {
   Derivative<Vec3f> q, qd;
 };
 
-class ReversePass {
+class StepAdjoint {
  public:
-  explicit ReversePass(Step& step) : step_(step) {}
+  explicit StepAdjoint(Step& step) : step_(step) {}
 
   // After a run that kept its iterates.
   void unrolled(const StepInputs& in, const ResultBars& bars, const StepDerivatives& to);
@@ -64,6 +64,7 @@ class ReversePass {
   void add_receive(size_t color, const Rows4* own, const Rows4& rows,
                    int64_t parts = kVbdReceiveAll);
   void add_starts();
+  // step_gradients.cpp
   void put(const StepInputs& in, const StepDerivatives& g) const;
   void put_state(const StepInputs& in, const StepDerivatives& g) const;
   void put_elements(const StepDerivatives& g) const;

@@ -1,0 +1,80 @@
+// The tables of a step of VBD.
+#include <algorithm>
+#include <tuple>
+
+#include "novaphy/core/assert.h"
+#include "step.h"
+
+namespace novaphy::vbd {
+namespace {
+
+// Colours of at least so many large teams fill a device.
+constexpr int64_t kManyTeams = 256;
+
+}  // namespace
+
+void Step::build_tables(float dt) {
+  const Model& m = host_model();
+  forget_lists();
+  // Activations are those of the step.
+  const std::vector<float> tri(m.particle_tri_activation.rows()),
+      tet(m.particle_tet_activation.rows());
+  slots_.set_constants(m, {tri.data(), tet.data(), dt});
+  Sweep host;
+  slots_.fill(host);
+  const auto lanes = static_cast<size_t>(slots_.lanes());
+  const auto groups = static_cast<size_t>(colors().back());
+  NOVAPHY_ASSERT(std::is_sorted(colors().begin(), colors().end()));
+  Tables& t = tables_.emplace();
+  t.dt = dt;
+  t.particle = upload<int32_t>(host.particle, groups * lanes, device());
+  t.filled = upload<int32_t>(host.filled, groups, device());
+  t.mass_by_h2 = upload<float>(host.mass_by_h2, groups * lanes, device());
+  for (int role = 0; role < kRoles; ++role) {
+    const ColorSlots::Table& table = slots_.table(static_cast<Role>(role));
+    if (table.sources.empty()) continue;
+    t.begin[role] = upload<uint64_t>(table.begin, device());
+    t.ints[role] = upload<int32_t>(table.ints, device());
+    t.floats[role] = upload<float>(table.floats, device());
+    if (table.damped) t.damped |= int64_t{1} << role;
+  }
+  find_team();
+  for (const auto& [role, number, activated] :
+       {std::tuple(kTriangle, size_t{6}, &t.triangle),
+        std::tuple(kTetrahedron, size_t{11}, &t.tetrahedron)}) {
+    const ColorSlots::Table& table = slots_.table(role);
+    std::vector<int32_t> element;
+    std::vector<float> alpha;
+    for (size_t k = 0; k < table.sources.size(); ++k) {
+      element.push_back(table.sources[k].element);
+      alpha.push_back(
+          table.floats[(k / lanes * static_cast<size_t>(kFloats[role]) + number) * lanes +
+                       k % lanes]);
+    }
+    activated->element = upload<int32_t>(element, device());
+    activated->alpha = upload<float>(alpha, device());
+  }
+}
+
+// The largest team for which there is room and work enough.
+void Step::find_team() {
+  if (on_cpu_) return;
+  int64_t most_groups = 0;
+  for (size_t c = 0; c + 1 < colors().size(); ++c)
+    most_groups = std::max(most_groups, colors()[c + 1] - colors()[c]);
+  const auto terms = [&](int64_t team) {
+    int64_t sum = 0;
+    for (int role = 0; role < kRoles; ++role) {
+      const std::vector<int64_t>& begin = slots_.table(static_cast<Role>(role)).begin;
+      int64_t most = 0;
+      for (size_t g = 0; g + 1 < begin.size(); ++g) most = std::max(most, begin[g + 1] - begin[g]);
+      sum += (most * team * kVbdLanes + 31) / 32 * 32;
+    }
+    return sum;
+  };
+  if (terms(1) <= kVbdTeamTerms) tables_->team = 1;
+  if (terms(kVbdLargeTeam) <= kVbdTeamTerms && most_groups >= kManyTeams * kVbdLargeTeam)
+    tables_->team = kVbdLargeTeam;
+}
+
+}  // namespace novaphy::vbd

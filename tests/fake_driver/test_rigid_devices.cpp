@@ -619,7 +619,7 @@ TEST_F(RigidDevices, FourRowsOfAPairAreThoseOfTheCpu) {
     EXPECT_TRUE(actual[k].second == expected[k].second) << actual[k].first;
 }
 
-// Of the rows of a box on a plane and of a ball on the box.
+// Four rows of a box on a plane, one of a ball on the box, and one of the ball above the plane.
 TEST_F(RigidDevices, LabelsOfTheGradientsOfRowsAreThoseOfTheCpu) {
   ModelBuilder builder;
   builder.add_ground_plane({.cfg = kSurface});
@@ -636,8 +636,8 @@ TEST_F(RigidDevices, LabelsOfTheGradientsOfRowsAreThoseOfTheCpu) {
     return exact_contact_gradients(*model, state, contacts);
   };
   const std::vector<bool> expected = labels(Device::cpu());
-  EXPECT_EQ(expected.size(), 5u);
-  EXPECT_EQ(std::count(expected.begin(), expected.end(), true), 5);
+  EXPECT_EQ(expected.size(), 6u);
+  EXPECT_EQ(std::count(expected.begin(), expected.end(), true), 6);
   EXPECT_EQ(labels(Device::cuda()), expected);
 }
 

@@ -1,13 +1,16 @@
 #include "assimp_scene.h"
 
 #include <assimp/BaseImporter.h>
+#include <assimp/material.h>
 #include <assimp/postprocess.h>
 #include <assimp/scene.h>
 
 #include <assimp/Importer.hpp>
+#include <cmath>
 #include <utility>
 
 #include "novaphy/core/error.h"
+#include "novaphy/math/functions.h"
 
 namespace novaphy::detail {
 namespace {
@@ -48,7 +51,24 @@ void check_faces(const std::string& where, const aiScene& scene) {
 
 Vec3f to_vec3(const aiVector3D& v) { return {v.x, v.y, v.z}; }
 
-void append_mesh(const aiMesh& mesh, const aiMatrix4x4& to_world, std::vector<Triangle>& out) {
+// None where an image has it, and of what assimp makes up for a mesh without a material.
+std::optional<Vec3f> color_of(const aiMaterial& material, const Colors* colors) {
+  aiString name;
+  const bool has_name = material.Get(AI_MATKEY_NAME, name) == AI_SUCCESS;
+  if (has_name && std::string_view(name.C_Str()) == AI_DEFAULT_MATERIAL_NAME) return std::nullopt;
+  if (colors != nullptr) {
+    const auto known = colors->find(name.C_Str());
+    return known == colors->end() ? std::nullopt : std::optional(known->second);
+  }
+  aiColor3D color;
+  if (material.GetTextureCount(aiTextureType_DIFFUSE) > 0 ||
+      material.Get(AI_MATKEY_COLOR_DIFFUSE, color) != AI_SUCCESS)
+    return std::nullopt;
+  return Vec3f{color.r, color.g, color.b};
+}
+
+void append_mesh(const aiMesh& mesh, const aiMatrix4x4& to_world, const std::optional<Vec3f>& color,
+                 Soup& out) {
   const bool mirrored = to_world.Determinant() < 0;
   for (unsigned f = 0; f < mesh.mNumFaces; ++f) {
     const aiFace& face = mesh.mFaces[f];
@@ -57,23 +77,33 @@ void append_mesh(const aiMesh& mesh, const aiMatrix4x4& to_world, std::vector<Tr
     for (size_t corner = 0; corner < 3; ++corner)
       triangle[corner] = to_vec3(to_world * mesh.mVertices[face.mIndices[corner]]);
     if (mirrored) std::swap(triangle[1], triangle[2]);
-    out.push_back(triangle);
+    out.add(triangle, color);
   }
 }
 
 void append_node(const aiScene& scene, const aiNode& node, const aiMatrix4x4& parent,
-                 std::vector<Triangle>& out) {
+                 const std::vector<std::optional<Vec3f>>& colors, Soup& out) {
   const aiMatrix4x4 to_world = parent * node.mTransformation;
-  for (unsigned m = 0; m < node.mNumMeshes; ++m)
-    append_mesh(*scene.mMeshes[node.mMeshes[m]], to_world, out);
+  for (unsigned m = 0; m < node.mNumMeshes; ++m) {
+    const aiMesh& mesh = *scene.mMeshes[node.mMeshes[m]];
+    const bool has_color = mesh.mMaterialIndex < colors.size();
+    append_mesh(mesh, to_world, has_color ? colors[mesh.mMaterialIndex] : std::nullopt, out);
+  }
   for (unsigned c = 0; c < node.mNumChildren; ++c)
-    append_node(scene, *node.mChildren[c], to_world, out);
+    append_node(scene, *node.mChildren[c], to_world, colors, out);
 }
 
 }  // namespace
 
-std::vector<Triangle> read_triangles(const std::string& where, std::string_view bytes,
-                                     std::string_view extension) {
+void Soup::add(const Triangle& triangle, const std::optional<Vec3f>& color) {
+  triangles.push_back(triangle);
+  if (!color) return;
+  const Vec3f n = math::cross(triangle[1] - triangle[0], triangle[2] - triangle[0]);
+  areas[{color->x, color->y, color->z}] += std::sqrt(double{math::dot(n, n)});
+}
+
+Soup read_triangles(const std::string& where, std::string_view bytes, std::string_view extension,
+                    const Colors* colors) {
   Assimp::Importer importer;
   keep_one_importer(importer, extension);
   const std::string hint(extension.substr(1));
@@ -89,9 +119,13 @@ std::vector<Triangle> read_triangles(const std::string& where, std::string_view 
   // assimp turns COLLADA to y up; NovaPhy has z up.
   aiMatrix4x4 to_z_up;
   if (extension == ".dae") to_z_up = aiMatrix4x4(1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1);
-  std::vector<Triangle> triangles;
-  append_node(*scene, *scene->mRootNode, to_z_up, triangles);
-  return triangles;
+  std::vector<std::optional<Vec3f>> of_materials;
+  if (extension == ".dae" || extension == ".obj")
+    for (unsigned m = 0; m < scene->mNumMaterials; ++m)
+      of_materials.push_back(color_of(*scene->mMaterials[m], colors));
+  Soup soup;
+  append_node(*scene, *scene->mRootNode, to_z_up, of_materials, soup);
+  return soup;
 }
 
 }  // namespace novaphy::detail

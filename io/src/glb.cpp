@@ -122,14 +122,14 @@ class GlbReader {
     }
   }
 
-  std::vector<Triangle> read() {
+  Soup read() {
     const auto scene = static_cast<size_t>(number(json_, "scene", 0.0));
     const Json* const root = entry("scenes", scene);
     Matrix identity{};
     for (size_t k = 0; k < 4; ++k) identity[5 * k] = 1.0;
     if (const Json* nodes = member(*root, "nodes"))
       for (const Json& node : list(*nodes)) add_node(index(node), identity, 0);
-    return std::move(triangles_);
+    return std::move(soup_);
   }
 
  private:
@@ -215,6 +215,19 @@ class GlbReader {
       for (const Json& child : list(*children)) add_node(index(child), pose, depth + 1);
   }
 
+  // None where an image has it. The file has it linear, viewers show sRGB.
+  std::optional<Vec3f> color_of(const Json& primitive) const {
+    const Json* const number = member(primitive, "material");
+    if (number == nullptr) return std::nullopt;
+    const Json* const look = member(*entry("materials", index(*number)), "pbrMetallicRoughness");
+    std::array<double, 4> c{};
+    if (look == nullptr || member(*look, "baseColorTexture") != nullptr ||
+        !numbers(*look, "baseColorFactor", c))
+      return std::nullopt;
+    for (double& x : c) x = x <= 0.0031308 ? 12.92 * x : 1.055 * std::pow(x, 1.0 / 2.4) - 0.055;
+    return Vec3f{static_cast<float>(c[0]), static_cast<float>(c[1]), static_cast<float>(c[2])};
+  }
+
   struct Rows {
     const char* first;
     size_t count, stride;
@@ -275,20 +288,21 @@ class GlbReader {
       std::memcpy(&at, corners.first + k * corners.stride, bytes);
       return point(at);
     };
+    const std::optional<Vec3f> color = color_of(primitive);
     for (size_t k = 0; k < count; k += 3)
-      triangles_.push_back({corner(k), corner(k + 1), corner(k + 2)});
+      soup_.add({corner(k), corner(k + 1), corner(k + 2)}, color);
   }
 
   const std::string& where_;
   Json json_ = {std::map<std::string, Json>{}};
   std::string_view data_;
-  std::vector<Triangle> triangles_;
+  Soup soup_;
   int nodes_ = 0;
 };
 
 }  // namespace
 
-std::vector<Triangle> read_glb(const std::string& where, std::string_view bytes) {
+Soup read_glb(const std::string& where, std::string_view bytes) {
   return GlbReader(where, bytes).read();
 }
 

@@ -9,6 +9,6 @@ namespace novaphy::detail {
 // meters with y up by its definition. `where` begins every message. ErrorKind::Value: a file that
 // is cut or contradicts itself; ErrorKind::NotImplemented: data outside of the file, compressed or
 // sparse data, primitives other than triangles.
-std::vector<Triangle> read_glb(const std::string& where, std::string_view bytes);
+Soup read_glb(const std::string& where, std::string_view bytes);
 
 }  // namespace novaphy::detail

@@ -11,6 +11,7 @@
 #include "glb.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/io/file.h"
+#include "obj_colors.h"
 #include "whole_file.h"
 
 namespace novaphy {
@@ -77,10 +78,16 @@ Mesh load_mesh(const std::filesystem::path& path, const MeshOptions& options) {
   const std::string where = std::string(name) + ": " + path.string();
   std::string bytes = read_file(name, path);
   detail::check_whole(where, extension, bytes);
-  if (extension == ".obj") bytes = detail::obj_for_assimp(where, bytes);
-  std::vector<Triangle> triangles = extension == ".glb"
-                                        ? detail::read_glb(where, bytes)
-                                        : detail::read_triangles(where, bytes, extension);
+  detail::Colors colors;
+  const bool is_obj = extension == ".obj";
+  if (is_obj) {
+    colors = detail::obj_colors(path.parent_path(), bytes);
+    bytes = detail::obj_for_assimp(where, bytes);
+  }
+  detail::Soup soup = extension == ".glb" ? detail::read_glb(where, bytes)
+                                          : detail::read_triangles(where, bytes, extension,
+                                                                   is_obj ? &colors : nullptr);
+  std::vector<Triangle>& triangles = soup.triangles;
   require(!triangles.empty(), ErrorKind::Value, where,
           ": expected at least one triangle, got an empty mesh");
   require(triangles.size() <= std::numeric_limits<int32_t>::max() / 3, ErrorKind::Value, where,
@@ -90,6 +97,9 @@ Mesh load_mesh(const std::filesystem::path& path, const MeshOptions& options) {
   check_degenerate(where, triangles, options.drop_degenerate);
 
   Mesh mesh;
+  const auto most = std::max_element(soup.areas.begin(), soup.areas.end(),
+                                     [](auto& a, auto& b) { return a.second < b.second; });
+  if (most != soup.areas.end()) mesh.color = {most->first[0], most->first[1], most->first[2]};
   mesh.indices.reserve(3 * triangles.size());
   std::unordered_map<Vec3f, int32_t, HashBits> rows;
   for (const Triangle& triangle : triangles)

@@ -26,6 +26,13 @@ Vec3f shown(const Vec4f& color) {
   return {in_range(color.x), in_range(color.y), in_range(color.z)};
 }
 
+// That of the file of the robot, else that of the mesh.
+std::optional<Vec4f> color_of(const RobotShape& shape) {
+  if (shape.color || shape.surface == nullptr || !shape.surface->color) return shape.color;
+  const Vec3f& c = *shape.surface->color;
+  return Vec4f{c.x, c.y, c.z, 1.0f};
+}
+
 using Children = std::vector<std::vector<int32_t>>;  // per link, and last of the world: joints
 
 Children children_of(const Robot& robot) {
@@ -185,7 +192,8 @@ class Emitter {
     for (const RobotShape& shape : shapes) {
       const Posed pose = link < 0 ? math::multiply(options_.xform, shape.pose) : shape.pose;
       ShapeConfig cfg = shape.cfg;
-      if (shape.color) cfg.color = shown(*shape.color);
+      const auto color = color_of(shape);
+      if (color) cfg.color = shown(*color);
       const bool is_paired = in_pairs_.contains(shape.label);
       if (is_paired) cfg.has_shape_collision = true;
       const int32_t index = at(options_.function, shape.where, [&] {
@@ -216,7 +224,7 @@ class Emitter {
                                               .label = shape.label});
       });
       result_.shapes.push_back(index);
-      if (shape.color) result_.shape_colors[index] = *shape.color;
+      if (color) result_.shape_colors[index] = *color;
       shapes_of_[row_of(shape.link)].emplace_back(index, &shape);
       if (is_paired) named_shapes_[shape.label] = index;
     }
@@ -233,7 +241,7 @@ class Emitter {
                                                          .cfg = cfg,
                                                          .label = shape.label + "/mesh"});
     result_.shapes.push_back(index);
-    if (shape.color) result_.shape_colors[index] = *shape.color;
+    if (const auto color = color_of(shape)) result_.shape_colors[index] = *color;
   }
 
   void add_joints() {

@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <vector>
 
 #include "novaphy/io/export.h"
@@ -14,8 +15,9 @@
 namespace novaphy {
 
 struct Mesh {
-  std::vector<Vec3f> vertices;   // see load_mesh for unit and axes
-  std::vector<int32_t> indices;  // 3 per triangle, into vertices, counter-clockwise from outside
+  std::vector<Vec3f> vertices;      // see load_mesh for unit and axes
+  std::vector<int32_t> indices;     // 3 per triangle, into vertices, counter-clockwise from outside
+  std::optional<Vec3f> color = {};  // of the material of most of the surface; none of an image
 };
 
 struct MeshOptions {
@@ -36,6 +38,7 @@ struct MeshOptions {
 // * Unit and axes: .dae says both, and comes in metres with z up. The others say nothing, and their
 //   numbers stay as they are; `scale` and `rot` of add_cloth_mesh do the rest.
 // * Vertices come in the order in which the triangles use them first.
+// * The materials of an .obj are in a file beside it; without one the mesh has no color.
 // * Numbers in text are rounded as assimp does, which may be the last bit of a float32 off.
 //
 // ErrorKind::Value, naming the path: another ending; a file that is missing or cannot be read; one

@@ -16,9 +16,10 @@ _COORDS = ("joint_q", "joint_target_q")
 class Selection:
     """What Model.select found, over the worlds of a model.
 
-    joints, bodies, actuators, coords and dofs are indices, ascending. get copies their rows of a
-    field, set writes the rows; no other row changes. With several worlds that have as many rows,
-    values are {worlds, rows, ...}, otherwise {rows, ...}.
+    joints, bodies, actuators, coords and dofs are indices, ascending. view gives their rows of a
+    field to read and write, get copies the rows once, set writes them once; no other row changes.
+    With several worlds that have as many rows, values are {worlds, rows, ...}, otherwise
+    {rows, ...}.
     """
 
     joints: NDArray[np.int32]
@@ -46,23 +47,22 @@ class Selection:
         """Rows of a field of a Model, SimState or Control: joint_q, body_qd, ctrl, ..."""
         return getattr(self, self._kind(field))  # type: ignore[no-any-return]
 
+    def view(self, owner: Any, field: str) -> RowsView:
+        """The rows of a field, which are read and written in place."""
+        kind = self._kind(field)
+        rows = getattr(self, kind)
+        counts = np.unique(self._worlds[kind], return_counts=True)[1]
+        if len(counts) > 1 and (counts == counts[0]).all():
+            rows = rows.reshape(len(counts), counts[0])
+        return RowsView(getattr(owner, field), rows)
+
     def get(self, owner: Any, field: str) -> NDArray[Any]:
         """The rows of a field, a copy."""
-        kind = self._kind(field)
-        values = getattr(owner, field).numpy()[getattr(self, kind)]
-        counts = np.unique(self._worlds[kind], return_counts=True)[1]
-        if len(counts) < 2 or (counts != counts[0]).any():
-            return values  # type: ignore[no-any-return]
-        return values.reshape(len(counts), counts[0], *values.shape[1:])  # type: ignore[no-any-return]
+        return self.view(owner, field)[...]
 
     def set(self, owner: Any, field: str, values: ArrayLike) -> None:
         """Writes the rows of a field; values broadcast to the shape that get has."""
-        shape = self.get(owner, field).shape
-        array = getattr(owner, field)
-        every = array.numpy()
-        rows = self.rows(field)
-        every[rows] = np.broadcast_to(values, shape).reshape(len(rows), *every.shape[1:])
-        array.assign(every)
+        self.view(owner, field)[...] = values
 
     @staticmethod
     def _kind(field: str) -> str:
@@ -76,6 +76,57 @@ class Selection:
         raise ValueError(
             f"Selection: field: expected one of joints, bodies or actuators, got {field!r}"
         )
+
+
+class RowsView:
+    """Rows of an array: view[key] reads the current values, view[key] = values writes them.
+
+    A key is one of NumPy's for values of this shape; np.asarray(view) copies all. On the CPU only
+    the values of the key are copied. As after array.numpy(copy=False, writable=True), tapes compare
+    the contents of an array that is written so.
+    """
+
+    def __init__(self, array: _core.DeviceArray, rows: NDArray[np.int32]) -> None:
+        self._array = array
+        shape = array.shape[1:]
+        width = int(np.prod(shape))
+        places = rows[..., None] * np.int64(width) + np.arange(width)
+        self._places = places.reshape(*rows.shape, *shape)  # in the flat array
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """As NumPy's."""
+        return self._places.shape
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __repr__(self) -> str:
+        return f"RowsView({self[...]!r})"
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        if copy is False:
+            raise ValueError("RowsView: copy: the rows are no array of their own, got copy=False")
+        return self[...] if dtype is None else self[...].astype(dtype)
+
+    def __getitem__(self, key: Any) -> Any:
+        memory = self._array.numpy(copy=not self._array.device.is_cpu)
+        return memory.reshape(-1)[self._places[key]]
+
+    def __setitem__(self, key: Any, values: ArrayLike) -> None:
+        places = self._places[key]
+        given = np.asarray(values)
+        try:
+            given = np.broadcast_to(given, places.shape)
+        except ValueError:
+            raise ValueError(
+                f"RowsView: values: expected the shape {places.shape}, got {given.shape}"
+            ) from None
+        on_cpu = self._array.device.is_cpu
+        memory = self._array.numpy(copy=not on_cpu, writable=True)
+        memory.reshape(-1)[places] = given
+        if not on_cpu:
+            self._array.assign(memory)
 
 
 class _Names:

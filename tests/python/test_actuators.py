@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import novaphy
 from novaphy import ActuatorDynamics
@@ -337,3 +337,37 @@ def test_names_select_joints_bodies_and_actuators_over_worlds():
             model.select(**arguments)
     with pytest.raises(ValueError, match="field: expected one of joints, .* got 'shape_type'"):
         knees.get(model, "shape_type")
+
+
+def test_a_view_of_selected_rows_reads_and_writes_in_place():
+    one = novaphy.ModelBuilder(gravity=0.0)
+    links = [one.add_link(mass=1.0, inertia=np.eye(3), label=name) for name in "abc"]
+    joints = [one.add_joint_revolute(-1, link, label=f"knee_{link}") for link in links]
+    for joint in joints:
+        one.add_articulation([joint], label="leg")
+        one.add_actuator(joint, label=f"push_{joint}")
+    every = novaphy.ModelBuilder(gravity=0.0)
+    every.replicate(one, 3)
+    model = every.finalize()
+    state, control = model.state(), model.control()
+    legs, push = model.select("*/knee_[02]"), model.select("push_[02]")
+    q, force, poses = (legs.view(state, "joint_q"), push.view(control, "ctrl"),
+                       model.select("[ac]").view(state, "body_q"))  # fmt: skip
+    assert q.shape == force.shape == (3, 2) and poses.shape == (3, 2, 7) and len(q) == 3
+    state.joint_q.assign(np.arange(9.0))  # after the view was made
+    assert_array_equal(np.asarray(q), [[0, 2], [3, 5], [6, 8]])
+    q[1] = -1.0
+    q[:, 1] += 10.0
+    assert state.joint_q.numpy().tolist() == [0, 1, 12, -1, 4, 9, 6, 7, 18]
+    force[2, 0] = 5.0
+    force[q[...] > 15.0] = 7.0
+    assert control.ctrl.numpy().tolist() == [0, 0, 0, 0, 0, 0, 5, 0, 7]
+    poses[..., 2] = [[1.0], [2.0], [3.0]]
+    assert state.body_q.numpy()[:, 2].tolist() == [1, 0, 1, 2, 0, 2, 3, 0, 3]
+    with pytest.raises(ValueError, match=r"values: expected the shape \(3, 2\), got \(3,\)"):
+        q[...] = [1.0, 2.0, 3.0]
+    with pytest.raises(ValueError, match="copy=False"):
+        np.array(q, copy=False)
+    alone = model.select("knee_0", world=0).view(state, "joint_qd")
+    alone[...] = 3.0
+    assert state.joint_qd.numpy().tolist() == [3.0] + 8 * [0.0]

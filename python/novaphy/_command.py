@@ -222,7 +222,7 @@ def replay(args: argparse.Namespace) -> int:
 
 
 def view(args: argparse.Namespace) -> int:
-    """Show a mesh, or a robot with a slider for every joint."""
+    """Show a mesh, or a robot with a slider for every joint and control."""
     from ._view import show_mesh, show_robot
 
     ending = Path(args.file).suffix.lower()
@@ -273,6 +273,9 @@ def make_parser() -> argparse.ArgumentParser:
         if name == "view":
             text = "where package://NAME/FILE of a robot may be; may be given several times"
             part.add_argument("--packages", metavar="FOLDER", action="append", help=text)
+            text = "also show of a robot: joints, inertia, energy"
+            kinds = ("joints", "inertia", "energy")
+            part.add_argument("--show", nargs="+", choices=kinds, default=[], help=text)
         add_arguments(part, 1, "passes")
     add("completion", completion)
     return parser

@@ -1,21 +1,128 @@
-"""What `novaphy view` shows: a mesh, or a robot whose joints are moved by sliders."""
+"""What `novaphy view` shows: a mesh, or a robot whose joints and controls sliders move."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
+import sys
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from . import _core, io
 from .viewer import Stage
+from .viewer._base import Slider
 from .viewer._model_scene import SURFACE_COLOR, boundary_triangles
+from .viewer._scene import f32
 
 FPS = 60.0
+STEPS = 8  # of the solver in a frame
+OVERLAP = 0.01  # of the radius of the smaller shape: less is no overlap
 UNLIMITED = 1e6  # rad or m: a limit beyond is none
 REACH = {"rad": math.pi, "m": 1.0}  # of the slider of a joint without limits
+
+
+class Puppet:
+    """A robot that sliders of joints pose, and that moves by itself once a control is moved.
+
+    A joint that is moved ends the motion.
+    """
+
+    def __init__(self, model: _core.Model, add_slider: Callable[..., Slider]) -> None:
+        """Make a slider of every joint, then of every control (see Viewer.add_slider)."""
+        self.model, self.control = model, model.control()
+        self.state, self._after = model.state(), model.state()
+        self._q, ctrl = model.joint_q.numpy(), model.ctrl.numpy()
+        model.shape_gap.fill_(0.0)  # contacts of what touches alone
+        self._pipeline = _core.CollisionPipeline(model)
+        self.contacts = self._pipeline.contacts()
+        self._solver: _core.solvers.SolverFeatherstone | None = None
+
+        def slider(name: str, low: float, high: float, value: float) -> Slider:
+            return add_slider(name, low, high, min(max(float(value), low), high))
+
+        self.joints = {
+            row: slider(name, low, high, self._q[row])
+            for row, name, low, high in joint_ranges(model)
+        }
+        self.controls = [
+            slider(name, low, high, value)
+            for value, (name, low, high) in zip(ctrl, control_ranges(model), strict=True)
+        ]
+        self._start = [each.value for each in self._sliders()]
+        self._seen: list[float] = []
+        self.moves = False
+
+    def _sliders(self) -> list[Slider]:
+        return [*self.joints.values(), *self.controls]
+
+    def reset(self) -> None:
+        """Pose the robot as in its file."""
+        for slider, value in zip(self._sliders(), self._start, strict=True):
+            slider.set(value)
+        self._seen = []
+
+    def turn(self) -> None:
+        """Do what the sliders say: pose the robot, or let 1 / FPS seconds pass."""
+        before, self._seen = self._seen, [each.value for each in self._sliders()]
+        count = len(self.joints)
+        if self.controls:
+            self.control.ctrl.assign(f32(self._seen[count:]))
+        if not before or before[:count] != self._seen[:count]:
+            self.moves = False
+            self._pose()
+        elif before != self._seen:
+            self.moves = True
+        if self.moves:
+            self._move()
+
+    def _pose(self) -> None:
+        model, state = self.model, self.state
+        if len(self._q):
+            for row, slider in self.joints.items():
+                self._q[row] = slider.value
+            state.joint_q.assign(self._q)
+            state.joint_qd.zero_()
+            _core.eval_fk(model, state.joint_q, state.joint_qd, state)
+        state.act.assign(model.act)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # overlaps are told by their names
+            self._pipeline.collide(state, self.contacts)
+
+    def _move(self) -> None:
+        try:
+            if self._solver is None:
+                self._solver = _core.solvers.SolverFeatherstone(self.model)
+            for _ in range(STEPS):
+                self.state.clear_forces()
+                self._pipeline.collide(self.state, self.contacts)
+                step = 1.0 / (FPS * STEPS)
+                self._solver.step(self.state, self._after, self.control, self.contacts, step)
+                self.state, self._after = self._after, self.state
+        except (NotImplementedError, _core.Error) as error:
+            print(f"it cannot move: {error}", file=sys.stderr)
+            self.moves = False
+
+    def overlaps(self) -> list[tuple[str, str, float]]:
+        """Pairs of shapes that overlap, as "shape of body", and their depth (m), deepest first."""
+        names, radius = shape_names(self.model), self.model.shape_collision_radius.numpy()
+        deepest: dict[tuple[int, int], float] = {}
+        for row in self.contacts.rigid_contacts(self.model, self.state):
+            pair = int(row["shape0"]), int(row["shape1"])
+            depth = float(row["penetration"])
+            if depth > OVERLAP * min(radius[list(pair)]):
+                deepest[pair] = max(depth, deepest.get(pair, 0.0))
+        ordered = sorted(deepest.items(), key=lambda each: -each[1])
+        return [(names[a], names[b], depth) for (a, b), depth in ordered]
+
+
+def shape_names(model: _core.Model) -> list[str]:
+    """The labels of every shape and its body."""
+    bodies = [*model.body_label, "the world"]  # -1 is the last one
+    labels = zip(model.shape_label, model.shape_body.numpy(), strict=True)
+    return [f'"{label}" of "{bodies[body]}"' for label, body in labels]
 
 
 def show_robot(args: argparse.Namespace) -> str:
@@ -25,23 +132,29 @@ def show_robot(args: argparse.Namespace) -> str:
     add = builder.add_urdf if is_urdf else builder.add_mjcf
     add(args.file, package_dirs=args.packages, unsupported="warn")
     model = builder.finalize()
-    state, q = model.state(), model.joint_q.numpy()
     with Stage(args, model, fps=FPS) as stage:
-        joints = {
-            row: stage.add_slider(name, low, high, min(max(float(q[row]), low), high))
-            for row, name, low, high in joint_ranges(model)
-        }
-        start = {row: slider.value for row, slider in joints.items()}
+        for viewer in stage.viewers:
+            for what in args.show:
+                setattr(viewer, f"show_{what}", True)
+        puppet = Puppet(model, stage.add_slider)
         for turn in stage.turns():
-            for row, slider in joints.items():
-                if turn == 0:  # also after a reset
-                    slider.set(start[row])
-                q[row] = slider.value
-            if len(q):
-                state.joint_q.assign(q)
-                _core.eval_fk(model, state.joint_q, state.joint_qd, state)
-            stage.show(turn / FPS, state)
-    return f"{model.body_count} bodies, {model.shape_count} shapes, {len(joints)} joints to move"
+            if turn == 0:  # also after a reset
+                puppet.reset()
+            puppet.turn()
+            if turn == 0:
+                for first, second, depth in puppet.overlaps():
+                    print(f"overlap: {first} and {second} by {depth:.3g} m")
+            stage.show(turn / FPS, puppet.state, puppet.contacts)
+    counts = f"{model.body_count} bodies, {model.shape_count} shapes"
+    return f"{counts}, {len(puppet.joints)} joints to move, {len(puppet.controls)} controls"
+
+
+def control_ranges(model: _core.Model) -> Iterator[tuple[str, float, float]]:
+    """Name and range of every control."""
+    labels, ranges = model.actuator_label, model.actuator_ctrl_range.numpy()
+    for label, (low, high) in zip(labels, ranges.tolist(), strict=True):
+        is_limited = -UNLIMITED < low < high < UNLIMITED
+        yield f"{label} (control)", *((low, high) if is_limited else (-1.0, 1.0))
 
 
 def joint_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, float]]:

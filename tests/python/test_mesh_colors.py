@@ -27,7 +27,8 @@ DAE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="
 <asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset>
 <library_effects><effect id="e"><profile_COMMON><technique sid="t"><phong><diffuse>
 <color>0.25 0.5 0.75 1</color></diffuse></phong></technique></profile_COMMON></effect>
-</library_effects><library_materials><material id="m" name="m"><instance_effect url="#e"/></material>
+</library_effects><library_materials><material id="m" name="m">
+<instance_effect url="#e"/></material>
 </library_materials><library_geometries><geometry id="g"><mesh><source id="p">
 <float_array id="a" count="9">0 0 0 1 0 0 0 1 0</float_array><technique_common>
 <accessor source="#a" count="3" stride="3"><param name="X" type="float"/>

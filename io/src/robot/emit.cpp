@@ -26,13 +26,6 @@ Vec3f shown(const Vec4f& color) {
   return {in_range(color.x), in_range(color.y), in_range(color.z)};
 }
 
-// That of the file of the robot, else that of the mesh.
-std::optional<Vec4f> color_of(const RobotShape& shape) {
-  if (shape.color || shape.surface == nullptr || !shape.surface->color) return shape.color;
-  const Vec3f& c = *shape.surface->color;
-  return Vec4f{c.x, c.y, c.z, 1.0f};
-}
-
 using Children = std::vector<std::vector<int32_t>>;  // per link, and last of the world: joints
 
 Children children_of(const Robot& robot) {
@@ -192,8 +185,7 @@ class Emitter {
     for (const RobotShape& shape : shapes) {
       const Posed pose = link < 0 ? math::multiply(options_.xform, shape.pose) : shape.pose;
       ShapeConfig cfg = shape.cfg;
-      const auto color = color_of(shape);
-      if (color) cfg.color = shown(*color);
+      if (shape.color) cfg.color = shown(*shape.color);
       const bool is_paired = in_pairs_.contains(shape.label);
       if (is_paired) cfg.has_shape_collision = true;
       const int32_t index = at(options_.function, shape.where, [&] {
@@ -224,7 +216,7 @@ class Emitter {
                                               .label = shape.label});
       });
       result_.shapes.push_back(index);
-      if (color) result_.shape_colors[index] = *color;
+      if (shape.color) result_.shape_colors[index] = *shape.color;
       shapes_of_[row_of(shape.link)].emplace_back(index, &shape);
       if (is_paired) named_shapes_[shape.label] = index;
     }
@@ -241,7 +233,7 @@ class Emitter {
                                                          .cfg = cfg,
                                                          .label = shape.label + "/mesh"});
     result_.shapes.push_back(index);
-    if (const auto color = color_of(shape)) result_.shape_colors[index] = *color;
+    if (shape.color) result_.shape_colors[index] = *shape.color;
   }
 
   void add_joints() {

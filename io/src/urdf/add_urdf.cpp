@@ -198,6 +198,8 @@ class Reader {
       const std::filesystem::path path = resolve_file("add_urdf: " + to.where, mesh.filename,
                                                       file_.source().folder, options_.package_dirs);
       to.surface = surface(path, to.scale);
+      if (const auto& c = to.surface->color; c && !to.color)
+        to.color = Vec4f{c->x, c->y, c->z, 1.0f};
     } catch (const Error& error) {
       if (is_collider && options_.unsupported == Unsupported::Error) {
         if (std::string_view(error.what()).starts_with("add_urdf: ")) throw;

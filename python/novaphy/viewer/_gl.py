@@ -29,8 +29,9 @@ class ViewerGL(SceneViewer):
 
     The window: drag to turn, with the right button to move, wheel to zoom; control and drag pulls
     a body or particle (see apply_forces); space pauses, N steps, R resets, F follows, H hides the
-    text, J shows joints, C contacts, E the energy, P saves a picture, escape closes; tab chooses a
-    slider, the left and right arrow move it. With imgui-bundle a panel has switches and sliders.
+    text, J shows joints, I inertias, C contacts, E the energy, P saves a picture, escape closes;
+    tab chooses a slider, the left and right arrow move it. The text names the shape and the body
+    under the pointer. With imgui-bundle a panel has switches and sliders.
 
     Attributes:
         show_text: whether the box with time and scalars is drawn.
@@ -135,6 +136,8 @@ class ViewerGL(SceneViewer):
             lines = self.texts(self._paused)
             if self._window is not None and self._frame_ms is not None:
                 lines.insert(1, f"frame {self._frame_ms:7.1f} ms")
+            if self._window is not None and (name := self._window.name_under_pointer()):
+                lines.append(name)
             if self._window is None or self._window.panel is None:
                 lines += [
                     f"{'>' if k == self.slider else ' '} {slider.name} {slider.value:.6g}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from typing import TYPE_CHECKING, Any
 
 from ._drag import Drag
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from ._gl import ViewerGL
     from ._gl_renderer import Renderer
 
+NAME_RATE = 10.0  # looks per second for what is under the pointer
 SLIDER_STEPS = 100.0  # of an arrow key, from end to end
 
 
@@ -51,13 +53,17 @@ class Window:
         self.mouse = pyglet.window.mouse
         self.drag = Drag(viewer)
         self.followed: int | None = None
+        self._pointer: tuple[int, int] | None = None
+        self._name: str | None = None  # of what is under it
+        self._looked_at = 0.0
         self._held: set[int] = set()
         self._gl = pyglet.gl
         self._shown = False
         self._fence: Any = None  # passed once the picture that was started is drawn
         self.window.push_handlers(
             self.on_key_press, self.on_key_release, self.on_mouse_press, self.on_mouse_release,
-            self.on_mouse_drag, self.on_mouse_scroll, self.on_close,
+            self.on_mouse_drag, self.on_mouse_scroll, self.on_mouse_motion, self.on_mouse_leave,
+            self.on_close,
         )  # fmt: skip
         imgui = imgui_module()
         self.panel = None if imgui is None else Panel(viewer, self.window, self.context, imgui)
@@ -120,6 +126,25 @@ class Window:
         number = getattr(self.key, key.upper(), None) if isinstance(key, str) else key
         return number in self._held
 
+    def name_under_pointer(self) -> str | None:
+        """The shape and the body that the pointer is on."""
+        now = time.perf_counter()
+        if self._pointer is None:
+            self._name = None
+        elif now - self._looked_at > 1.0 / NAME_RATE:
+            camera = self.viewer.camera
+            ray = camera.ray(*self._pointer, *self.window.get_size())
+            self._name, self._looked_at = self.viewer.name_at(camera.pos, ray), now
+        return self._name
+
+    def on_mouse_motion(self, x: int, y: int, dx: int, dy: int) -> None:
+        """Remember where the pointer is."""
+        self._pointer = x, self.window.height - y
+
+    def on_mouse_leave(self, x: int, y: int) -> None:
+        """Forget where the pointer is."""
+        self._pointer = None
+
     def on_close(self) -> bool:
         """End the viewer; the context stays until close()."""
         self.viewer._running = False
@@ -140,6 +165,8 @@ class Window:
             viewer.show_text = not viewer.show_text
         elif symbol == key.J:
             viewer.show_joints = not viewer.show_joints
+        elif symbol == key.I:
+            viewer.show_inertia = not viewer.show_inertia
         elif symbol == key.C:
             viewer.show_contacts = not viewer.show_contacts
         elif symbol == key.E:

@@ -11,6 +11,8 @@ import numpy as np
 
 from .._core import Contacts, GeoType, JointType, Model, ParticleFlags, ShapeFlags, SimState
 from ._base import Viewer
+from ._inertia import inertia_edges
+from ._pick import first_hit
 from ._primitives import add_primitive
 from ._scene import CHECKER, IDENTITY, Instances, Scene, compose, f32, rotate
 
@@ -61,6 +63,7 @@ STATIC_COLOR, GROUND_COLOR = (0.70, 0.72, 0.75), (0.83, 0.84, 0.85)
 PARTICLE_COLOR, SURFACE_COLOR = (0.86, 0.33, 0.18), (0.27, 0.53, 0.78)
 SPRING_COLOR, CONTACT_COLOR = (0.45, 0.48, 0.52), (0.80, 0.10, 0.30)
 JOINT_COLOR, JOINT_SIZE, JOINT_WIDTH = (0.95, 0.75, 0.10), 0.12, 0.012  # m
+INERTIA_COLOR, INERTIA_WIDTH = (0.55, 0.15, 0.60), 0.003  # m
 INFINITE = 400.0  # m: how far an infinite plane is drawn
 CONTACT_POINT, CONTACT_WIDTH = 0.012, 0.006  # m: the radius of its point, and its arrow
 NORMAL_LENGTH = 0.1  # m: of a contact without a force
@@ -131,7 +134,7 @@ class ModelScene:
         self.scene = scene
         self.arrays = arrays
         self.offsets = np.zeros(3, np.float32)
-        self.show_joints = False
+        self.show_joints = self.show_inertia = False
         self._bodies: list[tuple[Instances, np.ndarray]] = []  # and the body of each first row
         self._rows: list[tuple[Instances, np.ndarray, np.ndarray]] = []  # its shapes, and colours
         self._add_shapes()
@@ -198,29 +201,11 @@ class ModelScene:
         for item, rows, own in self._rows:
             item.colors.set(np.where(np.isnan(given[rows]), own, given[rows]))
 
-    def body_at(self, origin: np.ndarray, ray: np.ndarray) -> int | None:
-        """The body whose boxes around shapes a ray meets first."""
-        nearest, found = np.inf, None
-        for item, bodies in self._bodies:
-            n = len(bodies)
-            if not n:
-                continue
-            lower, upper = self.scene.meshes[item.mesh].box()
-            scales = item.scales.values[:n]
-            shift = np.zeros((n, 3), np.float32)
-            shift[:, 2] = scales[:, 3]
-            lower, upper = lower * scales[:, :3] - shift, upper * scales[:, :3] + shift
-            world = item.world()[:n]
-            inverse = world[:, 3:] * f32([-1, -1, -1, 1])
-            start = rotate(inverse, f32(origin) - world[:, :3])
-            along = rotate(inverse, np.broadcast_to(f32(ray), (n, 3)))
-            along = np.where(np.abs(along) < 1e-12, 1e-12, along)
-            a, b = (lower - start) / along, (upper - start) / along
-            first = np.minimum(a, b).max(axis=1)
-            first[(first > np.maximum(a, b).min(axis=1)) | (first < 0.0)] = np.inf
-            if first.min() < nearest:
-                nearest, found = first.min(), int(bodies[first.argmin()])
-        return found
+    def shape_at(self, origin: np.ndarray, ray: np.ndarray) -> int | None:
+        """The shape of a body that a ray meets first; None when it meets none."""
+        items = [(item, len(bodies)) for item, bodies in self._bodies]
+        found = first_hit(self.scene, items, origin, ray)
+        return None if found is None else int(self._rows[found[0]][1][found[1]])
 
     def owner(self, name: str, row: int, point: np.ndarray) -> tuple[str, int] | None:
         """The body or particle that a row of instances shows, and of a surface the particle
@@ -272,6 +257,7 @@ class ModelScene:
                     item.poses.touch()
             if "joint_type" in self.arrays:
                 self._update_joints(body_q)
+            self._update_inertia(body_q)
         if "particle_q" in state:
             self._update_particles(state["particle_q"])
 
@@ -298,6 +284,19 @@ class ModelScene:
         colors = np.tile(f32(JOINT_COLOR), (len(at), 1))
         ends = f32(at + half)
         self.scene.put_lines(name, f32(at - half), ends, colors, JOINT_WIDTH)
+
+    def _update_inertia(self, body_q: np.ndarray) -> None:
+        """Show the box of equal mass and inertia around the center of mass of every body."""
+        name = "model/inertia"
+        if not self.show_inertia:
+            self.scene.remove(name)
+            return
+        if self.offsets.any():
+            body_q = body_q.copy()
+            body_q[:, :3] += self._shift("body_world", slice(None))
+        starts, ends = inertia_edges(self.arrays, body_q)
+        colors = np.tile(f32(INERTIA_COLOR), (len(starts), 1))
+        self.scene.put_lines(name, starts, ends, colors, INERTIA_WIDTH)
 
     def _update_particles(self, q: np.ndarray) -> None:
         if self.offsets.any():

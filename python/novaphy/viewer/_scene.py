@@ -69,6 +69,16 @@ def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return out
 
 
+def turns_of_z(axis: np.ndarray) -> np.ndarray:
+    """Quaternions {n, 4} that turn z into unit vectors {n, 3}."""
+    q = np.concatenate([-axis[:, 1:2], axis[:, :1], 0.0 * axis[:, :1], 1.0 + axis[:, 2:]], axis=1)
+    length = np.linalg.norm(q, axis=1, keepdims=True)
+    down = length[:, 0] < 1e-6
+    q[down] = (1.0, 0.0, 0.0, 0.0)
+    length[down] = 1.0
+    return q / length
+
+
 def smooth_normals(points: np.ndarray, indices: np.ndarray) -> np.ndarray:
     """Normals {n, 3} of vertices: those of their triangles, weighted by area."""
     a, b, c = (points[indices[:, k]] for k in range(3))

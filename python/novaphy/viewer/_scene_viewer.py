@@ -18,7 +18,7 @@ from ._model_scene import (
     shape_scales,
 )
 from ._primitives import add_primitive
-from ._scene import GREY, IDENTITY, Scene, as_array, f32, per_row
+from ._scene import GREY, IDENTITY, Scene, as_array, f32, per_row, turns_of_z
 
 HISTORY = 2000  # values of a scalar that are kept
 SHOWN_SCALARS = 6
@@ -30,6 +30,7 @@ class SceneViewer(Viewer):
 
     Attributes:
         show_joints: whether the axes of joints are drawn.
+        show_inertia: whether a box of equal mass and inertia is drawn of each body.
         show_energy: whether the energy is computed and told.
         show_contacts: whether the contacts of log_contacts are drawn.
     """
@@ -42,7 +43,7 @@ class SceneViewer(Viewer):
         self._model_scene: ModelScene | None = None
         self._offsets = np.zeros(3, np.float32)
         self.latest_state: Mapping[str, np.ndarray] = {}
-        self.show_joints = self.show_energy = False
+        self.show_joints = self.show_inertia = self.show_energy = False
         self.show_contacts = True
         self._energy: float | None = None
         self._steps_wanted = 0
@@ -152,6 +153,7 @@ class SceneViewer(Viewer):
             raise ValueError("log_state: expected a model before, got none: call set_model")
         self.latest_state = {name: rows for name, rows in arrays.items() if len(rows)}
         self._model_scene.show_joints = self.show_joints
+        self._model_scene.show_inertia = self.show_inertia
         self._model_scene.update(self.latest_state)
         self._go_along()
         self._energy = None
@@ -177,15 +179,28 @@ class SceneViewer(Viewer):
         draw_contacts(self, self._model_scene.arrays, contacts, state)
 
     def body_at(self, origin: ArrayLike, ray: ArrayLike) -> int | None:
-        """The body whose shapes a ray meets first, each taken as its box; None when it meets none.
+        """The body whose shapes a ray meets first; None when it meets none.
 
         Args:
             origin: where the ray begins {3} (m).
             ray: its direction {3}.
         """
-        if self._model_scene is None:
+        shape = self._shape_at(origin, ray)
+        if shape is None or self._model_scene is None:
             return None
-        return self._model_scene.body_at(np.asarray(origin), np.asarray(ray))
+        return int(self._model_scene.arrays["shape_body"][shape])
+
+    def name_at(self, origin: ArrayLike, ray: ArrayLike) -> str | None:
+        """The labels of the shape that a ray meets first and of its body; None without a model."""
+        shape = self._shape_at(origin, ray)
+        if shape is None or self.model is None:
+            return None
+        body = self.model.body_label[self.model.shape_body.numpy()[shape]]
+        return f"{self.model.shape_label[shape]} of {body}"
+
+    def _shape_at(self, origin: ArrayLike, ray: ArrayLike) -> int | None:
+        scene = self._model_scene
+        return None if scene is None else scene.shape_at(np.asarray(origin), np.asarray(ray))
 
     def log_mesh(
         self,
@@ -295,7 +310,7 @@ class SceneViewer(Viewer):
         length = np.linalg.norm(axis, axis=1, keepdims=True)
         size = np.minimum(0.5 * ARROW_HEAD * width, 0.25 * length)
         axis = axis / np.where(length > 0.0, length, 1.0)
-        poses = np.concatenate([last - axis * size, _turns_of_z(axis)], axis=1)
+        poses = np.concatenate([last - axis * size, turns_of_z(axis)], axis=1)
         add_primitive(self.scene, "cone")
         scales = np.concatenate([0.5 * size, 0.5 * size, size, 0.0 * size], axis=1)
         self.scene.put_instances(heads, "cone", f32(poses), scales, shades, hidden)
@@ -383,13 +398,3 @@ class SceneViewer(Viewer):
         if bounds is not None:
             self.camera.frame(*bounds)
             self.camera.is_set = True
-
-
-def _turns_of_z(axis: np.ndarray) -> np.ndarray:
-    """Quaternions {n, 4} that turn z into unit vectors {n, 3}."""
-    q = np.concatenate([-axis[:, 1:2], axis[:, :1], 0.0 * axis[:, :1], 1.0 + axis[:, 2:]], axis=1)
-    length = np.linalg.norm(q, axis=1, keepdims=True)
-    down = length[:, 0] < 1e-6
-    q[down] = (1.0, 0.0, 0.0, 0.0)
-    length[down] = 1.0
-    return q / length

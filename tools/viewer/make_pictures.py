@@ -42,6 +42,17 @@ WITH_PAGE = {
 }
 # Scenes that have a picture of their own.
 SCENES = {"articulated_scenes": {"chain": ["--headless", "240"], "ants": ["--headless", "60"]}}
+WALL = """
+## robots from files
+
+Read by `add_urdf` and `add_mjcf`, as `novaphy view FILE` shows them ([robots](guide/robots.md)).
+
+![24 robots, each from its own file](images/robots.webp)
+
+The files are in the Python packages example-robot-data, mjlab, roboschool, dm-control, pybullet,
+mani-skill, genesis-world and robosuite; drawn by
+[`tools/viewer/robot_wall.py`](../tools/viewer/robot_wall.py).
+"""
 ANIMATION = ["--headless", "150", "--refresh", "50"]
 STILL, MOVING = "scale=640:-1:flags=area", "fps=20,scale=640:-1:flags=area"
 
@@ -126,7 +137,8 @@ def write_gallery() -> None:
             picture = f"images/demo_{name}_{scene}.webp"
             lines += ["", f"![the last picture of its scene {scene}]({picture})", ""]
             lines += [f"`novaphy run {name} {scene}`"]
-    (ROOT / "docs" / "gallery.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    text = "\n".join(lines) + "\n" + WALL
+    (ROOT / "docs" / "gallery.md").write_text(text, encoding="utf-8")
 
 
 def main() -> None:

@@ -332,6 +332,14 @@ distance = viewer.camera.distance
 window.on_mouse_scroll(10, 10, 0, 1)
 assert viewer.camera.distance < distance
 x, y = viewer.camera.project(state.body_q.numpy()[:, :3], 320, 240)[0]
+assert window.name_under_pointer() is None
+window.on_mouse_motion(int(x), 240 - int(y), 0, 0)
+label = f"{model.shape_label[1]} of {model.body_label[0]}"
+assert window.name_under_pointer() == label, window.name_under_pointer()
+window.on_mouse_leave(0, 0)
+assert window.name_under_pointer() is None
+window.on_key_press(key.I, 0)
+assert viewer.show_inertia
 window.on_mouse_press(int(x), 240 - int(y), window.mouse.LEFT, key.MOD_CTRL)
 window.on_mouse_drag(int(x) + 40, 240 - int(y), 40, 0, window.mouse.LEFT, key.MOD_CTRL)
 viewer.apply_forces(state)

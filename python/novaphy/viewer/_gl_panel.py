@@ -122,13 +122,12 @@ class Panel:
         imgui.same_line()
         if imgui.button("reset"):
             viewer.reset_requested = True
-        shown = ("text", "energy", "joints", "inertia", "contacts")
-        for k, what in enumerate(shown):
+        for k, what in enumerate(("text", "energy", "joints", "inertia", "contacts")):
+            if k % 3:
+                imgui.same_line(0.34 * WIDTH * (k % 3))
             changed, on = imgui.checkbox(what, getattr(viewer, f"show_{what}"))
             if changed:
                 setattr(viewer, f"show_{what}", on)
-            if k % 2 == 0 and k + 1 < len(shown):
-                imgui.same_line(0.4 * WIDTH)
         for slider in viewer.sliders:
             imgui.set_next_item_width(0.55 * WIDTH)
             moved, value = imgui.slider_float(slider.name, slider.value, slider.low, slider.high)

@@ -36,6 +36,9 @@ class Puppet:
         self.state, self._after = model.state(), model.state()
         self._q, ctrl = model.joint_q.numpy(), model.ctrl.numpy()
         model.shape_gap.fill_(0.0)  # contacts of what touches alone
+        plain = _core.ShapeConfig()  # the solver reads no torsional and rolling friction
+        model.shape_material_mu_torsional.fill_(plain.mu_torsional)
+        model.shape_material_mu_rolling.fill_(plain.mu_rolling)
         self._pipeline = _core.CollisionPipeline(model)
         self.contacts = self._pipeline.contacts()
         self._solver: _core.solvers.SolverFeatherstone | None = None

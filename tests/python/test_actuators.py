@@ -371,3 +371,20 @@ def test_a_view_of_selected_rows_reads_and_writes_in_place():
     alone = model.select("knee_0", world=0).view(state, "joint_qd")
     alone[...] = 3.0
     assert state.joint_qd.numpy().tolist() == [3.0] + 8 * [0.0]
+
+
+def test_a_tape_sees_what_a_view_of_selected_rows_writes():
+    diff = pytest.importorskip("novaphy.diff")
+    from novaphy import nova
+
+    model = hinge([{"gain": (0, -3, 0), "ctrl_range": (0, 10), "label": "spring"}])
+    state, after, control = model.state(), model.state(), model.control()
+    control.ctrl.requires_grad = True
+    state.joint_q.assign([0.5])
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    with nova.Tape() as tape:
+        solver.step(state, after, control, None, 0.1)
+        loss = nova.sum(diff.state_joint_qd_tensor(after))
+        model.select("spring").view(control, "ctrl")[...] = 9.0
+        with pytest.raises(novaphy.Error, match="modified after recording"):
+            tape.backward(loss)

@@ -36,8 +36,8 @@ def first_hit(
         along = np.where(np.abs(along) < 1e-12, 1e-12, along)
         a, b = (lower - start) / along, (upper - start) / along
         first, last = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
-        for row in np.flatnonzero((first <= last) & (last >= 0.0)):
-            near.append((float(first[row]), k, int(row), start[row], along[row]))
+        for hit in np.flatnonzero((first <= last) & (last >= 0.0)):
+            near.append((float(first[hit]), k, int(hit), start[hit], along[hit]))
     best, found = np.inf, None
     for entry, k, row, start, along in sorted(near, key=lambda each: each[:3]):
         if entry > best:

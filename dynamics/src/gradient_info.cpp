@@ -18,11 +18,12 @@ std::string some(int64_t count, int64_t of) {
 }
 
 bool is_of_the_motion(const MotionCounts& m) {
-  return m.several == 0 && m.unmoved == 0 && m.one_sided == 0 && m.stiff == 0 && m.rows_are_exact;
+  return m.several == 0 && m.unmoved == 0 && m.one_sided == 0 && m.stiff == 0 && m.rough == 0 &&
+         m.rows_are_exact;
 }
 std::string motion_of_springs(const MotionCounts& m) {
   std::string text = ", and the times at which they begin and end move with the state";
-  if (m.several + m.unmoved + m.one_sided + m.stiff == 0) return text;
+  if (m.several + m.unmoved + m.one_sided + m.stiff + m.rough == 0) return text;
   text += ", but for short touches, which may have any length:";
   const auto add = [&text](int64_t count, const char* what) {
     if (count > 0) text += (text.back() == ':' ? " " : ", ") + std::to_string(count) + what;
@@ -31,7 +32,8 @@ std::string motion_of_springs(const MotionCounts& m) {
   add(m.unmoved, " of what joints, elements or adhesion hold");
   add(m.stiff,
       " that turn a body within ten steps or while friction changes between sticking and slipping, "
-      "or whose friction turns the slip around in a step");
+      "or whose friction takes half of the slip in a step");
+  add(m.rough, " whose speed, with touches before, depends on the phase of the steps by 4 %");
   add(m.one_sided, " whose begin or end is outside of the steps, or cut by a written state");
   return text;
 }

@@ -290,7 +290,9 @@ MotionCounts TouchList::counts() const {
   for (const auto& e : events) {
     if (e->flaw == detail::TouchFlaw::Rests) continue;
     if (e->shakes || (e->is_window() && e->turns && e->stiff_angle > kWindowAngle)) ++counts.stiff;
-    if (e->shakes || e->is_window() || e->stiff_angle <= detail::kSoftAngle) continue;
+    if (e->speed_off > detail::kMostSpeedOff) ++counts.rough;
+    const bool is_soft = e->stiff_angle <= detail::kSoftAngle && !e->rubs;
+    if (e->shakes || e->is_window() || is_soft) continue;
     ++(e->flaw == detail::TouchFlaw::Several ? counts.several
        : e->flaw == detail::TouchFlaw::Held  ? counts.unmoved
                                              : counts.one_sided);

@@ -43,7 +43,13 @@ struct SideFrame {
 // Up to this angle h w of a step the mean force has the derivative of the motion to a few percent.
 constexpr double kSoftAngle = 0.1;
 // Up to this angle a touch whose friction changes has it, unless the touch turns a body.
-constexpr double kFrictionAngle = 0.15;
+constexpr double kFrictionAngle = 0.25;
+// Friction that takes more of a slip in a step is no flow of the motion.
+constexpr double kMostSlipTaken = 0.5;
+// The steps meet the gap 0 at any phase. A damper jumps there, which changes the speed by up to
+// what it takes in a step, and a spring changes the speed by (h w)^2 / 7. Later touches begin with
+// that.
+constexpr double kMostSpeedOff = 0.04;
 
 enum class TouchFlaw : uint8_t {
   None,
@@ -59,11 +65,13 @@ struct TouchEvent {
   std::array<Tangent, 2> delay_by{};  // of the sides' places and turns
   double stiff_angle = 0.0;           // h w
   bool turns = false;                 // the force has a moment about a centre of mass
-  // Friction turns the slip around in a step, or changes between sticking and slipping in a stiff
+  // Friction takes most of the slip in a step, or changes between sticking and slipping in a stiff
   // touch or one that turns a body.
   bool shakes = false;
-  bool slides = false;    // in the last step
-  double approach = 0.0;  // m/s
+  bool rubs = false;       // has friction
+  double speed_off = 0.0;  // by the phase, in this touch and earlier ones of its sides
+  bool slides = false;     // in the last step
+  double approach = 0.0;   // m/s
   int32_t steps = 0;
   TouchFlaw flaw = TouchFlaw::None;
   bool whole = false;  // its end is known

@@ -146,7 +146,15 @@ struct TouchMotion::Impl {
   void move(const Model& m, TouchedStep& step) const;
 
   TouchSettings settings;
-  std::vector<char> jointed;  // of bodies
+  double& speed_off(const TouchSide& side) {
+    return (
+        side.body >= 0
+            ? off_of_bodies
+            : off_of_particles)[static_cast<size_t>(side.body >= 0 ? side.body : side.particle)];
+  }
+
+  std::vector<char> jointed;                            // of bodies
+  std::vector<double> off_of_bodies, off_of_particles;  // TouchEvent::speed_off
   std::vector<TouchRow> rows;
   std::vector<Open> open, closing;
   std::vector<std::shared_ptr<TouchRamp>> waiting;  // of the last step: their touch may follow
@@ -159,6 +167,8 @@ struct TouchMotion::Impl {
 TouchMotion::TouchMotion(const Model& model, const TouchSettings& settings)
     : impl_(std::make_unique<Impl>(settings)) {
   impl_->jointed.assign(static_cast<size_t>(model.body_count()), 0);
+  impl_->off_of_bodies.resize(static_cast<size_t>(model.body_count()));
+  impl_->off_of_particles.resize(static_cast<size_t>(model.particle_count()));
   if (!settings.jointed) return;
   const std::vector<int32_t> type = model.joint_type.to_host(),
                              parent = model.joint_parent.to_host(),
@@ -179,8 +189,14 @@ void TouchMotion::Impl::begin_touch(const TouchRow& row, bool follows_last, floa
   event->point = row.point;
   event->stiff_angle = double{dt} * std::sqrt(row.stiffness * row.inverse_mass);
   event->approach = -row.speed;
-  event->shakes = row.slip_taken > 1.0;
+  event->shakes = row.slip_taken > kMostSlipTaken;
+  event->rubs = row.slip_taken > 0.0;
   event->slides = row.slides;
+  for (const TouchSide& side : row.sides)
+    if (side.responds) event->speed_off = std::max(event->speed_off, speed_off(side));
+  event->speed_off += row.speed_taken + event->stiff_angle * event->stiff_angle / 7.0;
+  for (const TouchSide& side : row.sides)
+    if (side.responds) speed_off(side) = event->speed_off;
   if (!follows_last) event->flaw = TouchFlaw::OneSided;
   if (!(event->approach > kLeastApproach) && event->flaw == TouchFlaw::None)
     event->flaw = TouchFlaw::Rests;
@@ -327,8 +343,12 @@ TouchedStep TouchMotion::begin(const Model& model, const SimState& in, SimState&
   if (!follows || !same) {
     for (const Impl::Open& o : t.open)
       if (o.event->flaw == TouchFlaw::None) o.event->flaw = TouchFlaw::OneSided;
-    if (!follows) t.open.clear();
-    if (!follows) t.waiting.clear();
+    if (!follows) {
+      t.open.clear();
+      t.waiting.clear();
+      std::ranges::fill(t.off_of_bodies, 0.0);
+      std::ranges::fill(t.off_of_particles, 0.0);
+    }
     if (t.at_q != t.place(in).first) of_chain.clear();
   }
   t.last_dt = dt;

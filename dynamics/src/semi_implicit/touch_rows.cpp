@@ -59,10 +59,19 @@ TouchForce force_inside(const TouchLaw& law, const Vec3d& n, double gap, const V
   return f;
 }
 
-// What a row keeps of the law, with the gap `reach` (m) below which it acts.
-void apply(const TouchLaw& law, const Vec3d& u, double reach, float dt, TouchRow& row) {
+// What a row keeps of the law, with the gap `reach` (m) below which it acts; `inverse_mass`: along
+// a direction.
+template <class InverseMass>
+void apply(const TouchLaw& law, const Vec3d& u, double reach, float dt,
+           const InverseMass& inverse_mass, TouchRow& row) {
+  row.inverse_mass = inverse_mass(row.normal);
   row.speed = dot(row.normal, u);
   row.stiffness = law.ke;
+  row.speed_taken = law.kd * double{dt} * row.inverse_mass;
+  const Vec3d ut = u - row.normal * dot(row.normal, u);
+  const double slip = std::sqrt(dot(ut, ut));
+  if (law.mu > 0.0 && slip > 0.0)
+    row.slip_taken = double{dt} * law.kf * inverse_mass(ut * (1.0 / slip));
   row.adheres = reach > 0.0;
   row.pushes = row.gap < reach;
   if (row.pushes) {
@@ -151,13 +160,9 @@ void find_rigid(const Model& m, const SimState& state, const Contacts& c,
     const auto inverse_mass = [&](const Vec3d& along) {
       return bodies.inverse_mass(row.sides[0], along) + bodies.inverse_mass(row.sides[1], along);
     };
-    row.inverse_mass = inverse_mass(row.normal);
-    const Vec3d u = bodies.velocity(row.sides[0]) - bodies.velocity(row.sides[1]);
-    const Vec3d ut = u - row.normal * dot(row.normal, u);
-    const double slip = std::sqrt(dot(ut, ut));
-    if (of.mu > 0.0f && slip > 0.0)
-      row.slip_taken = double{options.dt} * double{of.kf} * inverse_mass(ut * (1.0 / slip));
-    apply({of.ke, of.kd, of.kd, of.kf, of.mu, options.smoothing}, u, of.ka, options.dt, row);
+    apply({of.ke, of.kd, of.kd, of.kf, of.mu, options.smoothing},
+          bodies.velocity(row.sides[0]) - bodies.velocity(row.sides[1]), of.ka, options.dt,
+          inverse_mass, row);
     if (row.pushes || row.ramp) rows.push_back(row);
   }
 }
@@ -193,10 +198,12 @@ void find_soft(const Model& m, const SimState& state, const Contacts& c,
                  bodies.side(b, wide(at.position))};
     row.normal = wide(n);
     row.gap = math::dot(n, state.particle_q.data()[p] - at.position) - m.particle_radius.data()[p];
-    row.inverse_mass = double{inv_mass} + bodies.inverse_mass(row.sides[1], row.normal);
+    const auto inverse_mass = [&](const Vec3d& along) {
+      return double{inv_mass} + bodies.inverse_mass(row.sides[1], along);
+    };
     apply({of.ke, of.kd, 0.0, of.kf, of.mu, 0.0},
           wide(state.particle_qd.data()[p]) - wide(at.velocity), m.particle_adhesion, options.dt,
-          row);
+          inverse_mass, row);
     if (row.pushes || row.ramp) rows.push_back(row);
   }
 }

@@ -43,6 +43,7 @@ struct TouchRow {
   double inverse_mass = 0.0;      // 1/kg, along n
   double stiffness = 0.0;         // N/m
   double slip_taken = 0.0;        // by friction below its cone, in a step: a part of the slip
+  double speed_taken = 0.0;       // by damping, likewise: a part of the approach
   bool pushes = false;
   bool slides = false;   // its friction is at the cone
   bool adheres = false;  // acts beyond the gap 0

@@ -45,6 +45,7 @@ struct MotionCounts {
   int64_t unmoved = 0;
   int64_t one_sided = 0;   // of springs: touches whose begin or end is not in the steps, or is cut
   int64_t stiff = 0;       // of springs: touches of few steps with a lever arm
+  int64_t rough = 0;       // of springs: touches whose speed depends on the phase of the steps
   int64_t ramp_steps = 0;  // of springs: steps with contacts within half a step of begin or end
   bool of_springs = false;
   bool rows_are_exact = true;  // of gaps and overlaps: pgs_slop 0, pgs_erp 1

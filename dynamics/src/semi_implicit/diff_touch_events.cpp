@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "novaphy/dynamics/semi_implicit/diff_touches.h"
+#include "novaphy/math/matrix.h"
 #include "novaphy/math/spatial.h"
 #include "novaphy/nova/op_list.h"
 
@@ -220,6 +221,22 @@ nova::Tensor copy_of(const nova::Tensor& like, const nova::Tensor& from) {
 }
 
 }  // namespace
+
+std::array<Vec3d, 2> respond(const Model& m, const SideFrame& at, const Vec3d& force,
+                             const Vec3d& moment) {
+  if (!at.side.responds) return {};
+  if (at.side.particle >= 0)
+    return {force * double{m.particle_inv_mass.data()[at.side.particle]}, {}};
+  const auto b = static_cast<size_t>(at.side.body);
+  const Vec3d in_body = math::rotate_inverse(at.turn, moment);
+  const Mat33f& inverse = m.body_inv_inertia.data()[b];
+  const auto row = [&](int k) {
+    return double{inverse.m[k][0]} * in_body.x + double{inverse.m[k][1]} * in_body.y +
+           double{inverse.m[k][2]} * in_body.z;
+  };
+  return {force * double{m.body_inv_mass.data()[b]},
+          math::rotate(at.turn, Vec3d{row(0), row(1), row(2)})};
+}
 
 void record_touches(const std::shared_ptr<const TouchWork>& work, bool at_start,
                     const TouchArrays& from, const TouchArrays& to) {

@@ -40,6 +40,10 @@ struct SideFrame {
   void add_gradient(const Tangent& g, const StateRows& raw) const;
 };
 
+// The accelerations that a force and a moment give to a side.
+std::array<Vec3d, 2> respond(const Model& m, const SideFrame& at, const Vec3d& force,
+                             const Vec3d& moment);
+
 // Up to this angle h w of a step the mean force has the derivative of the motion to a few percent.
 constexpr double kSoftAngle = 0.1;
 // Up to this angle a touch whose friction changes has it, unless the touch turns a body.

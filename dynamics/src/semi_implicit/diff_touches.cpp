@@ -7,7 +7,6 @@
 
 #include "diff_touch_events.h"
 #include "novaphy/core/sim/enums.h"
-#include "novaphy/math/matrix.h"
 #include "novaphy/math/spatial.h"
 #include "novaphy/nova/op_list.h"
 
@@ -69,22 +68,6 @@ struct TouchMotion::Impl {
     f.turn = wide(q);
     f.com = wide(math::rotate(q, m.body_com.data()[side.body]));
     return f;
-  }
-  // The accelerations that a force and a moment give.
-  static std::array<Vec3d, 2> respond(const Model& m, const SideFrame& at, const Vec3d& force,
-                                      const Vec3d& moment) {
-    if (!at.side.responds) return {};
-    if (at.side.particle >= 0)
-      return {force * double{m.particle_inv_mass.data()[at.side.particle]}, {}};
-    const auto b = static_cast<size_t>(at.side.body);
-    const Vec3d in_body = math::rotate_inverse(at.turn, moment);
-    const Mat33f& inverse = m.body_inv_inertia.data()[b];
-    const auto row = [&](int k) {
-      return double{inverse.m[k][0]} * in_body.x + double{inverse.m[k][1]} * in_body.y +
-             double{inverse.m[k][2]} * in_body.z;
-    };
-    return {force * double{m.body_inv_mass.data()[b]},
-            math::rotate(at.turn, Vec3d{row(0), row(1), row(2)})};
   }
   std::array<Vec3d, 2> applied(const TouchedStep& step, const TouchSide& side) const {
     const auto load = [](const nova::Operand& of, int64_t at) {
@@ -378,8 +361,8 @@ void TouchMotion::end(const Model& model, TouchedStep& step) {
     for (size_t k = 0; k < 2; ++k) {
       const TouchSide& side = last.end[k].side;
       const auto a = acceleration(side), now = t.applied(step, side);
-      const auto change = Impl::respond(model, last.end[k], now[0] - last.applied[k][0],
-                                        now[1] - last.applied[k][1]);
+      const auto change =
+          respond(model, last.end[k], now[0] - last.applied[k][0], now[1] - last.applied[k][1]);
       last.after[k][kVelocity] = a[0] - change[0];
       last.after[k][kSpin] = a[1] - change[1];
     }

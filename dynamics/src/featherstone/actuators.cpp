@@ -31,10 +31,8 @@ StepDrives drives_of(const Model& m, const Control* control) {
           m.joint_effort_limit};
 }
 void read_instead(NamedStepArrays& arrays, const StepDrives& drives) {
-  const int32_t places[] = {kAt.joint_f,   kAt.target_q,  kAt.target_qd,
-                            kAt.target_ke, kAt.target_kd, kAt.effort_limit};
-  for (size_t i = 0; i < std::size(places); ++i)
-    arrays[static_cast<size_t>(places[i])].array = &drives[i];
+  for (size_t i = 0; i < std::size(kActuatedPlaces); ++i)
+    arrays[static_cast<size_t>(kActuatedPlaces[i])].array = &drives[i];
 }
 
 ActuationArrays Actuators::inputs(const Model& m, const SimState& state, const Control* control) {

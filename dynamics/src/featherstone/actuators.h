@@ -22,6 +22,8 @@ using ActuationArrays = std::array<Array, articulation::kActuationInputs>;
 // joint_target_kd, joint_effort_limit, as in ActuationInput.
 using StepDrives = std::array<Array, articulation::kActuated>;
 StepDrives drives_of(const Model& model, const Control* control);
+inline constexpr int32_t kActuatedPlaces[] = {kAt.joint_f,   kAt.target_q,  kAt.target_qd,
+                                              kAt.target_ke, kAt.target_kd, kAt.effort_limit};
 // Puts them in the place of those of the model and the control.
 void read_instead(NamedStepArrays& arrays, const StepDrives& drives);
 

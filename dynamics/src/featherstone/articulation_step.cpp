@@ -136,14 +136,16 @@ ArticulationArguments articulation_arguments(const Model& m, const Articulations
                                              const SimState& in, const StepDrives& drives,
                                              const Array& body_f,
                                              const FeatherstoneOptions& options, float dt) {
-  NamedStepArrays arrays = step_arrays(m, &in, nullptr);
-  read_instead(arrays, drives);
-  arrays[kAt.body_f].array = &body_f;
-  return arguments_of<float>(
-      [&](int32_t place) { return Untyped(*arrays[static_cast<size_t>(place)].array); },
-      {m.joint_target_mode, Untyped(articulations.rows()), Untyped(articulations.links()),
-       articulations.dof_parent()},
-      options, dt);
+  const Array* arrays[kStepArrays];
+  articulation::for_each_array(
+      [&](const auto& source, int32_t place) { arrays[place] = source.find(m, &in, nullptr); },
+      kStepSources, kAt);
+  for (size_t i = 0; i < std::size(kActuatedPlaces); ++i) arrays[kActuatedPlaces[i]] = &drives[i];
+  arrays[kAt.body_f] = &body_f;
+  return arguments_of<float>([&](int32_t place) { return Untyped(*arrays[place]); },
+                             {m.joint_target_mode, Untyped(articulations.rows()),
+                              Untyped(articulations.links()), articulations.dof_parent()},
+                             options, dt);
 }
 
 }  // namespace novaphy

@@ -359,16 +359,24 @@ struct Part : T {
 // The same with the memory of the cpu's arrays in their place, for functions of rows that the host
 // calls itself. Says that what they write is written.
 template <class A>
-A in_memory(A arguments) {
-  auto* const words = reinterpret_cast<ArgumentWord*>(&arguments);
-  for (size_t k = 0; k < detail::ArgumentTable<A>::kWords; ++k) {
-    const uint8_t access = detail::ArgumentTable<A>::kInfos[k].access;
-    Range* const range = access == access::kNumber ? nullptr : range_of(words[k]);
-    if (range == nullptr) continue;
-    words[k] = reinterpret_cast<uint64_t>(range->data());
-    if ((access & access::kWrite) != 0) range->mark_written();
+A in_memory(const A& arguments) {
+  A made = arguments;
+  auto* const words = reinterpret_cast<ArgumentWord*>(&made);
+  const auto resolve = [](ArgumentWord& word, bool writes) {
+    Range* const range = range_of(word);
+    if (range == nullptr) return;
+    word = reinterpret_cast<uint64_t>(range->data());
+    if (writes) range->mark_written();
+  };
+  [&]<size_t... k>(std::index_sequence<k...>) {
+    constexpr auto& infos = detail::ArgumentTable<A>::kInfos;
+    ((infos[k].access == access::kNumber
+          ? void()
+          : resolve(words[k], (infos[k].access & access::kWrite) != 0)),
+     ...);
   }
-  return arguments;
+  (std::make_index_sequence<detail::ArgumentTable<A>::kWords>());
+  return made;
 }
 
 }  // namespace novaphy

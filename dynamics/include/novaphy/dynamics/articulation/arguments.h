@@ -48,7 +48,7 @@ using ArticulationArguments = ArticulationArgumentsOf<float>;
 
 template <class T>
 articulation::StepInputs<T> articulation_inputs(const ArticulationArgumentsOf<T>& a) {
-  articulation::StepInputs<T> in = {};
+  articulation::StepInputs<T> in;
   const auto point = [](auto& to, const auto& from) { to = from; };
   articulation::for_each_gradient_array(point, in, a.arrays);
   articulation::for_each_frame_array(point, in, a.frames);

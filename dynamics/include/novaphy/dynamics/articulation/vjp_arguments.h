@@ -31,7 +31,7 @@ inline void step_vjp_rates(const ArticulationStepVjpArguments& a,
   articulation::step_vjp_rates(tree, in, options, qdd, branch, q_next, qd_next, out, ws, memory);
 }
 inline articulation::StepGradient<float> step_gradient(const ArticulationStepVjpArguments& a) {
-  articulation::StepGradient<float> to = {};
+  articulation::StepGradient<float> to;
   articulation::for_each_gradient_array([](auto& g, const auto& from) { g = from; }, to,
                                         a.gradient);
   to.add = static_cast<int32_t>(a.add.value);

@@ -55,9 +55,8 @@ struct StepInputs {
 // The memory of an argument on the CPU.
 template <class T, uint8_t kAccess, bool kOwnRow>
 T* on_host(const novaphy::detail::Argument<T, kAccess, kOwnRow>& a) {
-  if ((a.word() & kArrayBit) == 0) return a.rows();
-  return static_cast<T*>(
-      const_cast<void*>(reinterpret_cast<const Array*>(a.word() - kArrayBit)->raw()));
+  const Range* const range = range_of(a.word());
+  return range != nullptr ? static_cast<T*>(range->data()) : a.rows();
 }
 
 // The same of any device: a copy, where it is an array that the host cannot read.
@@ -65,15 +64,15 @@ template <class T>
 struct OnHost {
   template <uint8_t kAccess, bool kOwnRow>
   explicit OnHost(const novaphy::detail::Argument<T, kAccess, kOwnRow>& a) {
-    const auto* const array = (a.word() & kArrayBit) != 0
-                                  ? reinterpret_cast<const Array*>(a.word() - kArrayBit)
-                                  : nullptr;
-    if (array == nullptr || array->device().is_cpu()) {
+    Range* const range = range_of(a.word());
+    if (range == nullptr || range->device().is_cpu()) {
       rows = on_host(a);
       return;
     }
-    copy.resize(array->bytes() / sizeof(T));
-    array->copy_to_host(copy.data(), array->bytes());
+    copy.resize(range->bytes() / sizeof(T));
+    const Array numbers(DType::float32, range->bytes() / sizeof(float), 1,
+                        {range->storage().shared_from_this(), range});
+    numbers.copy_to_host(copy.data(), range->bytes());
     rows = copy.data();
   }
   std::vector<std::remove_const_t<T>> copy;

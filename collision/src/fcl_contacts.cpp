@@ -21,7 +21,8 @@ int32_t FclContacts::ask(const RigidShape& s0, const RigidShape& s1, int32_t cou
                          int32_t per_pair, geometry::Manifold& kept) {
   using namespace geometry;
   const Transformf relative = relative_pose(s0.pose, s1.pose);
-  const ShapePair pair = shape_pair(convex_shape(s0), convex_shape(s1), relative);
+  const Shape a = convex_shape(s0), b = convex_shape(s1);  // the pair points to both
+  const ShapePair pair = shape_pair(a, b, relative);
   if (!is_finite(pair)) return count;
   float deepest = 0.0f;
   for (int32_t i = 0; i < count; ++i) deepest = math::min(deepest, kept.points[i].distance);

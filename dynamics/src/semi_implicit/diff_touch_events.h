@@ -47,7 +47,7 @@ std::array<Vec3d, 2> respond(const Model& m, const SideFrame& at, const Vec3d& f
 // Up to this angle h w of a step the mean force has the derivative of the motion to a few percent.
 constexpr double kSoftAngle = 0.1;
 // Up to this angle a touch whose friction changes has it, unless the touch turns a body.
-constexpr double kFrictionAngle = 0.25;
+constexpr double kFrictionAngle = 0.15;
 // Friction that takes more of a slip in a step is no flow of the motion.
 constexpr double kMostSlipTaken = 0.5;
 // The steps meet the gap 0 at any phase. A damper jumps there, which changes the speed by up to

@@ -11,6 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from . import _core
 
 _COORDS = ("joint_q", "joint_target_q")
+_OF_JOINTS = frozenset(
+    "joint_" + name
+    for name in (
+        "X_c", "X_p", "ancestor", "articulation", "child", "dof_dim", "enabled", "mimic",
+        "mimic_coef", "parent", "type", "world",
+    )
+)  # fmt: skip
 
 
 class Selection:
@@ -34,6 +41,10 @@ class Selection:
             raise IndexError(f"select: world: expected -1 to {last}, got {world}")
         found = _Names(model, pattern, world)
         kinds = ("joints", "bodies", "actuators", "coords", "dofs")
+        counts = ("joint", "body", "actuator", "joint_coord", "joint_dof")
+        self._counts = {
+            kind: getattr(model, name + "_count") for kind, name in zip(kinds, counts, strict=True)
+        }
         self._worlds: dict[str, NDArray[np.int32]] = {}
         for kind, (rows, worlds) in zip(kinds, found.rows(), strict=True):
             setattr(self, kind, rows)
@@ -51,10 +62,16 @@ class Selection:
         """The rows of a field, which are read and written in place."""
         kind = self._kind(field)
         rows = getattr(self, kind)
+        array = getattr(owner, field)
+        if array.shape[0] != self._counts[kind]:
+            raise ValueError(
+                f"Selection: field: expected one with a row for each of the {self._counts[kind]} "
+                f"{kind}, got {field!r} with {array.shape[0]} rows"
+            )
         counts = np.unique(self._worlds[kind], return_counts=True)[1]
         if len(counts) > 1 and (counts == counts[0]).all():
             rows = rows.reshape(len(counts), counts[0])
-        return RowsView(getattr(owner, field), rows)
+        return RowsView(array, rows)
 
     def get(self, owner: Any, field: str) -> NDArray[Any]:
         """The rows of a field, a copy."""
@@ -68,6 +85,8 @@ class Selection:
     def _kind(field: str) -> str:
         if field in _COORDS:
             return "coords"
+        if field in _OF_JOINTS:
+            return "joints"
         if field == "ctrl" or field.startswith("actuator_"):
             return "actuators"
         for start, kind in (("body_", "bodies"), ("joint_", "dofs")):

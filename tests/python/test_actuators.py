@@ -339,6 +339,27 @@ def test_names_select_joints_bodies_and_actuators_over_worlds():
         knees.get(model, "shape_type")
 
 
+def test_fields_of_joints_are_selected_by_joint():
+    builder = novaphy.ModelBuilder()
+    links = [builder.add_link(mass=1.0, inertia=np.eye(3)) for _ in range(3)]
+    joints = [builder.add_joint_free(links[0], label="root")]
+    for k in (1, 2):
+        joints.append(
+            builder.add_joint_revolute(
+                links[k - 1], links[k], label=f"hinge_{k}", parent_xform=((k, 0, 0), (0, 0, 0, 1))
+            )
+        )
+    builder.add_articulation(joints)
+    model = builder.finalize()
+    hinge = model.select("hinge_1")
+    assert hinge.get(model, "joint_X_p")[0, 0] == 1.0
+    assert hinge.get(model, "joint_child").tolist() == [links[1]]
+    hinge.set(model, "joint_enabled", 0)
+    assert model.joint_enabled.numpy().tolist() == [1, 0, 1]
+    with pytest.raises(ValueError, match="a row for each of the 8 dofs, got 'joint_q_start'"):
+        hinge.get(model, "joint_q_start")
+
+
 def test_a_view_of_selected_rows_reads_and_writes_in_place():
     one = novaphy.ModelBuilder(gravity=0.0)
     links = [one.add_link(mass=1.0, inertia=np.eye(3), label=name) for name in "abc"]

@@ -125,3 +125,49 @@ def test_a_frozen_rollout_is_not_hidden_by_the_next_one() -> None:
         tape.backward(held + free)
     info = tape.gradient_info()
     assert info.label == "frozen" and info.frozen_steps == 5 and info.exact_steps == 5
+
+
+def pressed(builder: novaphy.ModelBuilder) -> str:
+    """The label of a rollout of a particle that a shape of the world holds up all the time."""
+    from novaphy import diff, nova
+
+    model = builder.finalize(requires_grad=True)
+    model.soft_contact_ke, model.soft_contact_kd = 5e3, 0.0
+    model.soft_contact_kf = model.soft_contact_mu = 0.0
+    solver = novaphy.solvers.DiffSemiImplicitSolver(model)
+    trajectory = diff.Trajectory(model, 5)
+    with nova.Tape() as tape:
+        solver.rollout(trajectory, None, None, 1e-3, pipeline=novaphy.CollisionPipeline(model))
+        tape.backward(nova.sum(diff.state_particle_qd_tensor(trajectory[5])))
+    return tape.gradient_info().label
+
+
+def test_particles_on_a_curved_shape_of_a_world_without_bodies_are_frozen():
+    labels = {}
+    for shape in ("sphere", "plane"):
+        builder = novaphy.ModelBuilder()
+        builder.add_particle((0.1, 0.0, 0.08), (0.0, 0.0, -1.0), 1.0, radius=0.1)
+        if shape == "sphere":
+            builder.add_shape_sphere(-1, xform=((0, 0, -0.5), (0, 0, 0, 1)), radius=0.5)
+        else:
+            builder.add_ground_plane()
+        labels[shape] = pressed(builder)
+    assert labels == {"sphere": "frozen", "plane": "exact of the code"}
+
+
+def test_values_of_a_new_state_are_leaves_before_a_solver_sees_them():
+    from novaphy import diff, nova
+
+    builder = novaphy.ModelBuilder()
+    link = builder.add_link(mass=1.0, inertia=np.eye(3))
+    builder.add_articulation([builder.add_joint_revolute(-1, link, axis=(0, 1, 0))])
+    model = builder.finalize()
+    state, copied = model.state(requires_grad=True), model.state()
+    with nova.Tape() as tape:
+        copied.joint_q.assign(state.joint_q)
+        loss = nova.sum(diff.state_joint_q_tensor(copied) * 3.0)
+        _ = diff.state_joint_q_tensor(state)
+        tape.backward(loss)
+    assert state.joint_q.grad.numpy().tolist() == [3.0]
+    with nova.Tape(), pytest.raises(novaphy.Error, match="joint_q: it carries a gradient"):
+        novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)

@@ -2,14 +2,11 @@
 #include <map>
 #include <tuple>
 
+#include "new_state.h"
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/contacts.h"
-#include "novaphy/core/sim/model.h"
 #include "pickle.h"
-#ifdef NOVAPHY_PYTHON_DIFF
-#include "novaphy/dynamics/diff_solver_base.h"
-#endif
 
 namespace novaphy::python {
 namespace {
@@ -330,17 +327,8 @@ void bind_model(py::module_& m) {
           "coloured.")
       .def_property_readonly(
           "up_axis", [](const Model& self) { return value_of(self.up_axis()); }, "0, 1 or 2.")
-      .def(
-          "state",
-          [](const Model& self, std::optional<bool> grad) {
-            SimState state = self.state(grad);
-#ifdef NOVAPHY_PYTHON_DIFF
-            diff::make_leaves(state);  // before anything on a tape may read them
-#endif
-            return state;
-          },
-          "requires_grad"_a = py::none(),
-          "A new state with the initial values. requires_grad None: the model's.")
+      .def("state", &new_state, "requires_grad"_a = py::none(),
+           "A new state with the initial values. requires_grad None: the model's.")
       .def(
           "control",
           [](const Model& self, bool clone_variables, std::optional<bool> grad) {

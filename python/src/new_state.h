@@ -1,0 +1,22 @@
+// A new state of a model.
+#pragma once
+
+#include <optional>
+
+#include "novaphy/core/sim/model.h"
+#ifdef NOVAPHY_PYTHON_DIFF
+#include "novaphy/dynamics/diff_solver_base.h"
+#endif
+
+namespace novaphy::python {
+
+// With gradients its values are leaves before anything on a tape may read them.
+inline SimState new_state(const Model& model, std::optional<bool> requires_grad) {
+  SimState state = model.state(requires_grad);
+#ifdef NOVAPHY_PYTHON_DIFF
+  diff::make_leaves(state);
+#endif
+  return state;
+}
+
+}  // namespace novaphy::python

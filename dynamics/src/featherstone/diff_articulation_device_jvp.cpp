@@ -17,12 +17,9 @@ class LaunchedDuals {
   }
   // So many dual numbers.
   Untyped part(int64_t count) {
-    if (count == 0) return Untyped(nullptr);
-    const Range& all = *memory_.range();
-    const size_t bytes = static_cast<size_t>(count) * sizeof(DualFloat);
-    const size_t begin = used_;
+    const size_t bytes = static_cast<size_t>(count) * sizeof(DualFloat), begin = used_;
     used_ += bytes;
-    return Untyped(all.storage().range(all.offset() + begin, bytes));
+    return nova::part_of(memory_.range(), begin, bytes);
   }
   static void write_tangent(const Untyped& from, const Tensor& to) {
     if (to.defined()) run(tangent_kernels().tangent, to.size(), {.from = from, .to = argument(to)});

@@ -26,11 +26,8 @@ Tensor tensor_of(const Array& array) {
 
 // Numbers of the memory of contacts.
 Untyped part_of(const Step& s, int64_t first, int64_t count) {
-  if (count == 0) return Untyped(nullptr);
-  const Range& all = *s.contacts.range();
-  constexpr size_t kBytes = sizeof(float);
-  return Untyped(all.storage().range(all.offset() + static_cast<size_t>(first) * kBytes,
-                                     static_cast<size_t>(count) * kBytes));
+  const auto bytes = [](int64_t n) { return static_cast<size_t>(n) * sizeof(float); };
+  return nova::part_of(s.contacts.range(), bytes(first), bytes(count));
 }
 
 ContactArguments kept_arguments(const Step& s) {

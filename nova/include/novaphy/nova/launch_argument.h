@@ -1,4 +1,4 @@
-// A tensor as an argument of a launch (core/device_kernel.h).
+// A tensor, or a part of memory, as an argument of a launch (core/device_kernel.h).
 #pragma once
 
 #include "novaphy/core/device_kernel.h"
@@ -10,15 +10,12 @@ namespace nova {
 inline novaphy::Untyped argument(const Tensor& tensor) {
   return tensor.defined() ? novaphy::Untyped(tensor.range()) : novaphy::Untyped(nullptr);
 }
-inline novaphy::LaunchArgument argument(const char* name, const Tensor& tensor, bool write) {
-  novaphy::LaunchArgument made;
-  if (!tensor.defined()) return made;
-  made.word = reinterpret_cast<uint64_t>(tensor.range()->data());
-  made.name = name;
-  made.range = tensor.range();
-  made.read = true;
-  made.write = write;
-  return made;
+
+// Bytes of a range, from its byte `first` on; none: a null pointer.
+inline novaphy::Untyped part_of(const std::shared_ptr<novaphy::Range>& all, size_t first,
+                                size_t bytes) {
+  if (bytes == 0) return novaphy::Untyped(nullptr);
+  return novaphy::Untyped(all->storage().range(all->offset() + first, bytes));
 }
 
 }  // namespace nova

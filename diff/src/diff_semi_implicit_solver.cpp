@@ -329,7 +329,8 @@ void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
       check_overflow(*inputs.contacts);
     }
     ContactTables::Wanted wanted = wanted_tables();
-    wanted.particles_follow = true;  // the search before has found them
+    // The search before has found them; of particles that meet no bodies they are held.
+    wanted.particles_follow = wanted.particles_on_bodies;
     inputs.tables->rebuild(*model(), *inputs.contacts, wanted);
   }
   const ContactTables& tables = inputs.tables != nullptr ? *inputs.tables : tables_;

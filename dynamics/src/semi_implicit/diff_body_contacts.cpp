@@ -284,7 +284,7 @@ void sort(const Array& table, int64_t rows, nova::Incidence& sorted) {
 
 void ContactTables::update(const Model& model, const Contacts& contacts, const Wanted& wanted) {
   of_this_state_ = wanted.of_this_state;
-  particles_follow_ = wanted.particles_follow && wanted.particles_on_bodies;
+  particles_follow_ = wanted.particles_follow;
   if (!wanted.particles || contacts.soft_contact_max() == 0) {
     slots_of_particles_ = nullptr;
   } else if (const auto& range = contacts.soft_contact_particle.range();
@@ -318,7 +318,7 @@ void ContactTables::update(const Model& model, const Contacts& contacts, const W
 
 void ContactTables::rebuild(const Model& model, const Contacts& contacts, const Wanted& wanted) {
   of_this_state_ = wanted.of_this_state;
-  particles_follow_ = wanted.particles_follow && wanted.particles_on_bodies;
+  particles_follow_ = wanted.particles_follow;
   if (wanted.particles && contacts.soft_contact_max() > 0)
     sort(contacts.soft_contact_particle, model.particle_count(), slots_of_particles_);
   rebuild_bodies(model, contacts, wanted);

@@ -40,7 +40,7 @@ class NOVAPHY_DYNAMICS_API ContactTables {
     // They were found from the state of the step, so that their points and normals follow it; else
     // they are held as they are.
     bool of_this_state = true;
-    // So were those of particles. They follow where some may touch bodies; else they are held.
+    // So were those of particles.
     bool particles_follow = false;
   };
   // From what the contacts hold, unless that is known already. Inside a capture the tables of

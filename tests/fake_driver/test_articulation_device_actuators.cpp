@@ -115,12 +115,8 @@ Result trained(Device device, bool captured, int32_t checkpoint) {
       {"gravcomp", model_body_gravcomp_tensor(*model, true)}};
   std::vector<nova::Tensor> inputs, along, tangents;
   for (const auto& [name, leaf] : leaves) {
-    nova::Tensor to(leaf.shape(), nova::DType::F32, device);
-    std::vector<float> x(static_cast<size_t>(leaf.size()));
-    for (size_t k = 0; k < x.size(); ++k) x[k] = 0.1f * static_cast<float>(k % 7) - 0.25f;
-    to.copy_from_host(x.data(), x.size() * sizeof(float));
     inputs.push_back(leaf);
-    along.push_back(to);
+    along.push_back(testing::direction(leaf, 0.1f, -0.25f));
   }
   nova::Tensor loss;
   nova::ScopedCapture scope;
@@ -131,10 +127,7 @@ Result trained(Device device, bool captured, int32_t checkpoint) {
     solver.rollout(trajectory, &control, nullptr, kDt);
     const std::vector<nova::Tensor> outputs = {state_joint_q_tensor(last),
                                                state_joint_qd_tensor(last), state_act_tensor(last)};
-    for (const nova::Tensor& x : outputs) {
-      const nova::Tensor term = nova::sum(nova::mul(x, x));
-      loss = loss.defined() ? nova::add(loss, term) : term;
-    }
+    loss = testing::sum_of_squares(outputs);
     tangents = tape.jvp(outputs, inputs, along);
     tape.backward(loss);
   }

@@ -43,23 +43,10 @@ struct Rollout {
 };
 
 nova::Tensor squares(const SimState& s) {
-  nova::Tensor loss;
-  for (const nova::Tensor& x : {diff::state_joint_q_tensor(s), diff::state_joint_qd_tensor(s),
-                                diff::state_body_q_tensor(s), diff::state_body_qd_tensor(s)}) {
-    const nova::Tensor term = nova::sum(nova::mul(x, x));
-    loss = loss.defined() ? nova::add(loss, term) : term;
-  }
-  return loss;
+  return testing::sum_of_squares({diff::state_joint_q_tensor(s), diff::state_joint_qd_tensor(s),
+                                  diff::state_body_q_tensor(s), diff::state_body_qd_tensor(s)});
 }
-
-// A direction.
-nova::Tensor along(const nova::Tensor& leaf) {
-  std::vector<float> x(static_cast<size_t>(leaf.size()));
-  for (size_t k = 0; k < x.size(); ++k) x[k] = 0.05f * static_cast<float>(k % 7) - 0.12f;
-  nova::Tensor to(leaf.shape(), nova::DType::F32, leaf.device());
-  to.copy_from_host(x.data(), x.size() * sizeof(float));
-  return to;
-}
+nova::Tensor along(const nova::Tensor& leaf) { return testing::direction(leaf, 0.05f, -0.12f); }
 
 // The last state of a rollout, its tangents, gradients of a loss of it, and what is said of them.
 // `single`: steps one by one, each with its collide.

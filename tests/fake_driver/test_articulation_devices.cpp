@@ -187,10 +187,8 @@ Result trained(Device device, bool captured, int32_t checkpoint) {
     nova::Tape tape;
     const nova::TapeScope on_tape(tape);
     solver.rollout(trajectory, &control, nullptr, kDt);
-    for (const nova::Tensor& x : {state_joint_q_tensor(last), state_joint_qd_tensor(last),
-                                  state_body_q_tensor(last), state_body_qd_tensor(last)})
-      loss =
-          loss.defined() ? nova::add(loss, nova::sum(nova::mul(x, x))) : nova::sum(nova::mul(x, x));
+    loss = testing::sum_of_squares({state_joint_q_tensor(last), state_joint_qd_tensor(last),
+                                    state_body_q_tensor(last), state_body_qd_tensor(last)});
     tape.backward(loss);
   }
   scope.end();
@@ -240,13 +238,7 @@ Result tangents(Device device, bool captured, int32_t checkpoint) {
                                             model_body_inertia_tensor(*model, true),
                                             model_gravity_tensor(*model, true)};
   std::vector<nova::Tensor> along;
-  for (const nova::Tensor& leaf : leaves) {
-    nova::Tensor to(leaf.shape(), nova::DType::F32, device);
-    std::vector<float> x(static_cast<size_t>(leaf.size()));
-    for (size_t k = 0; k < x.size(); ++k) x[k] = 0.1f * static_cast<float>(k % 7) - 0.25f;
-    to.copy_from_host(x.data(), x.size() * sizeof(float));
-    along.push_back(to);
-  }
+  for (const nova::Tensor& leaf : leaves) along.push_back(testing::direction(leaf, 0.1f, -0.25f));
   std::vector<nova::Tensor> found;
   nova::ScopedCapture scope;
   if (!captured) scope.end();

@@ -21,7 +21,4 @@ ArticulationArgumentsOf<DualFloat> dual_arguments(const Step& s, const StepOutpu
   });
 }
 
-// The tangents of a step on a device, by launches, which a capture records.
-void launch_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const Tensor> outputs);
-
 }  // namespace novaphy::diff::detail

@@ -75,6 +75,22 @@ void require_converged(const Step& s, const char* what) {
        "touch nearer to each other, or pass allow_unconverged=True");
 }
 
+void watch_convergence(const std::shared_ptr<const Step>& step, std::span<const Tensor> results,
+                       const char* what) {
+  if (!works_on_host(*step) || step->shared->allow_unconverged) return;
+  nova::capture_host_work({.name = kName,
+                           .reads = {step->contacts},
+                           .results = {results.begin(), results.end()},
+                           .failure = &step->shared->failure,
+                           .run = [step, what] { require_converged(*step, what); }});
+}
+
+bool acts(const Step& s, const Tensor& joint_friction) {
+  if (!s.contacts.defined()) return false;
+  return !s.shared->runs_on_host() || s.dry || joint_friction.defined() ||
+         *kept_contacts(s).count > 0;
+}
+
 bool prepare_contacts(const Step& s, const ArticulationArguments* from) {
   return s.contacts.defined() && s.shared->pgs->prepare(*s.model, contact_rows_of(s), from);
 }

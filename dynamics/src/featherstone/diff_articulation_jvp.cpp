@@ -1,82 +1,96 @@
-// The tangent of a step of articulations, by dual numbers; on the host.
+// The tangent of a step of articulations, by dual numbers.
 #include "diff_articulation_duals.h"
-#include "novaphy/nova/host_work.h"
+#include "tangent_launches.h"
 
 namespace novaphy::diff::detail {
 namespace {
 
+// Dual numbers of arrays, one behind the other in memory that steps share.
 class DualArrays {
  public:
-  // `tangent` undefined: zero.
-  DualFloat* take(const Tensor& values, const Tensor& tangent) {
-    std::vector<DualFloat>& to = arrays_.emplace_back(static_cast<size_t>(values.size()));
-    const float* x = values.data<float>();
-    const float* t = tangent.defined() ? tangent.data<float>() : nullptr;
-    for (size_t i = 0; i < to.size(); ++i) to[i] = {x[i], t ? t[i] : 0.0f};
-    return to.data();
+  explicit DualArrays(const DeviceArray<float>& memory) : memory_(memory) {}
+  Untyped take(const Tensor& values, const Tensor& tangent) {
+    const Untyped to = part(values.size());
+    run(tangent_kernels().pack, values.size(),
+        {.values = argument(values), .tangents = argument(tangent), .to = to});
+    return to;
+  }
+  // So many dual numbers.
+  Untyped part(int64_t count) {
+    const size_t bytes = static_cast<size_t>(count) * sizeof(DualFloat), begin = used_;
+    used_ += bytes;
+    return nova::part_of(memory_.range(), begin, bytes);
+  }
+  static void write_tangent(const Untyped& from, const Tensor& to) {
+    if (to.defined()) run(tangent_kernels().tangent, to.size(), {.from = from, .to = argument(to)});
   }
 
  private:
-  std::vector<std::vector<DualFloat>> arrays_;
+  const DeviceArray<float>& memory_;
+  size_t used_ = 0;  // bytes
 };
 
-void write_tangent(const Tensor& to, const articulation::Dual<float>* values) {
-  if (!to.defined()) return;
-  auto* t = static_cast<float*>(to.range()->data());
-  for (int64_t i = 0; i < to.size(); ++i) t[i] = values[i].tangent;
+// Of all arrays of a step.
+int64_t dual_numbers(const Step& s) {
+  int64_t sum = 0;
+  for (const Named& in : s.inputs) sum += in.tensor.defined() ? in.tensor.size() : 0;
+  for (size_t i = kFrameP; i <= kAxis; ++i) sum += s.values[i].tensor.size();
+  for (size_t i = 0; i < 4; ++i) sum += s.outputs[i].tensor.size();
+  return sum;
 }
 
+// `from` (null: its inputs): the state that the step into `to` starts from.
 void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
              std::span<const Tensor> t, std::span<const Tensor> tangents) {
   require_converged(s, "jvp");
-  DualArrays duals;
+  const bool solves = acts(s, t[kJointFriction]);
+  require(solves || !t[kJointFriction].defined(), ErrorKind::Runtime,
+          "articulation_step: expected joint_friction to carry a gradient when the step ran");
+  const nova::NoGrad no_grad;
+  ArticulationStep::Shared& shared = *s.shared;
+  const Articulations& trees = shared.articulations;
+  const int64_t duals = 2 * dual_numbers(s);
+  const int64_t dofs = trees.max_dofs();
+  int64_t bytes = articulation::workspace_bytes<DualFloat>(trees.max_links(), trees.max_dofs());
+  if (solves) bytes += dofs * dofs * static_cast<int64_t>(sizeof(DualFloat));
+  const int64_t stride = bytes / 16 * 4 + 4;
+  if (static_cast<int64_t>(shared.duals.size()) < duals + s.count * stride) {
+    const Unobserved unobserved;
+    shared.duals = DeviceArray<float>(static_cast<size_t>(duals + s.count * stride), shared.device);
+  }
+  DualArrays memory(shared.duals);
   const auto take = [&](const Tensor& values, const Tensor& tangent) {
-    return Untyped(duals.take(values, tangent));
+    return memory.take(values, tangent);
   };
-  const ArticulationArgumentsOf<DualFloat> a = in_memory(dual_arguments(s, from, t, take));
-  const articulation::StepInputs<DualFloat> inputs = articulation_inputs(a);
-  const articulation::StepOptions<DualFloat> options = articulation_options(a);
-  DualFloat* const q = duals.take(to[0], {});
-  DualFloat* const qd = duals.take(to[1], {});
-  auto* const body_q = reinterpret_cast<Transform<DualFloat>*>(duals.take(to[2], {}));
-  auto* const body_qd = reinterpret_cast<SpatialVector<DualFloat>*>(duals.take(to[3], {}));
-  const auto count = static_cast<size_t>(s.count);
-  std::vector<std::vector<uint64_t>> memory(count);
-  std::vector<articulation::Tree<DualFloat>> all;
-  std::vector<articulation::Workspace<DualFloat>> workspaces(count);
-  std::vector<char> moves(count);
-  for (size_t i = 0; i < count; ++i) {
-    const articulation::Tree<DualFloat>& of = all.emplace_back(articulation_tree(a, a.rows[i]));
-    memory[i].resize(static_cast<size_t>(
-        articulation::workspace_bytes<DualFloat>(of.link_count, of.dof_count) / 8 + 1));
-    workspaces[i] =
-        articulation::make_workspace<DualFloat>(memory[i].data(), of.link_count, of.dof_count);
-    moves[i] =
-        articulation::accelerate_again(of, inputs, options, numbers(to[5]), workspaces[i]) < 0;
-    if (moves[i]) articulation::free_rates(of, inputs, options, workspaces[i]);
-  }
-  const bool all_move = std::all_of(moves.begin(), moves.end(), [](char m) { return m != 0; });
-  if (all_move && (prepare_contacts(s, nullptr) || t[kJointFriction].defined())) {
-    const auto of = [&](size_t i) {
-      return s.in(i).defined() ? duals.take(s.in(i), i < t.size() ? t[i] : Tensor()) : nullptr;
+  const auto out = [&](size_t i) { return take(to[i], Tensor()); };
+  const ArticulationArgumentsOf<DualFloat> in = dual_arguments(s, from, t, take);
+  const Untyped results[] = {out(0), out(1), out(2), out(3)};
+  const ArticulationJvpArguments a = {.in = in,
+                                      .q_next = results[0],
+                                      .qd_next = results[1],
+                                      .body_q = results[2],
+                                      .body_qd = results[3],
+                                      .branch = argument(to[5]),
+                                      .workspace = memory.part(s.count * stride / 2),
+                                      .stride = stride};
+  if (solves) {
+    const auto more = [&](size_t i) {
+      return s.in(i).defined() ? take(s.in(i), i < t.size() ? t[i] : Tensor()) : Untyped(nullptr);
     };
-    const ContactDuals more = {of(kJointFriction), of(kMu), of(kRestitution), of(kStiffness),
-                               of(kDamping)};
-    const KeptContacts kept = kept_contacts(s);
-    s.shared->pgs->jvp(all, inputs.qd, workspaces, contact_rows_of(s), kept.impulses, kept.friction,
-                       s.options, more, s.dt);
+    shared.launched->jvp(
+        a, kept_arguments(s), s.options, contact_record(s),
+        {more(kJointFriction), more(kMu), more(kRestitution), more(kStiffness), more(kDamping)});
+  } else {
+    run(tangent_kernels().step, s.count, a);
   }
-  for (size_t i = 0; i < count; ++i) {
-    if (!moves[i]) continue;
-    articulation::finish_step(all[i], inputs, options, workspaces[i], q, qd, body_q, body_qd);
-  }
-  write_tangent(tangents[0], q);
-  write_tangent(tangents[1], qd);
-  write_tangent(tangents[2], &body_q->p.x);
-  write_tangent(tangents[3], &body_qd->linear.x);
+  for (size_t i = 0; i < std::size(results); ++i) memory.write_tangent(results[i], tangents[i]);
 }
 
-void run_jvp_of_steps(const Step& s, std::span<const Tensor> t, std::span<const Tensor> tangents) {
+}  // namespace
+
+void submit_jvp(const std::shared_ptr<const Step>& step, std::span<const Tensor> t,
+                std::span<const Tensor> tangents) {
+  const Step& s = *step;
   std::vector<Tensor> inputs(t.begin(), t.end());
   StepOutputs from = outputs_of(s);
   for (size_t i = 0; i <= s.following.size(); ++i) {
@@ -84,8 +98,8 @@ void run_jvp_of_steps(const Step& s, std::span<const Tensor> t, std::span<const 
     std::array<Tensor, 4> out;
     for (size_t k = 0; k < out.size(); ++k) {
       out[k] = tangents[4 * i + k];
-      if (k < 2 && !out[k].defined())
-        out[k] = Tensor(to[k].shape(), nova::DType::F32, Device::cpu());
+      if (k < 2 && !out[k].defined() && i < s.following.size())
+        out[k] = Tensor(to[k].shape(), nova::DType::F32, s.shared->device);
     }
     run_jvp(s, i == 0 ? nullptr : &from, to, inputs, out);
     inputs[kAt.q] = out[0];
@@ -93,28 +107,8 @@ void run_jvp_of_steps(const Step& s, std::span<const Tensor> t, std::span<const 
     from = to;
   }
   for (size_t i = 4 * (s.following.size() + 1); i < tangents.size(); ++i)
-    if (tangents[i].defined())
-      std::fill_n(static_cast<float*>(tangents[i].range()->data()), tangents[i].size(), 0.0f);
-}
-
-}  // namespace
-
-void submit_jvp(const std::shared_ptr<const Step>& step, std::span<const Tensor> inputs,
-                std::span<const Tensor> outputs) {
-  if (!step->shared->device.is_cpu()) {
-    require_converged(*step, "jvp");
-    return launch_jvp(*step, inputs, outputs);
-  }
-  if (!nova::current_capture()) return run_jvp_of_steps(*step, inputs, outputs);
-  const std::vector<Tensor> t(inputs.begin(), inputs.end()), out(outputs.begin(), outputs.end());
-  std::vector<Tensor> reads = reads_of(*step);
-  reads.insert(reads.end(), t.begin(), t.end());
-  if (step->contacts.defined()) reads.push_back(step->contacts);
-  nova::capture_host_work({.name = kName,
-                           .reads = reads,
-                           .results = out,
-                           .failure = &step->shared->failure,
-                           .run = [step, t, out] { run_jvp_of_steps(*step, t, out); }});
+    if (tangents[i].defined()) nova::submit_fill(tangents[i].range(), 0.0f);
+  watch_convergence(step, tangents, "jvp");
 }
 
 }  // namespace novaphy::diff::detail

@@ -153,13 +153,18 @@ struct ArticulationStep::Shared {
     actuators = std::make_shared<Actuators>(m);
     const auto count = static_cast<size_t>(articulations.count());
     for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
-    if (device.is_cpu())
-      trees.emplace(m, articulations);
-    else
-      launched.emplace(m, articulations);
-    stride = launched ? launched->adjoint_tree_stride() : step_workspace(articulations);
+    if (device.is_cpu()) trees.emplace(m, articulations);
+    launched.emplace(m, articulations);
+    own_stride = step_workspace(articulations);
     status = DeviceArray<int32_t>(count, device);
-    workspace = DeviceArray<float>(count * static_cast<size_t>(stride), device);
+  }
+  // Memory of trees for a step and its adjoint; `solves`: with contacts or dry friction.
+  void reserve(bool solves) {
+    const int64_t numbers = solves ? launched->adjoint_tree_stride() : own_stride;
+    if (numbers <= stride) return;
+    stride = numbers;
+    const Unobserved unobserved;
+    workspace = DeviceArray<float>(all.size() * static_cast<size_t>(stride), device);
   }
   // Where nothing records on the cpu, which steps without launches.
   bool runs_on_host() const { return device.is_cpu() && !nova::current_capture(); }
@@ -167,10 +172,10 @@ struct ArticulationStep::Shared {
   Device device;
   Articulations articulations;
   std::optional<TreeSteps> trees;            // on the cpu
-  std::optional<LaunchedContacts> launched;  // on devices
+  std::optional<LaunchedContacts> launched;
   std::vector<int32_t> all;                  // articulations
   std::shared_ptr<Actuators> actuators;
-  int64_t stride = 0;
+  int64_t stride = 0, own_stride = 0;  // of a step without contacts
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;
   std::unique_ptr<PgsContacts> pgs;  // on the cpu, made by the first step with contacts
@@ -251,6 +256,12 @@ inline ContactRows contact_rows_of(const Step& s) { return kept_contacts(s).rows
 // ErrorKind::Runtime where the step is far from converged and nobody allows it. `what`: backward or
 // jvp.
 void require_converged(const Step& s, const char* what);
+// In a capture of the host: its replays fail there, and these results are NaN.
+void watch_convergence(const std::shared_ptr<const Step>& step, std::span<const Tensor> results,
+                       const char* what);
+// Whether a step has contacts or dry friction, as far as the host sees at once; or somebody asks
+// for the gradient of friction.
+bool acts(const Step& s, const Tensor& joint_friction);
 // Whether a step has contacts that act; those are then in shared->pgs. `from`: as for
 // PgsContacts::prepare.
 bool prepare_contacts(const Step& s, const ArticulationArguments* from);

@@ -14,7 +14,7 @@ using namespace detail;
 namespace {
 
 ContactBranches all_branches(const ArticulationStep::Shared& shared) {
-  ContactBranches b = shared.launched ? shared.launched->branches() : shared.branches;
+  ContactBranches b = shared.trees ? shared.branches : shared.launched->branches();
   b.all.steps += shared.free_steps;
   b.all.exact += shared.free_steps;
   return b;
@@ -252,6 +252,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   step->options = shared_->options;
   step->dt = dt;
   step->count = a.count();
+  shared_->reserve(touching || shared_->dry);
   step->stride = shared_->stride;
   step->status = shared_->status;
   step->workspace = shared_->workspace;
@@ -265,7 +266,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   shared_->ended = solves ? out.joint_q.range()->data() : nullptr;
   if (!solves) ++shared_->free_steps;
   if (solves) {
-    if (shared_->launched) {
+    if (!shared_->trees) {
       if (!step->copies_contacts())
         shared_->launched->copy(contact_arguments(*contacts), kept_arguments(*step));
     } else {
@@ -325,7 +326,7 @@ ContactBranches ArticulationStep::branches() const { return all_branches(*shared
 void ArticulationStep::clear_branches() {
   shared_->free_steps = 0;
   shared_->ended = nullptr;
-  if (shared_->launched) shared_->launched->clear_branches();
+  if (!shared_->trees) shared_->launched->clear_branches();
   shared_->branches = {};
   shared_->motion.several = shared_->motion.unmoved = 0;
   shared_->far_steps = 0;
@@ -338,8 +339,8 @@ void ArticulationStep::count_from(int64_t number) { shared_->next_step = number;
 void ArticulationStep::check(const Model& model, const char* function) const {
   const OnHost<int32_t> status(shared_->status);
   for (size_t i = 0; i < status.size(); ++i) check_contact_status(status[i], function);
-  if (shared_->launched) {
-    shared_->launched->check_adjoint(function);
+  shared_->launched->check_adjoint(function);
+  if (!shared_->trees) {
     const int64_t far = shared_->launched->branches().unconverged;
     *std::exchange(shared_->far, std::make_shared<bool>(false)) =
         far > std::exchange(shared_->far_steps, far);

@@ -149,22 +149,13 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
   const auto of = [&](size_t i) { return i < gradients.size() ? gradients[i].grad : Tensor(); };
   const auto adjoint = [&](const ArticulationStepVjpArguments& a) {
     ArticulationStep::Shared& shared = *s.shared;
-    if (!shared.runs_on_host()) {
-      if (!s.contacts.defined() || !shared.launched) return run(kernels().vjp, s.count, a);
+    if (acts(s, of(kJointFriction)))
       return shared.launched->vjp(
           a, kept_arguments(s), s.options, contact_record(s),
           {argument(of(kJointFriction)), argument(of(kMu)), argument(of(kRestitution)),
            argument(of(kStiffness)), argument(of(kDamping))});
-    }
-    const ContactGradient more = {numbers(of(kJointFriction)), numbers(of(kMu)),
-                                  numbers(of(kRestitution)), numbers(of(kStiffness)),
-                                  numbers(of(kDamping))};
-    const ArticulationStepVjpArguments here = in_memory(a);
-    if (!prepare_contacts(s, nullptr) && more.joint_friction == nullptr)
-      return shared.trees->vjp(here, *s.model, shared.all);
-    const KeptContacts kept = kept_contacts(s);
-    shared.pgs->vjp(here, *s.model, contact_rows_of(s), kept.impulses, kept.friction, s.options,
-                    more);
+    if (!shared.runs_on_host()) return run(kernels().vjp, s.count, a);
+    shared.trees->vjp(in_memory(a), *s.model, shared.all);
   };
   with_gravity(s, vjp_arguments(s, step_arguments_of(s), outputs.data(), gradients),
                gradients[kAt.gravity], gradients[kAt.gravity].add, gradients[kAt.body_f].grad,
@@ -175,20 +166,11 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
 
 void submit_vjp(const std::shared_ptr<const Step>& step, std::span<const Tensor> outputs,
                 std::span<const nova::InputGradient> gradients) {
-  if (!works_on_host(*step)) return run_vjp(*step, outputs, gradients);
-  std::vector<Tensor> reads = reads_of(*step), results;
-  reads.insert(reads.end(), outputs.begin(), outputs.end());
-  for (const size_t i : {0, 1, 4, 5}) reads.push_back(step->outputs[i].tensor);
-  reads.push_back(step->contacts);
+  run_vjp(*step, outputs, gradients);
+  std::vector<Tensor> results;
   for (const nova::InputGradient& gradient : gradients)
     if (gradient.grad.defined()) results.push_back(gradient.grad);
-  const std::vector<Tensor> out(outputs.begin(), outputs.end());
-  const std::vector<nova::InputGradient> to(gradients.begin(), gradients.end());
-  nova::capture_host_work({.name = kName,
-                           .reads = reads,
-                           .results = results,
-                           .failure = &step->shared->failure,
-                           .run = [step, out, to] { run_vjp(*step, out, to); }});
+  watch_convergence(step, results, "backward");
 }
 
 }  // namespace novaphy::diff::detail

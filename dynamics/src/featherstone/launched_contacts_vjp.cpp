@@ -89,6 +89,10 @@ void LaunchedContacts::reserve_adjoint(bool dry, bool materials) {
       system_of_contact_ = 0;
       system_of_group_ = std::min(art::adjoint_numbers(slots, dofs) + 1, kMostSystems);
     }
+    if (device.is_cpu()) {  // thread_numbers
+      system_of_contact_ = 0;
+      system_of_group_ = 1;
+    }
     system_ = DeviceArray<float>(
         static_cast<size_t>(2 * (slots * system_of_contact_ + groups_ * system_of_group_)), device);
     adjoint_memory_ = DeviceArray<float>(static_cast<size_t>(slots * adjoint_stride_), device);

@@ -11,8 +11,7 @@
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/index_rows.h"
-#include "novaphy/dynamics/articulation/contact_adjoint.h"
-#include "novaphy/dynamics/articulation/dual.h"
+#include "novaphy/dynamics/articulation/active_rows.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
 #include "novaphy/dynamics/featherstone/contact_branches.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
@@ -32,19 +31,6 @@ struct FarIsland {
 };
 std::string describe(const FarIsland& of, const Model& model, const Articulations& articulations,
                      const ContactRows& contacts);
-
-// Gradients of what only contacts and dry friction read; null: nobody wants it. They are added to.
-struct ContactGradient {
-  float* joint_friction = nullptr;                                            // {dofs}
-  float *mu = nullptr, *restitution = nullptr, *ke = nullptr, *kd = nullptr;  // {shapes}
-};
-
-// What only contacts and dry friction read, with its derivatives.
-struct ContactDuals {
-  const articulation::Dual<float>* joint_friction = nullptr;  // {dofs}
-  const articulation::Dual<float>*mu = nullptr, *restitution = nullptr, *ke = nullptr,
-        *kd = nullptr;  // {shapes}
-};
 
 class PgsContacts : private TreeContacts {
  public:
@@ -71,19 +57,6 @@ class PgsContacts : private TreeContacts {
   // step before. `qd` {dofs}: before the step.
   ContactEvents events(const ContactRows& contacts, const FeatherstoneOptions& options,
                        const float* qd, bool continues);
-  // Behind prepare: the adjoint of step, as articulation_step_vjp, from its impulses. Branches stay
-  // as they are, and so do normals. Points are fixed to their shapes; that of a plane of the world
-  // stays below the other, where that is exact (IslandContact::follows).
-  void vjp(const ArticulationStepVjpArguments& step, const Model& model,
-           const ContactRows& contacts, const Vec3f* impulses, const float* friction,
-           const FeatherstoneOptions& options, const ContactGradient& more);
-  // Behind prepare: what contacts and friction do to the rates in `workspaces` of all trees, which
-  // have been accelerated (qd_next without them), with their derivatives. `qd` {dofs}: of before.
-  void jvp(const std::vector<articulation::Tree<articulation::Dual<float>>>& trees,
-           const articulation::Dual<float>* qd,
-           std::vector<articulation::Workspace<articulation::Dual<float>>>& workspaces,
-           const ContactRows& contacts, const Vec3f* impulses, const float* friction,
-           const FeatherstoneOptions& options, const ContactDuals& of, float dt);
   // Where the links are and how they move, in the workspaces of all trees, and the poses and
   // velocities of their bodies (null: not asked for), from joint_q and joint_qd.
   void move_links(const ArticulationArguments& in, Transformf* body_q = nullptr,
@@ -98,14 +71,13 @@ class PgsContacts : private TreeContacts {
 
  private:
   using Side = articulation::ContactSide;
-  struct Row : articulation::AdjointContact {
+  struct Row : articulation::IslandContact {
     int64_t numbers = 0;  // first of J and Y
   };
   struct Friction {
     int32_t tree = 0, dof = 0;  // of the tree
   };
   struct Step;
-  struct AdjointIsland;
 
   int32_t count(int64_t tree) const override;
   int32_t fill(int64_t tree, int32_t i, float* numbers, int32_t stride) override;
@@ -126,8 +98,6 @@ class PgsContacts : private TreeContacts {
   void set_target(const Step& step, Row& row);  // behind it, at the rates without impulses
   void place_friction();
   void build_friction(const Step& step, int32_t row);
-  void add_material_gradients(const Step& step, const Row& row, const ContactGradient& to) const;
-  void add_friction_gradients(float* to);
   const articulation::KeptContact* kept_of(size_t row) const;  // null: it starts from nothing
   float& kept_friction(int32_t row) {
     const Friction& f = friction_[static_cast<size_t>(row)];
@@ -135,8 +105,6 @@ class PgsContacts : private TreeContacts {
   }
   void solve_island(const Step& step, int64_t island);
   void keep(const ContactRows& contacts, float dt, Vec3f* force);
-  void solve_adjoint(int64_t island, bool cone);
-  articulation::AdjointMemory<float> adjoint(int64_t tree);
   int32_t find_root(int32_t tree) {
     return articulation::find_root(
         [this](int32_t i) -> int32_t& { return root_[static_cast<size_t>(i)]; }, tree);
@@ -172,10 +140,6 @@ class PgsContacts : private TreeContacts {
   std::vector<int32_t> warm_;                    // of each row, find_kept
   std::vector<float> kept_friction_;             // of the step before, of each dof
   float kept_dt_ = 0.0f;
-  std::vector<uint64_t> adjoint_;  // memory of all trees, of vjp
-  std::vector<int64_t> adjoint_begin_;
-  std::vector<double> system_;
-  std::vector<float> friction_push_;  // of each dof: friction_push
   std::vector<SeenContact> seen_, seen_now_;
   int32_t sweeps_ = 0;
   float residual_ = 0.0f;

@@ -3,10 +3,20 @@
 // those of the last launch.
 #pragma once
 
+#include <cstddef>
+#include <vector>
+
 #include "novaphy/core/row_stack.h"
 
 #define NOVAPHY_ROW_SCRATCH(TYPE, NAME, MEMORY) TYPE NAME
 
 namespace novaphy {
 inline constexpr int64_t kRowStack = kHostRowStack;
+
+// So many numbers of the thread that runs a row, until it asks again; null on devices.
+inline double* thread_numbers(int64_t count) {
+  static thread_local std::vector<double> numbers;
+  if (numbers.size() < static_cast<size_t>(count)) numbers.resize(static_cast<size_t>(count));
+  return numbers.data();
+}
 }  // namespace novaphy

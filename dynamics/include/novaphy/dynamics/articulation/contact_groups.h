@@ -3,6 +3,7 @@
 // which splits into islands (islands.h).
 #pragma once
 
+#include "novaphy/core/row_scratch.h"
 #include "novaphy/dynamics/articulation/active_rows.h"
 #include "novaphy/dynamics/articulation/arguments.h"
 #include "novaphy/dynamics/articulation/step_vjp.h"
@@ -289,6 +290,7 @@ struct ActiveIsland {
     const int64_t contacts = s.end_place() - s.first_place();
     const int64_t of_contact = s.all.system_of_contact, of_group = s.all.system_of_group;
     if (numbers > contacts * of_contact + of_group) {
+      if (double* const more = thread_numbers(numbers)) return more;
       s.all.status[s.group] = numbers < 0x7ffffffe ? static_cast<int32_t>(1 + numbers) : 0x7fffffff;
       return nullptr;
     }

@@ -5,7 +5,7 @@
 
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/articulation/active_rows.h"
-#include "pgs_contacts.h"
+#include "contact_steps.h"
 
 namespace novaphy {
 
@@ -38,7 +38,7 @@ void ActiveContacts::find(const Model& m, const Contacts* contacts, const SimSta
   for (std::vector<Vec3f>* values : {&point0_, &point1_, &normal_}) values->clear();
   for (std::vector<float>* values : {&margin0_, &margin1_}) values->clear();
   if (contacts == nullptr) return;
-  const ContactRows c = contact_rows(contacts);
+  const art::ContactRows c = contact_rows(contacts);
   const Vec3f* const force = contacts->rigid_contact_force.data();
   const int32_t width = art::padded_dofs(dofs_);
   for (int32_t i = 0; i < c.count; ++i) {
@@ -77,7 +77,7 @@ void ActiveContacts::find(const Model& m, const Contacts* contacts, const SimSta
   }
   const size_t numbers = 6 * static_cast<size_t>(width);
   numbers_.resize(std::max(numbers_.size(), rows_.size() * numbers));
-  ContactRows kept;
+  art::ContactRows kept;
   kept.point0 = point0_.data();
   kept.point1 = point1_.data();
   kept.normal = normal_.data();

@@ -1,11 +1,24 @@
-// A step of articulations with contacts and dry friction (articulation/islands.h), for devices.
-// Articulations that may touch each other are a group, those of a world; a row steps a group.
+// A step of articulations with contacts and dry friction (articulation/islands.h). Articulations
+// that may touch each other are a group, those of a world.
 //
-//   articulation_contact_group  the group of each contact, for the lists of contacts by group
-//   articulation_contact_step   accelerates, solves the group's islands one by one, integrates
-//   articulation_contact_keep   the impulses for the next step
-//   articulation_contact_copy   the contacts of a step for its adjoint
+//   articulation_contact_group    the group of each contact, for the lists of contacts by group
+//   articulation_contact_step     a row does all of a group, where each group is one tree
+//
+// or, where groups have several trees, or TreeSteps takes some of them:
+//
+//   articulation_contact_open     a row per tree: where its links are; without `lanes` also start
+//   articulation_contact_islands  a row per group: its islands, and their contacts
+//   articulation_contact_start    a row per tree: its rates without impulses
+//   articulation_contact_solve    a row per tree: the island whose root it is
+//   articulation_contact_finish   a row per tree: its new state
+//   articulation_contact_notes    a row per group: what branches its islands took
+//
+// and behind both:
+//
+//   articulation_contact_keep     the impulses for the next step
 //   articulation_note_some, articulation_note_step   what branches a step took (active_rows.h)
+//
+//   articulation_contact_copy     the contacts of a step for its adjoint
 #pragma once
 
 // clang-format off: before what reads it
@@ -40,23 +53,24 @@ NOVAPHY_ROW_KERNEL(articulation_contact_group, ArticulationContactGroupArguments
 
 // step.status: also -1 - a contact that the group cannot have. moved_by: of links, bits of the
 // tree's dofs. most_alone: contacts of an island that tree_contacts.h takes. kept_begin: of each
-// group. kept_friction: {dofs}, of the step before and of this. now: a row per place in the lists.
-// sweeps: the most of an island of the group. For derivatives, null where they are not asked for:
-// impulses along n, t1, t2 and of dry friction, what branches there are, and with these `seen`, a
-// row per place in the lists, those of the step before and where the groups' begin. continues: the
-// step starts where the one before ended.
+// group. kept_friction: {dofs}, of the step before, now_friction: of this. now: a row per place in
+// the lists. lanes: TreeSteps takes trees, which have `taken`. For derivatives, null where they are
+// not asked for: impulses along n, t1, t2 and of dry friction, what branches there are, and with
+// these `seen`, a row per place in the lists, those of the step before and where the groups' begin.
+// continues: the step starts where the one before ended.
 struct ArticulationContactStepArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationStepArguments> step; Part<ContactGroupArguments> of;
                     Optional<Given<int32_t>> point_id; Given<int32_t> moved_by;
                     Number<float> tolerance; Number<int64_t> most_sweeps, warm_start, most_alone;
                     Given<int32_t> kept_begin; Given<articulation::KeptContact> kept;
-                    Given<float> kept_dt; Changed<float> kept_friction;
-                    Writes<articulation::KeptContact> now; Optional<Writes<Vec3f>> force;
-                    WritesRow<int32_t> sweeps; WritesRow<float> residual;
-                    Optional<Changed<Vec3f>> impulses; Optional<Changed<float>> friction_impulses;
-                    Optional<WritesRow<articulation::BranchNotes>> notes;
+                    Given<float> kept_dt, kept_friction; Changed<float> now_friction;
+                    Writes<articulation::KeptContact> now; Writes<int32_t> places;
+                    Optional<Writes<Vec3f>> force; Optional<Changed<Vec3f>> impulses;
+                    Optional<Changed<float>> friction_impulses;
+                    Optional<Writes<articulation::BranchNotes>> notes;
                     Optional<Writes<SeenContact>> seen; Optional<Given<SeenContact>> seen_before;
-                    Optional<Given<int32_t>> seen_begin; Number<int64_t> by_restitution, continues;)
+                    Optional<Given<int32_t>> seen_begin;
+                    Number<int64_t> by_restitution, continues, lanes;)
 };
 
 // Memory of a contact of trees with so many dofs, however it is solved.
@@ -78,39 +92,62 @@ struct LocalIsland {
   alignas(16) unsigned char bytes[kIslandStack];
 };
 
-// A group's step.
+// A group's step. `local`: memory of its tree, where that has none.
 struct GroupStep : ContactGroup {
   const ArticulationContactStepArguments& all;
   const float warm_scale;
 
-  GroupStep(const ArticulationContactStepArguments& arguments, LocalIsland& local, int64_t row,
-            float scale)
+  GroupStep(const ArticulationContactStepArguments& arguments, unsigned char* local, int64_t row)
       : ContactGroup(arguments.step.in, arguments.of,
                      arguments.step.stride.value > 0 ? arguments.step.workspace + int64_t{0}
-                                                     : reinterpret_cast<float*>(local.bytes),
+                                                     : reinterpret_cast<float*>(local),
                      arguments.step.stride.value, row, arguments.point_id),
         all(arguments),
-        warm_scale(scale) {}
+        warm_scale(scale_of(arguments)) {}
 
-  // For so many bytes, behind `used` of a tree on the stack.
-  unsigned char* memory_behind(int64_t used, int64_t bytes) const {
-    return stride == 0 && used + bytes <= kIslandStack ? memory(0) + used : island_memory();
+  static float scale_of(const ArticulationContactStepArguments& a) {
+    const float before = a.warm_start.value != 0 ? *a.kept_dt : 0.0f;
+    return before > 0.0f ? a.step.in.dt.value / before : 1.0f;
+  }
+  // Of the contacts of an island.
+  unsigned char* rows_memory(int32_t root) const {
+    return island_memory() + a.nodes[root].begin * a.contact_stride.value * int64_t{sizeof(float)};
+  }
+  // For so many bytes of an island, behind `used` of its tree on the stack.
+  unsigned char* memory_behind(int32_t root, int64_t used, int64_t bytes) const {
+    return stride == 0 && used + bytes <= kIslandStack ? memory(0) + used : rows_memory(root);
+  }
+  // The places of an island's contacts, in their order.
+  const int32_t* places(int32_t root) const {
+    return all.places + (first_place() + a.nodes[root].begin);
   }
   const articulation::KeptContact* kept(int32_t place) const {
     const int32_t k = a.chain[place].kept;
-    return k < 0 ? nullptr : all.kept + all.kept_begin[group] + k;
+    return k < 0 ? nullptr : all.kept + k;
   }
 };
 
-// The rates of a tree without impulses; it is an island of its own.
+// Where the links of a tree are and how they move; it is an island of its own.
+inline void open_tree(const GroupStep& s, int32_t i) {
+  articulation::IslandTree of = s.tree(i);
+  articulation::link_frames(of.tree, s.in.q, of.ws);
+  articulation::link_motions(of.tree, of.qd, of.ws);
+  s.all.step.status[i] = 0;
+  start_node(s, i);
+}
+// The rates of a tree without impulses.
 inline void start_tree(const GroupStep& s, int32_t i) {
   articulation::IslandTree of = s.tree(i);
   const ArticulationRows& rows = s.rows(i);
   const int32_t failed = articulation::accelerate(of.tree, s.in, s.how, false, of.ws);
-  s.all.step.status[i] = failed < 0 ? 0 : 1 + failed + rows.first_dof;
+  if (failed >= 0) s.all.step.status[i] = 1 + failed + rows.first_dof;
   if (failed < 0) articulation::free_rates(of.tree, s.in, s.how, of.ws);
   for (int32_t k = 0; k < 2 * articulation::padded_dofs(rows.dof_count); ++k)
     of.rates[k] = failed < 0 && k < rows.dof_count ? of.ws.qd_next[k] : 0.0f;
+}
+inline void open_and_start(const GroupStep& s, int32_t i) {
+  s.all.step.status[i] = 0;
+  start_tree(s, i);
   start_node(s, i);
 }
 
@@ -147,9 +184,35 @@ inline void join_step_contact(const GroupStep& s, int32_t place) {
 inline void list_step_contact(const GroupStep& s, int32_t place, int32_t& next_kept) {
   if (list_contact(s, place) < 0 || s.all.warm_start.value == 0) return;
   const int32_t begin = s.all.kept_begin[s.group];
-  s.a.chain[place].kept =
+  const int32_t kept =
       articulation::find_kept(s.all.kept + begin, s.all.kept_begin[s.group + 1] - begin, next_kept,
                               s.contacts, s.a.contacts[place]);
+  s.a.chain[place].kept = kept < 0 ? -1 : begin + kept;
+}
+
+// Gives an island the places of its contacts, behind `used` of islands before.
+inline void close_island(const GroupStep& s, int32_t root, int32_t& used) {
+  IslandNode& node = s.a.nodes[root];
+  node.begin = used;
+  used += node.rows;
+  int32_t* to = s.all.places + (s.first_place() + node.begin);
+  for (int32_t place = node.first_row; place >= 0; place = s.a.chain[place].next) *to++ = place;
+  bool friction = false;
+  for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
+    for (int32_t k = 0; k < s.rows(i).dof_count; ++k) friction = friction || s.has_friction(i, k);
+  if (friction || node.rows > s.all.most_alone.value) node.joined = 1;
+}
+
+// Behind open_tree or start_tree of all trees.
+inline void find_islands(const GroupStep& s) {
+  const int32_t* const trees = s.a.trees;
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place) join_step_contact(s, place);
+  list_trees(s);
+  int32_t next_kept = 0, used = 0;
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place)
+    list_step_contact(s, place, next_kept);
+  for (int32_t k = s.first_tree(); k < s.end_tree(); ++k)
+    if (s.root(trees[k]) == trees[k]) close_island(s, trees[k], used);
 }
 
 inline void take_contact(const GroupStep& s, int32_t place,
@@ -172,10 +235,22 @@ inline void hold_rates(const GroupStep& s, int32_t i) {
   if (failed < 0) articulation::free_rates(of.tree, s.in, s.how, ws);
 }
 
+// The contact of a tree with the world, and its link.
+inline articulation::TreeContact<float> contact_of_tree(const GroupStep& s, int32_t tree,
+                                                        int32_t place, int32_t& link) {
+  const int32_t contact = s.a.contacts[place];
+  articulation::ContactSide sides[2];
+  contact_sides(s.a.shapes, contact, sides);
+  const int32_t side = sides[0].tree >= 0 ? 0 : 1;
+  link = sides[side].link;
+  return articulation::tree_contact(s.contacts, contact, side,
+                                    s.all.moved_by[s.rows(tree).first_link + link],
+                                    s.material(contact), s.kept(place), s.warm_scale);
+}
+
 // An island of one tree that touches the world.
 inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) {
-  const ContactGroupArguments& a = s.a;
-  const IslandNode& node = a.nodes[root];
+  const IslandNode& node = s.a.nodes[root];
   const articulation::IslandTree of = s.tree(root);
   const int32_t dofs = of.tree.dof_count;
   const int64_t used = tree_rates_offset(of.tree.link_count, dofs) + tree_rates_bytes(dofs);
@@ -184,20 +259,15 @@ inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) 
                                        sizeof(articulation::TreeContactLink<float>)) +
       articulation::tree_contact_bytes<float>(node.rows, dofs);
   auto* const found =
-      reinterpret_cast<articulation::TreeContact<float>*>(s.memory_behind(used, bytes));
+      reinterpret_cast<articulation::TreeContact<float>*>(s.memory_behind(root, used, bytes));
   auto* const links = reinterpret_cast<articulation::TreeContactLink<float>*>(found + node.rows);
   articulation::TreeContactMemory<float> m = articulation::make_tree_contact_memory<float>(
       links + node.rows, node.rows, of.tree.dof_count);
   m.shift = of.rates + articulation::padded_dofs(dofs);
-  int32_t n = 0;
-  for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n) {
-    const int32_t contact = a.contacts[place];
-    articulation::ContactSide sides[2];
-    contact_sides(a.shapes, contact, sides);
-    const int32_t side = sides[0].tree >= 0 ? 0 : 1, link = sides[side].link;
-    found[n] = articulation::tree_contact(s.contacts, contact, side,
-                                          s.all.moved_by[s.rows(root).first_link + link],
-                                          s.material(contact), s.kept(place), s.warm_scale);
+  const int32_t* const places = s.places(root);
+  for (int32_t n = 0; n < node.rows; ++n) {
+    int32_t link = 0;
+    found[n] = contact_of_tree(s, root, places[n], link);
     const articulation::LinkState<float>& at = of.ws.links[link];
     links[n].q = at.q;
     links[n].p = at.p;
@@ -220,9 +290,8 @@ inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) 
     if (failed < 0) articulation::free_rates(of.tree, s.in, s.how, ws);
   }
   if (failed >= 0) s.all.step.status[root] = 1 + failed + s.rows(root).first_dof;
-  n = 0;
-  for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n)
-    take_contact(s, place, m.rows[n].frame, m.rows[n].impulse);
+  for (int32_t n = 0; n < node.rows; ++n)
+    take_contact(s, places[n], m.rows[n].frame, m.rows[n].impulse);
   return {static_cast<int32_t>(result.sweeps), result.residual, result.largest};
 }
 
@@ -233,12 +302,17 @@ void for_friction(const GroupStep& s, int32_t root, const F& f) {
     for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
       if (s.has_friction(i, k)) f(s.friction(i)[k], s.rows(i).first_dof + k);
 }
+// The rows of a joined island.
+inline articulation::IslandContact* rows_of(const GroupStep& s, int32_t root) {
+  return reinterpret_cast<articulation::IslandContact*>(s.rows_memory(root));
+}
 
 // Any island.
 inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root) {
   const ContactGroupArguments& a = s.a;
   const IslandNode& node = a.nodes[root];
-  auto* const rows = reinterpret_cast<articulation::IslandContact*>(s.island_memory());
+  articulation::IslandContact* const rows = rows_of(s, root);
+  const int32_t* const places = s.places(root);
   const auto contacts = [&](bool back, const auto& f) {
     for (int32_t k = 0; k < node.rows; ++k) f(rows[back ? node.rows - 1 - k : k].solver);
   };
@@ -246,21 +320,18 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
     for_friction(s, root, [&](articulation::PgsJointFriction<float>& dry, int32_t) { f(dry); });
   };
   articulation::IslandResult result;
-  int32_t n = 0;
   bool renewed = true;
   for (int32_t round = 0; renewed; ++round) {
     auto* numbers = reinterpret_cast<float*>(rows + node.rows);
-    n = 0;
-    for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n) {
+    for (int32_t n = 0; n < node.rows; ++n) {
       articulation::IslandContact& row = rows[n];
       row = articulation::IslandContact{};
-      build_row(s, a.contacts[place], numbers, row);
+      build_row(s, a.contacts[places[n]], numbers, row);
       articulation::set_target(s.law, s.material(row.contact), row);
     }
     for (int32_t i = root; i >= 0; i = a.nodes[i].next) build_dry(s, i);
-    n = 0;
-    for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n)
-      if (const articulation::KeptContact* const kept = s.kept(place))
+    for (int32_t n = 0; n < node.rows; ++n)
+      if (const articulation::KeptContact* const kept = s.kept(places[n]))
         articulation::start_from_kept(*kept, s.warm_scale, s.law.cone, rows[n]);
     for_friction(s, root, [&](articulation::PgsJointFriction<float>& f, int32_t row) {
       if (s.all.warm_start.value != 0)
@@ -280,67 +351,42 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
         s.all.step.status[k] = 1 + failed + s.rows(i).first_dof;
     }
   }
-  n = 0;
-  for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n)
-    take_contact(s, place, rows[n].frame, rows[n].solver.impulse);
+  for (int32_t n = 0; n < node.rows; ++n)
+    take_contact(s, places[n], rows[n].frame, rows[n].solver.impulse);
   for_friction(s, root, [&](const articulation::PgsJointFriction<float>& f, int32_t row) {
     if (s.all.friction_impulses != nullptr) s.all.friction_impulses[row] = f.impulse;
-    if (s.all.warm_start.value != 0) s.all.kept_friction[row] = f.impulse;
+    s.all.now_friction[row] = f.impulse;
   });
-  if (s.all.notes == nullptr) return result;
-  articulation::BranchNotes& notes = s.all.notes[s.group];
-  n = 0;
-  for (int32_t place = node.first_row; place >= 0; place = a.chain[place].next, ++n) {
-    articulation::note_contact(s.contacts, s.law, s.all.by_restitution.value != 0, rows[n], notes);
-    s.all.seen[place] = articulation::seen_contact(s.contacts, rows[n], s.law.cone);
-  }
-  friction([&](const articulation::PgsJointFriction<float>& f) {
-    articulation::note_friction(f, notes);
-  });
-  if (articulation::far_from_converged(result.residual, result.largest, s.all.tolerance.value))
-    notes.far = 1;
-  articulation::raise(
-      notes.all.residual,
-      articulation::relative_residual(result.residual, result.largest, s.all.tolerance.value));
   return result;
 }
 
 // Where a tree fails, its island does.
-inline void solve_island(const GroupStep& s, int32_t root, articulation::IslandResult& worst) {
+inline void solve_island(const GroupStep& s, int32_t root) {
   const ContactGroupArguments& a = s.a;
   int32_t* const all_status = s.all.step.status;
   IslandNode& node = a.nodes[root];
   int32_t status = 0;
-  bool friction = false;
-  for (int32_t i = root; i >= 0; i = a.nodes[i].next) {
-    if (status == 0) status = all_status[i];
-    for (int32_t k = 0; k < s.rows(i).dof_count; ++k) friction = friction || s.has_friction(i, k);
-  }
+  for (int32_t i = root; i >= 0 && status == 0; i = a.nodes[i].next) status = all_status[i];
   if (status != 0) {
     const float nan = math::bits_float(0x7fc00000);
     for (int32_t i = root; i >= 0; i = a.nodes[i].next) all_status[i] = status;
-    for (int32_t place = node.first_row; place >= 0 && s.all.force != nullptr;
-         place = a.chain[place].next)
-      s.all.force[a.contacts[place]] = Vec3f{nan, nan, nan};
-    if (s.all.notes != nullptr) s.all.notes[s.group].all.jumps = 1;
-    return;
-  }
-  if (node.rows == 0 && !friction) {
+    for (int32_t n = 0; n < node.rows && s.all.force != nullptr; ++n)
+      s.all.force[a.contacts[s.places(root)[n]]] = Vec3f{nan, nan, nan};
+    node.failed = 1;
+  } else if (node.joined != 0) {
+    node.result = solve_joined(s, root);
+  } else if (node.rows > 0) {
+    node.result = solve_alone(s, root);
+  } else {
     for (int32_t i = root; i >= 0; i = a.nodes[i].next) hold_rates(s, i);
-    return;
   }
-  if (friction || node.rows > s.all.most_alone.value) node.joined = 1;
-  const articulation::IslandResult result =
-      node.joined != 0 ? solve_joined(s, root) : solve_alone(s, root);
-  if (worst.sweeps < result.sweeps) worst.sweeps = result.sweeps;
-  if (worst.residual < result.residual) worst.residual = result.residual;
 }
 
 inline void finish_tree(const GroupStep& s, int32_t i) {
   articulation::IslandTree of = s.tree(i);
   const ArticulationRows& rows = s.rows(i);
   int32_t& status = s.all.step.status[i];
-  if (status == 0 && s.a.nodes[s.find_root(i)].joined != 0) {
+  if (status == 0 && s.a.nodes[s.root(i)].joined != 0) {
     const int32_t failed =
         articulation::take_rates(of.rates, of.qd, s.how.dt, rows.dof_count, of.ws);
     if (failed >= 0) status = 1 + failed + rows.first_dof;
@@ -350,38 +396,87 @@ inline void finish_tree(const GroupStep& s, int32_t i) {
   write_step(s.all.step, rows, of.tree, s.in, s.how, of.ws);
 }
 
-NOVAPHY_ROW_KERNEL(articulation_contact_step, ArticulationContactStepArguments) {
-  const float dt = a.step.in.dt.value, kept_dt = a.warm_start.value != 0 ? *a.kept_dt : 0.0f;
-  LocalIsland local;
-  const GroupStep s(a, local, row, kept_dt > 0.0f ? dt / kept_dt : 1.0f);
-  const int32_t* const trees = a.of.trees;
-  if (a.notes != nullptr) a.notes[row] = articulation::BranchNotes{};
-  for (int32_t k = s.first_tree(); k < s.end_tree(); ++k) start_tree(s, trees[k]);
-  for (int32_t place = s.first_place(); place < s.end_place(); ++place) join_step_contact(s, place);
-  list_trees(s);
-  int32_t next_kept = 0;
-  for (int32_t place = s.first_place(); place < s.end_place(); ++place)
-    list_step_contact(s, place, next_kept);
-  articulation::IslandResult worst;
+inline void note_island(const GroupStep& s, int32_t root, articulation::BranchNotes& notes) {
+  const IslandNode& node = s.a.nodes[root];
+  if (node.failed != 0) notes.all.jumps = 1;
+  if (node.failed != 0 || node.joined == 0) return;
+  const articulation::IslandContact* const rows = rows_of(s, root);
+  for (int32_t n = 0; n < node.rows; ++n) {
+    articulation::note_contact(s.contacts, s.law, s.all.by_restitution.value != 0, rows[n], notes);
+    s.all.seen[s.places(root)[n]] = articulation::seen_contact(s.contacts, rows[n], s.law.cone);
+  }
+  for_friction(s, root, [&](const articulation::PgsJointFriction<float>& f, int32_t) {
+    articulation::note_friction(f, notes);
+  });
+  const articulation::IslandResult& of = node.result;
+  if (articulation::far_from_converged(of.residual, of.largest, s.all.tolerance.value))
+    notes.far = 1;
+  articulation::raise(notes.all.residual, articulation::relative_residual(of.residual, of.largest,
+                                                                          s.all.tolerance.value));
+}
+inline void note_group(const GroupStep& s) {
+  articulation::BranchNotes notes;
+  const int32_t* const trees = s.a.trees;
   for (int32_t k = s.first_tree(); k < s.end_tree(); ++k)
-    if (s.root(trees[k]) == trees[k]) solve_island(s, trees[k], worst);
+    if (s.root(trees[k]) == trees[k]) note_island(s, trees[k], notes);
+  if (s.all.continues.value != 0) {
+    const int32_t begin = s.all.seen_begin[s.group];
+    note_events(s.all.seen_before + begin, s.all.seen_begin[s.group + 1] - begin,
+                s.all.seen + s.first_place(), s.end_place() - s.first_place(), notes.all);
+  }
+  s.all.notes[s.group] = notes;
+}
+
+NOVAPHY_ROW_KERNEL(articulation_contact_step, ArticulationContactStepArguments) {
+  LocalIsland local;
+  const GroupStep s(a, local.bytes, row);
+  const int32_t* const trees = a.of.trees;
+  for (int32_t k = s.first_tree(); k < s.end_tree(); ++k) open_and_start(s, trees[k]);
+  find_islands(s);
+  for (int32_t k = s.first_tree(); k < s.end_tree(); ++k)
+    if (s.root(trees[k]) == trees[k]) solve_island(s, trees[k]);
   for (int32_t k = s.first_tree(); k < s.end_tree(); ++k) finish_tree(s, trees[k]);
-  a.sweeps[row] = worst.sweeps;
-  a.residual[row] = worst.residual;
-  if (a.notes == nullptr || a.continues.value == 0) return;
-  const int32_t begin = a.seen_begin[row];
-  note_events(a.seen_before + begin, a.seen_begin[row + 1] - begin, a.seen + s.first_place(),
-              s.end_place() - s.first_place(), a.notes[row].all);
+  if (a.notes != nullptr) note_group(s);
+}
+
+inline GroupStep group_of_tree(const ArticulationContactStepArguments& a, int64_t tree) {
+  return {a, nullptr, a.of.shapes.group_of_tree[tree]};
+}
+NOVAPHY_ROW_KERNEL(articulation_contact_open, ArticulationContactStepArguments) {
+  const GroupStep s = group_of_tree(a, row);
+  if (a.lanes.value != 0)
+    open_tree(s, static_cast<int32_t>(row));
+  else
+    open_and_start(s, static_cast<int32_t>(row));
+}
+NOVAPHY_ROW_KERNEL(articulation_contact_islands, ArticulationContactStepArguments) {
+  find_islands({a, nullptr, row});
+}
+NOVAPHY_ROW_KERNEL(articulation_contact_start, ArticulationContactStepArguments) {
+  if (a.of.nodes[row].taken == 0 && a.step.status[row] == 0)
+    start_tree(group_of_tree(a, row), static_cast<int32_t>(row));
+}
+NOVAPHY_ROW_KERNEL(articulation_contact_solve, ArticulationContactStepArguments) {
+  if (a.of.nodes[row].root == row && a.of.nodes[row].taken == 0)
+    solve_island(group_of_tree(a, row), static_cast<int32_t>(row));
+}
+NOVAPHY_ROW_KERNEL(articulation_contact_finish, ArticulationContactStepArguments) {
+  if (a.of.nodes[row].taken == 0) finish_tree(group_of_tree(a, row), static_cast<int32_t>(row));
+}
+NOVAPHY_ROW_KERNEL(articulation_contact_notes, ArticulationContactStepArguments) {
+  note_group({a, nullptr, row});
 }
 
 struct ArticulationContactKeepArguments {
   NOVAPHY_ARGUMENTS(Given<int32_t> begin; Given<articulation::KeptContact> now;
-                    Writes<int32_t> kept_begin; Changed<articulation::KeptContact> kept;
-                    Writes<float> kept_dt; Number<float> dt; Number<int64_t> groups;)
+                    Given<float> now_friction; Writes<int32_t> kept_begin;
+                    Changed<articulation::KeptContact> kept; Changed<float> kept_friction;
+                    Writes<float> kept_dt; Number<float> dt; Number<int64_t> groups, dofs;)
 };
 NOVAPHY_ROW_KERNEL(articulation_contact_keep, ArticulationContactKeepArguments) {
   if (row == 0) *a.kept_dt = a.dt.value;
   if (row <= a.groups.value) a.kept_begin[row] = a.begin[row];
+  if (row < a.dofs.value) a.kept_friction[row] = a.now_friction[row];
   if (row < a.begin[a.groups.value]) a.kept[row] = a.now[row];
 }
 

@@ -113,6 +113,11 @@ void depend_on_values(const Model& m, const Control* control) {
   depend_on({&m.joint_friction});
 }
 
+int64_t articulation_workspace(const Articulations& articulations, int64_t stack) {
+  const int32_t links = articulations.max_links(), dofs = articulations.max_dofs();
+  const int64_t bytes = articulation::workspace_bytes<float>(links, dofs);
+  return bytes <= stack ? 0 : (bytes + 3) / 4;
+}
 int64_t step_workspace(const Articulations& articulations) {
   const int32_t links = articulations.max_links(), dofs = articulations.max_dofs();
   const int64_t bytes = articulation::workspace_bytes<float>(links, dofs) +

@@ -37,7 +37,9 @@ void check_contact_status(int32_t status, const char* user);
 void depend_on_values(const Model& model, const Control* control);
 void depend_on_modes(const Model& model, const Control* control);  // of them, but for friction
 
-// Numbers of memory per articulation, for a step and its adjoint; 0: the stack of the host holds
+// Numbers of memory per articulation, for a step; 0: the stack of a row holds it.
+int64_t articulation_workspace(const Articulations& articulations, int64_t stack);
+// For a step and its adjoint; 0: the stack of the host holds
 // it.
 int64_t step_workspace(const Articulations& articulations);
 

@@ -1,4 +1,4 @@
-// The kernels of LaunchedContacts.
+// The kernels of ContactSteps.
 #pragma once
 
 #include "articulation_contact_kernels.h"
@@ -18,6 +18,12 @@ struct ContactKernels {
                               vjp_text = detail::articulation_contact_vjp_kernels_text;
   NOVAPHY_CONTACT_KERNEL(contact_group)
   NOVAPHY_CONTACT_KERNEL(contact_step)
+  NOVAPHY_CONTACT_KERNEL(contact_open)
+  NOVAPHY_CONTACT_KERNEL(contact_islands)
+  NOVAPHY_CONTACT_KERNEL(contact_start)
+  NOVAPHY_CONTACT_KERNEL(contact_solve)
+  NOVAPHY_CONTACT_KERNEL(contact_finish)
+  NOVAPHY_CONTACT_KERNEL(contact_notes)
   NOVAPHY_CONTACT_KERNEL(contact_keep)
   NOVAPHY_CONTACT_KERNEL(contact_copy)
   NOVAPHY_CONTACT_KERNEL(note_some)

@@ -63,7 +63,7 @@ void require_converged(const Step& s, const char* what) {
     const KeptContacts kept = kept_contacts(s);
     if (kept.far->sweeps == 0) return;
     of = std::to_string(s.number) + ": " +
-         describe(*kept.far, *s.model, s.shared->articulations, kept.rows(false));
+         describe(*kept.far, *s.model, s.shared->articulations, kept.shape0, kept.shape1);
   } else if (*s.far) {
     of = std::to_string(s.number) + ", or one near it";
   } else {
@@ -89,10 +89,6 @@ bool acts(const Step& s, const Tensor& joint_friction) {
   if (!s.contacts.defined()) return false;
   return !s.shared->runs_on_host() || s.dry || joint_friction.defined() ||
          *kept_contacts(s).count > 0;
-}
-
-bool prepare_contacts(const Step& s, const ArticulationArguments* from) {
-  return s.contacts.defined() && s.shared->pgs->prepare(*s.model, contact_rows_of(s), from);
 }
 
 ArticulationArguments step_arguments_of(const Step& s) {
@@ -135,65 +131,43 @@ StepOutputs outputs_of(const Step& s) {
 
 namespace {
 
-void copy_found(const Step& s) {
-  if (s.contacts.defined() && s.copies_contacts())
-    kept_contacts(s).copy(s.found ? s.found->rows() : ContactRows{});
+// Behind a step as it is recorded: what its contacts say.
+void tell_contacts(const Step& s) {
+  ArticulationStep::Shared& shared = *s.shared;
+  if (s.motion) s.motion->found = shared.contacts->events(numbers(s.in(kAt.qd)), s.continues);
+  shared.contacts->note_branches();
+  if (!shared.trees) return;
+  add_branches(shared.contacts->branches(), shared.branches);
+  shared.contacts->clear_branches();
 }
 
-// With contacts on a device. `tell`: notes its branches and writes the forces of its contacts.
-void launch_contacts(const Step& s, const ArticulationStepArguments& step, bool tell) {
-  LaunchedContacts& launched = *s.shared->launched;
+// `tell`: notes its branches and writes the forces of its contacts.
+void run_contacts(const Step& s, const ArticulationStepArguments& step, bool tell) {
+  ArticulationStep::Shared& shared = *s.shared;
   ContactArguments rows = kept_arguments(s);
-  if (s.copies_contacts()) launched.copy(s.found ? s.found->arguments() : launched.none(), rows);
   ContactRecord record = contact_record(s);
   if (tell && s.force) rows.force = *s.force;
   if (tell && s.point_id) rows.point_id = *s.point_id;
   record.notes = tell;
-  launched.step(step, rows, s.options, record);
+  shared.contacts->step(step, rows, s.options, record, shared.trees ? &*shared.trees : nullptr);
+  if (shared.trees) *kept_contacts(s).far = shared.contacts->far_island(s.options.pgs_tolerance);
+  if (tell) tell_contacts(s);
 }
 
 void run_forward(const Step& s, bool tell) {
   const nova::NoGrad no_grad;
-  const bool on_host = s.shared->device.is_cpu();
+  ArticulationStep::Shared& shared = *s.shared;
   const ArticulationStepArguments step = forward_arguments(s, step_arguments_of(s), outputs_of(s));
-  if (s.shared->runs_on_host() || (on_host && s.contacts.defined())) {
-    copy_found(s);
-    const ArticulationStepArguments here = in_memory(step);
-    const bool touches = prepare_contacts(s, &here.in);
-    if (s.contacts.defined()) *kept_contacts(s).far = {};
-    if (touches) {
-      const KeptContacts kept = kept_contacts(s);
-      s.shared->pgs->step(here, *s.model, contact_rows_of(s), s.options, nullptr);
-      s.shared->pgs->write_impulses(kept.impulses, kept.friction);
-      *kept.far = s.shared->pgs->far_island();
-      return;
-    }
-    return s.shared->trees->step(here, *s.model, s.shared->all, s.options, nullptr, true);
+  if (s.contacts.defined()) {
+    ContactSteps& contacts = *shared.contacts;
+    if (s.copies_contacts())
+      contacts.copy(s.found ? s.found->arguments() : contacts.none(), kept_arguments(s));
+    if (acts(s, Tensor()) || contacts.has_seen()) return run_contacts(s, step, tell);
+    *kept_contacts(s).far = {};
+    if (tell) articulation::note_step(articulation::BranchNotes(), shared.branches);
   }
-  if (!on_host && s.contacts.defined()) return launch_contacts(s, step, tell);
-  run(step_kernel(), s.count, step);
-}
-
-// rigid_contact_force from the impulses of a step.
-void write_forces(const KeptContacts& kept, const DeviceArray<Vec3f>& to, float dt) {
-  DeviceArray<Vec3f> forces = to;
-  Vec3f* const force = forces.mutable_data();
-  for (int32_t i = 0; i < *kept.count; ++i) {
-    const articulation::ContactFrame<float> frame = articulation::contact_frame(kept.normal[i]);
-    const Vec3f& x = kept.impulses[i];
-    force[i] = (frame.axes[0] * x.x + (frame.axes[1] * x.y + frame.axes[2] * x.z)) * (1.0f / dt);
-  }
-}
-
-// Behind the step as it is recorded: what its contacts say.
-void tell_contacts(const Step& s) {
-  const ContactRows rows =
-      kept_contacts(s).rows(s.follow, s.point_id ? s.point_id->data() : nullptr);
-  if (s.motion)
-    s.motion->found = s.shared->pgs->events(rows, s.options, numbers(s.in(kAt.qd)), s.continues);
-  s.shared->pgs->add_branches(s.shared->branches, rows, s.shared->options, s.by_restitution,
-                              s.continues);
-  if (s.force) write_forces(kept_contacts(s), *s.force, s.dt);
+  if (!shared.runs_on_host()) return run(step_kernel(), s.count, step);
+  shared.trees->step(in_memory(step), *s.model, shared.all, s.options, nullptr, true);
 }
 
 }  // namespace
@@ -206,11 +180,7 @@ std::vector<Tensor> reads_of(const Step& s) {
 }
 
 void submit_forward(const std::shared_ptr<const Step>& step, bool tell) {
-  const auto run = [step, tell] {
-    const bool on_host = step->shared->device.is_cpu();
-    run_forward(*step, tell);
-    if (tell && step->contacts.defined() && on_host) tell_contacts(*step);
-  };
+  const auto run = [step, tell] { run_forward(*step, tell); };
   if (!works_on_host(*step)) return run();
   const auto replay = [run, step] {
     run();

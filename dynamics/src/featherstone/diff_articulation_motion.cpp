@@ -17,7 +17,7 @@ struct SomeContacts {
   std::vector<Vec3f> point0, point1, normal;
   std::vector<float> margin0, margin1;
   template <class Keep>
-  SomeContacts(const ContactRows& c, const Keep& keep) {
+  SomeContacts(const art::ContactRows& c, const Keep& keep) {
     for (int32_t i = 0; i < c.count; ++i) {
       if (!keep(i)) continue;
       shape0.push_back(c.shape0[i]);
@@ -29,7 +29,7 @@ struct SomeContacts {
       margin1.push_back(c.margin1[i]);
     }
   }
-  ContactRows rows() const {
+  art::ContactRows rows() const {
     return {static_cast<int32_t>(shape0.size()),
             shape0.data(),
             shape1.data(),
@@ -44,7 +44,7 @@ struct SomeContacts {
 
 // The accelerations of a step from in.q and in.qd with these contacts; NaN where it fails.
 std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
-                                 const ContactRows& contacts) {
+                                 const art::ContactRows& contacts) {
   ArticulationStep::Shared& shared = *s.shared;
   const auto copy_of = [](const Tensor& t) {
     return std::vector<float>(static_cast<size_t>(t.size()));
@@ -62,10 +62,12 @@ std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
                                        .status = direct(status),
                                        .workspace = Untyped(nullptr),
                                        .stride = 0};
-  if (s.contacts.defined() && shared.pgs->prepare(*s.model, contacts, &in))
-    shared.pgs->step(a, *s.model, contacts, s.options, nullptr);
-  else
+  if (s.contacts.defined() && (contacts.count > 0 || s.dry)) {
+    ContactRecord record = {.dry = s.dry, .records = true};
+    shared.contacts->step(a, contact_arguments(contacts), s.options, record, &*shared.trees);
+  } else {
     shared.trees->step(a, *s.model, shared.all, s.options, nullptr, true);
+  }
   const bool failed = std::any_of(status.begin(), status.end(), [](int32_t i) { return i != 0; });
   std::vector<float> qdd(out[1].size());
   for (size_t k = 0; k < qdd.size(); ++k)

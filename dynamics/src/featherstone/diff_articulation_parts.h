@@ -12,14 +12,13 @@
 
 #include "../step_sources.h"
 #include "articulation_step.h"
-#include "launched_contacts.h"
+#include "contact_steps.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/featherstone/diff_articulation_step.h"
 #include "novaphy/nova/launch_argument.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
-#include "pgs_contacts.h"
 
 namespace novaphy::detail {
 const char* articulation_kernels_text();
@@ -71,20 +70,8 @@ struct KeptContacts {
         count(reinterpret_cast<int32_t*>(memory + kContactNumbers * most)),
         far(reinterpret_cast<FarIsland*>(count + 1)),
         friction(memory + kContactNumbers * most + 1 + kFarNumbers) {}
-  void copy(const ContactRows& c) const {
-    const auto n = static_cast<size_t>(c.count);
-    *count = c.count;
-    std::copy_n(c.shape0, n, shape0);
-    std::copy_n(c.shape1, n, shape1);
-    std::copy_n(c.point0, n, point0);
-    std::copy_n(c.point1, n, point1);
-    std::copy_n(c.normal, n, normal);
-    std::copy_n(c.margin0, n, margin0);
-    std::copy_n(c.margin1, n, margin1);
-    std::fill_n(impulses, n, Vec3f{});
-  }
-  ContactRows rows(bool found, const int32_t* point_id = nullptr) const {
-    return {*count, shape0, shape1, point_id, point0, point1, normal, margin0, margin1, found};
+  articulation::ContactRows rows(bool found) const {
+    return {*count, shape0, shape1, nullptr, point0, point1, normal, margin0, margin1, found};
   }
   int32_t *shape0, *shape1;
   Vec3f *point0, *point1, *normal, *impulses;
@@ -106,17 +93,6 @@ struct FoundRows {
         normal(c.rigid_contact_normal),
         margin0(c.rigid_contact_margin0),
         margin1(c.rigid_contact_margin1) {}
-  ContactRows rows() const {
-    return {std::clamp(*count.data(), 0, most),
-            shape0.data(),
-            shape1.data(),
-            nullptr,
-            point0.data(),
-            point1.data(),
-            normal.data(),
-            margin0.data(),
-            margin1.data()};
-  }
   ContactArguments arguments() const {
     return {.at = {shape0, shape1, point0, point1, normal, margin0, margin1},
             .count = count,
@@ -154,13 +130,13 @@ struct ArticulationStep::Shared {
     const auto count = static_cast<size_t>(articulations.count());
     for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
     if (device.is_cpu()) trees.emplace(m, articulations);
-    launched.emplace(m, articulations);
+    contacts.emplace(m, articulations);
     own_stride = step_workspace(articulations);
     status = DeviceArray<int32_t>(count, device);
   }
   // Memory of trees for a step and its adjoint; `solves`: with contacts or dry friction.
   void reserve(bool solves) {
-    const int64_t numbers = solves ? launched->adjoint_tree_stride() : own_stride;
+    const int64_t numbers = solves ? contacts->adjoint_tree_stride() : own_stride;
     if (numbers <= stride) return;
     stride = numbers;
     const Unobserved unobserved;
@@ -171,15 +147,14 @@ struct ArticulationStep::Shared {
   FeatherstoneOptions options;
   Device device;
   Articulations articulations;
-  std::optional<TreeSteps> trees;            // on the cpu
-  std::optional<LaunchedContacts> launched;
-  std::vector<int32_t> all;                  // articulations
+  std::optional<TreeSteps> trees;  // on the cpu
+  std::optional<ContactSteps> contacts;
+  std::vector<int32_t> all;  // articulations
   std::shared_ptr<Actuators> actuators;
   int64_t stride = 0, own_stride = 0;  // of a step without contacts
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;
-  std::unique_ptr<PgsContacts> pgs;  // on the cpu, made by the first step with contacts
-  ContactBranches branches;
+  ContactBranches branches;  // of steps of the cpu
   UnreadMaterials materials;
   std::vector<float> between;   // gradients of states between the steps of an operation
   DeviceArray<float> wrenches;  // gradients of body_f, where gravity's is asked for
@@ -252,7 +227,9 @@ bool works_on_host(const Step& s);
 ContactArguments kept_arguments(const Step& s);
 ContactRecord contact_record(const Step& s);
 inline KeptContacts kept_contacts(const Step& s) { return {numbers(s.contacts), s.contact_max}; }
-inline ContactRows contact_rows_of(const Step& s) { return kept_contacts(s).rows(s.follow); }
+inline articulation::ContactRows contact_rows_of(const Step& s) {
+  return kept_contacts(s).rows(s.follow);
+}
 // ErrorKind::Runtime where the step is far from converged and nobody allows it. `what`: backward or
 // jvp.
 void require_converged(const Step& s, const char* what);
@@ -262,9 +239,6 @@ void watch_convergence(const std::shared_ptr<const Step>& step, std::span<const 
 // Whether a step has contacts or dry friction, as far as the host sees at once; or somebody asks
 // for the gradient of friction.
 bool acts(const Step& s, const Tensor& joint_friction);
-// Whether a step has contacts that act; those are then in shared->pgs. `from`: as for
-// PgsContacts::prepare.
-bool prepare_contacts(const Step& s, const ArticulationArguments* from);
 StepOutputs outputs_of(const Step& s);
 // What a replay of the step or of its adjoint reads and others may write.
 std::vector<Tensor> reads_of(const Step& s);

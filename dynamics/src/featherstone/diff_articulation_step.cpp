@@ -14,7 +14,7 @@ using namespace detail;
 namespace {
 
 ContactBranches all_branches(const ArticulationStep::Shared& shared) {
-  ContactBranches b = shared.trees ? shared.branches : shared.launched->branches();
+  ContactBranches b = shared.trees ? shared.branches : shared.contacts->branches();
   b.all.steps += shared.free_steps;
   b.all.exact += shared.free_steps;
   return b;
@@ -207,15 +207,8 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
   shared_->actuators->check(
       model, function, tape != nullptr && tape->carries_gradient(*model.body_gravcomp.range()));
   shared_->dry = tape != nullptr && tape->carries_gradient(*model.joint_friction.range());
-  if (on_cpu) {
-    depend_on_modes(model, control);
-    const float* const friction = model.joint_friction.data();
-    shared_->dry = shared_->dry || std::any_of(friction, friction + model.joint_dof_count(),
-                                               [](float f) { return f > 0.0f; });
-    return;
-  }
-  shared_->dry = shared_->dry || shared_->launched->has_friction();
-  if (shared_->dry)  // which kernels read
+  shared_->dry = shared_->dry || shared_->contacts->has_friction();
+  if (on_cpu || shared_->dry)  // which steps read
     depend_on_modes(model, control);
   else
     depend_on_values(model, control);
@@ -265,15 +258,8 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   const bool solves = step->contacts.defined();
   shared_->ended = solves ? out.joint_q.range()->data() : nullptr;
   if (!solves) ++shared_->free_steps;
-  if (solves) {
-    if (!shared_->trees) {
-      if (!step->copies_contacts())
-        shared_->launched->copy(contact_arguments(*contacts), kept_arguments(*step));
-    } else {
-      if (!shared_->pgs) shared_->pgs = std::make_unique<PgsContacts>(m, a);
-      if (!step->copies_contacts()) kept_contacts(*step).copy(contact_rows(contacts));
-    }
-  }
+  if (solves && !step->copies_contacts())
+    shared_->contacts->copy(contact_arguments(*contacts), kept_arguments(*step));
   if (moves) step->motion = std::make_shared<MotionNotes>();
   submit_forward(step, true);
   if (nova::Tape::active() == nullptr) return;
@@ -326,7 +312,7 @@ ContactBranches ArticulationStep::branches() const { return all_branches(*shared
 void ArticulationStep::clear_branches() {
   shared_->free_steps = 0;
   shared_->ended = nullptr;
-  if (!shared_->trees) shared_->launched->clear_branches();
+  if (!shared_->trees) shared_->contacts->clear_branches();
   shared_->branches = {};
   shared_->motion.several = shared_->motion.unmoved = 0;
   shared_->far_steps = 0;
@@ -339,9 +325,9 @@ void ArticulationStep::count_from(int64_t number) { shared_->next_step = number;
 void ArticulationStep::check(const Model& model, const char* function) const {
   const OnHost<int32_t> status(shared_->status);
   for (size_t i = 0; i < status.size(); ++i) check_contact_status(status[i], function);
-  shared_->launched->check_adjoint(function);
+  shared_->contacts->check_adjoint(function);
   if (!shared_->trees) {
-    const int64_t far = shared_->launched->branches().unconverged;
+    const int64_t far = shared_->contacts->branches().unconverged;
     *std::exchange(shared_->far, std::make_shared<bool>(false)) =
         far > std::exchange(shared_->far_steps, far);
   }

@@ -150,7 +150,7 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
   const auto adjoint = [&](const ArticulationStepVjpArguments& a) {
     ArticulationStep::Shared& shared = *s.shared;
     if (acts(s, of(kJointFriction)))
-      return shared.launched->vjp(
+      return shared.contacts->vjp(
           a, kept_arguments(s), s.options, contact_record(s),
           {argument(of(kJointFriction)), argument(of(kMu)), argument(of(kRestitution)),
            argument(of(kStiffness)), argument(of(kDamping))});

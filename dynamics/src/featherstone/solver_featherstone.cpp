@@ -3,24 +3,35 @@
 #include <algorithm>
 #include <cstring>
 #include <initializer_list>
+#include <optional>
+#include <span>
 #include <utility>
 
 #include "../semi_implicit/rigid_bodies.h"
 #include "articulation_kernels.h"
 #include "articulation_step.h"
-#include "launched_articulations.h"
+#include "contact_steps.h"
+#include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/core/warning.h"
 #include "novaphy/dynamics/semi_implicit/contact_stability.h"
-#include "pgs_contacts.h"
 #include "tree_steps.h"
 #include "unrecorded_step.h"
 
 namespace novaphy {
+namespace detail {
+const char* articulation_kernels_text();
+}
 namespace {
 
 constexpr const char* kName = "SolverFeatherstone.step";
+
+const Kernel<ArticulationStepArguments>& step_kernel() {
+  static const auto& kernel =
+      *new Kernel<ArticulationStepArguments>(articulation_step, detail::articulation_kernels_text);
+  return kernel;
+}
 
 }  // namespace
 
@@ -62,42 +73,51 @@ class EarlierState {
 struct SolverFeatherstone::Cache {
   Cache(const Model& m, ArticulationContact contact)
       : articulations(m, "SolverFeatherstone", Articulations::For::Steps),
-        trees(m, articulations),
         actuated(m),
-        pgs(m, articulations),
+        contacts(m, articulations),
         materials(unread_materials(contact, kName)) {
     watch.leave_out_friction();  // its law is huber
+    const Device device = m.device();
     const auto dofs = static_cast<size_t>(m.joint_dof_count());
     const auto count = static_cast<size_t>(articulations.count());
-    qdd.resize(dofs);
-    branch.resize(dofs);
-    status.resize(count);
+    qdd = DeviceArray<float>(dofs, device);
+    branch = DeviceArray<float>(dofs, device);
+    status = DeviceArray<int32_t>(count, device);
+    for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
+    if (!device.is_cpu()) {
+      stride = articulation_workspace(articulations, kDeviceRowStack);
+      workspace = DeviceArray<float>(count * static_cast<size_t>(stride), device);
+      return;
+    }
+    trees.emplace(m, articulations);
     free_bodies.assign(static_cast<size_t>(m.body_count()), 0);
     for (size_t i = 0; i < count; ++i) {
-      all.push_back(static_cast<int32_t>(i));
       const articulation::Tree<float> tree = articulations.tree(m, static_cast<int64_t>(i));
       if (tree.link_count == 1 && tree.dof_count == 6)
         free_bodies[static_cast<size_t>(tree.links[0].body)] = 1;
     }
   }
   Articulations articulations;
-  std::vector<float> qdd, branch;
-  std::vector<int32_t> status;
-  std::vector<int32_t> all;  // articulations
-  TreeSteps trees;
+  DeviceArray<float> qdd, branch, workspace;
+  DeviceArray<int32_t> status;
+  int64_t stride = 0;              // of the workspace
+  std::vector<int32_t> all;        // articulations
+  std::optional<TreeSteps> trees;  // on the cpu, where a step runs at once
   ActuatedStep actuated;
   EarlierState earlier;
-  PgsContacts pgs;
+  ContactSteps contacts;
   RigidBodies penalty;
   // Of bodies on FREE joints: those that others hold have more than their own mass.
   std::vector<uint8_t> free_bodies;
   bool warned = false;  // of the residual
-  void warn_of_residual(const Model& m, const ContactRows& rows) {
-    const FarIsland far = pgs.far_island();
-    if (warned || far.sweeps == 0) return;
+  void warn_of_residual(const Model& m, const Contacts* of, float tolerance) {
+    if (warned) return;
+    const FarIsland far = contacts.far_island(tolerance);
+    if (far.sweeps == 0) return;
     warned = true;
+    const articulation::ContactRows rows = contact_rows(of);
     warn_of(kName, ": contacts and dry friction of joints have not converged: ",
-            describe(far, m, articulations, rows),
+            describe(far, m, articulations, rows.shape0, rows.shape1),
             ". Loads may sink in or creep: raise pgs_iterations, shorten dt, or bring masses that "
             "touch nearer to each other. pgs_residual has it of every step, this warning of one");
   }
@@ -119,15 +139,6 @@ void check_contacts(const Contacts* contacts, ArticulationContact contact) {
           "not read");
 }
 
-// Where the forces of contacts go, zero; null: nowhere.
-Vec3f* cleared_forces(const Contacts* contacts, int32_t count) {
-  if (contacts == nullptr) return nullptr;
-  DeviceArray<Vec3f> forces = contacts->rigid_contact_force;
-  Vec3f* const force = forces.mutable_data();
-  std::fill_n(force, count, Vec3f{});
-  return force;
-}
-
 }  // namespace
 
 SolverFeatherstone::SolverFeatherstone(std::shared_ptr<const Model> model,
@@ -139,28 +150,25 @@ SolverFeatherstone::SolverFeatherstone(std::shared_ptr<const Model> model,
 SolverFeatherstone::~SolverFeatherstone() = default;
 
 void SolverFeatherstone::make_cache() {
-  if (device().is_cpu())
-    cache_ = std::make_unique<Cache>(*model(), options_.contact);
-  else
-    launched_ = std::make_unique<LaunchedArticulations>(*model());
+  cache_ = std::make_unique<Cache>(*model(), options_.contact);
 }
 
 void SolverFeatherstone::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("SolverFeatherstone.notify_model_changed");
-  if (launched_) launched_->forget_impulses();  // captures keep what they were made with
+  cache_->contacts.forget_impulses();  // captures keep what they were made with
   make_cache();
 }
 
-int32_t SolverFeatherstone::pgs_sweeps() const {
-  return cache_ ? cache_->pgs.sweeps() : launched_->sweeps();
-}
-float SolverFeatherstone::pgs_residual() const {
-  return cache_ ? cache_->pgs.residual() : launched_->residual();
-}
+int32_t SolverFeatherstone::pgs_sweeps() const { return cache_->contacts.sweeps(); }
+float SolverFeatherstone::pgs_residual() const { return cache_->contacts.residual(); }
 
 void SolverFeatherstone::check_last_step() const {
   const ExclusiveUse::Scope scope = use("SolverFeatherstone.check_last_step");
-  if (launched_) launched_->check();
+  const Cache& c = *cache_;
+  if (c.trees) return;  // step has said it
+  const std::vector<int32_t> status = c.status.to_host();
+  for (const int32_t s : status) check_contact_status(s, kName);
+  check_status(*model(), c.articulations, status, kName);
 }
 
 // The wrenches of contacts of the bodies where joint_q and joint_qd have them, beside body_f.
@@ -170,9 +178,9 @@ void SolverFeatherstone::add_penalties(const Contacts& contacts, ArticulationSte
   const auto bodies = static_cast<size_t>(m.body_count());
   c.body_q.resize(bodies);
   c.body_qd.resize(bodies);
-  const SpatialVectorf* const body_f = a.in.arrays.body_f;
+  const SpatialVectorf* const body_f = in_memory(a).in.arrays.body_f;
   c.body_f.assign(body_f, body_f + bodies);
-  c.pgs.move_links(a.in, c.body_q.data(), c.body_qd.data());
+  c.trees->place_bodies(in_memory(a).in, c.body_q.data(), c.body_qd.data());
   c.penalty.prepare(m, &contacts);
   const RigidStep how = {FrictionLaw::Huber, options_.friction_smoothing, 0.0f, a.in.dt.value};
   c.penalty.add_contact_wrenches(m, c.body_q.data(), c.body_qd.data(), contacts, how,
@@ -186,64 +194,68 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
     step(state_in, next_state(kName), control, contacts, dt);
     return take_next(state_in);
   }
+  Cache& c = *cache_;
   ArrayObserver* const observer = array_observer();
-  if (observer != nullptr && !launched_) observer->host_read(kName);
+  if (observer != nullptr && c.trees) observer->host_read(kName);
   const ExclusiveUse::Scope scope = use(kName);
   const Model& m = *model();
   check_step(kName, state_in, state_out, control, contacts, dt);
   check_contacts(contacts, options_.contact);
   m.check_numbers(kName);
   m.check_structure(kName);
-  if (launched_) {
-    const bool penalty = options_.contact == ArticulationContact::Penalty;
-    require(contacts == nullptr || !penalty || contacts->rigid_contact_max() == 0,
-            ErrorKind::NotImplemented, kName,
-            ": contacts: expected none of contact \"penalty\" on ", device().str(),
-            " (there it is on the cpu only)");
-    launched_->step(state_in, state_out, control, penalty ? nullptr : contacts, options_, dt,
-                    in_use());
-    return mark_unrecorded_step(m, state_in, state_out, control);
-  }
-  m.update_derived();
-  Cache& c = *cache_;
+  const bool penalty = options_.contact == ArticulationContact::Penalty;
+  require(c.trees || !penalty || contacts == nullptr || contacts->rigid_contact_max() == 0,
+          ErrorKind::NotImplemented, kName, ": contacts: expected none of contact \"penalty\" on ",
+          device().str(), " (there it is on the cpu only)");
+  if (c.trees) m.update_derived();
   c.articulations.check_values(m, control, true, kName);
   if (contacts != nullptr) c.materials.check(m);
+  if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use());
+  depend_on_values(m, control);
+  if (contacts != nullptr)
+    depend_on({&m.shape_material_ka, &m.shape_material_mu_torsional, &m.shape_material_mu_rolling});
   const ActuatedStep::Read read = c.actuated.begin(m, state_in, state_out, control, dt, kName);
-  ArticulationStepArguments a = in_memory(ArticulationStepArguments{
+  ArticulationStepArguments a = {
       .in = articulation_arguments(m, c.articulations, state_in, read.drives, read.body_f, options_,
                                    dt),
       .q_next = state_out.joint_q,
       .qd_next = state_out.joint_qd,
       .body_q = state_out.body_q,
       .body_qd = state_out.body_qd,
-      .qdd = direct(c.qdd),
-      .branch = direct(c.branch),
-      .status = direct(c.status),
-      .workspace = Untyped(nullptr),
-      .stride = 0});
-  const bool penalty = options_.contact == ArticulationContact::Penalty;
-  if (penalty && contacts != nullptr) {
+      .qdd = c.qdd,
+      .branch = c.branch,
+      .status = c.status,
+      .workspace = c.workspace,
+      .stride = c.stride};
+  if (penalty && contacts != nullptr && c.trees) {
     add_penalties(*contacts, a);
     if (c.watch.is_due(false)) c.watch.look(m, state_in, *contacts, dt, true, &c.free_bodies);
   }
-  const ContactRows rows = contact_rows(penalty ? nullptr : contacts);
-  Vec3f* const force = penalty ? nullptr : cleared_forces(contacts, rows.count);
-  // One articulation that fails writes nothing; the others have written theirs by then.
-  const bool several = c.all.size() > 1;
-  if (several) c.earlier.keep(state_out);
-  if (c.pgs.prepare(m, rows, &a.in)) {
-    c.pgs.step(a, m, rows, options_, force, &c.trees);
-    c.warn_of_residual(m, rows);
-  } else {
-    c.trees.step(a, m, c.all, options_, nullptr);
-  }
-  const bool failed =
-      std::any_of(c.status.begin(), c.status.end(), [](int32_t s) { return s != 0; });
-  if (failed && several) c.earlier.restore(state_out);
-  if (failed)
-    check_exploded(m, c.articulations, c.status, state_in, dt, c.pgs.largest_force(m), kName);
-  c.actuated.finish(state_out);
+  const Contacts* const touching = penalty ? nullptr : contacts;
+  if (c.trees) c.earlier.keep(state_out);
+  if (c.contacts.has_rows(touching))
+    c.contacts.step(a, touching == nullptr ? c.contacts.none() : contact_arguments(*touching),
+                    options_, {}, c.trees ? &*c.trees : nullptr);
+  else if (c.trees)
+    c.trees->step(in_memory(a), m, c.all, options_, nullptr);
+  else
+    run(step_kernel(), c.articulations.count(), a);
+  if (c.trees) finish(touching, state_in, state_out, dt);
   mark_unrecorded_step(m, state_in, state_out, control);
+}
+
+// Where a step runs at once: an articulation that fails leaves the new state as it was.
+void SolverFeatherstone::finish(const Contacts* contacts, const SimState& from, SimState& to,
+                                float dt) {
+  Cache& c = *cache_;
+  const std::span<const int32_t> status = {c.status.data(), c.status.rows()};
+  if (std::all_of(status.begin(), status.end(), [](int32_t s) { return s == 0; })) {
+    c.warn_of_residual(*model(), contacts, options_.pgs_tolerance);
+    return c.actuated.finish(to);
+  }
+  c.earlier.restore(to);
+  for (const int32_t s : status) check_contact_status(s, kName);
+  check_exploded(*model(), c.articulations, status, from, dt, c.contacts.largest_force(), kName);
 }
 
 }  // namespace novaphy

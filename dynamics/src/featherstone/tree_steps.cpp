@@ -12,7 +12,6 @@
 #include "novaphy/core/cpu_level.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/for_chunks.h"
-#include "pgs_contacts_step.h"
 
 namespace novaphy {
 
@@ -41,7 +40,7 @@ const LaneLevel& lane_level() {
 namespace {
 
 namespace art = articulation;
-constexpr int64_t kPackChunk = 2;
+constexpr int64_t kPackChunk = 2, kTreeChunk = 8;
 constexpr size_t kFewest = 3;  // trees that lanes are worth for
 
 // What actuators give in place of the model's is no constant.
@@ -244,6 +243,17 @@ void TreeSteps::make_packs(std::span<const int32_t> trees, const TreeContacts* c
 }
 
 namespace {
+
+art::ContactLaw<float> contact_law(const FeatherstoneOptions& o, float dt) {
+  return {dt,
+          o.pgs_erp,
+          o.pgs_slop,
+          o.pgs_cfm,
+          o.max_depenetration_velocity,
+          o.restitution_threshold,
+          o.compliant_contacts,
+          o.friction_cone == FrictionCone::Cone};
+}
 
 // The algorithms with all that they call inlined.
 [[gnu::flatten]] int32_t accelerate(const art::Tree<float>& tree, const art::StepInputs<float>& in,
@@ -452,6 +462,22 @@ bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const 
       contacts->solved(tree, {static_cast<int32_t>(s.sweeps[l]), s.residual[l], s.largest[l]});
   }
   return true;
+}
+
+void TreeSteps::place_bodies(const ArticulationArguments& in, Transformf* body_q,
+                             SpatialVectorf* body_qd) {
+  for_chunks(articulations_.count(), kTreeChunk, [&](int64_t begin, int64_t end, int64_t) {
+    for (int64_t i = begin; i < end; ++i) {
+      const ArticulationRows& rows = trees_[i];
+      const art::Tree<float> tree = articulation_tree(in, rows);
+      art::Workspace<float> ws = art::make_workspace<float>(
+          thread_memory().aligned(art::workspace_bytes<float>(rows.link_count, rows.dof_count)),
+          rows.link_count, rows.dof_count);
+      art::link_frames(tree, in.arrays.q.rows(), ws);
+      art::link_motions(tree, in.arrays.qd + rows.first_dof, ws);
+      art::write_bodies(tree, ws, body_q, body_qd);
+    }
+  });
 }
 
 void TreeSteps::step(const ArticulationStepArguments& a, const Model& m,

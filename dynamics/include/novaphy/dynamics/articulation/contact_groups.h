@@ -40,10 +40,14 @@ inline bool contact_sides(const ContactShapes& s, int32_t contact,
 struct IslandNode {
   int32_t root;                       // of its island
   int32_t next;                       // tree of the island, ascending
+  int32_t met;                        // impulses do not move it, and a contact has it
+  int32_t taken;                      // TreeSteps steps it
   int32_t joined;                     // what is below is of roots
   int32_t last;                       // tree
   int32_t first_row, last_row, rows;  // its contacts, places in the list of the group
-  int32_t solved;
+  int32_t begin;                      // contacts of islands of the group before it
+  int32_t solved, failed;
+  articulation::IslandResult result;
 };
 // Of a place in the list of a group.
 struct ContactLink {
@@ -182,10 +186,10 @@ struct ContactGroup : GroupLists {
 
 // Makes a tree an island of its own.
 inline void start_node(const GroupLists& s, int32_t i) {
-  IslandNode& node = s.a.nodes[i];
+  IslandNode node{};
   node.root = node.last = i;
   node.next = node.first_row = node.last_row = -1;
-  node.joined = node.rows = node.solved = 0;
+  s.a.nodes[i] = node;
 }
 
 // Joins the trees of a contact. The result: -1, or a tree of the group whose contact is with
@@ -210,11 +214,12 @@ inline int32_t join_contact(const GroupLists& s, int32_t place) {
   return here ? -1 : mine;
 }
 
-// Lists the trees of each island, behind all joins.
+// Lists the trees of each island, behind all joins; `root` is then that of the island.
 inline void list_trees(const GroupLists& s) {
   const ContactGroupArguments& a = s.a;
   for (int32_t k = s.first_tree(); k < s.end_tree(); ++k) {
     const int32_t i = a.trees[k], root = s.find_root(i);
+    a.nodes[i].root = root;
     if (root == i) continue;
     a.nodes[a.nodes[root].last].next = i;
     a.nodes[root].last = i;
@@ -233,6 +238,8 @@ inline int32_t list_contact(const GroupLists& s, int32_t place) {
   node.last_row = place;
   ++node.rows;
   if (articulation::joins_more(sides, s.rows(tree).dof_count)) node.joined = 1;
+  for (const articulation::ContactSide& side : sides)
+    if (side.tree >= 0 && !articulation::moves(s.all_rows, side)) a.nodes[side.tree].met = 1;
   return root;
 }
 

@@ -8,7 +8,6 @@
 
 namespace novaphy {
 
-class LaunchedArticulations;
 struct ArticulationStepArguments;
 
 // How articulations meet each other and the world.
@@ -100,11 +99,11 @@ class NOVAPHY_DYNAMICS_API SolverFeatherstone : public SolverBase {
  private:
   struct Cache;
   void make_cache();
+  void finish(const Contacts* contacts, const SimState& from, SimState& to, float dt);
   void add_penalties(const Contacts& contacts, ArticulationStepArguments& arguments);
 
   FeatherstoneOptions options_;
-  std::unique_ptr<Cache> cache_;                     // null: on a device
-  std::unique_ptr<LaunchedArticulations> launched_;  // null: on the cpu
+  std::unique_ptr<Cache> cache_;
 };
 
 }  // namespace novaphy

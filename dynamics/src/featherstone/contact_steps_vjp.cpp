@@ -1,9 +1,9 @@
-// The adjoints and tangents of LaunchedContacts, and what their steps note for them.
+// The adjoints and tangents of ContactSteps, and what their steps note for them.
 #include <algorithm>
 #include <cstring>
 
 #include "contact_launches.h"
-#include "launched_contacts.h"
+#include "contact_steps.h"
 #include "novaphy/core/error.h"
 #include "tangent_launches.h"
 
@@ -19,10 +19,11 @@ constexpr size_t kNoteNumbers = sizeof(art::BranchNotes) / sizeof(int32_t),
 // else that; but of several groups so much that those with kLeastContacts have room.
 constexpr int64_t kMostSystems = int64_t{1} << 24;  // numbers of 8 bytes
 constexpr int64_t kLeastContacts = 16;
+constexpr int64_t kSomeNotes = 128;  // rows that add up the notes of groups
 
 }  // namespace
 
-bool LaunchedContacts::reserve_notes() {
+bool ContactSteps::reserve_notes() {
   const Unobserved unobserved;
   const Device device = model_.device();
   const auto groups = static_cast<size_t>(groups_);
@@ -40,26 +41,53 @@ bool LaunchedContacts::reserve_notes() {
   return grows;
 }
 
-void LaunchedContacts::clear_branches() {
-  const Unobserved unobserved;
-  const ContactBranches none;
-  std::vector<int32_t> words(kBranchNumbers);
-  std::memcpy(words.data(), &none, sizeof(none));
-  if (branches_.rows() == 0)
-    branches_ = DeviceArray<int32_t>::from_host(words, model_.device(), kBranchNumbers);
-  else
-    branches_.copy_from_host(std::span<const int32_t>(words));
+void ContactSteps::note_branches() const {
+  const int64_t some = std::min(groups_, kSomeNotes);
+  run(contact_kernels().note_some, some,
+      {.notes = Untyped(notes_),
+       .some = Untyped(some_notes_),
+       .seen = Untyped(seen_),
+       .begin = contact_begin_,
+       .seen_before = Untyped(seen_before_),
+       .seen_begin = seen_begin_,
+       .groups = groups_});
+  run(contact_kernels().note_step, 1,
+      {.some = Untyped(some_notes_), .branches = Untyped(branches_), .count = some});
 }
-ContactBranches LaunchedContacts::branches() const {
+
+void ContactSteps::clear_branches() {
+  const Unobserved unobserved;
+  if (branches_.rows() == 0) branches_ = DeviceArray<int32_t>(1, model_.device(), kBranchNumbers);
+  const ContactBranches none;
+  branches_.Array::copy_from_host(&none, sizeof(none));
+}
+
+bool ContactSteps::has_seen() const {
+  return seen_begin_.rows() > 0 && model_.device().is_cpu() && seen_begin_.data()[groups_] > 0;
+}
+ContactBranches ContactSteps::branches() const {
   ContactBranches all;
   if (branches_.rows() == 0) return all;
   const Unobserved unobserved;
-  const std::vector<int32_t> words = branches_.to_host();
-  std::memcpy(static_cast<void*>(&all), words.data(), sizeof(all));
+  branches_.copy_to_host(&all, sizeof(all));
   return all;
 }
 
-void LaunchedContacts::copy(const ContactArguments& from, const ContactArguments& to) const {
+void add_branches(const ContactBranches& of, ContactBranches& to) {
+  to.steps += of.steps;
+  to.held += of.held;
+  to.unconverged += of.unconverged;
+  to.breaking += of.breaking;
+  to.sticking += of.sticking;
+  to.sliding += of.sliding;
+  art::lower(to.normal_margin, of.normal_margin);
+  art::lower(to.gap_margin, of.gap_margin);
+  art::lower(to.cone_margin, of.cone_margin);
+  art::lower(to.slip_margin, of.slip_margin);
+  note_steps(of.all, to.all);
+}
+
+void ContactSteps::copy(const ContactArguments& from, const ContactArguments& to) const {
   run(contact_kernels().contact_copy, std::max<int64_t>(to.most, 1),
       {.count = from.count,
        .from = from.at,
@@ -74,7 +102,7 @@ void LaunchedContacts::copy(const ContactArguments& from, const ContactArguments
        .most = to.most});
 }
 
-void LaunchedContacts::reserve_adjoint(bool dry, bool materials) {
+void ContactSteps::reserve_adjoint(bool dry, bool materials) {
   const Unobserved unobserved;
   const Device device = model_.device();
   const int64_t slots = std::max<int64_t>(capacity_, 1);
@@ -108,9 +136,9 @@ void LaunchedContacts::reserve_adjoint(bool dry, bool materials) {
   shape_begin_ = DeviceArray<int32_t>(static_cast<size_t>(model_.shape_count()) + 1, device);
 }
 
-void LaunchedContacts::vjp(const ArticulationStepVjpArguments& step,
-                           const ContactArguments& contacts, const FeatherstoneOptions& o,
-                           const ContactRecord& record, const ContactGradientArguments& to) {
+void ContactSteps::vjp(const ArticulationStepVjpArguments& step, const ContactArguments& contacts,
+                       const FeatherstoneOptions& o, const ContactRecord& record,
+                       const ContactGradientArguments& to) {
   const bool materials = to.of_materials() && contacts.most > 0;
   reserve(contacts.most);
   reserve_adjoint(record.dry, materials);
@@ -146,9 +174,9 @@ void LaunchedContacts::vjp(const ArticulationStepVjpArguments& step,
        .kd = to.kd});
 }
 
-void LaunchedContacts::jvp(const ArticulationJvpArguments& step, const ContactArguments& contacts,
-                           const FeatherstoneOptions& o, const ContactRecord& record,
-                           const ContactDualArguments& duals) {
+void ContactSteps::jvp(const ArticulationJvpArguments& step, const ContactArguments& contacts,
+                       const FeatherstoneOptions& o, const ContactRecord& record,
+                       const ContactDualArguments& duals) {
   reserve(contacts.most);
   reserve_adjoint(record.dry, false);
   const int64_t stride = dual_contact_bytes(articulations_.max_dofs()) / 4;
@@ -174,7 +202,7 @@ void LaunchedContacts::jvp(const ArticulationJvpArguments& step, const ContactAr
        .status = adjoint_status_});
 }
 
-void LaunchedContacts::check_adjoint(const char* user) const {
+void ContactSteps::check_adjoint(const char* user) const {
   if (adjoint_status_.rows() == 0) return;
   const Unobserved unobserved;
   for (const int32_t s : adjoint_status_.to_host())

@@ -1,0 +1,136 @@
+// Which contacts begin in a step.
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "contact_steps.h"
+
+namespace novaphy {
+namespace {
+
+namespace art = articulation;
+constexpr float kLeastApproach = 1e-3f;  // m/s
+constexpr float kParallel = 0.999f;
+
+// Whether contacts delay as one: of the same links, along the same normal.
+bool hit_together(const art::ContactRows& c, const art::IslandContact& a,
+                  const art::IslandContact& b) {
+  for (int side = 0; side < 2; ++side)
+    if (a.sides[side].tree != b.sides[side].tree ||
+        (a.sides[side].tree >= 0 && a.sides[side].link != b.sides[side].link))
+      return false;
+  return math::dot(c.normal[a.contact], c.normal[b.contact]) > kParallel;
+}
+
+// The slips along the normals of an island without its impulses; those come back with other
+// roundings, so only behind what the step writes.
+std::vector<float> free_slips(const GroupStep& s, int32_t root) {
+  const IslandNode& node = s.a.nodes[root];
+  art::IslandContact* const rows = rows_of(s, root);
+  const auto push = [&](float sign) {
+    for (int32_t n = 0; n < node.rows; ++n)
+      for (int32_t r = 0; r < 3; ++r)
+        art::push(rows[n].solver, r, sign * rows[n].solver.impulse[r]);
+    for_friction(s, root, [&](const art::PgsJointFriction<float>& f, int32_t) {
+      for (int32_t k = 0; k < f.width; ++k) f.rates[k] += sign * f.impulse * f.response[k];
+    });
+  };
+  push(-1.0f);
+  std::vector<float> slips;
+  for (int32_t n = 0; n < node.rows; ++n) slips.push_back(art::slip(rows[n].solver, 0));
+  push(1.0f);
+  return slips;
+}
+
+}  // namespace
+
+ContactEvents ContactSteps::events(const float* qd, bool continues) const {
+  ContactEvents found;
+  const auto count = static_cast<size_t>(articulations_.count());
+  found.touched.resize(count);
+  bool any = false;
+  for (int64_t group = 0; group < groups_; ++group) {
+    const GroupStep s(*last_, nullptr, group);
+    std::vector<char> hits(static_cast<size_t>(s.end_place() - s.first_place()));
+    const SeenContact* const seen = s.all.seen_before + s.all.seen_begin[group];
+    const int32_t before = continues ? s.all.seen_begin[group + 1] - s.all.seen_begin[group] : 0;
+    std::vector<int32_t> roots;
+    for (int32_t k = s.first_tree(); k < s.end_tree(); ++k)
+      if (const int32_t i = s.a.trees[k]; s.root(i) == i && s.a.nodes[i].joined != 0)
+        roots.push_back(i);
+    any = any || !roots.empty();
+    const auto for_rows = [&](int32_t root, const auto& f) {
+      for (int32_t n = 0; n < s.a.nodes[root].rows; ++n)
+        f(rows_of(s, root)[n], s.places(root)[n] - s.first_place());
+    };
+    for (const int32_t root : roots) {
+      const std::vector<float> slips = free_slips(s, root);
+      int32_t next = 0, n = 0;
+      for_rows(root, [&](const art::IslandContact& row, int32_t place) {
+        const SeenContact now = art::seen_contact(s.contacts, row, s.law.cone);
+        const bool pushed = mode_of(seen, before, next, now) != 0;
+        const bool pushes = row.solver.impulse[0] > 0.0f;
+        for (const art::ContactSide& side : row.sides)
+          if (side.tree >= 0 && pushes) found.touched[static_cast<size_t>(side.tree)] = 1;
+        const float free = slips[static_cast<size_t>(n++)];
+        const float rest = std::max(kLeastApproach, std::abs(free - row.before));
+        const bool hit = pushes && row.before < -rest && (row.target.bounce > 0.0f || !pushed);
+        hits[static_cast<size_t>(place)] = hit ? 1 : 0;
+        if (hit) found.hits.push_back(row.contact);
+      });
+    }
+    for (const int32_t root : roots) {
+      ContactEvent event;
+      std::vector<int32_t> begin(count, -1);
+      int32_t dofs = 0;
+      for (int32_t i = root; i >= 0; i = s.a.nodes[i].next) {
+        begin[static_cast<size_t>(i)] = dofs;
+        dofs += s.rows(i).dof_count;
+        event.trees.push_back(i);
+      }
+      std::vector<const art::IslandContact*> firsts;  // of the groups
+      for_rows(root, [&](const art::IslandContact& row, int32_t place) {
+        if (hits[static_cast<size_t>(place)] == 0) return;
+        const auto at = std::find_if(
+            firsts.begin(), firsts.end(),
+            [&](const art::IslandContact* first) { return hit_together(s.contacts, *first, row); });
+        const auto group_at = static_cast<size_t>(at - firsts.begin());
+        if (at == firsts.end()) {
+          firsts.push_back(&row);
+          event.groups.emplace_back();
+          event.groups.back().normal_push.resize(static_cast<size_t>(dofs));
+          event.groups.back().push.resize(static_cast<size_t>(dofs));
+        }
+        ContactEvent::Group& to = event.groups[group_at];
+        for (int side = 0; side < 2; ++side) {
+          const art::RowSide<float>& of = row.solver.sides[side];
+          const int32_t tree = row.sides[side].tree;
+          if (of.width == 0 || tree < 0) continue;
+          const auto first = static_cast<size_t>(begin[static_cast<size_t>(tree)]);
+          for (int32_t k = 0; k < s.rows(tree).dof_count; ++k) {
+            to.normal_push[first + static_cast<size_t>(k)] +=
+                of.jacobian[k] * row.solver.impulse[0];
+            for (int r = 0; of.response != nullptr && r < 3; ++r)
+              to.push[first + static_cast<size_t>(k)] -=
+                  of.response[r * of.width + k] * row.solver.impulse[r];
+          }
+        }
+        event.lands = event.lands || (row.place.gap > 0.0f && !(row.target.bounce > 0.0f));
+      });
+      for (ContactEvent::Group& of : event.groups) {
+        float speed = 0.0f;
+        for (const int32_t tree : event.trees)
+          for (int32_t k = 0; k < s.rows(tree).dof_count; ++k)
+            speed += of.normal_push[static_cast<size_t>(begin[static_cast<size_t>(tree)] + k)] *
+                     qd[s.rows(tree).first_dof + k];
+        of.approach = std::abs(speed);
+      }
+      if (!event.groups.empty()) found.events.push_back(std::move(event));
+    }
+  }
+  std::sort(found.hits.begin(), found.hits.end());
+  if (!any) found.touched.clear();
+  return found;
+}
+
+}  // namespace novaphy

@@ -1,0 +1,464 @@
+#include "contact_steps.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <utility>
+
+#include "contact_launches.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/index_rows.h"
+#include "novaphy/core/sim/on_host.h"
+
+namespace novaphy {
+namespace {
+
+namespace art = articulation;
+constexpr size_t kKeptNumbers = sizeof(art::KeptContact) / sizeof(float),
+                 kNodeNumbers = sizeof(IslandNode) / sizeof(int32_t),
+                 kLinkNumbers = sizeof(ContactLink) / sizeof(int32_t);
+
+int64_t numbers(int64_t bytes) { return bytes / static_cast<int64_t>(sizeof(float)); }
+
+// The group of each articulation, from its world; how many there are.
+int32_t find_groups(const Model& m, std::vector<int32_t>& groups) {
+  const OnHost<int32_t> start(m.articulation_start), world(m.joint_world);
+  bool one = false;
+  for (size_t i = 0; i < groups.size(); ++i) {
+    groups[i] = world[static_cast<size_t>(start[i])];
+    one = one || groups[i] < 0;
+  }
+  if (one) {
+    std::fill(groups.begin(), groups.end(), 0);
+    return 1;
+  }
+  std::vector<int32_t> worlds = groups;  // those with articulations
+  std::sort(worlds.begin(), worlds.end());
+  worlds.erase(std::unique(worlds.begin(), worlds.end()), worlds.end());
+  for (int32_t& group : groups)
+    group = static_cast<int32_t>(std::lower_bound(worlds.begin(), worlds.end(), group) -
+                                 worlds.begin());
+  return static_cast<int32_t>(worlds.size());
+}
+
+}  // namespace
+
+ContactSteps::ContactSteps(const Model& m, const Articulations& articulations)
+    : model_(m),
+      articulations_(articulations),
+      tree_stride_(numbers(island_tree_bytes(articulations.max_links(), articulations.max_dofs()))),
+      adjoint_tree_stride_(
+          numbers(island_adjoint_bytes(articulations.max_links(), articulations.max_dofs()))),
+      contact_stride_(numbers(island_contact_bytes(articulations.max_dofs()))),
+      none_({}, m.device()),
+      adjoint_stride_(numbers(adjoint_contact_bytes(articulations.max_dofs()))) {
+  const Unobserved unobserved;
+  const Device device = m.device();
+  const std::vector<int32_t> rows = articulations.rows().to_host(),
+                             links = articulations.links().to_host(),
+                             dof_parent = articulations.dof_parent().to_host();
+  const auto count = static_cast<size_t>(articulations.count());
+  const auto* const all_rows = reinterpret_cast<const ArticulationRows*>(rows.data());
+  const auto* const all_links = reinterpret_cast<const art::Link*>(links.data());
+  std::vector<int32_t> sides(2 * static_cast<size_t>(m.body_count()), -1), moved_by;
+  for (size_t i = 0; i < count; ++i) {
+    art::Tree<float> tree;
+    tree.followers = all_rows[i].followers;
+    tree.joints_in_a_row = all_rows[i].joints_in_a_row;
+    has_long_trees_ = has_long_trees_ || !art::has_matrix(tree);
+    tree.link_count = all_rows[i].link_count;
+    tree.dof_count = all_rows[i].dof_count;
+    tree.links = all_links + all_rows[i].first_link;
+    tree.dof_parent = dof_parent.data() + all_rows[i].first_dof;
+    tree.first_dof = all_rows[i].first_dof;
+    for (int32_t k = 0; k < tree.link_count; ++k) {
+      moved_by.push_back(art::moving_dofs(tree, k));
+      if (tree.links[k].body < 0) continue;
+      const auto body = 2 * static_cast<size_t>(tree.links[k].body);
+      sides[body] = static_cast<int32_t>(i);
+      sides[body + 1] = k;
+    }
+  }
+  std::vector<int32_t> group_of_tree(count);
+  groups_ = find_groups(m, group_of_tree);
+  IndexRows lists;
+  lists.build(group_of_tree, static_cast<int32_t>(groups_));
+  on_stack_ = static_cast<size_t>(groups_) == count &&
+              tree_stride_ * static_cast<int64_t>(sizeof(float)) <= kIslandStack;
+  side_of_body_ = DeviceArray<int32_t>::from_host(sides, device, 2);
+  moved_by_ = DeviceArray<int32_t>::from_host(moved_by, device);
+  group_of_tree_ = DeviceArray<int32_t>::from_host(group_of_tree, device);
+  tree_begin_ = DeviceArray<int32_t>::from_host(lists.begins(), device);
+  trees_ = DeviceArray<int32_t>::from_host(lists.all(), device);
+  nodes_ = DeviceArray<int32_t>(count, device, kNodeNumbers);
+  const auto groups = static_cast<size_t>(groups_);
+  std::vector<int64_t> dofs(groups);
+  for (size_t i = 0; i < count; ++i)
+    group_dofs_ =
+        std::max(group_dofs_, dofs[static_cast<size_t>(group_of_tree[i])] += all_rows[i].dof_count);
+  contact_begin_ = DeviceArray<int32_t>(groups + 1, device);
+  kept_begin_ = DeviceArray<int32_t>(groups + 1, device);
+  kept_dt_ = DeviceArray<float>(1, device);
+  kept_friction_ = DeviceArray<float>(static_cast<size_t>(m.joint_dof_count()), device);
+  now_friction_ = DeviceArray<float>(static_cast<size_t>(m.joint_dof_count()), device);
+}
+
+art::ContactRows contact_rows(const Contacts* contacts) {
+  if (contacts == nullptr) return {};
+  const Contacts& c = *contacts;
+  return {std::clamp(*c.rigid_contact_count.data(), 0, c.rigid_contact_max()),
+          c.rigid_contact_shape0.data(),
+          c.rigid_contact_shape1.data(),
+          c.rigid_contact_point_id.data(),
+          c.rigid_contact_point0.data(),
+          c.rigid_contact_point1.data(),
+          c.rigid_contact_normal.data(),
+          c.rigid_contact_margin0.data(),
+          c.rigid_contact_margin1.data()};
+}
+
+ContactArguments contact_arguments(const Contacts& c) {
+  return {.at = {.shape0 = c.rigid_contact_shape0,
+                 .shape1 = c.rigid_contact_shape1,
+                 .point0 = c.rigid_contact_point0,
+                 .point1 = c.rigid_contact_point1,
+                 .normal = c.rigid_contact_normal,
+                 .margin0 = c.rigid_contact_margin0,
+                 .margin1 = c.rigid_contact_margin1},
+          .count = c.rigid_contact_count,
+          .most = c.rigid_contact_max(),
+          .point_id = c.rigid_contact_point_id,
+          .force = c.rigid_contact_force};
+}
+
+ContactArguments contact_arguments(const art::ContactRows& c) {
+  return {.at = {.shape0 = direct(c.shape0),
+                 .shape1 = direct(c.shape1),
+                 .point0 = direct(c.point0),
+                 .point1 = direct(c.point1),
+                 .normal = direct(c.normal),
+                 .margin0 = direct(c.margin0),
+                 .margin1 = direct(c.margin1)},
+          .count = direct(&c.count),
+          .most = c.count};
+}
+
+void ContactSteps::reserve(int64_t contacts) {
+  if (contacts <= capacity_) return;
+  const Device device = model_.device();
+  const auto count = static_cast<size_t>(contacts);
+  group_ = DeviceArray<int32_t>(count, device);
+  contacts_ = DeviceArray<int32_t>(count, device);
+  places_ = DeviceArray<int32_t>(count, device);
+  chain_ = DeviceArray<int32_t>(count, device, kLinkNumbers);
+  now_ = DeviceArray<float>(count, device, kKeptNumbers);
+  kept_ = DeviceArray<float>(count, device, kKeptNumbers);
+  memory_ = DeviceArray<float>(count * static_cast<size_t>(contact_stride_), device);
+  kept_begin_ = DeviceArray<int32_t>(static_cast<size_t>(groups_) + 1, device);
+  capacity_ = contacts;
+}
+
+bool ContactSteps::has_friction() {
+  if (!friction_stamp_.matches(model_.joint_friction)) {
+    const Unobserved unobserved;
+    const OnHost<float> friction(model_.joint_friction);
+    has_friction_ = std::any_of(friction.data(), friction.data() + friction.size(),
+                                [](float x) { return x > 0.0f; });
+    friction_stamp_.set(model_.joint_friction);
+  }
+  return has_friction_;
+}
+
+bool ContactSteps::has_rows(const Contacts* contacts) {
+  const bool friction = has_friction();
+  bool touches = contacts != nullptr && contacts->rigid_contact_max() > 0;
+  if (model_.device().is_cpu())
+    touches = touches && *contacts->rigid_contact_count.data() > 0;
+  else
+    touches = touches || capacity_ > 0;
+  if (groups_ > 0 && (friction || touches)) return true;
+  if (has_run_) forget_impulses();
+  return has_run_ = false;
+}
+
+void ContactSteps::forget_impulses() {
+  kept_begin_.zero();
+  kept_friction_.zero();
+}
+
+ContactShapes ContactSteps::shapes(const ContactArguments& contacts) const {
+  return {.at = contacts.at,
+          .shape_body = model_.shape_body,
+          .side_of_body = Untyped(side_of_body_),
+          .group_of_tree = group_of_tree_,
+          .shapes = model_.shape_count(),
+          .bodies = model_.body_count()};
+}
+
+// The contacts of each group, in their order.
+void ContactSteps::list_contacts(const ContactArguments& contacts,
+                                 const ContactRecord& record) const {
+  run(contact_kernels().contact_group, contacts.most,
+      {.shapes = shapes(contacts),
+       .rows = Untyped(articulations_.rows()),
+       .count = contacts.count,
+       .group = group_,
+       .force = contacts.force,
+       .impulses = record.impulses});
+  run(incidence(), groups_,
+      {.table = group_, .slots = contacts.most, .offsets = contact_begin_, .items = contacts_});
+}
+
+ContactGroupArguments ContactSteps::groups(const ContactArguments& contacts,
+                                           const FeatherstoneOptions& o,
+                                           const ContactRecord& record,
+                                           const DeviceArray<float>& memory, int64_t stride) const {
+  return {.shapes = shapes(contacts),
+          .mu = model_.shape_material_mu,
+          .restitution = model_.shape_material_restitution,
+          .ke = model_.shape_material_ke,
+          .kd = model_.shape_material_kd,
+          .joint_friction = model_.joint_friction,
+          .tree_begin = tree_begin_,
+          .trees = trees_,
+          .contact_begin = contact_begin_,
+          .contacts = contacts_,
+          .shape_type = model_.shape_type,
+          .erp = o.pgs_erp,
+          .slop = o.pgs_slop,
+          .cfm = o.pgs_cfm,
+          .max_depenetration = o.max_depenetration_velocity,
+          .restitution_threshold = o.restitution_threshold,
+          .compliant = o.compliant_contacts,
+          .cone = o.friction_cone == FrictionCone::Cone,
+          .found = record.found,
+          .chain = Untyped(chain_),
+          .nodes = Untyped(nodes_),
+          .memory = memory,
+          .contact_stride = stride};
+}
+
+void ContactSteps::step(const ArticulationStepArguments& of, const ContactArguments& contacts,
+                        const FeatherstoneOptions& o, const ContactRecord& record,
+                        TreeSteps* lanes) {
+  require(
+      lanes != nullptr || !has_long_trees_, ErrorKind::NotImplemented,
+      "step: contacts, or dry friction of joints, of a model with an articulation of more than ",
+      art::kMatrixJoints, " joints in a row: expected the model on the cpu, got it on ",
+      model_.device().str());
+  has_run_ = true;
+  reserve(contacts.most);
+  const bool forgets = record.notes && reserve_notes();
+  const ContactKernels& k = contact_kernels();
+  list_contacts(contacts, record);
+  const bool fuses = on_stack_ && lanes == nullptr;
+  const int64_t trees = articulations_.count();
+  const auto numbers = static_cast<size_t>(trees * tree_stride_);
+  if (!fuses && trees_memory_.size() < numbers) {
+    const Unobserved unobserved;
+    trees_memory_ = DeviceArray<float>(numbers, model_.device());
+  }
+  const Untyped none(nullptr);
+  const auto noted = [&](const Array& array) { return record.notes ? Untyped(array) : none; };
+  ArticulationContactStepArguments a = {.step = of,
+                                        .of = groups(contacts, o, record, memory_, contact_stride_),
+                                        .point_id = contacts.point_id,
+                                        .moved_by = moved_by_,
+                                        .tolerance = o.pgs_tolerance,
+                                        .most_sweeps = o.pgs_iterations,
+                                        .warm_start = o.warm_start,
+                                        .most_alone = record.records ? 0 : art::kMostTreeContacts,
+                                        .kept_begin = kept_begin_,
+                                        .kept = Untyped(kept_),
+                                        .kept_dt = kept_dt_,
+                                        .kept_friction = kept_friction_,
+                                        .now_friction = now_friction_,
+                                        .now = Untyped(now_),
+                                        .places = places_,
+                                        .force = contacts.force,
+                                        .impulses = record.impulses,
+                                        .friction_impulses = record.friction,
+                                        .notes = noted(notes_),
+                                        .seen = noted(seen_),
+                                        .seen_before = noted(seen_before_),
+                                        .seen_begin = noted(seen_begin_),
+                                        .by_restitution = record.by_restitution,
+                                        .continues = record.continues && !forgets,
+                                        .lanes = lanes != nullptr};
+  a.step.workspace = trees_memory_;
+  a.step.stride = fuses ? 0 : tree_stride_;
+  if (fuses) {
+    run(k.contact_step, groups_, a);
+  } else {
+    run(k.contact_open, trees, a);
+    run(k.contact_islands, groups_, a);
+    const bool some = lanes == nullptr || take_trees(a, o, *lanes, record.records);
+    if (some && lanes != nullptr) run(k.contact_start, trees, a);
+    if (some) run(k.contact_solve, trees, a);
+    if (some) run(k.contact_finish, trees, a);
+    if (record.notes) run(k.contact_notes, groups_, a);
+  }
+  if (!o.warm_start || (lanes != nullptr && has_failed())) return;
+  const int64_t dofs = model_.joint_dof_count();
+  run(k.contact_keep, std::max({contacts.most, groups_ + 1, dofs}),
+      {.begin = contact_begin_,
+       .now = Untyped(now_),
+       .now_friction = now_friction_,
+       .kept_begin = kept_begin_,
+       .kept = Untyped(kept_),
+       .kept_friction = kept_friction_,
+       .kept_dt = kept_dt_,
+       .dt = of.in.dt,
+       .groups = groups_,
+       .dofs = dofs});
+}
+
+namespace {
+
+// The contacts of the trees that TreeSteps takes.
+class TakenContacts : public TreeContacts {
+ public:
+  explicit TakenContacts(const ArticulationContactStepArguments& a) : s_(a, nullptr, 0) {}
+
+  int32_t count(int64_t tree) const override { return node(tree).rows; }
+  int32_t fill(int64_t tree, int32_t i, float* numbers, int32_t stride) override {
+    int32_t link = 0;
+    const art::TreeContact<float> contact =
+        contact_of_tree(s_, static_cast<int32_t>(tree), place(tree, i), link);
+    float values[sizeof(contact) / sizeof(float)];
+    std::memcpy(values, &contact, sizeof(contact));
+    for (const float value : values) {
+      *numbers = value;
+      numbers += stride;
+    }
+    return link;
+  }
+  void take(int64_t tree, int32_t i, const float* impulses, int32_t stride) override {
+    const float along[3] = {impulses[0], impulses[stride], impulses[2 * stride]};
+    const int32_t at = place(tree, i);
+    take_contact(s_, at, art::contact_frame(s_.contacts.normal[s_.a.contacts[at]]), along);
+  }
+  void solved(int64_t tree, const art::IslandResult& result) override {
+    node(tree).result = result;
+  }
+
+ private:
+  IslandNode& node(int64_t tree) const { return s_.a.nodes[tree]; }
+  int32_t place(int64_t tree, int32_t i) const {
+    const int32_t group = s_.a.shapes.group_of_tree[tree];
+    return s_.all.places[s_.a.contact_begin[group] + node(tree).begin + i];
+  }
+  const GroupStep s_;  // of any group: what it is asked for is of none
+};
+
+}  // namespace
+
+// Whether some trees are left.
+bool ContactSteps::take_trees(const ArticulationContactStepArguments& a,
+                              const FeatherstoneOptions& options, TreeSteps& lanes,
+                              bool keeps_rates) {
+  last_ = in_memory(a);
+  const std::span<IslandNode> nodes = nodes_here();
+  taken_.clear();
+  for (size_t i = 0; i < nodes.size(); ++i) {
+    IslandNode& node = nodes[i];
+    const bool alone = node.joined == 0 && node.root == static_cast<int32_t>(i) && node.met == 0 &&
+                       last_->step.status[i] == 0;
+    node.taken = alone ? 1 : 0;
+    if (alone) taken_.push_back(static_cast<int32_t>(i));
+  }
+  TakenContacts contacts(*last_);
+  lanes.step(last_->step, model_, taken_, options, &contacts, keeps_rates);
+  return taken_.size() < nodes.size();
+}
+
+std::span<IslandNode> ContactSteps::nodes_here() const {
+  return {reinterpret_cast<IslandNode*>(nodes_.range()->data()), nodes_.rows()};
+}
+bool ContactSteps::has_failed() const {
+  const int32_t* const status = last_->step.status;
+  return std::any_of(status, status + articulations_.count(), [](int32_t s) { return s != 0; });
+}
+
+int32_t ContactSteps::sweeps() const {
+  int32_t most = 0;
+  for (const IslandNode& node : last_nodes()) most = std::max(most, node.result.sweeps);
+  return most;
+}
+float ContactSteps::residual() const {
+  float most = 0.0f;
+  for (const IslandNode& node : last_nodes()) most = std::max(most, node.result.residual);
+  return most;
+}
+std::vector<IslandNode> ContactSteps::last_nodes() const {
+  if (!has_run_) return {};
+  const std::vector<int32_t> words = nodes_.to_host();
+  std::vector<IslandNode> nodes(words.size() / kNodeNumbers);
+  std::memcpy(static_cast<void*>(nodes.data()), words.data(), words.size() * sizeof(int32_t));
+  return nodes;
+}
+
+int32_t ContactSteps::hardest_row(int32_t root) const {
+  const GroupStep s = group_of_tree(*last_, root);
+  const IslandNode& node = s.a.nodes[root];
+  int32_t at = -1;
+  float most = -1.0f;
+  const auto take = [&](float size, int32_t row) {
+    if (size <= most) return;
+    most = size;
+    at = row;
+  };
+  for (int32_t n = 0; n < node.rows; ++n)
+    take(s.all.now[s.places(root)[n]].normal, s.a.contacts[s.places(root)[n]]);
+  if (node.rows == 0)
+    for_friction(s, root, [&](const art::PgsJointFriction<float>& f, int32_t dof) {
+      take(std::abs(f.impulse), -1 - dof);
+    });
+  return at;
+}
+
+FarIsland ContactSteps::far_island(float tolerance) const {
+  FarIsland far;
+  const std::span<IslandNode> nodes = has_run_ ? nodes_here() : std::span<IslandNode>();
+  for (size_t i = 0; i < nodes.size(); ++i) {
+    const art::IslandResult& of = nodes[i].result;
+    if (art::far_from_converged(of.residual, of.largest, tolerance) && of.residual > far.residual)
+      far = {of.sweeps, of.residual, of.largest, hardest_row(static_cast<int32_t>(i))};
+  }
+  return far;
+}
+
+namespace {
+
+std::string pair_of_shapes(const Model& m, int32_t a, int32_t b) {
+  return "shapes '" + m.shape_label[static_cast<size_t>(a)] + "' and '" +
+         m.shape_label[static_cast<size_t>(b)] + "'";
+}
+
+}  // namespace
+
+std::string describe(const FarIsland& of, const Model& m, const Articulations& articulations,
+                     const int32_t* shape0, const int32_t* shape1) {
+  std::string text;
+  for (const MessagePart& part :
+       {MessagePart("the last of "), MessagePart(of.sweeps),
+        MessagePart(" sweeps changed velocities by "), MessagePart(of.residual),
+        MessagePart(" m/s, the largest impulse by "), MessagePart(of.largest),
+        MessagePart(" m/s, at ")})
+    text.append(part.text());
+  return text + (of.at < 0 ? articulations.dof_name(m, -1 - of.at)
+                           : pair_of_shapes(m, shape0[of.at], shape1[of.at]));
+}
+
+std::string ContactSteps::largest_force() const {
+  if (kept_.rows() == 0) return {};
+  const auto* const kept = reinterpret_cast<const art::KeptContact*>(kept_.range()->data());
+  const auto* const most = std::max_element(
+      kept, kept + kept_begin_.data()[groups_],
+      [](const art::KeptContact& a, const art::KeptContact& b) { return a.normal < b.normal; });
+  if (most == kept + kept_begin_.data()[groups_] || !(most->normal > 0.0f)) return {};
+  return std::string(MessagePart(most->normal / kept_dt_.data()[0]).text()) + " N between " +
+         pair_of_shapes(model_, most->shape0, most->shape1);
+}
+
+}  // namespace novaphy

@@ -51,8 +51,13 @@ RigidPairs::RigidPairs(std::shared_ptr<const Model> model, BroadPhase broad_phas
 
 std::array<const Array*, 7> RigidPairs::sources() const {
   const Model& m = *model_;
-  return {&m.shape_body,  &m.shape_type,  &m.shape_contact_pairs,  &m.shape_scale,
-          &m.shape_flags, &m.shape_world, &m.shape_collision_group};
+  return {&m.shape_body,
+          &m.shape_type,
+          lists_model_pairs() ? &m.shape_contact_pairs() : &no_pairs_,
+          &m.shape_scale,
+          &m.shape_flags,
+          &m.shape_world,
+          &m.shape_collision_group};
 }
 ShapePairRules RigidPairs::rules() const {
   return {body_, flags_, group_, world_, &model_->shape_collision_filter_pairs};
@@ -78,11 +83,11 @@ void RigidPairs::update() {
     if (!m.device().is_cpu()) check_all();
   } else {
     rows_ = {};
-    most_rows_ = take(explicit_ ? *explicit_
-                      : broad_phase_ == BroadPhase::Explicit
-                          ? m.shape_contact_pairs.to_host()
-                          : make_shape_contact_pairs(body_, flags_, group_, world_,
-                                                     m.shape_collision_filter_pairs));
+    most_rows_ =
+        take(explicit_             ? *explicit_
+             : lists_model_pairs() ? m.shape_contact_pairs().to_host()
+                                   : make_shape_contact_pairs(body_, flags_, group_, world_,
+                                                              m.shape_collision_filter_pairs));
   }
   versions_.set(sources());
 }

@@ -49,6 +49,7 @@ class RigidPairs {
   GeoType type_of(int32_t shape) const {
     return static_cast<GeoType>(type_[static_cast<size_t>(shape)]);
   }
+  bool lists_model_pairs() const { return broad_phase_ == BroadPhase::Explicit && !explicit_; }
   ShapePairRules rules() const;
   int32_t orient(Vec2i& pair) const;
   int64_t take(std::vector<Vec2i> found);
@@ -60,6 +61,7 @@ class RigidPairs {
   BroadPhase broad_phase_;
   int32_t contacts_per_pair_;
   std::optional<std::vector<Vec2i>> explicit_;  // instead of the model's
+  Array no_pairs_;                              // of the model, which are not asked for
   ArrayVersions<7> versions_;
   std::vector<int32_t> body_, type_, flags_, group_, world_;  // of the shapes
   std::vector<Vec3f> scale_;

@@ -103,8 +103,7 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
   const bool given = config.strict && !config.enable_static_contacts;
   if (given && config.enable_particle_contacts && moves_particles())
     uncovered_shapes_ = shapes_for_particles(*this->model());
-  if (given && config.enable_rigid_contacts && moves_bodies())
-    uncovered_pairs_ = this->model()->shape_contact_pair_count();
+  needs_pairs_ = given && config.enable_rigid_contacts && moves_bodies();
   if (config.contact_gradient == DerivativeOf::Code) return;
   constexpr const char* kName = "DiffSemiImplicitSolver: contact_gradient: \"motion\" is ";
   require(device() == Device::cpu(), ErrorKind::NotImplemented, kName,
@@ -176,20 +175,19 @@ void DiffSemiImplicitSolver::check_contacts(const char* function, const Contacts
                                             bool found) const {
   require(!config_.enable_static_contacts || (contacts == nullptr && !found), ErrorKind::Value,
           function, ", contacts: expected none, because enable_static_contacts is true");
-  const auto check = [&](int32_t count, const char* what, const char* option) {
-    require(contacts != nullptr || found || count == 0, ErrorKind::Value, function,
-            ", contacts: expected a Contacts, because ", what,
+  if (contacts != nullptr && config_.strict) check_overflow(*contacts);
+  if (contacts != nullptr || found) return;
+  const auto check = [&](int32_t count, const char* before, const char* what, const char* option) {
+    require(count == 0, ErrorKind::Value, function, ", contacts: expected a Contacts, because ",
+            before, count, what,
             ": pass one (or a pipeline to rollout), set enable_static_contacts, or leave them out "
             "with ",
             option, " = false");
   };
-  const std::string shapes = std::to_string(uncovered_shapes_),
-                    pairs = std::to_string(uncovered_pairs_);
-  check(uncovered_shapes_, ("particles collide with " + shapes + " shape(s) of the model").c_str(),
+  check(uncovered_shapes_, "particles collide with ", " shape(s) of the model",
         "enable_particle_contacts");
-  check(uncovered_pairs_, (pairs + " pair(s) of shapes of the model may meet").c_str(),
-        "enable_rigid_contacts");
-  if (contacts != nullptr && config_.strict) check_overflow(*contacts);
+  check(needs_pairs_ ? model()->shape_contact_pair_count() : 0, "",
+        " pair(s) of shapes of the model may meet", "enable_rigid_contacts");
 }
 
 // Contacts that are given are fixed while a capture records, so this host read is legal there too.

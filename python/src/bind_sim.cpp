@@ -6,7 +6,7 @@
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/contacts.h"
-#include "pickle.h"
+#include "shape_pairs.h"
 
 namespace novaphy::python {
 namespace {
@@ -177,7 +177,7 @@ void add_model_pickle(ModelClass& c) {
         kept["actuator_label"] = model.actuator_label;
         kept["max_joints_per_articulation"] = model.max_joints_per_articulation;
         kept["max_dofs_per_articulation"] = model.max_dofs_per_articulation;
-        kept["shape_collision_filter_pairs"] = model.shape_collision_filter_pairs;
+        keep_shape_pairs(model, kept);
         return kept;
       },
       [](const py::dict& kept) {
@@ -202,9 +202,7 @@ void add_model_pickle(ModelClass& c) {
             kept_value(kept, "max_joints_per_articulation").cast<int32_t>();
         model->max_dofs_per_articulation =
             kept_value(kept, "max_dofs_per_articulation").cast<int32_t>();
-        model->shape_collision_filter_pairs =
-            kept_value(kept, "shape_collision_filter_pairs")
-                .cast<decltype(model->shape_collision_filter_pairs)>();
+        take_shape_pairs(*model, kept);
         return model;
       }));
 }
@@ -258,6 +256,7 @@ void bind_model(py::module_& m) {
   NOVAPHY_DERIVED_MODEL_FIELDS(NOVAPHY_BIND_DERIVED)
 #undef NOVAPHY_BIND_DERIVED
   bind_counts(c);
+  bind_shape_pairs(c);
   // The same arrays under Newton's names.
   bind_field(
       c, {"shape_aabb_lower", DType::vec3, 1, "shape_count", "m", "shape", "as shape_aabb_lower"},
@@ -313,8 +312,6 @@ void bind_model(py::module_& m) {
                     "Joints of the largest articulation.")
       .def_readonly("max_dofs_per_articulation", &Model::max_dofs_per_articulation,
                     "The most degrees of freedom of an articulation.")
-      .def_readonly("shape_collision_filter_pairs", &Model::shape_collision_filter_pairs,
-                    "Shape pairs (i < j) that never meet.")
       .def_property_readonly(
           "particle_color_groups",
           [](const Model& self) {

@@ -5,6 +5,7 @@
 #include <limits>
 #include <numbers>
 #include <random>
+#include <thread>
 #include <vector>
 
 #include "novaphy/core/error.h"
@@ -234,6 +235,39 @@ TEST(Bodies, TheInverseInertiaFollowsAndIsTheInverse) {
   }
 }
 
+TEST(Bodies, PairsOfShapesAreListedWhenTheFirstOneAsks) {
+  ModelBuilder builder;
+  for (int32_t b = 0; b < 40; ++b) {
+    builder.add_body();
+    builder.add_shape_sphere(b);
+  }
+  builder.add_shape_collision_filter_pair(3, 5);
+  const auto model = builder.finalize(Device::cpu());
+  EXPECT_FALSE(model->shape_pair_list().is_made());
+  // What is edited since does not count.
+  model->shape_flags.fill(0);
+  const auto copy = model->clone();
+  EXPECT_FALSE(copy->shape_pair_list().is_made());
+  std::vector<const void*> found(4);
+  std::vector<std::thread> threads;
+  for (const void*& of_thread : found)
+    threads.emplace_back([&] { of_thread = model->shape_contact_pairs().data(); });
+  for (std::thread& thread : threads) thread.join();
+  for (const void* of_thread : found) EXPECT_EQ(of_thread, found[0]);
+  std::vector<Vec2i> expected;
+  for (int32_t i = 0; i < 40; ++i)
+    for (int32_t j = i + 1; j < 40; ++j)
+      if (i != 3 || j != 5) expected.push_back({i, j});
+  EXPECT_EQ(model->shape_contact_pairs().to_host(), expected);
+  EXPECT_EQ(copy->shape_contact_pair_count(), 779);
+  // An edited list goes with its model.
+  std::vector<Vec2i> edited = expected;
+  edited[0] = {1, 2};
+  DeviceArray<Vec2i> list = model->shape_contact_pairs();
+  list.copy_from_host(std::span<const Vec2i>(edited));
+  EXPECT_EQ(model->clone()->shape_contact_pairs().to_host(), edited);
+}
+
 TEST(Bodies, WorldsCarryTheirBodies) {
   ModelBuilder one;
   one.add_shape_box(-1);
@@ -247,7 +281,7 @@ TEST(Bodies, WorldsCarryTheirBodies) {
   const auto model = builder.finalize(Device::cpu());
   EXPECT_EQ(model->body_world.to_host(), (std::vector<int32_t>{0, 1}));
   EXPECT_EQ(model->shape_body.to_host(), (std::vector<int32_t>{-1, 0, -1, 1}));
-  EXPECT_EQ(model->shape_contact_pairs.to_host(), (std::vector<Vec2i>{{0, 1}, {2, 3}}));
+  EXPECT_EQ(model->shape_contact_pairs().to_host(), (std::vector<Vec2i>{{0, 1}, {2, 3}}));
   const Transformf pose = model->body_q.to_host()[1];
   EXPECT_NEAR(pose.p.x, 5.0f, 1e-6f);
   EXPECT_NEAR(pose.q.z, s, 1e-6f);

@@ -128,7 +128,7 @@ TEST(Joints, ShapesOfConnectedBodiesDoNotMeet) {
     for (int k = 0; k < 3; ++k)
       b.add_shape_sphere(k, {.cfg = ShapeConfig{.collision_filter_parent = shape_filters}});
     b.add_shape_sphere(-1);
-    return b.finalize()->shape_contact_pairs.to_host();
+    return b.finalize()->shape_contact_pairs().to_host();
   };
   EXPECT_EQ(pairs(true, true), (std::vector<Vec2i>{{0, 2}, {0, 3}, {1, 3}, {2, 3}}));
   EXPECT_EQ(pairs(false, true), (std::vector<Vec2i>{{0, 1}, {0, 2}, {0, 3}, {1, 3}, {2, 3}}));

@@ -49,7 +49,7 @@ TEST(ModelBuilder, KeepsWhatIsAdded) {
             (std::vector<std::string>{"shape_0", "ground_plane", "ball", "shape_3"}));
   EXPECT_EQ(model->gravity.to_host(), (std::vector<Vec3f>{{-0.0f, -0.0f, -9.81f}}));
   EXPECT_TRUE(model->requires_grad);
-  EXPECT_EQ(model->shape_contact_pairs.rows(), 0u);
+  EXPECT_EQ(model->shape_contact_pairs().rows(), 0u);
 }
 
 // Newton 1.8.0's shape_collision_radius for the same shapes.

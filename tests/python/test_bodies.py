@@ -20,6 +20,16 @@ def die() -> ModelBuilder:
     return builder
 
 
+def test_pickles_carry_the_pairs_of_shapes_or_how_to_list_them() -> None:
+    model = die().finalize()
+    again = pickle.loads(pickle.dumps(model))
+    assert again.shape_contact_pairs.numpy().tolist() == [[0, 1]]
+    again.shape_contact_pairs = np.int32([[1, 0]])
+    edited = pickle.loads(pickle.dumps(again))
+    assert edited.shape_contact_pairs.numpy().tolist() == [[1, 0]]
+    assert edited.shape_contact_pair_count == 1
+
+
 def test_the_model_and_the_state_hold_the_body() -> None:
     model = die().finalize()
     assert model.body_count == 1

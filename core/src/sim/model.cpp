@@ -50,6 +50,10 @@ Control Model::control(std::optional<bool> grad) const {
   return control;
 }
 
+int32_t Model::shape_contact_pair_count() const {
+  return static_cast<int32_t>(shape_contact_pairs().rows());
+}
+
 std::vector<std::vector<int32_t>> Model::particle_color_groups() const {
   std::vector<std::vector<int32_t>> groups;
   const std::vector<int32_t> colors = particle_colors.to_host();
@@ -132,6 +136,9 @@ std::shared_ptr<Model> Model::to(Device device) const {
   if (derived_stamps_.derived.matches(source)) copy->derived_stamps_.derived.set(copy->source);
   NOVAPHY_DERIVED_MODEL_FIELDS(NOVAPHY_COPY_STAMP)
 #undef NOVAPHY_COPY_STAMP
+  copy->shape_pair_list_.follow(shape_pair_list_.columns());
+  if (shape_pair_list_.is_made())
+    copy->shape_pair_list_.set(DeviceArray<Vec2i>(shape_contact_pairs().to(device)));
   copy->structure_ = structure_;
   return copy;
 }

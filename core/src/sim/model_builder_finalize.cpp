@@ -57,13 +57,11 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
     std::transform(shapes_.begin(), shapes_.end(), values.begin(), get);
     return values;
   };
-  const auto body = column([](const Shape& s) { return s.body; });
-  const auto flags = column([](const Shape& s) { return s.cfg.flags(); });
-  const auto group = column([](const Shape& s) { return s.cfg.collision_group; });
-  const auto world = column([](const Shape& s) { return s.world; });
-  const std::set<std::pair<int32_t, int32_t>> filter_pairs = all_filter_pairs();
-  const std::vector<Vec2i> pairs =
-      make_shape_contact_pairs(body, flags, group, world, filter_pairs);
+  const auto paired = std::make_shared<const ShapePairList::Columns>(ShapePairList::Columns{
+      .body = column([](const Shape& s) { return s.body; }),
+      .flags = column([](const Shape& s) { return s.cfg.flags(); }),
+      .collision_group = column([](const Shape& s) { return s.cfg.collision_group; }),
+      .world = column([](const Shape& s) { return s.world; })});
 
   const MeshPool meshes = mesh_pool();
   ModelCounts counts;
@@ -83,7 +81,6 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   counts.edge_count = edge_count();
   counts.tet_count = tet_count();
   counts.world_count = std::max(world_count(), 1);
-  counts.shape_contact_pair_count = static_cast<int32_t>(pairs.size());
   std::shared_ptr<Model> model(new Model(counts, device, up_axis_));
   Model& m = *model;
   m.allocate(counts, device);
@@ -105,14 +102,14 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   upload_bodies(m, masses);
   upload_joints(m);
   upload_actuators(m);
-  upload(m.shape_body, body);
-  upload(m.shape_flags, flags);
-  upload(m.shape_collision_group, group);
-  upload(m.shape_world, world);
+  m.shape_pair_list().follow(paired);
+  upload(m.shape_body, paired->body);
+  upload(m.shape_flags, paired->flags);
+  upload(m.shape_collision_group, paired->collision_group);
+  upload(m.shape_world, paired->world);
   upload(m.shape_color, column([](const Shape& s) {
            return s.cfg.color.value_or(Vec3f{-1.0f, -1.0f, -1.0f});
          }));
-  upload(m.shape_contact_pairs, pairs);
   upload(m.shape_transform, column([](const Shape& s) { return s.xform; }));
   upload(m.shape_type, column([](const Shape& s) { return static_cast<int32_t>(s.type); }));
   upload(m.shape_scale, column([](const Shape& s) { return s.scale; }));
@@ -146,7 +143,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   upload(m.shape_aabb_lower, lower);
   upload(m.shape_aabb_upper, upper);
   m.shape_label = column([](const Shape& s) { return s.label; });
-  m.shape_collision_filter_pairs = filter_pairs;
+  m.shape_collision_filter_pairs = all_filter_pairs();
 
   if (world_gravity_.empty()) {
     m.gravity.fill(gravity);

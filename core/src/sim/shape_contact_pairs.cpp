@@ -3,8 +3,10 @@
 #include <numeric>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/model_builder.h"
+#include "novaphy/core/sim/shape_pair_list.h"
 #include "novaphy/core/sim/shape_pair_rule.h"
 #include "novaphy/core/sim/shape_pair_rules.h"
 
@@ -63,8 +65,32 @@ std::vector<Vec2i> make_shape_contact_pairs(
     }
     for (const int32_t j : others)
       if (may_touch(rules, i, j)) pairs.push_back({i, j});
+    require(pairs.size() <= ShapePairList::kMostPairs, ErrorKind::Value,
+            "shape_contact_pairs: expected at most ", ShapePairList::kMostPairs,
+            " pairs that may touch, got more of ", count,
+            " shapes; the broad phase \"sap\" lists none");
   }
   return pairs;
+}
+
+void ShapePairList::set(DeviceArray<Vec2i> pairs) {
+  pairs_ = std::move(pairs);
+  made_.store(true, std::memory_order_release);
+}
+
+const DeviceArray<Vec2i>& ShapePairList::get(
+    const std::set<std::pair<int32_t, int32_t>>& filter_pairs, Device device) const {
+  if (is_made()) return pairs_;
+  const std::lock_guard lock(mutex_);
+  if (is_made()) return pairs_;
+  const Unobserved unobserved;  // no part of what a capture records
+  std::vector<Vec2i> pairs;
+  if (columns_ != nullptr)
+    pairs = make_shape_contact_pairs(columns_->body, columns_->flags, columns_->collision_group,
+                                     columns_->world, filter_pairs);
+  pairs_ = DeviceArray<Vec2i>::from_host(pairs, device);
+  made_.store(true, std::memory_order_release);
+  return pairs_;
 }
 
 }  // namespace novaphy

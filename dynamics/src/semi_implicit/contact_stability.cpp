@@ -427,7 +427,7 @@ void ContactWatch::look_at_pairs(const Model& model, float dt) {
                            inv_mass = model.body_inv_mass.to_host();
   const std::vector<int32_t> body = model.shape_body.to_host(), flags = model.body_flags.to_host();
   ContactLimit least = {kNone}, least_of_friction = {kNone};
-  for (const Vec2i& pair : model.shape_contact_pairs.to_host()) {
+  for (const Vec2i& pair : model.shape_contact_pairs().to_host()) {
     const auto a = static_cast<size_t>(pair.x), b = static_cast<size_t>(pair.y);
     for (const size_t shape : {a, b}) {
       const int32_t of = body[shape];

@@ -228,7 +228,7 @@ void check_worlds(const Model& model) {
 
 void PlanePairs::find_pairs(const Model& model) {
   const std::vector<Vec2i> candidates =
-      with_contacts_ ? model.shape_contact_pairs.to_host() : std::vector<Vec2i>();
+      with_contacts_ ? model.shape_contact_pairs().to_host() : std::vector<Vec2i>();
   const std::vector<int32_t> body = model.shape_body.to_host(), type = model.shape_type.to_host();
   const std::vector<Vec3f> scale = model.shape_scale.to_host();
   std::vector<int32_t> found, bodies;
@@ -272,12 +272,12 @@ void PlanePairs::find_pairs(const Model& model) {
 }
 
 void PlanePairs::update(const Model& model, bool with_contacts) {
-  depend_on({&model.shape_contact_pairs, &model.shape_body, &model.shape_type, &model.shape_scale,
+  depend_on({&model.shape_contact_pairs(), &model.shape_body, &model.shape_type, &model.shape_scale,
              &model.body_world});
   if (known_ && with_contacts_ == with_contacts &&
-      contact_pairs_.matches(model.shape_contact_pairs) && shape_body_.matches(model.shape_body) &&
-      shape_type_.matches(model.shape_type) && shape_scale_.matches(model.shape_scale) &&
-      body_world_.matches(model.body_world))
+      contact_pairs_.matches(model.shape_contact_pairs()) &&
+      shape_body_.matches(model.shape_body) && shape_type_.matches(model.shape_type) &&
+      shape_scale_.matches(model.shape_scale) && body_world_.matches(model.body_world))
     return;
   known_ = false;
   with_contacts_ = with_contacts;
@@ -287,7 +287,7 @@ void PlanePairs::update(const Model& model, bool with_contacts) {
     check_worlds(model);
     find_pairs(model);
   }
-  contact_pairs_.set(model.shape_contact_pairs);
+  contact_pairs_.set(model.shape_contact_pairs());
   shape_body_.set(model.shape_body);
   shape_type_.set(model.shape_type);
   shape_scale_.set(model.shape_scale);

@@ -323,12 +323,12 @@ class _Counts(_Native):
     @property
     def mesh_triangle_count(self) -> int: ...
     @property
-    def shape_contact_pair_count(self) -> int: ...
-    @property
     def device(self) -> Device: ...
     requires_grad: bool
 
 class Model(_Counts):
+    @property
+    def shape_contact_pair_count(self) -> int: ...
     particle_q: _Field
     particle_qd: _Field
     particle_mass: _Field

@@ -150,7 +150,8 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   ContactTables::Wanted wanted_tables() const;
   DiffSolverConfig config_;
   // Under strict: those that need a Contacts to act.
-  int32_t uncovered_shapes_ = 0, uncovered_pairs_ = 0;
+  int32_t uncovered_shapes_ = 0;
+  bool needs_pairs_ = false;
   ParticleStep particles_;
   ParticleWatch particle_watch_{"DiffSemiImplicitSolver"};
   BodyStep bodies_;

@@ -23,8 +23,7 @@ namespace novaphy {
   X(tet_count, "tetrahedra")                                                                      \
   X(world_count, "worlds, at least 1")                                                            \
   X(mesh_vertex_count, "vertices of the meshes and hulls of shapes")                              \
-  X(mesh_triangle_count, "triangles of the meshes and hulls of shapes")                           \
-  X(shape_contact_pair_count, "shape pairs that the rigid contact search visits")
+  X(mesh_triangle_count, "triangles of the meshes and hulls of shapes")
 // clang-format on
 
 #define NOVAPHY_COUNT_MEMBER(name, doc) int32_t name = 0;

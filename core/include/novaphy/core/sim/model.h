@@ -18,6 +18,7 @@
 #include "novaphy/core/sim/derived_fields.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/fields.h"
+#include "novaphy/core/sim/shape_pair_list.h"
 #include "novaphy/core/sim/sim_state.h"
 
 namespace novaphy {
@@ -218,8 +219,6 @@ namespace novaphy {
   X(mesh_indices, Vec3i, 1, mesh_triangle_count, "", "",                                          \
     "their triangles, counter-clockwise seen from outside, counted from the first vertex of "     \
     "the mesh")                                                                                   \
-  X(shape_contact_pairs, Vec2i, 1, shape_contact_pair_count, "", "",                              \
-    "shape pairs (i < j) that the rigid contact search visits, in lexicographic order")           \
   NOVAPHY_MODEL_JOINT_FIELDS(X)                                                                   \
   NOVAPHY_MODEL_ACTUATOR_FIELDS(X)                                                                \
   X(gravity, Vec3f, 1, world_count, "m/s^2", "world",                                             \
@@ -309,6 +308,14 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   SimState state(std::optional<bool> requires_grad = {}) const;
   Control control(std::optional<bool> requires_grad = {}) const;
 
+  // Listed at the first call; values may be edited. Errors: see ShapePairList::get.
+  const DeviceArray<Vec2i>& shape_contact_pairs() const {
+    return shape_pair_list_.get(shape_collision_filter_pairs, device_);
+  }
+  int32_t shape_contact_pair_count() const;
+  ShapePairList& shape_pair_list() { return shape_pair_list_; }
+  const ShapePairList& shape_pair_list() const { return shape_pair_list_; }
+
   // The particles of every colour, ascending; empty unless the builder was coloured. Read from the
   // device.
   std::vector<std::vector<int32_t>> particle_color_groups() const;
@@ -382,6 +389,7 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   Axis up_axis_ = Axis::Z;
   uint64_t id_ = 0;
   mutable DerivedStamps derived_stamps_;
+  ShapePairList shape_pair_list_;
   std::shared_ptr<const Structure> structure_;
   mutable StructureStamps structure_stamps_;
   mutable std::array<DerivedStamp, 3> world_stamps_;  // the numbers of worlds were checked

@@ -1,6 +1,8 @@
 #include "novaphy/collision/mesh_tree.h"
 
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <cmath>
 #include <numeric>
 #include <tuple>
@@ -37,49 +39,80 @@ void check(std::span<const Vec3f> vertices, std::span<const int32_t> indices) {
             " (exclusive), got ", indices[i]);
 }
 
+// The items [0, count) in the order of their keys, which are below `keys`, those of one key
+// ascending. Returns where each key begins, and the end.
+template <class KeyOf>
+std::vector<int32_t> sort_by(size_t keys, size_t count, KeyOf key_of, std::vector<int32_t>& items) {
+  std::vector<int32_t> starts(keys + 1);
+  for (size_t i = 0; i < count; ++i) ++starts[static_cast<size_t>(key_of(i)) + 1];
+  std::partial_sum(starts.begin(), starts.end(), starts.begin());
+  std::vector<int32_t> next(starts.begin(), starts.end() - 1);
+  items.resize(count);
+  for (size_t i = 0; i < count; ++i)
+    items[static_cast<size_t>(next[static_cast<size_t>(key_of(i))]++)] = static_cast<int32_t>(i);
+  return starts;
+}
+
+// Side k of the triangles goes from a corner of triangle k / 3 to the next one.
+int32_t corner_of(const MeshTree& tree, size_t triangle, size_t corner) {
+  const Vec3i& t = tree.triangles[triangle];
+  return corner % 3 == 0 ? t.x : corner % 3 == 1 ? t.y : t.z;
+}
+
 void set_rings(MeshTree& tree) {
-  std::vector<std::pair<int32_t, int32_t>> edges;
-  edges.reserve(6 * tree.triangles.size());
-  for (const Vec3i& t : tree.triangles)
-    for (const auto& [i, j] : {std::pair{t.x, t.y}, std::pair{t.y, t.z}, std::pair{t.z, t.x}}) {
-      edges.push_back({i, j});
-      edges.push_back({j, i});
-    }
-  std::sort(edges.begin(), edges.end());
-  edges.erase(std::unique(edges.begin(), edges.end()), edges.end());
-  tree.ring_starts.assign(tree.vertices.size() + 1, 0);
-  for (const auto& [i, j] : edges) {
-    ++tree.ring_starts[static_cast<size_t>(i) + 1];
-    tree.ring.push_back(j);
+  // From each corner to the two others.
+  const auto from = [&](size_t k) { return corner_of(tree, k / 6, k / 2 % 3); };
+  const auto to = [&](size_t k) { return corner_of(tree, k / 6, k / 2 % 3 + 1 + k % 2); };
+  std::vector<int32_t> order;
+  const std::vector<int32_t> starts =
+      sort_by(tree.vertices.size(), 6 * tree.triangles.size(), from, order);
+  for (int32_t& k : order) k = to(static_cast<size_t>(k));
+  tree.ring_starts = {0};
+  auto end = order.begin();
+  for (size_t v = 0; v < tree.vertices.size(); ++v) {
+    const auto first = order.begin() + starts[v], last = order.begin() + starts[v + 1];
+    std::sort(first, last);
+    end = std::copy(first, std::unique(first, last), end);
+    tree.ring_starts.push_back(static_cast<int32_t>(end - order.begin()));
   }
-  std::partial_sum(tree.ring_starts.begin(), tree.ring_starts.end(), tree.ring_starts.begin());
+  tree.ring.assign(order.begin(), end);
+}
+
+struct Side {
+  int32_t a, b, triangle, corner;  // a, b: as the triangle goes round
+  bool is_empty;                   // of a triangle without area
+};
+
+// Those of one edge side by side, of triangles with an area first.
+std::vector<Side> sorted_sides(const MeshTree& tree) {
+  const auto side = [&](size_t k) {
+    const size_t t = k / 3, corner = k % 3;
+    return Side{corner_of(tree, t, corner), corner_of(tree, t, corner + 1), static_cast<int32_t>(t),
+                static_cast<int32_t>(corner), tree.normals[t] == Vec3f{}};
+  };
+  const auto key = [](const Side& s) {
+    return std::tuple(std::min(s.a, s.b), std::max(s.a, s.b), s.is_empty, s.triangle);
+  };
+  std::vector<Side> sides(3 * tree.triangles.size());
+  std::vector<int32_t> order;
+  const auto least = [&](size_t k) {
+    return std::min(corner_of(tree, k / 3, k % 3), corner_of(tree, k / 3, k % 3 + 1));
+  };
+  const std::vector<int32_t> starts = sort_by(tree.vertices.size(), sides.size(), least, order);
+  for (size_t k = 0; k < sides.size(); ++k) sides[k] = side(static_cast<size_t>(order[k]));
+  for (size_t v = 0; v + 1 < starts.size(); ++v)
+    std::sort(sides.begin() + starts[v], sides.begin() + starts[v + 1],
+              [&](const Side& s, const Side& other) { return key(s) < key(other); });
+  return sides;
 }
 
 // Where more than two triangles meet, or two with opposite sides, each has a border. Triangles
 // without area have no edges, but what they touch is unclear.
 void set_edges(MeshTree& tree) {
   constexpr float kConvexSine = 1e-3f;
-  struct Side {
-    int32_t a, b, triangle, corner;  // a, b: as the triangle goes round
-    bool is_empty;                   // of a triangle without area
-  };
-  std::vector<Side> sides;
-  for (size_t t = 0; t < tree.triangles.size(); ++t) {
-    const Vec3i& c = tree.triangles[t];
-    const bool is_empty = tree.normals[t] == Vec3f{};
-    const auto triangle = static_cast<int32_t>(t);
-    sides.insert(sides.end(), {{c.x, c.y, triangle, 0, is_empty},
-                               {c.y, c.z, triangle, 1, is_empty},
-                               {c.z, c.x, triangle, 2, is_empty}});
-  }
-  const auto key = [](const Side& s) {
-    return std::tuple(std::min(s.a, s.b), std::max(s.a, s.b), s.is_empty, s.triangle);
-  };
-  std::sort(sides.begin(), sides.end(),
-            [&](const Side& s, const Side& other) { return key(s) < key(other); });
+  const std::vector<Side> sides = sorted_sides(tree);
   const auto third = [&](const Side& s) {
-    const Vec3i& c = tree.triangles[static_cast<size_t>(s.triangle)];
-    return s.corner == 0 ? c.z : s.corner == 1 ? c.x : c.y;
+    return corner_of(tree, static_cast<size_t>(s.triangle), static_cast<size_t>(s.corner) + 2);
   };
   const auto of_side = [](std::vector<Vec3i>& table, const Side& s) -> int32_t& {
     Vec3i& row = table[static_cast<size_t>(s.triangle)];
@@ -116,18 +149,22 @@ void set_edges(MeshTree& tree) {
   }
 }
 
+// The triangles are sorted along each axis once; every node parts the three lists, and the one by
+// number, in two.
 class Builder {
  public:
-  explicit Builder(MeshTree& tree) : tree_(tree) {
+  explicit Builder(MeshTree& tree) : tree_(tree), is_left_(tree.triangles.size()) {
+    const size_t count = tree.triangles.size();
+    boxes_.reserve(count);
     for (const Vec3i& t : tree.triangles) {
       Box3 box{vertex(t.x), vertex(t.x)};
       for (const int32_t i : {t.y, t.z}) grow(box, {vertex(i), vertex(i)});
       boxes_.push_back(box);
-      centres_.push_back((widen(box.lo) + widen(box.hi)) * 0.5);
     }
-    tree_.order.resize(tree.triangles.size());
+    tree_.order.resize(count);
     std::iota(tree_.order.begin(), tree_.order.end(), 0);
-    add(0, tree_.order.size());
+    for (int axis = 0; axis < 3; ++axis) along_[static_cast<size_t>(axis)] = sorted_along(axis);
+    add(0, count);
   }
 
  private:
@@ -139,54 +176,104 @@ class Builder {
               std::max(box.hi.z, other.hi.z)};
   }
   double centre(int32_t triangle, int axis) const {
-    const Vec3d& c = centres_[static_cast<size_t>(triangle)];
-    return axis == 0 ? c.x : axis == 1 ? c.y : c.z;
+    const Box3& box = boxes_[static_cast<size_t>(triangle)];
+    return (static_cast<double>(geometry::component(box.lo, axis)) +
+            static_cast<double>(geometry::component(box.hi, axis))) *
+           0.5;
   }
-  int longest_axis(size_t begin, size_t end) const {
-    int best = 0;
+  // The triangles by their centres, then by number: by the digits of the centres in float, and by
+  // the centres where these are the same.
+  std::vector<int32_t> sorted_along(int axis) const {
+    struct Item {
+      uint32_t key;
+      int32_t triangle;
+    };
+    constexpr uint32_t kBits = 11, kDigits = 1u << kBits;
+    std::vector<Item> items(boxes_.size()), other(boxes_.size());
+    for (size_t t = 0; t < items.size(); ++t) {
+      const auto triangle = static_cast<int32_t>(t);
+      const auto bits = std::bit_cast<uint32_t>(static_cast<float>(centre(triangle, axis)) + 0.0f);
+      items[t] = {(bits >> 31) != 0 ? ~bits : bits | 0x80000000u, triangle};
+    }
+    for (uint32_t shift = 0; shift < 32; shift += kBits) {
+      std::array<size_t, kDigits + 1> place{};
+      for (const Item& item : items) ++place[(item.key >> shift) % kDigits + 1];
+      std::partial_sum(place.begin(), place.end(), place.begin());
+      for (const Item& item : items) other[place[(item.key >> shift) % kDigits]++] = item;
+      items.swap(other);
+    }
+    const auto before = [&](const Item& a, const Item& b) {
+      const double x = centre(a.triangle, axis), y = centre(b.triangle, axis);
+      return x != y ? x < y : a.triangle < b.triangle;
+    };
+    for (size_t i = 0, end = 0; i < items.size(); i = end) {
+      while (end < items.size() && items[end].key == items[i].key) ++end;
+      const auto first = items.begin() + static_cast<std::ptrdiff_t>(i),
+                 last = items.begin() + static_cast<std::ptrdiff_t>(end);
+      if (!std::is_sorted(first, last, before)) std::sort(first, last, before);
+    }
+    std::vector<int32_t> along(items.size());
+    for (size_t i = 0; i < items.size(); ++i) along[i] = items[i].triangle;
+    return along;
+  }
+  size_t longest_axis(size_t begin, size_t end) const {
+    size_t best = 0;
     double longest = -1.0;
-    for (int axis = 0; axis < 3; ++axis) {
-      double lo = centre(tree_.order[begin], axis), hi = lo;
-      for (size_t i = begin; i < end; ++i) {
-        lo = std::min(lo, centre(tree_.order[i], axis));
-        hi = std::max(hi, centre(tree_.order[i], axis));
-      }
-      if (hi - lo > longest) {
-        longest = hi - lo;
+    for (size_t axis = 0; axis < 3; ++axis) {
+      const auto at = [&](size_t i) { return centre(along_[axis][i], static_cast<int>(axis)); };
+      const double length = at(end - 1) - at(begin);
+      if (length > longest) {
+        longest = length;
         best = axis;
       }
     }
     return best;
   }
+  // Puts those of the left half first, each half in its order.
+  void part(std::vector<int32_t>& list, size_t begin, size_t end) {
+    size_t left = begin;
+    right_.clear();
+    for (size_t i = begin; i < end; ++i) {
+      const int32_t t = list[i];
+      if (is_left_[static_cast<size_t>(t)] != 0)
+        list[left++] = t;
+      else
+        right_.push_back(t);
+    }
+    std::copy(right_.begin(), right_.end(), list.begin() + static_cast<std::ptrdiff_t>(left));
+  }
   // The node of order[begin .. end), and all below it: depth is the logarithm of the triangles.
   void add(size_t begin, size_t end) {
     const size_t node = tree_.nodes.size();
-    Box3 box = boxes_[static_cast<size_t>(tree_.order[begin])];
-    for (size_t i = begin; i < end; ++i) grow(box, boxes_[static_cast<size_t>(tree_.order[i])]);
     const bool leaf = end - begin <= kLeafTriangles;
-    tree_.nodes.push_back(
-        {box, 0, static_cast<int32_t>(begin), leaf ? static_cast<int32_t>(end - begin) : 0});
-    if (!leaf) {
-      const int axis = longest_axis(begin, end);
-      const size_t middle = begin + (end - begin) / 2;
-      const auto first = tree_.order.begin();
-      std::nth_element(first + static_cast<int64_t>(begin), first + static_cast<int64_t>(middle),
-                       first + static_cast<int64_t>(end), [&](int32_t a, int32_t b) {
-                         const double x = centre(a, axis), y = centre(b, axis);
-                         return x != y ? x < y : a < b;
-                       });
-      // Which half a triangle is in is determined; within it, by index.
-      std::sort(first + static_cast<int64_t>(begin), first + static_cast<int64_t>(middle));
-      std::sort(first + static_cast<int64_t>(middle), first + static_cast<int64_t>(end));
+    tree_.nodes.push_back({boxes_[static_cast<size_t>(tree_.order[begin])], 0,
+                           static_cast<int32_t>(begin),
+                           leaf ? static_cast<int32_t>(end - begin) : 0});
+    Box3 box = tree_.nodes[node].box;
+    if (leaf) {
+      for (size_t i = begin; i < end; ++i) grow(box, boxes_[static_cast<size_t>(tree_.order[i])]);
+    } else {
+      const size_t axis = longest_axis(begin, end), middle = begin + (end - begin) / 2;
+      for (size_t i = begin; i < end; ++i)
+        is_left_[static_cast<size_t>(along_[axis][i])] = i < middle ? 1 : 0;
+      for (size_t other = 0; other < 3; ++other)
+        if (other != axis) part(along_[other], begin, end);
+      part(tree_.order, begin, end);
       add(begin, middle);
+      grow(box, tree_.nodes[node + 1].box);
+      const size_t second = tree_.nodes.size();
       add(middle, end);
+      grow(box, tree_.nodes[second].box);
     }
+    tree_.nodes[node].box = box;
     tree_.nodes[node].skip = static_cast<int32_t>(tree_.nodes.size());
   }
 
   MeshTree& tree_;
-  std::vector<Box3> boxes_;
-  std::vector<Vec3d> centres_;
+  std::vector<Box3> boxes_;                    // of the triangles
+  std::array<std::vector<int32_t>, 3> along_;  // these by their centres
+  std::vector<uint8_t> is_left_;
+  std::vector<int32_t> right_;
 };
 
 // The box of the mesh. With a border, it goes on behind the triangles as far as the mesh is large.
@@ -238,6 +325,8 @@ MeshTree build_mesh_tree(std::span<const Vec3f> vertices, std::span<const int32_
   check(vertices, indices);
   MeshTree tree;
   tree.vertices.assign(vertices.begin(), vertices.end());
+  tree.triangles.reserve(indices.size() / 3);
+  tree.normals.reserve(indices.size() / 3);
   const std::vector<int32_t> place = first_in_place(tree.vertices);
   auto joined = [&](size_t i) { return place[static_cast<size_t>(indices[i])]; };
   for (size_t i = 0; i + 2 < indices.size(); i += 3)

@@ -23,6 +23,12 @@ class TableWriter {
  public:
   explicit TableWriter(size_t views) : bytes_(round_up(views * sizeof(GeometryView))) {}
 
+  // Makes room for tables that follow at once.
+  template <class... T>
+  void expect(const std::vector<T>&... tables) {
+    const size_t bytes = bytes_.size() + (... + round_up(tables.size() * sizeof(T) + 1));
+    if (bytes > bytes_.capacity()) bytes_.reserve(std::max(bytes, 2 * bytes_.capacity()));
+  }
   // The place of a table, as an offset until `move_to`.
   template <class T>
   const T* add(const std::vector<T>& table) {
@@ -84,10 +90,10 @@ GeometryView add_hull(TableWriter& writer, const std::vector<Vec3f>& vertices) {
 
 GeometryView add_mesh(TableWriter& writer, const std::vector<Vec3f>& vertices,
                       std::span<const Vec3i> triangles) {
-  std::vector<int32_t> indices;
-  for (const Vec3i& t : triangles) indices.insert(indices.end(), {t.x, t.y, t.z});
-  const MeshTree tree = build_mesh_tree(vertices, indices);
+  const MeshTree tree = build_mesh_tree(vertices, {&triangles[0].x, 3 * triangles.size()});
   GeometryView view;
+  writer.expect(tree.vertices, tree.triangles, tree.normals, tree.ring_starts, tree.ring,
+                tree.edges, tree.own_edges, tree.across, tree.nodes, tree.order);
   view.mesh = mesh_view(tree);
   view.mesh.vertices = writer.add(tree.vertices);
   view.mesh.triangles = writer.add(tree.triangles);
@@ -149,6 +155,7 @@ void ShapeGeometries::update() {
   for (const size_t s : first) {
     const int32_t* range = &ranges[4 * s];
     std::vector<Vec3f> scaled;
+    scaled.reserve(static_cast<size_t>(range[1]));
     for (int32_t k = range[0]; k < range[0] + range[1]; ++k) {
       const Vec3f& v = vertices[static_cast<size_t>(k)];
       scaled.push_back({v.x * scale[s].x, v.y * scale[s].y, v.z * scale[s].z});

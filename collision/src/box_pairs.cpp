@@ -7,7 +7,6 @@
 #include <numeric>
 
 #include "novaphy/core/error.h"
-#include "sweep_axis.h"
 
 namespace novaphy {
 namespace {
@@ -47,9 +46,8 @@ void check_boxes(const char* function, std::span<const Box3> boxes, const ShapeP
 
 bool meets_itself(const Box3& box) { return boxes_meet(box, box); }  // no NaN, and lo <= hi
 
-}  // namespace
-
-int detail::sweep_axis(std::span<const Box3> boxes) {
+// The axis on which the centres of the boxes vary most, the first among equals.
+int sweep_axis(std::span<const Box3> boxes) {
   std::array<double, 3> sum{}, square{};
   double count = 0.0;
   for (const Box3& box : boxes) {
@@ -74,8 +72,6 @@ int detail::sweep_axis(std::span<const Box3> boxes) {
   }
   return best;
 }
-
-namespace {
 
 // Insertion sort for what is nearly sorted; std::sort takes over after a few moves per item. The
 // order is total, so both give the same.
@@ -136,7 +132,7 @@ std::vector<Vec2i> SweepAndPrune::box_pairs(std::span<const Box3> boxes,
     order_.resize(count);
     std::iota(order_.begin(), order_.end(), 0);
   }
-  const int axis = detail::sweep_axis(boxes);
+  const int axis = sweep_axis(boxes);
   auto box = [&](int32_t i) -> const Box3& { return boxes[static_cast<size_t>(i)]; };
   auto lower = [&](int32_t i) {  // what meets nothing comes last
     return meets_itself(box(i)) ? geometry::component(box(i).lo, axis)

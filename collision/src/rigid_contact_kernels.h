@@ -153,27 +153,37 @@ NOVAPHY_ROW_KERNEL(rigid_contact_find, RigidContactFindArguments) {
   a.counts[row] = kept.count;
 }
 
+// The sum of kScanChunk counts for each of these.
+struct RigidContactChunkArguments {
+  NOVAPHY_ARGUMENTS(Reads<int32_t> counts; Number<int64_t> pair_count; WritesRow<int32_t> sums;)
+};
+NOVAPHY_ROW_KERNEL(rigid_contact_chunk, RigidContactChunkArguments) {
+  int32_t sum = 0;
+  for (int64_t k = row * kScanChunk; k < (row + 1) * kScanChunk && k < a.pair_count; ++k)
+    sum += a.counts[k];
+  a.sums[row] = sum;
+}
+
 inline constexpr int64_t kLimitSums = 128;  // rows that add up
 
 // How many rows there are within each part, in rows that add up to it; those of mesh pairs
 // rigid_mesh_limit_sum adds.
 struct RigidContactLimitSumArguments {
   NOVAPHY_ARGUMENTS(Reads<Vec2i> pairs; Reads<RigidShape> shapes;
-                    Reads<geometry::Manifold> manifolds; Reads<int32_t> counts, before;
+                    Reads<geometry::Manifold> manifolds; Part<PairRows> found;
                     Number<int64_t> pair_count, capacity;
                     Writes<int32_t> sums;  // kLimitParts of each row
   )
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_limit_sum, RigidContactLimitSumArguments) {
-  const int64_t last = a.pair_count - 1;
-  if (a.before[last] + a.counts[last] <= a.capacity) return;
+  if (rows_up_to(a.found, a.pair_count - 1) <= a.capacity) return;
   int32_t sums[kLimitParts] = {};
   for (int64_t pair = row; pair < a.pair_count; pair += n) {
-    if (a.counts[pair] == 0) continue;
+    if (a.found.counts[pair] == 0) continue;
     const RigidShape& s0 = a.shapes[a.pairs[pair].x];
     const RigidShape& s1 = a.shapes[a.pairs[pair].y];
     if (is_mesh_pair(s0.type, s1.type)) continue;
-    for (int32_t i = 0; i < a.counts[pair]; ++i)
+    for (int32_t i = 0; i < a.found.counts[pair]; ++i)
       for (int32_t k = 0; k < kLimitParts; ++k)
         sums[k] += is_within(s0, s1, a.manifolds[pair].points[i], k) ? 1 : 0;
   }
@@ -181,13 +191,12 @@ NOVAPHY_ROW_KERNEL(rigid_contact_limit_sum, RigidContactLimitSumArguments) {
 }
 
 struct RigidContactLimitArguments {
-  NOVAPHY_ARGUMENTS(Reads<int32_t> counts, before, sums;
+  NOVAPHY_ARGUMENTS(Part<PairRows> found; Reads<int32_t> sums;
                     Number<int64_t> pair_count, capacity, rows;  // of sums
                     Writes<RigidContactLimit> limit;)
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_limit, RigidContactLimitArguments) {
-  const int64_t last = a.pair_count - 1;
-  *a.limit = {a.before[last] + a.counts[last], 0, 0};
+  *a.limit = {rows_up_to(a.found, a.pair_count - 1), 0, 0};
   if (a.limit->total <= a.capacity) return;
   int64_t sum = a.limit->total;
   while (sum > a.capacity) {
@@ -219,8 +228,8 @@ NOVAPHY_ROW_KERNEL(rigid_contact_farther, RigidContactFartherArguments) {
 
 struct RigidContactTrimArguments {
   NOVAPHY_ARGUMENTS(Reads<RigidContactLimit> limit; ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes;
-                    ReadsRow<int32_t> farther;  // before each pair
-                    Updates<geometry::Manifold> manifolds; Updates<int32_t> counts;)
+                    Part<PairRows> farther; Updates<geometry::Manifold> manifolds;
+                    Updates<int32_t> counts;)
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_trim, RigidContactTrimArguments) {
   if (a.limit->part == 0 || a.counts[row] == 0) return;
@@ -229,7 +238,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_trim, RigidContactTrimArguments) {
   if (is_mesh_pair(s0.type, s1.type)) return;
   geometry::Manifold& manifold = a.manifolds[row];
   const int32_t count = manifold.count;
-  int32_t before = a.farther[row];
+  int32_t before = rows_before(a.farther, row);
   manifold.count = 0;
   for (int32_t i = 0; i < count; ++i)
     if (stays(*a.limit, s0, s1, manifold.points[i], before))
@@ -242,12 +251,12 @@ struct RigidContactWriteArguments {
       Optional<Reads<RigidContactLimit>> limit;  // null: all fit
       Optional<Reads<int32_t>> pairs_found;      // may be more than there is room for; null: all
       ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes; Reads<geometry::Manifold> manifolds;
-      ReadsRow<int32_t> counts;
-      ReadsRow<int32_t> before;  // the rows before each pair: a scan of the counts
-      Writes<int32_t> rigid_contact_count; Part<RigidContactRows> rows;)
+      Part<PairRows> found; Writes<int32_t> rigid_contact_count; Part<RigidContactRows> rows;)
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_write, RigidContactWriteArguments) {
-  const int32_t first = a.before[row], count = a.counts[row];
+  const int32_t count = a.found.counts[row];
+  if (count == 0 && row < n - 1) return;
+  const int32_t first = rows_before(a.found, row);
   if (row == n - 1) {
     // A pair for which there was no room counts as a row behind those that are there.
     const int64_t found = a.pairs_found == nullptr ? n : *a.pairs_found;

@@ -85,7 +85,7 @@ void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
     if (waits)
       pairs.sweep(launches.host_shapes());
     else
-      pairs.sweep_by_kernels(launches.shapes());
+      pairs.find_by_kernels(launches.shapes());
   }
   if (pairs.count() > 0) {
     launches.find(pairs, impl_->contacts_per_pair);

@@ -16,6 +16,7 @@ namespace {
 struct Kernels {
   Kernel<RigidContactShapeArguments> shape{rigid_contact_shape, rigid_contact_kernels_text};
   Kernel<RigidContactFindArguments> find{rigid_contact_find, rigid_contact_kernels_text};
+  Kernel<RigidContactChunkArguments> chunk{rigid_contact_chunk, rigid_contact_kernels_text};
   Kernel<RigidContactLimitSumArguments> limit_sum{rigid_contact_limit_sum,
                                                   rigid_contact_kernels_text};
   Kernel<RigidContactLimitArguments> limit{rigid_contact_limit, rigid_contact_kernels_text};
@@ -39,6 +40,11 @@ T* memory_of(const Array& array) {
   return static_cast<T*>(array.range()->data());
 }
 
+int64_t chunks_of(int64_t pairs) { return (pairs + kScanChunk - 1) / kScanChunk; }
+
+PairRows rows_of(const DeviceArray<int32_t>& counts, const DeviceArray<int32_t>& before) {
+  return {.counts = counts, .before = before};
+}
 RigidContactRows rows_of(const Contacts& c) {
   return {.capacity = c.rigid_contact_max(),
           .rigid_contact_shape0 = c.rigid_contact_shape0,
@@ -84,7 +90,8 @@ void RigidLaunches::reserve(const RigidPairs& pairs) {
   if (counts_.rows() != rows) {
     manifolds_ = byte_array<geometry::Manifold>(rows, device);
     counts_ = DeviceArray<int32_t>(rows, device);
-    before_ = DeviceArray<int32_t>(rows, device);
+    for (DeviceArray<int32_t>* of_chunks : {&before_, &sums_})
+      *of_chunks = DeviceArray<int32_t>(static_cast<size_t>(chunks_of(rows)), device);
   }
   if (mesh_contacts_.rows() != mesh_rows * sizeof(MeshRows))
     mesh_contacts_ = byte_array<MeshRows>(mesh_rows, device);
@@ -108,9 +115,12 @@ void RigidLaunches::find(const RigidPairs& pairs, int32_t contacts_per_pair) {
        .counts = counts_});
 }
 
-void RigidLaunches::scan(const RigidPairs& pairs) {
-  run(exclusive_scan(), pairs.count(), {.in = counts_, .out = before_});
+void RigidLaunches::scan(const DeviceArray<int32_t>& counts, int64_t count,
+                         const DeviceArray<int32_t>& before) {
+  run(kernels().chunk, chunks_of(count), {.counts = counts, .pair_count = count, .sums = sums_});
+  run(exclusive_scan(), chunks_of(count), {.in = sums_, .out = before});
 }
+void RigidLaunches::scan(const RigidPairs& pairs) { scan(counts_, pairs.count(), before_); }
 
 // How much of the gaps of pairs there is room for.
 void RigidLaunches::find_limit(const RigidPairs& pairs, int64_t capacity) {
@@ -123,8 +133,7 @@ void RigidLaunches::find_limit(const RigidPairs& pairs, int64_t capacity) {
       {.pairs = pairs.rows(),
        .shapes = Untyped(shapes_),
        .manifolds = Untyped(manifolds_),
-       .counts = counts_,
-       .before = before_,
+       .found = rows_of(counts_, before_),
        .pair_count = count,
        .capacity = capacity,
        .sums = limit_sums_});
@@ -136,8 +145,7 @@ void RigidLaunches::find_limit(const RigidPairs& pairs, int64_t capacity) {
        .mesh_pair_count = meshes,
        .sums = limit_sums_});
   run(kernels().limit, 1,
-      {.counts = counts_,
-       .before = before_,
+      {.found = rows_of(counts_, before_),
        .sums = limit_sums_,
        .pair_count = count,
        .capacity = capacity,
@@ -148,9 +156,10 @@ void RigidLaunches::find_limit(const RigidPairs& pairs, int64_t capacity) {
 void RigidLaunches::limit(const RigidPairs& pairs, int64_t capacity) {
   find_limit(pairs, capacity);
   const int64_t count = pairs.count(), meshes = pairs.mesh_count();
-  if (farther_.rows() != counts_.rows())
-    for (DeviceArray<int32_t>* of_pairs : {&farther_, &farther_before_})
-      *of_pairs = DeviceArray<int32_t>(counts_.rows(), counts_.device());
+  if (farther_.rows() != counts_.rows()) {
+    farther_ = DeviceArray<int32_t>(counts_.rows(), counts_.device());
+    farther_before_ = DeviceArray<int32_t>(before_.rows(), counts_.device());
+  }
   run(kernels().farther, count,
       {.limit = Untyped(limit_),
        .pairs = pairs.rows(),
@@ -165,12 +174,12 @@ void RigidLaunches::limit(const RigidPairs& pairs, int64_t capacity) {
        .shapes = Untyped(shapes_),
        .found = Untyped(mesh_contacts_),
        .farther = farther_});
-  run(exclusive_scan(), count, {.in = farther_, .out = farther_before_});
+  scan(farther_, count, farther_before_);
   run(kernels().trim, count,
       {.limit = Untyped(limit_),
        .pairs = pairs.rows(),
        .shapes = Untyped(shapes_),
-       .farther = farther_before_,
+       .farther = rows_of(farther_, farther_before_),
        .manifolds = Untyped(manifolds_),
        .counts = counts_});
   run(kernels().trim_mesh, meshes,
@@ -178,7 +187,7 @@ void RigidLaunches::limit(const RigidPairs& pairs, int64_t capacity) {
        .mesh_pairs = pairs.mesh_rows(),
        .pairs = pairs.rows(),
        .shapes = Untyped(shapes_),
-       .farther = farther_before_,
+       .farther = rows_of(farther_, farther_before_),
        .found = Untyped(mesh_contacts_),
        .counts = counts_});
   scan(pairs);
@@ -192,8 +201,7 @@ void RigidLaunches::write(const RigidPairs& pairs, bool limited, const Contacts&
        .pairs = pairs.rows(),
        .shapes = Untyped(shapes_),
        .manifolds = Untyped(manifolds_),
-       .counts = counts_,
-       .before = before_,
+       .found = rows_of(counts_, before_),
        .rigid_contact_count = c.rigid_contact_count,
        .rows = rows_of(c)});
   run(kernels().write_mesh, pairs.mesh_count(),
@@ -201,7 +209,7 @@ void RigidLaunches::write(const RigidPairs& pairs, bool limited, const Contacts&
        .pairs = pairs.rows(),
        .shapes = Untyped(shapes_),
        .found = Untyped(mesh_contacts_),
-       .before = before_,
+       .of_pairs = rows_of(counts_, before_),
        .rows = rows_of(c)});
 }
 
@@ -224,9 +232,9 @@ int32_t* RigidLaunches::host_counts() const { return memory_of<int32_t>(counts_)
 
 int64_t RigidLaunches::rows_found(const RigidPairs& pairs) const {
   const Unobserved unobserved;
-  const int64_t last = pairs.count() - 1;
-  NOVAPHY_ASSERT(std::is_sorted(before_.data(), before_.data() + pairs.count()));
-  return int64_t{before_.data()[last]} + counts_.data()[last];
+  NOVAPHY_ASSERT(std::is_sorted(before_.data(), before_.data() + chunks_of(pairs.count())));
+  return rows_up_to({.counts = direct(counts_.data()), .before = direct(before_.data())},
+                    pairs.count() - 1);
 }
 
 }  // namespace novaphy::detail

@@ -38,10 +38,12 @@ class RigidLaunches {
 
  private:
   void reserve(const RigidPairs& pairs);
+  void scan(const DeviceArray<int32_t>& counts, int64_t count, const DeviceArray<int32_t>& before);
   void find_limit(const RigidPairs& pairs, int64_t capacity);
 
   Array shapes_, manifolds_, mesh_contacts_;  // of RigidShape, Manifold, MeshRows
-  DeviceArray<int32_t> counts_, before_;      // of the rows of each pair
+  DeviceArray<int32_t> counts_, before_;      // PairRows
+  DeviceArray<int32_t> sums_;                 // of a scan
   // Of limit().
   DeviceArray<int32_t> limit_sums_, farther_, farther_before_;
   Array limit_;  // a RigidContactLimit

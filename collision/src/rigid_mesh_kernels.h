@@ -142,8 +142,7 @@ NOVAPHY_ROW_KERNEL(rigid_mesh_farther, RigidMeshFartherArguments) {
 
 struct RigidMeshTrimArguments {
   NOVAPHY_ARGUMENTS(Reads<RigidContactLimit> limit; ReadsRow<int32_t> mesh_pairs;
-                    Reads<Vec2i> pairs; Reads<RigidShape> shapes;
-                    Reads<int32_t> farther;  // before each pair
+                    Reads<Vec2i> pairs; Reads<RigidShape> shapes; Part<PairRows> farther;
                     Updates<MeshRows> found; Updates<int32_t> counts;)
 };
 NOVAPHY_ROW_KERNEL(rigid_mesh_trim, RigidMeshTrimArguments) {
@@ -151,7 +150,7 @@ NOVAPHY_ROW_KERNEL(rigid_mesh_trim, RigidMeshTrimArguments) {
   const Vec2i pair = a.pairs[a.mesh_pairs[row]];
   MeshRows& found = a.found[row];
   const int32_t count = found.count;
-  int32_t before = a.farther[a.mesh_pairs[row]];
+  int32_t before = rows_before(a.farther, a.mesh_pairs[row]);
   found.count = 0;
   for (int32_t i = 0; i < count; ++i)
     if (stays(*a.limit, a.shapes[pair.x], a.shapes[pair.y], found.rows[i].point, before))
@@ -161,16 +160,16 @@ NOVAPHY_ROW_KERNEL(rigid_mesh_trim, RigidMeshTrimArguments) {
 
 struct RigidMeshWriteArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<int32_t> mesh_pairs; Reads<Vec2i> pairs; Reads<RigidShape> shapes;
-                    Reads<MeshRows> found; Reads<int32_t> before;  // the rows before each pair
-                    Part<RigidContactRows> rows;)
+                    Reads<MeshRows> found; Part<PairRows> of_pairs; Part<RigidContactRows> rows;)
 };
 NOVAPHY_ROW_KERNEL(rigid_mesh_write, RigidMeshWriteArguments) {
   const Vec2i pair = a.pairs[a.mesh_pairs[row]];
   const MeshRows& found = a.found[row];
   const ToOwners owners = to_owners(a.shapes[pair.x], a.shapes[pair.y]);
+  const int32_t first = rows_before(a.of_pairs, a.mesh_pairs[row]);
   for (int32_t k = 0; k < found.count; ++k)
-    write_contact(a.rows, a.before[a.mesh_pairs[row]] + k, pair, a.shapes, owners,
-                  found.rows[k].normal, found.rows[k].point);
+    write_contact(a.rows, first + k, pair, a.shapes, owners, found.rows[k].normal,
+                  found.rows[k].point);
 }
 
 }  // namespace novaphy

@@ -77,7 +77,7 @@ void RigidPairs::update() {
   group_ = m.shape_collision_group.to_host();
   world_ = m.shape_world.to_host();
   scale_ = m.shape_scale.to_host();
-  kernel_sweep_known_ = false;
+  tree_known_ = false;
   if (are_swept()) {
     most_rows_ = std::numeric_limits<int64_t>::max();
     if (!m.device().is_cpu()) check_all();
@@ -178,28 +178,28 @@ void RigidPairs::sweep(std::span<const RigidShape> shapes) {
 }
 
 // As many pairs as there is room for. Outside of a recording there is room for all.
-void RigidPairs::sweep_by_kernels(const Array& shapes) {
-  if (!kernel_sweep_known_) {
+void RigidPairs::find_by_kernels(const Array& shapes) {
+  if (!tree_known_) {
     const Unobserved unobserved;  // the model is no part of what a capture records
     check_all();
-    kernel_sweep_.update(*model_, world_);
-    kernel_sweep_known_ = true;
+    tree_.update(*model_, world_);
+    tree_known_ = true;
   }
   const auto shape_count = static_cast<int64_t>(type_.size());
   constexpr int64_t kFew = 1024, kPerShape = 16;
   make_room(static_cast<size_t>(std::max<int64_t>(
       1, std::min(shape_count * (shape_count - 1) / 2, std::max(kFew, kPerShape * shape_count)))));
-  kernel_sweep_.sort(*model_, shapes);
-  kernel_sweep_.write(*model_, shapes, rows_);
+  tree_.count(*model_, shapes);
+  tree_.write(*model_, shapes, rows_);
   if (launch_recorder() == nullptr) {
-    const auto found = static_cast<size_t>(kernel_sweep_.found().to_host()[0]);
+    const auto found = static_cast<size_t>(tree_.found().to_host()[0]);
     if (found > rows_.rows()) {
       make_room(found + found / 4);
-      kernel_sweep_.write(*model_, shapes, rows_);
+      tree_.write(*model_, shapes, rows_);
     }
   }
   count_ = static_cast<int64_t>(rows_.rows());
-  found_ = &kernel_sweep_.found();
+  found_ = &tree_.found();
   mesh_count_ = 0;
 }
 

@@ -13,7 +13,7 @@
 #include "novaphy/collision/broad_phase.h"
 #include "novaphy/collision/geometry/rigid_shape.h"
 #include "novaphy/core/sim/model.h"
-#include "rigid_sweep.h"
+#include "rigid_tree.h"
 
 namespace novaphy::detail {
 
@@ -34,7 +34,7 @@ class RigidPairs {
   // world: found by the host, or by launches, which leave what they find on the device.
   bool are_swept() const { return broad_phase_ == BroadPhase::Sap; }
   void sweep(std::span<const RigidShape> shapes);
-  void sweep_by_kernels(const Array& shapes);
+  void find_by_kernels(const Array& shapes);
 
   int64_t count() const { return count_; }
   // (shape0, shape1) in ascending order, at least as many rows as pairs.
@@ -66,8 +66,8 @@ class RigidPairs {
   std::vector<int32_t> body_, type_, flags_, group_, world_;  // of the shapes
   std::vector<Vec3f> scale_;
   SweepAndPrune host_sweep_;
-  RigidSweep kernel_sweep_;          // on devices, and what is recorded
-  bool kernel_sweep_known_ = false;  // its tables
+  RigidTree tree_;           // on devices, and what is recorded
+  bool tree_known_ = false;  // its tables
   std::vector<geometry::Box3> boxes_;
   int64_t most_rows_ = 0, count_ = 0, mesh_count_ = 0;
   DeviceArray<Vec2i> rows_;

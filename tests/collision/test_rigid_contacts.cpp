@@ -10,8 +10,10 @@
 
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/model_builder.h"
 #include "support/bits.h"
+#include "support/pair_scenes.h"
 #include "support/threads.h"
 
 namespace novaphy {
@@ -129,6 +131,50 @@ TEST(RigidContacts, EveryBroadPhaseFindsTheSameRows) {
     other.collide(state, expected);
     EXPECT_EQ(swept.rigid_contacts(), expected.rigid_contacts()) << t;
     EXPECT_EQ(swept.rigid_contact_count.to_host(), expected.rigid_contact_count.to_host());
+  }
+}
+
+// Runs what is recorded at once: the search goes through the kernels of devices. What recordings
+// use is kept in `used`, as if all were one.
+using Used = std::vector<std::shared_ptr<ExclusiveUse>>;
+class RunsAtOnce : public LaunchRecorder {
+ public:
+  explicit RunsAtOnce(Used& used) : used_(used), before_(set_launch_recorder(this)) {}
+  ~RunsAtOnce() override { set_launch_recorder(before_); }
+  void launch(const Launch& l) override { launch_now(l.context, l.kernel, l.name, l.n, l.words); }
+  bool has_tape() const override { return false; }
+  void depends_on(const std::shared_ptr<Range>&) override {}
+  void depends_on(const std::shared_ptr<const float>&, std::string_view) override {}
+  void before_replay(const std::shared_ptr<const void>&, const std::function<void()>&) override {}
+  void uses(const std::shared_ptr<ExclusiveUse>& memory) override { used_.push_back(memory); }
+
+ private:
+  Used& used_;
+  LaunchRecorder* before_;
+};
+
+TEST(RigidContacts, TheKernelsLoseNoRowOfHardScenes) {
+  for (const testing::PairScene& scene : testing::hard_pair_scenes()) {
+    const auto model = scene.builder.finalize(Device::cpu());
+    CollisionPipeline exhaustive(model,
+                                 {.broad_phase = BroadPhase::NxN, .rigid_contact_max = 9000});
+    CollisionPipeline kernels(model, {.broad_phase = BroadPhase::Sap, .rigid_contact_max = 9000});
+    Contacts expected = exhaustive.contacts(), found = kernels.contacts();
+    SimState state = model->state();
+    Used used;  // the second search keeps the order of the first one
+    for (const std::vector<Transformf>& poses : poses_of(scene, state)) {
+      state.body_q.copy_from_host(std::span<const Transformf>(poses));
+      exhaustive.collide(state, expected, {}, 0.01f);
+      {
+        const RunsAtOnce recorder(used);
+        kernels.collide(state, found, {}, 0.01f);
+      }
+      EXPECT_GT(expected.rigid_contact_count.to_host()[0], 90) << scene.name;
+      EXPECT_FALSE(expected.overflowed()) << scene.name;
+      EXPECT_EQ(found.rigid_contact_count.to_host(), expected.rigid_contact_count.to_host())
+          << scene.name;
+      EXPECT_TRUE(found.rigid_contacts() == expected.rigid_contacts()) << scene.name;
+    }
   }
 }
 

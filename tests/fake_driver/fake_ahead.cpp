@@ -13,7 +13,7 @@ namespace novaphy::detail {
 const char* soft_contact_kernels_text();
 const char* rigid_contact_kernels_text();
 const char* rigid_mesh_kernels_text();
-const char* rigid_sweep_kernels_text();
+const char* rigid_tree_kernels_text();
 const char* contact_body_kernels_text();
 const char* articulation_contact_kernels_text();
 const char* articulation_contact_jvp_kernels_text();
@@ -39,7 +39,7 @@ AheadData ahead_data() {
         detail::soft_contact_kernels_text,
         detail::rigid_contact_kernels_text,
         detail::rigid_mesh_kernels_text,
-        detail::rigid_sweep_kernels_text,
+        detail::rigid_tree_kernels_text,
         detail::contact_body_kernels_text,
         detail::articulation_contact_kernels_text,
         detail::articulation_contact_jvp_kernels_text,

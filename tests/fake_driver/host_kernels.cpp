@@ -135,8 +135,8 @@ namespace rigid {
 namespace mesh {
 #include "rigid_mesh_kernels.cuh"
 }
-namespace sweep {
-#include "rigid_sweep_kernels.cuh"
+namespace boxes {
+#include "rigid_tree_kernels.cuh"
 }
 namespace bodies {
 #include "contact_body_kernels.cuh"
@@ -232,6 +232,7 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(rigid::novaphy, rigid_contact_shape),
       OF_TEXT(rigid::novaphy, rigid_contact_find),
       OF_TEXT(rigid::novaphy, rigid_contact_limit_sum),
+      OF_TEXT(rigid::novaphy, rigid_contact_chunk),
       OF_TEXT(rigid::novaphy, rigid_contact_limit),
       OF_TEXT(rigid::novaphy, rigid_contact_farther),
       OF_TEXT(rigid::novaphy, rigid_contact_trim),
@@ -242,13 +243,13 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(mesh::novaphy, rigid_mesh_farther),
       OF_TEXT(mesh::novaphy, rigid_mesh_trim),
       OF_TEXT(mesh::novaphy, rigid_mesh_write),
-      OF_TEXT(sweep::novaphy, rigid_sweep_key),
-      OF_TEXT(sweep::novaphy, rigid_sweep_world),
-      OF_TEXT(sweep::novaphy, rigid_sweep_sort),
-      OF_TEXT(sweep::novaphy, rigid_sweep_chunk),
-      OF_TEXT(sweep::novaphy, rigid_sweep_count),
-      OF_TEXT(sweep::novaphy, rigid_sweep_total),
-      OF_TEXT(sweep::novaphy, rigid_sweep_write),
+      OF_TEXT(boxes::novaphy, rigid_tree_bounds),
+      OF_TEXT(boxes::novaphy, rigid_tree_key),
+      OF_TEXT(boxes::novaphy, rigid_tree_entry),
+      OF_TEXT(boxes::novaphy, rigid_tree_level),
+      OF_TEXT(boxes::novaphy, rigid_tree_count),
+      OF_TEXT(boxes::novaphy, rigid_tree_total),
+      OF_TEXT(boxes::novaphy, rigid_tree_write),
       OF_TEXT(bodies::novaphy, contact_body),
       OF_TEXT(trees::novaphy, articulation_step),
       OF_TEXT(trees::novaphy, articulation_step_vjp),

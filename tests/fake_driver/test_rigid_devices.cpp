@@ -31,6 +31,7 @@
 #include "support/convex_shapes.h"
 #include "support/cuda_device.h"
 #include "support/device_bits.h"
+#include "support/pair_scenes.h"
 
 namespace novaphy {
 namespace {
@@ -161,6 +162,41 @@ TEST_F(RigidDevices, FindTheRowsOfTheCpuWithEveryBroadPhaseDirectAndReplayed) {
           EXPECT_TRUE(rows[k].second == expected[k].second)
               << rows[k].first << ", " << broad_phase_name(phase) << ", captured " << capture;
       }
+  }
+}
+
+Result rows_of_poses(const novaphy::testing::PairScene& scene, Device device, BroadPhase phase,
+                     bool capture) {
+  const auto model = scene.builder.finalize(device);
+  CollisionPipeline pipeline(model, {.broad_phase = phase, .rigid_contact_max = 9000});
+  Contacts contacts = pipeline.contacts();
+  SimState state = model->state();
+  Result result;
+  nova::ScopedCapture scope;
+  if (!capture) scope.end();
+  pipeline.collide(state, contacts, {}, 0.01f);
+  scope.end();
+  for (const std::vector<Transformf>& poses : poses_of(scene, state)) {
+    state.body_q.copy_from_host(poses);
+    if (capture)
+      scope.graph()->launch();
+    else
+      pipeline.collide(state, contacts, {}, 0.01f);
+    add_rows(result, contacts, scene.name);
+  }
+  return result;
+}
+
+TEST_F(RigidDevices, LoseNoRowOfHardScenes) {
+  for (const novaphy::testing::PairScene& scene : novaphy::testing::hard_pair_scenes()) {
+    const Result expected = rows_of_poses(scene, Device::cpu(), BroadPhase::NxN, false);
+    EXPECT_GT(count_of(expected), 90) << scene.name;
+    for (const bool capture : {false, true}) {
+      const Result rows = rows_of_poses(scene, Device::cuda(), BroadPhase::Sap, capture);
+      for (size_t k = 0; k < rows.size(); ++k)
+        EXPECT_TRUE(rows[k].second == expected[k].second)
+            << rows[k].first << ", captured " << capture;
+    }
   }
 }
 

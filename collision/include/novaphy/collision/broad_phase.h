@@ -11,7 +11,7 @@ namespace novaphy {
 enum class BroadPhase {
   Explicit,  // the pairs of Model::shape_contact_pairs
   NxN,       // every pair of shapes
-  Sap,       // sweep and prune
+  Sap,       // the pairs whose boxes meet: sweep and prune, or a tree of boxes
 };
 
 // "explicit", "nxn", "sap"; anything else throws ErrorKind::Value.

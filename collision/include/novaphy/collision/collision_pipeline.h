@@ -66,15 +66,15 @@ struct CollisionOptions {
 // up to eight points. On the CPU, meshes meet these and each other (geometry/mesh_pair.h): up to
 // 32 points with normals of their own, ordered by distance, whose names may change when a point
 // passes to another triangle. Candidates are Model::shape_contact_pairs (BroadPhase::Explicit), or
-// the pairs that flags, groups and worlds of shapes now allow (NxN; Sap, by sweep and prune), of
-// all three those whose boxes meet: the same rows. Sap finds its pairs on the device of the model
-// (on the CPU on the host, unless it is recorded). Outside of a recording it makes room for all of
-// them; a recording has the room that there is, at least 16 pairs for each shape, and each pair
-// beyond counts as a row behind rigid_contact_max, so that the contacts have overflowed. Rows are
-// in the order of (shape A, shape B, point of the manifold) for any number of threads. If there are
-// more than rigid_contact_max, those stay that are within the largest part of the gaps of their
-// pairs for which there is room (1/2, 1/4, ..., 1/1024, or what touches), and the first of those
-// within the next larger part, so that no slot is empty.
+// the pairs that flags, groups and worlds of shapes now allow (NxN; Sap, which lists no others), of
+// all three those whose boxes meet: the same rows. Sap finds its pairs by a tree of boxes on the
+// device of the model (on the CPU by sweep and prune on the host, unless it is recorded). Outside
+// of a recording it makes room for all of them; a recording has the room that there is, at least 16
+// pairs for each shape, and each pair beyond counts as a row behind rigid_contact_max, so that the
+// contacts have overflowed. Rows are in the order of (shape A, shape B, point of the manifold) for
+// any number of threads. If there are more than rigid_contact_max, those stay that are within the
+// largest part of the gaps of their pairs for which there is room (1/2, 1/4, ..., 1/1024, or what
+// touches), and the first of those within the next larger part, so that no slot is empty.
 // rigid_contact_count keeps the full number. Source: Newton 1.8.0; its rows on the cpu are the same
 // bits for planes with spheres, capsules and boxes, but the order of pairs where shape A has the
 // larger index.

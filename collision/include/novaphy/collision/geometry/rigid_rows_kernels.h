@@ -15,6 +15,22 @@ struct RigidContactRows {
                     Writes<float> rigid_contact_margin0, rigid_contact_margin1;
                     Writes<int32_t> rigid_contact_point_id;)
 };
+
+// How many rows each pair has, and how many stand before every kScanChunk-th pair: a scan of these
+// is short where there is room for many more pairs than there are.
+inline constexpr int64_t kScanChunk = 32;
+struct PairRows {
+  NOVAPHY_ARGUMENTS(Reads<int32_t> counts, before;)
+};
+inline int32_t rows_before(const PairRows& rows, int64_t pair) {
+  int32_t sum = rows.before[pair / kScanChunk];
+  for (int64_t k = pair - pair % kScanChunk; k < pair; ++k) sum += rows.counts[k];
+  return sum;
+}
+inline int32_t rows_up_to(const PairRows& rows, int64_t pair) {
+  return rows_before(rows, pair) + rows.counts[pair];
+}
+
 // Into the frames of the owners of a pair.
 struct ToOwners {
   Transformf to0, to1;

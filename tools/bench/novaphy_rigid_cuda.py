@@ -6,11 +6,12 @@
 * `worlds`: N worlds of a plane, a stack of three boxes and a ball that hits it. A captured rollout
   that finds contacts in every substep, forward, and with its backward pass.
 * `columns`, `pile`: N boxes of one world (rigid.py), by sweep and prune: a
-  captured rollout, and single steps that launch one by one.
+  captured rollout, as many searches alone, and single steps that launch one by one.
 
 Prints a line of JSON for each: the medians of `repeats` runs, in seconds.
 
     python tools/bench/novaphy_rigid_cuda.py --device cuda:0 --scene dice --n 4096
+    python tools/bench/novaphy_rigid_cuda.py --scene columns --n 1000 10000 100000
 """
 
 from __future__ import annotations
@@ -182,6 +183,13 @@ def boxes(scene: str, n: int, device: str, repeats: int) -> dict[str, object]:
     facts["touching"] = int(np.any(found.rigid_contact_force.numpy(), axis=1).sum())
     assert facts["rows"] and not found.overflowed
     if device != "cpu":
+
+        def search() -> None:
+            for _ in range(steps):
+                pipeline.collide(now, found)
+
+        graph = captured(search)
+        facts["captured_search_s"] = median_time(device, repeats, graph.launch) / steps
         trajectory = diff.Trajectory(model, steps)
         forward = solvers.DiffSemiImplicitSolver(model)
         graph = captured(lambda: forward.rollout(trajectory, None, None, DT, pipeline=pipeline))
@@ -192,24 +200,25 @@ def boxes(scene: str, n: int, device: str, repeats: int) -> dict[str, object]:
 
 
 def main() -> None:
-    """Run one scene."""
+    """Run one scene, of each size."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--scene", choices=SCENES, default="dice")
-    parser.add_argument("--n", type=int, default=1024)
+    parser.add_argument("--n", type=int, nargs="+", default=[1024])
     parser.add_argument("--device", default="cuda:0")
     parser.add_argument("--repeats", type=int, default=10)
     arguments = parser.parse_args()
-    n, device, repeats = arguments.n, arguments.device, arguments.repeats
-    if arguments.scene == "dice":
-        facts = dice(n, device, repeats)
-    elif arguments.scene == "worlds":
-        facts = worlds(n, device, repeats)
-    else:
-        facts = boxes(arguments.scene, n, device, repeats)
-    record = {"scene": arguments.scene, "n": n, "device": device, "repeats": repeats}
-    print(json.dumps(record | {"name": novaphy.get_device(device).name} | facts), flush=True)
+    device, repeats = arguments.device, arguments.repeats
+    for n in arguments.n:
+        if arguments.scene == "dice":
+            facts = dice(n, device, repeats)
+        elif arguments.scene == "worlds":
+            facts = worlds(n, device, repeats)
+        else:
+            facts = boxes(arguments.scene, n, device, repeats)
+        record = {"scene": arguments.scene, "n": n, "device": device, "repeats": repeats}
+        print(json.dumps(record | {"name": novaphy.get_device(device).name} | facts), flush=True)
 
 
 if __name__ == "__main__":

@@ -171,8 +171,8 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
 }
 
 void CollisionPipeline::warn_of_overlaps(const SimState& state, const Contacts& contacts) {
-  if (!options_.warns_of_overlaps || has_looked_for_overlaps_ || launch_recorder() != nullptr ||
-      !model_->device().is_cpu() || *contacts.rigid_contact_count.data() == 0)
+  if (!options_.warns_of_overlaps || has_looked_for_overlaps_ || !rigid_contacts_->waits() ||
+      *contacts.rigid_contact_count.data() == 0)
     return;
   has_looked_for_overlaps_ = true;
   const std::vector<ShapeOverlap> overlaps = find_overlaps(*model_, state, contacts);

@@ -63,6 +63,10 @@ int64_t RigidContacts::most_rows() {
   return impl_->pairs.most_rows();
 }
 
+bool RigidContacts::waits() const {
+  return impl_->model->device().is_cpu() && launch_recorder() == nullptr;
+}
+
 void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
   const Model& m = *impl_->model;
   RigidPairs& pairs = impl_->pairs;
@@ -78,7 +82,7 @@ void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
   if (!pairs.are_swept() && pairs.count() == 0 && rows == 0) return;
   // Where the host waits for the launches, it keeps the order of the last sweep, which is faster,
   // and the rows behind those of the last search need no second look.
-  const bool waits = m.device().is_cpu() && launch_recorder() == nullptr;
+  const bool waits = this->waits();
   const bool knows_empty = waits && impl_->emptied.matches(c.rigid_contact_shape0);
   if (pairs.are_swept() || pairs.count() > 0) launches.move(m, state, *impl_->geometries, dt);
   if (pairs.are_swept()) {

@@ -25,6 +25,8 @@ class RigidContacts {
   // Rows that no state can exceed. The model's arrays are read when they were written since the
   // last call. ErrorKind::NotImplemented: two shapes that may meet and are not covered.
   int64_t most_rows();
+  // Whether what a search finds is there for the host when collide returns.
+  bool waits() const;
   // So far: pairs of hulls that overlap, and those for which FCL's answer was not taken.
   int64_t fcl_pairs() const;
   int64_t fcl_fallbacks() const;

@@ -169,7 +169,8 @@ void bind_shape_config(py::module_& m) {
                     float restitution, float mu_torsional, float mu_rolling, float margin,
                     std::optional<float> gap, bool is_solid, int32_t collision_group,
                     bool collision_filter_parent, bool has_shape_collision,
-                    bool has_particle_collision, bool is_visible) {
+                    bool has_particle_collision, bool is_visible,
+                    const std::array<float, 4>& mixing) {
           return ShapeConfig{density,
                              ke,
                              kd,
@@ -186,7 +187,9 @@ void bind_shape_config(py::module_& m) {
                              collision_filter_parent,
                              has_shape_collision,
                              has_particle_collision,
-                             is_visible};
+                             is_visible,
+                             {},
+                             {mixing[0], mixing[1], mixing[2], mixing[3]}};
         }),
         "density"_a = d.density, "ke"_a = d.ke, "kd"_a = d.kd, "kf"_a = d.kf, "ka"_a = d.ka,
         "mu"_a = d.mu, "restitution"_a = d.restitution, "mu_torsional"_a = d.mu_torsional,
@@ -194,7 +197,8 @@ void bind_shape_config(py::module_& m) {
         "is_solid"_a = d.is_solid, "collision_group"_a = d.collision_group,
         "collision_filter_parent"_a = d.collision_filter_parent,
         "has_shape_collision"_a = d.has_shape_collision,
-        "has_particle_collision"_a = d.has_particle_collision, "is_visible"_a = d.is_visible);
+        "has_particle_collision"_a = d.has_particle_collision, "is_visible"_a = d.is_visible,
+        "mixing"_a = std::array<float, 4>{});
 #define NOVAPHY_MEMBER(name, doc) c.def_readwrite(#name, &ShapeConfig::name, doc);
   NOVAPHY_MEMBER(density, "kg/m^3, of the mass that the shape adds to its body.")
   NOVAPHY_MEMBER(ke, "N/m, contact stiffness.")
@@ -222,7 +226,18 @@ void bind_shape_config(py::module_& m) {
   NOVAPHY_MEMBER(has_particle_collision, "Whether particles meet it.")
   NOVAPHY_MEMBER(is_visible, "Whether viewers show it.")
 #undef NOVAPHY_MEMBER
-  c.def_property_readonly("flags", &ShapeConfig::flags, "The bits of Model.shape_flags.")
+  c.def_property(
+       "mixing",
+       [](const ShapeConfig& self) {
+         const ShapeMixing& m = self.mixing;
+         return std::make_tuple(m.priority, m.weight, m.inverse_mass, m.mu);
+       },
+       [](ShapeConfig& self, const std::array<float, 4>& m) {
+         self.mixing = {m[0], m[1], m[2], m[3]};
+       },
+       "Priority, weight, inverse mass (1/kg) and mu in place of 0, of the material of a pair. "
+       "With the weight 0 it is the mean of both shapes.")
+      .def_property_readonly("flags", &ShapeConfig::flags, "The bits of Model.shape_flags.")
       .def(
           "copy", [](const ShapeConfig& self) { return self; }, "A copy.");
   add_settings_pickle(c);

@@ -22,6 +22,10 @@ void check_shape_config(std::string_view function, const ShapeConfig& cfg) {
   check_not_negative({function, "cfg.mu_torsional"}, cfg.mu_torsional);
   check_not_negative({function, "cfg.mu_rolling"}, cfg.mu_rolling);
   check_finite({function, "cfg.margin"}, cfg.margin);
+  check_finite({function, "cfg.mixing priority"}, cfg.mixing.priority);
+  check_not_negative({function, "cfg.mixing weight"}, cfg.mixing.weight);
+  check_not_negative({function, "cfg.mixing inverse_mass"}, cfg.mixing.inverse_mass);
+  check_not_negative({function, "cfg.mixing mu"}, cfg.mixing.mu);
   if (cfg.gap) check_not_negative({function, "cfg.gap"}, *cfg.gap);
   if (!cfg.color) return;
   const auto part = [](float x) { return x >= 0.0f && x <= 1.0f; };

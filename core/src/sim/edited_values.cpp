@@ -299,6 +299,7 @@ void EditedValues::check_joint_arrays(const Model& m) {
       {"shape_material_kd", m.shape_material_kd, Rule::NotNegative},
       {"shape_material_kf", m.shape_material_kf, Rule::NotNegative},
       {"shape_material_ka", m.shape_material_ka, Rule::NotNegative},
+      {"shape_mixing", m.shape_mixing, Rule::Finite},
       {"shape_transform", m.shape_transform, Rule::UnitPose},
       {"shape_scale", m.shape_scale, Rule::NotNegative},
       {"shape_gap", m.shape_gap, Rule::NotNegative},

@@ -128,6 +128,12 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   upload(m.shape_material_restitution, column([](const Shape& s) { return s.cfg.restitution; }));
   upload(m.shape_material_mu_torsional, column([](const Shape& s) { return s.cfg.mu_torsional; }));
   upload(m.shape_material_mu_rolling, column([](const Shape& s) { return s.cfg.mu_rolling; }));
+  std::vector<float> mixing;
+  for (const Shape& s : shapes_)
+    for (const float x :
+         {s.cfg.mixing.priority, s.cfg.mixing.weight, s.cfg.mixing.inverse_mass, s.cfg.mixing.mu})
+      mixing.push_back(x);
+  upload(m.shape_mixing, mixing);
   const auto bounds = column([](const Shape& s) {
     return s.mesh ? detail::mesh_bounds(s.mesh->vertices, s.scale)
                   : detail::shape_bounds(s.type, s.scale);

@@ -122,7 +122,8 @@ NOVAPHY_ROW_KERNEL(articulation_contact_jvp, ArticulationContactJvpArguments) {
     int32_t widths[2];
     articulation::set_widths(s.all_rows, contact.sides, widths);
     for (int side = 0; side < 2; ++side) contact.solver.sides[side].width = widths[side];
-    articulation::build_dual_contact(s.contacts, s, in.qd, law, {a.mu, a.restitution, a.ke, a.kd},
+    articulation::build_dual_contact(s.contacts, s, in.qd, law,
+                                     {a.mu, a.restitution, a.ke, a.kd, a.of.mixing},
                                      a.impulses[contact.contact], numbers, contact);
     for (const articulation::DualSide& m : contact.moved) numbers += 6 * m.dofs;
   }

@@ -193,8 +193,9 @@ inline void add_contact(const GroupAdjoint& s, int32_t place) {
   articulation::add_contact_geometry(
       row, s.how.dt, [&](int32_t i) { return s.tree(i); }, [&](int32_t i) { return s.adjoint(i); });
   if (s.all.materials == nullptr) return;
-  s.all.materials[row.contact] =
-      articulation::material_gradient(s.law, s.material(row.contact), row);
+  s.all.materials[row.contact] = articulation::material_gradient(
+      s.law, s.material(row.contact),
+      articulation::contact_parts(s.materials(), s.contacts, row.contact), row);
   s.all.shape_of[2 * row.contact] = s.a.shapes.at.shape0[row.contact];
   s.all.shape_of[2 * row.contact + 1] = s.a.shapes.at.shape1[row.contact];
 }
@@ -262,10 +263,11 @@ struct ArticulationMaterialGradientArguments {
 NOVAPHY_ROW_KERNEL(articulation_material_gradient, ArticulationMaterialGradientArguments) {
   for (int32_t k = a.begin[row]; k < a.begin[row + 1]; ++k) {
     const articulation::MaterialGradient& of = a.materials[a.sides[k] / 2];
-    if (a.mu != nullptr) a.mu[row] += of.mu;
-    if (a.restitution != nullptr) a.restitution[row] += of.restitution;
-    if (a.ke != nullptr) a.ke[row] += of.ke;
-    if (a.kd != nullptr) a.kd[row] += of.kd;
+    const int32_t side = a.sides[k] % 2;
+    if (a.mu != nullptr) a.mu[row] += of.mu[side];
+    if (a.restitution != nullptr) a.restitution[row] += of.restitution[side];
+    if (a.ke != nullptr) a.ke[row] += of.ke[side];
+    if (a.kd != nullptr) a.kd[row] += of.kd[side];
   }
 }
 

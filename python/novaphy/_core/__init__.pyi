@@ -407,6 +407,7 @@ class Model(_Counts):
     shape_aabb_lower: _Field
     shape_aabb_upper: _Field
     shape_mesh_range: _Field
+    shape_mixing: _Field
     mesh_vertices: _Field
     mesh_indices: _Field
     shape_collision_aabb_lower: _Field
@@ -666,6 +667,7 @@ class ShapeConfig(_Native):
         has_shape_collision: bool = True,
         has_particle_collision: bool = True,
         is_visible: bool = True,
+        mixing: Sequence[SupportsFloat] = ...,
     ) -> None: ...
     density: float
     ke: float
@@ -684,6 +686,10 @@ class ShapeConfig(_Native):
     has_shape_collision: bool
     has_particle_collision: bool
     is_visible: bool
+    @property
+    def mixing(self) -> tuple[float, float, float, float]: ...
+    @mixing.setter
+    def mixing(self, value: Sequence[SupportsFloat], /) -> None: ...
     @property
     def flags(self) -> int: ...
     def copy(self) -> ShapeConfig: ...

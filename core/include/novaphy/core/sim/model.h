@@ -205,6 +205,9 @@ namespace novaphy {
     "stored; no force uses it")                                            \
   X(shape_material_mu_rolling, float, 1, shape_count, "1", "",                                    \
     "stored; no force uses it")                                              \
+  X(shape_mixing, float, 4, shape_count, "1, 1, 1/kg, 1", "",                                     \
+    "priority, weight, inverse mass, mu in place of 0: how materials of two shapes combine, see "  \
+    "ShapeConfig")                                                                                \
   X(shape_collision_radius, float, 1, shape_count, "m", "shape",                                  \
     "radius of a sphere about the shape's origin that holds the shape; 1e6 for an infinite "      \
     "plane")                                                                                      \

@@ -9,7 +9,20 @@
 
 namespace novaphy {
 
-// All numbers must be finite, and all but `margin` and `collision_group` must be >= 0.
+// How materials of two shapes combine. Where one of both has the weight 0, each coefficient is the
+// mean of both. Else, as in MuJoCo, the shape of the higher priority decides about mu, ke and kd;
+// of shapes of one priority mu is the larger one, and ke and kd are means by weight. ke and kd are
+// then per kg of 1 / (sum of the inverse masses). SolverFeatherstone's pgs contacts only; other
+// solvers take means.
+struct ShapeMixing {
+  float priority = 0.0f;
+  float weight = 0.0f;        // 1
+  float inverse_mass = 0.0f;  // 1/kg
+  float mu = 0.0f;            // in place of a mu of 0, where the mu of the other shape is not 0
+};
+
+// All numbers must be finite, and all but `margin`, `collision_group` and the priority must be >=
+// 0.
 struct ShapeConfig {
   float density = 1000.0f;   // kg/m^3, of the mass that the shape adds to its body
   float ke = 2500.0f;        // N/m, contact stiffness
@@ -36,6 +49,7 @@ struct ShapeConfig {
   bool is_visible = true;
   // Red, green, blue, 0 to 1, in which viewers show it; they choose one when empty.
   std::optional<Vec3f> color = {};
+  ShapeMixing mixing = {};
 
   // The bits of Model::shape_flags.
   constexpr int32_t flags() const {

@@ -388,35 +388,37 @@ inline bool has_geometry(const AdjointContact& row) {
          (row.solver.shifted > 0.0f && row.target.shift_bounce > 0.0f);
 }
 
-// -z . d(rows)/dp of a contact, of which each of the two shapes gets this: they are half of their
-// means.
+// -z . d(rows)/dp of a contact, for both shapes, by their parts.
 struct MaterialGradient {
-  float mu = 0.0f, restitution = 0.0f, ke = 0.0f, kd = 0.0f;
+  float mu[2] = {}, restitution[2] = {}, ke[2] = {}, kd[2] = {};
 };
 inline MaterialGradient material_gradient(const ContactLaw<float>& law,
-                                          const ContactMaterial<float>& of,
+                                          const ContactMaterial<float>& of, const PairParts& parts,
                                           const AdjointContact& row) {
   const PgsContact<float>& c = row.solver;
   const double z[3] = {row.z.x, row.z.y, row.z.z};
-  const auto half = [](double value) { return static_cast<float>(0.5 * value); };
+  const auto give = [](float* shapes, const float* part, double value) {
+    for (int side = 0; side < 2; ++side) shapes[side] = static_cast<float>(part[side] * value);
+  };
   MaterialGradient to;
   const ContactBranch branch = branch_of(c, law.cone);
   float along[2];
   slip_along(c, branch, along);
   double by_friction[2];
   rows_by_friction(c, branch, law.cone, along, by_friction);
-  to.mu = half(-(z[1] * by_friction[0] + z[2] * by_friction[1]));
+  give(to.mu, parts.friction, -(z[1] * by_friction[0] + z[2] * by_friction[1]));
   if (row.target.bounce > 0.0f) {
     const float y = row.target.shift_bounce > 0.0f ? row.shift_z : 0.0f;
-    to.restitution = half(-(z[0] + y) * row.before);
+    constexpr float kMeans[] = {kMeanPart, kMeanPart};
+    give(to.restitution, kMeans, -(z[0] + y) * row.before);
   }
   if (!law.compliant) return to;
   const double dt = law.dt, soft = dt * of.stiffness + of.damping;
   const bool spring =
       !(row.place.gap > 0.0f) && !(row.target.bounce > 0.0f) && c.bias > -law.max_depenetration;
   const double gap = spring ? row.place.gap : 0.0, impulse = c.impulse[0];
-  to.ke = half(-z[0] * (gap * of.damping - impulse) / (soft * soft));
-  to.kd = half(-z[0] * (-gap * of.stiffness - impulse / dt) / (soft * soft));
+  give(to.ke, parts.softness, -z[0] * (gap * of.damping - impulse) / (soft * soft));
+  give(to.kd, parts.softness, -z[0] * (-gap * of.stiffness - impulse / dt) / (soft * soft));
   return to;
 }
 

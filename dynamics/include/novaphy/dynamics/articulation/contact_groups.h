@@ -58,7 +58,7 @@ struct ContactLink {
 // The trees of each group are ascending, and so are its contacts. found: ContactRows::found.
 // contact_stride: numbers of the memory for a contact.
 struct ContactGroupArguments {
-  NOVAPHY_ARGUMENTS(Part<ContactShapes> shapes; Given<float> mu, restitution, ke, kd;
+  NOVAPHY_ARGUMENTS(Part<ContactShapes> shapes; Given<float> mu, restitution, ke, kd, mixing;
                     Given<float> joint_friction; Given<int32_t> tree_begin, trees;
                     Given<int32_t> contact_begin, contacts; Given<int32_t> shape_type;
                     Number<float> erp, slop, cfm, max_depenetration, restitution_threshold;
@@ -179,8 +179,11 @@ struct ContactGroup : GroupLists {
     return articulation::make_adjoint_memory<float>(
         memory(i) + island_tree_bytes(r.link_count, r.dof_count), r.link_count, r.dof_count);
   }
+  articulation::ShapeMaterials materials() const {
+    return {a.mu, a.restitution, a.ke, a.kd, a.mixing};
+  }
   articulation::ContactMaterial<float> material(int32_t contact) const {
-    return articulation::contact_material({a.mu, a.restitution, a.ke, a.kd}, contacts, contact);
+    return articulation::contact_material(materials(), contacts, contact);
   }
 };
 

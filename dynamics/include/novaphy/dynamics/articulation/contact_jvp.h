@@ -30,10 +30,7 @@ struct DualContact : IslandContact {
 };
 inline int64_t dual_contact_numbers(int32_t dofs) { return 12 * static_cast<int64_t>(dofs); }
 
-// What only contacts read, {shapes} each.
-struct DualMaterials {
-  const DualFloat *mu, *restitution, *ke, *kd;
-};
+using DualMaterials = MaterialsOf<DualFloat>;
 
 inline ContactLaw<DualFloat> dual_law(const ContactLaw<float>& f) {
   return {DualFloat(f.dt),
@@ -159,11 +156,9 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
     apart = apart + shared;
   }
   row.softness_tangent = kShiftSoftness * apart.tangent + softness_of_mass(mass).tangent;
-  const auto mean = [&](const DualFloat* array) {
-    return DualFloat(0.5f) * (array[c.shape0[at]] + array[c.shape1[at]]);
-  };
-  const ContactMaterial<DualFloat> material = {mean(of.mu), mean(of.restitution), mean(of.ke),
-                                               mean(of.kd)};
+  const int32_t a = c.shape0[at], b = c.shape1[at];
+  const PairParts parts = pair_parts(of, a, b, [](const DualFloat& x) { return x.value; });
+  const ContactMaterial<DualFloat> material = pair_material(of, parts, a, b);
   row.goal = normal_target(law, material, place.gap, dual_slip(row, 0, trees, qd),
                            dual_slip<Trees>(row, 0, trees, nullptr));
   row.mu = material.friction;

@@ -7,6 +7,7 @@
 
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/articulation/contact_rows.h"
+#include "novaphy/dynamics/articulation/pair_material.h"
 #include "novaphy/dynamics/articulation/pgs.h"
 #include "novaphy/dynamics/articulation/tree_contacts.h"
 
@@ -24,15 +25,13 @@ struct ContactRows {
   bool found = false;
 };
 
-struct ShapeMaterials {
-  const float *mu, *restitution, *ke, *kd;
-};
-// The means of the two shapes.
+// The material of a contact, and the parts that its shapes have in that.
+inline PairParts contact_parts(const ShapeMaterials& of, const ContactRows& c, int32_t contact) {
+  return pair_parts(of, c.shape0[contact], c.shape1[contact], [](float x) { return x; });
+}
 inline ContactMaterial<float> contact_material(const ShapeMaterials& of, const ContactRows& c,
                                                int32_t contact) {
-  const int32_t a = c.shape0[contact], b = c.shape1[contact];
-  const auto mean = [&](const float* x) { return 0.5f * (x[a] + x[b]); };
-  return {mean(of.mu), mean(of.restitution), mean(of.ke), mean(of.kd)};
+  return pair_material(of, contact_parts(of, c, contact), c.shape0[contact], c.shape1[contact]);
 }
 
 struct ContactSide {

@@ -1,0 +1,68 @@
+// The material of two shapes that touch (core/sim/shape_config.h, ShapeMixing).
+//
+// A coefficient of the pair is  a times that of shape A + b times that of shape B (+ a constant),
+// with the parts a and b below, which depend on the values but not on their derivatives. Steps,
+// adjoints and tangents share the parts. Where both mu are the same, each shape has half of it.
+// Source: MuJoCo documentation, Computation, contact parameters.
+#pragma once
+
+#include "novaphy/dynamics/articulation/pgs.h"
+
+namespace novaphy::articulation {
+
+struct PairParts {
+  float friction[2] = {0.5f, 0.5f};
+  float softness[2] = {0.5f, 0.5f};  // of ke and kd
+  float more_friction = 0.0f;
+};
+inline constexpr float kMeanPart = 0.5f;  // of restitution
+
+// `mixing`: of ShapeMixing, the four numbers of each shape; `mu`: of each shape.
+inline PairParts pair_parts(const float* mixing_a, const float* mixing_b, float mu_a, float mu_b) {
+  PairParts to;
+  const float *const mixing[2] = {mixing_a, mixing_b}, mu[2] = {mu_a, mu_b};
+  const float weight = mixing_a[1] + mixing_b[1], inverse_mass = mixing_a[2] + mixing_b[2];
+  if (!(mixing_a[1] > 0.0f && mixing_b[1] > 0.0f)) return to;
+  const float mass = inverse_mass > 0.0f ? 1.0f / inverse_mass : 1.0f;
+  const bool slips = !(mu_a > 0.0f) && !(mu_b > 0.0f);
+  float has[2];
+  for (int i = 0; i < 2; ++i) has[i] = mu[i] > 0.0f || slips ? mu[i] : mixing[i][3];
+  for (int i = 0; i < 2; ++i) {
+    const float ahead = mixing[i][0] - mixing[1 - i][0];
+    const float over = ahead != 0.0f ? ahead : has[i] - has[1 - i];
+    const float part = over > 0.0f ? 1.0f : over < 0.0f ? 0.0f : 0.5f;
+    // Of the shape that decides alone, mu counts as it is.
+    const bool constant = ahead == 0.0f && !slips && !(mu[i] > 0.0f);
+    to.friction[i] = constant ? 0.0f : part;
+    to.more_friction += constant ? part * has[i] : 0.0f;
+    to.softness[i] = (ahead > 0.0f ? 1.0f : ahead < 0.0f ? 0.0f : mixing[i][1] / weight) * mass;
+  }
+  return to;
+}
+
+// Numbers {shapes} each; of mixing four.
+template <class T>
+struct MaterialsOf {
+  const T *mu, *restitution, *ke, *kd;
+  const float* mixing;
+};
+using ShapeMaterials = MaterialsOf<float>;
+
+// `value_of`: the float of a T.
+template <class T, class ValueOf>
+PairParts pair_parts(const MaterialsOf<T>& of, int32_t a, int32_t b, const ValueOf& value_of) {
+  return pair_parts(of.mixing + 4 * int64_t{a}, of.mixing + 4 * int64_t{b}, value_of(of.mu[a]),
+                    value_of(of.mu[b]));
+}
+template <class T>
+ContactMaterial<T> pair_material(const MaterialsOf<T>& of, const PairParts& parts, int32_t a,
+                                 int32_t b) {
+  const auto sum = [&](const T* x, const float* part) {
+    return T(part[0]) * x[a] + T(part[1]) * x[b];
+  };
+  return {sum(of.mu, parts.friction) + T(parts.more_friction),
+          T(kMeanPart) * (of.restitution[a] + of.restitution[b]), sum(of.ke, parts.softness),
+          sum(of.kd, parts.softness)};
+}
+
+}  // namespace novaphy::articulation

@@ -1,4 +1,7 @@
 // ModelBuilder and ShapeConfig.
+#include <array>
+#include <tuple>
+
 #include "novaphy/core/sim/model_builder.h"
 #include "pickle.h"
 

@@ -1,6 +1,7 @@
 // MJCF files become a Robot, and that goes into a builder.
 #include "mjcf_context.h"
 #include "mjcf_include.h"
+#include "mjcf_start.h"
 
 namespace novaphy {
 namespace detail {
@@ -112,6 +113,7 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
   detail::read_bodies(context);
   detail::mend_masses(context.robot, context.settings.compiler);
   detail::mend_inertias(context.robot, false, true, [](size_t, const std::string&) {});
+  detail::set_inverse_masses(context.robot);
   detail::read_contacts(context);
   detail::read_actuators(context);
   detail::set_start(context);

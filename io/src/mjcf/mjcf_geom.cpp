@@ -2,18 +2,19 @@
 #include <cmath>
 
 #include "mjcf_context.h"
+#include "mjcf_softness.h"
 
 namespace novaphy::detail {
 namespace {
 
 constexpr std::string_view kRead[] = {
-    "name",        "class",  "type", "pos",  "quat",     "axisangle", "euler",  "zaxis",
-    "xyaxes",      "fromto", "size", "mass", "density",  "friction",  "margin", "contype",
-    "conaffinity", "condim", "rgba", "mesh", "material", "group",     "hfield", "shellinertia"};
-// Numbers of MuJoCo's contact solver, and of fluids, which are left out as a whole.
-constexpr std::string_view kPassedOver[] = {"solref",   "solimp",     "solmix",    "priority",
-                                            "user",     "fluidshape", "fluidcoef", "gap",
-                                            "fitscale", "surfacevel"};
+    "name",   "class",   "type",         "pos",    "quat",   "axisangle", "euler",
+    "zaxis",  "xyaxes",  "fromto",       "size",   "mass",   "density",   "friction",
+    "margin", "contype", "conaffinity",  "condim", "rgba",   "mesh",      "material",
+    "group",  "hfield",  "shellinertia", "solref", "solimp", "solmix",    "priority"};
+// Of fluids, which are left out as a whole, and `gap`, which moves nothing.
+constexpr std::string_view kPassedOver[] = {"user", "fluidshape", "fluidcoef",
+                                            "gap",  "fitscale",   "surfacevel"};
 
 struct Kind {
   const char* name;
@@ -62,6 +63,7 @@ class GeomReader {
     if (!read_place(*kind, type)) return {};
     read_mass(*kind);
     read_surface();
+    read_softness();
     read_color();
     context_.notes.read("geom");
     return std::move(geom_);
@@ -173,6 +175,7 @@ class GeomReader {
     cfg.is_visible = number("group", 0.0) <= 2.0;  // what MuJoCo's viewers show at first
     const double margin = number("margin", 0.0);
     if (margin < 0.0) file_.refuse(e_, "margin: expected >= 0");
+    cfg.margin = static_cast<float>(margin);
     if (margin > 0.0) cfg.gap = static_cast<float>(margin);
   }
 
@@ -190,11 +193,39 @@ class GeomReader {
     const double condim = number("condim", 3.0);
     if (condim != 1.0 && condim != 3.0 && condim != 4.0 && condim != 6.0)
       file_.refuse(e_, "condim: expected 1, 3, 4 or 6");
-    if (condim == 1.0) cfg.mu = 0.0f;
+    if (condim == 1.0) cfg.mixing.mu = std::exchange(cfg.mu, 0.0f);
     // As in MuJoCo, contacts of fewer than 4 dimensions have no torsional and rolling friction,
     // and those of 4 no rolling.
     if (condim < 4.0) cfg.mu_torsional = 0.0f;
     if (condim < 6.0) cfg.mu_rolling = 0.0f;
+  }
+
+  void read_softness() {
+    ShapeConfig& cfg = geom_.shape.cfg;
+    MjcfSoftness of;
+    const auto first = [&](const char* name, std::span<double> to) {
+      const std::vector<double> values = defaults_.list(e_, name, childclass_);
+      if (values.size() > to.size())
+        file_.refuse(
+            e_, std::string(name) + ": expected up to " + std::to_string(to.size()) + " numbers");
+      std::copy(values.begin(), values.end(), to.begin());
+    };
+    first("solref", of.solref);
+    first("solimp", of.solimp);
+    if ((of.solref[0] > 0.0) != (of.solref[1] > 0.0)) {
+      context_.notes.ignored(e_, "a solref of which one number is > 0, as in MuJoCo");
+      std::copy_n(MjcfSoftness{}.solref, 2, of.solref);
+    }
+    const MjcfOption& option = context_.settings.option;
+    const Vec3d g = option.gravity.value_or(Vec3d{0.0, 0.0, -9.81});
+    const SpringPerMass spring =
+        spring_per_mass(of, std::sqrt(math::dot(g, g)), 2.0 * option.timestep.value_or(0.002));
+    cfg.ke = static_cast<float>(spring.ke);
+    cfg.kd = static_cast<float>(spring.kd);
+    cfg.mixing.priority = static_cast<float>(number("priority", 0.0));
+    cfg.mixing.weight = static_cast<float>(std::max(number("solmix", 1.0), 1e-6));
+    if (!std::isfinite(cfg.ke) || !std::isfinite(cfg.kd))
+      file_.refuse(e_, "solref, solimp: expected a stiffness that float32 can hold");
   }
 
   void read_color() {

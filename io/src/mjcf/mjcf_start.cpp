@@ -52,34 +52,70 @@ struct Dof {
   int32_t parent;  // the dof before it on the way to the root; -1: none
 };
 
-}  // namespace
+// M at the start, where all dofs may move, as L^T D L.
+class StartDynamics {
+ public:
+  explicit StartDynamics(const Robot& robot)
+      : robot_(robot),
+        pose_(robot.links.size(), identity_pose()),
+        last_(robot.links.size(), -1),
+        places_(robot.joints.size(), 0) {
+    std::vector<Inertia> sum(robot.links.size());
+    for (size_t j = 0; j < robot.joints.size(); ++j) add_joint(j, sum);
+    for (size_t j = robot.joints.size(); j-- > 0;)
+      if (robot.joints[j].parent >= 0)
+        sum[static_cast<size_t>(robot.joints[j].parent)].add(
+            sum[static_cast<size_t>(robot.joints[j].child)]);
+    factor(sum);
+  }
 
-std::vector<std::vector<double>> free_inertias(const Robot& robot) {
-  const size_t links = robot.links.size();
-  std::vector<Posed> pose(links, identity_pose());
-  std::vector<Inertia> sum(links);
-  std::vector<int32_t> last(links, -1);  // dof of each link
-  std::vector<Dof> dofs;
-  std::vector<std::vector<double>> result(robot.joints.size());
-  for (size_t j = 0; j < robot.joints.size(); ++j) {
-    const RobotJoint& joint = robot.joints[j];
+  // 1 / (M^-1)_kk of each joint's dofs, or 0 where M is not positive definite.
+  std::vector<std::vector<double>> inertias() const {
+    std::vector<std::vector<double>> result;
+    for (const size_t count : places_) result.emplace_back(count, 0.0);
+    for (size_t k = 0; is_definite_ && k < dofs_.size(); ++k) {
+      std::vector<double> x(rows_[k].size(), 0.0);
+      x[0] = 1.0;
+      result[dofs_[k].joint][dofs_[k].place] = 1.0 / answer(k, x);
+    }
+    return result;
+  }
+  // The mean over three directions of what a force at a link's center of mass accelerates there.
+  double inverse_mass(size_t link) const {
+    if (last_[link] < 0 || !is_definite_) return 0.0;
+    const auto k = static_cast<size_t>(last_[link]);
+    const Vec3d com = math::transform_point(pose_[link], robot_.links[link].com);
+    double sum = 0.0;
+    for (const Vec3d& axis : kAxes) {
+      std::vector<double> x;
+      for (const auto& [dof, unused] : rows_[k]) {
+        const Screw& s = dofs_[dof].screw;
+        x.push_back(math::dot(axis, s.linear + math::cross(s.angular, com)));
+      }
+      sum += answer(k, x);
+    }
+    return sum / 3.0;
+  }
+
+ private:
+  void add_joint(size_t j, std::vector<Inertia>& sum) {
+    const RobotJoint& joint = robot_.joints[j];
     const auto child = static_cast<size_t>(joint.child);
     const Posed parent =
-        joint.parent < 0 ? identity_pose() : pose[static_cast<size_t>(joint.parent)];
+        joint.parent < 0 ? identity_pose() : pose_[static_cast<size_t>(joint.parent)];
     const Posed frame = math::multiply(parent, joint.parent_pose);
-    pose[child] =
+    pose_[child] =
         math::multiply(math::multiply(frame, start_pose(joint)), math::inverse(joint.child_pose));
-    sum[child] = inertia_of(robot.links[child], pose[child]);
-    int32_t before = joint.parent < 0 ? -1 : last[static_cast<size_t>(joint.parent)];
-    const Vec3d anchor = math::transform_point(pose[child], joint.child_pose.p);
+    sum[child] = inertia_of(robot_.links[child], pose_[child]);
+    int32_t before = joint.parent < 0 ? -1 : last_[static_cast<size_t>(joint.parent)];
+    const Vec3d anchor = math::transform_point(pose_[child], joint.child_pose.p);
     const auto add = [&](const Vec3d& axis, bool turns, double armature) {
-      dofs.push_back({j, result[j].size(),
-                      turns ? Screw{axis, math::cross(anchor, axis)} : Screw{{}, axis}, armature,
-                      before});
-      before = static_cast<int32_t>(dofs.size()) - 1;
-      result[j].push_back(0.0);
+      dofs_.push_back({j, places_[j]++,
+                       turns ? Screw{axis, math::cross(anchor, axis)} : Screw{{}, axis}, armature,
+                       before});
+      before = static_cast<int32_t>(dofs_.size()) - 1;
     };
-    const bool is_free = joint.type == JointType::FREE && !robot.links[child].is_kinematic;
+    const bool is_free = joint.type == JointType::FREE && !robot_.links[child].is_kinematic;
     if (is_free)
       for (const Vec3d& axis : kAxes) add(axis, false, joint.armature);
     if (is_free || joint.type == JointType::BALL)
@@ -89,48 +125,68 @@ std::vector<std::vector<double>> free_inertias(const Robot& robot) {
       for (const JointDofConfig& dof : *axes)
         add(math::rotate(frame.q, Vec3d{dof.axis.x, dof.axis.y, dof.axis.z}),
             axes == &joint.angular, dof.armature);
-    last[child] = before;
+    last_[child] = before;
   }
-  for (size_t j = robot.joints.size(); j-- > 0;)
-    if (robot.joints[j].parent >= 0)
-      sum[static_cast<size_t>(robot.joints[j].parent)].add(
-          sum[static_cast<size_t>(robot.joints[j].child)]);
 
-  // Factors of M, sparse along the branches: M = L^T D L with rows of ancestors only.
-  const size_t n = dofs.size();
-  std::vector<std::vector<std::pair<size_t, double>>> rows(n);  // from the dof to the root
-  for (size_t k = 0; k < n; ++k) {
-    const auto child = static_cast<size_t>(robot.joints[dofs[k].joint].child);
-    const Screw momentum = sum[child].momentum(dofs[k].screw);
-    for (auto i = static_cast<int32_t>(k); i >= 0; i = dofs[static_cast<size_t>(i)].parent) {
-      const Screw& s = dofs[static_cast<size_t>(i)].screw;
-      double value = math::dot(s.angular, momentum.angular) + math::dot(s.linear, momentum.linear);
-      if (i == static_cast<int32_t>(k)) value += dofs[k].armature;
-      rows[k].emplace_back(static_cast<size_t>(i), value);
+  // Sparse along the branches: rows of ancestors only.
+  void factor(const std::vector<Inertia>& sum) {
+    rows_.resize(dofs_.size());  // from the dof to the root
+    for (size_t k = 0; k < dofs_.size(); ++k) {
+      const auto child = static_cast<size_t>(robot_.joints[dofs_[k].joint].child);
+      const Screw momentum = sum[child].momentum(dofs_[k].screw);
+      for (auto i = static_cast<int32_t>(k); i >= 0; i = dofs_[static_cast<size_t>(i)].parent) {
+        const Screw& s = dofs_[static_cast<size_t>(i)].screw;
+        double value =
+            math::dot(s.angular, momentum.angular) + math::dot(s.linear, momentum.linear);
+        if (i == static_cast<int32_t>(k)) value += dofs_[k].armature;
+        rows_[k].emplace_back(static_cast<size_t>(i), value);
+      }
+    }
+    for (size_t k = dofs_.size(); k-- > 0;) {
+      is_definite_ = is_definite_ && rows_[k][0].second > 0.0;
+      if (!is_definite_) return;
+      for (size_t a = 1; a < rows_[k].size(); ++a) {
+        const double factor = rows_[k][a].second / rows_[k][0].second;
+        auto& row = rows_[rows_[k][a].first];
+        for (size_t b = a; b < rows_[k].size(); ++b)
+          row[b - a].second -= factor * rows_[k][b].second;
+        rows_[k][a].second = factor;
+      }
     }
   }
-  for (size_t k = n; k-- > 0;) {
-    if (!(rows[k][0].second > 0.0)) return result;
-    for (size_t a = 1; a < rows[k].size(); ++a) {
-      const double factor = rows[k][a].second / rows[k][0].second;
-      auto& row = rows[rows[k][a].first];
-      for (size_t b = a; b < rows[k].size(); ++b) row[b - a].second -= factor * rows[k][b].second;
-      rows[k][a].second = factor;
-    }
-  }
-  // (M^-1)_kk = |D^-1/2 L^-T e_k|^2: L^T spreads from a dof to its ancestors.
-  for (size_t k = 0; k < n; ++k) {
-    std::vector<double> x(rows[k].size(), 0.0);
-    x[0] = 1.0;
-    double inverse = 0.0;
-    for (size_t a = 0; a < rows[k].size(); ++a) {
-      const auto& row = rows[rows[k][a].first];
-      inverse += x[a] * x[a] / row[0].second;
+
+  // x . M^-1 x = |D^-1/2 L^-T x|^2 of x along the branch of dof k: L^T spreads from a dof to its
+  // ancestors.
+  double answer(size_t k, std::vector<double> x) const {
+    double sum = 0.0;
+    for (size_t a = 0; a < rows_[k].size(); ++a) {
+      const auto& row = rows_[rows_[k][a].first];
+      sum += x[a] * x[a] / row[0].second;
       for (size_t b = 1; b < row.size(); ++b) x[a + b] -= row[b].second * x[a];
     }
-    result[dofs[k].joint][dofs[k].place] = 1.0 / inverse;
+    return sum;
   }
-  return result;
+
+  const Robot& robot_;
+  std::vector<Posed> pose_;
+  std::vector<int32_t> last_;   // dof of each link
+  std::vector<size_t> places_;  // dofs of each joint
+  std::vector<Dof> dofs_;
+  std::vector<std::vector<std::pair<size_t, double>>> rows_;
+  bool is_definite_ = true;
+};
+
+}  // namespace
+
+std::vector<std::vector<double>> free_inertias(const Robot& robot) {
+  return StartDynamics(robot).inertias();
+}
+
+void set_inverse_masses(Robot& robot) {
+  const StartDynamics dynamics(robot);
+  for (size_t k = 0; k < robot.links.size(); ++k)
+    for (RobotShape& shape : robot.links[k].shapes)
+      shape.cfg.mixing.inverse_mass = static_cast<float>(dynamics.inverse_mass(k));
 }
 
 }  // namespace novaphy::detail

@@ -10,4 +10,7 @@ namespace novaphy::detail {
 // Parents come before children.
 std::vector<std::vector<double>> free_inertias(const Robot& robot);
 
+// ShapeMixing::inverse_mass of all shapes, as MuJoCo's body_invweight0.
+void set_inverse_masses(Robot& robot);
+
 }  // namespace novaphy::detail

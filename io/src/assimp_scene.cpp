@@ -97,9 +97,8 @@ void append_node(const aiScene& scene, const aiNode& node, const aiMatrix4x4& pa
 
 void Soup::add(const Triangle& triangle, const std::optional<Vec3f>& color) {
   triangles.push_back(triangle);
-  if (!color || !std::isfinite(color->x + color->y + color->z)) return;
-  const Vec3f n = math::cross(triangle[1] - triangle[0], triangle[2] - triangle[0]);
-  areas[{color->x, color->y, color->z}] += std::sqrt(double{math::dot(n, n)});
+  const bool is_finite = color && std::isfinite(color->x + color->y + color->z);
+  colors.push_back(is_finite ? color : std::nullopt);
 }
 
 Soup read_triangles(const std::string& where, std::string_view bytes, std::string_view extension,

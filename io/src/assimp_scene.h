@@ -17,7 +17,7 @@ using Colors = std::map<std::string, Vec3f, std::less<>>;  // of materials by na
 
 struct Soup {
   std::vector<Triangle> triangles;
-  std::map<std::array<float, 3>, double> areas;  // of each color of a material
+  std::vector<std::optional<Vec3f>> colors;  // of their materials
 
   void add(const Triangle& triangle, const std::optional<Vec3f>& color);
 };

@@ -1,9 +1,11 @@
 #include "novaphy/io/mesh.h"
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <string>
 #include <unordered_map>
 
@@ -11,6 +13,7 @@
 #include "glb.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/io/file.h"
+#include "novaphy/math/functions.h"
 #include "obj_colors.h"
 #include "whole_file.h"
 
@@ -55,9 +58,17 @@ bool has_two_equal_corners(const Triangle& t) {
   return t[0] == t[1] || t[1] == t[2] || t[2] == t[0];
 }
 
-void check_degenerate(const std::string& where, std::vector<Triangle>& triangles, bool drop) {
+void check_degenerate(const std::string& where, detail::Soup& soup, bool drop) {
+  std::vector<Triangle>& triangles = soup.triangles;
   if (drop) {
-    std::erase_if(triangles, has_two_equal_corners);
+    size_t kept = 0;
+    for (size_t n = 0; n < triangles.size(); ++n) {
+      if (has_two_equal_corners(triangles[n])) continue;
+      triangles[kept] = triangles[n];
+      soup.colors[kept++] = soup.colors[n];
+    }
+    triangles.resize(kept);
+    soup.colors.resize(kept);
     require(!triangles.empty(), ErrorKind::Value, where,
             ": expected a triangle with three different corners, got degenerate ones only");
     return;
@@ -70,7 +81,50 @@ void check_degenerate(const std::string& where, std::vector<Triangle>& triangles
        " triangles have; drop_degenerate leaves them out)");
 }
 
+// Of the material of most of the surface. Materials of one color leave the list empty.
+void set_colors(detail::Soup& soup, Mesh& mesh) {
+  std::map<std::array<float, 3>, double> areas;
+  for (size_t n = 0; n < soup.triangles.size(); ++n) {
+    const auto& color = soup.colors[n];
+    if (!color) continue;
+    const Triangle& t = soup.triangles[n];
+    const Vec3f across = math::cross(t[1] - t[0], t[2] - t[0]);
+    areas[{color->x, color->y, color->z}] += std::sqrt(double{math::dot(across, across)});
+  }
+  const auto most = std::max_element(areas.begin(), areas.end(),
+                                     [](auto& a, auto& b) { return a.second < b.second; });
+  if (most != areas.end()) mesh.color = {most->first[0], most->first[1], most->first[2]};
+  const bool differ = std::any_of(soup.colors.begin(), soup.colors.end(),
+                                  [&](const auto& c) { return c != soup.colors.front(); });
+  if (differ) mesh.colors = std::move(soup.colors);
+}
+
 }  // namespace
+
+std::vector<Mesh> parts_by_color(const Mesh& mesh) {
+  if (mesh.colors.empty()) return {mesh};
+  std::vector<Mesh> parts;
+  std::vector<std::vector<int32_t>> row_of;  // of each part, of the vertices
+  for (size_t n = 0; n < mesh.colors.size(); ++n) {
+    const auto same = [&](const Mesh& part) { return part.color == mesh.colors[n]; };
+    const auto found = std::find_if(parts.begin(), parts.end(), same);
+    const auto k = static_cast<size_t>(found - parts.begin());
+    if (found == parts.end()) {
+      parts.push_back({.vertices = {}, .indices = {}, .color = mesh.colors[n]});
+      row_of.emplace_back(mesh.vertices.size(), -1);
+    }
+    Mesh& part = parts[k];
+    for (size_t c = 3 * n; c < 3 * n + 3; ++c) {
+      int32_t& row = row_of[k][static_cast<size_t>(mesh.indices[c])];
+      if (row < 0) {
+        row = static_cast<int32_t>(part.vertices.size());
+        part.vertices.push_back(mesh.vertices[static_cast<size_t>(mesh.indices[c])]);
+      }
+      part.indices.push_back(row);
+    }
+  }
+  return parts;
+}
 
 Mesh load_mesh(const std::filesystem::path& path, const MeshOptions& options) {
   constexpr std::string_view name = "load_mesh";
@@ -94,12 +148,10 @@ Mesh load_mesh(const std::filesystem::path& path, const MeshOptions& options) {
           ": expected at most ", std::numeric_limits<int32_t>::max() / 3, " triangles, got ",
           triangles.size());
   check_finite(where, triangles);
-  check_degenerate(where, triangles, options.drop_degenerate);
+  check_degenerate(where, soup, options.drop_degenerate);
 
   Mesh mesh;
-  const auto most = std::max_element(soup.areas.begin(), soup.areas.end(),
-                                     [](auto& a, auto& b) { return a.second < b.second; });
-  if (most != soup.areas.end()) mesh.color = {most->first[0], most->first[1], most->first[2]};
+  set_colors(soup, mesh);
   mesh.indices.reserve(3 * triangles.size());
   std::unordered_map<Vec3f, int32_t, HashBits> rows;
   for (const Triangle& triangle : triangles)

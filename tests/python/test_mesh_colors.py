@@ -90,3 +90,31 @@ def test_the_largest_material_colors_a_mesh(tmp_path):
     np.testing.assert_allclose(colors(tmp_path, "part.glb"), [0.0, 1.0, 0.5], atol=1e-6)
     (tmp_path / "part.glb").write_bytes(glb({"baseColorTexture": {"index": 0}}))
     assert colors(tmp_path, "part.glb") == none
+
+
+def test_a_part_of_each_material_has_its_color(tmp_path):
+    (tmp_path / "part.obj").write_text(OBJ)
+    (tmp_path / "look.mtl").write_text(MTL)
+    urdf = tmp_path / "robot.urdf"
+    mesh = '<geometry><mesh filename="part.obj" scale="1 1 -1"/></geometry>'
+    urdf.write_text(
+        f'<robot name="r"><link name="a"><visual>{mesh}</visual><visual>{mesh}</visual>'
+        f'<collision>{mesh}</collision><visual>{mesh}<material name="m"><color rgba="0 1 0 1"/>'
+        "</material></visual></link></robot>"
+    )
+    builder = novaphy.ModelBuilder()
+    builder.add_urdf(str(urdf))
+    model = builder.finalize()
+    assert model.shape_label == [
+        *("a/visual_0", "a/visual_0/part_1", "a/visual_0/part_2"),
+        *("a/visual_1", "a/visual_1/part_1", "a/visual_1/part_2"),
+        *("a/visual_2", "a/collision_0"),
+    ]
+    shown = model.shape_color.numpy()
+    parts = [[1, 0, 0], [0.25, 0.5, 0.75], [-1, -1, -1]]
+    np.testing.assert_allclose(shown, [*parts, *parts, [0, 1, 0], [0.25, 0.5, 0.75]])
+    # A triangle in each part, with the corners that it has in the file.
+    ranges = model.shape_mesh_range.numpy()
+    assert ranges[:, [1, 3]].tolist() == [[3, 1]] * 6 + [[6, 3]] * 2
+    corners = model.mesh_vertices.numpy()[ranges[1, 0] : ranges[1, 0] + 3]
+    assert sorted(corners.tolist()) == [[0, 0, 0], [0, 2, 0], [2, 0, 0]]

@@ -18,7 +18,12 @@ struct Mesh {
   std::vector<Vec3f> vertices;      // see load_mesh for unit and axes
   std::vector<int32_t> indices;     // 3 per triangle, into vertices, counter-clockwise from outside
   std::optional<Vec3f> color = {};  // of the material of most of the surface; none of an image
+  // Of each triangle; empty: they have one, or none.
+  std::vector<std::optional<Vec3f>> colors = {};
 };
+
+// A mesh of each color, in the order in which the triangles have them first.
+NOVAPHY_IO_API std::vector<Mesh> parts_by_color(const Mesh& mesh);
 
 struct MeshOptions {
   // Corners at the same position, to the bit, become one vertex. Most formats store the corners of

@@ -232,11 +232,11 @@ void bind_shape_config(py::module_& m) {
   c.def_property(
        "mixing",
        [](const ShapeConfig& self) {
-         const ShapeMixing& m = self.mixing;
-         return std::make_tuple(m.priority, m.weight, m.inverse_mass, m.mu);
+         const ShapeMixing& x = self.mixing;
+         return std::make_tuple(x.priority, x.weight, x.inverse_mass, x.mu);
        },
-       [](ShapeConfig& self, const std::array<float, 4>& m) {
-         self.mixing = {m[0], m[1], m[2], m[3]};
+       [](ShapeConfig& self, const std::array<float, 4>& x) {
+         self.mixing = {x[0], x[1], x[2], x[3]};
        },
        "Priority, weight, inverse mass (1/kg) and mu in place of 0, of the material of a pair. "
        "With the weight 0 it is the mean of both shapes.")

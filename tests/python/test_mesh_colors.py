@@ -1,4 +1,4 @@
-"""Shapes of robots have the color of the material of most of their mesh."""
+"""Shapes of robots have the colors of the materials of their meshes."""
 
 from __future__ import annotations
 
@@ -74,14 +74,14 @@ def colors(folder, mesh: str, material: str = "") -> list[float]:
     return builder.finalize().shape_color.numpy()[0].tolist()
 
 
-def test_the_largest_material_colors_a_mesh(tmp_path):
+def test_materials_color_a_mesh(tmp_path):
     (tmp_path / "part.obj").write_text(OBJ)
     none = [-1.0, -1.0, -1.0]
     assert colors(tmp_path, "part.obj") == none  # without the file of materials
     (tmp_path / "look.mtl").write_text(MTL)
-    assert colors(tmp_path, "part.obj") == [0.25, 0.5, 0.75]
-    red = '<material name="red"><color rgba="1 0 0 1"/></material>'
-    assert colors(tmp_path, "part.obj", red) == [1.0, 0.0, 0.0]  # the file of the robot counts
+    assert colors(tmp_path, "part.obj") == [1.0, 0.0, 0.0]  # of the first part
+    blue = '<material name="blue"><color rgba="0 0 1 1"/></material>'
+    assert colors(tmp_path, "part.obj", blue) == [0.0, 0.0, 1.0]  # the file of the robot counts
     (tmp_path / "look.mtl").write_text(MTL + "map_Kd image.png\n")
     assert colors(tmp_path, "part.obj") == [1.0, 0.0, 0.0]  # an image is no color
     (tmp_path / "part.dae").write_text(DAE)

@@ -32,19 +32,18 @@ SpringPerMass spring_per_mass(const MjcfSoftness& of, double gravity, double sho
   }
   const auto stiffness = [&](double overlap) {
     const double d = impedance(of.solimp, overlap);
-    return k * d / (1.0 - d);
+    return k * d * d / (1.0 - d);
   };
-  if (!(k > 0.0)) return {0.0, b * last / (1.0 - last)};
-  // Of the overlap, where stiffness and overlap make the weight.
-  double low = 0.0, high = gravity / std::min(stiffness(0.0), stiffness(1e6));
-  for (int i = 0; i < 60; ++i) {
-    const double overlap = 0.5 * (low + high);
-    (stiffness(overlap) * overlap < gravity ? low : high) = overlap;
+  double overlap = 0.0;
+  if (k > 0.0) {  // stiffness and overlap make the weight
+    double low = 0.0, high = gravity / std::min(stiffness(0.0), stiffness(1e6));
+    for (int i = 0; i < 60; ++i) {
+      overlap = 0.5 * (low + high);
+      (stiffness(overlap) * overlap < gravity ? low : high) = overlap;
+    }
   }
-  const double ke = stiffness(0.5 * (low + high));
-  const double damping = b * last, turning = damping * damping - 4.0 * k * last;
-  const double rate = 0.5 * (damping - std::sqrt(std::max(turning, 0.0)));
-  return {ke, rate > 0.0 ? ke / rate : 0.0};
+  const double d = impedance(of.solimp, overlap);
+  return {stiffness(overlap), b * d / (1.0 - d)};
 }
 
 }  // namespace novaphy::detail

@@ -11,10 +11,10 @@ struct MjcfSoftness {
 struct SpringPerMass {
   double ke = 0.0, kd = 0.0;  // 1/s^2, 1/s
 };
-// MuJoCo's contact pushes as mass d / (1 - d) with the acceleration -b v - k r, of the impedance d
-// at the overlap r. The spring has this stiffness at the overlap with which one contact carries its
-// mass under `gravity`; what nothing pushes then goes apart as slowly as in MuJoCo. `shortest`: of
-// time constants, s.
+// MuJoCo's contact at the overlap r with the rate v and the acceleration a pushes with
+// -m d / (1 - d) (a + b v + d k r), of the impedance d(r). The spring and the damper are those of
+// the overlap with which one contact carries its mass under `gravity`; the part by a is left out.
+// `shortest`: of time constants, s.
 SpringPerMass spring_per_mass(const MjcfSoftness& of, double gravity, double shortest);
 
 }  // namespace novaphy::detail

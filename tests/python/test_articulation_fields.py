@@ -17,7 +17,7 @@ def scene(actuators: bool = True) -> novaphy.ModelBuilder:
     """A hinge beyond its limit, a driven hinge, a ball joint, and a box that slides and bounces."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(mu=0.5)
-    builder.add_ground_plane(cfg=surface)
+    builder.add_ground_plane(cfg=novaphy.ShapeConfig(mu=0.4))
     box = builder.add_body(xform=((3.0, 0.0, 0.11), UPRIGHT))
     builder.add_shape_box(box, hx=0.1, hy=0.1, hz=0.1, cfg=surface)
     ball = builder.add_body(xform=((5.0, 0.0, 0.11), UPRIGHT))
@@ -146,6 +146,7 @@ ACT = {
     "gravity": of("gravity", slice(None), (0.0, 1.0, -5.0)),
     "shape_material_mu": of("shape_material_mu", SHAPES, 0.1),
     "shape_material_restitution": of("shape_material_restitution", SHAPES, 0.6),
+    "shape_mixing": of("shape_mixing", SHAPES, (0.0, 1.0, 1.0, 0.0)),
     "shape_margin": of("shape_margin", SHAPES, 0.01),
     "shape_gap": of("shape_gap", SHAPES, 0.0),
     "shape_scale": of("shape_scale", slice(1, 3), 0.08),

@@ -28,9 +28,10 @@ FIELDS = {
     "has_shape_collision": False,
     "has_particle_collision": False,
     "is_visible": False,
+    "mixing": (1.0, 1.0, 1.0, 0.0),
 }
-# What a builder reads, or a viewer: forces do not.
-ELSEWHERE = {"is_visible", "collision_filter_parent"}
+# What a builder reads, a viewer, or contacts of trees (test_mjcf_contacts.py).
+ELSEWHERE = {"is_visible", "collision_filter_parent", "mixing"}
 UNREAD = {"restitution", "mu_torsional", "mu_rolling"}
 BASE = {"ke": 2000.0, "kd": 30.0, "kf": 5.0, "mu": 0.9, "margin": 0.002}
 

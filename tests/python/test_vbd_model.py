@@ -170,6 +170,7 @@ NO_PART = {
     "shape_color": "looks",
     "shape_is_solid": "of the mass of bodies",
     "shape_gap": "of contacts of shapes with each other",
+    "shape_mixing": "of contacts of shapes with each other",
     "shape_collision_group": "of contacts of shapes with each other",
     "shape_contact_pairs": "of contacts of shapes with each other",
     "shape_collision_radius": "found of the shapes when the model is made",

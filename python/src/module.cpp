@@ -33,6 +33,14 @@ PyObject* python_type(ErrorKind kind) {
   return error_type;
 }
 
+// Paths and files may bring bytes into a message that are no UTF-8.
+void raise(PyObject* type, std::string_view text) {
+  const auto size = static_cast<Py_ssize_t>(text.size());
+  const auto message =
+      py::reinterpret_steal<py::object>(PyUnicode_DecodeUTF8(text.data(), size, "replace"));
+  if (message) PyErr_SetObject(type, message.ptr());
+}
+
 void bind_errors(py::module_& m) {
   error_type = PyErr_NewExceptionWithDoc("novaphy.Error",
                                          "Misuse of a device, a backend, a tape or a capture.",
@@ -43,7 +51,7 @@ void bind_errors(py::module_& m) {
     try {
       if (pointer) std::rethrow_exception(pointer);
     } catch (const Error& error) {
-      PyErr_SetString(python_type(error.kind()), error.what());
+      raise(python_type(error.kind()), error.what());
     }
   });
 }
@@ -115,11 +123,11 @@ void set_python_error(const std::exception_ptr& error) {
   } catch (py::error_already_set& e) {
     e.restore();
   } catch (const Error& e) {
-    PyErr_SetString(python_type(e.kind()), e.what());
+    raise(python_type(e.kind()), e.what());
   } catch (const std::bad_alloc&) {
     PyErr_NoMemory();
   } catch (const std::exception& e) {
-    PyErr_SetString(PyExc_RuntimeError, e.what());
+    raise(PyExc_RuntimeError, e.what());
   }
 }
 

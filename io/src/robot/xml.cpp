@@ -104,6 +104,27 @@ fs::path in_packages(const std::string& where, std::string_view file, const fs::
        folders.empty() ? " none" : folders);
 }
 
+// Whether names may become texts of Python. Decodes as RFC 3629 says.
+bool is_utf8(std::string_view text) {
+  for (size_t k = 0; k < text.size();) {
+    const auto byte = [&](size_t i) {
+      return i < text.size() ? static_cast<uint32_t>(static_cast<unsigned char>(text[i])) : 0u;
+    };
+    const uint32_t first = byte(k);
+    const size_t more = first < 0x80 ? 0 : first >> 5 == 6 ? 1 : first >> 4 == 14 ? 2 : 3;
+    if (more == 3 && first >> 3 != 30) return false;
+    uint32_t code = more == 0 ? first : first & (0x3Fu >> more);
+    for (size_t i = 1; i <= more; ++i) {
+      if (byte(k + i) >> 6 != 2) return false;
+      code = code << 6 | (byte(k + i) & 0x3F);
+    }
+    constexpr uint32_t kLeast[] = {0, 0x80, 0x800, 0x10000};
+    if (code < kLeast[more] || code > 0x10FFFF || code >> 11 == 27) return false;
+    k += more + 1;
+  }
+  return true;
+}
+
 bool names_package(std::string_view file) {
   return file.starts_with("package://") || file.starts_with("model://");
 }
@@ -193,7 +214,11 @@ void XmlFile::check_elements() const {
       if (depth > kDeepest) refuse(*element, "expected at most 100 elements inside of each other");
       if (std::string_view(element->Name()).starts_with("xacro:"))
         refuse(*element, "this is a xacro file: make a URDF file of it with xacro first");
+      if (!is_utf8(element->Name())) refuse(*element, "expected a name in UTF-8");
       for (const auto* a = element->FirstAttribute(); a != nullptr; a = a->Next()) {
+        if (!is_utf8(a->Name()) || !is_utf8(a->Value()))
+          refuse(*element,
+                 std::string("expected UTF-8, got ") + a->Name() + "=\"" + a->Value() + "\"");
         if (std::string_view(a->Value()).find("${") != std::string_view::npos)
           refuse(*element, "${...}: make a file without macros of it with xacro first");
         if (element->Attribute(a->Name()) != a->Value())

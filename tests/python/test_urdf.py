@@ -556,6 +556,9 @@ BAD = {
     "mass": (robot(link("a", INERTIAL.replace('"2"', '"-2"'))), "value: expected >= 0"),
     "radius": (robot(link("a", f"<collision>{SPHERE}</collision>".replace("0.1", "-1"))),
                "radius: expected > 0"),
+    "rgba": (robot(link("a", f'<visual>{SPHERE}<material name="m"><color rgba="0 0 2 1"/>'
+                   "</material></visual>")), "rgba: expected 0 to 1"),
+    "no text": (robot(link("&#xD800;")), "expected UTF-8"),
     "cone": (robot(link("a", '<collision><geometry><cone radius="1"/></geometry></collision>')),
              "a shape other than <box>"),
     **{f"number {text}": (robot(link("a", INERTIAL.replace("0.04", text))), "iyy: expected")

@@ -9,7 +9,7 @@ namespace {
 
 constexpr size_t kMostLinks = 10000;
 
-enum class Sign { Any, NotNegative, Positive };
+enum class Sign { Any, NotNegative, Positive, Unit };  // Unit: 0 to 1
 
 // An element with the numbers that it may have.
 struct Rule {
@@ -34,7 +34,7 @@ constexpr Rule kRules[] = {
     {"cylinder", "length", 1, true, Sign::Positive},
     {"sphere", "radius", 1, true, Sign::Positive},
     {"mesh", "scale", 3, false},
-    {"color", "rgba", 4, true},
+    {"color", "rgba", 4, true, Sign::Unit},
     {"axis", "xyz", 3, true},
     {"limit", "lower", 1, false},
     {"limit", "upper", 1, false},
@@ -113,10 +113,13 @@ class Checker {
       }
       for (const double v : used)
         if ((rule.sign == Sign::Positive && !(static_cast<float>(v) > 0.0f)) ||
-            (rule.sign == Sign::NotNegative && v < 0.0))
+            ((rule.sign == Sign::NotNegative || rule.sign == Sign::Unit) && v < 0.0) ||
+            (rule.sign == Sign::Unit && v > 1.0))
           file_.refuse(e, std::string(rule.attribute) + ": expected " +
-                              (rule.sign == Sign::Positive ? "> 0" : ">= 0") + ", got \"" +
-                              e.Attribute(rule.attribute) + "\"");
+                              (rule.sign == Sign::Positive ? "> 0"
+                               : rule.sign == Sign::Unit   ? "0 to 1"
+                                                           : ">= 0") +
+                              ", got \"" + e.Attribute(rule.attribute) + "\"");
     }
     for (const auto* a = e.FirstAttribute(); a != nullptr; a = a->Next()) {
       const std::string_view name = a->Name();

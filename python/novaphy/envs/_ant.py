@@ -351,6 +351,9 @@ def build_ants(
         numbers = getattr(model, f"joint_{name}").numpy().reshape(num_worlds, DOFS)
         numbers[:, 6:] = value
         getattr(model, f"joint_{name}").assign(numbers.ravel())
+    # Friction of a pair is the mean, and surfaces have no margin, as in the task of D.VA.
+    model.shape_mixing.fill_(0.0)
+    model.shape_margin.fill_(0.0)
     return model
 
 

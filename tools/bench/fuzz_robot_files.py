@@ -226,7 +226,7 @@ def main() -> int:
         start = int(at.split()[0]) + 1 if at else args.count
     for kind, number in sorted(results.items()):
         print(f"{number:6d}  {kind}")
-    for text, place in sorted(notes.items())[:40]:
+    for text, place in sorted(notes.items())[:20]:
         print(f"{text}  (round {place})")
     for fault in faults:
         print(f"FAULT {fault}")

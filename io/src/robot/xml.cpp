@@ -225,6 +225,8 @@ void XmlFile::check_elements() const {
           refuse(*element, std::string("expected one attribute ") + a->Name() + ", got two");
       }
     }
+    if (node->ToText() != nullptr && !is_utf8(node->Value()))
+      refuse(*node->Parent()->ToElement(), "expected UTF-8");
     if (node->FirstChild() != nullptr) {
       node = node->FirstChild();
       ++depth;

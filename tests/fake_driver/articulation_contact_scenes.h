@@ -22,14 +22,20 @@ inline void add_box(ModelBuilder& b, const Vec3f& place, float size, const Shape
   for (size_t k = 0; k < 6; ++k) b.joint_qd[first + k] = v[k];
 }
 
-// Boxes that land, slide, roll and bounce on a plane, apart from each other.
+// Boxes that land, slide, roll and bounce on a plane, apart from each other. The materials of some
+// mix as in MuJoCo, by the larger friction, by weight, by priority, and with one without friction.
 inline ModelBuilder boxes() {
   ModelBuilder b;
-  b.add_ground_plane({.cfg = kSurface});
+  b.add_ground_plane({.cfg = {.mu = 0.6f, .mixing = {.priority = 1.0f, .weight = 1.0f}}});
   for (int k = 0; k < 5; ++k) {
     const auto x = static_cast<float>(k);
     add_box(b, {x, 0.1f * x, 0.13f}, 0.1f,
-            {.mu = 0.2f * x, .restitution = k % 2 == 0 ? 0.0f : 0.5f},
+            {.mu = 0.2f * x,
+             .restitution = k % 2 == 0 ? 0.0f : 0.5f,
+             .mixing = {.priority = 0.5f * x,
+                        .weight = k < 4 ? 0.5f : 0.0f,
+                        .inverse_mass = 0.2f,
+                        .mu = 0.3f}},
             {{0.5f * x, 0.3f, -0.5f * x}, {x, 0.2f, -0.1f}});
   }
   return b;

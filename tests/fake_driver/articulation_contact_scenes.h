@@ -26,7 +26,8 @@ inline void add_box(ModelBuilder& b, const Vec3f& place, float size, const Shape
 // mix as in MuJoCo, by the larger friction, by weight, by priority, and with one without friction.
 inline ModelBuilder boxes() {
   ModelBuilder b;
-  b.add_ground_plane({.cfg = {.mu = 0.6f, .mixing = {.priority = 1.0f, .weight = 1.0f}}});
+  b.add_ground_plane(
+      {.cfg = ShapeConfig{.mu = 0.6f, .mixing = {.priority = 1.0f, .weight = 1.0f}}});
   for (int k = 0; k < 5; ++k) {
     const auto x = static_cast<float>(k);
     add_box(b, {x, 0.1f * x, 0.13f}, 0.1f,

@@ -249,3 +249,27 @@ def test_gradients_go_to_the_shape_that_counts(name):
             assert (value(one) - value(-one)) / (2 * size) == pytest.approx(
                 got[k], rel=5e-3, abs=1e-3 * abs(together)
             )
+
+
+@pytest.mark.skipif(not novaphy.has_diff(), reason="needs NOVAPHY_WITH_DIFF")
+def test_a_tape_notices_that_the_mixing_was_written():
+    from novaphy import nova
+    from novaphy.diff import state_joint_qd_tensor
+
+    builder = novaphy.ModelBuilder()
+    builder.add_mjcf(scene("", BALL, 0.0995))
+    model = builder.finalize(requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    state, after, pipeline = model.state(), model.state(), novaphy.CollisionPipeline(model)
+    novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
+    contacts = pipeline.contacts()
+    pipeline.collide(state, contacts)
+    with nova.Tape() as tape:
+        solver.step(state, after, None, contacts, 0.001)
+        loss = nova.sum(state_joint_qd_tensor(after))
+    model.shape_mixing.fill_(0.0)
+    with pytest.raises(novaphy.Error, match="modified after recording"):
+        tape.backward(loss)
+    model.shape_mixing.requires_grad = True
+    with pytest.raises(NotImplementedError, match="shape_mixing"), nova.Tape():
+        solver.step(state, after, None, contacts, 0.001)

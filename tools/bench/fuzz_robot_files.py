@@ -25,6 +25,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 SECONDS, MEMORY, LARGEST = 30.0, 4 << 30, 100_000
@@ -170,6 +171,20 @@ def read(novaphy, path, mutated, chance, outside, collection) -> str:
     return "read"
 
 
+def said(process: subprocess.Popen) -> Iterator[str]:
+    """What the worker prints, until it ends or takes too long."""
+    data, wait = b"", 4 * SECONDS
+    while select.select([process.stdout], [], [], wait)[0]:
+        more = os.read(process.stdout.fileno(), 65536)
+        if not more:
+            return
+        *lines, data = (data + more).split(b"\n")
+        for line in lines:
+            if line.startswith(b"\0"):
+                yield line[1:].decode()
+        wait = SECONDS
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
@@ -189,22 +204,8 @@ def main() -> int:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
-        at, data = "", b""
-        while True:
-            while b"\n" not in data:
-                ready, _, _ = select.select(
-                    [process.stdout], [], [], 4 * SECONDS if not at else SECONDS
-                )
-                more = os.read(process.stdout.fileno(), 65536) if ready else b""
-                if not more:
-                    break
-                data += more
-            if b"\n" not in data:
-                break
-            line, _, data = data.partition(b"\n")
-            if not line.startswith(b"\0"):
-                continue
-            text = line[1:].decode()
+        at = ""
+        for text in said(process):
             if not text.startswith('"'):
                 at = text
                 continue

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Which robot files of the world load, and whether what loads is right, beside MuJoCo or Pinocchio.
 
-    python tools/bench/robot_files.py FOLDER [--kind mjcf|urdf] [--times] [--manifest OUT.json]
+    python tools/bench/robot_files.py FOLDER [--kind mjcf|urdf] [--manifest OUT.json]
 
 FOLDER has one folder a collection, such as an unpacked wheel of gymnasium or dm-control. Files with
 the same content count once, and so do pieces that other files include. A file is read when
@@ -9,23 +9,19 @@ add_mjcf or add_urdf, finalize and one step give finite numbers. What NovaPhy re
 options is compared with MuJoCo at random states: masses, inertias, poses, mass matrix, inverse
 dynamics, forces of joints and actuators, pairs of geoms that may meet; URDF files with Pinocchio:
 mass matrix and gravity, of those without mended parts. Files are read in a process of their own,
-which may crash or take too long. Needs mujoco, and pin for URDF. With --times files are only
-loaded, into a model, twice by each engine; the shorter time counts. Newton is one if it is there.
+which may crash or take too long. Needs mujoco, and pin for URDF.
 """
 
 from __future__ import annotations
 
 import argparse
 import collections
-import contextlib
 import hashlib
 import json
-import os
 import re
 import select
 import subprocess
 import sys
-import time
 import warnings
 from pathlib import Path
 
@@ -113,65 +109,6 @@ def work(task: dict) -> dict:
         result["mended"] = len(robot.report.mended)
         result["difference"] = compare(exact, model, robot)
     return result
-
-
-def load_novaphy(path: str, kind: str, folders: list[str]) -> None:
-    import novaphy
-
-    builder = novaphy.ModelBuilder()
-    add = builder.add_mjcf if kind == "mjcf" else builder.add_urdf
-    add(path, package_dirs=folders)
-    builder.finalize()
-
-
-def load_newton(path: str, kind: str) -> None:
-    import newton
-
-    builder = newton.ModelBuilder()
-    (builder.add_mjcf if kind == "mjcf" else builder.add_urdf)(path)
-    builder.finalize(device="cpu")
-
-
-def load_oracle(path: str, kind: str, folders: list[str]) -> None:
-    if kind == "mjcf":
-        import mujoco
-
-        mujoco.MjModel.from_xml_path(path)
-        return
-    import pinocchio
-
-    model = pinocchio.buildModelFromUrdf(path)
-    of = pinocchio.GeometryType
-    for what in (of.COLLISION, of.VISUAL):
-        pinocchio.buildGeomFromUrdf(
-            model, path, what, package_dirs=[str(Path(path).parent), *folders]
-        )
-
-
-def load_times(task: dict) -> dict:
-    """Seconds of each engine that loads the file."""
-    path, kind, folders = task["path"], task["kind"], task["folders"]
-    oracle = "MuJoCo" if kind == "mjcf" else "Pinocchio"
-    loads = {
-        "NovaPhy": lambda: load_novaphy(path, kind, folders),
-        oracle: lambda: load_oracle(path, kind, folders),
-        "Newton": lambda: load_newton(path, kind),
-    }
-    seconds = {}
-    warnings.simplefilter("ignore")
-    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
-        for engine, load in loads.items():
-            times = []
-            for _ in range(2):
-                start = time.perf_counter()
-                try:
-                    load()
-                except Exception:
-                    break
-                times.append(time.perf_counter() - start)
-            if len(times) == 2:
-                seconds[engine] = min(times)
-    return {"seconds": seconds}
 
 
 def compare(exact, model, robot) -> dict[str, float]:
@@ -494,20 +431,21 @@ def pairs_of(model, bodies, exact):
 def worker() -> None:
     for line in sys.stdin:
         task = json.loads(line)
-        print("\0" + json.dumps(load_times(task) if task["times"] else work(task)), flush=True)
+        print("\0" + json.dumps(work(task)), flush=True)
 
 
 # The main program.
 
 
 class Worker:
-    def __init__(self) -> None:
+    def __init__(self, script: str = __file__) -> None:
+        self.script = script
         self.process: subprocess.Popen | None = None
 
     def run(self, task: dict) -> dict:
         if self.process is None:
             self.process = subprocess.Popen(
-                [sys.executable, __file__, "--worker"],
+                [sys.executable, self.script, "--worker"],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
             )  # fmt: skip
         self.process.stdin.write(json.dumps(task) + "\n")
@@ -521,9 +459,7 @@ class Worker:
                 self.process.kill()
                 what = "took too long" if not ready else f"crashed ({self.process.wait()})"
                 self.process = None
-                return {
-                    "novaphy": what, "warn": what, "oracle": "?", "difference": {}, "seconds": {},
-                }  # fmt: skip
+                return {"novaphy": what, "warn": what, "oracle": "?", "difference": {}}
 
 
 def reason(text: str) -> str:
@@ -540,7 +476,6 @@ def main() -> None:
     parser.add_argument("--kind", choices=("mjcf", "urdf"), default="mjcf")
     parser.add_argument("--only", help="collections, separated by commas")
     parser.add_argument("--manifest", type=Path, help="writes all results to this file")
-    parser.add_argument("--times", action="store_true", help="how long files take to load")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.worker:
@@ -552,43 +487,16 @@ def main() -> None:
         if args.only and collection not in args.only.split(","):
             continue
         folders = [str(args.folder / collection)]
-        task = {"path": str(path), "kind": args.kind, "folders": folders, "times": args.times}
-        row = {
+        task = {"path": str(path), "kind": args.kind, "folders": folders}
+        rows.append({
             "collection": collection,
             "file": str(path.relative_to(args.folder)),
             "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
             **runner.run(task),
-        }
-        rows.append(row)
+        })  # fmt: skip
     if args.manifest:
         args.manifest.write_text(json.dumps(rows, indent=1))
-    (time_table if args.times else table)(rows, args.kind)
-
-
-def time_table(rows: list[dict], kind: str) -> None:
-    """Of the files that NovaPhy and the other engine load."""
-    print("| engine | files that both load | NovaPhy | the other one | ratio | worst ratio |")
-    print("|---|---|---|---|---|---|")
-    for other in ("MuJoCo" if kind == "mjcf" else "Pinocchio", "Newton"):
-        both = [r for r in rows if {"NovaPhy", other} <= set(r["seconds"])]
-        if not both:
-            continue
-        mine = [r["seconds"]["NovaPhy"] for r in both]
-        theirs = [r["seconds"][other] for r in both]
-        ratios = sorted(
-            (b / a, a, b, r["file"]) for a, b, r in zip(mine, theirs, both, strict=True)
-        )
-        print(
-            f"| {other} | {len(both)} | {sum(mine):.2f} s | {sum(theirs):.2f} s "
-            f"| {sum(theirs) / sum(mine):.2f} | {ratios[0][0]:.2f} |"
-        )
-        above = sum(ratio >= 5.0 for ratio, *_ in ratios)
-        print(
-            f"\n{other}: median ratio {ratios[len(ratios) // 2][0]:.2f}, {above} files of 5 or more"
-        )
-        for ratio, a, b, file in ratios[:12]:
-            print(f"  {ratio:7.2f}  {1e3 * a:9.2f} ms  {1e3 * b:9.2f} ms  {file}")
-        print()
+    table(rows, args.kind)
 
 
 def table(rows: list[dict], kind: str) -> None:

@@ -34,6 +34,29 @@ void ModelBuilder::upload_elements(Model& m) const {
   upload(m.particle_tet_material, tetrahedra_.material);
 }
 
+template <class Shapes>
+void upload_materials(const Shapes& shapes, Model& m) {
+  const auto of = [&](auto& array, float ShapeConfig::*number) {
+    std::vector<float> values;
+    for (const auto& s : shapes) values.push_back(s.cfg.*number);
+    upload(array, values);
+  };
+  of(m.shape_material_ke, &ShapeConfig::ke);
+  of(m.shape_material_kd, &ShapeConfig::kd);
+  of(m.shape_material_kf, &ShapeConfig::kf);
+  of(m.shape_material_ka, &ShapeConfig::ka);
+  of(m.shape_material_mu, &ShapeConfig::mu);
+  of(m.shape_material_restitution, &ShapeConfig::restitution);
+  of(m.shape_material_mu_torsional, &ShapeConfig::mu_torsional);
+  of(m.shape_material_mu_rolling, &ShapeConfig::mu_rolling);
+  std::vector<float> mixing;
+  for (const auto& s : shapes)
+    for (const float x :
+         {s.cfg.mixing.priority, s.cfg.mixing.weight, s.cfg.mixing.inverse_mass, s.cfg.mixing.mu})
+      mixing.push_back(x);
+  upload(m.shape_mixing, mixing);
+}
+
 std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptions& options) const {
   require_device(device);
   require(current_world_ < 0, ErrorKind::Runtime, "finalize: world ", current_world_,
@@ -120,20 +143,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
          column([](const Shape& s) { return static_cast<uint8_t>(s.cfg.is_solid); }));
   upload(m.shape_margin, column([](const Shape& s) { return s.cfg.margin; }));
   upload(m.shape_gap, column([](const Shape& s) { return s.gap; }));
-  upload(m.shape_material_ke, column([](const Shape& s) { return s.cfg.ke; }));
-  upload(m.shape_material_kd, column([](const Shape& s) { return s.cfg.kd; }));
-  upload(m.shape_material_kf, column([](const Shape& s) { return s.cfg.kf; }));
-  upload(m.shape_material_ka, column([](const Shape& s) { return s.cfg.ka; }));
-  upload(m.shape_material_mu, column([](const Shape& s) { return s.cfg.mu; }));
-  upload(m.shape_material_restitution, column([](const Shape& s) { return s.cfg.restitution; }));
-  upload(m.shape_material_mu_torsional, column([](const Shape& s) { return s.cfg.mu_torsional; }));
-  upload(m.shape_material_mu_rolling, column([](const Shape& s) { return s.cfg.mu_rolling; }));
-  std::vector<float> mixing;
-  for (const Shape& s : shapes_)
-    for (const float x :
-         {s.cfg.mixing.priority, s.cfg.mixing.weight, s.cfg.mixing.inverse_mass, s.cfg.mixing.mu})
-      mixing.push_back(x);
-  upload(m.shape_mixing, mixing);
+  upload_materials(shapes_, m);
   const auto bounds = column([](const Shape& s) {
     return s.mesh ? detail::mesh_bounds(s.mesh->vertices, s.scale)
                   : detail::shape_bounds(s.type, s.scale);

@@ -61,6 +61,9 @@ struct GroupTangent : GroupLists {
   float friction_impulse(int32_t i, int32_t dof) const {
     return all.friction_impulses[rows(i).first_dof + dof];
   }
+  articulation::DualMaterials materials() const {
+    return {all.mu, all.restitution, all.ke, all.kd, a.mixing};
+  }
   articulation::DualContact& row(int32_t place) const {
     return reinterpret_cast<articulation::DualContact*>(island_memory())[place - first_place()];
   }
@@ -122,8 +125,7 @@ NOVAPHY_ROW_KERNEL(articulation_contact_jvp, ArticulationContactJvpArguments) {
     int32_t widths[2];
     articulation::set_widths(s.all_rows, contact.sides, widths);
     for (int side = 0; side < 2; ++side) contact.solver.sides[side].width = widths[side];
-    articulation::build_dual_contact(s.contacts, s, in.qd, law,
-                                     {a.mu, a.restitution, a.ke, a.kd, a.of.mixing},
+    articulation::build_dual_contact(s.contacts, s, in.qd, law, s.materials(),
                                      a.impulses[contact.contact], numbers, contact);
     for (const articulation::DualSide& m : contact.moved) numbers += 6 * m.dofs;
   }

@@ -176,6 +176,7 @@ std::vector<Tensor> reads_of(const Step& s) {
   std::vector<Tensor> all;
   for (const Named& in : s.inputs) all.push_back(in.tensor);
   for (size_t i = kFrameP; i <= kTargetMode; ++i) all.push_back(s.values[i].tensor);
+  if (s.inputs[kMu].tensor.defined()) all.push_back(tensor_of(s.model->shape_mixing));
   return all;
 }
 

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -107,6 +108,11 @@ inline Quatd turn(const Vec3d& axis, double angle) {
 Quatd turn_from_z(const Vec3d& to);
 // R I R^T
 Mat33d turned(const Quatd& q, const Mat33d& inertia);
+
+// A picture of a mesh of several materials, as a shape for each color. `known`: parts that were
+// made before. One of more than 64 colors stays whole.
+using MeshParts = std::map<std::shared_ptr<const Mesh>, std::vector<std::shared_ptr<const Mesh>>>;
+void add_parts(const RobotShape& whole, MeshParts& known, std::vector<RobotShape>& to);
 
 // Adds what has a mass, a centre and an inertia about that, in the frame of the link.
 void add_mass(RobotLink& to, double mass, const Vec3d& com, const Mat33d& inertia);

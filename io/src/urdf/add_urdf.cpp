@@ -9,8 +9,6 @@ namespace novaphy {
 namespace detail {
 namespace {
 
-constexpr size_t kMostParts = 64;  // of a mesh, by color
-
 Vec3d to_vec(const urdf::Vector3& v) { return {v.x, v.y, v.z}; }
 
 // What rounding leaves of rpy is taken out: the quaternion has unit length.
@@ -188,26 +186,10 @@ class Reader {
         fail(ErrorKind::NotImplemented, "add_urdf: ", where, ": a shape that is not read");
     }
     if (!is_collider && !color && shape.surface != nullptr && !shape.surface->colors.empty())
-      add_parts(to, shape);
+      add_parts(shape, parts_, to.shapes);
     else
       to.shapes.push_back(std::move(shape));
     return true;
-  }
-
-  // A picture of several materials is a shape for each.
-  void add_parts(RobotLink& to, const RobotShape& whole) {
-    auto& parts = parts_[whole.surface];
-    if (parts.empty())
-      for (Mesh& part : parts_by_color(*whole.surface))
-        parts.push_back(std::make_shared<const Mesh>(std::move(part)));
-    if (parts.size() > kMostParts) return to.shapes.push_back(whole);
-    for (size_t k = 0; k < parts.size(); ++k) {
-      RobotShape& shape = to.shapes.emplace_back(whole);
-      if (k > 0) shape.label += "/part_" + std::to_string(k);
-      shape.surface = parts[k];
-      shape.color.reset();
-      if (const auto& c = parts[k]->color) shape.color = Vec4f{c->x, c->y, c->z, 1.0f};
-    }
   }
 
   // A mesh that cannot be read is no reason to refuse a robot of which it is only a picture.
@@ -360,7 +342,7 @@ class Reader {
   MendedUrdf mended_;
   UrdfElements elements_;
   std::map<std::string, std::shared_ptr<const Mesh>> meshes_;  // by path
-  std::map<std::shared_ptr<const Mesh>, std::vector<std::shared_ptr<const Mesh>>> parts_;
+  MeshParts parts_;
   std::map<std::string, int> types_;  // of joints
   Robot robot_;
 };

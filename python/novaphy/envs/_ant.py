@@ -111,8 +111,7 @@ class AntWorlds:
             )
             for name, value in VARIED.items()
         }
-        self.frame = np.zeros(num_worlds, np.int64)  # since the start of each
-        self._resets = 0
+        self.frame, self._resets = np.zeros(num_worlds, np.int64), 0  # frame: since each start
         self.reset()
 
     @property
@@ -342,18 +341,16 @@ def build_ants(
     file: str, num_worlds: int, requires_grad: bool = False, device: str | None = None
 ) -> Model:
     """Ants of a file of `novaphy.assets`, each in a world of its own over its own ground."""
-    one = ModelBuilder()
+    one, many = ModelBuilder(), ModelBuilder()
     one.add_mjcf(assets.path(file))
-    many = ModelBuilder()
     many.replicate(one, num_worlds)
     model = many.finalize(device, requires_grad=requires_grad)
-    for name, value in (("limit_ke", LIMIT_KE), ("limit_kd", LIMIT_KD)):
-        numbers = getattr(model, f"joint_{name}").numpy().reshape(num_worlds, DOFS)
+    for array, value in ((model.joint_limit_ke, LIMIT_KE), (model.joint_limit_kd, LIMIT_KD)):
+        numbers = array.numpy().reshape(num_worlds, DOFS)
         numbers[:, 6:] = value
-        getattr(model, f"joint_{name}").assign(numbers.ravel())
-    # Friction of a pair is the mean, and surfaces have no margin, as in the task of D.VA.
-    model.shape_mixing.fill_(0.0)
-    model.shape_margin.fill_(0.0)
+        array.assign(numbers.ravel())
+    for of_mujoco in (model.shape_mixing, model.shape_margin):  # not of D.VA
+        of_mujoco.fill_(0.0)
     return model
 
 

@@ -388,10 +388,7 @@ inline bool has_geometry(const AdjointContact& row) {
          (row.solver.shifted > 0.0f && row.target.shift_bounce > 0.0f);
 }
 
-// -z . d(rows)/dp of a contact, for both shapes, by their parts.
-struct MaterialGradient {
-  float mu[2] = {}, restitution[2] = {}, ke[2] = {}, kd[2] = {};
-};
+// -z . d(rows)/dp of a contact.
 inline MaterialGradient material_gradient(const ContactLaw<float>& law,
                                           const ContactMaterial<float>& of, const PairParts& parts,
                                           const AdjointContact& row) {
@@ -409,8 +406,7 @@ inline MaterialGradient material_gradient(const ContactLaw<float>& law,
   give(to.mu, parts.friction, -(z[1] * by_friction[0] + z[2] * by_friction[1]));
   if (row.target.bounce > 0.0f) {
     const float y = row.target.shift_bounce > 0.0f ? row.shift_z : 0.0f;
-    constexpr float kMeans[] = {kMeanPart, kMeanPart};
-    give(to.restitution, kMeans, -(z[0] + y) * row.before);
+    give(to.restitution, parts.restitution, -(z[0] + y) * row.before);
   }
   if (!law.compliant) return to;
   const double dt = law.dt, soft = dt * of.stiffness + of.damping;

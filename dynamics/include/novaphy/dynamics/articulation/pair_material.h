@@ -12,10 +12,14 @@ namespace novaphy::articulation {
 
 struct PairParts {
   float friction[2] = {0.5f, 0.5f};
+  float restitution[2] = {0.5f, 0.5f};
   float softness[2] = {0.5f, 0.5f};  // of ke and kd
   float more_friction = 0.0f;
 };
-inline constexpr float kMeanPart = 0.5f;  // of restitution
+// The gradients of both shapes, by their parts.
+struct MaterialGradient {
+  float mu[2] = {}, restitution[2] = {}, ke[2] = {}, kd[2] = {};
+};
 
 // `mixing`: of ShapeMixing, the four numbers of each shape; `mu`: of each shape.
 inline PairParts pair_parts(const float* mixing_a, const float* mixing_b, float mu_a, float mu_b) {
@@ -61,7 +65,7 @@ ContactMaterial<T> pair_material(const MaterialsOf<T>& of, const PairParts& part
     return T(part[0]) * x[a] + T(part[1]) * x[b];
   };
   return {sum(of.mu, parts.friction) + T(parts.more_friction),
-          T(kMeanPart) * (of.restitution[a] + of.restitution[b]), sum(of.ke, parts.softness),
+          sum(of.restitution, parts.restitution), sum(of.ke, parts.softness),
           sum(of.kd, parts.softness)};
 }
 

@@ -93,7 +93,7 @@ void bind_shape_config(py::module_& m) {
         "collision_filter_parent"_a = d.collision_filter_parent,
         "has_shape_collision"_a = d.has_shape_collision,
         "has_particle_collision"_a = d.has_particle_collision, "is_visible"_a = d.is_visible,
-        "mixing"_a = std::array<float, 4>{});
+        "mixing"_a = py::make_tuple(0.0f, 0.0f, 0.0f, 0.0f));
   bind_members(c);
   bind_mixing(c);
   c.def_property_readonly("flags", &ShapeConfig::flags, "The bits of Model.shape_flags.")

@@ -667,7 +667,7 @@ class ShapeConfig(_Native):
         has_shape_collision: bool = True,
         has_particle_collision: bool = True,
         is_visible: bool = True,
-        mixing: Sequence[SupportsFloat] = ...,
+        mixing: Sequence[SupportsFloat] = (0.0, 0.0, 0.0, 0.0),
     ) -> None: ...
     density: float
     ke: float
@@ -686,10 +686,7 @@ class ShapeConfig(_Native):
     has_shape_collision: bool
     has_particle_collision: bool
     is_visible: bool
-    @property
-    def mixing(self) -> tuple[float, float, float, float]: ...
-    @mixing.setter
-    def mixing(self, value: Sequence[SupportsFloat], /) -> None: ...
+    mixing: tuple[float, float, float, float]
     @property
     def flags(self) -> int: ...
     def copy(self) -> ShapeConfig: ...

@@ -28,8 +28,7 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
     if (in.tensor.defined()) op.inputs.push_back(in.tensor);
   op.reads = op.inputs;
   for (const Named& value : step->values) op.reads.push_back(value.tensor);
-  if (step->inputs[kMu].tensor.defined())
-    op.reads.push_back(tensor_of(step->model->shape_mixing));
+  if (step->inputs[kMu].tensor.defined()) op.reads.push_back(tensor_of(step->model->shape_mixing));
   // Of a single step, which may be run again from a checkpoint, qdd and branch are outputs too.
   const bool single = step->following.empty();
   const auto add_step = [&](const StepOutputs& out) {

@@ -33,14 +33,13 @@ from house_sources import (
     python_functions,
     read_sources,
 )
+from ratchet import Counts, check_or_write
 
 MOST_FUNCTION_LINES = 60
 MOST_FILE_LINES = 400
 MOST_DRIVES = 8  # of the drive arrays of a joint that a file names, of twelve
 
 # ---- counts ----
-
-Counts = dict[str, int]  # entry -> its number
 
 
 def long_functions(sources: list[Source]) -> Counts:
@@ -150,49 +149,6 @@ HEAD = """\
 """
 
 
-def read_lists(path: Path) -> dict[str, Counts]:
-    lists: dict[str, Counts] = {title: {} for title in COUNTS}
-    title = ""
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if line.startswith("["):
-            title = line.strip("[]")
-        elif line and not line.startswith("#"):
-            number, entry = line.split(" ", 1)
-            lists.setdefault(title, {})[entry] = int(number)
-    return lists
-
-
-def write_lists(path: Path, lists: dict[str, Counts]) -> None:
-    parts = [HEAD]
-    for title, counts in lists.items():
-        parts.append(f"\n[{title}]\n")
-        parts += [f"{number} {entry}\n" for entry, number in sorted(counts.items())]
-    path.write_text("".join(parts), encoding="utf-8")
-
-
-def compare(listed: dict[str, Counts], now: dict[str, Counts]) -> tuple[list[str], list[str]]:
-    """What became worse, and what became better."""
-    worse, better = [], []
-    for title, counts in now.items():
-        known = listed[title]
-        for entry, number in counts.items():
-            if number > known.get(entry, 0):
-                was = f"was {known[entry]}" if entry in known else "is new"
-                worse.append(f"{title}: {entry}: {number}, {was}")
-        for entry, number in known.items():
-            if counts.get(entry, 0) < number:
-                better.append(f"{title}: {entry}: {counts.get(entry, 'none')}, was {number}")
-    return worse, better
-
-
-def shrunk(listed: dict[str, Counts], now: dict[str, Counts]) -> dict[str, Counts]:
-    """The lists with lower numbers, and without what is mended."""
-    return {
-        title: {e: min(n, counts[e]) for e, n in listed[title].items() if counts.get(e)}
-        for title, counts in now.items()
-    }
-
-
 # ---- printing ----
 
 
@@ -235,20 +191,7 @@ def main(arguments: list[str]) -> int:
         print_counts(now, options.lists)
         return 0
     path = options.root / "tools" / "lint" / "house.txt"
-    listed = read_lists(path) if path.exists() or not options.write else now
-    worse, better = compare(listed, now)
-    for fault in worse:
-        print(f"worse: {fault}")
-    if options.write:
-        write_lists(path, shrunk(listed, now))
-        print(f"measure_house: {len(better)} entries written")
-    else:
-        for gain in better:
-            print(f"better: {gain}")
-        if better:
-            print("measure_house: write the lower numbers with tools/lint/measure_house.py --write")
-    print(f"measure_house: {len(sources)} files, {len(worse)} faults")
-    return 1 if worse else 0
+    return check_or_write("measure_house", path, HEAD, now, options.write, len(sources))
 
 
 if __name__ == "__main__":

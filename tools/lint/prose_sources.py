@@ -1,0 +1,106 @@
+"""The prose of the repository as blocks of plain words: what check_prose.py counts."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+LIBRARIES = ("backends", "core", "nova", "io", "collision", "dynamics", "vbd", "diff")
+# Group -> the patterns of its files, below the root.
+GROUPS = {
+    "README": ("README.md",),
+    "guides": ("docs/guide/*.md",),
+    "pages": ("docs/*.md", "CONTRIBUTING.md"),
+    "design notes": ("docs/design/**/*.md",),
+    "docstrings": ("python/novaphy/**/*.py", "python/src/*.cpp"),
+    "header comments": tuple(f"{library}/**/*.h" for library in LIBRARIES),
+}
+
+FENCE = re.compile(r"^(```|~~~).*?^\1[^\n]*$", re.MULTILINE | re.DOTALL)
+SKIPPED = re.compile(r"^(#|<|!\[|\|[-| :]+\|$|\[[^\]]+\]: )")  # headings, HTML, pictures, rules
+ITEM = re.compile(r"^\s*([-*]|\d+\.)\s+")
+CELLS = re.compile(r"(?<!\\)\|")
+CODE = re.compile(r"``.+?``|`[^`]+`")
+LINKED = re.compile(r"!?\[([^\]]*)\]\([^)]*\)")
+# A string literal of C++, raw or not, and neighboring ones.
+LITERAL = re.compile(r'R"\((.*?)\)"|"((?:\\.|[^"\\\n])*)"', re.DOTALL)
+LITERALS = re.compile(r'(?:R"\(.*?\)"|"(?:\\.|[^"\\\n])*"|\s)+', re.DOTALL)
+
+
+@dataclass
+class Text:
+    """A file and its blocks of prose: paragraphs, list items, cells of tables."""
+
+    name: str
+    group: str
+    blocks: list[str]
+
+
+def plain(text: str) -> str:
+    """Prose on one line; a piece of code or a link is its words."""
+    text = CODE.sub("code", " ".join(text.split()))
+    return LINKED.sub(r"\1", text).replace("**", "").replace("\\", "")
+
+
+def markdown_blocks(text: str) -> Iterator[str]:
+    """Yield paragraphs, list items and cells of tables; code and headings are left out."""
+    lines: list[str] = []
+    for line in [*FENCE.sub("", text).splitlines(), ""]:
+        starts = not line.strip() or SKIPPED.match(line) or line.startswith("|") or ITEM.match(line)
+        if starts and lines:
+            yield plain(" ".join(lines))
+            lines = []
+        if line.startswith("|") and not SKIPPED.match(line):
+            covered = CODE.sub("`code`", line)
+            yield from (plain(cell) for cell in CELLS.split(covered) if cell.strip())
+        elif line.strip() and not SKIPPED.match(line):
+            lines.append(ITEM.sub("", line))
+
+
+def docstring_blocks(text: str) -> Iterator[str]:
+    """Yield paragraphs and arguments; code, whose lines stand deeper than their neighbors, not."""
+    for paragraph in re.split(r"\n\s*\n", text):
+        kept = [line for line in paragraph.splitlines() if not re.match(r"\s*(>>>|\.\.\. )", line)]
+        for part in re.split(r"\n(?=\s*[\w, /*]+: )", "\n".join(kept)):
+            yield plain(part)
+
+
+def python_blocks(text: str) -> Iterator[str]:
+    """Yield the blocks of all docstrings of a Python file."""
+    kinds = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, kinds) and (docstring := ast.get_docstring(node)):
+            yield from docstring_blocks(docstring)
+
+
+def binding_blocks(text: str) -> Iterator[str]:
+    """Yield the blocks of the docstrings in a file of bindings: literals that end a sentence."""
+    for found in LITERALS.finditer(re.sub(r"^\s*(//|#).*$", "", text, flags=re.MULTILINE)):
+        parts = [raw or quoted for raw, quoted in LITERAL.findall(found.group())]
+        docstring = "".join(parts).replace("\\n", "\n").replace('\\"', '"')
+        if re.match(r"[A-Z]\S*( \S+){3}", docstring) and docstring.rstrip().endswith((".", ")")):
+            yield from docstring_blocks(docstring)
+
+
+def head_blocks(text: str) -> Iterator[str]:
+    """Yield the paragraphs of the comment at the head of a header; formulas are left out."""
+    head = re.match(r"(?:#pragma once\s*)?((?://[^\n]*\n)*)", text)
+    lines = [line[2:] for line in head[1].splitlines()]
+    prose = "\n".join("" if line.startswith("   ") else line for line in lines)
+    yield from (plain(paragraph) for paragraph in re.split(r"\n\s*\n", prose))
+
+
+def read_texts(root: Path) -> list[Text]:
+    """Read the prose of all groups; build trees are left out."""
+    readers = {".md": markdown_blocks, ".py": python_blocks, ".cpp": binding_blocks}
+    texts = []
+    for group, patterns in GROUPS.items():
+        for path in sorted({p for pattern in patterns for p in root.glob(pattern)}):
+            name = path.relative_to(root).as_posix()
+            reader = readers.get(path.suffix, head_blocks)
+            blocks = [block for block in reader(path.read_text(encoding="utf-8")) if block]
+            texts.append(Text(name, group, blocks))
+    return texts

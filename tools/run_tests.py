@@ -183,15 +183,15 @@ def step(function: Callable[[], None]) -> Callable[[], None]:
 
 @step
 def lint() -> None:
-    """Includes keep the layers; counted faults shrink; ruff; shell scripts parse."""
-    run("lint", sys.executable, "tools/lint/check_layers.py")
-    run("lint", sys.executable, "tools/lint/measure_house.py", "--check")
+    """Includes keep the layers; counted faults shrink; spelling; ruff; shell scripts parse."""
+    for program in ("check_layers.py", "measure_house.py --check", "check_prose.py --check"):
+        run("lint", sys.executable, *f"tools/lint/{program}".split())
     for line in (LOGS / "lint.log").read_text(encoding="utf-8").splitlines():
-        if line.startswith(("better:", "measure_house: write")):
+        if line.startswith("better:") or ": write the lower" in line:
             print(f"   {line}")
-    ruff = Path(sys.executable).with_name("ruff")
-    run("lint", ruff, "check", "--no-cache", "--output-format=concise")
-    run("lint", ruff, "format", "--no-cache", "--check")
+    for command in ("codespell README.md docs python", "ruff check -n", "ruff format -n --check"):
+        program, *options = command.split()
+        run("lint", Path(sys.executable).with_name(program), *options)
     for script in ("tools/setup.sh", "tools/run_ball.sh", "tools/run_tests.sh", ".ci/run"):
         run("lint", "bash", "-n", script)
 

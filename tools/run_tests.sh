@@ -26,5 +26,6 @@ for step in "${@:-tests}"; do
 done
 install_packages "${packages[@]}"
 find_python
-make_venv build/venv/tools "${WHEEL_REQUIREMENTS[@]}" "ruff==0.17.6"  # a newer one may ask for more
+# Newer versions of the lints may ask for more.
+make_venv build/venv/tools "${WHEEL_REQUIREMENTS[@]}" "ruff==0.17.6" "codespell==2.4.3"
 exec build/venv/tools/bin/python tools/run_tests.py "$@" </dev/null

@@ -78,20 +78,20 @@ def plot(path: str, poses: np.ndarray) -> None:
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(11.0, 4.2), width_ratios=(4.4, 6.6), layout="constrained"
     )
-    colours = ("#2a6f97", "#c1666b", "#4f772d")
+    colors = ("#2a6f97", "#c1666b", "#4f772d")
     left.plot(np.arange(len(poses)) / FPS, poses[:, :, 2])
-    for line, colour in zip(left.lines, colours, strict=True):
-        line.set_color(colour)
+    for line, color in zip(left.lines, colors, strict=True):
+        line.set_color(color)
     left.axhline(HALF, color="0.6", linestyle=":")
-    left.set(xlabel="time (s)", ylabel="height (m)", title="Centres of the dice")
+    left.set(xlabel="time (s)", ylabel="height (m)", title="Centers of the dice")
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     edges = [(a, b) for a in range(8) for b in range(a) if bin(a ^ b).count("1") == 1]
     for frame in np.linspace(0, len(poses) - 1, 10).astype(int):
-        for pose, colour in zip(poses[frame], colours, strict=True):
+        for pose, color in zip(poses[frame], colors, strict=True):
             corners = pose[:3] + rotate(pose[3:], HALF * signs)
             for a, b in edges:
                 alpha = 0.15 + 0.85 * frame / max(len(poses) - 1, 1)
-                right.plot(*corners[[a, b]][:, [0, 2]].T, color=colour, alpha=alpha, lw=0.8)
+                right.plot(*corners[[a, b]][:, [0, 2]].T, color=color, alpha=alpha, lw=0.8)
     right.axhline(0.0, color="0.3")
     right.set(xlabel="x (m)", ylabel="z (m)", title="From the side", aspect="equal")
     figure.savefig(path, dpi=140)

@@ -241,8 +241,8 @@ def plot(path: str, model: novaphy.Model, poses: np.ndarray, points: np.ndarray)
                 continue
             pose = poses[frame, body]
             if is_ball[shape]:
-                centre, radius = pose[[view, 2]], scale[shape, 0]
-                axis.add_patch(plt.Circle(centre, radius, fill=False, color="#c1121f"))
+                center, radius = pose[[view, 2]], scale[shape, 0]
+                axis.add_patch(plt.Circle(center, radius, fill=False, color="#c1121f"))
                 continue
             corners = pose[:3] + rotate(pose[3:], scale[shape] * signs)
             for a, b in edges:

@@ -135,11 +135,11 @@ LOOKS = {
 
 def turned(rest: np.ndarray, angle: float) -> np.ndarray:
     """Points about the x axis of the bar: the right end by half of the angle, the left against."""
-    centre = np.array([0.0, 0.0, 0.4], np.float32)
+    center = np.array([0.0, 0.0, 0.4], np.float32)
     signed = np.where(rest[:, 0] > 0.5, 0.5, -0.5) * angle
-    x, y, z = (rest - centre).T
+    x, y, z = (rest - center).T
     c, s = np.cos(signed), np.sin(signed)
-    return np.stack([x, c * y - s * z, s * y + c * z], 1).astype(np.float32) + centre
+    return np.stack([x, c * y - s * z, s * y + c * z], 1).astype(np.float32) + center
 
 
 def simulate(
@@ -273,8 +273,8 @@ def plot(path: str, model: novaphy.Model, positions: np.ndarray) -> None:
             for spring in model.particle_spring_indices.numpy().reshape(-1, 2):
                 axes.plot(x[spring], y[spring], z[spring], color="#5b8db8", lw=0.5)
         low, high = positions.min((0, 1)), positions.max((0, 1))
-        centre, half = (low + high) / 2, (high - low).max() / 2
-        for axis, c in zip("xyz", centre, strict=True):
+        center, half = (low + high) / 2, (high - low).max() / 2
+        for axis, c in zip("xyz", center, strict=True):
             axes.set(**{f"{axis}lim": (c - half, c + half)})
         axes.set_title(f"{frame / FPS:.2f} s")
     figure.savefig(path, dpi=110)

@@ -13,7 +13,7 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
     "novaphy": {
         "streams": ("Stream", "ScopedStream", "get_stream"),
         "surface meshes as objects": ("geometry",),
-        "helpers for poses and colours": ("utils",),
+        "helpers for poses and colors": ("utils",),
     },
     "novaphy.solvers": {
         "rigid bodies, which SolverFeatherstone moves": ("SolverXPBD", "SolverSequentialImpulse"),

@@ -198,7 +198,7 @@ void bind_worlds(py::class_<ModelBuilder>& c) {
           },
           "builder"_a, "world_count"_a, "spacing"_a = py::make_tuple(0.0, 0.0, 0.0),
           "add_world `world_count` times on a grid of `spacing` (m) over the axes where it is not "
-          "0, centred at the origin but for the up axis, which starts at 0.");
+          "0, centered at the origin but for the up axis, which starts at 0.");
 }
 
 std::optional<Mat33f> to_inertia(py::handle value) {
@@ -218,7 +218,7 @@ void bind_bodies(py::class_<ModelBuilder>& c) {
   bind_builder_list(c, "body_q", &ModelBuilder::body_q,
                     "Initial poses of the body origins: m, quaternion xyzw, world frame.");
   bind_builder_list(c, "body_qd", &ModelBuilder::body_qd,
-                    "Initial velocities: of the centre of mass, m/s, then angular, rad/s; world "
+                    "Initial velocities: of the center of mass, m/s, then angular, rad/s; world "
                     "frame.");
   const auto bind = [&](const char* name, int32_t (ModelBuilder::*add)(const BodyArgs&),
                         const char* doc) {
@@ -247,7 +247,7 @@ void bind_bodies(py::class_<ModelBuilder>& c) {
       "world, and an articulation of that. `mass` (kg), `com` (m, body frame) and `inertia` (3x3, "
       "kg*m^2 about com; None: a point mass) are the base, to which shapes with a density add "
       "theirs unless lock_inertia. is_kinematic: it follows its velocity, no force moves it. "
-      "gravcomp: the part of its weight that a force at its centre of mass takes away. "
+      "gravcomp: the part of its weight that a force at its center of mass takes away. "
       "Returns the index. ValueError: a mass or inertia that no body has, also from finalize.");
   bind("add_link", &ModelBuilder::add_link,
        "As add_body, without a joint: finalize refuses a link that is the child of none. It may "

@@ -391,11 +391,11 @@ void bind_coloring(Builder& c) {
          b.color({.include_bending = include_bending, .balance_colors = balance_colors});
        },
        "include_bending"_a = py::none(), "balance_colors"_a = true,
-       "Colours the particles for SolverVBD, so that no two of one element have the same colour: "
+       "Colors the particles for SolverVBD, so that no two of one element have the same color: "
        "springs, triangles, tetrahedra, and bending edges that have a stiffness or damping "
        "(include_bending None or True). include_bending False: the corners of a bending edge may "
-       "share a colour; a stiff one then converges badly or not at all. balance_colors: moves "
-       "particles until the colours are about equally large. Call it after the elements are "
+       "share a color; a stiff one then converges badly or not at all. balance_colors: moves "
+       "particles until the colors are about equally large. Call it after the elements are "
        "added.")
       .def(
           "set_coloring",
@@ -406,8 +406,8 @@ void bind_coloring(Builder& c) {
             b.set_coloring(lists, allow_conflicts);
           },
           "groups"_a, "allow_conflicts"_a = false,
-          "The particles of each colour. ValueError: an empty group, a particle in two groups or "
-          "in none, an element with two corners of one colour unless allow_conflicts. IndexError: "
+          "The particles of each color. ValueError: an empty group, a particle in two groups or "
+          "in none, an element with two corners of one color unless allow_conflicts. IndexError: "
           "a particle that is not there.");
 }
 

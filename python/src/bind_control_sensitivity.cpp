@@ -120,7 +120,7 @@ void bind_control_sensitivity(py::module_& solvers) {
           "give, so another solver, control, dt or contacts. Nothing has changed then.")
       .def_property_readonly(
           "dq", [](const Sensitivity& s) { return to_matrix(s.dq(), s.dof_count()); },
-          "{dofs, parameters}: of joint_q; of a FREE root the tangent (its centre of mass, then "
+          "{dofs, parameters}: of joint_q; of a FREE root the tangent (its center of mass, then "
           "its "
           "turn).")
       .def_property_readonly(

@@ -471,7 +471,7 @@ void bind_rollout(py::module_& solvers) {
       "the "
       "bits of a loop of step in which every step starts from the force in trajectory.particle_f. "
       "forces {n, 3} or {steps, n, 3} (N, world frame) act besides it, in every step or each in "
-      "its own; body_forces {b, 6} or {steps, b, 6} (N, N*m about the centre of mass, world frame) "
+      "its own; body_forces {b, 6} or {steps, b, 6} (N, N*m about the center of mass, world frame) "
       "besides body_f. targets {k, 3} or {steps, k, 3} (m, world frame) are where the k held "
       "particles of SolverVBD or DiffSolverVBD are at the end of a step; NotImplementedError for "
       "other solvers. pipeline: a CollisionPipeline that finds the contacts of every step anew, "

@@ -122,14 +122,14 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
       "After SolverFeatherstone.step on an active tape: records that step of a planar arm of two "
       "links with the exact adjoint in closed form, from q, qd {2} to q_out, qd_out {2}. "
       "novaphy.Error, with the first condition that is not met: one articulation of two links on "
-      "the world, REVOLUTE about +Y, without rotated frames, centres of mass at the bodies' "
+      "the world, REVOLUTE about +Y, without rotated frames, centers of mass at the bodies' "
       "origins, no drives, damping, friction, joint_f or body_f, gravity along -Z; and when q_out "
       "and qd_out are not what the closed form gives (a clamp, another angular_damping). Without a "
       "tape it only checks.");
   m.def("planar_2r_tip_loss", &diff::planar_2r_tip_loss, "model"_a, "q"_a, "target_x"_a,
         "target_z"_a, release_gil(),
         "|tip - target|^2 {1} (m^2) of the arm of record_planar_2r_featherstone_step at q {2}, in "
-        "XOZ; the tip is as far behind the last centre of mass as the joint before it. Exact.");
+        "XOZ; the tip is as far behind the last center of mass as the joint before it. Exact.");
 }
 
 }  // namespace novaphy::python

@@ -130,7 +130,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       "state"_a, "contacts"_a = py::none(),
       "The longest dt (s) at which springs, dampers and friction as far as it sticks are stable "
       "together, of the elements of particles at rest and of the contacts that touch in the state, "
-      "whatever the neighbours of a body or particle do; inf where none acts. A longer one may do, "
+      "whatever the neighbors of a body or particle do; inf where none acts. A longer one may do, "
       "for friction ends at its cone. ValueError: a state or contacts of another model, contacts "
       "that have overflowed.");
   add_fast_step(semi_implicit);

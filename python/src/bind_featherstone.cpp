@@ -66,7 +66,7 @@ void bind_functions(py::module_& m) {
       "The forces of dofs {dofs} (N, N*m) with which state.joint_q and joint_qd have the "
       "accelerations qdd {dofs}: H qdd + bias, armature included. Drives, limits and body_f take "
       "no "
-      "part. Rates and forces of a FREE joint are of its centre of mass, in the axes of the "
+      "part. Rates and forces of a FREE joint are of its center of mass, in the axes of the "
       "joint's "
       "frame in the parent.");
   m.def(
@@ -115,7 +115,7 @@ void bind_functions(py::module_& m) {
       "model"_a, "state"_a, "qdd"_a,
       "(dtau_dq, dtau_dqd, H) of eval_inverse_dynamics, {articulations, D, D} each; analytic. "
       "Columns of q are tangents, one per dof: a BALL turns by exp(e) on the left, a FREE joint "
-      "moves its centre of mass and turns about it.");
+      "moves its center of mass and turns about it.");
   m.def(
       "eval_forward_dynamics_derivatives",
       [](const Model& model, const SimState& state, py::handle tau) {

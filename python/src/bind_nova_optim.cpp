@@ -1,4 +1,4 @@
-// Optimisers and clipping.
+// Optimizers and clipping.
 #include "nova_types.h"
 #include "novaphy/nova/optim.h"
 
@@ -83,15 +83,15 @@ void bind_clipping(py::module_& m) {
 
 // What both classes have.
 template <class C>
-void bind_optimiser(py::class_<C>& c) {
+void bind_optimizer(py::class_<C>& c) {
   c.def("__repr__",
         [](const py::object& self) {
-          const C& optimiser = self.cast<const C&>();
+          const C& optimizer = self.cast<const C&>();
           std::string shapes;
-          for (const Tensor& p : optimiser.params())
+          for (const Tensor& p : optimizer.params())
             shapes += (shapes.empty() ? "" : ", ") + shape_text(p.shape());
           return std::string(py::str(py::type::of(self).attr("__name__"))) + "(params=[" + shapes +
-                 "], lr=" + number_text(optimiser.lr()) + ")";
+                 "], lr=" + number_text(optimizer.lr()) + ")";
         })
       .def("step", &C::step, release_gil(),
            "One step of all parameters, in place and not recorded on a tape. It may be captured: "
@@ -135,7 +135,7 @@ ValueError and TypeError name the argument.)");
       .def_property_readonly("b", &SGD::b, "The momentum of each parameter; none without momentum.")
       .def_property_readonly("t", &SGD::t,
                              "The number of steps so far, {1}; None without momentum.");
-  bind_optimiser(sgd);
+  bind_optimizer(sgd);
 
   const nova::AdamOptions a;
   py::class_<Adam> adam(
@@ -153,7 +153,7 @@ TypeError name the argument.)");
       .def_property_readonly("m", &Adam::m, "The first moment of each parameter.")
       .def_property_readonly("v", &Adam::v, "The second moment of each parameter.")
       .def_property_readonly("t", &Adam::t, "The number of steps so far, {1}.");
-  bind_optimiser(adam);
+  bind_optimizer(adam);
 }
 
 }  // namespace

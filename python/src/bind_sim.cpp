@@ -320,8 +320,8 @@ void bind_model(py::module_& m) {
               groups.append(numpy().asarray(group, numpy_dtype(Scalar::I32)));
             return groups;
           },
-          "The particles of every colour, ascending, as NumPy int32; empty unless the builder was "
-          "coloured.")
+          "The particles of every color, ascending, as NumPy int32; empty unless the builder was "
+          "colored.")
       .def_property_readonly(
           "up_axis", [](const Model& self) { return value_of(self.up_axis()); }, "0, 1 or 2.")
       .def("state", &new_state, "requires_grad"_a = py::none(),

@@ -67,7 +67,7 @@ void bind_diff_vbd(py::module_& solvers) {
       solvers, "DiffSolverVBD",
       "SolverVBD with its derivative: a step or rollout on an active tape is recorded, for "
       "backward and for jvp. gradient=\"unrolled\": exact for the sweeps that ran, back through "
-      "every colour of every iteration. gradient=\"implicit\": of the solution of the step, to "
+      "every color of every iteration. gradient=\"implicit\": of the solution of the step, to "
       "which Newton's method then takes it; the solution is what step returns. Gradients by "
       "positions, velocities, forces, targets, gravity, masses, radii, materials, rest shapes, "
       "activations, and margins and materials of shapes; points and normals of contacts are "
@@ -103,7 +103,7 @@ void bind_diff_vbd(py::module_& solvers) {
            "NotImplementedError as SolverVBD; ValueError: one of these with \"unrolled\".")
       .def_property_readonly(
           "iterations", [](const DiffSolverVBD& s) { return s.options().iterations; },
-          "Sweeps over all colours in a step.")
+          "Sweeps over all colors in a step.")
       .def_property_readonly(
           "gradient",
           [](const DiffSolverVBD& s) {
@@ -167,7 +167,7 @@ void bind_vbd(py::module_& solvers) {
       solvers, "SolverVBD",
       "Implicit Euler by Vertex Block Descent: stable at large steps and stiffnesses. Covers "
       "particles, springs, triangles, bending edges, tetrahedra, external forces, gravity, and "
-      "contacts with world-owned shapes. Particles need colours: ModelBuilder.color(). Particles "
+      "contacts with world-owned shapes. Particles need colors: ModelBuilder.color(). Particles "
       "of mass 0 or without ParticleFlags.ACTIVE are held. Nothing is written to state_in. Same "
       "bits for any number of threads and on a CUDA device. A step can be captured; on a tape it "
       "raises where an input carries a gradient.")
@@ -189,16 +189,16 @@ void bind_vbd(py::module_& solvers) {
           "friction_epsilon"_a = d.friction_epsilon, "initial_guess"_a = "inertia",
           "acceleration"_a = py::none(), "tolerance"_a = py::none(), "safeguard"_a = d.safeguard,
           "lhs_regularization"_a = d.lhs_regularization,
-          "iterations: sweeps over all colours. friction_epsilon (m/s): the slip at which friction "
+          "iterations: sweeps over all colors. friction_epsilon (m/s): the slip at which friction "
           "reaches the Coulomb limit. initial_guess: \"inertia\", \"previous\" (the positions "
           "before) or \"adaptive\" (with as much of gravity as acted in the last step). "
           "acceleration: Chebyshev's, by a spectral radius in (0, 1). tolerance: ends a step when "
           "residual().relative is at most this. safeguard: halves the step of a particle while "
-          "its energy rises. ValueError: a bad option, particles without a colour, a negative or "
+          "its energy rises. ValueError: a bad option, particles without a color, a negative or "
           "NaN material. NotImplementedError names what is not covered.")
       .def_property_readonly(
           "iterations", [](const SolverVBD& s) { return s.options().iterations; },
-          "Sweeps over all colours in a step.")
+          "Sweeps over all colors in a step.")
       .def_property_readonly(
           "friction_epsilon", [](const SolverVBD& s) { return s.options().friction_epsilon; },
           "m/s")
@@ -235,7 +235,7 @@ void bind_vbd(py::module_& solvers) {
           py::kw_only(), "targets"_a = py::none(),
           "Advances state_in by dt (s) into state_out. targets: {held_count, 3} positions (m, "
           "world frame) where the held particles are at the end, in the order of their indices; "
-          "None: where they are. Errors as SolverBase.step; ValueError: indices or colours that "
+          "None: where they are. Errors as SolverBase.step; ValueError: indices or colors that "
           "were edited after the solver was made, numbers that are not finite; novaphy.Error: "
           "contacts "
           "that overflowed, positions that do not stay finite.")

@@ -155,18 +155,18 @@ def test_the_environment_passes_the_checks_of_gymnasium():
 
     from novaphy.envs import AntEnv
 
-    env = AntEnv(randomise={"friction": (0.5, 1.2), "mass": (0.9, 1.1)}, substeps=10)
+    env = AntEnv(randomize={"friction": (0.5, 1.2), "mass": (0.9, 1.1)}, substeps=10)
     check_env(env, skip_render_check=True)
     first, _ = env.reset(seed=4)
     second, _ = env.reset(seed=4)
     np.testing.assert_array_equal(first, second)
     for wrong in ({"colour": (0.0, 1.0)}, {"friction": 1.0}, {"mass": (1.2, 0.8)}):
-        with pytest.raises(ValueError, match="randomise: expected"):
-            AntEnv(randomise=wrong)
+        with pytest.raises(ValueError, match="randomize: expected"):
+            AntEnv(randomize=wrong)
     with pytest.raises(
         ValueError, match="mass: expected finite numbers from 0.001 to 1000, got -1"
     ):
-        AntEnv(randomise={"mass": (-1.0, 1.0)})
+        AntEnv(randomize={"mass": (-1.0, 1.0)})
 
 
 def test_the_vector_environment_separates_ends_and_begins_again_in_the_same_step():

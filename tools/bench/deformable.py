@@ -7,7 +7,7 @@ Scenes, of size N:
   materials from 2 parameters per tetrahedron, 960 substeps, the squared distance of the centroid to
   the target, the backward pass, `p -= 1e7 * grad`, clamped to [500, 4e6].
 * `cloth`: Newton's `diffsim_cloth` example with N² cells (N = 16 in the example) on one square
-  metre. One iteration: 1,920 substeps, the squared distance of the centroid to the target, the
+  meter. One iteration: 1,920 substeps, the squared distance of the centroid to the target, the
   backward pass, `v0 -= 5 * grad` over all particles.
 
 `--steps` shortens the rollout; the record says how many substeps were timed. The result hash is the

@@ -52,7 +52,7 @@ KE, KD = (
     (600.0, 600.0, 600.0, 600.0, 250.0, 150.0, 50.0),
     (50.0, 50.0, 50.0, 50.0, 30.0, 25.0, 15.0),
 )
-# Of franka_description (Apache-2.0): joint origin and roll; mass; centre of mass; inertia about it,
+# Of franka_description (Apache-2.0): joint origin and roll; mass; center of mass; inertia about it,
 # xx yy zz xy xz yz. Rounded.
 FR3 = (
     (

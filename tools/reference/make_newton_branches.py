@@ -5,7 +5,7 @@ The ball of Newton's `diffsim_ball` example reaches few branches of the semi-imp
 path. The scenes here reach the others: friction, tilted shapes with margins, the inside of a box,
 several shapes on one particle, the velocity limit, particles without mass or without the active
 flag, finite planes, shapes that particles pass through, and spheres and capsules down to their
-centre and axis.
+center and axis.
 
 Newton runs on its cpu device, where no product and sum are contracted and the threads of a launch
 run in index order, so the files are the same bits on every run. They were made with newton 1.8.0,
@@ -253,7 +253,7 @@ def box_interior() -> Scene:
         (0.0625, -0.3125, -0.1875),  # -y face
         (0.0625, 0.0, 0.4375),  # +z face
         (-0.125, 0.0625, -0.4375),  # -z face
-        (0.0, 0.0, 0.0),  # centre
+        (0.0, 0.0, 0.0),  # center
         (0.375, 0.25, 0.0),  # tie of x and y
         (0.4375, 0.0, 0.4375),  # tie of x and z
         (0.0, -0.25, -0.375),  # tie of y and z
@@ -399,10 +399,10 @@ def shape_flags() -> Scene:
 
 
 def sphere_capsule() -> Scene:
-    """Spheres and capsules: at the centre and axis, close to them, inside, at the caps, outside.
+    """Spheres and capsules: at the center and axis, close to them, inside, at the caps, outside.
 
-    Positions are multiples of 1/32, so that the exact centre and axis are reached. Within 1e-8 of
-    them Newton takes the local z axis as the normal (-z below the lower cap's centre).
+    Positions are multiples of 1/32, so that the exact center and axis are reached. Within 1e-8 of
+    them Newton takes the local z axis as the normal (-z below the lower cap's center).
     """
     sphere = Shape(SPHERE, (0.5, 0.0, 0.0), (0.25, -0.5, 1.0), ke=900.0, kd=6.0, kf=35.0)
     capsule = Shape(CAPSULE, (0.25, 0.5, 0.0), (3.0, 0.5, 1.0), ke=700.0, kd=8.0, kf=25.0, mu=0.6)
@@ -438,7 +438,7 @@ def sphere_capsule() -> Scene:
 def sphere_capsule_regenerated() -> Scene:
     """As `sphere_capsule`, with fresh contacts in every substep.
 
-    The gradient is that of Newton's rules. At and near the centre and axis (particles 0, 2, 7 to 9
+    The gradient is that of Newton's rules. At and near the center and axis (particles 0, 2, 7 to 9
     and 12 to 14) it does not agree with finite differences.
     """
     return replace(sphere_capsule(), regenerate=True)

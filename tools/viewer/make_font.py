@@ -2,7 +2,7 @@
 """Write the glyphs of the viewers' text: python/novaphy/viewer/assets/font.bin.
 
 They are those of DejaVu Sans Mono (free: https://dejavu-fonts.github.io/License.html), the
-printable ASCII characters as grey values {95, height, width}, compressed. Needs Pillow.
+printable ASCII characters as gray values {95, height, width}, compressed. Needs Pillow.
 
     tools/viewer/make_font.py /usr/share/fonts/truetype/dejavu/DejaVuSansMono.ttf
 """

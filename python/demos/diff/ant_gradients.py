@@ -2,7 +2,7 @@
 
 A frame is stepped forward once and kept; `pull` then carries adjoints of its end back to its start
 and to its forces. States are differentiated as tangents {worlds, 14} of the dofs: of the torso its
-centre and the turn about it, world axes, then the hinges.
+center and the turn about it, world axes, then the hinges.
 
 Frozen: per substep the velocity's change goes through the mass matrix, damping, drives and springs
 of limits, projected into the null space of the normals of the contacts that push. Not
@@ -102,7 +102,7 @@ class FrozenFrames:
         a.frame += 1
         kept, most = [], max(1, ROWS_AT_ONCE // self.worlds)
         for k in range(0, len(steps), most):  # many at once: most of the time is that of calls
-            kept += self.linearised(*zip(*steps[k : k + most], strict=True))
+            kept += self.linearized(*zip(*steps[k : k + most], strict=True))
         return [(*x, y) for x, y in zip(kept, by_state, strict=True)]
 
     def by_state(self) -> tuple[np.ndarray, np.ndarray] | None:
@@ -115,7 +115,7 @@ class FrozenFrames:
         by_q, by_qd, _ = novaphy.eval_inverse_dynamics_derivatives(a.model, a._after, qdd)
         return by_q.astype(np.float64), by_qd.astype(np.float64)
 
-    def linearised(self, q, mass, jacobian, poses, pushes) -> list[tuple[np.ndarray, ...]]:
+    def linearized(self, q, mass, jacobian, poses, pushes) -> list[tuple[np.ndarray, ...]]:
         """Of each of some substeps: the inverse of its matrix, stiffness, damping, and the
         transposed projection."""
         dt, shape = self.ants.dt, (len(q), self.worlds)
@@ -173,7 +173,7 @@ class FrozenFrames:
         if not len(world):
             return np.zeros((*shape, 1, DOFS))
         pose = poses[substep, world, link].astype(np.float64)
-        # From the centre of mass to the surface.
+        # From the center of mass to the surface.
         arm = rotate(pose[:, 3:], point - self.com[world, link])
         arm[:, 2] -= margin
         one = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])

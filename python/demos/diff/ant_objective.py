@@ -34,7 +34,7 @@ WEIGHTS = {
 }  # fmt: skip
 FREE = {**WEIGHTS, "speed": 25.0, "slip": 1.5}  # without the servo
 FAST = {**FREE, "speed": 150.0}  # in worlds that differ
-# Anchors of the hips, from the torso's centre; lengths of leg and foot (m).
+# Anchors of the hips, from the torso's center; lengths of leg and foot (m).
 SIDES = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 LEG, FOOT, TIP_RADIUS = 0.2 * np.sqrt(2.0), 0.4 * np.sqrt(2.0), 0.08
 ROWS = 40

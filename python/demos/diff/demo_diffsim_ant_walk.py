@@ -269,7 +269,7 @@ class Tuning:
         return self.with_values(self.values)
 
     def replay(self, records: list[dict], values: np.ndarray) -> float:
-        """The loss along the linearised frames, with the stored matrices and other values."""
+        """The loss along the linearized frames, with the stored matrices and other values."""
         ants, dt = self.frames.ants, self.frames.ants.dt
         columns = 6 + np.array(ants.hinge_of_action)
         e, v = np.zeros((2, ants.num_worlds, DOFS))
@@ -299,7 +299,7 @@ class Tuning:
         return np.random.default_rng(0).standard_normal((ACTIONS, self.values.size))
 
     def check_gradient(self) -> bool:
-        """Against differences of the linearised replay, and of real rollouts."""
+        """Against differences of the linearized replay, and of real rollouts."""
         passed, ways = True, self.directions()
         if self.kind != "exact":
             records = self.record(self.values)
@@ -309,7 +309,7 @@ class Tuning:
                 fd[k] = (ends[0] - ends[1]) / 2e-4
             error = float(np.abs(ad - fd).max() / np.abs(fd).max())
             passed = error <= 1e-3
-            print(f"linearised replay: relative error {error:.1e} (tolerance 1e-03)")
+            print(f"linearized replay: relative error {error:.1e} (tolerance 1e-03)")
         wanted, one = (self.horizon, self.segment, self.frames), None
         self.frames = self.make_frames(self.starts_count)
         print("real rollouts:  H   eps     cosine  ratio of norms")

@@ -1,6 +1,6 @@
 """Throw a ball off a wall so that it lands on a target, by gradient descent through the simulation.
 
-The initial velocity of one particle is optimised. Every step of the simulation runs on the regular
+The initial velocity of one particle is optimized. Every step of the simulation runs on the regular
 arrays of a ``SimState`` and is recorded by a ``nova.Tape``; ``tape.backward(loss)`` pulls the
 gradient of the landing error back through 288 substeps with two contacts. Contacts are found once,
 from the first state, so the wall is the half-space behind its face.

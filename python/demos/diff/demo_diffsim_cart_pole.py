@@ -1,6 +1,6 @@
 """Swing a pole up by pushing the cart that it hangs on.
 
-The cart moves along a rail, the pole hangs on it by a hinge without a motor. Optimised is the force
+The cart moves along a rail, the pole hangs on it by a hinge without a motor. Optimized is the force
 on the cart over 2 s, 60 numbers, each for 8 of the 480 substeps, so that the pole ends upright, the
 cart in the middle, and both at rest. A rollout of DiffFeatherstoneSolver, backward and Adam are one
 iteration.
@@ -22,7 +22,7 @@ from novaphy import diff, nova, viewer
 
 STEPS, DT, FORCES = 480, 1.0 / 240.0, 60
 FPS, SUBSTEPS = 60, 4
-LENGTH, CART, POLE = 0.5, 1.0, 0.2  # m to the pole's centre of mass, kg, kg
+LENGTH, CART, POLE = 0.5, 1.0, 0.2  # m to the pole's center of mass, kg, kg
 LEARNING_RATE, EFFORT = 0.4, 1e-4  # N, falling as 1 / (1 + iteration / 100); 1/N^2
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 FLOATING = (0.0, 0.0, 1.0, *IDENTITY)
@@ -49,7 +49,7 @@ def build_model(device: str) -> novaphy.Model:
 
 
 class CartPole:
-    """The rollout, its loss and the forces that are optimised."""
+    """The rollout, its loss and the forces that are optimized."""
 
     def __init__(self, device: str) -> None:
         self.model = build_model(device)

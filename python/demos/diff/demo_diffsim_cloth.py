@@ -1,6 +1,6 @@
 """Throw a cloth so that its middle flies through a target, by gradient descent.
 
-A square metre of cloth with drag and lift is thrown into the air, 1,920 substeps. Optimised are the
+A square meter of cloth with drag and lift is thrown into the air, 1,920 substeps. Optimized are the
 initial velocities of all its 289 particles, so that the centroid is at the target after two
 seconds. An iteration (rollout, gradient, update) is recorded once and replayed.
 
@@ -59,7 +59,7 @@ def build_model(device: str) -> novaphy.Model:
 
 
 class Cloth:
-    """The rollout, its loss and the velocities that are optimised."""
+    """The rollout, its loss and the velocities that are optimized."""
 
     def __init__(self, device: str) -> None:
         self.model = build_model(device)

@@ -1,6 +1,6 @@
 """Spin a die so that it falls on the ground with a chosen face up.
 
-A die of 12 kg falls from 0.6 m with a fixed linear velocity. Optimised is its initial angular
+A die of 12 kg falls from 0.6 m with a fixed linear velocity. Optimized is its initial angular
 velocity, so that its x axis points up, and it is at rest, after 0.8 s: 768 substeps, in each of
 which the corners that touch the ground are found anew. The loss is a landscape of steps, one for
 each face, so every update is a clipped gradient step whose length is halved until the loss falls.
@@ -59,7 +59,7 @@ def build_model(device: str, start: tuple[float, ...], count: int) -> novaphy.Mo
 
 
 class Dice:
-    """The rollout, its loss and the spins that are optimised."""
+    """The rollout, its loss and the spins that are optimized."""
 
     def __init__(
         self,
@@ -169,7 +169,7 @@ class Dice:
         return ((k / FPS, self.trajectory[k * SUBSTEPS]) for k in range(FRAMES + 1))
 
     def paths(self) -> dict[str, np.ndarray]:
-        """The ways of the centres and of a corner of the first die in the last rollout."""
+        """The ways of the centers and of a corner of the first die in the last rollout."""
         q = poses(self)
         ways = {f"path {k}" if k else "path": q[:, k, :3] for k in range(q.shape[1])}
         return {**ways, "corner": corner_way(q[:, 0])}
@@ -196,13 +196,13 @@ def success_rate(device: str, starts: int, iterations: int) -> int:
 
 
 def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
-    """Draw the loss, and the height of the die's x axis and centre, first and last rollout."""
+    """Draw the loss, and the height of the die's x axis and center, first and last rollout."""
     figure, right = loss_figure(losses, "loss")
     time = np.arange(STEPS + 1) * DT
-    for q, colour, name in zip(rollouts, ("#adb5bd", "#2a6f97"), ("before", "after"), strict=True):
+    for q, color, name in zip(rollouts, ("#adb5bd", "#2a6f97"), ("before", "after"), strict=True):
         up = 2.0 * (q[..., 3] * q[..., 5] - q[..., 6] * q[..., 4])
         for k in range(q.shape[1]):
-            of = {"color": colour, "alpha": 1.0 - 0.6 * k / q.shape[1]}
+            of = {"color": color, "alpha": 1.0 - 0.6 * k / q.shape[1]}
             right.plot(time, up[:, k], label=None if k else f"x axis, {name}", **of)
             label = None if k else f"height (m), {name}"
             right.plot(time, q[:, k, 2], linestyle=":", label=label, **of)

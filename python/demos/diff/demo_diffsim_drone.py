@@ -1,6 +1,6 @@
 """Fly a drone to a waypoint, where it hovers.
 
-A drone of 1.2 kg hangs in the air, held by four rotors that turn in turn left and right. Optimised
+A drone of 1.2 kg hangs in the air, held by four rotors that turn in turn left and right. Optimized
 are four commands over 1.5 s (lift, roll, pitch, yaw; 9 values of each, linear in between), which
 make the thrust of each rotor. At the end the drone has to be at the
 waypoint, upright and at rest. What the rotors do follows the pose: a kernel of this file turns the
@@ -60,7 +60,7 @@ def build_model(device: str) -> novaphy.Model:
 
 
 def rotor_wrench(c: nova.TraceContext) -> list[nova.Real]:
-    """Force and moment of the four rotors, about the centre of mass, in the world frame."""
+    """Force and moment of the four rotors, about the center of mass, in the world frame."""
     thrust = [c.f32("thrust", k) for k in range(4)]
     places = [(ARM, ARM), (-ARM, ARM), (-ARM, -ARM), (ARM, -ARM)]
     lift, moment = nova.Real(0.0), [nova.Real(0.0)] * 3
@@ -85,7 +85,7 @@ def interpolation() -> np.ndarray:
 
 
 class Drone:
-    """The flight, its loss and the thrusts that are optimised."""
+    """The flight, its loss and the thrusts that are optimized."""
 
     def __init__(self, device: str) -> None:
         self.model = build_model(device)
@@ -146,9 +146,9 @@ def plot(path: str, losses: list[float], poses: np.ndarray, thrusts: np.ndarray)
     right.remove()
     left, right = spec.subgridspec(1, 2).subplots()
     time = np.arange(STEPS + 1) * DT
-    for k, colour in enumerate(("#2a6f97", "#e09f3e", "#5f7f4f")):
-        left.plot(time, poses[:, k], color=colour, label="xyz"[k])
-        left.plot(time[-1], WAYPOINT[k], "x", color=colour, markersize=10)
+    for k, color in enumerate(("#2a6f97", "#e09f3e", "#5f7f4f")):
+        left.plot(time, poses[:, k], color=color, label="xyz"[k])
+        left.plot(time[-1], WAYPOINT[k], "x", color=color, markersize=10)
     left.set(xlabel="time [s]", ylabel="m", title="Position, and the waypoint")
     left.legend()
     right.plot(time[1:], thrusts, label=[f"rotor {k + 1}" for k in range(4)])

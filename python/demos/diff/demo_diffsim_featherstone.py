@@ -1,7 +1,7 @@
 """Throw a two-link arm so that its tip is at a target.
 
 The arm hangs on two hinges and falls for 0.6 s: 576 substeps of SolverFeatherstone.step, each
-recorded behind it by record_planar_2r_featherstone_step. Optimised are the initial velocities of
+recorded behind it by record_planar_2r_featherstone_step. Optimized are the initial velocities of
 the hinges, so that the tip ends at a target; every update is a gradient step whose length is halved
 until the loss falls. The arm moves in the vertical plane XOZ.
 
@@ -36,7 +36,7 @@ START, VELOCITY = (0.4, -0.6), (1.0, -0.5)
 TARGET = (0.35, -0.75)  # m, x and z
 ANGULAR_DAMPING = 0.0  # 1/s
 LEARNING_RATE, SMALLEST_RATE = 16.0, 1e-3
-COLOURS = ((0.16, 0.44, 0.72), (0.95, 0.50, 0.05))  # link 1 blue, link 2 orange
+COLORS = ((0.16, 0.44, 0.72), (0.95, 0.50, 0.05))  # link 1 blue, link 2 orange
 GROUND, CHECKER = (0.96, 0.96, 0.96), 0.93  # white, and the contrast to its black fields
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 # Of the first iteration, exact in float64 (reference: tests/golden/newton_2r_strict.npz).
@@ -69,7 +69,7 @@ def build_model(device: str) -> novaphy.Model:
 
 
 class Arm:
-    """The rollout, its loss and the velocities that are optimised."""
+    """The rollout, its loss and the velocities that are optimized."""
 
     def __init__(self, device: str) -> None:
         self.model = build_model(device)
@@ -83,7 +83,7 @@ class Arm:
 
     @property
     def velocities(self) -> nova.Tensor:
-        """What is optimised: joint_qd of the first state, {2}, rad/s."""
+        """What is optimized: joint_qd of the first state, {2}, rad/s."""
         return self.qd[0]
 
     def forward(self) -> nova.Tensor:
@@ -165,16 +165,16 @@ def tips(q: np.ndarray) -> np.ndarray:
 def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
     """Draw the loss, and the way of the tip of the first and the last rollout."""
     figure, right = loss_figure(losses, "squared distance [m²]")
-    for q, colour, name in zip(rollouts, ("#adb5bd", "#d62828"), ("before", "after"), strict=True):
+    for q, color, name in zip(rollouts, ("#adb5bd", "#d62828"), ("before", "after"), strict=True):
         way = tips(q)
-        right.plot(way[:, 0], way[:, 2], color=colour, label=f"tip, {name}")
+        right.plot(way[:, 0], way[:, 2], color=color, label=f"tip, {name}")
     joints = np.stack([np.zeros(3), tips(rollouts[-1][-1:])[0]])
     elbow = LENGTH * np.array([np.cos(rollouts[-1][-1, 0]), -np.sin(rollouts[-1][-1, 0])])
-    for a, b, colour in (
-        ((0.0, 0.0), elbow, COLOURS[0]),
-        (elbow, joints[1, [0, 2]], COLOURS[1]),
+    for a, b, color in (
+        ((0.0, 0.0), elbow, COLORS[0]),
+        (elbow, joints[1, [0, 2]], COLORS[1]),
     ):
-        right.plot((a[0], b[0]), (a[1], b[1]), color=colour, linewidth=4)
+        right.plot((a[0], b[0]), (a[1], b[1]), color=color, linewidth=4)
     right.plot(*TARGET, "x", color="#000000", label="target")
     right.set(xlabel="x [m]", ylabel="z [m]", title="Way of the tip", aspect="equal")
     right.legend()
@@ -200,7 +200,7 @@ def main() -> int:
     rollouts = [angles(arm)]
     look = ((0.15, -3.3, -0.35), (0.15, 0.0, -0.35))  # at the plane of the arm
     with viewer.Stage(args, arm.model, fps=FPS, look=look, path_width=0.012) as stage:
-        stage.set_shape_colors((0, 1, 2), [(*GROUND, CHECKER), *((*c, 0.0) for c in COLOURS)])
+        stage.set_shape_colors((0, 1, 2), [(*GROUND, CHECKER), *((*c, 0.0) for c in COLORS)])
         stage.mark((TARGET[0], 0.0, TARGET[1]), radius=0.03)
         losses = arm.train(progress(range(args.headless)), stage) or [arm.forward().item()]
         arm.forward()

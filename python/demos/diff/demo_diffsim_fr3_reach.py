@@ -1,6 +1,6 @@
-"""Reach a pose with an arm of seven axes by optimising the targets of its drives.
+"""Reach a pose with an arm of seven axes by optimizing the targets of its drives.
 
-The Franka Research 3 starts at rest and moves for 0.75 s under gravity. Optimised are four targets
+The Franka Research 3 starts at rest and moves for 0.75 s under gravity. Optimized are four targets
 for each axis, each held for 45 of the 180 substeps, so that the hand ends at a place, turned as
 asked, and at rest. The targets are all that changes: drives, with their effort limits, do the rest.
 A rollout of DiffFeatherstoneSolver, backward and Adam are one iteration.
@@ -43,7 +43,7 @@ def build_model(device: str) -> tuple[novaphy.Model, int]:
 
 
 class Reach:
-    """The rollout, its loss and the targets that are optimised."""
+    """The rollout, its loss and the targets that are optimized."""
 
     def __init__(self, device: str) -> None:
         self.model, self.hand = build_model(device)

@@ -2,7 +2,7 @@
 
 The seven axes of a Franka Research 3 follow four key poses with their drives for 1 s: 1,000 steps
 of the regular SolverFeatherstone. The tip of the hand is a sphere that pushes a box along x,
-against friction (integrate_push_box_rollout_generated). Optimised are the key poses, so that the
+against friction (integrate_push_box_rollout_generated). Optimized are the key poses, so that the
 box stops at x = 0.70 m, with the tip on its line and slow joints. The gradient: adjoints of the
 contact, by the tape, times the change of the tip's motion with the key poses, by
 FeatherstoneAnalyticControlSensitivity. The contact is a smooth surrogate, the arm's mass matrix and
@@ -88,7 +88,7 @@ def index_of(labels: list[str], name: str) -> int:
 def key_weights() -> tuple[np.ndarray, np.ndarray]:
     """What each key pose adds to the pose and to the rate of each step, {steps, keys} each.
 
-    Between two keys a cubic with continuous velocity, by the slopes of the neighbours; at rest at
+    Between two keys a cubic with continuous velocity, by the slopes of the neighbors; at rest at
     both ends.
     """
     x = (np.arange(STEPS) + 1.0) / STEPS * (KEYS - 1.0)
@@ -106,7 +106,7 @@ def key_weights() -> tuple[np.ndarray, np.ndarray]:
 
 
 class FrankaPush:
-    """The rollout of arm and box, its loss, and the key poses that are optimised."""
+    """The rollout of arm and box, its loss, and the key poses that are optimized."""
 
     def __init__(self, device: str, exact: bool) -> None:
         self.model = build_model(device)

@@ -1,7 +1,7 @@
 """Throw the tip of a double pendulum through a mark, by the targets of its two drives.
 
 Two rods hang from the world by hinges, which springs and dampers hold together (penalty joints);
-each hinge has a drive, a weak spring to an angle. Optimised are the two angles: at the end, after
+each hinge has a drive, a weak spring to an angle. Optimized are the two angles: at the end, after
 0.8 s, the tip has to be at the mark. 768 substeps; the gradient through joints, drives and bodies
 is exact.
 
@@ -72,7 +72,7 @@ def build_model(device: str) -> novaphy.Model:
 
 
 class Pendulum:
-    """The rollout, its loss and the angles that are optimised."""
+    """The rollout, its loss and the angles that are optimized."""
 
     def __init__(self, device: str) -> None:
         self.model = build_model(device)
@@ -138,9 +138,9 @@ class Pendulum:
 def plot(path: str, losses: list[float], ways: list[np.ndarray]) -> None:
     """Draw the loss and the way of the tip, before and after."""
     figure, right = loss_figure(losses, "loss [m²]")
-    for way, colour, name in zip(ways, ("#adb5bd", "#2a6f97"), ("before", "after"), strict=True):
-        right.plot(way[:, 0], way[:, 2], color=colour, label=f"tip {name}")
-        right.plot(way[-1, 0], way[-1, 2], "o", color=colour)
+    for way, color, name in zip(ways, ("#adb5bd", "#2a6f97"), ("before", "after"), strict=True):
+        right.plot(way[:, 0], way[:, 2], color=color, label=f"tip {name}")
+        right.plot(way[-1, 0], way[-1, 2], "o", color=color)
     right.plot(0.0, HEIGHT, "s", color="#343a40", label="hinge")
     right.plot(MARK[0], MARK[2], "x", color="#c1121f", markersize=10, label="mark")
     right.set(xlabel="x [m]", ylabel="z [m]", title="Way of the tip", aspect="equal")

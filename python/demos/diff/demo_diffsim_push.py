@@ -1,6 +1,6 @@
 """Push a box over the ground so that it comes to rest on a mark.
 
-A box of 12 kg lies on the ground, which holds it with up to 59 N of friction. Optimised is the
+A box of 12 kg lies on the ground, which holds it with up to 59 N of friction. Optimized is the
 horizontal force on it over 1.2 s: 13 values for each direction, linear in between. The box has to
 be on the mark, and at rest, at the end, so the force must overcome the friction and then leave the
 braking to it. 576 substeps, in each of which the contacts are found anew, by the pipeline; their
@@ -59,7 +59,7 @@ def interpolation() -> np.ndarray:
 
 
 class Push:
-    """The rollout, its loss and the forces that are optimised."""
+    """The rollout, its loss and the forces that are optimized."""
 
     def __init__(self, device: str) -> None:
         self.model = build_model(device)
@@ -118,10 +118,10 @@ def plot(path: str, losses: list[float], ways: list[np.ndarray], forces: np.ndar
     right.remove()
     left, over_time = spec.subgridspec(1, 2).subplots()
     time = np.arange(STEPS + 1) * DT
-    for way, colour, name in zip(ways, ("#adb5bd", "#2a6f97"), ("before", "after"), strict=True):
-        left.plot(way[:, 0], way[:, 1], color=colour, label=name)
+    for way, color, name in zip(ways, ("#adb5bd", "#2a6f97"), ("before", "after"), strict=True):
+        left.plot(way[:, 0], way[:, 1], color=color, label=name)
         speed = np.linalg.norm(np.diff(way[:, :2], axis=0), axis=1) / DT
-        over_time.plot(time[1:], speed, color=colour, label=f"speed {name} [m/s]")
+        over_time.plot(time[1:], speed, color=color, label=f"speed {name} [m/s]")
     left.plot(*MARK, "x", color="#c1121f", markersize=10, label="mark")
     left.set(xlabel="x [m]", ylabel="y [m]", title="Way of the box", aspect="equal")
     left.legend()

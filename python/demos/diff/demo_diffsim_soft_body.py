@@ -1,7 +1,7 @@
 """Find the material of a soft block that bounces off the ground and a wall into a target.
 
 A block of 40 tetrahedra is thrown at the ground, bounces on against a wall and back, 960 substeps.
-Optimised are the two Lamé parameters of every tetrahedron (80), or of all together (2), so that
+Optimized are the two Lamé parameters of every tetrahedron (80), or of all together (2), so that
 after a second the centroid is at the target. Contacts are evaluated in every substep at the true
 distance. An iteration (rollout, gradient, update) is recorded once and replayed.
 
@@ -71,7 +71,7 @@ def build_model(device: str) -> novaphy.Model:
 
 
 class SoftBody:
-    """The rollout, its loss and the material that is optimised."""
+    """The rollout, its loss and the material that is optimized."""
 
     def __init__(self, device: str, isotropic: bool) -> None:
         self.model = build_model(device)

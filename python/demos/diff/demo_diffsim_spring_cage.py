@@ -1,6 +1,6 @@
 """Find the rest lengths of eight springs that pull a particle to a target.
 
-A particle hangs in a cage of eight fixed points, a spring to each. Optimised are the rest lengths
+A particle hangs in a cage of eight fixed points, a spring to each. Optimized are the rest lengths
 of the springs, so that the particle is at the target after a second, 30 steps.
 
     python demo_diffsim_spring_cage.py
@@ -52,7 +52,7 @@ def build_model(device: str) -> novaphy.Model:
 
 
 class SpringCage:
-    """The rollout, its loss and the rest lengths that are optimised."""
+    """The rollout, its loss and the rest lengths that are optimized."""
 
     def __init__(self, device: str) -> None:
         self.model = build_model(device)

@@ -1,8 +1,8 @@
 """Find the stiffness of a cloth from noisy positions, by implicit gradients through VBD.
 
 A cloth of 0.6 m hangs from its upper side and is let go. Its positions over 0.75 s are measured,
-with a noise of 2 mm, from a simulation with another step, more iterations and other colours than
-the one that is fitted. Optimised is the logarithm of the factor of the membrane's stiffness, by the
+with a noise of 2 mm, from a simulation with another step, more iterations and other colors than
+the one that is fitted. Optimized is the logarithm of the factor of the membrane's stiffness, by the
 root of the loss's derivative (secant method). Checked are the stiffness, and the motion of the next
 0.5 s while the upper side swings, which nothing was fitted to.
 
@@ -36,17 +36,17 @@ CELLS, SIZE = 8, 0.6  # per side; m
 SWING = 0.1  # m, of the held side in the held-out part
 
 
-def build_model(stiffness: float, reverse_colours: bool = False) -> novaphy.Model:
-    """A cloth whose left side is held; the colours optionally in the other order."""
+def build_model(stiffness: float, reverse_colors: bool = False) -> novaphy.Model:
+    """A cloth whose left side is held; the colors optionally in the other order."""
     builder = novaphy.ModelBuilder()
     builder.add_cloth_grid(
         pos=(0.0, -0.5 * SIZE, 1.0), rot=(0.0, 0.5**0.5, 0.0, 0.5**0.5), dim_x=CELLS, dim_y=CELLS,
         cell_x=SIZE / CELLS, cell_y=SIZE / CELLS, mass=1.2e-3, fix_left=True, tri_ke=stiffness,
         tri_ka=stiffness, tri_kd=0.1, edge_ke=1e-3, edge_kd=1e-4,
     )  # fmt: skip
-    builder.color(include_bending=not reverse_colours)
+    builder.color(include_bending=not reverse_colors)
     model = builder.finalize()
-    if reverse_colours:
+    if reverse_colors:
         builder.set_coloring(model.particle_color_groups[::-1], allow_conflicts=True)
         model = builder.finalize()
     return model
@@ -74,7 +74,7 @@ def rollout(solver, substeps: int, frames: int) -> np.ndarray:
 def measure(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """What was measured with its noise, and the true motion, {frames + 1, n, 3}."""
     true = novaphy.solvers.SolverVBD(
-        build_model(TRUE_STIFFNESS, reverse_colours=True), iterations=TRUE_ITERATIONS
+        build_model(TRUE_STIFFNESS, reverse_colors=True), iterations=TRUE_ITERATIONS
     )
     motion = rollout(true, TRUE_SUBSTEPS, FITTED + HELD_OUT)
     noise = np.random.default_rng(seed).normal(0.0, NOISE, motion.shape)
@@ -82,7 +82,7 @@ def measure(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Cloth:
-    """The rollout, its loss and the stiffness that is optimised."""
+    """The rollout, its loss and the stiffness that is optimized."""
 
     def __init__(self) -> None:
         self.model = build_model(TRUE_STIFFNESS * START)

@@ -2,7 +2,7 @@
 
 A soft gripper with a load of 0.5 kg at its lower end sits in a slot between two walls, as grippers
 do that hold things from inside. It holds by friction alone: expanded as little as at first, it
-slips and the load drops by tens of centimetres. Optimised is how far each of its four layers
+slips and the load drops by tens of centimeters. Optimized is how far each of its four layers
 expands (its activations), so that after half a second the load is where it was. The gradient goes
 through 60 implicit steps with contact and friction.
 
@@ -60,7 +60,7 @@ def build_model() -> novaphy.Model:
 
 
 class Gripper:
-    """The rollout, its loss and the expansions that are optimised."""
+    """The rollout, its loss and the expansions that are optimized."""
 
     def __init__(self) -> None:
         self.model = build_model()

@@ -1,8 +1,8 @@
-"""Train the Ant's actor (111-256-256-8) by proximal policy optimisation on a batch of worlds.
+"""Train the Ant's actor (111-256-256-8) by proximal policy optimization on a batch of worlds.
 
 Schulman et al., "Proximal policy optimization algorithms" (2017), with layers of nova: Gaussian
-actions behind a tanh, generalised advantages, clipped ratios, Adam. Only the 27 observations that
-are not always 0 are seen by the networks; their normalisation is folded into the first layer of the
+actions behind a tanh, generalized advantages, clipped ratios, Adam. Only the 27 observations that
+are not always 0 are seen by the networks; their normalization is folded into the first layer of the
 file that is written, whose columns 27 to 110 are 0. The first part of the training may take coarser
 substeps (--coarse), the rest takes those of 1 ms. The same seed gives the same file.
 
@@ -48,7 +48,7 @@ def fresh(seed: int) -> dict[str, np.ndarray]:
 
 
 class Agent:
-    """Actor, critic and the normalisation of what they see."""
+    """Actor, critic and the normalization of what they see."""
 
     def __init__(self, parameters: dict[str, np.ndarray], device: str, lr: float) -> None:
         """Put the parameters on the device."""
@@ -72,7 +72,7 @@ class Agent:
         return np.sqrt(self.m2 / self.count) + 1e-2
 
     def normal(self, x: np.ndarray) -> np.ndarray:
-        """Normalised observations."""
+        """Normalized observations."""
         return np.clip((x - self.mean) / self.scale(), -10.0, 10.0).astype(np.float32)
 
     def net(self, name: str, x: nova.Tensor) -> nova.Tensor:
@@ -82,7 +82,7 @@ class Agent:
         return nova.linear(h, self.p[f"{name}.4.weight"], self.p[f"{name}.4.bias"])
 
     def look(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Means {n, 8} and values {n} of normalised observations."""
+        """Means {n, 8} and values {n} of normalized observations."""
         t = nova.tensor(x, device=self.device)
         return self.net("pi", t).numpy(), self.net("v", t).numpy()[:, 0]
 
@@ -122,7 +122,7 @@ class Agent:
         return divergence
 
     def actor(self) -> dict[str, nova.Tensor]:
-        """The actor with the normalisation folded into its first layer."""
+        """The actor with the normalization folded into its first layer."""
         p = {k: v.numpy() for k, v in self.p.items()}
         first = np.zeros((HIDDEN, OBSERVATIONS))
         first[:, :SEEN] = p["pi.0.weight"] / self.scale()
@@ -267,7 +267,7 @@ def main() -> int:
             )
             first = np.random.Generator(np.random.Philox(key=[args.seed, 2]))
             ants.frame[:] = first.integers(0, EPISODE, args.worlds)
-        if steps == 0:  # what the networks see is normalised from the first update on
+        if steps == 0:  # what the networks see is normalized from the first update on
             collect(agent, ants, last, np.random.default_rng(args.seed), args.frames)
         rng = np.random.Generator(np.random.Philox(key=[args.seed, 3 + steps]))
         start = time.perf_counter()

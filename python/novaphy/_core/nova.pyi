@@ -324,7 +324,7 @@ class ScopedCapture(_Native):
 
 def capture_launch(graph: Graph) -> None: ...
 
-# ------------------------------------------------------------------------------------ optimisers
+# ------------------------------------------------------------------------------------ optimizers
 
 _Params: TypeAlias = Tensor | Iterable[Tensor]
 

@@ -386,13 +386,13 @@ def rotate_back(quaternion: Array, v: Array) -> Array:
 
 
 def feet(state: SimState, num_worlds: int) -> tuple[Array, Array, Array]:
-    """Of the four feet: where the centres of the tips are {worlds, 4, 3} (m), how high their lowest
+    """Of the four feet: where the centers of the tips are {worlds, 4, 3} (m), how high their lowest
     points {worlds, 4} (m), and how fast these points of the feet move {worlds, 4, 3} (m/s)."""
     poses = state.body_q.numpy().reshape(num_worlds, -1, 7)[:, FEET]
     rates = state.body_qd.numpy().reshape(num_worlds, -1, 6)[:, FEET]
     arm = rotate(poses[..., 3:], np.broadcast_to(TIPS.astype(np.float32), poses[..., :3].shape))
     tip = poses[..., :3] + arm
-    # Of the centre of mass, half way to the tip, to the lowest point.
+    # Of the center of mass, half way to the tip, to the lowest point.
     offset = 0.5 * arm - np.array([0.0, 0.0, TIP_RADIUS], np.float32)
     speed = rates[..., :3] + np.cross(rates[..., 3:], offset)
     return tip, tip[..., 2] - TIP_RADIUS, speed

@@ -22,27 +22,27 @@ Ranges = Mapping[str, tuple[float, float]]
 
 
 class _Rules:
-    """Rewards, ends and randomisation, as Gymnasium's Ant-v3 has them."""
+    """Rewards, ends and randomization, as Gymnasium's Ant-v3 has them."""
 
     def __init__(
-        self, ants: AntWorlds, episode: int, randomise: Ranges | None, forward_weight: float
+        self, ants: AntWorlds, episode: int, randomize: Ranges | None, forward_weight: float
     ) -> None:
         if episode < 1:
             raise ValueError(f"episode: expected a number of frames >= 1, got {episode}")
-        for name, bounds in (randomise or {}).items():
+        for name, bounds in (randomize or {}).items():
             if name not in VARIED or np.shape(bounds) != (2,) or not bounds[0] <= bounds[1]:
                 raise ValueError(
-                    f"randomise: expected (low, high) of {', '.join(VARIED)}, got {name!r}: "
+                    f"randomize: expected (low, high) of {', '.join(VARIED)}, got {name!r}: "
                     f"{bounds}"
                 )
             check_varied(name, bounds)
         self.ants, self.episode = ants, episode
-        self.randomise, self.forward_weight = dict(randomise or {}), forward_weight
+        self.randomize, self.forward_weight = dict(randomize or {}), forward_weight
 
     def draw(self, rng: np.random.Generator, worlds: np.ndarray) -> None:
         """New numbers for worlds that begin again."""
         values = {}
-        for name, (low, high) in self.randomise.items():
+        for name, (low, high) in self.randomize.items():
             rows = self.ants.varied[name].copy()
             drawn = rng.uniform(low, high, self.ants.num_worlds)
             rows[worlds] = drawn[worlds] if rows.ndim == 1 else drawn[worlds, None]
@@ -84,7 +84,7 @@ class AntEnv(gymnasium.Env[Array, Array]):
         ant: str = "dva",
         episode: int = 1000,
         noise: float = 0.1,
-        randomise: Ranges | None = None,
+        randomize: Ranges | None = None,
         forward_weight: float = 1.0,
         substeps: int = 50,
     ) -> None:
@@ -94,12 +94,12 @@ class AntEnv(gymnasium.Env[Array, Array]):
             ant: "dva" or "gym".
             episode: frames until it is truncated.
             noise: of starts, see AntWorlds.
-            randomise: (low, high) by the names of AntWorlds.vary, drawn at every reset.
+            randomize: (low, high) by the names of AntWorlds.vary, drawn at every reset.
             forward_weight: of the speed in the reward.
             substeps: of a frame.
         """
         self.ants = AntWorlds(1, ant=ant, noise=noise, substeps=substeps)
-        self._rules = _Rules(self.ants, episode, randomise, forward_weight)
+        self._rules = _Rules(self.ants, episode, randomize, forward_weight)
         self.observation_space, self.action_space = _spaces()
         self.render_mode = None
 
@@ -134,13 +134,13 @@ class AntVectorEnv(VectorEnv[Array, Array, Array]):
         ant: str = "dva",
         episode: int = 1000,
         noise: float = 0.1,
-        randomise: Ranges | None = None,
+        randomize: Ranges | None = None,
         forward_weight: float = 1.0,
         substeps: int = 50,
     ) -> None:
         """As AntEnv, for `num_envs` worlds."""
         self.ants = AntWorlds(num_envs, ant=ant, noise=noise, substeps=substeps)
-        self._rules = _Rules(self.ants, episode, randomise, forward_weight)
+        self._rules = _Rules(self.ants, episode, randomize, forward_weight)
         self.num_envs, self.render_mode = num_envs, None
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}
         self.single_observation_space, self.single_action_space = _spaces()

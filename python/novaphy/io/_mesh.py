@@ -84,7 +84,7 @@ def load_mesh(
 
     All meshes of the file come as one, each where the nodes of its scene put it. Polygons are cut
     into triangles; points, lines and vertices that no triangle uses are left out. A ``.dae`` says
-    its unit and up axis, and comes in metres with z up; the other formats say nothing, and their
+    its unit and up axis, and comes in meters with z up; the other formats say nothing, and their
     numbers stay as they are: see ``scale`` and ``rot`` of `ModelBuilder.add_cloth_mesh`.
 
     Args:

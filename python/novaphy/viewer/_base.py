@@ -43,7 +43,7 @@ class Slider:
 
 
 class Viewer:
-    """A viewer that shows nothing. Positions are in m, world frame; colours are RGB in 0..1."""
+    """A viewer that shows nothing. Positions are in m, world frame; colors are RGB in 0..1."""
 
     def __init__(self) -> None:
         """Start without a model, running, not paused."""
@@ -90,9 +90,9 @@ class Viewer:
         """Show the contacts of a state."""
 
     def set_shape_colors(self, shapes: ArrayLike, colors: ArrayLike) -> None:
-        """Show shapes {n} of the model in colours {n, 3}, and all others in their own.
+        """Show shapes {n} of the model in colors {n, 3}, and all others in their own.
 
-        Colours {n, 4} have as their fourth number the contrast of a checker (0 to 1, 0: none).
+        Colors {n, 4} have as their fourth number the contrast of a checker (0 to 1, 0: none).
         """
 
     def log_mesh(

@@ -297,11 +297,11 @@ def _shadow_projection(camera: Camera, light: np.ndarray) -> np.ndarray:
     side /= np.linalg.norm(side)
     axes = np.stack([side, np.cross(light, side), light])
     reach = camera.distance
-    # The centre moves in whole texels, so that shadows do not flicker.
+    # The center moves in whole texels, so that shadows do not flicker.
     texel = 2.0 * reach / SHADOW_SIZE
-    centre = np.round(axes @ camera.target / texel) * texel
+    center = np.round(axes @ camera.target / texel) * texel
     matrix = np.eye(4)
     matrix[:3, :3] = axes / reach
-    matrix[:3, 3] = -centre / reach
+    matrix[:3, 3] = -center / reach
     matrix[2] *= -0.25  # four times as deep as wide; nearer to the light is less
     return matrix

@@ -136,7 +136,7 @@ class ModelScene:
         self.offsets = np.zeros(3, np.float32)
         self.show_joints = self.show_inertia = False
         self._bodies: list[tuple[Instances, np.ndarray]] = []  # and the body of each first row
-        self._rows: list[tuple[Instances, np.ndarray, np.ndarray]] = []  # its shapes, and colours
+        self._rows: list[tuple[Instances, np.ndarray, np.ndarray]] = []  # its shapes, and colors
         self._add_shapes()
         self._add_particles()
 
@@ -192,7 +192,7 @@ class ModelScene:
             self._bodies.append((item, moving[moving >= 0].astype(np.intp)))
 
     def color_shapes(self, shapes: np.ndarray, colors: np.ndarray) -> None:
-        """Give shapes {n} colours {n, 4}, and all others their own."""
+        """Give shapes {n} colors {n, 4}, and all others their own."""
         count = len(self.get("shape_type", 0))
         if len(shapes) and not 0 <= shapes.min() <= shapes.max() < count:
             raise ValueError(f"set_shape_colors, shapes: expected numbers of {count} shapes")
@@ -332,9 +332,9 @@ def energy(arrays: Mapping[str, np.ndarray], state: Mapping[str, np.ndarray]) ->
         total += _energy_of_points(arrays, "particle_world", mass, q, v)
     if "body_qd" in state:
         pose, twist = state["body_q"], state["body_qd"]
-        centre = pose[:, :3] + rotate(pose[:, 3:], arrays["body_com"])
+        center = pose[:, :3] + rotate(pose[:, 3:], arrays["body_com"])
         mass = arrays["body_mass"]
-        total += _energy_of_points(arrays, "body_world", mass, centre, twist[:, :3])
+        total += _energy_of_points(arrays, "body_world", mass, center, twist[:, :3])
         inverse = pose[:, 3:] * f32([-1, -1, -1, 1])
         spin = rotate(inverse, twist[:, 3:])
         inertia = arrays["body_inertia"].reshape(-1, 3, 3)

@@ -19,7 +19,7 @@ CURVE_SIZE = (72, 216)  # pixels: height, width
 
 
 def _glyphs() -> np.ndarray:
-    """Grey values {95, height, width} of the printable ASCII characters."""
+    """Gray values {95, height, width} of the printable ASCII characters."""
     data = resources.files(__package__).joinpath("assets/font.bin").read_bytes()
     height, width = struct.unpack_from("<II", data)
     values = np.frombuffer(zlib.decompress(data[8:]), np.uint8).reshape(-1, height, width)
@@ -92,5 +92,5 @@ def overlay(scene: Scene, lines: Sequence[str], curve: str | None) -> np.ndarray
 
 
 def _inked(coverage: np.ndarray, color: Sequence[float]) -> np.ndarray:
-    """A colour where a text or a curve covers {h, w, 4}."""
+    """A color where a text or a curve covers {h, w, 4}."""
     return np.dstack([np.broadcast_to(f32(color), (*coverage.shape, 3)), coverage])

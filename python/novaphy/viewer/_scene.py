@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 IDENTITY = np.array([0, 0, 0, 0, 0, 0, 1], np.float32)
-GREY = (0.62, 0.64, 0.67)
-CHECKER = 0.12  # the fourth number of a colour: how much darker every other field of a checker is
+GRAY = (0.62, 0.64, 0.67)
+CHECKER = 0.12  # the fourth number of a color: how much darker every other field of a checker is
 
 
 def f32(values: Any) -> np.ndarray:
@@ -151,22 +151,22 @@ class Mesh:
 
 
 class Instances:
-    """Copies of a mesh: poses {n, 7} of bodies, and on them local poses, scales {n, 4}, colours.
+    """Copies of a mesh: poses {n, 7} of bodies, and on them local poses, scales {n, 4}, colors.
 
-    A colour is red, green, blue and the contrast of a checker on the surface (0: none).
+    A color is red, green, blue and the contrast of a checker on the surface (0: none).
     """
 
     fields = ("poses", "local", "scales", "colors")
 
     def __init__(self, mesh: str, count: int) -> None:
-        """Start at the origin, in grey."""
+        """Start at the origin, in gray."""
         self.mesh = mesh
         self.hidden = False
         self.culled = True
         self.poses = Part(np.tile(IDENTITY, (count, 1)))
         self.local = Part(np.tile(IDENTITY, (count, 1)))
         self.scales = Part(np.tile(f32([1, 1, 1, 0]), (count, 1)))
-        self.colors = Part(np.tile(f32([*GREY, 0]), (count, 1)))
+        self.colors = Part(np.tile(f32([*GRAY, 0]), (count, 1)))
 
     @property
     def count(self) -> int:
@@ -179,7 +179,7 @@ class Instances:
 
 
 class Lines:
-    """Segments {n, 3} to {n, 3} with colours {n, 3} and one width in m."""
+    """Segments {n, 3} to {n, 3} with colors {n, 3} and one width in m."""
 
     fields = ("starts", "ends", "colors")
 

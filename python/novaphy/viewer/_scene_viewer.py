@@ -18,7 +18,7 @@ from ._model_scene import (
     shape_scales,
 )
 from ._primitives import add_primitive
-from ._scene import GREY, IDENTITY, Scene, as_array, f32, per_row, turns_of_z
+from ._scene import GRAY, IDENTITY, Scene, as_array, f32, per_row, turns_of_z
 
 HISTORY = 2000  # values of a scalar that are kept
 SHOWN_SCALARS = 6
@@ -121,16 +121,16 @@ class SceneViewer(Viewer):
             self._model_scene.offsets = self._offsets
 
     def set_shape_colors(self, shapes: ArrayLike, colors: ArrayLike) -> None:
-        """Show shapes {n} of the model in colours {n, 3}, and all others in their own.
+        """Show shapes {n} of the model in colors {n, 3}, and all others in their own.
 
-        Colours {n, 4} have as their fourth number the contrast of a checker (0 to 1, 0: none).
+        Colors {n, 4} have as their fourth number the contrast of a checker (0 to 1, 0: none).
         ValueError for a shape that is none, or without a model.
         """
         if self._model_scene is None:
             raise ValueError("set_shape_colors: expected a model before, got none: call set_model")
         numbers = as_array(shapes, 1, "set_shape_colors, shapes", np.int32).ravel()
         width = 4 if np.shape(colors)[-1:] == (4,) else 3
-        rows = per_row(colors, len(numbers), width, GREY, "set_shape_colors, colors")
+        rows = per_row(colors, len(numbers), width, GRAY, "set_shape_colors, colors")
         self._model_scene.color_shapes(numbers, np.pad(rows, ((0, 0), (0, 4 - width))))
 
     def begin_frame(self, t: float) -> None:
@@ -228,7 +228,7 @@ class SceneViewer(Viewer):
         )
         if len(mesh.normals.values) != len(mesh.points.values):
             raise ValueError("log_mesh, normals: expected one for each point")
-        colors = per_row(color, 1, 3, GREY, "log_mesh, color")
+        colors = per_row(color, 1, 3, GRAY, "log_mesh, color")
         item = self.scene.put_instances(name, name, IDENTITY[None], None, colors, hidden)
         item.culled = backface_culling
 
@@ -242,7 +242,7 @@ class SceneViewer(Viewer):
         materials: ArrayLike | None = None,
         hidden: bool = False,
     ) -> None:
-        """Show copies of a mesh at transforms {n, 7}; scales and colours are {3} or {n, 3}.
+        """Show copies of a mesh at transforms {n, 7}; scales and colors are {3} or {n, 3}.
 
         ValueError when no mesh has this name, NotImplementedError for materials.
         """
@@ -255,7 +255,7 @@ class SceneViewer(Viewer):
         n = len(poses)
         sizes = per_row(scales, n, 3, (1, 1, 1), "log_instances, scales")
         sizes = np.pad(sizes, ((0, 0), (0, 1)))
-        shades = per_row(colors, n, 3, GREY, "log_instances, colors")
+        shades = per_row(colors, n, 3, GRAY, "log_instances, colors")
         self.scene.put_instances(name, mesh, poses, sizes, shades, hidden)
 
     def log_shapes(
@@ -275,7 +275,7 @@ class SceneViewer(Viewer):
         poses = as_array(xforms, 7, "log_shapes, xforms")
         n = len(poses)
         sizes = per_row(geo_scale, n, 3, (1, 1, 1), "log_shapes, geo_scale")
-        shades = per_row(colors, n, 3, GREY, "log_shapes, colors")
+        shades = per_row(colors, n, 3, GRAY, "log_shapes, colors")
         self.scene.put_instances(name, mesh, poses, shape_scales(int(geo_type), sizes), shades)
 
     def log_lines(
@@ -331,7 +331,7 @@ class SceneViewer(Viewer):
         first, last = as_array(starts, 3, f"{call}, starts"), as_array(ends, 3, f"{call}, ends")
         if len(first) != len(last):
             raise ValueError(f"{call}, ends: expected {len(first)} rows as starts, got {len(last)}")
-        shades = per_row(colors, len(first), 3, GREY, f"{call}, colors")
+        shades = per_row(colors, len(first), 3, GRAY, f"{call}, colors")
         self.scene.put_lines(name, first.copy(), last.copy(), shades, width, hidden)
         return first, last, shades
 
@@ -347,13 +347,13 @@ class SceneViewer(Viewer):
         if points is None:
             self.scene.remove(name)
             return
-        centres = as_array(points, 3, "log_points, points")
-        n = len(centres)
+        centers = as_array(points, 3, "log_points, points")
+        n = len(centers)
         poses = np.tile(IDENTITY, (n, 1))
-        poses[:, :3] = centres
+        poses[:, :3] = centers
         sizes = np.zeros((n, 4), np.float32)
         sizes[:, :3] = per_row(radii, n, 1, 0.01, "log_points, radii")
-        shades = per_row(colors, n, 3, GREY, "log_points, colors")
+        shades = per_row(colors, n, 3, GRAY, "log_points, colors")
         add_primitive(self.scene, "sphere")
         self.scene.put_instances(name, "sphere", poses, sizes, shades, hidden)
 

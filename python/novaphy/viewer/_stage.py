@@ -138,7 +138,7 @@ class Stage:
             viewer.follow(body)
 
     def set_shape_colors(self, shapes: ArrayLike, colors: ArrayLike) -> None:
-        """Show shapes {n} of the model in colours {n, 3} or {n, 4} (Viewer.set_shape_colors)."""
+        """Show shapes {n} of the model in colors {n, 3} or {n, 4} (Viewer.set_shape_colors)."""
         for viewer in self.viewers:
             viewer.set_shape_colors(shapes, colors)
 

@@ -179,7 +179,7 @@ def _hairs(rows: np.ndarray) -> np.ndarray:
 
 
 def _shades(colors: np.ndarray) -> np.ndarray:
-    """Colours as uint8, darker, because the page's light from all sides makes them pale."""
+    """Colors as uint8, darker, because the page's light from all sides makes them pale."""
     return np.round(255.0 * colors**DARKER).astype(np.uint8)
 
 

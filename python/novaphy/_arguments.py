@@ -1,4 +1,4 @@
-"""What a native function says about arguments that do not fit: which one, what it should be.
+"""Errors of native functions about arguments: the name, the expected type, the given one.
 
 pybind11 lists the signatures in its message. Here they are read again, and compared with the call.
 """

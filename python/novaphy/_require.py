@@ -1,4 +1,4 @@
-"""What a part that is not built says."""
+"""Errors of parts that are not built."""
 
 from __future__ import annotations
 

@@ -21,10 +21,10 @@ _OF_JOINTS = frozenset(
 
 
 class Selection:
-    """What Model.select found, over the worlds of a model.
+    """The result of Model.select, over the worlds of a model.
 
-    joints, bodies, actuators, coords and dofs are indices, ascending. view gives their rows of a
-    field to read and write, get copies the rows once, set writes them once; no other row changes.
+    joints, bodies, actuators, coords and dofs are indices, ascending. view reads and writes their
+    rows of a field, get copies the rows once, set writes them once. No other row changes.
     With several worlds that have as many rows, values are {worlds, rows, ...}, otherwise
     {rows, ...}.
     """
@@ -149,7 +149,7 @@ class RowsView:
 
 
 class _Names:
-    """Which joints, bodies and actuators match, by name or by articulation/name."""
+    """Find joints, bodies and actuators by name or by articulation/name."""
 
     def __init__(self, model: _core.Model, pattern: str, world: int | None) -> None:
         of_joint = model.joint_articulation.numpy()

@@ -1,4 +1,4 @@
-"""What `novaphy view` shows: a mesh, or a robot whose joints and controls sliders move."""
+"""The window of `novaphy view`: a mesh, or a robot whose joints and controls sliders move."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """``python -m novaphy.backend_check dlan``: whether a backend works on this machine.
 
-For somebody who has a Denglin card. It prints what was found, compiles the kernels where there are
-none, runs the conformance suite and demos, whose states must have the bits of the CPU, and writes
-all of it into a report.
+For somebody who has a Denglin card. The program prints its findings, compiles missing kernels, and
+runs the conformance suite and demos. States of the demos must have the bits of the CPU. A report
+holds the output.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ print(f"{d}: {d.name}, {d.total_memory} bytes, {d.free_memory} free, number {d.a
 
 
 class Report:
-    """What is printed, and later written."""
+    """Lines that are printed, and later written."""
 
     def __init__(self) -> None:
         """Nothing yet."""

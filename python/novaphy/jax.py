@@ -38,8 +38,8 @@ def wrap(
 
     Args:
         function: takes nova Tensors, and returns one or several: any step, rollout or loss, made of
-            recorded operations. It is a pure function: JAX calls it when it likes, and once more
-            on a tape for the backward pass, because JAX keeps arrays and no tapes.
+            recorded operations. The function must be pure. JAX calls the function at any time, and
+            once more on a tape for the backward pass, because JAX keeps arrays and no tapes.
         result: the shape of its result, or a list of shapes.
 
     Returns:

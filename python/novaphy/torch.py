@@ -31,7 +31,7 @@ def _torch() -> Any:
 
 
 class _Call:
-    """What a call keeps for its backward pass."""
+    """The memory of a call for its backward pass."""
 
     def __init__(self, inputs: list[nova.Tensor]) -> None:
         self.inputs = inputs
@@ -111,9 +111,9 @@ def wrap(function: Callable[..., Any]) -> Callable[..., Any]:
 
     Args:
         function: takes nova Tensors, and returns one or several: any step, rollout or loss, made of
-            recorded operations. Every call runs it anew on a tape of its own, so what it writes (a
-            Trajectory, states) has to be made in it, as long as a backward pass is to come. What it
-            uses besides its arguments are constants.
+            recorded operations. Every call runs the function anew on a tape of its own. Until the
+            backward pass its results (a Trajectory, states) must stay, so create them inside the
+            function. Values besides the arguments are constants.
 
     Returns:
         A function of as many torch tensors, float32, on the same device, that returns a torch

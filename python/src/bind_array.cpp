@@ -131,7 +131,7 @@ std::string repr(const Array& array) {
 
 void bind_dtypes(py::module_& m) {
   py::class_<DTypeObject>(m, "dtype",
-                          "What an element of an array is: novaphy.float32, novaphy.vec3, ...")
+                          "The type of an array's elements: novaphy.float32, novaphy.vec3, ...")
       .def_property_readonly(
           "name", [](const DTypeObject& d) { return dtype_info(d.dtype).name; }, "\"vec3\"")
       .def_property_readonly(

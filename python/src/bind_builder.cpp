@@ -170,9 +170,9 @@ void bind_worlds(py::class_<ModelBuilder>& c) {
             return gravity.is_none() ? b.begin_world() : b.begin_world(to_vec3(gravity, "gravity"));
           },
           py::kw_only(), "gravity"_a = py::none(),
-          "Opens a world: what is added until end_world meets only what belongs to it or to all "
-          "worlds (-1), which is what is added outside. gravity (m/s^2, world frame) None: the "
-          "builder's. Returns the number of the world. novaphy.Error: a world is open.")
+          "Opens a world. Additions until end_world meet only additions of this world and of all "
+          "worlds (-1). Additions outside of worlds belong to all. gravity (m/s^2, world frame) "
+          "None: the builder's. Returns the number of the world. novaphy.Error: a world is open.")
       .def("end_world", &ModelBuilder::end_world, "novaphy.Error: no world is open.")
       .def(
           "add_builder",
@@ -245,13 +245,13 @@ void bind_bodies(py::class_<ModelBuilder>& c) {
       "add_body", &ModelBuilder::add_body,
       "A rigid body that moves freely, at rest at `xform` (m, xyzw): a link, its FREE joint to the "
       "world, and an articulation of that. `mass` (kg), `com` (m, body frame) and `inertia` (3x3, "
-      "kg*m^2 about com; None: a point mass) are the base, to which shapes with a density add "
-      "theirs unless lock_inertia. is_kinematic: it follows its velocity, no force moves it. "
-      "gravcomp: the part of its weight that a force at its center of mass takes away. "
-      "Returns the index. ValueError: a mass or inertia that no body has, also from finalize.");
+      "kg*m^2 about com; None: a point mass) are the base. Shapes with a density add to it unless "
+      "lock_inertia. is_kinematic: it follows its velocity, no force moves it. gravcomp: the part "
+      "of its weight that a force at its center of mass takes away. Returns the index. ValueError: "
+      "a mass or inertia that no body has, also from finalize.");
   bind("add_link", &ModelBuilder::add_link,
-       "As add_body, without a joint: finalize refuses a link that is the child of none. It may "
-       "have no mass.");
+       "As add_body, without a joint: finalize refuses a link that is the child of none. Its mass "
+       "may be 0.");
 }
 
 void bind_shapes(py::class_<ModelBuilder>& c) {
@@ -286,10 +286,9 @@ void bind_shapes(py::class_<ModelBuilder>& c) {
        "scale"_a = py::none(), "src"_a = py::none(), "is_static"_a = false, "color"_a = py::none(),
        "label"_a = py::none(),
        "A shape of a GeoType with its `scale` (m), and `src`, the mesh of a MESH or CONVEX_MESH, "
-       "as "
-       "of add_shape_mesh. is_static: it adds no mass to its body. color, of this and the other "
-       "add_shape functions: red, green and blue, 0 to 1, in which viewers show it; None: they "
-       "choose one. Returns the index. NotImplementedError for a type that is not built.")
+       "as of add_shape_mesh. is_static: it adds no mass to its body. color, of every add_shape "
+       "function: red, green and blue, 0 to 1, in viewers; None: viewers choose. Returns the "
+       "index. NotImplementedError for a type that is not built.")
       .def(
           "add_shape_plane",
           [](ModelBuilder& b, py::handle plane, py::handle xform, float width, float length,
@@ -449,7 +448,7 @@ void bind_builder(py::module_& m) {
           "Unit vector.")
       .def_readwrite("default_particle_radius", &ModelBuilder::default_particle_radius, "m")
       .def_readwrite("default_shape_cfg", &ModelBuilder::default_shape_cfg,
-                     "Of shapes that are added without one.")
+                     "The default of added shapes.")
       .def_readwrite("rigid_gap", &ModelBuilder::rigid_gap,
                      "m: the gap of shapes whose ShapeConfig has none.")
       .def_readwrite("balance_inertia", &ModelBuilder::balance_inertia,
@@ -512,8 +511,8 @@ void bind_builder(py::module_& m) {
   bind_bodies(c);
   bind_builder_joints(c);
   bind_builder_list(c, "joint_q", &ModelBuilder::joint_q,
-                    "Initial coordinates, see JointType. Those of a body of add_body follow body_q "
-                    "until they are set here.");
+                    "Initial coordinates, see JointType. Entries of a body of add_body follow "
+                    "body_q until they are set here.");
   bind_builder_list(c, "joint_target_q", &ModelBuilder::joint_target_q,
                     "Position targets of the drives, m or rad.");
   bind_builder_list(c, "joint_target_mode", &ModelBuilder::joint_target_mode, "JointTargetMode.");

@@ -353,8 +353,8 @@ void bind_mesh_shapes(Builder& c) {
        "vertices"_a = py::none(), "indices"_a = py::none(), "scale"_a = py::none(),
        "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
        "A surface of triangles: vertices (n, 3; m), indices (m, 3) or flat, counter-clockwise seen "
-       "from outside, or a `mesh` with these as attributes; `scale` a number or three, > 0. It "
-       "meets convex shapes, planes and particles, not other meshes. Vertices in one place count "
+       "from outside, or a `mesh` with these as attributes; `scale` a number or three, > 0. The "
+       "mesh meets convex shapes, planes and particles, and no meshes. Vertices in one place count "
        "as one. On a body, with a density, it must be closed: its mass is an integral in double "
        "precision; a shell (cfg.is_solid False) has a wall of cfg.margin inside. Returns the "
        "index. ValueError: no triangle, a corner twice, not finite, open or inside out.")
@@ -377,9 +377,8 @@ void bind_mesh_shapes(Builder& c) {
           "vertices"_a = py::none(), "scale"_a = py::none(), "max_vertices"_a = kMaxHullVertices,
           "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
           "The convex hull of points: vertices (n, 3; m), or those of a `mesh`; `scale` a number "
-          "or three, > 0. It has at most max_vertices (4 to 64), of those that lie farthest out: "
-          "then it is a little smaller than the hull of all, which has the mass. Returns the "
-          "index. "
+          "or three, > 0. The hull has at most max_vertices (4 to 64), the farthest ones. The mass "
+          "is that of the hull of all points, which is a little larger. Returns the index. "
           "ValueError: fewer than 4 points, points in one plane, also once they are scaled, not "
           "finite.");
 }
@@ -391,12 +390,11 @@ void bind_coloring(Builder& c) {
          b.color({.include_bending = include_bending, .balance_colors = balance_colors});
        },
        "include_bending"_a = py::none(), "balance_colors"_a = true,
-       "Colors the particles for SolverVBD, so that no two of one element have the same color: "
-       "springs, triangles, tetrahedra, and bending edges that have a stiffness or damping "
+       "Colors the particles for SolverVBD: no two particles of one element have the same color. "
+       "Elements are springs, triangles, tetrahedra, and bending edges with a stiffness or damping "
        "(include_bending None or True). include_bending False: the corners of a bending edge may "
        "share a color; a stiff one then converges badly or not at all. balance_colors: moves "
-       "particles until the colors are about equally large. Call it after the elements are "
-       "added.")
+       "particles until the colors are about equally large. Call it after the elements are added.")
       .def(
           "set_coloring",
           [](ModelBuilder& b, py::handle groups, bool allow_conflicts) {

@@ -209,8 +209,8 @@ void bind_other_joints(Builder& c) {
           "child"_a, py::kw_only(), "parent_xform"_a = py::none(), "child_xform"_a = py::none(),
           "parent"_a = -1, "collision_filter_parent"_a = py::none(), "enabled"_a = true,
           "label"_a = py::none(),
-          "No constraint: coordinates of a body that moves freely. They start at its present pose. "
-          "Returns the index.")
+          "No constraint: coordinates of a body that moves freely. The coordinates start at the "
+          "body's present pose. Returns the index.")
       .def(
           "add_joint_distance",
           [](ModelBuilder& b, int32_t parent, int32_t child, py::handle parent_xform,
@@ -270,7 +270,7 @@ void bind_actuators(Builder& c) {
        "force_range"_a = py::none(), "act_range"_a = py::none(), "ctrl"_a = 0.0f, "act"_a = 0.0f,
        "label"_a = py::none(),
        "An actuator of a degree of freedom of a REVOLUTE, PRISMATIC or D6 joint. Its length l and "
-       "rate v are those of the joint times gear. Its force is (gain[0] + gain[1] l + gain[2] v) c "
+       "rate v are those of the joint times gear. The force is (gain[0] + gain[1] l + gain[2] v) c "
        "+ bias[0] + bias[1] l + bias[2] v, clipped to force_range; the joint feels gear times "
        "that. c is the control, clipped to ctrl_range, or with an ActuatorDynamics the activation. "
        "A motor: the defaults; a servo of the position: gain (kp, 0, 0), bias (0, -kp, -kv); of "
@@ -336,7 +336,7 @@ void bind_joint_dof_config(py::module_& m) { bind_dof_config(m); }
 void bind_builder_joints(Builder& c) {
   c.attr("JointDofConfig") = py::type::of<JointDofConfig>();
   c.def_readwrite("default_joint_cfg", &ModelBuilder::default_joint_cfg,
-                  "Of revolute and prismatic joints, where add_joint_* is given none.")
+                  "The default of revolute and prismatic joints.")
       .def_property_readonly("joint_count", &ModelBuilder::joint_count, "Joints so far.")
       .def_property_readonly("joint_coord_count", &ModelBuilder::joint_coord_count,
                              "Joint coordinates so far.")

@@ -29,13 +29,13 @@ std::optional<std::vector<Vec2i>> to_shape_pairs(py::handle value) {
 void bind_collision(py::module_& m) {
   py::class_<CollisionPipeline>(
       m, "CollisionPipeline",
-      "Finds contacts. Soft: a record for each active particle whose center is closer to a shape, "
-      "of the world or of a body, than soft_contact_margin + shape_margin + particle_radius, in "
-      "candidate order: planes, boxes, spheres, capsules, cylinders, cones, ellipsoids, convex "
-      "hulls and meshes. Rigid: rows of the points of two shapes, at least one on a body, that are "
-      "closer than both gaps: infinite planes, spheres, capsules, ellipsoids, cylinders, boxes, "
-      "cones, convex hulls and, on the CPU, meshes, which also meet meshes; ordered by shape0, "
-      "shape1, point. The geometry of both carries no gradient.")
+      "Finds contacts. Soft: a record for each active particle whose center is closer to a shape "
+      "than soft_contact_margin + shape_margin + particle_radius, in candidate order. Shapes of "
+      "the world and of bodies: planes, boxes, spheres, capsules, cylinders, cones, ellipsoids, "
+      "convex hulls and meshes. Rigid: rows of the points of two shapes, at least one on a body, "
+      "that are closer than both gaps: infinite planes, spheres, capsules, ellipsoids, cylinders, "
+      "boxes, cones, convex hulls and, on the CPU, meshes, which also meet meshes; ordered by "
+      "shape0, shape1, point. The geometry of both carries no gradient.")
       .def(
           py::init([](const std::shared_ptr<Model>& model, const std::string& broad_phase,
                       const std::string& narrow_phase, std::optional<int32_t> rigid_contact_max,
@@ -115,7 +115,7 @@ void bind_collision(py::module_& m) {
       .def_property_readonly("fcl_pair_count", &CollisionPipeline::fcl_pair_count,
                              "Overlapping pairs of hulls so far, with narrow_phase \"fcl\".")
       .def_property_readonly("fcl_fallback_count", &CollisionPipeline::fcl_fallback_count,
-                             "Those of fcl_pair_count for which FCL's answer was not taken.")
+                             "Pairs of fcl_pair_count whose answer of FCL was not used.")
       .def_property_readonly("soft_contact_margin", &CollisionPipeline::soft_contact_margin, "m")
       .def_property_readonly("rigid_contact_max", &CollisionPipeline::rigid_contact_max,
                              "Rows of contacts().")

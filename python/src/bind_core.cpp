@@ -104,7 +104,7 @@ void bind_devices(py::module_& m) {
   py::class_<Event>(m, "Event", "A mark in the work of a device, for measuring time on it.")
       .def(py::init([](py::handle device) { return std::make_unique<Event>(to_device(device)); }),
            "device"_a = py::none())
-      .def_property_readonly("device", &Event::device, "Whose work is marked.")
+      .def_property_readonly("device", &Event::device, "The device of the event.")
       .def("record", &Event::record, "Marks the work that was issued so far.")
       .def("synchronize", &Event::synchronize, release_gil(),
            "Waits until the device has come to the mark.")

@@ -80,11 +80,10 @@ void bind_operators(py::module_& m) {
       "model"_a, "state"_a, "contacts"_a,
       "Of each row of rigid_contact_*, in a step from the state: \"exact\" where "
       "DiffSemiImplicitSolver follows points and normal with the poses of both bodies, \"frozen\" "
-      "where the points stay in the frames of their bodies and the normal in the world. So do all "
-      "rows that collide has not found from this state as it is: those of another state, rows that "
-      "were written or copied in, or that a captured graph has found, and rows and poses of which "
-      "another library has a writable view. A rollout that is given a Contacts holds all of its "
-      "rows in all steps. "
+      "where the points stay in the frames of their bodies and the normal in the world. Rows that "
+      "collide has not found from this state as it is are \"frozen\", too: rows of another state, "
+      "written or copied rows, rows of a captured graph, and rows or poses with a writable view of "
+      "another library. A rollout that is given a Contacts holds all of its rows in all steps. "
       "ValueError: a state or contacts of another model.");
   m.def(
       "eval_static_particle_shape_contact_forces_generated",
@@ -468,21 +467,19 @@ void bind_rollout(py::module_& solvers) {
       "pipeline"_a = py::none(), "start"_a = 0, "stop"_a = py::none(), "joint_f"_a = py::none(),
       "joint_target_q"_a = py::none(), "joint_target_qd"_a = py::none(), "ctrl"_a = py::none(),
       "The steps of a trajectory from its state `start` (kept) to `stop` (None: the last), with "
-      "the "
-      "bits of a loop of step in which every step starts from the force in trajectory.particle_f. "
-      "forces {n, 3} or {steps, n, 3} (N, world frame) act besides it, in every step or each in "
-      "its own; body_forces {b, 6} or {steps, b, 6} (N, N*m about the center of mass, world frame) "
-      "besides body_f. targets {k, 3} or {steps, k, 3} (m, world frame) are where the k held "
-      "particles of SolverVBD or DiffSolverVBD are at the end of a step; NotImplementedError for "
-      "other solvers. pipeline: a CollisionPipeline that finds the contacts of every step anew, "
-      "instead of `contacts`. control: one for all steps, or a sequence of m, each for a m-th of "
-      "them. joint_f, joint_target_qd {dofs} or {steps, dofs}, joint_target_q {coordinates} or "
-      "{steps, coordinates} and ctrl {actuators} or {steps, actuators} take the place of that "
-      "array of the control, in every step or each in "
-      "its own. What acts is only read. A differentiable solver records on an active tape, with "
-      "gradients for the forces "
-      "and the controls, and may be captured; others raise there. ValueError: an argument of "
-      "another model or size.");
+      "the bits of a loop of step in which every step starts from the force in "
+      "trajectory.particle_f. forces {n, 3} or {steps, n, 3} (N, world frame) act besides it, in "
+      "every step or each in its own; body_forces {b, 6} or {steps, b, 6} (N, N*m about the center "
+      "of mass, world frame) besides body_f. targets {k, 3} or {steps, k, 3} (m, world frame) are "
+      "where the k held particles of SolverVBD or DiffSolverVBD are at the end of a step; "
+      "NotImplementedError for other solvers. pipeline: a CollisionPipeline that finds the "
+      "contacts of every step anew, instead of `contacts`. control: one for all steps, or a "
+      "sequence of m, each for a m-th of them. joint_f, joint_target_qd {dofs} or {steps, dofs}, "
+      "joint_target_q {coordinates} or {steps, coordinates} and ctrl {actuators} or {steps, "
+      "actuators} take the place of that array of the control, in every step or each in its own. "
+      "Inputs are only read. A differentiable solver records on an active tape, with gradients for "
+      "the forces and the controls, and may be captured; others raise there. ValueError: an "
+      "argument of another model or size.");
 }
 
 // The config of a solver is a copy: writing to it would do nothing.
@@ -513,16 +510,15 @@ void add_contact_gradient(py::class_<Settings>& config) {
 }
 
 constexpr const char* kGradientInfo =
-    "GradientInfo of the last steps on a tape, each of which started where the one before "
-    "ended: a rollout or a loop of steps; of a captured one, of its last replay. It looks at "
-    "the states and contacts when it is called; with checkpoints steps are looked at as "
-    "they run. Steps are frozen where contacts push whose points and normals are held "
-    "(diff.rigid_contact_gradient_labels; those of particles of a Contacts that a rollout "
-    "does not find). The contacts of enable_static_contacts are exact, and count as events.";
+    "GradientInfo of the last chain of steps on a tape: a rollout or a loop of steps, or the last "
+    "replay of a captured one. The call reads the states and contacts; with checkpoints steps are "
+    "read as they run. Steps are frozen where contacts push whose points and normals are held "
+    "(diff.rigid_contact_gradient_labels; those of particles of a Contacts that a rollout does not "
+    "find). The contacts of enable_static_contacts are exact, and count as events.";
 
 void bind_solver(py::module_& solvers) {
   const DiffSolverConfig d;
-  py::class_<Settings> config(solvers, "DiffSolverConfig", "What a DiffSemiImplicitSolver covers.");
+  py::class_<Settings> config(solvers, "DiffSolverConfig", "Options of DiffSemiImplicitSolver.");
   config.def(
       py::init([](bool enable_particles, bool enable_particle_contacts, bool enable_tetrahedra,
                   bool enable_triangles, bool enable_springs, bool enable_bending,
@@ -596,8 +592,8 @@ void bind_solver(py::module_& solvers) {
       [](Settings& s, const std::string& law) {
         set(s, "friction_law", &DiffSolverConfig::friction_law, to_friction_law(law));
       },
-      "Of contacts of bodies: \"viscous\" or \"huber\", as in SolverSemiImplicit; \"newton17\" and "
-      "\"newton18\" are refused by the solver, because they have no gradient here.");
+      "For contacts of bodies: \"viscous\" or \"huber\", as in SolverSemiImplicit. \"newton17\" "
+      "and \"newton18\" have no gradient and are refused.");
   NOVAPHY_MEMBER(friction_smoothing,
                  "m/s, of the friction law \"huber\"; None: 0.1. The solver refuses it with "
                  "\"viscous\", which does not read it.")

@@ -94,16 +94,14 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
           "GradientInfo of all steps since the last clear_gradient_info. Steps are exact of the "
           "code where points and normals of all contacts that push move as the search moves them: "
           "planes of the world with spheres, capsules, boxes, hulls or meshes, found from the "
-          "state of the step as it is. They are frozen where frozen_contacts of the others push, "
-          "whose points stay in the frames of their bodies and whose normals stay in the world. "
+          "state of the step as it is. Steps are frozen where frozen_contacts other contacts push. "
+          "Their points stay in the frames of their bodies, their normals in the world. "
           "contact_steps: of the steps, those with contacts or dry friction; unconverged_steps: "
-          "those whose gradient raises; breaking, sticking, "
-          "sliding count contacts. Margins, None "
+          "those whose gradient raises; breaking, sticking, sliding count contacts. Margins, None "
           "without a contact of the kind, to where the gradient jumps: normal_margin (m/s, the "
-          "least normal impulse as a "
-          "velocity, or speed of opening), gap_margin (m, to where an overlap begins or leaves "
-          "pgs_slop, of contacts that push), cone_margin (1, the least distance of a sticking one "
-          "from its cone), slip_margin (m/s, the least slip).")
+          "least normal impulse as a velocity, or speed of opening), gap_margin (m, to where an "
+          "overlap begins or leaves pgs_slop, of contacts that push), cone_margin (1, the least "
+          "distance of a sticking one from its cone), slip_margin (m/s, the least slip).")
       .def("clear_gradient_info", &DiffFeatherstoneSolver::clear_gradient_info,
            "Forgets what gradient_info counts.")
       .def_property_readonly(

@@ -12,8 +12,8 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
   BoundClass<Contacts>::remember(m.attr("Contacts"));
   py::class_<SolverBase> base(
       solvers, "SolverBase",
-      "What every solver is. One thread at a time may use a solver, and what was "
-      "captured of it; another one gets novaphy.Error.");
+      "The base of all solvers. One thread at a time may use a solver, and what was captured of "
+      "it; another one gets novaphy.Error.");
   base.def_property_readonly(
           "model", [](const SolverBase& s) { return std::const_pointer_cast<Model>(s.model()); },
           "The model; its arrays and settings are read at every step.")
@@ -162,10 +162,10 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       },
       "model"_a, "state"_a, "joint_q"_a, "joint_qd"_a,
       "Writes joint_q and joint_qd: coordinates and rates of all joints, from body_q and body_qd "
-      "of the state. What the bodies do besides what their joint allows is left out; angles are "
-      "those in [-pi, pi]. No gradient: on a tape it raises for poses and velocities that carry "
-      "one. ValueError: wrong rows, a state of another model; NotImplementedError: a D6 whose axes "
-      "are not perpendicular.");
+      "of the state. Motions that the joint does not allow are left out; angles are in [-pi, pi]. "
+      "No gradient: on a tape it raises for poses and velocities that carry one. ValueError: wrong "
+      "rows, a state of another model; NotImplementedError: a D6 whose axes are not "
+      "perpendicular.");
   bind_featherstone(m, solvers);
 }
 

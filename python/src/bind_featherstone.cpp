@@ -75,8 +75,8 @@ void bind_functions(py::module_& m) {
         return to_array(unlocked([&] { return eval_bias(model, state); }));
       },
       "model"_a, "state"_a,
-      "The forces of gravity and of velocities {dofs}: eval_inverse_dynamics at qdd = 0. Of the "
-      "free tree where joints follow others.");
+      "The forces of gravity and of velocities {dofs}: eval_inverse_dynamics at qdd = 0. Mimic "
+      "joints count as free.");
   m.def(
       "eval_forward_dynamics",
       [](const Model& model, const SimState& state, py::handle tau) {
@@ -172,17 +172,17 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
   py::class_<SolverFeatherstone, SolverBase> solver(
       solvers, "SolverFeatherstone",
       "Articulations in the coordinates of their joints: PRISMATIC, REVOLUTE, BALL, FIXED, FREE "
-      "and "
-      "D6, drives by target mode, limits, effort and velocity limits, damping, armature, dry "
+      "and D6, drives by target mode, limits, effort and velocity limits, damping, armature, dry "
       "friction, joint_f, body_f, gravity, angular damping, and contacts of shapes. Reads joint_q, "
       "joint_qd and body_f of state_in; writes joint_q, joint_qd, body_q and body_qd of state_out, "
       "and rigid_contact_force of the contacts. The same bits wherever an articulation stands, and "
-      "for any number of threads. What has no effect (joint_enabled, joint_act, ...) raises "
-      "NotImplementedError. On a tape a step runs and is not "
-      "recorded; what it wrote may not be used there: DiffFeatherstoneSolver is the differentiable "
-      "one.\n\nA model on a device is stepped there with the bits of the cpu, contacts only by "
-      "\"pgs\" (\"penalty\" raises NotImplementedError). Nobody waits for such a step, which a "
-      "capture records: an articulation that fails, and with contacts its island, gets NaN, and "
+      "for any number of threads. Arrays without effect (joint_enabled, joint_act, ...) raise "
+      "NotImplementedError. On a tape a step runs and is not recorded; what it wrote may not be "
+      "used there: DiffFeatherstoneSolver is the differentiable one.\n"
+      "\n"
+      "A model on a device is stepped there with the bits of the cpu, contacts only by \"pgs\" "
+      "(\"penalty\" raises NotImplementedError). Nobody waits for such a step, which a capture "
+      "records: an articulation that fails, and with contacts its island, gets NaN, and "
       "check_last_step() says why.");
   solver
       .def(py::init(&make_solver), py::arg("model").none(false), py::kw_only(),
@@ -219,7 +219,7 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
           "\"cone\" or \"pyramid\"")
       .def("check_last_step", &SolverFeatherstone::check_last_step,
            py::call_guard<py::gil_scoped_release>(),
-           "Of a model on a device: waits for the last step or replay. novaphy.Error where it "
+           "Waits for the last step or replay of a model on a device. novaphy.Error where it "
            "failed, naming the dof, as step does on the cpu; IndexError for a row of the contacts "
            "that names a shape that is not there, or joins two worlds.")
       .def_property_readonly("pgs_sweeps", &SolverFeatherstone::pgs_sweeps,

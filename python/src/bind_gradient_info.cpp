@@ -37,9 +37,9 @@ constexpr std::pair<const char*, const char*> kFields[] = {
      "\"frozen\", \"surrogate\"."},
     {"reason", "One sentence: what makes it so and what follows, with step and pair."},
     {"steps", "How many."},
-    {"exact_steps", "Those exact of the code, or implicit."},
-    {"frozen_steps", "Those in which contacts push whose points or normals are held."},
-    {"surrogate_steps", "Those that miss their law, or whose law jumps."},
+    {"exact_steps", "Steps exact of the code, or implicit."},
+    {"frozen_steps", "Steps with active contacts of held points or normals."},
+    {"surrogate_steps", "Steps that miss their law, or whose law jumps."},
     {"events", "began + ended + turned."},
     {"began", "Contacts that began to push from one step to the next."},
     {"ended", "Contacts that no longer push."},
@@ -56,22 +56,19 @@ constexpr std::pair<const char*, const char*> kFields[] = {
     {"residual", "The largest miss of the law of contacts, relative to the largest impulse (1)."}};
 
 constexpr const char* kDoc =
-    "What the gradients of the steps of a solver are; each field as "
-    "attribute and as key. label, the worst of the steps: \"exact of the motion\", where the "
-    "times "
-    "of events move with the state too (contact_gradient=\"motion\"); \"exact of the code\", "
-    "the derivative of what each step computes, with the contacts that it has; \"implicit\", of "
-    "the solutions "
-    "of the steps (DiffSolverVBD); \"frozen\", where contacts push whose points or normals are "
-    "held; \"surrogate\", where the contact solve missed its law by more than 1e-3 of the "
-    "largest impulse, or a law jumps. reason: one sentence that says what follows, with step "
-    "and pair. steps = exact_steps + frozen_steps + surrogate_steps, where exact_steps counts "
-    "implicit ones too. events = began + ended + turned: contacts that began or ended to push, "
-    "or "
-    "changed between sticking and slipping, between two steps that follow each other. How an "
-    "event moves in time is not differentiated, so with events the gradient of the motion may "
-    "differ from that of the code, also in sign. residual: the largest, relative to the "
-    "impulses. Solvers tell more.";
+    "The label of a solver's gradients, and its reason; each field as attribute and as key. label, "
+    "the worst of the steps: \"exact of the motion\", where the times of events move with the "
+    "state too (contact_gradient=\"motion\"); \"exact of the code\", the derivative of what each "
+    "step computes, with the contacts that it has; \"implicit\", of the solutions of the steps "
+    "(DiffSolverVBD); \"frozen\", where contacts push whose points or normals are held; "
+    "\"surrogate\", where the contact solve missed its law by more than 1e-3 of the largest "
+    "impulse, or a law jumps. reason: one sentence that says what follows, with step and pair. "
+    "steps = exact_steps + frozen_steps + surrogate_steps, where exact_steps counts implicit ones "
+    "too. events = began + ended + turned: contacts that began or ended to push, or changed "
+    "between sticking and slipping, between two steps that follow each other. How an event moves "
+    "in time is not differentiated, so with events the gradient of the motion may differ from that "
+    "of the code, also in sign. residual: the largest, relative to the impulses. Solvers tell "
+    "more.";
 
 }  // namespace
 

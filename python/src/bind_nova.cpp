@@ -289,11 +289,11 @@ void bind_shapes(py::module_& m) {
       .def("max", &reduced<Reduction::Max>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
            release_gil(),
            "Largest of all values, {1}, or over one dimension; one of equal values gets the "
-           "gradient. Of two tensors: maximum.")
+           "gradient. For two tensors use maximum.")
       .def("min", &reduced<Reduction::Min>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
            release_gil(),
            "Smallest of all values, {1}, or over one dimension; one of equal values gets the "
-           "gradient. Of two tensors: minimum.")
+           "gradient. For two tensors use minimum.")
       .def(
           "broadcast_to",
           [](const Tensor& x, py::handle shape) { return nova::broadcast_to(x, to_shape(shape)); },

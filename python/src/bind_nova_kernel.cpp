@@ -43,9 +43,8 @@ size_t source_number(const TraceContext& c, py::handle source) {
 void bind_context(py::module_& m) {
   py::class_<PyContext, std::shared_ptr<PyContext>>(
       m, "TraceContext",
-      "What a traced function gets. Sources are named by their name or number; without a row they "
-      "are read at the row that "
-      "their access declares.")
+      "The argument of a traced function. Sources are named by their name or number; without a row "
+      "they are read at the row that their access declares.")
       .def(
           "index", [](const PyContext& c) { return c.get().index(); }, "The output row i.")
       .def(
@@ -237,9 +236,8 @@ void bind_nova_kernel(py::module_& m) {
           "rebuild", [](const nova::Incidence& i) { nova::rebuild(i); }, release_gil(),
           "Builds the rows again, into the same arrays, from what the table holds now. A capture "
           "records it, so that a replay finds the rows of its own table; a checkpoint runs it once "
-          "more. backward() raises RuntimeError where it would need the rows of before. "
-          "IndexError: "
-          "an entry >= rows; on the CPU the rows are then as before.");
+          "more. backward() raises RuntimeError where it needs the earlier rows. IndexError: an "
+          "entry >= rows; on the CPU the rows are then as before.");
   m.def(
       "make_incidence",
       [](const Tensor& table, int64_t rows) {

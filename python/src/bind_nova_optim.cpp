@@ -94,15 +94,12 @@ void bind_optimizer(py::class_<C>& c) {
                  "], lr=" + number_text(optimizer.lr()) + ")";
         })
       .def("step", &C::step, release_gil(),
-           "One step of all parameters, in place and not recorded on a tape. It may be captured: "
-           "each "
-           "launch of the graph is a step then, at the rate of the capture. ValueError when a "
-           "parameter has no gradient, novaphy.Error when one is not finite; nothing was written "
-           "then. On a device, and in a launch of a graph, a gradient that is not finite is noted "
-           "and "
-           "nothing is written: check() raises, which the next step or launch on the CPU and reads "
-           "of "
-           "the state begin with.")
+           "One step of all parameters, in place and not recorded on a tape. The step may be "
+           "captured: each launch of the graph is a step, at the rate of the capture. ValueError "
+           "when a parameter has no gradient, novaphy.Error when one is not finite; nothing was "
+           "written then. On a device, and in a launch of a graph, a gradient that is not finite "
+           "is noted and nothing is written: check() raises, which the next step or launch on the "
+           "CPU and reads of the state begin with.")
       .def("check", &C::check, release_gil(),
            "novaphy.Error where steps since the last call met a gradient that is not finite. Waits "
            "for a device.")

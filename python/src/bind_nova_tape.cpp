@@ -205,7 +205,7 @@ void bind_capture(py::module_& m) {
 void bind_gradcheck(py::module_& m) {
   const nova::GradcheckOptions d;
   py::class_<nova::GradcheckResult>(m, "GradcheckResult",
-                                    "What gradcheck found; true when it is ok.")
+                                    "The result of gradcheck; true when it is ok.")
       .def_readonly("ok", &nova::GradcheckResult::ok, "Whether all values agree.")
       .def_readonly("max_abs_error", &nova::GradcheckResult::max_abs_error, "Largest difference.")
       .def_readonly("max_rel_error", &nova::GradcheckResult::max_rel_error,

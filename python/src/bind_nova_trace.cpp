@@ -144,7 +144,8 @@ void bind_int(py::module_& m) {
 
 void bind_bool(py::module_& m) {
   py::class_<Bool> c(m, "Bool",
-                     "A truth value while a kernel is traced. It has no bool(): use nova.select.");
+                     "A truth value while a kernel is traced. bool() is not supported: use "
+                     "nova.select.");
   c.def(py::init<bool>(), "value"_a, "A constant.")
       .def(
           "__and__", [](const Bool& a, const Bool& b) { return both(a, b); }, py::is_operator())

@@ -225,14 +225,15 @@ std::string report_text(const RobotReport& report) {
 }
 
 void bind_report(py::module_& io) {
-  py::class_<RobotNote>(io, "RobotNote", "What the reader has to say of an element of a file.")
+  py::class_<RobotNote>(io, "RobotNote", "A note of the reader on an element of a file.")
       .def_readonly("file", &RobotNote::file, "The file; <text> for XML given as text.")
       .def_readonly("line", &RobotNote::line, "Line of the element.")
       .def_readonly("element", &RobotNote::element, "The element, such as <joint name=\"knee\">.")
-      .def_readonly("text", &RobotNote::text, "What was done, and why.")
+      .def_readonly("text", &RobotNote::text, "The action, and its reason.")
       .def("__str__", &note_text);
   py::class_<RobotReport>(io, "RobotReport",
-                          "What was read, mended and left out of a robot's file; str() lists it.")
+                          "The elements of a robot's file that were read, mended and left out; "
+                          "str() lists them.")
       .def_readonly("read", &RobotReport::read, "Kind of element to how many were read.")
       .def_readonly("mended", &RobotReport::mended, "RobotNotes: what was changed to be read.")
       .def_readonly("left_out", &RobotReport::left_out,
@@ -249,7 +250,7 @@ void bind_result(py::module_& io) {
       .def_readonly("time", &RobotKeyframe::time, "s.")
       .def_readonly("coord", &RobotKeyframe::coord, "First row of joint_q.")
       .def_readonly("joint_q", &RobotKeyframe::joint_q, "Rows of joint_q from there on.");
-  py::class_<RobotImport>(io, "RobotImport", "What add_urdf or add_mjcf added, by name.")
+  py::class_<RobotImport>(io, "RobotImport", "The additions of add_urdf or add_mjcf, by name.")
       .def_readonly("links", &RobotImport::links,
                     "Link name to body; of a merged link the body that it is part of.")
       .def_readonly("joints", &RobotImport::joints, "Joint name to joint; -1: merged.")
@@ -307,12 +308,11 @@ void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
       "the colliders and default_shape_cfg. joint_ordering: \"dfs\", \"bfs\" or None (the file's). "
       "Joints start at 0 or the nearest limit. mesh_maxhullvert: colliders of meshes become hulls. "
       "joint_damping_mode: \"passive\" or \"drive\" (target_kd). mimic: \"follow\", \"refuse\", "
-      "\"fixed\" or "
-      "\"independent\". filter_overlaps: pairs of its shapes that overlap where its joints start "
-      "never meet; False: the first collide names them, with their depth. ignore_zero_effort: "
-      "effort=\"0\" is no limit. ValueError and "
-      "NotImplementedError name file, line and element; the builder is then as it was. OSError: "
-      "no such file. What is not read gives a UserWarning.";
+      "\"fixed\" or \"independent\". filter_overlaps: pairs of its shapes that overlap where its "
+      "joints start never meet; False: the first collide names them, with their depth. "
+      "ignore_zero_effort: effort=\"0\" is no limit. ValueError and NotImplementedError name file, "
+      "line and element; the builder is then as it was. OSError: no such file. Unread elements "
+      "give a UserWarning.";
   constexpr const char* mjcf_doc =
       "Adds the bodies, joints, geoms and actuators of an MJCF file: a path, or the XML itself. A "
       "subset; what would change the physics and is not in it raises NotImplementedError by name. "

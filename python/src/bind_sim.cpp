@@ -246,10 +246,9 @@ void bind_derived(ModelClass& c, const char* name, DeviceArray<T> ModelFields::*
 void bind_model(py::module_& m) {
   py::class_<Model, std::shared_ptr<Model>> c(
       m, "Model",
-      "What stays the same over time: particles, bodies, shapes, materials. Made by "
-      "ModelBuilder.finalize; "
-      "sizes are fixed, values "
-      "may be edited at any time and act at the next step.");
+      "The constant part of a scene: particles, bodies, shapes, materials. Made by "
+      "ModelBuilder.finalize; sizes are fixed, values may be edited at any time and act at the "
+      "next step.");
   using Fields = ModelFields;
   NOVAPHY_MODEL_FIELDS(NOVAPHY_BIND_FIELD)
 #define NOVAPHY_BIND_DERIVED(derived, source, rule) bind_derived(c, #derived, &Fields::derived);
@@ -371,9 +370,9 @@ void bind_model(py::module_& m) {
 
 void bind_state(py::module_& m) {
   py::class_<SimState> c(m, "SimState",
-                         "What changes over time. Made by Model.state(), or part of a Trajectory. "
-                         "Arrays of something that "
-                         "the model does not have exist with 0 rows.");
+                         "The changing part of a scene: positions, velocities, forces. Made by "
+                         "Model.state(), or part of a Trajectory. Arrays of something that the "
+                         "model does not have exist with 0 rows.");
   using Fields = StateFields;
   NOVAPHY_STATE_FIELDS(NOVAPHY_BIND_FIELD)
   bind_counts(c);
@@ -386,7 +385,7 @@ void bind_state(py::module_& m) {
 
 void bind_control(py::module_& m) {
   py::class_<Control> c(m, "Control",
-                        "What drives the model during a step. Made by Model.control().");
+                        "The inputs of a step. Made by Model.control().");
   using Fields = ControlFields;
   NOVAPHY_CONTROL_FIELDS(NOVAPHY_BIND_FIELD)
   bind_field(
@@ -474,7 +473,7 @@ void bind_contacts(py::module_& m) {
 
 void bind_enums(py::module_& m) {
   add_enum(m, "IntEnum", "Axis", "A coordinate axis.", {{"X", 0}, {"Y", 1}, {"Z", 2}});
-  add_enum(m, "IntEnum", "GeoType", "What a shape is, see Model.shape_type.",
+  add_enum(m, "IntEnum", "GeoType", "The type of a shape, see Model.shape_type.",
            {{"NONE", value_of(GeoType::NONE)},
             {"PLANE", value_of(GeoType::PLANE)},
             {"HFIELD", value_of(GeoType::HFIELD)},
@@ -486,7 +485,7 @@ void bind_enums(py::module_& m) {
             {"MESH", value_of(GeoType::MESH)},
             {"CONE", value_of(GeoType::CONE)},
             {"CONVEX_MESH", value_of(GeoType::CONVEX_MESH)}});
-  add_enum(m, "IntEnum", "JointType", "What a joint is, see Model.joint_type.",
+  add_enum(m, "IntEnum", "JointType", "The type of a joint, see Model.joint_type.",
            {{"PRISMATIC", value_of(JointType::PRISMATIC)},
             {"REVOLUTE", value_of(JointType::REVOLUTE)},
             {"BALL", value_of(JointType::BALL)},
@@ -500,7 +499,7 @@ void bind_enums(py::module_& m) {
             {"INTEGRATOR", value_of(ActuatorDynamics::INTEGRATOR)},
             {"FILTER", value_of(ActuatorDynamics::FILTER)},
             {"FILTER_EXACT", value_of(ActuatorDynamics::FILTER_EXACT)}});
-  add_enum(m, "IntEnum", "JointTargetMode", "What the drive of a degree of freedom has.",
+  add_enum(m, "IntEnum", "JointTargetMode", "The targets of a drive.",
            {{"NONE", value_of(JointTargetMode::NONE)},
             {"POSITION", value_of(JointTargetMode::POSITION)},
             {"VELOCITY", value_of(JointTargetMode::VELOCITY)},
@@ -516,7 +515,7 @@ void bind_enums(py::module_& m) {
             {"COLLIDE_SHAPES", value_of(ShapeFlags::COLLIDE_SHAPES)},
             {"COLLIDE_PARTICLES", value_of(ShapeFlags::COLLIDE_PARTICLES)},
             {"SITE", value_of(ShapeFlags::SITE)}});
-  add_enum(m, "IntFlag", "ModelFlags", "What notify_model_changed is told.",
+  add_enum(m, "IntFlag", "ModelFlags", "The parts of a model for notify_model_changed.",
            {{"JOINT_PROPERTIES", value_of(ModelFlags::JOINT_PROPERTIES)},
             {"JOINT_DOF_PROPERTIES", value_of(ModelFlags::JOINT_DOF_PROPERTIES)},
             {"BODY_PROPERTIES", value_of(ModelFlags::BODY_PROPERTIES)},

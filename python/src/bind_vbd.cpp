@@ -71,10 +71,10 @@ void bind_diff_vbd(py::module_& solvers) {
       "which Newton's method then takes it; the solution is what step returns. Gradients by "
       "positions, velocities, forces, targets, gravity, masses, radii, materials, rest shapes, "
       "activations, and margins and materials of shapes; points and normals of contacts are "
-      "frozen. Other arrays that carry a gradient raise NotImplementedError by name. What "
-      "initial_guess=\"adaptive\" keeps of a step goes from step to step and rollout to rollout "
-      "until reset(), with its gradient where it is unrolled (a solution does not depend on it). "
-      "On a device no jvp and no gradient=\"implicit\" stand in a capture.")
+      "frozen. Other arrays that carry a gradient raise NotImplementedError by name. The velocity "
+      "of initial_guess=\"adaptive\" goes from step to step and rollout to rollout until reset(), "
+      "with its gradient where it is unrolled. A solution does not depend on it. On a device no "
+      "jvp and no gradient=\"implicit\" stand in a capture.")
       .def(py::init(
                [](const std::shared_ptr<Model>& model, int32_t iterations, float friction_epsilon,
                   const std::string& initial_guess, float lhs_regularization,
@@ -120,15 +120,14 @@ void bind_diff_vbd(py::module_& solvers) {
                 i, py::dict("primal"_a = i.primal, "linear_residual"_a = i.linear_residual,
                             "linear_sweeps"_a = i.linear_sweeps, "converged"_a = i.converged));
           },
-          "GradientInfo of the last steps on a tape, each of which started where the one before "
-          "ended: a rollout or a loop of steps; of a captured one, of its last replay. Behind a "
-          "backward or jvp. Steps are frozen where particles push against shapes other than "
-          "endless planes: points and normals of contacts are held. Of the last backward or jvp: "
-          "primal, the VbdResidual of its step; of implicit gradients the relative residual of "
-          "the linear system (linear_residual, else 0), the sweeps that it took (linear_sweeps), "
-          "and whether both are within the tolerance (converged; True where unrolled). "
-          "novaphy.Error: there was no backward; a replay, or "
-          "a step on a device, since the last call failed (not finite, not solved, contacts that "
+          "GradientInfo of the last chain of steps on a tape: a rollout or a loop of steps, or the "
+          "last replay of a captured one. Behind a backward or jvp. Steps are frozen where "
+          "particles push against shapes other than endless planes: points and normals of contacts "
+          "are held. The last backward or jvp gives primal, the VbdResidual of its step; of "
+          "implicit gradients the relative residual of the linear system (linear_residual, else "
+          "0), the sweeps that it took (linear_sweeps), and whether both are within the tolerance "
+          "(converged; True where unrolled). novaphy.Error: there was no backward; a replay, or a "
+          "step on a device, since the last call failed (not finite, not solved, contacts that "
           "overflowed).")
       .def("clear_gradient_info", &DiffSolverVBD::clear_gradient_info,
            "Forgets which steps gradient_info counts.")
@@ -159,7 +158,7 @@ void bind_vbd(py::module_& solvers) {
                     "N: norm of m (y - xn)/h^2, what the step has to balance.")
       .def_readonly("relative", &VbdResidual::relative, "force / scale; 0 where the force is 0.")
       .def_readonly("floor", &VbdResidual::floor,
-                    "Of relative: what one rounding of the positions changes.")
+                    "The change of relative by one rounding of the positions.")
       .def_readonly("iterations", &VbdResidual::iterations, "Iterations that ran.");
 
   const VbdOptions d;
@@ -213,13 +212,13 @@ void bind_vbd(py::module_& solvers) {
           "The spectral radius, or None.")
       .def_property_readonly(
           "tolerance", [](const SolverVBD& s) { return s.options().tolerance; },
-          "Of residual().relative, or None.")
+          "The bound of residual().relative, or None.")
       .def_property_readonly(
           "safeguard", [](const SolverVBD& s) { return s.options().safeguard; },
           "Whether steps are halved while the energy rises.")
       .def_property_readonly(
           "lhs_regularization", [](const SolverVBD& s) { return s.options().lhs_regularization; },
-          "Of blocks that are nearly singular.")
+          "The regularization of nearly singular blocks.")
       .def_property_readonly("held_count", &SolverVBD::held_count,
                              "Particles that are held: the rows of targets.")
       .def(

@@ -41,9 +41,9 @@ def linearize(
     """The derivatives A, B of a step by its state and its input, for all worlds at once.
 
     The state x of a world is (q, qd), n degrees of freedom each. Columns and rows of q are
-    tangents: a joint angle or distance (rad, m); of a BALL a small rotation r (rad) in the frame of
-    the joint, q -> q + (r, 0) q / 2; of a FREE joint a displacement (m) of its origin, then such a
-    rotation. Forward mode: one pass over all worlds for each column.
+    tangents: an angle or distance (rad, m); for a BALL a small rotation r (rad) in the frame of
+    the joint, q -> q + (r, 0) q / 2. A FREE joint has a displacement (m) of its origin, then such
+    a rotation. Forward mode: one pass over all worlds for each column.
 
     Args:
         solver: a DiffFeatherstoneSolver; its device runs the passes.
@@ -104,7 +104,7 @@ def linearize(
 
 
 class _Rows:
-    """Which coordinates and degrees of freedom belong to each world."""
+    """Coordinates and degrees of freedom of each world."""
 
     def __init__(self, model: Model) -> None:
         worlds = model.joint_world.numpy()
@@ -119,7 +119,7 @@ class _Rows:
             raise ValueError("linearize: expected worlds of the same joints, at least one")
 
         def rows_of(start: NDArray[np.int32]) -> NDArray[np.int64]:
-            """Those of the joints of every world, {worlds, count}."""
+            """Return the entries of the joints of every world, {worlds, count}."""
             return np.array(
                 [[k for j in some for k in range(start[j], start[j + 1])] for some in joints], int
             )

@@ -14,8 +14,8 @@ def pose_tangent_gradient(body_q: ArrayLike, gradient: ArrayLike) -> NDArray[np.
     """The gradient by displacements and small rotations of poses.
 
     Gradients of `body_q` are those of seven free numbers: the part along the quaternion only
-    stretches it. A pose moves by p + d and, turned in the world by a small vector r (rad), by
-    q + (r, 0) q / 2; the result is the gradient by d and r.
+    stretches it. A displacement d moves a pose to p + d. A small rotation r (rad) in the world
+    turns it to q + (r, 0) q / 2. The result is the gradient with respect to d and r.
 
     Args:
         body_q: poses {n, 7} (or one, {7}): position (m), unit quaternion x, y, z, w.

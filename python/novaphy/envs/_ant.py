@@ -116,7 +116,7 @@ class AntWorlds:
 
     @property
     def total_mass(self) -> float:
-        """Of an Ant without changes, kg."""
+        """The mass of an Ant without changes, kg."""
         return float(self._masses[0].sum())
 
     @property
@@ -313,7 +313,7 @@ class AntWorlds:
         self.solver.check_last_step()
 
     def observations(self) -> Array:
-        """What a policy of Gymnasium's Ant-v3 sees, {worlds, 111}.
+        """Return the observations of Gymnasium's Ant-v3, {worlds, 111}.
 
         Height; quaternion w x y z; hinges; velocity (world axes); angular velocity (body axes);
         rates of the hinges; then 84 zeros, where MuJoCo has contact forces since 2.0.
@@ -355,7 +355,7 @@ def build_ants(
 
 
 def observations(q: Array, qd: Array) -> Array:
-    """Of joint coordinates {n, 15} and rates {n, 14}: {n, 111}."""
+    """Return the observations {n, 111} of joint coordinates {n, 15} and rates {n, 14}."""
     out = np.zeros((len(q), OBSERVATIONS), np.float32)
     out[:, 0], out[:, 1], out[:, 2:5] = q[:, 2], q[:, 6], q[:, 3:6]
     out[:, 5:13], out[:, 13:16] = q[:, 7:], qd[:, :3]
@@ -386,8 +386,8 @@ def rotate_back(quaternion: Array, v: Array) -> Array:
 
 
 def feet(state: SimState, num_worlds: int) -> tuple[Array, Array, Array]:
-    """Of the four feet: where the centers of the tips are {worlds, 4, 3} (m), how high their lowest
-    points {worlds, 4} (m), and how fast these points of the feet move {worlds, 4, 3} (m/s)."""
+    """Return tip centers {worlds, 4, 3} (m), heights {worlds, 4} (m) of the feet's lowest points,
+    and velocities {worlds, 4, 3} (m/s) of these points."""
     poses = state.body_q.numpy().reshape(num_worlds, -1, 7)[:, FEET]
     rates = state.body_qd.numpy().reshape(num_worlds, -1, 6)[:, FEET]
     arm = rotate(poses[..., 3:], np.broadcast_to(TIPS.astype(np.float32), poses[..., :3].shape))

@@ -125,10 +125,10 @@ def load_tet_mesh(path: str | os.PathLike[str], *, drop_loose_vertices: bool = F
 
     Raises:
         OSError: the file is missing or cannot be opened.
-        ValueError: naming the line where there is one: another format, a broken or cut file, an
-            empty mesh; a position that is not finite; solids that are no 4-node tetrahedra;
-            degenerate or inverted tetrahedra, with how many there are; a face of more than two
-            tetrahedra, or of two on one side; a loose vertex.
+        ValueError: with the line, if one is known. The file has another format, is broken or
+            truncated, or has an empty mesh. A position is not finite. Solids are no 4-node
+            tetrahedra. Tetrahedra are degenerate or inverted (with their number). A face has more
+            than two tetrahedra, or two on one side. A vertex is loose.
     """
     _check_opens(path)
     return TetMesh(*_core.io.load_tet_mesh(path, drop_loose_vertices=drop_loose_vertices))

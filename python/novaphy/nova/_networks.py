@@ -35,8 +35,8 @@ def gaussian_log_density(
         u: what was drawn, {n, k}; before the tanh.
         mean: of the Gaussian, {n, k}.
         log_std: logarithm of its standard deviation, {n, k} or {k}.
-        squashed: the action is tanh(u): its density, so with -log(1 - tanh(u)^2) of every column,
-            as 2 (log 2 - u - softplus(-2 u)) without cancellation (Haarnoja et al., "Soft
+        squashed: the action is tanh(u). Its density has the term -log(1 - tanh(u)^2) of every
+            column, as 2 (log 2 - u - softplus(-2 u)) without cancellation (Haarnoja et al., "Soft
             actor-critic algorithms and applications", 2018, appendix C). False: that of u.
 
     Returns:

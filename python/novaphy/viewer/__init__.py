@@ -2,7 +2,8 @@
 
 All have the same calls, so a script runs with any of them. ViewerGL draws in a window or without a
 display, ViewerViser serves a page, ViewerHTML writes one that replays the run, ViewerFile records
-to a file, ViewerNull shows nothing. What only one of them needs is imported when it is made.
+to a file, ViewerNull shows nothing. Packages that only one viewer needs are imported with that
+viewer.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class Drag:
         return np.asarray(rows[item[1]][:3], np.float64)
 
     def pick(self, x: float, y: float, size: tuple[int, int]) -> tuple[str, int, np.ndarray] | None:
-        """What is at a pixel: the nearest body there, else what is nearest within PICK_PIXELS."""
+        """Return the nearest body at a pixel, else the nearest object within PICK_PIXELS."""
         found = self.candidates()
         if not found:
             return None

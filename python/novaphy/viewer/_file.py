@@ -157,8 +157,8 @@ class ViewerFile(Viewer):
     def _save_new(self) -> None:
         """Write what was not written yet to output_path.
 
-        What is in the file stays, whenever this ends: an exception, as that of Ctrl-C, leaves the
-        rest to the next call.
+        Written frames stay in the file after an exception, as that of Ctrl-C. The next call writes
+        the rest.
         """
         if self._is_archive(self.output_path) or self._frames.maxlen is not None:
             self.save_recording()

@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser, default: int, what: str) -> N
     Args:
         parser: the parser of a program.
         default: the number for --headless, and of what happens in a window.
-        what: what --headless counts: "training iterations", "frames".
+        what: the unit of --headless: "training iterations", "frames".
     """
     parser.add_argument(
         "--headless",

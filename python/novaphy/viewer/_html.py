@@ -33,9 +33,9 @@ class ViewerHTML(SceneViewer):
     """Collects frames, and writes a self-contained page when it is closed.
 
     A frame whose time is not after that of the one before begins a new take: another iteration of
-    a training, say. The page plays the takes one after the other, and has a slider for them. What
-    does not change from frame to frame is stored once. What moves is stored to 1/16384 of the
-    height of the picture where the camera looks, and quaternions to 3e-5; all else as it is.
+    a training, say. The page plays the takes one after the other, and has a slider for them.
+    Constant arrays are stored once. Positions are stored to 1/16384 of the height of the picture
+    where the camera looks, and quaternions to 3e-5. Other values are stored as they are.
     """
 
     def __init__(self, output_path: str | os.PathLike[str] | None, title: str = "NovaPhy") -> None:
@@ -186,7 +186,7 @@ class ViewerHTML(SceneViewer):
         return f"{head}{text}{middle}{blob}{tail}"
 
     def _packed_data(self) -> tuple[bytes, list[list[int]], list[Any]]:
-        """What is stored, packed.
+        """The stored arrays, packed.
 
         Gives the data, the parts of it that are as they were (place and number of words), and those
         that are packed: how, components, their quanta, numbers in a frame, and places of frames.

@@ -1,6 +1,6 @@
 """A model and its states as objects of a scene: the one file here that knows physics.
 
-It works on arrays, not on a Model, so that a recording can be shown without the model.
+The scene works on arrays, so that a recording can be shown without the model.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ _SHAPES = {
 
 
 def model_arrays(model: Model) -> dict[str, np.ndarray]:
-    """What of a model is shown, by field."""
+    """The fields of a model that are shown."""
     arrays = {name: getattr(model, name).numpy() for name in MODEL_FIELDS}
     return {name: values for name, values in arrays.items() if values.size}
 

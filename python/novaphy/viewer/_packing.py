@@ -1,7 +1,7 @@
 """How a page stores motion: positions on a grid, as differences that compress well.
 
-Float32 hardly compresses. What moves is kept as whole multiples of a quantum, far below a pixel,
-and of these the differences to what the frames before, or the row before, foretell; they are small
+Float32 hardly compresses. Moving values are kept as whole multiples of a quantum, far below a
+pixel. The frames before, or the row before, predict each multiple. The differences are small
 numbers, whose four bytes are stored in planes of their own.
 """
 

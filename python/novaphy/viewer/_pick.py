@@ -1,4 +1,4 @@
-"""Which shape a ray meets first: boxes first, then the triangles in them."""
+"""Find the shape that a ray meets first: boxes first, then the triangles in them."""
 
 from __future__ import annotations
 

@@ -1,11 +1,12 @@
 """The two formats of a recording: what is written and read, apart from the viewer that does it.
 
-Version 2 (.nprec) is a line that names it, then chunks that are only ever appended: the length and
-the CRC-32 of the content (uint32 each, little-endian), and the content, an .npz archive. The first
+Version 2 (.nprec) is a line that names it, then chunks that are only appended. A chunk is the
+length and the CRC-32 of the content (uint32 each, little-endian), then the content, an .npz
+archive. The first
 chunk has the header and the model's arrays (`model/<field>`), each other one a number of frames:
 `time` {frames} in s, `state/<field>` {frames, ...}, and `calls`, a JSON text (as uint8) with the
 drawings of each frame, [[call, arguments], ...], where {"array": k} stands for the entry `array/k`.
-What a process that was killed left half-written at the end is not read.
+A half-written end of a killed process is not read.
 
 Version 1 (.npz) is one archive with the states of all frames, without drawings.
 """
@@ -41,7 +42,7 @@ class Frame:
 
 
 class Recording:
-    """What a file holds."""
+    """The contents of a file."""
 
     def __init__(self, model: dict[str, np.ndarray], up_axis: int, frames: Sequence[Frame]) -> None:
         """The model's arrays by field, its upward axis, and the frames."""

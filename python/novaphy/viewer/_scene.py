@@ -1,4 +1,4 @@
-"""What a picture is made of: named objects that stay until they are replaced or taken out.
+"""The parts of a picture: named objects that stay until they are replaced or taken out.
 
 Nothing here knows physics or a graphics library. Every part of an object has a revision, so that a
 back end uploads, sends or writes only what changed.
@@ -118,7 +118,7 @@ class Part:
 class Mesh:
     """Triangles. Vertices with a shift move along local z by it times the instance's fourth scale.
 
-    That is how one capsule serves all proportions: its halves shift by +1 and -1.
+    One capsule serves all proportions: its halves shift by +1 and -1.
     """
 
     fields = ("points", "normals", "shift", "indices")

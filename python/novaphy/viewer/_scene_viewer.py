@@ -1,4 +1,4 @@
-"""What the viewers that show something share: their calls become objects of a scene."""
+"""The base of viewers that show a picture: their calls become objects of a scene."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class SceneViewer(Viewer):
     def follow(self, body: int | None) -> None:
         """Let the camera go along with a body of the model, on the level; None: let it stay.
 
-        It moves as much as the body does from the next state on; the user may turn it meanwhile.
+        The camera moves as the body does from the next state on; the user may turn it meanwhile.
         """
         self._followed, self._followed_at = body, None
 
@@ -161,7 +161,7 @@ class SceneViewer(Viewer):
             self._energy = energy(self._model_scene.arrays, self.latest_state)
 
     def texts(self, paused: bool = False) -> list[str]:
-        """What is told in words: the time, the energy and the latest scalars."""
+        """The text: the time, the energy and the latest scalars."""
         lines = [f"time {self.scene.time:.3f} s" + ("   paused" if paused else "")]
         if self._energy is not None:
             lines.append(f"energy {self._energy:.6g} J")

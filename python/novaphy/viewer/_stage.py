@@ -294,7 +294,7 @@ class Stage:
     def replay(self) -> None:
         """In a window, play the last rollout, recording or simulation until it is closed.
 
-        What is written to a file ends before.
+        A recording to a file ends before.
         """
         if not self._waits:
             return

@@ -28,8 +28,9 @@ class PageObjects:
 
         Args:
             server: of viser.
-            pull: called with the name of an object of the model, the rows of it that a mesh of the
-                page shows, and an event of the pointer that drags the mesh.
+            pull: a callback. Its arguments are the name of an object of the model, the rows of the
+                object that a mesh of the page shows, and an event of the pointer that drags the
+                mesh.
         """
         self.server, self.pull = server, pull
         self.handles: dict[str, tuple[Any, Any]] = {}
@@ -137,7 +138,7 @@ class PageObjects:
 
 
 class _Object:
-    """What an object is on the page: handles, each with the instances that it shows."""
+    """An object on the page: handles, each with the instances that it shows."""
 
     def __init__(self, parts: Sequence[tuple[Any, np.ndarray | None]] = ()) -> None:
         self.parts = list(parts)

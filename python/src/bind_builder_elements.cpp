@@ -353,11 +353,11 @@ void bind_mesh_shapes(Builder& c) {
        "vertices"_a = py::none(), "indices"_a = py::none(), "scale"_a = py::none(),
        "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
        "A surface of triangles: vertices (n, 3; m), indices (m, 3) or flat, counter-clockwise seen "
-       "from outside, or a `mesh` with these as attributes; `scale` a number or three, > 0. The "
-       "mesh meets convex shapes, planes and particles, and no meshes. Vertices in one place count "
-       "as one. On a body, with a density, it must be closed: its mass is an integral in double "
-       "precision; a shell (cfg.is_solid False) has a wall of cfg.margin inside. Returns the "
-       "index. ValueError: no triangle, a corner twice, not finite, open or inside out.")
+       "from outside, or a `mesh` with these as attributes; `scale` a number or three, > 0. "
+       "Contacts with bodies are found on the CPU. Vertices in one place count as one. On a body, "
+       "with a density, it must be closed: its mass is an integral in double precision; a shell "
+       "(cfg.is_solid False) has a wall of cfg.margin inside. Returns the index. ValueError: no "
+       "triangle, a corner twice, not finite, open or inside out.")
       .def(
           "add_shape_convex_hull",
           [](ModelBuilder& b, int32_t body, py::handle xform, const py::object& mesh,
@@ -390,11 +390,11 @@ void bind_coloring(Builder& c) {
          b.color({.include_bending = include_bending, .balance_colors = balance_colors});
        },
        "include_bending"_a = py::none(), "balance_colors"_a = true,
-       "Colors the particles for SolverVBD: no two particles of one element have the same color. "
-       "Elements are springs, triangles, tetrahedra, and bending edges with a stiffness or damping "
-       "(include_bending None or True). include_bending False: the corners of a bending edge may "
-       "share a color; a stiff one then converges badly or not at all. balance_colors: moves "
-       "particles until the colors are about equally large. Call it after the elements are added.")
+       "Colors the particles for SolverVBD: those of one element differ. Elements: springs, "
+       "triangles, tetrahedra, and bending edges with a stiffness or damping (include_bending None "
+       "or True). include_bending False: the corners of a bending edge may share a color; a stiff "
+       "one then converges badly or not at all. balance_colors: moves particles until the colors "
+       "are about equally large. Call it after the elements are added.")
       .def(
           "set_coloring",
           [](ModelBuilder& b, py::handle groups, bool allow_conflicts) {

@@ -125,6 +125,21 @@ def test_every_design_note_is_listed() -> None:
     assert notes == set(LINK.findall((folder / "README.md").read_text(encoding="utf-8")))
 
 
+def test_every_page_is_listed_in_the_readme() -> None:
+    linked = LINK.findall((ROOT / "README.md").read_text(encoding="utf-8"))
+    listed = {link.split("#")[0] for link in linked}
+    pages = {name(p) for f in ("docs", "docs/guide") for p in (ROOT / f).glob("*.md")}
+    assert pages <= listed
+
+
+def test_the_terms_of_the_glossary_stand_there_once() -> None:
+    text = (ROOT / "docs/glossary.md").read_text(encoding="utf-8")
+    terms = [term.strip() for term in re.findall(r"^\| ([^|]+) \|", text, re.M)]
+    terms = [term for row in terms if row != "Term" for term in row.split(", ")]
+    assert len(terms) >= 40
+    assert len(terms) == len(set(terms))
+
+
 def test_every_changelog_fragment_has_a_kind() -> None:
     kinds = {"added", "changed", "removed", "fixed"}
     for path in (ROOT / "changelog").glob("*.md"):

@@ -1,5 +1,5 @@
-// What a Program becomes on the CPU: two instruction lists over plain numbers. The block form runs
-// each instruction over a block of lanes (rows); the scalar form runs one row at a time and is for
+// A Program on the CPU: two instruction lists over plain numbers. The block form runs each
+// instruction over a block of lanes (rows); the scalar form runs one row at a time and is for
 // launches of very few rows.
 //
 // This header is included by the translation units that are compiled for one instruction set, so it

@@ -1,8 +1,9 @@
 // Compiled device code on disk, shared by all processes of a user.
 //
 // One file per entry, named by its key. A file is written under another name and renamed, so that a
-// reader sees a whole one or none; it carries its key, its length and a checksum, and one that does
-// not fit is removed and made anew. The oldest entries go when the folder grows past its limit.
+// reader sees a whole file or none. A file carries its key, its length and a checksum. A file that
+// does not fit is removed and made anew. The oldest entries go when the folder grows past its
+// limit.
 #pragma once
 
 #include <cstdint>

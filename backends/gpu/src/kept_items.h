@@ -1,6 +1,5 @@
-// What a fused list can load before its loop of the items of a CSR sum (the contacts of a
-// particle): sources that are read at the item, and those that are read at a row which such a
-// source names.
+// Sources that a fused list can load before its loop over the items of a CSR sum (the contacts of a
+// particle). A source is read at the item, or at a row that such a source names.
 #pragma once
 
 #include <cstdint>

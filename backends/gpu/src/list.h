@@ -1,4 +1,4 @@
-// What list_create and persistent_create make: one kernel with its arguments.
+// The result of list_create and persistent_create: one kernel with its arguments.
 #pragma once
 
 #include <memory>

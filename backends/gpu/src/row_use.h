@@ -1,4 +1,4 @@
-// Which rows of a source a Program reads.
+// The rows of a source that a Program reads.
 #pragma once
 
 #include "novaphy/program/ir.h"

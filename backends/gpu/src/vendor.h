@@ -1,4 +1,4 @@
-// What distinguishes the vendors whose devices run CUDA-like code; defined by the plugin.
+// The differences between vendors whose devices run CUDA-like code; defined by the plugin.
 #pragma once
 
 #include "compiler.h"

@@ -1,4 +1,4 @@
-// What follows from the index lists of meshes: the surface of tetrahedra, the edges of triangles.
+// Topology from the index lists of meshes: the surface of tetrahedra, the edges of triangles.
 #pragma once
 
 #include <cstdint>

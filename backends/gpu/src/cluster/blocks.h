@@ -1,8 +1,8 @@
-// Which rows of a phase each block of a cluster computes. Where the sums of a phase add items that
-// the phase before makes (forces that elements put on their corners), a block computes all rows
-// that its own sums need, some of them computed by other blocks too. Items then stay in the memory
-// of the block, and only what sums leave goes from block to block: one exchange for two phases. The
-// results are the same, because every row is the same wherever it is computed.
+// The rows of a phase that each block of a cluster computes. Where the sums of a phase add items
+// that the phase before makes (forces that elements put on their corners), a block computes all
+// rows that its own sums need, some of them computed by other blocks too. Items then stay in the
+// memory of the block, and only what sums leave goes from block to block: one exchange for two
+// phases. The results are the same, because every row is the same wherever it is computed.
 //
 // What goes from block to block are the rows of a halo: rows of sums that elements of other blocks
 // read. Where it is known which these are, a block sends them straight to the memory of those

@@ -1,5 +1,4 @@
-// A compute device, named "cpu", "cuda:0", ... Which devices exist is decided by the loaded
-// backends.
+// A compute device, named "cpu", "cuda:0", ... The loaded backends decide which devices exist.
 #pragma once
 
 #include <cstdint>

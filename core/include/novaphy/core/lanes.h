@@ -2,8 +2,8 @@
 // rounds as the float's (math/scalar.h), so a lane has the bits that the formula has of a float.
 //
 // Compiled once for each instruction set, so all of it is in a namespace of the user's level,
-// NOVAPHY_LANES: nothing of it may be merged with what another level made. What only one user's
-// formulas ask for is in its own header.
+// NOVAPHY_LANES: nothing of it may be merged with what another level made. Functions of a single
+// user are in that user's header.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// What the engine wants to say without failing. Nothing is printed: Python makes warnings of it.
+// Warnings of the engine. Nothing is printed: Python makes warnings of it.
 #pragma once
 
 #include <string>

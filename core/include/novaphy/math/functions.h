@@ -1,7 +1,7 @@
 // Elementary functions, written once: branch-free templates over the scalar T. With T = float they
-// run in the forward engine, with T = nova::Real they are traced. They use only operations that
-// round the same everywhere (+ - * / sqrt floor fma, comparisons, selects, casts, bit patterns) and
-// no libm, so that all devices give the same bits.
+// run in the forward engine, with T = nova::Real they are traced. The functions use only operations
+// that round the same everywhere (+ - * / sqrt floor fma, comparisons, selects, casts, bit
+// patterns) and no libm, so that all devices give the same bits.
 //
 //   function    worst error  where        special values (NaN in gives NaN out)
 //   sin, cos    1.6 ulp      |x| <= 1e5   sin(-0) = -0, +-inf gives NaN

@@ -7,7 +7,7 @@
 //   a = M^-1 (t - h - G),  h = (-k sin q2 v2 (2 v1 + v2), k sin q2 v1^2)
 //   G = (-(A cos q1 + B cos q12), -B cos q12)
 //   u = v + dt a,  q' = q + dt u,  v' = (1 - angular_damping dt) u
-// and t the limits' force. It is what SolverFeatherstone computes, checked against it step by step.
+// and t the limits' force. The result is that of SolverFeatherstone, checked step by step.
 #pragma once
 
 #include "novaphy/core/sim/control.h"

@@ -1,4 +1,4 @@
-// What small networks are made of, besides ops.h, and random numbers without a state.
+// Operations of small networks, besides ops.h, and random numbers without a state.
 #pragma once
 
 #include <array>

@@ -1,5 +1,5 @@
-// OpList: recorded launches, copies and fills. It is what a capture replays; everything that the
-// runtime does to device memory goes through submit_*, which either runs it now or records it into
+// OpList: recorded launches, copies and fills. A capture replays the list. Every operation of the
+// runtime on device memory goes through submit_*, which runs the operation now or records it into
 // the capture of this thread.
 #pragma once
 

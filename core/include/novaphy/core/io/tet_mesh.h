@@ -1,7 +1,7 @@
 // Tetrahedral meshes from files, for ModelBuilder::add_soft_mesh.
 //
 // The format is Gmsh's MSH 4.1, ASCII (https://gmsh.info/doc/texinfo/gmsh.html, "MSH file format"),
-// which Gmsh writes by default and most meshers can write. It is read here without a library.
+// which Gmsh writes by default and most meshers can write. The reader needs no library.
 #pragma once
 
 #include <cstdint>

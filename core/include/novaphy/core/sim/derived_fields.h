@@ -1,5 +1,5 @@
 // Derived arrays of a model: each is computed from another one, when the model is made and again
-// when that one was written since. They are listed once, in an X-macro
+// when that one was written since. One X-macro lists them
 //
 //   #define NOVAPHY_DERIVED_MODEL_FIELDS(X)  X(derived, source, rule) ...
 //

@@ -1,6 +1,6 @@
-// Numbers of a model that were written after it was made: refused where the builder would have
-// refused them, so that a NaN or a negative stiffness is named instead of spreading through the
-// state.
+// Checks of values that were written to a model after it was made. A value that the builder would
+// have refused is refused, so that a NaN or a negative stiffness is named and does not spread
+// through the state.
 #pragma once
 
 #include <array>

@@ -1,5 +1,5 @@
-// What steps and searches refuse of a state and of contacts. On other devices than the CPU nothing
-// is read. What is no number goes on: the state that comes of it tells.
+// Checks of states and contacts, for steps and searches. On other devices than the CPU nothing is
+// read. NaN values pass, and show in the resulting state.
 #pragma once
 
 #include "novaphy/core/sim/contacts.h"

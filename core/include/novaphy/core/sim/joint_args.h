@@ -1,4 +1,4 @@
-// What the add_joint_* functions of ModelBuilder take.
+// Arguments of the add_joint_* functions of ModelBuilder.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// What acts in the steps of a rollout.
+// Inputs of the steps of a rollout.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// Which pairs of shapes may touch at all, whatever their poses.
+// Rules for pairs of shapes that may touch, whatever their poses.
 #pragma once
 
 #include <cstdint>

@@ -1,5 +1,5 @@
-// Settings of ShapeConfig that a solver does not read: refused unless they are the default, or 0
-// where that means that there is no such force, so that none is without effect in silence.
+// Settings of ShapeConfig that a solver does not read. A value other than the default is refused,
+// except for a 0 that means that there is no such force. No setting is ignored silently.
 #pragma once
 
 #include <array>

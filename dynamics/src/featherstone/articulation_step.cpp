@@ -1,5 +1,6 @@
 #include "articulation_step.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "../step_sources.h"
@@ -99,9 +100,19 @@ void check_exploded(const Model& m, const Articulations& articulations,
        largest_force.empty() ? "" : "; the largest force of a contact was ", largest_force);
 }
 
-void check_contact_status(int32_t status, const char* user) {
-  require(status >= 0, ErrorKind::Index, user, ": contacts: row ", -1 - status,
-          ": expected two shapes of the model, of bodies of one world");
+void check_contact_status(std::span<const int32_t> status, const char* user, const Model* m,
+                          const int32_t* shape0, const int32_t* shape1) {
+  const auto bad = std::find_if(status.begin(), status.end(), [](int32_t s) { return s < 0; });
+  if (bad == status.end()) return;
+  const int32_t row = -1 - *bad;
+  for (int side = 0; m != nullptr && side < 2; ++side) {
+    const int32_t shape = (side == 0 ? shape0 : shape1)[row];
+    require(shape >= 0 && shape < m->shape_count(), ErrorKind::Index, user,
+            ": contacts: rigid_contact_shape", side, "[", row, "]: expected 0 to ",
+            m->shape_count() - 1, ", got ", shape);
+  }
+  fail(ErrorKind::Index, user, ": contacts: row ", row,
+       ": expected two shapes of the model, of bodies of one world");
 }
 
 void depend_on_modes(const Model& m, const Control* control) {

@@ -30,8 +30,11 @@ void check_exploded(const Model& model, const Articulations& articulations,
                     std::span<const int32_t> status, const SimState& from, float dt,
                     const std::string& largest_force, const char* user);
 
-// ErrorKind::Index: a status that names a row of contacts.
-void check_contact_status(int32_t status, const char* user);
+// ErrorKind::Index: a status that names a row of contacts, and what is wrong with its shapes
+// (null: not known).
+void check_contact_status(std::span<const int32_t> status, const char* user,
+                          const Model* model = nullptr, const int32_t* shape0 = nullptr,
+                          const int32_t* shape1 = nullptr);
 
 // What the host has looked at, and no launch looks at: a replay throws once it was written.
 void depend_on_values(const Model& model, const Control* control);

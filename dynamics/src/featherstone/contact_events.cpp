@@ -42,6 +42,67 @@ std::vector<float> free_slips(const GroupStep& s, int32_t root) {
   return slips;
 }
 
+template <class F>
+void for_rows(const GroupStep& s, int32_t root, const F& f) {
+  for (int32_t n = 0; n < s.a.nodes[root].rows; ++n) f(rows_of(s, root)[n], n);
+}
+
+// Which rows of an island hit. `continues`: the step before is known.
+std::vector<char> find_hits(const GroupStep& s, int32_t root, bool continues,
+                            ContactEvents& found) {
+  const SeenContact* const seen = s.all.seen_before + s.all.seen_begin[s.group];
+  const int32_t before = continues ? s.all.seen_begin[s.group + 1] - s.all.seen_begin[s.group] : 0;
+  const std::vector<float> slips = free_slips(s, root);
+  std::vector<char> hits(slips.size());
+  int32_t next = 0;
+  for_rows(s, root, [&](const art::IslandContact& row, int32_t n) {
+    const SeenContact now = art::seen_contact(s.contacts, row, s.law.cone);
+    const bool pushed = mode_of(seen, before, next, now) != 0;
+    if (!(row.solver.impulse[0] > 0.0f)) return;
+    for (const art::ContactSide& side : row.sides)
+      if (side.tree >= 0) found.touched[static_cast<size_t>(side.tree)] = 1;
+    const float free = slips[static_cast<size_t>(n)];
+    const float rest = std::max(kLeastApproach, std::abs(free - row.before));
+    if (!(row.before < -rest && (row.target.bounce > 0.0f || !pushed))) return;
+    hits[static_cast<size_t>(n)] = 1;
+    found.hits.push_back(row.contact);
+  });
+  return hits;
+}
+
+// What the rows of an island that hit push; `begin`: of the dofs of each of its trees.
+void add_groups(const GroupStep& s, int32_t root, const std::vector<char>& hits,
+                const std::vector<int32_t>& begin, size_t dofs, ContactEvent& event) {
+  std::vector<const art::IslandContact*> firsts;  // of the groups
+  for_rows(s, root, [&](const art::IslandContact& row, int32_t n) {
+    if (hits[static_cast<size_t>(n)] == 0) return;
+    const auto at = std::find_if(
+        firsts.begin(), firsts.end(),
+        [&](const art::IslandContact* first) { return hit_together(s.contacts, *first, row); });
+    const auto group = static_cast<size_t>(at - firsts.begin());
+    if (at == firsts.end()) {
+      firsts.push_back(&row);
+      event.groups.emplace_back();
+      event.groups.back().normal_push.resize(dofs);
+      event.groups.back().push.resize(dofs);
+    }
+    ContactEvent::Group& to = event.groups[group];
+    for (int side = 0; side < 2; ++side) {
+      const art::RowSide<float>& of = row.solver.sides[side];
+      const int32_t tree = row.sides[side].tree;
+      if (of.width == 0 || tree < 0) continue;
+      const auto first = static_cast<size_t>(begin[static_cast<size_t>(tree)]);
+      for (int32_t k = 0; k < s.rows(tree).dof_count; ++k) {
+        to.normal_push[first + static_cast<size_t>(k)] += of.jacobian[k] * row.solver.impulse[0];
+        for (int r = 0; of.response != nullptr && r < 3; ++r)
+          to.push[first + static_cast<size_t>(k)] -=
+              of.response[r * of.width + k] * row.solver.impulse[r];
+      }
+    }
+    event.lands = event.lands || (row.place.gap > 0.0f && !(row.target.bounce > 0.0f));
+  });
+}
+
 }  // namespace
 
 ContactEvents ContactSteps::events(const float* qd, bool continues) const {
@@ -51,35 +112,11 @@ ContactEvents ContactSteps::events(const float* qd, bool continues) const {
   bool any = false;
   for (int64_t group = 0; group < groups_; ++group) {
     const GroupStep s(*last_, nullptr, group);
-    std::vector<char> hits(static_cast<size_t>(s.end_place() - s.first_place()));
-    const SeenContact* const seen = s.all.seen_before + s.all.seen_begin[group];
-    const int32_t before = continues ? s.all.seen_begin[group + 1] - s.all.seen_begin[group] : 0;
-    std::vector<int32_t> roots;
-    for (int32_t k = s.first_tree(); k < s.end_tree(); ++k)
-      if (const int32_t i = s.a.trees[k]; s.root(i) == i && s.a.nodes[i].joined != 0)
-        roots.push_back(i);
-    any = any || !roots.empty();
-    const auto for_rows = [&](int32_t root, const auto& f) {
-      for (int32_t n = 0; n < s.a.nodes[root].rows; ++n)
-        f(rows_of(s, root)[n], s.places(root)[n] - s.first_place());
-    };
-    for (const int32_t root : roots) {
-      const std::vector<float> slips = free_slips(s, root);
-      int32_t next = 0, n = 0;
-      for_rows(root, [&](const art::IslandContact& row, int32_t place) {
-        const SeenContact now = art::seen_contact(s.contacts, row, s.law.cone);
-        const bool pushed = mode_of(seen, before, next, now) != 0;
-        const bool pushes = row.solver.impulse[0] > 0.0f;
-        for (const art::ContactSide& side : row.sides)
-          if (side.tree >= 0 && pushes) found.touched[static_cast<size_t>(side.tree)] = 1;
-        const float free = slips[static_cast<size_t>(n++)];
-        const float rest = std::max(kLeastApproach, std::abs(free - row.before));
-        const bool hit = pushes && row.before < -rest && (row.target.bounce > 0.0f || !pushed);
-        hits[static_cast<size_t>(place)] = hit ? 1 : 0;
-        if (hit) found.hits.push_back(row.contact);
-      });
-    }
-    for (const int32_t root : roots) {
+    for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
+      const int32_t root = s.a.trees[t];
+      if (s.root(root) != root || s.a.nodes[root].joined == 0) continue;
+      any = true;
+      const std::vector<char> hits = find_hits(s, root, continues, found);
       ContactEvent event;
       std::vector<int32_t> begin(count, -1);
       int32_t dofs = 0;
@@ -88,35 +125,7 @@ ContactEvents ContactSteps::events(const float* qd, bool continues) const {
         dofs += s.rows(i).dof_count;
         event.trees.push_back(i);
       }
-      std::vector<const art::IslandContact*> firsts;  // of the groups
-      for_rows(root, [&](const art::IslandContact& row, int32_t place) {
-        if (hits[static_cast<size_t>(place)] == 0) return;
-        const auto at = std::find_if(
-            firsts.begin(), firsts.end(),
-            [&](const art::IslandContact* first) { return hit_together(s.contacts, *first, row); });
-        const auto group_at = static_cast<size_t>(at - firsts.begin());
-        if (at == firsts.end()) {
-          firsts.push_back(&row);
-          event.groups.emplace_back();
-          event.groups.back().normal_push.resize(static_cast<size_t>(dofs));
-          event.groups.back().push.resize(static_cast<size_t>(dofs));
-        }
-        ContactEvent::Group& to = event.groups[group_at];
-        for (int side = 0; side < 2; ++side) {
-          const art::RowSide<float>& of = row.solver.sides[side];
-          const int32_t tree = row.sides[side].tree;
-          if (of.width == 0 || tree < 0) continue;
-          const auto first = static_cast<size_t>(begin[static_cast<size_t>(tree)]);
-          for (int32_t k = 0; k < s.rows(tree).dof_count; ++k) {
-            to.normal_push[first + static_cast<size_t>(k)] +=
-                of.jacobian[k] * row.solver.impulse[0];
-            for (int r = 0; of.response != nullptr && r < 3; ++r)
-              to.push[first + static_cast<size_t>(k)] -=
-                  of.response[r * of.width + k] * row.solver.impulse[r];
-          }
-        }
-        event.lands = event.lands || (row.place.gap > 0.0f && !(row.target.bounce > 0.0f));
-      });
+      add_groups(s, root, hits, begin, static_cast<size_t>(dofs), event);
       for (ContactEvent::Group& of : event.groups) {
         float speed = 0.0f;
         for (const int32_t tree : event.trees)

@@ -239,6 +239,40 @@ ContactGroupArguments ContactSteps::groups(const ContactArguments& contacts,
           .contact_stride = stride};
 }
 
+ArticulationContactStepArguments ContactSteps::step_arguments(const ArticulationStepArguments& of,
+                                                              const ContactArguments& contacts,
+                                                              const FeatherstoneOptions& o,
+                                                              const ContactRecord& record,
+                                                              bool continues, bool lanes) const {
+  const Untyped none(nullptr);
+  const auto noted = [&](const Array& array) { return record.notes ? Untyped(array) : none; };
+  return {.step = of,
+          .of = groups(contacts, o, record, memory_, contact_stride_),
+          .point_id = contacts.point_id,
+          .moved_by = moved_by_,
+          .tolerance = o.pgs_tolerance,
+          .most_sweeps = o.pgs_iterations,
+          .warm_start = o.warm_start,
+          .most_alone = record.records ? 0 : art::kMostTreeContacts,
+          .kept_begin = kept_begin_,
+          .kept = Untyped(kept_),
+          .kept_dt = kept_dt_,
+          .kept_friction = kept_friction_,
+          .now_friction = now_friction_,
+          .now = Untyped(now_),
+          .places = places_,
+          .force = contacts.force,
+          .impulses = record.impulses,
+          .friction_impulses = record.friction,
+          .notes = noted(notes_),
+          .seen = noted(seen_),
+          .seen_before = noted(seen_before_),
+          .seen_begin = noted(seen_begin_),
+          .by_restitution = record.by_restitution,
+          .continues = continues,
+          .lanes = lanes};
+}
+
 void ContactSteps::step(const ArticulationStepArguments& of, const ContactArguments& contacts,
                         const FeatherstoneOptions& o, const ContactRecord& record,
                         TreeSteps* lanes) {
@@ -259,33 +293,8 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
     const Unobserved unobserved;
     trees_memory_ = DeviceArray<float>(numbers, model_.device());
   }
-  const Untyped none(nullptr);
-  const auto noted = [&](const Array& array) { return record.notes ? Untyped(array) : none; };
-  ArticulationContactStepArguments a = {.step = of,
-                                        .of = groups(contacts, o, record, memory_, contact_stride_),
-                                        .point_id = contacts.point_id,
-                                        .moved_by = moved_by_,
-                                        .tolerance = o.pgs_tolerance,
-                                        .most_sweeps = o.pgs_iterations,
-                                        .warm_start = o.warm_start,
-                                        .most_alone = record.records ? 0 : art::kMostTreeContacts,
-                                        .kept_begin = kept_begin_,
-                                        .kept = Untyped(kept_),
-                                        .kept_dt = kept_dt_,
-                                        .kept_friction = kept_friction_,
-                                        .now_friction = now_friction_,
-                                        .now = Untyped(now_),
-                                        .places = places_,
-                                        .force = contacts.force,
-                                        .impulses = record.impulses,
-                                        .friction_impulses = record.friction,
-                                        .notes = noted(notes_),
-                                        .seen = noted(seen_),
-                                        .seen_before = noted(seen_before_),
-                                        .seen_begin = noted(seen_begin_),
-                                        .by_restitution = record.by_restitution,
-                                        .continues = record.continues && !forgets,
-                                        .lanes = lanes != nullptr};
+  ArticulationContactStepArguments a =
+      step_arguments(of, contacts, o, record, record.continues && !forgets, lanes != nullptr);
   a.step.workspace = trees_memory_;
   a.step.stride = fuses ? 0 : tree_stride_;
   if (fuses) {
@@ -379,87 +388,6 @@ std::span<IslandNode> ContactSteps::nodes_here() const {
 bool ContactSteps::has_failed() const {
   const int32_t* const status = last_->step.status;
   return std::any_of(status, status + articulations_.count(), [](int32_t s) { return s != 0; });
-}
-
-int32_t ContactSteps::sweeps() const {
-  int32_t most = 0;
-  for (const IslandNode& node : last_nodes()) most = std::max(most, node.result.sweeps);
-  return most;
-}
-float ContactSteps::residual() const {
-  float most = 0.0f;
-  for (const IslandNode& node : last_nodes()) most = std::max(most, node.result.residual);
-  return most;
-}
-std::vector<IslandNode> ContactSteps::last_nodes() const {
-  if (!has_run_) return {};
-  const std::vector<int32_t> words = nodes_.to_host();
-  std::vector<IslandNode> nodes(words.size() / kNodeNumbers);
-  std::memcpy(static_cast<void*>(nodes.data()), words.data(), words.size() * sizeof(int32_t));
-  return nodes;
-}
-
-int32_t ContactSteps::hardest_row(int32_t root) const {
-  const GroupStep s = group_of_tree(*last_, root);
-  const IslandNode& node = s.a.nodes[root];
-  int32_t at = -1;
-  float most = -1.0f;
-  const auto take = [&](float size, int32_t row) {
-    if (size <= most) return;
-    most = size;
-    at = row;
-  };
-  for (int32_t n = 0; n < node.rows; ++n)
-    take(s.all.now[s.places(root)[n]].normal, s.a.contacts[s.places(root)[n]]);
-  if (node.rows == 0)
-    for_friction(s, root, [&](const art::PgsJointFriction<float>& f, int32_t dof) {
-      take(std::abs(f.impulse), -1 - dof);
-    });
-  return at;
-}
-
-FarIsland ContactSteps::far_island(float tolerance) const {
-  FarIsland far;
-  const std::span<IslandNode> nodes = has_run_ ? nodes_here() : std::span<IslandNode>();
-  for (size_t i = 0; i < nodes.size(); ++i) {
-    const art::IslandResult& of = nodes[i].result;
-    if (art::far_from_converged(of.residual, of.largest, tolerance) && of.residual > far.residual)
-      far = {of.sweeps, of.residual, of.largest, hardest_row(static_cast<int32_t>(i))};
-  }
-  return far;
-}
-
-namespace {
-
-std::string pair_of_shapes(const Model& m, int32_t a, int32_t b) {
-  return "shapes '" + m.shape_label[static_cast<size_t>(a)] + "' and '" +
-         m.shape_label[static_cast<size_t>(b)] + "'";
-}
-
-}  // namespace
-
-std::string describe(const FarIsland& of, const Model& m, const Articulations& articulations,
-                     const int32_t* shape0, const int32_t* shape1) {
-  std::string text;
-  for (const MessagePart& part :
-       {MessagePart("the last of "), MessagePart(of.sweeps),
-        MessagePart(" sweeps changed velocities by "), MessagePart(of.residual),
-        MessagePart(" m/s, the largest impulse by "), MessagePart(of.largest),
-        MessagePart(" m/s, at ")})
-    text.append(part.text());
-  return text + (of.at < 0 ? articulations.dof_name(m, -1 - of.at)
-                           : pair_of_shapes(m, shape0[of.at], shape1[of.at]));
-}
-
-std::string ContactSteps::largest_force() const {
-  if (kept_.rows() == 0) return {};
-  const auto* const kept = reinterpret_cast<const art::KeptContact*>(kept_.range()->data());
-  const auto* const most = std::max_element(
-      kept, kept + kept_begin_.data()[groups_],
-      [](const art::KeptContact& a, const art::KeptContact& b) { return a.normal < b.normal; });
-  if (most == kept + kept_begin_.data()[groups_] || !(most->normal > 0.0f)) return {};
-  return std::string(MessagePart(most->normal / kept_dt_.data()[0]).text()) + " N between " +
-         pair_of_shapes(model_, most->shape0, most->shape1);
 }
 
 }  // namespace novaphy

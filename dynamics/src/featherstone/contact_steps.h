@@ -141,6 +141,11 @@ class ContactSteps {
                                const ContactRecord& record, const DeviceArray<float>& memory,
                                int64_t stride) const;
 
+  ArticulationContactStepArguments step_arguments(const ArticulationStepArguments& of,
+                                                  const ContactArguments& contacts,
+                                                  const FeatherstoneOptions& options,
+                                                  const ContactRecord& record, bool continues,
+                                                  bool lanes) const;
   bool take_trees(const ArticulationContactStepArguments& step, const FeatherstoneOptions& options,
                   TreeSteps& lanes, bool keeps_rates);
   std::span<IslandNode> nodes_here() const;  // on the cpu

@@ -185,8 +185,10 @@ void submit_forward(const std::shared_ptr<const Step>& step, bool tell) {
   if (!works_on_host(*step)) return run();
   const auto replay = [run, step] {
     run();
-    const DeviceArray<int32_t>& status = step->shared->status;
-    check_status(*step->model, step->shared->articulations, {status.data(), status.rows()}, kName);
+    const std::span<const int32_t> status = {step->status.data(), step->status.rows()};
+    const KeptContacts kept = kept_contacts(*step);
+    check_contact_status(status, kName, step->model.get(), kept.shape0, kept.shape1);
+    check_status(*step->model, step->shared->articulations, status, kName);
   };
   std::vector<Tensor> results, writes = {step->contacts};
   for (const Named& out : step->outputs) results.push_back(out.tensor);

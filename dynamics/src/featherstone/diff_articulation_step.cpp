@@ -325,7 +325,7 @@ void ArticulationStep::count_from(int64_t number) { shared_->next_step = number;
 
 void ArticulationStep::check(const Model& model, const char* function) const {
   const OnHost<int32_t> status(shared_->status);
-  for (size_t i = 0; i < status.size(); ++i) check_contact_status(status[i], function);
+  check_contact_status({status.data(), status.size()}, function);
   shared_->contacts->check_adjoint(function);
   if (!shared_->trees) {
     const int64_t far = shared_->contacts->branches().unconverged;

@@ -125,6 +125,7 @@ struct SolverFeatherstone::Cache {
   UnreadMaterials materials;
   std::vector<Transformf> body_q;
   std::vector<SpatialVectorf> body_qd, body_f;
+  std::vector<uint64_t> tree_memory;  // of one
 };
 
 namespace {
@@ -167,7 +168,7 @@ void SolverFeatherstone::check_last_step() const {
   const Cache& c = *cache_;
   if (c.trees) return;  // step has said it
   const std::vector<int32_t> status = c.status.to_host();
-  for (const int32_t s : status) check_contact_status(s, kName);
+  check_contact_status(status, kName);
   check_status(*model(), c.articulations, status, kName);
 }
 
@@ -178,9 +179,23 @@ void SolverFeatherstone::add_penalties(const Contacts& contacts, ArticulationSte
   const auto bodies = static_cast<size_t>(m.body_count());
   c.body_q.resize(bodies);
   c.body_qd.resize(bodies);
-  const SpatialVectorf* const body_f = in_memory(a).in.arrays.body_f;
+  const ArticulationArguments in = in_memory(a).in;
+  const SpatialVectorf* const body_f = in.arrays.body_f;
   c.body_f.assign(body_f, body_f + bodies);
-  c.trees->place_bodies(in_memory(a).in, c.body_q.data(), c.body_qd.data());
+  for (int64_t i = 0; i < c.articulations.count(); ++i) {
+    const ArticulationRows& rows = in.rows[i];
+    c.tree_memory.resize(std::max(
+        c.tree_memory.size(),
+        static_cast<size_t>(articulation::workspace_bytes<float>(rows.link_count, rows.dof_count)) /
+                8 +
+            1));
+    const articulation::Tree<float> tree = articulation_tree(in, rows);
+    auto ws =
+        articulation::make_workspace<float>(c.tree_memory.data(), rows.link_count, rows.dof_count);
+    articulation::link_frames(tree, in.arrays.q.rows(), ws);
+    articulation::link_motions(tree, in.arrays.qd + rows.first_dof, ws);
+    articulation::write_bodies(tree, ws, c.body_q.data(), c.body_qd.data());
+  }
   c.penalty.prepare(m, &contacts);
   const RigidStep how = {FrictionLaw::Huber, options_.friction_smoothing, 0.0f, a.in.dt.value};
   c.penalty.add_contact_wrenches(m, c.body_q.data(), c.body_qd.data(), contacts, how,
@@ -254,7 +269,8 @@ void SolverFeatherstone::finish(const Contacts* contacts, const SimState& from, 
     return c.actuated.finish(to);
   }
   c.earlier.restore(to);
-  for (const int32_t s : status) check_contact_status(s, kName);
+  const articulation::ContactRows rows = contact_rows(contacts);
+  check_contact_status(status, kName, model().get(), rows.shape0, rows.shape1);
   check_exploded(*model(), c.articulations, status, from, dt, c.contacts.largest_force(), kName);
 }
 

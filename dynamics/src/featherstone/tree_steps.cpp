@@ -40,7 +40,7 @@ const LaneLevel& lane_level() {
 namespace {
 
 namespace art = articulation;
-constexpr int64_t kPackChunk = 2, kTreeChunk = 8;
+constexpr int64_t kPackChunk = 2;
 constexpr size_t kFewest = 3;  // trees that lanes are worth for
 
 // What actuators give in place of the model's is no constant.
@@ -462,22 +462,6 @@ bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const 
       contacts->solved(tree, {static_cast<int32_t>(s.sweeps[l]), s.residual[l], s.largest[l]});
   }
   return true;
-}
-
-void TreeSteps::place_bodies(const ArticulationArguments& in, Transformf* body_q,
-                             SpatialVectorf* body_qd) {
-  for_chunks(articulations_.count(), kTreeChunk, [&](int64_t begin, int64_t end, int64_t) {
-    for (int64_t i = begin; i < end; ++i) {
-      const ArticulationRows& rows = trees_[i];
-      const art::Tree<float> tree = articulation_tree(in, rows);
-      art::Workspace<float> ws = art::make_workspace<float>(
-          thread_memory().aligned(art::workspace_bytes<float>(rows.link_count, rows.dof_count)),
-          rows.link_count, rows.dof_count);
-      art::link_frames(tree, in.arrays.q.rows(), ws);
-      art::link_motions(tree, in.arrays.qd + rows.first_dof, ws);
-      art::write_bodies(tree, ws, body_q, body_qd);
-    }
-  });
 }
 
 void TreeSteps::step(const ArticulationStepArguments& a, const Model& m,

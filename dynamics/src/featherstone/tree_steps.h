@@ -41,8 +41,6 @@ class TreeSteps {
   void step(const ArticulationStepArguments& step, const Model& model,
             std::span<const int32_t> trees, const FeatherstoneOptions& options,
             TreeContacts* contacts, bool keep = false);
-  // The poses and velocities of all bodies, from joint_q and joint_qd.
-  void place_bodies(const ArticulationArguments& in, Transformf* body_q, SpatialVectorf* body_qd);
   // The adjoint of a step without contacts: what articulation_step_vjp does for the trees.
   void vjp(const ArticulationStepVjpArguments& step, const Model& model,
            std::span<const int32_t> trees);

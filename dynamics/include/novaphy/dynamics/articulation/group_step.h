@@ -1,0 +1,386 @@
+// The step of a group of articulations with contacts and dry friction: what the kernels of
+// articulation_contact_kernels.h share.
+#pragma once
+
+#include "novaphy/core/row_kernel.h"
+#include "novaphy/dynamics/articulation/contact_groups.h"
+
+namespace novaphy {
+
+// step.status: also -1 - a contact that the group cannot have. moved_by: of links, bits of the
+// tree's dofs. most_alone: contacts of an island that tree_contacts.h takes. kept_begin: of each
+// group. kept_friction: {dofs}, of the step before, now_friction: of this. now: a row per place in
+// the lists. lanes: TreeSteps takes trees, which have `taken`. For derivatives, null where they are
+// not asked for: impulses along n, t1, t2 and of dry friction, what branches there are, and with
+// these `seen`, a row per place in the lists, those of the step before and where the groups' begin.
+// continues: the step starts where the one before ended.
+struct ArticulationContactStepArguments {
+  NOVAPHY_ARGUMENTS(Part<ArticulationStepArguments> step; Part<ContactGroupArguments> of;
+                    Optional<Given<int32_t>> point_id; Given<int32_t> moved_by;
+                    Number<float> tolerance; Number<int64_t> most_sweeps, warm_start, most_alone;
+                    Given<int32_t> kept_begin; Given<articulation::KeptContact> kept;
+                    Given<float> kept_dt, kept_friction; Changed<float> now_friction;
+                    Writes<articulation::KeptContact> now; Writes<int32_t> places;
+                    Optional<Writes<Vec3f>> force; Optional<Changed<Vec3f>> impulses;
+                    Optional<Changed<float>> friction_impulses;
+                    Optional<Writes<articulation::BranchNotes>> notes;
+                    Optional<Writes<SeenContact>> seen; Optional<Given<SeenContact>> seen_before;
+                    Optional<Given<int32_t>> seen_begin;
+                    Number<int64_t> by_restitution, continues, lanes;)
+};
+
+// Memory of a contact of trees with so many dofs, however it is solved.
+inline int64_t island_contact_bytes(int32_t dofs) {
+  namespace art = articulation;
+  const int64_t joined = static_cast<int64_t>(sizeof(art::IslandContact)) + contact_row_bytes(dofs);
+  // The bytes of n contacts are at most n times those of one, A of which is {3 n, 3 n}.
+  const int64_t coupling = art::kCoupledContacts * 9 * static_cast<int64_t>(sizeof(float));
+  const int64_t alone =
+      static_cast<int64_t>(sizeof(art::TreeContact<float>) + sizeof(art::TreeContactLink<float>)) +
+      art::tree_contact_bytes<float>(1, dofs) + coupling;
+  return ((joined > alone ? joined : alone) + 7) / 8 * 8;
+}
+
+// A group of one tree works on the stack, if the tree fits, and its contacts if they do too: stacks
+// of threads are interleaved, so that those of a warp read together.
+inline constexpr int64_t kIslandStack = 12288;
+struct LocalIsland {
+  alignas(16) unsigned char bytes[kIslandStack];
+};
+
+// A group's step. `local`: memory of its tree, where that has none.
+struct GroupStep : ContactGroup {
+  const ArticulationContactStepArguments& all;
+  const float warm_scale;
+
+  GroupStep(const ArticulationContactStepArguments& arguments, unsigned char* local, int64_t row)
+      : ContactGroup(arguments.step.in, arguments.of,
+                     arguments.step.stride.value > 0 ? arguments.step.workspace + int64_t{0}
+                                                     : reinterpret_cast<float*>(local),
+                     arguments.step.stride.value, row, arguments.point_id),
+        all(arguments),
+        warm_scale(scale_of(arguments)) {}
+
+  static float scale_of(const ArticulationContactStepArguments& a) {
+    const float before = a.warm_start.value != 0 ? *a.kept_dt : 0.0f;
+    return before > 0.0f ? a.step.in.dt.value / before : 1.0f;
+  }
+  // Of the contacts of an island.
+  unsigned char* rows_memory(int32_t root) const {
+    return island_memory() + a.nodes[root].begin * a.contact_stride.value * int64_t{sizeof(float)};
+  }
+  // For so many bytes of an island, behind `used` of its tree on the stack.
+  unsigned char* memory_behind(int32_t root, int64_t used, int64_t bytes) const {
+    return stride == 0 && used + bytes <= kIslandStack ? memory(0) + used : rows_memory(root);
+  }
+  // The places of an island's contacts, in their order.
+  const int32_t* places(int32_t root) const {
+    return all.places + (first_place() + a.nodes[root].begin);
+  }
+  const articulation::KeptContact* kept(int32_t place) const {
+    const int32_t k = a.chain[place].kept;
+    return k < 0 ? nullptr : all.kept + k;
+  }
+};
+
+// Where the links of a tree are and how they move; it is an island of its own.
+inline void open_tree(const GroupStep& s, int32_t i) {
+  articulation::IslandTree of = s.tree(i);
+  articulation::link_frames(of.tree, s.in.q, of.ws);
+  articulation::link_motions(of.tree, of.qd, of.ws);
+  s.all.step.status[i] = 0;
+  start_node(s, i);
+}
+// The rates of a tree without impulses.
+inline void start_tree(const GroupStep& s, int32_t i) {
+  articulation::IslandTree of = s.tree(i);
+  const ArticulationRows& rows = s.rows(i);
+  const int32_t failed = articulation::accelerate(of.tree, s.in, s.how, false, of.ws);
+  if (failed >= 0) s.all.step.status[i] = 1 + failed + rows.first_dof;
+  if (failed < 0) articulation::free_rates(of.tree, s.in, s.how, of.ws);
+  for (int32_t k = 0; k < 2 * articulation::padded_dofs(rows.dof_count); ++k)
+    of.rates[k] = failed < 0 && k < rows.dof_count ? of.ws.qd_next[k] : 0.0f;
+}
+inline void open_and_start(const GroupStep& s, int32_t i) {
+  s.all.step.status[i] = 0;
+  start_tree(s, i);
+  start_node(s, i);
+}
+
+// Whether a contact may touch in the step, or its trees fail or are not all of this group.
+inline bool is_near(const GroupStep& s, int32_t contact) {
+  articulation::ContactSide sides[2];
+  if (!contact_sides(s.a.shapes, contact, sides)) return true;
+  const articulation::LinkState<float>* links[2] = {};
+  for (int side = 0; side < 2; ++side) {
+    const int32_t tree = sides[side].tree;
+    if (tree < 0) continue;
+    if (s.a.shapes.group_of_tree[tree] != s.group || s.all.step.status[tree] != 0) return true;
+    links[side] = s.tree(tree).ws.links + sides[side].link;
+  }
+  return articulation::may_touch(s.contacts, contact, links, s.how.dt);
+}
+
+// Joins the trees of a contact that may touch. One that is not of this group makes a tree fail.
+inline void join_step_contact(const GroupStep& s, int32_t place) {
+  const int32_t contact = s.a.contacts[place];
+  if (is_near(s, contact)) {
+    const int32_t fails = join_contact(s, place);
+    if (fails >= 0) s.all.step.status[fails] = -1 - contact;
+  } else {
+    s.a.chain[place] = {-2, -1};
+  }
+  articulation::KeptContact& now = s.all.now[place];
+  now = articulation::KeptContact{};
+  now.shape0 = s.a.shapes.at.shape0[contact];
+  now.shape1 = s.a.shapes.at.shape1[contact];
+  if (s.all.seen != nullptr) s.all.seen[place] = {now.shape0, now.shape1, -1, 0};
+}
+
+inline void list_step_contact(const GroupStep& s, int32_t place, int32_t& next_kept) {
+  if (list_contact(s, place) < 0 || s.all.warm_start.value == 0) return;
+  const int32_t begin = s.all.kept_begin[s.group];
+  const int32_t kept =
+      articulation::find_kept(s.all.kept + begin, s.all.kept_begin[s.group + 1] - begin, next_kept,
+                              s.contacts, s.a.contacts[place]);
+  s.a.chain[place].kept = kept < 0 ? -1 : begin + kept;
+}
+
+// Gives an island the places of its contacts, behind `used` of islands before.
+inline void close_island(const GroupStep& s, int32_t root, int32_t& used) {
+  IslandNode& node = s.a.nodes[root];
+  node.begin = used;
+  used += node.rows;
+  int32_t* to = s.all.places + (s.first_place() + node.begin);
+  for (int32_t place = node.first_row; place >= 0; place = s.a.chain[place].next) *to++ = place;
+  bool friction = false;
+  for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
+    for (int32_t k = 0; k < s.rows(i).dof_count; ++k) friction = friction || s.has_friction(i, k);
+  if (friction || node.rows > s.all.most_alone.value) node.joined = 1;
+}
+
+// Behind open_tree or start_tree of all trees.
+inline void find_islands(const GroupStep& s) {
+  const int32_t* const trees = s.a.trees;
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place) join_step_contact(s, place);
+  list_trees(s);
+  int32_t next_kept = 0, used = 0;
+  for (int32_t place = s.first_place(); place < s.end_place(); ++place)
+    list_step_contact(s, place, next_kept);
+  for (int32_t k = s.first_tree(); k < s.end_tree(); ++k)
+    if (s.root(trees[k]) == trees[k]) close_island(s, trees[k], used);
+}
+
+inline void take_contact(const GroupStep& s, int32_t place,
+                         const articulation::ContactFrame<float>& frame, const float* impulse) {
+  const int32_t contact = s.a.contacts[place];
+  const articulation::KeptContact& now = s.all.now[place] =
+      articulation::kept_contact(s.contacts, contact, frame, impulse);
+  if (s.all.force != nullptr)
+    s.all.force[contact] = articulation::contact_force(frame, now, s.how.dt);
+  if (s.all.impulses != nullptr) s.all.impulses[contact] = {impulse[0], impulse[1], impulse[2]};
+}
+
+// The velocity limits of a tree that touches nothing.
+inline void hold_rates(const GroupStep& s, int32_t i) {
+  const articulation::IslandTree of = s.tree(i);
+  articulation::Workspace<float> ws = of.ws;
+  int32_t failed = articulation::hold_rates(of.tree, s.in, s.how, true, ws);
+  if (failed < 0) failed = articulation::find_infinite(of.tree, ws);
+  if (failed >= 0) s.all.step.status[i] = 1 + failed + s.rows(i).first_dof;
+  if (failed < 0) articulation::free_rates(of.tree, s.in, s.how, ws);
+}
+
+// The contact of a tree with the world, and its link.
+inline articulation::TreeContact<float> contact_of_tree(const GroupStep& s, int32_t tree,
+                                                        int32_t place, int32_t& link) {
+  const int32_t contact = s.a.contacts[place];
+  articulation::ContactSide sides[2];
+  contact_sides(s.a.shapes, contact, sides);
+  const int32_t side = sides[0].tree >= 0 ? 0 : 1;
+  link = sides[side].link;
+  return articulation::tree_contact(s.contacts, contact, side,
+                                    s.all.moved_by[s.rows(tree).first_link + link],
+                                    s.material(contact), s.kept(place), s.warm_scale);
+}
+
+// An island of one tree that touches the world.
+inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) {
+  const IslandNode& node = s.a.nodes[root];
+  const articulation::IslandTree of = s.tree(root);
+  const int32_t dofs = of.tree.dof_count;
+  const int64_t used = tree_rates_offset(of.tree.link_count, dofs) + tree_rates_bytes(dofs);
+  const int64_t bytes =
+      node.rows * static_cast<int64_t>(sizeof(articulation::TreeContact<float>) +
+                                       sizeof(articulation::TreeContactLink<float>)) +
+      articulation::tree_contact_bytes<float>(node.rows, dofs);
+  auto* const found =
+      reinterpret_cast<articulation::TreeContact<float>*>(s.memory_behind(root, used, bytes));
+  auto* const links = reinterpret_cast<articulation::TreeContactLink<float>*>(found + node.rows);
+  articulation::TreeContactMemory<float> m = articulation::make_tree_contact_memory<float>(
+      links + node.rows, node.rows, of.tree.dof_count);
+  m.shift = of.rates + articulation::padded_dofs(dofs);
+  const int32_t* const places = s.places(root);
+  for (int32_t n = 0; n < node.rows; ++n) {
+    int32_t link = 0;
+    found[n] = contact_of_tree(s, root, places[n], link);
+    const articulation::LinkState<float>& at = of.ws.links[link];
+    links[n].q = at.q;
+    links[n].p = at.p;
+    links[n].origin = at.origin;
+  }
+  if (!articulation::touching(found, node.rows)) hold_rates(s, root);
+  articulation::Workspace<float> ws = of.ws;
+  articulation::TreeContactResult<float> result;
+  int32_t failed = -1;
+  for (int32_t round = 0; failed < 0; ++round) {
+    result = articulation::solve_tree_contacts(
+        of.tree, ws, s.law, static_cast<int32_t>(s.all.most_sweeps.value), s.all.tolerance.value,
+        found, links, node.rows, of.qd, m, ws.qd_next);
+    ws.shift = m.shift;
+    failed = articulation::first_not_finite(ws, dofs);
+    if (failed >= 0 ||
+        !articulation::renew_tree(of.tree, s.in, s.how, found, node.rows, m, round, ws))
+      break;
+    failed = articulation::solve_accelerations(of.tree, s.in, s.how, ws);
+    if (failed < 0) articulation::free_rates(of.tree, s.in, s.how, ws);
+  }
+  if (failed >= 0) s.all.step.status[root] = 1 + failed + s.rows(root).first_dof;
+  for (int32_t n = 0; n < node.rows; ++n)
+    take_contact(s, places[n], m.rows[n].frame, m.rows[n].impulse);
+  return {static_cast<int32_t>(result.sweeps), result.residual, result.largest};
+}
+
+// f(row, dof of the arrays) for the dry friction of an island.
+template <class F>
+void for_friction(const GroupStep& s, int32_t root, const F& f) {
+  for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
+    for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
+      if (s.has_friction(i, k)) f(s.friction(i)[k], s.rows(i).first_dof + k);
+}
+// The rows of a joined island.
+inline articulation::IslandContact* rows_of(const GroupStep& s, int32_t root) {
+  return reinterpret_cast<articulation::IslandContact*>(s.rows_memory(root));
+}
+
+// Any island.
+inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root) {
+  const ContactGroupArguments& a = s.a;
+  const IslandNode& node = a.nodes[root];
+  articulation::IslandContact* const rows = rows_of(s, root);
+  const int32_t* const places = s.places(root);
+  const auto contacts = [&](bool back, const auto& f) {
+    for (int32_t k = 0; k < node.rows; ++k) f(rows[back ? node.rows - 1 - k : k].solver);
+  };
+  const auto friction = [&](const auto& f) {
+    for_friction(s, root, [&](articulation::PgsJointFriction<float>& dry, int32_t) { f(dry); });
+  };
+  articulation::IslandResult result;
+  bool renewed = true;
+  for (int32_t round = 0; renewed; ++round) {
+    auto* numbers = reinterpret_cast<float*>(rows + node.rows);
+    for (int32_t n = 0; n < node.rows; ++n) {
+      articulation::IslandContact& row = rows[n];
+      row = articulation::IslandContact{};
+      build_row(s, a.contacts[places[n]], numbers, row);
+      articulation::set_target(s.law, s.material(row.contact), row);
+    }
+    for (int32_t i = root; i >= 0; i = a.nodes[i].next) build_dry(s, i);
+    for (int32_t n = 0; n < node.rows; ++n)
+      if (const articulation::KeptContact* const kept = s.kept(places[n]))
+        articulation::start_from_kept(*kept, s.warm_scale, s.law.cone, rows[n]);
+    for_friction(s, root, [&](articulation::PgsJointFriction<float>& f, int32_t row) {
+      if (s.all.warm_start.value != 0)
+        articulation::warm_start(f, s.warm_scale * s.all.kept_friction[row]);
+    });
+    result = articulation::sweep_island(s.law.cone, static_cast<int32_t>(s.all.most_sweeps.value),
+                                        s.all.tolerance.value, contacts, friction);
+    renewed = false;
+    for (int32_t i = root; i >= 0; i = a.nodes[i].next)
+      renewed =
+          articulation::renew_tree(s.tree(i), s.in, s.how, round, contacts, friction) || renewed;
+    for (int32_t i = root; renewed && i >= 0; i = a.nodes[i].next) {
+      const int32_t failed = articulation::restart_tree(s.tree(i), s.in, s.how);
+      if (failed < 0) continue;
+      renewed = false;
+      for (int32_t k = root; k >= 0; k = a.nodes[k].next)
+        s.all.step.status[k] = 1 + failed + s.rows(i).first_dof;
+    }
+  }
+  for (int32_t n = 0; n < node.rows; ++n)
+    take_contact(s, places[n], rows[n].frame, rows[n].solver.impulse);
+  for_friction(s, root, [&](const articulation::PgsJointFriction<float>& f, int32_t row) {
+    if (s.all.friction_impulses != nullptr) s.all.friction_impulses[row] = f.impulse;
+    s.all.now_friction[row] = f.impulse;
+  });
+  return result;
+}
+
+// Where a tree fails, its island does.
+inline void solve_island(const GroupStep& s, int32_t root) {
+  const ContactGroupArguments& a = s.a;
+  int32_t* const all_status = s.all.step.status;
+  IslandNode& node = a.nodes[root];
+  int32_t status = 0;
+  for (int32_t i = root; i >= 0 && status == 0; i = a.nodes[i].next) status = all_status[i];
+  if (status != 0) {
+    const float nan = math::bits_float(0x7fc00000);
+    for (int32_t i = root; i >= 0; i = a.nodes[i].next) all_status[i] = status;
+    for (int32_t n = 0; n < node.rows && s.all.force != nullptr; ++n)
+      s.all.force[a.contacts[s.places(root)[n]]] = Vec3f{nan, nan, nan};
+    node.failed = 1;
+  } else if (node.joined != 0) {
+    node.result = solve_joined(s, root);
+  } else if (node.rows > 0) {
+    node.result = solve_alone(s, root);
+  } else {
+    for (int32_t i = root; i >= 0; i = a.nodes[i].next) hold_rates(s, i);
+  }
+}
+
+inline void finish_tree(const GroupStep& s, int32_t i) {
+  articulation::IslandTree of = s.tree(i);
+  const ArticulationRows& rows = s.rows(i);
+  int32_t& status = s.all.step.status[i];
+  if (status == 0 && s.a.nodes[s.root(i)].joined != 0) {
+    const int32_t failed =
+        articulation::take_rates(of.rates, of.qd, s.how.dt, rows.dof_count, of.ws);
+    if (failed >= 0) status = 1 + failed + rows.first_dof;
+  }
+  if (status != 0) return write_failure(s.all.step, rows);
+  of.ws.shift = of.rates + articulation::padded_dofs(rows.dof_count);
+  write_step(s.all.step, rows, of.tree, s.in, s.how, of.ws);
+}
+
+inline void note_island(const GroupStep& s, int32_t root, articulation::BranchNotes& notes) {
+  const IslandNode& node = s.a.nodes[root];
+  if (node.failed != 0) notes.all.jumps = 1;
+  if (node.failed != 0 || node.joined == 0) return;
+  const articulation::IslandContact* const rows = rows_of(s, root);
+  for (int32_t n = 0; n < node.rows; ++n) {
+    articulation::note_contact(s.contacts, s.law, s.all.by_restitution.value != 0, rows[n], notes);
+    s.all.seen[s.places(root)[n]] = articulation::seen_contact(s.contacts, rows[n], s.law.cone);
+  }
+  for_friction(s, root, [&](const articulation::PgsJointFriction<float>& f, int32_t) {
+    articulation::note_friction(f, notes);
+  });
+  const articulation::IslandResult& of = node.result;
+  if (articulation::far_from_converged(of.residual, of.largest, s.all.tolerance.value))
+    notes.far = 1;
+  articulation::raise(notes.all.residual, articulation::relative_residual(of.residual, of.largest,
+                                                                          s.all.tolerance.value));
+}
+inline void note_group(const GroupStep& s) {
+  articulation::BranchNotes notes;
+  const int32_t* const trees = s.a.trees;
+  for (int32_t k = s.first_tree(); k < s.end_tree(); ++k)
+    if (s.root(trees[k]) == trees[k]) note_island(s, trees[k], notes);
+  if (s.all.continues.value != 0) {
+    const int32_t begin = s.all.seen_begin[s.group];
+    note_events(s.all.seen_before + begin, s.all.seen_begin[s.group + 1] - begin,
+                s.all.seen + s.first_place(), s.end_place() - s.first_place(), notes.all);
+  }
+  s.all.notes[s.group] = notes;
+}
+
+}  // namespace novaphy

@@ -24,8 +24,9 @@ Tensor tensor_of(const Array& array) {
       operand.range, {operand.rows, operand.width}, is_float ? nova::DType::F32 : nova::DType::I32};
 }
 
-// Numbers of the memory of contacts.
+// Numbers of the memory of contacts; on the host memory, for launches that nobody records.
 Untyped part_of(const Step& s, int64_t first, int64_t count) {
+  if (s.shared->runs_on_host()) return Untyped(numbers(s.contacts) + first);
   const auto bytes = [](int64_t n) { return static_cast<size_t>(n) * sizeof(float); };
   return nova::part_of(s.contacts.range(), bytes(first), bytes(count));
 }
@@ -157,6 +158,7 @@ void run_contacts(const Step& s, const ArticulationStepArguments& step, bool tel
 void run_forward(const Step& s, bool tell) {
   const nova::NoGrad no_grad;
   ArticulationStep::Shared& shared = *s.shared;
+  const Unrecorded unrecorded(shared.runs_on_host());
   const ArticulationStepArguments step = forward_arguments(s, step_arguments_of(s), outputs_of(s));
   if (s.contacts.defined()) {
     ContactSteps& contacts = *shared.contacts;

@@ -47,6 +47,7 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
   require(solves || !t[kJointFriction].defined(), ErrorKind::Runtime,
           "articulation_step: expected joint_friction to carry a gradient when the step ran");
   const nova::NoGrad no_grad;
+  const Unrecorded unrecorded(s.shared->runs_on_host());
   ArticulationStep::Shared& shared = *s.shared;
   const Articulations& trees = shared.articulations;
   const int64_t duals = 2 * dual_numbers(s);

@@ -45,7 +45,7 @@ struct SomeContacts {
 // The accelerations of a step from in.q and in.qd with these contacts; NaN where it fails.
 std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
                                  const art::ContactRows& contacts) {
-  const nova::NoGrad no_grad;
+  const Unrecorded unrecorded(true);
   ArticulationStep::Shared& shared = *s.shared;
   const auto copy_of = [](const Tensor& t) {
     return std::vector<float>(static_cast<size_t>(t.size()));

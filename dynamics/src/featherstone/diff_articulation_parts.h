@@ -44,6 +44,17 @@ enum MoreInputs : size_t {
 // What a step reads without a gradient, in the order of ArticulationArguments.
 enum Values : size_t { kFrameP, kFrameC, kAxis, kTargetMode, kRows, kLinks, kDofParent, kValues };
 
+// While one lives, launches of this thread run at once and nobody records them.
+struct Unrecorded {
+  explicit Unrecorded(bool here) : before(launch_recorder()) {
+    if (here) set_launch_recorder(nullptr);
+  }
+  Unrecorded(const Unrecorded&) = delete;
+  Unrecorded& operator=(const Unrecorded&) = delete;
+  ~Unrecorded() { set_launch_recorder(before); }
+  LaunchRecorder* const before;
+};
+
 struct Named {
   const char* name;
   Tensor tensor;

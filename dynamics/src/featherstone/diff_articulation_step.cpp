@@ -259,8 +259,10 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   const bool solves = step->contacts.defined();
   shared_->ended = solves ? out.joint_q.range()->data() : nullptr;
   if (!solves) ++shared_->free_steps;
-  if (solves && !step->copies_contacts())
+  if (solves && !step->copies_contacts()) {
+    const Unrecorded unrecorded(shared_->runs_on_host());
     shared_->contacts->copy(contact_arguments(*contacts), kept_arguments(*step));
+  }
   if (moves) step->motion = std::make_shared<MotionNotes>();
   submit_forward(step, true);
   if (nova::Tape::active() == nullptr) return;

@@ -142,6 +142,7 @@ namespace {
 void run_vjp(const Step& s, std::span<const Tensor> outputs,
              std::span<const nova::InputGradient> gradients) {
   const nova::NoGrad no_grad;
+  const Unrecorded unrecorded(s.shared->runs_on_host());
   require_converged(s, "backward");
   for (size_t i = kJointFriction; i < gradients.size(); ++i)
     if (gradients[i].grad.defined() && !gradients[i].add)

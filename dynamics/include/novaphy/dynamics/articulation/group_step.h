@@ -77,9 +77,12 @@ struct GroupStep : ContactGroup {
   const int32_t* places(int32_t root) const {
     return all.places + (first_place() + a.nodes[root].begin);
   }
-  const articulation::KeptContact* kept(int32_t place) const {
-    const int32_t k = a.chain[place].kept;
-    return k < 0 ? nullptr : all.kept + k;
+  bool is_kept(int32_t place) const { return a.chain[place].kept >= 0; }
+  // Zeros: it starts from nothing. (No pointer that may be null: a GPU has read through one.)
+  articulation::KeptContact kept(int32_t place) const {
+    articulation::KeptContact of{};
+    if (is_kept(place)) of = all.kept[a.chain[place].kept];
+    return of;
   }
 };
 
@@ -287,8 +290,8 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
     }
     for (int32_t i = root; i >= 0; i = a.nodes[i].next) build_dry(s, i);
     for (int32_t n = 0; n < node.rows; ++n)
-      if (const articulation::KeptContact* const kept = s.kept(places[n]))
-        articulation::start_from_kept(*kept, s.warm_scale, s.law.cone, rows[n]);
+      if (s.is_kept(places[n]))
+        articulation::start_from_kept(s.kept(places[n]), s.warm_scale, s.law.cone, rows[n]);
     for_friction(s, root, [&](articulation::PgsJointFriction<float>& f, int32_t row) {
       if (s.all.warm_start.value != 0)
         articulation::warm_start(f, s.warm_scale * s.all.kept_friction[row]);

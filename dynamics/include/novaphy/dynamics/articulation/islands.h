@@ -375,10 +375,10 @@ int32_t moving_dofs(const Tree<T>& tree, int32_t link) {
   return static_cast<int32_t>(bits);
 }
 // The contact of a tree with the world, for tree_contacts.h. `moved_by`: bits of the dofs that move
-// its link; `kept` null: it starts from nothing.
+// its link; `kept`: what it starts from, zeros where that is nothing.
 inline TreeContact<float> tree_contact(const ContactRows& c, int32_t i, int32_t side,
                                        int32_t moved_by, const ContactMaterial<float>& material,
-                                       const KeptContact* kept, float scale) {
+                                       const KeptContact& kept, float scale) {
   const Vec3f points[2] = {c.point0[i], c.point1[i]};
   const float margins[2] = {c.margin0[i], -c.margin1[i]};
   TreeContact<float> contact;
@@ -390,10 +390,8 @@ inline TreeContact<float> tree_contact(const ContactRows& c, int32_t i, int32_t 
   contact.margin = margins[side];
   contact.world_margin = margins[1 - side];
   contact.material = material;
-  if (kept != nullptr) {
-    contact.start_normal = kept->normal * scale;
-    contact.start_tangent = kept->tangent * scale;
-  }
+  contact.start_normal = kept.normal * scale;
+  contact.start_tangent = kept.tangent * scale;
   return contact;
 }
 

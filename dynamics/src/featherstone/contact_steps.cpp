@@ -300,13 +300,20 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
   if (fuses) {
     run(k.contact_step, groups_, a);
   } else {
-    run(k.contact_open, trees, a);
-    run(k.contact_islands, groups_, a);
-    const bool some = lanes == nullptr || take_trees(a, o, *lanes, record.records);
-    if (some && lanes != nullptr) run(k.contact_start, trees, a);
-    if (some) run(k.contact_solve, trees, a);
-    if (some) run(k.contact_finish, trees, a);
-    if (record.notes) run(k.contact_notes, groups_, a);
+    if (lanes != nullptr) last_ = in_memory(a);
+    const auto launch = [&](const auto& kernel, const auto& function, int64_t n) {
+      if (lanes != nullptr)
+        run_rows(function, n, *last_);
+      else
+        run(kernel, n, a);
+    };
+    launch(k.contact_open, articulation_contact_open, trees);
+    launch(k.contact_islands, articulation_contact_islands, groups_);
+    const bool some = lanes == nullptr || take_trees(o, *lanes, record.records);
+    if (some && lanes != nullptr) launch(k.contact_start, articulation_contact_start, trees);
+    if (some) launch(k.contact_solve, articulation_contact_solve, trees);
+    if (some) launch(k.contact_finish, articulation_contact_finish, trees);
+    if (record.notes) launch(k.contact_notes, articulation_contact_notes, groups_);
   }
   if (!o.warm_start || (lanes != nullptr && has_failed())) return;
   const int64_t dofs = model_.joint_dof_count();
@@ -364,10 +371,8 @@ class TakenContacts : public TreeContacts {
 }  // namespace
 
 // Whether some trees are left.
-bool ContactSteps::take_trees(const ArticulationContactStepArguments& a,
-                              const FeatherstoneOptions& options, TreeSteps& lanes,
+bool ContactSteps::take_trees(const FeatherstoneOptions& options, TreeSteps& lanes,
                               bool keeps_rates) {
-  last_ = in_memory(a);
   const std::span<IslandNode> nodes = nodes_here();
   taken_.clear();
   for (size_t i = 0; i < nodes.size(); ++i) {

@@ -146,8 +146,7 @@ class ContactSteps {
                                                   const FeatherstoneOptions& options,
                                                   const ContactRecord& record, bool continues,
                                                   bool lanes) const;
-  bool take_trees(const ArticulationContactStepArguments& step, const FeatherstoneOptions& options,
-                  TreeSteps& lanes, bool keeps_rates);
+  bool take_trees(const FeatherstoneOptions& options, TreeSteps& lanes, bool keeps_rates);
   std::span<IslandNode> nodes_here() const;  // on the cpu
   std::vector<IslandNode> last_nodes() const;
   bool has_failed() const;                  // a tree of the last step, on the cpu

@@ -63,7 +63,7 @@ void ContactSteps::clear_branches() {
 }
 
 bool ContactSteps::has_seen() const {
-  return seen_begin_.rows() > 0 && model_.device().is_cpu() && seen_begin_.data()[groups_] > 0;
+  return last_ && seen_begin_.rows() > 0 && seen_begin_.data()[groups_] > 0;
 }
 ContactBranches ContactSteps::branches() const {
   ContactBranches all;

@@ -10,6 +10,7 @@
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/geometry/join_vertices.h"
+#include "novaphy/core/sim/index_rows.h"
 
 namespace novaphy {
 namespace {
@@ -39,18 +40,14 @@ void check(std::span<const Vec3f> vertices, std::span<const int32_t> indices) {
             " (exclusive), got ", indices[i]);
 }
 
-// The items [0, count) in the order of their keys, which are below `keys`, those of one key
-// ascending. Returns where each key begins, and the end.
+// The items [0, count), as rows by their keys, which are below `keys`.
 template <class KeyOf>
-std::vector<int32_t> sort_by(size_t keys, size_t count, KeyOf key_of, std::vector<int32_t>& items) {
-  std::vector<int32_t> starts(keys + 1);
-  for (size_t i = 0; i < count; ++i) ++starts[static_cast<size_t>(key_of(i)) + 1];
-  std::partial_sum(starts.begin(), starts.end(), starts.begin());
-  std::vector<int32_t> next(starts.begin(), starts.end() - 1);
-  items.resize(count);
-  for (size_t i = 0; i < count; ++i)
-    items[static_cast<size_t>(next[static_cast<size_t>(key_of(i))]++)] = static_cast<int32_t>(i);
-  return starts;
+IndexRows rows_by(size_t keys, size_t count, KeyOf key_of) {
+  std::vector<int32_t> all(count);
+  for (size_t i = 0; i < count; ++i) all[i] = key_of(i);
+  IndexRows rows;
+  rows.build(all, static_cast<int32_t>(keys));
+  return rows;
 }
 
 // Side k of the triangles goes from a corner of triangle k / 3 to the next one.
@@ -63,19 +60,17 @@ void set_rings(MeshTree& tree) {
   // From each corner to the two others.
   const auto from = [&](size_t k) { return corner_of(tree, k / 6, k / 2 % 3); };
   const auto to = [&](size_t k) { return corner_of(tree, k / 6, k / 2 % 3 + 1 + k % 2); };
-  std::vector<int32_t> order;
-  const std::vector<int32_t> starts =
-      sort_by(tree.vertices.size(), 6 * tree.triangles.size(), from, order);
-  for (int32_t& k : order) k = to(static_cast<size_t>(k));
+  const IndexRows rows = rows_by(tree.vertices.size(), 6 * tree.triangles.size(), from);
   tree.ring_starts = {0};
-  auto end = order.begin();
+  tree.ring.clear();
   for (size_t v = 0; v < tree.vertices.size(); ++v) {
-    const auto first = order.begin() + starts[v], last = order.begin() + starts[v + 1];
-    std::sort(first, last);
-    end = std::copy(first, std::unique(first, last), end);
-    tree.ring_starts.push_back(static_cast<int32_t>(end - order.begin()));
+    const auto first = static_cast<std::ptrdiff_t>(tree.ring.size());
+    for (const int32_t k : rows.items(static_cast<int64_t>(v)))
+      tree.ring.push_back(to(static_cast<size_t>(k)));
+    std::sort(tree.ring.begin() + first, tree.ring.end());
+    tree.ring.erase(std::unique(tree.ring.begin() + first, tree.ring.end()), tree.ring.end());
+    tree.ring_starts.push_back(static_cast<int32_t>(tree.ring.size()));
   }
-  tree.ring.assign(order.begin(), end);
 }
 
 struct Side {
@@ -94,14 +89,13 @@ std::vector<Side> sorted_sides(const MeshTree& tree) {
     return std::tuple(std::min(s.a, s.b), std::max(s.a, s.b), s.is_empty, s.triangle);
   };
   std::vector<Side> sides(3 * tree.triangles.size());
-  std::vector<int32_t> order;
   const auto least = [&](size_t k) {
     return std::min(corner_of(tree, k / 3, k % 3), corner_of(tree, k / 3, k % 3 + 1));
   };
-  const std::vector<int32_t> starts = sort_by(tree.vertices.size(), sides.size(), least, order);
-  for (size_t k = 0; k < sides.size(); ++k) sides[k] = side(static_cast<size_t>(order[k]));
-  for (size_t v = 0; v + 1 < starts.size(); ++v)
-    std::sort(sides.begin() + starts[v], sides.begin() + starts[v + 1],
+  const IndexRows rows = rows_by(tree.vertices.size(), sides.size(), least);
+  for (size_t k = 0; k < sides.size(); ++k) sides[k] = side(static_cast<size_t>(rows.all()[k]));
+  for (size_t v = 0; v < tree.vertices.size(); ++v)
+    std::sort(sides.begin() + rows.begins()[v], sides.begin() + rows.begins()[v + 1],
               [&](const Side& s, const Side& other) { return key(s) < key(other); });
   return sides;
 }

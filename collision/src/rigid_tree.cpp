@@ -3,12 +3,12 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <numeric>
 
 #include "byte_array.h"
 #include "novaphy/core/builtin_kernels.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
+#include "novaphy/core/sim/index_rows.h"
 #include "rigid_tree_kernels.h"
 
 namespace novaphy::detail {
@@ -82,19 +82,14 @@ void RigidTree::update(const Model& m, std::span<const int32_t> given_world) {
 }
 
 void RigidTree::set_filters(const Model& m) {
-  const auto shapes = static_cast<size_t>(m.shape_count());
-  std::vector<std::vector<int32_t>> partners(shapes);
-  for (const auto& [i, j] : m.shape_collision_filter_pairs) {
-    if (i < 0 || j < 0 || static_cast<size_t>(std::max(i, j)) >= shapes) continue;
-    partners[static_cast<size_t>(i)].push_back(j);
-    partners[static_cast<size_t>(j)].push_back(i);
-  }
-  std::vector<int32_t> starts = {0}, filtered;
-  for (const std::vector<int32_t>& of_shape : partners) {
-    filtered.insert(filtered.end(), of_shape.begin(), of_shape.end());
-    starts.push_back(static_cast<int32_t>(filtered.size()));
-  }
-  filter_starts_ = DeviceArray<int32_t>::from_host(starts, m.device());
+  std::vector<int32_t> ends;  // of the pairs, one after the other
+  for (const auto& [i, j] : m.shape_collision_filter_pairs)
+    if (i >= 0 && j >= 0 && std::max(i, j) < m.shape_count()) ends.insert(ends.end(), {i, j});
+  IndexRows rows;
+  rows.build(ends, m.shape_count());
+  std::vector<int32_t> filtered;
+  for (const int32_t end : rows.all()) filtered.push_back(ends[static_cast<size_t>(end ^ 1)]);
+  filter_starts_ = DeviceArray<int32_t>::from_host(rows.begins(), m.device());
   filtered_ = DeviceArray<int32_t>::from_host(filtered, m.device());
 }
 
@@ -104,7 +99,7 @@ void RigidTree::set_places(const Model& m, std::span<const int32_t> world) {
   const std::vector<int32_t> apart = apart_of(m, world);
   const auto parts = static_cast<int32_t>((shapes + kApartPart - 1) / kApartPart);
   segments_ = int64_t{m.world_count()} + 1;
-  std::vector<int32_t> slots, members, starts(static_cast<size_t>(segments_) + 1);
+  std::vector<int32_t> slots, members, segment;  // of the members
   int32_t slot = 0;
   for (size_t s = 0, next = 0; s < shapes; ++s) {
     slots.push_back(slot);
@@ -115,22 +110,18 @@ void RigidTree::set_places(const Model& m, std::span<const int32_t> world) {
     }
     ++slot;
     members.push_back(static_cast<int32_t>(s));
-    ++starts[static_cast<size_t>(world[s] + 2)];
+    segment.push_back(world[s] + 1);
   }
-  std::partial_sum(starts.begin(), starts.end(), starts.begin());
+  IndexRows rows;
+  rows.build(segment, static_cast<int32_t>(segments_));
   slot_count_ = slot;
   entry_count_ = static_cast<int64_t>(members.size());
   // Until the first sort runs, an order that has each world in one piece.
-  std::vector<int32_t> order(members.size()), next = starts;
-  for (size_t k = 0; k < members.size(); ++k) {
-    const int32_t of = world[static_cast<size_t>(members[k])] + 1;
-    order[static_cast<size_t>(next[static_cast<size_t>(of)]++)] = static_cast<int32_t>(k);
-  }
-  using Table = std::pair<DeviceArray<int32_t>*, const std::vector<int32_t>*>;
+  using Table = std::pair<DeviceArray<int32_t>*, std::span<const int32_t>>;
   for (const auto& [table, values] :
-       {Table{&slots_, &slots}, Table{&apart_, &apart}, Table{&members_, &members},
-        Table{&starts_, &starts}, Table{&order_, &order}})
-    *table = DeviceArray<int32_t>::from_host(*values, m.device());
+       {Table{&slots_, slots}, Table{&apart_, apart}, Table{&members_, members},
+        Table{&starts_, rows.begins()}, Table{&order_, rows.all()}})
+    *table = DeviceArray<int32_t>::from_host(values, m.device());
   for (DeviceArray<int32_t>* table : {&keys_, &counts_, &before_})
     *table = DeviceArray<int32_t>(table == &keys_ ? members.size() : static_cast<size_t>(slot),
                                   m.device());

@@ -23,6 +23,7 @@ import select
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 SECONDS = 120.0  # a file may take
@@ -470,33 +471,50 @@ def reason(text: str) -> str:
     return re.sub(r"[-+]?\d[\d.e+-]*", "#", text)[:110]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def read_options(description: str) -> argparse.Namespace:
+    """The command line of a program that goes through collections, or is its own worker."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--kind", choices=("mjcf", "urdf"), default="mjcf")
     parser.add_argument("--only", help="collections, separated by commas")
     parser.add_argument("--manifest", type=Path, help="writes all results to this file")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()
-    if args.worker:
-        return worker()
-    if args.folder is None:
+    if args.folder is None and not args.worker:
         parser.error("expected a folder of collections")
-    runner, rows = Worker(), []
+    return args
+
+
+def run_files(args: argparse.Namespace, runner: Worker) -> Iterator[tuple[str, Path, dict]]:
+    """Collection, path and the worker's result of each file."""
     for collection, path in find_files(args.folder, args.kind):
         if args.only and collection not in args.only.split(","):
             continue
         folders = [str(args.folder / collection)]
-        task = {"path": str(path), "kind": args.kind, "folders": folders}
+        result = runner.run({"path": str(path), "kind": args.kind, "folders": folders})
+        yield collection, path, result
+
+
+def finish(args: argparse.Namespace, rows: list[dict], table: Callable) -> None:
+    """Write the manifest that is asked for, and print the table."""
+    if args.manifest:
+        args.manifest.write_text(json.dumps(rows, indent=1))
+    table(rows, args.kind)
+
+
+def main() -> None:
+    args = read_options(__doc__.splitlines()[0])
+    if args.worker:
+        return worker()
+    rows = []
+    for collection, path, result in run_files(args, Worker()):
         rows.append({
             "collection": collection,
             "file": str(path.relative_to(args.folder)),
             "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-            **runner.run(task),
+            **result,
         })  # fmt: skip
-    if args.manifest:
-        args.manifest.write_text(json.dumps(rows, indent=1))
-    table(rows, args.kind)
+    finish(args, rows, table)
 
 
 def table(rows: list[dict], kind: str) -> None:

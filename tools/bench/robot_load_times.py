@@ -9,7 +9,6 @@ counts. Engines that are not installed are left out.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import os
@@ -18,7 +17,7 @@ import time
 import warnings
 from pathlib import Path
 
-from robot_files import Worker, find_files
+from robot_files import Worker, finish, read_options, run_files
 
 
 def load_novaphy(path: str, kind: str, folders: list[str]) -> None:
@@ -110,28 +109,14 @@ def table(rows: list[dict], kind: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path, nargs="?")
-    parser.add_argument("--kind", choices=("mjcf", "urdf"), default="mjcf")
-    parser.add_argument("--only", help="collections, separated by commas")
-    parser.add_argument("--manifest", type=Path, help="writes all results to this file")
-    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
-    args = parser.parse_args()
+    args = read_options(__doc__.splitlines()[0])
     if args.worker:
         return worker()
-    if args.folder is None:
-        parser.error("expected a folder of collections")
-    runner, rows = Worker(__file__), []
-    for collection, path in find_files(args.folder, args.kind):
-        if args.only and collection not in args.only.split(","):
-            continue
-        folders = [str(args.folder / collection)]
-        result = runner.run({"path": str(path), "kind": args.kind, "folders": folders})
-        name = str(path.relative_to(args.folder))
-        rows.append({"file": name, "seconds": result.get("seconds", {})})
-    if args.manifest:
-        args.manifest.write_text(json.dumps(rows, indent=1))
-    table(rows, args.kind)
+    rows = [
+        {"file": str(path.relative_to(args.folder)), "seconds": result.get("seconds", {})}
+        for _, path, result in run_files(args, Worker(__file__))
+    ]
+    finish(args, rows, table)
 
 
 if __name__ == "__main__":

@@ -13,15 +13,13 @@ at the head of C++ headers. Code, formulas and headings are left out.
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 from prose_sources import GROUPS, Text, read_texts
-from ratchet import check_or_write
+from ratchet import check_or_write, read_options
 
 MOST_WORDS = 30  # of a sentence
 MOST_PARAGRAPH_WORDS = 90
@@ -112,12 +110,7 @@ def print_faults(texts: list[Text]) -> None:
 
 def main(arguments: list[str]) -> int:
     """Print the figures, or compare or write the lists."""
-    parser = argparse.ArgumentParser(description="Count sentences that docs/style.md forbids.")
-    parser.add_argument("--lists", action="store_true", help="print every sentence")
-    parser.add_argument("--check", action="store_true", help="compare with the lists")
-    parser.add_argument("--write", action="store_true", help="write what became better")
-    parser.add_argument("root", nargs="?", type=Path, default=Path(__file__).resolve().parents[2])
-    options = parser.parse_args(arguments)
+    options = read_options(arguments, "Count sentences that docs/style.md forbids.", "sentence")
     texts = read_texts(options.root)
     if not (options.check or options.write):
         print_figures(texts)

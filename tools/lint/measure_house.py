@@ -16,12 +16,10 @@ breaks and comments change no number of tokens.
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Callable
-from pathlib import Path
 
 from house_sources import (
     ENGINE,
@@ -33,7 +31,7 @@ from house_sources import (
     python_functions,
     read_sources,
 )
-from ratchet import Counts, check_or_write
+from ratchet import Counts, check_or_write, read_options
 
 MOST_FUNCTION_LINES = 60
 MOST_FILE_LINES = 400
@@ -178,12 +176,7 @@ def print_counts(now: dict[str, Counts], entries: bool) -> None:
 
 def main(arguments: list[str]) -> int:
     """Print the measures, or compare or write the lists."""
-    parser = argparse.ArgumentParser(description="Measure the sources.")
-    parser.add_argument("--lists", action="store_true", help="print every entry")
-    parser.add_argument("--check", action="store_true", help="compare with the lists")
-    parser.add_argument("--write", action="store_true", help="write what became better")
-    parser.add_argument("root", nargs="?", type=Path, default=Path(__file__).resolve().parents[2])
-    options = parser.parse_args(arguments)
+    options = read_options(arguments, "Measure the sources.", "entry")
     sources = read_sources(options.root)
     now = {title: count(sources) for title, count in COUNTS.items()}
     if not (options.check or options.write):

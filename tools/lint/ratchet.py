@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 Counts = dict[str, int]  # entry -> its number
@@ -69,3 +70,13 @@ def check_or_write(program: str, path: Path, head: str, now: Lists, write: bool,
             print(f"{program}: write the lower numbers with tools/lint/{program}.py --write")
     print(f"{program}: {files} files, {len(worse)} faults")
     return 1 if worse else 0
+
+
+def read_options(arguments: list[str], description: str, lists: str) -> argparse.Namespace:
+    """Read the command line of a lint; `lists` says what its option prints."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--lists", action="store_true", help=f"print every {lists}")
+    parser.add_argument("--check", action="store_true", help="compare with the lists")
+    parser.add_argument("--write", action="store_true", help="write what became better")
+    parser.add_argument("root", nargs="?", type=Path, default=Path(__file__).resolve().parents[2])
+    return parser.parse_args(arguments)

@@ -17,10 +17,10 @@ namespace {
 using vbd::StepDerivatives;
 using vbd::StepInputs;
 
-// While one is alive nobody records what this thread does.
-struct Unrecorded : Unobserved {
-  LaunchRecorder* const before = set_launch_recorder(nullptr);
-  ~Unrecorded() { set_launch_recorder(before); }
+// While one is alive nobody records and observes what this thread does.
+struct Unseen {
+  const Unobserved unobserved;
+  const Unrecorded unrecorded;
 };
 
 void check_covered(const VbdOptions& o) {
@@ -175,21 +175,21 @@ VbdGradientInfo DifferentiableVbd::info() const {
 
 void DifferentiableVbd::forward(const VbdStepInputs& in, Vec3f* q_out, Vec3f* qd_out) {
   const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.forward", "the solver");
-  const Unrecorded unrecorded;
+  const Unseen unseen;
   work_->forward({*model_, in}, {.q = direct(q_out), .qd = direct(qd_out)});
 }
 
 void DifferentiableVbd::backward(const VbdStepInputs& in, const Vec3f* q_out_bar,
                                  const Vec3f* qd_out_bar, const VbdStepGradients& gradients) {
   const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.backward", "the solver");
-  const Unrecorded unrecorded;
+  const Unseen unseen;
   work_->backward({*model_, in}, {q_out_bar, qd_out_bar}, vbd::derivatives_of(gradients));
 }
 
 void DifferentiableVbd::tangent(const VbdStepInputs& in, const VbdStepTangents& direction,
                                 Vec3f* q_out_slope, Vec3f* qd_out_slope) {
   const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.tangent", "the solver");
-  const Unrecorded unrecorded;
+  const Unseen unseen;
   const auto slopes = work_->slopes({*model_, in}, vbd::derivatives_of(direction));
   std::copy(slopes[0].begin(), slopes[0].end(), q_out_slope);
   std::copy(slopes[1].begin(), slopes[1].end(), qd_out_slope);
@@ -214,7 +214,7 @@ void DifferentiableVbd::backward(const VbdLaunchInputs& in, const Array& q_out_b
 void DifferentiableVbd::tangent(const VbdLaunchInputs& in, const VbdStepArrays& direction,
                                 DeviceArray<Vec3f> q_out_slope, DeviceArray<Vec3f> qd_out_slope) {
   const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.tangent", "the solver");
-  const Unrecorded unrecorded;
+  const Unseen unseen;
   const auto slopes = work_->slopes(StepInputs(in), vbd::derivatives_of(direction));
   q_out_slope.copy_from_host(std::vector<Vec3f>(slopes[0].begin(), slopes[0].end()));
   qd_out_slope.copy_from_host(std::vector<Vec3f>(slopes[1].begin(), slopes[1].end()));

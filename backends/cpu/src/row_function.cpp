@@ -27,17 +27,18 @@ novaphy_status read_row_function(const void* data, uint64_t bytes, novaphy_row_f
 
 void run_row_function(const novaphy_row_function& function, const novaphy_host_api& host, int64_t n,
                       const uint64_t* arguments) {
-  constexpr int64_t kChunk = 256;  // rows: how they are cut never depends on the number of threads
+  // Rows: how they are cut never depends on the number of threads.
+  const int64_t size = function.chunk == 0 ? 256 : function.chunk;
   struct Work {
     const novaphy_row_function& function;
-    int64_t n;
+    int64_t n, size;
     const uint64_t* arguments;
-  } work{function, n, arguments};
-  host.parallel_for((n + kChunk - 1) / kChunk,
+  } work{function, n, size, arguments};
+  host.parallel_for((n + size - 1) / size,
                     [](void* pointer, int64_t chunk) {
                       const Work& w = *static_cast<const Work*>(pointer);
-                      const int64_t begin = chunk * kChunk;
-                      w.function.rows(w.arguments, w.n, begin, std::min(begin + kChunk, w.n));
+                      const int64_t begin = chunk * w.size;
+                      w.function.rows(w.arguments, w.n, begin, std::min(begin + w.size, w.n));
                     },
                     &work);
 }

@@ -6,8 +6,20 @@
 #include "../step_sources.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
+#include "novaphy/core/row_scratch.h"
+#include "novaphy/core/sim/for_chunks.h"
 
 namespace novaphy {
+namespace detail {
+const char* articulation_kernels_text();
+}
+
+// Never destroyed: recordings refer to it.
+const Kernel<ArticulationStepArguments>& tree_step_kernel() {
+  static const auto& kernel = *new Kernel<ArticulationStepArguments>(
+      kInChunks<articulation_step, kTreeRows>, detail::articulation_kernels_text);
+  return kernel;
+}
 
 namespace {
 
@@ -124,17 +136,40 @@ void depend_on_values(const Model& m, const Control* control) {
   depend_on({&m.joint_friction});
 }
 
-int64_t articulation_workspace(const Articulations& articulations, int64_t stack) {
-  const int32_t links = articulations.max_links(), dofs = articulations.max_dofs();
-  const int64_t bytes = articulation::workspace_bytes<float>(links, dofs);
-  return bytes <= stack ? 0 : (bytes + 3) / 4;
+void place_bodies(const Articulations& articulations, const ArticulationArguments& in,
+                  Transformf* body_q, SpatialVectorf* body_qd) {
+  for_chunks(articulations.count(), kTreeRows, [&](int64_t begin, int64_t end, int64_t) {
+    for (int64_t i = begin; i < end; ++i) {
+      const ArticulationRows& rows = in.rows[i];
+      const articulation::Tree<float> tree = articulation_tree(in, rows);
+      const int64_t bytes = articulation::workspace_bytes<float>(rows.link_count, rows.dof_count);
+      auto ws = articulation::make_workspace<float>(thread_numbers(bytes / 8 + 1), rows.link_count,
+                                                    rows.dof_count);
+      articulation::link_frames(tree, in.arrays.q.rows(), ws);
+      articulation::link_motions(tree, in.arrays.qd + rows.first_dof, ws);
+      articulation::write_bodies(tree, ws, body_q, body_qd);
+    }
+  });
+}
+
+namespace {
+
+int64_t beyond(int64_t bytes, int64_t stack) {
+  return bytes <= stack ? 0 : (bytes + 3) / static_cast<int64_t>(sizeof(float));
+}
+
+}  // namespace
+
+int64_t device_workspace(const Articulations& articulations) {
+  return beyond(
+      articulation::workspace_bytes<float>(articulations.max_links(), articulations.max_dofs()),
+      kDeviceRowStack);
 }
 int64_t step_workspace(const Articulations& articulations) {
   const int32_t links = articulations.max_links(), dofs = articulations.max_dofs();
-  const int64_t bytes = articulation::workspace_bytes<float>(links, dofs) +
-                        articulation::adjoint_bytes<float>(links, dofs);
-  const bool on_host = articulations.rows().device().is_cpu();
-  return on_host && bytes <= kRowStack ? 0 : bytes / static_cast<int64_t>(sizeof(float));
+  return beyond(articulation::workspace_bytes<float>(links, dofs) +
+                    articulation::adjoint_bytes<float>(links, dofs),
+                articulations.rows().device().is_cpu() ? kRowStack : 0);
 }
 
 NamedStepArrays step_arrays(const Model& m, const SimState* state, const Control* control) {

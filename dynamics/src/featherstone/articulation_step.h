@@ -7,11 +7,17 @@
 #include "../step_sources.h"
 #include "actuators.h"
 #include "articulation_kernels.h"
+#include "novaphy/core/device_kernel.h"
 #include "novaphy/core/sim/unread_materials.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
 namespace novaphy {
+
+// Trees or groups that a thread of the CPU takes at a time.
+inline constexpr uint32_t kTreeRows = 4;
+// A step without contacts and dry friction.
+const Kernel<ArticulationStepArguments>& tree_step_kernel();
 
 // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: parts besides articulations.
 void check_featherstone_model(const Model& model, const FeatherstoneOptions& options,
@@ -40,8 +46,12 @@ void check_contact_status(std::span<const int32_t> status, const char* user,
 void depend_on_values(const Model& model, const Control* control);
 void depend_on_modes(const Model& model, const Control* control);  // of them, but for friction
 
-// Numbers of memory per articulation, for a step; 0: the stack of a row holds it.
-int64_t articulation_workspace(const Articulations& articulations, int64_t stack);
+// The poses and velocities of all bodies, from joint_q and joint_qd; on the cpu.
+void place_bodies(const Articulations& articulations, const ArticulationArguments& in,
+                  Transformf* body_q, SpatialVectorf* body_qd);
+
+// Numbers of memory per articulation, for a step on a device; 0: the stack of a row holds it.
+int64_t device_workspace(const Articulations& articulations);
 // For a step and its adjoint; 0: the stack of the host holds
 // it.
 int64_t step_workspace(const Articulations& articulations);

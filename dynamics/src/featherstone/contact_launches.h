@@ -3,6 +3,7 @@
 
 #include "articulation_contact_kernels.h"
 #include "articulation_contact_vjp_kernels.h"
+#include "articulation_step.h"
 #include "novaphy/core/builtin_kernels.h"
 #include "novaphy/core/sim/for_chunks.h"
 
@@ -15,30 +16,33 @@ const char* articulation_contact_vjp_kernels_text();
 struct ContactKernels {
 #define NOVAPHY_CONTACT_KERNEL(name) \
   Kernel<decltype(articulation_##name)::Arguments> name{articulation_##name, text};
+#define NOVAPHY_STEP_KERNEL(name) \
+  Kernel<ArticulationContactStepArguments> name{kInChunks<articulation_##name, kTreeRows>, text};
   static constexpr DeviceText text = detail::articulation_contact_kernels_text,
                               vjp_text = detail::articulation_contact_vjp_kernels_text;
   NOVAPHY_CONTACT_KERNEL(contact_group)
-  NOVAPHY_CONTACT_KERNEL(contact_step)
-  NOVAPHY_CONTACT_KERNEL(contact_open)
-  NOVAPHY_CONTACT_KERNEL(contact_islands)
-  NOVAPHY_CONTACT_KERNEL(contact_start)
-  NOVAPHY_CONTACT_KERNEL(contact_solve)
-  NOVAPHY_CONTACT_KERNEL(contact_finish)
-  NOVAPHY_CONTACT_KERNEL(contact_notes)
+  NOVAPHY_STEP_KERNEL(contact_step)
+  NOVAPHY_STEP_KERNEL(contact_open)
+  NOVAPHY_STEP_KERNEL(contact_islands)
+  NOVAPHY_STEP_KERNEL(contact_start)
+  NOVAPHY_STEP_KERNEL(contact_solve)
+  NOVAPHY_STEP_KERNEL(contact_finish)
+  NOVAPHY_STEP_KERNEL(contact_notes)
   NOVAPHY_CONTACT_KERNEL(contact_keep)
   NOVAPHY_CONTACT_KERNEL(contact_copy)
   NOVAPHY_CONTACT_KERNEL(note_some)
   NOVAPHY_CONTACT_KERNEL(note_step)
 #undef NOVAPHY_CONTACT_KERNEL
-  Kernel<ArticulationContactVjpArguments> vjp{articulation_contact_vjp, vjp_text};
+#undef NOVAPHY_STEP_KERNEL
+  Kernel<ArticulationContactVjpArguments> vjp{kInChunks<articulation_contact_vjp, kTreeRows>,
+                                              vjp_text};
   Kernel<ArticulationMaterialClearArguments> clear{articulation_material_clear, vjp_text};
   Kernel<ArticulationMaterialGradientArguments> materials{articulation_material_gradient, vjp_text};
 };
-// On the CPU, where nobody records: a few rows at a time, each of which is much work.
+// A kernel of a step on the CPU, where nobody records, with arguments that are made once.
 template <class A>
 void run_rows(const RowKernel<A>& kernel, int64_t n, const std::type_identity_t<A>& in_memory) {
-  constexpr int64_t kRows = 4;
-  for_chunks(n, kRows, [&](int64_t begin, int64_t end, int64_t) {
+  for_chunks(n, kTreeRows, [&](int64_t begin, int64_t end, int64_t) {
     kernel.rows(reinterpret_cast<const uint64_t*>(&in_memory), n, begin, end);
   });
 }

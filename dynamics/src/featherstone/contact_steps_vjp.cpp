@@ -146,22 +146,18 @@ void ContactSteps::vjp(const ArticulationStepVjpArguments& step, const ContactAr
   list_contacts(contacts, {});
   if (materials) run(k.clear, contacts.most, {.shape_of = shape_of_});
   const Untyped none(nullptr);
-  const ArticulationContactVjpArguments a = {
-      .step = step,
-      .of = groups(contacts, o, record, adjoint_memory_, adjoint_stride_),
-      .impulses = record.impulses,
-      .friction_impulses = record.friction,
-      .joint_friction = to.joint_friction,
-      .materials = materials ? Untyped(materials_) : none,
-      .shape_of = materials ? Untyped(shape_of_) : none,
-      .system = Untyped(system_),
-      .system_of_contact = system_of_contact_,
-      .system_of_group = system_of_group_,
-      .status = adjoint_status_};
-  if (model_.device().is_cpu() && launch_recorder() == nullptr)
-    run_rows(articulation_contact_vjp, groups_, in_memory(a));
-  else
-    run(k.vjp, groups_, a);
+  run(k.vjp, groups_,
+      {.step = step,
+       .of = groups(contacts, o, record, adjoint_memory_, adjoint_stride_),
+       .impulses = record.impulses,
+       .friction_impulses = record.friction,
+       .joint_friction = to.joint_friction,
+       .materials = materials ? Untyped(materials_) : none,
+       .shape_of = materials ? Untyped(shape_of_) : none,
+       .system = Untyped(system_),
+       .system_of_contact = system_of_contact_,
+       .system_of_group = system_of_group_,
+       .status = adjoint_status_});
   if (!materials) return;
   run(incidence(), model_.shape_count(),
       {.table = shape_of_,

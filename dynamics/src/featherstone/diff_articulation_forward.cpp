@@ -5,16 +5,6 @@
 #include "novaphy/nova/host_work.h"
 
 namespace novaphy::diff::detail {
-namespace {
-
-// Never destroyed: recordings refer to it.
-const Kernel<ArticulationStepArguments>& step_kernel() {
-  static const auto& kernel = *new Kernel<ArticulationStepArguments>(
-      articulation_step, novaphy::detail::articulation_kernels_text);
-  return kernel;
-}
-
-}  // namespace
 
 // Also of an array that may not be written through this handle.
 Tensor tensor_of(const Array& array) {
@@ -135,11 +125,11 @@ namespace {
 // Behind a step as it is recorded: what its contacts say.
 void tell_contacts(const Step& s) {
   ArticulationStep::Shared& shared = *s.shared;
-  if (s.motion) s.motion->found = shared.contacts->events(numbers(s.in(kAt.qd)), s.continues);
-  shared.contacts->note_branches();
+  if (s.motion) s.motion->found = shared.contacts.events(numbers(s.in(kAt.qd)), s.continues);
+  shared.contacts.note_branches();
   if (!shared.trees) return;
-  add_branches(shared.contacts->branches(), shared.branches);
-  shared.contacts->clear_branches();
+  add_branches(shared.contacts.branches(), shared.branches);
+  shared.contacts.clear_branches();
 }
 
 // `tell`: notes its branches and writes the forces of its contacts.
@@ -150,8 +140,8 @@ void run_contacts(const Step& s, const ArticulationStepArguments& step, bool tel
   if (tell && s.force) rows.force = *s.force;
   if (tell && s.point_id) rows.point_id = *s.point_id;
   record.notes = tell;
-  shared.contacts->step(step, rows, s.options, record, shared.trees ? &*shared.trees : nullptr);
-  if (shared.trees) *kept_contacts(s).far = shared.contacts->far_island(s.options.pgs_tolerance);
+  shared.contacts.step(step, rows, s.options, record, shared.trees ? &*shared.trees : nullptr);
+  if (shared.trees) *kept_contacts(s).far = shared.contacts.far_island(s.options.pgs_tolerance);
   if (tell) tell_contacts(s);
 }
 
@@ -161,14 +151,14 @@ void run_forward(const Step& s, bool tell) {
   const Unrecorded unrecorded(shared.runs_on_host());
   const ArticulationStepArguments step = forward_arguments(s, step_arguments_of(s), outputs_of(s));
   if (s.contacts.defined()) {
-    ContactSteps& contacts = *shared.contacts;
+    ContactSteps& contacts = shared.contacts;
     if (s.copies_contacts())
       contacts.copy(s.found ? s.found->arguments() : contacts.none(), kept_arguments(s));
     if (acts(s, Tensor()) || contacts.has_seen()) return run_contacts(s, step, tell);
     *kept_contacts(s).far = {};
     if (tell) articulation::note_step(articulation::BranchNotes(), shared.branches);
   }
-  if (!shared.runs_on_host()) return run(step_kernel(), s.count, step);
+  if (!shared.runs_on_host()) return run(tree_step_kernel(), s.count, step);
   shared.trees->step(in_memory(step), *s.model, shared.all, s.options, nullptr, true);
 }
 

@@ -78,7 +78,7 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
     const auto more = [&](size_t i) {
       return s.in(i).defined() ? take(s.in(i), i < t.size() ? t[i] : Tensor()) : Untyped(nullptr);
     };
-    shared.contacts->jvp(
+    shared.contacts.jvp(
         a, kept_arguments(s), s.options, contact_record(s),
         {more(kJointFriction), more(kMu), more(kRestitution), more(kStiffness), more(kDamping)});
   } else {

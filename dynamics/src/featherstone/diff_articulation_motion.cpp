@@ -65,7 +65,7 @@ std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
                                        .stride = 0};
   if (s.contacts.defined() && (contacts.count > 0 || s.dry)) {
     ContactRecord record = {.dry = s.dry, .records = true};
-    shared.contacts->step(a, contact_arguments(contacts), s.options, record, &*shared.trees);
+    shared.contacts.step(a, contact_arguments(contacts), s.options, record, &*shared.trees);
   } else {
     shared.trees->step(a, *s.model, shared.all, s.options, nullptr, true);
   }

@@ -44,17 +44,6 @@ enum MoreInputs : size_t {
 // What a step reads without a gradient, in the order of ArticulationArguments.
 enum Values : size_t { kFrameP, kFrameC, kAxis, kTargetMode, kRows, kLinks, kDofParent, kValues };
 
-// While one lives, launches of this thread run at once and nobody records them.
-struct Unrecorded {
-  explicit Unrecorded(bool here) : before(launch_recorder()) {
-    if (here) set_launch_recorder(nullptr);
-  }
-  Unrecorded(const Unrecorded&) = delete;
-  Unrecorded& operator=(const Unrecorded&) = delete;
-  ~Unrecorded() { set_launch_recorder(before); }
-  LaunchRecorder* const before;
-};
-
 struct Named {
   const char* name;
   Tensor tensor;
@@ -136,18 +125,18 @@ struct ArticulationStep::Shared {
       : options(o),
         device(m.device()),
         articulations(m, user, Articulations::For::Steps),
+        contacts(m, articulations),
         materials(unread_materials(o.contact, user)) {
     actuators = std::make_shared<Actuators>(m);
     const auto count = static_cast<size_t>(articulations.count());
     for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
     if (device.is_cpu()) trees.emplace(m, articulations);
-    contacts.emplace(m, articulations);
     own_stride = step_workspace(articulations);
     status = DeviceArray<int32_t>(count, device);
   }
   // Memory of trees for a step and its adjoint; `solves`: with contacts or dry friction.
   void reserve(bool solves) {
-    const int64_t numbers = solves ? contacts->adjoint_tree_stride() : own_stride;
+    const int64_t numbers = solves ? contacts.adjoint_tree_stride() : own_stride;
     if (numbers <= stride) return;
     stride = numbers;
     const Unobserved unobserved;
@@ -159,7 +148,7 @@ struct ArticulationStep::Shared {
   Device device;
   Articulations articulations;
   std::optional<TreeSteps> trees;  // on the cpu
-  std::optional<ContactSteps> contacts;
+  ContactSteps contacts;
   std::vector<int32_t> all;  // articulations
   std::shared_ptr<Actuators> actuators;
   int64_t stride = 0, own_stride = 0;  // of a step without contacts

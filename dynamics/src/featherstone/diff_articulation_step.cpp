@@ -14,7 +14,7 @@ using namespace detail;
 namespace {
 
 ContactBranches all_branches(const ArticulationStep::Shared& shared) {
-  ContactBranches b = shared.trees ? shared.branches : shared.contacts->branches();
+  ContactBranches b = shared.trees ? shared.branches : shared.contacts.branches();
   b.all.steps += shared.free_steps;
   b.all.exact += shared.free_steps;
   return b;
@@ -208,7 +208,7 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
   shared_->actuators->check(
       model, function, tape != nullptr && tape->carries_gradient(*model.body_gravcomp.range()));
   shared_->dry = tape != nullptr && tape->carries_gradient(*model.joint_friction.range());
-  shared_->dry = shared_->dry || shared_->contacts->has_friction();
+  shared_->dry = shared_->dry || shared_->contacts.has_friction();
   if (on_cpu || shared_->dry)  // which steps read
     depend_on_modes(model, control);
   else
@@ -261,7 +261,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   if (!solves) ++shared_->free_steps;
   if (solves && !step->copies_contacts()) {
     const Unrecorded unrecorded(shared_->runs_on_host());
-    shared_->contacts->copy(contact_arguments(*contacts), kept_arguments(*step));
+    shared_->contacts.copy(contact_arguments(*contacts), kept_arguments(*step));
   }
   if (moves) step->motion = std::make_shared<MotionNotes>();
   submit_forward(step, true);
@@ -315,7 +315,7 @@ ContactBranches ArticulationStep::branches() const { return all_branches(*shared
 void ArticulationStep::clear_branches() {
   shared_->free_steps = 0;
   shared_->ended = nullptr;
-  if (!shared_->trees) shared_->contacts->clear_branches();
+  if (!shared_->trees) shared_->contacts.clear_branches();
   shared_->branches = {};
   shared_->motion.several = shared_->motion.unmoved = 0;
   shared_->far_steps = 0;
@@ -328,9 +328,9 @@ void ArticulationStep::count_from(int64_t number) { shared_->next_step = number;
 void ArticulationStep::check(const Model& model, const char* function) const {
   const OnHost<int32_t> status(shared_->status);
   check_contact_status({status.data(), status.size()}, function);
-  shared_->contacts->check_adjoint(function);
+  shared_->contacts.check_adjoint(function);
   if (!shared_->trees) {
-    const int64_t far = shared_->contacts->branches().unconverged;
+    const int64_t far = shared_->contacts.branches().unconverged;
     *std::exchange(shared_->far, std::make_shared<bool>(false)) =
         far > std::exchange(shared_->far_steps, far);
   }

@@ -7,7 +7,7 @@ namespace {
 
 // Never destroyed: recordings refer to them.
 struct Kernels {
-  Kernel<ArticulationStepVjpArguments> vjp{articulation_step_vjp,
+  Kernel<ArticulationStepVjpArguments> vjp{kInChunks<articulation_step_vjp, kTreeRows>,
                                            novaphy::detail::articulation_kernels_text};
   Kernel<GravityGradientArguments> gravity{gravity_gradient,
                                            novaphy::detail::articulation_kernels_text};
@@ -151,7 +151,7 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
   const auto adjoint = [&](const ArticulationStepVjpArguments& a) {
     ArticulationStep::Shared& shared = *s.shared;
     if (acts(s, of(kJointFriction)))
-      return shared.contacts->vjp(
+      return shared.contacts.vjp(
           a, kept_arguments(s), s.options, contact_record(s),
           {argument(of(kJointFriction)), argument(of(kMu)), argument(of(kRestitution)),
            argument(of(kStiffness)), argument(of(kDamping))});

@@ -11,7 +11,6 @@
 #include "articulation_kernels.h"
 #include "articulation_step.h"
 #include "contact_steps.h"
-#include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/core/warning.h"
@@ -20,22 +19,9 @@
 #include "unrecorded_step.h"
 
 namespace novaphy {
-namespace detail {
-const char* articulation_kernels_text();
-}
 namespace {
 
 constexpr const char* kName = "SolverFeatherstone.step";
-
-const Kernel<ArticulationStepArguments>& step_kernel() {
-  static const auto& kernel =
-      *new Kernel<ArticulationStepArguments>(articulation_step, detail::articulation_kernels_text);
-  return kernel;
-}
-
-}  // namespace
-
-namespace {
 
 // What a state had before a step, for one that fails.
 class EarlierState {
@@ -85,7 +71,7 @@ struct SolverFeatherstone::Cache {
     status = DeviceArray<int32_t>(count, device);
     for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
     if (!device.is_cpu()) {
-      stride = articulation_workspace(articulations, kDeviceRowStack);
+      stride = device_workspace(articulations);
       workspace = DeviceArray<float>(count * static_cast<size_t>(stride), device);
       return;
     }
@@ -105,6 +91,7 @@ struct SolverFeatherstone::Cache {
   std::optional<TreeSteps> trees;  // on the cpu, where a step runs at once
   ActuatedStep actuated;
   EarlierState earlier;
+  bool keeps_earlier = false;  // in this step
   ContactSteps contacts;
   RigidBodies penalty;
   // Of bodies on FREE joints: those that others hold have more than their own mass.
@@ -125,7 +112,6 @@ struct SolverFeatherstone::Cache {
   UnreadMaterials materials;
   std::vector<Transformf> body_q;
   std::vector<SpatialVectorf> body_qd, body_f;
-  std::vector<uint64_t> tree_memory;  // of one
 };
 
 namespace {
@@ -182,20 +168,7 @@ void SolverFeatherstone::add_penalties(const Contacts& contacts, ArticulationSte
   const ArticulationArguments in = in_memory(a).in;
   const SpatialVectorf* const body_f = in.arrays.body_f;
   c.body_f.assign(body_f, body_f + bodies);
-  for (int64_t i = 0; i < c.articulations.count(); ++i) {
-    const ArticulationRows& rows = in.rows[i];
-    c.tree_memory.resize(std::max(
-        c.tree_memory.size(),
-        static_cast<size_t>(articulation::workspace_bytes<float>(rows.link_count, rows.dof_count)) /
-                8 +
-            1));
-    const articulation::Tree<float> tree = articulation_tree(in, rows);
-    auto ws =
-        articulation::make_workspace<float>(c.tree_memory.data(), rows.link_count, rows.dof_count);
-    articulation::link_frames(tree, in.arrays.q.rows(), ws);
-    articulation::link_motions(tree, in.arrays.qd + rows.first_dof, ws);
-    articulation::write_bodies(tree, ws, c.body_q.data(), c.body_qd.data());
-  }
+  place_bodies(c.articulations, in, c.body_q.data(), c.body_qd.data());
   c.penalty.prepare(m, &contacts);
   const RigidStep how = {FrictionLaw::Huber, options_.friction_smoothing, 0.0f, a.in.dt.value};
   c.penalty.add_contact_wrenches(m, c.body_q.data(), c.body_qd.data(), contacts, how,
@@ -247,14 +220,17 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
     if (c.watch.is_due(false)) c.watch.look(m, state_in, *contacts, dt, true, &c.free_bodies);
   }
   const Contacts* const touching = penalty ? nullptr : contacts;
-  if (c.trees) c.earlier.keep(state_out);
-  if (c.contacts.has_rows(touching))
+  const bool has_rows = c.contacts.has_rows(touching);
+  // A tree alone that fails writes nothing.
+  c.keeps_earlier = c.trees && (has_rows || c.all.size() > 1);
+  if (c.keeps_earlier) c.earlier.keep(state_out);
+  if (has_rows)
     c.contacts.step(a, touching == nullptr ? c.contacts.none() : contact_arguments(*touching),
                     options_, {}, c.trees ? &*c.trees : nullptr);
   else if (c.trees)
     c.trees->step(in_memory(a), m, c.all, options_, nullptr);
   else
-    run(step_kernel(), c.articulations.count(), a);
+    run(tree_step_kernel(), c.articulations.count(), a);
   if (c.trees) finish(touching, state_in, state_out, dt);
   mark_unrecorded_step(m, state_in, state_out, control);
 }
@@ -268,7 +244,7 @@ void SolverFeatherstone::finish(const Contacts* contacts, const SimState& from, 
     c.warn_of_residual(*model(), contacts, options_.pgs_tolerance);
     return c.actuated.finish(to);
   }
-  c.earlier.restore(to);
+  if (c.keeps_earlier) c.earlier.restore(to);
   const articulation::ContactRows rows = contact_rows(contacts);
   check_contact_status(status, kName, model().get(), rows.shape0, rows.shape1);
   check_exploded(*model(), c.articulations, status, from, dt, c.contacts.largest_force(), kName);

@@ -3,6 +3,7 @@
 
 #include "articulation_contact_jvp_kernels.h"
 #include "articulation_jvp_kernels.h"
+#include "articulation_step.h"
 #include "novaphy/core/device_kernel.h"
 
 namespace novaphy {
@@ -13,10 +14,11 @@ const char* articulation_jvp_kernels_text();
 
 struct TangentKernels {
   Kernel<DualPackArguments> pack{dual_pack, detail::articulation_jvp_kernels_text};
-  Kernel<ArticulationJvpArguments> step{articulation_step_jvp,
+  Kernel<ArticulationJvpArguments> step{kInChunks<articulation_step_jvp, kTreeRows>,
                                         detail::articulation_jvp_kernels_text};
   Kernel<ArticulationContactJvpArguments> contact_step{
-      articulation_contact_jvp, detail::articulation_contact_jvp_kernels_text};
+      kInChunks<articulation_contact_jvp, kTreeRows>,
+      detail::articulation_contact_jvp_kernels_text};
   Kernel<DualTangentArguments> tangent{dual_tangent, detail::articulation_jvp_kernels_text};
 };
 // Never destroyed: recordings refer to them.

@@ -72,6 +72,21 @@ NOVAPHY_CORE_API LaunchRecorder* launch_recorder();  // of this thread, or null
 NOVAPHY_CORE_API LaunchRecorder* set_launch_recorder(
     LaunchRecorder* recorder);  // returns the one before
 
+// While one lives, launches of this thread run at once and nobody records them. `here` false: it
+// does nothing.
+class Unrecorded {
+ public:
+  explicit Unrecorded(bool here = true) : before_(launch_recorder()) {
+    if (here) set_launch_recorder(nullptr);
+  }
+  Unrecorded(const Unrecorded&) = delete;
+  Unrecorded& operator=(const Unrecorded&) = delete;
+  ~Unrecorded() { set_launch_recorder(before_); }
+
+ private:
+  LaunchRecorder* const before_;
+};
+
 // What this thread submits next holds for the present values of these arrays only, which the host
 // has read: see LaunchRecorder::depends_on.
 NOVAPHY_CORE_API void depend_on(std::span<const Array* const> arrays);

@@ -37,6 +37,17 @@ template <class A>
 struct RowKernel : novaphy_row_function {
   using Arguments = A;
 };
+
+// The same kernel, of which a thread of the CPU takes so many rows at a time: where a row is much
+// work.
+template <class A>
+constexpr RowKernel<A> in_chunks(RowKernel<A> kernel, uint32_t rows) {
+  kernel.chunk = rows;
+  return kernel;
+}
+// Launches refer to kernels.
+template <const auto& kernel, uint32_t rows>
+inline constexpr auto kInChunks = in_chunks(kernel, rows);
 }  // namespace novaphy
 
 // Kernels for devices only, as a function of a block of 128 threads, which may share memory and

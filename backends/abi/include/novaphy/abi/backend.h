@@ -23,7 +23,7 @@ extern "C" {
 #endif
 
 #define NOVAPHY_ABI_MAJOR 1u
-#define NOVAPHY_ABI_MINOR 11u
+#define NOVAPHY_ABI_MINOR 12u
 
 typedef enum novaphy_status {
   NOVAPHY_OK = 0,
@@ -114,13 +114,13 @@ typedef enum novaphy_code_format {
 
 /* BINARY modules of a CPU backend, since minor version 10: `data` is one of these, and the module
  * has the one kernel `name`. `rows` does the rows [begin, end) of n; which rows one call gets
- * depends on nothing but n, and calls for other rows may run at the same time. The function and
+ * depends on nothing but n and `chunk`, and calls for other rows may run at the same time. The function and
  * what the struct points to outlive the module. */
 typedef struct novaphy_row_function {
   uint64_t struct_size;
   const char* name;
   uint32_t argument_count; /* 8-byte words */
-  uint32_t reserved;       /* 0 */
+  uint32_t chunk; /* since minor version 12: rows that a thread takes at a time; 0: the backend's */
   void (*rows)(const uint64_t* arguments, int64_t n, int64_t begin, int64_t end);
 } novaphy_row_function;
 

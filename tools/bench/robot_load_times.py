@@ -17,7 +17,7 @@ import time
 import warnings
 from pathlib import Path
 
-from robot_files import Worker, finish, read_options, run_files
+from robot_collections import Worker, finish, read_options, run_files
 
 
 def load_novaphy(path: str, kind: str, folders: list[str]) -> None:

@@ -64,11 +64,6 @@ LaunchArgument number(int64_t value) {
   made.word = static_cast<uint64_t>(value);
   return made;
 }
-LaunchArgument number(float value) {
-  LaunchArgument made;
-  made.word = std::bit_cast<uint32_t>(value);
-  return made;
-}
 
 DeviceKernel::DeviceKernel(const novaphy_row_function& function, DeviceText text)
     : name_(function.name),

@@ -1,11 +1,6 @@
 // <novaphy/core/row_kernel.h> for device code: the kernel calls the function of the row on each
 // thread.
 namespace novaphy {
-struct FloatWord {
-  float value;
-  uint32_t unused;
-};
-
 // The access types of <novaphy/core/launch_arguments.h>: what a launch does, the host knows.
 template <class T>
 using Reads = const T*;
@@ -39,20 +34,8 @@ struct Each {
 
 #define NOVAPHY_ARGUMENTS(...) __VA_ARGS__
 
-#define NOVAPHY_FOURTH(A, B, C, D, ...) D
-#define NOVAPHY_ROW_KERNEL(...)                                                         \
-  NOVAPHY_FOURTH(__VA_ARGS__, NOVAPHY_COUNTED_ROW_KERNEL_, NOVAPHY_TYPED_ROW_KERNEL_, ) \
-  (__VA_ARGS__)
-#define NOVAPHY_BLOCK_KERNEL(...)                                                           \
-  NOVAPHY_FOURTH(__VA_ARGS__, NOVAPHY_COUNTED_BLOCK_KERNEL_, NOVAPHY_TYPED_BLOCK_KERNEL_, ) \
-  (__VA_ARGS__)
-#define NOVAPHY_TYPED_ROW_KERNEL_(NAME, ARGUMENTS) \
-  NOVAPHY_COUNTED_ROW_KERNEL_(NAME, sizeof(ARGUMENTS) / 8, ARGUMENTS)
-#define NOVAPHY_TYPED_BLOCK_KERNEL_(NAME, ARGUMENTS) \
-  NOVAPHY_COUNTED_BLOCK_KERNEL_(NAME, sizeof(ARGUMENTS) / 8, ARGUMENTS)
-
-#define NOVAPHY_COUNTED_ROW_KERNEL_(NAME, WORDS, ARGUMENTS)                            \
-  static_assert(sizeof(ARGUMENTS) == 8 * (WORDS));                                     \
+#define NOVAPHY_ROW_KERNEL(NAME, ARGUMENTS)                                            \
+  static_assert(sizeof(ARGUMENTS) % 8 == 0);                                           \
   inline void NAME##_row(const ARGUMENTS& a, const int64_t row, const int64_t n);      \
   NOVAPHY_KERNEL NAME(const ARGUMENTS arguments, const int64_t n, const device_sink) { \
     const int64_t row = NOVAPHY_ROW;                                                   \
@@ -60,8 +43,7 @@ struct Each {
   }                                                                                    \
   inline void NAME##_row(const ARGUMENTS& a, const int64_t row, const int64_t n)
 
-#define NOVAPHY_COUNTED_BLOCK_KERNEL_(NAME, WORDS, ARGUMENTS) \
-  static_assert(sizeof(ARGUMENTS) == 8 * (WORDS))
+#define NOVAPHY_BLOCK_KERNEL(NAME, ARGUMENTS) static_assert(sizeof(ARGUMENTS) % 8 == 0)
 #define NOVAPHY_BLOCK_BODY(NAME, ARGUMENTS)                                                \
   inline void NAME##_block(const ARGUMENTS& a, const int64_t block, const int64_t blocks); \
   NOVAPHY_KERNEL NAME(const ARGUMENTS arguments, const int64_t, const device_sink) {       \

@@ -36,7 +36,6 @@ NOVAPHY_CORE_API LaunchArgument writes_row(const char* name, const Array& array)
 NOVAPHY_CORE_API LaunchArgument updates(const char* name, const Array& array);
 NOVAPHY_CORE_API LaunchArgument updates_row(const char* name, const Array& array);
 NOVAPHY_CORE_API LaunchArgument number(int64_t value);
-NOVAPHY_CORE_API LaunchArgument number(float value);  // a FloatWord
 
 // The text of a *_kernels.h for the compilers of devices; null: the build has none.
 using DeviceText = const char* (*)();

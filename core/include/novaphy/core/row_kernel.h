@@ -15,9 +15,6 @@
 // this one, nothing else. novaphy_add_device_module (cmake/NovaPhyDeviceModule.cmake) makes the
 // text that devices get; Kernel launches a kernel. Names of kernels are unique in a text, whatever
 // the namespaces.
-//
-// A kernel whose struct holds plain pointers gives the number of its argument words besides:
-// NOVAPHY_ROW_KERNEL(scale, 3, ScaleArguments); DeviceKernel launches it.
 #pragma once
 
 #include <cstdint>
@@ -26,12 +23,6 @@
 #include "novaphy/core/launch_arguments.h"
 
 namespace novaphy {
-// An argument word that holds a float.
-struct FloatWord {
-  float value;
-  uint32_t unused;
-};
-
 // A kernel of this struct of arguments.
 template <class A>
 struct RowKernel : novaphy_row_function {
@@ -58,19 +49,11 @@ inline constexpr auto kInChunks = in_chunks(kernel, rows);
 //
 // where `a` are the arguments, `block` is the block and `blocks` the number of blocks. A launch
 // over n rows has a block for every 128 of them. A CPU is refused (ErrorKind::NotImplemented).
-#define NOVAPHY_BLOCK_KERNEL(...)                                                           \
-  NOVAPHY_FOURTH(__VA_ARGS__, NOVAPHY_COUNTED_BLOCK_KERNEL_, NOVAPHY_TYPED_BLOCK_KERNEL_, ) \
-  (__VA_ARGS__)
-#define NOVAPHY_ROW_KERNEL(...)                                                         \
-  NOVAPHY_FOURTH(__VA_ARGS__, NOVAPHY_COUNTED_ROW_KERNEL_, NOVAPHY_TYPED_ROW_KERNEL_, ) \
-  (__VA_ARGS__)
-#define NOVAPHY_FOURTH(A, B, C, D, ...) D
-
-#define NOVAPHY_TYPED_BLOCK_KERNEL_(NAME, ARGUMENTS) \
-  inline constexpr RowKernel<ARGUMENTS> NAME = {     \
+#define NOVAPHY_BLOCK_KERNEL(NAME, ARGUMENTS)    \
+  inline constexpr RowKernel<ARGUMENTS> NAME = { \
       {sizeof(novaphy_row_function), #NAME, sizeof(ARGUMENTS) / sizeof(uint64_t), 0, nullptr}}
 
-#define NOVAPHY_TYPED_ROW_KERNEL_(NAME, ARGUMENTS)                                                \
+#define NOVAPHY_ROW_KERNEL(NAME, ARGUMENTS)                                                       \
   inline void NAME##_row(const ARGUMENTS& a, int64_t row, int64_t n);                             \
   inline void NAME##_rows(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {         \
     const auto& a = ::novaphy::detail::arguments_of<ARGUMENTS>(words);                            \
@@ -79,23 +62,5 @@ inline constexpr auto kInChunks = in_chunks(kernel, rows);
   inline constexpr ::novaphy::RowKernel<ARGUMENTS> NAME = {{sizeof(novaphy_row_function), #NAME,  \
                                                             sizeof(ARGUMENTS) / sizeof(uint64_t), \
                                                             0, NAME##_rows}};                     \
-  inline void NAME##_row([[maybe_unused]] const ARGUMENTS& a, [[maybe_unused]] const int64_t row, \
-                         [[maybe_unused]] const int64_t n)
-
-#define NOVAPHY_COUNTED_BLOCK_KERNEL_(NAME, WORDS, ARGUMENTS)                                  \
-  static_assert(sizeof(ARGUMENTS) == 8 * (WORDS), #NAME ": every argument has 8 bytes");       \
-  inline constexpr novaphy_row_function NAME = {sizeof(novaphy_row_function), #NAME, WORDS, 0, \
-                                                nullptr}
-
-#define NOVAPHY_COUNTED_ROW_KERNEL_(NAME, WORDS, ARGUMENTS)                                       \
-  static_assert(sizeof(ARGUMENTS) == 8 * (WORDS), #NAME ": every argument has 8 bytes");          \
-  inline void NAME##_row(const ARGUMENTS& a, int64_t row, int64_t n);                             \
-  inline void NAME##_rows(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {         \
-    ARGUMENTS a;                                                                                  \
-    __builtin_memcpy(&a, words, sizeof(a));                                                       \
-    for (int64_t row = begin; row < end; ++row) NAME##_row(a, row, n);                            \
-  }                                                                                               \
-  inline constexpr novaphy_row_function NAME = {sizeof(novaphy_row_function), #NAME, WORDS, 0,    \
-                                                NAME##_rows};                                     \
   inline void NAME##_row([[maybe_unused]] const ARGUMENTS& a, [[maybe_unused]] const int64_t row, \
                          [[maybe_unused]] const int64_t n)

@@ -134,7 +134,7 @@ void eval_soft_contact_forces(const Model& model, const Contacts& contacts,
                              nova::operand_of(model.particle_radius)};
   for (Operand& o : detail::soft_contact_operands(model, contacts)) in.push_back(std::move(o));
   const std::array params = detail::soft_contact_params(model, kf_rate);
-  soft_contact_kernel().launch(particle_q.rows, in, {&forces, 1},
+  soft_contact_kernel().launch(particle_q.rows, in, forces,
                                {.params = params, .csr = &contacts_of});
 }
 
@@ -357,7 +357,7 @@ void eval_static_contact_forces(const Model& model, const WorldRows& rows,
                              nova::operand_of(model.particle_flags)};
   for (const Operand& o : detail::static_shape_operands(model, rows)) in.push_back(o);
   static_contact_kernel(detail::worlds_of(model), rows.shapes())
-      .launch(particle_q.rows, in, {&forces, 1}, detail::static_shape_options(model, rows, params));
+      .launch(particle_q.rows, in, forces, detail::static_shape_options(model, rows, params));
 }
 
 Tensor eval_static_particle_shape_contact_forces_generated(const Model& model,

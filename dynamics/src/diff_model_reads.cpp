@@ -26,7 +26,7 @@ template <class Rule>
 void launch(const Rule&, const Array& source, const Array& derived) {
   const nova::NoGrad no_grad;
   const nova::Operand in = nova::operand_of(source), out = nova::operand_of(derived);
-  rule_kernel<Rule>().launch(in.rows, {&in, 1}, {&out, 1});
+  rule_kernel<Rule>().launch(in.rows, in, out);
 }
 
 // A derived array that is made a leaf would stay at a gradient of 0.

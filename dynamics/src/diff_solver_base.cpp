@@ -32,7 +32,7 @@ const nova::Kernel& add_kernel() {
 // sum = a + b, row by row; sum may be one of them where nothing is recorded.
 void add(const Operand& a, const Operand& b, const Operand& sum) {
   const Operand in[] = {a, b};
-  add_kernel().launch(sum.rows, in, {&sum, 1});
+  add_kernel().launch(sum.rows, in, sum);
 }
 
 // `rows` rows of an operand, as an operand of its own.

@@ -582,7 +582,7 @@ std::vector<Tensor> Kernel::operator()(int64_t dim, std::span<const Tensor> inpu
   return results;
 }
 
-void Kernel::launch(int64_t dim, std::span<const Operand> inputs, std::span<const Operand> outputs,
+void Kernel::launch(int64_t dim, Operands inputs, Operands outputs,
                     const LaunchOptions& options) const {
   detail::KernelImpl& k = *impl_;
   check_sum(k, dim, options);

@@ -35,7 +35,7 @@ Tensor launch_pair(const Kernel& kernel, const Tensor& a, const Tensor& b,
   const Operand in[] = {broadcast_to(a, shape).flat_operand(),
                         broadcast_to(b, shape).flat_operand()};
   const Operand to = out.flat_operand();
-  kernel.launch(out.size(), in, {&to, 1}, {.params = params});
+  kernel.launch(out.size(), in, to, {.params = params});
   return out;
 }
 
@@ -56,7 +56,7 @@ Tensor unary(const Kernel& kernel, const Tensor& x, std::span<const Param> param
   check_f32(x, {kernel.name().c_str(), "x"});
   const Tensor out(x.shape(), DType::F32, x.device());
   const Operand in = x.flat_operand(), to = out.flat_operand();
-  kernel.launch(x.size(), {&in, 1}, {&to, 1}, {.params = params});
+  kernel.launch(x.size(), in, to, {.params = params});
   return out;
 }
 
@@ -226,7 +226,7 @@ Tensor where(const Tensor& condition, const Tensor& a, const Tensor& b) {
   in[0].type = ir::Type::I32;
   const Operand to = out.flat_operand();
   const Param params[] = {condition.dtype() == DType::F32 ? INT32_MAX : int32_t{-1}};
-  where_kernel().launch(out.size(), in, {&to, 1}, {.params = params});
+  where_kernel().launch(out.size(), in, to, {.params = params});
   return out;
 }
 

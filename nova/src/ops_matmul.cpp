@@ -121,7 +121,7 @@ Tensor product(const Matrix& a, const Matrix& b, const Shape& shape) {
   param(a.columns);
   const Operand in[] = {a.tensor.flat_operand(), b.tensor.flat_operand()};
   const Operand to = out.flat_operand();
-  matmul_kernel().launch(out.size(), in, {&to, 1},
+  matmul_kernel().launch(out.size(), in, to,
                          {.params = params, .extent = static_cast<int32_t>(a.columns)});
   return out;
 }
@@ -142,7 +142,7 @@ Tensor transposed(const Tensor& x) {
   const Param params[] = {int_param("linear", x.dim(0)), int_param("linear", x.dim(1))};
   const Operand in = x.flat_operand(), to = out.flat_operand();
   const NoGrad no_grad;
-  transpose_kernel().launch(out.size(), {&in, 1}, {&to, 1}, {.params = params});
+  transpose_kernel().launch(out.size(), in, to, {.params = params});
   return out;
 }
 

@@ -37,7 +37,7 @@ Tensor apply(const Kernel& kernel, const Tensor& x) {
   check_f32(x, {kernel.name().c_str(), "x"});
   const Tensor out(x.shape(), DType::F32, x.device());
   const Operand in = x.flat_operand(), to = out.flat_operand();
-  kernel.launch(x.size(), {&in, 1}, {&to, 1});
+  kernel.launch(x.size(), in, to);
   return out;
 }
 
@@ -99,7 +99,7 @@ Tensor draw(const Kernel& kernel, int64_t worlds, int64_t width, const RandomKey
   const Param params[] = {detail::int_param(call, width), static_cast<int32_t>(key.seed),
                           static_cast<int32_t>(key.seed >> 32), key.stream};
   const Operand in = step.flat_operand(), to = out.flat_operand();
-  kernel.launch(out.size(), {&in, 1}, {&to, 1}, {.params = params});
+  kernel.launch(out.size(), in, to, {.params = params});
   return out;
 }
 

@@ -153,7 +153,7 @@ Tensor gather(const Tensor& x, const Tensor& index) {
   Incidence incidence;
   try {
     const NoGrad no_grad;
-    gather_kernel().launch(out.size(), in, {&words, 1}, {.params = params});
+    gather_kernel().launch(out.size(), in, words, {.params = params});
     if (followed) incidence = cached_incidence(in[0], x.rows());
   } catch (const novaphy::Error& error) {
     if (error.kind() != ErrorKind::Index) throw;

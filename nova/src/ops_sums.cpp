@@ -74,7 +74,7 @@ Tensor repeat_along(const Tensor& x, const Along& along, const Shape& shape) {
     const NoGrad no_grad;
     const bool one = x.size() == 1;
     (one ? broadcast_value_kernel() : broadcast_kernel())
-        .launch(out.size(), {&in, 1}, {&target, 1},
+        .launch(out.size(), in, target,
                 {.params = one ? std::span<const Param>() : std::span<const Param>(params)});
   }
   detail::record(

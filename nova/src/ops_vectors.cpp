@@ -113,7 +113,7 @@ Tensor launch_rows(const Kernel& kernel, std::initializer_list<Tensor> inputs) {
   shape.push_back(width);
   const Tensor out(shape, DType::F32, first.device());
   const Operand to = rows_of(out, width);
-  kernel.launch(to.rows, in, {&to, 1});
+  kernel.launch(to.rows, in, to);
   return out;
 }
 

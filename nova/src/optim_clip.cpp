@@ -40,7 +40,7 @@ const Kernel& clip_factor_kernel() {
 void norm_and_factor(const Operand& total, const Operand& factor, float max_norm) {
   const Operand out[] = {total, factor};
   const Param params[] = {max_norm};
-  clip_factor_kernel().launch(1, {&total, 1}, out, {.params = params});
+  clip_factor_kernel().launch(1, total, out, {.params = params});
 }
 
 const Kernel& scale_grad_kernel() {
@@ -62,7 +62,7 @@ void scale(const Operand& grad, const Operand& factor) {
 
 void clamp_in_place(const Operand& x, float lower, float upper) {
   const Param params[] = {lower, upper};
-  detail::clamp_kernel().launch(x.rows, {&x, 1}, {&x, 1}, {.params = params});
+  detail::clamp_kernel().launch(x.rows, x, x, {.params = params});
 }
 
 }  // namespace

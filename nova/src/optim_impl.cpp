@@ -60,7 +60,7 @@ void sum_over_grads(std::span<const Tensor> params, const Kernel& f, const Opera
   for (size_t k = 0; k < params.size(); ++k) {
     const int64_t n = params[k].size();
     const Operand in = grad_operand(params[k]), out{terms, n, 1};
-    f.launch(n, {&in, 1}, {&out, 1});
+    f.launch(n, in, out);
     row_sum(out, 1, n, k == 0 ? nullptr : &total, total);
   }
 }

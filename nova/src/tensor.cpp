@@ -284,7 +284,7 @@ void Tensor::copy_(const Tensor& source) const {
   if (source.impl_->range == impl_->range) return;
   if (dtype() == DType::F32 && source.device() == device()) {
     const Operand in = source.flat_operand(), out = flat_operand();
-    copy_kernel(dtype()).launch(size(), {&in, 1}, {&out, 1});
+    copy_kernel(dtype()).launch(size(), in, out);
   } else if (source.device() == device()) {
     submit_copy(impl_->range, source.impl_->range);
   } else {

@@ -392,7 +392,7 @@ void own_kernel(Device device) {
   const Tensor x = Tensor::from_host(std::span<const float>(values), {3}, device);
   const Tensor y({3}, nova::DType::F32, device);
   const nova::Operand in = x.operand(), out = y.operand();
-  kernel.launch(3, {&in, 1}, {&out, 1});
+  kernel.launch(3, in, out);
   const std::vector<float> results = y.to_host();
   for (const nova::KernelInfo& info : nova::kernel_info())
     if (info.name == "own") std::printf("%s ", info.how == "native" ? "compiled" : "interpreted");

@@ -88,7 +88,7 @@ void mix_devices() {
   const nova::Tensor cpu({3}, nova::DType::F32, Device::cpu()),
       cuda({3}, nova::DType::F32, g_device);
   const nova::Operand in = cpu.operand(), out = cuda.operand();
-  copy.launch(3, {&in, 1}, {&out, 1});
+  copy.launch(3, in, out);
 }
 
 // The forward solver, on elements of all kinds.

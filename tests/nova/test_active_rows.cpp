@@ -76,7 +76,7 @@ class ActiveRows : public ::testing::TestWithParam<int64_t> {
     const nova::Operand active = count.operand(), out = y.operand();
     const nova::Operand in[] = {at.operand(), x.operand(), a.operand(), scale.operand()};
     y.fill_(0.0f);
-    law().launch(n, in, {&out, 1}, {.active = &active});
+    law().launch(n, in, out, {.active = &active});
     const Tensor loss = nova::sum(nova::mul(y, y));
     tape.backward(loss);
     return loss;
@@ -131,7 +131,7 @@ TEST_P(ActiveRows, OthersStayAsTheyAre) {
   y.fill_(7.0f);
   const nova::Operand active = count.operand(), out = y.operand();
   const nova::Operand in[] = {at.operand(), x.operand(), a.operand(), scale.operand()};
-  law().launch(n, in, {&out, 1}, {.active = &active});
+  law().launch(n, in, out, {.active = &active});
   const Floats rows = y.to_host();
   EXPECT_EQ(rows[static_cast<size_t>(n - 1)], 7.0f);
   EXPECT_NE(rows[0], 7.0f);
@@ -143,8 +143,8 @@ TEST_P(ActiveRows, MemoryThatTheTapeKnowsIsRefused) {
   const TapeScope scope(tape);
   const nova::Operand active = count.operand(), out = y.operand();
   const nova::Operand in[] = {at.operand(), x.operand(), a.operand(), scale.operand()};
-  law().launch(n, in, {&out, 1});
-  EXPECT_ERROR(law().launch(n, in, {&out, 1}, {.active = &active}), ErrorKind::Runtime,
+  law().launch(n, in, out);
+  EXPECT_ERROR(law().launch(n, in, out, {.active = &active}), ErrorKind::Runtime,
                "Give it memory of its own");
 }
 
@@ -154,7 +154,7 @@ TEST_P(ActiveRows, ANumberThatChangedSinceIsRefused) {
   const TapeScope scope(tape);
   const nova::Operand active = count.operand(), out = y.operand();
   const nova::Operand in[] = {at.operand(), x.operand(), a.operand(), scale.operand()};
-  law().launch(n, in, {&out, 1}, {.active = &active});
+  law().launch(n, in, out, {.active = &active});
   const Tensor loss = nova::sum(y);
   set_count(2);
   EXPECT_ERROR(tape.backward(loss), ErrorKind::Runtime,
@@ -170,7 +170,7 @@ TEST(NumberOfActiveRows, InTheMemoryOfAnOutputIsRefused) {
   const Tensor x = tensor({1.0f}), y({1});
   const nova::Operand in = x.operand(), out = y.operand(),
                       active = Tensor(y.range(), y.shape(), DType::I32).operand();
-  EXPECT_ERROR(twice.launch(1, {&in, 1}, {&out, 1}, {.active = &active}), ErrorKind::Value,
+  EXPECT_ERROR(twice.launch(1, in, out, {.active = &active}), ErrorKind::Value,
                "twice: output 'y' overlaps active");
 }
 
@@ -181,10 +181,10 @@ TEST(NumberOfActiveRows, OfAKernelWithASumIsRefused) {
   const Tensor e = tensor({1.0f, 2.0f}), count = table({1}), y({1});
   const nova::Operand in = e.operand(), out = y.operand(), active = count.operand(),
                       wide = table({1, 2}).operand();
-  EXPECT_ERROR(kernel.launch(1, {&in, 1}, {&out, 1}, {.extent = 2, .active = &active}),
-               ErrorKind::Value, "total, active: expected a kernel without a sum");
-  EXPECT_ERROR(kernel.launch(1, {&in, 1}, {&out, 1}, {.extent = 2, .active = &wide}),
-               ErrorKind::Value, "total, active: expected {1} int32, got {2} int32");
+  EXPECT_ERROR(kernel.launch(1, in, out, {.extent = 2, .active = &active}), ErrorKind::Value,
+               "total, active: expected a kernel without a sum");
+  EXPECT_ERROR(kernel.launch(1, in, out, {.extent = 2, .active = &wide}), ErrorKind::Value,
+               "total, active: expected {1} int32, got {2} int32");
 }
 
 }  // namespace

@@ -129,7 +129,7 @@ class Touches {
   }
   void launch(const Kernel& kernel, std::vector<Operand> in, Operand out,
               const Incidence* csr = nullptr) const {
-    kernel.launch(n_, in, {&out, 1}, {.csr = csr});
+    kernel.launch(n_, in, out, {.csr = csr});
   }
 
   const Kernel& find() const {
@@ -325,7 +325,7 @@ TEST(Checkpoints, AValueThatIsWrittenTwiceBetweenTwoIsRefusedWhereItIsRead) {
                   [](TraceContext& c) { return std::vector{c.f32(0) * c.f32(0)}; });
   const auto launch = [&](const Tensor& from, const Tensor& to) {
     const Operand in = from.operand(), out = to.operand();
-    square.launch(1, {&in, 1}, {&out, 1});
+    square.launch(1, in, out);
   };
   Tape tape;
   const TapeScope scope(tape);

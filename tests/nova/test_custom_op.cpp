@@ -67,7 +67,7 @@ void launch(const Kernel& kernel, std::initializer_list<Tensor> inputs, const Te
   std::vector<nova::Operand> in;
   for (const Tensor& t : inputs) in.push_back(t.operand());
   const nova::Operand out = output.operand();
-  kernel.launch(output.rows(), in, {&out, 1});
+  kernel.launch(output.rows(), in, out);
 }
 
 CustomOp two_bodies(const Tensor& state, const Tensor& next, const Tensor& stiffness,

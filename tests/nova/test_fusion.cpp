@@ -87,7 +87,7 @@ class Workspace {
  private:
   static void launch(const Kernel& kernel, int64_t n, std::vector<Operand> in, Operand out,
                      const nova::Incidence* csr = nullptr) {
-    kernel.launch(n, in, {&out, 1}, {.csr = csr});
+    kernel.launch(n, in, out, {.csr = csr});
   }
   const Tensor& array(Random& random) const {
     return arrays_[static_cast<size_t>(random.below(kArrays))];
@@ -234,7 +234,7 @@ TEST(Phased, AFailureIsThatOfTheLaunchThatWasRecordedFirst) {
   const auto launch = [&](const Kernel& kernel, const Tensor& at, const Tensor& from,
                           const Tensor& to) {
     const Operand in[] = {at.operand(), from.operand()}, out = to.operand();
-    kernel.launch(kRows, in, {&out, 1});
+    kernel.launch(kRows, in, out);
   };
   for (int k = 0; k < 10; ++k) {
     launch(kernels[0], good, a, b);

@@ -108,7 +108,7 @@ ElementGradients element_gradients(KeepGradients keep, bool terms_too) {
     const Tensor y({kRows, 3});
     const nova::Operand in[] = {x.operand(), terms}, out = y.operand();
     const nova::Incidence rows = nova::make_incidence(table.operand(), kRows);
-    add_up.launch(kRows, in, {&out, 1}, {.csr = &rows});
+    add_up.launch(kRows, in, out, {.csr = &rows});
     x = y;
   }
   Tensor loss = nova::dot(x, x);
@@ -332,7 +332,7 @@ TEST(LeafGradients, ARangeThatIsWrittenSeveralTimesKeepsItsValuesApart) {
   const auto scale = [](const Tensor& out, const Tensor& in, float a) {
     const nova::Operand from = in.operand(), to = out.operand();
     const Param params[] = {a};
-    kernel.launch(in.rows(), {&from, 1}, {&to, 1}, {.params = params});
+    kernel.launch(in.rows(), from, to, {.params = params});
   };
   for (const KeepGradients keep : {KeepGradients::All, KeepGradients::Leaves}) {
     const Tensor x = tensor({1.0f, 2.0f, 3.0f}, true), a = tensor({0, 0, 0}), b = tensor({0, 0, 0});

@@ -72,7 +72,7 @@ TEST(Tangent, FollowsMemoryThatIsWrittenAgain) {
   const TapeScope scope(tape);
   const auto step = [&](const Tensor& in, const Tensor& out) {
     const nova::Operand i = in.operand(), o = out.operand();
-    twice.launch(1, {&i, 1}, {&o, 1});
+    twice.launch(1, i, o);
   };
   step(x, state);
   step(state, y);               // 4 x

@@ -28,11 +28,11 @@ const Kernel& square_kernel() {
 void scale_into(const Tensor& out, const Tensor& x, float a) {
   const nova::Operand in = x.operand(), to = out.operand();
   const Param params[] = {a};
-  scale_kernel().launch(x.rows(), {&in, 1}, {&to, 1}, {.params = params});
+  scale_kernel().launch(x.rows(), in, to, {.params = params});
 }
 void square_into(const Tensor& out, const Tensor& x) {
   const nova::Operand in = x.operand(), to = out.operand();
-  square_kernel().launch(x.rows(), {&in, 1}, {&to, 1});
+  square_kernel().launch(x.rows(), in, to);
 }
 
 class TapeTest : public ::testing::Test {

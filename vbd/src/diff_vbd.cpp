@@ -26,7 +26,7 @@ const nova::Kernel& keep_velocity_kernel() {
 }
 void keep_velocity_as(const nova::Operand& qd, const Tensor& rows) {
   const nova::Operand to = rows.operand();
-  keep_velocity_kernel().launch(qd.rows, {&qd, 1}, {&to, 1});
+  keep_velocity_kernel().launch(qd.rows, qd, to);
 }
 
 }  // namespace

@@ -364,14 +364,14 @@ void eval_rigid_contacts(const Model& m, const Contacts& c, const ContactTables&
   (newton    ? newton_kernel(friction_law, of_rows)
    : of_rows ? own_rigid_kernel(follow)
              : rigid_kernel(follow))
-      .launch(wrenches.rows, in, {&wrenches, 1}, {.params = params});
+      .launch(wrenches.rows, in, wrenches, {.params = params});
 }
 
 void write_rigid_contact_forces(const Contacts& c, const Operand& wrenches) {
   const nova::NoGrad no_grad;
   const Operand forces = nova::operand_of(c.rigid_contact_force),
                 count = nova::operand_of(c.rigid_contact_count);
-  force_kernel().launch(wrenches.rows, {&wrenches, 1}, {&forces, 1}, {.active = &count});
+  force_kernel().launch(wrenches.rows, wrenches, forces, {.active = &count});
 }
 
 void eval_soft_contacts(const Model& m, const Contacts& c, const ContactTables& tables,
@@ -405,7 +405,7 @@ void eval_soft_contacts(const Model& m, const Contacts& c, const ContactTables& 
 void add_wrenches(const Operand& body_f, const Operand& wrenches, const nova::Incidence& of_bodies,
                   const Operand& sum) {
   const Operand in[] = {body_f, wrenches};
-  sum_kernel().launch(body_f.rows, in, {&sum, 1}, {.csr = &of_bodies});
+  sum_kernel().launch(body_f.rows, in, sum, {.csr = &of_bodies});
 }
 
 void detail::add_body_contact_kernels(std::vector<nova::EngineKernel>& list) {

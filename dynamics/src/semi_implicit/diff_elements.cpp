@@ -81,7 +81,7 @@ void launch_elements(const nova::Kernel& kernel, const std::vector<Operand>& in,
                      const Operand& particle_f, const Operand& contributions,
                      const nova::Incidence& rows, const Operand& forces) {
   const Operand& indices = in[0];
-  kernel.launch(indices.rows, in, {&contributions, 1});
+  kernel.launch(indices.rows, in, contributions);
   detail::add_contributions(particle_f, per_corner(contributions, indices.width), rows, forces);
 }
 
@@ -90,7 +90,7 @@ void launch_elements(const nova::Kernel& kernel, const std::vector<Operand>& in,
 void detail::add_contributions(const Operand& particle_f, const Operand& contributions,
                                const nova::Incidence& rows, const Operand& sum) {
   const Operand terms[] = {particle_f, contributions};
-  sum_kernel().launch(particle_f.rows, terms, {&sum, 1}, {.csr = &rows});
+  sum_kernel().launch(particle_f.rows, terms, sum, {.csr = &rows});
 }
 
 Vec3<Real> detail::load_corner(TraceContext& c, const char* source, int32_t corner) {

@@ -248,7 +248,7 @@ void DiffJoints::add(const Model& m, const Control* control, const Operand& body
   Operand both_sides = wrenches;
   both_sides.rows /= 2;
   both_sides.width *= 2;
-  kernel_->launch(both_sides.rows, in, {&both_sides, 1}, {.params = params});
+  kernel_->launch(both_sides.rows, in, both_sides, {.params = params});
   add_wrenches(body_f, wrenches, sides_of_bodies_, sum);
 }
 

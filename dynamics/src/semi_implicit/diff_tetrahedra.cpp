@@ -121,7 +121,7 @@ Tensor assign_tet_materials_generated(const Tensor& material_params,
   const nova::Operand in[] = {base_tet_materials.operand(), params};
   const Tensor out({tet_count, 3}, DType::F32, base_tet_materials.device());
   const nova::Operand to = out.operand();
-  (own ? own_material_kernel() : shared_material_kernel()).launch(tet_count, in, {&to, 1});
+  (own ? own_material_kernel() : shared_material_kernel()).launch(tet_count, in, to);
   return out;
 }
 

@@ -114,6 +114,14 @@ struct LaunchOptions {
   const Operand* active = nullptr;
 };
 
+// The arguments of one call, in the kernel's order: several operands, or a single one.
+class Operands : public std::span<const Operand> {
+ public:
+  using span::span;
+  Operands(std::span<const Operand> several) : span(several) {}
+  Operands(const Operand& single) : span(&single, 1) {}
+};
+
 // A Program with its adjoints and compiled modules. Cheap to copy.
 class NOVAPHY_NOVA_API Kernel {
  public:
@@ -126,7 +134,7 @@ class NOVAPHY_NOVA_API Kernel {
     return (*this)(dim, std::span<const Tensor>(inputs.begin(), inputs.size()), options);
   }
   // Into given memory: what the engine's own operators call. Recorded like the form above.
-  void launch(int64_t dim, std::span<const Operand> inputs, std::span<const Operand> outputs,
+  void launch(int64_t dim, Operands inputs, Operands outputs,
               const LaunchOptions& options = {}) const;
 
   const std::string& name() const;

@@ -62,9 +62,8 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
   require(options.narrow_phase != NarrowPhase::Fcl || detail::has_fcl(), ErrorKind::NotImplemented,
           name,
           ": narrow_phase: \"fcl\" needs a build with NOVAPHY_WITH_FCL=ON; this one has it OFF");
-  require(options.narrow_phase != NarrowPhase::Fcl || model_->device().is_cpu(),
-          ErrorKind::NotImplemented, name, ": narrow_phase: \"fcl\" is there on the cpu, not on ",
-          model_->device().str());
+  if (options.narrow_phase == NarrowPhase::Fcl)
+    require_cpu(model_->device(), name, ": narrow_phase \"fcl\"");
   check_margin(name, options.soft_contact_margin);
   const int32_t soft_max = options.soft_contact_max.value_or(0);
   require(soft_max >= 0, ErrorKind::Value, name, ": soft_contact_max: expected >= 0, got ",

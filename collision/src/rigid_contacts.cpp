@@ -63,9 +63,7 @@ int64_t RigidContacts::most_rows() {
   return impl_->pairs.most_rows();
 }
 
-bool RigidContacts::waits() const {
-  return impl_->model->device().is_cpu() && launch_recorder() == nullptr;
-}
+bool RigidContacts::waits() const { return runs_at_once(impl_->model->device()); }
 
 void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
   const Model& m = *impl_->model;

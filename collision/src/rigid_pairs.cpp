@@ -107,10 +107,9 @@ int32_t RigidPairs::orient(Vec2i& pair) const {
           explicit_ ? "leave it out of shape_pairs_filtered"
                     : "ModelBuilder.add_shape_collision_filter_pair or collision groups part them");
   // On a GPU their normals and names were seen to differ from the CPU's in some rows.
-  require(model_->device().is_cpu() || !is_mesh_pair(a, b), ErrorKind::NotImplemented,
-          "CollisionPipeline: shapes ", pair.x, " (", geo_type_name(a), ") and ", pair.y, " (",
-          geo_type_name(b), ") may meet: contacts of meshes are found on the cpu, not on ",
-          model_->device().str());
+  if (is_mesh_pair(a, b))
+    require_cpu(model_->device(), "CollisionPipeline: shapes ", pair.x, " (", geo_type_name(a),
+                ") and ", pair.y, " (", geo_type_name(b), ") may meet: contacts of meshes");
   const Vec3f& size = scale_[static_cast<size_t>(pair.x)];
   require(a != GeoType::PLANE || !(size.x > 0.0f && size.y > 0.0f), ErrorKind::NotImplemented,
           "CollisionPipeline: shape ", pair.x,

@@ -181,7 +181,7 @@ void DiffFeatherstoneSolver::record_step(const SimState& in, SimState& out,
                inputs.tables != nullptr ? FoundContacts::Always : FoundContacts::Before,
                inputs.body_forces, inputs.dt, scratch, inputs.checkpoints == nullptr);
   // A device writes NaN where a step fails, which the last one tells; here a state stays as it was.
-  if (device().is_cpu() && !nova::current_capture()) step_.check(*model(), kRollout);
+  if (nova::host_can_read(device())) step_.check(*model(), kRollout);
 }
 
 }  // namespace novaphy::diff

@@ -105,11 +105,10 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
     uncovered_shapes_ = shapes_for_particles(*this->model());
   needs_pairs_ = given && config.enable_rigid_contacts && moves_bodies();
   if (config.contact_gradient == DerivativeOf::Code) return;
-  constexpr const char* kName = "DiffSemiImplicitSolver: contact_gradient: \"motion\" is ";
-  require(device() == Device::cpu(), ErrorKind::NotImplemented, kName,
-          "there for models on the cpu only, this one is on ", device().str(), "; use \"code\"");
+  constexpr const char* kName = "DiffSemiImplicitSolver: contact_gradient \"motion\"";
+  require_cpu(device(), kName);
   require(!config.enable_static_contacts, ErrorKind::NotImplemented, kName,
-          "not there with enable_static_contacts; give rollout a pipeline, or use \"code\"");
+          " is not there with enable_static_contacts; give rollout a pipeline, or use \"code\"");
   motion_ = std::make_unique<TouchMotion>(
       *this->model(), TouchSettings{.bodies = moves_bodies(),
                                     .particles = moves_particles(),

@@ -52,9 +52,9 @@ void check_rows(const Tensor& tensor, int64_t rows, const char* op, const char* 
           ": expected {", rows, "}, got ", nova::shape_str(tensor.shape()));
 }
 
-// The values that can be read now: on the cpu, and not of a capture, whose replays have others.
+// The values that the host can read now.
 std::span<const float> values_of(const Tensor& tensor) {
-  if (!tensor.device().is_cpu() || nova::current_capture()) return {};
+  if (!nova::host_can_read(tensor.device())) return {};
   return {tensor.data<float>(), static_cast<size_t>(tensor.size())};
 }
 
@@ -279,10 +279,7 @@ std::pair<Tensor, Tensor> integrate_push_box_rollout_generated(
   auto rollout = std::make_shared<Rollout>();
   rollout->in = inputs_of(box_x, box_v, pusher_x, pusher_v, parameters, steps, op);
   const Device device = box_x.device();
-  require(device.is_cpu(), ErrorKind::NotImplemented, op,
-          ", box_x: expected tensors on the cpu, "
-          "got ",
-          device.str(), ": there take integrate_push_box_generated step by step");
+  require_cpu(device, op, ", box_x: elsewhere take integrate_push_box_generated step by step");
   rollout->x = Tensor({steps}, DType::F32, device);
   rollout->v = Tensor({steps}, DType::F32, device);
   rollout->steps = steps;

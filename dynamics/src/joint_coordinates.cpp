@@ -96,7 +96,7 @@ void eval_fk(const Model& m, const DeviceArray<float>& joint_q, const DeviceArra
   constexpr const char* kName = "eval_fk";
   check_arguments(kName, m, state, joint_q, joint_qd);
   // Where the values are there already.
-  if (m.device().is_cpu() && launch_recorder() == nullptr) check_quaternions(m, joint_q.data());
+  if (runs_at_once(m.device())) check_quaternions(m, joint_q.data());
   DeviceArray<float> places;  // rows of BodyPlace
   {
     const Unobserved unobserved;

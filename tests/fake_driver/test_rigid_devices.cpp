@@ -464,7 +464,7 @@ TEST_F(RigidDevices, WhatIsNotThereIsRefusedByName) {
   for (const BroadPhase phase : kPhases)
     EXPECT_NE(refusal([&] {
                 CollisionPipeline(model, {.broad_phase = phase});
-              }).find("contacts of meshes are found on the cpu"),
+              }).find("contacts of meshes: expected the device cpu"),
               std::string::npos);
   EXPECT_NE(refusal([&] {
               CollisionPipeline(model, {.narrow_phase = NarrowPhase::Fcl});

@@ -136,7 +136,7 @@ class Step {
   };
 
   // Whether the host sees at once what launches do.
-  bool is_immediate() const { return on_cpu_ && launch_recorder() == nullptr; }
+  bool is_immediate() const { return runs_at_once(device()); }
   // step_tables.cpp
   void build_tables(float dt);
   void find_team();

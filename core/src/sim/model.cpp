@@ -143,4 +143,10 @@ std::shared_ptr<Model> Model::to(Device device) const {
   return copy;
 }
 
+std::shared_ptr<const Model> Model::on_host() const {
+  if (device().is_cpu()) return {std::shared_ptr<const Model>(), this};
+  const Unobserved unobserved;
+  return to(Device::cpu());
+}
+
 }  // namespace novaphy

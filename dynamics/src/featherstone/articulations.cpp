@@ -228,12 +228,8 @@ double matrix_condition(const articulation::Tree<float>& tree, const float* q,
 Articulations::Articulations(const Model& model, const char* user, For purpose) : values_(user) {
   model.check_structure(user);
   const Device device = model.device();
-  std::shared_ptr<const Model> copy;
-  if (!device.is_cpu()) {
-    const Unobserved unobserved;
-    copy = model.to(Device::cpu());
-  }
-  const Model& m = copy != nullptr ? *copy : model;
+  const std::shared_ptr<const Model> host = model.on_host();
+  const Model& m = *host;
   for (int32_t j = 0; j < m.joint_count(); ++j) {
     check_in_articulation(m, j, user);
     if (purpose == For::Steps) check_enabled(m, j, m.joint_enabled.data()[j] != 0, user);

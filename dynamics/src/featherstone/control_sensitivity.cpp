@@ -321,9 +321,9 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
 FeatherstoneAnalyticControlSensitivity::FeatherstoneAnalyticControlSensitivity(
     std::shared_ptr<const Model> model, const ControlSensitivityOptions& o) {
   check_featherstone_model(*model, o.solver, kName);
-  require(model->device().is_cpu(), ErrorKind::NotImplemented, kName,
-          ": model: expected one on the cpu, got one on ", model->device().str(),
-          ": step a copy, model.to(\"cpu\"), or differentiate by DiffFeatherstoneSolver");
+  require_cpu(
+      model->device(), kName,
+      ": model: step a copy, model.to(\"cpu\"), or differentiate by DiffFeatherstoneSolver");
   require(o.articulation >= 0 && o.articulation < model->articulation_count(), ErrorKind::Index,
           kName, ", articulation: expected 0 <= articulation < ", model->articulation_count(),
           ", got ", o.articulation);

@@ -143,7 +143,7 @@ struct ArticulationStep::Shared {
     workspace = DeviceArray<float>(all.size() * static_cast<size_t>(stride), device);
   }
   // Where nothing records on the cpu, which steps without launches.
-  bool runs_on_host() const { return device.is_cpu() && !nova::current_capture(); }
+  bool runs_on_host() const { return nova::host_can_read(device); }
   FeatherstoneOptions options;
   Device device;
   Articulations articulations;

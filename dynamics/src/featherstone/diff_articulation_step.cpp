@@ -170,9 +170,8 @@ ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions
   shared_->allow_unconverged = allow_unconverged;
   shared_->contact_gradient = contact_gradient;
   shared_->motion.rows_are_exact = options.pgs_slop == 0.0f && options.pgs_erp == 1.0f;
-  require(contact_gradient == DerivativeOf::Code || model.device().is_cpu(),
-          ErrorKind::NotImplemented, user,
-          ": contact_gradient: motion is there for models on the cpu only");
+  if (contact_gradient == DerivativeOf::Motion)
+    require_cpu(model.device(), user, ": contact_gradient \"motion\"");
   require(contact_gradient == DerivativeOf::Code || !options.compliant_contacts,
           ErrorKind::NotImplemented, user,
           ": contact_gradient: motion is not there with compliant_contacts");
@@ -202,14 +201,13 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
     fail(ErrorKind::Runtime, function,
          ": a replay of a captured step failed, its results are NaN: ",
          std::exchange(shared_->failure, {}));
-  const bool on_cpu = shared_->device.is_cpu();
   shared_->articulations.check_values(model, control, true, function);
   const nova::Tape* const tape = nova::Tape::active();
   shared_->actuators->check(
       model, function, tape != nullptr && tape->carries_gradient(*model.body_gravcomp.range()));
   shared_->dry = tape != nullptr && tape->carries_gradient(*model.joint_friction.range());
   shared_->dry = shared_->dry || shared_->contacts.has_friction();
-  if (on_cpu || shared_->dry)  // which steps read
+  if (shared_->trees || shared_->dry)  // which steps read
     depend_on_modes(model, control);
   else
     depend_on_values(model, control);
@@ -274,7 +272,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
     shared_->last = step;
   }
   pending_ = std::move(step);
-  if (!join || solves || !shared_->runs_on_host() || nova::current_capture()) return flush();
+  if (!join || solves || !shared_->runs_on_host()) return flush();
   pending_->host = step_arguments_of(*pending_);
 }
 

@@ -5,9 +5,7 @@ namespace novaphy {
 
 std::unique_ptr<SolverBase> detail::make_device_steps(const std::shared_ptr<const Model>& model,
                                                       const SemiImplicitOptions&) {
-  require(model->device().is_cpu(), ErrorKind::NotImplemented,
-          "SolverSemiImplicit: model: expected one on the cpu, got one on ", model->device().str(),
-          ", whose kernels this build leaves out: configure with NOVAPHY_WITH_NOVA=ON");
+  require_cpu(model->device(), "SolverSemiImplicit: model: a build with NOVAPHY_WITH_NOVA=OFF");
   return nullptr;
 }
 

@@ -7,6 +7,7 @@
 #include <string_view>
 #include <vector>
 
+#include "novaphy/core/error.h"
 #include "novaphy/core/export.h"
 
 namespace novaphy {
@@ -44,6 +45,13 @@ NOVAPHY_CORE_API std::vector<Device> devices();
 NOVAPHY_CORE_API bool device_available(Device device);
 // Throws ErrorKind::Runtime with the collected reasons when the device is not there.
 NOVAPHY_CORE_API void require_device(Device device);
+// For a feature of the CPU alone: throws ErrorKind::NotImplemented elsewhere. `parts` name the
+// caller and the feature.
+template <class... Parts>
+void require_cpu(Device device, const Parts&... parts) {
+  if (!device.is_cpu()) [[unlikely]]
+    fail(ErrorKind::NotImplemented, parts..., ": expected the device cpu, got ", device.str());
+}
 NOVAPHY_CORE_API DeviceInfo device_info(Device device);
 NOVAPHY_CORE_API void synchronize(Device device);
 

@@ -72,6 +72,9 @@ NOVAPHY_CORE_API LaunchRecorder* launch_recorder();  // of this thread, or null
 NOVAPHY_CORE_API LaunchRecorder* set_launch_recorder(
     LaunchRecorder* recorder);  // returns the one before
 
+// Whether a launch of this thread has run when it returns, and nobody records it.
+inline bool runs_at_once(Device device) { return device.is_cpu() && launch_recorder() == nullptr; }
+
 // While one lives, launches of this thread run at once and nobody records them. `here` false: it
 // does nothing.
 class Unrecorded {

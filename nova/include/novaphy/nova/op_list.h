@@ -36,8 +36,8 @@ struct MemoryAccess {
 class DeviceReplay;
 }  // namespace detail
 
-// Memory that only a few operations use, one after the other: the same for the same number and size,
-// or one of so many that take turns.
+// Memory that only a few operations use, one after the other: the same for the same number and
+// size, or one of so many that take turns.
 class NOVAPHY_NOVA_API ScratchMemory {
  public:
   const std::shared_ptr<Range>& take(size_t number, size_t bytes, size_t turns,
@@ -185,6 +185,10 @@ class NOVAPHY_NOVA_API ScopedCapture {
   bool active_ = true;
 };
 NOVAPHY_NOVA_API OpList* current_capture();  // of this thread, or null
+// Whether the host can read the results of a launch of this thread when the launch returns.
+inline bool host_can_read(novaphy::Device device) {
+  return device.is_cpu() && current_capture() == nullptr;
+}
 
 // While one is alive, what this thread submits is collected and then run as one list, so that its
 // operations can share the cache. Does nothing inside a capture (the capture collects already).

@@ -350,12 +350,11 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   void accept_derived() const;
   // Says that the joints are those that the arrays hold now, for check_structure.
   void keep_structure();
-  // ErrorKind::Value naming array and row: one of NOVAPHY_MODEL_STRUCTURE was changed, so that what
-  // walks the joints would leave its arrays. Cheap while they were not written. What this thread
-  // submits next holds for them as they are. Checks the worlds, too. `function` starts the message.
+  // Checks the worlds and NOVAPHY_MODEL_STRUCTURE; ErrorKind::Value names the array and the row
+  // that were changed. Cheap while no array was written. The next launches depend on the present
+  // values.
   void check_structure(std::string_view function) const;
-  // ErrorKind::Index naming array and row: a particle_world, body_world or shape_world that is
-  // neither -1 nor a world of the model. Cheap while they were not written.
+  // ErrorKind::Index names the array and the row of a world that is neither -1 nor of the model.
   void check_worlds(std::string_view function) const;
   // check_number of all of them; `function` starts the messages.
   void check_numbers(std::string_view function) const;
@@ -365,6 +364,8 @@ class NOVAPHY_CORE_API Model : public ModelFields,
 
   std::shared_ptr<Model> clone() const { return to(device_); }
   std::shared_ptr<Model> to(Device device) const;  // a copy on a device; it has its own id
+  // What the host can read: this model, not owned, where it is on the cpu; else a copy.
+  std::shared_ptr<const Model> on_host() const;
 
  private:
   friend class ModelBuilder;

@@ -1,8 +1,10 @@
 // The host's side of the builtins: their modules, launches and scratch memory. The scratch memory
 // is taken and given back in stream order, so a captured builtin brings its own along.
 #include <algorithm>
+#include <bit>
 #include <limits>
 #include <map>
+#include <utility>
 
 #include "module.h"
 
@@ -13,7 +15,7 @@ struct Functions {
   Module module = nullptr;
   Function row_sum = nullptr, sum_chunks = nullptr, sum_last = nullptr, scan = nullptr,
            sort_count = nullptr, sort_place = nullptr, incidence_count = nullptr,
-           incidence_items = nullptr, checksum = nullptr;
+           checksum = nullptr;
 };
 
 // Compiled at the first use on a device and kept as long as the process.
@@ -38,7 +40,6 @@ novaphy_status load_functions(novaphy_device* device, const Functions** result,
                                                        {&f.sort_count, "sort_count"},
                                                        {&f.sort_place, "sort_place"},
                                                        {&f.incidence_count, "incidence_count"},
-                                                       {&f.incidence_items, "incidence_items"},
                                                        {&f.checksum, "checksum_u64"}};
   for (const auto& [function, name] : entries) {
     status = check(device, driver().module_function(function, module, name), name, error);
@@ -142,53 +143,59 @@ novaphy_status exclusive_scan(novaphy_stream* stream, const novaphy_kernel& kern
 }
 
 struct SortArguments {
-  uint64_t keys, from, to, counts;
-  int64_t n, per_thread;
-  int32_t threads, shift;
+  uint64_t keys, from, to, counts, size;
+  int64_t n, limit;
+  uint32_t flipped;
+  int32_t shift;
 };
-constexpr int64_t kMaxSortThreads = 16384, kSortBlock = 64, kDigits = 16;
-int64_t sort_threads(int64_t n) { return std::clamp<int64_t>((n + 15) / 16, 1, kMaxSortThreads); }
+constexpr int64_t kMaxSortBlocks = 132, kSortBlock = 128, kDigits = 64;
+constexpr int32_t kDigitBits = 6;
+int64_t sort_blocks(int64_t n) {
+  return std::clamp<int64_t>((n + kSortBlock - 1) / kSortBlock, 1, kMaxSortBlocks);
+}
+uint64_t sort_counts(int64_t n) { return static_cast<uint64_t>(sort_blocks(n) * kDigits); }
 
-// Sorts the numbers 0 .. n-1 by their keys, by the digits at `shifts`. The result is at `a` or at
-// `b`.
-novaphy_status sort(novaphy_stream* stream, const Functions& f, uint64_t keys, int64_t n,
-                    const std::vector<int32_t>& shifts, uint64_t a, uint64_t b, uint64_t counts,
-                    uint64_t* result, novaphy_error* error) {
-  const int64_t threads = sort_threads(n);
-  SortArguments arguments = {
-      keys, 0, 0, counts, n, (n + threads - 1) / threads, static_cast<int32_t>(threads), 0};
+// Sorts the numbers 0 .. n-1 by the lowest `bits` of their keys into `result`. `other`: memory for
+// as many. `size`: where the number of those below the limit stands, or null.
+novaphy_status sort(novaphy_stream* stream, const Functions& f, SortArguments arguments,
+                    int32_t bits, uint64_t result, uint64_t other, const char* name,
+                    novaphy_error* error) {
+  const int64_t blocks = sort_blocks(arguments.n);
+  const uint64_t size = std::exchange(arguments.size, 0);  // the first pass leaves others out
   void* pointers[] = {&arguments};
-  const int64_t blocks = (threads + kSortBlock - 1) / kSortBlock;
-  uint64_t target = a, other = b;
-  for (const int32_t shift : shifts) {
-    arguments.shift = shift;
-    arguments.to = target;
-    novaphy_status status = launch_function(stream, f.sort_count, blocks, kSortBlock, pointers,
-                                            "sort_by_key_i32", error);
-    if (status == NOVAPHY_OK)
-      status = scan(stream, f.scan, counts, counts, threads * kDigits, error);
-    if (status == NOVAPHY_OK)
-      status = launch_function(stream, f.sort_place, blocks, kSortBlock, pointers,
-                               "sort_by_key_i32", error);
-    if (status != NOVAPHY_OK) return status;
-    arguments.from = target;
-    std::swap(target, other);
+  if ((bits + kDigitBits - 1) / kDigitBits % 2 == 0) std::swap(result, other);
+  for (arguments.shift = 0; arguments.shift < bits; arguments.shift += kDigitBits) {
+    arguments.to = result;
+    for (const Function step : {f.sort_count, f.sort_place}) {
+      const novaphy_status status =
+          launch_function(stream, step, blocks, kSortBlock, pointers, name, error);
+      if (status != NOVAPHY_OK) return status;
+    }
+    arguments.from = result;
+    arguments.size = size;
+    std::swap(result, other);
   }
-  *result = other;
   return NOVAPHY_OK;
 }
 
 novaphy_status sort_by_key(novaphy_stream* stream, const novaphy_kernel&, int64_t n,
                            const uint64_t* a, novaphy_error* error) {
+  constexpr const char* kName = "sort_by_key_i32";
   Scratch scratch(stream);
   const auto count = static_cast<uint64_t>(n);
-  const novaphy_status status = scratch.allocate(
-      count + static_cast<uint64_t>(sort_threads(n) * kDigits), "sort_by_key_i32", error);
+  const novaphy_status status = scratch.allocate(count + sort_counts(n), kName, error);
   if (status != NOVAPHY_OK) return status;
-  // Eight passes: the last one writes the second of the two.
-  uint64_t result = 0;
-  return sort(stream, functions_of(stream->device), a[0], n, {0, 4, 8, 12, 16, 20, 24, 28},
-              scratch.words(0), a[1], scratch.words(count), &result, error);
+  return sort(stream, functions_of(stream->device),
+              {.keys = a[0],
+               .from = 0,
+               .to = 0,
+               .counts = scratch.words(count),
+               .size = 0,
+               .n = n,
+               .limit = int64_t{1} << 32,
+               .flipped = 0x80000000u,  // negative keys come first
+               .shift = 0},
+              32, a[1], scratch.words(0), kName, error);
 }
 
 novaphy_status incidence(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
@@ -214,21 +221,20 @@ novaphy_status incidence(novaphy_stream* stream, const novaphy_kernel& kernel, i
   if (status != NOVAPHY_OK) return status;
   Scratch scratch(stream);
   const auto words = static_cast<uint64_t>(slots);
-  status = scratch.allocate(2 * words + static_cast<uint64_t>(sort_threads(slots) * kDigits),
-                            "incidence_i32", error);
+  status = scratch.allocate(words + sort_counts(slots), "incidence_i32", error);
   if (status != NOVAPHY_OK) return status;
-  // The digits that rows below n differ in, and the one that sets negative entries apart.
-  std::vector<int32_t> shifts;
-  for (int32_t shift = 0; shift < 28 && (shift == 0 || (n - 1) >> shift != 0); shift += 4)
-    shifts.push_back(shift);
-  shifts.push_back(28);
-  uint64_t order = 0;
-  status = sort(stream, f, table, slots, shifts, scratch.words(0), scratch.words(words),
-                scratch.words(2 * words), &order, error);
-  if (status != NOVAPHY_OK) return status;
-  void* item_pointers[] = {&order, &slots, &offsets, &items, &n};
-  return launch_function(stream, f.incidence_items, blocks, kBlock, item_pointers, "incidence_i32",
-                         error);
+  return sort(stream, f,
+              {.keys = table,
+               .from = 0,
+               .to = 0,
+               .counts = scratch.words(words),
+               .size = offsets + 4 * static_cast<uint64_t>(n),
+               .n = slots,
+               .limit = n,
+               .flipped = 0,  // a negative key is above the limit
+               .shift = 0},
+              std::max<int32_t>(1, std::bit_width(static_cast<uint64_t>(n - 1))), items,
+              scratch.words(0), "incidence_i32", error);
 }
 
 novaphy_status checksum(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,

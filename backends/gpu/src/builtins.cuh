@@ -194,46 +194,83 @@ BUILTIN __launch_bounds__(kScanThreads) exclusive_scan_i32(const uint32_t* in, u
 }
 
 // One pass of a stable radix sort: every thread counts, and later places, a contiguous piece of the
-// items in their order. counts is digit-major, so that a scan of it gives the places.
-#define kDigits 16
-#define kSortThreads 64
+// items in their order. counts {blocks, digits} has the sums of the blocks.
+#define kDigits 64
+#define kSortThreads 128
 struct sort_arguments {
   const int32_t* keys;
   const int32_t* from;  // null: 0, 1, 2, ...
   int32_t* to;
   uint32_t* counts;
-  int64_t n, per_thread;
-  int32_t threads, shift;
+  const int32_t* size;  // null: n items
+  int64_t n, limit;     // an item whose key is not below the limit is left out
+  uint32_t flipped;     // bits of the key
+  int32_t shift;
 };
-LANE_FN uint32_t digit_of(const sort_arguments a, int32_t item) {
-  return (((uint32_t)a.keys[item] ^ 0x80000000u) >> a.shift) & (kDigits - 1);
+struct sort_piece {
+  int64_t begin, end;
+};
+LANE_FN sort_piece piece_of(const sort_arguments a) {
+  const int64_t n = a.size != 0 ? *a.size : a.n, threads = (int64_t)gridDim.x * kSortThreads;
+  const int64_t each = (n + threads - 1) / threads;
+  const int64_t begin = each * ((int64_t)blockIdx.x * kSortThreads + threadIdx.x);
+  return {begin, begin + each < n ? begin + each : n};
+}
+// The item k and its digit; whether it takes part.
+LANE_FN bool sort_item(const sort_arguments a, int64_t k, int32_t* item, uint32_t* digit) {
+  *item = a.from != 0 ? a.from[k] : (int32_t)k;
+  const uint32_t key = (uint32_t)a.keys[*item] ^ a.flipped;
+  *digit = (key >> a.shift) & (kDigits - 1);
+  return key < a.limit;
+}
+LANE_FN void count_digits(const sort_arguments a, uint32_t* count) {
+  int32_t item;
+  uint32_t digit;
+  for (int d = 0; d < kDigits; ++d) count[d] = 0;
+  const sort_piece piece = piece_of(a);
+  for (int64_t k = piece.begin; k < piece.end; ++k)
+    if (sort_item(a, k, &item, &digit)) ++count[digit];
 }
 BUILTIN __launch_bounds__(kSortThreads) sort_count(const sort_arguments a) {
-  __shared__ uint32_t count[kDigits][kSortThreads];
-  const int32_t t = (int32_t)(blockIdx.x * kSortThreads + threadIdx.x);
-  if (t >= a.threads) return;
-  for (int d = 0; d < kDigits; ++d) count[d][threadIdx.x] = 0;
-  const int64_t begin = t * a.per_thread;
-  const int64_t end = begin + a.per_thread < a.n ? begin + a.per_thread : a.n;
-  for (int64_t k = begin; k < end; ++k)
-    ++count[digit_of(a, a.from != 0 ? a.from[k] : (int32_t)k)][threadIdx.x];
-  for (int d = 0; d < kDigits; ++d) a.counts[(int64_t)d * a.threads + t] = count[d][threadIdx.x];
+  __shared__ uint32_t count[kSortThreads][kDigits + 1];
+  count_digits(a, count[threadIdx.x]);
+  __syncthreads();
+  if (threadIdx.x >= kDigits) return;
+  uint32_t sum = 0;
+  for (int t = 0; t < kSortThreads; ++t) sum += count[t][threadIdx.x];
+  a.counts[(int64_t)blockIdx.x * kDigits + threadIdx.x] = sum;
 }
 BUILTIN __launch_bounds__(kSortThreads) sort_place(const sort_arguments a) {
-  __shared__ uint32_t next[kDigits][kSortThreads];
-  const int32_t t = (int32_t)(blockIdx.x * kSortThreads + threadIdx.x);
-  if (t >= a.threads) return;
-  for (int d = 0; d < kDigits; ++d) next[d][threadIdx.x] = a.counts[(int64_t)d * a.threads + t];
-  const int64_t begin = t * a.per_thread;
-  const int64_t end = begin + a.per_thread < a.n ? begin + a.per_thread : a.n;
-  for (int64_t k = begin; k < end; ++k) {
-    const int32_t item = a.from != 0 ? a.from[k] : (int32_t)k;
-    a.to[next[digit_of(a, item)][threadIdx.x]++] = item;
+  __shared__ uint32_t next[kSortThreads][kDigits + 1], all[kDigits];
+  const uint32_t d = threadIdx.x;
+  uint32_t place = 0, sum = 0;
+  count_digits(a, next[threadIdx.x]);
+  if (d < kDigits) {
+    for (uint32_t b = 0; b < gridDim.x; ++b) {
+      if (b == blockIdx.x) place = sum;
+      sum += a.counts[(int64_t)b * kDigits + d];
+    }
+    all[d] = sum;
   }
+  __syncthreads();
+  if (d < kDigits) {
+    for (uint32_t below = 0; below < d; ++below) place += all[below];
+    for (int t = 0; t < kSortThreads; ++t) {
+      const uint32_t count = next[t][d];
+      next[t][d] = place;
+      place += count;
+    }
+  }
+  __syncthreads();
+  int32_t item;
+  uint32_t digit;
+  const sort_piece piece = piece_of(a);
+  for (int64_t k = piece.begin; k < piece.end; ++k)
+    if (sort_item(a, k, &item, &digit)) a.to[next[threadIdx.x][digit]++] = item;
 }
 
-// The inverse of an index table: how often each row occurs, and after a scan of that and a sort of
-// the slots by row (those of no row come first) the slots of every row.
+// The inverse of an index table: how often each row occurs. A scan of that gives the offsets, and a
+// sort of the slots by row the slots of every row.
 BUILTIN __launch_bounds__(128) incidence_count(const int32_t* table, const int64_t slots,
                                                int32_t* offsets, const int64_t n,
                                                const device_sink sink) {
@@ -245,13 +282,6 @@ BUILTIN __launch_bounds__(128) incidence_count(const int32_t* table, const int64
   } else if (row >= 0) {
     atomicAdd(offsets + row, 1);
   }
-}
-BUILTIN __launch_bounds__(128) incidence_items(const int32_t* order, const int64_t slots,
-                                               const int32_t* offsets, int32_t* items,
-                                               const int64_t n) {
-  const int64_t k = (int64_t)blockIdx.x * blockDim.x + threadIdx.x;
-  const int64_t total = offsets[n];
-  if (k < total) items[k] = order[slots - total + k];
 }
 
 // Two words of one range never change places unseen, because the number of a word is mixed in. The

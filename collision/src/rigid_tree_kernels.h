@@ -16,7 +16,7 @@ namespace novaphy {
 
 inline constexpr int32_t kTreeBits = 3, kTreeWidth = 1 << kTreeBits;  // of a level in the next one
 inline constexpr int32_t kApartPart = 16;
-inline constexpr int32_t kKept = 12;  // partners that the count remembers
+inline constexpr int32_t kKept = kApartPart;  // partners that the count remembers
 
 inline geometry::Box3 no_box() {
   return {{3.0e38f, 3.0e38f, 3.0e38f}, {-3.0e38f, -3.0e38f, -3.0e38f}};
@@ -70,6 +70,13 @@ NOVAPHY_ROW_KERNEL(rigid_tree_key, RigidTreeKeyArguments) {
   a.keys[row] = key;
 }
 
+// Child k of a node. Where a level of `count` boxes ends, the last one stands for those behind it:
+// so nothing asks whether to load a box, and the loads of all children run at the same time.
+inline int64_t child(int64_t node, int32_t k, int64_t count) {
+  const int64_t at = node * kTreeWidth + k;
+  return at < count ? at : count - 1;
+}
+
 // In the order of the tree.
 struct TreeEntry {
   geometry::Box3 box;  // no_box(): it meets nothing
@@ -85,11 +92,12 @@ struct RigidTreeEntryArguments {
 };
 NOVAPHY_ROW_KERNEL(rigid_tree_entry, RigidTreeEntryArguments) {
   geometry::Box3 all = no_box();
-  for (int64_t k = row * kTreeWidth; k < (row + 1) * kTreeWidth && k < a.count; ++k) {
-    const int32_t shape = a.members[a.order[k]];
+  for (int32_t k = 0; k < kTreeWidth; ++k) {
+    const int64_t entry = child(row, k, a.count);
+    const int32_t shape = a.members[a.order[entry]];
     geometry::Box3 box = a.shapes[shape].box;
     if (!geometry::boxes_meet(box, box)) box = no_box();
-    a.entries[k] = {box, shape, 0};
+    a.entries[entry] = {box, shape, 0};
     grow(all, box);
   }
   a.nodes[row] = all;
@@ -107,8 +115,8 @@ NOVAPHY_ROW_KERNEL(rigid_tree_level, RigidTreeLevelArguments) {
   for (int64_t m = row * kTreeWidth; m < (row + 1) * kTreeWidth; ++m) {
     if (m * kTreeWidth >= a.below_count) break;
     geometry::Box3 one = no_box();
-    for (int64_t k = m * kTreeWidth; k < (m + 1) * kTreeWidth && k < a.below_count; ++k)
-      grow(one, a.nodes[a.below + k]);
+    for (int32_t k = 0; k < kTreeWidth; ++k)
+      grow(one, a.nodes[a.below + child(m, k, a.below_count)]);
     a.nodes[a.middle + m] = one;
     grow(all, one);
   }
@@ -168,25 +176,57 @@ void for_partners_among(const RigidTreeTables& a, int32_t shape, int64_t begin, 
         is_partner(a, shape, static_cast<int32_t>(other)))
       visit(static_cast<int32_t>(other));
 }
+// The levels that for_partners_in goes down: a byte of its word each.
+inline constexpr int32_t kTreeDepth = 8;
+// Bit k: the box meets that of child k of a node of the level, and the child holds some of the
+// entries [begin, end).
+inline uint64_t meeting_children(const RigidTreeTables& a, const geometry::Box3& box, int32_t level,
+                                 int64_t node, int64_t begin, int64_t end) {
+  const int32_t below = kTreeBits * (level - 1);
+  const int64_t first = begin >> below, last = (end - 1) >> below;
+  uint64_t bits = 0;
+  for (int32_t k = 0; k < kTreeWidth; ++k) {
+    const int64_t at = child(node, k, last + 1);
+    const geometry::Box3& one = level > 1 ? a.nodes[a.levels[level - 2] + at] : a.entries[at].box;
+    const bool is_there = at == node * kTreeWidth + k && at >= first;
+    if (is_there && geometry::boxes_meet(box, one)) bits |= uint64_t{1} << k;
+  }
+  return bits;
+}
 // For the partners among the entries [begin, end), in their order.
 template <class Visit>
 void for_partners_in(const RigidTreeTables& a, int32_t shape, int64_t begin, int64_t end,
                      Visit& visit) {
+  if (begin >= end) return;
   const geometry::Box3 box = a.shapes[shape].box;
-  for (int64_t k = begin; k < end;) {
-    int32_t level = 0;  // the largest box that begins here
-    while (level < a.level_count && (k & ((int64_t{kTreeWidth} << kTreeBits * level) - 1)) == 0)
-      ++level;
-    while (level > 0 &&
-           geometry::boxes_meet(box, a.nodes[a.levels[level - 1] + (k >> kTreeBits * level)]))
-      --level;
-    if (level > 0) {
-      k = ((k >> kTreeBits * level) + 1) << kTreeBits * level;
-      continue;
+  const int32_t top = a.level_count < kTreeDepth ? static_cast<int32_t>(a.level_count) : kTreeDepth;
+  const int32_t shift = kTreeBits * top;
+  for (int64_t root = begin >> shift; root <= (end - 1) >> shift; ++root) {
+    int64_t node = root;
+    int32_t level = top;
+    uint64_t open =
+        0;  // a byte for each level: the children of its node that are still to be asked
+    if (!geometry::boxes_meet(box, a.nodes[a.levels[top - 1] + root])) continue;
+    open = meeting_children(a, box, level, node, begin, end) << 8 * (level - 1);
+    while (level <= top) {
+      const uint64_t left = open >> 8 * (level - 1) & 255;
+      if (left == 0) {
+        node >>= kTreeBits;
+        ++level;
+        continue;
+      }
+      int32_t k = 0;
+      while ((left >> k & 1) == 0) ++k;
+      open &= ~(uint64_t{1} << (8 * (level - 1) + k));
+      const int64_t at = node * kTreeWidth + k;
+      if (level > 1) {
+        node = at;
+        --level;
+        open |= meeting_children(a, box, level, node, begin, end) << 8 * (level - 1);
+      } else if (is_partner(a, shape, a.entries[at].shape)) {
+        visit(a.entries[at].shape);
+      }
     }
-    const TreeEntry& entry = a.entries[k++];
-    if (geometry::boxes_meet(box, entry.box) && is_partner(a, shape, entry.shape))
-      visit(entry.shape);
   }
 }
 template <class Visit>

@@ -128,7 +128,7 @@ void RigidTree::set_places(const Model& m, std::span<const int32_t> world) {
   kept_ = DeviceArray<Vec2i>(static_cast<size_t>(slot) * kKept, m.device());
 }
 
-// Levels until one has few enough boxes, two of them at a time.
+// Levels until one has few enough boxes.
 void RigidTree::set_levels(Device device) {
   level_counts_.clear();
   levels_.clear();
@@ -139,7 +139,7 @@ void RigidTree::set_levels(Device device) {
     level_counts_.push_back(count);
     nodes += count;
   };
-  for (add_level(); count > kTreeWidth;) add_level(), add_level();
+  for (add_level(); count > kTreeWidth;) add_level();
   level_starts_ = DeviceArray<int32_t>::from_host(levels_, device);
   bounds_ = byte_array<geometry::Box3>(static_cast<size_t>(root_of(entry_count_)), device);
   entries_ = byte_array<TreeEntry>(static_cast<size_t>(entry_count_), device);
@@ -218,12 +218,11 @@ void RigidTree::count(const Model& m, const Array& shapes) {
        .count = entry_count_,
        .entries = Untyped(entries_),
        .nodes = Untyped(nodes_)});
-  for (size_t level = 0; level + 2 < levels_.size(); level += 2)
-    run(k.level, level_counts_[level + 2],
-        {.below = levels_[level],
-         .below_count = level_counts_[level],
-         .middle = levels_[level + 1],
-         .above = levels_[level + 2],
+  for (size_t level = 1; level < levels_.size(); ++level)
+    run(k.level, level_counts_[level],
+        {.below = levels_[level - 1],
+         .count = level_counts_[level - 1],
+         .above = levels_[level],
          .nodes = Untyped(nodes_)});
   run(k.count, slot_count_, {.tree = tables(m, shapes), .counts = counts_, .kept = kept_});
   run(exclusive_scan(), slot_count_, {.in = counts_, .out = before_});

@@ -15,8 +15,8 @@
 namespace novaphy {
 
 inline constexpr int32_t kTreeBits = 3, kTreeWidth = 1 << kTreeBits;  // of a level in the next one
-inline constexpr int32_t kApartPart = 16;
-inline constexpr int32_t kKept = kApartPart;  // partners that the count remembers
+inline constexpr int32_t kApartPart = 4;
+inline constexpr int32_t kKept = 12;  // partners that the count remembers
 
 inline geometry::Box3 no_box() {
   return {{3.0e38f, 3.0e38f, 3.0e38f}, {-3.0e38f, -3.0e38f, -3.0e38f}};
@@ -92,34 +92,28 @@ struct RigidTreeEntryArguments {
 };
 NOVAPHY_ROW_KERNEL(rigid_tree_entry, RigidTreeEntryArguments) {
   geometry::Box3 all = no_box();
+  TreeEntry mine[kTreeWidth];
   for (int32_t k = 0; k < kTreeWidth; ++k) {
-    const int64_t entry = child(row, k, a.count);
-    const int32_t shape = a.members[a.order[entry]];
-    geometry::Box3 box = a.shapes[shape].box;
-    if (!geometry::boxes_meet(box, box)) box = no_box();
-    a.entries[entry] = {box, shape, 0};
-    grow(all, box);
+    const int32_t shape = a.members[a.order[child(row, k, a.count)]];
+    mine[k] = {a.shapes[shape].box, shape, 0};
+  }
+  for (int32_t k = 0; k < kTreeWidth; ++k) {
+    if (!geometry::boxes_meet(mine[k].box, mine[k].box)) mine[k].box = no_box();
+    a.entries[child(row, k, a.count)] = mine[k];
+    grow(all, mine[k].box);
   }
   a.nodes[row] = all;
 }
 
-// Two levels more: a row for each box of the upper one.
+// The next level.
 struct RigidTreeLevelArguments {
-  NOVAPHY_ARGUMENTS(Number<int64_t> below,
-                    below_count;                    // the first of the nodes below, and how many
-                    Number<int64_t> middle, above;  // the first of those that are made
+  NOVAPHY_ARGUMENTS(Number<int64_t> below, count;  // the first of the nodes below, and how many
+                    Number<int64_t> above;         // the first of those that are made
                     Updates<geometry::Box3> nodes;)
 };
 NOVAPHY_ROW_KERNEL(rigid_tree_level, RigidTreeLevelArguments) {
   geometry::Box3 all = no_box();
-  for (int64_t m = row * kTreeWidth; m < (row + 1) * kTreeWidth; ++m) {
-    if (m * kTreeWidth >= a.below_count) break;
-    geometry::Box3 one = no_box();
-    for (int32_t k = 0; k < kTreeWidth; ++k)
-      grow(one, a.nodes[a.below + child(m, k, a.below_count)]);
-    a.nodes[a.middle + m] = one;
-    grow(all, one);
-  }
+  for (int32_t k = 0; k < kTreeWidth; ++k) grow(all, a.nodes[a.below + child(row, k, a.count)]);
   a.nodes[a.above + row] = all;
 }
 
@@ -156,24 +150,40 @@ inline TreeAsker tree_asker(const RigidTreeTables& a, int64_t row) {
   return {shape, a.slots[shape] + part, part};
 }
 
+// What the partners of a shape are found by.
+struct TreeShape {
+  int32_t shape;
+  GeoType type;
+  geometry::Box3 box;
+  PairedShape paired;
+  int32_t filter_begin, filter_end;
+};
+inline TreeShape tree_shape(const RigidTreeTables& a, int32_t shape) {
+  return {shape,
+          a.shapes[shape].type,
+          a.shapes[shape].box,
+          paired_shape(a, shape),
+          a.filter_starts[shape],
+          a.filter_starts[shape + 1]};
+}
 // Whether `other`, whose box meets that of the shape, may touch it and stands second in the pair.
-inline bool is_partner(const RigidTreeTables& a, int32_t shape, int32_t other) {
-  const GeoType own_type = a.shapes[shape].type, type = a.shapes[other].type;
-  if (other == shape || type < own_type || (type == own_type && other < shape)) return false;
-  if (!may_touch_unfiltered(paired_shape(a, shape), paired_shape(a, other))) return false;
-  for (int32_t f = a.filter_starts[shape]; f < a.filter_starts[shape + 1]; ++f)
+inline bool is_partner(const RigidTreeTables& a, const TreeShape& s, int32_t other) {
+  const GeoType type = a.shapes[other].type;
+  const PairedShape paired = paired_shape(a, other);
+  if (other == s.shape || type < s.type || (type == s.type && other < s.shape)) return false;
+  if (!may_touch_unfiltered(s.paired, paired)) return false;
+  for (int32_t f = s.filter_begin; f < s.filter_end; ++f)
     if (a.filtered[f] == other) return false;
   return true;
 }
 
 // Calls visit(other) for the shapes [begin, end) that are partners of the shape, ascending.
 template <class Visit>
-void for_partners_among(const RigidTreeTables& a, int32_t shape, int64_t begin, int64_t end,
+void for_partners_among(const RigidTreeTables& a, const TreeShape& s, int64_t begin, int64_t end,
                         Visit& visit) {
-  const geometry::Box3 box = a.shapes[shape].box;
   for (int64_t other = begin; other < end; ++other)
-    if (geometry::boxes_meet(box, a.shapes[other].box) &&
-        is_partner(a, shape, static_cast<int32_t>(other)))
+    if (geometry::boxes_meet(s.box, a.shapes[other].box) &&
+        is_partner(a, s, static_cast<int32_t>(other)))
       visit(static_cast<int32_t>(other));
 }
 // The levels that for_partners_in goes down: a byte of its word each.
@@ -195,10 +205,9 @@ inline uint64_t meeting_children(const RigidTreeTables& a, const geometry::Box3&
 }
 // For the partners among the entries [begin, end), in their order.
 template <class Visit>
-void for_partners_in(const RigidTreeTables& a, int32_t shape, int64_t begin, int64_t end,
+void for_partners_in(const RigidTreeTables& a, const TreeShape& s, int64_t begin, int64_t end,
                      Visit& visit) {
   if (begin >= end) return;
-  const geometry::Box3 box = a.shapes[shape].box;
   const int32_t top = a.level_count < kTreeDepth ? static_cast<int32_t>(a.level_count) : kTreeDepth;
   const int32_t shift = kTreeBits * top;
   for (int64_t root = begin >> shift; root <= (end - 1) >> shift; ++root) {
@@ -206,8 +215,8 @@ void for_partners_in(const RigidTreeTables& a, int32_t shape, int64_t begin, int
     int32_t level = top;
     uint64_t open =
         0;  // a byte for each level: the children of its node that are still to be asked
-    if (!geometry::boxes_meet(box, a.nodes[a.levels[top - 1] + root])) continue;
-    open = meeting_children(a, box, level, node, begin, end) << 8 * (level - 1);
+    if (!geometry::boxes_meet(s.box, a.nodes[a.levels[top - 1] + root])) continue;
+    open = meeting_children(a, s.box, level, node, begin, end) << 8 * (level - 1);
     while (level <= top) {
       const uint64_t left = open >> 8 * (level - 1) & 255;
       if (left == 0) {
@@ -222,31 +231,31 @@ void for_partners_in(const RigidTreeTables& a, int32_t shape, int64_t begin, int
       if (level > 1) {
         node = at;
         --level;
-        open |= meeting_children(a, box, level, node, begin, end) << 8 * (level - 1);
-      } else if (is_partner(a, shape, a.entries[at].shape)) {
-        visit(a.entries[at].shape);
+        open |= meeting_children(a, s.box, level, node, begin, end) << 8 * (level - 1);
+      } else if (const int32_t other = a.entries[at].shape; is_partner(a, s, other)) {
+        visit(other);
       }
     }
   }
 }
 template <class Visit>
 void for_partners(const RigidTreeTables& a, const TreeAsker& asker, Visit visit) {
-  const int32_t shape = asker.shape;
-  if (!has_flag(a.flags[shape], ShapeFlags::COLLIDE_SHAPES)) return;
-  if (!geometry::boxes_meet(a.shapes[shape].box, a.shapes[shape].box)) return;
+  const TreeShape s = tree_shape(a, asker.shape);
+  if (!has_flag(s.paired.flags, ShapeFlags::COLLIDE_SHAPES)) return;
+  if (!geometry::boxes_meet(s.box, s.box)) return;
   if (asker.part >= 0) {
     const int64_t begin = int64_t{asker.part} * kApartPart, end = begin + kApartPart;
-    for_partners_among(a, shape, begin, end < a.shape_count ? end : a.shape_count.value, visit);
+    for_partners_among(a, s, begin, end < a.shape_count ? end : a.shape_count.value, visit);
     return;
   }
   for (int64_t k = 0; k < a.apart_count; ++k)
-    for_partners_among(a, shape, a.apart[k], a.apart[k] + 1, visit);
-  const int32_t world = a.world[shape];
+    for_partners_among(a, s, a.apart[k], a.apart[k] + 1, visit);
+  const int32_t world = s.paired.world;
   if (world < 0) {
-    for_partners_in(a, shape, 0, a.starts[a.segments], visit);
+    for_partners_in(a, s, 0, a.starts[a.segments], visit);
   } else {
-    for_partners_in(a, shape, 0, a.starts[1], visit);
-    for_partners_in(a, shape, a.starts[world + 1], a.starts[world + 2], visit);
+    for_partners_in(a, s, 0, a.starts[1], visit);
+    for_partners_in(a, s, a.starts[world + 1], a.starts[world + 2], visit);
   }
 }
 
@@ -320,7 +329,7 @@ NOVAPHY_ROW_KERNEL(rigid_tree_write, RigidTreeWriteArguments) {
   const auto add = [&](int32_t other) { add_pair(mine, {asker.shape, other}); };
   // One with very many goes through all shapes, which come in the right order.
   if (asker.part < 0 && count * count > 4 * a.tree.shape_count)
-    for_partners_among(a.tree, asker.shape, 0, a.tree.shape_count, add);
+    for_partners_among(a.tree, tree_shape(a.tree, asker.shape), 0, a.tree.shape_count, add);
   else
     for_partners(a.tree, asker, add);
 }

@@ -246,9 +246,11 @@ BUILTIN __launch_bounds__(kSortThreads) sort_place(const sort_arguments a) {
   uint32_t place = 0, sum = 0;
   count_digits(a, next[threadIdx.x]);
   if (d < kDigits) {
+#pragma unroll 8
     for (uint32_t b = 0; b < gridDim.x; ++b) {
-      if (b == blockIdx.x) place = sum;
-      sum += a.counts[(int64_t)b * kDigits + d];
+      const uint32_t count = a.counts[(int64_t)b * kDigits + d];
+      sum += count;
+      if (b < blockIdx.x) place += count;
     }
     all[d] = sum;
   }

@@ -169,6 +169,20 @@ def test_the_environment_passes_the_checks_of_gymnasium():
         AntEnv(randomize={"mass": (-1.0, 1.0)})
 
 
+def test_the_old_name_of_an_argument_works_and_warns():
+    pytest.importorskip("gymnasium")
+    from novaphy.envs import AntEnv, AntVectorEnv
+
+    friction = {"friction": (0.5, 1.2)}
+    for make in (AntEnv, lambda **given: AntVectorEnv(2, **given)):
+        with pytest.warns(DeprecationWarning, match="randomise is now called randomize"):
+            old = make(randomise=friction)
+        first, _ = old.reset(seed=4)
+        np.testing.assert_array_equal(first, make(randomize=friction).reset(seed=4)[0])
+        with pytest.raises(TypeError, match="expected randomize or its old name randomise"):
+            make(randomise=friction, randomize=friction)
+
+
 def test_the_vector_environment_separates_ends_and_begins_again_in_the_same_step():
     pytest.importorskip("gymnasium")
     from novaphy.envs import AntVectorEnv

@@ -16,6 +16,7 @@ except ImportError:
         "novaphy.envs.AntEnv and AntVectorEnv need the package gymnasium: pip install gymnasium"
     ) from None
 
+from .._deprecated import renamed_argument
 from ._ant import ACTIONS, ACTIONS_LIMIT, OBSERVATIONS, VARIED, AntWorlds, Array, check_varied
 
 Ranges = Mapping[str, tuple[float, float]]
@@ -78,6 +79,7 @@ class AntEnv(gymnasium.Env[Array, Array]):
 
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": 20}  # noqa: RUF012
 
+    @renamed_argument("randomise", "randomize")
     def __init__(
         self,
         *,
@@ -127,6 +129,7 @@ class AntVectorEnv(VectorEnv[Array, Array, Array]):
     and infos["final_obs"] holds the last one, with the mask infos["_final_obs"].
     """
 
+    @renamed_argument("randomise", "randomize")
     def __init__(
         self,
         num_envs: int,

@@ -79,7 +79,7 @@ class AntEnv(gymnasium.Env[Array, Array]):
 
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": 20}  # noqa: RUF012
 
-    @renamed_argument("randomise", "randomize")
+    @renamed_argument("randomise", "randomize")  # codespell:ignore randomise
     def __init__(
         self,
         *,
@@ -129,7 +129,7 @@ class AntVectorEnv(VectorEnv[Array, Array, Array]):
     and infos["final_obs"] holds the last one, with the mask infos["_final_obs"].
     """
 
-    @renamed_argument("randomise", "randomize")
+    @renamed_argument("randomise", "randomize")  # codespell:ignore randomise
     def __init__(
         self,
         num_envs: int,

@@ -47,8 +47,8 @@ ALLOWED: dict[str, set[str]] = {
     "nova": {"abi", "math", "core", "program"},
     "io": {"math", "core"},
     "formula": {"math"},
-    "door": {"abi", "math", "core", "text"},  # device text reads the twins of these headers
-    "kernels": {"math", "formula", "text", "door"},
+    "launch": {"abi", "math", "core", "text"},  # device text reads the twins of these headers
+    "kernels": {"math", "formula", "text", "launch"},
     "collision": {"math", "core", "formula", "kernels"},
     "dynamics": {"math", "core", "collision", "formula", "kernels"},
     "vbd": {"math", "core", "collision", "formula", "kernels"},
@@ -64,9 +64,9 @@ TEXT_HEADERS = {
     "export.h",
 }
 # These say to the host and to device text what a hand-written kernel is.
-DOOR_HEADERS = {"row_kernel.h", "launch_arguments.h"}
+LAUNCH_HEADERS = {"row_kernel.h", "launch_arguments.h"}
 for allowed in [allowed for allowed in ALLOWED.values() if "core" in allowed] + [ALLOWED["core"]]:
-    allowed.update(("text", "door"))
+    allowed.update(("text", "launch"))
 # Layers that may use these system headers only.
 SYSTEM_HEADERS: dict[str, set[str]] = {
     "abi": {"stdint.h"},
@@ -105,8 +105,8 @@ def by_name(layer: str, name: str) -> str:
         return "kernels"
     if layer == "core" and name in TEXT_HEADERS:
         return "text"
-    if layer == "core" and name in DOOR_HEADERS:
-        return "door"
+    if layer == "core" and name in LAUNCH_HEADERS:
+        return "launch"
     if layer in ("collision", "dynamics", "vbd") and name.startswith("diff_"):
         return "operators"
     return layer

@@ -1,5 +1,5 @@
-// Kernel: the door for hand-written kernels (row_kernel.h), whose struct of arguments says what a
-// launch does to which array.
+// Kernel: the launch interface of hand-written kernels (row_kernel.h). A kernel's struct of
+// arguments says how a launch accesses each array.
 //
 //   const Kernel<ScaleArguments> kScale(scale, scale_kernels_text);
 //   run(kScale, n, {.x = x, .y = y, .factor = 2.0f});

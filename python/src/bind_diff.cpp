@@ -299,7 +299,7 @@ DeviceArray<T> force_rows(const py::object& forces, const char* name, int32_t co
       Array(DTypeOf<T>::value, static_cast<size_t>(tensor.size()) / kWidth, 1, tensor.range()));
 }
 
-// Where held particles go: {k, 3} or {steps, k, 3}, of which the rollout checks the rows.
+// Where kinematic particles go: {k, 3} or {steps, k, 3}, of which the rollout checks the rows.
 DeviceArray<Vec3f> target_rows(const py::object& targets) {
   if (py::isinstance<Array>(targets)) return DeviceArray<Vec3f>(targets.cast<Array>());
   require(py::isinstance<nova::TensorImpl>(targets), ErrorKind::Type,
@@ -471,7 +471,7 @@ void bind_rollout(py::module_& solvers) {
       "trajectory.particle_f. forces {n, 3} or {steps, n, 3} (N, world frame) act besides it, in "
       "every step or each in its own; body_forces {b, 6} or {steps, b, 6} (N, N*m about the center "
       "of mass, world frame) besides body_f. targets {k, 3} or {steps, k, 3} (m, world frame) are "
-      "where the k held particles of SolverVBD or DiffSolverVBD are at the end of a step; "
+      "where the k kinematic particles of SolverVBD or DiffSolverVBD are at the end of a step; "
       "NotImplementedError for other solvers. pipeline: a CollisionPipeline that finds the "
       "contacts of every step anew, instead of `contacts`. control: one for all steps, or a "
       "sequence of m, each for a m-th of them. joint_f, joint_target_qd {dofs} or {steps, dofs}, "

@@ -22,6 +22,16 @@ VbdInitialGuess to_guess(const std::string& name) {
        "initial_guess: expected \"inertia\", \"previous\" or \"adaptive\", got \"", name, "\"");
 }
 
+constexpr char kKinematicCountDoc[] = "The number of kinematic particles: the rows of targets.";
+constexpr char kHeldCountDoc[] = "The old name of kinematic_count. DeprecationWarning.";
+
+template <class Solver>
+int32_t old_kinematic_count(const Solver& solver) {
+  if (PyErr_WarnEx(PyExc_DeprecationWarning, "held_count is now called kinematic_count", 1) != 0)
+    throw py::error_already_set();
+  return solver.kinematic_count();
+}
+
 DeviceArray<Vec3f> to_targets(py::handle given, Device device) {
   if (py::isinstance<Array>(given)) return DeviceArray<Vec3f>(given.cast<Array>());
   return DeviceArray<Vec3f>::from_host(to_vec3_list(given, "targets"), device);
@@ -110,8 +120,8 @@ void bind_diff_vbd(py::module_& solvers) {
             return s.options().gradient.implicit ? "implicit" : "unrolled";
           },
           "\"unrolled\" or \"implicit\".")
-      .def_property_readonly("held_count", &DiffSolverVBD::held_count,
-                             "Particles that are held: the rows of targets.")
+      .def_property_readonly("kinematic_count", &DiffSolverVBD::kinematic_count, kKinematicCountDoc)
+      .def_property_readonly("held_count", &old_kinematic_count<DiffSolverVBD>, kHeldCountDoc)
       .def(
           "gradient_info",
           [](const DiffSolverVBD& s) {
@@ -167,34 +177,34 @@ void bind_vbd(py::module_& solvers) {
       "Implicit Euler by Vertex Block Descent: stable at large steps and stiffnesses. Covers "
       "particles, springs, triangles, bending edges, tetrahedra, external forces, gravity, and "
       "contacts with world-owned shapes. Particles need colors: ModelBuilder.color(). Particles "
-      "of mass 0 or without ParticleFlags.ACTIVE are held. Nothing is written to state_in. Same "
+      "of mass 0 or without ParticleFlags.ACTIVE are kinematic. Nothing is written to state_in. "
+      "Same "
       "bits for any number of threads and on a CUDA device. A step can be captured; on a tape it "
       "raises where an input carries a gradient.")
-      .def(
-          py::init([](const std::shared_ptr<Model>& model, int32_t iterations,
-                      float friction_epsilon, const std::string& initial_guess,
-                      std::optional<float> acceleration, std::optional<float> tolerance,
-                      bool safeguard, float lhs_regularization) {
-            return std::make_unique<SolverVBD>(
-                model, VbdOptions{.iterations = iterations,
-                                  .friction_epsilon = friction_epsilon,
-                                  .initial_guess = to_guess(initial_guess),
-                                  .acceleration = acceleration,
-                                  .tolerance = tolerance,
-                                  .safeguard = safeguard,
-                                  .lhs_regularization = lhs_regularization});
-          }),
-          py::arg("model").none(false), py::kw_only(), "iterations"_a = d.iterations,
-          "friction_epsilon"_a = d.friction_epsilon, "initial_guess"_a = "inertia",
-          "acceleration"_a = py::none(), "tolerance"_a = py::none(), "safeguard"_a = d.safeguard,
-          "lhs_regularization"_a = d.lhs_regularization,
-          "iterations: sweeps over all colors. friction_epsilon (m/s): the slip at which friction "
-          "reaches the Coulomb limit. initial_guess: \"inertia\", \"previous\" (the positions "
-          "before) or \"adaptive\" (with as much of gravity as acted in the last step). "
-          "acceleration: Chebyshev's, by a spectral radius in (0, 1). tolerance: ends a step when "
-          "residual().relative is at most this. safeguard: halves the step of a particle while "
-          "its energy rises. ValueError: a bad option, particles without a color, a negative or "
-          "NaN material. NotImplementedError names what is not covered.")
+      .def(py::init([](const std::shared_ptr<Model>& model, int32_t iterations,
+                       float friction_epsilon, const std::string& initial_guess,
+                       std::optional<float> acceleration, std::optional<float> tolerance,
+                       bool safeguard, float lhs_regularization) {
+             return std::make_unique<SolverVBD>(
+                 model, VbdOptions{.iterations = iterations,
+                                   .friction_epsilon = friction_epsilon,
+                                   .initial_guess = to_guess(initial_guess),
+                                   .acceleration = acceleration,
+                                   .tolerance = tolerance,
+                                   .safeguard = safeguard,
+                                   .lhs_regularization = lhs_regularization});
+           }),
+           py::arg("model").none(false), py::kw_only(), "iterations"_a = d.iterations,
+           "friction_epsilon"_a = d.friction_epsilon, "initial_guess"_a = "inertia",
+           "acceleration"_a = py::none(), "tolerance"_a = py::none(), "safeguard"_a = d.safeguard,
+           "lhs_regularization"_a = d.lhs_regularization,
+           "iterations: sweeps over all colors. friction_epsilon (m/s): the slip at which friction "
+           "reaches the Coulomb limit. initial_guess: \"inertia\", \"previous\" (the positions "
+           "before) or \"adaptive\" (with as much of gravity as acted in the last step). "
+           "acceleration: Chebyshev's, by a spectral radius in (0, 1). tolerance: ends a step when "
+           "residual().relative is at most this. safeguard: halves the step of a particle while "
+           "its energy rises. ValueError: a bad option, particles without a color, a negative or "
+           "NaN material. NotImplementedError names what is not covered.")
       .def_property_readonly(
           "iterations", [](const SolverVBD& s) { return s.options().iterations; },
           "Sweeps over all colors in a step.")
@@ -219,8 +229,8 @@ void bind_vbd(py::module_& solvers) {
       .def_property_readonly(
           "lhs_regularization", [](const SolverVBD& s) { return s.options().lhs_regularization; },
           "The regularization of nearly singular blocks.")
-      .def_property_readonly("held_count", &SolverVBD::held_count,
-                             "Particles that are held: the rows of targets.")
+      .def_property_readonly("kinematic_count", &SolverVBD::kinematic_count, kKinematicCountDoc)
+      .def_property_readonly("held_count", &old_kinematic_count<SolverVBD>, kHeldCountDoc)
       .def(
           "step",
           [](SolverVBD& s, SimState& state_in, SimState& state_out, const Control* control,
@@ -232,11 +242,11 @@ void bind_vbd(py::module_& solvers) {
           },
           "state_in"_a, "state_out"_a, "control"_a.none(true), "contacts"_a.none(true), "dt"_a,
           py::kw_only(), "targets"_a = py::none(),
-          "Advances state_in by dt (s) into state_out. targets: {held_count, 3} positions (m, "
-          "world frame) where the held particles are at the end, in the order of their indices; "
-          "None: where they are. Errors as SolverBase.step; ValueError: indices or colors that "
-          "were edited after the solver was made, numbers that are not finite; novaphy.Error: "
-          "contacts "
+          "Advances state_in by dt (s) into state_out. targets: {kinematic_count, 3} positions (m, "
+          "world frame) where the kinematic particles are at the end, in the order of their "
+          "indices; "
+          "None: they stay. Errors as SolverBase.step; ValueError: indices or colors that were "
+          "edited after the solver was made, numbers that are not finite; novaphy.Error: contacts "
           "that overflowed, positions that do not stay finite.")
       .def("residual", &SolverVBD::residual, release_gil(),
            "VbdResidual of the last step. novaphy.Error: there was none; a replay, or a step on a "

@@ -20,7 +20,7 @@ struct Run {
   double residual = 0.0;
 };
 
-// Three pairs of steps. Held particles move; activations and forces act.
+// Three pairs of steps. Kinematic particles move; activations and forces act.
 Run run(const VbdOptions& options, Device device, bool capture) {
   const auto model = testing::EverythingScene::make(1.0f, device);
   CollisionPipeline pipeline(model, {.soft_contact_margin = 0.05f});
@@ -32,7 +32,7 @@ Run run(const VbdOptions& options, Device device, bool capture) {
   control.particle_tet_activation.fill(-0.03f);
   for (SimState& state : states) state.particle_f.fill({0.01f, 0.0f, -0.02f});
   std::vector<Vec3f> to = model->particle_q.to_host();
-  to.resize(static_cast<size_t>(solver.held_count()));
+  to.resize(static_cast<size_t>(solver.kinematic_count()));
   for (size_t k = 0; k < to.size(); ++k) to[k] = {0.0f, 0.1f * static_cast<float>(k), 0.51f};
   const auto targets = DeviceArray<Vec3f>::from_host(to, device);
   const auto pair = [&] {
@@ -60,7 +60,7 @@ Run roll(const VbdOptions& options, Device device) {
   SolverVBD solver(model, options);
   Trajectory trajectory(model, 3);
   std::vector<Vec3f> to;
-  for (int k = 0; k < 3 * solver.held_count(); ++k)
+  for (int k = 0; k < 3 * solver.kinematic_count(); ++k)
     to.push_back({0.002f * static_cast<float>(k), 0.1f * static_cast<float>(k % 4), 0.51f});
   const auto targets = DeviceArray<Vec3f>::from_host(to, device);
   solver.rollout(trajectory, nullptr, nullptr, 1.0f / 120.0f,

@@ -329,7 +329,7 @@ TEST_F(VbdDevices, APositionThatDoesNotStayFiniteIsNamed) {
   const auto model = testing::EverythingScene::make(0.0f, Device::cuda());
   SolverVBD solver(model);
   SimState a = model->state(), b = model->state();
-  const std::vector<Vec3f> goals(static_cast<size_t>(solver.held_count()),
+  const std::vector<Vec3f> goals(static_cast<size_t>(solver.kinematic_count()),
                                  {0.0f, std::numeric_limits<float>::infinity(), 0.0f});
   const auto targets = DeviceArray<Vec3f>::from_host(goals, Device::cuda());
   solver.step(a, b, nullptr, nullptr, 1.0f / 120.0f, &targets);

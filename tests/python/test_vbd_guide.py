@@ -237,7 +237,7 @@ ROWS = {
         gradients(("shape_margin", "shape_material_ke", "shape_material_kd", "shape_material_mu")),
         {},
     ),
-    "targets of held particles": Row(with_targets, target_gradient, {}),
+    "targets of kinematic particles": Row(with_targets, target_gradient, {}),
     "`acceleration`": Row(
         forward(acceleration=0.5), option_gradient(acceleration=0.5), {"acceleration": 0.5}
     ),

@@ -16,7 +16,7 @@ namespace novaphy::testing {
 struct EverythingScene {
   std::shared_ptr<Model> model;
   std::unique_ptr<Contacts> contacts;
-  std::vector<Vec3f> q, qd, f, w_q, w_qd, targets;  // no targets: the held particles stay
+  std::vector<Vec3f> q, qd, f, w_q, w_qd, targets;  // no targets: the kinematic particles stay
   Control control;
   std::vector<Vec4f> last;  // none: there was no step before
 

@@ -48,7 +48,7 @@ inline NamedValues vbd_gradients(Device device, const VbdGradientRun& how) {
     velocities.push_back({0.1f * k - 2.0f, 0.4f, -0.5f - 0.01f * k});
     forces.push_back({0.01f, 0.001f * k, -0.02f});
   }
-  const int32_t held = solver.held_count();
+  const int32_t held = solver.kinematic_count();
   for (int32_t k = 0; k < how.steps * held; ++k)
     goals.push_back({0.002f * static_cast<float>(k), 0.1f * static_cast<float>(k % held), 0.51f});
   const auto targets = DeviceArray<Vec3f>::from_host(goals, device);

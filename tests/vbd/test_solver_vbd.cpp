@@ -286,7 +286,7 @@ TEST(SolverVbd, AStiffBarIsTwistedByTheTargetsOfItsEnds) {
   b.color();
   const auto model = b.finalize(Device::cpu());
   SolverVBD solver(model, {.iterations = 20});
-  ASSERT_EQ(solver.held_count(), 18);
+  ASSERT_EQ(solver.kinematic_count(), 18);
   const auto rest = model->particle_q.to_host();
   std::vector<size_t> held;
   for (size_t p = 0; p < rest.size(); ++p)

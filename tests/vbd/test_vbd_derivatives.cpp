@@ -136,7 +136,7 @@ class VbdDerivatives : public ::testing::TestWithParam<bool> {
  protected:
   VbdDerivatives() : scene(GetParam() ? 0.0f : 1.0f) {
     const auto held =
-        static_cast<size_t>(DifferentiableVbd(scene.model, {.iterations = 1}).held_count());
+        static_cast<size_t>(DifferentiableVbd(scene.model, {.iterations = 1}).kinematic_count());
     const float* mass = scene.model->particle_mass.data();
     for (size_t p = 0; p < scene.q.size(); ++p)
       if (mass[p] == 0.0f)

@@ -34,7 +34,7 @@ class ColorSlots {
     bool damped = false;
   };
 
-  // Groups of `lanes` particles, and the elements that act. Held particles have none.
+  // Groups of `lanes` particles, and the elements that act. Kinematic particles have none.
   // Errors as SolverVBD's constructor.
   void build(const Model& model, int lanes);
   // The numbers of the slots.

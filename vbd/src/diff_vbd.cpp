@@ -213,10 +213,10 @@ void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control*
   check_replays();
   const ExclusiveUse::Scope scope = use(RecordedStep::kName);
   check_step(RecordedStep::kName, state_in, state_out, control, contacts, dt);
-  const auto held = static_cast<size_t>(held_count());
+  const auto held = static_cast<size_t>(kinematic_count());
   require(targets == nullptr || (targets->rows() == held && targets->device() == device()),
           ErrorKind::Value, RecordedStep::kName, ": targets: expected {", held,
-          ", 3}, a position for every held particle, got ",
+          ", 3}, a position for every kinematic particle, got ",
           targets == nullptr ? 0 : targets->rows(), " rows");
   begin();
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
@@ -262,7 +262,7 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   step->q = tensor_of(nova::operand_of(in.particle_q));
   step->qd = tensor_of(nova::operand_of(in.particle_qd));
   step->f = tensor_of(inputs.forces);
-  step->target_count = static_cast<size_t>(held_count());
+  step->target_count = static_cast<size_t>(kinematic_count());
   if (inputs.targets.range != nullptr) {
     step->targets = tensor_of(inputs.targets);
     step->first_target = inputs.first_target;

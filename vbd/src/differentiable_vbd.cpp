@@ -163,7 +163,7 @@ DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const V
 
 DifferentiableVbd::~DifferentiableVbd() = default;
 
-int32_t DifferentiableVbd::held_count() const { return work_->step.held_count(); }
+int32_t DifferentiableVbd::kinematic_count() const { return work_->step.kinematic_count(); }
 
 VbdGradientInfo DifferentiableVbd::info() const {
   work_->step.check();

@@ -51,7 +51,7 @@ bool falls_along(Step& step, const Rows& start, const Rows& before, const Rows& 
 template <class Step>
 bool try_newton(Step& step, const Rows& force, const Rows& newton) {
   const Rows x = step.positions(), moved = step.moves();
-  // Held particles stay where they are.
+  // Kinematic particles stay where they are.
   Rows start = step.starts();
   for (size_t p = 0; p < x.size(); ++p)
     if (step.is_held(p)) start[p] = x[p];

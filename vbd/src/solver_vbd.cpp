@@ -65,7 +65,7 @@ SolverVBD::SolverVBD(std::shared_ptr<const Model> model, const VbdOptions& optio
 
 SolverVBD::~SolverVBD() = default;
 
-int32_t SolverVBD::held_count() const { return work_->step.held_count(); }
+int32_t SolverVBD::kinematic_count() const { return work_->step.kinematic_count(); }
 
 Array SolverVBD::carried() const { return work_->last; }
 
@@ -101,10 +101,10 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
   const Model& m = *model();
   Work& w = *work_;
   check_step(kName, state_in, state_out, control, contacts, dt);
-  const auto held = static_cast<size_t>(held_count());
+  const auto held = static_cast<size_t>(kinematic_count());
   require(targets == nullptr || (targets->rows() == held && targets->device() == m.device()),
           ErrorKind::Value, kName, ": targets: expected {", held,
-          ", 3}, a position for every held particle, got ",
+          ", 3}, a position for every kinematic particle, got ",
           targets == nullptr ? 0 : targets->rows(), " rows");
   const LaunchRecorder* const recorder = launch_recorder();
   require(recorder == nullptr || !recorder->has_tape() || !state_in.requires_grad,

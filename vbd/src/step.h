@@ -11,7 +11,7 @@
 #include "color_slots.h"
 #include "novaphy/core/sim/derived_fields.h"
 #include "novaphy/core/sim/edited_values.h"
-#include "novaphy/core/sim/unread_materials.h"
+#include "novaphy/core/sim/unsupported_materials.h"
 #include "rows.h"
 #include "step_inputs.h"
 #include "step_list.h"
@@ -73,7 +73,7 @@ class Step {
   bool damps() const { return damps_; }
   int64_t team() const { return team_; }  // of the last run; 0: a thread for each particle
   bool is_held(size_t p) const { return slots_.is_held(static_cast<int32_t>(p)); }
-  int32_t held_count() const { return static_cast<int32_t>(held_.rows()); }
+  int32_t kinematic_count() const { return static_cast<int32_t>(held_.rows()); }
   // Whether a step begins where the velocity before says.
   bool looks_back(const StepInputs& in) const {
     return options_.initial_guess == VbdInitialGuess::Adaptive && in.last_velocity.word() != 0;
@@ -160,7 +160,7 @@ class Step {
   const Model& model_;
   const VbdOptions options_;
   const bool on_cpu_;
-  UnreadMaterials materials_;
+  UnsupportedMaterials materials_;
   EditedValues edited_{"SolverVBD"};
   std::shared_ptr<const Model> copy_;  // see host_model
   std::vector<Stamped> mesh_, values_;

@@ -71,7 +71,7 @@ void StepAdjoint::put_state(const StepInputs& in, const StepDerivatives& g) cons
                   .gravity = m.gravity,
                   .last_world = m.world_count() - 1});
   if (any(g.targets))
-    novaphy::run(kernels().target_gradient, step_.held_count(),
+    novaphy::run(kernels().target_gradient, step_.kinematic_count(),
                  {.held = step_.held(),
                   .x_bar = x_bar_,
                   .has_targets = int{in.targets.word() != 0},

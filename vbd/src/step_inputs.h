@@ -22,7 +22,7 @@ struct StepInputs {
   ReadsRow<Vec3f> q, qd, f;
   const DeviceArray<float>&tri_activation, &tet_activation;
   const Contacts* contacts;           // null: none
-  Optional<ReadsRow<Vec3f>> targets;  // of the held particles; null: they stay
+  Optional<ReadsRow<Vec3f>> targets;  // of the kinematic particles; null: they stay
   float dt;
   Optional<UpdatesRow<VbdRow>> last_velocity;  // see VbdStepInputs
   bool trains_elements = false;                // see VbdLaunchInputs

@@ -13,7 +13,7 @@ namespace novaphy::vbd {
 
 // What a sweep reads, along a direction; see VbdTangentArguments.
 struct SweepTangents {
-  Rows x;  // of held particles the direction
+  Rows x;  // of kinematic particles the direction
   Rows start, target;
   Rows guess;  // of where iterations began
   std::vector<float> mass, contacts, numbers;

@@ -46,7 +46,7 @@ void Step::reserve_training() {
     t.sources[role] = upload<int32_t>(sources, device());
   }
   // `columns`: of coefficients that may be other than 0 where the element acts. Elements without a
-  // corner, or over held particles alone, have no part, and may hold anything.
+  // corner, or over kinematic particles alone, have no part, and may hold anything.
   const auto add = [&](const char* name, const Array& array, const Array& indices, int corners,
                        Role role, int32_t columns) {
     const auto* const corner = static_cast<const int32_t*>(indices.raw());

@@ -80,7 +80,7 @@ struct VbdParticleGradientArguments {
   NOVAPHY_ARGUMENTS(
       ReadsRow<int32_t> is_held; ReadsRow<float> inv_mass; ReadsRow<Vec3f> f;
       ReadsRow<VbdRow> x_bar, start_bar, target_bar; ReadsRow<float> mass_bar; Number<float> h;
-      Number<int64_t> have_targets;  // held particles go to targets
+      Number<int64_t> have_targets;  // kinematic particles go to targets
       Optional<Writes<Vec3f>> by_q, by_qd, by_f; Optional<Writes<float>> by_mass;
       Optional<WritesRow<VbdRow>> by_gravity;  // of the particle's world, from this particle
       Optional<Writes<float>> by_last;         // rows of 4

@@ -71,7 +71,7 @@ NOVAPHY_ROW_KERNEL(vbd_predict, VbdPredictArguments) {
 struct VbdTargetArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<int32_t> held; ReadsRow<Vec3f> targets; Updates<VbdRow> x;)
 };
-// Held particles go where targets say.
+// Kinematic particles go where targets say.
 NOVAPHY_ROW_KERNEL(vbd_target, VbdTargetArguments) { a.x[a.held[row]] = to_row(a.targets[row]); }
 
 struct VbdActivationArguments {

@@ -64,7 +64,7 @@ RolloutInputs::RolloutInputs(const Model& model, const Trajectory& trajectory,
   const int32_t particles = model.particle_count(), bodies = model.body_count();
   forces_ = checked_forces(options.forces, "forces", particles, 3, start_, steps(), model.device());
   require(options.targets == nullptr || held >= 0, ErrorKind::NotImplemented,
-          "rollout, targets: expected none, this solver moves no held particles");
+          "rollout, targets: expected none, this solver moves no kinematic particles");
   targets_ = checked_forces(options.targets, "targets", held, 3, start_, steps(), model.device());
   body_forces_ = checked_forces(options.body_forces, "body_forces", bodies, 6, start_, steps(),
                                 model.device());

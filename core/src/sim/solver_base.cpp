@@ -258,7 +258,7 @@ void SolverBase::take_next(SimState& state) {
 void SolverBase::step_to_targets(SimState&, SimState&, const Control*, const Contacts*, float,
                                  const DeviceArray<Vec3f>&) {
   fail(ErrorKind::NotImplemented,
-       "rollout, targets: expected none, this solver moves no held particles");
+       "rollout, targets: expected none, this solver moves no kinematic particles");
 }
 
 void SolverBase::rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts,

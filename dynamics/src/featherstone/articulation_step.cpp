@@ -75,7 +75,7 @@ void check_featherstone_model(const Model& m, const FeatherstoneOptions& options
           m.particle_count());
 }
 
-UnreadMaterials unread_materials(ArticulationContact contact, const char* user) {
+UnsupportedMaterials unsupported_materials(ArticulationContact contact, const char* user) {
   const bool pgs = contact == ArticulationContact::Pgs;
   return {user, {.ka = !pgs, .restitution = pgs}};
 }

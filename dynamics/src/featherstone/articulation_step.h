@@ -8,7 +8,7 @@
 #include "actuators.h"
 #include "articulation_kernels.h"
 #include "novaphy/core/device_kernel.h"
-#include "novaphy/core/sim/unread_materials.h"
+#include "novaphy/core/sim/unsupported_materials.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
 
@@ -23,7 +23,7 @@ const Kernel<ArticulationStepArguments>& tree_step_kernel();
 void check_featherstone_model(const Model& model, const FeatherstoneOptions& options,
                               const char* user);
 // Of shapes in contact.
-UnreadMaterials unread_materials(ArticulationContact contact, const char* user);
+UnsupportedMaterials unsupported_materials(ArticulationContact contact, const char* user);
 
 // ErrorKind::Runtime, naming the first dof that failed; `state`: where the step began, if known.
 void check_status(const Model& model, const Articulations& articulations,

@@ -126,7 +126,7 @@ struct ArticulationStep::Shared {
         device(m.device()),
         articulations(m, user, Articulations::For::Steps),
         contacts(m, articulations),
-        materials(unread_materials(o.contact, user)) {
+        materials(unsupported_materials(o.contact, user)) {
     actuators = std::make_shared<Actuators>(m);
     const auto count = static_cast<size_t>(articulations.count());
     for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
@@ -155,7 +155,7 @@ struct ArticulationStep::Shared {
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;
   ContactBranches branches;  // of steps of the cpu
-  UnreadMaterials materials;
+  UnsupportedMaterials materials;
   std::vector<float> between;   // gradients of states between the steps of an operation
   DeviceArray<float> wrenches;  // gradients of body_f, where gravity's is asked for
   DeviceArray<float> duals;     // of tangents on devices

@@ -61,7 +61,7 @@ struct SolverFeatherstone::Cache {
       : articulations(m, "SolverFeatherstone", Articulations::For::Steps),
         actuated(m),
         contacts(m, articulations),
-        materials(unread_materials(contact, kName)) {
+        materials(unsupported_materials(contact, kName)) {
     watch.leave_out_friction();  // its law is huber
     const Device device = m.device();
     const auto dofs = static_cast<size_t>(m.joint_dof_count());
@@ -109,7 +109,7 @@ struct SolverFeatherstone::Cache {
             "touch nearer to each other. pgs_residual has it of every step, this warning of one");
   }
   ContactWatch watch{kName, "lower dt, ke or kd, or take contact=\"pgs\""};
-  UnreadMaterials materials;
+  UnsupportedMaterials materials;
   std::vector<Transformf> body_q;
   std::vector<SpatialVectorf> body_qd, body_f;
 };

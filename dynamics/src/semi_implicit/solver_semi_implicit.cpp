@@ -13,7 +13,7 @@
 #include "novaphy/core/sim/edited_values.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/sim/input_checks.h"
-#include "novaphy/core/sim/unread_materials.h"
+#include "novaphy/core/sim/unsupported_materials.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/dynamics/semi_implicit/contact_stability.h"
 #include "novaphy/dynamics/semi_implicit/friction_law.h"
@@ -47,7 +47,7 @@ struct SolverSemiImplicit::Cache {
   ElementForces elements;
   JointForces joints;
   RigidBodies bodies;
-  UnreadMaterials materials;  // adhesion is of contacts of bodies
+  UnsupportedMaterials materials;  // adhesion is of contacts of bodies
   EditedValues values{"SolverSemiImplicit"};
   ContactWatch watch{kName};
   ParticleWatch particle_watch{kName};

@@ -5,7 +5,7 @@
 #include <optional>
 
 #include "novaphy/core/sim/edited_values.h"
-#include "novaphy/core/sim/unread_materials.h"
+#include "novaphy/core/sim/unsupported_materials.h"
 #include "novaphy/diff/export.h"
 #include "novaphy/diff/trajectory.h"
 #include "novaphy/dynamics/diff_gradient_notes.h"
@@ -156,7 +156,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   ParticleWatch particle_watch_{"DiffSemiImplicitSolver"};
   BodyStep bodies_;
   std::optional<DiffJoints> joints_;  // null: they are left out
-  UnreadMaterials materials_;         // adhesion is of contacts of bodies
+  UnsupportedMaterials materials_;    // adhesion is of contacts of bodies
   float friction_smoothing_;          // m/s, 0 with the law viscous
   EditedValues values_{"DiffSemiImplicitSolver"};
   GradientNotes notes_;

@@ -36,7 +36,7 @@ struct DiffVbdOptions {
 // of the step. Backward and Tape::jvp run each step once more.
 //
 //   input                                                gradient
-//   particle_q, particle_qd, particle_f, targets         exact; held particles by their positions
+//   particle_q, particle_qd, particle_f, targets         exact; particle_q also of kinematic ones
 //   gravity, particle_mass (through its inverse too), particle_radius                    exact
 //   particle_spring_stiffness, _damping, _rest_length                                    exact
 //   particle_tri_pose, _area, _material (ke, ka, kd), particle_tet_pose, _material       exact
@@ -66,7 +66,7 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   explicit DiffSolverVBD(std::shared_ptr<const Model> model, const DiffVbdOptions& options = {});
 
   const DiffVbdOptions& options() const { return options_; }
-  int32_t held_count() const { return steps_->held_count(); }
+  int32_t kinematic_count() const { return steps_->kinematic_count(); }
   // Of the last backward or jvp. ErrorKind::Runtime: there was none; or a replay of a captured step
   // or backward failed since the last call, and wrote NaN (the first, with the step of a rollout;
   // step and rollout say so, too); on a device as SolverVBD::residual, of direct steps too.
@@ -89,7 +89,7 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
             const Contacts* contacts, float dt, const DeviceArray<Vec3f>* targets);
 
  protected:
-  int32_t target_count() const override { return held_count(); }
+  int32_t target_count() const override { return kinematic_count(); }
   std::vector<ScratchSpec> step_scratch() const override;
   bool begin_rollout(const RolloutInputs& inputs) override;
   void record_step(const SimState& in, SimState& out, const StepInputs& inputs,

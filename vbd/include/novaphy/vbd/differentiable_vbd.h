@@ -20,14 +20,14 @@ struct VbdStepInputs {
   const DeviceArray<float>* tet_activation = nullptr;  // null: the model's
   const Contacts* contacts = nullptr;                  // null: none
   float dt = 0.0f;                                     // s
-  const Vec3f* targets = nullptr;                      // of the held particles; null: they stay
+  const Vec3f* targets = nullptr;  // of the kinematic particles; null: they stay
   // Of the adaptive guess: the velocity at the start of the step before (m/s), and 1, or 0 where
   // there was none; null: none.
   const Vec4f* last_velocity = nullptr;
 };
 
-// The same on the device of the model. Contacts: null: none; targets without rows: held particles
-// stay; last_velocity without rows: there was no step before.
+// The same on the device of the model. Contacts: null: none; targets without rows: kinematic
+// particles stay; last_velocity without rows: there was no step before.
 struct VbdLaunchInputs {
   DeviceArray<Vec3f> q, qd, f;
   DeviceArray<float> tri_activation, tet_activation;
@@ -46,8 +46,8 @@ struct VbdLaunchInputs {
 // Model of these names, and of the targets. As VbdStepGradients those of a scalar by what a step
 // reads, written in full (null: not wanted); as VbdStepTangents those of what it reads along a
 // direction (null: 0); as VbdStepArrays those of a scalar on a device, as arrays without rows where
-// they are not wanted. Held particles have none by mass. Where friction has no part (the product of
-// the coefficients is 0) there is none by shape_material_mu.
+// they are not wanted. Kinematic particles have none by mass. Where friction has no part (the
+// product of the coefficients is 0) there is none by shape_material_mu.
 template <class Numbers, class Vectors>
 struct VbdStepDerivatives {
   Vectors particle_q = {};
@@ -111,8 +111,9 @@ struct VbdGradientInfo {
 // residual method. Before, Newton's method with the tangent of the same sweeps solves the step,
 // which `forward` returns then. J holds the whole derivative, also what H leaves out.
 //
-// Points, normals and velocities of contacts are frozen. Held particles carry a gradient by their
-// positions or targets. The result has the same bits for any number of threads and any processor.
+// Points, normals and velocities of contacts are frozen. Kinematic particles carry a gradient by
+// their positions or targets. The result has the same bits for any number of threads and any
+// processor.
 class NOVAPHY_VBD_API DifferentiableVbd {
  public:
   // ErrorKind::NotImplemented: acceleration, tolerance, safeguard.
@@ -121,7 +122,7 @@ class NOVAPHY_VBD_API DifferentiableVbd {
                              const VbdGradientOptions& gradient_options = {});
   ~DifferentiableVbd();
 
-  int32_t held_count() const;
+  int32_t kinematic_count() const;
   // SolverVBD::step, in all bits; implicit: the solution of the step. Errors as there.
   void forward(const VbdStepInputs& inputs, Vec3f* q_out, Vec3f* qd_out);
   // From the derivatives of a scalar by the results (null: 0). Runs the step once more, and

@@ -61,9 +61,9 @@ struct VbdResidual {
 // cannot throw: numbers of states that are not finite and contacts that overflowed leave a note,
 // and the next residual() throws; on the CPU so does the next step(). Nothing waits for it before.
 //
-// Particles of mass 0 or without ParticleFlags.ACTIVE are held: they stay, or go where `targets`
-// say; their velocity is what they moved by in the step, and 0 otherwise.
-// Nothing is written to state_in. particle_f acts and stays as it is.
+// Particles of mass 0 or without ParticleFlags.ACTIVE are kinematic: they stay, or go where
+// `targets` say; their velocity is what they moved by in the step, and 0 otherwise. Nothing is
+// written to state_in. particle_f acts and stays as it is.
 class NOVAPHY_VBD_API SolverVBD : public SolverBase {
  public:
   // ErrorKind::Value: a bad option; particles without a colour; what EditedValues refuses.
@@ -72,8 +72,8 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   ~SolverVBD() override;
 
   const VbdOptions& options() const { return options_; }
-  // Particles that are held, see above: the rows of `targets`, in the order of their indices.
-  int32_t held_count() const;
+  // Kinematic particles, see above: the rows of `targets`, in the order of their indices.
+  int32_t kinematic_count() const;
   // True without `tolerance`.
   bool supports_graph_capture() const override;
 
@@ -87,8 +87,8 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
             const Contacts* contacts, float dt) override {
     step(state_in, state_out, control, contacts, dt, nullptr);
   }
-  // `targets`: {held_count} positions (m, world frame) where the held particles are at the end of
-  // the step; null: where they are.
+  // `targets`: {kinematic_count} positions (m, world frame) where the kinematic particles are at
+  // the end of the step; null: where they are.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt, const DeviceArray<Vec3f>* targets);
   // Of the last step; waits for the device. ErrorKind::Runtime: there was none since the solver was
@@ -100,7 +100,7 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   void notify_model_changed(ModelFlags flags) override;
 
  protected:
-  int32_t target_count() const override { return held_count(); }
+  int32_t target_count() const override { return kinematic_count(); }
   Array carried() const override;  // of the adaptive guess
   void step_to_targets(SimState& state_in, SimState& state_out, const Control* control,
                        const Contacts* contacts, float dt,

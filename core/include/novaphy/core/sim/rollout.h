@@ -38,7 +38,7 @@ struct RolloutOptions {
   const DeviceArray<SpatialVectorf>* body_forces = nullptr;
   // Where the particles that the solver holds are at the end of a step (m, world frame), in the
   // order of their indices: k rows for every step, or k rows for each step of this call,
-  // time-major. ErrorKind::NotImplemented: the solver moves no held particles.
+  // time-major. ErrorKind::NotImplemented: the solver moves no kinematic particles.
   const DeviceArray<Vec3f>* targets = nullptr;
   // Finds the contacts of every step anew, from its state, instead of the `contacts` of the call.
   ContactFinder* pipeline = nullptr;
@@ -78,7 +78,7 @@ class NOVAPHY_CORE_API RolloutInputs {
     }
   };
   const Forces& forces() const { return forces_; }            // vec3, on particles
-  const Forces& targets() const { return targets_; }          // vec3, of held particles
+  const Forces& targets() const { return targets_; }          // vec3, of kinematic particles
   const Forces& body_forces() const { return body_forces_; }  // spatial_vector, on bodies
 
  private:

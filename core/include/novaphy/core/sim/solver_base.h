@@ -64,7 +64,8 @@ class NOVAPHY_CORE_API SolverBase {
   // The use of the memory that the solver keeps from call to call.
   ExclusiveUse::Scope use(const char* call) const { return {*in_use_, call, "the solver"}; }
   const std::shared_ptr<ExclusiveUse>& in_use() const { return in_use_; }
-  // For solvers whose held particles go where targets say: how many there are, and such a step.
+  // For solvers whose kinematic particles go where targets say: how many there are, and such a
+  // step.
   virtual int32_t target_count() const { return -1; }
   virtual void step_to_targets(SimState& state_in, SimState& state_out, const Control* control,
                                const Contacts* contacts, float dt,

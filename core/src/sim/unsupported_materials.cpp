@@ -1,4 +1,4 @@
-#include "novaphy/core/sim/unread_materials.h"
+#include "novaphy/core/sim/unsupported_materials.h"
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
@@ -15,7 +15,7 @@ std::string shape_name(const Model& model, size_t shape) {
 
 }  // namespace
 
-void UnreadMaterials::check(const Model& model) {
+void UnsupportedMaterials::check(const Model& model) {
   struct Setting {
     const char* name;
     const DeviceArray<float>& array;

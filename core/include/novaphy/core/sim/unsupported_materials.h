@@ -10,13 +10,13 @@
 
 namespace novaphy {
 
-class NOVAPHY_CORE_API UnreadMaterials {
+class NOVAPHY_CORE_API UnsupportedMaterials {
  public:
   // What a solver reads besides ke, kd and mu. No solver reads mu_torsional and mu_rolling.
   struct Reads {
     bool kf = true, ka = true, restitution = false;
   };
-  UnreadMaterials(const char* solver, Reads reads) : solver_(solver), reads_(reads) {}
+  UnsupportedMaterials(const char* solver, Reads reads) : solver_(solver), reads_(reads) {}
 
   // Cheap while the arrays were not written since the last call. ErrorKind::NotImplemented names
   // the shape and the setting. Host reads of the arrays are not observed: no kernel depends on

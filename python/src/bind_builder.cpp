@@ -1,4 +1,5 @@
 // ModelBuilder.
+#include "doc_builder.h"
 #include "novaphy/core/sim/model_builder.h"
 #include "pickle.h"
 
@@ -241,14 +242,7 @@ void bind_bodies(py::class_<ModelBuilder>& c) {
         "mass"_a = 0.0f, "lock_inertia"_a = false, "is_kinematic"_a = false, "gravcomp"_a = 0.0f,
         "label"_a = py::none(), doc);
   };
-  bind(
-      "add_body", &ModelBuilder::add_body,
-      "A rigid body that moves freely, at rest at `xform` (m, xyzw): a link, its FREE joint to the "
-      "world, and an articulation of that. `mass` (kg), `com` (m, body frame) and `inertia` (3x3, "
-      "kg*m^2 about com; None: a point mass) are the base. Shapes with a density add to it unless "
-      "lock_inertia. is_kinematic: it follows its velocity, no force moves it. gravcomp: the part "
-      "of its weight that a force at its center of mass takes away. Returns the index. ValueError: "
-      "a mass or inertia that no body has, also from finalize.");
+  bind("add_body", &ModelBuilder::add_body, doc::kAddBody);
   bind("add_link", &ModelBuilder::add_link,
        "As add_body, without a joint: finalize refuses a link that is the child of none. Its mass "
        "may be 0.");
@@ -284,11 +278,7 @@ void bind_shapes(py::class_<ModelBuilder>& c) {
        },
        py::kw_only(), "body"_a = -1, "type"_a, "xform"_a = py::none(), "cfg"_a = py::none(),
        "scale"_a = py::none(), "src"_a = py::none(), "is_static"_a = false, "color"_a = py::none(),
-       "label"_a = py::none(),
-       "A shape of a GeoType with its `scale` (m), and `src`, the mesh of a MESH or CONVEX_MESH, "
-       "as of add_shape_mesh. is_static: it adds no mass to its body. color, of every add_shape "
-       "function: red, green and blue, 0 to 1, in viewers; None: viewers choose. Returns the "
-       "index. NotImplementedError for a type that is not built.")
+       "label"_a = py::none(), doc::kAddShape)
       .def(
           "add_shape_plane",
           [](ModelBuilder& b, py::handle plane, py::handle xform, float width, float length,
@@ -415,14 +405,7 @@ void bind_builder(py::module_& m) {
   bind_list<Transformf>(m, "_TransformList");
   bind_list<SpatialVectorf>(m, "_SpatialVectorList");
 
-  py::class_<ModelBuilder> c(
-      m, "ModelBuilder",
-      "Collects particles, elements over them, bodies and shapes, and makes Models. A bad argument "
-      "raises and leaves the builder as it was: ValueError "
-      "(not finite, negative, not of unit length, ...), IndexError (no such "
-      "body or shape), NotImplementedError (a shape "
-      "type that is not built). Positions may be tuples, lists or arrays of "
-      "any float type; they are rounded to float32.");
+  py::class_<ModelBuilder> c(m, "ModelBuilder", doc::kBuilder);
   c.def(py::init([](py::handle up_axis, py::handle gravity) {
           return ModelBuilder(to_axis(up_axis), to_gravity(gravity));
         }),
@@ -452,9 +435,9 @@ void bind_builder(py::module_& m) {
       .def_readwrite("rigid_gap", &ModelBuilder::rigid_gap,
                      "m: the gap of shapes whose ShapeConfig has none.")
       .def_readwrite("balance_inertia", &ModelBuilder::balance_inertia,
-                     "Whether finalize raises all principal moments of an inertia, of which one "
-                     "exceeds the sum of the other two, until it does not, and warns "
-                     "(RuntimeWarning); False: a ValueError.")
+                     "Whether finalize mends an inertia of which one principal moment exceeds the "
+                     "sum of the other two. All moments grow until none does, with a "
+                     "RuntimeWarning. False: a ValueError.")
       .def_readwrite("bound_mass", &ModelBuilder::bound_mass,
                      "kg, > 0: finalize raises smaller masses of dynamic bodies to it (their "
                      "inertia stays) and warns; not those of 0. None: no bound.")

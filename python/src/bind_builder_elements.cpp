@@ -1,6 +1,7 @@
 // ModelBuilder's springs, triangles, bending edges, tetrahedra, grids and meshes, and shapes that
 // are meshes.
 #include "convert.h"
+#include "doc_builder_elements.h"
 #include "novaphy/core/sim/model_builder.h"
 
 namespace novaphy::python {
@@ -134,9 +135,7 @@ void bind_single(Builder& c) {
         return b.add_edge(i, j, k, l, rest, EdgeMaterial{ke, kd});
       },
       "i"_a, "j"_a, "k"_a, "l"_a, py::kw_only(), "rest"_a = py::none(), "edge_ke"_a = py::none(),
-      "edge_kd"_a = py::none(),
-      "A bending edge from k to l between the triangles (i, k, l) and (j, l, k); i or j may be -1. "
-      "rest: the angle (rad) without a force, None for the present one. Returns the index.");
+      "edge_kd"_a = py::none(), doc::kAddEdge);
   c.def(
       "add_edges",
       [](ModelBuilder& b, py::handle i, py::handle j, py::handle k, py::handle l, py::handle rest,
@@ -318,11 +317,7 @@ void bind_meshes(Builder& c) {
       "density"_a = py::none(), "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
       "k_damp"_a = py::none(), "tri_ke"_a = 0.0f, "tri_ka"_a = 0.0f, "tri_kd"_a = 0.0f,
       "tri_drag"_a = 0.0f, "tri_lift"_a = 0.0f, "add_surface_mesh_edges"_a = true,
-      "edge_ke"_a = 0.0f, "edge_kd"_a = 0.0f, "particle_radius"_a = py::none(),
-      "A soft body from a tetrahedral mesh: vertices (n, 3), indices (m, 4) or flat, or a `mesh` "
-      "with these as attributes (and density, k_mu, k_lambda, k_damp). density (kg/m^3) by "
-      "quarters to the corners; materials are numbers or one each. ValueError: an empty mesh, a "
-      "loose vertex, a degenerate or inverted tetrahedron, a face of more than two.");
+      "edge_ke"_a = 0.0f, "edge_kd"_a = 0.0f, "particle_radius"_a = py::none(), doc::kAddSoftMesh);
 }
 
 Vec3f scale_of(py::handle scale) {
@@ -389,12 +384,7 @@ void bind_coloring(Builder& c) {
        [](ModelBuilder& b, std::optional<bool> include_bending, bool balance_colors) {
          b.color({.include_bending = include_bending, .balance_colors = balance_colors});
        },
-       "include_bending"_a = py::none(), "balance_colors"_a = true,
-       "Colors the particles for SolverVBD: those of one element differ. Elements: springs, "
-       "triangles, tetrahedra, and bending edges with a stiffness or damping (include_bending None "
-       "or True). include_bending False: the corners of a bending edge may share a color; a stiff "
-       "one then converges badly or not at all. balance_colors: moves particles until the colors "
-       "are about equally large. Call it after the elements are added.")
+       "include_bending"_a = py::none(), "balance_colors"_a = true, doc::kColor)
       .def(
           "set_coloring",
           [](ModelBuilder& b, py::handle groups, bool allow_conflicts) {

@@ -1,4 +1,5 @@
 // Joints and articulations of ModelBuilder, and JointDofConfig.
+#include "doc_builder_joints.h"
 #include "novaphy/core/sim/model_builder.h"
 #include "pickle.h"
 
@@ -135,11 +136,7 @@ void bind_general_joints(Builder& c) {
        "joint_type"_a, "parent"_a, "child"_a, py::kw_only(), "linear_axes"_a = py::none(),
        "angular_axes"_a = py::none(), "parent_xform"_a = py::none(), "child_xform"_a = py::none(),
        "collision_filter_parent"_a = py::none(), "enabled"_a = true, "label"_a = py::none(),
-       "A joint of a JointType between a parent body (-1: the world) and a child. parent_xform and "
-       "child_xform: the joint frames in the bodies (m, xyzw). linear_axes and angular_axes: lists "
-       "of JointDofConfig, up to three each of a D6, one of a REVOLUTE or PRISMATIC joint. Returns "
-       "the index. ValueError: a bad pose, axis or number, bodies of two worlds; IndexError: no "
-       "such body.")
+       doc::kAddJoint)
       .def(
           "add_joint_d6",
           [](ModelBuilder& b, int32_t parent, int32_t child, py::handle linear_axes,
@@ -268,14 +265,7 @@ void bind_actuators(Builder& c) {
        "joint"_a, py::kw_only(), "axis"_a = 0, "gear"_a = 1.0f, "gain"_a = Triple{1.0f, 0.0f, 0.0f},
        "bias"_a = Triple{}, "dynamics"_a = 0, "time"_a = 1.0f, "ctrl_range"_a = py::none(),
        "force_range"_a = py::none(), "act_range"_a = py::none(), "ctrl"_a = 0.0f, "act"_a = 0.0f,
-       "label"_a = py::none(),
-       "An actuator of a degree of freedom of a REVOLUTE, PRISMATIC or D6 joint. Its length l and "
-       "rate v are those of the joint times gear. The force is (gain[0] + gain[1] l + gain[2] v) c "
-       "+ bias[0] + bias[1] l + bias[2] v, clipped to force_range; the joint feels gear times "
-       "that. c is the control, clipped to ctrl_range, or with an ActuatorDynamics the activation. "
-       "A motor: the defaults; a servo of the position: gain (kp, 0, 0), bias (0, -kp, -kv); of "
-       "the velocity: gain (kv, 0, 0), bias (0, 0, -kv). ctrl and act: what a control and a state "
-       "start from. Returns the index, the row of Control.ctrl.")
+       "label"_a = py::none(), doc::kAddActuator)
       .def_property_readonly("actuator_count", &ModelBuilder::actuator_count, "Actuators so far.");
 }
 
@@ -291,12 +281,7 @@ void bind_articulations(Builder& c) {
        "second "
        "root, a joint of another articulation or world.")
       .def("add_constraint_mimic", &ModelBuilder::add_constraint_mimic, "joint0"_a, "joint1"_a,
-           "coef0"_a = 0.0f, "coef1"_a = 1.0f,
-           "joint0 follows joint1: q0 = coef0 + coef1 q1 (m or rad), exactly, at the end of every "
-           "step of an articulation. Both are REVOLUTE or PRISMATIC joints of one articulation; a "
-           "follower may lead others. Drives, limits, forces and inertia of joint0 act on joint1; "
-           "its velocity limit does not. Solvers without articulations raise NotImplementedError. "
-           "IndexError: no such joint. ValueError: another type, a second leader, a cycle.")
+           "coef0"_a = 0.0f, "coef1"_a = 1.0f, doc::kAddMimic)
       .def(
           "collapse_fixed_joints",
           [](ModelBuilder& b, const std::optional<std::vector<std::string>>& joints_to_keep) {
@@ -318,15 +303,7 @@ void bind_articulations(Builder& c) {
             return py::dict("body_remap"_a = bodies, "joint_remap"_a = joints,
                             "body_merged_parent"_a = parents, "body_merged_transform"_a = poses);
           },
-          "joints_to_keep"_a = py::none(),
-          "Merges the child of every enabled FIXED joint into the parent: mass, shapes, joints. "
-          "Joints with a label in joints_to_keep stay; so do those whose child has another joint "
-          "to "
-          "a parent, or is kinematic under a body, and a root with more than one child. Returns "
-          "the "
-          "dicts body_remap and joint_remap (old index to new, of what is left), "
-          "body_merged_parent (old index of a body that is gone to the new one of what it was "
-          "merged into, -1: the world) and body_merged_transform (its pose there, xyz and xyzw).");
+          "joints_to_keep"_a = py::none(), doc::kCollapse);
 }
 
 }  // namespace

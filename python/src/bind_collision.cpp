@@ -1,5 +1,6 @@
 // The collision pipeline.
 #include "convert.h"
+#include "doc_collision.h"
 #include "novaphy/collision/collision_pipeline.h"
 
 namespace novaphy::python {
@@ -27,60 +28,38 @@ std::optional<std::vector<Vec2i>> to_shape_pairs(py::handle value) {
 }  // namespace
 
 void bind_collision(py::module_& m) {
-  py::class_<CollisionPipeline>(
-      m, "CollisionPipeline",
-      "Finds contacts. Soft: a record for each active particle whose center is closer to a shape "
-      "than soft_contact_margin + shape_margin + particle_radius, in candidate order. Shapes of "
-      "the world and of bodies: planes, boxes, spheres, capsules, cylinders, cones, ellipsoids, "
-      "convex hulls and meshes. Rigid: rows of the points of two shapes, at least one on a body, "
-      "that are closer than both gaps: infinite planes, spheres, capsules, ellipsoids, cylinders, "
-      "boxes, cones, convex hulls and, on the CPU, meshes, which also meet meshes; ordered by "
-      "shape0, shape1, point. The geometry of both carries no gradient.")
-      .def(
-          py::init([](const std::shared_ptr<Model>& model, const std::string& broad_phase,
-                      const std::string& narrow_phase, std::optional<int32_t> rigid_contact_max,
-                      int32_t contacts_per_pair, std::optional<int32_t> soft_contact_max,
-                      std::optional<float> soft_contact_margin,
-                      std::optional<float> soft_contact_gap, std::optional<bool> requires_grad,
-                      bool deterministic, bool reduce_contacts, py::handle shape_pairs_filtered) {
-            require(!soft_contact_margin || !soft_contact_gap, ErrorKind::Value,
-                    "soft_contact_gap: another name of soft_contact_margin; give one of them");
-            require(
-                reduce_contacts, ErrorKind::NotImplemented,
-                "reduce_contacts: expected True: the contacts of a mesh with a shape are always "
-                "reduced, to at most 32 rows");
-            CollisionOptions options;
-            options.broad_phase = parse_broad_phase(broad_phase);
-            options.narrow_phase = parse_narrow_phase(narrow_phase);
-            options.rigid_contact_max = rigid_contact_max;
-            options.contacts_per_pair = contacts_per_pair;
-            options.soft_contact_max = soft_contact_max;
-            if (soft_contact_margin) options.soft_contact_margin = *soft_contact_margin;
-            if (soft_contact_gap) options.soft_contact_margin = *soft_contact_gap;
-            options.deterministic = deterministic;
-            options.requires_grad = requires_grad;
-            options.shape_pairs_filtered = to_shape_pairs(shape_pairs_filtered);
-            return std::make_unique<CollisionPipeline>(model, options);
-          }),
-          py::arg("model").none(false), py::kw_only(), "broad_phase"_a = "explicit",
-          "narrow_phase"_a = "auto", "rigid_contact_max"_a = py::none(), "contacts_per_pair"_a = 8,
-          "soft_contact_max"_a = py::none(), "soft_contact_margin"_a = py::none(),
-          "soft_contact_gap"_a = py::none(), "requires_grad"_a = py::none(),
-          "deterministic"_a = true, "reduce_contacts"_a = true,
-          "shape_pairs_filtered"_a = py::none(),
-          "broad_phase: \"explicit\" (model.shape_contact_pairs, or shape_pairs_filtered (n, 2), "
-          "whatever flags, groups, worlds and filters say), \"nxn\" (the pairs that flags, "
-          "groups and worlds of shapes now allow) or \"sap\" (the same by sweep and prune; in a "
-          "capture or on a tape with room for 16 pairs of each shape, or for a quarter more than a "
-          "collide before has found), all with the same rows; narrow_phase: \"auto\", or \"fcl\", "
-          "which takes overlap, depth and normal of penetrating convex hulls from FCL, where its "
-          "answer holds, in builds with NOVAPHY_WITH_FCL; rigid_contact_max None: as many rows "
-          "as the "
-          "pairs can have, but no more than 1000 or 64 per shape; contacts_per_pair: 8 or 4, of "
-          "shapes that are no planes; soft_contact_max None: as many "
-          "slots as candidate pairs; soft_contact_margin, "
-          "m, 0.01 by default "
-          "(soft_contact_gap is another name for it); reduce_contacts: True, of meshes only.")
+  py::class_<CollisionPipeline>(m, "CollisionPipeline", doc::kPipeline)
+      .def(py::init([](const std::shared_ptr<Model>& model, const std::string& broad_phase,
+                       const std::string& narrow_phase, std::optional<int32_t> rigid_contact_max,
+                       int32_t contacts_per_pair, std::optional<int32_t> soft_contact_max,
+                       std::optional<float> soft_contact_margin,
+                       std::optional<float> soft_contact_gap, std::optional<bool> requires_grad,
+                       bool deterministic, bool reduce_contacts, py::handle shape_pairs_filtered) {
+             require(!soft_contact_margin || !soft_contact_gap, ErrorKind::Value,
+                     "soft_contact_gap: another name of soft_contact_margin; give one of them");
+             require(
+                 reduce_contacts, ErrorKind::NotImplemented,
+                 "reduce_contacts: expected True: the contacts of a mesh with a shape are always "
+                 "reduced, to at most 32 rows");
+             CollisionOptions options;
+             options.broad_phase = parse_broad_phase(broad_phase);
+             options.narrow_phase = parse_narrow_phase(narrow_phase);
+             options.rigid_contact_max = rigid_contact_max;
+             options.contacts_per_pair = contacts_per_pair;
+             options.soft_contact_max = soft_contact_max;
+             if (soft_contact_margin) options.soft_contact_margin = *soft_contact_margin;
+             if (soft_contact_gap) options.soft_contact_margin = *soft_contact_gap;
+             options.deterministic = deterministic;
+             options.requires_grad = requires_grad;
+             options.shape_pairs_filtered = to_shape_pairs(shape_pairs_filtered);
+             return std::make_unique<CollisionPipeline>(model, options);
+           }),
+           py::arg("model").none(false), py::kw_only(), "broad_phase"_a = "explicit",
+           "narrow_phase"_a = "auto", "rigid_contact_max"_a = py::none(), "contacts_per_pair"_a = 8,
+           "soft_contact_max"_a = py::none(), "soft_contact_margin"_a = py::none(),
+           "soft_contact_gap"_a = py::none(), "requires_grad"_a = py::none(),
+           "deterministic"_a = true, "reduce_contacts"_a = true,
+           "shape_pairs_filtered"_a = py::none(), doc::kPipelineInit)
       .def_property_readonly(
           "model",
           [](const CollisionPipeline& p) { return std::const_pointer_cast<Model>(p.model()); },
@@ -124,16 +103,9 @@ void bind_collision(py::module_& m) {
       .def_property_readonly("soft_contact_pair_count", &CollisionPipeline::soft_contact_pair_count,
                              "Candidate pairs: particles times colliding shapes.")
       .def("contacts", py::overload_cast<bool>(&CollisionPipeline::contacts, py::const_),
-           py::kw_only(), "per_contact_shape_properties"_a = false,
-           "Empty contacts that collide takes. per_contact_shape_properties: rows may have a "
-           "rigid_contact_stiffness, _damping and _friction of their own, written behind collide, "
-           "which sets them to 0; such a collide cannot be captured.")
+           py::kw_only(), "per_contact_shape_properties"_a = false, doc::kContacts)
       .def("collide", &CollisionPipeline::collide, "state"_a, "contacts"_a, py::kw_only(),
-           "soft_contact_margin"_a = py::none(), "dt"_a = py::none(), release_gil(),
-           "Replaces the contacts by those of the state. soft_contact_margin (m) holds for this "
-           "call. dt (s) of the step that takes the contacts: rows of rigid contacts that are too "
-           "far apart to touch within the step are left out. ValueError: a state "
-           "or contacts of another model or device, a bad margin or dt; nothing is written then.");
+           "soft_contact_margin"_a = py::none(), "dt"_a = py::none(), release_gil(), doc::kCollide);
 }
 
 }  // namespace novaphy::python

@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "convert.h"
+#include "doc_control_sensitivity.h"
 #include "novaphy/dynamics/featherstone/control_sensitivity.h"
 #include "part_bindings.h"
 
@@ -68,31 +69,11 @@ std::unique_ptr<Sensitivity> make(const std::shared_ptr<Model>& model, int32_t a
 }  // namespace
 
 void bind_control_sensitivity(py::module_& solvers) {
-  py::class_<Sensitivity>(
-      solvers, "FeatherstoneAnalyticControlSensitivity",
-      "How an articulation that SolverFeatherstone moves, and a point of it, change with "
-      "parameters "
-      "of its control: carried along step by step through the mass matrix, the implicit response "
-      "of drives and the point's Jacobian, from 0 at reset. The parameters may be anything (key "
-      "poses, a spline, gains, a network): they enter by dcontrol, the change of the control with "
-      "them; where the control depends on the state, that part belongs in it too, by dq and dqd. "
-      "Gradient: \"frozen\": mass matrix, bias (with the stiffness of gravity), wrenches and the "
-      "turning of the point's Jacobian are not differentiated; \"exact\": they are. Joints: "
-      "FIXED, PRISMATIC, REVOLUTE, and for kind \"torque\" a FREE root; NotImplementedError for "
-      "others.")
+  py::class_<Sensitivity>(solvers, "FeatherstoneAnalyticControlSensitivity", doc::kSensitivity)
       .def(py::init(&make), py::arg("model").none(false), "articulation"_a = 0, py::kw_only(),
            "parameter_count"_a, "point_body"_a, "point_local"_a = py::make_tuple(0.0f, 0.0f, 0.0f),
            "kind"_a = "position", "exact"_a = py::none(), "contact_projection"_a = false,
-           py::arg("solver").none(true) = py::none(),
-           "point_local (m) in the frame of point_body, a body of the articulation. kind: dcontrol "
-           "is the change of joint_target_q (\"position\") or joint_f (\"torque\"). exact: True, "
-           "but "
-           "False (\"frozen\") with contact_projection, unless given. solver: the one "
-           "that steps, whose options count; None: the defaults. contact_projection: changes of "
-           "rates "
-           "keep to the null space of the normals of the contacts that push, which step takes; "
-           "normals, points, friction and which contacts push are frozen. NotImplementedError with "
-           "exact, ValueError for a solver without contact \"pgs\".")
+           py::arg("solver").none(true) = py::none(), doc::kSensitivityInit)
       .def("reset", &Sensitivity::reset, "state"_a,
            "The start, which does not depend on the parameters.")
       .def(
@@ -107,17 +88,7 @@ void bind_control_sensitivity(py::module_& solvers) {
             s.step(state_in, state_out, control, dt, changes, rates, contacts);
           },
           "state_in"_a, "state_out"_a, "control"_a.none(true), "dt"_a, "dcontrol"_a,
-          "dtarget_qd"_a = py::none(), "contacts"_a.none(true) = py::none(),
-          "After the solver's step from state_in to state_out with this control and dt (s). "
-          "dcontrol {dofs, parameters}: the change of joint_target_q (or joint_f) per unit of each "
-          "parameter; dtarget_qd likewise of joint_target_qd. contacts, with contact_projection: "
-          "those of the step, with the rigid_contact_force that it wrote. ValueError: another "
-          "shape, numbers that are not finite, a change of a target that no drive follows, "
-          "contacts "
-          "without contact_projection; NotImplementedError: a contact that pushes another "
-          "articulation too; IndexError: contacts of shapes that are not there; novaphy.Error: a "
-          "state_in that is not where the last step ended, a state_out that this step does not "
-          "give, so another solver, control, dt or contacts. Nothing has changed then.")
+          "dtarget_qd"_a = py::none(), "contacts"_a.none(true) = py::none(), doc::kSensitivityStep)
       .def_property_readonly(
           "dq", [](const Sensitivity& s) { return to_matrix(s.dq(), s.dof_count()); },
           "{dofs, parameters}: of joint_q; of a FREE root the tangent (its center of mass, then "

@@ -4,6 +4,7 @@
 #include <optional>
 #include <span>
 
+#include "doc_diff.h"
 #include "fast_step.h"
 #include "friction_laws.h"
 #include "gradient_info.h"
@@ -77,14 +78,7 @@ void bind_operators(py::module_& m) {
           labels.append(exact ? "exact" : "frozen");
         return labels;
       },
-      "model"_a, "state"_a, "contacts"_a,
-      "Of each row of rigid_contact_*, in a step from the state: \"exact\" where "
-      "DiffSemiImplicitSolver follows points and normal with the poses of both bodies, \"frozen\" "
-      "where the points stay in the frames of their bodies and the normal in the world. Rows that "
-      "collide has not found from this state as it is are \"frozen\", too: rows of another state, "
-      "written or copied rows, rows of a captured graph, and rows or poses with a writable view of "
-      "another library. A rollout that is given a Contacts holds all of its rows in all steps. "
-      "ValueError: a state or contacts of another model.");
+      "model"_a, "state"_a, "contacts"_a, doc::kRowLabels);
   m.def(
       "eval_static_particle_shape_contact_forces_generated",
       &diff::eval_static_particle_shape_contact_forces_generated, "model"_a, "particle_q"_a,
@@ -104,12 +98,7 @@ void bind_operators(py::module_& m) {
   m.def("integrate_rigid_bodies_with_static_contacts_generated",
         &diff::integrate_rigid_bodies_with_static_contacts_generated, "model"_a, "body_q"_a,
         "body_qd"_a, "body_f"_a, "angular_damping"_a, "friction_smoothing"_a, "dt"_a,
-        "newton_spin"_a = false, release_gil(),
-        "Poses {b, 7} and twists {b, 6} after dt (s): contacts of boxes, spheres and capsules with "
-        "infinite planes of the world, with the friction law \"huber\", then symplectic Euler; one "
-        "kernel. Exact gradients, for masses, inertias and contact materials too. newton_spin: the "
-        "bits of Newton 1.8, whose rounding makes spins grow by 2e-7 in each step. "
-        "NotImplementedError names two shapes that may meet and are not covered.");
+        "newton_spin"_a = false, release_gil(), doc::kRigidStep);
   m.def("body_twist_from_omega_generated", &diff::body_twist_from_omega_generated, "omega"_a,
         "linear_x"_a, "linear_y"_a, "linear_z"_a, release_gil(),
         "Rows (linear_x, linear_y, linear_z, omega), {b, 6}; omega {b, 3}, rad/s.");
@@ -205,22 +194,14 @@ int32_t checkpoint_interval(const Model& model, int32_t steps, const py::object&
 }
 
 void bind_trajectory(py::module_& m) {
-  py::class_<Trajectory> c(
-      m, "Trajectory", py::dynamic_attr(),
-      "steps + 1 states of a model, contiguous in time: len() states, [t] is a "
-      "regular SimState. State 0 starts with the model's initial values. The states share their "
-      "force arrays, which act in every step and are written through state 0 only.");
+  py::class_<Trajectory> c(m, "Trajectory", py::dynamic_attr(), doc::kTrajectory);
   c.def(py::init([](const std::shared_ptr<Model>& model, int32_t steps, bool requires_grad,
                     const py::object& checkpoint) {
           return std::make_unique<Trajectory>(model, steps, requires_grad,
                                               checkpoint_interval(*model, steps, checkpoint));
         }),
         py::arg("model").none(false), "steps"_a, "requires_grad"_a = true,
-        "checkpoint"_a = py::none(),
-        "checkpoint: None keeps all states; an interval k keeps every k-th and the last one; "
-        "\"64MiB\" chooses the smallest interval whose states take no more. backward then runs "
-        "each stretch between two kept states once more: the same bits for more time. "
-        "ValueError unless steps >= 0 and the interval >= 1, and where no interval is enough.")
+        "checkpoint"_a = py::none(), doc::kTrajectoryInit)
       .def("__len__", [](const Trajectory& t) { return t.steps() + 1; })
       .def("__repr__",
            [](const Trajectory& t) {
@@ -466,20 +447,7 @@ void bind_rollout(py::module_& solvers) {
       "forces"_a = py::none(), "body_forces"_a = py::none(), "targets"_a = py::none(),
       "pipeline"_a = py::none(), "start"_a = 0, "stop"_a = py::none(), "joint_f"_a = py::none(),
       "joint_target_q"_a = py::none(), "joint_target_qd"_a = py::none(), "ctrl"_a = py::none(),
-      "The steps of a trajectory from its state `start` (kept) to `stop` (None: the last), with "
-      "the bits of a loop of step in which every step starts from the force in "
-      "trajectory.particle_f. forces {n, 3} or {steps, n, 3} (N, world frame) act besides it, in "
-      "every step or each in its own; body_forces {b, 6} or {steps, b, 6} (N, N*m about the center "
-      "of mass, world frame) besides body_f. targets {k, 3} or {steps, k, 3} (m, world frame) are "
-      "where the k kinematic particles of SolverVBD or DiffSolverVBD are at the end of a step; "
-      "NotImplementedError for other solvers. pipeline: a CollisionPipeline that finds the "
-      "contacts of every step anew, instead of `contacts`. control: one for all steps, or a "
-      "sequence of m, each for a m-th of them. joint_f, joint_target_qd {dofs} or {steps, dofs}, "
-      "joint_target_q {coordinates} or {steps, coordinates} and ctrl {actuators} or {steps, "
-      "actuators} take the place of that array of the control, in every step or each in its own. "
-      "Inputs are only read. A differentiable solver records on an active tape, with gradients for "
-      "the forces and the controls, and may be captured; others raise there. ValueError: an "
-      "argument of another model or size.");
+      doc::kRollout);
 }
 
 // The config of a solver is a copy: writing to it would do nothing.
@@ -503,18 +471,10 @@ void add_contact_gradient(py::class_<Settings>& config) {
         set(s, "contact_gradient", &DiffSolverConfig::contact_gradient,
             to_contact_gradient("DiffSolverConfig", name));
       },
-      "What gradients follow where contacts begin and end: \"code\", in which a contact has the "
-      "steps that it has, whatever the state; or \"motion\", in which the times of its begin and "
-      "end move with the state (CPU, outside of captures, without enable_static_contacts; others "
-      "raise NotImplementedError). States are the same.");
+      doc::kContactGradient);
 }
 
-constexpr const char* kGradientInfo =
-    "GradientInfo of the last chain of steps on a tape: a rollout or a loop of steps, or the last "
-    "replay of a captured one. The call reads the states and contacts; with checkpoints steps are "
-    "read as they run. Steps are frozen where contacts push whose points and normals are held "
-    "(diff.rigid_contact_gradient_labels; those of particles of a Contacts that a rollout does not "
-    "find). The contacts of enable_static_contacts are exact, and count as events.";
+constexpr const char* kGradientInfo = doc::kGradientInfo;
 
 void bind_solver(py::module_& solvers) {
   const DiffSolverConfig d;
@@ -578,9 +538,9 @@ void bind_solver(py::module_& solvers) {
       "of those of a Contacts, which must then be None.")
   NOVAPHY_MEMBER(static_contact_margin, "m: how far a static contact is looked for.")
   NOVAPHY_MEMBER(particle_kf_bound,
-                 "The largest kf dt/m of a contact of a particle of mass m: a larger kf counts as "
-                 "that. From 2 on gradients grow in every step in which friction acts. inf: kf as "
-                 "it is, Newton's law.")
+                 "The largest kf dt/m of a contact of a particle of mass m; a larger kf counts as "
+                 "this bound. From 2 on, gradients grow in every step in which friction acts. inf: "
+                 "kf as it is, Newton's law.")
   NOVAPHY_MEMBER(enable_rigid, "Bodies move.")
   NOVAPHY_MEMBER(
       enable_rigid_contacts,
@@ -605,17 +565,8 @@ void bind_solver(py::module_& solvers) {
 #undef NOVAPHY_MEMBER
   add_settings_pickle(config);
 
-  py::class_<DiffSemiImplicitSolver, SolverBase> solver(
-      solvers, "DiffSemiImplicitSolver",
-      "The semi-implicit step as generated kernels (forces of elements and contacts, then "
-      "integration), with the bits of SolverSemiImplicit. "
-      "On an active tape they are recorded on the states' own arrays. Gradients: positions, "
-      "velocities, forces, masses, "
-      "radii, gravity, contact materials, activations, materials, rest lengths and rest angles of "
-      "elements are exact; points and normals of contacts are frozen, but for those between bodies "
-      "that collide has found from the state of the step as it is, see "
-      "diff.rigid_contact_gradient_labels. Forces left in "
-      "state_in.particle_f are for reading: clear_forces() before the state is used again.");
+  py::class_<DiffSemiImplicitSolver, SolverBase> solver(solvers, "DiffSemiImplicitSolver",
+                                                        doc::kDiffSemiImplicit);
   solver
       .def(py::init([](const std::shared_ptr<Model>& model, const Settings* given) {
              return std::make_unique<DiffSemiImplicitSolver>(
@@ -634,12 +585,7 @@ void bind_solver(py::module_& solvers) {
           [](const DiffSemiImplicitSolver& s, const SimState& state, const Contacts* contacts) {
             return contacts != nullptr ? s.stable_dt(state, *contacts) : s.stable_dt(state);
           },
-          "state"_a, "contacts"_a = py::none(),
-          "As SolverSemiImplicit.stable_dt: the longest dt (s) for the elements of particles and "
-          "the contacts that touch in the state; without contacts, static ones count as one of "
-          "each particle with each of its shapes. A step of a longer one warns (RuntimeWarning, "
-          "once) where springs or dampers diverge for certain. ValueError: a state or contacts of "
-          "another model.")
+          "state"_a, "contacts"_a = py::none(), doc::kDiffStableDt)
       .def(
           "gradient_info",
           [](const DiffSemiImplicitSolver& s) { return to_fields(s.gradient_info()); },

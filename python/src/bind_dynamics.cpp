@@ -1,4 +1,5 @@
 // Solvers.
+#include "doc_dynamics.h"
 #include "fast_step.h"
 #include "fields.h"
 #include "friction_laws.h"
@@ -28,12 +29,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       .def_property_readonly("supports_graph_capture", &SolverBase::supports_graph_capture,
                              "False: step may not be called in a capture.")
       .def("step", &SolverBase::step, "state_in"_a, "state_out"_a, "control"_a.none(true),
-           "contacts"_a.none(true), "dt"_a, release_gil(),
-           "Advances state_in by dt (s) into state_out. Forces in state_in act; afterwards it "
-           "holds also those that the solver added. One state may be given twice, where no tape "
-           "records (novaphy.Error): it gets the values that another one would get. control None: "
-           "the model's; contacts None: no contact. ValueError: two states that share memory, dt "
-           "not finite or <= 0, objects of another model or device.")
+           "contacts"_a.none(true), "dt"_a, release_gil(), doc::kStep)
       .def(
           "notify_model_changed",
           [](SolverBase& s, int32_t flags) {
@@ -44,15 +40,8 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
   GeneralStep::function = py::object(base.attr("step")).release().ptr();
 
   const SemiImplicitOptions d;
-  py::class_<SolverSemiImplicit, SolverBase> semi_implicit(
-      solvers, "SolverSemiImplicit",
-      "Forces as springs and dampers, then symplectic Euler. Covers particles and elements over "
-      "them: external forces, springs, triangles, bending edges, tetrahedra, contacts with "
-      "world-owned shapes, gravity, the velocity limit; and rigid bodies: external forces, "
-      "contacts, gravity, the gyroscopic term, angular damping. Same bits for any number of "
-      "threads. "
-      "Raises on a tape: "
-      "DiffSemiImplicitSolver is the differentiable one.");
+  py::class_<SolverSemiImplicit, SolverBase> semi_implicit(solvers, "SolverSemiImplicit",
+                                                           doc::kSemiImplicit);
   semi_implicit
       .def(py::init([](const std::shared_ptr<Model>& model, float angular_damping,
                        const std::string& friction_law, std::optional<float> friction_smoothing,
@@ -72,28 +61,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
            "friction_law"_a = "viscous", "friction_smoothing"_a = py::none(),
            "stick_ke"_a = d.stick_ke, "joint_attach_ke"_a = d.joint_attach_ke,
            "joint_attach_kd"_a = d.joint_attach_kd, "enable_tri_contact"_a = d.enable_tri_contact,
-           "particle_kf_bound"_a = d.particle_kf_bound,
-           "angular_damping (1/s) of bodies. friction_law of rigid contacts: \"viscous\" (kf times "
-           "the slip, cut off at the Coulomb cone), \"huber\" (the same, smooth for slips below "
-           "friction_smoothing, m/s), and for comparison \"newton18\" (\"viscous\" with the bits "
-           "of Newton 1.8: two bodies get the force each at its own surface, and rounding makes "
-           "spins grow, so angular momentum is not kept) and \"newton17\" (that of Newton 1.7, "
-           "which reads friction_smoothing too and leaves the cone). "
-           "friction_smoothing None: 0.1; ValueError with \"viscous\" and \"newton18\", which do "
-           "not read it. "
-           "stick_ke (N/m, of every row, with \"viscous\" only): a spring along the surface that "
-           "is kept from step to step by rigid_contact_point_id, so that friction holds what is at "
-           "rest; 0: it creeps. It starts anew from a state that the last step has not written. "
-           "joint_attach_ke (N/m, N*m/rad) and joint_attach_kd (N*s/m, 0.01 of it N*m*s/rad) hold "
-           "joints together; step refuses a dt at which one of them diverges by itself, and warns "
-           "(RuntimeWarning, once) of one at which ke or kd of what touches does. "
-           "enable_tri_contact acts on contacts of particles with triangles, of which there are "
-           "none yet. "
-           "particle_kf_bound: the largest kf dt/m of a contact of a particle of mass m, a larger "
-           "kf counts as that; from 2 on gradients grow in every step in which friction acts. inf: "
-           "kf as it is, Newton's law. "
-           "NotImplementedError for parts of a model "
-           "that are not covered.")
+           "particle_kf_bound"_a = d.particle_kf_bound, doc::kSemiImplicitInit)
       .def_property_readonly(
           "angular_damping",
           [](const SolverSemiImplicit& s) { return s.options().angular_damping; }, "1/s")
@@ -127,12 +95,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       [](const SolverSemiImplicit& s, const SimState& state, const Contacts* contacts) {
         return contacts != nullptr ? s.stable_dt(state, *contacts) : s.stable_dt(state);
       },
-      "state"_a, "contacts"_a = py::none(),
-      "The longest dt (s) at which springs, dampers and friction as far as it sticks are stable "
-      "together, of the elements of particles at rest and of the contacts that touch in the state, "
-      "whatever the neighbors of a body or particle do; inf where none acts. A longer one may do, "
-      "for friction ends at its cone. ValueError: a state or contacts of another model, contacts "
-      "that have overflowed.");
+      "state"_a, "contacts"_a = py::none(), doc::kStableDt);
   add_fast_step(semi_implicit);
   m.def(
       "eval_fk",
@@ -144,17 +107,13 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       "of articulations, from joint_q {coordinates} and joint_qd {degrees of freedom}. Other "
       "bodies stay. Quaternions are made unit. No gradient: on a tape it raises for coordinates "
       "that carry one. ValueError: wrong rows, a state of another model, a quaternion of length 0 "
-      "(NaN on a device, on a tape and in a capture). Followers stand where joint_q has them.");
+      "(NaN on a device, on a tape and in a capture). Mimic joints stand where joint_q has them.");
   m.def(
       "eval_mimic",
       [](const Model& model, const Array& joint_q, const Array& joint_qd) {
         eval_mimic(model, DeviceArray<float>(joint_q), DeviceArray<float>(joint_qd));
       },
-      "model"_a, "joint_q"_a, "joint_qd"_a,
-      "Writes the coordinates and rates of joints that follow others (add_constraint_mimic) from "
-      "those of their leaders, in joint_q {coordinates} and joint_qd {degrees of freedom}, as a "
-      "step does: after you have written the leaders'. No gradient: on a tape it raises for "
-      "coordinates that carry one. ValueError: wrong rows.");
+      "model"_a, "joint_q"_a, "joint_qd"_a, doc::kEvalMimic);
   m.def(
       "eval_ik",
       [](const Model& model, const SimState& state, const Array& joint_q, const Array& joint_qd) {

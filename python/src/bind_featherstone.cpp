@@ -3,6 +3,7 @@
 #include <pybind11/stl.h>
 
 #include "contact_options.h"
+#include "doc_featherstone.h"
 #include "fast_step.h"
 #include "novaphy/dynamics/featherstone/articulation_functions.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
@@ -92,9 +93,7 @@ void bind_functions(py::module_& m) {
       [](const Model& model, const SimState& state, bool include_armature) {
         return to_array(unlocked([&] { return eval_mass_matrix(model, state, include_armature); }));
       },
-      "model"_a, "state"_a, "include_armature"_a = true,
-      "{articulations, D, D}, D the most dofs of one; padded with 0. Of the free tree where joints "
-      "follow others: T^T M T, qd = T qd_reduced, is that of the joined one.");
+      "model"_a, "state"_a, "include_armature"_a = true, doc::kMassMatrix);
   m.def(
       "eval_jacobian",
       [](const Model& model, const SimState& state) {
@@ -169,21 +168,8 @@ std::unique_ptr<SolverFeatherstone> make_solver(
 void bind_featherstone(py::module_& m, py::module_& solvers) {
   bind_functions(m);
   const FeatherstoneOptions d;
-  py::class_<SolverFeatherstone, SolverBase> solver(
-      solvers, "SolverFeatherstone",
-      "Articulations in the coordinates of their joints: PRISMATIC, REVOLUTE, BALL, FIXED, FREE "
-      "and D6, drives by target mode, limits, effort and velocity limits, damping, armature, dry "
-      "friction, joint_f, body_f, gravity, angular damping, and contacts of shapes. Reads joint_q, "
-      "joint_qd and body_f of state_in; writes joint_q, joint_qd, body_q and body_qd of state_out, "
-      "and rigid_contact_force of the contacts. The same bits wherever an articulation stands, and "
-      "for any number of threads. Arrays without effect (joint_enabled, joint_act, ...) raise "
-      "NotImplementedError. On a tape a step runs and is not recorded; what it wrote may not be "
-      "used there: DiffFeatherstoneSolver is the differentiable one.\n"
-      "\n"
-      "A model on a device is stepped there with the bits of the cpu, contacts only by \"pgs\" "
-      "(\"penalty\" raises NotImplementedError). Nobody waits for such a step, which a capture "
-      "records: an articulation that fails, and with contacts its island, gets NaN, and "
-      "check_last_step() says why.");
+  py::class_<SolverFeatherstone, SolverBase> solver(solvers, "SolverFeatherstone",
+                                                    doc::kFeatherstone);
   solver
       .def(py::init(&make_solver), py::arg("model").none(false), py::kw_only(),
            "angular_damping"_a = d.angular_damping, "implicit_drives"_a = d.implicit_drives,
@@ -192,22 +178,7 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
            "pgs_cfm"_a = d.pgs_cfm, "max_depenetration_velocity"_a = d.max_depenetration_velocity,
            "restitution_threshold"_a = d.restitution_threshold, "warm_start"_a = d.warm_start,
            "compliant_contacts"_a = d.compliant_contacts,
-           "friction_smoothing"_a = d.friction_smoothing,
-           "angular_damping (1/s) of angular dofs; Newton 1.8 has 0.05. implicit_drives: drives, "
-           "limits and damping of "
-           "the end of the step, stable for any gains, and limits that only push; False: of its "
-           "start, as Newton 1.8.\n\n"
-           "contact: \"pgs\" (impulses by projected Gauss-Seidel), \"penalty\" (springs of the "
-           "shapes' ke, kd and kf, explicit, friction smoothed below friction_smoothing, m/s) or "
-           "None (contacts raise). Of \"pgs\": friction_cone \"cone\" or \"pyramid\"; at most "
-           "pgs_iterations sweeps, fewer when a sweep changes velocities by less than "
-           "pgs_tolerance (m/s); a step takes the part pgs_erp of an overlap beyond pgs_slop (m) "
-           "away, with at most max_depenetration_velocity (m/s); pgs_cfm ((m/s)/(N s)) softens; "
-           "approaches slower than restitution_threshold (m/s) do not bounce; warm_start begins "
-           "with the impulses of the step before; compliant_contacts: overlaps push by the shapes' "
-           "ke and kd instead of pgs_erp and pgs_slop. ValueError for a bad option, or one that "
-           "the contact does not read; NotImplementedError for parts of a model that are not "
-           "covered.")
+           "friction_smoothing"_a = d.friction_smoothing, doc::kFeatherstoneInit)
       .def_property_readonly(
           "contact", [](const SolverFeatherstone& s) { return contact_name(s.options().contact); },
           "\"pgs\", \"penalty\" or None")
@@ -218,10 +189,7 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
           },
           "\"cone\" or \"pyramid\"")
       .def("check_last_step", &SolverFeatherstone::check_last_step,
-           py::call_guard<py::gil_scoped_release>(),
-           "Waits for the last step or replay of a model on a device. novaphy.Error where it "
-           "failed, naming the dof, as step does on the cpu; IndexError for a row of the contacts "
-           "that names a shape that is not there, or joins two worlds.")
+           py::call_guard<py::gil_scoped_release>(), doc::kCheckLastStep)
       .def_property_readonly("pgs_sweeps", &SolverFeatherstone::pgs_sweeps,
                              "The most sweeps that an island of the last step took.")
       .def_property_readonly("pgs_residual", &SolverFeatherstone::pgs_residual,

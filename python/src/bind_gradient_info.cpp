@@ -2,6 +2,7 @@
 #include <utility>
 
 #include "convert.h"
+#include "doc_gradient_info.h"
 #include "gradient_info.h"
 
 namespace novaphy::python {
@@ -55,20 +56,7 @@ constexpr std::pair<const char*, const char*> kFields[] = {
      "its begin or end."},
     {"residual", "The largest miss of the law of contacts, relative to the largest impulse (1)."}};
 
-constexpr const char* kDoc =
-    "The label of a solver's gradients, and its reason; each field as attribute and as key. label, "
-    "the worst of the steps: \"exact of the motion\", where the times of events move with the "
-    "state too (contact_gradient=\"motion\"); \"exact of the code\", the derivative of what each "
-    "step computes, with the contacts that it has; \"implicit\", of the solutions of the steps "
-    "(DiffSolverVBD); \"frozen\", where contacts push whose points or normals are held; "
-    "\"surrogate\", where the contact solve missed its law by more than 1e-3 of the largest "
-    "impulse, or a law jumps. reason: one sentence that says what follows, with step and pair. "
-    "steps = exact_steps + frozen_steps + surrogate_steps, where exact_steps counts implicit ones "
-    "too. events = began + ended + turned: contacts that began or ended to push, or changed "
-    "between sticking and slipping, between two steps that follow each other. How an event moves "
-    "in time is not differentiated, so with events the gradient of the motion may differ from that "
-    "of the code, also in sign. residual: the largest, relative to the impulses. Solvers tell "
-    "more.";
+constexpr const char* kDoc = doc::kGradientInfo;
 
 }  // namespace
 

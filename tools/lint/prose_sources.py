@@ -15,7 +15,7 @@ GROUPS = {
     "guides": ("docs/guide/*.md",),
     "pages": ("docs/*.md", "CONTRIBUTING.md"),
     "design notes": ("docs/design/**/*.md",),
-    "docstrings": ("python/novaphy/**/*.py", "python/src/*.cpp"),
+    "docstrings": ("python/novaphy/**/*.py", "python/src/*.cpp", "python/src/doc_*.h"),
     "header comments": tuple(f"{library}/**/*.h" for library in LIBRARIES),
 }
 
@@ -100,7 +100,8 @@ def read_texts(root: Path) -> list[Text]:
     for group, patterns in GROUPS.items():
         for path in sorted({p for pattern in patterns for p in root.glob(pattern)}):
             name = path.relative_to(root).as_posix()
-            reader = readers.get(path.suffix, head_blocks)
+            others = binding_blocks if group == "docstrings" else head_blocks
+            reader = readers.get(path.suffix, others)
             blocks = [block for block in reader(path.read_text(encoding="utf-8")) if block]
             texts.append(Text(name, group, blocks))
     return texts

@@ -1,0 +1,40 @@
+// Docstrings of ModelBuilder, its bodies and its shapes.
+#pragma once
+
+namespace novaphy::python::doc {
+
+inline constexpr char kAddBody[] =
+    R"(Adds a rigid body at rest that moves freely: a link, its FREE joint to the world, and an
+articulation of both. Returns the index.
+
+xform: the pose (m, xyzw).
+mass, com, inertia: kg, m in the body frame, and 3x3 kg*m^2 about com; None: a point mass. Shapes
+with a density add to them.
+lock_inertia: shapes add no mass and no inertia.
+is_kinematic: the body follows its velocity, and no force moves it.
+gravcomp: the part of its weight that a force at its center of mass takes away.
+
+ValueError: a mass or inertia that no body has; finalize checks again.)";
+
+inline constexpr char kAddShape[] =
+    R"(Adds a shape of a GeoType to a body. Returns the index.
+
+scale: the size (m).
+src: the mesh of a MESH or CONVEX_MESH, as of add_shape_mesh.
+is_static: the shape adds no mass to its body.
+color: red, green and blue, 0 to 1, in viewers; None: viewers choose. Every add_shape function
+takes a color.
+
+NotImplementedError: a type that is not supported.)";
+
+inline constexpr char kBuilder[] =
+    R"(Collects particles, elements over them, bodies and shapes, and makes Models.
+
+Positions may be tuples, lists or arrays of any float type; they are rounded to float32. A bad
+argument raises and leaves the builder as it was.
+
+ValueError: a number that is not finite, negative, a vector not of unit length, ...
+IndexError: no such body or shape.
+NotImplementedError: a shape type that is not supported.)";
+
+}  // namespace novaphy::python::doc

@@ -1,0 +1,33 @@
+// Docstrings of ModelBuilder: particles, elements and meshes.
+#pragma once
+
+namespace novaphy::python::doc {
+
+inline constexpr char kAddEdge[] =
+    R"(Adds a bending edge from k to l between the triangles (i, k, l) and (j, l, k). Returns the
+index.
+
+i, j: the opposite corners; one of them may be -1.
+rest: the angle without a force (rad); None: the present angle.)";
+
+inline constexpr char kAddSoftMesh[] =
+    R"(Adds a soft body from a tetrahedral mesh.
+
+vertices, indices: (n, 3) and (m, 4) or flat; or a `mesh` with these as attributes, and with
+density, k_mu, k_lambda, k_damp.
+density: kg/m^3; each corner of a tetrahedron gets a quarter of its mass.
+k_mu, k_lambda, k_damp: a number, or one for each tetrahedron.
+
+ValueError: an empty mesh, a loose vertex, a degenerate or inverted tetrahedron, a face of more than
+two tetrahedra.)";
+
+inline constexpr char kColor[] =
+    R"(Colors the particles for SolverVBD, so that the particles of an element have different
+colors. Call it after the elements are added. Elements are springs, triangles, tetrahedra and
+bending edges.
+
+include_bending: None or True: bending edges with a stiffness or damping count. False: the corners
+of a bending edge may share a color, with which a stiff edge converges badly or not at all.
+balance_colors: moves particles between colors until all are about equally large.)";
+
+}  // namespace novaphy::python::doc

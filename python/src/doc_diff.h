@@ -1,0 +1,104 @@
+// Docstrings of the module diff.
+#pragma once
+
+namespace novaphy::python::doc {
+
+inline constexpr char kRowLabels[] =
+    R"(Returns the label of the gradient of each row of rigid_contact_*, in a step from the state.
+
+"exact": DiffSemiImplicitSolver follows points and normal with the poses of both bodies.
+"frozen": the points stay in the frames of their bodies, and the normal in the world.
+
+Rows that collide has not found from this state as it is are "frozen", too. Examples are rows of
+another state, written or copied rows, and rows of a captured graph. Another is rows or poses with a
+writable view of another library. A rollout that is given a Contacts holds all of its rows in all
+steps.
+
+ValueError: a state or contacts of another model.)";
+
+inline constexpr char kRigidStep[] =
+    R"(Returns poses {b, 7} and twists {b, 6} after dt (s).
+
+One kernel finds contacts of boxes, spheres and capsules with infinite planes of the world, applies
+the friction law "huber", and takes a step of symplectic Euler. Gradients are exact, for masses,
+inertias and contact materials too.
+
+newton_spin: the bits of Newton 1.8, whose rounding makes spins grow by 2e-7 in each step.
+
+NotImplementedError: names two shapes that may meet and are not covered.)";
+
+inline constexpr char kTrajectory[] =
+    R"(The steps + 1 states of a rollout, contiguous in time: len() states, of which [t] is a
+regular State. State 0 starts with the model's initial values.
+
+The states share their force arrays. Forces act in every step, and state 0 alone writes them.)";
+
+inline constexpr char kTrajectoryInit[] =
+    R"(steps: the number of steps, >= 0.
+checkpoint: None keeps all states. An interval k keeps every k-th state and the last one. "64MiB"
+chooses the smallest interval whose states take no more. With an interval, backward runs each
+stretch
+between two kept states once more: the same bits for more time.
+
+ValueError: steps < 0, an interval < 1, or a size that no interval meets.)";
+
+inline constexpr char kRollout[] =
+    R"(Runs the steps of a trajectory from its state `start` (kept) to `stop` (None: the last). The
+bits are those of a loop of step in which every step starts from the force in trajectory.particle_f.
+
+Arrays with a row for each step act each in its own step, other arrays in every step. Inputs are
+only read.
+
+forces: {n, 3} or {steps, n, 3} (N, world frame), besides particle_f.
+body_forces: {b, 6} or {steps, b, 6} (N, N*m about the center of mass, world frame), besides body_f.
+targets: {k, 3} or {steps, k, 3} (m, world frame), the positions of the k kinematic particles of
+SolverVBD or DiffSolverVBD at the end of a step. NotImplementedError: another solver.
+pipeline: a CollisionPipeline that finds the contacts of every step anew, instead of `contacts`.
+control: one for all steps, or a sequence of m, each for an m-th of the steps.
+joint_f, joint_target_qd: {dofs} or {steps, dofs}, in place of that array of the control.
+joint_target_q: {coordinates} or {steps, coordinates}, likewise.
+ctrl: {actuators} or {steps, actuators}, likewise.
+
+A differentiable solver records on an active tape, with gradients for the forces and the controls,
+and may be captured. Other solvers raise there.
+
+ValueError: an argument of another model or size.)";
+
+inline constexpr char kContactGradient[] =
+    R"(The treatment of contacts that begin and end. The states are the same with both.
+
+"code": a contact has the steps that it has, whatever the state.
+"motion": the times of its begin and end move with the state. On the CPU, outside of captures and
+without enable_static_contacts; else NotImplementedError.)";
+
+inline constexpr char kGradientInfo[] =
+    R"(Returns the GradientInfo of the last chain of steps on a tape: a rollout, a loop of steps, or
+the last replay of a captured one.
+
+The call reads the states and contacts. With checkpoints, steps are read as they run. Steps are
+frozen where contacts push whose points and normals are held: see
+diff.rigid_contact_gradient_labels. Contacts of particles are held unless a rollout finds them.
+The contacts of enable_static_contacts are exact, and count as events.)";
+
+inline constexpr char kDiffSemiImplicit[] =
+    R"(The differentiable SolverSemiImplicit: the same step as generated kernels, with the same
+bits. An active tape records the kernels on the states' own arrays.
+
+Exact gradients: positions, velocities, forces, masses, radii, gravity, contact materials,
+activations, and materials, rest lengths and rest angles of elements.
+Frozen: points and normals of contacts, except between bodies whose contacts collide has found from
+the state of the step as it is. See diff.rigid_contact_gradient_labels.
+
+Forces left in state_in.particle_f are for reading: call clear_forces() before the state is used
+again.)";
+
+inline constexpr char kDiffStableDt[] =
+    R"(Returns the longest stable dt (s) for the elements of particles and the contacts that touch
+in the state, as SolverSemiImplicit.stable_dt. Without contacts, static contacts count as one of
+each particle with each of its shapes.
+
+A longer step warns (RuntimeWarning, once) where springs or dampers diverge for certain.
+
+ValueError: a state or contacts of another model.)";
+
+}  // namespace novaphy::python::doc

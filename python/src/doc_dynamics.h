@@ -1,0 +1,65 @@
+// Docstrings of SolverBase, SolverSemiImplicit and the functions of joint coordinates.
+#pragma once
+
+namespace novaphy::python::doc {
+
+inline constexpr char kStep[] =
+    R"(Advances state_in by dt (s) into state_out. Forces in state_in act. After the step state_in
+also holds the forces that the solver added.
+
+state_in, state_out: two states, or the same state twice where no tape records (else novaphy.Error).
+control: None: the model's.
+contacts: None: no contact.
+
+ValueError: two states that share memory, dt not finite or <= 0, objects of another model or device.)";
+
+inline constexpr char kSemiImplicit[] =
+    R"(Computes forces as springs and dampers, then takes a step of symplectic Euler. The bits are
+the same for any number of threads. DiffSemiImplicitSolver is the differentiable one; this solver
+raises on a tape.
+
+particles: external forces, springs, triangles, bending edges, tetrahedra, contacts with world-owned
+shapes, gravity, the velocity limit.
+rigid bodies: external forces, contacts, gravity, the gyroscopic term, angular damping.)";
+
+inline constexpr char kSemiImplicitInit[] =
+    R"(angular_damping: 1/s, of bodies.
+friction_law: of rigid contacts:
+  "viscous": kf times the slip, cut off at the Coulomb cone.
+  "huber": the same, smooth for slips below friction_smoothing.
+  "newton18": "viscous" with the bits of Newton 1.8, for comparison. Two bodies get the force each
+  at its own surface, and rounding makes spins grow, so angular momentum is not kept.
+  "newton17": the law of Newton 1.7, for comparison. It reads friction_smoothing and leaves the
+  cone.
+friction_smoothing: m/s; None: 0.1. ValueError with "viscous" and "newton18", which do not read it.
+stick_ke: N/m of every row, with "viscous" only. A spring along the surface is kept from step to
+step
+by rigid_contact_point_id, so that friction holds bodies at rest. 0: they creep. The spring starts
+anew from a state that the last step has not written.
+joint_attach_ke, joint_attach_kd: N/m and N*m/rad; N*s/m and 0.01 of it N*m*s/rad. They hold joints
+together. step refuses a dt at which one of them diverges by itself, and warns (RuntimeWarning,
+once) if ke or kd of touching shapes does.
+enable_tri_contact: contacts of particles with triangles, which are not supported yet.
+particle_kf_bound: the largest kf dt/m of a contact of a particle of mass m; a larger kf counts as
+this bound. From 2 on, gradients grow in every step in which friction acts. inf: kf as it is,
+Newton's law.
+
+NotImplementedError: parts of a model that are not covered.)";
+
+inline constexpr char kStableDt[] =
+    R"(Returns the longest dt (s) at which springs, dampers and sticking friction are stable
+together, whatever the neighbors of a body or particle do; inf where none acts. Elements of
+particles count at rest, contacts as they touch in the state. A longer step may do, for friction
+ends at its cone.
+
+ValueError: a state or contacts of another model, contacts that have overflowed.)";
+
+inline constexpr char kEvalMimic[] =
+    R"(Writes the coordinates and rates of mimic joints (add_constraint_mimic) from those of their
+leaders, as a step does. Call it after you have written the leaders'.
+
+joint_q, joint_qd: {coordinates} and {degrees of freedom}.
+
+No gradient: on a tape the call raises for coordinates that carry one. ValueError: wrong rows.)";
+
+}  // namespace novaphy::python::doc

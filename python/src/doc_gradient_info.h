@@ -1,0 +1,25 @@
+// Docstrings of GradientInfo.
+#pragma once
+
+namespace novaphy::python::doc {
+
+inline constexpr char kGradientInfo[] =
+    R"(Reports how exact a solver's gradients are. Each field is an attribute and a key.
+
+label: the worst label of the steps:
+  "exact of the motion": the times of events move with the state too (contact_gradient="motion").
+  "exact of the code": the derivative of what each step computes, with the contacts that it has.
+  "implicit": the derivative of the solutions of the steps (DiffSolverVBD).
+  "frozen": contacts push whose points or normals are held.
+  "surrogate": the contact solve missed its law by more than 1e-3 of the largest impulse, or a law
+  jumps.
+reason: one sentence on the consequence, with step and pair.
+steps: exact_steps + frozen_steps + surrogate_steps, where exact_steps counts implicit ones too.
+events: began + ended + turned, between two steps that follow each other: contacts that began or
+ended to push, or changed between sticking and slipping.
+residual: the largest of the steps, relative to the impulses.
+
+The movement of an event in time is not differentiated. With events the gradient of the motion may
+therefore differ from that of the code, also in sign. Solvers add fields of their own.)";
+
+}  // namespace novaphy::python::doc

@@ -117,12 +117,15 @@ def wrap(function: Callable[..., Any]) -> Callable[..., Any]:
 
     Returns:
         A function of as many torch tensors, float32, on the same device, that returns a torch
-        tensor, or a tuple of them. Inputs and results share memory with the nova Tensors, without
-        a copy; inputs that are not contiguous are copied, and so are inputs that are results, where
-        a gradient is wanted. A result that depends on no input has the gradient 0. Writing in
-        place to what a backward pass still needs raises there. It can be differentiated once
-        (create_graph=True raises NotImplementedError); the gradients are those of the tape, with
-        its labels (exact, surrogate, frozen).
+        tensor, or a tuple of them.
+
+        Inputs and results share memory with the nova Tensors, without a copy. Inputs that are not
+        contiguous are copied. So are inputs that are results, where a gradient is wanted.
+
+        Gradients are those of the tape, with its labels (exact, surrogate, frozen). A result that
+        depends on no input has the gradient 0. The function can be differentiated once;
+        create_graph=True raises NotImplementedError. A backward pass raises if memory that it needs
+        was written in place.
 
     Raises:
         ImportError: PyTorch is not installed.

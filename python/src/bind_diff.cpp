@@ -474,7 +474,7 @@ void add_contact_gradient(py::class_<Settings>& config) {
       doc::kContactGradient);
 }
 
-constexpr const char* kGradientInfo = doc::kGradientInfo;
+constexpr const char* kGradientInfo = doc::kDiffGradientInfo;
 
 void bind_solver(py::module_& solvers) {
   const DiffSolverConfig d;

@@ -1,4 +1,5 @@
 // Kernels from traced Python functions.
+#include "doc_nova_kernel.h"
 #include "nova_types.h"
 #include "novaphy/nova/kernel.h"
 
@@ -234,10 +235,7 @@ void bind_nova_kernel(py::module_& m) {
           "int32 {slots}: the slots, row by row.")
       .def(
           "rebuild", [](const nova::Incidence& i) { nova::rebuild(i); }, release_gil(),
-          "Builds the rows again, into the same arrays, from what the table holds now. A capture "
-          "records it, so that a replay finds the rows of its own table; a checkpoint runs it once "
-          "more. backward() raises RuntimeError where it needs the earlier rows. IndexError: an "
-          "entry >= rows; on the CPU the rows are then as before.");
+          doc::kRebuild);
   m.def(
       "make_incidence",
       [](const Tensor& table, int64_t rows) {
@@ -251,19 +249,8 @@ void bind_nova_kernel(py::module_& m) {
 
   py::class_<PyKernel>(m, "IndexedKernel",
                        "A kernel with generated adjoints: call it with tensors.")
-      .def(
-          "__call__", &call, "dim"_a, "inputs"_a, "params"_a = py::tuple(), "extent"_a = py::none(),
-          "csr"_a = py::none(), "active"_a = py::none(),
-          "Runs over `dim` output rows; returns a list with one new Tensor per output, {dim, "
-          "width} ({dim} for width 1). Recorded on an active tape when an input carries a "
-          "gradient. extent: items of a fixed sum; csr: the Incidence of a CSR sum (a kernel with "
-          "a "
-          "\"csr_row\" source); active: int32 "
-          "{1} in the device's memory, read when the launch runs: so "
-          "many of the first rows are computed, the others stay zero and have no gradient (kernels "
-          "without a sum). ValueError: a shape that is not exactly the declared one; an extent or "
-          "csr "
-          "that is missing, or that the kernel has no sum for.")
+      .def("__call__", &call, "dim"_a, "inputs"_a, "params"_a = py::tuple(),
+           "extent"_a = py::none(), "csr"_a = py::none(), "active"_a = py::none(), doc::kLaunch)
       .def_property_readonly(
           "name", [](const PyKernel& k) { return k.kernel.name(); }, "Its name.")
       .def_property_readonly(
@@ -297,13 +284,7 @@ void bind_nova_kernel(py::module_& m) {
       "list of "
       "KernelInfo.");
   m.def("make_indexed_kernel", &make_indexed, "name"_a, "sources"_a, "outputs"_a, "fn"_a,
-        "A kernel out[i] = fn(i) from a Python function that is traced once: fn(c) reads sources "
-        "through the TraceContext c "
-        "and returns the output columns as Real values, one or a tuple. sources: (name, dtype, "
-        "width, access) each, with the "
-        "access \"direct\" (row i), \"uniform\" (row 0) or \"indexed\" (a row from an int32 "
-        "source); outputs: a number of "
-        "columns, or (name, width) each.");
+        doc::kMap);
   m.def("make_reduce_kernel", &make_reduce, "name"_a, "sources"_a, "outputs"_a, "body"_a,
         py::kw_only(), "init"_a = py::none(), "epilogue"_a = py::none(),
         "A kernel out[i] = epilogue(i, ordered sum of body(i, r) from init(i)). body(c) returns "

@@ -1,4 +1,5 @@
 // Activations, layers, and random numbers without a state.
+#include "doc_nova_networks.h"
 #include "nova_types.h"
 #include "novaphy/math/activations.h"
 #include "novaphy/nova/functions.h"
@@ -93,13 +94,7 @@ void bind_nova_networks(py::module_& m) {
       "x"_a, "weight"_a, "bias"_a = py::none(), release_gil(),
       "x weight^T + bias: x {n, k} or {k}, weight {m, k}, bias {m}, to {n, m} or {m}. Sums in the "
       "order of matmul.");
-  bind_draw(m, "random_uniform", &nova::random_uniform,
-            "Numbers in [0, 1), {worlds, width}, that depend on where they stand and on nothing "
-            "else: value (w, j) is of Philox4x32-10 with the key seed and the counter (j // 4, w, "
-            "step, stream), lane j % 4, its upper 24 bits. The same bits on every device and for "
-            "any number of threads; world w has the same numbers however many worlds there are. "
-            "step: a number or an int32 tensor {1}, read when the launch runs, so a captured graph "
-            "gives new numbers when it advances. No gradient.");
+  bind_draw(m, "random_uniform", &nova::random_uniform, doc::kUniform);
   bind_draw(m, "random_normal", &nova::random_normal,
             "Normal numbers, mean 0 and variance 1, {worlds, width}: of the bits of "
             "random_uniform, by Box and Muller.");

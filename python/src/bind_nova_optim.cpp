@@ -1,4 +1,5 @@
 // Optimizers and clipping.
+#include "doc_nova_optim.h"
 #include "nova_types.h"
 #include "novaphy/nova/optim.h"
 
@@ -30,11 +31,7 @@ void bind_updates(py::module_& m) {
         "gradient.");
   m.def("sgd_update_vec3_clipped_f32", &nova::sgd_update_vec3_clipped_f32, "param"_a,
         "learning_rate"_a, "max_parameter_norm"_a, "max_gradient_norm"_a, release_gil(),
-        "Per row of param {n, 3}: a gradient that is not finite leaves the row; a longer gradient "
-        "is scaled to "
-        "max_gradient_norm; p -= learning_rate * g; a longer result is scaled to "
-        "max_parameter_norm. A norm <= 0 switches "
-        "that clip off.");
+        doc::kClippedSgd);
   const nova::AdamOptions d;
   m.def("adam_update_f32", &nova::adam_update_f32, "param"_a, "m"_a, "v"_a, "t"_a, "lr"_a,
         "beta1"_a = d.beta1, "beta2"_a = d.beta2, "eps"_a = d.eps, release_gil(),
@@ -43,11 +40,17 @@ void bind_updates(py::module_& m) {
     t += 1;  m = beta1 * m + (1 - beta1) * g;  v = beta2 * v + (1 - beta2) * g * g
     param -= lr * (m / (1 - beta1^t)) / (sqrt(v / (1 - beta2^t)) + eps)
 
-param: float32 of any shape; m, v: zeros of that shape before the first step; t: zeros(1), the number
-of steps so far. A kernel raises t, so each launch of a captured graph is a step; give every parameter
-a t of its own. lr (in units of param) is finite and >= 0, the betas are in [0, 1), eps (in units of
-the gradient) is finite and > 0. TypeError: not float32. ValueError: no gradient, a wrong shape,
-memory given twice, a number out of range; nothing was written then.)");
+param: float32 of any shape.
+m, v: zeros of that shape before the first step.
+t: zeros(1), the number of steps so far. A kernel raises t, so each launch of a captured graph is a
+step. Give every parameter a t of its own.
+lr: finite and >= 0, in units of param.
+beta1, beta2: in [0, 1).
+eps: finite and > 0, in units of the gradient.
+
+TypeError: not float32.
+ValueError: no gradient, a wrong shape, memory given twice, a number out of range. Nothing was
+written then.)");
 }
 
 void bind_clipping(py::module_& m) {
@@ -58,13 +61,7 @@ void bind_clipping(py::module_& m) {
         const ReleasedGil release;
         return nova::clip_grad_norm_(list, max_norm);
       },
-      "params"_a, "max_norm"_a,
-      "Scales the gradients in place by min(1, max_norm / (norm + 1e-6)), as PyTorch does, where "
-      "norm is the Euclidean norm over all values of all of them. Returns the norm before, {1}. "
-      "Summed in a fixed order: the same bits for any number of threads. A norm that is not finite "
-      "(a gradient is not, or a square overflows) sets all gradients to zero. ValueError: a "
-      "parameter without gradient or given twice, no parameters, max_norm <= 0 or NaN (infinity "
-      "only measures). TypeError: not float32.");
+      "params"_a, "max_norm"_a, doc::kClipNorm);
   m.def(
       "clip_grad_value_",
       [](py::handle params, float v) {
@@ -93,13 +90,7 @@ void bind_optimizer(py::class_<C>& c) {
           return std::string(py::str(py::type::of(self).attr("__name__"))) + "(params=[" + shapes +
                  "], lr=" + number_text(optimizer.lr()) + ")";
         })
-      .def("step", &C::step, release_gil(),
-           "One step of all parameters, in place and not recorded on a tape. The step may be "
-           "captured: each launch of the graph is a step, at the rate of the capture. ValueError "
-           "when a parameter has no gradient, novaphy.Error when one is not finite; nothing was "
-           "written then. On a device, and in a launch of a graph, a gradient that is not finite "
-           "is noted and nothing is written: check() raises, which the next step or launch on the "
-           "CPU and reads of the state begin with.")
+      .def("step", &C::step, release_gil(), doc::kOptimizerStep)
       .def("check", &C::check, release_gil(),
            "novaphy.Error where steps since the last call met a gradient that is not finite. Waits "
            "for a device.")
@@ -118,8 +109,11 @@ void bind_classes(py::module_& m) {
     g += weight_decay * p;  b = momentum * b + (1 - dampening) * g, in the first step b = g
     g = g + momentum * b if nesterov else b;  p -= lr * g
 
-params: a list of float32 Tensors of one device, none of them twice. lr is finite and >= 0, in units
-of param^2 / loss; so are momentum and weight_decay; nesterov needs a momentum > 0 and no dampening.
+params: a list of float32 Tensors of one device, none of them twice.
+lr: finite and >= 0, in units of param^2 / loss.
+momentum, weight_decay: finite and >= 0.
+nesterov: needs a momentum > 0 and no dampening.
+
 ValueError and TypeError name the argument.)");
   sgd.def(py::init([](py::handle params, float lr, float momentum, float dampening,
                       float weight_decay, bool nesterov) {
@@ -139,9 +133,12 @@ ValueError and TypeError name the argument.)");
       m, "Adam",
       R"(Adam (Kingma and Ba 2015, Algorithm 1): adam_update_f32 of every parameter.
 
-params: a list of float32 Tensors of one device, none of them twice. lr (in units of param) is finite
-and >= 0, the betas are in [0, 1), eps (in units of the gradient) is finite and > 0. ValueError and
-TypeError name the argument.)");
+params: a list of float32 Tensors of one device, none of them twice.
+lr: finite and >= 0, in units of param.
+betas: in [0, 1).
+eps: finite and > 0, in units of the gradient.
+
+ValueError and TypeError name the argument.)");
   adam.def(py::init([](py::handle params, float lr, std::pair<float, float> betas, float eps) {
              return std::make_unique<Adam>(to_params(params, "Adam"),
                                            nova::AdamOptions{lr, betas.first, betas.second, eps});

@@ -1,4 +1,5 @@
 // Tape, no_grad, capture, gradient checks.
+#include "doc_nova_tape.h"
 #include "gradient_info.h"
 #include "nova_types.h"
 #include "novaphy/dynamics/diff_gradient_notes.h"
@@ -77,11 +78,7 @@ void record_custom(nova::Tape& tape, const std::string& name, const std::vector<
 }
 
 GradientInfoFields tape_info(const nova::Tape& tape) { return to_fields(gradient_info(tape)); }
-constexpr const char* kTapeInfo =
-    "GradientInfo of the steps of all differentiable solvers on this tape, behind a backward: the "
-    "worst label with its reason, the largest residual, and the sums of the counts. A solver of "
-    "articulations on a device, or in a capture, counts all steps since its clear_gradient_info. "
-    "novaphy.Error: no such step is on the tape, or no backward has run.";
+constexpr const char* kTapeInfo = doc::kTapeInfo;
 
 constexpr const char* kBackward =
     "Pulls the gradient of `loss` back: leaves accumulate over calls, everything else starts anew. "
@@ -89,15 +86,7 @@ constexpr const char* kBackward =
     "tape).";
 
 void bind_tape(py::module_& m) {
-  py::class_<nova::Tape>(m, "Tape",
-                         "Records the operations whose inputs carry gradients, and runs their "
-                         "adjoints in reverse. with nova.Tape() as tape "
-                         "makes it the active one of the thread (novaphy.Error when another one is "
-                         "active). Inputs are kept by reference with "
-                         "their version: backward raises when an adjoint would read a value that "
-                         "was overwritten since. With leaf_gradients_only, the memory of every "
-                         "other gradient is used again as soon as it was read: the same bits, half "
-                         "the memory; reading such a gradient afterwards raises novaphy.Error.")
+  py::class_<nova::Tape>(m, "Tape", doc::kTape)
       .def(py::init([](bool leaf_gradients_only) {
              return std::make_unique<nova::Tape>(leaf_gradients_only ? nova::KeepGradients::Leaves
                                                                      : nova::KeepGradients::All);
@@ -115,12 +104,7 @@ void bind_tape(py::module_& m) {
             tape.backward(loss, grad.value_or(Tensor()));
           },
           "loss"_a, "grad"_a = py::none(), release_gil(), kBackward)
-      .def("jvp", &nova::Tape::jvp, "outputs"_a, "inputs"_a, "tangents"_a, release_gil(),
-           "Pushes tangents of leaves forward (forward mode): for each of `outputs` its derivative "
-           "in the direction of `tangents`, one per input and shaped like it, as new tensors. The "
-           "values that this reads must be as recorded (novaphy.Error). ValueError: an input that "
-           "is no leaf with a gradient or given twice, an output that is not on the tape; "
-           "NotImplementedError: a custom operation that was recorded without a tangent.")
+      .def("jvp", &nova::Tape::jvp, "outputs"_a, "inputs"_a, "tangents"_a, release_gil(), doc::kJvp)
       .def(
           "follows",
           [](const nova::Tape& tape, const Tensor& tensor) {
@@ -146,11 +130,7 @@ void bind_tape(py::module_& m) {
       .def_property_readonly("memory_bytes", &nova::Tape::memory_bytes,
                              "Bytes of the records themselves.")
       .def("record_custom", &record_custom, "name"_a, "inputs"_a, "outputs"_a, "backward"_a,
-           "forward"_a = py::none(),
-           "A differentiable operation that is no kernel; call it after the outputs were computed. "
-           "backward(grad_outputs) gets and returns a list with a Tensor or None for each output "
-           "and input. forward() computes the outputs again, in their memory; between checkpoints "
-           "it is needed.");
+           "forward"_a = py::none(), doc::kRecordCustom);
 
   py::class_<NoGradContext>(m, "no_grad",
                             "Context manager: nothing of this thread is recorded on a tape.")
@@ -167,12 +147,7 @@ std::string graph_text(const nova::OpList& graph) {
 void bind_capture(py::module_& m) {
   py::class_<nova::OpList, std::shared_ptr<nova::OpList>>(m, "Graph",
                                                           "Captured work on fixed memory.")
-      .def("launch", &nova::OpList::launch, release_gil(),
-           "Runs all of it. novaphy.Error when an index table (the contacts) changed since the "
-           "capture. On a GPU the first launches run kernel by kernel, until a kernel that fuses "
-           "these has been compiled in the background, which takes some seconds where it is not on "
-           "disk: the same bits, then faster. Destroying the graph waits for that, and so does the "
-           "exit of Python.")
+      .def("launch", &nova::OpList::launch, release_gil(), doc::kGraphLaunch)
       .def("prepare", &nova::OpList::prepare, release_gil(),
            "Plans and compiles what launches need to be as fast as they get, and runs nothing. For "
            "measurements. novaphy.Error inside a ScopedCapture.")
@@ -241,15 +216,7 @@ void bind_gradcheck(py::module_& m) {
                                 .dot_product_tolerance = dot_product_tolerance});
       },
       "fn"_a, "inputs"_a, py::kw_only(), "epsilon"_a = d.epsilon, "rtol"_a = d.rtol,
-      "atol"_a = d.atol, "dot_product_tolerance"_a = d.dot_product_tolerance,
-      "Compares the tape's gradient of the one-value fn(*inputs) with central differences of every "
-      "input value. epsilon: "
-      "step relative to max(1, |x|); |ad - fd| <= atol + rtol * max|fd|. Besides, the derivative "
-      "in "
-      "one random direction is compared with that of forward mode (Tape.jvp), to "
-      "dot_product_tolerance: no step, so rounding alone. The inputs keep their values, gradients "
-      "and requires_grad, "
-      "also where fn raises.");
+      "atol"_a = d.atol, "dot_product_tolerance"_a = d.dot_product_tolerance, doc::kGradcheck);
 }
 
 }  // namespace

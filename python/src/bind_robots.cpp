@@ -2,6 +2,7 @@
 #include <pybind11/stl/filesystem.h>
 
 #include "convert.h"
+#include "doc_robots.h"
 #include "novaphy/collision/overlaps.h"
 #ifdef NOVAPHY_PYTHON_IO
 #include "novaphy/io/robot.h"
@@ -299,25 +300,8 @@ void bind_result(py::module_& io) {
 #endif
 
 void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
-  constexpr const char* urdf_doc =
-      "Adds a robot from a URDF file: a path, package://NAME/FILE, or the XML itself. Links become "
-      "bodies, joints joints, all of one articulation; names become labels. Returns a RobotImport. "
-      "xform: pose of the root link (m, xyzw) in the world or parent_body. floating: True FREE, "
-      "None and False FIXED at the base; or base_joint, a dict of joint_type, linear_axes and "
-      "angular_axes. scale: of all lengths; masses stay. ignore_inertial_definitions: masses from "
-      "the colliders and default_shape_cfg. joint_ordering: \"dfs\", \"bfs\" or None (the file's). "
-      "Joints start at 0 or the nearest limit. mesh_maxhullvert: colliders of meshes become hulls. "
-      "joint_damping_mode: \"passive\" or \"drive\" (target_kd). mimic: \"follow\", \"refuse\", "
-      "\"fixed\" or \"independent\". filter_overlaps: pairs of its shapes that overlap where its "
-      "joints start never meet; False: the first collide names them, with their depth. "
-      "ignore_zero_effort: effort=\"0\" is no limit. ValueError and NotImplementedError name file, "
-      "line and element; the builder is then as it was. OSError: no such file. Unread elements "
-      "give a UserWarning.";
-  constexpr const char* mjcf_doc =
-      "Adds the bodies, joints, geoms and actuators of an MJCF file: a path, or the XML itself. A "
-      "subset; what would change the physics and is not in it raises NotImplementedError by name. "
-      "Returns a RobotImport. xform: pose of the file's world (m, xyzw). Joints start at 0, or "
-      "where init_qpos says, or at the nearest limit. filter_overlaps and errors as of add_urdf.";
+  constexpr const char* urdf_doc = doc::kAddUrdf;
+  constexpr const char* mjcf_doc = doc::kAddMjcf;
 #ifdef NOVAPHY_PYTHON_IO
   bind_result(io);
   builder.def("add_urdf", &add_urdf_to, "source"_a, py::kw_only(), "xform"_a = py::none(),

@@ -2,6 +2,7 @@
 #include <map>
 #include <tuple>
 
+#include "doc_sim.h"
 #include "new_state.h"
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/recorder.h"
@@ -384,8 +385,7 @@ void bind_state(py::module_& m) {
 }
 
 void bind_control(py::module_& m) {
-  py::class_<Control> c(m, "Control",
-                        "The inputs of a step. Made by Model.control().");
+  py::class_<Control> c(m, "Control", "The inputs of a step. Made by Model.control().");
   using Fields = ControlFields;
   NOVAPHY_CONTROL_FIELDS(NOVAPHY_BIND_FIELD)
   bind_field(
@@ -441,17 +441,8 @@ void bind_contacts(py::module_& m) {
            })
       .def("__repr__", &contacts_repr)
       .def("rigid_contacts", &rigid_contact_rows, "model"_a = py::none(), "state"_a = py::none(),
-           "The rigid contacts in order, as a NumPy copy with the columns shape0, shape1, point0, "
-           "point1, offset0, offset1, normal, margin0, margin1, point_id, force, as the arrays "
-           "rigid_contact_*. With a model and a state also body0, body1 (-1: the world), position "
-           "(m, world frame: the middle between both surfaces) and penetration (m, along the "
-           "normal; negative: the surfaces are apart, within the gaps). force (N, world frame, on "
-           "body1) is that of the last step. ValueError: another model.")
-      .def("match", &match, "previous"_a, "pairs"_a = false,
-           "For every rigid contact its row in `previous`, NumPy int32: that of the same shapes "
-           "and point_id, with pairs=True the first one of the same shapes; -1: there is none. So "
-           "contacts begin where now.match(before) is -1, and end where before.match(now) is; "
-           "before is now.clone() ahead of collide. ValueError: contacts of another model.")
+           doc::kRigidContacts)
+      .def("match", &match, "previous"_a, "pairs"_a = false, doc::kMatch)
       .def_property_readonly("soft_contact_pair_count", &Contacts::soft_contact_pair_count,
                              "Candidate (particle, shape) pairs.")
       .def_property_readonly("device", &Contacts::device, "Where the arrays are.")

@@ -1,4 +1,5 @@
 // SolverVBD.
+#include "doc_vbd.h"
 #include "exchange.h"
 #include "novaphy/vbd/solver_vbd.h"
 #ifdef NOVAPHY_PYTHON_DIFF
@@ -73,18 +74,7 @@ VbdGradientOptions to_gradient_options(const std::string& gradient,
 void bind_diff_vbd(py::module_& solvers) {
   using diff::DiffSolverVBD, diff::DiffVbdOptions;
   const DiffVbdOptions d;
-  py::class_<DiffSolverVBD, SolverBase>(
-      solvers, "DiffSolverVBD",
-      "SolverVBD with its derivative: a step or rollout on an active tape is recorded, for "
-      "backward and for jvp. gradient=\"unrolled\": exact for the sweeps that ran, back through "
-      "every color of every iteration. gradient=\"implicit\": of the solution of the step, to "
-      "which Newton's method then takes it; the solution is what step returns. Gradients by "
-      "positions, velocities, forces, targets, gravity, masses, radii, materials, rest shapes, "
-      "activations, and margins and materials of shapes; points and normals of contacts are "
-      "frozen. Other arrays that carry a gradient raise NotImplementedError by name. The velocity "
-      "of initial_guess=\"adaptive\" goes from step to step and rollout to rollout until reset(), "
-      "with its gradient where it is unrolled. A solution does not depend on it. On a device no "
-      "jvp and no gradient=\"implicit\" stand in a capture.")
+  py::class_<DiffSolverVBD, SolverBase>(solvers, "DiffSolverVBD", doc::kDiffVbd)
       .def(py::init(
                [](const std::shared_ptr<Model>& model, int32_t iterations, float friction_epsilon,
                   const std::string& initial_guess, float lhs_regularization,
@@ -105,12 +95,7 @@ void bind_diff_vbd(py::module_& solvers) {
            "lhs_regularization"_a = d.lhs_regularization, "gradient"_a = "unrolled",
            "gradient_tolerance"_a = py::none(), "gradient_sweeps"_a = py::none(),
            "newton_iterations"_a = py::none(), "allow_unconverged"_a = py::none(),
-           "Options as SolverVBD's, without those that have no gradient. With \"implicit\": "
-           "gradient_tolerance (1e-4), the relative residual of the step and of the linear system "
-           "at which they count as solved; gradient_sweeps (200), at most for a linear system; "
-           "newton_iterations (30), at most for a step; allow_unconverged (False): what is not "
-           "solved is told by gradient_info() instead of a novaphy.Error. ValueError and "
-           "NotImplementedError as SolverVBD; ValueError: one of these with \"unrolled\".")
+           doc::kDiffVbdInit)
       .def_property_readonly(
           "iterations", [](const DiffSolverVBD& s) { return s.options().iterations; },
           "Sweeps over all colors in a step.")
@@ -130,15 +115,7 @@ void bind_diff_vbd(py::module_& solvers) {
                 i, py::dict("primal"_a = i.primal, "linear_residual"_a = i.linear_residual,
                             "linear_sweeps"_a = i.linear_sweeps, "converged"_a = i.converged));
           },
-          "GradientInfo of the last chain of steps on a tape: a rollout or a loop of steps, or the "
-          "last replay of a captured one. Behind a backward or jvp. Steps are frozen where "
-          "particles push against shapes other than endless planes: points and normals of contacts "
-          "are held. The last backward or jvp gives primal, the VbdResidual of its step; of "
-          "implicit gradients the relative residual of the linear system (linear_residual, else "
-          "0), the sweeps that it took (linear_sweeps), and whether both are within the tolerance "
-          "(converged; True where unrolled). novaphy.Error: there was no backward; a replay, or a "
-          "step on a device, since the last call failed (not finite, not solved, contacts that "
-          "overflowed).")
+          doc::kDiffVbdInfo)
       .def("clear_gradient_info", &DiffSolverVBD::clear_gradient_info,
            "Forgets which steps gradient_info counts.")
       .def("reset", &DiffSolverVBD::reset, release_gil(),
@@ -197,14 +174,7 @@ void bind_vbd(py::module_& solvers) {
            py::arg("model").none(false), py::kw_only(), "iterations"_a = d.iterations,
            "friction_epsilon"_a = d.friction_epsilon, "initial_guess"_a = "inertia",
            "acceleration"_a = py::none(), "tolerance"_a = py::none(), "safeguard"_a = d.safeguard,
-           "lhs_regularization"_a = d.lhs_regularization,
-           "iterations: sweeps over all colors. friction_epsilon (m/s): the slip at which friction "
-           "reaches the Coulomb limit. initial_guess: \"inertia\", \"previous\" (the positions "
-           "before) or \"adaptive\" (with as much of gravity as acted in the last step). "
-           "acceleration: Chebyshev's, by a spectral radius in (0, 1). tolerance: ends a step when "
-           "residual().relative is at most this. safeguard: halves the step of a particle while "
-           "its energy rises. ValueError: a bad option, particles without a color, a negative or "
-           "NaN material. NotImplementedError names what is not covered.")
+           "lhs_regularization"_a = d.lhs_regularization, doc::kVbdInit)
       .def_property_readonly(
           "iterations", [](const SolverVBD& s) { return s.options().iterations; },
           "Sweeps over all colors in a step.")
@@ -241,17 +211,8 @@ void bind_vbd(py::module_& solvers) {
             s.step(state_in, state_out, control, contacts, dt, targets.is_none() ? nullptr : &to);
           },
           "state_in"_a, "state_out"_a, "control"_a.none(true), "contacts"_a.none(true), "dt"_a,
-          py::kw_only(), "targets"_a = py::none(),
-          "Advances state_in by dt (s) into state_out. targets: {kinematic_count, 3} positions (m, "
-          "world frame) where the kinematic particles are at the end, in the order of their "
-          "indices; "
-          "None: they stay. Errors as SolverBase.step; ValueError: indices or colors that were "
-          "edited after the solver was made, numbers that are not finite; novaphy.Error: contacts "
-          "that overflowed, positions that do not stay finite.")
-      .def("residual", &SolverVBD::residual, release_gil(),
-           "VbdResidual of the last step. novaphy.Error: there was none; a replay, or a step on a "
-           "device, since the last call read or made numbers that are not finite, or contacts that "
-           "had overflowed.")
+          py::kw_only(), "targets"_a = py::none(), doc::kVbdStep)
+      .def("residual", &SolverVBD::residual, release_gil(), doc::kVbdResidual)
       .def("reset", &SolverVBD::reset,
            "Forgets the last step, which the adaptive guess and residual() look at.");
 #ifdef NOVAPHY_PYTHON_DIFF

@@ -71,7 +71,7 @@ inline constexpr char kContactGradient[] =
 "motion": the times of its begin and end move with the state. On the CPU, outside of captures and
 without enable_static_contacts; else NotImplementedError.)";
 
-inline constexpr char kGradientInfo[] =
+inline constexpr char kDiffGradientInfo[] =
     R"(Returns the GradientInfo of the last chain of steps on a tape: a rollout, a loop of steps, or
 the last replay of a captured one.
 

@@ -1,7 +1,8 @@
 """Optimizers of several parameters: SGD with momentum, and Adam.
 
-``step()`` and ``zero_grad()`` are kernels on fixed memory without a read on the host, so they may
-stand in a ``nova.ScopedCapture``: each launch of the graph is a step, with the bits of ``step()``.
+``step()`` and ``zero_grad()`` are kernels on fixed memory without a read on the host. A
+``nova.ScopedCapture`` may therefore record them. Each launch of the graph is then a step, with the
+bits of ``step()``.
 """
 
 from .._core.nova import SGD, Adam

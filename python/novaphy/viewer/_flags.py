@@ -11,24 +11,24 @@ from ._video import CODECS
 ENDINGS = (".html", ".nprec", ".png", *CODECS)
 
 
-def add_arguments(parser: argparse.ArgumentParser, default: int, what: str) -> None:
+def add_arguments(parser: argparse.ArgumentParser, default: int, unit: str) -> None:
     """Add --viewer, --headless, --record and --refresh to a parser.
 
     Args:
         parser: the parser of a program.
-        default: the number for --headless, and of what happens in a window.
-        what: the unit of --headless: "training iterations", "frames".
+        default: the number for --headless, and in a window.
+        unit: of --headless, such as "training iterations" or "frames".
     """
     parser.add_argument(
         "--headless",
         type=int,
         metavar="N",
-        help=f"no window: this many {what} (in a window {default})",
+        help=f"run without a window for this many {unit} (in a window: {default})",
     )
     parser.add_argument(
         "--viewer",
         choices=("gl", "viser", "html", "file", "null"),
-        help="what shows the run (default gl; null with --headless)",
+        help="the viewer (default gl; null with --headless)",
     )
     parser.add_argument(
         "--record",

@@ -27,11 +27,13 @@ GRACE = 2e-3  # s: how long a program waits for its picture, so that a fast one 
 class ViewerGL(SceneViewer):
     """Draws the scene on the GPU; headless through EGL, otherwise in a window.
 
-    The window: drag to turn, with the right button to move, wheel to zoom; control and drag pulls
-    a body or particle (see apply_forces); space pauses, N steps, R resets, F follows, H hides the
-    text, J shows joints, I inertias, C contacts, E the energy, P saves a picture, escape closes;
-    tab chooses a slider, the left and right arrow move it. The text names the shape and the body
-    under the pointer. With imgui-bundle a panel has switches and sliders.
+    In the window, drag to turn, drag with the right button to move, and use the wheel to zoom.
+    Control and drag pulls a body or particle (see apply_forces). Tab chooses a slider; the left and
+    right arrow move it. The text names the shape and the body under the pointer. With imgui-bundle
+    a panel has switches and sliders.
+
+    Keys: space pauses, N steps, R resets, F follows, H hides the text, P saves a picture, escape
+    closes. J shows joints, I inertias, C contacts, E the energy.
 
     Attributes:
         show_text: whether the box with time and scalars is drawn.

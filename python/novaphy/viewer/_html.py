@@ -188,8 +188,8 @@ class ViewerHTML(SceneViewer):
     def _packed_data(self) -> tuple[bytes, list[list[int]], list[Any]]:
         """The stored arrays, packed.
 
-        Gives the data, the parts of it that are as they were (place and number of words), and those
-        that are packed: how, components, their quanta, numbers in a frame, and places of frames.
+        Returns three values: the data; the unpacked parts (index and number of words); the packed
+        parts (method, components, their quanta, numbers in a frame, and indices of frames).
         """
         height = 2.0 * self.camera.distance * math.tan(math.radians(FIELD_OF_VIEW / 2))
         step = quantum(height / STEPS_OF_PICTURE)

@@ -2,10 +2,14 @@
 
 Version 2 (.nprec) is a line that names it, then chunks that are only appended. A chunk is the
 length and the CRC-32 of the content (uint32 each, little-endian), then the content, an .npz
-archive. The first
-chunk has the header and the model's arrays (`model/<field>`), each other one a number of frames:
-`time` {frames} in s, `state/<field>` {frames, ...}, and `calls`, a JSON text (as uint8) with the
-drawings of each frame, [[call, arguments], ...], where {"array": k} stands for the entry `array/k`.
+archive. The first chunk has the header and the model's arrays (`model/<field>`). Each other chunk
+has a number of frames:
+
+* `time`: {frames}, s.
+* `state/<field>`: {frames, ...}.
+* `calls`: a JSON text (as uint8) with the drawings of each frame, [[call, arguments], ...]. The
+  value {"array": k} stands for the entry `array/k`.
+
 A half-written end of a killed process is not read.
 
 Version 1 (.npz) is one archive with the states of all frames, without drawings.

@@ -28,9 +28,9 @@ class PageObjects:
 
         Args:
             server: of viser.
-            pull: a callback. Its arguments are the name of an object of the model, the rows of the
-                object that a mesh of the page shows, and an event of the pointer that drags the
-                mesh.
+            pull: a callback. The first argument is the name of an object of the model. The second
+                has the rows of the object that a mesh of the page shows. The third is an event of
+                the pointer that drags the mesh.
         """
         self.server, self.pull = server, pull
         self.handles: dict[str, tuple[Any, Any]] = {}

@@ -1,0 +1,66 @@
+// Docstrings of Tape, Graph and gradcheck.
+#pragma once
+
+namespace novaphy::python::doc {
+
+inline constexpr char kTapeInfo[] =
+    R"(Returns the GradientInfo of the steps of all differentiable solvers on this tape, after a
+backward: the worst label with its reason, the largest residual, and the sums of the counts.
+
+A solver of articulations on a device, or in a capture, counts all steps since its
+clear_gradient_info.
+
+`novaphy.Error`: no such step is on the tape, or no backward has run.)";
+
+inline constexpr char kTape[] =
+    R"(Records the operations whose inputs carry gradients, and runs their adjoints in reverse.
+`with nova.Tape() as tape` makes the tape the active one of the thread.
+
+Inputs are kept by reference with their version: backward raises when an adjoint would read a value
+that was overwritten since.
+
+leaf_gradients_only: the memory of every other gradient is used again as soon as it was read: the
+same bits, half the memory. Reading such a gradient afterwards raises novaphy.Error.
+
+`novaphy.Error`: another tape is active.)";
+
+inline constexpr char kJvp[] =
+    R"(Pushes tangents of leaves forward (forward mode). Returns, for each of `outputs`, its
+derivative in the direction of `tangents`, as new tensors.
+
+tangents: one per input, and shaped like it.
+
+`novaphy.Error`: a value that the call reads is not as recorded.
+ValueError: an input that is no leaf with a gradient or given twice, an output that is not on the
+tape.
+NotImplementedError: a custom operation that was recorded without a tangent.)";
+
+inline constexpr char kGraphLaunch[] =
+    R"(Runs all operations of the graph.
+
+On a GPU the first launches run kernel by kernel, until a kernel that fuses these has been compiled
+in the background. The compilation takes some seconds where the kernel is not on disk. The bits are
+the same before and after. Destroying the graph waits for the compilation, and so does the exit of
+Python.
+
+`novaphy.Error`: an index table (the contacts) changed since the capture.)";
+
+inline constexpr char kGradcheck[] =
+    R"(Compares the tape's gradient of the one-value fn(*inputs) with central differences of every
+input
+value: |ad - fd| <= atol + rtol * max|fd|. The inputs keep their values, gradients and
+requires_grad, also where fn raises.
+
+epsilon: the step, relative to max(1, |x|).
+dot_product_tolerance: the bound for the derivative in one random direction, compared with that of
+forward mode (Tape.jvp). The comparison needs no step, so its error is rounding alone.)";
+
+inline constexpr char kRecordCustom[] =
+    R"(Records a differentiable operation that is no kernel. Call it after the outputs were
+computed.
+
+backward: backward(grad_outputs) gets and returns a list with a Tensor or None for each output and
+input.
+forward: forward() computes the outputs again, in their memory. Checkpoints need it.)";
+
+}  // namespace novaphy::python::doc

@@ -1,0 +1,28 @@
+// Docstrings of Contacts.
+#pragma once
+
+namespace novaphy::python::doc {
+
+inline constexpr char kRigidContacts[] =
+    R"(Returns the rigid contacts in order, as a NumPy copy with a column for each array
+rigid_contact_*: shape0, shape1, point0, point1, offset0, offset1, normal, margin0, margin1,
+point_id, force. force (N, world frame, on body1) is that of the last step.
+
+With a model and a state there are four more columns:
+body0, body1: indices; -1: the world.
+position: m, world frame; the middle between both surfaces.
+penetration: m, along the normal; negative: the surfaces are apart, within the gaps.
+
+ValueError: another model.)";
+
+inline constexpr char kMatch[] =
+    R"(Returns, for every rigid contact, its row in `previous` (NumPy int32); -1: there is none. The
+row is that of the same shapes and point_id. With pairs=True the row is the first one of the same
+shapes.
+
+Contacts begin where now.match(before) is -1, and end where before.match(now) is. before is
+now.clone() ahead of collide.
+
+ValueError: contacts of another model.)";
+
+}  // namespace novaphy::python::doc

@@ -1,5 +1,4 @@
-// Which bodies contacts touch, as a kernel: the bodies of the shapes that a column of a Contacts
-// names.
+// A kernel that finds the bodies of the shapes that a column of a Contacts names.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"

@@ -1,9 +1,9 @@
 // Internal: overlapping convex hulls by FCL's solver over libccd, in double precision. Only where
 // the build has it (NOVAPHY_WITH_FCL); without it, hulls are never made.
 //
-// Of FCL only GJKSolver_libccd::shapeIntersect on Convex is called: its signed distance and its
-// planes end the process for some poses. It may throw, which here is no answer, and its normal may
-// be zero; it refuses nothing, so poses must be finite.
+// The only call is GJKSolver_libccd::shapeIntersect on Convex: the signed distance and the planes
+// of FCL end the process for some poses. The call may throw, which here is no answer, and its
+// normal may be zero. The call refuses nothing, so poses must be finite.
 #pragma once
 
 #include <memory>

@@ -1,7 +1,7 @@
-// The search for rigid contacts as kernels: shapes are moved to the world, every candidate pair is
-// asked for its manifold, a scan of the counts gives the rows before each pair, and the pairs write
+// The search for rigid contacts as kernels. Shapes are moved to the world, and every candidate pair
+// computes its manifold. A scan of the counts gives the rows before each pair, and the pairs write
 // their rows. Where there are more rows than room, pairs keep those within a common part of their
-// gaps. What a contact is: collision_pipeline.h.
+// gaps. The definition of a contact is in collision_pipeline.h.
 #pragma once
 
 #include "novaphy/collision/geometry/collide.h"

@@ -1,11 +1,13 @@
 // The pairs of BroadPhase::Sap as kernels, found on the device of the shapes: the pairs of
 // box_pairs.h, sorted, in time that grows with the shapes and the pairs.
 //
-// Shapes are sorted by world and, within it, along a curve that fills space. Over the sorted ones
-// stand levels of boxes, each of kTreeWidth of the level below, so that a shape asks those only
-// whose boxes meet its own. The order changes the time, not the pairs. A few shapes that nearly all
-// others may meet, such as a ground, stand apart: all shapes ask them, and each of them asks all in
-// parts of kApartPart. Who asks counts its partners and, behind a scan of the counts, writes them.
+// Shapes are sorted by world and, within it, along a curve that fills space. Levels of boxes stand
+// over the sorted shapes, each box over kTreeWidth of the level below. A shape asks only those
+// whose boxes meet its own. The order changes the time, not the pairs.
+//
+// A few shapes that nearly all others may meet, such as a ground, stand apart. All shapes ask them,
+// and each of them asks all shapes in parts of kApartPart. A shape that asks counts its partners
+// and, after a scan of the counts, writes them.
 #pragma once
 
 #include "novaphy/collision/geometry/rigid_shape.h"

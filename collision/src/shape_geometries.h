@@ -1,6 +1,6 @@
 // Internal: the tables of a model's convex hulls and meshes on its device, one for each (mesh,
-// type, scale) that shapes have. They follow from arrays of the model and are made anew when these
-// were written.
+// type, scale) that shapes have. The tables follow from arrays of the model and are made anew when
+// these were written.
 #pragma once
 
 #include <array>

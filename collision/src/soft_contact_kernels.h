@@ -1,7 +1,7 @@
-// The search for soft contacts as kernels: the shapes are made ready, every candidate pair (a
-// particle and a shape, candidate_pairs.h) is asked whether it touches, a scan of the answers gives
-// the slots before each pair, and those that touch write their record. What a contact is:
-// collision_pipeline.h.
+// The search for soft contacts as kernels. The shapes are made ready, and every candidate pair (a
+// particle and a shape, candidate_pairs.h) finds whether it touches. A scan of the answers gives
+// the slots before each pair, and pairs that touch write their record. The definition of a contact
+// is in collision_pipeline.h.
 #pragma once
 
 #include "novaphy/collision/diff_soft_contact_trace.h"

@@ -1,5 +1,5 @@
-// Internal to core: freed blocks are kept per device and size class, because a step of a simulation
-// allocates the same sizes again and again and a device allocation is slow.
+// Internal to core: freed blocks are kept per device and size class. A step of a simulation
+// allocates the same sizes again and again, and a device allocation is slow.
 #pragma once
 
 #include <cstddef>

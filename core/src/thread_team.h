@@ -1,7 +1,7 @@
-// Threads that share the chunks of one job after another. While jobs follow each other closely a
-// hand-over costs a write and a read, no call of the system: the helpers watch for the next job for
-// a while before they give their thread back to oneTBB. From one phase of a job to the next the
-// threads go by themselves, once the chunks of the phase are done.
+// Threads that share the chunks of one job after another. While jobs follow each other closely, a
+// hand-over costs a write and a read, and no system call. The helpers watch for the next job for a
+// while before they give their thread back to oneTBB. Threads go on to the next phase of a job by
+// themselves, once the chunks of the phase are done.
 #pragma once
 
 #include <oneapi/tbb/global_control.h>

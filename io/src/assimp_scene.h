@@ -1,4 +1,4 @@
-// What assimp reads, as a soup of triangles: the only file that knows assimp is beside this one.
+// A file that assimp reads, as a soup of triangles. Only assimp_scene.cpp knows assimp.
 #pragma once
 
 #include <array>

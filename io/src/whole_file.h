@@ -1,9 +1,9 @@
-// What is done to a file before assimp reads it.
+// Checks that a file is complete before assimp reads it.
 //
-// Whether it is all there, where assimp does not notice: it reads past the end of a PLY file,
-// never ends on one without the end of its header or on a COLLADA with something else than numbers
-// among its indices, and makes a smaller mesh of an STL text that was cut. (An OBJ does not say how
-// much belongs to it; a COLLADA that was cut is no XML.)
+// assimp does not notice four faults. On a short PLY file assimp reads past the end. On a PLY
+// without the end of its header, and on a COLLADA with non-numbers among its indices, assimp never
+// ends. An STL text that was cut becomes a smaller mesh. (An OBJ does not say how much belongs to
+// it; a COLLADA that was cut is no XML.)
 #pragma once
 
 #include <string>

@@ -1,8 +1,9 @@
-// Internal: a recorded list as a graph of the device, so that a replay is one call: plain, a launch
-// for each operation, or fused. Then stretches of operations that touch what the list writes at
-// their own row only become one launch each, where the backend can do that (NOVAPHY_DEVICE_LISTS=0
-// keeps them apart), and what lies between these becomes one launch with barriers
-// (NOVAPHY_DEVICE_PHASES=0: it does not). The results are the same.
+// Internal: a recorded list as a graph of the device, so that a replay is one call. A plain graph
+// has a launch for each operation. A fused graph has the same results.
+//
+// Fusion makes one launch of each stretch of operations that touch written memory at their own row
+// only, where the backend can (NOVAPHY_DEVICE_LISTS=0 keeps the operations apart). The operations
+// between become one launch with barriers (NOVAPHY_DEVICE_PHASES=0 keeps them apart).
 #pragma once
 
 #include <cstdint>

@@ -1,5 +1,5 @@
-// Internal: a stretch of recorded operations that read one another's rows, run on the host phase by
-// phase: threads share the rows of all operations of a phase and meet once before the next one.
+// Internal: runs a stretch of recorded operations that read one another's rows on the host, phase
+// by phase. Threads share the rows of all operations of a phase, and meet once before the next one.
 #pragma once
 
 #include <cstdint>

@@ -86,11 +86,11 @@ def binding_blocks(text: str) -> Iterator[str]:
 
 
 def head_blocks(text: str) -> Iterator[str]:
-    """Yield the paragraphs of the comment at the head of a header; formulas are left out."""
+    """Yield paragraphs and list items of the comment at the head of a header, without formulas."""
     head = re.match(r"(?:#pragma once\s*)?((?://[^\n]*\n)*)", text)
     lines = [line[2:] for line in head[1].splitlines()]
     prose = "\n".join("" if line.startswith("   ") else line for line in lines)
-    yield from (plain(paragraph) for paragraph in re.split(r"\n\s*\n", prose))
+    yield from (plain(ITEM.sub("", part)) for part in re.split(r"\n\s*\n|\n(?=\s*- )", prose))
 
 
 def read_texts(root: Path) -> list[Text]:

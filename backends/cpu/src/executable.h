@@ -2,9 +2,9 @@
 // instruction over a block of lanes (rows); the scalar form runs one row at a time and is for
 // launches of very few rows.
 //
-// This header is included by the translation units that are compiled for one instruction set, so it
-// must not bring in any inline function of a library: the linker could keep the copy that only a
-// newer processor can run.
+// Translation units that are compiled for one instruction set include this header. The header must
+// not bring in any inline function of a library: the linker could keep the copy that only a newer
+// processor can run.
 #pragma once
 
 #include <stdint.h>

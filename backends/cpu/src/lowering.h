@@ -1,6 +1,6 @@
-// Program -> a flat list of items on numbered values, the common half of making the block and the
-// scalar form: aliases resolved, uniform values known, loads of neighbouring columns grouped,
-// multiply-add pairs joined, and every value placed in a register or a scalar.
+// Lowers a Program to a flat list of items on numbered values: the common half of making the block
+// and the scalar form. Aliases are resolved, uniform values known, loads of neighboring columns
+// grouped and multiply-add pairs joined. Every value is placed in a register or a scalar.
 #pragma once
 
 #include <stdint.h>

@@ -1,6 +1,6 @@
 // A list of operations as one kernel: its structure. Most lists are a few operations, then the same
-// ones again and again (a rollout's substeps), then a few more; the middle becomes a loop that
-// keeps in registers what one operation leaves for a later one.
+// operations again and again (a rollout's substeps), then a few more. The middle becomes a loop
+// that keeps in registers what one operation leaves for a later one.
 #pragma once
 
 #include <cstdint>

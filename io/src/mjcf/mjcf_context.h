@@ -1,4 +1,4 @@
-// What the parts of the MJCF reader share while a file becomes a Robot.
+// The state that the parts of the MJCF reader share while a file becomes a Robot.
 #pragma once
 
 #include <set>

@@ -1,4 +1,4 @@
-// What a Robot weighs at its start.
+// The masses of a Robot at its start.
 #pragma once
 
 #include "../robot/robot.h"

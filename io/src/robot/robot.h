@@ -1,5 +1,5 @@
-// What URDF and MJCF files have in common: a forest of links and joints in double precision, on its
-// way into a ModelBuilder.
+// The common description of URDF and MJCF files: a forest of links and joints in double precision,
+// on its way into a ModelBuilder.
 #pragma once
 
 #include <cmath>

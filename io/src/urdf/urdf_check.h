@@ -1,4 +1,4 @@
-// What urdfdom lets through, refused beforehand.
+// Refuses faults of URDF files that urdfdom lets through.
 #pragma once
 
 #include <map>

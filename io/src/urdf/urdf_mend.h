@@ -1,4 +1,4 @@
-// What robots' makers write in URDF files and its definition does not have, made to fit it.
+// Makes common deviations of URDF files fit the definition of the format.
 #pragma once
 
 #include <set>

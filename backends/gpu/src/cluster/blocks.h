@@ -1,12 +1,12 @@
-// The rows of a phase that each block of a cluster computes. Where the sums of a phase add items
-// that the phase before makes (forces that elements put on their corners), a block computes all
-// rows that its own sums need, some of them computed by other blocks too. Items then stay in the
-// memory of the block, and only what sums leave goes from block to block: one exchange for two
-// phases. The results are the same, because every row is the same wherever it is computed.
+// The rows of a phase that each block of a cluster computes. The sums of a phase may add items that
+// the phase before makes, such as forces of elements on their corners. A block then computes all
+// rows that its own sums need, even if other blocks compute them too. Items then stay in the memory
+// of the block, and only what sums leave goes from block to block: one exchange for two phases. The
+// results are the same, because every row is the same wherever it is computed.
 //
-// What goes from block to block are the rows of a halo: rows of sums that elements of other blocks
-// read. Where it is known which these are, a block sends them straight to the memory of those
-// blocks, and nobody waits until memory has them.
+// Blocks exchange the rows of a halo: rows of sums that elements of other blocks read. Where these
+// rows are known, a block sends them straight to the memory of those blocks, and nobody waits until
+// memory has them.
 #pragma once
 
 #include <cstdint>

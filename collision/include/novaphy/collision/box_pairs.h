@@ -3,7 +3,7 @@
 // meet, and a box with a NaN meets nothing.
 //
 // Two passes: the pairs are counted, then written, so nothing grows. More than `limit` pairs:
-// ErrorKind::Value with their number. There must be a box per row of the rules (ErrorKind::Value).
+// ErrorKind::Value with their number. The rules need a box per row (ErrorKind::Value).
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// Which particles and shapes may meet at all: the candidates of every search for soft contacts.
+// The particles and shapes that may meet: the candidates of every search for soft contacts.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// Which bodies contacts touch: the tables by which bodies add up what contacts do to them.
+// Tables of the bodies that contacts touch, by which bodies add up the wrenches of their contacts.
 #pragma once
 
 #include <cstdint>

@@ -1,5 +1,5 @@
 // The contact of a particle with a shape, as formulas: the force of a contact record, and the
-// signed distance, normal and closest point of a static shape that make such a record.
+// distance query of a static shape (signed distance, normal, closest point).
 //
 // Law (penalty spring, one-sided damper, capped viscous friction):
 //   c  = dot(n, x - p) - R

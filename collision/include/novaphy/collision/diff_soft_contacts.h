@@ -1,7 +1,7 @@
 // Differentiable contact forces of particles. Compiled into
 // novaphy::dynamics where nova is built.
 //
-// What each input's gradient is:
+// The gradient of each input:
 //   input                               recorded contacts    static shapes
 //   particle_q, particle_qd             exact                exact (closest point and normal
 //   included) particle_f                          exact (linear)       exact (linear)

@@ -1,4 +1,4 @@
-// Who says how deep two convex hulls overlap.
+// The choice of the method that measures the overlap of two convex hulls.
 #pragma once
 
 #include <string_view>

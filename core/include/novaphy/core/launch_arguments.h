@@ -7,9 +7,9 @@
 //   NOVAPHY_ROW_KERNEL(scale, ScaleArguments) { a.y[row] = a.factor.value * a.x[row]; }
 //   run(kScale, n, {.x = x, .y = y, .factor = 2.0f});
 //
-// Access types have no default constructor: an argument that is left out does not compile, nor does
-// one of another element type, nor a kernel that writes what it declares to read. core/device/ has
-// the twins of these types for device code, which are plain pointers.
+// Access types have no default constructor. Three mistakes do not compile: an argument that is left
+// out, an array of another element type, and a kernel that writes what it declares to read. The
+// folder core/device/ has the twins of these types for device code, which are plain pointers.
 #pragma once
 
 #include <array>

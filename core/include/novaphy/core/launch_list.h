@@ -1,6 +1,6 @@
 // LaunchList: the launches of a step, made once, and again when what they were made of changes. A
-// step sets what differs, and runs the list or a stretch of it: the CPU runs the launches as phases
-// of one call of its threads, a device enqueues them, and a thread that records submits them.
+// step sets what differs, and runs the list or a stretch of it. The CPU runs the launches as phases
+// of one call of its threads. A device enqueues them, and a thread that records submits them.
 //
 //   LaunchList list(device);
 //   const auto scale = list.add(kScale, n, {.x = x, .y = y, .factor = 2.0f});
@@ -14,8 +14,8 @@
 // On the CPU arguments may be memory (`direct`) instead of arrays. A list that has any runs at
 // once, also on a thread that records.
 //
-// What a step asks of the host stands between two stretches: the CPU has run the first when `run`
-// returns, and a device when the host has waited for it. A recording has run nothing.
+// Questions of a step to the host stand between two stretches. The CPU has run the first stretch
+// when `run` returns, a device when the host has waited. A recording has run nothing.
 #pragma once
 
 #include <cstddef>

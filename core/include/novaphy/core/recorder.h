@@ -1,6 +1,6 @@
-// Launches, and who may record them instead of running them. Whatever a library does to arrays of a
-// device goes through submit_launch: so it is ordered, raises versions, and can stand in a capture,
-// without the library knowing what a capture is.
+// Launches, and who may record them instead of running them. Libraries change arrays of a device
+// through submit_launch alone. Each launch is therefore ordered, raises versions, and can stand in
+// a capture, and the library need not know captures.
 #pragma once
 
 #include <cstdint>

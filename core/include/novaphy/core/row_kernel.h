@@ -1,6 +1,6 @@
-// Hand-written kernels, as a function of one row. A header that declares some is read twice: here,
-// where each becomes a function over rows that the CPU backend runs, and as text that the compilers
-// of devices read (there core/device/ has the twin of this header).
+// Hand-written kernels, as a function of one row. A header that declares kernels is read twice.
+// Here each kernel becomes a function over rows that the CPU backend runs. The compilers of devices
+// read the header as source; core/device/ has the twin of this header for them.
 //
 //   struct ScaleArguments {
 //     NOVAPHY_ARGUMENTS(ReadsRow<float> x; WritesRow<float> y; Number<float> factor;)

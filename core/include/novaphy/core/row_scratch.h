@@ -1,6 +1,6 @@
-// Memory of a row of a hand-written kernel that is too large for the registers of a thread of a
-// device: here an object on the stack, there (core/device/) a row of an array, whose values are
-// those of the last launch.
+// Memory of a row of a hand-written kernel that is too large for the registers of a device's
+// thread. On the CPU the memory is an object on the stack. On a device (core/device/) it is a row
+// of an array, which keeps the values of the last launch.
 #pragma once
 
 #include <cstddef>

@@ -1,6 +1,6 @@
-// Bytes that a row of a hand-written kernel may have on the stack: of a thread of the host, and of
-// one of a device, where the stacks of a group of threads are interleaved, so that they read them
-// together, and all threads that can run have theirs.
+// The bytes that a row of a hand-written kernel may have on the stack, for a thread of the host and
+// for a thread of a device. On a device the stacks of a group of threads are interleaved, so that
+// the threads read together. All threads that can run have a stack.
 #pragma once
 
 #include <cstdint>

@@ -1,7 +1,7 @@
 // Elementary functions, written once: branch-free templates over the scalar T. With T = float they
 // run in the forward engine, with T = nova::Real they are traced. The functions use only operations
-// that round the same everywhere (+ - * / sqrt floor fma, comparisons, selects, casts, bit
-// patterns) and no libm, so that all devices give the same bits.
+// that round the same everywhere: + - * / sqrt floor fma, comparisons, selects, casts and bit
+// patterns. Without libm, all devices give the same bits.
 //
 //   function    worst error  where        special values (NaN in gives NaN out)
 //   sin, cos    1.6 ulp      |x| <= 1e5   sin(-0) = -0, +-inf gives NaN
@@ -16,9 +16,10 @@
 //   rsqrt       1.5 ulp      everywhere   1/sqrt(x): rsqrt(+-0) = +-inf, NaN for x < 0
 //
 // Everywhere includes denormal arguments and results. The errors are measured against double
-// precision: over all arguments for functions of one, over 4e8 random pairs for those of two. sin
-// and cos have 2.4 ulp up to |x| = 1e6. Further out the argument reduction runs out of bits: the
-// result is still in [-1, 1] and the same everywhere, but above about 1e7 it means nothing.
+// precision: over all arguments for functions of one, over 4e8 random pairs for those of two. The
+// error of sin and cos is 2.4 ulp up to |x| = 1e6. Further out the argument reduction runs out of
+// bits: the result is still in [-1, 1] and the same everywhere, but above about 1e7 it means
+// nothing.
 //
 // Derivatives are the analytic ones. Where there is none, by convention:
 //   log         1/x everywhere, so +-inf at +-0
@@ -32,11 +33,11 @@
 // Call them from namespace novaphy or nova, or as math::sin(x): at global scope an unqualified
 // sin(x) of a float is libm's.
 //
-// The coefficients are our own minimax fits of the relative error of each function: Lawson's
-// iteration (least squares, reweighted until the error is level) on 1500 Chebyshev nodes against
-// 50-digit values; coefficients rounded to binary32 from the lowest degree up, with the rest
-// refitted after each; then a search over neighbouring floats. Each use states the interval and the
-// relative error in the function that the rounded polynomial leaves.
+// The coefficients are our own minimax fits of the relative error of each function. Lawson's
+// iteration (least squares, reweighted until the error is level) runs on 1500 Chebyshev nodes
+// against 50-digit values. Coefficients are rounded to binary32 from the lowest degree up, with the
+// rest refitted after each. A search over neighboring floats comes last. Each use states the
+// interval and the relative error in the function that the rounded polynomial leaves.
 #pragma once
 
 #include "novaphy/math/scalar.h"

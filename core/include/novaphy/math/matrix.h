@@ -2,7 +2,7 @@
 //
 // A product of two matrices is a chain of explicit fused multiply-adds per entry,
 //   fma(a_i2, b_2j, fma(a_i1, b_1j, a_i0 b_0j)),
-// which rounds once per link on every device. Products with vectors and determinants are not fused.
+// so every device rounds once per link. Products with vectors and determinants are not fused.
 #pragma once
 
 #include "novaphy/math/types.h"

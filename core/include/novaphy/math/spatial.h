@@ -1,11 +1,11 @@
 // Spatial vectors, frames and inertias, templated on the scalar like types.h.
 //
-// Motion (v, w) and force (f, t) are linear first and about the origin of their frame: v is the
-// velocity of the body point at the origin, t the moment about it. A frame is a Transform X: its
-// pose in the outer frame, p' = p + rotate(q, x). Inertias are ten numbers about the origin, never
-// 6x6 except where they are factored (ldlt.h).
-// Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 2, with the linear part
-// first; equations are named where they stand.
+// Motion (v, w) and force (f, t) are linear first and about the origin of their frame. The vector v
+// is the velocity of the body point at the origin, t the moment about the origin. A frame is a
+// Transform X: its pose in the outer frame, p' = p + rotate(q, x). Inertias are ten numbers about
+// the origin, never 6x6 except where they are factored (ldlt.h). Source: Featherstone, Rigid Body
+// Dynamics Algorithms (2008), chapter 2, with the linear part first; equations are named where they
+// stand.
 #pragma once
 
 #include "novaphy/math/types.h"

@@ -1,16 +1,14 @@
 // Adjoints: from the Program of a kernel to the Programs that pull gradients of its outputs back to
 // its sources.
 //
-// The instruction set is closed under this: the adjoint of a gather is a row-sum over the inverse
-// of the index table, of a row-sum a gather, of a uniform read a row-sum with one row. No atomics,
-// so the order of every sum is fixed. One Program is made per output domain:
-//   rows   one lane per output row: gradients of direct sources, and what each row contributes to
-//   uniform and
-//          indexed sources
-//   items  one lane per loop item (CSR slot, or (row, r) pair of a fixed loop): gradients of
-//   sources that are
-//          read inside the loop at the item
-// Each recomputes the primal it needs and runs one reverse sweep.
+// The instruction set is closed under the adjoint. A gather becomes a row-sum over the inverse of
+// the index table, a row-sum becomes a gather, and a uniform read becomes a row-sum with one row.
+// No atomics, so the order of every sum is fixed. One Program is made per output domain:
+//   rows   one lane per output row: gradients of direct sources, and the part of each row for
+//          uniform and indexed sources
+//   items  one lane per loop item (CSR slot, or (row, r) pair of a fixed loop): gradients of sources
+//          that are read inside the loop at the item
+// Each Program recomputes the primal values it needs, and runs one reverse sweep.
 #pragma once
 
 #include <cstdint>

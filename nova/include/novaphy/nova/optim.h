@@ -1,4 +1,4 @@
-// Optimisers and gradient clipping as kernels: in place, never recorded on a tape, without a read
+// Optimizers and gradient clipping as kernels: in place, never recorded on a tape, without a read
 // on the host but for what direct steps on the CPU check. So all of it may stand in a
 // ScopedCapture, and a launch of the graph gives the bits of the same calls run at once. Numbers
 // (rates, limits) are those of the moment of the capture; what changes from step to step (moments,
@@ -8,10 +8,10 @@
 // zero after zero_grad(). Units: a gradient has those of loss / param, a learning rate for SGD
 // those of param^2 / loss, for Adam those of param.
 //
-// Errors name the call and the argument and come before anything is written: ErrorKind::Type for a
-// tensor that is undefined or not float32; ErrorKind::Value for a parameter without a gradient, a
-// wrong shape, another device, no parameters, memory that is given twice, and numbers outside of
-// what is said below.
+// Errors name the call and the argument, and come before anything is written. ErrorKind::Type: a
+// tensor that is undefined or not float32. ErrorKind::Value: a parameter without a gradient, a
+// wrong shape, another device, no parameters, memory that is given twice, or a number out of the
+// ranges below.
 #pragma once
 
 #include <vector>

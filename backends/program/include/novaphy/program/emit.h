@@ -1,15 +1,14 @@
 // Program -> C: the text that a compiler turns into native code, and that users read.
 //
-// The text is one function over a range of rows. It names lane types and functions (vf, vi, vm,
-// load3f, vselect_f, ...) whose meaning a prelude gives for one width of lanes:
-// backends/cpu/src/lanes.h for the host compiler. The same text serves every width, one lane
-// included, and gives the same bits as an interpreter of the Program in each:
-//  - every operation of the Program is one operation of the text, in the order of schedule();
-//  nothing is contracted
-//    or reassociated
-//  - values that are the same in every lane are plain C scalars, and as far as possible computed
-//  before the rows
-//  - a region that no lane of a group needs is jumped over
+// The text is one function over a range of rows. The function names lane types and functions (vf, vi, vm,
+// load3f, vselect_f, ...). A prelude gives their meaning for one width of lanes: the host compiler
+// has backends/cpu/src/lanes.h. The same text serves every width, one lane included. Each width
+// gives the same bits as an interpreter of the Program:
+//  - Every operation of the Program is one operation of the text, in the order of schedule().
+//    Nothing is contracted or reassociated.
+//  - Values that are the same in every lane are plain C scalars, computed before the rows as far as
+//    possible.
+//  - A region that no lane of a group needs is jumped over.
 #pragma once
 
 #include <string>

@@ -1,10 +1,10 @@
 // Box against box: the 15 separating axes, then the clipped faces (clip_manifold.h). Frame of A, m.
 //
-// The axis with the largest separation wins; a cross axis of two edges must win by kEdgeBias of the
+// The axis with the largest separation wins. A cross axis of two edges must win by kEdgeBias of the
 // size of the boxes, so that rounding does not turn a face contact into one of edges. The normal
-// and depth of overlapping boxes are exact to that bias. Boxes that are apart are as far apart as
-// a face axis says only if the clipped faces overlap there; else GJK finds the distance.
-// Source: Gottschalk, Lin, Manocha, OBBTree (1996), for the axes.
+// and depth of overlapping boxes are exact to that bias. Boxes that are apart are as far apart as a
+// face axis says only if the clipped faces overlap there; else GJK finds the distance. Source:
+// Gottschalk, Lin, Manocha, OBBTree (1996), for the axes.
 #pragma once
 
 #include "novaphy/collision/geometry/convex_pair.h"

@@ -2,11 +2,10 @@
 // along the other capsule or along a face (clip_manifold.h). Frame of A, m.
 //
 // Capsules: nearest points of the segments. Segments that cross part along the normal of their
-// plane; in one line, across it. The signed distance is then -(sum of the radii).
-// Box: a segment outside is nearest at one of its ends or across one of the 12 edges; one that
-// meets the box parts along one of the 3 face normals or the 3 axes across the segment and an edge,
-// whichever is the shortest way (separating axes; equal ways: the first). MuJoCo 4.0 is wrong
-// there.
+// plane; in one line, across it. The signed distance is then -(sum of the radii). Box: a segment
+// outside is nearest at one of its ends or across one of the 12 edges. A segment that meets the box
+// parts along the shortest of six ways: the 3 face normals, and the 3 axes across the segment and
+// an edge (separating axes). The first of equal ways is taken. MuJoCo 4.0 is wrong there.
 #pragma once
 
 #include "novaphy/collision/geometry/clip_manifold.h"

@@ -1,13 +1,15 @@
-// The manifold of two shapes of which normal, distance and nearest points are known: the supporting
-// feature of one is clipped against that of the other.
+// The manifold of two shapes with known normal, distance and nearest points: the supporting feature
+// of one is clipped against that of the other.
 //
-// The reference is the face that the normal is best aligned with, if within kFaceCosine; the other
+// The reference is the face that the normal is best aligned with, if within kFaceCosine. The other
 // feature, a face or an edge, is cut by the planes through the reference's edges (Sutherland,
-// Hodgman 1974), and each corner's distance is measured along the normal to the reference's plane.
-// Two nearly parallel edges (kParallelSine) are clipped likewise, by the planes through the ends of
-// the first. Everything else touches in one point. No corner counts as deeper than the known
-// distance; where none is as deep (round rims, edges on edges), the nearest points are added, so
-// the deepest point of the manifold always has the distance of the pair.
+// Hodgman 1974). Each corner's distance is measured along the normal to the reference's plane. Two
+// nearly parallel edges (kParallelSine) are clipped likewise, by the planes through the ends of the
+// first. Everything else touches in one point.
+//
+// No corner counts as deeper than the known distance. Where none is as deep (round rims, edges on
+// edges), the nearest points are added. The deepest point of the manifold therefore always has the
+// distance of the pair.
 //
 // The normal need not be a face's: it may be an edge axis that is a hair better than the face it
 // nearly lies along. The manifold is then still that of the faces, which keeps stacks steady.

@@ -1,12 +1,14 @@
 // The penetration of two convex cores (shape.h) that touch or overlap: EPA on A - B.
 //
 // A polytope of support points grows inside the Minkowski difference. The face nearest to the
-// origin gives a lower bound of the depth, and the support point along its normal n the upper bound
-// h(n): A and B part when they are moved by h(n) along n. The smallest h(n) seen is the answer, so
-// depth and normal belong together however the growth ends: by both bounds meeting within
-// kEpaTolerance of the size of the difference, or by a full workspace, or by rounding.
-// Distances of faces are signed and faces are turned outward by the polytope itself, not by the
-// origin, which may lie on the surface or just outside (kissing contact, depth 0 or < 0).
+// origin gives a lower bound of the depth. The support point along its normal n gives the upper
+// bound h(n): A and B part when they are moved by h(n) along n. The smallest h(n) seen is the
+// answer, so depth and normal belong together however the growth ends. The growth ends when both
+// bounds meet within kEpaTolerance of the size of the difference, by a full workspace, or by
+// rounding.
+//
+// Distances of faces are signed. The polytope itself turns faces outward, not the origin, which may
+// lie on the surface or just outside (kissing contact, depth 0 or < 0).
 // Source: van den Bergen, Proximity Queries and Penetration Depth Computation on 3D Game Objects
 // (2001).
 //

@@ -1,11 +1,14 @@
-// What of a shape lies in a direction: a face, an edge or a point of its core (shape.h).
+// The feature of a shape in a direction: a face, an edge or a point of its core (shape.h).
 //
 // A face is a convex polygon, counter-clockwise seen from outside, with its normal. The caps of
-// cylinder and cone are polygons of 8 rim points that are fixed in the shape's frame, so that a
-// resting manifold does not turn with rounding; their generators, and the segment of a capsule, are
-// edges. A face of a hull with more than 16 corners gives every k-th of them.
-// `face` numbers the face within the shape: 2 axis + (0: negative side, 1: positive) of a box,
-// 0 and 1 of the caps, the index of a hull's face, else 0. Frame of the shape.
+// cylinder and cone are polygons of 8 rim points. The points are fixed in the shape's frame, so
+// that a resting manifold does not turn with rounding. Generators of cylinder and cone, and the
+// segment of a capsule, are edges. A face of a hull with more than 16 corners gives every k-th of
+// them.
+//
+// `face` is the number of the face within the shape. Faces of a box have 2 axis + (0: negative
+// side, 1: positive), caps 0 and 1, faces of a hull their index, and other shapes 0. Frame of the
+// shape.
 #pragma once
 
 #include "novaphy/collision/geometry/support.h"

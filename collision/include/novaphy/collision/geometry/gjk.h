@@ -1,15 +1,16 @@
 // The distance of two separate convex cores (shape.h): GJK on the Minkowski difference A - B.
 //
-// v is the point of the current simplex nearest to the origin; the support point in -v is added
-// and the simplex is cut to the face that holds the new v. For n = -v/|v| the support point w gives
-// -w.n <= distance <= |v|, and the largest lower bound seen is the answer, with its n: it is a
-// distance along a direction, so it is never more than the true one.
+// The point v of the current simplex is nearest to the origin. Each iteration adds the support
+// point in -v and cuts the simplex to the face that holds the new v. For n = -v/|v| the support
+// point w gives -w.n <= distance <= |v|. The largest lower bound seen is the answer, with its n. A
+// distance along a direction is never more than the true distance.
+//
 // Source: Gilbert, Johnson, Keerthi (1988); termination as in van den Bergen, Collision Detection
 // in Interactive 3D Environments (2003), 4.3. The nearest point of a triangle comes from its normal
 // (not from differences of products of edges), which keeps its relative accuracy for thin ones.
 //
 // Ends in kGjkIterations, or when nothing is gained. Within kTouchingDistance of the size of the
-// simplex the cores count as touching: what v points along is rounding there, and EPA (epa.h)
+// simplex the cores count as touching: the direction of v is rounding there, and EPA (epa.h)
 // decides. Frame of A, m.
 #pragma once
 

@@ -4,14 +4,14 @@
 // from A to B. A point lies midway between the two surfaces; `distance` (m) is signed along the
 // normal, < 0 where the shapes overlap, and the surface points are
 //   on A: position - normal (distance / 2),    on B: position + normal (distance / 2).
-// `feature` names what of A meets what of B (contact_feature). It is unique within a manifold and
-// stays the same while the same features touch, so contacts can be followed from step to step.
-// collide() sorts points by it, so that nothing depends on the order in which they were found;
-// those of planes keep the order of plane_pairs.h.
+// `feature` names the features of A and B that meet (contact_feature). The name is unique within a
+// manifold and stays while the same features touch, so contacts can be followed from step to step.
+// The function collide() sorts points by it, so that nothing depends on the order in which they
+// were found. Points of planes keep the order of plane_pairs.h.
 //
-// Reduction (reduce_contacts): the deepest point, the farthest from it, the largest triangle, the
-// largest triangle on the other side of the longest edge, then always the point that is farthest
-// from those taken. Ties go to the smaller feature.
+// Reduction (reduce_contacts) takes points in this order: the deepest point, the farthest from it,
+// the largest triangle, and the largest triangle on the other side of the longest edge. Each
+// further point is the farthest from the points taken. Ties go to the smaller feature.
 #pragma once
 
 #include "novaphy/math/types.h"

@@ -2,20 +2,22 @@
 // that of mesh_pair.h. Two kinds, as of any two polyhedra:
 //
 // Vertices of each mesh on the other (vertices_on_mesh). Outside, the normal is that of the nearest
-// point (point_to_mesh). Inside, it is that of the nearest face over the vertex; in a hollow edge
-// or corner, whose faces are all beside it, of two or three faces, each with the distance to its
-// plane (faces_over). A normal counts only if the vertex stands on it: no neighbour of it lies
-// farther along the inward normal than kStandSine of the way there, so what is flush with a side
-// is not pushed off that side.
+// point (point_to_mesh). Inside, the normal is that of the nearest face over the vertex. In a
+// hollow edge or corner, all faces are beside the vertex; two or three of them give a normal, each
+// with the distance to its plane (faces_over).
 //
-// Edges on edges (edges_on_edges), those of the border and where the mesh is convex: the normal is
-// across both, and must lie in the cones of both. Where they overlap each point must lie in or on
-// the other mesh, and of several directions at one place that with the shortest way out counts
-// (drop_long_ways).
+// A normal counts only if the vertex stands on it: no neighbor of the vertex lies farther along the
+// inward normal than kStandSine of the way there. A mesh that is flush with a side is therefore not
+// pushed off that side.
+//
+// Edges on edges (edges_on_edges) are those of the border and of convex places of the mesh. The
+// normal is across both, and must lie in the cones of both. Where they overlap each point must lie
+// in or on the other mesh. Several directions may meet at one place: the direction with the
+// shortest way out counts (drop_long_ways).
 //
 // Sides are those of point_to_mesh: a closed mesh has an inside, an open one a side behind its
-// triangles. What lies deep in a closed mesh is pushed out by its vertices. Every loop is over
-// vertices, edges or nodes of a tree: the time is bounded, and results are in their order.
+// triangles. A part that lies deep in a closed mesh is pushed out by its vertices. Every loop is
+// over vertices, edges or nodes of a tree: the time is bounded, and results are in their order.
 // Frame of A, m.
 #pragma once
 

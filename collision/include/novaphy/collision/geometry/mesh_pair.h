@@ -15,15 +15,17 @@
 // - Beside. As before, but nothing of B over the triangle touches it: B's deepest point.
 // A contact that is no Counts stays only where no better one takes B off its triangle
 // (drop_explained). So a shape slides over flat and concave edges as over one face, and a touch at
-// one place takes nothing from another. What is wholly behind a triangle does not touch it, so a
+// one place takes nothing from another. A shape wholly behind a triangle does not touch it, so a
 // shape far inside of a mesh has no contacts.
 //
-// Reduction (reduce_mesh_contacts): contacts are sorted by (distance, triangle, feature); each
-// joins the first group whose deepest contact has a normal within 5 degrees; of a group stay those
-// that are farthest in eight directions across the normal, which are the same from step to step,
-// and the deepest if none of these is as deep; groups follow until `limit` contacts stay. The
-// result is a function of the set: the order in which contacts came has no effect, nor has the
-// capacity, as long as all found room.
+// Reduction (reduce_mesh_contacts) sorts contacts by (distance, triangle, feature). Each contact
+// joins the first group whose deepest contact has a normal within 5 degrees. From each group the
+// contacts stay that are farthest in eight directions across the normal. The directions are the
+// same from step to step. The deepest stays too if none of these is as deep. Groups follow until
+// `limit` contacts stay.
+//
+// The result is a function of the set: neither the order of contacts nor the capacity has an
+// effect, as long as all found room.
 // Frame of the mesh, m.
 #pragma once
 

@@ -1,9 +1,11 @@
 // The signed distance of a point to a convex hull or a triangle mesh, with the outward normal of
-// the surface where it is nearest: that point is x - normal * distance. Frame of the shape, m.
+// the surface at the nearest point. The nearest point is x - normal * distance. Frame of the shape,
+// m.
 //
 // Mesh: the sign is that of the angle-weighted normal of all triangles that meet in the nearest
-// point, which is right for closed meshes (J. A. Baerentzen, H. Aanaes, Signed Distance Computation
-// Using the Angle Weighted Pseudonormal, 2005). Beside a border the point is outside.
+// point, which is right for closed meshes. Beside a border the point is outside.
+// Source: J. A. Baerentzen, H. Aanaes, Signed Distance Computation Using the Angle Weighted
+// Pseudonormal (2005).
 #pragma once
 
 #include "novaphy/collision/geometry/geometry_view.h"

@@ -1,11 +1,14 @@
 // A sphere against sphere, capsule, box, cylinder and cone, in closed form: the signed distance of
-// the centre to the solid, less the radius. One contact.
+// the center to the solid, less the radius. One contact.
 //
 // Solids of revolution are cut by the half plane through the centre (rho, z): a rectangle, a
-// triangle. Inside, the nearest face counts. Where the nearest point is not unique: of centres in
-// one point, and of one on the segment of a capsule, the normal is +x; inside a box the face of the
-// lowest axis, + at 0; on the axis of a cylinder or cone the side towards +x; of side and cap the
-// cap.
+// triangle. Inside, the nearest face counts.
+//
+// Where the nearest point is not unique, the choice is fixed. For centers in one point, and for a
+// center on the segment of a capsule, the normal is +x. Inside a box the face of the lowest axis is
+// taken, + at 0. On the axis of a cylinder or cone the side towards +x is taken, and of side and
+// cap the cap.
+//
 // Frame of the solid, which is B; the sphere is A and the normal points from A to B. m.
 #pragma once
 

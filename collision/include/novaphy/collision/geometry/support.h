@@ -1,5 +1,6 @@
 // Support functions: the point of a convex core (shape.h) that lies farthest in a direction, and
-// that of a pair's Minkowski difference A - B, which contains the origin when the cores overlap.
+// the same of a pair's Minkowski difference A - B. The difference contains the origin when the
+// cores overlap.
 //
 // Directions need not be of unit length; where several points are farthest, the same one comes for
 // the same direction. Polytopes with more than 32 vertices climb from neighbour to neighbour: a

@@ -1,6 +1,6 @@
-// The shape pairs (i < j) of a model that may touch by the bodies, flags, groups, worlds and
-// filters that the shapes had when the model was made, in lexicographic order: listed when somebody
-// first asks for them, because there are as many as the square of the shapes.
+// The shape pairs (i < j) of a model that may touch, in lexicographic order. Bodies, flags, groups,
+// worlds and filters of the shapes count as they were when the model was made. The first use lists
+// the pairs, because their number is the square of the number of shapes.
 #pragma once
 
 #include <atomic>

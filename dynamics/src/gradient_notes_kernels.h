@@ -1,5 +1,5 @@
-// What the contacts of a step do, for GradientNotes: which push, stick and slip, and which hold
-// their points or normals. Kernels for all devices, the host too.
+// The branches of the contacts of a step, for GradientNotes: which push, stick and slip, and which
+// hold their points or normals. Kernels for all devices, the host too.
 //
 //   note_soft_contacts   of a particle and a shape, by the laws of the semi-implicit solver and VBD
 //   note_rigid_contacts  of two shapes, by the law of the semi-implicit solver

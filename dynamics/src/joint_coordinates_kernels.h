@@ -1,6 +1,7 @@
-// eval_fk, a row per articulation: articulation/kinematics.h over the arrays of models and states,
-// so that bodies are where a step of articulations would have them, to the bit. eval_ik, a row per
-// joint: joint_kinematics_trace.h. eval_mimic, a row per joint: q0 = coef0 + coef1 q1.
+// Kernels of the functions of joint coordinates. For eval_fk, a row per articulation runs
+// articulation/kinematics.h over the arrays of models and states. Bodies are then where a step of
+// articulations would have them, to the bit. For eval_ik, a row per joint runs
+// joint_kinematics_trace.h. For eval_mimic, a row per joint computes q0 = coef0 + coef1 q1.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"

@@ -1,7 +1,7 @@
 // A step of articulations, and its adjoints, one row per articulation: articulation/step.h and
-// step_vjp.h over the arrays of models and states. What acts besides the drives: actuators
-// (articulation/actuation.h), and gravity compensation, a force -gravcomp mass gravity at centres
-// of mass.
+// step_vjp.h over the arrays of models and states. Actuators (articulation/actuation.h) and gravity
+// compensation act besides the drives. Gravity compensation is a force -gravcomp mass gravity at
+// centers of mass.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"

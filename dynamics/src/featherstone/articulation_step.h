@@ -1,4 +1,4 @@
-// What the solvers of articulations share: checks, and the arguments of a step.
+// Checks, and the arguments of a step, which the solvers of articulations share.
 #pragma once
 
 #include <span>

@@ -1,16 +1,16 @@
 // Gradients of the motion: the times at which contacts begin move with the state. On the host.
 //
 // A contact hits in step k, from the state x = (q, v). The step D_k has its impulse at the start. A
-// state that is moved by dx reaches the surface later by dt = -J_n dq / (J_n v): it moves on with
-// f- = (v, a-) so long, and is taken back by f+ at the end of the event:
+// state that is moved by dx reaches the surface later by dt = -J_n dq / (J_n v). The state moves on
+// with f- = (v, a-) so long, and is taken back by f+ at the end of the event:
 //   dx' = D (dx + f- dt) - f+ dt
 // a-: the accelerations without what hits; f+: at the end, under the controls of the event's step.
-// An event ends with its step or, where it closes a gap without a bounce, one step later, or more
-// where others begin then; D is that of all its steps. Its transpose, for y = D^T p:
+// An event ends with its step. An event that closes a gap without a bounce ends one step later, or
+// more where others begin then. D is that of all its steps. Its transpose, for y = D^T p:
 //   s = y . f- - p . f+,  and the gradient of q gets s J_n / |J_n v|.
-// A limit of a joint that begins or ends to push, in a tree that touches nothing, changes the step
-// from F_A to F_B where a number g(x) changes its sign. A move of x changes how many steps of each
-// there are, by a part of one:
+// A limit of a joint may begin or end to push, in a tree that touches nothing. The step then
+// changes from F_A to F_B where a number g(x) changes its sign. A move of x changes how many steps
+// of each there are, by a part of one:
 //   dx + (F_B(x) - F_A(x)) (dg . dx) / (dg . (F_A(x) - x)),  then D of F_B
 // Source: the saltation matrix of hybrid systems; Kong, Payne, Zhu, Johnson, Saltation Matrices
 // (2024).

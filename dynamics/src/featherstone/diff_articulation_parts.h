@@ -1,5 +1,5 @@
-// What the files of ArticulationStep share: the arrays of a step for the tape, its forward, adjoint
-// and tangent.
+// The parts that the files of ArticulationStep share: the arrays of a step for the tape, its
+// forward, adjoint and tangent.
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// What a step of the forward solver is for a tape.
+// The effect of a step of the forward solver on a tape.
 #pragma once
 
 #include "novaphy/core/sim/control.h"

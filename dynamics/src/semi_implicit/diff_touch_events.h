@@ -1,4 +1,4 @@
-// What a touch keeps, and what its steps do to tangents and gradients (diff_touches.h).
+// The record of a touch, and the effect of its steps on tangents and gradients (diff_touches.h).
 #pragma once
 
 #include <array>

@@ -1,4 +1,4 @@
-// What the kernels of bodies read, as vectors, poses and materials.
+// The columns that the kernels of bodies read, as vectors, poses and materials.
 #pragma once
 
 #include <vector>

@@ -1,7 +1,6 @@
-// The forces of springs, triangles, bending edges and tetrahedra, in two passes without a race:
-// every element writes what it adds to its particles, then every particle sums what it was given,
-// in the order springs, triangles, edges, tetrahedra, and each of these in the order of the
-// elements.
+// The forces of springs, triangles, bending edges and tetrahedra, in two passes without a race.
+// First every element writes its forces on its particles. Then every particle sums its forces in
+// the order springs, triangles, edges, tetrahedra, and within a kind in the order of the elements.
 #pragma once
 
 #include <vector>

@@ -1,10 +1,9 @@
-// Differentiable contact forces of particles. Compiled into
-// novaphy::dynamics where nova is built.
+// Differentiable contact forces of particles. Compiled into novaphy::dynamics where nova is built.
 //
 // The gradient of each input:
 //   input                               recorded contacts    static shapes
-//   particle_q, particle_qd             exact                exact (closest point and normal
-//   included) particle_f                          exact (linear)       exact (linear)
+//   particle_q, particle_qd             exact                exact, with closest point and normal
+//   particle_f                          exact (linear)       exact (linear)
 //   particle_radius                     exact                exact
 //   shape_material_ke, kd, kf, mu       exact                exact
 //   contact point and normal            frozen               part of particle_q's

@@ -1,5 +1,5 @@
-// What an operation does before it reads a model: checks its numbers, makes its derived arrays
-// current, and tells a capture what it holds of it.
+// The work of an operation before it reads a model: checks the model's numbers, makes its derived
+// arrays current, and tells a capture which arrays it holds.
 #pragma once
 
 #include <functional>

@@ -1,5 +1,6 @@
-// DiffSolverBase: what every solver is whose steps are kernels of the tensor runtime, recorded or
-// not. It gives one step; the rollout is here. Compiled into novaphy::dynamics where nova is built.
+// DiffSolverBase: the base of solvers whose steps are kernels of the tensor runtime, recorded or
+// not. A solver gives one step; the rollout is here. Compiled into novaphy::dynamics where nova is
+// built.
 #pragma once
 
 #include <map>

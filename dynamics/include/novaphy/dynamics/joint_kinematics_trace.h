@@ -1,21 +1,22 @@
-// Joint coordinates from the pose and motion of the child. The way there:
-// articulation/kinematics.h.
+// Joint coordinates from the pose and motion of the child. The inverse, poses from coordinates, is
+// in articulation/kinematics.h.
 //
 // Symbols, world frame unless said:
 //   X_p, X_c     pose of the joint frame in the parent and in the child
 //   J(q)         pose of the child's joint frame in the parent's, whose axes all of q and qd have:
 //     linear axes a_i     translation sum a_i q_i
-//     angular axes        then R(a_0, q_0) R(a_1, q_1) R(a_2, q_2), each axis turned by those
-//     before BALL, FREE          a quaternion; FREE: the translation too
+//     angular axes        then R(a_0, q_0) R(a_1, q_1) R(a_2, q_2), each axis turned by those before
+//     BALL, FREE          a quaternion; FREE: the translation too
 //   qd           the rates of those; of BALL the angular velocity of the child relative to the
 //                parent; of FREE the velocity of its centre of mass, then its angular velocity,
 //                relative to the parent
 //   twists       (velocity of the centre of mass, angular velocity), m/s, rad/s
-// Law: X_child = X_parent X_p J(q) X_c^-1.
-// Back: angles of one angular axis are those in [-pi, pi], of two and three perpendicular ones
-// those with the second in [-pi/2, pi/2]; where that is at its end, their axes lie in a plane and
-// the rates are those of a determinant of 1e-4. Source: Featherstone, Rigid Body Dynamics
-// Algorithms (2008), section 4.4; coordinates of Newton 1.8.0.
+// Law: X_child = X_parent X_p J(q) X_c^-1. Back: the angle of one angular axis is that in [-pi,
+// pi]. Angles of two and three perpendicular axes are those with the second in [-pi/2, pi/2]. Where
+// the second is at its end, their axes lie in a plane, and the rates are those of a determinant of
+// 1e-4.
+// Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 4.4; coordinates of Newton
+// 1.8.0.
 //
 // Freestanding: templated on the scalar. Gradient: none is taken; the formulas are smooth but where
 // angles jump and axes lie in a plane.

@@ -3,10 +3,10 @@
 // An actuator has the length l = gear q and the rate v = gear qd of its degree of freedom, and
 //   c      the control, clipped to ctrl_range, or the activation where it has dynamics
 //   force  (gain0 + gain1 l + gain2 v) c + bias0 + bias1 l + bias2 v, clipped to force_range
-// of which the degree of freedom feels gear times. The numbers by l and v, which are not positive,
-// are a stiffness and a damping of the drive (drives.h), so a step is as stable as drives are; the
-// others are its target, or a force where nothing depends on l and v. A force range of a servo is
-// the effort limit of the drive about the middle of the range. Dynamics:
+// The degree of freedom feels gear times the force. The parameters by l and v, which are not
+// positive, are a stiffness and a damping of the drive (drives.h), so a step is as stable as drives
+// are. The other parameters are the drive's target, or a force where nothing depends on l and v. A
+// force range of a servo is the effort limit of the drive about the middle of the range. Dynamics:
 //   integrator   act' = c
 //   filter       act' = (c - act) / time, explicit; filter_exact: its solution over the step
 // and then act is clipped to act_range. Source: MuJoCo, "Computation", actuation model.

@@ -1,5 +1,5 @@
-// What steps of articulations read and write, one row per articulation: the arguments of kernels
-// (core/row_kernel.h) over the arrays of models and states.
+// The arguments of the kernels that step articulations (core/row_kernel.h), one row per
+// articulation, over the arrays of models and states.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"

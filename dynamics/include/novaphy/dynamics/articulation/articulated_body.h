@@ -1,16 +1,17 @@
 // Articulated bodies: M^-1 of a tree link by link, without M.
 //
 //   M^-1 = (1 - H psi K)^T D^-1 (1 - H psi K)
-// A link and all that hangs on it, joints giving way, resist with the articulated inertia P: that
-// of the link, and P - K D K^T of each child, with D = S^T P S + diagonal and K = P S D^-1 of the
-// child's joint. Dofs of a joint are taken one by one, as if massless links were between them.
+// A link and its descendants, whose joints give way, resist with the articulated inertia P. P is
+// the inertia of the link plus P - K D K^T of each child, with D = S^T P S + diagonal and K = P S
+// D^-1 of the child's joint. Dofs of a joint are taken one by one, as if massless links were
+// between them.
 //
-// Motions and forces of a link are about a point of its own, its joint (of FREE its centre of
-// mass), in the axes of its body, and accelerations are those of that point. So nothing large is
-// added up that cancels: float32 has 1e-6 at 200 links, where errors of a mass matrix grow with the
-// fourth power of the links in a row.
-// Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 7; Rodriguez, Jain and
-// Kreutz-Delgado, A spatial operator algebra for manipulator modeling and control (IJRR 1991).
+// Motions and forces of a link are about a point of its own, in the axes of its body. The point is
+// its joint, or its center of mass for FREE, and accelerations are those of the point. No large
+// terms cancel: float32 has 1e-6 at 200 links. Errors of a mass matrix grow with the fourth power
+// of the links in a row. Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 7;
+// Rodriguez, Jain and Kreutz-Delgado, A spatial operator algebra for manipulator modeling and
+// control (IJRR 1991).
 #pragma once
 
 #include "novaphy/dynamics/articulation/kinematics.h"

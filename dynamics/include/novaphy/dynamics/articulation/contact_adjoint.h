@@ -11,11 +11,11 @@
 // Rows move velocities by B J (B 3 x 3 per contact: 1; a sliding cone mu lambda_n (1 - t
 // t^T)/|w_t|) and impulses by R. With the gradient g of v':
 //   (J M^-1 J^T B^T + R^T) z = J M^-1 g,   gradient of M v:  p = M^-1 (g - J^T B^T z)
-// so B^T z, as pushes at the contacts, leaves g, and the adjoint without contacts does the rest.
-// A material p gives -z . d(rows)/dp, dry friction +-dt p_k. What is left is the geometry: J's own
-// change with q in  -lambda . (J of p) + (B^T z) . (J of v'). Turning by S_k all that hangs on link
-// i changes a motion T of link b by S_k x (T_b - T_i). Source: Featherstone (2008), section 3.3,
-// for motions; the implicit function theorem.
+// so B^T z, as pushes at the contacts, leaves g, and the adjoint without contacts does the rest. A
+// material p gives -z . d(rows)/dp, dry friction +-dt p_k. The remaining part is the geometry: J's
+// own change with q in  -lambda . (J of p) + (B^T z) . (J of v'). Turning by S_k all that hangs on
+// link i changes a motion T of link b by S_k x (T_b - T_i). Source: Featherstone (2008), section
+// 3.3, for motions; the implicit function theorem.
 #pragma once
 
 #include "novaphy/dynamics/articulation/active_rows.h"

@@ -1,7 +1,7 @@
 // Forward derivatives of contacts and dry friction, by the set of rows that are active: the
 // transpose of contact_adjoint.h. Dual numbers carry the step with the impulses as they are; the
 // rows then have the derivatives r, and the impulses answer by (B J M^-1 J^T + R) lambda' = -r.
-// Freestanding: the host and the kernels of devices share it. Of `trees`:
+// Freestanding: the host and the kernels of devices share it. `trees` gives:
 //   tree(i), workspace(i)   of tree i with dual numbers, behind free_rates
 #pragma once
 

@@ -3,11 +3,12 @@
 //
 // A contact has the unit normal n from side A to side B and one point P of each surface, moved by
 // its margin. Its gap is d = n . (P_B - P_A); both sides push at the midpoint of the two points.
-// Rows are along n, t1 and t2: J qd = (velocity of B - velocity of A) at the midpoint. Per row and
-// tree on a side there are J and the response Y = M^-1 J^T, by the tree's factor (factor.h).
-// t1 is n x e made unit, e the axis along which n is smallest (of two alike the first), t2 = n x
-// t1. Points are about the origins of the trees' roots, so contacts of trees among each other do
-// not depend on where they are.
+// Rows are along n, t1 and t2: J qd = (velocity of B - velocity of A) at the midpoint. Each row has
+// J and the response Y = M^-1 J^T for each tree on a side, by the tree's factor (factor.h).
+//
+// The tangent t1 is n x e made unit. The axis e is the one along which n is smallest (of two alike
+// the first), and t2 = n x t1. Points are about the origins of the trees' roots, so contacts of
+// trees among each other do not depend on where they are.
 #pragma once
 
 #include "novaphy/dynamics/articulation/factor.h"

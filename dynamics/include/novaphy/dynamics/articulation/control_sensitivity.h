@@ -1,8 +1,8 @@
 // How the state of a tree changes with parameters of its control, carried along step by step.
 //
-// For a parameter, with x the change of the force of dofs (the target's or the torque's, and that
-// of drives and damping by the changes dq and dv of the state), M, branches and new rates those of
-// the step (step.h):
+// Let x be the change of the force of dofs for a parameter. Parts of x are the change of the target
+// or torque, and of drives and damping by the changes dq and dv of the state. M, branches and new
+// rates are those of the step (step.h):
 //   dv' = dv + dt M^-1 x, 0 for dofs at their velocity limits
 //   dq' = dq + dt dv' (FREE: angular tangents by the derivative of the Cayley map)
 //   then dv' of angular dofs times 1 - angular_damping dt

@@ -1,7 +1,7 @@
 // The derivative matrices of inverse and forward dynamics, analytic.
 //
-// About O, world axes, with Y, B and F summed over what hangs on a link, v and a of link i, v_p of
-// its parent, and for a dof k of joint i
+// About O, in world axes. Y, B and F are sums over a link and its descendants, v and a belong to
+// link i, v_p to its parent. For a dof k of joint i
 //   psi = v x S_k,   psi' = a x S_k + v x psi,   sigma = v_p x S_k + v x S_k
 // (a FREE joint's sigma has (R e_k x omega, 0) more for linear dofs, (v_rel x R e_k, 0) for angular
 // ones):

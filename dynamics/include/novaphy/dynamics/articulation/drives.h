@@ -1,14 +1,14 @@
 // Drives, limits and damping of joints with one dof, and the damping of BALL joints.
 //
 // The force of a dof at q with the rate v:
-//   drive      t = ke (q* - q) + kd (qd* - v), as far as the target mode has it, |t| <=
-//   effort_limit limit      where q is outside: t = limit_ke (limit - q) - limit_kd v, which pushes
-//   inwards only damping    t = -damping v
+//   drive      t = ke (q* - q) + kd (qd* - v) by the target mode, |t| <= effort_limit
+//   limit      where q is outside: t = limit_ke (limit - q) - limit_kd v, which pushes inwards only
+//   damping    t = -damping v
 // Implicit (the default): q and v are those of the end of the step, which adds dt D + dt^2 K to the
-// mass matrix, with the K and D of the branch: a drive at its effort limit and a limit that would
+// mass matrix. K and D are those of the branch: a drive at its effort limit and a limit that would
 // pull have none. The branches that a solve assumes are those that follow from it (step.h).
-// Explicit: t at the beginning of the step, limits that pull, and no drive outside them, as
-// Newton 1.8.
+// Explicit: t at the beginning of the step, limits that pull, and no drive outside them, as Newton
+// 1.8.
 #pragma once
 
 #include "novaphy/dynamics/articulation/step_arrays.h"

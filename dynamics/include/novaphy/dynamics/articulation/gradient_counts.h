@@ -1,5 +1,5 @@
-// What steps say of their gradients, added up over steps (gradient_info.h), and the events of
-// contacts between two steps. Freestanding: the host and the kernels of devices share it.
+// Labels and counts of the gradients of steps, added up over steps (gradient_info.h), and the
+// events of contacts between two steps. Freestanding: the host and the kernels of devices share it.
 #pragma once
 
 #include <cstdint>

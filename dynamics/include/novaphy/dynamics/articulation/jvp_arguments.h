@@ -1,5 +1,4 @@
-// What the tangent of a step of articulations reads and writes: the arguments of kernels, over
-// arguments.h.
+// The arguments of the kernels for the tangent of a step of articulations, over arguments.h.
 #pragma once
 
 #include "novaphy/dynamics/articulation/arguments.h"

@@ -1,7 +1,7 @@
 // The material of two shapes that touch (core/sim/shape_config.h, ShapeMixing).
 //
 // A coefficient of the pair is  a times that of shape A + b times that of shape B (+ a constant),
-// with the parts a and b below, which depend on the values but not on their derivatives. Steps,
+// with the parts a and b below. The parts depend on the values but not on their derivatives. Steps,
 // adjoints and tangents share the parts. Where both mu are the same, each shape has half of it.
 // Source: MuJoCo documentation, Computation, contact parameters.
 #pragma once

@@ -15,23 +15,26 @@
 //              beta = min(beta, restitution J_n qd), qd the rates before the step
 // A contact with the stiffness k and the damping c has instead, for d <= 0,
 //   beta = erp d / dt, erp = dt k / (dt k + c), and cfm = 1 / (dt (dt k + c)).
-// A sweep takes contact after contact: the normal first, then the tangents as a block, moved by
-// -w_t / s (s the largest eigenvalue of their 2 x 2 block of J Y) and projected radially. Sliding
-// does not lift a contact (no De Saxce correction).
-// Behind these sweeps, where an overlap wants more than the rates have, positions move at v' + p:
+// A sweep takes contact after contact: the normal first, then the tangents as a block. The tangents
+// are moved by -w_t / s and projected radially, with s the largest eigenvalue of their 2 x 2 block
+// of J Y. Sliding does not lift a contact (no De Saxce correction). After these sweeps, where an
+// overlap wants more than the rates have, positions move at v' + p:
 //   p = M^-1 J_n^T mu,  0 <= mu, J_n (v' + p) + beta + softness mu >= 0, one of both = 0
-// What the joints of a tree let part hardly or not at all would take endless impulses. A normal
-// gets at least the part kLeastMobility of the J_n Y_n that its sides have each alone, and at least
-// kLeastOfMass / m, by cfm; in shifts it has the softness kShiftSoftness of the first and
-// kLeastOfMass / m. m is the mass of all that moves in the trees of the contact; of a tree that
-// touches itself, that of what joints can part, on the lighter side. A tree that hangs on nothing
-// has a J_n Y_n of at least 1 / m against others. An overlap deeper than the lever of a joint is
-// nothing that the joint can part: no contact shifts a dof by more than kMostShift. A contact
-// without an impulse that only a speed above kMoreSpeed closes in the step does not hold shifts:
-// steps may leave such contacts out.
-// Source: Guendelman, Bridson, Fedkiw, Nonconvex Rigid Bodies with Stacking (2003), section 7, for
-// shifts; Preclik, Models and Algorithms for Ultrascale Simulations of Non-smooth Granular Dynamics
-// (2014), section 4; Catto, Iterative Dynamics with Temporal Coherence (2005).
+// Contacts that the joints of a tree hardly part, or not at all, would take endless impulses. Two
+// bounds prevent this. By cfm, a normal gets at least the part kLeastMobility of the J_n Y_n that
+// its sides have each alone, and at least kLeastOfMass / m. In shifts a normal has the softness
+// kShiftSoftness of the first bound and kLeastOfMass / m.
+//
+// The mass m is that of all moving bodies in the trees of the contact. If a tree touches itself, m
+// is the mass that joints can part, on the lighter side. A tree without an anchor has a J_n Y_n of
+// at least 1 / m against others.
+//
+// A joint cannot part an overlap deeper than its lever: no contact shifts a dof by more than
+// kMostShift. A contact without an impulse that only a speed above kMoreSpeed closes in the step
+// does not hold shifts: steps may leave such contacts out.
+// Sources: Guendelman, Bridson, Fedkiw, Nonconvex Rigid Bodies with Stacking (2003), section 7, for
+// shifts. Preclik, Models and Algorithms for Ultrascale Simulations of Non-smooth Granular Dynamics
+// (2014), section 4. Catto, Iterative Dynamics with Temporal Coherence (2005).
 #pragma once
 
 #include "novaphy/dynamics/articulation/scalar.h"

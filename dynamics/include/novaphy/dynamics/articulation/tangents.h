@@ -1,9 +1,9 @@
 // Gradients with respect to the numbers of q, and to its tangents (tree.h).
 //
-// With E(r) e = (e, 0) r / 2, a step e of a BALL's tangent is E(r) e in its numbers; of a FREE
-// joint, whose centre of mass is at c from the joint's frame in the anchor's axes, it is
-// (e_linear - e_angular x c, E(r) e_angular). Gradients with respect to numbers come out tangent to
-// the unit sphere: those of a function of r / |r|.
+// With E(r) e = (e, 0) r / 2, a step e of a BALL's tangent is E(r) e in its numbers. The center of
+// mass of a FREE joint is at c from the joint's frame, in the anchor's axes. A step of its tangent
+// is (e_linear - e_angular x c, E(r) e_angular). Gradients with respect to numbers come out tangent
+// to the unit sphere: those of a function of r / |r|.
 #pragma once
 
 #include "novaphy/dynamics/articulation/kinematics.h"

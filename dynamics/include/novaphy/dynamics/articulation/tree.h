@@ -8,17 +8,18 @@
 //
 // Frames. X_wpj = X_parent X_p is the joint's frame in the parent (its anchor), X = X_wpj X_j(q)
 // X_c^-1 the body's. Every root has an origin O of its own: its anchor, or the centre of mass of a
-// FREE root. All positions, motions (v, w) and forces (f, t) of what hangs on it are about O, in
-// world axes; so nothing but O depends on where the world's origin is.
+// FREE root. All positions, motions (v, w) and forces (f, t) of the tree are about O, in world
+// axes. Only O depends on the world's origin.
 //
 // Velocities. The joint's motion is S qd. The columns of S do not turn with the joint's own q:
 //   PRISMATIC  (R a, 0)                REVOLUTE  (p x R a, R a)        BALL  (p x R e_k, R e_k)
 //   FREE       (R e_k, 0), then (c x R e_k, R e_k)
-// with the anchor's rotation R and position p and the body's centre of mass c. So qd of a BALL is
-// the angular velocity in the anchor's axes, and qd of a FREE joint the velocity of the centre of
-// mass and the angular velocity, relative to the anchor, in its axes.
-// Tangents of q are per dof: BALL turns by exp(e) on the left, FREE moves the centre of mass by
-// e_linear and turns the body by exp(e_angular) about it. dX = S e holds for all.
+// with the anchor's rotation R and position p and the body's centre of mass c. The qd of a BALL is
+// therefore the angular velocity in the anchor's axes. The qd of a FREE joint is the velocity of
+// the center of mass and the angular velocity, relative to the anchor, in its axes.
+//
+// Tangents of q are per dof. BALL turns by exp(e) on the left. FREE moves the center of mass by
+// e_linear and turns the body by exp(e_angular) about it. For all of them, dX = S e.
 // Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapters 4 to 6.
 #pragma once
 

@@ -1,11 +1,12 @@
 // Contacts of one tree with the world, by projected Gauss-Seidel (pgs.h).
 //
-// With A = J M^-1 J^T the velocities of the rows are w = J v + A lambda: of a few contacts a sweep
-// moves w, and v is made once behind the sweeps; of more it moves v, as contact_rows.h. The same
-// iterates, up to rounding.
-// Every contact has rows over all dofs of the tree, zero where its link is not moved by one, so
-// that the lanes of a scalar may be trees that touch with other links. Lanes with fewer contacts
-// have such that push nothing: no link is moved, and the normal is any.
+// With A = J M^-1 J^T the velocities of the rows are w = J v + A lambda. With a few contacts a
+// sweep moves w, and v is made once after the sweeps. With more contacts a sweep moves v, as in
+// contact_rows.h. The iterates are the same, up to rounding.
+//
+// Every contact has rows over all dofs of the tree, zero where a dof does not move its link. The
+// lanes of a scalar may therefore be trees that touch with other links. A lane with fewer contacts
+// has contacts that push nothing: no link is moved, and the normal is any.
 #pragma once
 
 #include "novaphy/dynamics/articulation/contact_rows.h"

@@ -1,18 +1,21 @@
 // Functions of the dynamics of articulations, of all of a model at once.
 //
-// A is the number of articulations, D the largest number of dofs of one and L the largest number of
-// its joints; matrices are padded with zeros to D and L. Dofs, rates and tangents are those of
-// articulation/tree.h: of a FREE joint the centre of mass moves and the body turns about it, in the
-// axes of the joint's frame in the parent. Forces of dofs do work on rates: of a FREE joint at the
-// world, in such axes, a force and a torque about the centre of mass. Derivatives by q are by
-// tangents, one column per dof. Armature is part of the mass matrix. Wrenches on bodies, drives and
-// limits take no part. Where joints follow others, forward dynamics and its derivatives are those
-// of the joined tree, all else of the free one.
+// A is the number of articulations, D the largest number of dofs of one, and L the largest number
+// of joints. Matrices are padded with zeros to D and L.
 //
-// They run where the model is, with the same bits, and wait for their results: ErrorKind::Runtime
-// inside a capture. `state`: joint_q and joint_qd are read. All throw ErrorKind::NotImplemented as
-// Articulations does, and ErrorKind::Value, naming the argument, for a state of another model or a
-// wrong size.
+// Dofs, rates and tangents are those of articulation/tree.h. A FREE joint moves the center of mass
+// and turns the body about it, in the axes of the joint's frame in the parent. Forces of dofs do
+// work on rates: of a FREE joint at the world, in such axes, a force and a torque about the center
+// of mass.
+//
+// Derivatives by q are by tangents, one column per dof. Armature is part of the mass matrix.
+// Wrenches on bodies, drives and limits take no part. With mimic joints, forward dynamics and its
+// derivatives are those of the joined tree, all else of the free one.
+//
+// The functions run where the model is, with the same bits, and wait for their results:
+// ErrorKind::Runtime inside a capture. Each reads joint_q and joint_qd of `state`. All throw
+// ErrorKind::NotImplemented as Articulations does, and ErrorKind::Value, naming the argument, for a
+// state of another model or a wrong size.
 #pragma once
 
 #include <span>

@@ -11,21 +11,28 @@
 // Gradients of quaternions are tangent to the unit sphere. body_inertia counts by its symmetric
 // part.
 //
-// With contacts (FeatherstoneOptions::contact Pgs) the sweeps start from nothing and go on to
-// pgs_tolerance, at most 1000 times (more where pgs_iterations is more). The gradient is that of
-// the converged impulses by the rows that are active (articulation/contact_adjoint.h): exact of the
-// code where they miss their law by at most 1e-3 of the largest impulse, else a surrogate; where a
-// contact is just breaking, sticking or sliding, that to one side. ContactBranches counts them, and
-// the events of contacts between steps (gradient_counts.h). Where the sweeps of a step ended far
-// from converged (pgs.h), its adjoint and its tangent throw ErrorKind::Runtime, with the step and
-// the pair. (On devices the step or rollout that waits looks; captures do not.) Points of contacts
-// and normals move as the search moves them where a plane of the world meets spheres, capsules,
-// boxes, hulls or meshes and they were found from the state of the step (FoundContacts). Else they
-// are frozen: points stay in the frames of their bodies, normals in the world; ContactBranches
-// counts such steps apart.
-// That there are more or fewer contacts is not differentiated. So it is with dry friction of joints
-// (joint_friction), which counts as a step with contacts. A capture records such steps and their
-// adjoints as work of the host; where a replay fails its results are NaN, and begin says why.
+// With contacts (FeatherstoneOptions::contact Pgs) the sweeps start from zero impulses and go on to
+// pgs_tolerance, at most 1000 times (more where pgs_iterations is more).
+//
+// The gradient is that of the converged impulses by the active rows
+// (articulation/contact_adjoint.h). The gradient is exact of the code where the rows miss their law
+// by at most 1e-3 of the largest impulse, else a surrogate. Where a contact is just breaking,
+// sticking or sliding, it is that to one side. ContactBranches counts the branches, and the events
+// of contacts between steps (gradient_counts.h).
+//
+// Where the sweeps of a step ended far from converged (pgs.h), its adjoint and its tangent throw
+// ErrorKind::Runtime, with the step and the pair. (On devices the step or rollout that waits looks;
+// captures do not.)
+//
+// Points and normals move as the search moves them for contacts of a plane of the world with
+// spheres, capsules, boxes, hulls or meshes. The contacts must come from the state of the step
+// (FoundContacts). Other points and normals are frozen: points stay in the frames of their bodies,
+// normals in the world. ContactBranches counts such steps apart. The making and breaking of
+// contacts is not differentiated.
+//
+// Dry friction of joints (joint_friction) is treated likewise, and counts as a step with contacts.
+// A capture records such steps and their adjoints as work of the host; where a replay fails its
+// results are NaN, and begin says why.
 //
 // Models on devices as SolverFeatherstone, steps, adjoints and tangents with the bits of the cpu,
 // and captures record launches. Where an island of contacts has no room there for its system

@@ -1,5 +1,5 @@
-// Which contacts of shapes follow the poses of their bodies (contact_turning_trace.h), row by row.
-// Freestanding: the host and the kernels of devices share it.
+// Finds the contacts of shapes that follow the poses of their bodies (contact_turning_trace.h), row
+// by row. Freestanding: the host and the kernels of devices share it.
 #pragma once
 
 #include "novaphy/collision/diff_soft_contact_trace.h"

@@ -1,4 +1,4 @@
-// Which rows of rigid contacts have an exact gradient by the poses of their bodies.
+// Finds the rows of rigid contacts with an exact gradient by the poses of their bodies.
 #pragma once
 
 #include <vector>

@@ -1,17 +1,18 @@
-// How the points and the normal of a rigid contact move with the poses of its two bodies, where
-// that has a closed form: of planes with all shapes, and of spheres, capsules and boxes.
+// How the points and the normal of a rigid contact move with the poses of its two bodies. A closed
+// form exists for planes with all shapes, and for spheres, capsules and boxes.
 //
-// The search stores points of the cores in the frames of the bodies, and a normal in the world.
-// Which feature of its shape a point lies on is read off the point:
-//   sphere    the centre: a point              capsule   an end: a point; between: a line along z
-//   plane     a face                           box       on three faces: a point (corner), on two:
-//   a
-//                                              line (edge), on one: flat
+// The search stores points of the cores in the frames of the bodies, and a normal in the world. The
+// point itself tells the feature of its shape on which it lies:
+//   sphere           the center: a point
+//   capsule          an end: a point; between: a line along z
+//   plane            a face
+//   box              on three faces: a point (corner), on two: a line (edge), on one: flat
 //   cylinder, cone   on the rim: the deepest point, which wanders, or one of three that are fixed;
-//                    the apex: a point          ellipsoid   the deepest point, which wanders
+//                    the apex: a point
+//   ellipsoid        the deepest point, which wanders
 //   hull, mesh       a vertex: a point, where a plane meets it
-// Law (P, Q points that are fixed in A and B; U, V directions of lines, M normals of faces, all
-// turning with their bodies; n the normal from A to B):
+// Law. P and Q are points that are fixed in A and B. U, V are directions of lines and M normals of
+// faces, which all turn with their bodies. The normal n points from A to B:
 //   a plane, or a face of a box along which n is, or the face of two boxes (a box and a capsule)
 //   that leads where n is across an edge of each
 //       n is M, or along the product of the two edges. The point of the other shape is a corner, or
@@ -22,15 +23,19 @@
 //   points    P, Q,  n along Q - P
 //   point and line    the line's point is the nearest to the other
 //   lines     their nearest points, n along U x V (less parallel than 0.6 degrees)
-// Otherwise points stay fixed in their bodies and the normal in the world: frozen. So it is where
-// the normal is not that of this law (within 0.3 degrees), and where the search chooses among
-// features that coincide (within 1e-4 of a size or a direction): a capsule flat on a face of a box,
-// a corner of a box on the outline of the face of another, two corners or ends with the normal
-// across an edge or axis of each, faces of two boxes that are parallel. So is a rim that lies flat
-// on a plane (within 1e-4), whose deepest point is none of its own, and what is not a plane with an
-// ellipsoid, a cylinder, a cone, a hull or a mesh. Of values: the stored points and normal as they
-// are; the law gives their derivatives only. Gradient: exact, by poses, as long as the features
-// stay the same; shapes carry none.
+// Otherwise contacts are frozen: points stay fixed in their bodies and the normal in the world.
+// Four kinds of contacts are frozen:
+//
+// - The normal is not that of this law (within 0.3 degrees).
+// - The search chooses among features that coincide (within 1e-4 of a size or a direction).
+//   Examples are a capsule flat on a face of a box, and a corner of a box on the outline of
+//   another's face. Further examples are two corners or ends with the normal across an edge or axis
+//   of each, and parallel faces of two boxes.
+// - A rim lies flat on a plane (within 1e-4), so its deepest point is none of its own.
+// - A shape that is not a plane meets an ellipsoid, a cylinder, a cone, a hull or a mesh.
+//
+// Values are the stored points and normal as they are; the law gives their derivatives only.
+// Gradient: exact, by poses, as long as the features stay the same; shapes carry none.
 //
 // Freestanding: T = float names what is exact, T = nova::Real is traced.
 #pragma once

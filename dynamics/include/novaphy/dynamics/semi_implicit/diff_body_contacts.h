@@ -1,11 +1,11 @@
 // Differentiable contacts of bodies that a Contacts holds: of shapes with each other, and of
 // particles with the shapes of bodies. Compiled into novaphy::dynamics where nova is built.
 //
-// Each is two steps: a kernel over the contacts, which writes what every contact does to what it
-// touches, and a sum over the bodies (the particles) in the order of the contacts. So nothing is
-// summed by atomics, forward or backward, and the bits are those of SolverSemiImplicit.
+// Each is two steps: a kernel over the contacts, which writes the forces of each contact, and a sum
+// over the bodies (the particles) in the order of the contacts. No sum needs atomics, forward or
+// backward, and the bits are those of SolverSemiImplicit.
 //
-// What each input's gradient is:
+// The gradient of each input:
 //   body_q, body_qd, body_f; particle_q, particle_qd, particle_f    through the forces: exact. The
 //       points and normals of planes, spheres, capsules and boxes follow both bodies
 //       (contact_turning_trace.h, contact_gradients.h says which rows); those of other shapes are

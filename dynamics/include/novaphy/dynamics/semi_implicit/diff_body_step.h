@@ -1,6 +1,6 @@
 // One semi-implicit step of bodies as generated kernels: the wrenches of contacts, then
-// integration. What DiffSemiImplicitSolver records. Compiled into novaphy::dynamics where nova is
-// built.
+// integration. DiffSemiImplicitSolver records these kernels. Compiled into novaphy::dynamics where
+// nova is built.
 #pragma once
 
 #include "novaphy/core/sim/sim_state.h"

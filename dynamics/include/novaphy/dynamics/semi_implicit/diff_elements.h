@@ -1,12 +1,11 @@
 // Differentiable forces of springs, triangles, bending edges and tetrahedra. Compiled into
 // novaphy::diff.
 //
-// Each is two kernels: one over the elements, which writes what every element adds to its
-// particles, and one over the particles, which adds that to particle_f in the order of the
-// elements. So nothing is summed by atomics, forward or backward, and the bits are those of
-// SolverSemiImplicit.
+// Each is two kernels. The kernel over the elements writes the forces of each element on its
+// particles. The kernel over the particles adds these to particle_f in the order of the elements.
+// No sum needs atomics, forward or backward, and the bits are those of SolverSemiImplicit.
 //
-// What each input's gradient is:
+// The gradient of each input:
 //   input                                     springs   triangles  bending   tetrahedra
 //   particle_q, particle_qd                   exact     exact      exact     exact
 //   particle_f                                exact     exact      exact     exact     (linear)

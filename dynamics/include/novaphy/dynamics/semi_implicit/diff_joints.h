@@ -1,9 +1,9 @@
-// Differentiable penalty joints: a kernel over the joints, which writes what every joint does to
-// the bodies that it holds (penalty_joint_trace.h), and a sum over the bodies in the order of the
-// joints, the parent's side before the child's. Compiled into novaphy::dynamics where nova is
+// Differentiable penalty joints, in two steps. A kernel over the joints writes the wrenches of each
+// joint on its two bodies (penalty_joint_trace.h). A sum over the bodies adds them in the order of
+// the joints, the parent's side before the child's. Compiled into novaphy::dynamics where nova is
 // built.
 //
-// What each input's gradient is:
+// The gradient of each input:
 //   body_q, body_qd                                                     exact
 //   joint_f, joint_target_q, joint_target_qd (the control's or the model's)   exact
 //   model: joint_target_ke, _kd, joint_limit_ke, _kd, _lower, _upper, joint_damping,

@@ -1,6 +1,6 @@
 // One semi-implicit step of particles as generated kernels: forces of the elements and of contacts,
-// then integration. What DiffSemiImplicitSolver records, and what SolverSemiImplicit runs on other
-// devices than the CPU. Compiled into novaphy::dynamics where nova is built.
+// then integration. DiffSemiImplicitSolver records the kernels, and SolverSemiImplicit runs them on
+// devices other than the CPU. Compiled into novaphy::dynamics where nova is built.
 #pragma once
 
 #include "novaphy/collision/diff_soft_contacts.h"

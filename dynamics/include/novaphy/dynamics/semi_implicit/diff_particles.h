@@ -1,12 +1,11 @@
-// Differentiable particle integration. Compiled into
-// novaphy::dynamics where nova is built.
+// Differentiable particle integration. Compiled into novaphy::dynamics where nova is built.
 //
-// What each input's gradient is:
+// The gradient of each input:
 //   particle_q, particle_qd, particle_f   exact
-//   gravity of each world, particle_mass  exact (the mass through particle_inv_mass = 1/mass; 0 for
-//   mass 0) particle_radius, shape_material_*     exact, where static contacts are part of the
-//   operator particle_flags, particle_max_velocity, dt   none (they choose, or are constants of the
-//   launch)
+//   gravity of each world                 exact
+//   particle_mass                         exact (through particle_inv_mass = 1/mass; 0 for mass 0)
+//   particle_radius, shape_material_*     exact, where static contacts are part of the operator
+//   particle_flags, particle_max_velocity, dt   none (they choose, or are constants of the launch)
 #pragma once
 
 #include <utility>

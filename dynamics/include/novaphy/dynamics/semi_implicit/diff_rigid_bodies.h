@@ -1,7 +1,7 @@
 // Differentiable rigid bodies on planes of the world. Compiled into novaphy::dynamics where nova is
 // built.
 //
-// What each input's gradient is:
+// The gradient of each input:
 //   body_q, body_qd, body_f    exact for the corners of boxes that are kept (rigid_plane_trace.h);
 //                              body_q as seven free numbers
 //   model: body_mass, body_inertia (by way of their stored inverses, which follow them), body_com,

@@ -6,12 +6,14 @@
 // them. A state that is moved by dx reaches the surface later by dt = -J dq / (J v), J the gradient
 // of the gap. Each of its steps k, with the derivative D of the code, becomes
 //   dx' = D (dx + f_k dt) - f_k+1 dt
-// f: the rates of the state, with the forces that are applied in step k; at the begin and behind
-// the end without the force of the touch. The states between the steps have the derivatives of the
-// motion too. Transposed: s = sum over the steps of (D^T p)_k . f_k - p_k+1 . f_k+1, and the
-// gradient of q at the begin gets s J / |J v|.
-// Other contacts have the force averaged over a step, for the derivative only (touch_rows.h): where
-// |d| < h |v_n| / 2 the part s = 1/2 - d / (h |v_n|) of a step is in contact, so
+// f: the rates of the state, with the forces that are applied in step k; at the begin and after the
+// end without the force of the touch. The states between the steps have the derivatives of the
+// motion too.
+//
+// Transposed: s = sum over the steps of (D^T p)_k . f_k - p_k+1 . f_k+1, and the gradient of q at
+// the begin gets s J / |J v|. Other contacts have the force averaged over a step, for the
+// derivative only (touch_rows.h). Where |d| < h |v_n| / 2, the part s = 1/2 - d / (h |v_n|) of a
+// step is in contact, so
 //   dF = s dF_in - (F_in - 0)/(h |v_n|) dd
 // Errors: O(h) of the first; of the second they grow with h w, w^2 = stiffness * inverse mass.
 // States do not change. Source: saltation matrices as in diff_articulation_motion.h; a hybrid

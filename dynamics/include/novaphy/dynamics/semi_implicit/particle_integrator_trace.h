@@ -4,11 +4,12 @@
 //   v1 = v1*(v_max/|v1|)  if |v1| > v_max
 //   x1 = x0 + v1*dt
 //
-// w         1/mass (1/kg), 0 for a kinematic particle
-// x, v, f   position (m), velocity (m/s), force (N), world frame
-// g         gravity (m/s^2), world frame
-// v_max     speed limit (m/s)
-// dt        step (s)
+//   w         1/mass (1/kg), 0 for a kinematic particle
+//   x, v, f   position (m), velocity (m/s), force (N), world frame
+//   g         gravity (m/s^2), world frame
+//   v_max     speed limit (m/s)
+//   dt        step (s)
+//
 // A particle that is not active keeps position and velocity.
 //
 // Source: Newton 1.8.0, SolverSemiImplicit. Its output on the cpu is the same bits; it does not

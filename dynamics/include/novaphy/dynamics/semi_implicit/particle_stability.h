@@ -1,15 +1,16 @@
 // Up to which dt the springs and dampers of particles are stable: elements, and contacts.
 //
-// Law, for particles of mass m_i: x'' = -M^-1 (K x + D x') in steps of semi-implicit Euler leaves
-// the unit circle at -1, where the largest eigenvalue of M^-1 (dt^2 K + 2 dt D) is 4. With the
-// blocks K_e, D_e of an element of n_e particles at rest (spring_trace.h, triangle_trace.h,
-// bending_trace.h, tetrahedron_trace.h), sums over the elements e of a particle i:
+// Law, for particles of mass m_i: x'' = -M^-1 (K x + D x'), in steps of semi-implicit Euler. The
+// step leaves the unit circle at -1, where the largest eigenvalue of M^-1 (dt^2 K + 2 dt D) is 4.
+// With the blocks K_e, D_e of an element of n_e particles at rest (spring_trace.h,
+// triangle_trace.h, bending_trace.h, tetrahedron_trace.h), sums over the elements e of a particle
+// i:
 //   enough  dt^2 sum n_e K_e,ii + 2 dt sum n_e D_e,ii <= 4 m_i for all i, because
 //           x^T K_e x <= n_e sum_i x_i^T K_e,ii x_i
 //   needed  the same without n_e: one particle diverges though all others are held
-// Contacts are those of contact_stability.h, of one particle with a shape (n_e = 1): ke and kd
-// along the normal, where kd acts in every other step, and kf across it. particle_kf_bound b limits
-// kf to b m/dt: friction then has 2 b of the 4.
+// Contacts are those of contact_stability.h, of one particle with a shape (n_e = 1). Along the
+// normal act ke and kd, where kd acts in every other step. Across the normal acts kf. The bound b =
+// particle_kf_bound limits kf to b m/dt: friction then has 2 b of the 4.
 #pragma once
 
 #include <cstdint>

@@ -3,8 +3,7 @@
 // Symbols, world frame unless said:
 //   X_p, X_c      the joint frame as the parent and as the child carry it, m
 //   x, v, w       position of the child's anchor from the parent's, velocities of the child
-//   relative
-//                 to the parent: at the child's anchor (m/s), and angular (rad/s)
+//                 relative to the parent: at the child's anchor (m/s), and angular (rad/s)
 //   r             rotation of X_c in X_p
 //   k, c          joint_attach_ke, joint_attach_kd: N/m, N*s/m, and N*m/rad, 0.01 c N*m*s/rad
 //   a_i           axes of the degrees of freedom; joint frame of the parent
@@ -24,15 +23,15 @@
 //             forces along the dual basis of the turned axes (determinant at least 1e-4: at q_1 =
 //             +-pi/2 the axes lie in a plane); a third one that is none is held by k and 0.01 c
 //     BALL    only damping and joint_f, about the axes of the parent's joint frame
-//   DISTANCE: l = |x|; f = unit(x) (limit_ke (l - upper) + limit_kd dl/dt) where l > upper,
-//   likewise
+//   DISTANCE: l = |x|; f = unit(x) (limit_ke (l - upper) + limit_kd dl/dt) where l > upper, likewise
 //     where l < lower, 0 between, and 0 where l = 0
-// Source: Newton 1.8.0, SolverSemiImplicit, but: it keeps no distance, its angles wrap at a full
-// turn, FIXED takes the long way round for w < 0, and the anchor of a displaced slide stays behind,
-// which makes momentum. Revolute joints agree with it to rounding.
+// Source: Newton 1.8.0, SolverSemiImplicit. Newton differs: it keeps no distance, its angles wrap
+// at a full turn, and FIXED takes the long way round for w < 0. The anchor of a displaced slide
+// stays behind in Newton, which makes momentum. Revolute joints agree with it to rounding.
 //
-// Gradient: exact in all inputs but the modes, away from the kinks: at limits and at effort_limit
-// that of the side on which the value is; r = identity and l = 0 have the finite limit.
+// Gradient: exact in all inputs but the modes, away from the kinks. At limits and at effort_limit
+// the gradient is that of the side on which the value is. At r = identity and l = 0 it is the
+// finite limit.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real can be traced.
 #pragma once

@@ -16,15 +16,12 @@
 //   newton17  ut/h min(kf h, c),  h = s^2/2 where s <= e, else e (s - e/2). Leaves the cone
 //   newton18  viscous
 // With newton17 and newton18 A gets -F at P_A and B gets F at P_B, each with the velocity there, as
-// in Newton: friction makes a couple |ut part of F| |d|. They are for comparison only.
-// None of them sticks: under a load below the cone a contact creeps.
-// Symbols:
-//   X, v, w, c   pose, velocity, angular velocity and centre of mass of a body (Model::body_q,
-//   ...);
+// in Newton. Friction then makes a couple |ut part of F| |d|. Both laws are for comparison only.
+// None of them sticks: under a load below the cone a contact creeps. Symbols:
+//   X, v, w, c   pose, velocity, angular velocity and center of mass of a body (Model::body_q, ...);
 //                the world: identity, 0
 //   p, m, normal Contacts::rigid_contact_point0, margin0, ...
-//   ke, kd, kf   N/m, N*s/m, N*s/m; mu 1; ka m: each the mean of the two shapes', but for ke, kd
-//   and
+//   ke, kd, kf   N/m, N*s/m, N*s/m; mu 1; ka m: each the mean of the two shapes', but for ke, kd and
 //                mu of a row that has its own (Contacts::rigid_contact_stiffness, ...)
 //   e            friction_smoothing (m/s), e > 0 for newton17
 //   F            N, world frame

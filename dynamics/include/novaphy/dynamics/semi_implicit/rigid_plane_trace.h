@@ -1,16 +1,16 @@
-// The contacts of a box, sphere or capsule of a body with a plane of the world, as one formula:
-// points of the shape are chosen, each has the force of rigid_contact_trace.h, and their wrenches
+// The contacts of a box, sphere or capsule of a body with a plane of the world, as one formula.
+// Points of the shape are chosen, each has the force of rigid_contact_trace.h, and their wrenches
 // are added in order.
 //
-// Points: the centre of a sphere, the ends of a capsule (+z first), and of a box the four deepest
-// corners, in the slots of geometry::plane_box (collision/geometry/plane_pairs.h) with the same
-// comparisons. A contact is at P = X p - n (radius + margin), and
+// Points: the center of a sphere, the ends of a capsule (+z first), and the four deepest corners of
+// a box. Corners have the slots and the comparisons of geometry::plane_box
+// (collision/geometry/plane_pairs.h). A contact is at P = X p - n (radius + margin), and
 //   d = dot(n, P - p_plane) - margin_plane
 // With five or more corners below the plane the fifth deepest has no force.
 //
 // Gradient: exact for the points that were chosen, in the pose, twist and centre of mass of the
-// body and in the materials. Which corners are kept is decided by comparisons and passes nothing;
-// nor do the size, the pose in the body, and the margins of shapes, and the plane.
+// body and in the materials. Comparisons decide which corners are kept, and pass nothing. Neither
+// do the size, the pose in the body and the margins of shapes, nor the plane.
 //
 // Freestanding: T = float for tests, T = nova::Real is traced. No branch depends on a value.
 #pragma once

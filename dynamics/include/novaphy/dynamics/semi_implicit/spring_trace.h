@@ -12,8 +12,8 @@
 //
 // Where kd = 0 no velocity is looked at.
 //
-// Ends in one point: u = 0, so there is no force, and nothing is passed (Newton gives NaN). There
-// the force jumps. Gradient: exact in x, v, ke, kd, rest elsewhere.
+// Ends in one point: u = 0, so there is no force, and nothing is passed (Newton gives NaN). The
+// force jumps there. Gradient: exact in x, v, ke, kd, rest elsewhere.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
 #pragma once

@@ -24,10 +24,10 @@
 // Where damp = 0 no velocity is looked at.
 //
 // The velocities in the volumetric damping are those of the corners in the world, not relative to
-// corner 0, as in Newton: with damp > 0 a tetrahedron that only translates feels a drag.
+// corner 0, as in Newton. With damp > 0, a tetrahedron that only translates therefore feels a drag.
 //
 // Source: Smith, de Goes, Kim, "Stable Neo-Hookean Flesh Simulation" (2018), equations 13 and 18,
-// as Newton 1.8.0's SolverSemiImplicit evaluates it; its output on the cpu is the same bits
+// as Newton 1.8.0's SolverSemiImplicit evaluates it. Newton's output on the cpu is the same bits
 // (without damping). Matrix products are fused chains, see math/matrix.h.
 //
 // Smooth everywhere, flat and inverted shapes included. Gradient: exact in x, v, act, mu, lam, damp

@@ -1,4 +1,4 @@
-// Who gets what slots compute for the positions of their elements.
+// Gather lists: the receivers of the values that slots compute for the positions of their elements.
 #pragma once
 
 #include <cstdint>

@@ -1,6 +1,6 @@
-// The solution of a step of VBD, and what is linear there: Newton's method and a residual method
-// over the sweeps of a step (StepTangent, StepAdjoint), which run where the model is. The rows here
-// are on the host.
+// The solution of a step of VBD, and linear systems there. Newton's method and a residual method
+// work over the sweeps of a step (StepTangent, StepAdjoint), which run where the model is. The rows
+// here are on the host.
 #pragma once
 
 #include <algorithm>

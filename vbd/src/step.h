@@ -1,6 +1,6 @@
 // A step of VBD: its tables, its memory, and the list of its launches (step_list.h), on any device.
-// What a step asks of the host stands between two stretches of the list, on the CPU where nobody
-// records; elsewhere kernels note what is wrong (vbd::note_fault), and check() says so.
+// On the CPU, where nobody records, questions of a step to the host stand between two stretches of
+// the list. Elsewhere kernels note faults (vbd::note_fault), and check() reports them.
 #pragma once
 
 #include <memory>

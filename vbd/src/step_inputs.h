@@ -1,5 +1,5 @@
-// What a step of VBD reads, and where its derivatives go: arrays of a device, or memory of the
-// host.
+// The inputs of a step of VBD, and the destinations of its derivatives: arrays of a device, or
+// memory of the host.
 #pragma once
 
 #include <type_traits>

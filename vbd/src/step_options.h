@@ -1,4 +1,4 @@
-// What a step makes of the options and the model's numbers.
+// The parameters of a step, from the options and the model's numbers.
 #pragma once
 
 #include <cmath>

@@ -1,5 +1,5 @@
 // The derivative of a step of VBD along a direction, and Newton's method with it (solution.h):
-// sweeps and forces are launches; the host, which decides how far to go, has the rows.
+// sweeps and forces are launches. The host decides how far to go, and has the rows.
 #pragma once
 
 #include <vector>

@@ -1,4 +1,5 @@
-// What sweeps of one instruction set read: slots, contacts, and the blocks that they add up to.
+// The inputs of the sweeps of one instruction set: slots, contacts, and the blocks that they add up
+// to.
 #pragma once
 
 #include "lanes.h"

@@ -1,8 +1,8 @@
-// A colour of VBD in reverse on devices, as three launches; sweep_adjoint.cpp is the first two of
-// them on the CPU, and explains them. vbd_adjoint_solve finds the multipliers u and the steps d of
-// the particles, a thread for each, or vbd_adjoint_solve_team by teams; vbd_adjoint_slots what
-// their slots give to positions and numbers, a thread for each lane of a slot; vbd_receive
-// (vbd_gradient_kernels.h) adds that up in slot order.
+// A color of VBD in reverse on devices, as three launches. On the CPU sweep_adjoint.cpp is the
+// first two of them, and explains them. First, vbd_adjoint_solve finds the multipliers u and the
+// steps d of the particles, a thread for each, or vbd_adjoint_solve_team by teams. Second,
+// vbd_adjoint_slots finds the part of each slot for positions and parameters, a thread for each
+// lane of a slot. Third, vbd_receive (vbd_gradient_kernels.h) adds the parts up in slot order.
 #pragma once
 
 #include "novaphy/vbd/lane_slots_kernels.h"

@@ -1,8 +1,8 @@
 // A bending edge in VBD: a rotational spring and damper between two triangles.
 //
-// Law, for the opposite vertices 0, 1 and the edge from 2 to 3 (math/hinge.h: unit normals n1, n2
-// of lengths N1, N2, unit vector e along the edge, angle th), thn the angle at the start of the
-// step h, wrap(.) into (-pi, pi] by one turn:
+// Law, for the opposite vertices 0, 1 and the edge from 2 to 3. The header math/hinge.h gives the
+// unit normals n1, n2 of lengths N1, N2, the unit vector e along the edge, and the angle th. The
+// angle at the start of the step h is thn, and wrap(.) goes into (-pi, pi] by one turn:
 //   E = ke L/2 (th - rest)^2 + kd L/(2h) wrap(th - thn)^2
 //   f = -(ke L (th - rest) + kd L/h wrap(th - thn)) t,  H = (ke + kd/h) L t t^T,  t = dth/dx
 //   dth/dx0 = -n1 |e|/N1                      dth/dx2 = n1 ((x3-x0).e)/N1 + n2 ((x3-x1).e)/N2

@@ -2,10 +2,11 @@
 //
 // A particle at x feels the force f and has the stiffness H, symmetric and positive definite. Its
 // step d solves H d = f. Every law of VBD (spring_trace.h, membrane_trace.h, tetrahedron_trace.h,
-// bending_trace.h, particle_contact_trace.h) returns the block of one element for one corner, which
-// it takes as the first; the others are those that the element has besides.
+// bending_trace.h, particle_contact_trace.h) returns the block of one element for one corner, and
+// takes this corner as the first.
 //
-// Inertia, of a mass m (kg), the target y = xn + h vn + h^2 (g + f_ext/m) and the step h (s):
+// Inertia, of a mass m (kg), the inertial position y = xn + h vn + h^2 (g + f_ext/m) and the step h
+// (s):
 //   E = m/(2 h^2) |x - y|^2,  f = m/h^2 (y - x),  H = m/h^2 I
 //
 // Source: Chen et al., "Vertex Block Descent" (2024), equations 5 to 10.

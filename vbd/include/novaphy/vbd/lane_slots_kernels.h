@@ -1,6 +1,6 @@
-// What kernels of VBD read of a group on devices, a lane at a time: slots, contacts, and the block
-// that they add up to. The laws and the order of their sums are those of sweep_slots.h, so the
-// results have the same bits.
+// Reads slots and contacts of a group for kernels of VBD on devices, a lane at a time, and adds up
+// their block. The laws and the order of their sums are those of sweep_slots.h, so the results have
+// the same bits.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"

@@ -1,11 +1,11 @@
 // A triangle in VBD: a stable Neo-Hookean membrane, seen from its corner x with the others at x1,
 // x2.
 //
-// Law. Column c of the deformation gradient is f_c = (x1-x) w1_c + (x2-x) w2_c, c = 0, 1, where w_m
-// is the row of the inverse rest matrix that belongs to corner m; the corner itself has the weights
-// (a, b) = -(w1 + w2). With J = sqrt(max(|f0 x f1|^2, 1e-20)), the normal n = (f0 x f1)/J,
-// ln = lam + mu, alpha = 1 + mu/max(ln, 1e-6) - act, the right Cauchy-Green tensor C = (f_p . f_q)
-// and its value Cn at the start of the step h:
+// Law. Column c of the deformation gradient is f_c = (x1-x) w1_c + (x2-x) w2_c, c = 0, 1. The row
+// of the inverse rest matrix that belongs to corner m is w_m, and the corner itself has the weights
+// (a, b) = -(w1 + w2). Let J = sqrt(max(|f0 x f1|^2, 1e-20)), the normal n = (f0 x f1)/J, ln = lam
+// + mu and alpha = 1 + mu/max(ln, 1e-6) - act. The right Cauchy-Green tensor is C = (f_p . f_q),
+// with the value Cn at the start of the step h:
 //   E = A [ mu/2 (|f0|^2 + |f1|^2 - 2) + ln/2 (J - alpha)^2 ]
 //       + A kd/(2h) [ (C00 - Cn00)^2 + 2 (C01 - Cn01)^2 + (C11 - Cn11)^2 ]
 //   s = ln (J - alpha), g0 = f1 x n, g1 = n x f0, P_c = mu f_c + s g_c

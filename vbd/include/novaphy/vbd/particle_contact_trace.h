@@ -1,19 +1,20 @@
 // A contact of a particle with a shape in VBD: a penalty, its damping, and friction.
 //
-// Law, for the particle at x (xn at the start of the step h), a point p of the surface that moves
-// with velocity v_s, the unit normal n out of the shape and the radius R (the particle's plus the
-// shape's margin); pen = R - n.(x - p), the contact acts while pen > 0; u = (x - xn) - h v_s:
+// Law, for the particle at x (xn at the start of the step h) and a point p of the surface, which
+// moves with velocity v_s. The unit normal n points out of the shape. R is the particle's radius
+// plus the shape's margin. With pen = R - n.(x - p) the contact acts while pen > 0, and u = (x -
+// xn) - h v_s:
 //   f = n (ke pen - kd/h min(n.u, 0)) - c u_t,  u_t = u - n (n.u)
 //   H = (ke + [n.u < 0] kd/h) n n^T + c (I - n n^T)
 //   c = mu ke pen times 1/|u_t| beyond the slip eps = friction_epsilon h, (2 - |u_t|/eps)/eps below
 // Coefficients are the means of those of the model and the shape, mu their geometric mean. H keeps
 // c along the slip, where the derivative of the force is about 0: without it the iteration does not
-// converge. p, n and v_s stay as they are in the step.
-// Symbols: x (m), ke (N/m), kd (N*s/m), mu (1), eps (m).
+// converge. In the step p, n and v_s stay as they are. Symbols: x (m), ke (N/m), kd (N*s/m), mu
+// (1), eps (m).
 //
-// Energy, for what asks whether a step is too long: ke/2 pen^2 + [n.u < 0] kd/(2h) (n.u)^2 +
-// mu ke pen_0 S(|u_t|), where S' = c/(mu ke pen) and pen_0 is that of the position that is left:
-// friction is no potential.
+// Energy, for the test whether a step is too long: ke/2 pen^2 + [n.u < 0] kd/(2h) (n.u)^2 + mu ke
+// pen_0 S(|u_t|), with S' = c/(mu ke pen). The overlap pen_0 is that of the position before,
+// because friction is no potential.
 //
 // Source: Newton 1.8.0's SolverVBD; friction of Li et al., "Incremental Potential Contact" (2020).
 // Newton leaves c out of f and H where u_t is 0, which makes a particle at rest and one that creeps

@@ -1,5 +1,6 @@
-// What a slot reads, as scalars of any kind (tangent_trace.h, tools/vbd_adjoints), and its block.
-// All is templated on the scalar, so that no level of the sweep shares code with another one.
+// The inputs of a slot, as scalars of any kind (tangent_trace.h, tools/vbd_adjoints), and its
+// block. All is templated on the scalar, so that no level of the sweep shares code with another
+// one.
 #pragma once
 
 #include "novaphy/vbd/bending_trace.h"

@@ -1,9 +1,9 @@
 // How the slots of a sweep lie in memory: an element seen from one particle, as rows of numbers.
 //
-// A group is some particles of one colour, its lanes. For each role of an element it has slots;
-// slot s of a group is one element for each lane: kInts[role] rows of indices, then kFloats[role]
-// rows of constants, a number for each lane in a row. A lane with fewer elements of a role reads,
-// in the rest of its slots, itself and coefficients of 0.
+// A group is some particles of one color, its lanes. The group has slots for each role of an
+// element. Slot s of a group is one element for each lane: kInts[role] rows of indices, then
+// kFloats[role] rows of constants, with a number for each lane in a row. A lane with fewer elements
+// of a role reads, in the rest of its slots, itself and coefficients of 0.
 //
 // Freestanding: device code reads it too.
 #pragma once

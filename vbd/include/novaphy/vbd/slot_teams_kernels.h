@@ -1,5 +1,5 @@
-// Teams: the threads of a block share the slots of the particles of some groups, and a thread for
-// each component of their blocks adds them in slot order (for devices only).
+// Teams, for devices only: the threads of a block share the slots of the particles of some groups.
+// A thread for each component of the particles' matrices adds the slots in slot order.
 #pragma once
 
 #include "novaphy/vbd/lane_slots_kernels.h"

@@ -2,16 +2,16 @@
 // x1, x2, x3.
 //
 // Law. Column c of the deformation gradient is f_c = sum_m (x_m - x) w_m,c, where w_m is the row of
-// the inverse rest matrix that belongs to corner m; the corner itself has the weights
-// m = -(w1 + w2 + w3). With J = det F, its cofactors cof F, ln = lam + mu,
-// alpha = 1 + mu/max(ln, 1e-6) - act, C = F^T F and its value Cn at the start of the step h:
+// the inverse rest matrix that belongs to corner m. The corner itself has the weights m = -(w1 + w2
+// + w3). With J = det F, its cofactors cof F, ln = lam + mu, alpha = 1 + mu/max(ln, 1e-6) - act, C
+// = F^T F and its value Cn at the start of the step h:
 //   E = V [ mu/2 (tr C - 3) + ln/2 (J - alpha)^2 ] + V kd/(2h) sum_pq (C_pq - Cn_pq)^2
 //   f = -V [ mu F m + ln (J - alpha) cof F m ] - damping
 //   H = V [ mu |m|^2 I + ln (cof F m)(cof F m)^T ] + damping's
 // H is the exact second derivative of the elastic E, positive definite for every shape, inverted
-// ones too, because J is linear in one corner; the damping's part is its Gauss-Newton one.
-// Symbols: x (m), w (1/m), V = volume at rest (m^3), mu, lam (Pa), kd (Pa*s), act (1): activation,
-// added to the relative volume.
+// ones too, because J is linear in one corner. The damping's part is its Gauss-Newton one. Symbols:
+// x (m), w (1/m), V = volume at rest (m^3), mu, lam (Pa), kd (Pa*s), act (1): activation, added to
+// the relative volume.
 //
 // Source: Smith, de Goes, Kim (2018) without the logarithm, as Newton 1.8.0's SolverVBD has it
 // (without activation).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -167,6 +168,33 @@ def test_the_guide_lists_the_options_of_the_build() -> None:
     assert defined and not missing
 
 
+def test_the_guide_has_the_defaults_of_the_options() -> None:
+    options = (ROOT / "cmake/NovaPhyOptions.cmake").read_text(encoding="utf-8")
+    guide = (ROOT / "docs/guide/cpp-one-library.md").read_text(encoding="utf-8")
+    defaults = dict(re.findall(r'^option\((NOVA\w+) ".*" (ON|OFF)\)', options, re.M))
+    seen = 0
+    for cells, default in re.findall(r"^\| (`NOVA[^|]*) \| ([^|]*) \|", guide, re.M):
+        names, values = re.findall(r"NOVA\w+", cells), re.findall(r"\b(ON|OFF)\b", default)
+        if " with " in default:  # depends on another option
+            continue
+        for option, value in zip(names, values * len(names), strict=False):
+            assert defaults.get(option, value) == value, option
+            seen += option in defaults
+    assert seen >= 10
+
+
+def test_the_presets_are_in_the_table_and_pages_name_no_other() -> None:
+    presets = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
+    made = {p["name"]: p for p in presets["configurePresets"] if not p.get("hidden")}
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    table = page.split("| Preset | Build |\n|---|---|\n")[1].split("\n\n")[0]
+    rows = dict(re.findall(r"^\| `([\w-]+)` \| (.*) \|$", table, re.M))
+    assert rows == {name: preset["displayName"] for name, preset in made.items()}
+    for path in PAGES:
+        named = set(re.findall(r"--preset ([a-z][\w-]*)", path.read_text(encoding="utf-8")))
+        assert named <= set(made), name(path)
+
+
 def test_the_page_for_backends_names_the_version_of_the_abi() -> None:
     header = (ROOT / "backends/abi/include/novaphy/abi/backend.h").read_text(encoding="utf-8")
     major = re.search(r"NOVAPHY_ABI_MAJOR (\d+)u", header)[1]
@@ -189,7 +217,7 @@ def test_what_the_pipeline_says_of_meshes_is_so() -> None:
     contacts = pipeline.contacts()
     pipeline.collide(model.state(), contacts)
     assert contacts.active_rigid_contact_count > 0
-    assert "also meet meshes" in novaphy.CollisionPipeline.__doc__
+    assert "also meet meshes" in " ".join(novaphy.CollisionPipeline.__doc__.split())
 
 
 def test_poses_of_joints_have_no_gradient_as_the_guide_says() -> None:

@@ -30,3 +30,16 @@ write_basic_package_version_file(${CMAKE_CURRENT_BINARY_DIR}/NovaPhyConfigVersio
                                  VERSION ${PROJECT_VERSION} COMPATIBILITY SameMinorVersion)
 install(FILES ${CMAKE_CURRENT_BINARY_DIR}/NovaPhyConfig.cmake ${CMAKE_CURRENT_BINARY_DIR}/NovaPhyConfigVersion.cmake
         DESTINATION ${destination} COMPONENT core)
+install(FILES ${PROJECT_SOURCE_DIR}/LICENSE ${PROJECT_SOURCE_DIR}/NOTICE
+        DESTINATION ${CMAKE_INSTALL_DATADIR}/licenses/novaphy COMPONENT core)
+
+# For builds without CMake: `pkg-config --cflags --libs novaphy-core`, one file for each component.
+get_property(components GLOBAL PROPERTY NOVAPHY_COMPONENTS)
+file(RELATIVE_PATH up /${CMAKE_INSTALL_LIBDIR}/pkgconfig /)
+foreach(component ${components})
+  list(TRANSFORM dependencies_${component} PREPEND novaphy- OUTPUT_VARIABLE requires)
+  list(JOIN requires " " requires)
+  configure_file(${CMAKE_CURRENT_LIST_DIR}/novaphy.pc.in ${CMAKE_CURRENT_BINARY_DIR}/novaphy-${component}.pc @ONLY)
+  install(FILES ${CMAKE_CURRENT_BINARY_DIR}/novaphy-${component}.pc
+          DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig COMPONENT ${component})
+endforeach()

@@ -1,8 +1,12 @@
-# Writes the version script OUTPUT for these HEADERS, see NovaPhyLibrary.cmake.
+# Writes the version script OUTPUT for these HEADERS, see NovaPhyLibrary.cmake. Comments do not count: whole lines, and
+# those behind code, which begin after two spaces.
 cmake_minimum_required(VERSION 3.25)
 set(hashes "")
 foreach(header ${HEADERS})
-  file(SHA256 ${header} hash)
+  file(READ ${header} text)
+  string(REGEX REPLACE "(^|\n)[ \t]*//[^\n]*" "" text "${text}")
+  string(REGEX REPLACE "  +//[^\n]*" "" text "${text}")
+  string(SHA256 hash "${text}")
   list(APPEND hashes ${header} ${hash})
 endforeach()
 string(SHA256 stamp "${hashes}")

@@ -1,5 +1,6 @@
-# Configures, builds and runs the consumer of one component against the installed package. The pseudo component
-# "unknown" checks what a wrong request is told.
+# Configures, builds and runs the consumer of one component against the installed package. Three pseudo components test
+# other ways: "unknown" the errors of wrong requests, "pkg_config" a build without CMake, "subdirectory" a project that
+# adds NovaPhy's sources.
 file(REMOVE_RECURSE ${WORK_DIR})
 
 function(try_configure components result_variable output_variable)
@@ -44,6 +45,39 @@ if(COMPONENT STREQUAL "unknown")
       message(FATAL_ERROR "find_package(NovaPhy ${request}) failed: ${output}")
     endif()
   endforeach()
+  return()
+endif()
+
+if(COMPONENT STREQUAL "pkg_config")
+  foreach(name LICENSE NOTICE)
+    if(NOT EXISTS ${PREFIX}/share/licenses/novaphy/${name})
+      message(FATAL_ERROR "${name} is not installed")
+    endif()
+  endforeach()
+  file(GLOB pc_files ${PREFIX}/lib*/pkgconfig/novaphy-*.pc ${PREFIX}/lib/*/pkgconfig/novaphy-*.pc)
+  list(GET pc_files 0 folder)
+  get_filename_component(folder ${folder} DIRECTORY)
+  set(ENV{PKG_CONFIG_PATH} ${folder})
+  foreach(file ${pc_files})
+    get_filename_component(name ${file} NAME_WLE)
+    execute_process(COMMAND ${PKG_CONFIG} --exists --print-errors ${name} COMMAND_ERROR_IS_FATAL ANY)
+  endforeach()
+  execute_process(COMMAND ${PKG_CONFIG} --cflags --libs novaphy-core OUTPUT_VARIABLE flags COMMAND_ERROR_IS_FATAL ANY)
+  separate_arguments(flags UNIX_COMMAND "${FLAGS} ${flags}")
+  file(MAKE_DIRECTORY ${WORK_DIR})
+  execute_process(COMMAND ${COMPILER} ${SOURCE_DIR}/core/main.cpp -o ${WORK_DIR}/consumer ${flags} -Wl,-rpath,${folder}/..
+                  COMMAND_ERROR_IS_FATAL ANY)
+  execute_process(COMMAND ${WORK_DIR}/consumer COMMAND_ERROR_IS_FATAL ANY)
+  return()
+endif()
+
+if(COMPONENT STREQUAL "subdirectory")
+  file(WRITE ${WORK_DIR}/CMakeLists.txt
+       "cmake_minimum_required(VERSION 3.25)\nproject(parent LANGUAGES C CXX)\nadd_subdirectory(${NOVAPHY} novaphy)\n"
+       "if(NOT TARGET novaphy::dynamics OR TARGET test_core OR TARGET gtest)\n"
+       "  message(FATAL_ERROR \"expected the libraries and no tests\")\nendif()\n")
+  execute_process(COMMAND ${CMAKE_COMMAND} -G ${GENERATOR} -S ${WORK_DIR} -B ${WORK_DIR}/build
+                          -DCMAKE_CXX_COMPILER=${COMPILER} OUTPUT_QUIET COMMAND_ERROR_IS_FATAL ANY)
   return()
 endif()
 

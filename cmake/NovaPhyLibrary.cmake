@@ -1,8 +1,10 @@
-# novaphy_add_library(<name> SOURCES ... [PUBLIC lib ...] [PRIVATE lib ...] [UNITY [APART ...]])
+# novaphy_add_library(<name> SOURCES ... [PUBLIC lib ...] [PRIVATE lib ...] [UNITY [APART ...]]
+#                     [INTERNAL <regex> [PUBLIC_HEADERS <header> ...]])
 # Declares the shared library novaphy_<name> (alias novaphy::<name>) of one layer: headers under include/,
 # hidden visibility, warnings, its install component <name> and its entry in the exported package. With UNITY a quick
 # build compiles its sources several at a time, in a third less time; sources that share a name in unnamed namespaces
-# stand apart.
+# stand apart. Headers are installed unless their path matches INTERNAL; PUBLIC_HEADERS, which installed headers include,
+# are installed all the same.
 set(NOVAPHY_WARNINGS -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wno-sign-conversion)
 if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU" AND CMAKE_CXX_COMPILER_VERSION VERSION_LESS 13)
   # False positives of GCC 12's optimiser in inlined std::string and std::shared_ptr code.
@@ -59,7 +61,7 @@ add_custom_command(
 add_custom_target(novaphy_exports DEPENDS ${NOVAPHY_EXPORTS})
 
 function(novaphy_add_library name)
-  cmake_parse_arguments(ARG "UNITY" "" "SOURCES;PUBLIC;PRIVATE;APART" ${ARGN})
+  cmake_parse_arguments(ARG "UNITY" "INTERNAL" "SOURCES;PUBLIC;PRIVATE;APART;PUBLIC_HEADERS" ${ARGN})
   set(target novaphy_${name})
   add_library(${target} SHARED ${ARG_SOURCES})
   add_library(novaphy::${name} ALIAS ${target})
@@ -83,7 +85,17 @@ function(novaphy_add_library name)
     target_link_options(${target} PRIVATE -Wl,--no-undefined)
   endif()
   install(TARGETS ${target} EXPORT NovaPhy_${name} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT ${name})
-  install(DIRECTORY include/novaphy DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT ${name})
+  set(internal "^$")
+  if(ARG_INTERNAL)
+    set(internal "${ARG_INTERNAL}")
+  endif()
+  install(DIRECTORY include/novaphy DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT ${name}
+          FILES_MATCHING PATTERN "*.h" REGEX "${internal}" EXCLUDE)
+  foreach(header ${ARG_PUBLIC_HEADERS})
+    cmake_path(GET header PARENT_PATH folder)
+    install(FILES include/novaphy/${name}/${header} DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/novaphy/${name}/${folder}
+            COMPONENT ${name})
+  endforeach()
   install(EXPORT NovaPhy_${name} NAMESPACE novaphy:: FILE NovaPhy_${name}.cmake
           DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/NovaPhy COMPONENT ${name})
   set_property(GLOBAL APPEND PROPERTY NOVAPHY_COMPONENTS ${name})

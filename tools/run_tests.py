@@ -488,8 +488,7 @@ def cpu_diff() -> None:
 def install() -> None:
     """A program per component builds against just the components that it needs, and runs."""
     tree = build("cpu-diff", "-DNOVAPHY_TESTS=none")
-    consumers = ROOT / "tests" / "install_consumer"
-    work = BUILD / "install"
+    consumers, work = ROOT / "tests" / "install_consumer", BUILD / "install"
     shutil.rmtree(work, ignore_errors=True)
     missing = [name for name in COMPONENTS if not (consumers / name / "CMakeLists.txt").exists()]
     if missing:
@@ -504,6 +503,7 @@ def install() -> None:
         )  # fmt: skip
         run("install", "cmake", "--build", binary, f"-j{JOBS}")
         ctest(f"install {name}", "--test-dir", binary, "--no-tests=error", "--output-on-failure")
+    run("install", sys.executable, "tools/check_headers.py", work / "diff" / "prefix" / "include")
 
 
 @step

@@ -1,6 +1,7 @@
-# Configures, builds and runs the consumer of one component against the installed package. Three pseudo components test
+# Configures, builds and runs the consumer of one component against the installed package. Four pseudo components test
 # other ways: "unknown" the errors of wrong requests, "pkg_config" a build without CMake, "subdirectory" a project that
-# adds NovaPhy's sources.
+# adds NovaPhy's sources, "headers" the includes of installed headers.
+cmake_minimum_required(VERSION 3.25)
 file(REMOVE_RECURSE ${WORK_DIR})
 
 function(try_configure components result_variable output_variable)
@@ -45,6 +46,26 @@ if(COMPONENT STREQUAL "unknown")
       message(FATAL_ERROR "find_package(NovaPhy ${request}) failed: ${output}")
     endif()
   endforeach()
+  return()
+endif()
+
+if(COMPONENT STREQUAL "headers")
+  # An installed header includes installed ones, of the libraries that are there.
+  file(GLOB_RECURSE headers RELATIVE ${PREFIX}/include ${PREFIX}/include/novaphy/*.h)
+  foreach(header ${headers})
+    file(STRINGS ${PREFIX}/include/${header} includes REGEX "^#include \"novaphy/")
+    foreach(include ${includes})
+      string(REGEX REPLACE "^#include \"([^\"]+)\".*" "\\1" include "${include}")
+      string(REGEX REPLACE "^(novaphy/[^/]+)/.*" "\\1" library "${include}")
+      if(NOT include IN_LIST headers AND EXISTS ${PREFIX}/include/${library})
+        message(SEND_ERROR "${header} includes ${include}, which is not installed")
+      endif()
+    endforeach()
+  endforeach()
+  list(LENGTH headers count)
+  if(count LESS 50)
+    message(SEND_ERROR "expected the headers of NovaPhy, got ${count}")
+  endif()
   return()
 endif()
 

@@ -33,11 +33,10 @@
 // Call them from namespace novaphy or nova, or as math::sin(x): at global scope an unqualified
 // sin(x) of a float is libm's.
 //
-// The coefficients are our own minimax fits of the relative error of each function. Lawson's
-// iteration (least squares, reweighted until the error is level) runs on 1500 Chebyshev nodes
-// against 50-digit values. Coefficients are rounded to binary32 from the lowest degree up, with the
-// rest refitted after each. A search over neighboring floats comes last. Each use states the
-// interval and the relative error in the function that the rounded polynomial leaves.
+// The coefficients are minimax fits of the relative error. Lawson's iteration (least squares,
+// reweighted until the error is level) runs on 1500 Chebyshev nodes against 50-digit values.
+// Coefficients are rounded to binary32 from the lowest degree up, with the rest refitted after each.
+// A search over neighboring floats comes last. Each use states its interval and relative error.
 #pragma once
 
 #include "novaphy/math/scalar.h"

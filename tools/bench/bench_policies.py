@@ -294,10 +294,10 @@ def page(rows: list[dict[str, object]], load: float) -> str:
         "## Frames of the Ant per second, all worlds together",
         "",
         "A frame is 1/20 s, 50 steps of 1 ms with contacts found anew, under torques. The others",
-        "read the same file. Contacts and limits are each engine's own, so the motions differ:",
-        "NovaPhy projected Gauss-Seidel, MuJoCo and MJX soft contacts by Newton's method, Newton",
-        "SolverFeatherstone with penalty contacts, launched step by step, without torques. MuJoCo",
-        "computes in float64, the others in float32.",
+        "read the same file. Contacts and limits are each engine's own, so the motions differ.",
+        "NovaPhy solves contacts by projected Gauss-Seidel, MuJoCo and MJX solve soft contacts by",
+        "Newton's method. Newton runs SolverFeatherstone with penalty contacts, launched step by",
+        "step, without torques. MuJoCo computes in float64, the others in float32.",
         "",
         "| worlds | threads | NovaPhy | "
         + " | ".join(
@@ -324,7 +324,7 @@ def page(rows: list[dict[str, object]], load: float) -> str:
         "derivatives of its frames, which are the worlds of one batch, with the Gauss-Newton",
         "matrices of segments of 4, 8 and 16 frames. The third is one adjoint through all steps.",
         "",
-        "| what | s | asked |",
+        "| part | s | asked |",
         "|---|---|---|",
     ]
     for what, key, asked in (
@@ -347,7 +347,7 @@ def page(rows: list[dict[str, object]], load: float) -> str:
             "",
             f"## A layer, 4,096 rows of 256 by 256, beside torch {version('torch')}, one thread",
             "",
-            "| what | NovaPhy, ms | torch, ms | ratio | asked |",
+            "| part | NovaPhy, ms | torch, ms | ratio | asked |",
             "|---|---|---|---|---|",
         ]
         lines += [

@@ -698,7 +698,7 @@ def write_page(rows: list[tuple[str, float, str, float | None]]) -> None:
         "Gauss-Seidel. Worlds that are alike are stepped several at a time, in lanes: here "
         f"{lanes()}.",
         "",
-        "| what | NovaPhy, µs | peer, µs | steps/s |",
+        "| work | NovaPhy, µs | peer, µs | steps/s |",
         "|---|---|---|---|",
     ]
     for what, ours, peer, theirs in rows:

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What robot files do that should do nothing: in the air, on their feet, at the limits of drives.
+"""Motions of robots that should stay still: in the air, on their feet, at the limits of drives.
 
 For every URDF and MJCF file below FOLDER, on the CPU, a row of a table. Meshes of colliders are
 hulls of at most 32 vertices (--triangles: as in the file).

@@ -169,11 +169,11 @@ machine, against Newton 1.8.0 on Warp 1.19.0.
 
 {facts}
 
-Time of one iteration, which is what Newton's examples do: the rollout (960 substeps of the soft
-body, 1,920 of the cloth), the loss, `backward`, the update; captured once and replayed. Medians,
-and of {TURNS} turns the fastest (Newton as shipped had one), because the machine has phases in
-which everything is slower; from soft bodies of N = 16 and cloths of N = 32 on, fewer substeps were
-timed, and the times scaled.
+The table has the time of one iteration of Newton's examples, captured once and replayed. An
+iteration is the rollout (960 substeps of the soft body, 1,920 of the cloth), the loss, `backward`,
+and the update. Times are medians, and of {TURNS} turns the fastest (Newton as shipped had one),
+because the machine has slow phases. From soft bodies of N = 16 and cloths of N = 32 on, fewer
+substeps were timed, and the times scaled.
 
 * *shipped*: as the examples are.
 * *lean*: without the hash grid of the particles and the pass over (triangle, particle) pairs, which
@@ -205,7 +205,7 @@ Contacts, integration, surface triangles and both passes included.
 
 ## Memory
 
-Of a recorded rollout, per substep: the resident set of a long rollout less that of a short one.
+A recorded rollout, per substep: the resident set of a long rollout less that of a short one.
 
 {memory()}
 

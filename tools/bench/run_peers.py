@@ -338,11 +338,13 @@ run.
 
 ## The ball, N times
 
-One iteration is what the example does: 288 substeps with contacts, the loss, `backward`, the
-update of the initial velocities. Time per iteration: the median within a process, and of that the
-median over {rounds} processes, in which the engines took turns. The loss of the first iteration of
-one ball, {loss!r}, is the same bits in every column of Newton and NovaPhy, and within {RELATIVE:g}
-of it in the others. After the last iteration, the positions and the gradient have the same bits in
+One iteration has 288 substeps with contacts, the loss, `backward`, and the update of the initial
+velocities, as the example has. The time per iteration is the median within a process, and of that
+the median over {rounds} processes, in which the engines took turns.
+
+The loss of the first iteration of one ball, {loss!r}, is the same bits in every column of
+Newton and NovaPhy, and within {
+        RELATIVE:g} of it in the others. After the last iteration, the positions and the gradient have the same bits in
 Newton and NovaPhy for N = {equal}.
 
 {rows(["", *by_size], times)}
@@ -351,20 +353,20 @@ How many times faster NovaPhy is (below 1: slower):
 
 {rows(["", *by_size], ratios)}
 
-* Newton: *eager* is a Python loop over the substeps, recorded anew in every iteration; *captured*
-  is recorded once and replayed; *captured, lean* has a pipeline without rigid contacts, which
+* Newton: *eager* is a Python loop over the substeps, recorded anew in every iteration. *captured*
+  is recorded once and replayed. *captured, lean* has a pipeline without rigid contacts, which
   spares it a kernel that does nothing in this scene. Its CPU device (Warp) runs on one thread.
 * JAX: `jit(value_and_grad(scan))`, written for this page (`tools/bench/jax_ball.py`). *full* has
   every term of the contact law; in *lean*, the terms that are zero in this scene are left out by
-  hand. It does not compute the bits of the others.
+  hand. The bits are not those of the other engines.
 * Dr.Jit: LLVM backend, substeps unrolled, the *lean* law (`tools/bench/drjit_ball.py`). *frozen*
   replays a recording, otherwise Python traces every iteration.
 * NovaPhy computes the full law. *step*: a Python loop over the substeps, recorded anew in every
   iteration. *rollout*: one call for all substeps. *captured*: recorded once and replayed. *leaves*:
   the same on a tape that keeps the gradients of leaves only. All CPUs, unless it says 1 thread.
 
-From the start of building the scene until the first iteration is done, what has to be compiled or
-traced included (Newton's kernels come compiled from its cache; imports are not included):
+The time from the start of building the scene until the first iteration is done, with all compiling
+and tracing. Newton's kernels come compiled from its cache; imports are not included.
 
 {rows(["", *by_size], firsts)}
 
@@ -373,15 +375,17 @@ traced included (Newton's kernels come compiled from its cache; imports are not 
 Copying {COPY_BYTES >> 20} MiB (bytes read and written): {copies}.
 
 Counted are {MOVED_BYTES} bytes per particle and substep: the new position and velocity, 24 bytes,
-are written, and the adjoint reads them. Where a trajectory exceeds the caches it does so only in
-substeps in which a contact touches (design note 0008), so that more may seem to move there than a
-copy moves. What can stay in the caches is not counted: contacts, materials, the gradients from one
-substep to the next. The Programs of a substep and its adjoint
+are written, and the adjoint reads them. Where a trajectory exceeds the caches, the adjoint
+reads them only in substeps in which a contact touches (design note 0008). More may then seem to
+move than a copy moves. Data that can stay in the caches are not counted: contacts, materials, the
+gradients from one substep to the next.
+
+The Programs of a substep and its adjoint
 hold {programs["step_particles"]} and {programs["step_particles.adjoint"]} float32 operations per
-particle with its two contacts (a fused multiply-add is two, a comparison or selection none):
-{operations / MOVED_BYTES:.3g} operations per byte. That is an upper bound, and so are the
-operations per second below: the kernels skip what no lane of a vector takes, friction for one, and
-most balls touch nothing most of the time. *leaves*:
+particle with its two contacts. A fused multiply-add is two, a comparison or selection none:
+{operations / MOVED_BYTES:.3g} operations per byte. The number is an upper bound, and so are the
+operations per second below. The kernels skip work that no lane of a vector takes, friction for one,
+and most balls touch nothing most of the time. The rows are those of *leaves*:
 
 {
         rows(
@@ -390,8 +394,8 @@ most balls touch nothing most of the time. *leaves*:
         )
     }
 
-Instructions per iteration for N = 1, counted by callgrind with AVX2 kernels (it does not know
-AVX-512), as the difference of two runs of different length: *captured*
+Instructions per iteration for N = 1, as the difference of two runs of different length. The
+numbers are counted by callgrind with AVX2 kernels, because callgrind does not know AVX-512: *captured*
 {callgrind["captured"]}, *leaves* {callgrind["leaves"]}.
 
 ## Start-up
@@ -402,9 +406,9 @@ From starting `python` until the gradient of the ball is printed, in a fresh pro
 
 ## Memory
 
-Bytes per particle and substep, N = {memory[0]["n"]:,}: what the states take, and what the tape
-keeps and all gradients take on top of it (resident set; {SUBSTEPS} substeps have {SUBSTEPS + 1}
-states, positions and velocities are 24 bytes of each).
+Bytes per particle and substep, N = {memory[0]["n"]:,}, in the resident set: the states, then the
+tape and all gradients. {SUBSTEPS} substeps have {SUBSTEPS + 1} states; positions and velocities are
+24 bytes of each.
 
 {rows(["", "states", "tape and gradients", "together"], used)}
 

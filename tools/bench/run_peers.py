@@ -331,21 +331,18 @@ def page(
     programs = counted["programs"]
     return f"""# Performance
 
-Written by `tools/bench/run_peers.py`; do not edit. Everything on this page was measured in one
-run.
+Written by `tools/bench/run_peers.py`; do not edit. Everything on this page was measured in one run.
 
 {rows(["", ""], [list(fact) for fact in facts])}
 
 ## The ball, N times
 
-One iteration has 288 substeps with contacts, the loss, `backward`, and the update of the initial
-velocities, as the example has. The time per iteration is the median within a process, and of that
-the median over {rounds} processes, in which the engines took turns.
+One iteration has 288 substeps with contacts, the loss, `backward`, and the update of the velocities.
+Its time is the median over {rounds} processes, which take turns, of the median in each.
 
-The loss of the first iteration of one ball, {loss!r}, is the same bits in every column of
-Newton and NovaPhy, and within {
-        RELATIVE:g} of it in the others. After the last iteration, the positions and the gradient have the same bits in
-Newton and NovaPhy for N = {equal}.
+The loss of the first iteration of one ball, {loss!r}, is the same bits in every column of Newton
+and NovaPhy. The other columns are within {RELATIVE:g} of it. After the last iteration, the
+positions and the gradient have the same bits in Newton and NovaPhy for N = {equal}.
 
 {rows(["", *by_size], times)}
 
@@ -375,17 +372,17 @@ and tracing. Newton's kernels come compiled from its cache; imports are not incl
 Copying {COPY_BYTES >> 20} MiB (bytes read and written): {copies}.
 
 Counted are {MOVED_BYTES} bytes per particle and substep: the new position and velocity, 24 bytes,
-are written, and the adjoint reads them. Where a trajectory exceeds the caches, the adjoint
-reads them only in substeps in which a contact touches (design note 0008). More may then seem to
-move than a copy moves. Data that can stay in the caches are not counted: contacts, materials, the
-gradients from one substep to the next.
+are written, and the adjoint reads them. Where a trajectory exceeds the caches, the adjoint reads
+them only in substeps in which a contact touches (design note 0008). More may then seem to move than
+a copy moves. Data that can stay in the caches are not counted: contacts, materials, the gradients
+from one substep to the next.
 
-The Programs of a substep and its adjoint
-hold {programs["step_particles"]} and {programs["step_particles.adjoint"]} float32 operations per
-particle with its two contacts. A fused multiply-add is two, a comparison or selection none:
-{operations / MOVED_BYTES:.3g} operations per byte. The number is an upper bound, and so are the
-operations per second below. The kernels skip work that no lane of a vector takes, friction for one,
-and most balls touch nothing most of the time. The rows are those of *leaves*:
+The Programs of a substep and its adjoint hold {programs["step_particles"]} and
+{programs["step_particles.adjoint"]} float32 operations per particle with its two contacts. A fused
+multiply-add is two, a comparison or selection none: {operations / MOVED_BYTES:.3g} operations per
+byte. The number is an upper bound, and so are the operations per second below. The kernels skip
+work that no lane of a vector takes, friction for one, and most balls touch nothing most of the
+time. The rows are those of *leaves*:
 
 {
         rows(
@@ -394,15 +391,14 @@ and most balls touch nothing most of the time. The rows are those of *leaves*:
         )
     }
 
-Instructions per iteration for N = 1, as the difference of two runs of different length. The
-numbers are counted by callgrind with AVX2 kernels, because callgrind does not know AVX-512: *captured*
-{callgrind["captured"]}, *leaves* {callgrind["leaves"]}.
+Instructions per iteration for N = 1, by callgrind, which knows no AVX-512, as the difference of two
+runs: *captured* {callgrind["captured"]}, *leaves* {callgrind["leaves"]}.
 
 ## Start-up
 
 From starting `python` until the gradient of the ball is printed, in a fresh process:
-{duration(float(start["median_s"]))} (median of {start["runs"]};
-{duration(float(start["min_s"]))} to {duration(float(start["max_s"]))}).
+{duration(float(start["median_s"]))} (median of {start["runs"]}; {duration(float(start["min_s"]))}
+to {duration(float(start["max_s"]))}).
 
 ## Memory
 

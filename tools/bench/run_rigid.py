@@ -138,24 +138,22 @@ def main() -> None:
 
 Written by `tools/bench/run_rigid.py`; do not edit. Everything on this page was measured within
 an hour on one machine, on one thread of each engine. Times are CPU times of the process, which
-other work on the machine stretches less than wall time. The machine was
-shared (load average {os.getloadavg()[1]:.1f}): caches were shared too, so
-times are upper bounds. Medians over the steps, and of {TURNS} turns, in which the engines
+other work on the machine stretches less than wall time. The machine was shared (load average
+{os.getloadavg()[1]:.1f}): caches were shared too, so times are upper bounds. Medians over the steps, and of {TURNS} turns, in which the engines
 alternate, the fastest.
 
 {facts}
 
 ## Boxes that rest
 
-Boxes of 8 kg with a side of 0.2 m. NovaPhy and Newton step at 1/960 s by penalty
-forces (ke 200 kN/m, kd 300, kf 200, four rows a pair). Both find contacts in every step by sweep
-and prune. Their rows include those within the gap of 0.2 m; *touching* rows have a force. MuJoCo
-4.0 steps at 1/500 s with its own defaults; it solves for contacts as constraints, island by island,
-so one connected pile costs it more.
+Boxes of 8 kg with a side of 0.2 m. NovaPhy and Newton step at 1/960 s by penalty forces (ke 200
+kN/m, kd 300, kf 200, four rows a pair). Both find contacts in every step by sweep and prune. Their
+rows include those within the gap of 0.2 m; *touching* rows have a force. MuJoCo 4.0 steps at 1/500
+s with its own defaults; it solves for contacts as constraints, island by island, so one connected
+pile costs it more.
 
-Penalty forces need the smaller step, so simulated seconds per second stand beside the steps. The
-tables also show how deep the boxes sit in each other: a smaller depth needs a larger stiffness, and
-with it a smaller step.
+Penalty forces need the smaller step, so the tables show simulated seconds per second, and how deep
+the boxes overlap. A smaller depth needs a larger stiffness, and with it a smaller step.
 
 {forward()}
 

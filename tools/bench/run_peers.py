@@ -337,7 +337,7 @@ Written by `tools/bench/run_peers.py`; do not edit. Everything on this page was 
 
 ## The ball, N times
 
-One iteration has 288 substeps with contacts, the loss, `backward`, and the update of the velocities.
+One iteration has 288 substeps with contacts, the loss, `backward`, and the update of velocities.
 Its time is the median over {rounds} processes, which take turns, of the median in each.
 
 The loss of the first iteration of one ball, {loss!r}, is the same bits in every column of Newton

@@ -136,11 +136,11 @@ def main() -> None:
     facts = rows(["", ""], [list(fact) for fact in machine()])
     text = f"""# Performance of rigid bodies
 
-Written by `tools/bench/run_rigid.py`; do not edit. Everything on this page was measured within
-an hour on one machine, on one thread of each engine. Times are CPU times of the process, which
-other work on the machine stretches less than wall time. The machine was shared (load average
-{os.getloadavg()[1]:.1f}): caches were shared too, so times are upper bounds. Medians over the steps, and of {TURNS} turns, in which the engines
-alternate, the fastest.
+Written by `tools/bench/run_rigid.py`; do not edit. Everything on this page was measured within an
+hour on one machine, on one thread of each engine. Times are CPU times of the process, which other
+work on the machine stretches less than wall time. The machine was shared (load average
+{os.getloadavg()[1]:.1f}): caches were shared too, so times are upper bounds. Medians over the
+steps, and of {TURNS} turns, in which the engines alternate, the fastest.
 
 {facts}
 

@@ -10,7 +10,7 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/input_checks.h"
 #include "novaphy/dynamics/diff_model_reads.h"
-#include "novaphy/dynamics/semi_implicit/friction_law.h"
+#include "novaphy/dynamics/semi_implicit/friction_laws.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
-#include "novaphy/dynamics/semi_implicit/push_box_trace.h"
+#include "novaphy/dynamics/semi_implicit/push_box_law.h"
 
 namespace novaphy {
 

@@ -4,11 +4,11 @@
 
 #include <random>
 
-#include "novaphy/vbd/bending_trace.h"
-#include "novaphy/vbd/membrane_trace.h"
-#include "novaphy/vbd/particle_contact_trace.h"
-#include "novaphy/vbd/spring_trace.h"
-#include "novaphy/vbd/tetrahedron_trace.h"
+#include "novaphy/vbd/bending_law.h"
+#include "novaphy/vbd/membrane_law.h"
+#include "novaphy/vbd/particle_contact_law.h"
+#include "novaphy/vbd/spring_law.h"
+#include "novaphy/vbd/tetrahedron_law.h"
 #include "real64.h"
 
 namespace novaphy::vbd {

@@ -5,8 +5,8 @@
 #include <cmath>
 
 #include "newton_oracle.h"
-#include "novaphy/vbd/particle_contact_trace.h"
-#include "novaphy/vbd/spring_trace.h"
+#include "novaphy/vbd/particle_contact_law.h"
+#include "novaphy/vbd/spring_law.h"
 #include "real64.h"
 
 namespace novaphy {

@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "newton_scene.h"
-#include "novaphy/vbd/particle_contact_trace.h"
-#include "novaphy/vbd/slot_inputs_trace.h"
+#include "novaphy/vbd/particle_contact_law.h"
+#include "novaphy/vbd/slot_inputs_law.h"
 
 namespace novaphy {
 namespace {

@@ -13,8 +13,8 @@ Besides the folders, three kinds of file have a layer of their own:
 * `diff_*` in collision/, dynamics/ and vbd/ are operators, kernels of the tensor runtime, and
   compile into novaphy::dynamics where nova is built: the forward code of those folders may not
   include them;
-* `*_trace.h` are the formulas, shared by the forward engine and the traced kernels: they may
-  include the math headers and other formulas, and nothing else;
+* `*_trace.h` are the formulas that the forward engine and traced kernels share, `*_law.h` those
+  that are not traced: they may include the math headers and other formulas, and nothing else;
 * `*_kernels.h` in collision/, dynamics/ and vbd/ are hand-written kernels, which compilers of
   devices read too: formulas, the math headers, and those of core that need no library. So are all
   headers of collision/geometry and dynamics/articulation, which kernels include.
@@ -99,7 +99,7 @@ INCLUDE = re.compile(r'^\s*#\s*include\s*(?:"([^"]+)"|<([^>]+)>)')
 
 def by_name(layer: str, name: str) -> str:
     """The layer of a file of a library, by the name of the file."""
-    if layer in ("collision", "dynamics", "vbd") and name.endswith("_trace.h"):
+    if layer in ("collision", "dynamics", "vbd") and name.endswith(("_trace.h", "_law.h")):
         return "formula"
     if layer in ("collision", "dynamics", "vbd") and name.endswith("_kernels.h"):
         return "kernels"

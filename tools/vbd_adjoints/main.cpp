@@ -23,13 +23,13 @@ using math::cross;
 using math::dot;
 }  // namespace novaphy::vbd::adjoints
 
-#include "novaphy/vbd/bending_trace.h"
-#include "novaphy/vbd/membrane_trace.h"
-#include "novaphy/vbd/particle_contact_trace.h"
-#include "novaphy/vbd/slot_inputs_trace.h"
-#include "novaphy/vbd/slot_layout_trace.h"
-#include "novaphy/vbd/spring_trace.h"
-#include "novaphy/vbd/tetrahedron_trace.h"
+#include "novaphy/vbd/bending_law.h"
+#include "novaphy/vbd/membrane_law.h"
+#include "novaphy/vbd/particle_contact_law.h"
+#include "novaphy/vbd/slot_inputs_law.h"
+#include "novaphy/vbd/slot_layout_law.h"
+#include "novaphy/vbd/spring_law.h"
+#include "novaphy/vbd/tetrahedron_law.h"
 
 namespace novaphy::vbd::adjoints {
 namespace {
@@ -298,7 +298,7 @@ void write_blocks(std::ostream& out, bool at_rest) {
 }
 
 void write_all(std::ostream& out) {
-  out << "// Written by tools/vbd_adjoints from the laws (vbd/*_trace.h).\n" << kDeclarations;
+  out << "// Written by tools/vbd_adjoints from the laws (vbd/*_law.h).\n" << kDeclarations;
   for (const bool at_rest : {false, true}) write_blocks(out, at_rest);
   write_start<kSpring>(out, false);
   write_start<kHingeOpposite>(out, false);

@@ -6,7 +6,7 @@
 
 #include "novaphy/core/assert.h"
 #include "novaphy/core/error.h"
-#include "novaphy/vbd/slot_numbers_trace.h"
+#include "novaphy/vbd/slot_numbers_law.h"
 
 namespace novaphy::vbd {
 namespace {

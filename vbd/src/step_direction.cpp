@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "novaphy/math/matrix.h"
-#include "novaphy/vbd/particle_step_trace.h"
+#include "novaphy/vbd/particle_step_law.h"
 #include "step_tangent.h"
 
 namespace novaphy::vbd {

@@ -2,12 +2,12 @@
 // that it reads.
 //
 // A group is `lanes` particles of one colour (the last one of a colour may be short); slots are
-// those of slot_layout_trace.h.
+// those of slot_layout_law.h.
 #pragma once
 
 #include <cstdint>
 
-#include "novaphy/vbd/slot_layout_trace.h"
+#include "novaphy/vbd/slot_layout_law.h"
 
 namespace novaphy::vbd {
 

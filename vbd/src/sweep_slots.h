@@ -3,11 +3,11 @@
 #pragma once
 
 #include "lanes.h"
-#include "novaphy/vbd/bending_trace.h"
-#include "novaphy/vbd/membrane_trace.h"
-#include "novaphy/vbd/particle_contact_trace.h"
-#include "novaphy/vbd/spring_trace.h"
-#include "novaphy/vbd/tetrahedron_trace.h"
+#include "novaphy/vbd/bending_law.h"
+#include "novaphy/vbd/membrane_law.h"
+#include "novaphy/vbd/particle_contact_law.h"
+#include "novaphy/vbd/spring_law.h"
+#include "novaphy/vbd/tetrahedron_law.h"
 #include "sweep.h"
 
 namespace novaphy::vbd::NOVAPHY_LEVEL {

@@ -1,10 +1,10 @@
 // The derivative of the sweep of one instruction set along a direction.
 //
 // A particle moves by d = H^-1 f, so d' = H^-1 (f' - H' d): at a solution, where f = 0, H^-1 f'.
-#include "novaphy/vbd/slot_inputs_trace.h"
+#include "novaphy/vbd/slot_inputs_law.h"
 #include "sweep_slots.h"
 // Behind lanes.h, which says what functions of lanes are.
-#include "novaphy/vbd/tangent_trace.h"
+#include "novaphy/vbd/tangent_law.h"
 
 namespace novaphy::vbd::NOVAPHY_LEVEL {
 namespace {

@@ -6,10 +6,10 @@
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
-#include "novaphy/vbd/contact_numbers_trace.h"
+#include "novaphy/vbd/contact_numbers_law.h"
 #include "novaphy/vbd/lane_slots_kernels.h"
-#include "novaphy/vbd/particle_step_trace.h"
-#include "novaphy/vbd/slot_numbers_trace.h"
+#include "novaphy/vbd/particle_step_law.h"
+#include "novaphy/vbd/slot_numbers_law.h"
 #include "novaphy/vbd/slot_teams_kernels.h"
 
 namespace novaphy {

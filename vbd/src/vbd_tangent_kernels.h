@@ -3,8 +3,8 @@
 #pragma once
 
 #include "novaphy/vbd/lane_slots_kernels.h"
-#include "novaphy/vbd/slot_inputs_trace.h"
-#include "novaphy/vbd/tangent_trace.h"
+#include "novaphy/vbd/slot_inputs_law.h"
+#include "novaphy/vbd/tangent_law.h"
 
 namespace novaphy {
 

@@ -16,7 +16,7 @@
 #include "novaphy/core/sim/unsupported_materials.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/dynamics/semi_implicit/contact_stability.h"
-#include "novaphy/dynamics/semi_implicit/friction_law.h"
+#include "novaphy/dynamics/semi_implicit/friction_laws.h"
 #include "novaphy/dynamics/semi_implicit/particle_integrator_trace.h"
 #include "novaphy/dynamics/semi_implicit/particle_stability.h"
 #include "particle_contacts.h"

@@ -1,5 +1,5 @@
 // A box on a line that a sphere pushes, as differentiable operators: one step, and many as one
-// operation. The law: dynamics/semi_implicit/push_box_trace.h.
+// operation. The law: dynamics/semi_implicit/push_box_law.h.
 //
 // Gradients: those of the law are exact, in all inputs. The law itself is a surrogate of contact:
 // it is smooth, acts at a distance of a few `softness`, and does not push back on the pusher.

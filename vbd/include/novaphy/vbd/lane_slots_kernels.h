@@ -4,13 +4,13 @@
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
-#include "novaphy/vbd/bending_trace.h"
-#include "novaphy/vbd/membrane_trace.h"
-#include "novaphy/vbd/particle_contact_trace.h"
+#include "novaphy/vbd/bending_law.h"
+#include "novaphy/vbd/membrane_law.h"
+#include "novaphy/vbd/particle_contact_law.h"
 #include "novaphy/vbd/rows_kernels.h"
-#include "novaphy/vbd/slot_layout_trace.h"
-#include "novaphy/vbd/spring_trace.h"
-#include "novaphy/vbd/tetrahedron_trace.h"
+#include "novaphy/vbd/slot_layout_law.h"
+#include "novaphy/vbd/spring_law.h"
+#include "novaphy/vbd/tetrahedron_law.h"
 
 namespace novaphy {
 

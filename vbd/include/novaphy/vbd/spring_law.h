@@ -13,7 +13,7 @@
 // Gradient: exact in x, ke, kd, rest, ln away from these.
 #pragma once
 
-#include "novaphy/vbd/block_trace.h"
+#include "novaphy/vbd/block_law.h"
 
 namespace novaphy::vbd {
 

@@ -1,4 +1,4 @@
-#include "novaphy/dynamics/semi_implicit/friction_law.h"
+#include "novaphy/dynamics/semi_implicit/friction_laws.h"
 
 #include <cmath>
 

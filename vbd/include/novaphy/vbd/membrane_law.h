@@ -23,7 +23,7 @@
 // Gradient: exact in x, w, A, mu, lam, kd, act, Cn away from these.
 #pragma once
 
-#include "novaphy/vbd/block_trace.h"
+#include "novaphy/vbd/block_law.h"
 
 namespace novaphy::vbd {
 

@@ -1,4 +1,4 @@
-// The numbers of a slot (slot_layout_trace.h) that the material and rest shape of its element give
+// The numbers of a slot (slot_layout_law.h) that the material and rest shape of its element give
 // it: weights and law. `corner`: of the element, which the particle is; `number(k)`: a reference to
 // the k-th number.
 //
@@ -6,8 +6,8 @@
 #pragma once
 
 #include "novaphy/math/matrix.h"
-#include "novaphy/vbd/membrane_trace.h"
-#include "novaphy/vbd/tetrahedron_trace.h"
+#include "novaphy/vbd/membrane_law.h"
+#include "novaphy/vbd/tetrahedron_law.h"
 
 namespace novaphy::vbd {
 

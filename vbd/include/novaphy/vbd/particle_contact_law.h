@@ -23,7 +23,7 @@
 // Gradient: exact in x, xn, p, n, v_s, ke, kd, mu away from these; R and eps carry none.
 #pragma once
 
-#include "novaphy/vbd/block_trace.h"
+#include "novaphy/vbd/block_law.h"
 
 namespace novaphy::vbd {
 

@@ -18,7 +18,7 @@
 #pragma once
 
 #include "novaphy/math/hinge.h"
-#include "novaphy/vbd/block_trace.h"
+#include "novaphy/vbd/block_law.h"
 
 namespace novaphy::vbd {
 

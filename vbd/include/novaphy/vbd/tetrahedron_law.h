@@ -19,7 +19,7 @@
 #pragma once
 
 #include "novaphy/math/matrix.h"
-#include "novaphy/vbd/block_trace.h"
+#include "novaphy/vbd/block_law.h"
 
 namespace novaphy::vbd {
 

@@ -258,7 +258,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_write, RigidContactWriteArguments) {
   if (count == 0 && row < n - 1) return;
   const int32_t first = rows_before(a.found, row);
   if (row == n - 1) {
-    // A pair for which there was no room counts as a row behind those that are there.
+    // A pair that found no room in the list of pairs counts as one row after the written rows.
     const int64_t found = a.pairs_found == nullptr ? n : *a.pairs_found;
     int64_t rows = a.limit == nullptr ? first + count : a.limit->total;
     if (found > n) rows = (a.rows.capacity < rows ? rows : a.rows.capacity.value) + (found - n);

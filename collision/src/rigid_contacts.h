@@ -27,7 +27,7 @@ class RigidContacts {
   int64_t most_rows();
   // Whether what a search finds is there for the host when collide returns.
   bool waits() const;
-  // So far: pairs of hulls that overlap, and those for which FCL's answer was not taken.
+  // Counts since the start: overlapping pairs of hulls, and pairs whose answer of FCL was not used.
   int64_t fcl_pairs() const;
   int64_t fcl_fallbacks() const;
   // Recorded where the thread records. `dt` (s) of the step that takes the rows: only those that

@@ -1,6 +1,7 @@
 // DeviceArray and the element types.
 #include <cstring>
 
+#include "doc_array.h"
 #include "pickle.h"
 #ifdef NOVAPHY_PYTHON_DIFF
 #include "nova_types.h"
@@ -189,7 +190,7 @@ void bind_array(py::module_& m) {
             return make_array(to_dtype(dtype), to_shape(shape), to_device(device));
           },
           "shape"_a, "dtype"_a = dtype_object(DType::float32), "device"_a = py::none(),
-          "As zeros: memory is always cleared.")
+          "The same as zeros: memory is always cleared.")
       .def_static(
           "full",
           [](py::handle shape, py::handle value, py::handle dtype, py::handle device) {
@@ -198,7 +199,7 @@ void bind_array(py::module_& m) {
             return array;
           },
           "shape"_a, "value"_a, "dtype"_a = dtype_object(DType::float32), "device"_a = py::none(),
-          "Filled with a number or an element.")
+          "An array filled with a number or an element.")
       .def_static(
           "from_dlpack",
           [](py::handle obj, py::handle dtype, bool copy) {
@@ -206,33 +207,31 @@ void bind_array(py::module_& m) {
             const auto& own = obj.cast<const Array&>();
             return from_view(view_of(copy ? own.clone() : own), dtype);
           },
-          "obj"_a, "dtype"_a = py::none(), "copy"_a = false,
-          "Looks at the memory of an array of another library, without a copy unless copy=True. "
-          "BufferError: it may not be written, or its producer does not say that it may (JAX); "
-          "copy=True takes such memory too. ValueError: it is not tightly packed.")
+          "obj"_a, "dtype"_a = py::none(), "copy"_a = false, doc::kFromOther)
       .def_property_readonly(
-          "shape", [](const Array& a) { return shape_tuple(a.shape()); }, "As NumPy sees it.")
+          "shape", [](const Array& a) { return shape_tuple(a.shape()); },
+          "The shape of the NumPy array: rows, then the components of an element.")
       .def_property_readonly(
-          "dtype", [](const Array& a) { return dtype_object(a.dtype()); }, "Of an element.")
+          "dtype", [](const Array& a) { return dtype_object(a.dtype()); }, "Bytes of an element.")
       .def_property_readonly(
           "scalar_dtype",
           [](const Array& a) { return dtype_object(scalar_dtype(dtype_info(a.dtype()).scalar)); },
-          "Of a number.")
+          "Bytes of a number.")
       .def_property_readonly(
           "ndim", [](const Array& a) { return a.shape().size(); }, "Dimensions.")
       .def_property_readonly(
-          "size", [](const Array& a) { return view_of(a).size(); }, "Numbers in all.")
+          "size", [](const Array& a) { return view_of(a).size(); }, "The total count of numbers.")
       .def_property_readonly("nbytes", &Array::bytes, "Bytes.")
       .def_property_readonly(
           "strides", [](const Array& a) { return shape_tuple(view_of(a).strides()); }, "Bytes.")
-      .def_property_readonly("device", &Array::device, "Where it is.")
+      .def_property_readonly("device", &Array::device, "The device of the memory.")
       .def_property_readonly(
           "ptr", [](const Array& a) { return reinterpret_cast<uintptr_t>(a.raw()); },
-          "The address on the device.")
+          "The address of the memory on the device.")
       .def_property_readonly(
-          "is_contiguous", [](const Array&) { return true; }, "Always: rows are tightly packed.")
+          "is_contiguous", [](const Array&) { return true; }, "True: rows are tightly packed.")
       .def_property_readonly("version", &Array::version,
-                             "Goes up with every write through the engine.")
+                             "A number that grows with every write through the engine.")
       .def("__len__", &Array::rows)
       .def("__repr__", &repr)
       .def(
@@ -246,11 +245,8 @@ void bind_array(py::module_& m) {
           "writable=True. A writable one "
           "makes tapes compare contents, because it can change values behind their back. "
           "novaphy.Error in a capture.")
-      .def("assign", &assign_array, "source"_a,
-           "Copies values from a DeviceArray, Tensor, NumPy array or list. The same number of "
-           "values, (3,) into (1, 3) included, else ValueError. float64 values are rounded. A tape "
-           "records the copy of an array or tensor.")
-      .def("copy_from", &assign_array, "other"_a, "As assign.")
+      .def("assign", &assign_array, "source"_a, doc::kAssign)
+      .def("copy_from", &assign_array, "other"_a, "The same as assign.")
       .def(
           "fill_",
           [](const py::object& self, py::handle value) {
@@ -270,10 +266,10 @@ void bind_array(py::module_& m) {
           [](const Array& a, py::handle device) {
             return a.to(device.is_none() ? a.device() : to_device(device));
           },
-          "device"_a = py::none(), "A copy, on a device.")
+          "device"_a = py::none(), "Returns a copy on a device.")
       .def(
           "to", [](const Array& a, py::handle device) { return a.to(to_device(device)); },
-          "device"_a, "A copy on a device.")
+          "device"_a, "Returns a copy on a device.")
       .def(
           "__getitem__",
           [](const Array& a, py::handle index) { return get_rows(view_of(a), index); }, "index"_a)

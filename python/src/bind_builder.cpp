@@ -162,7 +162,7 @@ std::string text(const std::optional<std::string>& label) { return label.value_o
 
 void bind_worlds(py::class_<ModelBuilder>& c) {
   c.def_property_readonly("world_count", &ModelBuilder::world_count,
-                          "Worlds so far; a model without worlds has one.")
+                          "The number of worlds; a model without worlds has one.")
       .def_property_readonly("current_world", &ModelBuilder::current_world,
                              "The open world; -1 outside of begin_world and end_world.")
       .def(
@@ -295,10 +295,7 @@ void bind_shapes(py::class_<ModelBuilder>& c) {
           },
           "plane"_a = py::make_tuple(0.0, 0.0, 1.0, 0.0), py::kw_only(), "xform"_a = py::none(),
           "width"_a = 10.0f, "length"_a = 10.0f, "body"_a = -1, "cfg"_a = py::none(),
-          "color"_a = py::none(), "label"_a = py::none(),
-          "Plane a*x + b*y + c*z + d = 0 with the normal (a, b, c), or at `xform` with its +z as "
-          "the normal. Width and "
-          "length (m) along local x and y; infinite unless both are > 0. Returns the index.")
+          "color"_a = py::none(), "label"_a = py::none(), doc::kAddPlane)
       .def(
           "add_ground_plane",
           [](ModelBuilder& b, float height, const ShapeConfig* cfg, py::handle color,
@@ -320,7 +317,8 @@ void bind_shapes(py::class_<ModelBuilder>& c) {
                                              .label = text(label)});
           },
           "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f, "cfg"_a = py::none(),
-          "color"_a = py::none(), "label"_a = py::none(), "Sphere, radius in m. Returns the index.")
+          "color"_a = py::none(), "label"_a = py::none(),
+          "Adds a sphere (radius in m). Returns the index.")
       .def(
           "add_shape_box",
           [](ModelBuilder& b, int32_t body, py::handle xform, float hx, float hy, float hz,
@@ -334,7 +332,7 @@ void bind_shapes(py::class_<ModelBuilder>& c) {
           },
           "body"_a, py::kw_only(), "xform"_a = py::none(), "hx"_a = 0.5f, "hy"_a = 0.5f,
           "hz"_a = 0.5f, "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
-          "Box of half extents (m). Returns the index.")
+          "Adds a box by its half extents (m). Returns the index.")
       .def(
           "add_shape_capsule",
           [](ModelBuilder& b, int32_t body, py::handle xform, float radius, float half_height,
@@ -361,7 +359,7 @@ void bind_shapes(py::class_<ModelBuilder>& c) {
           },
           "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f,
           "half_height"_a = 0.5f, "cfg"_a = py::none(), "color"_a = py::none(),
-          "label"_a = py::none(), "Cylinder along local z (m). Returns the index.")
+          "label"_a = py::none(), "Adds a cylinder along local z (m). Returns the index.")
       .def(
           "add_shape_cone",
           [](ModelBuilder& b, int32_t body, py::handle xform, float radius, float half_height,
@@ -375,7 +373,7 @@ void bind_shapes(py::class_<ModelBuilder>& c) {
           "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f,
           "half_height"_a = 0.5f, "cfg"_a = py::none(), "color"_a = py::none(),
           "label"_a = py::none(),
-          "Cone along local z (m), apex at +half_height. Returns the index.")
+          "Adds a cone along local z (m), with its apex at +half_height. Returns the index.")
       .def(
           "add_shape_ellipsoid",
           [](ModelBuilder& b, int32_t body, py::handle xform, float rx, float ry, float rz,
@@ -389,9 +387,9 @@ void bind_shapes(py::class_<ModelBuilder>& c) {
           },
           "body"_a, py::kw_only(), "xform"_a = py::none(), "rx"_a = 1.0f, "ry"_a = 0.75f,
           "rz"_a = 0.5f, "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
-          "Ellipsoid of half axes (m). Returns the index.")
+          "Adds an ellipsoid by its half axes (m). Returns the index.")
       .def("add_shape_collision_filter_pair", &ModelBuilder::add_shape_collision_filter_pair, "a"_a,
-           "b"_a, "The two shapes never meet. IndexError: no such shape.");
+           "b"_a, "Excludes contacts between two shapes. IndexError: no such shape.");
 }
 
 }  // namespace
@@ -428,16 +426,13 @@ void bind_builder(py::module_& m) {
           "0, 1 or 2.")
       .def_property_readonly(
           "up_vector", [](const ModelBuilder& b) { return to_tuple(b.up_vector()); },
-          "Unit vector.")
+          "The unit vector of the up axis.")
       .def_readwrite("default_particle_radius", &ModelBuilder::default_particle_radius, "m")
       .def_readwrite("default_shape_cfg", &ModelBuilder::default_shape_cfg,
                      "The default of added shapes.")
       .def_readwrite("rigid_gap", &ModelBuilder::rigid_gap,
                      "m: the gap of shapes whose ShapeConfig has none.")
-      .def_readwrite("balance_inertia", &ModelBuilder::balance_inertia,
-                     "Whether finalize mends an inertia of which one principal moment exceeds the "
-                     "sum of the other two. All moments grow until none does, with a "
-                     "RuntimeWarning. False: a ValueError.")
+      .def_readwrite("balance_inertia", &ModelBuilder::balance_inertia, doc::kBalanceInertia)
       .def_readwrite("bound_mass", &ModelBuilder::bound_mass,
                      "kg, > 0: finalize raises smaller masses of dynamic bodies to it (their "
                      "inertia stays) and warns; not those of 0. None: no bound.")
@@ -456,9 +451,10 @@ void bind_builder(py::module_& m) {
 #undef NOVAPHY_COUNT_SO_FAR
              return text + ")";
            })
-      .def_property_readonly("particle_count", &ModelBuilder::particle_count, "Particles so far.")
-      .def_property_readonly("body_count", &ModelBuilder::body_count, "Bodies so far.")
-      .def_property_readonly("shape_count", &ModelBuilder::shape_count, "Shapes so far.");
+      .def_property_readonly("particle_count", &ModelBuilder::particle_count,
+                             "The number of particles.")
+      .def_property_readonly("body_count", &ModelBuilder::body_count, "The number of bodies.")
+      .def_property_readonly("shape_count", &ModelBuilder::shape_count, "The number of shapes.");
   bind_builder_list(c, "particle_q", &ModelBuilder::particle_q, "Positions, m, world frame.");
   bind_builder_list(c, "particle_qd", &ModelBuilder::particle_qd, "Velocities, m/s, world frame.");
   bind_builder_list(c, "particle_mass", &ModelBuilder::particle_mass, "kg; 0: kinematic.");
@@ -489,7 +485,7 @@ void bind_builder(py::module_& m) {
             b.add_particles(q, qd, m_list, r, f);
           },
           "pos"_a, "vel"_a, "mass"_a, "radius"_a = py::none(), "flags"_a = py::none(),
-          "Many particles; the lists have one length (ValueError).");
+          "Adds many particles. ValueError: lists of different length.");
   bind_builder_elements(c);
   bind_bodies(c);
   bind_builder_joints(c);

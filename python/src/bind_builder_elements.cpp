@@ -147,7 +147,7 @@ void bind_single(Builder& c) {
                         {{ke, "edge_ke", &EdgeMaterial::ke}, {kd, "edge_kd", &EdgeMaterial::kd}}));
       },
       "i"_a, "j"_a, "k"_a, "l"_a, py::kw_only(), "rest"_a = py::none(), "edge_ke"_a = py::none(),
-      "edge_kd"_a = py::none(), "Many bending edges from four lists of particles.");
+      "edge_kd"_a = py::none(), "Adds many bending edges from four lists of particles.");
 }
 
 void bind_grids(Builder& c) {
@@ -346,13 +346,7 @@ void bind_mesh_shapes(Builder& c) {
        },
        "body"_a, py::kw_only(), "xform"_a = py::none(), "mesh"_a = py::none(),
        "vertices"_a = py::none(), "indices"_a = py::none(), "scale"_a = py::none(),
-       "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
-       "A surface of triangles: vertices (n, 3; m), indices (m, 3) or flat, counter-clockwise seen "
-       "from outside, or a `mesh` with these as attributes; `scale` a number or three, > 0. "
-       "Contacts with bodies are found on the CPU. Vertices in one place count as one. On a body, "
-       "with a density, it must be closed: its mass is an integral in double precision; a shell "
-       "(cfg.is_solid False) has a wall of cfg.margin inside. Returns the index. ValueError: no "
-       "triangle, a corner twice, not finite, open or inside out.")
+       "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(), doc::kAddShapeMesh)
       .def(
           "add_shape_convex_hull",
           [](ModelBuilder& b, int32_t body, py::handle xform, const py::object& mesh,
@@ -370,12 +364,7 @@ void bind_mesh_shapes(Builder& c) {
           },
           "body"_a, py::kw_only(), "xform"_a = py::none(), "mesh"_a = py::none(),
           "vertices"_a = py::none(), "scale"_a = py::none(), "max_vertices"_a = kMaxHullVertices,
-          "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
-          "The convex hull of points: vertices (n, 3; m), or those of a `mesh`; `scale` a number "
-          "or three, > 0. The hull has at most max_vertices (4 to 64), the farthest ones. The mass "
-          "is that of the hull of all points, which is a little larger. Returns the index. "
-          "ValueError: fewer than 4 points, points in one plane, also once they are scaled, not "
-          "finite.");
+          "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(), doc::kAddShapeHull);
 }
 
 void bind_coloring(Builder& c) {
@@ -417,10 +406,11 @@ void bind_builder_elements(Builder& c) {
   NOVAPHY_DEFAULT(default_tet_k_damp, "Pa*s")
   NOVAPHY_DEFAULT(default_tet_density, "kg/m^3")
 #undef NOVAPHY_DEFAULT
-  c.def_property_readonly("spring_count", &ModelBuilder::spring_count, "Springs so far.")
-      .def_property_readonly("tri_count", &ModelBuilder::tri_count, "Triangles so far.")
-      .def_property_readonly("edge_count", &ModelBuilder::edge_count, "Bending edges so far.")
-      .def_property_readonly("tet_count", &ModelBuilder::tet_count, "Tetrahedra so far.");
+  c.def_property_readonly("spring_count", &ModelBuilder::spring_count, "The number of springs.")
+      .def_property_readonly("tri_count", &ModelBuilder::tri_count, "The number of triangles.")
+      .def_property_readonly("edge_count", &ModelBuilder::edge_count,
+                             "The number of bending edges.")
+      .def_property_readonly("tet_count", &ModelBuilder::tet_count, "The number of tetrahedra.");
   bind_single(c);
   bind_grids(c);
   bind_meshes(c);

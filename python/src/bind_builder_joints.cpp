@@ -82,7 +82,7 @@ void bind_dof_config(py::module_& m) {
           "actuator_mode",
           [](const JointDofConfig& dof) { return static_cast<int32_t>(dof.actuator_mode); },
           [](JointDofConfig& dof, int32_t mode) { dof.actuator_mode = to_mode(mode); },
-          "JointTargetMode: what the drive has.")
+          "JointTargetMode: which targets the drive follows.")
       .def_static(
           "create_unlimited",
           [](py::handle axis) {
@@ -90,7 +90,7 @@ void bind_dof_config(py::module_& m) {
             dof.axis = to_direction(axis);
             return dof;
           },
-          "axis"_a, "One without limits and drive.");
+          "axis"_a, "Returns a degree of freedom without limits and drive.");
   add_settings_pickle(c);
 }
 
@@ -164,7 +164,7 @@ void bind_general_joints(Builder& c) {
           "parent"_a, "child"_a, py::kw_only(), "parent_xform"_a = py::none(),
           "child_xform"_a = py::none(), "collision_filter_parent"_a = py::none(),
           "enabled"_a = true, "label"_a = py::none(),
-          "The joint frames coincide. Returns the index.");
+          "Adds a joint whose two frames coincide. Returns the index.");
 }
 
 void bind_other_joints(Builder& c) {
@@ -206,8 +206,8 @@ void bind_other_joints(Builder& c) {
           "child"_a, py::kw_only(), "parent_xform"_a = py::none(), "child_xform"_a = py::none(),
           "parent"_a = -1, "collision_filter_parent"_a = py::none(), "enabled"_a = true,
           "label"_a = py::none(),
-          "No constraint: coordinates of a body that moves freely. The coordinates start at the "
-          "body's present pose. Returns the index.")
+          "Adds a joint without a constraint: the coordinates of a body that moves freely. The "
+          "coordinates start at the body's present pose. Returns the index.")
       .def(
           "add_joint_distance",
           [](ModelBuilder& b, int32_t parent, int32_t child, py::handle parent_xform,
@@ -266,7 +266,8 @@ void bind_actuators(Builder& c) {
        "bias"_a = Triple{}, "dynamics"_a = 0, "time"_a = 1.0f, "ctrl_range"_a = py::none(),
        "force_range"_a = py::none(), "act_range"_a = py::none(), "ctrl"_a = 0.0f, "act"_a = 0.0f,
        "label"_a = py::none(), doc::kAddActuator)
-      .def_property_readonly("actuator_count", &ModelBuilder::actuator_count, "Actuators so far.");
+      .def_property_readonly("actuator_count", &ModelBuilder::actuator_count,
+                             "The number of actuators.");
 }
 
 void bind_articulations(Builder& c) {
@@ -314,13 +315,13 @@ void bind_builder_joints(Builder& c) {
   c.attr("JointDofConfig") = py::type::of<JointDofConfig>();
   c.def_readwrite("default_joint_cfg", &ModelBuilder::default_joint_cfg,
                   "The default of revolute and prismatic joints.")
-      .def_property_readonly("joint_count", &ModelBuilder::joint_count, "Joints so far.")
+      .def_property_readonly("joint_count", &ModelBuilder::joint_count, "The number of joints.")
       .def_property_readonly("joint_coord_count", &ModelBuilder::joint_coord_count,
-                             "Joint coordinates so far.")
+                             "The number of joint coordinates.")
       .def_property_readonly("joint_dof_count", &ModelBuilder::joint_dof_count,
-                             "Degrees of freedom of joints so far.")
+                             "The number of degrees of freedom of joints.")
       .def_property_readonly("articulation_count", &ModelBuilder::articulation_count,
-                             "Articulations so far.");
+                             "The number of articulations.");
   bind_axis_joint(c, "add_joint_revolute", &ModelBuilder::add_joint_revolute,
                   "The child turns about `axis` (an Axis or a vector, joint frame) through the "
                   "origins of the joint frames. The numbers are those of JointDofConfig; None: "

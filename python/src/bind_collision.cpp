@@ -89,19 +89,19 @@ void bind_collision(py::module_& m) {
               pairs.append(py::make_tuple(pair.x, pair.y));
             return pairs;
           },
-          "The pairs (i < j) that are looked at instead of model.shape_contact_pairs, ascending; "
-          "None: those.")
-      .def_property_readonly("fcl_pair_count", &CollisionPipeline::fcl_pair_count,
-                             "Overlapping pairs of hulls so far, with narrow_phase \"fcl\".")
+          doc::kFilteredPairs)
+      .def_property_readonly(
+          "fcl_pair_count", &CollisionPipeline::fcl_pair_count,
+          "The number of overlapping pairs of hulls so far, with narrow_phase \"fcl\".")
       .def_property_readonly("fcl_fallback_count", &CollisionPipeline::fcl_fallback_count,
                              "Pairs of fcl_pair_count whose answer of FCL was not used.")
       .def_property_readonly("soft_contact_margin", &CollisionPipeline::soft_contact_margin, "m")
       .def_property_readonly("rigid_contact_max", &CollisionPipeline::rigid_contact_max,
-                             "Rows of contacts().")
+                             "The number of rows of contacts().")
       .def_property_readonly("soft_contact_max", &CollisionPipeline::soft_contact_max,
-                             "Slots of contacts().")
+                             "The number of slots of contacts().")
       .def_property_readonly("soft_contact_pair_count", &CollisionPipeline::soft_contact_pair_count,
-                             "Candidate pairs: particles times colliding shapes.")
+                             "The number of candidate pairs: particles times colliding shapes.")
       .def("contacts", py::overload_cast<bool>(&CollisionPipeline::contacts, py::const_),
            py::kw_only(), "per_contact_shape_properties"_a = false, doc::kContacts)
       .def("collide", &CollisionPipeline::collide, "state"_a, "contacts"_a, py::kw_only(),

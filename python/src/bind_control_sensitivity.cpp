@@ -75,7 +75,7 @@ void bind_control_sensitivity(py::module_& solvers) {
            "kind"_a = "position", "exact"_a = py::none(), "contact_projection"_a = false,
            py::arg("solver").none(true) = py::none(), doc::kSensitivityInit)
       .def("reset", &Sensitivity::reset, "state"_a,
-           "The start, which does not depend on the parameters.")
+           "Starts at a state that does not depend on the parameters.")
       .def(
           "step",
           [](Sensitivity& s, const SimState& state_in, const SimState& state_out,
@@ -106,15 +106,16 @@ void bind_control_sensitivity(py::module_& solvers) {
           "{3, parameters}: of point_velocity(), world axes.")
       .def(
           "point", [](const Sensitivity& s) { return to_tuple(s.point()); },
-          "Where the point is, m, world.")
+          "The position of the point (m, world frame).")
       .def(
           "point_velocity", [](const Sensitivity& s) { return to_tuple(s.point_velocity()); },
-          "How it moves, m/s, world.")
+          "The velocity of the point (m/s, world frame).")
       .def_property_readonly("label", &Sensitivity::label, "\"frozen\" or \"exact\".")
       .def_property_readonly(
           "parameter_count", [](const Sensitivity& s) { return s.options().parameter_count; },
           "Parameters.")
-      .def_property_readonly("dof_count", &Sensitivity::dof_count, "Dofs of the articulation.");
+      .def_property_readonly("dof_count", &Sensitivity::dof_count,
+                             "The number of dofs of the articulation.");
 }
 
 }  // namespace novaphy::python

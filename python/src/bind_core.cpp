@@ -1,5 +1,6 @@
 // Devices and backends.
 #include "convert.h"
+#include "doc_core.h"
 #include "novaphy/core/backend.h"
 #include "novaphy/core/stream.h"
 
@@ -35,11 +36,7 @@ void bind_devices(py::module_& m) {
   device_type.attr("__doc__") = "The kind of a device.";
   m.attr("DeviceType") = device_type;
 
-  py::class_<Device>(m, "Device",
-                     "A compute device: \"cpu\", \"cuda:0\", \"dlan:0\". Making one does not ask "
-                     "whether it is there; the "
-                     "properties name, arch, total_memory, free_memory and supports_graph_capture "
-                     "do (novaphy.Error).")
+  py::class_<Device>(m, "Device", doc::kDevice)
       .def(py::init([](py::handle spec) { return to_device(spec); }), "spec"_a = py::none(),
            "From a name, another Device, or None: the default device. ValueError for an unknown "
            "name.")
@@ -47,7 +44,8 @@ void bind_devices(py::module_& m) {
           "type", [device_type](const Device& d) { return device_type(static_cast<int>(d.type)); },
           "DeviceType")
       .def_property_readonly(
-          "ordinal", [](const Device& d) { return d.ordinal; }, "The number among its type.")
+          "ordinal", [](const Device& d) { return d.ordinal; },
+          "The index among the devices of its type.")
       .def_property_readonly(
           "name", [](const Device& d) { return device_info(d).name; }, "The hardware's name.")
       .def_property_readonly(
@@ -86,7 +84,7 @@ void bind_devices(py::module_& m) {
       "not there.");
   m.def("get_devices", &devices, "All devices that the backends offer.");
   m.def("get_default_device", &default_device,
-        "Where arrays and models are made unless told otherwise.");
+        "The device of new arrays and models without a device argument.");
   m.def(
       "set_default_device", [](py::handle spec) { set_default_device(to_device(spec)); }, "spec"_a,
       "Sets the default device. novaphy.Error if it is not there.");
@@ -107,10 +105,10 @@ void bind_devices(py::module_& m) {
       .def_property_readonly("device", &Event::device, "The device of the event.")
       .def("record", &Event::record, "Marks the work that was issued so far.")
       .def("synchronize", &Event::synchronize, release_gil(),
-           "Waits until the device has come to the mark.")
+           "Waits until the device has reached the mark.")
       .def_static("elapsed", &Event::elapsed, "start"_a, "stop"_a, release_gil(),
                   "Seconds between two marks of one device; waits for the second.");
-  py::class_<ScopedDevice>(m, "ScopedDevice", "Context manager: another default device inside.")
+  py::class_<ScopedDevice>(m, "ScopedDevice", "A context manager with another default device.")
       .def(py::init([](py::handle spec) { return ScopedDevice(to_device(spec)); }), "spec"_a)
       .def("__enter__", &ScopedDevice::enter)
       .def("__exit__", [](ScopedDevice& s, const py::args&) { s.exit(); });
@@ -120,7 +118,7 @@ void bind_backends(py::module_& m) {
   py::class_<BackendInfo>(m, "BackendInfo", "A backend that was found, loaded or refused.")
       .def_readonly("name", &BackendInfo::name,
                     "\"cpu\"; the file's name when it could not be loaded.")
-      .def_readonly("version", &BackendInfo::version, "Its version.")
+      .def_readonly("version", &BackendInfo::version, "The version of the backend.")
       .def_property_readonly(
           "abi_version",
           [](const BackendInfo& b) { return py::make_tuple(b.abi_major, b.abi_minor); },
@@ -129,7 +127,8 @@ void bind_backends(py::module_& m) {
           "path", [](const BackendInfo& b) { return b.path; }, "Empty for the built-in one.")
       .def_readonly("loaded", &BackendInfo::loaded, "False: `error` says why.")
       .def_readonly("active", &BackendInfo::active, "Whether it serves its type of device.")
-      .def_readonly("device_count", &BackendInfo::device_count, "Devices that it offers.")
+      .def_readonly("device_count", &BackendInfo::device_count,
+                    "The number of devices that the backend offers.")
       .def_readonly("error", &BackendInfo::error, "Why it was refused; empty when loaded.")
       .def("__repr__", [](const BackendInfo& b) {
         return "BackendInfo(name='" + b.name + "', version='" + b.version +

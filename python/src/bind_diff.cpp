@@ -226,12 +226,9 @@ void bind_trajectory(py::module_& m) {
           },
           "t"_a, py::return_value_policy::reference_internal,
           "State t. IndexError; RuntimeError for a state that is not kept.")
-      .def("recompute", &Trajectory::recompute, "t"_a, release_gil(),
-           "A copy of state t, kept or not, run once more from the last kept one before it. "
-           "RuntimeError before a rollout, and when the next kept state does not come out again "
-           "bit by bit because something was changed.")
+      .def("recompute", &Trajectory::recompute, "t"_a, release_gil(), doc::kRecompute)
       .def_property_readonly("checkpoint_interval", &Trajectory::checkpoint_interval,
-                             "Every so many states one is kept; 1: all.")
+                             "The interval of kept states; 1: all states are kept.")
       .def_property_readonly(
           "kept_steps",
           [](const Trajectory& t) {
@@ -241,7 +238,8 @@ void bind_trajectory(py::module_& m) {
             return kept;
           },
           "The numbers of the states that are kept, which are the rows of particle_q.")
-      .def_property_readonly("steps", &Trajectory::steps, "Steps: one less than states.")
+      .def_property_readonly("steps", &Trajectory::steps,
+                             "The number of steps: one less than states.")
       .def_property_readonly(
           "model", [](const Trajectory& t) { return std::const_pointer_cast<Model>(t.model()); },
           "The model.");
@@ -526,22 +524,19 @@ void bind_solver(py::module_& solvers) {
         set(s, #name, &DiffSolverConfig::name, value);          \
       },                                                        \
       doc);
-  NOVAPHY_MEMBER(enable_particles, "Particles move.")
-  NOVAPHY_MEMBER(enable_particle_contacts, "Contacts of particles act.")
-  NOVAPHY_MEMBER(enable_tetrahedra, "Tetrahedra act.")
-  NOVAPHY_MEMBER(enable_triangles, "Triangles act.")
-  NOVAPHY_MEMBER(enable_springs, "Springs act.")
-  NOVAPHY_MEMBER(enable_bending, "Bending edges act.")
+  NOVAPHY_MEMBER(enable_particles, "Whether particles move.")
+  NOVAPHY_MEMBER(enable_particle_contacts, "Whether contacts of particles act.")
+  NOVAPHY_MEMBER(enable_tetrahedra, "Whether tetrahedra act.")
+  NOVAPHY_MEMBER(enable_triangles, "Whether triangles act.")
+  NOVAPHY_MEMBER(enable_springs, "Whether springs act.")
+  NOVAPHY_MEMBER(enable_bending, "Whether bending edges act.")
   NOVAPHY_MEMBER(
       enable_static_contacts,
       "Contacts with world-owned shapes at their true distance in every substep, instead "
       "of those of a Contacts, which must then be None.")
   NOVAPHY_MEMBER(static_contact_margin, "m: how far a static contact is looked for.")
-  NOVAPHY_MEMBER(particle_kf_bound,
-                 "The largest kf dt/m of a contact of a particle of mass m; a larger kf counts as "
-                 "this bound. From 2 on, gradients grow in every step in which friction acts. inf: "
-                 "kf as it is, Newton's law.")
-  NOVAPHY_MEMBER(enable_rigid, "Bodies move.")
+  NOVAPHY_MEMBER(particle_kf_bound, doc::kKfBound)
+  NOVAPHY_MEMBER(enable_rigid, "Whether bodies move.")
   NOVAPHY_MEMBER(
       enable_rigid_contacts,
       "Contacts of bodies act: those of a Contacts, or with enable_static_contacts those "
@@ -557,11 +552,12 @@ void bind_solver(py::module_& solvers) {
   NOVAPHY_MEMBER(friction_smoothing,
                  "m/s, of the friction law \"huber\"; None: 0.1. The solver refuses it with "
                  "\"viscous\", which does not read it.")
-  NOVAPHY_MEMBER(enable_joints, "Joints hold their bodies, by springs and dampers.")
-  NOVAPHY_MEMBER(joint_attach_ke, "N/m and N*m/rad, of what joints hold.")
-  NOVAPHY_MEMBER(joint_attach_kd, "N*s/m, and 0.01 of it N*m*s/rad.")
+  NOVAPHY_MEMBER(enable_joints, "Whether joints act, by springs and dampers.")
+  NOVAPHY_MEMBER(joint_attach_ke, "N/m and N*m/rad: stiffness of the attachments of joints.")
+  NOVAPHY_MEMBER(joint_attach_kd,
+                 "N*s/m, and 0.01 of it N*m*s/rad: damping of the attachments of joints.")
   add_contact_gradient(config);
-  NOVAPHY_MEMBER(strict, "Refuse what is not covered instead of leaving it out.")
+  NOVAPHY_MEMBER(strict, "Whether unsupported parts of a model raise instead of being left out.")
 #undef NOVAPHY_MEMBER
   add_settings_pickle(config);
 
@@ -573,7 +569,7 @@ void bind_solver(py::module_& solvers) {
                  model, given != nullptr ? DiffSolverConfig(*given) : DiffSolverConfig{});
            }),
            py::arg("model").none(false), "config"_a = py::none(),
-           "NotImplementedError for what is not covered.")
+           "NotImplementedError: unsupported parts of a model.")
       .def_property_readonly(
           "config",
           [](const DiffSemiImplicitSolver& s) {
@@ -591,7 +587,7 @@ void bind_solver(py::module_& solvers) {
           [](const DiffSemiImplicitSolver& s) { return to_fields(s.gradient_info()); },
           kGradientInfo)
       .def("clear_gradient_info", &DiffSemiImplicitSolver::clear_gradient_info,
-           "Forgets what gradient_info counts.");
+           "Resets the counts of gradient_info.");
   add_fast_step(solver);
 }
 

@@ -69,14 +69,14 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
           },
           doc::kFeatherstoneInfo)
       .def("clear_gradient_info", &DiffFeatherstoneSolver::clear_gradient_info,
-           "Forgets what gradient_info counts.")
+           "Resets the counts of gradient_info.")
       .def_property_readonly(
           "angular_damping",
           [](const DiffFeatherstoneSolver& s) { return s.options().angular_damping; }, "1/s")
       .def_property_readonly(
           "implicit_drives",
           [](const DiffFeatherstoneSolver& s) { return s.options().implicit_drives; },
-          "Drives of the end of the step.");
+          "Whether drives are evaluated at the end of the step.");
   add_fast_step(solver);
 
   m.def("record_planar_2r_featherstone_step", &diff::record_planar_2r_featherstone_step, "model"_a,

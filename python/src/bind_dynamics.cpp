@@ -25,9 +25,9 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
                     counts_text(solver.model()->counts()) + "device='" + solver.device().str() +
                     "')";
            })
-      .def_property_readonly("device", &SolverBase::device, "Where it runs.")
+      .def_property_readonly("device", &SolverBase::device, "The device of the model.")
       .def_property_readonly("supports_graph_capture", &SolverBase::supports_graph_capture,
-                             "False: step may not be called in a capture.")
+                             "Whether step may be called in a capture.")
       .def("step", &SolverBase::step, "state_in"_a, "state_out"_a, "control"_a.none(true),
            "contacts"_a.none(true), "dt"_a, release_gil(), doc::kStep)
       .def(

@@ -191,7 +191,7 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
       .def("check_last_step", &SolverFeatherstone::check_last_step,
            py::call_guard<py::gil_scoped_release>(), doc::kCheckLastStep)
       .def_property_readonly("pgs_sweeps", &SolverFeatherstone::pgs_sweeps,
-                             "The most sweeps that an island of the last step took.")
+                             "The largest number of sweeps of an island in the last step.")
       .def_property_readonly("pgs_residual", &SolverFeatherstone::pgs_residual,
                              "The largest change of velocity by a last sweep of the last step, "
                              "m/s.")
@@ -205,7 +205,7 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
       .def_property_readonly(
           "implicit_drives",
           [](const SolverFeatherstone& s) { return s.options().implicit_drives; },
-          "Drives of the end of the step.");
+          "Whether drives are evaluated at the end of the step.");
   add_fast_step(solver);
   bind_control_sensitivity(solvers);
 }

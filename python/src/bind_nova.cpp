@@ -165,7 +165,7 @@ void bind_creation(py::module_& m) {
             return t;
           },
           "ptr"_a, "shape"_a, "dtype"_a, "device"_a, "owner"_a,
-          "Memory at an address; `owner` is kept alive with it.")
+          "A tensor over memory at an address, which keeps `owner` alive.")
       .def(
           "zeros",
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
@@ -178,7 +178,7 @@ void bind_creation(py::module_& m) {
             return filled(shape, 0.0, dtype, device, grad);
           },
           "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false,
-          "As zeros: memory is always cleared.")
+          "The same as zeros: memory is always cleared.")
       .def(
           "ones",
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {

@@ -252,7 +252,7 @@ void bind_nova_kernel(py::module_& m) {
       .def("__call__", &call, "dim"_a, "inputs"_a, "params"_a = py::tuple(),
            "extent"_a = py::none(), "csr"_a = py::none(), "active"_a = py::none(), doc::kLaunch)
       .def_property_readonly(
-          "name", [](const PyKernel& k) { return k.kernel.name(); }, "Its name.")
+          "name", [](const PyKernel& k) { return k.kernel.name(); }, "The name of the kernel.")
       .def_property_readonly(
           "hash", [](const PyKernel& k) { return k.kernel.hash(); },
           "64 bits: equal for equal computations.")
@@ -266,8 +266,8 @@ void bind_nova_kernel(py::module_& m) {
            [](const PyKernel& k) { return "IndexedKernel('" + k.kernel.name() + "')"; });
   py::class_<nova::KernelInfo>(m, "KernelInfo", "How a Program runs on a device.")
       .def_readonly("name", &nova::KernelInfo::name,
-                    "The kernel's; adjoints end in \".adjoint\" or \".adjoint_items\".")
-      .def_readonly("hash", &nova::KernelInfo::hash, "Of the Program.")
+                    "The name of the kernel; adjoints end in \".adjoint\" or \".adjoint_items\".")
+      .def_readonly("hash", &nova::KernelInfo::hash, "The hash of the Program.")
       .def_property_readonly(
           "device", [](const nova::KernelInfo& i) { return i.device.str(); }, "\"cpu\", ...")
       .def_readonly("how", &nova::KernelInfo::how,

@@ -115,9 +115,9 @@ void bind_tape(py::module_& m) {
           "of an operation that it recorded. backward() takes the latter.")
       .def("gradient_info", &tape_info, kTapeInfo)
       .def("zero", &nova::Tape::zero, release_gil(),
-           "All gradients that the tape touched are zero.")
+           "Sets all gradients that the tape touched to zero.")
       .def("reset", &nova::Tape::reset, "Forgets all operations.")
-      .def_property_readonly("size", &nova::Tape::size, "Recorded operations.")
+      .def_property_readonly("size", &nova::Tape::size, "The number of recorded operations.")
       .def("__len__", &nova::Tape::size)
       .def("__repr__",
            [](const nova::Tape& tape) {
@@ -145,8 +145,8 @@ std::string graph_text(const nova::OpList& graph) {
 }
 
 void bind_capture(py::module_& m) {
-  py::class_<nova::OpList, std::shared_ptr<nova::OpList>>(m, "Graph",
-                                                          "Captured work on fixed memory.")
+  py::class_<nova::OpList, std::shared_ptr<nova::OpList>>(
+      m, "Graph", "A recorded list of operations on fixed memory, which launch() runs.")
       .def("launch", &nova::OpList::launch, release_gil(), doc::kGraphLaunch)
       .def("prepare", &nova::OpList::prepare, release_gil(),
            "Plans and compiles what launches need to be as fast as they get, and runs nothing. For "
@@ -169,7 +169,7 @@ void bind_capture(py::module_& m) {
            [](const CaptureContext& c) {
              return "ScopedCapture(" + (c.ran() ? "graph=" + graph_text(*c.graph()) : "") + ")";
            })
-      .def_property_readonly("graph", &CaptureContext::graph, "What was captured.");
+      .def_property_readonly("graph", &CaptureContext::graph, "The Graph of the capture.");
   m.def(
       "capture_launch", [](const nova::OpList& graph) { graph.launch(); }, "graph"_a, release_gil(),
       "graph.launch()");
@@ -182,11 +182,13 @@ void bind_gradcheck(py::module_& m) {
   py::class_<nova::GradcheckResult>(m, "GradcheckResult",
                                     "The result of gradcheck; true when it is ok.")
       .def_readonly("ok", &nova::GradcheckResult::ok, "Whether all values agree.")
-      .def_readonly("max_abs_error", &nova::GradcheckResult::max_abs_error, "Largest difference.")
-      .def_readonly("max_rel_error", &nova::GradcheckResult::max_rel_error,
-                    "Relative to the largest difference quotient of the input.")
+      .def_readonly("max_abs_error", &nova::GradcheckResult::max_abs_error,
+                    "The largest difference.")
+      .def_readonly(
+          "max_rel_error", &nova::GradcheckResult::max_rel_error,
+          "The largest difference, relative to the largest difference quotient of the input.")
       .def_readonly("worst", &nova::GradcheckResult::worst,
-                    "Where: \"input 1, value 4: ad 0.5, fd 0.4\".")
+                    "The place of the largest difference: \"input 1, value 4: ad 0.5, fd 0.4\".")
       .def_readonly("has_tangent", &nova::GradcheckResult::has_tangent,
                     "Whether every operation has a tangent, so that the dot product was compared.")
       .def_readonly("dot_product_error", &nova::GradcheckResult::dot_product_error,

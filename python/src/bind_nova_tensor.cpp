@@ -1,4 +1,5 @@
 // nova.Tensor.
+#include "doc_nova_tensor.h"
 #include "nova_types.h"
 #include "novaphy/nova/ops.h"
 
@@ -92,11 +93,11 @@ void bind_properties(TensorClass& c) {
   c.def_property_readonly(
        "shape", [](const Tensor& t) { return shape_tuple(t.shape()); }, "Sizes.")
       .def_property_readonly("ndim", method<&Tensor::ndim>, "Dimensions.")
-      .def_property_readonly("size", method<&Tensor::size>, "Values in all.")
+      .def_property_readonly("size", method<&Tensor::size>, "The total count of values.")
       .def_property_readonly(
           "dtype", [](const Tensor& t) { return dtype_object(dtype_of(t.dtype())); },
           "float32, int32 or uint8.")
-      .def_property_readonly("device", method<&Tensor::device>, "Where it is.")
+      .def_property_readonly("device", method<&Tensor::device>, "The device of the memory.")
       .def_property_readonly(
           "strides", [](const Tensor& t) { return shape_tuple(view_of(t).strides()); }, "Bytes.")
       .def_property_readonly(
@@ -105,18 +106,18 @@ void bind_properties(TensorClass& c) {
       .def_property_readonly(
           "data_ptr",
           [](const Tensor& t) { return reinterpret_cast<uintptr_t>(t.range()->data()); },
-          "The address on the device.")
+          "The address of the memory on the device.")
       .def_property_readonly(
           "is_contiguous", [](const Tensor&) { return true; }, "Always.")
       .def_property_readonly("is_external", method<&Tensor::is_external>,
-                             "Whether the memory belongs to somebody else.")
+                             "Whether the memory belongs to another object.")
       .def_property_readonly("is_leaf", method<&Tensor::is_leaf>,
-                             "No operation of a living tape writes it.")
+                             "Whether no operation of a living tape writes the tensor.")
       .def_property_readonly("version", method<&Tensor::version>,
-                             "Goes up with every write to the memory.")
+                             "A number that grows with every write to the memory.")
       .def_property("requires_grad", method<&Tensor::requires_grad>,
                     method<&Tensor::set_requires_grad>,
-                    "Whether tapes follow it; float32 only (ValueError).")
+                    "Whether tapes follow the tensor; ValueError: not float32.")
       .def_property_readonly("grad", &grad_of,
                              "The gradient: a Tensor of the same shape, zero until a backward; "
                              "None for a tensor without.");
@@ -137,11 +138,12 @@ void bind_methods(TensorClass& c) {
           "tolist",
           [](const Tensor& t) { return py::object(copy_to_numpy(view_of(t)).attr("tolist")()); },
           "The values as nested lists.")
-      .def("clone", method<&Tensor::clone>, release_gil(), "A copy, recorded on an active tape.")
-      .def("detach", method<&Tensor::detach>, release_gil(), "A copy that no tape follows.")
+      .def("clone", method<&Tensor::clone>, release_gil(),
+           "Returns a copy, recorded on an active tape.")
+      .def("detach", method<&Tensor::detach>, release_gil(), "Returns a copy that no tape follows.")
       .def(
           "to", [](const Tensor& t, py::handle device) { return t.to(to_device(device)); },
-          "device"_a, "A copy on a device.")
+          "device"_a, "Returns a copy on a device.")
       .def("reshape", &reshape, "The same memory in another shape; one size may be -1.")
       .def(
           "copy_",
@@ -193,10 +195,7 @@ void bind_methods(TensorClass& c) {
              require(t.ndim() != 0, ErrorKind::Type, "len: the tensor has no dimension");
              return t.dim(0);
            })
-      .def("__getitem__", &get_item, "index"_a,
-           "Entries by NumPy's indices: integers, slices, ..., and first a table of rows (an int32 "
-           "tensor, a list, an array of integers or truth values). A copy, recorded on an active "
-           "tape; a single value is {1}. IndexError.")
+      .def("__getitem__", &get_item, "index"_a, doc::kGetItem)
       .def("__iter__",
            [](const py::object& self) {
              return py::reinterpret_steal<py::object>(PySeqIter_New(self.ptr()));

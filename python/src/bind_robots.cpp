@@ -228,7 +228,7 @@ std::string report_text(const RobotReport& report) {
 void bind_report(py::module_& io) {
   py::class_<RobotNote>(io, "RobotNote", "A note of the reader on an element of a file.")
       .def_readonly("file", &RobotNote::file, "The file; <text> for XML given as text.")
-      .def_readonly("line", &RobotNote::line, "Line of the element.")
+      .def_readonly("line", &RobotNote::line, "The line of the element.")
       .def_readonly("element", &RobotNote::element, "The element, such as <joint name=\"knee\">.")
       .def_readonly("text", &RobotNote::text, "The action, and its reason.")
       .def("__str__", &note_text);
@@ -236,7 +236,8 @@ void bind_report(py::module_& io) {
                           "The elements of a robot's file that were read, mended and left out; "
                           "str() lists them.")
       .def_readonly("read", &RobotReport::read, "Kind of element to how many were read.")
-      .def_readonly("mended", &RobotReport::mended, "RobotNotes: what was changed to be read.")
+      .def_readonly("mended", &RobotReport::mended,
+                    "RobotNotes on elements that the reader mended.")
       .def_readonly("left_out", &RobotReport::left_out,
                     "RobotNotes: what has no counterpart here and changes the motion, and files "
                     "that are missing.")
@@ -293,7 +294,7 @@ void bind_result(py::module_& io) {
       .def_readonly("timestep", &RobotImport::timestep, "s, that of the file; None: it has none.")
       .def_readonly("report", &RobotImport::report, "The RobotReport.")
       .def_readonly("warnings", &RobotImport::warnings,
-                    "The notes of the report, those of one text as one.");
+                    "The notes of the report; notes with the same text count once.");
 }
 
 }  // namespace

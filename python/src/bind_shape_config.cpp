@@ -45,7 +45,8 @@ void bind_members(py::class_<ShapeConfig>& c) {
                  "0 collides with no shape; a positive group meets itself and negative ones; a "
                  "negative group meets all "
                  "but itself.")
-  NOVAPHY_MEMBER(collision_filter_parent, "Not against the parent body of a joint.")
+  NOVAPHY_MEMBER(collision_filter_parent,
+                 "Whether contacts with the parent body of a joint are excluded.")
   NOVAPHY_MEMBER(has_shape_collision, "Whether shapes meet it.")
   NOVAPHY_MEMBER(has_particle_collision, "Whether particles meet it.")
   NOVAPHY_MEMBER(is_visible, "Whether viewers show it.")

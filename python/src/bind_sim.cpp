@@ -309,9 +309,9 @@ void bind_model(py::module_& m) {
       .def_readonly("joint_label", &Model::joint_label, "One name per joint.")
       .def_readonly("articulation_label", &Model::articulation_label, "One name per articulation.")
       .def_readonly("max_joints_per_articulation", &Model::max_joints_per_articulation,
-                    "Joints of the largest articulation.")
+                    "The number of joints of the largest articulation.")
       .def_readonly("max_dofs_per_articulation", &Model::max_dofs_per_articulation,
-                    "The most degrees of freedom of an articulation.")
+                    "The largest number of degrees of freedom of an articulation.")
       .def_property_readonly(
           "particle_color_groups",
           [](const Model& self) {
@@ -401,7 +401,8 @@ void bind_control(py::module_& m) {
          self.clear();
          if (model != nullptr) self.joint_target_q.assign(model->joint_target_q);
        },
-       "model"_a = py::none(), "Everything to zero; with a model joint_target_q to its own.")
+       "model"_a = py::none(),
+       "Sets all arrays to zero; with a model, joint_target_q to the model's.")
       .def("assign", &Control::assign, "source"_a,
            "Copies all values. ValueError when sizes or devices differ.")
       .def("clone", &Control::clone, "A copy.");
@@ -409,12 +410,7 @@ void bind_control(py::module_& m) {
 }
 
 void bind_contacts(py::module_& m) {
-  py::class_<Contacts> c(
-      m, "Contacts",
-      "Contacts of particles with shapes (soft) and of shapes with each other (rigid). len(): "
-      "how many there are. Made by "
-      "CollisionPipeline.contacts(). The capacities are fixed: when more are found, the first "
-      "soft_contact_max (rigid_contact_max) are kept and overflowed is True.");
+  py::class_<Contacts> c(m, "Contacts", doc::kContactsClass);
   using Fields = ContactFields;
   c.def(py::init([](int32_t rigid_contact_max, int32_t soft_contact_max, py::handle device,
                     bool requires_grad, bool per_contact_shape_properties) {
@@ -444,14 +440,15 @@ void bind_contacts(py::module_& m) {
            doc::kRigidContacts)
       .def("match", &match, "previous"_a, "pairs"_a = false, doc::kMatch)
       .def_property_readonly("soft_contact_pair_count", &Contacts::soft_contact_pair_count,
-                             "Candidate (particle, shape) pairs.")
-      .def_property_readonly("device", &Contacts::device, "Where the arrays are.")
+                             "The number of candidate (particle, shape) pairs.")
+      .def_property_readonly("device", &Contacts::device, "The device of the arrays.")
       .def_readwrite("requires_grad", &Contacts::requires_grad, "Whether gradients are wanted.")
-      .def_property_readonly("overflowed", &Contacts::overflowed,
-                             "Whether contacts found no slot. Reads from the device.")
+      .def_property_readonly(
+          "overflowed", &Contacts::overflowed,
+          "Whether more contacts were found than there are slots. Reads from the device.")
       .def_property_readonly("active_soft_contact_count", &Contacts::active_soft_contact_count,
                              "min(soft_contact_count, soft_contact_max). Reads from the device.")
-      .def("clear", &Contacts::clear, "No contacts.")
+      .def("clear", &Contacts::clear, "Removes all contacts.")
       .def("soft_contacts", &soft_contact_rows,
            "The contacts in slot order, as a NumPy copy with the columns particle, shape, "
            "body_pos, body_vel, normal.")

@@ -117,7 +117,7 @@ void bind_diff_vbd(py::module_& solvers) {
           },
           doc::kDiffVbdInfo)
       .def("clear_gradient_info", &DiffSolverVBD::clear_gradient_info,
-           "Forgets which steps gradient_info counts.")
+           "Resets the counts of gradient_info.")
       .def("reset", &DiffSolverVBD::reset, release_gil(),
            "Forgets the last step, which initial_guess=\"adaptive\" looks at. Can be captured.")
       .def(
@@ -138,7 +138,7 @@ void bind_diff_vbd(py::module_& solvers) {
 }  // namespace
 
 void bind_vbd(py::module_& solvers) {
-  py::class_<VbdResidual>(solvers, "VbdResidual", "How far a step of SolverVBD was from its end.")
+  py::class_<VbdResidual>(solvers, "VbdResidual", "The residual of a step of SolverVBD.")
       .def_readonly("force", &VbdResidual::force,
                     "N: norm of the force on all particles that move, inertia included.")
       .def_readonly("scale", &VbdResidual::scale,
@@ -146,7 +146,7 @@ void bind_vbd(py::module_& solvers) {
       .def_readonly("relative", &VbdResidual::relative, "force / scale; 0 where the force is 0.")
       .def_readonly("floor", &VbdResidual::floor,
                     "The change of relative by one rounding of the positions.")
-      .def_readonly("iterations", &VbdResidual::iterations, "Iterations that ran.");
+      .def_readonly("iterations", &VbdResidual::iterations, "The number of iterations that ran.");
 
   const VbdOptions d;
   py::class_<SolverVBD, SolverBase>(

@@ -37,4 +37,15 @@ ValueError: a number that is not finite, negative, a vector not of unit length, 
 IndexError: no such body or shape.
 NotImplementedError: a shape type that is not supported.)";
 
+inline constexpr char kAddPlane[] =
+    R"(Adds a plane a*x + b*y + c*z + d = 0 with the normal (a, b, c), or at `xform` with its +z as
+the normal. Returns the index.
+
+width, length: m, along local x and y; infinite unless both are > 0.)";
+
+inline constexpr char kBalanceInertia[] =
+    R"(Whether finalize mends an inertia of which one principal moment exceeds the sum of the other
+two. All
+moments grow until none does, with a RuntimeWarning. False: a ValueError.)";
+
 }  // namespace novaphy::python::doc

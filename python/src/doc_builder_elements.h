@@ -30,4 +30,26 @@ include_bending: None or True: bending edges with a stiffness or damping count. 
 of a bending edge may share a color, with which a stiff edge converges badly or not at all.
 balance_colors: moves particles between colors until all are about equally large.)";
 
+inline constexpr char kAddShapeMesh[] =
+    R"(Adds a surface of triangles. Returns the index. Contacts with bodies are found on the CPU.
+Vertices in one place count as one.
+
+vertices, indices: (n, 3; m) and (m, 3) or flat, counter-clockwise seen from outside; or a `mesh`
+with these as attributes.
+scale: a number or three, > 0.
+
+A surface on a body, with a density, must be closed: its mass is an integral in double precision. A
+shell (cfg.is_solid False) has a wall of cfg.margin inside.
+
+ValueError: no triangle, a corner twice, not finite, open or inside out.)";
+
+inline constexpr char kAddShapeHull[] =
+    R"(Adds the convex hull of points: vertices (n, 3; m), or those of a `mesh`. Returns the index.
+
+scale: a number or three, > 0.
+max_vertices: 4 to 64; the hull keeps at most so many, the farthest ones. The mass is that of the
+hull of all points, which is a little larger.
+
+ValueError: fewer than 4 points, points in one plane, also once they are scaled, not finite.)";
+
 }  // namespace novaphy::python::doc

@@ -47,4 +47,8 @@ the step are left out.
 ValueError: a state or contacts of another model or device, a bad margin or dt. Nothing is written
 then.)";
 
+inline constexpr char kFilteredPairs[] =
+    R"(The pairs (i < j) that are tested instead of model.shape_contact_pairs, ascending; None:
+those.)";
+
 }  // namespace novaphy::python::doc

@@ -101,4 +101,16 @@ A longer step warns (RuntimeWarning, once) where springs or dampers diverge for 
 
 ValueError: a state or contacts of another model.)";
 
+inline constexpr char kRecompute[] =
+    R"(Returns a copy of state t. A state that is not kept is computed again from the last kept
+state before it.
+
+RuntimeError: before a rollout, or if the next kept state does not come out bit by bit, because
+something was changed.)";
+
+inline constexpr char kKfBound[] =
+    R"(The largest kf dt/m of a contact of a particle of mass m; a larger kf counts as this bound.
+From 2
+on, gradients grow in every step in which friction acts. inf: kf as it is, Newton's law.)";
+
 }  // namespace novaphy::python::doc

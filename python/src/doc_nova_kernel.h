@@ -17,8 +17,8 @@ that the kernel has no sum for.)";
 
 inline constexpr char kMap[] =
     R"(Makes a kernel out[i] = fn(i) from a Python function, which is traced once. The function
-fn(c) reads sources through the TraceContext c, and returns the output columns: Real values, one or a
-tuple.
+fn(c) reads sources through the TraceContext c, and returns the output columns: Real values, one or
+a tuple.
 
 sources: (name, dtype, width, access) each. The access is "direct" (row i), "uniform" (row 0) or
 "indexed" (a row from an int32 source).

@@ -25,4 +25,11 @@ now.clone() ahead of collide.
 
 ValueError: contacts of another model.)";
 
+inline constexpr char kContactsClass[] =
+    R"(Contacts of particles with shapes (soft) and of shapes with each other (rigid). len() is the
+number of contacts. CollisionPipeline.contacts() makes them.
+
+The capacities are fixed. When more are found, the first soft_contact_max (rigid_contact_max) are
+kept and overflowed is True.)";
+
 }  // namespace novaphy::python::doc

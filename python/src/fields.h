@@ -46,7 +46,8 @@ inline std::string counts_text(const ModelCounts& counts) {
 }
 
 // Counts, device, requires_grad, repr: what all objects of a model have.
-#define NOVAPHY_BIND_COUNT(name, doc) c.def_property_readonly(#name, &Object::name, doc);
+#define NOVAPHY_BIND_COUNT(name, doc) \
+  c.def_property_readonly(#name, &Object::name, "The number of " doc ".");
 template <class Object, class... Options>
 void bind_counts(py::class_<Object, Options...>& c) {
   NOVAPHY_MODEL_COUNTS(NOVAPHY_BIND_COUNT)

@@ -186,8 +186,8 @@ class Planner {
     return source;
   }
 
-  // What the first iteration finds in a register is loaded before it, so all who read that register
-  // there must mean the same memory.
+  // Registers that the first iteration reads are loaded before the loop. All sources that read such
+  // a register must therefore name the same memory.
   void agree_on_starts() {
     std::map<std::pair<uint32_t, uint32_t>, uint64_t> start;
     for (ListPlan::Site& s : plan_.body)

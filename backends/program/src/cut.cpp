@@ -122,7 +122,7 @@ class Cutter {
   }
   Type type_of(Value v) const { return result_type(p_.instrs[at(v)].op); }
 
-  // The value for lanes that need it, and 0 for the others.
+  // The value in lanes that need it, and 0 in the others.
   Value where_needed(Value v) {
     Value value = clone(v, Early);
     const bool is_float = type_of(v) == Type::F32;

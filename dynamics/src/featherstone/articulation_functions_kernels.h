@@ -21,10 +21,10 @@ enum class ArticulationFunction : int32_t {
   Energy,
 };
 
-// `given` and what a function of dofs gives: rows of dofs. Matrices: {articulations, matrix_rows,
-// matrix_columns}, padded with zeros. CenterOfMass gives three numbers, Energy two. results: those
-// that there are. status: a row per articulation, 0, or 1 + the dof where M is not positive.
-// stride: numbers of the workspace for an articulation.
+// given: the argument of a function of dofs, a row per dof. results: up to three outputs: rows of
+// dofs, or matrices {articulations, matrix_rows, matrix_columns}, padded with zeros. CenterOfMass
+// has three numbers per articulation, Energy two. status: per articulation 0, or 1 + the dof where
+// M is not positive. stride: floats of the workspace of an articulation.
 struct ArticulationFunctionArguments {
   NOVAPHY_ARGUMENTS(Given<ArticulationRows> rows; Given<articulation::Link> links;
                     Given<int32_t> dof_parent; Given<Transformf> X_p, X_c; Given<Vec3f> axis;

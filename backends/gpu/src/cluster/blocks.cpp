@@ -4,8 +4,8 @@
 #include <numeric>
 #include <utility>
 
-#include "persistent_memory.h"
 #include "cluster/parts.h"
+#include "persistent_memory.h"
 
 namespace novaphy::gpu {
 namespace {
@@ -110,7 +110,7 @@ class Planner {
       const novaphy_persistent_op& o = ops_[link.sum];
       const uint64_t offsets = o.op.arguments[csr_sum(o).offsets];
       ++linked[offsets];
-      // Where items lie depends on the threads that make them.
+      // The memory of an item depends on the thread that makes the item.
       const std::pair maker{ops_[link.maker].chain, link.corners};
       if (makers.try_emplace(offsets, maker).first->second != maker) return false;
     }

@@ -22,8 +22,9 @@ constexpr int kInts[kRoles] = {1, 2, 4, 4, 3};
 constexpr int kFloats[kRoles] = {4, 11, 4, 4, 19};
 constexpr int kStartFloats[kRoles] = {1, 3, 1, 1, 6};  // the last ones
 
-// Of which these many are numbers of the law (they precede those of the start); and how many others
-// a slot has. Place of the particle itself among the four of a hinge.
+// kLawFloats: how many constants are parameters of the law; they precede the last ones. kOthers:
+// the number of other particles. kOwnPlace: the index of the particle itself among the four of a
+// hinge.
 constexpr int kLawFloats[kRoles] = {3, 4, 3, 3, 4};
 constexpr int law_begin(int role) { return kFloats[role] - kStartFloats[role] - kLawFloats[role]; }
 constexpr int kOthers[kRoles] = {1, 2, 3, 3, 3};

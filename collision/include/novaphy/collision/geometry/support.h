@@ -40,7 +40,7 @@ inline int32_t hull_support_vertex(const HullView& hull, const Vec3f& d) {
   return best;
 }
 
-// The horizontal part of d with a length; zero on the axis.
+// The horizontal part of d, scaled to a length; zero on the axis.
 inline Vec3f radial(const Vec3f& d, float length) {
   const float rho = math::sqrt(d.x * d.x + d.y * d.y);
   if (!(rho > 0.0f)) return {};

@@ -149,7 +149,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   ParticleForces particle_forces(bool contacts) const;
   ContactTables::Wanted wanted_tables() const;
   DiffSolverConfig config_;
-  // Under strict: the number of shapes that act on particles only by way of a Contacts.
+  // Under strict: the number of shapes that particles collide with, which need a Contacts to act.
   int32_t uncovered_shapes_ = 0;
   bool needs_pairs_ = false;
   ParticleStep particles_;

@@ -103,7 +103,7 @@ int32_t RigidPairs::orient(Vec2i& pair) const {
   const int32_t most = most_contacts(a, b, contacts_per_pair_);
   require(most > 0, ErrorKind::NotImplemented, "CollisionPipeline: shapes ", pair.x, " (",
           geo_type_name(a), ") and ", pair.y, " (", geo_type_name(b),
-          ") may meet, and this pair of types is not there yet; ",
+          ") may meet, and contacts of this pair of types are not supported; ",
           explicit_ ? "leave it out of shape_pairs_filtered"
                     : "ModelBuilder.add_shape_collision_filter_pair or collision groups part them");
   // On a GPU their normals and names were seen to differ from the CPU's in some rows.

@@ -1,4 +1,4 @@
-"""Names that are not here: what to use instead, or that they are not built.
+"""Names that are missing: what to use instead, or that they are not supported.
 
 The names are those of Newton 1.8 and of upstream NovaPhy, which users write from habit. A name
 leaves these tables when it is built; a test walks the lists of both projects.
@@ -339,7 +339,7 @@ def _sentence(owner: str, name: str, base: str = "") -> str | None:
         return None
     for part, planned in PLANNED.get(owner, {}).items():
         if name in planned:
-            return f"{owner}.{name} is planned, not built: it belongs to {part}"
+            return f"{owner}.{name} is not supported yet; planned: {part}"
     for other, names in chain(*(INSTEAD.get(of, {}).items() for of in (owner, base))):
         if _is_one_of(name, names):
             return f"{owner} has no {name}: use {other}"
@@ -352,7 +352,7 @@ def _sentence(owner: str, name: str, base: str = "") -> str | None:
         return f"novaphy has no {name}: use novaphy.solvers.{name}"
     for part, names in chain(NOT_BUILT_IN.get(owner, {}).items(), NOT_BUILT.items()):
         if _is_one_of(name, names):
-            return f"{owner}.{name} is not built: {part}"
+            return f"{owner}.{name} is not supported: {part}"
     return None
 
 

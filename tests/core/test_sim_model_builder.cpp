@@ -183,7 +183,7 @@ TEST(ModelBuilder, RefusesBadShapesAndKeepsNothingOfThem) {
   EXPECT_ERROR(builder.add_shape_box(-2), ErrorKind::Index, "body: expected -1");
   EXPECT_ERROR(builder.add_shape({.scale = {1.0f, 1.0f, 1.0f}}), ErrorKind::Value, "got NONE");
   EXPECT_ERROR(builder.add_shape({.type = GeoType::HFIELD}), ErrorKind::NotImplemented,
-               "HFIELD is not there yet");
+               "HFIELD is not supported");
   EXPECT_ERROR(builder.add_shape({.type = static_cast<GeoType>(42)}), ErrorKind::Value, "got 42");
   for (auto edit :
        {+[](ShapeConfig& c) { c.ke = kNan; }, +[](ShapeConfig& c) { c.kd = -1.0f; },

@@ -85,7 +85,7 @@ void check_drag(const Kind& triangle) {
     const float* const c = triangle.coefficients(e);
     require(c[3] == 0.0f && c[4] == 0.0f, ErrorKind::NotImplemented,
             "SolverVBD: model.particle_tri_material[", e,
-            "]: drag and lift are not there yet, expected 0, got ", c[3], " and ", c[4]);
+            "]: drag and lift are not supported, expected 0, got ", c[3], " and ", c[4]);
   }
 }
 

@@ -26,7 +26,7 @@ struct Unseen {
 void check_covered(const VbdOptions& o) {
   const auto refuse = [](bool given, const char* option) {
     require(!given, ErrorKind::NotImplemented, "DiffSolverVBD: ", option,
-            ": its gradient is not there yet");
+            ": the option is not supported, it has no gradient; use SolverVBD");
   };
   refuse(o.acceleration.has_value(), "acceleration");
   refuse(o.tolerance.has_value(), "tolerance");

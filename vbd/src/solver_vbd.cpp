@@ -35,8 +35,8 @@ void check_options(const VbdOptions& o) {
 
 void check_covered(const Model& model) {
   const auto check = [](const char* name, int32_t count) {
-    require(count == 0, ErrorKind::NotImplemented, "SolverVBD: model: expected ", name,
-            " 0 (they are not there yet), got ", count);
+    require(count == 0, ErrorKind::NotImplemented, "SolverVBD: model: expected ", name, " 0, got ",
+            count, "; use SolverSemiImplicit or SolverFeatherstone");
   };
   check("body_count", model.body_count());
   check("joint_count", model.joint_count());

@@ -30,7 +30,7 @@ void Step::check_contacts(const Contacts& contacts) const {
             shape[slot]);
     require(body[shape[slot]] < 0, ErrorKind::NotImplemented, kContacts, ": slot ", slot,
             " touches shape ", shape[slot], " of body ", body[shape[slot]],
-            "; contacts with bodies are not there yet");
+            "; contacts with bodies are not supported; use SolverSemiImplicit");
   }
 }
 

@@ -17,10 +17,10 @@ inline void check_numbers(const Model& model) {
   constexpr const char* kName = "SolverVBD.step";
   model.check_numbers(kName);
   require(model.particle_adhesion == 0.0f, ErrorKind::NotImplemented, kName,
-          ": model.particle_adhesion: not there yet, expected 0, got ", model.particle_adhesion);
+          ": model.particle_adhesion: not supported, expected 0, got ", model.particle_adhesion);
   require(model.particle_max_velocity >= ModelNumbers{}.particle_max_velocity,
           ErrorKind::NotImplemented, kName,
-          ": model.particle_max_velocity: not there yet, expected the default, got ",
+          ": model.particle_max_velocity: not supported, expected the default, got ",
           model.particle_max_velocity);
   require(model.soft_contact_kf == ModelNumbers{}.soft_contact_kf, ErrorKind::NotImplemented, kName,
           ": model.soft_contact_kf: expected the default ", ModelNumbers{}.soft_contact_kf,

@@ -87,8 +87,8 @@ Vec3f checked_scale(std::string_view function, GeoType type, const Vec3f& scale)
       return scale;
     case GeoType::HFIELD:
       fail(ErrorKind::NotImplemented, function,
-           ": type: HFIELD is not there yet; add_shape_mesh "
-           "takes the triangles of a height field");
+           ": type: HFIELD is not supported; use add_shape_mesh with the triangles of a height "
+           "field");
   }
   fail(ErrorKind::Value, function, ": type: expected a GeoType, got ", static_cast<int32_t>(type));
 }

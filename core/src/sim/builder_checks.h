@@ -90,7 +90,7 @@ inline Transformf checked_pose(std::string_view function, const Transformf& xfor
   return checked_pose({function, "xform"}, xform);
 }
 // Checks the size of a shape and returns it with unused components zero. ErrorKind::NotImplemented:
-// a type that is not there yet.
+// a type that is not supported.
 Vec3f checked_scale(std::string_view function, GeoType type, const Vec3f& scale);
 // The pose whose local +z is the normal of a*x + b*y + c*z + d = 0, at the point of the plane
 // nearest to the origin.

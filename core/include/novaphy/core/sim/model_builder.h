@@ -151,7 +151,7 @@ struct FinalizeOptions {
 //   ErrorKind::Value           not finite, negative, non-positive extent, quaternion not of unit
 //   length, ...
 //   ErrorKind::Index           a body, shape or vertex that is not there
-//   ErrorKind::NotImplemented  a shape type that is not there yet
+//   ErrorKind::NotImplemented  a shape type that is not supported
 // Quaternions may miss unit length by 1e-3 and are then normalised; one that is already of unit
 // length to float rounding keeps its bits.
 class NOVAPHY_CORE_API ModelBuilder {

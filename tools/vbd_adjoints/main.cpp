@@ -84,7 +84,7 @@ class Writer {
     const Node& n = Graph::get().node(k);
     if (n.op == Op::Constant) {
       std::ostringstream text;
-      text << "Lanes(" << std::hexfloat << n.value << "f)";
+      text << "S(" << std::hexfloat << n.value << "f)";
       return text.str();
     }
     if (n.op == Op::Atan2) return angle(n) + ".value";
@@ -146,12 +146,10 @@ Bars bars_of(const Block<Symbol>& b, Inputs& inputs, bool at_rest) {
 
 template <Role role>
 Condition is_defined(const SlotInputs<role, Symbol>& in) {
-  if constexpr (role == kHingeOpposite)
-    return bending_detail::is_hinge(
-        math::make_hinge(in.own, in.others[0], in.others[1], in.others[2]));
-  if constexpr (role == kHingeEnd)
-    return bending_detail::is_hinge(
-        math::make_hinge(in.others[0], in.others[1], in.own, in.others[2]));
+  if constexpr (role == kHingeOpposite || role == kHingeEnd)
+    return of_hinge(in, [](const auto&... corners) {
+      return bending_detail::is_hinge(math::make_hinge(corners...));
+    });
   return {};
 }
 
@@ -176,10 +174,10 @@ void write_bars(std::ostream& out, const SlotInputs<role, Symbol>& in, const Bar
   for (int k = 0; k < kOthers[role]; ++k)
     vector("to.others[" + std::to_string(k) + "]", in.others[k]);
   for (int k = first; k < last; ++k) result("to.numbers[" + std::to_string(k) + "]", in.numbers[k]);
-  const std::string of = "<static_cast<Role>(" + std::to_string(role) + ")>";
-  out << "template <>\nNOVAPHY_LANE_FN void " << name << "([[maybe_unused]] const Slot" << of
-      << "& slot, const SlotPoints" << of << "& x, const " << argument << ", SlotBars" << of
-      << "& to) {\n";
+  const std::string of = "<static_cast<Role>(" + std::to_string(role) + "), S";
+  out << "template <class S, class N>\nNOVAPHY_LANE_FN void " << name << ", const SlotInputs" << of
+      << ", N>& x, const " << argument << ", SlotBars" << of
+      << ">& to) {\n  using namespace math;\n";
   Writer(out, inputs).write(results);
   out << "}\n";
 }
@@ -191,7 +189,7 @@ SlotInputs<role, Symbol> slot_inputs(Inputs& inputs) {
   for (int k = 0; k < kOthers[role]; ++k)
     in.others[k] = inputs.add_vector("x.others[" + std::to_string(k) + "]");
   for (int k = 0; k < kFloats[role]; ++k)
-    in.numbers[k] = inputs.add("slot.number(" + std::to_string(k) + ")");
+    in.numbers[k] = inputs.add("x.numbers[" + std::to_string(k) + "]");
   return in;
 }
 
@@ -202,9 +200,10 @@ void write_slot(std::ostream& out, bool at_rest, bool damped, bool weights) {
   const SlotInputs<role, Symbol> in = slot_inputs<role>(inputs);
   const Bars bars = bars_of(block_of(in, damped), inputs, at_rest);
   std::ostringstream name;
-  name << std::boolalpha << "slot_adjoint<" << at_rest << ", " << damped << ", " << weights << ">";
+  name << std::boolalpha << "slot_adjoint(SlotCase<" << at_rest << ", " << damped << ", " << weights
+       << ">";
   write_bars(out, in, bars, inputs, weights ? 0 : law_begin(role), kFloats[role], name.str(),
-             "Block<Lanes>& bar");
+             "Block<S>& bar");
 }
 
 // Of what a slot has of the start, whose bars are numbers of their own.
@@ -219,8 +218,9 @@ void write_start(std::ostream& out, bool weights) {
     of_values.push_back(inputs.add("bar[" + std::to_string(k) + "]"));
   });
   write_bars(out, in, Bars(values, of_values), inputs, weights ? 0 : law_begin(role),
-             law_begin(role), "start_adjoint<" + std::string(weights ? "true" : "false") + ">",
-             "Lanes (&bar)[kStartFloats[" + std::to_string(role) + "]]");
+             law_begin(role),
+             "start_adjoint(StartCase<" + std::string(weights ? "true" : "false") + ">",
+             "S (&bar)[kStartFloats[" + std::to_string(role) + "]]");
 }
 
 void write_contact(std::ostream& out, bool at_rest) {
@@ -247,41 +247,36 @@ void write_contact(std::ostream& out, bool at_rest) {
   results.push_back({"to.law[1]", bars.of(c.ke)});
   results.push_back({"to.law[2]", bars.of(c.kd_by_h)});
   results.push_back({"to.law[3]", bars.of(c.mu)});
-  out << "template <>\nNOVAPHY_LANE_FN void contact_adjoint<" << std::boolalpha << at_rest
-      << ">(const Point& x, const Point& start, const ParticleContact<Lanes>& c, const "
-         "Block<Lanes>& bar, ContactBars& to) {\n";
+  out << "template <class S>\nNOVAPHY_LANE_FN void contact_adjoint(ContactCase<" << std::boolalpha
+      << at_rest
+      << ">, const Vec3<S>& x, const Vec3<S>& start, const ParticleContact<S>& c, const "
+         "Block<S>& bar, ContactBars<S>& to) {\n  using namespace math;\n";
   Writer(out, inputs).write(results);
   out << "}\n";
 }
 
-// Of u.f + B:H, where `bar` holds u as f and B as h_ij, each entry once. What reads the code has
-// Lanes, Point (Vec3 of them) and Slot<role>, whose number(k) are Lanes.
+// Of u.f + B:H, where `bar` holds u as f and B as h_ij, each entry once. The scalar S is a float or
+// lanes; what reads the code has NOVAPHY_LANE_FN.
 constexpr const char* kDeclarations = R"(
-template <Role role>
-struct SlotPoints {
-  Point own, others[kOthers[role]];
-};
-template <Role role>
+template <Role role, class S>
 struct SlotBars {
-  Point own, others[kOthers[role]];
-  Lanes numbers[kFloats[role]];
+  Vec3<S> own, others[kOthers[role]];
+  S numbers[kFloats[role]];
 };
+template <class S>
 struct ContactBars {
-  Point x, start;
-  Lanes law[kContactLawFloats];
+  Vec3<S> x, start;
+  S law[kContactLawFloats];
 };
 
 // `at_rest`: B is 0. `weights`: also by the weights of the other particles.
-template <bool at_rest, bool damped, bool weights, Role role>
-void slot_adjoint(const Slot<role>& slot, const SlotPoints<role>& x, const Block<Lanes>& bar,
-                  SlotBars<role>& to);
-// Of what the slot has of the start.
-template <bool weights, Role role>
-void start_adjoint(const Slot<role>& slot, const SlotPoints<role>& x,
-                   const Lanes (&bar)[kStartFloats[role]], SlotBars<role>& to);
+template <bool at_rest, bool damped, bool weights>
+struct SlotCase {};
 template <bool at_rest>
-void contact_adjoint(const Point& x, const Point& start, const ParticleContact<Lanes>& c,
-                     const Block<Lanes>& bar, ContactBars& to);
+struct ContactCase {};
+// Of what the slot has of the start.
+template <bool weights>
+struct StartCase {};
 
 )";
 

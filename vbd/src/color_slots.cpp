@@ -324,15 +324,4 @@ IndexRows particles_of_worlds(const Model& model) {
   return rows;
 }
 
-void ColorSlots::fill(Sweep& sweep) const {
-  sweep.particle = particle_.data();
-  sweep.filled = filled_.data();
-  sweep.mass_by_h2 = mass_by_h2_.data();
-  for (int role = 0; role < kRoles; ++role) {
-    const Table& table = tables_[role];
-    sweep.slots[role] = {table.sources.empty() ? nullptr : table.begin.data(), table.ints.data(),
-                         table.floats.data(), table.damped};
-  }
-}
-
 }  // namespace novaphy::vbd

@@ -1,4 +1,5 @@
-// The groups of a model's particles and the slots of their elements (sweep.h), as tables.
+// The groups of a model's particles and the slots of their elements (slot_layout_trace.h), as
+// tables.
 #pragma once
 
 #include <cstdint>
@@ -6,7 +7,7 @@
 
 #include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/model.h"
-#include "sweep.h"
+#include "novaphy/vbd/slot_layout_trace.h"
 
 namespace novaphy::vbd {
 
@@ -49,8 +50,10 @@ class ColorSlots {
   bool has_conflicts() const { return has_conflicts_; }
   int lanes() const { return lanes_; }
   const Table& table(Role role) const { return tables_[role]; }
-  // Points a sweep to the tables.
-  void fill(Sweep& sweep) const;
+  // Of each lane of each group: see VbdSweepArguments. The last as set_constants made them.
+  const std::vector<int32_t>& particles() const { return particle_; }
+  const std::vector<int32_t>& filled() const { return filled_; }
+  const std::vector<float>& masses_by_h2() const { return mass_by_h2_; }
 
  private:
   void find_held(const Model& model);

@@ -1,4 +1,5 @@
-// Lanes (math/lanes.h) as the scalar of the laws of VBD.
+// Lanes (math/lanes.h) as the scalar of the sweeps of VBD (sweep_kernels.h), and the levels that
+// are compiled of them.
 #pragma once
 
 #include "novaphy/math/types.h"
@@ -52,3 +53,56 @@ NOVAPHY_LANE_FN Vec3<Lanes> gather(const float* table, const int32_t* index) {
 }
 
 }  // namespace novaphy::vbd::NOVAPHY_LEVEL
+
+// Behind the above, which says what functions of lanes are.
+#include "novaphy/vbd/sweep_kernels.h"
+#include "sweep.h"
+
+namespace novaphy::vbd {
+
+template <>
+struct LaneAccess<NOVAPHY_LEVEL::Lanes> {
+  using Lanes = NOVAPHY_LEVEL::Lanes;
+  using Mask = NOVAPHY_LEVEL::Mask;
+  static constexpr int kLanes = LANES, kStride = LANES;
+  NOVAPHY_LANE_FN static Vec3<Lanes> gather(const VbdRow* rows, const int32_t* index) {
+    return NOVAPHY_LEVEL::gather(reinterpret_cast<const float*>(rows), index);
+  }
+  NOVAPHY_LANE_FN static Lanes load(const float* from) { return NOVAPHY_LEVEL::load(from); }
+  NOVAPHY_LANE_FN static void store(float* to, Lanes values) { NOVAPHY_LEVEL::store(to, values); }
+  NOVAPHY_LANE_FN static float get(Lanes values, int lane) { return values.v[lane]; }
+  NOVAPHY_LANE_FN static void set(Lanes& values, int lane, float value) { values.v[lane] = value; }
+  NOVAPHY_LANE_FN static bool get(Mask mask, int lane) { return mask.v[lane] != 0; }
+  NOVAPHY_LANE_FN static void set(Mask& mask, int lane, bool value) { mask.v[lane] = -value; }
+  NOVAPHY_LANE_FN static void put(VbdRow* rows, int32_t p, const Vec3<Lanes>& v, int lane) {
+    rows[p].x = v.x.v[lane];
+    rows[p].y = v.y.v[lane];
+    rows[p].z = v.z.v[lane];
+  }
+};
+
+namespace NOVAPHY_LEVEL {
+
+// A kernel over groups, as a function over the rows of a launch, which are their lanes.
+template <class A, void (*body)(const A&, const LaneGroup<Lanes>&)>
+void over_groups(const uint64_t* words, int64_t, int64_t begin, int64_t end) {
+  const auto& a = novaphy::detail::arguments_of<A>(words);
+  const VbdSweepArguments* sweep;
+  if constexpr (__is_same(A, VbdSweepArguments)) {
+    sweep = &a;
+  } else {
+    sweep = &a.sweep;
+  }
+  for (int64_t row = (begin + LANES - 1) / LANES * LANES; row < end; row += LANES)
+    body(a, LaneGroup<Lanes>(*sweep, row));
+}
+template <void (*body)(const LaneGroup<Lanes>&)>
+void of_sweep(const VbdSweepArguments&, const LaneGroup<Lanes>& g) {
+  body(g);
+}
+
+// Of the other files of the level: see SweepLevel.
+extern const GroupKernel kAdjoint, kAdjointStart, kTangent, kTangentStart;
+
+}  // namespace NOVAPHY_LEVEL
+}  // namespace novaphy::vbd

@@ -15,8 +15,7 @@ void Receivers::build(const ColorSlots& slots, int32_t particle_count, bool own_
   const auto particles = static_cast<size_t>(particle_count);
   const std::vector<int64_t>& colors = slots.color_begin();
   const size_t color_count = colors.size() - 1;
-  Sweep sweep;
-  slots.fill(sweep);
+  const std::vector<int32_t>& lane_particle = slots.particles();
   std::vector<size_t> color_of;  // of a group
   for (size_t c = 0; c < color_count; ++c) color_of.resize(static_cast<size_t>(colors[c + 1]), c);
   // Of each particle in each colour: its own terms, then the others.
@@ -39,7 +38,8 @@ void Receivers::build(const ColorSlots& slots, int32_t particle_count, bool own_
         all.push_back({2 * (color_of[group] * particles + static_cast<size_t>(to)) + is_other,
                        first + (slot * points + point) * 3 * lanes + lane});
       };
-      if (own_terms) send(0, sweep.particle[static_cast<int64_t>(group) * lanes + lane], 0);
+      if (own_terms)
+        send(0, lane_particle[group * static_cast<size_t>(lanes) + static_cast<size_t>(lane)], 0);
       for (int k = 0; k < kOthers[role]; ++k) {
         const int row = kOwnPlace[role] < 0 || k < kOwnPlace[role] ? k : k + 1;
         send(own + k, table.ints[static_cast<size_t>((slot * kInts[role] + row) * lanes + lane)],
@@ -56,9 +56,9 @@ void Receivers::build(const ColorSlots& slots, int32_t particle_count, bool own_
 
   std::vector<int32_t> moves(color_count * particles, 0);
   for (size_t group = 0; own_terms && group < color_of.size(); ++group)
-    for (int32_t l = 0; l < sweep.filled[group]; ++l)
+    for (size_t l = 0; l < static_cast<size_t>(slots.filled()[group]); ++l)
       moves[color_of[group] * particles +
-            static_cast<size_t>(sweep.particle[static_cast<int64_t>(group) * lanes + l])] = 1;
+            static_cast<size_t>(lane_particle[group * static_cast<size_t>(lanes) + l])] = 1;
   color_begin.assign(1, 0);
   particle.clear();
   is_own.clear();

@@ -41,8 +41,6 @@ void StepAdjoint::build_tables() {
   t.numbers_begin.assign(1, 0);
   std::vector<int64_t> begins;
   std::vector<int32_t> particle;
-  Sweep sweep;
-  slots.fill(sweep);
   for (int role = 0; role < kRoles; ++role) {
     const ColorSlots::Table& table = slots.table(static_cast<Role>(role));
     t.numbers_begin.push_back(t.numbers_begin.back() + static_cast<int64_t>(table.floats.size()));
@@ -54,7 +52,7 @@ void StepAdjoint::build_tables() {
            s < static_cast<size_t>(table.begin[g + 1]); ++s)
         for (size_t lane = 0; lane < lanes; ++lane)
           if (table.sources[s * lanes + lane].element >= 0)
-            particle[before + s * lanes + lane] = sweep.particle[g * lanes + lane];
+            particle[before + s * lanes + lane] = slots.particles()[g * lanes + lane];
     t.places[role] = upload<uint64_t>(table.places, device);
   }
   t.slot_particle = upload<int32_t>(particle, device);
@@ -109,6 +107,7 @@ VbdAdjointArguments StepAdjoint::arguments(const Rows4* before, int64_t first, i
           .mass_bar = mass_bar_,
           .contact_bars = key_.with_contacts ? &contact_bars_ : nullptr,
           .at_rest = int{key_.at_rest},
+          .weights = int{key_.weights},
           .multiplier = nullptr,
           .multiplier_sum = nullptr,
           .slot_particle = tables_.slot_particle,

@@ -20,16 +20,13 @@ void Step::build_tables(float dt) {
   const std::vector<float> tri(m.particle_tri_activation.rows()),
       tet(m.particle_tet_activation.rows());
   slots_.set_constants(m, {tri.data(), tet.data(), dt});
-  Sweep host;
-  slots_.fill(host);
   const auto lanes = static_cast<size_t>(slots_.lanes());
-  const auto groups = static_cast<size_t>(colors().back());
   NOVAPHY_ASSERT(std::is_sorted(colors().begin(), colors().end()));
   Tables& t = tables_.emplace();
   t.dt = dt;
-  t.particle = upload<int32_t>(host.particle, groups * lanes, device());
-  t.filled = upload<int32_t>(host.filled, groups, device());
-  t.mass_by_h2 = upload<float>(host.mass_by_h2, groups * lanes, device());
+  t.particle = upload<int32_t>(slots_.particles(), device());
+  t.filled = upload<int32_t>(slots_.filled(), device());
+  t.mass_by_h2 = upload<float>(slots_.masses_by_h2(), device());
   for (int role = 0; role < kRoles; ++role) {
     const ColorSlots::Table& table = slots_.table(static_cast<Role>(role));
     if (table.sources.empty()) continue;

@@ -1,16 +1,16 @@
-// A step of VBD as kernels (row_kernel.h), with the laws and the order of sums of sweep_slots.h.
+// A step of VBD as kernels (row_kernel.h), whose sweep is sweep_kernels.h.
 //
-// A color moves in one of two ways, of the same bits. In vbd_move a thread moves each particle. In
-// vbd_move_team, for devices only, the threads of a block share the slots of some groups. A thread
-// for each component of the particles' matrices then adds the slots in slot order.
+// A colour moves in one of two ways, of the same bits: vbd_move, a thread for each particle;
+// vbd_move_team, for devices only, where the threads of a block share the slots of some groups and
+// a thread for each component of their blocks adds them in slot order.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
-#include "novaphy/vbd/contact_numbers_law.h"
-#include "novaphy/vbd/lane_slots_kernels.h"
-#include "novaphy/vbd/particle_step_law.h"
-#include "novaphy/vbd/slot_numbers_law.h"
+#include "novaphy/vbd/contact_numbers_trace.h"
+#include "novaphy/vbd/particle_step_trace.h"
+#include "novaphy/vbd/slot_numbers_trace.h"
 #include "novaphy/vbd/slot_teams_kernels.h"
+#include "novaphy/vbd/sweep_kernels.h"
 
 namespace novaphy {
 
@@ -71,7 +71,7 @@ NOVAPHY_ROW_KERNEL(vbd_predict, VbdPredictArguments) {
 struct VbdTargetArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<int32_t> held; ReadsRow<Vec3f> targets; Updates<VbdRow> x;)
 };
-// Kinematic particles go where targets say.
+// Held particles go where targets say.
 NOVAPHY_ROW_KERNEL(vbd_target, VbdTargetArguments) { a.x[a.held[row]] = to_row(a.targets[row]); }
 
 struct VbdActivationArguments {
@@ -197,120 +197,14 @@ NOVAPHY_ROW_KERNEL(vbd_contact, VbdContactArguments) {
       {a.shape_material_ke[s], a.shape_material_kd[s], a.shape_material_mu[s]}, a.h.value);
 }
 
-namespace vbd {
-
-// The energy of the elements of a particle at x, its contacts under the loads that they have at
-// `from`.
-inline float energy_at(const VbdSweepArguments& a, int64_t group, int32_t lane, const Vec3f& x,
-                       const Vec3f& from) {
-  const int64_t i = group * kVbdLanes + lane;
-  const int32_t p = a.particle[i];
-  float energy = inertia_energy(x, at(a.target, p), a.mass_by_h2[i]);
-  if (a.contact_begin != nullptr)
-    for (int32_t k = a.contact_begin[p]; k < a.contact_begin[p + 1]; ++k) {
-      const ParticleContact<float> contact = contact_of(a, k);
-      const float load = particle_contact_load(from, contact);
-      energy = energy + particle_contact_energy(x, at(a.start, p), contact, load);
-    }
-  for_lane_slots<kSpring>(a, group, lane, [&](const LaneSlot<kSpring>& s) {
-    energy = energy + spring_energy(x, at(a.x, s.index(0)),
-                                    SpringLaw<float>{s.number(0), s.number(1), s.number(2)},
-                                    s.number(3));
-  });
-  for_lane_slots<kTriangle>(a, group, lane, [&](const LaneSlot<kTriangle>& s) {
-    energy = energy +
-             membrane_energy(x, at(a.x, s.index(0)), at(a.x, s.index(1)), weights_of(s),
-                             MembraneLaw<float>{s.number(4), s.number(5), s.number(6), s.number(7)},
-                             MembraneStrain<float>{s.number(8), s.number(9), s.number(10)});
-  });
-  for_lane_slots<kHingeOpposite>(a, group, lane, [&](const LaneSlot<kHingeOpposite>& s) {
-    energy = energy + bending_energy(x, at(a.x, s.index(1)), at(a.x, s.index(2)),
-                                     at(a.x, s.index(3)), bending_law(s), s.number(3));
-  });
-  for_lane_slots<kHingeEnd>(a, group, lane, [&](const LaneSlot<kHingeEnd>& s) {
-    energy = energy + bending_energy(at(a.x, s.index(0)), at(a.x, s.index(1)), x,
-                                     at(a.x, s.index(3)), bending_law(s), s.number(3));
-  });
-  for_lane_slots<kTetrahedron>(a, group, lane, [&](const LaneSlot<kTetrahedron>& s) {
-    TetrahedronStrain<float> start;
-    for (int k = 0; k < 6; ++k) start.c[k] = s.number(13 + k);
-    energy =
-        energy +
-        tetrahedron_energy(
-            x, at(a.x, s.index(0)), at(a.x, s.index(1)), at(a.x, s.index(2)), weights_of(s),
-            TetrahedronLaw<float>{s.number(9), s.number(10), s.number(11), s.number(12)}, start);
-  });
-  return energy;
-}
-
-inline void put_step(const VbdSweepArguments& a, int32_t p, const Vec3f& d) {
-  const Vec3f moved = at(a.moved, p) + d;
-  a.moved[p] = to_row(moved);
-  a.to[p] = to_row(at(a.start, p) + moved);
-}
-
-}  // namespace vbd
-
-// What the slots of a lane have of the start of the step. `row`: over the lanes of all groups.
-NOVAPHY_ROW_KERNEL(vbd_prepare, VbdSweepArguments) {
-  using namespace vbd;
-  const int64_t group = row / kVbdLanes;
-  const auto lane = static_cast<int32_t>(row - group * kVbdLanes);
-  const VbdRow* const q = a.start;
-  const Vec3f x = at(q, a.particle[row]);
-  for_lane_slots<kSpring>(a, group, lane, [&](const LaneSlot<kSpring>& s) {
-    s.set(3, spring_length(x, at(q, s.index(0))));
-  });
-  if ((a.damped >> kTriangle) & 1)
-    for_lane_slots<kTriangle>(a, group, lane, [&](const LaneSlot<kTriangle>& s) {
-      const auto c = membrane_strain(x, at(q, s.index(0)), at(q, s.index(1)), weights_of(s));
-      s.set(8, c.c00);
-      s.set(9, c.c01);
-      s.set(10, c.c11);
-    });
-  if ((a.damped >> kHingeOpposite) & 1) {
-    for_lane_slots<kHingeOpposite>(a, group, lane, [&](const LaneSlot<kHingeOpposite>& s) {
-      s.set(3, bending_angle(x, at(q, s.index(1)), at(q, s.index(2)), at(q, s.index(3))));
-    });
-    for_lane_slots<kHingeEnd>(a, group, lane, [&](const LaneSlot<kHingeEnd>& s) {
-      s.set(3, bending_angle(at(q, s.index(0)), at(q, s.index(1)), x, at(q, s.index(3))));
-    });
-  }
-  if ((a.damped >> kTetrahedron) & 1)
-    for_lane_slots<kTetrahedron>(a, group, lane, [&](const LaneSlot<kTetrahedron>& s) {
-      const auto c = tetrahedron_strain(x, at(q, s.index(0)), at(q, s.index(1)), at(q, s.index(2)),
-                                        weights_of(s));
-      for (int k = 0; k < 6; ++k) s.set(13 + k, c.c[k]);
-    });
-}
-
-// One step of each particle of a colour. `row`: over the lanes of its groups.
-NOVAPHY_ROW_KERNEL(vbd_move, VbdSweepArguments) {
-  using namespace vbd;
-  const int64_t of_color = row / kVbdLanes, group = a.first_group + of_color;
-  const auto lane = static_cast<int32_t>(row - of_color * kVbdLanes);
-  if (lane >= a.filled[group]) return;
-  const int32_t p = a.particle[group * kVbdLanes + lane];
-  const Block<float> block = block_at(a, group, lane, at(a.x, p));
-  put_step(a, p, solve_block(factorize(block, a.regularization.value), block.f));
-}
-
-// The same, halved where the energy would rise, up to four times; then none.
+// `row`: over the lanes of the groups of the launch.
+NOVAPHY_ROW_KERNEL(vbd_prepare, VbdSweepArguments) { vbd::prepare(vbd::LaneGroup<float>(a, row)); }
+NOVAPHY_ROW_KERNEL(vbd_move, VbdSweepArguments) { vbd::move<false>(vbd::LaneGroup<float>(a, row)); }
 NOVAPHY_ROW_KERNEL(vbd_move_guarded, VbdSweepArguments) {
-  using namespace vbd;
-  const int64_t of_color = row / kVbdLanes, group = a.first_group + of_color;
-  const auto lane = static_cast<int32_t>(row - of_color * kVbdLanes);
-  if (lane >= a.filled[group]) return;
-  const int32_t p = a.particle[group * kVbdLanes + lane];
-  const Vec3f x = at(a.x, p);
-  const Block<float> block = block_at(a, group, lane, x);
-  Vec3f d = solve_block(factorize(block, a.regularization.value), block.f);
-  const float before = energy_at(a, group, lane, x, x);
-  for (int halvings = 0; !(energy_at(a, group, lane, x + d, x) <= before); ++halvings) {
-    d = halvings == 4 ? Vec3f{} : d * 0.5f;
-    if (halvings == 4) break;
-  }
-  put_step(a, p, d);
+  vbd::move<true>(vbd::LaneGroup<float>(a, row));
+}
+NOVAPHY_ROW_KERNEL(vbd_residual, VbdSweepArguments) {
+  vbd::residual(vbd::LaneGroup<float>(a, row));
 }
 
 struct VbdCommitArguments {
@@ -358,24 +252,6 @@ NOVAPHY_ROW_KERNEL(vbd_finish, VbdFinishArguments) {
   a.qd[row] = (x - to_vec3(a.start[row])) / a.h.value;
 }
 
-// As ParticleResidual: 3 numbers for each particle. `row`: over the lanes of all groups.
-NOVAPHY_ROW_KERNEL(vbd_residual, VbdSweepArguments) {
-  using namespace vbd;
-  const int64_t group = row / kVbdLanes;
-  const auto lane = static_cast<int32_t>(row - group * kVbdLanes);
-  if (lane >= a.filled[group]) return;
-  const int32_t p = a.particle[row];
-  const Vec3f x = at(a.x, p);
-  const Block<float> b = block_at(a, group, lane, x);
-  const Vec3f travel = (at(a.target, p) - at(a.start, p)) * a.mass_by_h2[row];
-  const float size = math::max(math::abs(x.x), math::max(math::abs(x.y), math::abs(x.z)));
-  const Vec3f rounded = multiply_stiffness(b, Vec3f{size, size, size} * 0x1p-24f);
-  float* const to = a.residual + 3 * static_cast<int64_t>(p);
-  to[0] = math::dot(b.f, b.f);
-  to[1] = math::dot(travel, travel);
-  to[2] = math::dot(rounded, rounded);
-}
-
 NOVAPHY_BLOCK_KERNEL(vbd_move_team, VbdSweepArguments);
 
 #ifdef NOVAPHY_KERNEL
@@ -386,15 +262,15 @@ struct MoveParticle {
   const VbdSweepArguments& a;
   Vec3f start, moved;
   explicit MoveParticle(const VbdSweepArguments& arguments) : a(arguments) {}
-  void ask(int32_t p) {
-    start = at(a.start, p);
-    moved = at(a.moved, p);
+  void ask(const LaneGroup<float>& g) {
+    start = g.at(a.start);
+    moved = g.at(a.moved);
   }
-  Vec3f place(int32_t p) const { return at(a.x, p); }
-  void put(int32_t p, int64_t, const Block<float>& b) {
+  Vec3f place(const LaneGroup<float>& g) const { return g.at(a.x); }
+  void put(const LaneGroup<float>& g, const Block<float>& b) {
     moved = moved + solve_block(factorize(b, a.regularization.value), b.f);
-    a.moved[p] = to_row(moved);
-    a.to[p] = to_row(start + moved);
+    g.put(a.moved, moved);
+    g.put(a.to, start + moved);
   }
 };
 

@@ -26,7 +26,8 @@ constexpr int kStartFloats[kRoles] = {1, 3, 1, 1, 6};  // the last ones
 // the number of other particles. kOwnPlace: the index of the particle itself among the four of a
 // hinge.
 constexpr int kLawFloats[kRoles] = {3, 4, 3, 3, 4};
-constexpr int law_begin(int role) { return kFloats[role] - kStartFloats[role] - kLawFloats[role]; }
+constexpr int start_begin(int role) { return kFloats[role] - kStartFloats[role]; }
+constexpr int law_begin(int role) { return start_begin(role) - kLawFloats[role]; }
 constexpr int kOthers[kRoles] = {1, 2, 3, 3, 3};
 constexpr int kOwnPlace[kRoles] = {-1, -1, 0, 2, -1};
 constexpr int kCorners[kRoles] = {2, 3, 4, 4, 4};  // of an element

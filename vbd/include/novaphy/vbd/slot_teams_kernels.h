@@ -2,7 +2,7 @@
 // A thread for each component of the particles' matrices adds the slots in slot order.
 #pragma once
 
-#include "novaphy/vbd/lane_slots_kernels.h"
+#include "novaphy/vbd/sweep_kernels.h"
 
 #ifdef NOVAPHY_KERNEL
 namespace novaphy::vbd {
@@ -37,18 +37,19 @@ inline void store_block(float* to, int stride, const Block<float>& b) {
 template <Role role, int G>
 inline void put_term(const VbdSweepArguments& a, TeamMemory& m, int32_t begin, int32_t term) {
   const int32_t k = term - begin, lane = k % kVbdLanes, group = k / kVbdLanes % G,
-                slot = k / (kVbdLanes * G);
-  if (slot >= m.count[role][group]) return;
+                number = k / (kVbdLanes * G);
+  if (number >= m.count[role][group]) return;
   const float* const x = m.x[group * kVbdLanes + lane];
+  const Slot<role, float> slot(a, m.first[role][group] + number, lane);
   store_block(
       &m.terms[0][term], kVbdTeamTerms,
-      block_of(LaneSlot<role>(a, m.first[role][group] + slot, lane), a, Vec3f{x[0], x[1], x[2]}));
+      block_of(inputs_of(slot, Vec3f{x[0], x[1], x[2]}, a.x), ((a.damped >> role) & 1) != 0));
 }
 
 // The blocks of the particles of the groups [first, end), at most G, as block_at has them. All
 // threads of the block call it. A thread for each particle has a `Finish`, made of the arguments:
-// ask(p) asks for what is needed in the end at the beginning, also for lanes that are no particles;
-// put(p, k, block) gets the block of lane k. place(p): where a particle is.
+// ask(lane) asks for what is needed in the end at the beginning, also for lanes that are no
+// particles; put(lane, block) gets the block. place(lane): where the particle is.
 template <int G, class Finish, class Arguments>
 inline void for_team(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,
                      int64_t end, TeamMemory& m) {
@@ -56,22 +57,22 @@ inline void for_team(const VbdSweepArguments& a, const Arguments& arguments, int
   const auto thread = static_cast<int32_t>(threadIdx.x);
   const auto groups = static_cast<int32_t>(end - first < G ? end - first : G);
   Finish finish(arguments);
-  int32_t p = 0;
-  bool is_particle = false;
+  // Of the particles of the team.
+  const auto lane_of = [&](int32_t k) {
+    return LaneGroup<float>(a, (first - a.first_group) * kVbdLanes + k);
+  };
   if (thread < groups * kVbdLanes) {
-    const int64_t k = first * kVbdLanes + thread;
-    p = a.particle[k];
-    is_particle = thread % kVbdLanes < a.filled[first + thread / kVbdLanes];
-    finish.ask(p);
-    const Vec3f x = finish.place(p);
+    const LaneGroup<float> g = lane_of(thread);
+    finish.ask(g);
+    const Vec3f x = finish.place(g);
     m.x[thread][0] = x.x;
     m.x[thread][1] = x.y;
     m.x[thread][2] = x.z;
-    store_block(&m.inner[0][thread], kLanes, inertia_block(x, at(a.target, p), a.mass_by_h2[k]));
+    store_block(&m.inner[0][thread], kLanes, inertia_block(x, g.at(a.target), g.mass_by_h2()));
   }
   if (const int32_t v = thread - (kTeam - kLanes); v >= 0 && v < groups * kVbdLanes) {
-    const int32_t of = a.particle[first * kVbdLanes + v];
-    store_block(&m.outer[0][v], kLanes, contact_blocks(a, of, finish.place(of)));
+    const LaneGroup<float> g = lane_of(v);
+    store_block(&m.outer[0][v], kLanes, contact_blocks(g, finish.place(g)));
   }
   for (int32_t k = thread - 2 * kAlign; k >= 0 && k < kRoles * G; k += kTeam) {
     const int32_t role = k / G, group = k % G;
@@ -91,19 +92,11 @@ inline void for_team(const VbdSweepArguments& a, const Arguments& arguments, int
     for (int g = 0; g < G; ++g) most = m.count[role][g] > most ? m.count[role][g] : most;
     begin[role + 1] = begin[role] + (most * kLanes + kAlign - 1) / kAlign * kAlign;
   }
-  for (int32_t term = thread; term < begin[kRoles]; term += kTeam) {
-    if (term < begin[1]) {
-      put_term<kSpring, G>(a, m, begin[0], term);
-    } else if (term < begin[2]) {
-      put_term<kTriangle, G>(a, m, begin[1], term);
-    } else if (term < begin[3]) {
-      put_term<kHingeOpposite, G>(a, m, begin[2], term);
-    } else if (term < begin[4]) {
-      put_term<kHingeEnd, G>(a, m, begin[3], term);
-    } else {
-      put_term<kTetrahedron, G>(a, m, begin[4], term);
-    }
-  }
+  for (int32_t term = thread; term < begin[kRoles]; term += kTeam)
+    for_roles([&](auto is) {
+      constexpr Role role = decltype(is)::role;
+      if (term >= begin[role] && term < begin[role + 1]) put_term<role, G>(a, m, begin[role], term);
+    });
   __syncthreads();
 
   for (int32_t k = thread; k < kComponents * kLanes; k += kTeam) {
@@ -123,16 +116,16 @@ inline void for_team(const VbdSweepArguments& a, const Arguments& arguments, int
   }
   __syncthreads();
 
-  if (is_particle) {
+  if (thread >= groups * kVbdLanes) return;
+  if (const LaneGroup<float> g = lane_of(thread); g.filled != 0) {
     const float* const of = &m.inner[0][0] + thread;
-    const Block<float> b = {{of[0], of[kLanes], of[2 * kLanes]},
-                            of[3 * kLanes],
-                            of[4 * kLanes],
-                            of[5 * kLanes],
-                            of[6 * kLanes],
-                            of[7 * kLanes],
-                            of[8 * kLanes]};
-    finish.put(p, first * kVbdLanes + thread, b);
+    finish.put(g, Block<float>{{of[0], of[kLanes], of[2 * kLanes]},
+                               of[3 * kLanes],
+                               of[4 * kLanes],
+                               of[5 * kLanes],
+                               of[6 * kLanes],
+                               of[7 * kLanes],
+                               of[8 * kLanes]});
   }
 }
 

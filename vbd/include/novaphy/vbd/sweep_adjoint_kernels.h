@@ -1,0 +1,212 @@
+// A sweep in reverse (sweep_kernels.h). A particle moves by d = H^-1 f. With u = H^-T xbar, the
+// derivative of d.xbar by anything that f and H read is that of u.f - u.(H d), u and d held
+// constant: a sum over slots. The build derives the laws of slots (tools/vbd_adjoints).
+//
+// The CPU has all of a group at once. A device passes u, d and what slots give through memory:
+// threads for the particles find u and d, threads for the lanes of slots what these give.
+#pragma once
+
+#include "novaphy/vbd/sweep_kernels.h"
+
+namespace novaphy {
+
+// Derivatives of a scalar, called bars, as a sweep in reverse reads and makes them. "Added to"
+// unless said otherwise.
+struct VbdAdjointArguments {
+  NOVAPHY_ARGUMENTS(
+      Part<VbdSweepArguments> sweep; Optional<Reads<VbdRow>>
+          before;                 // where the particles of the colour stood; null: they are there
+      Updates<VbdRow> x_bar;      // read; on the CPU also what particles give to their own
+      Updates<VbdRow> u, d, own;  // what a particle gives to its own position, but for its slots
+      Updates<VbdRow> start_bar, target_bar; Updates<float> mass_bar;  // by mass/h^2
+      Optional<Updates<float>> contact_bars;     // kContactLawFloats for each contact of the step
+      Number<int64_t> at_rest;                   // at a solution, where f = 0: with d = 0
+      Number<int64_t> weights;                   // also by the weights of slots
+      Optional<Updates<VbdRow>> multiplier;      // at rest: u, instead of solving for it; else null
+      Optional<Updates<VbdRow>> multiplier_sum;  // of u; null: not wanted
+      Reads<int32_t> slot_particle;              // of each lane of each slot of each role; -1: none
+      Updates<float> terms;    // of slots, 3 rows for each other particle, and for their own
+      Updates<float> numbers;  // of slots, by all their numbers
+      Reads<int64_t> begins;   // where roles begin in these three: 5 numbers for each
+      Each<Number<int64_t>, 5> first;  // by role: the first lane of the slots of the launch
+      Each<Number<int64_t>, 5> ends;   // by role: threads up to its last one
+  )
+};
+
+namespace vbd {
+
+#include "slot_adjoints.inc"
+
+template <Role role, class S>
+float* bars_of_numbers(const VbdAdjointArguments& a, const Slot<role, S>& slot) {
+  return a.numbers + (a.begins[2 * kRoles + role] + (slot.floats - a.sweep.floats[role]));
+}
+// The numbers [first, last).
+template <Role role, class S>
+void add_numbers(float* to, const SlotBars<role, S>& of, int first, int last) {
+  using Access = LaneAccess<S>;
+  for (int k = first; k < last; ++k)
+    Access::store(to + k * Access::kStride, Access::load(to + k * Access::kStride) + of.numbers[k]);
+}
+// What a slot gives to other particles, on devices to its own before.
+template <Role role, class S>
+void put_terms(const VbdAdjointArguments& a, const Slot<role, S>& slot,
+               const SlotBars<role, S>& of) {
+  using Access = LaneAccess<S>;
+  constexpr int kOwn = Access::kLanes == 1 ? 1 : 0, kPoints = kOthers[role] + kOwn;
+  float* const to = a.terms + (a.begins[kRoles + role] +
+                               slot.number * (kPoints * 3 * Access::kStride) + slot.lane);
+  const auto put = [to](int point, const Vec3<S>& v) {
+    Access::store(to + (3 * point) * Access::kStride, v.x);
+    Access::store(to + (3 * point + 1) * Access::kStride, v.y);
+    Access::store(to + (3 * point + 2) * Access::kStride, v.z);
+  };
+  if (kOwn != 0) put(0, of.own);
+  for (int k = 0; k < kOthers[role]; ++k) put(kOwn + k, of.others[k]);
+}
+
+template <Role role>
+constexpr bool kHasWeights = law_begin(role) > 0;
+
+template <bool at_rest, bool damped, bool weights, Role role, class S>
+Vec3<S> reverse_slot_of(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x,
+                        const Block<S>& bar) {
+  SlotBars<role, S> to;
+  slot_adjoint(SlotCase<at_rest, damped, weights>(), inputs_of(slot, x, a.sweep.x), bar, to);
+  put_terms(a, slot, to);
+  add_numbers(bars_of_numbers(a, slot), to, weights ? 0 : law_begin(role), kFloats[role]);
+  return to.own;
+}
+// A slot of a particle at x. Returns what it gives to its own.
+template <bool at_rest, bool weights, Role role, class S>
+Vec3<S> reverse_slot(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x,
+                     const Block<S>& bar) {
+  if constexpr (kHasWeights<role>)
+    if (((a.sweep.damped >> role) & 1) == 0)
+      return reverse_slot_of<at_rest, false, weights>(a, slot, x, bar);
+  return reverse_slot_of < at_rest, true, weights && kHasWeights < role >> (a, slot, x, bar);
+}
+template <bool weights, Role role, class S>
+Vec3<S> reverse_start_of(const VbdAdjointArguments& a, const Slot<role, S>& slot,
+                         const Vec3<S>& x) {
+  using Access = LaneAccess<S>;
+  float* const numbers = bars_of_numbers(a, slot);
+  S bar[kStartFloats[role]];
+  for (int k = 0; k < kStartFloats[role]; ++k)
+    bar[k] = Access::load(numbers + (start_begin(role) + k) * Access::kStride);
+  SlotBars<role, S> to;
+  start_adjoint(StartCase<weights>(), inputs_of(slot, x, a.sweep.start), bar, to);
+  put_terms(a, slot, to);
+  if (weights) add_numbers(numbers, to, 0, law_begin(role));
+  return to.own;
+}
+// What a slot has of the start, of a particle that began at x.
+template <bool weights, Role role, class S>
+Vec3<S> reverse_start(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x) {
+  return reverse_start_of < weights && kHasWeights < role >> (a, slot, x);
+}
+
+// Where the particles stood, which they then do again.
+template <class S>
+Vec3<S> place_before(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
+  if (a.before == nullptr) return g.at(a.sweep.x);
+  const Vec3<S> x = g.at(a.before);
+  g.put(a.sweep.x, x);
+  return x;
+}
+
+// What contacts give.
+template <class S>
+void reverse_contacts(const VbdAdjointArguments& a, const LaneGroup<S>& g, const Vec3<S>& x,
+                      const Block<S>& bar, Vec3<S>& own, Vec3<S>& by_start) {
+  using math::select;
+  if (a.sweep.contact_begin == nullptr) return;
+  const Vec3<S> start = g.at(a.sweep.start);
+  for_contacts(g, [&](const LaneContacts<S>& c) {
+    ContactBars<S> to;
+    if (a.at_rest != 0) {
+      contact_adjoint(ContactCase<true>(), x, start, c.contact, bar, to);
+    } else {
+      contact_adjoint(ContactCase<false>(), x, start, c.contact, bar, to);
+    }
+    own = own + select(c.touching, to.x, Vec3<S>{});
+    by_start = by_start + select(c.touching, to.start, Vec3<S>{});
+    for (int l = 0; l < g.filled; ++l)
+      for (int k = 0; c.number[l] >= 0 && k < kContactLawFloats; ++k) {
+        float& law = a.contact_bars[static_cast<int64_t>(c.number[l]) * kContactLawFloats + k];
+        law = law + LaneAccess<S>::get(to.law[k], l);
+      }
+  });
+}
+
+// The multipliers of particles at x and their steps, by the block there, and what these give, but
+// for slots. Multipliers that are given need no block.
+template <class S>
+struct Reversed {
+  Vec3<S> u, d, own;
+};
+template <class S>
+Reversed<S> reverse_particles(const VbdAdjointArguments& a, const LaneGroup<S>& g, const Vec3<S>& x,
+                              const Block<S>& block) {
+  using math::select;
+  Reversed<S> to;
+  if (a.multiplier != nullptr) {
+    to.u = g.at(a.multiplier);
+  } else {
+    const auto factors = factorize(block, S(a.sweep.regularization.value));
+    if (a.at_rest == 0) to.d = solve_block(factors, block.f);
+    to.u = solve_block(factors, g.at(a.x_bar));
+  }
+  MaskOf<S> is_particle{};
+  for (int l = 0; l < g.filled; ++l) LaneAccess<S>::set(is_particle, l, true);
+  to.u = select(is_particle, to.u, Vec3<S>{});
+  const Vec3<S> inertia = to.u * g.mass_by_h2();
+  const S by_mass = math::dot(to.u, (g.at(a.sweep.target) - x) - to.d);
+  Vec3<S> by_start;
+  to.own = -inertia;
+  reverse_contacts(a, g, x, bars_of(to.u, to.d), to.own, by_start);
+  g.add(a.target_bar, inertia);
+  g.add(a.start_bar, by_start);
+  for (int l = 0; l < g.filled; ++l) {
+    float& mass = a.mass_bar[g.particle[l]];
+    mass = mass + LaneAccess<S>::get(by_mass, l);
+  }
+  if (a.multiplier_sum != nullptr) g.add(a.multiplier_sum, to.u);
+  return to;
+}
+
+// All of a group.
+template <class S>
+void reverse_group(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
+  const Vec3<S> x = place_before(a, g);
+  Reversed<S> of =
+      reverse_particles(a, g, x, a.multiplier != nullptr ? Block<S>() : block_at(g, x));
+  const Block<S> bar = bars_of(of.u, of.d);
+  const bool at_rest = a.at_rest != 0, weights = a.weights != 0;
+  const auto reverse = [&](const auto& slot) {
+    if (at_rest)
+      return weights ? reverse_slot<true, true>(a, slot, x, bar)
+                     : reverse_slot<true, false>(a, slot, x, bar);
+    return weights ? reverse_slot<false, true>(a, slot, x, bar)
+                   : reverse_slot<false, false>(a, slot, x, bar);
+  };
+  for_roles([&](auto is) {
+    for_slots<decltype(is)::role>(g, [&](const auto& slot) { of.own = of.own + reverse(slot); });
+  });
+  g.add(a.x_bar, of.own);
+}
+template <class S>
+void reverse_group_start(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
+  const Vec3<S> x = g.at(a.sweep.start);
+  Vec3<S> own;
+  for_roles([&](auto is) {
+    for_slots<decltype(is)::role>(g, [&](const auto& slot) {
+      own = own +
+            (a.weights != 0 ? reverse_start<true>(a, slot, x) : reverse_start<false>(a, slot, x));
+    });
+  });
+  g.add(a.start_bar, own);
+}
+
+}  // namespace vbd
+}  // namespace novaphy

@@ -1,0 +1,288 @@
+// A sweep over the particles of groups, as templates over the scalar: float on devices, where a
+// thread has a lane of a group, and all lanes of a group on the CPU (src/lanes.h), compiled once
+// for each instruction set. Both have the same bits.
+#pragma once
+
+#include "novaphy/core/row_kernel.h"
+#include "novaphy/vbd/particle_contact_trace.h"
+#include "novaphy/vbd/rows_kernels.h"
+#include "novaphy/vbd/slot_inputs_trace.h"
+
+#ifndef NOVAPHY_LANE_FN  // of floats
+#define NOVAPHY_LANE_FN inline
+#endif
+
+namespace novaphy {
+
+// Lanes of a group on devices; groups of a team where there are many; terms that a team has room
+// for (see vbd_move_team).
+constexpr int kVbdLanes = 4, kVbdLargeTeam = 8, kVbdTeamTerms = 832;
+
+struct VbdSweepArguments {
+  NOVAPHY_ARGUMENTS(Reads<int32_t> particle;        // of each lane of each group
+                    Reads<int32_t> filled;          // lanes of a group that are particles
+                    Reads<float> mass_by_h2;        // of each lane; 1 where it is no particle
+                    Each<Reads<int64_t>, 5> begin;  // by role: the slots of a group
+                    Each<Reads<int32_t>, 5> ints; Each<Updates<float>, 5> floats;
+                    Optional<Reads<int32_t>> contact_begin;  // null: no contacts
+                    Optional<Reads<float>> contacts; Reads<VbdRow> start, target;
+                    Updates<VbdRow> moved, x,
+                    to;  // where the particles of a colour go: x, or memory of its own
+                    Number<float> regularization, slip; Number<int64_t> lanes;  // of a group
+                    Number<int64_t> damped;                                     // bit of each role
+                    Number<int64_t> first_group, end_group,
+                    team;                    // groups of a team: 1 or kVbdLargeTeam
+                    Writes<float> residual;  // of vbd_residual
+  )
+};
+
+namespace vbd {
+
+// How a sweep reads and writes its scalar: kLanes lanes of a group that has kStride.
+template <class S>
+struct LaneAccess;
+template <>
+struct LaneAccess<float> {
+  static constexpr int kLanes = 1, kStride = kVbdLanes;
+  static Vec3f gather(const VbdRow* rows, const int32_t* index) { return to_vec3(rows[*index]); }
+  static float load(const float* from) { return *from; }
+  static void store(float* to, float value) { *to = value; }
+  // Of a lane.
+  static float get(float values, int) { return values; }
+  static void set(float& values, int, float value) { values = value; }
+  static bool get(bool mask, int) { return mask; }
+  static void set(bool& mask, int, bool value) { mask = value; }
+  static void put(VbdRow* rows, int32_t p, const Vec3f& v, int) { rows[p] = to_row(v); }
+};
+template <class S>
+using MaskOf = decltype(S() < S());
+
+// The lanes of a group that a scalar has. `row`: of a launch over lanes.
+template <class S>
+struct LaneGroup : LaneAccess<S> {
+  using Access = LaneAccess<S>;
+  const VbdSweepArguments& a;
+  int64_t group;
+  int32_t lane, filled;     // the first; how many are particles
+  const int32_t* particle;  // of each
+  LaneGroup(const VbdSweepArguments& arguments, int64_t row)
+      : a(arguments),
+        group(a.first_group + row / Access::kStride),
+        lane(static_cast<int32_t>(row % Access::kStride)),
+        filled(a.filled[group]),
+        particle(a.particle + (group * Access::kStride + lane)) {
+    if (Access::kLanes == 1) filled = lane < filled ? 1 : 0;
+  }
+  Vec3<S> at(const VbdRow* rows) const { return Access::gather(rows, particle); }
+  S mass_by_h2() const { return Access::load(a.mass_by_h2 + (group * Access::kStride + lane)); }
+  bool is_damped(Role role) const { return ((a.damped >> role) & 1) != 0; }
+  // Of the particles alone.
+  void put(VbdRow* rows, const Vec3<S>& values) const {
+    for (int l = 0; l < filled; ++l) Access::put(rows, particle[l], values, l);
+  }
+  void add(VbdRow* rows, const Vec3<S>& values) const { put(rows, at(rows) + values); }
+};
+
+// A slot, for the lanes of a scalar; its numbers as those of SlotInputs.
+template <Role role, class S>
+struct Slot {
+  using Access = LaneAccess<S>;
+  const int32_t* ints;
+  float* floats;
+  int64_t number;
+  int32_t lane;
+  Slot(const VbdSweepArguments& a, int64_t s, int32_t first_lane)
+      : ints(a.ints[role] + (s * (kInts[role] * Access::kStride) + first_lane)),
+        floats(a.floats[role] + (s * (kFloats[role] * Access::kStride) + first_lane)),
+        number(s),
+        lane(first_lane) {}
+  S operator[](int k) const { return Access::load(floats + k * Access::kStride); }
+  void set(int k, S value) const { Access::store(floats + k * Access::kStride, value); }
+};
+
+// What a slot of a particle at `own` reads. gather(indices): the point of another particle.
+template <Role role, class S, class V, class Numbers, class Gather>
+SlotInputs<role, V, Numbers> inputs_of(const Slot<role, S>& slot, const Vec3<V>& own,
+                                       const Numbers& numbers, const Gather& gather) {
+  SlotInputs<role, V, Numbers> in = {own, {}, numbers};
+  for (int k = 0; k < kOthers[role]; ++k)
+    in.others[k] = gather(slot.ints + other_place<role>(k) * LaneAccess<S>::kStride);
+  return in;
+}
+template <Role role, class S>
+SlotInputs<role, S, Slot<role, S>> inputs_of(const Slot<role, S>& slot, const Vec3<S>& own,
+                                             const VbdRow* rows) {
+  return inputs_of(slot, own, slot,
+                   [rows](const int32_t* index) { return LaneAccess<S>::gather(rows, index); });
+}
+
+template <Role of>
+struct RoleIs {
+  static constexpr Role role = of;
+};
+// Calls body(RoleIs<role>()) in the order of sums.
+template <class Body>
+void for_inner_roles(const Body& body) {
+  body(RoleIs<kTriangle>());
+  body(RoleIs<kHingeOpposite>());
+  body(RoleIs<kHingeEnd>());
+  body(RoleIs<kTetrahedron>());
+}
+template <class Body>
+void for_roles(const Body& body) {
+  body(RoleIs<kSpring>());
+  for_inner_roles(body);
+}
+
+template <Role role, class S, class Body>
+void for_slots(const LaneGroup<S>& g, const Body& body) {
+  const int64_t* const begin = g.a.begin[role];
+  if (begin == nullptr) return;
+  for (int64_t s = begin[g.group]; s < begin[g.group + 1]; ++s) body(Slot<role, S>(g.a, s, g.lane));
+}
+
+// The contact of each particle that has one more, and which one it is; else -1.
+template <class S>
+struct LaneContacts {
+  MaskOf<S> touching{};
+  int32_t number[LaneAccess<S>::kLanes];
+  ParticleContact<S> contact;
+};
+template <class S, class Body>
+void for_contacts(const LaneGroup<S>& g, const Body& body) {
+  using Access = LaneAccess<S>;
+  const VbdSweepArguments& a = g.a;
+  if (a.contact_begin == nullptr) return;
+  for (int32_t round = 0;; ++round) {
+    float rows[kContactFloats][Access::kLanes] = {};
+    LaneContacts<S> all;
+    bool any = false;
+    for (int l = 0; l < g.filled; ++l) {
+      all.number[l] = -1;
+      const int32_t k = a.contact_begin[g.particle[l]] + round;
+      if (k >= a.contact_begin[g.particle[l] + 1]) continue;
+      for (int c = 0; c < kContactFloats; ++c)
+        rows[c][l] = a.contacts[static_cast<int64_t>(k) * kContactFloats + c];
+      all.number[l] = k;
+      Access::set(all.touching, l, true);
+      any = true;
+    }
+    if (!any) return;
+    const auto number = [&rows](int c) { return Access::load(rows[c]); };
+    const auto point = [&](int c) { return Vec3<S>{number(c), number(c + 1), number(c + 2)}; };
+    all.contact = {point(0),   point(3),   point(6),   number(9),
+                   number(10), number(11), number(12), S(a.slip.value)};
+    body(all);
+  }
+}
+// What the contacts of particles add up to.
+template <class S>
+Block<S> contact_blocks(const LaneGroup<S>& g, const Vec3<S>& x) {
+  Block<S> outer;
+  if (g.a.contact_begin == nullptr) return outer;
+  const Vec3<S> start = g.at(g.a.start);
+  for_contacts(g, [&](const LaneContacts<S>& c) {
+    outer = outer + where(c.touching, particle_contact_block(x, start, c.contact));
+  });
+  return outer;
+}
+
+// The block of the particles of a group at x, in this order: contacts and springs; then inertia,
+// triangles, bending edges, tetrahedra; then both sums.
+template <class S>
+Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x) {
+  const VbdRow* const q = g.a.x;
+  Block<S> outer = contact_blocks(g, x);
+  for_slots<kSpring>(g, [&](const auto& s) { outer = outer + block_of(inputs_of(s, x, q), true); });
+  Block<S> block = inertia_block(x, g.at(g.a.target), g.mass_by_h2());
+  for_inner_roles([&](auto is) {
+    constexpr Role role = decltype(is)::role;
+    const bool damped = g.is_damped(role);
+    for_slots<role>(g,
+                    [&](const auto& s) { block = block + block_of(inputs_of(s, x, q), damped); });
+  });
+  return block + outer;
+}
+
+// The energy of the elements of particles at x, their contacts under the loads that they have at
+// `from`.
+template <class S>
+S energy_at(const LaneGroup<S>& g, const Vec3<S>& x, const Vec3<S>& from) {
+  using math::select;
+  S energy = inertia_energy(x, g.at(g.a.target), g.mass_by_h2());
+  for_contacts(g, [&](const LaneContacts<S>& c) {
+    const S load = particle_contact_load(from, c.contact);
+    const S of_contact = particle_contact_energy(x, g.at(g.a.start), c.contact, load);
+    energy = energy + select(c.touching, of_contact, S(0.0f));
+  });
+  for_roles([&](auto is) {
+    for_slots<decltype(is)::role>(
+        g, [&](const auto& s) { energy = energy + energy_of(inputs_of(s, x, g.a.x)); });
+  });
+  return energy;
+}
+
+// What slots have of the start of the step.
+template <class S>
+void prepare(const LaneGroup<S>& g) {
+  const Vec3<S> x = g.at(g.a.start);
+  for_roles([&](auto is) {
+    constexpr Role role = decltype(is)::role;
+    if (role != kSpring && !g.is_damped(role)) return;
+    for_slots<role>(g, [&](const auto& s) {
+      start_of_slot(inputs_of(s, x, g.a.start),
+                    [&](int k, const S& value) { s.set(start_begin(role) + k, value); });
+    });
+  });
+}
+
+// The step d, halved where the energy would rise, up to four times; then none.
+template <class S>
+Vec3<S> guarded_step(const LaneGroup<S>& g, const Vec3<S>& x, Vec3<S> d) {
+  using math::select;
+  const S before = energy_at(g, x, x), half(0.5f);
+  for (int halvings = 0;; ++halvings) {
+    const MaskOf<S> good = energy_at(g, x + d, x) <= before;
+    bool all = true;
+    for (int l = 0; l < g.filled; ++l) all = LaneAccess<S>::get(good, l) && all;
+    if (all) return d;
+    if (halvings == 4) return select(good, d, Vec3<S>{});
+    d = select(good, d, d * half);
+  }
+}
+
+// One step of each particle.
+template <bool safeguard, class S>
+void move(const LaneGroup<S>& g) {
+  if (g.filled == 0) return;
+  const Vec3<S> x = g.at(g.a.x);
+  const Block<S> block = block_at(g, x);
+  Vec3<S> d = solve_block(factorize(block, S(g.a.regularization.value)), block.f);
+  if (safeguard) d = guarded_step(g, x, d);
+  const Vec3<S> moved = g.at(g.a.moved) + d;
+  g.put(g.a.moved, moved);
+  g.put(g.a.to, g.at(g.a.start) + moved);
+}
+
+// What residuals are sums of, for each particle: |f|^2, |M (y - xn)/h^2|^2, and the square of what
+// one rounding of the positions changes f by.
+struct ParticleResidual {
+  float force = 0.0f, inertia = 0.0f, rounding = 0.0f;
+};
+template <class S>
+void residual(const LaneGroup<S>& g) {
+  using namespace math;
+  if (g.filled == 0) return;
+  const Vec3<S> x = g.at(g.a.x);
+  const Block<S> b = block_at(g, x);
+  const Vec3<S> travel = (g.at(g.a.target) - g.at(g.a.start)) * g.mass_by_h2();
+  const S size = max(abs(x.x), max(abs(x.y), abs(x.z)));
+  const Vec3<S> rounded = multiply_stiffness(b, Vec3<S>{size, size, size} * S(0x1p-24f));
+  const S all[3] = {dot(b.f, b.f), dot(travel, travel), dot(rounded, rounded)};
+  for (int l = 0; l < g.filled; ++l)
+    for (int k = 0; k < 3; ++k)
+      g.a.residual[3 * static_cast<int64_t>(g.particle[l]) + k] = LaneAccess<S>::get(all[k], l);
+}
+
+}  // namespace vbd
+}  // namespace novaphy

@@ -1,0 +1,144 @@
+// A sweep (sweep_kernels.h) along a direction. A particle moves by d = H^-1 f, so
+// d' = H^-1 (f' - H' d): at a solution, where f = 0, H^-1 f'.
+#pragma once
+
+#include "novaphy/vbd/sweep_kernels.h"
+#include "novaphy/vbd/tangent_trace.h"
+
+namespace novaphy {
+
+// Derivatives along a direction; null: 0.
+struct VbdTangentArguments {
+  NOVAPHY_ARGUMENTS(Part<VbdSweepArguments> sweep; Optional<Reads<VbdRow>> x, start, target;
+                    Optional<Reads<float>> mass;       // by mass/h^2, per particle
+                    Optional<Reads<float>> contacts;   // kContactLawFloats for each contact
+                    Optional<Updates<float>> numbers;  // of slots, of all their numbers
+                    Each<Number<int64_t>, 5> begins;   // where those of a role begin
+                    Optional<Reads<VbdRow>> load;      // added to the derivative of f
+                    Number<int64_t> at_rest;           // at a solution, where f = 0
+                    // Those of friction stay, as its energy keeps them: f has a potential then.
+                    Number<int64_t> keeps_loads;
+                    // Written: f, its derivative, and that of the steps of the particles; null:
+                    // not wanted.
+                    Optional<Updates<VbdRow>> force, force_slope, step_slope;)
+};
+
+namespace vbd {
+
+// Rows of particles with their derivatives.
+template <class S>
+Vec3<TangentOf<S>> gather_slopes(const VbdRow* values, const VbdRow* slopes, const int32_t* index) {
+  return with_slope(LaneAccess<S>::gather(values, index),
+                    slopes != nullptr ? LaneAccess<S>::gather(slopes, index) : Vec3<S>{});
+}
+
+// The lanes of a group with the derivatives of what they read.
+template <class S>
+struct TangentGroup {
+  using Access = LaneAccess<S>;
+  using Tangent = TangentOf<S>;
+  using Point = Vec3<Tangent>;
+  const VbdTangentArguments& a;
+  const LaneGroup<S>& g;
+
+  Point place(const int32_t* p) const { return gather_slopes<S>(a.sweep.x, a.x, p); }
+  Point start(const int32_t* p) const { return gather_slopes<S>(a.sweep.start, a.start, p); }
+  static Point still(const Vec3<S>& v) { return with_slope(v, Vec3<S>{}); }
+
+  // The numbers of a slot; without slopes they are 0.
+  template <Role role>
+  struct Numbers {
+    Slot<role, S> slot;
+    float* slopes;
+    Tangent operator[](int k) const {
+      return {slot[k], slopes != nullptr ? Access::load(slopes + k * Access::kStride) : S{}};
+    }
+  };
+  template <Role role>
+  Numbers<role> numbers(const Slot<role, S>& slot) const {
+    float* const slopes = a.numbers;
+    return {slot, slopes == nullptr
+                      ? nullptr
+                      : slopes + (a.begins[role].value + (slot.floats - a.sweep.floats[role]))};
+  }
+  template <Role role>
+  void add_slots(const Point& x, Block<Tangent>& block) const {
+    for_slots<role>(g, [&](const Slot<role, S>& slot) {
+      const auto in = inputs_of(slot, x, numbers(slot), [&](const int32_t* p) { return place(p); });
+      block = block + block_of(in, g.is_damped(role));
+    });
+  }
+  Block<Tangent> contacts(const Point& x) const {
+    Block<Tangent> outer;
+    if (a.sweep.contact_begin == nullptr) return outer;
+    const Point begin = start(g.particle);
+    for_contacts(g, [&](const LaneContacts<S>& all) {
+      const ParticleContact<S>& c = all.contact;
+      S slopes[kContactLawFloats] = {};
+      for (int l = 0; a.contacts != nullptr && l < g.filled; ++l)
+        for (int n = 0; all.number[l] >= 0 && n < kContactLawFloats; ++n)
+          Access::set(slopes[n], l,
+                      a.contacts[static_cast<int64_t>(all.number[l]) * kContactLawFloats + n]);
+      if (a.keeps_loads != 0) slopes[3] = slope_that_keeps_load(value_of(x), slope_of(x), c);
+      const ParticleContact<Tangent> contact = {
+          still(c.point),    still(c.normal),        still(c.travel),   {c.radius, slopes[0]},
+          {c.ke, slopes[1]}, {c.kd_by_h, slopes[2]}, {c.mu, slopes[3]}, Tangent(c.slip)};
+      outer = outer + where(all.touching, particle_contact_block(x, begin, contact));
+    });
+    return outer;
+  }
+  // In the order of block_at.
+  Block<Tangent> block(const Point& x) const {
+    Block<Tangent> outer = contacts(x);
+    add_slots<kSpring>(x, outer);
+    S mass{};
+    for (int l = 0; a.mass != nullptr && l < g.filled; ++l)
+      Access::set(mass, l, a.mass[g.particle[l]]);
+    Block<Tangent> sum = inertia_block(x, gather_slopes<S>(a.sweep.target, a.target, g.particle),
+                                       Tangent(g.mass_by_h2(), mass));
+    for_inner_roles([&](auto is) { add_slots<decltype(is)::role>(x, sum); });
+    return sum + outer;
+  }
+};
+
+template <class S>
+void tangent(const VbdTangentArguments& a, const LaneGroup<S>& g) {
+  if (g.filled == 0) return;
+  const TangentGroup<S> of = {a, g};
+  const Block<TangentOf<S>> b = of.block(of.place(g.particle));
+  const Vec3<S> f = value_of(b.f), slope = slope_of(b.f);
+  if (a.force != nullptr) g.put(a.force, f);
+  if (a.force_slope != nullptr) g.put(a.force_slope, slope);
+  if (a.step_slope == nullptr) return;
+  const Block<S> values = {f, b.h00.v, b.h11.v, b.h22.v, b.h01.v, b.h02.v, b.h12.v};
+  const auto factors = factorize(values, S(a.sweep.regularization.value));
+  Vec3<S> load = slope + (a.load != nullptr ? g.at(a.load) : Vec3<S>{});
+  if (a.at_rest == 0) {
+    const Block<S> turned = {slope, b.h00.d, b.h11.d, b.h22.d, b.h01.d, b.h02.d, b.h12.d};
+    load = load - multiply_stiffness(turned, solve_block(factors, f));
+  }
+  g.put(a.step_slope, solve_block(factors, load));
+}
+
+// Of what slots have of the start: written to `numbers`.
+template <class S>
+void tangent_start(const VbdTangentArguments& a, const LaneGroup<S>& g) {
+  if (g.filled == 0) return;
+  const TangentGroup<S> of = {a, g};
+  const Vec3<TangentOf<S>> x = of.start(g.particle);
+  for_roles([&](auto is) {
+    constexpr Role role = decltype(is)::role;
+    for_slots<role>(g, [&](const Slot<role, S>& slot) {
+      const auto numbers = of.numbers(slot);
+      start_of_slot(inputs_of(slot, x, numbers, [&](const int32_t* p) { return of.start(p); }),
+                    [&](int k, const TangentOf<S>& value) {
+                      LaneAccess<S>::store(
+                          numbers.slopes + (start_begin(role) + k) * LaneAccess<S>::kStride,
+                          value.d);
+                    });
+    });
+  });
+}
+
+}  // namespace vbd
+}  // namespace novaphy

@@ -55,6 +55,7 @@ NOVAPHY_LANE_FN Vec3<Lanes> gather(const float* table, const int32_t* index) {
 }  // namespace novaphy::vbd::NOVAPHY_LEVEL
 
 // Behind the above, which says what functions of lanes are.
+#define NOVAPHY_LANE_FN_APART [[gnu::noinline]]
 #include "novaphy/vbd/sweep_kernels.h"
 #include "sweep.h"
 
@@ -78,6 +79,11 @@ struct LaneAccess<NOVAPHY_LEVEL::Lanes> {
     rows[p].x = v.x.v[lane];
     rows[p].y = v.y.v[lane];
     rows[p].z = v.z.v[lane];
+  }
+  NOVAPHY_LANE_FN static void add(VbdRow* rows, int32_t p, const Vec3<Lanes>& v, int lane) {
+    rows[p].x += v.x.v[lane];
+    rows[p].y += v.y.v[lane];
+    rows[p].z += v.z.v[lane];
   }
 };
 

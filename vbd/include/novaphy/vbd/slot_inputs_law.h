@@ -14,7 +14,7 @@ namespace novaphy::vbd {
 // Numbers: has the k-th number of the slot as [k].
 template <Role role, class S, class Numbers = S[kFloats[role]]>
 struct SlotInputs {
-  Vec3<S> own, others[3];
+  Vec3<S> own, others[kOthers[role]];
   Numbers numbers;
 };
 

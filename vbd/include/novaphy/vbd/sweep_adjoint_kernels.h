@@ -72,7 +72,7 @@ template <bool at_rest, bool damped, bool weights, Role role, class S>
 Vec3<S> reverse_slot_of(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x,
                         const Block<S>& bar) {
   SlotBars<role, S> to;
-  slot_adjoint(SlotCase<at_rest, damped, weights>(), inputs_of(slot, x, a.sweep.x), bar, to);
+  slot_adjoint(SlotCase<at_rest, damped, weights>(), inputs_apart(slot, x, a.sweep.x), bar, to);
   put_terms(a, slot, to);
   add_numbers(bars_of_numbers(a, slot), to, weights ? 0 : law_begin(role), kFloats[role]);
   return to.own;
@@ -95,7 +95,7 @@ Vec3<S> reverse_start_of(const VbdAdjointArguments& a, const Slot<role, S>& slot
   for (int k = 0; k < kStartFloats[role]; ++k)
     bar[k] = Access::load(numbers + (start_begin(role) + k) * Access::kStride);
   SlotBars<role, S> to;
-  start_adjoint(StartCase<weights>(), inputs_of(slot, x, a.sweep.start), bar, to);
+  start_adjoint(StartCase<weights>(), inputs_apart(slot, x, a.sweep.start), bar, to);
   put_terms(a, slot, to);
   if (weights) add_numbers(numbers, to, 0, law_begin(role));
   return to.own;

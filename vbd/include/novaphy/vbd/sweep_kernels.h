@@ -1,6 +1,6 @@
-// A sweep over the particles of groups, as templates over the scalar: float on devices, where a
-// thread has a lane of a group, and all lanes of a group on the CPU (src/lanes.h), compiled once
-// for each instruction set. Both have the same bits.
+// A sweep over the particles of groups, as templates over the scalar. On devices the scalar is a
+// float, and a thread has a lane of a group. On the CPU the scalar is all lanes of a group
+// (src/lanes.h), compiled once for each instruction set. Both have the same bits.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -10,6 +10,9 @@
 
 #ifndef NOVAPHY_LANE_FN  // of floats
 #define NOVAPHY_LANE_FN inline
+#endif
+#ifndef NOVAPHY_LANE_FN_APART  // what is large and called from many places
+#define NOVAPHY_LANE_FN_APART inline
 #endif
 
 namespace novaphy {
@@ -53,6 +56,9 @@ struct LaneAccess<float> {
   static bool get(bool mask, int) { return mask; }
   static void set(bool& mask, int, bool value) { mask = value; }
   static void put(VbdRow* rows, int32_t p, const Vec3f& v, int) { rows[p] = to_row(v); }
+  static void add(VbdRow* rows, int32_t p, const Vec3f& v, int) {
+    rows[p] = to_row(to_vec3(rows[p]) + v);
+  }
 };
 template <class S>
 using MaskOf = decltype(S() < S());
@@ -80,7 +86,9 @@ struct LaneGroup : LaneAccess<S> {
   void put(VbdRow* rows, const Vec3<S>& values) const {
     for (int l = 0; l < filled; ++l) Access::put(rows, particle[l], values, l);
   }
-  void add(VbdRow* rows, const Vec3<S>& values) const { put(rows, at(rows) + values); }
+  void add(VbdRow* rows, const Vec3<S>& values) const {
+    for (int l = 0; l < filled; ++l) Access::add(rows, particle[l], values, l);
+  }
 };
 
 // A slot, for the lanes of a scalar; its numbers as those of SlotInputs.
@@ -104,16 +112,30 @@ struct Slot {
 template <Role role, class S, class V, class Numbers, class Gather>
 SlotInputs<role, V, Numbers> inputs_of(const Slot<role, S>& slot, const Vec3<V>& own,
                                        const Numbers& numbers, const Gather& gather) {
-  SlotInputs<role, V, Numbers> in = {own, {}, numbers};
-  for (int k = 0; k < kOthers[role]; ++k)
-    in.others[k] = gather(slot.ints + other_place<role>(k) * LaneAccess<S>::kStride);
-  return in;
+  const auto point = [&](int k) {
+    return gather(slot.ints + other_place<role>(k) * LaneAccess<S>::kStride);
+  };
+  if constexpr (kOthers[role] == 1) {
+    return {own, {point(0)}, numbers};
+  } else if constexpr (kOthers[role] == 2) {
+    return {own, {point(0), point(1)}, numbers};
+  } else {
+    return {own, {point(0), point(1), point(2)}, numbers};
+  }
 }
 template <Role role, class S>
-SlotInputs<role, S, Slot<role, S>> inputs_of(const Slot<role, S>& slot, const Vec3<S>& own,
-                                             const VbdRow* rows) {
+NOVAPHY_LANE_FN SlotInputs<role, S, Slot<role, S>> inputs_of(const Slot<role, S>& slot,
+                                                             const Vec3<S>& own,
+                                                             const VbdRow* rows) {
   return inputs_of(slot, own, slot,
                    [rows](const int32_t* index) { return LaneAccess<S>::gather(rows, index); });
+}
+
+template <Role role, class S>
+NOVAPHY_LANE_FN_APART SlotInputs<role, S, Slot<role, S>> inputs_apart(const Slot<role, S>& slot,
+                                                                      const Vec3<S>& own,
+                                                                      const VbdRow* rows) {
+  return inputs_of(slot, own, rows);
 }
 
 template <Role of>
@@ -217,7 +239,7 @@ S energy_at(const LaneGroup<S>& g, const Vec3<S>& x, const Vec3<S>& from) {
   });
   for_roles([&](auto is) {
     for_slots<decltype(is)::role>(
-        g, [&](const auto& s) { energy = energy + energy_of(inputs_of(s, x, g.a.x)); });
+        g, [&](const auto& s) { energy = energy + energy_of(inputs_apart(s, x, g.a.x)); });
   });
   return energy;
 }
@@ -230,7 +252,7 @@ void prepare(const LaneGroup<S>& g) {
     constexpr Role role = decltype(is)::role;
     if (role != kSpring && !g.is_damped(role)) return;
     for_slots<role>(g, [&](const auto& s) {
-      start_of_slot(inputs_of(s, x, g.a.start),
+      start_of_slot(inputs_apart(s, x, g.a.start),
                     [&](int k, const S& value) { s.set(start_begin(role) + k, value); });
     });
   });

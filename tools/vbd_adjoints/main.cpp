@@ -1,9 +1,10 @@
 // Writes the adjoints of VBD's laws as straight code over lanes, which may be floats.
 //
-//   novaphy_vbd_adjoints FOLDER/slot_adjoints.inc
+//   novaphy_vbd_adjoints FOLDER
 //
-// writes FOLDER/slot_adjoints_text.inc besides: the same as string literals, for the text that
-// compilers of devices get (cmake/NovaPhyDeviceModule.cmake).
+// writes slot_adjoints.inc, and number_adjoints.inc: from the bars of the numbers of slots those of
+// materials and rest shapes. Beside each is a file _text.inc: the same as string literals, for the
+// text that compilers of devices get (cmake/NovaPhyDeviceModule.cmake).
 //
 // The laws run once with scalars that are expressions (symbol.h). Of a block f, H with bars u and B
 // the derivatives of u.f + B:H by positions and numbers are written, operation by operation, each
@@ -23,13 +24,14 @@ using math::cross;
 using math::dot;
 }  // namespace novaphy::vbd::adjoints
 
-#include "novaphy/vbd/bending_law.h"
-#include "novaphy/vbd/membrane_law.h"
-#include "novaphy/vbd/particle_contact_law.h"
-#include "novaphy/vbd/slot_inputs_law.h"
-#include "novaphy/vbd/slot_layout_law.h"
-#include "novaphy/vbd/spring_law.h"
-#include "novaphy/vbd/tetrahedron_law.h"
+#include "novaphy/vbd/bending_trace.h"
+#include "novaphy/vbd/membrane_trace.h"
+#include "novaphy/vbd/particle_contact_trace.h"
+#include "novaphy/vbd/slot_inputs_trace.h"
+#include "novaphy/vbd/slot_layout_trace.h"
+#include "novaphy/vbd/slot_numbers_trace.h"
+#include "novaphy/vbd/spring_trace.h"
+#include "novaphy/vbd/tetrahedron_trace.h"
 
 namespace novaphy::vbd::adjoints {
 namespace {
@@ -255,6 +257,8 @@ void write_contact(std::ostream& out, bool at_rest) {
   out << "}\n";
 }
 
+constexpr const char* kHead = "// Written by tools/vbd_adjoints from the laws (vbd/*_trace.h).\n";
+
 // Of u.f + B:H, where `bar` holds u as f and B as h_ij, each entry once. The scalar S is a float or
 // lanes; what reads the code has NOVAPHY_LANE_FN.
 constexpr const char* kDeclarations = R"(
@@ -292,8 +296,47 @@ void write_blocks(std::ostream& out, bool at_rest) {
     }
 }
 
+// The bars of the parameters of an element, from those of the weights of its corners and of its
+// law.
+template <Role role>
+void write_numbers(std::ostream& out) {
+  Graph::get().clear();
+  Inputs inputs;
+  Symbol p[kParameters[role]];
+  for (int k = 0; k < kParameters[role]; ++k) p[k] = inputs.add("p[" + std::to_string(k) + "]");
+  const Symbol h = inputs.add("h");
+  std::vector<Symbol> values, bars;
+  for (int corner = 0; corner < kCorners[role]; ++corner)
+    put_slot_numbers<role>(corner, p, h, [&](int k, const Symbol& value) {
+      const bool is_law = k >= law_begin(role);
+      if (is_law && corner > 0) return;  // corners have the same one
+      values.push_back(value);
+      bars.push_back(inputs.add(is_law ? "bar.law(" + std::to_string(k - law_begin(role)) + ")"
+                                       : "bar.weight(" + std::to_string(corner) + ", " +
+                                             std::to_string(k) + ")"));
+    });
+  const Bars of(values, bars);
+  std::vector<Result> results;
+  for (int k = 0; k < kParameters[role]; ++k)
+    results.push_back({"to[" + std::to_string(k) + "]", of.of(p[k])});
+  out << "template <class S, class N>\ninline void numbers_adjoint(RoleIs<static_cast<Role>("
+      << role
+      << ")>, [[maybe_unused]] const S* p, [[maybe_unused]] S h, const N& bar, S* to) {\n  using "
+         "namespace math;\n";
+  Writer(out, inputs).write(results);
+  out << "}\n";
+}
+
+void write_all_numbers(std::ostream& out) {
+  out << kHead;
+  write_numbers<kSpring>(out);
+  write_numbers<kTriangle>(out);
+  write_numbers<kHingeEnd>(out);
+  write_numbers<kTetrahedron>(out);
+}
+
 void write_all(std::ostream& out) {
-  out << "// Written by tools/vbd_adjoints from the laws (vbd/*_law.h).\n" << kDeclarations;
+  out << kHead << kDeclarations;
   for (const bool at_rest : {false, true}) write_blocks(out, at_rest);
   write_start<kSpring>(out, false);
   write_start<kHingeOpposite>(out, false);
@@ -304,15 +347,23 @@ void write_all(std::ostream& out) {
   }
 }
 
-// As string literals of some lines each.
-void write_text(std::ostream& out, const std::string& code) {
+// The code, and the same as string literals of some lines each.
+bool write_file(const std::string& folder, const std::string& name,
+                void (*write)(std::ostream& out)) {
   constexpr size_t kPiece = 8000;
+  std::ostringstream all;
+  write(all);
+  const std::string code = all.str();
+  std::ofstream text(folder + "/" + name + "_text.inc");
   for (size_t begin = 0; begin < code.size();) {
     const size_t end =
         std::min(code.find('\n', std::min(begin + kPiece, code.size() - 1)) + 1, code.size());
-    out << "R\"==(" << code.substr(begin, end - begin) << ")==\"\n";
+    text << "R\"==(" << code.substr(begin, end - begin) << ")==\"\n";
     begin = end;
   }
+  std::ofstream out(folder + "/" + name + ".inc");
+  out << code;
+  return text.flush() && out.flush();
 }
 
 }  // namespace
@@ -320,16 +371,12 @@ void write_text(std::ostream& out, const std::string& code) {
 
 int main(int argc, char** argv) {
   using namespace novaphy::vbd::adjoints;
-  const std::string path = argc == 2 ? argv[1] : "", suffix = ".inc";
-  if (!path.ends_with(suffix)) {
-    std::cerr << "usage: novaphy_vbd_adjoints FOLDER/slot_adjoints.inc\n";
+  if (argc != 2) {
+    std::cerr << "usage: novaphy_vbd_adjoints FOLDER\n";
     return 2;
   }
-  std::ostringstream code;
-  write_all(code);
-  std::ofstream text(path.substr(0, path.size() - suffix.size()) + "_text.inc");
-  write_text(text, code.str());
-  std::ofstream out(path);
-  out << code.str();
-  return text.flush() && out.flush() ? 0 : 1;
+  return write_file(argv[1], "slot_adjoints", write_all) &&
+                 write_file(argv[1], "number_adjoints", write_all_numbers)
+             ? 0
+             : 1;
 }

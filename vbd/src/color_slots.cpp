@@ -6,7 +6,7 @@
 
 #include "novaphy/core/assert.h"
 #include "novaphy/core/error.h"
-#include "novaphy/vbd/slot_numbers_law.h"
+#include "parameter_arrays.h"
 
 namespace novaphy::vbd {
 namespace {
@@ -85,7 +85,7 @@ void check_drag(const Kind& triangle) {
     const float* const c = triangle.coefficients(e);
     require(c[3] == 0.0f && c[4] == 0.0f, ErrorKind::NotImplemented,
             "SolverVBD: model.particle_tri_material[", e,
-            "]: drag and lift are not supported, expected 0, got ", c[3], " and ", c[4]);
+            "]: drag and lift are not there yet, expected 0, got ", c[3], " and ", c[4]);
   }
 }
 
@@ -263,55 +263,34 @@ void ColorSlots::build(const Model& model, int lanes) {
   lay_slots(model);
 }
 
-void ColorSlots::set_constants(const Model& model, const Constants& constants) {
+void ColorSlots::set_constants(const Model& model, float dt) {
   const auto lanes = static_cast<size_t>(lanes_);
-  const float dt = constants.dt, inverse_h2 = 1.0f / (dt * dt);
+  const float inverse_h2 = 1.0f / (dt * dt);
   const float* mass = model.particle_mass.data();
   mass_by_h2_.resize(particle_.size());
   for (size_t k = 0; k < particle_.size(); ++k) {
     const bool filled = k % lanes < static_cast<size_t>(filled_[k / lanes]);
     mass_by_h2_[k] = filled ? mass[particle_[k]] * inverse_h2 : 1.0f;
   }
-  // Calls put(element, corner, number) for every lane of every slot; number(k) is its k-th.
-  const auto fill_table = [&](Role role, const auto& put) {
+  for_roles([&](auto is) {
+    constexpr Role role = decltype(is)::role;
     Table& table = tables_[role];
+    const auto arrays = parameters_on_host(role, model);
+    const int activation = role == kTriangle ? 3 : role == kTetrahedron ? 2 : -1;
     table.damped = false;
     for (size_t k = 0; k < table.sources.size(); ++k) {
       const auto [e, corner] = table.sources[k];
       if (e < 0) continue;
-      float* const row =
-          table.floats.data() + k / lanes * lanes * static_cast<size_t>(kFloats[role]) + k % lanes;
-      table.damped |= put(e, corner, [row, lanes](int number) -> float& {
-        return row[static_cast<size_t>(number) * lanes];
+      float p[kParameters[role]];
+      for_parameters<role>(e, [&](int n, int array, int64_t at) {
+        p[n] = array == activation ? 0.0f : arrays[static_cast<size_t>(array)][at];
       });
+      float* const row = table.floats.data() + place_of(role, k);
+      put_slot_numbers<role>(corner, p, dt, [row, lanes](int n, float value) {
+        row[static_cast<size_t>(n) * lanes] = value;
+      });
+      table.damped |= p[kDampingParameter[role]] != 0.0f;
     }
-  };
-
-  fill_table(kSpring, [&](int32_t e, int32_t, const auto& number) {
-    put_spring_numbers(model.particle_spring_stiffness.data()[e],
-                       model.particle_spring_damping.data()[e],
-                       model.particle_spring_rest_length.data()[e], dt, number);
-    return true;
-  });
-  fill_table(kTriangle, [&](int32_t e, int32_t corner, const auto& number) {
-    const float* const c = model.particle_tri_material.data() + 5 * e;
-    put_triangle_numbers(corner, model.particle_tri_pose.data()[e],
-                         model.particle_tri_area.data()[e], c, constants.tri_activation[e], dt,
-                         number);
-    return c[2] != 0.0f;
-  });
-  for (const Role role : {kHingeOpposite, kHingeEnd})
-    fill_table(role, [&](int32_t e, int32_t, const auto& number) {
-      const float* const c = model.particle_edge_material.data() + 2 * e;
-      put_hinge_numbers(c, model.particle_edge_rest_length.data()[e],
-                        model.particle_edge_rest_angle.data()[e], dt, number);
-      return c[1] != 0.0f;
-    });
-  fill_table(kTetrahedron, [&](int32_t e, int32_t corner, const auto& number) {
-    const float* const c = model.particle_tet_material.data() + 3 * e;
-    put_tetrahedron_numbers(corner, model.particle_tet_pose.data()[e], c,
-                            constants.tet_activation[e], dt, number);
-    return c[2] != 0.0f;
   });
 }
 

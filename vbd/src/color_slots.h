@@ -13,13 +13,6 @@ namespace novaphy::vbd {
 
 class ColorSlots {
  public:
-  // What may change from step to step without new groups.
-  struct Constants {
-    const float* tri_activation = nullptr;
-    const float* tet_activation = nullptr;
-    float dt = 0.0f;
-  };
-
   struct Source {  // the element of a slot's lane, and which of its corners the particle is
     int32_t element = -1, corner = 0;
   };
@@ -38,8 +31,8 @@ class ColorSlots {
   // Groups of `lanes` particles, and the elements that act. Kinematic particles have none.
   // Errors as SolverVBD's constructor.
   void build(const Model& model, int lanes);
-  // The numbers of the slots.
-  void set_constants(const Model& model, const Constants& constants);
+  // The numbers of the slots, without activation.
+  void set_constants(const Model& model, float dt);
 
   const std::vector<int32_t>& held() const { return held_; }
   const std::vector<int32_t>& held_flags() const { return is_held_; }  // of each particle
@@ -50,6 +43,11 @@ class ColorSlots {
   bool has_conflicts() const { return has_conflicts_; }
   int lanes() const { return lanes_; }
   const Table& table(Role role) const { return tables_[role]; }
+  // Where the first number of a source of a role is among the floats.
+  size_t place_of(Role role, size_t source) const {
+    const auto lanes = static_cast<size_t>(lanes_);
+    return source / lanes * lanes * static_cast<size_t>(kFloats[role]) + source % lanes;
+  }
   // Of each lane of each group: see VbdSweepArguments. The last as set_constants made them.
   const std::vector<int32_t>& particles() const { return particle_; }
   const std::vector<int32_t>& filled() const { return filled_; }

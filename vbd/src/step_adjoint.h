@@ -67,9 +67,8 @@ class StepAdjoint {
   // step_gradients.cpp
   void put(const StepInputs& in, const StepDerivatives& g) const;
   void put_state(const StepInputs& in, const StepDerivatives& g) const;
-  void put_elements(const StepDerivatives& g) const;
+  void put_elements(const StepInputs& in, const StepDerivatives& g) const;
   void put_contacts(const StepInputs& in, const StepDerivatives& g) const;
-  VbdLawArguments law_bars(Role role) const;
 
   Step& step_;
   Tables tables_;

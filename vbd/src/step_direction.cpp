@@ -3,8 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "novaphy/math/matrix.h"
-#include "novaphy/vbd/particle_step_law.h"
+#include "novaphy/vbd/particle_step_trace.h"
+#include "novaphy/vbd/tangent_trace.h"
+#include "parameter_arrays.h"
 #include "step_tangent.h"
 
 namespace novaphy::vbd {
@@ -56,59 +57,29 @@ class Direction {
   }
 
   void set_slots() const {
-    const OnHost particle_edge_material(t.particle_edge_material);
-    const OnHost particle_edge_rest_angle(t.particle_edge_rest_angle);
-    const OnHost particle_edge_rest_length(t.particle_edge_rest_length);
-    const OnHost particle_spring_damping(t.particle_spring_damping);
-    const OnHost particle_spring_rest_length(t.particle_spring_rest_length);
-    const OnHost particle_spring_stiffness(t.particle_spring_stiffness);
-    const OnHost particle_tet_activation(t.particle_tet_activation);
-    const OnHost particle_tet_material(t.particle_tet_material);
-    const OnHost particle_tet_pose(t.particle_tet_pose);
-    const OnHost particle_tri_activation(t.particle_tri_activation);
-    const OnHost particle_tri_area(t.particle_tri_area);
-    const OnHost particle_tri_material(t.particle_tri_material);
-    const OnHost particle_tri_pose(t.particle_tri_pose);
-    for_lanes(kSpring, [&](const ColorSlots::Source& s, auto number) {
-      const auto e = static_cast<size_t>(s.element);
-      number(0) = at(particle_spring_stiffness.rows, e);
-      number(1) = at(particle_spring_damping.rows, e) / h;
-      number(2) = at(particle_spring_rest_length.rows, e);
-    });
-    for (const Role role : {kHingeOpposite, kHingeEnd})
-      for_lanes(role, [&](const ColorSlots::Source& s, auto number) {
-        const auto e = static_cast<size_t>(s.element);
-        const float* const c = m.particle_edge_material.data() + 2 * e;
-        const float length = m.particle_edge_rest_length.data()[e];
-        const float slope = at(particle_edge_rest_length.rows, e);
-        number(0) = at(particle_edge_material.rows, 2 * e) * length + c[0] * slope;
-        number(1) = (at(particle_edge_material.rows, 2 * e + 1) * length + c[1] * slope) / h;
-        number(2) = at(particle_edge_rest_angle.rows, e);
-      });
-    for_lanes(kTriangle, [&](const ColorSlots::Source& s, auto number) {
-      const auto e = static_cast<size_t>(s.element);
-      set_weights<2>(s, particle_tri_pose.rows, number);
-      set_elastic(m.particle_tri_area.data()[e], at(particle_tri_area.rows, e),
-                  m.particle_tri_material.data() + 5 * e, particle_tri_material.rows, 5 * e,
-                  at(particle_tri_activation.rows, e), number, law_begin(kTriangle));
-    });
-    for_lanes(kTetrahedron, [&](const ColorSlots::Source& s, auto number) {
-      const auto e = static_cast<size_t>(s.element);
-      const Mat33f& pose = m.particle_tet_pose.data()[e];
-      set_weights<3>(s, particle_tet_pose.rows, number);
-      const float volume = 1.0f / (math::determinant(pose) * 6.0f);
-      float det_slope = 0.0f;
-      for (size_t row = 0; row < 3; ++row) {
-        const auto r = static_cast<int>(row);
-        const Vec3f v = math::cross(math::row(pose, (r + 1) % 3), math::row(pose, (r + 2) % 3));
-        const size_t first = 9 * e + 3 * row;
-        det_slope += math::dot(
-            v, Vec3f{at(particle_tet_pose.rows, first), at(particle_tet_pose.rows, first + 1),
-                     at(particle_tet_pose.rows, first + 2)});
+    using Tangent = TangentOf<float>;
+    size_t first = 0;
+    for_roles([&](auto is) {
+      constexpr Role role = decltype(is)::role;
+      const ColorSlots::Table& table = step.slots().table(role);
+      const auto lanes = static_cast<size_t>(step.slots().lanes());
+      const auto values = parameters_on_host(role, m);
+      const auto slopes = parameter_arrays(role, t, Derivative<float>(),
+                                           [](const Derivative<float>& of) { return OnHost(of); });
+      for (size_t k = 0; k < table.sources.size(); ++k) {
+        const auto [e, corner] = table.sources[k];
+        if (e < 0) continue;
+        Tangent p[kParameters[role]];
+        for_parameters<role>(e, [&](int n, int array, int64_t row) {
+          const auto of = static_cast<size_t>(array);
+          p[n] = {values[of][row], at(slopes[of].rows, static_cast<size_t>(row))};
+        });
+        float* const slope = to.numbers.data() + first + step.slots().place_of(role, k);
+        put_slot_numbers<role>(corner, p, Tangent(h), [&](int n, const Tangent& number) {
+          slope[static_cast<size_t>(n) * lanes] = number.d;
+        });
       }
-      set_elastic(volume, -(volume * 6.0f) * (volume * det_slope),
-                  m.particle_tet_material.data() + 3 * e, particle_tet_material.rows, 3 * e,
-                  at(particle_tet_activation.rows, e), number, law_begin(kTetrahedron));
+      first += table.floats.size();
     });
   }
 
@@ -136,56 +107,6 @@ class Direction {
   }
 
  private:
-  // Calls set(source, number) for every lane of every slot; number(k) is the slope of its k-th.
-  template <class Set>
-  void for_lanes(Role role, const Set& set) const {
-    const ColorSlots::Table& table = step.slots().table(role);
-    const auto lanes = static_cast<size_t>(step.slots().lanes());
-    size_t first = 0;
-    for (int before = 0; before < role; ++before)
-      first += step.slots().table(static_cast<Role>(before)).floats.size();
-    for (size_t k = 0; k < table.sources.size(); ++k) {
-      if (table.sources[k].element < 0) continue;
-      float* const row = to.numbers.data() + first +
-                         k / lanes * lanes * static_cast<size_t>(kFloats[role]) + k % lanes;
-      set(table.sources[k],
-          [row, lanes](int n) -> float& { return row[static_cast<size_t>(n) * lanes]; });
-    }
-  }
-
-  template <int n, class Numbers>
-  static void set_weights(const ColorSlots::Source& s, const float* pose, const Numbers& number) {
-    if (pose == nullptr) return;
-    const float* const row = pose + static_cast<ptrdiff_t>(s.element) * n * n;
-    for (int k = 0; k < n; ++k) {
-      const int corner = (s.corner + 1 + k) % (n + 1);
-      for (int c = 0; c < n; ++c) {
-        float value = 0.0f;
-        if (corner > 0) {
-          value = row[n * (corner - 1) + c];
-        } else {
-          for (int r = 0; r < n; ++r) value -= row[n * r + c];
-        }
-        number(n * k + c) = value;
-      }
-    }
-  }
-
-  // See put_elastic in vbd_gradient_kernels.h.
-  template <class Numbers>
-  void set_elastic(float size, float size_slope, const float* material, const float* slopes,
-                   size_t row, float activation_slope, const Numbers& number, int first) const {
-    const float mu = material[0], ln = material[0] + material[1];
-    const float mu_slope = at(slopes, row), ln_slope = mu_slope + at(slopes, row + 1);
-    const float inverse = 1.0f / std::max(ln, 1e-6f);
-    number(first) = size * mu_slope + size_slope * mu;
-    number(first + 1) = size * ln_slope + size_slope * ln;
-    number(first + 2) =
-        (mu_slope * inverse - (ln > 1e-6f ? ((mu * inverse) * inverse) * ln_slope : 0.0f)) -
-        activation_slope;
-    number(first + 3) = (size * at(slopes, row + 2) + size_slope * material[2]) / h;
-  }
-
   SweepTangents& to;
   const Step& step;
   const StepInputs& in;

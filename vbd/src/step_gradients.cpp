@@ -1,6 +1,10 @@
 // From the bars of slots, contacts and targets to the derivatives by the arrays of the model and
 // the state.
+#include <algorithm>
+#include <array>
+
 #include "novaphy/core/builtin_kernels.h"
+#include "parameter_arrays.h"
 #include "step_adjoint.h"
 
 namespace novaphy::detail {
@@ -40,7 +44,7 @@ bool any(const D&... derivatives) {
 
 void StepAdjoint::put(const StepInputs& in, const StepDerivatives& g) const {
   put_state(in, g);
-  put_elements(g);
+  put_elements(in, g);
   put_contacts(in, g);
 }
 
@@ -84,54 +88,30 @@ void StepAdjoint::put_state(const StepInputs& in, const StepDerivatives& g) cons
                   .by_gravity = g.gravity});
 }
 
-VbdLawArguments StepAdjoint::law_bars(Role role) const {
-  return {.places = tables_.places[role],
-          .numbers = numbers_,
-          .first = tables_.numbers_begin[role],
-          .lanes = step_.slots().lanes()};
-}
-
-void StepAdjoint::put_elements(const StepDerivatives& g) const {
+void StepAdjoint::put_elements(const StepInputs& in, const StepDerivatives& g) const {
   const Model& m = step_.model();
-  const float h = step_.dt();
-  const auto rows = [](const Array& elements) { return static_cast<int64_t>(elements.rows()); };
-  if (any(g.particle_spring_stiffness, g.particle_spring_damping, g.particle_spring_rest_length))
-    novaphy::run(kernels().spring_gradient, rows(m.particle_spring_indices),
-                 {.bars = law_bars(kSpring),
-                  .h = h,
-                  .by_stiffness = g.particle_spring_stiffness,
-                  .by_damping = g.particle_spring_damping,
-                  .by_rest_length = g.particle_spring_rest_length});
-  if (any(g.particle_tri_material, g.particle_tri_activation, g.particle_tri_area,
-          g.particle_tri_pose))
-    novaphy::run(kernels().triangle_gradient, rows(m.particle_tri_indices),
-                 {.bars = law_bars(kTriangle),
-                  .area = m.particle_tri_area,
-                  .material = m.particle_tri_material,
-                  .h = h,
-                  .by_material = g.particle_tri_material,
-                  .by_activation = g.particle_tri_activation,
-                  .by_area = g.particle_tri_area,
-                  .by_pose = g.particle_tri_pose});
-  if (any(g.particle_edge_material, g.particle_edge_rest_angle, g.particle_edge_rest_length))
-    novaphy::run(kernels().edge_gradient, rows(m.particle_edge_indices),
-                 {.opposite = law_bars(kHingeOpposite),
-                  .end = law_bars(kHingeEnd),
-                  .material = m.particle_edge_material,
-                  .rest_length = m.particle_edge_rest_length,
-                  .h = h,
-                  .by_material = g.particle_edge_material,
-                  .by_rest_angle = g.particle_edge_rest_angle,
-                  .by_rest_length = g.particle_edge_rest_length});
-  if (any(g.particle_tet_material, g.particle_tet_activation, g.particle_tet_pose))
-    novaphy::run(kernels().tetrahedron_gradient, rows(m.particle_tet_indices),
-                 {.bars = law_bars(kTetrahedron),
-                  .pose = m.particle_tet_pose,
-                  .material = m.particle_tet_material,
-                  .h = h,
-                  .by_material = g.particle_tet_material,
-                  .by_activation = g.particle_tet_activation,
-                  .by_pose = g.particle_tet_pose});
+  const Kernel<VbdElementGradientArguments>* const of_role[kRoles] = {
+      &kernels().spring_gradient, &kernels().triangle_gradient, nullptr, &kernels().edge_gradient,
+      &kernels().tetrahedron_gradient};
+  const auto of_step = [&](const Array& array) {
+    if (&array == &m.particle_tri_activation) return Untyped(in.tri_activation);
+    return Untyped(&array == &m.particle_tet_activation ? in.tet_activation : array);
+  };
+  for (const Role role : {kSpring, kTriangle, kHingeEnd, kTetrahedron}) {
+    const auto to = parameter_arrays(role, g, Derivative<float>(), [](const Derivative<float>& by) {
+      return Optional<Writes<float>>(by);
+    });
+    if (std::all_of(to.begin(), to.end(), [](const auto& by) { return by.word() == 0; })) continue;
+    const Role other = role == kHingeEnd ? kHingeOpposite : role;
+    novaphy::run(*of_role[role], static_cast<int64_t>(tables_.places[role].rows() / kCorners[role]),
+                 {.places = std::array{&tables_.places[role], &tables_.places[other]},
+                  .first = std::array{tables_.numbers_begin[role], tables_.numbers_begin[other]},
+                  .numbers = numbers_,
+                  .lanes = step_.slots().lanes(),
+                  .h = step_.dt(),
+                  .parameters = parameter_arrays(role, m, Array(), of_step),
+                  .to = to});
+  }
 }
 
 void StepAdjoint::put_contacts(const StepInputs& in, const StepDerivatives& g) const {

@@ -16,10 +16,7 @@ constexpr int64_t kManyTeams = 256;
 void Step::build_tables(float dt) {
   const Model& m = host_model();
   forget_lists();
-  // Activations are those of the step.
-  const std::vector<float> tri(m.particle_tri_activation.rows()),
-      tet(m.particle_tet_activation.rows());
-  slots_.set_constants(m, {tri.data(), tet.data(), dt});
+  slots_.set_constants(m, dt);  // activations are those of the step
   const auto lanes = static_cast<size_t>(slots_.lanes());
   NOVAPHY_ASSERT(std::is_sorted(colors().begin(), colors().end()));
   Tables& t = tables_.emplace();
@@ -44,9 +41,7 @@ void Step::build_tables(float dt) {
     std::vector<float> alpha;
     for (size_t k = 0; k < table.sources.size(); ++k) {
       element.push_back(table.sources[k].element);
-      alpha.push_back(
-          table.floats[(k / lanes * static_cast<size_t>(kFloats[role]) + number) * lanes +
-                       k % lanes]);
+      alpha.push_back(table.floats[slots_.place_of(role, k) + number * lanes]);
     }
     activated->element = upload<int32_t>(element, device());
     activated->alpha = upload<float>(alpha, device());

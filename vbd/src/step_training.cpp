@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "novaphy/core/error.h"
+#include "parameter_arrays.h"
 #include "step.h"
 
 namespace novaphy::detail {
@@ -82,48 +83,26 @@ void Step::reserve_training() {
 // The numbers of all slots, from the model as it is.
 void Step::put_numbers(const StepInputs& in) const {
   const Tables& t = *tables_;
-  const Model& m = model_;
-  const int64_t lanes = slots_.lanes();
-  const auto rows = [&t](Role role) { return static_cast<int64_t>(t.sources[role].rows()); };
+  const Kernel<VbdNumbersArguments>* const of_role[kRoles] = {
+      &kernels().spring_numbers, &kernels().triangle_numbers, &kernels().hinge_numbers,
+      &kernels().hinge_numbers, &kernels().tetrahedron_numbers};
   for (const Trained& trained : t.trained)
     novaphy::run(kernels().material, static_cast<int64_t>(trained.array->rows()),
                  {.material = Untyped(*trained.array),
                   .width = trained.array->width(),
                   .allowed = trained.allowed});
-  novaphy::run(kernels().spring_numbers, rows(kSpring),
-               {.source = t.sources[kSpring],
-                .floats = t.floats[kSpring],
-                .lanes = lanes,
-                .h = t.dt,
-                .stiffness = m.particle_spring_stiffness,
-                .damping = m.particle_spring_damping,
-                .rest_length = m.particle_spring_rest_length});
-  novaphy::run(kernels().triangle_numbers, rows(kTriangle),
-               {.source = t.sources[kTriangle],
-                .floats = t.floats[kTriangle],
-                .lanes = lanes,
-                .h = t.dt,
-                .pose = m.particle_tri_pose,
-                .area = m.particle_tri_area,
-                .material = m.particle_tri_material,
-                .activation = in.tri_activation});
-  for (const Role role : {kHingeOpposite, kHingeEnd})
-    novaphy::run(kernels().hinge_numbers, rows(role),
-                 {.source = t.sources[role],
-                  .floats = t.floats[role],
-                  .lanes = lanes,
-                  .h = t.dt,
-                  .material = m.particle_edge_material,
-                  .rest_length = m.particle_edge_rest_length,
-                  .rest_angle = m.particle_edge_rest_angle});
-  novaphy::run(kernels().tetrahedron_numbers, rows(kTetrahedron),
-               {.source = t.sources[kTetrahedron],
-                .floats = t.floats[kTetrahedron],
-                .lanes = lanes,
-                .h = t.dt,
-                .pose = m.particle_tet_pose,
-                .material = m.particle_tet_material,
-                .activation = in.tet_activation});
+  const auto of_step = [&](const Array& array) {
+    if (&array == &model_.particle_tri_activation) return Untyped(in.tri_activation);
+    return Untyped(&array == &model_.particle_tet_activation ? in.tet_activation : array);
+  };
+  for (int role = 0; role < kRoles; ++role)
+    novaphy::run(
+        *of_role[role], static_cast<int64_t>(t.sources[role].rows()),
+        {.source = t.sources[role],
+         .floats = t.floats[role],
+         .lanes = slots_.lanes(),
+         .h = t.dt,
+         .parameters = parameter_arrays(static_cast<Role>(role), model_, Array(), of_step)});
 }
 
 void Step::check_trained() const {

@@ -1,13 +1,13 @@
-// The backward pass of a step of VBD besides its sweeps, as kernels (row_kernel.h): its begin and
-// end, and the parts of slots for other particles. Other kernels turn derivatives by slots,
-// contacts and targets into derivatives by arrays of the model and the state. Null: not wanted.
+// What the way back through a step of VBD does besides its sweeps, as kernels (row_kernel.h): where
+// it begins and ends, what slots give to other particles, and the derivatives by the arrays of the
+// model and the state, from those by what slots, contacts and targets hold. Null: not wanted.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/math/matrix.h"
-#include "novaphy/vbd/particle_step_law.h"
+#include "novaphy/vbd/particle_step_trace.h"
 #include "novaphy/vbd/rows_kernels.h"
-#include "novaphy/vbd/slot_layout_law.h"
+#include "novaphy/vbd/slot_numbers_trace.h"
 
 namespace novaphy {
 
@@ -80,7 +80,7 @@ struct VbdParticleGradientArguments {
   NOVAPHY_ARGUMENTS(
       ReadsRow<int32_t> is_held; ReadsRow<float> inv_mass; ReadsRow<Vec3f> f;
       ReadsRow<VbdRow> x_bar, start_bar, target_bar; ReadsRow<float> mass_bar; Number<float> h;
-      Number<int64_t> have_targets;  // kinematic particles go to targets
+      Number<int64_t> have_targets;  // held particles go to targets
       Optional<Writes<Vec3f>> by_q, by_qd, by_f; Optional<Writes<float>> by_mass;
       Optional<WritesRow<VbdRow>> by_gravity;  // of the particle's world, from this particle
       Optional<Writes<float>> by_last;         // rows of 4
@@ -146,150 +146,72 @@ NOVAPHY_ROW_KERNEL(vbd_gravity_gradient, VbdGravityGradientArguments) {
   a.by_gravity[row] = sum;
 }
 
-// Where the derivatives by the numbers of the slots of a role are.
-struct VbdLawBars {
-  const int64_t* places;  // of each corner of each element, among the lanes of the slots; -1: none
-  const float* numbers;
-  int64_t lanes;
-};
-struct VbdLawArguments {
-  NOVAPHY_ARGUMENTS(Reads<int64_t> places; Reads<float> numbers;  // of all roles
-                    Number<int64_t> first, lanes;                 // where those of the role begin
-  )
+// Null: not wanted. Hinges have two roles, others one.
+struct VbdElementGradientArguments {
+  NOVAPHY_ARGUMENTS(
+      Each<Optional<Reads<int64_t>>, 2> places;  // of each corner of each element; -1: none
+      Each<Number<int64_t>, 2> first;            // where the bars of the slots of a role begin
+      Reads<float> numbers;                      // of all roles
+      Number<int64_t> lanes; Number<float> h;
+      Each<Optional<Reads<float>>, 4> parameters;  // see for_parameters
+      Each<Optional<Writes<float>>, 4> to;)
 };
 
 namespace vbd {
 
-inline VbdLawBars to_bars(const VbdLawArguments& a) {
-  return {a.places, a.numbers + a.first, a.lanes};
-}
+#include "number_adjoints.inc"
 
-// By a number of the slot of a corner.
+// The bars of the numbers of the slots of an element.
 template <Role role>
-float weight_bar(const VbdLawBars& bars, int64_t element, int corner, int number) {
-  const int64_t place = bars.places[element * kCorners[role] + corner];
-  if (place < 0) return 0.0f;
-  const int64_t slot = place / bars.lanes, lane = place - slot * bars.lanes;
-  return bars.numbers[(slot * kFloats[role] + number) * bars.lanes + lane];
-}
-// By number k of the law of an element, over the corners that have it.
+struct ElementBars {
+  const VbdElementGradientArguments& a;
+  int64_t element;
+  float of(int corner, int number) const {
+    float sum = 0.0f;
+    for (int k = 0; k < (role == kHingeEnd ? 2 : 1); ++k) {
+      const int64_t place = a.places[k][element * kCorners[role] + corner];
+      if (place < 0) continue;
+      const int64_t slot = place / a.lanes, lane = place - slot * a.lanes;
+      sum += a.numbers[a.first[k] + ((slot * kFloats[role] + number) * a.lanes + lane)];
+    }
+    return sum;
+  }
+  // Only rest shapes give weights.
+  float weight(int corner, int k) const { return a.to[0] != nullptr ? of(corner, k) : 0.0f; }
+  float law(int k) const {
+    float sum = 0.0f;
+    for (int c = 0; c < kCorners[role]; ++c) sum += of(c, law_begin(role) + k);
+    return sum;
+  }
+};
 template <Role role>
-float law_bar(const VbdLawBars& bars, int64_t element, int k) {
-  constexpr int kFirst = law_begin(role);
-  float sum = 0.0f;
-  for (int c = 0; c < kCorners[role]; ++c) sum += weight_bar<role>(bars, element, c, kFirst + k);
-  return sum;
+inline void put_parameters(const VbdElementGradientArguments& a, int64_t e) {
+  float p[kParameters[role]], to[kParameters[role]];
+  for_parameters<role>(e, [&](int k, int array, int64_t at) { p[k] = a.parameters[array][at]; });
+  numbers_adjoint(RoleIs<role>(), p, a.h.value, ElementBars<role>{a, e}, to);
+  for_parameters<role>(e, [&](int k, int array, int64_t at) {
+    if (a.to[array] != nullptr) a.to[array][at] = to[k];
+  });
 }
 
 inline void put(float* to, int64_t row, float value) {
   if (to != nullptr) to[row] = value;
 }
 
-// Of a Neo-Hookean law whose numbers are size times mu, size times ln, alpha, size times kd/h: by
-// its material (3 columns) and activation. Returns that by the size.
-template <Role role>
-float put_elastic(const VbdLawBars& bars, int64_t e, float size, const float* material, float h,
-                  float* to, float* activation) {
-  const float mu = material[0], ln = material[0] + material[1];
-  const float by_mu = law_bar<role>(bars, e, 0), by_ln = law_bar<role>(bars, e, 1),
-              by_alpha = law_bar<role>(bars, e, 2), by_kd = law_bar<role>(bars, e, 3);
-  const float inverse = 1.0f / math::max(ln, 1e-6f);
-  const float by_lambda = ln > 1e-6f ? -(mu * inverse) * inverse : 0.0f;
-  if (to != nullptr) {
-    to[0] = (size * by_mu + size * by_ln) + by_alpha * (inverse + by_lambda);
-    to[1] = size * by_ln + by_alpha * by_lambda;
-    to[2] = (size / h) * by_kd;
-  }
-  if (activation != nullptr) *activation = -by_alpha;
-  return (mu * by_mu + ln * by_ln) + (material[2] / h) * by_kd;
-}
-
-// By the inverse rest matrix, {n, n}: its row r is the weight of corner r + 1; that of corner 0 is
-// minus their sum. A slot of corner c has the weights of the corners c + 1, c + 2, ...
-template <Role role, int n>
-void put_pose(const VbdLawBars& bars, int64_t e, float* to) {
-  float by_corner[n + 1][n] = {};
-  for (int c = 0; c <= n; ++c)
-    for (int k = 0; k < n; ++k)
-      for (int column = 0; column < n; ++column)
-        by_corner[(c + 1 + k) % (n + 1)][column] += weight_bar<role>(bars, e, c, n * k + column);
-  for (int row = 0; row < n; ++row)
-    for (int column = 0; column < n; ++column)
-      to[n * row + column] = by_corner[row + 1][column] - by_corner[0][column];
-}
-
 }  // namespace vbd
 
-struct VbdSpringGradientArguments {
-  NOVAPHY_ARGUMENTS(Part<VbdLawArguments> bars; Number<float> h;
-                    Optional<Writes<float>> by_stiffness, by_damping, by_rest_length;)
-};
-NOVAPHY_ROW_KERNEL(vbd_spring_gradient, VbdSpringGradientArguments) {
-  using namespace vbd;
-  const VbdLawBars bars = to_bars(a.bars);
-  put(a.by_stiffness, row, law_bar<kSpring>(bars, row, 0));
-  put(a.by_damping, row, law_bar<kSpring>(bars, row, 1) / a.h.value);
-  put(a.by_rest_length, row, law_bar<kSpring>(bars, row, 2));
+NOVAPHY_ROW_KERNEL(vbd_spring_gradient, VbdElementGradientArguments) {
+  vbd::put_parameters<vbd::kSpring>(a, row);
 }
-
-struct VbdEdgeGradientArguments {
-  NOVAPHY_ARGUMENTS(Part<VbdLawArguments> opposite, end; Reads<float> material, rest_length;
-                    Number<float> h;
-                    Optional<Writes<float>> by_material, by_rest_angle, by_rest_length;)
-};
-NOVAPHY_ROW_KERNEL(vbd_edge_gradient, VbdEdgeGradientArguments) {
-  using namespace vbd;
-  const VbdLawBars opposite = to_bars(a.opposite), end = to_bars(a.end);
-  const auto bar = [&](int k) {
-    return law_bar<kHingeOpposite>(opposite, row, k) + law_bar<kHingeEnd>(end, row, k);
-  };
-  const float* const c = a.material + 2 * row;
-  const float length = a.rest_length[row], h = a.h.value;
-  put(a.by_material, 2 * row, length * bar(0));
-  put(a.by_material, 2 * row + 1, (length / h) * bar(1));
-  put(a.by_rest_angle, row, bar(2));
-  put(a.by_rest_length, row, c[0] * bar(0) + (c[1] / h) * bar(1));
+NOVAPHY_ROW_KERNEL(vbd_edge_gradient, VbdElementGradientArguments) {
+  vbd::put_parameters<vbd::kHingeEnd>(a, row);
 }
-
-struct VbdTriangleGradientArguments {
-  NOVAPHY_ARGUMENTS(Part<VbdLawArguments> bars; Reads<float> area, material; Number<float> h;
-                    Optional<Writes<float>> by_material, by_activation, by_area, by_pose;)
-};
-NOVAPHY_ROW_KERNEL(vbd_triangle_gradient, VbdTriangleGradientArguments) {
-  using namespace vbd;
-  const VbdLawBars bars = to_bars(a.bars);
-  float* const to = a.by_material != nullptr ? a.by_material + 5 * row : nullptr;
-  const float by_area =
-      put_elastic<kTriangle>(bars, row, a.area[row], a.material + 5 * row, a.h.value, to,
-                             a.by_activation != nullptr ? a.by_activation + row : nullptr);
-  if (to != nullptr) to[3] = to[4] = 0.0f;
-  put(a.by_area, row, by_area);
-  if (a.by_pose != nullptr) put_pose<kTriangle, 2>(bars, row, a.by_pose + 4 * row);
+NOVAPHY_ROW_KERNEL(vbd_triangle_gradient, VbdElementGradientArguments) {
+  vbd::put_parameters<vbd::kTriangle>(a, row);
+  if (a.to[2] != nullptr) a.to[2][5 * row + 3] = a.to[2][5 * row + 4] = 0.0f;  // drag and lift
 }
-
-struct VbdTetrahedronGradientArguments {
-  NOVAPHY_ARGUMENTS(Part<VbdLawArguments> bars; Reads<Mat33f> pose; Reads<float> material;
-                    Number<float> h; Optional<Writes<float>> by_material, by_activation, by_pose;)
-};
-NOVAPHY_ROW_KERNEL(vbd_tetrahedron_gradient, VbdTetrahedronGradientArguments) {
-  using namespace vbd;
-  const VbdLawBars bars = to_bars(a.bars);
-  const Mat33f& pose = a.pose[row];
-  const float volume = 1.0f / (math::determinant(pose) * 6.0f);
-  const float by_volume =
-      put_elastic<kTetrahedron>(bars, row, volume, a.material + 3 * row, a.h.value,
-                                a.by_material != nullptr ? a.by_material + 3 * row : nullptr,
-                                a.by_activation != nullptr ? a.by_activation + row : nullptr);
-  if (a.by_pose == nullptr) return;
-  float* const to = a.by_pose + 9 * row;
-  put_pose<kTetrahedron, 3>(bars, row, to);
-  // The volume is 1/(6 det), and the derivative of det by a row is the cross product of the others.
-  const float by_det = -(by_volume * volume) * (volume * 6.0f);
-  for (int r = 0; r < 3; ++r) {
-    const Vec3f v = math::cross(math::row(pose, (r + 1) % 3), math::row(pose, (r + 2) % 3));
-    const float of_row[3] = {v.x, v.y, v.z};
-    for (int c = 0; c < 3; ++c) to[3 * r + c] += by_det * of_row[c];
-  }
+NOVAPHY_ROW_KERNEL(vbd_tetrahedron_gradient, VbdElementGradientArguments) {
+  vbd::put_parameters<vbd::kTetrahedron>(a, row);
 }
 
 struct VbdRadiusGradientArguments {

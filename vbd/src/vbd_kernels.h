@@ -92,65 +92,43 @@ NOVAPHY_ROW_KERNEL(vbd_activation, VbdActivationArguments) {
   a.floats[(slot * a.width + a.number) * a.lanes + lane] = a.alpha[row] - activation[e];
 }
 
-namespace vbd {
-
-// Of a lane of a slot: `source` is the corner plus 4 times the element, or -1.
-struct LaneNumbers {
-  float* first;
-  int64_t lanes;
-  LaneNumbers(float* floats, Role role, int64_t row, int64_t lanes_of_group)
-      : first(floats + row / lanes_of_group * (kFloats[role] * lanes_of_group) +
-              row % lanes_of_group),
-        lanes(lanes_of_group) {}
-  float& operator()(int number) const { return first[number * lanes]; }
+struct VbdNumbersArguments {
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> source;  // the corner plus 4 times the element, or -1
+                    Updates<float> floats; Number<int64_t> lanes;  // of a group
+                    Number<float> h;
+                    Each<Optional<Reads<float>>, 4> parameters;  // see for_parameters
+  )
 };
 
-}  // namespace vbd
+namespace vbd {
 
 // The numbers of slots anew, from the model as it is: where its materials or rest shapes are
 // trained in a capture. `row`: over the lanes of all slots of a role.
-struct VbdSpringNumbersArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> source; Updates<float> floats; Number<int64_t> lanes;
-                    Number<float> h; Reads<float> stiffness, damping, rest_length;)
-};
-NOVAPHY_ROW_KERNEL(vbd_spring_numbers, VbdSpringNumbersArguments) {
+template <Role role>
+inline void put_numbers(const VbdNumbersArguments& a, int64_t row) {
   const int32_t e = a.source[row] >> 2;
   if (e < 0) return;
-  vbd::put_spring_numbers(a.stiffness[e], a.damping[e], a.rest_length[e], a.h.value,
-                          vbd::LaneNumbers(a.floats, vbd::kSpring, row, a.lanes));
+  float p[kParameters[role]];
+  for_parameters<role>(e, [&](int k, int array, int64_t at) { p[k] = a.parameters[array][at]; });
+  const int64_t slot = row / a.lanes, lanes = a.lanes;
+  float* const to = a.floats + (slot * kFloats[role] * lanes + (row - slot * lanes));
+  put_slot_numbers<role>(a.source[row] & 3, p, a.h.value,
+                         [&](int k, float value) { to[k * lanes] = value; });
 }
-struct VbdTriangleNumbersArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> source; Updates<float> floats; Number<int64_t> lanes;
-                    Number<float> h; Reads<Mat22f> pose; Reads<float> area, material, activation;)
-};
-NOVAPHY_ROW_KERNEL(vbd_triangle_numbers, VbdTriangleNumbersArguments) {
-  const int32_t e = a.source[row] >> 2;
-  if (e < 0) return;
-  vbd::put_triangle_numbers(a.source[row] & 3, a.pose[e], a.area[e], a.material + 5 * e,
-                            a.activation[e], a.h.value,
-                            vbd::LaneNumbers(a.floats, vbd::kTriangle, row, a.lanes));
+
+}  // namespace vbd
+
+NOVAPHY_ROW_KERNEL(vbd_spring_numbers, VbdNumbersArguments) {
+  vbd::put_numbers<vbd::kSpring>(a, row);
 }
-struct VbdHingeNumbersArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> source; Updates<float> floats; Number<int64_t> lanes;
-                    Number<float> h; Reads<float> material, rest_length, rest_angle;)
-};
-NOVAPHY_ROW_KERNEL(vbd_hinge_numbers, VbdHingeNumbersArguments) {
-  const int32_t e = a.source[row] >> 2;
-  if (e < 0) return;
-  static_assert(vbd::kFloats[vbd::kHingeOpposite] == vbd::kFloats[vbd::kHingeEnd]);
-  vbd::put_hinge_numbers(a.material + 2 * e, a.rest_length[e], a.rest_angle[e], a.h.value,
-                         vbd::LaneNumbers(a.floats, vbd::kHingeEnd, row, a.lanes));
+NOVAPHY_ROW_KERNEL(vbd_triangle_numbers, VbdNumbersArguments) {
+  vbd::put_numbers<vbd::kTriangle>(a, row);
 }
-struct VbdTetrahedronNumbersArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> source; Updates<float> floats; Number<int64_t> lanes;
-                    Number<float> h; Reads<Mat33f> pose; Reads<float> material, activation;)
-};
-NOVAPHY_ROW_KERNEL(vbd_tetrahedron_numbers, VbdTetrahedronNumbersArguments) {
-  const int32_t e = a.source[row] >> 2;
-  if (e < 0) return;
-  vbd::put_tetrahedron_numbers(a.source[row] & 3, a.pose[e], a.material + 3 * e, a.activation[e],
-                               a.h.value,
-                               vbd::LaneNumbers(a.floats, vbd::kTetrahedron, row, a.lanes));
+NOVAPHY_ROW_KERNEL(vbd_hinge_numbers, VbdNumbersArguments) {
+  vbd::put_numbers<vbd::kHingeEnd>(a, row);
+}
+NOVAPHY_ROW_KERNEL(vbd_tetrahedron_numbers, VbdNumbersArguments) {
+  vbd::put_numbers<vbd::kTetrahedron>(a, row);
 }
 
 struct VbdMaterialArguments {

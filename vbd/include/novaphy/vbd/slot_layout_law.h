@@ -37,6 +37,24 @@ constexpr int other_place(int k) {
   return kOwnPlace[role] < 0 || k < kOwnPlace[role] ? k : k + 1;
 }
 
+template <Role of>
+struct RoleIs {
+  static constexpr Role role = of;
+};
+// Calls body(RoleIs<role>()) in the order of sums.
+template <class Body>
+void for_inner_roles(const Body& body) {
+  body(RoleIs<kTriangle>());
+  body(RoleIs<kHingeOpposite>());
+  body(RoleIs<kHingeEnd>());
+  body(RoleIs<kTetrahedron>());
+}
+template <class Body>
+void for_roles(const Body& body) {
+  body(RoleIs<kSpring>());
+  for_inner_roles(body);
+}
+
 // A contact of a particle in the step: point (3), normal (3), travel (3), radius, ke, kd/h, mu.
 // Derivatives are by the last four.
 constexpr int kContactFloats = 13, kContactLawFloats = 4;

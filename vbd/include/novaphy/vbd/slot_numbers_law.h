@@ -1,70 +1,87 @@
-// The numbers of a slot (slot_layout_law.h) that the material and rest shape of its element give
-// it: weights and law. `corner`: of the element, which the particle is; `number(k)`: a reference to
-// the k-th number.
+// The numbers of a slot (slot_layout_trace.h) that the material and rest shape of its element give:
+// weights and law. The scalar is a float, carries a derivative (tangent_trace.h), or is an
+// expression, of which the build derives the transpose (tools/vbd_adjoints).
 //
 // Freestanding: device code reads it too.
 #pragma once
 
 #include "novaphy/math/matrix.h"
-#include "novaphy/vbd/membrane_law.h"
-#include "novaphy/vbd/tetrahedron_law.h"
+#include "novaphy/vbd/membrane_trace.h"
+#include "novaphy/vbd/slot_layout_trace.h"
+#include "novaphy/vbd/tetrahedron_trace.h"
 
 namespace novaphy::vbd {
 
-template <class Number>
-void put_spring_numbers(float ke, float kd, float rest, float h, const Number& number) {
-  number(0) = ke;
-  number(1) = kd / h;
-  number(2) = rest;
+// The parameters of an element are the first columns of its rows of some arrays, which have
+// `width`.
+struct ParameterArray {
+  int columns, width;
+};
+constexpr int kParameterArrays = 4;
+constexpr ParameterArray kParameterArray[kRoles][kParameterArrays] = {
+    {{1, 1}, {1, 1}, {1, 1}, {0, 0}},   // stiffness, damping, rest length
+    {{4, 4}, {1, 1}, {3, 5}, {1, 1}},   // pose, area, material, activation
+    {{2, 2}, {1, 1}, {1, 1}, {0, 0}},   // material, rest length, rest angle
+    {{2, 2}, {1, 1}, {1, 1}, {0, 0}},   // the same
+    {{9, 9}, {3, 3}, {1, 1}, {0, 0}}};  // pose, material, activation
+constexpr int kParameters[kRoles] = {3, 9, 4, 4, 13};
+constexpr int kDampingParameter[kRoles] = {1, 7, 1, 1, 11};
+
+// Calls body(parameter, array, index in the array) for the parameters of an element.
+template <Role role, class Body>
+void for_parameters(int64_t element, const Body& body) {
+  int k = 0;
+  for (int array = 0; array < kParameterArrays; ++array)
+    for (int c = 0; c < kParameterArray[role][array].columns; ++c)
+      body(k++, array, element * kParameterArray[role][array].width + c);
 }
 
-// Of the rows of the inverse rest matrix, that of corner 0 is minus the sum of the others.
-template <class Number>
-void put_triangle_numbers(int32_t corner, const Mat22f& pose, float area, const float* material,
-                          float activation, float h, const Number& number) {
-  Vec2f rows[3];
-  for (int c = 1; c < 3; ++c) rows[c] = {pose.m[c - 1][0], pose.m[c - 1][1]};
-  rows[0] = {-(rows[1].x + rows[2].x), -(rows[1].y + rows[2].y)};
-  for (int m = 0; m < 2; ++m) {
-    const Vec2f& row = rows[(corner + 1 + m) % 3];
-    number(2 * m) = row.x;
-    number(2 * m + 1) = row.y;
+// Weights of the corners behind `corner`: their rows of the inverse rest matrix {n, n}. The row of
+// corner 0 is minus the sum of the others.
+template <int n, class T, class Put>
+void put_weights(int corner, const T* pose, const Put& put) {
+  for (int m = 0; m < n; ++m)
+    for (int c = 0; c < n; ++c) {
+      const int of = (corner + 1 + m) % (n + 1);
+      if (of > 0) {
+        put(n * m + c, pose[n * (of - 1) + c]);
+      } else {
+        T sum = pose[c];
+        for (int r = 1; r < n; ++r) sum = sum + pose[n * r + c];
+        put(n * m + c, -sum);
+      }
+    }
+}
+
+// Calls put(k, value) for the k-th number. `corner`: of the element, which the particle is.
+template <Role role, class T, class Put>
+void put_slot_numbers([[maybe_unused]] int corner, const T* p, const T& h, const Put& put) {
+  constexpr int law = law_begin(role);
+  if constexpr (role == kSpring) {
+    put(law, p[0]);
+    put(law + 1, p[1] / h);
+    put(law + 2, p[2]);
+  } else if constexpr (role == kTriangle) {
+    put_weights<2>(corner, p, put);
+    const MembraneLaw<T> of = membrane_law(p[4], p[5], p[6], p[8], p[7] / h);
+    put(law, of.mu);
+    put(law + 1, of.ln);
+    put(law + 2, of.alpha);
+    put(law + 3, of.kd_by_h);
+  } else if constexpr (role == kTetrahedron) {
+    put_weights<3>(corner, p, put);
+    const Mat33<T> pose = {{{p[0], p[1], p[2]}, {p[3], p[4], p[5]}, {p[6], p[7], p[8]}}};
+    const T volume = T(1.0f) / (math::determinant(pose) * T(6.0f));
+    const TetrahedronLaw<T> of = tetrahedron_law(volume, p[9], p[10], p[12], p[11] / h);
+    put(law, of.mu);
+    put(law + 1, of.ln);
+    put(law + 2, of.alpha);
+    put(law + 3, of.kd_by_h);
+  } else {
+    put(law, p[0] * p[2]);
+    put(law + 1, (p[1] / h) * p[2]);
+    put(law + 2, p[3]);
   }
-  const MembraneLaw<float> law =
-      membrane_law(area, material[0], material[1], activation, material[2] / h);
-  number(4) = law.mu;
-  number(5) = law.ln;
-  number(6) = law.alpha;
-  number(7) = law.kd_by_h;
-}
-
-template <class Number>
-void put_hinge_numbers(const float* material, float rest_length, float rest_angle, float h,
-                       const Number& number) {
-  number(0) = material[0] * rest_length;
-  number(1) = (material[1] / h) * rest_length;
-  number(2) = rest_angle;
-}
-
-template <class Number>
-void put_tetrahedron_numbers(int32_t corner, const Mat33f& pose, const float* material,
-                             float activation, float h, const Number& number) {
-  Vec3f rows[4];
-  for (int c = 1; c < 4; ++c) rows[c] = math::row(pose, c - 1);
-  rows[0] = -((rows[1] + rows[2]) + rows[3]);
-  for (int m = 0; m < 3; ++m) {
-    const Vec3f& row = rows[(corner + 1 + m) % 4];
-    number(3 * m) = row.x;
-    number(3 * m + 1) = row.y;
-    number(3 * m + 2) = row.z;
-  }
-  const float volume = 1.0f / (math::determinant(pose) * 6.0f);
-  const TetrahedronLaw<float> law =
-      tetrahedron_law(volume, material[0], material[1], activation, material[2] / h);
-  number(9) = law.mu;
-  number(10) = law.ln;
-  number(11) = law.alpha;
-  number(12) = law.kd_by_h;
 }
 
 }  // namespace novaphy::vbd

@@ -138,24 +138,6 @@ NOVAPHY_LANE_FN_APART SlotInputs<role, S, Slot<role, S>> inputs_apart(const Slot
   return inputs_of(slot, own, rows);
 }
 
-template <Role of>
-struct RoleIs {
-  static constexpr Role role = of;
-};
-// Calls body(RoleIs<role>()) in the order of sums.
-template <class Body>
-void for_inner_roles(const Body& body) {
-  body(RoleIs<kTriangle>());
-  body(RoleIs<kHingeOpposite>());
-  body(RoleIs<kHingeEnd>());
-  body(RoleIs<kTetrahedron>());
-}
-template <class Body>
-void for_roles(const Body& body) {
-  body(RoleIs<kSpring>());
-  for_inner_roles(body);
-}
-
 template <Role role, class S, class Body>
 void for_slots(const LaneGroup<S>& g, const Body& body) {
   const int64_t* const begin = g.a.begin[role];

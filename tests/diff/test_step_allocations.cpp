@@ -164,22 +164,21 @@ TEST(StepAllocations, AVbdStepAndItsAdjointTakeNone) {
   Scene scene(EverythingScene::builder());
   DifferentiableVbd step(scene.model);
   const auto n = static_cast<size_t>(scene.model->particle_count());
-  std::vector<Vec3f> f(n), q(n), qd(n), bar(n, Vec3f{1.0f, 0.5f, 0.25f}), q_bar(n), qd_bar(n);
-  Vec3f gravity_bar;
-  const VbdStepInputs in = {.particle_q = scene.a.particle_q.data(),
-                            .particle_qd = scene.a.particle_qd.data(),
-                            .particle_f = f.data(),
+  const auto q = zeros<Vec3f>(n), qd = zeros<Vec3f>(n), q_bar = zeros<Vec3f>(n),
+             qd_bar = zeros<Vec3f>(n), gravity_bar = zeros<Vec3f>(1),
+             bar = rows_of(std::vector<Vec3f>(n, Vec3f{1.0f, 0.5f, 0.25f}));
+  const VbdStepInputs in = {.q = scene.a.particle_q,
+                            .qd = scene.a.particle_qd,
+                            .f = zeros<Vec3f>(n),
                             .contacts = scene.contacts.get(),
                             .dt = kDt};
-  EXPECT_EQ(allocations_of([&] { step.forward(in, q.data(), qd.data()); }), 0);
-  EXPECT_EQ(
-      allocations_of([&] {
-        step.backward(
-            in, bar.data(), bar.data(),
-            {.particle_q = q_bar.data(), .particle_qd = qd_bar.data(), .gravity = &gravity_bar});
-      }),
-      0);
-  EXPECT_NE(q_bar[20].x, 0.0f);
+  EXPECT_EQ(allocations_of([&] { step.forward(in, q, qd); }), 0);
+  EXPECT_EQ(allocations_of([&] {
+              step.backward(in, bar, bar,
+                            {.particle_q = q_bar, .particle_qd = qd_bar, .gravity = gravity_bar});
+            }),
+            0);
+  EXPECT_NE(q_bar.data()[20].x, 0.0f);
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "novaphy/collision/collision_pipeline.h"
@@ -10,6 +11,20 @@
 #include "novaphy/vbd/differentiable_vbd.h"
 
 namespace novaphy::testing {
+
+// Rows on the CPU: a copy, or zeros.
+template <class T>
+DeviceArray<T> rows_of(std::span<const T> values) {
+  return DeviceArray<T>::from_host(values, Device::cpu());
+}
+template <class T>
+DeviceArray<T> rows_of(const std::vector<T>& values) {
+  return rows_of(std::span<const T>(values));
+}
+template <class T>
+DeviceArray<T> zeros(size_t rows) {
+  return DeviceArray<T>(rows, Device::cpu());
+}
 
 // A cloth, a block and a spring with everything that has a derivative: damping, activations, bent
 // edges, a contact with friction.
@@ -70,19 +85,20 @@ struct EverythingScene {
     return model;
   }
   VbdStepInputs inputs() const {
-    return {q.data(),
-            qd.data(),
-            f.data(),
-            &control.particle_tri_activation,
-            &control.particle_tet_activation,
-            contacts.get(),
-            1.0f / 60.0f,
-            targets.empty() ? nullptr : targets.data(),
-            last.empty() ? nullptr : last.data()};
+    return {.q = rows_of(q),
+            .qd = rows_of(qd),
+            .f = rows_of(f),
+            .tri_activation = control.particle_tri_activation,
+            .tet_activation = control.particle_tet_activation,
+            .contacts = contacts.get(),
+            .targets = rows_of(targets),
+            .dt = 1.0f / 60.0f,
+            .last_velocity = rows_of(last)};
   }
   double loss(DifferentiableVbd& step) const {
-    std::vector<Vec3f> q_out(q.size()), qd_out(q.size());
-    step.forward(inputs(), q_out.data(), qd_out.data());
+    const auto q_rows = zeros<Vec3f>(q.size()), qd_rows = zeros<Vec3f>(q.size());
+    step.forward(inputs(), q_rows, qd_rows);
+    const std::vector<Vec3f> q_out = q_rows.to_host(), qd_out = qd_rows.to_host();
     double sum = 0.0;
     for (size_t p = 0; p < q.size(); ++p) {
       const Vec3f &a = q_out[p], &u = w_q[p], &b = qd_out[p], &v = w_qd[p];

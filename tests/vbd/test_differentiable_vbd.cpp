@@ -17,7 +17,9 @@ namespace {
 using testing::EverythingScene;
 using testing::NewtonVbdScene;
 using testing::Npz;
+using testing::rows_of;
 using testing::same_bits;
+using testing::zeros;
 
 // |a - b| / |b| of flat lists.
 template <class A, class B>
@@ -34,6 +36,9 @@ double relative_error(const A& actual, const B& expected) {
 std::span<const float> flat(const std::vector<Vec3f>& rows) {
   return {&rows[0].x, 3 * rows.size()};
 }
+std::span<const float> flat(const DeviceArray<Vec3f>& rows) {
+  return {&rows.data()->x, 3 * rows.rows()};
+}
 
 class VbdGradients : public ::testing::TestWithParam<const char*> {
  protected:
@@ -46,24 +51,25 @@ TEST_P(VbdGradients, AreThoseOfDoublePrecision) {
   const Npz file = testing::golden("vbd_gradients.npz");
   const auto t = static_cast<size_t>(file[name("t")].scalar<int32_t>());
   const size_t n = scene.particles();
-  const std::vector<Vec3f> f(n);
   const Contacts contacts = scene.contacts(t);
-  const VbdStepInputs in = {.particle_q = scene.q(t).data(),
-                            .particle_qd = scene.file["qd_60"].as<Vec3f>().data(),
-                            .particle_f = f.data(),
+  const VbdStepInputs in = {.q = rows_of(scene.q(t)),
+                            .qd = rows_of(scene.file["qd_60"].as<Vec3f>()),
+                            .f = zeros<Vec3f>(n),
                             .contacts = &contacts,
                             .dt = scene.dt()};
   DifferentiableVbd step(scene.model, {.iterations = 10});
-  std::vector<Vec3f> q(n), qd(n), q_bar(n), qd_bar(n), f_bar(n);
-  step.forward(in, q.data(), qd.data());
+  const auto q = zeros<Vec3f>(n), qd = zeros<Vec3f>(n), q_bar = zeros<Vec3f>(n),
+             qd_bar = zeros<Vec3f>(n), f_bar = zeros<Vec3f>(n);
+  step.forward(in, q, qd);
   EXPECT_LT(relative_error(flat(q), file[name("K10_out_q")].as<double>()), 1e-6);
 
-  std::vector<float> tet_bar(scene.model->particle_tet_material.to_host().size());
-  step.backward(in, file[name("w_q")].as<Vec3f>().data(), file[name("w_qd")].as<Vec3f>().data(),
-                {.particle_q = q_bar.data(),
-                 .particle_qd = qd_bar.data(),
-                 .particle_f = f_bar.data(),
-                 .particle_tet_material = tet_bar.data()});
+  const auto tet_rows = zeros<float>(scene.model->particle_tet_material.to_host().size());
+  step.backward(in, rows_of(file[name("w_q")].as<Vec3f>()), rows_of(file[name("w_qd")].as<Vec3f>()),
+                {.particle_q = q_bar,
+                 .particle_qd = qd_bar,
+                 .particle_f = f_bar,
+                 .particle_tet_material = tet_rows});
+  const std::vector<float> tet_bar = tet_rows.to_host();
   EXPECT_LT(relative_error(flat(q_bar), file[name("K10_grad_q")].as<double>()), 1e-3);
   EXPECT_LT(relative_error(flat(qd_bar), file[name("K10_grad_qd")].as<double>()), 1e-3);
   EXPECT_LT(relative_error(flat(f_bar), file[name("K10_grad_f")].as<double>()), 1e-3);
@@ -80,41 +86,33 @@ TEST_P(VbdGradients, OfSeveralStepsAreThoseOfDoublePrecision) {
   const auto first = static_cast<size_t>(file[name("t")].scalar<int32_t>());
   constexpr size_t kSteps = 4;
   const size_t n = scene.particles();
-  const std::vector<Vec3f> f(n);
-  std::vector<std::vector<Vec3f>> q(kSteps + 1), qd(kSteps + 1);
-  const auto start = scene.q(first), start_qd = scene.file["qd_60"].as<Vec3f>();
-  q[0].assign(start.begin(), start.end());
-  qd[0].assign(start_qd.begin(), start_qd.end());
+  std::vector<DeviceArray<Vec3f>> q = {rows_of(scene.q(first))},
+                                  qd = {rows_of(scene.file["qd_60"].as<Vec3f>())};
   std::vector<Contacts> contacts;
   for (size_t s = 0; s < kSteps; ++s) contacts.push_back(scene.contacts(first));
   const auto inputs = [&](size_t s) {
-    return VbdStepInputs{.particle_q = q[s].data(),
-                         .particle_qd = qd[s].data(),
-                         .particle_f = f.data(),
-                         .contacts = &contacts[s],
-                         .dt = scene.dt()};
+    return VbdStepInputs{
+        .q = q[s], .qd = qd[s], .f = zeros<Vec3f>(n), .contacts = &contacts[s], .dt = scene.dt()};
   };
   DifferentiableVbd step(scene.model, {.iterations = 5});
   for (size_t s = 0; s < kSteps; ++s) {
-    q[s + 1].resize(n);
-    qd[s + 1].resize(n);
-    step.forward(inputs(s), q[s + 1].data(), qd[s + 1].data());
+    q.push_back(zeros<Vec3f>(n));
+    qd.push_back(zeros<Vec3f>(n));
+    step.forward(inputs(s), q[s + 1], qd[s + 1]);
   }
   EXPECT_LT(relative_error(flat(q[kSteps]), file[name("T4K5_out_q")].as<double>()), 1e-6);
 
-  const auto w_q = file[name("w_q")].as<Vec3f>(), w_qd = file[name("w_qd")].as<Vec3f>();
-  std::vector<Vec3f> q_bar(w_q.begin(), w_q.end()), qd_bar(w_qd.begin(), w_qd.end());
+  auto q_bar = rows_of(file[name("w_q")].as<Vec3f>()),
+       qd_bar = rows_of(file[name("w_qd")].as<Vec3f>());
   std::vector<float> tet_bar(scene.model->particle_tet_material.to_host().size());
   for (size_t s = kSteps; s-- > 0;) {
-    std::vector<Vec3f> by_q(n), by_qd(n);
-    std::vector<float> by_tet(tet_bar.size());
-    step.backward(inputs(s), q_bar.data(), qd_bar.data(),
-                  {.particle_q = by_q.data(),
-                   .particle_qd = by_qd.data(),
-                   .particle_tet_material = by_tet.data()});
+    const auto by_q = zeros<Vec3f>(n), by_qd = zeros<Vec3f>(n);
+    const auto by_tet = zeros<float>(tet_bar.size());
+    step.backward(inputs(s), q_bar, qd_bar,
+                  {.particle_q = by_q, .particle_qd = by_qd, .particle_tet_material = by_tet});
     q_bar = by_q;
     qd_bar = by_qd;
-    for (size_t i = 0; i < tet_bar.size(); ++i) tet_bar[i] += by_tet[i];
+    for (size_t i = 0; i < tet_bar.size(); ++i) tet_bar[i] += by_tet.data()[i];
   }
   EXPECT_LT(relative_error(flat(q_bar), file[name("T4K5_grad_q")].as<double>()), 1e-3);
   EXPECT_LT(relative_error(flat(qd_bar), file[name("T4K5_grad_qd")].as<double>()), 1e-3);
@@ -166,30 +164,31 @@ TEST(DifferentiableVbd, EveryGradientIsThatOfDifferences) {
   DifferentiableVbd step(scene.model, {.iterations = 6});
   const Model& m = *scene.model;
   const size_t n = scene.q.size();
-  std::vector<Vec3f> q(n), qd(n), f(n);
+  const auto q = zeros<Vec3f>(n), qd = zeros<Vec3f>(n), f = zeros<Vec3f>(n);
   const auto floats = [](const Array& array) {
-    return std::vector<float>(array.bytes() / sizeof(float));
+    return zeros<float>(array.bytes() / sizeof(float));
   };
-  auto ke = floats(m.particle_spring_stiffness), kd = ke, rest = ke;
+  auto ke = floats(m.particle_spring_stiffness), kd = floats(m.particle_spring_stiffness),
+       rest = floats(m.particle_spring_stiffness);
   auto tri = floats(m.particle_tri_material), tri_act = floats(m.particle_tri_activation);
   auto edge = floats(m.particle_edge_material), angle = floats(m.particle_edge_rest_angle);
   auto tet = floats(m.particle_tet_material), tet_act = floats(m.particle_tet_activation);
-  step.backward(scene.inputs(), scene.w_q.data(), scene.w_qd.data(),
-                {.particle_q = q.data(),
-                 .particle_qd = qd.data(),
-                 .particle_f = f.data(),
-                 .particle_spring_stiffness = ke.data(),
-                 .particle_spring_damping = kd.data(),
-                 .particle_spring_rest_length = rest.data(),
-                 .particle_tri_material = tri.data(),
-                 .particle_tri_activation = tri_act.data(),
-                 .particle_edge_material = edge.data(),
-                 .particle_edge_rest_angle = angle.data(),
-                 .particle_tet_material = tet.data(),
-                 .particle_tet_activation = tet_act.data()});
+  step.backward(scene.inputs(), rows_of(scene.w_q), rows_of(scene.w_qd),
+                {.particle_q = q,
+                 .particle_qd = qd,
+                 .particle_f = f,
+                 .particle_spring_stiffness = ke,
+                 .particle_spring_damping = kd,
+                 .particle_spring_rest_length = rest,
+                 .particle_tri_material = tri,
+                 .particle_tri_activation = tri_act,
+                 .particle_edge_material = edge,
+                 .particle_edge_rest_angle = angle,
+                 .particle_tet_material = tet,
+                 .particle_tet_activation = tet_act});
 
   const auto state = [&](const char* name, std::vector<Vec3f>& values,
-                         const std::vector<Vec3f>& bars, double size) {
+                         const DeviceArray<Vec3f>& bars, double size) {
     const auto own = flat(values), by = flat(bars);
     Along(size).check(
         name, {own.begin(), own.end()}, {by.begin(), by.end()}, scene, step,
@@ -199,11 +198,11 @@ TEST(DifferentiableVbd, EveryGradientIsThatOfDifferences) {
   state("particle_qd", scene.qd, qd, 1e-2);
   state("particle_f", scene.f, f, 2e-2);
   const auto numbers = [&](const char* name, const DeviceArray<float>& array,
-                           const std::vector<float>& bars, double size) {
+                           const DeviceArray<float>& bars, double size) {
     DeviceArray<float> handle = array;
-    Along(size).check(name, array.to_host(), bars, scene, step, [&](const std::vector<float>& v) {
-      handle.copy_from_host(std::span<const float>(v));
-    });
+    Along(size).check(
+        name, array.to_host(), bars.to_host(), scene, step,
+        [&](const std::vector<float>& v) { handle.copy_from_host(std::span<const float>(v)); });
   };
   numbers("particle_spring_stiffness", m.particle_spring_stiffness, ke, 4.0);
   numbers("particle_spring_damping", m.particle_spring_damping, kd, 0.1);
@@ -214,14 +213,14 @@ TEST(DifferentiableVbd, EveryGradientIsThatOfDifferences) {
   numbers("particle_tet_material", m.particle_tet_material, tet, 1.0);
   // Columns apart: they have different units.
   const auto column = [&](const char* name, const DeviceArray<float>& array,
-                          const std::vector<float>& bars, size_t width, size_t c, double size) {
+                          const DeviceArray<float>& bars, size_t width, size_t c, double size) {
     std::vector<float> own, by;
     std::vector<size_t> places;  // materials that are 0 stay so
     const std::vector<float> all = array.to_host();
     for (size_t i = c; i < all.size(); i += width) {
       if (all[i] == 0.0f) continue;
       own.push_back(all[i]);
-      by.push_back(bars[i]);
+      by.push_back(bars.data()[i]);
       places.push_back(i);
     }
     DeviceArray<float> handle = array;
@@ -250,15 +249,17 @@ TEST(DifferentiableVbd, TheAdaptiveGuessHasGradientsByAllThatItReads) {
     const Vec3f v = scene.qd[p];
     scene.last.push_back({v.x + 0.1f, v.y - 0.2f, v.z + gh * part, p % 3 == 0 ? 0.0f : 1.0f});
   }
-  std::vector<Vec3f> q(n), qd(n), f(n), gravity(scene.model->gravity.rows());
-  std::vector<float> last(4 * n), mass(n);
-  step.backward(scene.inputs(), scene.w_q.data(), scene.w_qd.data(),
-                {.particle_q = q.data(),
-                 .particle_qd = qd.data(),
-                 .particle_f = f.data(),
-                 .last_velocity = last.data(),
-                 .gravity = gravity.data(),
-                 .particle_mass = mass.data()});
+  const auto q = zeros<Vec3f>(n), qd = zeros<Vec3f>(n), f = zeros<Vec3f>(n),
+             gravity = zeros<Vec3f>(scene.model->gravity.rows());
+  const auto last_rows = zeros<float>(4 * n), mass = zeros<float>(n);
+  step.backward(scene.inputs(), rows_of(scene.w_q), rows_of(scene.w_qd),
+                {.particle_q = q,
+                 .particle_qd = qd,
+                 .particle_f = f,
+                 .last_velocity = last_rows,
+                 .gravity = gravity,
+                 .particle_mass = mass});
+  const std::vector<float> last = last_rows.to_host();
   for (size_t p = 0; p < n; ++p) {
     EXPECT_EQ(last[4 * p + 3], 0.0f);
     EXPECT_EQ(last[4 * p + 2] == 0.0f, p % 3 == 0 || scene.model->particle_mass.data()[p] == 0.0f);
@@ -268,7 +269,7 @@ TEST(DifferentiableVbd, TheAdaptiveGuessHasGradientsByAllThatItReads) {
     Along(size).check(name, {values, values + count}, bars, scene, step,
                       [&](const std::vector<float>& v) { std::copy(v.begin(), v.end(), values); });
   };
-  const auto bars = [](const std::vector<Vec3f>& rows) {
+  const auto bars = [](const DeviceArray<Vec3f>& rows) {
     return std::vector<float>(flat(rows).begin(), flat(rows).end());
   };
   state("particle_q", &scene.q[0].x, 3 * n, bars(q), 2e-4);
@@ -286,7 +287,7 @@ TEST(DifferentiableVbd, TheAdaptiveGuessHasGradientsByAllThatItReads) {
                       for (size_t k = 0; k < v.size(); ++k) (&scene.last[k / 3].x)[k % 3] = v[k];
                     });
   DeviceArray<Vec3f> field = scene.model->gravity;
-  Along(0.05).check("gravity", bars(field.to_host()), bars(gravity), scene, step,
+  Along(0.05).check("gravity", bars(field), bars(gravity), scene, step,
                     [&](const std::vector<float>& v) {
                       std::vector<Vec3f> rows(v.size() / 3);
                       std::copy(v.begin(), v.end(), &rows[0].x);
@@ -294,7 +295,7 @@ TEST(DifferentiableVbd, TheAdaptiveGuessHasGradientsByAllThatItReads) {
                     });
 
   // Forwards along the velocities before and those now, the same: <J d, w> = <d, J^T w>.
-  std::vector<Vec3f> q_slope(n), qd_slope(n);
+  const auto q_slope = zeros<Vec3f>(n), qd_slope = zeros<Vec3f>(n);
   std::vector<float> along(4 * n);
   std::vector<Vec3f> along_qd(n);
   double expected = 0.0, found = 0.0, size = 0.0;
@@ -304,25 +305,25 @@ TEST(DifferentiableVbd, TheAdaptiveGuessHasGradientsByAllThatItReads) {
   }
   for (size_t k = 0; k < 3 * n; ++k) {
     (&along_qd[0].x)[k] = std::sin(1.3f * static_cast<float>(k));
-    const double term = static_cast<double>((&along_qd[0].x)[k]) * (&qd[0].x)[k];
+    const double term = static_cast<double>((&along_qd[0].x)[k]) * flat(qd)[k];
     expected += term;
     size += std::abs(term);
   }
-  step.tangent(scene.inputs(), {.particle_qd = along_qd.data(), .last_velocity = along.data()},
-               q_slope.data(), qd_slope.data());
+  step.tangent(scene.inputs(), {.particle_qd = rows_of(along_qd), .last_velocity = rows_of(along)},
+               q_slope, qd_slope);
   for (size_t k = 0; k < 3 * n; ++k)
-    found += static_cast<double>((&q_slope[0].x)[k]) * (&scene.w_q[0].x)[k] +
-             static_cast<double>((&qd_slope[0].x)[k]) * (&scene.w_qd[0].x)[k];
+    found += static_cast<double>(flat(q_slope)[k]) * (&scene.w_q[0].x)[k] +
+             static_cast<double>(flat(qd_slope)[k]) * (&scene.w_qd[0].x)[k];
   EXPECT_NEAR(found, expected, 1e-5 * size);
 
   // At the solution the guess has none.
   DifferentiableVbd solved(scene.model,
                            {.iterations = 20, .initial_guess = VbdInitialGuess::Adaptive},
                            {.implicit = true});
-  std::fill(last.begin(), last.end(), 1.0f);
-  solved.backward(scene.inputs(), scene.w_q.data(), scene.w_qd.data(),
-                  {.last_velocity = last.data()});
-  EXPECT_EQ(last, std::vector<float>(4 * n));
+  const auto by_last = rows_of(std::vector<float>(4 * n, 1.0f));
+  solved.backward(scene.inputs(), rows_of(scene.w_q), rows_of(scene.w_qd),
+                  {.last_velocity = by_last});
+  EXPECT_EQ(by_last.to_host(), std::vector<float>(4 * n));
 }
 
 TEST(DifferentiableVbd, GradientsHaveTheSameBitsForAnyThreadsAndInstructionSet) {
@@ -332,9 +333,9 @@ TEST(DifferentiableVbd, GradientsHaveTheSameBitsForAnyThreadsAndInstructionSet) 
   std::vector<std::vector<Vec3f>> all;
   const auto run = [&] {
     DifferentiableVbd step(scene.model, {.iterations = 4});
-    std::vector<Vec3f> q(n);
-    step.backward(scene.inputs(), scene.w_q.data(), scene.w_qd.data(), {.particle_q = q.data()});
-    all.push_back(q);
+    const auto q = zeros<Vec3f>(n);
+    step.backward(scene.inputs(), rows_of(scene.w_q), rows_of(scene.w_qd), {.particle_q = q});
+    all.push_back(q.to_host());
   };
   for (const int threads : {1, 2, 7}) {
     set_num_threads(threads);

@@ -16,14 +16,15 @@ namespace {
 using testing::EverythingScene;
 using testing::NewtonVbdScene;
 using testing::Npz;
+using testing::rows_of;
+using testing::zeros;
 
 // One array that a step reads: its values, and where its derivatives are.
 struct Input {
   const char* name;
   std::vector<float> values;
   std::function<void(const std::vector<float>&)> write;
-  std::function<void(VbdStepGradients&, std::vector<float>&)> gradient;
-  std::function<void(VbdStepTangents&, const std::vector<float>&)> tangent;
+  Array VbdStepDerivatives::*derivative;
   double step;     // of differences
   size_t columns;  // of a row; only column `column` is moved, or all (-1)
   int column = -1;
@@ -31,22 +32,20 @@ struct Input {
 
 std::vector<Input> inputs_of(EverythingScene& scene) {
   std::vector<Input> all;
-  const auto vectors = [&](const char* name, std::vector<Vec3f>& rows, Vec3f* VbdStepGradients::*g,
-                           const Vec3f* VbdStepTangents::*t, double step) {
+  const auto vectors = [&](const char* name, std::vector<Vec3f>& rows,
+                           Array VbdStepDerivatives::*derivative, double step) {
     float* const first = &rows[0].x;
     all.push_back({name,
                    {first, first + 3 * rows.size()},
                    [first](const std::vector<float>& v) { std::copy(v.begin(), v.end(), first); },
-                   [g](VbdStepGradients& to, std::vector<float>& v) {
-                     to.*g = reinterpret_cast<Vec3f*>(v.data());
-                   },
-                   [t](VbdStepTangents& to, const std::vector<float>& v) {
-                     to.*t = reinterpret_cast<const Vec3f*>(v.data());
-                   },
+                   derivative,
                    step,
                    3});
   };
-  const auto add = [&](Input input, const Array& array) {
+  const auto numbers = [&](const char* name, const Array& array,
+                           Array VbdStepDerivatives::*derivative, double step, size_t columns = 1,
+                           int column = -1) {
+    Input input = {name, {}, {}, derivative, step, columns, column};
     input.values.resize(array.bytes() / sizeof(float));
     array.copy_to_host(input.values.data(), array.bytes());
     input.write = [own = array](const std::vector<float>& v) mutable {
@@ -54,38 +53,15 @@ std::vector<Input> inputs_of(EverythingScene& scene) {
     };
     all.push_back(std::move(input));
   };
-  const auto numbers = [&](const char* name, const Array& array, float* VbdStepGradients::*g,
-                           const float* VbdStepTangents::*t, double step, size_t columns = 1,
-                           int column = -1) {
-    add({name,
-         {},
-         {},
-         [g](VbdStepGradients& to, std::vector<float>& v) { to.*g = v.data(); },
-         [t](VbdStepTangents& to, const std::vector<float>& v) { to.*t = v.data(); },
-         step,
-         columns,
-         column},
-        array);
-  };
-  using G = VbdStepGradients;
-  using T = VbdStepTangents;
+  using D = VbdStepDerivatives;
   const Model& m = *scene.model;
   const Control& c = scene.control;
-  vectors("particle_q", scene.q, &G::particle_q, &T::particle_q, 2e-4);
-  vectors("particle_qd", scene.qd, &G::particle_qd, &T::particle_qd, 1e-2);
-  vectors("particle_f", scene.f, &G::particle_f, &T::particle_f, 2e-2);
-  if (!scene.targets.empty()) vectors("targets", scene.targets, &G::targets, &T::targets, 1e-3);
-  add({"gravity",
-       {},
-       {},
-       [](G& to, std::vector<float>& v) { to.gravity = reinterpret_cast<Vec3f*>(v.data()); },
-       [](T& to, const std::vector<float>& v) {
-         to.gravity = reinterpret_cast<const Vec3f*>(v.data());
-       },
-       0.5,
-       3},
-      m.gravity);
-#define NUMBERS(name, array, ...) numbers(#name, array, &G::name, &T::name, __VA_ARGS__)
+  vectors("particle_q", scene.q, &D::particle_q, 2e-4);
+  vectors("particle_qd", scene.qd, &D::particle_qd, 1e-2);
+  vectors("particle_f", scene.f, &D::particle_f, 2e-2);
+  if (!scene.targets.empty()) vectors("targets", scene.targets, &D::targets, 1e-3);
+  numbers("gravity", m.gravity, &D::gravity, 0.5, 3);
+#define NUMBERS(name, array, ...) numbers(#name, array, &D::name, __VA_ARGS__)
   NUMBERS(particle_mass, m.particle_mass, 1e-3);
   NUMBERS(particle_radius, m.particle_radius, 2e-4);
   NUMBERS(particle_spring_stiffness, m.particle_spring_stiffness, 4.0);
@@ -163,10 +139,11 @@ TEST_P(VbdDerivatives, ForwardsTheyAreThoseOfDifferencesByEveryInput) {
     const std::string name = std::string(input.name) + " " + std::to_string(input.column);
     const std::vector<float> d =
         direction_of(input, input.column < 0 && std::string_view(input.name) != "particle_mass");
-    std::vector<Vec3f> q(n), qd(n), slope(n), qd_slope(n);
-    VbdStepTangents tangents;
-    input.tangent(tangents, d);
-    step->tangent(scene.inputs(), tangents, slope.data(), qd_slope.data());
+    const auto q = zeros<Vec3f>(n), qd = zeros<Vec3f>(n), slope_rows = zeros<Vec3f>(n);
+    VbdStepDerivatives tangents;
+    tangents.*input.derivative = rows_of(d);
+    step->tangent(scene.inputs(), tangents, slope_rows, qd);
+    const std::vector<Vec3f> slope = slope_rows.to_host();
     std::vector<Vec3f> sides[2];
     // Without damping only more of it is allowed.
     const bool one_sided = implicit() && name.starts_with("shape_material_kd");
@@ -176,8 +153,8 @@ TEST_P(VbdDerivatives, ForwardsTheyAreThoseOfDifferencesByEveryInput) {
       for (size_t i = 0; i < moved.size(); ++i)
         moved[i] += static_cast<float>(side == 0 ? input.step : back) * d[i];
       input.write(moved);
-      step->forward(scene.inputs(), q.data(), qd.data());
-      sides[side] = q;
+      step->forward(scene.inputs(), q, qd);
+      sides[side] = q.to_host();
     }
     input.write(input.values);
     std::vector<Vec3f> error(n), expected(n);
@@ -199,15 +176,17 @@ TEST_P(VbdDerivatives, ForwardsAndBackwardsAreTransposed) {
   const size_t n = scene.q.size();
   for (const Input& input : inputs_of(scene)) {
     const std::vector<float> d = direction_of(input, true);
-    std::vector<Vec3f> slope(n), qd_slope(n);
-    VbdStepTangents tangents;
-    input.tangent(tangents, d);
-    step->tangent(scene.inputs(), tangents, slope.data(), qd_slope.data());
+    const auto slope_rows = zeros<Vec3f>(n), qd_rows = zeros<Vec3f>(n);
+    VbdStepDerivatives tangents;
+    tangents.*input.derivative = rows_of(d);
+    step->tangent(scene.inputs(), tangents, slope_rows, qd_rows);
+    const std::vector<Vec3f> slope = slope_rows.to_host(), qd_slope = qd_rows.to_host();
     const double forwards = dot(scene.w_q, slope) + dot(scene.w_qd, qd_slope);
-    std::vector<float> bar(d.size());
-    VbdStepGradients gradients;
-    input.gradient(gradients, bar);
-    step->backward(scene.inputs(), scene.w_q.data(), scene.w_qd.data(), gradients);
+    const auto bar_rows = zeros<float>(d.size());
+    VbdStepDerivatives gradients;
+    gradients.*input.derivative = bar_rows;
+    step->backward(scene.inputs(), rows_of(scene.w_q), rows_of(scene.w_qd), gradients);
+    const std::vector<float> bar = bar_rows.to_host();
     double backwards = 0.0;
     for (size_t i = 0; i < d.size(); ++i)
       backwards += static_cast<double>(bar[i]) * static_cast<double>(d[i]);
@@ -225,11 +204,11 @@ TEST_P(VbdDerivatives, HaveTheSameBitsForAnyThreads) {
   for (const int threads : {1, 2, 7}) {
     set_num_threads(threads);
     const auto step = make(1e-4);
-    std::vector<Vec3f> q(n), slope(n), qd_slope(n);
-    step->backward(scene.inputs(), scene.w_q.data(), scene.w_qd.data(), {.particle_q = q.data()});
-    step->tangent(scene.inputs(), {.particle_qd = scene.qd.data()}, slope.data(), qd_slope.data());
-    all.push_back(q);
-    all.back().insert(all.back().end(), slope.begin(), slope.end());
+    const auto q = zeros<Vec3f>(n), slope = zeros<Vec3f>(n), qd_slope = zeros<Vec3f>(n);
+    step->backward(scene.inputs(), rows_of(scene.w_q), rows_of(scene.w_qd), {.particle_q = q});
+    step->tangent(scene.inputs(), {.particle_qd = rows_of(scene.qd)}, slope, qd_slope);
+    all.push_back(q.to_host());
+    all.back().insert(all.back().end(), slope.data(), slope.data() + n);
   }
   set_num_threads(before);
   for (const auto& rows : all) EXPECT_TRUE(testing::same_bits<Vec3f>(rows, all[0]));
@@ -252,8 +231,8 @@ double relative_error(const A& actual, const B& expected) {
   }
   return std::sqrt(difference / size);
 }
-std::span<const float> flat(const std::vector<Vec3f>& rows) {
-  return {&rows[0].x, 3 * rows.size()};
+std::span<const float> flat(const DeviceArray<Vec3f>& rows) {
+  return {&rows.data()->x, 3 * rows.rows()};
 }
 
 // The solution of Newton's substep 60 and its derivative, which the file has in double precision.
@@ -265,22 +244,22 @@ TEST_P(ImplicitVbd, DerivativesAreThoseOfTheSolution) {
   const Npz file = testing::golden("vbd_gradients.npz");
   const auto t = static_cast<size_t>(file[name + "_t"].scalar<int32_t>());
   const size_t n = scene.particles();
-  const std::vector<Vec3f> f(n);
   const Contacts contacts = scene.contacts(t);
-  const VbdStepInputs in = {.particle_q = scene.q(t).data(),
-                            .particle_qd = scene.file["qd_60"].as<Vec3f>().data(),
-                            .particle_f = f.data(),
+  const VbdStepInputs in = {.q = rows_of(scene.q(t)),
+                            .qd = rows_of(scene.file["qd_60"].as<Vec3f>()),
+                            .f = zeros<Vec3f>(n),
                             .contacts = &contacts,
                             .dt = scene.dt()};
   DifferentiableVbd step(scene.model, {.iterations = 20}, {.implicit = true, .tolerance = 1e-5f});
-  std::vector<Vec3f> q(n), qd(n), q_bar(n), qd_bar(n);
-  step.forward(in, q.data(), qd.data());
+  const auto q = zeros<Vec3f>(n), qd = zeros<Vec3f>(n), q_bar = zeros<Vec3f>(n),
+             qd_bar = zeros<Vec3f>(n);
+  step.forward(in, q, qd);
   EXPECT_LT(relative_error(flat(q), file[name + "_star_q"].as<double>()), 2e-6);
-  std::vector<float> tet_bar(scene.model->particle_tet_material.to_host().size());
-  step.backward(in, file[name + "_w_q"].as<Vec3f>().data(), file[name + "_w_qd"].as<Vec3f>().data(),
-                {.particle_q = q_bar.data(),
-                 .particle_qd = qd_bar.data(),
-                 .particle_tet_material = tet_bar.data()});
+  const auto tet_rows = zeros<float>(scene.model->particle_tet_material.to_host().size());
+  step.backward(in, rows_of(file[name + "_w_q"].as<Vec3f>()),
+                rows_of(file[name + "_w_qd"].as<Vec3f>()),
+                {.particle_q = q_bar, .particle_qd = qd_bar, .particle_tet_material = tet_rows});
+  const std::vector<float> tet_bar = tet_rows.to_host();
   EXPECT_LT(relative_error(flat(q_bar), file[name + "_implicit_grad_q"].as<double>()), 1e-3);
   EXPECT_LT(relative_error(flat(qd_bar), file[name + "_implicit_grad_qd"].as<double>()), 1e-3);
   if (!tet_bar.empty()) {
@@ -300,19 +279,19 @@ INSTANTIATE_TEST_SUITE_P(Scenes, ImplicitVbd, ::testing::Values("soft", "cloth")
 TEST(ImplicitVbd, WhatIsNotSolvedIsAnErrorUnlessAllowed) {
   EverythingScene scene;
   const size_t n = scene.q.size();
-  std::vector<Vec3f> q(n), qd(n), bar(n);
+  const auto q = zeros<Vec3f>(n), qd = zeros<Vec3f>(n), bar = zeros<Vec3f>(n);
   VbdGradientOptions options = {.implicit = true, .newton_iterations = 0};
-  EXPECT_ERROR(DifferentiableVbd(scene.model, {.iterations = 2}, options)
-                   .forward(scene.inputs(), q.data(), qd.data()),
-               ErrorKind::Runtime, "the step was not solved");
+  EXPECT_ERROR(
+      DifferentiableVbd(scene.model, {.iterations = 2}, options).forward(scene.inputs(), q, qd),
+      ErrorKind::Runtime, "the step was not solved");
   options = {.implicit = true, .krylov_sweeps = 1, .allow_unconverged = true};
   DifferentiableVbd allowed(scene.model, {.iterations = 2}, options);
-  allowed.backward(scene.inputs(), scene.w_q.data(), nullptr, {.particle_q = bar.data()});
+  allowed.backward(scene.inputs(), rows_of(scene.w_q), Array(), {.particle_q = bar});
   EXPECT_FALSE(allowed.info().converged);
   EXPECT_GT(allowed.info().linear_residual, 1e-4);
   options = {.implicit = true, .krylov_sweeps = 1};
   DifferentiableVbd few(scene.model, {.iterations = 400}, options);
-  EXPECT_ERROR(few.backward(scene.inputs(), scene.w_q.data(), nullptr, {.particle_q = bar.data()}),
+  EXPECT_ERROR(few.backward(scene.inputs(), rows_of(scene.w_q), Array(), {.particle_q = bar}),
                ErrorKind::Runtime, "the linear system of the gradient was not solved");
   EXPECT_ERROR(DifferentiableVbd(scene.model, {.iterations = 0}, {.implicit = true}),
                ErrorKind::Value, "iterations");

@@ -67,18 +67,18 @@ void time_backward(const std::shared_ptr<Model>& model, const SimState& state,
                    const Contacts* contacts, int calls) {
   DifferentiableVbd step(model, {.iterations = 10});
   const size_t n = state.particle_q.rows();
-  std::vector<Vec3f> q(n), qd(n), ones(n, Vec3f{1.0f, 1.0f, 1.0f}), q_bar(n), qd_bar(n);
-  const VbdStepInputs inputs = {.particle_q = state.particle_q.data(),
-                                .particle_qd = state.particle_qd.data(),
-                                .particle_f = state.particle_f.data(),
+  const std::vector<Vec3f> ones(n, Vec3f{1.0f, 1.0f, 1.0f});
+  const DeviceArray<Vec3f> q(n, Device::cpu()), qd(n, Device::cpu()), q_bar(n, Device::cpu()),
+      qd_bar(n, Device::cpu()), bar = DeviceArray<Vec3f>::from_host(ones, Device::cpu());
+  const VbdStepInputs inputs = {.q = state.particle_q,
+                                .qd = state.particle_qd,
+                                .f = state.particle_f,
                                 .contacts = contacts,
                                 .dt = 1.0f / 300.0f};
-  const double forward = fastest(calls, [&] { step.forward(inputs, q.data(), qd.data()); });
-  VbdStepGradients gradients;
-  gradients.particle_q = q_bar.data();
-  gradients.particle_qd = qd_bar.data();
-  const double backward =
-      fastest(calls, [&] { step.backward(inputs, ones.data(), nullptr, gradients); });
+  const double forward = fastest(calls, [&] { step.forward(inputs, q, qd); });
+  const double backward = fastest(calls, [&] {
+    step.backward(inputs, bar, Array(), {.particle_q = q_bar, .particle_qd = qd_bar});
+  });
   std::printf("forward %.0f us (%.0f ns a particle and iteration), backward %.0f us: %.2f of it\n",
               1e6 * forward, 1e8 * forward / static_cast<double>(n), 1e6 * backward,
               backward / forward);

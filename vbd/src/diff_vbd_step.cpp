@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <string_view>
-#include <type_traits>
 #include <utility>
 
 #include "novaphy/core/error.h"
@@ -15,9 +14,6 @@ namespace {
 
 using nova::Tensor;
 
-const Vec3f* rows_of(const Tensor& tensor) {
-  return reinterpret_cast<const Vec3f*>(tensor.data<float>());
-}
 // Rows of three numbers; without rows where the tensor is not defined.
 DeviceArray<Vec3f> array_of(const Tensor& tensor) {
   if (!tensor.defined() || tensor.size() == 0) return {};
@@ -64,17 +60,8 @@ bool in_a_capture_of_the_host(const RecordedStep& step) {
 
 std::vector<RecordedStep::Input> RecordedStep::differentiable() const {
   std::vector<Input> all;
-  const auto add = [&](const Tensor& tensor, auto bars, auto slopes,
-                       Array VbdStepArrays::*array_bars) {
-    if constexpr (std::is_same_v<decltype(bars), float * VbdStepGradients::*>) {
-      all.push_back({tensor, bars, slopes, nullptr, nullptr, array_bars});
-    } else {
-      all.push_back({tensor, nullptr, nullptr, bars, slopes, array_bars});
-    }
-  };
   const Model& m = *model;
-#define NOVAPHY_ADD(input, name) \
-  add(input, &VbdStepGradients::name, &VbdStepTangents::name, &VbdStepArrays::name)
+#define NOVAPHY_ADD(input, name) all.push_back({input, &VbdStepDerivatives::name})
 #define NOVAPHY_ADD_ARRAY(array, name) \
   if ((array).rows() != 0) NOVAPHY_ADD(tensor_of(nova::operand_of(array)), name)
   NOVAPHY_ADD(q, particle_q);
@@ -147,28 +134,21 @@ void RecordedStep::check_capture() const {
 
 VbdStepInputs RecordedStep::inputs() const {
   check_numbers();
-  const Vec3f* const to = targets.defined() ? rows_of(targets) + first_target : nullptr;
-  const auto* const before =
-      last.defined() ? reinterpret_cast<const Vec4f*>(last.data<float>()) : nullptr;
-  return {rows_of(q),     rows_of(qd), rows_of(f), &tri_activation, &tet_activation,
-          contacts.get(), dt,          to,         before};
-}
-VbdLaunchInputs RecordedStep::launch_inputs() const {
-  check_numbers();
-  return {array_of(q),
-          array_of(qd),
-          array_of(f),
-          tri_activation,
-          tet_activation,
-          contacts.get(),
-          targets.defined() ? array_of(part_of(targets, first_target, target_count))
-                            : DeviceArray<Vec3f>(),
-          dt,
-          last.defined()
-              ? DeviceArray<Vec4f>(Array(novaphy::DType::vec4, static_cast<size_t>(last.size() / 4),
-                                         1, last.range()))
-              : DeviceArray<Vec4f>(),
-          trains_elements};
+  return {.q = array_of(q),
+          .qd = array_of(qd),
+          .f = array_of(f),
+          .tri_activation = tri_activation,
+          .tet_activation = tet_activation,
+          .contacts = contacts.get(),
+          .targets = targets.defined() ? array_of(part_of(targets, first_target, target_count))
+                                       : DeviceArray<Vec3f>(),
+          .dt = dt,
+          .last_velocity =
+              last.defined()
+                  ? DeviceArray<Vec4f>(Array(novaphy::DType::vec4,
+                                             static_cast<size_t>(last.size() / 4), 1, last.range()))
+                  : DeviceArray<Vec4f>(),
+          .trains_elements = trains_elements};
 }
 
 // What forward reads.
@@ -206,59 +186,42 @@ void RecordedStep::capture(std::vector<Tensor> reads, std::vector<Tensor> result
 
 void RecordedStep::forward() {
   check_capture();
-  if (!on_device()) return steps->forward(inputs(), q_out.mutable_data(), qd_out.mutable_data());
   const nova::NoGrad no_grad;
-  steps->forward(launch_inputs(), q_out, qd_out, in_use);
+  if (!on_device())  // which runs unseen
+    for (DeviceArray<Vec3f>* const written : {&q_out, &qd_out}) written->mutable_data();
+  steps->forward(inputs(), q_out, qd_out, in_use);
 }
 
 void RecordedStep::submit_forward(const std::shared_ptr<RecordedStep>& step) {
   if (!in_a_capture_of_the_host(*step)) return step->named([&] { step->forward(); });
   const std::vector<Tensor> results = {tensor_of(nova::operand_of(step->q_out)),
                                        tensor_of(nova::operand_of(step->qd_out))};
-  step->capture(step->reads(), results, [step, results] {
-    const auto rows = [](const Tensor& to) { return static_cast<Vec3f*>(to.range()->data()); };
-    step->named([&] { step->steps->forward(step->inputs(), rows(results[0]), rows(results[1])); });
+  step->capture(step->reads(), results, [step] {
+    step->named([&] { step->steps->forward(step->inputs(), step->q_out, step->qd_out); });
   });
 }
 
 // The derivatives that are wanted, in the order of the inputs.
-std::vector<std::vector<float>> RecordedStep::derivatives(
-    std::span<const Tensor> outputs, std::span<const nova::InputGradient> to) const {
+std::vector<Array> RecordedStep::derivatives(std::span<const Tensor> outputs,
+                                             std::span<const nova::InputGradient> to) const {
   const std::vector<Input> all = differentiable();
-  VbdStepGradients gradients;
-  std::vector<std::vector<float>> values(all.size());
-  for (size_t k = 0; k < all.size(); ++k) {
-    if (!to[k].wanted()) continue;
-    values[k].resize(all[k].size(*this));
-    if (all[k].bars != nullptr) {
-      gradients.*all[k].bars = values[k].data();
-    } else {
-      gradients.*all[k].vector_bars = reinterpret_cast<Vec3f*>(values[k].data());
-    }
-  }
-  steps->backward(inputs(), outputs[0].defined() ? rows_of(outputs[0]) : nullptr,
-                  outputs[1].defined() ? rows_of(outputs[1]) : nullptr, gradients);
-  return values;
-}
-// The same on a device.
-std::vector<Array> RecordedStep::device_derivatives(std::span<const Tensor> outputs,
-                                                    std::span<const nova::InputGradient> to) const {
-  const std::vector<Input> all = differentiable();
-  VbdStepArrays gradients;
+  VbdStepDerivatives gradients;
   std::vector<Array> values(all.size());
   for (size_t k = 0; k < all.size(); ++k) {
     if (!to[k].wanted()) continue;
     const Unobserved unobserved;
     values[k] = Array(novaphy::DType::float32, all[k].size(*this), model->device());
-    gradients.*all[k].array_bars = values[k];
+    gradients.*all[k].derivative = values[k];
   }
-  steps->backward(launch_inputs(), array_of(outputs[0]), array_of(outputs[1]), gradients, in_use);
+  steps->backward(inputs(), array_of(outputs[0]), array_of(outputs[1]), gradients, in_use);
   return values;
 }
 
-// `value`: the derivative by an input, as a tensor of a shape.
-template <class Value>
-void RecordedStep::put(std::span<const nova::InputGradient> to, const Value& value) const {
+void RecordedStep::backward(std::span<const Tensor> outputs,
+                            std::span<const nova::InputGradient> to) const {
+  check_capture();
+  const nova::NoGrad no_grad;
+  const std::vector<Array> values = derivatives(outputs, to);
   const std::vector<Input> all = differentiable();
   for (size_t k = 0; k < all.size(); ++k) {
     if (!to[k].wanted()) continue;
@@ -267,38 +230,23 @@ void RecordedStep::put(std::span<const nova::InputGradient> to, const Value& val
       if (!where.add) where.put({});
       where = {part_of(where.grad, first_target, target_count), true};
     }
-    where.put(value(k, where.grad.shape()));
+    where.put(Tensor(values[k].range(), where.grad.shape(), nova::DType::F32));
   }
-}
-
-void RecordedStep::backward(std::span<const Tensor> outputs,
-                            std::span<const nova::InputGradient> to) const {
-  check_capture();
-  if (on_device()) {
-    const nova::NoGrad no_grad;
-    const std::vector<Array> values = device_derivatives(outputs, to);
-    return put(to, [&](size_t k, const nova::Shape& shape) {
-      return Tensor(values[k].range(), shape, nova::DType::F32);
-    });
-  }
-  const std::vector<std::vector<float>> values = derivatives(outputs, to);
-  put(to, [&](size_t k, const nova::Shape& shape) {
-    return Tensor::from_host(values[k], shape, Device::cpu());
-  });
 }
 
 // The same, as part of a replay: what lies there is written by nobody else meanwhile.
 void RecordedStep::add_backward(std::span<const Tensor> outputs,
                                 std::span<const nova::InputGradient> to) const {
-  const std::vector<std::vector<float>> values = derivatives(outputs, to);
+  const std::vector<Array> values = derivatives(outputs, to);
   const std::vector<Input> all = differentiable();
   for (size_t k = 0; k < all.size(); ++k) {
     if (!to[k].wanted()) continue;
+    const auto* const value = static_cast<const float*>(values[k].raw());
     auto* grad = static_cast<float*>(to[k].grad.range()->data());
     if (!to[k].add) std::fill_n(grad, to[k].grad.size(), 0.0f);
     if (all[k].is_targets) grad += 3 * first_target;
-    for (size_t i = 0; i < values[k].size(); ++i)
-      grad[i] = to[k].add || all[k].is_targets ? grad[i] + values[k][i] : values[k][i];
+    for (size_t i = 0; i < values[k].rows(); ++i)
+      grad[i] = to[k].add || all[k].is_targets ? grad[i] + value[i] : value[i];
   }
 }
 
@@ -317,69 +265,46 @@ void RecordedStep::submit_backward(const std::shared_ptr<RecordedStep>& step,
                 });
 }
 
-RecordedStep::Slopes RecordedStep::tangents(std::span<const Tensor> slopes) const {
+std::array<DeviceArray<Vec3f>, 2> RecordedStep::tangents(std::span<const Tensor> slopes) const {
   const std::vector<Input> all = differentiable();
-  VbdStepTangents direction;
-  for (size_t k = 0; k < all.size(); ++k) {
-    if (!slopes[k].defined()) continue;
-    const auto* const first = slopes[k].data<float>() + (all[k].is_targets ? 3 * first_target : 0);
-    if (all[k].slopes != nullptr) {
-      direction.*all[k].slopes = first;
-    } else {
-      direction.*all[k].vector_slopes = reinterpret_cast<const Vec3f*>(first);
-    }
-  }
-  const auto n = static_cast<size_t>(model->particle_count());
-  Slopes found = {std::vector<Vec3f>(n), std::vector<Vec3f>(n)};
-  steps->tangent(inputs(), direction, found[0].data(), found[1].data());
-  return found;
-}
-
-void RecordedStep::device_tangents(std::span<const Tensor> slopes,
-                                   std::span<const Tensor> outputs) const {
-  require(nova::current_capture() == nullptr, ErrorKind::NotImplemented, kName,
-          ": expected jvp outside a ScopedCapture on ", model->device().str(),
-          ", because the host sets its directions");
-  const nova::NoGrad no_grad;
-  const std::vector<Input> all = differentiable();
-  VbdStepArrays direction;
+  VbdStepDerivatives direction;
   for (size_t k = 0; k < all.size(); ++k)
     if (slopes[k].defined())
-      direction.*all[k].array_bars = Array(
+      direction.*all[k].derivative = Array(
           novaphy::DType::float32, all[k].size(*this), 1,
           (all[k].is_targets ? part_of(slopes[k], first_target, target_count) : slopes[k]).range());
-  DeviceArray<Vec3f> found[2];
+  std::array<DeviceArray<Vec3f>, 2> found;
   for (DeviceArray<Vec3f>& rows : found) {
     const Unobserved unobserved;
     rows = DeviceArray<Vec3f>(static_cast<size_t>(model->particle_count()), model->device());
   }
-  steps->tangent(launch_inputs(), direction, found[0], found[1]);
-  for (size_t k = 0; k < 2; ++k)
-    nova::InputGradient{outputs[k], false}.put(
-        Tensor(found[k].range(), outputs[k].shape(), nova::DType::F32));
+  steps->tangent(inputs(), direction, found[0], found[1]);
+  return found;
 }
 
 void RecordedStep::submit_tangent(const std::shared_ptr<RecordedStep>& step,
                                   std::span<const Tensor> slopes, std::span<const Tensor> outputs) {
-  if (step->on_device()) return step->named([&] { step->device_tangents(slopes, outputs); });
-  if (nova::current_capture() == nullptr) {
-    const Slopes found = step->named([&] { return step->tangents(slopes); });
-    for (size_t k = 0; k < 2; ++k)
-      nova::InputGradient{outputs[k], false}.put(Tensor::from_host(
-          std::span(&found[k].front().x, 3 * found[k].size()), outputs[k].shape(), Device::cpu()));
-    return;
+  if (in_a_capture_of_the_host(*step)) {
+    std::vector<Tensor> reads = step->reads();
+    for (const Tensor& slope : slopes)
+      if (slope.defined()) reads.push_back(slope);
+    const std::vector results(outputs.begin(), outputs.end());
+    return step->capture(std::move(reads), results,
+                         [step, results, along = std::vector(slopes.begin(), slopes.end())] {
+                           const auto found = step->named([&] { return step->tangents(along); });
+                           for (size_t k = 0; k < 2; ++k)
+                             std::copy_n(found[k].data(), found[k].rows(),
+                                         static_cast<Vec3f*>(results[k].range()->data()));
+                         });
   }
-  std::vector<Tensor> reads = step->reads();
-  for (const Tensor& slope : slopes)
-    if (slope.defined()) reads.push_back(slope);
-  const std::vector results(outputs.begin(), outputs.end());
-  step->capture(std::move(reads), results,
-                [step, results, along = std::vector(slopes.begin(), slopes.end())] {
-                  const Slopes found = step->named([&] { return step->tangents(along); });
-                  for (size_t k = 0; k < 2; ++k)
-                    std::copy(found[k].begin(), found[k].end(),
-                              static_cast<Vec3f*>(results[k].range()->data()));
-                });
+  require(nova::current_capture() == nullptr, ErrorKind::NotImplemented, kName,
+          ": expected jvp outside a ScopedCapture on ", step->model->device().str(),
+          ", because the host sets its directions");
+  const nova::NoGrad no_grad;
+  const auto found = step->named([&] { return step->tangents(slopes); });
+  for (size_t k = 0; k < 2; ++k)
+    nova::InputGradient{outputs[k], false}.put(
+        Tensor(found[k].range(), outputs[k].shape(), nova::DType::F32));
 }
 
 }  // namespace novaphy::diff

@@ -42,11 +42,7 @@ struct RecordedStep {
   // An input that has a gradient, and where it is among the derivatives of a step.
   struct Input {
     nova::Tensor tensor;
-    float* VbdStepGradients::*bars = nullptr;
-    const float* VbdStepTangents::*slopes = nullptr;
-    Vec3f* VbdStepGradients::*vector_bars = nullptr;
-    const Vec3f* VbdStepTangents::*vector_slopes = nullptr;
-    Array VbdStepArrays::*array_bars = nullptr;
+    Array VbdStepDerivatives::*derivative;
     bool is_targets = false;
     // Of those that a step reads.
     size_t size(const RecordedStep& step) const {
@@ -71,27 +67,19 @@ struct RecordedStep {
                              std::span<const nova::Tensor> outputs);
 
  private:
-  using Slopes = std::array<std::vector<Vec3f>, 2>;  // of positions and velocities
-
   void check_numbers() const;
   void check_capture() const;
   VbdStepInputs inputs() const;
-  VbdLaunchInputs launch_inputs() const;
   std::vector<nova::Tensor> reads() const;
   void forward();
-  std::vector<std::vector<float>> derivatives(std::span<const nova::Tensor> outputs,
-                                              std::span<const nova::InputGradient> to) const;
-  std::vector<Array> device_derivatives(std::span<const nova::Tensor> outputs,
-                                        std::span<const nova::InputGradient> to) const;
+  std::vector<Array> derivatives(std::span<const nova::Tensor> outputs,
+                                 std::span<const nova::InputGradient> to) const;
   void backward(std::span<const nova::Tensor> outputs,
                 std::span<const nova::InputGradient> to) const;
   void add_backward(std::span<const nova::Tensor> outputs,
                     std::span<const nova::InputGradient> to) const;
-  template <class Value>
-  void put(std::span<const nova::InputGradient> to, const Value& value) const;
-  Slopes tangents(std::span<const nova::Tensor> slopes) const;
-  void device_tangents(std::span<const nova::Tensor> slopes,
-                       std::span<const nova::Tensor> outputs) const;
+  // Of positions and velocities.
+  std::array<DeviceArray<Vec3f>, 2> tangents(std::span<const nova::Tensor> slopes) const;
   // As a launch of a capture on the CPU, which runs `run`.
   void capture(std::vector<nova::Tensor> reads, std::vector<nova::Tensor> results,
                std::function<void()> run) const;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -89,6 +90,17 @@ struct DifferentiableVbd::Work {
         q_out(step.x().rows(), model.device()),
         qd_out(step.x().rows(), model.device()) {}
 
+  // On the CPU at once, without a recorder.
+  struct Call {
+    Call(Work& work, const char* name, const std::shared_ptr<ExclusiveUse>& use)
+        : scope(work.in_use, name, "the solver") {
+      if (work.step.on_cpu()) unseen.emplace();
+      work.in_use_of_caller = use;
+    }
+    const ExclusiveUse::Scope scope;
+    std::optional<Unseen> unseen;
+  };
+
   void run(const StepInputs& in, const vbd::StepResults& out, bool damps) {
     {
       const Unobserved of_the_model;
@@ -173,49 +185,25 @@ VbdGradientInfo DifferentiableVbd::info() const {
   return {"exact", work_->step.last_residual(), 0.0, 0, true};
 }
 
-void DifferentiableVbd::forward(const VbdStepInputs& in, Vec3f* q_out, Vec3f* qd_out) {
-  const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.forward", "the solver");
-  const Unseen unseen;
-  work_->forward({*model_, in}, {.q = direct(q_out), .qd = direct(qd_out)});
-}
-
-void DifferentiableVbd::backward(const VbdStepInputs& in, const Vec3f* q_out_bar,
-                                 const Vec3f* qd_out_bar, const VbdStepGradients& gradients) {
-  const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.backward", "the solver");
-  const Unseen unseen;
-  work_->backward({*model_, in}, {q_out_bar, qd_out_bar}, vbd::derivatives_of(gradients));
-}
-
-void DifferentiableVbd::tangent(const VbdStepInputs& in, const VbdStepTangents& direction,
-                                Vec3f* q_out_slope, Vec3f* qd_out_slope) {
-  const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.tangent", "the solver");
-  const Unseen unseen;
-  const auto slopes = work_->slopes({*model_, in}, vbd::derivatives_of(direction));
-  std::copy(slopes[0].begin(), slopes[0].end(), q_out_slope);
-  std::copy(slopes[1].begin(), slopes[1].end(), qd_out_slope);
-}
-
-void DifferentiableVbd::forward(const VbdLaunchInputs& in, const DeviceArray<Vec3f>& q_out,
+void DifferentiableVbd::forward(const VbdStepInputs& in, const DeviceArray<Vec3f>& q_out,
                                 const DeviceArray<Vec3f>& qd_out,
                                 const std::shared_ptr<ExclusiveUse>& in_use) {
-  const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.forward", "the solver");
-  work_->in_use_of_caller = in_use;
-  work_->forward(StepInputs(in), {.q = q_out, .qd = qd_out});
+  const Work::Call call(*work_, "DifferentiableVbd.forward", in_use);
+  work_->forward(in, {.q = q_out, .qd = qd_out});
 }
 
-void DifferentiableVbd::backward(const VbdLaunchInputs& in, const Array& q_out_bar,
-                                 const Array& qd_out_bar, const VbdStepArrays& gradients,
+void DifferentiableVbd::backward(const VbdStepInputs& in, const Array& q_out_bar,
+                                 const Array& qd_out_bar, const VbdStepDerivatives& gradients,
                                  const std::shared_ptr<ExclusiveUse>& in_use) {
-  const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.backward", "the solver");
-  work_->in_use_of_caller = in_use;
-  work_->backward(StepInputs(in), {q_out_bar, qd_out_bar}, vbd::derivatives_of(gradients));
+  const Work::Call call(*work_, "DifferentiableVbd.backward", in_use);
+  work_->backward(in, {q_out_bar, qd_out_bar}, gradients);
 }
 
-void DifferentiableVbd::tangent(const VbdLaunchInputs& in, const VbdStepArrays& direction,
+void DifferentiableVbd::tangent(const VbdStepInputs& in, const VbdStepDerivatives& direction,
                                 DeviceArray<Vec3f> q_out_slope, DeviceArray<Vec3f> qd_out_slope) {
-  const ExclusiveUse::Scope scope(work_->in_use, "DifferentiableVbd.tangent", "the solver");
+  const Work::Call call(*work_, "DifferentiableVbd.tangent", {});
   const Unseen unseen;
-  const auto slopes = work_->slopes(StepInputs(in), vbd::derivatives_of(direction));
+  const auto slopes = work_->slopes(in, direction);
   q_out_slope.copy_from_host(std::vector<Vec3f>(slopes[0].begin(), slopes[0].end()));
   qd_out_slope.copy_from_host(std::vector<Vec3f>(slopes[1].begin(), slopes[1].end()));
 }

@@ -115,7 +115,7 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
     const Unobserved of_the_model;
     m.update_derived();
   }
-  VbdLaunchInputs inputs;
+  VbdStepInputs inputs;
   inputs.q = state_in.particle_q;
   inputs.qd = state_in.particle_qd;
   inputs.f = state_in.particle_f;
@@ -129,7 +129,7 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
   inputs.last_velocity = w.last;
   w.step.update(dt);
   w.step.run(
-      vbd::StepInputs(inputs),
+      inputs,
       {.q = state_out.particle_q, .qd = state_out.particle_qd, .updates_last = w.last.rows() != 0},
       in_use());
   w.has_stepped = true;

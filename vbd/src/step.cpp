@@ -88,7 +88,8 @@ Step::Step(const Model& m, const VbdOptions& o)
 
 void Step::build() {
   const Unobserved unobserved;
-  copy_ = model_.on_host();
+  copy_ = on_cpu_ ? std::shared_ptr<const Model>(std::shared_ptr<const Model>(), &model_)
+                  : model_.to(Device::cpu());
   const Model& m = host_model();
   for (int32_t p = 0; p < m.particle_count(); ++p) {
     const int32_t w = m.particle_world.data()[p];
@@ -174,6 +175,13 @@ int64_t Step::find_mover() const {
   return options_.safeguard || wanted == "thread" ? 0 : tables_->team;
 }
 
+const DeviceArray<float>& Step::activation_of(const StepInputs& in, Role role) const {
+  const bool is_triangle = role == kTriangle;
+  const DeviceArray<float>& given = is_triangle ? in.tri_activation : in.tet_activation;
+  if (given.rows() != 0) return given;
+  return is_triangle ? model_.particle_tri_activation : model_.particle_tet_activation;
+}
+
 // Writes an activation into the slots, where they do not hold it.
 void Step::activate(Activated& to, Role role, const DeviceArray<float>& activation) {
   if (is_immediate() && !tables_->is_recorded) {
@@ -253,37 +261,35 @@ VbdTableArguments tables_of(const Model& m) {
 
 StepArguments Step::arguments(const StepInputs& in, const StepResults& out) const {
   const Model& m = model_;
-  return {
-      .predict = {.particle_q = in.q,
-                  .particle_qd = in.qd,
-                  .particle_f = in.f,
-                  .particle_inv_mass = m.particle_inv_mass,
-                  .world = m.particle_world,
-                  .gravity = m.gravity,
-                  .last_world = m.world_count() - 1,
-                  .is_held = is_held_,
-                  .h = tables_->dt,
-                  .guess = static_cast<int64_t>(options_.initial_guess),
-                  .last_velocity = in.last_velocity,
-                  .start = start_,
-                  .target = target_,
-                  .moved = moved_,
-                  .x = x_,
-                  .newer = newer_,
-                  .faults = faults_,
-                  .tables = tables_of(m)},
-      .sweep = sweep(0, 0),
-      .newer = newer_,
-      .older = older_,
-      .finish = {.start = start_,
-                 .x = x_,
-                 .h = tables_->dt,
-                 .q = out.q,
-                 .qd = out.qd,
-                 .faults = faults_,
-                 .qd_before = in.qd,
-                 .last_velocity = out.updates_last ? Optional<WritesRow<VbdRow>>(in.last_velocity)
-                                                   : Optional<WritesRow<VbdRow>>(nullptr)}};
+  return {.predict = {.particle_q = in.q,
+                      .particle_qd = in.qd,
+                      .particle_f = in.f,
+                      .particle_inv_mass = m.particle_inv_mass,
+                      .world = m.particle_world,
+                      .gravity = m.gravity,
+                      .last_world = m.world_count() - 1,
+                      .is_held = is_held_,
+                      .h = tables_->dt,
+                      .guess = static_cast<int64_t>(options_.initial_guess),
+                      .last_velocity = if_any(in.last_velocity),
+                      .start = start_,
+                      .target = target_,
+                      .moved = moved_,
+                      .x = x_,
+                      .newer = newer_,
+                      .faults = faults_,
+                      .tables = tables_of(m)},
+          .sweep = sweep(0, 0),
+          .newer = newer_,
+          .older = older_,
+          .finish = {.start = start_,
+                     .x = x_,
+                     .h = tables_->dt,
+                     .q = out.q,
+                     .qd = out.qd,
+                     .faults = faults_,
+                     .qd_before = in.qd,
+                     .last_velocity = out.updates_last ? &in.last_velocity : nullptr}};
 }
 
 StepList& Step::list_for(const StepInputs& in, const StepResults& out) {
@@ -343,13 +349,13 @@ void Step::run(const StepInputs& in, const StepResults& out,
     reserve_training();
     put_numbers(in);
   } else {
-    activate(tables_->triangle, kTriangle, in.tri_activation);
-    activate(tables_->tetrahedron, kTetrahedron, in.tet_activation);
+    activate(tables_->triangle, kTriangle, activation_of(in, kTriangle));
+    activate(tables_->tetrahedron, kTetrahedron, activation_of(in, kTetrahedron));
   }
   if (has_contacts_) find_contacts(*in.contacts);
   list_->prepare();
-  if (in.targets.word() != 0)
-    novaphy::run(step_kernels().target, kinematic_count(),
+  if (in.targets.rows() != 0)
+    novaphy::run(step_kernels().target, held_count(),
                  {.held = held_, .targets = in.targets, .x = x_});
   iterate(*list_);
   if (is_immediate) check_positions();

@@ -76,7 +76,7 @@ class Step {
   int32_t kinematic_count() const { return static_cast<int32_t>(held_.rows()); }
   // Whether a step begins where the velocity before says.
   bool looks_back(const StepInputs& in) const {
-    return options_.initial_guess == VbdInitialGuess::Adaptive && in.last_velocity.word() != 0;
+    return options_.initial_guess == VbdInitialGuess::Adaptive && in.last_velocity.rows() != 0;
   }
 
   // Of the last run.
@@ -147,6 +147,7 @@ class Step {
   void forget_lists();
   void reserve_contacts(int32_t slots);
   void find_contacts(const Contacts& contacts) const;
+  const DeviceArray<float>& activation_of(const StepInputs& in, Role role) const;
   void activate(Activated& to, Role role, const DeviceArray<float>& activation);
   // step_training.cpp
   void reserve_training();

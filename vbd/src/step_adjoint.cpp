@@ -227,11 +227,11 @@ void StepAdjoint::prepare(const StepInputs& in, const ResultBars& bars, const St
                              : from_start                    ? &start_bar_
                                                              : &target_bar_;
   const VbdAdjointBeginArguments begin = {
-      .q_bar = bars.q, .qd_bar = bars.qd, .inverse_h = inverse_h, .x_bar = x_bar_};
+      .q_bar = if_any(bars.q), .qd_bar = if_any(bars.qd), .inverse_h = inverse_h, .x_bar = x_bar_};
   const VbdAdjointEndArguments end = {.is_held = step_.is_held(),
                                       .x_bar = x_bar_,
                                       .guess = guess,
-                                      .qd_bar = bars.qd,
+                                      .qd_bar = if_any(bars.qd),
                                       .inverse_h = inverse_h,
                                       .start_bar = start_bar_};
   const Key key = {.version = step_.version(),

@@ -12,9 +12,9 @@
 
 namespace novaphy::vbd {
 
-// Of the results of a step; null: 0.
+// Of the results of a step; without rows: 0.
 struct ResultBars {
-  Derivative<Vec3f> q, qd;
+  const Array &q, &qd;
 };
 
 class StepAdjoint {
@@ -67,7 +67,7 @@ class StepAdjoint {
   // step_gradients.cpp
   void put(const StepInputs& in, const StepDerivatives& g) const;
   void put_state(const StepInputs& in, const StepDerivatives& g) const;
-  void put_elements(const StepInputs& in, const StepDerivatives& g) const;
+  void put_elements(const StepDerivatives& g) const;
   void put_contacts(const StepInputs& in, const StepDerivatives& g) const;
 
   Step& step_;

@@ -44,10 +44,10 @@ void Step::check_inputs(const StepInputs& in) {
             "]: expected finite numbers, got ", v.x, ", ", v.y, ", ", v.z);
   };
   for (size_t p = 0; p < faults.size(); ++p) {
-    check("state_in.particle_q", p, on_host(in.q)[p]);
+    check("state_in.particle_q", p, in.q.data()[p]);
     if (is_held(p)) continue;
-    check("state_in.particle_qd", p, on_host(in.qd)[p]);
-    check("state_in.particle_f", p, on_host(in.f)[p]);
+    check("state_in.particle_qd", p, in.qd.data()[p]);
+    check("state_in.particle_f", p, in.f.data()[p]);
   }
   fail(ErrorKind::Value, kName, ": state_in: the inertial target of a particle overflows float32");
 }

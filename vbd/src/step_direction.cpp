@@ -24,18 +24,17 @@ class Direction {
     const float* const inv_mass = m.particle_inv_mass.data();
     const auto worlds = static_cast<size_t>(m.world_count());
     const bool previous = step.options().initial_guess == VbdInitialGuess::Previous;
-    const OnHost q_slope(t.particle_q), qd_slope(t.particle_qd), f_slope(t.particle_f),
-        target_slope(t.targets), gravity_slope(t.gravity);
-    const OnHost f(in.f), qd(in.qd);
-    const OnHost mass_slope(t.particle_mass), last_slope(t.last_velocity);
-    const OnHost last(in.last_velocity);
+    const OnHost<Vec3f> q_slope(t.particle_q), qd_slope(t.particle_qd), f_slope(t.particle_f),
+        target_slope(t.targets), gravity_slope(t.gravity), f(in.f), qd(in.qd);
+    const OnHost<float> mass_slope(t.particle_mass), last_slope(t.last_velocity);
+    const OnHost<VbdRow> last(in.last_velocity);
     const std::vector<Vec3f> gravities = step.model().gravity.to_host();
     size_t held = 0;
     for (size_t p = 0; p < to.x.size(); ++p) {
       const Vec3f start = at(q_slope.rows, p);
       to.start[p] = start;
       if (step.is_held(p)) {
-        to.x[p] = in.targets.word() != 0 ? at(target_slope.rows, held) : start;
+        to.x[p] = in.targets.rows() != 0 ? at(target_slope.rows, held) : start;
         ++held;
         continue;
       }
@@ -64,8 +63,8 @@ class Direction {
       const ColorSlots::Table& table = step.slots().table(role);
       const auto lanes = static_cast<size_t>(step.slots().lanes());
       const auto values = parameters_on_host(role, m);
-      const auto slopes = parameter_arrays(role, t, Derivative<float>(),
-                                           [](const Derivative<float>& of) { return OnHost(of); });
+      const auto slopes =
+          parameter_arrays(role, t, Array(), [](const Array& of) { return OnHost<float>(of); });
       for (size_t k = 0; k < table.sources.size(); ++k) {
         const auto [e, corner] = table.sources[k];
         if (e < 0) continue;
@@ -91,7 +90,7 @@ class Direction {
                                shape = in.contacts->soft_contact_shape.to_host();
     const std::vector<float> friction = step.model().shape_material_mu.to_host();
     const float model_mu = step.model().soft_contact_mu;
-    const OnHost radius(t.particle_radius), margin(t.shape_margin), ke(t.shape_material_ke),
+    const OnHost<float> radius(t.particle_radius), margin(t.shape_margin), ke(t.shape_material_ke),
         kd(t.shape_material_kd), mu(t.shape_material_mu);
     to.contacts.resize(items.size() * kContactLawFloats);
     float* slope = to.contacts.data();

@@ -37,14 +37,14 @@ const GradientKernels& kernels() {
 
 template <class... D>
 bool any(const D&... derivatives) {
-  return (derivatives.is_wanted() || ...);
+  return ((derivatives.rows() != 0) || ...);
 }
 
 }  // namespace
 
 void StepAdjoint::put(const StepInputs& in, const StepDerivatives& g) const {
   put_state(in, g);
-  put_elements(in, g);
+  put_elements(g);
   put_contacts(in, g);
 }
 
@@ -61,15 +61,14 @@ void StepAdjoint::put_state(const StepInputs& in, const StepDerivatives& g) cons
                   .target_bar = target_bar_,
                   .mass_bar = mass_bar_,
                   .h = step_.dt(),
-                  .have_targets = int{in.targets.word() != 0},
-                  .by_q = g.particle_q,
-                  .by_qd = g.particle_qd,
-                  .by_f = g.particle_f,
-                  .by_mass = g.particle_mass,
+                  .have_targets = int{in.targets.rows() != 0},
+                  .by_q = if_any(g.particle_q),
+                  .by_qd = if_any(g.particle_qd),
+                  .by_f = if_any(g.particle_f),
+                  .by_mass = if_any(g.particle_mass),
                   .by_gravity = any(g.gravity) ? &gravity_bar_ : nullptr,
-                  .by_last = g.last_velocity,
-                  .last = guessed ? Optional<ReadsRow<VbdRow>>(in.last_velocity)
-                                  : Optional<ReadsRow<VbdRow>>(nullptr),
+                  .by_last = if_any(g.last_velocity),
+                  .last = guessed ? &in.last_velocity : nullptr,
                   .qd = in.qd,
                   .world = m.particle_world,
                   .gravity = m.gravity,
@@ -78,30 +77,25 @@ void StepAdjoint::put_state(const StepInputs& in, const StepDerivatives& g) cons
     novaphy::run(kernels().target_gradient, step_.kinematic_count(),
                  {.held = step_.held(),
                   .x_bar = x_bar_,
-                  .has_targets = int{in.targets.word() != 0},
-                  .by_targets = g.targets});
+                  .has_targets = int{in.targets.rows() != 0},
+                  .by_targets = if_any(g.targets)});
   if (any(g.gravity))
     novaphy::run(kernels().gravity_gradient, m.world_count(),
                  {.begin = tables_.world_begin,
                   .particles = tables_.of_worlds,
                   .of_particles = gravity_bar_,
-                  .by_gravity = g.gravity});
+                  .by_gravity = if_any(g.gravity)});
 }
 
-void StepAdjoint::put_elements(const StepInputs& in, const StepDerivatives& g) const {
+// (No derivative depends on an activation.)
+void StepAdjoint::put_elements(const StepDerivatives& g) const {
   const Model& m = step_.model();
   const Kernel<VbdElementGradientArguments>* const of_role[kRoles] = {
       &kernels().spring_gradient, &kernels().triangle_gradient, nullptr, &kernels().edge_gradient,
       &kernels().tetrahedron_gradient};
-  const auto of_step = [&](const Array& array) {
-    if (&array == &m.particle_tri_activation) return Untyped(in.tri_activation);
-    return Untyped(&array == &m.particle_tet_activation ? in.tet_activation : array);
-  };
   for (const Role role : {kSpring, kTriangle, kHingeEnd, kTetrahedron}) {
-    const auto to = parameter_arrays(role, g, Derivative<float>(), [](const Derivative<float>& by) {
-      return Optional<Writes<float>>(by);
-    });
-    if (std::all_of(to.begin(), to.end(), [](const auto& by) { return by.word() == 0; })) continue;
+    const auto to = parameter_arrays(role, g, Array(), [](const Array& by) { return if_any(by); });
+    if (std::all_of(to.begin(), to.end(), [](const Untyped& by) { return by.word == 0; })) continue;
     const Role other = role == kHingeEnd ? kHingeOpposite : role;
     novaphy::run(*of_role[role], static_cast<int64_t>(tables_.places[role].rows() / kCorners[role]),
                  {.places = std::array{&tables_.places[role], &tables_.places[other]},
@@ -109,7 +103,8 @@ void StepAdjoint::put_elements(const StepInputs& in, const StepDerivatives& g) c
                   .numbers = numbers_,
                   .lanes = step_.slots().lanes(),
                   .h = step_.dt(),
-                  .parameters = parameter_arrays(role, m, Array(), of_step),
+                  .parameters = parameter_arrays(role, m, Array(),
+                                                 [](const Array& of) { return Untyped(of); }),
                   .to = to});
   }
 }
@@ -121,7 +116,7 @@ void StepAdjoint::put_contacts(const StepInputs& in, const StepDerivatives& g) c
     novaphy::run(kernels().radius_gradient, m.particle_count(),
                  {.contact_begin = with_contacts ? &step_.contact_begin() : nullptr,
                   .contact_bars = with_contacts ? &contact_bars_ : nullptr,
-                  .by_radius = g.particle_radius});
+                  .by_radius = if_any(g.particle_radius)});
   if (!any(g.shape_margin, g.shape_material_ke, g.shape_material_kd, g.shape_material_mu)) return;
   if (with_contacts) {
     const auto contacts = static_cast<int64_t>(in.contacts->soft_contact_max());
@@ -144,10 +139,10 @@ void StepAdjoint::put_contacts(const StepInputs& in, const StepDerivatives& g) c
                 .mu = m.shape_material_mu,
                 .model_mu = m.soft_contact_mu,
                 .h = step_.dt(),
-                .by_margin = g.shape_margin,
-                .by_ke = g.shape_material_ke,
-                .by_kd = g.shape_material_kd,
-                .by_mu = g.shape_material_mu});
+                .by_margin = if_any(g.shape_margin),
+                .by_ke = if_any(g.shape_material_ke),
+                .by_kd = if_any(g.shape_material_kd),
+                .by_mu = if_any(g.shape_material_mu)});
 }
 
 }  // namespace novaphy::vbd

@@ -1,5 +1,5 @@
 // Materials and rest shapes that replays read as they are then: see
-// VbdLaunchInputs::trains_elements.
+// VbdStepInputs::trains_elements.
 #include <algorithm>
 #include <span>
 #include <vector>
@@ -92,8 +92,9 @@ void Step::put_numbers(const StepInputs& in) const {
                   .width = trained.array->width(),
                   .allowed = trained.allowed});
   const auto of_step = [&](const Array& array) {
-    if (&array == &model_.particle_tri_activation) return Untyped(in.tri_activation);
-    return Untyped(&array == &model_.particle_tet_activation ? in.tet_activation : array);
+    if (&array == &model_.particle_tri_activation) return Untyped(activation_of(in, kTriangle));
+    if (&array == &model_.particle_tet_activation) return Untyped(activation_of(in, kTetrahedron));
+    return Untyped(array);
   };
   for (int role = 0; role < kRoles; ++role)
     novaphy::run(

@@ -24,14 +24,14 @@ using math::cross;
 using math::dot;
 }  // namespace novaphy::vbd::adjoints
 
-#include "novaphy/vbd/bending_trace.h"
-#include "novaphy/vbd/membrane_trace.h"
-#include "novaphy/vbd/particle_contact_trace.h"
-#include "novaphy/vbd/slot_inputs_trace.h"
-#include "novaphy/vbd/slot_layout_trace.h"
-#include "novaphy/vbd/slot_numbers_trace.h"
-#include "novaphy/vbd/spring_trace.h"
-#include "novaphy/vbd/tetrahedron_trace.h"
+#include "novaphy/vbd/bending_law.h"
+#include "novaphy/vbd/membrane_law.h"
+#include "novaphy/vbd/particle_contact_law.h"
+#include "novaphy/vbd/slot_inputs_law.h"
+#include "novaphy/vbd/slot_layout_law.h"
+#include "novaphy/vbd/slot_numbers_law.h"
+#include "novaphy/vbd/spring_law.h"
+#include "novaphy/vbd/tetrahedron_law.h"
 
 namespace novaphy::vbd::adjoints {
 namespace {

@@ -7,7 +7,7 @@
 
 #include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/model.h"
-#include "novaphy/vbd/slot_layout_trace.h"
+#include "novaphy/vbd/slot_layout_law.h"
 
 namespace novaphy::vbd {
 

@@ -4,7 +4,7 @@
 #include <array>
 
 #include "novaphy/core/sim/model.h"
-#include "novaphy/vbd/slot_numbers_trace.h"
+#include "novaphy/vbd/slot_numbers_law.h"
 
 namespace novaphy::vbd {
 

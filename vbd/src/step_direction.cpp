@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "novaphy/vbd/particle_step_trace.h"
-#include "novaphy/vbd/tangent_trace.h"
+#include "novaphy/vbd/particle_step_law.h"
+#include "novaphy/vbd/tangent_law.h"
 #include "parameter_arrays.h"
 #include "step_tangent.h"
 

@@ -5,9 +5,9 @@
 
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/math/matrix.h"
-#include "novaphy/vbd/particle_step_trace.h"
+#include "novaphy/vbd/particle_step_law.h"
 #include "novaphy/vbd/rows_kernels.h"
-#include "novaphy/vbd/slot_numbers_trace.h"
+#include "novaphy/vbd/slot_numbers_law.h"
 
 namespace novaphy {
 

@@ -6,9 +6,9 @@
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
-#include "novaphy/vbd/contact_numbers_trace.h"
-#include "novaphy/vbd/particle_step_trace.h"
-#include "novaphy/vbd/slot_numbers_trace.h"
+#include "novaphy/vbd/contact_numbers_law.h"
+#include "novaphy/vbd/particle_step_law.h"
+#include "novaphy/vbd/slot_numbers_law.h"
 #include "novaphy/vbd/slot_teams_kernels.h"
 #include "novaphy/vbd/sweep_kernels.h"
 

@@ -1,13 +1,13 @@
 // What a slot reads, as scalars of any kind (sweep_kernels.h, tools/vbd_adjoints), its block and
-// its energy. All is templated on the scalar, so that no level of the sweep shares code with
-// another one.
+// its energy. The functions are templates on the scalar, so that no level of the sweep shares code
+// with another one.
 #pragma once
 
-#include "novaphy/vbd/bending_trace.h"
-#include "novaphy/vbd/membrane_trace.h"
-#include "novaphy/vbd/slot_layout_trace.h"
-#include "novaphy/vbd/spring_trace.h"
-#include "novaphy/vbd/tetrahedron_trace.h"
+#include "novaphy/vbd/bending_law.h"
+#include "novaphy/vbd/membrane_law.h"
+#include "novaphy/vbd/slot_layout_law.h"
+#include "novaphy/vbd/spring_law.h"
+#include "novaphy/vbd/tetrahedron_law.h"
 
 namespace novaphy::vbd {
 

@@ -6,9 +6,9 @@
 #pragma once
 
 #include "novaphy/math/matrix.h"
-#include "novaphy/vbd/membrane_trace.h"
-#include "novaphy/vbd/slot_layout_trace.h"
-#include "novaphy/vbd/tetrahedron_trace.h"
+#include "novaphy/vbd/membrane_law.h"
+#include "novaphy/vbd/slot_layout_law.h"
+#include "novaphy/vbd/tetrahedron_law.h"
 
 namespace novaphy::vbd {
 

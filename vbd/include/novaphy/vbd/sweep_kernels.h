@@ -4,9 +4,9 @@
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
-#include "novaphy/vbd/particle_contact_trace.h"
+#include "novaphy/vbd/particle_contact_law.h"
 #include "novaphy/vbd/rows_kernels.h"
-#include "novaphy/vbd/slot_inputs_trace.h"
+#include "novaphy/vbd/slot_inputs_law.h"
 
 #ifndef NOVAPHY_LANE_FN  // of floats
 #define NOVAPHY_LANE_FN inline

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "novaphy/vbd/sweep_kernels.h"
-#include "novaphy/vbd/tangent_trace.h"
+#include "novaphy/vbd/tangent_law.h"
 
 namespace novaphy {
 

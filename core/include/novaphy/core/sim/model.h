@@ -351,8 +351,7 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   // Says that the joints are those that the arrays hold now, for check_structure.
   void keep_structure();
   // Checks the worlds and NOVAPHY_MODEL_STRUCTURE; ErrorKind::Value names the array and the row
-  // that were changed. Cheap while no array was written. The next launches depend on the present
-  // values.
+  // that were changed. Cheap while no array was written. Later launches depend on the values.
   void check_structure(std::string_view function) const;
   // ErrorKind::Index names the array and the row of a world that is neither -1 nor of the model.
   void check_worlds(std::string_view function) const;

@@ -1,4 +1,4 @@
-// What a step of VBD reads, and where its derivatives go, as arguments of launches.
+// The inputs of a step of VBD, and the destinations of its derivatives, as arguments of launches.
 #pragma once
 
 #include <span>

@@ -1,8 +1,8 @@
-// A colour of VBD in reverse on devices (sweep_adjoint_kernels.h), as three launches:
-// vbd_adjoint_solve finds the multipliers and the steps of the particles, a thread for each, or
-// vbd_adjoint_solve_team by teams; vbd_adjoint_slots what their slots give to positions and
-// numbers, a thread for each lane of a slot; vbd_receive (vbd_gradient_kernels.h) adds that up in
-// slot order.
+// A color of VBD in reverse on devices (sweep_adjoint_kernels.h), as three launches. First,
+// vbd_adjoint_solve finds the multipliers u and the steps d of the particles, a thread for each, or
+// vbd_adjoint_solve_team by teams. Second, vbd_adjoint_slots finds the part of each slot for
+// positions and parameters, a thread for each lane of a slot. Third, vbd_receive
+// (vbd_gradient_kernels.h) adds the parts up in slot order.
 #pragma once
 
 #include "novaphy/vbd/slot_teams_kernels.h"

@@ -1,6 +1,6 @@
-// What the way back through a step of VBD does besides its sweeps, as kernels (row_kernel.h): where
-// it begins and ends, what slots give to other particles, and the derivatives by the arrays of the
-// model and the state, from those by what slots, contacts and targets hold. Null: not wanted.
+// The backward pass of a step of VBD besides its sweeps, as kernels (row_kernel.h): its begin and
+// end, and the parts of slots for other particles. Other kernels turn derivatives by slots,
+// contacts and targets into derivatives by arrays of the model and the state. Null: not wanted.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"

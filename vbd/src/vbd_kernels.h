@@ -1,8 +1,8 @@
 // A step of VBD as kernels (row_kernel.h), whose sweep is sweep_kernels.h.
 //
-// A colour moves in one of two ways, of the same bits: vbd_move, a thread for each particle;
-// vbd_move_team, for devices only, where the threads of a block share the slots of some groups and
-// a thread for each component of their blocks adds them in slot order.
+// A color moves in one of two ways, of the same bits. In vbd_move a thread moves each particle. In
+// vbd_move_team, for devices only, the threads of a block share the slots of some groups. A thread
+// for each component of the particles' matrices then adds the slots in slot order.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"

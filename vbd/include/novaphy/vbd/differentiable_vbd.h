@@ -17,7 +17,7 @@ struct VbdStepInputs {
   DeviceArray<Vec3f> q, qd, f;
   DeviceArray<float> tri_activation = {}, tet_activation = {};  // without rows: the model's
   const Contacts* contacts = nullptr;                           // null: none
-  DeviceArray<Vec3f> targets = {};  // of the held particles; without rows: they stay
+  DeviceArray<Vec3f> targets = {};  // of the kinematic particles; without rows: they stay
   float dt = 0.0f;                  // s
   // Of the adaptive guess: the velocity at the start of the step before (m/s), and 1, or 0 where
   // there was none; without rows: none.
@@ -30,8 +30,8 @@ struct VbdStepInputs {
 // One derivative for each number that a step reads, as float32 with the rows and columns of the
 // arrays of Model of these names, and of the targets. Either those of a scalar by what a step
 // reads, written in full (without rows: not wanted), or those of what it reads along a direction
-// (without rows: 0). Held particles have none by mass. Where friction has no part (the product of
-// the coefficients is 0) there is none by shape_material_mu.
+// (without rows: 0). Kinematic particles have none by mass. Where friction has no part (the product
+// of the coefficients is 0) there is none by shape_material_mu.
 struct VbdStepDerivatives {
   Array particle_q = {};
   Array particle_qd = {};
@@ -91,8 +91,9 @@ struct VbdGradientInfo {
 // residual method. Before, Newton's method with the tangent of the same sweeps solves the step,
 // which `forward` returns then. J holds the whole derivative, also what H leaves out.
 //
-// Points, normals and velocities of contacts are frozen. Held particles carry a gradient by their
-// positions or targets. The result has the same bits for any number of threads and any processor.
+// Points, normals and velocities of contacts are frozen. Kinematic particles carry a gradient by
+// their positions or targets. The result has the same bits for any number of threads and any
+// processor.
 class NOVAPHY_VBD_API DifferentiableVbd {
  public:
   // ErrorKind::NotImplemented: acceleration, tolerance, safeguard.
@@ -101,7 +102,7 @@ class NOVAPHY_VBD_API DifferentiableVbd {
                              const VbdGradientOptions& gradient_options = {});
   ~DifferentiableVbd();
 
-  int32_t held_count() const;
+  int32_t kinematic_count() const;
   // On the CPU all of these run at once, and nobody records. On a device they are launches: forward
   // and, unrolled, backward may be recorded; `in_use` is the use of the memory, which a recording
   // takes. Else the host waits. Errors as SolverVBD::step.

@@ -1,4 +1,4 @@
-// What a slot reads, as scalars of any kind (sweep_kernels.h, tools/vbd_adjoints), its block and
+// The inputs of a slot, as scalars of any kind (sweep_kernels.h, tools/vbd_adjoints), its block and
 // its energy. The functions are templates on the scalar, so that no level of the sweep shares code
 // with another one.
 #pragma once

@@ -354,7 +354,7 @@ void Step::run(const StepInputs& in, const StepResults& out,
   if (has_contacts_) find_contacts(*in.contacts);
   list_->prepare();
   if (in.targets.rows() != 0)
-    novaphy::run(step_kernels().target, held_count(),
+    novaphy::run(step_kernels().target, kinematic_count(),
                  {.held = held_, .targets = in.targets, .x = x_});
   iterate(*list_);
   if (is_immediate) check_positions();

@@ -108,7 +108,7 @@ void of_sweep(const VbdSweepArguments&, const LaneGroup<Lanes>& g) {
 }
 
 // Of the other files of the level: see SweepLevel.
-extern const GroupKernel kAdjoint, kAdjointStart, kTangent, kTangentStart;
+GroupKernel adjoint, adjoint_start, tangent, tangent_start;
 
 }  // namespace NOVAPHY_LEVEL
 }  // namespace novaphy::vbd

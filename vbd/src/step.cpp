@@ -88,7 +88,8 @@ Step::Step(const Model& m, const VbdOptions& o)
 
 void Step::build() {
   const Unobserved unobserved;
-  copy_ = model_.on_host();
+  copy_ = on_cpu_ ? std::shared_ptr<const Model>(std::shared_ptr<const Model>(), &model_)
+                  : model_.to(Device::cpu());
   const Model& m = host_model();
   for (int32_t p = 0; p < m.particle_count(); ++p) {
     const int32_t w = m.particle_world.data()[p];
@@ -193,7 +194,7 @@ void Step::activate(Activated& to, Role role, const DeviceArray<float>& activati
   }
   const auto rows = static_cast<int64_t>(to.element.rows());
   if (rows == 0) return;
-  novaphy::run(step_kernels().activation, rows,
+  novaphy::run(kernels().activation, rows,
                {.element = to.element,
                 .alpha = to.alpha,
                 .particle_tri_activation = role == kTriangle ? &activation : nullptr,
@@ -211,7 +212,7 @@ void Step::find_contacts(const Contacts& c) const {
                 .slots = c.soft_contact_max(),
                 .offsets = contact_begin_,
                 .items = contact_items_});
-  novaphy::run(step_kernels().contact, c.soft_contact_max(),
+  novaphy::run(kernels().contact, c.soft_contact_max(),
                {.begin = contact_begin_,
                 .items = contact_items_,
                 .particles = particles,
@@ -354,8 +355,7 @@ void Step::run(const StepInputs& in, const StepResults& out,
   if (has_contacts_) find_contacts(*in.contacts);
   list_->prepare();
   if (in.targets.rows() != 0)
-    novaphy::run(step_kernels().target, kinematic_count(),
-                 {.held = held_, .targets = in.targets, .x = x_});
+    novaphy::run(kernels().target, held_count(), {.held = held_, .targets = in.targets, .x = x_});
   iterate(*list_);
   if (is_immediate) check_positions();
   list_->finish();
@@ -382,9 +382,9 @@ void Step::finish_again() const { list_->finish(); }
 
 void Step::find_residuals() {
   const int64_t groups = colors().back();
-  novaphy::run(step_kernels().clear, static_cast<int64_t>(of_particles_.rows()),
+  novaphy::run(kernels().clear, static_cast<int64_t>(of_particles_.rows()),
                {.values = of_particles_});
-  novaphy::run(step_kernels().residual, groups * slots_.lanes(), sweep(0, groups));
+  novaphy::run(kernels().residual, groups * slots_.lanes(), sweep(0, groups));
 }
 
 VbdResidual Step::last_residual() const {

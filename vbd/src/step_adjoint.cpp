@@ -2,25 +2,10 @@
 
 #include "solution.h"
 
-namespace novaphy::detail {
-const char* vbd_gradient_kernels_text();
-}  // namespace novaphy::detail
-
 namespace novaphy::vbd {
 namespace {
 
 constexpr int64_t kGroupsPerChunk = 4;  // that a thread of the CPU takes at a time
-
-// Never destroyed: recordings refer to them.
-struct Kernels {
-  Kernel<VbdAdjointBeginArguments> begin{vbd_adjoint_begin, detail::vbd_gradient_kernels_text};
-  Kernel<VbdAdjointEndArguments> end{vbd_adjoint_end, detail::vbd_gradient_kernels_text};
-  Kernel<VbdReceiveArguments> receive{vbd_receive, detail::vbd_gradient_kernels_text};
-};
-const Kernels& kernels() {
-  static const auto& all = *new Kernels;
-  return all;
-}
 
 }  // namespace
 
@@ -136,17 +121,19 @@ void StepAdjoint::add_receive(size_t color, const Rows4* own, const Rows4& rows,
 
 // Back through the step of some groups, up to what particles get.
 void StepAdjoint::add_groups(const VbdAdjointArguments& a) {
-  const AdjointKernels& adjoint = adjoint_kernels();
   const int64_t groups = a.sweep.end_group - a.sweep.first_group, lanes = step_.slots().lanes();
-  const Kernel<VbdAdjointArguments>& slots = adjoint.slots[key_.at_rest][key_.weights];
+  const Kernel<VbdAdjointArguments>& slots =
+      key_.at_rest   ? (key_.weights ? kernels().adjoint_rest_weights : kernels().adjoint_rest)
+      : key_.weights ? kernels().adjoint_weights
+                     : kernels().adjoint_slots;
   if (step_.on_cpu()) {
     list_->add(slots, groups * lanes, a, kGroupsPerChunk * lanes);
     return;
   }
   if (key_.team == 0 || a.multiplier.word() != 0) {
-    list_->add(adjoint.solve, groups * lanes, a);
+    list_->add(kernels().adjoint_solve, groups * lanes, a);
   } else {
-    list_->add(adjoint.solve_team, team_threads(groups, key_.team), a);
+    list_->add(kernels().adjoint_solve_team, team_threads(groups, key_.team), a);
   }
   list_->add(slots, a.ends[kRoles - 1], a);
 }
@@ -154,7 +141,8 @@ void StepAdjoint::add_groups(const VbdAdjointArguments& a) {
 // Of what slots have of the start. On the CPU a particle gets its own when its colour comes.
 void StepAdjoint::add_starts() {
   const std::vector<int64_t>& colors = step_.colors();
-  const Kernel<VbdAdjointArguments>& start = adjoint_kernels().start[key_.weights];
+  const Kernel<VbdAdjointArguments>& start =
+      key_.weights ? kernels().adjoint_start_weights : kernels().adjoint_start;
   const int64_t lanes = step_.slots().lanes();
   if (!step_.on_cpu()) {
     const VbdAdjointArguments a = arguments(nullptr, 0, colors.back());
@@ -175,22 +163,21 @@ void StepAdjoint::make_list(const VbdAdjointBeginArguments& begin,
   const int64_t n = step_.model().particle_count();
   list_.emplace(step_.device());
   const auto clear = [&](const Array& values) {
-    list_->add(step_kernels().clear, static_cast<int64_t>(values.bytes() / sizeof(float)),
+    list_->add(kernels().clear, static_cast<int64_t>(values.bytes() / sizeof(float)),
                {.values = Untyped(values)});
   };
   for (const Array* rows :
        std::initializer_list<const Array*>{&start_bar_, &target_bar_, &mass_bar_, &numbers_})
     clear(*rows);
   if (key_.with_contacts) clear(contact_bars_);
-  begin_ = list_->add(kernels().begin, n, begin);
+  begin_ = list_->add(kernels().adjoint_begin, n, begin);
   sweeps_ = list_->size();
   const auto add_colors = [&](const Rows4* iterate, const Rows4* sum) {
     for (size_t color = colors.size() - 1; color-- > 0;) {
       const int64_t first = colors[color], groups = colors[color + 1] - first;
       const bool commits = iterate != nullptr && step_.slots().has_conflicts();
       if (commits)
-        list_->add(step_kernels().commit, groups * step_.slots().lanes(),
-                   step_.commit(first, *iterate));
+        list_->add(kernels().commit, groups * step_.slots().lanes(), step_.commit(first, *iterate));
       VbdAdjointArguments a = arguments(commits ? nullptr : iterate, first, colors[color + 1]);
       a.multiplier_sum = sum;
       add_groups(a);
@@ -212,7 +199,7 @@ void StepAdjoint::make_list(const VbdAdjointBeginArguments& begin,
       for (size_t color = 0; color + 1 < colors.size(); ++color)
         add_receive(color, &own_, x_bar_, parts);
   }
-  end_ = list_->add(kernels().end, n, end);
+  end_ = list_->add(kernels().adjoint_end, n, end);
   add_starts();
 }
 

@@ -7,33 +7,8 @@
 #include "parameter_arrays.h"
 #include "step_adjoint.h"
 
-namespace novaphy::detail {
-const char* vbd_gradient_kernels_text();
-}  // namespace novaphy::detail
-
 namespace novaphy::vbd {
 namespace {
-
-// Never destroyed: recordings refer to them.
-struct GradientKernels {
-#define NOVAPHY_VBD_KERNEL(name) \
-  Kernel<decltype(vbd_##name)::Arguments> name{vbd_##name, detail::vbd_gradient_kernels_text};
-  NOVAPHY_VBD_KERNEL(particle_gradient)
-  NOVAPHY_VBD_KERNEL(target_gradient)
-  NOVAPHY_VBD_KERNEL(gravity_gradient)
-  NOVAPHY_VBD_KERNEL(spring_gradient)
-  NOVAPHY_VBD_KERNEL(edge_gradient)
-  NOVAPHY_VBD_KERNEL(triangle_gradient)
-  NOVAPHY_VBD_KERNEL(tetrahedron_gradient)
-  NOVAPHY_VBD_KERNEL(radius_gradient)
-  NOVAPHY_VBD_KERNEL(contact_shape)
-  NOVAPHY_VBD_KERNEL(shape_gradient)
-#undef NOVAPHY_VBD_KERNEL
-};
-const GradientKernels& kernels() {
-  static const auto& all = *new GradientKernels;
-  return all;
-}
 
 template <class... D>
 bool any(const D&... derivatives) {

@@ -2,45 +2,102 @@
 // (sweep.h), which have the bits of a device's threads.
 #pragma once
 
+#include <cstddef>
+
 #include "novaphy/core/device_kernel.h"
+#include "sweep.h"
 #include "vbd_adjoint_kernels.h"
 #include "vbd_gradient_kernels.h"
 #include "vbd_kernels.h"
 #include "vbd_tangent_kernels.h"
 
+namespace novaphy::detail {
+const char* vbd_kernels_text();
+const char* vbd_adjoint_kernels_text();
+const char* vbd_gradient_kernels_text();
+const char* vbd_tangent_kernels_text();
+}  // namespace novaphy::detail
+
 namespace novaphy::vbd {
 
 // Of a group on a device.
-int lanes_on(Device device);
+inline int lanes_on(Device device) { return device.is_cpu() ? sweep_level().lanes : kVbdLanes; }
 
-struct StepKernels {
-  Kernel<VbdPredictArguments> predict;
-  Kernel<VbdTargetArguments> target;
-  Kernel<VbdActivationArguments> activation;
-  Kernel<VbdContactArguments> contact;
-  Kernel<VbdSweepArguments> prepare, move, move_guarded, move_team, residual;
-  Kernel<VbdCommitArguments> commit;
-  Kernel<VbdAccelerateArguments> accelerate;
-  Kernel<VbdKeepArguments> keep;
-  Kernel<VbdFinishArguments> finish;
-  Kernel<VbdClearArguments> clear;
+// The arguments of all of these kernels begin with those of a sweep.
+template <GroupKernel* SweepLevel::*of>
+void run_level(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {
+  const auto& sweep = novaphy::detail::arguments_of<VbdSweepArguments>(words);
+  (sweep_level_of(sweep.lanes).*of)(words, n, begin, end);
+}
+static_assert(offsetof(VbdAdjointArguments, sweep) == 0 &&
+              offsetof(VbdTangentArguments, sweep) == 0);
+template <class A>
+constexpr RowKernel<A> with_rows(RowKernel<A> kernel, GroupKernel* rows) {
+  kernel.rows = rows;
+  return kernel;
+}
+// Kernels refer to them.
+template <const auto& kernel, GroupKernel* SweepLevel::*of>
+inline constexpr auto kLanes = with_rows(kernel, run_level<of>);
+
+struct Kernels {
+#define NOVAPHY_KERNEL_OF(module, name) \
+  Kernel<decltype(vbd_##name)::Arguments> name{vbd_##name, novaphy::detail::module##_kernels_text};
+#define NOVAPHY_LEVEL_KERNEL_OF(module, name, of)                                   \
+  Kernel<decltype(vbd_##name)::Arguments> name{kLanes<vbd_##name, &SweepLevel::of>, \
+                                               novaphy::detail::module##_kernels_text};
+  NOVAPHY_KERNEL_OF(vbd, predict)
+  NOVAPHY_KERNEL_OF(vbd, target)
+  NOVAPHY_KERNEL_OF(vbd, activation)
+  NOVAPHY_KERNEL_OF(vbd, spring_numbers)
+  NOVAPHY_KERNEL_OF(vbd, triangle_numbers)
+  NOVAPHY_KERNEL_OF(vbd, hinge_numbers)
+  NOVAPHY_KERNEL_OF(vbd, tetrahedron_numbers)
+  NOVAPHY_KERNEL_OF(vbd, material)
+  NOVAPHY_KERNEL_OF(vbd, contact)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd, prepare, prepare)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd, move, move)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd, move_guarded, move_guarded)
+  NOVAPHY_KERNEL_OF(vbd, move_team)
+  NOVAPHY_KERNEL_OF(vbd, commit)
+  NOVAPHY_KERNEL_OF(vbd, accelerate)
+  NOVAPHY_KERNEL_OF(vbd, finish)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd, residual, residual)
+
+  // On devices a colour in reverse is two launches, of a kernel that solves and one of slots. On
+  // the CPU the latter does all for the groups of the launch, and leaves no own terms.
+  NOVAPHY_KERNEL_OF(vbd_adjoint, adjoint_solve)
+  NOVAPHY_KERNEL_OF(vbd_adjoint, adjoint_solve_team)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_slots, adjoint)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_weights, adjoint)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_rest, adjoint)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_rest_weights, adjoint)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_start, adjoint_start)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_start_weights, adjoint_start)
+
+  NOVAPHY_KERNEL_OF(vbd_gradient, clear)
+  NOVAPHY_KERNEL_OF(vbd_gradient, keep)
+  NOVAPHY_KERNEL_OF(vbd_gradient, adjoint_begin)
+  NOVAPHY_KERNEL_OF(vbd_gradient, adjoint_end)
+  NOVAPHY_KERNEL_OF(vbd_gradient, receive)
+  NOVAPHY_KERNEL_OF(vbd_gradient, particle_gradient)
+  NOVAPHY_KERNEL_OF(vbd_gradient, target_gradient)
+  NOVAPHY_KERNEL_OF(vbd_gradient, gravity_gradient)
+  NOVAPHY_KERNEL_OF(vbd_gradient, spring_gradient)
+  NOVAPHY_KERNEL_OF(vbd_gradient, edge_gradient)
+  NOVAPHY_KERNEL_OF(vbd_gradient, triangle_gradient)
+  NOVAPHY_KERNEL_OF(vbd_gradient, tetrahedron_gradient)
+  NOVAPHY_KERNEL_OF(vbd_gradient, radius_gradient)
+  NOVAPHY_KERNEL_OF(vbd_gradient, contact_shape)
+  NOVAPHY_KERNEL_OF(vbd_gradient, shape_gradient)
+
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_tangent, tangent, tangent)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_tangent, tangent_start, tangent_start)
+  NOVAPHY_KERNEL_OF(vbd_tangent, tangent_move)
+#undef NOVAPHY_KERNEL_OF
+#undef NOVAPHY_LEVEL_KERNEL_OF
 };
 // Never destroyed, as all kernels: recordings refer to them.
-const StepKernels& step_kernels();
-
-// On devices a colour in reverse is two launches, `solve` or `solve_team` and one of `slots`; on
-// the CPU the latter does all for the groups of the launch, and leaves no own terms.
-struct AdjointKernels {
-  Kernel<VbdAdjointArguments> solve, solve_team;
-  Kernel<VbdAdjointArguments> slots[2][2];  // at a solution; also by the weights of slots
-  Kernel<VbdAdjointArguments> start[2];     // also by the weights of slots
-};
-const AdjointKernels& adjoint_kernels();
-
-struct TangentKernels {
-  Kernel<VbdTangentArguments> tangent, start;
-  Kernel<VbdTangentMoveArguments> move;
-};
-const TangentKernels& tangent_kernels();
+const Kernels& kernels();
 
 }  // namespace novaphy::vbd

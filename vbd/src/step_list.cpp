@@ -21,10 +21,9 @@ int64_t team_threads(int64_t groups, int64_t team) {
 
 // The particles of a colour move, one colour after the other.
 void StepList::add_moves(const StepPlan& plan, const VbdSweepArguments& all) {
-  const StepKernels& kernels = step_kernels();
-  const Kernel<VbdSweepArguments>& move = plan.team != 0   ? kernels.move_team
-                                          : plan.safeguard ? kernels.move_guarded
-                                                           : kernels.move;
+  const Kernel<VbdSweepArguments>& move = plan.team != 0   ? kernels().move_team
+                                          : plan.safeguard ? kernels().move_guarded
+                                                           : kernels().move;
   for (size_t c = 0; c + 1 < plan.colors.size(); ++c) {
     const int64_t first = plan.colors[c], end = plan.colors[c + 1], groups = end - first;
     const int64_t lanes = groups * plan.lanes;
@@ -32,7 +31,7 @@ void StepList::add_moves(const StepPlan& plan, const VbdSweepArguments& all) {
               of_groups(all, first, end), kLaneRows);
     if (plan.has_conflicts)
       list_.add(
-          kernels.commit, lanes,
+          kernels().commit, lanes,
           {.particle = all.particle, .first_lane = first * plan.lanes, .from = all.to, .x = all.x},
           kLaneRows);
   }
@@ -41,21 +40,20 @@ void StepList::add_moves(const StepPlan& plan, const VbdSweepArguments& all) {
 StepList::StepList(const StepPlan& plan, const StepArguments& a,
                    std::span<const WritesRow<VbdRow>> iterates)
     : list_(plan.device) {
-  const StepKernels& kernels = step_kernels();
   const int64_t n = plan.particles, groups = plan.colors.back();
   const auto keep = [&](size_t iteration) {
     if (iteration < iterates.size())
-      list_.add(kernels.keep, n, {.x = a.sweep.x, .iterate = iterates[iteration]}, kParticleRows);
+      list_.add(kernels().keep, n, {.x = a.sweep.x, .iterate = iterates[iteration]}, kParticleRows);
   };
-  predict_ = list_.add(kernels.predict, n, a.predict, kParticleRows);
+  predict_ = list_.add(kernels().predict, n, a.predict, kParticleRows);
   prepare_ =
-      list_.add(kernels.prepare, groups * plan.lanes, of_groups(a.sweep, 0, groups), kLaneRows);
+      list_.add(kernels().prepare, groups * plan.lanes, of_groups(a.sweep, 0, groups), kLaneRows);
   iterations_.push_back(list_.size());
   for (int32_t k = 1; k <= plan.iterations; ++k) {
     keep(static_cast<size_t>(k - 1));
     add_moves(plan, a.sweep);
     if (!plan.chebyshev.empty())
-      list_.add(kernels.accelerate, n,
+      list_.add(kernels().accelerate, n,
                 {.is_held = a.predict.is_held,
                  .contact_begin = a.sweep.contact_begin,
                  .omega = plan.chebyshev[static_cast<size_t>(k)],
@@ -69,7 +67,7 @@ StepList::StepList(const StepPlan& plan, const StepArguments& a,
     iterations_.push_back(list_.size());
   }
   keep(static_cast<size_t>(plan.iterations));
-  finish_ = list_.add(kernels.finish, n, a.finish, kParticleRows);
+  finish_ = list_.add(kernels().finish, n, a.finish, kParticleRows);
   again_ = list_.size();
   add_moves(plan, a.sweep);
 }

@@ -22,7 +22,7 @@ void StepTangent::put(const SweepTangents& along) {
   numbers_ = upload<float>(along.numbers, device);
   VbdTangentArguments a = arguments(0, step_.colors().size() - 1, true);
   a.x = nullptr;
-  novaphy::run(tangent_kernels().start, step_.colors().back() * step_.slots().lanes(), a);
+  novaphy::run(kernels().tangent_start, step_.colors().back() * step_.slots().lanes(), a);
 }
 
 VbdTangentArguments StepTangent::arguments(size_t first_color, size_t last_color,
@@ -51,13 +51,13 @@ VbdTangentArguments StepTangent::arguments(size_t first_color, size_t last_color
 
 void StepTangent::launch(const VbdTangentArguments& a) const {
   const int64_t groups = a.sweep.end_group - a.sweep.first_group;
-  novaphy::run(tangent_kernels().tangent, groups * step_.slots().lanes(), a);
+  novaphy::run(kernels().tangent, groups * step_.slots().lanes(), a);
 }
 
 // The particles of a colour take their steps.
 void StepTangent::move(size_t color, const Rows4& x) const {
   const int64_t first = step_.colors()[color], groups = step_.colors()[color + 1] - first;
-  novaphy::run(tangent_kernels().move, groups * step_.slots().lanes(),
+  novaphy::run(kernels().tangent_move, groups * step_.slots().lanes(),
                {.particle = step_.particles(),
                 .filled = step_.filled(),
                 .first_group = first,
@@ -75,7 +75,7 @@ Rows StepTangent::unrolled(const SweepTangents& along) {
   const std::vector<Rows4>& iterates = step_.iterates();
   const auto n = static_cast<int64_t>(x_.rows());
   const auto copy = [n](const Rows4& from, const Rows4& to) {
-    novaphy::run(step_kernels().keep, n, {.x = from, .iterate = to});
+    novaphy::run(kernels().keep, n, {.x = from, .iterate = to});
   };
   copy(step_.x(), result_);
   if (!iterates.empty()) copy(iterates.front(), step_.x());
@@ -86,7 +86,7 @@ Rows StepTangent::unrolled(const SweepTangents& along) {
       launch(a);
       move(color, x_);
       const int64_t first = step_.colors()[color], groups = step_.colors()[color + 1] - first;
-      novaphy::run(step_kernels().commit, groups * step_.slots().lanes(),
+      novaphy::run(kernels().commit, groups * step_.slots().lanes(),
                    step_.commit(first, k + 1 < iterates.size() ? iterates[k + 1] : result_));
     }
   return download(x_);

@@ -8,31 +8,7 @@
 #include "parameter_arrays.h"
 #include "step.h"
 
-namespace novaphy::detail {
-const char* vbd_kernels_text();
-}  // namespace novaphy::detail
-
 namespace novaphy::vbd {
-namespace {
-
-// Never destroyed, as those of step_kernel_set.h.
-struct TrainingKernels {
-#define NOVAPHY_VBD_KERNEL(name) \
-  Kernel<decltype(vbd_##name)::Arguments> name{vbd_##name, detail::vbd_kernels_text};
-  NOVAPHY_VBD_KERNEL(material)
-  NOVAPHY_VBD_KERNEL(spring_numbers)
-  NOVAPHY_VBD_KERNEL(triangle_numbers)
-  NOVAPHY_VBD_KERNEL(hinge_numbers)
-  NOVAPHY_VBD_KERNEL(tetrahedron_numbers)
-#undef NOVAPHY_VBD_KERNEL
-};
-const TrainingKernels& kernels() {
-  static const auto& all = *new TrainingKernels;
-  return all;
-}
-
-}  // namespace
-
 // What put_numbers needs, for the tables as they are.
 void Step::reserve_training() {
   Tables& t = *tables_;

@@ -6,13 +6,13 @@
 namespace novaphy::vbd {
 
 // A function over rows of a launch, as of novaphy_row_function. Its rows are lanes of groups.
-using GroupKernel = void (*)(const uint64_t* words, int64_t n, int64_t begin, int64_t end);
+using GroupKernel = void(const uint64_t* words, int64_t n, int64_t begin, int64_t end);
 
 struct SweepLevel {
   const char* name;
   int lanes;
-  GroupKernel prepare, move, move_guarded, residual;
-  const GroupKernel &adjoint, &adjoint_start, &tangent, &tangent_start;  // of other files
+  GroupKernel *prepare, *move, *move_guarded, *residual, *adjoint, *adjoint_start, *tangent,
+      *tangent_start;
 };
 
 // The level of NOVAPHY_CPU_ISA, else the best of this processor. ErrorKind::Runtime: the variable

@@ -5,7 +5,11 @@
 
 namespace novaphy::vbd::NOVAPHY_LEVEL {
 
-const GroupKernel kAdjoint = over_groups<VbdAdjointArguments, reverse_group<Lanes>>;
-const GroupKernel kAdjointStart = over_groups<VbdAdjointArguments, reverse_group_start<Lanes>>;
+void adjoint(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {
+  over_groups<VbdAdjointArguments, reverse_group<Lanes>>(words, n, begin, end);
+}
+void adjoint_start(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {
+  over_groups<VbdAdjointArguments, reverse_group_start<Lanes>>(words, n, begin, end);
+}
 
 }  // namespace novaphy::vbd::NOVAPHY_LEVEL

@@ -4,7 +4,7 @@
 namespace novaphy::vbd::NOVAPHY_LEVEL {
 
 template <void (*body)(const LaneGroup<Lanes>&)>
-constexpr GroupKernel kOf = over_groups<VbdSweepArguments, of_sweep<body>>;
+constexpr GroupKernel* kOf = over_groups<VbdSweepArguments, of_sweep<body>>;
 
 extern const SweepLevel kLevel;
 const SweepLevel kLevel = {.name = NOVAPHY_LEVEL_NAME,
@@ -13,9 +13,9 @@ const SweepLevel kLevel = {.name = NOVAPHY_LEVEL_NAME,
                            .move = kOf<vbd::move<false, Lanes>>,
                            .move_guarded = kOf<vbd::move<true, Lanes>>,
                            .residual = kOf<vbd::residual<Lanes>>,
-                           .adjoint = kAdjoint,
-                           .adjoint_start = kAdjointStart,
-                           .tangent = kTangent,
-                           .tangent_start = kTangentStart};
+                           .adjoint = adjoint,
+                           .adjoint_start = adjoint_start,
+                           .tangent = tangent,
+                           .tangent_start = tangent_start};
 
 }  // namespace novaphy::vbd::NOVAPHY_LEVEL

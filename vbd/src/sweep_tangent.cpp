@@ -5,7 +5,11 @@
 
 namespace novaphy::vbd::NOVAPHY_LEVEL {
 
-const GroupKernel kTangent = over_groups<VbdTangentArguments, vbd::tangent<Lanes>>;
-const GroupKernel kTangentStart = over_groups<VbdTangentArguments, vbd::tangent_start<Lanes>>;
+void tangent(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {
+  over_groups<VbdTangentArguments, vbd::tangent<Lanes>>(words, n, begin, end);
+}
+void tangent_start(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {
+  over_groups<VbdTangentArguments, vbd::tangent_start<Lanes>>(words, n, begin, end);
+}
 
 }  // namespace novaphy::vbd::NOVAPHY_LEVEL

@@ -10,36 +10,10 @@
 
 namespace novaphy {
 
-// "weights": also by the weights of slots; "rest": vbd_adjoint_slots at a solution; "start": of
-// what slots have of the start.
 NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve, VbdAdjointArguments);
 NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve_team, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_slots, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_weights, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_rest, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_rest_weights, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_start_weights, VbdAdjointArguments);
 
-#ifdef NOVAPHY_KERNEL
 namespace vbd {
-
-// Finds u and d of a particle from its block, and what its inertia and contacts give.
-struct SolveParticle {
-  using Lane = LaneGroup<float>;
-  const VbdAdjointArguments& a;
-  explicit SolveParticle(const VbdAdjointArguments& arguments) : a(arguments) {}
-  void ask(const Lane&) {}
-  Vec3f place(const Lane& g) const { return g.at(a.before != nullptr ? a.before : a.sweep.x); }
-  void put(const Lane& g, const Block<float>& block) const {
-    const Reversed<float> of = reverse_particles(a, g, place_before(a, g), block);
-    g.put(a.u, of.u);
-    g.put(a.d, of.d);
-    g.put(a.own, of.own);
-  }
-};
-
-inline int64_t row_of(int64_t block) { return block * 128 + static_cast<int64_t>(threadIdx.x); }
 
 // Calls body(slot, particle) for the lane of a slot that a row of a launch is.
 template <class Body>
@@ -71,9 +45,48 @@ inline void reverse_starts(const VbdAdjointArguments& a, int64_t row) {
 
 }  // namespace vbd
 
+// `row`: over the lanes of the slots of the launch. "weights": also by the weights of slots;
+// "rest": at a solution; "start": of what slots have of the start.
+NOVAPHY_ROW_KERNEL(vbd_adjoint_slots, VbdAdjointArguments) {
+  vbd::reverse_slots<false, false>(a, row);
+}
+NOVAPHY_ROW_KERNEL(vbd_adjoint_weights, VbdAdjointArguments) {
+  vbd::reverse_slots<false, true>(a, row);
+}
+NOVAPHY_ROW_KERNEL(vbd_adjoint_rest, VbdAdjointArguments) {
+  vbd::reverse_slots<true, false>(a, row);
+}
+NOVAPHY_ROW_KERNEL(vbd_adjoint_rest_weights, VbdAdjointArguments) {
+  vbd::reverse_slots<true, true>(a, row);
+}
+NOVAPHY_ROW_KERNEL(vbd_adjoint_start, VbdAdjointArguments) { vbd::reverse_starts<false>(a, row); }
+NOVAPHY_ROW_KERNEL(vbd_adjoint_start_weights, VbdAdjointArguments) {
+  vbd::reverse_starts<true>(a, row);
+}
+
+#ifdef NOVAPHY_KERNEL
+namespace vbd {
+
+// Finds u and d of a particle from its block, and what its inertia and contacts give.
+struct SolveParticle {
+  using Lane = LaneGroup<float>;
+  const VbdAdjointArguments& a;
+  explicit SolveParticle(const VbdAdjointArguments& arguments) : a(arguments) {}
+  void ask(const Lane&) {}
+  Vec3f place(const Lane& g) const { return g.at(a.before != nullptr ? a.before : a.sweep.x); }
+  void put(const Lane& g, const Block<float>& block) const {
+    const Reversed<float> of = reverse_particles(a, g, place_before(a, g), block);
+    g.put(a.u, of.u);
+    g.put(a.d, of.d);
+    g.put(a.own, of.own);
+  }
+};
+
+}  // namespace vbd
+
 NOVAPHY_BLOCK_BODY(vbd_adjoint_solve, VbdAdjointArguments) {
   using namespace vbd;
-  const int64_t row = row_of(block);
+  const int64_t row = block * 128 + static_cast<int64_t>(threadIdx.x);
   if (row >= (a.sweep.end_group - a.sweep.first_group) * kVbdLanes) return;
   const LaneGroup<float> g(a.sweep, row);
   const SolveParticle finish(a);
@@ -84,24 +97,6 @@ NOVAPHY_BLOCK_BODY(vbd_adjoint_solve_team, VbdAdjointArguments) {
   __shared__ vbd::TeamMemory memory;
   vbd::for_teams<vbd::SolveParticle>(a.sweep, a, a.sweep.first_group, a.sweep.end_group, block,
                                      blocks, memory);
-}
-NOVAPHY_BLOCK_BODY(vbd_adjoint_slots, VbdAdjointArguments) {
-  vbd::reverse_slots<false, false>(a, vbd::row_of(block));
-}
-NOVAPHY_BLOCK_BODY(vbd_adjoint_weights, VbdAdjointArguments) {
-  vbd::reverse_slots<false, true>(a, vbd::row_of(block));
-}
-NOVAPHY_BLOCK_BODY(vbd_adjoint_rest, VbdAdjointArguments) {
-  vbd::reverse_slots<true, false>(a, vbd::row_of(block));
-}
-NOVAPHY_BLOCK_BODY(vbd_adjoint_rest_weights, VbdAdjointArguments) {
-  vbd::reverse_slots<true, true>(a, vbd::row_of(block));
-}
-NOVAPHY_BLOCK_BODY(vbd_adjoint_start, VbdAdjointArguments) {
-  vbd::reverse_starts<false>(a, vbd::row_of(block));
-}
-NOVAPHY_BLOCK_BODY(vbd_adjoint_start_weights, VbdAdjointArguments) {
-  vbd::reverse_starts<true>(a, vbd::row_of(block));
 }
 #endif
 

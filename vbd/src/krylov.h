@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "rows.h"
@@ -19,42 +20,55 @@ struct KrylovResult {
   int32_t iterations = 0;
 };
 
+// The last directions of a method and their images.
+struct KeptDirections {
+  static constexpr size_t kMost = 24;  // before a restart
+  std::vector<Rows> directions, images;
+  std::vector<double> sizes;
+
+  void make_room() {
+    if (sizes.size() == kMost) *this = {};
+  }
+  // Takes from a direction and its image what they have along those kept: the parts of the image
+  // along `of`, the directions or the images, by the sizes.
+  void take_from(Rows& direction, Rows& image, const std::vector<Rows>& of) const {
+    for (size_t k = 0; k < sizes.size(); ++k) {
+      const auto part = static_cast<float>(inner(image, of[k]) / sizes[k]);
+      add_scaled(image, -part, images[k]);
+      add_scaled(direction, -part, directions[k]);
+    }
+  }
+  void keep(Rows direction, Rows image, double size) {
+    directions.push_back(std::move(direction));
+    images.push_back(std::move(image));
+    sizes.push_back(size);
+  }
+};
+
 // x starts at 0 and residual at b. precondition(r, z, az): z = M^-1 r and az = A z.
 template <class Precondition>
 KrylovResult solve_krylov(Rows& x, Rows& residual, double tolerance, int32_t most,
                           Precondition&& precondition) {
-  constexpr size_t kKept = 24;  // directions, before a restart
-  std::vector<Rows> directions, images;
-  std::vector<double> squares;
+  KeptDirections kept;
   const double scale = std::sqrt(inner(residual, residual));
   KrylovResult result;
   x.assign(residual.size(), Row());
   if (scale == 0.0) return result;
   result.residual = 1.0;
   while (result.iterations < most && result.residual > tolerance) {
-    if (directions.size() == kKept) {
-      directions.clear();
-      images.clear();
-      squares.clear();
-    }
+    kept.make_room();
     Rows z(x.size()), az(x.size());
     precondition(residual, z, az);
     ++result.iterations;
-    for (size_t k = 0; k < images.size(); ++k) {
-      const auto part = static_cast<float>(inner(az, images[k]) / squares[k]);
-      add_scaled(az, -part, images[k]);
-      add_scaled(z, -part, directions[k]);
-    }
+    kept.take_from(z, az, kept.images);
     const double square = inner(az, az);
     if (!(square > 0.0) || !std::isfinite(square)) break;
     const auto step = static_cast<float>(inner(residual, az) / square);
     add_scaled(x, step, z);
     add_scaled(residual, -step, az);
-    directions.push_back(std::move(z));
-    images.push_back(std::move(az));
-    squares.push_back(square);
+    kept.keep(std::move(z), std::move(az), square);
     const double now = std::sqrt(inner(residual, residual)) / scale;
-    if (!(now < result.residual) && directions.size() == 1) break;  // stagnates
+    if (!(now < result.residual) && kept.sizes.size() == 1) break;  // stagnates
     result.residual = now;
   }
   return result;

@@ -67,7 +67,6 @@ bool try_newton(Step& step, const Rows& force, const Rows& newton) {
 // are a minimum, not a saddle. The loads of friction stay, so that there is an energy.
 template <class Step>
 bool is_minimum(Step& step, size_t particles, int32_t sweeps) {
-  constexpr size_t kKept = 24;        // directions, before a restart
   constexpr double kSmall = 1e-3;     // what may be left of the load
   constexpr double kRounding = 1e-5;  // of a curvature
   Rows load(particles);
@@ -80,33 +79,22 @@ bool is_minimum(Step& step, size_t particles, int32_t sweeps) {
     if (!step.is_held(p)) load[p] = Vec3f{scattered(0), scattered(1), scattered(2)};
   }
   const double enough = kSmall * kSmall * inner(load, load);
-  std::vector<Rows> directions, images;
-  std::vector<double> curvatures;
+  KeptDirections kept;  // of which the sizes are the curvatures
   step.keep_loads(true);
   bool curves_up = true;
   for (int32_t k = 0; k < sweeps && inner(load, load) > enough; ++k) {
-    if (directions.size() == kKept) {
-      directions.clear();
-      images.clear();
-      curvatures.clear();
-    }
+    kept.make_room();
     Rows z(particles), image(particles);
     step.sweep(load, z, image);
     for (Row& row : image) row = -Vec3f(row);
-    for (size_t d = 0; d < directions.size(); ++d) {
-      const auto part = static_cast<float>(inner(image, directions[d]) / curvatures[d]);
-      add_scaled(image, -part, images[d]);
-      add_scaled(z, -part, directions[d]);
-    }
+    kept.take_from(z, image, kept.directions);
     const double curvature = inner(z, image);
     const double size = std::sqrt(inner(z, z) * inner(image, image));
     curves_up = curvature > -kRounding * size;
     if (!(curvature > kRounding * size)) break;
     const auto along = static_cast<float>(inner(load, z) / curvature);
     add_scaled(load, -along, image);
-    directions.push_back(std::move(z));
-    images.push_back(std::move(image));
-    curvatures.push_back(curvature);
+    kept.keep(std::move(z), std::move(image), curvature);
   }
   step.keep_loads(false);
   return curves_up;

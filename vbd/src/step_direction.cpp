@@ -1,10 +1,10 @@
 // What slots, contacts and targets change by along a direction of the arrays of the model and the
 // state.
 #include <algorithm>
-#include <cmath>
 
-#include "novaphy/vbd/particle_step_law.h"
-#include "novaphy/vbd/tangent_law.h"
+#include "novaphy/vbd/contact_numbers_trace.h"
+#include "novaphy/vbd/particle_step_trace.h"
+#include "novaphy/vbd/tangent_trace.h"
 #include "parameter_arrays.h"
 #include "step_tangent.h"
 
@@ -93,15 +93,17 @@ class Direction {
     const OnHost<float> radius(t.particle_radius), margin(t.shape_margin), ke(t.shape_material_ke),
         kd(t.shape_material_kd), mu(t.shape_material_mu);
     to.contacts.resize(items.size() * kContactLawFloats);
-    float* slope = to.contacts.data();
+    using Tangent = TangentOf<float>;
+    const ContactMaterial<Tangent> of_model = {Tangent(), Tangent(), Tangent(model_mu)};
     for (size_t k = 0; k < static_cast<size_t>(begin.back()); ++k) {
       const auto slot = static_cast<size_t>(items[k]);
       const auto p = static_cast<size_t>(particle[slot]), s = static_cast<size_t>(shape[slot]);
-      const float mean = std::sqrt(model_mu * friction[s]);
-      *slope++ = at(radius.rows, p) + at(margin.rows, s);
-      *slope++ = 0.5f * at(ke.rows, s);
-      *slope++ = (0.5f * at(kd.rows, s)) / h;
-      *slope++ = mean > 0.0f ? at(mu.rows, s) * (model_mu / (2.0f * mean)) : 0.0f;
+      const ContactMaterial<Tangent> of_shape = {
+          {0.0f, at(ke.rows, s)}, {0.0f, at(kd.rows, s)}, {friction[s], at(mu.rows, s)}};
+      put_contact_law(Tangent(0.0f, at(radius.rows, p) + at(margin.rows, s)), of_model, of_shape,
+                      Tangent(h), [&](size_t number, const Tangent& value) {
+                        to.contacts[k * kContactLawFloats + number] = value.d;
+                      });
     }
   }
 

@@ -65,17 +65,16 @@ void StepAdjoint::put_state(const StepInputs& in, const StepDerivatives& g) cons
 // (No derivative depends on an activation.)
 void StepAdjoint::put_elements(const StepDerivatives& g) const {
   const Model& m = step_.model();
-  const Kernel<VbdElementGradientArguments>* const of_role[kRoles] = {
-      &kernels().spring_gradient, &kernels().triangle_gradient, nullptr, &kernels().edge_gradient,
-      &kernels().tetrahedron_gradient};
   for (const Role role : {kSpring, kTriangle, kHingeEnd, kTetrahedron}) {
     const auto to = parameter_arrays(role, g, Array(), [](const Array& by) { return if_any(by); });
     if (std::all_of(to.begin(), to.end(), [](const Untyped& by) { return by.word == 0; })) continue;
     const Role other = role == kHingeEnd ? kHingeOpposite : role;
-    novaphy::run(*of_role[role], static_cast<int64_t>(tables_.places[role].rows() / kCorners[role]),
+    novaphy::run(kernels().element_gradient,
+                 static_cast<int64_t>(tables_.places[role].rows() / kCorners[role]),
                  {.places = std::array{&tables_.places[role], &tables_.places[other]},
                   .first = std::array{tables_.numbers_begin[role], tables_.numbers_begin[other]},
                   .numbers = numbers_,
+                  .role = int{role},
                   .lanes = step_.slots().lanes(),
                   .h = step_.dt(),
                   .parameters = parameter_arrays(role, m, Array(),

@@ -2,6 +2,8 @@
 
 namespace novaphy::vbd {
 
+int lanes_on(Device device) { return device.is_cpu() ? sweep_level().lanes : kVbdLanes; }
+
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
   return all;

@@ -21,7 +21,7 @@ const char* vbd_tangent_kernels_text();
 namespace novaphy::vbd {
 
 // Of a group on a device.
-inline int lanes_on(Device device) { return device.is_cpu() ? sweep_level().lanes : kVbdLanes; }
+int lanes_on(Device device);
 
 // The arguments of all of these kernels begin with those of a sweep.
 template <GroupKernel* SweepLevel::*of>
@@ -49,10 +49,7 @@ struct Kernels {
   NOVAPHY_KERNEL_OF(vbd, predict)
   NOVAPHY_KERNEL_OF(vbd, target)
   NOVAPHY_KERNEL_OF(vbd, activation)
-  NOVAPHY_KERNEL_OF(vbd, spring_numbers)
-  NOVAPHY_KERNEL_OF(vbd, triangle_numbers)
-  NOVAPHY_KERNEL_OF(vbd, hinge_numbers)
-  NOVAPHY_KERNEL_OF(vbd, tetrahedron_numbers)
+  NOVAPHY_KERNEL_OF(vbd, numbers)
   NOVAPHY_KERNEL_OF(vbd, material)
   NOVAPHY_KERNEL_OF(vbd, contact)
   NOVAPHY_LEVEL_KERNEL_OF(vbd, prepare, prepare)
@@ -83,10 +80,7 @@ struct Kernels {
   NOVAPHY_KERNEL_OF(vbd_gradient, particle_gradient)
   NOVAPHY_KERNEL_OF(vbd_gradient, target_gradient)
   NOVAPHY_KERNEL_OF(vbd_gradient, gravity_gradient)
-  NOVAPHY_KERNEL_OF(vbd_gradient, spring_gradient)
-  NOVAPHY_KERNEL_OF(vbd_gradient, edge_gradient)
-  NOVAPHY_KERNEL_OF(vbd_gradient, triangle_gradient)
-  NOVAPHY_KERNEL_OF(vbd_gradient, tetrahedron_gradient)
+  NOVAPHY_KERNEL_OF(vbd_gradient, element_gradient)
   NOVAPHY_KERNEL_OF(vbd_gradient, radius_gradient)
   NOVAPHY_KERNEL_OF(vbd_gradient, contact_shape)
   NOVAPHY_KERNEL_OF(vbd_gradient, shape_gradient)

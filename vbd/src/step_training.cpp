@@ -59,9 +59,6 @@ void Step::reserve_training() {
 // The numbers of all slots, from the model as it is.
 void Step::put_numbers(const StepInputs& in) const {
   const Tables& t = *tables_;
-  const Kernel<VbdNumbersArguments>* const of_role[kRoles] = {
-      &kernels().spring_numbers, &kernels().triangle_numbers, &kernels().hinge_numbers,
-      &kernels().hinge_numbers, &kernels().tetrahedron_numbers};
   for (const Trained& trained : t.trained)
     novaphy::run(kernels().material, static_cast<int64_t>(trained.array->rows()),
                  {.material = Untyped(*trained.array),
@@ -74,9 +71,10 @@ void Step::put_numbers(const StepInputs& in) const {
   };
   for (int role = 0; role < kRoles; ++role)
     novaphy::run(
-        *of_role[role], static_cast<int64_t>(t.sources[role].rows()),
+        kernels().numbers, static_cast<int64_t>(t.sources[role].rows()),
         {.source = t.sources[role],
          .floats = t.floats[role],
+         .role = role,
          .lanes = slots_.lanes(),
          .h = t.dt,
          .parameters = parameter_arrays(static_cast<Role>(role), model_, Array(), of_step)});

@@ -152,7 +152,7 @@ struct VbdElementGradientArguments {
       Each<Optional<Reads<int64_t>>, 2> places;  // of each corner of each element; -1: none
       Each<Number<int64_t>, 2> first;            // where the bars of the slots of a role begin
       Reads<float> numbers;                      // of all roles
-      Number<int64_t> lanes; Number<float> h;
+      Number<int64_t> role, lanes; Number<float> h;
       Each<Optional<Reads<float>>, 4> parameters;  // see for_parameters
       Each<Optional<Writes<float>>, 4> to;)
 };
@@ -161,34 +161,31 @@ namespace vbd {
 
 #include "number_adjoints.inc"
 
-// The bars of the numbers of the slots of an element.
+// The bars of the numbers of the slots of an element: of the weights of each corner, and of the law
+// over all corners.
 template <Role role>
 struct ElementBars {
-  const VbdElementGradientArguments& a;
-  int64_t element;
-  float of(int corner, int number) const {
-    float sum = 0.0f;
-    for (int k = 0; k < (role == kHingeEnd ? 2 : 1); ++k) {
-      const int64_t place = a.places[k][element * kCorners[role] + corner];
-      if (place < 0) continue;
-      const int64_t slot = place / a.lanes, lane = place - slot * a.lanes;
-      sum += a.numbers[a.first[k] + ((slot * kFloats[role] + number) * a.lanes + lane)];
-    }
-    return sum;
+  float weights[kCorners[role]][law_begin(role) + 1] = {}, laws[kLawFloats[role]] = {};
+  ElementBars(const VbdElementGradientArguments& a, int64_t element) {
+    for (int c = 0; c < kCorners[role]; ++c)
+      for (int k = 0; k < (role == kHingeEnd ? 2 : 1); ++k) {
+        const int64_t place = a.places[k][element * kCorners[role] + c];
+        if (place < 0) continue;
+        const int64_t slot = place / a.lanes, lane = place - slot * a.lanes;
+        const float* const from = a.numbers + (a.first[k] + slot * kFloats[role] * a.lanes + lane);
+        for (int n = 0; n < law_begin(role); ++n) weights[c][n] = from[n * a.lanes];
+        for (int n = 0; n < kLawFloats[role]; ++n)
+          laws[n] = laws[n] + from[(law_begin(role) + n) * a.lanes];
+      }
   }
-  // Only rest shapes give weights.
-  float weight(int corner, int k) const { return a.to[0] != nullptr ? of(corner, k) : 0.0f; }
-  float law(int k) const {
-    float sum = 0.0f;
-    for (int c = 0; c < kCorners[role]; ++c) sum += of(c, law_begin(role) + k);
-    return sum;
-  }
+  float weight(int corner, int k) const { return weights[corner][k]; }
+  float law(int k) const { return laws[k]; }
 };
 template <Role role>
 inline void put_parameters(const VbdElementGradientArguments& a, int64_t e) {
   float p[kParameters[role]], to[kParameters[role]];
   for_parameters<role>(e, [&](int k, int array, int64_t at) { p[k] = a.parameters[array][at]; });
-  numbers_adjoint(RoleIs<role>(), p, a.h.value, ElementBars<role>{a, e}, to);
+  numbers_adjoint(RoleIs<role>(), p, a.h.value, ElementBars<role>(a, e), to);
   for_parameters<role>(e, [&](int k, int array, int64_t at) {
     if (a.to[array] != nullptr) a.to[array][at] = to[k];
   });
@@ -200,18 +197,16 @@ inline void put(float* to, int64_t row, float value) {
 
 }  // namespace vbd
 
-NOVAPHY_ROW_KERNEL(vbd_spring_gradient, VbdElementGradientArguments) {
-  vbd::put_parameters<vbd::kSpring>(a, row);
-}
-NOVAPHY_ROW_KERNEL(vbd_edge_gradient, VbdElementGradientArguments) {
-  vbd::put_parameters<vbd::kHingeEnd>(a, row);
-}
-NOVAPHY_ROW_KERNEL(vbd_triangle_gradient, VbdElementGradientArguments) {
-  vbd::put_parameters<vbd::kTriangle>(a, row);
-  if (a.to[2] != nullptr) a.to[2][5 * row + 3] = a.to[2][5 * row + 4] = 0.0f;  // drag and lift
-}
-NOVAPHY_ROW_KERNEL(vbd_tetrahedron_gradient, VbdElementGradientArguments) {
-  vbd::put_parameters<vbd::kTetrahedron>(a, row);
+NOVAPHY_ROW_KERNEL(vbd_element_gradient, VbdElementGradientArguments) {
+  using namespace vbd;
+  for_roles([&](auto is) {
+    constexpr Role role = decltype(is)::role;
+    if constexpr (role != kHingeOpposite)
+      if (a.role == role) put_parameters<role>(a, row);
+  });
+  float* const material = a.to[2];
+  if (a.role == kTriangle && material != nullptr)
+    material[5 * row + 3] = material[5 * row + 4] = 0.0f;  // drag and lift
 }
 
 struct VbdRadiusGradientArguments {

@@ -94,7 +94,7 @@ NOVAPHY_ROW_KERNEL(vbd_activation, VbdActivationArguments) {
 
 struct VbdNumbersArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<int32_t> source;  // the corner plus 4 times the element, or -1
-                    Updates<float> floats; Number<int64_t> lanes;  // of a group
+                    Updates<float> floats; Number<int64_t> role, lanes;  // of a group
                     Number<float> h;
                     Each<Optional<Reads<float>>, 4> parameters;  // see for_parameters
   )
@@ -118,17 +118,11 @@ inline void put_numbers(const VbdNumbersArguments& a, int64_t row) {
 
 }  // namespace vbd
 
-NOVAPHY_ROW_KERNEL(vbd_spring_numbers, VbdNumbersArguments) {
-  vbd::put_numbers<vbd::kSpring>(a, row);
-}
-NOVAPHY_ROW_KERNEL(vbd_triangle_numbers, VbdNumbersArguments) {
-  vbd::put_numbers<vbd::kTriangle>(a, row);
-}
-NOVAPHY_ROW_KERNEL(vbd_hinge_numbers, VbdNumbersArguments) {
-  vbd::put_numbers<vbd::kHingeEnd>(a, row);
-}
-NOVAPHY_ROW_KERNEL(vbd_tetrahedron_numbers, VbdNumbersArguments) {
-  vbd::put_numbers<vbd::kTetrahedron>(a, row);
+NOVAPHY_ROW_KERNEL(vbd_numbers, VbdNumbersArguments) {
+  vbd::for_roles([&](auto is) {
+    constexpr vbd::Role role = decltype(is)::role;
+    if (a.role == role) vbd::put_numbers<role>(a, row);
+  });
 }
 
 struct VbdMaterialArguments {

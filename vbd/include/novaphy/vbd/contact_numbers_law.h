@@ -8,14 +8,27 @@
 
 namespace novaphy::vbd {
 
+template <class T>
 struct ContactMaterial {
-  float ke, kd, mu;  // N/m, N*s/m, 1
+  T ke, kd, mu;  // N/m, N*s/m, 1
 };
 
-// Means of the coefficients of the model and the shape, of mu the geometric one.
+// Means of the coefficients of the model and the shape, of mu the geometric one: calls put(k,
+// value) for the k-th number of the law.
+template <class T, class Put>
+void put_contact_law(const T& radius, const ContactMaterial<T>& model,
+                     const ContactMaterial<T>& shape, const T& h, const Put& put) {
+  using math::sqrt;
+  put(0, radius);
+  put(1, T(0.5f) * (model.ke + shape.ke));
+  put(2, (T(0.5f) * (model.kd + shape.kd)) / h);
+  put(3, sqrt(model.mu * shape.mu));
+}
+
 inline void put_contact_numbers(float* to, const Vec3f& point, const Vec3f& normal,
-                                const Vec3f& velocity, float radius, const ContactMaterial& model,
-                                const ContactMaterial& shape, float h) {
+                                const Vec3f& velocity, float radius,
+                                const ContactMaterial<float>& model,
+                                const ContactMaterial<float>& shape, float h) {
   const Vec3f travel = velocity * h;
   const Vec3f vectors[3] = {point, normal, travel};
   for (int k = 0; k < 3; ++k) {
@@ -23,10 +36,7 @@ inline void put_contact_numbers(float* to, const Vec3f& point, const Vec3f& norm
     to[3 * k + 1] = vectors[k].y;
     to[3 * k + 2] = vectors[k].z;
   }
-  to[9] = radius;
-  to[10] = 0.5f * (model.ke + shape.ke);
-  to[11] = (0.5f * (model.kd + shape.kd)) / h;
-  to[12] = math::sqrt(model.mu * shape.mu);
+  put_contact_law(radius, model, shape, h, [to](int k, float value) { to[9 + k] = value; });
 }
 
 }  // namespace novaphy::vbd

@@ -12,18 +12,8 @@
 
 namespace novaphy::vbd {
 
-// The parameters of an element are the first columns of its rows of some arrays, which have
-// `width`.
-struct ParameterArray {
-  int columns, width;
-};
+// The parameters of an element are the first columns of its rows of some arrays of the model.
 constexpr int kParameterArrays = 4;
-constexpr ParameterArray kParameterArray[kRoles][kParameterArrays] = {
-    {{1, 1}, {1, 1}, {1, 1}, {0, 0}},   // stiffness, damping, rest length
-    {{4, 4}, {1, 1}, {3, 5}, {1, 1}},   // pose, area, material, activation
-    {{2, 2}, {1, 1}, {1, 1}, {0, 0}},   // material, rest length, rest angle
-    {{2, 2}, {1, 1}, {1, 1}, {0, 0}},   // the same
-    {{9, 9}, {3, 3}, {1, 1}, {0, 0}}};  // pose, material, activation
 constexpr int kParameters[kRoles] = {3, 9, 4, 4, 13};
 constexpr int kDampingParameter[kRoles] = {1, 7, 1, 1, 11};
 
@@ -31,9 +21,27 @@ constexpr int kDampingParameter[kRoles] = {1, 7, 1, 1, 11};
 template <Role role, class Body>
 void for_parameters(int64_t element, const Body& body) {
   int k = 0;
-  for (int array = 0; array < kParameterArrays; ++array)
-    for (int c = 0; c < kParameterArray[role][array].columns; ++c)
-      body(k++, array, element * kParameterArray[role][array].width + c);
+  const auto read = [&](int array, int columns, int width) {
+    for (int c = 0; c < columns; ++c) body(k++, array, element * width + c);
+  };
+  if constexpr (role == kSpring) {
+    read(0, 1, 1);  // stiffness
+    read(1, 1, 1);  // damping
+    read(2, 1, 1);  // rest length
+  } else if constexpr (role == kTriangle) {
+    read(0, 4, 4);  // pose
+    read(1, 1, 1);  // area
+    read(2, 3, 5);  // material
+    read(3, 1, 1);  // activation
+  } else if constexpr (role == kTetrahedron) {
+    read(0, 9, 9);  // pose
+    read(1, 3, 3);  // material
+    read(2, 1, 1);  // activation
+  } else {
+    read(0, 2, 2);  // material
+    read(1, 1, 1);  // rest length
+    read(2, 1, 1);  // rest angle
+  }
 }
 
 // Weights of the corners behind `corner`: their rows of the inverse rest matrix {n, n}. The row of

@@ -257,7 +257,7 @@ void write_contact(std::ostream& out, bool at_rest) {
   out << "}\n";
 }
 
-constexpr const char* kHead = "// Written by tools/vbd_adjoints from the laws (vbd/*_trace.h).\n";
+constexpr const char* kHead = "// Written by tools/vbd_adjoints from the laws (vbd/*_law.h).\n";
 
 // Of u.f + B:H, where `bar` holds u as f and B as h_ij, each entry once. The scalar S is a float or
 // lanes; what reads the code has NOVAPHY_LANE_FN.

@@ -1,4 +1,4 @@
-// The groups of a model's particles and the slots of their elements (slot_layout_trace.h), as
+// The groups of a model's particles and the slots of their elements (slot_layout_law.h), as
 // tables.
 #pragma once
 

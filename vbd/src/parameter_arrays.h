@@ -1,4 +1,4 @@
-// The arrays of the parameters of elements (slot_numbers_trace.h), by their names in Model.
+// The arrays of the parameters of elements (slot_numbers_law.h), by their names in Model.
 #pragma once
 
 #include <array>

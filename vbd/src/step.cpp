@@ -88,8 +88,7 @@ Step::Step(const Model& m, const VbdOptions& o)
 
 void Step::build() {
   const Unobserved unobserved;
-  copy_ = on_cpu_ ? std::shared_ptr<const Model>(std::shared_ptr<const Model>(), &model_)
-                  : model_.to(Device::cpu());
+  copy_ = model_.on_host();
   const Model& m = host_model();
   for (int32_t p = 0; p < m.particle_count(); ++p) {
     const int32_t w = m.particle_world.data()[p];
@@ -355,7 +354,8 @@ void Step::run(const StepInputs& in, const StepResults& out,
   if (has_contacts_) find_contacts(*in.contacts);
   list_->prepare();
   if (in.targets.rows() != 0)
-    novaphy::run(kernels().target, held_count(), {.held = held_, .targets = in.targets, .x = x_});
+    novaphy::run(kernels().target, kinematic_count(),
+                 {.held = held_, .targets = in.targets, .x = x_});
   iterate(*list_);
   if (is_immediate) check_positions();
   list_->finish();

@@ -2,9 +2,9 @@
 // state.
 #include <algorithm>
 
-#include "novaphy/vbd/contact_numbers_trace.h"
-#include "novaphy/vbd/particle_step_trace.h"
-#include "novaphy/vbd/tangent_trace.h"
+#include "novaphy/vbd/contact_numbers_law.h"
+#include "novaphy/vbd/particle_step_law.h"
+#include "novaphy/vbd/tangent_law.h"
 #include "parameter_arrays.h"
 #include "step_tangent.h"
 

@@ -1,5 +1,5 @@
-// The numbers of a slot (slot_layout_trace.h) that the material and rest shape of its element give:
-// weights and law. The scalar is a float, carries a derivative (tangent_trace.h), or is an
+// The numbers of a slot (slot_layout_law.h) that the material and rest shape of its element give:
+// weights and law. The scalar is a float, carries a derivative (tangent_law.h), or is an
 // expression, of which the build derives the transpose (tools/vbd_adjoints).
 //
 // Freestanding: device code reads it too.

@@ -74,3 +74,22 @@ def test_a_pair_that_is_filtered_out_meets_when_it_is_given():
 def test_bad_pairs_are_refused(pairs, options, error, message):
     with pytest.raises(error, match=message):
         novaphy.CollisionPipeline(heap(), shape_pairs_filtered=pairs, **options)
+
+
+def test_steps_of_a_large_world_list_no_pairs():
+    count = 24_000  # more than 2^28 pairs
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane()
+    for k in range(count):
+        at = (0.5 * (k % 200), 0.5 * (k // 200), 0.1)
+        builder.add_shape_sphere(builder.add_body(xform=(at, (0, 0, 0, 1))), radius=0.1)
+    model = builder.finalize()
+    pipeline = novaphy.CollisionPipeline(model, broad_phase="sap", rigid_contact_max=count)
+    contacts, ends = pipeline.contacts(), []
+    pipeline.collide(model.state(), contacts)
+    assert contacts.rigid_contact_count.numpy()[0] == count
+    for make in (novaphy.solvers.SolverSemiImplicit, novaphy.solvers.DiffSemiImplicitSolver):
+        before, after = model.state(), model.state()
+        make(model).step(before, after, None, contacts, 1e-3)
+        ends.append(after.body_q.numpy())
+    assert ends[0].tobytes() == ends[1].tobytes()

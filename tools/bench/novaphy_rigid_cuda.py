@@ -182,20 +182,19 @@ def boxes(scene: str, n: int, device: str, repeats: int) -> dict[str, object]:
     facts["rows"] = int(found.rigid_contact_count.numpy()[0])
     facts["touching"] = int(np.any(found.rigid_contact_force.numpy(), axis=1).sum())
     assert facts["rows"] and not found.overflowed
-    if device != "cpu":
 
-        def search() -> None:
-            for _ in range(steps):
-                pipeline.collide(now, found)
+    def search() -> None:
+        for _ in range(steps):
+            pipeline.collide(now, found)
 
-        graph = captured(search)
-        facts["captured_search_s"] = median_time(device, repeats, graph.launch) / steps
-        trajectory = diff.Trajectory(model, steps)
-        forward = solvers.DiffSemiImplicitSolver(model)
-        graph = captured(lambda: forward.rollout(trajectory, None, None, DT, pipeline=pipeline))
-        facts["captured_step_s"] = median_time(device, repeats, graph.launch) / steps
-        end = trajectory[steps].body_q.numpy()
-        assert np.isfinite(end).all()
+    graph = captured(search)
+    facts["captured_search_s"] = median_time(device, repeats, graph.launch) / steps
+    trajectory = diff.Trajectory(model, steps)
+    forward = solvers.DiffSemiImplicitSolver(model)
+    graph = captured(lambda: forward.rollout(trajectory, None, None, DT, pipeline=pipeline))
+    facts["captured_step_s"] = median_time(device, repeats, graph.launch) / steps
+    end = trajectory[steps].body_q.numpy()
+    assert np.isfinite(end).all()
     return facts
 
 

@@ -272,10 +272,11 @@ void PlanePairs::find_pairs(const Model& model) {
 }
 
 void PlanePairs::update(const Model& model, bool with_contacts) {
-  depend_on({&model.shape_contact_pairs(), &model.shape_body, &model.shape_type, &model.shape_scale,
-             &model.body_world});
+  depend_on({&model.shape_body, &model.shape_type, &model.shape_scale, &model.body_world});
+  // Listing them is quadratic in the shapes.
+  if (with_contacts) depend_on({&model.shape_contact_pairs()});
   if (known_ && with_contacts_ == with_contacts &&
-      contact_pairs_.matches(model.shape_contact_pairs()) &&
+      (!with_contacts || contact_pairs_.matches(model.shape_contact_pairs())) &&
       shape_body_.matches(model.shape_body) && shape_type_.matches(model.shape_type) &&
       shape_scale_.matches(model.shape_scale) && body_world_.matches(model.body_world))
     return;
@@ -287,7 +288,7 @@ void PlanePairs::update(const Model& model, bool with_contacts) {
     check_worlds(model);
     find_pairs(model);
   }
-  contact_pairs_.set(model.shape_contact_pairs());
+  if (with_contacts) contact_pairs_.set(model.shape_contact_pairs());
   shape_body_.set(model.shape_body);
   shape_type_.set(model.shape_type);
   shape_scale_.set(model.shape_scale);

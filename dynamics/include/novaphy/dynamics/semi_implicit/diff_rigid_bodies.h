@@ -24,8 +24,9 @@ namespace novaphy::diff {
 class NOVAPHY_DYNAMICS_API PlanePairs {
  public:
   // Made anew when the arrays that they are made from were written; `with_contacts` false: no
-  // pairs. ErrorKind::NotImplemented: a pair of shape_contact_pairs that is not covered, by its
-  // shapes, or a body of all worlds (-1) in a model of several; ErrorKind::Index: no such world.
+  // pairs, and shape_contact_pairs is not asked for. ErrorKind::NotImplemented: a pair of
+  // shape_contact_pairs that is not covered, by its shapes, or a body of all worlds (-1) in a model
+  // of several; ErrorKind::Index: no such world.
   void update(const Model& model, bool with_contacts);
   const nova::Operand& pairs() const { return pairs_; }  // {n, 2}: plane, shape
   const nova::Incidence& pairs_of_bodies() const { return pairs_of_bodies_; }

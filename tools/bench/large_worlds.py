@@ -1,0 +1,120 @@
+#!/usr/bin/env python3
+"""Time one large world on one thread of the CPU. Scenes:
+
+* `cubes`: N x N x N cubes of 10 cm, face to face on a plane, `SolverFeatherstone` with its
+  defaults at 1/240 s. A search over all gaps, one for the step (`dt`), and the step.
+* `terrain`: 20 boxes of 0.5 m on hills of 2 N² triangles, in cells of 2.5 cm, with the gaps of
+  shapes that have none. The pipeline is made, then searches.
+
+Prints a line of JSON for each size: medians of CPU time, in seconds.
+
+    NOVAPHY_NUM_THREADS=1 python tools/bench/large_worlds.py --scene cubes --n 8
+    NOVAPHY_NUM_THREADS=1 python tools/bench/large_worlds.py --scene terrain --n 707
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+import novaphy
+
+SIDE, DT, CELL, HALF = 0.1, 1.0 / 240, 0.025, 0.25
+
+
+def median_time(repeats: int, run: Callable[[], object]) -> float:
+    """Median CPU time of a run, s."""
+    times = []
+    for _ in range(repeats):
+        start = time.process_time()
+        run()
+        times.append(time.process_time() - start)
+    return statistics.median(times)
+
+
+def cubes(n: int, repeats: int) -> dict[str, object]:
+    """Cubes that rest on each other."""
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane()
+    for place in np.ndindex(n, n, n):
+        at = SIDE * (np.array(place) + np.array([0.0, 0.0, 0.5]))
+        body = builder.add_body(xform=(*map(float, at), 0.0, 0.0, 0.0, 1.0))
+        builder.add_shape_box(body, hx=SIDE / 2, hy=SIDE / 2, hz=SIDE / 2)
+    model = builder.finalize()
+    pipeline = novaphy.CollisionPipeline(model, rigid_contact_max=200 * n**3)
+    solver = novaphy.solvers.SolverFeatherstone(model)
+    found, now, then = pipeline.contacts(), model.state(), model.state()
+
+    def step() -> None:
+        nonlocal now, then
+        pipeline.collide(now, found, dt=DT)
+        solver.step(now, then, None, found, DT)
+        now, then = then, now
+
+    facts: dict[str, object] = {"step_s": median_time(repeats, step)}
+    facts["search_of_step_s"] = median_time(repeats, lambda: pipeline.collide(now, found, dt=DT))
+    facts["rows_of_step"] = int(found.rigid_contact_count.numpy()[0])
+    facts["search_s"] = median_time(repeats, lambda: pipeline.collide(now, found))
+    facts["rows"] = int(found.rigid_contact_count.numpy()[0])
+    facts["top_m"] = float(now.body_q.numpy()[:, 2].max())
+    assert not found.overflowed
+    return facts
+
+
+def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The hills, m."""
+    return 0.25 * np.sin(1.3 * x) * np.sin(1.1 * y)
+
+
+def terrain(n: int, repeats: int) -> dict[str, object]:
+    """Boxes that touch hills in their highest point below."""
+    line = (np.arange(n + 1) - n / 2) * CELL
+    x, y = np.meshgrid(line, line)
+    z = height(x, y)
+    vertices = np.stack([x, y, z], axis=-1).reshape(-1, 3).astype(np.float32)
+    row = n + 1
+    corner = (np.arange(n)[:, None] * row + np.arange(n)).reshape(-1, 1)
+    triangles = np.concatenate([corner + np.array(k) for k in ((0, 1, row + 1), (0, row + 1, row))])
+    builder = novaphy.ModelBuilder()
+    builder.add_shape_mesh(-1, mesh=novaphy.io.Mesh(vertices, triangles.astype(np.int32)))
+    random = np.random.default_rng(1)
+    reach = 0.4 * n * CELL
+    for _ in range(20):
+        at = random.uniform(-reach, reach, 2)
+        below = (np.abs(x - at[0]) < 1.2 * HALF) & (np.abs(y - at[1]) < 1.2 * HALF)
+        pose = (*map(float, at), float(z[below].max()) + HALF - 1e-3)
+        turn = random.uniform(0.0, 1.5)
+        body = builder.add_body(xform=(*pose, 0.0, 0.0, np.sin(turn), np.cos(turn)))
+        builder.add_shape_box(body, hx=HALF, hy=HALF, hz=HALF)
+    model = builder.finalize()
+    start = time.process_time()
+    pipeline = novaphy.CollisionPipeline(model)
+    found, state = pipeline.contacts(), model.state()
+    pipeline.collide(state, found)
+    facts: dict[str, object] = {"first_s": time.process_time() - start, "triangles": len(triangles)}
+    facts["search_s"] = median_time(repeats, lambda: pipeline.collide(state, found))
+    facts["rows"] = int(found.rigid_contact_count.numpy()[0])
+    return facts
+
+
+def main() -> None:
+    """Run one scene, of each size."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--scene", choices=("cubes", "terrain"), default="cubes")
+    parser.add_argument("--n", type=int, nargs="+", default=[8])
+    parser.add_argument("--repeats", type=int, default=60)
+    arguments = parser.parse_args()
+    for n in arguments.n:
+        facts = (cubes if arguments.scene == "cubes" else terrain)(n, arguments.repeats)
+        print(json.dumps({"scene": arguments.scene, "n": n} | facts), flush=True)
+
+
+if __name__ == "__main__":
+    main()

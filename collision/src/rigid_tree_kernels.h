@@ -81,7 +81,7 @@ inline int64_t child(int64_t node, int32_t k, int64_t count) {
 
 // In the order of the tree.
 struct TreeEntry {
-  geometry::Box3 box;  // no_box(): it meets nothing
+  geometry::Box3 box;  // one with a NaN meets nothing, not even a box without end
   int32_t shape;
   int32_t unused;
 };
@@ -100,9 +100,8 @@ NOVAPHY_ROW_KERNEL(rigid_tree_entry, RigidTreeEntryArguments) {
     mine[k] = {a.shapes[shape].box, shape, 0};
   }
   for (int32_t k = 0; k < kTreeWidth; ++k) {
-    if (!geometry::boxes_meet(mine[k].box, mine[k].box)) mine[k].box = no_box();
     a.entries[child(row, k, a.count)] = mine[k];
-    grow(all, mine[k].box);
+    if (geometry::boxes_meet(mine[k].box, mine[k].box)) grow(all, mine[k].box);
   }
   a.nodes[row] = all;
 }

@@ -12,6 +12,7 @@
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/dynamics/articulation/contact_adjoint.h"
 #include "novaphy/dynamics/articulation/contact_groups.h"
+#include "novaphy/dynamics/articulation/island_sweeps.h"
 #include "novaphy/dynamics/articulation/vjp_arguments.h"
 
 namespace novaphy {
@@ -128,9 +129,9 @@ inline bool solve_island_shifts(const GroupAdjoint& s, int32_t root) {
   if (s.a.nodes[root].solved != 0) return false;
   s.a.nodes[root].solved = -1;
   const GroupIsland island = {{s, root}};
-  articulation::sweep_shifts([&](const auto& f) {
-    island.for_rows([&](articulation::AdjointContact& row) { f(row.solver); });
-  });
+  articulation::sweep_shifts(
+      [&](const auto& f) { island.for_rows(f); },
+      [](const articulation::IslandContact& row, float) { return row.whole; });
   bool shifts = false;
   island.for_shifted([&](const articulation::AdjointContact&) { shifts = true; });
   return shifts;

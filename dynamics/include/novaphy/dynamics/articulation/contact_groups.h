@@ -246,8 +246,8 @@ inline int32_t list_contact(const GroupLists& s, int32_t place) {
   return root;
 }
 
-// The rows of a contact, in `numbers`, which then point behind them.
-inline void build_row(const ContactGroup& s, int32_t contact, float*& numbers,
+// A contact with memory in `numbers`, which then point behind it.
+inline void place_row(const ContactGroup& s, int32_t contact, float*& numbers,
                       articulation::IslandContact& row) {
   row.contact = contact;
   contact_sides(s.a.shapes, contact, row.sides);
@@ -255,9 +255,15 @@ inline void build_row(const ContactGroup& s, int32_t contact, float*& numbers,
   int32_t widths[2];
   articulation::set_widths(s.all_rows, row.sides, widths);
   for (int side = 0; side < 2; ++side) row.solver.sides[side].width = widths[side];
-  articulation::build_contact(
-      s.contacts, [&](int32_t i) { return s.tree(i); }, numbers, row);
+  row.numbers = numbers;
   numbers += 6 * (widths[0] + widths[1]);
+}
+// All of its rows.
+inline void build_row(const ContactGroup& s, int32_t contact, float*& numbers,
+                      articulation::IslandContact& row) {
+  place_row(s, contact, numbers, row);
+  articulation::build_contact(
+      s.contacts, [&](int32_t i) { return s.tree(i); }, row.numbers, row);
 }
 inline void build_dry(const ContactGroup& s, int32_t i) {
   const articulation::IslandTree of = s.tree(i);

@@ -4,6 +4,7 @@
 
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/dynamics/articulation/contact_groups.h"
+#include "novaphy/dynamics/articulation/island_sweeps.h"
 
 namespace novaphy {
 
@@ -273,7 +274,12 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
   articulation::IslandContact* const rows = rows_of(s, root);
   const int32_t* const places = s.places(root);
   const auto contacts = [&](bool back, const auto& f) {
-    for (int32_t k = 0; k < node.rows; ++k) f(rows[back ? node.rows - 1 - k : k].solver);
+    for (int32_t k = 0; k < node.rows; ++k) f(rows[back ? node.rows - 1 - k : k]);
+  };
+  const auto tree_of = [&](int32_t i) { return s.tree(i); };
+  const auto complete = [&](articulation::IslandContact& row) {
+    articulation::build_responses(s.contacts, tree_of, row);
+    articulation::set_steps<float>(s.law.dt, row.solver);
   };
   const auto friction = [&](const auto& f) {
     for_friction(s, root, [&](articulation::PgsJointFriction<float>& dry, int32_t) { f(dry); });
@@ -285,8 +291,10 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
     for (int32_t n = 0; n < node.rows; ++n) {
       articulation::IslandContact& row = rows[n];
       row = articulation::IslandContact{};
-      build_row(s, a.contacts[places[n]], numbers, row);
-      articulation::set_target(s.law, s.material(row.contact), row);
+      place_row(s, a.contacts[places[n]], numbers, row);
+      articulation::build_jacobian(s.contacts, tree_of, row);
+      articulation::aim(s.law, s.material(row.contact), row);
+      if (s.is_kept(places[n]) || s.all.notes != nullptr) complete(row);
     }
     for (int32_t i = root; i >= 0; i = a.nodes[i].next) build_dry(s, i);
     for (int32_t n = 0; n < node.rows; ++n)
@@ -297,7 +305,7 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
         articulation::warm_start(f, s.warm_scale * s.all.kept_friction[row]);
     });
     result = articulation::sweep_island(s.law.cone, static_cast<int32_t>(s.all.most_sweeps.value),
-                                        s.all.tolerance.value, contacts, friction);
+                                        s.all.tolerance.value, contacts, friction, complete);
     renewed = false;
     for (int32_t i = root; i >= 0; i = a.nodes[i].next)
       renewed =

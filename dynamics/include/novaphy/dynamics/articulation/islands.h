@@ -160,7 +160,9 @@ struct IslandContact {
   // and a plane of the world: so the normal is constant, and the point of the plane goes along it
   // below the other.
   bool follows = false;
-  bool elastic = false;  // it has restitution
+  bool elastic = false;      // it has restitution
+  float* numbers = nullptr;  // {6, widths of both sides}: J, and Y behind it, of each side
+  bool whole = false;        // build_responses was there
 };
 
 inline void contact_points(const ContactRows& c, int32_t contact,
@@ -187,10 +189,9 @@ inline bool may_touch(const ContactRows& c, int32_t contact, const LinkState<flo
   return !(place.gap > (2.0f * math::max(closing, 0.0f) + kMoreSpeed) * dt);
 }
 
-// Its rows, in `numbers` {6, widths of both sides}.
+// Where a contact is and its J, in row.numbers.
 template <class TreeOf>
-void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
-                   IslandContact& row) {
+void build_jacobian(const ContactRows& c, const TreeOf& tree_of, IslandContact& row) {
   const int32_t i = row.contact;
   const Vec3f normal = c.normal[i];
   const Vec3f cores[2] = {c.point0[i], c.point1[i]};
@@ -207,46 +208,73 @@ void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
   row.frame = contact_frame(normal);
   const bool itself = row.sides[0].tree == row.sides[1].tree;
   float before = 0.0f;
-  row.solver.mass = 0.0f;
+  float* jacobian = row.numbers;
   for (int side = 0; side < 2; ++side) {
     RowSide<float>& to = row.solver.sides[side];
     if (to.width == 0) continue;
     const IslandTree of = tree_of(row.sides[side].tree);
-    float *const jacobian = numbers, *const response = numbers + 3 * to.width;
-    numbers += 6 * to.width;
     for (int32_t k = 0; k < 3 * to.width; ++k) jacobian[k] = 0.0f;
     add_point_rows(of.tree, of.ws.axes, row.sides[side].link, side == 0 ? place.a : place.b,
                    row.frame, side == 0 ? -1.0f : 1.0f, to.width, jacobian);
     if (itself)
       add_point_rows(of.tree, of.ws.axes, row.sides[1].link, place.b, row.frame, 1.0f, to.width,
                      jacobian);
-    const int32_t last = itself ? -1 : last_dof(of.tree, row.sides[side].link);
-    if (of.moves) response_rows(of.tree, of.ws, last, to.width, jacobian, response);
     to.rates = of.rates;
     to.jacobian = jacobian;
-    to.response = of.moves ? response : nullptr;
-    row.solver.mass += parted_mass(of.tree, of.ws, row.sides);
     for (int32_t k = 0; k < of.tree.dof_count; ++k) before += jacobian[k] * of.qd[k];
+    jacobian += 6 * to.width;
   }
   row.before = before;
+}
+
+// Behind build_jacobian: what its impulses do.
+template <class TreeOf>
+void build_responses(const ContactRows& c, const TreeOf& tree_of, IslandContact& row) {
+  row.whole = true;
+  const bool itself = row.sides[0].tree == row.sides[1].tree;
+  row.solver.mass = 0.0f;
+  float* jacobian = row.numbers;
+  for (int side = 0; side < 2; ++side) {
+    RowSide<float>& to = row.solver.sides[side];
+    if (to.width == 0) continue;
+    const IslandTree of = tree_of(row.sides[side].tree);
+    float* const response = jacobian + 3 * to.width;
+    const int32_t last = itself ? -1 : last_dof(of.tree, row.sides[side].link);
+    if (of.moves) response_rows(of.tree, of.ws, last, to.width, jacobian, response);
+    to.response = of.moves ? response : nullptr;
+    row.solver.mass += parted_mass(of.tree, of.ws, row.sides);
+    jacobian += 6 * to.width;
+  }
   set_diagonals(row.solver);
   const RowSide<float>& inner = row.solver.sides[0];
   if (itself && inner.response != nullptr) {
     const IslandTree of = tree_of(row.sides[0].tree);
-    row.solver.apart +=
-        shared_in_tree(of.tree, of.ws, row.sides[0].link, place.a, normal, inner.response);
+    row.solver.apart += shared_in_tree(of.tree, of.ws, row.sides[0].link, row.place.a,
+                                       c.normal[row.contact], inner.response);
   }
 }
+template <class TreeOf>
+void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
+                   IslandContact& row) {
+  row.numbers = numbers;
+  build_jacobian(c, tree_of, row);
+  build_responses(c, tree_of, row);
+}
 
-// What its normal wants, behind build_contact and at the rates without impulses.
-inline void set_target(const ContactLaw<float>& law, const ContactMaterial<float>& material,
-                       IslandContact& row) {
+// What its normal wants, behind build_jacobian and at the rates without impulses.
+inline void aim(const ContactLaw<float>& law, const ContactMaterial<float>& material,
+                IslandContact& row) {
   row.target = normal_target(law, material, row.place.gap, row.before, slip(row.solver, 0));
   row.solver.bias = row.target.bias;
   row.solver.shift = row.target.shift;
   row.solver.cfm = row.target.cfm;
   row.solver.friction = material.friction;
   row.elastic = material.restitution > 0.0f;
+}
+// Likewise, behind build_contact.
+inline void set_target(const ContactLaw<float>& law, const ContactMaterial<float>& material,
+                       IslandContact& row) {
+  aim(law, material, row);
   set_steps<float>(law.dt, row.solver);
 }
 
@@ -275,48 +303,11 @@ inline void build_friction(const IslandTree& of, int32_t dof, float limit, float
     row.impulse = of.rates[dof] > 0.0f ? -limit : limit;
 }
 
-// Sweeps of shifts, behind those of rates. for_rows(f) calls f for each contact.
-template <class ForRows>
-void sweep_shifts(const ForRows& for_rows) {
-  bool overlap = false;
-  for_rows([&](const PgsContact<float>& c) { overlap = overlap || c.shift < c.bias; });
-  float moved = kShiftTolerance;
-  for (int32_t k = 0; overlap && k < kShiftSweeps && !(moved < kShiftTolerance); ++k) {
-    moved = 0.0f;
-    for_rows([&](PgsContact<float>& c) {
-      const float by = sweep_shift(c);
-      moved = moved < by ? by : moved;
-    });
-  }
-}
-
 struct IslandResult {
   int32_t sweeps = 0;
   float residual = 0.0f;  // the largest change of velocity of the last, m/s
   float largest = 0.0f;   // impulse, as a velocity, m/s
 };
-// for_contacts(back, f) calls f for each contact, for_friction(f) for each dry friction.
-template <class ForContacts, class ForFriction>
-IslandResult sweep_island(bool cone, int32_t most_sweeps, float tolerance,
-                          const ForContacts& for_contacts, const ForFriction& for_friction) {
-  IslandResult result;
-  do {
-    float worst = 0.0f;
-    const auto note = [&](float moved) { worst = worst < moved ? moved : worst; };
-    for_contacts(result.sweeps % 2 != 0, [&](PgsContact<float>& c) { note(sweep(c, cone)); });
-    for_friction([&](PgsJointFriction<float>& f) { note(sweep(f)); });
-    result.residual = worst;
-  } while (++result.sweeps < most_sweeps && !(result.residual < tolerance));
-  const auto note = [&](float size) {
-    result.largest = result.largest < size ? size : result.largest;
-  };
-  for_contacts(false, [&](const PgsContact<float>& c) { note(c.normal * c.impulse[0]); });
-  for_friction(
-      [&](const PgsJointFriction<float>& f) { note(math::abs(f.response[f.dof] * f.impulse)); });
-  sweep_shifts([&](const auto& f) { for_contacts(false, f); });
-  return result;
-}
-
 // The rates that an island left, into qd_next and qdd, and its shifts. The first dof whose rate is
 // not finite, or -1; there it stops.
 inline int32_t take_rates(float* rates, const float* qd, float dt, int32_t dofs,
@@ -346,8 +337,9 @@ bool renew_tree(const IslandTree& of, const StepInputs<float>& in, const StepOpt
   if (take_rates(of.rates, of.qd, how.dt, dofs, ws) >= 0) return false;
   for (int32_t k = 0; k < dofs; ++k) ws.given[k] = 0.0f;
   if (holds_rates(of.tree, ws)) {
-    for_contacts(false,
-                 [&](const PgsContact<float>& c) { add_impulses(c, of.rates, dofs, ws.given); });
+    for_contacts(false, [&](const IslandContact& row) {
+      add_impulses(row.solver, of.rates, dofs, ws.given);
+    });
     for_friction([&](const PgsJointFriction<float>& f) {
       if (f.rates == of.rates) ws.given[f.dof] += f.impulse;
     });

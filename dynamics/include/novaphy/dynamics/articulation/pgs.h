@@ -123,17 +123,38 @@ struct RowSide {
   int32_t width = 0;
 };
 
+// Four numbers of a row at once, which compilers make one instruction of.
+template <class T>
+struct Four {
+  T v[4];
+};
+template <class T>
+Four<T> four(const T* x) {
+  return {{x[0], x[1], x[2], x[3]}};
+}
+// to + x y.
+template <class T>
+Four<T> add_product(const Four<T>& to, const Four<T>& x, const Four<T>& y) {
+  Four<T> sum = to;
+  for (int32_t i = 0; i < 4; ++i) sum.v[i] = to.v[i] + x.v[i] * y.v[i];
+  return sum;
+}
 // In four sums, whatever the width.
 template <class T>
 T row_dot(const T* a, const T* b, int32_t width) {
-  T s0 = T(0.0f), s1 = T(0.0f), s2 = T(0.0f), s3 = T(0.0f);
+  const T o = T(0.0f);
+  Four<T> s = {{o, o, o, o}};
+  for (int32_t k = 0; k < width; k += 4) s = add_product(s, four(a + k), four(b + k));
+  return (s.v[0] + s.v[1]) + (s.v[2] + s.v[3]);
+}
+// rates + y impulse.
+template <class T>
+void add_row(const T* y, const T& impulse, int32_t width, T* rates) {
+  const Four<T> by = {{impulse, impulse, impulse, impulse}};
   for (int32_t k = 0; k < width; k += 4) {
-    s0 = s0 + a[k] * b[k];
-    s1 = s1 + a[k + 1] * b[k + 1];
-    s2 = s2 + a[k + 2] * b[k + 2];
-    s3 = s3 + a[k + 3] * b[k + 3];
+    const Four<T> sum = add_product(four(rates + k), four(y + k), by);
+    for (int32_t i = 0; i < 4; ++i) rates[k + i] = sum.v[i];
   }
-  return (s0 + s1) + (s2 + s3);
 }
 
 // The numbers of a contact that a sweep takes.
@@ -172,9 +193,7 @@ T moving_slip(const PgsContact<T>& c) {
 template <class T>
 void push(const PgsContact<T>& c, int32_t row, const T& impulse) {
   for (const RowSide<T>& s : c.sides) {
-    if (s.response == nullptr) continue;
-    const T* const y = s.response + row * s.width;
-    for (int32_t k = 0; k < s.width; ++k) s.rates[k] = s.rates[k] + y[k] * impulse;
+    if (s.response != nullptr) add_row(s.response + row * s.width, impulse, s.width, s.rates);
   }
 }
 // J_i Y_j.
@@ -326,8 +345,7 @@ T sweep_shift(PgsContact<T>& c) {
       c, true, [&] { return moving_slip(c); },
       [&](const T& impulse) {
         for (const RowSide<T>& s : c.sides)
-          for (int32_t k = 0; s.response != nullptr && k < s.width; ++k)
-            s.rates[s.width + k] = s.rates[s.width + k] + s.response[k] * impulse;
+          if (s.response != nullptr) add_row(s.response, impulse, s.width, s.rates + s.width);
       });
 }
 template <class T>
@@ -354,7 +372,7 @@ struct PgsJointFriction {
 };
 template <class T>
 void push(const PgsJointFriction<T>& f, const T& impulse) {
-  for (int32_t k = 0; k < f.width; ++k) f.rates[k] = f.rates[k] + f.response[k] * impulse;
+  add_row(f.response, impulse, f.width, f.rates);
 }
 // Starts from the impulse of an earlier step, within its limit.
 template <class T>

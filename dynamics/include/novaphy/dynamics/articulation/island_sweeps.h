@@ -1,0 +1,63 @@
+// The sweeps of an island (islands.h): those of rates, and behind them those of shifts.
+//
+// A contact that pushes nothing has no Y, and nothing that sweeps divide by. Both are made when a
+// sweep finds that the contact is about to push. The impulses are the same, to the bit.
+#pragma once
+
+#include "novaphy/dynamics/articulation/islands.h"
+
+namespace novaphy::articulation {
+
+// for_rows(f) calls f for each contact. whole(row, speed) says whether a contact that parts at that
+// speed pushes, and makes it whole then.
+template <class ForRows, class Whole>
+void sweep_shifts(const ForRows& for_rows, const Whole& whole) {
+  bool overlap = false;
+  for_rows(
+      [&](const IslandContact& row) { overlap = overlap || row.solver.shift < row.solver.bias; });
+  float moved = kShiftTolerance;
+  for (int32_t k = 0; overlap && k < kShiftSweeps && !(moved < kShiftTolerance); ++k) {
+    moved = 0.0f;
+    for_rows([&](IslandContact& row) {
+      PgsContact<float>& c = row.solver;
+      if (!row.whole && !whole(row, moving_slip(c) + c.shift)) return;
+      const float by = sweep_shift(c);
+      moved = moved < by ? by : moved;
+    });
+  }
+}
+
+// for_contacts(back, f) calls f for each contact, for_friction(f) for each dry friction.
+// complete(row) makes a contact whole.
+template <class ForContacts, class ForFriction, class Complete>
+IslandResult sweep_island(bool cone, int32_t most_sweeps, float tolerance,
+                          const ForContacts& for_contacts, const ForFriction& for_friction,
+                          const Complete& complete) {
+  IslandResult result;
+  const auto whole = [&](IslandContact& row, float speed) {
+    if (!(speed < 0.0f)) return false;
+    complete(row);
+    return true;
+  };
+  do {
+    float worst = 0.0f;
+    const auto note = [&](float moved) { worst = worst < moved ? moved : worst; };
+    for_contacts(result.sweeps % 2 != 0, [&](IslandContact& row) {
+      PgsContact<float>& c = row.solver;
+      if (row.whole || whole(row, slip(c, 0) + c.bias)) note(sweep(c, cone));
+    });
+    for_friction([&](PgsJointFriction<float>& f) { note(sweep(f)); });
+    result.residual = worst;
+  } while (++result.sweeps < most_sweeps && !(result.residual < tolerance));
+  const auto note = [&](float size) {
+    result.largest = result.largest < size ? size : result.largest;
+  };
+  for_contacts(false,
+               [&](const IslandContact& row) { note(row.solver.normal * row.solver.impulse[0]); });
+  for_friction(
+      [&](const PgsJointFriction<float>& f) { note(math::abs(f.response[f.dof] * f.impulse)); });
+  sweep_shifts([&](const auto& f) { for_contacts(false, f); }, whole);
+  return result;
+}
+
+}  // namespace novaphy::articulation

@@ -18,6 +18,7 @@
 
 namespace novaphy::geometry {
 
+inline constexpr float kForeseenEdge = 4.0f;    // of the gap: longer edges are not worth it
 inline constexpr float kSurelyRises = 0.008f;   // sine: more than kLeanSine by what a normal is off
 inline constexpr float kSurelyTilted = 0.056f;  // sine: that of kFaceCosine is 0.0523
 inline constexpr float kSurelyFacing = 0.048f;  // likewise

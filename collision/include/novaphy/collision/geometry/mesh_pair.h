@@ -47,9 +47,10 @@ void collide_mesh(const MeshView& mesh, const Shape& b, const Transformf& b_in_m
   const ShapePair pair = shape_pair(none, b, b_in_mesh);
   if (!is_finite(pair)) return;
   Vec3f half;
-  const bool is_box = core_box(b, half);
+  // A large triangle is near in one of its points mostly, so its bounds tell little.
+  const bool foresees = core_box(b, half) && mesh.longest_edge <= kForeseenEdge * gap;
   for_triangles_in(mesh, box_in_mesh(pair, gap), [&](int32_t triangle) {
-    const Foreseen known = is_box ? foresee(mesh, triangle, pair, half, gap) : Foreseen{};
+    const Foreseen known = foresees ? foresee(mesh, triangle, pair, half, gap) : Foreseen{};
     if (!known.no_contact) collide_triangle(mesh, triangle, b, b_in_mesh, gap, known.facing, add);
   });
 }

@@ -172,8 +172,8 @@ inline MeshContact mesh_contact(int32_t triangle, const ContactPoint& point, con
   return contact;
 }
 
-// Calls add(contact) for the contacts of B with one triangle, before reduction. `facing`: that of
-// Foreseen, by which most of what B faces needs no GJK.
+// Calls add(contact) for the contacts of B with one triangle, before reduction. `foreseen`:
+// Foreseen::facing, by which most triangles that B faces need no GJK.
 template <class Add>
 NOVAPHY_OUT_OF_LINE void collide_triangle(const MeshView& mesh, int32_t triangle, const Shape& b,
                                           const Transformf& b_in_mesh, float gap, float foreseen,
@@ -185,26 +185,28 @@ NOVAPHY_OUT_OF_LINE void collide_triangle(const MeshView& mesh, int32_t triangle
   a.type = GeoType::CONVEX_MESH;
   a.hull = view_of(t);
   const ShapePair pair = shape_pair(a, b, b_in_mesh);
-  Proximity nearest;
+  if (foreseen > 0.0f) {
+    const Proximity over = face_proximity(pair, t);
+    Feature front, facing;
+    const ContactCandidates found = over_face(pair, over, gap, front, facing);
+    if (has_deeper(found, kSurelyDeep * foreseen)) {
+      for (int32_t i = 0; i < found.count; ++i)
+        add(mesh_contact(triangle, found.points[i], over, {}, MeshRank::Counts));
+      return;
+    }
+  }
+  const Proximity nearest = convex_proximity(pair, gap);
+  if (!(nearest.distance <= gap)) return;
   const auto emit = [&](const ContactPoint& point, const Proximity& along, MeshRank rank) {
     add(mesh_contact(triangle, point, along, nearest, rank));
   };
   const auto emit_all = [&](const ContactCandidates& found, const Proximity& along, MeshRank rank) {
     for (int32_t i = 0; i < found.count; ++i) emit(found.points[i], along, rank);
   };
-  Feature front, facing;
-  Proximity over;
-  ContactCandidates found;
-  if (foreseen > 0.0f) {
-    over = face_proximity(pair, t);
-    found = over_face(pair, over, gap, front, facing);
-    if (has_deeper(found, kSurelyDeep * foreseen)) return emit_all(found, over, MeshRank::Counts);
-  }
-  nearest = convex_proximity(pair, gap);
-  if (!(nearest.distance <= gap)) return;
   const float cosine = math::dot(nearest.normal, t.normals[0]);
   const bool stands = cosine >= -kBehindCosine && normal_stands(mesh, triangle, nearest.normal);
   const bool faces = cosine >= kFaceCosine;
+  Feature front, facing;
   if (stands && !faces) {
     facing_features(pair, nearest.normal, front, facing);
     emit_all(clip_candidates(pair, nearest, corners_along(t, nearest.normal), facing, gap), nearest,
@@ -212,8 +214,8 @@ NOVAPHY_OUT_OF_LINE void collide_triangle(const MeshView& mesh, int32_t triangle
     return;
   }
   if (!faces && nearest.distance > 0.0f) return;
-  over = face_proximity(pair, t);
-  found = over_face(pair, over, gap, front, facing);
+  const Proximity over = face_proximity(pair, t);
+  const ContactCandidates found = over_face(pair, over, gap, front, facing);
   emit_all(found, over, faces ? MeshRank::Counts : MeshRank::WayOut);
   if (!stands) {
     if (nearest.distance > 0.0f || cosine < -kBehindCosine) return;

@@ -17,9 +17,16 @@ std::string some(int64_t count, int64_t of) {
   return std::to_string(count) + " of " + std::to_string(of) + " steps";
 }
 
+// Events of one tree that follow each other in fewer steps may come in another order.
+constexpr double kApart = 3.0;
+
+bool are_apart(const MotionCounts& m) { return m.of_springs || m.least_separation >= kApart; }
+int64_t cut_landings(const MotionCounts& m) {
+  return std::ranges::count_if(m.events, [](const auto& e) { return !e->whole; });
+}
 bool is_of_the_motion(const MotionCounts& m) {
   return m.several == 0 && m.unmoved == 0 && m.one_sided == 0 && m.stiff == 0 && m.rough == 0 &&
-         m.rows_are_exact;
+         m.phased == 0 && m.rows_are_exact && are_apart(m) && cut_landings(m) == 0;
 }
 std::string motion_of_springs(const MotionCounts& m) {
   std::string text = ", and the times at which they begin and end move with the state";
@@ -47,6 +54,13 @@ std::string motion_of(const MotionCounts& m) {
     text += "; in " + std::to_string(m.several) +
             " steps several pairs hit at once, where the gradient is that of the motion only if "
             "their impacts do not depend on each other";
+  if (m.phased > 0)
+    text += "; the friction of " + std::to_string(m.phased) +
+            " landings turns, whose states depend on where in its step the contact begins";
+  if (m.several == 0 && !are_apart(m))
+    text += "; two events of one tree are " + std::to_string(m.least_separation) +
+            " steps apart, which may come in the other order";
+  if (cut_landings(m) > 0) text += "; a landing is cut by the end of the steps";
   if (!m.rows_are_exact)
     text += "; overlaps are not of the motion but with pgs_slop=0 and pgs_erp=1";
   return text;
@@ -103,6 +117,12 @@ GradientInfo gradient_info(const GradientCounts& c, bool implicit, const MotionC
     info.several = motion->several;
     info.one_sided = motion->one_sided;
     info.ramp_steps = motion->ramp_steps;
+    info.landings = motion->landings;
+    info.phased = motion->phased;
+    info.one_sided += cut_landings(*motion);
+    info.least_approach = motion->least_approach;
+    info.least_separation = motion->least_separation;
+    info.event_list = motion->events;
   }
   info.residual = c.residual;
   info.reason = reason_of(c, implicit, motion, info.events);
@@ -117,7 +137,8 @@ GradientInfo worst_of(std::span<const GradientInfo> all) {
   };
   GradientInfo sum = *std::ranges::max_element(all, {}, rank);
   sum.steps = sum.exact_steps = sum.frozen_steps = sum.surrogate_steps = 0;
-  sum.several = sum.one_sided = sum.ramp_steps = 0;
+  sum.several = sum.one_sided = sum.ramp_steps = sum.landings = sum.phased = sum.lost_events = 0;
+  sum.event_list.clear();
   sum.events = sum.began = sum.ended = sum.turned = 0;
   for (const GradientInfo& of : all) {
     sum.steps += of.steps;
@@ -131,9 +152,41 @@ GradientInfo worst_of(std::span<const GradientInfo> all) {
     sum.several += of.several;
     sum.one_sided += of.one_sided;
     sum.ramp_steps += of.ramp_steps;
+    sum.landings += of.landings;
+    sum.phased += of.phased;
+    sum.lost_events += of.lost_events;
+    sum.least_approach = std::min(sum.least_approach, of.least_approach);
+    sum.least_separation = std::min(sum.least_separation, of.least_separation);
+    sum.event_list.insert(sum.event_list.end(), of.event_list.begin(), of.event_list.end());
     sum.residual = std::max(sum.residual, of.residual);
   }
+  std::ranges::stable_sort(sum.event_list, {}, [](const auto& e) { return e->time; });
   return sum;
+}
+
+namespace {
+bool share(const MotionEvent& a, const MotionEvent& b) {
+  return std::ranges::any_of(a.slopes, [&](const MotionEvent::Slope& x) {
+    return std::ranges::any_of(
+        b.slopes, [&](const MotionEvent::Slope& y) { return x.of == y.of && x.first == y.first; });
+  });
+}
+}  // namespace
+
+void MotionCounts::add(const std::shared_ptr<MotionEvent>& event) {
+  const auto at = [](const MotionEvent& e) {
+    return static_cast<double>(e.step) + double{e.phase};
+  };
+  least_approach = std::min(least_approach, event->approach);
+  landings += event->kind == MotionEventKind::Landing ? 1 : 0;
+  for (size_t i = events.size(); i > 0; --i) {
+    const MotionEvent& before = *events[i - 1];
+    const auto steps = static_cast<double>(event->step - before.step);
+    if (before.chain != event->chain || steps > least_separation + 1.0) break;
+    if (share(before, *event))
+      least_separation = std::min(least_separation, std::abs(at(*event) - at(before)));
+  }
+  events.push_back(event);
 }
 
 }  // namespace novaphy

@@ -7,6 +7,7 @@
 #include "gradient_info.h"
 #include "nova_types.h"
 #include "novaphy/diff/diff_featherstone_solver.h"
+#include "novaphy/diff/event_times.h"
 #include "novaphy/diff/planar_arm.h"
 
 namespace novaphy::python {
@@ -86,6 +87,17 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
         "target_z"_a, release_gil(),
         "|tip - target|^2 {1} (m^2) of the arm of record_planar_2r_featherstone_step at q {2}, in "
         "XOZ; the tip is as far behind the last center of mass as the joint before it. Exact.");
+}
+
+void bind_event_times(py::module_& m) {
+  m.def("event_times", &diff::event_times, "trajectory"_a, release_gil(),
+        "{n}, s since the first of the steps that filled the trajectory: when contacts and limits "
+        "of joints begin, in the order of GradientInfo.event_list. The solver has "
+        "contact_gradient=\"motion\". Recorded on the active tape. An event of step k has the time "
+        "t_k + d / |J v| and the derivative J / |J v| with respect to the positions of state k, "
+        "where d is the gap, J its derivative and v the rates. The number and the order of events "
+        "are those of this run (saltation matrix). ValueError: no tape is active, or no such event "
+        "is on it; NotImplementedError: a trajectory with checkpoints.");
 }
 
 }  // namespace novaphy::python

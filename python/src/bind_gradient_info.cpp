@@ -7,13 +7,35 @@
 
 namespace novaphy::python {
 
+namespace {
+
+py::list rows_of(const MotionEvents& events) {
+  static constexpr const char* kKinds[] = {"bounce", "landing", "spring", "limit"};
+  static constexpr const char* kFriction[] = {"none", "sticks", "slides", "turns"};
+  const auto there = [](double x) { return x == x ? py::object(py::float_(x)) : py::none(); };
+  py::list rows;
+  for (const auto& e : events)
+    rows.append(py::dict("step"_a = e->step, "time"_a = e->time, "world"_a = e->world,
+                         "shape0"_a = e->shape0, "shape1"_a = e->shape1, "particle"_a = e->particle,
+                         "joint"_a = e->joint, "kind"_a = kKinds[static_cast<size_t>(e->kind)],
+                         "approach"_a = e->approach, "phase"_a = e->phase,
+                         "friction"_a = kFriction[static_cast<size_t>(e->friction)],
+                         "h_before"_a = there(e->h_before), "h_after"_a = there(e->h_after)));
+  return rows;
+}
+
+}  // namespace
+
 GradientInfoFields to_fields(const GradientInfo& i, const py::dict& more) {
   py::dict fields("label"_a = i.label, "reason"_a = i.reason, "steps"_a = i.steps,
                   "exact_steps"_a = i.exact_steps, "frozen_steps"_a = i.frozen_steps,
                   "surrogate_steps"_a = i.surrogate_steps, "events"_a = i.events,
                   "began"_a = i.began, "ended"_a = i.ended, "turned"_a = i.turned,
                   "several"_a = i.several, "one_sided"_a = i.one_sided,
-                  "ramp_steps"_a = i.ramp_steps, "residual"_a = i.residual);
+                  "ramp_steps"_a = i.ramp_steps, "landings"_a = i.landings, "phased"_a = i.phased,
+                  "lost_events"_a = i.lost_events, "least_approach"_a = i.least_approach,
+                  "least_separation"_a = i.least_separation, "event_list"_a = rows_of(i.event_list),
+                  "residual"_a = i.residual);
   for (const auto& [name, value] : more) fields[name] = value;
   return {fields};
 }
@@ -54,6 +76,17 @@ constexpr std::pair<const char*, const char*> kFields[] = {
     {"ramp_steps",
      "With contact_gradient=\"motion\" and springs: steps with a contact within half a step of "
      "its begin or end."},
+    {"landings",
+     "With contact_gradient=\"motion\": contacts of articulations that begin without a bounce."},
+    {"phased",
+     "Landings whose friction turns. The states behind such a landing depend on where in its step "
+     "the contact begins."},
+    {"lost_events", "Events for which a device has no room; 0 on the CPU."},
+    {"least_approach", "m/s, rad/s: of the events in event_list; inf without one."},
+    {"least_separation", "Steps between two events of one articulation or body; inf without two."},
+    {"event_list",
+     "With contact_gradient=\"motion\": a dict per contact or limit that begins, in the order of "
+     "time, of the last chain of steps or of a tape. docs/conventions.md lists the keys."},
     {"residual", "The largest miss of the law of contacts, relative to the largest impulse (1)."}};
 
 constexpr const char* kDoc = doc::kGradientInfo;

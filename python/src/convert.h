@@ -50,6 +50,7 @@ void bind_nova_kernel(py::module_& nova);
 void bind_vbd(py::module_& solvers);
 void bind_diff(py::module_& diff, py::module_& solvers);
 void bind_diff_featherstone(py::module_& diff, py::module_& solvers);
+void bind_event_times(py::module_& diff);
 
 // After everything is bound: a wrong argument is named, see argument_errors.cpp.
 void explain_argument_errors(py::module_& m);

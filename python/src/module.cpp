@@ -167,6 +167,7 @@ PYBIND11_MODULE(_core, m) {
   bind_nova_networks(nova);
   py::module_ diff = m.def_submodule("diff", "Differentiable operators; import novaphy.diff.");
   bind_diff(diff, solvers);
+  bind_event_times(diff);
 #endif
   explain_argument_errors(m);
   set_interrupt_check(&check_signals);

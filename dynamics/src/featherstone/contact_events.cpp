@@ -11,6 +11,8 @@ namespace {
 namespace art = articulation;
 constexpr float kLeastApproach = 1e-3f;  // m/s
 constexpr float kParallel = 0.999f;
+constexpr float kAtCone = 0.999f;  // friction of this part of the cone slides
+constexpr float kTurned = 0.02f;   // of the coefficient of friction
 
 // Whether contacts delay as one: of the same links, along the same normal.
 bool hit_together(const art::ContactRows& c, const art::IslandContact& a,
@@ -70,9 +72,27 @@ std::vector<char> find_hits(const GroupStep& s, int32_t root, bool continues,
   return hits;
 }
 
-// What the rows of an island that hit push; `begin`: of the dofs of each of its trees.
+bool slides(const art::PgsContact<float>& c) {
+  return std::hypot(c.impulse[1], c.impulse[2]) >= kAtCone * c.friction * c.impulse[0];
+}
+// The tangential by the normal impulse, in the world.
+Vec3f slip_of(const art::IslandContact& row) {
+  const float* const impulse = row.solver.impulse;
+  return (row.frame.axes[1] * impulse[1] + row.frame.axes[2] * impulse[2]) * (1.0f / impulse[0]);
+}
+LandedRow landed_row(const art::ContactRows& c, const art::IslandContact& row) {
+  const int32_t i = row.contact;
+  return {.shape0 = c.shape0[i],
+          .shape1 = c.shape1[i],
+          .point = c.point_id == nullptr ? -1 : c.point_id[i],
+          .slip = slip_of(row)};
+}
+
+// What the rows of an island that hit push; `begin`: of the dofs of each of its trees. `number`: of
+// the event.
 void add_groups(const GroupStep& s, int32_t root, const std::vector<char>& hits,
-                const std::vector<int32_t>& begin, size_t dofs, ContactEvent& event) {
+                const std::vector<int32_t>& begin, size_t dofs, size_t number, ContactEvent& event,
+                std::vector<LandedRow>& landed) {
   std::vector<const art::IslandContact*> firsts;  // of the groups
   for_rows(s, root, [&](const art::IslandContact& row, int32_t n) {
     if (hits[static_cast<size_t>(n)] == 0) return;
@@ -85,6 +105,8 @@ void add_groups(const GroupStep& s, int32_t root, const std::vector<char>& hits,
       event.groups.emplace_back();
       event.groups.back().normal_push.resize(dofs);
       event.groups.back().push.resize(dofs);
+      event.groups.back().shape0 = s.contacts.shape0[row.contact];
+      event.groups.back().shape1 = s.contacts.shape1[row.contact];
     }
     ContactEvent::Group& to = event.groups[group];
     for (int side = 0; side < 2; ++side) {
@@ -99,13 +121,36 @@ void add_groups(const GroupStep& s, int32_t root, const std::vector<char>& hits,
               of.response[r * of.width + k] * row.solver.impulse[r];
       }
     }
-    event.lands = event.lands || (row.place.gap > 0.0f && !(row.target.bounce > 0.0f));
+    to.impulse += row.solver.impulse[0];
+    to.gap += row.solver.impulse[0] * row.place.gap;
+    if (row.solver.friction > 0.0f && to.friction != MotionFriction::Slides)
+      to.friction = slides(row.solver) ? MotionFriction::Slides : MotionFriction::Sticks;
+    if (!(row.place.gap > 0.0f) || row.target.bounce > 0.0f) return;
+    event.lands = to.lands = true;
+    LandedRow& in = landed.emplace_back(landed_row(s.contacts, row));
+    in.event = number;
+    in.group = group;
+  });
+}
+
+void find_turned(const GroupStep& s, int32_t root, std::span<const LandedRow> landed,
+                 std::vector<std::pair<size_t, size_t>>& turned) {
+  if (landed.empty()) return;
+  for_rows(s, root, [&](const art::IslandContact& row, int32_t) {
+    if (!(row.solver.impulse[0] > 0.0f) || !slides(row.solver)) return;
+    const LandedRow now = landed_row(s.contacts, row);
+    for (const LandedRow& of : landed) {
+      if (of.shape0 != now.shape0 || of.shape1 != now.shape1 || of.point != now.point) continue;
+      if (math::length(now.slip - of.slip) > kTurned * row.solver.friction)
+        turned.emplace_back(of.event, of.group);
+    }
   });
 }
 
 }  // namespace
 
-ContactEvents ContactSteps::events(const float* qd, bool continues) const {
+ContactEvents ContactSteps::events(const float* qd, bool continues,
+                                   std::span<const LandedRow> landed) const {
   ContactEvents found;
   const auto count = static_cast<size_t>(articulations_.count());
   found.touched.resize(count);
@@ -117,6 +162,7 @@ ContactEvents ContactSteps::events(const float* qd, bool continues) const {
       if (s.root(root) != root || s.a.nodes[root].joined == 0) continue;
       any = true;
       const std::vector<char> hits = find_hits(s, root, continues, found);
+      find_turned(s, root, landed, found.turned);
       ContactEvent event;
       std::vector<int32_t> begin(count, -1);
       int32_t dofs = 0;
@@ -125,7 +171,8 @@ ContactEvents ContactSteps::events(const float* qd, bool continues) const {
         dofs += s.rows(i).dof_count;
         event.trees.push_back(i);
       }
-      add_groups(s, root, hits, begin, static_cast<size_t>(dofs), event);
+      add_groups(s, root, hits, begin, static_cast<size_t>(dofs), found.events.size(), event,
+                 found.landed);
       for (ContactEvent::Group& of : event.groups) {
         float speed = 0.0f;
         for (const int32_t tree : event.trees)

@@ -93,8 +93,9 @@ class ContactSteps {
             const FeatherstoneOptions& options, const ContactRecord& record, TreeSteps* lanes);
   // Of the last step that noted its branches, before note_branches; on the cpu: the contacts that
   // begin in it. They approach by more than 1 mm/s, and than the forces of a step make, and did not
-  // push in the step before. `qd` {dofs}: before the step.
-  ContactEvents events(const float* qd, bool continues) const;
+  // push in the step before. `qd` {dofs}: before the step; `landed`: ContactEvents::landed of the
+  // step before.
+  ContactEvents events(const float* qd, bool continues, std::span<const LandedRow> landed) const;
   // Behind a step that noted them: adds them to branches(), and keeps them for the next step.
   void note_branches() const;
   // The arrays of no contacts.

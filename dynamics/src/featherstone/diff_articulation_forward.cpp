@@ -125,7 +125,12 @@ namespace {
 // Behind a step as it is recorded: what its contacts say.
 void tell_contacts(const Step& s) {
   ArticulationStep::Shared& shared = *s.shared;
-  if (s.motion) s.motion->found = shared.contacts.events(numbers(s.in(kAt.qd)), s.continues);
+  if (s.motion) {
+    const std::shared_ptr<const Step> last = s.continues ? shared.last.lock() : nullptr;
+    std::span<const LandedRow> landed;
+    if (last) landed = last->motion->found.landed;
+    s.motion->found = shared.contacts.events(numbers(s.in(kAt.qd)), s.continues, landed);
+  }
   shared.contacts.note_branches();
   if (!shared.trees) return;
   add_branches(shared.contacts.branches(), shared.branches);

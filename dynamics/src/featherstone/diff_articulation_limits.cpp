@@ -110,11 +110,30 @@ void note_limits(const Step& s, const MotionNotes* last) {
     for (int32_t k = of.first_dof; k < of.first_dof + of.dof_count; ++k) {
       const bool acted = acts(last->branch[static_cast<size_t>(k)]);
       if (acted == acts(notes.branch[static_cast<size_t>(k)])) continue;
+      const size_t known = notes.limits.size();
       if (touches)
         ++s.shared->motion.unmoved;
       else
         add_limit_event(s, t, k, acted);
+      if (!acted && notes.limits.size() > known) tell_limit(s, t, k);
     }
+  }
+}
+
+void limits_vjp(const Step& s, const ArticulationArguments& in, float* y_q, float* y_qd) {
+  for (const LimitEvent& event : s.motion->limits) {
+    const art::Tree<float> tree = articulation_tree(in, rows_of_step(s)[event.tree]);
+    const auto first = coordinates_of(s, event.tree).first;
+    double by = 0.0;
+    for (size_t i = 0; i < event.by_q.size(); ++i)
+      by += double{event.jump_q[i]} * y_q[static_cast<size_t>(first) + i];
+    for (size_t i = 0; i < event.by_qd.size(); ++i)
+      by += double{event.jump_qd[i]} * y_qd[static_cast<size_t>(tree.first_dof) + i];
+    for (size_t i = 0; i < event.by_q.size(); ++i)
+      y_q[static_cast<size_t>(first) + i] += static_cast<float>(by / event.rate * event.by_q[i]);
+    for (size_t i = 0; i < event.by_qd.size(); ++i)
+      y_qd[static_cast<size_t>(tree.first_dof) + i] +=
+          static_cast<float>(by / event.rate * event.by_qd[i]);
   }
 }
 

@@ -135,15 +135,6 @@ float total_approach(const ContactEvent& event) {
 // Several pairs at once, none of which lands: each has a delay of its own.
 bool is_apart(const ContactEvent& event) { return event.groups.size() > 1 && !event.lands; }
 
-template <class F>
-void for_dofs(const Step& s, const ContactEvent& event, const F& f) {
-  const ArticulationRows* const rows = rows_of_step(s);
-  size_t at = 0;
-  for (const int32_t tree : event.trees)
-    for (int32_t k = 0; k < rows[tree].dof_count; ++k)
-      f(at++, static_cast<size_t>(rows[tree].first_dof + k));
-}
-
 }  // namespace
 
 void note_motion(const std::shared_ptr<const Step>& step,
@@ -155,6 +146,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
   const auto dofs = static_cast<size_t>(s.in(kAt.qd).size());
   MotionNotes* const last = before ? before->motion.get() : nullptr;
   bool follows = false;  // an event that has begun before ends at its start, or goes on
+  tell_events(s, in, before.get());
   if (last != nullptr) {
     last->next = s.motion;
     follows = last->in_contact();
@@ -212,6 +204,7 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
   const auto dofs = static_cast<size_t>(s.in(kAt.qd).size());
   std::vector<float> p_q(dofs), correction(dofs), tangent(dofs);
   std::vector<float> mismatch(static_cast<size_t>(s.count));
+  std::vector<double> h_before(mismatch.size());
   for (size_t t = 0; t < mismatch.size(); ++t) {
     const ArticulationRows& of = rows[t];
     const art::Tree<float> tree = articulation_tree(in, of);
@@ -227,7 +220,10 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
     for (int32_t k = 0; k < of.dof_count; ++k) {
       const auto row = static_cast<size_t>(of.first_dof + k);
       p_q[row] = adjoint.tangent[k];
-      sum += double{tangent[row]} * in.arrays.qd[row] + double{y_qd[row]} * notes.smooth[row];
+      const double of_flow =
+          double{tangent[row]} * in.arrays.qd[row] + double{y_qd[row]} * notes.smooth[row];
+      h_before[t] += of_flow;
+      sum += of_flow;
       sum -= double{adjoint.tangent[k]} * qd_next[row] + double{adjoint.rate[k]} * end.qdd[row];
     }
     mismatch[t] = static_cast<float>(sum);
@@ -236,6 +232,7 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
   for (const ContactEvent& event : notes.found.events) {
     double s_all = 0.0;
     for (const int32_t tree : event.trees) s_all += double{mismatch[static_cast<size_t>(tree)]};
+    tell_mismatch(event, h_before, s_all);
     const double approach = total_approach(event);
     const bool apart = is_apart(event);
     std::vector<double> by_push(event.groups.size());
@@ -264,20 +261,7 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
                              [&](int32_t row, float value) { y_q[row] += value; });
   }
   notes.mismatch = std::move(mismatch);
-  for (const LimitEvent& event : notes.limits) {
-    const art::Tree<float> tree = articulation_tree(in, rows[event.tree]);
-    const auto first = coordinates_of(s, event.tree).first;
-    double by = 0.0;
-    for (size_t i = 0; i < event.by_q.size(); ++i)
-      by += double{event.jump_q[i]} * y_q[static_cast<size_t>(first) + i];
-    for (size_t i = 0; i < event.by_qd.size(); ++i)
-      by += double{event.jump_qd[i]} * y_qd[static_cast<size_t>(tree.first_dof) + i];
-    for (size_t i = 0; i < event.by_q.size(); ++i)
-      y_q[static_cast<size_t>(first) + i] += static_cast<float>(by / event.rate * event.by_q[i]);
-    for (size_t i = 0; i < event.by_qd.size(); ++i)
-      y_qd[static_cast<size_t>(tree.first_dof) + i] +=
-          static_cast<float>(by / event.rate * event.by_qd[i]);
-  }
+  limits_vjp(s, in, y_q, y_qd);
   const auto give = [](const nova::InputGradient& to, const float* from) {
     float* const x = numbers(to.grad);
     for (int64_t i = 0; i < to.grad.size(); ++i) x[i] = to.add ? x[i] + from[i] : from[i];

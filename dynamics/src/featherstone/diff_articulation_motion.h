@@ -23,6 +23,7 @@
 #include <vector>
 
 #include "contact_events.h"
+#include "diff_articulation_parts.h"
 #include "novaphy/dynamics/featherstone/diff_articulation_step.h"
 #include "novaphy/nova/tape.h"
 
@@ -44,6 +45,10 @@ struct MotionNotes {
   std::vector<float> branch;  // {dofs}: of the step
   std::vector<float> after;   // {dofs}: under the controls of the event that ends at its start
   std::vector<char> inside;   // {trees}: its start is inside of an event; empty: of none
+  // Of the step among those that follow each other: its number, and the time at its start.
+  int64_t number = 0, chain = 0;
+  double time = 0.0;  // s
+  MotionEvents told;  // of `found` and `limits`, as far as they begin
   std::weak_ptr<MotionNotes> next;
   std::shared_ptr<const ArticulationStep::Step> controls;  // of the event in which it stands
   // {trees}: from the step behind, in an adjoint; from the step before, in a tangent.
@@ -56,8 +61,26 @@ struct MotionNotes {
 
 // First and number of the coordinates of a tree.
 std::pair<int32_t, int32_t> coordinates_of(const ArticulationStep::Step& step, int32_t tree);
+// visit(number, row) for the dofs of an event.
+template <class F>
+void for_dofs(const ArticulationStep::Step& s, const ContactEvent& event, const F& visit) {
+  const ArticulationRows* const rows = rows_of_step(s);
+  size_t at = 0;
+  for (const int32_t tree : event.trees)
+    for (int32_t k = 0; k < rows[tree].dof_count; ++k)
+      visit(at++, static_cast<size_t>(rows[tree].first_dof + k));
+}
+// Says when the groups of a step hit, and what the landings of the one before are (null: none); of
+// a dof that reaches its limit; and of an event, H before it by trees, and the mismatch behind.
+void tell_events(const ArticulationStep::Step& step, const ArticulationArguments& in,
+                 const ArticulationStep::Step* before);
+void tell_limit(const ArticulationStep::Step& step, int32_t tree, int32_t dof);
+void tell_mismatch(const ContactEvent& event, std::span<const double> h_before, double mismatch);
 // Notes the limits of a step that pushed otherwise in the one before (null: none).
 void note_limits(const ArticulationStep::Step& step, const MotionNotes* before);
+// Adds what they do to the gradients of the state that the step starts from.
+void limits_vjp(const ArticulationStep::Step& step, const ArticulationArguments& in, float* of_q,
+                float* of_qd);
 // Behind a step that has run, before the contacts of the solver are used again; `before` (null:
 // none): the step that ended where it starts.
 void note_motion(const std::shared_ptr<const ArticulationStep::Step>& step,

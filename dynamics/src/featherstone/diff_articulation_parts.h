@@ -166,8 +166,10 @@ struct ArticulationStep::Shared {
   MotionCounts motion;
   struct Witness;
   std::weak_ptr<Witness> witness;
-  std::weak_ptr<const Step> last;  // with MotionNotes
-  int64_t next_step = 0;           // number of the next step that is recorded
+  std::weak_ptr<const Step> last;           // with MotionNotes
+  int64_t chain = 0;                        // of `last`
+  const MotionEvents* last_told = nullptr;  // of the step that is recorded
+  int64_t next_step = 0;                    // number of the next step that is recorded
   // On devices, whether a step since the last check is far from converged, and how many were.
   std::shared_ptr<bool> far = std::make_shared<bool>(false);
   int64_t far_steps = 0;

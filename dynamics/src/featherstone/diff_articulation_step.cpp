@@ -107,8 +107,9 @@ struct ArticulationStep::Shared::Witness : GradientWitness {
   bool has_replays;
   Witness(std::shared_ptr<Shared> of, bool replays)
       : shared(std::move(of)), motion(shared->motion), has_replays(replays) {
-    motion.several = motion.unmoved = 0;
+    motion = {.rows_are_exact = motion.rows_are_exact};
   }
+  MotionEvents events() const override { return motion.events; }
   GradientInfo info() const override {
     const bool moves = shared->contact_gradient == DerivativeOf::Motion;
     return gradient_info(has_replays ? all_branches(*shared).all : counts, false,
@@ -128,7 +129,9 @@ class CountsOfStep {
       return std::make_shared<ArticulationStep::Shared::Witness>(shared, !shared->runs_on_host());
     });
     counts_ = std::exchange(shared_.branches.all, {});
-    motion_ = shared_.motion;
+    motion_.several = shared_.motion.several;
+    motion_.unmoved = shared_.motion.unmoved;
+    motion_.phased = shared_.motion.phased;
     free_steps_ = shared_.free_steps;
   }
   CountsOfStep(const CountsOfStep&) = delete;
@@ -143,6 +146,10 @@ class CountsOfStep {
     note_steps(now, witness_->counts);
     witness_->motion.several += shared_.motion.several - motion_.several;
     witness_->motion.unmoved += shared_.motion.unmoved - motion_.unmoved;
+    witness_->motion.phased += shared_.motion.phased - motion_.phased;
+    if (shared_.last_told != nullptr)
+      for (const auto& event : *std::exchange(shared_.last_told, nullptr))
+        witness_->motion.add(event);
   }
 
  private:
@@ -152,6 +159,21 @@ class CountsOfStep {
   MotionCounts motion_;
   int64_t free_steps_ = 0;
 };
+
+// Behind a step that has run: what it says of its events, and where the next one finds it.
+void note(ArticulationStep::Shared& shared, const std::shared_ptr<const Step>& step) {
+  std::shared_ptr<const Step> before = shared.last.lock();
+  if (before && before->outputs[0].tensor.range()->data() != step->in(kAt.q).range()->data())
+    before = nullptr;
+  if (before == nullptr) {  // the list is of the last steps that follow each other
+    ++shared.chain;
+    shared.motion.events.clear();
+  }
+  note_motion(step, before);
+  for (const auto& event : step->motion->told) shared.motion.add(event);
+  shared.last_told = &step->motion->told;
+  shared.last = step;
+}
 
 }  // namespace
 
@@ -264,13 +286,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   if (moves) step->motion = std::make_shared<MotionNotes>();
   submit_forward(step, true);
   if (nova::Tape::active() == nullptr) return;
-  if (moves) {
-    std::shared_ptr<const Step> before = shared_->last.lock();
-    if (before && before->outputs[0].tensor.range()->data() != in.joint_q.range()->data())
-      before = nullptr;
-    note_motion(step, before);
-    shared_->last = step;
-  }
+  if (moves) note(*shared_, step);
   pending_ = std::move(step);
   if (!join || solves || !shared_->runs_on_host()) return flush();
   pending_->host = step_arguments_of(*pending_);
@@ -315,7 +331,7 @@ void ArticulationStep::clear_branches() {
   shared_->ended = nullptr;
   if (!shared_->trees) shared_->contacts.clear_branches();
   shared_->branches = {};
-  shared_->motion.several = shared_->motion.unmoved = 0;
+  shared_->motion = {.rows_are_exact = shared_->motion.rows_are_exact};
   shared_->far_steps = 0;
 }
 const MotionCounts* ArticulationStep::motion_counts() const {

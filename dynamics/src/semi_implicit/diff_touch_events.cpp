@@ -189,6 +189,10 @@ void start_vjp(const TouchWork& work, const StateRows& of, const StateRows& to) 
     for (size_t i = 0; i < 2; ++i)
       event.mismatch += product(step->before[i], step->start[i].gradient(of));
     if (step->number > 0) continue;
+    event.told->h_before = 0.0;
+    for (size_t i = 0; i < 2; ++i)
+      event.told->h_before += product(step->before[i], step->start[i].gradient(of));
+    event.told->h_after = event.told->h_before - event.mismatch;
     for (size_t i = 0; i < 2; ++i)
       step->start[i].add_gradient(scaled(event.delay_by[i], event.mismatch), to);
     event.backward_at = -1;
@@ -306,6 +310,8 @@ MotionCounts TouchList::counts() const {
   counts.ramp_steps = ramp_steps;
   for (const auto& e : events) {
     if (e->flaw == detail::TouchFlaw::Rests) continue;
+    e->told->whole = true;
+    counts.add(e->told);
     if (e->shakes || (e->is_window() && e->turns && e->stiff_angle > kWindowAngle)) ++counts.stiff;
     if (e->speed_off > detail::kMostSpeedOff) ++counts.rough;
     const bool is_soft = e->stiff_angle <= detail::kSoftAngle && !e->rubs;

@@ -5,6 +5,7 @@
 #include <memory>
 #include <vector>
 
+#include "novaphy/dynamics/motion_events.h"
 #include "novaphy/nova/tape.h"
 #include "touch_rows.h"
 
@@ -39,6 +40,9 @@ struct SideFrame {
   Tangent gradient(const StateRows& raw) const;
   void add_gradient(const Tangent& g, const StateRows& raw) const;
 };
+
+SideFrame frame_of(const Model& m, const SimState& state, const TouchSide& side);
+std::array<Vec3d, 2> rates_of(const SimState& state, const TouchSide& side);
 
 // The accelerations that a force and a moment give to a side.
 std::array<Vec3d, 2> respond(const Model& m, const SideFrame& at, const Vec3d& force,
@@ -76,6 +80,7 @@ struct TouchEvent {
   double speed_off = 0.0;  // by the phase, in this touch and earlier ones of its sides
   bool slides = false;     // in the last step
   double approach = 0.0;   // m/s
+  std::shared_ptr<MotionEvent> told = {};
   int32_t steps = 0;
   TouchFlaw flaw = TouchFlaw::None;
   bool whole = false;  // its end is known
@@ -104,6 +109,12 @@ struct TouchRamp {
   std::shared_ptr<TouchEvent> event;
   bool acts() const { return event == nullptr || !event->is_window(); }
 };
+
+// When a touch begins whose first row is `row`, in a step that starts at `time` from the `frames`.
+std::shared_ptr<MotionEvent> tell_touch(const Model& m, const TouchRow& row,
+                                        const TouchEvent& event,
+                                        const std::array<SideFrame, 2>& frames, double time,
+                                        double dt);
 
 // What the two operations of a step share.
 struct TouchWork {

@@ -22,7 +22,6 @@ constexpr int32_t kMostSteps = 200;      // of a touch that is one event
 constexpr double kLeastApproach = 1e-3;  // m/s
 
 Vec3d wide(const Vec3f& a) { return {a.x, a.y, a.z}; }
-Quat<double> wide(const Quatf& q) { return {q.x, q.y, q.z, q.w}; }
 
 template <class T>
 DeviceArray<T> array_of(const DeviceArray<T>& like) {
@@ -61,14 +60,6 @@ struct TouchMotion::Impl {
     return e.first == row.first && e.second == row.second;
   }
 
-  SideFrame frame(const Model& m, const SimState& s, const TouchSide& side) const {
-    SideFrame f{.side = side};
-    if (side.body < 0) return f;
-    const Quatf& q = s.body_q.data()[side.body].q;
-    f.turn = wide(q);
-    f.com = wide(math::rotate(q, m.body_com.data()[side.body]));
-    return f;
-  }
   std::array<Vec3d, 2> applied(const TouchedStep& step, const TouchSide& side) const {
     const auto load = [](const nova::Operand& of, int64_t at) {
       const float* const f = static_cast<const float*>(of.range->data()) + at;
@@ -79,13 +70,6 @@ struct TouchMotion::Impl {
     return {load(step.body_forces, int64_t{6} * side.body),
             load(step.body_forces, int64_t{6} * side.body + 3)};
   }
-  static std::array<Vec3d, 2> rates(const SimState& s, const TouchSide& side) {
-    if (side.particle >= 0) return {wide(s.particle_qd.data()[side.particle]), {}};
-    if (side.body < 0) return {};
-    const SpatialVectorf& v = s.body_qd.data()[side.body];
-    return {wide(v.linear), wide(v.angular)};
-  }
-
   bool follows(const SimState& in, float dt) const {
     return at_q == place(in).first && at_version == place(in).second && last_dt == dt;
   }
@@ -122,7 +106,8 @@ struct TouchMotion::Impl {
     event.slides = row.slides;
   }
 
-  void begin_touch(const TouchRow& row, bool follows_last, float dt, TouchList& a, TouchList& b);
+  void begin_touch(const Model& m, const SimState& in, const TouchRow& row, bool follows_last,
+                   float dt, TouchList& a, TouchList& b);
   void find_steps(const Model& m, TouchedStep& step, bool follows_last, float dt, TouchList& a,
                   TouchList& b);
   void find_ramps(const Model& m, TouchedStep& step, TouchList& a, TouchList& b);
@@ -144,6 +129,8 @@ struct TouchMotion::Impl {
   const void* at_q = nullptr;
   uint64_t at_version = 0;
   float last_dt = 0.0f;
+  int64_t number = 0, chain = 0;  // of the step, MotionEvent::step and chain
+  double time = 0.0;              // s, at its start
   const Control* last_control = nullptr;
 };
 
@@ -164,8 +151,8 @@ TouchMotion::TouchMotion(const Model& model, const TouchSettings& settings)
 }
 TouchMotion::~TouchMotion() = default;
 
-void TouchMotion::Impl::begin_touch(const TouchRow& row, bool follows_last, float dt, TouchList& a,
-                                    TouchList& b) {
+void TouchMotion::Impl::begin_touch(const Model& m, const SimState& in, const TouchRow& row,
+                                    bool follows_last, float dt, TouchList& a, TouchList& b) {
   const auto event = std::make_shared<TouchEvent>();
   event->first = row.first;
   event->second = row.second;
@@ -184,13 +171,20 @@ void TouchMotion::Impl::begin_touch(const TouchRow& row, bool follows_last, floa
   if (!(event->approach > kLeastApproach) && event->flaw == TouchFlaw::None)
     event->flaw = TouchFlaw::Rests;
   constexpr double kSign[] = {1.0, -1.0};
-  for (size_t i = 0; i < 2 && event->flaw == TouchFlaw::None; ++i) {
+  for (size_t i = 0; i < 2 && event->approach > kLeastApproach; ++i) {
     const Vec3d n = row.normal * (kSign[i] / event->approach);
     event->delay_by[i] = {n, cross(row.sides[i].arm, n), {}, {}};
     const double arm = dot(row.sides[i].arm, row.sides[i].arm),
                  turn = dot(event->delay_by[i][kTurn], event->delay_by[i][kTurn]);
-    if (turn > 1e-6 * arm * dot(n, n)) event->turns = true;
+    if (event->flaw == TouchFlaw::None && turn > 1e-6 * arm * dot(n, n)) event->turns = true;
   }
+  event->told = tell_touch(
+      m, row, *event, {frame_of(m, in, row.sides[0]), frame_of(m, in, row.sides[1])}, time, dt);
+  event->told->chain = chain;
+  event->told->step = number;
+  event->told->start = place(in).first;
+  event->told->version =
+      settings.bodies ? in.body_q.range()->version() : in.particle_q.range()->version();
   for (TouchList* list : {&a, &b}) list->events.push_back(event);
   for (const auto& ramp : waiting)
     if (same_pair(ramp->row, row)) ramp->event = event;
@@ -204,7 +198,7 @@ void TouchMotion::Impl::find_steps(const Model& m, TouchedStep& step, bool follo
     if (!row.pushes) continue;
     const auto known =
         std::ranges::find_if(open, [&](const Open& o) { return is_pair(*o.event, row); });
-    if (known == open.end()) begin_touch(row, follows_last, dt, a, b);
+    if (known == open.end()) begin_touch(m, *step.in, row, follows_last, dt, a, b);
   }
   closing.clear();
   for (size_t i = 0; i < open.size();) {
@@ -242,7 +236,7 @@ void TouchMotion::Impl::find_steps(const Model& m, TouchedStep& step, bool follo
       s->event = o.event;
       s->number = event.steps;
       for (size_t k = 0; k < 2; ++k) {
-        s->start[k] = frame(m, *step.in, mine->sides[k]);
+        s->start[k] = frame_of(m, *step.in, mine->sides[k]);
         s->applied[k] = applied(step, mine->sides[k]);
         if (event.steps > 0) continue;
         // Without the force of the touch.
@@ -263,7 +257,7 @@ void TouchMotion::Impl::find_ramps(const Model& m, TouchedStep& step, TouchList&
   for (const TouchRow& row : rows) {
     if (!row.ramp) continue;
     const auto ramp = std::make_shared<TouchRamp>(TouchRamp{row, {}, nullptr});
-    for (size_t i = 0; i < 2; ++i) ramp->frames[i] = frame(m, *step.in, row.sides[i]);
+    for (size_t i = 0; i < 2; ++i) ramp->frames[i] = frame_of(m, *step.in, row.sides[i]);
     for (const auto& list : {open, closing})
       for (const Open& o : list)
         if (is_pair(*o.event, row)) ramp->event = o.event;
@@ -334,6 +328,10 @@ TouchedStep TouchMotion::begin(const Model& model, const SimState& in, SimState&
     }
     if (t.at_q != t.place(in).first) of_chain.clear();
   }
+  const bool continues = std::pair(t.at_q, t.at_version) == t.place(in);
+  t.number = continues ? t.number + 1 : 0;
+  t.time = continues ? t.time + double{t.last_dt} : 0.0;
+  if (!continues) ++t.chain;
   t.last_dt = dt;
   t.rows.clear();
   if (contacts != nullptr)
@@ -351,7 +349,7 @@ void TouchMotion::end(const Model& model, TouchedStep& step) {
   const SimState &from = step.from(), &to = step.to();
   // The accelerations of the step, on the tape's states.
   const auto acceleration = [&](const TouchSide& side) {
-    const auto v0 = Impl::rates(from, side), v1 = Impl::rates(to, side);
+    const auto v0 = rates_of(from, side), v1 = rates_of(to, side);
     const double by = 1.0 / double{t.last_dt};
     return std::array<Vec3d, 2>{(v1[0] - v0[0]) * by, (v1[1] - v0[1]) * by};
   };
@@ -380,8 +378,8 @@ void TouchMotion::end(const Model& model, TouchedStep& step) {
     open->last = s;
     for (size_t k = 0; k < 2; ++k) {
       const TouchSide& side = s->start[k].side;
-      s->end[k] = t.frame(model, to, side);
-      const auto v0 = Impl::rates(from, side), v1 = Impl::rates(to, side), a = acceleration(side);
+      s->end[k] = frame_of(model, to, side);
+      const auto v0 = rates_of(from, side), v1 = rates_of(to, side), a = acceleration(side);
       s->before[k] = {v0[0], v0[1], s->before[k][kVelocity] + a[0], s->before[k][kSpin] + a[1]};
       s->after[k] = {v1[0], v1[1], {}, {}};
     }

@@ -82,6 +82,8 @@ class NOVAPHY_DYNAMICS_API GradientNotes {
 // What a solver says of its steps on one tape.
 struct NOVAPHY_DYNAMICS_API GradientWitness : nova::Tape::Witness {
   virtual GradientInfo info() const = 0;
+  // The events of its steps whose time moves with the state.
+  virtual MotionEvents events() const { return {}; }
 };
 // The witness of a solver on the active tape, made by `make` where that tape has none.
 template <class T, class Make>

@@ -1,11 +1,13 @@
 // GradientInfo: what the gradient of a differentiable solver is.
 #pragma once
 
+#include <limits>
 #include <span>
 #include <string>
 
 #include "novaphy/dynamics/articulation/gradient_counts.h"
 #include "novaphy/dynamics/export.h"
+#include "novaphy/dynamics/motion_events.h"
 
 namespace novaphy {
 
@@ -32,8 +34,13 @@ struct GradientInfo {
   // Contacts that began or ended, and that changed between sticking and slipping, between two
   // steps that follow each other; the sum of `began`, `ended` and `turned`.
   int64_t events = 0, began = 0, ended = 0, turned = 0;
-  int64_t several = 0, one_sided = 0, ramp_steps = 0;  // of MotionCounts
-  float residual = 0.0f;                               // largest, relative to the impulses
+  // Of MotionCounts.
+  int64_t several = 0, one_sided = 0, ramp_steps = 0, landings = 0, phased = 0;
+  int64_t lost_events = 0;  // for which a device has no room
+  float least_approach = std::numeric_limits<float>::infinity();
+  double least_separation = std::numeric_limits<double>::infinity();
+  MotionEvents event_list;  // in the order of time
+  float residual = 0.0f;    // largest, relative to the impulses
 };
 
 // Of steps whose events move in time.
@@ -43,12 +50,20 @@ struct MotionCounts {
   // Limits of joints that begin or end to push in what touches something; of springs touches of
   // what joints, elements or adhesion hold.
   int64_t unmoved = 0;
-  int64_t one_sided = 0;   // of springs: touches whose begin or end is not in the steps, or is cut
+  // Of springs: touches whose begin or end is not in the steps, or is cut.
+  int64_t one_sided = 0;
+  int64_t landings = 0;    // events without a bounce that take two steps
+  int64_t phased = 0;      // landings whose friction turns: the states depend on the phase
   int64_t stiff = 0;       // of springs: touches of few steps with a lever arm
   int64_t rough = 0;       // of springs: touches whose speed depends on the phase of the steps
   int64_t ramp_steps = 0;  // of springs: steps with contacts within half a step of begin or end
   bool of_springs = false;
   bool rows_are_exact = true;  // of gaps and overlaps: pgs_slop 0, pgs_erp 1
+  float least_approach = std::numeric_limits<float>::infinity();      // m/s, rad/s
+  double least_separation = std::numeric_limits<double>::infinity();  // steps, of one tree or body
+  MotionEvents events;
+
+  NOVAPHY_DYNAMICS_API void add(const std::shared_ptr<MotionEvent>& event);
 };
 
 // `implicit`: steps that are neither frozen nor a surrogate are of the solutions of the steps, and

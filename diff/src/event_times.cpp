@@ -1,0 +1,135 @@
+#include "novaphy/diff/event_times.h"
+
+#include <algorithm>
+#include <map>
+#include <memory>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "novaphy/core/error.h"
+#include "novaphy/dynamics/diff_gradient_notes.h"
+#include "novaphy/nova/launch_argument.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/nova/ops.h"
+#include "novaphy/nova/tape.h"
+
+namespace novaphy::diff {
+namespace {
+
+constexpr const char* kName = "diff.event_times";
+using Run = std::span<const std::shared_ptr<MotionEvent>>;
+
+float* numbers(const nova::Tensor& of) { return static_cast<float*>(of.range()->data()); }
+
+// The array of a state by which an event moves.
+nova::Tensor array_of(const SimState& state, MotionArray of) {
+  const auto tensor_of = [](const auto& array) {
+    const nova::Operand o = nova::operand_of(array);
+    return nova::Tensor(o.range, {o.rows, o.width}, nova::DType::F32);
+  };
+  return of == MotionArray::JointQ  ? tensor_of(state.joint_q)
+         : of == MotionArray::BodyQ ? tensor_of(state.body_q)
+                                    : tensor_of(state.particle_q);
+}
+
+// visit(row, input, slope) for all slopes of events that begin in one step.
+struct StepEvents {
+  MotionEvents events;
+  std::vector<MotionArray> arrays;  // of the inputs
+
+  template <class F>
+  void each(const F& visit) const {
+    for (size_t row = 0; row < events.size(); ++row)
+      for (const MotionEvent::Slope& slope : events[row]->slopes)
+        visit(row, static_cast<size_t>(std::ranges::find(arrays, slope.of) - arrays.begin()),
+              slope);
+  }
+  void gradients(const nova::Tensor& of, std::span<const nova::InputGradient> to) const {
+    for (const nova::InputGradient& g : to)
+      if (g.wanted() && !g.add) std::fill_n(numbers(g.grad), g.grad.size(), 0.0f);
+    if (!of.defined()) return;
+    each([&](size_t row, size_t input, const MotionEvent::Slope& slope) {
+      if (!to[input].wanted()) return;
+      float* const grad = numbers(to[input].grad) + slope.first;
+      for (size_t i = 0; i < slope.by.size(); ++i) grad[i] += numbers(of)[row] * slope.by[i];
+    });
+  }
+  void tangents(std::span<const nova::Tensor> of, const nova::Tensor& to) const {
+    std::fill_n(numbers(to), to.size(), 0.0f);
+    each([&](size_t row, size_t input, const MotionEvent::Slope& slope) {
+      if (!of[input].defined()) return;
+      const float* const tangent = numbers(of[input]) + slope.first;
+      for (size_t i = 0; i < slope.by.size(); ++i) numbers(to)[row] += tangent[i] * slope.by[i];
+    });
+  }
+};
+
+// The times of events of one step, by the state that it starts from.
+nova::Tensor times_of(const SimState& state, Run run, nova::Tape& tape) {
+  const auto step = std::make_shared<StepEvents>();
+  step->events.assign(run.begin(), run.end());
+  nova::CustomOp op{.name = "event_times", .inputs = {}, .outputs = {}, .vjp = nullptr};
+  for (const auto& event : run)
+    for (const MotionEvent::Slope& slope : event->slopes) {
+      if (std::ranges::find(step->arrays, slope.of) != step->arrays.end()) continue;
+      step->arrays.push_back(slope.of);
+      op.inputs.push_back(array_of(state, slope.of));
+    }
+  const nova::Tensor times({static_cast<int64_t>(run.size())}, nova::DType::F32, Device::cpu());
+  for (size_t row = 0; row < run.size(); ++row)
+    numbers(times)[row] = static_cast<float>(run[row]->time);
+  op.outputs = {times};
+  op.vjp = [step](std::span<const nova::Tensor> of, std::span<const nova::InputGradient> to) {
+    step->gradients(of[0], to);
+  };
+  op.jvp = [step](std::span<const nova::Tensor> of, std::span<const nova::Tensor> to) {
+    step->tangents(of, to[0]);
+  };
+  op.submits_only = false;
+  tape.record_custom(std::move(op));
+  return times;
+}
+
+MotionEvents events_on(const nova::Tape& tape) {
+  MotionEvents all;
+  for (const auto& witness : tape.witnesses())
+    if (const auto* of = dynamic_cast<const GradientWitness*>(witness.get()))
+      for (const auto& event : of->events()) all.push_back(event);
+  std::ranges::stable_sort(all, {}, [](const auto& e) { return e->time; });
+  return all;
+}
+
+}  // namespace
+
+nova::Tensor event_times(const Trajectory& trajectory) {
+  nova::Tape* const tape = nova::Tape::active();
+  require(tape != nullptr, ErrorKind::Value, kName, ": expected an active Tape, got none");
+  require(trajectory.checkpoint_interval() == 1, ErrorKind::NotImplemented, kName,
+          ": trajectory: expected one that keeps all states, got one with checkpoints");
+  nova::flush_deferred();
+  std::map<std::pair<const void*, uint64_t>, int32_t> states;
+  for (int32_t t = 0; t <= trajectory.steps(); ++t) {
+    const SimState& state = trajectory.state(t);
+    const auto add = [&](const auto& array) {
+      if (array.rows() > 0) states[{array.range()->data(), array.range()->version()}] = t;
+    };
+    add(state.joint_q);
+    add(state.body_q);
+    add(state.particle_q);
+  }
+  MotionEvents all = events_on(*tape);
+  std::erase_if(all, [&](const auto& e) { return !states.contains({e->start, e->version}); });
+  require(!all.empty(), ErrorKind::Value, kName,
+          ": trajectory: expected steps of a solver with contact_gradient=\"motion\" on the active "
+          "tape in which a contact or a limit begins, got none");
+  std::vector<nova::Tensor> parts;
+  for (size_t first = 0, end = 0; first < all.size(); first = end) {
+    while (end < all.size() && all[end]->start == all[first]->start) ++end;
+    const int32_t t = states.at({all[first]->start, all[first]->version});
+    parts.push_back(times_of(trajectory.state(t), Run(all).subspan(first, end - first), *tape));
+  }
+  return parts.size() == 1 ? parts[0] : nova::concat(parts);
+}
+
+}  // namespace novaphy::diff

@@ -1,0 +1,107 @@
+// When contacts and limits of joints begin, for those who ask (motion_events.h).
+#include <algorithm>
+#include <cmath>
+
+#include "diff_articulation_motion.h"
+#include "diff_articulation_parts.h"
+
+namespace novaphy::diff::detail {
+
+namespace art = articulation;
+
+namespace {
+
+// An event that begins in a step, with what the step says of it.
+std::shared_ptr<MotionEvent> new_event(const Step& s, int32_t tree) {
+  auto event = std::make_shared<MotionEvent>();
+  event->chain = s.motion->chain;
+  event->step = s.motion->number;
+  event->world = rows_of_step(s)[tree].world;
+  event->start = s.in(kAt.q).range()->data();
+  event->version = s.in(kAt.q).range()->version();
+  return event;
+}
+MotionEvent::Slope no_slope(const Step& s, int32_t tree) {
+  const auto [first, count] = coordinates_of(s, tree);
+  return {.first = first, .by = std::vector<float>(static_cast<size_t>(count))};
+}
+
+// A group of contacts that hits, by the coordinates of the trees of its event.
+void tell_group(const Step& s, const ArticulationArguments& in, const ContactEvent& event,
+                ContactEvent::Group& group) {
+  group.told = new_event(s, event.trees.front());
+  MotionEvent& told = *group.told;
+  told.shape0 = group.shape0;
+  told.shape1 = group.shape1;
+  told.kind = group.lands ? MotionEventKind::Landing : MotionEventKind::Bounce;
+  told.whole = !group.lands;
+  told.friction = group.friction;
+  told.approach = group.approach / group.impulse;
+  told.set_time(s.motion->time, s.dt, group.gap / group.impulse);
+  std::vector<float> covector(static_cast<size_t>(s.in(kAt.qd).size()));
+  for_dofs(s, event,
+           [&](size_t at, size_t row) { covector[row] = group.normal_push[at] / group.approach; });
+  const ArticulationRows* const rows = rows_of_step(s);
+  for (const int32_t t : event.trees) {
+    MotionEvent::Slope slope = no_slope(s, t);
+    art::tangent_to_gradient(articulation_tree(in, rows[t]), in.arrays.q.rows(),
+                             covector.data() + rows[t].first_dof, [&](int32_t row, float value) {
+                               slope.by[static_cast<size_t>(row - slope.first)] = value;
+                             });
+    told.slopes.push_back(std::move(slope));
+  }
+  s.motion->told.push_back(group.told);
+}
+
+}  // namespace
+
+void tell_events(const Step& s, const ArticulationArguments& in, const Step* before) {
+  MotionNotes& notes = *s.motion;
+  notes.chain = s.shared->chain;
+  if (before != nullptr) {
+    MotionNotes& last = *before->motion;
+    notes.number = last.number + 1;
+    notes.time = last.time + double{before->dt};
+    for (const auto& told : last.told) told->whole = true;
+    for (const auto& [event, group] : notes.found.turned) {
+      MotionEvent& told = *last.found.events[event].groups[group].told;
+      if (told.friction == MotionFriction::Turns) continue;
+      told.friction = MotionFriction::Turns;
+      ++s.shared->motion.phased;
+    }
+  }
+  for (ContactEvent& event : notes.found.events)
+    for (ContactEvent::Group& group : event.groups) tell_group(s, in, event, group);
+}
+
+void tell_limit(const Step& s, int32_t tree, int32_t dof) {
+  const ArticulationArguments in = host_arguments(s);
+  const art::StepInputs<float> inputs = articulation_inputs(in);
+  const art::Link* link = articulation_tree(in, rows_of_step(s)[tree]).links;
+  while (link->dof != dof) ++link;
+  const float q = inputs.q[link->coord], rate = inputs.qd[dof];
+  const auto told = new_event(s, tree);
+  told->kind = MotionEventKind::Limit;
+  const Model& m = *s.model;
+  const int32_t* const first_dof = m.joint_qd_start.data();
+  told->joint = static_cast<int32_t>(std::upper_bound(first_dof, first_dof + m.joint_count(), dof) -
+                                     first_dof - 1);
+  told->approach = std::abs(rate);
+  told->set_time(s.motion->time, s.dt,
+                 rate < 0.0f ? q - inputs.limit_lower[dof] : inputs.limit_upper[dof] - q);
+  MotionEvent::Slope slope = no_slope(s, tree);
+  slope.by[static_cast<size_t>(link->coord - slope.first)] = -1.0f / rate;
+  told->slopes.push_back(std::move(slope));
+  s.motion->told.push_back(told);
+}
+
+void tell_mismatch(const ContactEvent& event, std::span<const double> h_before, double mismatch) {
+  double h = 0.0;
+  for (const int32_t tree : event.trees) h += h_before[static_cast<size_t>(tree)];
+  for (const ContactEvent::Group& group : event.groups) {
+    group.told->h_before = h;
+    group.told->h_after = h - mismatch;
+  }
+}
+
+}  // namespace novaphy::diff::detail

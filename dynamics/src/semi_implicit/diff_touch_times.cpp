@@ -1,0 +1,67 @@
+// Where the sides of touches are, and when touches begin, for those who ask (motion_events.h).
+#include <algorithm>
+
+#include "diff_touch_events.h"
+#include "novaphy/math/spatial.h"
+
+namespace novaphy::diff::detail {
+
+namespace {
+Vec3d wide(const Vec3f& a) { return {a.x, a.y, a.z}; }
+}  // namespace
+
+SideFrame frame_of(const Model& m, const SimState& s, const TouchSide& side) {
+  SideFrame f{.side = side};
+  if (side.body < 0) return f;
+  const Quatf& q = s.body_q.data()[side.body].q;
+  f.turn = {q.x, q.y, q.z, q.w};
+  f.com = wide(math::rotate(q, m.body_com.data()[side.body]));
+  return f;
+}
+std::array<Vec3d, 2> rates_of(const SimState& s, const TouchSide& side) {
+  if (side.particle >= 0) return {wide(s.particle_qd.data()[side.particle]), {}};
+  if (side.body < 0) return {};
+  const SpatialVectorf& v = s.body_qd.data()[side.body];
+  return {wide(v.linear), wide(v.angular)};
+}
+
+std::shared_ptr<MotionEvent> tell_touch(const Model& m, const TouchRow& row,
+                                        const TouchEvent& event,
+                                        const std::array<SideFrame, 2>& frames, double time,
+                                        double dt) {
+  auto told = std::make_shared<MotionEvent>();
+  told->kind = MotionEventKind::Spring;
+  told->shape0 = row.first;
+  told->world = m.shape_world.data()[row.first];
+  if (row.second >= ContactPair::kParticle) {
+    told->particle = row.second - ContactPair::kParticle;
+    told->world = std::max(told->world, m.particle_world.data()[told->particle]);
+  } else {
+    told->shape1 = row.second;
+    told->world = std::max(told->world, m.shape_world.data()[row.second]);
+  }
+  told->world = std::max(told->world, 0);
+  if (event.rubs) told->friction = row.slides ? MotionFriction::Slides : MotionFriction::Sticks;
+  told->approach = static_cast<float>(event.approach);
+  // The gap is closed: the touch begins in the step before.
+  told->set_time(time, dt, row.gap);
+  told->phase = static_cast<float>(std::clamp(1.0 + row.gap / (event.approach * dt), 0.0, 1.0));
+  for (size_t i = 0; i < 2; ++i) {
+    SideFrame of = frames[i];
+    if (!of.side.exists()) continue;
+    const bool is_body = of.side.body >= 0;
+    int32_t& number = is_body ? of.side.body : of.side.particle;
+    MotionEvent::Slope slope{is_body ? MotionArray::BodyQ : MotionArray::ParticleQ, 0, {}};
+    slope.by.resize(is_body ? 7 : 3);
+    slope.first = int64_t{number} * static_cast<int64_t>(slope.by.size());
+    number = 0;  // of rows that are those of this side alone
+    std::array<float, 6> rates{};
+    of.add_gradient(event.delay_by[i],
+                    is_body ? StateRows{slope.by.data(), rates.data()}
+                            : StateRows{nullptr, nullptr, slope.by.data(), rates.data()});
+    told->slopes.push_back(std::move(slope));
+  }
+  return told;
+}
+
+}  // namespace novaphy::diff::detail

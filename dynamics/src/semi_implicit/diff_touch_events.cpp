@@ -315,6 +315,7 @@ MotionCounts TouchList::counts() const {
     if (e->shakes || (e->is_window() && e->turns && e->stiff_angle > kWindowAngle)) ++counts.stiff;
     if (e->speed_off > detail::kMostSpeedOff) ++counts.rough;
     const bool is_soft = e->stiff_angle <= detail::kSoftAngle && !e->rubs;
+    if (!e->beside.empty() && e->is_window()) ++counts.several;
     if (e->shakes || e->is_window() || is_soft) continue;
     ++(e->flaw == detail::TouchFlaw::Several ? counts.several
        : e->flaw == detail::TouchFlaw::Held  ? counts.unmoved

@@ -81,6 +81,9 @@ struct TouchEvent {
   bool slides = false;     // in the last step
   double approach = 0.0;   // m/s
   std::shared_ptr<MotionEvent> told = {};
+  int64_t begin = 0;                // step of the chain
+  int64_t points = 0, changed = 0;  // which points push, and the step since which they do
+  std::vector<std::weak_ptr<const TouchEvent>> beside;  // contacts of its sides that rest meanwhile
   int32_t steps = 0;
   TouchFlaw flaw = TouchFlaw::None;
   bool whole = false;  // its end is known

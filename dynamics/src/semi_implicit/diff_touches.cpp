@@ -5,7 +5,7 @@
 #include <tuple>
 #include <utility>
 
-#include "diff_touch_events.h"
+#include "diff_touch_motion.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/math/spatial.h"
 #include "novaphy/nova/op_list.h"
@@ -34,106 +34,6 @@ TouchedStep::TouchedStep(const SimState& from, SimState& to) : in(&from), out(&t
 TouchedStep::TouchedStep(TouchedStep&&) noexcept = default;
 TouchedStep::~TouchedStep() = default;
 
-struct TouchMotion::Impl {
-  explicit Impl(const TouchSettings& s) : settings(s) {}
-
-  // What a step knows until its kernels have run.
-  struct Open {
-    std::shared_ptr<TouchEvent> event;
-    std::shared_ptr<TouchStep> last;  // null: it is no window
-  };
-
-  bool is_held(const TouchSide& side) const {
-    if (side.particle >= 0) return settings.elements;
-    return side.body >= 0 && jointed[static_cast<size_t>(side.body)];
-  }
-  static bool share(const TouchRow& a, const TouchRow& b) {
-    for (const TouchSide& x : a.sides)
-      for (const TouchSide& y : b.sides)
-        if (x.responds && x.is(y)) return true;
-    return false;
-  }
-  static bool same_pair(const TouchRow& a, const TouchRow& b) {
-    return a.first == b.first && a.second == b.second;
-  }
-  static bool is_pair(const TouchEvent& e, const TouchRow& row) {
-    return e.first == row.first && e.second == row.second;
-  }
-
-  std::array<Vec3d, 2> applied(const TouchedStep& step, const TouchSide& side) const {
-    const auto load = [](const nova::Operand& of, int64_t at) {
-      const float* const f = static_cast<const float*>(of.range->data()) + at;
-      return Vec3d{f[0], f[1], f[2]};
-    };
-    if (side.particle >= 0) return {load(step.forces, int64_t{3} * side.particle), {}};
-    if (side.body < 0) return {};
-    return {load(step.body_forces, int64_t{6} * side.body),
-            load(step.body_forces, int64_t{6} * side.body + 3)};
-  }
-  bool follows(const SimState& in, float dt) const {
-    return at_q == place(in).first && at_version == place(in).second && last_dt == dt;
-  }
-  // The memory that tells states from each other, and its version.
-  std::pair<const void*, uint64_t> place(const SimState& s) const {
-    const auto of = [](const auto& q, const auto& qd) {
-      return std::pair<const void*, uint64_t>(q.range()->data(),
-                                              q.range()->version() + qd.range()->version());
-    };
-    return settings.bodies ? of(s.body_q, s.body_qd) : of(s.particle_q, s.particle_qd);
-  }
-
-  TouchArrays arrays(const StateFields& s, const nova::Operand& body_f,
-                     const nova::Operand& particle_f) const {
-    TouchArrays all;
-    if (settings.bodies) {
-      all[0] = nova::operand_of(s.body_q);
-      all[1] = nova::operand_of(s.body_qd);
-      all[4] = body_f;
-    }
-    if (settings.particles) {
-      all[2] = nova::operand_of(s.particle_q);
-      all[3] = nova::operand_of(s.particle_qd);
-      all[5] = particle_f;
-    }
-    return all;
-  }
-
-  // A change of friction, which several points may hide from each other: in a stiff touch, or of a
-  // body that turns.
-  static void watch_friction(const TouchRow& row, bool several, TouchEvent& event) {
-    if (!event.turns && event.stiff_angle <= kFrictionAngle) return;
-    if (row.slides != event.slides || (several && row.slip_taken > 0.0)) event.shakes = true;
-    event.slides = row.slides;
-  }
-
-  void begin_touch(const Model& m, const SimState& in, const TouchRow& row, bool follows_last,
-                   float dt, TouchList& a, TouchList& b);
-  void find_steps(const Model& m, TouchedStep& step, bool follows_last, float dt, TouchList& a,
-                  TouchList& b);
-  void find_ramps(const Model& m, TouchedStep& step, TouchList& a, TouchList& b);
-  void move(const Model& m, TouchedStep& step) const;
-
-  TouchSettings settings;
-  double& speed_off(const TouchSide& side) {
-    return (
-        side.body >= 0
-            ? off_of_bodies
-            : off_of_particles)[static_cast<size_t>(side.body >= 0 ? side.body : side.particle)];
-  }
-
-  std::vector<char> jointed;                            // of bodies
-  std::vector<double> off_of_bodies, off_of_particles;  // TouchEvent::speed_off
-  std::vector<TouchRow> rows;
-  std::vector<Open> open, closing;
-  std::vector<std::shared_ptr<TouchRamp>> waiting;  // of the last step: their touch may follow
-  const void* at_q = nullptr;
-  uint64_t at_version = 0;
-  float last_dt = 0.0f;
-  int64_t number = 0, chain = 0;  // of the step, MotionEvent::step and chain
-  double time = 0.0;              // s, at its start
-  const Control* last_control = nullptr;
-};
-
 TouchMotion::TouchMotion(const Model& model, const TouchSettings& settings)
     : impl_(std::make_unique<Impl>(settings)) {
   impl_->jointed.assign(static_cast<size_t>(model.body_count()), 0);
@@ -159,6 +59,7 @@ void TouchMotion::Impl::begin_touch(const Model& m, const SimState& in, const To
   event->point = row.point;
   event->stiff_angle = double{dt} * std::sqrt(row.stiffness * row.inverse_mass);
   event->approach = -row.speed;
+  event->begin = number;
   event->shakes = row.slip_taken > kMostSlipTaken;
   event->rubs = row.slip_taken > 0.0;
   event->slides = row.slides;
@@ -200,6 +101,7 @@ void TouchMotion::Impl::find_steps(const Model& m, TouchedStep& step, bool follo
         std::ranges::find_if(open, [&](const Open& o) { return is_pair(*o.event, row); });
     if (known == open.end()) begin_touch(m, *step.in, row, follows_last, dt, a, b);
   }
+  find_changes();
   closing.clear();
   for (size_t i = 0; i < open.size();) {
     Open& o = open[i];
@@ -212,15 +114,11 @@ void TouchMotion::Impl::find_steps(const Model& m, TouchedStep& step, bool follo
       held = held || row.adheres || is_held(row.sides[0]) || is_held(row.sides[1]);
       mine = &row;
     }
-    for (const TouchRow& row : rows) {
-      if (!row.pushes || is_pair(event, row)) continue;
-      if (mine != nullptr)
-        several = several || share(*mine, row);
-      else if (o.last != nullptr)
-        for (const SideFrame& f : o.last->start)
-          for (const TouchSide& y : row.sides)
-            several = several || (f.side.responds && f.side.is(y));
-    }
+    std::array<TouchSide, 2> sides;
+    if (mine != nullptr) sides = mine->sides;
+    if (mine == nullptr && o.last != nullptr)
+      sides = {o.last->start[0].side, o.last->start[1].side};
+    several = meets_others(event, sides) || several;
     if (event.flaw == TouchFlaw::None && several) event.flaw = TouchFlaw::Several;
     if (event.flaw == TouchFlaw::None && held) event.flaw = TouchFlaw::Held;
     if (mine == nullptr) {

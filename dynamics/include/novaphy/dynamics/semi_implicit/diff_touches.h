@@ -2,9 +2,10 @@
 // with the state. On the host. Compiled into novaphy::dynamics where nova is built.
 //
 // A touch is a contact of one pair from its first step with a force to its last one. A touch that
-// begins and ends alone is one event: its bodies touch nothing else, and no joint or element holds
-// them. A state that is moved by dx reaches the surface later by dt = -J dq / (J v), J the gradient
-// of the gap. Each of its steps k, with the derivative D of the code, becomes
+// begins and ends alone is one event. Its bodies touch nothing else, or rest on the world by the
+// same points all the while. No joint or element holds its bodies. A state that is moved by dx
+// reaches the surface later by dt = -J dq / (J v), J the gradient of the gap. Each of its steps k,
+// with the derivative D of the code, becomes
 //   dx' = D (dx + f_k dt) - f_k+1 dt
 // f: the rates of the state, with the forces that are applied in step k; at the begin and after the
 // end without the force of the touch. The states between the steps have the derivatives of the

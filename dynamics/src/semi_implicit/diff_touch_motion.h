@@ -1,0 +1,152 @@
+// TouchMotion::Impl: the touches that are open, step after step (diff_touches.h).
+#pragma once
+
+#include <algorithm>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "diff_touch_events.h"
+#include "novaphy/dynamics/semi_implicit/diff_touches.h"
+
+namespace novaphy::diff {
+
+using namespace detail;  // names of what a touch keeps
+
+struct TouchMotion::Impl {
+  explicit Impl(const TouchSettings& s) : settings(s) {}
+
+  // What a step knows until its kernels have run.
+  struct Open {
+    std::shared_ptr<TouchEvent> event;
+    std::shared_ptr<TouchStep> last;  // null: it is no window
+  };
+
+  bool is_held(const TouchSide& side) const {
+    if (side.particle >= 0) return settings.elements;
+    return side.body >= 0 && jointed[static_cast<size_t>(side.body)];
+  }
+  static bool share(const std::array<TouchSide, 2>& a, const std::array<TouchSide, 2>& b) {
+    for (const TouchSide& x : a)
+      for (const TouchSide& y : b)
+        if (x.responds && x.is(y)) return true;
+    return false;
+  }
+  // Whether another contact of the sides of a touch rests: it is with the world, and the same
+  // points have pushed since before the touch, and go on until its end.
+  bool is_beside(TouchEvent& touch, const std::array<TouchSide, 2>& sides,
+                 const TouchRow& row) const {
+    for (const TouchSide& y : row.sides)
+      if (y.responds && !y.is(sides[0]) && !y.is(sides[1])) return false;
+    const auto of =
+        std::ranges::find_if(open, [&](const Open& o) { return is_pair(*o.event, row); });
+    if (of == open.end()) return false;
+    const auto is_it = [&](const auto& other) { return other.lock() == of->event; };
+    if (std::ranges::none_of(touch.beside, is_it)) touch.beside.push_back(of->event);
+    return true;
+  }
+  static bool rests(const TouchEvent& touch) {
+    return std::ranges::all_of(touch.beside, [&](const auto& of) {
+      const auto other = of.lock();
+      return other != nullptr && other->changed < touch.begin;
+    });
+  }
+  // Whether the sides of a touch touch something else that does not rest.
+  bool meets_others(TouchEvent& touch, const std::array<TouchSide, 2>& sides) const {
+    for (const TouchRow& row : rows)
+      if (row.pushes && !is_pair(touch, row) && share(sides, row.sides) &&
+          !is_beside(touch, sides, row))
+        return true;
+    return !rests(touch);
+  }
+  void find_changes() {
+    for (const Open& o : open) {
+      int64_t points = 0;
+      for (const TouchRow& row : rows)
+        if (row.pushes && is_pair(*o.event, row)) points += (int64_t{row.point} << 8) + 1;
+      if (points != o.event->points) o.event->changed = number;
+      o.event->points = points;
+    }
+  }
+  static bool same_pair(const TouchRow& a, const TouchRow& b) {
+    return a.first == b.first && a.second == b.second;
+  }
+  static bool is_pair(const TouchEvent& e, const TouchRow& row) {
+    return e.first == row.first && e.second == row.second;
+  }
+
+  std::array<Vec3d, 2> applied(const TouchedStep& step, const TouchSide& side) const {
+    const auto load = [](const nova::Operand& of, int64_t at) {
+      const float* const f = static_cast<const float*>(of.range->data()) + at;
+      return Vec3d{f[0], f[1], f[2]};
+    };
+    if (side.particle >= 0) return {load(step.forces, int64_t{3} * side.particle), {}};
+    if (side.body < 0) return {};
+    return {load(step.body_forces, int64_t{6} * side.body),
+            load(step.body_forces, int64_t{6} * side.body + 3)};
+  }
+  bool follows(const SimState& in, float dt) const {
+    return at_q == place(in).first && at_version == place(in).second && last_dt == dt;
+  }
+  // The memory that tells states from each other, and its version.
+  std::pair<const void*, uint64_t> place(const SimState& s) const {
+    const auto of = [](const auto& q, const auto& qd) {
+      return std::pair<const void*, uint64_t>(q.range()->data(),
+                                              q.range()->version() + qd.range()->version());
+    };
+    return settings.bodies ? of(s.body_q, s.body_qd) : of(s.particle_q, s.particle_qd);
+  }
+
+  TouchArrays arrays(const StateFields& s, const nova::Operand& body_f,
+                     const nova::Operand& particle_f) const {
+    TouchArrays all;
+    if (settings.bodies) {
+      all[0] = nova::operand_of(s.body_q);
+      all[1] = nova::operand_of(s.body_qd);
+      all[4] = body_f;
+    }
+    if (settings.particles) {
+      all[2] = nova::operand_of(s.particle_q);
+      all[3] = nova::operand_of(s.particle_qd);
+      all[5] = particle_f;
+    }
+    return all;
+  }
+
+  // A change of friction, which several points may hide from each other: in a stiff touch, or of a
+  // body that turns.
+  static void watch_friction(const TouchRow& row, bool several, TouchEvent& event) {
+    if (!event.turns && event.stiff_angle <= kFrictionAngle) return;
+    if (row.slides != event.slides || (several && row.slip_taken > 0.0)) event.shakes = true;
+    event.slides = row.slides;
+  }
+
+  void begin_touch(const Model& m, const SimState& in, const TouchRow& row, bool follows_last,
+                   float dt, TouchList& a, TouchList& b);
+  void find_steps(const Model& m, TouchedStep& step, bool follows_last, float dt, TouchList& a,
+                  TouchList& b);
+  void find_ramps(const Model& m, TouchedStep& step, TouchList& a, TouchList& b);
+  void move(const Model& m, TouchedStep& step) const;
+
+  TouchSettings settings;
+  double& speed_off(const TouchSide& side) {
+    return (
+        side.body >= 0
+            ? off_of_bodies
+            : off_of_particles)[static_cast<size_t>(side.body >= 0 ? side.body : side.particle)];
+  }
+
+  std::vector<char> jointed;                            // of bodies
+  std::vector<double> off_of_bodies, off_of_particles;  // TouchEvent::speed_off
+  std::vector<TouchRow> rows;
+  std::vector<Open> open, closing;
+  std::vector<std::shared_ptr<TouchRamp>> waiting;  // of the last step: their touch may follow
+  const void* at_q = nullptr;
+  uint64_t at_version = 0;
+  float last_dt = 0.0f;
+  int64_t number = 0, chain = 0;  // of the step, MotionEvent::step and chain
+  double time = 0.0;              // s, at its start
+  const Control* last_control = nullptr;
+};
+
+}  // namespace novaphy::diff

@@ -1,7 +1,6 @@
 #include "novaphy/diff/event_times.h"
 
 #include <algorithm>
-#include <map>
 #include <memory>
 #include <span>
 #include <utility>
@@ -96,8 +95,24 @@ MotionEvents events_on(const nova::Tape& tape) {
   for (const auto& witness : tape.witnesses())
     if (const auto* of = dynamic_cast<const GradientWitness*>(witness.get()))
       for (const auto& event : of->events()) all.push_back(event);
-  std::ranges::stable_sort(all, {}, [](const auto& e) { return e->time; });
+  sort_by_time(all);
   return all;
+}
+
+// The state, from `at` on, that the step of an event starts from. False: it is of no state.
+bool find_state(const Trajectory& trajectory, const MotionEvent& event, int32_t& at) {
+  for (int32_t k = 0; k <= trajectory.steps(); ++k) {
+    const int32_t t = (at + k) % (trajectory.steps() + 1);
+    const SimState& state = trajectory.state(t);
+    const auto is = [&](const auto& array) {
+      return array.rows() > 0 && array.range()->data() == event.start &&
+             array.range()->version() == event.version;
+    };
+    if (!is(state.joint_q) && !is(state.body_q) && !is(state.particle_q)) continue;
+    at = t;
+    return true;
+  }
+  return false;
 }
 
 }  // namespace
@@ -108,26 +123,17 @@ nova::Tensor event_times(const Trajectory& trajectory) {
   require(trajectory.checkpoint_interval() == 1, ErrorKind::NotImplemented, kName,
           ": trajectory: expected one that keeps all states, got one with checkpoints");
   nova::flush_deferred();
-  std::map<std::pair<const void*, uint64_t>, int32_t> states;
-  for (int32_t t = 0; t <= trajectory.steps(); ++t) {
-    const SimState& state = trajectory.state(t);
-    const auto add = [&](const auto& array) {
-      if (array.rows() > 0) states[{array.range()->data(), array.range()->version()}] = t;
-    };
-    add(state.joint_q);
-    add(state.body_q);
-    add(state.particle_q);
-  }
   MotionEvents all = events_on(*tape);
-  std::erase_if(all, [&](const auto& e) { return !states.contains({e->start, e->version}); });
+  int32_t known = 0;  // the state of the last event: the next one follows soon
+  std::erase_if(all, [&](const auto& e) { return !find_state(trajectory, *e, known); });
   require(!all.empty(), ErrorKind::Value, kName,
           ": trajectory: expected steps of a solver with contact_gradient=\"motion\" on the active "
           "tape in which a contact or a limit begins, got none");
   std::vector<nova::Tensor> parts;
   for (size_t first = 0, end = 0; first < all.size(); first = end) {
     while (end < all.size() && all[end]->start == all[first]->start) ++end;
-    const int32_t t = states.at({all[first]->start, all[first]->version});
-    parts.push_back(times_of(trajectory.state(t), Run(all).subspan(first, end - first), *tape));
+    find_state(trajectory, *all[first], known);
+    parts.push_back(times_of(trajectory.state(known), Run(all).subspan(first, end - first), *tape));
   }
   return parts.size() == 1 ? parts[0] : nova::concat(parts);
 }

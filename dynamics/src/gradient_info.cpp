@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <string_view>
+#include <tuple>
 
 namespace novaphy {
 namespace {
@@ -123,6 +124,7 @@ GradientInfo gradient_info(const GradientCounts& c, bool implicit, const MotionC
     info.least_approach = motion->least_approach;
     info.least_separation = motion->least_separation;
     info.event_list = motion->events;
+    sort_by_time(info.event_list);
   }
   info.residual = c.residual;
   info.reason = reason_of(c, implicit, motion, info.events);
@@ -160,7 +162,7 @@ GradientInfo worst_of(std::span<const GradientInfo> all) {
     sum.event_list.insert(sum.event_list.end(), of.event_list.begin(), of.event_list.end());
     sum.residual = std::max(sum.residual, of.residual);
   }
-  std::ranges::stable_sort(sum.event_list, {}, [](const auto& e) { return e->time; });
+  sort_by_time(sum.event_list);
   return sum;
 }
 
@@ -172,6 +174,14 @@ bool share(const MotionEvent& a, const MotionEvent& b) {
   });
 }
 }  // namespace
+
+void sort_by_time(MotionEvents& events) {
+  const auto key = [](const MotionEvent& e) {
+    return std::tuple(e.time, e.world, e.shape0, e.shape1, e.particle, e.joint);
+  };
+  std::sort(events.begin(), events.end(),
+            [&](const auto& a, const auto& b) { return key(*a) < key(*b); });
+}
 
 void MotionCounts::add(const std::shared_ptr<MotionEvent>& event) {
   const auto at = [](const MotionEvent& e) {

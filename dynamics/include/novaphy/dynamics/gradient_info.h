@@ -43,6 +43,9 @@ struct GradientInfo {
   float residual = 0.0f;    // largest, relative to the impulses
 };
 
+// Events at one time are in the order of their worlds, shapes, particles and joints.
+NOVAPHY_DYNAMICS_API void sort_by_time(MotionEvents& events);
+
 // Of steps whose events move in time.
 struct MotionCounts {
   // Steps in which several pairs hit at once; of springs touches of more than one point or pair.

@@ -2,16 +2,16 @@
 
 #include <algorithm>
 #include <array>
-#include <bit>
 #include <cmath>
 #include <limits>
 #include <map>
+#include <numeric>
 #include <string>
-#include <unordered_map>
 
 #include "assimp_scene.h"
 #include "glb.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/geometry/join_vertices.h"
 #include "novaphy/core/io/file.h"
 #include "novaphy/math/functions.h"
 #include "obj_colors.h"
@@ -21,19 +21,6 @@ namespace novaphy {
 namespace {
 
 using detail::Triangle;
-
-struct HashBits {
-  size_t operator()(const Vec3f& v) const {
-    uint64_t h = 0;
-    for (const float x : {v.x, v.y, v.z}) {  // splitmix64's finaliser after each word
-      h += 0x9E3779B97F4A7C15u + std::bit_cast<uint32_t>(x);
-      h = (h ^ (h >> 30)) * 0xBF58476D1CE4E5B9u;
-      h = (h ^ (h >> 27)) * 0x94D049BB133111EBu;
-      h ^= h >> 31;
-    }
-    return static_cast<size_t>(h);
-  }
-};
 
 std::string format_of(std::string_view function, const std::filesystem::path& path) {
   std::string extension = path.extension().string();
@@ -152,16 +139,27 @@ Mesh load_mesh(const std::filesystem::path& path, const MeshOptions& options) {
 
   Mesh mesh;
   set_colors(soup, mesh);
-  mesh.indices.reserve(3 * triangles.size());
-  std::unordered_map<Vec3f, int32_t, HashBits> rows;
+  std::vector<Vec3f> corners;
+  corners.reserve(3 * triangles.size());
   for (const Triangle& triangle : triangles)
-    for (const Vec3f& corner : triangle) {
-      const Vec3f v = {corner.x + 0.0f, corner.y + 0.0f, corner.z + 0.0f};  // -0 becomes +0
-      auto row = static_cast<int32_t>(mesh.vertices.size());
-      if (options.join_vertices) row = rows.try_emplace(v, row).first->second;
-      if (static_cast<size_t>(row) == mesh.vertices.size()) mesh.vertices.push_back(v);
-      mesh.indices.push_back(row);
+    for (const Vec3f& c : triangle)
+      corners.push_back({c.x + 0.0f, c.y + 0.0f, c.z + 0.0f});  // -0 becomes +0
+  if (!options.join_vertices) {
+    mesh.indices.resize(corners.size());
+    std::iota(mesh.indices.begin(), mesh.indices.end(), 0);
+    mesh.vertices = std::move(corners);
+    return mesh;
+  }
+  mesh.indices = first_in_place(corners);
+  for (size_t k = 0; k < corners.size(); ++k) {
+    int32_t& row = mesh.indices[k];
+    if (row == static_cast<int32_t>(k)) {
+      row = static_cast<int32_t>(mesh.vertices.size());
+      mesh.vertices.push_back(corners[k]);
+    } else {
+      row = mesh.indices[static_cast<size_t>(row)];
     }
+  }
   return mesh;
 }
 

@@ -158,6 +158,9 @@ class _Names:
         self.starts = {"coords": model.joint_q_start.numpy(), "dofs": model.joint_qd_start.numpy()}
         owner = dict(zip(model.joint_child.numpy().tolist(), names, strict=True))
         joint_of = np.searchsorted(self.starts["dofs"], model.actuator_dof.numpy(), "right") - 1
+        for k in np.flatnonzero(model.actuator_dof.numpy() < 0):
+            body = model.actuator_body.numpy()[k].max()  # one of both may be the world
+            joint_of[k] = model.joint_child.numpy().tolist().index(body)
 
         def matches(label: str, articulation: str, of_world: int) -> bool:
             if world is not None and of_world != world:

@@ -235,41 +235,6 @@ void bind_other_joints(Builder& c) {
           "index.");
 }
 
-using Pair = std::array<float, 2>;
-using Triple = std::array<float, 3>;
-
-Vec2f range_of(const std::optional<Pair>& range) {
-  return range ? Vec2f{(*range)[0], (*range)[1]} : Vec2f{-kJointUnlimited, kJointUnlimited};
-}
-
-void bind_actuators(Builder& c) {
-  c.def(
-       "add_actuator",
-       [](ModelBuilder& b, int32_t joint, int32_t axis, float gear, const Triple& gain,
-          const Triple& bias, int32_t dynamics, float time, const std::optional<Pair>& ctrl_range,
-          const std::optional<Pair>& force_range, const std::optional<Pair>& act_range, float ctrl,
-          float act, const std::optional<std::string>& label) {
-         return b.add_actuator(joint, {.axis = axis,
-                                       .gear = gear,
-                                       .gain = {gain[0], gain[1], gain[2]},
-                                       .bias = {bias[0], bias[1], bias[2]},
-                                       .dynamics = static_cast<ActuatorDynamics>(dynamics),
-                                       .time = time,
-                                       .ctrl_range = range_of(ctrl_range),
-                                       .force_range = range_of(force_range),
-                                       .act_range = range_of(act_range),
-                                       .ctrl = ctrl,
-                                       .act = act,
-                                       .label = label.value_or("")});
-       },
-       "joint"_a, py::kw_only(), "axis"_a = 0, "gear"_a = 1.0f, "gain"_a = Triple{1.0f, 0.0f, 0.0f},
-       "bias"_a = Triple{}, "dynamics"_a = 0, "time"_a = 1.0f, "ctrl_range"_a = py::none(),
-       "force_range"_a = py::none(), "act_range"_a = py::none(), "ctrl"_a = 0.0f, "act"_a = 0.0f,
-       "label"_a = py::none(), doc::kAddActuator)
-      .def_property_readonly("actuator_count", &ModelBuilder::actuator_count,
-                             "The number of actuators.");
-}
-
 void bind_articulations(Builder& c) {
   c.def(
        "add_articulation",
@@ -333,7 +298,7 @@ void bind_builder_joints(Builder& c) {
   bind_other_joints(c);
   bind_general_joints(c);
   bind_articulations(c);
-  bind_actuators(c);
+  bind_builder_actuators(c);
 }
 
 }  // namespace novaphy::python

@@ -27,6 +27,19 @@ gain, bias: the defaults make a motor. A servo of the position has gain (kp, 0, 
 (0, -kp, -kv). A servo of the velocity has gain (kv, 0, 0) and bias (0, 0, -kv).
 ctrl, act: the initial values of a control and of a state.)";
 
+inline constexpr char kAddBodyActuator[] =
+    R"(Adds an actuator of a body. Returns the index, which is the row of Control.ctrl.
+
+The force law is that of add_actuator. The force acts at the origin of frame, a frame of the body.
+wrench: the force and the moment (m) of a force of 1, in the axes of frame. The length l is 0, and
+the rate v is the rate along the wrench.
+
+reference_body: -1 is the world. The wrench then has the axes of reference, a frame of that body,
+and the opposite wrench acts there. l and v are those of frame relative to reference. Joints that
+carry both bodies feel nothing.
+
+The force of the start of a step acts through the step.)";
+
 inline constexpr char kAddMimic[] =
     R"(Makes joint0 follow joint1: q0 = coef0 + coef1 q1 (m or rad), exactly, at the end of every
 step of an articulation.

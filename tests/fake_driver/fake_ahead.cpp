@@ -21,6 +21,7 @@ const char* articulation_contact_vjp_kernels_text();
 const char* articulation_functions_kernels_text();
 const char* articulation_jvp_kernels_text();
 const char* articulation_kernels_text();
+const char* body_actuation_kernels_text();
 const char* gradient_notes_kernels_text();
 const char* joint_coordinates_kernels_text();
 #ifdef FAKE_DRIVER_HAS_VBD
@@ -47,6 +48,7 @@ AheadData ahead_data() {
         detail::articulation_functions_kernels_text,
         detail::articulation_jvp_kernels_text,
         detail::articulation_kernels_text,
+        detail::body_actuation_kernels_text,
         detail::gradient_notes_kernels_text,
         detail::joint_coordinates_kernels_text,
 #ifdef FAKE_DRIVER_HAS_VBD

@@ -162,6 +162,9 @@ namespace tree_contacts_jvp {
 namespace tree_tangents {
 #include "articulation_jvp_kernels.cuh"
 }
+namespace pushed_bodies {
+#include "body_actuation_kernels.cuh"
+}
 namespace joints {
 #include "joint_coordinates_kernels.cuh"
 }
@@ -279,6 +282,9 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(tree_tangents::novaphy, dual_pack),
       OF_TEXT(tree_tangents::novaphy, dual_tangent),
       OF_TEXT(tree_tangents::novaphy, articulation_step_jvp),
+      OF_TEXT(pushed_bodies::novaphy, body_actuation),
+      OF_TEXT(pushed_bodies::novaphy, body_actuation_vjp),
+      OF_TEXT(pushed_bodies::novaphy, body_actuation_jvp),
       OF_TEXT(joints::novaphy, eval_fk_articulation),
       OF_TEXT(joints::novaphy, eval_ik_joint),
       OF_TEXT(joints::novaphy, eval_mimic_joint),

@@ -54,6 +54,18 @@ ModelBuilder driven() {
                          .force_range = {-1.0f, 0.3f},
                          .ctrl = 1.0f});
   b.add_actuator(kWrist, {.axis = 3, .gain = {5.0f, 0.0f, 0.0f}, .bias = {0.0f, -5.0f, 0.0f}});
+  // Of bodies: a servo between two branches, and a force with a state.
+  constexpr int32_t kSlideBody = 2, kHandBody = 4, kTipBody = 6;
+  b.add_body_actuator(
+      kHandBody, {.frame = {{0.1f, 0.0f, 0.2f}, {0.6f, 0.0f, 0.0f, 0.8f}},
+                  .reference_body = kSlideBody,
+                  .reference = {{0.0f, 0.3f, 0.0f}, {0.0f, 0.0f, 0.6f, 0.8f}},
+                  .wrench = {{1.0f, 2.0f, -1.0f}, {0.3f, 0.1f, 0.2f}},
+                  .axes = 7,
+                  .law = {.gain = {4.0f, 0.3f, 0.0f}, .bias = {0.1f, -4.0f, -0.2f}, .ctrl = 0.5f}});
+  b.add_body_actuator(
+      kTipBody, {.wrench = {{0.0f, 0.5f, 1.0f}, {0.0f, 0.1f, 0.0f}},
+                 .law = {.dynamics = ActuatorDynamics::INTEGRATOR, .ctrl = 0.3f, .act = 0.2f}});
   return b;
 }
 
@@ -106,6 +118,7 @@ Result trained(Device device, bool captured, int32_t checkpoint) {
       {"act", state_act_tensor(start, true)},
       {"ctrl", control_ctrl_tensor(control, true)},
       {"gear", model_actuator_gear_tensor(*model, true)},
+      {"wrench", model_actuator_wrench_tensor(*model, true)},
       {"gain", model_actuator_gain_tensor(*model, true)},
       {"bias", model_actuator_bias_tensor(*model, true)},
       {"time", model_actuator_time_tensor(*model, true)},

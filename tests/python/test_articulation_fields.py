@@ -50,6 +50,11 @@ def scene(actuators: bool = True) -> novaphy.ModelBuilder:
         builder.add_actuator(joints[1], act_range=(-1.0, 0.22), force_range=(-1.0, 0.1), **lag)
         builder.add_actuator(joints[1], act_range=(-1.0, 0.21), **lag)
         builder.add_actuator(joints[1], ctrl=0.4)
+        builder.add_body_actuator(
+            links[2], frame=((0.1, 0.0, 0.2), UPRIGHT), reference_body=links[0], ctrl=0.4,
+            reference=((0.0, 0.1, 0.0), UPRIGHT), wrench=(1.0, 0.5, 2.0, 0.1, 0.2, 0.3),
+            bias=(0.0, -3.0, 0.0),
+        )  # fmt: skip
     hinges = builder.joint_count - 3
     assert hinges == 2
     builder.joint_q[14:16] = [0.7, 0.1]
@@ -137,6 +142,11 @@ ACT = {
         f"actuator_{name}": scaled(f"actuator_{name}")
         for name in ("gear", "time", "ctrl_range", "act_range", "force_range")
     },
+    "actuator_wrench": scaled("actuator_wrench"),
+    **{
+        f"actuator_{name}": scaled(f"actuator_{name}", (slice(4, 5), slice(0, 3)))
+        for name in ("frame", "reference")
+    },
     "actuator_gain": of("actuator_gain", slice(0, 1), (1.3, 0.0, 0.0)),
     "actuator_bias": of("actuator_bias", slice(0, 1), (0.4, -0.2, -0.1)),
     "actuator_dynamics": of("actuator_dynamics", slice(0, 2), 1),
@@ -208,6 +218,8 @@ STRUCTURE = (
     "joint_mimic",
     "joint_mimic_coef",
     "actuator_dof",
+    "actuator_body",
+    "actuator_axes",
     "actuator_state",
     "body_world",
     "shape_body",

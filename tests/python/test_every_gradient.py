@@ -70,7 +70,7 @@ def soft_for_vbd() -> novaphy.Model:
     return model
 
 
-def actuate(builder: novaphy.ModelBuilder, joints: list[int]) -> None:
+def actuate(builder: novaphy.ModelBuilder, joints: list[int], links: list[int]) -> None:
     """Actuators of all kinds, at the ends of ranges of all kinds."""
     dynamics = novaphy.ActuatorDynamics
     ranges = dict.fromkeys(("ctrl_range", "force_range", "act_range"), (-5.0, 5.0))
@@ -85,6 +85,11 @@ def actuate(builder: novaphy.ModelBuilder, joints: list[int]) -> None:
              "dynamics": dynamics.INTEGRATOR}),
     ):  # fmt: skip
         builder.add_actuator(joints[joint], **(ranges | options))
+    builder.add_body_actuator(
+        links[1], frame=((0.1, 0.0, 0.2), UPRIGHT), reference_body=links[0], ctrl=0.3,
+        reference=((0.0, 0.1, 0.0), UPRIGHT), wrench=(0.5, 0.3, 1.0, 0.1, 0.2, 0.3),
+        gain=(1.0, 0.2, 0.1), bias=(0.1, -2.0, -0.3), **ranges,
+    )  # fmt: skip
 
 
 def bodies(articulated: bool) -> novaphy.Model:
@@ -126,7 +131,7 @@ def bodies(articulated: bool) -> novaphy.Model:
     ]
     builder.add_articulation(joints)
     if articulated:
-        actuate(builder, joints)
+        actuate(builder, joints, links)
     tip = ((0.2, 0.0, 0.0), UPRIGHT)
     builder.add_shape_sphere(links[1], xform=tip, radius=0.103, cfg=light)
     model = builder.finalize()

@@ -153,6 +153,12 @@ CollapsedJoints ModelBuilder::drop_merged(const std::vector<int32_t>& into,
     result.body_merged_transform.push_back(pose[b]);
   }
   for (Shape& shape : shapes_) shape.body = new_body(shape.body);
+  actuators_.move_bodies([&](int32_t& body, Transformf& frame) {
+    if (body < 0) return;
+    const auto b = static_cast<size_t>(body);
+    if (!body_stays[b]) frame = math::multiply(pose[b], frame);
+    body = new_body(into[b]);
+  });
   for (Joint& joint : joints_) {
     if (joint.parent >= 0) {
       const auto parent = static_cast<size_t>(joint.parent);

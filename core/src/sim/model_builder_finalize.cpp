@@ -57,11 +57,22 @@ void upload_materials(const Shapes& shapes, Model& m) {
   upload(m.shape_mixing, mixing);
 }
 
+namespace {
+
+void check_refused(const std::vector<std::string>& refused) {
+  if (refused.empty()) return;
+  const std::string more = " (and " + std::to_string(refused.size() - 1) + " more)";
+  fail(ErrorKind::NotImplemented, "finalize: ", refused.front(), refused.size() < 2 ? "" : more);
+}
+
+}  // namespace
+
 std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptions& options) const {
   require_device(device);
   require(current_world_ < 0, ErrorKind::Runtime, "finalize: world ", current_world_,
           " is open; call end_world() first");
   check_sizes();
+  check_refused(refused_);
   if (!options.skip_validation) {
     check_values();
     check_coloring("finalize");
@@ -74,8 +85,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   }
 
   const size_t shapes = shapes_.size();
-  // One host column of the shapes.
-  const auto column = [&](auto get) {
+  const auto column = [&](auto get) {  // of the shapes, on the host
     std::vector<decltype(get(shapes_[0]))> values(shapes);
     std::transform(shapes_.begin(), shapes_.end(), values.begin(), get);
     return values;
@@ -98,7 +108,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   counts.joint_dof_count = joint_dof_count();
   counts.articulation_count = articulation_count();
   counts.actuator_count = actuator_count();
-  counts.actuator_state_count = actuator_state_count();
+  counts.actuator_state_count = actuators_.state_count();
   counts.spring_count = spring_count();
   counts.tri_count = tri_count();
   counts.edge_count = edge_count();
@@ -124,7 +134,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   upload_elements(m);
   upload_bodies(m, masses);
   upload_joints(m);
-  upload_actuators(m);
+  actuators_.upload(m);
   m.shape_pair_list().follow(paired);
   upload(m.shape_body, paired->body);
   upload(m.shape_flags, paired->flags);

@@ -98,7 +98,8 @@ void ModelBuilder::check_addable(std::string_view function, const ModelBuilder& 
   check("bodies", bodies_.size(), builder.bodies_.size());
   check("shapes", shapes_.size(), builder.shapes_.size());
   check("joints", joints_.size(), builder.joints_.size());
-  check("actuators", actuators_.size(), builder.actuators_.size());
+  check("actuators", static_cast<size_t>(actuator_count()),
+        static_cast<size_t>(builder.actuator_count()));
   check("joint coordinates", joint_q.size(), builder.joint_q.size());
   check("springs", springs_.indices.size(), builder.springs_.indices.size());
   check("triangles", triangles_.indices.size(), builder.triangles_.indices.size());
@@ -152,7 +153,8 @@ void ModelBuilder::add_builder(const ModelBuilder& b, const Transformf& given) {
 
   const int32_t first_shape = shape_count(), first_body = body_count();
   append_bodies(b, xform);
-  append_actuators(b, joint_dof_count());
+  append(refused_, b.refused_);
+  actuators_.append(b.actuators_, joint_dof_count(), first_body, xform);
   append_joints(b, first_body, xform);
   for (Shape shape : b.shapes_) {
     if (moves && shape.body < 0) shape.xform = math::multiply(xform, shape.xform);

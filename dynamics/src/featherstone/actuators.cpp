@@ -1,8 +1,8 @@
-#include "actuators.h"
-
 #include <algorithm>
 #include <string>
 
+#include "articulation_step.h"
+#include "body_actuators.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/for_chunks.h"
@@ -58,8 +58,14 @@ Actuators::Actuators(const Model& m) : any_(m.actuator_count() > 0) {
   if (!any_) return;
   const Unobserved unobserved;
   const Device device = m.device();
+  std::vector<int32_t> dof = m.actuator_dof.to_host();
+  if (std::any_of(dof.begin(), dof.end(), [](int32_t d) { return d < 0; })) {
+    on_bodies_ = std::make_shared<BodyActuators>(m);
+    for (size_t k = 0; k < dof.size(); ++k)
+      if (dof[k] < 0) dof[k] = on_bodies_->dofs()[k];
+  }
   IndexRows lists;
-  lists.build(m.actuator_dof.to_host(), m.joint_dof_count());
+  lists.build(dof, m.joint_dof_count());
   first_ = DeviceArray<int32_t>::from_host(lists.begins(), device);
   order_ = DeviceArray<int32_t>::from_host(lists.all(), device);
   std::vector<int32_t> coord(static_cast<size_t>(m.joint_dof_count()), -1);
@@ -89,7 +95,7 @@ class ActuatorCheck {
               has_state ? "1 to 3 of an actuator with an activation, got "
                         : "0 of an actuator without an activation, got ",
               dynamics_[k]);
-      if (is_servo(k)) check_servo(k);
+      if (dof_[k] >= 0 && is_servo(k)) check_servo(k);
     }
   }
 
@@ -168,6 +174,7 @@ art::Actuation Actuators::arguments(const Model& m, const ActuationArrays& input
   return {.first = first_,
           .order = order_,
           .coord = coord_,
+          .dof = m.actuator_dof,
           .state = m.actuator_state,
           .dynamics = m.actuator_dynamics,
           .in = each<art::kActuationInputs>([&](size_t i) { return Untyped(inputs[i]); }),
@@ -195,51 +202,75 @@ const ActuationKernels& actuation_kernels() {
   return kernels;
 }
 
+namespace {
+
+// Rows of a kernel on the host, where nothing records them, or as a launch.
+template <class A>
+void run_rows(bool on_host, const Kernel<A>& kernel, void (*row)(const A&, int64_t, int64_t),
+              int64_t rows, int64_t chunk, const A& arguments) {
+  if (!on_host) return run(kernel, rows, arguments);
+  const A at = in_memory(arguments);
+  for_chunks(rows, chunk, [&](int64_t begin, int64_t end, int64_t) {
+    for (int64_t k = begin; k < end; ++k) row(at, k, rows);
+  });
+}
+
+}  // namespace
+
+ActuatedStep::ActuatedStep(const Model& m) : actuators_(m), on_host_(m.device().is_cpu()) {}
+
 ActuatedStep::Read ActuatedStep::begin(const Model& m, const SimState& in, const SimState& out,
                                        const Control* control, float dt, const char* user) {
   actuators_.check(m, user);
   Read read = {drives_of(m, control), in.body_f};
-  const bool on_host = m.device().is_cpu();
   if (actuators_.any()) {
     const ActuationArrays inputs = Actuators::inputs(m, in, control);
-    const auto dofs = m.joint_dof_count();
     if (memory_[0].rows() == 0) {
       const Unobserved unobserved;
       for (size_t i = 0; i < art::kActuated; ++i)
         memory_[i] = DeviceArray<float>(inputs[i].rows(), m.device());
-      if (on_host) memory_[art::kNextActivation] = DeviceArray<float>(in.act.rows(), m.device());
+      if (on_host_) memory_[art::kNextActivation] = DeviceArray<float>(in.act.rows(), m.device());
     }
     const ActuationArguments a = {
         .in = actuators_.arguments(m, inputs, dt),
         .out = each<art::kActuationOutputs>([&](size_t i) {
-          return Untyped(on_host || i < art::kActuated ? memory_[i].range() : out.act.range());
+          return Untyped(on_host_ || i < art::kActuated ? memory_[i].range() : out.act.range());
         })};
-    if (on_host) {
-      const ActuationArguments at = in_memory(a);
-      for_chunks(dofs, kRowsOfChunk, [&](int64_t begin, int64_t end, int64_t) {
-        for (int64_t row = begin; row < end; ++row) actuation_row(at, row, dofs);
-      });
-    } else {
-      run(actuation_kernels().forward, dofs, a);
-    }
+    run_rows(on_host_, actuation_kernels().forward, actuation_row, m.joint_dof_count(),
+             kRowsOfChunk, a);
     std::copy_n(memory_.begin(), read.drives.size(), read.drives.begin());
   }
-  if (actuators_.lifts()) {
-    if (body_f_.rows() == 0) {
-      const Unobserved unobserved;
-      body_f_ = DeviceArray<SpatialVectorf>(in.body_f.rows(), m.device());
-    }
-    const GravcompArguments a = {.in = gravcomp_inputs(m, in.body_f), .out = body_f_};
-    const int64_t bodies = m.body_count();
-    if (on_host) {
-      const GravcompArguments at = in_memory(a);
-      for (int64_t row = 0; row < bodies; ++row) gravity_compensation_row(at, row, bodies);
-    } else {
-      run(actuation_kernels().lift, bodies, a);
-    }
-    read.body_f = body_f_;
-  }
+  if (actuators_.on_bodies() != nullptr) push(m, in, control, read);
+  if (actuators_.lifts()) lift(m, read);
   return read;
+}
+
+void ActuatedStep::push(const Model& m, const SimState& in, const Control* control, Read& read) {
+  const BodyActuators& all = *actuators_.on_bodies();
+  if (pushed_f_.rows() == 0) {
+    const Unobserved unobserved;
+    pushed_f_ = DeviceArray<SpatialVectorf>(in.body_f.rows(), m.device());
+  }
+  const BodyActuationArguments a = {
+      .in =
+          all.arguments<float>(m, Actuators::inputs(m, in, control), in.joint_q, in.joint_qd,
+                               all.workspace(), [](const Array& array) { return Untyped(array); }),
+      .body_f = Untyped(read.body_f),
+      .out = pushed_f_};
+  run_rows(on_host_, body_actuation_kernels().forward, body_actuation_row, all.count(), kTreeRows,
+           a);
+  read.body_f = pushed_f_;
+}
+
+void ActuatedStep::lift(const Model& m, Read& read) {
+  if (body_f_.rows() == 0) {
+    const Unobserved unobserved;
+    body_f_ = DeviceArray<SpatialVectorf>(read.body_f.rows(), m.device());
+  }
+  const GravcompArguments a = {.in = gravcomp_inputs(m, read.body_f), .out = body_f_};
+  run_rows(on_host_, actuation_kernels().lift, gravity_compensation_row, m.body_count(),
+           kRowsOfChunk, a);
+  read.body_f = body_f_;
 }
 
 std::vector<float> eval_actuator_forces(const Model& m, const SimState& state,
@@ -256,6 +287,9 @@ std::vector<float> eval_actuator_forces(const Model& m, const SimState& state,
     values.emplace_back(array.bytes() / sizeof(float));
     if (!values.back().empty()) array.copy_to_host(values.back().data(), array.bytes());
   }
+  values.emplace_back(6 * m.actuator_wrench.rows());
+  m.actuator_wrench.copy_to_host(static_cast<void*>(values.back().data()),
+                                 m.actuator_wrench.bytes());
   const auto number = [&](int32_t input, int32_t row, int32_t k) {
     return art::DualFloat(values[static_cast<size_t>(input)]
                                 [static_cast<size_t>(row * art::numbers_of_input(input) + k)]);
@@ -266,15 +300,19 @@ std::vector<float> eval_actuator_forces(const Model& m, const SimState& state,
   std::vector<float> forces;
   for (size_t k = 0; k < dof.size(); ++k) {
     const auto i = static_cast<int32_t>(k);
+    if (dof[k] < 0) {
+      forces.push_back(0.0f);
+      continue;
+    }
     const auto row = static_cast<size_t>(dof[k]), at = static_cast<size_t>(coord[row]);
-    const art::DualFloat input = activation[k] < 0 ? art::clipped_control(i, number)
-                                                   : number(art::kActivation, activation[k], 0);
-    const art::ActuatorForce f = art::actuator_force(i, input, number);
+    const art::ActuatorForce f =
+        art::actuator_force(i, art::actuator_input(i, activation[k], number), number);
     const art::DualFloat length = f.gear * art::DualFloat(q[at]),
                          rate = f.gear * art::DualFloat(qd[row]);
     forces.push_back(
         art::clipped(f.part + f.by_length * length + f.by_rate * rate, f.lower, f.upper).value);
   }
+  if (actuators.on_bodies() != nullptr) actuators.on_bodies()->forces(m, state, number, forces);
   return forces;
 }
 

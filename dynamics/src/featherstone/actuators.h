@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <memory>
 #include <vector>
 
 #include "../step_sources.h"
@@ -27,11 +28,15 @@ inline constexpr int32_t kActuatedPlaces[] = {kAt.joint_f,   kAt.target_q,  kAt.
 // Puts them in the place of those of the model and the control.
 void read_instead(NamedStepArrays& arrays, const StepDrives& drives);
 
+class BodyActuators;
+
 class Actuators {
  public:
   explicit Actuators(const Model& model);
 
-  bool any() const { return any_; }      // actuators
+  bool any() const { return any_; }  // actuators
+  // Those that push bodies; null: none does.
+  const BodyActuators* on_bodies() const { return on_bodies_.get(); }
   bool lifts() const { return lifts_; }  // some gravcomp is not 0, or its gradient is asked for
   // Looks again where arrays were written, also whether some gravcomp is not 0. ErrorKind::Value: a
   // range in the wrong order. ErrorKind::NotImplemented, naming the actuator: a stiffness or
@@ -47,6 +52,7 @@ class Actuators {
 
  private:
   bool any_ = false, lifts_ = false, has_gravcomp_ = false;
+  std::shared_ptr<const BodyActuators> on_bodies_;
   DeviceArray<int32_t> first_, order_, coord_;
   std::vector<ArrayStamp> checked_;
 };
@@ -66,7 +72,7 @@ const ActuationKernels& actuation_kernels();
 // What the steps of a solver have in common: memory for the drives of a step that no tape records.
 class ActuatedStep {
  public:
-  explicit ActuatedStep(const Model& model) : actuators_(model) {}
+  explicit ActuatedStep(const Model& model);
   // Actuators::check, and the drives of a step and its wrenches on bodies. On devices by launches,
   // which also write the activations of `out`; on the host they are written by finish.
   struct Read {
@@ -79,8 +85,12 @@ class ActuatedStep {
 
  private:
   Actuators actuators_;
+  void push(const Model& model, const SimState& in, const Control* control, Read& read);
+  void lift(const Model& model, Read& read);
+
+  bool on_host_;
   std::array<DeviceArray<float>, articulation::kActuationOutputs> memory_;
-  DeviceArray<SpatialVectorf> body_f_;
+  DeviceArray<SpatialVectorf> body_f_, pushed_f_;
 };
 
 }  // namespace novaphy

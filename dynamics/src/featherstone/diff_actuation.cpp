@@ -1,5 +1,7 @@
 // Actuators and gravity compensation as operations of a tape.
+#include "body_actuators.h"
 #include "diff_articulation_parts.h"
+#include "tangent_launches.h"
 
 namespace novaphy::diff::detail {
 namespace {
@@ -81,6 +83,109 @@ void submit_drives(const std::shared_ptr<const Actuators>& actuators, const Mode
               }});
 }
 
+// Actuators of bodies in a step.
+class Push {
+ public:
+  Push(const std::shared_ptr<const Actuators>& actuators, const Model& m, const SimState& state,
+       const Control* control, const Array& body_f, const Array& sum)
+      : actuators_(actuators),
+        model_(m.shared_from_this()),
+        inputs_(Actuators::inputs(m, state, control)),
+        q_(state.joint_q),
+        qd_(state.joint_qd),
+        body_f_(body_f),
+        sum_(sum) {}
+
+  // kPushingInputs arrays, then body_f, q, qd and body_com.
+  std::vector<Array> arrays() const {
+    std::vector<Array> all(inputs_.begin() + art::kActuated, inputs_.end());
+    for (const Array& array :
+         {Array(model_->actuator_wrench), body_f_, q_, qd_, Array(model_->body_com)})
+      all.push_back(array);
+    return all;
+  }
+  void forward() const {
+    run(body_actuation_kernels().forward, trees(),
+        {.in = arguments(), .body_f = Untyped(body_f_), .out = Untyped(sum_)});
+  }
+  // to(i): the gradient of the i-th array.
+  template <class To>
+  void vjp(const Tensor& gradient, const To& to) const {
+    const auto& memory = actuators_->on_bodies()->adjoint_memory().range();
+    const size_t poses = 7 * sum_.rows() * sizeof(float), motions = poses / 7 * 6;
+    run(body_actuation_kernels().vjp, trees(),
+        {.in = arguments(),
+         .out = argument(gradient),
+         .gradient = each<kPushingInputs>(to),
+         .q = to(kPushingInputs + 1),
+         .qd = to(kPushingInputs + 2),
+         .com = to(kPushingInputs + 3),
+         .body_f = to(kPushingInputs),
+         .poses = nova::part_of(memory, 0, poses),
+         .motions = nova::part_of(memory, poses, motions)});
+  }
+  // tangent(i): that of the i-th array.
+  template <class Of>
+  void jvp(const Tensor& to, const Of& tangent) const {
+    const BodyActuators& all = *actuators_->on_bodies();
+    const auto memory = [&](int64_t numbers) {
+      const Unobserved unobserved;
+      return DeviceArray<float>(static_cast<size_t>(numbers), model_->device());
+    };
+    std::vector<DeviceArray<float>> duals;  // of what the trees read
+    const auto take = [&](const Array& array) {
+      const std::pair<const Array&, size_t> moving[] = {{q_, 1}, {qd_, 2}, {model_->body_com, 3}};
+      Tensor along;
+      for (const auto& [of, place] : moving)
+        if (of.range() == array.range()) along = tangent(kPushingInputs + place);
+      const auto numbers = static_cast<int64_t>(array.bytes() / sizeof(float));
+      duals.push_back(memory(2 * numbers));
+      run(tangent_kernels().pack, numbers,
+          {.values = Untyped(array), .tangents = argument(along), .to = Untyped(duals.back())});
+      return Untyped(duals.back());
+    };
+    const DeviceArray<float> workspace = memory(trees() * all.stride<DualFloat>());
+    run(body_actuation_kernels().jvp, trees(),
+        {.in = all.arguments<DualFloat>(*model_, inputs_, q_, qd_, workspace, take),
+         .tangent = each<kPushingInputs>([&](size_t i) { return argument(tangent(i)); }),
+         .body_f = argument(tangent(kPushingInputs)),
+         .out = argument(to)});
+  }
+
+ private:
+  int64_t trees() const { return actuators_->on_bodies()->count(); }
+  BodyActuationOf<float> arguments() const {
+    const BodyActuators& all = *actuators_->on_bodies();
+    return all.arguments<float>(*model_, inputs_, q_, qd_, all.workspace(),
+                                [](const Array& array) { return Untyped(array); });
+  }
+
+  std::shared_ptr<const Actuators> actuators_;
+  std::shared_ptr<const Model> model_;
+  ActuationArrays inputs_;
+  Array q_, qd_, body_f_, sum_;
+};
+
+void submit_push(const Push& push, const Array& sum) {
+  const Rows in(push.arrays());
+  record({.name = "body_actuation",
+          .inputs = in.tensors,
+          .outputs = {tensor_of(sum)},
+          .vjp =
+              [=](std::span<const Tensor> g, std::span<const nova::InputGradient> gradients) {
+                if (!g[0].defined()) return;
+                const nova::NoGrad no_grad;
+                push.vjp(g[0], [&](size_t i) { return gradient_of(in.of(gradients, i)); });
+              },
+          .forward = [=] { push.forward(); },
+          .jvp =
+              [=](std::span<const Tensor> t, std::span<const Tensor> tangents) {
+                if (!tangents[0].defined()) return;
+                const nova::NoGrad no_grad;
+                push.jvp(tangents[0], [&](size_t i) { return in.of(t, i); });
+              }});
+}
+
 void submit_lift(const Model& model, const Array& body_f, const Array& sum) {
   const int64_t bodies = model.body_count();
   const auto inputs = [owner = model.shared_from_this(), body_f] {
@@ -133,10 +238,18 @@ ActuatedInputs submit_actuation(const std::shared_ptr<const Actuators>& actuator
     submit_drives(actuators, m, Actuators::inputs(m, in, control), outputs, dt);
     scratch = scratch.subspan(result.drives.size());
   }
+  const auto wrenches = [&] {
+    return Array(novaphy::DType::spatial_vector, static_cast<size_t>(m.body_count()), 1,
+                 result.body_f.range);
+  };
+  if (actuators->on_bodies() != nullptr) {
+    submit_push({actuators, m, in, control, wrenches(), scratch[0]}, scratch[0]);
+    result.body_f = nova::operand_of(scratch[0]);
+    scratch = scratch.subspan(1);
+  }
   if (actuators->lifts()) {
-    const Array& sum = scratch[0];
-    submit_lift(m, Array(novaphy::DType::spatial_vector, sum.rows(), 1, body_f.range), sum);
-    result.body_f = nova::operand_of(sum);
+    submit_lift(m, wrenches(), scratch[0]);
+    result.body_f = nova::operand_of(scratch[0]);
   }
   return result;
 }

@@ -213,8 +213,10 @@ std::vector<ScratchSpec> ArticulationStep::scratch(const Model& model, int32_t c
   if (shared_->actuators->any())
     for (const Array& drive : drives_of(model, nullptr))
       specs.push_back({novaphy::DType::float32, drive.rows(), 1});
-  if (shared_->actuators->lifts())
-    specs.push_back({novaphy::DType::spatial_vector, static_cast<size_t>(model.body_count()), 1});
+  const auto bodies = static_cast<size_t>(model.body_count());
+  if (shared_->actuators->on_bodies() != nullptr)
+    specs.push_back({novaphy::DType::spatial_vector, bodies, 1});
+  if (shared_->actuators->lifts()) specs.push_back({novaphy::DType::spatial_vector, bodies, 1});
   return specs;
 }
 

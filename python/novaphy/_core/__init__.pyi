@@ -449,6 +449,11 @@ class Model(_Counts):
     articulation_start: _Field
     articulation_end: _Field
     actuator_dof: _Field
+    actuator_body: _Field
+    actuator_axes: _Field
+    actuator_frame: _Field
+    actuator_reference: _Field
+    actuator_wrench: _Field
     actuator_state: _Field
     actuator_dynamics: _Field
     actuator_gear: _Field
@@ -1101,6 +1106,25 @@ class ModelBuilder(_Native):
         *,
         axis: SupportsIndex = 0,
         gear: SupportsFloat = 1.0,
+        gain: Sequence[SupportsFloat] = ...,
+        bias: Sequence[SupportsFloat] = ...,
+        dynamics: ActuatorDynamics | int = 0,
+        time: SupportsFloat = 1.0,
+        ctrl_range: Sequence[SupportsFloat] | None = None,
+        force_range: Sequence[SupportsFloat] | None = None,
+        act_range: Sequence[SupportsFloat] | None = None,
+        ctrl: SupportsFloat = 0.0,
+        act: SupportsFloat = 0.0,
+        label: str | None = None,
+    ) -> int: ...
+    def add_body_actuator(
+        self,
+        body: SupportsIndex,
+        *,
+        wrench: Sequence[SupportsFloat],
+        frame: _Transform | None = None,
+        reference_body: SupportsIndex | None = None,
+        reference: _Transform | None = None,
         gain: Sequence[SupportsFloat] = ...,
         bias: Sequence[SupportsFloat] = ...,
         dynamics: ActuatorDynamics | int = 0,

@@ -25,6 +25,7 @@
   X(joint_damping)             \
   X(joint_friction)            \
   X(actuator_gear)             \
+  X(actuator_wrench)           \
   X(actuator_gain)             \
   X(actuator_bias)             \
   X(actuator_time)             \

@@ -90,6 +90,14 @@ enum class ActuatorDynamics : int32_t {
   FILTER_EXACT = 3,  // the same, exactly
 };
 
+// Of an actuator that pushes bodies; combine with |.
+enum class ActuatorAxes : int32_t {
+  FRAME = 0,             // its force and moment have the axes of its frame, and its length is 0
+  REFERENCE_FORCE = 1,   // the force has the axes of the reference
+  REFERENCE_MOMENT = 2,  // the moment has
+  LENGTH = 4,            // its length is the pose of its frame in the reference
+};
+
 // What SolverBase::notify_model_changed is told. Combine with |.
 enum class ModelFlags : int32_t {
   JOINT_PROPERTIES = 1,

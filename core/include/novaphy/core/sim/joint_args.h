@@ -91,6 +91,17 @@ struct ActuatorArgs {
   std::string label = {};         // "actuator_<index>" when empty
 };
 
+// An actuator that pushes a frame of a body and pushes back a frame of another one, see
+// dynamics/articulation/body_actuation.h. `law.axis` and `law.gear` do not count.
+struct BodyActuatorArgs {
+  Transformf frame = Transformf::identity();  // in the body
+  int32_t reference_body = -1;                // -1: the world
+  Transformf reference = Transformf::identity();
+  SpatialVectorf wrench = {};  // force and moment of a force of 1
+  int32_t axes = 0;            // bits of ActuatorAxes
+  ActuatorArgs law = {};
+};
+
 // What ModelBuilder::collapse_fixed_joints did; one entry per body or joint as it was.
 struct CollapsedJoints {
   std::vector<int32_t> body_remap = {}, joint_remap = {};  // the new index; -1: it is gone

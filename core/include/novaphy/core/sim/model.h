@@ -13,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "novaphy/core/sim/actuator_fields.h"
 #include "novaphy/core/sim/control.h"
 #include "novaphy/core/sim/counts.h"
 #include "novaphy/core/sim/derived_fields.h"
@@ -84,25 +85,6 @@ namespace novaphy {
   X(articulation_end, int32_t, 1, articulation_count, "", "",                                     \
     "behind the last joint")
 
-// Actuators: novaphy/dynamics/articulation/actuation.h says what they do. Ranges: lower, upper;
-// -1e10, 1e10: none.
-#define NOVAPHY_MODEL_ACTUATOR_FIELDS(X)                                                          \
-  X(actuator_dof, int32_t, 1, actuator_count, "", "", "degree of freedom of the actuator")        \
-  X(actuator_state, int32_t, 1, actuator_count, "", "", "its row of act; -1: it has no dynamics") \
-  X(actuator_dynamics, int32_t, 1, actuator_count, "", "", "ActuatorDynamics")                    \
-  X(actuator_gear, float, 1, actuator_count, "1", "",                                             \
-    "its length and rate are those of the joint times the gear, and so is the joint's force")     \
-  X(actuator_gain, Vec3f, 1, actuator_count, "N or N*m", "",                                      \
-    "force per control: a number, per length, per rate")                                          \
-  X(actuator_bias, Vec3f, 1, actuator_count, "N or N*m", "",                                      \
-    "force without a control: a number, per length, per rate")                                    \
-  X(actuator_time, float, 1, actuator_count, "s", "", "time constant of a filter")                \
-  X(actuator_ctrl_range, Vec2f, 1, actuator_count, "1", "", "least and largest control")          \
-  X(actuator_force_range, Vec2f, 1, actuator_count, "N or N*m", "", "least and largest force")    \
-  X(actuator_act_range, Vec2f, 1, actuator_count, "1", "", "least and largest activation")        \
-  X(ctrl, float, 1, actuator_count, "1", "", "what a control starts from")                        \
-  X(act, float, 1, actuator_state_count, "1", "", "initial activations")
-
 // Which joints and articulations there are: does not change once a model is made.
 #define NOVAPHY_MODEL_STRUCTURE(X) \
   X(joint_type)                    \
@@ -117,6 +99,8 @@ namespace novaphy {
   X(joint_mimic)                   \
   X(joint_mimic_coef)              \
   X(actuator_dof)                  \
+  X(actuator_body)                 \
+  X(actuator_axes)                 \
   X(actuator_state)                \
   X(articulation_start)            \
   X(articulation_end)

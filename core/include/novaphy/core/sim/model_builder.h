@@ -16,6 +16,7 @@
 #include "novaphy/core/device.h"
 #include "novaphy/core/geometry/convex_hull.h"
 #include "novaphy/core/geometry/mesh_mass.h"
+#include "novaphy/core/sim/actuator_list.h"
 #include "novaphy/core/sim/element_args.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/joint_args.h"
@@ -214,7 +215,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t joint_coord_count() const { return static_cast<int32_t>(joint_q.size()); }
   int32_t joint_dof_count() const { return static_cast<int32_t>(joint_qd.size()); }
   int32_t articulation_count() const { return static_cast<int32_t>(articulations_.size()); }
-  int32_t actuator_count() const { return static_cast<int32_t>(actuators_.size()); }
+  int32_t actuator_count() const { return actuators_.count(); }
   int32_t spring_count() const { return static_cast<int32_t>(springs_.indices.size()); }
   int32_t tri_count() const { return static_cast<int32_t>(triangles_.indices.size()); }
   int32_t edge_count() const { return static_cast<int32_t>(edges_.indices.size()); }
@@ -300,10 +301,14 @@ class NOVAPHY_CORE_API ModelBuilder {
   // ErrorKind::Value: a joint of another type, one that follows already, a cycle, numbers that are
   // not finite; when the model is made: joints of different articulations.
   void add_constraint_mimic(int32_t joint0, int32_t joint1, float coef0 = 0.0f, float coef1 = 1.0f);
-  // An actuator of a REVOLUTE, PRISMATIC or D6 joint. Returns the index, the row of Control::ctrl.
-  // ErrorKind::Index: no such joint or axis; ErrorKind::Value: a joint of another type, a range in
-  // the wrong order, numbers that are not finite, a time constant that is not > 0.
+  // An actuator of a REVOLUTE, PRISMATIC or D6 joint, or of a body (-1: the world). Returns the
+  // index, the row of Control::ctrl. ErrorKind::Index: no such joint, axis or body;
+  // ErrorKind::Value: a joint of another type, a range in the wrong order, numbers that are not
+  // finite, a frame whose quaternion is not of length 1, a time constant that is not > 0.
   int32_t add_actuator(int32_t joint, const ActuatorArgs& args = {});
+  int32_t add_body_actuator(int32_t body, const BodyActuatorArgs& args = {});
+  // Makes finalize raise ErrorKind::NotImplemented: `why` names a part that no solver has.
+  void refuse_at_finalize(std::string why) { refused_.push_back(std::move(why)); }
   // Merges the child of every enabled FIXED joint into the parent: mass, shapes and joints. Joints
   // with a label in `keep` stay; so do those whose child has another joint to a parent, is
   // kinematic under a body, or has another gravcomp, and a root with more than one child in its
@@ -391,10 +396,6 @@ class NOVAPHY_CORE_API ModelBuilder {
     int32_t mimic = -1;  // joint that it follows
     Vec2f mimic_coef = {};
   };
-  struct Actuator {
-    int32_t dof;
-    ActuatorArgs args;
-  };
   struct Articulation {
     int32_t start, end;  // joints
     std::string label;
@@ -465,9 +466,6 @@ class NOVAPHY_CORE_API ModelBuilder {
                               const std::vector<char>& joint_stays);
   void check_joints() const;
   void upload_joints(Model& model) const;
-  void append_actuators(const ModelBuilder& builder, int32_t first_dof);
-  int32_t actuator_state_count() const;
-  void upload_actuators(Model& model) const;
   std::set<std::pair<int32_t, int32_t>> all_filter_pairs() const;
   // `mesh`: of MESH and CONVEX_MESH.
   int32_t append_shape(std::string_view function, const ShapeArgs& args,
@@ -513,7 +511,8 @@ class NOVAPHY_CORE_API ModelBuilder {
   std::vector<Shape> shapes_;
   std::vector<Joint> joints_;
   std::vector<Articulation> articulations_;
-  std::vector<Actuator> actuators_;
+  ActuatorList actuators_;
+  std::vector<std::string> refused_;  // by finalize
   Springs springs_;
   Triangles triangles_;
   Edges edges_;

@@ -35,18 +35,22 @@ enum ActuationInput : int32_t {
   kControlRange,
   kForceRange,
   kActivationRange,
-  kActuationInputs
+  kActuationInputs,
+  kWrench = kActuationInputs,  // of those that push bodies (body_actuation.h)
+  kActuatorInputs
 };
 inline constexpr int32_t kNextActivation = kActuated, kActuationOutputs = kActuated + 1;
 inline int32_t numbers_of_input(int32_t input) {
   if (input < kGain) return 1;
+  if (input == kWrench) return 6;
   return input < kControlRange ? 3 : 2;
 }
 
 // Actuators of dof d: order[first[d]] to order[first[d + 1] - 1]. coord: the coordinate of each
-// dof; -1: of a BALL, FREE or DISTANCE joint.
+// dof; -1: of a BALL, FREE or DISTANCE joint. Those that push bodies (`dof` -1) are among those of
+// some dof, for their activations.
 struct Actuation {
-  NOVAPHY_ARGUMENTS(Reads<int32_t> first, order, coord, state, dynamics;
+  NOVAPHY_ARGUMENTS(Reads<int32_t> first, order, coord, dof, state, dynamics;
                     novaphy::Each<Detached<Reads<float>>, kActuationInputs> in; Number<float> dt;)
 };
 
@@ -105,6 +109,11 @@ DualFloat clipped_control(int32_t actuator, const Number& number) {
   return clipped(number(kControl, actuator, 0), number(kControlRange, actuator, 0),
                  number(kControlRange, actuator, 1));
 }
+// `state`: its row of activations; -1: none.
+template <class Number>
+DualFloat actuator_input(int32_t actuator, int32_t state, const Number& number) {
+  return state < 0 ? clipped_control(actuator, number) : number(kActivation, state, 0);
+}
 
 // The drive and force of a degree of freedom, and the activations of its actuators.
 template <class Number, class Put>
@@ -124,6 +133,7 @@ void actuate(const Actuation& a, int32_t dof, const Number& number, const Put& p
         next_activation(a, k, input, number, put);
         input = number(kActivation, a.state[k], 0);
       }
+      if (a.dof[k] < 0) continue;
       const ActuatorForce f = actuator_force(k, input, number);
       const bool is_cut = !f.is_servo && (f.part < f.lower || f.part > f.upper);
       if (!is_cut) {

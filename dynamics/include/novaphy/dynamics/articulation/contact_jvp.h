@@ -10,9 +10,6 @@
 
 namespace novaphy::articulation {
 
-inline Vec3<DualFloat> constant(const Vec3f& v) {
-  return {DualFloat(v.x), DualFloat(v.y), DualFloat(v.z)};
-}
 inline Vec3f tangent(const Vec3<DualFloat>& v) { return {v.x.tangent, v.y.tangent, v.z.tangent}; }
 
 // What a tree has of a row: J and Y {3, dofs}. An absent one has no tree.

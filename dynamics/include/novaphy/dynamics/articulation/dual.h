@@ -4,6 +4,7 @@
 #pragma once
 
 #include "novaphy/dynamics/articulation/scalar.h"
+#include "novaphy/math/types.h"
 
 namespace novaphy::articulation {
 
@@ -60,5 +61,7 @@ bool is_finite(const Dual<T>& a) {
 }
 
 using DualFloat = Dual<float>;
+inline Vec3<DualFloat> constant(const Vec3f& v) { return {v.x, v.y, v.z}; }
+inline Quat<DualFloat> constant(const Quatf& q) { return {q.x, q.y, q.z, q.w}; }
 
 }  // namespace novaphy::articulation

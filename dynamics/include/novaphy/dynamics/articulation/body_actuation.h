@@ -1,0 +1,126 @@
+// Actuators that push bodies: a frame of one body, and back a frame of another one, the reference.
+//
+//   F, M     the force (1) and moment (m) of a force of 1 N, turned into world axes by the frame,
+//            or by the reference (ActuatorAxes)
+//   l        0, or F . (x - x_ref) + M . log(R_ref^T R) in the axes of the reference
+//   v        F . (x' - x_ref') + M . (w - w_ref) - w_common . ((x - x_ref) x F)
+// with the origins x of the frames and the angular velocities w. The force f is that of an actuator
+// of l and v (actuation.h).
+//
+// The body feels f F at x and f M, the reference the opposite at x_ref. The moment f (x - x_ref) x
+// F is left. The nearest body that carries both takes it, so that no joint that carries both feels
+// the pair. All acts at the start of the step.
+//
+// Source: MuJoCo, "Computation", transmission of sites. log is not smooth at half a turn.
+#pragma once
+
+#include "novaphy/dynamics/articulation/actuation.h"
+#include "novaphy/dynamics/articulation/kinematics.h"
+
+namespace novaphy::articulation {
+
+// What an actuator of bodies touches: its body, the reference, the body that carries both.
+inline constexpr int32_t kPushed = 3;
+
+// A body at the start of a step; the world: the default.
+struct PushedBody {
+  Transform<DualFloat> pose = Transform<DualFloat>::identity();
+  SpatialVector<DualFloat> motion = zero_spatial<DualFloat>();  // of the centre of mass
+  Vec3<DualFloat> com = {0.0f, 0.0f, 0.0f};                     // in the body
+};
+// Numbers of one: position, quaternion, velocity, angular velocity, centre of mass.
+inline constexpr int32_t kPushedNumbers = 16;
+inline DualFloat& number_of(PushedBody& b, int32_t k) {
+  DualFloat* const all[kPushedNumbers] = {&b.pose.p.x,
+                                          &b.pose.p.y,
+                                          &b.pose.p.z,
+                                          &b.pose.q.x,
+                                          &b.pose.q.y,
+                                          &b.pose.q.z,
+                                          &b.pose.q.w,
+                                          &b.motion.linear.x,
+                                          &b.motion.linear.y,
+                                          &b.motion.linear.z,
+                                          &b.motion.angular.x,
+                                          &b.motion.angular.y,
+                                          &b.motion.angular.z,
+                                          &b.com.x,
+                                          &b.com.y,
+                                          &b.com.z};
+  return *all[k];
+}
+template <class T>
+PushedBody pushed_body(const Transform<T>& x, const SpatialVector<T>& v, const Vec3<T>& com) {
+  const T numbers[kPushedNumbers] = {
+      x.p.x,      x.p.y,      x.p.z,       x.q.x,       x.q.y,       x.q.z, x.q.w, v.linear.x,
+      v.linear.y, v.linear.z, v.angular.x, v.angular.y, v.angular.z, com.x, com.y, com.z};
+  PushedBody b;
+  for (int32_t k = 0; k < kPushedNumbers; ++k) number_of(b, k) = DualFloat(numbers[k]);
+  return b;
+}
+
+// The rotation vector of a unit quaternion, at most half a turn long.
+inline Vec3<DualFloat> rotation_vector(Quat<DualFloat> q) {
+  if (q.w.value < 0.0f) q = {-q.x, -q.y, -q.z, -q.w};
+  const DualFloat square = q.x * q.x + q.y * q.y + q.z * q.z;
+  DualFloat per_sine;  // the angle over the sine of its half
+  if (square.value < 1e-4f) {
+    const DualFloat t = square / (q.w * q.w);  // tan^2
+    per_sine =
+        DualFloat(2.0f) / q.w * (DualFloat(1.0f) - t / DualFloat(3.0f) + t * t / DualFloat(5.0f));
+  } else {
+    const DualFloat s = square_root(square);
+    const float norm = square.value + q.w.value * q.w.value;
+    const DualFloat half = {math::atan2(s.value, q.w.value),
+                            (q.w.value * s.tangent - s.value * q.w.tangent) / norm};
+    per_sine = DualFloat(2.0f) * half / s;
+  }
+  return {q.x * per_sine, q.y * per_sine, q.z * per_sine};
+}
+
+// The frame of an actuator, in the world.
+struct PushedFrame {
+  Vec3<DualFloat> arm, position, velocity;  // arm: from the centre of mass
+  Quat<DualFloat> q;
+  PushedFrame(const PushedBody& b, const Transformf& in_body) {
+    q = math::multiply(b.pose.q, constant(in_body.q));
+    const Vec3<DualFloat> at = math::rotate(b.pose.q, constant(in_body.p));
+    arm = at - math::rotate(b.pose.q, b.com);
+    position = b.pose.p + at;
+    velocity = b.motion.linear + math::cross(b.motion.angular, arm);
+  }
+};
+
+// Calls put(which, wrench) for what each of the three bodies feels: force, and moment about its
+// centre of mass. Returns the force of the actuator. `input`: its control or activation;
+// number(input, row, k) as in actuate.
+template <class Number, class Put>
+DualFloat push_bodies(const PushedBody (&bodies)[kPushed], const Transformf& frame,
+                      const Transformf& reference, int32_t axes, int32_t actuator,
+                      const DualFloat& input, const Number& number, const Put& put) {
+  const PushedFrame a(bodies[0], frame), b(bodies[1], reference);
+  const auto gear = [&](int32_t k) {
+    return Vec3<DualFloat>{number(kWrench, actuator, k), number(kWrench, actuator, k + 1),
+                           number(kWrench, actuator, k + 2)};
+  };
+  const Vec3<DualFloat> force = gear(0), moment = gear(3);
+  const Vec3<DualFloat> along = math::rotate((axes & 1) != 0 ? b.q : a.q, force);
+  const Vec3<DualFloat> about = math::rotate((axes & 2) != 0 ? b.q : a.q, moment);
+  const Vec3<DualFloat> apart = a.position - b.position, pair = math::cross(apart, along);
+  DualFloat length = 0.0f;
+  if ((axes & 4) != 0)
+    length = math::dot(force, math::rotate_inverse(b.q, apart)) +
+             math::dot(moment, rotation_vector(math::multiply(math::conjugate(b.q), a.q)));
+  const DualFloat rate = math::dot(along, a.velocity - b.velocity) +
+                         math::dot(about, bodies[0].motion.angular - bodies[1].motion.angular) -
+                         math::dot(bodies[2].motion.angular, pair);
+  const ActuatorForce law = actuator_force(actuator, input, number);
+  const DualFloat f =
+      clipped(law.part + law.by_length * length + law.by_rate * rate, law.lower, law.upper);
+  put(0, SpatialVector<DualFloat>{along * f, (about + math::cross(a.arm, along)) * f});
+  put(1, -SpatialVector<DualFloat>{along * f, (about + math::cross(b.arm, along)) * f});
+  put(2, -SpatialVector<DualFloat>{zero_spatial<DualFloat>().linear, pair * f});
+  return f;
+}
+
+}  // namespace novaphy::articulation

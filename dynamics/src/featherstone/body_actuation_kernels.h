@@ -1,0 +1,237 @@
+// Actuators that push bodies (articulation/body_actuation.h), a row per articulation: what they add
+// to body_f, its adjoint and its tangent.
+#pragma once
+
+#include "novaphy/core/row_kernel.h"
+#include "novaphy/dynamics/articulation/arguments.h"
+#include "novaphy/dynamics/articulation/body_actuation.h"
+#include "novaphy/dynamics/articulation/kinematics_vjp.h"
+
+namespace novaphy {
+
+using articulation::DualFloat;
+inline constexpr int32_t kPushingInputs = articulation::kActuatorInputs - articulation::kActuated;
+
+// Actuators of articulation i: order[first[i]] to order[first[i + 1] - 1]. pushed: three links of
+// the articulation for each actuator, as PushedBody; -1: the world. in: from kControl on.
+// stride: numbers of the workspace for an articulation.
+template <class T>
+struct BodyActuationOf {
+  NOVAPHY_ARGUMENTS(Given<ArticulationRows> rows; Given<articulation::Link> links;
+                    Given<int32_t> first, order, pushed, axes, state;
+                    Given<Transformf> frame, reference; Each<Given<float>, kPushingInputs> in;
+                    Given<T> q, qd; Given<Transform<T>> X_p, X_c; Given<Vec3<T>> axis, com;
+                    Changed<float> workspace; Number<int64_t> stride;)
+};
+
+template <class T>
+int64_t body_actuation_bytes(int64_t links, int64_t dofs) {
+  return links * static_cast<int64_t>(sizeof(articulation::LinkState<T>) + sizeof(Vec3f)) +
+         dofs * static_cast<int64_t>(sizeof(SpatialVector<T>) + 2 * sizeof(float));
+}
+
+// The links of an articulation at the start of a step.
+template <class T>
+struct PushedTree {
+  articulation::Tree<T> tree;
+  articulation::Workspace<T> ws;
+  float* rest;  // of the workspace
+
+  PushedTree(const BodyActuationOf<T>& a, int64_t row) {
+    const ArticulationRows& rows = a.rows[row];
+    tree.link_count = rows.link_count;
+    tree.dof_count = rows.dof_count;
+    tree.links = a.links + rows.first_link;
+    tree.first_dof = rows.first_dof;
+    tree.X_p = a.X_p;
+    tree.X_c = a.X_c;
+    tree.axis = a.axis;
+    tree.com = a.com;
+    float* const memory = a.workspace + row * a.stride.value;
+    ws.links = reinterpret_cast<articulation::LinkState<T>*>(memory);
+    ws.axes = reinterpret_cast<SpatialVector<T>*>(ws.links + rows.link_count);
+    rest = reinterpret_cast<float*>(ws.axes + rows.dof_count);
+    const T *const q = a.q, *const qd = a.qd;
+    articulation::link_frames(tree, q, ws);
+    articulation::link_motions(tree, qd + rows.first_dof, ws);
+  }
+  int32_t body(int32_t link) const { return tree.links[link].body; }
+  articulation::PushedBody at(int32_t link) const {
+    if (link < 0) return {};
+    const articulation::LinkState<T>& s = ws.links[link];
+    return articulation::pushed_body<T>({s.origin + s.p, s.q}, math::motion_at(s.v, s.com),
+                                        tree.com[body(link)]);
+  }
+};
+
+// Calls put(link, wrench) for each body that the actuator pushes. number(input, row, k): of the
+// kPushingInputs, counted as ActuationInput.
+template <class T, class Number, class Put>
+void push(const BodyActuationOf<T>& a, const articulation::PushedBody (&bodies)[3],
+          int32_t actuator, const Number& number, const Put& put) {
+  const DualFloat input = articulation::actuator_input(actuator, a.state[actuator], number);
+  articulation::push_bodies(bodies, a.frame[actuator], a.reference[actuator], a.axes[actuator],
+                            actuator, input, number,
+                            [&](int32_t which, const SpatialVector<DualFloat>& wrench) {
+                              const int32_t link = a.pushed[3 * actuator + which];
+                              if (link >= 0) put(link, wrench);
+                            });
+}
+// The value of a number of an input; `at` is its place in the array.
+template <class T>
+float pushing_number(const BodyActuationOf<T>& a, int32_t input, int32_t at) {
+  return a.in[input - articulation::kActuated][at];
+}
+
+template <class T, class Number, class Put>
+void push_all(const BodyActuationOf<T>& a, int64_t row, const PushedTree<T>& tree,
+              const Number& number, const Put& put) {
+  for (int32_t i = a.first[row]; i < a.first[row + 1]; ++i) {
+    const int32_t k = a.order[i];
+    const int32_t* const links = a.pushed + 3 * k;
+    const articulation::PushedBody bodies[3] = {tree.at(links[0]), tree.at(links[1]),
+                                                tree.at(links[2])};
+    push(a, bodies, k, number, put);
+  }
+}
+
+struct BodyActuationArguments {
+  NOVAPHY_ARGUMENTS(Part<BodyActuationOf<float>> in; Given<SpatialVectorf> body_f;
+                    Changed<SpatialVectorf> out;)
+};
+NOVAPHY_ROW_KERNEL(body_actuation, BodyActuationArguments) {
+  const PushedTree<float> tree(a.in, row);
+  for (int32_t i = 0; i < tree.tree.link_count; ++i)
+    if (tree.body(i) >= 0) a.out[tree.body(i)] = a.body_f[tree.body(i)];
+  push_all(
+      a.in, row, tree,
+      [&](int32_t input, int32_t of, int32_t k) {
+        return DualFloat(
+            pushing_number(a.in, input, of * articulation::numbers_of_input(input) + k));
+      },
+      [&](int32_t link, const SpatialVector<DualFloat>& w) {
+        SpatialVectorf& to = a.out[tree.body(link)];
+        to = to + SpatialVectorf{{w.linear.x.value, w.linear.y.value, w.linear.z.value},
+                                 {w.angular.x.value, w.angular.y.value, w.angular.z.value}};
+      });
+}
+
+// Null: zeros.
+struct BodyActuationJvpArguments {
+  NOVAPHY_ARGUMENTS(Part<BodyActuationOf<DualFloat>> in; Each<Given<float>, kPushingInputs> tangent;
+                    Given<SpatialVectorf> body_f; Changed<SpatialVectorf> out;)
+};
+NOVAPHY_ROW_KERNEL(body_actuation_jvp, BodyActuationJvpArguments) {
+  const PushedTree<DualFloat> tree(a.in, row);
+  for (int32_t i = 0; i < tree.tree.link_count; ++i)
+    if (tree.body(i) >= 0)
+      a.out[tree.body(i)] = a.body_f != nullptr ? a.body_f[tree.body(i)] : SpatialVectorf{};
+  push_all(
+      a.in, row, tree,
+      [&](int32_t input, int32_t of, int32_t k) {
+        const int32_t at = of * articulation::numbers_of_input(input) + k;
+        const float* const t = a.tangent[input - articulation::kActuated];
+        return DualFloat(pushing_number(a.in, input, at), t != nullptr ? t[at] : 0.0f);
+      },
+      [&](int32_t link, const SpatialVector<DualFloat>& w) {
+        SpatialVectorf& to = a.out[tree.body(link)];
+        to = to + SpatialVectorf{{w.linear.x.tangent, w.linear.y.tangent, w.linear.z.tangent},
+                                 {w.angular.x.tangent, w.angular.y.tangent, w.angular.z.tangent}};
+      });
+}
+
+// Adds to the gradients; null: nobody wants it. out: the gradient of the result. poses, motions:
+// memory, {bodies}.
+struct BodyActuationVjpArguments {
+  NOVAPHY_ARGUMENTS(Part<BodyActuationOf<float>> in; Given<SpatialVectorf> out;
+                    Each<Changed<float>, kPushingInputs> gradient; Changed<float> q, qd;
+                    Changed<Vec3f> com; Changed<SpatialVectorf> body_f; Changed<Transformf> poses;
+                    Changed<SpatialVectorf> motions;)
+};
+// Of one actuator: one number of its inputs after the other.
+inline void push_gradient(const BodyActuationVjpArguments& a, const PushedTree<float>& tree,
+                          int32_t actuator, Vec3f* com) {
+  const int32_t* const links = a.in.pushed + 3 * actuator;
+  articulation::PushedBody bodies[3] = {tree.at(links[0]), tree.at(links[1]), tree.at(links[2])};
+  int32_t of_input = -1, of_number = 0;
+  const auto directional = [&] {
+    float sum = 0.0f;
+    push(
+        a.in, bodies, actuator,
+        [&](int32_t input, int32_t of, int32_t k) {
+          const int32_t at = of * articulation::numbers_of_input(input) + k;
+          return DualFloat(pushing_number(a.in, input, at),
+                           input == of_input && k == of_number ? 1.0f : 0.0f);
+        },
+        [&](int32_t link, const SpatialVector<DualFloat>& w) {
+          const SpatialVectorf& g = a.out[tree.body(link)];
+          sum += (g.linear.x * w.linear.x.tangent + g.linear.y * w.linear.y.tangent) +
+                 (g.linear.z * w.linear.z.tangent + g.angular.x * w.angular.x.tangent) +
+                 (g.angular.y * w.angular.y.tangent + g.angular.z * w.angular.z.tangent);
+        });
+    return sum;
+  };
+  for (int32_t i = 0; i < kPushingInputs + articulation::kPushed; ++i) {
+    const bool is_input = i < kPushingInputs;
+    of_input = is_input ? articulation::kActuated + i : -1;
+    const int32_t which = i - kPushingInputs;
+    const int32_t row = of_input == articulation::kActivation ? a.in.state[actuator] : actuator;
+    float* to = nullptr;
+    if (is_input) to = a.gradient[i];
+    int32_t count = 0;
+    if (to != nullptr && row >= 0) count = articulation::numbers_of_input(of_input);
+    if (!is_input && links[which] >= 0) count = articulation::kPushedNumbers;
+    float of_body[articulation::kPushedNumbers];
+    for (of_number = 0; of_number < count; ++of_number) {
+      if (!is_input) articulation::number_of(bodies[which], of_number).tangent = 1.0f;
+      const float sum = directional();
+      if (is_input)
+        to[row * count + of_number] += sum;
+      else
+        of_body[of_number] = sum;
+      if (!is_input) articulation::number_of(bodies[which], of_number).tangent = 0.0f;
+    }
+    if (is_input || count == 0) continue;
+    const float* const g = of_body;
+    const int32_t body = tree.body(links[which]);
+    Transformf& pose = a.poses[body];
+    pose = {pose.p + Vec3f{g[0], g[1], g[2]},
+            {pose.q.x + g[3], pose.q.y + g[4], pose.q.z + g[5], pose.q.w + g[6]}};
+    a.motions[body] = a.motions[body] + SpatialVectorf{{g[7], g[8], g[9]}, {g[10], g[11], g[12]}};
+    com[links[which]] = com[links[which]] + Vec3f{g[13], g[14], g[15]};
+  }
+}
+NOVAPHY_ROW_KERNEL(body_actuation_vjp, BodyActuationVjpArguments) {
+  PushedTree<float> at(a.in, row);
+  const articulation::Tree<float>& tree = at.tree;
+  float *const q = at.rest, *const qd = q + tree.dof_count;
+  Vec3f* const com = reinterpret_cast<Vec3f*>(qd + tree.dof_count);
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    const int32_t body = at.body(i);
+    if (body < 0) continue;
+    a.poses[body] = Transformf{};
+    a.poses[body].q.w = 0.0f;
+    a.motions[body] = SpatialVectorf{};
+    if (a.body_f != nullptr) a.body_f[body] = a.body_f[body] + a.out[body];
+  }
+  for (int32_t i = 0; i < tree.link_count; ++i) com[i] = Vec3f{};
+  for (int32_t i = a.in.first[row]; i < a.in.first[row + 1]; ++i)
+    push_gradient(a, at, a.in.order[i], com);
+  const auto add_com = [&] {
+    for (int32_t i = 0; a.com != nullptr && i < tree.link_count; ++i)
+      if (at.body(i) >= 0) a.com[at.body(i)] = a.com[at.body(i)] + com[i];
+  };
+  add_com();  // of arms; then of kinematics
+  const Transformf* const poses = a.poses;
+  const SpatialVectorf* const motions = a.motions;
+  articulation::KinematicsGradient<float> g{q, qd, com};
+  articulation::kinematics_vjp(tree, a.in.qd + tree.first_dof, poses, motions, at.ws, g);
+  add_com();
+  for (int32_t k = 0; a.qd != nullptr && k < tree.dof_count; ++k) a.qd[tree.first_dof + k] += qd[k];
+  const float* const at_q = a.in.q;
+  if (a.q != nullptr)
+    articulation::tangent_to_gradient(tree, at_q, q,
+                                      [&](int32_t to, float value) { a.q[to] += value; });
+}
+
+}  // namespace novaphy

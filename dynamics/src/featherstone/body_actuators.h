@@ -1,0 +1,83 @@
+// The actuators of a model that push bodies: what they add to the wrenches of a step.
+#pragma once
+
+#include <functional>
+#include <vector>
+
+#include "actuators.h"
+#include "body_actuation_kernels.h"
+#include "novaphy/dynamics/featherstone/articulations.h"
+
+namespace novaphy {
+
+class BodyActuators {
+ public:
+  // ErrorKind::NotImplemented, naming the actuator: bodies of different articulations.
+  explicit BodyActuators(const Model& model);
+
+  int64_t count() const { return articulations_.count(); }
+  // Of an actuator: its body, the reference, the nearest body that carries both; -1: the world.
+  struct Bodies {
+    int32_t of[articulation::kPushed];
+  };
+  const std::vector<Bodies>& bodies() const { return bodies_; }  // of all actuators
+  // A dof of the articulation of each actuator; -1: it pushes no bodies.
+  const std::vector<int32_t>& dofs() const { return dofs_; }
+  // Puts the forces of the actuators that push bodies into those of all. number: as in actuate.
+  using Number = std::function<articulation::DualFloat(int32_t, int32_t, int32_t)>;
+  void forces(const Model& model, const SimState& state, const Number& number,
+              std::vector<float>& all) const;
+  // Floats of the workspace for steps of numbers of T.
+  template <class T>
+  int64_t stride() const {
+    return (body_actuation_bytes<T>(articulations_.max_links(), articulations_.max_dofs()) + 15) /
+           16 * 4;
+  }
+  // Of floats, which all steps share; and for the adjoint, 13 numbers for each body.
+  const DeviceArray<float>& workspace() const { return workspace_; }
+  const DeviceArray<float>& adjoint_memory() const { return adjoint_memory_; }
+  // `take(array)` gives the numbers that the kernel takes as T.
+  template <class T, class Take>
+  BodyActuationOf<T> arguments(const Model& m, const ActuationArrays& inputs, const Array& q,
+                               const Array& qd, const DeviceArray<float>& workspace,
+                               const Take& take) const {
+    return {.rows = Untyped(articulations_.rows()),
+            .links = Untyped(articulations_.links()),
+            .first = first_,
+            .order = order_,
+            .pushed = pushed_,
+            .axes = m.actuator_axes,
+            .state = m.actuator_state,
+            .frame = m.actuator_frame,
+            .reference = m.actuator_reference,
+            .in = each<kPushingInputs>([&](size_t i) {
+              return i + articulation::kActuated < articulation::kActuationInputs
+                         ? Untyped(inputs[i + articulation::kActuated])
+                         : Untyped(m.actuator_wrench);
+            }),
+            .q = take(q),
+            .qd = take(qd),
+            .X_p = take(m.joint_X_p),
+            .X_c = take(m.joint_X_c),
+            .axis = take(m.joint_axis),
+            .com = take(m.body_com),
+            .workspace = workspace,
+            .stride = stride<T>()};
+  }
+
+ private:
+  Articulations articulations_;
+  std::vector<Bodies> bodies_;
+  std::vector<int32_t> dofs_;
+  DeviceArray<int32_t> first_, order_, pushed_;
+  DeviceArray<float> workspace_, adjoint_memory_;
+};
+
+struct BodyActuationKernels {
+  Kernel<BodyActuationArguments> forward;
+  Kernel<BodyActuationVjpArguments> vjp;
+  Kernel<BodyActuationJvpArguments> jvp;
+};
+const BodyActuationKernels& body_actuation_kernels();
+
+}  // namespace novaphy

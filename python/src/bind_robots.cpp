@@ -246,8 +246,20 @@ void bind_report(py::module_& io) {
       .def("__str__", &report_text);
 }
 
+void bind_parts(py::module_& io) {
+  py::class_<RobotPart>(io, "RobotPart",
+                        "An equality, tendon or height field of an MJCF file, with the defaults "
+                        "of its class.")
+      .def_readonly("kind", &RobotPart::kind, "The element, such as weld.")
+      .def_readonly("name", &RobotPart::name, "Its name; empty: it has none.")
+      .def_readonly("names", &RobotPart::names, "Attribute to a name or word, such as body1.")
+      .def_readonly("numbers", &RobotPart::numbers, "Attribute to its numbers.")
+      .def_readonly("parts", &RobotPart::parts, "RobotParts of a tendon, in order.");
+}
+
 void bind_result(py::module_& io) {
   bind_report(io);
+  bind_parts(io);
   py::class_<RobotKeyframe>(io, "RobotKeyframe", "A keyframe of an MJCF file.")
       .def_readonly("time", &RobotKeyframe::time, "s.")
       .def_readonly("coord", &RobotKeyframe::coord, "First row of joint_q.")
@@ -292,6 +304,12 @@ void bind_result(py::module_& io) {
           "Name of a site to its body (-1: the world) and its pose there (m, xyzw).")
       .def_readonly("keyframes", &RobotImport::keyframes, "Name to RobotKeyframe.")
       .def_readonly("timestep", &RobotImport::timestep, "s, that of the file; None: it has none.")
+      .def_readonly("equalities", &RobotImport::equalities,
+                    "RobotParts. ModelBuilder.finalize refuses those that act.")
+      .def_readonly("tendons", &RobotImport::tendons,
+                    "RobotParts. ModelBuilder.finalize refuses those with forces.")
+      .def_readonly("height_fields", &RobotImport::height_fields,
+                    "RobotParts. ModelBuilder.finalize refuses geoms of one.")
       .def_readonly("report", &RobotImport::report, "The RobotReport.")
       .def_readonly("warnings", &RobotImport::warnings,
                     "The notes of the report; notes with the same text count once.");

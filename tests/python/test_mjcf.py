@@ -315,14 +315,7 @@ BAD = {
     "euler": (mjcf(hinged(), '<compiler eulerseq="xyw"/>'), "eulerseq: expected three of x"),
     "flag": (mjcf(hinged(), '<option><flag limit="off"/></option>'), "expected enable or disable"),
     "water": (mjcf(hinged(), '<option density="1000"/>'), "density: there are no forces of a fl"),
-    "tendon": (mjcf(hinged('name="j"'),
-                    after='<tendon><fixed stiffness="1"><joint joint="j" '
-                          'coef="1"/></fixed></tendon>'),
-               "<fixed>: a tendon that has forces"),
-    "equality": (mjcf(hinged('name="j"'), after='<equality><joint joint1="j"/></equality>'),
-                 "<joint>: an equality of the kind joint"),
     "mesh": (mjcf(hinged(geom='type="mesh" mesh="m"')), 'there is no mesh "m"'),
-    "field": (mjcf(hinged(geom='type="hfield" hfield="h"')), "<geom>: a height field"),
     "mesh file": (mjcf(hinged(geom='type="mesh" mesh="m"'),
                        '<asset><mesh name="m" file="../../etc/m.obj"/></asset>'), "needs "
                                                                                   "package_d"),
@@ -364,7 +357,7 @@ BAD = {
     "motor": (mjcf(hinged(), after='<actuator><motor joint="a"/></actuator>'),
               'there is no joint "a"'),
     "mocap": (mjcf(hinged(body='mocap="true"')), "mocap: expected a body in the world without j"),
-    "attach": (mjcf('<body><attach model="m"/></body>'), "<attach>: this element"),
+    "attach": (mjcf('<body><attach model="m"/></body>'), '<attach>: there is no model "m"'),
 }  # fmt: skip
 
 
@@ -376,6 +369,32 @@ def test_bad_files_are_refused_and_the_builder_stays(name):
     with pytest.raises((ValueError, NotImplementedError), match=re.compile(message, re.S)):
         builder.add_mjcf(text)
     assert (builder.body_count, builder.shape_count, builder.joint_count) == (1, 1, 1)
+
+
+# Described, and refused when the model is made.
+LATER = {
+    "tendon": (
+        mjcf(
+            hinged('name="j"'),
+            after='<tendon><fixed stiffness="1"><joint joint="j" coef="1"/></fixed></tendon>',
+        ),
+        "<fixed>: a tendon that has forces",
+    ),
+    "equality": (
+        mjcf(hinged('name="j"'), after='<equality><joint joint1="j"/></equality>'),
+        "<joint>: an equality of the kind joint",
+    ),
+    "field": (mjcf(hinged() + '<geom type="hfield" hfield="h"/>'), "<geom>: a height field"),
+}
+
+
+@pytest.mark.parametrize("name", LATER)
+def test_parts_without_a_solver_are_refused_by_finalize(name):
+    text, message = LATER[name]
+    builder = novaphy.ModelBuilder()
+    builder.add_mjcf(text)
+    with pytest.raises(NotImplementedError, match="finalize: <text>:.*" + message):
+        builder.finalize()
 
 
 @pytest.mark.parametrize("source", [None, 3, b"<mujoco/>"])

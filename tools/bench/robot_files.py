@@ -22,6 +22,7 @@ import sys
 import warnings
 
 from robot_collections import Worker, finish, read_options, run_files
+from robot_forces import note_forces
 
 TOLERANCE = 1e-5
 
@@ -291,58 +292,6 @@ def draw_controls(exact, data, draw) -> None:
         low, high = exact.actuator_ctrlrange[k] if exact.actuator_ctrllimited[k] else (-1, 1)
         data.ctrl[k] = draw.uniform(low - 0.1, high + 0.1)
     data.act[:] = draw.uniform(-1, 1, exact.na)
-
-
-def note_forces(exact, data, model, robot, state, change, coordinates, note) -> None:
-    """The forces of springs, dampers, actuators and gravity compensation."""
-    import numpy as np
-
-    import novaphy
-
-    qd = change @ data.qvel
-    total = -model.joint_damping.numpy().astype(float) * qd
-    stiffness, rest = model.joint_target_ke.numpy(), model.joint_target_q.numpy()
-    starts, coords = model.joint_qd_start.numpy(), model.joint_q_start.numpy()
-    for j in range(model.joint_count):  # joints with as many coordinates as degrees of freedom
-        d, n = starts[j], starts[j + 1] - starts[j]
-        c, m = coords[j], coords[j + 1] - coords[j]
-        if n == m:
-            total[d : d + n] += stiffness[d : d + n] * (rest[c : c + n] - coordinates[c : c + n])
-    control = model.control()
-    ctrl, act = control.ctrl.numpy(), state.act.numpy()
-    names = [exact.actuator(k).name for k in range(exact.nu)]
-    forces = {}
-    for k, (name, row) in enumerate(sorted(robot.actuators.items(), key=lambda item: item[1])):
-        index = names.index(name) if name in names else k
-        forces[row] = data.actuator_force[index]
-        ctrl[row] = data.ctrl[index]
-        if exact.actuator_actnum[index]:
-            act[model.actuator_state.numpy()[row]] = data.act[exact.actuator_actadr[index]]
-    control.ctrl.assign(ctrl)
-    state.act.assign(act)
-    ours = novaphy.eval_actuator_forces(model, state, control).astype(float)
-    np.add.at(total, model.actuator_dof.numpy(), model.actuator_gear.numpy() * ours)
-    if not exact.jnt_actfrclimited.any():  # those are limits of joints there
-        note("actuators", [ours[row] for row in forces], list(forces.values()))
-    total += lifted(model, state)
-    note("forces", change.T @ total, data.qfrc_passive + data.qfrc_actuator)
-
-
-def lifted(model, state):
-    """The forces of dofs that gravity compensation is: the bias of masses gravcomp * mass."""
-    import novaphy
-
-    mass, rates = model.body_mass.numpy(), state.joint_qd.numpy()
-    part = mass * model.body_gravcomp.numpy()
-    if not part.any():
-        return 0.0
-    try:
-        model.body_mass.assign(part)
-        state.joint_qd.zero_()
-        return novaphy.eval_bias(model, state).astype(float)
-    finally:
-        model.body_mass.assign(mass)
-        state.joint_qd.assign(rates)
 
 
 def pairs_of_mujoco(m):

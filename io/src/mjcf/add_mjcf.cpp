@@ -1,5 +1,5 @@
 // MJCF files become a Robot, and that goes into a builder.
-#include "mjcf_context.h"
+#include "mjcf_attach.h"
 #include "mjcf_include.h"
 #include "mjcf_start.h"
 
@@ -91,10 +91,30 @@ void add_keyframes(const MjcfContext& context, const Posed& xform, int32_t coord
   });
 }
 
-void add_actuators(const MjcfContext& context, ModelBuilder& builder, RobotImport& result) {
+// A frame of a link of the file.
+RobotSite site_of(const MjcfContext& context, const Posed& xform, const RobotImport& added,
+                  const std::pair<int32_t, Posed>& at) {
+  if (at.first < 0) return {-1, to_float(math::multiply(xform, at.second))};
+  const std::string& link = context.robot.links[static_cast<size_t>(at.first)].name;
+  return {added.links.at(link),
+          to_float(math::multiply(to_double(added.link_poses.at(link)), at.second))};
+}
+
+void add_actuators(const MjcfContext& context, const Posed& xform, ModelBuilder& builder,
+                   RobotImport& result) {
   for (const MjcfActuator& a : context.actuators) {
-    const std::string& name = a.args.label;
-    result.actuators[name] = builder.add_actuator(result.joints.at(a.joint), a.args);
+    int32_t& row = result.actuators[a.args.law.label];
+    if (!a.joint.empty()) {
+      row = builder.add_actuator(result.joints.at(a.joint), a.args.law);
+      continue;
+    }
+    BodyActuatorArgs args = a.args;
+    const RobotSite site = site_of(context, xform, result, a.site),
+                    reference = site_of(context, xform, result, a.reference);
+    args.frame = site.pose;
+    args.reference_body = reference.body;
+    args.reference = reference.pose;
+    row = builder.add_body_actuator(site.body, args);
   }
 }
 
@@ -116,6 +136,7 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
   detail::set_inverse_masses(context.robot);
   detail::read_contacts(context);
   detail::read_actuators(context);
+  detail::finish_attached(context);
   detail::set_start(context);
   const std::optional<Vec3f> gravity = detail::gravity_of(context);
 
@@ -141,21 +162,16 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
     added.joint_dofs[joint] = added.joint_dofs.at(whole) + at.dof;
     added.joint_coords[joint] = added.joint_coords.at(whole) + at.dof;
   }
-  for (const auto& [site, at] : context.sites) {
-    RobotSite to{-1, detail::to_float(at.second)};
-    if (at.first < 0) {
-      to.pose = detail::to_float(math::multiply(xform, at.second));
-    } else {
-      const std::string& link = context.robot.links[static_cast<size_t>(at.first)].name;
-      to = {added.links.at(link), detail::to_float(math::multiply(
-                                      detail::to_double(added.link_poses.at(link)), at.second))};
-    }
-    added.sites[site] = to;
-  }
-  detail::add_actuators(context, builder, added);
+  for (const auto& [site, at] : context.sites)
+    added.sites[site] = detail::site_of(context, xform, added, at);
+  detail::add_actuators(context, xform, builder, added);
   if (context.settings.option.timestep)
     added.timestep = static_cast<float>(*context.settings.option.timestep);
   if (gravity) builder.gravity = *gravity;
+  for (std::string& why : context.refused) builder.refuse_at_finalize(std::move(why));
+  added.equalities = std::move(context.equalities);
+  added.tendons = std::move(context.tendons);
+  added.height_fields = std::move(context.height_fields);
   detail::set_report(added, context.notes.take());
   return added;
 }

@@ -4,19 +4,20 @@
 
 #include "mjcf_context.h"
 #include "mjcf_start.h"
+#include "mjcf_transmissions.h"
 
 namespace novaphy::detail {
 namespace {
 
 constexpr std::string_view kRead[] = {
-    "name",       "class",      "group",       "joint",      "jointinparent",
-    "gear",       "ctrlrange",  "ctrllimited", "forcerange", "forcelimited",
-    "kp",         "kv",         "dampratio",   "timeconst",  "inheritrange",
-    "gaintype",   "biastype",   "dyntype",     "gainprm",    "biasprm",
-    "dynprm",     "tendon",     "site",        "body",       "cranksite",
-    "slidersite", "actlimited", "actrange",    "actearly",   "actdim",
-    "bias",       "area",       "diameter"};
-constexpr std::string_view kPassedOver[] = {"user",    "lengthrange", "refsite", "cranklength",
+    "name",      "class",      "group",       "joint",      "jointinparent",
+    "gear",      "ctrlrange",  "ctrllimited", "forcerange", "forcelimited",
+    "kp",        "kv",         "dampratio",   "timeconst",  "inheritrange",
+    "gaintype",  "biastype",   "dyntype",     "gainprm",    "biasprm",
+    "dynprm",    "tendon",     "site",        "refsite",    "body",
+    "cranksite", "slidersite", "actlimited",  "actrange",   "actearly",
+    "actdim",    "bias",       "area",        "diameter"};
+constexpr std::string_view kPassedOver[] = {"user",    "lengthrange", "cranklength",
                                             "nsample", "interp",      "delay"};
 
 // MuJoCo's <general>, which all others are.
@@ -32,9 +33,10 @@ constexpr Range kNoRange = {-kJointUnlimited, kJointUnlimited};
 
 struct Actuator {
   const Element* element;
-  std::string name, joint;
+  std::string name;
+  MjcfActuator to;
   Law law;
-  double gear = 1.0;
+  double gear[6] = {1.0, 0.0, 0.0, 0.0, 0.0, 0.0};
   Range control = kNoRange, force = kNoRange, activation = kNoRange;
   // A part of the drive of its dof, and not a force alone.
   bool is_servo() const {
@@ -159,24 +161,18 @@ class ActuatorReader {
                                             "intvelocity", "damper", "cylinder"};
     if (std::find(std::begin(covered), std::end(covered), kind) == std::end(covered))
       return context_.notes.left_out(e, "an actuator of the kind <" + law.kind + ">");
-    const auto joint = text(e, "joint") ? text(e, "joint") : text(e, "jointinparent");
-    for (const char* other : {"tendon", "site", "body", "cranksite", "slidersite"})
-      if (!joint && text(e, other))
-        return context_.notes.left_out(e, std::string("an actuator of a ") + other);
-    if (!joint) file_.refuse(e, "joint: missing");
-    const auto found = context_.joints.find(*joint);
-    if (found == context_.joints.end()) file_.refuse(e, "there is no joint \"" + *joint + "\"");
-    if (!found->second.is_scalar)
-      return context_.notes.left_out(e, "an actuator of a ball or free joint");
-    Actuator a{.element = &e, .name = {}, .joint = *joint, .law = law};
-    if (!check_attributes(e)) return;
-    if (!read_law(a, found->second)) return;
+    Actuator a{.element = &e, .name = {}, .to = {}, .law = law};
+    const std::vector<double> gear = list(e, "gear");
+    std::copy_n(gear.begin(), std::min(gear.size(), std::size(a.gear)), a.gear);
+    const std::string of = find_transmission(context_, e, a.gear, a.to);
+    if (of.empty() || !check_attributes(e)) return;
+    if (!read_law(a, a.to.joint.empty() ? nullptr : &context_.joints.at(a.to.joint))) return;
     const char* const name = e.Attribute("name");
-    a.name = name != nullptr ? name : *joint + "_" + std::string(kind);
+    a.name = name != nullptr ? context_.named(name) : of + "_" + std::string(kind);
     if (name != nullptr && names_.contains(a.name))
       file_.refuse(e, "name: expected different names, got \"" + a.name + "\" twice");
     for (int k = 2; !names_.insert(a.name).second; ++k)
-      a.name = *joint + "_" + std::string(kind) + "_" + std::to_string(k);
+      a.name = of + "_" + std::string(kind) + "_" + std::to_string(k);
     const auto group = number(e, "group").value_or(0.0);
     const auto disabled = context_.settings.option.disabled_groups;
     if (group >= 0.0 && group <= 30.0 && (disabled >> static_cast<int>(group) & 1u) != 0)
@@ -186,14 +182,8 @@ class ActuatorReader {
     found_.push_back(std::move(a));
   }
 
-  // The attribute, or that of the <general>, <position>, ... of the class that comes last.
   std::optional<std::string> text(const Element& e, const char* name) const {
-    if (const char* own = e.Attribute(name)) return own;
-    std::optional<std::string> value;
-    for (const auto& of_class : defaults_.actuators(e))
-      for (const Element* each : of_class)
-        if (const char* given = each->Attribute(name)) value = given;
-    return value;
+    return defaults_.actuator_text(e, name);
   }
   std::vector<double> list(const Element& e, const char* name) const {
     const auto given = text(e, name);
@@ -235,8 +225,8 @@ class ActuatorReader {
     return std::pair(values[0], values[1]);
   }
 
-  // False: there is no such law here.
-  bool read_law(Actuator& a, const MjcfJoint& joint) {
+  // False: there is no such law here. `joint`: null: it pushes bodies.
+  bool read_law(Actuator& a, const MjcfJoint* joint) {
     const Element& e = *a.element;
     Law& law = a.law;
     const auto refuse = [&](const std::string& what) {
@@ -256,11 +246,10 @@ class ActuatorReader {
     const auto early = text(e, "actearly");
     if (has_state && early && read_flag(file_, e, "actearly", *early)) return refuse("actearly");
     if (number(e, "actdim").value_or(1.0) > 1.0) return refuse("actdim above 1");
-    const std::vector<double> gear = list(e, "gear");
-    if (!gear.empty()) a.gear = gear[0];
     // A damping ratio, of the inertia at the start.
     if (law.bias[2] > 0.0 && law.gain[0] == -law.bias[1]) {
-      const double inertia = dof_inertia(joint) / (a.gear * a.gear);
+      if (joint == nullptr) return refuse("a dampratio, of no hinge or slide");
+      const double inertia = dof_inertia(*joint) / (a.gear[0] * a.gear[0]);
       law.bias[2] *= -2.0 * std::sqrt(law.gain[0] * inertia);
     }
     const std::string kind = e.Name();
@@ -268,9 +257,9 @@ class ActuatorReader {
     auto control = range(e, "ctrlrange", "ctrllimited", kind == "damper");
     a.activation = range(e, "actrange", "actlimited", is_integrated && law.inherit_range <= 0.0)
                        .value_or(kNoRange);
-    if (law.inherit_range > 0.0 && joint.is_limited) {
-      const double middle = 0.5 * (joint.range[0] + joint.range[1]);
-      const double radius = 0.5 * (joint.range[1] - joint.range[0]) * law.inherit_range;
+    if (law.inherit_range > 0.0 && joint != nullptr && joint->is_limited) {
+      const double middle = 0.5 * (joint->range[0] + joint->range[1]);
+      const double radius = 0.5 * (joint->range[1] - joint->range[0]) * law.inherit_range;
       const Range inherited = {middle - radius, middle + radius};
       if (is_integrated)
         a.activation = inherited;
@@ -279,6 +268,7 @@ class ActuatorReader {
     }
     if (control && context_.settings.option.clamp_control) a.control = *control;
     a.force = range(e, "forcerange", "forcelimited").value_or(kNoRange);
+    if (joint == nullptr) return true;
     // Drives pull to where they go and against the velocity, whatever the control.
     const Range& input = has_state ? a.activation : a.control;
     for (const int k : {1, 2})
@@ -312,13 +302,13 @@ class ActuatorReader {
     }
     std::vector<Actuator*> all;
     for (Actuator& a : found_)
-      if (a.joint == name) all.push_back(&a);
+      if (a.to.joint == name) all.push_back(&a);
     if (joint.force_range && !all.empty()) {
       auto [lower, upper] = *joint.force_range;
       Actuator& a = *all.front();
-      lower /= a.gear;
-      upper /= a.gear;
-      if (all.size() == 1 && a.gear != 0.0)
+      lower /= a.gear[0];
+      upper /= a.gear[0];
+      if (all.size() == 1 && a.gear[0] != 0.0)
         a.force = {std::max(a.force.first, std::min(lower, upper)),
                    std::min(a.force.second, std::max(lower, upper))};
       else
@@ -341,8 +331,8 @@ class ActuatorReader {
     const auto to_range = [](const Range& r) {
       return Vec2f{static_cast<float>(r.first), static_cast<float>(r.second)};
     };
-    ActuatorArgs args{.axis = context_.joints.at(a.joint).dof,
-                      .gear = static_cast<float>(a.gear),
+    ActuatorArgs args{.axis = a.to.joint.empty() ? 0 : context_.joints.at(a.to.joint).dof,
+                      .gear = a.to.joint.empty() ? 1.0f : static_cast<float>(a.gear[0]),
                       .gain = vector(a.law.gain),
                       .bias = vector(a.law.bias),
                       .dynamics = kDynamics.at(a.law.dynamics),
@@ -351,12 +341,30 @@ class ActuatorReader {
                       .force_range = to_range(a.force),
                       .act_range = to_range(a.activation),
                       .label = a.name};
-    for (const float v :
-         {args.gear, args.gain.x, args.gain.y, args.gain.z, args.bias.x, args.bias.y, args.bias.z,
-          args.ctrl_range.x, args.ctrl_range.y, args.force_range.x, args.force_range.y,
-          args.act_range.x, args.act_range.y, args.time})
+    for (const float v : {args.gear,
+                          args.gain.x,
+                          args.gain.y,
+                          args.gain.z,
+                          args.bias.x,
+                          args.bias.y,
+                          args.bias.z,
+                          args.ctrl_range.x,
+                          args.ctrl_range.y,
+                          args.force_range.x,
+                          args.force_range.y,
+                          args.act_range.x,
+                          args.act_range.y,
+                          args.time,
+                          a.to.args.wrench.linear.x,
+                          a.to.args.wrench.linear.y,
+                          a.to.args.wrench.linear.z,
+                          a.to.args.wrench.angular.x,
+                          a.to.args.wrench.angular.y,
+                          a.to.args.wrench.angular.z})
       if (!std::isfinite(v)) file_.refuse(*a.element, "expected numbers that float32 can hold");
-    context_.actuators.push_back({a.joint, std::move(args)});
+    MjcfActuator to = a.to;
+    to.args.law = std::move(args);
+    context_.actuators.push_back(std::move(to));
   }
 
   MjcfContext& context_;

@@ -1,7 +1,7 @@
 // <worldbody> of MJCF files: bodies, frames, copies, geoms, sites and inertials.
-#include "mjcf_bodies.h"
-
 #include <algorithm>
+
+#include "mjcf_attach.h"
 
 namespace novaphy::detail {
 namespace {
@@ -26,7 +26,37 @@ class BodiesReader {
       file_.refuse(top, "expected a body or a geom in a <worldbody>, got none");
   }
 
+  bool run_attached(const char* body, BodyPart& to) {
+    bool found = body == nullptr;
+    for (const Element* e = file_.root().FirstChildElement("worldbody"); e != nullptr;
+         e = e->NextSiblingElement("worldbody")) {
+      const char* const own = e->Attribute("childclass");
+      to.childclass = own == nullptr ? "" : own;
+      if (body == nullptr)
+        read_children(*e, to);
+      else
+        found = found || find_body(*e, body, to);
+    }
+    return found;
+  }
+
  private:
+  // Reads the body of that name, wherever it is in `e`.
+  bool find_body(const Element& e, const char* name, const BodyPart& to) {
+    for (const Element* c = e.FirstChildElement(); c != nullptr; c = c->NextSiblingElement()) {
+      const std::string_view kind = c->Name();
+      if (kind != "body" && kind != "frame") continue;
+      const char* const own = c->Attribute("name");
+      if (kind == "body" && own != nullptr && std::string_view(own) == name) {
+        read_body(*c, to);
+        return true;
+      }
+      BodyPart inside = to;
+      inside.childclass = class_in(*c, to);
+      if (find_body(*c, name, inside)) return true;
+    }
+    return false;
+  }
   void count(const Element& e) {
     if (++elements_ > kMostElements)
       file_.refuse(e, "expected at most 1000000 elements, copies of <replicate> included");
@@ -65,8 +95,9 @@ class BodiesReader {
         add_site(*c, part);
       } else if (kind == "camera" || kind == "light") {
         context_.notes.read(c->Name());
-      } else if (kind == "attach" || kind == "composite" || kind == "flexcomp" ||
-                 kind == "plugin") {
+      } else if (kind == "attach") {
+        attach(context_, *c, part);
+      } else if (kind == "composite" || kind == "flexcomp" || kind == "plugin") {
         context_.notes.left_out(*c, "this element");
       } else if (!((kind == "joint" || kind == "freejoint") && part.link >= 0)) {
         context_.not_read(*c, "this element");
@@ -173,7 +204,7 @@ class BodiesReader {
     file_.numbers(e, "gravcomp", gravcomp);
     Robot& robot = context_.robot;
     std::string name = outer.name_of(e);
-    if (name.empty()) name = "body_" + std::to_string(robot.links.size());
+    if (name.empty()) name = outer.prefix + "body_" + std::to_string(robot.links.size());
     BodyJoints joints(context_, e, outer, class_in(e, outer), name);
     const char* const mocap = e.Attribute("mocap");
     const bool is_mocap = mocap != nullptr && read_flag(file_, e, "mocap", mocap);
@@ -189,6 +220,7 @@ class BodiesReader {
                   .childclass = class_in(e, outer),
                   .is_static = outer.is_static && !joints.moves(),
                   .in_world = math::multiply(outer.in_world, pose),
+                  .prefix = outer.prefix,
                   .suffix = outer.suffix,
                   .with_mass = how == MjcfCompiler::Inertia::Always ||
                                (how == MjcfCompiler::Inertia::Auto &&
@@ -208,5 +240,8 @@ class BodiesReader {
 }  // namespace
 
 void read_bodies(MjcfContext& context) { BodiesReader(context).run(); }
+bool read_attached(MjcfContext& context, const char* body, BodyPart& to) {
+  return BodiesReader(context).run_attached(body, to);
+}
 
 }  // namespace novaphy::detail

@@ -12,6 +12,7 @@ struct BodyPart {
   std::string childclass = {};
   bool is_static = true;  // fixed to the world, in which it has the pose
   Posed in_world = identity_pose();
+  std::string prefix = {};  // of names, of a model that is attached
   std::string suffix = {};  // of names, of a copy
   bool with_mass = false;   // geoms have one
   size_t geoms = 0;         // so far
@@ -19,7 +20,7 @@ struct BodyPart {
   // With the suffix; empty: the element has no name.
   std::string name_of(const Element& e) const {
     const char* const given = e.Attribute("name");
-    return given == nullptr || *given == '\0' ? std::string() : given + suffix;
+    return given == nullptr || *given == '\0' ? std::string() : prefix + given + suffix;
   }
 };
 
@@ -73,5 +74,8 @@ class BodyJoints {
   size_t named_ = 0;
   bool moves_ = false, is_mocap_ = false;
 };
+
+// Reads the body of that name below `to`, or all of <worldbody> (null). False: there is none.
+bool read_attached(MjcfContext& context, const char* body, BodyPart& to);
 
 }  // namespace novaphy::detail

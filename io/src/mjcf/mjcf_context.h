@@ -12,15 +12,26 @@ struct MjcfJoint {
   const Element* element = nullptr;
   int32_t joint = 0, dof = 0;  // of the Robot, and which of its degrees of freedom
   bool is_scalar = false;      // hinge or slide
+  bool is_ball = false;
   double stiffness = 0.0, spring_ref = 0.0;
   double range[2] = {0.0, 0.0};
   bool is_limited = false;
   std::optional<std::pair<double, double>> force_range = {};  // of all actuators together
 };
 
+// What an actuator pushes: a joint, or two sites of links, each with its pose in the link.
 struct MjcfActuator {
-  std::string joint;
-  ActuatorArgs args;  // axis: in the joint of the Robot
+  std::string joint;  // empty: links
+  std::pair<int32_t, Posed> site = {}, reference = {};
+  BodyActuatorArgs args;  // law.axis: in the joint of the Robot
+};
+
+struct MjcfAttached;  // mjcf_attach.h
+// Of a file and all that it attaches.
+struct MjcfAttaching {
+  std::filesystem::path top = {};  // in which models may read; empty: XML given as text
+  int32_t models = 0;
+  size_t bytes = 0;
 };
 
 struct MjcfContext {
@@ -37,6 +48,14 @@ struct MjcfContext {
     file.refuse(e, what + " is not read", ErrorKind::NotImplemented);
   }
 
+  // What finalize refuses, unless such parts are left out.
+  void refuse_at_finalize(const Element& e, const std::string& text) {
+    if (options.unsupported == Unsupported::Warn) return notes.left_out(e, text);
+    refused.push_back(file.place(e) + ": " + text + " (unsupported=\"warn\" leaves it out)");
+  }
+  // A name of the file, of a model that is attached.
+  std::string named(const std::string& name) const { return prefix + name + suffix; }
+
   const ModelBuilder& builder;
   const XmlFile& file;
   const MjcfOptions& options;
@@ -51,10 +70,22 @@ struct MjcfContext {
   std::set<std::string> geoms = {};
   std::map<std::string, std::pair<int32_t, Posed>> sites = {};  // in their links
   std::vector<MjcfActuator> actuators = {};
+  std::vector<RobotPart> equalities = {}, tendons = {}, height_fields = {};
+  std::vector<std::string> refused = {};  // by finalize
+  // Of a model that is attached: what its names get, by whom, and whether it is a part only, so
+  // that names may be missing.
+  std::string prefix = {}, suffix = {};
+  bool is_part = false;
+  const MjcfContext* parent = nullptr;
+  std::shared_ptr<MjcfAttaching> attaching = {};
+  std::vector<std::shared_ptr<MjcfAttached>> attached = {};
 };
 
 // <worldbody>: bodies, joints, geoms, sites.
 void read_bodies(MjcfContext& context);
+// An element and what is in it, with the defaults of its class.
+RobotPart read_part(const MjcfContext& context, const Element& e);
+RobotPart read_height_field(const MjcfContext& context, const Element& e);
 // A <geom>: its shape, and what it adds to the mass of its body.
 struct MjcfGeom {
   RobotShape shape;

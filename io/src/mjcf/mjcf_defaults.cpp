@@ -70,14 +70,26 @@ const MjcfDefaults::Class& MjcfDefaults::class_of(const Element& e,
 const MjcfDefaults::Attributes* MjcfDefaults::of_class(const Element& e,
                                                        const std::string& childclass) const {
   const Class& in = class_of(e, childclass);
-  const std::string_view kind = e.Name();
-  const auto element =
-      in.elements.find(kind == "spatial" || kind == "fixed" ? "tendon" : std::string(kind));
+  const Element* const around = e.Parent() == nullptr ? nullptr : e.Parent()->ToElement();
+  const std::string_view section = around == nullptr ? "" : around->Name();
+  if (section == "spatial" || section == "fixed") return nullptr;  // parts of a tendon
+  const bool is_of_section = section == "equality" || section == "tendon";
+  const auto element = in.elements.find(std::string(is_of_section ? section : e.Name()));
   return element == in.elements.end() ? nullptr : &element->second;
 }
 
 const MjcfDefaults::ActuatorClasses& MjcfDefaults::actuators(const Element& e) const {
   return class_of(e, {}).actuators;
+}
+
+std::optional<std::string> MjcfDefaults::actuator_text(const Element& e,
+                                                       const char* attribute) const {
+  if (const char* own = e.Attribute(attribute)) return own;
+  std::optional<std::string> value;
+  for (const auto& of_class : actuators(e))
+    for (const Element* each : of_class)
+      if (const char* given = each->Attribute(attribute)) value = given;
+  return value;
 }
 
 std::optional<std::string> MjcfDefaults::text(const Element& e, const char* attribute,

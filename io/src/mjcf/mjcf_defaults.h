@@ -17,7 +17,7 @@ class MjcfDefaults {
   explicit MjcfDefaults(const XmlFile& file);
 
   // The attribute of an element; its own, that of its class, or that of `childclass`. Classes have
-  // the defaults of <spatial> and <fixed> under tendon.
+  // the defaults of all equalities under equality, those of <spatial> and <fixed> under tendon.
   std::optional<std::string> text(const Element& e, const char* attribute,
                                   const std::string& childclass) const;
   // As exactly out.size() finite numbers; false: there is none.
@@ -36,6 +36,8 @@ class MjcfDefaults {
   // The <general>, <motor>, ... of the classes around an actuator's, outermost first, and its own.
   using ActuatorClasses = std::vector<std::vector<const Element*>>;
   const ActuatorClasses& actuators(const Element& e) const;
+  // The attribute, or that of the <general>, <position>, ... of the class that comes last.
+  std::optional<std::string> actuator_text(const Element& e, const char* attribute) const;
   // The orientation of an element: axisangle, euler, zaxis or xyaxes, else quat; else the identity.
   Quatd orientation(const Element& e, const std::string& childclass,
                     const MjcfCompiler& compiler) const;

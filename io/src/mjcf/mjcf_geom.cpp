@@ -40,8 +40,12 @@ class GeomReader {
   std::optional<MjcfGeom> run(const std::string& label) {
     defaults_.check_known(e_, childclass_, kRead, kPassedOver);
     const std::string type = defaults_.text(e_, "type", childclass_).value_or("sphere");
-    if (type == "hfield" || type == "sdf") {
-      context_.notes.left_out(e_, type == "sdf" ? "a signed distance field" : "a height field");
+    if (type == "hfield") {
+      context_.refuse_at_finalize(e_, "a height field");
+      return {};
+    }
+    if (type == "sdf") {
+      context_.notes.left_out(e_, "a signed distance field");
       return {};
     }
     const Kind* kind = nullptr;
@@ -198,6 +202,10 @@ class GeomReader {
     // and those of 4 no rolling.
     if (condim < 4.0) cfg.mu_torsional = 0.0f;
     if (condim < 6.0) cfg.mu_rolling = 0.0f;
+    if (condim >= 4.0 && !is_seen_only())
+      context_.notes.ignored(e_, condim < 6.0
+                                     ? "condim 4: no solver has torsional friction"
+                                     : "condim 6: no solver has torsional and rolling friction");
   }
 
   void read_softness() {
@@ -212,6 +220,11 @@ class GeomReader {
     };
     first("solref", of.solref);
     first("solimp", of.solimp);
+    if (!is_seen_only() &&
+        (defaults_.text(e_, "solref", childclass_) || defaults_.text(e_, "solimp", childclass_)))
+      context_.notes.ignored(e_,
+                             "solref, solimp: the softness of contacts acts with "
+                             "SolverFeatherstone(compliant_contacts=True) only");
     if ((of.solref[0] > 0.0) != (of.solref[1] > 0.0)) {
       context_.notes.ignored(e_, "a solref of which one number is > 0, as in MuJoCo");
       std::copy_n(MjcfSoftness{}.solref, 2, of.solref);

@@ -180,7 +180,7 @@ void BodyJoints::add_ball(const Found& found, const std::string& type) {
   }
   if (is_free) return add_free(e, name, damping, friction, armature);
   RobotJoint& joint = add_joint(name, e, JointType::BALL, found.element == found_.back().element);
-  note_joint(name, {.element = &e}, 0);
+  note_joint(name, {.element = &e, .is_ball = true}, 0);
   joint.damping = damping;
   joint.friction = friction;
   joint.armature = armature;

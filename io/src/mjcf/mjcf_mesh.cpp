@@ -80,9 +80,7 @@ MjcfAssets::MjcfAssets(const XmlFile& file, const MjcfDefaults& defaults,
         if (!meshes_.emplace(own, Asset{e, given}).second)
           file.refuse(*e, "name: expected different names, got \"" + own + "\" twice");
         notes.read("mesh");
-      } else if (kind == "model") {
-        notes.left_out(*e, "a model to attach");
-      } else if (kind != "texture" && kind != "hfield" && kind != "skin") {
+      } else if (kind != "texture" && kind != "hfield" && kind != "skin" && kind != "model") {
         file.refuse(*e, "this element is not read", ErrorKind::NotImplemented);
       }
     }

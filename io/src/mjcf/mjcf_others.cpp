@@ -26,18 +26,24 @@ void read_exclude(MjcfContext& context, const Element& e) {
   const char* const names[] = {"body1", "body2"};
   for (int k = 0; k < 2; ++k) {
     const std::string body = needed(context, e, names[k]);
-    const auto found = context.bodies.find(body);
-    if (found == context.bodies.end() && body != "world")
+    const auto found = context.bodies.find(context.named(body));
+    if (found == context.bodies.end() && body != "world") {
+      if (context.is_part) return;
       context.file.refuse(e, "there is no body \"" + body + "\"");
+    }
     ends[k] = body == "world" ? kWorldLink : found->second;
   }
   context.robot.excluded.emplace_back(ends[0], ends[1]);
 }
 
 void read_pair(MjcfContext& context, const Element& e) {
-  const std::string a = needed(context, e, "geom1"), b = needed(context, e, "geom2");
-  for (const std::string& geom : {a, b})
-    if (!context.geoms.contains(geom)) context.file.refuse(e, "there is no geom \"" + geom + "\"");
+  const std::string a = context.named(needed(context, e, "geom1")),
+                    b = context.named(needed(context, e, "geom2"));
+  for (const std::string& geom : {a, b}) {
+    if (context.geoms.contains(geom)) continue;
+    if (context.is_part) return;
+    context.file.refuse(e, "there is no geom \"" + geom + "\"");
+  }
   context.robot.pairs.emplace_back(a, b);
   for (const char* own :
        {"friction", "condim", "margin", "gap", "solref", "solimp", "solreffriction"})
@@ -76,12 +82,18 @@ void read_others(MjcfContext& context) {
   each(context, "equality", [&](const Element& e) {
     context.notes.read("equality");
     const auto active = context.defaults.text(e, "active", {}).value_or("true");
+    context.equalities.push_back(read_part(context, e));
     if (read_flag(context.file, e, "active", active) && context.settings.option.equality)
-      context.notes.left_out(e, std::string("an equality of the kind ") + e.Name());
+      context.refuse_at_finalize(e, std::string("an equality of the kind ") + e.Name());
   });
   each(context, "tendon", [&](const Element& e) {
     context.notes.read("tendon");
-    if (acts(context, e)) context.notes.left_out(e, "a tendon that has forces");
+    context.tendons.push_back(read_part(context, e));
+    if (acts(context, e)) context.refuse_at_finalize(e, "a tendon that has forces");
+  });
+  each(context, "asset", [&](const Element& e) {
+    if (std::string_view(e.Name()) == "hfield")
+      context.height_fields.push_back(read_height_field(context, e));
   });
   each(context, "sensor", [&](const Element&) { context.notes.read("sensor"); });
   each(context, "deformable", [&](const Element& e) {

@@ -27,6 +27,14 @@ class Notes {
       file_.refuse(e, text + " (unsupported=\"warn\" leaves it out)", ErrorKind::NotImplemented);
     report_.left_out.push_back(file_.note(e, text));
   }
+  // The notes of another file that is a part of this one.
+  void add(RobotReport other) {
+    for (const auto& [kind, count] : other.read) report_.read[kind] += count;
+    const auto append = [](auto& to, auto& from) { to.insert(to.end(), from.begin(), from.end()); };
+    append(report_.mended, other.mended);
+    append(report_.left_out, other.left_out);
+    append(report_.ignored, other.ignored);
+  }
   RobotReport take() { return std::move(report_); }
 
  private:

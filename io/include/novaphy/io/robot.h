@@ -115,6 +115,15 @@ struct RobotReport {
   std::vector<RobotNote> ignored;       // what does not change it, or is up to the simulation
 };
 
+// An equality, tendon or height field of an MJCF file as it stands there, with the defaults of its
+// class: names and words, and lists of numbers, by attribute; a tendon has parts.
+struct RobotPart {
+  std::string kind, name = {};
+  std::map<std::string, std::string> names = {};
+  std::map<std::string, std::vector<double>> numbers = {};
+  std::vector<RobotPart> parts = {};
+};
+
 // What was added, by the names of the file.
 struct RobotImport {
   std::map<std::string, int32_t> links;   // body; a merged link: the one it is part of
@@ -129,6 +138,8 @@ struct RobotImport {
   std::map<std::string, RobotSite> sites;
   std::map<std::string, RobotKeyframe> keyframes;
   std::optional<float> timestep;  // s, that of the file
+  // ModelBuilder::finalize refuses those that act, unless they are left out.
+  std::vector<RobotPart> equalities, tendons, height_fields;
   RobotReport report;
   std::vector<std::string> warnings;  // the notes of the report, those of one text as one
 };

@@ -1,0 +1,86 @@
+"""Forces of springs, dampers, actuators and gravity compensation, beside MuJoCo's."""
+
+from __future__ import annotations
+
+
+def note_forces(exact, data, model, robot, state, change, coordinates, note) -> None:
+    """The forces of springs, dampers, actuators and gravity compensation."""
+    import numpy as np
+
+    import novaphy
+
+    qd = change @ data.qvel
+    total = -model.joint_damping.numpy().astype(float) * qd
+    stiffness, rest = model.joint_target_ke.numpy(), model.joint_target_q.numpy()
+    starts, coords = model.joint_qd_start.numpy(), model.joint_q_start.numpy()
+    for j in range(model.joint_count):  # joints with as many coordinates as degrees of freedom
+        d, n = starts[j], starts[j + 1] - starts[j]
+        c, m = coords[j], coords[j + 1] - coords[j]
+        if n == m:
+            total[d : d + n] += stiffness[d : d + n] * (rest[c : c + n] - coordinates[c : c + n])
+    control = model.control()
+    ctrl, act = control.ctrl.numpy(), state.act.numpy()
+    names = [exact.actuator(k).name for k in range(exact.nu)]
+    forces = {}
+    for k, (name, row) in enumerate(sorted(robot.actuators.items(), key=lambda item: item[1])):
+        index = names.index(name) if name in names else k
+        forces[row] = data.actuator_force[index]
+        ctrl[row] = data.ctrl[index]
+        if exact.actuator_actnum[index]:
+            act[model.actuator_state.numpy()[row]] = data.act[exact.actuator_actadr[index]]
+    control.ctrl.assign(ctrl)
+    state.act.assign(act)
+    ours = novaphy.eval_actuator_forces(model, state, control).astype(float)
+    on_dofs = model.actuator_dof.numpy() >= 0
+    np.add.at(
+        total, model.actuator_dof.numpy()[on_dofs], (model.actuator_gear.numpy() * ours)[on_dofs]
+    )
+    if not on_dofs.all():
+        total += (moments(model, state)[~on_dofs] * ours[~on_dofs, None]).sum(axis=0)
+    if not exact.jnt_actfrclimited.any():  # those are limits of joints there
+        note("actuators", [ours[row] for row in forces], list(forces.values()))
+    total += lifted(model, state)
+    note("forces", change.T @ total, data.qfrc_passive + data.qfrc_actuator)
+
+
+def moments(model, state):
+    """What a force of 1 of each actuator is for the dofs, {actuators, dofs}: its rates."""
+    import numpy as np
+
+    import novaphy
+
+    count = model.actuator_count
+    given = {
+        "gain": np.zeros((count, 3)), "bias": np.tile([0.0, 0.0, 1.0], (count, 1)),
+        "force_range": np.tile([-1e10, 1e10], (count, 1)),
+    }  # fmt: skip
+    kept = {name: getattr(model, f"actuator_{name}").numpy().copy() for name in given}
+    rates, columns = state.joint_qd.numpy().copy(), []
+    try:
+        for name, values in given.items():
+            getattr(model, f"actuator_{name}").assign(np.float32(values))
+        for unit in np.eye(model.joint_dof_count, dtype=np.float32):
+            state.joint_qd.assign(unit)
+            columns.append(novaphy.eval_actuator_forces(model, state))
+    finally:
+        for name, values in kept.items():
+            getattr(model, f"actuator_{name}").assign(values)
+        state.joint_qd.assign(rates)
+    return np.array(columns, float).T
+
+
+def lifted(model, state):
+    """The forces of dofs that gravity compensation is: the bias of masses gravcomp * mass."""
+    import novaphy
+
+    mass, rates = model.body_mass.numpy(), state.joint_qd.numpy()
+    part = mass * model.body_gravcomp.numpy()
+    if not part.any():
+        return 0.0
+    try:
+        model.body_mass.assign(part)
+        state.joint_qd.zero_()
+        return novaphy.eval_bias(model, state).astype(float)
+    finally:
+        model.body_mass.assign(mass)
+        state.joint_qd.assign(rates)

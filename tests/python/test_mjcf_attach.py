@@ -120,7 +120,7 @@ def test_models_attach_models_and_cycles_are_refused(write, tmp_path):
         ({"inside": '<attach model="dad" body="a" prefix="p_"/>'}, 'there is no model "dad"'),
         ({"inside": '<attach model="kid" body="a"/>'}, "prefix: missing"),
         ({"inside": 2 * INSIDE["body"]}, 'expected different names, got "p_a" twice'),
-        ({"inside": INSIDE["body"], "file": "../../kid.xml"}, "needs package_dirs"),
+        ({"inside": INSIDE["body"], "file": "../../kid.xml"}, "there is no file"),
         ({"inside": INSIDE["body"], "child": "<mujoco/"}, "expected XML"),
         ({"inside": INSIDE["body"], "child": CHILD.replace("k", "k&")}, "expected XML"),
         ({"inside": INSIDE["body"], "after": '<motor joint="j"/>'}, 'there is no joint "j"'),
@@ -167,7 +167,7 @@ def test_parts_without_a_solver_are_read_and_refused_by_finalize():
     assert hills.numbers["elevation"] == [0, 1, 2, 3, 4, 5] and hills.numbers["nrow"] == [2]
     with pytest.raises(
         NotImplementedError,
-        match=r'finalize: <text>:7: <connect name="pin">: an eq'
+        match=r'finalize: <text>:5: <connect name="pin">: an eq'
         r'uality of the kind connect \(unsupported="warn" leaves it out\) \(and 3',
     ):
         builder.finalize()  # fmt: skip

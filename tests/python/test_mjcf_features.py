@@ -153,9 +153,10 @@ FEATURES = {
 
 
 @pytest.mark.parametrize("name", FEATURES)
-def test_numbers_are_those_of_mujoco(name):
+def test_numbers_are_those_of_mujoco(name, monkeypatch):
     """At random states: masses, poses, mass matrix, inverse dynamics, forces, pairs of geoms."""
     mujoco = pytest.importorskip("mujoco", reason="the oracle of this test: pip install mujoco")
+    monkeypatch.syspath_prepend(BENCH.parent)
     spec = importlib.util.spec_from_file_location("robot_files", BENCH)
     bench = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(bench)

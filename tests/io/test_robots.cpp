@@ -93,7 +93,9 @@ TEST(Robots, AnMjcfFileBecomesBodiesAndMotors) {
   EXPECT_EQ(model->actuator_ctrl_range.to_host()[0].y, 2.0f);
   const std::string text =
       "<mujoco>\n<worldbody><geom size='1'/></worldbody><equality>\n<weld/></equality></mujoco>";
-  const std::string said = message([&] { add_mjcf(builder, text); });
+  ModelBuilder welded;
+  add_mjcf(welded, text);
+  const std::string said = message([&] { welded.finalize(); });
   EXPECT_NE(said.find("<text>:3: <weld>: an equality of the kind weld"), std::string::npos) << said;
   const RobotImport rest = add_mjcf(builder, text, {.unsupported = Unsupported::Warn});
   ASSERT_EQ(rest.report.left_out.size(), 1u);

@@ -233,8 +233,8 @@ novaphy_status incidence(novaphy_stream* stream, const novaphy_kernel& kernel, i
                .limit = n,
                .flipped = 0,  // a negative key is above the limit
                .shift = 0},
-              std::max<int32_t>(1, std::bit_width(static_cast<uint64_t>(n - 1))), items,
-              scratch.words(0), "incidence_i32", error);
+              std::max(1, static_cast<int32_t>(std::bit_width(static_cast<uint64_t>(n - 1)))),
+              items, scratch.words(0), "incidence_i32", error);
 }
 
 novaphy_status checksum(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,

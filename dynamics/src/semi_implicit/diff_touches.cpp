@@ -21,8 +21,6 @@ namespace {
 constexpr int32_t kMostSteps = 200;      // of a touch that is one event
 constexpr double kLeastApproach = 1e-3;  // m/s
 
-Vec3d wide(const Vec3f& a) { return {a.x, a.y, a.z}; }
-
 template <class T>
 DeviceArray<T> array_of(const DeviceArray<T>& like) {
   return DeviceArray<T>(like.rows(), like.device());

@@ -64,7 +64,7 @@ struct MotionCounts {
   bool rows_are_exact = true;  // of gaps and overlaps: pgs_slop 0, pgs_erp 1
   float least_approach = std::numeric_limits<float>::infinity();      // m/s, rad/s
   double least_separation = std::numeric_limits<double>::infinity();  // steps, of one tree or body
-  MotionEvents events;
+  MotionEvents events = {};
 
   NOVAPHY_DYNAMICS_API void add(const std::shared_ptr<MotionEvent>& event);
 };

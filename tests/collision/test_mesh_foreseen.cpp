@@ -30,10 +30,10 @@ struct LeftOut {
     Vec3f half;
     ASSERT_TRUE(geometry::core_box(b.shape, half));
     geometry::for_triangles_in(mesh, geometry::box_in_mesh(pair, gap), [&](int32_t triangle) {
-      const auto contacts_of = [&](float facing) {
+      const auto contacts_of = [&](float along) {
         std::vector<geometry::MeshContact> all;
         geometry::collide_triangle(
-            mesh, triangle, b.shape, b.pose, gap, facing,
+            mesh, triangle, b.shape, b.pose, gap, along,
             [&](const geometry::MeshContact& contact) { all.push_back(contact); });
         return all;
       };

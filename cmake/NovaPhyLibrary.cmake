@@ -37,6 +37,14 @@ function(novaphy_precompile target)
   endif()
 endfunction()
 
+# novaphy_compile_small(<source>...): compiles sources that run seldom, such as the building of a model, for size. A quick
+# build, which compiles several sources together, leaves them as they are.
+function(novaphy_compile_small)
+  if(NOT NOVAPHY_QUICK_BUILD)
+    set_source_files_properties(${ARGN} PROPERTIES COMPILE_OPTIONS $<$<CONFIG:Release>:-Os>)
+  endif()
+endfunction()
+
 # novaphy_limit_exports(<target> <version script>): the dynamic symbol table holds what the script names, nothing else.
 function(novaphy_limit_exports target script)
   target_link_options(${target} PRIVATE -Wl,--version-script=${script})

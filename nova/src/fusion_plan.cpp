@@ -282,7 +282,7 @@ class Planner {
   // The end of a scan of launches that begins at k, or k: they all run the same kernel, and touch
   // what they write at their own row only.
   size_t end_of_scan(size_t k) {
-    if (limits_.min_scan == 0) return k;
+    if (limits_.min_scan == 0 || op(k).n == 0) return k;
     segment_.clear();
     size_t end = k;
     for (; end < order_.size() && end - k < kMostLaunches; ++end) {

@@ -124,6 +124,18 @@ def test_models_attach_models_and_cycles_are_refused(write, tmp_path):
         ({"inside": INSIDE["body"], "child": "<mujoco/"}, "expected XML"),
         ({"inside": INSIDE["body"], "child": CHILD.replace("k", "k&")}, "expected XML"),
         ({"inside": INSIDE["body"], "after": '<motor joint="j"/>'}, 'there is no joint "j"'),
+        (
+            {"inside": INSIDE["body"].replace("/>", ' frame="f"/>')},
+            "attributes model, body and prefix, got frame",
+        ),
+        (
+            {"inside": INSIDE["body"].replace("/>", '><geom size="1"/></attach>')},
+            "no element in <attach>",
+        ),
+        (
+            {"inside": INSIDE["body"], "after": '<motor joint="root" site="p_s"/>'},
+            "one transmission, got joint and site",
+        ),
     ],
 )
 def test_what_cannot_be_attached_is_refused_with_its_line(write, arguments, message):

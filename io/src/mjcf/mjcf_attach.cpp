@@ -87,6 +87,13 @@ MjcfAttached::MjcfAttached(const MjcfContext& parent, XmlSource source)
 }
 
 void attach(MjcfContext& context, const Element& e, BodyPart& to) {
+  for (const auto* a = e.FirstAttribute(); a != nullptr; a = a->Next())
+    if (const std::string_view name = a->Name();
+        name != "model" && name != "body" && name != "prefix")
+      context.file.refuse(
+          e, "expected the attributes model, body and prefix, got " + std::string(name));
+  if (const Element* inner = e.FirstChildElement())
+    context.file.refuse(*inner, "expected no element in <attach>");
   if (context.attaching == nullptr) {
     context.attaching = std::make_shared<MjcfAttaching>();
     const fs::path& folder = context.file.source().folder;

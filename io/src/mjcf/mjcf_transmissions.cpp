@@ -15,6 +15,14 @@ class TransmissionFinder {
 
   std::string run() {
     const auto text = [&](const char* name) { return context_.defaults.actuator_text(e_, name); };
+    const char* first = nullptr;
+    for (const char* name : {"joint", "jointinparent", "site", "tendon", "body", "slidersite"}) {
+      if (e_.Attribute(name) == nullptr) continue;
+      if (first != nullptr)
+        context_.file.refuse(
+            e_, std::string("expected one transmission, got ") + first + " and " + name);
+      first = name;
+    }
     const bool in_parent = !text("joint") && text("jointinparent");
     if (const auto joint = text(in_parent ? "jointinparent" : "joint"))
       return find_joint(context_.named(*joint), in_parent);

@@ -5,7 +5,6 @@
 #include "body_actuators.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
-#include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/joint_args.h"
 #include "novaphy/core/sim/on_host.h"
@@ -206,13 +205,10 @@ namespace {
 
 // Rows of a kernel on the host, where nothing records them, or as a launch.
 template <class A>
-void run_rows(bool on_host, const Kernel<A>& kernel, void (*row)(const A&, int64_t, int64_t),
-              int64_t rows, int64_t chunk, const A& arguments) {
+void run_step(bool on_host, const Kernel<A>& kernel, const RowKernel<A>& row, int64_t rows,
+              int64_t chunk, const A& arguments) {
   if (!on_host) return run(kernel, rows, arguments);
-  const A at = in_memory(arguments);
-  for_chunks(rows, chunk, [&](int64_t begin, int64_t end, int64_t) {
-    for (int64_t k = begin; k < end; ++k) row(at, k, rows);
-  });
+  run_rows(row, rows, in_memory(arguments), chunk);
 }
 
 }  // namespace
@@ -236,8 +232,8 @@ ActuatedStep::Read ActuatedStep::begin(const Model& m, const SimState& in, const
         .out = each<art::kActuationOutputs>([&](size_t i) {
           return Untyped(on_host_ || i < art::kActuated ? memory_[i].range() : out.act.range());
         })};
-    run_rows(on_host_, actuation_kernels().forward, actuation_row, m.joint_dof_count(),
-             kRowsOfChunk, a);
+    run_step(on_host_, actuation_kernels().forward, actuation, m.joint_dof_count(), kRowsOfChunk,
+             a);
     std::copy_n(memory_.begin(), read.drives.size(), read.drives.begin());
   }
   if (actuators_.on_bodies() != nullptr) push(m, in, control, read);
@@ -257,8 +253,7 @@ void ActuatedStep::push(const Model& m, const SimState& in, const Control* contr
                                all.workspace(), [](const Array& array) { return Untyped(array); }),
       .body_f = Untyped(read.body_f),
       .out = pushed_f_};
-  run_rows(on_host_, body_actuation_kernels().forward, body_actuation_row, all.count(), kTreeRows,
-           a);
+  run_step(on_host_, body_actuation_kernels().forward, body_actuation, all.count(), kTreeRows, a);
   read.body_f = pushed_f_;
 }
 
@@ -268,8 +263,8 @@ void ActuatedStep::lift(const Model& m, Read& read) {
     body_f_ = DeviceArray<SpatialVectorf>(read.body_f.rows(), m.device());
   }
   const GravcompArguments a = {.in = gravcomp_inputs(m, read.body_f), .out = body_f_};
-  run_rows(on_host_, actuation_kernels().lift, gravity_compensation_row, m.body_count(),
-           kRowsOfChunk, a);
+  run_step(on_host_, actuation_kernels().lift, gravity_compensation, m.body_count(), kRowsOfChunk,
+           a);
   read.body_f = body_f_;
 }
 

@@ -3,11 +3,13 @@
 
 #include <span>
 #include <string>
+#include <type_traits>
 
 #include "../step_sources.h"
 #include "actuators.h"
 #include "articulation_kernels.h"
 #include "novaphy/core/device_kernel.h"
+#include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/sim/unsupported_materials.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
 #include "novaphy/dynamics/featherstone/solver_featherstone.h"
@@ -16,6 +18,15 @@ namespace novaphy {
 
 // Trees or groups that a thread of the CPU takes at a time.
 inline constexpr uint32_t kTreeRows = 4;
+// Runs a kernel of a step on the CPU, where nobody records, with arguments in memory. A thread
+// takes `chunk` rows at a time.
+template <class A>
+void run_rows(const RowKernel<A>& kernel, int64_t n, const std::type_identity_t<A>& in_memory,
+              int64_t chunk = kTreeRows) {
+  for_chunks(n, chunk, [&](int64_t begin, int64_t end, int64_t) {
+    kernel.rows(reinterpret_cast<const uint64_t*>(&in_memory), n, begin, end);
+  });
+}
 // A step without contacts and dry friction.
 const Kernel<ArticulationStepArguments>& tree_step_kernel();
 

@@ -5,7 +5,6 @@
 #include "articulation_contact_vjp_kernels.h"
 #include "articulation_step.h"
 #include "novaphy/core/builtin_kernels.h"
-#include "novaphy/core/sim/for_chunks.h"
 
 namespace novaphy {
 namespace detail {
@@ -39,14 +38,6 @@ struct ContactKernels {
   Kernel<ArticulationMaterialClearArguments> clear{articulation_material_clear, vjp_text};
   Kernel<ArticulationMaterialGradientArguments> materials{articulation_material_gradient, vjp_text};
 };
-// A kernel of a step on the CPU, where nobody records, with arguments that are made once.
-template <class A>
-void run_rows(const RowKernel<A>& kernel, int64_t n, const std::type_identity_t<A>& in_memory) {
-  for_chunks(n, kTreeRows, [&](int64_t begin, int64_t end, int64_t) {
-    kernel.rows(reinterpret_cast<const uint64_t*>(&in_memory), n, begin, end);
-  });
-}
-
 // Never destroyed: recordings refer to them.
 inline const ContactKernels& contact_kernels() {
   static const auto& all = *new ContactKernels;

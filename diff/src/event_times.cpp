@@ -123,18 +123,19 @@ nova::Tensor event_times(const Trajectory& trajectory) {
   require(trajectory.checkpoint_interval() == 1, ErrorKind::NotImplemented, kName,
           ": trajectory: expected one that keeps all states, got one with checkpoints");
   nova::flush_deferred();
-  MotionEvents all = events_on(*tape);
-  int32_t known = 0;  // the state of the last event: the next one follows soon
-  std::erase_if(all, [&](const auto& e) { return !find_state(trajectory, *e, known); });
-  require(!all.empty(), ErrorKind::Value, kName,
-          ": trajectory: expected steps of a solver with contact_gradient=\"motion\" on the active "
-          "tape in which a contact or a limit begins, got none");
+  const MotionEvents all = events_on(*tape);
   std::vector<nova::Tensor> parts;
+  int32_t known = 0;  // the state of the last event: the next one follows soon
   for (size_t first = 0, end = 0; first < all.size(); first = end) {
-    while (end < all.size() && all[end]->start == all[first]->start) ++end;
-    find_state(trajectory, *all[first], known);
+    const MotionEvent& of = *all[first];
+    while (end < all.size() && all[end]->start == of.start && all[end]->version == of.version)
+      ++end;
+    if (!find_state(trajectory, of, known)) continue;
     parts.push_back(times_of(trajectory.state(known), Run(all).subspan(first, end - first), *tape));
   }
+  require(!parts.empty(), ErrorKind::Value, kName,
+          ": trajectory: expected steps of a solver with contact_gradient=\"motion\" on the active "
+          "tape in which a contact or a limit begins, got none");
   return parts.size() == 1 ? parts[0] : nova::concat(parts);
 }
 

@@ -186,12 +186,14 @@ void start_vjp(const TouchWork& work, const StateRows& of, const StateRows& to) 
     if (!event.is_window()) continue;
     if (event.backward_at != 2 * step->number + 1) event.mismatch = 0.0;
     event.backward_at = 2 * step->number;
-    for (size_t i = 0; i < 2; ++i)
-      event.mismatch += product(step->before[i], step->start[i].gradient(of));
+    double before = 0.0;
+    for (size_t i = 0; i < 2; ++i) {
+      const double by_side = product(step->before[i], step->start[i].gradient(of));
+      event.mismatch += by_side;
+      before += by_side;
+    }
     if (step->number > 0) continue;
-    event.told->h_before = 0.0;
-    for (size_t i = 0; i < 2; ++i)
-      event.told->h_before += product(step->before[i], step->start[i].gradient(of));
+    event.told->h_before = before;
     event.told->h_after = event.told->h_before - event.mismatch;
     for (size_t i = 0; i < 2; ++i)
       step->start[i].add_gradient(scaled(event.delay_by[i], event.mismatch), to);

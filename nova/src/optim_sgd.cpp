@@ -138,7 +138,7 @@ void Optimiser::check() const {
 
 void Optimiser::begin_step() const {
   detail::check_grads(params_, name_);
-  if (!current_capture() && params_[0].device().is_cpu()) {
+  if (host_can_read(params_[0].device())) {
     check();
     return detail::check_finite_grads(params_, name_);
   }

@@ -66,6 +66,7 @@ struct LaneAccess<NOVAPHY_LEVEL::Lanes> {
   using Lanes = NOVAPHY_LEVEL::Lanes;
   using Mask = NOVAPHY_LEVEL::Mask;
   static constexpr int kLanes = LANES, kStride = LANES;
+  using Particles = const int32_t*;
   NOVAPHY_LANE_FN static Vec3<Lanes> gather(const VbdRow* rows, const int32_t* index) {
     return NOVAPHY_LEVEL::gather(reinterpret_cast<const float*>(rows), index);
   }

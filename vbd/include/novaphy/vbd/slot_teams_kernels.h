@@ -61,8 +61,9 @@ inline void for_team(const VbdSweepArguments& a, const Arguments& arguments, int
   const auto lane_of = [&](int32_t k) {
     return LaneGroup<float>(a, (first - a.first_group) * kVbdLanes + k);
   };
-  if (thread < groups * kVbdLanes) {
-    const LaneGroup<float> g = lane_of(thread);
+  const bool has_lane = thread < groups * kVbdLanes;
+  const LaneGroup<float> g = lane_of(has_lane ? thread : 0);
+  if (has_lane) {
     finish.ask(g);
     const Vec3f x = finish.place(g);
     m.x[thread][0] = x.x;
@@ -71,8 +72,8 @@ inline void for_team(const VbdSweepArguments& a, const Arguments& arguments, int
     store_block(&m.inner[0][thread], kLanes, inertia_block(x, g.at(a.target), g.mass_by_h2()));
   }
   if (const int32_t v = thread - (kTeam - kLanes); v >= 0 && v < groups * kVbdLanes) {
-    const LaneGroup<float> g = lane_of(v);
-    store_block(&m.outer[0][v], kLanes, contact_blocks(g, finish.place(g)));
+    const LaneGroup<float> of = lane_of(v);
+    store_block(&m.outer[0][v], kLanes, contact_blocks(of, finish.place(of)));
   }
   for (int32_t k = thread - 2 * kAlign; k >= 0 && k < kRoles * G; k += kTeam) {
     const int32_t role = k / G, group = k % G;
@@ -116,8 +117,7 @@ inline void for_team(const VbdSweepArguments& a, const Arguments& arguments, int
   }
   __syncthreads();
 
-  if (thread >= groups * kVbdLanes) return;
-  if (const LaneGroup<float> g = lane_of(thread); g.filled != 0) {
+  if (has_lane && g.filled != 0) {
     const float* const of = &m.inner[0][0] + thread;
     finish.put(g, Block<float>{{of[0], of[kLanes], of[2 * kLanes]},
                                of[3 * kLanes],

@@ -47,6 +47,12 @@ struct LaneAccess;
 template <>
 struct LaneAccess<float> {
   static constexpr int kLanes = 1, kStride = kVbdLanes;
+  // The index, read once: a thread of a device would read memory again after each store.
+  struct Particles {
+    int32_t index;
+    Particles(const int32_t* from) : index(*from) {}
+    operator const int32_t*() const { return &index; }
+  };
   static Vec3f gather(const VbdRow* rows, const int32_t* index) { return to_vec3(rows[*index]); }
   static float load(const float* from) { return *from; }
   static void store(float* to, float value) { *to = value; }
@@ -70,7 +76,7 @@ struct LaneGroup : LaneAccess<S> {
   const VbdSweepArguments& a;
   int64_t group;
   int32_t lane, filled;     // the first; how many are particles
-  const int32_t* particle;  // of each
+  typename Access::Particles particle;  // of each
   LaneGroup(const VbdSweepArguments& arguments, int64_t row)
       : a(arguments),
         group(a.first_group + row / Access::kStride),

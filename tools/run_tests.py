@@ -339,21 +339,14 @@ def editable() -> None:
         f"-DNOVAPHY_WERROR=ON -DCMAKE_PREFIX_PATH=/usr -Dpybind11_DIR={pybind11}"
     )
     environ = environment(CMAKE_ARGS=options)
-    pip(
-        "editable",
-        interpreter,
-        "install",
-        "-e",
-        ".",
-        "--no-build-isolation",
-        "--no-deps",
-        f"--config-settings=build-dir={BUILD / 'editable'}",
-        env=environ,
-    )
+    tree = f"--config-settings=build-dir={BUILD / 'editable'}"
+    words = ("install", "-e", ".", "--no-build-isolation", "--no-deps", tree)
+    pip("editable", interpreter, *words, env=environ)
     code = (
         "import novaphy, pathlib; p = pathlib.Path(novaphy.__file__).resolve(); print(p); "
         f"assert p.is_relative_to({str(ROOT / 'python')!r}), p; "
-        "assert novaphy.has_diff() and not novaphy.has_vbd() and not novaphy.has_io()"
+        "assert novaphy.has_diff() and not novaphy.has_vbd() and not novaphy.has_io(); "
+        "stub = p.parent / '_core' / '__init__.pyi'; assert 'A spring of' in stub.read_text(), stub"
     )
     with tempfile.TemporaryDirectory() as folder:
         run("editable", interpreter, "-c", code, cwd=Path(folder))

@@ -8,6 +8,7 @@
 
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/contact_count.h"
 #include "novaphy/math/functions.h"
 
 namespace novaphy {
@@ -52,7 +53,8 @@ bool at_start(const Model& m, const Transformf* q, int32_t a, int32_t b) {
 
 std::vector<ShapeOverlap> find_overlaps(const Model& m, const SimState& state, const Contacts& c) {
   std::map<Pair, float> deepest;
-  const int32_t rows = std::min(*c.rigid_contact_count.data(), c.rigid_contact_max());
+  const int32_t rows = filled_rows(*c.rigid_contact_count.data(), c.rigid_contact_max(),
+                                   c.rigid_contact_shape0.data());
   const int32_t* const body = m.shape_body.data();
   const float* const radius = m.shape_collision_radius.data();
   const Transformf* const q = state.body_q.data();

@@ -251,7 +251,8 @@ struct RigidContactWriteArguments {
       Optional<Reads<RigidContactLimit>> limit;  // null: all fit
       Optional<Reads<int32_t>> pairs_found;      // may be more than there is room for; null: all
       ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes; Reads<geometry::Manifold> manifolds;
-      Part<PairRows> found; Writes<int32_t> rigid_contact_count; Part<RigidContactRows> rows;)
+      Part<PairRows> found; Writes<int32_t> rigid_contact_count; Part<RigidContactRows> rows;
+      Writes<int32_t> rows_filled;)
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_write, RigidContactWriteArguments) {
   const int32_t count = a.found.counts[row];
@@ -261,6 +262,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_write, RigidContactWriteArguments) {
     // A pair that found no room in the list of pairs counts as one row after the written rows.
     const int64_t found = a.pairs_found == nullptr ? n : *a.pairs_found;
     int64_t rows = a.limit == nullptr ? first + count : a.limit->total;
+    *a.rows_filled = first + count;
     if (found > n) rows = (a.rows.capacity < rows ? rows : a.rows.capacity.value) + (found - n);
     *a.rigid_contact_count = rows < 0x7FFFFFFF ? static_cast<int32_t>(rows) : 0x7FFFFFFF;
   }
@@ -275,7 +277,8 @@ NOVAPHY_ROW_KERNEL(rigid_contact_write, RigidContactWriteArguments) {
 
 struct RigidContactClearArguments {
   NOVAPHY_ARGUMENTS(Number<int64_t> pairs; Updates<int32_t> rigid_contact_count;
-                    Reads<int32_t> shape0;  // of the rows
+                    Optional<Reads<int32_t>> rows_filled;  // null: none
+                    Reads<int32_t> shape0;                 // of the rows
 
                     Part<RigidContactRows> rows; Writes<Vec3f> rigid_contact_force;)
 };
@@ -286,7 +289,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_clear, RigidContactClearArguments) {
     if (a.pairs == 0) *a.rigid_contact_count = 0;
     return;
   }
-  const bool touches = a.pairs != 0 && row < *a.rigid_contact_count;
+  const bool touches = a.rows_filled != nullptr && row < *a.rows_filled;
   if (!touches && a.shape0[row] < 0) return;  // empty already
   a.rigid_contact_force[row] = Vec3f{};
   if (touches) return;

@@ -87,6 +87,7 @@ void RigidLaunches::move(const Model& m, const SimState& state, const ShapeGeome
 void RigidLaunches::reserve(const RigidPairs& pairs) {
   const size_t rows = pairs.rows().rows(), mesh_rows = pairs.mesh_rows().rows();
   const Device device = pairs.rows().device();
+  if (filled_.rows() == 0) filled_ = DeviceArray<int32_t>(1, device);
   if (counts_.rows() != rows) {
     manifolds_ = byte_array<geometry::Manifold>(rows, device);
     counts_ = DeviceArray<int32_t>(rows, device);
@@ -203,7 +204,8 @@ void RigidLaunches::write(const RigidPairs& pairs, bool limited, const Contacts&
        .manifolds = Untyped(manifolds_),
        .found = rows_of(counts_, before_),
        .rigid_contact_count = c.rigid_contact_count,
-       .rows = rows_of(c)});
+       .rows = rows_of(c),
+       .rows_filled = filled_});
   run(kernels().write_mesh, pairs.mesh_count(),
       {.mesh_pairs = pairs.mesh_rows(),
        .pairs = pairs.rows(),
@@ -214,9 +216,11 @@ void RigidLaunches::write(const RigidPairs& pairs, bool limited, const Contacts&
 }
 
 void RigidLaunches::clear(int64_t pairs, int64_t last, const Contacts& c) {
+  const Array none;
   run(kernels().clear, last + 1,
       {.pairs = pairs,
        .rigid_contact_count = c.rigid_contact_count,
+       .rows_filled = Untyped(pairs > 0 ? filled_ : none),
        .shape0 = c.rigid_contact_shape0,
        .rows = rows_of(c),
        .rigid_contact_force = c.rigid_contact_force});

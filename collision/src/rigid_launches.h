@@ -44,6 +44,7 @@ class RigidLaunches {
   Array shapes_, manifolds_, mesh_contacts_;  // of RigidShape, Manifold, MeshRows
   DeviceArray<int32_t> counts_, before_;      // PairRows
   DeviceArray<int32_t> sums_;                 // of a scan
+  DeviceArray<int32_t> filled_;               // how many rows were written
   // Of limit().
   DeviceArray<int32_t> limit_sums_, farther_, farther_before_;
   Array limit_;  // a RigidContactLimit

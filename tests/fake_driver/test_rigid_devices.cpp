@@ -22,6 +22,7 @@
 #include "novaphy/diff/rigid_losses.h"
 #include "novaphy/diff/tensor_views.h"
 #include "novaphy/diff/trajectory.h"
+#include "novaphy/dynamics/featherstone/solver_featherstone.h"
 #include "novaphy/dynamics/semi_implicit/contact_gradients.h"
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 #include "novaphy/nova/op_list.h"
@@ -238,6 +239,11 @@ TEST_F(RigidDevices, PairsForWhichACaptureHasNoRoomAreAnOverflow) {
               collides_before ? 4950 : 5000 + (4950 - 1600));
     EXPECT_EQ(contacts.rigid_contact_shape0.to_host()[1599], 17) << "the first pairs are there";
     EXPECT_EQ(contacts.rigid_contact_shape1.to_host()[1599], 70);
+    EXPECT_EQ(contacts.active_rigid_contact_count(), collides_before ? 4950 : 1600);
+    SolverFeatherstone solver(model);
+    SimState next = model->state();
+    solver.step(state, next, nullptr, &contacts, 1e-5f);
+    EXPECT_NO_THROW(solver.check_last_step()) << "an empty row is no contact";
   }
 }
 

@@ -117,3 +117,60 @@ def test_no_search_loses_a_contact(scene, seed):
         for name, mine, theirs in zip(NAMES, found, every, strict=True):
             assert mine.shape == theirs.shape, name
             assert_same_bits(mine, theirs)
+
+
+def crowd():
+    """A hundred spheres in one place, whose 4,950 pairs are more than a recording has room for."""
+    builder = novaphy.ModelBuilder()
+    for k in range(100):
+        body = builder.add_body(xform=(0.001 * k, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+        builder.add_shape_sphere(body, radius=0.1)
+    return builder.finalize()
+
+
+def rows_in_recording(model, state, contacts, pipeline):
+    with nova.ScopedCapture() as capture:
+        pipeline.collide(state, contacts)
+    capture.graph.launch()
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        novaphy.solvers.SolverSemiImplicit,
+        novaphy.solvers.SolverFeatherstone,
+        lambda model: novaphy.solvers.SolverFeatherstone(model, contact="penalty"),
+    ],
+    ids=["semi-implicit", "pgs", "penalty"],
+)
+def test_a_recorded_search_without_room_for_pairs_overflows_and_steps(make):
+    model = crowd()
+    state, after, expected = model.state(), model.state(), model.state()
+    pipeline = novaphy.CollisionPipeline(model, broad_phase="sap", rigid_contact_max=5000)
+    contacts = pipeline.contacts()
+    rows_in_recording(model, state, contacts, pipeline)
+    assert contacts.overflowed and contacts.rigid_contact_count.numpy()[0] == 5000 + (4950 - 1600)
+    assert contacts.active_rigid_contact_count == 1600
+    pairs = list(zip(*(c.numpy() for c in (contacts.rigid_contact_shape0,
+                                           contacts.rigid_contact_shape1)), strict=True))
+    assert pairs[:1600] == sorted((i, j) for i in range(100) for j in range(i + 1, 100))[:1600]
+    assert set(pairs[1600:]) == {(-1, -1)}
+    with pytest.warns(RuntimeWarning, match="8350 rigid contacts were found for 5000 slots"):
+        make(model).step(state, after, None, contacts, 1e-5)
+    fewer = novaphy.CollisionPipeline(model, shape_pairs_filtered=pairs[:1600]).contacts()
+    novaphy.CollisionPipeline(model, shape_pairs_filtered=pairs[:1600]).collide(state, fewer)
+    make(model).step(state, expected, None, fewer, 1e-5)
+    assert_same_bits(after.body_qd.numpy(), expected.body_qd.numpy())
+
+
+def test_an_overflow_of_pairs_leaves_no_rows_of_the_search_before():
+    model = crowd()
+    state = model.state()
+    pipeline = novaphy.CollisionPipeline(model, broad_phase="sap", rigid_contact_max=5000)
+    recorded = novaphy.CollisionPipeline(model, broad_phase="sap", rigid_contact_max=5000)
+    contacts = pipeline.contacts()
+    pipeline.collide(state, contacts)
+    assert contacts.active_rigid_contact_count == 4950
+    rows_in_recording(model, state, contacts, recorded)
+    assert contacts.active_rigid_contact_count == 1600
+    assert (contacts.rigid_contact_shape0.numpy()[1600:] == -1).all()

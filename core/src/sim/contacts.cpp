@@ -6,6 +6,7 @@
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
+#include "novaphy/core/sim/contact_count.h"
 #include "novaphy/core/sim/model.h"
 
 namespace novaphy {
@@ -117,7 +118,9 @@ int32_t Contacts::active_soft_contact_count() const {
 }
 
 int32_t Contacts::active_rigid_contact_count() const {
-  return std::clamp(rigid_contact_count.to_host()[0], 0, counts_.rigid_contact_max);
+  const int32_t count = rigid_contact_count.to_host()[0], most = counts_.rigid_contact_max;
+  if (count <= most) return std::max(count, 0);
+  return filled_rows(count, most, rigid_contact_shape0.to_host());
 }
 
 bool Contacts::overflowed() const {

@@ -1,9 +1,9 @@
 #include "novaphy/core/sim/input_checks.h"
 
-#include <algorithm>
 #include <cmath>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/contact_count.h"
 #include "novaphy/core/storage.h"
 
 namespace novaphy {
@@ -29,7 +29,8 @@ void check_normals(const char* function, const Contacts& contacts) {
   if (!contacts.device().is_cpu()) return;
   const Unobserved unobserved;
   const int32_t count =
-      std::clamp(*contacts.rigid_contact_count.data(), 0, contacts.rigid_contact_max());
+      filled_rows(*contacts.rigid_contact_count.data(), contacts.rigid_contact_max(),
+                  contacts.rigid_contact_shape0.data());
   const Vec3f* const normals = contacts.rigid_contact_normal.data();
   for (int32_t row = 0; row < count; ++row) {
     const Vec3f& n = normals[row];

@@ -7,6 +7,7 @@
 
 #include "contact_launches.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/contact_count.h"
 #include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/on_host.h"
 
@@ -106,7 +107,8 @@ ContactSteps::ContactSteps(const Model& m, const Articulations& articulations)
 art::ContactRows contact_rows(const Contacts* contacts) {
   if (contacts == nullptr) return {};
   const Contacts& c = *contacts;
-  return {std::clamp(*c.rigid_contact_count.data(), 0, c.rigid_contact_max()),
+  return {filled_rows(*c.rigid_contact_count.data(), c.rigid_contact_max(),
+                      c.rigid_contact_shape0.data()),
           c.rigid_contact_shape0.data(),
           c.rigid_contact_shape1.data(),
           c.rigid_contact_point_id.data(),

@@ -1,9 +1,8 @@
 #include "novaphy/dynamics/semi_implicit/contact_gradients.h"
 
-#include <algorithm>
-
 #include "novaphy/collision/geometry/clip_manifold.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/contact_count.h"
 #include "novaphy/core/sim/on_host.h"
 #include "novaphy/dynamics/semi_implicit/contact_follows_kernels.h"
 
@@ -24,7 +23,7 @@ std::vector<bool> exact_contact_gradients(const Model& model, const SimState& st
   const OnHost point0(contacts.rigid_contact_point0), point1(contacts.rigid_contact_point1),
       normal(contacts.rigid_contact_normal), shape_scale(model.shape_scale);
   const OnHost body_q(state.body_q), shape_transform(model.shape_transform);
-  const int32_t rows = std::clamp(count[0], 0, contacts.rigid_contact_max());
+  const int32_t rows = filled_rows(count[0], contacts.rigid_contact_max(), shape0.data());
   const bool follow = contacts.rigid_contacts_found_from(model, state.body_q);
   const FollowedContacts of = {.shape0 = direct(shape0.data()),
                                .shape1 = direct(shape1.data()),

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/contact_count.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/on_host.h"
 #include "novaphy/core/storage.h"
@@ -160,7 +161,8 @@ struct detail::TouchingRows {
         margin0(c.rigid_contact_margin0),
         margin1(c.rigid_contact_margin1),
         count(static_cast<size_t>(
-            std::clamp(OnHost<int32_t>(c.rigid_contact_count)[0], 0, c.rigid_contact_max()))),
+            filled_rows(OnHost<int32_t>(c.rigid_contact_count)[0],
+                                              c.rigid_contact_max(), shape0.data()))),
         is_pushed(pushed),
         bodies(of_bodies) {
     const auto shapes = static_cast<int32_t>(body.size());

@@ -1,8 +1,7 @@
 #include "rigid_bodies.h"
 
-#include <algorithm>
-
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/contact_count.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/dynamics/semi_implicit/rigid_integrator_trace.h"
 #include "novaphy/math/spatial.h"
@@ -23,7 +22,8 @@ void RigidBodies::prepare(const Model& m, const Contacts* contacts) {
     return;
   }
   count_.reset();
-  rows_ = std::clamp(*c.rigid_contact_count.data(), 0, c.rigid_contact_max());
+  rows_ = filled_rows(*c.rigid_contact_count.data(), c.rigid_contact_max(),
+                      c.rigid_contact_shape0.data());
   bodies_.resize(2 * static_cast<size_t>(rows_));
   const int32_t* const body = m.shape_body.data();
   const int32_t* const shapes[2] = {c.rigid_contact_shape0.data(), c.rigid_contact_shape1.data()};

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "novaphy/collision/diff_soft_contact_trace.h"
+#include "novaphy/core/sim/contact_count.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 #include "novaphy/math/matrix.h"
@@ -130,7 +131,8 @@ void find_rigid(const Model& m, const SimState& state, const Contacts& c,
                                        m.shape_material_kf.data()[s], m.shape_material_ka.data()[s],
                                        m.shape_material_mu.data()[s]};
   };
-  const int32_t count = std::min(*c.rigid_contact_count.data(), c.rigid_contact_max());
+  const int32_t count = filled_rows(*c.rigid_contact_count.data(), c.rigid_contact_max(),
+                                    c.rigid_contact_shape0.data());
   for (int32_t i = 0; i < count; ++i) {
     const int32_t s0 = c.rigid_contact_shape0.data()[i], s1 = c.rigid_contact_shape1.data()[i];
     if (s0 < 0 || s1 < 0) continue;

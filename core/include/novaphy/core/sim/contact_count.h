@@ -1,0 +1,24 @@
+// How many rows of contacts are filled, for the host and for kernels.
+#pragma once
+
+#include <cstdint>
+
+namespace novaphy {
+
+// Of `count` contacts for `most` slots. A recorded search without room in its list of pairs counts
+// pairs that have no rows, and leaves the last slots empty. `shape0`: {most}, negative in these.
+template <class Column>
+int32_t filled_rows(int32_t count, int64_t most, const Column& shape0) {
+  if (count <= most) return count < 0 ? 0 : count;
+  int64_t filled = 0, end = most;
+  while (filled < end) {
+    const int64_t middle = (filled + end) / 2;
+    if (shape0[middle] < 0)
+      end = middle;
+    else
+      filled = middle + 1;
+  }
+  return static_cast<int32_t>(filled);
+}
+
+}  // namespace novaphy

@@ -162,16 +162,15 @@ def control_ranges(model: _core.Model) -> Iterator[tuple[str, float, float]]:
 
 def joint_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, float]]:
     """Row of joint_q, name and range (rad, m) of every coordinate that a slider can move."""
-    kinds, labels = model.joint_type.numpy(), model.joint_label
+    labels, axes = model.joint_label, model.joint_dof_dim.numpy()
     rows, dofs = model.joint_q_start.numpy(), model.joint_qd_start.numpy()
     lower, upper = model.joint_limit_lower.numpy(), model.joint_limit_upper.numpy()
-    turns = (_core.JointType.REVOLUTE, _core.JointType.D6)
-    for joint, kind in enumerate(kinds):
-        if kind not in (*turns, _core.JointType.PRISMATIC):
-            continue
-        unit = "rad" if kind in turns else "m"
-        count = dofs[joint + 1] - dofs[joint]
+    for joint, (linear, angular) in enumerate(axes):
+        count = linear + angular
+        if rows[joint + 1] - rows[joint] != count:
+            continue  # a quaternion
         for k in range(count):
+            unit = "m" if k < linear else "rad"
             low, high = float(lower[dofs[joint] + k]), float(upper[dofs[joint] + k])
             if not -UNLIMITED < low < high < UNLIMITED:
                 low, high = -REACH[unit], REACH[unit]

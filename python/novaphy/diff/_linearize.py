@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._core import JointType
 from .._core.diff import (
     control_joint_f_tensor,
     control_joint_target_q_tensor,
@@ -125,18 +124,19 @@ class _Rows:
             )
 
         self.q, self.qd = rows_of(q_start), rows_of(qd_start)
-        # Joint by joint: its kind, its first coordinate and its first dof in the world.
+        # Joint by joint: its first coordinate and its first dof in the world, its dofs, and those
+        # before its quaternion.
         self.joints: list[tuple[int, int, int, int]] = []
         at_q = at_qd = 0
-        for kind, coordinates, dofs in shape[0]:
-            self.joints.append((int(kind), at_q, at_qd, int(dofs)))
+        for _kind, coordinates, dofs in shape[0]:
+            before = dofs if coordinates == dofs else dofs - 3
+            self.joints.append((at_q, at_qd, int(dofs), int(before)))
             at_q, at_qd = at_q + int(coordinates), at_qd + int(dofs)
 
     def coordinates(self, q: NDArray[np.float32]) -> NDArray[np.float32]:
         """The derivative of coordinates by tangents, {worlds, coordinates, n}."""
         result = np.zeros((*self.q.shape, self.qd.shape[1]), np.float32)
-        for kind, at_q, at_qd, dofs in self.joints:
-            turn = {JointType.BALL: 0, JointType.FREE: 3}.get(JointType(kind), dofs)
+        for at_q, at_qd, dofs, turn in self.joints:
             for k in range(turn):
                 result[:, at_q + k, at_qd + k] = 1.0
             if turn < dofs:
@@ -148,9 +148,8 @@ class _Rows:
     def tangents(self, q: NDArray[np.float32]) -> NDArray[np.float32]:
         """The derivative of tangents by coordinates, {worlds, n, coordinates}."""
         result = self.coordinates(q).transpose(0, 2, 1).copy()
-        for kind, at_q, at_qd, _dofs in self.joints:
-            if kind in (JointType.BALL, JointType.FREE):
-                turn = 0 if kind == JointType.BALL else 3
+        for at_q, at_qd, dofs, turn in self.joints:
+            if turn < dofs:
                 # (r, 0) q / 2 has the length |r| / 2 in every direction.
                 result[:, at_qd + turn : at_qd + turn + 3, at_q + turn : at_q + turn + 4] *= 4.0
         return result

@@ -9,6 +9,7 @@
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/input_checks.h"
+#include "novaphy/core/sim/joint_types.h"
 #include "novaphy/dynamics/diff_model_reads.h"
 #include "novaphy/dynamics/semi_implicit/friction_laws.h"
 #include "novaphy/nova/op_list.h"

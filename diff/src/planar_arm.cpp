@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/joint_types.h"
 #include "novaphy/dynamics/diff_model_reads.h"
 #include "novaphy/dynamics/diff_solver_base.h"
 #include "novaphy/math/functions.h"

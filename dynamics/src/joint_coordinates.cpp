@@ -6,6 +6,7 @@
 #include "joint_coordinates_kernels.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/joint_types.h"
 #include "novaphy/core/sim/on_host.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/math/functions.h"
@@ -48,11 +49,9 @@ void check_arguments(const char* name, const Model& m, const SimState& state,
 // Before anything is written.
 void check_quaternions(const Model& m, const float* q) {
   for (int32_t j = 0; j < m.joint_count(); ++j) {
-    const auto type = static_cast<JointType>(m.joint_type.data()[j]);
-    const bool ball = type == JointType::BALL;
-    const bool six = type == JointType::FREE || type == JointType::DISTANCE;
-    if (m.joint_articulation.data()[j] < 0 || !(ball || six)) continue;
-    const float* const r = q + m.joint_q_start.data()[j] + (ball ? 0 : 3);
+    const int32_t at = quaternion_at(static_cast<JointType>(m.joint_type.data()[j]));
+    if (m.joint_articulation.data()[j] < 0 || at < 0) continue;
+    const float* const r = q + m.joint_q_start.data()[j] + at;
     const float square = ((r[0] * r[0] + r[1] * r[1]) + r[2] * r[2]) + r[3] * r[3];
     require(square > 0.0f && std::isfinite(square), ErrorKind::Value, "eval_fk: joint_q of joint ",
             j, ": expected a quaternion that is not zero, got (", r[0], ", ", r[1], ", ", r[2],
@@ -66,7 +65,7 @@ void check_perpendicular(const Model& m) {
   const OnHost<Vec3f> axis(m.joint_axis);
   for (int32_t j = 0; j < m.joint_count(); ++j) {
     const auto joint = static_cast<size_t>(j);
-    if (type[joint] != static_cast<int32_t>(JointType::D6)) continue;
+    if (!joint_traits(static_cast<JointType>(type[joint])).is_chain) continue;
     const Vec3f* const axes = axis.data() + start[joint];
     const int linear = dims[joint].x, all = linear + dims[joint].y;
     for (int a = 0; a < all; ++a)

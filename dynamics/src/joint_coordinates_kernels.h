@@ -5,7 +5,6 @@
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
-#include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/articulation/joint_links.h"
 #include "novaphy/dynamics/articulation/kinematics.h"
 #include "novaphy/dynamics/joint_kinematics_trace.h"
@@ -19,21 +18,15 @@ struct JointArrays {
                     Reads<Vec2i> joint_dof_dim; Reads<Transformf> joint_X_p, joint_X_c;
                     Reads<Vec3f> joint_axis; Reads<Vec3f> body_com;)
 
-  bool is(int32_t j, JointType wanted) const {
-    return joint_type[j] == static_cast<int32_t>(wanted);
-  }
-  bool is_six(int32_t j) const { return is(j, JointType::FREE) || is(j, JointType::DISTANCE); }
+  JointType type(int32_t j) const { return static_cast<JointType>(joint_type[j]); }
   JointAxes<float> axes(int32_t j) const {
     return {joint_axis + joint_qd_start[j], joint_dof_dim[j].x, joint_dof_dim[j].y,
-            is(j, JointType::BALL)};
+            quaternion_at(type(j)) == 0};
   }
   articulation::JointRows rows(int32_t j) const {
-    return {static_cast<JointType>(joint_type[j]),
-            j,
-            joint_child[j],
-            joint_q_start[j],
-            joint_qd_start[j],
-            joint_qd_start[j + 1] - joint_qd_start[j],
+    return {type(j),           j,
+            joint_child[j],    joint_q_start[j],
+            joint_qd_start[j], joint_qd_start[j + 1] - joint_qd_start[j],
             joint_dof_dim[j].x};
   }
 };
@@ -120,10 +113,11 @@ NOVAPHY_ROW_KERNEL(eval_ik_joint, EvalIkArguments) {
   JointMotion<float> motion;
   motion.pose = {math::rotate_inverse(anchor.q, at.p - anchor.p),
                  math::multiply(math::conjugate(anchor.q), at.q)};
-  const Vec3f point = joints.is_six(j) ? child.com : at.p;
+  const bool is_pose = has_pose(joints.type(j));
+  const Vec3f point = is_pose ? child.com : at.p;
   motion.rate = {math::rotate_inverse(anchor.q, child.velocity(point) - parent.velocity(point)),
                  math::rotate_inverse(anchor.q, child.twist.angular - parent.twist.angular)};
-  if (!joints.is_six(j)) return joint_coordinates(joints.axes(j), motion, c, rate);
+  if (!is_pose) return joint_coordinates(joints.axes(j), motion, c, rate);
   const Transformf& x = motion.pose;
   const float pose[] = {x.p.x, x.p.y, x.p.z, x.q.x, x.q.y, x.q.z, x.q.w};
   const Vec3f &v = motion.rate.linear, &w = motion.rate.angular;

@@ -7,6 +7,7 @@
 #include "novaphy/collision/collision_pipeline.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/contacts.h"
+#include "novaphy/core/sim/joint_types.h"
 #include "shape_pairs.h"
 
 namespace novaphy::python {
@@ -474,13 +475,11 @@ void bind_enums(py::module_& m) {
             {"CONE", value_of(GeoType::CONE)},
             {"CONVEX_MESH", value_of(GeoType::CONVEX_MESH)}});
   add_enum(m, "IntEnum", "JointType", "The type of a joint, see Model.joint_type.",
-           {{"PRISMATIC", value_of(JointType::PRISMATIC)},
-            {"REVOLUTE", value_of(JointType::REVOLUTE)},
-            {"BALL", value_of(JointType::BALL)},
-            {"FIXED", value_of(JointType::FIXED)},
-            {"FREE", value_of(JointType::FREE)},
-            {"DISTANCE", value_of(JointType::DISTANCE)},
-            {"D6", value_of(JointType::D6)}});
+           {
+#define NOVAPHY_VALUE(name, value, ...) {#name, value},
+               NOVAPHY_JOINT_TYPES(NOVAPHY_VALUE)
+#undef NOVAPHY_VALUE
+           });
   add_enum(m, "IntEnum", "ActuatorDynamics",
            "How the activation of an actuator follows its control.",
            {{"NONE", value_of(ActuatorDynamics::NONE)},

@@ -8,7 +8,7 @@ inline constexpr char kFeatherstone[] =
 articulation stands, and for any number of threads. DiffFeatherstoneSolver is the differentiable
 one.
 
-joints: PRISMATIC, REVOLUTE, BALL, FIXED, FREE and D6; drives by target mode, limits, effort and
+joints: all types but DISTANCE; drives by target mode, limits, effort and
 velocity limits, damping, armature, dry friction.
 forces: joint_f, body_f, gravity, angular damping, and contacts of shapes. Arrays without effect
 (joint_enabled, joint_act, ...) raise NotImplementedError.

@@ -155,7 +155,7 @@ def test_arguments_and_other_solvers_are_refused_by_name():
     joint = builder.add_joint_revolute(body, link)
     for arguments, error, message in (
         ((9,), IndexError, "joint: expected 0 to 1, got 9"),
-        ((0,), ValueError, "expected a REVOLUTE, PRISMATIC or D6 joint, got FREE"),
+        ((0,), ValueError, "expected a joint with axes, such as REVOLUTE or D6, got FREE"),
     ):
         with pytest.raises(error, match=message):
             builder.add_actuator(*arguments)

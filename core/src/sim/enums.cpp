@@ -1,5 +1,7 @@
 #include "novaphy/core/sim/enums.h"
 
+#include "novaphy/core/sim/joint_types.h"
+
 namespace novaphy {
 
 const char* geo_type_name(GeoType type) {
@@ -32,20 +34,11 @@ const char* geo_type_name(GeoType type) {
 
 const char* joint_type_name(JointType type) {
   switch (type) {
-    case JointType::PRISMATIC:
-      return "PRISMATIC";
-    case JointType::REVOLUTE:
-      return "REVOLUTE";
-    case JointType::BALL:
-      return "BALL";
-    case JointType::FIXED:
-      return "FIXED";
-    case JointType::FREE:
-      return "FREE";
-    case JointType::DISTANCE:
-      return "DISTANCE";
-    case JointType::D6:
-      return "D6";
+#define NOVAPHY_NAME(name, ...) \
+  case JointType::name:         \
+    return #name;
+    NOVAPHY_JOINT_TYPES(NOVAPHY_NAME)
+#undef NOVAPHY_NAME
   }
   return "unknown";
 }

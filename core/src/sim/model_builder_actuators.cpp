@@ -13,10 +13,9 @@ int32_t ModelBuilder::add_actuator(int32_t joint, const ActuatorArgs& args) {
   require(joint >= 0 && joint < joint_count(), ErrorKind::Index, name, ": joint: expected 0 to ",
           joint_count() - 1, ", got ", joint);
   const Joint& of = joints_[static_cast<size_t>(joint)];
-  require(
-      of.type == JointType::REVOLUTE || of.type == JointType::PRISMATIC || of.type == JointType::D6,
-      ErrorKind::Value, name, ": joint ", joint, " (\"", of.label,
-      "\"): expected a REVOLUTE, PRISMATIC or D6 joint, got ", joint_type_name(of.type));
+  require(has_axes(of.type), ErrorKind::Value, name, ": joint ", joint, " (\"", of.label,
+          "\"): expected a joint with axes, such as REVOLUTE or D6, got ",
+          joint_type_name(of.type));
   const int32_t axes = of.linear + of.angular;
   require(args.axis >= 0 && args.axis < axes, ErrorKind::Index, name, ": axis: expected 0 to ",
           axes - 1, " of joint ", joint, " (\"", of.label, "\"), got ", args.axis);

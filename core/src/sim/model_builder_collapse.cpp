@@ -47,7 +47,7 @@ std::vector<char> ModelBuilder::joints_that_stay(std::span<const std::string> ke
         joint.parent >= 0 &&
         bodies_[child].gravcomp != bodies_[static_cast<size_t>(joint.parent)].gravcomp;
     const bool root_of_many = joint.articulation >= 0 && joint.parent < 0 && children[child] > 1;
-    if (joint.type == JointType::FIXED && joint.enabled && !kept && held[child] == 1 &&
+    if (!can_move(joint.type) && joint.enabled && !kept && held[child] == 1 &&
         !(bodies_[child].is_kinematic && joint.parent >= 0) && !root_of_many && !is_lifted)
       stays[j] = 0;
   }

@@ -19,46 +19,28 @@ struct JointSize {
 };
 
 JointSize joint_size(JointType type, const JointArgs& args) {
+  const JointTraits traits = joint_traits(type);
   const auto linear = static_cast<int32_t>(args.linear_axes.size());
   const auto angular = static_cast<int32_t>(args.angular_axes.size());
-  switch (type) {
-    case JointType::BALL:
-      return {0, 3, 4};
-    case JointType::FREE:
-    case JointType::DISTANCE:
-      return {3, 3, 7};
-    default:
-      return {linear, angular, linear + angular};
-  }
-}
-
-// The first coordinate of the quaternion of a joint; -1: it has none.
-int32_t quaternion_at(JointType type) {
-  if (type == JointType::BALL) return 0;
-  return type == JointType::FREE || type == JointType::DISTANCE ? 3 : -1;
+  return {linear + traits.linear, angular + traits.angular,
+          coordinate_count(type, linear + angular)};
 }
 
 void check_axis_counts(std::string_view name, JointType type, const JointArgs& args) {
-  const size_t linear = args.linear_axes.size(), angular = args.angular_axes.size();
-  const auto check = [&](bool good, const char* expected) {
-    require(good, ErrorKind::Value, name, ": linear_axes, angular_axes: expected ", expected,
-            " of a ", joint_type_name(type), " joint, got ", linear, " and ", angular);
-  };
-  switch (type) {
-    case JointType::REVOLUTE:
-      return check(linear == 0 && angular == 1, "0 and 1");
-    case JointType::PRISMATIC:
-      return check(linear == 1 && angular == 0, "1 and 0");
-    case JointType::D6:
-      return check(linear <= 3 && angular <= 3, "up to 3 each");
-    case JointType::BALL:
-    case JointType::FIXED:
-    case JointType::FREE:
-    case JointType::DISTANCE:
-      return check(linear == 0 && angular == 0, "none");
-  }
-  fail(ErrorKind::Value, name, ": joint_type: expected a JointType, got ",
-       static_cast<int32_t>(type));
+  const std::string_view of = joint_type_name(type);
+  require(of != "unknown", ErrorKind::Value, name, ": joint_type: expected a JointType, got ",
+          static_cast<int32_t>(type));
+  const JointTraits traits = joint_traits(type);
+  const JointAxisCount l = traits.linear_axes, a = traits.angular_axes;
+  const auto linear = static_cast<int32_t>(args.linear_axes.size());
+  const auto angular = static_cast<int32_t>(args.angular_axes.size());
+  const std::string exactly = std::to_string(l.most) + " and " + std::to_string(a.most);
+  require(l.least <= linear && linear <= l.most && a.least <= angular && angular <= a.most,
+          ErrorKind::Value, name, ": linear_axes, angular_axes: expected ",
+          !has_axes(type)     ? "none"
+          : l.least == l.most ? exactly
+                              : "up to " + std::to_string(l.most) + " each",
+          " of a ", of, " joint, got ", linear, " and ", angular);
 }
 
 void check_target_mode(const Where& where, int32_t mode) {
@@ -434,8 +416,8 @@ void ModelBuilder::add_constraint_mimic(int32_t joint0, int32_t joint1, float co
     require(index >= 0 && index < joint_count(), ErrorKind::Index, name, ": ", argument,
             ": expected 0 to ", joint_count() - 1, ", got ", index);
     const Joint& joint = joints_[static_cast<size_t>(index)];
-    require(joint.type == JointType::REVOLUTE || joint.type == JointType::PRISMATIC,
-            ErrorKind::Value, name, ": ", argument, ": joint ", index, " (\"", joint.label,
+    require(has_axes(joint.type) && !joint_traits(joint.type).is_chain, ErrorKind::Value, name,
+            ": ", argument, ": joint ", index, " (\"", joint.label,
             "\"): expected a REVOLUTE or PRISMATIC joint, got ", joint_type_name(joint.type));
   };
   one_dof("joint0", joint0);

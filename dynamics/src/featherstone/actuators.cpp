@@ -7,6 +7,7 @@
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/joint_args.h"
+#include "novaphy/core/sim/joint_types.h"
 #include "novaphy/core/sim/on_host.h"
 #include "novaphy/dynamics/featherstone/articulation_functions.h"
 
@@ -70,8 +71,7 @@ Actuators::Actuators(const Model& m) : any_(m.actuator_count() > 0) {
   std::vector<int32_t> coord(static_cast<size_t>(m.joint_dof_count()), -1);
   const OnHost<int32_t> type(m.joint_type), q(m.joint_q_start), qd(m.joint_qd_start);
   for (size_t j = 0; j + 1 < q.size(); ++j) {
-    const auto of = static_cast<JointType>(type[j]);
-    if (of != JointType::REVOLUTE && of != JointType::PRISMATIC && of != JointType::D6) continue;
+    if (!has_axes(static_cast<JointType>(type[j]))) continue;
     for (int32_t k = qd[j]; k < qd[j + 1]; ++k) coord[static_cast<size_t>(k)] = q[j] + k - qd[j];
   }
   coord_ = DeviceArray<int32_t>::from_host(coord, device);

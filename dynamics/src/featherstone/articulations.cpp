@@ -321,9 +321,9 @@ void Articulations::check_without_drive(const Model& m, const char* user) const 
                             {"joint_damping", damping.data(), true}};
   for (int32_t k = 0; k < m.joint_dof_count(); ++k) {
     const auto row = static_cast<size_t>(k);
-    const LinkJoint joint = joint_of_dof_[row];
-    if (joint == LinkJoint::Prismatic || joint == LinkJoint::Revolute) continue;
-    const bool ball = joint == LinkJoint::Ball;
+    const articulation::Link of = {.joint = joint_of_dof_[row]};
+    if (articulation::has_one_dof(of)) continue;
+    const bool ball = articulation::has_damping(of);
     for (const Number& n : numbers)
       require(n.values[k] == 0.0f || (ball && n.on_ball), ErrorKind::NotImplemented, user,
               ": model.", n.name, "[", k, "]: ", dof_name(m, k), " is of a ",

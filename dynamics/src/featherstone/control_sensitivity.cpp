@@ -9,6 +9,7 @@
 #include "active_contacts.h"
 #include "articulation_step.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/joint_types.h"
 #include "novaphy/dynamics/articulation/control_sensitivity.h"
 #include "novaphy/dynamics/articulation/dual.h"
 
@@ -70,8 +71,7 @@ void check_joints(const Model& m, const ControlSensitivityOptions& o) {
   const int32_t end = m.articulation_end.data()[o.articulation];
   for (int32_t j = start; j < end; ++j) {
     const auto type = static_cast<JointType>(m.joint_type.data()[j]);
-    if (type == JointType::FIXED || type == JointType::PRISMATIC || type == JointType::REVOLUTE)
-      continue;
+    if (quaternion_at(type) < 0 && !joint_traits(type).is_chain) continue;
     const std::string& label = m.joint_label[static_cast<size_t>(j)];
     require(type == JointType::FREE, ErrorKind::NotImplemented, kName, ": model: joint ", j, " ('",
             label, "'): only FIXED, PRISMATIC and REVOLUTE joints, and a FREE root, are covered");
@@ -140,7 +140,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     };
     for (int32_t i = 0; i < tree.link_count; ++i) {
       const articulation::Link& link = tree.links[i];
-      const int32_t coords = articulation::is_free(link) ? 7 : link.dofs;
+      const int32_t coords = articulation::coordinate_count(link);
       for (int32_t k = link.coord; !touches && k < link.coord + coords; ++k)
         if (!near(state.joint_q.data(), q_, k)) return false;
       for (int32_t k = link.dof; k < link.dof + link.dofs; ++k)

@@ -11,6 +11,7 @@
 #include "joint_forces.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
+#include "novaphy/core/sim/joint_types.h"
 #include "novaphy/dynamics/semi_implicit/diff_body_contacts.h"
 #include "novaphy/dynamics/semi_implicit/penalty_joint_trace.h"
 #include "novaphy/nova/op_list.h"
@@ -33,10 +34,10 @@ constexpr int32_t kDofs = 6;                               // of a joint, at mos
 constexpr int32_t kFree = 16, kDistance = 17, kBall = 18;  // layouts besides 4 linear + angular
 
 int32_t layout_of(JointType type, const Vec2i& dims) {
-  if (type == JointType::FREE) return kFree;
-  if (type == JointType::DISTANCE) return kDistance;
-  if (type == JointType::BALL) return kBall;
-  return 4 * dims.x + dims.y;
+  const JointTraits traits = joint_traits(type);
+  if (traits.constraint == JointConstraint::NONE) return kFree;
+  if (traits.constraint == JointConstraint::DISTANCE) return kDistance;
+  return traits.quaternion >= 0 ? kBall : 4 * dims.x + dims.y;
 }
 
 JointBody<Real> load_body(TraceContext& c, const Int& body) {

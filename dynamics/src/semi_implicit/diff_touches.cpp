@@ -7,6 +7,7 @@
 
 #include "diff_touch_motion.h"
 #include "novaphy/core/sim/enums.h"
+#include "novaphy/core/sim/joint_types.h"
 #include "novaphy/math/spatial.h"
 #include "novaphy/nova/op_list.h"
 

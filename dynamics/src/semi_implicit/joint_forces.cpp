@@ -9,6 +9,7 @@
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/sim/joint_args.h"
+#include "novaphy/core/sim/joint_types.h"
 #include "novaphy/dynamics/semi_implicit/penalty_joint_trace.h"
 #include "novaphy/math/spatial.h"
 
@@ -47,10 +48,9 @@ void check_without_drive(const Model& m, const char* solver) {
                          bool of_ball, bool of_distance) {
     const std::vector<float> values = array.to_host();
     for (size_t j = 0; j < type.size(); ++j) {
-      const bool ball = type[j] == static_cast<int32_t>(JointType::BALL);
-      const bool distance = type[j] == static_cast<int32_t>(JointType::DISTANCE);
-      const bool free = type[j] == static_cast<int32_t>(JointType::FREE);
-      if (!(ball && of_ball) && !distance && !free) continue;
+      const JointTraits traits = joint_traits(static_cast<JointType>(type[j]));
+      const bool distance = traits.constraint == JointConstraint::DISTANCE;
+      if (traits.quaternion < (of_ball ? 0 : 1)) continue;
       for (int32_t k = start[j] + (distance && of_distance ? 1 : 0); k < start[j + 1]; ++k)
         require(values[static_cast<size_t>(k)] == by_default, ErrorKind::NotImplemented, solver,
                 ": model.", name, "[", k, "]: expected ", by_default, " of a ",
@@ -200,7 +200,7 @@ void JointForces::check_covered(const Model& m, const char* solver) {
   const std::vector<int32_t> flags = m.body_flags.to_host();
   const std::vector<float> mass = m.body_mass.to_host();
   for (size_t j = 0; j < type.size(); ++j) {
-    if (type[j] != static_cast<int32_t>(JointType::D6)) continue;
+    if (!joint_traits(static_cast<JointType>(type[j])).is_chain) continue;
     const int32_t first = start[j], middle = first + dims[j].x;
     check_perpendicular(axes, first, middle, j, solver);
     check_perpendicular(axes, middle, middle + dims[j].y, j, solver);
@@ -245,7 +245,7 @@ void JointForces::check_edits(const Model& m, const Control* control, const char
 static float joint_stable_dt(const HostJoints& m, size_t joint, const JointAttachOptions& attach) {
   float longest = std::numeric_limits<float>::infinity();
   const JointType type = m.type_of(joint);
-  if (type == JointType::FREE || type == JointType::DISTANCE) return longest;
+  if (joint_traits(type).constraint != JointConstraint::AXES) return longest;
   const Vec2i dims = m.dims[joint];
   const Transformf frames[2] = {m.frame[0][joint], m.frame[1][joint]};
   const int32_t bodies[2] = {m.parent[joint], m.child[joint]};
@@ -260,7 +260,7 @@ static float joint_stable_dt(const HostJoints& m, size_t joint, const JointAttac
     } else if (dims.x < 3) {
       longest = std::min(longest, stable_dt(body.linear, attach.ke, attach.kd));
     }
-    if (type == JointType::BALL || dims.y > 1) continue;
+    if (dims.y > 1) continue;
     Vec3f axis{};
     if (dims.y == 1)
       axis = math::rotate(frames[side].q, m.axis[static_cast<size_t>(m.qd_start[joint] + dims.x)]);
@@ -274,7 +274,8 @@ void JointForces::find_sides(const HostJoints& m, int32_t body_count) {
   bodies_.assign(2 * m.type.size(), -1);
   for (size_t j = 0; j < m.type.size(); ++j) {
     if (m.enabled[j] == 0) continue;
-    bodies_[2 * j] = m.type_of(j) == JointType::FREE ? -1 : m.parent[j];
+    bodies_[2 * j] =
+        joint_traits(m.type_of(j)).constraint == JointConstraint::NONE ? -1 : m.parent[j];
     bodies_[2 * j + 1] = m.child[j];
   }
   sides_.build(bodies_, body_count);
@@ -327,22 +328,22 @@ void JointForces::evaluate(const Model& m, const SimState& state, const Control*
       const size_t first = 2 * static_cast<size_t>(j);
       if (bodies_[first + 1] < 0) continue;  // not enabled
       const JointType type = type_of(m, static_cast<int32_t>(j));
-      const bool six = type == JointType::FREE || type == JointType::DISTANCE;
+      const JointConstraint constraint = joint_traits(type).constraint;
       JointWrench<float> wrench;
       JointDof<float> d[6];
       const int32_t count = dims[j].x + dims[j].y;
       for (int32_t k = 0; k < count; ++k)
-        d[k] = dofs.at(qd_start[j] + k, six || type == JointType::BALL ? -1 : q_start[j] + k);
-      if (type != JointType::FREE) {
+        d[k] = dofs.at(qd_start[j] + k, has_axes(type) ? q_start[j] + k : -1);
+      if (constraint != JointConstraint::NONE) {
         const JointFrames<float> frames =
             joint_frames(body(parent[j]), body(child[j]), x_p[j], x_c[j]);
-        wrench = type == JointType::DISTANCE
+        wrench = constraint == JointConstraint::DISTANCE
                      ? distance_joint_wrench(frames, d[0])
                      : penalty_joint_wrench(frames, d, dims[j].x, dims[j].y,
-                                            type == JointType::BALL, attach);
+                                            quaternion_at(type) == 0, attach);
       }
       // A wrench in the world about the child's centre of mass.
-      if (six)
+      if (has_pose(type))
         wrench.child = wrench.child + SpatialVectorf{{d[0].force, d[1].force, d[2].force},
                                                      {d[3].force, d[4].force, d[5].force}};
       wrenches_[first] = wrench.parent;

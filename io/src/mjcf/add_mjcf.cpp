@@ -32,11 +32,11 @@ void set_start(MjcfContext& context) {
         joint.parent_pose = {{q[at], q[at + 1], q[at + 2]},
                              {q[at + 3], q[at + 4], q[at + 5], q[at + 6]}};
         at += 7;
-      } else if (joint.type == JointType::BALL) {
+      } else if (quaternion_at(joint.type) == 0) {
         joint.start = {q[at], q[at + 1], q[at + 2], q[at + 3]};
         at += 4;
       }
-      if (joint.type == JointType::FREE || joint.type == JointType::BALL) continue;
+      if (quaternion_at(joint.type) >= 0) continue;
       for (double& start : joint.start) start = q[at++];
     }
   });
@@ -80,7 +80,7 @@ void add_keyframes(const MjcfContext& context, const Posed& xform, int32_t coord
         std::copy(std::begin(values), std::end(values), q.begin() + static_cast<ptrdiff_t>(at));
         at += 7;
       } else {
-        at += joint.type == JointType::BALL ? 4 : joint.linear.size() + joint.angular.size();
+        at += static_cast<size_t>(joint.coordinates());
       }
     }
     double time[1] = {0.0};

@@ -135,7 +135,7 @@ std::vector<double> coordinates_of(const MjcfContext& context, const Element& e,
       p.p.x = next(), p.p.y = next(), p.p.z = next();
       p.q = quaternion();
       pose(p);
-    } else if (joint.type == JointType::BALL) {
+    } else if (quaternion_at(joint.type) == 0) {
       const Quatd v = quaternion();
       for (const double each : {v.x, v.y, v.z, v.w}) q.push_back(each);
     }

@@ -118,7 +118,7 @@ class StartDynamics {
     const bool is_free = joint.type == JointType::FREE && !robot_.links[child].is_kinematic;
     if (is_free)
       for (const Vec3d& axis : kAxes) add(axis, false, joint.armature);
-    if (is_free || joint.type == JointType::BALL)
+    if (is_free || quaternion_at(joint.type) == 0)
       for (const Vec3d& axis : kAxes) add(axis, true, joint.armature);
     // Angles before that of an axis are 0, but for a ref, with which a hinge is alone.
     for (const auto* axes : {&joint.linear, &joint.angular})

@@ -57,7 +57,7 @@ void add_mass(RobotLink& to, double mass, const Vec3d& com, const Mat33d& inerti
 // The pose of the child's joint frame in the parent's at the start.
 Posed start_pose(const RobotJoint& joint) {
   Posed pose = identity_pose();
-  if (joint.type == JointType::BALL && joint.start.size() == 4)
+  if (quaternion_at(joint.type) == 0 && joint.start.size() == 4)
     pose.q = {joint.start[0], joint.start[1], joint.start[2], joint.start[3]};
   size_t k = 0;
   const auto unit = [](const Vec3f& a) {
@@ -94,7 +94,7 @@ std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
     mover[static_cast<size_t>(robot.joints[j].child)] = static_cast<int32_t>(j);
   const auto goes = [&](int32_t link) {
     const RobotJoint& joint = robot.joints[static_cast<size_t>(mover[static_cast<size_t>(link)])];
-    return joint.type == JointType::FIXED && joint.parent >= 0 && is_lifted_alike(robot, joint);
+    return !can_move(joint.type) && joint.parent >= 0 && is_lifted_alike(robot, joint);
   };
   std::vector<std::pair<int32_t, Posed>> place;
   std::vector<int32_t> renamed(robot.links.size(), -1);

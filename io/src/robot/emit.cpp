@@ -60,9 +60,7 @@ std::vector<int32_t> tree_order(const Robot& robot, const Children& children, in
 
 // Joints start at 0, or where the file says: where that is outside of their limits, at the nearest.
 void start_within_limits(RobotJoint& joint) {
-  if (joint.type != JointType::REVOLUTE && joint.type != JointType::PRISMATIC &&
-      joint.type != JointType::D6)
-    return;
+  if (!has_axes(joint.type)) return;
   joint.start.resize(joint.linear.size() + joint.angular.size(), 0.0);
   const auto within = [](double q, const JointDofConfig& dof) {
     const double lower = dof.limit_lower, upper = dof.limit_upper;
@@ -324,11 +322,10 @@ class Emitter {
       return builder_.add_joint(joint.type, parent, body_[static_cast<size_t>(joint.child)], args);
     });
     joint_[static_cast<size_t>(j)] = index;
-    const size_t coords =
-        joint.type == JointType::BALL ? 4 : joint.linear.size() + joint.angular.size();
+    const auto coords = static_cast<size_t>(joint.coordinates());
     for (size_t k = 0; k < joint.start.size() && k < coords; ++k)
       builder_.joint_q[builder_.joint_q.size() - coords + k] = static_cast<float>(joint.start[k]);
-    if (joint.type == JointType::BALL || joint.type == JointType::FREE)
+    if (quaternion_at(joint.type) >= 0)
       for (auto row = static_cast<size_t>(dof_[static_cast<size_t>(j)]);
            row < builder_.joint_damping.size(); ++row) {
         builder_.joint_damping[row] = static_cast<float>(joint.damping);
@@ -353,7 +350,7 @@ class Emitter {
     const auto is_one_part = [&](const RobotJoint& joint) {
       if (joint.parent >= 0 && robot_.links[static_cast<size_t>(joint.parent)].is_between)
         return true;
-      return joint.type == JointType::FIXED && (joint.parent >= 0 || options_.pairs_of_mujoco);
+      return !can_move(joint.type) && (joint.parent >= 0 || options_.pairs_of_mujoco);
     };
     for (const RobotJoint& joint : robot_.joints)
       if (is_one_part(joint)) {

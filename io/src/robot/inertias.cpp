@@ -50,7 +50,7 @@ void mend_inertias(Robot& robot, bool moving, bool on_world,
     RobotLink& link = robot.links[static_cast<size_t>(joint->child)];
     if (link.is_kinematic || (link.mass == 0.0 && is_zero(link.inertia))) continue;
     if (link.mass > 0.0 && has_extent(link.inertia)) continue;
-    if (joint->type == JointType::FIXED && (joint->parent >= 0 || on_world)) {
+    if (!can_move(joint->type) && (joint->parent >= 0 || on_world)) {
       if (joint->parent >= 0) {
         RobotLink& parent = robot.links[static_cast<size_t>(joint->parent)];
         const Posed pose = math::multiply(joint->parent_pose, math::inverse(joint->child_pose));
@@ -90,10 +90,8 @@ void mend_inertias(Robot& robot, bool moving, bool on_world,
   }
   for (RobotJoint& joint : robot.joints) {
     const auto child = static_cast<size_t>(joint.child);
-    if (below[child] > 0.0 || joint.type == JointType::FIXED || robot.links[child].is_kinematic)
-      continue;
-    bool changes =
-        joint.armature == 0.0 && (joint.type == JointType::FREE || joint.type == JointType::BALL);
+    if (below[child] > 0.0 || !can_move(joint.type) || robot.links[child].is_kinematic) continue;
+    bool changes = joint.armature == 0.0 && quaternion_at(joint.type) >= 0;
     if (changes) joint.armature = kLeastArmature;
     for (auto* axes : {&joint.linear, &joint.angular})
       for (JointDofConfig& dof : *axes) {

@@ -64,6 +64,9 @@ struct RobotJoint {
   std::string leader = {};                               // joint that it follows; empty: none
   double coef0 = 0.0, coef1 = 1.0;  // its coordinate: coef0 + coef1 times the leader's
   bool meets_parent = false;        // the child's shapes do, and the parent's
+  int32_t coordinates() const {
+    return coordinate_count(type, static_cast<int32_t>(linear.size() + angular.size()));
+  }
 };
 
 struct Robot {

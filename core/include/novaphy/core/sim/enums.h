@@ -48,24 +48,7 @@ enum class ShapeFlags : int32_t {
 // KINEMATIC: the body follows its velocity; no force moves it.
 enum class BodyFlags : int32_t { DYNAMIC = 1, KINEMATIC = 2 };
 
-// What a row of Model::joint_type holds; (coordinates, degrees of freedom) of each:
-//   PRISMATIC (1, 1) along an axis      REVOLUTE (1, 1) about an axis, not wrapped
-//   BALL      (4, 3) quaternion xyzw; angular velocity of the child relative to the parent
-//   FIXED     (0, 0)
-//   FREE      (7, 6) position, quaternion xyzw; velocity of the child's centre of mass, then
-//                    angular velocity, relative to the parent
-//   DISTANCE  (7, 6) as FREE; the origins of the joint frames keep a distance
-//   D6        (n, n) translations along n_l axes, then rotations about n_a transported axes
-// All in the axes of the joint frame of the parent.
-enum class JointType : int32_t {
-  PRISMATIC = 0,
-  REVOLUTE = 1,
-  BALL = 2,
-  FIXED = 3,
-  FREE = 4,
-  DISTANCE = 5,
-  D6 = 6,
-};
+enum class JointType : int32_t;  // joint_types.h
 // "PRISMATIC", ...; "unknown" for a value that is none.
 NOVAPHY_CORE_API const char* joint_type_name(JointType type);
 

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "novaphy/core/sim/enums.h"
+#include "novaphy/core/sim/joint_types.h"
 #include "novaphy/math/types.h"
 
 namespace novaphy {
@@ -33,8 +33,7 @@ struct JointDofConfig {
 struct JointArgs {
   Transformf parent_xform = Transformf::identity();
   Transformf child_xform = Transformf::identity();
-  // Of D6: up to three each, linearly independent. Of REVOLUTE one angular, of PRISMATIC one
-  // linear. The other types have none.
+  // As many as the type takes (joint_types.h), linearly independent.
   std::vector<JointDofConfig> linear_axes = {}, angular_axes = {};
   bool collision_filter_parent = true;  // shapes of the child do not meet those of the parent
   bool enabled = true;

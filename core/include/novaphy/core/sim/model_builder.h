@@ -301,7 +301,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   // ErrorKind::Value: a joint of another type, one that follows already, a cycle, numbers that are
   // not finite; when the model is made: joints of different articulations.
   void add_constraint_mimic(int32_t joint0, int32_t joint1, float coef0 = 0.0f, float coef1 = 1.0f);
-  // An actuator of a REVOLUTE, PRISMATIC or D6 joint, or of a body (-1: the world). Returns the
+  // An actuator of a joint with axes (joint_types.h), or of a body (-1: the world). Returns the
   // index, the row of Control::ctrl. ErrorKind::Index: no such joint, axis or body;
   // ErrorKind::Value: a joint of another type, a range in the wrong order, numbers that are not
   // finite, a frame whose quaternion is not of length 1, a time constant that is not > 0.

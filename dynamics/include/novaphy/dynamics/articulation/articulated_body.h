@@ -52,9 +52,6 @@ T* articulated_corrections(const Tree<T>& tree, const Workspace<T>& ws) {
   return reinterpret_cast<T*>(articulated_dofs(tree, ws) + tree.dof_count);
 }
 
-inline bool is_linear(const Link& link, int32_t dof_of_link) {
-  return link.joint == LinkJoint::Prismatic || (is_free(link) && dof_of_link < 3);
-}
 template <class T>
 Vec3<T>& part(bool linear, SpatialVector<T>& x) {
   return linear ? x.linear : x.angular;

@@ -11,6 +11,7 @@
 // 1.8.
 #pragma once
 
+#include "novaphy/dynamics/articulation/joints/joints.h"
 #include "novaphy/dynamics/articulation/step_arrays.h"
 
 namespace novaphy::articulation {
@@ -31,14 +32,6 @@ inline constexpr int32_t kVelocityClamped = kVelocityAtUpper | kVelocityAtLower;
 
 inline bool has_position_drive(int32_t mode) { return mode == 1 || mode == 3; }
 inline bool has_velocity_drive(int32_t mode) { return mode >= 1 && mode <= 3; }
-inline bool has_one_dof(const Link& link) {
-  return link.joint == LinkJoint::Prismatic || link.joint == LinkJoint::Revolute;
-}
-// Which dofs of a link angular damping acts on.
-inline bool is_angular(const Link& link, int32_t dof_of_link) {
-  return link.joint == LinkJoint::Revolute || link.joint == LinkJoint::Ball ||
-         (link.joint == LinkJoint::Free && dof_of_link >= 3);
-}
 
 // t = stiffness (target - q) + rate (target_rate - v).
 template <class T>
@@ -184,7 +177,7 @@ void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& 
   using G = StepGradient<T>;
   const int32_t row = link.dof + dof_of_link, mode = in.target_mode[row];
   const T o = T(0.0f), v = in.qd[row], dt = options.implicit_drives ? options.dt : o;
-  const bool one = has_one_dof(link), damps = one || link.joint == LinkJoint::Ball;
+  const bool one = has_one_dof(link), damps = has_damping(link);
   const auto outside = has(branch, kOutside), clamped = has(branch, kEffortClamped);
   auto drives = negate(clamped);
   if (!options.implicit_drives) drives = both(drives, negate(outside));

@@ -1,7 +1,7 @@
-// The links of a joint of a model: one, of a D6 joint a chain of them (tree.h).
+// The links of a joint of a model: one, or a chain of one for each axis (tree.h).
 #pragma once
 
-#include "novaphy/core/sim/enums.h"
+#include "novaphy/core/sim/joint_types.h"
 #include "novaphy/dynamics/articulation/tree.h"
 
 namespace novaphy::articulation {
@@ -13,12 +13,12 @@ struct JointRows {
 };
 
 inline int32_t link_count(const JointRows& j) {
-  return j.type == JointType::D6 && j.dofs > 1 ? j.dofs : 1;
+  return joint_traits(j.type).is_chain && j.dofs > 1 ? j.dofs : 1;
 }
 
 // Link k of them. `parent`: the link before it. A DISTANCE joint moves as a FREE one.
 inline Link joint_link(const JointRows& j, int32_t k, int32_t parent) {
-  const bool chain = j.type == JointType::D6, last = k == link_count(j) - 1;
+  const bool chain = joint_traits(j.type).is_chain, last = k == link_count(j) - 1;
   const LinkJoint whole =
       j.type == JointType::DISTANCE ? LinkJoint::Free : static_cast<LinkJoint>(j.type);
   const LinkJoint part = j.dofs == 0    ? LinkJoint::Fixed

@@ -2,45 +2,16 @@
 // both. Conventions: tree.h.
 #pragma once
 
-#include "novaphy/dynamics/articulation/tree.h"
+#include "novaphy/dynamics/articulation/joints/joints.h"
 
 namespace novaphy::articulation {
-
-template <class T>
-T quat_length(const Quat<T>& q) {
-  return square_root(((q.x * q.x + q.y * q.y) + q.z * q.z) + q.w * q.w);
-}
-template <class T>
-Quat<T> scaled(const Quat<T>& q, const T& s) {
-  return {q.x * s, q.y * s, q.z * s, q.w * s};
-}
 
 // X_j(q), with a quaternion of any length made unit; `length` is what it had.
 template <class T>
 Transform<T> joint_transform(const Tree<T>& tree, const Link& link, const T* q, T& length) {
-  const Vec3<T> none = {T(0.0f), T(0.0f), T(0.0f)};
-  switch (link.joint) {
-    case LinkJoint::Prismatic:
-      return {tree.axis[link.dof] * q[0], Quat<T>::identity()};
-    case LinkJoint::Revolute: {
-      const SinCos<T> half = sin_cos(T(0.5f) * q[0]);
-      const Vec3<T> v = tree.axis[link.dof] * half.sin;
-      return {none, {v.x, v.y, v.z, half.cos}};
-    }
-    case LinkJoint::Ball: {
-      const Quat<T> r = {q[0], q[1], q[2], q[3]};
-      length = quat_length(r);
-      return {none, scaled(r, T(1.0f) / length)};
-    }
-    case LinkJoint::Free:
-    case LinkJoint::Kinematic: {
-      const Quat<T> r = {q[3], q[4], q[5], q[6]};
-      length = quat_length(r);
-      return {{q[0], q[1], q[2]}, scaled(r, T(1.0f) / length)};
-    }
-    default:
-      return Transform<T>::identity();
-  }
+  Transform<T> x;
+  Joints::visit(link.joint, [&](auto joint) { x = joint.transform(tree, link, q, length); });
+  return x;
 }
 
 // R I R^T about O, of a body with its centre of mass at c.
@@ -71,32 +42,8 @@ SpatialInertia<T> world_inertia(const Tree<T>& tree, const Link& link, const Qua
 template <class T>
 void set_axes(const Tree<T>& tree, const Link& link, const LinkState<T>& s,
               SpatialVector<T>* axes) {
-  const Vec3<T> none = {T(0.0f), T(0.0f), T(0.0f)};
-  SpatialVector<T>* column = axes + local_dof(tree, link);
-  const auto turn = [&](const Vec3<T>& axis, const Vec3<T>& at) {
-    const Vec3<T> w = math::rotate(s.anchor_q, axis);
-    return SpatialVector<T>{math::cross(at, w), w};
-  };
-  switch (link.joint) {
-    case LinkJoint::Prismatic:
-      column[0] = {math::rotate(s.anchor_q, tree.axis[link.dof]), none};
-      break;
-    case LinkJoint::Revolute:
-      column[0] = turn(tree.axis[link.dof], s.anchor_p);
-      break;
-    case LinkJoint::Ball:
-      for (int k = 0; k < 3; ++k) column[k] = turn(unit_vector<T>(k), s.anchor_p);
-      break;
-    case LinkJoint::Free:
-    case LinkJoint::Kinematic:
-      for (int k = 0; k < 3; ++k) {
-        column[k + 3] = turn(unit_vector<T>(k), s.com);
-        column[k] = {column[k + 3].angular, none};
-      }
-      break;
-    default:
-      break;
-  }
+  SpatialVector<T>* const column = axes + local_dof(tree, link);
+  Joints::visit(link.joint, [&](auto joint) { joint.set_axes(tree, link, s, column); });
 }
 
 // Frames of a link behind its parent's (null: the world), from q (rows of the arrays).
@@ -175,53 +122,15 @@ void write_bodies(const Tree<T>& tree, const Workspace<T>& ws, Transform<T>* bod
   }
 }
 
-// Where a link's centre of mass is in its joint's frame: X_c^-1 (com).
-template <class T>
-Vec3<T> com_in_joint(const Tree<T>& tree, const Link& link) {
-  const Vec3<T> com = link.body < 0 ? Vec3<T>{} : tree.com[link.body];
-  return link.frame_c < 0
-             ? com
-             : math::rotate_inverse(tree.X_c[link.frame_c].q, com - tree.X_c[link.frame_c].p);
-}
-
-// The unit quaternion of (y, 1): the rotation of a step, with y = dt w / 2.
-template <class T>
-Quat<T> cayley(const Vec3<T>& y) {
-  const T s = T(1.0f) / square_root(T(1.0f) + math::dot(y, y));
-  return {y.x * s, y.y * s, y.z * s, s};
-}
-
 // q after dt at the rates qd (rows of the tree). Quaternions come out unit.
 template <class T>
 void integrate_coordinates(const Tree<T>& tree, const T* q, const T* qd, const T& dt, T* q_next) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
-    const T* const x = q + link.coord;
-    T* const y = q_next + link.coord;
     const T* const u = qd + local_dof(tree, link);
-    if (link.joint == LinkJoint::Prismatic || link.joint == LinkJoint::Revolute) {
-      y[0] = x[0] + dt * u[0];
-    } else if (link.joint == LinkJoint::Ball || is_free(link)) {
-      const bool free = is_free(link);
-      const int32_t o = free ? 3 : 0;
-      const Quat<T> raw = {x[o], x[o + 1], x[o + 2], x[o + 3]};
-      const Quat<T> r = scaled(raw, T(1.0f) / quat_length(raw));
-      const T h = T(0.5f) * dt;
-      const Quat<T> turned =
-          math::multiply(cayley(Vec3<T>{h * u[o], h * u[o + 1], h * u[o + 2]}), r);
-      const Quat<T> next = scaled(turned, T(1.0f) / quat_length(turned));
-      if (free) {
-        const Vec3<T> rc = com_in_joint(tree, link);
-        const Vec3<T> moved = math::rotate(r, rc) - math::rotate(next, rc);
-        y[0] = x[0] + (dt * u[0] + moved.x);
-        y[1] = x[1] + (dt * u[1] + moved.y);
-        y[2] = x[2] + (dt * u[2] + moved.z);
-      }
-      y[o] = next.x;
-      y[o + 1] = next.y;
-      y[o + 2] = next.z;
-      y[o + 3] = next.w;
-    }
+    Joints::visit(link.joint, [&](auto joint) {
+      joint.integrate(tree, link, q + link.coord, u, dt, q_next + link.coord);
+    });
   }
 }
 

@@ -78,7 +78,7 @@ void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
       if (has_one_dof(link)) {
         term = dof_term(in, row, link.coord, ws.branch[k], in.q[link.coord], in.qd[row], options.dt,
                         options.implicit_drives);
-      } else if (link.joint == LinkJoint::Ball) {
+      } else if (has_damping(link)) {
         term.force = -(in.damping[row] * in.qd[row]);
         if (options.implicit_drives) term.diagonal = options.dt * in.damping[row];
       }
@@ -273,8 +273,7 @@ int32_t begin_step(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& w
   // Where a tree is does not change its accelerations: so coordinates are looked at on their own.
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
-    const bool has_quaternion = link.joint == LinkJoint::Ball || is_free(link);
-    for (int32_t c = 0; c < link.dofs + (has_quaternion ? 1 : 0); ++c)
+    for (int32_t c = 0; c < coordinate_count(link); ++c)
       if (!is_finite(in.q[link.coord + c]))
         return local_dof(tree, link) + (c < link.dofs ? c : link.dofs - 1);
   }

@@ -81,20 +81,7 @@ void integrate_coordinates_vjp(const Tree<T>& tree, const T* qd, const T& dt, T*
     T* const h = tangent + local_dof(tree, link);
     T* const g = rate + local_dof(tree, link);
     const T* const u = qd + local_dof(tree, link);
-    const int32_t o = is_free(link) ? 3 : 0;
-    if (link.dofs == 1 || is_free(link))
-      for (int k = 0; k < (link.dofs == 1 ? 1 : 3); ++k) g[k] = g[k] + dt * h[k];
-    if (link.dofs < 3) continue;
-    const T half = T(0.5f) * dt;
-    const Vec3<T> y = {half * u[o], half * u[o + 1], half * u[o + 2]};
-    const Vec3<T> ha = {h[o], h[o + 1], h[o + 2]};
-    const Vec3<T> gu = (ha - math::cross(y, ha)) * (dt / (T(1.0f) + math::dot(y, y)));
-    const Vec3<T> back = math::rotate_inverse(cayley(y), ha);
-    const T add[3] = {gu.x, gu.y, gu.z}, store[3] = {back.x, back.y, back.z};
-    for (int k = 0; k < 3; ++k) {
-      g[o + k] = g[o + k] + add[k];
-      h[o + k] = store[k];
-    }
+    Joints::visit(link.joint, [&](auto joint) { joint.integrate_vjp(u, dt, h, g); });
   }
 }
 
@@ -280,8 +267,8 @@ void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
       }
       put(g, &G::joint_f, row0 + k, applied);
     }
-    if (link.dofs > 1)
-      for (int32_t c = 0; c < link.dofs + 1; ++c) put(g, &G::target_q, link.coord + c, o);
+    if (has_quaternion(link))
+      for (int32_t c = 0; c < coordinate_count(link); ++c) put(g, &G::target_q, link.coord + c, o);
   }
   add_mass_gradients(tree, g, memory);
   if (g.q)

@@ -139,10 +139,6 @@ Workspace<T> make_workspace(void* memory, int32_t links, int32_t dofs) {
   return ws;
 }
 
-inline bool is_kinematic(const Link& link) { return link.joint == LinkJoint::Kinematic; }
-inline bool is_free(const Link& link) {
-  return link.joint == LinkJoint::Free || is_kinematic(link);
-}
 // The rows of a link among the tree's dofs.
 template <class T>
 int32_t local_dof(const Tree<T>& tree, const Link& link) {

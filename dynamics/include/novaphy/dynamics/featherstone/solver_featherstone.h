@@ -42,14 +42,13 @@ struct FeatherstoneOptions {
   float friction_smoothing = 0.1f;
 };
 
-// Covers joints of the types PRISMATIC, REVOLUTE, BALL, FIXED, FREE and D6 in articulations, in any
-// order with parents first: drives by target mode, limits, effort and velocity limits, damping,
-// armature, joint forces, wrenches on bodies (body_f, and joint_f of FREE joints: world axes, about
-// the centre of mass), gravity, angular damping, dry friction (joint_friction), and contacts of the
-// shapes of articulations with each other and the world. Friction, restitution, stiffness and
-// damping of a contact are the mean of the two shapes'. Kinematic bodies, with a joint FREE or
-// FIXED to the world, follow their joint_qd; their mass has no end. Other parts of a model throw
-// ErrorKind::NotImplemented.
+// Covers joints of all types but DISTANCE in articulations, in any order with parents first: drives
+// by target mode, limits, effort and velocity limits, damping, armature, joint forces, wrenches on
+// bodies (body_f, and joint_f of FREE joints: world axes, about the centre of mass), gravity,
+// angular damping, dry friction (joint_friction), and contacts of the shapes of articulations with
+// each other and the world. Friction, restitution, stiffness and damping of a contact are the mean
+// of the two shapes'. Kinematic bodies, with a joint FREE or FIXED to the world, follow their
+// joint_qd; their mass has no end. Other parts of a model throw ErrorKind::NotImplemented.
 //
 // One step: articulation/step.h, with Pgs between velocities and positions; rigid_contact_force of
 // the contacts is then their mean force over the step. It reads joint_q and joint_qd of state_in

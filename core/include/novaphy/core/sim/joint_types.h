@@ -1,0 +1,89 @@
+// The types of joints, and what the builder, the solvers, the files and Python ask of a type.
+//
+// A type is a line of the list. How a tree moves a link of a type is in
+// dynamics/articulation/joints/.
+#pragma once
+
+#include <cstdint>
+
+#include "novaphy/core/sim/enums.h"
+
+namespace novaphy {
+
+// What holds the two frames of a joint together.
+enum class JointConstraint : int32_t {
+  AXES,      // they coincide, but for the motions along and about the axes
+  DISTANCE,  // their origins keep a distance
+  NONE,
+};
+
+// How many axes the caller of ModelBuilder::add_joint gives.
+struct JointAxisCount {
+  int32_t least = 0, most = 0;
+};
+
+struct JointTraits {
+  // Each axis is a degree of freedom with a coordinate, a drive, limits, damping and actuators.
+  JointAxisCount linear_axes = {}, angular_axes = {};
+  int32_t linear = 0, angular = 0;  // degrees of freedom besides those of the axes
+  int32_t quaternion = -1;          // its first coordinate; -1: none
+  bool is_chain = false;            // trees have a link for each axis, in their order
+  JointConstraint constraint = JointConstraint::AXES;
+};
+
+// X(name, value, traits). (coordinates, degrees of freedom) of each:
+//   PRISMATIC (1, 1) along an axis      REVOLUTE (1, 1) about an axis, not wrapped
+//   BALL      (4, 3) quaternion xyzw; angular velocity of the child relative to the parent
+//   FIXED     (0, 0)
+//   FREE      (7, 6) position, quaternion xyzw; velocity of the child's centre of mass, then
+//                    angular velocity, relative to the parent
+//   DISTANCE  (7, 6) as FREE; the origins of the joint frames keep a distance
+//   D6        (n, n) translations along n_l axes, then rotations about n_a transported axes
+// All in the axes of the joint frame of the parent. The values are those of Newton 1.8.
+#define NOVAPHY_JOINT_TYPES(X)                                                                  \
+  X(PRISMATIC, 0, {.linear_axes = {1, 1}})                                                      \
+  X(REVOLUTE, 1, {.angular_axes = {1, 1}})                                                      \
+  X(BALL, 2, {.angular = 3, .quaternion = 0})                                                   \
+  X(FIXED, 3, {})                                                                               \
+  X(FREE, 4, {.linear = 3, .angular = 3, .quaternion = 3, .constraint = JointConstraint::NONE}) \
+  X(DISTANCE, 5,                                                                                \
+    {.linear = 3, .angular = 3, .quaternion = 3, .constraint = JointConstraint::DISTANCE})      \
+  X(D6, 6, {.linear_axes = {0, 3}, .angular_axes = {0, 3}, .is_chain = true})
+
+// What a row of Model::joint_type holds.
+enum class JointType : int32_t {
+#define NOVAPHY_VALUE(name, value, ...) name = value,
+  NOVAPHY_JOINT_TYPES(NOVAPHY_VALUE)
+#undef NOVAPHY_VALUE
+};
+
+constexpr JointTraits joint_traits(JointType type) {
+  switch (type) {
+#define NOVAPHY_TRAITS(name, value, ...) \
+  case JointType::name:                  \
+    return __VA_ARGS__;
+    NOVAPHY_JOINT_TYPES(NOVAPHY_TRAITS)
+#undef NOVAPHY_TRAITS
+  }
+  return {};
+}
+// The first coordinate of the quaternion of a joint; -1: the joint has none.
+constexpr int32_t quaternion_at(JointType type) { return joint_traits(type).quaternion; }
+// FREE and DISTANCE joints, whose coordinates are a pose.
+constexpr bool has_pose(JointType type) { return quaternion_at(type) == 3; }
+// Joints with drives, limits and actuators.
+constexpr bool has_axes(JointType type) {
+  const JointTraits t = joint_traits(type);
+  return t.linear_axes.most + t.angular_axes.most > 0;
+}
+constexpr bool can_move(JointType type) {
+  const JointTraits t = joint_traits(type);
+  return has_axes(type) || t.linear + t.angular > 0;
+}
+// Coordinates of a joint with so many axes.
+constexpr int32_t coordinate_count(JointType type, int32_t axes) {
+  const JointTraits t = joint_traits(type);
+  return axes + t.linear + t.angular + (t.quaternion >= 0 ? 1 : 0);
+}
+
+}  // namespace novaphy

@@ -4,6 +4,7 @@
 #include <limits>
 
 #include "builder_checks.h"
+#include "joint_axes.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/model_builder.h"
 #include "novaphy/math/functions.h"
@@ -12,19 +13,6 @@ namespace novaphy {
 namespace {
 
 using detail::Where;
-
-struct JointSize {
-  int32_t linear, angular, coords;
-  int32_t dofs() const { return linear + angular; }
-};
-
-JointSize joint_size(JointType type, const JointArgs& args) {
-  const JointTraits traits = joint_traits(type);
-  const auto linear = static_cast<int32_t>(args.linear_axes.size());
-  const auto angular = static_cast<int32_t>(args.angular_axes.size());
-  return {linear + traits.linear, angular + traits.angular,
-          coordinate_count(type, linear + angular)};
-}
 
 void check_axis_counts(std::string_view name, JointType type, const JointArgs& args) {
   const std::string_view of = joint_type_name(type);
@@ -68,39 +56,6 @@ void check_dof(std::string_view name, const JointDofConfig& dof) {
   check_target_mode({name, "actuator_mode"}, static_cast<int32_t>(dof.actuator_mode));
 }
 
-Vec3f unit_axis(std::string_view name, const Vec3f& axis) {
-  const double x = axis.x, y = axis.y, z = axis.z, length = std::sqrt(x * x + y * y + z * z);
-  require(detail::is_finite(axis) && length > 1e-6, ErrorKind::Value, name,
-          ": axis: expected a finite vector that is not zero, got (", axis.x, ", ", axis.y, ", ",
-          axis.z, ")");
-  // An axis of unit length keeps its bits.
-  if (std::abs(length - 1.0) <= 0x1p-23) return axis;
-  return {static_cast<float>(x / length), static_cast<float>(y / length),
-          static_cast<float>(z / length)};
-}
-
-// Unit axes, whose volume (area) says how far they are from a plane (line).
-void check_independent(std::string_view name, const char* argument, std::span<const Vec3f> axes) {
-  if (axes.size() < 2) return;
-  const Vec3f normal = math::cross(axes[0], axes[1]);
-  const float size = axes.size() == 2 ? math::length(normal) : std::abs(math::dot(normal, axes[2]));
-  require(size > 1e-3f, ErrorKind::Value, name, ": ", argument,
-          ": expected linearly independent axes, got ", axes.size(), " whose ",
-          axes.size() == 2 ? "cross" : "triple", " product is ", size);
-}
-
-std::vector<Vec3f> joint_axes(std::string_view name, const JointArgs& args, const JointSize& size) {
-  std::vector<Vec3f> axes;
-  for (const auto* configs : {&args.linear_axes, &args.angular_axes})
-    for (const JointDofConfig& dof : *configs) axes.push_back(unit_axis(name, dof.axis));
-  if (axes.empty())
-    for (int32_t k = 0; k < size.dofs(); ++k) axes.push_back(axis_vector(static_cast<Axis>(k % 3)));
-  const auto linear = static_cast<size_t>(size.linear);
-  check_independent(name, "linear_axes", std::span(axes).first(linear));
-  check_independent(name, "angular_axes", std::span(axes).subspan(linear));
-  return axes;
-}
-
 void check_quaternion(const Where& where, const float* q) {
   const double norm =
       std::sqrt(static_cast<double>(q[0]) * q[0] + static_cast<double>(q[1]) * q[1] +
@@ -137,7 +92,7 @@ Transformf ModelBuilder::relative_pose(const Joint& joint) const {
 int32_t ModelBuilder::append_joint(std::string_view name, JointType type, int32_t parent,
                                    int32_t child, const JointArgs& args) {
   check_axis_counts(name, type, args);
-  const JointSize size = joint_size(type, args);
+  const detail::JointSize size = detail::joint_size(type, args);
   require(parent >= -1 && parent < body_count(), ErrorKind::Index, name,
           ": parent: expected -1 (the world) to ", body_count() - 1, ", got ", parent);
   require(child >= 0 && child < body_count(), ErrorKind::Index, name, ": child: expected 0 to ",
@@ -162,7 +117,7 @@ int32_t ModelBuilder::append_joint(std::string_view name, JointType type, int32_
               .angular = size.angular,
               .q_start = next_coord(),
               .qd_start = next_dof(),
-              .axes = joint_axes(name, args, size),
+              .axes = detail::joint_axes(name, args, size),
               .filter_parent = args.collision_filter_parent,
               .enabled = args.enabled};
   constexpr int32_t kMax = std::numeric_limits<int32_t>::max();

@@ -235,6 +235,26 @@ void bind_other_joints(Builder& c) {
           "index.");
 }
 
+void bind_planar_joint(Builder& c) {
+  using Dof = std::optional<JointDofConfig>;
+  c.def(
+      "add_joint_planar",
+      [](ModelBuilder& b, int32_t parent, int32_t child, py::handle parent_xform,
+         py::handle child_xform, py::handle axis, const Dof& x, const Dof& y, const Dof& angle,
+         std::optional<bool> filter, bool enabled, const std::optional<std::string>& label) {
+        JointArgs args = joint_args(parent_xform, child_xform, filter, enabled, label);
+        const JointDofConfig& other = b.default_joint_cfg;
+        args.linear_axes = {x.value_or(other), y.value_or(other)};
+        args.angular_axes = {angle.value_or(other)};
+        const Vec3f normal = axis.is_none() ? axis_vector(Axis::Z) : to_direction(axis);
+        return b.add_joint_planar(parent, child, normal, args);
+      },
+      "parent"_a, "child"_a, py::kw_only(), "parent_xform"_a = py::none(),
+      "child_xform"_a = py::none(), "axis"_a = py::none(), "x"_a = py::none(), "y"_a = py::none(),
+      "angle"_a = py::none(), "collision_filter_parent"_a = py::none(), "enabled"_a = true,
+      "label"_a = py::none(), doc::kAddPlanar);
+}
+
 void bind_articulations(Builder& c) {
   c.def(
        "add_articulation",
@@ -297,6 +317,7 @@ void bind_builder_joints(Builder& c) {
       "those of JointDofConfig; None: those of default_joint_cfg. Returns the index.");
   bind_other_joints(c);
   bind_general_joints(c);
+  bind_planar_joint(c);
   bind_articulations(c);
   bind_builder_actuators(c);
 }

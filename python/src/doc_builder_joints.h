@@ -9,13 +9,25 @@ index.
 
 parent_xform, child_xform: the joint frames in the bodies (m, xyzw).
 linear_axes, angular_axes: lists of JointDofConfig. A D6 takes up to three of each, a REVOLUTE or
-PRISMATIC joint takes one.
+PRISMATIC joint takes one, and a PLANAR joint takes two perpendicular ones and their cross product.
 
 ValueError: a bad pose, axis or number, bodies of two worlds.
 IndexError: no such body.)";
 
+inline constexpr char kAddPlanar[] =
+    R"(Adds a joint with three coordinates: x and y (m) in a plane, and an angle (rad) about its
+normal. Returns the index.
+
+axis: the normal (an Axis or a vector, joint frame of the parent); None: Z, whose plane has the axes
+x and y of that frame. Other planes have the axes that the shortest turn of Z to the normal makes of
+x and y.
+x, y, angle: JointDofConfig of the drives, limits and damping, whose axes are not read; None:
+default_joint_cfg.
+
+The rates are those of the coordinates. The first two do not turn with the child.)";
+
 inline constexpr char kAddActuator[] =
-    R"(Adds an actuator of a degree of freedom of a REVOLUTE, PRISMATIC or D6 joint. Returns the
+    R"(Adds an actuator of a degree of freedom of a joint with axes. Returns the
 index, which is the row of Control.ctrl.
 
 The length l and the rate v of the actuator are those of the joint times gear. The force is

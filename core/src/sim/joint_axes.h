@@ -4,6 +4,7 @@
 #include <cmath>
 #include <span>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "builder_checks.h"
@@ -48,7 +49,28 @@ inline void check_independent(std::string_view name, const char* argument,
           axes.size() == 2 ? "cross" : "triple", " product is ", size);
 }
 
-inline std::vector<Vec3f> joint_axes(std::string_view name, const JointArgs& args,
+inline void check_plane(std::string_view name, std::span<const Vec3f> axes) {
+  const float volume = math::dot(math::cross(axes[0], axes[1]), axes[2]);  // of unit vectors
+  require(volume > 0.999f, ErrorKind::Value, name,
+          ": linear_axes, angular_axes: expected two perpendicular axes and their cross product of "
+          "a PLANAR joint, got axes whose triple product is ",
+          volume);
+}
+
+// The axes x and y of the plane of a normal: what the shortest turn of z to the normal makes of x
+// and y.
+inline std::pair<Vec3f, Vec3f> plane_axes(const Vec3f& normal) {
+  const double length = std::sqrt(math::dot(Vec3<double>{normal.x, normal.y, normal.z},
+                                            Vec3<double>{normal.x, normal.y, normal.z}));
+  const double a = normal.x / length, b = normal.y / length, c = normal.z / length, s = 1.0 + c;
+  if (s < 1e-12) return {{1.0f, 0.0f, 0.0f}, {0.0f, -1.0f, 0.0f}};
+  const auto vector = [](double x, double y, double z) {
+    return Vec3f{static_cast<float>(x), static_cast<float>(y), static_cast<float>(z)};
+  };
+  return {vector(1.0 - a * a / s, -a * b / s, -a), vector(-a * b / s, 1.0 - b * b / s, -b)};
+}
+
+inline std::vector<Vec3f> joint_axes(std::string_view name, JointType type, const JointArgs& args,
                                      const JointSize& size) {
   std::vector<Vec3f> axes;
   for (const auto* configs : {&args.linear_axes, &args.angular_axes})
@@ -58,6 +80,7 @@ inline std::vector<Vec3f> joint_axes(std::string_view name, const JointArgs& arg
   const auto linear = static_cast<size_t>(size.linear);
   check_independent(name, "linear_axes", std::span(axes).first(linear));
   check_independent(name, "angular_axes", std::span(axes).subspan(linear));
+  if (type == JointType::PLANAR) check_plane(name, axes);
   return axes;
 }
 

@@ -117,7 +117,7 @@ int32_t ModelBuilder::append_joint(std::string_view name, JointType type, int32_
               .angular = size.angular,
               .q_start = next_coord(),
               .qd_start = next_dof(),
-              .axes = detail::joint_axes(name, args, size),
+              .axes = detail::joint_axes(name, type, args, size),
               .filter_parent = args.collision_filter_parent,
               .enabled = args.enabled};
   constexpr int32_t kMax = std::numeric_limits<int32_t>::max();
@@ -247,6 +247,21 @@ int32_t ModelBuilder::add_joint_distance(int32_t parent, int32_t child,
 
 int32_t ModelBuilder::add_joint_d6(int32_t parent, int32_t child, const JointArgs& args) {
   return append_joint("add_joint_d6", JointType::D6, parent, child, args);
+}
+
+// `axis`: the normal of the plane. The axes of `args` are not read.
+int32_t ModelBuilder::add_joint_planar(int32_t parent, int32_t child, const Vec3f& axis,
+                                       JointArgs args) {
+  constexpr std::string_view name = "add_joint_planar";
+  if (args.linear_axes.empty()) args.linear_axes.assign(2, default_joint_cfg);
+  if (args.angular_axes.empty()) args.angular_axes.assign(1, default_joint_cfg);
+  check_axis_counts(name, JointType::PLANAR, args);
+  const Vec3f normal = detail::unit_axis(name, axis);
+  const auto [x, y] = detail::plane_axes(normal);
+  args.linear_axes[0].axis = x;
+  args.linear_axes[1].axis = y;
+  args.angular_axes[0].axis = normal;
+  return append_joint(name, JointType::PLANAR, parent, child, args);
 }
 
 int32_t ModelBuilder::add_articulation(std::span<const int32_t> joints, std::string label) {

@@ -272,7 +272,7 @@ class Reader {
       case urdf::Joint::PLANAR: {
         // Two translations along the plane, and a turn about its normal, `axis`.
         const Quatd q = turn_from_z(axis);
-        result.type = JointType::D6;
+        result.type = JointType::PLANAR;
         result.linear = {dof(joint, math::rotate(q, Vec3d{1.0, 0.0, 0.0}), scale_),
                          dof(joint, math::rotate(q, Vec3d{0.0, 1.0, 0.0}), scale_)};
         result.angular = {dof(joint, axis, 1.0)};

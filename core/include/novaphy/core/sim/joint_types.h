@@ -39,7 +39,10 @@ struct JointTraits {
 //                    angular velocity, relative to the parent
 //   DISTANCE  (7, 6) as FREE; the origins of the joint frames keep a distance
 //   D6        (n, n) translations along n_l axes, then rotations about n_a transported axes
-// All in the axes of the joint frame of the parent. The values are those of Newton 1.8.
+//   PLANAR    (3, 3) translations x and y along two perpendicular axes, then an angle about their
+//                    normal
+// All in the axes of the joint frame of the parent. The values are those of Newton 1.8, which has
+// no PLANAR and another type at 7.
 #define NOVAPHY_JOINT_TYPES(X)                                                                  \
   X(PRISMATIC, 0, {.linear_axes = {1, 1}})                                                      \
   X(REVOLUTE, 1, {.angular_axes = {1, 1}})                                                      \
@@ -48,7 +51,8 @@ struct JointTraits {
   X(FREE, 4, {.linear = 3, .angular = 3, .quaternion = 3, .constraint = JointConstraint::NONE}) \
   X(DISTANCE, 5,                                                                                \
     {.linear = 3, .angular = 3, .quaternion = 3, .constraint = JointConstraint::DISTANCE})      \
-  X(D6, 6, {.linear_axes = {0, 3}, .angular_axes = {0, 3}, .is_chain = true})
+  X(D6, 6, {.linear_axes = {0, 3}, .angular_axes = {0, 3}, .is_chain = true})                   \
+  X(PLANAR, 8, {.linear_axes = {2, 2}, .angular_axes = {1, 1}, .is_chain = true})
 
 // What a row of Model::joint_type holds.
 enum class JointType : int32_t {

@@ -272,8 +272,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   // articulation of that. Returns the index. ErrorKind::Value: a mass or inertia that no body has;
   // also from finalize, of what the body and its shapes come to.
   int32_t add_body(const BodyArgs& args = {});
-  // A rigid body for joints to hold; finalize refuses one that is the child of none. It may have no
-  // mass.
+  // A rigid body for joints to hold, also without mass; finalize refuses the child of no joint.
   int32_t add_link(const BodyArgs& args = {});
 
   // Joints: the child body relative to the parent, -1 the world. Return the index.
@@ -289,6 +288,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t add_joint_free(int32_t child, const FreeJointArgs& args = {});
   int32_t add_joint_distance(int32_t parent, int32_t child, const DistanceJointArgs& args = {});
   int32_t add_joint_d6(int32_t parent, int32_t child, const JointArgs& args = {});
+  int32_t add_joint_planar(int32_t parent, int32_t child, const Vec3f& axis, JointArgs args = {});
   // A tree of joints, root first: their indices, contiguous and increasing, in any order in which
   // parents come before children. Returns the index. ErrorKind::Value: another order, two joints
   // with one child, a second root, a joint of another articulation or world, a kinematic body that

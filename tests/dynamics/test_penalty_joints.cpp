@@ -316,9 +316,7 @@ TEST(PenaltyJoints, AFixedJointTakesTheShorterWayRound) {
 TEST(PenaltyJoints, AHingeBeyondHalfATurnKeepsTheSignOfItsLimit) {
   const auto force = [](float angle) {
     JointDof<float> dof{.axis = {0.0f, 0.0f, 1.0f},
-                        .limit_lower = -3.0f,
-                        .limit_upper = 3.0f,
-                        .limit_ke = 1.0f,
+                        .limit = {.lower = -3.0f, .upper = 3.0f, .ke = 1.0f},
                         .effort_limit = 1e6f};
     const JointBody<float> child{.q = {{}, about({0.0f, 0.0f, 1.0f}, angle)}};
     return penalty_joint_wrench<float>(joint_frames<float>({}, child, kOrigin, kOrigin), &dof, 0, 1,
@@ -339,7 +337,7 @@ TEST(PenaltyJoints, AD6HasTheAnglesOfItsAxes) {
   for (int driven = 0; driven < 3; ++driven) {
     JointDof<float> dofs[3];
     for (int k = 0; k < 3; ++k)
-      dofs[k] = {.axis = axes[k], .limit_lower = -9.0f, .limit_upper = 9.0f, .effort_limit = 1e6f};
+      dofs[k] = {.axis = axes[k], .limit = {.lower = -9.0f, .upper = 9.0f}, .effort_limit = 1e6f};
     dofs[driven].target_ke = 2.0f;
     const JointBody<float> child{.q = {{}, r}};
     const Vec3f t = penalty_joint_wrench<float>(joint_frames<float>({}, child, kOrigin, kOrigin),

@@ -84,7 +84,7 @@ std::vector<Real> layout_wrench(TraceContext& c, int32_t layout, const JointFram
   JointDof<Real> dofs[kDofs];
   for (int32_t k = 0; k < count; ++k) dofs[k] = load_dof(c, k);
   if (layout == kDistance) {
-    wrench = distance_joint_wrench(frames, dofs[0]);
+    wrench = distance_joint_wrench(frames, dofs[0].limit);
   } else if (!six) {
     wrench = penalty_joint_wrench(frames, dofs, linear, angular, layout == kBall, attach);
   }

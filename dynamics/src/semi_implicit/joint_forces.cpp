@@ -338,7 +338,7 @@ void JointForces::evaluate(const Model& m, const SimState& state, const Control*
         const JointFrames<float> frames =
             joint_frames(body(parent[j]), body(child[j]), x_p[j], x_c[j]);
         wrench = constraint == JointConstraint::DISTANCE
-                     ? distance_joint_wrench(frames, d[0])
+                     ? distance_joint_wrench(frames, d[0].limit)
                      : penalty_joint_wrench(frames, d, dims[j].x, dims[j].y,
                                             quaternion_at(type) == 0, attach);
       }

@@ -1,8 +1,9 @@
-// Drives, limits and damping of joints with one dof, and the damping of BALL joints.
+// Drives and damping of joints with one dof, with their limits (limits.h), and the damping of BALL
+// joints.
 //
 // The force of a dof at q with the rate v:
 //   drive      t = ke (q* - q) + kd (qd* - v) by the target mode, |t| <= effort_limit
-//   limit      where q is outside: t = limit_ke (limit - q) - limit_kd v, which pushes inwards only
+//   limit      where q is outside: that of limits.h, which pushes inwards only
 //   damping    t = -damping v
 // Implicit (the default): q and v are those of the end of the step, which adds dt D + dt^2 K to the
 // mass matrix. K and D are those of the branch: a drive at its effort limit and a limit that would
@@ -12,32 +13,13 @@
 #pragma once
 
 #include "novaphy/dynamics/articulation/joints/joints.h"
-#include "novaphy/dynamics/articulation/step_arrays.h"
+#include "novaphy/dynamics/articulation/limits.h"
 
 namespace novaphy::articulation {
-
-// What a dof did in a step.
-enum Branch : int32_t {
-  kBelowLimit = 1,
-  kAboveLimit = 2,
-  kLimitReleased = 4,   // with one of these two
-  kEffortAtUpper = 8,   // the drive gave + effort_limit
-  kEffortAtLower = 16,  // and - effort_limit
-  kVelocityAtUpper = 32,
-  kVelocityAtLower = 64,
-};
-inline constexpr int32_t kOutside = kBelowLimit | kAboveLimit;
-inline constexpr int32_t kEffortClamped = kEffortAtUpper | kEffortAtLower;
-inline constexpr int32_t kVelocityClamped = kVelocityAtUpper | kVelocityAtLower;
 
 inline bool has_position_drive(int32_t mode) { return mode == 1 || mode == 3; }
 inline bool has_velocity_drive(int32_t mode) { return mode >= 1 && mode <= 3; }
 
-// t = stiffness (target - q) + rate (target_rate - v).
-template <class T>
-struct DriveLaw {
-  T stiffness{}, target{}, rate{}, target_rate{};
-};
 // `row` is the dof's, `coord` its coordinate's.
 template <class T>
 DriveLaw<T> drive_law(const StepInputs<T>& in, int32_t row, int32_t coord,
@@ -50,27 +32,6 @@ DriveLaw<T> drive_law(const StepInputs<T>& in, int32_t row, int32_t coord,
   if (implicit || !any(has(branch, kOutside))) return {ke, in.target_q[coord], kd, qd};
   const auto outside = has(branch, kOutside);
   return {select(outside, o, ke), in.target_q[coord], select(outside, o, kd), qd};
-}
-// Of the limit that q is outside of.
-template <class T>
-DriveLaw<T> limit_law(const StepInputs<T>& in, int32_t row, const Branches<T>& branch) {
-  return {in.limit_ke[row],
-          select(has(branch, kBelowLimit), in.limit_lower[row], in.limit_upper[row]),
-          in.limit_kd[row], T(0.0f)};
-}
-template <class T>
-auto limit_acts(const Branches<T>& branch) {
-  return both(has(branch, kOutside), negate(has(branch, kLimitReleased)));
-}
-
-// The branch that q is in. A limit without stiffness and damping is none.
-template <class T>
-Branches<T> limit_branch(const StepInputs<T>& in, int32_t row, const T& q) {
-  const T o = T(0.0f);
-  const auto acts = either(in.limit_ke[row] > o, in.limit_kd[row] > o);
-  const auto below = both(acts, q < in.limit_lower[row]);
-  const auto above = both(both(acts, negate(below)), q > in.limit_upper[row]);
-  return with(with(Branches<T>{}, below, kBelowLimit), above, kAboveLimit);
 }
 
 // A force at the start of a step and how much of it an acceleration takes away.
@@ -134,11 +95,6 @@ AskedForces<T> asked_forces(const StepInputs<T>& in, int32_t row, int32_t coord,
   const DriveTerm<T> stop = drive_term(limit_law(in, row, branch), q, v, dt, implicit);
   asked.stop = select(outside, stop.force - stop.diagonal * qdd, o);
   return asked;
-}
-template <class T>
-auto limit_pulls(const Branches<T>& branch, const T& stop) {
-  const T o = T(0.0f);
-  return either(both(has(branch, kBelowLimit), stop < o), both(has(branch, kAboveLimit), stop > o));
 }
 // What they give of it.
 template <class T>
@@ -207,11 +163,8 @@ void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& 
   put(g, &G::target_kd, row, of(velocity, drives, (drive.target_rate - v_end) * lambda - by_kd));
   put(g, &G::damping, row, damps ? -(v_end * lambda) - by_kd : o);
   put(g, &G::armature, row, -(lambda * qdd) - diagonal);
-  const T by_limit = of(one, limits, stop.stiffness * lambda);
-  put(g, &G::limit_lower, row, of(one, has(branch, kBelowLimit), by_limit) + at_lower);
-  put(g, &G::limit_upper, row, of(one, has(branch, kAboveLimit), by_limit) + at_upper);
-  put(g, &G::limit_ke, row, of(one, limits, (stop.target - q_end) * lambda - by_ke));
-  put(g, &G::limit_kd, row, of(one, limits, -(v_end * lambda) - by_kd));
+  const DriveGradient<T> of_limit = {lambda, q_end, v_end, by_ke, by_kd};
+  limit_gradient(stop, row, branch, of_limit, at_upper, at_lower, g);
   const T by_effort = select(has(branch, kEffortAtUpper), lambda, -lambda);
   put(g, &G::effort_limit, row, of(one, clamped, by_effort));
 }

@@ -10,7 +10,7 @@
 // Law, for the wrench (f, t) that the parent gets at the anchor and the child gets reversed:
 //   degree of freedom q, qd: its force is
 //     tau = limit + drive - damping qd,  and the child gets tau + joint_f along it
-//     limit = limit_ke (lower - q) - limit_kd qd below lower, likewise above upper, else 0
+//     limit: see joint_limit_trace.h
 //     drive = target_ke (target_q - q) + target_kd (target_qd - qd), at most effort_limit, and none
 //             outside of the limits
 //   linear axes: q_i = x . a_i; what is left of x and v is held by k and c. The parent's anchor
@@ -23,8 +23,8 @@
 //             forces along the dual basis of the turned axes (determinant at least 1e-4: at q_1 =
 //             +-pi/2 the axes lie in a plane); a third one that is none is held by k and 0.01 c
 //     BALL    only damping and joint_f, about the axes of the parent's joint frame
-//   DISTANCE: l = |x|; f = unit(x) (limit_ke (l - upper) + limit_kd dl/dt) where l > upper, likewise
-//     where l < lower, 0 between, and 0 where l = 0
+//   DISTANCE: l = |x|; f = unit(x) (ke (l - upper) + kd dl/dt) where l > upper, likewise where
+//     l < lower, 0 between, and 0 where l = 0
 // Source: Newton 1.8.0, SolverSemiImplicit. Newton differs: it keeps no distance, its angles wrap
 // at a full turn, and FIXED takes the long way round for w < 0. The anchor of a displaced slide
 // stays behind in Newton, which makes momentum. Revolute joints agree with it to rounding.
@@ -37,6 +37,7 @@
 #pragma once
 
 #include "novaphy/dynamics/joint_kinematics_trace.h"
+#include "novaphy/dynamics/semi_implicit/joint_limit_trace.h"
 #include "novaphy/math/functions.h"
 #include "novaphy/math/spatial.h"
 #include "novaphy/math/types.h"
@@ -55,7 +56,7 @@ template <class T>
 struct JointDof {
   Vec3<T> axis{};  // unit vector, joint frame of the parent
   T force{};       // joint_f
-  T limit_lower{}, limit_upper{}, limit_ke{}, limit_kd{};
+  JointLimit<T> limit{};
   T target_q{}, target_qd{}, target_ke{}, target_kd{};
   T damping{}, effort_limit{};
 };
@@ -65,10 +66,7 @@ struct JointDof {
 template <class Visit, class T, class... Arrays>
 void for_each_dof_number(const Visit& visit, JointDof<T>& d, Arrays&... a) {
   visit(d.force, a.joint_f...);
-  visit(d.limit_lower, a.limit_lower...);
-  visit(d.limit_upper, a.limit_upper...);
-  visit(d.limit_ke, a.limit_ke...);
-  visit(d.limit_kd, a.limit_kd...);
+  for_each_limit_number(visit, d.limit, a...);
   visit(d.target_q, a.target_q...);
   visit(d.target_qd, a.target_qd...);
   visit(d.target_ke, a.target_ke...);
@@ -129,16 +127,10 @@ JointFrames<T> joint_frames(const JointBody<T>& parent, const JointBody<T>& chil
 // tau.
 template <class T>
 T joint_dof_force(const JointDof<T>& d, const T& q, const T& qd) {
-  using math::select;
-  const T zero = T(0.0f);
-  const auto below = q<d.limit_lower, above = q> d.limit_upper;
-  const T limit = select(below, d.limit_ke * (d.limit_lower - q),
-                         select(above, d.limit_ke * (d.limit_upper - q), zero));
-  const T stop = select(below, -d.limit_kd * qd, select(above, -d.limit_kd * qd, zero));
+  const T limit = limit_force(d.limit, q, qd);
   const T wanted = d.target_ke * (d.target_q - q) + d.target_kd * (d.target_qd - qd);
   const T drive = math::clamp(wanted, -d.effort_limit, d.effort_limit);
-  const T target = select(below, zero, select(above, zero, drive));
-  return ((limit + stop) + target) - d.damping * qd;
+  return (limit + within_limits(d.limit, q, drive)) - d.damping * qd;
 }
 
 namespace joint_detail {
@@ -248,19 +240,16 @@ JointWrench<T> penalty_joint_wrench(const JointFrames<T>& j, const JointDof<T>* 
   return joint_detail::wrench_at(arm_p, j.arm_c, f, t);
 }
 
-// DISTANCE: the first degree of freedom has the limits.
+// DISTANCE: the limits are those of the first degree of freedom.
 template <class T>
-JointWrench<T> distance_joint_wrench(const JointFrames<T>& j, const JointDof<T>& limits) {
+JointWrench<T> distance_joint_wrench(const JointFrames<T>& j, const JointLimit<T>& limits) {
   using namespace math;
   const T zero = T(0.0f), square = dot(j.x, j.x);
   const auto apart = square > zero;
   const T l = select(apart, sqrt(select(apart, square, T(1.0f))), zero);
   const Vec3<T> u = j.x * select(apart, T(1.0f) / select(apart, l, T(1.0f)), zero);
-  const T error = select(l > limits.limit_upper, l - limits.limit_upper,
-                         select(l < limits.limit_lower, l - limits.limit_lower, zero));
-  const T force = limits.limit_ke * error + limits.limit_kd * dot(u, j.v);
-  return joint_detail::wrench_at(j.arm_p, j.arm_c, u * select(error == zero, zero, force),
-                                 Vec3<T>{zero, zero, zero});
+  const T force = distance_force(limits, l, dot(u, j.v));
+  return joint_detail::wrench_at(j.arm_p, j.arm_c, u * force, Vec3<T>{zero, zero, zero});
 }
 
 }  // namespace novaphy

@@ -483,15 +483,23 @@ def install() -> None:
     if missing:
         raise StepError(f"install: tests/install_consumer has none for {', '.join(missing)}")
     for name, components in COMPONENTS.items():
-        prefix, binary = work / name / "prefix", work / name / "build"
         for component in components:
-            run("install", "cmake", "--install", tree, "--component", component, "--prefix", prefix)
+            to = ("--component", component, "--prefix", work / name / "prefix")
+            run("install", "cmake", "--install", tree, *to)
+
+    def build_consumer(name: str) -> None:
+        prefix, binary = work / name / "prefix", work / name / "build"
         run(
-            "install", "cmake", "-G", "Ninja", "-S", consumers / name, "-B", binary,
+            f"install-{name}", "cmake", "-G", "Ninja", "-S", consumers / name, "-B", binary,
             f"-DCMAKE_PREFIX_PATH={prefix}", "-DCMAKE_BUILD_TYPE=Release",
         )  # fmt: skip
-        run("install", "cmake", "--build", binary, f"-j{JOBS}")
-        ctest(f"install {name}", "--test-dir", binary, "--no-tests=error", "--output-on-failure")
+        run(f"install-{name}", "cmake", "--build", binary, "-j1")
+
+    with ThreadPoolExecutor(JOBS) as pool:
+        list(pool.map(build_consumer, COMPONENTS))
+    for name in COMPONENTS:
+        options = ("--test-dir", work / name / "build", "--no-tests=error", "--output-on-failure")
+        ctest(f"install {name}", *options)
     run("install", sys.executable, "tools/check_headers.py", work / "diff" / "prefix" / "include")
 
 

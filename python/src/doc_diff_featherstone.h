@@ -37,8 +37,8 @@ inline constexpr char kFeatherstoneInfo[] =
     R"(Returns the GradientInfo of all steps since the last clear_gradient_info.
 
 Steps are exact of the code where points and normals of all pushing contacts move as the search
-moves them. These are contacts of planes of the world with spheres, capsules, boxes, hulls or
-meshes, found from the state of the step as it is. Steps are frozen where frozen_contacts other
+moves them. These are contacts of planes with all shapes, and of spheres, capsules and boxes with
+each other, found from the state of the step as it is. Steps are frozen where frozen_contacts other
 contacts push: their points stay in the frames of their bodies, their normals in the world.
 
 contact_steps: steps with contacts or dry friction.

@@ -176,14 +176,10 @@ def tilted_box():
     return builder
 
 
-# Where the points follow the state, and where they are held on their shapes: a plane with what
-# meets it in points, and pairs of others.
+# Contacts that are found from the state of the step: points and normals follow both bodies. Twelve
+# hinges in a row leave differences of float32 that find contacts too coarse.
 FOUND = {
-    **{
-        name: CASES[name]
-        for name in CASES
-        if not any(word in name for word in ("walker", "legs", "table", "snake"))
-    },
+    **{name: CASES[name] for name in CASES if "snake" not in name},
     "capsule": (capsule, {}, (0, 0, 1)),
     # Its other corners cannot touch within the step.
     "tilted box": (tilted_box, {"pgs_slop": 0.0}, (0, 0, 1)),

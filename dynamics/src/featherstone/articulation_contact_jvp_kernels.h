@@ -64,6 +64,28 @@ struct GroupTangent : GroupLists {
   articulation::DualMaterials materials() const {
     return {all.mu, all.restitution, all.ke, all.kd, a.mixing};
   }
+  // Where the body of a side is and how it moves, about `about`.
+  Transform<articulation::DualFloat> pose(const articulation::ContactSide& side,
+                                          const Vec3f& about) const {
+    using articulation::constant;
+    if (side.tree < 0) return {constant(-about), constant(Quatf::identity())};
+    const auto& link = workspace(side.tree).links[side.link];
+    return {link.p + (link.origin - constant(about)), link.q};
+  }
+  // The turning of a contact, and how its body poses move it.
+  articulation::DualTurning turning(const articulation::DualContact& row) const {
+    articulation::DualTurning to;
+    if (!contacts.found || row.follows) return to;
+    const int32_t c = row.contact;
+    const int first = row.sides[0].tree >= 0 ? 0 : 1;
+    const auto& link = workspace(row.sides[first].tree).links[row.sides[first].link];
+    to.about = articulation::value_of(link.origin);
+    for (int side = 0; side < 2; ++side) to.pose[side] = pose(row.sides[side], to.about);
+    to.find(turning_shapes(),
+            turning_input(c, [&](int side) { return articulation::value_of(to.pose[side]); }),
+            contacts.margin0[c], contacts.margin1[c]);
+    return to;
+  }
   articulation::DualContact& row(int32_t place) const {
     return reinterpret_cast<articulation::DualContact*>(island_memory())[place - first_place()];
   }

@@ -79,6 +79,15 @@ inline void start_adjoint(const GroupAdjoint& s, int32_t i) {
   start_node(s, i);
 }
 
+// How a row that pushes or shifts turns, unless that is known.
+inline void find_turning(const GroupAdjoint& s, articulation::AdjointContact& row) {
+  if (!s.contacts.found || row.follows || row.turning.is_exact || !articulation::pushes(row))
+    return;
+  const float margins[2] = {s.contacts.margin0[row.contact], -s.contacts.margin1[row.contact]};
+  row.turning = articulation::contact_turning(s.turning_shapes(), s.turning_input(row), margins,
+                                              row.sides[0].tree >= 0 ? row.place.a : row.place.b);
+}
+
 // Takes the impulses out of the rates, or puts them back.
 inline void apply_impulses(const GroupAdjoint& s, float sign) {
   for (int32_t place = s.first_place(); place < s.end_place(); ++place) {
@@ -109,6 +118,7 @@ inline void build_rows(const GroupAdjoint& s) {
     row.solver.impulse[0] = impulse.x;
     row.solver.impulse[1] = impulse.y;
     row.solver.impulse[2] = impulse.z;
+    find_turning(s, row);
   }
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
     const int32_t i = s.a.trees[t];
@@ -154,6 +164,7 @@ inline void add_shifts(const GroupAdjoint& s) {
   }
   for (int32_t place = s.first_place(); place < s.end_place(); ++place) {
     if (s.a.chain[place].next == -2) continue;
+    find_turning(s, s.row(place));
     IslandNode& node =
         s.a.nodes[s.find_root(articulation::moved_tree(s.all_rows, s.row(place).sides))];
     if (node.solved != -1) continue;

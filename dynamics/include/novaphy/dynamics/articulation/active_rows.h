@@ -199,7 +199,7 @@ inline void note_contact(const ContactRows& of, const ContactLaw<float>& law, bo
   ++to.rows;
   const float normal = branch.active ? c.impulse[0] * c.normal : math::abs(slip(c, 0) + c.bias);
   lower(to.normal_margin, normal);
-  if (!row.follows && (branch.active || shifts)) {
+  if (!row.follows && !row.turns && (branch.active || shifts)) {
     ++to.held;
     take_first({of.shape0[row.contact], of.shape1[row.contact], 0}, to.all.held);
   }

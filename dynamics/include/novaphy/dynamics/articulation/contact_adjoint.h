@@ -12,22 +12,13 @@
 // t^T)/|w_t|) and impulses by R. With the gradient g of v':
 //   (J M^-1 J^T B^T + R^T) z = J M^-1 g,   gradient of M v:  p = M^-1 (g - J^T B^T z)
 // so B^T z, as pushes at the contacts, leaves g, and the adjoint without contacts does the rest. A
-// material p gives -z . d(rows)/dp, dry friction +-dt p_k. The remaining part is the geometry: J's
-// own change with q in  -lambda . (J of p) + (B^T z) . (J of v'). Turning by S_k all that hangs on
-// link i changes a motion T of link b by S_k x (T_b - T_i). Source: Featherstone (2008), section
-// 3.3, for motions; the implicit function theorem.
+// material p gives -z . d(rows)/dp, dry friction +-dt p_k. The remaining part is the geometry
+// (contact_geometry.h). Source: the implicit function theorem.
 #pragma once
 
-#include "novaphy/dynamics/articulation/active_rows.h"
-#include "novaphy/dynamics/articulation/step_vjp.h"
+#include "novaphy/dynamics/articulation/contact_geometry.h"
 
 namespace novaphy::articulation {
-
-struct AdjointContact : IslandContact {
-  Vec3f z{};             // multipliers of its equations
-  Vec3f pull{};          // B^T z, along n, t1, t2
-  float shift_z = 0.0f;  // multiplier of its shift
-};
 
 // Shifts (pgs.h) stand behind: with the gradient h of what moves the coordinates, the rows that
 // shift have  (J M^-1 J^T + softness) y = J M^-1 h,  and J^T y leaves h and so g. With
@@ -209,102 +200,6 @@ bool solve_adjoint(const Island& island, bool cone) {
   return true;
 }
 
-// Behind step_vjp_solve: of the links, w becomes the motion of lambda = dt p and a_adjoint that of
-// `rates`, those behind the impulses; v is that of qd.
-inline void set_contact_motions(const Tree<float>& tree, const float* rates, Workspace<float>& ws,
-                                const AdjointMemory<float>& memory) {
-  for (int32_t i = 0; i < tree.link_count; ++i) {
-    const Link& link = tree.links[i];
-    LinkState<float>& to = ws.links[i];
-    to.w = joint_motion(tree, link, ws.axes, memory.scratch);
-    to.a_adjoint = joint_motion(tree, link, ws.axes, rates);
-    if (link.parent < 0) continue;
-    to.w = ws.links[link.parent].w + to.w;
-    to.a_adjoint = ws.links[link.parent].a_adjoint + to.a_adjoint;
-  }
-}
-
-// A row's own change with q, and of a bounce with qd, into the gradients of its trees. The midpoint
-// moves with half of each core, and below a point that is followed with all of its movement along
-// the plane. tree_of(i) is an IslandTree, memory_of(i) an AdjointMemory; `signs`: of the sides in
-// the row, 0: it is not in the row, but moves the midpoint.
-struct RowSigns {
-  float of[2] = {-1.0f, 1.0f};
-};
-template <class TreeOf, class MemoryOf>
-void add_contact_geometry(const AdjointContact& row, float dt, const TreeOf& tree_of,
-                          const MemoryOf& memory_of, const RowSigns& signs = {}) {
-  const Vec3f* const axes = row.frame.axes;
-  const auto world = [&](float x, float y, float z) {
-    return axes[0] * x + (axes[1] * y + axes[2] * z);
-  };
-  const float* const impulse = row.solver.impulse;
-  const float normal = row.z.x;
-  const Vec3f push = world(impulse[0], impulse[1], impulse[2]) * (1.0f / dt);
-  const Vec3f bounce =
-      axes[0] * (normal * row.target.bounce + row.shift_z * row.target.shift_bounce);
-  const Vec3f forces[3] = {-push, world(row.pull.x, row.pull.y, row.pull.z), bounce};
-  const Vec3f points[2] = {row.place.a, row.place.b};
-  SpatialVectorf motions[2][3] = {};
-  Vec3f by_point{};  // how the sum changes with the midpoint
-  for (int side = 0; side < 2; ++side) {
-    const ContactSide& at = row.sides[side];
-    if (at.tree < 0 || signs.of[side] == 0.0f) continue;
-    const LinkState<float>& s = tree_of(at.tree).ws.links[at.link];
-    const SpatialVectorf of[3] = {s.w, s.a_adjoint, s.v};
-    for (int f = 0; f < 3; ++f) {
-      motions[side][f] = of[f];
-      by_point = by_point + math::cross(forces[f], of[f].angular) * (0.5f * signs.of[side]);
-    }
-  }
-  if (row.follows) by_point = by_point * 2.0f - axes[0] * math::dot(axes[0], by_point);
-  for (int side = 0; side < 2; ++side) {
-    const ContactSide& at = row.sides[side];
-    if (at.tree < 0) continue;
-    const float sign = signs.of[side];
-    const Vec3f by_core = by_point + axes[0] * (sign * normal * row.target.slope);
-    const IslandTree of = tree_of(at.tree);
-    const Tree<float>& tree = of.tree;
-    const AdjointMemory<float> memory = memory_of(at.tree);
-    for (int32_t i = at.link; i >= 0; i = tree.links[i].parent) {
-      const Link& link = tree.links[i];
-      const LinkState<float>& s = of.ws.links[i];
-      const SpatialVectorf own[3] = {s.w, s.a_adjoint, s.v};
-      // The rates of a FREE joint are about its centre of mass, which moves with its translation
-      // and with body_com: how they turn, without what carries the joint.
-      Vec3f turning[3] = {};
-      if (is_free(link) && sign != 0.0f) {
-        Vec3f by_com{};
-        for (int f = 0; f < 3; ++f) {
-          turning[f] = own[f].angular;
-          if (link.parent >= 0) {
-            const LinkState<float>& parent = of.ws.links[link.parent];
-            const SpatialVectorf& carried = f == 0   ? parent.w
-                                            : f == 1 ? parent.a_adjoint
-                                                     : parent.v;
-            turning[f] = turning[f] - carried.angular;
-          }
-          by_com = by_com + math::cross(turning[f], forces[f]);
-        }
-        memory.moved_com[i] = memory.moved_com[i] - math::rotate_inverse(s.q, by_com * sign);
-      }
-      for (int32_t j = 0; j < link.dofs; ++j) {
-        const int32_t k = local_dof(tree, link) + j;
-        const SpatialVectorf& axis = of.ws.axes[k];
-        float sum = math::dot(by_core, math::motion_at(axis, row.cores[side]).linear);
-        for (int f = 0; sign != 0.0f && f < 3; ++f) {
-          SpatialVectorf d = math::cross_motion(axis, motions[side][f] - own[f]);
-          if (is_free(link) && j < 3) d.linear = d.linear + math::cross(axis.linear, turning[f]);
-          sum += sign * math::dot(forces[f], math::motion_at(d, points[side]).linear);
-        }
-        memory.tangent[k] -= sum;
-        if (row.target.bounce > 0.0f)
-          memory.rate[k] -= sign * math::dot(bounce, math::motion_at(axis, points[side]).linear);
-      }
-    }
-  }
-}
-
 // -y mu d(softness) of a row that shifts, behind solve_shift_adjoint, into the gradients of its
 // trees. The motions of their links are other ones then.
 template <class TreeOf, class MemoryOf>
@@ -313,6 +208,7 @@ void add_softness_gradient(const AdjointContact& row, float dt, const TreeOf& tr
   const float weight = -kShiftSoftness * row.shift_z * row.solver.shifted;
   AdjointContact of;
   of.follows = row.follows;
+  of.turning = row.turning;
   of.frame = row.frame;
   of.place = row.place;
   of.solver.impulse[0] = 2.0f * dt;

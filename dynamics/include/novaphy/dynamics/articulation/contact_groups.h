@@ -7,6 +7,7 @@
 #include "novaphy/dynamics/articulation/active_rows.h"
 #include "novaphy/dynamics/articulation/arguments.h"
 #include "novaphy/dynamics/articulation/step_vjp.h"
+#include "novaphy/dynamics/articulation/turning_contacts.h"
 
 namespace novaphy {
 
@@ -61,6 +62,7 @@ struct ContactGroupArguments {
   NOVAPHY_ARGUMENTS(Part<ContactShapes> shapes; Given<float> mu, restitution, ke, kd, mixing;
                     Given<float> joint_friction; Given<int32_t> tree_begin, trees;
                     Given<int32_t> contact_begin, contacts; Given<int32_t> shape_type;
+                    Given<Transformf> shape_transform; Given<Vec3f> shape_scale;
                     Number<float> erp, slop, cfm, max_depenetration, restitution_threshold;
                     Number<int64_t> compliant, cone, found; Writes<ContactLink> chain;
                     Writes<IslandNode> nodes; Writes<float> memory; Number<int64_t> contact_stride;)
@@ -140,6 +142,17 @@ struct GroupLists {
   bool follows(int32_t contact, const articulation::ContactSide* sides) const {
     return articulation::follows_plane(contacts, a.shape_type, contact, sides);
   }
+  articulation::TurningShapes turning_shapes() const {
+    return {a.shape_type, a.shape_transform, a.shape_scale};
+  }
+  // pose_of(side): where a body is.
+  template <class PoseOf>
+  articulation::TurningInput<float> turning_input(int32_t contact, const PoseOf& pose_of) const {
+    return {{contacts.shape0[contact], contacts.shape1[contact]},
+            {contacts.point0[contact], contacts.point1[contact]},
+            contacts.normal[contact],
+            {pose_of(0), pose_of(1)}};
+  }
 };
 
 // A group with the dynamics of its trees.
@@ -178,6 +191,23 @@ struct ContactGroup : GroupLists {
     const ArticulationRows& r = rows(i);
     return articulation::make_adjoint_memory<float>(
         memory(i) + island_tree_bytes(r.link_count, r.dof_count), r.link_count, r.dof_count);
+  }
+  // Where the body of a side is, about the origin of the first tree of the contact.
+  Transformf pose(const articulation::ContactSide* sides, int side) const {
+    const auto link = [&](int of) -> const articulation::LinkState<float>& {
+      return tree(sides[of].tree).ws.links[sides[of].link];
+    };
+    const Vec3f about = link(sides[0].tree >= 0 ? 0 : 1).origin;
+    if (sides[side].tree < 0) return {-about, Quatf::identity()};
+    return {link(side).p + (link(side).origin - about), link(side).q};
+  }
+  articulation::TurningInput<float> turning_input(const articulation::IslandContact& row) const {
+    return GroupLists::turning_input(row.contact, [&](int side) { return pose(row.sides, side); });
+  }
+  // Whether a contact turns, while its trees are where the step starts.
+  bool turns(const articulation::IslandContact& row) const {
+    return contacts.found && !row.follows && articulation::pushes(row) &&
+           articulation::turn_contact(turning_shapes(), turning_input(row)).is_exact;
   }
   articulation::ShapeMaterials materials() const {
     return {a.mu, a.restitution, a.ke, a.kd, a.mixing};

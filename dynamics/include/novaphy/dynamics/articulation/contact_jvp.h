@@ -3,14 +3,13 @@
 // rows then have the derivatives r, and the impulses answer by (B J M^-1 J^T + R) lambda' = -r.
 // Freestanding: the host and the kernels of devices share it. `trees` gives:
 //   tree(i), workspace(i)   of tree i with dual numbers, behind free_rates
+//   turning(contact)        DualTurning
 #pragma once
 
 #include "novaphy/dynamics/articulation/active_rows.h"
-#include "novaphy/dynamics/articulation/dual.h"
+#include "novaphy/dynamics/articulation/dual_turning.h"
 
 namespace novaphy::articulation {
-
-inline Vec3f tangent(const Vec3<DualFloat>& v) { return {v.x.tangent, v.y.tangent, v.z.tangent}; }
 
 // What a tree has of a row: J and Y {3, dofs}. An absent one has no tree.
 struct DualSide {
@@ -83,10 +82,9 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
                         const ContactLaw<DualFloat>& law, const DualMaterials& of,
                         const Vec3f& impulse, DualFloat* numbers, DualContact& row) {
   const int32_t at = row.contact;
-  const Vec3<DualFloat> normal = constant(c.normal[at]);
-  const ContactFrame<float> axes = contact_frame(c.normal[at]);
-  const ContactFrame<DualFloat> frame = {
-      {constant(axes.axes[0]), constant(axes.axes[1]), constant(axes.axes[2])}};
+  const DualTurning turning = trees.turning(row);
+  const Vec3<DualFloat> normal = turning.is_exact ? turning.normal : constant(c.normal[at]);
+  const ContactFrame<DualFloat> frame = contact_frame(normal);
   const Vec3f cores[2] = {c.point0[at], c.point1[at]};
   const float margins[2] = {c.margin0[at], -c.margin1[at]};
   SurfacePoint<DualFloat> points[2];
@@ -96,14 +94,13 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
         surface_point<DualFloat>(on.tree < 0 ? nullptr : &trees.workspace(on.tree).links[on.link],
                                  constant(cores[side]), normal * DualFloat(margins[side]));
   }
+  for (int side = 0; turning.is_exact && side < 2; ++side)
+    set_tangent(turning.moved[side] - tangent(points[side].origin), points[side].at);
   if (row.follows) {
     const int side = row.sides[0].tree >= 0 ? 0 : 1;
     const Vec3f moved = tangent(points[side].at + points[side].origin);
     const Vec3f n = c.normal[at], along = moved - n * math::dot(n, moved);
-    Vec3<DualFloat>& below = points[1 - side].at;
-    below.x.tangent = along.x;
-    below.y.tangent = along.y;
-    below.z.tangent = along.z;
+    set_tangent(along, points[1 - side].at);
   }
   const ContactPlace<DualFloat> place = contact_place(points[0], points[1], normal);
   const bool itself = row.sides[0].tree == row.sides[1].tree;

@@ -342,6 +342,8 @@ inline void solve_island(const GroupStep& s, int32_t root) {
     node.failed = 1;
   } else if (node.joined != 0) {
     node.result = solve_joined(s, root);
+    for (int32_t n = 0; s.all.notes != nullptr && n < node.rows; ++n)
+      rows_of(s, root)[n].turns = s.turns(rows_of(s, root)[n]);
   } else if (node.rows > 0) {
     node.result = solve_alone(s, root);
   } else {

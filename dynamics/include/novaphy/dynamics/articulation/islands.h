@@ -160,10 +160,16 @@ struct IslandContact {
   // and a plane of the world: so the normal is constant, and the point of the plane goes along it
   // below the other.
   bool follows = false;
+  bool turns = false;        // points and normal follow both bodies (turning_contacts.h)
   bool elastic = false;      // it has restitution
   float* numbers = nullptr;  // {6, widths of both sides}: J, and Y behind it, of each side
   bool whole = false;        // build_responses was there
 };
+
+// Whether it pushes or shifts.
+inline bool pushes(const IslandContact& row) {
+  return row.solver.impulse[0] > 0.0f || row.solver.shifted > 0.0f;
+}
 
 inline void contact_points(const ContactRows& c, int32_t contact,
                            const LinkState<float>* const* links, SurfacePoint<float>* points) {

@@ -24,11 +24,11 @@
 // ErrorKind::Runtime, with the step and the pair. (On devices the step or rollout that waits looks;
 // captures do not.)
 //
-// Points and normals move as the search moves them for contacts of a plane of the world with
-// spheres, capsules, boxes, hulls or meshes. The contacts must come from the state of the step
-// (FoundContacts). Other points and normals are frozen: points stay in the frames of their bodies,
-// normals in the world. ContactBranches counts such steps apart. The making and breaking of
-// contacts is not differentiated.
+// Points and normals move as the search moves them for planes with all shapes, and for spheres,
+// capsules and boxes with each other (contact_turning_trace.h). The contacts must come from the
+// state of the step (FoundContacts). Other points and normals are frozen: points stay in the
+// frames of their bodies, normals in the world. ContactBranches counts such steps apart. The making
+// and breaking of contacts is not differentiated.
 //
 // Dry friction of joints (joint_friction) is treated likewise, and counts as a step with contacts.
 // A capture records such steps and their adjoints as work of the host; where a replay fails its

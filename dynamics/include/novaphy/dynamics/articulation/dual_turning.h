@@ -1,0 +1,61 @@
+// How a contact of trees turns with the tangents of its bodies' poses (turning_contacts.h).
+#pragma once
+
+#include "novaphy/dynamics/articulation/dual.h"
+#include "novaphy/dynamics/articulation/turning_contacts.h"
+
+namespace novaphy::articulation {
+
+inline Vec3f tangent(const Vec3<DualFloat>& v) { return {v.x.tangent, v.y.tangent, v.z.tangent}; }
+inline void set_tangent(const Vec3f& to, Vec3<DualFloat>& v) {
+  v.x.tangent = to.x;
+  v.y.tangent = to.y;
+  v.z.tangent = to.z;
+}
+inline Vec3f value_of(const Vec3<DualFloat>& v) { return {v.x.value, v.y.value, v.z.value}; }
+inline Transformf value_of(const Transform<DualFloat>& x) {
+  return {value_of(x.p), {x.q.x.value, x.q.y.value, x.q.z.value, x.q.w.value}};
+}
+
+// The tangent of a pose as a twist at a point.
+inline SpatialVectorf twist_of(const Transform<DualFloat>& pose, const Vec3f& at) {
+  const Transformf x = value_of(pose);
+  const Quatf speed = {pose.q.x.tangent, pose.q.y.tangent, pose.q.z.tangent, pose.q.w.tangent};
+  const Quatf half = math::multiply(speed, math::conjugate(x.q));
+  SpatialVectorf to;
+  to.angular = {2.0f * half.x, 2.0f * half.y, 2.0f * half.z};
+  to.linear = tangent(pose.p) + math::cross(to.angular, at - x.p);
+  return to;
+}
+
+// Of a contact: the normal, and how the surface points move in the world.
+struct DualTurning {
+  bool is_exact = false;
+  Vec3<DualFloat> normal{};
+  Vec3f moved[2] = {};
+  Vec3f about{};
+  Transform<DualFloat> pose[2] = {};  // of the bodies, about that
+
+  // `of`: the contact at the values of the poses.
+  void find(const TurningShapes& shapes, const TurningInput<float>& of, float margin0,
+            float margin1) {
+    const float margins[2] = {margin0, -margin1};
+    Vec3f points[2];
+    for (int side = 0; side < 2; ++side)
+      points[side] =
+          math::transform_point(of.pose[side], of.point[side]) + of.normal * margins[side];
+    const Vec3f apart = points[1] - points[0], at = points[0] + apart * 0.5f;
+    const ContactTurning turning = contact_turning(shapes, of, margins, at);
+    is_exact = turning.is_exact;
+    if (!is_exact) return;
+    const SpatialVectorf twists[2] = {twist_of(pose[0], at), twist_of(pose[1], at)};
+    const TurningMotion motion =
+        turning_motion(turning, of.normal, 0.5f * math::dot(apart, of.normal), twists);
+    normal = constant(of.normal);
+    set_tangent(motion.normal, normal);
+    moved[0] = motion.a;
+    moved[1] = motion.b;
+  }
+};
+
+}  // namespace novaphy::articulation

@@ -9,8 +9,8 @@
 #include <queue>
 #include <set>
 #include <span>
-#include <utility>
 
+#include "geometry/edge_owners.h"
 #include "geometry/vector_double.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/geometry/hull_of_all.h"
@@ -18,6 +18,7 @@
 namespace novaphy {
 namespace {
 
+using detail::Edge;
 using detail::Vec3d;
 
 constexpr double kFlat = 1e-6;                    // of the extent: no height above a face
@@ -29,12 +30,11 @@ struct Triangle {
   std::array<int32_t, 3> v;
   Vec3d normal;
   double offset = 0.0;
-  std::vector<int32_t> outside;  // points above it, ascending
+  std::vector<int32_t> outside;  // points above it
   int32_t farthest = -1;
   double height = 0.0;
   bool is_gone = false, is_seen = false;
 };
-using Edge = std::pair<int32_t, int32_t>;
 
 class Quickhull {
  public:
@@ -60,7 +60,7 @@ class Quickhull {
   std::vector<size_t> seen_by(size_t start, const Vec3d& p);
   void drop_gone();
 
-  std::map<Edge, size_t> owner_;  // the triangle of each edge
+  detail::EdgeOwners owner_;
   std::priority_queue<Candidate> candidates_;
   size_t gone_ = 0;
 };
@@ -159,23 +159,25 @@ void Quickhull::drop_gone() {
 
 // Gives each point to the triangle, from `first` on, that it lies highest above.
 void Quickhull::distribute(const std::vector<int32_t>& candidates, size_t first) {
+  std::vector<std::pair<Vec3d, double>> planes;
+  for (size_t t = first; t < triangles.size(); ++t)
+    planes.emplace_back(triangles[t].normal, triangles[t].offset);
   for (const int32_t i : candidates) {
+    const Vec3d p = points[i];
     double height = kFlat * extent;
-    size_t owner = triangles.size();
-    for (size_t t = first; t < triangles.size(); ++t) {
-      const double h = math::dot(triangles[t].normal, points[i]) - triangles[t].offset;
-      if (h > height) {
-        height = h;
-        owner = t;
-      }
+    size_t owner = planes.size();
+    for (size_t k = 0; k < planes.size(); ++k) {
+      const double h = math::dot(planes[k].first, p) - planes[k].second;
+      if (!(h > height)) continue;
+      height = h;
+      owner = k;
     }
-    if (owner == triangles.size()) continue;
-    Triangle& t = triangles[owner];
+    if (owner == planes.size()) continue;
+    Triangle& t = triangles[first + owner];
     t.outside.push_back(i);
-    if (height > t.height) {
-      t.height = height;
-      t.farthest = i;
-    }
+    const bool is_first = height == t.height && i < t.farthest;  // candidates have any order
+    if (height > t.height || is_first) t.farthest = i;
+    t.height = std::max(t.height, height);
   }
   for (size_t t = first; t < triangles.size(); ++t)
     if (triangles[t].farthest >= 0)
@@ -219,7 +221,6 @@ bool Quickhull::grow() {
   }
   const size_t first = triangles.size();
   for (const auto& [i, j] : horizon) add_triangle(i, j, from.point);
-  std::sort(orphans.begin(), orphans.end());
   distribute(orphans, first);
   if (gone_ > 1024 && 2 * gone_ > triangles.size()) drop_gone();
   return true;
@@ -263,7 +264,7 @@ Vec3d vector_area(const std::vector<Vec3d>& points, const std::vector<int32_t>& 
 // is lost, so it may not be where the hull would become thinner, or flat.
 std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
   const std::vector<Triangle>& triangles = hull.triangles;
-  std::map<Edge, size_t> owner;
+  detail::EdgeOwners owner;
   std::vector<double> area(triangles.size());
   for (size_t t = 0; t < triangles.size(); ++t) {
     const auto& v = triangles[t].v;

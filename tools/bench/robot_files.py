@@ -7,9 +7,11 @@ FOLDER has one folder a collection, such as an unpacked wheel of gymnasium or dm
 the same content count once, and so do pieces that other files include. A file is read when
 add_mjcf or add_urdf, finalize and one step give finite numbers. What NovaPhy reads with its default
 options is compared with MuJoCo at random states: masses, inertias, poses, mass matrix, inverse
-dynamics, forces of joints and actuators, pairs of geoms that may meet; URDF files with Pinocchio:
-mass matrix and gravity, of those without mended parts. Files are read in a process of their own,
-which may crash or take too long. Needs mujoco, and pin for URDF.
+dynamics, accelerations, forces of joints and actuators, pairs of geoms that may meet. URDF files
+are compared with Pinocchio: masses, poses, mass matrix, gravity, bias, of those without mended
+parts. Errors of accelerations are divided by 1 + 0.02 times the condition of the mass matrix. Files
+are read in a process of their own, which may crash or take too long. Needs mujoco, and pin for
+URDF.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ import sys
 import warnings
 
 from robot_collections import Worker, finish, read_options, run_files
-from robot_forces import note_forces
+from robot_forces import note_accelerations, note_forces
+from robot_urdf import assembled, compare_urdf
 
 TOLERANCE = 1e-5
 
@@ -182,7 +185,6 @@ def compare(exact, model, robot) -> dict[str, float]:
             ours += range(at, at + n)
             at += n
         acceleration = draw.normal(size=exact.nv)
-        # Both engines get the same float32 numbers.
         state.joint_q.assign(np.float32(q))
         state.joint_qd.assign(np.float32(change @ data.qvel))
         novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
@@ -216,51 +218,8 @@ def compare(exact, model, robot) -> dict[str, float]:
         ).astype(float)
         tau = change.T @ np.asarray(tau).ravel()
         note("inverse dynamics", tau, full @ acceleration + data.qfrc_bias)
+        note_accelerations(model, state, change, drift, full, data.qfrc_bias, draw, note)
     worst["pairs"] = len(pairs ^ pairs_of(model, bodies, exact)) if pairs is not None else 0
-    return dict(worst)
-
-
-def compare_urdf(exact, model, robot) -> dict[str, float]:
-    """Mass matrix and gravity of the joints that both have, at random angles."""
-    import numpy as np
-    import pinocchio
-
-    import novaphy
-
-    data, worst = exact.createData(), collections.defaultdict(float)
-    draw = np.random.default_rng(0)
-    state = model.state()
-    for _ in range(4):
-        q, full_q = model.joint_q.numpy(), pinocchio.neutral(exact)
-        ours, theirs = [], []
-        for k in range(1, exact.njoints):
-            joint, name = exact.joints[k], exact.names[k]
-            if joint.nv != 1 or name not in robot.joints:
-                return {}  # planar and floating joints have other velocities
-            value = draw.uniform(-1, 1)
-            q[robot.joint_coords[name]] = value
-            full_q[joint.idx_q : joint.idx_q + joint.nq] = (
-                [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
-            )
-            ours.append(robot.joint_dofs[name])
-            theirs.append(joint.idx_v)
-        if not ours:
-            return {}
-        state.joint_q.assign(q)
-        state.joint_qd.zero_()
-        full = np.asarray(pinocchio.crba(exact, data, full_q))
-        full = np.triu(full) + np.triu(full, 1).T
-        gravity = pinocchio.computeGeneralizedGravity(exact, data, full_q)
-        armature = np.diag(model.joint_armature.numpy()[ours])
-        blocks = assembled(model, novaphy.eval_mass_matrix(model, state))[np.ix_(ours, ours)]
-        bias = novaphy.eval_bias(model, state).astype(float).ravel()[ours]
-        full = full[np.ix_(theirs, theirs)]
-        for what, got, expected in (
-            ("mass matrix", blocks - armature, full),
-            ("gravity", bias, gravity[theirs]),
-        ):
-            scale = max(np.abs(expected).max(), 1e-6)
-            worst[what] = max(worst[what], float(np.abs(got - expected).max() / scale))
     return dict(worst)
 
 
@@ -273,18 +232,6 @@ def cross_matrix(v):
     import numpy as np
 
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-
-
-def assembled(model, blocks):
-    import numpy as np
-
-    starts, ends = model.articulation_start.numpy(), model.articulation_end.numpy()
-    rows = model.joint_qd_start.numpy()
-    full = np.zeros((model.joint_dof_count,) * 2)
-    for k in range(len(ends)):
-        a, b = rows[starts[k]], rows[ends[k]]
-        full[a:b, a:b] = np.asarray(blocks[k])[: b - a, : b - a]
-    return full
 
 
 def draw_controls(exact, data, draw) -> None:

@@ -1,4 +1,4 @@
-"""Forces of springs, dampers, actuators and gravity compensation, beside MuJoCo's."""
+"""Forces of springs, dampers and actuators, and accelerations, beside MuJoCo's."""
 
 from __future__ import annotations
 
@@ -13,11 +13,15 @@ def note_forces(exact, data, model, robot, state, change, coordinates, note) -> 
     total = -model.joint_damping.numpy().astype(float) * qd
     stiffness, rest = model.joint_target_ke.numpy(), model.joint_target_q.numpy()
     starts, coords = model.joint_qd_start.numpy(), model.joint_q_start.numpy()
-    for j in range(model.joint_count):  # joints with as many coordinates as degrees of freedom
+    for j in range(model.joint_count):
         d, n = starts[j], starts[j + 1] - starts[j]
         c, m = coords[j], coords[j + 1] - coords[j]
         if n == m:
             total[d : d + n] += stiffness[d : d + n] * (rest[c : c + n] - coordinates[c : c + n])
+        elif n == 3:
+            total[d : d + n] += stiffness[d : d + n] * turn_between(
+                coordinates[c : c + m], rest[c : c + m].astype(float)
+            )
     control = model.control()
     ctrl, act = control.ctrl.numpy(), state.act.numpy()
     names = [exact.actuator(k).name for k in range(exact.nu)]
@@ -41,6 +45,30 @@ def note_forces(exact, data, model, robot, state, change, coordinates, note) -> 
         note("actuators", [ours[row] for row in forces], list(forces.values()))
     total += lifted(model, state)
     note("forces", change.T @ total, data.qfrc_passive + data.qfrc_actuator)
+
+
+def note_accelerations(model, state, change, drift, full, bias, draw, note) -> None:
+    """Of random forces, in parts of what float32 and the condition of the mass matrix allow."""
+    import numpy as np
+
+    import novaphy
+
+    force = np.float32(np.linalg.solve(change.T, draw.normal(size=len(full))))
+    expected = change @ np.linalg.solve(full, change.T @ force - bias) + drift
+    found = np.ravel(novaphy.eval_forward_dynamics(model, state, force)).astype(float)
+    allowed = (1.0 + 0.02 * np.linalg.cond(full)) * np.abs(expected).max()
+    note("accelerations", np.abs(found - expected).max() / allowed, 0.0, 1.0)
+
+
+def turn_between(start, end):
+    """The rotation vector from one quaternion to another, xyzw, at most half a turn long."""
+    import numpy as np
+
+    v, w, a, b = end[:3], end[3], -start[:3], start[3]
+    sine, cosine = w * a + b * v + np.cross(v, a), w * b - v @ a
+    size = np.linalg.norm(sine)
+    angle = 2 * np.arctan2(size, abs(cosine)) * (1 if cosine >= 0 else -1)
+    return sine * (angle / size if size > 0 else 0.0)
 
 
 def moments(model, state):

@@ -409,3 +409,24 @@ def test_a_tape_sees_what_a_view_of_selected_rows_writes():
         model.select("spring").view(control, "ctrl")[...] = 9.0
         with pytest.raises(novaphy.Error, match="modified after recording"):
             tape.backward(loss)
+
+
+def test_a_step_names_a_control_or_activation_that_is_not_finite():
+    lag = {"dynamics": ActuatorDynamics.FILTER, "time": 0.1, "label": "lag"}
+    model = hinge([{"label": "motor"}, lag])
+    solver, state, control = (
+        novaphy.solvers.SolverFeatherstone(model),
+        model.state(),
+        model.control(),
+    )
+    control.ctrl.assign([np.nan, 0.0])
+    with pytest.raises(ValueError, match=r'control.ctrl\[0\] \("motor"\): .*got nan'):
+        solver.step(state, state, control, None, DT)
+    model.ctrl.assign([np.nan, 0.0])
+    with pytest.raises(ValueError, match=r'model.ctrl\[0\] \("motor"\): .*got nan'):
+        solver.step(model.state(), state, None, None, DT)
+    model.ctrl.assign([0.0, 0.0])
+    start = model.state()
+    start.act.assign([np.nan])
+    with pytest.raises(ValueError, match=r'state_in.act\[0\] \("lag"\): .*got nan'):
+        solver.step(start, state, None, None, DT)

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cmath>
 #include <string>
 
 #include "articulation_step.h"
@@ -313,6 +314,21 @@ std::vector<float> eval_actuator_forces(const Model& m, const SimState& state,
 
 void ActuatedStep::finish(const SimState& out) const {
   if (memory_[art::kNextActivation].rows() == 0) return;
+void check_actuator_inputs(const Model& m, const SimState& state, const Control* control,
+                           const char* user) {
+  const OnHost<float> ctrl(control != nullptr ? control->ctrl : m.ctrl), act(state.act);
+  const OnHost<int32_t> activation(m.actuator_state);
+  const char* const owner = control != nullptr ? "control" : "model";
+  for (size_t k = 0; k < activation.size(); ++k) {
+    const std::string name = "] (\"" + m.actuator_label[k] + "\"): expected a finite number, got ";
+    require(std::isfinite(ctrl[k]), ErrorKind::Value, user, ": ", owner, ".ctrl[", k, name,
+            ctrl[k]);
+    const auto row = static_cast<size_t>(std::max(activation[k], 0));
+    require(activation[k] < 0 || std::isfinite(act[row]), ErrorKind::Value, user, ": state_in.act[",
+            row, name, act[row]);
+  }
+}
+
   DeviceArray<float> act = out.act;
   act.assign(memory_[art::kNextActivation]);
 }

@@ -28,6 +28,10 @@ inline constexpr int32_t kActuatedPlaces[] = {kAt.joint_f,   kAt.target_q,  kAt.
 // Puts them in the place of those of the model and the control.
 void read_instead(NamedStepArrays& arrays, const StepDrives& drives);
 
+// Of a step that failed: names the control or activation that is not finite.
+void check_actuator_inputs(const Model& model, const SimState& state, const Control* control,
+                           const char* user);
+
 class BodyActuators;
 
 class Actuators {

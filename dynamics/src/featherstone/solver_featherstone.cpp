@@ -231,13 +231,13 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
     c.trees->step(in_memory(a), m, c.all, options_, nullptr);
   else
     run(tree_step_kernel(), c.articulations.count(), a);
-  if (c.trees) finish(touching, state_in, state_out, dt);
+  if (c.trees) finish(touching, control, state_in, state_out, dt);
   mark_unrecorded_step(m, state_in, state_out, control);
 }
 
 // Where a step runs at once: an articulation that fails leaves the new state as it was.
-void SolverFeatherstone::finish(const Contacts* contacts, const SimState& from, SimState& to,
-                                float dt) {
+void SolverFeatherstone::finish(const Contacts* contacts, const Control* control,
+                                const SimState& from, SimState& to, float dt) {
   Cache& c = *cache_;
   const std::span<const int32_t> status = {c.status.data(), c.status.rows()};
   if (std::all_of(status.begin(), status.end(), [](int32_t s) { return s == 0; })) {
@@ -247,6 +247,7 @@ void SolverFeatherstone::finish(const Contacts* contacts, const SimState& from, 
   if (c.keeps_earlier) c.earlier.restore(to);
   const articulation::ContactRows rows = contact_rows(contacts);
   check_contact_status(status, kName, model().get(), rows.shape0, rows.shape1);
+  check_actuator_inputs(*model(), from, control, kName);
   check_exploded(*model(), c.articulations, status, from, dt, c.contacts.largest_force(), kName);
 }
 

@@ -98,7 +98,8 @@ class NOVAPHY_DYNAMICS_API SolverFeatherstone : public SolverBase {
  private:
   struct Cache;
   void make_cache();
-  void finish(const Contacts* contacts, const SimState& from, SimState& to, float dt);
+  void finish(const Contacts* contacts, const Control* control, const SimState& from, SimState& to,
+              float dt);
   void add_penalties(const Contacts& contacts, ArticulationStepArguments& arguments);
 
   FeatherstoneOptions options_;

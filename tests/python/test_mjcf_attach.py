@@ -212,3 +212,16 @@ def test_height_fields_have_the_numbers_of_their_files(tmp_path):
         main.write_text(text.format(name))
         with pytest.raises((ValueError, OSError), match=message):
             novaphy.ModelBuilder().add_mjcf(str(main))
+
+
+def test_of_models_with_one_name_the_first_counts(write, tmp_path):
+    """As in MuJoCo; the report names the other one."""
+    path = write(INSIDE["body"])
+    (tmp_path / "other.xml").write_text(CHILD.replace('size=".1"', 'size=".7"'))
+    text = (tmp_path / "main.xml").read_text()
+    other = '<model name="kid" file="other.xml"/></asset>'
+    (tmp_path / "main.xml").write_text(text.replace("</asset>", other))
+    with pytest.warns(UserWarning, match="another model of this name stands before it"):
+        model, robot = loaded(path)[:2]
+    assert not (model.shape_scale.numpy() > 0.65).any()
+    assert '<model name="kid">' in [note.element for note in robot.report.ignored]

@@ -88,8 +88,11 @@ class ActuatorReader {
       first("gainprm", law.gain);
       first("biasprm", law.bias);
       first("dynprm", {&law.time, 1});
+      if (e.Attribute("ctrlrange") != nullptr) law.inherit_range = 0.0;
       return;
     }
+    if (e.Attribute("inheritrange") != nullptr && kind != "position" && kind != "intvelocity")
+      file_.refuse(e, "inheritrange: expected <position> or <intvelocity>");
     // The others go on from what the same kind, or <general>, said last.
     Law from;
     const auto goes_on = [&](const Law& l) { return l.kind == kind || l.kind == "general"; };
@@ -108,6 +111,16 @@ class ActuatorReader {
     }
     if (kind == "cylinder") return apply_cylinder(e, law, from);
     if (kind != "position" && kind != "velocity" && kind != "intvelocity") return;
+    apply_servo(e, law, from);
+  }
+
+  // <position>, <velocity> and <intvelocity>.
+  void apply_servo(const Element& e, Law& law, const Law& from) const {
+    const std::string& kind = law.kind;
+    const auto one = [&](const char* name) {
+      double value[1];
+      return file_.numbers(e, name, value) ? std::optional(value[0]) : std::nullopt;
+    };
     law.bias_type = "affine";
     law.gain[0] = one(kind == "velocity" ? "kv" : "kp").value_or(from.gain[0]);
     if (kind == "velocity") {
@@ -118,7 +131,11 @@ class ActuatorReader {
     law.bias[2] = from.bias[2];
     law.dynamics = kind == "intvelocity" ? "integrator" : from.dynamics;
     law.time = from.time;
-    law.inherit_range = one("inheritrange").value_or(from.inherit_range);
+    const std::string own = kind == "position" ? "ctrlrange" : "actrange";
+    const bool has_own = e.Attribute(own.c_str()) != nullptr;
+    if (e.Attribute("inheritrange") != nullptr && has_own)
+      file_.refuse(e, "inheritrange, " + own + ": expected one of them");
+    law.inherit_range = one("inheritrange").value_or(has_own ? 0.0 : from.inherit_range);
     const auto kv = one("kv"), ratio = one("dampratio"), lag = one("timeconst");
     if (kv && ratio) file_.refuse(e, "kv, dampratio: expected one of them");
     if (kv) law.bias[2] = -*kv;
@@ -257,13 +274,15 @@ class ActuatorReader {
     auto control = range(e, "ctrlrange", "ctrllimited", kind == "damper");
     a.activation = range(e, "actrange", "actlimited", is_integrated && law.inherit_range <= 0.0)
                        .value_or(kNoRange);
-    if (law.inherit_range > 0.0 && joint != nullptr && joint->is_limited) {
+    if (law.inherit_range > 0.0) {
+      if (joint == nullptr || !joint->is_scalar || !joint->is_limited)
+        file_.refuse(e, "inheritrange: expected a hinge or slide with limits");
       const double middle = 0.5 * (joint->range[0] + joint->range[1]);
       const double radius = 0.5 * (joint->range[1] - joint->range[0]) * law.inherit_range;
       const Range inherited = {middle - radius, middle + radius};
       if (is_integrated)
         a.activation = inherited;
-      else
+      else if (text(e, "ctrllimited").value_or("auto") != "false")
         control = inherited;
     }
     if (control && context_.settings.option.clamp_control) a.control = *control;
@@ -341,26 +360,14 @@ class ActuatorReader {
                       .force_range = to_range(a.force),
                       .act_range = to_range(a.activation),
                       .label = a.name};
-    for (const float v : {args.gear,
-                          args.gain.x,
-                          args.gain.y,
-                          args.gain.z,
-                          args.bias.x,
-                          args.bias.y,
-                          args.bias.z,
-                          args.ctrl_range.x,
-                          args.ctrl_range.y,
-                          args.force_range.x,
-                          args.force_range.y,
-                          args.act_range.x,
-                          args.act_range.y,
-                          args.time,
-                          a.to.args.wrench.linear.x,
-                          a.to.args.wrench.linear.y,
-                          a.to.args.wrench.linear.z,
-                          a.to.args.wrench.angular.x,
-                          a.to.args.wrench.angular.y,
-                          a.to.args.wrench.angular.z})
+    const SpatialVectorf& wrench = a.to.args.wrench;
+    // clang-format off
+    for (const float v : {args.gear, args.gain.x, args.gain.y, args.gain.z, args.bias.x, args.bias.y,
+                          args.bias.z, args.ctrl_range.x, args.ctrl_range.y, args.force_range.x,
+                          args.force_range.y, args.act_range.x, args.act_range.y, args.time,
+                          wrench.linear.x, wrench.linear.y, wrench.linear.z, wrench.angular.x,
+                          wrench.angular.y, wrench.angular.z})
+      // clang-format on
       if (!std::isfinite(v)) file_.refuse(*a.element, "expected numbers that float32 can hold");
     MjcfActuator to = a.to;
     to.args.law = std::move(args);

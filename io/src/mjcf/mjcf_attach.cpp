@@ -60,6 +60,14 @@ XmlSource read_model(MjcfContext& context, const Element& e) {
   return source;
 }
 
+// The first of a name counts, as in MuJoCo.
+void note_others(MjcfContext& context, const Element& first, const std::string& name) {
+  for (const Element* m = first.NextSiblingElement("model"); m != nullptr;
+       m = m->NextSiblingElement("model"))
+    if (const char* const own = m->Attribute("name"); own != nullptr && own == name)
+      context.notes.ignored(*m, "another model of this name stands before it");
+}
+
 // A <model> without a name has that of its file.
 std::shared_ptr<MjcfAttached> read_named(MjcfContext& context, const Element& e) {
   const std::string wanted = needed(context, e, "model");
@@ -71,7 +79,9 @@ std::shared_ptr<MjcfAttached> read_named(MjcfContext& context, const Element& e)
       if (name != nullptr && name != wanted) continue;
       auto read = std::make_shared<MjcfAttached>(context, read_model(context, *m));
       const char* const own = read->file.root().Attribute("model");
-      if (name != nullptr || (own != nullptr && own == wanted)) return read;
+      if (name == nullptr && (own == nullptr || own != wanted)) continue;
+      note_others(context, *m, wanted);
+      return read;
     }
   context.file.refuse(e, "there is no model \"" + wanted + "\" among the assets");
 }

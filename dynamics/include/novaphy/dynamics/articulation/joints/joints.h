@@ -10,7 +10,8 @@
 //   integrate, integrate_vjp      q after dt at the rates u, quaternions made unit; its adjoint
 //   gradient_to_tangent           from a gradient by the numbers of q to one by the tangent
 //   tangent_to_gradient           the other way; put(coordinate of the joint, value)
-// S may not depend on the joint's own q, but for kIsFree.
+// S may not depend on the joint's own q, but for kIsFree. In chains of many joints
+// (articulated_body.h) each column is a translation or a turn.
 #pragma once
 
 #include "novaphy/dynamics/articulation/joints/ball.h"

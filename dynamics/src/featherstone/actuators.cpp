@@ -312,8 +312,6 @@ std::vector<float> eval_actuator_forces(const Model& m, const SimState& state,
   return forces;
 }
 
-void ActuatedStep::finish(const SimState& out) const {
-  if (memory_[art::kNextActivation].rows() == 0) return;
 void check_actuator_inputs(const Model& m, const SimState& state, const Control* control,
                            const char* user) {
   const OnHost<float> ctrl(control != nullptr ? control->ctrl : m.ctrl), act(state.act);
@@ -329,6 +327,8 @@ void check_actuator_inputs(const Model& m, const SimState& state, const Control*
   }
 }
 
+void ActuatedStep::finish(const SimState& out) const {
+  if (memory_[art::kNextActivation].rows() == 0) return;
   DeviceArray<float> act = out.act;
   act.assign(memory_[art::kNextActivation]);
 }

@@ -142,7 +142,8 @@ class BodiesReader {
       file_.refuse(e, "name: expected different names, got \"" + given + "\" twice");
     const std::string label = given.empty() ? owner + "/geom_" + std::to_string(part.geoms) : given;
     ++part.geoms;
-    auto geom = read_geom(context_, e, part.childclass, label);
+    const bool with_mass = part.with_mass && part.link >= 0;
+    auto geom = read_geom(context_, e, part.childclass, label, with_mass);
     if (!geom) return;
     geom->shape.pose = math::multiply(part.frame, geom->shape.pose);
     if (part.link < 0) {
@@ -157,7 +158,7 @@ class BodiesReader {
       return;
     }
     RobotLink& link = robot.links[static_cast<size_t>(part.link)];
-    if (part.with_mass)
+    if (with_mass)
       add_mass(link, geom->mass, math::transform_point(geom->shape.pose, geom->com),
                turned(geom->shape.pose.q, geom->inertia));
     link.shapes.push_back(std::move(geom->shape));

@@ -93,8 +93,10 @@ struct MjcfGeom {
   Vec3d com{};  // in the frame of the geom
   Mat33d inertia{};
 };
+// `with_mass`: else the mass stays 0.
 std::optional<MjcfGeom> read_geom(MjcfContext& context, const Element& e,
-                                  const std::string& childclass, const std::string& label);
+                                  const std::string& childclass, const std::string& label,
+                                  bool with_mass);
 // <contact>: pairs and excluded bodies.
 void read_contacts(MjcfContext& context);
 // <actuator>; after the masses, which damping ratios need.

@@ -30,12 +30,13 @@ constexpr Kind kKinds[] = {
 
 class GeomReader {
  public:
-  GeomReader(MjcfContext& context, const Element& e, const std::string& childclass)
+  GeomReader(MjcfContext& context, const Element& e, const std::string& childclass, bool with_mass)
       : context_(context),
         file_(context.file),
         defaults_(context.defaults),
         e_(e),
-        childclass_(childclass) {}
+        childclass_(childclass),
+        with_mass_(with_mass) {}
 
   std::optional<MjcfGeom> run(const std::string& label) {
     defaults_.check_known(e_, childclass_, kRead, kPassedOver);
@@ -155,6 +156,7 @@ class GeomReader {
       context_.notes.left_out(e_, "shellinertia of a geom without a mesh");
       return;
     }
+    if (!with_mass_) return;
     const SolidMass solid =
         mesh_ != nullptr ? mesh_->mass(is_shell) : primitive_mass(kind.type, geom_.shape.scale);
     if (!(solid.volume > 1e-15)) file_.refuse(e_, "expected a mesh that encloses a volume");
@@ -255,6 +257,7 @@ class GeomReader {
   const MjcfDefaults& defaults_;
   const Element& e_;
   const std::string& childclass_;
+  const bool with_mass_;
   const MjcfMesh* mesh_ = nullptr;
   MjcfGeom geom_{};
 };
@@ -262,8 +265,9 @@ class GeomReader {
 }  // namespace
 
 std::optional<MjcfGeom> read_geom(MjcfContext& context, const Element& e,
-                                  const std::string& childclass, const std::string& label) {
-  return GeomReader(context, e, childclass).run(label);
+                                  const std::string& childclass, const std::string& label,
+                                  bool with_mass) {
+  return GeomReader(context, e, childclass, with_mass).run(label);
 }
 
 }  // namespace novaphy::detail

@@ -17,6 +17,13 @@ py::tuple pose_tuple(const Transformf& x) {
   return py::make_tuple(x.p.x, x.p.y, x.p.z, x.q.x, x.q.y, x.q.z, x.q.w);
 }
 
+py::dict sites_dict(const std::map<std::string, RobotSite>& sites) {
+  py::dict all;
+  for (const auto& [name, site] : sites)
+    all[py::str(name)] = py::make_tuple(site.body, pose_tuple(site.pose));
+  return all;
+}
+
 // One of the words that an option takes.
 template <class T>
 T word(std::string_view function, const char* name, const std::string& given,
@@ -94,6 +101,25 @@ void check_opens(const std::string& source) {
   py::module_::import("builtins").attr("open")(source, "rb").attr("close")();
 }
 
+// Puts what the Python package xacro makes of a file in its place. Its folder may be read then.
+void expand_xacro(std::string_view function, std::string& source,
+                  std::vector<std::filesystem::path>& folders) {
+  const std::filesystem::path path = std::filesystem::absolute(source);
+  const py::object found = py::module_::import("importlib.util").attr("find_spec")("xacro");
+  require(!found.is_none(), ErrorKind::Value, function, ": ", source,
+          ": expected the Python package xacro (pip install xacro), or a URDF file that xacro made "
+          "of it");
+  try {
+    const py::object document = py::module_::import("xacro").attr("process_file")(path.string());
+    source = document.attr("toxml")().cast<std::string>();
+  } catch (const py::error_already_set& error) {
+    fail(ErrorKind::Value, function, ": ", source,
+         ": xacro: ", py::str(error.value()).cast<std::string>());
+  }
+  folders.push_back(path.parent_path());
+  folders.push_back(path.parent_path().parent_path());
+}
+
 RobotImport with_warnings(RobotImport result) {
   for (const std::string& text : result.warnings)
     if (PyErr_WarnEx(PyExc_UserWarning, text.c_str(), 1) != 0) throw py::error_already_set();
@@ -138,21 +164,21 @@ RobotImport add_robot(ModelBuilder& builder, bool filter, const Add& add) {
   return with_warnings(std::move(result));
 }
 
-RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xform,
-                        std::optional<bool> floating, py::handle base_joint, int32_t parent_body,
-                        float scale, bool hide_visuals, bool parse_visuals_as_colliders,
-                        py::handle up_axis, bool force_show_colliders, bool enable_self_collisions,
-                        bool ignore_inertial_definitions,
-                        const std::optional<std::string>& joint_ordering,
-                        bool bodies_follow_joint_ordering, bool collapse_fixed_joints,
-                        std::optional<int32_t> mesh_maxhullvert,
-                        const std::string& joint_damping_mode, py::handle package_dirs,
-                        const std::string& mimic, bool mend_inertias,
-                        const std::string& unsupported, bool filter_overlaps,
-                        bool ignore_zero_effort) {
+RobotImport add_urdf_to(
+    ModelBuilder& builder, py::handle source, py::handle xform, std::optional<bool> floating,
+    py::handle base_joint, int32_t parent_body, float scale, bool hide_visuals,
+    bool parse_visuals_as_colliders, py::handle up_axis, bool force_show_colliders,
+    bool enable_self_collisions, bool ignore_inertial_definitions,
+    const std::optional<std::string>& joint_ordering, bool bodies_follow_joint_ordering,
+    bool collapse_fixed_joints, const std::vector<std::string>& links_to_keep,
+    std::optional<int32_t> mesh_maxhullvert, const std::string& joint_damping_mode,
+    py::handle package_dirs, const std::string& mimic, bool mend_inertias,
+    const std::string& unsupported, bool filter_overlaps, bool ignore_zero_effort) {
   constexpr const char* name = "add_urdf";
-  const std::string text = source_text(name, source);
+  std::string text = source_text(name, source);
   check_opens(text);
+  std::vector<std::filesystem::path> folders = to_folders(name, package_dirs);
+  if (text.ends_with(".xacro")) expand_xacro(name, text, folders);
   UrdfOptions options{
       .xform = to_transform(xform, "xform"),
       .floating = floating,
@@ -172,11 +198,12 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
                             : JointOrdering::File,
       .bodies_follow_joint_ordering = bodies_follow_joint_ordering,
       .collapse_fixed_joints = collapse_fixed_joints,
+      .links_to_keep = links_to_keep,
       .mesh_maxhullvert = mesh_maxhullvert,
       .joint_damping_mode = word<JointDampingMode>(
           name, "joint_damping_mode", joint_damping_mode,
           {{"passive", JointDampingMode::Passive}, {"drive", JointDampingMode::Drive}}),
-      .package_dirs = to_folders(name, package_dirs),
+      .package_dirs = std::move(folders),
       .mimic = word<MimicMode>(name, "mimic", mimic,
                                {{"follow", MimicMode::Follow},
                                 {"refuse", MimicMode::Refuse},
@@ -192,14 +219,15 @@ RobotImport add_urdf_to(ModelBuilder& builder, py::handle source, py::handle xfo
 }
 
 RobotImport add_mjcf_to(ModelBuilder& builder, py::handle source, py::handle xform,
-                        bool collapse_fixed_joints, bool enable_self_collisions,
-                        py::handle package_dirs, const std::string& unsupported,
-                        bool filter_overlaps) {
+                        bool collapse_fixed_joints, const std::vector<std::string>& links_to_keep,
+                        bool enable_self_collisions, py::handle package_dirs,
+                        const std::string& unsupported, bool filter_overlaps) {
   constexpr const char* name = "add_mjcf";
   const std::string text = source_text(name, source);
   check_opens(text);
   const MjcfOptions options{.xform = to_transform(xform, "xform"),
                             .collapse_fixed_joints = collapse_fixed_joints,
+                            .links_to_keep = links_to_keep,
                             .enable_self_collisions = enable_self_collisions,
                             .package_dirs = to_folders(name, package_dirs),
                             .unsupported = to_unsupported(name, unsupported)};
@@ -248,13 +276,30 @@ void bind_report(py::module_& io) {
 
 void bind_parts(py::module_& io) {
   py::class_<RobotPart>(io, "RobotPart",
-                        "An equality, tendon or height field of an MJCF file, with the defaults "
-                        "of its class.")
+                        "An equality, tendon, height field or sensor of an MJCF file, with the "
+                        "defaults of its class.")
       .def_readonly("kind", &RobotPart::kind, "The element, such as weld.")
       .def_readonly("name", &RobotPart::name, "Its name; empty: it has none.")
       .def_readonly("names", &RobotPart::names, "Attribute to a name or word, such as body1.")
       .def_readonly("numbers", &RobotPart::numbers, "Attribute to its numbers.")
       .def_readonly("parts", &RobotPart::parts, "RobotParts of a tendon, in order.");
+}
+
+void bind_views(py::class_<RobotImport>& c) {
+  c.def_property_readonly(
+       "lights", [](const RobotImport& r) { return sites_dict(r.lights); },
+       "Name of a light to its body (-1: the world) and its pose there (m, xyzw). Lights shine "
+       "along -z.")
+      .def_property_readonly(
+          "cameras",
+          [](const RobotImport& r) {
+            py::dict cameras;
+            for (const auto& [name, c] : r.cameras)
+              cameras[py::str(name)] = py::make_tuple(c.at.body, pose_tuple(c.at.pose), c.fovy);
+            return cameras;
+          },
+          "Name of a camera to its body (-1: the world), its pose there (m, xyzw) and its field of "
+          "view (rad, vertical). Cameras look along -z; y points up.");
 }
 
 void bind_result(py::module_& io) {
@@ -264,9 +309,10 @@ void bind_result(py::module_& io) {
       .def_readonly("time", &RobotKeyframe::time, "s.")
       .def_readonly("coord", &RobotKeyframe::coord, "First row of joint_q.")
       .def_readonly("joint_q", &RobotKeyframe::joint_q, "Rows of joint_q from there on.");
-  py::class_<RobotImport>(io, "RobotImport", "The additions of add_urdf or add_mjcf, by name.")
-      .def_readonly("links", &RobotImport::links,
-                    "Link name to body; of a merged link the body that it is part of.")
+  py::class_<RobotImport> c(io, "RobotImport", "The additions of add_urdf or add_mjcf, by name.");
+  bind_views(c);
+  c.def_readonly("links", &RobotImport::links,
+                 "Link name to body; of a merged link the body that it is part of.")
       .def_readonly("joints", &RobotImport::joints, "Joint name to joint; -1: merged.")
       .def_readonly("joint_dofs", &RobotImport::joint_dofs,
                     "Joint name to its first row of joint_qd and joint_f; -1: merged.")
@@ -294,13 +340,7 @@ void bind_result(py::module_& io) {
       .def_readonly("actuators", &RobotImport::actuators,
                     "Actuator name to its row of Control.ctrl.")
       .def_property_readonly(
-          "sites",
-          [](const RobotImport& r) {
-            py::dict sites;
-            for (const auto& [name, site] : r.sites)
-              sites[py::str(name)] = py::make_tuple(site.body, pose_tuple(site.pose));
-            return sites;
-          },
+          "sites", [](const RobotImport& r) { return sites_dict(r.sites); },
           "Name of a site to its body (-1: the world) and its pose there (m, xyzw).")
       .def_readonly("keyframes", &RobotImport::keyframes, "Name to RobotKeyframe.")
       .def_readonly("timestep", &RobotImport::timestep, "s, that of the file; None: it has none.")
@@ -310,6 +350,7 @@ void bind_result(py::module_& io) {
                     "RobotParts. ModelBuilder.finalize refuses those with forces.")
       .def_readonly("height_fields", &RobotImport::height_fields,
                     "RobotParts. ModelBuilder.finalize refuses geoms of one.")
+      .def_readonly("sensors", &RobotImport::sensors, "RobotParts. No solver reads them.")
       .def_readonly("report", &RobotImport::report, "The RobotReport.")
       .def_readonly("warnings", &RobotImport::warnings,
                     "The notes of the report; notes with the same text count once.");
@@ -329,14 +370,14 @@ void bind_robots(py::class_<ModelBuilder>& builder, py::module_& io) {
               "up_axis"_a = 2, "force_show_colliders"_a = false, "enable_self_collisions"_a = true,
               "ignore_inertial_definitions"_a = false, "joint_ordering"_a = "dfs",
               "bodies_follow_joint_ordering"_a = true, "collapse_fixed_joints"_a = false,
-              "mesh_maxhullvert"_a = py::none(), "joint_damping_mode"_a = "passive",
-              "package_dirs"_a = py::none(), "mimic"_a = "follow", "mend_inertias"_a = true,
-              "unsupported"_a = "error", "filter_overlaps"_a = false,
-              "ignore_zero_effort"_a = false, urdf_doc);
+              "links_to_keep"_a = std::vector<std::string>{}, "mesh_maxhullvert"_a = py::none(),
+              "joint_damping_mode"_a = "passive", "package_dirs"_a = py::none(),
+              "mimic"_a = "follow", "mend_inertias"_a = true, "unsupported"_a = "error",
+              "filter_overlaps"_a = false, "ignore_zero_effort"_a = false, urdf_doc);
   builder.def("add_mjcf", &add_mjcf_to, "source"_a, py::kw_only(), "xform"_a = py::none(),
-              "collapse_fixed_joints"_a = false, "enable_self_collisions"_a = true,
-              "package_dirs"_a = py::none(), "unsupported"_a = "error", "filter_overlaps"_a = false,
-              mjcf_doc);
+              "collapse_fixed_joints"_a = false, "links_to_keep"_a = std::vector<std::string>{},
+              "enable_self_collisions"_a = true, "package_dirs"_a = py::none(),
+              "unsupported"_a = "error", "filter_overlaps"_a = false, mjcf_doc);
 #else
   static_cast<void>(io);
   const auto missing = [&](const char* name, const char* doc) {

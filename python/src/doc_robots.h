@@ -4,7 +4,8 @@
 namespace novaphy::python::doc {
 
 inline constexpr char kAddUrdf[] =
-    R"(Adds a robot from a URDF file: a path, package://NAME/FILE, or the XML itself. Links become
+    R"(Adds a robot from a URDF file: a path, package://NAME/FILE, or the XML itself. A path that
+ends in .xacro goes through the Python package xacro, which runs code of the file. Links become
 bodies, joints joints, all of one articulation; names become labels. Returns a RobotImport.
 
 xform: the pose of the root link (m, xyzw) in the world or parent_body.
@@ -12,6 +13,7 @@ floating: True: FREE; None and False: FIXED at the base.
 base_joint: instead of floating, a dict of joint_type, linear_axes and angular_axes.
 scale: of all lengths; masses stay.
 ignore_inertial_definitions: masses come from the colliders and default_shape_cfg.
+links_to_keep: names of links that collapse_fixed_joints does not merge.
 joint_ordering: "dfs", "bfs" or None (the order of the file).
 mesh_maxhullvert: colliders of meshes become hulls with at most so many vertices.
 joint_damping_mode: "passive" or "drive" (target_kd).

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import re
+import sys
 import warnings
 
 import numpy as np
@@ -636,3 +637,61 @@ def test_mutated_files_are_read_or_refused():
                 continue
             assert counts(builder) == [0] * 6
     assert 20 < read < 1400
+
+
+XACRO = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:property name="mass" value="${1 + 2}"/>
+<xacro:macro name="ball" params="name"><link name="${name}"><inertial><mass value="${mass}"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry>
+<mesh filename="mesh.obj"/></geometry></collision></link></xacro:macro>
+<xacro:ball name="a"/></robot>"""
+OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def test_a_xacro_file_is_expanded_by_the_package(tmp_path):
+    pytest.importorskip("xacro", reason="what this test is about: pip install xacro")
+    (tmp_path / "arm.xacro").write_text(XACRO)
+    (tmp_path / "mesh.obj").write_text(OBJ)
+    model, _, result = loaded(tmp_path / "arm.xacro")
+    assert model.body_mass.numpy().tolist() == [3.0] and result.links == {"a": 0}
+    (tmp_path / "bad.xacro").write_text(XACRO.replace("1 + 2", "1 + nothing"))
+    with pytest.raises(ValueError, match="bad.xacro: xacro: .*nothing"):
+        loaded(tmp_path / "bad.xacro")
+
+
+def test_a_xacro_file_needs_the_package(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "xacro", None)
+    (tmp_path / "arm.xacro").write_text(XACRO)
+    with pytest.raises(ValueError, match="arm.xacro: expected the Python package xacro"):
+        loaded(tmp_path / "arm.xacro")
+
+
+def test_the_package_gets_the_path_and_its_folder_may_be_read(tmp_path, monkeypatch):
+    """With a stand-in of the package."""
+    folder = tmp_path / "robot" / "urdf"
+    folder.mkdir(parents=True)
+    (tmp_path / "xacro.py").write_text(
+        "from xml.dom.minidom import parseString\n"
+        "def process_file(path):\n"
+        "    return parseString(open(path).read().replace('MASS', '2'))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "xacro", raising=False)
+    (folder.parent / "mesh.obj").write_text(OBJ)
+    inside = INERTIAL.replace('mass value="2"', 'mass value="MASS"')
+    shape = '<collision><geometry><mesh filename="../mesh.obj"/></geometry></collision>'
+    (folder / "arm.xacro").write_text(robot(link("a", inside + shape)))
+    model, _, _ = loaded(folder / "arm.xacro")
+    assert model.body_mass.numpy().tolist() == [2.0] and model.shape_count == 1
+    monkeypatch.delitem(sys.modules, "xacro")
+
+
+def test_links_to_keep():
+    text = robot(link("a"), link("b"), link("c"), joint("j", "a", "b", kind="fixed"),
+                 joint("k", "b", "c", kind="fixed"))  # fmt: skip
+    model, _, result = loaded(text, collapse_fixed_joints=True, links_to_keep=["c"])
+    assert list(model.body_label) == ["a", "c"]
+    assert result.joints["j"] == -1 and result.joints["k"] == 1
+    assert_allclose(model.body_mass.numpy(), [4.0, 2.0])
+    with pytest.raises(ValueError, match='add_urdf: links_to_keep: there is no link "d"'):
+        loaded(text, links_to_keep=["d"])

@@ -100,6 +100,14 @@ RobotSite site_of(const MjcfContext& context, const Posed& xform, const RobotImp
           to_float(math::multiply(to_double(added.link_poses.at(link)), at.second))};
 }
 
+void add_views(const MjcfContext& context, const Posed& xform, RobotImport& result) {
+  for (const auto& [light, at] : context.lights)
+    result.lights[light] = site_of(context, xform, result, at);
+  for (const auto& [camera, view] : context.cameras)
+    result.cameras[camera] = {site_of(context, xform, result, view.at),
+                              static_cast<float>(view.fovy)};
+}
+
 void add_actuators(const MjcfContext& context, const Posed& xform, ModelBuilder& builder,
                    RobotImport& result) {
   for (const MjcfActuator& a : context.actuators) {
@@ -153,6 +161,7 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
                                           .bodies_follow = true,
                                           .ordering = JointOrdering::DepthFirst,
                                           .pairs_of_mujoco = true,
+                                          .links_to_keep = options.links_to_keep,
                                           .filter_parent = context.settings.option.parent_filter});
   added.keyframes = std::move(result.keyframes);
   // Hinges and slides of one body are one joint of several degrees of freedom.
@@ -164,6 +173,7 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
   }
   for (const auto& [site, at] : context.sites)
     added.sites[site] = detail::site_of(context, xform, added, at);
+  detail::add_views(context, xform, added);
   detail::add_actuators(context, xform, builder, added);
   if (context.settings.option.timestep)
     added.timestep = static_cast<float>(*context.settings.option.timestep);
@@ -172,6 +182,7 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
   added.equalities = std::move(context.equalities);
   added.tendons = std::move(context.tendons);
   added.height_fields = std::move(context.height_fields);
+  added.sensors = std::move(context.sensors);
   detail::set_report(added, context.notes.take());
   return added;
 }

@@ -142,6 +142,8 @@ void attach(MjcfContext& context, const Element& e, BodyPart& to) {
   merge(context.joints, other.joints);
   merge(context.geoms, other.geoms);
   merge(context.sites, other.sites);
+  context.lights.insert(other.lights.begin(), other.lights.end());
+  context.cameras.insert(other.cameras.begin(), other.cameras.end());
   context.joint_order.insert(context.joint_order.end(), other.joint_order.begin(),
                              other.joint_order.end());
 }
@@ -168,6 +170,7 @@ void finish_attached(MjcfContext& context) {
     append(context.equalities, other.equalities);
     append(context.tendons, other.tendons);
     append(context.height_fields, other.height_fields);
+    append(context.sensors, other.sensors);
     append(context.refused, other.refused);
     context.notes.add(other.notes.take());
   }

@@ -94,7 +94,7 @@ class BodiesReader {
       } else if (kind == "site") {
         add_site(*c, part);
       } else if (kind == "camera" || kind == "light") {
-        context_.notes.read(c->Name());
+        add_view(*c, part);
       } else if (kind == "attach") {
         attach(context_, *c, part);
       } else if (kind == "composite" || kind == "flexcomp" || kind == "plugin") {
@@ -169,6 +169,32 @@ class BodiesReader {
     const std::string name = part.name_of(e);
     if (!name.empty())
       context_.sites[name] = {part.link, math::multiply(part.frame, pose_of(e, part.childclass))};
+  }
+
+  // A camera or a light.
+  void add_view(const Element& e, const BodyPart& part) {
+    context_.notes.read(e.Name());
+    const bool is_camera = std::string_view(e.Name()) == "camera";
+    std::string name = part.name_of(e);
+    if (name.empty())
+      name = e.Name() +
+             ("_" + std::to_string(is_camera ? context_.cameras.size() : context_.lights.size()));
+    Posed pose = identity_pose();
+    double v[3];
+    const MjcfDefaults& defaults = context_.defaults;
+    if (is_camera) {
+      pose = pose_of(e, part.childclass);
+      const double fovy = defaults.number(e, "fovy", part.childclass, 45.0);
+      context_.cameras[name] = {{part.link, math::multiply(part.frame, pose)}, fovy * M_PI / 180.0};
+      return;
+    }
+    if (defaults.numbers(e, "pos", part.childclass, v)) pose.p = {v[0], v[1], v[2]};
+    Vec3d back = {0.0, 0.0, 1.0};
+    if (defaults.numbers(e, "dir", part.childclass, v)) back = {-v[0], -v[1], -v[2]};
+    if (!(math::dot(back, back) > 1e-12))
+      file_.refuse(e, "dir: expected a vector that is not zero");
+    pose.q = turn_from_z(back);
+    context_.lights[name] = {part.link, math::multiply(part.frame, pose)};
   }
 
   void read_inertial(const Element& e, RobotLink& link) {

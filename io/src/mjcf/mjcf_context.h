@@ -26,6 +26,11 @@ struct MjcfActuator {
   BodyActuatorArgs args;  // law.axis: in the joint of the Robot
 };
 
+struct MjcfCamera {
+  std::pair<int32_t, Posed> at;  // in its link
+  double fovy;                   // rad
+};
+
 struct MjcfAttached;  // mjcf_attach.h
 // Of a file and all that it attaches.
 struct MjcfAttaching {
@@ -68,9 +73,10 @@ struct MjcfContext {
   std::map<std::string, MjcfJoint> joints = {};
   std::vector<std::string> joint_order = {};  // as in qpos
   std::set<std::string> geoms = {};
-  std::map<std::string, std::pair<int32_t, Posed>> sites = {};  // in their links
+  std::map<std::string, std::pair<int32_t, Posed>> sites = {}, lights = {};  // in their links
+  std::map<std::string, MjcfCamera> cameras = {};
   std::vector<MjcfActuator> actuators = {};
-  std::vector<RobotPart> equalities = {}, tendons = {}, height_fields = {};
+  std::vector<RobotPart> equalities = {}, tendons = {}, height_fields = {}, sensors = {};
   std::vector<std::string> refused = {};  // by finalize
   // Of a model that is attached: what its names get, by whom, and whether it is a part only, so
   // that names may be missing.

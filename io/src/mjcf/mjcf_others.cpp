@@ -95,7 +95,10 @@ void read_others(MjcfContext& context) {
     if (std::string_view(e.Name()) == "hfield")
       context.height_fields.push_back(read_height_field(context, e));
   });
-  each(context, "sensor", [&](const Element&) { context.notes.read("sensor"); });
+  each(context, "sensor", [&](const Element& e) {
+    context.notes.read("sensor");
+    context.sensors.push_back(read_part(context, e));
+  });
   each(context, "deformable", [&](const Element& e) {
     if (std::string_view(e.Name()) != "skin") context.notes.left_out(e, "this element");
   });

@@ -1,4 +1,4 @@
-// Equalities, tendons and height fields of MJCF files, as the file has them.
+// Equalities, tendons, height fields and sensors of MJCF files, as the file has them.
 #include <algorithm>
 #include <cstring>
 
@@ -8,35 +8,21 @@
 namespace novaphy::detail {
 namespace {
 
-constexpr std::string_view kNames[] = {"body1", "body2",   "joint1",  "joint2",  "joint",
-                                       "site1", "site2",   "site",    "geom1",   "geom2",
-                                       "geom",  "tendon1", "tendon2", "sidesite"};
-constexpr std::string_view kNumbers[] = {"anchor",
-                                         "relpose",
-                                         "polycoef",
-                                         "torquescale",
-                                         "solref",
-                                         "solimp",
-                                         "range",
-                                         "frictionloss",
-                                         "damping",
-                                         "stiffness",
-                                         "springlength",
-                                         "width",
-                                         "margin",
-                                         "armature",
-                                         "solreflimit",
-                                         "solimplimit",
-                                         "solreffriction",
-                                         "solimpfriction",
-                                         "actuatorfrcrange",
-                                         "coef",
-                                         "divisor",
-                                         "size",
-                                         "elevation",
-                                         "nrow",
-                                         "ncol"};
-constexpr std::string_view kWords[] = {"active", "limited", "actuatorfrclimited", "file"};
+constexpr std::string_view kNames[] = {"body",  "actuator", "camera",  "objname", "refname",
+                                       "body1", "body2",    "joint1",  "joint2",  "joint",
+                                       "site1", "site2",    "site",    "geom1",   "geom2",
+                                       "geom",  "tendon1",  "tendon2", "sidesite"};
+constexpr std::string_view kNumbers[] = {"cutoff",         "noise",          "anchor",
+                                         "relpose",        "polycoef",       "torquescale",
+                                         "solref",         "solimp",         "range",
+                                         "frictionloss",   "damping",        "stiffness",
+                                         "springlength",   "width",          "margin",
+                                         "armature",       "solreflimit",    "solimplimit",
+                                         "solreffriction", "solimpfriction", "actuatorfrcrange",
+                                         "coef",           "divisor",        "size",
+                                         "elevation",      "nrow",           "ncol"};
+constexpr std::string_view kWords[] = {
+    "objtype", "reftype", "datatype", "active", "limited", "actuatorfrclimited", "file"};
 
 }  // namespace
 

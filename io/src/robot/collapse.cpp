@@ -78,32 +78,43 @@ Posed start_pose(const RobotJoint& joint) {
 }
 
 namespace {
-bool is_lifted_alike(const Robot& robot, const RobotJoint& joint) {
+bool is_merged(const Robot& robot, const RobotJoint& joint, std::span<const std::string> kept) {
+  if (can_move(joint.type) || joint.parent < 0) return false;
+  const std::string& name = robot.links[static_cast<size_t>(joint.child)].name;
   const auto gravcomp = [&](int32_t link) {
     return robot.links[static_cast<size_t>(link)].gravcomp;
   };
-  return gravcomp(joint.parent) == gravcomp(joint.child);
+  return gravcomp(joint.parent) == gravcomp(joint.child) &&
+         std::find(kept.begin(), kept.end(), name) == kept.end();
 }
 }  // namespace
 
+void check_links(const Robot& robot, std::span<const std::string> names,
+                 std::string_view function) {
+  for (const std::string& name : names)
+    require(std::any_of(robot.links.begin(), robot.links.end(),
+                        [&](const RobotLink& link) { return link.name == name; }),
+            ErrorKind::Value, function, ": links_to_keep: there is no link \"", name, "\"");
+}
+
 std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
+                                                      std::span<const std::string> kept,
                                                       std::vector<int32_t>& joints_out) {
   const auto count = static_cast<int32_t>(robot.links.size());
-  std::vector<int32_t> mover(robot.links.size(), -1);  // the joint of each link
+  std::vector<int32_t> mover(robot.links.size(), -1), renamed = mover;  // joint, and new index
   for (size_t j = 0; j < robot.joints.size(); ++j)
     mover[static_cast<size_t>(robot.joints[j].child)] = static_cast<int32_t>(j);
-  const auto goes = [&](int32_t link) {
-    const RobotJoint& joint = robot.joints[static_cast<size_t>(mover[static_cast<size_t>(link)])];
-    return !can_move(joint.type) && joint.parent >= 0 && is_lifted_alike(robot, joint);
+  const auto joint_of = [&](int32_t link) -> const RobotJoint& {
+    return robot.joints[static_cast<size_t>(mover[static_cast<size_t>(link)])];
   };
+  const auto goes = [&](int32_t link) { return is_merged(robot, joint_of(link), kept); };
   std::vector<std::pair<int32_t, Posed>> place;
-  std::vector<int32_t> renamed(robot.links.size(), -1);
   int32_t next = 0;
   for (int32_t link = 0; link < count; ++link) {
     int32_t at = link;
     Posed pose = identity_pose();
     while (goes(at)) {
-      const RobotJoint& joint = robot.joints[static_cast<size_t>(mover[static_cast<size_t>(at)])];
+      const RobotJoint& joint = joint_of(at);
       pose =
           math::multiply(math::multiply(joint.parent_pose, math::inverse(joint.child_pose)), pose);
       at = joint.parent;

@@ -95,7 +95,8 @@ class Emitter {
     std::iota(joints.begin(), joints.end(), 0);
     for (size_t k = 0; k < old_links; ++k)
       place.emplace_back(static_cast<int32_t>(k), identity_pose());
-    if (options_.collapse) place = collapse_links(robot_, joints);
+    check_links(robot_, options_.links_to_keep, options_.function);
+    if (options_.collapse) place = collapse_links(robot_, options_.links_to_keep, joints);
 
     for (const auto& [a, b] : robot_.pairs) in_pairs_.insert({a, b});
     order();

@@ -87,6 +87,7 @@ struct EmitOptions {
   JointOrdering ordering;
   // Pairs as in MuJoCo: by contype and conaffinity; links welded to the world are a part of it.
   bool pairs_of_mujoco;
+  std::span<const std::string> links_to_keep = {};  // by `collapse`
   bool filter_parent = true;  // links do not meet those that a joint connects them with
 };
 
@@ -136,10 +137,13 @@ void mend_inertias(Robot& robot, bool moving, bool on_world,
 // The pose of the child's joint frame in the parent's at the start.
 Posed start_pose(const RobotJoint& joint);
 
+// ErrorKind::Value: there is no link of a name.
+void check_links(const Robot& robot, std::span<const std::string> names, std::string_view function);
 // Merges every link that hangs on a FIXED joint below another link into that. Returns, of each old
 // link, the link that it is part of now and its pose there; joints_out: the new index of each
 // joint, -1: it is gone.
 std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
+                                                      std::span<const std::string> kept,
                                                       std::vector<int32_t>& joints_out);
 
 // Adds the robot to the builder, or throws and leaves the builder as it was.

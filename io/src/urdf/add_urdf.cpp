@@ -391,7 +391,8 @@ RobotImport add_urdf(ModelBuilder& builder, std::string_view source, const UrdfO
                                            .self_collisions = options.enable_self_collisions,
                                            .bodies_follow = options.bodies_follow_joint_ordering,
                                            .ordering = options.joint_ordering,
-                                           .pairs_of_mujoco = false});
+                                           .pairs_of_mujoco = false,
+                                           .links_to_keep = options.links_to_keep});
   detail::set_report(result, notes.take());
   return result;
 }

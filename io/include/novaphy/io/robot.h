@@ -61,8 +61,9 @@ struct UrdfOptions {
   bool enable_self_collisions = true;
   bool ignore_inertial_definitions = false;  // masses from the colliders, of default_shape_cfg
   JointOrdering joint_ordering = JointOrdering::DepthFirst;
-  bool bodies_follow_joint_ordering = true;  // false: bodies in the order of the file
-  bool collapse_fixed_joints = false;        // merges a link on a fixed joint into its parent
+  bool bodies_follow_joint_ordering = true;     // false: bodies in the order of the file
+  bool collapse_fixed_joints = false;           // merges a link on a fixed joint into its parent
+  std::vector<std::string> links_to_keep = {};  // that collapse_fixed_joints does not merge
   // Meshes of colliders become their convex hull of at most so many vertices; empty: they stay.
   std::optional<int32_t> mesh_maxhullvert = {};
   JointDampingMode joint_damping_mode = JointDampingMode::Passive;
@@ -80,6 +81,7 @@ struct UrdfOptions {
 struct MjcfOptions {
   Transformf xform = Transformf::identity();
   bool collapse_fixed_joints = false;  // merges a body without a joint into its parent
+  std::vector<std::string> links_to_keep = {};
   bool enable_self_collisions = true;
   // Folders beside that of the file, and the one above it, that it may read from.
   std::vector<std::filesystem::path> package_dirs = {};
@@ -90,6 +92,12 @@ struct MjcfOptions {
 struct RobotSite {
   int32_t body;  // -1: the world
   Transformf pose;
+};
+
+// A camera of an MJCF file: it looks along -z, and y points up.
+struct RobotCamera {
+  RobotSite at;
+  float fovy;  // rad, of the height
 };
 
 // A keyframe of an MJCF file: the rows of joint_q from `coord` on.
@@ -115,8 +123,8 @@ struct RobotReport {
   std::vector<RobotNote> ignored;       // what does not change it, or is up to the simulation
 };
 
-// An equality, tendon or height field of an MJCF file as it stands there, with the defaults of its
-// class: names and words, and lists of numbers, by attribute; a tendon has parts.
+// An equality, tendon, height field or sensor of an MJCF file as it stands there, with the defaults
+// of its class: names and words, and lists of numbers, by attribute; a tendon has parts.
 struct RobotPart {
   std::string kind, name = {};
   std::map<std::string, std::string> names = {};
@@ -134,12 +142,14 @@ struct RobotImport {
   std::map<std::string, Transformf> link_poses;
   std::map<int32_t, Vec4f> shape_colors;  // r, g, b, a of the shapes that have one
   std::vector<int32_t> shapes, articulations;
-  std::map<std::string, int32_t> actuators;  // rows of Control::ctrl
-  std::map<std::string, RobotSite> sites;
+  std::map<std::string, int32_t> actuators;        // rows of Control::ctrl
+  std::map<std::string, RobotSite> sites, lights;  // a light shines along -z
+  std::map<std::string, RobotCamera> cameras;
   std::map<std::string, RobotKeyframe> keyframes;
   std::optional<float> timestep;  // s, that of the file
   // ModelBuilder::finalize refuses those that act, unless they are left out.
   std::vector<RobotPart> equalities, tendons, height_fields;
+  std::vector<RobotPart> sensors;
   RobotReport report;
   std::vector<std::string> warnings;  // the notes of the report, those of one text as one
 };

@@ -33,6 +33,11 @@ Vec3f to_direction(py::handle value) {
   const bool vector = PySequence_Check(value.ptr()) && !PyUnicode_Check(value.ptr());
   return vector ? to_vec3(value, "axis") : axis_vector(to_axis(value));
 }
+Quatf to_quat(py::handle value, const char* name) {
+  if (value.is_none()) return Quatf::identity();
+  const Vec4f q = to_vec4(value, name);
+  return {q.x, q.y, q.z, q.w};
+}
 JointTargetMode to_mode(int32_t mode) { return static_cast<JointTargetMode>(mode); }
 
 std::vector<JointDofConfig> to_axes(py::handle value, const char* name) {
@@ -167,47 +172,60 @@ void bind_general_joints(Builder& c) {
           "Adds a joint whose two frames coincide. Returns the index.");
 }
 
+void bind_ball_joint(Builder& c) {
+  c.def(
+      "add_joint_ball",
+      [](ModelBuilder& b, int32_t parent, int32_t child, py::handle parent_xform,
+         py::handle child_xform, float armature, float friction, float damping, py::handle target_q,
+         float target_ke, float target_kd, float limit_angle, float limit_ke, float limit_kd,
+         std::optional<bool> filter, bool enabled, const std::optional<std::string>& label) {
+        const JointArgs common = joint_args(parent_xform, child_xform, filter, enabled, label);
+        return b.add_joint_ball(parent, child,
+                                {.parent_xform = common.parent_xform,
+                                 .child_xform = common.child_xform,
+                                 .damping = damping,
+                                 .armature = armature,
+                                 .friction = friction,
+                                 .target_q = to_quat(target_q, "target_q"),
+                                 .target_ke = target_ke,
+                                 .target_kd = target_kd,
+                                 .limit_angle = limit_angle,
+                                 .limit_ke = limit_ke,
+                                 .limit_kd = limit_kd,
+                                 .collision_filter_parent = common.collision_filter_parent,
+                                 .enabled = enabled,
+                                 .label = common.label});
+      },
+      "parent"_a, "child"_a, py::kw_only(), "parent_xform"_a = py::none(),
+      "child_xform"_a = py::none(), "armature"_a = 0.0f, "friction"_a = 0.0f, "damping"_a = 0.0f,
+      "target_q"_a = py::none(), "target_ke"_a = 0.0f, "target_kd"_a = 0.0f,
+      "limit_angle"_a = kJointUnlimited, "limit_ke"_a = 1.0e4f, "limit_kd"_a = 10.0f,
+      "collision_filter_parent"_a = py::none(), "enabled"_a = true, "label"_a = py::none(),
+      "The origins of the joint frames coincide. armature (kg*m^2), friction (N*m) and damping "
+      "(N*m*s/rad) of each axis. The drive turns to target_q (xyzw) with the gains target_ke "
+      "(N*m/rad) and target_kd (N*m*s/rad). From limit_angle (rad) on, a spring limit_ke and a "
+      "damper limit_kd push the rotation back. Returns the index.");
+}
+
 void bind_other_joints(Builder& c) {
   c.def(
-       "add_joint_ball",
-       [](ModelBuilder& b, int32_t parent, int32_t child, py::handle parent_xform,
-          py::handle child_xform, float armature, float friction, float damping,
-          std::optional<bool> filter, bool enabled, const std::optional<std::string>& label) {
+       "add_joint_free",
+       [](ModelBuilder& b, int32_t child, py::handle parent_xform, py::handle child_xform,
+          int32_t parent, std::optional<bool> filter, bool enabled,
+          const std::optional<std::string>& label) {
          const JointArgs common = joint_args(parent_xform, child_xform, filter, enabled, label);
-         return b.add_joint_ball(parent, child,
-                                 {.parent_xform = common.parent_xform,
-                                  .child_xform = common.child_xform,
-                                  .damping = damping,
-                                  .armature = armature,
-                                  .friction = friction,
-                                  .collision_filter_parent = common.collision_filter_parent,
-                                  .enabled = enabled,
-                                  .label = common.label});
+         return b.add_joint_free(child, {.parent_xform = common.parent_xform,
+                                         .child_xform = common.child_xform,
+                                         .parent = parent,
+                                         .collision_filter_parent = common.collision_filter_parent,
+                                         .enabled = enabled,
+                                         .label = common.label});
        },
-       "parent"_a, "child"_a, py::kw_only(), "parent_xform"_a = py::none(),
-       "child_xform"_a = py::none(), "armature"_a = 0.0f, "friction"_a = 0.0f, "damping"_a = 0.0f,
-       "collision_filter_parent"_a = py::none(), "enabled"_a = true, "label"_a = py::none(),
-       "The origins of the joint frames coincide. armature (kg*m^2), friction (N*m) and damping "
-       "(N*m*s/rad) of each axis. Returns the index.")
-      .def(
-          "add_joint_free",
-          [](ModelBuilder& b, int32_t child, py::handle parent_xform, py::handle child_xform,
-             int32_t parent, std::optional<bool> filter, bool enabled,
-             const std::optional<std::string>& label) {
-            const JointArgs common = joint_args(parent_xform, child_xform, filter, enabled, label);
-            return b.add_joint_free(child,
-                                    {.parent_xform = common.parent_xform,
-                                     .child_xform = common.child_xform,
-                                     .parent = parent,
-                                     .collision_filter_parent = common.collision_filter_parent,
-                                     .enabled = enabled,
-                                     .label = common.label});
-          },
-          "child"_a, py::kw_only(), "parent_xform"_a = py::none(), "child_xform"_a = py::none(),
-          "parent"_a = -1, "collision_filter_parent"_a = py::none(), "enabled"_a = true,
-          "label"_a = py::none(),
-          "Adds a joint without a constraint: the coordinates of a body that moves freely. The "
-          "coordinates start at the body's present pose. Returns the index.")
+       "child"_a, py::kw_only(), "parent_xform"_a = py::none(), "child_xform"_a = py::none(),
+       "parent"_a = -1, "collision_filter_parent"_a = py::none(), "enabled"_a = true,
+       "label"_a = py::none(),
+       "Adds a joint without a constraint: the coordinates of a body that moves freely. The "
+       "coordinates start at the body's present pose. Returns the index.")
       .def(
           "add_joint_distance",
           [](ModelBuilder& b, int32_t parent, int32_t child, py::handle parent_xform,
@@ -315,6 +333,7 @@ void bind_builder_joints(Builder& c) {
       c, "add_joint_prismatic", &ModelBuilder::add_joint_prismatic,
       "The child moves along `axis` (an Axis or a vector, joint frame). The numbers are "
       "those of JointDofConfig; None: those of default_joint_cfg. Returns the index.");
+  bind_ball_joint(c);
   bind_other_joints(c);
   bind_general_joints(c);
   bind_planar_joint(c);

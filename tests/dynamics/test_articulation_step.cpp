@@ -102,6 +102,12 @@ class Random {
   std::mt19937 engine_;
 };
 
+// Those need a mass matrix.
+void remove_ball_limits(Scene<double>& s) {
+  for (const articulation::Link& link : s.tree.links)
+    if (articulation::is_ball(link)) s.limit_upper[static_cast<size_t>(link.dof)] = 1e10;
+}
+
 Scene<double> random_scene(uint32_t seed, const std::vector<LinkJoint>& joints) {
   Random random(seed);
   Scene<double> s;
@@ -141,6 +147,7 @@ Scene<double> random_scene(uint32_t seed, const std::vector<LinkJoint>& joints) 
   fill(s.effort_limit, 5, 60);
   fill(s.velocity_limit, 1, 4);
   for (int i = 0; i < s.tree.dofs; ++i) s.mode.push_back(1 + random.index(3));
+  if (s.tree.joints_in_a_row == TestTree<double>::kLong) remove_ball_limits(s);
   return s;
 }
 
@@ -250,9 +257,12 @@ TEST(ArticulationStep, ArraysStandInTheOrderOfTheirList) {
 
 // The gradient of a symmetric part of an entry is what a change of one entry sees.
 TEST(ArticulationStep, GradientsEqualCentralDifferencesForEveryInput) {
-  int clamped = 0, outside = 0, released = 0, fast = 0;
-  for (uint32_t seed = 0; seed < 24; ++seed) {
-    Scene<double> s = random_scene(seed, all_joints(seed));
+  int clamped = 0, outside = 0, released = 0, fast = 0, turned[2] = {0, 0};
+  for (uint32_t seed = 0; seed < 30; ++seed) {
+    const std::vector<LinkJoint> balls(6, LinkJoint::Ball);
+    Scene<double> s = random_scene(seed, seed < 24 ? all_joints(seed) : balls);
+    if (seed >= 24)  // so that some limits let go
+      for (double& damping : s.limit_kd) damping *= 4;
     s.options.implicit_drives = seed % 3 != 0;
     const Weights weights(s, seed + 7);
     const Result<double> r = step(s);
@@ -261,6 +271,11 @@ TEST(ArticulationStep, GradientsEqualCentralDifferencesForEveryInput) {
       outside += (b & articulation::kOutside) != 0;
       released += (b & articulation::kLimitReleased) != 0;
       fast += (b & articulation::kVelocityClamped) != 0;
+    }
+    for (const articulation::Link& link : s.tree.links) {
+      const int32_t b = r.branch[static_cast<size_t>(link.dof)];
+      if (articulation::is_ball(link) && (b & articulation::kOutside) != 0)
+        ++turned[(b & articulation::kLimitReleased) != 0];
     }
     std::vector<Part> all = parts(s);
     backward(s, r, weights, all);
@@ -281,6 +296,8 @@ TEST(ArticulationStep, GradientsEqualCentralDifferencesForEveryInput) {
   EXPECT_GT(outside, 0);
   EXPECT_GT(released, 0);
   EXPECT_GT(fast, 0);
+  EXPECT_GT(turned[0], 0);
+  EXPECT_GT(turned[1], 0);
 }
 
 // The scene in another scalar; `tangents` in the order of parts(), if there are any.
@@ -441,7 +458,9 @@ TEST(ArticulationStep, VelocityLimitsKeepTheMomentumOfFreeTrees) {
 TEST(ArticulationStep, IsTheSameByBothFactors) {
   int held = 0;
   for (uint32_t seed = 0; seed < 24; ++seed) {
-    Scene<double> s = random_scene(seed, all_joints(seed)), other = s;
+    Scene<double> s = random_scene(seed, all_joints(seed));
+    remove_ball_limits(s);
+    Scene<double> other = s;
     other.tree.joints_in_a_row = seed % 4 > 1 ? TestTree<double>::kShort : TestTree<double>::kLong;
     if (seed % 4 == 0) s.tree.links[0].joint = other.tree.links[0].joint = LinkJoint::Kinematic;
     const Result<double> a = step(s), b = step(other);

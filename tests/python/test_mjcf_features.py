@@ -70,6 +70,15 @@ FEATURES = {
     "free joint with damping": mjcf('<body pos="1 2 3"><joint type="free" damping=".3" '
                                     'armature=".2"/>'
                                     + GEOM + '<geom size=".1" pos="1 0 0"/></body>'),
+    "springs of balls": mjcf(
+        '<body euler="10 20 30"><joint type="ball" pos=".1 0 0" stiffness="3" damping=".2"/>' + GEOM
+        + '<body pos="0 0 1" euler="40 0 10"><joint type="ball" stiffness=".7" range="0 50"/>'
+        + GEOM + '</body></body><body pos="1 2 3" euler="0 50 20"><joint type="free" '
+        'stiffness="2"/>' + GEOM + "</body>"),
+    "springdamper": mjcf(
+        '<body><joint axis="0 1 0" springdamper=".05 1"/><geom size=".1" pos="1 0 0"/><body '
+        'pos="1 0 0"><joint axis="0 1 0" armature=".3" damping="7" stiffness="5" '
+        'springdamper=".1 .7" springref="20"/>' + GEOM + "</body></body>"),
     "fixed point mass": mjcf('<body><joint/>' + GEOM + '<body pos="0 0 1"><inertial pos="0 0 .1" '
                              'mass="2" diaginertia="0 0 0"/></body></body>'),
     "groups": mjcf('<body><joint/>' + GEOM + '<geom size=".4" group="2"/></body>',
@@ -349,3 +358,18 @@ def test_mutated_texts_are_read_or_refused():
             assert named or builder.body_count  # of finalize
         except OSError:  # its first letter is no <: a path
             assert builder.body_count == 0
+
+
+def test_a_ball_joint_has_a_cone():
+    text = mjcf('<body><joint type="ball" range="0 50"/>' + GEOM + "</body>")
+    model, _ = loaded(text)
+    assert_allclose(model.joint_limit_upper.numpy(), [np.radians(50), 1e10, 1e10], rtol=1e-6)
+    model, _ = loaded(text.replace('range="0 50"', 'range="0 50" limited="false"'))
+    assert (model.joint_limit_upper.numpy() == 1e10).all()
+    with pytest.raises(ValueError, match="expected 0 and the largest angle, above 0"):
+        loaded(text.replace("0 50", "-50 0"))
+    servo = '<actuator><position joint="j" inheritrange="1"/></actuator>'
+    with pytest.raises(ValueError, match="inheritrange: expected a hinge or slide with limits"):
+        loaded(
+            text.replace("<joint ", '<joint name="j" ').replace("</mujoco>", servo + "</mujoco>")
+        )

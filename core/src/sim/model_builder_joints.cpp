@@ -3,6 +3,7 @@
 #include <cmath>
 #include <limits>
 
+#include "ball_joint.h"
 #include "builder_checks.h"
 #include "joint_axes.h"
 #include "novaphy/core/error.h"
@@ -191,18 +192,14 @@ int32_t ModelBuilder::add_joint_prismatic(int32_t parent, int32_t child,
 
 int32_t ModelBuilder::add_joint_ball(int32_t parent, int32_t child, const BallJointArgs& args) {
   constexpr std::string_view name = "add_joint_ball";
-  detail::check_not_negative({name, "damping"}, args.damping);
-  detail::check_not_negative({name, "armature"}, args.armature);
-  detail::check_not_negative({name, "friction"}, args.friction);
+  detail::check_ball(name, args);
   const int32_t joint = append_joint(name, JointType::BALL, parent, child,
                                      {.parent_xform = args.parent_xform,
                                       .child_xform = args.child_xform,
                                       .collision_filter_parent = args.collision_filter_parent,
                                       .enabled = args.enabled,
                                       .label = args.label});
-  std::fill_n(joint_damping.end() - 3, 3, args.damping);
-  std::fill_n(joint_armature.end() - 3, 3, args.armature);
-  std::fill_n(joint_friction.end() - 3, 3, args.friction);
+  detail::set_ball(*this, args);
   return joint;
 }
 

@@ -72,7 +72,9 @@ Actuators::Actuators(const Model& m) : any_(m.actuator_count() > 0) {
   std::vector<int32_t> coord(static_cast<size_t>(m.joint_dof_count()), -1);
   const OnHost<int32_t> type(m.joint_type), q(m.joint_q_start), qd(m.joint_qd_start);
   for (size_t j = 0; j + 1 < q.size(); ++j) {
-    if (!has_axes(static_cast<JointType>(type[j]))) continue;
+    const auto of = static_cast<JointType>(type[j]);
+    if (quaternion_at(of) == 0) coord[static_cast<size_t>(qd[j])] = -2 - q[j];
+    if (!has_axes(of)) continue;
     for (int32_t k = qd[j]; k < qd[j + 1]; ++k) coord[static_cast<size_t>(k)] = q[j] + k - qd[j];
   }
   coord_ = DeviceArray<int32_t>::from_host(coord, device);

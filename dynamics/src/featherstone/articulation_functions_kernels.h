@@ -88,6 +88,7 @@ class ArticulationEvaluation {
     for (int32_t k = 0; k < tree.dof_count; ++k) {
       ws.rhs[k] = tau[k] - ws.bias[k];
       ws.diagonal[k] = armature[k];
+      ws.cone[k] = 0.0f;
     }
     const int32_t dof = articulation::factor(tree, q, ws);
     if (dof >= 0) a.status[i] = 1 + tree.first_dof + dof;

@@ -141,6 +141,8 @@ NOVAPHY_ROW_KERNEL(actuation_vjp, ActuationVjpArguments) {
   };
   for (int32_t input = 0; input < articulation::kActuated; ++input)
     add(input, input == articulation::kTarget ? a.in.coord[dof] : dof);
+  const int32_t coord = a.in.coord[dof];
+  for (int32_t c = -2 - coord; coord < -1 && c < 2 - coord; ++c) add(articulation::kTarget, c);
   for (int32_t i = a.in.first[dof]; i < a.in.first[dof + 1]; ++i) {
     const int32_t k = a.in.order[i];
     for (int32_t input = articulation::kActuated; input < articulation::kActuationInputs; ++input)

@@ -73,13 +73,17 @@ class TreeMaker {
   int32_t joints_in_a_row() const {
     std::vector<int32_t> above(links.size() - static_cast<size_t>(first_), 0);
     int32_t most = 0;
+    bool has_cones = false;
     for (size_t i = 0; i < above.size(); ++i) {
       const Link& link = links[static_cast<size_t>(first_) + i];
       above[i] =
           (link.parent < 0 ? 0 : above[static_cast<size_t>(link.parent)]) + (link.dofs > 0 ? 1 : 0);
       most = std::max(most, above[i]);
+      has_cones = has_cones || (articulation::is_ball(link) &&
+                                model_.joint_limit_upper.data()[link.dof] < kJointUnlimited);
     }
-    return most;
+    // Those limits need a mass matrix (factor.h).
+    return has_cones ? std::min(most, articulation::kMatrixJoints) : most;
   }
   int32_t link_count() const { return static_cast<int32_t>(links.size()) - first_; }
 
@@ -251,10 +255,13 @@ Articulations::Articulations(const Model& model, const char* user, For purpose) 
     const bool moves = std::any_of(
         trees.links.begin() + first_link, trees.links.end(),
         [](const Link& link) { return link.dofs > 0 && !articulation::is_kinematic(link); });
+    const int32_t in_a_row = trees.joints_in_a_row();
     for (const int32_t value :
          {first_link, trees.link_count(), first_dof, dofs, world < 0 ? m.world_count() - 1 : world,
-          moves ? 1 : 0, trees.followers(), trees.joints_in_a_row()})
+          moves ? 1 : 0, trees.followers(), in_a_row})
       rows.push_back(value);
+    in_long_tree_.insert(in_long_tree_.end(), static_cast<size_t>(dofs),
+                         in_a_row > articulation::kMatrixJoints ? 1 : 0);
     max_links_ = std::max(max_links_, trees.link_count());
     max_dofs_ = std::max(max_dofs_, dofs);
   }
@@ -308,30 +315,39 @@ std::string Articulations::matrix_name(const Model& m, int32_t dof, const SimSta
   return text.str();
 }
 
-void Articulations::check_without_drive(const Model& m, const char* user) const {
+void Articulations::check_drives(const Model& m, const char* user) const {
   const OnHost<float> ke(m.joint_target_ke), kd(m.joint_target_kd), damping(m.joint_damping),
-      lower(m.joint_limit_lower), upper(m.joint_limit_upper);
-  struct Number {
-    const char* name;
-    const float* values;
-    bool on_ball;  // acts there
+      effort(m.joint_effort_limit), lower(m.joint_limit_lower), upper(m.joint_limit_upper);
+  const auto refuse = [&](size_t k, const char* array, const char* why, float got) {
+    const char* const type = joint_of_dof_[k] == LinkJoint::Ball ? "BALL" : "FREE";
+    fail(ErrorKind::NotImplemented, user, ": model.", array, "[", k,
+         "]: ", dof_name(m, static_cast<int32_t>(k)), " is of a ", type, " joint, ", why, "; got ",
+         got);
   };
-  const Number numbers[] = {{"joint_target_ke", ke.data(), false},
-                            {"joint_target_kd", kd.data(), false},
-                            {"joint_damping", damping.data(), true}};
-  for (int32_t k = 0; k < m.joint_dof_count(); ++k) {
-    const auto row = static_cast<size_t>(k);
-    const articulation::Link of = {.joint = joint_of_dof_[row]};
-    if (articulation::has_one_dof(of)) continue;
-    const bool ball = articulation::has_damping(of);
-    for (const Number& n : numbers)
-      require(n.values[k] == 0.0f || (ball && n.on_ball), ErrorKind::NotImplemented, user,
-              ": model.", n.name, "[", k, "]: ", dof_name(m, k), " is of a ",
-              ball ? "BALL" : "FREE", " joint, which has none; got ", n.values[k]);
-    require(lower[row] <= -kJointUnlimited && upper[row] >= kJointUnlimited,
-            ErrorKind::NotImplemented, user, ": model.joint_limit_lower and joint_limit_upper[", k,
-            "]: ", dof_name(m, k), " is of a ", ball ? "BALL" : "FREE",
-            " joint, whose limits are not covered");
+  int32_t of_joint = 0;  // dofs of the BALL before this one
+  for (size_t k = 0; k < joint_of_dof_.size(); ++k) {
+    const LinkJoint joint = joint_of_dof_[k];
+    if (joint == LinkJoint::Prismatic || joint == LinkJoint::Revolute) continue;
+    const bool ball = joint == LinkJoint::Ball;
+    of_joint = k > 0 && joint_of_dof_[k - 1] == joint ? (of_joint + 1) % 3 : 0;
+    if (!ball && ke[k] != 0.0f) refuse(k, "joint_target_ke", "which has none", ke[k]);
+    if (!ball && kd[k] != 0.0f) refuse(k, "joint_target_kd", "which has none", kd[k]);
+    if (!ball && damping[k] != 0.0f) refuse(k, "joint_damping", "which has none", damping[k]);
+    if (ball && (ke[k] != 0.0f || kd[k] != 0.0f) && effort[k] < JointDofConfig{}.effort_limit)
+      refuse(k, "joint_effort_limit", "whose drives have no effort limit", effort[k]);
+    if (lower[k] > -kJointUnlimited)
+      refuse(k, "joint_limit_lower", "which has no lower limit", lower[k]);
+    if (upper[k] >= kJointUnlimited) continue;
+    if (!ball) refuse(k, "joint_limit_upper", "which has no limits", upper[k]);
+    if (of_joint != 0)
+      refuse(k, "joint_limit_upper", "whose limit is that of its first dof", upper[k]);
+    if (upper[k] <= 0.0f)
+      refuse(k, "joint_limit_upper", "whose limit is an angle above 0", upper[k]);
+    if (in_long_tree_[k] != 0)
+      refuse(k, "joint_limit_upper",
+             "whose tree has more than nine joints in a row and had no such limit when the solver "
+             "was made: make another",
+             upper[k]);
   }
 }
 
@@ -340,7 +356,8 @@ void Articulations::check_values(const Model& m, const Control* control, bool fr
   const DeviceArray<float>& joint_act = control ? control->joint_act : m.joint_act;
   const Array* const arrays[] = {&m.joint_enabled,     &m.joint_friction,    &joint_act,
                                  &m.joint_target_ke,   &m.joint_target_kd,   &m.joint_damping,
-                                 &m.joint_limit_lower, &m.joint_limit_upper, &m.body_flags};
+                                 &m.joint_limit_lower, &m.joint_limit_upper, &m.body_flags,
+                                 &m.joint_effort_limit};
   values_.check_joints(m);
   checked_.resize(std::size(arrays));
   bool same = true;
@@ -365,7 +382,7 @@ void Articulations::check_values(const Model& m, const Control* control, bool fr
     require(act[k] == 0.0f, ErrorKind::NotImplemented, user, ": joint_act[", k,
             "]: expected 0 (there are no actuators; joint_f takes forces), got ", act[k]);
   }
-  check_without_drive(m, user);
+  check_drives(m, user);
   for (size_t i = 0; i < std::size(arrays); ++i) checked_[i].set(*arrays[i]);
 }
 

@@ -24,6 +24,14 @@ std::pair<int32_t, int32_t> coordinates_of(const Step& s, int32_t tree) {
 
 namespace {
 
+bool is_of_ball(const Step& s, int32_t tree, int32_t dof) {
+  const ArticulationRows& of = rows_of_step(s)[tree];
+  const auto* const links =
+      static_cast<const art::Link*>(s.values[kLinks].tensor.range()->data()) + of.first_link;
+  return std::any_of(links, links + of.link_count,
+                     [&](const art::Link& link) { return art::is_ball(link) && link.dof == dof; });
+}
+
 // A dof whose limit pushes in one of two steps that follow each other; `acts`: before the change.
 void add_limit_event(const Step& s, int32_t t, int32_t dof, bool acted) {
   const ArticulationArguments in = host_arguments(s);
@@ -111,7 +119,8 @@ void note_limits(const Step& s, const MotionNotes* last) {
       const bool acted = acts(last->branch[static_cast<size_t>(k)]);
       if (acted == acts(notes.branch[static_cast<size_t>(k)])) continue;
       const size_t known = notes.limits.size();
-      if (touches)
+      // A BALL's angle has no event: its time does not move.
+      if (touches || is_of_ball(s, t, k))
         ++s.shared->motion.unmoved;
       else
         add_limit_event(s, t, k, acted);

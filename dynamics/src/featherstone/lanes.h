@@ -31,6 +31,7 @@ NOVAPHY_LANE_FN Ints select(Mask c, Ints a, Ints b) { return {c.v ? a.v : b.v}; 
 
 NOVAPHY_LANE_FN Lanes min(Lanes a, Lanes b) { return select(negate(a > b), a, b); }
 NOVAPHY_LANE_FN Lanes max(Lanes a, Lanes b) { return select(negate(a < b), a, b); }
+NOVAPHY_LANE_FN Lanes abs(Lanes a) { return Lanes((VectorF)((VectorI)a.v & INT32_MAX)); }
 NOVAPHY_LANE_FN Lanes floor(Lanes a) {
 #if LANES == 16 && defined(__AVX512F__)
   return Lanes((VectorF)_mm512_roundscale_ps((__m512)a.v, 1));
@@ -56,6 +57,9 @@ NOVAPHY_LANE_FN bool is_finite(Lanes a) { return all(a - a == Lanes(0.0f)); }
 NOVAPHY_LANE_FN SinCos<Lanes> sin_cos(Lanes a) {
   const auto v = math::functions_detail::sin_cos(a);
   return {v.sin, v.cos};
+}
+NOVAPHY_LANE_FN Lanes angle_of(Lanes sine, Lanes cosine) {
+  return math::functions_detail::atan2_value(sine, cosine).value;
 }
 
 }  // namespace novaphy::articulation::NOVAPHY_LEVEL

@@ -32,11 +32,9 @@ void set_start(MjcfContext& context) {
         joint.parent_pose = {{q[at], q[at + 1], q[at + 2]},
                              {q[at + 3], q[at + 4], q[at + 5], q[at + 6]}};
         at += 7;
-      } else if (quaternion_at(joint.type) == 0) {
-        joint.start = {q[at], q[at + 1], q[at + 2], q[at + 3]};
-        at += 4;
+        continue;
       }
-      if (quaternion_at(joint.type) >= 0) continue;
+      joint.start.resize(static_cast<size_t>(joint.coordinates()));
       for (double& start : joint.start) start = q[at++];
     }
   });

@@ -308,15 +308,25 @@ class ActuatorReader {
     return inertias_[static_cast<size_t>(joint.joint)][static_cast<size_t>(joint.dof)];
   }
 
+  // A spring and a damper by their time constant and ratio, of the inertia at the start.
+  void set_spring_damper(MjcfJoint& joint) {
+    const auto [time, ratio] = joint.spring_damper;
+    if (time == 0.0) return;
+    const double inertia = dof_inertia(joint), damping = 2.0 * inertia / time;
+    joint.stiffness = context_.settings.option.spring ? inertia / std::pow(time * ratio, 2) : 0.0;
+    dof_of(joint).damping = context_.settings.option.damper ? static_cast<float>(damping) : 0.0f;
+  }
+
   // The spring of a joint, and its limit of forces.
   void set_joint(const std::string& name) {
-    const MjcfJoint& joint = context_.joints.at(name);
+    MjcfJoint& joint = context_.joints.at(name);
     if (!joint.is_scalar) return;
+    set_spring_damper(joint);
     if (joint.stiffness > 0.0) {
       JointDofConfig& dof = dof_of(joint);
       dof.target_ke = static_cast<float>(joint.stiffness);
       dof.target_q = static_cast<float>(joint.spring_ref);
-      if (!std::isfinite(dof.target_ke))
+      if (!std::isfinite(dof.target_ke) || !std::isfinite(dof.damping))
         file_.refuse(*joint.element, "expected a stiffness that float32 can hold");
     }
     std::vector<Actuator*> all;

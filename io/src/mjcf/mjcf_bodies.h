@@ -41,6 +41,10 @@ class BodyJoints {
     Posed frame;  // of what the element stands in, in the body
     std::string childclass;
   };
+  struct BallForces {  // of a ball or free joint
+    double damping = 0.0, friction = 0.0, armature = 0.0, stiffness = 0.0;
+    bool operator==(const BallForces&) const = default;
+  };
   struct Scalar {  // a hinge or slide
     MjcfJoint joint;
     std::string name;
@@ -55,8 +59,8 @@ class BodyJoints {
   void read_range(const Element& e, const std::string& childclass, double unit, bool is_ball,
                   MjcfJoint& to, JointDofConfig& dof) const;
   void add_ball(const Found& found, const std::string& type);
-  void add_free(const Element& e, const std::string& name, double damping, double friction,
-                double armature);
+  static void set_forces(RobotJoint& joint, const BallForces& forces);
+  void add_free(const Element& e, const std::string& name, const BallForces& forces);
   void add_group(std::span<const Scalar> group);
   // Adds a joint whose child is the body, or a link between where another one follows.
   RobotJoint& add_joint(std::string name, const Element& e, JointType type, bool is_last);

@@ -14,6 +14,7 @@ struct MjcfJoint {
   bool is_scalar = false;      // hinge or slide
   bool is_ball = false;
   double stiffness = 0.0, spring_ref = 0.0;
+  double spring_damper[2] = {0.0, 0.0};  // time constant, s, and ratio of damping, above 0; or none
   double range[2] = {0.0, 0.0};
   bool is_limited = false;
   std::optional<std::pair<double, double>> force_range = {};  // of all actuators together

@@ -170,20 +170,23 @@ void BodyJoints::add_ball(const Found& found, const std::string& type) {
   const std::string name = new_name(e);
   const std::string& childclass = found.childclass;
   const MjcfOption& option = context_.settings.option;
-  double damping = 0.0, friction = 0.0, armature = 0.0;
+  BallForces forces;
   if (std::string_view(e.Name()) != "freejoint") {
-    damping = passive(e, "damping", childclass, option.damper);
-    friction = passive(e, "frictionloss", childclass, option.friction);
-    armature = passive(e, "armature", childclass, true);
-    if (passive(e, "stiffness", childclass, option.spring) > 0.0)
-      context_.notes.left_out(e, "stiffness of a " + type + " joint");
+    forces.damping = passive(e, "damping", childclass, option.damper);
+    forces.friction = passive(e, "frictionloss", childclass, option.friction);
+    forces.armature = passive(e, "armature", childclass, true);
+    forces.stiffness = passive(e, "stiffness", childclass, option.spring);
+    double spring[2] = {0.0, 0.0};
+    context_.defaults.numbers(e, "springdamper", childclass, spring);
+    if (spring[0] > 0.0 && spring[1] > 0.0)
+      context_.notes.left_out(e, "springdamper of a " + type + " joint");
+    if (!std::isfinite(static_cast<float>(forces.stiffness)))
+      file.refuse(e, "expected a stiffness that float32 can hold");
   }
-  if (is_free) return add_free(e, name, damping, friction, armature);
+  if (is_free) return add_free(e, name, forces);
   RobotJoint& joint = add_joint(name, e, JointType::BALL, found.element == found_.back().element);
   note_joint(name, {.element = &e, .is_ball = true}, 0);
-  joint.damping = damping;
-  joint.friction = friction;
-  joint.armature = armature;
+  set_forces(joint, forces);
   double v[3];
   if (context_.defaults.numbers(e, "pos", childclass, v)) {
     joint.child_pose.p = math::transform_point(found.frame, Vec3d{v[0], v[1], v[2]});
@@ -192,14 +195,23 @@ void BodyJoints::add_ball(const Found& found, const std::string& type) {
   MjcfJoint limits;
   JointDofConfig unused;
   read_range(e, childclass, context_.settings.compiler.angle, true, limits, unused);
-  if (limits.is_limited && option.limit) context_.notes.left_out(e, "range of a ball joint");
+  const double most = std::max(limits.range[0], limits.range[1]);
+  if (limits.is_limited && !(most > 0.0))
+    file.refuse(e, "range: expected 0 and the largest angle, above 0, of a ball joint");
+  if (limits.is_limited && option.limit) joint.limit_angle = most;
+}
+
+void BodyJoints::set_forces(RobotJoint& joint, const BallForces& forces) {
+  joint.damping = forces.damping;
+  joint.friction = forces.friction;
+  joint.armature = forces.armature;
+  joint.stiffness = forces.stiffness;
 }
 
 // One with forces or inertia of its own is three slides and a ball joint, which have these: the
 // coordinates are the same.
-void BodyJoints::add_free(const Element& e, const std::string& name, double damping,
-                          double friction, double armature) {
-  if (damping == 0.0 && friction == 0.0 && armature == 0.0) {
+void BodyJoints::add_free(const Element& e, const std::string& name, const BallForces& forces) {
+  if (forces == BallForces{}) {
     add_joint(name, e, JointType::FREE, true);
     return note_joint(name, {.element = &e}, 0);
   }
@@ -210,17 +222,19 @@ void BodyJoints::add_free(const Element& e, const std::string& name, double damp
   for (const Axis axis : {Axis::X, Axis::Y, Axis::Z}) {
     JointDofConfig dof;
     dof.axis = axis_vector(axis);
-    dof.damping = static_cast<float>(damping);
-    dof.friction = static_cast<float>(friction);
-    dof.armature = static_cast<float>(armature);
+    dof.damping = static_cast<float>(forces.damping);
+    dof.friction = static_cast<float>(forces.friction);
+    dof.armature = static_cast<float>(forces.armature);
+    dof.target_ke = static_cast<float>(forces.stiffness);
+    const double rest[] = {start.p.x, start.p.y, start.p.z};
+    dof.target_q = static_cast<float>(rest[slides.linear.size()]);
     slides.linear.push_back(dof);
   }
   slides.start = {start.p.x, start.p.y, start.p.z};
   RobotJoint& ball = add_joint(name + "_ball", e, JointType::BALL, true);
   ball.start = {start.q.x, start.q.y, start.q.z, start.q.w};
-  ball.damping = damping;
-  ball.friction = friction;
-  ball.armature = armature;
+  ball.rest = start.q;
+  set_forces(ball, forces);
 }
 
 void BodyJoints::read_range(const Element& e, const std::string& childclass, double unit,
@@ -281,7 +295,7 @@ BodyJoints::Scalar BodyJoints::read_scalar(const Found& found, bool is_hinge) {
   s.joint.spring_ref = defaults.number(e, "springref", childclass, 0.0) * unit;
   double spring[2] = {0.0, 0.0};
   if (defaults.numbers(e, "springdamper", childclass, spring) && spring[0] > 0.0 && spring[1] > 0.0)
-    context_.notes.left_out(e, "springdamper");
+    std::copy_n(spring, 2, s.joint.spring_damper);
   return s;
 }
 

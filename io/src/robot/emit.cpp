@@ -326,13 +326,7 @@ class Emitter {
     const auto coords = static_cast<size_t>(joint.coordinates());
     for (size_t k = 0; k < joint.start.size() && k < coords; ++k)
       builder_.joint_q[builder_.joint_q.size() - coords + k] = static_cast<float>(joint.start[k]);
-    if (quaternion_at(joint.type) >= 0)
-      for (auto row = static_cast<size_t>(dof_[static_cast<size_t>(j)]);
-           row < builder_.joint_damping.size(); ++row) {
-        builder_.joint_damping[row] = static_cast<float>(joint.damping);
-        builder_.joint_armature[row] = static_cast<float>(joint.armature);
-        builder_.joint_friction[row] = static_cast<float>(joint.friction);
-      }
+    set_ball(joint, builder_);
     return index;
   }
 

@@ -61,7 +61,10 @@ struct RobotJoint {
   std::vector<JointDofConfig> linear = {}, angular = {};
   std::vector<double> start = {};  // coordinates of linear and angular; empty: 0
   double damping = 0.0, armature = 0.0, friction = 0.0;  // of each axis of a BALL or FREE joint
-  std::string leader = {};                               // joint that it follows; empty: none
+  double stiffness = 0.0;                                // likewise, of a BALL, towards `rest`
+  Quatd rest = {0.0, 0.0, 0.0, 1.0};
+  double limit_angle = 0.0;         // of a BALL; 0: none
+  std::string leader = {};          // joint that it follows; empty: none
   double coef0 = 0.0, coef1 = 1.0;  // its coordinate: coef0 + coef1 times the leader's
   bool meets_parent = false;        // the child's shapes do, and the parent's
   int32_t coordinates() const {
@@ -117,6 +120,9 @@ Mat33d turned(const Quatd& q, const Mat33d& inertia);
 // made before. One of more than 64 colors stays whole.
 using MeshParts = std::map<std::shared_ptr<const Mesh>, std::vector<std::shared_ptr<const Mesh>>>;
 void add_parts(const RobotShape& whole, MeshParts& known, std::vector<RobotShape>& to);
+
+// What a BALL or FREE joint has besides its frames, of the one that was added last.
+void set_ball(const RobotJoint& joint, ModelBuilder& builder);
 
 // Adds what has a mass, a centre and an inertia about that, in the frame of the link.
 void add_mass(RobotLink& to, double mass, const Vec3d& com, const Mat33d& inertia);

@@ -52,6 +52,10 @@ struct BallJointArgs {
   Transformf parent_xform = Transformf::identity();
   Transformf child_xform = Transformf::identity();
   float damping = 0.0f, armature = 0.0f, friction = 0.0f;  // of each axis, see JointDofConfig
+  Quatf target_q = Quatf::identity();                      // of the drive
+  float target_ke = 0.0f, target_kd = 0.0f;                // its gains about each axis
+  float limit_angle = kJointUnlimited;                     // rad, that the child turns at most
+  float limit_ke = 1.0e4f, limit_kd = 10.0f;               // N m/rad and N m s/rad of the limit
   bool collision_filter_parent = true;
   bool enabled = true;
   std::string label = {};

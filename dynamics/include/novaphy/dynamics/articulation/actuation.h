@@ -47,8 +47,9 @@ inline int32_t numbers_of_input(int32_t input) {
 }
 
 // Actuators of dof d: order[first[d]] to order[first[d + 1] - 1]. coord: the coordinate of each
-// dof; -1: of a BALL, FREE or DISTANCE joint. Those that push bodies (`dof` -1) are among those of
-// some dof, for their activations.
+// dof; below 0: of a BALL, FREE or DISTANCE joint. Those that push bodies (`dof` -1) are among
+// those of some dof, for their activations. The first dof of a BALL has -2 - its first coordinate:
+// its four targets are copied.
 struct Actuation {
   NOVAPHY_ARGUMENTS(Reads<int32_t> first, order, coord, dof, state, dynamics;
                     novaphy::Each<Detached<Reads<float>>, kActuationInputs> in; Number<float> dt;)
@@ -115,6 +116,14 @@ DualFloat actuator_input(int32_t actuator, int32_t state, const Number& number) 
   return state < 0 ? clipped_control(actuator, number) : number(kActivation, state, 0);
 }
 
+// The target of a coordinate, or those of a BALL, which no actuator moves.
+template <class Number, class Put>
+void put_targets(int32_t coord, const DualFloat& target, const Number& number, const Put& put) {
+  if (coord >= 0) put(kTarget, coord, target);
+  for (int32_t c = -2 - coord; coord < -1 && c < 2 - coord; ++c)
+    put(kTarget, c, number(kTarget, c, 0));
+}
+
 // The drive and force of a degree of freedom, and the activations of its actuators.
 template <class Number, class Put>
 void actuate(const Actuation& a, int32_t dof, const Number& number, const Put& put) {
@@ -170,7 +179,7 @@ void actuate(const Actuation& a, int32_t dof, const Number& number, const Put& p
     }
   }
   put(kJointForce, dof, force);
-  if (coord >= 0) put(kTarget, coord, target);
+  put_targets(coord, target, number, put);
   put(kTargetRate, dof, rate);
   put(kStiffness, dof, stiffness);
   put(kDamping, dof, damping);

@@ -16,6 +16,7 @@
 
 #include "novaphy/dynamics/articulation/actuation.h"
 #include "novaphy/dynamics/articulation/kinematics.h"
+#include "novaphy/dynamics/articulation/rotation_vector.h"
 
 namespace novaphy::articulation {
 
@@ -57,25 +58,6 @@ PushedBody pushed_body(const Transform<T>& x, const SpatialVector<T>& v, const V
   PushedBody b;
   for (int32_t k = 0; k < kPushedNumbers; ++k) number_of(b, k) = DualFloat(numbers[k]);
   return b;
-}
-
-// The rotation vector of a unit quaternion, at most half a turn long.
-inline Vec3<DualFloat> rotation_vector(Quat<DualFloat> q) {
-  if (q.w.value < 0.0f) q = {-q.x, -q.y, -q.z, -q.w};
-  const DualFloat square = q.x * q.x + q.y * q.y + q.z * q.z;
-  DualFloat per_sine;  // the angle over the sine of its half
-  if (square.value < 1e-4f) {
-    const DualFloat t = square / (q.w * q.w);  // tan^2
-    per_sine =
-        DualFloat(2.0f) / q.w * (DualFloat(1.0f) - t / DualFloat(3.0f) + t * t / DualFloat(5.0f));
-  } else {
-    const DualFloat s = square_root(square);
-    const float norm = square.value + q.w.value * q.w.value;
-    const DualFloat half = {math::atan2(s.value, q.w.value),
-                            (q.w.value * s.tangent - s.value * q.w.tangent) / norm};
-    per_sine = DualFloat(2.0f) * half / s;
-  }
-  return {q.x * per_sine, q.y * per_sine, q.z * per_sine};
 }
 
 // The frame of an actuator, in the world.

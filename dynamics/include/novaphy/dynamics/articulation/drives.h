@@ -1,5 +1,5 @@
-// Drives and damping of joints with one dof, with their limits (limits.h), and the damping of BALL
-// joints.
+// Drives and damping of joints with one dof, with their limits (limits.h). Those of BALL joints are
+// in ball_drives.h.
 //
 // The force of a dof at q with the rate v:
 //   drive      t = ke (q* - q) + kd (qd* - v) by the target mode, |t| <= effort_limit
@@ -19,6 +19,10 @@ namespace novaphy::articulation {
 
 inline bool has_position_drive(int32_t mode) { return mode == 1 || mode == 3; }
 inline bool has_velocity_drive(int32_t mode) { return mode >= 1 && mode <= 3; }
+template <class T>
+T damping_factor(const Link& link, int32_t dof_of_link, const StepOptions<T>& options) {
+  return is_angular(link, dof_of_link) ? T(1.0f) - options.angular_damping * options.dt : T(1.0f);
+}
 
 // `row` is the dof's, `coord` its coordinate's.
 template <class T>
@@ -122,37 +126,42 @@ Branches<T> next_branch(const Branches<T>& branch, const AskedForces<T>& asked,
   return with(with(next, upper, kEffortAtUpper), lower, kEffortAtLower);
 }
 
-// The gradients of a dof's drive, limits and damping, and what they give to q and qd. `diagonal`:
-// what has left the gradient of M's diagonal besides lambda qdd. `at_upper`, `at_lower`:
-// AdjointMemory stops (step_vjp.h).
+// The gradients of a dof's drive, limits and damping, and what they give to q and qd. `turn`: what
+// a dof of a BALL turns to its target (ball_drives.h), as if it were at 0; null: of other joints.
+// `diagonal`: what has left the gradient of M's diagonal besides lambda qdd. `at_upper`,
+// `at_lower`: AdjointMemory stops (step_vjp.h).
 template <class T>
 void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& in,
-                    const StepOptions<T>& options, const Branches<T>& branch, const T& qdd,
-                    const T& lambda, const T& diagonal, const T& at_upper, const T& at_lower,
-                    T& q_gradient, T& qd_gradient, const StepGradient<T>& g) {
+                    const StepOptions<T>& options, const Branches<T>& branch, const T* turn,
+                    const T& qdd, const T& lambda, const T& diagonal, const T& at_upper,
+                    const T& at_lower, T& q_gradient, T& qd_gradient, const StepGradient<T>& g) {
   using G = StepGradient<T>;
   const int32_t row = link.dof + dof_of_link, mode = in.target_mode[row];
   const T o = T(0.0f), v = in.qd[row], dt = options.implicit_drives ? options.dt : o;
-  const bool one = has_one_dof(link), damps = has_damping(link);
+  const bool one = has_one_dof(link), driven = one || turn != nullptr;
   const auto outside = has(branch, kOutside), clamped = has(branch, kEffortClamped);
   auto drives = negate(clamped);
   if (!options.implicit_drives) drives = both(drives, negate(outside));
   const auto limits = limit_acts<T>(branch);
   DriveLaw<T> drive{o, o, o, o}, stop{o, o, o, o};
-  if (one) {
+  if (driven) {
     drive = drive_law(in, row, link.coord, branch, options.implicit_drives);
+    if (turn != nullptr) drive.target = *turn;
     drive.stiffness = select(drives, drive.stiffness, o);
     drive.rate = select(drives, drive.rate, o);
+  }
+  if (one) {
     stop = limit_law(in, row, branch);
     stop.stiffness = select(limits, stop.stiffness, o);
     stop.rate = select(limits, stop.rate, o);
   }
   const T stiffness = drive.stiffness + stop.stiffness, by_v = drive.rate + stop.rate;
-  const T q = one ? in.q[link.coord] : o, damping = damps ? in.damping[row] : o;
+  const T q = one ? in.q[link.coord] : o, damping = driven ? in.damping[row] : o;
   const T v_end = v + dt * qdd, q_end = q + dt * v_end;
   q_gradient = q_gradient - stiffness * lambda;
   qd_gradient = qd_gradient - ((by_v + damping) + dt * stiffness) * lambda;
-  const bool position = one && has_position_drive(mode), velocity = one && has_velocity_drive(mode);
+  const bool position = driven && has_position_drive(mode);
+  const bool velocity = driven && has_velocity_drive(mode);
   const auto of = [&](bool there, const auto& mask, const T& x) {
     return there ? select(mask, x, o) : o;
   };
@@ -161,10 +170,10 @@ void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& 
   const T by_kd = dt * diagonal, by_ke = dt * by_kd;
   put(g, &G::target_ke, row, of(position, drives, (drive.target - q_end) * lambda - by_ke));
   put(g, &G::target_kd, row, of(velocity, drives, (drive.target_rate - v_end) * lambda - by_kd));
-  put(g, &G::damping, row, damps ? -(v_end * lambda) - by_kd : o);
+  put(g, &G::damping, row, driven ? -(v_end * lambda) - by_kd : o);
   put(g, &G::armature, row, -(lambda * qdd) - diagonal);
   const DriveGradient<T> of_limit = {lambda, q_end, v_end, by_ke, by_kd};
-  limit_gradient(stop, row, branch, of_limit, at_upper, at_lower, g);
+  limit_gradient(stop, row, one ? branch : Branches<T>{}, of_limit, at_upper, at_lower, g);
   const T by_effort = select(has(branch, kEffortAtUpper), lambda, -lambda);
   put(g, &G::effort_limit, row, of(one, clamped, by_effort));
 }

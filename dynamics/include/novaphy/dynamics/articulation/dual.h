@@ -56,6 +56,12 @@ SinCos<Dual<T>> sin_cos(const Dual<T>& a) {
   return {{v.sin, v.cos * a.tangent}, {v.cos, -(v.sin * a.tangent)}};
 }
 template <class T>
+Dual<T> angle_of(const Dual<T>& sine, const Dual<T>& cosine) {
+  const T norm = sine.value * sine.value + cosine.value * cosine.value;
+  return {angle_of(sine.value, cosine.value),
+          (cosine.value * sine.tangent - sine.value * cosine.tangent) / norm};
+}
+template <class T>
 bool is_finite(const Dual<T>& a) {
   return is_finite(a.value);
 }

@@ -1,12 +1,13 @@
-// M^-1 of a tree, with M = H(q) + diag(ws.diagonal): a factor, and what it does to forces and to
-// motions. There are two, and the tree alone says which:
+// M^-1 of a tree, with M = H(q) + diag(ws.diagonal) + c c^T of each BALL joint, c its rows of
+// ws.cone: a factor, and what it does to forces and to motions. There are two, and the tree alone
+// says which:
 //
 //   M = L^T D L of a matrix with a tree's sparsity (Featherstone 2008, section 6.5): rows are
 //   eliminated from the leaves, so L has entries only where M has, and no fill-in. With followers
 //   (mimic.h) M stands for T^T M T, and M^-1 for T (T^T M T)^-1 T^T; rows have all entries.
 //
 //   Articulated bodies (articulated_body.h), for trees with more than kMatrixJoints in a row: float
-//   cannot hold the mass matrix of a long chain.
+//   cannot hold the mass matrix of a long chain. There c is 0.
 #pragma once
 
 #include "novaphy/dynamics/articulation/articulated_body.h"
@@ -35,6 +36,20 @@ auto with_rows_above(const Tree<T>& tree, const F& f) {
   return f([above = tree.dof_parent](int32_t k) { return above[k]; });
 }
 
+template <class T>
+void add_cones(const Tree<T>& tree, Workspace<T>& ws) {
+  const int64_t n = tree.dof_count;
+  for (int32_t i = 0; i < tree.link_count; ++i) {
+    if (!is_ball(tree.links[i])) continue;
+    const int32_t first = local_dof(tree, tree.links[i]);
+    for (int64_t k = first; k < first + 3; ++k)
+      for (int64_t j = first; j <= k; ++j) {
+        T& entry = ws.matrix[k * n + j];
+        entry = entry + ws.cone[k] * ws.cone[j];
+      }
+  }
+}
+
 // In the workspace's matrix, behind kinematics at q (rows of the arrays): L below the diagonal (its
 // own is 1), D on it; or the rows of articulated bodies. The index of the first dof from the leaves
 // whose pivot is not positive (in any lane), or -1; there it stops.
@@ -45,6 +60,7 @@ int32_t factor(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
   const int64_t n = tree.dof_count;
   T* const m = ws.matrix;
   for (int64_t k = 0; k < n; ++k) m[k * n + k] = m[k * n + k] + ws.diagonal[k];
+  add_cones(tree, ws);
   if (tree.followers > 0) reduce_matrix(tree, m);
   return with_rows_above(tree, [&](const auto& above) -> int32_t {
     for (int32_t k = tree.dof_count; k-- > 0;) {

@@ -42,12 +42,15 @@ inline SinCos<float> sin_cos(float x) {
   return {v.sin, v.cos};
 }
 inline float square_root(float x) { return math::sqrt(x); }
+// Of (cosine, sine) from the x axis.
+inline float angle_of(float sine, float cosine) { return math::atan2(sine, cosine); }
 inline bool is_finite(float x) { return x - x == 0.0f; }
 
 #ifndef NOVAPHY_KERNEL  // devices have doubles, but not these functions of them
 inline int32_t to_branches(double x) { return static_cast<int32_t>(x); }
 inline SinCos<double> sin_cos(double x) { return {std::sin(x), std::cos(x)}; }
 inline double square_root(double x) { return std::sqrt(x); }
+inline double angle_of(double sine, double cosine) { return std::atan2(sine, cosine); }
 inline bool is_finite(double x) { return x - x == 0.0; }
 #endif
 

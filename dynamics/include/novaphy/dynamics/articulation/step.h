@@ -14,7 +14,7 @@
 // the roots are.
 #pragma once
 
-#include "novaphy/dynamics/articulation/drives.h"
+#include "novaphy/dynamics/articulation/ball_drives.h"
 #include "novaphy/dynamics/articulation/factor.h"
 
 namespace novaphy::articulation {
@@ -71,6 +71,7 @@ void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
   const T endless = T(math::bits_float(0x7f800000));
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
+    DriveTerm<T> of_ball[3];
     for (int32_t j = 0; j < link.dofs; ++j) {
       const int32_t row = link.dof + j;
       const int32_t k = row - tree.first_dof;
@@ -78,9 +79,9 @@ void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
       if (has_one_dof(link)) {
         term = dof_term(in, row, link.coord, ws.branch[k], in.q[link.coord], in.qd[row], options.dt,
                         options.implicit_drives);
-      } else if (has_damping(link)) {
-        term.force = -(in.damping[row] * in.qd[row]);
-        if (options.implicit_drives) term.diagonal = options.dt * in.damping[row];
+      } else if (is_ball(link)) {
+        if (j == 0) ball_terms(link, in, options, ws.branch[k], of_ball, ws.cone + k);
+        term = of_ball[j];
       }
       const T applied = is_free(link) ? T(0.0f) : in.joint_f[row];
       ws.rhs[k] = (applied - bias[k]) + term.force;
@@ -323,6 +324,7 @@ int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
     const auto still = negate(in.velocity_limit[link.dof] > T(0.0f));
     ws.branch[k] = with(ws.branch[k], still, kVelocityAtUpper);
   });
+  set_ball_branches(tree, in, options, ws);
   failed = settle(tree, in, options, ws);
   if (failed < 0) failed = hold_rates(tree, in, options, alone, ws);
   return failed >= 0 ? failed : find_infinite(tree, ws);
@@ -366,11 +368,6 @@ int32_t forward_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
   const int32_t failed = accelerate(tree, in, options, T(0.0f) < T(1.0f), ws);
   if (failed < 0) free_rates(tree, in, options, ws);
   return failed;
-}
-
-template <class T>
-T damping_factor(const Link& link, int32_t dof_of_link, const StepOptions<T>& options) {
-  return is_angular(link, dof_of_link) ? T(1.0f) - options.angular_damping * options.dt : T(1.0f);
 }
 
 // The part of a shift of a dof that moves at v which does not take it out of its limits, or farther

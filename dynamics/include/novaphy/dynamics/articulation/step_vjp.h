@@ -31,6 +31,7 @@ template <class T>
 struct AdjointMemory {
   T *tangent = nullptr, *rate = nullptr, *scratch = nullptr;
   T* diagonal = nullptr;  // {dofs}: matrix_vjp, of the diagonal that stands beside H
+  T* cone = nullptr;      // {dofs}: likewise of ws.cone
   T* stops = nullptr;     // {2 dofs}: of the upper and lower limits at which shifts stop
   SpatialVector<T>* wrench = nullptr;
   T *mass = nullptr, *moved_mass = nullptr;
@@ -41,7 +42,7 @@ template <class T>
 int64_t adjoint_bytes(int32_t links, int32_t dofs) {
   const int64_t per_link =
       sizeof(SpatialVector<T>) + 2 * (sizeof(T) + sizeof(Vec3<T>) + sizeof(Mat33<T>));
-  return (8 * dofs * static_cast<int64_t>(sizeof(T)) + links * per_link + 7) / 8 * 8;
+  return (9 * dofs * static_cast<int64_t>(sizeof(T)) + links * per_link + 7) / 8 * 8;
 }
 template <class T>
 AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) {
@@ -50,7 +51,8 @@ AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) 
   m.rate = m.tangent + dofs;
   m.scratch = m.rate + dofs;
   m.diagonal = m.scratch + 3 * dofs;
-  m.stops = m.diagonal + dofs;
+  m.cone = m.diagonal + dofs;
+  m.stops = m.cone + dofs;
   m.wrench = reinterpret_cast<SpatialVector<T>*>(m.stops + 2 * dofs);
   m.mass = reinterpret_cast<T*>(m.wrench + links);
   m.moved_mass = m.mass + links;
@@ -114,7 +116,7 @@ void step_vjp_end(const Tree<T>& tree, const StepInputs<T>& in, const T* q_next,
     memory.moved_mass[i] = o;
     memory.moved_inertia[i] = Mat33<T>{};
   }
-  for (int32_t k = 0; k < n; ++k) tangent[k] = rate[k] = memory.diagonal[k] = o;
+  for (int32_t k = 0; k < n; ++k) tangent[k] = rate[k] = memory.diagonal[k] = memory.cone[k] = o;
   if (out.body_q || out.body_qd) {
     link_frames(tree, q_next, ws);
     link_motions(tree, qd_next + row0, ws);
@@ -206,6 +208,7 @@ void matrix_vjp(const Tree<T>& tree, Workspace<T>& ws, AdjointMemory<T>& memory)
     ws.qd_next[k] = o;
     memory.diagonal[k] = memory.diagonal[k] + lambda[k] * x[k];
   }
+  cones_vjp(tree, ws.cone, lambda, x, memory.cone);
   for (int32_t i = 0; i < tree.link_count; ++i) ws.links[i].wrench = zero_spatial<T>();
   inverse_dynamics(weightless, ws.qd_next, x, ws, ws.bias);
   InverseDynamicsGradient<T> phi{ws.rhs,      nullptr,    nullptr,        nullptr,
@@ -255,8 +258,17 @@ void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
       put(g, &G::velocity_limit, row0 + k, by_limit);
       tangent[k] = tangent[k] - phi_q[k];
       rate[k] = rate[k] - phi_qd[k];
-      drive_gradient(link, j, in, options, ws.branch[k], ws.qdd[k], lambda[k], memory.diagonal[k],
-                     memory.stops[k], memory.stops[n + k], tangent[k], rate[k], g);
+      if (!is_ball(link))
+        drive_gradient(link, j, in, options, ws.branch[k], static_cast<const T*>(nullptr),
+                       ws.qdd[k], lambda[k], memory.diagonal[k], memory.stops[k],
+                       memory.stops[n + k], tangent[k], rate[k], g);
+    }
+    const int32_t first = local_dof(tree, link);
+    if (is_ball(link))
+      ball_gradient(link, in, options, ws.branch[first], ws.qdd + first, lambda + first,
+                    memory.diagonal + first, memory.cone + first, tangent + first, rate + first, g);
+    for (int32_t j = 0; j < link.dofs; ++j) {
+      const int32_t k = first + j;
       put(g, &G::qd, row0 + k, rate[k]);
       T applied = lambda[k];
       if (is_free(link)) {  // a world wrench
@@ -267,7 +279,7 @@ void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
       }
       put(g, &G::joint_f, row0 + k, applied);
     }
-    if (has_quaternion(link))
+    if (is_free(link))
       for (int32_t c = 0; c < coordinate_count(link); ++c) put(g, &G::target_q, link.coord + c, o);
   }
   add_mass_gradients(tree, g, memory);

@@ -103,6 +103,7 @@ struct Workspace {
   SpatialVector<T>* axes = nullptr;  // S
   T* matrix = nullptr;               // lower: H; or a factor (factor.h)
   T* diagonal = nullptr;             // what is added to H's
+  T* cone = nullptr;  // of BALL joints: c, of c c^T that is added to their block of H
   T *bias = nullptr, *qdd = nullptr, *qd_next = nullptr, *rhs = nullptr, *given = nullptr;
   T* shift = nullptr;             // of contacts (pgs.h), besides qd_next; null: none
   Branches<T>* branch = nullptr;  // Branch bits of drives.h
@@ -119,7 +120,7 @@ int64_t workspace_bytes(int32_t links, int32_t dofs) {
   const int64_t n = dofs, ints = (n * static_cast<int64_t>(sizeof(Branches<T>)) + 7) / 8 * 8;
   return links * static_cast<int64_t>(sizeof(LinkState<T>)) +
          n * static_cast<int64_t>(sizeof(SpatialVector<T>)) +
-         ((matrix_numbers(links, dofs) + 6 * n) * static_cast<int64_t>(sizeof(T)) + 7) / 8 * 8 +
+         ((matrix_numbers(links, dofs) + 7 * n) * static_cast<int64_t>(sizeof(T)) + 7) / 8 * 8 +
          ints + 8;
 }
 template <class T>
@@ -130,7 +131,8 @@ Workspace<T> make_workspace(void* memory, int32_t links, int32_t dofs) {
   ws.axes = reinterpret_cast<SpatialVector<T>*>(ws.links + links);
   ws.matrix = reinterpret_cast<T*>(ws.axes + n);
   ws.diagonal = ws.matrix + matrix_numbers(links, dofs);
-  ws.bias = ws.diagonal + n;
+  ws.cone = ws.diagonal + n;
+  ws.bias = ws.cone + n;
   ws.qdd = ws.bias + n;
   ws.qd_next = ws.qdd + n;
   ws.rhs = ws.qd_next + n;

@@ -50,11 +50,12 @@ class NOVAPHY_DYNAMICS_API Articulations {
   std::string matrix_name(const Model& model, int32_t dof, const SimState* state) const;
 
  private:
-  void check_without_drive(const Model& model, const char* user) const;
+  void check_drives(const Model& model, const char* user) const;
 
   DeviceArray<int32_t> rows_, links_, dof_parent_;
   std::vector<articulation::LinkJoint> joint_of_dof_;
-  std::vector<char> kinematic_;  // bodies
+  std::vector<char> in_long_tree_;  // rows of dofs: one without a mass matrix
+  std::vector<char> kinematic_;     // bodies
   int32_t max_links_ = 0, max_dofs_ = 0;
   EditedValues values_;
   std::vector<ArrayStamp> checked_;

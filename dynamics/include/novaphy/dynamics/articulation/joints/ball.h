@@ -11,7 +11,7 @@ namespace novaphy::articulation {
 struct BallJoint {
   static constexpr LinkJoint kType = LinkJoint::Ball;
   static constexpr int32_t kLinear = 0, kAngular = 3, kQuaternion = 0;
-  static constexpr bool kHasDrive = false, kHasDamping = true;
+  static constexpr bool kHasDrive = false;
   static constexpr bool kIsFree = false, kIsKinematic = false;
 
   template <class T>

@@ -8,7 +8,7 @@ namespace novaphy::articulation {
 struct FixedJoint {
   static constexpr LinkJoint kType = LinkJoint::Fixed;
   static constexpr int32_t kLinear = 0, kAngular = 0, kQuaternion = -1;
-  static constexpr bool kHasDrive = false, kHasDamping = false;
+  static constexpr bool kHasDrive = false;
   static constexpr bool kIsFree = false, kIsKinematic = false;
 
   template <class T>

@@ -16,7 +16,7 @@ namespace novaphy::articulation {
 struct FreeJoint {
   static constexpr LinkJoint kType = LinkJoint::Free;
   static constexpr int32_t kLinear = 3, kAngular = 3, kQuaternion = 3;
-  static constexpr bool kHasDrive = false, kHasDamping = false;
+  static constexpr bool kHasDrive = false;
   static constexpr bool kIsFree = true, kIsKinematic = false;
 
   template <class T>

@@ -3,7 +3,7 @@
 // A type has, in a header of its own:
 //   kType, kLinear, kAngular      its number, and its degrees of freedom, the linear ones first
 //   kQuaternion                   the first coordinate of its quaternion; -1: none
-//   kHasDrive, kHasDamping        one dof with a drive and limits; damping
+//   kHasDrive                     one dof with a drive and limits
 //   kIsFree, kIsKinematic         S moves with the center of mass; the rates are given
 //   transform                     X_j(q), with a quaternion of any length made unit; its length
 //   set_axes                      the columns of S of a link whose frames are set
@@ -48,9 +48,7 @@ inline bool is_free(const Link& link) {
 inline bool has_one_dof(const Link& link) {
   return Joints::ask(link.joint, [](auto joint) { return decltype(joint)::kHasDrive; });
 }
-inline bool has_damping(const Link& link) {
-  return Joints::ask(link.joint, [](auto joint) { return decltype(joint)::kHasDamping; });
-}
+inline bool is_ball(const Link& link) { return link.joint == BallJoint::kType; }
 inline bool has_quaternion(const Link& link) {
   return Joints::ask(link.joint, [](auto joint) { return decltype(joint)::kQuaternion >= 0; });
 }

@@ -7,7 +7,7 @@ namespace novaphy::articulation {
 
 struct OneCoordinate {
   static constexpr int32_t kQuaternion = -1;
-  static constexpr bool kHasDrive = true, kHasDamping = true;
+  static constexpr bool kHasDrive = true;
   static constexpr bool kIsFree = false, kIsKinematic = false;
 
   template <class T>

@@ -1,0 +1,15 @@
+// The numbers of ModelBuilder::add_joint_ball.
+#pragma once
+
+#include <string_view>
+
+#include "novaphy/core/sim/joint_args.h"
+#include "novaphy/core/sim/model_builder.h"
+
+namespace novaphy::detail {
+
+void check_ball(std::string_view name, const BallJointArgs& args);
+// Of the joint that was added last.
+void set_ball(ModelBuilder& builder, const BallJointArgs& args);
+
+}  // namespace novaphy::detail

@@ -276,6 +276,8 @@ def make_parser() -> argparse.ArgumentParser:
             text = "also show of a robot: joints, inertia, energy"
             kinds = ("joints", "inertia", "energy")
             part.add_argument("--show", nargs="+", choices=kinds, default=[], help=text)
+            text = "a camera of an MJCF file, from whose place the view starts"
+            part.add_argument("--camera", metavar="NAME", help=text)
         add_arguments(part, 1, "passes")
     add("completion", completion)
     return parser

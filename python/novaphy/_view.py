@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import sys
 import warnings
@@ -50,6 +51,11 @@ class Puppet:
             row: slider(name, low, high, self._q[row])
             for row, name, low, high in joint_ranges(model)
         }
+        # Rotation vectors of BALL joints, by the row of the quaternion.
+        self.balls = {
+            row: [slider(f"{name} {axis} (rad)", -most, most, x) for axis, x in zip("xyz", at)]
+            for row, name, most, at in ball_ranges(model)
+        }
         self.controls = [
             slider(name, low, high, value)
             for value, (name, low, high) in zip(ctrl, control_ranges(model), strict=True)
@@ -59,7 +65,7 @@ class Puppet:
         self.moves = False
 
     def _sliders(self) -> list[Slider]:
-        return [*self.joints.values(), *self.controls]
+        return [*self.joints.values(), *itertools.chain(*self.balls.values()), *self.controls]
 
     def reset(self) -> None:
         """Pose the robot as in its file."""
@@ -70,7 +76,7 @@ class Puppet:
     def turn(self) -> None:
         """Do what the sliders say: pose the robot, or let 1 / FPS seconds pass."""
         before, self._seen = self._seen, [each.value for each in self._sliders()]
-        count = len(self.joints)
+        count = len(self._seen) - len(self.controls)
         if self.controls:
             self.control.ctrl.assign(f32(self._seen[count:]))
         if not before or before[:count] != self._seen[:count]:
@@ -86,6 +92,8 @@ class Puppet:
         if len(self._q):
             for row, slider in self.joints.items():
                 self._q[row] = slider.value
+            for row, sliders in self.balls.items():
+                self._q[row : row + 4] = quaternion([each.value for each in sliders])
             state.joint_q.assign(self._q)
             state.joint_qd.zero_()
             _core.eval_fk(model, state.joint_q, state.joint_qd, state)
@@ -133,9 +141,10 @@ def show_robot(args: argparse.Namespace) -> str:
     builder = _core.ModelBuilder()
     is_urdf = Path(args.file).suffix.lower() == ".urdf"
     add = builder.add_urdf if is_urdf else builder.add_mjcf
-    add(args.file, package_dirs=args.packages, unsupported="warn")
+    robot = add(args.file, package_dirs=args.packages, unsupported="warn")
     model = builder.finalize()
-    with Stage(args, model, fps=FPS) as stage:
+    look = None if args.camera is None else camera_look(model, robot, args.camera)
+    with Stage(args, model, fps=FPS, look=look) as stage:
         for viewer in stage.viewers:
             for what in args.show:
                 setattr(viewer, f"show_{what}", True)
@@ -149,7 +158,28 @@ def show_robot(args: argparse.Namespace) -> str:
                     print(f"overlap: {first} and {second} by {depth:.3g} m")
             stage.show(turn / FPS, puppet.state, puppet.contacts)
     counts = f"{model.body_count} bodies, {model.shape_count} shapes"
-    return f"{counts}, {len(puppet.joints)} joints to move, {len(puppet.controls)} controls"
+    joints = len(puppet.joints) + len(puppet.balls)
+    return f"{counts}, {joints} joints to move, {len(puppet.controls)} controls"
+
+
+def camera_look(
+    model: _core.Model, robot: _core.io.RobotImport, name: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where a camera of a robot's file stands at the start, and a point in front of it (m)."""
+    if name not in robot.cameras:
+        names = ", ".join(robot.cameras) or "none"
+        raise ValueError(f"--camera: expected a camera of the file ({names}), got {name}")
+    body, pose, _ = robot.cameras[name]
+    state = model.state()
+    _core.eval_fk(model, state.joint_q, state.joint_qd, state)
+    place = state.body_q.numpy()[body] if body >= 0 else np.float32([0, 0, 0, 0, 0, 0, 1])
+
+    def turned(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return v + 2.0 * np.cross(q[:3], np.cross(q[:3], v) + q[3] * v)
+
+    inside = np.asarray(pose)
+    pos = place[:3] + turned(place[3:], inside[:3])
+    return pos, pos + turned(place[3:], turned(inside[3:], np.float64([0, 0, -1])))
 
 
 def control_ranges(model: _core.Model) -> Iterator[tuple[str, float, float]]:
@@ -176,6 +206,27 @@ def joint_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, float]]:
                 low, high = -REACH[unit], REACH[unit]
             axis = f" {k + 1}" if count > 1 else ""
             yield int(rows[joint] + k), f"{labels[joint]}{axis} ({unit})", low, high
+
+
+def ball_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, list[float]]]:
+    """Row of joint_q, name, largest angle and rotation vector (rad) of every BALL joint."""
+    rows, dofs = model.joint_q_start.numpy(), model.joint_qd_start.numpy()
+    upper, q = model.joint_limit_upper.numpy(), model.joint_q.numpy().astype(float)
+    for joint in range(model.joint_count):
+        if rows[joint + 1] - rows[joint] != 4:  # a quaternion alone
+            continue
+        *v, w = q[rows[joint] : rows[joint] + 4] * (-1.0 if q[rows[joint] + 3] < 0 else 1.0)
+        sine = math.hypot(*v)
+        per_sine = 2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 2.0
+        most = min(float(upper[dofs[joint]]), REACH["rad"])
+        yield int(rows[joint]), model.joint_label[joint], most, [x * per_sine for x in v]
+
+
+def quaternion(turn: list[float]) -> list[float]:
+    """The quaternion xyzw of a rotation vector."""
+    angle = math.hypot(*turn)
+    per_angle = math.sin(0.5 * angle) / angle if angle > 0.0 else 0.5
+    return [*(x * per_angle for x in turn), math.cos(0.5 * angle)]
 
 
 def show_mesh(args: argparse.Namespace) -> str:

@@ -58,6 +58,32 @@ def test_sliders_pose_the_joints_and_controls_move_them():
     assert puppet.control.ctrl.numpy().tolist() == [0.0, 0.0]
 
 
+def test_sliders_turn_a_ball_by_its_rotation_vector():
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    links = [builder.add_link(mass=1.0, inertia=np.eye(3)) for _ in range(2)]
+    limits = {"limit_angle": 1.5}
+    joints = [
+        builder.add_joint_ball(-1, links[0], label="hip", **limits),
+        builder.add_joint_ball(links[0], links[1], label="neck"),
+    ]
+    builder.add_articulation(joints)
+    builder.joint_q[4:] = [0.0, -np.sin(0.3), 0.0, -np.cos(0.3)]  # 0.6 rad about y
+    puppet = _view.Puppet(builder.finalize(), Viewer().add_slider)
+    hip, neck = puppet.balls.values()
+    assert [(s.name, s.low, s.high) for s in hip] == [
+        (f"hip {axis} (rad)", -1.5, 1.5) for axis in "xyz"
+    ]
+    np.testing.assert_allclose([s.value for s in neck], [0.0, 0.6, 0.0], atol=1e-7)
+    puppet.turn()
+    hip[0].set(0.3)
+    hip[2].set(-0.4)
+    puppet.turn()
+    half = np.sin(0.25)
+    expected = [0.6 * half, 0.0, -0.8 * half, np.cos(0.25), 0.0, np.sin(0.3), 0.0, np.cos(0.3)]
+    np.testing.assert_allclose(puppet.state.joint_q.numpy(), expected, atol=1e-6)
+    assert not puppet.moves
+
+
 @pytest.mark.parametrize(("gap", "depth"), [(0.15, 0.05), (0.3, None)])
 def test_overlaps_are_named_with_their_depth(gap, depth):
     model = arm(gap)
@@ -139,3 +165,27 @@ def test_a_robot_file_with_overlaps_and_controls_is_viewed(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "3 joints to move, 1 controls" in said
     assert 'of "a" and ' in said and 'of "c" by 0.04 m' in said and said.count("overlap:") == 1
+
+
+@pytest.mark.skipif(not novaphy.has_io(), reason="needs io")
+def test_a_view_starts_at_a_camera_of_the_file(tmp_path, capsys):
+    text = (
+        '<mujoco><worldbody><camera name="still" pos="1 2 3"/><body pos="0 0 1" euler="0 0 90">'
+        '<joint type="slide"/><geom size=".1"/><camera name="moved" pos="1 0 0" '
+        'xyaxes="0 1 0 0 0 1"/>'
+        "</body></worldbody></mujoco>"
+    )
+    builder = novaphy.ModelBuilder()
+    robot = builder.add_mjcf(text)
+    model = builder.finalize()
+    for name, pos, ahead in (("still", (1, 2, 3), (0, 0, -1)), ("moved", (0, 1, 1), (0, -1, 0))):
+        got, target = _view.camera_look(model, robot, name)
+        np.testing.assert_allclose(got, pos, atol=1e-6)
+        np.testing.assert_allclose(target - got, ahead, atol=1e-6)
+    (tmp_path / "r.xml").write_text(text)
+    assert _command.main(["view", str(tmp_path / "r.xml"), "--headless", "1", "--camera", "x"]) == 1
+    assert "expected a camera of the file (moved, still), got x" in capsys.readouterr().err
+    assert (
+        _command.main(["view", str(tmp_path / "r.xml"), "--headless", "1", "--camera", "still"])
+        == 0
+    )

@@ -98,7 +98,7 @@ void check_links(const Robot& robot, std::span<const std::string> names,
 }
 
 std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
-                                                      std::span<const std::string> kept,
+                                                      std::span<const std::string> to_keep,
                                                       std::vector<int32_t>& joints_out) {
   const auto count = static_cast<int32_t>(robot.links.size());
   std::vector<int32_t> mover(robot.links.size(), -1), renamed = mover;  // joint, and new index
@@ -107,7 +107,7 @@ std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
   const auto joint_of = [&](int32_t link) -> const RobotJoint& {
     return robot.joints[static_cast<size_t>(mover[static_cast<size_t>(link)])];
   };
-  const auto goes = [&](int32_t link) { return is_merged(robot, joint_of(link), kept); };
+  const auto goes = [&](int32_t link) { return is_merged(robot, joint_of(link), to_keep); };
   std::vector<std::pair<int32_t, Posed>> place;
   int32_t next = 0;
   for (int32_t link = 0; link < count; ++link) {

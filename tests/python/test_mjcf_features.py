@@ -366,8 +366,13 @@ def test_a_ball_joint_has_a_cone():
     assert_allclose(model.joint_limit_upper.numpy(), [np.radians(50), 1e10, 1e10], rtol=1e-6)
     model, _ = loaded(text.replace('range="0 50"', 'range="0 50" limited="false"'))
     assert (model.joint_limit_upper.numpy() == 1e10).all()
-    with pytest.raises(ValueError, match="expected 0 and the largest angle, above 0"):
-        loaded(text.replace("0 50", "-50 0"))
+    for wrong in ("-50 0", "10 50", "0 -50"):
+        with pytest.raises(ValueError, match="expected 0 and the largest angle of a ball joint"):
+            loaded(text.replace("0 50", wrong))
+    with pytest.warns(UserWarning, match="its range is 0.001 rad"):
+        model, robot = loaded(text.replace('range="0 50"', 'limited="true"'))
+    assert_allclose(model.joint_limit_upper.numpy()[0], 1e-3, rtol=1e-6)
+    assert len(robot.report.mended) == 1
     servo = '<actuator><position joint="j" inheritrange="1"/></actuator>'
     with pytest.raises(ValueError, match="inheritrange: expected a hinge or slide with limits"):
         loaded(

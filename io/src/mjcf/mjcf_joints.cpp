@@ -195,10 +195,12 @@ void BodyJoints::add_ball(const Found& found, const std::string& type) {
   MjcfJoint limits;
   JointDofConfig unused;
   read_range(e, childclass, context_.settings.compiler.angle, true, limits, unused);
-  const double most = std::max(limits.range[0], limits.range[1]);
-  if (limits.is_limited && !(most > 0.0))
-    file.refuse(e, "range: expected 0 and the largest angle, above 0, of a ball joint");
-  if (limits.is_limited && option.limit) joint.limit_angle = most;
+  if (!limits.is_limited) return;
+  if (limits.range[0] != 0.0 || limits.range[1] < 0.0)
+    file.refuse(e, "range: expected 0 and the largest angle of a ball joint");
+  constexpr double kLeast = 1e-3;  // rad: a turn of 0 has no axis
+  if (limits.range[1] < kLeast) context_.notes.mended(e, "its range is 0.001 rad");
+  if (option.limit) joint.limit_angle = std::max(limits.range[1], kLeast);
 }
 
 void BodyJoints::set_forces(RobotJoint& joint, const BallForces& forces) {

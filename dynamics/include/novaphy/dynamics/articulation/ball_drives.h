@@ -25,11 +25,6 @@
 namespace novaphy::articulation {
 
 template <class T>
-Quat<T> unit_quaternion(const T* q) {
-  const Quat<T> raw = {q[0], q[1], q[2], q[3]};
-  return scaled(raw, T(1.0f) / quat_length(raw));
-}
-template <class T>
 Vec3<T> three(const T* x) {
   return {x[0], x[1], x[2]};
 }

@@ -51,8 +51,8 @@ std::shared_ptr<urdf::ModelInterface> parse_urdf(const std::string& where,
       if (listener.error.empty()) listener.error = error.what();
     }
   }
-  require(model != nullptr && listener.error.empty(), ErrorKind::Value, where, ": ",
-          listener.error.empty() ? "urdfdom refuses it" : listener.error);
+  require(model != nullptr && listener.error.empty(), ErrorKind::Value, where,
+          ":1: <robot>: ", listener.error.empty() ? "urdfdom refuses it" : listener.error);
   return model;
 }
 

@@ -57,7 +57,8 @@ BodyStepOptions body_options(const DiffSolverConfig& config) {
   return {.solver = "DiffSemiImplicitSolver",
           .static_contacts = config.enable_static_contacts && config.enable_rigid_contacts,
           .angular_damping = config.angular_damping,
-          .friction_smoothing = huber_smoothing(config)};
+          .friction_smoothing = huber_smoothing(config),
+          .penalty_law = config.penalty_law};
 }
 
 ParticleStepOptions step_options(const DiffSolverConfig& config) {
@@ -91,6 +92,15 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
           "DiffSemiImplicitSolver: particle_kf_bound: expected a number >= 0, got ",
           config.particle_kf_bound);
   check_option("angular_damping", config.angular_damping);
+  check_penalty_law("DiffSemiImplicitSolver", config.penalty_law, config.friction_law,
+                    moves_particles() && config.enable_particle_contacts);
+  require(config.penalty_law == PenaltyLaw::Sampled ||
+              (!config.enable_static_contacts && config.contact_gradient == DerivativeOf::Code),
+          ErrorKind::NotImplemented,
+          "DiffSemiImplicitSolver: penalty_law \"mean\" is not supported with ",
+          config.enable_static_contacts
+              ? "enable_static_contacts; give rollout a pipeline"
+              : "contact_gradient \"motion\"; with \"code\" its gradient is that of the motion");
   require(!config.strict || config.enable_particles || this->model()->particle_count() == 0,
           ErrorKind::NotImplemented,
           "DiffSemiImplicitSolver: the model has particles, and enable_particles is false: enable "

@@ -484,7 +484,8 @@ void bind_solver(py::module_& solvers) {
                   bool enable_rigid_contacts, float angular_damping,
                   const std::string& friction_law, std::optional<float> friction_smoothing,
                   bool enable_joints, float joint_attach_ke, float joint_attach_kd, bool strict,
-                  float particle_kf_bound, const std::string& contact_gradient) {
+                  float particle_kf_bound, const std::string& contact_gradient,
+                  const std::string& penalty_law) {
         return Settings{
             {.enable_particles = enable_particles,
              .enable_particle_contacts = enable_particle_contacts,
@@ -500,6 +501,7 @@ void bind_solver(py::module_& solvers) {
              .angular_damping = angular_damping,
              .friction_law = to_friction_law(friction_law),
              .friction_smoothing = friction_smoothing,
+             .penalty_law = to_penalty_law(penalty_law),
              .enable_joints = enable_joints,
              .joint_attach_ke = joint_attach_ke,
              .joint_attach_kd = joint_attach_kd,
@@ -516,7 +518,8 @@ void bind_solver(py::module_& solvers) {
       "friction_law"_a = friction_law_name(d.friction_law), "friction_smoothing"_a = py::none(),
       "enable_joints"_a = d.enable_joints, "joint_attach_ke"_a = d.joint_attach_ke,
       "joint_attach_kd"_a = d.joint_attach_kd, "strict"_a = d.strict,
-      "particle_kf_bound"_a = d.particle_kf_bound, "contact_gradient"_a = "code");
+      "particle_kf_bound"_a = d.particle_kf_bound, "contact_gradient"_a = "code",
+      "penalty_law"_a = "sampled");
 #define NOVAPHY_MEMBER(name, doc)                               \
   config.def_property(                                          \
       #name, [](const Settings& s) { return s.name; },          \
@@ -542,16 +545,10 @@ void bind_solver(py::module_& solvers) {
       "Contacts of bodies act: those of a Contacts, or with enable_static_contacts those "
       "with infinite planes of the world.")
   NOVAPHY_MEMBER(angular_damping, "1/s, of bodies.")
-  config.def_property(
-      "friction_law", [](const Settings& s) { return friction_law_name(s.friction_law); },
-      [](Settings& s, const std::string& law) {
-        set(s, "friction_law", &DiffSolverConfig::friction_law, to_friction_law(law));
-      },
-      "For contacts of bodies: \"viscous\" or \"huber\", as in SolverSemiImplicit. \"newton17\" "
-      "and \"newton18\" have no gradient and are refused.");
   NOVAPHY_MEMBER(friction_smoothing,
                  "m/s, of the friction law \"huber\"; None: 0.1. The solver refuses it with "
                  "\"viscous\", which does not read it.")
+  add_contact_laws(config, [](auto&&... of) { set(of...); });
   NOVAPHY_MEMBER(enable_joints, "Whether joints act, by springs and dampers.")
   NOVAPHY_MEMBER(joint_attach_ke, "N/m and N*m/rad: stiffness of the attachments of joints.")
   NOVAPHY_MEMBER(joint_attach_kd,

@@ -42,16 +42,19 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
   const SemiImplicitOptions d;
   py::class_<SolverSemiImplicit, SolverBase> semi_implicit(solvers, "SolverSemiImplicit",
                                                            doc::kSemiImplicit);
+  add_contact_laws(semi_implicit);
   semi_implicit
       .def(py::init([](const std::shared_ptr<Model>& model, float angular_damping,
                        const std::string& friction_law, std::optional<float> friction_smoothing,
                        float stick_ke, float joint_attach_ke, float joint_attach_kd,
-                       bool enable_tri_contact, float particle_kf_bound) {
+                       bool enable_tri_contact, float particle_kf_bound,
+                       const std::string& penalty_law) {
              return std::make_unique<SolverSemiImplicit>(
                  model, SemiImplicitOptions{.particle_kf_bound = particle_kf_bound,
                                             .angular_damping = angular_damping,
                                             .friction_law = to_friction_law(friction_law),
                                             .friction_smoothing = friction_smoothing,
+                                            .penalty_law = to_penalty_law(penalty_law),
                                             .stick_ke = stick_ke,
                                             .joint_attach_ke = joint_attach_ke,
                                             .joint_attach_kd = joint_attach_kd,
@@ -61,14 +64,11 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
            "friction_law"_a = "viscous", "friction_smoothing"_a = py::none(),
            "stick_ke"_a = d.stick_ke, "joint_attach_ke"_a = d.joint_attach_ke,
            "joint_attach_kd"_a = d.joint_attach_kd, "enable_tri_contact"_a = d.enable_tri_contact,
-           "particle_kf_bound"_a = d.particle_kf_bound, doc::kSemiImplicitInit)
+           "particle_kf_bound"_a = d.particle_kf_bound, "penalty_law"_a = "sampled",
+           doc::kSemiImplicitInit)
       .def_property_readonly(
           "angular_damping",
           [](const SolverSemiImplicit& s) { return s.options().angular_damping; }, "1/s")
-      .def_property_readonly(
-          "friction_law",
-          [](const SolverSemiImplicit& s) { return friction_law_name(s.options().friction_law); },
-          "\"viscous\", \"huber\", \"newton17\" or \"newton18\".")
       .def_property_readonly(
           "friction_smoothing",
           [](const SolverSemiImplicit& s) { return s.options().friction_smoothing; },

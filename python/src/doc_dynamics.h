@@ -43,8 +43,12 @@ enable_tri_contact: contacts of particles with triangles, which are not supporte
 particle_kf_bound: the largest kf dt/m of a contact of a particle of mass m; a larger kf counts as
 this bound. From 2 on, gradients grow in every step in which friction acts. inf: kf as it is,
 Newton's law.
+penalty_law: "sampled": the force of rigid contacts at the start of the step. "mean": near the
+surface, within half the way of a step, its mean over the step around that. Bounces then depend
+little on the phase of the touch in its step.
 
-NotImplementedError: parts of a model that are not covered.)";
+NotImplementedError: parts of a model that are not covered; penalty_law="mean" with particles,
+stick_ke or a law of Newton.)";
 
 inline constexpr char kStableDt[] =
     R"(Returns the longest dt (s) at which springs, dampers and sticking friction are stable

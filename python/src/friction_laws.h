@@ -1,4 +1,4 @@
-// The names of the friction laws of rigid contacts.
+// The names of the laws of rigid contacts.
 #pragma once
 
 #include <string>
@@ -28,6 +28,47 @@ inline const char* friction_law_name(FrictionLaw law) {
   for (const NamedLaw& known : kFrictionLaws)
     if (law == known.law) return known.name;
   return "";
+}
+
+inline PenaltyLaw to_penalty_law(const std::string& name) {
+  if (name == "sampled") return PenaltyLaw::Sampled;
+  require(name == "mean", ErrorKind::Value, "penalty_law: expected \"sampled\" or \"mean\", got \"",
+          name, "\"");
+  return PenaltyLaw::Mean;
+}
+inline const char* penalty_law_name(PenaltyLaw law) {
+  return law == PenaltyLaw::Mean ? "mean" : "sampled";
+}
+
+// The laws of a solver, whose options() have them.
+template <class Solver>
+void add_contact_laws(Solver& of) {
+  using Type = typename Solver::type;
+  of.def_property_readonly(
+      "friction_law", [](const Type& s) { return friction_law_name(s.options().friction_law); },
+      "\"viscous\", \"huber\", \"newton17\" or \"newton18\".");
+  of.def_property_readonly(
+      "penalty_law", [](const Type& s) { return penalty_law_name(s.options().penalty_law); },
+      "\"sampled\" or \"mean\".");
+}
+// Those of settings; set(settings, name, member, value).
+template <class Settings, class Set>
+void add_contact_laws(Settings& of, const Set& set) {
+  using Type = typename Settings::type;
+  of.def_property(
+      "friction_law", [](const Type& s) { return friction_law_name(s.friction_law); },
+      [set](Type& s, const std::string& law) {
+        set(s, "friction_law", &Type::friction_law, to_friction_law(law));
+      },
+      "For contacts of bodies: \"viscous\" or \"huber\", as in SolverSemiImplicit. \"newton17\" "
+      "and \"newton18\" have no gradient and are refused.");
+  of.def_property(
+      "penalty_law", [](const Type& s) { return penalty_law_name(s.penalty_law); },
+      [set](Type& s, const std::string& law) {
+        set(s, "penalty_law", &Type::penalty_law, to_penalty_law(law));
+      },
+      "For contacts of bodies: \"sampled\" or \"mean\", as in SolverSemiImplicit. The gradient of "
+      "\"mean\" is that of the motion.");
 }
 
 }  // namespace novaphy::python

@@ -1,157 +1,26 @@
 #include "novaphy/dynamics/semi_implicit/diff_body_contacts.h"
 
-#include "diff_trace_columns.h"
+#include "diff_contact_columns.h"
+#include "diff_rigid_wrenches.h"
 #include "novaphy/collision/contact_bodies.h"
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/collision/diff_soft_contacts.h"
 #include "novaphy/core/error.h"
-#include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/diff_operators.h"
-#include "novaphy/dynamics/semi_implicit/contact_turning_trace.h"
-#include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 
 namespace novaphy::diff {
 
-using detail::Columns;
-using nova::Access;
-using nova::Bool;
-using nova::DType;
-using nova::Int;
+using namespace detail;
 using nova::Operand;
-using nova::Real;
-using nova::TraceContext;
 
 namespace {
 
-// A body as contacts see it: the world, at rest in its own frame, where the row is -1.
-struct ContactBody {
-  Transform<Real> pose;
-  SpatialVector<Real> twist;
-  Vec3<Real> com;
-  Bool is_world;
-};
-ContactBody load_body(TraceContext& c, const Int& body) {
-  ContactBody b = {Columns(c, "body_q", &body).transform(), Columns(c, "body_qd", &body).spatial(),
-                   Columns(c, "body_com", &body).vec3(), body < Int(0)};
-  // A row that is not there reads as zeros.
-  b.pose.q.w = select(b.is_world, Real(1.0f), b.pose.q.w);
-  return b;
-}
-
-const std::vector<nova::SourceSpec> kBodySources = {{"body_q", DType::F32, 7, Access::Indexed},
-                                                    {"body_qd", DType::F32, 6, Access::Indexed},
-                                                    {"body_com", DType::F32, 3, Access::Indexed}};
-// What a contact that follows its bodies needs of its shapes.
-const std::vector<nova::SourceSpec> kShapeSources = {
-    {"shape_type", DType::I32, 1, Access::Indexed},
-    {"shape_transform", DType::F32, 7, Access::Indexed},
-    {"shape_scale", DType::F32, 3, Access::Indexed}};
 void add_shapes(const Model& m, std::vector<Operand>& in) {
   for (const Array* of_shapes :
        std::initializer_list<const Array*>{&m.shape_type, &m.shape_transform, &m.shape_scale})
     in.push_back(nova::operand_of(*of_shapes));
-}
-
-std::vector<Real> list(const Vec3<Real>& a) { return {a.x, a.y, a.z}; }
-std::vector<Real> list(const Vec3<Real>& a, const Vec3<Real>& b) {
-  return {a.x, a.y, a.z, b.x, b.y, b.z};
-}
-
-Vec3<Real> constant(const Vec3<Real>& v) { return {detach(v.x), detach(v.y), detach(v.z)}; }
-
-// Shapes carry no gradient.
-ContactShape<Bool, Real> load_shape(TraceContext& c, const Int& shape) {
-  const Int type = c.i32(c.source("shape_type"), shape, 0);
-  const auto is = [&](GeoType wanted) { return type == Int(static_cast<int32_t>(wanted)); };
-  const Transform<Real> x = Columns(c, "shape_transform", &shape).transform();
-  return contact_shape<GeoType, Bool, Real>(
-      is, {constant(x.p), {detach(x.q.x), detach(x.q.y), detach(x.q.z), detach(x.q.w)}},
-      constant(Columns(c, "shape_scale", &shape).vec3()));
-}
-
-struct RigidKernel {
-  FrictionLaw law = FrictionLaw::Huber;
-  bool follow = false;   // points and normals follow the bodies
-  bool of_rows = false;  // rows have materials of their own
-};
-std::vector<Real> rigid_wrenches(TraceContext& c, const RigidKernel& of) {
-  const size_t bodies = c.source("bodies");
-  const auto side = [&](int32_t k, const char* point, const char* margin) {
-    const ContactBody body = load_body(c, c.i32(bodies, k));
-    return RigidContactSide<Real>{body.pose,
-                                  body.twist,
-                                  body.com,
-                                  Columns(c, point).vec3(),
-                                  Columns(c, margin)[0],
-                                  select(body.is_world, Real(0.0f), Real(1.0f))};
-  };
-  const Int shape0 = c.i32(c.source("shape0")), shape1 = c.i32(c.source("shape1"));
-  const RigidContactSide<Real> a = side(0, "point0", "margin0"), b = side(1, "point1", "margin1");
-  const Vec3<Real> normal = Columns(c, "normal").vec3();
-  const Vec3<Real> at_a = math::transform_point(a.pose, a.point),
-                   at_b = math::transform_point(b.pose, b.point);
-  TurningContact<Bool, Real> at;
-  at.a = at_a;
-  at.b = at_b;
-  at.normal = normal;
-  if (of.follow)
-    at = turning_contact(contact_feature_of(load_shape(c, shape0), a.pose, a.point, at_b, normal),
-                         contact_feature_of(load_shape(c, shape1), b.pose, b.point, at_a, normal),
-                         normal);
-  RigidContactMaterial<Real> material = mean_rigid_contact_material(
-      detail::load_material(c, shape0), detail::load_material(c, shape1));
-  if (of.of_rows)
-    material = rigid_contact_material_of_row(material, Columns(c, "stiffness")[0],
-                                             Columns(c, "damping")[0], Columns(c, "friction")[0]);
-  const RigidContactForce<Real> f =
-      rigid_contact_force_at(of.law, a, b, at.a, at.b, at.normal, material, c.param(0));
-  std::vector<Real> out = list(-f.force, -math::cross(f.arm_a, f.force));
-  for (const Real& x : list(f.force, math::cross(f.arm_b, f.force))) out.push_back(x);
-  return out;
-}
-
-nova::Kernel make_rigid_kernel(const char* name, const RigidKernel& of) {
-  std::vector<nova::SourceSpec> sources = {
-      {"bodies", DType::I32, 2, Access::Direct},  {"shape0", DType::I32, 1, Access::Direct},
-      {"shape1", DType::I32, 1, Access::Direct},  {"point0", DType::F32, 3, Access::Direct},
-      {"point1", DType::F32, 3, Access::Direct},  {"margin0", DType::F32, 1, Access::Direct},
-      {"margin1", DType::F32, 1, Access::Direct}, {"normal", DType::F32, 3, Access::Direct}};
-  sources.insert(sources.end(), kBodySources.begin(), kBodySources.end());
-  for (const nova::SourceSpec& s : detail::material_sources()) sources.push_back(s);
-  if (of.follow) sources.insert(sources.end(), kShapeSources.begin(), kShapeSources.end());
-  if (of.of_rows)
-    for (const char* own : {"stiffness", "damping", "friction"})
-      sources.push_back({own, DType::F32, 1, Access::Direct});
-  return nova::with_one_gradient_set(nova::make_kernel(
-      name, sources, {{"wrench", 12}}, [of](TraceContext& c) { return rigid_wrenches(c, of); }));
-}
-const nova::Kernel& rigid_kernel(bool follow) {
-  static const nova::Kernel following =
-                                make_rigid_kernel("rigid_contact_wrenches", {.follow = true}),
-                            held = make_rigid_kernel("held_rigid_contact_wrenches", {});
-  return follow ? following : held;
-}
-// Of rows with materials of their own.
-const nova::Kernel& own_rigid_kernel(bool follow) {
-  static const nova::Kernel following = make_rigid_kernel("own_rigid_contact_wrenches",
-                                                          {.follow = true, .of_rows = true}),
-                            held = make_rigid_kernel("own_held_rigid_contact_wrenches",
-                                                     {.of_rows = true});
-  return follow ? following : held;
-}
-// For comparison only, so they are no kernels of the engine.
-const nova::Kernel& newton_kernel(FrictionLaw law, bool of_rows) {
-  const auto make = [](const char* name, FrictionLaw of, bool own) {
-    return make_rigid_kernel(name, {.law = of, .of_rows = own});
-  };
-  static const nova::Kernel kernels[2][2] = {
-      {make("newton17_contact_wrenches", FrictionLaw::Newton17, false),
-       make("own_newton17_contact_wrenches", FrictionLaw::Newton17, true)},
-      {make("newton18_contact_wrenches", FrictionLaw::Newton18, false),
-       make("own_newton18_contact_wrenches", FrictionLaw::Newton18, true)}};
-  return kernels[law == FrictionLaw::Newton18][of_rows];
 }
 
 // The force on body B.
@@ -242,8 +111,9 @@ nova::Kernel make_soft_kernel(const char* name, bool follow) {
                                            {"shape_material_kd", DType::F32, 1, Access::Indexed},
                                            {"shape_material_kf", DType::F32, 1, Access::Indexed},
                                            {"shape_material_mu", DType::F32, 1, Access::Indexed}};
-  sources.insert(sources.end(), kBodySources.begin(), kBodySources.end());
-  if (follow) sources.insert(sources.end(), kShapeSources.begin(), kShapeSources.end());
+  for (const nova::SourceSpec& of_body : body_sources()) sources.push_back(of_body);
+  if (follow)
+    for (const nova::SourceSpec& of_shape : shape_sources()) sources.push_back(of_shape);
   return nova::with_one_gradient_set(
       nova::make_kernel(name, sources, {{"force", 3}, {"wrench", 6}},
                         [follow](TraceContext& c) { return soft_forces(c, follow); }));
@@ -338,8 +208,8 @@ void ContactTables::rebuild_bodies(const Model& model, const Contacts& contacts,
 }
 
 void eval_rigid_contacts(const Model& m, const Contacts& c, const ContactTables& tables,
-                         const Operand& body_q, const Operand& body_qd, FrictionLaw friction_law,
-                         float friction_smoothing, const Operand& wrenches) {
+                         const Operand& body_q, const Operand& body_qd,
+                         const RigidContactLaw<float>& law, const Operand& wrenches) {
   std::vector<Operand> in = {nova::operand_of(tables.rigid_bodies()),
                              nova::operand_of(c.rigid_contact_shape0),
                              nova::operand_of(c.rigid_contact_shape1),
@@ -352,7 +222,7 @@ void eval_rigid_contacts(const Model& m, const Contacts& c, const ContactTables&
                              body_qd,
                              nova::operand_of(m.body_com)};
   for (Operand& o : detail::material_operands(m)) in.push_back(std::move(o));
-  const bool newton = is_of_newton(friction_law);
+  const bool newton = is_of_newton(law.friction), mean = law.penalty == PenaltyLaw::Mean;
   const bool follow = tables.of_this_state() && !newton;
   if (follow) add_shapes(m, in);
   const bool of_rows = c.per_contact_shape_properties();
@@ -360,8 +230,10 @@ void eval_rigid_contacts(const Model& m, const Contacts& c, const ContactTables&
     for (const Array* own : std::initializer_list<const Array*>{
              &c.rigid_contact_stiffness, &c.rigid_contact_damping, &c.rigid_contact_friction})
       in.push_back(nova::operand_of(*own));
-  const nova::Param params[] = {friction_law == FrictionLaw::Viscous ? 0.0f : friction_smoothing};
-  (newton    ? newton_kernel(friction_law, of_rows)
+  std::vector<nova::Param> params = {law.friction == FrictionLaw::Viscous ? 0.0f : law.smoothing};
+  if (mean) params.push_back(law.half_step);
+  (newton    ? newton_kernel(law.friction, of_rows)
+   : mean    ? mean_kernel(follow, of_rows)
    : of_rows ? own_rigid_kernel(follow)
              : rigid_kernel(follow))
       .launch(wrenches.rows, in, wrenches, {.params = params});

@@ -44,8 +44,10 @@ void BodyStep::run(const Model& model, const SimState& in, SimState& out, const 
   touches_ = tables.sides_of_bodies() != nullptr;
   if (touches_) {
     fit(wrenches_, 2 * int64_t{contacts->rigid_contact_max()}, model.device());
-    eval_rigid_contacts(model, *contacts, tables, q, qd, options_.friction_law,
-                        options_.friction_smoothing, both_sides(wrenches_));
+    eval_rigid_contacts(
+        model, *contacts, tables, q, qd,
+        {options_.friction_law, options_.friction_smoothing, options_.penalty_law, 0.5f * dt},
+        both_sides(wrenches_));
     if (of_particles != nullptr) fit(sum_, f.rows, model.device());
     const Operand& sum = of_particles != nullptr ? sum_ : total;
     add_wrenches(f, wrenches_, tables.sides_of_bodies(), sum);

@@ -24,7 +24,8 @@ class DeviceSteps final : public diff::DiffSolverBase {
         bodies_({.solver = "SolverSemiImplicit.step",
                  .angular_damping = options.angular_damping,
                  .friction_law = options.friction_law,
-                 .friction_smoothing = *options.friction_smoothing}) {
+                 .friction_smoothing = *options.friction_smoothing,
+                 .penalty_law = options.penalty_law}) {
     require(options.stick_ke == 0.0f, ErrorKind::NotImplemented,
             "SolverSemiImplicit: stick_ke: expected 0 for a model on ", device().str(), ", got ",
             options.stick_ke);

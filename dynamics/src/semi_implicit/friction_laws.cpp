@@ -25,4 +25,17 @@ float checked_friction_smoothing(const char* solver, FrictionLaw law,
   return *smoothing;
 }
 
+void check_penalty_law(const char* solver, PenaltyLaw law, FrictionLaw friction,
+                       bool has_particles) {
+  if (law == PenaltyLaw::Sampled) return;
+  require(law == PenaltyLaw::Mean, ErrorKind::Value, solver,
+          ": penalty_law: expected a PenaltyLaw, got ", static_cast<int>(law));
+  require(!is_of_newton(friction), ErrorKind::NotImplemented, solver,
+          ": penalty_law \"mean\" is not supported with the friction law \"",
+          friction == FrictionLaw::Newton17 ? "newton17" : "newton18",
+          "\"; use \"viscous\" or \"huber\"");
+  require(!has_particles, ErrorKind::NotImplemented, solver,
+          ": penalty_law \"mean\" is not supported for contacts of particles; use \"sampled\"");
+}
+
 }  // namespace novaphy

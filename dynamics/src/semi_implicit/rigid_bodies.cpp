@@ -78,6 +78,8 @@ void RigidBodies::evaluate(const Model& m, const Transformf* q, const SpatialVec
     return RigidContactMaterial<float>{ke[s], kd[s], kf[s], ka[s], mu[s]};
   };
   const bool sticks = how.stick_ke > 0.0f;
+  const RigidContactLaw<float> law = {how.friction_law, how.friction_smoothing, how.penalty_law,
+                                      0.5f * how.dt};
   for_chunks(rows_, kRowChunk, [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t row = begin; row < end; ++row) {
       const size_t first = 2 * static_cast<size_t>(row);
@@ -89,8 +91,7 @@ void RigidBodies::evaluate(const Model& m, const Transformf* q, const SpatialVec
         both = rigid_contact_material_of_row(both, row_ke[row], row_kd[row], row_mu[row]);
       const float kf_of_row = both.kf;
       if (sticks) both.kf = 0.0f;  // and no friction of the law
-      RigidContactForce<float> f =
-          rigid_contact_force(how.friction_law, a, b, normal[row], both, how.friction_smoothing);
+      RigidContactForce<float> f = rigid_contact_force(law, a, b, normal[row], both);
       if (sticks) {
         const Vec3f n = -normal[row];
         const Vec3f u = (a.twist.linear + math::cross(a.twist.angular, f.arm_a)) -

@@ -23,6 +23,7 @@ struct RigidStep {
   float angular_damping;     // 1/s
   float dt;                  // s
   float stick_ke = 0.0f;     // N/m, of friction; 0: none sticks
+  PenaltyLaw penalty_law = PenaltyLaw::Sampled;
 };
 
 class RigidBodies {

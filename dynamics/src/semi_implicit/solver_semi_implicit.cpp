@@ -33,6 +33,15 @@ void check_option(const char* name, float value) {
           ": expected a finite number >= 0, got ", value);
 }
 
+RigidStep rigid_step(const SemiImplicitOptions& o, float dt) {
+  return {.friction_law = o.friction_law,
+          .friction_smoothing = *o.friction_smoothing,
+          .angular_damping = o.angular_damping,
+          .dt = dt,
+          .stick_ke = o.stick_ke,
+          .penalty_law = o.penalty_law};
+}
+
 void check_covered(const Model& model) { JointForces::check_covered(model, "SolverSemiImplicit"); }
 
 }  // namespace
@@ -70,6 +79,11 @@ SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
           "SolverSemiImplicit: stick_ke: expected 0 with a friction law other than \"viscous\", "
           "got ",
           options.stick_ke);
+  check_penalty_law("SolverSemiImplicit", options.penalty_law, options.friction_law,
+                    this->model()->particle_count() > 0);
+  require(options.stick_ke == 0.0f || options.penalty_law == PenaltyLaw::Sampled,
+          ErrorKind::NotImplemented,
+          "SolverSemiImplicit: penalty_law: expected \"sampled\" with stick_ke, got \"mean\"");
   check_option("joint_attach_ke", options.joint_attach_ke);
   check_option("joint_attach_kd", options.joint_attach_kd);
   check_covered(*this->model());
@@ -159,12 +173,7 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
     cache_->contacts.evaluate(m, state_in, *contacts, kf_rate(options_.particle_kf_bound, dt));
   const bool particles_touch = touching && cache_->contacts.touches_bodies();
   cache_->bodies.step(m, state_in, state_out, contacts, cache_->joints,
-                      particles_touch ? &cache_->contacts : nullptr,
-                      {.friction_law = options_.friction_law,
-                       .friction_smoothing = *options_.friction_smoothing,
-                       .angular_damping = options_.angular_damping,
-                       .dt = dt,
-                       .stick_ke = options_.stick_ke},
+                      particles_touch ? &cache_->contacts : nullptr, rigid_step(options_, dt),
                       cache_->watch);
   if (!touching && !deformable) {
     const Vec3f* f = state_in.particle_f.data();

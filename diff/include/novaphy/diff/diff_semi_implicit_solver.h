@@ -41,6 +41,8 @@ struct DiffSolverConfig {
   FrictionLaw friction_law = FrictionLaw::Viscous;  // of their contacts; or Huber
   // m/s, of the law huber: 0.1 when empty. ErrorKind::Value with viscous.
   std::optional<float> friction_smoothing = {};
+  // Of their contacts. The gradient of the mean is that of the motion.
+  PenaltyLaw penalty_law = PenaltyLaw::Sampled;
   bool enable_joints = true;  // bodies are held by their joints
   // Of joints: N/m and N*m/rad; N*s/m, and 0.01 of it N*m*s/rad.
   float joint_attach_ke = 1.0e4f, joint_attach_kd = 1.0e2f;

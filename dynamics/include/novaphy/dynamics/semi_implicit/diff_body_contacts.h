@@ -69,12 +69,12 @@ class NOVAPHY_DYNAMICS_API ContactTables {
 };
 
 // wrenches {rows, 12}: what each row of rigid_contact_* adds to the wrench of its body A, then of
-// body B. `friction_smoothing` (m/s): of the laws that have one; huber of 0 is viscous.
+// body B. law.smoothing (m/s): of the laws that have one; huber of 0 is viscous.
 NOVAPHY_DYNAMICS_API void eval_rigid_contacts(const Model& model, const Contacts& contacts,
                                               const ContactTables& tables,
                                               const nova::Operand& body_q,
                                               const nova::Operand& body_qd,
-                                              FrictionLaw friction_law, float friction_smoothing,
+                                              const RigidContactLaw<float>& law,
                                               const nova::Operand& wrenches);
 
 // Contacts::rigid_contact_force, of the rows that there are, from what eval_rigid_contacts gave.

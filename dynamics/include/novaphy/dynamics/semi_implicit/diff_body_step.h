@@ -18,6 +18,7 @@ struct BodyStepOptions {
   float angular_damping = 0.05f;  // 1/s
   FrictionLaw friction_law = FrictionLaw::Huber;
   float friction_smoothing = 0.1f;  // m/s
+  PenaltyLaw penalty_law = PenaltyLaw::Sampled;
 };
 
 // Keeps memory from call to call; one thread at a time may use it.

@@ -17,11 +17,20 @@
 //   newton18  viscous
 // With newton17 and newton18 A gets -F at P_A and B gets F at P_B, each with the velocity there, as
 // in Newton. Friction then makes a couple |ut part of F| |d|. Both laws are for comparison only.
-// None of them sticks: under a load below the cone a contact creeps. Symbols:
-//   X, v, w, c   pose, velocity, angular velocity and center of mass of a body (Model::body_q, ...);
+// None of them sticks: under a load below the cone a contact creeps.
+//
+// With PenaltyLaw::Mean the force near the surface, |d| < w = h |un|/2 (h: the step), is its mean
+// over [t - h/2, t + h/2] at the velocities of t. The part of that time in contact is
+// r = 1/2 - d/(2 w):
+//   fn = -ke (w - d)^2/(4 w),  fd = r kd min(un, 0),  friction with r kf and c = -mu (fn + fd)
+// So the force is continuous in d, and a touch depends little on the phase of its begin in a step.
+// The laws of Newton do not have the mean. Symbols:
+//   X, v, w, c   pose, velocity, angular velocity and center of mass of a body (Model::body_q,
+//   ...);
 //                the world: identity, 0
 //   p, m, normal Contacts::rigid_contact_point0, margin0, ...
-//   ke, kd, kf   N/m, N*s/m, N*s/m; mu 1; ka m: each the mean of the two shapes', but for ke, kd and
+//   ke, kd, kf   N/m, N*s/m, N*s/m; mu 1; ka m: each the mean of the two shapes', but for ke, kd
+//   and
 //                mu of a row that has its own (Contacts::rigid_contact_stiffness, ...)
 //   e            friction_smoothing (m/s), e > 0 for newton17
 //   F            N, world frame
@@ -30,7 +39,8 @@
 // the Huber norm scaled to bound the cone.
 //
 // Not smooth, and what is returned there (the derivative follows the same choice):
-//   d = ka, d = 0   no force, no damping. At touch-down the force jumps by kd un.
+//   d = ka, d = 0   no force, no damping. At touch-down the sampled force jumps by kd un.
+//   |d| = w, un = 0 the mean: continuous with its first derivative by d, but for damping, friction
 //   un = 0          min takes the constant 0: damping passes nothing.
 //   at the cone     viscous: kf ut.
 // Gradient: exact in poses, velocities, centres of mass, p, m, normal, ke, kd, kf, mu away from
@@ -44,6 +54,8 @@
 namespace novaphy {
 
 enum class FrictionLaw { Viscous, Huber, Newton17, Newton18 };
+// The force at the start of a step, or its mean about that.
+enum class PenaltyLaw { Sampled, Mean };
 
 // Of Newton: each side has the force at its own point, and bodies have Newton's spin
 // (rigid_integrator_trace.h).
@@ -122,37 +134,66 @@ Vec3<T> rigid_friction(FrictionLaw law, const Vec3<T>& ut, const T& limit, const
   return ut * select(acts, slope, zero);
 }
 
+// Of rigid contacts. half_step: h/2, which only the mean reads.
+template <class T>
+struct RigidContactLaw {
+  FrictionLaw friction = FrictionLaw::Viscous;
+  T smoothing{};
+  PenaltyLaw penalty = PenaltyLaw::Sampled;
+  T half_step{};
+};
+
+// The mean force, at the gap d.
+template <class T>
+Vec3<T> mean_contact_force(const RigidContactLaw<T>& law, const Vec3<T>& n, const T& d, const T& un,
+                           const Vec3<T>& ut, const RigidContactMaterial<T>& material) {
+  using namespace math;
+  const T zero = T(0.0f), one = T(1.0f);
+  const T w = abs(un) * law.half_step;
+  const auto near = abs(d) < w;
+  const T twice = select(near, w + w, one), part = select(near, w - d, zero) / twice;
+  const T in_contact = select(near, part, step(d));
+  const T fn = select(near, (zero - material.ke) * ((part * part) * w), d * material.ke);
+  const T fd = (min(un, zero) * material.kd) * in_contact;
+  const T limit = select(d < w, (-material.mu) * (fn + fd), zero);
+  const Vec3<T> force = n * (fn + fd) + rigid_friction(law.friction, ut, limit,
+                                                       material.kf * in_contact, law.smoothing);
+  return select(d >= w, Vec3<T>{zero, zero, zero}, force);  // NaN as below
+}
+
 // The force on B at two points p_a, p_b of the surfaces with their margins, n = N, u = v_A - v_B.
 template <class T>
-Vec3<T> rigid_contact_law(FrictionLaw law, const Vec3<T>& n, const Vec3<T>& p_a, const Vec3<T>& p_b,
-                          const Vec3<T>& u, const RigidContactMaterial<T>& material,
-                          const T& smoothing) {
+Vec3<T> rigid_contact_law(const RigidContactLaw<T>& law, const Vec3<T>& n, const Vec3<T>& p_a,
+                          const Vec3<T>& p_b, const Vec3<T>& u,
+                          const RigidContactMaterial<T>& material) {
   using namespace math;
   const T zero = T(0.0f);
   const T d = dot(n, p_a - p_b);
   const T un = dot(n, u);
   const Vec3<T> ut = u - n * un;
+  if (law.penalty == PenaltyLaw::Mean) return mean_contact_force(law, n, d, un, ut, material);
   const T fn = d * material.ke;
   const T fd = (min(un, zero) * material.kd) * step(d);
   const T limit = select(d < zero, (-material.mu) * (fn + fd), zero);
-  const Vec3<T> force = n * (fn + fd) + rigid_friction(law, ut, limit, material.kf, smoothing);
+  const Vec3<T> force =
+      n * (fn + fd) + rigid_friction(law.friction, ut, limit, material.kf, law.smoothing);
   // Asked as d >= ka, so that a NaN reaches the force instead of switching the contact off.
   return select(d >= material.ka, Vec3<T>{zero, zero, zero}, force);
 }
 
 // At two points of the cores, world frame.
 template <class T>
-RigidContactForce<T> rigid_contact_force_at(FrictionLaw law, const RigidContactSide<T>& a,
+RigidContactForce<T> rigid_contact_force_at(const RigidContactLaw<T>& law,
+                                            const RigidContactSide<T>& a,
                                             const RigidContactSide<T>& b, const Vec3<T>& core_a,
                                             const Vec3<T>& core_b, const Vec3<T>& normal,
-                                            const RigidContactMaterial<T>& material,
-                                            const T& smoothing) {
+                                            const RigidContactMaterial<T>& material) {
   using namespace math;
   const Vec3<T> n = -normal;
   const Vec3<T> p_a = core_a - n * a.margin;
   const Vec3<T> p_b = core_b + n * b.margin;
   Vec3<T> at_a = p_a, at_b = p_b;
-  if (!is_of_newton(law)) {
+  if (!is_of_newton(law.friction)) {
     const T half = T(0.5f);
     at_a = select(a.is_body < half, p_b, select(b.is_body < half, p_a, (p_a + p_b) * half));
     at_b = at_a;
@@ -161,17 +202,16 @@ RigidContactForce<T> rigid_contact_force_at(FrictionLaw law, const RigidContactS
   const Vec3<T> arm_b = at_b - transform_point(b.pose, b.com);
   const Vec3<T> u = (a.twist.linear + cross(a.twist.angular, arm_a)) -
                     (b.twist.linear + cross(b.twist.angular, arm_b));
-  return {rigid_contact_law(law, n, p_a, p_b, u, material, smoothing), arm_a, arm_b};
+  return {rigid_contact_law(law, n, p_a, p_b, u, material), arm_a, arm_b};
 }
 
 template <class T>
-RigidContactForce<T> rigid_contact_force(FrictionLaw law, const RigidContactSide<T>& a,
-                                         const RigidContactSide<T>& b, const Vec3<T>& normal,
-                                         const RigidContactMaterial<T>& material,
-                                         const T& smoothing) {
+RigidContactForce<T> rigid_contact_force(const RigidContactLaw<T>& law,
+                                         const RigidContactSide<T>& a, const RigidContactSide<T>& b,
+                                         const Vec3<T>& normal,
+                                         const RigidContactMaterial<T>& material) {
   return rigid_contact_force_at(law, a, b, math::transform_point(a.pose, a.point),
-                                math::transform_point(b.pose, b.point), normal, material,
-                                smoothing);
+                                math::transform_point(b.pose, b.point), normal, material);
 }
 
 }  // namespace novaphy

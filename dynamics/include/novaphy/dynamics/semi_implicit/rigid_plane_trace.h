@@ -129,7 +129,7 @@ SpatialVector<T> plane_contact_wrench(FrictionLaw law, const WorldPlane<T>& plan
     if (j == 1) present = either(present, both(near, shape.is_capsule));
     const Vec3<T> arm = point - com;
     const Vec3<T> u = -(body.twist.linear + cross(body.twist.angular, arm));
-    const Vec3<T> f = rigid_contact_law(law, n, on_plane, point, u, material, smoothing);
+    const Vec3<T> f = rigid_contact_law({law, smoothing}, n, on_plane, point, u, material);
     const SpatialVector<T> wrench = {select(present, f, Vec3<T>{none, none, none}),
                                      select(present, cross(arm, f), Vec3<T>{none, none, none})};
     sum = j == 0 ? wrench

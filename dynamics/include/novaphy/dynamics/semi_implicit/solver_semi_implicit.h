@@ -21,6 +21,8 @@ struct SemiImplicitOptions {
   FrictionLaw friction_law = FrictionLaw::Viscous;  // of rigid contacts
   // m/s, of the laws huber and newton17: 0.1 when empty. ErrorKind::Value with the others.
   std::optional<float> friction_smoothing = {};
+  // Of rigid contacts. The mean: with the friction laws viscous and huber, without stick_ke.
+  PenaltyLaw penalty_law = PenaltyLaw::Sampled;
   // N/m, of every row of rigid contacts with the law viscous: a spring along the surface, kept from
   // step to step by rigid_contact_point_id (src/semi_implicit/stick_springs.h), with which friction
   // holds what is at rest. 0: none, and it creeps. There is no gradient of it.

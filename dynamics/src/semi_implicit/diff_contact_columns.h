@@ -1,0 +1,63 @@
+// The columns of bodies and shapes that traced kernels of contacts read.
+#pragma once
+
+#include <vector>
+
+#include "diff_trace_columns.h"
+#include "novaphy/core/sim/enums.h"
+#include "novaphy/dynamics/semi_implicit/contact_turning_trace.h"
+#include "novaphy/nova/kernel.h"
+
+namespace novaphy::diff::detail {
+
+using nova::Access;
+using nova::Bool;
+using nova::DType;
+using nova::Int;
+using nova::Real;
+using nova::TraceContext;
+
+// A body as contacts see it: the world, at rest in its own frame, where the row is -1.
+struct ContactBody {
+  Transform<Real> pose;
+  SpatialVector<Real> twist;
+  Vec3<Real> com;
+  Bool is_world;
+};
+inline ContactBody load_body(TraceContext& c, const Int& body) {
+  ContactBody b = {Columns(c, "body_q", &body).transform(), Columns(c, "body_qd", &body).spatial(),
+                   Columns(c, "body_com", &body).vec3(), body < Int(0)};
+  // A row that is not there reads as zeros.
+  b.pose.q.w = select(b.is_world, Real(1.0f), b.pose.q.w);
+  return b;
+}
+
+inline std::vector<nova::SourceSpec> body_sources() {
+  return {{"body_q", DType::F32, 7, Access::Indexed},
+          {"body_qd", DType::F32, 6, Access::Indexed},
+          {"body_com", DType::F32, 3, Access::Indexed}};
+}
+// A contact that follows its bodies needs these of its shapes.
+inline std::vector<nova::SourceSpec> shape_sources() {
+  return {{"shape_type", DType::I32, 1, Access::Indexed},
+          {"shape_transform", DType::F32, 7, Access::Indexed},
+          {"shape_scale", DType::F32, 3, Access::Indexed}};
+}
+inline std::vector<Real> list(const Vec3<Real>& a) { return {a.x, a.y, a.z}; }
+inline std::vector<Real> list(const Vec3<Real>& a, const Vec3<Real>& b) {
+  return {a.x, a.y, a.z, b.x, b.y, b.z};
+}
+
+inline Vec3<Real> constant(const Vec3<Real>& v) { return {detach(v.x), detach(v.y), detach(v.z)}; }
+
+// Shapes carry no gradient.
+inline ContactShape<Bool, Real> load_shape(TraceContext& c, const Int& shape) {
+  const Int type = c.i32(c.source("shape_type"), shape, 0);
+  const auto is = [&](GeoType wanted) { return type == Int(static_cast<int32_t>(wanted)); };
+  const Transform<Real> x = Columns(c, "shape_transform", &shape).transform();
+  return contact_shape<GeoType, Bool, Real>(
+      is, {constant(x.p), {detach(x.q.x), detach(x.q.y), detach(x.q.z), detach(x.q.w)}},
+      constant(Columns(c, "shape_scale", &shape).vec3()));
+}
+
+}  // namespace novaphy::diff::detail

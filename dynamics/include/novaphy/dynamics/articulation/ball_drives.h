@@ -15,13 +15,6 @@
 #include "novaphy/dynamics/articulation/rotation_vector.h"
 #include "novaphy/dynamics/articulation/tangents.h"
 
-// Functions apart, and small: few trees have such joints.
-#ifdef NOVAPHY_KERNEL
-#define NOVAPHY_BALLS
-#else
-#define NOVAPHY_BALLS __attribute__((noinline, cold))
-#endif
-
 namespace novaphy::articulation {
 
 template <class T>

@@ -2,6 +2,7 @@
 
 #include "diff_contact_columns.h"
 #include "novaphy/collision/diff_soft_contacts.h"
+#include "novaphy/nova/registry.h"
 
 namespace novaphy::diff::detail {
 namespace {

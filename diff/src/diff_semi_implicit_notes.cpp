@@ -25,6 +25,7 @@ struct DiffSemiImplicitSolver::Witness : GradientWitness {
   Witness(std::shared_ptr<const Model> of, bool motion) : model(std::move(of)), moves(motion) {}
   GradientInfo info() const override { return info_of(*model, notes, touches, moves); }
   MotionEvents events() const override { return touches.counts().events; }
+  bool has_events() const override { return moves; }
 };
 
 std::shared_ptr<DiffSemiImplicitSolver::Witness> DiffSemiImplicitSolver::witness() {

@@ -92,9 +92,15 @@ nova::Tensor times_of(const SimState& state, Run run, nova::Tape& tape) {
 
 MotionEvents events_on(const nova::Tape& tape) {
   MotionEvents all;
+  bool any = false;
   for (const auto& witness : tape.witnesses())
-    if (const auto* of = dynamic_cast<const GradientWitness*>(witness.get()))
+    if (const auto* of = dynamic_cast<const GradientWitness*>(witness.get())) {
+      any = any || of->has_events();
       for (const auto& event : of->events()) all.push_back(event);
+    }
+  require(any, ErrorKind::Value, kName,
+          ": trajectory: expected steps of a solver with contact_gradient=\"motion\" on the active "
+          "tape, got none");
   sort_by_time(all);
   return all;
 }
@@ -133,9 +139,7 @@ nova::Tensor event_times(const Trajectory& trajectory) {
     if (!find_state(trajectory, of, known)) continue;
     parts.push_back(times_of(trajectory.state(known), Run(all).subspan(first, end - first), *tape));
   }
-  require(!parts.empty(), ErrorKind::Value, kName,
-          ": trajectory: expected steps of a solver with contact_gradient=\"motion\" on the active "
-          "tape in which a contact or a limit begins, got none");
+  if (parts.empty()) return nova::Tensor({0}, nova::DType::F32, Device::cpu());
   return parts.size() == 1 ? parts[0] : nova::concat(parts);
 }
 

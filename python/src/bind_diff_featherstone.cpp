@@ -96,8 +96,9 @@ void bind_event_times(py::module_& m) {
         "contact_gradient=\"motion\". Recorded on the active tape. An event of step k has the time "
         "t_k + d / |J v| and the derivative J / |J v| with respect to the positions of state k, "
         "where d is the gap, J its derivative and v the rates. The number and the order of events "
-        "are those of this run (saltation matrix). ValueError: no tape is active, or no such event "
-        "is on it; NotImplementedError: a trajectory with checkpoints.");
+        "are those of this run (saltation matrix). {0} where nothing began. ValueError: no tape is "
+        "active, or it has no steps of such a solver; NotImplementedError: a trajectory with "
+        "checkpoints.");
 }
 
 }  // namespace novaphy::python

@@ -276,5 +276,10 @@ def test_what_is_not_there_is_refused_by_name() -> None:
         tree(model, "code").rollout(path, None, None, 1 / 100, pipeline=pipeline)
         with pytest.raises(ValueError, match='contact_gradient="motion" on the active tape'):
             diff.event_times(path)
+    with nova.Tape() as tape:
+        tree(model).rollout(path, None, None, 1e-4, pipeline=pipeline)
+        none = diff.event_times(path)  # it still falls
+        assert none.shape == (0,)
+        tape.backward(nova.sum(none) + nova.sum(diff.state_joint_q_tensor(path[50])))
     with nova.Tape(), pytest.raises(NotImplementedError, match="got one with checkpoints"):
         diff.event_times(diff.Trajectory(model, 50, checkpoint=5))

@@ -110,10 +110,10 @@ struct ArticulationStep::Shared::Witness : GradientWitness {
     motion = {.rows_are_exact = motion.rows_are_exact};
   }
   MotionEvents events() const override { return motion.events; }
+  bool has_events() const override { return shared->contact_gradient == DerivativeOf::Motion; }
   GradientInfo info() const override {
-    const bool moves = shared->contact_gradient == DerivativeOf::Motion;
     return gradient_info(has_replays ? all_branches(*shared).all : counts, false,
-                         moves ? &motion : nullptr);
+                         has_events() ? &motion : nullptr);
   }
 };
 

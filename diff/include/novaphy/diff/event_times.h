@@ -12,8 +12,9 @@ namespace novaphy::diff {
 //   t_k + d / |J v|,  with the derivative J / |J v| by the positions of state k,
 // d its gap, J the gradient of d, v the rates. Recorded on the active tape, with adjoint and
 // tangent. The number of events and their order are those of this run.
-// ErrorKind::Value: no tape is active, no step on it has filled the trajectory with
-// DerivativeOf::Motion, or nothing began; ErrorKind::NotImplemented: not all states are kept.
+// {0} where nothing began.
+// ErrorKind::Value: no tape is active, or it has no steps with DerivativeOf::Motion;
+// ErrorKind::NotImplemented: not all states are kept.
 NOVAPHY_DIFF_API nova::Tensor event_times(const Trajectory& trajectory);
 
 }  // namespace novaphy::diff

@@ -84,6 +84,8 @@ struct NOVAPHY_DYNAMICS_API GradientWitness : nova::Tape::Witness {
   virtual GradientInfo info() const = 0;
   // The events of its steps whose time moves with the state.
   virtual MotionEvents events() const { return {}; }
+  // Whether the solver looks for such events.
+  virtual bool has_events() const { return false; }
 };
 // The witness of a solver on the active tape, made by `make` where that tape has none.
 template <class T, class Make>

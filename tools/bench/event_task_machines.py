@@ -19,6 +19,7 @@ from event_task_scenes import (
     Penalty,
     Task,
     TossImpulse,
+    TossMean,
     TossPenalty,
     at,
     impulses,
@@ -303,6 +304,6 @@ class TiltPenalty(Tilt, Penalty):
 
 TASKS: list[type[Task]] = [
     BallParticle, BallPenalty, BallImpulse, BilliardPenalty, BilliardImpulse, TossPenalty,
-    TossImpulse, PushPenalty, PushImpulse, Hopper, HopperCompliant, ClothVbd, ClothVbdImplicit,
-    ClothPenalty, StrikePenalty, StrikeImpulse, TiltPenalty, TiltImpulse,
+    TossMean, TossImpulse, PushPenalty, PushImpulse, Hopper, HopperCompliant, ClothVbd,
+    ClothVbdImplicit, ClothPenalty, StrikePenalty, StrikeImpulse, TiltPenalty, TiltImpulse,
 ]  # fmt: skip

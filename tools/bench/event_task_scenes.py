@@ -365,6 +365,17 @@ class TossPenalty(Toss, Penalty):
         return self.away(self.places(self.roll())[:, 0, 0:2])
 
 
+class TossMean(TossPenalty):
+    """The box with the mean force of penalty contacts, whose gradient is that of the motion."""
+
+    solver_name = "semi-implicit, mean"
+    modes = ("code",)
+
+    def settings(self) -> dict:
+        """Give more settings of the solver."""
+        return {**super().settings(), "penalty_law": "mean"}
+
+
 class TossImpulse(Toss, Impulse):
     """The box as an articulation."""
 

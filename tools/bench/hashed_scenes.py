@@ -280,33 +280,6 @@ def chain(device: str) -> Hashed:
     return steps(model, novaphy.solvers.SolverFeatherstone(model), 40, 1e-3)
 
 
-@scene("planar joints", on_devices=True)
-def planar_joints(device: str) -> Hashed:
-    """A body in a plane, and another one in a plane of it, with drives and limits."""
-    import novaphy
-
-    one = novaphy.ModelBuilder()
-    joints, parent = [], -1
-    for axis in ((1.0, 2.0, 2.0), (0.0, 1.0, 0.0)):
-        link = one.add_link(
-            mass=1.5, com=(0.1, -0.05, 0.02), inertia=np.diag((0.02, 0.03, 0.04)), lock_inertia=True
-        )
-        x, y, angle = (
-            novaphy.JointDofConfig(
-                target_ke=30.0, target_kd=1.0, target_q=0.2, limit_lower=-0.1, limit_upper=bound
-            )
-            for bound in (0.15, 1.0, 2.0)
-        )
-        joints.append(one.add_joint_planar(parent, link, axis=axis, x=x, y=y, angle=angle))
-        parent = link
-    one.add_articulation(joints)
-    many = novaphy.ModelBuilder()
-    many.replicate(one, 5, (3.0, 0.0, 0.0))
-    model = many.finalize(device, requires_grad=True)
-    model.joint_qd.assign(np.linspace(-1, 1, 30, dtype=np.float32))
-    return gradients(model, novaphy.solvers.DiffFeatherstoneSolver(model), 40, 2e-3)
-
-
 def landed_ants(device: str, worlds: int, requires_grad: bool):
     """Ants on their feet, under torques."""
     import novaphy_articulation

@@ -151,8 +151,12 @@ def test_a_recorded_search_without_room_for_pairs_overflows_and_steps(make):
     rows_in_recording(model, state, contacts, pipeline)
     assert contacts.overflowed and contacts.rigid_contact_count.numpy()[0] == 5000 + (4950 - 1600)
     assert contacts.active_rigid_contact_count == 1600
-    pairs = list(zip(*(c.numpy() for c in (contacts.rigid_contact_shape0,
-                                           contacts.rigid_contact_shape1)), strict=True))
+    pairs = list(
+        zip(
+            *(c.numpy() for c in (contacts.rigid_contact_shape0, contacts.rigid_contact_shape1)),
+            strict=True,
+        )
+    )
     assert pairs[:1600] == sorted((i, j) for i in range(100) for j in range(i + 1, 100))[:1600]
     assert set(pairs[1600:]) == {(-1, -1)}
     with pytest.warns(RuntimeWarning, match="8350 rigid contacts were found for 5000 slots"):

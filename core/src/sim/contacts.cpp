@@ -8,6 +8,7 @@
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/contact_count.h"
 #include "novaphy/core/sim/model.h"
+#include "novaphy/core/sim/on_host.h"
 
 namespace novaphy {
 namespace {
@@ -118,9 +119,9 @@ int32_t Contacts::active_soft_contact_count() const {
 }
 
 int32_t Contacts::active_rigid_contact_count() const {
-  const int32_t count = rigid_contact_count.to_host()[0], most = counts_.rigid_contact_max;
+  const int32_t count = OnHost<int32_t>(rigid_contact_count)[0], most = counts_.rigid_contact_max;
   if (count <= most) return std::max(count, 0);
-  return filled_rows(count, most, rigid_contact_shape0.to_host());
+  return filled_rows(count, most, OnHost<int32_t>(rigid_contact_shape0).data());
 }
 
 bool Contacts::overflowed() const {

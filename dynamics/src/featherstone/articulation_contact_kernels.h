@@ -25,7 +25,6 @@
 #include "novaphy/dynamics/articulation/matrix_trees.h"
 // clang-format on
 #include "novaphy/core/row_kernel.h"
-#include "novaphy/core/sim/contact_count.h"
 #include "novaphy/dynamics/articulation/group_step.h"
 
 namespace novaphy {
@@ -38,6 +37,7 @@ struct ArticulationContactGroupArguments {
 };
 NOVAPHY_ROW_KERNEL(articulation_contact_group, ArticulationContactGroupArguments) {
   a.group[row] = -1;
+  // Of an overflow the last rows may be empty (core/sim/contact_count.h).
   if (row >= *a.count || (*a.count > n && a.shapes.at.shape0[row] < 0)) return;
   if (a.force != nullptr) a.force[row] = Vec3f{};
   if (a.impulses != nullptr) a.impulses[row] = Vec3f{};
@@ -112,7 +112,8 @@ struct ArticulationContactCopyArguments {
                     Changed<float> margin0, margin1; Number<int64_t> most;)
 };
 NOVAPHY_ROW_KERNEL(articulation_contact_copy, ArticulationContactCopyArguments) {
-  const int32_t count = filled_rows(*a.count, a.most.value, a.from.shape0);
+  int32_t count = *a.count < 0 ? 0 : *a.count;
+  if (count > a.most.value) count = static_cast<int32_t>(a.most.value);
   if (row == 0) *a.to_count = count;
   if (row >= count) return;
   a.shape0[row] = a.from.shape0[row];

@@ -10,7 +10,6 @@
 #include <vector>
 
 #include "novaphy/core/error.h"
-#include "novaphy/core/sim/contact_count.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/on_host.h"
 #include "novaphy/core/storage.h"
@@ -160,9 +159,7 @@ struct detail::TouchingRows {
         force(c.rigid_contact_force),
         margin0(c.rigid_contact_margin0),
         margin1(c.rigid_contact_margin1),
-        count(static_cast<size_t>(
-            filled_rows(OnHost<int32_t>(c.rigid_contact_count)[0],
-                                              c.rigid_contact_max(), shape0.data()))),
+        count(static_cast<size_t>(c.active_rigid_contact_count())),
         is_pushed(pushed),
         bodies(of_bodies) {
     const auto shapes = static_cast<int32_t>(body.size());

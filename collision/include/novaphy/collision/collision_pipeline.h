@@ -71,7 +71,7 @@ struct CollisionOptions {
 // device of the model (on the CPU by sweep and prune on the host, unless it is recorded). Outside
 // of a recording it makes room for all of them; a recording has the room that there is, at least 16
 // pairs for each shape, and each pair beyond counts as a row behind rigid_contact_max, so that the
-// contacts have overflowed. Rows are in the order of (shape A, shape B, point of the manifold) for
+// contacts have overflowed, with slots left empty at the end. Rows are in the order of (shape A, shape B, point of the manifold) for
 // any number of threads. If there are more than rigid_contact_max, those stay that are within the
 // largest part of the gaps of their pairs for which there is room (1/2, 1/4, ..., 1/1024, or what
 // touches), and the first of those within the next larger part, so that no slot is empty.

@@ -1,4 +1,4 @@
-// How many rows of contacts are filled, for the host and for kernels.
+// How many rows of contacts are filled, for the host.
 #pragma once
 
 #include <cstdint>

@@ -9,6 +9,7 @@
 #include "novaphy/core/recorder.h"
 #include "rigid_launches.h"
 #include "rigid_pairs.h"
+#include "sleeping_shapes.h"
 
 namespace novaphy::detail {
 
@@ -20,6 +21,7 @@ struct RigidContacts::Impl {
   RigidPairs pairs;
   RigidLaunches launches = {};
   FclContacts fcl = {};
+  SleepingShapes sleeping = {};
   // rigid_contact_shape0 as the last call left it, empty behind `used` rows.
   ArrayStamp emptied = {};
   int64_t used = 0;
@@ -82,9 +84,18 @@ void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
   // and the rows behind those of the last search need no second look.
   const bool waits = this->waits();
   const bool knows_empty = waits && impl_->emptied.matches(c.rigid_contact_shape0);
-  if (pairs.are_swept() || pairs.count() > 0) launches.move(m, state, *impl_->geometries, dt);
+  const bool sleeps =
+      waits && pairs.are_swept() && !asks_fcl &&
+      impl_->sleeping.begin(m, state, launches.host_shapes(), dt, impl_->geometries->version());
+  if (sleeps)
+    launches.move_some(m, state, *impl_->geometries, dt, impl_->sleeping.moved());
+  else if (pairs.are_swept() || pairs.count() > 0)
+    launches.move(m, state, *impl_->geometries, dt);
   if (pairs.are_swept()) {
-    if (waits)
+    if (!sleeps) impl_->sleeping.forget();
+    if (sleeps)
+      pairs.take_swept(impl_->sleeping.pairs(m, launches.host_shapes(), pairs.rules()));
+    else if (waits)
       pairs.sweep(launches.host_shapes());
     else
       pairs.find_by_kernels(launches.shapes());

@@ -5,6 +5,7 @@
 #include "byte_array.h"
 #include "novaphy/core/assert.h"
 #include "novaphy/core/builtin_kernels.h"
+#include "novaphy/core/sim/for_chunks.h"
 #include "rigid_contact_kernels.h"
 #include "rigid_contacts.h"
 #include "rigid_mesh_kernels.h"
@@ -61,27 +62,44 @@ RigidContactRows rows_of(const Contacts& c) {
 
 }  // namespace
 
-void RigidLaunches::move(const Model& m, const SimState& state, const ShapeGeometries& geometries,
-                         float dt) {
+RigidContactShapeArguments RigidLaunches::shape_arguments(const Model& m, const SimState& state,
+                                                          const ShapeGeometries& geometries,
+                                                          float dt, const Array& views) {
   const auto count = static_cast<size_t>(m.shape_count());
   if (shapes_.rows() != count * sizeof(RigidShape))
     shapes_ = byte_array<RigidShape>(count, m.device());
+  return {.shape_body = m.shape_body,
+          .shape_type = m.shape_type,
+          .shape_scale = m.shape_scale,
+          .shape_transform = m.shape_transform,
+          .shape_margin = m.shape_margin,
+          .shape_gap = m.shape_gap,
+          .body_q = state.body_q,
+          .body_qd = state.body_qd,
+          .body_com = m.body_com,
+          .shape_material_ka = m.shape_material_ka,
+          .dt = dt,
+          .geometry = geometries.of_shape(),
+          .views = Untyped(views),
+          .shapes = Untyped(shapes_)};
+}
+
+void RigidLaunches::move(const Model& m, const SimState& state, const ShapeGeometries& geometries,
+                         float dt) {
   const Array views = geometries.tables();
-  run(kernels().shape, m.shape_count(),
-      {.shape_body = m.shape_body,
-       .shape_type = m.shape_type,
-       .shape_scale = m.shape_scale,
-       .shape_transform = m.shape_transform,
-       .shape_margin = m.shape_margin,
-       .shape_gap = m.shape_gap,
-       .body_q = state.body_q,
-       .body_qd = state.body_qd,
-       .body_com = m.body_com,
-       .shape_material_ka = m.shape_material_ka,
-       .dt = dt,
-       .geometry = geometries.of_shape(),
-       .views = Untyped(views),
-       .shapes = Untyped(shapes_)});
+  run(kernels().shape, m.shape_count(), shape_arguments(m, state, geometries, dt, views));
+}
+
+void RigidLaunches::move_some(const Model& m, const SimState& state,
+                              const ShapeGeometries& geometries, float dt,
+                              std::span<const int32_t> moved) {
+  const Array views = geometries.tables();
+  const RigidContactShapeArguments a = in_memory(shape_arguments(m, state, geometries, dt, views));
+  constexpr int64_t kChunk = 256;
+  for_chunks(static_cast<int64_t>(moved.size()), kChunk, [&](int64_t begin, int64_t end, int64_t) {
+    for (int64_t k = begin; k < end; ++k)
+      rigid_contact_shape_row(a, moved[static_cast<size_t>(k)], m.shape_count());
+  });
 }
 
 void RigidLaunches::reserve(const RigidPairs& pairs) {
@@ -227,6 +245,7 @@ void RigidLaunches::clear(int64_t pairs, int64_t last, const Contacts& c) {
 }
 
 std::span<const RigidShape> RigidLaunches::host_shapes() const {
+  if (shapes_.rows() == 0) return {};
   return {memory_of<RigidShape>(shapes_), shapes_.rows() / sizeof(RigidShape)};
 }
 geometry::Manifold* RigidLaunches::host_manifolds() const {

@@ -11,12 +11,19 @@
 #include "rigid_pairs.h"
 #include "shape_geometries.h"
 
+namespace novaphy {
+struct RigidContactShapeArguments;
+}
+
 namespace novaphy::detail {
 
 class RigidLaunches {
  public:
   // Moves the shapes to the world. `dt`: see RigidContacts::collide.
   void move(const Model& model, const SimState& state, const ShapeGeometries& geometries, float dt);
+  // The same of some shapes only, on the CPU, where nobody records.
+  void move_some(const Model& model, const SimState& state, const ShapeGeometries& geometries,
+                 float dt, std::span<const int32_t> moved);
   // The rest for at least one pair.
   void find(const RigidPairs& pairs, int32_t contacts_per_pair);
   void scan(const RigidPairs& pairs);
@@ -29,7 +36,7 @@ class RigidLaunches {
   void clear(int64_t pairs, int64_t last, const Contacts& contacts);
 
   const Array& shapes() const { return shapes_; }
-  // On the host.
+  // On the host; empty before they were moved.
   std::span<const RigidShape> host_shapes() const;
   geometry::Manifold* host_manifolds() const;
   int32_t* host_counts() const;
@@ -38,6 +45,9 @@ class RigidLaunches {
 
  private:
   void reserve(const RigidPairs& pairs);
+  RigidContactShapeArguments shape_arguments(const Model& model, const SimState& state,
+                                             const ShapeGeometries& geometries, float dt,
+                                             const Array& views);
   void scan(const DeviceArray<int32_t>& counts, int64_t count, const DeviceArray<int32_t>& before);
   void find_limit(const RigidPairs& pairs, int64_t capacity);
 

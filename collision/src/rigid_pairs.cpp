@@ -131,8 +131,12 @@ int64_t RigidPairs::take(std::vector<Vec2i> found) {
   count_ = static_cast<int64_t>(found.size());
   found_ = nullptr;
   take_mesh_rows(found);
-  found.resize(rows_.rows());
-  rows_.copy_from_host(std::span<const Vec2i>(found));
+  if (runs_at_once(model_->device())) {
+    std::copy(found.begin(), found.end(), rows_.mutable_data());
+  } else {
+    found.resize(rows_.rows());
+    rows_.copy_from_host(std::span<const Vec2i>(found));
+  }
   return rows;
 }
 void RigidPairs::take_mesh_rows(std::span<const Vec2i> found) {

@@ -6,6 +6,7 @@
 #include <memory>
 #include <optional>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "array_versions.h"
@@ -35,6 +36,9 @@ class RigidPairs {
   bool are_swept() const { return broad_phase_ == BroadPhase::Sap; }
   void sweep(std::span<const RigidShape> shapes);
   void find_by_kernels(const Array& shapes);
+  // Instead of a sweep: pairs (i < j) that others found.
+  void take_swept(std::vector<Vec2i> found) { take(std::move(found)); }
+  ShapePairRules rules() const;
 
   int64_t count() const { return count_; }
   // (shape0, shape1) in ascending order, at least as many rows as pairs.
@@ -50,7 +54,6 @@ class RigidPairs {
     return static_cast<GeoType>(type_[static_cast<size_t>(shape)]);
   }
   bool lists_model_pairs() const { return broad_phase_ == BroadPhase::Explicit && !explicit_; }
-  ShapePairRules rules() const;
   int32_t orient(Vec2i& pair) const;
   int64_t take(std::vector<Vec2i> found);
   void take_mesh_rows(std::span<const Vec2i> found);

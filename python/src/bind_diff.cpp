@@ -169,7 +169,7 @@ Tensor whole(const Trajectory& t, FieldRole role, const Array& array) {
   nova::Shape shape = array.shape();
   shape[0] /= t.kept_count();
   shape.insert(shape.begin(), t.kept_count());
-  return {array.range(), std::move(shape), nova::DType::F32};
+  return {array.range(), std::move(shape), Tensor::view(array).dtype()};
 }
 
 // "64MiB" as bytes.

@@ -7,6 +7,41 @@
 #include "novaphy/dynamics/semi_implicit/solver_semi_implicit.h"
 
 namespace novaphy::python {
+namespace {
+
+void bind_sleep(py::module_& m) {
+  const SleepConfig d;
+  py::class_<SleepConfig>(m, "SleepConfig", doc::kSleepConfig)
+      .def(py::init([](float speed, float spin, float after) {
+             const SleepConfig config{speed, spin, after};
+             check_sleep("SleepConfig", config);
+             return config;
+           }),
+           py::kw_only(), "speed"_a = d.speed, "spin"_a = d.spin, "after"_a = d.after)
+      .def_readonly("speed", &SleepConfig::speed, "m/s, of the center of mass.")
+      .def_readonly("spin", &SleepConfig::spin, "rad/s.")
+      .def_readonly("after", &SleepConfig::after, "s.")
+      .def("__eq__", [](const SleepConfig& a, const SleepConfig& b) { return a == b; })
+      .def("__repr__", [](const SleepConfig& c) {
+        return py::str("SleepConfig(speed={:.6g}, spin={:.6g}, after={:.6g})")
+            .format(c.speed, c.spin, c.after);
+      });
+}
+
+void bind_stable_dt(py::class_<SolverSemiImplicit, SolverBase>& solver) {
+  solver.def(
+      "stable_dt",
+      [](const SolverSemiImplicit& s, const SimState& state, const Contacts* contacts) {
+        return contacts != nullptr ? s.stable_dt(state, *contacts) : s.stable_dt(state);
+      },
+      "state"_a, "contacts"_a = py::none(), doc::kStableDt);
+  solver.def_property_readonly(
+      "sleep", [](const SolverSemiImplicit& s) { return s.options().sleep; },
+      "When bodies fall asleep; None: never.");
+}
+
+}  // namespace
+
 void bind_dynamics(py::module_& m, py::module_& solvers) {
   BoundClass<SimState>::remember(m.attr("SimState"));
   BoundClass<Control>::remember(m.attr("Control"));
@@ -39,6 +74,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
           "Says that values of the model were changed behind its arrays' back (ModelFlags).");
   GeneralStep::function = py::object(base.attr("step")).release().ptr();
 
+  bind_sleep(m);
   const SemiImplicitOptions d;
   py::class_<SolverSemiImplicit, SolverBase> semi_implicit(solvers, "SolverSemiImplicit",
                                                            doc::kSemiImplicit);
@@ -48,7 +84,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
                        const std::string& friction_law, std::optional<float> friction_smoothing,
                        float stick_ke, float joint_attach_ke, float joint_attach_kd,
                        bool enable_tri_contact, float particle_kf_bound,
-                       const std::string& penalty_law) {
+                       const std::string& penalty_law, const std::optional<SleepConfig>& sleep) {
              return std::make_unique<SolverSemiImplicit>(
                  model, SemiImplicitOptions{.particle_kf_bound = particle_kf_bound,
                                             .angular_damping = angular_damping,
@@ -58,14 +94,15 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
                                             .stick_ke = stick_ke,
                                             .joint_attach_ke = joint_attach_ke,
                                             .joint_attach_kd = joint_attach_kd,
-                                            .enable_tri_contact = enable_tri_contact});
+                                            .enable_tri_contact = enable_tri_contact,
+                                            .sleep = sleep});
            }),
            py::arg("model").none(false), py::kw_only(), "angular_damping"_a = d.angular_damping,
            "friction_law"_a = "viscous", "friction_smoothing"_a = py::none(),
            "stick_ke"_a = d.stick_ke, "joint_attach_ke"_a = d.joint_attach_ke,
            "joint_attach_kd"_a = d.joint_attach_kd, "enable_tri_contact"_a = d.enable_tri_contact,
            "particle_kf_bound"_a = d.particle_kf_bound, "penalty_law"_a = "sampled",
-           doc::kSemiImplicitInit)
+           "sleep"_a = py::none(), doc::kSemiImplicitInit)
       .def_property_readonly(
           "angular_damping",
           [](const SolverSemiImplicit& s) { return s.options().angular_damping; }, "1/s")
@@ -90,12 +127,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
           "enable_tri_contact",
           [](const SolverSemiImplicit& s) { return s.options().enable_tri_contact; },
           "Stored; particles do not meet triangles yet.");
-  semi_implicit.def(
-      "stable_dt",
-      [](const SolverSemiImplicit& s, const SimState& state, const Contacts* contacts) {
-        return contacts != nullptr ? s.stable_dt(state, *contacts) : s.stable_dt(state);
-      },
-      "state"_a, "contacts"_a = py::none(), doc::kStableDt);
+  bind_stable_dt(semi_implicit);
   add_fast_step(semi_implicit);
   m.def(
       "eval_fk",

@@ -145,7 +145,7 @@ std::unique_ptr<SolverFeatherstone> make_solver(
     const std::optional<std::string>& contact, const std::string& friction_cone, int pgs_iterations,
     float pgs_tolerance, float pgs_erp, float pgs_slop, float pgs_cfm,
     float max_depenetration_velocity, float restitution_threshold, bool warm_start,
-    bool compliant_contacts, float friction_smoothing) {
+    bool compliant_contacts, float friction_smoothing, const std::optional<SleepConfig>& sleep) {
   return std::make_unique<SolverFeatherstone>(
       model, FeatherstoneOptions{.angular_damping = angular_damping,
                                  .implicit_drives = implicit_drives,
@@ -160,7 +160,8 @@ std::unique_ptr<SolverFeatherstone> make_solver(
                                  .restitution_threshold = restitution_threshold,
                                  .warm_start = warm_start,
                                  .compliant_contacts = compliant_contacts,
-                                 .friction_smoothing = friction_smoothing});
+                                 .friction_smoothing = friction_smoothing,
+                                 .sleep = sleep});
 }
 
 }  // namespace
@@ -178,7 +179,11 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
            "pgs_cfm"_a = d.pgs_cfm, "max_depenetration_velocity"_a = d.max_depenetration_velocity,
            "restitution_threshold"_a = d.restitution_threshold, "warm_start"_a = d.warm_start,
            "compliant_contacts"_a = d.compliant_contacts,
-           "friction_smoothing"_a = d.friction_smoothing, doc::kFeatherstoneInit)
+           "friction_smoothing"_a = d.friction_smoothing, "sleep"_a = py::none(),
+           doc::kFeatherstoneInit)
+      .def_property_readonly(
+          "sleep", [](const SolverFeatherstone& s) { return s.options().sleep; },
+          "When bodies on FREE joints fall asleep; None: never.")
       .def_property_readonly(
           "contact", [](const SolverFeatherstone& s) { return contact_name(s.options().contact); },
           "\"pgs\", \"penalty\" or None")

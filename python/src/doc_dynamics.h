@@ -46,9 +46,26 @@ Newton's law.
 penalty_law: "sampled": the force of rigid contacts at the start of the step. "mean": near the
 surface, within half the way of a step, its mean over the step around that. Bounces then depend
 little on the phase of the touch in its step.
+sleep: a SleepConfig, on the CPU. None: no body sleeps.
 
-NotImplementedError: parts of a model that are not covered; penalty_law="mean" with particles,
-stick_ke or a law of Newton.)";
+NotImplementedError: parts of a model that are not covered, sleep on another device;
+penalty_law="mean" with particles, stick_ke or a law of Newton.)";
+
+inline constexpr char kSleepConfig[] =
+    R"(When bodies fall asleep. An island is a set of bodies that touch each other. An island falls
+asleep once each of its bodies has been slower than speed and spin for the time after. Its bodies
+then get the velocity 0 and keep their bits. SimState.body_sleep says which bodies sleep.
+
+An island wakes in the step in which a moving body touches it, a force acts on it, or a kinematic
+body that touches it moves. A written array of the model wakes all bodies. A written pose or velocity
+of a body wakes its island, and that of a kinematic body its world.
+
+speed: m/s, of the center of mass. spin: rad/s. after: s.
+
+CollisionPipeline.collide leaves out contacts between bodies that sleep with the broad phase "sap"
+on the CPU, where at most half of the shapes move.
+
+ValueError: a number that is not finite or negative; after that is 0 or more than 1000 s.)";
 
 inline constexpr char kStableDt[] =
     R"(Returns the longest dt (s) at which springs, dampers and sticking friction are stable

@@ -28,6 +28,8 @@ limits that only push. False: of the start of the step, as in Newton 1.8.
 contact: "pgs" (impulses by projected Gauss-Seidel), "penalty" (springs of the shapes' ke, kd and
 kf, explicit) or None (contacts raise).
 friction_smoothing: m/s, of "penalty": friction is smooth below this slip.
+sleep: a SleepConfig, with "pgs" or None on the CPU. Bodies on FREE joints may sleep, bodies of other
+articulations never do. None: no body sleeps.
 
 The other options are of "pgs":
 friction_cone: "cone" or "pyramid".

@@ -52,7 +52,8 @@ TEST(SimFields, TheWalkGivesTheMembersInOrder) {
   });
   const std::vector<std::string> expected = {"particle_q", "particle_qd", "particle_f",
                                              "body_q",     "body_qd",     "body_f",
-                                             "joint_q",    "joint_qd",    "act"};
+                                             "body_sleep", "joint_q",     "joint_qd",
+                                             "act"};
   EXPECT_EQ(names, expected);
 }
 

@@ -6,10 +6,14 @@
 * `terrain`: 20 boxes of 0.5 m on hills of 2 N² triangles, in cells of 2.5 cm, with the gaps of
   shapes that have none. The pipeline is made, then searches.
 
+* `resting`: N boxes of 10 cm at rest in columns of ten, and a ball thrown at them. Steps with the
+  search, with and without `--sleep`.
+
 Prints a line of JSON for each size: medians of CPU time, in seconds.
 
     NOVAPHY_NUM_THREADS=1 python tools/bench/large_worlds.py --scene cubes --n 8
     NOVAPHY_NUM_THREADS=1 python tools/bench/large_worlds.py --scene terrain --n 707
+    NOVAPHY_NUM_THREADS=1 python tools/bench/large_worlds.py --scene resting --n 100000 --sleep
 """
 
 from __future__ import annotations
@@ -102,17 +106,77 @@ def terrain(n: int, repeats: int) -> dict[str, object]:
     return facts
 
 
+def resting(n: int, repeats: int, solver: str, sleeps: bool) -> dict[str, object]:
+    """N boxes in columns of ten, and a ball that is thrown at them."""
+    surface = novaphy.ShapeConfig(ke=2e4, kd=400.0, kf=400.0, mu=0.5, gap=0.002)
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane(cfg=surface)
+    weight = 1000.0 * SIDE**3 * 9.81
+    wide = max(1, round((n / 10) ** 0.5))
+    for k in range(n):
+        column, level = divmod(k, 10)
+        sunk = sum(weight * (10 - i) / (4 * surface.ke) for i in range(level + 1))
+        at = (2 * SIDE * (column % wide), 2 * SIDE * (column // wide), SIDE * (level + 0.5) - sunk)
+        if solver == "featherstone":
+            at = (*at[:2], SIDE * (level + 0.5))
+        body = builder.add_body(xform=(*at, 0.0, 0.0, 0.0, 1.0))
+        builder.add_shape_box(body, hx=SIDE / 2, hy=SIDE / 2, hz=SIDE / 2, cfg=surface)
+    ball = builder.add_body(xform=(-SIDE, 0.0, 100.0, 0.0, 0.0, 0.0, 1.0))
+    builder.add_shape_sphere(ball, radius=SIDE / 2, cfg=surface)
+    model = builder.finalize()
+    pipeline = novaphy.CollisionPipeline(model, broad_phase="sap", rigid_contact_max=12 * n)
+    makers = {
+        "semi-implicit": novaphy.solvers.SolverSemiImplicit,
+        "featherstone": novaphy.solvers.SolverFeatherstone,
+    }
+    dt = 1e-3 if solver == "semi-implicit" else DT
+    sleep = novaphy.SleepConfig(speed=0.02, spin=0.2, after=10 * dt) if sleeps else None
+    steps = makers[solver](model, sleep=sleep)
+    found, now, then = pipeline.contacts(), model.state(), model.state()
+
+    def step() -> None:
+        nonlocal now, then
+        pipeline.collide(now, found, dt=dt)
+        steps.step(now, then, None, found, dt)
+        now, then = then, now
+
+    for _ in range(round(2.0 / dt)):
+        step()
+        if (now.body_sleep.numpy()[:ball, 0] < 0).all():
+            break
+    asleep = int((now.body_sleep.numpy()[:, 0] < 0).sum())
+    pose, speed = now.body_q.numpy(), now.body_qd.numpy()
+    pose[ball] = (-SIDE, 0.0, 5.0 * SIDE, 0.0, 0.0, 0.0, 1.0)
+    speed[ball] = (2.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for state, field in ((pose, now.body_q), (speed, now.body_qd)):
+        field.assign(state)
+    if solver == "featherstone":
+        novaphy.eval_ik(model, now, now.joint_q, now.joint_qd)
+    facts: dict[str, object] = {"solver": solver, "sleep": sleeps, "asleep": asleep}
+    facts["step_s"] = median_time(repeats, step)
+    facts["asleep_behind"] = int((now.body_sleep.numpy()[:, 0] < 0).sum())
+    facts["rows"] = int(found.rigid_contact_count.numpy()[0])
+    facts["search_s"] = median_time(repeats, lambda: pipeline.collide(now, found, dt=dt))
+    return facts
+
+
 def main() -> None:
     """Run one scene, of each size."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--scene", choices=("cubes", "terrain"), default="cubes")
+    parser.add_argument("--scene", choices=("cubes", "terrain", "resting"), default="cubes")
     parser.add_argument("--n", type=int, nargs="+", default=[8])
     parser.add_argument("--repeats", type=int, default=60)
+    parser.add_argument("--solver", choices=("semi-implicit", "featherstone"))
+    parser.add_argument("--sleep", action="store_true")
     arguments = parser.parse_args()
     for n in arguments.n:
-        facts = (cubes if arguments.scene == "cubes" else terrain)(n, arguments.repeats)
+        if arguments.scene == "resting":
+            solver = arguments.solver or "semi-implicit"
+            facts = resting(n, arguments.repeats, solver, arguments.sleep)
+        else:
+            facts = (cubes if arguments.scene == "cubes" else terrain)(n, arguments.repeats)
         print(json.dumps({"scene": arguments.scene, "n": n} | facts), flush=True)
 
 

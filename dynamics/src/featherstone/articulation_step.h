@@ -27,6 +27,19 @@ void run_rows(const RowKernel<A>& kernel, int64_t n, const std::type_identity_t<
     kernel.rows(reinterpret_cast<const uint64_t*>(&in_memory), n, begin, end);
   });
 }
+// Likewise these rows only.
+template <class A>
+void run_some(const RowKernel<A>& kernel, int64_t n, const std::type_identity_t<A>& in_memory,
+              std::span<const int32_t> rows) {
+  for_chunks(static_cast<int64_t>(rows.size()), kTreeRows,
+             [&](int64_t begin, int64_t end, int64_t) {
+               for (int64_t k = begin; k < end; ++k) {
+                 const int64_t row = rows[static_cast<size_t>(k)];
+                 kernel.rows(reinterpret_cast<const uint64_t*>(&in_memory), n, row, row + 1);
+               }
+             });
+}
+
 // A step without contacts and dry friction.
 const Kernel<ArticulationStepArguments>& tree_step_kernel();
 

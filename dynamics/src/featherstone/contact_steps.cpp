@@ -198,11 +198,12 @@ ContactShapes ContactSteps::shapes(const ContactArguments& contacts) const {
 }
 
 // The contacts of each group, in their order.
-void ContactSteps::list_contacts(const ContactArguments& contacts,
-                                 const ContactRecord& record) const {
+void ContactSteps::list_contacts(const ContactArguments& contacts, const ContactRecord& record,
+                                 const SleepingTrees* sleeping) const {
   run(contact_kernels().contact_group, contacts.most,
       {.shapes = shapes(contacts),
-       .rows = Untyped(articulations_.rows()),
+       .rows = sleeping != nullptr ? Given<ArticulationRows>(direct(rows_.data()))
+                                   : Given<ArticulationRows>(Untyped(articulations_.rows())),
        .count = contacts.count,
        .group = group_,
        .force = contacts.force,
@@ -278,8 +279,8 @@ ArticulationContactStepArguments ContactSteps::step_arguments(const Articulation
 }
 
 void ContactSteps::step(const ArticulationStepArguments& of, const ContactArguments& contacts,
-                        const FeatherstoneOptions& o, const ContactRecord& record,
-                        TreeSteps* lanes) {
+                        const FeatherstoneOptions& o, const ContactRecord& record, TreeSteps* lanes,
+                        const SleepingTrees* sleeping) {
   require(
       lanes != nullptr || !has_long_trees_, ErrorKind::NotImplemented,
       "step: contacts, or dry friction of joints, of a model with an articulation of more than ",
@@ -289,7 +290,8 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
   reserve(contacts.most);
   const bool forgets = record.notes && reserve_notes();
   const ContactKernels& k = contact_kernels();
-  list_contacts(contacts, record);
+  if (sleeping != nullptr) hold_some(*sleeping);
+  list_contacts(contacts, record, sleeping);
   const bool fuses = on_stack_ && lanes == nullptr;
   const int64_t trees = articulations_.count();
   const auto numbers = static_cast<size_t>(trees * tree_stride_);
@@ -305,19 +307,22 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
     run(k.contact_step, groups_, a);
   } else {
     if (lanes != nullptr) last_ = in_memory(a);
-    const auto launch = [&](const auto& kernel, const auto& function, int64_t n) {
-      if (lanes != nullptr)
+    const auto launch = [&](const auto& kernel, const auto& function, int64_t n, bool all = false) {
+      if (sleeping != nullptr && !all)
+        run_some(function, n, *last_, sleeping->awake);
+      else if (lanes != nullptr)
         run_rows(function, n, *last_);
       else
         run(kernel, n, a);
     };
+    if (sleeping != nullptr) open_some(*sleeping, contacts);
     launch(k.contact_open, articulation_contact_open, trees);
-    launch(k.contact_islands, articulation_contact_islands, groups_);
-    const bool some = lanes == nullptr || take_trees(o, *lanes, record.records);
+    launch(k.contact_islands, articulation_contact_islands, groups_, true);
+    const bool some = lanes == nullptr || take_trees(o, *lanes, record.records, sleeping);
     if (some && lanes != nullptr) launch(k.contact_start, articulation_contact_start, trees);
     if (some) launch(k.contact_solve, articulation_contact_solve, trees);
     if (some) launch(k.contact_finish, articulation_contact_finish, trees);
-    if (record.notes) launch(k.contact_notes, articulation_contact_notes, groups_);
+    if (record.notes) launch(k.contact_notes, articulation_contact_notes, groups_, true);
   }
   if (!o.warm_start || (lanes != nullptr && has_failed())) return;
   const int64_t dofs = model_.joint_dof_count();
@@ -332,63 +337,6 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
        .dt = of.in.dt,
        .groups = groups_,
        .dofs = dofs});
-}
-
-namespace {
-
-// The contacts of the trees that TreeSteps takes.
-class TakenContacts : public TreeContacts {
- public:
-  explicit TakenContacts(const ArticulationContactStepArguments& a) : s_(a, nullptr, 0) {}
-
-  int32_t count(int64_t tree) const override { return node(tree).rows; }
-  int32_t fill(int64_t tree, int32_t i, float* numbers, int32_t stride) override {
-    int32_t link = 0;
-    const art::TreeContact<float> contact =
-        contact_of_tree(s_, static_cast<int32_t>(tree), place(tree, i), link);
-    float values[sizeof(contact) / sizeof(float)];
-    std::memcpy(values, &contact, sizeof(contact));
-    for (const float value : values) {
-      *numbers = value;
-      numbers += stride;
-    }
-    return link;
-  }
-  void take(int64_t tree, int32_t i, const float* impulses, int32_t stride) override {
-    const float along[3] = {impulses[0], impulses[stride], impulses[2 * stride]};
-    const int32_t at = place(tree, i);
-    take_contact(s_, at, art::contact_frame(s_.contacts.normal[s_.a.contacts[at]]), along);
-  }
-  void solved(int64_t tree, const art::IslandResult& result) override {
-    node(tree).result = result;
-  }
-
- private:
-  IslandNode& node(int64_t tree) const { return s_.a.nodes[tree]; }
-  int32_t place(int64_t tree, int32_t i) const {
-    const int32_t group = s_.a.shapes.group_of_tree[tree];
-    return s_.all.places[s_.a.contact_begin[group] + node(tree).begin + i];
-  }
-  const GroupStep s_;  // of any group: what it is asked for is of none
-};
-
-}  // namespace
-
-// Whether some trees are left.
-bool ContactSteps::take_trees(const FeatherstoneOptions& options, TreeSteps& lanes,
-                              bool keeps_rates) {
-  const std::span<IslandNode> nodes = nodes_here();
-  taken_.clear();
-  for (size_t i = 0; i < nodes.size(); ++i) {
-    IslandNode& node = nodes[i];
-    const bool alone = node.joined == 0 && node.root == static_cast<int32_t>(i) && node.met == 0 &&
-                       last_->step.status[i] == 0;
-    node.taken = alone ? 1 : 0;
-    if (alone) taken_.push_back(static_cast<int32_t>(i));
-  }
-  TakenContacts contacts(*last_);
-  lanes.step(last_->step, model_, taken_, options, &contacts, keeps_rates);
-  return taken_.size() < nodes.size();
 }
 
 std::span<IslandNode> ContactSteps::nodes_here() const {

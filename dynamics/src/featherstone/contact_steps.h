@@ -75,6 +75,13 @@ struct ContactDualArguments {
   Given<articulation::DualFloat> joint_friction, mu, restitution, ke, kd;
 };
 
+// Articulations in a step, on the CPU.
+struct SleepingTrees {
+  std::span<const uint8_t> asleep;  // of each: nonzero for those that impulses do not move
+  std::span<const int32_t> awake;   // the others, ascending
+  int32_t contacts = 0;             // the first rows
+};
+
 class ContactSteps {
  public:
   // A group is a world. Where an articulation belongs to all worlds, all are one group.
@@ -88,9 +95,11 @@ class ContactSteps {
   // Takes memory for the contacts where that of steps before is too small, and forgets their
   // impulses then. One that records starts from nothing, and solves all islands by pgs.h.
   // `lanes` (null: none; on the cpu) takes the articulations that touch nothing but the world.
-  // There the results of a step that fails (`status`) are not kept for the next.
+  // There the results of a step that fails (`status`) are not kept for the next. `sleeping`, with
+  // lanes only: articulations that keep their rows of the new state; null: none.
   void step(const ArticulationStepArguments& step, const ContactArguments& contacts,
-            const FeatherstoneOptions& options, const ContactRecord& record, TreeSteps* lanes);
+            const FeatherstoneOptions& options, const ContactRecord& record, TreeSteps* lanes,
+            const SleepingTrees* sleeping = nullptr);
   // Of the last step that noted its branches, before note_branches; on the cpu: the contacts that
   // begin in it. They approach by more than 1 mm/s, and than the forces of a step make, and did not
   // push in the step before. `qd` {dofs}: before the step; `landed`: ContactEvents::landed of the
@@ -136,7 +145,9 @@ class ContactSteps {
   bool reserve_notes();  // whether what the step before saw was lost
   void reserve_adjoint(bool dry, bool materials);
   // `record`: which results it clears.
-  void list_contacts(const ContactArguments& contacts, const ContactRecord& record) const;
+  void list_contacts(const ContactArguments& contacts, const ContactRecord& record,
+                     const SleepingTrees* sleeping = nullptr) const;
+  void hold_some(const SleepingTrees& sleeping);
   ContactShapes shapes(const ContactArguments& contacts) const;
   ContactGroupArguments groups(const ContactArguments& contacts, const FeatherstoneOptions& options,
                                const ContactRecord& record, const DeviceArray<float>& memory,
@@ -147,7 +158,9 @@ class ContactSteps {
                                                   const FeatherstoneOptions& options,
                                                   const ContactRecord& record, bool continues,
                                                   bool lanes) const;
-  bool take_trees(const FeatherstoneOptions& options, TreeSteps& lanes, bool keeps_rates);
+  bool take_trees(const FeatherstoneOptions& options, TreeSteps& lanes, bool keeps_rates,
+                  const SleepingTrees* sleeping);
+  void open_some(const SleepingTrees& sleeping, const ContactArguments& contacts);
   std::span<IslandNode> nodes_here() const;  // on the cpu
   std::vector<IslandNode> last_nodes() const;
   bool has_failed() const;                  // a tree of the last step, on the cpu
@@ -162,6 +175,8 @@ class ContactSteps {
   bool has_run_ = false;                                  // the last step had rows
   std::optional<ArticulationContactStepArguments> last_;  // in memory, on the cpu
   std::vector<int32_t> taken_;                            // trees
+  std::vector<ArticulationRows> rows_;                    // where some sleep: these do not move
+  std::vector<int32_t> met_;                              // trees that sleep and have a contact
   bool has_long_trees_ = false;  // without a mass matrix, which the kernels need
   Contacts none_;
   int64_t capacity_ = -1;  // contacts; -1: no memory was taken

@@ -9,6 +9,7 @@
 
 #include "../semi_implicit/rigid_bodies.h"
 #include "articulation_kernels.h"
+#include "articulation_sleep.h"
 #include "articulation_step.h"
 #include "contact_steps.h"
 #include "novaphy/core/error.h"
@@ -57,7 +58,7 @@ class EarlierState {
 }  // namespace
 
 struct SolverFeatherstone::Cache {
-  Cache(const Model& m, ArticulationContact contact)
+  Cache(const Model& m, ArticulationContact contact, const std::optional<SleepConfig>& of_sleep)
       : articulations(m, "SolverFeatherstone", Articulations::For::Steps),
         actuated(m),
         contacts(m, articulations),
@@ -76,6 +77,7 @@ struct SolverFeatherstone::Cache {
       return;
     }
     trees.emplace(m, articulations);
+    if (of_sleep) sleep.emplace(m, articulations, *of_sleep);
     free_bodies.assign(static_cast<size_t>(m.body_count()), 0);
     for (size_t i = 0; i < count; ++i) {
       const articulation::Tree<float> tree = articulations.tree(m, static_cast<int64_t>(i));
@@ -89,6 +91,7 @@ struct SolverFeatherstone::Cache {
   int64_t stride = 0;              // of the workspace
   std::vector<int32_t> all;        // articulations
   std::optional<TreeSteps> trees;  // on the cpu, where a step runs at once
+  std::optional<ArticulationSleep> sleep;
   ActuatedStep actuated;
   EarlierState earlier;
   bool keeps_earlier = false;  // in this step
@@ -96,6 +99,11 @@ struct SolverFeatherstone::Cache {
   RigidBodies penalty;
   // Of bodies on FREE joints: those that others hold have more than their own mass.
   std::vector<uint8_t> free_bodies;
+  const SleepingTrees* begin_sleep(const Model& m, const SimState& in, const Contacts* of,
+                                   const Control* control, const ArticulationStepArguments& step) {
+    if (!sleep) return nullptr;
+    return sleep->begin(m, in, of, control, in_memory(step).in, step.in.dt);
+  }
   bool warned = false;  // of the residual
   void warn_of_residual(const Model& m, const Contacts* of, float tolerance) {
     if (warned) return;
@@ -116,7 +124,9 @@ struct SolverFeatherstone::Cache {
 
 namespace {
 
-void check_contacts(const Contacts* contacts, ArticulationContact contact) {
+void check_contacts(const Contacts* contacts, const FeatherstoneOptions& options) {
+  check_not_on_tape(options.sleep, kName);
+  const ArticulationContact contact = options.contact;
   require(contacts == nullptr || contact != ArticulationContact::None, ErrorKind::Value, kName,
           ": contacts: expected none of a solver without a way of contact");
   require(contacts == nullptr || contact == ArticulationContact::Penalty ||
@@ -132,12 +142,19 @@ SolverFeatherstone::SolverFeatherstone(std::shared_ptr<const Model> model,
                                        const FeatherstoneOptions& options)
     : SolverBase(std::move(model)), options_(options) {
   check_featherstone_model(*this->model(), options, "SolverFeatherstone");
+  if (options.sleep) {
+    check_sleep("SolverFeatherstone", *options.sleep);
+    require_cpu(this->model()->device(), "SolverFeatherstone: sleep");
+    require(options.contact != ArticulationContact::Penalty, ErrorKind::NotImplemented,
+            "SolverFeatherstone: sleep: expected None with contact \"penalty\", got a SleepConfig; "
+            "use \"pgs\"");
+  }
   make_cache();
 }
 SolverFeatherstone::~SolverFeatherstone() = default;
 
 void SolverFeatherstone::make_cache() {
-  cache_ = std::make_unique<Cache>(*model(), options_.contact);
+  cache_ = std::make_unique<Cache>(*model(), options_.contact, options_.sleep);
 }
 
 void SolverFeatherstone::notify_model_changed(ModelFlags) {
@@ -188,7 +205,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   const ExclusiveUse::Scope scope = use(kName);
   const Model& m = *model();
   check_step(kName, state_in, state_out, control, contacts, dt);
-  check_contacts(contacts, options_.contact);
+  check_contacts(contacts, options_);
   m.check_numbers(kName);
   m.check_structure(kName);
   const bool penalty = options_.contact == ArticulationContact::Penalty;
@@ -220,15 +237,17 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
     if (c.watch.is_due(false)) c.watch.look(m, state_in, *contacts, dt, true, &c.free_bodies);
   }
   const Contacts* const touching = penalty ? nullptr : contacts;
+  const auto* const sleeping = c.begin_sleep(m, state_in, touching, control, a);
   const bool has_rows = c.contacts.has_rows(touching);
   // A tree alone that fails writes nothing.
   c.keeps_earlier = c.trees && (has_rows || c.all.size() > 1);
   if (c.keeps_earlier) c.earlier.keep(state_out);
   if (has_rows)
     c.contacts.step(a, touching == nullptr ? c.contacts.none() : contact_arguments(*touching),
-                    options_, {}, c.trees ? &*c.trees : nullptr);
+                    options_, {}, c.trees ? &*c.trees : nullptr, sleeping);
   else if (c.trees)
-    c.trees->step(in_memory(a), m, c.all, options_, nullptr);
+    c.trees->step(in_memory(a), m, sleeping != nullptr ? sleeping->awake : c.all, options_,
+                  nullptr);
   else
     run(tree_step_kernel(), c.articulations.count(), a);
   if (c.trees) finish(touching, control, state_in, state_out, dt);
@@ -239,8 +258,10 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
 void SolverFeatherstone::finish(const Contacts* contacts, const Control* control,
                                 const SimState& from, SimState& to, float dt) {
   Cache& c = *cache_;
+  if (c.sleep) c.sleep->keep(*model(), from, to, c.status);
   const std::span<const int32_t> status = {c.status.data(), c.status.rows()};
   if (std::all_of(status.begin(), status.end(), [](int32_t s) { return s == 0; })) {
+    if (c.sleep) c.sleep->end(*model(), from, to, dt);
     c.warn_of_residual(*model(), contacts, options_.pgs_tolerance);
     return c.actuated.finish(to);
   }

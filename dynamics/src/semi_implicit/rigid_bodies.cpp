@@ -119,14 +119,33 @@ void RigidBodies::add_contact_wrenches(const Model& m, const Transformf* q,
   });
 }
 
+// Wakes what contacts and forces wake.
+void RigidBodies::find_sleepers(const Model& m, const SimState& in, const Contacts* contacts,
+                                const JointForces& joints, const ParticleContacts* particles,
+                                SleepStep& sleep) {
+  sleep.begin(m, in);
+  if (contacts != nullptr) sleep.wake_touched(m, in, *contacts, bodies_, 0.0f);
+  if (joints.empty() && particles == nullptr) return;
+  forced_.clear();
+  for (int32_t b = 0; b < m.body_count(); ++b) {
+    SpatialVectorf wrench{};
+    if (!joints.empty()) wrench = joints.add(b, wrench);
+    if (particles != nullptr) wrench = particles->add(b, wrench);
+    if (!(wrench == SpatialVectorf{})) forced_.push_back(b);
+  }
+  sleep.wake_forced(forced_);
+}
+
 void RigidBodies::step(const Model& m, const SimState& in, SimState& out, const Contacts* contacts,
                        const JointForces& joints, const ParticleContacts* particles,
-                       const RigidStep& how, ContactWatch& watch) {
+                       const RigidStep& how, ContactWatch& watch, SleepStep* sleep) {
   if (m.body_count() == 0) return;
   const bool touching = contacts != nullptr && rows_ > 0;
   if (touching && how.stick_ke > 0.0f) sticks_.begin(*contacts, rows_, in.body_q);
   if (touching) evaluate(m, in.body_q.data(), in.body_qd.data(), *contacts, how);
   if (contacts != nullptr && watch.is_due(false)) watch.look(m, in, *contacts, how.dt, true);
+
+  if (sleep != nullptr) find_sleepers(m, in, contacts, joints, particles, *sleep);
 
   const Transformf* const q = in.body_q.data();
   const SpatialVectorf* const qd = in.body_qd.data();
@@ -145,23 +164,28 @@ void RigidBodies::step(const Model& m, const SimState& in, SimState& out, const 
     for (int64_t b = begin; b < end; ++b) {
       const RigidBodyState<float> now = {q[b], qd[b]};
       RigidBodyState<float> next;
-      if (has_flag(flags[b], BodyFlags::KINEMATIC)) {
+      const bool afloat = sleep != nullptr && sleep->is_afloat(static_cast<int32_t>(b));
+      if (sleep != nullptr && sleep->is_asleep(static_cast<int32_t>(b))) {
+        next = now;
+      } else if (has_flag(flags[b], BodyFlags::KINEMATIC)) {
         next = move_kinematic_body(now, com[b], how.dt);
       } else {
         SpatialVectorf wrench = applied[b];
         if (!joints.empty()) wrench = joints.add(b, wrench);
-        if (touching)
+        if (touching && !afloat)
           for (const int32_t item : sides_.items(b))
             wrench = wrench + wrenches_[static_cast<size_t>(item)];
         if (particles != nullptr) wrench = particles->add(b, wrench);
-        next = integrate_rigid_body(now, wrench, {com[b], inv_mass[b], inertia[b], inv_inertia[b]},
-                                    gravity[world[b] < 0 ? last_world : world[b]],
-                                    how.angular_damping, how.dt, is_of_newton(how.friction_law));
+        next =
+            integrate_rigid_body(now, wrench, {com[b], inv_mass[b], inertia[b], inv_inertia[b]},
+                                 afloat ? Vec3f{} : gravity[world[b] < 0 ? last_world : world[b]],
+                                 how.angular_damping, how.dt, is_of_newton(how.friction_law));
       }
       q_out[b] = next.q;
       qd_out[b] = next.qd;
     }
   });
+  if (sleep != nullptr) sleep->end(m, in, out, how.dt);
   if (touching && how.stick_ke > 0.0f) sticks_.end(out.body_q);
 }
 

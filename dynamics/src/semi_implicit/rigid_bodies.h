@@ -4,6 +4,7 @@
 
 #include <vector>
 
+#include "../sleep_step.h"
 #include "joint_forces.h"
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
@@ -35,10 +36,10 @@ class RigidBodies {
   // Adds the wrenches of `joints`, which were evaluated, to body_f, then those of the contacts.
   // Writes the bodies of `out`, and rigid_contact_force of the contacts that were prepared.
   // `particles`: those that touch bodies, evaluated; null: none. `watch` looks at the contacts
-  // before bodies are written.
+  // before bodies are written. `sleep` null: no body sleeps.
   void step(const Model& model, const SimState& in, SimState& out, const Contacts* contacts,
             const JointForces& joints, const ParticleContacts* particles, const RigidStep& how,
-            ContactWatch& watch);
+            ContactWatch& watch, SleepStep* sleep = nullptr);
   // The poses that a step wrote are now in `to`, from which the next step goes on.
   void were_copied(const Array& from, const Array& to) { sticks_.were_copied(from, to); }
   // Adds what the contacts that were prepared do to the bodies at `q` with the velocities `qd` to
@@ -49,6 +50,9 @@ class RigidBodies {
                             SpatialVectorf* wrenches);
 
  private:
+  void find_sleepers(const Model& model, const SimState& in, const Contacts* contacts,
+                     const JointForces& joints, const ParticleContacts* particles,
+                     SleepStep& sleep);
   void evaluate(const Model& model, const Transformf* q, const SpatialVectorf* qd,
                 const Contacts& contacts, const RigidStep& how);
 
@@ -58,6 +62,7 @@ class RigidBodies {
   IndexRows sides_;                       // of every body
   std::vector<SpatialVectorf> wrenches_;  // what every side adds to its body
   StickSprings sticks_;
+  std::vector<int32_t> forced_;  // bodies on which joints or particles act
 };
 
 }  // namespace novaphy

@@ -42,15 +42,21 @@ RigidStep rigid_step(const SemiImplicitOptions& o, float dt) {
           .penalty_law = o.penalty_law};
 }
 
+void refuse_tape(const std::optional<SleepConfig>& sleep) {
+  check_not_on_tape(sleep, kName);
+  if (ArrayObserver* observer = array_observer()) observer->untracked_operation(kName);
+}
+
 void check_covered(const Model& model) { JointForces::check_covered(model, "SolverSemiImplicit"); }
 
 }  // namespace
 
 struct SolverSemiImplicit::Cache {
-  Cache(const Model& m, FrictionLaw law)
+  Cache(const Model& m, FrictionLaw law, const std::optional<SleepConfig>& of_sleep)
       : materials("SolverSemiImplicit", {.ka = m.body_count() > 0}) {
     materials.check(m);
     if (law == FrictionLaw::Huber || law == FrictionLaw::Newton17) watch.leave_out_friction();
+    if (of_sleep) sleep.emplace(*of_sleep);
   }
   ParticleContacts contacts;
   ElementForces elements;
@@ -60,13 +66,14 @@ struct SolverSemiImplicit::Cache {
   EditedValues values{"SolverSemiImplicit"};
   ContactWatch watch{kName};
   ParticleWatch particle_watch{kName};
+  std::optional<SleepStep> sleep;
 };
 
 SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
                                        const SemiImplicitOptions& options)
     : SolverBase(std::move(model)),
       options_(options),
-      cache_(std::make_unique<Cache>(*this->model(), options.friction_law)) {
+      cache_(std::make_unique<Cache>(*this->model(), options.friction_law, options.sleep)) {
   require(options.particle_kf_bound >= 0.0f, ErrorKind::Value,
           "SolverSemiImplicit: particle_kf_bound: expected a number >= 0, got ",
           options.particle_kf_bound);
@@ -86,6 +93,10 @@ SolverSemiImplicit::SolverSemiImplicit(std::shared_ptr<const Model> model,
           "SolverSemiImplicit: penalty_law: expected \"sampled\" with stick_ke, got \"mean\"");
   check_option("joint_attach_ke", options.joint_attach_ke);
   check_option("joint_attach_kd", options.joint_attach_kd);
+  if (options.sleep) {
+    check_sleep("SolverSemiImplicit", *options.sleep);
+    require_cpu(this->model()->device(), "SolverSemiImplicit: sleep");
+  }
   check_covered(*this->model());
   on_device_ = detail::make_device_steps(this->model(), options_);
 }
@@ -94,7 +105,7 @@ SolverSemiImplicit::~SolverSemiImplicit() = default;
 
 void SolverSemiImplicit::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("SolverSemiImplicit.notify_model_changed");
-  *cache_ = Cache(*model(), options_.friction_law);
+  *cache_ = Cache(*model(), options_.friction_law, options_.sleep);
   on_device_ = detail::make_device_steps(model(), options_);
 }
 
@@ -126,7 +137,7 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
     take_next(state_in);
     return cache_->bodies.were_copied(next.body_q, state_in.body_q);
   }
-  if (ArrayObserver* observer = array_observer()) observer->untracked_operation(kName);
+  refuse_tape(options_.sleep);
   const ExclusiveUse::Scope scope = use(kName);
   const Model& m = *model();
   check_step(kName, state_in, state_out, control, contacts, dt);
@@ -174,7 +185,7 @@ void SolverSemiImplicit::step(SimState& state_in, SimState& state_out, const Con
   const bool particles_touch = touching && cache_->contacts.touches_bodies();
   cache_->bodies.step(m, state_in, state_out, contacts, cache_->joints,
                       particles_touch ? &cache_->contacts : nullptr, rigid_step(options_, dt),
-                      cache_->watch);
+                      cache_->watch, cache_->sleep ? &*cache_->sleep : nullptr);
   if (!touching && !deformable) {
     const Vec3f* f = state_in.particle_f.data();
     for_chunks(m.particle_count(), kChunk, [&](int64_t begin, int64_t end, int64_t) {

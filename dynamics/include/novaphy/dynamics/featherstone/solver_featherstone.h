@@ -2,7 +2,9 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 
+#include "novaphy/core/sim/sleep.h"
 #include "novaphy/core/sim/solver_base.h"
 #include "novaphy/dynamics/export.h"
 
@@ -40,6 +42,9 @@ struct FeatherstoneOptions {
   bool compliant_contacts = false;
   // Of Penalty: m/s, below which friction is smoothed.
   float friction_smoothing = 0.1f;
+  // Islands of bodies on FREE joints that rest keep their bits (core/sim/sleep.h), on the CPU, with
+  // Pgs or None. Bodies of other articulations never sleep. Empty: none sleeps.
+  std::optional<SleepConfig> sleep = {};
 };
 
 // Covers joints of all types but DISTANCE in articulations, in any order with parents first: drives

@@ -4,6 +4,7 @@
 #include <memory>
 #include <optional>
 
+#include "novaphy/core/sim/sleep.h"
 #include "novaphy/core/sim/solver_base.h"
 #include "novaphy/dynamics/export.h"
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
@@ -31,6 +32,8 @@ struct SemiImplicitOptions {
   float joint_attach_ke = 1.0e4f;
   float joint_attach_kd = 1.0e2f;
   bool enable_tri_contact = true;
+  // Bodies at rest keep their bits (core/sim/sleep.h), on the CPU. Empty: none sleeps.
+  std::optional<SleepConfig> sleep = {};
 };
 
 // Covers particles and elements over them: external forces, springs, triangles, bending edges,

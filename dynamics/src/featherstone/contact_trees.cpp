@@ -1,0 +1,104 @@
+// Which articulations a step with contacts takes on the CPU: several at once by TreeSteps, and none
+// that sleeps.
+#include <algorithm>
+#include <cstring>
+
+#include "articulation_contact_kernels.h"
+#include "articulation_step.h"
+#include "contact_steps.h"
+#include "novaphy/core/assert.h"
+
+namespace novaphy {
+
+namespace art = articulation;
+
+namespace {
+
+// The contacts of the trees that TreeSteps takes.
+class TakenContacts : public TreeContacts {
+ public:
+  explicit TakenContacts(const ArticulationContactStepArguments& a) : s_(a, nullptr, 0) {}
+
+  int32_t count(int64_t tree) const override { return node(tree).rows; }
+  int32_t fill(int64_t tree, int32_t i, float* numbers, int32_t stride) override {
+    int32_t link = 0;
+    const art::TreeContact<float> contact =
+        contact_of_tree(s_, static_cast<int32_t>(tree), place(tree, i), link);
+    float values[sizeof(contact) / sizeof(float)];
+    std::memcpy(values, &contact, sizeof(contact));
+    for (const float value : values) {
+      *numbers = value;
+      numbers += stride;
+    }
+    return link;
+  }
+  void take(int64_t tree, int32_t i, const float* impulses, int32_t stride) override {
+    const float along[3] = {impulses[0], impulses[stride], impulses[2 * stride]};
+    const int32_t at = place(tree, i);
+    take_contact(s_, at, art::contact_frame(s_.contacts.normal[s_.a.contacts[at]]), along);
+  }
+  void solved(int64_t tree, const art::IslandResult& result) override {
+    node(tree).result = result;
+  }
+
+ private:
+  IslandNode& node(int64_t tree) const { return s_.a.nodes[tree]; }
+  int32_t place(int64_t tree, int32_t i) const {
+    const int32_t group = s_.a.shapes.group_of_tree[tree];
+    return s_.all.places[s_.a.contact_begin[group] + node(tree).begin + i];
+  }
+  const GroupStep s_;  // of any group: what it is asked for is of none
+};
+
+}  // namespace
+
+// Whether some trees are left.
+bool ContactSteps::take_trees(const FeatherstoneOptions& options, TreeSteps& lanes,
+                              bool keeps_rates, const SleepingTrees* sleeping) {
+  const std::span<IslandNode> nodes = nodes_here();
+  taken_.clear();
+  for (size_t i = 0; i < nodes.size(); ++i) {
+    IslandNode& node = nodes[i];
+    const bool sleeps = sleeping != nullptr && sleeping->asleep[i] != 0;
+    const bool alone = !sleeps && node.joined == 0 && node.root == static_cast<int32_t>(i) &&
+                       node.met == 0 && last_->step.status[i] == 0;
+    node.taken = alone ? 1 : 0;
+    if (alone) taken_.push_back(static_cast<int32_t>(i));
+  }
+  TakenContacts contacts(*last_);
+  lanes.step(last_->step, model_, taken_, options, &contacts, keeps_rates);
+  return taken_.size() < (sleeping != nullptr ? sleeping->awake.size() : nodes.size());
+}
+
+// Nothing moves trees that sleep.
+void ContactSteps::hold_some(const SleepingTrees& sleeping) {
+  const auto* const all = reinterpret_cast<const ArticulationRows*>(articulations_.rows().data());
+  rows_.assign(all, all + articulations_.count());
+  for (size_t i = 0; i < rows_.size(); ++i)
+    if (sleeping.asleep[i] != 0) rows_[i].moves = 0;
+}
+
+// Trees that sleep are there for what touches them.
+void ContactSteps::open_some(const SleepingTrees& sleeping, const ContactArguments& contacts) {
+  last_->step.in.rows = direct(rows_.data());
+  const GroupStep any(*last_, nullptr, 0);
+  for (size_t i = 0; i < rows_.size(); ++i) {
+    if (sleeping.asleep[i] == 0) continue;
+    last_->step.status[i] = 0;
+    start_node(any, static_cast<int32_t>(i));
+  }
+  met_.clear();
+  const ContactShapes of = in_memory(shapes(contacts));
+  for (int32_t contact = 0; contact < sleeping.contacts; ++contact) {
+    art::ContactSide sides[2];
+    contact_sides(of, contact, sides);
+    for (const art::ContactSide& side : sides)
+      if (side.tree >= 0 && sleeping.asleep[static_cast<size_t>(side.tree)] != 0)
+        met_.push_back(side.tree);
+  }
+  std::sort(met_.begin(), met_.end());
+  met_.erase(std::unique(met_.begin(), met_.end()), met_.end());
+  run_some(articulation_contact_open, articulations_.count(), *last_, met_);
+}
+
+}  // namespace novaphy

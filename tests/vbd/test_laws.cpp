@@ -4,16 +4,16 @@
 
 #include <random>
 
-#include "novaphy/vbd/bending_law.h"
-#include "novaphy/vbd/membrane_law.h"
+#include "novaphy/vbd/elements/list.h"
 #include "novaphy/vbd/particle_contact_law.h"
-#include "novaphy/vbd/spring_law.h"
-#include "novaphy/vbd/tetrahedron_law.h"
 #include "real64.h"
+#include "slots.h"
 
 namespace novaphy::vbd {
 namespace {
 
+using testing::energy_at;
+using testing::force_at;
 using testing::Real64;
 using Point = Vec3<Real64>;
 
@@ -58,32 +58,38 @@ void expect_exact(const Block<Real64>& block, const Force& force, const Point& x
   EXPECT_LT(math::length(change - hd).v, 1e-6 * std::max(1.0, math::length(hd).v));
 }
 
+// The force of a slot is minus the derivative of its energy, and H has no negative eigenvalue.
+template <Role role>
+void expect_law(const SlotInputs<role, Real64>& in) {
+  const auto block = block_of(in, true);
+  expect_force(block, gradient([&](const Point& p) { return energy_at(in, p); }, in.own));
+  expect_semidefinite(block);
+}
+
 TEST(VbdLaws, ASpringsForceIsMinusTheDerivativeOfItsEnergy) {
   for (int trial = 0; trial < 100; ++trial) {
     const Point x = random_point(), other = random_point();
-    const SpringLaw<Real64> law = {random(0, 100), random(0, 10), random(0.1, 2)};
-    const Real64 start = random(0.1, 2);
-    const auto block = spring_block(x, other, law, start);
-    expect_force(block,
-                 gradient([&](const Point& p) { return spring_energy(p, other, law, start); }, x));
-    expect_semidefinite(block);
-    const auto force = [&](const Point& p) { return spring_block(p, other, law, start).f; };
+    SlotInputs<kSpring, Real64> in = {
+        x, {other}, {random(0, 100), random(0, 10), random(0.1, 2), random(0.1, 2)}};
+    expect_law(in);
+    const Point force = force_at(in, x);
+    SlotInputs<kSpring, Real64> back = in;
+    back.others[0] = x;
+    EXPECT_LT(math::length(force + force_at(back, other)).v, 1e-9);
     // Without the projection H lacks only what the damper's turning adds.
-    const SpringLaw<Real64> undamped = {law.ke, Real64(0.0), law.rest};
-    const auto elastic = [&](const Point& p) { return spring_block(p, other, undamped, start).f; };
-    expect_exact(spring_block<false>(x, other, undamped, start), elastic, x);
-    if (spring_length(x, other) > law.rest)
-      expect_exact(spring_block(x, other, undamped, start), elastic, x);
-    EXPECT_LT(math::length(force(x) + spring_block(other, x, law, start).f).v, 1e-9);
+    in.numbers[1] = Real64(0.0);
+    const auto elastic = [&in](const Point& p) { return force_at(in, p); };
+    expect_exact(Spring::block<false>(in, true), elastic, x);
+    if (Spring::length(in) > in.numbers[2]) expect_exact(block_of(in, true), elastic, x);
   }
 }
 
 // A spring that is pressed to half its length has an indefinite second derivative; H does not.
 TEST(VbdLaws, APressedSpringIsProjected) {
-  const Point x = {Real64(0.5), Real64(0.0), Real64(0.0)};
-  const SpringLaw<Real64> law = {Real64(10.0), Real64(0.0), Real64(1.0)};
-  const auto exact = spring_block<false>(x, Point{}, law, Real64(1.0));
-  const auto used = spring_block(x, Point{}, law, Real64(1.0));
+  const SlotInputs<kSpring, Real64> in = {{Real64(0.5), Real64(0.0), Real64(0.0)},
+                                          {Point{}},
+                                          {Real64(10.0), Real64(0.0), Real64(1.0), Real64(1.0)}};
+  const auto exact = Spring::block<false>(in, true), used = Spring::block(in, true);
   EXPECT_DOUBLE_EQ(exact.h11.v, -10.0);
   EXPECT_DOUBLE_EQ(used.h11.v, 0.0);
   EXPECT_DOUBLE_EQ(used.h00.v, exact.h00.v);
@@ -92,25 +98,21 @@ TEST(VbdLaws, APressedSpringIsProjected) {
 TEST(VbdLaws, AMembranesForceIsMinusTheDerivativeOfItsEnergy) {
   int extended = 0;
   for (int trial = 0; trial < 200; ++trial) {
-    const Point x = random_point(), x1 = random_point(), x2 = random_point();
-    const MembraneWeights<Real64> w = {{random(-2, 2), random(-2, 2)},
-                                       {random(-2, 2), random(-2, 2)}};
+    SlotInputs<kTriangle, Real64> in = {random_point(), {random_point(), random_point()}, {}};
+    for (int k = 0; k < Triangle::kWeights; ++k) in.numbers[k] = random(-2, 2);
     const Real64 kd = trial % 2 == 0 ? Real64(0.0) : random(0, 5);
-    const auto law =
-        membrane_law(random(0.1, 1), random(0, 100), random(0, 100), random(-0.5, 0.5), kd);
-    const auto start = membrane_strain(near(x, 0.1), near(x1, 0.1), near(x2, 0.1), w);
-    const auto block = membrane_block(x, x1, x2, w, law, start, true);
-    expect_force(
-        block,
-        gradient([&](const Point& p) { return membrane_energy(p, x1, x2, w, law, start); }, x));
-    expect_semidefinite(block);
+    put_neo_hookean(Triangle::kWeights, random(0.1, 1), random(0, 100), random(0, 100),
+                    random(-0.5, 0.5), kd,
+                    [&in](int k, const Real64& value) { in.numbers[k] = value; });
+    const Point before[] = {near(in.others[0], 0.1), near(in.others[1], 0.1)};
+    testing::set_start<kTriangle, Real64>(in, near(in.own, 0.1), before);
+    expect_law(in);
     if (kd.v != 0.0) continue;
-    const auto shape = membrane_detail::shape(x, x1, x2, w);
-    if (shape.area_ratio < law.alpha) continue;
+    const auto c = Triangle::columns(in);
+    if (Triangle::area_ratio(math::cross(c.f0, c.f1)) < in.numbers[6]) continue;
     ++extended;
     expect_exact(
-        block, [&](const Point& p) { return membrane_block(p, x1, x2, w, law, start, false).f; },
-        x);
+        block_of(in, false), [&](const Point& p) { return force_at(in, p); }, in.own);
   }
   EXPECT_GT(extended, 20);
 }
@@ -118,26 +120,22 @@ TEST(VbdLaws, AMembranesForceIsMinusTheDerivativeOfItsEnergy) {
 TEST(VbdLaws, ATetrahedronsForceAndHessianAreTheDerivativesOfItsEnergy) {
   int inverted = 0;
   for (int trial = 0; trial < 200; ++trial) {
-    const Point x = random_point(), x1 = random_point(), x2 = random_point(), x3 = random_point();
-    const TetrahedronWeights<Real64> w = {random_point(2), random_point(2), random_point(2)};
+    SlotInputs<kTetrahedron, Real64> in = {
+        random_point(), {random_point(), random_point(), random_point()}, {}};
+    for (int k = 0; k < Tetrahedron::kWeights; ++k) in.numbers[k] = random(-2, 2);
     const Real64 kd = trial % 2 == 0 ? Real64(0.0) : random(0, 5);
-    const auto law =
-        tetrahedron_law(random(0.1, 1), random(0.1, 100), random(0, 100), random(-0.5, 0.5), kd);
-    const auto start =
-        tetrahedron_strain(near(x, 0.1), near(x1, 0.1), near(x2, 0.1), near(x3, 0.1), w);
-    const auto block = tetrahedron_block(x, x1, x2, x3, w, law, start, true);
-    expect_force(
-        block,
-        gradient([&](const Point& p) { return tetrahedron_energy(p, x1, x2, x3, w, law, start); },
-                 x));
-    expect_semidefinite(block);
-    const auto g = tetrahedron_detail::gradient(x, x1, x2, x3, w);
+    put_neo_hookean(Tetrahedron::kWeights, random(0.1, 1), random(0.1, 100), random(0, 100),
+                    random(-0.5, 0.5), kd,
+                    [&in](int k, const Real64& value) { in.numbers[k] = value; });
+    const Point before[] = {near(in.others[0], 0.1), near(in.others[1], 0.1),
+                            near(in.others[2], 0.1)};
+    testing::set_start<kTetrahedron, Real64>(in, near(in.own, 0.1), before);
+    expect_law(in);
+    const auto g = Tetrahedron::columns(in);
     inverted += math::dot(g.f[0], math::cross(g.f[1], g.f[2])).v < 0.0;
     if (kd.v != 0.0) continue;
     expect_exact(
-        block,
-        [&](const Point& p) { return tetrahedron_block(p, x1, x2, x3, w, law, start, false).f; },
-        x);
+        block_of(in, false), [&](const Point& p) { return force_at(in, p); }, in.own);
   }
   EXPECT_GT(inverted, 50);
 }
@@ -145,23 +143,25 @@ TEST(VbdLaws, ATetrahedronsForceAndHessianAreTheDerivativesOfItsEnergy) {
 TEST(VbdLaws, ABendingEdgesForceIsMinusTheDerivativeOfItsEnergy) {
   for (int trial = 0; trial < 100; ++trial) {
     const Real64 zero, one(1.0);
-    const Point x0 = near({zero, one, zero}, 0.4), x1 = near({zero, -one, zero}, 0.4);
-    const Point x2 = near({-one, zero, zero}, 0.4), x3 = near({one, zero, zero}, 0.4);
-    const BendingLaw<Real64> law = {random(0, 10), random(0, 2), random(-1, 1)};
-    const Real64 start = random(-0.5, 0.5);
-    const auto opposite = bending_opposite_block(x0, x1, x2, x3, law, start);
-    const auto end = bending_end_block(x0, x1, x2, x3, law, start);
-    expect_force(
-        opposite,
-        gradient([&](const Point& p) { return bending_energy(p, x1, x2, x3, law, start); }, x0));
-    expect_force(
-        end,
-        gradient([&](const Point& p) { return bending_energy(x0, x1, p, x3, law, start); }, x2));
-    expect_semidefinite(opposite);
-    expect_semidefinite(end);
-    // The four forces balance; the other two are those of the edge read from its other side.
-    const Point sum = (opposite.f + end.f) + (bending_opposite_block(x1, x0, x3, x2, law, start).f +
-                                              bending_end_block(x1, x0, x3, x2, law, start).f);
+    const Point x[] = {near({zero, one, zero}, 0.4), near({zero, -one, zero}, 0.4),
+                       near({-one, zero, zero}, 0.4), near({one, zero, zero}, 0.4)};
+    const Real64 numbers[] = {random(0, 10), random(0, 2), random(-1, 1), random(-0.5, 0.5)};
+    Point sum;
+    const auto add = [&](auto is, int corner) {
+      constexpr Role role = decltype(is)::role;
+      SlotInputs<role, Real64> in = {x[corner], {}, {}};
+      for (int k = 0; k < 3; ++k) in.others[k] = x[Hinge::other_corner(corner, k)];
+      for (int k = 0; k < 4; ++k) in.numbers[k] = numbers[k];
+      expect_law(in);
+      sum = sum + block_of(in, true).f;
+    };
+    for (int corner = 0; corner < 4; ++corner) {
+      if (corner < 2) {
+        add(RoleIs<kHingeOpposite>(), corner);
+      } else {
+        add(RoleIs<kHingeEnd>(), corner);
+      }
+    }
     EXPECT_LT(math::length(sum).v, 1e-9);
   }
 }
@@ -203,7 +203,8 @@ TEST(VbdLaws, ASeparatedContactAndAFlatHingeHaveNoBlock) {
   const auto far = particle_contact_block({0.0f, 0.0f, 0.11f}, {1.0f, 0.0f, 0.5f}, contact);
   EXPECT_EQ(math::length(far.f) + far.h00 + far.h22, 0.0f);
   const Vec3f a = {0.0f, 1.0f, 0.0f}, b = {-1.0f, 0.0f, 0.0f};
-  const auto degenerate = bending_end_block<float>(a, a, b, b, {1.0f, 1.0f, 0.0f}, 0.0f);
+  const SlotInputs<kHingeEnd, float> in = {b, {a, a, b}, {1.0f, 1.0f, 0.0f, 0.0f}};
+  const auto degenerate = block_of(in, true);
   EXPECT_EQ(math::length(degenerate.f) + degenerate.h00, 0.0f);
 }
 

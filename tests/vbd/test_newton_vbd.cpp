@@ -4,11 +4,9 @@
 
 #include "newton_scene.h"
 #include "novaphy/math/matrix.h"
-#include "novaphy/vbd/bending_law.h"
-#include "novaphy/vbd/membrane_law.h"
+#include "novaphy/vbd/elements/list.h"
 #include "novaphy/vbd/particle_contact_law.h"
-#include "novaphy/vbd/spring_law.h"
-#include "novaphy/vbd/tetrahedron_law.h"
+#include "slots.h"
 
 namespace novaphy {
 namespace {
@@ -70,22 +68,20 @@ TEST(NewtonVbdUnits, TrianglesAreNewtons) {
   Units units(file, "tri", 3);
   for (size_t e = 0; e < units.count(); ++e) {
     const auto& d = pose[e].m;
-    const Vec2f rows[3] = {
-        {-(d[0][0] + d[1][0]), -(d[0][1] + d[1][1])}, {d[0][0], d[0][1]}, {d[1][0], d[1][1]}};
-    const auto law =
-        vbd::membrane_law(area[e], material[e].x, material[e].y, 0.0f, material[e].z / dt);
+    const std::span<const Vec3f> at(&x[3 * e], 3), before(&xn[3 * e], 3);
+    const auto slot = [&](int c) {
+      return testing::slot_of<vbd::kTriangle, float>(
+          c, at, before,
+          {d[0][0], d[0][1], d[1][0], d[1][1], area[e], material[e].x, material[e].y, material[e].z,
+           0.0f},
+          dt);
+    };
     // A needle of no area has no normal.
-    const auto shape = vbd::membrane_detail::shape(x[3 * e], x[3 * e + 1], x[3 * e + 2],
-                                                   vbd::MembraneWeights<float>{rows[1], rows[2]});
-    if (shape.area_ratio < 1e-3f * (math::dot(shape.f0, shape.f0) + math::dot(shape.f1, shape.f1)))
-      continue;
+    const auto f = vbd::Triangle::columns(slot(0));
+    const auto c = vbd::Triangle::strain(f);
+    if (vbd::Triangle::area_ratio(math::cross(f.f0, f.f1)) < 1e-3f * (c.c00 + c.c11)) continue;
     std::vector<Block<float>> blocks;
-    for (size_t c = 0; c < 3; ++c) {
-      const size_t i = 3 * e + c, j = 3 * e + (c + 1) % 3, k = 3 * e + (c + 2) % 3;
-      const vbd::MembraneWeights<float> w = {rows[(c + 1) % 3], rows[(c + 2) % 3]};
-      blocks.push_back(vbd::membrane_block(x[i], x[j], x[k], w, law,
-                                           vbd::membrane_strain(xn[i], xn[j], xn[k], w), true));
-    }
+    for (int c = 0; c < 3; ++c) blocks.push_back(vbd::block_of(slot(c), true));
     units.compare(e, blocks);
   }
   EXPECT_EQ(units.compared, units.count() - 4);
@@ -100,20 +96,23 @@ TEST(NewtonVbdUnits, BendingEdgesAreNewtons) {
   const float dt = file["unit_dt"].scalar<float>();
   Units units(file, "edge", 4);
   for (size_t e = 0; e < units.count(); ++e) {
-    const vbd::BendingLaw<float> law = {material[e].x * length[e], (material[e].y / dt) * length[e],
-                                        rest[e]};
     const int32_t id[4] = {index[e].x, index[e].y, index[e].z, index[e].w};
     if (id[0] < 0 || id[1] < 0) continue;
-    const auto at = [&](std::span<const Vec3f> q, int c) { return q[static_cast<size_t>(id[c])]; };
-    std::vector<Block<float>> blocks;
-    for (int c = 0; c < 4; ++c) {
-      const int side = c % 2;
-      const Vec3f p[4] = {at(x, side), at(x, 1 ^ side), at(x, 2 ^ side), at(x, 3 ^ side)};
-      const float start =
-          vbd::bending_angle(at(xn, side), at(xn, 1 ^ side), at(xn, 2 ^ side), at(xn, 3 ^ side));
-      blocks.push_back(c < 2 ? vbd::bending_opposite_block(p[0], p[1], p[2], p[3], law, start)
-                             : vbd::bending_end_block(p[0], p[1], p[2], p[3], law, start));
+    Vec3f at[4], before[4];
+    for (size_t c = 0; c < 4; ++c) {
+      at[c] = x[static_cast<size_t>(id[c])];
+      before[c] = xn[static_cast<size_t>(id[c])];
     }
+    const auto block = [&](auto is, int c) {
+      return vbd::block_of(
+          testing::slot_of<decltype(is)::role, float>(
+              c, at, before, {material[e].x, material[e].y, rest[e], length[e]}, dt),
+          true);
+    };
+    std::vector<Block<float>> blocks;
+    for (int c = 0; c < 4; ++c)
+      blocks.push_back(c < 2 ? block(vbd::RoleIs<vbd::kHingeOpposite>(), c)
+                             : block(vbd::RoleIs<vbd::kHingeEnd>(), c));
     units.compare(e, blocks, kEdgeTolerance);
   }
   EXPECT_GT(units.compared, 50u);
@@ -130,21 +129,21 @@ TEST(NewtonVbdUnits, TetrahedraAreNewtons) {
     Vec3f rows[4];
     for (int c = 1; c < 4; ++c) rows[c] = math::row(pose[e], c - 1);
     rows[0] = -((rows[1] + rows[2]) + rows[3]);
-    const auto law = vbd::tetrahedron_law(1.0f / (math::determinant(pose[e]) * 6.0f), material[e].x,
-                                          material[e].y, 0.0f, material[e].z / dt);
     // A sliver that is hundreds of times longer than wide at rest loses the digits.
     float size = 0.0f;
     for (int c = 1; c < 4; ++c) size = std::max(size, math::length(rows[c]));
     if (size > 100.0f * std::cbrt(math::determinant(pose[e]))) continue;
     std::vector<Block<float>> blocks;
-    for (size_t c = 0; c < 4; ++c) {
-      const auto at = [&](std::span<const Vec3f> q, size_t k) { return q[4 * e + (c + k) % 4]; };
-      const vbd::TetrahedronWeights<float> w = {rows[(c + 1) % 4], rows[(c + 2) % 4],
-                                                rows[(c + 3) % 4]};
-      const auto start = vbd::tetrahedron_strain(at(xn, 0), at(xn, 1), at(xn, 2), at(xn, 3), w);
+    const auto& d = pose[e].m;
+    const std::span<const Vec3f> at(&x[4 * e], 4), before(&xn[4 * e], 4);
+    for (int c = 0; c < 4; ++c)
       blocks.push_back(
-          vbd::tetrahedron_block(at(x, 0), at(x, 1), at(x, 2), at(x, 3), w, law, start, true));
-    }
+          vbd::block_of(testing::slot_of<vbd::kTetrahedron, float>(
+                            c, at, before,
+                            {d[0][0], d[0][1], d[0][2], d[1][0], d[1][1], d[1][2], d[2][0], d[2][1],
+                             d[2][2], material[e].x, material[e].y, material[e].z, 0.0f},
+                            dt),
+                        true));
     units.compare(e, blocks);
   }
   EXPECT_EQ(units.compared, units.count() - 1);
@@ -160,14 +159,15 @@ TEST(NewtonVbdUnits, SpringsAreNewtons) {
   Units units(file, "spring", 2);
   size_t stretched = 0;
   for (size_t e = 0; e < units.count(); ++e) {
-    const Vec3f a = x[2 * e], b = x[2 * e + 1];
-    const vbd::SpringLaw<float> law = {ke[e], kd[e] / dt, rest[e]};
-    const float start = vbd::spring_length(xn[2 * e], xn[2 * e + 1]);
-    units.compare(e, {vbd::spring_block<false>(a, b, law, start),
-                      vbd::spring_block<false>(b, a, law, start)});
-    if (vbd::spring_length(a, b) < rest[e]) continue;
+    const std::span<const Vec3f> at(&x[2 * e], 2), before(&xn[2 * e], 2);
+    const auto slot = [&](int c) {
+      return testing::slot_of<vbd::kSpring, float>(c, at, before, {ke[e], kd[e], rest[e]}, dt);
+    };
+    units.compare(
+        e, {vbd::Spring::block<false>(slot(0), true), vbd::Spring::block<false>(slot(1), true)});
+    if (vbd::Spring::length(slot(0)) < rest[e]) continue;
     ++stretched;
-    units.compare(e, {vbd::spring_block(a, b, law, start), vbd::spring_block(b, a, law, start)});
+    units.compare(e, {vbd::block_of(slot(0), true), vbd::block_of(slot(1), true)});
   }
   EXPECT_GT(stretched, 10u);
 }

@@ -5,8 +5,8 @@
 #include <cmath>
 
 #include "newton_oracle.h"
+#include "novaphy/vbd/elements/list.h"
 #include "novaphy/vbd/particle_contact_law.h"
-#include "novaphy/vbd/spring_law.h"
 #include "real64.h"
 
 namespace novaphy {
@@ -75,22 +75,24 @@ INSTANTIATE_TEST_SUITE_P(
 // A particle between two anchors, on springs that are pressed to half their lengths, a little off
 // the axis: where iterations lead it.
 struct Pressed {
-  const vbd::SpringLaw<Real64> law = {Real64(100.0), Real64(0.0), Real64(1.0)};
+  using Slot = vbd::SlotInputs<vbd::kSpring, Real64>;
   const Point anchors[2] = {{}, {Real64(1.0), Real64(0.0), Real64(0.0)}};
   const Point target = {Real64(0.5), Real64(0.01), Real64(0.0)};
-  const Real64 inertia = Real64(10.0), start_length = Real64(0.5);
+  const Real64 inertia = Real64(10.0);
 
+  static Slot slot(const Point& x, const Point& anchor) {
+    return {x, {anchor}, {Real64(100.0), Real64(0.0), Real64(1.0), Real64(0.5)}};
+  }
   vbd::Block<Real64> block(const Point& x, bool projected) const {
     auto sum = vbd::inertia_block(x, target, inertia);
     for (const Point& anchor : anchors)
-      sum = sum + (projected ? vbd::spring_block(x, anchor, law, start_length)
-                             : vbd::spring_block<false>(x, anchor, law, start_length));
+      sum = sum + (projected ? vbd::Spring::block(slot(x, anchor), true)
+                             : vbd::Spring::block<false>(slot(x, anchor), true));
     return sum;
   }
   double energy(const Point& x) const {
     Real64 sum = vbd::inertia_energy(x, target, inertia);
-    for (const Point& anchor : anchors)
-      sum = sum + vbd::spring_energy(x, anchor, law, start_length);
+    for (const Point& anchor : anchors) sum = sum + vbd::Spring::energy(slot(x, anchor));
     return sum.v;
   }
   Point after(int iterations, bool projected) const {

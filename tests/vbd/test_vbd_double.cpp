@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "newton_scene.h"
+#include "novaphy/vbd/elements/list.h"
 #include "novaphy/vbd/particle_contact_law.h"
-#include "novaphy/vbd/slot_inputs_law.h"
 
 namespace novaphy {
 namespace {
@@ -93,11 +93,10 @@ class DoubleStep {
       before.others[k] = start[static_cast<size_t>(others[k])];
     }
     for (size_t k = 0; k < numbers.size(); ++k) in.numbers[k] = before.numbers[k] = numbers[k];
-    start_of_slot(before,
-                  [&](int k, const Dual& value) { in.numbers[numbers.size() + k] = value; });
+    SlotOf<role>::put_start(
+        before, [&](int k, const Dual& value) { in.numbers[start_begin(role) + k] = value; });
     if constexpr (role == kSpring) {
-      const Dual* const n = in.numbers;
-      block = block + spring_block<false>(in.own, in.others[0], {n[0], n[1], n[2]}, n[3]);
+      block = block + Spring::block<false>(in, true);
     } else {
       block = block + block_of(in, true);
     }
@@ -129,10 +128,9 @@ class DoubleStep {
             numbers.push_back(of == 0 ? -(real(pose.m[0][column]) + real(pose.m[1][column]))
                                       : real(pose.m[of - 1][column]));
           }
-        const auto elastic = membrane_law(real(m.particle_tri_area.data()[e]), real(law[0]),
-                                          real(law[1]), Dual(), real(law[2]) / Dual(h));
-        for (const Dual& n : {elastic.mu, elastic.ln, elastic.alpha, elastic.kd_by_h})
-          numbers.push_back(n);
+        put_neo_hookean(0, real(m.particle_tri_area.data()[e]), real(law[0]), real(law[1]), Dual(),
+                        real(law[2]) / Dual(h),
+                        [&](int, const Dual& number) { numbers.push_back(number); });
         add<kTriangle>(block, p, {corner[3 * e + (c + 1) % 3], corner[3 * e + (c + 2) % 3]},
                        numbers);
       }
@@ -180,10 +178,8 @@ class DoubleStep {
                                {rest[2][0], rest[2][1], rest[2][2]}};
         const Dual volume =
             Dual(1.0) / (math::dot(rows[0], math::cross(rows[1], rows[2])) * Dual(6.0));
-        const auto elastic =
-            tetrahedron_law(volume, real(law[0]), real(law[1]), Dual(), real(law[2]) / Dual(h));
-        for (const Dual& n : {elastic.mu, elastic.ln, elastic.alpha, elastic.kd_by_h})
-          numbers.push_back(n);
+        put_neo_hookean(0, volume, real(law[0]), real(law[1]), Dual(), real(law[2]) / Dual(h),
+                        [&](int, const Dual& number) { numbers.push_back(number); });
         add<kTetrahedron>(
             block, p,
             {corner[4 * e + (c + 1) % 4], corner[4 * e + (c + 2) % 4], corner[4 * e + (c + 3) % 4]},

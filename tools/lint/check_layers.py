@@ -13,8 +13,9 @@ Besides the folders, three kinds of file have a layer of their own:
 * `diff_*` in collision/, dynamics/ and vbd/ are operators, kernels of the tensor runtime, and
   compile into novaphy::dynamics where nova is built: the forward code of those folders may not
   include them;
-* `*_trace.h` are the formulas that the forward engine and traced kernels share, `*_law.h` those
-  that are not traced: they may include the math headers and other formulas, and nothing else;
+* `*_trace.h` are the formulas that the forward engine and traced kernels share, `*_law.h` and the
+  headers of vbd/elements those that are not traced: they may include the math headers and other
+  formulas, and nothing else;
 * `*_kernels.h` in collision/, dynamics/ and vbd/ are hand-written kernels, which compilers of
   devices read too: formulas, the math headers, and those of core that need no library. So are all
   headers of collision/geometry and dynamics/articulation, which kernels include.
@@ -90,6 +91,7 @@ FOLDERS = {
     "collision": "collision",
     "dynamics/include/novaphy/dynamics/articulation": "kernels",
     "dynamics": "dynamics",
+    "vbd/include/novaphy/vbd/elements": "formula",
     "vbd": "vbd",
     "diff": "diff",
 }
@@ -128,6 +130,8 @@ def layer_of_include(text: str, quoted: bool, path: Path, root: Path) -> str | N
     if parts[0] == "novaphy" and len(parts) > 2:
         if parts[1:3] in (["collision", "geometry"], ["dynamics", "articulation"]):
             return "kernels"
+        if parts[1:3] == ["vbd", "elements"]:
+            return "formula"
         return by_name(parts[1], parts[-1])
     if quoted:
         target = (path.parent / text).resolve()

@@ -24,14 +24,8 @@ using math::cross;
 using math::dot;
 }  // namespace novaphy::vbd::adjoints
 
-#include "novaphy/vbd/bending_law.h"
-#include "novaphy/vbd/membrane_law.h"
+#include "novaphy/vbd/elements/list.h"
 #include "novaphy/vbd/particle_contact_law.h"
-#include "novaphy/vbd/slot_inputs_law.h"
-#include "novaphy/vbd/slot_layout_law.h"
-#include "novaphy/vbd/slot_numbers_law.h"
-#include "novaphy/vbd/spring_law.h"
-#include "novaphy/vbd/tetrahedron_law.h"
 
 namespace novaphy::vbd::adjoints {
 namespace {
@@ -148,10 +142,7 @@ Bars bars_of(const Block<Symbol>& b, Inputs& inputs, bool at_rest) {
 
 template <Role role>
 Condition is_defined(const SlotInputs<role, Symbol>& in) {
-  if constexpr (role == kHingeOpposite || role == kHingeEnd)
-    return of_hinge(in, [](const auto&... corners) {
-      return bending_detail::is_hinge(math::make_hinge(corners...));
-    });
+  if constexpr (SlotOf<role>::kMayBeUndefined) return SlotOf<role>::is_defined(in);
   return {};
 }
 
@@ -215,7 +206,7 @@ void write_start(std::ostream& out, bool weights) {
   Inputs inputs;
   const SlotInputs<role, Symbol> in = slot_inputs<role>(inputs);
   std::vector<Symbol> values, of_values;
-  start_of_slot(in, [&](int k, const Symbol& value) {
+  SlotOf<role>::put_start(in, [&](int k, const Symbol& value) {
     values.push_back(value);
     of_values.push_back(inputs.add("bar[" + std::to_string(k) + "]"));
   });
@@ -257,7 +248,7 @@ void write_contact(std::ostream& out, bool at_rest) {
   out << "}\n";
 }
 
-constexpr const char* kHead = "// Written by tools/vbd_adjoints from the laws (vbd/*_law.h).\n";
+constexpr const char* kHead = "// Written by tools/vbd_adjoints from the laws (vbd/elements/).\n";
 
 // Of u.f + B:H, where `bar` holds u as f and B as h_ij, each entry once. The scalar S is a float or
 // lanes; what reads the code has NOVAPHY_LANE_FN.
@@ -286,28 +277,29 @@ struct StartCase {};
 
 void write_blocks(std::ostream& out, bool at_rest) {
   write_contact(out, at_rest);
-  write_slot<kSpring>(out, at_rest, true, false);
-  write_slot<kHingeOpposite>(out, at_rest, true, false);
-  write_slot<kHingeEnd>(out, at_rest, true, false);
-  for (const bool damped : {false, true})
-    for (const bool weights : {false, true}) {
-      write_slot<kTriangle>(out, at_rest, damped, weights);
-      write_slot<kTetrahedron>(out, at_rest, damped, weights);
-    }
+  for_roles([&](auto is) {
+    constexpr Role role = decltype(is)::role;
+    write_slot<role>(out, at_rest, true, false);
+    if (law_begin(role) == 0) return;
+    write_slot<role>(out, at_rest, true, true);
+    for (const bool weights : {false, true}) write_slot<role>(out, at_rest, false, weights);
+  });
 }
 
 // The bars of the parameters of an element, from those of the weights of its corners and of its
 // law.
 template <Role role>
 void write_numbers(std::ostream& out) {
+  using Element = SlotOf<role>;
+  constexpr int kParameters = Element::kParameters;
   Graph::get().clear();
   Inputs inputs;
-  Symbol p[kParameters[role]];
-  for (int k = 0; k < kParameters[role]; ++k) p[k] = inputs.add("p[" + std::to_string(k) + "]");
+  Symbol p[kParameters];
+  for (int k = 0; k < kParameters; ++k) p[k] = inputs.add("p[" + std::to_string(k) + "]");
   const Symbol h = inputs.add("h");
   std::vector<Symbol> values, bars;
-  for (int corner = 0; corner < kCorners[role]; ++corner)
-    put_slot_numbers<role>(corner, p, h, [&](int k, const Symbol& value) {
+  for (int corner = 0; corner < Element::kCorners; ++corner)
+    Element::put_numbers(corner, p, h, [&](int k, const Symbol& value) {
       const bool is_law = k >= law_begin(role);
       if (is_law && corner > 0) return;  // corners have the same one
       values.push_back(value);
@@ -317,7 +309,7 @@ void write_numbers(std::ostream& out) {
     });
   const Bars of(values, bars);
   std::vector<Result> results;
-  for (int k = 0; k < kParameters[role]; ++k)
+  for (int k = 0; k < kParameters; ++k)
     results.push_back({"to[" + std::to_string(k) + "]", of.of(p[k])});
   out << "template <class S, class N>\ninline void numbers_adjoint(RoleIs<static_cast<Role>("
       << role
@@ -329,22 +321,17 @@ void write_numbers(std::ostream& out) {
 
 void write_all_numbers(std::ostream& out) {
   out << kHead;
-  write_numbers<kSpring>(out);
-  write_numbers<kTriangle>(out);
-  write_numbers<kHingeEnd>(out);
-  write_numbers<kTetrahedron>(out);
+  for_each_kind([&out](auto is) { write_numbers<decltype(is)::role>(out); });
 }
 
 void write_all(std::ostream& out) {
   out << kHead << kDeclarations;
   for (const bool at_rest : {false, true}) write_blocks(out, at_rest);
-  write_start<kSpring>(out, false);
-  write_start<kHingeOpposite>(out, false);
-  write_start<kHingeEnd>(out, false);
-  for (const bool weights : {false, true}) {
-    write_start<kTriangle>(out, weights);
-    write_start<kTetrahedron>(out, weights);
-  }
+  for_roles([&out](auto is) {
+    constexpr Role role = decltype(is)::role;
+    write_start<role>(out, false);
+    if (law_begin(role) > 0) write_start<role>(out, true);
+  });
 }
 
 // The code, and the same as string literals of some lines each.

@@ -1,4 +1,4 @@
-// The groups of a model's particles and the slots of their elements (slot_layout_law.h), as
+// The groups of a model's particles and the slots of their elements (elements/list.h), as
 // tables.
 #pragma once
 
@@ -7,7 +7,7 @@
 
 #include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/model.h"
-#include "novaphy/vbd/slot_layout_law.h"
+#include "novaphy/vbd/elements/list.h"
 
 namespace novaphy::vbd {
 
@@ -21,7 +21,6 @@ class ColorSlots {
     std::vector<int64_t> particle_begin;
     std::vector<int64_t> begin;
     std::vector<Source> sources;
-    size_t corners = 0;           // of an element
     std::vector<int64_t> places;  // of each corner of each element among the sources; -1: none
     std::vector<int32_t> ints;
     mutable std::vector<float> floats;
@@ -42,9 +41,11 @@ class ColorSlots {
   // Two particles of an element have the same colour.
   bool has_conflicts() const { return has_conflicts_; }
   int lanes() const { return lanes_; }
-  const Table& table(Role role) const { return tables_[role]; }
+  const Table& table(int role) const { return tables_[role]; }
+  // Where the floats of each role begin among those of all roles, and their number.
+  const std::vector<int64_t>& numbers_begin() const { return numbers_begin_; }
   // Where the first number of a source of a role is among the floats.
-  size_t place_of(Role role, size_t source) const {
+  size_t place_of(int role, size_t source) const {
     const auto lanes = static_cast<size_t>(lanes_);
     return source / lanes * lanes * static_cast<size_t>(kFloats[role]) + source % lanes;
   }
@@ -58,12 +59,13 @@ class ColorSlots {
   void collect(const Model& model);
   void find_conflicts(const std::vector<int32_t>& colors, const Model& model);
   void make_groups(const std::vector<int32_t>& colors);
-  void lay_slots(const Model& model);
+  template <class Slot>
+  void lay_slots(Table& table, const int32_t* corners, size_t elements);
 
   int lanes_ = 1;
   std::vector<int32_t> is_held_;
   std::vector<int32_t> held_;
-  std::vector<int64_t> color_begin_;
+  std::vector<int64_t> color_begin_, numbers_begin_;
   std::vector<int32_t> particle_, filled_;
   std::vector<float> mass_by_h2_;
   Table tables_[kRoles];

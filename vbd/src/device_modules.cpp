@@ -1,12 +1,8 @@
 #include "novaphy/vbd/device_modules.h"
 
+#include "step_kernel_set.h"
+
 namespace novaphy {
-namespace detail {
-const char* vbd_kernels_text();
-const char* vbd_adjoint_kernels_text();
-const char* vbd_gradient_kernels_text();
-const char* vbd_tangent_kernels_text();
-}  // namespace detail
 
 std::vector<std::string> vbd_device_modules() {
   std::vector<std::string> all;

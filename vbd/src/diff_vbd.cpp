@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "diff_vbd_step.h"
+#include "element_arrays.h"
 #include "novaphy/core/error.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/op_list.h"
@@ -267,11 +268,7 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
     step->targets = tensor_of(inputs.targets);
     step->first_target = inputs.first_target;
   }
-  const Control* const control = inputs.control;
-  step->tri_activation =
-      control != nullptr ? control->particle_tri_activation : m.particle_tri_activation;
-  step->tet_activation =
-      control != nullptr ? control->particle_tet_activation : m.particle_tet_activation;
+  step->activations = vbd::activations_of(inputs.control, m);
   step->last = last_velocity(inputs.checkpoints.get());
   step->q_out = out.particle_q;
   step->qd_out = out.particle_qd;

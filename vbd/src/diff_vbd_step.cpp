@@ -4,6 +4,7 @@
 #include <string_view>
 #include <utility>
 
+#include "element_arrays.h"
 #include "novaphy/core/error.h"
 #include "novaphy/nova/host_work.h"
 #include "novaphy/nova/kernel.h"
@@ -35,24 +36,11 @@ bool in_a_capture_of_the_host(const RecordedStep& step) {
 
 }  // namespace
 
-// Arrays of the model that a step has a gradient by, besides the activations.
-#define NOVAPHY_VBD_ELEMENT_INPUTS(X) \
-  X(particle_spring_stiffness)        \
-  X(particle_spring_damping)          \
-  X(particle_spring_rest_length)      \
-  X(particle_tri_pose)                \
-  X(particle_tri_area)                \
-  X(particle_tri_material)            \
-  X(particle_edge_material)           \
-  X(particle_edge_rest_angle)         \
-  X(particle_edge_rest_length)        \
-  X(particle_tet_pose)                \
-  X(particle_tet_material)
+// Arrays of the model that a step has a gradient by, besides those of elements.
 #define NOVAPHY_VBD_MODEL_INPUTS(X) \
   X(gravity)                        \
   X(particle_mass)                  \
   X(particle_radius)                \
-  NOVAPHY_VBD_ELEMENT_INPUTS(X)     \
   X(shape_margin)                   \
   X(shape_material_ke)              \
   X(shape_material_kd)              \
@@ -72,11 +60,13 @@ std::vector<RecordedStep::Input> RecordedStep::differentiable() const {
     all.back().is_targets = true;
   }
   if (last.defined()) NOVAPHY_ADD(last, last_velocity);
-  NOVAPHY_ADD_ARRAY(tri_activation, particle_tri_activation);
-  NOVAPHY_ADD_ARRAY(tet_activation, particle_tet_activation);
+#define NOVAPHY_ADD_PARAMETERS(name, columns, width, use) \
+  NOVAPHY_ADD_ARRAY(vbd::source_of<vbd::use>(activations, m).name, name);
 #define NOVAPHY_ADD_MODEL(name) NOVAPHY_ADD_ARRAY(m.name, name);
+  NOVAPHY_VBD_PARAMETERS(NOVAPHY_ADD_PARAMETERS)
   NOVAPHY_VBD_MODEL_INPUTS(NOVAPHY_ADD_MODEL)
 #undef NOVAPHY_ADD_MODEL
+#undef NOVAPHY_ADD_PARAMETERS
 #undef NOVAPHY_ADD_ARRAY
 #undef NOVAPHY_ADD
   return all;
@@ -84,12 +74,14 @@ std::vector<RecordedStep::Input> RecordedStep::differentiable() const {
 
 bool RecordedStep::trains(const nova::Tape& tape) const {
   if (!on_device() || nova::current_capture() == nullptr) return false;
-  const auto carries = [&tape](const Array& array) {
-    return array.rows() != 0 && tape.carries_gradient(*array.range());
-  };
-#define NOVAPHY_CARRIES(name) || carries(model->name)
-  return false NOVAPHY_VBD_ELEMENT_INPUTS(NOVAPHY_CARRIES);
-#undef NOVAPHY_CARRIES
+  bool any = false;
+  vbd::for_each_kind([&](auto is) {
+    decltype(is)::Slot::for_arrays(*model, [&](const char*, const Array& array, int,
+                                               vbd::ArrayUse use) {
+      any |= use != vbd::kActivation && array.rows() != 0 && tape.carries_gradient(*array.range());
+    });
+  });
+  return any;
 }
 
 void RecordedStep::check_others(const nova::Tape& tape, const Contacts* given) const {
@@ -137,8 +129,7 @@ VbdStepInputs RecordedStep::inputs() const {
   return {.q = array_of(q),
           .qd = array_of(qd),
           .f = array_of(f),
-          .tri_activation = tri_activation,
-          .tet_activation = tet_activation,
+          .activations = activations,
           .contacts = contacts.get(),
           .targets = targets.defined() ? array_of(part_of(targets, first_target, target_count))
                                        : DeviceArray<Vec3f>(),

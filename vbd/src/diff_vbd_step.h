@@ -30,7 +30,7 @@ struct RecordedStep {
   nova::Tensor q, qd, f, targets;  // the targets of all steps; undefined: none
   nova::Tensor last;               // of the adaptive guess, else undefined
   size_t first_target = 0, target_count = 0;
-  DeviceArray<float> tri_activation, tet_activation;
+  VbdActivations activations;
   DeviceArray<Vec3f> q_out, qd_out;
   float dt = 0.0f;
   int32_t of_rollout = -1;  // which step of a rollout; -1: of none

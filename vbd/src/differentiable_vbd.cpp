@@ -127,7 +127,7 @@ struct DifferentiableVbd::Work {
     run(in, out, in.trains_elements);
   }
   void backward(const StepInputs& in, const vbd::ResultBars& bars, const StepDerivatives& to) {
-    run_again(in, in.trains_elements || vbd::wants_damping(to));
+    run_again(in, in.trains_elements || vbd::wants(to, vbd::kMaterial));
     if (!gradient.implicit) {
       reverse.unrolled(in, bars, to);
       return tell({});
@@ -138,7 +138,7 @@ struct DifferentiableVbd::Work {
   }
   // Of the positions and the velocities.
   std::array<vbd::Rows, 2> slopes(const StepInputs& in, const StepDerivatives& direction) {
-    run_again(in, vbd::wants_damping(direction));
+    run_again(in, vbd::wants(direction, vbd::kMaterial));
     step.check();
     const vbd::SweepTangents along = vbd::tangents_along(step, in, direction);
     vbd::KrylovResult found;

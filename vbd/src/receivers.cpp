@@ -23,7 +23,7 @@ void Receivers::build(const ColorSlots& slots, int32_t particle_count, bool own_
   const auto lanes = static_cast<int64_t>(slots.lanes());
   terms_begin.assign(1, 0);
   for (int role = 0; role < kRoles; ++role) {
-    const ColorSlots::Table& table = slots.table(static_cast<Role>(role));
+    const ColorSlots::Table& table = slots.table(role);
     const int64_t first = terms_begin.back();
     const int own = own_terms ? 1 : 0, points = kOthers[role] + own;
     std::vector<size_t> group_of;  // of a slot
@@ -40,11 +40,9 @@ void Receivers::build(const ColorSlots& slots, int32_t particle_count, bool own_
       };
       if (own_terms)
         send(0, lane_particle[group * static_cast<size_t>(lanes) + static_cast<size_t>(lane)], 0);
-      for (int k = 0; k < kOthers[role]; ++k) {
-        const int row = kOwnPlace[role] < 0 || k < kOwnPlace[role] ? k : k + 1;
-        send(own + k, table.ints[static_cast<size_t>((slot * kInts[role] + row) * lanes + lane)],
+      for (int k = 0; k < kOthers[role]; ++k)
+        send(own + k, table.ints[static_cast<size_t>((slot * kOthers[role] + k) * lanes + lane)],
              1);
-      }
     }
   }
   std::vector<int64_t> first(2 * color_count * particles + 1, 0);

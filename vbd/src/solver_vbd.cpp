@@ -3,6 +3,7 @@
 #include <cmath>
 #include <utility>
 
+#include "element_arrays.h"
 #include "novaphy/core/error.h"
 #include "step.h"
 
@@ -119,10 +120,7 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
   inputs.q = state_in.particle_q;
   inputs.qd = state_in.particle_qd;
   inputs.f = state_in.particle_f;
-  inputs.tri_activation =
-      control != nullptr ? control->particle_tri_activation : m.particle_tri_activation;
-  inputs.tet_activation =
-      control != nullptr ? control->particle_tet_activation : m.particle_tet_activation;
+  inputs.activations = vbd::activations_of(control, m);
   inputs.contacts = contacts;
   if (targets != nullptr) inputs.targets = *targets;
   inputs.dt = dt;

@@ -4,8 +4,8 @@
 #include <cmath>
 #include <cstdlib>
 #include <string_view>
-#include <utility>
 
+#include "element_arrays.h"
 #include "novaphy/core/assert.h"
 #include "novaphy/core/builtin_kernels.h"
 #include "novaphy/core/error.h"
@@ -20,8 +20,22 @@ bool has_code_for(Device device) {
   return device.type == DeviceType::CUDA ? NOVAPHY_VBD_CUDA : NOVAPHY_VBD_DLAN;
 }
 
-// The first of the values that are not of elements.
-constexpr size_t kOfElements = 11;
+template <class Slot>
+void check_activation(const Model& m, const DeviceArray<float>& activation) {
+  Slot::for_arrays(m, [&](const char* name, const Array&, int, ArrayUse use) {
+    for (size_t e = 0; use == kActivation && e < activation.rows(); ++e)
+      require(std::isfinite(activation.data()[e]), ErrorKind::Value, kName, ": ", name, "[", e,
+              "]: expected a finite number, got ", activation.data()[e]);
+  });
+}
+
+VbdTableArguments tables_of(const StepInputs& in, const Model& m) {
+#define NOVAPHY_VBD_TABLE(array, columns, width, use) \
+  .array = Untyped(source_of<use>(in.activations, m).array),
+  return {NOVAPHY_VBD_PARAMETERS(NOVAPHY_VBD_TABLE).particle_mass = m.particle_mass,
+          .particle_flags = m.particle_flags, .particle_spring_control = m.particle_spring_control};
+#undef NOVAPHY_VBD_TABLE
+}
 
 }  // namespace
 
@@ -37,37 +51,29 @@ Step::Step(const Model& m, const VbdOptions& o)
             m.device().type == DeviceType::CUDA ? "CUDA)" : "DLAN)");
     check_not_launched(o);
   }
-  const auto stamped = [this](std::vector<Stamped>& all,
-                              std::initializer_list<std::pair<const char*, const Array*>> arrays) {
-    all = std::vector<Stamped>(arrays.size());
-    size_t k = 0;
-    for (const auto& [name, array] : arrays) {
-      all[k].name = name;
-      all[k++].array = array;
-      read_.push_back(array);
-    }
+  const auto stamped = [](std::deque<Stamped>& all, const char* name, const Array& array) {
+    Stamped& s = all.emplace_back();
+    s.name = name;
+    s.array = &array;
   };
-  stamped(mesh_, {{"particle_colors", &m.particle_colors},
-                  {"particle_spring_indices", &m.particle_spring_indices},
-                  {"particle_tri_indices", &m.particle_tri_indices},
-                  {"particle_edge_indices", &m.particle_edge_indices},
-                  {"particle_tet_indices", &m.particle_tet_indices}});
-  stamped(values_, {{"", &m.particle_spring_stiffness},
-                    {"", &m.particle_spring_damping},
-                    {"", &m.particle_spring_rest_length},
-                    {"", &m.particle_tri_pose},
-                    {"", &m.particle_tri_area},
-                    {"", &m.particle_tri_material},
-                    {"", &m.particle_edge_rest_angle},
-                    {"", &m.particle_edge_rest_length},
-                    {"", &m.particle_edge_material},
-                    {"", &m.particle_tet_pose},
-                    {"", &m.particle_tet_material},
-                    {"", &m.particle_mass},
-                    {"", &m.particle_inv_mass},
-                    {"", &m.particle_flags},
-                    {"", &m.particle_world},
-                    {"", &m.particle_spring_control}});
+  stamped(mesh_, "particle_colors", m.particle_colors);
+  for_each_kind([&](auto is) {
+    using Element = typename decltype(is)::Slot;
+    Element::with_indices(
+        m, [&](const char* name, const Array& array) { stamped(mesh_, name, array); });
+    Element::for_flags(m,
+                       [&](const char* name, const Array& array) { stamped(mesh_, name, array); });
+    Element::for_arrays(m, [&](const char* name, const Array& array, int, ArrayUse use) {
+      if (use != kActivation) stamped(values_, name, array);
+    });
+  });
+  of_elements_ = values_.size();
+  for (const Array* array : std::initializer_list<const Array*>{
+           &m.particle_mass, &m.particle_inv_mass, &m.particle_flags, &m.particle_world,
+           &m.particle_spring_control})
+    stamped(values_, "", *array);
+  for (const std::deque<Stamped>* all : {&mesh_, &values_})
+    for (const Stamped& s : *all) read_.push_back(s.array);
   const auto n = static_cast<size_t>(m.particle_count());
   for (Rows4* rows : {&start_, &target_, &moved_, &x_}) *rows = Rows4(n, device());
   of_particles_ = DeviceArray<float>(3 * n, device());
@@ -174,34 +180,39 @@ int64_t Step::find_mover() const {
   return options_.safeguard || wanted == "thread" ? 0 : tables_->team;
 }
 
-const DeviceArray<float>& Step::activation_of(const StepInputs& in, Role role) const {
-  const bool is_triangle = role == kTriangle;
-  const DeviceArray<float>& given = is_triangle ? in.tri_activation : in.tet_activation;
-  if (given.rows() != 0) return given;
-  return is_triangle ? model_.particle_tri_activation : model_.particle_tet_activation;
+// Writes activations into the slots, where they do not hold them.
+void Step::activate(const StepInputs& in) {
+  for_activated_roles([&](auto is) {
+    using Slot = typename decltype(is)::Slot;
+    const DeviceArray<float>& activation = activation_in<Slot>(in, model_);
+    DerivedStamp& held = tables_->activations[is.role];
+    if (is_immediate() && !tables_->is_recorded) {
+      if (held.matches(activation)) return;
+      check_activation<Slot>(model_, activation);
+      held.set(activation);
+    }
+    put_numbers<is.role>(in, kernels().activation);
+  });
 }
 
-// Writes an activation into the slots, where they do not hold it.
-void Step::activate(Activated& to, Role role, const DeviceArray<float>& activation) {
-  if (is_immediate() && !tables_->is_recorded) {
-    if (to.stamp.matches(activation)) return;
-    for (size_t e = 0; e < activation.rows(); ++e)
-      require(std::isfinite(activation.data()[e]), ErrorKind::Value, kName, ": ",
-              role == kTriangle ? "particle_tri_activation[" : "particle_tet_activation[", e,
-              "]: expected a finite number, got ", activation.data()[e]);
-    to.stamp.set(activation);
-  }
-  const auto rows = static_cast<int64_t>(to.element.rows());
-  if (rows == 0) return;
-  novaphy::run(kernels().activation, rows,
-               {.element = to.element,
-                .alpha = to.alpha,
-                .particle_tri_activation = role == kTriangle ? &activation : nullptr,
-                .particle_tet_activation = role == kTetrahedron ? &activation : nullptr,
-                .floats = tables_->floats[role],
-                .lanes = slots_.lanes(),
-                .width = int{kFloats[role]},
-                .number = role == kTriangle ? 6 : 11});
+// The numbers of the slots of a role, from the model as it is.
+template <Role role>
+void Step::put_numbers(const StepInputs& in, const Kernel<VbdNumbersArguments>& numbers) const {
+  using Slot = SlotOf<role>;
+  const Tables& t = *tables_;
+  const auto of_step = [&](const Array& array) {
+    if constexpr (Slot::kActivated >= 0)
+      if (&array == &Slot::activation(model_)) return Untyped(activation_in<Slot>(in, model_));
+    return Untyped(array);
+  };
+  if (const auto rows = static_cast<int64_t>(t.sources[role].rows()); rows != 0)
+    novaphy::run(numbers, rows,
+                 {.source = t.sources[role],
+                  .floats = t.floats[role],
+                  .role = int{role},
+                  .lanes = slots_.lanes(),
+                  .h = t.dt,
+                  .parameters = parameter_arrays<Slot>(model_, of_step)});
 }
 
 void Step::find_contacts(const Contacts& c) const {
@@ -241,85 +252,63 @@ VbdCommitArguments Step::commit(int64_t first_group, const Rows4& from) const {
           .x = x_};
 }
 
-VbdTableArguments tables_of(const Model& m) {
-  return {.particle_spring_stiffness = m.particle_spring_stiffness,
-          .particle_spring_damping = m.particle_spring_damping,
-          .particle_spring_rest_length = m.particle_spring_rest_length,
-          .particle_tri_pose = m.particle_tri_pose,
-          .particle_tri_area = m.particle_tri_area,
-          .particle_tri_material = m.particle_tri_material,
-          .particle_edge_rest_angle = m.particle_edge_rest_angle,
-          .particle_edge_rest_length = m.particle_edge_rest_length,
-          .particle_edge_material = m.particle_edge_material,
-          .particle_tet_pose = m.particle_tet_pose,
-          .particle_tet_material = m.particle_tet_material,
-          .particle_mass = m.particle_mass,
-          .particle_flags = m.particle_flags,
-          .particle_spring_control = m.particle_spring_control};
-}
-
-StepArguments Step::arguments(const StepInputs& in, const StepResults& out) const {
-  const Model& m = model_;
-  return {.predict = {.particle_q = in.q,
-                      .particle_qd = in.qd,
-                      .particle_f = in.f,
-                      .particle_inv_mass = m.particle_inv_mass,
-                      .world = m.particle_world,
-                      .gravity = m.gravity,
-                      .last_world = m.world_count() - 1,
-                      .is_held = is_held_,
-                      .h = tables_->dt,
-                      .guess = static_cast<int64_t>(options_.initial_guess),
-                      .last_velocity = if_any(in.last_velocity),
-                      .start = start_,
-                      .target = target_,
-                      .moved = moved_,
-                      .x = x_,
-                      .newer = newer_,
-                      .faults = faults_,
-                      .tables = tables_of(m)},
-          .sweep = sweep(0, 0),
-          .newer = newer_,
-          .older = older_,
-          .finish = {.start = start_,
-                     .x = x_,
-                     .h = tables_->dt,
-                     .q = out.q,
-                     .qd = out.qd,
-                     .faults = faults_,
-                     .qd_before = in.qd,
-                     .last_velocity = out.updates_last ? &in.last_velocity : nullptr}};
-}
-
 StepList& Step::list_for(const StepInputs& in, const StepResults& out) {
   if (const int64_t team = find_mover(); team != team_) {
     forget_lists();
     team_ = team;
   }
-  std::vector<Rows4>& kept = iterates_;
-  if (out.keeps_iterates && kept.empty()) {
+  if (out.keeps_iterates && iterates_.empty()) {
     const Unobserved unobserved;
-    for (int32_t k = 0; k < options_.iterations; ++k) kept.emplace_back(x_.rows(), device());
+    for (int32_t k = 0; k < options_.iterations; ++k) iterates_.emplace_back(x_.rows(), device());
   }
-  const StepArguments a = arguments(in, out);
+  const Model& m = model_;
+  const VbdPredictArguments predict = {.particle_q = in.q,
+                                       .particle_qd = in.qd,
+                                       .particle_f = in.f,
+                                       .particle_inv_mass = m.particle_inv_mass,
+                                       .world = m.particle_world,
+                                       .gravity = m.gravity,
+                                       .last_world = m.world_count() - 1,
+                                       .is_held = is_held_,
+                                       .h = tables_->dt,
+                                       .guess = static_cast<int64_t>(options_.initial_guess),
+                                       .last_velocity = if_any(in.last_velocity),
+                                       .start = start_,
+                                       .target = target_,
+                                       .moved = moved_,
+                                       .x = x_,
+                                       .newer = newer_,
+                                       .faults = faults_,
+                                       .tables = tables_of(in, m)};
+  const VbdFinishArguments finish = {
+      .start = start_,
+      .x = x_,
+      .h = tables_->dt,
+      .q = out.q,
+      .qd = out.qd,
+      .faults = faults_,
+      .qd_before = in.qd,
+      .last_velocity = out.updates_last ? &in.last_velocity : nullptr};
   std::optional<StepList>& list = lists_[has_contacts_][damps_][out.keeps_iterates];
-  if (list) {
-    list->set(a.predict);
-    list->set(a.finish);
-    return *list;
-  }
-  std::vector<WritesRow<VbdRow>> iterates;
-  if (out.keeps_iterates) iterates.assign(kept.begin(), kept.end());
-  return list.emplace(StepPlan{.device = device(),
-                               .particles = model_.particle_count(),
-                               .lanes = slots_.lanes(),
-                               .colors = colors(),
-                               .has_conflicts = slots_.has_conflicts(),
-                               .safeguard = options_.safeguard,
-                               .team = team_,
-                               .iterations = options_.iterations,
-                               .chebyshev = chebyshev_},
-                      a, iterates);
+  if (!list)
+    return list.emplace(
+        *this, predict, finish,
+        out.keeps_iterates ? std::span<const Rows4>(iterates_) : std::span<const Rows4>());
+  list->set(predict);
+  list->set(finish);
+  return *list;
+}
+
+VbdAccelerateArguments Step::acceleration(int32_t iteration) const {
+  return {.is_held = is_held_,
+          .contact_begin = has_contacts_ ? &contact_begin_ : nullptr,
+          .omega = chebyshev_[static_cast<size_t>(iteration)],
+          .iteration = iteration,
+          .start = start_,
+          .moved = moved_,
+          .x = x_,
+          .newer = newer_,
+          .older = older_};
 }
 
 void Step::run(const StepInputs& in, const StepResults& out,
@@ -339,17 +328,16 @@ void Step::run(const StepInputs& in, const StepResults& out,
     model_.depend_on_numbers();
     const std::span<const Array* const> read = read_;
     depend_on(read.first(mesh_.size()));
-    depend_on(read.subspan(mesh_.size() + (in.trains_elements ? kOfElements : 0)));
+    depend_on(read.subspan(mesh_.size() + (in.trains_elements ? of_elements_ : 0)));
   }
   list_ = &list_for(in, out);
   list_->predict();
   if (is_immediate) check_inputs(in);
   if (in.trains_elements) {
-    reserve_training();
-    put_numbers(in);
+    watch_materials();
+    for_roles([&](auto is) { put_numbers<is.role>(in, kernels().numbers); });
   } else {
-    activate(tables_->triangle, kTriangle, activation_of(in, kTriangle));
-    activate(tables_->tetrahedron, kTetrahedron, activation_of(in, kTetrahedron));
+    activate(in);
   }
   if (has_contacts_) find_contacts(*in.contacts);
   list_->prepare();

@@ -3,6 +3,7 @@
 // the list. Elsewhere kernels note faults (vbd::note_fault), and check() reports them.
 #pragma once
 
+#include <deque>
 #include <memory>
 #include <optional>
 #include <span>
@@ -82,6 +83,7 @@ class Step {
   // Of the last run.
   bool has_contacts() const { return has_contacts_; }
   VbdSweepArguments sweep(int64_t first_group, int64_t end_group) const;
+  VbdAccelerateArguments acceleration(int32_t iteration) const;
   // The particles of some groups go where rows of `from` say.
   VbdCommitArguments commit(int64_t first_group, const Rows4& from) const;
   const std::vector<Rows4>& iterates() const { return iterates_; }
@@ -107,12 +109,6 @@ class Step {
     const Array* array;
     DeviceArray<int32_t> allowed;
   };
-  // Where the number of an activation lies, for each lane of each slot of a role.
-  struct Activated {
-    DeviceArray<int32_t> element;
-    DeviceArray<float> alpha;
-    DerivedStamp stamp;  // of the activation that the slots hold
-  };
   // Made of a model and a step size.
   struct Tables {
     float dt = 0.0f;
@@ -124,14 +120,13 @@ class Step {
     DeviceArray<uint64_t> begin[kRoles];
     DeviceArray<int32_t> ints[kRoles];
     DeviceArray<float> floats[kRoles];
-    Activated triangle, tetrahedron;
-    // Where elements are trained: of each lane of each slot, see LaneNumbers; and their materials.
-    DeviceArray<int32_t> sources[kRoles];
-    std::vector<Trained> trained;
+    DerivedStamp activations[kRoles];      // that the slots hold
+    DeviceArray<int32_t> sources[kRoles];  // see VbdNumbersArguments
+    std::vector<Trained> trained;          // where elements are trained
   };
   struct Stamped {
-    const char* name;
-    const Array* array;
+    const char* name = "";
+    const Array* array = nullptr;
     DerivedStamp stamp;
   };
 
@@ -147,13 +142,13 @@ class Step {
   void forget_lists();
   void reserve_contacts(int32_t slots);
   void find_contacts(const Contacts& contacts) const;
-  const DeviceArray<float>& activation_of(const StepInputs& in, Role role) const;
-  void activate(Activated& to, Role role, const DeviceArray<float>& activation);
+  void activate(const StepInputs& in);
+  template <Role role>
+  void put_numbers(const StepInputs& in, const Kernel<VbdNumbersArguments>& numbers) const;
   // step_training.cpp
   void reserve_training();
-  void put_numbers(const StepInputs& in) const;
+  void watch_materials();
   void check_trained() const;
-  StepArguments arguments(const StepInputs& in, const StepResults& out) const;
   StepList& list_for(const StepInputs& in, const StepResults& out);
   int64_t find_mover() const;
   void iterate(const StepList& list);
@@ -164,8 +159,9 @@ class Step {
   UnsupportedMaterials materials_;
   EditedValues edited_{"SolverVBD"};
   std::shared_ptr<const Model> copy_;  // see host_model
-  std::vector<Stamped> mesh_, values_;
+  std::deque<Stamped> mesh_, values_;
   std::vector<const Array*> read_;  // the arrays of both
+  size_t of_elements_ = 0;          // of the values
   ColorSlots slots_;
   uint64_t builds_ = 0, version_ = 0;
   std::optional<Tables> tables_;

@@ -23,12 +23,10 @@ void StepAdjoint::build_tables() {
   t.begin = upload<uint64_t>(r.begin, device);
   t.others = upload<uint64_t>(r.others, device);
   t.entries = upload<uint64_t>(r.entries, device);
-  t.numbers_begin.assign(1, 0);
   std::vector<int64_t> begins;
   std::vector<int32_t> particle;
   for (int role = 0; role < kRoles; ++role) {
-    const ColorSlots::Table& table = slots.table(static_cast<Role>(role));
-    t.numbers_begin.push_back(t.numbers_begin.back() + static_cast<int64_t>(table.floats.size()));
+    const ColorSlots::Table& table = slots.table(role);
     const size_t before = particle.size();
     begins.push_back(static_cast<int64_t>(before));
     particle.resize(before + table.sources.size(), -1);
@@ -42,14 +40,15 @@ void StepAdjoint::build_tables() {
   }
   t.slot_particle = upload<int32_t>(particle, device);
   begins.insert(begins.end(), r.terms_begin.begin(), r.terms_begin.begin() + kRoles);
-  begins.insert(begins.end(), t.numbers_begin.begin(), t.numbers_begin.begin() + kRoles);
+  begins.insert(begins.end(), slots.numbers_begin().begin(),
+                slots.numbers_begin().begin() + kRoles);
   t.begins = upload<uint64_t>(begins, device);
   const IndexRows worlds = particles_of_worlds(step_.host_model());
   t.world_begin = upload<int32_t>(worlds.begins().data(), worlds.begins().size(), device);
   t.of_worlds = upload<int32_t>(worlds.all().data(), worlds.all().size(), device);
   tables_ = std::move(t);
   terms_ = DeviceArray<float>(static_cast<size_t>(r.terms_begin.back()), device);
-  numbers_ = DeviceArray<float>(static_cast<size_t>(tables_.numbers_begin.back()), device);
+  numbers_ = DeviceArray<float>(static_cast<size_t>(slots.numbers_begin().back()), device);
 }
 
 void StepAdjoint::reserve() {
@@ -75,7 +74,7 @@ void StepAdjoint::reserve() {
 VbdAdjointArguments StepAdjoint::arguments(const Rows4* before, int64_t first, int64_t end) const {
   int64_t first_lanes[kRoles], ends[kRoles], threads = 0;
   for (int role = 0; role < kRoles; ++role) {
-    const std::vector<int64_t>& slots = step_.slots().table(static_cast<Role>(role)).begin;
+    const std::vector<int64_t>& slots = step_.slots().table(role).begin;
     const int64_t begin = slots[static_cast<size_t>(first)];
     first_lanes[role] = begin * kVbdLanes;
     threads += (slots[static_cast<size_t>(end)] - begin) * kVbdLanes;
@@ -225,7 +224,7 @@ void StepAdjoint::prepare(const StepInputs& in, const ResultBars& bars, const St
                    .team = step_.team(),
                    .with_contacts = step_.has_contacts(),
                    .damps = step_.damps(),
-                   .weights = wants_weights(to),
+                   .weights = wants(to, kRestShape),
                    .at_rest = at_rest};
   if (list_ && key == key_) {
     list_->set(begin_, begin);

@@ -37,7 +37,7 @@ class StepAdjoint {
   // Made of the slots. Launches of captures keep them.
   struct Tables {
     uint64_t builds = 0;  // of the slots
-    std::vector<int64_t> numbers_begin, color_begin;
+    std::vector<int64_t> color_begin;
     DeviceArray<int32_t> particle, is_own, slot_particle;
     DeviceArray<uint64_t> begins;                  // of roles: see VbdAdjointArguments
     DeviceArray<uint64_t> begin, others, entries;  // see Receivers

@@ -2,10 +2,10 @@
 // state.
 #include <algorithm>
 
+#include "element_arrays.h"
 #include "novaphy/vbd/contact_numbers_law.h"
 #include "novaphy/vbd/particle_step_law.h"
 #include "novaphy/vbd/tangent_law.h"
-#include "parameter_arrays.h"
 #include "step_tangent.h"
 
 namespace novaphy::vbd {
@@ -57,28 +57,27 @@ class Direction {
 
   void set_slots() const {
     using Tangent = TangentOf<float>;
-    size_t first = 0;
     for_roles([&](auto is) {
-      constexpr Role role = decltype(is)::role;
-      const ColorSlots::Table& table = step.slots().table(role);
+      using Slot = typename decltype(is)::Slot;
+      const ColorSlots::Table& table = step.slots().table(is.role);
+      float* const numbers = to.numbers.data() + step.slots().numbers_begin()[is.role];
       const auto lanes = static_cast<size_t>(step.slots().lanes());
-      const auto values = parameters_on_host(role, m);
+      const auto values = parameters_on_host<Slot>(m);
       const auto slopes =
-          parameter_arrays(role, t, Array(), [](const Array& of) { return OnHost<float>(of); });
+          parameter_arrays<Slot>(t, [](const Array& of) { return OnHost<float>(of); });
       for (size_t k = 0; k < table.sources.size(); ++k) {
         const auto [e, corner] = table.sources[k];
         if (e < 0) continue;
-        Tangent p[kParameters[role]];
-        for_parameters<role>(e, [&](int n, int array, int64_t row) {
-          const auto of = static_cast<size_t>(array);
-          p[n] = {values[of][row], at(slopes[of].rows, static_cast<size_t>(row))};
+        Tangent p[Slot::kParameters];
+        for_parameters<Slot>(e, [&](int n, int array, int64_t at_row) {
+          const auto of = static_cast<size_t>(array), row = static_cast<size_t>(at_row);
+          p[n] = {at(values[of], row), at(slopes[of].rows, row)};
         });
-        float* const slope = to.numbers.data() + first + step.slots().place_of(role, k);
-        put_slot_numbers<role>(corner, p, Tangent(h), [&](int n, const Tangent& number) {
+        float* const slope = numbers + step.slots().place_of(is.role, k);
+        Slot::put_numbers(corner, p, Tangent(h), [&](int n, const Tangent& number) {
           slope[static_cast<size_t>(n) * lanes] = number.d;
         });
       }
-      first += table.floats.size();
     });
   }
 
@@ -124,10 +123,7 @@ SweepTangents tangents_along(const Step& step, const StepInputs& in,
   SweepTangents all;
   for (Rows* rows : {&all.x, &all.start, &all.target, &all.guess}) rows->resize(n);
   all.mass.resize(n);
-  size_t numbers = 0;
-  for (int role = 0; role < kRoles; ++role)
-    numbers += step.slots().table(static_cast<Role>(role)).floats.size();
-  all.numbers.resize(numbers);
+  all.numbers.resize(static_cast<size_t>(step.slots().numbers_begin().back()));
   const Direction d(all, step, in, direction);
   d.set_state();
   d.set_slots();

@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <array>
 
+#include "element_arrays.h"
 #include "novaphy/core/builtin_kernels.h"
-#include "parameter_arrays.h"
 #include "step_adjoint.h"
 
 namespace novaphy::vbd {
@@ -64,23 +64,25 @@ void StepAdjoint::put_state(const StepInputs& in, const StepDerivatives& g) cons
 
 // (No derivative depends on an activation.)
 void StepAdjoint::put_elements(const StepDerivatives& g) const {
-  const Model& m = step_.model();
-  for (const Role role : {kSpring, kTriangle, kHingeEnd, kTetrahedron}) {
-    const auto to = parameter_arrays(role, g, Array(), [](const Array& by) { return if_any(by); });
-    if (std::all_of(to.begin(), to.end(), [](const Untyped& by) { return by.word == 0; })) continue;
-    const Role other = role == kHingeEnd ? kHingeOpposite : role;
-    novaphy::run(kernels().element_gradient,
-                 static_cast<int64_t>(tables_.places[role].rows() / kCorners[role]),
-                 {.places = std::array{&tables_.places[role], &tables_.places[other]},
-                  .first = std::array{tables_.numbers_begin[role], tables_.numbers_begin[other]},
-                  .numbers = numbers_,
-                  .role = int{role},
-                  .lanes = step_.slots().lanes(),
-                  .h = step_.dt(),
-                  .parameters = parameter_arrays(role, m, Array(),
-                                                 [](const Array& of) { return Untyped(of); }),
-                  .to = to});
-  }
+  for_each_kind([&](auto is) {
+    using Element = typename decltype(is)::Slot;
+    constexpr int first = decltype(is)::role, last = first + Element::kSlots - 1;
+    const auto to = parameter_arrays<Element>(g, [](const Array& by) { return if_any(by); });
+    if (std::all_of(to.begin(), to.end(), [](const Untyped& by) { return by.word == 0; })) return;
+    const DeviceArray<uint64_t>& places = tables_.places[first];
+    const std::vector<int64_t>& begins = step_.slots().numbers_begin();
+    novaphy::run(
+        kernels().element_gradient, static_cast<int64_t>(places.rows() / Element::kCorners),
+        {.places = std::array{&places, &tables_.places[last]},
+         .first = std::array{begins[first], begins[last]},
+         .numbers = numbers_,
+         .role = first,
+         .lanes = step_.slots().lanes(),
+         .h = step_.dt(),
+         .parameters =
+             parameter_arrays<Element>(step_.model(), [](const Array& of) { return Untyped(of); }),
+         .to = to});
+  });
 }
 
 void StepAdjoint::put_contacts(const StepInputs& in, const StepDerivatives& g) const {

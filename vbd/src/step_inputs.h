@@ -6,6 +6,7 @@
 
 #include "novaphy/core/launch_arguments.h"
 #include "novaphy/vbd/differentiable_vbd.h"
+#include "novaphy/vbd/elements/list.h"
 #include "novaphy/vbd/rows_kernels.h"
 
 namespace novaphy::vbd {
@@ -37,14 +38,18 @@ struct OnHost {
   const T* rows = nullptr;  // null: none
 };
 
-// Whether a derivative by a damping is wanted, for which its terms run although it is 0.
-inline bool wants_damping(const StepDerivatives& d) {
-  return d.particle_tri_material.rows() != 0 || d.particle_edge_material.rows() != 0 ||
-         d.particle_tet_material.rows() != 0;
-}
-// Whether a derivative by a rest shape is wanted.
-inline bool wants_weights(const StepDerivatives& d) {
-  return d.particle_tri_pose.rows() != 0 || d.particle_tet_pose.rows() != 0;
+// Whether a derivative by a rest shape, or by a damping whose terms would else not run where it is
+// 0, is wanted.
+inline bool wants(const StepDerivatives& d, ArrayUse wanted) {
+  bool any = false;
+  for_each_kind([&](auto is) {
+    using Element = typename decltype(is)::Slot;
+    if (wanted == kMaterial && Element::kIsAlwaysDamped) return;
+    Element::for_arrays(d, [&](const char*, const Array& by, int, ArrayUse use) {
+      any |= use == wanted && by.rows() != 0;
+    });
+  });
+  return any;
 }
 
 }  // namespace novaphy::vbd

@@ -1,17 +1,13 @@
 #include "step_list.h"
 
+#include "step.h"
+
 namespace novaphy::vbd {
 namespace {
 
 // Rows that a thread of the CPU takes at a time.
 constexpr int64_t kParticleRows = 512, kLaneRows = 64;
 constexpr int64_t kTeamThreads = 128;
-
-VbdSweepArguments of_groups(VbdSweepArguments sweep, int64_t first, int64_t end) {
-  sweep.first_group = first;
-  sweep.end_group = end;
-  return sweep;
-}
 
 }  // namespace
 
@@ -20,56 +16,49 @@ int64_t team_threads(int64_t groups, int64_t team) {
 }
 
 // The particles of a colour move, one colour after the other.
-void StepList::add_moves(const StepPlan& plan, const VbdSweepArguments& all) {
-  const Kernel<VbdSweepArguments>& move = plan.team != 0   ? kernels().move_team
-                                          : plan.safeguard ? kernels().move_guarded
-                                                           : kernels().move;
-  for (size_t c = 0; c + 1 < plan.colors.size(); ++c) {
-    const int64_t first = plan.colors[c], end = plan.colors[c + 1], groups = end - first;
-    const int64_t lanes = groups * plan.lanes;
-    list_.add(move, plan.team != 0 ? team_threads(groups, plan.team) : lanes,
-              of_groups(all, first, end), kLaneRows);
-    if (plan.has_conflicts)
-      list_.add(
-          kernels().commit, lanes,
-          {.particle = all.particle, .first_lane = first * plan.lanes, .from = all.to, .x = all.x},
-          kLaneRows);
+void StepList::add_moves(const Step& step) {
+  const int64_t team = step.team();
+  const Kernel<VbdSweepArguments>& move = team != 0                  ? kernels().move_team
+                                          : step.options().safeguard ? kernels().move_guarded
+                                                                     : kernels().move;
+  for (size_t c = 0; c + 1 < step.colors().size(); ++c) {
+    const int64_t first = step.colors()[c], end = step.colors()[c + 1], groups = end - first;
+    const int64_t lanes = groups * step.slots().lanes();
+    const VbdSweepArguments sweep = step.sweep(first, end);
+    list_.add(move, team != 0 ? team_threads(groups, team) : lanes, sweep, kLaneRows);
+    if (step.slots().has_conflicts())
+      list_.add(kernels().commit, lanes,
+                {.particle = sweep.particle,
+                 .first_lane = first * step.slots().lanes(),
+                 .from = sweep.to,
+                 .x = sweep.x},
+                kLaneRows);
   }
 }
 
-StepList::StepList(const StepPlan& plan, const StepArguments& a,
-                   std::span<const WritesRow<VbdRow>> iterates)
-    : list_(plan.device) {
-  const int64_t n = plan.particles, groups = plan.colors.back();
+StepList::StepList(const Step& step, const VbdPredictArguments& predict,
+                   const VbdFinishArguments& finish, std::span<const DeviceArray<Vec4f>> iterates)
+    : list_(step.device()) {
+  const int64_t n = step.model().particle_count(), groups = step.colors().back();
   const auto keep = [&](size_t iteration) {
     if (iteration < iterates.size())
-      list_.add(kernels().keep, n, {.x = a.sweep.x, .iterate = iterates[iteration]}, kParticleRows);
+      list_.add(kernels().keep, n, {.x = step.x(), .iterate = iterates[iteration]}, kParticleRows);
   };
-  predict_ = list_.add(kernels().predict, n, a.predict, kParticleRows);
+  predict_ = list_.add(kernels().predict, n, predict, kParticleRows);
   prepare_ =
-      list_.add(kernels().prepare, groups * plan.lanes, of_groups(a.sweep, 0, groups), kLaneRows);
+      list_.add(kernels().prepare, groups * step.slots().lanes(), step.sweep(0, groups), kLaneRows);
   iterations_.push_back(list_.size());
-  for (int32_t k = 1; k <= plan.iterations; ++k) {
+  for (int32_t k = 1; k <= step.options().iterations; ++k) {
     keep(static_cast<size_t>(k - 1));
-    add_moves(plan, a.sweep);
-    if (!plan.chebyshev.empty())
-      list_.add(kernels().accelerate, n,
-                {.is_held = a.predict.is_held,
-                 .contact_begin = a.sweep.contact_begin,
-                 .omega = plan.chebyshev[static_cast<size_t>(k)],
-                 .iteration = k,
-                 .start = a.sweep.start,
-                 .moved = a.sweep.moved,
-                 .x = a.sweep.x,
-                 .newer = a.newer,
-                 .older = a.older},
-                kParticleRows);
+    add_moves(step);
+    if (step.options().acceleration)
+      list_.add(kernels().accelerate, n, step.acceleration(k), kParticleRows);
     iterations_.push_back(list_.size());
   }
-  keep(static_cast<size_t>(plan.iterations));
-  finish_ = list_.add(kernels().finish, n, a.finish, kParticleRows);
+  keep(static_cast<size_t>(step.options().iterations));
+  finish_ = list_.add(kernels().finish, n, finish, kParticleRows);
   again_ = list_.size();
-  add_moves(plan, a.sweep);
+  add_moves(step);
 }
 
 }  // namespace novaphy::vbd

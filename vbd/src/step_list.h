@@ -7,37 +7,18 @@
 #include <vector>
 
 #include "novaphy/core/launch_list.h"
-#include "novaphy/core/sim/model.h"
 #include "step_kernel_set.h"
 
 namespace novaphy::vbd {
 
-// What the launches of a step read and write: arrays of a device, or memory of the host.
-struct StepArguments {
-  VbdPredictArguments predict;
-  VbdSweepArguments sweep;                    // of any groups
-  Optional<UpdatesRow<VbdRow>> newer, older;  // of Chebyshev's acceleration
-  VbdFinishArguments finish;
-};
-
-VbdTableArguments tables_of(const Model& model);
-
-struct StepPlan {
-  Device device;
-  int64_t particles = 0, lanes = 1;
-  std::span<const int64_t> colors;  // see ColorSlots::color_begin
-  bool has_conflicts = false, safeguard = false;
-  int64_t team = 0;  // groups that the threads of a block share; 0: a thread for each particle
-  int32_t iterations = 0;
-  std::span<const float> chebyshev;  // of each iteration; empty: no acceleration
-};
+class Step;
 
 class StepList {
  public:
   // `iterates`: where the positions before each iteration go, and those behind the last; fewer, or
   // none: they are not kept.
-  StepList(const StepPlan& plan, const StepArguments& arguments,
-           std::span<const WritesRow<VbdRow>> iterates);
+  StepList(const Step& step, const VbdPredictArguments& predict, const VbdFinishArguments& finish,
+           std::span<const DeviceArray<Vec4f>> iterates);
 
   void set(const VbdPredictArguments& arguments) { list_.set(predict_, arguments); }
   void set(const VbdFinishArguments& arguments) { list_.set(finish_, arguments); }
@@ -45,7 +26,6 @@ class StepList {
   // The stretches of the list, in their order.
   void predict() const { list_.run(predict_.number, prepare_.number); }
   void prepare() const { list_.run(prepare_.number, iterations_.front()); }
-  void predict_and_prepare() const { list_.run(predict_.number, iterations_.front()); }
   void iterate(size_t first, size_t last) const {
     list_.run(iterations_[first], iterations_[last]);
   }
@@ -54,7 +34,7 @@ class StepList {
   void move_again() const { list_.run(again_, list_.size()); }
 
  private:
-  void add_moves(const StepPlan& plan, const VbdSweepArguments& all);
+  void add_moves(const Step& step);
 
   LaunchList list_;
   LaunchList::Place<VbdPredictArguments> predict_;

@@ -1,6 +1,5 @@
 // The tables of a step of VBD.
 #include <algorithm>
-#include <tuple>
 
 #include "novaphy/core/assert.h"
 #include "step.h"
@@ -17,7 +16,6 @@ void Step::build_tables(float dt) {
   const Model& m = host_model();
   forget_lists();
   slots_.set_constants(m, dt);  // activations are those of the step
-  const auto lanes = static_cast<size_t>(slots_.lanes());
   NOVAPHY_ASSERT(std::is_sorted(colors().begin(), colors().end()));
   Tables& t = tables_.emplace();
   t.dt = dt;
@@ -25,27 +23,18 @@ void Step::build_tables(float dt) {
   t.filled = upload<int32_t>(slots_.filled(), device());
   t.mass_by_h2 = upload<float>(slots_.masses_by_h2(), device());
   for (int role = 0; role < kRoles; ++role) {
-    const ColorSlots::Table& table = slots_.table(static_cast<Role>(role));
+    const ColorSlots::Table& table = slots_.table(role);
     if (table.sources.empty()) continue;
     t.begin[role] = upload<uint64_t>(table.begin, device());
     t.ints[role] = upload<int32_t>(table.ints, device());
     t.floats[role] = upload<float>(table.floats, device());
     if (table.damped) t.damped |= int64_t{1} << role;
+    std::vector<int32_t> sources;
+    for (const auto& [element, corner] : table.sources)
+      sources.push_back(element < 0 ? -1 : 4 * element + corner);
+    t.sources[role] = upload<int32_t>(sources, device());
   }
   find_team();
-  for (const auto& [role, number, activated] :
-       {std::tuple(kTriangle, size_t{6}, &t.triangle),
-        std::tuple(kTetrahedron, size_t{11}, &t.tetrahedron)}) {
-    const ColorSlots::Table& table = slots_.table(role);
-    std::vector<int32_t> element;
-    std::vector<float> alpha;
-    for (size_t k = 0; k < table.sources.size(); ++k) {
-      element.push_back(table.sources[k].element);
-      alpha.push_back(table.floats[slots_.place_of(role, k) + number * lanes]);
-    }
-    activated->element = upload<int32_t>(element, device());
-    activated->alpha = upload<float>(alpha, device());
-  }
 }
 
 // The largest team for which there is room and work enough.
@@ -57,7 +46,7 @@ void Step::find_team() {
   const auto terms = [&](int64_t team) {
     int64_t sum = 0;
     for (int role = 0; role < kRoles; ++role) {
-      const std::vector<int64_t>& begin = slots_.table(static_cast<Role>(role)).begin;
+      const std::vector<int64_t>& begin = slots_.table(role).begin;
       int64_t most = 0;
       for (size_t g = 0; g + 1 < begin.size(); ++g) most = std::max(most, begin[g + 1] - begin[g]);
       sum += (most * team * kVbdLanes + 31) / 32 * 32;

@@ -1,5 +1,6 @@
 #include "step_tangent.h"
 
+#include <algorithm>
 #include <cmath>
 
 namespace novaphy::vbd {
@@ -28,11 +29,8 @@ void StepTangent::put(const SweepTangents& along) {
 VbdTangentArguments StepTangent::arguments(size_t first_color, size_t last_color,
                                            bool along) const {
   const std::vector<int64_t>& colors = step_.colors();
-  int64_t begins[kRoles], begin = 0;
-  for (int role = 0; role < kRoles; ++role) {
-    begins[role] = begin;
-    begin += static_cast<int64_t>(step_.slots().table(static_cast<Role>(role)).floats.size());
-  }
+  int64_t begins[kRoles];
+  std::copy_n(step_.slots().numbers_begin().begin(), int{kRoles}, begins);
   return {.sweep = step_.sweep(colors[first_color], colors[last_color]),
           .x = x_,
           .start = along ? &start_ : nullptr,

@@ -5,9 +5,9 @@
 
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/math/matrix.h"
+#include "novaphy/vbd/elements/list.h"
 #include "novaphy/vbd/particle_step_law.h"
 #include "novaphy/vbd/rows_kernels.h"
-#include "novaphy/vbd/slot_numbers_law.h"
 
 namespace novaphy {
 
@@ -146,15 +146,16 @@ NOVAPHY_ROW_KERNEL(vbd_gravity_gradient, VbdGravityGradientArguments) {
   a.by_gravity[row] = sum;
 }
 
-// Null: not wanted. Hinges have two roles, others one.
+// Null: not wanted.
 struct VbdElementGradientArguments {
   NOVAPHY_ARGUMENTS(
-      Each<Optional<Reads<int64_t>>, 2> places;  // of each corner of each element; -1: none
-      Each<Number<int64_t>, 2> first;            // where the bars of the slots of a role begin
-      Reads<float> numbers;                      // of all roles
+      // Of each slot of the element: of each corner of each element, -1: none; where its bars
+      // begin.
+      Each<Optional<Reads<int64_t>>, vbd::kMostSlots> places;
+      Each<Number<int64_t>, vbd::kMostSlots> first; Reads<float> numbers;  // of all roles
       Number<int64_t> role, lanes; Number<float> h;
-      Each<Optional<Reads<float>>, 4> parameters;  // see for_parameters
-      Each<Optional<Writes<float>>, 4> to;)
+      Each<Optional<Reads<float>>, vbd::kMostArrays> parameters;  // see for_parameters
+      Each<Optional<Writes<float>>, vbd::kMostArrays> to;)
 };
 
 namespace vbd {
@@ -165,11 +166,12 @@ namespace vbd {
 // over all corners.
 template <Role role>
 struct ElementBars {
-  float weights[kCorners[role]][law_begin(role) + 1] = {}, laws[kLawFloats[role]] = {};
+  using Element = SlotOf<role>;
+  float weights[Element::kCorners][law_begin(role) + 1] = {}, laws[kLawFloats[role]] = {};
   ElementBars(const VbdElementGradientArguments& a, int64_t element) {
-    for (int c = 0; c < kCorners[role]; ++c)
-      for (int k = 0; k < (role == kHingeEnd ? 2 : 1); ++k) {
-        const int64_t place = a.places[k][element * kCorners[role] + c];
+    for (int c = 0; c < Element::kCorners; ++c)
+      for (int k = 0; k < Element::kSlots; ++k) {
+        const int64_t place = a.places[k][element * Element::kCorners + c];
         if (place < 0) continue;
         const int64_t slot = place / a.lanes, lane = place - slot * a.lanes;
         const float* const from = a.numbers + (a.first[k] + slot * kFloats[role] * a.lanes + lane);
@@ -183,11 +185,18 @@ struct ElementBars {
 };
 template <Role role>
 inline void put_parameters(const VbdElementGradientArguments& a, int64_t e) {
-  float p[kParameters[role]], to[kParameters[role]];
-  for_parameters<role>(e, [&](int k, int array, int64_t at) { p[k] = a.parameters[array][at]; });
+  using Element = SlotOf<role>;
+  float p[Element::kParameters], to[Element::kParameters];
+  for_parameters<Element>(e, [&](int k, int array, int64_t at) { p[k] = a.parameters[array][at]; });
   numbers_adjoint(RoleIs<role>(), p, a.h.value, ElementBars<role>(a, e), to);
-  for_parameters<role>(e, [&](int k, int array, int64_t at) {
+  for_parameters<Element>(e, [&](int k, int array, int64_t at) {
     if (a.to[array] != nullptr) a.to[array][at] = to[k];
+  });
+  int array = 0;
+  Element::for_columns([&](int columns, int width, ArrayUse) {  // those that no force reads
+    for (int c = columns; c < width && a.to[array] != nullptr; ++c)
+      a.to[array][e * width + c] = 0.0f;
+    ++array;
   });
 }
 
@@ -199,14 +208,9 @@ inline void put(float* to, int64_t row, float value) {
 
 NOVAPHY_ROW_KERNEL(vbd_element_gradient, VbdElementGradientArguments) {
   using namespace vbd;
-  for_roles([&](auto is) {
-    constexpr Role role = decltype(is)::role;
-    if constexpr (role != kHingeOpposite)
-      if (a.role == role) put_parameters<role>(a, row);
+  for_each_kind([&](auto is) {
+    if (a.role == is.role) put_parameters<decltype(is)::role>(a, row);
   });
-  float* const material = a.to[2];
-  if (a.role == kTriangle && material != nullptr)
-    material[5 * row + 3] = material[5 * row + 4] = 0.0f;  // drag and lift
 }
 
 struct VbdRadiusGradientArguments {

@@ -7,20 +7,19 @@
 
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/vbd/contact_numbers_law.h"
+#include "novaphy/vbd/elements/list.h"
 #include "novaphy/vbd/particle_step_law.h"
-#include "novaphy/vbd/slot_numbers_law.h"
 #include "novaphy/vbd/slot_teams_kernels.h"
 #include "novaphy/vbd/sweep_kernels.h"
 
 namespace novaphy {
 
 // What the tables of a sweep were made of: not read, but a gradient of it would stop.
+#define NOVAPHY_VBD_TABLE_ARGUMENT(array, columns, width, use) Optional<Reads<float>> array;
+#define NOVAPHY_VBD_ARGUMENTS(...) NOVAPHY_ARGUMENTS(__VA_ARGS__)  // with the names of the lists
 struct VbdTableArguments {
-  NOVAPHY_ARGUMENTS(
-      Reads<float> particle_spring_stiffness, particle_spring_damping, particle_spring_rest_length;
-      Reads<Mat22f> particle_tri_pose; Reads<float> particle_tri_area, particle_tri_material;
-      Reads<float> particle_edge_rest_angle, particle_edge_rest_length, particle_edge_material;
-      Reads<Mat33f> particle_tet_pose; Reads<float> particle_tet_material, particle_mass;
+  NOVAPHY_VBD_ARGUMENTS(
+      NOVAPHY_VBD_PARAMETERS(NOVAPHY_VBD_TABLE_ARGUMENT) Reads<float> particle_mass;
       Reads<int32_t> particle_flags; Reads<float> particle_spring_control;)
 };
 
@@ -74,56 +73,40 @@ struct VbdTargetArguments {
 // Held particles go where targets say.
 NOVAPHY_ROW_KERNEL(vbd_target, VbdTargetArguments) { a.x[a.held[row]] = to_row(a.targets[row]); }
 
-struct VbdActivationArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> element;  // of each lane of each slot, or -1
-                    ReadsRow<float> alpha;      // without activation
-                    Optional<Reads<float>> particle_tri_activation, particle_tet_activation;  // one
-                    Updates<float> floats; Number<int64_t> lanes;  // of a group
-                    Number<int64_t> width;                         // of a slot
-                    Number<int64_t> number;                        // which of its numbers
-  )
-};
-NOVAPHY_ROW_KERNEL(vbd_activation, VbdActivationArguments) {
-  const int32_t e = a.element[row];
-  if (e < 0) return;
-  const float* activation = a.particle_tri_activation;
-  if (activation == nullptr) activation = a.particle_tet_activation;
-  const int64_t slot = row / a.lanes, lane = row - slot * a.lanes;
-  a.floats[(slot * a.width + a.number) * a.lanes + lane] = a.alpha[row] - activation[e];
-}
-
 struct VbdNumbersArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> source;  // the corner plus 4 times the element, or -1
-                    Updates<float> floats; Number<int64_t> role, lanes;  // of a group
-                    Number<float> h;
-                    Each<Optional<Reads<float>>, 4> parameters;  // see for_parameters
+  NOVAPHY_ARGUMENTS(
+      ReadsRow<int32_t> source;  // the corner plus 4 times the element, or -1
+      Updates<float> floats; Number<int64_t> role, lanes;  // of a group
+      Number<float> h;
+      Each<Optional<Reads<float>>, vbd::kMostArrays> parameters;  // see for_parameters
   )
 };
 
 namespace vbd {
 
-// The numbers of slots anew, from the model as it is: where its materials or rest shapes are
-// trained in a capture. `row`: over the lanes of all slots of a role.
-template <Role role>
+// The numbers of slots anew, from the model as it is, or those alone that activations change.
+// `row`: over the lanes of all slots of a role.
+template <bool only_activated>
 inline void put_numbers(const VbdNumbersArguments& a, int64_t row) {
   const int32_t e = a.source[row] >> 2;
   if (e < 0) return;
-  float p[kParameters[role]];
-  for_parameters<role>(e, [&](int k, int array, int64_t at) { p[k] = a.parameters[array][at]; });
   const int64_t slot = row / a.lanes, lanes = a.lanes;
-  float* const to = a.floats + (slot * kFloats[role] * lanes + (row - slot * lanes));
-  put_slot_numbers<role>(a.source[row] & 3, p, a.h.value,
-                         [&](int k, float value) { to[k * lanes] = value; });
+  for_roles([&](auto is) {
+    using Slot = SlotOf<decltype(is)::role>;
+    if (a.role != is.role) return;
+    float p[Slot::kParameters];
+    for_parameters<Slot>(e, [&](int k, int array, int64_t at) { p[k] = a.parameters[array][at]; });
+    float* const to = a.floats + (slot * kFloats[is.role] * lanes + (row - slot * lanes));
+    Slot::put_numbers(a.source[row] & 3, p, a.h.value, [&](int k, float value) {
+      if (!only_activated || k == Slot::kActivated) to[k * lanes] = value;
+    });
+  });
 }
 
 }  // namespace vbd
 
-NOVAPHY_ROW_KERNEL(vbd_numbers, VbdNumbersArguments) {
-  vbd::for_roles([&](auto is) {
-    constexpr vbd::Role role = decltype(is)::role;
-    if (a.role == role) vbd::put_numbers<role>(a, row);
-  });
-}
+NOVAPHY_ROW_KERNEL(vbd_numbers, VbdNumbersArguments) { vbd::put_numbers<false>(a, row); }
+NOVAPHY_ROW_KERNEL(vbd_activation, VbdNumbersArguments) { vbd::put_numbers<true>(a, row); }
 
 struct VbdMaterialArguments {
   NOVAPHY_ARGUMENTS(Reads<float> material; Number<int64_t> width;

@@ -1,9 +1,8 @@
 // The 3x3 block of one particle in VBD: what its elements add up to, and the step that it gives.
 //
 // A particle at x feels the force f and has the stiffness H, symmetric and positive definite. Its
-// step d solves H d = f. Every law of VBD (spring_law.h, membrane_law.h, tetrahedron_law.h,
-// bending_law.h, particle_contact_law.h) returns the block of one element for one corner, and
-// takes this corner as the first.
+// step d solves H d = f. Every law of VBD (elements/, particle_contact_law.h) returns
+// the block of one element for one corner, and takes this corner as the first.
 //
 // Inertia, of a mass m (kg), the inertial position y = xn + h vn + h^2 (g + f_ext/m) and the step h
 // (s):

@@ -1,10 +1,10 @@
-// The numbers of a contact in a step (slot_layout_law.h), from its record and the materials.
+// The numbers of a contact in a step (elements/list.h), from its record and the materials.
 //
 // Freestanding: device code reads it too.
 #pragma once
 
 #include "novaphy/math/types.h"
-#include "novaphy/vbd/slot_layout_law.h"
+#include "novaphy/vbd/elements/list.h"
 
 namespace novaphy::vbd {
 

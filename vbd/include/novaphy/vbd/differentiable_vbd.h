@@ -11,14 +11,19 @@
 
 namespace novaphy {
 
+// Activations of elements, of a control or the model.
+struct VbdActivations {
+  DeviceArray<float> particle_tri_activation = {}, particle_tet_activation = {};
+};
+
 // What a step reads, besides the model, on its device. Arrays may be without rows, but for q, qd
 // and f.
 struct VbdStepInputs {
   DeviceArray<Vec3f> q, qd, f;
-  DeviceArray<float> tri_activation = {}, tet_activation = {};  // without rows: the model's
-  const Contacts* contacts = nullptr;                           // null: none
-  DeviceArray<Vec3f> targets = {};  // of the kinematic particles; without rows: they stay
-  float dt = 0.0f;                  // s
+  VbdActivations activations = {};     // without rows: the model's
+  const Contacts* contacts = nullptr;  // null: none
+  DeviceArray<Vec3f> targets = {};     // of the kinematic particles; without rows: they stay
+  float dt = 0.0f;                     // s
   // Of the adaptive guess: the velocity at the start of the step before (m/s), and 1, or 0 where
   // there was none; without rows: none.
   DeviceArray<Vec4f> last_velocity = {};

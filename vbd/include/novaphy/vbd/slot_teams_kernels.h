@@ -108,10 +108,10 @@ inline void for_team(const VbdSweepArguments& a, const Arguments& arguments, int
     for (int role = 0; role < kRoles; ++role) {
       const float* term = &m.terms[component][begin[role] + v];
       const int32_t count = m.count[role][group];
-      float sum = role == kSpring ? outer : inner;
+      float sum = is_outer(role) ? outer : inner;
 #pragma unroll 8
       for (int32_t s = 0; s < count; ++s) sum = sum + term[s * kLanes];
-      (role == kSpring ? outer : inner) = sum;
+      (is_outer(role) ? outer : inner) = sum;
     }
     (&m.inner[0][0])[component * kLanes + v] = inner + outer;
   }

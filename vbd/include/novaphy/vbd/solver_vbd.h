@@ -49,7 +49,7 @@ struct VbdResidual {
 //
 // One step minimises, over the positions x of the particles that move,
 //   sum m/(2h^2) |x - y|^2 + E(x; xn),  y = xn + h vn + h^2 (g + f/m)
-// where E are the energies of the elements (vbd/*_law.h), and sets v = (x - xn)/h. An iteration
+// where E are the energies of the elements (vbd/elements/), and sets v = (x - xn)/h. An iteration
 // goes through the colours of the model (ModelBuilder::color, set_coloring) in order; all particles
 // of a colour move together by the 3x3 system of their own elements, from the positions before the
 // colour. Sums run per particle in a fixed order. The result has the same bits for any number of

@@ -28,8 +28,9 @@ struct VbdAdjointArguments {
       Updates<float> terms;    // of slots, 3 rows for each other particle, and for their own
       Updates<float> numbers;  // of slots, by all their numbers
       Reads<int64_t> begins;   // where roles begin in these three: 5 numbers for each
-      Each<Number<int64_t>, 5> first;  // by role: the first lane of the slots of the launch
-      Each<Number<int64_t>, 5> ends;   // by role: threads up to its last one
+      Each<Number<int64_t>, vbd::kRoles>
+          first;  // by role: the first lane of the slots of the launch
+      Each<Number<int64_t>, vbd::kRoles> ends;  // by role: threads up to its last one
   )
 };
 

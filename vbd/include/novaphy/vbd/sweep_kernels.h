@@ -4,9 +4,9 @@
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
+#include "novaphy/vbd/elements/list.h"
 #include "novaphy/vbd/particle_contact_law.h"
 #include "novaphy/vbd/rows_kernels.h"
-#include "novaphy/vbd/slot_inputs_law.h"
 
 #ifndef NOVAPHY_LANE_FN  // of floats
 #define NOVAPHY_LANE_FN inline
@@ -22,11 +22,12 @@ namespace novaphy {
 constexpr int kVbdLanes = 4, kVbdLargeTeam = 8, kVbdTeamTerms = 832;
 
 struct VbdSweepArguments {
-  NOVAPHY_ARGUMENTS(Reads<int32_t> particle;        // of each lane of each group
-                    Reads<int32_t> filled;          // lanes of a group that are particles
-                    Reads<float> mass_by_h2;        // of each lane; 1 where it is no particle
-                    Each<Reads<int64_t>, 5> begin;  // by role: the slots of a group
-                    Each<Reads<int32_t>, 5> ints; Each<Updates<float>, 5> floats;
+  NOVAPHY_ARGUMENTS(Reads<int32_t> particle;  // of each lane of each group
+                    Reads<int32_t> filled;    // lanes of a group that are particles
+                    Reads<float> mass_by_h2;  // of each lane; 1 where it is no particle
+                    Each<Reads<int64_t>, vbd::kRoles> begin;  // by role: the slots of a group
+                    Each<Reads<int32_t>, vbd::kRoles> ints;
+                    Each<Updates<float>, vbd::kRoles> floats;
                     Optional<Reads<int32_t>> contact_begin;  // null: no contacts
                     Optional<Reads<float>> contacts; Reads<VbdRow> start, target;
                     Updates<VbdRow> moved, x,
@@ -106,7 +107,7 @@ struct Slot {
   int64_t number;
   int32_t lane;
   Slot(const VbdSweepArguments& a, int64_t s, int32_t first_lane)
-      : ints(a.ints[role] + (s * (kInts[role] * Access::kStride) + first_lane)),
+      : ints(a.ints[role] + (s * (kOthers[role] * Access::kStride) + first_lane)),
         floats(a.floats[role] + (s * (kFloats[role] * Access::kStride) + first_lane)),
         number(s),
         lane(first_lane) {}
@@ -118,9 +119,7 @@ struct Slot {
 template <Role role, class S, class V, class Numbers, class Gather>
 SlotInputs<role, V, Numbers> inputs_of(const Slot<role, S>& slot, const Vec3<V>& own,
                                        const Numbers& numbers, const Gather& gather) {
-  const auto point = [&](int k) {
-    return gather(slot.ints + other_place<role>(k) * LaneAccess<S>::kStride);
-  };
+  const auto point = [&](int k) { return gather(slot.ints + k * LaneAccess<S>::kStride); };
   if constexpr (kOthers[role] == 1) {
     return {own, {point(0)}, numbers};
   } else if constexpr (kOthers[role] == 2) {
@@ -197,20 +196,20 @@ Block<S> contact_blocks(const LaneGroup<S>& g, const Vec3<S>& x) {
   return outer;
 }
 
-// The block of the particles of a group at x, in this order: contacts and springs; then inertia,
-// triangles, bending edges, tetrahedra; then both sums.
+// The block of the particles of a group at x, in this order: contacts and outer elements; then
+// inertia and the other elements; then both sums.
 template <class S>
 Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x) {
   const VbdRow* const q = g.a.x;
   Block<S> outer = contact_blocks(g, x);
-  for_slots<kSpring>(g, [&](const auto& s) { outer = outer + block_of(inputs_of(s, x, q), true); });
-  Block<S> block = inertia_block(x, g.at(g.a.target), g.mass_by_h2());
-  for_inner_roles([&](auto is) {
+  const auto add = [&](auto is, Block<S>& sum) {
     constexpr Role role = decltype(is)::role;
     const bool damped = g.is_damped(role);
-    for_slots<role>(g,
-                    [&](const auto& s) { block = block + block_of(inputs_of(s, x, q), damped); });
-  });
+    for_slots<role>(g, [&](const auto& s) { sum = sum + block_of(inputs_of(s, x, q), damped); });
+  };
+  for_roles_that_are<true>([&](auto is) { add(is, outer); });
+  Block<S> block = inertia_block(x, g.at(g.a.target), g.mass_by_h2());
+  for_roles_that_are<false>([&](auto is) { add(is, block); });
   return block + outer;
 }
 
@@ -226,8 +225,9 @@ S energy_at(const LaneGroup<S>& g, const Vec3<S>& x, const Vec3<S>& from) {
     energy = energy + select(c.touching, of_contact, S(0.0f));
   });
   for_roles([&](auto is) {
-    for_slots<decltype(is)::role>(
-        g, [&](const auto& s) { energy = energy + energy_of(inputs_apart(s, x, g.a.x)); });
+    for_slots<decltype(is)::role>(g, [&](const auto& s) {
+      energy = energy + decltype(is)::Slot::energy(inputs_apart(s, x, g.a.x));
+    });
   });
   return energy;
 }
@@ -238,10 +238,11 @@ void prepare(const LaneGroup<S>& g) {
   const Vec3<S> x = g.at(g.a.start);
   for_roles([&](auto is) {
     constexpr Role role = decltype(is)::role;
-    if (role != kSpring && !g.is_damped(role)) return;
+    if (!g.is_damped(role)) return;
     for_slots<role>(g, [&](const auto& s) {
-      start_of_slot(inputs_apart(s, x, g.a.start),
-                    [&](int k, const S& value) { s.set(start_begin(role) + k, value); });
+      decltype(is)::Slot::put_start(inputs_apart(s, x, g.a.start), [&](int k, const S& value) {
+        s.set(start_begin(role) + k, value);
+      });
     });
   });
 }

@@ -13,9 +13,9 @@ struct VbdTangentArguments {
                     Optional<Reads<float>> mass;       // by mass/h^2, per particle
                     Optional<Reads<float>> contacts;   // kContactLawFloats for each contact
                     Optional<Updates<float>> numbers;  // of slots, of all their numbers
-                    Each<Number<int64_t>, 5> begins;   // where those of a role begin
-                    Optional<Reads<VbdRow>> load;      // added to the derivative of f
-                    Number<int64_t> at_rest;           // at a solution, where f = 0
+                    Each<Number<int64_t>, vbd::kRoles> begins;  // where those of a role begin
+                    Optional<Reads<VbdRow>> load;               // added to the derivative of f
+                    Number<int64_t> at_rest;                    // at a solution, where f = 0
                     // Those of friction stay, as its energy keeps them: f has a potential then.
                     Number<int64_t> keeps_loads;
                     // Written: f, its derivative, and that of the steps of the particles; null:
@@ -90,13 +90,13 @@ struct TangentGroup {
   // In the order of block_at.
   Block<Tangent> block(const Point& x) const {
     Block<Tangent> outer = contacts(x);
-    add_slots<kSpring>(x, outer);
+    for_roles_that_are<true>([&](auto is) { add_slots<decltype(is)::role>(x, outer); });
     S mass{};
     for (int l = 0; a.mass != nullptr && l < g.filled; ++l)
       Access::set(mass, l, a.mass[g.particle[l]]);
     Block<Tangent> sum = inertia_block(x, gather_slopes<S>(a.sweep.target, a.target, g.particle),
                                        Tangent(g.mass_by_h2(), mass));
-    for_inner_roles([&](auto is) { add_slots<decltype(is)::role>(x, sum); });
+    for_roles_that_are<false>([&](auto is) { add_slots<decltype(is)::role>(x, sum); });
     return sum + outer;
   }
 };
@@ -130,12 +130,11 @@ void tangent_start(const VbdTangentArguments& a, const LaneGroup<S>& g) {
     constexpr Role role = decltype(is)::role;
     for_slots<role>(g, [&](const Slot<role, S>& slot) {
       const auto numbers = of.numbers(slot);
-      start_of_slot(inputs_of(slot, x, numbers, [&](const int32_t* p) { return of.start(p); }),
-                    [&](int k, const TangentOf<S>& value) {
-                      LaneAccess<S>::store(
-                          numbers.slopes + (start_begin(role) + k) * LaneAccess<S>::kStride,
-                          value.d);
-                    });
+      const auto in = inputs_of(slot, x, numbers, [&](const int32_t* p) { return of.start(p); });
+      decltype(is)::Slot::put_start(in, [&](int k, const TangentOf<S>& value) {
+        LaneAccess<S>::store(numbers.slopes + (start_begin(role) + k) * LaneAccess<S>::kStride,
+                             value.d);
+      });
     });
   });
 }

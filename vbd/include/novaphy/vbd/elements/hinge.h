@@ -1,0 +1,124 @@
+// A bending edge in VBD: a rotational spring and damper between two triangles.
+//
+// Law, for the opposite vertices 0, 1 and the edge from 2 to 3. The header math/hinge.h gives the
+// unit normals n1, n2 of lengths N1, N2, the unit vector e along the edge, and the angle th. The
+// angle at the start of the step h is thn, and wrap(.) goes into (-pi, pi] by one turn:
+//   E = ke L/2 (th - rest)^2 + kd L/(2h) wrap(th - thn)^2
+//   f = -(ke L (th - rest) + kd L/h wrap(th - thn)) t,  H = (ke + kd/h) L t t^T,  t = dth/dx
+//   dth/dx0 = -n1 |e|/N1                      dth/dx2 = n1 ((x3-x0).e)/N1 + n2 ((x3-x1).e)/N2
+// The vertices 1 and 3 are 0 and 2 of the same edge read from its other side. H is the Gauss-Newton
+// part of the second derivative: rank 1, positive semidefinite. No force where a length is < 1e-6.
+// Symbols: x (m), L = length of the edge at rest (m), ke (N/m^2 per rad), kd (N*s/m^4), angles rad.
+//
+// Source: the closed form of Bridson, Marino, Fedkiw (2003) and Tamstorf, Grinspun (2013); Newton
+// 1.8.0's SolverVBD has the same law. (The semi-implicit solver multiplies ke by the present length
+// of the edge instead.)
+// Not smooth: a full fold, where th jumps by a turn; lengths of 1e-6.
+// Gradient: exact in x, ke, kd, L, rest, thn away from these.
+#pragma once
+
+#include "novaphy/math/hinge.h"
+#include "novaphy/vbd/elements/element.h"
+
+#define NOVAPHY_VBD_HINGE_PARAMETERS(X)          \
+  X(particle_edge_material, 2, 2, kMaterial)     \
+  X(particle_edge_rest_angle, 1, 1, kRestLength) \
+  X(particle_edge_rest_length, 1, 1, kRestLength)
+
+namespace novaphy::vbd {
+
+// Numbers: ke L, kd/h L, rest; thn.
+struct Hinge : ElementOf<4> {
+  static constexpr int kLawFloats = 3, kStartFloats = 1, kDampingParameter = 1;
+  static constexpr int kSlots = 2;  // HingeOpposite and HingeEnd
+  static constexpr bool kMayLackCorners = true, kMayBeUndefined = true;
+  NOVAPHY_VBD_ELEMENT(particle_edge_indices, NOVAPHY_VBD_HINGE_PARAMETERS)
+
+  template <class M>
+  static int slot_of(const M&, int32_t, int corner) {
+    return corner / 2;
+  }
+  // Odd corners read the edge from its other side.
+  static constexpr int other_corner(int corner, int k) {
+    return (k < (corner & 2) ? k : k + 1) ^ (corner & 1);
+  }
+  template <class S>
+  static S wrapped(const S& angle) {
+    using math::select;
+    const S pi = S(0x1.921fb6p+1f), turn = S(0x1.921fb6p+2f);
+    return select(angle > pi, angle - turn, select(angle < -pi, angle + turn, angle));
+  }
+  template <class T, class Put>
+  static void put_numbers(int, const T* p, const T& h, const Put& put) {
+    put(0, p[0] * p[3]);
+    put(1, (p[1] / h) * p[3]);
+    put(2, p[2]);
+  }
+};
+
+// `Slot` says which vertices its inputs are, and what dth/dx of its own is.
+template <class Slot>
+struct HingeSlot : Hinge {
+  template <class S>
+  static auto is_defined_by(const math::Hinge<S>& h) {
+    using math::both;
+    const S smallest = S(1e-6f);
+    return both(h.n1_length >= smallest, both(h.n2_length >= smallest, h.e_length >= smallest));
+  }
+  template <class In>
+  static auto is_defined(const In& in) {
+    return is_defined_by(Slot::hinge(in));
+  }
+  template <class In>
+  static auto block(const In& in, bool) {
+    using S = typename In::Scalar;
+    const S ke = in.numbers[0], kd_by_h = in.numbers[1];
+    const math::Hinge<S> h = Slot::hinge(in);
+    const Vec3<S> t = Slot::turning(in, h);
+    const S moment = ke * (h.angle - in.numbers[2]) + kd_by_h * wrapped(h.angle - in.numbers[3]);
+    Block<S> block;
+    block.f = t * (-moment);
+    add_outer(block, ke + kd_by_h, t);
+    return where(is_defined_by(h), block);
+  }
+  template <class In>
+  static auto energy(const In& in) {
+    using math::select;
+    using S = typename In::Scalar;
+    const math::Hinge<S> h = Slot::hinge(in);
+    const S bent = h.angle - in.numbers[2], moved = wrapped(h.angle - in.numbers[3]);
+    const S energy = S(0.5f) * ((in.numbers[0] * bent) * bent + (in.numbers[1] * moved) * moved);
+    return select(is_defined_by(h), energy, S(0.0f));
+  }
+  template <class In, class Put>
+  static void put_start(const In& in, const Put& put) {
+    put(0, Slot::hinge(in).angle);
+  }
+};
+// The opposite vertex x0.
+struct HingeOpposite : HingeSlot<HingeOpposite> {
+  template <class In>
+  static auto hinge(const In& in) {
+    return math::make_hinge(in.own, in.others[0], in.others[1], in.others[2]);
+  }
+  template <class In, class S>
+  static auto turning(const In&, const math::Hinge<S>& h) {
+    return h.n1 * (-(h.e_length / h.n1_length));
+  }
+};
+// The end x2 of the edge.
+struct HingeEnd : HingeSlot<HingeEnd> {
+  static constexpr int kSlot = 1;
+  template <class In>
+  static auto hinge(const In& in) {
+    return math::make_hinge(in.others[0], in.others[1], in.own, in.others[2]);
+  }
+  template <class In, class S>
+  static auto turning(const In& in, const math::Hinge<S>& h) {
+    const auto& x = in.others;
+    return h.n1 * (math::dot(x[2] - x[0], h.e) / h.n1_length) +
+           h.n2 * (math::dot(x[2] - x[1], h.e) / h.n2_length);
+  }
+};
+
+}  // namespace novaphy::vbd

@@ -1,0 +1,104 @@
+// The elements of VBD: their list, and what the solver asks of all of them.
+//
+// How slots (element.h) lie in memory: a group is some particles of one color, its lanes. The group
+// has slots for each role. Slot s of a group is one element for each lane: kOthers[role] rows of
+// indices, then kFloats[role] rows of numbers, with a number for each lane in a row. A lane with
+// fewer elements of a role reads, in the rest of its slots, itself and numbers of 0.
+//
+// Freestanding: device code reads it too.
+#pragma once
+
+#include "novaphy/vbd/elements/hinge.h"
+#include "novaphy/vbd/elements/spring.h"
+#include "novaphy/vbd/elements/tetrahedron.h"
+#include "novaphy/vbd/elements/triangle.h"
+
+// X(slot) in the order of sums. The slots of an element follow each other.
+#define NOVAPHY_VBD_SLOTS(X) X(Spring) X(Triangle) X(HingeOpposite) X(HingeEnd) X(Tetrahedron)
+// The parameters of all elements, see NOVAPHY_VBD_ELEMENT.
+#define NOVAPHY_VBD_PARAMETERS(X)    \
+  NOVAPHY_VBD_SPRING_PARAMETERS(X)   \
+  NOVAPHY_VBD_TRIANGLE_PARAMETERS(X) \
+  NOVAPHY_VBD_HINGE_PARAMETERS(X) NOVAPHY_VBD_TETRAHEDRON_PARAMETERS(X)
+
+namespace novaphy::vbd {
+
+// The kind of a slot.
+#define NOVAPHY_VBD_ENUMERATOR(slot) k##slot,
+enum Role : int { NOVAPHY_VBD_SLOTS(NOVAPHY_VBD_ENUMERATOR) kRoles };
+template <Role>
+struct RoleIs;
+#define NOVAPHY_VBD_ROLE(slot)            \
+  template <>                             \
+  struct RoleIs<k##slot> {                \
+    static constexpr Role role = k##slot; \
+    using Slot = slot;                    \
+  };
+NOVAPHY_VBD_SLOTS(NOVAPHY_VBD_ROLE)
+template <Role role>
+using SlotOf = typename RoleIs<role>::Slot;
+
+// By role: the other corners of a slot, its numbers, those of the law and of the start.
+#define NOVAPHY_VBD_OTHERS(slot) slot::kCorners - 1,
+#define NOVAPHY_VBD_FLOATS(slot) slot::kWeights + slot::kLawFloats + slot::kStartFloats,
+#define NOVAPHY_VBD_LAW_FLOATS(slot) slot::kLawFloats,
+#define NOVAPHY_VBD_START_FLOATS(slot) slot::kStartFloats,
+constexpr int kOthers[kRoles] = {NOVAPHY_VBD_SLOTS(NOVAPHY_VBD_OTHERS)};
+constexpr int kFloats[kRoles] = {NOVAPHY_VBD_SLOTS(NOVAPHY_VBD_FLOATS)};
+constexpr int kLawFloats[kRoles] = {NOVAPHY_VBD_SLOTS(NOVAPHY_VBD_LAW_FLOATS)};
+constexpr int kStartFloats[kRoles] = {NOVAPHY_VBD_SLOTS(NOVAPHY_VBD_START_FLOATS)};
+constexpr int start_begin(int role) { return kFloats[role] - kStartFloats[role]; }
+constexpr int law_begin(int role) { return start_begin(role) - kLawFloats[role]; }
+
+// Calls body(RoleIs<role>()) in the order of sums.
+template <class Body>
+void for_roles(const Body& body) {
+#define NOVAPHY_VBD_CALL(slot) body(RoleIs<k##slot>());
+  NOVAPHY_VBD_SLOTS(NOVAPHY_VBD_CALL)
+}
+// Those that are summed with contacts, or those that are not.
+template <bool outer, class Body>
+void for_roles_that_are(const Body& body) {
+  for_roles([&body](auto is) {
+    if constexpr (decltype(is)::Slot::kIsOuter == outer) body(is);
+  });
+}
+constexpr bool is_outer(int role) {
+#define NOVAPHY_VBD_IS_OUTER(slot) (slot::kIsOuter && role == k##slot) ||
+  return NOVAPHY_VBD_SLOTS(NOVAPHY_VBD_IS_OUTER) false;
+}
+// The first role of each element.
+template <class Body>
+void for_each_kind(const Body& body) {
+  for_roles([&body](auto is) {
+    if constexpr (decltype(is)::Slot::kSlot == 0) body(is);
+  });
+}
+
+// What a slot reads. Numbers: has the k-th number of the slot as [k].
+template <Role role, class S, class Numbers = S[kFloats[role]]>
+struct SlotInputs {
+  using Scalar = S;
+  Vec3<S> own, others[kOthers[role]];
+  Numbers numbers;
+};
+template <Role role, class S, class N>
+Block<S> block_of(const SlotInputs<role, S, N>& in, bool damped) {
+  return SlotOf<role>::block(in, damped);
+}
+
+// Calls body(parameter, array, index in the array) for the parameters of an element.
+template <class Element, class Body>
+void for_parameters(int64_t element, const Body& body) {
+  int k = 0, array = 0;
+  Element::for_columns([&](int columns, int width, ArrayUse) {
+    for (int c = 0; c < columns; ++c) body(k++, array, element * width + c);
+    ++array;
+  });
+}
+
+// A contact of a particle in the step: point (3), normal (3), travel (3), radius, ke, kd/h, mu.
+// Derivatives are by the last four.
+constexpr int kContactFloats = 13, kContactLawFloats = 4;
+
+}  // namespace novaphy::vbd

@@ -1,0 +1,130 @@
+// A tetrahedron in VBD: stable Neo-Hookean elasticity, seen from its corner x with the others at
+// x1, x2, x3.
+//
+// Law. Column c of the deformation gradient is f_c = sum_m (x_m - x) w_m,c, where w_m is the row of
+// the inverse rest matrix that belongs to corner m. The corner itself has the weights m = -(w1 + w2
+// + w3). With J = det F, its cofactors cof F, ln = lam + mu, alpha = 1 + mu/max(ln, 1e-6) - act, C
+// = F^T F and its value Cn at the start of the step h:
+//   E = V [ mu/2 (tr C - 3) + ln/2 (J - alpha)^2 ] + V kd/(2h) sum_pq (C_pq - Cn_pq)^2
+//   f = -V [ mu F m + ln (J - alpha) cof F m ] - damping
+//   H = V [ mu |m|^2 I + ln (cof F m)(cof F m)^T ] + damping's
+// H is the exact second derivative of the elastic E, positive definite for every shape, inverted
+// ones too, because J is linear in one corner. The damping's part is its Gauss-Newton one. Symbols:
+// x (m), w (1/m), V = volume at rest (m^3), mu, lam (Pa), kd (Pa*s), act (1): activation, added to
+// the relative volume.
+//
+// Source: Smith, de Goes, Kim (2018) without the logarithm, as Newton 1.8.0's SolverVBD has it
+// (without activation).
+// Smooth everywhere. Gradient: exact in x, w, V, mu, lam, kd, act, Cn.
+#pragma once
+
+#include "novaphy/math/matrix.h"
+#include "novaphy/vbd/elements/element.h"
+
+#define NOVAPHY_VBD_TETRAHEDRON_PARAMETERS(X) \
+  X(particle_tet_pose, 9, 9, kRestShape)      \
+  X(particle_tet_material, 3, 3, kMaterial)   \
+  X(particle_tet_activation, 1, 1, kActivation)
+
+namespace novaphy::vbd {
+
+// Numbers: w1, w2, w3; V mu, V ln, alpha, V kd/h; Cn00, Cn11, Cn22, Cn01, Cn02, Cn12.
+struct Tetrahedron : ElementOf<4> {
+  static constexpr int kWeights = 9, kLawFloats = 4, kStartFloats = 6;
+  static constexpr int kDampingParameter = 11, kActivated = 11;
+  NOVAPHY_VBD_ELEMENT(particle_tet_indices, NOVAPHY_VBD_TETRAHEDRON_PARAMETERS)
+  template <class M>
+  static auto& activation(M& m) {
+    return m.particle_tet_activation;
+  }
+
+  template <class S>
+  struct Columns {
+    Vec3<S> f[3];
+  };
+  template <class In>
+  static auto columns(const In& in) {
+    using S = typename In::Scalar;
+    const auto& n = in.numbers;
+    const Vec3<S> e1 = in.others[0] - in.own, e2 = in.others[1] - in.own,
+                  e3 = in.others[2] - in.own;
+    return Columns<S>{{(e1 * n[0] + e2 * n[3]) + e3 * n[6], (e1 * n[1] + e2 * n[4]) + e3 * n[7],
+                       (e1 * n[2] + e2 * n[5]) + e3 * n[8]}};
+  }
+  // In the order of the numbers.
+  template <class S>
+  struct Strain {
+    S c[6];
+  };
+  template <class S>
+  static Strain<S> strain(const Columns<S>& of) {
+    using math::dot;
+    const auto& f = of.f;
+    return {{dot(f[0], f[0]), dot(f[1], f[1]), dot(f[2], f[2]), dot(f[0], f[1]), dot(f[0], f[2]),
+             dot(f[1], f[2])}};
+  }
+
+  // `damped` false leaves the terms of kd out, which are 0 then.
+  template <class In>
+  static auto block(const In& in, bool damped) {
+    using namespace math;
+    using S = typename In::Scalar;
+    const auto& n = in.numbers;
+    const Columns<S> columns_of_f = columns(in);
+    const auto& f = columns_of_f.f;
+    const S mu = n[9], ln = n[10];
+    const Vec3<S> m =
+        -((Vec3<S>{n[0], n[1], n[2]} + Vec3<S>{n[3], n[4], n[5]}) + Vec3<S>{n[6], n[7], n[8]});
+    const Vec3<S> c0 = cross(f[1], f[2]), c1 = cross(f[2], f[0]), c2 = cross(f[0], f[1]);
+    const S s = ln * (dot(f[0], c0) - n[11]);
+    const Vec3<S> fm = (f[0] * m.x + f[1] * m.y) + f[2] * m.z;
+    const Vec3<S> dj = (c0 * m.x + c1 * m.y) + c2 * m.z;
+    Block<S> block;
+    block.f = -(fm * mu + dj * s);
+    add_identity(block, mu * dot(m, m));
+    add_outer(block, ln, dj);
+    if (!damped) return block;
+
+    const Strain<S> now = strain(columns_of_f);
+    const S kd_by_h = n[12], two = S(2.0f);
+    const Vec3<S> e[6] = {f[0] * (two * m.x),      f[1] * (two * m.y),
+                          f[2] * (two * m.z),      f[0] * m.y + f[1] * m.x,
+                          f[0] * m.z + f[2] * m.x, f[1] * m.z + f[2] * m.y};
+    for (int k = 0; k < 6; ++k) {
+      const S weight = k < 3 ? kd_by_h : two * kd_by_h;
+      block.f = block.f - e[k] * (weight * (now.c[k] - n[13 + k]));
+      add_outer(block, weight, e[k]);
+    }
+    return block;
+  }
+  template <class In>
+  static auto energy(const In& in) {
+    using namespace math;
+    using S = typename In::Scalar;
+    const auto& n = in.numbers;
+    const Columns<S> of = columns(in);
+    const auto [c] = strain(of);
+    const S stretch = dot(of.f[0], cross(of.f[1], of.f[2])) - n[11];
+    S squares = S(0.0f);
+    for (int k = 0; k < 6; ++k) {
+      const S d = c[k] - n[13 + k];
+      squares = squares + (k < 3 ? d * d : S(2.0f) * (d * d));
+    }
+    return S(0.5f) * ((n[9] * (((c[0] + c[1]) + c[2]) - S(3.0f)) + (n[10] * stretch) * stretch) +
+                      n[12] * squares);
+  }
+  template <class In, class Put>
+  static void put_start(const In& in, const Put& put) {
+    const auto of = strain(columns(in));
+    for (int k = 0; k < 6; ++k) put(k, of.c[k]);
+  }
+  template <class T, class Put>
+  static void put_numbers(int corner, const T* p, const T& h, const Put& put) {
+    put_weights<3>(corner, p, put);
+    const Mat33<T> pose = {{{p[0], p[1], p[2]}, {p[3], p[4], p[5]}, {p[6], p[7], p[8]}}};
+    const T volume = T(1.0f) / (math::determinant(pose) * T(6.0f));
+    put_neo_hookean(9, volume, p[9], p[10], p[12], p[11] / h, put);
+  }
+};
+
+}  // namespace novaphy::vbd

@@ -1,0 +1,137 @@
+// A triangle in VBD: a stable Neo-Hookean membrane, seen from its corner x with the others at x1,
+// x2.
+//
+// Law. Column c of the deformation gradient is f_c = (x1-x) w1_c + (x2-x) w2_c, c = 0, 1. The row
+// of the inverse rest matrix that belongs to corner m is w_m, and the corner itself has the weights
+// (a, b) = -(w1 + w2). Let J = sqrt(max(|f0 x f1|^2, 1e-20)), the normal n = (f0 x f1)/J, ln = lam
+// + mu and alpha = 1 + mu/max(ln, 1e-6) - act. The right Cauchy-Green tensor is C = (f_p . f_q),
+// with the value Cn at the start of the step h:
+//   E = A [ mu/2 (|f0|^2 + |f1|^2 - 2) + ln/2 (J - alpha)^2 ]
+//       + A kd/(2h) [ (C00 - Cn00)^2 + 2 (C01 - Cn01)^2 + (C11 - Cn11)^2 ]
+//   s = ln (J - alpha), g0 = f1 x n, g1 = n x f0, P_c = mu f_c + s g_c
+//   f = -A (P0 a + P1 b) - damping
+//   H = A [ (mu (a^2 + b^2) + r w.w) I + (ln - r) dJ dJ^T - r w w^T ] + damping's
+//   dJ = g0 a + g1 b, w = f1 a - f0 b, r = max(0, s)/J
+// H is the second derivative of the elastic E where s >= 0 and positive semidefinite everywhere;
+// the damping's part is its Gauss-Newton one. A rotation is not damped.
+// Symbols: x (m), w (1/m), A = area at rest (m^2), mu, lam (N/m: ke and ka of
+// particle_tri_material), kd (N*s/m), act (1): activation, added to the relative area.
+//
+// Source: Smith, de Goes, Kim (2018) in two dimensions, as Newton 1.8.0's SolverVBD has it (without
+// activation).
+// Not smooth: s = 0 in H; |f0 x f1| < 1e-10.
+// Gradient: exact in x, w, A, mu, lam, kd, act, Cn away from these.
+#pragma once
+
+#include "novaphy/vbd/elements/element.h"
+
+#define NOVAPHY_VBD_TRIANGLE_PARAMETERS(X)  \
+  X(particle_tri_pose, 4, 4, kRestShape)    \
+  X(particle_tri_area, 1, 1, kRestLength)   \
+  X(particle_tri_material, 3, 5, kMaterial) \
+  X(particle_tri_activation, 1, 1, kActivation)
+
+namespace novaphy::vbd {
+
+// Numbers: w1, w2; A mu, A ln, alpha, A kd/h; Cn00, Cn01, Cn11.
+struct Triangle : ElementOf<3> {
+  static constexpr int kWeights = 4, kLawFloats = 4, kStartFloats = 3;
+  static constexpr int kDampingParameter = 7, kActivated = 6;
+  static constexpr const char* kUnread = "drag and lift";
+  NOVAPHY_VBD_ELEMENT(particle_tri_indices, NOVAPHY_VBD_TRIANGLE_PARAMETERS)
+  template <class M>
+  static auto& activation(M& m) {
+    return m.particle_tri_activation;
+  }
+
+  template <class S>
+  struct Columns {
+    Vec3<S> f0, f1;
+  };
+  template <class In>
+  static auto column(const In& in, int c) {
+    const auto e1 = in.others[0] - in.own, e2 = in.others[1] - in.own;
+    return e1 * in.numbers[c] + e2 * in.numbers[2 + c];
+  }
+  template <class In>
+  static auto columns(const In& in) {
+    return Columns<typename In::Scalar>{column(in, 0), column(in, 1)};
+  }
+  template <class S>
+  struct Strain {
+    S c00, c01, c11;
+  };
+  template <class S>
+  static Strain<S> strain(const Columns<S>& f) {
+    return {math::dot(f.f0, f.f0), math::dot(f.f0, f.f1), math::dot(f.f1, f.f1)};
+  }
+  // J, of f0 x f1.
+  template <class S>
+  static S area_ratio(const Vec3<S>& normal) {
+    using math::max, math::sqrt;
+    return sqrt(max(math::dot(normal, normal), S(1e-20f)));
+  }
+
+  // `damped` false leaves the terms of kd out, which are 0 then.
+  template <class In>
+  static auto block(const In& in, bool damped) {
+    using namespace math;
+    using S = typename In::Scalar;
+    const auto& numbers = in.numbers;
+    const S mu = numbers[4], ln = numbers[5];
+    const Columns<S> c = columns(in);
+    const auto& [f0, f1] = c;
+    const Vec3<S> m = cross(f0, f1);
+    const S j = area_ratio(m);
+    const Vec3<S> n = m / j;
+    const S a = -(numbers[0] + numbers[2]), b = -(numbers[1] + numbers[3]);
+    const S zero = S(0.0f), two = S(2.0f);
+    const S s = ln * (j - numbers[6]);
+    const Vec3<S> dj = cross(f1, n) * a + cross(n, f0) * b;
+    const Vec3<S> w = f1 * a - f0 * b;
+    const S r = max(zero, s) / j;
+    Block<S> block;
+    block.f = -((f0 * a + f1 * b) * mu + dj * s);
+    add_identity(block, mu * (a * a + b * b) + r * dot(w, w));
+    add_outer(block, ln - r, dj);
+    add_outer(block, -r, w);
+    if (!damped) return block;
+
+    const auto [c00, c01, c11] = strain(c);
+    const Vec3<S> e00 = f0 * (two * a), e01 = f1 * a + f0 * b, e11 = f1 * (two * b);
+    const S k = numbers[7], k2 = two * k;
+    block.f = block.f - ((e00 * (k * (c00 - numbers[8])) + e01 * (k2 * (c01 - numbers[9]))) +
+                         e11 * (k * (c11 - numbers[10])));
+    add_outer(block, k, e00);
+    add_outer(block, k2, e01);
+    add_outer(block, k, e11);
+    return block;
+  }
+  template <class In>
+  static auto energy(const In& in) {
+    using S = typename In::Scalar;
+    const auto& n = in.numbers;
+    const Columns<S> c = columns(in);
+    const S stretch = area_ratio(math::cross(c.f0, c.f1)) - n[6];
+    const auto [c00, c01, c11] = strain(c);
+    const S d00 = c00 - n[8], d01 = c01 - n[9], d11 = c11 - n[10];
+    return S(0.5f) * ((n[4] * ((c00 + c11) - S(2.0f)) + (n[5] * stretch) * stretch) +
+                      n[7] * ((d00 * d00 + S(2.0f) * (d01 * d01)) + d11 * d11));
+  }
+  template <class In, class Put>
+  static void put_start(const In& in, const Put& put) {
+    using S = typename In::Scalar;
+    const Vec3<S> f1 = column(in, 1);  // first: the order of derivatives is that of operations
+    const auto [c00, c01, c11] = strain(Columns<S>{column(in, 0), f1});
+    put(0, c00);
+    put(1, c01);
+    put(2, c11);
+  }
+  template <class T, class Put>
+  static void put_numbers(int corner, const T* p, const T& h, const Put& put) {
+    put_weights<2>(corner, p, put);
+    put_neo_hookean(4, p[4], p[5], p[6], p[8], p[7] / h, put);
+  }
+};
+
+}  // namespace novaphy::vbd

@@ -3,9 +3,9 @@
 #include <algorithm>
 
 #include "element_arrays.h"
+#include "novaphy/math/dual.h"
 #include "novaphy/vbd/contact_numbers_law.h"
 #include "novaphy/vbd/particle_step_law.h"
-#include "novaphy/vbd/tangent_law.h"
 #include "step_tangent.h"
 
 namespace novaphy::vbd {
@@ -56,7 +56,7 @@ class Direction {
   }
 
   void set_slots() const {
-    using Tangent = TangentOf<float>;
+    using Tangent = math::Dual<float>;
     for_roles([&](auto is) {
       using Slot = typename decltype(is)::Slot;
       const ColorSlots::Table& table = step.slots().table(is.role);
@@ -92,7 +92,7 @@ class Direction {
     const OnHost<float> radius(t.particle_radius), margin(t.shape_margin), ke(t.shape_material_ke),
         kd(t.shape_material_kd), mu(t.shape_material_mu);
     to.contacts.resize(items.size() * kContactLawFloats);
-    using Tangent = TangentOf<float>;
+    using Tangent = math::Dual<float>;
     const ContactMaterial<Tangent> of_model = {Tangent(), Tangent(), Tangent(model_mu)};
     for (size_t k = 0; k < static_cast<size_t>(begin.back()); ++k) {
       const auto slot = static_cast<size_t>(items[k]);

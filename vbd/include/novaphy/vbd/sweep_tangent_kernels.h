@@ -2,8 +2,8 @@
 // d' = H^-1 (f' - H' d): at a solution, where f = 0, H^-1 f'.
 #pragma once
 
+#include "novaphy/math/dual.h"
 #include "novaphy/vbd/sweep_kernels.h"
-#include "novaphy/vbd/tangent_law.h"
 
 namespace novaphy {
 
@@ -27,23 +27,24 @@ namespace vbd {
 
 // Rows of particles with their derivatives.
 template <class S>
-Vec3<TangentOf<S>> gather_slopes(const VbdRow* values, const VbdRow* slopes, const int32_t* index) {
-  return with_slope(LaneAccess<S>::gather(values, index),
-                    slopes != nullptr ? LaneAccess<S>::gather(slopes, index) : Vec3<S>{});
+Vec3<math::Dual<S>> gather_slopes(const VbdRow* values, const VbdRow* slopes,
+                                  const int32_t* index) {
+  return math::with_slope(LaneAccess<S>::gather(values, index),
+                          slopes != nullptr ? LaneAccess<S>::gather(slopes, index) : Vec3<S>{});
 }
 
 // The lanes of a group with the derivatives of what they read.
 template <class S>
 struct TangentGroup {
   using Access = LaneAccess<S>;
-  using Tangent = TangentOf<S>;
+  using Tangent = math::Dual<S>;
   using Point = Vec3<Tangent>;
   const VbdTangentArguments& a;
   const LaneGroup<S>& g;
 
   Point place(const int32_t* p) const { return gather_slopes<S>(a.sweep.x, a.x, p); }
   Point start(const int32_t* p) const { return gather_slopes<S>(a.sweep.start, a.start, p); }
-  static Point still(const Vec3<S>& v) { return with_slope(v, Vec3<S>{}); }
+  static Point still(const Vec3<S>& v) { return math::with_slope(v, Vec3<S>{}); }
 
   // The numbers of a slot; without slopes they are 0.
   template <Role role>
@@ -79,7 +80,8 @@ struct TangentGroup {
         for (int n = 0; all.number[l] >= 0 && n < kContactLawFloats; ++n)
           Access::set(slopes[n], l,
                       a.contacts[static_cast<int64_t>(all.number[l]) * kContactLawFloats + n]);
-      if (a.keeps_loads != 0) slopes[3] = slope_that_keeps_load(value_of(x), slope_of(x), c);
+      if (a.keeps_loads != 0)
+        slopes[3] = slope_that_keeps_load(math::value_of(x), math::slope_of(x), c);
       const ParticleContact<Tangent> contact = {
           still(c.point),    still(c.normal),        still(c.travel),   {c.radius, slopes[0]},
           {c.ke, slopes[1]}, {c.kd_by_h, slopes[2]}, {c.mu, slopes[3]}, Tangent(c.slip)};
@@ -105,8 +107,8 @@ template <class S>
 void tangent(const VbdTangentArguments& a, const LaneGroup<S>& g) {
   if (g.filled == 0) return;
   const TangentGroup<S> of = {a, g};
-  const Block<TangentOf<S>> b = of.block(of.place(g.particle));
-  const Vec3<S> f = value_of(b.f), slope = slope_of(b.f);
+  const Block<math::Dual<S>> b = of.block(of.place(g.particle));
+  const Vec3<S> f = math::value_of(b.f), slope = math::slope_of(b.f);
   if (a.force != nullptr) g.put(a.force, f);
   if (a.force_slope != nullptr) g.put(a.force_slope, slope);
   if (a.step_slope == nullptr) return;
@@ -125,13 +127,13 @@ template <class S>
 void tangent_start(const VbdTangentArguments& a, const LaneGroup<S>& g) {
   if (g.filled == 0) return;
   const TangentGroup<S> of = {a, g};
-  const Vec3<TangentOf<S>> x = of.start(g.particle);
+  const Vec3<math::Dual<S>> x = of.start(g.particle);
   for_roles([&](auto is) {
     constexpr Role role = decltype(is)::role;
     for_slots<role>(g, [&](const Slot<role, S>& slot) {
       const auto numbers = of.numbers(slot);
       const auto in = inputs_of(slot, x, numbers, [&](const int32_t* p) { return of.start(p); });
-      decltype(is)::Slot::put_start(in, [&](int k, const TangentOf<S>& value) {
+      decltype(is)::Slot::put_start(in, [&](int k, const math::Dual<S>& value) {
         LaneAccess<S>::store(numbers.slopes + (start_begin(role) + k) * LaneAccess<S>::kStride,
                              value.d);
       });

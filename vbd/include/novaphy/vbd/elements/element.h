@@ -9,7 +9,7 @@
 // Model.
 //
 // Freestanding: device code reads it too. The scalar is a float, lanes of floats, carries a
-// derivative (tangent_law.h), or is an expression (tools/vbd_adjoints).
+// derivative (math/dual.h), or is an expression (tools/vbd_adjoints).
 #pragma once
 
 #include "novaphy/vbd/block_law.h"

@@ -1,0 +1,74 @@
+// Dual: a scalar, a float or lanes of floats, with its derivative along one direction. Formulas are
+// instantiated with it as they stand. Comparisons look at values, so branches are those of the
+// values. The rules are those of tools/vbd_adjoints/symbol.h: sqrt has the derivative 0 at 0, and
+// max and min that of their first argument where both are equal.
+#pragma once
+
+#include "novaphy/math/functions.h"
+#include "novaphy/math/types.h"
+
+#ifndef NOVAPHY_LANE_FN  // of floats
+#define NOVAPHY_LANE_FN inline
+#endif
+
+namespace novaphy::math {
+
+template <class S>
+struct Dual {
+  using Mask = decltype(S() < S());
+  S v{}, d{};
+
+  Dual() = default;
+  template <class Value>
+  explicit Dual(Value value) : v(value) {}  // of a float, too
+  Dual(S value, S slope) : v(value), d(slope) {}
+
+  NOVAPHY_LANE_FN friend Dual operator+(const Dual& a, const Dual& b) {
+    return {a.v + b.v, a.d + b.d};
+  }
+  NOVAPHY_LANE_FN friend Dual operator-(const Dual& a, const Dual& b) {
+    return {a.v - b.v, a.d - b.d};
+  }
+  NOVAPHY_LANE_FN friend Dual operator*(const Dual& a, const Dual& b) {
+    return {a.v * b.v, a.d * b.v + b.d * a.v};
+  }
+  NOVAPHY_LANE_FN friend Dual operator/(const Dual& a, const Dual& b) {
+    const S inverse = S(1.0f) / b.v, quotient = a.v / b.v;
+    return {quotient, a.d * inverse - b.d * (quotient * inverse)};
+  }
+  NOVAPHY_LANE_FN friend Dual operator-(const Dual& a) { return {-a.v, -a.d}; }
+  NOVAPHY_LANE_FN friend Mask operator<(const Dual& a, const Dual& b) { return a.v < b.v; }
+  NOVAPHY_LANE_FN friend Mask operator>(const Dual& a, const Dual& b) { return a.v > b.v; }
+  NOVAPHY_LANE_FN friend Mask operator>=(const Dual& a, const Dual& b) { return a.v >= b.v; }
+  NOVAPHY_LANE_FN friend Dual select(Mask c, const Dual& a, const Dual& b) {
+    using math::select;
+    return {select(c, a.v, b.v), select(c, a.d, b.d)};
+  }
+  NOVAPHY_LANE_FN friend Dual min(const Dual& a, const Dual& b) { return select(a.v <= b.v, a, b); }
+  NOVAPHY_LANE_FN friend Dual max(const Dual& a, const Dual& b) { return select(a.v >= b.v, a, b); }
+  friend Dual sqrt(const Dual& a) {
+    using math::select;
+    using math::sqrt;
+    const S root = sqrt(a.v), zero{};
+    return {root, a.d * select(root > zero, S(0.5f) / root, zero)};
+  }
+  friend Dual atan2(const Dual& y, const Dual& x) {
+    const auto angle = math::functions_detail::atan2_value(y.v, x.v);
+    return {angle.value, y.d * angle.dy + x.d * angle.dx};
+  }
+};
+
+template <class S>
+Vec3<Dual<S>> with_slope(const Vec3<S>& value, const Vec3<S>& slope) {
+  return {{value.x, slope.x}, {value.y, slope.y}, {value.z, slope.z}};
+}
+template <class S>
+Vec3<S> value_of(const Vec3<Dual<S>>& a) {
+  return {a.x.v, a.y.v, a.z.v};
+}
+template <class S>
+Vec3<S> slope_of(const Vec3<Dual<S>>& a) {
+  return {a.x.d, a.y.d, a.z.d};
+}
+
+}  // namespace novaphy::math

@@ -80,7 +80,7 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
       config_(config),
       particles_(*this->model(), step_options(config)),
       bodies_(body_options(config)),
-      materials_("DiffSemiImplicitSolver", {.ka = moves_bodies()}),
+      materials_("DiffSemiImplicitSolver", {.ka = moves_bodies(), .ropes = false}),
       friction_smoothing_(huber_smoothing(config)) {
   materials_.check(*this->model());
   const auto check_option = [](const char* name, float value) {

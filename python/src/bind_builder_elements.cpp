@@ -79,8 +79,7 @@ std::vector<Row> rows_of(std::initializer_list<std::pair<py::handle, const char*
 
 void bind_single(Builder& c) {
   c.def("add_spring", &ModelBuilder::add_spring, "i"_a, "j"_a, "ke"_a, "kd"_a, "control"_a = 0.0f,
-        "A spring of stiffness ke (N/m) and damping kd (N*s/m) between two particles, at rest at "
-        "their present distance. Returns the index. ValueError: no length.");
+        "tension_only"_a = false, doc::kAddSpring);
   c.def(
       "add_triangle",
       [](ModelBuilder& b, int32_t i, int32_t j, int32_t k, OptionalFloat ke, OptionalFloat ka,

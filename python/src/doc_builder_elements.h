@@ -3,6 +3,16 @@
 
 namespace novaphy::python::doc {
 
+inline constexpr char kAddSpring[] =
+    R"(Adds a spring between two particles, at rest at their present distance. Returns the index.
+
+ke, kd: stiffness (N/m) and damping (N*s/m).
+control: stored; no force uses it.
+tension_only: a rope, which pulls where it is longer than at rest, and never pushes. SolverVBD and
+DiffSolverVBD step ropes; other solvers refuse them.
+
+ValueError: no length.)";
+
 inline constexpr char kAddEdge[] =
     R"(Adds a bending edge from k to l between the triangles (i, k, l) and (j, l, k). Returns the
 index.

@@ -90,7 +90,7 @@ struct Scene {
 };
 
 TEST(StepAllocations, SemiImplicitParticlesTakeNone) {
-  Scene scene(EverythingScene::builder());
+  Scene scene(EverythingScene::builder(0.0f, false));
   SolverSemiImplicit solver(scene.model);
   EXPECT_EQ(scene.of_steps(solver), 0);
 }
@@ -127,7 +127,7 @@ int64_t of_a_step(Scene& scene, SolverBase& solver) {
 }
 
 TEST(StepAllocations, DifferentiableSemiImplicitTakesHandlesOnly) {
-  Scene scene(EverythingScene::builder());
+  Scene scene(EverythingScene::builder(0.0f, false));
   diff::DiffSemiImplicitSolver solver(scene.model, {.enable_tetrahedra = true,
                                                     .enable_triangles = true,
                                                     .enable_springs = true,

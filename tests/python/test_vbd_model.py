@@ -127,6 +127,7 @@ ACTS = {
     "particle_spring_rest_length": scaled,
     "particle_spring_stiffness": scaled,
     "particle_spring_damping": scaled,
+    "particle_spring_tension_only": lambda values: 1 - values,
     "particle_tri_indices": swapped,
     "particle_tri_pose": scaled,
     "particle_tri_area": scaled,

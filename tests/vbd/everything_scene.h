@@ -26,8 +26,8 @@ DeviceArray<T> zeros(size_t rows) {
   return DeviceArray<T>(rows, Device::cpu());
 }
 
-// A cloth, a block and a spring with everything that has a derivative: damping, activations, bent
-// edges, a contact with friction.
+// A cloth, a block, a spring and two ropes with everything that has a derivative: damping,
+// activations, bent edges, a contact with friction.
 struct EverythingScene {
   std::shared_ptr<Model> model;
   std::unique_ptr<Contacts> contacts;
@@ -51,7 +51,7 @@ struct EverythingScene {
     control.particle_tri_activation.fill(0.05f);
     control.particle_tet_activation.fill(-0.03f);
   }
-  static ModelBuilder builder(float kd = 0.0f) {
+  static ModelBuilder builder(float kd = 0.0f, bool ropes = true) {
     ModelBuilder b;
     b.add_cloth_grid({.placement = {.pos = {0.0f, 0.0f, 0.5f}},
                       .dim_x = 4,
@@ -72,6 +72,10 @@ struct EverythingScene {
                      .k_damp = 2.0f,
                      .particle_radius = 0.1f});
     b.add_spring(7, 30, 40.0f, 0.5f);
+    if (ropes) {
+      b.add_spring(4, 40, 30.0f, 0.4f, 0.0f, true);  // taut
+      b.add_spring(2, 26, 30.0f, 0.4f, 0.0f, true);  // slack
+    }
     b.add_ground_plane({.cfg = ShapeConfig{.ke = 100.0f, .kd = kd, .mu = 0.5f}});
     for (size_t p = 0; p < b.particle_q.size(); ++p)
       b.particle_q[p].z += 0.02f * std::sin(2.0f * static_cast<float>(p));

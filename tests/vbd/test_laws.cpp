@@ -84,6 +84,36 @@ TEST(VbdLaws, ASpringsForceIsMinusTheDerivativeOfItsEnergy) {
   }
 }
 
+// Force and Hessian of a rope are the derivatives of its energy, on both sides of the kink.
+TEST(VbdLaws, ARopePullsAndNeverPushes) {
+  int taut = 0, slack = 0;
+  for (int trial = 0; trial < 200; ++trial) {
+    const SlotInputs<kRope, Real64> in = {
+        random_point(),
+        {random_point()},
+        {random(0, 100), trial % 2 == 0 ? Real64(0.0) : random(0, 50), random(0.1, 2),
+         random(0.1, 2)}};
+    const Real64 pull = Rope::pull(in, Rope::length(in));
+    if (std::abs(pull.v) < 1e-3) continue;  // the kink
+    expect_law(in);
+    const auto block = block_of(in, true);
+    expect_exact(
+        block, [&in](const Point& p) { return force_at(in, p); }, in.own);
+    const Real64 along = math::dot(block.f, in.own - in.others[0]);
+    if (Rope::length(in).v <= in.numbers[2].v) EXPECT_LE(pull.v, 0.0);
+    if (pull.v > 0.0) {
+      ++taut;
+      EXPECT_LT(along.v, 0.0);
+    } else {
+      ++slack;
+      EXPECT_EQ(along.v, 0.0);
+      EXPECT_EQ(block.h00.v + block.h11.v + block.h22.v, 0.0);
+    }
+  }
+  EXPECT_GT(taut, 50);
+  EXPECT_GT(slack, 50);
+}
+
 // A spring that is pressed to half its length has an indefinite second derivative; H does not.
 TEST(VbdLaws, APressedSpringIsProjected) {
   const SlotInputs<kSpring, Real64> in = {{Real64(0.5), Real64(0.0), Real64(0.0)},

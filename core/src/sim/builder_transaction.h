@@ -28,7 +28,7 @@ class ModelBuilder::Transaction {
     shrink(particles_, b.particle_q, b.particle_qd, b.particle_mass, b.particle_radius,
            b.particle_flags, b.particle_world);
     shrink(springs_, b.springs_.indices, b.springs_.rest_length, b.springs_.stiffness,
-           b.springs_.damping, b.springs_.control);
+           b.springs_.damping, b.springs_.control, b.springs_.tension_only);
     shrink(triangles_, b.triangles_.indices, b.triangles_.pose, b.triangles_.area);
     shrink(triangles_ * 5, b.triangles_.material);
     shrink(edges_, b.edges_.indices, b.edges_.rest_angle, b.edges_.rest_length);

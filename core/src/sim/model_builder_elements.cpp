@@ -56,7 +56,7 @@ void check_size(const Element& e, const char* what, double relative, double size
 }  // namespace
 
 void ModelBuilder::append_spring(std::string_view function, const Vec2i& spring, float ke, float kd,
-                                 float control) {
+                                 float control, bool tension_only) {
   const Element e{function, "spring", springs_.indices.size(), {spring.x, spring.y}};
   check_particle(e, spring.x, particle_count());
   check_particle(e, spring.y, particle_count());
@@ -73,6 +73,7 @@ void ModelBuilder::append_spring(std::string_view function, const Vec2i& spring,
   springs_.stiffness.push_back(ke);
   springs_.damping.push_back(kd);
   springs_.control.push_back(control);
+  springs_.tension_only.push_back(tension_only ? 1 : 0);
 }
 
 float ModelBuilder::append_triangle(std::string_view function, const Vec3i& triangle,
@@ -157,8 +158,9 @@ void ModelBuilder::append_edge(std::string_view function, const Vec4i& edge,
   edges_.material.insert(edges_.material.end(), {ke, kd});
 }
 
-int32_t ModelBuilder::add_spring(int32_t i, int32_t j, float ke, float kd, float control) {
-  append_spring("add_spring", {i, j}, ke, kd, control);
+int32_t ModelBuilder::add_spring(int32_t i, int32_t j, float ke, float kd, float control,
+                                 bool tension_only) {
+  append_spring("add_spring", {i, j}, ke, kd, control, tension_only);
   return spring_count() - 1;
 }
 

@@ -20,6 +20,7 @@ void ModelBuilder::upload_elements(Model& m) const {
   upload(m.particle_spring_stiffness, springs_.stiffness);
   upload(m.particle_spring_damping, springs_.damping);
   upload(m.particle_spring_control, springs_.control);
+  upload(m.particle_spring_tension_only, springs_.tension_only);
   upload(m.particle_tri_indices, triangles_.indices);
   upload(m.particle_tri_pose, triangles_.pose);
   upload(m.particle_tri_area, triangles_.area);

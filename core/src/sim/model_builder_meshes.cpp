@@ -72,7 +72,7 @@ void ModelBuilder::append_cloth(std::string_view name, const ClothMeshArgs& args
   if (!args.add_springs) return;
   for (const Vec2i& pair : detail::spring_pairs(edges))
     append_spring(name, pair, args.spring_ke.value_or(default_spring_ke),
-                  args.spring_kd.value_or(default_spring_kd), 0.0f);
+                  args.spring_kd.value_or(default_spring_kd), 0.0f, false);
 }
 
 void ModelBuilder::add_cloth_mesh(const ClothMeshArgs& args) {

@@ -114,6 +114,7 @@ void ModelBuilder::append_elements(const ModelBuilder& b) {
   append(springs_.stiffness, b.springs_.stiffness);
   append(springs_.damping, b.springs_.damping);
   append(springs_.control, b.springs_.control);
+  append(springs_.tension_only, b.springs_.tension_only);
   append_indices(triangles_.indices, b.triangles_.indices, first);
   append(triangles_.pose, b.triangles_.pose);
   append(triangles_.area, b.triangles_.area);

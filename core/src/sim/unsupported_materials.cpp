@@ -43,6 +43,20 @@ void UnsupportedMaterials::check(const Model& model) {
               ", because this solver does not read it, got ", values[s]);
     known_[k].set(setting.array);
   }
+  if (!reads_.ropes) check_ropes(model);
+}
+
+void UnsupportedMaterials::check_ropes(const Model& model) {
+  const DeviceArray<uint8_t>& ropes = model.particle_spring_tension_only;
+  if (ropes.rows() == 0 || ropes_.matches(ropes)) return;
+  const Unobserved unobserved;
+  const std::vector<uint8_t> values = ropes.to_host();
+  for (size_t e = 0; e < values.size(); ++e)
+    require(values[e] == 0, ErrorKind::NotImplemented, solver_,
+            ": model.particle_spring_tension_only[", e,
+            "]: expected 0, because ropes are not supported, got ", int{values[e]},
+            "; use SolverVBD");
+  ropes_.set(ropes);
 }
 
 }  // namespace novaphy

@@ -53,7 +53,7 @@ void check_covered(const Model& model) { JointForces::check_covered(model, "Solv
 
 struct SolverSemiImplicit::Cache {
   Cache(const Model& m, FrictionLaw law, const std::optional<SleepConfig>& of_sleep)
-      : materials("SolverSemiImplicit", {.ka = m.body_count() > 0}) {
+      : materials("SolverSemiImplicit", {.ka = m.body_count() > 0, .ropes = false}) {
     materials.check(m);
     if (law == FrictionLaw::Huber || law == FrictionLaw::Newton17) watch.leave_out_friction();
     if (of_sleep) sleep.emplace(*of_sleep);

@@ -123,6 +123,8 @@ namespace novaphy {
   X(particle_spring_stiffness, float, 1, spring_count, "N/m", "", "spring stiffness")             \
   X(particle_spring_damping, float, 1, spring_count, "N*s/m", "", "damping along the spring")     \
   X(particle_spring_control, float, 1, spring_count, "1", "", "stored; no force uses it")         \
+  X(particle_spring_tension_only, uint8_t, 1, spring_count, "", "",                               \
+    "1: a rope, which pulls and never pushes")                                                    \
   X(particle_tri_indices, Vec3i, 1, tri_count, "", "", "corners, counter-clockwise")              \
   X(particle_tri_pose, Mat22f, 1, tri_count, "1/m", "triangle",                                   \
     "inverse of the edges x1 - x0, x2 - x0 at rest, as columns; x along the first edge")          \

@@ -234,16 +234,16 @@ class NOVAPHY_CORE_API ModelBuilder {
   // the present positions; one without a size is refused and named (ErrorKind::Value): an area up
   // to 1e-7 of the longest edge squared, a volume up to 1e-7 of it cubed, an inverted tetrahedron.
   // Materials are finite and >= 0.
-  //
-  // A spring, its rest length the present distance; `control` is stored only. Returns the index.
-  int32_t add_spring(int32_t i, int32_t j, float ke, float kd, float control = 0.0f);
+  // A spring, its rest length the present distance; `control` is stored only. With `tension_only` a
+  // rope: it pulls where it is longer than at rest, and never pushes. Returns the index.
+  int32_t add_spring(int32_t i, int32_t j, float ke, float kd, float control = 0.0f,
+                     bool tension_only = false);
   // A triangle, counter-clockwise. Returns its area (m^2).
   float add_triangle(int32_t i, int32_t j, int32_t k, const TriMaterial& material = {});
   // Many; `materials`: none, one for all, or one each. Returns their areas.
   std::vector<float> add_triangles(std::span<const Vec3i> indices,
                                    std::span<const TriMaterial> materials = {});
-  // A tetrahedron of positive volume: l on the side to which (i, j, k) turns counter-clockwise.
-  // Returns its volume (m^3).
+  // A tetrahedron, l where (i, j, k) turns counter-clockwise. Returns its volume (m^3), > 0.
   float add_tetrahedron(int32_t i, int32_t j, int32_t k, int32_t l, std::optional<float> k_mu = {},
                         std::optional<float> k_lambda = {}, std::optional<float> k_damp = {});
   // Many; each material: none, one for all, or one each. Returns their volumes.
@@ -251,9 +251,8 @@ class NOVAPHY_CORE_API ModelBuilder {
                                     std::span<const float> k_mu = {},
                                     std::span<const float> k_lambda = {},
                                     std::span<const float> k_damp = {});
-  // A bending edge from k to l between the triangles (i, k, l) and (j, l, k); i or j may be -1,
-  // which makes it a border without a force. `rest`: the angle at rest (rad), the present one when
-  // empty. Returns the index.
+  // A bending edge from k to l between the triangles (i, k, l) and (j, l, k); i or j may be -1: a
+  // border without a force. `rest` (rad): empty for the present angle. Returns the index.
   int32_t add_edge(int32_t i, int32_t j, int32_t k, int32_t l, std::optional<float> rest = {},
                    const EdgeMaterial& material = {});
   // Many; `rest`: one each, or none; `materials`: none, one for all, or one each.
@@ -428,6 +427,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   struct Springs {
     std::vector<Vec2i> indices;
     std::vector<float> rest_length, stiffness, damping, control;
+    std::vector<uint8_t> tension_only;
   };
   struct Triangles {
     std::vector<Vec3i> indices;
@@ -475,7 +475,7 @@ class NOVAPHY_CORE_API ModelBuilder {
                                           const Vec3f& scale, const ShapeConfig& cfg);
   MeshPool mesh_pool() const;
   void append_spring(std::string_view function, const Vec2i& spring, float ke, float kd,
-                     float control);
+                     float control, bool tension_only);
   float append_triangle(std::string_view function, const Vec3i& triangle,
                         const TriMaterial& material);
   float append_tetrahedron(std::string_view function, const Vec4i& tetrahedron, float k_mu,

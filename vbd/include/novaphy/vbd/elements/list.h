@@ -9,12 +9,14 @@
 #pragma once
 
 #include "novaphy/vbd/elements/hinge.h"
+#include "novaphy/vbd/elements/rope.h"
 #include "novaphy/vbd/elements/spring.h"
 #include "novaphy/vbd/elements/tetrahedron.h"
 #include "novaphy/vbd/elements/triangle.h"
 
 // X(slot) in the order of sums. The slots of an element follow each other.
-#define NOVAPHY_VBD_SLOTS(X) X(Spring) X(Triangle) X(HingeOpposite) X(HingeEnd) X(Tetrahedron)
+#define NOVAPHY_VBD_SLOTS(X) \
+  X(Spring) X(Rope) X(Triangle) X(HingeOpposite) X(HingeEnd) X(Tetrahedron)
 // The parameters of all elements, see NOVAPHY_VBD_ELEMENT.
 #define NOVAPHY_VBD_PARAMETERS(X)    \
   NOVAPHY_VBD_SPRING_PARAMETERS(X)   \

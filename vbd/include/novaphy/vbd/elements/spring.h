@@ -25,8 +25,17 @@ namespace novaphy::vbd {
 // Numbers: ke, kd/h, rest; ln.
 struct Spring : ElementOf<2> {
   static constexpr int kLawFloats = 3, kStartFloats = 1, kDampingParameter = 1;
+  static constexpr int kSlots = 2;  // Spring, and Rope (rope.h)
   static constexpr bool kIsOuter = true, kIsAlwaysDamped = true;
   NOVAPHY_VBD_ELEMENT(particle_spring_indices, NOVAPHY_VBD_SPRING_PARAMETERS)
+  template <class M>
+  static int slot_of(const M& m, int32_t e, int) {
+    return m.particle_spring_tension_only.data()[e] != 0 ? 1 : 0;
+  }
+  template <class M, class Body>
+  static void for_flags(M& m, const Body& body) {
+    body("particle_spring_tension_only", m.particle_spring_tension_only);
+  }
 
   template <class In>
   static auto length(const In& in) {

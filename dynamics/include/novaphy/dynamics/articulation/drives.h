@@ -1,5 +1,5 @@
-// Drives and damping of joints with one dof, with their limits (limits.h). Those of BALL joints are
-// in ball_drives.h.
+// Drives and damping of joints with one dof, with their limits (limits.h). ball_drives.h drives
+// BALL joints.
 //
 // The force of a dof at q with the rate v:
 //   drive      t = ke (q* - q) + kd (qd* - v) by the target mode, |t| <= effort_limit

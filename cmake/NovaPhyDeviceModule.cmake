@@ -1,21 +1,21 @@
 # novaphy_add_device_module(<target> <path>/<name>_kernels.h [WHEN <condition>])
 # The hand-written kernels of a header (NOVAPHY_ROW_KERNEL) for devices: makes the text that their compilers get, and
 # compiles it into the target as
-#   const char* novaphy::detail::<name>_kernels_text();
+#   const char* novaphy::detail::<name>_kernels_source();
 # which gives null without a backend for devices or where the condition is false. A tool that runs in the build makes the
-# text, tools/device_text: headers take the place of their includes, each once. core/device/ holds the twins of those that
+# text, tools/device_source: headers take the place of their includes, each once. core/device/ holds the twins of those that
 # devices read otherwise. The tool makes the lines "// kernel NAME WORDS NOVAPHY_ROW" (or _BLOCK) that backends look for
 # from the declarations. The text is C++17, which compilers of all vendors know. #include "<code>.inc" stays, for code that
-# the build makes: the .cuh includes it, and the text <code>_text.inc, the same as string literals.
-# A target that compiles these files elsewhere depends on novaphy_device_texts.
+# the build makes: the .cuh includes it, and the text <code>_source.inc, the same as string literals.
+# A target that compiles these files elsewhere depends on novaphy_device_sources.
 set(NOVAPHY_DEVICE_INCLUDES core/device core/include collision/include dynamics/include vbd/include)
 list(TRANSFORM NOVAPHY_DEVICE_INCLUDES PREPEND ${PROJECT_SOURCE_DIR}/)
 if(NOVAPHY_WITH_CUDA OR NOVAPHY_WITH_DLAN)
-  add_custom_target(novaphy_device_texts)
+  add_custom_target(novaphy_device_sources)
   # A cross build names a tool that a host build of the same sources made: -DNOVAPHY_DEVICE_TEXT=<path>.
-  if(NOT NOVAPHY_DEVICE_TEXT)
-    add_subdirectory(${PROJECT_SOURCE_DIR}/tools/device_text ${PROJECT_BINARY_DIR}/tools/device_text)
-    set(NOVAPHY_DEVICE_TEXT novaphy_device_text)
+  if(NOT NOVAPHY_DEVICE_SOURCE)
+    add_subdirectory(${PROJECT_SOURCE_DIR}/tools/device_source ${PROJECT_BINARY_DIR}/tools/device_source)
+    set(NOVAPHY_DEVICE_SOURCE novaphy_device_source)
   endif()
 endif()
 
@@ -23,21 +23,21 @@ function(novaphy_add_device_module target header)
   cmake_parse_arguments(PARSE_ARGV 2 arg "" "" "WHEN")
   cmake_path(GET header STEM name)
   cmake_path(ABSOLUTE_PATH header)
-  set(text ${CMAKE_CURRENT_BINARY_DIR}/${name}_text.cpp)
+  set(text ${CMAKE_CURRENT_BINARY_DIR}/${name}_source.cpp)
   if((NOVAPHY_WITH_CUDA OR NOVAPHY_WITH_DLAN) AND (NOT DEFINED arg_WHEN OR (${arg_WHEN})))
     add_custom_command(OUTPUT ${CMAKE_CURRENT_BINARY_DIR}/${name}.cuh ${text}  # as in the .d
-                       COMMAND ${NOVAPHY_DEVICE_TEXT} ${CMAKE_CURRENT_BINARY_DIR} ${header} ${NOVAPHY_DEVICE_INCLUDES}
-                       DEPENDS ${NOVAPHY_DEVICE_TEXT} ${header} DEPFILE ${CMAKE_CURRENT_BINARY_DIR}/${name}.d
+                       COMMAND ${NOVAPHY_DEVICE_SOURCE} ${CMAKE_CURRENT_BINARY_DIR} ${header} ${NOVAPHY_DEVICE_INCLUDES}
+                       DEPENDS ${NOVAPHY_DEVICE_SOURCE} ${header} DEPFILE ${CMAKE_CURRENT_BINARY_DIR}/${name}.d
                        VERBATIM COMMENT "Writing the device text of ${name}.h")
-    add_custom_target(${name}_device_text DEPENDS ${text} ${CMAKE_CURRENT_BINARY_DIR}/${name}.cuh)
-    add_dependencies(novaphy_device_texts ${name}_device_text)
-    add_dependencies(${target} ${name}_device_text)
+    add_custom_target(${name}_device_source DEPENDS ${text} ${CMAKE_CURRENT_BINARY_DIR}/${name}.cuh)
+    add_dependencies(novaphy_device_sources ${name}_device_source)
+    add_dependencies(${target} ${name}_device_source)
   else()
     file(CONFIGURE OUTPUT ${text} @ONLY CONTENT
 "// Written by cmake/NovaPhyDeviceModule.cmake.
 namespace novaphy::detail {
-const char* ${name}_text();
-const char* ${name}_text() {
+const char* ${name}_source();
+const char* ${name}_source() {
   return nullptr;
 }
 }  // namespace novaphy::detail

@@ -7,7 +7,7 @@
 # are installed all the same.
 set(NOVAPHY_WARNINGS -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wno-sign-conversion)
 if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU" AND CMAKE_CXX_COMPILER_VERSION VERSION_LESS 13)
-  # False positives of GCC 12's optimiser in inlined std::string and std::shared_ptr code.
+  # False positives of GCC 12's optimizer in inlined std::string and std::shared_ptr code.
   list(APPEND NOVAPHY_WARNINGS -Wno-restrict -Wno-stringop-overflow)
 endif()
 if(NOVAPHY_WERROR)
@@ -118,7 +118,7 @@ function(novaphy_add_lane_levels library)
   set(levels "baseline 4")
   if(CMAKE_SYSTEM_PROCESSOR MATCHES "^(x86_64|AMD64)$" AND NOT NOVAPHY_SANITIZE)
     list(APPEND levels "avx2 8 -mavx2 -mfma")
-    # GCC 12 takes its own intrinsics for uninitialised.
+    # GCC 12 takes its own intrinsics for uninitialized.
     list(APPEND levels "avx512 16 -mavx2 -mfma -mavx512f -mprefer-vector-width=512 -Wno-uninitialized")
     set_property(SOURCE ${ARG_CHOOSER} APPEND PROPERTY COMPILE_DEFINITIONS NOVAPHY_X86_LEVELS)
   endif()

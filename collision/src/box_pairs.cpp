@@ -46,7 +46,7 @@ void check_boxes(const char* function, std::span<const Box3> boxes, const ShapeP
 
 bool meets_itself(const Box3& box) { return boxes_meet(box, box); }  // no NaN, and lo <= hi
 
-// The axis on which the centres of the boxes vary most, the first among equals.
+// The axis on which the centers of the boxes vary most, the first among equals.
 int sweep_axis(std::span<const Box3> boxes) {
   std::array<double, 3> sum{}, square{};
   double count = 0.0;

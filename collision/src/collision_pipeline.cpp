@@ -51,7 +51,7 @@ CollisionPipeline::CollisionPipeline(std::shared_ptr<const Model> model,
     : model_(std::move(model)), options_(options) {
   constexpr const char* name = "CollisionPipeline";
   require(model_ != nullptr, ErrorKind::Value, name, ": model: expected a model, got null");
-  require(model_->device().is_cpu() || detail::soft_contact_kernels_text() != nullptr,
+  require(model_->device().is_cpu() || detail::soft_contact_kernels_source() != nullptr,
           ErrorKind::NotImplemented, name, ": expected a model on the cpu, got one on ",
           model_->device().str(),
           "; this build has no collision for other devices (NOVAPHY_WITH_COLLISION_CUDA)");

@@ -11,7 +11,7 @@ void find_contact_bodies(const Model& model, const Contacts& contacts,
                          const DeviceArray<int32_t>& rigid, const DeviceArray<int32_t>& soft) {
   // Never destroyed: recordings refer to it.
   static const auto& kernel =
-      *new Kernel<ContactBodyArguments>(contact_body, detail::contact_body_kernels_text);
+      *new Kernel<ContactBodyArguments>(contact_body, detail::contact_body_kernels_source);
   const auto find = [&](const DeviceArray<int32_t>& shape0, const DeviceArray<int32_t>* shape1,
                         const DeviceArray<int32_t>& bodies) {
     run(kernel, static_cast<int64_t>(bodies.rows()),

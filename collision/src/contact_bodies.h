@@ -3,6 +3,6 @@
 
 namespace novaphy::detail {
 
-const char* contact_body_kernels_text();  // null: the build has none
+const char* contact_body_kernels_source();  // null: the build has none
 
 }  // namespace novaphy::detail

@@ -9,9 +9,10 @@ namespace novaphy {
 
 std::vector<std::string> collision_device_modules() {
   std::vector<std::string> modules;
-  for (const char* text : {detail::soft_contact_kernels_text(),
-                           detail::rigid_contact_kernels_text(), detail::rigid_mesh_kernels_text(),
-                           detail::rigid_tree_kernels_text(), detail::contact_body_kernels_text()})
+  for (const char* text :
+       {detail::soft_contact_kernels_source(), detail::rigid_contact_kernels_source(),
+        detail::rigid_mesh_kernels_source(), detail::rigid_tree_kernels_source(),
+        detail::contact_body_kernels_source()})
     if (text != nullptr) modules.emplace_back(text);
   return modules;
 }

@@ -144,7 +144,7 @@ void WorldRows::check_shapes(const Model& model) {
       covered_body_.matches(model.shape_body))
     return;
   // The model is no part of what a capture records, so these host reads are legal there too.
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   shapes_ = detail::check_static_shapes(model);
   covered_type_.set(model.shape_type);
   covered_flags_.set(model.shape_flags);
@@ -164,7 +164,7 @@ void WorldRows::update(const Model& model, bool with_shapes) {
   CandidatePairs pairs;
   {
     // The model is no part of what a capture records, so these host reads are legal there too.
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     world = model.particle_world.to_host();
     if (with_shapes) pairs = make_candidate_pairs(model);
   }

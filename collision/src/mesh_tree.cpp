@@ -169,14 +169,14 @@ class Builder {
     box.hi = {std::max(box.hi.x, other.hi.x), std::max(box.hi.y, other.hi.y),
               std::max(box.hi.z, other.hi.z)};
   }
-  double centre(int32_t triangle, int axis) const {
+  double center(int32_t triangle, int axis) const {
     const Box3& box = boxes_[static_cast<size_t>(triangle)];
     return (static_cast<double>(geometry::component(box.lo, axis)) +
             static_cast<double>(geometry::component(box.hi, axis))) *
            0.5;
   }
-  // The triangles by their centres, then by number: by the digits of the centres in float, and by
-  // the centres where these are the same.
+  // The triangles by their centers, then by number: by the digits of the centers in float, and by
+  // the centers where these are the same.
   std::vector<int32_t> sorted_along(int axis) const {
     struct Item {
       uint32_t key;
@@ -186,7 +186,7 @@ class Builder {
     std::vector<Item> items(boxes_.size()), other(boxes_.size());
     for (size_t t = 0; t < items.size(); ++t) {
       const auto triangle = static_cast<int32_t>(t);
-      const auto bits = std::bit_cast<uint32_t>(static_cast<float>(centre(triangle, axis)) + 0.0f);
+      const auto bits = std::bit_cast<uint32_t>(static_cast<float>(center(triangle, axis)) + 0.0f);
       items[t] = {(bits >> 31) != 0 ? ~bits : bits | 0x80000000u, triangle};
     }
     for (uint32_t shift = 0; shift < 32; shift += kBits) {
@@ -197,7 +197,7 @@ class Builder {
       items.swap(other);
     }
     const auto before = [&](const Item& a, const Item& b) {
-      const double x = centre(a.triangle, axis), y = centre(b.triangle, axis);
+      const double x = center(a.triangle, axis), y = center(b.triangle, axis);
       return x != y ? x < y : a.triangle < b.triangle;
     };
     for (size_t i = 0, end = 0; i < items.size(); i = end) {
@@ -214,7 +214,7 @@ class Builder {
     size_t best = 0;
     double longest = -1.0;
     for (size_t axis = 0; axis < 3; ++axis) {
-      const auto at = [&](size_t i) { return centre(along_[axis][i], static_cast<int>(axis)); };
+      const auto at = [&](size_t i) { return center(along_[axis][i], static_cast<int>(axis)); };
       const double length = at(end - 1) - at(begin);
       if (length > longest) {
         longest = length;
@@ -265,7 +265,7 @@ class Builder {
 
   MeshTree& tree_;
   std::vector<Box3> boxes_;                    // of the triangles
-  std::array<std::vector<int32_t>, 3> along_;  // these by their centres
+  std::array<std::vector<int32_t>, 3> along_;  // these by their centers
   std::vector<uint8_t> is_left_;
   std::vector<int32_t> right_;
 };

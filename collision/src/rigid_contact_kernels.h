@@ -72,18 +72,18 @@ NOVAPHY_ROW_KERNEL(rigid_contact_shape, RigidContactShapeArguments) {
   shape.owner = body < 0 ? Transformf::identity() : a.body_q[body];
   shape.pose =
       body < 0 ? a.shape_transform[row] : math::multiply(shape.owner, a.shape_transform[row]);
-  Vec3f centre = shape.pose.p;
+  Vec3f center = shape.pose.p;
   if (shape.geometry != nullptr) {
     const geometry::Box3& box = shape.geometry->box;
-    centre = math::transform_point(shape.pose, (box.lo + box.hi) * 0.5f);
+    center = math::transform_point(shape.pose, (box.lo + box.hi) * 0.5f);
   }
   shape.row_gap = shape.gap;
   if (a.dt.value > 0.0f) {
     const SpatialVectorf twist = body < 0 ? SpatialVectorf{} : a.body_qd[body];
-    const Vec3f com = body < 0 ? centre : math::transform_point(shape.owner, a.body_com[body]);
+    const Vec3f com = body < 0 ? center : math::transform_point(shape.owner, a.body_com[body]);
     // Adhesion acts up to ka.
     shape.row_gap = math::min(
-        shape.gap, step_gap(shape, twist, centre - com, a.dt.value) + a.shape_material_ka[row]);
+        shape.gap, step_gap(shape, twist, center - com, a.dt.value) + a.shape_material_ka[row]);
   }
   // Grown by rounding, so that the boxes part nothing that touches.
   const float beyond = (shape.margin + shape.row_gap) + 1.0e-4f;
@@ -91,7 +91,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_shape, RigidContactShapeArguments) {
       beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{1.0f, 0.0f, 0.0f})),
       beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{0.0f, 1.0f, 0.0f})),
       beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{0.0f, 0.0f, 1.0f}))};
-  shape.box = {centre - grow, centre + grow};
+  shape.box = {center - grow, center + grow};
 }
 
 // The manifold of a pair, a.type <= b.type, in the world. `reach` (m): farther points need not

@@ -111,7 +111,7 @@ void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
   }
   int64_t used = rows;
   if (waits) {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     used = pairs.count() > 0 ? std::min<int64_t>(rows, *c.rigid_contact_count.data()) : 0;
   }
   launches.clear(pairs.count(), knows_empty ? std::max(used, impl_->used) : rows, c);

@@ -40,7 +40,7 @@ class RigidContacts {
 };
 
 // The texts of the kernels for devices; null: the build has none.
-const char* rigid_contact_kernels_text();
-const char* rigid_mesh_kernels_text();
+const char* rigid_contact_kernels_source();
+const char* rigid_mesh_kernels_source();
 
 }  // namespace novaphy::detail

@@ -15,21 +15,22 @@ namespace {
 
 // Never destroyed: recordings refer to them.
 struct Kernels {
-  Kernel<RigidContactShapeArguments> shape{rigid_contact_shape, rigid_contact_kernels_text};
-  Kernel<RigidContactFindArguments> find{rigid_contact_find, rigid_contact_kernels_text};
-  Kernel<RigidContactChunkArguments> chunk{rigid_contact_chunk, rigid_contact_kernels_text};
+  Kernel<RigidContactShapeArguments> shape{rigid_contact_shape, rigid_contact_kernels_source};
+  Kernel<RigidContactFindArguments> find{rigid_contact_find, rigid_contact_kernels_source};
+  Kernel<RigidContactChunkArguments> chunk{rigid_contact_chunk, rigid_contact_kernels_source};
   Kernel<RigidContactLimitSumArguments> limit_sum{rigid_contact_limit_sum,
-                                                  rigid_contact_kernels_text};
-  Kernel<RigidContactLimitArguments> limit{rigid_contact_limit, rigid_contact_kernels_text};
-  Kernel<RigidContactFartherArguments> farther{rigid_contact_farther, rigid_contact_kernels_text};
-  Kernel<RigidContactTrimArguments> trim{rigid_contact_trim, rigid_contact_kernels_text};
-  Kernel<RigidContactWriteArguments> write{rigid_contact_write, rigid_contact_kernels_text};
-  Kernel<RigidContactClearArguments> clear{rigid_contact_clear, rigid_contact_kernels_text};
-  Kernel<RigidMeshFindArguments> find_mesh{rigid_mesh_find, rigid_mesh_kernels_text};
-  Kernel<RigidMeshLimitSumArguments> limit_sum_mesh{rigid_mesh_limit_sum, rigid_mesh_kernels_text};
-  Kernel<RigidMeshFartherArguments> farther_mesh{rigid_mesh_farther, rigid_mesh_kernels_text};
-  Kernel<RigidMeshTrimArguments> trim_mesh{rigid_mesh_trim, rigid_mesh_kernels_text};
-  Kernel<RigidMeshWriteArguments> write_mesh{rigid_mesh_write, rigid_mesh_kernels_text};
+                                                  rigid_contact_kernels_source};
+  Kernel<RigidContactLimitArguments> limit{rigid_contact_limit, rigid_contact_kernels_source};
+  Kernel<RigidContactFartherArguments> farther{rigid_contact_farther, rigid_contact_kernels_source};
+  Kernel<RigidContactTrimArguments> trim{rigid_contact_trim, rigid_contact_kernels_source};
+  Kernel<RigidContactWriteArguments> write{rigid_contact_write, rigid_contact_kernels_source};
+  Kernel<RigidContactClearArguments> clear{rigid_contact_clear, rigid_contact_kernels_source};
+  Kernel<RigidMeshFindArguments> find_mesh{rigid_mesh_find, rigid_mesh_kernels_source};
+  Kernel<RigidMeshLimitSumArguments> limit_sum_mesh{rigid_mesh_limit_sum,
+                                                    rigid_mesh_kernels_source};
+  Kernel<RigidMeshFartherArguments> farther_mesh{rigid_mesh_farther, rigid_mesh_kernels_source};
+  Kernel<RigidMeshTrimArguments> trim_mesh{rigid_mesh_trim, rigid_mesh_kernels_source};
+  Kernel<RigidMeshWriteArguments> write_mesh{rigid_mesh_write, rigid_mesh_kernels_source};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
@@ -254,7 +255,7 @@ geometry::Manifold* RigidLaunches::host_manifolds() const {
 int32_t* RigidLaunches::host_counts() const { return memory_of<int32_t>(counts_); }
 
 int64_t RigidLaunches::rows_found(const RigidPairs& pairs) const {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   NOVAPHY_ASSERT(std::is_sorted(before_.data(), before_.data() + chunks_of(pairs.count())));
   return rows_up_to({.counts = direct(counts_.data()), .before = direct(before_.data())},
                     pairs.count() - 1);

@@ -183,7 +183,7 @@ void RigidPairs::sweep(std::span<const RigidShape> shapes) {
 // As many pairs as there is room for. Outside of a recording there is room for all.
 void RigidPairs::find_by_kernels(const Array& shapes) {
   if (!tree_known_) {
-    const Unobserved unobserved;  // the model is no part of what a capture records
+    const UntrackedScope untracked;  // the model is no part of what a capture records
     check_all();
     tree_.update(*model_, world_);
     tree_known_ = true;

@@ -16,13 +16,13 @@ namespace {
 
 // Never destroyed: recordings refer to them.
 struct Kernels {
-  Kernel<RigidTreeBoundsArguments> bounds{rigid_tree_bounds, rigid_tree_kernels_text};
-  Kernel<RigidTreeKeyArguments> key{rigid_tree_key, rigid_tree_kernels_text};
-  Kernel<RigidTreeEntryArguments> entry{rigid_tree_entry, rigid_tree_kernels_text};
-  Kernel<RigidTreeLevelArguments> level{rigid_tree_level, rigid_tree_kernels_text};
-  Kernel<RigidTreeCountArguments> count{rigid_tree_count, rigid_tree_kernels_text};
-  Kernel<RigidTreeTotalArguments> total{rigid_tree_total, rigid_tree_kernels_text};
-  Kernel<RigidTreeWriteArguments> write{rigid_tree_write, rigid_tree_kernels_text};
+  Kernel<RigidTreeBoundsArguments> bounds{rigid_tree_bounds, rigid_tree_kernels_source};
+  Kernel<RigidTreeKeyArguments> key{rigid_tree_key, rigid_tree_kernels_source};
+  Kernel<RigidTreeEntryArguments> entry{rigid_tree_entry, rigid_tree_kernels_source};
+  Kernel<RigidTreeLevelArguments> level{rigid_tree_level, rigid_tree_kernels_source};
+  Kernel<RigidTreeCountArguments> count{rigid_tree_count, rigid_tree_kernels_source};
+  Kernel<RigidTreeTotalArguments> total{rigid_tree_total, rigid_tree_kernels_source};
+  Kernel<RigidTreeWriteArguments> write{rigid_tree_write, rigid_tree_kernels_source};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;

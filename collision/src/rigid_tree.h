@@ -52,6 +52,6 @@ class RigidTree {
 };
 
 // The text of the kernels for devices; null: the build has none.
-const char* rigid_tree_kernels_text();
+const char* rigid_tree_kernels_source();
 
 }  // namespace novaphy::detail

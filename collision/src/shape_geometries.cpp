@@ -48,7 +48,7 @@ class TableWriter {
     for (GeometryView& view : views) {
       geometry::HullView& h = view.hull;
       move(h.vertices), move(h.face_normals), move(h.face_starts), move(h.face_vertices);
-      move(h.neighbour_starts), move(h.neighbours);
+      move(h.neighbor_starts), move(h.neighbors);
       geometry::MeshView& m = view.mesh;
       move(m.vertices), move(m.triangles), move(m.normals), move(m.ring_starts), move(m.ring);
       move(m.edges), move(m.own_edges), move(m.across), move(m.nodes), move(m.order);
@@ -80,8 +80,8 @@ GeometryView add_hull(TableWriter& writer, const std::vector<Vec3f>& vertices) {
   view.hull.face_normals = writer.add(hull.face_normals);
   view.hull.face_starts = writer.add(hull.face_starts);
   view.hull.face_vertices = writer.add(hull.face_vertices);
-  view.hull.neighbour_starts = writer.add(hull.neighbour_starts);
-  view.hull.neighbours = writer.add(hull.neighbours);
+  view.hull.neighbor_starts = writer.add(hull.neighbor_starts);
+  view.hull.neighbors = writer.add(hull.neighbors);
   view.hull.vertex_count = static_cast<int32_t>(hull.vertices.size());
   view.hull.face_count = static_cast<int32_t>(hull.face_normals.size());
   view.box = box_of(hull.vertices);

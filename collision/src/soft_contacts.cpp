@@ -15,12 +15,12 @@ namespace {
 
 // Never destroyed: recordings refer to them.
 struct Kernels {
-  Kernel<SoftContactShapeArguments> shape{soft_contact_shape, soft_contact_kernels_text};
-  Kernel<SoftContactTouchArguments> touch{soft_contact_touch, soft_contact_kernels_text};
-  Kernel<SoftContactWriteArguments> write{soft_contact_write, soft_contact_kernels_text};
-  Kernel<SoftContactNoneArguments> none{soft_contact_none, soft_contact_kernels_text};
-  Kernel<SoftContactClearArguments> clear{soft_contact_clear, soft_contact_kernels_text};
-  Kernel<ContactGenerationArguments> generation{contact_generation, soft_contact_kernels_text};
+  Kernel<SoftContactShapeArguments> shape{soft_contact_shape, soft_contact_kernels_source};
+  Kernel<SoftContactTouchArguments> touch{soft_contact_touch, soft_contact_kernels_source};
+  Kernel<SoftContactWriteArguments> write{soft_contact_write, soft_contact_kernels_source};
+  Kernel<SoftContactNoneArguments> none{soft_contact_none, soft_contact_kernels_source};
+  Kernel<SoftContactClearArguments> clear{soft_contact_clear, soft_contact_kernels_source};
+  Kernel<ContactGenerationArguments> generation{contact_generation, soft_contact_kernels_source};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;

@@ -28,6 +28,6 @@ class SoftContacts {
 };
 
 // The text of the kernels for devices; null: the build has none.
-const char* soft_contact_kernels_text();
+const char* soft_contact_kernels_source();
 
 }  // namespace novaphy::detail

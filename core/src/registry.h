@@ -1,4 +1,4 @@
-// Internal to core: what the registry of backends shares with its neighbours.
+// Internal to core: what the registry of backends shares with its neighbors.
 #pragma once
 
 #include <cstdint>

@@ -80,7 +80,7 @@ float distance(const Transformf& a, const Transformf& b) {
 bool DiffFeatherstoneSolver::poses_follow(const SimState& state) {
   const Model& m = *model();
   const nova::NoGrad no_grad;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   if (poses_ == nullptr) poses_ = std::make_shared<SimState>(m.state(false));
   eval_fk(m, state.joint_q, state.joint_qd, *poses_);
   const OnHost<Transformf> a(state.body_q), b(poses_->body_q);
@@ -162,7 +162,7 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
   check_contacts(kRollout, inputs.contacts(), touching);
   rollout_contacts_ = most_contacts(inputs.contacts());
   if (inputs.pipeline() != nullptr) {
-    const Unobserved unobserved;  // memory that no capture records
+    const UntrackedScope untracked;  // memory that no capture records
     const Contacts contacts = inputs.pipeline()->contacts();
     rollout_contacts_ = most_contacts(&contacts);
   }

@@ -202,7 +202,7 @@ void DiffSemiImplicitSolver::check_contacts(const char* function, const Contacts
 
 // Contacts that are given are fixed while a capture records, so this host read is legal there too.
 void DiffSemiImplicitSolver::check_overflow(const Contacts& contacts) {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   require(!contacts.overflowed(), ErrorKind::Runtime,
           "contacts: more contacts were found than the ", contacts.soft_contact_max(),
           " slots and ", contacts.rigid_contact_max(),

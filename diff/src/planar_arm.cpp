@@ -142,7 +142,7 @@ void check_arm(const Model& m, const char* function) {
     need(c.p.y == 0.0f && c.p.z == 0.0f, "joints on the x axes of their links");
     const Vec3f com = m.body_com.data()[j];
     need(com.x == 0.0f && com.y == 0.0f && com.z == 0.0f,
-         "centres of mass at the origins of the bodies (body_com 0)");
+         "centers of mass at the origins of the bodies (body_com 0)");
     need(!has_flag(m.body_flags.data()[j], BodyFlags::KINEMATIC), "bodies that are dynamic");
     need(m.body_mass.data()[j] > 0.0f, "bodies with mass");
   }

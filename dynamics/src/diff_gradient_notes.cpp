@@ -58,7 +58,7 @@ RigidModes rigid_modes(const Model& m, const NotedStep& step) {
 void GradientNotes::List::reserve(int64_t contacts, Device device) {
   rows = contacts;
   if (static_cast<int64_t>(now.rows()) >= rows) return;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   now = DeviceArray<int32_t>(static_cast<size_t>(rows), device, kNumbers<SeenContact>);
   before = DeviceArray<int32_t>(static_cast<size_t>(rows), device, kNumbers<SeenContact>);
   fill(now, SeenContact{});
@@ -186,7 +186,7 @@ void GradientNotes::Looks::look(const Model& m, const NotedStep& step) {
   if (contacts == 0) return;
   const bool begins = parts.rows() == 0;  // as a replay of a capture does
   if (begins) {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     parts = DeviceArray<int32_t>(kParts, m.device(), kNumbers<StepNotes>);
     sums = DeviceArray<int32_t>(1, m.device(), kNumbers<GradientCounts>);
   }
@@ -215,7 +215,7 @@ void GradientNotes::Looks::look(const Model& m, const NotedStep& step) {
 GradientCounts GradientNotes::Looks::counts() const {
   GradientCounts all;
   if (sums.rows() > 0) {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     const std::vector<int32_t> words = sums.to_host();
     std::memcpy(static_cast<void*>(&all), words.data(), sizeof(all));
   }

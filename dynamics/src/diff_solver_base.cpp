@@ -176,7 +176,7 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
   const auto found = std::make_shared<std::vector<FoundContacts>>();
   if (inputs.pipeline() != nullptr) {
     // New memory is no part of what a capture records.
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     const int32_t remembered = !recording ? 0 : interval == 1 ? inputs.steps() : interval;
     for (int32_t k = 0; k <= remembered; ++k) found->push_back({inputs.pipeline()->contacts(), {}});
   }

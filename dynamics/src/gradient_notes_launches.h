@@ -6,19 +6,19 @@
 
 namespace novaphy {
 namespace detail {
-const char* gradient_notes_kernels_text();
+const char* gradient_notes_kernels_source();
 }
 
 struct NoteKernels {
-  Kernel<NoteSoftContactsArguments> soft{note_soft_contacts, detail::gradient_notes_kernels_text};
+  Kernel<NoteSoftContactsArguments> soft{note_soft_contacts, detail::gradient_notes_kernels_source};
   Kernel<NoteRigidContactsArguments> rigid{note_rigid_contacts,
-                                           detail::gradient_notes_kernels_text};
+                                           detail::gradient_notes_kernels_source};
   Kernel<NoteStaticParticlesArguments> static_particles{note_static_particles,
-                                                        detail::gradient_notes_kernels_text};
-  Kernel<NotePlanePairsArguments> planes{note_plane_pairs, detail::gradient_notes_kernels_text};
+                                                        detail::gradient_notes_kernels_source};
+  Kernel<NotePlanePairsArguments> planes{note_plane_pairs, detail::gradient_notes_kernels_source};
   Kernel<NoteContactEventsArguments> events{note_contact_events,
-                                            detail::gradient_notes_kernels_text};
-  Kernel<NoteGradientStepArguments> step{note_gradient_step, detail::gradient_notes_kernels_text};
+                                            detail::gradient_notes_kernels_source};
+  Kernel<NoteGradientStepArguments> step{note_gradient_step, detail::gradient_notes_kernels_source};
 };
 // Never destroyed: recordings refer to them.
 inline const NoteKernels& note_kernels() {

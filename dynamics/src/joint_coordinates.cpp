@@ -13,15 +13,15 @@
 
 namespace novaphy {
 namespace detail {
-const char* joint_coordinates_kernels_text();
+const char* joint_coordinates_kernels_source();
 }
 namespace {
 
 // Never destroyed: recordings refer to them.
 struct Kernels {
-  Kernel<EvalFkArguments> fk{eval_fk_articulation, detail::joint_coordinates_kernels_text};
-  Kernel<EvalIkArguments> ik{eval_ik_joint, detail::joint_coordinates_kernels_text};
-  Kernel<EvalMimicArguments> mimic{eval_mimic_joint, detail::joint_coordinates_kernels_text};
+  Kernel<EvalFkArguments> fk{eval_fk_articulation, detail::joint_coordinates_kernels_source};
+  Kernel<EvalIkArguments> ik{eval_ik_joint, detail::joint_coordinates_kernels_source};
+  Kernel<EvalMimicArguments> mimic{eval_mimic_joint, detail::joint_coordinates_kernels_source};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
@@ -98,7 +98,7 @@ void eval_fk(const Model& m, const DeviceArray<float>& joint_q, const DeviceArra
   if (runs_at_once(m.device())) check_quaternions(m, joint_q.data());
   DeviceArray<float> places;  // rows of BodyPlace
   {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     constexpr size_t kNumbers = sizeof(BodyPlace) / sizeof(float);
     places = DeviceArray<float>(static_cast<size_t>(m.body_count()), m.device(), kNumbers);
   }
@@ -118,7 +118,7 @@ void eval_ik(const Model& m, const SimState& state, DeviceArray<float> joint_q,
   constexpr const char* kName = "eval_ik";
   check_arguments(kName, m, state, joint_q, joint_qd);
   {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     check_perpendicular(m);
   }
   depend_on({&m.joint_axis});

@@ -130,7 +130,7 @@ struct EvalMimicArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> joint_mimic, joint_q_start, joint_qd_start;
                     Reads<Vec2f> joint_mimic_coef; Updates<float> joint_q, joint_qd;)
 };
-// A follower takes the joint that its leaders follow in the end, which nobody writes; by the
+// A mimic joint takes the joint that its leaders follow in the end, which nobody writes; by the
 // numbers of Articulations.
 NOVAPHY_ROW_KERNEL(eval_mimic_joint, EvalMimicArguments) {
   const int32_t joint = static_cast<int32_t>(row);

@@ -23,7 +23,7 @@ struct Soup {
 };
 
 // All triangles of the scene in the `bytes` of a file, placed by its nodes; a COLLADA scene in
-// metres with z up. `where` begins every message; `colors` instead of those in the file.
+// meters with z up. `where` begins every message; `colors` instead of those in the file.
 // ErrorKind::Value: assimp refuses the file, or a face has a corner that is not there.
 Soup read_triangles(const std::string& where, std::string_view bytes, std::string_view extension,
                     const Colors* colors);

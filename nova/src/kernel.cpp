@@ -32,7 +32,7 @@ novaphy_kernel* Executable::get(const novaphy::DeviceContext& context) {
   auto made = std::make_unique<Compiled>();
   made->context = &context;
   novaphy_error error = novaphy::make_error();
-  const std::vector<uint32_t> words = ir::serialise(program);
+  const std::vector<uint32_t> words = ir::serialize(program);
   novaphy::check(context.api->module_create(context.device, NOVAPHY_CODE_PROGRAM, words.data(),
                                             words.size() * sizeof(uint32_t), &made->module, &error),
                  error, program.name.c_str());

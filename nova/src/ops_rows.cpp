@@ -274,7 +274,7 @@ Tensor transpose(const Tensor& x, std::span<const int64_t> axes) {
     for (size_t k = ndim; k > 0 && ++at[k - 1] == shape[k - 1]; --k) at[k - 1] = 0;
   }
   const Tensor index = [&] {
-    const novaphy::Unobserved fresh;  // memory that no capture has seen
+    const novaphy::UntrackedScope fresh;  // memory that no capture has seen
     return Tensor::from_host(entries, shape, x.device());
   }();
   return gather(x.reshape({x.size()}), index);

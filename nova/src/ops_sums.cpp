@@ -29,7 +29,7 @@ const Kernel& broadcast_kernel() {
   return kernel;
 }
 
-// A single value goes without the row number, and so block by block with its neighbours.
+// A single value goes without the row number, and so block by block with its neighbors.
 const Kernel& broadcast_value_kernel() {
   static const Kernel kernel =
       make_kernel("broadcast_value", {{"value", DType::F32, 1, Access::Uniform}}, {{"out", 1}},
@@ -145,7 +145,7 @@ Tensor broadcast_to(const Tensor& x, const Shape& shape) {
   Shape now(shape.size() - x.ndim(), 1);
   now.insert(now.end(), x.shape().begin(), x.shape().end());
   Tensor t = x;
-  // Neighbouring dimensions are repeated together.
+  // Neighboring dimensions are repeated together.
   for (size_t first = 0, end; first < shape.size(); first = end) {
     for (end = first; end < shape.size() && now[end] != shape[end]; ++end) now[end] = shape[end];
     if (end == first) {

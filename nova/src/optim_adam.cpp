@@ -142,7 +142,7 @@ void adam_update_f32(const Tensor& param, const Tensor& m, const Tensor& v, cons
 namespace optim {
 
 Adam::Adam(std::vector<Tensor> params, const AdamOptions& options)
-    : Optimiser("Adam", std::move(params), options.lr), options_(options) {
+    : Optimizer("Adam", std::move(params), options.lr), options_(options) {
   check_options(name_, options);
   const Device device = params_[0].device();
   for (const Tensor& p : params_) {

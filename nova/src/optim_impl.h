@@ -1,4 +1,4 @@
-// Internal: what the optimiser functions and classes share.
+// Internal: what the optimizer functions and classes share.
 #pragma once
 
 #include <span>

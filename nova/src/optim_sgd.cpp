@@ -11,18 +11,18 @@ namespace nova::optim {
 
 using novaphy::require;
 
-Optimiser::Optimiser(const char* name, std::vector<Tensor> params, float lr)
+Optimizer::Optimizer(const char* name, std::vector<Tensor> params, float lr)
     : name_(name), params_(std::move(params)), lr_(lr) {
   detail::check_params(params_, name_);
   set_lr(lr);
   unfit_ = Tensor({1}, DType::F32, params_[0].device());
   refused_ = Tensor({1}, DType::F32, params_[0].device());
 }
-void Optimiser::set_lr(float lr) {
+void Optimizer::set_lr(float lr) {
   detail::check_rate({name_, "lr"}, lr);
   lr_ = lr;
 }
-void Optimiser::zero_grad() const {
+void Optimizer::zero_grad() const {
   for (const Tensor& p : params_) p.zero_grad();
 }
 
@@ -132,11 +132,11 @@ void advance(const Tensor& t, const Tensor& unfit) {
 
 }  // namespace
 
-void Optimiser::check() const {
+void Optimizer::check() const {
   if (!current_capture()) check_refused(name_, refused_, unfit_);
 }
 
-void Optimiser::begin_step() const {
+void Optimizer::begin_step() const {
   detail::check_grads(params_, name_);
   if (host_can_read(params_[0].device())) {
     check();
@@ -152,7 +152,7 @@ void Optimiser::begin_step() const {
 }
 
 SGD::SGD(std::vector<Tensor> params, const SGDOptions& options)
-    : Optimiser("SGD", std::move(params), options.lr), options_(options) {
+    : Optimizer("SGD", std::move(params), options.lr), options_(options) {
   detail::check_rate({name_, "momentum"}, options.momentum);
   detail::check_rate({name_, "weight_decay"}, options.weight_decay);
   require(std::isfinite(options.dampening), ErrorKind::Value,

@@ -33,7 +33,7 @@ std::string reason_of(const OpList::Op& op, std::span<const uint64_t> words,
   const int64_t rows = rows_of(op), fewest = PlanLimits{}.min_rows;
   if (rows < fewest)
     return "it has " + std::to_string(rows) + " rows, of at least " + std::to_string(fewest);
-  return "no neighbour has as many rows and shares memory with it at the own row only";
+  return "no neighbor has as many rows and shares memory with it at the own row only";
 }
 
 // Names in the order of their first operation, with their numbers.

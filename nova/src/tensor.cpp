@@ -104,13 +104,13 @@ Tensor::Tensor(std::shared_ptr<Range> range, Shape shape, DType dtype)
 
 Tensor Tensor::from_host(std::span<const float> values, Shape shape, Device device) {
   Tensor t(std::move(shape), DType::F32, device);
-  const novaphy::Unobserved unobserved;
+  const novaphy::UntrackedScope unobserved;
   t.copy_from_host(values.data(), values.size_bytes());
   return t;
 }
 Tensor Tensor::from_host(std::span<const int32_t> values, Shape shape, Device device) {
   Tensor t(std::move(shape), DType::I32, device);
-  const novaphy::Unobserved unobserved;
+  const novaphy::UntrackedScope unobserved;
   t.copy_from_host(values.data(), values.size_bytes());
   return t;
 }

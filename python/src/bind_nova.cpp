@@ -76,7 +76,7 @@ Tensor make_tensor(py::handle data, py::handle dtype, py::handle device, bool re
           "requires_grad: only float32 tensors have gradients");
   const Tensor tensor(shape, type, to_device(device));
   if (plain.bytes() != 0) {
-    const Unobserved fresh;
+    const UntrackedScope fresh;
     const BufferView bytes(values, false);
     tensor.copy_from_host(bytes.data(), bytes.bytes());
   }
@@ -96,7 +96,7 @@ Tensor filled(py::handle shape, double value, py::handle dtype, py::handle devic
               bool requires_grad) {
   const Tensor tensor(to_shape(shape), to_nova_dtype(dtype), to_device(device));
   if (value != 0.0 && tensor.size() != 0) {
-    const Unobserved fresh;
+    const UntrackedScope fresh;
     Array flat = view_of(tensor).flat();
     const auto fill = [&flat](auto number) { flat.fill_bytes(&number, sizeof(number)); };
     switch (tensor.dtype()) {

@@ -153,7 +153,7 @@ inline Exact zoom(const ExactPair& pair, const Vec3d& start) {
 }
 
 // The largest separation over directions: spread evenly over the sphere, then zoomed from the
-// best ones that are not neighbours.
+// best ones that are not neighbors.
 inline Exact exact_distance(const Solid& x, const Solid& y, int directions = 1500) {
   const ExactPair pair(x, y);
   std::vector<Exact> found(static_cast<size_t>(directions));
@@ -259,7 +259,7 @@ class Scenes {
     s.hull = std::make_shared<ConvexHull>(convex_hull(points));
     s.shape.hull = {s.hull->vertices.data(),          s.hull->face_normals.data(),
                     s.hull->face_starts.data(),       s.hull->face_vertices.data(),
-                    s.hull->neighbour_starts.data(),  s.hull->neighbours.data(),
+                    s.hull->neighbor_starts.data(),   s.hull->neighbors.data(),
                     int32_t(s.hull->vertices.size()), int32_t(s.hull->face_normals.size())};
   }
   // Puts b beside a: `distance` apart along some direction (m, < 0 overlaps).

@@ -22,8 +22,8 @@ struct Scene {
   std::vector<int32_t> body, flags, group, world;
   std::set<std::pair<int32_t, int32_t>> filter;
 
-  void add(const Vec3f& centre, const Vec3f& half, int32_t b, int32_t w = 0, int32_t g = 1) {
-    boxes.push_back({centre - half, centre + half});
+  void add(const Vec3f& center, const Vec3f& half, int32_t b, int32_t w = 0, int32_t g = 1) {
+    boxes.push_back({center - half, center + half});
     body.push_back(b);
     flags.push_back(static_cast<int32_t>(ShapeFlags::COLLIDE_SHAPES));
     group.push_back(g);
@@ -91,7 +91,7 @@ TEST(BoxPairs, DoNotDependOnTheCallBefore) {
   EXPECT_EQ(sweep.box_pairs(other.boxes, other.rules()), nxn_box_pairs(other.boxes, other.rules()));
 }
 
-TEST(BoxPairs, OfTenThousandInALineAreThoseOfNeighbours) {
+TEST(BoxPairs, OfTenThousandInALineAreThoseOfNeighbors) {
   for (int axis = 0; axis < 3; ++axis) {
     Scene s;
     for (int i = 0; i < 10000; ++i)

@@ -157,7 +157,7 @@ TEST(ConvexPairs, AreMirroredWithTheirPoses) {
   EXPECT_LE(different, poses / 50);
 }
 
-// Depth and position scale with the shapes, from millimetres to kilometres.
+// Depth and position scale with the shapes, from millimeters to kilometers.
 TEST(ConvexPairs, AreAsExactAtEveryScale) {
   for (const double scale : {1e-3, 1e3}) {
     int poses = 0, wrong = 0;
@@ -170,7 +170,7 @@ TEST(ConvexPairs, AreAsExactAtEveryScale) {
       wrong += std::abs(deepest(m) - exact) > 2e-5 * scale ? 1 : 0;
     });
     // The coarse search ignores no direction that is better, but shapes lie up to 2 m apart from
-    // the origin whatever their size: a millimetre loses digits.
+    // the origin whatever their size: a millimeter loses digits.
     EXPECT_LE(wrong, poses / 50) << "scale " << scale;
   }
 }

@@ -213,7 +213,7 @@ TEST(PublishedFailures, BoxesWithAlmostParallelFacesEnd) {
   }
 }
 
-// Coal has a wrong depth where the centre of a sphere is deep in a cylinder, MuJoCo for a capsule
+// Coal has a wrong depth where the center of a sphere is deep in a cylinder, MuJoCo for a capsule
 // that passes through a box.
 TEST(PublishedFailures, DeepSpheresAndCapsulesLeaveByTheShorterWay) {
   const auto sphere = [](ModelBuilder& b, int32_t body) {

@@ -146,7 +146,7 @@ TEST(MeshPairs, ABallOnAMeshIsAsFarAsFromItsFaces) {
   const MeshTree tree = build_mesh_tree(t.vertices, t.indices);
   Scenes scenes(4);
   for (int i = 0; i < 500; ++i) {
-    const float depth = float(scenes.uniform(-0.01, 0.15));  // the centre may be below
+    const float depth = float(scenes.uniform(-0.01, 0.15));  // the center may be below
     const Vec3f p = {float(scenes.uniform(-0.9, 0.9)), float(scenes.uniform(-0.9, 0.9)),
                      0.1f - depth};
     const auto c = contacts(tree, solid(GeoType::SPHERE, {0.1f, 0, 0}, p));
@@ -262,7 +262,7 @@ TEST(MeshPairs, ACapsuleLiesOnTwoRidges) {
     }
 }
 
-// A rod that touches two triangles at one end has a ridge deep in it two metres away.
+// A rod that touches two triangles at one end has a ridge deep in it two meters away.
 TEST(MeshPairs, ATouchTakesNoDeepContactFromElsewhere) {
   const std::vector<Vec3f> points = {
       {-3, 0, 0.169508547f},   {-2, 0, 0.148490965f}, {-5, 1, 0.120274045f},

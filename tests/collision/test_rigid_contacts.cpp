@@ -42,7 +42,7 @@ TEST(RigidContacts, ASphereOnAPlaneIsOneRowOfCorePoints) {
   EXPECT_EQ(c.normal, (Vec3f{0.0f, 0.0f, 1.0f}));
   EXPECT_NEAR(c.point0.z, 0.0f, 1e-6f);
   EXPECT_NEAR(c.point0.x, 1.0f, 1e-6f);
-  EXPECT_NEAR(math::length(c.point1), 0.0f, 1e-6f) << "the centre, in the frame of the body";
+  EXPECT_NEAR(math::length(c.point1), 0.0f, 1e-6f) << "the center, in the frame of the body";
   EXPECT_FLOAT_EQ(c.margin0, 0.02f);
   EXPECT_FLOAT_EQ(c.margin1, 0.51f);
   EXPECT_FLOAT_EQ(c.offset0.z, 0.02f);
@@ -498,7 +498,7 @@ TEST(RigidContacts, APairHasAsManyRowsAsAskedFor) {
                "contacts_per_pair");
 }
 
-TEST(RigidContacts, EveryPairOfTypesTouchesAlongTheLineOfCentres) {
+TEST(RigidContacts, EveryPairOfTypesTouchesAlongTheLineOfCenters) {
   const GeoType types[] = {GeoType::SPHERE,   GeoType::CAPSULE, GeoType::ELLIPSOID,
                            GeoType::CYLINDER, GeoType::BOX,     GeoType::CONE};
   for (const GeoType a : types)

@@ -102,12 +102,12 @@ TEST(SoftContactMaterial, IsTheMean) {
   EXPECT_EQ(m.mu, 2.0f);
 }
 
-TEST(SphereDistance, IsTheDistanceToTheCentreMinusTheRadius) {
+TEST(SphereDistance, IsTheDistanceToTheCenterMinusTheRadius) {
   const auto s = sphere_distance(Vec3f{0.0f, -2.0f, 0.0f}, 0.5f);
   EXPECT_EQ(s.distance, 1.5f);
   EXPECT_EQ(s.normal, (Vec3f{0.0f, -1.0f, 0.0f}));
-  const auto centre = sphere_distance(Vec3f{0.0f, 0.0f, -1e-9f}, 0.5f);
-  EXPECT_EQ(centre.normal, (Vec3f{0.0f, 0.0f, 1.0f}));
+  const auto center = sphere_distance(Vec3f{0.0f, 0.0f, -1e-9f}, 0.5f);
+  EXPECT_EQ(center.normal, (Vec3f{0.0f, 0.0f, 1.0f}));
 }
 
 TEST(CapsuleDistance, HasCapsAndACylinder) {

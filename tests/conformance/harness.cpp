@@ -50,7 +50,7 @@ std::vector<uint32_t> Buffer::read() const {
 }
 
 Module::Module(const ir::Program& program) {
-  const std::vector<uint32_t> words = ir::serialise(program);
+  const std::vector<uint32_t> words = ir::serialize(program);
   if (std::FILE* file = backend().collected) {
     EXPECT_EQ(std::fwrite(words.data(), 4, words.size(), file), words.size());
   }

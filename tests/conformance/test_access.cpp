@@ -98,7 +98,7 @@ ir::Program elements(int32_t corners) {
   return b.p;
 }
 
-// Which elements have a damping: some neighbours none, others all, or a few.
+// Which elements have a damping: some neighbors none, others all, or a few.
 enum class Damped : uint8_t { None, Some, All };
 
 Inputs element_inputs(int32_t corners, int64_t n, int64_t rows, int32_t first, Damped damped) {
@@ -433,7 +433,7 @@ TEST(Select, SkippingAnUnusedSideChangesNothing) {
   }
 }
 
-// Whether a load fails depends on the row alone, not on its neighbours: rows that do not take the
+// Whether a load fails depends on the row alone, not on its neighbors: rows that do not take the
 // side with the load may hold any row number.
 TEST(OutOfRange, ARowThatIsNotReadMayBeAnything) {
   for (const bool in_loop : {false, true}) {

@@ -179,7 +179,7 @@ ir::Program small_program() {
 }
 
 TEST_F(Conformance, ModulesRefuseWhatIsNoProgramWithAMessage) {
-  const std::vector<uint32_t> good = ir::serialise(small_program());
+  const std::vector<uint32_t> good = ir::serialize(small_program());
   const auto refused = [&](const std::vector<uint32_t>& words, uint64_t bytes, const char* what) {
     novaphy_module* module = nullptr;
     error = make_error();
@@ -205,7 +205,7 @@ TEST_F(Conformance, ModulesRefuseWhatIsNoProgramWithAMessage) {
 
 // One word changed at a time: accepted or refused, never a crash. Most of them also run.
 TEST_F(Conformance, AProgramWithAnyOneWordChangedIsAcceptedOrRefused) {
-  const std::vector<uint32_t> good = ir::serialise(small_program());
+  const std::vector<uint32_t> good = ir::serialize(small_program());
   for (size_t at = 0; at < good.size(); ++at) {
     for (const uint32_t value : {0u, 1u, 0xFFFFFFFFu, 0x7FFFFFFFu, 1000u}) {
       auto words = good;
@@ -229,7 +229,7 @@ TEST_F(Conformance, UnknownFormatsAndKernelNamesAreRefused) {
   novaphy_module* module = nullptr;
   EXPECT_NE(api->module_create(device, 99, "x", 1, &module, &error), NOVAPHY_OK);
   EXPECT_EQ(module, nullptr);
-  const auto words = ir::serialise(small_program());
+  const auto words = ir::serialize(small_program());
   ASSERT_EQ(api->module_create(device, NOVAPHY_CODE_PROGRAM, words.data(), words.size() * 4,
                                &module, &error),
             NOVAPHY_OK);
@@ -251,7 +251,7 @@ TEST_F(Conformance, ALaunchOverNothingDoesNothingAndAWrongArgumentCountIsRefused
 }
 
 TEST_F(Conformance, AProgramMayBeAtAnyAddress) {
-  const auto words = ir::serialise(small_program());
+  const auto words = ir::serialize(small_program());
   std::vector<unsigned char> bytes(words.size() * 4 + 1);
   std::memcpy(bytes.data() + 1, words.data(), words.size() * 4);
   novaphy_module* module = nullptr;

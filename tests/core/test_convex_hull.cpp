@@ -83,12 +83,12 @@ TEST(ConvexHull, HoldsAllPointsAndIsAClosedPolytope) {
     EXPECT_GT(mesh_properties(hull.vertices, hull_triangles(hull)).volume, 0.0);
     for (size_t i = 0; i < hull.vertices.size(); ++i) {
       EXPECT_EQ(hull.vertices[i], points[size_t(hull.input_index[i])]);
-      const int32_t begin = hull.neighbour_starts[i], end = hull.neighbour_starts[i + 1];
+      const int32_t begin = hull.neighbor_starts[i], end = hull.neighbor_starts[i + 1];
       EXPECT_GE(end - begin, 3);
       for (int32_t k = begin; k < end; ++k) {
-        const auto j = size_t(hull.neighbours[size_t(k)]);
-        const auto first = hull.neighbours.begin() + hull.neighbour_starts[j];
-        const auto last = hull.neighbours.begin() + hull.neighbour_starts[j + 1];
+        const auto j = size_t(hull.neighbors[size_t(k)]);
+        const auto first = hull.neighbors.begin() + hull.neighbor_starts[j];
+        const auto last = hull.neighbors.begin() + hull.neighbor_starts[j + 1];
         EXPECT_TRUE(std::binary_search(first, last, int32_t(i)));
       }
     }
@@ -113,7 +113,7 @@ TEST(ConvexHull, IsTheSameEveryTimeAndAtEveryScale) {
   EXPECT_EQ(hull.vertices, again.vertices);
   EXPECT_EQ(hull.face_normals, again.face_normals);
   EXPECT_EQ(hull.face_vertices, again.face_vertices);
-  EXPECT_EQ(hull.neighbours, again.neighbours);
+  EXPECT_EQ(hull.neighbors, again.neighbors);
   for (const float scale : {0x1p-20f, 0x1p20f}) {
     std::vector<Vec3f> scaled;
     for (const Vec3f& p : points) scaled.push_back(p * scale);

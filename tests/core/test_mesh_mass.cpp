@@ -1,4 +1,4 @@
-// Volume, centre and inertia of meshes, against closed forms.
+// Volume, center and inertia of meshes, against closed forms.
 #include <gtest/gtest.h>
 
 #include <string>
@@ -47,7 +47,7 @@ TEST(MeshMass, OfABoxIsTheClosedForm) {
   EXPECT_NEAR(p.inertia.m[0][1], 0.0, 1e-14);
 }
 
-// A tetrahedron has products of inertia: 1/60 - 1/96 of x y about the centre, for the unit one.
+// A tetrahedron has products of inertia: 1/60 - 1/96 of x y about the center, for the unit one.
 TEST(MeshMass, OfATetrahedronHasProductsOfInertia) {
   const SolidProperties p =
       mesh_properties(std::vector<Vec3f>{{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}},

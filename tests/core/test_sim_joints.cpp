@@ -268,7 +268,7 @@ TEST(Joints, CollapsedFixedJointsKeepMassShapesAndFrames) {
   EXPECT_NEAR(math::length(m->joint_X_p.to_host()[1].p), 0.0f, 1e-6f);
   EXPECT_NEAR(math::length(m->shape_transform.to_host()[0].p - Vec3f{1.0f, 2.1f, 3.0f}), 0.0f,
               1e-6f);
-  // The centre of mass and the inertia of the three parts, about the origin of the base.
+  // The center of mass and the inertia of the three parts, about the origin of the base.
   const auto mass = before->body_mass.to_host();
   const double box = mass[1];
   EXPECT_NEAR(m->body_mass.to_host()[0], 2.5 + box, 1e-4);
@@ -277,7 +277,7 @@ TEST(Joints, CollapsedFixedJointsKeepMassShapesAndFrames) {
   EXPECT_NEAR(com.x, share * 1.0, 1e-5);
   EXPECT_NEAR(com.y, share * 2.1, 1e-5);
   EXPECT_NEAR(com.z, share * 3.0, 1e-5);
-  const double reduced = 2.5 * box / (2.5 + box);  // of the two parts about their common centre
+  const double reduced = 2.5 * box / (2.5 + box);  // of the two parts about their common center
   const double own = box / 3.0 * (0.1 * 0.1 + 0.5 * 0.5);  // turned by 90 degrees about z
   EXPECT_NEAR(m->body_inertia.to_host()[0].m[2][2], 0.2 + own + reduced * (1.0 * 1.0 + 2.1 * 2.1),
               5e-3);

@@ -199,7 +199,7 @@ TEST(ModelBuilder, RefusesBadShapesAndKeepsNothingOfThem) {
   EXPECT_EQ(builder.shape_count(), 0);
 }
 
-TEST(ModelBuilder, NormalisesQuaternionsOnce) {
+TEST(ModelBuilder, NormalizesQuaternionsOnce) {
   ModelBuilder builder;
   const Quatf unit = {0.18257418f, 0.36514837f, 0.5477226f, 0.73029673f};
   const Quatf longer = {unit.x * 1.0005f, unit.y * 1.0005f, unit.z * 1.0005f, unit.w * 1.0005f};

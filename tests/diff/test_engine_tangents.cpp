@@ -17,7 +17,7 @@ bool finite(const std::vector<Tensor>& tensors) {
 TEST(EngineKernels, KeepTheDotProductIdentity) {
   std::set<std::string> names;
   for (const nova::EngineKernel& k : all_kernels()) {
-    if (k.gradients.empty()) continue;  // part of a backward or of an optimiser
+    if (k.gradients.empty()) continue;  // part of a backward or of an optimizer
     names.insert(k.kernel.name());
     int compared = 0;
     for (uint32_t seed = 1; seed <= 5; ++seed) {

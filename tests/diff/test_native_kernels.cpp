@@ -153,7 +153,7 @@ class Machine {
     novaphy_error error = make_error();
     novaphy_module* module = nullptr;
     novaphy_kernel* kernel = nullptr;
-    const std::vector<uint32_t> words = ir::serialise(p);
+    const std::vector<uint32_t> words = ir::serialize(p);
     EXPECT_EQ(api_->module_create(device_, NOVAPHY_CODE_PROGRAM, words.data(), words.size() * 4,
                                   &module, &error),
               NOVAPHY_OK)

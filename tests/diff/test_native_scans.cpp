@@ -21,7 +21,7 @@ class CompiledKernel {
   CompiledKernel(const novaphy_backend_api* api, const ir::Program& program)
       : api_(api), program_(program) {
     novaphy_error error = make_error();
-    const std::vector<uint32_t> words = ir::serialise(program);
+    const std::vector<uint32_t> words = ir::serialize(program);
     EXPECT_EQ(api->device_open(0, &device_, &error), NOVAPHY_OK) << error.message;
     EXPECT_EQ(api->stream_create(device_, &stream_, &error), NOVAPHY_OK) << error.message;
     EXPECT_EQ(api->module_create(device_, NOVAPHY_CODE_PROGRAM, words.data(), words.size() * 4,

@@ -39,7 +39,7 @@ const DiffSolverConfig kAll = {.enable_tetrahedra = true,
 
 Npz golden() { return Npz(std::string(NOVAPHY_GOLDEN_DIR) + "/newton_soft_body_strict.npz"); }
 
-// The optimisation of the example: rollout, loss, gradients.
+// The optimization of the example: rollout, loss, gradients.
 struct SoftBody {
   std::shared_ptr<Model> model;
   DiffSemiImplicitSolver solver{model, kStatic};

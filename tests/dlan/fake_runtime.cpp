@@ -1,6 +1,6 @@
 // A stand-in for Denglin's run-time library, with a device that is the host: memory is the host's,
 // and kernels that were compiled for the host (host.h) run, thread by thread. Threads that wait for
-// their block are fibres.
+// their block are fibers.
 // Environment variables say what the device is like, and what goes wrong:
 //   FAKE_DLAN_WARP      threads of a warp (32): the last warp of a block comes first
 //   FAKE_DLAN_VERSION   what cudaRuntimeGetVersion says (11000)
@@ -75,18 +75,18 @@ int release(void* pointer) {
   return 0;
 }
 
-// A fibre runs threads until one waits; it then keeps that thread, and another fibre takes the
+// A fiber runs threads until one waits; it then keeps that thread, and another fiber takes the
 // rest.
-struct Fibre {
+struct Fiber {
   ucontext_t context;
   std::unique_ptr<char[]> stack;
   unsigned thread = 0;
   bool waits = false;
 };
-std::vector<std::unique_ptr<Fibre>> g_fibres;
+std::vector<std::unique_ptr<Fiber>> g_fibers;
 std::vector<unsigned> g_order;  // of the threads of a block
 size_t g_next = 0;
-Fibre* g_running = nullptr;
+Fiber* g_running = nullptr;
 ucontext_t g_scheduler;
 const FakeStub* g_stub;
 void* const* g_arguments;
@@ -101,15 +101,15 @@ void run_threads() {
     swapcontext(&g_running->context, &g_scheduler);
   }
 }
-void enter(Fibre& fibre) {
-  g_running = &fibre;
-  fake_dlan_thread.x = fibre.thread;
-  swapcontext(&g_scheduler, &fibre.context);
+void enter(Fiber& fiber) {
+  g_running = &fiber;
+  fake_dlan_thread.x = fiber.thread;
+  swapcontext(&g_scheduler, &fiber.context);
 }
-Fibre& fibre(size_t k) {
+Fiber& fiber(size_t k) {
   constexpr size_t kStack = 128 << 10;
-  while (g_fibres.size() <= k) {
-    Fibre& made = *g_fibres.emplace_back(std::make_unique<Fibre>());
+  while (g_fibers.size() <= k) {
+    Fiber& made = *g_fibers.emplace_back(std::make_unique<Fiber>());
     made.stack = std::make_unique<char[]>(kStack);
     getcontext(&made.context);
     made.context.uc_stack.ss_sp = made.stack.get();
@@ -117,23 +117,23 @@ Fibre& fibre(size_t k) {
     made.context.uc_link = nullptr;
     makecontext(&made.context, run_threads, 0);
   }
-  return *g_fibres[k];
+  return *g_fibers[k];
 }
 void run_block() {
   g_next = 0;
   size_t waiting = 0;
   while (g_next < g_order.size()) {
-    Fibre& f = fibre(waiting);
+    Fiber& f = fiber(waiting);
     enter(f);
     if (f.waits) ++waiting;
   }
   while (waiting > 0) {
     size_t still = 0;
     for (size_t k = 0; k < waiting; ++k) {
-      fibre(k).waits = false;
-      enter(fibre(k));
-      if (!fibre(k).waits) continue;
-      std::swap(g_fibres[still], g_fibres[k]);
+      fiber(k).waits = false;
+      enter(fiber(k));
+      if (!fiber(k).waits) continue;
+      std::swap(g_fibers[still], g_fibers[k]);
       ++still;
     }
     waiting = still;

@@ -236,7 +236,7 @@ Stress stress(double mu, double lambda, double a, double b) {
 }
 
 // A bar that is stretched evenly, with free sides: particles inside feel nothing, and the end faces
-// the stress times the area. For a small stretch that is Young's modulus of the linearised law.
+// the stress times the area. For a small stretch that is Young's modulus of the linearized law.
 TEST(Tetrahedra, AStretchedBarHasTheForceOfTheClosedForm) {
   constexpr double kMu = 2e3, kLambda = 5e3;
   ModelBuilder builder(Axis::Z, 0.0f);

@@ -42,7 +42,7 @@ class Random {
   std::uniform_real_distribution<float> number_{-1.0f, 1.0f};
 };
 
-// A joint of each type, two D6, random frames and centres of mass.
+// A joint of each type, two D6, random frames and centers of mass.
 std::shared_ptr<Model> chain() {
   Random random;
   ModelBuilder b;
@@ -130,7 +130,7 @@ TEST(JointCoordinates, TwistsAreTheRatesOfThePoses) {
   constexpr float kStep = 2e-3f;
   const auto type = model->joint_type.to_host();
   const auto start = model->joint_q_start.to_host(), dof = model->joint_qd_start.to_host();
-  // Coordinates a little later. A FREE joint's rate is that of its centre of mass.
+  // Coordinates a little later. A FREE joint's rate is that of its center of mass.
   const auto moved = [&](float h) {
     std::vector<float> q = model->joint_q.to_host();
     const auto qd = model->joint_qd.to_host();

@@ -74,7 +74,7 @@ TEST(RigidBodies, FallFreelyByTheSumsOfSymplecticEuler) {
   EXPECT_NEAR(body.qd.linear.z, 4.0 - kGravity * n * kDt, 1e-4);
 }
 
-TEST(RigidBodies, AForceAndAMomentActAtTheCentreOfMassAndStayInTheState) {
+TEST(RigidBodies, AForceAndAMomentActAtTheCenterOfMassAndStayInTheState) {
   ModelBuilder builder(Axis::Z, kNone);
   builder.add_body(
       {.com = {0.5f, 0.0f, 0.0f}, .mass = 2.0f, .inertia = diagonal(1.0f, 2.0f, 2.5f)});
@@ -87,10 +87,10 @@ TEST(RigidBodies, AForceAndAMomentActAtTheCentreOfMassAndStayInTheState) {
   const Body body = run.body();
   EXPECT_NEAR(body.qd.linear.x, 0.1f, 1e-5f);   // 2 N / 2 kg * 0.1 s
   EXPECT_NEAR(body.qd.angular.z, 0.2f, 1e-5f);  // 5 Nm / 2.5 kg m^2 * 0.1 s
-  // The centre moves on a line, the origin about it.
-  const Vec3f centre = math::transform_point(body.q, Vec3f{0.5f, 0.0f, 0.0f});
-  EXPECT_NEAR(centre.y, 0.0f, 1e-6f);
-  EXPECT_NEAR(centre.x, 0.5f + 0.5f * 0.1f * 0.1f, 1e-4f);
+  // The center moves on a line, the origin about it.
+  const Vec3f center = math::transform_point(body.q, Vec3f{0.5f, 0.0f, 0.0f});
+  EXPECT_NEAR(center.y, 0.0f, 1e-6f);
+  EXPECT_NEAR(center.x, 0.5f + 0.5f * 0.1f * 0.1f, 1e-4f);
 }
 
 // Torque-free precession of a symmetric top: in the body frame w turns about z with
@@ -241,7 +241,7 @@ TEST(RigidBodies, AKinematicBodyFollowsItsVelocity) {
   const Body body = run.body();
   EXPECT_EQ(body.qd, (SpatialVectorf{{}, {0.0f, 0.0f, 1.0f}}));
   EXPECT_NEAR(body.q.q.z, std::sin(0.5), 1e-5);
-  EXPECT_NEAR(body.q.p.x, std::sin(1.0), 1e-4);  // the origin turns about the centre of mass
+  EXPECT_NEAR(body.q.p.x, std::sin(1.0), 1e-4);  // the origin turns about the center of mass
 }
 
 TEST(RigidBodies, TwoWorldsInOnePlaceEqualOneAlone) {

@@ -10,25 +10,25 @@
 #include "device_source.h"
 
 namespace novaphy::detail {
-const char* soft_contact_kernels_text();
-const char* rigid_contact_kernels_text();
-const char* rigid_mesh_kernels_text();
-const char* rigid_tree_kernels_text();
-const char* contact_body_kernels_text();
-const char* articulation_contact_kernels_text();
-const char* articulation_contact_jvp_kernels_text();
-const char* articulation_contact_vjp_kernels_text();
-const char* articulation_functions_kernels_text();
-const char* articulation_jvp_kernels_text();
-const char* articulation_kernels_text();
-const char* body_actuation_kernels_text();
-const char* gradient_notes_kernels_text();
-const char* joint_coordinates_kernels_text();
+const char* soft_contact_kernels_source();
+const char* rigid_contact_kernels_source();
+const char* rigid_mesh_kernels_source();
+const char* rigid_tree_kernels_source();
+const char* contact_body_kernels_source();
+const char* articulation_contact_kernels_source();
+const char* articulation_contact_jvp_kernels_source();
+const char* articulation_contact_vjp_kernels_source();
+const char* articulation_functions_kernels_source();
+const char* articulation_jvp_kernels_source();
+const char* articulation_kernels_source();
+const char* body_actuation_kernels_source();
+const char* gradient_notes_kernels_source();
+const char* joint_coordinates_kernels_source();
 #ifdef FAKE_DRIVER_HAS_VBD
-const char* vbd_kernels_text();
-const char* vbd_adjoint_kernels_text();
-const char* vbd_gradient_kernels_text();
-const char* vbd_tangent_kernels_text();
+const char* vbd_kernels_source();
+const char* vbd_adjoint_kernels_source();
+const char* vbd_gradient_kernels_source();
+const char* vbd_tangent_kernels_source();
 #endif
 }  // namespace novaphy::detail
 
@@ -37,25 +37,25 @@ namespace novaphy::gpu {
 AheadData ahead_data() {
   static const std::vector<unsigned char> bytes = [] {
     constexpr const char* (*kHandWritten[])() = {
-        detail::soft_contact_kernels_text,
-        detail::rigid_contact_kernels_text,
-        detail::rigid_mesh_kernels_text,
-        detail::rigid_tree_kernels_text,
-        detail::contact_body_kernels_text,
-        detail::articulation_contact_kernels_text,
-        detail::articulation_contact_jvp_kernels_text,
-        detail::articulation_contact_vjp_kernels_text,
-        detail::articulation_functions_kernels_text,
-        detail::articulation_jvp_kernels_text,
-        detail::articulation_kernels_text,
-        detail::body_actuation_kernels_text,
-        detail::gradient_notes_kernels_text,
-        detail::joint_coordinates_kernels_text,
+        detail::soft_contact_kernels_source,
+        detail::rigid_contact_kernels_source,
+        detail::rigid_mesh_kernels_source,
+        detail::rigid_tree_kernels_source,
+        detail::contact_body_kernels_source,
+        detail::articulation_contact_kernels_source,
+        detail::articulation_contact_jvp_kernels_source,
+        detail::articulation_contact_vjp_kernels_source,
+        detail::articulation_functions_kernels_source,
+        detail::articulation_jvp_kernels_source,
+        detail::articulation_kernels_source,
+        detail::body_actuation_kernels_source,
+        detail::gradient_notes_kernels_source,
+        detail::joint_coordinates_kernels_source,
 #ifdef FAKE_DRIVER_HAS_VBD
-        detail::vbd_kernels_text,
-        detail::vbd_adjoint_kernels_text,
-        detail::vbd_gradient_kernels_text,
-        detail::vbd_tangent_kernels_text,
+        detail::vbd_kernels_source,
+        detail::vbd_adjoint_kernels_source,
+        detail::vbd_gradient_kernels_source,
+        detail::vbd_tangent_kernels_source,
 #endif
     };
     AheadEntry entries[2 + std::size(kHandWritten)];

@@ -1,5 +1,5 @@
 // The device's interpreter and builtins, compiled for the host from the text that goes to the
-// device: the fake driver runs them. The threads of a block are fibres that take turns, and wait
+// device: the fake driver runs them. The threads of a block are fibers that take turns, and wait
 // for each other where the text says so.
 #include "host_kernels.h"
 
@@ -24,19 +24,19 @@ struct Index {
 };
 Index blockIdx, blockDim, gridDim, threadIdx;
 
-// A block of fibres.
+// A block of fibers.
 enum class State { Ready, AtBlockBarrier, AtWarpBarrier, Done };
-struct Fibre {
+struct Fiber {
   ucontext_t context;
   std::unique_ptr<char[]> stack;
   State state = State::Ready;
 };
-std::vector<Fibre> g_fibres;
+std::vector<Fiber> g_fibers;
 ucontext_t g_scheduler;
 const std::function<void()>* g_thread;
 
 void wait(State state) {
-  Fibre& mine = g_fibres[threadIdx.x];
+  Fiber& mine = g_fibers[threadIdx.x];
   mine.state = state;
   swapcontext(&mine.context, &g_scheduler);
 }
@@ -45,41 +45,41 @@ void begin() {
   wait(State::Done);
 }
 
-// Lets all fibres of [first, last) go on, if those that are not done wait for each other.
+// Lets all fibers of [first, last) go on, if those that are not done wait for each other.
 bool release(size_t first, size_t last, State barrier) {
   bool any = false;
   for (size_t t = first; t < last; ++t) {
-    if (g_fibres[t].state == State::Done) continue;
-    if (g_fibres[t].state != barrier) return false;
+    if (g_fibers[t].state == State::Done) continue;
+    if (g_fibers[t].state != barrier) return false;
     any = true;
   }
   for (size_t t = first; any && t < last; ++t)
-    if (g_fibres[t].state == barrier) g_fibres[t].state = State::Ready;
+    if (g_fibers[t].state == barrier) g_fibers[t].state = State::Ready;
   return any;
 }
 
 void run_block() {
   constexpr size_t kStack = 64 << 10;
-  g_fibres.resize(blockDim.x);
-  for (Fibre& fibre : g_fibres) {
-    if (fibre.stack == nullptr) fibre.stack = std::make_unique<char[]>(kStack);
-    fibre.state = State::Ready;
-    getcontext(&fibre.context);
-    fibre.context.uc_stack.ss_sp = fibre.stack.get();
-    fibre.context.uc_stack.ss_size = kStack;
-    fibre.context.uc_link = nullptr;
-    makecontext(&fibre.context, begin, 0);
+  g_fibers.resize(blockDim.x);
+  for (Fiber& fiber : g_fibers) {
+    if (fiber.stack == nullptr) fiber.stack = std::make_unique<char[]>(kStack);
+    fiber.state = State::Ready;
+    getcontext(&fiber.context);
+    fiber.context.uc_stack.ss_sp = fiber.stack.get();
+    fiber.context.uc_stack.ss_size = kStack;
+    fiber.context.uc_link = nullptr;
+    makecontext(&fiber.context, begin, 0);
   }
   for (bool more = true; more;) {
     for (unsigned t = 0; t < blockDim.x; ++t) {
-      if (g_fibres[t].state != State::Ready) continue;
+      if (g_fibers[t].state != State::Ready) continue;
       threadIdx.x = t;
-      swapcontext(&g_scheduler, &g_fibres[t].context);
+      swapcontext(&g_scheduler, &g_fibers[t].context);
     }
     more = false;
-    for (size_t t = 0; t < g_fibres.size(); t += 32)
-      more = release(t, std::min(t + 32, g_fibres.size()), State::AtWarpBarrier) || more;
-    more = release(0, g_fibres.size(), State::AtBlockBarrier) || more;
+    for (size_t t = 0; t < g_fibers.size(); t += 32)
+      more = release(t, std::min(t + 32, g_fibers.size()), State::AtWarpBarrier) || more;
+    more = release(0, g_fibers.size(), State::AtBlockBarrier) || more;
   }
 }
 
@@ -174,16 +174,16 @@ namespace notes {
 #ifdef FAKE_DRIVER_HAS_VBD
 #undef __shared__
 #define __shared__ static
-namespace vbd_text {
+namespace vbd_source {
 #include "vbd_kernels.cuh"
 }
-namespace vbd_adjoint_text {
+namespace vbd_adjoint_source {
 #include "vbd_adjoint_kernels.cuh"
 }
-namespace vbd_gradient_text {
+namespace vbd_gradient_source {
 #include "vbd_gradient_kernels.cuh"
 }
-namespace vbd_tangent_text {
+namespace vbd_tangent_source {
 #include "vbd_tangent_kernels.cuh"
 }
 #endif
@@ -208,7 +208,7 @@ HostKernel entry(const char* name, bool waits, void (*)(P...)) {
 #define HAND_WRITTEN(name) OF_TEXT(device::novaphy, name)
 #define OF_TEXT(text, name) entry<text::name>(#name, false, text::name)
 #define OF_VBD(name, waits) \
-  entry<device::vbd_text::novaphy::name>(#name, waits, device::vbd_text::novaphy::name)
+  entry<device::vbd_source::novaphy::name>(#name, waits, device::vbd_source::novaphy::name)
 
 }  // namespace
 }  // namespace device
@@ -308,32 +308,32 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_VBD(vbd_accelerate, false),
       OF_VBD(vbd_finish, false),
       OF_VBD(vbd_residual, false),
-      OF_VBD(vbd_move_team, true),
-      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_solve),
-      entry<device::vbd_adjoint_text::novaphy::vbd_adjoint_solve_team>(
-          "vbd_adjoint_solve_team", true,
-          device::vbd_adjoint_text::novaphy::vbd_adjoint_solve_team),
-      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_slots),
-      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_weights),
-      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_rest),
-      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_rest_weights),
-      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_start),
-      OF_TEXT(vbd_adjoint_text::novaphy, vbd_adjoint_start_weights),
-      OF_TEXT(vbd_gradient_text::novaphy, vbd_clear),
-      OF_TEXT(vbd_gradient_text::novaphy, vbd_keep),
-      OF_TEXT(vbd_gradient_text::novaphy, vbd_adjoint_begin),
-      OF_TEXT(vbd_gradient_text::novaphy, vbd_adjoint_end),
-      OF_TEXT(vbd_gradient_text::novaphy, vbd_receive),
-      OF_TEXT(vbd_gradient_text::novaphy, vbd_particle_gradient),
-      OF_TEXT(vbd_gradient_text::novaphy, vbd_target_gradient),
-      OF_TEXT(vbd_gradient_text::novaphy, vbd_gravity_gradient),
-      OF_TEXT(vbd_gradient_text::novaphy, vbd_element_gradient),
-      OF_TEXT(vbd_gradient_text::novaphy, vbd_radius_gradient),
-      OF_TEXT(vbd_gradient_text::novaphy, vbd_contact_shape),
-      OF_TEXT(vbd_gradient_text::novaphy, vbd_shape_gradient),
-      OF_TEXT(vbd_tangent_text::novaphy, vbd_tangent),
-      OF_TEXT(vbd_tangent_text::novaphy, vbd_tangent_start),
-      OF_TEXT(vbd_tangent_text::novaphy, vbd_tangent_move),
+      OF_VBD(vbd_move_by_blocks, true),
+      OF_TEXT(vbd_adjoint_source::novaphy, vbd_adjoint_solve),
+      entry<device::vbd_adjoint_source::novaphy::vbd_adjoint_solve_by_blocks>(
+          "vbd_adjoint_solve_by_blocks", true,
+          device::vbd_adjoint_source::novaphy::vbd_adjoint_solve_by_blocks),
+      OF_TEXT(vbd_adjoint_source::novaphy, vbd_adjoint_slots),
+      OF_TEXT(vbd_adjoint_source::novaphy, vbd_adjoint_weights),
+      OF_TEXT(vbd_adjoint_source::novaphy, vbd_adjoint_solution),
+      OF_TEXT(vbd_adjoint_source::novaphy, vbd_adjoint_solution_weights),
+      OF_TEXT(vbd_adjoint_source::novaphy, vbd_adjoint_start),
+      OF_TEXT(vbd_adjoint_source::novaphy, vbd_adjoint_start_weights),
+      OF_TEXT(vbd_gradient_source::novaphy, vbd_clear),
+      OF_TEXT(vbd_gradient_source::novaphy, vbd_keep),
+      OF_TEXT(vbd_gradient_source::novaphy, vbd_adjoint_begin),
+      OF_TEXT(vbd_gradient_source::novaphy, vbd_adjoint_end),
+      OF_TEXT(vbd_gradient_source::novaphy, vbd_receive),
+      OF_TEXT(vbd_gradient_source::novaphy, vbd_particle_gradient),
+      OF_TEXT(vbd_gradient_source::novaphy, vbd_target_gradient),
+      OF_TEXT(vbd_gradient_source::novaphy, vbd_gravity_gradient),
+      OF_TEXT(vbd_gradient_source::novaphy, vbd_element_gradient),
+      OF_TEXT(vbd_gradient_source::novaphy, vbd_radius_gradient),
+      OF_TEXT(vbd_gradient_source::novaphy, vbd_contact_shape),
+      OF_TEXT(vbd_gradient_source::novaphy, vbd_shape_gradient),
+      OF_TEXT(vbd_tangent_source::novaphy, vbd_tangent),
+      OF_TEXT(vbd_tangent_source::novaphy, vbd_tangent_start),
+      OF_TEXT(vbd_tangent_source::novaphy, vbd_tangent_move),
 #endif
   };
   for (const HostKernel& kernel : kKernels)

@@ -1,5 +1,5 @@
 // What the text of a persistent kernel expects of its compiler and its device, on the host:
-// test_persistent_run.cpp puts this before the text. The threads of all blocks are fibres of one
+// test_persistent_run.cpp puts this before the text. The threads of all blocks are fibers of one
 // thread, which run in a random order until each waits for others.
 #include <ucontext.h>
 
@@ -22,7 +22,7 @@ struct Index {
 };
 Index blockIdx, blockDim, gridDim, threadIdx;
 
-struct Fibre {
+struct Fiber {
   ucontext_t context;
   std::unique_ptr<char[]> stack;
   bool done = false;
@@ -30,8 +30,8 @@ struct Fibre {
   // there.
   size_t at_block = 0, arrived = 0, waited = 0, shown = 0;
 };
-std::vector<Fibre> g_fibres;
-Fibre* g_running;
+std::vector<Fiber> g_fibers;
+Fiber* g_running;
 ucontext_t g_scheduler;
 std::function<void()> g_thread;
 std::map<std::pair<unsigned, size_t>, size_t> g_at_block;  // block, how often: threads there
@@ -77,7 +77,7 @@ void arrive_all() {
 }
 void wait_all() {
   const size_t& here = g_arrived[g_running->waited++];
-  while (here < g_fibres.size()) give_way();
+  while (here < g_fibers.size()) give_way();
 }
 
 void came(unsigned block, unsigned turn, int64_t bytes, bool expected) {
@@ -120,23 +120,23 @@ void run_all(unsigned seed) {
   g_came_of.clear();
   g_under_way.clear();
   g_shown.clear();
-  g_fibres.clear();
-  g_fibres.resize(size_t{gridDim.x} * blockDim.x);
-  for (Fibre& fibre : g_fibres) {
-    fibre.stack = std::make_unique_for_overwrite<char[]>(kStack);
-    getcontext(&fibre.context);
-    fibre.context.uc_stack.ss_sp = fibre.stack.get();
-    fibre.context.uc_stack.ss_size = kStack;
-    fibre.context.uc_link = nullptr;
-    makecontext(&fibre.context, begin, 0);
+  g_fibers.clear();
+  g_fibers.resize(size_t{gridDim.x} * blockDim.x);
+  for (Fiber& fiber : g_fibers) {
+    fiber.stack = std::make_unique_for_overwrite<char[]>(kStack);
+    getcontext(&fiber.context);
+    fiber.context.uc_stack.ss_sp = fiber.stack.get();
+    fiber.context.uc_stack.ss_size = kStack;
+    fiber.context.uc_link = nullptr;
+    makecontext(&fiber.context, begin, 0);
   }
-  std::vector<unsigned> order(g_fibres.size());
+  std::vector<unsigned> order(g_fibers.size());
   std::iota(order.begin(), order.end(), 0u);
   std::mt19937 random(seed);
-  for (size_t left = g_fibres.size(); left > 0;) {
+  for (size_t left = g_fibers.size(); left > 0;) {
     std::shuffle(order.begin(), order.end(), random);
     for (const unsigned k : order) {
-      g_running = &g_fibres[k];
+      g_running = &g_fibers[k];
       if (g_running->done) continue;
       blockIdx.x = k / blockDim.x;
       threadIdx.x = k % blockDim.x;

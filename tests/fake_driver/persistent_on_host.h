@@ -1,5 +1,5 @@
 // Runs a persistent kernel on the host: its text is compiled by the compiler of this build, and its
-// threads are fibres that take turns in a random order (host_persistent.h).
+// threads are fibers that take turns in a random order (host_persistent.h).
 #pragma once
 
 #include <dlfcn.h>
@@ -18,7 +18,7 @@
 
 namespace novaphy::gpu {
 
-// What a vendor's file would say: barriers are those of fibres, the rest is generic.
+// What a vendor's file would say: barriers are those of fibers, the rest is generic.
 constexpr const char* kHostVendor = R"(
 #define VENDOR_WARP 32
 #define VENDOR_HAS_BLOCK_BARRIERS
@@ -32,7 +32,7 @@ static void vendor_cluster_wait() { wait_all(); }
 static void vendor_prefetch_bytes(unsigned long long, unsigned) {}
 )";
 
-// The device's words for what fibres do otherwise.
+// The device's words for what fibers do otherwise.
 inline void replace(std::string& text, const std::string& from, const std::string& to) {
   const size_t at = text.find(from);
   ASSERT_NE(at, std::string::npos) << from;

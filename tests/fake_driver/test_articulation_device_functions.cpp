@@ -133,7 +133,7 @@ TEST_F(ArticulationDevices, WhatFunctionsCannotDoThereIsRefusedByName) {
                 [&] { FeatherstoneAnalyticControlSensitivity(one, {}); });
 }
 
-TEST_F(ArticulationDevices, FollowersAreWrittenWithTheBitsOfTheCpu) {
+TEST_F(ArticulationDevices, MimicJointsAreWrittenWithTheBitsOfTheCpu) {
   const ModelBuilder builder = trees();
   const auto run = [&](Device device, bool captured) {
     const auto model = builder.finalize(device);

@@ -166,7 +166,7 @@ TEST_F(PersistentTest, EachWarpHasItsTask) {
   const PersistentTable table = persistent_table(ops, {10, 0, 2});
   ASSERT_NE(table.tasks, 0u);
   EXPECT_EQ(table.counters, table.tasks + 2 * 10);
-  for (uint64_t warp = 0; warp < 10; ++warp) {  // neighbours lie in different blocks
+  for (uint64_t warp = 0; warp < 10; ++warp) {  // neighbors lie in different blocks
     const Task task = task_at(table, warp % 2 * 5 + warp / 2);
     EXPECT_EQ(task.rows, 8u);
     EXPECT_EQ(task.first, warp % 5 * 8) << warp;

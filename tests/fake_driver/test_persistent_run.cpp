@@ -1,5 +1,5 @@
 // Persistent kernels, run on the host: their text is compiled by the compiler of this build, and
-// its threads are fibres that take turns in a random order. What a barrier does not hold back
+// its threads are fibers that take turns in a random order. What a barrier does not hold back
 // happens early.
 #include <gtest/gtest.h>
 
@@ -29,13 +29,13 @@ float times(float a, float b) {
   return product;
 }
 
-// Arrays of rows of three, scalars, and who is whose neighbour.
+// Arrays of rows of three, scalars, and who is whose neighbor.
 struct Memory {
   std::array<std::vector<float>, kArrays> arrays;
   std::array<float, kScalars> scalars{};
-  std::vector<int32_t> neighbour, offsets, items;
+  std::vector<int32_t> neighbor, offsets, items;
 
-  explicit Memory(uint32_t seed) : neighbour(kRows), offsets(kRows + 1) {
+  explicit Memory(uint32_t seed) : neighbor(kRows), offsets(kRows + 1) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<float> value(-1.0f, 1.0f);
     for (auto& array : arrays) {
@@ -45,10 +45,10 @@ struct Memory {
     for (float& x : scalars) x = value(random);
     // Some rows have no items, and one has more than a batch.
     for (int32_t i = 0; i < kRows; ++i)
-      neighbour[i] = i % 2 == 0 ? 3 : static_cast<int32_t>(random() % kRows);
+      neighbor[i] = i % 2 == 0 ? 3 : static_cast<int32_t>(random() % kRows);
     for (int32_t row = 0; row < kRows; ++row) {
       for (int32_t i = 0; i < kRows; ++i)
-        if (neighbour[i] == row) items.push_back(i);
+        if (neighbor[i] == row) items.push_back(i);
       offsets[row + 1] = static_cast<int32_t>(items.size());
     }
   }
@@ -160,9 +160,9 @@ class Recorder {
       case 1:
         recorded_.launch(
             recorded_.add(phase, chain, kRows, kRows), gather_,
-            {word(device_.neighbour.data()), rows, array(any), rows, array(b), rows, array(y)});
+            {word(device_.neighbor.data()), rows, array(any), rows, array(b), rows, array(y)});
         each_row([&](int32_t i, int32_t c) {
-          return times(other[3 * host_.neighbour[i] + c], 0.5f) - times(z[3 * i + c], 0.25f);
+          return times(other[3 * host_.neighbor[i] + c], 0.5f) - times(z[3 * i + c], 0.25f);
         });
         break;
       case 2: {

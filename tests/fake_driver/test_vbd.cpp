@@ -1,4 +1,4 @@
-// A step of VBD as kernels of a device: the bits of the CPU, whichever way a colour moves.
+// A step of VBD as kernels of a device: the bits of the CPU, whichever way a color moves.
 #include <gtest/gtest.h>
 
 #include <string>

@@ -101,7 +101,7 @@ TEST_F(VbdDevices, ImplicitGradientsHaveTheBitsOfTheCpu) {
                           .kd = 0.0f,
                           .contacts = false,
                           .only = {"particle_q", "particle_tri_material"}});
-  // Far from the solution, with few steps of each method and colours that hold conflicts.
+  // Far from the solution, with few steps of each method and colors that hold conflicts.
   expect_bits_of_the_cpu({.options = {.iterations = 2,
                                       .gradient = {.implicit = true,
                                                    .newton_iterations = 3,

@@ -203,7 +203,7 @@ TEST_F(LoadMesh, EveryVertexOfAnObjFileCounts) {
   const std::vector<Vec3f> expected = {{0.5f, 0, 0}, {1, 0, 0}, {0, 2, 0}};
   for (const std::string& text :
        {"\xEF\xBB\xBFv .5 0 0\n  v 1 0 0\n\tv 0 2 0\n  f 1 2 3\n"s,      // set in
-        "v .5 0 0 .1 .2 .3\nv 1 0 0 1 1 1 .5\nv 0 1 0 0.5\nf 1 2 3\n"s,  // colours, w
+        "v .5 0 0 .1 .2 .3\nv 1 0 0 1 1 1 .5\nv 0 1 0 0.5\nf 1 2 3\n"s,  // colors, w
         "mtllib none.mtl\nvt .5\nvn .5 .5 .5\nv .5 0 0\nv 1 0 0 # 4\nv 0 2 0\n"
         "f 1/1/1 2/1/1 3/1/1\n"s,
         "v .5 0 \\\n0\nv 1 0 0\nv 0 2 0\nf 1 2 \\\n3\n"s,  // lines that go on

@@ -52,7 +52,7 @@ TEST(Robots, FixedJointsAreMerged) {
   EXPECT_EQ(result.joints.at("j"), -1);
   const auto model = builder.finalize();
   EXPECT_EQ(model->body_mass.to_host()[0], 4.0f);
-  // Twice the inertia, and 2 kg half a metre away on either side.
+  // Twice the inertia, and 2 kg half a meter away on either side.
   EXPECT_FLOAT_EQ(model->body_inertia.to_host()[0].m[0][0], 0.6f + 4.0f * 0.25f);
 }
 

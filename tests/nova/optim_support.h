@@ -1,4 +1,4 @@
-// What the tests of optimisers and of clipping share.
+// What the tests of optimizers and of clipping share.
 #pragma once
 
 #include <limits>

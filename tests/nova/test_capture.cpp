@@ -19,7 +19,7 @@ using Floats = std::vector<float>;
 
 Floats grad(const Tensor& x) { return x.grad().to_host(); }
 
-// A step with every access kind: rows, a uniform value, neighbours through a table, a sum over CSR
+// A step with every access kind: rows, a uniform value, neighbors through a table, a sum over CSR
 // rows.
 class Network {
  public:
@@ -41,7 +41,7 @@ class Network {
 
   Tensor loss(int steps = 3) const {
     static const Kernel gather = make_kernel(
-        "neighbours",
+        "neighbors",
         {{"next", DType::I32, 1, Access::Direct},
          {"x", DType::F32, 1, Access::Indexed},
          {"u", DType::F32, 1, Access::Uniform}},

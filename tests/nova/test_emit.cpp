@@ -83,7 +83,7 @@ TEST(Emit, ComputesWhatIsTheSameForAllRowsOnce) {
 }
 TEST(Emit, SumsOverACsrRowInOrder) {
   const nova::Kernel kernel =
-      nova::make_reduce_kernel("neighbours",
+      nova::make_reduce_kernel("neighbors",
                                {{"x", DType::F32, 3, Access::Direct},
                                 {"other", DType::I32, 1, Access::CsrRow},
                                 {"position", DType::F32, 3, Access::Indexed}},
@@ -98,7 +98,7 @@ TEST(Emit, SumsOverACsrRowInOrder) {
                                       return std::vector{d};
                                     },
                                 .epilogue = {}});
-  expect_golden("neighbours", kernel.program());
+  expect_golden("neighbors", kernel.program());
 }
 TEST(Emit, AddsPlainRowsOfACsrRowRowByRow) {
   const nova::Kernel kernel = nova::make_reduce_kernel(

@@ -212,7 +212,7 @@ TEST_P(RandomLists, OfFewRowsToo) {
 
 INSTANTIATE_TEST_SUITE_P(Seeds, RandomLists, ::testing::Range(0u, 40u));
 
-// Elements read neighbours and are read by them, in turns, so that there are phases; the table has
+// Elements read neighbors and are read by them, in turns, so that there are phases; the table has
 // one row too large.
 TEST(Phased, AFailureIsThatOfTheLaunchThatWasRecordedFirst) {
   if (!device_context(tensor({0.0f}).range()->storage().device()).host_accessible)

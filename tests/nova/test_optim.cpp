@@ -1,4 +1,4 @@
-// Optimisers: against recurrences written out by hand, in captures (with clipping), and refused by
+// Optimizers: against recurrences written out by hand, in captures (with clipping), and refused by
 // name.
 #include <cmath>
 
@@ -181,8 +181,8 @@ TEST(AdamClass, IsTheUpdateOfEveryParameterWithOneStepCounter) {
 
 TEST(AdamClass, FindsTheMinimumOfAnIllConditionedQuadratic) {
   // f = sum of k (x - c)^2 / 2 with k over four decades
-  const Floats stiffness = {0.1f, 1.0f, 10.0f, 1000.0f}, centre = {1.0f, -2.0f, 3.0f, -4.0f};
-  const Tensor k = tensor(stiffness), c = tensor(centre), x = tensor(Floats(4, 0.0f), true);
+  const Floats stiffness = {0.1f, 1.0f, 10.0f, 1000.0f}, center = {1.0f, -2.0f, 3.0f, -4.0f};
+  const Tensor k = tensor(stiffness), c = tensor(center), x = tensor(Floats(4, 0.0f), true);
   Adam adam({x}, {.lr = 0.1f});
   for (int step = 0; step < 2000; ++step) {
     adam.zero_grad();
@@ -194,7 +194,7 @@ TEST(AdamClass, FindsTheMinimumOfAnIllConditionedQuadratic) {
     EXPECT_EQ(tape.size(), 4u);  // of the loss only
   }
   const Floats found = x.to_host();
-  for (size_t j = 0; j < 4; ++j) EXPECT_NEAR(found[j], centre[j], 1e-3);
+  for (size_t j = 0; j < 4; ++j) EXPECT_NEAR(found[j], center[j], 1e-3);
 }
 
 // ---- SGD ----
@@ -274,7 +274,7 @@ TEST(SGDClass, AGradientOfZeroAfterZeroGradLeavesTheParameterToItsMomentum) {
   EXPECT_EQ(x.item(), -1.5f);
 }
 
-TEST(Optimisers, RefuseBadArgumentsByName) {
+TEST(Optimizers, RefuseBadArgumentsByName) {
   const Tensor x = tensor({1.0f}, true), y = tensor({1.0f, 2.0f}, true);
   const auto value = ErrorKind::Value, type = ErrorKind::Type;
   EXPECT_ERROR(Adam({}), value, "Adam, params: expected at least one tensor, got 0");
@@ -304,7 +304,7 @@ TEST(Optimisers, RefuseBadArgumentsByName) {
   EXPECT_EQ(adam.lr(), 1e-3f);
 }
 
-TEST(Optimisers, AStepWithAMissingGradientChangesNothing) {
+TEST(Optimizers, AStepWithAMissingGradientChangesNothing) {
   const Tensor x = leaf({1.0f}, {1.0f}), y = tensor({2.0f}, true);
   const Adam adam({x, y});
   const SGD sgd({x, y}, {.momentum = 0.5f});
@@ -319,7 +319,7 @@ TEST(Optimisers, AStepWithAMissingGradientChangesNothing) {
   EXPECT_EQ(y.item(), 2.0f);
 }
 
-TEST(Optimisers, NothingIsAllocatedByALaterStep) {
+TEST(Optimizers, NothingIsAllocatedByALaterStep) {
   Random random(31);
   std::vector<Tensor> params = {random.leaf({300, 3}), random.leaf({4})};
   for (const Tensor& p : params) write(p.grad(), random.values(p.size()));
@@ -333,7 +333,7 @@ TEST(Optimisers, NothingIsAllocatedByALaterStep) {
   EXPECT_EQ(allocations_of(steps, 10), 0);
 }
 
-TEST(Optimisers, AnEmptyParameterIsNoError) {
+TEST(Optimizers, AnEmptyParameterIsNoError) {
   const Tensor empty = tensor({}, true), x = leaf({1.0f}, {3.0f});
   empty.grad();
   EXPECT_EQ(nova::clip_grad_norm_({empty, x}, 1.5f).item(), 3.0f);
@@ -348,7 +348,7 @@ TEST(Optimisers, AnEmptyParameterIsNoError) {
 // ---- captures and tapes ----
 
 // Training with everything in it: two parameters, a loss that couples them, clipping, two
-// optimisers.
+// optimizers.
 class Training {
  public:
   explicit Training(int64_t n) : Training(n, Random(51)) {}
@@ -386,7 +386,7 @@ class Training {
         sgd({scale}, {.lr = 1e-3f, .momentum = 0.8f, .dampening = 0.3f, .weight_decay = 0.1f}) {}
 };
 
-TEST(OptimiserCapture, AReplayIsAStepWithTheBitsOfTheEagerLoop) {
+TEST(OptimizerCapture, AReplayIsAStepWithTheBitsOfTheEagerLoop) {
   for (const int64_t n : {int64_t{1}, int64_t{5}, int64_t{300}, int64_t{2048}, int64_t{5000}}) {
     SCOPED_TRACE(n);
     const Training eager(n), replayed(n);
@@ -408,7 +408,7 @@ TEST(OptimiserCapture, AReplayIsAStepWithTheBitsOfTheEagerLoop) {
   }
 }
 
-TEST(OptimiserCapture, ALaunchAllocatesNothing) {
+TEST(OptimizerCapture, ALaunchAllocatesNothing) {
   const Training training(300);
   ScopedCapture capture;
   training.iterate();
@@ -419,7 +419,7 @@ TEST(OptimiserCapture, ALaunchAllocatesNothing) {
   EXPECT_EQ(allocations_of([&] { capture.graph()->launch(); }, 5), 0);
 }
 
-TEST(OptimiserCapture, KeepsTheRateOfItsMoment) {
+TEST(OptimizerCapture, KeepsTheRateOfItsMoment) {
   const Tensor x = leaf({0.0f}, {1.0f});
   SGD sgd({x}, {.lr = 1.0f});
   ScopedCapture capture;
@@ -432,7 +432,7 @@ TEST(OptimiserCapture, KeepsTheRateOfItsMoment) {
   EXPECT_EQ(x.item(), -1.25f);
 }
 
-TEST(OptimiserCapture, AGraphOutlivesTheOptimiserAndItsState) {
+TEST(OptimizerCapture, AGraphOutlivesTheOptimizerAndItsState) {
   const Tensor x = leaf({0.0f}, {1.0f});
   std::shared_ptr<nova::OpList> graph;
   {
@@ -449,7 +449,7 @@ TEST(OptimiserCapture, AGraphOutlivesTheOptimiserAndItsState) {
   }
 }
 
-TEST(OptimiserTape, AStepOverwritesWhatATapeRecorded) {
+TEST(OptimizerTape, AStepOverwritesWhatATapeRecorded) {
   const Tensor x = tensor({1.0f, 2.0f}, true);
   const Adam adam({x});
   Tape tape;

@@ -1,4 +1,4 @@
-// Programs as data: serialisation, validation, the canonical hash, and the schedule that may skip.
+// Programs as data: serialization, validation, the canonical hash, and the schedule that may skip.
 #include <optional>
 
 #include "novaphy/core/parallel.h"
@@ -47,7 +47,7 @@ Program sample() {
 std::string refusal(const Program& p) {
   Program read;
   std::string reason;
-  const bool ok = ir::deserialise(ir::serialise(p), read, reason);
+  const bool ok = ir::deserialize(ir::serialize(p), read, reason);
   EXPECT_EQ(ok, ir::validate(p).empty());
   return ok ? "" : reason;
 }
@@ -59,7 +59,7 @@ std::string refused(Change change) {
   return refusal(p);
 }
 
-bool equal(const Program& a, const Program& b) { return ir::serialise(a) == ir::serialise(b); }
+bool equal(const Program& a, const Program& b) { return ir::serialize(a) == ir::serialize(b); }
 
 TEST(ProgramForm, ComesBackFromItsWords) {
   std::vector<Program> programs = {sample()};
@@ -79,7 +79,7 @@ TEST(ProgramForm, ComesBackFromItsWords) {
     EXPECT_EQ(ir::validate(p), "");
     Program read;
     std::string reason;
-    ASSERT_TRUE(ir::deserialise(ir::serialise(p), read, reason)) << reason;
+    ASSERT_TRUE(ir::deserialize(ir::serialize(p), read, reason)) << reason;
     EXPECT_TRUE(equal(p, read));
     EXPECT_EQ(ir::hash(p), ir::hash(read));
     EXPECT_EQ(ir::to_string(p), ir::to_string(read));
@@ -94,7 +94,7 @@ TEST(ProgramForm, NamesOfAnyLengthSurvive) {
     p.name = p.sources[0].name = p.outputs[1].name = name;
     Program read;
     std::string reason;
-    ASSERT_TRUE(ir::deserialise(ir::serialise(p), read, reason)) << reason;
+    ASSERT_TRUE(ir::deserialize(ir::serialize(p), read, reason)) << reason;
     EXPECT_EQ(read.name, name);
     EXPECT_EQ(read.sources[0].name, name);
     EXPECT_EQ(read.outputs[1].name, name);
@@ -153,25 +153,25 @@ TEST(ProgramForm, CarriedOutputsAndTheirGradients) {
 }
 
 TEST(ProgramForm, IsRefusedWhenCutAnywhereOrWithMoreBehindIt) {
-  std::vector<uint32_t> words = ir::serialise(sample());
+  std::vector<uint32_t> words = ir::serialize(sample());
   Program read;
   std::string reason;
   for (size_t n = 0; n < words.size(); ++n) {
     std::vector<uint32_t> cut(words.begin(), words.begin() + static_cast<std::ptrdiff_t>(n));
-    EXPECT_FALSE(ir::deserialise(cut, read, reason)) << n;
+    EXPECT_FALSE(ir::deserialize(cut, read, reason)) << n;
     if (n <= NOVAPHY_PROGRAM_HEADER_WORD_COUNT) continue;
     cut[NOVAPHY_PROGRAM_HEADER_WORD_COUNT] = static_cast<uint32_t>(n);
-    EXPECT_FALSE(ir::deserialise(cut, read, reason)) << n;
+    EXPECT_FALSE(ir::deserialize(cut, read, reason)) << n;
     EXPECT_NE(reason.find("not a valid Program"), std::string::npos);
   }
   words.push_back(0);
-  EXPECT_FALSE(ir::deserialise(words, read, reason));
+  EXPECT_FALSE(ir::deserialize(words, read, reason));
   ++words[NOVAPHY_PROGRAM_HEADER_WORD_COUNT];
-  EXPECT_FALSE(ir::deserialise(words, read, reason));
+  EXPECT_FALSE(ir::deserialize(words, read, reason));
 }
 
 TEST(ProgramForm, ADamagedWordIsRefusedOrGivesAnotherValidProgram) {
-  const std::vector<uint32_t> words = ir::serialise(sample());
+  const std::vector<uint32_t> words = ir::serialize(sample());
   const uint32_t values[] = {0,   1,    2,          3,           5,           17,         255,
                              256, 4097, 0x7FFFFFFF, 0x80000000u, 0xFFFFFFFEu, 0xFFFFFFFFu};
   int refused_words = 0;
@@ -181,9 +181,9 @@ TEST(ProgramForm, ADamagedWordIsRefusedOrGivesAnotherValidProgram) {
       damaged[at] = value;
       Program read = sample();
       std::string reason;
-      if (ir::deserialise(damaged, read, reason)) {
+      if (ir::deserialize(damaged, read, reason)) {
         EXPECT_EQ(ir::validate(read), "") << "word " << at << " = " << value;
-        EXPECT_EQ(ir::serialise(read).size(), words.size());
+        EXPECT_EQ(ir::serialize(read).size(), words.size());
         ir::schedule(read);
       } else {
         EXPECT_TRUE(equal(read, sample())) << "a refused Program was written";
@@ -270,7 +270,7 @@ TEST(ProgramForm, ABackendRefusesABrokenProgramWithItsReason) {
   Program p = sample();
   p.instrs[5].b = 16;
   const DeviceContext& context = device_context(Device::cpu());
-  const std::vector<uint32_t> words = ir::serialise(p);
+  const std::vector<uint32_t> words = ir::serialize(p);
   novaphy_module* module = nullptr;
   novaphy_error error = make_error();
   EXPECT_NE(context.api->module_create(context.device, NOVAPHY_CODE_PROGRAM, words.data(),

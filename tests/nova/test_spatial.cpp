@@ -1,4 +1,4 @@
-// Spatial algebra and small factorisations against what defines them, in double, and the same bits
+// Spatial algebra and small factorizations against what defines them, in double, and the same bits
 // from float and from the traced Program.
 #include <array>
 #include <cmath>
@@ -158,7 +158,7 @@ TEST(Spatial, CrossProductsAreTheRateOfAMovingFrame) {
               math::cross_force(m, f), 1e-7);
 }
 
-TEST(Spatial, TheBiasForceAboutTheCentreOfMassIsTheGyroscopicMoment) {
+TEST(Spatial, TheBiasForceAboutTheCenterOfMassIsTheGyroscopicMoment) {
   const Mat33<double> i = {{{2.0, 0.1, -0.3}, {0.1, 3.0, 0.2}, {-0.3, 0.2, 4.0}}};
   const Inertia y = math::spatial_inertia(5.0, Vec3<double>{}, i);
   const Vec3<double> v{1.0, -2.0, 0.5}, w{0.3, 0.7, -1.1};

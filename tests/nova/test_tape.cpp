@@ -184,7 +184,7 @@ TEST_F(TapeValues, OverwrittenAfterRecordingAreRefusedAndTheOperationAndInputNam
          const NoGrad no;
          scale_into(t, tensor({7.0f, 7.0f, 7.0f}), 1.0f);
        }},
-      {"by an optimiser",
+      {"by an optimizer",
        [](const Tensor& t) {
          t.grad();
          nova::sgd_update_f32(t, 0.1f);
@@ -497,7 +497,7 @@ TEST_F(TapeExport, ANewTapeReadsWhatAnExportHasWrittenMeanwhile) {
   tape.backward(sum(nova::mul(x, x)));
   tape.reset();
   tape.zero();
-  poke(x, 5.0f);  // an optimiser of somebody else
+  poke(x, 5.0f);  // an optimizer of somebody else
   const Tensor loss = sum(nova::mul(x, x));
   x.zero_grad();
   tape.backward(loss);

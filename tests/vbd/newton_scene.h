@@ -53,7 +53,7 @@ class NewtonVbdScene {
   float dt() const { return file["dt"].scalar<float>(); }
   int32_t iterations() const { return file["iterations"].scalar<int32_t>(); }
 
-  // Newton's colours, ids ascending.
+  // Newton's colors, ids ascending.
   std::vector<std::vector<int32_t>> groups() const {
     const auto ids = file["color_group_ids"].as<int32_t>();
     const auto offsets = file["color_group_offsets"].as<int32_t>();

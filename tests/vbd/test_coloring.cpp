@@ -17,7 +17,7 @@ ModelBuilder cloth(int size, bool springs = false) {
   return b;
 }
 
-// The largest and smallest colour; every pair of corners of the elements differs.
+// The largest and smallest color; every pair of corners of the elements differs.
 template <class Row>
 void expect_proper(const std::vector<int32_t>& colors, const std::vector<Row>& rows) {
   const auto* corners = reinterpret_cast<const int32_t*>(rows.data());
@@ -33,7 +33,7 @@ void expect_proper(const std::vector<int32_t>& colors, const std::vector<Row>& r
   EXPECT_EQ(equal, 0u);
 }
 
-TEST(Coloring, ElementsHaveCornersOfDifferentColoursInBalancedGroups) {
+TEST(Coloring, ElementsHaveCornersOfDifferentColorsInBalancedGroups) {
   ModelBuilder b = cloth(20, true);
   b.add_soft_grid({.placement = {.pos = {0.0f, 0.0f, 3.0f}}, .dim_x = 4, .dim_y = 5, .dim_z = 6});
   b.color();
@@ -63,7 +63,7 @@ TEST(Coloring, ElementsHaveCornersOfDifferentColoursInBalancedGroups) {
   EXPECT_EQ(b.finalize(Device::cpu())->particle_colors.to_host(), colors);
 }
 
-TEST(Coloring, ParticlesWithoutElementsAndEmptyBuildersAreColoured) {
+TEST(Coloring, ParticlesWithoutElementsAndEmptyBuildersAreColored) {
   ModelBuilder b;
   b.color();
   EXPECT_TRUE(b.finalize(Device::cpu())->particle_color_groups().empty());
@@ -72,7 +72,7 @@ TEST(Coloring, ParticlesWithoutElementsAndEmptyBuildersAreColoured) {
   EXPECT_EQ(b.finalize(Device::cpu())->particle_color_groups().size(), 1u);
 }
 
-TEST(Coloring, BuildersInsideOfBuildersKeepTheirColours) {
+TEST(Coloring, BuildersInsideOfBuildersKeepTheirColors) {
   ModelBuilder part = cloth(4);
   part.color();
   const auto one = part.finalize(Device::cpu())->particle_colors.to_host();

@@ -1,4 +1,4 @@
-// SolverVBD against Newton 1.8.0's (cpu), with Newton's colours: forces and Hessians of single
+// SolverVBD against Newton 1.8.0's (cpu), with Newton's colors: forces and Hessians of single
 // elements, the iterates of a substep, and substeps that start from Newton's state.
 #include <gtest/gtest.h>
 

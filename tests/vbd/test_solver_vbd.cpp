@@ -66,7 +66,7 @@ ModelBuilder block(int size, float k_damp = 0.0f) {
   return b;
 }
 
-// What a step minimises, in double precision, over undamped tetrahedra.
+// What a step minimizes, in double precision, over undamped tetrahedra.
 double step_energy(const Model& m, const SimState& from, std::span<const Vec3f> x, float dt) {
   const auto q = from.particle_q.to_host(), qd = from.particle_qd.to_host();
   const auto mass = m.particle_mass.to_host();
@@ -322,9 +322,9 @@ TEST(SolverVbd, AStiffBarIsTwistedByTheTargetsOfItsEnds) {
   EXPECT_ERROR(solver.step(a, c, nullptr, nullptr, kDt, &wrong), ErrorKind::Value, "targets");
 }
 
-// A spring that is left out of the colouring moves its ends as if the other stood still: with a
-// stiffness above the inertia's the step does not converge. The colouring here has it.
-TEST(SolverVbd, ASpringBetweenEqualColoursDoesNotConverge) {
+// A spring that is left out of the coloring moves its ends as if the other stood still: with a
+// stiffness above the inertia's the step does not converge. The coloring here has it.
+TEST(SolverVbd, ASpringBetweenEqualColorsDoesNotConverge) {
   const auto residual = [](bool conflicts) {
     ModelBuilder b(Axis::Z, Vec3f{});
     b.add_particle({}, {}, 1.0f);
@@ -344,7 +344,7 @@ TEST(SolverVbd, ASpringBetweenEqualColoursDoesNotConverge) {
   EXPECT_GT(residual(true), 10 * residual(false));
 }
 
-TEST(SolverVbd, HingesThatAreLeftOutOfTheColouringConvergeWorse) {
+TEST(SolverVbd, HingesThatAreLeftOutOfTheColoringConvergeWorse) {
   const auto residual = [](std::optional<bool> bending) {
     ModelBuilder b;
     b.add_cloth_grid({.dim_x = 12,

@@ -1,4 +1,4 @@
-// The sweeps of VBD in double precision, of the same headers: with the colours of Newton's scenes
+// The sweeps of VBD in double precision, of the same headers: with the colors of Newton's scenes
 // and springs as Newton has them (not projected), their derivative is that of vbd_gradients.npz.
 #include <gtest/gtest.h>
 

@@ -6,7 +6,7 @@
 // positions.
 //
 // Prints the wall time of a substep (the fastest of five turns), and a hash of the positions after
-// 20 + 5 SUBSTEPS of them, which is the same on every device. NOVAPHY_VBD_SWEEP chooses how colours
+// 20 + 5 SUBSTEPS of them, which is the same on every device. NOVAPHY_VBD_SWEEP chooses how colors
 // move.
 #include <algorithm>
 #include <chrono>

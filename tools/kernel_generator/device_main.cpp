@@ -3,7 +3,7 @@
 //   novaphy_device_compiler OUTPUT_FILE ARCHITECTURES [--programs FILE] [--cache ARCHITECTURE]
 //
 // OUTPUT_FILE gets the builtins, the interpreter and the engine's kernels (with --programs, the
-// serialised Programs in FILE instead) for every architecture of the comma-separated list, and as
+// serialized Programs in FILE instead) for every architecture of the comma-separated list, and as
 // assembler text for devices newer than the last one. With --cache they go into the cache on disk
 // instead, as a run on such a device would leave them there.
 #include <algorithm>

@@ -3,7 +3,7 @@
 //   novaphy_dlan_sources FOLDER PARTS [--programs FILE]
 //
 // FOLDER gets kernels_0.cu to kernels_<PARTS - 1>.cu, which hold the builtins, the interpreter, the
-// hand-written kernels and the engine's (with --programs, the serialised Programs in FILE instead)
+// hand-written kernels and the engine's (with --programs, the serialized Programs in FILE instead)
 // with a table of their host stubs each, and kernels.cu with the table of all. Files that would not
 // change stay as they are.
 #include <cstdlib>

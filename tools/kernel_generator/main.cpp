@@ -3,7 +3,7 @@
 //   novaphy_kernel_generator OUTPUT_FOLDER PARTS [--programs FILE]
 //
 // OUTPUT_FOLDER gets kernels_0.c to kernels_<PARTS - 1>.c: every kernel that the engine defines,
-// with the adjoints that it declares, and a table of them by hash. With --programs, the serialised
+// with the adjoints that it declares, and a table of them by hash. With --programs, the serialized
 // Programs in FILE instead (a conformance test collects them). The same engine gives the same
 // bytes.
 #include <algorithm>

@@ -36,7 +36,7 @@ std::vector<ir::Program> read_programs(const std::string& path) {
     ir::Program program;
     std::string reason = "its length is wrong";
     if (count == 0 || count > words.size() - at ||
-        !ir::deserialise({words.data() + at, count}, program, reason))
+        !ir::deserialize({words.data() + at, count}, program, reason))
       throw std::runtime_error(path + ": " + reason);
     programs.emplace(ir::hash(program), std::move(program));
     at += count;

@@ -10,7 +10,7 @@ namespace generator {
 
 // Every kernel that the engine defines, with the adjoints that it declares.
 std::vector<nova::ir::Program> engine_programs();
-// Serialised Programs, one after the other (a conformance test collects them); every one once.
+// Serialized Programs, one after the other (a conformance test collects them); every one once.
 std::vector<nova::ir::Program> read_programs(const std::string& path);
 
 }  // namespace generator

@@ -2,14 +2,14 @@
 //
 //   novaphy_vbd_adjoints FOLDER
 //
-// writes slot_adjoints.inc, and number_adjoints.inc: from the bars of the numbers of slots those of
-// materials and rest shapes. Beside each is a file _text.inc: the same as string literals, for the
-// text that compilers of devices get (cmake/NovaPhyDeviceModule.cmake).
+// writes slot_adjoints.inc, and number_adjoints.inc: from the adjoints of the numbers of slots
+// those of materials and rest shapes. Beside each is a file _source.inc: the same as string
+// literals, for the text that compilers of devices get (cmake/NovaPhyDeviceModule.cmake).
 //
-// The laws run once with scalars that are expressions (symbol.h). Of a block f, H with bars u and B
-// the derivatives of u.f + B:H by positions and numbers are written, operation by operation, each
-// once; what no derivative needs is left out. For each role and contacts, with and without H
-// ("rest": at a solution, where its bars are 0), damping and derivatives by the weights.
+// The laws run once with scalars that are expressions (symbol.h). Of a block f, H with adjoints u
+// and B the derivatives of u.f + B:H by positions and numbers are written, operation by operation,
+// each once; what no derivative needs is left out. For each role and contacts, with and without H
+// ("at_solution": at a solution, where its adjoints are 0), damping and derivatives by the weights.
 #include <algorithm>
 #include <cstdio>
 #include <fstream>
@@ -127,17 +127,17 @@ class Writer {
   std::vector<std::string> angles_;
 };
 
-// The bars of a block: of f, and unless at rest of H.
-Bars bars_of(const Block<Symbol>& b, Inputs& inputs, bool at_rest) {
+// The adjoints of a block: of f, and unless at the solution of H.
+Adjoints adjoints_of(const Block<Symbol>& b, Inputs& inputs, bool at_solution) {
   std::vector<Symbol> values = {b.f.x, b.f.y, b.f.z};
-  const Vec3<Symbol> u = inputs.add_vector("bar.f");
-  std::vector<Symbol> bars = {u.x, u.y, u.z};
-  if (!at_rest) {
+  const Vec3<Symbol> u = inputs.add_vector("adjoint.f");
+  std::vector<Symbol> adjoints = {u.x, u.y, u.z};
+  if (!at_solution) {
     values.insert(values.end(), {b.h00, b.h11, b.h22, b.h01, b.h02, b.h12});
     for (const char* entry : {"h00", "h11", "h22", "h01", "h02", "h12"})
-      bars.push_back(inputs.add(std::string("bar.") + entry));
+      adjoints.push_back(inputs.add(std::string("adjoint.") + entry));
   }
-  return {values, bars};
+  return {values, adjoints};
 }
 
 template <Role role>
@@ -146,14 +146,14 @@ Condition is_defined(const SlotInputs<role, Symbol>& in) {
   return {};
 }
 
-// A function of the bars, by the points and the numbers [first, last).
+// A function of the adjoints, by the points and the numbers [first, last).
 template <Role role>
-void write_bars(std::ostream& out, const SlotInputs<role, Symbol>& in, const Bars& bars,
-                const Inputs& inputs, int first, int last, const std::string& name,
-                const std::string& argument) {
+void write_adjoints(std::ostream& out, const SlotInputs<role, Symbol>& in, const Adjoints& adjoints,
+                    const Inputs& inputs, int first, int last, const std::string& name,
+                    const std::string& argument) {
   std::vector<Result> results;
   const auto result = [&](const std::string& text, const Symbol& input) {
-    Symbol value = bars.of(input);
+    Symbol value = adjoints.of(input);
     // Where the element has no directions the derivatives are 0, and not what they are made of.
     if (const Condition c = is_defined(in); c.node >= 0) value = select(c, value, Symbol());
     results.push_back({text, value});
@@ -169,7 +169,7 @@ void write_bars(std::ostream& out, const SlotInputs<role, Symbol>& in, const Bar
   for (int k = first; k < last; ++k) result("to.numbers[" + std::to_string(k) + "]", in.numbers[k]);
   const std::string of = "<static_cast<Role>(" + std::to_string(role) + "), S";
   out << "template <class S, class N>\nNOVAPHY_LANE_FN void " << name << ", const SlotInputs" << of
-      << ", N>& x, const " << argument << ", SlotBars" << of
+      << ", N>& x, const " << argument << ", SlotAdjoints" << of
       << ">& to) {\n  using namespace math;\n";
   Writer(out, inputs).write(results);
   out << "}\n";
@@ -187,19 +187,19 @@ SlotInputs<role, Symbol> slot_inputs(Inputs& inputs) {
 }
 
 template <Role role>
-void write_slot(std::ostream& out, bool at_rest, bool damped, bool weights) {
+void write_slot(std::ostream& out, bool at_solution, bool damped, bool weights) {
   Graph::get().clear();
   Inputs inputs;
   const SlotInputs<role, Symbol> in = slot_inputs<role>(inputs);
-  const Bars bars = bars_of(block_of(in, damped), inputs, at_rest);
+  const Adjoints adjoints = adjoints_of(block_of(in, damped), inputs, at_solution);
   std::ostringstream name;
-  name << std::boolalpha << "slot_adjoint(SlotCase<" << at_rest << ", " << damped << ", " << weights
-       << ">";
-  write_bars(out, in, bars, inputs, weights ? 0 : law_begin(role), kFloats[role], name.str(),
-             "Block<S>& bar");
+  name << std::boolalpha << "slot_adjoint(SlotCase<" << at_solution << ", " << damped << ", "
+       << weights << ">";
+  write_adjoints(out, in, adjoints, inputs, weights ? 0 : law_begin(role), kFloats[role],
+                 name.str(), "Block<S>& adjoint");
 }
 
-// Of what a slot has of the start, whose bars are numbers of their own.
+// Of what a slot has of the start, whose adjoints are numbers of their own.
 template <Role role>
 void write_start(std::ostream& out, bool weights) {
   Graph::get().clear();
@@ -208,15 +208,15 @@ void write_start(std::ostream& out, bool weights) {
   std::vector<Symbol> values, of_values;
   SlotOf<role>::put_start(in, [&](int k, const Symbol& value) {
     values.push_back(value);
-    of_values.push_back(inputs.add("bar[" + std::to_string(k) + "]"));
+    of_values.push_back(inputs.add("adjoint[" + std::to_string(k) + "]"));
   });
-  write_bars(out, in, Bars(values, of_values), inputs, weights ? 0 : law_begin(role),
-             law_begin(role),
-             "start_adjoint(StartCase<" + std::string(weights ? "true" : "false") + ">",
-             "S (&bar)[kStartFloats[" + std::to_string(role) + "]]");
+  write_adjoints(out, in, Adjoints(values, of_values), inputs, weights ? 0 : law_begin(role),
+                 law_begin(role),
+                 "start_adjoint(StartCase<" + std::string(weights ? "true" : "false") + ">",
+                 "S (&adjoint)[kStartFloats[" + std::to_string(role) + "]]");
 }
 
-void write_contact(std::ostream& out, bool at_rest) {
+void write_contact(std::ostream& out, bool at_solution) {
   Graph::get().clear();
   Inputs inputs;
   const Vec3<Symbol> x = inputs.add_vector("x"), start = inputs.add_vector("start");
@@ -229,45 +229,45 @@ void write_contact(std::ostream& out, bool at_rest) {
   c.kd_by_h = inputs.add("c.kd_by_h");
   c.mu = inputs.add("c.mu");
   c.slip = inputs.add("c.slip");
-  const Bars bars = bars_of(particle_contact_block(x, start, c), inputs, at_rest);
+  const Adjoints adjoints = adjoints_of(particle_contact_block(x, start, c), inputs, at_solution);
   std::vector<Result> results;
   const auto of = [&](const Vec3<Symbol>& v) {
-    return Vec3<Symbol>{bars.of(v.x), bars.of(v.y), bars.of(v.z)};
+    return Vec3<Symbol>{adjoints.of(v.x), adjoints.of(v.y), adjoints.of(v.z)};
   };
   add_vector(results, "to.x", of(x));
   add_vector(results, "to.start", of(start));
-  results.push_back({"to.law[0]", bars.of(c.radius)});
-  results.push_back({"to.law[1]", bars.of(c.ke)});
-  results.push_back({"to.law[2]", bars.of(c.kd_by_h)});
-  results.push_back({"to.law[3]", bars.of(c.mu)});
+  results.push_back({"to.law[0]", adjoints.of(c.radius)});
+  results.push_back({"to.law[1]", adjoints.of(c.ke)});
+  results.push_back({"to.law[2]", adjoints.of(c.kd_by_h)});
+  results.push_back({"to.law[3]", adjoints.of(c.mu)});
   out << "template <class S>\nNOVAPHY_LANE_FN void contact_adjoint(ContactCase<" << std::boolalpha
-      << at_rest
+      << at_solution
       << ">, const Vec3<S>& x, const Vec3<S>& start, const ParticleContact<S>& c, const "
-         "Block<S>& bar, ContactBars<S>& to) {\n  using namespace math;\n";
+         "Block<S>& adjoint, ContactAdjoints<S>& to) {\n  using namespace math;\n";
   Writer(out, inputs).write(results);
   out << "}\n";
 }
 
 constexpr const char* kHead = "// Written by tools/vbd_adjoints from the laws (vbd/elements/).\n";
 
-// Of u.f + B:H, where `bar` holds u as f and B as h_ij, each entry once. The scalar S is a float or
-// lanes; what reads the code has NOVAPHY_LANE_FN.
+// Of u.f + B:H, where `adjoint` holds u as f and B as h_ij, each entry once. The scalar S is a
+// float or lanes; what reads the code has NOVAPHY_LANE_FN.
 constexpr const char* kDeclarations = R"(
 template <Role role, class S>
-struct SlotBars {
+struct SlotAdjoints {
   Vec3<S> own, others[kOthers[role]];
   S numbers[kFloats[role]];
 };
 template <class S>
-struct ContactBars {
+struct ContactAdjoints {
   Vec3<S> x, start;
   S law[kContactLawFloats];
 };
 
-// `at_rest`: B is 0. `weights`: also by the weights of the other particles.
-template <bool at_rest, bool damped, bool weights>
+// `at_solution`: B is 0. `weights`: also by the weights of the other particles.
+template <bool at_solution, bool damped, bool weights>
 struct SlotCase {};
-template <bool at_rest>
+template <bool at_solution>
 struct ContactCase {};
 // Of what the slot has of the start.
 template <bool weights>
@@ -275,18 +275,18 @@ struct StartCase {};
 
 )";
 
-void write_blocks(std::ostream& out, bool at_rest) {
-  write_contact(out, at_rest);
+void write_blocks(std::ostream& out, bool at_solution) {
+  write_contact(out, at_solution);
   for_roles([&](auto is) {
     constexpr Role role = decltype(is)::role;
-    write_slot<role>(out, at_rest, true, false);
+    write_slot<role>(out, at_solution, true, false);
     if (law_begin(role) == 0) return;
-    write_slot<role>(out, at_rest, true, true);
-    for (const bool weights : {false, true}) write_slot<role>(out, at_rest, false, weights);
+    write_slot<role>(out, at_solution, true, true);
+    for (const bool weights : {false, true}) write_slot<role>(out, at_solution, false, weights);
   });
 }
 
-// The bars of the parameters of an element, from those of the weights of its corners and of its
+// The adjoints of the parameters of an element, from those of the weights of its corners and of its
 // law.
 template <Role role>
 void write_numbers(std::ostream& out) {
@@ -297,23 +297,24 @@ void write_numbers(std::ostream& out) {
   Symbol p[kParameters];
   for (int k = 0; k < kParameters; ++k) p[k] = inputs.add("p[" + std::to_string(k) + "]");
   const Symbol h = inputs.add("h");
-  std::vector<Symbol> values, bars;
+  std::vector<Symbol> values, adjoints;
   for (int corner = 0; corner < Element::kCorners; ++corner)
     Element::put_numbers(corner, p, h, [&](int k, const Symbol& value) {
       const bool is_law = k >= law_begin(role);
       if (is_law && corner > 0) return;  // corners have the same one
       values.push_back(value);
-      bars.push_back(inputs.add(is_law ? "bar.law(" + std::to_string(k - law_begin(role)) + ")"
-                                       : "bar.weight(" + std::to_string(corner) + ", " +
-                                             std::to_string(k) + ")"));
+      adjoints.push_back(inputs.add(
+          is_law ? "adjoint.law(" + std::to_string(k - law_begin(role)) + ")"
+                 : "adjoint.weight(" + std::to_string(corner) + ", " + std::to_string(k) + ")"));
     });
-  const Bars of(values, bars);
+  const Adjoints of(values, adjoints);
   std::vector<Result> results;
   for (int k = 0; k < kParameters; ++k)
     results.push_back({"to[" + std::to_string(k) + "]", of.of(p[k])});
   out << "template <class S, class N>\ninline void numbers_adjoint(RoleIs<static_cast<Role>("
       << role
-      << ")>, [[maybe_unused]] const S* p, [[maybe_unused]] S h, const N& bar, S* to) {\n  using "
+      << ")>, [[maybe_unused]] const S* p, [[maybe_unused]] S h, const N& adjoint, S* to) {\n  "
+         "using "
          "namespace math;\n";
   Writer(out, inputs).write(results);
   out << "}\n";
@@ -326,7 +327,7 @@ void write_all_numbers(std::ostream& out) {
 
 void write_all(std::ostream& out) {
   out << kHead << kDeclarations;
-  for (const bool at_rest : {false, true}) write_blocks(out, at_rest);
+  for (const bool at_solution : {false, true}) write_blocks(out, at_solution);
   for_roles([&out](auto is) {
     constexpr Role role = decltype(is)::role;
     write_start<role>(out, false);
@@ -341,7 +342,7 @@ bool write_file(const std::string& folder, const std::string& name,
   std::ostringstream all;
   write(all);
   const std::string code = all.str();
-  std::ofstream text(folder + "/" + name + "_text.inc");
+  std::ofstream text(folder + "/" + name + "_source.inc");
   for (size_t begin = 0; begin < code.size();) {
     const size_t end =
         std::min(code.find('\n', std::min(begin + kPiece, code.size() - 1)) + 1, code.size());

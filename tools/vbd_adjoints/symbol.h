@@ -144,61 +144,61 @@ struct Symbol {
   friend Symbol atan2(const Symbol& y, const Symbol& x) { return of(Op::Atan2, y.node, x.node); }
 };
 
-// Derivatives of sum_k bars[k] * values[k] by every node so far.
-class Bars {
+// Derivatives of sum_k adjoints[k] * values[k] by every node so far.
+class Adjoints {
  public:
-  Bars(const std::vector<Symbol>& values, const std::vector<Symbol>& bars)
+  Adjoints(const std::vector<Symbol>& values, const std::vector<Symbol>& adjoints)
       : bars_(static_cast<size_t>(Graph::get().size())) {
-    for (size_t k = 0; k < values.size(); ++k) add(values[k].node, bars[k]);
+    for (size_t k = 0; k < values.size(); ++k) add(values[k].node, adjoints[k]);
     for (auto k = static_cast<int32_t>(bars_.size()); k-- > 0;) pass(k);
   }
   Symbol of(const Symbol& a) const { return bars_[static_cast<size_t>(a.node)]; }
 
  private:
-  void add(int32_t node, const Symbol& bar) {
+  void add(int32_t node, const Symbol& adjoint) {
     Symbol& to = bars_[static_cast<size_t>(node)];
-    to = to + bar;
+    to = to + adjoint;
   }
   void pass(int32_t k) {
-    const Symbol bar = bars_[static_cast<size_t>(k)];
-    if (bar.is(0.0f)) return;
+    const Symbol adjoint = bars_[static_cast<size_t>(k)];
+    if (adjoint.is(0.0f)) return;
     const Node n = Graph::get().node(k);
     const auto [i, j, l] = n.operands;
     const auto at = [](int32_t node) { return Symbol::at(node); };
     switch (n.op) {
       case Op::Add:
-        add(i, bar);
-        add(j, bar);
+        add(i, adjoint);
+        add(j, adjoint);
         return;
       case Op::Sub:
-        add(i, bar);
-        add(j, -bar);
+        add(i, adjoint);
+        add(j, -adjoint);
         return;
       case Op::Mul:
-        add(i, bar * at(j));
-        add(j, bar * at(i));
+        add(i, adjoint * at(j));
+        add(j, adjoint * at(i));
         return;
       case Op::Div: {
-        const Symbol part = bar * (Symbol(1.0f) / at(j));
+        const Symbol part = adjoint * (Symbol(1.0f) / at(j));
         add(i, part);
         add(j, -(part * at(k)));
         return;
       }
       case Op::Neg:
-        add(i, -bar);
+        add(i, -adjoint);
         return;
       case Op::Sqrt: {
         const Symbol root = at(k), zero;
-        add(i, bar * select(root > zero, Symbol(0.5f) / root, zero));
+        add(i, adjoint * select(root > zero, Symbol(0.5f) / root, zero));
         return;
       }
       case Op::Atan2:
-        add(i, bar * Symbol::of(Op::Atan2Dy, i, j));
-        add(j, bar * Symbol::of(Op::Atan2Dx, i, j));
+        add(i, adjoint * Symbol::of(Op::Atan2Dy, i, j));
+        add(j, adjoint * Symbol::of(Op::Atan2Dx, i, j));
         return;
       case Op::Select:
-        add(j, select({i}, bar, Symbol()));
-        add(l, select({i}, Symbol(), bar));
+        add(j, select({i}, adjoint, Symbol()));
+        add(l, select({i}, Symbol(), adjoint));
         return;
       default:
         return;

@@ -122,7 +122,7 @@ void ColorSlots::find_conflicts(const std::vector<int32_t>& colors, const Model&
   });
 }
 
-// Within a colour the particles with the most slots come first, so that the lanes of a group have
+// Within a color the particles with the most slots come first, so that the lanes of a group have
 // about equally many.
 void ColorSlots::make_groups(const std::vector<int32_t>& colors) {
   std::vector<std::vector<int32_t>> of_color;
@@ -202,7 +202,7 @@ void ColorSlots::build(const Model& model, int lanes) {
   const std::vector<int32_t> colors = model.particle_colors.to_host();
   for (size_t p = 0; p < colors.size(); ++p)
     require(colors[p] >= 0, ErrorKind::Value, "SolverVBD: model: particle ", p,
-            " has no colour; call ModelBuilder.color() (or set_coloring) before finalize");
+            " has no color; call ModelBuilder.color() (or set_coloring) before finalize");
   find_held(model);
   find_conflicts(colors, model);
   collect(model);

@@ -36,9 +36,9 @@ class ColorSlots {
   const std::vector<int32_t>& held() const { return held_; }
   const std::vector<int32_t>& held_flags() const { return is_held_; }  // of each particle
   bool is_held(int32_t particle) const { return is_held_[static_cast<size_t>(particle)] != 0; }
-  // The groups of colour c are [color_begin()[c], color_begin()[c + 1]).
+  // The groups of color c are [color_begin()[c], color_begin()[c + 1]).
   const std::vector<int64_t>& color_begin() const { return color_begin_; }
-  // Two particles of an element have the same colour.
+  // Two particles of an element have the same color.
   bool has_conflicts() const { return has_conflicts_; }
   int lanes() const { return lanes_; }
   const Table& table(int role) const { return tables_[role]; }

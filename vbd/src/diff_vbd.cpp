@@ -62,7 +62,7 @@ std::vector<ScratchSpec> DiffSolverVBD::step_scratch() const {
 }
 
 DeviceArray<Vec4f> DiffSolverVBD::new_velocities() const {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   return DeviceArray<Vec4f>(static_cast<size_t>(model()->particle_count()), device());
 }
 
@@ -293,8 +293,8 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> to) {
     RecordedStep::submit_backward(step, outputs, to);
   };
-  op.jvp = [step](std::span<const Tensor> slopes, std::span<const Tensor> outputs) {
-    RecordedStep::submit_tangent(step, slopes, outputs);
+  op.jvp = [step](std::span<const Tensor> tangents, std::span<const Tensor> outputs) {
+    RecordedStep::submit_tangent(step, tangents, outputs);
   };
   op.forward = [step] { RecordedStep::submit_forward(step); };
   op.submits_only = captured || (on_device && !step->implicit);

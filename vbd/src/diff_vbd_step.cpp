@@ -200,7 +200,7 @@ std::vector<Array> RecordedStep::derivatives(std::span<const Tensor> outputs,
   std::vector<Array> values(all.size());
   for (size_t k = 0; k < all.size(); ++k) {
     if (!to[k].wanted()) continue;
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     values[k] = Array(novaphy::DType::float32, all[k].size(*this), model->device());
     gradients.*all[k].derivative = values[k];
   }
@@ -256,17 +256,18 @@ void RecordedStep::submit_backward(const std::shared_ptr<RecordedStep>& step,
                 });
 }
 
-std::array<DeviceArray<Vec3f>, 2> RecordedStep::tangents(std::span<const Tensor> slopes) const {
+std::array<DeviceArray<Vec3f>, 2> RecordedStep::tangents(std::span<const Tensor> tangents) const {
   const std::vector<Input> all = differentiable();
   VbdStepDerivatives direction;
   for (size_t k = 0; k < all.size(); ++k)
-    if (slopes[k].defined())
-      direction.*all[k].derivative = Array(
-          novaphy::DType::float32, all[k].size(*this), 1,
-          (all[k].is_targets ? part_of(slopes[k], first_target, target_count) : slopes[k]).range());
+    if (tangents[k].defined())
+      direction.*all[k].derivative =
+          Array(novaphy::DType::float32, all[k].size(*this), 1,
+                (all[k].is_targets ? part_of(tangents[k], first_target, target_count) : tangents[k])
+                    .range());
   std::array<DeviceArray<Vec3f>, 2> found;
   for (DeviceArray<Vec3f>& rows : found) {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     rows = DeviceArray<Vec3f>(static_cast<size_t>(model->particle_count()), model->device());
   }
   steps->tangent(inputs(), direction, found[0], found[1]);
@@ -274,14 +275,15 @@ std::array<DeviceArray<Vec3f>, 2> RecordedStep::tangents(std::span<const Tensor>
 }
 
 void RecordedStep::submit_tangent(const std::shared_ptr<RecordedStep>& step,
-                                  std::span<const Tensor> slopes, std::span<const Tensor> outputs) {
+                                  std::span<const Tensor> tangents,
+                                  std::span<const Tensor> outputs) {
   if (in_a_capture_of_the_host(*step)) {
     std::vector<Tensor> reads = step->reads();
-    for (const Tensor& slope : slopes)
-      if (slope.defined()) reads.push_back(slope);
+    for (const Tensor& tangent : tangents)
+      if (tangent.defined()) reads.push_back(tangent);
     const std::vector results(outputs.begin(), outputs.end());
     return step->capture(std::move(reads), results,
-                         [step, results, along = std::vector(slopes.begin(), slopes.end())] {
+                         [step, results, along = std::vector(tangents.begin(), tangents.end())] {
                            const auto found = step->named([&] { return step->tangents(along); });
                            for (size_t k = 0; k < 2; ++k)
                              std::copy_n(found[k].data(), found[k].rows(),
@@ -292,7 +294,7 @@ void RecordedStep::submit_tangent(const std::shared_ptr<RecordedStep>& step,
           ": expected jvp outside a ScopedCapture on ", step->model->device().str(),
           ", because the host sets its directions");
   const nova::NoGrad no_grad;
-  const auto found = step->named([&] { return step->tangents(slopes); });
+  const auto found = step->named([&] { return step->tangents(tangents); });
   for (size_t k = 0; k < 2; ++k)
     nova::InputGradient{outputs[k], false}.put(
         Tensor(found[k].range(), outputs[k].shape(), nova::DType::F32));

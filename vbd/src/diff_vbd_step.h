@@ -63,7 +63,7 @@ struct RecordedStep {
                               std::span<const nova::InputGradient> to);
   // ErrorKind::NotImplemented: in a capture on a device.
   static void submit_tangent(const std::shared_ptr<RecordedStep>& step,
-                             std::span<const nova::Tensor> slopes,
+                             std::span<const nova::Tensor> tangents,
                              std::span<const nova::Tensor> outputs);
 
  private:
@@ -79,7 +79,7 @@ struct RecordedStep {
   void add_backward(std::span<const nova::Tensor> outputs,
                     std::span<const nova::InputGradient> to) const;
   // Of positions and velocities.
-  std::array<DeviceArray<Vec3f>, 2> tangents(std::span<const nova::Tensor> slopes) const;
+  std::array<DeviceArray<Vec3f>, 2> tangents(std::span<const nova::Tensor> tangents) const;
   // As a launch of a capture on the CPU, which runs `run`.
   void capture(std::vector<nova::Tensor> reads, std::vector<nova::Tensor> results,
                std::function<void()> run) const;

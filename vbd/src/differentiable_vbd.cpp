@@ -20,7 +20,7 @@ using vbd::StepInputs;
 
 // While one is alive nobody records and observes what this thread does.
 struct Unseen {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const Unrecorded unrecorded;
 };
 
@@ -103,7 +103,7 @@ struct DifferentiableVbd::Work {
 
   void run(const StepInputs& in, const vbd::StepResults& out, bool damps) {
     {
-      const Unobserved of_the_model;
+      const UntrackedScope of_the_model;
       step.model().update_derived();
     }
     step.update(in.dt, damps);
@@ -126,18 +126,19 @@ struct DifferentiableVbd::Work {
   void forward(const StepInputs& in, const vbd::StepResults& out) {
     run(in, out, in.trains_elements);
   }
-  void backward(const StepInputs& in, const vbd::ResultBars& bars, const StepDerivatives& to) {
+  void backward(const StepInputs& in, const vbd::ResultAdjoints& adjoints,
+                const StepDerivatives& to) {
     run_again(in, in.trains_elements || vbd::wants(to, vbd::kMaterial));
     if (!gradient.implicit) {
-      reverse.unrolled(in, bars, to);
+      reverse.unrolled(in, adjoints, to);
       return tell({});
     }
-    const Unobserved unobserved;
-    tell(reverse.implicit(in, bars, to, static_cast<double>(gradient.tolerance),
+    const UntrackedScope untracked;
+    tell(reverse.implicit(in, adjoints, to, static_cast<double>(gradient.tolerance),
                           gradient.krylov_sweeps));
   }
   // Of the positions and the velocities.
-  std::array<vbd::Rows, 2> slopes(const StepInputs& in, const StepDerivatives& direction) {
+  std::array<vbd::Rows, 2> tangents(const StepInputs& in, const StepDerivatives& direction) {
     run_again(in, vbd::wants(direction, vbd::kMaterial));
     step.check();
     const vbd::SweepTangents along = vbd::tangents_along(step, in, direction);
@@ -192,20 +193,21 @@ void DifferentiableVbd::forward(const VbdStepInputs& in, const DeviceArray<Vec3f
   work_->forward(in, {.q = q_out, .qd = qd_out});
 }
 
-void DifferentiableVbd::backward(const VbdStepInputs& in, const Array& q_out_bar,
-                                 const Array& qd_out_bar, const VbdStepDerivatives& gradients,
+void DifferentiableVbd::backward(const VbdStepInputs& in, const Array& q_out_adjoint,
+                                 const Array& qd_out_adjoint, const VbdStepDerivatives& gradients,
                                  const std::shared_ptr<ExclusiveUse>& in_use) {
   const Work::Call call(*work_, "DifferentiableVbd.backward", in_use);
-  work_->backward(in, {q_out_bar, qd_out_bar}, gradients);
+  work_->backward(in, {q_out_adjoint, qd_out_adjoint}, gradients);
 }
 
 void DifferentiableVbd::tangent(const VbdStepInputs& in, const VbdStepDerivatives& direction,
-                                DeviceArray<Vec3f> q_out_slope, DeviceArray<Vec3f> qd_out_slope) {
+                                DeviceArray<Vec3f> q_out_tangent,
+                                DeviceArray<Vec3f> qd_out_tangent) {
   const Work::Call call(*work_, "DifferentiableVbd.tangent", {});
   const Unseen unseen;
-  const auto slopes = work_->slopes(in, direction);
-  q_out_slope.copy_from_host(std::vector<Vec3f>(slopes[0].begin(), slopes[0].end()));
-  qd_out_slope.copy_from_host(std::vector<Vec3f>(slopes[1].begin(), slopes[1].end()));
+  const auto tangents = work_->tangents(in, direction);
+  q_out_tangent.copy_from_host(std::vector<Vec3f>(tangents[0].begin(), tangents[0].end()));
+  qd_out_tangent.copy_from_host(std::vector<Vec3f>(tangents[1].begin(), tangents[1].end()));
 }
 
 }  // namespace novaphy

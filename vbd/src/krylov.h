@@ -1,4 +1,4 @@
-// A linear system A x = b by the generalised conjugate residual method (Eisenstat, Elman, Schultz
+// A linear system A x = b by the generalized conjugate residual method (Eisenstat, Elman, Schultz
 // 1983), restarted: for matrices that are not symmetric, with any preconditioner.
 #pragma once
 

@@ -113,7 +113,7 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
           " on an active Tape: state_in: expected requires_grad False, because its gradient would "
           "silently stop here; take DiffSolverVBD, or nova.no_grad()");
   {
-    const Unobserved of_the_model;
+    const UntrackedScope of_the_model;
     m.update_derived();
   }
   VbdStepInputs inputs;

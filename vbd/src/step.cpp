@@ -85,7 +85,7 @@ Step::Step(const Model& m, const VbdOptions& o)
     older_ = Rows4(n, device());
     chebyshev_ = chebyshev_factors(*o.acceleration, o.iterations);
   }
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   edited_.check(m);
   build();
   materials_.check(host_model());
@@ -93,7 +93,7 @@ Step::Step(const Model& m, const VbdOptions& o)
 }
 
 void Step::build() {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   copy_ = model_.on_host();
   const Model& m = host_model();
   for (int32_t p = 0; p < m.particle_count(); ++p) {
@@ -122,7 +122,7 @@ void Step::forget_lists() {
 void Step::reserve_contacts(int32_t slots) {
   const auto count = static_cast<size_t>(slots);
   if (contact_items_.rows() >= count) return;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   contact_begin_ = DeviceArray<int32_t>(x_.rows() + 1, device());
   contact_items_ = DeviceArray<int32_t>(count, device());
   contact_numbers_ = DeviceArray<float>(count * kContactFloats, device());
@@ -130,7 +130,7 @@ void Step::reserve_contacts(int32_t slots) {
 }
 
 void Step::update(float dt, bool damps) {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   if (was_recorded_ && is_immediate()) check();
   materials_.check(host_model());
   edited_.check(model_);
@@ -166,18 +166,18 @@ VbdSweepArguments Step::sweep(int64_t first_group, int64_t end_group) const {
           .damped = damps_ ? (int64_t{1} << kRoles) - 1 : t.damped,
           .first_group = first_group,
           .end_group = end_group,
-          .team = t.team,
+          .block_groups = t.block_groups,
           .residual = of_particles_};
 }
 
-// The groups of a team, where those of a colour move by teams; else 0.
+// The groups of a block, where those of a color move by blocks; else 0.
 int64_t Step::find_mover() const {
-  if (tables_->team == 0) return 0;
+  if (tables_->block_groups == 0) return 0;
   const char* const variable = std::getenv("NOVAPHY_VBD_SWEEP");
   const std::string_view wanted = variable != nullptr ? variable : "";
   require(wanted.empty() || wanted == "thread" || wanted == "team", ErrorKind::Value,
-          "NOVAPHY_VBD_SWEEP: expected thread or team, got '", wanted, "'");
-  return options_.safeguard || wanted == "thread" ? 0 : tables_->team;
+          "NOVAPHY_VBD_SWEEP: expected thread or block_groups, got '", wanted, "'");
+  return options_.safeguard || wanted == "thread" ? 0 : tables_->block_groups;
 }
 
 // Writes activations into the slots, where they do not hold them.
@@ -253,12 +253,12 @@ VbdCommitArguments Step::commit(int64_t first_group, const Rows4& from) const {
 }
 
 StepList& Step::list_for(const StepInputs& in, const StepResults& out) {
-  if (const int64_t team = find_mover(); team != team_) {
+  if (const int64_t block_groups = find_mover(); block_groups != block_groups_) {
     forget_lists();
-    team_ = team;
+    block_groups_ = block_groups;
   }
   if (out.keeps_iterates && iterates_.empty()) {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     for (int32_t k = 0; k < options_.iterations; ++k) iterates_.emplace_back(x_.rows(), device());
   }
   const Model& m = model_;

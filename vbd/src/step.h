@@ -72,7 +72,9 @@ class Step {
   uint64_t version() const { return version_; }  // of the memory of launches
   float dt() const { return tables_->dt; }
   bool damps() const { return damps_; }
-  int64_t team() const { return team_; }  // of the last run; 0: a thread for each particle
+  int64_t block_groups() const {
+    return block_groups_;
+  }  // of the last run; 0: a thread for each particle
   bool is_held(size_t p) const { return slots_.is_held(static_cast<int32_t>(p)); }
   int32_t kinematic_count() const { return static_cast<int32_t>(held_.rows()); }
   // Whether a step begins where the velocity before says.
@@ -113,7 +115,7 @@ class Step {
   struct Tables {
     float dt = 0.0f;
     int64_t damped = 0;        // bit of each role
-    int64_t team = 0;          // groups of a team; 0: one has too many slots
+    int64_t block_groups = 0;  // groups of a block; 0: one has too many slots
     bool is_recorded = false;  // replays write activations
     DeviceArray<int32_t> particle, filled;
     DeviceArray<float> mass_by_h2;
@@ -134,7 +136,7 @@ class Step {
   bool is_immediate() const { return runs_at_once(device()); }
   // step_tables.cpp
   void build_tables(float dt);
-  void find_team();
+  void find_block_groups();
   // step_checks.cpp
   void check_contacts(const Contacts& contacts) const;
   void check_inputs(const StepInputs& in);
@@ -167,7 +169,7 @@ class Step {
   std::optional<Tables> tables_;
   std::optional<StepList> lists_[2][2][2];  // with contacts, damping, iterates
   StepList* list_ = nullptr;                // of the last run
-  int64_t team_ = 0;
+  int64_t block_groups_ = 0;
   std::vector<Trained> trained_;  // of all tables that graphs may hold
   DeviceArray<int32_t> is_held_, held_;
   Rows4 start_, target_, moved_, x_, next_, newer_, older_;

@@ -52,7 +52,7 @@ void StepAdjoint::build_tables() {
 }
 
 void StepAdjoint::reserve() {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const Device device = step_.device();
   const auto n = static_cast<size_t>(step_.model().particle_count());
   if (tables_.builds != step_.builds()) build_tables();
@@ -82,15 +82,15 @@ VbdAdjointArguments StepAdjoint::arguments(const Rows4* before, int64_t first, i
   }
   return {.sweep = step_.sweep(first, end),
           .before = before,
-          .x_bar = x_bar_,
+          .x_adjoint = x_bar_,
           .u = u_,
           .d = d_,
           .own = own_,
-          .start_bar = start_bar_,
-          .target_bar = target_bar_,
-          .mass_bar = mass_bar_,
-          .contact_bars = key_.with_contacts ? &contact_bars_ : nullptr,
-          .at_rest = int{key_.at_rest},
+          .start_adjoint = start_bar_,
+          .target_adjoint = target_bar_,
+          .mass_adjoint = mass_bar_,
+          .contact_adjoints = key_.with_contacts ? &contact_bars_ : nullptr,
+          .at_solution = int{key_.at_solution},
           .weights = int{key_.weights},
           .multiplier = nullptr,
           .multiplier_sum = nullptr,
@@ -122,22 +122,23 @@ void StepAdjoint::add_receive(size_t color, const Rows4* own, const Rows4& rows,
 void StepAdjoint::add_groups(const VbdAdjointArguments& a) {
   const int64_t groups = a.sweep.end_group - a.sweep.first_group, lanes = step_.slots().lanes();
   const Kernel<VbdAdjointArguments>& slots =
-      key_.at_rest   ? (key_.weights ? kernels().adjoint_rest_weights : kernels().adjoint_rest)
+      key_.at_solution
+          ? (key_.weights ? kernels().adjoint_solution_weights : kernels().adjoint_solution)
       : key_.weights ? kernels().adjoint_weights
                      : kernels().adjoint_slots;
   if (step_.on_cpu()) {
     list_->add(slots, groups * lanes, a, kGroupsPerChunk * lanes);
     return;
   }
-  if (key_.team == 0 || a.multiplier.word() != 0) {
+  if (key_.block_groups == 0 || a.multiplier.word() != 0) {
     list_->add(kernels().adjoint_solve, groups * lanes, a);
   } else {
-    list_->add(kernels().adjoint_solve_team, team_threads(groups, key_.team), a);
+    list_->add(kernels().adjoint_solve_by_blocks, block_threads(groups, key_.block_groups), a);
   }
   list_->add(slots, a.ends[kRoles - 1], a);
 }
 
-// Of what slots have of the start. On the CPU a particle gets its own when its colour comes.
+// Of what slots have of the start. On the CPU a particle gets its own when its color comes.
 void StepAdjoint::add_starts() {
   const std::vector<int64_t>& colors = step_.colors();
   const Kernel<VbdAdjointArguments>& start =
@@ -183,14 +184,14 @@ void StepAdjoint::make_list(const VbdAdjointBeginArguments& begin,
       add_receive(color, &own_, x_bar_);
     }
   };
-  if (key_.at_rest) {
+  if (key_.at_solution) {
     add_colors(nullptr, &multipliers_);
   } else {
     for (size_t k = step_.iterates().size(); k-- > 0;) add_colors(&step_.iterates()[k], nullptr);
   }
   // All groups at once, then what particles have of themselves before what others give them.
   balance_ = list_->size();
-  if (key_.at_rest) {
+  if (key_.at_solution) {
     VbdAdjointArguments a = arguments(nullptr, 0, colors.back());
     a.multiplier = multipliers_;
     add_groups(a);
@@ -203,29 +204,31 @@ void StepAdjoint::make_list(const VbdAdjointBeginArguments& begin,
 }
 
 // The list for a step that was run.
-void StepAdjoint::prepare(const StepInputs& in, const ResultBars& bars, const StepDerivatives& to,
-                          bool at_rest) {
+void StepAdjoint::prepare(const StepInputs& in, const ResultAdjoints& adjoints,
+                          const StepDerivatives& to, bool at_solution) {
   reserve();
   const float inverse_h = 1.0f / step_.dt();
-  // The bars of what iterations began with, see vbd_particle_gradient.
+  // The adjoints of what iterations began with, see vbd_particle_gradient.
   const bool from_start = step_.options().initial_guess == VbdInitialGuess::Previous;
-  const Rows4* const guess = at_rest || step_.looks_back(in) ? nullptr
-                             : from_start                    ? &start_bar_
-                                                             : &target_bar_;
-  const VbdAdjointBeginArguments begin = {
-      .q_bar = if_any(bars.q), .qd_bar = if_any(bars.qd), .inverse_h = inverse_h, .x_bar = x_bar_};
+  const Rows4* const guess = at_solution || step_.looks_back(in) ? nullptr
+                             : from_start                        ? &start_bar_
+                                                                 : &target_bar_;
+  const VbdAdjointBeginArguments begin = {.q_adjoint = if_any(adjoints.q),
+                                          .qd_adjoint = if_any(adjoints.qd),
+                                          .inverse_h = inverse_h,
+                                          .x_adjoint = x_bar_};
   const VbdAdjointEndArguments end = {.is_held = step_.is_held(),
-                                      .x_bar = x_bar_,
+                                      .x_adjoint = x_bar_,
                                       .guess = guess,
-                                      .qd_bar = if_any(bars.qd),
+                                      .qd_adjoint = if_any(adjoints.qd),
                                       .inverse_h = inverse_h,
-                                      .start_bar = start_bar_};
+                                      .start_adjoint = start_bar_};
   const Key key = {.version = step_.version(),
-                   .team = step_.team(),
+                   .block_groups = step_.block_groups(),
                    .with_contacts = step_.has_contacts(),
                    .damps = step_.damps(),
                    .weights = wants(to, kRestShape),
-                   .at_rest = at_rest};
+                   .at_solution = at_solution};
   if (list_ && key == key_) {
     list_->set(begin_, begin);
     list_->set(end_, end);
@@ -235,16 +238,16 @@ void StepAdjoint::prepare(const StepInputs& in, const ResultBars& bars, const St
   make_list(begin, end);
 }
 
-void StepAdjoint::unrolled(const StepInputs& in, const ResultBars& bars,
+void StepAdjoint::unrolled(const StepInputs& in, const ResultAdjoints& adjoints,
                            const StepDerivatives& to) {
-  prepare(in, bars, to, false);
+  prepare(in, adjoints, to, false);
   list_->run();
   put(in, to);
 }
 
-KrylovResult StepAdjoint::implicit(const StepInputs& in, const ResultBars& bars,
+KrylovResult StepAdjoint::implicit(const StepInputs& in, const ResultAdjoints& adjoints,
                                    const StepDerivatives& to, double tolerance, int32_t sweeps) {
-  prepare(in, bars, to, true);
+  prepare(in, adjoints, to, true);
   list_->run(0, sweeps_);
   const KrylovResult found = solve_transposed(*this, download(x_bar_), tolerance, sweeps);
   list_->run(end_.number, list_->size());

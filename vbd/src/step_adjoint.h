@@ -1,5 +1,5 @@
 // A step of VBD in reverse, as lists of launches: from the derivatives of a scalar by its results,
-// called bars, to those by what the step reads.
+// called adjoints, to those by what the step reads.
 #pragma once
 
 #include <optional>
@@ -13,7 +13,7 @@
 namespace novaphy::vbd {
 
 // Of the results of a step; without rows: 0.
-struct ResultBars {
+struct ResultAdjoints {
   const Array &q, &qd;
 };
 
@@ -22,10 +22,10 @@ class StepAdjoint {
   explicit StepAdjoint(Step& step) : step_(step) {}
 
   // After a run that kept its iterates.
-  void unrolled(const StepInputs& in, const ResultBars& bars, const StepDerivatives& to);
+  void unrolled(const StepInputs& in, const ResultAdjoints& adjoints, const StepDerivatives& to);
   // At the solution. Returns how well the linear system was solved: the residual is the true one.
-  KrylovResult implicit(const StepInputs& in, const ResultBars& bars, const StepDerivatives& to,
-                        double tolerance, int32_t sweeps);
+  KrylovResult implicit(const StepInputs& in, const ResultAdjoints& adjoints,
+                        const StepDerivatives& to, double tolerance, int32_t sweeps);
 
   // For solution.h.
   void reverse_sweep(const Rows& load, Rows& multipliers, Rows& left);
@@ -47,15 +47,15 @@ class StepAdjoint {
   // What a list was made for.
   struct Key {
     uint64_t version = 0;  // see Step::version
-    int64_t team = 0;
+    int64_t block_groups = 0;
     bool with_contacts = false, damps = false;
-    bool weights = false;  // also by the weights of slots
-    bool at_rest = false;  // at a solution
+    bool weights = false;      // also by the weights of slots
+    bool at_solution = false;  // at a solution
     bool operator==(const Key&) const = default;
   };
 
-  void prepare(const StepInputs& in, const ResultBars& bars, const StepDerivatives& to,
-               bool at_rest);
+  void prepare(const StepInputs& in, const ResultAdjoints& adjoints, const StepDerivatives& to,
+               bool at_solution);
   void build_tables();
   void reserve();
   VbdAdjointArguments arguments(const Rows4* before, int64_t first, int64_t end) const;
@@ -72,8 +72,8 @@ class StepAdjoint {
 
   Step& step_;
   Tables tables_;
-  // Up to the bars of slots, targets and contacts: clears, the bars of the positions, sweeps in
-  // reverse, at a solution also what multipliers leave, and what slots have of the start.
+  // Up to the adjoints of slots, targets and contacts: clears, the adjoints of the positions,
+  // sweeps in reverse, at a solution also what multipliers leave, and what slots have of the start.
   std::optional<LaunchList> list_;
   LaunchList::Place<VbdAdjointBeginArguments> begin_;
   LaunchList::Place<VbdAdjointEndArguments> end_;

@@ -62,7 +62,7 @@ void Step::check_positions() const {
 }
 
 void Step::check() {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   check_trained();
   const std::vector<int32_t> faults = faults_.to_host(), overflow = overflow_.to_host();
   const auto first_of = [&faults](auto&& is_kind) {

@@ -24,32 +24,33 @@ class Direction {
     const float* const inv_mass = m.particle_inv_mass.data();
     const auto worlds = static_cast<size_t>(m.world_count());
     const bool previous = step.options().initial_guess == VbdInitialGuess::Previous;
-    const OnHost<Vec3f> q_slope(t.particle_q), qd_slope(t.particle_qd), f_slope(t.particle_f),
-        target_slope(t.targets), gravity_slope(t.gravity), f(in.f), qd(in.qd);
-    const OnHost<float> mass_slope(t.particle_mass), last_slope(t.last_velocity);
+    const OnHost<Vec3f> q_tangent(t.particle_q), qd_tangent(t.particle_qd), f_tangent(t.particle_f),
+        target_tangent(t.targets), gravity_tangent(t.gravity), f(in.f), qd(in.qd);
+    const OnHost<float> mass_tangent(t.particle_mass), last_tangent(t.last_velocity);
     const OnHost<VbdRow> last(in.last_velocity);
     const std::vector<Vec3f> gravities = step.model().gravity.to_host();
     size_t held = 0;
     for (size_t p = 0; p < to.x.size(); ++p) {
-      const Vec3f start = at(q_slope.rows, p);
+      const Vec3f start = at(q_tangent.rows, p);
       to.start[p] = start;
       if (step.is_held(p)) {
-        to.x[p] = in.targets.rows() != 0 ? at(target_slope.rows, held) : start;
+        to.x[p] = in.targets.rows() != 0 ? at(target_tangent.rows, held) : start;
         ++held;
         continue;
       }
       const int32_t world = m.particle_world.data()[p];
-      const float w = inv_mass[p], mass = at(mass_slope.rows, p);
+      const float w = inv_mass[p], mass = at(mass_tangent.rows, p);
       const auto of = world < 0 ? worlds - 1 : static_cast<size_t>(world);
-      const Vec3f gravity = at(gravity_slope.rows, of), velocity = at(qd_slope.rows, p);
-      const Vec3f acceleration = (gravity + at(f_slope.rows, p) * w) - f.rows[p] * ((w * w) * mass);
+      const Vec3f gravity = at(gravity_tangent.rows, of), velocity = at(qd_tangent.rows, p);
+      const Vec3f acceleration =
+          (gravity + at(f_tangent.rows, p) * w) - f.rows[p] * ((w * w) * mass);
       to.target[p] = start + (velocity + acceleration * h) * h;
       to.guess[p] = previous ? start : Vec3f(to.target[p]);
       if (step.looks_back(in) && last.rows[p].w != 0.0f) {
-        const float* const l = last_slope.rows;
-        const Vec3f slope = {at(l, 4 * p), at(l, 4 * p + 1), at(l, 4 * p + 2)};
-        to.guess[p] = start + adaptive_guess_slope(qd.rows[p], gravities[of], h, last.rows[p],
-                                                   velocity, gravity, slope);
+        const float* const l = last_tangent.rows;
+        const Vec3f tangent = {at(l, 4 * p), at(l, 4 * p + 1), at(l, 4 * p + 2)};
+        to.guess[p] = start + adaptive_guess_tangent(qd.rows[p], gravities[of], h, last.rows[p],
+                                                     velocity, gravity, tangent);
       }
       to.mass[p] = mass / (h * h);
     }
@@ -63,7 +64,7 @@ class Direction {
       float* const numbers = to.numbers.data() + step.slots().numbers_begin()[is.role];
       const auto lanes = static_cast<size_t>(step.slots().lanes());
       const auto values = parameters_on_host<Slot>(m);
-      const auto slopes =
+      const auto tangents =
           parameter_arrays<Slot>(t, [](const Array& of) { return OnHost<float>(of); });
       for (size_t k = 0; k < table.sources.size(); ++k) {
         const auto [e, corner] = table.sources[k];
@@ -71,11 +72,11 @@ class Direction {
         Tangent p[Slot::kParameters];
         for_parameters<Slot>(e, [&](int n, int array, int64_t at_row) {
           const auto of = static_cast<size_t>(array), row = static_cast<size_t>(at_row);
-          p[n] = {at(values[of], row), at(slopes[of].rows, row)};
+          p[n] = {at(values[of], row), at(tangents[of].rows, row)};
         });
-        float* const slope = numbers + step.slots().place_of(is.role, k);
+        float* const tangent = numbers + step.slots().place_of(is.role, k);
         Slot::put_numbers(corner, p, Tangent(h), [&](int n, const Tangent& number) {
-          slope[static_cast<size_t>(n) * lanes] = number.d;
+          tangent[static_cast<size_t>(n) * lanes] = number.d;
         });
       }
     });

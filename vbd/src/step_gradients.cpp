@@ -1,5 +1,5 @@
-// From the bars of slots, contacts and targets to the derivatives by the arrays of the model and
-// the state.
+// From the adjoints of slots, contacts and targets to the derivatives by the arrays of the model
+// and the state.
 #include <algorithm>
 #include <array>
 
@@ -25,16 +25,16 @@ void StepAdjoint::put(const StepInputs& in, const StepDerivatives& g) const {
 
 void StepAdjoint::put_state(const StepInputs& in, const StepDerivatives& g) const {
   const Model& m = step_.model();
-  const bool guessed = !key_.at_rest && step_.looks_back(in);
+  const bool guessed = !key_.at_solution && step_.looks_back(in);
   if (any(g.particle_q, g.particle_qd, g.particle_f, g.particle_mass, g.gravity, g.last_velocity))
     novaphy::run(kernels().particle_gradient, m.particle_count(),
                  {.is_held = step_.is_held(),
                   .inv_mass = m.particle_inv_mass,
                   .f = in.f,
-                  .x_bar = x_bar_,
-                  .start_bar = start_bar_,
-                  .target_bar = target_bar_,
-                  .mass_bar = mass_bar_,
+                  .x_adjoint = x_bar_,
+                  .start_adjoint = start_bar_,
+                  .target_adjoint = target_bar_,
+                  .mass_adjoint = mass_bar_,
                   .h = step_.dt(),
                   .have_targets = int{in.targets.rows() != 0},
                   .by_q = if_any(g.particle_q),
@@ -51,7 +51,7 @@ void StepAdjoint::put_state(const StepInputs& in, const StepDerivatives& g) cons
   if (any(g.targets))
     novaphy::run(kernels().target_gradient, step_.kinematic_count(),
                  {.held = step_.held(),
-                  .x_bar = x_bar_,
+                  .x_adjoint = x_bar_,
                   .has_targets = int{in.targets.rows() != 0},
                   .by_targets = if_any(g.targets)});
   if (any(g.gravity))
@@ -91,7 +91,7 @@ void StepAdjoint::put_contacts(const StepInputs& in, const StepDerivatives& g) c
   if (any(g.particle_radius))
     novaphy::run(kernels().radius_gradient, m.particle_count(),
                  {.contact_begin = with_contacts ? &step_.contact_begin() : nullptr,
-                  .contact_bars = with_contacts ? &contact_bars_ : nullptr,
+                  .contact_adjoints = with_contacts ? &contact_bars_ : nullptr,
                   .by_radius = if_any(g.particle_radius)});
   if (!any(g.shape_margin, g.shape_material_ke, g.shape_material_kd, g.shape_material_mu)) return;
   if (with_contacts) {
@@ -111,7 +111,7 @@ void StepAdjoint::put_contacts(const StepInputs& in, const StepDerivatives& g) c
   novaphy::run(kernels().shape_gradient, m.shape_count(),
                {.begin = with_contacts ? &shape_begin_ : nullptr,
                 .contacts = with_contacts ? &of_shapes_ : nullptr,
-                .contact_bars = with_contacts ? &contact_bars_ : nullptr,
+                .contact_adjoints = with_contacts ? &contact_bars_ : nullptr,
                 .mu = m.shape_material_mu,
                 .model_mu = m.soft_contact_mu,
                 .h = step_.dt(),

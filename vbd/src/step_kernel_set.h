@@ -12,10 +12,10 @@
 #include "vbd_tangent_kernels.h"
 
 namespace novaphy::detail {
-const char* vbd_kernels_text();
-const char* vbd_adjoint_kernels_text();
-const char* vbd_gradient_kernels_text();
-const char* vbd_tangent_kernels_text();
+const char* vbd_kernels_source();
+const char* vbd_adjoint_kernels_source();
+const char* vbd_gradient_kernels_source();
+const char* vbd_tangent_kernels_source();
 }  // namespace novaphy::detail
 
 namespace novaphy::vbd {
@@ -41,11 +41,12 @@ template <const auto& kernel, GroupKernel* SweepLevel::*of>
 inline constexpr auto kLanes = with_rows(kernel, run_level<of>);
 
 struct Kernels {
-#define NOVAPHY_KERNEL_OF(module, name) \
-  Kernel<decltype(vbd_##name)::Arguments> name{vbd_##name, novaphy::detail::module##_kernels_text};
+#define NOVAPHY_KERNEL_OF(module, name)                    \
+  Kernel<decltype(vbd_##name)::Arguments> name{vbd_##name, \
+                                               novaphy::detail::module##_kernels_source};
 #define NOVAPHY_LEVEL_KERNEL_OF(module, name, of)                                   \
   Kernel<decltype(vbd_##name)::Arguments> name{kLanes<vbd_##name, &SweepLevel::of>, \
-                                               novaphy::detail::module##_kernels_text};
+                                               novaphy::detail::module##_kernels_source};
   NOVAPHY_KERNEL_OF(vbd, predict)
   NOVAPHY_KERNEL_OF(vbd, target)
   NOVAPHY_KERNEL_OF(vbd, activation)
@@ -55,20 +56,20 @@ struct Kernels {
   NOVAPHY_LEVEL_KERNEL_OF(vbd, prepare, prepare)
   NOVAPHY_LEVEL_KERNEL_OF(vbd, move, move)
   NOVAPHY_LEVEL_KERNEL_OF(vbd, move_guarded, move_guarded)
-  NOVAPHY_KERNEL_OF(vbd, move_team)
+  NOVAPHY_KERNEL_OF(vbd, move_by_blocks)
   NOVAPHY_KERNEL_OF(vbd, commit)
   NOVAPHY_KERNEL_OF(vbd, accelerate)
   NOVAPHY_KERNEL_OF(vbd, finish)
   NOVAPHY_LEVEL_KERNEL_OF(vbd, residual, residual)
 
-  // On devices a colour in reverse is two launches, of a kernel that solves and one of slots. On
+  // On devices a color in reverse is two launches, of a kernel that solves and one of slots. On
   // the CPU the latter does all for the groups of the launch, and leaves no own terms.
   NOVAPHY_KERNEL_OF(vbd_adjoint, adjoint_solve)
-  NOVAPHY_KERNEL_OF(vbd_adjoint, adjoint_solve_team)
+  NOVAPHY_KERNEL_OF(vbd_adjoint, adjoint_solve_by_blocks)
   NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_slots, adjoint)
   NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_weights, adjoint)
-  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_rest, adjoint)
-  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_rest_weights, adjoint)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_solution, adjoint)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_solution_weights, adjoint)
   NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_start, adjoint_start)
   NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_start_weights, adjoint_start)
 

@@ -7,25 +7,26 @@ namespace {
 
 // Rows that a thread of the CPU takes at a time.
 constexpr int64_t kParticleRows = 512, kLaneRows = 64;
-constexpr int64_t kTeamThreads = 128;
+constexpr int64_t kBlockThreads = 128;
 
 }  // namespace
 
-int64_t team_threads(int64_t groups, int64_t team) {
-  return (groups + team - 1) / team * kTeamThreads;
+int64_t block_threads(int64_t groups, int64_t block_groups) {
+  return (groups + block_groups - 1) / block_groups * kBlockThreads;
 }
 
-// The particles of a colour move, one colour after the other.
+// The particles of a color move, one color after the other.
 void StepList::add_moves(const Step& step) {
-  const int64_t team = step.team();
-  const Kernel<VbdSweepArguments>& move = team != 0                  ? kernels().move_team
+  const int64_t block_groups = step.block_groups();
+  const Kernel<VbdSweepArguments>& move = block_groups != 0          ? kernels().move_by_blocks
                                           : step.options().safeguard ? kernels().move_guarded
                                                                      : kernels().move;
   for (size_t c = 0; c + 1 < step.colors().size(); ++c) {
     const int64_t first = step.colors()[c], end = step.colors()[c + 1], groups = end - first;
     const int64_t lanes = groups * step.slots().lanes();
     const VbdSweepArguments sweep = step.sweep(first, end);
-    list_.add(move, team != 0 ? team_threads(groups, team) : lanes, sweep, kLaneRows);
+    list_.add(move, block_groups != 0 ? block_threads(groups, block_groups) : lanes, sweep,
+              kLaneRows);
     if (step.slots().has_conflicts())
       list_.add(kernels().commit, lanes,
                 {.particle = sweep.particle,

@@ -44,7 +44,7 @@ class StepList {
   size_t again_ = 0;
 };
 
-// The threads of a launch by teams of so many groups.
-int64_t team_threads(int64_t groups, int64_t team);
+// The threads of a launch by blocks of so many groups.
+int64_t block_threads(int64_t groups, int64_t block_groups);
 
 }  // namespace novaphy::vbd

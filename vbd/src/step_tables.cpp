@@ -7,8 +7,8 @@
 namespace novaphy::vbd {
 namespace {
 
-// Colours of at least so many large teams fill a device.
-constexpr int64_t kManyTeams = 256;
+// Colors of at least so many large blocks fill a device.
+constexpr int64_t kManyBlocks = 256;
 
 }  // namespace
 
@@ -34,28 +34,28 @@ void Step::build_tables(float dt) {
       sources.push_back(element < 0 ? -1 : 4 * element + corner);
     t.sources[role] = upload<int32_t>(sources, device());
   }
-  find_team();
+  find_block_groups();
 }
 
-// The largest team for which there is room and work enough.
-void Step::find_team() {
+// The largest block for which there is room and work enough.
+void Step::find_block_groups() {
   if (on_cpu_) return;
   int64_t most_groups = 0;
   for (size_t c = 0; c + 1 < colors().size(); ++c)
     most_groups = std::max(most_groups, colors()[c + 1] - colors()[c]);
-  const auto terms = [&](int64_t team) {
+  const auto terms = [&](int64_t block_groups) {
     int64_t sum = 0;
     for (int role = 0; role < kRoles; ++role) {
       const std::vector<int64_t>& begin = slots_.table(role).begin;
       int64_t most = 0;
       for (size_t g = 0; g + 1 < begin.size(); ++g) most = std::max(most, begin[g + 1] - begin[g]);
-      sum += (most * team * kVbdLanes + 31) / 32 * 32;
+      sum += (most * block_groups * kVbdLanes + 31) / 32 * 32;
     }
     return sum;
   };
-  if (terms(1) <= kVbdTeamTerms) tables_->team = 1;
-  if (terms(kVbdLargeTeam) <= kVbdTeamTerms && most_groups >= kManyTeams * kVbdLargeTeam)
-    tables_->team = kVbdLargeTeam;
+  if (terms(1) <= kVbdBlockTerms) tables_->block_groups = 1;
+  if (terms(kVbdLargeBlock) <= kVbdBlockTerms && most_groups >= kManyBlocks * kVbdLargeBlock)
+    tables_->block_groups = kVbdLargeBlock;
 }
 
 }  // namespace novaphy::vbd

@@ -6,7 +6,7 @@
 namespace novaphy::vbd {
 
 void StepTangent::reserve() {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   if (x_.rows() == step_.x().rows()) return;
   for (Rows4* rows : {&x_, &load_, &result_, &moved_})
     *rows = Rows4(step_.x().rows(), step_.device());
@@ -14,7 +14,7 @@ void StepTangent::reserve() {
 
 void StepTangent::put(const SweepTangents& along) {
   reserve();
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const Device device = step_.device();
   start_ = upload<Vec4f>(along.start, device);
   target_ = upload<Vec4f>(along.target, device);
@@ -40,11 +40,11 @@ VbdTangentArguments StepTangent::arguments(size_t first_color, size_t last_color
           .numbers = along ? &numbers_ : nullptr,
           .begins = begins,
           .load = nullptr,
-          .at_rest = int{!along},
+          .at_solution = int{!along},
           .keeps_loads = int{keeps_loads_},
           .force = nullptr,
-          .force_slope = nullptr,
-          .step_slope = nullptr};
+          .force_tangent = nullptr,
+          .step_tangent = nullptr};
 }
 
 void StepTangent::launch(const VbdTangentArguments& a) const {
@@ -52,7 +52,7 @@ void StepTangent::launch(const VbdTangentArguments& a) const {
   novaphy::run(kernels().tangent, groups * step_.slots().lanes(), a);
 }
 
-// The particles of a colour take their steps.
+// The particles of a color take their steps.
 void StepTangent::move(size_t color, const Rows4& x) const {
   const int64_t first = step_.colors()[color], groups = step_.colors()[color + 1] - first;
   novaphy::run(kernels().tangent_move, groups * step_.slots().lanes(),
@@ -66,10 +66,10 @@ void StepTangent::move(size_t color, const Rows4& x) const {
 
 Rows StepTangent::unrolled(const SweepTangents& along) {
   put(along);
-  Rows slopes = along.x;
-  for (size_t p = 0; p < slopes.size(); ++p)
-    if (!is_held(p)) slopes[p] = along.guess[p];
-  upload_rows(x_, slopes);
+  Rows tangents = along.x;
+  for (size_t p = 0; p < tangents.size(); ++p)
+    if (!is_held(p)) tangents[p] = along.guess[p];
+  upload_rows(x_, tangents);
   const std::vector<Rows4>& iterates = step_.iterates();
   const auto n = static_cast<int64_t>(x_.rows());
   const auto copy = [n](const Rows4& from, const Rows4& to) {
@@ -80,7 +80,7 @@ Rows StepTangent::unrolled(const SweepTangents& along) {
   for (size_t k = 0; k < iterates.size(); ++k)
     for (size_t color = 0; color + 1 < step_.colors().size(); ++color) {
       VbdTangentArguments a = arguments(color, color + 1, true);
-      a.step_slope = moved_;
+      a.step_tangent = moved_;
       launch(a);
       move(color, x_);
       const int64_t first = step_.colors()[color], groups = step_.colors()[color + 1] - first;
@@ -98,13 +98,13 @@ void StepTangent::sweep(const Rows& load, Rows& z, Rows& image) {
   for (size_t color = 0; color < colors; ++color) {
     VbdTangentArguments a = arguments(color, color + 1, false);
     a.load = load_;
-    a.step_slope = moved_;
+    a.step_tangent = moved_;
     launch(a);
     move(color, x_);
   }
   result_.zero();
   VbdTangentArguments a = arguments(0, colors, false);
-  a.force_slope = result_;
+  a.force_tangent = result_;
   launch(a);
   z = download(x_);
   image = download(result_);
@@ -121,12 +121,12 @@ Rows StepTangent::force() {
 }
 
 // The derivative of the forces along the direction that was put, and x.
-Rows StepTangent::force_slope(const Rows& x) {
+Rows StepTangent::force_tangent(const Rows& x) {
   upload_rows(x_, x);
   result_.zero();
   VbdTangentArguments a = arguments(0, step_.colors().size() - 1, true);
-  a.at_rest = 1;
-  a.force_slope = result_;
+  a.at_solution = 1;
+  a.force_tangent = result_;
   launch(a);
   return download(result_);
 }
@@ -134,26 +134,26 @@ Rows StepTangent::force_slope(const Rows& x) {
 Rows StepTangent::implicit(const SweepTangents& along, double tolerance, int32_t sweeps,
                            KrylovResult& result) {
   put(along);
-  Rows slopes = along.x;
+  Rows tangents = along.x;
   // With the particles that move at rest the load, then what is left of it.
-  Rows load = force_slope(slopes);
+  Rows load = force_tangent(tangents);
   const double scale = std::sqrt(inner(load, load));
   for (int round = 0; round < kRefinements; ++round) {
     Rows more;
     const double asked = kMargin * tolerance * (round > 0 ? 1.0 / result.residual : 1.0);
     result.iterations +=
         solve_linear(*this, more, load, asked, sweeps - result.iterations).iterations;
-    for (size_t p = 0; p < slopes.size(); ++p)
-      if (!is_held(p)) slopes[p] = Vec3f(slopes[p]) + Vec3f(more[p]);
-    load = force_slope(slopes);
+    for (size_t p = 0; p < tangents.size(); ++p)
+      if (!is_held(p)) tangents[p] = Vec3f(tangents[p]) + Vec3f(more[p]);
+    load = force_tangent(tangents);
     result.residual = scale == 0.0 ? 0.0 : std::sqrt(inner(load, load)) / scale;
     if (result.residual <= tolerance || result.iterations >= sweeps) break;
   }
-  return slopes;
+  return tangents;
 }
 
 Solution StepTangent::solve_step(double tolerance, int32_t iterations, int32_t sweeps) {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   reserve();
   const Solution found = solve_nonlinear(*this, tolerance, iterations, sweeps);
   step_.finish_again();

@@ -50,11 +50,11 @@ class StepTangent {
 
   void reserve();
   void put(const SweepTangents& along);
-  // Of the groups of some colours, of positions alone or along the direction that was put.
+  // Of the groups of some colors, of positions alone or along the direction that was put.
   VbdTangentArguments arguments(size_t first_color, size_t last_color, bool along) const;
   void launch(const VbdTangentArguments& arguments) const;
   void move(size_t color, const Rows4& x) const;
-  Rows force_slope(const Rows& x);
+  Rows force_tangent(const Rows& x);
 
   Step& step_;
   bool keeps_loads_ = false;  // see Tangents

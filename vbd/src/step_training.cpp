@@ -14,7 +14,7 @@ namespace novaphy::vbd {
 void Step::reserve_training() {
   Tables& t = *tables_;
   if (!t.trained.empty()) return;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const Model& m = host_model();
   // Columns of materials may be other than 0 where the element acts. Elements without a corner, or
   // over kinematic particles alone, have no part, and may hold anything.

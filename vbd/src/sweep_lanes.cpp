@@ -1,4 +1,4 @@
-// The sweep of one instruction set: LANES particles of a colour at a time.
+// The sweep of one instruction set: LANES particles of a color at a time.
 #include "lanes.h"
 
 namespace novaphy::vbd::NOVAPHY_LEVEL {

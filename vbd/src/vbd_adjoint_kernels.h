@@ -1,17 +1,17 @@
 // A color of VBD in reverse on devices (sweep_adjoint_kernels.h), as three launches. First,
 // vbd_adjoint_solve finds the multipliers u and the steps d of the particles, a thread for each, or
-// vbd_adjoint_solve_team by teams. Second, vbd_adjoint_slots finds the part of each slot for
+// vbd_adjoint_solve_by_blocks by blocks. Second, vbd_adjoint_slots finds the part of each slot for
 // positions and parameters, a thread for each lane of a slot. Third, vbd_receive
 // (vbd_gradient_kernels.h) adds the parts up in slot order.
 #pragma once
 
-#include "novaphy/vbd/slot_teams_kernels.h"
+#include "novaphy/vbd/slot_blocks_kernels.h"
 #include "novaphy/vbd/sweep_adjoint_kernels.h"
 
 namespace novaphy {
 
 NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve, VbdAdjointArguments);
-NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve_team, VbdAdjointArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve_by_blocks, VbdAdjointArguments);
 
 namespace vbd {
 
@@ -29,11 +29,11 @@ inline void for_slot_of(const VbdAdjointArguments& a, int64_t row, const Body& b
            particle);
   });
 }
-template <bool at_rest, bool weights>
+template <bool at_solution, bool weights>
 inline void reverse_slots(const VbdAdjointArguments& a, int64_t row) {
   for_slot_of(a, row, [&](const auto& slot, int32_t p) {
-    reverse_slot<at_rest, weights>(a, slot, to_vec3(a.sweep.x[p]),
-                                   bars_of(to_vec3(a.u[p]), to_vec3(a.d[p])));
+    reverse_slot<at_solution, weights>(a, slot, to_vec3(a.sweep.x[p]),
+                                       adjoints_of(to_vec3(a.u[p]), to_vec3(a.d[p])));
   });
 }
 template <bool weights>
@@ -53,10 +53,10 @@ NOVAPHY_ROW_KERNEL(vbd_adjoint_slots, VbdAdjointArguments) {
 NOVAPHY_ROW_KERNEL(vbd_adjoint_weights, VbdAdjointArguments) {
   vbd::reverse_slots<false, true>(a, row);
 }
-NOVAPHY_ROW_KERNEL(vbd_adjoint_rest, VbdAdjointArguments) {
+NOVAPHY_ROW_KERNEL(vbd_adjoint_solution, VbdAdjointArguments) {
   vbd::reverse_slots<true, false>(a, row);
 }
-NOVAPHY_ROW_KERNEL(vbd_adjoint_rest_weights, VbdAdjointArguments) {
+NOVAPHY_ROW_KERNEL(vbd_adjoint_solution_weights, VbdAdjointArguments) {
   vbd::reverse_slots<true, true>(a, row);
 }
 NOVAPHY_ROW_KERNEL(vbd_adjoint_start, VbdAdjointArguments) { vbd::reverse_starts<false>(a, row); }
@@ -93,10 +93,10 @@ NOVAPHY_BLOCK_BODY(vbd_adjoint_solve, VbdAdjointArguments) {
   if (g.filled != 0)
     finish.put(g, a.multiplier != nullptr ? Block<float>() : block_at(g, finish.place(g)));
 }
-NOVAPHY_BLOCK_BODY(vbd_adjoint_solve_team, VbdAdjointArguments) {
-  __shared__ vbd::TeamMemory memory;
-  vbd::for_teams<vbd::SolveParticle>(a.sweep, a, a.sweep.first_group, a.sweep.end_group, block,
-                                     blocks, memory);
+NOVAPHY_BLOCK_BODY(vbd_adjoint_solve_by_blocks, VbdAdjointArguments) {
+  __shared__ vbd::BlockMemory memory;
+  vbd::for_blocks<vbd::SolveParticle>(a.sweep, a, a.sweep.first_group, a.sweep.end_group, block,
+                                      blocks, memory);
 }
 #endif
 

@@ -21,28 +21,30 @@ struct VbdKeepArguments {
 };
 NOVAPHY_ROW_KERNEL(vbd_keep, VbdKeepArguments) { a.iterate[row] = a.x[row]; }
 
-// The bars of the positions, of those of the results. v = (x - xn)/h.
+// The adjoints of the positions, of those of the results. v = (x - xn)/h.
 struct VbdAdjointBeginArguments {
-  NOVAPHY_ARGUMENTS(Optional<Reads<Vec3f>> q_bar;   // null: 0
-                    Optional<Reads<Vec3f>> qd_bar;  // null: 0
-                    Number<float> inverse_h; WritesRow<VbdRow> x_bar;)
+  NOVAPHY_ARGUMENTS(Optional<Reads<Vec3f>> q_adjoint;   // null: 0
+                    Optional<Reads<Vec3f>> qd_adjoint;  // null: 0
+                    Number<float> inverse_h; WritesRow<VbdRow> x_adjoint;)
 };
 NOVAPHY_ROW_KERNEL(vbd_adjoint_begin, VbdAdjointBeginArguments) {
-  const Vec3f by_v = a.qd_bar != nullptr ? a.qd_bar[row] * a.inverse_h.value : Vec3f{};
-  a.x_bar[row] = to_row((a.q_bar != nullptr ? a.q_bar[row] : Vec3f{}) + by_v);
+  const Vec3f by_v = a.qd_adjoint != nullptr ? a.qd_adjoint[row] * a.inverse_h.value : Vec3f{};
+  a.x_adjoint[row] = to_row((a.q_adjoint != nullptr ? a.q_adjoint[row] : Vec3f{}) + by_v);
 }
 
 struct VbdAdjointEndArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> is_held; ReadsRow<VbdRow> x_bar; Optional<UpdatesRow<VbdRow>>
-                        guess;  // the bars of what iterations began with; null: of nothing
-                    Optional<Reads<Vec3f>> qd_bar; Number<float> inverse_h;
-                    UpdatesRow<VbdRow> start_bar;)
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> is_held; ReadsRow<VbdRow> x_adjoint;
+                    Optional<UpdatesRow<VbdRow>>
+                        guess;  // the adjoints of what iterations began with; null: of nothing
+                    Optional<Reads<Vec3f>> qd_adjoint; Number<float> inverse_h;
+                    UpdatesRow<VbdRow> start_adjoint;)
 };
 NOVAPHY_ROW_KERNEL(vbd_adjoint_end, VbdAdjointEndArguments) {
   if (a.guess != nullptr && a.is_held[row] == 0)
-    a.guess[row] = to_row(to_vec3(a.guess[row]) + to_vec3(a.x_bar[row]));
-  if (a.qd_bar != nullptr)
-    a.start_bar[row] = to_row(to_vec3(a.start_bar[row]) - a.qd_bar[row] * a.inverse_h.value);
+    a.guess[row] = to_row(to_vec3(a.guess[row]) + to_vec3(a.x_adjoint[row]));
+  if (a.qd_adjoint != nullptr)
+    a.start_adjoint[row] =
+        to_row(to_vec3(a.start_adjoint[row]) - a.qd_adjoint[row] * a.inverse_h.value);
 }
 
 // What a particle gets: of its own slots, of those of others.
@@ -79,36 +81,36 @@ NOVAPHY_ROW_KERNEL(vbd_receive, VbdReceiveArguments) {
 struct VbdParticleGradientArguments {
   NOVAPHY_ARGUMENTS(
       ReadsRow<int32_t> is_held; ReadsRow<float> inv_mass; ReadsRow<Vec3f> f;
-      ReadsRow<VbdRow> x_bar, start_bar, target_bar; ReadsRow<float> mass_bar; Number<float> h;
-      Number<int64_t> have_targets;  // held particles go to targets
+      ReadsRow<VbdRow> x_adjoint, start_adjoint, target_adjoint; ReadsRow<float> mass_adjoint;
+      Number<float> h; Number<int64_t> have_targets;  // held particles go to targets
       Optional<Writes<Vec3f>> by_q, by_qd, by_f; Optional<Writes<float>> by_mass;
       Optional<WritesRow<VbdRow>> by_gravity;  // of the particle's world, from this particle
       Optional<Writes<float>> by_last;         // rows of 4
-      // Of the adaptive guess, whose bars are then x_bar; null: those of the guess are in another
-      // bar.
+      // Of the adaptive guess, whose adjoints are then x_adjoint; null: those of the guess are in
+      // another adjoint.
       Optional<ReadsRow<VbdRow>> last; ReadsRow<Vec3f> qd; ReadsRow<int32_t> world;
       Reads<Vec3f> gravity; Number<int64_t> last_world;)
 };
 NOVAPHY_ROW_KERNEL(vbd_particle_gradient, VbdParticleGradientArguments) {
   const float h = a.h.value, w = a.inv_mass[row];
   const bool is_held = a.is_held[row] != 0;
-  Vec3f by_target = to_vec3(a.target_bar[row]);
-  Vec3f by_start = to_vec3(a.start_bar[row]);
-  vbd::GuessBars guess;
+  Vec3f by_target = to_vec3(a.target_adjoint[row]);
+  Vec3f by_start = to_vec3(a.start_adjoint[row]);
+  vbd::GuessAdjoints guess;
   if (a.last != nullptr && !is_held) {
-    const Vec3f bar = to_vec3(a.x_bar[row]);
+    const Vec3f adjoint = to_vec3(a.x_adjoint[row]);
     const VbdRow last = a.last[row];
     if (last.w == 0.0f) {
-      by_target = by_target + bar;
+      by_target = by_target + adjoint;
     } else {
       const int32_t of = a.world[row];
-      by_start = by_start + bar;
-      guess = vbd::adaptive_guess_bars(bar, a.qd[row], a.gravity[of < 0 ? a.last_world.value : of],
-                                       h, to_vec3(last));
+      by_start = by_start + adjoint;
+      guess = vbd::adaptive_guess_adjoints(
+          adjoint, a.qd[row], a.gravity[of < 0 ? a.last_world.value : of], h, to_vec3(last));
     }
   }
   by_start = by_start + by_target;
-  if (is_held && a.have_targets == 0) by_start = by_start + to_vec3(a.x_bar[row]);
+  if (is_held && a.have_targets == 0) by_start = by_start + to_vec3(a.x_adjoint[row]);
   if (a.by_q != nullptr) a.by_q[row] = by_start;
   if (a.by_qd != nullptr) a.by_qd[row] = by_target * h + guess.by_velocity;
   if (a.by_gravity != nullptr) a.by_gravity[row] = to_row(by_target * (h * h) + guess.by_gravity);
@@ -122,15 +124,15 @@ NOVAPHY_ROW_KERNEL(vbd_particle_gradient, VbdParticleGradientArguments) {
   // m/h^2, and 1/m in the target.
   const float by_inverse = math::dot(by_target, a.f[row]) * (h * h);
   if (a.by_mass != nullptr)
-    a.by_mass[row] = is_held ? 0.0f : a.mass_bar[row] / (h * h) - (w * w) * by_inverse;
+    a.by_mass[row] = is_held ? 0.0f : a.mass_adjoint[row] / (h * h) - (w * w) * by_inverse;
 }
 
 struct VbdTargetGradientArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> held; Reads<VbdRow> x_bar; Number<int64_t> has_targets;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> held; Reads<VbdRow> x_adjoint; Number<int64_t> has_targets;
                     Writes<Vec3f> by_targets;)
 };
 NOVAPHY_ROW_KERNEL(vbd_target_gradient, VbdTargetGradientArguments) {
-  a.by_targets[row] = a.has_targets != 0 ? to_vec3(a.x_bar[a.held[row]]) : Vec3f{};
+  a.by_targets[row] = a.has_targets != 0 ? to_vec3(a.x_adjoint[a.held[row]]) : Vec3f{};
 }
 
 struct VbdGravityGradientArguments {
@@ -149,7 +151,7 @@ NOVAPHY_ROW_KERNEL(vbd_gravity_gradient, VbdGravityGradientArguments) {
 // Null: not wanted.
 struct VbdElementGradientArguments {
   NOVAPHY_ARGUMENTS(
-      // Of each slot of the element: of each corner of each element, -1: none; where its bars
+      // Of each slot of the element: of each corner of each element, -1: none; where its adjoints
       // begin.
       Each<Optional<Reads<int64_t>>, vbd::kMostSlots> places;
       Each<Number<int64_t>, vbd::kMostSlots> first; Reads<float> numbers;  // of all roles
@@ -162,13 +164,13 @@ namespace vbd {
 
 #include "number_adjoints.inc"
 
-// The bars of the numbers of the slots of an element: of the weights of each corner, and of the law
-// over all corners.
+// The adjoints of the numbers of the slots of an element: of the weights of each corner, and of the
+// law over all corners.
 template <Role role>
-struct ElementBars {
+struct ElementAdjoints {
   using Element = SlotOf<role>;
   float weights[Element::kCorners][law_begin(role) + 1] = {}, laws[kLawFloats[role]] = {};
-  ElementBars(const VbdElementGradientArguments& a, int64_t element) {
+  ElementAdjoints(const VbdElementGradientArguments& a, int64_t element) {
     for (int c = 0; c < Element::kCorners; ++c)
       for (int k = 0; k < Element::kSlots; ++k) {
         const int64_t place = a.places[k][element * Element::kCorners + c];
@@ -188,7 +190,7 @@ inline void put_parameters(const VbdElementGradientArguments& a, int64_t e) {
   using Element = SlotOf<role>;
   float p[Element::kParameters], to[Element::kParameters];
   for_parameters<Element>(e, [&](int k, int array, int64_t at) { p[k] = a.parameters[array][at]; });
-  numbers_adjoint(RoleIs<role>(), p, a.h.value, ElementBars<role>(a, e), to);
+  numbers_adjoint(RoleIs<role>(), p, a.h.value, ElementAdjoints<role>(a, e), to);
   for_parameters<Element>(e, [&](int k, int array, int64_t at) {
     if (a.to[array] != nullptr) a.to[array][at] = to[k];
   });
@@ -215,13 +217,13 @@ NOVAPHY_ROW_KERNEL(vbd_element_gradient, VbdElementGradientArguments) {
 
 struct VbdRadiusGradientArguments {
   NOVAPHY_ARGUMENTS(Optional<Reads<int32_t>> contact_begin;  // null: no contacts
-                    Optional<Reads<float>> contact_bars; WritesRow<float> by_radius;)
+                    Optional<Reads<float>> contact_adjoints; WritesRow<float> by_radius;)
 };
 NOVAPHY_ROW_KERNEL(vbd_radius_gradient, VbdRadiusGradientArguments) {
   float sum = 0.0f;
   if (a.contact_begin != nullptr)
     for (int32_t k = a.contact_begin[row]; k < a.contact_begin[row + 1]; ++k)
-      sum += a.contact_bars[static_cast<int64_t>(k) * vbd::kContactLawFloats];
+      sum += a.contact_adjoints[static_cast<int64_t>(k) * vbd::kContactLawFloats];
   a.by_radius[row] = sum;
 }
 
@@ -238,7 +240,7 @@ struct VbdShapeGradientArguments {
   NOVAPHY_ARGUMENTS(Optional<Reads<int32_t>>
                         begin;  // of the contacts of each shape, and behind the last; null: none
                     Optional<Reads<int32_t>> contacts;  // in the order of the particles
-                    Optional<Reads<float>> contact_bars; ReadsRow<float> mu;
+                    Optional<Reads<float>> contact_adjoints; ReadsRow<float> mu;
                     Number<float> model_mu, h;
                     Optional<Writes<float>> by_margin, by_ke, by_kd, by_mu;)
 };
@@ -247,12 +249,12 @@ NOVAPHY_ROW_KERNEL(vbd_shape_gradient, VbdShapeGradientArguments) {
   const float mean = math::sqrt(a.model_mu.value * a.mu[row]);
   if (a.begin != nullptr)
     for (int32_t k = a.begin[row]; k < a.begin[row + 1]; ++k) {
-      const float* const bar =
-          a.contact_bars + static_cast<int64_t>(a.contacts[k]) * vbd::kContactLawFloats;
-      margin += bar[0];
-      ke += 0.5f * bar[1];
-      kd += (0.5f * bar[2]) / a.h.value;
-      if (mean > 0.0f) mu += bar[3] * (a.model_mu.value / (2.0f * mean));
+      const float* const adjoint =
+          a.contact_adjoints + static_cast<int64_t>(a.contacts[k]) * vbd::kContactLawFloats;
+      margin += adjoint[0];
+      ke += 0.5f * adjoint[1];
+      kd += (0.5f * adjoint[2]) / a.h.value;
+      if (mean > 0.0f) mu += adjoint[3] * (a.model_mu.value / (2.0f * mean));
     }
   vbd::put(a.by_margin, row, margin);
   vbd::put(a.by_ke, row, ke);

@@ -1,15 +1,15 @@
 // A step of VBD as kernels (row_kernel.h), whose sweep is sweep_kernels.h.
 //
 // A color moves in one of two ways, of the same bits. In vbd_move a thread moves each particle. In
-// vbd_move_team, for devices only, the threads of a block share the slots of some groups. A thread
-// for each component of the particles' matrices then adds the slots in slot order.
+// vbd_move_by_blocks, for devices only, the threads of a block share the slots of some groups. A
+// thread for each component of the particles' matrices then adds the slots in slot order.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/vbd/contact_numbers_law.h"
 #include "novaphy/vbd/elements/list.h"
 #include "novaphy/vbd/particle_step_law.h"
-#include "novaphy/vbd/slot_teams_kernels.h"
+#include "novaphy/vbd/slot_blocks_kernels.h"
 #include "novaphy/vbd/sweep_kernels.h"
 
 namespace novaphy {
@@ -166,7 +166,7 @@ struct VbdCommitArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> particle; Number<int64_t> first_lane; Reads<VbdRow> from;
                     Updates<VbdRow> x;)
 };
-// Where colours hold conflicts: all of a colour are where they went. (Lanes that are no particles
+// Where colors hold conflicts: all of a color are where they went. (Lanes that are no particles
 // repeat the first.)
 NOVAPHY_ROW_KERNEL(vbd_commit, VbdCommitArguments) {
   const int32_t p = a.particle[a.first_lane + row];
@@ -207,7 +207,7 @@ NOVAPHY_ROW_KERNEL(vbd_finish, VbdFinishArguments) {
   a.qd[row] = (x - to_vec3(a.start[row])) / a.h.value;
 }
 
-NOVAPHY_BLOCK_KERNEL(vbd_move_team, VbdSweepArguments);
+NOVAPHY_BLOCK_KERNEL(vbd_move_by_blocks, VbdSweepArguments);
 
 #ifdef NOVAPHY_KERNEL
 namespace vbd {
@@ -231,9 +231,9 @@ struct MoveParticle {
 
 }  // namespace vbd
 
-NOVAPHY_BLOCK_BODY(vbd_move_team, VbdSweepArguments) {
-  __shared__ vbd::TeamMemory memory;
-  vbd::for_teams<vbd::MoveParticle>(a, a, a.first_group, a.end_group, block, blocks, memory);
+NOVAPHY_BLOCK_BODY(vbd_move_by_blocks, VbdSweepArguments) {
+  __shared__ vbd::BlockMemory memory;
+  vbd::for_blocks<vbd::MoveParticle>(a, a, a.first_group, a.end_group, block, blocks, memory);
 }
 #endif
 

@@ -18,7 +18,7 @@ struct VbdTangentMoveArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> particle, filled; Number<int64_t> first_group, lanes;
                     Reads<VbdRow> step; Updates<VbdRow> x;)
 };
-// The particles of a colour take their steps. `row`: over the lanes of its groups.
+// The particles of a color take their steps. `row`: over the lanes of its groups.
 NOVAPHY_ROW_KERNEL(vbd_tangent_move, VbdTangentMoveArguments) {
   const int64_t of_color = row / a.lanes, group = a.first_group + of_color;
   if (row - of_color * a.lanes >= a.filled[group]) return;

@@ -282,7 +282,7 @@ novaphy_status create_program(const IsaTable& isa, const void* data, uint64_t by
   if (bytes != 0) std::memcpy(words.data(), data, bytes);
   nova::ir::Program program;
   std::string reason;
-  if (!nova::ir::deserialise(words, program, reason)) {
+  if (!nova::ir::deserialize(words, program, reason)) {
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "%s", reason.c_str());
   }
   kernel.executable = std::make_unique<Executable>(std::move(program), isa);

@@ -23,7 +23,7 @@ LANE_FN int consecutive_rows_inside(const row_lanes* r, int64_t rows) {
   return r->kind == ROWS_CONSECUTIVE && r->first >= 0 && r->first + LANES <= rows;
 }
 
-/* Any rows, `columns` neighbouring columns of each: a negative row reads 0, one past the end fails
+/* Any rows, `columns` neighboring columns of each: a negative row reads 0, one past the end fails
  * if it is needed. */
 static __attribute__((noinline, unused)) void gather_lanes(vi* target, const char* s, int64_t rows,
                                                            const vi* row, int32_t width,
@@ -278,7 +278,7 @@ LANE_FN csr_rows csr_begin(const int32_t* offsets, int64_t i) {
   return c;
 }
 LANE_FN vb csr_on(const csr_rows* c, int32_t r) { return vilt(splati(r), c->length); }
-/* A lane whose row has ended gets -1, which reads as an absent neighbour. */
+/* A lane whose row has ended gets -1, which reads as an absent neighbor. */
 LANE_FN vi csr_slot(const csr_rows* c, const int32_t* items, int32_t r, vb on) {
   if (items == NULL) return vselecti(on, c->start + r, splati(-1));
   const char* const p = (const char*)(items + c->start[0]);

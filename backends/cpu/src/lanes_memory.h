@@ -189,7 +189,7 @@ LANE_FN void store3i(char* p, vi a, vi b, vi c) {
 }
 #endif
 
-/* Four neighbouring columns of rows of `width` words. */
+/* Four neighboring columns of rows of `width` words. */
 #if defined(__x86_64__)
 /* A 4 x 4 transpose in every quarter. Quarter k of vector r is row 4 k + r. */
 #if LANES == 4

@@ -128,7 +128,7 @@ BUILTIN __launch_bounds__(kSumThreads) row_sum_last(const float* sums, const flo
   }
 }
 
-// One block; a thread takes kScanItems neighbours at a time. Integers wrap, so the order of
+// One block; a thread takes kScanItems neighbors at a time. Integers wrap, so the order of
 // additions does not matter.
 #define kScanThreads 1024
 #define kScanItems 4

@@ -8,7 +8,7 @@ struct interpreter_arguments {
 struct interpreter_instruction {
   int32_t op, d, a, b, c, e;
 };
-// A value of this thread: neighbouring threads have neighbouring words.
+// A value of this thread: neighboring threads have neighboring words.
 #define VALUE(k) values[(int64_t)(k)*threads]
 #define FLOAT(k) ubits_f(VALUE(k))
 #define RUN(name, result) \

@@ -1,4 +1,4 @@
-// Modules: from serialised Programs to launches.
+// Modules: from serialized Programs to launches.
 #include "module.h"
 
 #include <cstdio>
@@ -36,7 +36,7 @@ novaphy_status create_program(novaphy_device* device, const void* data, uint64_t
   if (bytes != 0) std::memcpy(words.data(), data, bytes);
   nova::ir::Program program;
   std::string reason;
-  if (!nova::ir::deserialise(words, program, reason))
+  if (!nova::ir::deserialize(words, program, reason))
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "%s", reason.c_str());
   bool contract = false;
   novaphy_status status = contraction_is_on(&contract, error);

@@ -600,7 +600,7 @@ LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
   const uint64_t* const chain = record + 2;
   const uint32_t chains = low_half(record[1]) & 0xffff, lanes = low_half(record[1]) >> 16;
   const uint32_t warps = high_half(record[1]), lane = threadIdx.x % VENDOR_WARP;
-  // Neighbours go to different blocks, so that few warps use many units.
+  // Neighbors go to different blocks, so that few warps use many units.
 #pragma unroll 1
   for (uint32_t warp = threadIdx.x / VENDOR_WARP * gridDim.x + blockIdx.x; warp < warps;
        warp += gridDim.x * kWarps) {

@@ -224,7 +224,7 @@ class Writer {
   static bool begins_chain(std::span<const novaphy_persistent_op> ops, size_t k) {
     return ops[k].chain != ops[k - 1].chain || ops[k].phase != ops[k - 1].phase;
   }
-  // What the warps from `warp` on do in the phase: rows of a chain. Neighbours go to different
+  // What the warps from `warp` on do in the phase: rows of a chain. Neighbors go to different
   // blocks, so that few warps use many units. In a large cluster, they share a block where all are
   // used: its code is then that of few chains, and fits its cache.
   void add_tasks(uint64_t chain, int64_t rows, int64_t lanes, uint64_t warp) {

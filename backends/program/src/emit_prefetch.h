@@ -8,7 +8,7 @@
 namespace nova::ir {
 
 // A source of three columns at one of these rows. What a printed region alone needs is gathered
-// early where the group before took that region, as neighbours mostly do the same; else `region` is
+// early where the group before took that region, as neighbors mostly do the same; else `region` is
 // -1.
 struct PrefetchedGather {
   int32_t source = 0;

@@ -269,7 +269,7 @@ std::vector<int32_t> sections(const Program& p) {
   return section;
 }
 
-std::vector<uint32_t> serialise(const Program& p) {
+std::vector<uint32_t> serialize(const Program& p) {
   Writer w;
   const uint32_t header[NOVAPHY_PROGRAM_HEADER_WORDS] = {NOVAPHY_PROGRAM_MAGIC,
                                                          NOVAPHY_PROGRAM_VERSION,
@@ -320,7 +320,7 @@ std::vector<uint32_t> serialise(const Program& p) {
   return w.words;
 }
 
-bool deserialise(std::span<const uint32_t> words, Program& program, std::string& reason) {
+bool deserialize(std::span<const uint32_t> words, Program& program, std::string& reason) {
   auto refuse = [&](std::string why) {
     reason = "not a valid Program: " + std::move(why);
     return false;
@@ -428,7 +428,7 @@ uint64_t hash(const Program& p) {
   for (Source& s : anonymous.sources) s.name.clear();
   for (Output& o : anonymous.outputs) o.name.clear();
   uint64_t h = 0x9E3779B97F4A7C15u;
-  for (uint32_t w : serialise(anonymous)) {
+  for (uint32_t w : serialize(anonymous)) {
     h ^= w;
     h *= 0xFF51AFD7ED558CCDu;
     h ^= h >> 32;

@@ -260,7 +260,7 @@ Vec3d vector_area(const std::vector<Vec3d>& points, const std::vector<int32_t>& 
   return sum;
 }
 
-// Larger triangles first take the neighbours that lie in their plane. A corner within the outline
+// Larger triangles first take the neighbors that lie in their plane. A corner within the outline
 // is lost, so it may not be where the hull would become thinner, or flat.
 std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
   const std::vector<Triangle>& triangles = hull.triangles;
@@ -322,8 +322,8 @@ std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
   return polygons;
 }
 
-// The edges of the triangles stay neighbours within a merged face, which is flat to 0.1 degrees
-// only: climbing from neighbour to neighbour would stop on its low side.
+// The edges of the triangles stay neighbors within a merged face, which is flat to 0.1 degrees
+// only: climbing from neighbor to neighbor would stop on its low side.
 ConvexHull tables(std::span<const Vec3f> points, const std::vector<Triangle>& triangles,
                   std::vector<Polygon> polygons) {
   std::set<int32_t> used;
@@ -349,13 +349,13 @@ ConvexHull tables(std::span<const Vec3f> points, const std::vector<Triangle>& tr
       const int32_t i = t.v[k], j = t.v[(k + 1) % 3];
       if (used.contains(i) && used.contains(j)) edges.insert({number[i], number[j]});
     }
-  hull.neighbour_starts.push_back(0);
+  hull.neighbor_starts.push_back(0);
   for (auto edge = edges.begin(); edge != edges.end(); ++edge) {
-    while (static_cast<int32_t>(hull.neighbour_starts.size()) <= edge->first)
-      hull.neighbour_starts.push_back(static_cast<int32_t>(hull.neighbours.size()));
-    hull.neighbours.push_back(edge->second);
+    while (static_cast<int32_t>(hull.neighbor_starts.size()) <= edge->first)
+      hull.neighbor_starts.push_back(static_cast<int32_t>(hull.neighbors.size()));
+    hull.neighbors.push_back(edge->second);
   }
-  hull.neighbour_starts.push_back(static_cast<int32_t>(hull.neighbours.size()));
+  hull.neighbor_starts.push_back(static_cast<int32_t>(hull.neighbors.size()));
   return hull;
 }
 

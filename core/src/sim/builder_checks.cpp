@@ -104,7 +104,7 @@ Transformf plane_pose(std::string_view function, const Vec4f& plane) {
           ": plane: expected a normal (a, b, c) that is not zero, got (0, 0, 0)");
   const double nx = a / norm, ny = b / norm, nz = c / norm;
   const double offset = -static_cast<double>(plane.w) / norm;
-  // The shortest rotation of +z to n: (cross(z, n), 1 + nz), normalised; 1 + nz without
+  // The shortest rotation of +z to n: (cross(z, n), 1 + nz), normalized; 1 + nz without
   // cancellation.
   double qx = 0.0 - ny, qy = nx, qw = nz >= 0.0 ? 1.0 + nz : (nx * nx + ny * ny) / (1.0 - nz);
   const double length = std::sqrt(qx * qx + qy * qy + qw * qw);

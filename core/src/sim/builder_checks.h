@@ -83,7 +83,7 @@ T one_or_each(std::span<const T> values, size_t element, const T& by_default) {
 // Checks the numbers of a material and its gap.
 void check_shape_config(std::string_view function, const ShapeConfig& cfg);
 // Checks a pose and returns it with a unit quaternion. A quaternion that is of unit length to float
-// rounding keeps its bits, so that normalising twice changes nothing; one that misses by more than
+// rounding keeps its bits, so that normalizing twice changes nothing; one that misses by more than
 // 1e-3 is refused.
 Transformf checked_pose(const Where& where, const Transformf& xform);
 inline Transformf checked_pose(std::string_view function, const Transformf& xform) {

@@ -102,7 +102,7 @@ void Contacts::clear_materials() {
 
 void Contacts::check_materials(const char* function) const {
   if (!device_.is_cpu()) return;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const auto check = [&](const char* name, const DeviceArray<float>& array) {
     const float* const values = array.data();
     for (size_t row = 0; row < array.rows(); ++row)

@@ -245,12 +245,12 @@ void EditedValues::check_arrays(const Model& m) {
 // Now and, while a capture records on the CPU, before every replay.
 template <class Check>
 void EditedValues::check_all(const Model& model, Check check) {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   check(*this, model);
   LaunchRecorder* const recorder = launch_recorder();
   if (recorder == nullptr || !model.device().is_cpu()) return;
   recorder->before_replay(id_, [check, values = *this, owner = model.shared_from_this()]() mutable {
-    const Unobserved of_replays;
+    const UntrackedScope of_replays;
     check(values, *owner);
   });
 }

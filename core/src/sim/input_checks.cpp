@@ -15,7 +15,7 @@ bool is_unit(float square) { return !(std::abs(square - 1.0f) > 0.02f); }
 
 void check_rotations(const char* function, const SimState& state) {
   if (!state.device().is_cpu()) return;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const Transformf* const q = state.body_q.data();
   for (size_t b = 0; b < state.body_q.rows(); ++b) {
     const Quatf& r = q[b].q;
@@ -27,7 +27,7 @@ void check_rotations(const char* function, const SimState& state) {
 
 void check_normals(const char* function, const Contacts& contacts) {
   if (!contacts.device().is_cpu()) return;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const int32_t count =
       filled_rows(*contacts.rigid_contact_count.data(), contacts.rigid_contact_max(),
                   contacts.rigid_contact_shape0.data());

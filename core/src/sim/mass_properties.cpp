@@ -19,7 +19,7 @@ Mat33d diagonal(double x, double y, double z) {
   return {{{x, 0.0, 0.0}, {0.0, y, 0.0}, {0.0, 0.0, z}}};
 }
 
-// What moving a mass by p away from its centre adds to its inertia.
+// What moving a mass by p away from its center adds to its inertia.
 Mat33d parallel_axis(double mass, const Vec3d& p) {
   const double xx = p.x * p.x, yy = p.y * p.y, zz = p.z * p.z;
   const double xy = -p.x * p.y * mass, xz = -p.x * p.z * mass, yz = -p.y * p.z * mass;
@@ -157,7 +157,7 @@ MassProperties shape_mass(std::string_view function, GeoType type, const Vec3f& 
   const MassProperties taken = solid_mass(type, inside, density);
   const double m = mass.mass - taken.mass;
   const Vec3d com = (mass.com * mass.mass - taken.com * taken.mass) / m;
-  // Both moved to the centre of the shell.
+  // Both moved to the center of the shell.
   Mat33d inertia = sum(mass.inertia, parallel_axis(mass.mass, mass.com - com));
   inertia = sum(inertia, taken.inertia, -1.0);
   inertia = sum(inertia, parallel_axis(taken.mass, taken.com - com), -1.0);

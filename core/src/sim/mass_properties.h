@@ -1,4 +1,4 @@
-// Mass, centre of mass and inertia of shapes and bodies, in double precision.
+// Mass, center of mass and inertia of shapes and bodies, in double precision.
 #pragma once
 
 #include <optional>

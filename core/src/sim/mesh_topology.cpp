@@ -10,7 +10,7 @@
 namespace novaphy::detail {
 namespace {
 
-uint64_t mixed(uint64_t x) {  // splitmix64's finaliser
+uint64_t mixed(uint64_t x) {  // splitmix64's finalizer
   x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9u;
   x = (x ^ (x >> 27)) * 0x94D049BB133111EBu;
   return x ^ (x >> 31);

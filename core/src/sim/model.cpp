@@ -145,7 +145,7 @@ std::shared_ptr<Model> Model::to(Device device) const {
 
 std::shared_ptr<const Model> Model::on_host() const {
   if (device().is_cpu()) return {std::shared_ptr<const Model>(), this};
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   return to(Device::cpu());
 }
 

@@ -84,7 +84,7 @@ CollapsedJoints ModelBuilder::collapse_fixed_joints(std::span<const std::string>
 }
 
 // Moves mass and shapes of each body to the one that it is merged into. Velocities are those of
-// centres of mass, which move: the bodies keep their motion.
+// centers of mass, which move: the bodies keep their motion.
 void ModelBuilder::merge_bodies(const std::vector<int32_t>& into,
                                 const std::vector<Transformf>& pose) {
   const std::vector<detail::MassProperties> masses = exact_body_masses();

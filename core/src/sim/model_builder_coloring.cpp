@@ -1,4 +1,4 @@
-// Colours of a ModelBuilder's particles.
+// Colors of a ModelBuilder's particles.
 #include <algorithm>
 #include <numeric>
 #include <queue>
@@ -10,11 +10,11 @@ namespace novaphy {
 namespace {
 
 // Which particles share an element with a particle.
-struct Neighbours {
+struct Neighbors {
   std::vector<size_t> begin;  // particles + 1
   std::vector<int32_t> items;
 
-  Neighbours(size_t particles, std::vector<std::pair<int32_t, int32_t>> pairs)
+  Neighbors(size_t particles, std::vector<std::pair<int32_t, int32_t>> pairs)
       : begin(particles + 1) {
     std::sort(pairs.begin(), pairs.end());
     pairs.erase(std::unique(pairs.begin(), pairs.end()), pairs.end());
@@ -29,15 +29,15 @@ struct Neighbours {
   }
 };
 
-// The particles in the order in which the greedy colouring visits them: each one has the fewest
-// neighbours among those before it and itself; of several the one with the largest index is last.
-std::vector<int32_t> smallest_last_order(const Neighbours& neighbours) {
-  const size_t count = neighbours.begin.size() - 1;
+// The particles in the order in which the greedy coloring visits them: each one has the fewest
+// neighbors among those before it and itself; of several the one with the largest index is last.
+std::vector<int32_t> smallest_last_order(const Neighbors& neighbors) {
+  const size_t count = neighbors.begin.size() - 1;
   using Entry = std::pair<size_t, int32_t>;  // degree, minus index
   std::priority_queue<Entry, std::vector<Entry>, std::greater<>> queue;
   std::vector<size_t> degree(count);
   for (size_t p = 0; p < count; ++p) {
-    degree[p] = neighbours.of(p).size();
+    degree[p] = neighbors.of(p).size();
     queue.push({degree[p], -static_cast<int32_t>(p)});
   }
   std::vector<bool> removed(count);
@@ -49,21 +49,21 @@ std::vector<int32_t> smallest_last_order(const Neighbours& neighbours) {
     if (removed[p] || d != degree[p]) continue;  // an entry from before the degree fell
     removed[p] = true;
     order[--place] = static_cast<int32_t>(p);
-    for (const int32_t q : neighbours.of(p))
+    for (const int32_t q : neighbors.of(p))
       if (!removed[static_cast<size_t>(q)]) queue.push({--degree[static_cast<size_t>(q)], -q});
   }
   return order;
 }
 
-bool may_have(const Neighbours& neighbours, const std::vector<int32_t>& colors, size_t p,
+bool may_have(const Neighbors& neighbors, const std::vector<int32_t>& colors, size_t p,
               int32_t color) {
-  return std::ranges::none_of(neighbours.of(p),
+  return std::ranges::none_of(neighbors.of(p),
                               [&](int32_t q) { return colors[static_cast<size_t>(q)] == color; });
 }
 
-// Moves particles, in the order of their indices, from colours above the mean size to the smallest
+// Moves particles, in the order of their indices, from colors above the mean size to the smallest
 // one that may take them, until none moves.
-void balance(const Neighbours& neighbours, std::vector<int32_t>& colors, size_t color_count) {
+void balance(const Neighbors& neighbors, std::vector<int32_t>& colors, size_t color_count) {
   std::vector<size_t> size(color_count);
   for (const int32_t color : colors) ++size[static_cast<size_t>(color)];
   const size_t small = colors.size() / color_count;
@@ -74,7 +74,7 @@ void balance(const Neighbours& neighbours, std::vector<int32_t>& colors, size_t 
       size_t best = color_count;
       for (size_t color = 0; color < color_count; ++color) {
         if (size[color] < small && (best == color_count || size[color] < size[best]) &&
-            may_have(neighbours, colors, p, static_cast<int32_t>(color)))
+            may_have(neighbors, colors, p, static_cast<int32_t>(color)))
           best = color;
       }
       if (best == color_count) continue;
@@ -130,13 +130,13 @@ void ModelBuilder::color(const ColorArgs& args) {
                              for (const int32_t q : corners)
                                if (p != q) pairs.push_back({p, q});
                          });
-  const Neighbours neighbours(count, std::move(pairs));
+  const Neighbors neighbors(count, std::move(pairs));
 
   std::vector<int32_t> colors(count, -1);
   std::vector<bool> taken;
-  for (const int32_t p : smallest_last_order(neighbours)) {
+  for (const int32_t p : smallest_last_order(neighbors)) {
     taken.assign(taken.size(), false);
-    for (const int32_t q : neighbours.of(static_cast<size_t>(p)))
+    for (const int32_t q : neighbors.of(static_cast<size_t>(p)))
       if (colors[static_cast<size_t>(q)] >= 0)
         taken[static_cast<size_t>(colors[static_cast<size_t>(q)])] = true;
     const auto free =
@@ -144,7 +144,7 @@ void ModelBuilder::color(const ColorArgs& args) {
     if (free == taken.size()) taken.push_back(false);
     colors[static_cast<size_t>(p)] = static_cast<int32_t>(free);
   }
-  if (args.balance_colors && count > 0) balance(neighbours, colors, taken.size());
+  if (args.balance_colors && count > 0) balance(neighbors, colors, taken.size());
   colors_ = std::move(colors);
   color_check_ = bending ? ColorCheck::All : ColorCheck::WithoutBending;
 }
@@ -194,8 +194,8 @@ void ModelBuilder::check_coloring(std::string_view function) const {
             const bool same = *q != *p && static_cast<size_t>(*q) < colors_.size() &&
                               colors_[static_cast<size_t>(*q)] == color && color >= 0;
             require(!same, ErrorKind::Value, function, ": ", kind, " ", e,
-                    ": expected particles of different colours, got particles ", *q, " and ", *p,
-                    " of colour ", color,
+                    ": expected particles of different colors, got particles ", *q, " and ", *p,
+                    " of color ", color,
                     "; call color() after the elements are added, or set_coloring with "
                     "allow_conflicts");
           }

@@ -55,11 +55,11 @@ std::vector<Vec3f> world_offsets(int32_t count, const Vec3f& spacing, Axis up_ax
     }
     offsets[static_cast<size_t>(world)] = {at[0], at[1], at[2]};
   }
-  float centre[3];
+  float center[3];
   for (int axis = 0; axis < 3; ++axis)
-    centre[axis] =
+    center[axis] =
         axis == static_cast<int>(up_axis) ? 0.0f : lower[axis] + (upper[axis] - lower[axis]) / 2.0f;
-  for (Vec3f& offset : offsets) offset = offset - Vec3f{centre[0], centre[1], centre[2]};
+  for (Vec3f& offset : offsets) offset = offset - Vec3f{center[0], center[1], center[2]};
   return offsets;
 }
 

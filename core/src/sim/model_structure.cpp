@@ -55,7 +55,7 @@ void Model::check_worlds(std::string_view function) const {
     const auto& [name, array] = arrays[k];
     if (world_stamps_[k].matches(*array)) [[likely]]
       continue;
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     const std::lock_guard lock(derived_mutex_);
     const std::vector<int32_t> world = array->to_host();
     for (size_t row = 0; row < world.size(); ++row)
@@ -73,7 +73,7 @@ void Model::check_structure(std::string_view function) const {
   const Array* const arrays[] = {NOVAPHY_MODEL_STRUCTURE(NOVAPHY_STRUCTURE_ARRAY)};
 #undef NOVAPHY_STRUCTURE_ARRAY
   depend_on(arrays);
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const auto check = [&](const char* name, const Array& array, DerivedStamp& stamp,
                          const std::vector<int32_t>& made, bool real) {
     if (stamp.matches(array)) [[likely]]

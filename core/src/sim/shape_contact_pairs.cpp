@@ -83,7 +83,7 @@ const DeviceArray<Vec2i>& ShapePairList::get(
   if (is_made()) return pairs_;
   const std::lock_guard lock(mutex_);
   if (is_made()) return pairs_;
-  const Unobserved unobserved;  // no part of what a capture records
+  const UntrackedScope untracked;  // no part of what a capture records
   std::vector<Vec2i> pairs;
   if (columns_ != nullptr)
     pairs = make_shape_contact_pairs(columns_->body, columns_->flags, columns_->collision_group,

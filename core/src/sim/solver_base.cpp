@@ -209,7 +209,7 @@ void SolverBase::watch_overflow(const char* name, const Contacts& contacts) cons
   if (!device().is_cpu() &&
       (launch_recorder() != nullptr || !std::has_single_bit(++overflow_looks_)))
     return;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const auto found = [&](const DeviceArray<int32_t>& count) {
     return device().is_cpu() ? *count.data() : count.to_host()[0];
   };
@@ -233,7 +233,7 @@ SimState& SolverBase::next_state(const char* name) {
           " on an active Tape: state_out: expected another state than state_in, whose values the "
           "gradient needs; take two states, rollout of a Trajectory, or nova.no_grad()");
   if (next_ == nullptr) {
-    const Unobserved fresh;  // memory that no capture has seen
+    const UntrackedScope fresh;  // memory that no capture has seen
     next_ = std::make_unique<SimState>(*model_);
   }
   size_t k = 0;

@@ -151,7 +151,7 @@ SimState Trajectory::recompute(int32_t t) const {
   require(t >= 0 && t <= steps(), ErrorKind::Index,
           "Trajectory.recompute: expected 0 <= t <= ", steps(), ", got ", t);
   if (ArrayObserver* observer = array_observer()) observer->host_read("Trajectory.recompute");
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   if (keeps(t)) return state(t).clone();
   require(static_cast<bool>(step_), ErrorKind::Runtime,
           "Trajectory.recompute: there was no rollout yet");

@@ -33,7 +33,7 @@ void UnsupportedMaterials::check(const Model& model) {
   for (size_t k = 0; k < known_.size(); ++k) {
     const Setting& setting = settings[k];
     if (setting.is_read || setting.array.rows() == 0 || known_[k].matches(setting.array)) continue;
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     const std::vector<float> values = setting.array.to_host();
     for (size_t s = 0; s < values.size(); ++s)
       require(values[s] == setting.by_default || (setting.may_be_zero && values[s] == 0.0f),
@@ -49,7 +49,7 @@ void UnsupportedMaterials::check(const Model& model) {
 void UnsupportedMaterials::check_ropes(const Model& model) {
   const DeviceArray<uint8_t>& ropes = model.particle_spring_tension_only;
   if (ropes.rows() == 0 || ropes_.matches(ropes)) return;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const std::vector<uint8_t> values = ropes.to_host();
   for (size_t e = 0; e < values.size(); ++e)
     require(values[e] == 0, ErrorKind::NotImplemented, solver_,

@@ -14,7 +14,7 @@
 
 namespace novaphy {
 namespace detail {
-const char* articulation_kernels_text();
+const char* articulation_kernels_source();
 }
 
 namespace art = articulation;
@@ -57,7 +57,7 @@ ActuationArrays Actuators::inputs(const Model& m, const SimState& state, const C
 
 Actuators::Actuators(const Model& m) : any_(m.actuator_count() > 0) {
   if (!any_) return;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const Device device = m.device();
   std::vector<int32_t> dof = m.actuator_dof.to_host();
   if (std::any_of(dof.begin(), dof.end(), [](int32_t d) { return d < 0; })) {
@@ -160,7 +160,7 @@ void Actuators::check(const Model& m, const char* user, bool gradient_by_gravcom
   bool same = true;
   for (size_t i = 0; i < std::size(arrays); ++i) same = same && checked_[i].matches(*arrays[i]);
   if (!same) {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     const OnHost<float> gravcomp(m.body_gravcomp);
     has_gravcomp_ = false;
     for (size_t b = 0; b < gravcomp.size(); ++b)
@@ -195,12 +195,12 @@ GravcompInputs gravcomp_inputs(const Model& m, const Array& body_f) {
 // Never destroyed: recordings refer to them.
 const ActuationKernels& actuation_kernels() {
   static const auto& kernels =
-      *new ActuationKernels{{actuation, detail::articulation_kernels_text},
-                            {actuation_vjp, detail::articulation_kernels_text},
-                            {actuation_jvp, detail::articulation_kernels_text},
-                            {gravity_compensation, detail::articulation_kernels_text},
-                            {gravity_compensation_vjp, detail::articulation_kernels_text},
-                            {gravity_compensation_jvp, detail::articulation_kernels_text}};
+      *new ActuationKernels{{actuation, detail::articulation_kernels_source},
+                            {actuation_vjp, detail::articulation_kernels_source},
+                            {actuation_jvp, detail::articulation_kernels_source},
+                            {gravity_compensation, detail::articulation_kernels_source},
+                            {gravity_compensation_vjp, detail::articulation_kernels_source},
+                            {gravity_compensation_jvp, detail::articulation_kernels_source}};
   return kernels;
 }
 
@@ -225,7 +225,7 @@ ActuatedStep::Read ActuatedStep::begin(const Model& m, const SimState& in, const
   if (actuators_.any()) {
     const ActuationArrays inputs = Actuators::inputs(m, in, control);
     if (memory_[0].rows() == 0) {
-      const Unobserved unobserved;
+      const UntrackedScope untracked;
       for (size_t i = 0; i < art::kActuated; ++i)
         memory_[i] = DeviceArray<float>(inputs[i].rows(), m.device());
       if (on_host_) memory_[art::kNextActivation] = DeviceArray<float>(in.act.rows(), m.device());
@@ -247,7 +247,7 @@ ActuatedStep::Read ActuatedStep::begin(const Model& m, const SimState& in, const
 void ActuatedStep::push(const Model& m, const SimState& in, const Control* control, Read& read) {
   const BodyActuators& all = *actuators_.on_bodies();
   if (pushed_f_.rows() == 0) {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     pushed_f_ = DeviceArray<SpatialVectorf>(in.body_f.rows(), m.device());
   }
   const BodyActuationArguments a = {
@@ -262,7 +262,7 @@ void ActuatedStep::push(const Model& m, const SimState& in, const Control* contr
 
 void ActuatedStep::lift(const Model& m, Read& read) {
   if (body_f_.rows() == 0) {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     body_f_ = DeviceArray<SpatialVectorf>(read.body_f.rows(), m.device());
   }
   const GravcompArguments a = {.in = gravcomp_inputs(m, read.body_f), .out = body_f_};

@@ -14,7 +14,7 @@
 
 namespace novaphy {
 namespace detail {
-const char* articulation_functions_kernels_text();
+const char* articulation_functions_kernels_source();
 }
 namespace {
 
@@ -22,7 +22,7 @@ using Function = ArticulationFunction;
 
 const Kernel<ArticulationFunctionArguments>& kernel() {
   static const auto& kernel = *new Kernel<ArticulationFunctionArguments>(
-      articulation_function, detail::articulation_functions_kernels_text);
+      articulation_function, detail::articulation_functions_kernels_source);
   return kernel;
 }
 
@@ -157,7 +157,7 @@ class Evaluation {
     });
   }
   void launch(Function f, std::vector<int32_t>& status) const {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     const Device device = model_.device();
     const DeviceArray<float> given = DeviceArray<float>::from_host(given_, device);
     const DeviceArray<float> workspace(count() * numbers(f), device);

@@ -65,7 +65,7 @@ class ArticulationEvaluation {
     tree.com = a.com;
     tree.inertia = a.inertia;
     tree.gravity = a.gravity[rows.world];
-    tree.followers = rows.followers;
+    tree.mimics = rows.mimics;
     tree.joints_in_a_row = rows.joints_in_a_row;
     unsigned char* const memory = reinterpret_cast<unsigned char*>(a.workspace + i * a.stride);
     ws = articulation::make_workspace<float>(memory, tree.link_count, tree.dof_count);

@@ -55,7 +55,7 @@ NOVAPHY_ROW_KERNEL(articulation_step_vjp, ArticulationStepVjpArguments) {
   articulation::step_vjp_inputs(tree, in, options, step_gradient(a), ws, adjoint);
 }
 
-// The gradient of gravity {worlds} from that of body_f: a force at each centre of mass, with its
+// The gradient of gravity {worlds} from that of body_f: a force at each center of mass, with its
 // mass. One row, so that the sums have one order. wrenches: the gradient of body_f, which goes on
 // to body_f.
 struct GravityGradientArguments {

@@ -11,13 +11,13 @@
 
 namespace novaphy {
 namespace detail {
-const char* articulation_kernels_text();
+const char* articulation_kernels_source();
 }
 
 // Never destroyed: recordings refer to it.
 const Kernel<ArticulationStepArguments>& tree_step_kernel() {
   static const auto& kernel = *new Kernel<ArticulationStepArguments>(
-      kInChunks<articulation_step, kTreeRows>, detail::articulation_kernels_text);
+      kInChunks<articulation_step, kTreeRows>, detail::articulation_kernels_source);
   return kernel;
 }
 

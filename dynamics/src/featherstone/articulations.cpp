@@ -65,7 +65,7 @@ class TreeMaker {
 
   void begin() { first_ = static_cast<int32_t>(links.size()); }
   // Of the articulation that is being made.
-  int32_t followers() const {
+  int32_t mimics() const {
     return static_cast<int32_t>(
         std::count_if(links.begin() + first_, links.end(), articulation::follows));
   }
@@ -122,7 +122,7 @@ class TreeMaker {
   }
 
   // The link of a joint with one dof that follows another, and of the one that it follows in the
-  // end: a follower may lead others.
+  // end: a mimic joint may lead others.
   void follow(int32_t joint) {
     const int32_t* const leaders = model_.joint_mimic.data();
     if (leaders[joint] < 0) return;
@@ -201,8 +201,8 @@ double matrix_condition(const articulation::Tree<float>& tree, const float* q,
   double sizes[2];  // of the matrix, and of its inverse
   for (int inverse = 0; inverse < 2; ++inverse) {
     std::vector<double> x(static_cast<size_t>(n), 1.0);
-    articulation::for_followers(
-        tree, [&](int32_t f, int32_t, float) { x[static_cast<size_t>(f)] = 0.0; });
+    articulation::for_mimics(tree,
+                             [&](int32_t f, int32_t, float) { x[static_cast<size_t>(f)] = 0.0; });
     for (int turn = 0; turn < 20; ++turn) {
       const double length = std::sqrt(std::inner_product(x.begin(), x.end(), x.begin(), 0.0));
       for (int64_t i = 0; i < n; ++i) {
@@ -258,7 +258,7 @@ Articulations::Articulations(const Model& model, const char* user, For purpose) 
     const int32_t in_a_row = trees.joints_in_a_row();
     for (const int32_t value :
          {first_link, trees.link_count(), first_dof, dofs, world < 0 ? m.world_count() - 1 : world,
-          moves ? 1 : 0, trees.followers(), in_a_row})
+          moves ? 1 : 0, trees.mimics(), in_a_row})
       rows.push_back(value);
     in_long_tree_.insert(in_long_tree_.end(), static_cast<size_t>(dofs),
                          in_a_row > articulation::kMatrixJoints ? 1 : 0);
@@ -287,7 +287,7 @@ articulation::Tree<float> Articulations::tree(const Model& m, int64_t i) const {
           m.body_com.data(),
           m.body_inertia.data(),
           m.gravity.data()[rows.world],
-          rows.followers,
+          rows.mimics,
           rows.joints_in_a_row};
 }
 
@@ -305,7 +305,7 @@ std::string Articulations::matrix_name(const Model& m, int32_t dof, const SimSta
   int64_t row = 0;
   articulation::Tree<float> tree = this->tree(m, row);
   while (dof >= tree.first_dof + tree.dof_count) tree = this->tree(m, ++row);
-  if (tree.followers == 0) return name;
+  if (tree.mimics == 0) return name;
   const double condition =
       matrix_condition(tree, state->joint_q.data(), m.joint_armature.data() + tree.first_dof);
   if (!(condition > 1e5)) return name;
@@ -363,7 +363,7 @@ void Articulations::check_values(const Model& m, const Control* control, bool fr
   bool same = true;
   for (size_t i = 0; i < std::size(arrays); ++i) same = same && checked_[i].matches(*arrays[i]);
   if (same) return;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const OnHost<uint8_t> enabled(m.joint_enabled);
   const OnHost<float> dry(m.joint_friction), act(joint_act);
   const OnHost<int32_t> flags(m.body_flags);

@@ -10,12 +10,12 @@
 
 namespace novaphy {
 namespace detail {
-const char* body_actuation_kernels_text();
+const char* body_actuation_kernels_source();
 }
 
 BodyActuators::BodyActuators(const Model& m)
     : articulations_(m, "model.actuator_body", Articulations::For::Steps) {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const OnHost<int32_t> dof(m.actuator_dof), joint_parent(m.joint_parent),
       joint_child(m.joint_child), tree_of_joint(m.joint_articulation),
       words(articulations_.links()), row_words(articulations_.rows());
@@ -68,7 +68,7 @@ BodyActuators::BodyActuators(const Model& m)
 
 void BodyActuators::forces(const Model& m, const SimState& state, const Number& number,
                            std::vector<float>& all) const {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   SimState placed = m.state();
   eval_fk(m, state.joint_q, state.joint_qd, placed);
   const OnHost<Transformf> body_q(placed.body_q), frame(m.actuator_frame),
@@ -98,9 +98,9 @@ void BodyActuators::forces(const Model& m, const SimState& state, const Number& 
 // Never destroyed: recordings refer to them.
 const BodyActuationKernels& body_actuation_kernels() {
   static const auto& kernels =
-      *new BodyActuationKernels{{body_actuation, detail::body_actuation_kernels_text},
-                                {body_actuation_vjp, detail::body_actuation_kernels_text},
-                                {body_actuation_jvp, detail::body_actuation_kernels_text}};
+      *new BodyActuationKernels{{body_actuation, detail::body_actuation_kernels_source},
+                                {body_actuation_vjp, detail::body_actuation_kernels_source},
+                                {body_actuation_jvp, detail::body_actuation_kernels_source}};
   return kernels;
 }
 

@@ -8,8 +8,8 @@
 
 namespace novaphy {
 namespace detail {
-const char* articulation_contact_kernels_text();
-const char* articulation_contact_vjp_kernels_text();
+const char* articulation_contact_kernels_source();
+const char* articulation_contact_vjp_kernels_source();
 }  // namespace detail
 
 struct ContactKernels {
@@ -17,8 +17,8 @@ struct ContactKernels {
   Kernel<decltype(articulation_##name)::Arguments> name{articulation_##name, text};
 #define NOVAPHY_STEP_KERNEL(name) \
   Kernel<ArticulationContactStepArguments> name{kInChunks<articulation_##name, kTreeRows>, text};
-  static constexpr DeviceText text = detail::articulation_contact_kernels_text,
-                              vjp_text = detail::articulation_contact_vjp_kernels_text;
+  static constexpr DeviceText text = detail::articulation_contact_kernels_source,
+                              vjp_text = detail::articulation_contact_vjp_kernels_source;
   NOVAPHY_CONTACT_KERNEL(contact_group)
   NOVAPHY_STEP_KERNEL(contact_step)
   NOVAPHY_STEP_KERNEL(contact_open)

@@ -53,7 +53,7 @@ ContactSteps::ContactSteps(const Model& m, const Articulations& articulations)
       contact_stride_(numbers(island_contact_bytes(articulations.max_dofs()))),
       none_({}, m.device()),
       adjoint_stride_(numbers(adjoint_contact_bytes(articulations.max_dofs()))) {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const Device device = m.device();
   const std::vector<int32_t> rows = articulations.rows().to_host(),
                              links = articulations.links().to_host(),
@@ -64,7 +64,7 @@ ContactSteps::ContactSteps(const Model& m, const Articulations& articulations)
   std::vector<int32_t> sides(2 * static_cast<size_t>(m.body_count()), -1), moved_by;
   for (size_t i = 0; i < count; ++i) {
     art::Tree<float> tree;
-    tree.followers = all_rows[i].followers;
+    tree.mimics = all_rows[i].mimics;
     tree.joints_in_a_row = all_rows[i].joints_in_a_row;
     has_long_trees_ = has_long_trees_ || !art::has_matrix(tree);
     tree.link_count = all_rows[i].link_count;
@@ -162,7 +162,7 @@ void ContactSteps::reserve(int64_t contacts) {
 
 bool ContactSteps::has_friction() {
   if (!friction_stamp_.matches(model_.joint_friction)) {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     const OnHost<float> friction(model_.joint_friction);
     has_friction_ = std::any_of(friction.data(), friction.data() + friction.size(),
                                 [](float x) { return x > 0.0f; });
@@ -296,7 +296,7 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
   const int64_t trees = articulations_.count();
   const auto numbers = static_cast<size_t>(trees * tree_stride_);
   if (!fuses && trees_memory_.size() < numbers) {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     trees_memory_ = DeviceArray<float>(numbers, model_.device());
   }
   ArticulationContactStepArguments a =

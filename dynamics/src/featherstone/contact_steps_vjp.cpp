@@ -24,7 +24,7 @@ constexpr int64_t kSomeNotes = 128;  // rows that add up the notes of groups
 }  // namespace
 
 bool ContactSteps::reserve_notes() {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const Device device = model_.device();
   const auto groups = static_cast<size_t>(groups_);
   const auto contacts = static_cast<size_t>(std::max<int64_t>(capacity_, 1));
@@ -56,7 +56,7 @@ void ContactSteps::note_branches() const {
 }
 
 void ContactSteps::clear_branches() {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   if (branches_.rows() == 0) branches_ = DeviceArray<int32_t>(1, model_.device(), kBranchNumbers);
   const ContactBranches none;
   branches_.Array::copy_from_host(&none, sizeof(none));
@@ -68,7 +68,7 @@ bool ContactSteps::has_seen() const {
 ContactBranches ContactSteps::branches() const {
   ContactBranches all;
   if (branches_.rows() == 0) return all;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   branches_.copy_to_host(&all, sizeof(all));
   return all;
 }
@@ -103,7 +103,7 @@ void ContactSteps::copy(const ContactArguments& from, const ContactArguments& to
 }
 
 void ContactSteps::reserve_adjoint(bool dry, bool materials) {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const Device device = model_.device();
   const int64_t slots = std::max<int64_t>(capacity_, 1);
   const int64_t dofs = std::max(adjoint_dofs_, dry ? group_dofs_ : 0);
@@ -182,7 +182,7 @@ void ContactSteps::jvp(const ArticulationJvpArguments& step, const ContactArgume
   const int64_t stride = dual_contact_bytes(articulations_.max_dofs()) / 4;
   const auto numbers = static_cast<size_t>(std::max<int64_t>(contacts.most, 1) * stride);
   if (tangent_memory_.size() < numbers) {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     tangent_memory_ = DeviceArray<float>(numbers, model_.device());
   }
   list_contacts(contacts, {});
@@ -204,7 +204,7 @@ void ContactSteps::jvp(const ArticulationJvpArguments& step, const ContactArgume
 
 void ContactSteps::check_adjoint(const char* user) const {
   if (adjoint_status_.rows() == 0) return;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   for (const int32_t s : adjoint_status_.to_host())
     require(
         s == 0, ErrorKind::Runtime, user,

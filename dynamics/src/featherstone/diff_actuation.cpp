@@ -129,7 +129,7 @@ class Push {
   void jvp(const Tensor& to, const Of& tangent) const {
     const BodyActuators& all = *actuators_->on_bodies();
     const auto memory = [&](int64_t numbers) {
-      const Unobserved unobserved;
+      const UntrackedScope untracked;
       return DeviceArray<float>(static_cast<size_t>(numbers), model_->device());
     };
     std::vector<DeviceArray<float>> duals;  // of what the trees read

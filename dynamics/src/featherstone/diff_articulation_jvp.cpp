@@ -56,7 +56,7 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
   if (solves) bytes += dofs * dofs * static_cast<int64_t>(sizeof(DualFloat));
   const int64_t stride = bytes / 16 * 4 + 4;
   if (static_cast<int64_t>(shared.duals.size()) < duals + s.count * stride) {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     shared.duals = DeviceArray<float>(static_cast<size_t>(duals + s.count * stride), shared.device);
   }
   DualArrays memory(shared.duals);

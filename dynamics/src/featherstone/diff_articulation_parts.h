@@ -21,7 +21,7 @@
 #include "novaphy/nova/tape.h"
 
 namespace novaphy::detail {
-const char* articulation_kernels_text();
+const char* articulation_kernels_source();
 }
 
 namespace novaphy::diff {
@@ -139,7 +139,7 @@ struct ArticulationStep::Shared {
     const int64_t numbers = solves ? contacts.adjoint_tree_stride() : own_stride;
     if (numbers <= stride) return;
     stride = numbers;
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     workspace = DeviceArray<float>(all.size() * static_cast<size_t>(stride), device);
   }
   // Where nothing records on the cpu, which steps without launches.

@@ -8,9 +8,9 @@ namespace {
 // Never destroyed: recordings refer to them.
 struct Kernels {
   Kernel<ArticulationStepVjpArguments> vjp{kInChunks<articulation_step_vjp, kTreeRows>,
-                                           novaphy::detail::articulation_kernels_text};
+                                           novaphy::detail::articulation_kernels_source};
   Kernel<GravityGradientArguments> gravity{gravity_gradient,
-                                           novaphy::detail::articulation_kernels_text};
+                                           novaphy::detail::articulation_kernels_source};
 };
 const Kernels& kernels() {
   static const auto& all = *new Kernels;
@@ -22,7 +22,7 @@ DeviceArray<float>& wrench_memory(const Step& s) {
   const auto numbers_of = static_cast<size_t>(s.in(kAt.body_f).size());
   DeviceArray<float>& memory = s.shared->wrenches;
   if (memory.size() != numbers_of) {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     memory = DeviceArray<float>(numbers_of, s.shared->device);
   }
   return memory;

@@ -8,18 +8,18 @@
 
 namespace novaphy {
 namespace detail {
-const char* articulation_contact_jvp_kernels_text();
-const char* articulation_jvp_kernels_text();
+const char* articulation_contact_jvp_kernels_source();
+const char* articulation_jvp_kernels_source();
 }  // namespace detail
 
 struct TangentKernels {
-  Kernel<DualPackArguments> pack{dual_pack, detail::articulation_jvp_kernels_text};
+  Kernel<DualPackArguments> pack{dual_pack, detail::articulation_jvp_kernels_source};
   Kernel<ArticulationJvpArguments> step{kInChunks<articulation_step_jvp, kTreeRows>,
-                                        detail::articulation_jvp_kernels_text};
+                                        detail::articulation_jvp_kernels_source};
   Kernel<ArticulationContactJvpArguments> contact_step{
       kInChunks<articulation_contact_jvp, kTreeRows>,
-      detail::articulation_contact_jvp_kernels_text};
-  Kernel<DualTangentArguments> tangent{dual_tangent, detail::articulation_jvp_kernels_text};
+      detail::articulation_contact_jvp_kernels_source};
+  Kernel<DualTangentArguments> tangent{dual_tangent, detail::articulation_jvp_kernels_source};
 };
 // Never destroyed: recordings refer to them.
 inline const TangentKernels& tangent_kernels() {

@@ -40,7 +40,7 @@ const LaneLevel& lane_level() {
 namespace {
 
 namespace art = articulation;
-constexpr int64_t kPackChunk = 2;
+constexpr int64_t kBatchChunk = 2;
 constexpr size_t kFewest = 3;  // trees that lanes are worth for
 
 // What actuators give in place of the model's is no constant.
@@ -113,7 +113,7 @@ void TreeSteps::find_groups(const Model& m) {
         }
     }
     // Only of trees whose rows stand together, and in which no joint follows another.
-    if (rows.followers > 0 || last_joint < 0 || last_body - first.body + 1 != shape.bodies ||
+    if (rows.mimics > 0 || last_joint < 0 || last_body - first.body + 1 != shape.bodies ||
         rows.dof_count == 0)
       continue;
     shape.joints = last_joint - first.joint + 1;
@@ -192,9 +192,9 @@ void TreeSteps::renew(const Model& m) {
       group.same =
           group.same && std::memcmp(first.data(), other.data(), first.size() * sizeof(float)) == 0;
     }
-    const size_t packs = group.same ? 1 : (group.packed.size() + lanes - 1) / lanes;
-    group.lines.resize((packs * static_cast<size_t>(numbers) * lanes + 15) / 16);
-    for (size_t p = 0; p < packs; ++p)
+    const size_t batches = group.same ? 1 : (group.packed.size() + lanes - 1) / lanes;
+    group.lines.resize((batches * static_cast<size_t>(numbers) * lanes + 15) / 16);
+    for (size_t p = 0; p < batches; ++p)
       for (int32_t l = 0; l < lanes; ++l) {
         const size_t i = std::min(p * lanes + l, group.packed.size() - 1);
         constants_of(m, group.packed[i],
@@ -207,9 +207,9 @@ void TreeSteps::renew(const Model& m) {
 }
 
 // Trees of a group stand in the order of their numbers of contacts where their constants are the
-// same, so that the lanes of a pack have about as many.
+// same, so that the lanes of a batch have about as many.
 void TreeSteps::make_packs(std::span<const int32_t> trees, const TreeContacts* contacts) {
-  packs_.clear();
+  batches_.clear();
   counts_.resize(first_.size());
   keys_.resize(trees.size());
   for (size_t i = 0; i < trees.size(); ++i) {
@@ -229,15 +229,15 @@ void TreeSteps::make_packs(std::span<const int32_t> trees, const TreeContacts* c
     const auto is_coupled = [&](int32_t tree) {
       return counts_[static_cast<size_t>(tree)] <= art::kCoupledContacts;
     };
-    Pack pack{group, static_cast<int32_t>(i), 0, 0};
+    Batch batch{group, static_cast<int32_t>(i), 0, 0};
     const bool coupled = is_coupled(sorted_[i]);
-    for (; i < sorted_.size() && pack.count < level_.lanes; ++i, ++pack.count) {
+    for (; i < sorted_.size() && batch.count < level_.lanes; ++i, ++batch.count) {
       const auto tree = static_cast<size_t>(sorted_[i]);
       if (first_[tree].group != group || is_coupled(sorted_[i]) != coupled) break;
-      pack.contacts = std::max(pack.contacts, counts_[tree]);
+      batch.contacts = std::max(batch.contacts, counts_[tree]);
     }
-    NOVAPHY_ASSERT(pack.count > 0 && pack.contacts <= kMostTreeContacts);
-    packs_.push_back(pack);
+    NOVAPHY_ASSERT(batch.count > 0 && batch.contacts <= kMostTreeContacts);
+    batches_.push_back(batch);
   }
   NOVAPHY_ASSERT(sorted_.size() == trees.size());
 }
@@ -293,8 +293,8 @@ TreeSteps::Memory& TreeSteps::thread_memory() {
   static thread_local Memory memory;
   return memory;
 }
-bool TreeSteps::has_lanes(const Pack& pack) {
-  return pack.group >= 0 && pack.count >= static_cast<int32_t>(kFewest);
+bool TreeSteps::has_lanes(const Batch& batch) {
+  return batch.group >= 0 && batch.count >= static_cast<int32_t>(kFewest);
 }
 
 // A tree alone.
@@ -353,17 +353,17 @@ struct TreeSteps::FirstOfLanes {
   int32_t coord[kMostLanes], dof[kMostLanes], body[kMostLanes];
 };
 
-// What the lanes of a pack read. `constants`: memory for a pack that has none of its own.
+// What the lanes of a batch read. `constants`: memory for a batch that has none of its own.
 void TreeSteps::set_lanes(art::LaneStepArguments& s, const ArticulationArguments& in,
-                          const Model& m, const Pack& pack, FirstOfLanes& first,
+                          const Model& m, const Batch& batch, FirstOfLanes& first,
                           float* constants) const {
   const int32_t lanes = level_.lanes;
-  const Group& group = groups_[static_cast<size_t>(pack.group)];
+  const Group& group = groups_[static_cast<size_t>(batch.group)];
   const int64_t own = int64_t{group.shape.constants} * lanes;
-  const int32_t* const trees = sorted_.data() + pack.begin;
-  const auto tree_of = [&](int32_t lane) { return trees[std::min(lane, pack.count - 1)]; };
+  const int32_t* const trees = sorted_.data() + batch.begin;
+  const auto tree_of = [&](int32_t lane) { return trees[std::min(lane, batch.count - 1)]; };
   s.shape = group.shape;
-  s.used = pack.count;
+  s.used = batch.count;
   for (int32_t l = 0; l < lanes; ++l) {
     const FirstRows& rows = first_[static_cast<size_t>(tree_of(l))];
     first.coord[l] = rows.coord;
@@ -377,8 +377,8 @@ void TreeSteps::set_lanes(art::LaneStepArguments& s, const ArticulationArguments
   if (!group.same) {
     const auto at = std::lower_bound(group.packed.begin(), group.packed.end(), trees[0]);
     const auto place = at - group.packed.begin();
-    const bool whole = place % lanes == 0 && group.packed.end() - at >= pack.count &&
-                       at[pack.count - 1] == trees[pack.count - 1];
+    const bool whole = place % lanes == 0 && group.packed.end() - at >= batch.count &&
+                       at[batch.count - 1] == trees[batch.count - 1];
     s.constants += place / lanes * own;
     if (!whole) {
       for (int32_t l = 0; l < lanes; ++l) constants_of(m, tree_of(l), constants + l, lanes);
@@ -395,42 +395,42 @@ void TreeSteps::set_lanes(art::LaneStepArguments& s, const ArticulationArguments
 }
 
 // Several alike; false: one of them fails, and nothing is written.
-bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const Pack& pack,
+bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const Batch& batch,
                       const FeatherstoneOptions& options, TreeContacts* contacts, bool keep,
                       Memory& memory) const {
   const int32_t lanes = level_.lanes;
-  const art::TreeShape& shape = groups_[static_cast<size_t>(pack.group)].shape;
-  const int32_t* const trees = sorted_.data() + pack.begin;
+  const art::TreeShape& shape = groups_[static_cast<size_t>(batch.group)].shape;
+  const int32_t* const trees = sorted_.data() + batch.begin;
   constexpr int64_t kContactNumbers = sizeof(art::TreeContact<float>) / sizeof(float);
-  const int64_t state = level_.memory(shape, pack.contacts);
-  const int64_t found = pack.contacts * kContactNumbers * lanes;
+  const int64_t state = level_.memory(shape, batch.contacts);
+  const int64_t found = batch.contacts * kContactNumbers * lanes;
   const int64_t own = int64_t{shape.constants} * lanes;
-  auto* const bytes = static_cast<unsigned char*>(
-      memory.aligned(state + (found + own + (3 + 1) * pack.contacts * lanes + 3 * lanes + 64) * 4));
+  auto* const bytes = static_cast<unsigned char*>(memory.aligned(
+      state + (found + own + (3 + 1) * batch.contacts * lanes + 3 * lanes + 64) * 4));
   auto* const inputs = reinterpret_cast<float*>(bytes + (state + 63) / 64 * 64);
   float* const constants = inputs + found;
   float* const impulses = constants + own;
-  auto* const links = reinterpret_cast<int32_t*>(impulses + 3 * pack.contacts * lanes);
-  auto* const results = reinterpret_cast<float*>(links + pack.contacts * lanes);
+  auto* const links = reinterpret_cast<int32_t*>(impulses + 3 * batch.contacts * lanes);
+  auto* const results = reinterpret_cast<float*>(links + batch.contacts * lanes);
 
   art::LaneStepArguments s;
   FirstOfLanes first;
-  set_lanes(s, a.in, m, pack, first, constants);
+  set_lanes(s, a.in, m, batch, first, constants);
   s.qdd = keep ? a.qdd.rows() : nullptr;
   s.branch = a.branch;
   s.q_next = a.q_next;
   s.qd_next = a.qd_next;
   s.body_q = &a.body_q[0].p.x;
   s.body_qd = &a.body_qd[0].linear.x;
-  s.contact_count = pack.contacts;
-  if (pack.contacts > 0) {
+  s.contact_count = batch.contacts;
+  if (batch.contacts > 0) {
     std::fill_n(inputs, found, 0.0f);
-    std::fill_n(links, pack.contacts * lanes, 0);
+    std::fill_n(links, batch.contacts * lanes, 0);
     constexpr size_t kNormalZ = offsetof(art::TreeContact<float>, normal) / sizeof(float) + 2;
-    for (int32_t c = 0; c < pack.contacts; ++c)
+    for (int32_t c = 0; c < batch.contacts; ++c)
       for (int32_t l = 0; l < lanes; ++l) {
         float* const to = inputs + c * kContactNumbers * lanes + l;
-        if (l < pack.count && c < counts_[static_cast<size_t>(trees[l])])
+        if (l < batch.count && c < counts_[static_cast<size_t>(trees[l])])
           links[c * lanes + l] = contacts->fill(trees[l], c, to, lanes);
         else
           to[kNormalZ * static_cast<size_t>(lanes)] = 1.0f;
@@ -453,7 +453,7 @@ bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const 
   }
   s.memory = bytes;
   if (!level_.step(s)) return false;
-  for (int32_t l = 0; l < pack.count; ++l) {
+  for (int32_t l = 0; l < batch.count; ++l) {
     const int32_t tree = trees[l], count = counts_[static_cast<size_t>(tree)];
     a.status[tree] = 0;
     for (int32_t c = 0; c < count; ++c)
@@ -473,28 +473,28 @@ void TreeSteps::step(const ArticulationStepArguments& a, const Model& m,
   }
   renew(m);
   make_packs(trees, contacts);
-  for_chunks(static_cast<int64_t>(packs_.size()), kPackChunk,
-             [&](int64_t begin, int64_t end, int64_t) {
-               for (int64_t p = begin; p < end; ++p) {
-                 const Pack& pack = packs_[static_cast<size_t>(p)];
-                 if (has_lanes(pack) && lanes(a, m, pack, options, contacts, keep, thread_memory()))
-                   continue;
-                 for (int32_t i = 0; i < pack.count; ++i)
-                   single(a, sorted_[static_cast<size_t>(pack.begin + i)], options, contacts, keep,
-                          thread_memory());
-               }
-             });
+  for_chunks(
+      static_cast<int64_t>(batches_.size()), kBatchChunk, [&](int64_t begin, int64_t end, int64_t) {
+        for (int64_t p = begin; p < end; ++p) {
+          const Batch& batch = batches_[static_cast<size_t>(p)];
+          if (has_lanes(batch) && lanes(a, m, batch, options, contacts, keep, thread_memory()))
+            continue;
+          for (int32_t i = 0; i < batch.count; ++i)
+            single(a, sorted_[static_cast<size_t>(batch.begin + i)], options, contacts, keep,
+                   thread_memory());
+        }
+      });
 }
 
-void TreeSteps::vjp_lanes(const ArticulationStepVjpArguments& a, const Model& m, const Pack& pack,
+void TreeSteps::vjp_lanes(const ArticulationStepVjpArguments& a, const Model& m, const Batch& batch,
                           Memory& memory) const {
-  const art::TreeShape& shape = groups_[static_cast<size_t>(pack.group)].shape;
+  const art::TreeShape& shape = groups_[static_cast<size_t>(batch.group)].shape;
   const int64_t own = int64_t{shape.constants} * level_.lanes * 4;
   auto* const bytes =
       static_cast<unsigned char*>(memory.aligned(own + 64 + level_.vjp_memory(shape)));
   art::LaneVjpArguments v;
   FirstOfLanes first;
-  set_lanes(v.step, a.in, m, pack, first, reinterpret_cast<float*>(bytes));
+  set_lanes(v.step, a.in, m, batch, first, reinterpret_cast<float*>(bytes));
   v.step.memory = bytes + (own + 63) / 64 * 64;
   v.qdd = a.qdd;
   v.branch = a.branch;
@@ -522,16 +522,16 @@ void TreeSteps::vjp(const ArticulationStepVjpArguments& a, const Model& m,
   }
   renew(m);
   make_packs(trees, nullptr);
-  for_chunks(static_cast<int64_t>(packs_.size()), kPackChunk,
+  for_chunks(static_cast<int64_t>(batches_.size()), kBatchChunk,
              [&](int64_t begin, int64_t end, int64_t) {
                for (int64_t p = begin; p < end; ++p) {
-                 const Pack& pack = packs_[static_cast<size_t>(p)];
-                 if (has_lanes(pack)) {
-                   vjp_lanes(a, m, pack, thread_memory());
+                 const Batch& batch = batches_[static_cast<size_t>(p)];
+                 if (has_lanes(batch)) {
+                   vjp_lanes(a, m, batch, thread_memory());
                    continue;
                  }
-                 for (int32_t i = 0; i < pack.count; ++i)
-                   vjp_row(a, sorted_[static_cast<size_t>(pack.begin + i)], count);
+                 for (int32_t i = 0; i < batch.count; ++i)
+                   vjp_row(a, sorted_[static_cast<size_t>(batch.begin + i)], count);
                }
              });
 }

@@ -54,13 +54,13 @@ class TreeSteps {
     std::vector<articulation::Link> links = {};
     std::vector<int32_t> target_mode = {};
     bool same = false;                 // all trees have the same constants
-    std::vector<Line> lines = {};      // constants: {packs or 1, numbers, lanes}
-    std::vector<int32_t> packed = {};  // the trees of the packs, where constants differ
+    std::vector<Line> lines = {};      // constants: {batches or 1, numbers, lanes}
+    std::vector<int32_t> packed = {};  // the trees of the batches, where constants differ
   };
   struct FirstRows {
     int32_t coord = 0, body = 0, joint = 0, group = -1;  // group -1: no lanes
   };
-  struct Pack {
+  struct Batch {
     int32_t group = 0, begin = 0, count = 0;  // of sorted_
     int32_t contacts = 0;                     // the most of one
   };
@@ -74,13 +74,14 @@ class TreeSteps {
               const FeatherstoneOptions& options, TreeContacts* contacts, bool keep,
               Memory& memory);
   static Memory& thread_memory();
-  static bool has_lanes(const Pack& pack);
+  static bool has_lanes(const Batch& batch);
   struct FirstOfLanes;
   void set_lanes(articulation::LaneStepArguments& to, const ArticulationArguments& in,
-                 const Model& model, const Pack& pack, FirstOfLanes& first, float* constants) const;
-  void vjp_lanes(const ArticulationStepVjpArguments& step, const Model& model, const Pack& pack,
+                 const Model& model, const Batch& batch, FirstOfLanes& first,
+                 float* constants) const;
+  void vjp_lanes(const ArticulationStepVjpArguments& step, const Model& model, const Batch& batch,
                  Memory& memory) const;
-  bool lanes(const ArticulationStepArguments& step, const Model& model, const Pack& pack,
+  bool lanes(const ArticulationStepArguments& step, const Model& model, const Batch& batch,
              const FeatherstoneOptions& options, TreeContacts* contacts, bool keep,
              Memory& memory) const;
 
@@ -93,7 +94,7 @@ class TreeSteps {
   ArrayStamp mode_stamp_;
   std::vector<int32_t> sorted_, counts_, keys_;
   IndexRows order_;
-  std::vector<Pack> packs_;
+  std::vector<Batch> batches_;
 };
 
 }  // namespace novaphy

@@ -8,7 +8,7 @@
 
 namespace novaphy {
 
-static_assert(contact_turning_detail::kFacePreference == geometry::kFacePreference);
+static_assert(moving_contact_detail::kFacePreference == geometry::kFacePreference);
 
 std::vector<bool> exact_contact_gradients(const Model& model, const SimState& state,
                                           const Contacts& contacts) {

@@ -254,7 +254,7 @@ float stable_contact_dt(const char* function, const Model& model, const SimState
                         const Contacts& contacts, float stick_ke) {
   require(state.model_id() == model.id() && contacts.model_id() == model.id(), ErrorKind::Value,
           function, ": expected a state and contacts of the solver's model, got others");
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   require(!contacts.overflowed(), ErrorKind::Value, function,
           ": contacts: expected room for all rows, got fewer than there are; raise "
           "rigid_contact_max");
@@ -290,7 +290,7 @@ bool ContactWatch::is_due(bool is_dear) {
 void ContactWatch::look(const Model& model, const SimState& state, const Contacts& contacts,
                         float dt, bool pushed, const std::vector<uint8_t>* bodies) {
   constexpr uint64_t kDepths = 32;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   if (is_rare(steps_)) check_poses(state);
   if (contacts.rigid_contact_max() == 0) return;
   const TouchingRows rows(model, state, contacts, pushed, bodies);
@@ -418,7 +418,7 @@ void ContactWatch::look_at_pairs(const Model& model, float dt) {
   if (known) return;
   longest_dt_ = dt;
   for (size_t i = 0; i < std::size(read); ++i) read_[i].set(*read[i]);
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const std::vector<float> ke = model.shape_material_ke.to_host(),
                            kd = model.shape_material_kd.to_host(),
                            kf = model.shape_material_kf.to_host(),

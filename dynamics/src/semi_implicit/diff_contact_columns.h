@@ -5,7 +5,7 @@
 
 #include "diff_trace_columns.h"
 #include "novaphy/core/sim/enums.h"
-#include "novaphy/dynamics/semi_implicit/contact_turning_trace.h"
+#include "novaphy/dynamics/semi_implicit/moving_contact_trace.h"
 #include "novaphy/nova/kernel.h"
 
 namespace novaphy::diff::detail {

@@ -56,7 +56,7 @@ Operand allocate(int64_t rows, int32_t width, Device device) {
 // For a table that is about to be sorted anew. It does not change while a capture records, so the
 // host may read it there too.
 void check_table(const Model& model, const Array& indices) {
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const Array on_host = indices.to(Device::cpu());
   const std::span entries(static_cast<const int32_t*>(on_host.raw()),
                           on_host.bytes() / sizeof(int32_t));

@@ -214,7 +214,7 @@ void DiffJoints::begin(const Model& m, const Control* control, float dt) {
   if (m.joint_count() == 0) return;
   // No part of what a capture records: a graph refuses to run once it was written.
   depend_on({&m.joint_enabled});
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   checks_->check_edits(m, control, "DiffSemiImplicitSolver");
   if (!hold_ && !any(control != nullptr ? control->joint_f : m.joint_f)) return;
   checks_->prepare(m, {attach_.ke, attach_.kd}, dt);

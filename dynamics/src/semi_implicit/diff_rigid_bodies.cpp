@@ -284,7 +284,7 @@ void PlanePairs::update(const Model& model, bool with_contacts) {
   with_contacts_ = with_contacts;
   // The model is no part of what a capture records, so these host reads are legal there too.
   {
-    const Unobserved unobserved;
+    const UntrackedScope untracked;
     check_worlds(model);
     find_pairs(model);
   }

@@ -29,14 +29,14 @@ std::vector<Real> rigid_wrenches(TraceContext& c, const RigidKernel& of) {
   const Vec3<Real> normal = Columns(c, "normal").vec3();
   const Vec3<Real> at_a = math::transform_point(a.pose, a.point),
                    at_b = math::transform_point(b.pose, b.point);
-  TurningContact<Bool, Real> at;
+  MovingContact<Bool, Real> at;
   at.a = at_a;
   at.b = at_b;
   at.normal = normal;
   if (of.follow)
-    at = turning_contact(contact_feature_of(load_shape(c, shape0), a.pose, a.point, at_b, normal),
-                         contact_feature_of(load_shape(c, shape1), b.pose, b.point, at_a, normal),
-                         normal);
+    at = moving_contact(contact_feature_of(load_shape(c, shape0), a.pose, a.point, at_b, normal),
+                        contact_feature_of(load_shape(c, shape1), b.pose, b.point, at_a, normal),
+                        normal);
   RigidContactMaterial<Real> material =
       mean_rigid_contact_material(load_material(c, shape0), load_material(c, shape1));
   if (of.of_rows)

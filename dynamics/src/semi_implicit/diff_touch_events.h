@@ -11,7 +11,7 @@
 
 namespace novaphy::diff::detail {
 
-// Tangents of a side: of the centre of mass (or the particle), of the turn, and of both rates.
+// Tangents of a side: of the center of mass (or the particle), of the turn, and of both rates.
 using Tangent = std::array<Vec3d, 4>;
 constexpr size_t kPlace = 0, kTurn = 1, kVelocity = 2, kSpin = 3;
 inline double product(const Tangent& a, const Tangent& b) {
@@ -72,7 +72,7 @@ struct TouchEvent {
   int32_t first = 0, second = 0, point = 0;
   std::array<Tangent, 2> delay_by{};  // of the sides' places and turns
   double stiff_angle = 0.0;           // h w
-  bool turns = false;                 // the force has a moment about a centre of mass
+  bool turns = false;                 // the force has a moment about a center of mass
   // Friction takes most of the slip in a step, or changes between sticking and slipping in a stiff
   // touch or one that turns a body.
   bool shakes = false;

@@ -142,7 +142,7 @@ float largest_along(const Mat33f& a, const Vec3f& axis) {
   return largest;
 }
 
-// Of a point at `arm` from the centre of mass: 1/m + [arm]^T I^-1 [arm].
+// Of a point at `arm` from the center of mass: 1/m + [arm]^T I^-1 [arm].
 Mat33f mobility_at(const Mobility& body, const Vec3f& arm) {
   const float cross[3][3] = {{0.0f, -arm.z, arm.y}, {arm.z, 0.0f, -arm.x}, {-arm.y, arm.x, 0.0f}};
   Mat33f w{};
@@ -230,7 +230,7 @@ void JointForces::check_edits(const Model& m, const Control* control, const char
                     (!m.device().is_cpu() && arrays[i]->range() != nullptr &&
                      arrays[i]->range()->writable_export()));
   if (same) return;
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   check_covered(m, solver);
   const std::vector<float> act = joint_act.to_host();
   for (size_t k = 0; k < act.size(); ++k)
@@ -342,7 +342,7 @@ void JointForces::evaluate(const Model& m, const SimState& state, const Control*
                      : penalty_joint_wrench(frames, d, dims[j].x, dims[j].y,
                                             quaternion_at(type) == 0, attach);
       }
-      // A wrench in the world about the child's centre of mass.
+      // A wrench in the world about the child's center of mass.
       if (has_pose(type))
         wrench.child = wrench.child + SpatialVectorf{{d[0].force, d[1].force, d[2].force},
                                                      {d[3].force, d[4].force, d[5].force}};

@@ -269,7 +269,7 @@ float enough_particle_dt(const char* function, const Model& model, const SimStat
                          const Contacts* contacts, const ParticleForces& forces) {
   require(state.model_id() == model.id(), ErrorKind::Value, function,
           ": expected a state and contacts of the solver's model, got others");
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   model.update_derived();
   const std::vector<float> inv_mass = inverse_masses(model);
   const std::vector<Vec3f> q = state.particle_q.to_host();
@@ -340,7 +340,7 @@ void ParticleWatch::look(const Model& model, const ParticleForces& forces, float
   longest_dt_ = dt;
   had_contacts_ = had_contacts_ || forces.contacts;
   for (size_t i = 0; i < kRead; ++i) read_[i].set(*read[i]);
-  const Unobserved unobserved;
+  const UntrackedScope untracked;
   const ParticleLimit limit = needed_particle_dt(model, forces);
   if (dt <= limit.dt) return;
   warned_ = true;

@@ -26,7 +26,7 @@ struct TouchOptions {
 struct TouchSide {
   int32_t body = -1, particle = -1;
   bool responds = false;  // to forces
-  Vec3d arm{};            // of a body: from its centre of mass to the contact, world frame
+  Vec3d arm{};            // of a body: from its center of mass to the contact, world frame
   bool exists() const { return body >= 0 || particle >= 0; }
   bool is(const TouchSide& other) const {
     return exists() && body == other.body && particle == other.particle;

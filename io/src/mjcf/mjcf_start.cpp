@@ -13,7 +13,7 @@ struct Screw {
 // Of all that moves with a link, about the origin.
 struct Inertia {
   double mass = 0.0;
-  Vec3d moment{};  // mass times the centre
+  Vec3d moment{};  // mass times the center
   Mat33d about{};
 
   Screw momentum(const Screw& s) const {

@@ -20,7 +20,7 @@ auto at(std::string_view function, const std::string& where, Add&& add) {
   }
 }
 
-// What a viewer shows of the colour of a file, rgba; it has no alpha.
+// What a viewer shows of the color of a file, rgba; it has no alpha.
 Vec3f shown(const Vec4f& color) {
   const auto in_range = [](float x) { return x > 0.0f ? std::min(x, 1.0f) : 0.0f; };
   return {in_range(color.x), in_range(color.y), in_range(color.z)};
@@ -81,7 +81,7 @@ class Emitter {
 
   RobotImport run(ModelBuilder& target) {
     for (RobotJoint& joint : robot_.joints) start_within_limits(joint);
-    start_followers();
+    start_mimics();
     const size_t old_links = robot_.links.size();
     shapes_of_.resize(old_links + 1);
     for (size_t k = 0; k < old_links; ++k)
@@ -102,7 +102,7 @@ class Emitter {
     order();
     add_links();
     add_joints();
-    add_followers();
+    add_mimics();
     filter();
 
     for (size_t k = 0; k < old_links; ++k) {
@@ -259,7 +259,7 @@ class Emitter {
   }
 
   // They start where their leaders do.
-  void start_followers() {
+  void start_mimics() {
     for (RobotJoint& joint : robot_.joints) {
       double offset = 0.0, ratio = 1.0;
       const RobotJoint* end = &joint;
@@ -277,7 +277,7 @@ class Emitter {
   }
 
   // The leader keeps to the velocity limit of what follows it, which has none of its own.
-  void add_followers() {
+  void add_mimics() {
     for (size_t j = 0; j < robot_.joints.size(); ++j) {
       const RobotJoint& joint = robot_.joints[j];
       const RobotJoint* const leader = leader_of(joint);
@@ -358,7 +358,7 @@ class Emitter {
     for (RobotJoint& joint : robot_.joints) {
       joint.meets_parent = joint.parent >= 0 && part_of(joint.parent) == world;
       if (part_of(joint.parent) != world && options_.filter_parent)
-        neighbours_.insert(std::minmax(part_of(joint.parent), part_of(joint.child)));
+        neighbors_.insert(std::minmax(part_of(joint.parent), part_of(joint.child)));
     }
   }
 
@@ -371,7 +371,7 @@ class Emitter {
     if (!kept_.contains(std::minmax(a, b))) builder_.add_shape_collision_filter_pair(a, b);
   }
 
-  // The links of a part meet neither each other nor those of its neighbours.
+  // The links of a part meet neither each other nor those of its neighbors.
   void filter() {
     for (const auto& [a, b] : robot_.pairs)
       if (named_shapes_.contains(a) && named_shapes_.contains(b))
@@ -384,7 +384,7 @@ class Emitter {
     };
     for (size_t a = 0; a < members.size(); ++a)
       if (members[a].size() > 1) meet(a, a);
-    for (const auto& [a, b] : neighbours_)
+    for (const auto& [a, b] : neighbors_)
       if (a != b) meet(a, b);
     // What follows a motion of its own moves neither what does so nor the world.
     for (size_t k = 0; k < kinematic_.size(); ++k) {
@@ -420,8 +420,8 @@ class Emitter {
   std::vector<int32_t> body_, joint_;        // of links and joints
   std::vector<int32_t> dof_, coord_;         // of joints: their first rows
   std::vector<size_t> part_;                 // of the links of the file, and last of the world
-  std::set<std::pair<size_t, size_t>> neighbours_;  // parts that a joint connects
-  std::vector<size_t> kinematic_;                   // parts
+  std::set<std::pair<size_t, size_t>> neighbors_;  // parts that a joint connects
+  std::vector<size_t> kinematic_;                  // parts
   // Of each link of the file, and last of the world: the shapes.
   std::vector<std::vector<std::pair<int32_t, const RobotShape*>>> shapes_of_;
   std::set<std::string> in_pairs_;                         // labels of shapes

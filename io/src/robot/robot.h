@@ -124,7 +124,7 @@ void add_parts(const RobotShape& whole, MeshParts& known, std::vector<RobotShape
 // What a BALL or FREE joint has besides its frames, of the one that was added last.
 void set_ball(const RobotJoint& joint, ModelBuilder& builder);
 
-// Adds what has a mass, a centre and an inertia about that, in the frame of the link.
+// Adds what has a mass, a center and an inertia about that, in the frame of the link.
 void add_mass(RobotLink& to, double mass, const Vec3d& com, const Mat33d& inertia);
 
 // Whether a body may have this inertia: positive definite, also when it is rounded to float32.

@@ -1,4 +1,4 @@
-// neighbours
+// neighbors
 // Program 9b43e32f5b9a80f9, 16 instructions. Argument words:
 //   0  x: f32{3}, own row; 1  its rows
 //   2  other: i32{1}, row of the CSR item; 3  its rows
@@ -6,7 +6,7 @@
 //   6  out sum: f32{1}
 //   7  sum 0: CSR offsets; 8  its items
 // Computes the rows [begin, end) in groups of LANES; returns the first that it left.
-static int64_t k_neighbours_9b43e32f5b9a80f9(const uint64_t* args, int64_t begin, int64_t end,
+static int64_t k_neighbors_9b43e32f5b9a80f9(const uint64_t* args, int64_t begin, int64_t end,
                   novaphy_error_sink* sink) {
   const char* const s0 = (const char*)args[0];
   const int64_t n0 = (int64_t)args[1];

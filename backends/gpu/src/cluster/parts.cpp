@@ -53,7 +53,7 @@ class Cutter {
       }
     }
   }
-  // A part begins with the row that has the fewest free neighbours, which is at the border.
+  // A part begins with the row that has the fewest free neighbors, which is at the border.
   uint32_t next_row(const RowList& edge, const RowList& last_part, uint32_t part) const {
     uint32_t best = UINT32_MAX;
     std::pair<size_t, size_t> least;
@@ -106,16 +106,16 @@ class Cutter {
   uint32_t better_part(uint32_t row, const std::vector<size_t>& size, size_t most) const {
     const uint32_t from = part_[row];
     size_t less = 0;
-    RowList neighbours;
+    RowList neighbors;
     for (const uint32_t need : needs_[row]) {
       less += uses_[from].at(need) == 1 ? 1 : 0;
-      for (const uint32_t other : needed_by_[need]) neighbours.push_back(part_[other]);
+      for (const uint32_t other : needed_by_[need]) neighbors.push_back(part_[other]);
     }
-    make_set(neighbours);
+    make_set(neighbors);
     const auto square = [](size_t n) { return static_cast<int64_t>(n * n); };
     int64_t best = 0;
     uint32_t to = from;
-    for (const uint32_t part : neighbours) {
+    for (const uint32_t part : neighbors) {
       if (part == from || size[part] >= most) continue;
       size_t more = 0;
       for (const uint32_t need : needs_[row]) more += uses_[part].contains(need) ? 0 : 1;

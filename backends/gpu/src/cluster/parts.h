@@ -1,4 +1,4 @@
-// Cuts rows into parts that need little more than their share, if rows need what neighbours need,
+// Cuts rows into parts that need little more than their share, if rows need what neighbors need,
 // too: points of a mesh, and the elements that touch them.
 #pragma once
 

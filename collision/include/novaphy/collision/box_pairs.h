@@ -30,7 +30,7 @@ NOVAPHY_COLLISION_API std::vector<Vec2i> nxn_box_pairs(std::span<const geometry:
                                                        int64_t limit = kNoPairLimit);
 
 // Sweep and prune: shapes are sorted by the lower end of their boxes along the axis on which the
-// centres vary most, ties by index, and each is asked against those that begin before it ends,
+// centers vary most, ties by index, and each is asked against those that begin before it ends,
 // world by world. Shapes of all worlds (-1) are swept with each world. Time for n shapes:
 // n log n, less the pairs that overlap on the axis.
 //

@@ -46,7 +46,7 @@ struct CollisionOptions {
 
 // Soft contacts: a record for every active particle and every shape with
 // ShapeFlags.COLLIDE_PARTICLES, of one world or with one of both in all worlds (-1), whose distance
-// d from the particle's centre to the surface is
+// d from the particle's center to the surface is
 //   d < (soft_contact_margin + shape_margin) + particle_radius
 // with the closest point of the surface and the normal there (collision/diff_soft_contact_trace.h).
 // Planes, boxes, spheres, capsules, cylinders, cones, ellipsoids, convex hulls and meshes of the

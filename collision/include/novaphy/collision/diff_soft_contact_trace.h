@@ -30,7 +30,7 @@
 //            whose derivative is returned: kf by vt where |(mu*c)*ke| > 0, else nothing.
 //   kf*|vt| = |(mu*c)*ke|   the Coulomb side; |.| has derivative +1 at 0.
 //   kf = r m the derivative by kf.
-//   The normal jumps on a box's faces, edges and symmetry planes (box_distance), at the centre of
+//   The normal jumps on a box's faces, edges and symmetry planes (box_distance), at the center of
 //   a sphere and on the axis of a capsule (sphere_distance, capsule_distance), on edges, axis and
 //   apex of a cylinder and a cone, and on the planes of symmetry within an ellipsoid.
 // Gradient: exact in x, v_p, R, p, v_s, n, ke, kd, kf, mu, m away from these. `a` only chooses and
@@ -104,9 +104,9 @@ Vec3<T> soft_contact_force_term(const Vec3<T>& x, const Vec3<T>& v_p, const T& r
 template <class T>
 struct SoftContactBody {
   Vec3<T> position{}, velocity{};  // world frame
-  Vec3<T> arm{};                   // of the position from the centre of mass, world frame
+  Vec3<T> arm{};                   // of the position from the center of mass, world frame
 };
-// From the body's pose, twist (velocity of the centre of mass) and centre of mass (body frame), and
+// From the body's pose, twist (velocity of the center of mass) and center of mass (body frame), and
 // the point and its velocity relative to the body, both in the body's frame.
 template <class T>
 SoftContactBody<T> soft_contact_body(const Transform<T>& pose, const SpatialVector<T>& twist,
@@ -127,7 +127,7 @@ struct SurfaceDistance {
   Vec3<T> normal{};
 };
 
-// Sphere of a radius about the origin. Within 1e-8 of the centre the normal is +z.
+// Sphere of a radius about the origin. Within 1e-8 of the center the normal is +z.
 template <class T>
 SurfaceDistance<T> sphere_distance(const Vec3<T>& x, const T& radius) {
   using namespace math;
@@ -137,7 +137,7 @@ SurfaceDistance<T> sphere_distance(const Vec3<T>& x, const T& radius) {
 }
 
 // Capsule along z; half_height excludes the caps. Within 1e-8 of the axis the normal is +z, at the
-// lower cap's centre (below -half_height) -z.
+// lower cap's center (below -half_height) -z.
 template <class T>
 SurfaceDistance<T> capsule_distance(const Vec3<T>& x, const T& radius, const T& half_height) {
   using namespace math;
@@ -379,7 +379,7 @@ SurfaceDistance<T> static_shape_distance(const StaticShapeType<B>& type, const V
 // A contact record of a world-owned shape, world frame: what the force law takes.
 template <class T>
 struct StaticContact {
-  T distance{};      // m, from the particle's centre to the surface
+  T distance{};      // m, from the particle's center to the surface
   Vec3<T> point{};   // m, closest point of the surface
   Vec3<T> normal{};  // unit, out of the shape
 };

@@ -25,7 +25,7 @@ NOVAPHY_COLLISION_API geometry::MeshView mesh_view(const MeshTree& tree);
 
 // The mesh may be open. Vertices in the same place, to the bit, count as one. Triangles without
 // area never touch. Boxes are halved at the middle triangle along the longest axis of their
-// centres, ties by index: the same mesh gives the same tables.
+// centers, ties by index: the same mesh gives the same tables.
 //
 // ErrorKind::Value: no triangle; indices not a multiple of 3 or out of range; a vertex that is not
 // finite. The index is named.

@@ -1,7 +1,7 @@
 // Kernel: the launch interface of hand-written kernels (row_kernel.h). A kernel's struct of
 // arguments says how a launch accesses each array.
 //
-//   const Kernel<ScaleArguments> kScale(scale, scale_kernels_text);
+//   const Kernel<ScaleArguments> kScale(scale, scale_kernels_source);
 //   run(kScale, n, {.x = x, .y = y, .factor = 2.0f});
 //
 // DeviceKernel: the same for the builtins of backends, and for kernels without such a struct.

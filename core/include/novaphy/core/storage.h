@@ -142,12 +142,12 @@ NOVAPHY_CORE_API ArrayObserver* set_array_observer(
 
 // While one is alive no tape or capture follows what this thread does: for writes to memory that
 // nobody else has seen yet, and host reads of what stays as it is while a capture records.
-class Unobserved {
+class UntrackedScope {
  public:
-  Unobserved() : before_(set_array_observer(nullptr)) {}
-  ~Unobserved() { set_array_observer(before_); }
-  Unobserved(const Unobserved&) = delete;
-  Unobserved& operator=(const Unobserved&) = delete;
+  UntrackedScope() : before_(set_array_observer(nullptr)) {}
+  ~UntrackedScope() { set_array_observer(before_); }
+  UntrackedScope(const UntrackedScope&) = delete;
+  UntrackedScope& operator=(const UntrackedScope&) = delete;
 
  private:
   ArrayObserver* before_;

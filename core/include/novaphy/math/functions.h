@@ -25,7 +25,7 @@
 //   log         1/x everywhere, so +-inf at +-0
 //   pow         d/dx = y pow(x, y - 1), and 0 for y = 0: at x = 0 that is 0 for y > 1, 1 for y = 1,
 //               and infinite for other y. d/dy = pow(x, y) log(x); 0 where x or the value is 0; NaN
-//               for x < 0 (a whole y has no neighbours)
+//               for x < 0 (a whole y has no neighbors)
 //   asin, acos  0 at +-1 and beyond
 //   atan2       0 for both arguments at the origin
 //   rsqrt       0 for x <= 0, as sqrt

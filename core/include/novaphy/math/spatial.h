@@ -12,7 +12,7 @@
 
 namespace novaphy {
 
-// (2.63): mass, moment m c of the centre of mass c, and the symmetric rotational inertia about the
+// (2.63): mass, moment m c of the center of mass c, and the symmetric rotational inertia about the
 // origin, I_c + m (|c|^2 1 - c c^T). kg, kg m, kg m^2.
 template <class T>
 struct SpatialInertia {
@@ -100,7 +100,7 @@ SpatialVector<T> inverse_transform_force(const Transform<T>& x, const SpatialVec
           rotate_inverse(x.q, force.angular - cross(x.p, force.linear))};
 }
 
-// Of a body with its centre of mass at c and the symmetric rotational inertia `about_com`, in the
+// Of a body with its center of mass at c and the symmetric rotational inertia `about_com`, in the
 // axes of the frame.
 template <class T>
 SpatialInertia<T> spatial_inertia(const T& mass, const Vec3<T>& c, const Mat33<T>& about_com) {

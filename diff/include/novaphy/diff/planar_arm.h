@@ -1,6 +1,6 @@
 // The planar arm of two links in closed form: the recorder of its steps, and the loss of its tip.
 //
-// Two hinges about +Y, links in XOZ: c_i from joint i to the centre of mass of link i along x, l
+// Two hinges about +Y, links in XOZ: c_i from joint i to the center of mass of link i along x, l
 // from joint 1 to joint 2. With k = m2 l c2, A = (m1 c1 + m2 l) g, B = m2 c2 g, g > 0 downwards:
 //   M11 = I1 + m1 c1^2 + m2 l^2 + I2 + m2 c2^2 + 2 k cos q2 + armature1
 //   M12 = I2 + m2 c2^2 + k cos q2,  M22 = I2 + m2 c2^2 + armature2

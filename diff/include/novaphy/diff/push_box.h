@@ -31,8 +31,8 @@ struct PushBoxParameters {
   PushBoxNumber gravity = 9.81f;            // m/s^2
 };
 
-// (box_x', box_v') {1}: position (m) and velocity (m/s) of the box's centre after dt, from those of
-// the box and of the pusher's centre {1}. ErrorKind::Type: no float32 tensor; ErrorKind::Value,
+// (box_x', box_v') {1}: position (m) and velocity (m/s) of the box's center after dt, from those of
+// the box and of the pusher's center {1}. ErrorKind::Type: no float32 tensor; ErrorKind::Value,
 // naming the argument: another shape or device, a number out of its range, a state not finite.
 NOVAPHY_DIFF_API std::pair<nova::Tensor, nova::Tensor> integrate_push_box_generated(
     const nova::Tensor& box_x, const nova::Tensor& box_v, const nova::Tensor& pusher_x,

@@ -8,9 +8,9 @@
 //     angular axes        then R(a_0, q_0) R(a_1, q_1) R(a_2, q_2), each axis turned by those before
 //     BALL, FREE          a quaternion; FREE: the translation too
 //   qd           the rates of those; of BALL the angular velocity of the child relative to the
-//                parent; of FREE the velocity of its centre of mass, then its angular velocity,
+//                parent; of FREE the velocity of its center of mass, then its angular velocity,
 //                relative to the parent
-//   twists       (velocity of the centre of mass, angular velocity), m/s, rad/s
+//   twists       (velocity of the center of mass, angular velocity), m/s, rad/s
 // Law: X_child = X_parent X_p J(q) X_c^-1. Back: the angle of one angular axis is that in [-pi,
 // pi]. Angles of two and three perpendicular axes are those with the second in [-pi/2, pi/2]. Where
 // the second is at its end, their axes lie in a plane, and the rates are those of a determinant of

@@ -40,7 +40,7 @@ struct MeshOptions {
 // * The format is the ending of the name: .obj, .stl, .ply, .dae or .glb, in any case.
 // * Polygons are cut into triangles. Points and lines are left out, and so are vertices that no
 //   triangle uses: of most formats assimp does not even say that they were there.
-// * Unit and axes: .dae says both, and comes in metres with z up. The others say nothing, and their
+// * Unit and axes: .dae says both, and comes in meters with z up. The others say nothing, and their
 //   numbers stay as they are; `scale` and `rot` of add_cloth_mesh do the rest.
 // * Vertices come in the order in which the triangles use them first.
 // * The materials of an .obj are in a file beside it; without one the mesh has no color.

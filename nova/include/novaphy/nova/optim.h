@@ -64,7 +64,7 @@ NOVAPHY_NOVA_API void clip_grad_value_(const std::vector<Tensor>& params, float 
 // Limits every value of param itself to [lower, upper]; NaN stays NaN. lower <= upper.
 NOVAPHY_NOVA_API void clamp_(const Tensor& param, float lower, float upper);
 
-// ---- optimisers of several parameters ----
+// ---- optimizers of several parameters ----
 
 struct SGDOptions {
   float lr = 1e-3f;           // finite, >= 0
@@ -87,10 +87,10 @@ namespace optim {
 // and in the replays of a capture it leaves parameters and state as they are and notes that: the
 // next check() throws, which direct steps on the CPU, the replays there and the accessors of the
 // state begin with.
-class NOVAPHY_NOVA_API Optimiser {
+class NOVAPHY_NOVA_API Optimizer {
  public:
-  Optimiser(const Optimiser&) = delete;  // a copy would share the state
-  Optimiser& operator=(const Optimiser&) = delete;
+  Optimizer(const Optimizer&) = delete;  // a copy would share the state
+  Optimizer& operator=(const Optimizer&) = delete;
   const std::vector<Tensor>& params() const { return params_; }
   float lr() const { return lr_; }
   void set_lr(float lr);   // for steps from now on; a captured graph keeps its own
@@ -100,8 +100,8 @@ class NOVAPHY_NOVA_API Optimiser {
   void check() const;
 
  protected:
-  Optimiser(const char* name, std::vector<Tensor> params, float lr);
-  ~Optimiser() = default;
+  Optimizer(const char* name, std::vector<Tensor> params, float lr);
+  ~Optimizer() = default;
   // Before a step: the gradients are finite, or it throws, or unfit_ is NaN when the step runs.
   void begin_step() const;
   const char* name_;
@@ -114,7 +114,7 @@ class NOVAPHY_NOVA_API Optimiser {
 //   g += weight_decay * p;  b = momentum * b + (1 - dampening) * g, in the first step b = g;
 //   g = nesterov ? g + momentum * b : b;  p -= lr * g
 // Without momentum there is no b, and without weight decay either a step is sgd_update_f32.
-class NOVAPHY_NOVA_API SGD : public Optimiser {
+class NOVAPHY_NOVA_API SGD : public Optimizer {
  public:
   explicit SGD(std::vector<Tensor> params, const SGDOptions& options = {});
   // ErrorKind::Value: a parameter has no gradient; ErrorKind::Runtime: one that is not finite.
@@ -130,7 +130,7 @@ class NOVAPHY_NOVA_API SGD : public Optimiser {
 };
 
 // adam_update_f32 of every parameter, with one t for all.
-class NOVAPHY_NOVA_API Adam : public Optimiser {
+class NOVAPHY_NOVA_API Adam : public Optimizer {
  public:
   explicit Adam(std::vector<Tensor> params, const AdamOptions& options = {});
   void step() const;  // errors as SGD's

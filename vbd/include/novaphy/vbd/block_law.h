@@ -102,16 +102,16 @@ math::Ldlt<T, 3> factorize(const Block<T>& b, const T& regularization) {
 
 // The derivative of -u.(H d) by the entries of H, beside u: what a law is read backwards with.
 template <class T>
-Block<T> bars_of(const Vec3<T>& u, const Vec3<T>& d) {
-  Block<T> bar;
-  bar.f = u;
-  bar.h00 = -(u.x * d.x);
-  bar.h11 = -(u.y * d.y);
-  bar.h22 = -(u.z * d.z);
-  bar.h01 = -(u.x * d.y + u.y * d.x);
-  bar.h02 = -(u.x * d.z + u.z * d.x);
-  bar.h12 = -(u.y * d.z + u.z * d.y);
-  return bar;
+Block<T> adjoints_of(const Vec3<T>& u, const Vec3<T>& d) {
+  Block<T> adjoint;
+  adjoint.f = u;
+  adjoint.h00 = -(u.x * d.x);
+  adjoint.h11 = -(u.y * d.y);
+  adjoint.h22 = -(u.z * d.z);
+  adjoint.h01 = -(u.x * d.y + u.y * d.x);
+  adjoint.h02 = -(u.x * d.z + u.z * d.x);
+  adjoint.h12 = -(u.y * d.z + u.z * d.y);
+  return adjoint;
 }
 
 // The step d of H d = f.

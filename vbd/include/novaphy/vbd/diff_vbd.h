@@ -25,7 +25,7 @@ struct DiffVbdGradientInfo : GradientInfo {
 };
 
 struct DiffVbdOptions {
-  int32_t iterations = 10;         // sweeps over all colours, >= 0
+  int32_t iterations = 10;         // sweeps over all colors, >= 0
   float friction_epsilon = 1e-2f;  // m/s, > 0, see VbdOptions
   VbdInitialGuess initial_guess = VbdInitialGuess::Inertia;
   float lhs_regularization = 1e-6f;

@@ -85,14 +85,14 @@ struct VbdGradientInfo {
   bool converged = true;       // implicit: both are within the tolerance
 };
 
-// Unrolled, the derivative is exact for the sweeps that run: it goes back through every colour of
+// Unrolled, the derivative is exact for the sweeps that run: it goes back through every color of
 // every iteration, with the branches that these took. A particle moves by d = H^-1 f; with
 // u = H^-1 xbar the derivative by all that f and H read is that of u.f - u.(H d), u and d held
 // constant, which is summed over its elements.
 //
 // Implicit, it is that of the solution, where f = 0: with J = -df/dx, J^T lambda = xbar, the
 // derivative by all that f reads is that of lambda.f. The same sweeps in reverse, with d = 0, are a
-// block Gauss-Seidel iteration for lambda; it is the preconditioner of a generalised conjugate
+// block Gauss-Seidel iteration for lambda; it is the preconditioner of a generalized conjugate
 // residual method. Before, Newton's method with the tangent of the same sweeps solves the step,
 // which `forward` returns then. J holds the whole derivative, also what H leaves out.
 //
@@ -117,12 +117,12 @@ class NOVAPHY_VBD_API DifferentiableVbd {
                const DeviceArray<Vec3f>& qd_out, const std::shared_ptr<ExclusiveUse>& in_use = {});
   // From the derivatives of a scalar by the results (without rows: 0). Runs the step once more, and
   // unrolled keeps its iterates: 16 (iterations + 1) bytes for each particle.
-  void backward(const VbdStepInputs& inputs, const Array& q_out_bar, const Array& qd_out_bar,
-                const VbdStepDerivatives& gradients,
+  void backward(const VbdStepInputs& inputs, const Array& q_out_adjoint,
+                const Array& qd_out_adjoint, const VbdStepDerivatives& gradients,
                 const std::shared_ptr<ExclusiveUse>& in_use = {});
   // The derivatives of the results along a direction.
   void tangent(const VbdStepInputs& inputs, const VbdStepDerivatives& direction,
-               DeviceArray<Vec3f> q_out_slope, DeviceArray<Vec3f> qd_out_slope);
+               DeviceArray<Vec3f> q_out_tangent, DeviceArray<Vec3f> qd_out_tangent);
   // Of the last backward or tangent. ErrorKind::Runtime: there was none.
   VbdGradientInfo info() const;
 

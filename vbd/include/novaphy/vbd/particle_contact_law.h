@@ -81,9 +81,10 @@ T particle_contact_energy(const Vec3<T>& x, const Vec3<T>& start, const Particle
          (c.mu * load) * distance;
 }
 
-// The slope of mu, while x moves along dx, at which the load of friction stays: that of the energy.
+// The tangent of mu, while x moves along dx, at which the load of friction stays: that of the
+// energy.
 template <class T>
-T slope_that_keeps_load(const Vec3<T>& x, const Vec3<T>& dx, const ParticleContact<T>& c) {
+T tangent_that_keeps_load(const Vec3<T>& x, const Vec3<T>& dx, const ParticleContact<T>& c) {
   using namespace math;
   const T zero = T(0.0f), depth = c.radius - dot(c.normal, x - c.point);
   const auto acts = depth > zero;

@@ -58,30 +58,32 @@ inline int32_t input_fault(const Vec3f& q, const Vec3f& qd, const Vec3f& f, cons
 }
 
 // The derivatives of a scalar by what the adaptive guess reads besides xn, from those by x0.
-struct GuessBars {
+struct GuessAdjoints {
   Vec3f by_velocity, by_last, by_gravity;
 };
-inline GuessBars adaptive_guess_bars(const Vec3f& bar, const Vec3f& qd, const Vec3f& g, float h,
-                                     const Vec3f& last_velocity) {
+inline GuessAdjoints adaptive_guess_adjoints(const Vec3f& adjoint, const Vec3f& qd, const Vec3f& g,
+                                             float h, const Vec3f& last_velocity) {
   const Vec3f acceleration = (qd - last_velocity) / h;
   const float s = gravity_that_acted(g, acceleration), a = math::clamp(s, 0.0f, 1.0f);
-  const float by_s = s > 0.0f && s < 1.0f ? (math::dot(g, bar) * (h * h)) / math::dot(g, g) : 0.0f;
+  const float by_s =
+      s > 0.0f && s < 1.0f ? (math::dot(g, adjoint) * (h * h)) / math::dot(g, g) : 0.0f;
   const Vec3f by_speed = (g * by_s) / h;
-  return {bar * h + by_speed, by_speed * -1.0f,
-          bar * (a * (h * h)) + (acceleration - g * (2.0f * s)) * by_s};
+  return {adjoint * h + by_speed, by_speed * -1.0f,
+          adjoint * (a * (h * h)) + (acceleration - g * (2.0f * s)) * by_s};
 }
 
-// The derivative of x0 - xn along slopes of vn, g and vl.
-inline Vec3f adaptive_guess_slope(const Vec3f& qd, const Vec3f& g, float h,
-                                  const Vec3f& last_velocity, const Vec3f& qd_slope,
-                                  const Vec3f& g_slope, const Vec3f& last_slope) {
+// The derivative of x0 - xn along tangents of vn, g and vl.
+inline Vec3f adaptive_guess_tangent(const Vec3f& qd, const Vec3f& g, float h,
+                                    const Vec3f& last_velocity, const Vec3f& qd_tangent,
+                                    const Vec3f& g_tangent, const Vec3f& last_tangent) {
   const Vec3f acceleration = (qd - last_velocity) / h;
   const float s = gravity_that_acted(g, acceleration), a = math::clamp(s, 0.0f, 1.0f);
-  const float a_slope = s > 0.0f && s < 1.0f ? (math::dot((qd_slope - last_slope) / h, g) +
-                                                math::dot(acceleration - g * (2.0f * s), g_slope)) /
-                                                   math::dot(g, g)
-                                             : 0.0f;
-  return qd_slope * h + (g_slope * a + g * a_slope) * (h * h);
+  const float a_tangent = s > 0.0f && s < 1.0f
+                              ? (math::dot((qd_tangent - last_tangent) / h, g) +
+                                 math::dot(acceleration - g * (2.0f * s), g_tangent)) /
+                                    math::dot(g, g)
+                              : 0.0f;
+  return qd_tangent * h + (g_tangent * a + g * a_tangent) * (h * h);
 }
 
 }  // namespace novaphy::vbd

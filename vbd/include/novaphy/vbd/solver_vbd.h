@@ -14,7 +14,7 @@ namespace novaphy {
 enum class VbdInitialGuess { Inertia, Previous, Adaptive };
 
 struct VbdOptions {
-  int32_t iterations = 10;         // sweeps over all colours, >= 0
+  int32_t iterations = 10;         // sweeps over all colors, >= 0
   float friction_epsilon = 1e-2f;  // m/s, > 0: friction grows up to the Coulomb limit at this slip
   VbdInitialGuess initial_guess = VbdInitialGuess::Inertia;
   // Chebyshev acceleration by this spectral radius, in (0, 1), of the particles that touch nothing.
@@ -47,12 +47,12 @@ struct VbdResidual {
 // a build without NOVAPHY_WITH_VBD_CUDA. There is no contact between particles or of particles with
 // triangles.
 //
-// One step minimises, over the positions x of the particles that move,
+// One step minimizes, over the positions x of the particles that move,
 //   sum m/(2h^2) |x - y|^2 + E(x; xn),  y = xn + h vn + h^2 (g + f/m)
 // where E are the energies of the elements (vbd/elements/), and sets v = (x - xn)/h. An iteration
-// goes through the colours of the model (ModelBuilder::color, set_coloring) in order; all particles
-// of a colour move together by the 3x3 system of their own elements, from the positions before the
-// colour. Sums run per particle in a fixed order. The result has the same bits for any number of
+// goes through the colors of the model (ModelBuilder::color, set_coloring) in order; all particles
+// of a color move together by the 3x3 system of their own elements, from the positions before the
+// color. Sums run per particle in a fixed order. The result has the same bits for any number of
 // threads, on any processor and on any device.
 //
 // A step can be captured; a graph keeps the dt with which it was recorded, and throws once a number
@@ -66,7 +66,7 @@ struct VbdResidual {
 // written to state_in. particle_f acts and stays as it is.
 class NOVAPHY_VBD_API SolverVBD : public SolverBase {
  public:
-  // ErrorKind::Value: a bad option; particles without a colour; what EditedValues refuses.
+  // ErrorKind::Value: a bad option; particles without a color; what EditedValues refuses.
   // ErrorKind::Index: an element of a particle that is not there.
   explicit SolverVBD(std::shared_ptr<const Model> model, const VbdOptions& options = {});
   ~SolverVBD() override;
@@ -78,7 +78,7 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   bool supports_graph_capture() const override;
 
   // Besides the errors of SolverBase::step and of the constructor: ErrorKind::Value when the
-  // indices of elements or the colours were edited after the solver was made, and for states,
+  // indices of elements or the colors were edited after the solver was made, and for states,
   // activations and arrays of the model that are not finite; ErrorKind::Runtime for contacts that
   // overflowed, for positions that do not stay finite (state_out is not written then), and under a
   // Tape for an input that carries a gradient; ErrorKind::NotImplemented for a contact with a shape

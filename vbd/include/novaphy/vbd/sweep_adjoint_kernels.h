@@ -10,18 +10,18 @@
 
 namespace novaphy {
 
-// Derivatives of a scalar, called bars, as a sweep in reverse reads and makes them. "Added to"
+// Derivatives of a scalar, called adjoints, as a sweep in reverse reads and makes them. "Added to"
 // unless said otherwise.
 struct VbdAdjointArguments {
   NOVAPHY_ARGUMENTS(
       Part<VbdSweepArguments> sweep; Optional<Reads<VbdRow>>
-          before;                 // where the particles of the colour stood; null: they are there
-      Updates<VbdRow> x_bar;      // read; on the CPU also what particles give to their own
+          before;                 // where the particles of the color stood; null: they are there
+      Updates<VbdRow> x_adjoint;  // read; on the CPU also what particles give to their own
       Updates<VbdRow> u, d, own;  // what a particle gives to its own position, but for its slots
-      Updates<VbdRow> start_bar, target_bar; Updates<float> mass_bar;  // by mass/h^2
-      Optional<Updates<float>> contact_bars;     // kContactLawFloats for each contact of the step
-      Number<int64_t> at_rest;                   // at a solution, where f = 0: with d = 0
-      Number<int64_t> weights;                   // also by the weights of slots
+      Updates<VbdRow> start_adjoint, target_adjoint; Updates<float> mass_adjoint;  // by mass/h^2
+      Optional<Updates<float>> contact_adjoints;  // kContactLawFloats for each contact of the step
+      Number<int64_t> at_solution;                // at a solution, where f = 0: with d = 0
+      Number<int64_t> weights;                    // also by the weights of slots
       Optional<Updates<VbdRow>> multiplier;      // at rest: u, instead of solving for it; else null
       Optional<Updates<VbdRow>> multiplier_sum;  // of u; null: not wanted
       Reads<int32_t> slot_particle;              // of each lane of each slot of each role; -1: none
@@ -44,7 +44,7 @@ float* bars_of_numbers(const VbdAdjointArguments& a, const Slot<role, S>& slot) 
 }
 // The numbers [first, last).
 template <Role role, class S>
-void add_numbers(float* to, const SlotBars<role, S>& of, int first, int last) {
+void add_numbers(float* to, const SlotAdjoints<role, S>& of, int first, int last) {
   using Access = LaneAccess<S>;
   for (int k = first; k < last; ++k)
     Access::store(to + k * Access::kStride, Access::load(to + k * Access::kStride) + of.numbers[k]);
@@ -52,7 +52,7 @@ void add_numbers(float* to, const SlotBars<role, S>& of, int first, int last) {
 // What a slot gives to other particles, on devices to its own before.
 template <Role role, class S>
 void put_terms(const VbdAdjointArguments& a, const Slot<role, S>& slot,
-               const SlotBars<role, S>& of) {
+               const SlotAdjoints<role, S>& of) {
   using Access = LaneAccess<S>;
   constexpr int kOwn = Access::kLanes == 1 ? 1 : 0, kPoints = kOthers[role] + kOwn;
   float* const to = a.terms + (a.begins[kRoles + role] +
@@ -69,34 +69,36 @@ void put_terms(const VbdAdjointArguments& a, const Slot<role, S>& slot,
 template <Role role>
 constexpr bool kHasWeights = law_begin(role) > 0;
 
-template <bool at_rest, bool damped, bool weights, Role role, class S>
+template <bool at_solution, bool damped, bool weights, Role role, class S>
 Vec3<S> reverse_slot_of(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x,
-                        const Block<S>& bar) {
-  SlotBars<role, S> to;
-  slot_adjoint(SlotCase<at_rest, damped, weights>(), inputs_apart(slot, x, a.sweep.x), bar, to);
+                        const Block<S>& adjoint) {
+  SlotAdjoints<role, S> to;
+  slot_adjoint(SlotCase<at_solution, damped, weights>(), inputs_apart(slot, x, a.sweep.x), adjoint,
+               to);
   put_terms(a, slot, to);
   add_numbers(bars_of_numbers(a, slot), to, weights ? 0 : law_begin(role), kFloats[role]);
   return to.own;
 }
 // A slot of a particle at x. Returns what it gives to its own.
-template <bool at_rest, bool weights, Role role, class S>
+template <bool at_solution, bool weights, Role role, class S>
 Vec3<S> reverse_slot(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x,
-                     const Block<S>& bar) {
+                     const Block<S>& adjoint) {
   if constexpr (kHasWeights<role>)
     if (((a.sweep.damped >> role) & 1) == 0)
-      return reverse_slot_of<at_rest, false, weights>(a, slot, x, bar);
-  return reverse_slot_of < at_rest, true, weights && kHasWeights < role >> (a, slot, x, bar);
+      return reverse_slot_of<at_solution, false, weights>(a, slot, x, adjoint);
+  return reverse_slot_of < at_solution, true,
+         weights && kHasWeights < role >> (a, slot, x, adjoint);
 }
 template <bool weights, Role role, class S>
 Vec3<S> reverse_start_of(const VbdAdjointArguments& a, const Slot<role, S>& slot,
                          const Vec3<S>& x) {
   using Access = LaneAccess<S>;
   float* const numbers = bars_of_numbers(a, slot);
-  S bar[kStartFloats[role]];
+  S adjoint[kStartFloats[role]];
   for (int k = 0; k < kStartFloats[role]; ++k)
-    bar[k] = Access::load(numbers + (start_begin(role) + k) * Access::kStride);
-  SlotBars<role, S> to;
-  start_adjoint(StartCase<weights>(), inputs_apart(slot, x, a.sweep.start), bar, to);
+    adjoint[k] = Access::load(numbers + (start_begin(role) + k) * Access::kStride);
+  SlotAdjoints<role, S> to;
+  start_adjoint(StartCase<weights>(), inputs_apart(slot, x, a.sweep.start), adjoint, to);
   put_terms(a, slot, to);
   if (weights) add_numbers(numbers, to, 0, law_begin(role));
   return to.own;
@@ -119,22 +121,22 @@ Vec3<S> place_before(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
 // What contacts give.
 template <class S>
 void reverse_contacts(const VbdAdjointArguments& a, const LaneGroup<S>& g, const Vec3<S>& x,
-                      const Block<S>& bar, Vec3<S>& own, Vec3<S>& by_start) {
+                      const Block<S>& adjoint, Vec3<S>& own, Vec3<S>& by_start) {
   using math::select;
   if (a.sweep.contact_begin == nullptr) return;
   const Vec3<S> start = g.at(a.sweep.start);
   for_contacts(g, [&](const LaneContacts<S>& c) {
-    ContactBars<S> to;
-    if (a.at_rest != 0) {
-      contact_adjoint(ContactCase<true>(), x, start, c.contact, bar, to);
+    ContactAdjoints<S> to;
+    if (a.at_solution != 0) {
+      contact_adjoint(ContactCase<true>(), x, start, c.contact, adjoint, to);
     } else {
-      contact_adjoint(ContactCase<false>(), x, start, c.contact, bar, to);
+      contact_adjoint(ContactCase<false>(), x, start, c.contact, adjoint, to);
     }
     own = own + select(c.touching, to.x, Vec3<S>{});
     by_start = by_start + select(c.touching, to.start, Vec3<S>{});
     for (int l = 0; l < g.filled; ++l)
       for (int k = 0; c.number[l] >= 0 && k < kContactLawFloats; ++k) {
-        float& law = a.contact_bars[static_cast<int64_t>(c.number[l]) * kContactLawFloats + k];
+        float& law = a.contact_adjoints[static_cast<int64_t>(c.number[l]) * kContactLawFloats + k];
         law = law + LaneAccess<S>::get(to.law[k], l);
       }
   });
@@ -155,8 +157,8 @@ Reversed<S> reverse_particles(const VbdAdjointArguments& a, const LaneGroup<S>& 
     to.u = g.at(a.multiplier);
   } else {
     const auto factors = factorize(block, S(a.sweep.regularization.value));
-    if (a.at_rest == 0) to.d = solve_block(factors, block.f);
-    to.u = solve_block(factors, g.at(a.x_bar));
+    if (a.at_solution == 0) to.d = solve_block(factors, block.f);
+    to.u = solve_block(factors, g.at(a.x_adjoint));
   }
   MaskOf<S> is_particle{};
   for (int l = 0; l < g.filled; ++l) LaneAccess<S>::set(is_particle, l, true);
@@ -165,11 +167,11 @@ Reversed<S> reverse_particles(const VbdAdjointArguments& a, const LaneGroup<S>& 
   const S by_mass = math::dot(to.u, (g.at(a.sweep.target) - x) - to.d);
   Vec3<S> by_start;
   to.own = -inertia;
-  reverse_contacts(a, g, x, bars_of(to.u, to.d), to.own, by_start);
-  g.add(a.target_bar, inertia);
-  g.add(a.start_bar, by_start);
+  reverse_contacts(a, g, x, adjoints_of(to.u, to.d), to.own, by_start);
+  g.add(a.target_adjoint, inertia);
+  g.add(a.start_adjoint, by_start);
   for (int l = 0; l < g.filled; ++l) {
-    float& mass = a.mass_bar[g.particle[l]];
+    float& mass = a.mass_adjoint[g.particle[l]];
     mass = mass + LaneAccess<S>::get(by_mass, l);
   }
   if (a.multiplier_sum != nullptr) g.add(a.multiplier_sum, to.u);
@@ -182,19 +184,19 @@ void reverse_group(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
   const Vec3<S> x = place_before(a, g);
   Reversed<S> of =
       reverse_particles(a, g, x, a.multiplier != nullptr ? Block<S>() : block_at(g, x));
-  const Block<S> bar = bars_of(of.u, of.d);
-  const bool at_rest = a.at_rest != 0, weights = a.weights != 0;
+  const Block<S> adjoint = adjoints_of(of.u, of.d);
+  const bool at_solution = a.at_solution != 0, weights = a.weights != 0;
   const auto reverse = [&](const auto& slot) {
-    if (at_rest)
-      return weights ? reverse_slot<true, true>(a, slot, x, bar)
-                     : reverse_slot<true, false>(a, slot, x, bar);
-    return weights ? reverse_slot<false, true>(a, slot, x, bar)
-                   : reverse_slot<false, false>(a, slot, x, bar);
+    if (at_solution)
+      return weights ? reverse_slot<true, true>(a, slot, x, adjoint)
+                     : reverse_slot<true, false>(a, slot, x, adjoint);
+    return weights ? reverse_slot<false, true>(a, slot, x, adjoint)
+                   : reverse_slot<false, false>(a, slot, x, adjoint);
   };
   for_roles([&](auto is) {
     for_slots<decltype(is)::role>(g, [&](const auto& slot) { of.own = of.own + reverse(slot); });
   });
-  g.add(a.x_bar, of.own);
+  g.add(a.x_adjoint, of.own);
 }
 template <class S>
 void reverse_group_start(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
@@ -206,7 +208,7 @@ void reverse_group_start(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
             (a.weights != 0 ? reverse_start<true>(a, slot, x) : reverse_start<false>(a, slot, x));
     });
   });
-  g.add(a.start_bar, own);
+  g.add(a.start_adjoint, own);
 }
 
 }  // namespace vbd

@@ -17,9 +17,9 @@
 
 namespace novaphy {
 
-// Lanes of a group on devices; groups of a team where there are many; terms that a team has room
-// for (see vbd_move_team).
-constexpr int kVbdLanes = 4, kVbdLargeTeam = 8, kVbdTeamTerms = 832;
+// Lanes of a group on devices; groups of a block where there are many; terms that a block has room
+// for (see vbd_move_by_blocks).
+constexpr int kVbdLanes = 4, kVbdLargeBlock = 8, kVbdBlockTerms = 832;
 
 struct VbdSweepArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> particle;  // of each lane of each group
@@ -31,11 +31,11 @@ struct VbdSweepArguments {
                     Optional<Reads<int32_t>> contact_begin;  // null: no contacts
                     Optional<Reads<float>> contacts; Reads<VbdRow> start, target;
                     Updates<VbdRow> moved, x,
-                    to;  // where the particles of a colour go: x, or memory of its own
+                    to;  // where the particles of a color go: x, or memory of its own
                     Number<float> regularization, slip; Number<int64_t> lanes;  // of a group
                     Number<int64_t> damped;                                     // bit of each role
                     Number<int64_t> first_group, end_group,
-                    team;                    // groups of a team: 1 or kVbdLargeTeam
+                    block_groups;                    // groups of a block: 1 or kVbdLargeBlock
                     Writes<float> residual;  // of vbd_residual
   )
 };

@@ -15,22 +15,23 @@ struct VbdTangentArguments {
                     Optional<Updates<float>> numbers;  // of slots, of all their numbers
                     Each<Number<int64_t>, vbd::kRoles> begins;  // where those of a role begin
                     Optional<Reads<VbdRow>> load;               // added to the derivative of f
-                    Number<int64_t> at_rest;                    // at a solution, where f = 0
+                    Number<int64_t> at_solution;                // at a solution, where f = 0
                     // Those of friction stay, as its energy keeps them: f has a potential then.
                     Number<int64_t> keeps_loads;
                     // Written: f, its derivative, and that of the steps of the particles; null:
                     // not wanted.
-                    Optional<Updates<VbdRow>> force, force_slope, step_slope;)
+                    Optional<Updates<VbdRow>> force, force_tangent, step_tangent;)
 };
 
 namespace vbd {
 
 // Rows of particles with their derivatives.
 template <class S>
-Vec3<math::Dual<S>> gather_slopes(const VbdRow* values, const VbdRow* slopes,
-                                  const int32_t* index) {
-  return math::with_slope(LaneAccess<S>::gather(values, index),
-                          slopes != nullptr ? LaneAccess<S>::gather(slopes, index) : Vec3<S>{});
+Vec3<math::Dual<S>> gather_tangents(const VbdRow* values, const VbdRow* tangents,
+                                    const int32_t* index) {
+  return math::with_tangent(
+      LaneAccess<S>::gather(values, index),
+      tangents != nullptr ? LaneAccess<S>::gather(tangents, index) : Vec3<S>{});
 }
 
 // The lanes of a group with the derivatives of what they read.
@@ -42,25 +43,25 @@ struct TangentGroup {
   const VbdTangentArguments& a;
   const LaneGroup<S>& g;
 
-  Point place(const int32_t* p) const { return gather_slopes<S>(a.sweep.x, a.x, p); }
-  Point start(const int32_t* p) const { return gather_slopes<S>(a.sweep.start, a.start, p); }
-  static Point still(const Vec3<S>& v) { return math::with_slope(v, Vec3<S>{}); }
+  Point place(const int32_t* p) const { return gather_tangents<S>(a.sweep.x, a.x, p); }
+  Point start(const int32_t* p) const { return gather_tangents<S>(a.sweep.start, a.start, p); }
+  static Point still(const Vec3<S>& v) { return math::with_tangent(v, Vec3<S>{}); }
 
-  // The numbers of a slot; without slopes they are 0.
+  // The numbers of a slot; without tangents they are 0.
   template <Role role>
   struct Numbers {
     Slot<role, S> slot;
-    float* slopes;
+    float* tangents;
     Tangent operator[](int k) const {
-      return {slot[k], slopes != nullptr ? Access::load(slopes + k * Access::kStride) : S{}};
+      return {slot[k], tangents != nullptr ? Access::load(tangents + k * Access::kStride) : S{}};
     }
   };
   template <Role role>
   Numbers<role> numbers(const Slot<role, S>& slot) const {
-    float* const slopes = a.numbers;
-    return {slot, slopes == nullptr
+    float* const tangents = a.numbers;
+    return {slot, tangents == nullptr
                       ? nullptr
-                      : slopes + (a.begins[role].value + (slot.floats - a.sweep.floats[role]))};
+                      : tangents + (a.begins[role].value + (slot.floats - a.sweep.floats[role]))};
   }
   template <Role role>
   void add_slots(const Point& x, Block<Tangent>& block) const {
@@ -75,16 +76,17 @@ struct TangentGroup {
     const Point begin = start(g.particle);
     for_contacts(g, [&](const LaneContacts<S>& all) {
       const ParticleContact<S>& c = all.contact;
-      S slopes[kContactLawFloats] = {};
+      S tangents[kContactLawFloats] = {};
       for (int l = 0; a.contacts != nullptr && l < g.filled; ++l)
         for (int n = 0; all.number[l] >= 0 && n < kContactLawFloats; ++n)
-          Access::set(slopes[n], l,
+          Access::set(tangents[n], l,
                       a.contacts[static_cast<int64_t>(all.number[l]) * kContactLawFloats + n]);
       if (a.keeps_loads != 0)
-        slopes[3] = slope_that_keeps_load(math::value_of(x), math::slope_of(x), c);
-      const ParticleContact<Tangent> contact = {
-          still(c.point),    still(c.normal),        still(c.travel),   {c.radius, slopes[0]},
-          {c.ke, slopes[1]}, {c.kd_by_h, slopes[2]}, {c.mu, slopes[3]}, Tangent(c.slip)};
+        tangents[3] = tangent_that_keeps_load(math::value_of(x), math::tangent_of(x), c);
+      const ParticleContact<Tangent> contact = {still(c.point),      still(c.normal),
+                                                still(c.travel),     {c.radius, tangents[0]},
+                                                {c.ke, tangents[1]}, {c.kd_by_h, tangents[2]},
+                                                {c.mu, tangents[3]}, Tangent(c.slip)};
       outer = outer + where(all.touching, particle_contact_block(x, begin, contact));
     });
     return outer;
@@ -96,7 +98,7 @@ struct TangentGroup {
     S mass{};
     for (int l = 0; a.mass != nullptr && l < g.filled; ++l)
       Access::set(mass, l, a.mass[g.particle[l]]);
-    Block<Tangent> sum = inertia_block(x, gather_slopes<S>(a.sweep.target, a.target, g.particle),
+    Block<Tangent> sum = inertia_block(x, gather_tangents<S>(a.sweep.target, a.target, g.particle),
                                        Tangent(g.mass_by_h2(), mass));
     for_roles_that_are<false>([&](auto is) { add_slots<decltype(is)::role>(x, sum); });
     return sum + outer;
@@ -108,18 +110,18 @@ void tangent(const VbdTangentArguments& a, const LaneGroup<S>& g) {
   if (g.filled == 0) return;
   const TangentGroup<S> of = {a, g};
   const Block<math::Dual<S>> b = of.block(of.place(g.particle));
-  const Vec3<S> f = math::value_of(b.f), slope = math::slope_of(b.f);
+  const Vec3<S> f = math::value_of(b.f), tangent = math::tangent_of(b.f);
   if (a.force != nullptr) g.put(a.force, f);
-  if (a.force_slope != nullptr) g.put(a.force_slope, slope);
-  if (a.step_slope == nullptr) return;
+  if (a.force_tangent != nullptr) g.put(a.force_tangent, tangent);
+  if (a.step_tangent == nullptr) return;
   const Block<S> values = {f, b.h00.v, b.h11.v, b.h22.v, b.h01.v, b.h02.v, b.h12.v};
   const auto factors = factorize(values, S(a.sweep.regularization.value));
-  Vec3<S> load = slope + (a.load != nullptr ? g.at(a.load) : Vec3<S>{});
-  if (a.at_rest == 0) {
-    const Block<S> turned = {slope, b.h00.d, b.h11.d, b.h22.d, b.h01.d, b.h02.d, b.h12.d};
+  Vec3<S> load = tangent + (a.load != nullptr ? g.at(a.load) : Vec3<S>{});
+  if (a.at_solution == 0) {
+    const Block<S> turned = {tangent, b.h00.d, b.h11.d, b.h22.d, b.h01.d, b.h02.d, b.h12.d};
     load = load - multiply_stiffness(turned, solve_block(factors, f));
   }
-  g.put(a.step_slope, solve_block(factors, load));
+  g.put(a.step_tangent, solve_block(factors, load));
 }
 
 // Of what slots have of the start: written to `numbers`.
@@ -134,7 +136,7 @@ void tangent_start(const VbdTangentArguments& a, const LaneGroup<S>& g) {
       const auto numbers = of.numbers(slot);
       const auto in = inputs_of(slot, x, numbers, [&](const int32_t* p) { return of.start(p); });
       decltype(is)::Slot::put_start(in, [&](int k, const math::Dual<S>& value) {
-        LaneAccess<S>::store(numbers.slopes + (start_begin(role) + k) * LaneAccess<S>::kStride,
+        LaneAccess<S>::store(numbers.tangents + (start_begin(role) + k) * LaneAccess<S>::kStride,
                              value.d);
       });
     });

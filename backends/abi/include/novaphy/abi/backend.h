@@ -96,7 +96,7 @@ typedef enum novaphy_copy_kind {
 } novaphy_copy_kind;
 
 typedef enum novaphy_code_format {
-  NOVAPHY_CODE_PROGRAM = 0, /* serialised SSA, see program.h; mandatory; one kernel named "main" */
+  NOVAPHY_CODE_PROGRAM = 0, /* serialized SSA, see program.h; mandatory; one kernel named "main" */
   NOVAPHY_CODE_SOURCE = 1, /* freestanding C++ text (optional, see the capability bits and below) */
   NOVAPHY_CODE_BINARY = 2, /* built ahead for this device (optional); on a CPU see below */
   NOVAPHY_CODE_BUILTIN = 3 /* data = the builtin's name, see program.h; mandatory */

@@ -1,4 +1,4 @@
-/* The serialised form of a Program: the SSA of one kernel, a pure function of an index.
+/* The serialized form of a Program: the SSA of one kernel, a pure function of an index.
  *
  * out[i] = f(i) for i in [0, n). A Program has sources (read only), outputs (written at row i only), loops
  * (ordered sums, nothing else) and instructions in an order in which operands precede their users.
@@ -18,7 +18,7 @@
  *   per CSR loop: pointer to offsets[n + 1], pointer to items (null: item = position)
  *   per parameter: the 32-bit value in the low half
  *
- * Reading: LOAD takes (source, row value, column). A negative row reads 0 (an absent neighbour); a row at or
+ * Reading: LOAD takes (source, row value, column). A negative row reads 0 (an absent neighbor); a row at or
  * past the end fails the launch with INDEX_OUT_OF_RANGE. Rows are tightly packed.
  *
  * Loops: loop l runs r = 0 .. extent-1 (FIXED: the i32 parameter; CSR: the length of row i, with the item as

@@ -1,4 +1,4 @@
-// Program: the SSA of one kernel as a plain value, and what every reader of it needs (serialisation
+// Program: the SSA of one kernel as a plain value, and what every reader of it needs (serialization
 // with validation, printing, hashing, sections, guards, schedule). The meaning of the format is
 // stated in <novaphy/abi/program.h>; this header adds the C++ form, shared by the runtime and the
 // CPU backend.
@@ -106,9 +106,9 @@ void for_each_operand(const Instr& instr, F&& f) {
 // Empty when the Program keeps every rule of the format, else what is wrong with it.
 std::string validate(const Program& program, bool allow_trace_ops = false);
 
-std::vector<uint32_t> serialise(const Program& program);
+std::vector<uint32_t> serialize(const Program& program);
 // Returns false and a reason when the words are not a valid Program.
-bool deserialise(std::span<const uint32_t> words, Program& program, std::string& reason);
+bool deserialize(std::span<const uint32_t> words, Program& program, std::string& reason);
 
 std::string to_string(const Program& program);
 

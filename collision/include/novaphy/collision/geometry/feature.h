@@ -38,12 +38,12 @@ inline Feature box_feature(const Vec3f& h, const Vec3f& d) {
   Feature feature;
   feature.normal = unit_axis(axis, s);
   feature.face = 2 * axis + (positive ? 1 : 0);
-  const Vec3f centre = unit_axis(axis, s * component(h, axis)), a = unit_axis(u, component(h, u)),
+  const Vec3f center = unit_axis(axis, s * component(h, axis)), a = unit_axis(u, component(h, u)),
               b = unit_axis(v, s * component(h, v));
-  add_point(feature, (centre - a) - b);
-  add_point(feature, (centre + a) - b);
-  add_point(feature, (centre + a) + b);
-  add_point(feature, (centre - a) + b);
+  add_point(feature, (center - a) - b);
+  add_point(feature, (center + a) - b);
+  add_point(feature, (center + a) + b);
+  add_point(feature, (center - a) + b);
   return feature;
 }
 

@@ -87,7 +87,7 @@ inline Feature corners_along(const TriangleHull& t, const Vec3f& n) {
 
 // True if the mesh lies below the plane across n through the face, edge or corner of the triangle
 // that is farthest along n: about an edge as the triangle beyond it tells, about a corner as its
-// neighbours do.
+// neighbors do.
 inline bool normal_stands(const MeshView& mesh, int32_t triangle, const Vec3f& n) {
   const Vec3i t = mesh.triangles[triangle];
   const int32_t corners[3] = {t.x, t.y, t.z};

@@ -34,11 +34,11 @@ inline void add_plane_point(Manifold& manifold, const Plane& plane, const Vec3f&
 }
 
 // The contact of a sphere of B.
-inline void add_plane_sphere(Manifold& manifold, const Plane& plane, const Vec3f& centre,
+inline void add_plane_sphere(Manifold& manifold, const Plane& plane, const Vec3f& center,
                              float radius, int32_t feature) {
   const Vec3f& n = plane.normal;
-  const float d = math::dot(centre - plane.point, n) - radius;
-  add_contact(manifold, centre - n * (radius + 0.5f * d), d, feature);
+  const float d = math::dot(center - plane.point, n) - radius;
+  add_contact(manifold, center - n * (radius + 0.5f * d), d, feature);
 }
 
 inline Manifold plane_sphere(const Plane& plane, const Transformf& sphere, float radius) {
@@ -63,9 +63,9 @@ inline Manifold plane_capsule(const Plane& plane, const Transformf& capsule, flo
 inline Manifold plane_box(const Plane& plane, const Transformf& box, const Vec3f& half,
                           float reach) {
   const Vec3f& n = plane.normal;
-  const float centre = math::dot(box.p - plane.point, n);
+  const float center = math::dot(box.p - plane.point, n);
   Manifold manifold = plane_manifold(plane);
-  if (centre - 1.001f * math::length(half) > reach) return manifold;  // no corner is that near
+  if (center - 1.001f * math::length(half) > reach) return manifold;  // no corner is that near
   const Vec3f ex = math::rotate(box.q, Vec3f{1.0f, 0.0f, 0.0f});
   const Vec3f ey = math::rotate(box.q, Vec3f{0.0f, 1.0f, 0.0f});
   const Vec3f ez = math::rotate(box.q, Vec3f{0.0f, 0.0f, 1.0f});
@@ -74,7 +74,7 @@ inline Manifold plane_box(const Plane& plane, const Transformf& box, const Vec3f
     const Vec3f sign = {(k & 1) != 0 ? half.x : -half.x, (k & 2) != 0 ? half.y : -half.y,
                         (k & 4) != 0 ? half.z : -half.z};
     const Vec3f corner = (ex * sign.x + ey * sign.y) + ez * sign.z;
-    const float d = centre + math::dot(n, corner);
+    const float d = center + math::dot(n, corner);
     if (d > reach) continue;
     const ContactPoint point = {(corner + box.p) - (n * 0.5f) * d, d, k};
     if (manifold.count < 4) {
@@ -91,7 +91,7 @@ inline Manifold plane_box(const Plane& plane, const Transformf& box, const Vec3f
   return manifold;
 }
 
-// The point of the rim of a disc that is deepest below the plane, relative to its centre. u and v
+// The point of the rim of a disc that is deepest below the plane, relative to its center. u and v
 // span the disc; for a disc parallel to the plane it is u.
 inline Vec3f deepest_of_rim(const Vec3f& n, const Vec3f& u, const Vec3f& v, float radius) {
   const float x = -math::dot(n, u), y = -math::dot(n, v);
@@ -108,10 +108,10 @@ inline constexpr float kRestingCap = 0.99862953f;  // of 3 degrees
 // body, so a steeper disc, which rolls on its rim, has none. The points nearest to the deepest are
 // left out: within 1 % of the radius, or within 60 degrees on a disc that is tilted by more than 3
 // degrees.
-inline void add_plane_disc(Manifold& manifold, const Plane& plane, const Vec3f& centre,
+inline void add_plane_disc(Manifold& manifold, const Plane& plane, const Vec3f& center,
                            const Vec3f& u, const Vec3f& v, const Vec3f& axis, float radius) {
   const Vec3f deepest = deepest_of_rim(plane.normal, u, v, radius);
-  add_plane_point(manifold, plane, centre + deepest, 0);
+  add_plane_point(manifold, plane, center + deepest, 0);
   const float flatness = math::abs(math::dot(plane.normal, axis));
   if (!(flatness > kFlatCap)) return;
   const float apart = (flatness > kRestingCap ? 0.01f : 1.0f) * radius;
@@ -120,7 +120,7 @@ inline void add_plane_disc(Manifold& manifold, const Plane& plane, const Vec3f& 
                         (u * -0.5f - v * kSine) * radius};
   for (int32_t k = 0; k < 3; ++k) {
     if (math::length(rim[k] - deepest) > apart)
-      add_plane_point(manifold, plane, centre + rim[k], k + 1);
+      add_plane_point(manifold, plane, center + rim[k], k + 1);
   }
 }
 

@@ -57,7 +57,7 @@ inline bool stays(const RigidContactLimit& limit, const RigidShape& s0, const Ri
   return is_within(s0, s1, point, limit.part - 1) && before++ < limit.room;
 }
 
-// The core points of a contact: on the surface, or on the centre or axis of what has a radius.
+// The core points of a contact: on the surface, or on the center or axis of what has a radius.
 struct CorePoints {
   Vec3f a, b;
 };

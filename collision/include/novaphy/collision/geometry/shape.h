@@ -13,14 +13,14 @@
 namespace novaphy::geometry {
 
 // The tables of a convex polytope. Faces are polygons with the vertices counter-clockwise seen
-// from outside; neighbours of a vertex are those it shares an edge with.
+// from outside; neighbors of a vertex are those it shares an edge with.
 struct HullView {
   const Vec3f* vertices{};
   const Vec3f* face_normals{};   // unit, outward
   const int32_t* face_starts{};  // faces + 1 into face_vertices
   const int32_t* face_vertices{};
-  const int32_t* neighbour_starts{};  // vertices + 1 into neighbours; null: not known
-  const int32_t* neighbours{};
+  const int32_t* neighbor_starts{};  // vertices + 1 into neighbors; null: not known
+  const int32_t* neighbors{};
   int32_t vertex_count = 0;
   int32_t face_count = 0;
 };

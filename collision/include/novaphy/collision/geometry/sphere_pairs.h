@@ -1,7 +1,7 @@
 // A sphere against sphere, capsule, box, cylinder and cone, in closed form: the signed distance of
 // the center to the solid, less the radius. One contact.
 //
-// Solids of revolution are cut by the half plane through the centre (rho, z): a rectangle, a
+// Solids of revolution are cut by the half plane through the center (rho, z): a rectangle, a
 // triangle. Inside, the nearest face counts.
 //
 // Where the nearest point is not unique, the choice is fixed. For centers in one point, and for a
@@ -22,7 +22,7 @@ struct SolidPoint {
   Vec3f normal{};    // unit, outward
 };
 
-inline SolidPoint point_to_centre(const Vec3f& x) {
+inline SolidPoint point_to_center(const Vec3f& x) {
   const float l = math::length(x);
   if (!(l > 0.0f)) return {0.0f, {-1.0f, 0.0f, 0.0f}};
   return {l, x / l};
@@ -68,16 +68,16 @@ inline SolidPoint point_to_core(const Vec3f& x, const Shape& solid) {
     case GeoType::CONE:
       return point_to_cone(x, s.x, s.y);
     case GeoType::CAPSULE:
-      return point_to_centre(x - Vec3f{0.0f, 0.0f, math::clamp(x.z, -s.y, s.y)});
+      return point_to_center(x - Vec3f{0.0f, 0.0f, math::clamp(x.z, -s.y, s.y)});
     default:
-      return point_to_centre(x);
+      return point_to_center(x);
   }
 }
 
 // A is a sphere, B has a closed distance. Frame of A.
 inline Manifold collide_sphere(const ShapePair& pair, float gap) {
-  const Vec3f centre = apply_transposed(pair.rotation, -pair.offset);
-  const SolidPoint p = point_to_core(centre, *pair.b);
+  const Vec3f center = apply_transposed(pair.rotation, -pair.offset);
+  const SolidPoint p = point_to_core(center, *pair.b);
   const float ra = core_radius(*pair.a), distance = (p.distance - ra) - core_radius(*pair.b);
   Manifold manifold;
   if (!(distance <= gap)) return manifold;

@@ -3,8 +3,8 @@
 // cores overlap.
 //
 // Directions need not be of unit length; where several points are farthest, the same one comes for
-// the same direction. Polytopes with more than 32 vertices climb from neighbour to neighbour: a
-// vertex of a convex polytope without a higher neighbour is the highest.
+// the same direction. Polytopes with more than 32 vertices climb from neighbor to neighbor: a
+// vertex of a convex polytope without a higher neighbor is the highest.
 // Source: C. Ericson, Real-Time Collision Detection (2005), 9.5.
 #pragma once
 
@@ -17,14 +17,14 @@ inline constexpr int32_t kClimbAbove = 32;  // vertices
 inline int32_t hull_support_vertex(const HullView& hull, const Vec3f& d) {
   int32_t best = 0;
   float height = math::dot(hull.vertices[0], d);
-  if (hull.vertex_count > kClimbAbove && hull.neighbour_starts != nullptr) {
+  if (hull.vertex_count > kClimbAbove && hull.neighbor_starts != nullptr) {
     for (int32_t from = -1; from != best;) {
       from = best;
-      for (int32_t k = hull.neighbour_starts[from]; k < hull.neighbour_starts[from + 1]; ++k) {
-        const float h = math::dot(hull.vertices[hull.neighbours[k]], d);
+      for (int32_t k = hull.neighbor_starts[from]; k < hull.neighbor_starts[from + 1]; ++k) {
+        const float h = math::dot(hull.vertices[hull.neighbors[k]], d);
         if (h > height) {
           height = h;
-          best = hull.neighbours[k];
+          best = hull.neighbors[k];
         }
       }
     }
@@ -77,7 +77,7 @@ NOVAPHY_OUT_OF_LINE Vec3f core_support(const Shape& shape, const Vec3f& d) {
     case GeoType::CONVEX_MESH:
       return shape.hull.vertices[hull_support_vertex(shape.hull, d)];
     default:
-      return {};  // a sphere's centre
+      return {};  // a sphere's center
   }
 }
 

@@ -1,4 +1,4 @@
-// Volume, centre and inertia of a solid that a triangle mesh encloses, in double precision.
+// Volume, center and inertia of a solid that a triangle mesh encloses, in double precision.
 #pragma once
 
 #include <cstdint>

@@ -19,7 +19,7 @@ struct TetMesh {
 };
 
 struct TetMeshOptions {
-  // Meshers write nodes of the geometry that no tetrahedron uses, the centre of a circle for one.
+  // Meshers write nodes of the geometry that no tetrahedron uses, the center of a circle for one.
   // Such a node has no mass: it is refused, or with this left out (the order of the others stays).
   bool drop_loose_vertices = false;
 };

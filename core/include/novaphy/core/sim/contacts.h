@@ -46,7 +46,7 @@ struct ContactCounts {
     "shape A, of the smaller GeoType (of two alike: the smaller index); -1 in an unused row")     \
   X(rigid_contact_shape1, int32_t, 1, rigid_contact_max, "", "", "shape B; -1 in an unused row")  \
   X(rigid_contact_point0, Vec3f, 1, rigid_contact_max, "m", "body, or world",                     \
-    "point of A's core: the surface of A, or the centre of a sphere, the axis of a capsule")      \
+    "point of A's core: the surface of A, or the center of a sphere, the axis of a capsule")      \
   X(rigid_contact_point1, Vec3f, 1, rigid_contact_max, "m", "body, or world", "the same of B")    \
   X(rigid_contact_offset0, Vec3f, 1, rigid_contact_max, "m", "body, or world",                    \
     "from point0 to A's surface with its margin: normal * margin0")                               \

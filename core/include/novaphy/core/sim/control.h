@@ -15,7 +15,7 @@ class Model;
 // clang-format off
 #define NOVAPHY_CONTROL_FIELDS(X)                                                                 \
   X(joint_f, float, 1, joint_dof_count, "N or N*m", "joint",                                      \
-    "joint forces; the rows of a free joint are a world wrench about the centre of mass, "        \
+    "joint forces; the rows of a free joint are a world wrench about the center of mass, "        \
     "force first")                                                                                \
   X(joint_target_q, float, 1, joint_coord_count, "m or rad", "joint",                             \
     "position targets of the drives")                                                             \

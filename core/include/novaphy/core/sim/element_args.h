@@ -34,7 +34,7 @@ struct Placement {
 struct ParticleGridArgs {
   Placement placement = {};
   int32_t dim_x = 1, dim_y = 1, dim_z = 1;          // particles, >= 0
-  double cell_x = 0.1, cell_y = 0.1, cell_z = 0.1;  // m, distance of neighbours
+  double cell_x = 0.1, cell_y = 0.1, cell_z = 0.1;  // m, distance of neighbors
   float mass = 1.0f;                                // kg, of one particle
   double jitter = 0.0;                              // m: each coordinate moves by up to half of it
   std::optional<float> radius_mean = {};            // m

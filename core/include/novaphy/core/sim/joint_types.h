@@ -35,7 +35,7 @@ struct JointTraits {
 //   PRISMATIC (1, 1) along an axis      REVOLUTE (1, 1) about an axis, not wrapped
 //   BALL      (4, 3) quaternion xyzw; angular velocity of the child relative to the parent
 //   FIXED     (0, 0)
-//   FREE      (7, 6) position, quaternion xyzw; velocity of the child's centre of mass, then
+//   FREE      (7, 6) position, quaternion xyzw; velocity of the child's center of mass, then
 //                    angular velocity, relative to the parent
 //   DISTANCE  (7, 6) as FREE; the origins of the joint frames keep a distance
 //   D6        (n, n) translations along n_l axes, then rotations about n_a transported axes

@@ -72,7 +72,7 @@ namespace novaphy {
   X(joint_world, int32_t, 1, joint_count, "", "", "world of the joint; -1: all worlds")           \
   X(joint_mimic, int32_t, 1, joint_count, "", "", "joint that this one follows; -1: none")        \
   X(joint_mimic_coef, Vec2f, 1, joint_count, "m or rad, and their ratio", "joint",                \
-    "(a, b) of a follower: its coordinate is a + b times the other's")                            \
+    "(a, b) of a mimic joint: its coordinate is a + b times the other's")                            \
   X(joint_q, float, 1, joint_coord_count, "m or rad", "joint", "initial joint coordinates, see "  \
     "JointType")                                                                                  \
   X(joint_target_q, float, 1, joint_coord_count, "m or rad", "joint",                             \
@@ -117,7 +117,7 @@ namespace novaphy {
     "ParticleFlags; without ACTIVE a particle stays as it is")                                    \
   X(particle_world, int32_t, 1, particle_count, "", "", "world of the particle; -1: all worlds")  \
   X(particle_colors, int32_t, 1, particle_count, "", "",                                          \
-    "colour of the particle, see ModelBuilder::color; -1: none")                                  \
+    "color of the particle, see ModelBuilder::color; -1: none")                                  \
   X(particle_spring_indices, Vec2i, 1, spring_count, "", "", "ends of the springs")               \
   X(particle_spring_rest_length, float, 1, spring_count, "m", "", "length without a force")       \
   X(particle_spring_stiffness, float, 1, spring_count, "N/m", "", "spring stiffness")             \
@@ -150,16 +150,16 @@ namespace novaphy {
   X(body_q, Transformf, 1, body_count, "m, 1", "world",                                           \
     "initial poses of the body origins: position, quaternion xyzw")                               \
   X(body_qd, SpatialVectorf, 1, body_count, "m/s, rad/s", "world",                                \
-    "initial velocity of the centre of mass, then angular velocity")                              \
-  X(body_com, Vec3f, 1, body_count, "m", "body", "centre of mass")                                \
+    "initial velocity of the center of mass, then angular velocity")                              \
+  X(body_com, Vec3f, 1, body_count, "m", "body", "center of mass")                                \
   X(body_mass, float, 1, body_count, "kg", "", "masses")                                          \
   X(body_inv_mass, float, 1, body_count, "1/kg", "", "1/mass; 0 where the mass is 0")             \
   X(body_inertia, Mat33f, 1, body_count, "kg*m^2", "body",                                        \
-    "rotational inertia about the centre of mass")                                                \
+    "rotational inertia about the center of mass")                                                \
   X(body_inv_inertia, Mat33f, 1, body_count, "1/(kg*m^2)", "body",                                \
     "inverse of the inertia; 0 where that is 0")                                                  \
   X(body_gravcomp, float, 1, body_count, "1", "",                                                 \
-    "part of the weight that a force at the centre of mass takes away")                           \
+    "part of the weight that a force at the center of mass takes away")                           \
   X(body_flags, int32_t, 1, body_count, "", "",                                                   \
     "BodyFlags; a KINEMATIC body follows its velocity, no force moves it")                        \
   X(body_world, int32_t, 1, body_count, "", "", "world of the body; -1: all worlds")              \
@@ -305,7 +305,7 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   ShapePairList& shape_pair_list() { return shape_pair_list_; }
   const ShapePairList& shape_pair_list() const { return shape_pair_list_; }
 
-  // The particles of every colour, ascending; empty unless the builder was coloured. Read from the
+  // The particles of every color, ascending; empty unless the builder was colored. Read from the
   // device.
   std::vector<std::vector<int32_t>> particle_color_groups() const;
 

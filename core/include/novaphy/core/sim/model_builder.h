@@ -39,16 +39,16 @@ struct GravitySpec {
 };
 
 // A rigid body. Mass and inertia given here are the base, without shapes: each shape with a density
-// adds its own, in the order in which they are added, and moves the centre of mass.
+// adds its own, in the order in which they are added, and moves the center of mass.
 struct BodyArgs {
   Transformf xform = Transformf::identity();  // pose of the body's origin in the world
-  Vec3f com{};                                // m, body frame: centre of the base mass
+  Vec3f com{};                                // m, body frame: center of the base mass
   float mass = 0.0f;                          // kg
   // kg m^2, about `com`, along the axes of the body; a point mass has none.
   std::optional<Mat33f> inertia = {};
   bool lock_inertia = false;  // shapes add nothing
   bool is_kinematic = false;  // follows its velocity, no force moves it; needs no mass
-  float gravcomp = 0.0f;      // part of the weight that a force at the centre of mass takes away
+  float gravcomp = 0.0f;      // part of the weight that a force at the center of mass takes away
   std::string label = {};     // "body_<index>" when empty
 };
 
@@ -137,10 +137,10 @@ struct ShapeConvexHullArgs {
 
 // What ModelBuilder::color does.
 struct ColorArgs {
-  // Whether the corners of a bending edge get different colours; empty: where it has a stiffness or
+  // Whether the corners of a bending edge get different colors; empty: where it has a stiffness or
   // damping. False: they may share one, and a stiff hinge then converges badly or not at all.
   std::optional<bool> include_bending = {};
-  bool balance_colors = true;  // moves particles until the colours are about equally large
+  bool balance_colors = true;  // moves particles until the colors are about equally large
 };
 
 struct FinalizeOptions {
@@ -153,7 +153,7 @@ struct FinalizeOptions {
 //   length, ...
 //   ErrorKind::Index           a body, shape or vertex that is not there
 //   ErrorKind::NotImplemented  a shape type that is not supported
-// Quaternions may miss unit length by 1e-3 and are then normalised; one that is already of unit
+// Quaternions may miss unit length by 1e-3 and are then normalized; one that is already of unit
 // length to float rounding keeps its bits.
 class NOVAPHY_CORE_API ModelBuilder {
  public:
@@ -295,7 +295,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t add_articulation(std::span<const int32_t> joints, std::string label = {});
   // Makes joint0 follow joint1: q0 = coef0 + coef1 q1, in every step of articulations; both are
   // REVOLUTE or PRISMATIC, and of one articulation. Drives, limits, forces and inertia of joint0
-  // act on joint1; its velocity limit does not. A follower may lead others. The model's first
+  // act on joint1; its velocity limit does not. A mimic joint may lead others. The model's first
   // joint_q and joint_qd of joint0 are those of joint1. ErrorKind::Index: no such joint.
   // ErrorKind::Value: a joint of another type, one that follows already, a cycle, numbers that are
   // not finite; when the model is made: joints of different articulations.
@@ -349,16 +349,16 @@ class NOVAPHY_CORE_API ModelBuilder {
   // begin_world, add_builder, end_world. Returns the number of the world.
   int32_t add_world(const ModelBuilder& builder, const Transformf& xform = Transformf::identity());
   // add_world `world_count` times, on a grid of `spacing` (m, world frame) that spans the axes
-  // where it is not 0 and is centred at the origin, but for the up axis, which it starts at 0.
+  // where it is not 0 and is centerd at the origin, but for the up axis, which it starts at 0.
   void replicate(const ModelBuilder& builder, int32_t world_count, const Vec3f& spacing = {});
 
-  // Colours the particles, so that no two of one element have the same colour: springs, triangles,
+  // Colors the particles, so that no two of one element have the same color: springs, triangles,
   // tetrahedra and bending edges that have a stiffness or damping. SolverVBD moves the particles of
-  // one colour together. Greedy in smallest-last order, ties by index: the same elements give the
-  // same colours. What is added afterwards has no colour.
+  // one color together. Greedy in smallest-last order, ties by index: the same elements give the
+  // same colors. What is added afterwards has no color.
   void color(const ColorArgs& args = {});
-  // The particles of each colour instead. ErrorKind::Value: a group without particles, a particle
-  // in two groups or in none, and an element, which is named, with two corners of one colour unless
+  // The particles of each color instead. ErrorKind::Value: a group without particles, a particle
+  // in two groups or in none, and an element, which is named, with two corners of one color unless
   // `allow_conflicts`. ErrorKind::Index: a particle that is not there.
   void set_coloring(std::span<const std::vector<int32_t>> groups, bool allow_conflicts = false);
 
@@ -493,7 +493,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   static detail::MassProperties base_mass(const Body& body);
   std::vector<detail::MassProperties> exact_body_masses() const;  // with their shapes
   BodyMasses body_masses() const;
-  // Calls visit(kind, element, its particles; -1: none) for the elements that colours keep apart.
+  // Calls visit(kind, element, its particles; -1: none) for the elements that colors keep apart.
   template <class Visit>
   void visit_colored_elements(bool bending, Visit&& visit) const;
   void check_coloring(std::string_view function) const;
@@ -519,8 +519,8 @@ class NOVAPHY_CORE_API ModelBuilder {
   Tetrahedra tetrahedra_;
   std::set<std::pair<int32_t, int32_t>> filter_pairs_;
   std::unordered_multimap<size_t, std::shared_ptr<const Mesh>> meshes_;  // by a hash
-  std::vector<int32_t> colors_;  // of the first particles; empty: not coloured
-  // Which elements must have corners of different colours.
+  std::vector<int32_t> colors_;  // of the first particles; empty: not colored
+  // Which elements must have corners of different colors.
   enum class ColorCheck : uint8_t { None, WithoutBending, All } color_check_ = ColorCheck::All;
 };
 

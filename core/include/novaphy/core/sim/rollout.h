@@ -33,7 +33,7 @@ struct RolloutOptions {
   // Instead of `control`: m controls (null: the model's defaults), each for a m-th of the steps of
   // this call, which must be a multiple of m.
   std::vector<const Control*> controls = {};
-  // Wrenches on the bodies (N, N m, world frame, about the centre of mass) besides the trajectory's
+  // Wrenches on the bodies (N, N m, world frame, about the center of mass) besides the trajectory's
   // body_f: b rows, or b rows for each step, as `forces`.
   const DeviceArray<SpatialVectorf>* body_forces = nullptr;
   // Where the particles that the solver holds are at the end of a step (m, world frame), in the

@@ -23,9 +23,9 @@ class Model;
   X(body_q, Transformf, 1, body_count, "m, 1", "world",                                           \
     "poses of the body origins: position, quaternion xyzw", Carried)                              \
   X(body_qd, SpatialVectorf, 1, body_count, "m/s, rad/s", "world",                                \
-    "velocity of the centre of mass, then angular velocity", Carried)                             \
+    "velocity of the center of mass, then angular velocity", Carried)                             \
   X(body_f, SpatialVectorf, 1, body_count, "N, N*m", "world",                                     \
-    "force, then moment about the centre of mass", Applied)                                       \
+    "force, then moment about the center of mass", Applied)                                       \
   X(body_sleep, Vec2i, 1, body_count, "", "",                                                     \
     "of solvers with sleep: us that a body has been slow, or a negative mark of one that "        \
     "sleeps; then the first body of the island that it fell asleep with", Carried)                \

@@ -20,7 +20,7 @@ namespace novaphy {
 // An island falls asleep once each of its bodies has been slower than `speed` and `spin` for
 // `after`.
 struct SleepConfig {
-  float speed = 0.01f;  // m/s, of the centre of mass
+  float speed = 0.01f;  // m/s, of the center of mass
   float spin = 0.05f;   // rad/s
   float after = 0.5f;   // s
   bool operator==(const SleepConfig&) const = default;

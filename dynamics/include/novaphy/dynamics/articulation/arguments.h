@@ -29,8 +29,8 @@ struct WantedArrays {
 // Where an articulation's rows are.
 struct ArticulationRows {
   int32_t first_link, link_count, first_dof, dof_count, world;
-  int32_t moves;      // 0: impulses move none of its dofs
-  int32_t followers;  // links that follow others
+  int32_t moves;   // 0: impulses move none of its dofs
+  int32_t mimics;  // links that follow others
   int32_t joints_in_a_row;
 };
 
@@ -68,7 +68,7 @@ articulation::Tree<T> articulation_tree(const ArticulationArgumentsOf<T>& a,
   tree.links = a.links + rows.first_link;
   tree.dof_parent = a.dof_parent + rows.first_dof;
   tree.first_dof = rows.first_dof;
-  tree.followers = rows.followers;
+  tree.mimics = rows.mimics;
   tree.joints_in_a_row = rows.joints_in_a_row;
   articulation::set_arrays(articulation_inputs(a), rows.world, tree);
   return tree;

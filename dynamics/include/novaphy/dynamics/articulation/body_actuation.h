@@ -26,10 +26,10 @@ inline constexpr int32_t kPushed = 3;
 // A body at the start of a step; the world: the default.
 struct PushedBody {
   Transform<DualFloat> pose = Transform<DualFloat>::identity();
-  SpatialVector<DualFloat> motion = zero_spatial<DualFloat>();  // of the centre of mass
+  SpatialVector<DualFloat> motion = zero_spatial<DualFloat>();  // of the center of mass
   Vec3<DualFloat> com = {0.0f, 0.0f, 0.0f};                     // in the body
 };
-// Numbers of one: position, quaternion, velocity, angular velocity, centre of mass.
+// Numbers of one: position, quaternion, velocity, angular velocity, center of mass.
 inline constexpr int32_t kPushedNumbers = 16;
 inline DualFloat& number_of(PushedBody& b, int32_t k) {
   DualFloat* const all[kPushedNumbers] = {&b.pose.p.x,
@@ -62,7 +62,7 @@ PushedBody pushed_body(const Transform<T>& x, const SpatialVector<T>& v, const V
 
 // The frame of an actuator, in the world.
 struct PushedFrame {
-  Vec3<DualFloat> arm, position, velocity;  // arm: from the centre of mass
+  Vec3<DualFloat> arm, position, velocity;  // arm: from the center of mass
   Quat<DualFloat> q;
   PushedFrame(const PushedBody& b, const Transformf& in_body) {
     q = math::multiply(b.pose.q, constant(in_body.q));
@@ -74,7 +74,7 @@ struct PushedFrame {
 };
 
 // Calls put(which, wrench) for what each of the three bodies feels: force, and moment about its
-// centre of mass. Returns the force of the actuator. `input`: its control or activation;
+// center of mass. Returns the force of the actuator. `input`: its control or activation;
 // number(input, row, k) as in actuate.
 template <class Number, class Put>
 DualFloat push_bodies(const PushedBody (&bodies)[kPushed], const Transformf& frame,

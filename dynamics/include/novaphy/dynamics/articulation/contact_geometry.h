@@ -129,7 +129,7 @@ void add_contact_geometry(const AdjointContact& row, float dt, const TreeOf& tre
       const Link& link = tree.links[i];
       const LinkState<float>& s = of.ws.links[i];
       const SpatialVectorf own[3] = {s.w, s.a_adjoint, s.v};
-      // The rates of a FREE joint are about its centre of mass, which moves with its translation
+      // The rates of a FREE joint are about its center of mass, which moves with its translation
       // and with body_com: how they turn, without what carries the joint.
       Vec3f turning[3] = {};
       if (is_free(link) && sign != 0.0f) {

@@ -19,7 +19,7 @@ template <class T>
 struct ControlTangent {
   const T* target_q = nullptr;
   const T* target_qd = nullptr;
-  const T* force = nullptr;  // of a FREE joint: a world wrench about the centre of mass
+  const T* force = nullptr;  // of a FREE joint: a world wrench about the center of mass
 };
 
 // x, behind forward_step; rows of the tree.

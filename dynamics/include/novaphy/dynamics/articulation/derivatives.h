@@ -180,9 +180,9 @@ void solve_columns(const Tree<T>& tree, const Workspace<T>& ws, T* x, bool upper
   const auto scale = [&](int64_t to, const T& l, int64_t begin) {
     for (int64_t c = begin; c < n; ++c) x[to * n + c] = l * x[to * n + c];
   };
-  for_followers(tree, [&](int32_t follower, int32_t leader, const T& multiplier) {
-    subtract(leader, follower, -multiplier, 0);
-    scale(follower, T(0.0f), 0);
+  for_mimics(tree, [&](int32_t mimic, int32_t leader, const T& multiplier) {
+    subtract(leader, mimic, -multiplier, 0);
+    scale(mimic, T(0.0f), 0);
   });
   with_rows_above(tree, [&](const auto& above) {
     for (int32_t k = tree.dof_count; k-- > 0;)
@@ -192,8 +192,8 @@ void solve_columns(const Tree<T>& tree, const Workspace<T>& ws, T* x, bool upper
       for (int32_t j = above(k); j >= 0; j = above(j)) subtract(k, j, m[k * n + j], upper ? k : 0);
     }
   });
-  for_followers(tree, [&](int32_t follower, int32_t leader, const T& multiplier) {
-    subtract(follower, leader, -multiplier, 0);  // the follower's row is 0
+  for_mimics(tree, [&](int32_t mimic, int32_t leader, const T& multiplier) {
+    subtract(mimic, leader, -multiplier, 0);  // the mimic joint's row is 0
   });
 }
 

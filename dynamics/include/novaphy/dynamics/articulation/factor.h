@@ -3,8 +3,8 @@
 // says which:
 //
 //   M = L^T D L of a matrix with a tree's sparsity (Featherstone 2008, section 6.5): rows are
-//   eliminated from the leaves, so L has entries only where M has, and no fill-in. With followers
-//   (mimic.h) M stands for T^T M T, and M^-1 for T (T^T M T)^-1 T^T; rows have all entries.
+//   eliminated from the leaves, so L has entries only where M has, and no fill-in. With mimic
+//   joints (mimic.h) M stands for T^T M T, and M^-1 for T (T^T M T)^-1 T^T; rows have all entries.
 //
 //   Articulated bodies (articulated_body.h), for trees with more than kMatrixJoints in a row: float
 //   cannot hold the mass matrix of a long chain. There c is 0.
@@ -21,18 +21,18 @@ bool has_matrix([[maybe_unused]] const Tree<T>& tree) {
 #ifdef NOVAPHY_MATRIX_TREES
   return true;
 #else
-  return tree.followers > 0 || tree.joints_in_a_row <= kMatrixJoints;
+  return tree.mimics > 0 || tree.joints_in_a_row <= kMatrixJoints;
 #endif
 }
 // Whether a solve may leave out what does not hang together.
 template <class T>
 bool is_sparse(const Tree<T>& tree) {
-  return tree.followers == 0 && has_matrix(tree);
+  return tree.mimics == 0 && has_matrix(tree);
 }
 // f(above): above(k) is the next row towards the root that row k of L has an entry of; -1: none.
 template <class T, class F>
 auto with_rows_above(const Tree<T>& tree, const F& f) {
-  if (tree.followers > 0) return f([](int32_t k) { return k - 1; });
+  if (tree.mimics > 0) return f([](int32_t k) { return k - 1; });
   return f([above = tree.dof_parent](int32_t k) { return above[k]; });
 }
 
@@ -61,7 +61,7 @@ int32_t factor(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
   T* const m = ws.matrix;
   for (int64_t k = 0; k < n; ++k) m[k * n + k] = m[k * n + k] + ws.diagonal[k];
   add_cones(tree, ws);
-  if (tree.followers > 0) reduce_matrix(tree, m);
+  if (tree.mimics > 0) reduce_matrix(tree, m);
   return with_rows_above(tree, [&](const auto& above) -> int32_t {
     for (int32_t k = tree.dof_count; k-- > 0;) {
       T* const row = m + k * n;
@@ -83,7 +83,7 @@ void solve(const Tree<T>& tree, const Workspace<T>& ws, T* x) {
   if (!has_matrix(tree)) return solve_links(tree, ws, x);
   const int64_t n = tree.dof_count;
   const T* const m = ws.matrix;
-  gather_followers(tree, x);
+  gather_mimics(tree, x);
   with_rows_above(tree, [&](const auto& above) {
     for (int32_t k = tree.dof_count; k-- > 0;)
       for (int32_t j = above(k); j >= 0; j = above(j)) x[j] = x[j] - m[k * n + j] * x[k];

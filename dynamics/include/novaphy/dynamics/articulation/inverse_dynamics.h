@@ -1,4 +1,4 @@
-// Inverse dynamics, the mass matrix, the centre of mass and the energy of a tree (tree.h), all
+// Inverse dynamics, the mass matrix, the center of mass and the energy of a tree (tree.h), all
 // behind kinematics().
 //   tau = ID(q, qd, qdd) = H(q) qdd + bias(q, qd), without armature; wrenches on bodies act.
 // Source: Featherstone (2008), section 5.3 (recursive Newton-Euler) and 6.2 (composite bodies).
@@ -17,7 +17,7 @@ SpatialVector<T> free_joint_acceleration(const Quat<T>& anchor_q, const T* qd) {
   return a;
 }
 
-// The moment about O of a wrench (force, torque about the centre of mass).
+// The moment about O of a wrench (force, torque about the center of mass).
 template <class T>
 SpatialVector<T> wrench_at_origin(const SpatialVector<T>& wrench, const Vec3<T>& com) {
   return {wrench.linear, wrench.angular + math::cross(com, wrench.linear)};

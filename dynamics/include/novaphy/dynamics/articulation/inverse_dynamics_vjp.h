@@ -8,7 +8,7 @@
 // motions, changes nothing, but link i's own v, a and w do not turn with its q; hence
 //   dPhi/dq_k = -S_k . (v_i x* V_i + a_i x* A_i + w_i x* F_i) + (angular S_k) . torque_i
 // where torque_i are the wrenches' f x w_c + t x w_w, which stay as they are in the world.
-// A FREE joint's rates are those of its centre of mass: its angular columns move with that.
+// A FREE joint's rates are those of its center of mass: its angular columns move with that.
 #pragma once
 
 #include "novaphy/dynamics/articulation/inverse_dynamics.h"
@@ -20,8 +20,8 @@ namespace novaphy::articulation {
 template <class T>
 struct InverseDynamicsGradient {
   T *q = nullptr, *qd = nullptr, *qdd = nullptr;
-  SpatialVector<T>* wrench = nullptr;  // about the centre of mass, world axes
-  T* mass = nullptr;                   // at the same centre of mass and inertia about it
+  SpatialVector<T>* wrench = nullptr;  // about the center of mass, world axes
+  T* mass = nullptr;                   // at the same center of mass and inertia about it
   Vec3<T>* com = nullptr;              // body frame; at the same q
   Mat33<T>* inertia = nullptr;         // body axes, symmetric
   Vec3<T> gravity = {};
@@ -57,7 +57,7 @@ Mat33<T> inertia_gradient(const LinkState<T>& s) {
            {xz, yz, w.z * alpha.z + u.z * omega.z}}};
 }
 
-// dPhi when the columns of a FREE joint's angular rates move by d, as they do with its centre of
+// dPhi when the columns of a FREE joint's angular rates move by d, as they do with its center of
 // mass: of its own a, v and w, and all that hangs on it.
 template <class T>
 T moved_columns(const LinkState<T>& s, const SpatialVector<T>& v_parent, const Vec3<T>& d,

@@ -112,7 +112,7 @@ inline int32_t find_kept(const KeptContact* kept, int32_t count, int32_t& next,
   return -1;
 }
 
-// Whether the point of a shape that meets a plane is fixed to it: a centre, an end, a corner.
+// Whether the point of a shape that meets a plane is fixed to it: a center, an end, a corner.
 inline bool meets_planes_in_points(int32_t shape_type) {
   switch (static_cast<GeoType>(shape_type)) {
     case GeoType::SPHERE:

@@ -14,7 +14,7 @@ Transform<T> joint_transform(const Tree<T>& tree, const Link& link, const T* q, 
   return x;
 }
 
-// R I R^T about O, of a body with its centre of mass at c.
+// R I R^T about O, of a body with its center of mass at c.
 template <class T>
 SpatialInertia<T> world_inertia(const Tree<T>& tree, const Link& link, const Quat<T>& q,
                                 const Vec3<T>& c) {

@@ -1,8 +1,8 @@
 // The adjoint of forward kinematics: from gradients of body_q and body_qd to those of q (tangents),
-// qd and centres of mass.
+// qd and centers of mass.
 //
-// A link's velocity at its centre of mass c is v + w x c. With its gradient (u, t): V = (u, t + c x
-// u) is that of the motion about O. Turning all that hangs on link i by S_k moves poses and centres
+// A link's velocity at its center of mass c is v + w x c. With its gradient (u, t): V = (u, t + c x
+// u) is that of the motion about O. Turning all that hangs on link i by S_k moves poses and centers
 // of mass and turns motions, but not link i's own (inverse_dynamics_vjp.h).
 #pragma once
 
@@ -51,7 +51,7 @@ void kinematics_vjp(const Tree<T>& tree, const T* qd, const Transform<T>* body_q
       g.q[k] = math::dot(ws.axes[k], turn);
       g.qd[k] = math::dot(ws.axes[k], s.v_adjoint);
     }
-    if (is_free(link)) {  // the columns of its angular rates move with the centre of mass
+    if (is_free(link)) {  // the columns of its angular rates move with the center of mass
       const Vec3<T> columns = math::cross(turned(s.anchor_q, qd + first + 3), s.v_adjoint.linear);
       for (int k = 0; k < 3; ++k)
         g.q[first + k] = g.q[first + k] + math::dot(ws.axes[first + k].linear, columns);

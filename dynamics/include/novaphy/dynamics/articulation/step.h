@@ -10,7 +10,7 @@
 // Kinematic dofs have endless inertia: their qdd is 0, whatever pulls at them, nothing damps them,
 // and what hangs on them moves as they do. Contacts (pgs.h) change v between the first and the
 // second line; qdd is then what they leave. Wrenches on bodies, and joint_f of FREE joints, are
-// world wrenches about the centre of mass. All but where the roots are has the same bits wherever
+// world wrenches about the center of mass. All but where the roots are has the same bits wherever
 // the roots are.
 #pragma once
 
@@ -228,7 +228,7 @@ bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
       const T inertial = ws.rhs[k] + (in.armature[row] + term.diagonal) * ws.qdd[k];
       ws.rhs[k] = (inertial - (in.joint_f[row] + term.force)) - ws.given[k] / options.dt;
     });
-    gather_followers(tree, ws.rhs);
+    gather_mimics(tree, ws.rhs);
   }
   bool changes = false;
   for_drives(tree, [&](const Link& link, int32_t k) {

@@ -63,7 +63,7 @@ AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) 
   return m;
 }
 
-// What the gradient g of p' of a FREE joint gives to its centre of mass: p' = x_com' - R(r') rc.
+// What the gradient g of p' of a FREE joint gives to its center of mass: p' = x_com' - R(r') rc.
 template <class T>
 Vec3<T> free_com_gradient(const Tree<T>& tree, const Link& link, const T* q, const T* q_next,
                           const Vec3<T>& g) {
@@ -138,8 +138,8 @@ void step_vjp_end(const Tree<T>& tree, const StepInputs<T>& in, const T* q_next,
     for (int32_t j = 0; out.qd && j < link.dofs; ++j)
       rate[first + j] = rate[first + j] + out.qd[link.dof + j];
   }
-  gather_followers(tree, tangent);
-  gather_followers(tree, rate);
+  gather_mimics(tree, tangent);
+  gather_mimics(tree, rate);
 }
 
 // The first of three parts: from the gradients of the new state to those of q and of u, in
@@ -243,7 +243,7 @@ void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
   InverseDynamicsGradient<T> phi{phi_q,       phi_qd,     h_lambda,       memory.wrench,
                                  memory.mass, memory.com, memory.inertia, {}};
   inverse_dynamics_vjp(tree, in.qd + row0, ws.qdd, lambda, ws, phi);
-  if (any(holds)) gather_followers(tree, h_lambda);
+  if (any(holds)) gather_mimics(tree, h_lambda);
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
     for (int32_t j = 0; j < link.dofs; ++j) {

@@ -7,14 +7,14 @@
 // have the parent -1.
 //
 // Frames. X_wpj = X_parent X_p is the joint's frame in the parent (its anchor), X = X_wpj X_j(q)
-// X_c^-1 the body's. Every root has an origin O of its own: its anchor, or the centre of mass of a
+// X_c^-1 the body's. Every root has an origin O of its own: its anchor, or the center of mass of a
 // FREE root. All positions, motions (v, w) and forces (f, t) of the tree are about O, in world
 // axes. Only O depends on the world's origin.
 //
 // Velocities. The joint's motion is S qd. The columns of S do not turn with the joint's own q:
 //   PRISMATIC  (R a, 0)                REVOLUTE  (p x R a, R a)        BALL  (p x R e_k, R e_k)
 //   FREE       (R e_k, 0), then (c x R e_k, R e_k)
-// with the anchor's rotation R and position p and the body's centre of mass c. The qd of a BALL is
+// with the anchor's rotation R and position p and the body's center of mass c. The qd of a BALL is
 // therefore the angular velocity in the anchor's axes. The qd of a FREE joint is the velocity of
 // the center of mass and the angular velocity, relative to the anchor, in its axes.
 //
@@ -65,10 +65,10 @@ struct Tree {
   const Vec3<T>* axis = nullptr;      // unit
   const T* mass = nullptr;            // kg
   const Vec3<T>* com = nullptr;       // m, body frame
-  const Mat33<T>* inertia = nullptr;  // kg m^2 about the centre of mass, body axes; (I + I^T) / 2
+  const Mat33<T>* inertia = nullptr;  // kg m^2 about the center of mass, body axes; (I + I^T) / 2
                                       // is what acts
   Vec3<T> gravity = {};               // m/s^2
-  int32_t followers = 0;              // links that follow others
+  int32_t mimics = 0;                 // links that follow others
   int32_t joints_in_a_row = 0;        // that move, at most, from a root to a leaf
 };
 // Trees with more of them in a row have no mass matrix (factor.h).
@@ -89,7 +89,7 @@ struct LinkState {
   SpatialVector<T> v{};           // its motion
   SpatialVector<T> a{};           // and acceleration, with that of the world against gravity
   SpatialVector<T> f{};           // force through the joint
-  SpatialVector<T> wrench{};      // that acts on it: about its centre of mass, world axes
+  SpatialVector<T> wrench{};      // that acts on it: about its center of mass, world axes
   // Of the adjoint sweeps: virtual motion, adjoints of acceleration and motion, torque of wrenches.
   // Those of articulated bodies (articulated_body.h) use them too.
   SpatialVector<T> w{}, a_adjoint{}, v_adjoint{};

@@ -1,5 +1,5 @@
 // How the surface points and the normal of a contact of trees move with the poses of its two
-// bodies, by the closed forms of contact_turning_trace.h.
+// bodies, by the closed forms of moving_contact_trace.h.
 //
 // A common motion of both bodies carries points and normal along. So the law is differentiated by
 // the motion of B while A is at rest (six directions):
@@ -10,7 +10,7 @@
 
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/articulation/contact_rows.h"
-#include "novaphy/dynamics/semi_implicit/contact_turning_trace.h"
+#include "novaphy/dynamics/semi_implicit/moving_contact_trace.h"
 
 // Apart, so that no function of articulations is one of its numbers.
 namespace novaphy::by_twist {
@@ -83,7 +83,7 @@ struct TurningInput {
 };
 
 template <class T>
-TurningContact<bool, T> turn_contact(const TurningShapes& shapes, const TurningInput<T>& of) {
+MovingContact<bool, T> turn_contact(const TurningShapes& shapes, const TurningInput<T>& of) {
   const auto lift = [](const Vec3f& v) { return Vec3<T>{T(v.x), T(v.y), T(v.z)}; };
   const Vec3<T> normal = lift(of.normal);
   Vec3<T> world[2];
@@ -99,7 +99,7 @@ TurningContact<bool, T> turn_contact(const TurningShapes& shapes, const TurningI
     const auto own = contact_shape<GeoType, bool, T>(is, pose, lift(shapes.scale[shape]));
     return contact_feature_of(own, of.pose[side], lift(of.point[side]), world[1 - side], normal);
   };
-  return turning_contact(feature(0), feature(1), normal);
+  return moving_contact(feature(0), feature(1), normal);
 }
 
 // a_i, b_i and n_i of the above.
@@ -137,7 +137,7 @@ inline ContactTurning contact_turning(const TurningShapes& shapes, const Turning
                                         {of.point[0], of.point[1]},
                                         of.normal,
                                         {resting_pose(of.pose[0]), moving_pose(of.pose[1], at)}};
-  const TurningContact<bool, ByTwist> c = turn_contact(shapes, moving);
+  const MovingContact<bool, ByTwist> c = turn_contact(shapes, moving);
   ContactTurning to;
   to.is_exact = c.is_exact;
   for (int i = 0; c.is_exact && i < 6; ++i) {

@@ -49,7 +49,7 @@ struct ControlSensitivityOptions {
 // hard as others.
 //
 // FIXED, PRISMATIC and REVOLUTE joints, and for torques a FREE joint at the root (dcontrol of its
-// dofs is a world wrench about the centre of mass): other joints are ErrorKind::NotImplemented.
+// dofs is a world wrench about the center of mass): other joints are ErrorKind::NotImplemented.
 class NOVAPHY_DYNAMICS_API FeatherstoneAnalyticControlSensitivity {
  public:
   // ErrorKind::Value, ErrorKind::Index: an argument out of its range; ErrorKind::NotImplemented: a
@@ -83,7 +83,7 @@ class NOVAPHY_DYNAMICS_API FeatherstoneAnalyticControlSensitivity {
             std::span<const float> dcontrol, std::span<const float> dtarget_qd = {},
             const Contacts* contacts = nullptr);
 
-  // Row-major. Tangents of dofs: of a FREE joint the centre of mass and the turn about it.
+  // Row-major. Tangents of dofs: of a FREE joint the center of mass and the turn about it.
   std::vector<float> dq() const;                       // {dofs, parameters}
   std::vector<float> dqd() const;                      // {dofs, parameters}
   std::vector<float> point_jacobian() const;           // {3, parameters}, m per unit, world

@@ -25,7 +25,7 @@
 // captures do not.)
 //
 // Points and normals move as the search moves them for planes with all shapes, and for spheres,
-// capsules and boxes with each other (contact_turning_trace.h). The contacts must come from the
+// capsules and boxes with each other (moving_contact_trace.h). The contacts must come from the
 // state of the step (FoundContacts). Other points and normals are frozen: points stay in the
 // frames of their bodies, normals in the world. ContactBranches counts such steps apart. The making
 // and breaking of contacts is not differentiated.

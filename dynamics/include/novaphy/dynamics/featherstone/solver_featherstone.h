@@ -49,7 +49,7 @@ struct FeatherstoneOptions {
 
 // Covers joints of all types but DISTANCE in articulations, in any order with parents first: drives
 // by target mode, limits, effort and velocity limits, damping, armature, joint forces, wrenches on
-// bodies (body_f, and joint_f of FREE joints: world axes, about the centre of mass), gravity,
+// bodies (body_f, and joint_f of FREE joints: world axes, about the center of mass), gravity,
 // angular damping, dry friction (joint_friction), and contacts of the shapes of articulations with
 // each other and the world. Friction, restitution, stiffness and damping of a contact are the mean
 // of the two shapes'. Kinematic bodies, with a joint FREE or FIXED to the world, follow their

@@ -1,11 +1,11 @@
-// Finds the contacts of shapes that follow the poses of their bodies (contact_turning_trace.h), row
+// Finds the contacts of shapes that follow the poses of their bodies (moving_contact_trace.h), row
 // by row. Freestanding: the host and the kernels of devices share it.
 #pragma once
 
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/sim/enums.h"
-#include "novaphy/dynamics/semi_implicit/contact_turning_trace.h"
+#include "novaphy/dynamics/semi_implicit/moving_contact_trace.h"
 
 namespace novaphy {
 
@@ -38,7 +38,7 @@ inline bool contact_follows(const FollowedContacts& c, int64_t row) {
                                                         c.shape_scale[shape[side]]);
     return contact_feature_of(of, pose[side], point[side], world[1 - side], normal);
   };
-  return turning_contact(feature(0), feature(1), normal).is_exact;
+  return moving_contact(feature(0), feature(1), normal).is_exact;
 }
 
 }  // namespace novaphy

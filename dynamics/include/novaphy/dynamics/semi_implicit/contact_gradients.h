@@ -11,7 +11,7 @@
 namespace novaphy {
 
 // Of each row of rigid_contact_*, in their order: true where a step of DiffSemiImplicitSolver from
-// `state` follows its points and normal with both bodies (contact_turning_trace.h); false where
+// `state` follows its points and normal with both bodies (moving_contact_trace.h); false where
 // they stay as they are, the points in the frames of their bodies and the normal in the world. So
 // do all rows that were not found from `state` as it is now
 // (Contacts::rigid_contacts_found_from); a rollout that is given contacts holds all of them.

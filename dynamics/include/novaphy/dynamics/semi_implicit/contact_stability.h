@@ -1,6 +1,6 @@
 // Up to which dt the springs and dampers of rigid contacts are stable.
 //
-// Law, for the rows that touch, n the normal and r the arm from the centre of mass of a body:
+// Law, for the rows that touch, n the normal and r the arm from the center of mass of a body:
 //   K = sum ke J(n) J(n)^T + stick_ke T,  D = sum kd J(n) J(n)^T + kf T,
 //   T = sum_u J(u) J(u)^T - J(n) J(n)^T, u the three axes,  J(u) = (u, r x u),  M mass and inertia
 //   x'' = -M^-1 (K x + D x') in steps of semi-implicit Euler leaves the unit circle at -1, where
@@ -25,7 +25,7 @@ struct ContactLimit {
   int32_t body = -1;  // that has it
 };
 
-// Enough: K and D in full, those of rows of two bodies that move twice, which allows for neighbours
+// Enough: K and D in full, those of rows of two bodies that move twice, which allows for neighbors
 // in antiphase. Needed: a longer dt diverges though the other bodies are held: ke, and kd once; and
 // by itself kf, of rows with friction.
 enum class Stability { Enough, Needed };
@@ -35,7 +35,7 @@ struct TouchingRows;
 }
 
 // The longest dt (s) at which springs and dampers of what touches are stable, friction as far as it
-// sticks, whatever the neighbours of a body do; infinite: none touches. Reads from the device; no
+// sticks, whatever the neighbors of a body do; infinite: none touches. Reads from the device; no
 // tape sees it. `function` starts the message of ErrorKind::Value: a state or contacts of another
 // model, contacts that have overflowed.
 NOVAPHY_DYNAMICS_API float stable_contact_dt(const char* function, const Model& model,
@@ -70,7 +70,7 @@ class NOVAPHY_DYNAMICS_API ContactWatch {
   void look(const Model& model, const SimState& state, const Contacts& contacts, float dt,
             bool pushed, const std::vector<uint8_t>* bodies = nullptr);
   // For contacts that nothing holds: what the softest contact of one of the model's pairs of shapes
-  // does, one row through the centre of mass. It looks only while dt is longer than before, or ke,
+  // does, one row through the center of mass. It looks only while dt is longer than before, or ke,
   // kd, kf or masses were written.
   void look_at_pairs(const Model& model, float dt);
 

@@ -8,7 +8,7 @@
 // The gradient of each input:
 //   body_q, body_qd, body_f; particle_q, particle_qd, particle_f    through the forces: exact. The
 //       points and normals of planes, spheres, capsules and boxes follow both bodies
-//       (contact_turning_trace.h, contact_gradients.h says which rows); those of other shapes are
+//       (moving_contact_trace.h, contact_gradients.h says which rows); those of other shapes are
 //       frozen: the points stay in the frames of their bodies, the normals in the world
 //       (docs/coverage.md). Rows that were not found from the state of the step, as it is then, are
 //       all held so (Contacts::rigid_contacts_found_from). Points and normals of particles with

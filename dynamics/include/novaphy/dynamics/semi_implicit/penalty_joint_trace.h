@@ -91,7 +91,7 @@ struct JointAttach {
   T ke{}, kd{};
 };
 
-// What the parent gets about its centre of mass, and the child.
+// What the parent gets about its center of mass, and the child.
 template <class T>
 struct JointWrench {
   SpatialVector<T> parent{}, child{};
@@ -100,7 +100,7 @@ struct JointWrench {
 template <class T>
 struct JointFrames {
   Transform<T> parent{}, child{};  // X_p, X_c
-  Vec3<T> arm_p{}, arm_c{};        // anchors from the centres of mass
+  Vec3<T> arm_p{}, arm_c{};        // anchors from the centers of mass
   Vec3<T> x{}, v{}, w{};
   Vec3<T> w_p{};
   Quat<T> r{};

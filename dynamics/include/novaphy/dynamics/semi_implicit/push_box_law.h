@@ -4,8 +4,8 @@
 //   N   = ke s softplus(z) + kd sigmoid(z) v_s softplus((v_p - v) / v_s)      >= 0
 //   v'  = v + dt (N - mu m g tanh(v / v_s)) / m,  x' = x + dt v'
 // Symbols:
-//   x, v       position (m) and velocity (m/s) of the box's centre along the axis
-//   x_p, v_p   those of the pusher's centre, which stands on the side of smaller x
+//   x, v       position (m) and velocity (m/s) of the box's center along the axis
+//   x_p, v_p   those of the pusher's center, which stands on the side of smaller x
 //   m, h, r    mass (kg) and half extent (m) of the box, radius of the pusher (m)
 //   ke, kd     stiffness (N/m) and damping (N s/m) of the contact
 //   mu, g      coefficient of friction under the box, gravity (m/s^2)

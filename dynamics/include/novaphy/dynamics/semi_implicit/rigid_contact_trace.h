@@ -8,7 +8,7 @@
 //   fn = ke d,  fd = kd min(un, 0) where d < 0, else 0
 //   F  = N (fn + fd) + friction(ut, c),  c = -mu (fn + fd) the Coulomb limit, 0 where d >= 0
 //   B gets F at P, A gets -F there, so momentum and angular momentum of both stay; moments are
-//   about the centres of mass
+//   about the centers of mass
 // Friction (c > 0, s = |ut|):
 //   viscous   kf ut, cut off at the cone: ut c/s where kf s > c
 //   huber     ut min(kf, c/h),  h = (s^2 + e^2)/(2 e) where s <= e, else s. Never leaves the cone,
@@ -43,7 +43,7 @@
 //   |d| = w, un = 0 the mean: continuous with its first derivative by d, but for damping, friction
 //   un = 0          min takes the constant 0: damping passes nothing.
 //   at the cone     viscous: kf ut.
-// Gradient: exact in poses, velocities, centres of mass, p, m, normal, ke, kd, kf, mu away from
+// Gradient: exact in poses, velocities, centers of mass, p, m, normal, ke, kd, kf, mu away from
 // these, at rest too. `ka` only chooses and passes nothing.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
@@ -96,7 +96,7 @@ struct RigidContactSide {
   T is_body{};  // 1; 0: the world
 };
 
-// The force on B, and the arms from the centres of mass to where it acts.
+// The force on B, and the arms from the centers of mass to where it acts.
 template <class T>
 struct RigidContactForce {
   Vec3<T> force{}, arm_a{}, arm_b{};

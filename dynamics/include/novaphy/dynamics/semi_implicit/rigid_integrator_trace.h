@@ -1,6 +1,6 @@
 // Symplectic Euler for a rigid body, with an explicit gyroscopic term.
 //
-//   x_c = x + rotate(q, c)                       centre of mass
+//   x_c = x + rotate(q, c)                       center of mass
 //   v1  = v0 + (f/m + g s) dt                    s = 1 if 1/m > 0, else 0
 //   x_c1 = x_c + v1 dt
 //   w_b = rotate^-1(q, w0),  t_b = rotate^-1(q, t) - w_b x (I w_b)
@@ -10,9 +10,9 @@
 //   the new angular velocity is w1 (1 - a dt)
 // Symbols:
 //   x, q      pose of the body's origin in the world (m, quaternion)
-//   v, w      velocity of the centre of mass and angular velocity, world frame (m/s, rad/s)
-//   f, t      force and moment about the centre of mass, world frame (N, N m)
-//   c         centre of mass (m), I inertia about it (kg m^2), body frame
+//   v, w      velocity of the center of mass and angular velocity, world frame (m/s, rad/s)
+//   f, t      force and moment about the center of mass, world frame (N, N m)
+//   c         center of mass (m), I inertia about it (kg m^2), body frame
 //   g         gravity (m/s^2), world frame
 //   a         angular damping (1/s)
 // A kinematic body keeps its velocity and follows it: x_c1 = x_c + v0 dt, q1 from w0.

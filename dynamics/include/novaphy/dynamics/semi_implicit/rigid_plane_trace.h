@@ -8,7 +8,7 @@
 //   d = dot(n, P - p_plane) - margin_plane
 // With five or more corners below the plane the fifth deepest has no force.
 //
-// Gradient: exact for the points that were chosen, in the pose, twist and centre of mass of the
+// Gradient: exact for the points that were chosen, in the pose, twist and center of mass of the
 // body and in the materials. Comparisons decide which corners are kept, and pass nothing. Neither
 // do the size, the pose in the body and the margins of shapes, nor the plane.
 //
@@ -57,7 +57,7 @@ CornerSlots<T> deepest_corners(const WorldPlane<T>& plane, const Transform<T>& b
   const Vec3<T> ex = rotate(box.q, Vec3<T>{one, zero, zero});
   const Vec3<T> ey = rotate(box.q, Vec3<T>{zero, one, zero});
   const Vec3<T> ez = rotate(box.q, Vec3<T>{zero, zero, one});
-  const T centre = dot(box.p - plane.point, plane.normal);
+  const T center = dot(box.p - plane.point, plane.normal);
   CornerSlots<T> kept;
   for (int j = 0; j < 4; ++j) {
     kept.corner[j] = {zero, zero, zero};
@@ -68,7 +68,7 @@ CornerSlots<T> deepest_corners(const WorldPlane<T>& plane, const Transform<T>& b
   for (int k = 0; k < 8; ++k) {
     const Vec3<T> corner = {(k & 1) != 0 ? half.x : -half.x, (k & 2) != 0 ? half.y : -half.y,
                             (k & 4) != 0 ? half.z : -half.z};
-    const T d = centre + dot(plane.normal, (ex * corner.x + ey * corner.y) + ez * corner.z);
+    const T d = center + dot(plane.normal, (ex * corner.x + ey * corner.y) + ez * corner.z);
     const auto within = negate(d > reach);
     const auto appends = both(within, kept.count < T(4.0f));
     const auto replaces = both(both(within, kept.count == T(4.0f)), d < highest_distance);
@@ -97,7 +97,7 @@ CornerSlots<T> deepest_corners(const WorldPlane<T>& plane, const Transform<T>& b
   return kept;
 }
 
-// The wrench on the body about its centre of mass. `material` is the mean of both shapes', `gap`
+// The wrench on the body about its center of mass. `material` is the mean of both shapes', `gap`
 // the sum of both.
 template <class B, class T>
 SpatialVector<T> plane_contact_wrench(FrictionLaw law, const WorldPlane<T>& plane,

@@ -8,7 +8,7 @@
 // T is 0 at and below the rest length. The damper acts on the part of the way on which the rope is
 // taut, so T is continuous. H is the second derivative of E and positive semidefinite everywhere.
 //
-// Source: the no-compression bar of structural analysis, with a Kelvin-Voigt damper that never
+// Source: the no-compression adjoint of structural analysis, with a Kelvin-Voigt damper that never
 // pushes.
 // Not smooth: T = 0, where the derivatives are those of the slack rope, 0; ln = rest with kd > 0,
 // where they are those of ln > rest.

@@ -12,7 +12,7 @@ SpatialVector<T> turning_column(const LinkState<T>& s, const Vec3<T>& axis, cons
   return {math::cross(at, w), w};
 }
 
-// Where a link's centre of mass is in its joint's frame: X_c^-1 (com).
+// Where a link's center of mass is in its joint's frame: X_c^-1 (com).
 template <class T>
 Vec3<T> com_in_joint(const Tree<T>& tree, const Link& link) {
   const Vec3<T> com = link.body < 0 ? Vec3<T>{} : tree.com[link.body];

@@ -1,4 +1,4 @@
-#include "device_text.h"
+#include "device_source.h"
 
 #include <algorithm>
 #include <fstream>
@@ -7,7 +7,7 @@
 #include <sstream>
 #include <stdexcept>
 
-namespace novaphy::device_text {
+namespace novaphy::device_source {
 namespace {
 
 namespace fs = std::filesystem;
@@ -21,7 +21,7 @@ bool is_name(char c, bool digits) {
 
 std::string read(const fs::path& path) {
   std::ifstream file(path, std::ios::binary);
-  if (!file) throw std::runtime_error("device_text: cannot read " + path.string());
+  if (!file) throw std::runtime_error("device_source: cannot read " + path.string());
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
@@ -213,9 +213,9 @@ std::string as_literals(std::string_view text) {
         result += pieces;
       },
       [&](std::string_view code) {
-        result.append(")==\"\n#include \"").append(code).append("_text.inc\"\nR\"==(");
+        result.append(")==\"\n#include \"").append(code).append("_source.inc\"\nR\"==(");
       });
   return result + ")==\"";
 }
 
-}  // namespace novaphy::device_text
+}  // namespace novaphy::device_source

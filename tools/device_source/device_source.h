@@ -6,7 +6,7 @@
 #include <string_view>
 #include <vector>
 
-namespace novaphy::device_text {
+namespace novaphy::device_source {
 
 // Headers in the place of their includes, each once, behind those that they include.
 struct Source {
@@ -32,7 +32,7 @@ std::string kernel_lines(std::string_view text);
 std::string with_includes(std::string_view text);
 
 // The text as string literals of lengths that every compiler takes; the code that the build makes
-// comes from `<code>_text.inc`.
+// comes from `<code>_source.inc`.
 std::string as_literals(std::string_view text);
 
-}  // namespace novaphy::device_text
+}  // namespace novaphy::device_source

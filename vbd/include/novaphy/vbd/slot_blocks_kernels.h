@@ -1,4 +1,4 @@
-// Teams, for devices only: the threads of a block share the slots of the particles of some groups.
+// Blocks, for devices only: the threads of a block share the slots of the particles of some groups.
 // A thread for each component of the particles' matrices adds the slots in slot order.
 #pragma once
 
@@ -7,19 +7,19 @@
 #ifdef NOVAPHY_KERNEL
 namespace novaphy::vbd {
 
-// A team is a block of kTeam threads, for the particles of up to G groups. Its terms are lanes of
+// A block has kThreads threads, for the particles of up to G groups. Its terms are lanes of
 // slots, by role in the order of their sums; those of a role begin at a multiple of kAlign, so that
 // the threads of a warp have one role where it has no more.
-constexpr int kTeam = 128, kAlign = 32, kComponents = 9;
+constexpr int kThreads = 128, kAlign = 32, kComponents = 9;
 
 // Shared memory has no constructors.
-struct TeamMemory {
-  float terms[kComponents][kVbdTeamTerms];
-  float outer[kComponents][kVbdLanes * kVbdLargeTeam],
-      inner[kComponents][kVbdLanes * kVbdLargeTeam];
-  float x[kVbdLanes * kVbdLargeTeam][3];
-  int64_t first[kRoles][kVbdLargeTeam];  // slots of the groups
-  int32_t count[kRoles][kVbdLargeTeam];
+struct BlockMemory {
+  float terms[kComponents][kVbdBlockTerms];
+  float outer[kComponents][kVbdLanes * kVbdLargeBlock],
+      inner[kComponents][kVbdLanes * kVbdLargeBlock];
+  float x[kVbdLanes * kVbdLargeBlock][3];
+  int64_t first[kRoles][kVbdLargeBlock];  // slots of the groups
+  int32_t count[kRoles][kVbdLargeBlock];
 };
 
 inline void store_block(float* to, int stride, const Block<float>& b) {
@@ -35,14 +35,14 @@ inline void store_block(float* to, int stride, const Block<float>& b) {
 }
 
 template <Role role, int G>
-inline void put_term(const VbdSweepArguments& a, TeamMemory& m, int32_t begin, int32_t term) {
+inline void put_term(const VbdSweepArguments& a, BlockMemory& m, int32_t begin, int32_t term) {
   const int32_t k = term - begin, lane = k % kVbdLanes, group = k / kVbdLanes % G,
                 number = k / (kVbdLanes * G);
   if (number >= m.count[role][group]) return;
   const float* const x = m.x[group * kVbdLanes + lane];
   const Slot<role, float> slot(a, m.first[role][group] + number, lane);
   store_block(
-      &m.terms[0][term], kVbdTeamTerms,
+      &m.terms[0][term], kVbdBlockTerms,
       block_of(inputs_of(slot, Vec3f{x[0], x[1], x[2]}, a.x), ((a.damped >> role) & 1) != 0));
 }
 
@@ -51,13 +51,13 @@ inline void put_term(const VbdSweepArguments& a, TeamMemory& m, int32_t begin, i
 // ask(lane) asks for what is needed in the end at the beginning, also for lanes that are no
 // particles; put(lane, block) gets the block. place(lane): where the particle is.
 template <int G, class Finish, class Arguments>
-inline void for_team(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,
-                     int64_t end, TeamMemory& m) {
+inline void for_block(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,
+                      int64_t end, BlockMemory& m) {
   constexpr int32_t kLanes = kVbdLanes * G;
   const auto thread = static_cast<int32_t>(threadIdx.x);
   const auto groups = static_cast<int32_t>(end - first < G ? end - first : G);
   Finish finish(arguments);
-  // Of the particles of the team.
+  // Of the particles of the block.
   const auto lane_of = [&](int32_t k) {
     return LaneGroup<float>(a, (first - a.first_group) * kVbdLanes + k);
   };
@@ -71,11 +71,11 @@ inline void for_team(const VbdSweepArguments& a, const Arguments& arguments, int
     m.x[thread][2] = x.z;
     store_block(&m.inner[0][thread], kLanes, inertia_block(x, g.at(a.target), g.mass_by_h2()));
   }
-  if (const int32_t v = thread - (kTeam - kLanes); v >= 0 && v < groups * kVbdLanes) {
+  if (const int32_t v = thread - (kThreads - kLanes); v >= 0 && v < groups * kVbdLanes) {
     const LaneGroup<float> of = lane_of(v);
     store_block(&m.outer[0][v], kLanes, contact_blocks(of, finish.place(of)));
   }
-  for (int32_t k = thread - 2 * kAlign; k >= 0 && k < kRoles * G; k += kTeam) {
+  for (int32_t k = thread - 2 * kAlign; k >= 0 && k < kRoles * G; k += kThreads) {
     const int32_t role = k / G, group = k % G;
     const bool any = group < groups && a.begin[role] != nullptr;
     const int64_t begin = any ? a.begin[role][first + group] : 0;
@@ -93,14 +93,14 @@ inline void for_team(const VbdSweepArguments& a, const Arguments& arguments, int
     for (int g = 0; g < G; ++g) most = m.count[role][g] > most ? m.count[role][g] : most;
     begin[role + 1] = begin[role] + (most * kLanes + kAlign - 1) / kAlign * kAlign;
   }
-  for (int32_t term = thread; term < begin[kRoles]; term += kTeam)
+  for (int32_t term = thread; term < begin[kRoles]; term += kThreads)
     for_roles([&](auto is) {
       constexpr Role role = decltype(is)::role;
       if (term >= begin[role] && term < begin[role + 1]) put_term<role, G>(a, m, begin[role], term);
     });
   __syncthreads();
 
-  for (int32_t k = thread; k < kComponents * kLanes; k += kTeam) {
+  for (int32_t k = thread; k < kComponents * kLanes; k += kThreads) {
     const int32_t v = k % kLanes, component = k / kLanes, group = v / kVbdLanes;
     float outer = (&m.outer[0][0])[component * kLanes + v];
     float inner = (&m.inner[0][0])[component * kLanes + v];
@@ -129,22 +129,22 @@ inline void for_team(const VbdSweepArguments& a, const Arguments& arguments, int
   }
 }
 
-// The same for the groups of the teams `block`, `block` + `blocks`, ... of those of [first, end).
+// The same for the groups of the blocks `block`, `block` + `blocks`, ... of those of [first, end).
 template <int G, class Finish, class Arguments>
-inline void for_teams_of(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,
-                         int64_t end, int64_t block, int64_t blocks, TeamMemory& memory) {
+inline void for_blocks_of(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,
+                          int64_t end, int64_t block, int64_t blocks, BlockMemory& memory) {
   for (int64_t group = first + block * G; group < end; group += blocks * G) {
-    for_team<G, Finish>(a, arguments, group, end, memory);
+    for_block<G, Finish>(a, arguments, group, end, memory);
     __syncthreads();
   }
 }
 template <class Finish, class Arguments>
-inline void for_teams(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,
-                      int64_t end, int64_t block, int64_t blocks, TeamMemory& memory) {
-  if (a.team == 1) {
-    for_teams_of<1, Finish>(a, arguments, first, end, block, blocks, memory);
+inline void for_blocks(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,
+                       int64_t end, int64_t block, int64_t blocks, BlockMemory& memory) {
+  if (a.block_groups == 1) {
+    for_blocks_of<1, Finish>(a, arguments, first, end, block, blocks, memory);
   } else {
-    for_teams_of<kVbdLargeTeam, Finish>(a, arguments, first, end, block, blocks, memory);
+    for_blocks_of<kVbdLargeBlock, Finish>(a, arguments, first, end, block, blocks, memory);
   }
 }
 

@@ -1,24 +1,24 @@
-// novaphy_device_text FOLDER HEADER INCLUDE_FOLDER...
+// novaphy_device_source FOLDER HEADER INCLUDE_FOLDER...
 // Writes FOLDER/<name>.cuh, the kernels of a header for compilers of devices, and
-// FOLDER/<name>_text.cpp, the function novaphy::detail::<name>_text() that gives this text; and
+// FOLDER/<name>_source.cpp, the function novaphy::detail::<name>_source() that gives this text; and
 // FOLDER/<name>.d, what both were made from.
 #include <cstdio>
 #include <exception>
 #include <fstream>
 #include <stdexcept>
 
-#include "device_text.h"
+#include "device_source.h"
 
 namespace {
 
 namespace fs = std::filesystem;
-using namespace novaphy::device_text;
+using namespace novaphy::device_source;
 
 void write(const fs::path& path, const std::string& text) {
   std::ofstream file(path, std::ios::binary);
   file << text;
   file.close();
-  if (!file) throw std::runtime_error("device_text: cannot write " + path.string());
+  if (!file) throw std::runtime_error("device_source: cannot write " + path.string());
 }
 
 // A path as the makefile of dependencies has it.
@@ -41,10 +41,10 @@ void write_all(const fs::path& folder, const fs::path& header,
                              ": expected a NOVAPHY_ROW_KERNEL(name, ...), got none");
   const std::string name = header.stem().string();
   const fs::path cuh = folder / (name + ".cuh");
-  const fs::path text = folder / (name + "_text.cpp");
+  const fs::path text = folder / (name + "_source.cpp");
   write(cuh, kernels + with_includes(source.text));
-  const std::string function = "const char* " + name + "_text()";
-  write(text, "// Written by tools/device_text.\nnamespace novaphy::detail {\n" + function + ";\n" +
+  const std::string function = "const char* " + name + "_source()";
+  write(text, "// Written by tools/device_source.\nnamespace novaphy::detail {\n" + function + ";\n" +
                   function + " {\n  return " + as_literals(kernels + source.text) +
                   ";\n}\n}  // namespace novaphy::detail\n");
   std::string rule = escaped(cuh) + " " + escaped(text) + ":";
@@ -56,7 +56,7 @@ void write_all(const fs::path& folder, const fs::path& header,
 
 int main(int count, char** arguments) {
   if (count < 4) {
-    std::fprintf(stderr, "usage: novaphy_device_text FOLDER HEADER INCLUDE_FOLDER...\n");
+    std::fprintf(stderr, "usage: novaphy_device_source FOLDER HEADER INCLUDE_FOLDER...\n");
     return 2;
   }
   try {

@@ -89,9 +89,9 @@ struct ContactFeature {
   B is_box{}, is_capsule{}, is_corner{};
   // Where the other shape is a plane: one, what it meets, and a point of that which is fixed.
   B is_plane{}, meets_planes{}, is_fixed{};
-  // The deepest point along a normal, about `centre`, which wanders: half axes, side of the normal.
+  // The deepest point along a normal, about `center`, which wanders: half axes, side of the normal.
   B is_deepest{};
-  Vec3<T> centre{}, half_axes{};
+  Vec3<T> center{}, half_axes{};
   T direction{};
   Quat<T> turn{};
 };
@@ -104,12 +104,12 @@ Vec3<T> deepest_point(const ContactFeature<B, T>& f, const Vec3<T>& normal) {
   const Vec3<T> d = {h.x * m.x, h.y * m.y, h.z * m.z};
   const T square = dot(d, d);
   const T scale = f.direction / sqrt(select(square > T(0.0f), square, T(1.0f)));
-  return f.centre +
+  return f.center +
          rotate(f.turn, Vec3<T>{h.x * d.x * scale, h.y * d.y * scale, h.z * d.z * scale});
 }
 
 template <class B, class T>
-struct TurningContact {
+struct MovingContact {
   Vec3<T> a{}, b{}, normal{};  // points of the cores, world
   B is_exact{};
 };
@@ -193,7 +193,7 @@ ContactFeature<B, T> contact_feature_of(const ContactShape<B, T>& shape, const T
   f.is_plane = shape.is_plane;
   f.meets_planes = either(shape.is_ellipsoid, either(has_rim, shape.is_polytope));
   f.turn = turn;
-  f.centre = transform_point(
+  f.center = transform_point(
       multiply(body, shape.pose),
       select(shape.is_ellipsoid, Vec3<T>{zero, zero, zero}, Vec3<T>{zero, zero, x.z}));
   f.half_axes = {h.x, select(shape.is_ellipsoid, h.y, h.x), select(shape.is_ellipsoid, h.z, zero)};
@@ -202,7 +202,7 @@ ContactFeature<B, T> contact_feature_of(const ContactShape<B, T>& shape, const T
   return f;
 }
 
-namespace contact_turning_detail {
+namespace moving_contact_detail {
 
 inline constexpr float kFacePreference = 1e-4f;  // that of collision/geometry/clip_manifold.h
 
@@ -270,7 +270,7 @@ FaceContact<B, T> face_contact(const ContactFeature<B, T>& face, const ContactFe
   return c;
 }
 
-}  // namespace contact_turning_detail
+}  // namespace moving_contact_detail
 
 // Whether features of the two shapes coincide, so that the points do not say which the search took.
 template <class B, class T>
@@ -289,10 +289,10 @@ B features_coincide(const ContactFeature<B, T>& a, const ContactFeature<B, T>& b
 }
 
 template <class B, class T>
-TurningContact<B, T> turning_contact(const ContactFeature<B, T>& a, const ContactFeature<B, T>& b,
-                                     const Vec3<T>& normal) {
+MovingContact<B, T> moving_contact(const ContactFeature<B, T>& a, const ContactFeature<B, T>& b,
+                                   const Vec3<T>& normal) {
   using namespace math;
-  namespace d = contact_turning_detail;
+  namespace d = moving_contact_detail;
   const T one = T(1.0f), close = T(0.99999f);
   const auto known =
       either(both(both(a.is_known, b.is_known), negate(features_coincide(a, b))),
@@ -339,7 +339,7 @@ TurningContact<B, T> turning_contact(const ContactFeature<B, T>& a, const Contac
                           const Vec3<T>& with_features, const Vec3<T>& frozen) {
     return select(by_a, with_a, select(by_b, with_b, select(by_features, with_features, frozen)));
   };
-  TurningContact<B, T> c;
+  MovingContact<B, T> c;
   c.a = d::derivative_of(a.point, choose(face_a.of_face, face_b.of_other, on_a, a.point));
   c.b = d::derivative_of(b.point, choose(face_a.of_other, face_b.of_face, on_b, b.point));
   c.normal = d::derivative_of(normal, choose(normal_a, normal_b, n, normal));

@@ -5,9 +5,9 @@
 #include <fstream>
 #include <stdexcept>
 
-#include "device_text.h"
+#include "device_source.h"
 
-namespace novaphy::device_text {
+namespace novaphy::device_source {
 namespace {
 
 namespace fs = std::filesystem;
@@ -110,7 +110,7 @@ TEST(CodeOfTheBuild, IsIncludedAsCodeAndAsText) {
   const std::string text = device_code("int a;\n#include \"slot_adjoints.inc\"\n\nint b;\n");
   EXPECT_EQ(with_includes(text), "int a;\n#include \"slot_adjoints.inc\"\n\nint b;\n");
   EXPECT_EQ(as_literals(text),
-            "R\"==(int a;\n)==\"\n#include \"slot_adjoints_text.inc\"\nR\"==(\n)==\"\n"
+            "R\"==(int a;\n)==\"\n#include \"slot_adjoints_source.inc\"\nR\"==(\n)==\"\n"
             "    R\"==(\nint b;\n)==\"");
 }
 
@@ -128,4 +128,4 @@ TEST(Literals, JoinToTheText) {
 }
 
 }  // namespace
-}  // namespace novaphy::device_text
+}  // namespace novaphy::device_source

@@ -136,11 +136,11 @@ bool SleepStep::count_rest(const Model& model, const SimState& in, SimState& out
   for_chunks(model.body_count(), kChunk, [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t b = begin; b < end; ++b) {
       const auto at = static_cast<size_t>(b);
-      const BodyMotion motion = bodies_.motion(static_cast<int32_t>(b));
+      const BodyActivity motion = bodies_.motion(static_cast<int32_t>(b));
       rest_[at] = -1;
-      if (motion == BodyMotion::Asleep) {
+      if (motion == BodyActivity::Asleep) {
         after[b] = before[b];
-      } else if (motion != BodyMotion::Awake) {
+      } else if (motion != BodyActivity::Awake) {
         const float* const of_joint = joint_q(model, out, static_cast<int32_t>(b));
         after[b] = {stamp != 0 && is_zero(qd[b]) ? sleep_mark(stamp, q[b], of_joint) : 0, -1};
       } else {
@@ -157,7 +157,9 @@ bool SleepStep::count_rest(const Model& model, const SimState& in, SimState& out
 // Joins bodies that touch. The rest of a root is then the shortest of its island.
 void SleepStep::find_islands(const Model& model) {
   for (int32_t b = 0; b < model.body_count(); ++b) root_[static_cast<size_t>(b)] = b;
-  const auto is_free = [&](int32_t b) { return b >= 0 && bodies_.motion(b) == BodyMotion::Awake; };
+  const auto is_free = [&](int32_t b) {
+    return b >= 0 && bodies_.motion(b) == BodyActivity::Awake;
+  };
   for (size_t row = 0; row < touches_.size(); ++row) {
     if (touches_[row] == 0) continue;
     const int32_t a = sides_[2 * row], b = sides_[2 * row + 1];

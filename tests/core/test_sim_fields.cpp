@@ -50,10 +50,9 @@ TEST(SimFields, TheWalkGivesTheMembersInOrder) {
       EXPECT_EQ(static_cast<const Array*>(&array), static_cast<const Array*>(&state.particle_q));
     }
   });
-  const std::vector<std::string> expected = {"particle_q", "particle_qd", "particle_f",
-                                             "body_q",     "body_qd",     "body_f",
-                                             "body_sleep", "joint_q",     "joint_qd",
-                                             "act"};
+  const std::vector<std::string> expected = {"particle_q", "particle_qd", "particle_f", "body_q",
+                                             "body_qd",    "body_f",      "body_sleep", "joint_q",
+                                             "joint_qd",   "act"};
   EXPECT_EQ(names, expected);
 }
 

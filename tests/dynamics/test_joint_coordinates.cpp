@@ -153,8 +153,7 @@ TEST(JointCoordinates, TwistsAreTheRatesOfThePoses) {
       if (six) {
         const auto child = static_cast<size_t>(model->joint_child.to_host()[j]);
         const Transformf inverse = math::inverse(model->joint_X_c.to_host()[j]);
-        const Vec3f com =
-            math::transform_point(inverse, model->body_com.to_host()[child]);
+        const Vec3f com = math::transform_point(inverse, model->body_com.to_host()[child]);
         const Vec3f p = Vec3f{c[0], c[1], c[2]} + math::rotate(old, com) +
                         Vec3f{v[0], v[1], v[2]} * h - math::rotate(q1, com);
         c[0] = p.x;

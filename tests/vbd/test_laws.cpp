@@ -100,7 +100,9 @@ TEST(VbdLaws, ARopePullsAndNeverPushes) {
     expect_exact(
         block, [&in](const Point& p) { return force_at(in, p); }, in.own);
     const Real64 along = math::dot(block.f, in.own - in.others[0]);
-    if (Rope::length(in).v <= in.numbers[2].v) EXPECT_LE(pull.v, 0.0);
+    if (Rope::length(in).v <= in.numbers[2].v) {
+      EXPECT_LE(pull.v, 0.0);
+    }
     if (pull.v > 0.0) {
       ++taut;
       EXPECT_LT(along.v, 0.0);

@@ -78,8 +78,9 @@ TEST(NewtonVbdUnits, TrianglesAreNewtons) {
     };
     // A needle of no area has no normal.
     const auto f = vbd::Triangle::columns(slot(0));
-    const auto c = vbd::Triangle::strain(f);
-    if (vbd::Triangle::area_ratio(math::cross(f.f0, f.f1)) < 1e-3f * (c.c00 + c.c11)) continue;
+    const auto strain = vbd::Triangle::strain(f);
+    if (vbd::Triangle::area_ratio(math::cross(f.f0, f.f1)) < 1e-3f * (strain.c00 + strain.c11))
+      continue;
     std::vector<Block<float>> blocks;
     for (int c = 0; c < 3; ++c) blocks.push_back(vbd::block_of(slot(c), true));
     units.compare(e, blocks);

@@ -44,8 +44,8 @@ void write_all(const fs::path& folder, const fs::path& header,
   const fs::path text = folder / (name + "_source.cpp");
   write(cuh, kernels + with_includes(source.text));
   const std::string function = "const char* " + name + "_source()";
-  write(text, "// Written by tools/device_source.\nnamespace novaphy::detail {\n" + function + ";\n" +
-                  function + " {\n  return " + as_literals(kernels + source.text) +
+  write(text, "// Written by tools/device_source.\nnamespace novaphy::detail {\n" + function +
+                  ";\n" + function + " {\n  return " + as_literals(kernels + source.text) +
                   ";\n}\n}  // namespace novaphy::detail\n");
   std::string rule = escaped(cuh) + " " + escaped(text) + ":";
   for (const fs::path& path : source.files) rule += " \\\n  " + escaped(path);

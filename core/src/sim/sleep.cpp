@@ -7,6 +7,7 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/for_chunks.h"
+#include "novaphy/core/sim/joint_types.h"
 
 namespace novaphy {
 namespace {
@@ -66,11 +67,11 @@ void SleepingBodies::look(int64_t begin, int64_t end) {
     const bool rests = is_zero(qd[b]) && (joint < 0 || is_still(all_qd + qd_start[joint]));
     if (has_flag(flags[b], BodyFlags::KINEMATIC)) {
       written_[at] = is_marked && !holds ? 1 : 0;
-      motion_[at] = rests && written_[at] == 0 ? BodyMotion::Still : BodyMotion::Driven;
+      motion_[at] = rests && written_[at] == 0 ? BodyActivity::Still : BodyActivity::Driven;
     } else {
       const bool sleeps = holds && rests && is_zero(f[b]);
       written_[at] = is_marked && !sleeps ? 1 : 0;
-      motion_[at] = sleeps ? BodyMotion::Asleep : BodyMotion::Awake;
+      motion_[at] = sleeps ? BodyActivity::Asleep : BodyActivity::Awake;
     }
   }
 }
@@ -91,7 +92,7 @@ bool SleepingBodies::find(const Model& model, const SimState& state) {
   model_ = &model;
   state_ = &state;
   const auto count = static_cast<size_t>(model.body_count());
-  motion_.assign(count, BodyMotion::Awake);
+  motion_.assign(count, BodyActivity::Awake);
   written_.assign(count, 0);
   woken_.assign(count, 0);
   any_woken_ = false;
@@ -100,12 +101,13 @@ bool SleepingBodies::find(const Model& model, const SimState& state) {
   find_joints(model);
   for_chunks(model.body_count(), kChunk,
              [&](int64_t begin, int64_t end, int64_t) { look(begin, end); });
-  if (std::find(motion_.begin(), motion_.end(), BodyMotion::Asleep) == motion_.end()) return false;
+  if (std::find(motion_.begin(), motion_.end(), BodyActivity::Asleep) == motion_.end())
+    return false;
   wake_written();
   std::vector<int32_t> woken;
   if (any_woken_) wake_islands(woken);
-  for (const BodyMotion motion : motion_)
-    if (motion == BodyMotion::Asleep) return true;
+  for (const BodyActivity motion : motion_)
+    if (motion == BodyActivity::Asleep) return true;
   return false;
 }
 
@@ -116,7 +118,7 @@ void SleepingBodies::wake_written() {
   std::vector<uint8_t> in_world;  // of all worlds first
   for (size_t b = 0; b < written_.size(); ++b) {
     if (written_[b] == 0) continue;
-    if (motion_[b] != BodyMotion::Driven) {
+    if (motion_[b] != BodyActivity::Driven) {
       wake(static_cast<int32_t>(b));
       continue;
     }
@@ -140,10 +142,10 @@ void SleepingBodies::wake_islands(std::vector<int32_t>& woken) {
   const Vec2i* const sleep = state_->body_sleep.data();
   const int32_t count = model_->body_count();
   for (int32_t b = 0; b < count; ++b) {
-    if (motion(b) != BodyMotion::Asleep) continue;
+    if (motion(b) != BodyActivity::Asleep) continue;
     const int32_t island = sleep[b].y >= 0 && sleep[b].y < count ? sleep[b].y : b;
     if (woken_[static_cast<size_t>(island)] == 0) continue;
-    motion_[static_cast<size_t>(b)] = BodyMotion::Awake;
+    motion_[static_cast<size_t>(b)] = BodyActivity::Awake;
     woken.push_back(b);
   }
   any_woken_ = false;

@@ -71,13 +71,13 @@ struct CollisionOptions {
 // device of the model (on the CPU by sweep and prune on the host, unless it is recorded). Outside
 // of a recording it makes room for all of them; a recording has the room that there is, at least 16
 // pairs for each shape, and each pair beyond counts as a row behind rigid_contact_max, so that the
-// contacts have overflowed, with slots left empty at the end. Rows are in the order of (shape A, shape B, point of the manifold) for
-// any number of threads. If there are more than rigid_contact_max, those stay that are within the
-// largest part of the gaps of their pairs for which there is room (1/2, 1/4, ..., 1/1024, or what
-// touches), and the first of those within the next larger part, so that no slot is empty.
-// rigid_contact_count keeps the full number. Source: Newton 1.8.0; its rows on the cpu are the same
-// bits for planes with spheres, capsules and boxes, but the order of pairs where shape A has the
-// larger index.
+// contacts have overflowed, with slots left empty at the end. Rows are in the order of (shape A,
+// shape B, point of the manifold) for any number of threads. If there are more than
+// rigid_contact_max, those stay that are within the largest part of the gaps of their pairs for
+// which there is room (1/2, 1/4, ..., 1/1024, or what touches), and the first of those within the
+// next larger part, so that no slot is empty. rigid_contact_count keeps the full number. Source:
+// Newton 1.8.0; its rows on the cpu are the same bits for planes with spheres, capsules and boxes,
+// but the order of pairs where shape A has the larger index.
 //
 // Candidate pairs (candidate_pairs.h) of soft contacts are ordered shape-major: the particles that
 // may meet the first colliding shape, then those of the second, ... The contacts have that order

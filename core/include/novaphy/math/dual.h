@@ -21,7 +21,7 @@ struct Dual {
   Dual() = default;
   template <class Value>
   explicit Dual(Value value) : v(value) {}  // of a float, too
-  Dual(S value, S slope) : v(value), d(slope) {}
+  Dual(S value, S tangent) : v(value), d(tangent) {}
 
   NOVAPHY_LANE_FN friend Dual operator+(const Dual& a, const Dual& b) {
     return {a.v + b.v, a.d + b.d};
@@ -59,15 +59,15 @@ struct Dual {
 };
 
 template <class S>
-Vec3<Dual<S>> with_slope(const Vec3<S>& value, const Vec3<S>& slope) {
-  return {{value.x, slope.x}, {value.y, slope.y}, {value.z, slope.z}};
+Vec3<Dual<S>> with_tangent(const Vec3<S>& value, const Vec3<S>& tangent) {
+  return {{value.x, tangent.x}, {value.y, tangent.y}, {value.z, tangent.z}};
 }
 template <class S>
 Vec3<S> value_of(const Vec3<Dual<S>>& a) {
   return {a.x.v, a.y.v, a.z.v};
 }
 template <class S>
-Vec3<S> slope_of(const Vec3<Dual<S>>& a) {
+Vec3<S> tangent_of(const Vec3<Dual<S>>& a) {
   return {a.x.d, a.y.d, a.z.d};
 }
 

@@ -57,7 +57,7 @@ inline bool sleeps_in_joints(int32_t mark) {
   return (static_cast<uint32_t>(mark) & (kSleeps | kSleepsInJoints)) == (kSleeps | kSleepsInJoints);
 }
 
-enum class BodyMotion : uint8_t {
+enum class BodyActivity : uint8_t {
   Awake,   // moves by forces
   Asleep,  // keeps its bits
   Driven,  // kinematic, with a velocity or a pose that was written
@@ -69,11 +69,12 @@ class NOVAPHY_CORE_API SleepingBodies {
  public:
   // False: none sleeps.
   bool find(const Model& model, const SimState& state);
-  BodyMotion motion(int32_t body) const { return motion_[static_cast<size_t>(body)]; }
-  bool is_asleep(int32_t body) const { return body >= 0 && motion(body) == BodyMotion::Asleep; }
+  BodyActivity motion(int32_t body) const { return motion_[static_cast<size_t>(body)]; }
+  bool is_asleep(int32_t body) const { return body >= 0 && motion(body) == BodyActivity::Asleep; }
   // Whether a body wakes what it touches.
   bool stirs(int32_t body) const {
-    return body >= 0 && (motion(body) == BodyMotion::Awake || motion(body) == BodyMotion::Driven);
+    return body >= 0 &&
+           (motion(body) == BodyActivity::Awake || motion(body) == BodyActivity::Driven);
   }
   // Behind find(): wakes the island of a body that sleeps, with wake_islands().
   void wake(int32_t body);
@@ -91,7 +92,7 @@ class NOVAPHY_CORE_API SleepingBodies {
   const Model* model_ = nullptr;
   const SimState* state_ = nullptr;
   uint64_t stamp_ = 0;
-  std::vector<BodyMotion> motion_;
+  std::vector<BodyActivity> motion_;
   uint64_t joints_stamp_ = 0;
   std::vector<int32_t> free_joint_;  // of each body
   std::vector<uint8_t> written_;     // of each body: it has a mark that no longer holds

@@ -1,5 +1,6 @@
-// Settings of ShapeConfig and of springs that a solver does not read. A value other than the default
-// is refused, except for a 0 that means that there is no such force. No setting is ignored silently.
+// Settings of ShapeConfig and of springs that a solver does not read. A value other than the
+// default is refused, except for a 0 that means that there is no such force. No setting is ignored
+// silently.
 #pragma once
 
 #include <array>
@@ -20,8 +21,8 @@ class NOVAPHY_CORE_API UnsupportedMaterials {
   UnsupportedMaterials(const char* solver, Reads reads) : solver_(solver), reads_(reads) {}
 
   // Cheap while the arrays were not written since the last call. ErrorKind::NotImplemented names
-  // the shape or the spring, and the setting. Host reads of the arrays are not observed: no kernel depends on
-  // them.
+  // the shape or the spring, and the setting. Host reads of the arrays are not observed: no kernel
+  // depends on them.
   void check(const Model& model);
 
  private:

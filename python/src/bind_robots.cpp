@@ -294,8 +294,8 @@ void bind_views(py::class_<RobotImport>& c) {
           "cameras",
           [](const RobotImport& r) {
             py::dict cameras;
-            for (const auto& [name, c] : r.cameras)
-              cameras[py::str(name)] = py::make_tuple(c.at.body, pose_tuple(c.at.pose), c.fovy);
+            for (const auto& [name, of] : r.cameras)
+              cameras[py::str(name)] = py::make_tuple(of.at.body, pose_tuple(of.at.pose), of.fovy);
             return cameras;
           },
           "Name of a camera to its body (-1: the world), its pose there (m, xyzw) and its field of "
@@ -330,8 +330,8 @@ void bind_result(py::module_& io) {
           "shape_colors",
           [](const RobotImport& r) {
             py::dict colors;
-            for (const auto& [shape, c] : r.shape_colors)
-              colors[py::int_(shape)] = py::make_tuple(c.x, c.y, c.z, c.w);
+            for (const auto& [shape, rgba] : r.shape_colors)
+              colors[py::int_(shape)] = py::make_tuple(rgba.x, rgba.y, rgba.z, rgba.w);
             return colors;
           },
           "Shape to (r, g, b, a), of those whose file gives one.")

@@ -232,7 +232,7 @@ def set_to(name: str, value: float, row: int = 0) -> object:
         (set_to("joint_target_kd", 1.0), "joint_target_kd 0"),
         (set_to("joint_f", 1e-3), "joint_f 0"),
         (set_to("joint_velocity_limit", 0.5), "qd_out|q_out"),
-        (set_to("body_com", 0.01), "centres of mass"),
+        (set_to("body_com", 0.01), "centers of mass"),
         (set_to("gravity", 0.5), "gravity along -Z"),
         (set_to("joint_X_c", 0.1, 1), "on the x axes of their links"),
     ],

@@ -116,6 +116,12 @@ TESTS: dict[str, Callable[[], None] | str] = {
     '`friction_law="newton17"`': (
         "test_sim.py::test_the_friction_law_of_a_differentiable_solver_is_checked"
     ),
+    '`penalty_law="mean"` with': (
+        "test_penalty_laws.py::test_what_is_not_supported_is_refused_by_name"
+    ),
+    "in `SolverSemiImplicit` and `DiffSemiImplicitSolver`: ropes": (
+        "test_vbd_ropes.py::test_other_solvers_refuse_ropes_by_name"
+    ),
     "`friction_smoothing` with": (
         "test_sim.py::test_the_friction_law_of_a_differentiable_solver_is_checked"
     ),

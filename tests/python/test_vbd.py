@@ -46,7 +46,7 @@ def test_colours_are_arrays_and_groups_and_survive_a_pickle():
     assert (builder.finalize().particle_colors.numpy() == colors).all()
     with pytest.raises(ValueError, match="groups: expected every particle once"):
         builder.set_coloring(groups[:-1])
-    with pytest.raises(ValueError, match="expected particles of different colours"):
+    with pytest.raises(ValueError, match="expected particles of different colors"):
         builder.set_coloring([np.concatenate(groups)])
     builder.set_coloring([np.concatenate(groups)], allow_conflicts=True)
     assert novaphy.ModelBuilder().finalize().particle_color_groups == []

@@ -61,8 +61,8 @@ BallLimit<T> ball_limit(const Link& link, const StepInputs<T>& in, const Branche
   return limit;
 }
 template <class T>
-NOVAPHY_BALLS Branches<T> ball_branch(const Link& link, const StepInputs<T>& in,
-                                      const StepOptions<T>& options) {
+NOVAPHY_SELDOM Branches<T> ball_branch(const Link& link, const StepInputs<T>& in,
+                                       const StepOptions<T>& options) {
   const T o = T(0.0f), upper = in.limit_upper[link.dof], half_turn = T(3.14159274f);
   if (!any(upper < half_turn)) return {};
   const Vec3<T> turn = rotation_vector(unit_quaternion(in.q + link.coord));
@@ -84,9 +84,9 @@ void set_ball_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepO
 
 // Of its dofs, damping included; `cone`: sqrt(w) n.
 template <class T>
-NOVAPHY_BALLS void ball_terms(const Link& link, const StepInputs<T>& in,
-                              const StepOptions<T>& options, const Branches<T>& branch,
-                              DriveTerm<T>* terms, T* cone) {
+NOVAPHY_SELDOM void ball_terms(const Link& link, const StepInputs<T>& in,
+                               const StepOptions<T>& options, const Branches<T>& branch,
+                               DriveTerm<T>* terms, T* cone) {
   const T o = T(0.0f), *const v = in.qd + link.dof, dt = options.dt;
   const bool implicit = options.implicit_drives;
   const Vec3<T> phi = target_rotation(link, in);
@@ -108,8 +108,8 @@ NOVAPHY_BALLS void ball_terms(const Link& link, const StepInputs<T>& in,
 
 // Of the cones c of all joints: lambda . (c c^T) x adds its gradient.
 template <class T>
-NOVAPHY_BALLS void cones_vjp(const Tree<T>& tree, const T* cone, const T* lambda, const T* x,
-                             T* gradient) {
+NOVAPHY_SELDOM void cones_vjp(const Tree<T>& tree, const T* cone, const T* lambda, const T* x,
+                              T* gradient) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
     if (!is_ball(tree.links[i])) continue;
     const int32_t k = local_dof(tree, tree.links[i]);
@@ -161,10 +161,11 @@ void ball_limit_gradient(const Link& link, const StepInputs<T>& in, const StepOp
 
 // drive_gradient of its three dofs, with that of the limit.
 template <class T>
-NOVAPHY_BALLS void ball_gradient(const Link& link, const StepInputs<T>& in,
-                                 const StepOptions<T>& options, const Branches<T>& branch,
-                                 const T* qdd, const T* lambda, const T* diagonal, const T* of_cone,
-                                 T* q_gradient, T* qd_gradient, const StepGradient<T>& g) {
+NOVAPHY_SELDOM void ball_gradient(const Link& link, const StepInputs<T>& in,
+                                  const StepOptions<T>& options, const Branches<T>& branch,
+                                  const T* qdd, const T* lambda, const T* diagonal,
+                                  const T* of_cone, T* q_gradient, T* qd_gradient,
+                                  const StepGradient<T>& g) {
   const T o = T(0.0f);
   const Vec3<T> phi = target_rotation(link, in);
   const T turn[3] = {phi.x, phi.y, phi.z};

@@ -52,10 +52,10 @@ inline SinCos<double> sin_cos(double x) { return {std::sin(x), std::cos(x)}; }
 inline double square_root(double x) { return std::sqrt(x); }
 inline double angle_of(double sine, double cosine) { return std::atan2(sine, cosine); }
 inline bool is_finite(double x) { return x - x == 0.0; }
-// Functions apart, and small: few trees have such joints.
-#define NOVAPHY_BALLS __attribute__((noinline, cold))
+// Functions apart, and small: few trees have such joints and contacts.
+#define NOVAPHY_SELDOM __attribute__((noinline, cold))
 #else
-#define NOVAPHY_BALLS
+#define NOVAPHY_SELDOM
 #endif
 
 }  // namespace novaphy::articulation

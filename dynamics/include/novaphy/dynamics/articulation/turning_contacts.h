@@ -83,7 +83,8 @@ struct TurningInput {
 };
 
 template <class T>
-MovingContact<bool, T> turn_contact(const TurningShapes& shapes, const TurningInput<T>& of) {
+NOVAPHY_SELDOM MovingContact<bool, T> turn_contact(const TurningShapes& shapes,
+                                                   const TurningInput<T>& of) {
   const auto lift = [](const Vec3f& v) { return Vec3<T>{T(v.x), T(v.y), T(v.z)}; };
   const Vec3<T> normal = lift(of.normal);
   Vec3<T> world[2];
@@ -131,8 +132,9 @@ inline Transform<ByTwist> resting_pose(const Transformf& pose) {
 }
 
 // `margins`: from the cores to the surfaces, along the normal. `at`: the midpoint.
-inline ContactTurning contact_turning(const TurningShapes& shapes, const TurningInput<float>& of,
-                                      const float* margins, const Vec3f& at) {
+NOVAPHY_SELDOM inline ContactTurning contact_turning(const TurningShapes& shapes,
+                                                     const TurningInput<float>& of,
+                                                     const float* margins, const Vec3f& at) {
   const TurningInput<ByTwist> moving = {{of.shape[0], of.shape[1]},
                                         {of.point[0], of.point[1]},
                                         of.normal,

@@ -172,14 +172,14 @@ def camera_look(
     body, pose, _ = robot.cameras[name]
     state = model.state()
     _core.eval_fk(model, state.joint_q, state.joint_qd, state)
-    place = state.body_q.numpy()[body] if body >= 0 else np.float32([0, 0, 0, 0, 0, 0, 1])
+    place = state.body_q.numpy()[body] if body >= 0 else np.array([0, 0, 0, 0, 0, 0, 1], np.float32)
 
     def turned(q: np.ndarray, v: np.ndarray) -> np.ndarray:
         return v + 2.0 * np.cross(q[:3], np.cross(q[:3], v) + q[3] * v)
 
     inside = np.asarray(pose)
     pos = place[:3] + turned(place[3:], inside[:3])
-    return pos, pos + turned(place[3:], turned(inside[3:], np.float64([0, 0, -1])))
+    return pos, pos + turned(place[3:], turned(inside[3:], np.array([0.0, 0.0, -1.0])))
 
 
 def control_ranges(model: _core.Model) -> Iterator[tuple[str, float, float]]:

@@ -25,8 +25,10 @@ py::object array_grad(const Array& array) {
 void bind_array_gradient(py::class_<Array>& array) {
   array.def_property_readonly(
       "grad", &array_grad,
-      "The gradient of the values: a DeviceArray of the same shape, zero until a backward; None "
-      "for an array without. The same memory as the grad of a Tensor over the array.");
+      "The gradient of the values, a DeviceArray of the same shape. The gradient is zero before "
+      "the first "
+      "backward pass, and None if the array requires no gradient. A Tensor over the array has the "
+      "same memory for its grad.");
   array.def_property(
       "requires_grad",
       [](const Array& a) { return has_gradients(a) && Tensor::view(a).requires_grad(); },

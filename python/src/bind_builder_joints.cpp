@@ -326,13 +326,15 @@ void bind_builder_joints(Builder& c) {
       .def_property_readonly("articulation_count", &ModelBuilder::articulation_count,
                              "The number of articulations.");
   bind_axis_joint(c, "add_joint_revolute", &ModelBuilder::add_joint_revolute,
-                  "The child turns about `axis` (an Axis or a vector, joint frame) through the "
-                  "origins of the joint frames. The numbers are those of JointDofConfig; None: "
-                  "those of default_joint_cfg. Returns the index.");
+                  "Adds a revolute joint and returns its index. The child turns about `axis`, an "
+                  "Axis or a vector in the joint frame, through the origins of the joint frames. "
+                  "The other numbers are the fields of JointDofConfig. None takes the value of "
+                  "default_joint_cfg.");
   bind_axis_joint(
       c, "add_joint_prismatic", &ModelBuilder::add_joint_prismatic,
-      "The child moves along `axis` (an Axis or a vector, joint frame). The numbers are "
-      "those of JointDofConfig; None: those of default_joint_cfg. Returns the index.");
+      "Adds a prismatic joint and returns its index. The child moves along `axis`, an Axis or a "
+      "vector in the joint frame. The other numbers are the fields of JointDofConfig. None takes "
+      "the value of default_joint_cfg.");
   bind_ball_joint(c);
   bind_other_joints(c);
   bind_general_joints(c);

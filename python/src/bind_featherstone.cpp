@@ -85,9 +85,8 @@ void bind_functions(py::module_& m) {
         return to_array(unlocked([&] { return eval_forward_dynamics(model, state, t); }));
       },
       "model"_a, "state"_a, "tau"_a,
-      "The accelerations {dofs} under the forces of dofs tau {dofs} (N, N*m). novaphy.Error, "
-      "naming "
-      "the dof, where the mass matrix is singular.");
+      "The joint accelerations, of shape {dofs}, for the generalized forces tau, of shape {dofs} "
+      "(N or N*m). Raises novaphy.Error with the name of the dof if the mass matrix is singular.");
   m.def(
       "eval_mass_matrix",
       [](const Model& model, const SimState& state, bool include_armature) {
@@ -198,8 +197,8 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
       .def_property_readonly("pgs_sweeps", &SolverFeatherstone::pgs_sweeps,
                              "The largest number of sweeps of an island in the last step.")
       .def_property_readonly("pgs_residual", &SolverFeatherstone::pgs_residual,
-                             "The largest change of velocity by a last sweep of the last step, "
-                             "m/s.")
+                             "The largest velocity change in the final sweep of an island in the "
+                             "last step (m/s).")
       .def_property_readonly(
           "angular_damping",
           [](const SolverFeatherstone& s) { return s.options().angular_damping; }, "1/s")

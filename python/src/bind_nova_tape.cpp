@@ -183,10 +183,11 @@ void bind_gradcheck(py::module_& m) {
                                     "The result of gradcheck; true when it is ok.")
       .def_readonly("ok", &nova::GradcheckResult::ok, "Whether all values agree.")
       .def_readonly("max_abs_error", &nova::GradcheckResult::max_abs_error,
-                    "The largest difference.")
+                    "The largest difference between gradient and difference quotient.")
       .def_readonly(
           "max_rel_error", &nova::GradcheckResult::max_rel_error,
-          "The largest difference, relative to the largest difference quotient of the input.")
+          "The largest difference between the gradient and the difference quotient of an input, "
+          "divided by the largest difference quotient of that input.")
       .def_readonly("worst", &nova::GradcheckResult::worst,
                     "The place of the largest difference: \"input 1, value 4: ad 0.5, fd 0.4\".")
       .def_readonly("has_tangent", &nova::GradcheckResult::has_tangent,

@@ -118,9 +118,10 @@ void bind_properties(TensorClass& c) {
       .def_property("requires_grad", method<&Tensor::requires_grad>,
                     method<&Tensor::set_requires_grad>,
                     "Whether tapes follow the tensor; ValueError: not float32.")
-      .def_property_readonly("grad", &grad_of,
-                             "The gradient: a Tensor of the same shape, zero until a backward; "
-                             "None for a tensor without.");
+      .def_property_readonly(
+          "grad", &grad_of,
+          "The gradient, a Tensor of the same shape. The gradient is zero before the first "
+          "backward pass, and None if the tensor requires no gradient.");
 }
 
 void bind_methods(TensorClass& c) {

@@ -23,13 +23,14 @@ rest: the angle without a force (rad); None: the present angle.)";
 inline constexpr char kAddSoftMesh[] =
     R"(Adds a soft body from a tetrahedral mesh.
 
-vertices, indices: (n, 3) and (m, 4) or flat; or a `mesh` with these as attributes, and with
-density, k_mu, k_lambda, k_damp.
-density: kg/m^3; each corner of a tetrahedron gets a quarter of its mass.
-k_mu, k_lambda, k_damp: a number, or one for each tetrahedron.
+vertices, indices: arrays of shape (n, 3) and (m, 4), or flat arrays.
+mesh: an object that replaces both, with the attributes vertices, indices, density, k_mu, k_lambda
+and k_damp.
+density: kg/m^3. Each corner gets a quarter of the mass of its tetrahedron.
+k_mu, k_lambda (Pa), k_damp (Pa s): one number, or one number for each tetrahedron.
 
-ValueError: an empty mesh, a loose vertex, a degenerate or inverted tetrahedron, a face of more than
-two tetrahedra.)";
+ValueError: the mesh is empty, a vertex belongs to no tetrahedron, a tetrahedron is degenerate or
+inverted, or more than two tetrahedra share a face.)";
 
 inline constexpr char kColor[] =
     R"(Colors the particles for SolverVBD, so that the particles of an element have different

@@ -21,17 +21,18 @@
 // to lam are exactly 0 (alpha is not asked); deviatoric part and damping stay. Newton divides 0 by
 // 0 there. mu = lam = damp = 0 is no force.
 //
-// Where damp = 0 no velocity is looked at.
+// If damp = 0, the velocities are not read.
 //
 // The velocities in the volumetric damping are those of the corners in the world, not relative to
-// corner 0, as in Newton. With damp > 0, a tetrahedron that only translates therefore feels a drag.
+// corner 0, as in Newton. With damp > 0, a pure translation therefore makes forces on the corners,
+// whose sum is zero.
 //
 // Source: Smith, de Goes, Kim, "Stable Neo-Hookean Flesh Simulation" (2018), equations 13 and 18,
 // as Newton 1.8.0's SolverSemiImplicit evaluates it. Newton's output on the cpu is the same bits
 // (without damping). Matrix products are fused chains, see math/matrix.h.
 //
-// Smooth everywhere, flat and inverted shapes included. Gradient: exact in x, v, act, mu, lam, damp
-// (for lam = 0 see above); Dm carries none.
+// The force is smooth for flat and inverted tetrahedra too. The gradient is exact in x, v, act, mu,
+// lam and damp (for lam = 0 see above). Dm has no gradient.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
 #pragma once

@@ -273,9 +273,9 @@ TEST(ArticulationStep, GradientsEqualCentralDifferencesForEveryInput) {
       fast += (b & articulation::kVelocityClamped) != 0;
     }
     for (const articulation::Link& link : s.tree.links) {
+      if (!articulation::is_ball(link)) continue;
       const int32_t b = r.branch[static_cast<size_t>(link.dof)];
-      if (articulation::is_ball(link) && (b & articulation::kOutside) != 0)
-        ++turned[(b & articulation::kLimitReleased) != 0];
+      if ((b & articulation::kOutside) != 0) ++turned[(b & articulation::kLimitReleased) != 0];
     }
     std::vector<Part> all = parts(s);
     backward(s, r, weights, all);

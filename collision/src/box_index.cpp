@@ -3,32 +3,14 @@
 #include <algorithm>
 #include <cmath>
 
+#include "sweep_axis.h"
+
 namespace novaphy::detail {
 namespace {
 
 constexpr float kLong = 8.0f;  // times the mean length: stands apart
 
 }  // namespace
-
-// The axis along which the middles of the entries are spread most.
-void BoxIndex::choose_axis() {
-  double sum[3] = {}, square[3] = {};
-  for (const Entry& one : entries_) {
-    const Vec3f middle = one.box.lo * 0.5f + one.box.hi * 0.5f;
-    const double at[3] = {middle.x, middle.y, middle.z};
-    for (int k = 0; k < 3; ++k) {
-      sum[k] += at[k];
-      square[k] += at[k] * at[k];
-    }
-  }
-  const auto count = static_cast<double>(std::max<size_t>(entries_.size(), 1));
-  const auto spread = [&](int k) {
-    return square[k] / count - (sum[k] / count) * (sum[k] / count);
-  };
-  axis_ = 0;
-  for (int k = 1; k < 3; ++k)
-    if (spread(k) > spread(axis_)) axis_ = k;
-}
 
 void BoxIndex::build(std::span<const int32_t> members, std::span<const RigidShape> shapes,
                      std::span<const int32_t> world) {
@@ -60,7 +42,7 @@ void BoxIndex::build(std::span<const int32_t> members, std::span<const RigidShap
     apart_.insert(apart_.end(), rest, entries_.end());
     entries_.erase(rest, entries_.end());
   }
-  choose_axis();
+  axis_ = sweep_axis(entries_, [](const Entry& one) -> const geometry::Box3& { return one.box; });
   longest_ = 0.0f;
   for (Entry& one : entries_) {
     one.begin = along(one.box.lo);

@@ -48,7 +48,6 @@ class BoxIndex {
     }
   }
   float along(const Vec3f& v) const { return axis_ == 0 ? v.x : axis_ == 1 ? v.y : v.z; }
-  void choose_axis();
 
   int axis_ = 0;
   float longest_ = 0.0f;  // m, of an entry along the axis, and a little more

@@ -1,12 +1,11 @@
 #include "novaphy/collision/box_pairs.h"
 
 #include <algorithm>
-#include <array>
-#include <cmath>
 #include <iterator>
 #include <numeric>
 
 #include "novaphy/core/error.h"
+#include "sweep_axis.h"
 
 namespace novaphy {
 namespace {
@@ -45,33 +44,6 @@ void check_boxes(const char* function, std::span<const Box3> boxes, const ShapeP
 }
 
 bool meets_itself(const Box3& box) { return boxes_meet(box, box); }  // no NaN, and lo <= hi
-
-// The axis on which the centers of the boxes vary most, the first among equals.
-int sweep_axis(std::span<const Box3> boxes) {
-  std::array<double, 3> sum{}, square{};
-  double count = 0.0;
-  for (const Box3& box : boxes) {
-    for (int k = 0; k < 3; ++k) {
-      const double c = 0.5 * (static_cast<double>(geometry::component(box.lo, k)) +
-                              static_cast<double>(geometry::component(box.hi, k)));
-      if (!std::isfinite(c)) continue;  // unbounded
-      sum[static_cast<size_t>(k)] += c;
-      square[static_cast<size_t>(k)] += c * c;
-    }
-    count += 1.0;
-  }
-  int best = 0;
-  double most = -1.0;
-  for (int k = 0; k < 3; ++k) {
-    const auto a = static_cast<size_t>(k);
-    const double variance = count > 0.0 ? square[a] / count - sum[a] / count * (sum[a] / count) : 0;
-    if (variance > most) {
-      most = variance;
-      best = k;
-    }
-  }
-  return best;
-}
 
 // Insertion sort for what is nearly sorted; std::sort takes over after a few moves per item. The
 // order is total, so both give the same.
@@ -132,7 +104,7 @@ std::vector<Vec2i> SweepAndPrune::box_pairs(std::span<const Box3> boxes,
     order_.resize(count);
     std::iota(order_.begin(), order_.end(), 0);
   }
-  const int axis = sweep_axis(boxes);
+  const int axis = detail::sweep_axis(boxes, [](const Box3& box) -> const Box3& { return box; });
   auto box = [&](int32_t i) -> const Box3& { return boxes[static_cast<size_t>(i)]; };
   auto lower = [&](int32_t i) {  // what meets nothing comes last
     return meets_itself(box(i)) ? geometry::component(box(i).lo, axis)

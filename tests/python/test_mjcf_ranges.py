@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from test_mjcf_features import GEOM, loaded, mjcf
 
 import novaphy
 from novaphy.testing import assert_allclose
@@ -11,17 +12,6 @@ from novaphy.testing import assert_allclose
 pytestmark = pytest.mark.skipif(
     not novaphy.has_io(), reason="built with NOVAPHY_WITH_IO=OFF; the wheel has it"
 )
-GEOM = '<geom type="box" size=".1 .2 .3" pos=".1 .05 .02"/>'
-
-
-def mjcf(inside: str, before: str = "", after: str = "") -> str:
-    return f"<mujoco>{before}<worldbody>{inside}</worldbody>{after}</mujoco>"
-
-
-def loaded(source: object, **options: object):
-    builder = novaphy.ModelBuilder()
-    robot = builder.add_mjcf(source, **options)
-    return builder.finalize(), robot
 
 
 LIMITED = '<joint name="j" axis="0 1 0" range="-90 90"/>'

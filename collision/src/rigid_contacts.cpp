@@ -104,8 +104,8 @@ void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
     launches.find(pairs, impl_->contacts_per_pair);
     if (asks_fcl) impl_->ask_fcl();
     launches.scan(pairs);
-    // If the host waits for the number of rows, the host checks here whether the rows fit. Otherwise
-    // kernels make this check.
+    // If the host waits for the number of rows, the host checks here whether the rows fit.
+    // Otherwise kernels make this check.
     const bool limited = waits ? launches.rows_found(pairs) > rows : rows < pairs.most_rows();
     if (limited) launches.limit(pairs, rows);
     launches.write(pairs, limited, c);

@@ -5,7 +5,7 @@
 //   X_p, X_c     pose of the joint frame in the parent and in the child
 //   J(q)         pose of the child's joint frame in the parent's, whose axes all of q and qd have:
 //     linear axes a_i     translation sum a_i q_i
-//     angular axes        then R(a_0, q_0) R(a_1, q_1) R(a_2, q_2), each axis turned by those before
+//     angular axes        then R(a_0, q_0) R(a_1, q_1) R(a_2, q_2): axes turn with those before
 //     BALL, FREE          a quaternion; FREE: the translation too
 //   qd           the rates of those; of BALL the angular velocity of the child relative to the
 //                parent; of FREE the velocity of its center of mass, then its angular velocity,

@@ -132,6 +132,7 @@ void bind_tape(py::module_& m) {
       .def("record_custom", &record_custom, "name"_a, "inputs"_a, "outputs"_a, "backward"_a,
            "forward"_a = py::none(), doc::kRecordCustom);
 
+  m.def("active_tape", &nova::Tape::active, py::return_value_policy::reference, doc::kActiveTape);
   py::class_<NoGradContext>(m, "no_grad",
                             "Context manager: nothing of this thread is recorded on a tape.")
       .def(py::init<>())

@@ -24,6 +24,10 @@ same bits, half the memory. Reading such a gradient afterwards raises novaphy.Er
 
 `novaphy.Error`: another tape is active.)";
 
+inline constexpr char kActiveTape[] =
+    R"(Returns the tape that records on this thread, or None. Inside of no_grad nothing is recorded,
+so the result is None.)";
+
 inline constexpr char kJvp[] =
     R"(Pushes tangents of leaves forward (forward mode). Returns, for each of `outputs`, its
 derivative in the direction of `tangents`, as new tensors.

@@ -24,6 +24,8 @@ import numpy as np
 
 import novaphy
 
+from ._check_gradient import check_function, is_function
+
 COMPLETION = """_novaphy() {
   local current=${COMP_WORDS[COMP_CWORD]} before=${COMP_WORDS[COMP_CWORD-1]}
   local commands="demos run info check bench replay view completion"
@@ -118,7 +120,9 @@ def run_demo(args: argparse.Namespace) -> int:
 
 
 def check(args: argparse.Namespace) -> int:
-    """Compare the gradient of a demo with central differences."""
+    """Compare the gradient of a demo, or of FILE.py:FUNCTION, with differences of the loss."""
+    if is_function(args.demo):
+        return check_function(args.demo, args.options)
     path = find_demo(args.demo)
     if "check_grad" not in path.read_text("utf-8"):
         raise ValueError(f"check, demo: {args.demo!r} has no gradient")
@@ -260,7 +264,10 @@ def make_parser() -> argparse.ArgumentParser:
         if name == "bench":
             part.add_argument("--count", type=int, default=20, help="iterations (default 20)")
         needs_one = {"nargs": "?", "default": "ball"} if name != "run" else {}
-        part.add_argument("demo", help="a name that `novaphy demos` lists", **needs_one)
+        text = "a name that `novaphy demos` lists"
+        if name == "check":
+            text += "; FILE.py:FUNCTION for diff.certify, with theta0 and sigma in the file"
+        part.add_argument("demo", help=text, **needs_one)
         rest = part.add_argument("options", nargs=argparse.REMAINDER, help="options of the demo")
         rest.required = False
     add("info", info)

@@ -82,13 +82,17 @@ from .._core.diff import (  # noqa: E402
     update_inverse_mass,
     vec3_point_loss_generated,
 )
+from ._certificate import Certificate, certify  # noqa: E402
 from ._linearize import linearize  # noqa: E402
 from ._poses import pose_tangent_gradient  # noqa: E402
+from ._smoothing import smoothed  # noqa: E402
 
 __all__ = [
+    "Certificate",
     "Trajectory",
     "assign_tet_materials_generated",
     "body_twist_from_omega_generated",
+    "certify",
     "clamp_f32_generated",
     "control_ctrl_tensor",
     "control_joint_f_tensor",
@@ -149,6 +153,7 @@ __all__ = [
     "record_planar_2r_featherstone_step",
     "rigid_contact_gradient_labels",
     "rigid_orientation_velocity_loss_generated",
+    "smoothed",
     "state_act_tensor",
     "state_body_f_tensor",
     "state_body_q_tensor",

@@ -1,0 +1,249 @@
+"""A certificate of a gradient: what it agrees with, how far it holds, and what it costs."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from time import perf_counter
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from .._core.nova import grad_enabled
+from ._events import Margin, Trust, by_world, trust
+from ._parameters import Losses, Parameters, Slopes, normal_numbers, outside_of_tapes
+from ._smoothing import check_worlds, draw, mean_and_error, tail_of, zeroth_order
+from ._verdict import ROUNDING, Evidence, disagreements, judge
+
+if TYPE_CHECKING:
+    from .._core.solvers import GradientInfo
+    from ._parameters import Function, Numbers, Sigma, Theta
+
+STEPS = (1.0, 0.3, 0.1, 0.01)  # of differences, sigmas
+PART = 0.25  # of sigma, of samples
+EVENT_STEP = 0.1  # sigmas
+MOST_DIRECTIONS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """The worth of a gradient at one point. All derivatives are per sigma: g_i sigma_i.
+
+    verdict, sentence: the verdict, and its reason. The first that holds:
+      the loss does not change within one sigma: "zero".
+      differences over 0.3 sigma agree with the gradient within 20 %: "of the motion".
+      differences settle at another slope: "biased".
+      the gradient is right for moves of 0.01 sigma only: "local".
+      neither differences nor gradients of samples settle: "chaotic".
+    info: the GradientInfo of the gradient, or None without a solver.
+    loss, worlds: the loss, and the number of samples.
+    gradient, code_gradient: {n}; code_gradient is None unless f takes `contact_gradient`.
+    directions, steps, differences: central differences {4, m} along directions {m, n} over steps
+    {4} (sigmas).
+    disagreements: {4}, the distance of gradient and differences, relative to the longer one.
+    smoothed, standard_error: {n}, the zeroth-order gradient of samples at a quarter of sigma.
+    cosine, length: of the gradient, compared with the smoothed gradient.
+    tail: the longest gradient of the samples in units of the median length.
+    margins: rows (what, step, pair, sigmas): how far the parameters may move until an event changes.
+    trust_radius, limited_by: how far the order of events holds downhill (sigmas), and what ends it;
+      None without a list of events.
+    cost, seconds: the time of the whole certificate in gradients, and of one gradient.
+    """
+
+    verdict: str
+    sentence: str
+    info: GradientInfo | None
+    loss: float
+    worlds: int
+    gradient: Numbers
+    code_gradient: Numbers | None
+    directions: Numbers
+    steps: Numbers
+    differences: Numbers
+    disagreements: Numbers
+    smoothed: Numbers
+    standard_error: Numbers
+    cosine: float
+    length: float
+    tail: float
+    margins: list[Margin]
+    trust_radius: float | None
+    limited_by: str | None
+    cost: float
+    seconds: float
+
+    def __str__(self) -> str:
+        """Return the table as text."""
+        from ._certificate_view import text
+
+        return text(self)
+
+    def print(self) -> None:
+        """Print the table."""
+        print(self)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the picture as .html, which needs no package, or as .png, which needs Matplotlib.
+
+        Raises:
+            ValueError: another ending.
+            ImportError: Matplotlib is not installed.
+        """
+        from ._certificate_view import save
+
+        save(self, path)
+
+
+class _Measured(NamedTuple):
+    """The measurements of certify. Derivatives are per sigma."""
+
+    at: Slopes
+    code: Slopes | None
+    directions: Numbers
+    differences: Numbers
+    noise: Numbers
+    samples: Slopes
+    w: Numbers  # of the samples
+    events: Trust | None
+
+
+def certify(
+    f: Function, theta: Theta, sigma: Sigma, worlds: int = 64, seed: int = 0
+) -> Certificate:
+    """Compare the gradient of f with differences and samples of the loss, and give a verdict.
+
+    Args:
+        f: maps parameters {worlds, n} to losses {worlds}, a Tensor. For a dict theta, f takes a
+            dict of tensors {worlds, ...}. f is called with one row and with many, and gives the
+            same bits for the same rows. An f with the argument `contact_gradient` is also called
+            with contact_gradient="code", for the gradient of the code.
+        theta: the parameters: {n} or {1, n}, or a dict of entries of any shape, float32.
+        sigma: how far the parameters will move, in the units of theta: a number, or the shape of
+            theta.
+        worlds: the number of samples, even.
+        seed: the seed of directions and samples.
+
+    Returns:
+        The Certificate. Its table is printed by `print()`.
+
+    Raises:
+        TypeError: theta is not float32, or f returns no Tensor.
+        ValueError: two calls of f with the same parameters differ; no parameter; no gradient path.
+        ValueError: sigma is not positive, not finite or of another shape.
+        ValueError: losses of another shape, or not finite (with the row); a call inside of no_grad.
+    """
+    check_worlds("certify", worlds)
+    if not grad_enabled():
+        raise ValueError("certify: expected a call outside of no_grad")
+    losses_of = Losses(f, Parameters("certify", theta, sigma))
+    began = perf_counter()
+    with outside_of_tapes():
+        at, seconds = _gradient(losses_of)
+        code = losses_of.of_the_code()
+        directions = _directions(at.gradients[0], seed)
+        found = _Measured(
+            at,
+            None if code is None else code.slopes(np.zeros((1, losses_of.parameters.size))),
+            directions,
+            *_differences(losses_of, directions),
+            *_samples(losses_of, worlds, seed),
+            _events(losses_of, at, directions),
+        )
+    return _certificate(found, (perf_counter() - began) / seconds, seconds)
+
+
+def _certificate(of: _Measured, cost: float, seconds: float) -> Certificate:
+    """Return the certificate of measurements."""
+    slope, events = of.at.gradients[0], of.events
+    smooth, error = mean_and_error(zeroth_order(of.samples.losses, of.w, True) / PART)
+    tail = tail_of(of.samples.gradients)
+    shift = None if events is None else events.shift
+    evidence = Evidence(
+        of.directions @ slope, of.differences, of.noise, tail, of.at.info, shift
+    )  # fmt: skip
+    verdict, sentence = judge(evidence)
+    long, wanted = float(np.linalg.norm(slope)), float(np.linalg.norm(smooth))
+    return Certificate(
+        verdict=verdict,
+        sentence=sentence,
+        info=of.at.info,
+        loss=float(of.at.losses[0]),
+        worlds=len(of.w),
+        gradient=slope,
+        code_gradient=None if of.code is None else of.code.gradients[0],
+        directions=of.directions,
+        steps=np.array(STEPS),
+        differences=of.differences,
+        disagreements=disagreements(evidence),
+        smoothed=smooth,
+        standard_error=error,
+        cosine=float(slope @ smooth / (long * wanted)) if long * wanted > 0.0 else float("nan"),
+        length=long / wanted if wanted > 0.0 else float("nan"),
+        tail=tail,
+        margins=[] if events is None else events.margins,
+        trust_radius=None if events is None else events.radius,
+        limited_by=None if events is None else events.limited_by,
+        cost=cost,
+        seconds=seconds,
+    )
+
+
+def _gradient(losses_of: Losses) -> tuple[Slopes, float]:
+    """Return the gradient at theta and its time; ValueError where a second call differs."""
+    here, found, times = np.zeros((1, losses_of.parameters.size)), [], []
+    for _ in range(2):
+        began = perf_counter()
+        found.append(losses_of.slopes(here))
+        times.append(perf_counter() - began)
+    first, second = found
+    if first.losses != second.losses:
+        raise ValueError(
+            "certify, f: expected the same loss for the same parameters, got "
+            f"{float(first.losses[0])!r} and then {float(second.losses[0])!r}"
+        )
+    return second, min(times)
+
+
+def _directions(gradient: Numbers, seed: int) -> Numbers:
+    """Return unit vectors {m, n}: the axes of up to 8 parameters, else downhill and others."""
+    n = len(gradient)
+    if n <= MOST_DIRECTIONS:
+        return np.eye(n)
+    first = normal_numbers(MOST_DIRECTIONS, n, seed, stream=1)
+    if gradient.any():
+        first[0] = -gradient / np.linalg.norm(gradient)
+    q, r = np.linalg.qr(first.T)
+    return (q * np.sign(np.diag(r))).T
+
+
+def _differences(losses_of: Losses, directions: Numbers) -> tuple[Numbers, Numbers]:
+    """Return central differences {4, m} per sigma, and their rounding {4}."""
+    m, n = directions.shape
+    steps, signs = np.array(STEPS)[:, None, None, None], np.array([1.0, -1.0])[:, None]
+    moves = (steps * signs * directions[:, None, :]).reshape(-1, n)
+    losses = losses_of.values(moves).reshape(len(STEPS), m, 2)
+    # Parameters are float32: what they moved is not quite the step.
+    points = losses_of.points(moves).astype(np.float64).reshape(len(STEPS), m, 2, n)
+    moved = (points[:, :, 0] - points[:, :, 1]) / losses_of.parameters.sigma
+    length = np.einsum("emn,mn->em", moved, directions)
+    noise = ROUNDING * np.abs(losses).max() / (2.0 * np.array(STEPS))
+    return (losses[:, :, 0] - losses[:, :, 1]) / length, noise
+
+
+def _samples(losses_of: Losses, worlds: int, seed: int) -> tuple[Slopes, Numbers]:
+    """Return losses and gradients of antithetic samples at a part of sigma, and the samples."""
+    w = draw(worlds, losses_of.parameters.size, seed, True)
+    return losses_of.slopes(PART * w), w
+
+
+def _events(losses_of: Losses, at: Slopes, directions: Numbers) -> Trust | None:
+    """Return how far the events hold; None where the solver lists no events."""
+    if at.info is None or not at.info.event_list:
+        return None
+    signs = np.array([1.0, -1.0])[:, None]
+    moves = (EVENT_STEP * signs * directions[:, None, :]).reshape(-1, directions.shape[1])
+    moved = losses_of.slopes(moves).info
+    rows = by_world(moved.event_list if moved is not None else [], len(moves))
+    slope = at.gradients[0]
+    downhill = -(directions @ slope) / max(float(np.linalg.norm(slope)), 1e-300)
+    return trust(at.info.event_list, rows, EVENT_STEP, downhill)

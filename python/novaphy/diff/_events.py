@@ -1,0 +1,130 @@
+"""How far parameters may move until events change their order or vanish.
+
+Source: the trust radius of saltation matrices. An event i has the time t_i and the approach speed
+a_i. Along a direction u both change by their slopes. The order of two events changes at
+|t_i - t_j| / |dt_i - dt_j|, and an event vanishes at |a_i| / |da_i|, in units of sigma. The slopes
+are central differences of the events of worlds that are moved by ± step sigma.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ._parameters import Numbers
+
+    Event = dict[str, Any]
+
+
+class Margin(NamedTuple):
+    """The least move of the parameters that changes an event."""
+
+    what: str
+    step: int  # of the event
+    pair: str
+    sigmas: float
+
+
+class Trust(NamedTuple):
+    """Margins in ascending order; how far the gradient holds downhill, and why no further."""
+
+    margins: list[Margin]
+    radius: float  # sigmas; inf where nothing limits
+    limited_by: str
+    shift: float  # the largest move of the time of an event, steps per sigma
+
+
+def pair_of(event: Event) -> str:
+    """Name what meets in an event."""
+    if event["kind"] == "limit":
+        return f"joint {event['joint']}"
+    if event.get("particle", -1) >= 0:
+        shape = max(event["shape0"], event["shape1"])
+        return f"particle {event['particle']} and shape {shape}"
+    return f"shapes {event['shape0']} and {event['shape1']}"
+
+
+def _signature(events: list[Event]) -> list[tuple[Any, ...]]:
+    """Return kinds and pairs in order; numbers of shapes count from the least of the world."""
+    found = []
+    for key in ("shape0", "shape1", "joint", "particle"):
+        numbers = sorted({e[key] for e in events if e.get(key, -1) >= 0})
+        found.append([numbers.index(e[key]) if e.get(key, -1) >= 0 else -1 for e in events])
+    return [(e["kind"], *rest) for e, *rest in zip(events, *found, strict=True)]
+
+
+def by_world(events: list[Event], worlds: int) -> list[list[Event]]:
+    """Return the events of each world, in order of time."""
+    rows: list[list[Event]] = [[] for _ in range(worlds)]
+    for event in events:
+        rows[max(event["world"], 0)].append(event)
+    return rows
+
+
+def trust(
+    base: list[Event], moved: list[list[Event]], step: float, downhill: Numbers
+) -> Trust:
+    """Return the margins of the events of a motion.
+
+    Args:
+        base: the events of the motion.
+        moved: the events of worlds that are moved by +step and -step along direction 0, then along
+            direction 1, and so on.
+        step: the move, sigmas.
+        downhill: the parts {directions} of the unit vector against the gradient.
+    """
+    signature, changes = _signature(base), []
+    slopes = np.full((len(moved) // 2, 2, len(base)), np.nan)  # of time and approach
+    for k in range(len(moved) // 2):
+        plus, minus = moved[2 * k], moved[2 * k + 1]
+        if _signature(plus) != signature or _signature(minus) != signature:
+            changes.append(k)
+            continue
+        for j, key in enumerate(("time", "approach")):
+            slopes[k, j] = [
+                (a[key] - b[key]) / (2.0 * step) for a, b in zip(plus, minus, strict=True)
+            ]
+    known = np.isfinite(slopes[:, 0]).all(axis=1)
+    steepest = np.sqrt((slopes[known] ** 2).sum(axis=0))  # {2, events}
+    along = np.einsum("k,kje->je", downhill[known], slopes[known])
+    margins: list[Margin] = []
+    radius, limit = np.inf, "nothing"
+    for what, event, size, slope, ahead in _changes(base, slopes[known], steepest, along):
+        margins.append(Margin(what, event["step"], pair_of(event), _ratio(size, slope)))
+        if (reach := _ratio(size, ahead)) < radius:
+            radius = reach
+            limit = f"{what}: {event['kind']} of {pair_of(event)} in step {event['step']}"
+    if changes:
+        where = ", ".join(str(k) for k in changes)
+        text = f"number or order of events within {step:g} sigma along direction {where}"
+        margins.append(Margin("other events", base[0]["step"] if base else 0, text, step))
+        if step < radius:
+            radius, limit = step, text
+    steps = max((np.linalg.norm(slopes[known][:, 0, i]) / _dt(e) for i, e in enumerate(base)), default=0)
+    margins.sort(key=lambda margin: margin.sigmas)
+    return Trust(margins, float(radius), limit, float(steps))
+
+
+def _dt(event: Event) -> float:
+    """Return the length of a step (s) from the time of an event."""
+    return float(event["time"] / max(event["step"] + event["phase"], 1e-3))
+
+
+def _ratio(size: float, slope: float) -> float:
+    return float(size / slope) if slope > 0.0 else float("inf")
+
+
+def _changes(base: list[Event], slopes: Numbers, steepest: Numbers, along: Numbers) -> Any:
+    """Yield what may change, its event, its distance, the largest slope, and that downhill."""
+    if not len(slopes):
+        return
+    for i, event in enumerate(base):
+        size = abs(event["approach"])
+        yield "event vanishes", event, size, steepest[1, i], abs(along[1, i])
+        if i + 1 < len(base):
+            apart = base[i + 1]["time"] - event["time"]
+            closing = np.sqrt(((slopes[:, 0, i + 1] - slopes[:, 0, i]) ** 2).sum())
+            ahead = abs(along[0, i + 1] - along[0, i])
+            yield "order with the next event", event, apart, closing, ahead

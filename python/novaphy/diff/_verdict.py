@@ -1,0 +1,98 @@
+"""The verdict on a gradient, from differences of the loss and from samples."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ._parameters import Numbers
+
+AGREES = 0.2  # relative distance of gradient and differences over 0.3 sigma
+SETTLED = 0.25  # relative change of the differences from 0.3 to 0.1 sigma
+AGREES_CLOSELY = 0.05  # over 0.01 sigma
+HEAVY = 10.0  # the longest sample in units of the median length
+APART = 3.0  # steps between two events
+ROUNDING = 2.0**-23  # of a loss in float32, relative
+
+
+class Evidence(NamedTuple):
+    """The numbers behind a verdict. Derivatives are per sigma."""
+
+    slopes: Numbers  # {m}: of the gradient along the directions
+    differences: Numbers  # {4, m}, over steps of 1, 0.3, 0.1 and 0.01 sigma
+    noise: Numbers  # {4}, of differences by rounding
+    tail: float
+    info: Any  # GradientInfo or None
+    shift: float | None  # the largest move of the time of an event, steps per sigma
+
+
+def disagreements(of: Evidence) -> Numbers:
+    """Return the distance of gradient and differences {4}, beyond rounding, relative."""
+    floor = 3.0 * of.noise * np.sqrt(len(of.slopes))
+    lengths = np.maximum(np.linalg.norm(of.differences, axis=1), np.linalg.norm(of.slopes))
+    apart = np.linalg.norm(of.differences - of.slopes, axis=1)
+    return np.maximum(apart - floor, 0.0) / np.maximum(lengths, 1e-300)
+
+
+def is_settled(of: Evidence) -> bool:
+    """Whether differences over 0.3 and 0.1 sigma agree, but for rounding."""
+    _, wide, narrow, _ = of.differences
+    floor = 3.0 * of.noise[2] * np.sqrt(len(of.slopes))
+    return bool(np.linalg.norm(wide - narrow) <= SETTLED * np.linalg.norm(wide) + floor)
+
+
+def is_zero(of: Evidence) -> bool:
+    """Whether gradient and differences are zero, but for rounding."""
+    return not of.slopes.any() and bool((np.abs(of.differences) <= 3.0 * of.noise[:, None]).all())
+
+
+def judge(of: Evidence) -> tuple[str, str]:
+    """Return the verdict and its sentence."""
+    _, at_wide, _, at_tiny = disagreements(of)
+    if is_zero(of):
+        return "zero", "The loss does not change within one sigma: the motion reaches nothing."
+    if is_settled(of):
+        percent = f"{100.0 * at_wide:.0f} %"
+        if at_wide <= AGREES:
+            return "of the motion", (
+                f"Differences of the loss over 0.3 sigma agree with the gradient within {percent}."
+            )
+        return "biased", (
+            f"Differences of the loss settle at another slope: over 0.3 sigma they are {percent} "
+            f"from the gradient.{_advice(of)}"
+        )
+    if at_tiny <= AGREES_CLOSELY and of.tail <= HEAVY:
+        return "local", (
+            "The gradient holds for tiny moves only: differences over 0.01 sigma agree, and those "
+            "over 0.1 and 0.3 sigma do not settle."
+        )
+    return "chaotic", f"The loss is rough at the scale of sigma: {_cause(of)}."
+
+
+def _advice(of: Evidence) -> str:
+    if of.info is None:
+        return ""
+    if of.info.events > 0 and not of.info.event_list:
+        return (
+            f" Contacts changed {of.info.events} times, and the gradient leaves their times out: "
+            'try contact_gradient="motion" where the solver has it.'
+        )
+    return f" The label is {of.info.label!r}."
+
+
+def _cause(of: Evidence) -> str:
+    causes = []
+    if of.tail > HEAVY:
+        causes.append(f"the longest gradient of the samples has {of.tail:.3g} median lengths")
+    if of.info is not None and of.info.least_separation < APART:
+        causes.append(f"two events are {of.info.least_separation:.2g} steps apart")
+    if of.shift is not None and 0.1 * of.shift < 1.0:
+        causes.append(
+            f"0.1 sigma moves contacts by {0.1 * of.shift:.2g} steps, so a larger sigma or a "
+            "smaller dt would tell more"
+        )
+    if not causes:
+        causes.append("differences over 0.1 and 0.3 sigma do not settle")
+    return ", and ".join(causes)

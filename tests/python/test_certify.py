@@ -1,0 +1,184 @@
+"""diff.certify: verdicts on functions in closed form and on motions with contacts, and errors."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import novaphy
+
+if not novaphy.has_diff():
+    pytest.skip("needs NOVAPHY_WITH_DIFF", allow_module_level=True)
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools" / "bench"))
+
+from thrown_balls import last_height, last_height_of_the_code  # noqa: E402
+
+from novaphy import diff, nova  # noqa: E402
+
+
+def bowl(theta: nova.Tensor) -> nova.Tensor:
+    return nova.sum(theta * theta, axis=-1)
+
+
+def half(theta: nova.Tensor) -> nova.Tensor:
+    """A bowl whose gradient has half of its length."""
+    return nova.sum(theta * theta.detach(), axis=-1)
+
+
+def ripples(theta: nova.Tensor) -> nova.Tensor:
+    """A slope with waves of an eighth of sigma."""
+    return nova.sum(theta + nova.sin(theta * 50.0) * 0.06, axis=-1)
+
+
+def logistic(theta: nova.Tensor) -> nova.Tensor:
+    """Forty iterations of the logistic map, x -> 4 x (1 - x)."""
+    x = nova.sum(theta, axis=-1)
+    for _ in range(40):
+        x = x * (1.0 - x) * 4.0
+    return x
+
+
+def out_of_reach(theta: nova.Tensor) -> nova.Tensor:
+    return nova.sum(nova.relu(theta - 50.0), axis=-1) + 3.0
+
+
+@pytest.mark.parametrize(
+    ("f", "theta", "verdict", "words"),
+    [
+        (bowl, [1.0, -2.0, 0.5], "of the motion", "within 0 %"),
+        (half, [1.0, -2.0, 0.5], "biased", "50 % from the gradient"),
+        (ripples, [0.01, 0.02], "local", "tiny moves"),
+        (logistic, [0.2, 0.1], "chaotic", "median lengths|do not settle"),
+        (out_of_reach, [0.1, 0.2], "zero", "reaches nothing"),
+    ],
+)
+def test_each_verdict_has_its_function(f, theta, verdict, words) -> None:
+    found = diff.certify(f, theta, 1.0 if f is not logistic else 0.05)
+    assert found.verdict == verdict and re.search(words, found.sentence), str(found)
+    assert found.info is None and found.margins == [] and found.trust_radius is None
+
+
+def test_numbers_are_per_sigma() -> None:
+    theta, sigma = np.array([1.0, -2.0]), np.array([0.1, 0.4])
+    found = diff.certify(bowl, theta, sigma, worlds=256)
+    slope = 2 * theta * sigma
+    assert np.allclose(found.gradient, slope) and found.loss == 5.0 and found.worlds == 256
+    assert np.allclose(found.differences, slope, rtol=2e-3) and found.differences.shape == (4, 2)
+    assert np.array_equal(found.directions, np.eye(2)) and found.code_gradient is None
+    assert (np.abs(found.smoothed - slope) < 3 * found.standard_error + 1e-6).all()
+    assert found.cosine > 0.95 and 0.8 < found.length < 1.25 and 1.0 <= found.tail < 2.0
+    assert found.cost > 3.0 and found.seconds > 0.0
+    again = diff.certify(bowl, theta, sigma, worlds=256)
+    assert np.array_equal(again.smoothed, found.smoothed)
+    other = diff.certify(bowl, theta, sigma, worlds=256, seed=1)
+    assert not np.array_equal(other.smoothed, found.smoothed)
+
+
+def test_many_parameters_have_eight_directions_the_first_downhill() -> None:
+    theta = np.linspace(-1.0, 1.0, 20)
+    found = diff.certify(bowl, theta, 0.1)
+    assert found.directions.shape == (8, 20) and found.verdict == "of the motion"
+    assert np.allclose(found.directions @ found.directions.T, np.eye(8), atol=1e-12)
+    assert np.allclose(found.directions[0], -theta / np.linalg.norm(theta), atol=1e-6)
+
+
+def test_a_bounce_is_biased_by_the_code_and_right_by_the_motion() -> None:
+    code = diff.certify(last_height_of_the_code, [-1.0], 0.3)
+    assert code.verdict == "biased" and 'try contact_gradient="motion"' in code.sentence
+    assert code.info.label == "exact of the code" and code.info.events > 0
+    assert abs(code.differences[1, 0] + 0.3) < 0.02 and abs(code.gradient[0] + 0.06) < 0.01
+    motion = diff.certify(last_height, [-1.0], 0.3)
+    assert motion.verdict == "of the motion" and motion.info.label == "exact of the motion"
+    assert abs(motion.gradient[0] + 0.3) < 1e-4
+    # An f with the argument contact_gradient is asked for the gradient of the code, too.
+    assert np.array_equal(motion.code_gradient, code.gradient)
+    # The only event vanishes when the speed does: at 1 m/s = 3.3 sigmas.
+    (margin,) = motion.margins
+    assert margin.what == "event vanishes" and margin.pair == "shapes 1 and 0"
+    assert abs(margin.sigmas * 0.3 - 1.0) < 0.01 and motion.trust_radius == margin.sigmas
+    assert "bounce of shapes 1 and 0" in motion.limited_by
+
+
+def test_a_step_that_is_coarse_for_sigma_is_named() -> None:
+    found = diff.certify(last_height, [-1.0], 0.1)
+    assert found.verdict == "chaotic" and "moves contacts by 0.96 steps" in found.sentence
+
+
+def test_a_ball_that_touches_nothing_has_no_gradient_by_the_ground() -> None:
+    """The loss is the turn of a ball, which only friction with the ground would change."""
+
+    def f(theta: nova.Tensor) -> nova.Tensor:
+        return nova.relu(last_height(theta) * -1.0)
+
+    assert diff.certify(f, [1.0], 0.1).verdict == "zero"
+
+
+def test_the_order_of_two_impacts_limits_the_trust() -> None:
+    """Two events 0.2 s apart; the speed of the first one moves its time by 0.04 s per sigma."""
+    from novaphy.diff._events import trust
+
+    def events(first: float) -> list[dict]:
+        common = {"world": 0, "joint": -1, "particle": -1, "kind": "bounce", "phase": 0.0}
+        return [
+            {**common, "step": 40, "time": first, "shape0": 0, "shape1": 2, "approach": 1.0},
+            {**common, "step": 60, "time": 0.6, "shape0": 1, "shape1": 2, "approach": 1.0},
+        ]
+
+    moved = [events(0.4 + 0.004), events(0.4 - 0.004)]
+    found = trust(events(0.4), moved, 0.1, np.array([1.0]))
+    assert abs(found.radius - 5.0) < 1e-9 and "order with the next event" in found.limited_by
+    moved[1] = moved[1][:1]
+    found = trust(events(0.4), moved, 0.1, np.array([1.0]))
+    assert found.radius == 0.1 and "number or order of events" in found.limited_by
+
+
+def test_a_certificate_is_printed_and_drawn(tmp_path, capsys) -> None:
+    found = diff.certify(last_height, [-1.0], 0.3)
+    found.print()
+    said = capsys.readouterr().out
+    assert said.startswith("of the motion: ") and "parameter 0" in said and "code" in said
+    assert "gradients of" in said and "trust radius" in said and "cosine" in said
+    found.save(tmp_path / "ball.html")
+    page = (tmp_path / "ball.html").read_text("utf-8")
+    assert page.count("<circle") == 4 and "of the motion" in page and "<td>downhill" not in page
+    pytest.importorskip("matplotlib")
+    found.save(tmp_path / "ball.png")
+    assert (tmp_path / "ball.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(ValueError, match=r"path: expected \.html or \.png, got .*ball\.pdf"):
+        found.save(tmp_path / "ball.pdf")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"theta": np.zeros(0)}, "theta: expected at least one parameter, got none"),
+        ({"sigma": -1.0}, "sigma: expected positive finite numbers, got -1.0"),
+        ({"sigma": np.inf}, "sigma: expected positive finite numbers, got inf"),
+        ({"sigma": np.ones(2)}, r"sigma: expected a number or the shape \(3,\)"),
+        ({"worlds": 7}, "worlds: expected an even number >= 4, got 7"),
+        ({"f": lambda theta: theta}, r"f: expected losses \{1\}, one of each row of theta"),
+        ({"f": lambda theta: nova.log(theta[:, 0])}, r"f: expected finite losses, got .* in row 0"),
+        ({"f": lambda theta: bowl(theta.detach())}, "f: expected losses that the tape follows"),
+    ],
+)
+def test_bad_arguments_are_named(change, message) -> None:
+    arguments = {"f": bowl, "theta": np.zeros(3), "sigma": 0.1, **change}
+    with pytest.raises(ValueError, match=f"certify, {message}"):
+        diff.certify(**arguments)
+
+
+def test_a_function_that_changes_is_refused_with_both_values() -> None:
+    calls = iter(range(100))
+
+    def drifts(theta: nova.Tensor) -> nova.Tensor:
+        return bowl(theta) + float(next(calls))
+
+    with pytest.raises(ValueError, match=r"expected the same loss .* got 3\.0 and then 4\.0"):
+        diff.certify(drifts, [1.0, 1.0, 1.0], 0.1)
+    with nova.no_grad(), pytest.raises(ValueError, match="a call outside of no_grad"):
+        diff.certify(bowl, [1.0], 0.1)

@@ -104,9 +104,28 @@ def test_a_bounce_is_biased_by_the_code_and_right_by_the_motion() -> None:
     assert "bounce of shapes 1 and 0" in motion.limited_by
 
 
-def test_a_step_that_is_coarse_for_sigma_is_named() -> None:
-    found = diff.certify(last_height, [-1.0], 0.1)
-    assert found.verdict == "chaotic" and "moves contacts by 0.96 steps" in found.sentence
+def test_samples_tell_where_steps_are_coarse_for_differences() -> None:
+    """0.1 sigma moves the contact by one step, so that differences show the phase of the step."""
+    motion = diff.certify(last_height, [-1.0], 0.1)
+    assert motion.verdict == "of the motion" and "slope of the samples" in motion.sentence
+    assert abs(motion.differences[2, 0] - motion.differences[1, 0]) > 0.02
+    assert motion.cosine > 0.99 and abs(motion.length - 1.0) < 0.1
+    code = diff.certify(last_height_of_the_code, [-1.0], 0.1)
+    assert code.verdict == "biased" and code.length < 0.3
+
+
+def test_the_cause_of_a_rough_loss_is_named() -> None:
+    from types import SimpleNamespace
+
+    from novaphy.diff._verdict import Evidence, judge
+
+    one, info = np.ones(1), SimpleNamespace(least_separation=2.0, events=2, event_list=[{}])
+    of = Evidence(one, np.float64([[1], [2], [-3], [9]]), np.zeros(4), 2.0, info, 5.0, one, one, one)
+    verdict, sentence = judge(of)
+    assert verdict == "chaotic" and "two events are 2 steps apart" in sentence
+    assert "0.1 sigma moves contacts by 0.5 steps" in sentence
+    assert "40 median lengths" in judge(of._replace(tail=40.0, info=None, shift=None))[1]
+    assert judge(of._replace(info=None, shift=None))[1].endswith("0.3 sigma do not settle.")
 
 
 def test_a_ball_that_touches_nothing_has_no_gradient_by_the_ground() -> None:

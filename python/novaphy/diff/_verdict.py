@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 AGREES = 0.2  # relative distance of gradient and differences over 0.3 sigma
 SETTLED = 0.25  # relative change of the differences from 0.3 to 0.1 sigma
 AGREES_CLOSELY = 0.05  # over 0.01 sigma
+KNOWN = 0.15  # standard error of the smoothed gradient, relative
 HEAVY = 10.0  # the longest sample in units of the median length
 APART = 3.0  # steps between two events
 ROUNDING = 2.0**-23  # of a loss in float32, relative
@@ -26,6 +27,9 @@ class Evidence(NamedTuple):
     tail: float
     info: Any  # GradientInfo or None
     shift: float | None  # the largest move of the time of an event, steps per sigma
+    gradient: Numbers  # {n}
+    smoothed: Numbers  # {n}, of samples at a quarter of sigma
+    error: Numbers  # {n}, of `smoothed`
 
 
 def disagreements(of: Evidence) -> Numbers:
@@ -48,6 +52,18 @@ def is_zero(of: Evidence) -> bool:
     return not of.slopes.any() and bool((np.abs(of.differences) <= 3.0 * of.noise[:, None]).all())
 
 
+def is_known(of: Evidence) -> bool:
+    """Whether the samples tell the smoothed gradient."""
+    length = np.linalg.norm(of.smoothed)
+    return bool(np.linalg.norm(of.error) <= KNOWN * length and of.tail <= HEAVY)
+
+
+def from_smoothed(of: Evidence) -> float:
+    """Return the distance of gradient and smoothed gradient, relative to the longer one."""
+    longer = max(np.linalg.norm(of.gradient), np.linalg.norm(of.smoothed), 1e-300)
+    return float(np.linalg.norm(of.gradient - of.smoothed) / longer)
+
+
 def judge(of: Evidence) -> tuple[str, str]:
     """Return the verdict and its sentence."""
     _, at_wide, _, at_tiny = disagreements(of)
@@ -63,23 +79,39 @@ def judge(of: Evidence) -> tuple[str, str]:
             f"Differences of the loss settle at another slope: over 0.3 sigma they are {percent} "
             f"from the gradient.{_advice(of)}"
         )
-    if at_tiny <= AGREES_CLOSELY and of.tail <= HEAVY:
+    percent = f"{100.0 * from_smoothed(of):.0f} %"
+    if is_known(of) and from_smoothed(of) <= AGREES:
+        return "of the motion", (
+            "Differences of the loss do not settle, but the slope of the samples does: the gradient "
+            f"agrees within {percent}."
+        )
+    is_biased = is_known(of) and _leaves_times_out(of)
+    if at_tiny <= AGREES_CLOSELY and of.tail <= HEAVY and not is_biased:
         return "local", (
             "The gradient holds for tiny moves only: differences over 0.01 sigma agree, and those "
             "over 0.1 and 0.3 sigma do not settle."
         )
+    if is_known(of):
+        return "biased", (
+            f"The slope of the samples is {percent} from the gradient.{_advice(of)}"
+        )
     return "chaotic", f"The loss is rough at the scale of sigma: {_cause(of)}."
+
+
+def _leaves_times_out(of: Evidence) -> bool:
+    """Whether contacts change, and the gradient does not move their times."""
+    return of.info is not None and of.info.events > 0 and not of.info.event_list
 
 
 def _advice(of: Evidence) -> str:
     if of.info is None:
         return ""
-    if of.info.events > 0 and not of.info.event_list:
+    if _leaves_times_out(of):
         return (
             f" Contacts changed {of.info.events} times, and the gradient leaves their times out: "
             'try contact_gradient="motion" where the solver has it.'
         )
-    return f" The label is {of.info.label!r}."
+    return f' The label is "{of.info.label}".'
 
 
 def _cause(of: Evidence) -> str:

@@ -1,0 +1,116 @@
+"""Three scenes with a known verdict of diff.certify: out of reach, chaotic, and with a policy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from event_task_machines import PushImpulse, TossPenalty
+
+import novaphy
+from novaphy import diff, nova
+
+POLICY_STEPS, POLICY_RATE, SKIP = 120, 120, 4
+
+
+class Scene(NamedTuple):
+    """A function of parameters, a start, and how far the parameters move."""
+
+    name: str
+    solver_name: str
+    what: str
+    losses: Callable[[Any], nova.Tensor]
+    theta: Any
+    sigma: Any
+
+
+@cache
+def _push(worlds: int) -> PushImpulse:
+    task = PushImpulse(worlds, "motion")
+    task.steps = 48
+    return task
+
+
+def out_of_reach(theta: nova.Tensor) -> nova.Tensor:
+    """Drive a ball for 0.1 s, which ends before the box."""
+    task = _push(theta.shape[0])
+    task.path = diff.Trajectory(task.model, task.steps)
+    return task.run(theta)
+
+
+class LongToss(TossPenalty):
+    """A box without friction that bounces on stiff corners for 2 s."""
+
+    steps = 1920
+
+    def surface(self) -> novaphy.ShapeConfig:
+        """Give the material of all shapes."""
+        return novaphy.ShapeConfig(ke=4e4, kd=0.0, kf=0.0, mu=0.0, density=0)
+
+
+@cache
+def _toss(worlds: int) -> LongToss:
+    return LongToss(worlds, "motion")
+
+
+def bouncing_box(theta: nova.Tensor) -> nova.Tensor:
+    """Toss the box with the twist theta."""
+    task = _toss(theta.shape[0])
+    task.path = diff.Trajectory(task.model, task.steps)
+    return task.run(theta)
+
+
+@cache
+def _pendulum(worlds: int) -> Any:
+    one = novaphy.ModelBuilder(gravity=-9.81)
+    link = one.add_link(mass=1.0, inertia=np.eye(3) * 0.01)
+    low = ((0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0))
+    joint = one.add_joint_revolute(-1, link, axis=(0, 1, 0), child_xform=low, damping=0.1)
+    one.add_articulation([joint])
+    builder = novaphy.ModelBuilder(gravity=-9.81)
+    builder.replicate(one, worlds)
+    model = builder.finalize(requires_grad=True)
+    return model, novaphy.solvers.DiffFeatherstoneSolver(model)
+
+
+def policy(theta: dict[str, nova.Tensor]) -> nova.Tensor:
+    """Hold a pendulum at 1 rad by a network of angle and rate; the loss is the mean square error.
+
+    theta: "inner" {worlds, 4, 3} and "outer" {worlds, 4}, weights of two layers.
+    """
+    worlds = theta["inner"].shape[0]
+    model, solver = _pendulum(worlds)
+    state, loss = model.state(), None
+    ones = nova.ones((worlds, 1))
+    for _ in range(POLICY_STEPS // SKIP):
+        q = diff.state_joint_q_tensor(state).reshape(worlds, 1)
+        qd = diff.state_joint_qd_tensor(state).reshape(worlds, 1)
+        seen = nova.concat([q - 1.0, qd, ones], axis=1).reshape(worlds, 1, 3)
+        hidden = nova.tanh(nova.sum(theta["inner"] * seen, axis=-1))
+        control = model.control()
+        torque = nova.sum(hidden * theta["outer"], axis=-1)
+        diff.control_joint_f_tensor(control).copy_(torque)
+        for _ in range(SKIP):
+            after = model.state()
+            solver.step(state, after, control, None, 1 / POLICY_RATE)
+            state = after
+        off = diff.state_joint_q_tensor(state) - 1.0
+        loss = off * off if loss is None else loss + off * off
+    return loss * (SKIP / POLICY_STEPS)
+
+
+def _weights() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    return {
+        "inner": np.float32(rng.normal(size=(4, 3)) * 0.5),
+        "outer": np.float32(rng.normal(size=4)),
+    }
+
+
+SCENES = [
+    Scene("out of reach", "Featherstone", '"motion"', out_of_reach, PushImpulse.start, 0.1),
+    Scene("bouncing box", "semi-implicit", '"motion"', bouncing_box, TossPenalty.start, 0.1),
+    Scene("policy", "Featherstone", "16 weights", policy, _weights(), 0.1),
+]

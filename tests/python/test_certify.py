@@ -128,13 +128,30 @@ def test_the_cause_of_a_rough_loss_is_named() -> None:
     assert judge(of._replace(info=None, shift=None))[1].endswith("0.3 sigma do not settle.")
 
 
-def test_a_ball_that_touches_nothing_has_no_gradient_by_the_ground() -> None:
-    """The loss is the turn of a ball, which only friction with the ground would change."""
+@pytest.mark.parametrize(
+    ("name", "verdict"),
+    [("out of reach", "zero"), ("double pendulum", "chaotic"), ("policy", "of the motion")],
+)
+def test_scenes_have_their_verdicts(name, verdict) -> None:
+    from certify_scenes import SCENES
 
-    def f(theta: nova.Tensor) -> nova.Tensor:
-        return nova.relu(last_height(theta) * -1.0)
+    scene = next(scene for scene in SCENES if scene.name == name)
+    found = diff.certify(scene.losses, scene.theta, scene.sigma)
+    assert found.verdict == verdict, str(found)
+    if name == "policy":  # 16 weights
+        assert found.directions.shape == (8, 16) and found.cosine > 0.99
 
-    assert diff.certify(f, [1.0], 0.1).verdict == "zero"
+
+@pytest.mark.parametrize("name", ["BallParticle", "BallPenalty", "BallImpulse"])
+def test_a_ball_off_ground_and_wall_has_its_verdicts_with_each_solver(name) -> None:
+    import event_task_machines
+    from certify_tasks import function_of
+
+    kind = getattr(event_task_machines, name)
+    for mode, verdict in (("code", "biased"), ("motion", "of the motion")):
+        found = diff.certify(function_of(kind, mode), kind.start, kind.sigma)
+        assert found.verdict == verdict, str(found)
+        assert found.trust_radius is None if mode == "code" else 5.0 < found.trust_radius < 20.0
 
 
 def test_the_order_of_two_impacts_limits_the_trust() -> None:

@@ -7,7 +7,8 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from event_task_machines import PushImpulse, TossPenalty
+from event_task_machines import PushImpulse
+from event_task_scenes import UPRIGHT
 
 import novaphy
 from novaphy import diff, nova
@@ -40,26 +41,39 @@ def out_of_reach(theta: nova.Tensor) -> nova.Tensor:
     return task.run(theta)
 
 
-class LongToss(TossPenalty):
-    """A box without friction that bounces on stiff corners for 2 s."""
-
-    steps = 1920
-
-    def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
-        return novaphy.ShapeConfig(ke=4e4, kd=0.0, kf=0.0, mu=0.0, density=0)
+LINK = 0.5  # m
 
 
 @cache
-def _toss(worlds: int) -> LongToss:
-    return LongToss(worlds, "motion")
+def _double_pendulum(worlds: int) -> Any:
+    one = novaphy.ModelBuilder(gravity=-9.81)
+    joints, parent = [], -1
+    for _ in range(2):
+        link = one.add_link(mass=1.0, inertia=np.eye(3) * 0.01)
+        joints.append(
+            one.add_joint_revolute(
+                parent, link, axis=(0, 1, 0),
+                parent_xform=((0.0, 0.0, 0.0 if parent < 0 else -LINK / 2), UPRIGHT),
+                child_xform=((0.0, 0.0, LINK / 2), UPRIGHT),
+            )
+        )  # fmt: skip
+        parent = link
+    one.add_articulation(joints)
+    builder = novaphy.ModelBuilder(gravity=-9.81)
+    builder.replicate(one, worlds)
+    model = builder.finalize(requires_grad=True)
+    return model, novaphy.solvers.DiffFeatherstoneSolver(model, angular_damping=0.0)
 
 
-def bouncing_box(theta: nova.Tensor) -> nova.Tensor:
-    """Toss the box with the twist theta."""
-    task = _toss(theta.shape[0])
-    task.path = diff.Trajectory(task.model, task.steps)
-    return task.run(theta)
+def double_pendulum(theta: nova.Tensor) -> nova.Tensor:
+    """Release a double pendulum at the angles theta; the loss is the last angle, squared."""
+    worlds, steps = theta.shape[0], 1920
+    model, solver = _double_pendulum(worlds)
+    path = diff.Trajectory(model, steps)
+    diff.state_joint_q_tensor(path[0]).copy_(theta.reshape(2 * worlds))
+    solver.rollout(path, None, None, 1 / 240)
+    last = diff.state_joint_q_tensor(path[steps]).reshape(worlds, 2)[:, 1]
+    return last * last
 
 
 @cache
@@ -111,6 +125,6 @@ def _weights() -> dict[str, np.ndarray]:
 
 SCENES = [
     Scene("out of reach", "Featherstone", '"motion"', out_of_reach, PushImpulse.start, 0.1),
-    Scene("bouncing box", "semi-implicit", '"motion"', bouncing_box, TossPenalty.start, 0.1),
+    Scene("double pendulum", "Featherstone", "8 s", double_pendulum, [2.5, 2.0], 0.1),
     Scene("policy", "Featherstone", "16 weights", policy, _weights(), 0.1),
 ]

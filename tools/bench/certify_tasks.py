@@ -2,8 +2,8 @@
 """Certify the gradients of the eight tasks with contact events, of the code and of the motion.
 
 The program prints a row of the table in docs/performance-event-gradients.md per task, solver, start
-and contact_gradient. Three more scenes have a known verdict: a ball out of reach, a chaotic
-billiard and a pendulum with a policy.
+and contact_gradient. Three more scenes have a known verdict: a push out of reach, a double
+pendulum and a pendulum with a policy.
 
     python tools/bench/certify_tasks.py --only ball --starts 2
 """

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from .._core import Error
 from .._core.nova import grad_enabled
 from ._events import Margin, Trust, by_world, trust
 from ._parameters import Losses, Parameters, Slopes, normal_numbers, outside_of_tapes
@@ -260,7 +261,10 @@ def _events(losses_of: Losses, at: Slopes, directions: Numbers) -> Trust | None:
         return None
     signs = np.array([1.0, -1.0])[:, None]
     moves = (EVENT_STEP * signs * directions[:, None, :]).reshape(-1, directions.shape[1])
-    moved = losses_of.slopes(moves).info
+    try:
+        moved = losses_of.slopes(moves).info
+    except Error as error:  # of a solver, as contacts that have not converged
+        return Trust([], None, f"unknown: {error}", None)
     rows = by_world(moved.event_list if moved is not None else [], len(moves))
     slope = at.gradients[0]
     downhill = -(directions @ slope) / max(float(np.linalg.norm(slope)), 1e-300)

@@ -21,7 +21,7 @@ WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 880, 420, 70, 70, 60
 
 
 def _number(x: float) -> str:
-    return f"{x:.3g}" if np.isfinite(x) else "-"
+    return "-" if np.isnan(x) else f"{x:.3g}"
 
 
 def rows_of_derivatives(of: Certificate) -> list[list[str]]:
@@ -58,6 +58,8 @@ def rows_of_facts(of: Certificate) -> list[list[str]]:
         facts.append(
             ["trust radius", f"{_number(of.trust_radius)} sigmas downhill ({of.limited_by})"]
         )
+    elif of.limited_by is not None:
+        facts.append(["trust radius", of.limited_by])
     facts += [
         [f"margin {k}", f"{_number(m.sigmas)} sigmas: {m.what}, {m.pair}, step {m.step}"]
         for k, m in enumerate(of.margins[:SHOWN])

@@ -31,9 +31,9 @@ class Trust(NamedTuple):
     """Margins in ascending order; how far the gradient holds downhill, and why no further."""
 
     margins: list[Margin]
-    radius: float  # sigmas; inf where nothing limits
+    radius: float | None  # sigmas; inf where nothing limits, None where it is unknown
     limited_by: str
-    shift: float  # the largest move of the time of an event, steps per sigma
+    shift: float | None  # the largest move of the time of an event, steps per sigma
 
 
 def pair_of(event: Event) -> str:

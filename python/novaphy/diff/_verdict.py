@@ -69,21 +69,21 @@ def judge(of: Evidence) -> tuple[str, str]:
     _, at_wide, _, at_tiny = disagreements(of)
     if is_zero(of):
         return "zero", "The loss does not change within one sigma: the motion reaches nothing."
-    if is_settled(of):
-        percent = f"{100.0 * at_wide:.0f} %"
-        if at_wide <= AGREES:
-            return "of the motion", (
-                f"Differences of the loss over 0.3 sigma agree with the gradient within {percent}."
-            )
-        return "biased", (
-            f"Differences of the loss settle at another slope: over 0.3 sigma they are {percent} "
-            f"from the gradient.{_advice(of)}"
+    settled, by_samples = is_settled(of), f"{100.0 * from_smoothed(of):.0f} %"
+    if settled and at_wide <= AGREES:
+        return "of the motion", (
+            "Differences of the loss over 0.3 sigma agree with the gradient within "
+            f"{100.0 * at_wide:.0f} %."
         )
-    percent = f"{100.0 * from_smoothed(of):.0f} %"
     if is_known(of) and from_smoothed(of) <= AGREES:
         return "of the motion", (
-            "Differences of the loss do not settle, but the slope of the samples does: the gradient "
-            f"agrees within {percent}."
+            "Differences of the loss over 0.3 sigma are rough, but the slope of the samples agrees "
+            f"with the gradient within {by_samples}."
+        )
+    if settled:
+        return "biased", (
+            f"Differences of the loss settle at another slope: over 0.3 sigma they are "
+            f"{100.0 * at_wide:.0f} % from the gradient.{_advice(of)}"
         )
     is_biased = is_known(of) and _leaves_times_out(of)
     if at_tiny <= AGREES_CLOSELY and of.tail <= HEAVY and not is_biased:
@@ -93,7 +93,7 @@ def judge(of: Evidence) -> tuple[str, str]:
         )
     if is_known(of):
         return "biased", (
-            f"The slope of the samples is {percent} from the gradient.{_advice(of)}"
+            f"The slope of the samples is {by_samples} from the gradient.{_advice(of)}"
         )
     return "chaotic", f"The loss is rough at the scale of sigma: {_cause(of)}."
 

@@ -60,7 +60,7 @@ def _certify(word: str, options: list[str]) -> int:
 
 
 def check_function(word: str, options: list[str]) -> int:
-    """Print the certificate. Returns 0 for "of the motion", 1 for other verdicts, 2 for an error."""
+    """Print the certificate. Returns 0: "of the motion", 1: another verdict, 2: an error."""
     try:
         return _certify(word, options)
     except (ValueError, OSError, ImportError, NotImplementedError, novaphy.Error) as error:

@@ -16,9 +16,9 @@ if not novaphy.has_diff():
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools" / "bench"))
 
-from thrown_balls import last_height, last_height_of_the_code  # noqa: E402
+from thrown_balls import last_height, last_height_of_the_code
 
-from novaphy import diff, nova  # noqa: E402
+from novaphy import diff, nova
 
 
 def bowl(theta: nova.Tensor) -> nova.Tensor:
@@ -120,7 +120,8 @@ def test_the_cause_of_a_rough_loss_is_named() -> None:
     from novaphy.diff._verdict import Evidence, judge
 
     one, info = np.ones(1), SimpleNamespace(least_separation=2.0, events=2, event_list=[{}])
-    of = Evidence(one, np.float64([[1], [2], [-3], [9]]), np.zeros(4), 2.0, info, 5.0, one, one, one)
+    differences = np.float64([[1], [2], [-3], [9]])
+    of = Evidence(one, differences, np.zeros(4), 2.0, info, 5.0, one, one, one)
     verdict, sentence = judge(of)
     assert verdict == "chaotic" and "two events are 2 steps apart" in sentence
     assert "0.1 sigma moves contacts by 0.5 steps" in sentence

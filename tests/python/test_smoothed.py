@@ -10,9 +10,9 @@ import novaphy
 if not novaphy.has_diff():
     pytest.skip("needs NOVAPHY_WITH_DIFF", allow_module_level=True)
 
-from thrown_balls import last_height, last_height_of_the_code  # noqa: E402
+from thrown_balls import last_height, last_height_of_the_code
 
-from novaphy import diff, nova  # noqa: E402
+from novaphy import diff, nova
 
 A = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, -0.3], [0.0, -0.3, 3.0]])
 B = np.array([0.3, -1.0, 0.2])

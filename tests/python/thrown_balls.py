@@ -1,4 +1,4 @@
-"""Losses of thrown balls, in batches of worlds, for tests of smoothed gradients and certificates."""
+"""Losses of thrown balls in batches of worlds, for tests of smoothed gradients and certificates."""
 
 from __future__ import annotations
 

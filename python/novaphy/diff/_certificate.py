@@ -45,7 +45,7 @@ class Certificate:
     smoothed, standard_error: {n}, the zeroth-order gradient of samples at a quarter of sigma.
     cosine, length: of the gradient, compared with the smoothed gradient.
     tail: the longest gradient of the samples in units of the median length.
-    margins: rows (what, step, pair, sigmas): how far the parameters may move until an event changes.
+    margins: rows (what, step, pair, sigmas): how far the parameters may move until events change.
     trust_radius, limited_by: how far the order of events holds downhill (sigmas), and what ends it;
       None without a list of events.
     cost, seconds: the time of the whole certificate in gradients, and of one gradient.

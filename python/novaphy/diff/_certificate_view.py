@@ -34,7 +34,9 @@ def rows_of_derivatives(of: Certificate) -> list[list[str]]:
     error = np.sqrt(of.directions**2 @ of.standard_error**2)
     for k, direction in enumerate(of.directions):
         axis = np.count_nonzero(direction) == 1
-        name = f"parameter {int(np.argmax(direction))}" if axis else "downhill" if k == 0 else "other"
+        name = (
+            f"parameter {int(np.argmax(direction))}" if axis else "downhill" if k == 0 else "other"
+        )
         row = [direction @ of.gradient, *of.differences[:, k], smooth[k], error[k]]
         if of.code_gradient is not None:
             row.append(direction @ of.code_gradient)
@@ -75,7 +77,10 @@ def text(of: Certificate) -> str:
     lines = [f"{of.verdict}: {of.sentence}"]
     for row in rows:
         first, *rest = row
-        cells = [first.ljust(widths[0]), *(x.rjust(w) for x, w in zip(rest, widths[1:], strict=True))]
+        cells = [
+            first.ljust(widths[0]),
+            *(x.rjust(w) for x, w in zip(rest, widths[1:], strict=True)),
+        ]
         lines.append("  ".join(cells).rstrip())
     lines += [f"{name:13} {value}" for name, value in rows_of_facts(of)]
     return "\n".join(lines)
@@ -158,8 +163,10 @@ def _draw(of: Certificate, on: _Svg | _Figure) -> None:
     room = 0.08 * ((high - low) or 1.0)
 
     def at(value: float) -> float:
-        return HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * (value - low + room) / (
-            high - low + 2.0 * room
+        return (
+            HEIGHT
+            - BOTTOM
+            - (HEIGHT - TOP - BOTTOM) * (value - low + room) / (high - low + 2.0 * room)
         )
 
     on.line(LEFT, at(0.0), WIDTH - 10, at(0.0), "#d0d7de", 1.0)

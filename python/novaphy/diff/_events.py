@@ -63,9 +63,7 @@ def by_world(events: list[Event], worlds: int) -> list[list[Event]]:
     return rows
 
 
-def trust(
-    base: list[Event], moved: list[list[Event]], step: float, downhill: Numbers
-) -> Trust:
+def trust(base: list[Event], moved: list[list[Event]], step: float, downhill: Numbers) -> Trust:
     """Return the margins of the events of a motion.
 
     Args:
@@ -102,7 +100,9 @@ def trust(
         margins.append(Margin("other events", base[0]["step"] if base else 0, text, step))
         if step < radius:
             radius, limit = step, text
-    steps = max((np.linalg.norm(slopes[known][:, 0, i]) / _dt(e) for i, e in enumerate(base)), default=0)
+    steps = max(
+        (np.linalg.norm(slopes[known][:, 0, i]) / _dt(e) for i, e in enumerate(base)), default=0
+    )
     margins.sort(key=lambda margin: margin.sigmas)
     return Trust(margins, float(radius), limit, float(steps))
 

@@ -192,9 +192,7 @@ class Losses:
             )
         return losses
 
-    def _check(
-        self, what: str, found: Numbers, first: int, points: NDArray[np.float32]
-    ) -> Numbers:
+    def _check(self, what: str, found: Numbers, first: int, points: NDArray[np.float32]) -> Numbers:
         finite = np.isfinite(found).reshape(len(found), -1).all(axis=1)
         if not finite.all():
             row = int(np.argmin(finite))

@@ -149,7 +149,7 @@ def smoothed(
 
     On the active tape the call is one value, whose gradient and tangent are the smoothed gradient.
     The samples depend on the seed, the sample and the parameter only. Two calls see the same
-    samples, and every `batch` gives the same bits. Source: Suh et al. 2022 (arXiv 2202.00817).
+    samples, and every `batch` gives the same bits. Source: arXiv 2202.00817 (2022).
 
     Args:
         f: maps parameters {worlds, n} to losses {worlds}, a Tensor. For a dict theta, f takes a

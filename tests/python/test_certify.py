@@ -176,6 +176,7 @@ def test_the_order_of_two_impacts_limits_the_trust() -> None:
 
 def test_a_certificate_is_printed_and_drawn(tmp_path, capsys) -> None:
     found = diff.certify(last_height, [-1.0], 0.3)
+    assert repr(found) == "Certificate('of the motion', n=1, worlds=64)"
     found.print()
     said = capsys.readouterr().out
     assert said.startswith("of the motion: ") and "parameter 0" in said and "code" in said

@@ -26,7 +26,7 @@ EVENT_STEP = 0.1  # sigmas
 MOST_DIRECTIONS = 8
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Certificate:
     """The worth of a gradient at one point. All derivatives are per sigma: g_i sigma_i.
 
@@ -72,6 +72,10 @@ class Certificate:
     limited_by: str | None
     cost: float
     seconds: float
+
+    def __repr__(self) -> str:
+        """Return the verdict and the sizes."""
+        return f"Certificate({self.verdict!r}, n={self.gradient.size}, worlds={self.worlds})"
 
     def __str__(self) -> str:
         """Return the table as text."""
@@ -250,7 +254,7 @@ def _smooth_slope(losses: Numbers, w: Numbers, gradient: Numbers) -> tuple[Numbe
     if pairs < 2 * n:
         mean, error = mean_and_error((rises - w @ gradient)[:, None] * w)
         return gradient + mean, error
-    slope = np.linalg.lstsq(w, rises, rcond=None)[0]
+    slope: Numbers = np.linalg.lstsq(w, rises, rcond=None)[0]
     variance = ((rises - w @ slope) ** 2).sum() / (pairs - n)
     return slope, np.sqrt(variance * np.diag(np.linalg.inv(w.T @ w)))
 

@@ -114,7 +114,7 @@ class Parameters:
             parts.append(np.broadcast_to(part.reshape(-1), int(np.prod(shape))))
         flat = np.concatenate(parts)
         if not (np.isfinite(flat) & (flat > 0)).all():
-            raise ValueError(f"{user}, sigma: expected positive finite numbers, got {sigma}")
+            raise ValueError(f"{user}, sigma: expected positive finite numbers, got {sigma!r}")
         return flat
 
     def rows(self, numbers: NDArray[np.float32], *, leaves: bool = False) -> Any:
@@ -171,7 +171,7 @@ class Losses:
 
     def points(self, moves: Numbers) -> NDArray[np.float32]:
         """Return the parameters {worlds, n} of moves in units of sigma."""
-        return np.float32(self.parameters.start + moves * self.parameters.sigma)
+        return (self.parameters.start + moves * self.parameters.sigma).astype(np.float32)
 
     def _parts(self, moves: Numbers) -> Iterator[tuple[int, NDArray[np.float32]]]:
         points = self.points(moves)

@@ -117,13 +117,13 @@ def _estimate(
 def _linear_model(parameters: Parameters, value: float, slope: Numbers) -> Tensor:
     """Record value + slope (theta - theta0): the value, with a gradient and a tangent."""
     total = None
-    parts = parameters.split(np.float32(slope))
+    parts = parameters.split(slope.astype(np.float32))
     for name, entry in parameters.tensors.items():
         by = tensor(parts[name], device=entry.device)
         moved = sum((entry - entry.detach()) * by)
         total = moved if total is None else total + moved.to(total.device)
     assert total is not None
-    return total + tensor(np.float32([value]), device=total.device).reshape(total.shape)
+    return total + tensor([value], device=total.device).reshape(total.shape)
 
 
 def _check_choices(order: Any, clip: Any) -> None:
@@ -190,7 +190,7 @@ def smoothed(
             info.update(found.told(parameters))
         if on_tape:
             return _linear_model(parameters, value, found.gradient / parameters.sigma)
-    return tensor(np.float32([value]))
+    return tensor([value])
 
 
 def _sample(losses_of: Losses, w: Numbers, order: int | str) -> tuple[Numbers, Numbers | None]:

@@ -60,8 +60,8 @@ def is_known(of: Evidence) -> bool:
 
 def from_smoothed(of: Evidence) -> float:
     """Return the distance of gradient and smoothed gradient, relative to the longer one."""
-    longer = max(np.linalg.norm(of.gradient), np.linalg.norm(of.smoothed), 1e-300)
-    return float(np.linalg.norm(of.gradient - of.smoothed) / longer)
+    lengths = float(np.linalg.norm(of.gradient)), float(np.linalg.norm(of.smoothed))
+    return float(np.linalg.norm(of.gradient - of.smoothed)) / max(*lengths, 1e-300)
 
 
 def judge(of: Evidence) -> tuple[str, str]:

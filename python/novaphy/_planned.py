@@ -224,7 +224,7 @@ NOT_BUILT: dict[str, str] = {
     "names of surfaces and volumes": "surface_* volume_*",
     "meshes that are only drawn": "add_deformable_visual_mesh deformable_visual_*",
     "Gaussian splats": "Gaussian add_shape_gaussian gaussians_*",
-    "sites": "Site add_site default_site_cfg is_site mark_as_site",
+    "sites as objects (add_site makes shapes)": "Site default_site_cfg mark_as_site",
     "ray casts": "intersect_ray BvhConfig default_bvh_cfg bvh_*",
     "signed distance fields": (
         "SDF *sdf* *hydroelastic* shape_material_kh kh include_static_kinematic_pairs"

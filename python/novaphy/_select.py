@@ -1,4 +1,4 @@
-"""Model.select: joints, bodies and actuators by name, and their rows of any array."""
+"""Model.select: joints, bodies, shapes and actuators by name, and their rows of any array."""
 
 from __future__ import annotations
 
@@ -23,14 +23,17 @@ _OF_JOINTS = frozenset(
 class Selection:
     """The result of Model.select, over the worlds of a model.
 
-    joints, bodies, actuators, coords and dofs are indices, ascending. view reads and writes their
-    rows of a field, get copies the rows once, set writes them once. No other row changes.
+    The attributes joints, bodies, shapes, sites, actuators, coords and dofs are indices, ascending.
+    Sites are the shapes that have ShapeFlags.SITE. The method view reads and writes the rows of a
+    field. The method get copies the rows once, and set writes them once. No other row changes.
     With several worlds that have as many rows, values are {worlds, rows, ...}, otherwise
     {rows, ...}.
     """
 
     joints: NDArray[np.int32]
     bodies: NDArray[np.int32]
+    shapes: NDArray[np.int32]
+    sites: NDArray[np.int32]
     actuators: NDArray[np.int32]
     coords: NDArray[np.int32]
     dofs: NDArray[np.int32]
@@ -40,8 +43,8 @@ class Selection:
             last = model.world_count - 1
             raise IndexError(f"select: world: expected -1 to {last}, got {world}")
         found = _Names(model, pattern, world)
-        kinds = ("joints", "bodies", "actuators", "coords", "dofs")
-        counts = ("joint", "body", "actuator", "joint_coord", "joint_dof")
+        kinds = ("joints", "bodies", "shapes", "actuators", "coords", "dofs")
+        counts = ("joint", "body", "shape", "actuator", "joint_coord", "joint_dof")
         self._counts = {
             kind: getattr(model, name + "_count") for kind, name in zip(kinds, counts, strict=True)
         }
@@ -49,10 +52,13 @@ class Selection:
         for kind, (rows, worlds) in zip(kinds, found.rows(), strict=True):
             setattr(self, kind, rows)
             self._worlds[kind] = worlds
-        if not len(self.joints) + len(self.bodies) + len(self.actuators):
+        if not any(found.found.values()):
             raise ValueError(
-                f"select: pattern: expected the name of a joint, body or actuator, got {pattern!r}"
+                "select: pattern: expected the name of a joint, body, shape or actuator, "
+                f"got {pattern!r}"
             )
+        flags = model.shape_flags.numpy()[self.shapes]
+        self.sites = self.shapes[(flags & int(_core.ShapeFlags.SITE)) != 0]
 
     def rows(self, field: str) -> NDArray[np.int32]:
         """Rows of a field of a Model, SimState or Control: joint_q, body_qd, ctrl, ..."""
@@ -89,11 +95,11 @@ class Selection:
             return "joints"
         if field == "ctrl" or field.startswith("actuator_"):
             return "actuators"
-        for start, kind in (("body_", "bodies"), ("joint_", "dofs")):
+        for start, kind in (("body_", "bodies"), ("shape_", "shapes"), ("joint_", "dofs")):
             if field.startswith(start):
                 return kind
         raise ValueError(
-            f"Selection: field: expected one of joints, bodies or actuators, got {field!r}"
+            f"Selection: field: expected one of joints, bodies, shapes or actuators, got {field!r}"
         )
 
 
@@ -149,11 +155,13 @@ class RowsView:
 
 
 class _Names:
-    """Find joints, bodies and actuators by name or by articulation/name."""
+    """Find joints, bodies, shapes and actuators by name or by articulation/name."""
 
     def __init__(self, model: _core.Model, pattern: str, world: int | None) -> None:
         of_joint = model.joint_articulation.numpy()
-        worlds = {"joint": model.joint_world.numpy(), "body": model.body_world.numpy()}
+        worlds = {
+            kind: getattr(model, f"{kind}_world").numpy() for kind in ("joint", "body", "shape")
+        }
         names = ["" if a < 0 else model.articulation_label[a] for a in of_joint]
         self.starts = {"coords": model.joint_q_start.numpy(), "dofs": model.joint_qd_start.numpy()}
         owner = dict(zip(model.joint_child.numpy().tolist(), names, strict=True))
@@ -177,6 +185,12 @@ class _Names:
                 b for b, label in enumerate(model.body_label)
                 if matches(label, owner.get(b, ""), worlds["body"][b])
             ],
+            "shape": [
+                s for s, (label, body) in enumerate(
+                    zip(model.shape_label, model.shape_body.numpy().tolist(), strict=True)
+                )
+                if matches(label, owner.get(body, ""), worlds["shape"][s])
+            ],
             "actuator": [
                 k for k, label in enumerate(model.actuator_label)
                 if matches(label, names[joint_of[k]], worlds["joint"][joint_of[k]])
@@ -184,7 +198,7 @@ class _Names:
         }  # fmt: skip
 
     def rows(self) -> list[tuple[NDArray[np.int32], NDArray[np.int32]]]:
-        """Rows, and the world of each: of joints, bodies, actuators, coords and dofs."""
+        """Rows and the world of each row: joints, bodies, shapes, actuators, coords and dofs."""
         pairs = [(rows, self.world[kind][rows]) for kind, rows in self.found.items()]
         joints = self.found["joint"]
         for starts in self.starts.values():

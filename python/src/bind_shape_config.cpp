@@ -50,6 +50,7 @@ void bind_members(py::class_<ShapeConfig>& c) {
   NOVAPHY_MEMBER(has_shape_collision, "Whether shapes meet it.")
   NOVAPHY_MEMBER(has_particle_collision, "Whether particles meet it.")
   NOVAPHY_MEMBER(is_visible, "Whether viewers show it.")
+  NOVAPHY_MEMBER(is_site, "Whether the shape is a frame that meets nothing and has no mass.")
 #undef NOVAPHY_MEMBER
 }
 
@@ -65,7 +66,7 @@ void bind_shape_config(py::module_& m) {
                     float restitution, float mu_torsional, float mu_rolling, float margin,
                     std::optional<float> gap, bool is_solid, int32_t collision_group,
                     bool collision_filter_parent, bool has_shape_collision,
-                    bool has_particle_collision, bool is_visible,
+                    bool has_particle_collision, bool is_visible, bool is_site,
                     const std::array<float, 4>& mixing) {
           return ShapeConfig{density,
                              ke,
@@ -84,6 +85,7 @@ void bind_shape_config(py::module_& m) {
                              has_shape_collision,
                              has_particle_collision,
                              is_visible,
+                             is_site,
                              {},
                              {mixing[0], mixing[1], mixing[2], mixing[3]}};
         }),
@@ -94,6 +96,7 @@ void bind_shape_config(py::module_& m) {
         "collision_filter_parent"_a = d.collision_filter_parent,
         "has_shape_collision"_a = d.has_shape_collision,
         "has_particle_collision"_a = d.has_particle_collision, "is_visible"_a = d.is_visible,
+        "is_site"_a = d.is_site,
         "mixing"_a = py::make_tuple(0.0f, 0.0f, 0.0f, 0.0f));
   bind_members(c);
   bind_mixing(c);

@@ -32,6 +32,7 @@ void bind_enums(py::module_& m);
 void bind_sim(py::module_& m);
 void bind_builder(py::module_& m);
 void bind_shape_config(py::module_& m);
+void bind_builder_shapes(py::class_<ModelBuilder>& builder);
 void bind_builder_elements(py::class_<ModelBuilder>& builder);
 void bind_joint_dof_config(py::module_& m);
 void bind_builder_joints(py::class_<ModelBuilder>& builder);

@@ -27,6 +27,18 @@ takes a color.
 
 NotImplementedError: a type that is not supported.)";
 
+inline constexpr char kAddSite[] =
+    R"(Adds a frame of a body (-1: the world), which meets nothing and has no mass.
+
+A site is a shape with ShapeFlags.SITE. Returns the index of the shape. Model.select finds sites by
+name, and sensors, targets and actuators refer to their poses.
+
+xform: the pose in the body (m).
+type, scale: the GeoType and the size (m) in which viewers draw a visible site.
+
+IndexError: no such body.
+ValueError: a pose or a size that is not finite, a quaternion that is not of length 1.)";
+
 inline constexpr char kBuilder[] =
     R"(Collects particles, elements over them, bodies and shapes, and makes Models.
 

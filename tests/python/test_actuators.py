@@ -304,6 +304,28 @@ class TestGradients:
         assert_allclose(model.body_gravcomp.grad.numpy(), [expected], rtol=1e-5)
 
 
+def test_names_select_sites_and_the_shapes_of_bodies():
+    one = novaphy.ModelBuilder(gravity=0.0)
+    link = one.add_link(mass=1.0, inertia=np.eye(3), label="arm")
+    one.add_articulation([one.add_joint_revolute(-1, link)], label="robot")
+    one.add_shape_sphere(link, radius=0.1, label="hull")
+    site = one.add_site(link, xform=((0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0)), label="tip")
+    every = novaphy.ModelBuilder(gravity=0.0)
+    every.replicate(one, 2)
+    every.add_site(-1, label="goal")
+    model = every.finalize()
+    tips = model.select("robot/tip")
+    assert tips.sites.tolist() == tips.shapes.tolist() == [site, site + 2]
+    assert tips.get(model, "shape_transform")[:, 0, 2].tolist() == [0.5, 0.5]
+    assert model.select("*", world=1).sites.tolist() == [site + 2]
+    assert model.select("hull").sites.tolist() == []
+    assert model.select("goal").get(model, "shape_body").tolist() == [-1]
+    # A site has no mass and meets nothing: only the pair of the two hulls could, of two worlds.
+    assert model.body_mass.numpy()[0] == np.float32(1.0 + 1000.0 * 4.0 / 3.0 * np.pi * 0.1**3)
+    flags = model.shape_flags.numpy()
+    assert flags[site] == novaphy.ShapeFlags.SITE and not flags[0] & novaphy.ShapeFlags.SITE
+
+
 def test_names_select_joints_bodies_and_actuators_over_worlds():
     one = novaphy.ModelBuilder(gravity=0.0)
     parent = -1
@@ -330,13 +352,13 @@ def test_names_select_joints_bodies_and_actuators_over_worlds():
     assert control.ctrl.numpy().tolist() == [0, 7, 0, 7]
     assert model.select("hip", world=0).get(state, "joint_qd").tolist() == [0.0]
     for arguments, error, message in (
-        ({"pattern": "toe"}, ValueError, "name of a joint, body or actuator, got 'toe'"),
+        ({"pattern": "toe"}, ValueError, "name of a joint, body, shape or actuator, got 'toe'"),
         ({"pattern": "*", "world": 2}, IndexError, "world: expected -1 to 1, got 2"),
     ):
         with pytest.raises(error, match=message):
             model.select(**arguments)
-    with pytest.raises(ValueError, match="field: expected one of joints, .* got 'shape_type'"):
-        knees.get(model, "shape_type")
+    with pytest.raises(ValueError, match="field: expected one of joints, .* got 'particle_q'"):
+        knees.get(state, "particle_q")
 
 
 def test_fields_of_joints_are_selected_by_joint():

@@ -287,6 +287,9 @@ def test_what_only_looks_as_if_it_acted_is_read():
     assert robot.report.left_out == [] and robot.actuators == {}
     assert model.joint_limit_upper.numpy()[0] == 1e10 and model.shape_contact_pair_count == 0
     assert robot.sites == {"s": (0, (1, 2, 3, 0, 0, 0, 1))}
+    tip = model.select("s")
+    assert tip.get(model, "shape_transform").tolist() == [[1, 2, 3, 0, 0, 0, 1]]
+    assert tip.sites.tolist() == tip.shapes.tolist()
     assert robot.timestep is None and robot.report.read["tendon"] == 1
 
 

@@ -28,6 +28,7 @@ FIELDS = {
     "has_shape_collision": False,
     "has_particle_collision": False,
     "is_visible": False,
+    "is_site": True,
     "mixing": (1.0, 1.0, 1.0, 0.0),
 }
 # What a builder reads, a viewer, or contacts of trees (test_mjcf_contacts.py).

@@ -23,7 +23,7 @@ int32_t ModelBuilder::append_shape(std::string_view name, const ShapeArgs& args,
           args.body);
   ShapeConfig cfg = args.cfg ? *args.cfg : default_shape_cfg;
   detail::check_shape_config(name, cfg);
-  if (args.is_static) cfg.density = 0.0f;
+  if (args.is_static || cfg.is_site) cfg.density = 0.0f;
   SolidProperties solid;
   if (args.type == GeoType::MESH || args.type == GeoType::CONVEX_MESH) {
     require(mesh != nullptr, ErrorKind::Value, name, ": type: ", geo_type_name(args.type),
@@ -125,6 +125,12 @@ int32_t ModelBuilder::add_shape_ellipsoid(int32_t body, const ShapeEllipsoidArgs
                                               .scale = {args.rx, args.ry, args.rz},
                                               .cfg = args.cfg,
                                               .label = args.label});
+}
+
+int32_t ModelBuilder::add_site(const ShapeArgs& args) {
+  ShapeArgs site = args;
+  site.cfg = ShapeConfig{.is_visible = args.cfg && args.cfg->is_visible, .is_site = true};
+  return append_shape("add_site", site);
 }
 
 void ModelBuilder::add_shape_collision_filter_pair(int32_t a, int32_t b) {

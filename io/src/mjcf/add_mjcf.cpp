@@ -98,6 +98,18 @@ RobotSite site_of(const MjcfContext& context, const Posed& xform, const RobotImp
           to_float(math::multiply(to_double(added.link_poses.at(link)), at.second))};
 }
 
+void add_sites(const MjcfContext& context, const Posed& xform, ModelBuilder& builder,
+               RobotImport& result) {
+  for (const auto& [name, at] : context.sites) {
+    const RobotSite site = result.sites[name] = site_of(context, xform, result, at);
+    builder.add_site({.body = site.body,
+                      .type = GeoType::SPHERE,
+                      .xform = site.pose,
+                      .scale = {0.01f, 0.0f, 0.0f},
+                      .label = name});
+  }
+}
+
 void add_views(const MjcfContext& context, const Posed& xform, RobotImport& result) {
   for (const auto& [light, at] : context.lights)
     result.lights[light] = site_of(context, xform, result, at);
@@ -169,8 +181,7 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
     added.joint_dofs[joint] = added.joint_dofs.at(whole) + at.dof;
     added.joint_coords[joint] = added.joint_coords.at(whole) + at.dof;
   }
-  for (const auto& [site, at] : context.sites)
-    added.sites[site] = detail::site_of(context, xform, added, at);
+  detail::add_sites(context, xform, builder, added);
   detail::add_views(context, xform, added);
   detail::add_actuators(context, xform, builder, added);
   if (context.settings.option.timestep)

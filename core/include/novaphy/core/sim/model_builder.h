@@ -162,9 +162,8 @@ class NOVAPHY_CORE_API ModelBuilder {
   Axis up_axis() const { return up_axis_; }
   Vec3f up_vector() const { return axis_vector(up_axis_); }
 
-  // Settings; they act on what is added after they were changed.
-  // m/s^2, world frame; of worlds that begin_world is given none for, read by begin_world, and of a
-  // builder without worlds, read by finalize.
+  // Settings for what is added later.
+  // m/s^2, world frame: the gravity of worlds whose begin_world names none, and without worlds.
   Vec3f gravity;
   float default_particle_radius = 0.1f;  // m
   ShapeConfig default_shape_cfg;
@@ -172,8 +171,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   float rigid_gap = 0.1f;  // m: the gap of shapes whose ShapeConfig has none
   // Of dynamic bodies with a mass, read by finalize, which warns of what it changes; the same
   // multiple of the identity is added to an inertia in all directions.
-  // A principal moment that exceeds the sum of the other two: they are raised until it does not.
-  // False: an error.
+  // Whether principal moments that break the triangle inequality are raised; false: an error.
   bool balance_inertia = true;
   std::optional<float> bound_mass = {};     // kg, > 0: a smaller mass becomes this
   std::optional<float> bound_inertia = {};  // kg m^2, > 0: smaller principal moments are raised
@@ -332,6 +330,8 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t add_shape_mesh(int32_t body, const ShapeMeshArgs& args);
   // ErrorKind::Value: what convex_hull refuses, a scale <= 0.
   int32_t add_shape_convex_hull(int32_t body, const ShapeConvexHullArgs& args);
+  // A named frame: a shape with ShapeFlags::SITE, which meets nothing and has no mass.
+  int32_t add_site(const ShapeArgs& args);
 
   // The two shapes never meet. ErrorKind::Index: no such shape; ErrorKind::Value: a == b.
   void add_shape_collision_filter_pair(int32_t a, int32_t b);

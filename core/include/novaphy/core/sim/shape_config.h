@@ -47,14 +47,17 @@ struct ShapeConfig {
   bool has_shape_collision = true;
   bool has_particle_collision = true;
   bool is_visible = true;
+  // A frame of its body, which meets nothing and has no mass, whatever the fields above say.
+  bool is_site = false;
   // Red, green, blue, 0 to 1, in which viewers show it; they choose one when empty.
   std::optional<Vec3f> color = {};
   ShapeMixing mixing = {};
 
   // The bits of Model::shape_flags.
   constexpr int32_t flags() const {
-    return (is_visible ? static_cast<int32_t>(ShapeFlags::VISIBLE) : 0) |
-           (has_shape_collision ? static_cast<int32_t>(ShapeFlags::COLLIDE_SHAPES) : 0) |
+    const int32_t seen = is_visible ? static_cast<int32_t>(ShapeFlags::VISIBLE) : 0;
+    if (is_site) return seen | static_cast<int32_t>(ShapeFlags::SITE);
+    return seen | (has_shape_collision ? static_cast<int32_t>(ShapeFlags::COLLIDE_SHAPES) : 0) |
            (has_particle_collision ? static_cast<int32_t>(ShapeFlags::COLLIDE_PARTICLES) : 0);
   }
 };

@@ -1,4 +1,6 @@
 // Activations, and random numbers without a state.
+#include <limits>
+
 #include "checks.h"
 #include "engine_kernels.h"
 #include "novaphy/math/activations.h"
@@ -41,9 +43,9 @@ Tensor apply(const Kernel& kernel, const Tensor& x) {
   return out;
 }
 
-// The words of a value's counter. Parameters: width, both halves of the seed, stream.
+// The words of a value's counter. Parameters: width, both halves of the seed, stream, first world.
 novaphy::math::Philox<Int> words_of(TraceContext& c, const Int& column) {
-  const Int world = c.index() / c.param_i32(0);
+  const Int world = c.index() / c.param_i32(0) + c.param_i32(4);
   return novaphy::math::philox4x32_10<Int>(
       {{shift_right_unsigned(column, Int(2)), world, c.i32(0), c.param_i32(3)}}, c.param_i32(1),
       c.param_i32(2));
@@ -94,10 +96,13 @@ Tensor draw(const Kernel& kernel, int64_t worlds, int64_t width, const RandomKey
           ", step: expected an int32 tensor");
   require(step.size() == 1, ErrorKind::Value, call, ", step: expected {1}, got ",
           shape_str(step.shape()));
+  const int64_t last = int64_t{key.first_world} + worlds;
+  require(key.first_world >= 0 && last <= std::numeric_limits<int32_t>::max(), ErrorKind::Value,
+          call, ", first_world: expected worlds from 0 to 2^31 - 1, got ", key.first_world);
   const Tensor out({worlds, width}, DType::F32, step.device());
   detail::int_param(call, out.size());
   const Param params[] = {detail::int_param(call, width), static_cast<int32_t>(key.seed),
-                          static_cast<int32_t>(key.seed >> 32), key.stream};
+                          static_cast<int32_t>(key.seed >> 32), key.stream, key.first_world};
   const Operand in = step.flat_operand(), to = out.flat_operand();
   kernel.launch(out.size(), in, to, {.params = params});
   return out;

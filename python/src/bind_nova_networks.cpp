@@ -57,9 +57,10 @@ void bind_draw(py::module_& m, const char* name, Draw draw, const char* doc) {
   m.def(
       name,
       [draw](py::handle shape, py::handle seed, py::handle step, py::handle stream,
-             py::handle device) {
+             py::handle device, py::handle first_world) {
         const auto [worlds, width] = to_draw_shape(shape);
-        const nova::RandomKey key{.seed = to_seed(seed), .stream = to_int32(stream, "stream")};
+        const nova::RandomKey key{.seed = to_seed(seed), .stream = to_int32(stream, "stream"),
+                                  .first_world = to_int32(first_world, "first_world")};
         Tensor at;
         if (py::isinstance<nova::TensorImpl>(step)) {
           at = step.cast<Tensor>();
@@ -73,7 +74,7 @@ void bind_draw(py::module_& m, const char* name, Draw draw, const char* doc) {
         return draw(worlds, width, key, at);
       },
       "shape"_a, py::kw_only(), "seed"_a, "step"_a = 0, "stream"_a = 0, "device"_a = py::none(),
-      doc);
+      "first_world"_a = 0, doc);
 }
 
 }  // namespace

@@ -12,6 +12,7 @@ every device and for any number of threads. World w has the same numbers however
 are.
 
 step: a number, or an int32 tensor {1} that is read when the launch runs. A captured graph gives new
-numbers when the tensor advances.)";
+numbers when the tensor advances.
+first_world: the number w of the first row, for a block of the worlds of a larger run.)";
 
 }  // namespace novaphy::python::doc

@@ -275,6 +275,12 @@ def test_random_numbers_are_distributed_as_they_say():
     assert np.mean(np.abs(x) < 1.0) == pytest.approx(0.6827, abs=5e-3)
 
 
+def test_a_block_of_worlds_draws_the_numbers_of_its_worlds():
+    whole = nova.random_normal((12, 5), seed=3, step=2).numpy()
+    block = nova.random_normal((4, 5), seed=3, step=2, first_world=8).numpy()
+    np.testing.assert_array_equal(block, whole[8:])
+
+
 def test_a_captured_graph_draws_anew_when_its_step_advances():
     step = nova.tensor([3], nova.int32)
     with nova.ScopedCapture() as capture:
@@ -312,6 +318,8 @@ def test_wrong_draws_are_named():
             nova.random_uniform(shape, seed=1)
     with pytest.raises(TypeError, match=r"shape\[1\]: expected an integer, got float"):
         nova.random_normal((3, 2.0), seed=1)
+    with pytest.raises(ValueError, match="first_world: expected worlds from 0 to 2.31 - 1, got -1"):
+        nova.random_normal((3, 2), seed=1, first_world=-1)
     for seed in (-1, 2**64):
         with pytest.raises(ValueError, match=rf"seed: expected an integer from 0 .* got {seed}"):
             nova.random_normal((3, 2), seed=seed)

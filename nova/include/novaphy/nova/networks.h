@@ -24,6 +24,7 @@ NOVAPHY_NOVA_API Tensor linear(const Tensor& x, const Tensor& weight, const Tens
 struct RandomKey {
   uint64_t seed = 0;
   int32_t stream = 0;  // sets apart what is drawn in the same step
+  int32_t first_world = 0;  // the number of the first row: w counts from it
 };
 // In [0, 1), multiples of 2^-24.
 NOVAPHY_NOVA_API Tensor random_uniform(int64_t worlds, int64_t width, const RandomKey& key,

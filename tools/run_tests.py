@@ -12,12 +12,12 @@ import sys
 import tempfile
 import time
 import xml.etree.ElementTree as ElementTree
-import zipfile
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
+import wheel_contents
 from test_results import Results, Step, processor_seconds
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -26,7 +26,6 @@ LOGS = BUILD / "log"
 DEMOS = ROOT / "python" / "demos" / "diff"
 DEMO = DEMOS / "demo_diffsim_ball.py"
 JOBS = len(os.sched_getaffinity(0))
-MAX_WHEEL_BYTES = 10_000_000
 TAIL_LINES = 120
 BINDING_REQUIREMENTS = ("pybind11>=2.13",)
 TEST_REQUIREMENTS = ("numpy", "pytest", "pytest-xdist", "matplotlib", "tqdm", "gymnasium>=1.1")
@@ -42,10 +41,6 @@ COMPONENTS = {
     "vbd": ["core", "collision", "vbd"],
     "diff": ["core", "nova", "collision", "dynamics", "vbd", "diff"],
 }
-# What a library of the wheel may need besides the wheel's own: all of it is on every Linux.
-SYSTEM_LIBRARIES = re.compile(
-    r"^(libc|libm|libdl|libpthread|librt|libgcc_s|libstdc\+\+)\.so\.\d+$|^ld-linux"
-)
 
 
 class StepError(Exception):
@@ -152,13 +147,13 @@ def pytest(
         raise StepError(f"{what}: pytest failed with exit code {code}")
 
 
-def make_venv(name: str, *requirements: str) -> Path:
+def make_venv(name: str, *requirements: str, options: tuple[str, ...] = ()) -> Path:
     """A virtual environment with these packages, made once; returns its Python."""
     folder = BUILD / "venv" / name
     python, stamp = folder / "bin" / "python", folder / "requirements.stamp"
     wanted = f"{sys.version} {requirements}"
     if not python.exists() or not stamp.exists() or stamp.read_text() != wanted:
-        run(f"venv-{name}", sys.executable, "-m", "venv", "--clear", folder)
+        run(f"venv-{name}", sys.executable, "-m", "venv", "--clear", *options, folder)
         pip(f"venv-{name}", python, "install", *requirements)
         stamp.write_text(wanted)
     return python
@@ -260,26 +255,9 @@ make_wheel.made = False
 
 def check_wheel(wheel: Path) -> None:
     """The wheel is small, and needs NumPy and a Linux, nothing else."""
-    size = wheel.stat().st_size
-    print(f"   {wheel.name}: {size / 1e6:.2f} MB")
-    if size >= MAX_WHEEL_BYTES:
-        raise StepError(f"wheel: {size} bytes, allowed are {MAX_WHEEL_BYTES}")
-    with zipfile.ZipFile(wheel) as archive, tempfile.TemporaryDirectory() as folder:
-        names = archive.namelist()
-        metadata = next(n for n in names if n.endswith(".dist-info/METADATA"))
-        metadata = archive.read(metadata).decode()
-        requires = re.findall(r"^Requires-Dist: (.+)$", metadata, re.MULTILINE)
-        if extra := [r for r in requires if "extra ==" not in r and not re.match(r"numpy\b", r)]:
-            raise StepError(f"wheel: it requires {', '.join(extra)} besides NumPy")
-        libraries = [n for n in names if re.search(r"\.so(\.\d+)*$", n)]
-        own = {Path(n).name for n in libraries}
-        if "libnovaphy_io.so" not in own:
-            raise StepError("wheel: it has no libnovaphy_io.so, so it cannot load meshes")
-        for name in libraries:
-            path = archive.extract(name, folder)
-            for needed in re.findall(r"\(NEEDED\).*\[(.+)\]", output_of("readelf", "-d", path)):
-                if needed not in own and not SYSTEM_LIBRARIES.match(needed):
-                    raise StepError(f"wheel: {name} needs {needed}, which is not in the wheel")
+    print(f"   {wheel.name}: {wheel.stat().st_size / 1e6:.2f} MB")
+    if fault := wheel_contents.fault(wheel):
+        raise StepError(f"wheel: {fault}")
 
 
 def wheel_python() -> Path:
@@ -320,6 +298,21 @@ def viewer_tests_ran(junit: Path) -> None:
             continue
         if not (reason := skipped.get("message", "")).startswith("no Chromium"):
             results.fail(f"python: {case.get('name')} was skipped: {reason}")
+
+
+@step
+def distributed() -> None:
+    """Ranks by torch.distributed, Ray and MPI, with the libraries of all three."""
+    libraries = ("ray>=2.9", "mpi4py>=4", "mpich", "matplotlib", "tqdm", "pytest", "pytest-xdist")
+    # torch is Debian's, which was built for NumPy 1.
+    interpreter = make_venv(
+        "distributed", "numpy<2", *libraries, options=("--system-site-packages",)
+    )
+    pip("distributed", interpreter, "install", "--no-deps", "--force-reinstall", make_wheel())
+    pytest("distributed", interpreter, "tests/python/test_distributed.py")
+    for case in ElementTree.parse(LOGS / "distributed.pytest.xml").iter("testcase"):
+        if (skipped := case.find("skipped")) is not None:
+            results.fail(f"distributed: {case.get('name')} was skipped: {skipped.get('message')}")
 
 
 @step

@@ -22,6 +22,7 @@ for step in "${@:-tests}"; do
     tests | --times) packages+=("${OPENGL_PACKAGES[@]}") ;;
   esac
   case $step in --all | dev) packages+=(clang-14) ;; esac # a front end for CUDA, which stands in for a vendor's
+  case $step in --all | distributed) packages+=(python3-torch) ;; esac
   case $step in --all | fcl) packages+=(libfcl-dev) ;; esac
 done
 install_packages "${packages[@]}"

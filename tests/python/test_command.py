@@ -184,7 +184,8 @@ def test_the_completion_is_bash(words, expected):
     assert done.stdout.strip() == expected, done.stderr
 
 
-@pytest.mark.parametrize("name", sorted(_command.demos()))
+# The demo of many processes draws its results and opens no viewer.
+@pytest.mark.parametrize("name", sorted(_command.demos().keys() - {"distributed"}))
 def test_every_demo_takes_the_flags_of_a_viewer(name):
     if name.startswith("vbd") and not novaphy.has_vbd():
         pytest.skip("built with NOVAPHY_BUILD_VBD=OFF")

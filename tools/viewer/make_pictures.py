@@ -42,6 +42,7 @@ WITH_PAGE = {
 }
 # Scenes that have a picture of their own.
 SCENES = {"articulated_scenes": {"chain": ["--headless", "240"], "ants": ["--headless", "60"]}}
+WITHOUT_VIEWER = {"distributed"}  # it draws its results
 WALL = """
 ## robots from files
 
@@ -67,7 +68,8 @@ def record(demo: Path, target: Path, *options: str) -> None:
         "sys.argv = sys.argv[1:]; sys.path.insert(0, sys.argv[0].rpartition('/')[0])\n"
         "runpy.run_path(sys.argv[0], run_name='__main__')"
     )
-    words = [sys.executable, "-c", code, str(demo), "--record", str(target), *options]
+    flag = "--plot" if demo.stem.removeprefix("demo_") in WITHOUT_VIEWER else "--record"
+    words = [sys.executable, "-c", code, str(demo), flag, str(target), *options]
     done = subprocess.run(words, capture_output=True, text=True)
     print(f"{demo.stem}: {(done.stdout + done.stderr).strip().splitlines()[-1]}")
     if not target.exists():

@@ -1,0 +1,163 @@
+"""Losses and gradients of all blocks of all ranks."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import nova
+from ._shard import Block, Shard
+from ._tree import BlockSums, Node, Vector
+
+Params = Mapping[str, nova.Tensor]
+Gradients = dict[str, NDArray[np.float32]]
+Rollout = Callable[[Block, dict[str, nova.Tensor]], nova.Tensor]
+
+
+def checked_params(params: Params, call: str) -> Params:
+    """A dict of float32 Tensors."""
+    if not isinstance(params, Mapping) or not params:
+        raise TypeError(f"{call}: params: expected a dict of Tensors, got {params!r}")
+    for name, value in params.items():
+        if not isinstance(value, nova.Tensor) or value.dtype != nova.float32:
+            raise TypeError(f"{call}: params[{name!r}]: expected a float32 Tensor, got {value!r}")
+    return params
+
+
+def gradient_of_block(rollout: Rollout, params: dict[str, Vector], block: Block) -> Vector:
+    """The sum of the losses of a block, then its gradient, in one row."""
+    leaves = {}
+    for name, value in params.items():
+        leaves[name] = nova.tensor(value, device=block.device)
+        leaves[name].requires_grad = True
+    with nova.Tape() as tape:
+        losses = rollout(block, leaves)
+        if not isinstance(losses, nova.Tensor) or losses.shape != (block.worlds,):
+            got = losses.shape if isinstance(losses, nova.Tensor) else type(losses).__name__
+            raise ValueError(
+                f"value_and_grad: rollout: expected a Tensor of the losses ({block.worlds},), "
+                f"got {got}"
+            )
+        total = nova.sum(losses)
+        tape.backward(total)
+    _check_finite(losses.numpy(), block)
+    rows = [total.numpy().reshape(1)]
+    rows += [leaf.grad.numpy().reshape(-1) for leaf in leaves.values()]
+    return np.concatenate(rows)
+
+
+def _check_finite(losses: NDArray[np.float32], block: Block) -> None:
+    wrong = np.flatnonzero(~np.isfinite(losses))
+    if len(wrong):
+        raise ValueError(
+            f"value_and_grad: rollout: expected finite losses, got {losses[wrong[0]]} in world "
+            f"{block.first_world + wrong[0]} (block {block.index}), and {len(wrong) - 1} more"
+        )
+
+
+def sums_of(function: Callable[[Block], Vector], shard: Shard) -> list[Node]:
+    """The sums of the largest subtrees of this rank; devices work side by side."""
+    sums = BlockSums(shard.block_count)
+    devices = list(dict.fromkeys(block.device for block in shard.blocks))
+    if len(devices) == 1:
+        for block in shard.blocks:
+            sums.put(0, block.index, function(block))
+        return sums.nodes()
+
+    def run(device: str) -> list[tuple[int, Vector]]:
+        own = [block for block in shard.blocks if block.device == device]
+        return [(block.index, function(block)) for block in own]
+
+    with ThreadPoolExecutor(len(devices)) as threads:
+        for found in threads.map(run, devices):
+            for index, values in found:
+                sums.put(0, index, values)
+    return sums.nodes()
+
+
+def sum_blocks(function: Callable[[Block], Vector], shard: Shard) -> Vector:
+    """The sum over all blocks of all ranks of a vector of each block, by the tree of blocks.
+
+    function: block -> float32 {n}, for running means of observations and returns.
+
+    RuntimeError: another rank failed; the message names it.
+    """
+    failure: Exception | None = None
+    message = b""
+    try:
+        message = pickle.dumps(("", sums_of(function, shard)))
+    except Exception as error:
+        failure = error
+        message = pickle.dumps((f"{type(error).__name__}: {error}", []))
+    found = [pickle.loads(text) for text in shard.group.all_gather(message, "sum_blocks")]
+    if failure is not None:
+        raise failure
+    for rank, (why, _) in enumerate(found):
+        if why:
+            raise RuntimeError(f"distributed: rank {rank}: {why}")
+    return total_of(shard.block_count, [node for _, nodes in found for node in nodes])
+
+
+def total_of(blocks: int, nodes: list[Node]) -> Vector:
+    """The root of the tree over the nodes of all ranks."""
+    sums = BlockSums(blocks)
+    for level, index, values in nodes:
+        sums.put(level, index, values)
+    return sums.total()
+
+
+def mean_and_gradients(
+    total: Vector, worlds: int, shapes: dict[str, tuple[int, ...]]
+) -> tuple[float, Gradients]:
+    """Divide the sums by the number of worlds, and cut the gradients apart."""
+    mean = total / np.float32(worlds)
+    gradients, at = {}, 1
+    for name, shape in shapes.items():
+        size = int(np.prod(shape))
+        gradients[name] = mean[at : at + size].reshape(shape)
+        at += size
+    return float(mean[0]), gradients
+
+
+def value_and_grad(rollout: Rollout, params: Params, shard: Shard) -> tuple[float, Gradients]:
+    """The mean loss over all worlds of all ranks, and its gradient; the same bits on every rank.
+
+    rollout: (block, params) -> losses, a Tensor {block.worlds}; recorded on one tape a block.
+    params: a dict of float32 Tensors. A rollout gets copies on the device of its block.
+
+    Within a block a sum over worlds runs from the first world to the last one. Sums of blocks are
+    added up a binary tree by block number. The bits therefore depend on worlds and block of the
+    shard, and never on ranks, devices or threads.
+
+    ValueError: losses of another shape, a loss that is not finite (its world is named).
+    RuntimeError: another rank failed; the message names it.
+    """
+    values = {name: p.numpy() for name, p in checked_params(params, "value_and_grad").items()}
+    total = sum_blocks(lambda block: gradient_of_block(rollout, values, block), shard)
+    shapes = {name: value.shape for name, value in values.items()}
+    return mean_and_gradients(total, shard.worlds, shapes)
+
+
+def step(optimizer: nova.optim.SGD | nova.optim.Adam, grads: Gradients) -> None:
+    """A step of an optimizer with the gradients of value_and_grad, in the order of its params.
+
+    ValueError: another number of gradients, or another shape.
+    """
+    if len(optimizer.params) != len(grads):
+        raise ValueError(
+            f"step: grads: expected one for each of the {len(optimizer.params)} parameters of the "
+            f"optimizer, got {len(grads)}"
+        )
+    for param, (name, gradient) in zip(optimizer.params, grads.items(), strict=True):
+        if param.shape != gradient.shape:
+            raise ValueError(
+                f"step: grads[{name!r}]: expected the shape {param.shape}, got {gradient.shape}"
+            )
+    for param, gradient in zip(optimizer.params, grads.values(), strict=True):
+        param.requires_grad = True
+        param.grad.assign(gradient)
+    optimizer.step()

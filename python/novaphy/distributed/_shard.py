@@ -1,0 +1,144 @@
+"""Blocks of worlds, and the blocks of a rank."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from .. import _core
+from ._groups import Group, current
+
+Scene = _core.ModelBuilder | Callable[[int, int, str], _core.Model]
+
+
+@dataclass(frozen=True)
+class Block:
+    """A unit of work: consecutive worlds, whose sums run from the first one to the last one.
+
+    index: the number of the block in the run.
+    first_world: the number of its first world in the run; first_world= of nova.random_normal.
+    worlds: how many.
+    model: the Model of these worlds. Blocks of one device share it where the scene is a builder.
+    kept: what a rollout keeps from call to call, as solvers and trajectories; one for each model.
+    """
+
+    index: int
+    first_world: int
+    worlds: int
+    model: _core.Model
+    kept: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def device(self) -> str:
+        """The device of the model."""
+        return str(self.model.device)
+
+
+@dataclass(frozen=True)
+class Shard:
+    """The blocks of this rank, of a run of `worlds` worlds in blocks of `block`."""
+
+    worlds: int
+    block: int
+    blocks: tuple[Block, ...]
+    group: Group = field(repr=False)
+
+    @property
+    def block_count(self) -> int:
+        """The blocks of all ranks."""
+        return self.worlds // self.block
+
+
+def counted(worlds: int, block: int, ranks: int, call: str) -> int:
+    """The number of blocks, checked."""
+    for name, value in (("worlds", worlds), ("block", block)):
+        if value < 1:
+            raise ValueError(f"{call}: {name}: expected >= 1, got {value}")
+    if worlds % block != 0:
+        raise ValueError(
+            f"{call}: worlds: expected a multiple of block ({block}), got {worlds}, which leaves "
+            f"{worlds % block}"
+        )
+    if ranks > worlds // block:
+        raise ValueError(
+            f"{call}: block: {ranks} ranks need at least {ranks} blocks, got {worlds // block}: "
+            f"expected at most {worlds // ranks}"
+        )
+    return worlds // block
+
+
+def part_of(blocks: int, rank: int, ranks: int) -> range:
+    """The consecutive blocks of a rank; the first ranks have one more where it does not divide."""
+    each, more = divmod(blocks, ranks)
+    first = rank * each + min(rank, more)
+    return range(first, first + each + (rank < more))
+
+
+def shard(
+    scene: Scene,
+    *,
+    worlds: int,
+    block: int,
+    device: str | None = None,
+    devices: Sequence[str] | None = None,
+    group: Group | None = None,
+) -> Shard:
+    """Make the blocks of this rank.
+
+    scene: a ModelBuilder of one world, of which a block has copies; or a function
+    (first_world, worlds, device) -> Model, for worlds that differ.
+    worlds: of the whole run; a multiple of block.
+    block: worlds of a block. The bits of sums depend on worlds and block, and on nothing else.
+    device, devices: where the blocks of this rank live; several devices take them in turn.
+    group: None: the group of init.
+
+    ValueError: worlds that block does not divide, more ranks than blocks, an unknown device.
+    RuntimeError: the ranks do not have the same model; the message names them.
+    """
+    group = current() if group is None else group
+    count = counted(worlds, block, group.size, "shard")
+    if device is not None and devices is not None:
+        raise ValueError("shard: device: expected None beside devices")
+    places = list(devices) if devices is not None else [device or "cpu"]
+    if not places:
+        raise ValueError("shard: devices: expected at least one, got none")
+    made: dict[str, tuple[_core.Model, dict[str, Any]]] = {}
+
+    def model_of(index: int, place: str) -> tuple[_core.Model, dict[str, Any]]:
+        if not isinstance(scene, _core.ModelBuilder):
+            model = scene(index * block, block, place)
+            if not isinstance(model, _core.Model) or model.world_count != block:
+                got = getattr(model, "world_count", type(model).__name__)
+                raise ValueError(f"shard: scene: expected a Model of {block} worlds, got {got}")
+            return model, {}
+        if place not in made:
+            every = _core.ModelBuilder()
+            every.replicate(scene, block)
+            made[place] = every.finalize(place, requires_grad=True), {}
+        return made[place]
+
+    own = part_of(count, group.rank, group.size)
+    blocks = []
+    for k, index in enumerate(own):
+        model, kept = model_of(index, places[k % len(places)])
+        blocks.append(Block(index, index * block, block, model, kept))
+    _compare(group, blocks[0].model, alike=isinstance(scene, _core.ModelBuilder))
+    return Shard(worlds, block, tuple(blocks), group)
+
+
+def _compare(group: Group, model: _core.Model, *, alike: bool) -> None:
+    """Ranks have one model; where worlds differ, their models have the same arrays."""
+    kept = model.__getstate__()  # type: ignore[attr-defined]
+    found = hashlib.sha256()
+    for name, values in sorted(kept["arrays"].items()):
+        array = np.asarray(values)
+        found.update(f"{name} {array.dtype} {array.shape}".encode())
+        if alike:
+            found.update(array.tobytes())
+    hashes = group.all_gather(found.digest(), "shard")
+    if others := [rank for rank, h in enumerate(hashes) if h != hashes[0]]:
+        raise RuntimeError(f"shard: scene: ranks {others} have another model than rank 0")

@@ -1,0 +1,111 @@
+"""Parameters and optimizers: hashes, copies and checkpoints."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import io, nova
+from ._gradients import Params, checked_params
+from ._groups import Group, current
+from ._shard import Shard
+
+Optimizer = nova.optim.SGD | nova.optim.Adam
+
+
+def _tensors(params: Params, optimizer: Optimizer | None) -> dict[str, nova.Tensor]:
+    """All tensors of the parameters and of the state of the optimizer, by name."""
+    found = {f"param.{name}": p for name, p in params.items()}
+    for part in ("m", "v", "b"):
+        for k, tensor in enumerate(getattr(optimizer, part, None) or ()):
+            found[f"{part}.{k}"] = tensor
+    if (t := getattr(optimizer, "t", None)) is not None:
+        found["t"] = t
+    return found
+
+
+def digest(params: Params, optimizer: Optimizer | None = None) -> str:
+    """The SHA-256 of the bits of parameters and of the state of an optimizer."""
+    found = hashlib.sha256()
+    for name, tensor in _tensors(checked_params(params, "digest"), optimizer).items():
+        found.update(f"{name} {tensor.shape}".encode() + tensor.numpy().tobytes())
+    return found.hexdigest()
+
+
+def check(params: Params, optimizer: Optimizer | None = None, group: Group | None = None) -> None:
+    """Compare the digests of all ranks.
+
+    RuntimeError: they differ; the message names the ranks that are not as most are.
+    """
+    group = current() if group is None else group
+    hashes = group.all_gather(digest(params, optimizer).encode(), "check")
+    most = max(hashes, key=hashes.count)
+    if others := [rank for rank, h in enumerate(hashes) if h != most]:
+        raise RuntimeError(f"check: ranks {others} have other parameters or optimizers")
+
+
+def sync(params: Params, optimizer: Optimizer | None = None, group: Group | None = None) -> None:
+    """Give all ranks the parameters and the optimizer of rank 0."""
+    group = current() if group is None else group
+    tensors = _tensors(checked_params(params, "sync"), optimizer)
+    own = {name: t.numpy() for name, t in tensors.items()} if group.rank == 0 else {}
+    _assign(tensors, pickle.loads(group.broadcast(pickle.dumps(own), 0, "sync")), "sync")
+
+
+def _assign(tensors: dict[str, nova.Tensor], values: dict[str, Any], call: str) -> None:
+    for name, tensor in tensors.items():
+        if name not in values or np.shape(values[name]) != tensor.shape:
+            got = np.shape(values[name]) if name in values else "nothing"
+            raise ValueError(f"{call}: {name}: expected the shape {tensor.shape}, got {got}")
+    for name, tensor in tensors.items():
+        tensor.assign(values[name])
+
+
+def save(
+    path: str | os.PathLike[str],
+    params: Params,
+    optimizer: Optimizer | None,
+    shard: Shard,
+    *,
+    iteration: int,
+    **numbers: int,
+) -> None:
+    """Write a checkpoint, on rank 0: parameters, optimizer, iteration, worlds, block and numbers.
+
+    numbers: further integers, as seed=7. The file is whole or not there.
+    """
+    if shard.group.rank == 0:
+        tensors = _tensors(checked_params(params, "save"), optimizer)
+        arrays = {name: t.numpy() for name, t in tensors.items()}
+        whole = {"iteration": iteration, "worlds": shard.worlds, "block": shard.block} | numbers
+        io.save_npz(path, **arrays, **{f"number.{k}": np.int64(v) for k, v in whole.items()})
+    shard.group.barrier()
+
+
+def load(
+    path: str | os.PathLike[str], params: Params, optimizer: Optimizer | None, shard: Shard
+) -> dict[str, int]:
+    """Read a checkpoint of any number of ranks; returns iteration, worlds, block and numbers.
+
+    All ranks read the file. ValueError: another number of worlds or another block, which would give
+    other bits; other parameters.
+    """
+    with np.load(path) as file:
+        values: dict[str, NDArray[Any]] = dict(file.items())
+    numbers = {
+        name.removeprefix("number."): int(v)
+        for name, v in values.items()
+        if name.startswith("number.")
+    }
+    for name in ("worlds", "block"):
+        if numbers.get(name) != getattr(shard, name):
+            raise ValueError(
+                f"load: {name}: expected {getattr(shard, name)}, the file has {numbers.get(name)}"
+            )
+    _assign(_tensors(checked_params(params, "load"), optimizer), values, "load")
+    return numbers

@@ -1,0 +1,43 @@
+"""Sums over blocks of worlds, up a binary tree by block number."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float32]
+Node = tuple[int, int, Vector]  # level, index, sum of the blocks below
+
+
+class BlockSums:
+    """The sums of whole subtrees, joined as soon as both halves are there.
+
+    Node (level, index) is the sum of the blocks index * 2^level to (index + 1) * 2^level - 1. A
+    node whose sibling has no blocks goes up as it is. The order of the additions therefore depends
+    on the number of blocks alone, and not on who computed them or when.
+    """
+
+    def __init__(self, blocks: int) -> None:
+        self._blocks = blocks
+        self._top = (blocks - 1).bit_length()
+        self._nodes: dict[tuple[int, int], Vector] = {}
+
+    def put(self, level: int, index: int, values: Vector) -> None:
+        """Add a node; level 0 is a block."""
+        while level < self._top:
+            sibling = index ^ 1
+            if sibling << level < self._blocks:
+                other = self._nodes.pop((level, sibling), None)
+                if other is None:
+                    break
+                values = values + other if index < sibling else other + values
+            level, index = level + 1, index >> 1
+        self._nodes[level, index] = values
+
+    def nodes(self) -> list[Node]:
+        """The largest whole subtrees so far."""
+        return [(level, index, values) for (level, index), values in sorted(self._nodes.items())]
+
+    def total(self) -> Vector:
+        """The sum of all blocks."""
+        return self._nodes[self._top, 0]

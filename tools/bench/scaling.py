@@ -1,0 +1,206 @@
+#!/usr/bin/env python3
+"""Worlds on many ranks: the bits of a training run, and the time of an iteration. Lines of JSON.
+
+    python tools/bench/scaling.py --scene ants --worlds 512 --block 64
+    torchrun --standalone --nproc-per-node=4 tools/bench/scaling.py --scene cloth --device cuda
+    mpiexec -n 2 python tools/bench/scaling.py --scene boxes
+    python tools/bench/scaling.py --scene boxes --device cpu cuda:0   # by threads of one process
+
+--device cuda gives each process of a host its own GPU. --reduction times the sum of gradients
+alone. A line has the SHA-256 of the losses and gradients, and that of the parameters and of the
+optimizer: both depend on --worlds, --block and --iterations only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import statistics
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+import novaphy
+from novaphy import diff, nova, solvers
+from novaphy import distributed as dist
+
+FEATURES = 4
+
+
+def boxes() -> novaphy.ModelBuilder:
+    """A plane, three boxes and a ball."""
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane()
+    for k in range(3):
+        body = builder.add_body(xform=((0.02 * k, 0.0, 0.11 + 0.22 * k), (0, 0, 0, 1)))
+        builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1)
+    builder.add_shape_sphere(builder.add_body(xform=((0.4, 0, 0.1), (0, 0, 0, 1))), radius=0.1)
+    return builder
+
+
+def cloth() -> novaphy.ModelBuilder:
+    """A sheet of 64 particles that hangs at one edge."""
+    builder = novaphy.ModelBuilder()
+    builder.add_cloth_grid(
+        pos=(0, 0, 1), rot=(0, 0, 0, 1), vel=(0, 0, 0), dim_x=7, dim_y=7, cell_x=0.05, cell_y=0.05,
+        mass=0.01, fix_left=True, tri_ke=500.0, tri_ka=500.0, tri_kd=0.0, edge_ke=0.01,
+    )  # fmt: skip
+    builder.color()
+    return builder
+
+
+def ants(first_world: int, worlds: int, device: str) -> novaphy.Model:
+    """Ants that stand in the air just above the ground."""
+    from novaphy.envs._ant import ANTS, build_ants
+
+    del first_world
+    return build_ants(ANTS["dva"][0], worlds, requires_grad=True, device=device)
+
+
+@dataclass
+class Kind:
+    """How a scene is made and run: the rates of its start are a rule of random features."""
+
+    scene: object
+    steps: int
+    dt: float
+
+    def run(self, block: dist.Block, params: dict[str, nova.Tensor]) -> nova.Tensor:
+        """Losses {worlds}: the squared distance of the end from the mean start."""
+        model, kept = block.model, block.kept
+        if not kept:
+            kept["path"], kept["solver"] = diff.Trajectory(model, self.steps), solver_of(model)
+            kept["pipeline"] = novaphy.CollisionPipeline(model) if model.shape_count else None
+        path = kept["path"]
+        features = nova.random_normal(
+            (block.worlds, FEATURES), seed=5, first_world=block.first_world, device=block.device
+        )
+        rates = nova.linear(features, params["rule"])
+        start, end = ends_of(model, path)
+        start.copy_(rates.reshape(start.shape))
+        options = {"pipeline": kept["pipeline"]} if kept["pipeline"] else {}
+        kept["solver"].rollout(path, None, None, self.dt, **options)
+        last = end.reshape(block.worlds, -1)
+        return nova.sum(last * last, axis=1)
+
+
+KINDS = {
+    "ants": Kind(ants, 140, 1e-3),
+    "boxes": Kind(boxes(), 60, 1e-3),
+    "cloth": Kind(cloth(), 20, 1 / 120),
+}
+
+
+def solver_of(model: novaphy.Model) -> solvers.DiffSolverBase:
+    """The differentiable solver of a scene."""
+    if model.joint_dof_count:
+        return solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_erp=1.0)
+    return (
+        solvers.DiffSolverVBD(model) if model.tri_count else solvers.DiffSemiImplicitSolver(model)
+    )
+
+
+def ends_of(model: novaphy.Model, path: diff.Trajectory) -> tuple[nova.Tensor, nova.Tensor]:
+    """The rates at the start, and what the loss reads of the end."""
+    first, last = path[0], path[path.steps]
+    if model.joint_dof_count:
+        return diff.state_joint_qd_tensor(first), diff.state_joint_q_tensor(last)
+    if model.tri_count:
+        return diff.state_particle_qd_tensor(first), diff.state_particle_q_tensor(last)
+    return diff.state_body_qd_tensor(first), diff.state_body_q_tensor(last)
+
+
+def median_of(function, repeats: int) -> float:
+    """The median of the seconds of some calls."""
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times)
+
+
+def devices_of(args: argparse.Namespace, group: dist.Group) -> list[str]:
+    """The devices of this rank."""
+    if args.device != ["cuda"]:
+        return args.device
+    return [f"cuda:{int(os.environ.get('LOCAL_RANK', group.rank))}"]
+
+
+def measure(args: argparse.Namespace, group: dist.Group) -> dict[str, object]:
+    """Train some iterations, then time one more."""
+    kind = KINDS[args.scene]
+    shard = dist.shard(
+        kind.scene, worlds=args.worlds, block=args.block, devices=devices_of(args, group)
+    )  # fmt: skip
+    width = ends_of(shard.blocks[0].model, diff.Trajectory(shard.blocks[0].model, 1))[0].size
+    rule = np.random.default_rng(1).normal(0, 0.2, (width // args.block, FEATURES))
+    params = {"rule": nova.tensor(np.float32(rule))}
+    optimizer = nova.optim.Adam(params.values(), lr=0.01)
+    results = hashlib.sha256()
+
+    def iteration() -> None:
+        loss, grads = dist.value_and_grad(kind.run, params, shard)
+        results.update(np.float32(loss).tobytes() + grads["rule"].tobytes())
+        dist.step(optimizer, grads)
+
+    for _ in range(args.iterations):
+        iteration()
+    dist.check(params, optimizer)
+    line: dict[str, object] = {
+        "scene": args.scene, "ranks": group.size, "by": group.kind,
+        "devices": devices_of(args, group), "worlds": args.worlds, "block": args.block,
+        "iterations": args.iterations,
+        "gradients": results.hexdigest(), "parameters": dist.digest(params, optimizer),
+    }  # fmt: skip
+    if args.repeats:
+        leaves = {"rule": nova.tensor(params["rule"].numpy())}
+
+        def forward() -> None:
+            for block in shard.blocks:
+                here = {name: p.to(block.device) for name, p in leaves.items()}
+                kind.run(block, here).numpy()
+            group.barrier()
+
+        line["forward_s"] = median_of(forward, args.repeats)
+        line["iteration_s"] = median_of(iteration, args.repeats)
+    return line
+
+
+def reductions(args: argparse.Namespace, group: dist.Group) -> list[dict[str, object]]:
+    """The time of the sum alone, for 1e3 to 1e7 parameters."""
+    lines: list[dict[str, object]] = []
+    empty = novaphy.ModelBuilder()
+    empty.add_particle((0, 0, 0), (0, 0, 0), 1.0)
+    shard = dist.shard(empty, worlds=4 * group.size, block=4)
+    for exponent in range(3, 8):
+        values = np.ones(10**exponent, np.float32)
+        seconds = median_of(lambda v=values: dist.sum_blocks(lambda _: v, shard), args.repeats or 3)
+        lines.append({"ranks": group.size, "parameters": 10**exponent, "reduction_s": seconds})
+    return lines
+
+
+def main() -> None:
+    """Print what was measured, on rank 0."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scene", choices=sorted(KINDS), default="boxes")
+    parser.add_argument("--worlds", type=int, default=256, help="of all ranks")
+    parser.add_argument("--block", type=int, default=32)
+    parser.add_argument("--iterations", type=int, default=10, help="before the hashes")
+    parser.add_argument("--repeats", type=int, default=5, help="timed iterations; 0: none")
+    parser.add_argument("--device", nargs="+", default=["cpu"])
+    parser.add_argument("--reduction", action="store_true", help="time the sum of gradients alone")
+    args = parser.parse_args()
+    group = dist.init()
+    lines = reductions(args, group) if args.reduction else [measure(args, group)]
+    if group.rank == 0:
+        for line in lines:
+            print(json.dumps(line), flush=True)
+    group.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -15,20 +15,22 @@ constexpr size_t kMaxCachedBytes = size_t{1} << 30;  // per device
 }  // namespace
 
 Allocator& Allocator::get() {
-  // Never destroyed: arrays with static lifetime give their blocks back at exit.
+  // Never destroyed, because arrays with static lifetime return their blocks at exit.
   static Allocator* allocator = new Allocator;
   return *allocator;
 }
 
 Allocator::Allocator() {
-  // Another thread may hold the lock at the moment of a fork; the child must find it open.
+  // Another thread may hold the lock during a fork. The handlers take the lock around the fork, so
+  // that the child finds it free.
   pthread_atfork([] { get().mutex_.lock(); }, [] { get().mutex_.unlock(); },
                  [] { get().mutex_.unlock(); });
 }
 
 size_t Allocator::size_class(size_t bytes) {
   if (bytes <= 256) return 256;
-  if (bytes > std::numeric_limits<size_t>::max() / 2) return bytes;  // will fail, with its number
+  // the allocation will fail and report this size
+  if (bytes > std::numeric_limits<size_t>::max() / 2) return bytes;
   const size_t step = bytes <= 4096 ? 256 : size_t{1} << (std::bit_width(bytes - 1) - 4);
   return (bytes + step - 1) / step * step;
 }
@@ -66,7 +68,7 @@ void Allocator::release(const DeviceContext& context, void* block, size_t bytes)
       cache.bytes += size;
       return;
     }
-  } catch (...) {  // no memory to remember the block: give it back
+  } catch (...) {  // no memory to cache the block: free it instead
   }
   context.api->memory_free(context.device, NOVAPHY_MEMORY_DEVICE, block);
 }

@@ -1,5 +1,5 @@
-// Internal to core: freed blocks are kept per device and size class. A step of a simulation
-// allocates the same sizes again and again, and a device allocation is slow.
+// Internal to core: an allocator that caches freed blocks by device and size class. A simulation
+// allocates the same sizes in every step, and a device allocation is slow.
 #pragma once
 
 #include <cstddef>
@@ -14,12 +14,13 @@ namespace novaphy {
 class Allocator {
  public:
   static Allocator& get();
-  // At least `bytes` bytes, a multiple of 256, 256-byte aligned; not cleared. Throws when the
-  // device has no more.
+  // Returns a block of at least `bytes` bytes, rounded up to a multiple of 256 and aligned to 256
+  // bytes. The block is not cleared. Throws if the device has no memory left.
   void* allocate(const DeviceContext& context, size_t bytes);
   void release(const DeviceContext& context, void* block, size_t bytes) noexcept;
   void release_cached();
-  // Multiples of 256 up to 4 KiB, then eight steps per power of two: at most an eighth is wasted.
+  // Size classes: multiples of 256 up to 4 KiB, then eight classes per power of two. At most an
+  // eighth of a block is unused.
   static size_t size_class(size_t bytes);
 
  private:

@@ -25,12 +25,12 @@ constexpr int kTypes = 3;
 
 struct Entry {
   BackendInfo info;
-  int32_t device_type = -1;                  // -1: refused before it could say
+  int32_t device_type = -1;                  // -1: refused before the type was known
   const novaphy_backend_api* api = nullptr;  // null: refused
 };
 
-// Lives as long as the process: a backend is never unloaded, because arrays may still point into
-// it.
+// The registry lives as long as the process. A backend is never unloaded, because arrays may still
+// point into its memory.
 class Registry {
  public:
   static Registry& get() {
@@ -44,7 +44,7 @@ class Registry {
   int32_t device_count(DeviceType type);
 
  private:
-  void search();  // every function below needs the lock
+  void search();  // this function and those below need the lock
   Entry open_file(const BackendCandidate& candidate);
   void accept(Entry& entry, const novaphy_backend_api* (*query)(uint32_t, const novaphy_host_api*,
                                                                 novaphy_error*));
@@ -55,7 +55,7 @@ class Registry {
 
   std::mutex mutex_;
   bool searched_ = false;
-  std::vector<Entry> entries_;  // in the order of preference; the linked-in one last
+  std::vector<Entry> entries_;  // in order of preference; the linked-in backend is last
   std::array<const novaphy_backend_api*, kTypes> in_use_{};
   std::array<std::array<std::atomic<const DeviceContext*>, kMaxOrdinal>, kTypes> contexts_{};
 };
@@ -72,11 +72,11 @@ void Registry::accept(Entry& entry,
                            : "novaphy_backend_query returned null without a reason";
     return;
   }
-  // Read no further than the version before it is known to match.
+  // Only the version may be read before it is known to match.
   entry.info.abi_major = api->abi_major;
   entry.info.abi_minor = api->abi_minor;
   entry.info.error = check_backend_table(api);
-  // The compiled kernels of another version are those of another engine.
+  // A CPU plugin has compiled kernels, which must belong to the same version of the engine.
   if (entry.info.error.empty() && entry.info.name == "cpu" && !entry.info.path.empty() &&
       std::strcmp(api->version, NOVAPHY_VERSION) != 0)
     entry.info.error =
@@ -131,7 +131,8 @@ void Registry::search() {
   entries_.push_back(own);
 }
 
-// A backend stays in use for its type once one of its devices was opened.
+// Returns the backend of a device type. After the first device was opened, the backend of its type
+// no longer changes.
 Entry* Registry::active(DeviceType type) {
   const novaphy_backend_api* fixed = in_use_[static_cast<size_t>(type)];
   for (Entry& entry : entries_) {
@@ -147,8 +148,8 @@ std::string Registry::reasons(DeviceType type) {
     if (entry.info.error.empty()) continue;
     const std::string name = device_type_name(type);
     const bool same_type = entry.device_type == static_cast<int32_t>(type);
-    // Whoever wrote a file called ..._cuda.so meant this type, even when it was refused before it
-    // could say so.
+    // A file named ..._cuda.so counts as a backend of this type even if it was refused before its
+    // type was known.
     if (!same_type && !(entry.device_type < 0 && entry.info.name.find(name) != std::string::npos))
       continue;
     if (!text.empty()) text.append("; ");
@@ -163,8 +164,8 @@ std::string Registry::reasons(DeviceType type) {
   return text;
 }
 
-// Slower by a factor of several, which nobody should have to find by measuring. Said once per
-// process, because the device is opened once; not to who switched the plugin off.
+// Warns once per process that kernels are interpreted, which is several times slower. No warning if
+// the user disabled the plugin.
 void Registry::say_interpreted() {
   if (const char* quiet = std::getenv("NOVAPHY_QUIET"); quiet != nullptr && *quiet != '\0') return;
   std::string why;
@@ -183,7 +184,7 @@ void Registry::say_interpreted() {
 }
 
 const DeviceContext& Registry::open(Device device) {
-  num_threads();  // a bad NOVAPHY_NUM_THREADS is reported here, where throwing is allowed
+  num_threads();  // Throws here for a bad NOVAPHY_NUM_THREADS, because throwing is allowed here.
   open_launch_trace();
   const std::lock_guard lock(mutex_);
   search();
@@ -252,7 +253,7 @@ BackendInfo Registry::load(const fs::path& path) {
   const std::lock_guard lock(mutex_);
   search();
   std::error_code ignored;
-  // An absolute path, because dlopen would look for a bare name in the system's folders.
+  // dlopen searches the system folders for a path without a slash, so the path is made absolute.
   const fs::path absolute = fs::absolute(path, ignored);
   for (const Entry& entry : entries_) {
     if (entry.api == nullptr || entry.info.path.empty() ||

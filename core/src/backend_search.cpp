@@ -1,4 +1,4 @@
-// Where backends are looked for, and what a table must look like to be accepted.
+// Search for backend plugins, and the checks of a plugin's function table.
 #include <dlfcn.h>
 
 #include <algorithm>
@@ -71,7 +71,7 @@ std::vector<fs::path> backend_search_path(std::vector<BackendCandidate>* unusabl
     if (fs::path(entry).is_absolute()) {
       folders.emplace_back(entry);
     } else if (unusable != nullptr) {
-      // A relative entry would depend on the current directory, from which nothing is ever loaded.
+      // A relative entry depends on the current directory, and plugins must never load from there.
       unusable->push_back(
           {entry, entry, "NOVAPHY_BACKEND_PATH: expected an absolute path, got \"" + entry + "\""});
     }
@@ -113,7 +113,8 @@ std::string check_backend_table(const novaphy_backend_api* api) {
     return "its ABI major version is " + std::to_string(api->abi_major) + ", this build needs " +
            std::to_string(NOVAPHY_ABI_MAJOR);
   }
-  // The capture group stands at the end and is optional; everything before it must be there.
+  // The capture functions at the end of the table are optional; everything before them is
+  // mandatory.
   const size_t mandatory = offsetof(novaphy_backend_api, capture_begin);
   if (api->struct_size < mandatory) {
     return "its function table has " + std::to_string(api->struct_size) +

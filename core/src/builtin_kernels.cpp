@@ -2,7 +2,7 @@
 
 namespace novaphy {
 
-// Never destroyed: recordings refer to them.
+// Never destroyed, because recordings refer to the kernels.
 const Kernel<ScanArguments>& exclusive_scan() {
   static const auto& kernel = *new Kernel<ScanArguments>("exclusive_scan_i32");
   return kernel;

@@ -1,4 +1,4 @@
-// Range::checksum: computed where the bytes are.
+// Range::checksum, computed on the device that has the bytes.
 #include <map>
 #include <mutex>
 #include <vector>
@@ -10,7 +10,8 @@
 namespace novaphy {
 namespace {
 
-// Null where the backend lacks it. Made once per device and never destroyed, like the backend.
+// Returns the checksum kernel of a device, or null if the backend lacks it. The kernel is made once
+// per device and never destroyed.
 novaphy_kernel* checksum_kernel(const DeviceContext& context) {
   static std::mutex mutex;
   static auto& known = *new std::map<const DeviceContext*, novaphy_kernel*>;

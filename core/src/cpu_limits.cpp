@@ -16,7 +16,7 @@ namespace novaphy {
 namespace fs = std::filesystem;
 namespace {
 
-// quota / period rounded up; 0 when either is missing or means "no limit".
+// Returns quota / period rounded up. 0: a value is missing or means "no limit".
 int to_cpus(double quota, double period) {
   if (!(quota > 0.0) || !(period > 0.0)) return 0;
   return static_cast<int>(std::clamp(std::ceil(quota / period), 1.0, 1.0e6));
@@ -27,7 +27,8 @@ std::string text_of(const fs::path& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-// Takes the next word off a text as a number: 0 when it is none ("max").
+// Removes the next word of a text and returns it as a number, or 0 if the word is not a number
+// ("max").
 double take_number(std::string_view& text) {
   text.remove_prefix(std::min(text.find_first_not_of(" \t\n"), text.size()));
   double value = 0.0;
@@ -50,8 +51,8 @@ int read_v1(const fs::path& folder) {
   return to_cpus(take_number(first), take_number(second));
 }
 
-// The smallest limit of `group` and of the groups above it. In a container the group's own path may
-// not exist under the mount; its root then stands for the group.
+// Returns the smallest limit of `group` and of the groups above it. In a container the path of the
+// group may not exist under the mount. The root of the mount is then the group.
 int smallest(const fs::path& mount, fs::path group, int (*read)(const fs::path&)) {
   int limit = 0;
   group = group.relative_path();
@@ -70,7 +71,8 @@ bool names_cpu(const std::string& controllers) {
 }  // namespace
 
 int affinity_cpus() {
-  // The mask may be larger than cpu_set_t on a big machine: grow until the kernel accepts the size.
+  // On a big machine the mask may exceed cpu_set_t. The loop enlarges the set until the kernel
+  // accepts its size.
   for (int cpus = 1024; cpus <= (1 << 20); cpus *= 2) {
     cpu_set_t* set = CPU_ALLOC(static_cast<size_t>(cpus));
     if (set == nullptr) break;

@@ -1,4 +1,4 @@
-// Internal to core: how many CPUs this process may use.
+// Internal to core: the number of CPUs that this process may use.
 #pragma once
 
 #include <filesystem>
@@ -7,9 +7,9 @@ namespace novaphy {
 
 int affinity_cpus();  // CPUs in the affinity mask, at least 1
 
-// The CPU quota of the cgroup of this process, rounded up, or 0 when there is none. Understands
-// cgroup v1 and v2 and takes the smallest quota on the way up to the root. `root` is "/" outside of
-// tests.
+// Returns the CPU quota of this process's cgroup, rounded up; 0 means no quota. Supports cgroup v1
+// and v2, and takes the smallest quota on the path up to the root. Tests pass another `root` than
+// "/".
 int cgroup_cpu_limit(const std::filesystem::path& root);
 
 }  // namespace novaphy

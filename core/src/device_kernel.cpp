@@ -25,7 +25,8 @@ LaunchArgument argument(const char* name, const Array& array, bool read, bool wr
   return made;
 }
 
-// A module of the device, made once and kept, as the device is.
+// Returns the module of a kernel source on a device. Modules are made once and kept as long as the
+// device.
 novaphy_module* source_module(const DeviceContext& context, DeviceText text, const char* name) {
   static std::mutex mutex;
   static auto& all = *new std::map<std::pair<const DeviceContext*, DeviceText>, novaphy_module*>;
@@ -120,7 +121,7 @@ void DeviceKernel::launch(Device device, int64_t n,
   for (size_t k = 0; k < arguments.size(); ++k) {
     const LaunchArgument& a = arguments[k];
     words[k] = a.word;
-    // A word of an array is an address within it.
+    // The word of an array argument is an address inside of its range.
     NOVAPHY_ASSERT(a.range == nullptr ||
                    a.word - reinterpret_cast<uint64_t>(a.range->data()) <= a.range->bytes());
     if (a.range == nullptr) {
@@ -128,7 +129,8 @@ void DeviceKernel::launch(Device device, int64_t n,
               " rows, got none");
       continue;
     }
-    // A device that follows a pointer of another one is lost.
+    // A device that follows a pointer of another device fails for good, so the devices are compared
+    // here.
     const Device own = a.range->device();
     if (own != device) [[unlikely]]
       fail(ErrorKind::Value, name_, ", ", a.name, ": expected memory of ", device.str(), ", got ",
@@ -146,7 +148,7 @@ namespace {
 
 bool is_memory(uint64_t word) { return word != 0 && (word & kArrayBit) == 0; }
 
-// Where a launch runs.
+// Returns the device of the launch: the device of its arrays.
 Device device_of(const char* kernel, std::span<const ArgumentInfo> infos,
                  const ArgumentWord* values) {
   bool has_memory = false;
@@ -159,7 +161,7 @@ Device device_of(const char* kernel, std::span<const ArgumentInfo> infos,
   return Device::cpu();
 }
 
-// Says what is wrong with the first argument that is.
+// Throws an Error about the first invalid argument.
 [[noreturn, gnu::noinline]] void refuse(const char* kernel, std::span<const ArgumentInfo> infos,
                                         const ArgumentWord* values, Device device, int64_t n) {
   for (size_t k = 0; k < infos.size(); ++k) {
@@ -204,7 +206,8 @@ void DeviceKernel::launch_arrays(int64_t n, std::span<const ArgumentInfo> infos,
         fits &= info.row_bytes == 0 || (info.access & access::kOptional) != 0;
         word = 0;
       } else {
-        // A device that follows a pointer of another one is lost.
+        // A device that follows a pointer of another device fails for good, so the devices are
+        // compared here.
         fits &= static_cast<int>(bits(range->device()) == device_bits) &
                 static_cast<int>(range->bytes() >= rows * info.row_bytes);
         word = reinterpret_cast<uint64_t>(range->data());

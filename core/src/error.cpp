@@ -7,7 +7,8 @@
 
 namespace novaphy {
 
-// Out of line, so that every library that throws or catches an Error shares one type description.
+// Defined out of line, so that all libraries share one type description of Error and can catch each
+// other's errors.
 Error::~Error() = default;
 
 MessagePart::MessagePart(int64_t number) : own_(std::to_string(number)), text_(own_) {}

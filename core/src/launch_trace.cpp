@@ -18,7 +18,7 @@ int64_t now() {
   return std::chrono::nanoseconds(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
-// Never destroyed: launches may come from objects of static lifetime.
+// Never destroyed, because objects with static lifetime may launch at exit.
 TraceFile* file = nullptr;
 struct {
   int (*push)(const char*) = nullptr;

@@ -1,9 +1,10 @@
-// Internal to core.
+// Internal to core: starts the tracing of launches.
 #pragma once
 
 namespace novaphy {
 
-// Opens what NOVAPHY_TRACE asks for, once; throws ErrorKind::Value where that cannot be had.
+// Opens the trace that NOVAPHY_TRACE names, once. Throws ErrorKind::Value if the trace is not
+// available.
 void open_launch_trace();
 
 }  // namespace novaphy

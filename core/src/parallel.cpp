@@ -37,15 +37,16 @@ struct State {
   std::shared_ptr<ThreadTeam> workers;  // null until the first parallel work
 };
 
-// Never destroyed: at exit, and in a child process, the threads may be gone before it.
+// Never destroyed, because at exit and in a child process the threads may already be gone.
 State& state() {
   static State* state = new State;
   return *state;
 }
 
-std::atomic<int> g_threads{0};        // 0: not decided yet
-std::atomic<bool> g_in_child{false};  // after fork there are no worker threads
-thread_local bool t_inside = false;   // this thread runs a chunk: nested work is serial
+std::atomic<int> g_threads{0};        // 0: not determined yet
+std::atomic<bool> g_in_child{false};  // a child process after fork has no worker threads
+thread_local bool t_inside = false;   // whether this thread runs a chunk, so that nested work is
+                                      // serial
 
 int threads_from_environment() {
   const char* text = std::getenv("NOVAPHY_NUM_THREADS");
@@ -82,8 +83,9 @@ struct InsideGuard {
 };
 
 #if NOVAPHY_THREAD_SANITIZER
-// oneTBB's library is not built with the thread sanitizer, which would take its hand-overs for
-// races. Plain threads let it check the bodies.
+// The oneTBB library is not built with the thread sanitizer, which would report its synchronization
+// as races. Under the sanitizer plain threads run the chunks instead, so that the loop bodies are
+// checked.
 void run_phase(int threads, int64_t first, int64_t end, void (*body)(void*, int64_t),
                void* context) {
   std::atomic<int64_t> next{first};
@@ -107,7 +109,7 @@ void run_phase(int threads, int64_t first, int64_t end, void (*body)(void*, int6
 }
 void run_on_threads(int threads, int64_t first, std::span<const int64_t> ends,
                     void (*body)(void*, int64_t), void* context) {
-  workers(threads);  // for the handler of fork
+  workers(threads);  // starts the handler of fork
   for (const int64_t end : ends) {
     run_phase(threads, first, end, body, context);
     first = end;
@@ -126,7 +128,7 @@ void run_on_threads(int threads, int64_t first, std::span<const int64_t> ends,
     const cpu::FloatMode mode;
     w.body(w.context, chunk);
   };
-  // Another thread's work has the team: this one does its own.
+  // If another thread uses the team, this thread runs its own chunks alone.
   if (!workers(threads)->run(first, ends, run, &work))
     run_serially(first, ends.back(), body, context);
 }
@@ -156,7 +158,7 @@ void set_num_threads(int count) {
   if (g_in_child.load()) return;
   State& s = state();
   std::shared_ptr<ThreadTeam>
-      old;  // destroyed outside of the lock; work that still runs keeps it alive
+      old;  // destroyed outside of the lock; running work keeps it alive
   const std::lock_guard lock(s.mutex);
   old.swap(s.workers);
 }
@@ -196,7 +198,7 @@ void set_interrupt_check(std::function<void()> check) {
 
 void check_interrupt() {
   if (!g_has_check.load(std::memory_order_relaxed)) return;
-  // The coarse clock costs a few nanoseconds and is good to 4 ms.
+  // The coarse clock costs a few nanoseconds and has a resolution of 4 ms.
   timespec time{};
   clock_gettime(CLOCK_MONOTONIC_COARSE, &time);
   const int64_t now = static_cast<int64_t>(time.tv_sec) * 1'000'000'000 + time.tv_nsec;

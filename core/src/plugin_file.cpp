@@ -1,5 +1,5 @@
-// What dlopen does not ask before it maps a file: a page that lies beyond the end of a truncated
-// one ends the process with SIGBUS when it is touched, and a FIFO is waited for.
+// Checks of a plugin file that dlopen does not make before it maps the file. A truncated file ends
+// the process with SIGBUS when a page beyond its end is touched. A FIFO would block.
 #include <fcntl.h>
 #include <link.h>
 #include <sys/stat.h>
@@ -19,7 +19,7 @@ using Segment = ElfW(Phdr);
 
 class File {
  public:
-  // O_NONBLOCK: the open of a FIFO does not wait for its writer.
+  // O_NONBLOCK: opening a FIFO does not wait for a writer.
   explicit File(const std::filesystem::path& path)
       : fd_(open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK)) {}
   ~File() {
@@ -45,7 +45,8 @@ bool is_native(const Header& header) {
          header.e_phentsize == sizeof(Segment);
 }
 
-// The end of what the headers describe, which is the length that the file was written with.
+// Returns the end of the last segment or table that the ELF headers describe, which is the length
+// of a complete file.
 uint64_t described_end(const File& file, const Header& header, uint64_t length) {
   uint64_t end = 0;
   const auto include = [&](uint64_t offset, uint64_t bytes) {
@@ -72,7 +73,7 @@ std::string plugin_file_problem(const std::filesystem::path& path) {
   if (!file.status(status)) return std::strerror(errno);
   if (!S_ISREG(status.st_mode)) return "not a regular file";
   Header header;
-  if (!file.read(header, 0) || !is_native(header)) return {};  // dlopen says what it is instead
+  if (!file.read(header, 0) || !is_native(header)) return {};  // dlopen reports such a file
   const auto length = static_cast<uint64_t>(status.st_size);
   const uint64_t end = described_end(file, header, length);
   if (end <= length) return {};

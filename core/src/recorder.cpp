@@ -43,7 +43,7 @@ namespace {
     check(status, error, name);
 }
 
-// By itself, so that a launch that is not traced keeps its registers.
+// A separate function, so that launch_now needs no stack frame when tracing is off.
 [[gnu::noinline]] void run_as_event(const DeviceContext& context, novaphy_kernel* kernel,
                                     const char* name, int64_t n, std::span<const uint64_t> words) {
   traced_launch(context, name, n, [&] { run_launch(context, kernel, name, n, words); });

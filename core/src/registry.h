@@ -1,4 +1,4 @@
-// Internal to core: what the registry of backends shares with its neighbors.
+// Internal to core: the parts of the backend registry that other files use.
 #pragma once
 
 #include <cstdint>
@@ -13,14 +13,14 @@ namespace novaphy {
 
 inline constexpr const char* kDisabledReason = "disabled by NOVAPHY_DISABLE_BACKENDS";
 
-inline constexpr int32_t kMaxOrdinal = 64;  // devices per type
+inline constexpr int32_t kMaxOrdinal = 64;  // largest number of devices per type
 
 const char* device_type_name(DeviceType type);
-// The number of devices of the backend that is in use for a type.
+// Returns the number of devices of the active backend of a type.
 int32_t active_device_count(DeviceType type);
 
-// One file that looks like a backend, or an entry of the search path that cannot be used (`problem`
-// says why).
+// A file that looks like a backend, or an entry of the search path that cannot be used. `problem`
+// has the reason.
 struct BackendCandidate {
   std::filesystem::path path;
   std::string name;  // "cuda" of libnovaphy_backend_cuda.so
@@ -30,10 +30,10 @@ std::vector<std::filesystem::path> backend_search_path(std::vector<BackendCandid
 std::vector<BackendCandidate> find_backends();
 std::string backend_name_of(const std::filesystem::path& path);
 
-// Empty when dlopen may look at the file, else why it may not.
+// Returns an empty text if dlopen may open the file, else the reason against it.
 std::string plugin_file_problem(const std::filesystem::path& path);
 
-// Empty when the table keeps the rules of the ABI, else the rule that it breaks.
+// Returns an empty text if the table obeys the rules of the ABI, else the broken rule.
 std::string check_backend_table(const novaphy_backend_api* api);
 
 const novaphy_host_api* host_api();

@@ -13,7 +13,7 @@ namespace {
 
 thread_local ArrayObserver* t_observer = nullptr;
 
-// What stands in memory whose contents are undefined; 0: what stood there before.
+// The pattern in memory with undefined contents. 0: the memory is not filled.
 #ifdef NOVAPHY_DEBUG
 constexpr uint64_t kPoison = 0x7fa0'0000'7fa0'0000;  // two signaling NaNs
 #else
@@ -55,8 +55,8 @@ std::shared_ptr<void> Range::writable_export_scope() {
 }
 
 void Range::export_begins() {
-  // The first export of a version notes its value: when a later one comes, the bytes may have been
-  // written already.
+  // The first export of a version records the checksum. When a later export begins, the bytes may
+  // have changed already.
   if (!was_exported()) {
     exported_checksum_ = checksum();
     exported_version_.store(version(), std::memory_order_release);
@@ -92,7 +92,7 @@ std::shared_ptr<Storage> Storage::allocate(size_t bytes, Device device, bool zer
   storage->data_ = Allocator::get().allocate(context, bytes);
   if (bytes != 0 && (zeroed || kPoison != 0)) {
     novaphy_error error = make_error();
-    // Whole words: a block is at least a multiple of 8 bytes.
+    // Fills whole 8-byte words, since a block is a multiple of 8 bytes.
     check(context.api->memory_fill(context.stream, storage->data_, zeroed ? 0 : kPoison, 8,
                                    (bytes + 7) / 8 * 8, &error),
           error, "Storage.allocate");
@@ -115,7 +115,7 @@ std::shared_ptr<Storage> Storage::external(void* data, size_t bytes, Device devi
 }
 
 Storage::~Storage() {
-  // Gradients that ranges carry go first: they may look at the storage.
+  // Attached gradients are destroyed first, because they may use the storage.
   for (const auto& range : ranges_) range->attachment.reset();
   if (!external_ && data_ != nullptr)
     Allocator::get().release(device_context(device_), data_, bytes_);
@@ -137,7 +137,7 @@ std::shared_ptr<Range> Storage::range(size_t offset, size_t bytes) {
     made->offset_ = offset;
     made->bytes_ = bytes;
     made->device_ = device_;
-    int64_t exports = external_ ? 1 : 0;  // its owner can write it at any time
+    int64_t exports = external_ ? 1 : 0;  // the owner of external memory can write it at any time
     for (const auto& other : ranges_) {
       if (!made->overlaps(*other)) continue;
       made->overlaps_.push_back(other.get());

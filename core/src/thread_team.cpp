@@ -16,11 +16,11 @@
 namespace novaphy {
 namespace {
 
-constexpr auto kWatch = std::chrono::microseconds(100);  // for the next job
+constexpr auto kWatch = std::chrono::microseconds(100);  // how long helpers wait for the next job
 constexpr auto kLeave = std::chrono::seconds(1);
 constexpr int kSpins = 256;     // between two looks at the clock
-constexpr int kPatience = 16;   // spins, some tenths of a microsecond
-constexpr size_t kApart = 128;  // bytes: processors fetch lines by two
+constexpr int kPatience = 16;   // spins before stealing, some tenths of a microsecond
+constexpr size_t kApart = 128;  // bytes; processors fetch cache lines in pairs
 
 void relax() {
 #if defined(__x86_64__)
@@ -30,7 +30,7 @@ void relax() {
 #endif
 }
 
-// Of one phase.
+// Returns the largest number of chunks in a phase.
 int64_t most_chunks(int64_t first, std::span<const int64_t> ends) {
   int64_t most = 0;
   for (const int64_t end : ends) most = std::max(most, end - std::exchange(first, end));
@@ -40,13 +40,14 @@ int64_t most_chunks(int64_t first, std::span<const int64_t> ends) {
 }  // namespace
 
 struct ThreadTeam::Shared {
-  // Each member begins with a part of its own, the same in every phase of as many chunks, so that
-  // what it wrote is still in its cache; then it takes what the others have not come to. The word
-  // is the phase that the part is in, and how many of its chunks there were taken.
+  // Each member starts with its own part, which is the same in every phase with the same number of
+  // chunks. Data that the member wrote is then still in its cache. Afterwards the member steals
+  // chunks from other parts. The word has the phase of the part and the number of chunks taken in
+  // it.
   struct alignas(kApart) Part {
     std::atomic<uint64_t> taken{0};
-    // Takes the next of `count` chunks that the part has in the phase, when there is one. Nobody
-    // comes to a phase before the chunks of those before it are done.
+    // Takes the next of the part's `count` chunks in the phase, if one is left. A member enters a
+    // phase only after all chunks of earlier phases are done.
     bool take(uint64_t phase, int64_t count, int64_t& chunk) {
       uint64_t known = taken.load(std::memory_order_relaxed);
       do {
@@ -58,10 +59,10 @@ struct ThreadTeam::Shared {
     }
   };
 
-  // Every member of the team has one, the caller the first. How many chunks of the job are done is
-  // the sum over all: a count that all write would go from one to the other at the end of a phase.
+  // A seat for every member of the team; the caller has the first. The number of finished chunks is
+  // the sum over all seats. One shared counter would move between caches at the end of every phase.
   struct alignas(kApart) Seat {
-    std::atomic<int64_t> done{0};  // written by its member alone
+    std::atomic<int64_t> done{0};  // written by its member only
     std::atomic<bool> held{false};
   };
 
@@ -69,8 +70,9 @@ struct ThreadTeam::Shared {
       : threads(count), parts(static_cast<size_t>(count)), seats(static_cast<size_t>(count)) {}
 
   const int threads;
-  std::atomic_flag taken = ATOMIC_FLAG_INIT;  // by the thread whose job it is
-  // The job: written while `number` is even, read by those who entered while it was odd.
+  std::atomic_flag taken = ATOMIC_FLAG_INIT;  // held by the thread that owns the job
+  // The job. It is written while `number` is even, and read by members that entered while `number`
+  // was odd.
   alignas(64) std::atomic<uint64_t> number{0};
   void (*work)(void*, int64_t) = nullptr;
   void* context = nullptr;
@@ -81,12 +83,13 @@ struct ThreadTeam::Shared {
   std::vector<Seat> seats;
   std::mutex mutex;
   std::exception_ptr failure;
-  std::atomic<bool> failed{false};         // what is left is not done
-  alignas(64) std::atomic<int> inside{0};  // helpers in the job
-  std::atomic<int> helpers{0};             // that watch, or have been called
+  std::atomic<bool> failed{false};         // the remaining chunks are skipped
+  alignas(64) std::atomic<int> inside{0};  // helpers inside of the job
+  std::atomic<int> helpers{0};             // helpers that wait for jobs or have been called
   std::atomic<bool> stop{false};
 
-  // The chunks before this one are done, when a phase ends there; those behind it begin only then.
+  // Returns the number of finished chunks, counted from `first`. A phase begins when all chunks
+  // before its first are done.
   int64_t done() const {
     int64_t sum = first;
     for (const Seat& seat : seats) sum += seat.done.load(std::memory_order_acquire);
@@ -102,10 +105,10 @@ struct ThreadTeam::Shared {
       failed = true;
     }
   }
-  // What is left of a part of the phase of the chunks [begin, end).
+  // Runs the remaining chunks of one part in the phase with the chunks [begin, end).
   void do_part(size_t member, size_t part, uint64_t phase, int64_t begin, int64_t end) {
     const auto parts_count = static_cast<int64_t>(used_parts);
-    const auto share = [&](size_t k) {  // the first parts are the larger ones
+    const auto share = [&](size_t k) {  // the first parts are larger if the division has a rest
       return begin + (static_cast<int64_t>(k) * (end - begin) + parts_count - 1) / parts_count;
     };
     const int64_t from = share(part), chunks = share(part + 1) - from;
@@ -115,8 +118,8 @@ struct ThreadTeam::Shared {
     if (count != 0)
       mine.store(mine.load(std::memory_order_relaxed) + count, std::memory_order_release);
   }
-  // Most phases are as long for one member as for another: who is first waits a little before it
-  // looks for what others have left, which takes their memory from them.
+  // Members usually finish a phase at about the same time. An early member spins before it steals
+  // chunks, because stealing moves their data out of the caches of other members.
   void do_phase(size_t member, uint64_t phase, int64_t begin, int64_t end) {
     do_part(member, member % used_parts, phase, begin, end);
     for (int k = 0; done() < end; k = std::min(k + 1, kSpins)) {
@@ -127,19 +130,19 @@ struct ThreadTeam::Shared {
     }
   }
   void do_share(size_t member) {
-    // A helper may come late.
+    // A late helper skips the phases that are done.
     for (auto end = std::upper_bound(ends.begin(), ends.end(), done()); end != ends.end(); ++end) {
       const auto phase = static_cast<uint64_t>(end - ends.begin());
       do_phase(member, phase, phase == 0 ? first : end[-1], *end);
     }
   }
-  // Does a share of the job of that number, unless it is over.
+  // Joins the job with the number `job`, unless the job is over.
   void enter(uint64_t job, size_t member) {
     ++inside;
     if (number == job) do_share(member);
     --inside;
   }
-  // A seat that nobody holds, which is held from now on; as many as there are if there is none.
+  // Takes a free seat and returns its index. Returns the number of seats if none is free.
   size_t take_seat() {
     size_t k = 1;
     while (k < seats.size() && seats[k].held.exchange(true)) ++k;
@@ -152,7 +155,8 @@ ThreadTeam::ThreadTeam(int threads)
     : shared_(std::make_shared<Shared>(threads)),
       control_(tbb::global_control::max_allowed_parallelism, static_cast<size_t>(threads)),
       arena_(threads) {}
-// Helpers that were called and have not come yet hold on to what is shared: they are given time to.
+// Helpers that were called but have not arrived yet still use the shared data. The destructor gives
+// them time to leave.
 ThreadTeam::~ThreadTeam() {
   shared_->stop = true;
   const auto until = std::chrono::steady_clock::now() + kLeave;
@@ -165,7 +169,7 @@ void ThreadTeam::come(Shared& s) {
   if (member < s.seats.size()) {
     help(s, member);
     s.seats[member].held = false;
-  } else {  // a helper that was about to leave, and is not counted on, has not left yet
+  } else {  // a helper that was about to leave and is no longer counted
     --s.helpers;
   }
 }
@@ -184,7 +188,7 @@ void ThreadTeam::help(Shared& s, size_t member) {
     }
     for (int k = 0; k < kSpins && s.number == job; ++k) relax();
     if (s.number != job || Clock::now() < until) continue;
-    // A job that began meanwhile may have counted on this helper.
+    // A job that began meanwhile may have counted this helper.
     --s.helpers;
     if (!s.open(s.number, done)) return;
     ++s.helpers;
@@ -211,7 +215,7 @@ bool ThreadTeam::run(int64_t first, std::span<const int64_t> ends, void (*work)(
     ++s.helpers;
     try {
       arena_.enqueue([shared = shared_] { come(*shared); });
-    } catch (...) {  // out of memory: those who are there do it
+    } catch (...) {  // out of memory: the present members do the work
       --s.helpers;
       break;
     }

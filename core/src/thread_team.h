@@ -1,7 +1,7 @@
-// Threads that share the chunks of one job after another. While jobs follow each other closely, a
-// hand-over costs a write and a read, and no system call. The helpers watch for the next job for a
-// while before they give their thread back to oneTBB. Threads go on to the next phase of a job by
-// themselves, once the chunks of the phase are done.
+// ThreadTeam: threads that share the chunks of one job after another. Between two jobs in quick
+// succession, a hand-over costs one write and one read, without a system call. Helpers wait for the
+// next job for a while before they return their thread to oneTBB. Within a job, threads enter the
+// next phase on their own when all chunks of the phase are done.
 #pragma once
 
 #include <oneapi/tbb/global_control.h>
@@ -19,9 +19,9 @@ class ThreadTeam {
   explicit ThreadTeam(int threads);
   ~ThreadTeam();
 
-  // Calls work(context, chunk) for every chunk from `first` on, the phases one after another
-  // (ends[p]: the end of the chunks of phase p), and returns when all are done; throws what one of
-  // them threw. False, and nothing done, when another thread has the team.
+  // Calls work(context, chunk) for every chunk from `first` on, phase after phase; ends[p] is the
+  // end of the chunks of phase p. Returns when all chunks are done, and rethrows an exception of a
+  // chunk. Returns false without any work if another thread uses the team.
   bool run(int64_t first, std::span<const int64_t> ends, void (*work)(void*, int64_t),
            void* context);
 
@@ -30,8 +30,9 @@ class ThreadTeam {
   static void come(Shared& shared);
   static void help(Shared& shared, size_t member);
 
-  const std::shared_ptr<Shared> shared_;  // with the helpers, which may outlive the team
-  tbb::global_control control_;  // lifts oneTBB's own limit, the CPUs: 7 threads are tested on 2
+  const std::shared_ptr<Shared> shared_;  // shared with helpers, which may outlive the team
+  tbb::global_control control_;  // raises oneTBB's limit of one thread per CPU, so that tests can
+                                 // run 7 threads on 2 CPUs
   tbb::task_arena arena_;
 };
 

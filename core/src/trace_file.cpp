@@ -63,7 +63,7 @@ void TraceFile::add(std::string_view name, int64_t rows, std::string_view device
                   static_cast<int>(device.size()), device.data());
     kept_ += rest;
     if (kept_.size() >= kKeptBytes) write();
-  } catch (...) {  // no memory: the trace lacks an event
+  } catch (...) {  // no memory: the event is dropped
     kept_.clear();
   }
 }
@@ -81,7 +81,7 @@ void TraceFile::write() {
   const size_t events = kept_.size();
   kept_ += kEnd;
   const ssize_t written = pwrite(file_, kept_.data(), kept_.size(), offset_);
-  // A full disk: what was written in part is written again with the next events.
+  // On a full disk a partial write is repeated with the next events.
   if (written == static_cast<ssize_t>(kept_.size())) {
     offset_ += static_cast<int64_t>(events);
     kept_.clear();

@@ -1,4 +1,4 @@
-// Internal to core: events as a file that chrome://tracing and ui.perfetto.dev read.
+// Internal to core: writes events to a file for chrome://tracing and ui.perfetto.dev.
 #pragma once
 
 #include <cstdint>
@@ -8,25 +8,26 @@
 
 namespace novaphy {
 
-// The file is valid JSON from the beginning on, whenever the process ends: a write replaces the end
-// of the array. Events are kept back to be written many at a time.
+// The file is valid JSON at any time, even if the process ends early: each write replaces the
+// closing bracket. Events are buffered.
 class TraceFile {
  public:
-  explicit TraceFile(const char* path);  // throws ErrorKind::Value when it cannot be written
+  explicit TraceFile(const char* path);  // throws ErrorKind::Value if the file cannot be written
   TraceFile(const TraceFile&) = delete;
   TraceFile& operator=(const TraceFile&) = delete;
-  // Times in nanoseconds. By any thread; ignored in a child process, whose parent has the file.
+  // Adds an event; times are in nanoseconds. Any thread may call this function. Calls in a child
+  // process after fork are ignored, because the file belongs to the parent.
   void add(std::string_view name, int64_t rows, std::string_view device, int64_t begin,
            int64_t end) noexcept;
   void flush() noexcept;
 
  private:
-  void write();  // under the lock
+  void write();  // needs the lock
 
   std::mutex mutex_;
   int file_ = -1;
-  int64_t offset_ = 0;  // of the end of the array
-  std::string kept_;    // events that are not written yet
+  int64_t offset_ = 0;  // end of the array in the file
+  std::string kept_;    // events in the buffer
   const int32_t process_;
 };
 

@@ -21,16 +21,19 @@ namespace {
 using detail::Edge;
 using detail::Vec3d;
 
-constexpr double kFlat = 1e-6;                    // of the extent: no height above a face
-constexpr double kVisible = 1e-9;                 // of the extent: a face sees a point
+constexpr double kFlat = 1e-6;                    // of the extent: a smaller height above a face
+                                                  // counts as flat
+constexpr double kVisible = 1e-9;                 // of the extent: a point this far above a face
+                                                  // sees the face
 constexpr double kCoplanarCosine = 1 - 1.523e-6;  // 0.1 deg
-constexpr double kLost = 0.01;                    // of the thickness: a corner that a face may lose
+constexpr double kLost = 0.01;                    // of the thickness: largest height of a corner
+                                                  // that a merge may remove
 
 struct Triangle {
   std::array<int32_t, 3> v;
   Vec3d normal;
   double offset = 0.0;
-  std::vector<int32_t> outside;  // points above it
+  std::vector<int32_t> outside;  // points above the triangle
   int32_t farthest = -1;
   double height = 0.0;
   bool is_gone = false, is_seen = false;
@@ -40,11 +43,12 @@ class Quickhull {
  public:
   Quickhull(std::span<const Vec3f> points, int32_t max_vertices);
   std::vector<Triangle> triangles;
-  std::vector<Vec3d> points;  // about the middle of their box
+  std::vector<Vec3d> points;  // relative to the middle of their bounding box
   double extent = 0.0;
 
  private:
-  // A triangle with a point above it: the highest first, of equal ones that of the smaller point.
+  // A triangle with a point above it. The queue takes the highest point first; among equal heights,
+  // the smallest point index.
   struct Candidate {
     double height;
     int32_t point;
@@ -54,7 +58,7 @@ class Quickhull {
     }
   };
   void start();
-  bool grow();  // by a point; false if no point is outside
+  bool grow();  // adds a point; false if no point is outside
   void add_triangle(int32_t i, int32_t j, int32_t k);
   void distribute(const std::vector<int32_t>& candidates, size_t first);
   std::vector<size_t> seen_by(size_t start, const Vec3d& p);
@@ -81,7 +85,7 @@ Quickhull::Quickhull(std::span<const Vec3f> input, int32_t max_vertices) {
   drop_gone();
 }
 
-// The index of the largest score, the smallest among equals.
+// Returns the index of the largest score, and the smallest such index on a tie.
 template <class Score>
 int32_t largest(const std::vector<Vec3d>& points, Score score) {
   int32_t best = 0;
@@ -96,8 +100,8 @@ int32_t largest(const std::vector<Vec3d>& points, Score score) {
   return best;
 }
 
-// A tetrahedron: the farthest pair of extreme points, the point farthest from its line, and the
-// point farthest from their plane.
+// Makes the initial tetrahedron: the farthest pair of extreme points, the point farthest from their
+// line, and the point farthest from the plane of the three.
 void Quickhull::start() {
   std::vector<int32_t> extreme;
   for (const Vec3d d : {Vec3d{1, 0, 0}, Vec3d{0, 1, 0}, Vec3d{0, 0, 1}})
@@ -144,7 +148,7 @@ void Quickhull::add_triangle(int32_t i, int32_t j, int32_t k) {
   triangles.push_back(std::move(t));
 }
 
-// Those that are left keep their order.
+// Removes the triangles that are gone. The others keep their order.
 void Quickhull::drop_gone() {
   std::erase_if(triangles, [](const Triangle& t) { return t.is_gone; });
   gone_ = 0;
@@ -157,7 +161,7 @@ void Quickhull::drop_gone() {
   }
 }
 
-// Gives each point to the triangle, from `first` on, that it lies highest above.
+// Assigns each point to the triangle, from index `first` on, that the point is highest above.
 void Quickhull::distribute(const std::vector<int32_t>& candidates, size_t first) {
   std::vector<std::pair<Vec3d, double>> planes;
   for (size_t t = first; t < triangles.size(); ++t)
@@ -175,7 +179,7 @@ void Quickhull::distribute(const std::vector<int32_t>& candidates, size_t first)
     if (owner == planes.size()) continue;
     Triangle& t = triangles[first + owner];
     t.outside.push_back(i);
-    const bool is_first = height == t.height && i < t.farthest;  // candidates have any order
+    const bool is_first = height == t.height && i < t.farthest;  // candidates come in any order
     if (height > t.height || is_first) t.farthest = i;
     t.height = std::max(t.height, height);
   }
@@ -184,7 +188,7 @@ void Quickhull::distribute(const std::vector<int32_t>& candidates, size_t first)
       candidates_.push({triangles[t].height, triangles[t].farthest, t});
 }
 
-// The triangles that see p and hang together with `start`, which does, ascending.
+// Returns in ascending order the triangles that see p and are connected to `start`, which sees p.
 std::vector<size_t> Quickhull::seen_by(size_t start, const Vec3d& p) {
   std::vector<size_t> seen = {start};
   triangles[start].is_seen = true;
@@ -231,7 +235,8 @@ struct Polygon {
   Vec3d normal;
 };
 
-// The outline of some triangles, from its smallest vertex; empty unless it is a single loop.
+// Returns the outline of a group of triangles as a loop from its smallest vertex. The result is
+// empty unless the outline is a single loop.
 std::vector<int32_t> outline(const std::vector<Triangle>& triangles,
                              const std::vector<size_t>& group) {
   std::set<Edge> edges;
@@ -252,7 +257,8 @@ std::vector<int32_t> outline(const std::vector<Triangle>& triangles,
   return loop;
 }
 
-// Twice the vector area (Newell), which is the normal that fits all corners.
+// Returns twice the vector area (Newell), which has the direction of the normal that fits all
+// corners.
 Vec3d vector_area(const std::vector<Vec3d>& points, const std::vector<int32_t>& v) {
   Vec3d sum{};
   for (size_t k = 1; k + 1 < v.size(); ++k)
@@ -260,8 +266,9 @@ Vec3d vector_area(const std::vector<Vec3d>& points, const std::vector<int32_t>& 
   return sum;
 }
 
-// Larger triangles first take the neighbors that lie in their plane. A corner within the outline
-// is lost, so it may not be where the hull would become thinner, or flat.
+// Merges coplanar triangles. Larger triangles come first and absorb neighbors in their plane. A
+// merge removes the corners inside of the outline. A merge is refused if a removed corner would
+// make the hull thinner, or flat.
 std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
   const std::vector<Triangle>& triangles = hull.triangles;
   detail::EdgeOwners owner;
@@ -287,11 +294,11 @@ std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
         return std::abs(math::dot(s.normal, hull.points[i]) - s.offset) <= kFlat * hull.extent;
       });
     };
-    double thickness = 0.0;  // of the hull below it
+    double thickness = 0.0;  // thickness of the hull below the face
     for (const Triangle& t : triangles)
       for (const int32_t i : t.v)
         thickness = std::max(thickness, s.offset - math::dot(s.normal, hull.points[i]));
-    // Whether `loop` is an outline of triangles that loses only corners which hardly matter.
+    // Returns whether a merge to the outline `loop` removes only corners within the tolerance.
     const auto keeps_corners = [&](const std::vector<int32_t>& loop, std::span<const size_t> of) {
       if (loop.empty()) return false;
       const Vec3d up = detail::unit(vector_area(hull.points, loop));
@@ -322,8 +329,9 @@ std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
   return polygons;
 }
 
-// The edges of the triangles stay neighbors within a merged face, which is flat to 0.1 degrees
-// only: climbing from neighbor to neighbor would stop on its low side.
+// Makes the tables of the hull. Triangle edges inside of a merged face remain neighbors. Merged
+// faces are flat only to 0.1 degrees, and without these edges a hill climb over the neighbors could
+// stop at the low side of such a face.
 ConvexHull tables(std::span<const Vec3f> points, const std::vector<Triangle>& triangles,
                   std::vector<Polygon> polygons) {
   std::set<int32_t> used;

@@ -1,4 +1,4 @@
-// The face of each directed edge of a surface.
+// EdgeOwners: a map from each directed edge of a surface to its face.
 #pragma once
 
 #include <cstdint>

@@ -6,13 +6,13 @@ namespace novaphy {
 
 std::vector<int32_t> first_in_place(std::span<const Vec3f> vertices) {
   std::vector<int32_t> first(vertices.size());
-  // Places that are taken, by a hash of the position: at most half of the table.
+  // An open-addressing hash table of vertex indices, at most half full.
   std::vector<int32_t> table(std::bit_ceil(2 * vertices.size() + 1), -1);
   const size_t mask = table.size() - 1;
   for (size_t i = 0; i < vertices.size(); ++i) {
     const Vec3f& v = vertices[i];
     uint64_t hash = 0;
-    for (const float x : {v.x, v.y, v.z}) {  // + 0: both zeros are one place
+    for (const float x : {v.x, v.y, v.z}) {  // adding 0 maps -0 to 0
       hash = (hash ^ std::bit_cast<uint32_t>(x + 0.0f)) * 0x9E3779B97F4A7C15u;
       hash ^= hash >> 32;
     }

@@ -28,8 +28,9 @@ void check_numbers(std::span<const Vec3f> vertices, std::span<const int32_t> ind
             " (exclusive), got ", indices[i]);
 }
 
-// Each edge comes as often in one direction as in the other: with edges in the order of their
-// smaller and larger vertex, the sum of the directions is 0 (and none comes twice the same way).
+// Checks that each edge occurs once in each direction. The directed edges are sorted by their
+// smaller and larger vertex. The directions of equal edges must sum to 0, and no direction may
+// occur twice.
 void check_closed(std::span<const int32_t> indices) {
   using Edge = std::pair<int32_t, int32_t>;
   std::vector<Edge> edges;
@@ -67,7 +68,7 @@ struct Moments {
   }
 };
 
-// A volume that is not > 0 comes back alone.
+// Integrates volume, center and inertia. If the volume is not > 0, only the volume is set.
 SolidProperties integrate(const std::vector<Vec3d>& vertices, std::span<const int32_t> indices,
                           const Vec3d& middle) {
   auto corner = [&](size_t i) { return vertices[static_cast<size_t>(indices[i])] - middle; };
@@ -94,17 +95,17 @@ std::vector<Vec3d> widened(std::span<const Vec3f> vertices) {
   return out;
 }
 
-// What a mass of density 1 adds to its inertia by its distance d from the axes.
+// Adds the inertia of a mass of density 1 at the distance d from the axes (parallel axis theorem).
 void add_parallel_axis(Mat33<double>& inertia, double volume, const Vec3d& d) {
   const double c[3] = {d.x, d.y, d.z}, square = math::dot(d, d);
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) inertia.m[i][j] += volume * ((i == j ? square : 0.0) - c[i] * c[j]);
 }
 
-// The vertices moved inwards until they lie t below the planes of their triangles.
+// Returns the vertices moved inwards to a depth t below the planes of their triangles.
 std::vector<Vec3d> moved_inwards(const std::vector<Vec3d>& vertices,
                                  std::span<const int32_t> indices, double t) {
-  // Least squares of w (n . d + t)^2: the normal equations of each vertex.
+  // The normal equations of each vertex for the least squares problem sum of w (n . d + t)^2.
   struct Equations {
     double a[3][3] = {}, b[3] = {};
   };
@@ -125,11 +126,12 @@ std::vector<Vec3d> moved_inwards(const std::vector<Vec3d>& vertices,
     }
   }
   std::vector<Vec3d> inner = vertices;
-  constexpr double kShortest = 1e-10;  // of the trace: of many solutions the shortest
+  constexpr double kShortest = 1e-10;  // fraction of the trace; regularization selects the shortest
+                                       // of several solutions
   for (size_t i = 0; i < inner.size(); ++i) {
     Equations& e = equations[i];
     const double trace = e.a[0][0] + e.a[1][1] + e.a[2][2];
-    if (!(trace > 0.0)) continue;  // no triangle has it
+    if (!(trace > 0.0)) continue;  // no triangle has this vertex
     for (int r = 0; r < 3; ++r) e.a[r][r] += kShortest * trace;
     double d[3];
     math::solve(math::ldlt(e.a), e.b, d);

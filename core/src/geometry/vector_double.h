@@ -1,4 +1,4 @@
-// Vectors in double precision, for what is computed once per mesh.
+// Vectors in double precision, for quantities that are computed once per mesh.
 #pragma once
 
 #include <cmath>
@@ -14,7 +14,7 @@ inline Vec3f to_float(const Vec3d& v) {
   return {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z)};
 }
 inline double norm(const Vec3d& v) { return std::sqrt(math::dot(v, v)); }
-inline Vec3d unit(const Vec3d& v) {  // zero stays zero
+inline Vec3d unit(const Vec3d& v) {  // the zero vector stays zero
   const double l = norm(v);
   return l > 0.0 ? v * (1.0 / l) : Vec3d{};
 }

@@ -11,7 +11,7 @@ namespace novaphy {
 
 std::string read_file(std::string_view function, const std::filesystem::path& path) {
   std::error_code ignored;
-  // A folder can be opened like a file; only reading it fails.
+  // Opening a folder succeeds, and only reading it fails, so folders are checked here.
   require(!std::filesystem::is_directory(path, ignored), ErrorKind::Value, function, ": ",
           path.string(), ": expected a file, got a folder");
   errno = 0;
@@ -25,7 +25,7 @@ std::string read_file(std::string_view function, const std::filesystem::path& pa
     file.read(bytes.data(), static_cast<std::streamsize>(size));
     bytes.resize(static_cast<size_t>(file.gcount()));
   }
-  // What has no size, as a pipe, or grows.
+  // The rest of a file without a known size, such as a pipe, or of a file that has grown.
   if (!file.eof()) bytes.append(std::istreambuf_iterator<char>(file), {});
   require(!file.bad(), ErrorKind::Value, function, ": ", path.string(), ": reading it failed");
   return bytes;

@@ -10,7 +10,7 @@ namespace {
 
 constexpr int64_t kTetrahedronType = 4;  // of four nodes
 
-// The solid elements that meshers write most, by their number in the format.
+// Names of the most common solid elements, by their number in the format.
 const char* element_name(int64_t type) {
   switch (type) {
     case 5:
@@ -45,7 +45,7 @@ class Reader {
   struct RawTetrahedron {
     int64_t tag;
     size_t line;
-    std::array<int64_t, 4> nodes;  // tags
+    std::array<int64_t, 4> nodes;  // node tags
   };
 
   void expect(std::string_view word) {
@@ -113,7 +113,7 @@ class Reader {
                  " nodes, as $Nodes says, got ", file_.positions.size());
   }
 
-  // `parameters`: numbers after each position, which say where on its curve or surface a node is.
+  // `parameters`: the number of parametric coordinates after each position, which are skipped.
   void read_node_block(size_t nodes, int64_t parameters) {
     for (size_t n = 0; n < nodes; ++n) {
       const int64_t tag = words_.integer("a node tag");
@@ -167,7 +167,7 @@ class Reader {
     }
   }
 
-  // At the end, because the sections may come in any order.
+  // Replaces tags by rows. This comes last, because the sections may come in any order.
   void resolve() {
     file_.tetrahedra.reserve(raw_.size());
     for (const RawTetrahedron& raw : raw_) {

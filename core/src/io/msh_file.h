@@ -1,4 +1,4 @@
-// Gmsh's MSH 4.1 ASCII: the nodes and the 4-node tetrahedra of a file, as they stand there.
+// Reader of Gmsh's MSH 4.1 ASCII format: the nodes and the 4-node tetrahedra, unchanged.
 #pragma once
 
 #include <array>
@@ -21,7 +21,8 @@ struct MshFile {
   std::vector<Tetrahedron> tetrahedra;
 };
 
-// Errors as in load_tet_mesh, up to unknown nodes; the shape of the mesh is not looked at.
+// Reads a file. Throws the errors of load_tet_mesh about the format and unknown nodes. The shape of
+// the mesh is not checked.
 MshFile read_msh(Words& words);
 
 }  // namespace novaphy::detail

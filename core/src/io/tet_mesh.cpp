@@ -15,7 +15,8 @@ namespace {
 using detail::MshFile;
 using detail::Words;
 
-// Every tetrahedron has a positive volume, by the rule of ModelBuilder::add_tetrahedron.
+// Checks that every tetrahedron has a positive volume, by the rule of
+// ModelBuilder::add_tetrahedron.
 void check_volumes(const MshFile& file, const Words& words) {
   size_t inverted = 0, degenerate = 0, first = 0;
   double first_relative = 0.0;
@@ -28,7 +29,7 @@ void check_volumes(const MshFile& file, const Words& words) {
       first = n;
       first_relative = relative;
     }
-    // NaN (all corners in one place) is degenerate too.
+    // The relative volume is NaN if all corners coincide; this counts as degenerate.
     ++(relative < -detail::kSmallestRelativeSize ? inverted : degenerate);
   }
   if (inverted + degenerate == 0) return;
@@ -43,7 +44,7 @@ void check_volumes(const MshFile& file, const Words& words) {
 
 struct Face {
   std::array<int32_t, 3> nodes;  // sorted
-  bool odd;                      // whether sorting turned it over
+  bool odd;                      // whether sorting reversed the orientation
   size_t tetrahedron;
   bool operator<(const Face& other) const {
     return std::tie(nodes, tetrahedron) < std::tie(other.nodes, other.tetrahedron);
@@ -63,7 +64,7 @@ Face sorted_face(int32_t a, int32_t b, int32_t c, size_t tetrahedron) {
   return {{a, b, c}, odd, tetrahedron};
 }
 
-// A face has one tetrahedron on each side at most.
+// Checks that a face has at most one tetrahedron on each side.
 void check_manifold(const MshFile& file, const Words& words) {
   std::vector<Face> faces;
   faces.reserve(4 * file.tetrahedra.size());
@@ -92,7 +93,7 @@ void check_manifold(const MshFile& file, const Words& words) {
   }
 }
 
-// Which vertices to keep: row -> new row, -1 for those left out.
+// Maps each vertex to its new row; -1 for a vertex that is dropped.
 std::vector<int32_t> kept_rows(const MshFile& file, const Words& words, bool drop_loose) {
   std::vector<int32_t> rows(file.positions.size(), -1);
   for (const auto& tetrahedron : file.tetrahedra)

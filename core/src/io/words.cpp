@@ -53,7 +53,7 @@ double Words::number(std::string_view expected) {
 
 size_t Words::count(std::string_view expected) {
   const int64_t value = integer(expected);
-  const size_t room = (text_.size() - at_) / 2;  // a digit and a space each
+  const size_t room = (text_.size() - at_) / 2;  // each number takes at least a digit and a space
   check(value >= 0 && static_cast<uint64_t>(value) <= room, "expected ", expected, ", 0 to ", room,
         " in a file of this length, got ", value);
   return static_cast<size_t>(value);

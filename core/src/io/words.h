@@ -1,5 +1,6 @@
-// A text as words between white space, with the line of each: for readers of text formats. Every
-// error is ErrorKind::Value and says "<where>:<line>: expected ..., got ...".
+// Words: splits a text at white space and tracks the line of each word, for readers of text
+// formats. Every error is ErrorKind::Value with the message "<where>:<line>: expected ..., got
+// ...".
 #pragma once
 
 #include <cstdint>
@@ -12,21 +13,22 @@ namespace novaphy::detail {
 
 class Words {
  public:
-  // `text` must outlive this.
+  // `text` must outlive this object.
   Words(std::string_view text, std::string where) : text_(text), where_(std::move(where)) {}
 
-  // `expected` says what should stand here, for the message: "a node tag".
+  // Functions that read the next word. `expected` describes the word for the error message, for
+  // example "a node tag".
   std::string_view next(std::string_view expected);
   int64_t integer(std::string_view expected);
   double number(std::string_view expected);
-  // How many things follow: not negative, and no more than the rest of the text can hold, so that a
-  // broken number cannot ask for all memory.
+  // Reads the number of items that follow. The number must be >= 0 and fit into the rest of the
+  // text, so that a corrupt number cannot request huge memory.
   size_t count(std::string_view expected);
-  // The rest of this line and `lines` more; blank ones do not count.
+  // Skips the rest of this line and `lines` more lines; blank lines are not counted.
   void skip_lines(size_t lines, std::string_view expected);
 
   bool at_end();
-  size_t line() const { return line_; }  // of the last word
+  size_t line() const { return line_; }  // line of the last word
 
   template <class... Parts>
   void check(bool condition, const Parts&... parts) const {
@@ -46,7 +48,7 @@ class Words {
   size_t at_ = 0, line_ = 1;
 };
 
-// A word of a file for a message: short, and without what a terminal would act on.
+// Quotes a word of a file for an error message: shortened, with control characters replaced.
 std::string quoted(std::string_view word);
 
 }  // namespace novaphy::detail

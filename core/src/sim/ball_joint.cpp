@@ -29,7 +29,7 @@ void set_ball(ModelBuilder& b, const BallJointArgs& args) {
   std::fill_n(b.joint_limit_ke.end() - 3, 3, args.limit_ke);
   std::fill_n(b.joint_limit_kd.end() - 3, 3, args.limit_kd);
   *(b.joint_limit_upper.end() - 3) = args.limit_angle;
-  const Quatf& q = args.target_q;  // its length is checked with all others
+  const Quatf& q = args.target_q;  // a common check of all joints checks the length
   const float target[4] = {q.x, q.y, q.z, q.w};
   std::copy_n(target, 4, b.joint_target_q.end() - 4);
 }

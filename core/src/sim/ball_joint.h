@@ -1,4 +1,4 @@
-// The numbers of ModelBuilder::add_joint_ball.
+// The settings of ModelBuilder::add_joint_ball.
 #pragma once
 
 #include <string_view>
@@ -9,7 +9,7 @@
 namespace novaphy::detail {
 
 void check_ball(std::string_view name, const BallJointArgs& args);
-// Of the joint that was added last.
+// Writes the settings of the joint that was added last.
 void set_ball(ModelBuilder& builder, const BallJointArgs& args);
 
 }  // namespace novaphy::detail

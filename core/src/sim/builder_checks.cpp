@@ -40,7 +40,7 @@ Transformf checked_pose(const Where& where, const Transformf& xform) {
   const Quatf& q = xform.q;
   const double x = q.x, y = q.y, z = q.z, w = q.w;
   const double norm = std::sqrt(x * x + y * y + z * z + w * w);
-  // Written so that a NaN is refused.
+  // The comparison is written so that NaN fails.
   require(std::abs(norm - 1.0) <= 1e-3, ErrorKind::Value, where,
           ".q: expected a quaternion of length 1 (to 1e-3), got (", q.x, ", ", q.y, ", ", q.z, ", ",
           q.w, ") of length ", norm);
@@ -104,8 +104,8 @@ Transformf plane_pose(std::string_view function, const Vec4f& plane) {
           ": plane: expected a normal (a, b, c) that is not zero, got (0, 0, 0)");
   const double nx = a / norm, ny = b / norm, nz = c / norm;
   const double offset = -static_cast<double>(plane.w) / norm;
-  // The shortest rotation of +z to n: (cross(z, n), 1 + nz), normalized; 1 + nz without
-  // cancellation.
+  // The shortest rotation from +z to n is (cross(z, n), 1 + nz), normalized. 1 + nz is computed
+  // without cancellation.
   double qx = 0.0 - ny, qy = nx, qw = nz >= 0.0 ? 1.0 + nz : (nx * nx + ny * ny) / (1.0 - nz);
   const double length = std::sqrt(qx * qx + qy * qy + qw * qw);
   if (length > 0.0) {
@@ -115,7 +115,7 @@ Transformf plane_pose(std::string_view function, const Vec4f& plane) {
   } else {  // n = -z: half a turn about x
     qx = 1.0;
   }
-  // + 0.0 turns -0 into +0.
+  // Adding 0.0 maps -0 to 0.
   Transformf pose;
   pose.p = {static_cast<float>(offset * nx + 0.0), static_cast<float>(offset * ny + 0.0),
             static_cast<float>(offset * nz + 0.0)};
@@ -146,7 +146,7 @@ ShapeBounds shape_bounds(GeoType type, const Vec3f& scale) {
     default:
       break;
   }
-  // PLANE: the face; what is below it is not bounded.
+  // PLANE: the bounds of the face; the block below the face is unbounded.
   if (scale.x > 0.0f && scale.y > 0.0f) {
     const Vec3f half = {scale.x * 0.5f, scale.y * 0.5f, 0.0f};
     return {math::length(half), {-half.x, -half.y, 0.0f}, half};

@@ -1,5 +1,5 @@
-// The checks that ModelBuilder makes at add_* and again at finalize. Each throws ErrorKind::Value
-// with a message that names the argument, what was expected and what came.
+// The checks that ModelBuilder makes in add_* and again in finalize. Each check throws
+// ErrorKind::Value with a message that names the argument, what was expected and what came.
 #pragma once
 
 #include <cmath>
@@ -16,7 +16,7 @@
 
 namespace novaphy::detail {
 
-// Who asks, about what: "add_particle: mass" or "finalize: particle_mass[3]".
+// The beginning of an error message: "add_particle: mass" or "finalize: particle_mass[3]".
 struct Where {
   std::string_view function, argument;
   std::optional<size_t> element = {};
@@ -48,7 +48,7 @@ inline void check_positive(const Where& where, float value) {
           ": expected a finite number > 0, got ", value);
 }
 
-// A mass whose inverse is a float too, or 0.
+// A mass must be 0 or have a finite inverse.
 inline void check_mass(const Where& where, float mass) {
   check_not_negative(where, mass);
   require(mass == 0.0f || std::isfinite(1.0f / mass), ErrorKind::Value, where,
@@ -59,8 +59,8 @@ inline void check_particle_flags(const Where& where, int32_t flags) {
           ": expected 0 or ParticleFlags.ACTIVE (1), got ", flags);
 }
 
-// What is in all worlds (-1) has the gravity of the last one (see Model::gravity), so that must be
-// the builder's.
+// Objects in all worlds (-1) have the gravity of the last world (see Model::gravity). That gravity
+// must therefore equal the builder's.
 inline void check_world_gravity(const Where& where, int32_t world, const Vec3f& gravity,
                                 std::span<const Vec3f> world_gravity) {
   require(world >= 0 || world_gravity.empty() || gravity == world_gravity.back(), ErrorKind::Value,
@@ -69,7 +69,7 @@ inline void check_world_gravity(const Where& where, int32_t world, const Vec3f& 
           "that the last world has too");
 }
 
-// A list that may hold none (the default), one value for all elements, or one each.
+// A list is empty (the default), has one value for all elements, or one value per element.
 inline void check_one_or_each(std::string_view function, std::string_view argument, size_t size,
                               size_t elements) {
   require(size <= 1 || size == elements, ErrorKind::Value, function, ": ", argument,
@@ -80,20 +80,20 @@ T one_or_each(std::span<const T> values, size_t element, const T& by_default) {
   return values.empty() ? by_default : values.size() == 1 ? values[0] : values[element];
 }
 
-// Checks the numbers of a material and its gap.
+// Checks the material and the gap of a shape.
 void check_shape_config(std::string_view function, const ShapeConfig& cfg);
-// Checks a pose and returns it with a unit quaternion. A quaternion that is of unit length to float
-// rounding keeps its bits, so that normalizing twice changes nothing; one that misses by more than
-// 1e-3 is refused.
+// Checks a pose and returns it with a unit quaternion. A quaternion of unit length to float
+// rounding keeps its bits, so normalizing twice changes nothing. A quaternion whose length is off
+// by more than 1e-3 is refused.
 Transformf checked_pose(const Where& where, const Transformf& xform);
 inline Transformf checked_pose(std::string_view function, const Transformf& xform) {
   return checked_pose({function, "xform"}, xform);
 }
-// Checks the size of a shape and returns it with unused components zero. ErrorKind::NotImplemented:
-// a type that is not supported.
+// Checks the size of a shape and returns it with unused components set to zero.
+// ErrorKind::NotImplemented: the type is not supported.
 Vec3f checked_scale(std::string_view function, GeoType type, const Vec3f& scale);
-// The pose whose local +z is the normal of a*x + b*y + c*z + d = 0, at the point of the plane
-// nearest to the origin.
+// Returns a pose whose local +z is the normal of the plane a*x + b*y + c*z + d = 0. The position is
+// the point of the plane nearest to the origin.
 Transformf plane_pose(std::string_view function, const Vec4f& plane);
 
 // Bounds of a shape in its own frame, see Model::shape_collision_radius and shape_aabb_lower.

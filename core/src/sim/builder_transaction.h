@@ -1,5 +1,5 @@
-// Undoes what a function added to a builder when it ends with an exception, so that a refused mesh
-// leaves nothing behind.
+// Transaction: removes what a function added to a builder if the function throws. A refused mesh
+// thus leaves the builder unchanged.
 #pragma once
 
 #include "novaphy/core/sim/model_builder.h"

@@ -35,7 +35,7 @@ struct Numbers {
   Rule rule;
 };
 
-// The numbers of an array: on the host without a copy where they lie there.
+// Gives the numbers of an array on the host. An array on the CPU is not copied.
 class NumbersOnHost {
  public:
   explicit NumbersOnHost(const Array& array) {
@@ -63,7 +63,7 @@ bool must_read(const ArrayStamp& known, const Array& array) {
   return array.device().is_cpu() || !array.range()->writable_export();
 }
 
-// Of a 2x2 or 3x3 matrix.
+// Returns the determinant of a 2x2 or 3x3 matrix.
 double determinant(const float* m, size_t width) {
   const auto at = [m](size_t k) { return static_cast<double>(m[k]); };
   if (width == 4) return at(0) * at(3) - at(1) * at(2);
@@ -77,7 +77,7 @@ double length(const float* v, size_t first, size_t width) {
   return std::sqrt(squares);
 }
 
-// Whether the rule lets number k of a row have any sign.
+// Returns whether the rule allows number k of a row to be negative.
 bool any_sign(Rule rule, size_t k) {
   const bool not_negative = rule == Rule::NotNegative || rule == Rule::AtMostOne ||
                             rule == Rule::Mass || (rule == Rule::Diagonal && k % 4 == 0);
@@ -140,7 +140,7 @@ void check_numbers(const char* solver, const Numbers& numbers) {
   }
 }
 
-// Of shape_scale, as the builder takes them.
+// Checks shape_scale by the rules of the builder.
 void check_sizes(const char* solver, const Model& m) {
   const std::vector<int32_t> type = m.shape_type.to_host();
   const std::vector<Vec3f> scale = m.shape_scale.to_host();
@@ -150,7 +150,7 @@ void check_sizes(const char* solver, const Model& m) {
                             of, scale[k]);
 }
 
-// As the builder takes it.
+// Checks symmetry by the rule of the builder.
 bool is_symmetric(const float* m) {
   double largest = 0.0;
   for (size_t k = 0; k < 9; ++k) largest = std::max(largest, std::abs(double{m[k]}));
@@ -242,7 +242,7 @@ void EditedValues::check_arrays(const Model& m) {
   check_limits(m);
 }
 
-// Now and, while a capture records on the CPU, before every replay.
+// Runs a check now and, while a capture records on the CPU, before every replay.
 template <class Check>
 void EditedValues::check_all(const Model& model, Check check) {
   const UntrackedScope untracked;

@@ -1,4 +1,4 @@
-// The axes of the joints of a ModelBuilder.
+// Checks and normalization of the axes of joints in a ModelBuilder.
 #pragma once
 
 #include <cmath>
@@ -38,7 +38,7 @@ inline Vec3f unit_axis(std::string_view name, const Vec3f& axis) {
           static_cast<float>(z / length)};
 }
 
-// Unit axes, whose volume (area) says how far they are from a plane (line).
+// Checks that unit axes are linearly independent, by the volume of three axes or the area of two.
 inline void check_independent(std::string_view name, const char* argument,
                               std::span<const Vec3f> axes) {
   if (axes.size() < 2) return;
@@ -50,15 +50,16 @@ inline void check_independent(std::string_view name, const char* argument,
 }
 
 inline void check_plane(std::string_view name, std::span<const Vec3f> axes) {
-  const float volume = math::dot(math::cross(axes[0], axes[1]), axes[2]);  // of unit vectors
+  // triple product of the unit vectors
+  const float volume = math::dot(math::cross(axes[0], axes[1]), axes[2]);
   require(volume > 0.999f, ErrorKind::Value, name,
           ": linear_axes, angular_axes: expected two perpendicular axes and their cross product of "
           "a PLANAR joint, got axes whose triple product is ",
           volume);
 }
 
-// The axes x and y of the plane of a normal: what the shortest turn of z to the normal makes of x
-// and y.
+// Returns the axes x and y of the plane with a given normal: the images of x and y under the
+// shortest rotation from z to the normal.
 inline std::pair<Vec3f, Vec3f> plane_axes(const Vec3f& normal) {
   const double length = std::sqrt(math::dot(Vec3<double>{normal.x, normal.y, normal.z},
                                             Vec3<double>{normal.x, normal.y, normal.z}));

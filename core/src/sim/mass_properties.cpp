@@ -19,7 +19,7 @@ Mat33d diagonal(double x, double y, double z) {
   return {{{x, 0.0, 0.0}, {0.0, y, 0.0}, {0.0, 0.0, z}}};
 }
 
-// What moving a mass by p away from its center adds to its inertia.
+// Returns the inertia that a mass gains when it moves by p from its center (parallel axis theorem).
 Mat33d parallel_axis(double mass, const Vec3d& p) {
   const double xx = p.x * p.x, yy = p.y * p.y, zz = p.z * p.z;
   const double xy = -p.x * p.y * mass, xz = -p.x * p.z * mass, yz = -p.y * p.z * mass;
@@ -33,7 +33,7 @@ Mat33d sum(const Mat33d& a, const Mat33d& b, double factor_b = 1.0) {
   return result;
 }
 
-// Standard closed forms, h the full height.
+// Mass properties of solids in closed form; h is the full height.
 MassProperties solid_mass(GeoType type, const Vec3d& s, double density) {
   const double r = s.x, h = 2.0 * s.y;
   switch (type) {
@@ -72,7 +72,7 @@ MassProperties solid_mass(GeoType type, const Vec3d& s, double density) {
   }
 }
 
-// The hollow of a shell whose wall is t thick.
+// Returns the size of the hollow of a shell with wall thickness t.
 Vec3d hollow(GeoType type, const Vec3d& s, double t) {
   if (type == GeoType::BOX || type == GeoType::ELLIPSOID) return {s.x - t, s.y - t, s.z - t};
   if (type == GeoType::CYLINDER || type == GeoType::CONE) return {s.x - t, s.y - t, 0.0};
@@ -81,14 +81,14 @@ Vec3d hollow(GeoType type, const Vec3d& s, double t) {
 
 double trace(const Mat33d& a) { return a.m[0][0] + a.m[1][1] + a.m[2][2]; }
 
-// Whether a + shift 1 is positive definite.
+// Returns whether a + shift * identity is positive definite.
 bool is_positive(const Mat33d& a, double shift) {
   const auto factors = math::ldlt(sum(a, diagonal(1.0, 1.0, 1.0), shift).m);
   return factors.d[0] > 0.0 && factors.d[1] > 0.0 && factors.d[2] > 0.0;
 }
 
-// Whether it is positive definite, and would be with entries that differ by their rounding: judged
-// with a diagonal of ones, for the entries of a thin body are of very different sizes.
+// Returns whether a matrix is positive definite, even after rounding errors of its entries. The
+// matrix is scaled to a unit diagonal first, because the moments of a thin body differ widely.
 bool is_surely_positive(const Mat33d& a) {
   Mat33d scaled;
   for (int i = 0; i < 3; ++i) {
@@ -98,8 +98,8 @@ bool is_surely_positive(const Mat33d& a) {
   return is_positive(scaled, -1e-7);
 }
 
-// The second moments of the mass, tr(I)/2 1 - I, are >= 0 exactly where the moments of inertia
-// meet the triangle inequality; a flat body has one of 0.
+// Checks the triangle inequality of the moments of inertia. The inequality holds if and only if the
+// second moments of the mass, tr(I)/2 1 - I, are >= 0. A flat body has one second moment of 0.
 bool meets_triangle_inequality(const Mat33d& a, double largest) {
   const double half = trace(a) / 2.0;
   return is_positive(sum(diagonal(half, half, half), a, -1.0), 1e-5 * largest);
@@ -109,7 +109,7 @@ constexpr double kLeastMoment = 1e-30;  // kg m^2
 
 struct Entries {
   Mat33d a;
-  double largest = 0.0;  // magnitude
+  double largest = 0.0;  // largest magnitude of an entry
   bool finite = true, symmetric = true;
 };
 Entries entries(const Mat33f& inertia) {
@@ -126,7 +126,7 @@ Entries entries(const Mat33f& inertia) {
   return e;
 }
 
-// Ascending.
+// Returns the principal moments in ascending order.
 std::array<double, 3> principal_moments(const Mat33d& a) {
   std::array<double, 3> moments = std::to_array(math::principal_axes(a).moments);
   std::sort(moments.begin(), moments.end());
@@ -157,7 +157,7 @@ MassProperties shape_mass(std::string_view function, GeoType type, const Vec3f& 
   const MassProperties taken = solid_mass(type, inside, density);
   const double m = mass.mass - taken.mass;
   const Vec3d com = (mass.com * mass.mass - taken.com * taken.mass) / m;
-  // Both moved to the center of the shell.
+  // Both inertias are moved to the center of the shell.
   Mat33d inertia = sum(mass.inertia, parallel_axis(mass.mass, mass.com - com));
   inertia = sum(inertia, taken.inertia, -1.0);
   inertia = sum(inertia, parallel_axis(taken.mass, taken.com - com), -1.0);
@@ -167,7 +167,7 @@ MassProperties shape_mass(std::string_view function, GeoType type, const Vec3f& 
 MassProperties moved(const MassProperties& body, const Transformf& xform) {
   const Quat<double> q = {xform.q.x, xform.q.y, xform.q.z, xform.q.w};
   const Vec3d p = {xform.p.x, xform.p.y, xform.p.z};
-  // R I R^T: the columns of I turned, then the rows of that.
+  // Rotates the inertia, R I R^T: first the columns of I, then the rows of the result.
   Mat33d half, turned;
   for (int j = 0; j < 3; ++j) {
     const auto& m = body.inertia.m;

@@ -18,29 +18,31 @@ struct MassProperties {
   Mat33<double> inertia;  // kg m^2, about com
 };
 
-// Of a shape in its own frame, of cfg.density; a shell (is_solid false) has walls of cfg.margin
-// inside of its surface. Nothing for a plane. ErrorKind::Value: a shell without a wall, or one
-// thicker than the shape.
-// MESH and CONVEX_MESH: those of `solid`, its density taken for its volume.
+// Returns the mass properties of a shape in its own frame, for density cfg.density. A shell
+// (is_solid false) has walls of cfg.margin inside of its surface. A plane has no mass. For MESH and
+// CONVEX_MESH, `solid` has the properties for density 1. ErrorKind::Value: a shell whose wall has
+// no thickness or is thicker than the shape.
 MassProperties shape_mass(std::string_view function, GeoType type, const Vec3f& scale,
                           const ShapeConfig& cfg, const SolidProperties& solid = {});
-// The same body, in the frame in which its own has the pose `xform`.
+// Returns the mass properties in an outer frame. `xform` is the pose of the body's frame in the
+// outer frame.
 MassProperties moved(const MassProperties& body, const Transformf& xform);
-// Both together, in one frame.
+// Returns the sum of two mass properties in the same frame.
 MassProperties combined(const MassProperties& a, const MassProperties& b);
 
-// What finalize mends of an inertia: ModelBuilder::balance_inertia, bound_inertia.
+// The corrections of an inertia in finalize: ModelBuilder::balance_inertia and bound_inertia.
 struct InertiaMending {
   bool balance = false;
   std::optional<float> bound = {};  // kg m^2
 };
-// ErrorKind::Value unless the matrix is finite, symmetric and positive definite, and no principal
-// moment exceeds the sum of the other two: what the inertia of a body with an extent is. What is
-// mended later is not refused. Positive definite must be whatever float32 has made of the entries:
-// moments of any ratio along the axes of the body, down to 1e-7 of the largest along others.
+// Throws ErrorKind::Value unless the matrix is the inertia of an extended body: finite, symmetric,
+// positive definite, and no principal moment exceeds the sum of the other two. Faults that `later`
+// will correct are accepted. The matrix must be positive definite despite float32 rounding of its
+// entries. This allows any ratio of moments along the axes of the body, and moments down to 1e-7 of
+// the largest along other axes.
 void check_inertia(const Where& where, const Mat33f& inertia, const InertiaMending& later = {});
-// Adds the multiple of the identity that is asked for, and returns it (kg m^2): 0 where nothing is
-// to be mended, or check_inertia refuses the matrix anyway.
+// Adds a multiple of the identity as `how` says, and returns the multiple (kg m^2). Returns 0 if no
+// correction is needed, or if check_inertia refuses the matrix anyway.
 double mend_inertia(Mat33f& inertia, const InertiaMending& how);
 
 }  // namespace novaphy::detail

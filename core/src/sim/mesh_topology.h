@@ -10,20 +10,21 @@
 
 namespace novaphy::detail {
 
-// The faces that one tetrahedron has and no other, in the order in which they come: each
-// tetrahedron (i, j, k, l) has the faces (i, k, j), (j, k, l), (i, j, l), (i, l, k), which look
-// outwards. ErrorKind::Value, naming `function` and the face: more than two tetrahedra share one.
+// Returns the faces that belong to exactly one tetrahedron, in the order of the tetrahedra. A
+// tetrahedron (i, j, k, l) has the outward faces (i, k, j), (j, k, l), (i, j, l) and (i, l, k).
+// ErrorKind::Value, with `function` and the face: more than two tetrahedra share a face.
 std::vector<Vec3i> surface_of(std::span<const Vec4i> tetrahedra, std::string_view function);
 
-// Every edge once, in the order in which they come: each triangle (a, b, c) has the edges (a, b),
-// (b, c), (c, a). As rows of edge_indices: the vertices opposite to the edge in its first and
-// second triangle (-1: none), then the edge as its first triangle has it. ErrorKind::Value, naming
-// `function` and the edge: more than two triangles share one; `advice` ends the message.
+// Returns every edge once, in the order of the triangles. A triangle (a, b, c) has the edges (a,
+// b), (b, c) and (c, a). A row is a row of edge_indices: the vertices opposite to the edge in its
+// first and second triangle (-1: none), then the edge as in its first triangle. ErrorKind::Value,
+// with `function` and the edge: more than two triangles share an edge. `advice` ends the message.
 std::vector<Vec4i> edges_of(std::span<const Vec3i> triangles, std::string_view function,
                             std::string_view advice);
 
-// Pairs (a < b) along the edges, from the opposite vertices to their ends, and across the edges:
-// every pair once, in the order in which they come.
+// Returns pairs (a < b) of particles for springs: along the edges, from the opposite vertices to
+// the ends of an edge, and between the opposite vertices. Every pair occurs once, in the order of
+// the edges.
 std::vector<Vec2i> spring_pairs(std::span<const Vec4i> edges);
 
 }  // namespace novaphy::detail

@@ -10,7 +10,7 @@
 namespace novaphy {
 namespace {
 
-// Counted from a random start, because a model may come from another process.
+// Ids count from a random start, so that models of different processes have different ids.
 uint64_t next_model_id() {
   static std::atomic<uint64_t> next{[] {
     std::random_device device;

@@ -1,4 +1,4 @@
-// ModelBuilder::collapse_fixed_joints.
+// ModelBuilder::collapse_fixed_joints: merges bodies that a FIXED joint connects.
 #include <algorithm>
 
 #include "mass_properties.h"
@@ -20,7 +20,7 @@ void keep_rows(std::vector<T>& values, const std::vector<char>& keep) {
   values.resize(to);
 }
 
-// Old index to new; -1: gone.
+// Maps old indices to new ones; -1 for a removed item.
 std::vector<int32_t> remap_of(const std::vector<char>& keep) {
   std::vector<int32_t> remap(keep.size(), -1);
   int32_t next = 0;
@@ -31,7 +31,7 @@ std::vector<int32_t> remap_of(const std::vector<char>& keep) {
 
 }  // namespace
 
-// 1 for each joint that stays.
+// Returns 1 for each joint that stays.
 std::vector<char> ModelBuilder::joints_that_stay(std::span<const std::string> keep) const {
   std::vector<int32_t> held(bodies_.size()), children(bodies_.size());
   for (const Joint& joint : joints_) {
@@ -58,7 +58,8 @@ CollapsedJoints ModelBuilder::collapse_fixed_joints(std::span<const std::string>
   check_sizes();
   const std::vector<char> stays = joints_that_stay(keep);
   const size_t bodies = bodies_.size();
-  // What a body is merged into next, and its pose there; itself where it stays.
+  // For each body, the body that it is merged into and its pose there. A body that stays has
+  // itself.
   std::vector<int32_t> into(bodies);
   std::vector<Transformf> pose(bodies, Transformf::identity());
   for (size_t b = 0; b < bodies; ++b) into[b] = static_cast<int32_t>(b);
@@ -68,8 +69,8 @@ CollapsedJoints ModelBuilder::collapse_fixed_joints(std::span<const std::string>
     into[child] = joints_[j].parent;
     pose[child] = math::multiply(joints_[j].parent_xform, math::inverse(joints_[j].child_xform));
   }
-  // Up to the body that stays, or the world. No cycle: each child has one joint here, and a cycle
-  // of such joints alone holds a body by itself.
+  // Follows the chain up to a body that stays, or to the world. The check finds cycles: each child
+  // has one such joint, so a cycle of FIXED joints has no other connection.
   for (size_t b = 0; b < bodies; ++b) {
     for (size_t steps = 0; into[b] >= 0 && into[static_cast<size_t>(into[b])] != into[b]; ++steps) {
       const auto next = static_cast<size_t>(into[b]);
@@ -83,8 +84,8 @@ CollapsedJoints ModelBuilder::collapse_fixed_joints(std::span<const std::string>
   return drop_merged(into, pose, stays);
 }
 
-// Moves mass and shapes of each body to the one that it is merged into. Velocities are those of
-// centers of mass, which move: the bodies keep their motion.
+// Moves mass and shapes of each body to the body that it is merged into. Velocities refer to the
+// center of mass, which moves, so they are recomputed to keep the motion.
 void ModelBuilder::merge_bodies(const std::vector<int32_t>& into,
                                 const std::vector<Transformf>& pose) {
   const std::vector<detail::MassProperties> masses = exact_body_masses();
@@ -112,10 +113,10 @@ void ModelBuilder::merge_bodies(const std::vector<int32_t>& into,
     const auto body = static_cast<size_t>(shape.body);
     shape.xform = math::multiply(pose[body], shape.xform);
     shape.body = into[body];
-    shape.cfg.density = 0.0f;  // its mass is in the base now
+    shape.cfg.density = 0.0f;  // the mass is now part of the base mass
   }
   const std::vector<detail::MassProperties> after = exact_body_masses();
-  const auto way_of_com = [&](size_t b) {  // in the frame of the body
+  const auto way_of_com = [&](size_t b) {  // displacement of the center of mass, body frame
     const auto way = after[b].com - masses[b].com;
     return Vec3f{static_cast<float>(way.x), static_cast<float>(way.y), static_cast<float>(way.z)};
   };
@@ -169,12 +170,13 @@ CollapsedJoints ModelBuilder::drop_merged(const std::vector<int32_t>& into,
     joint.child = new_body(joint.child);
     if (joint.mimic >= 0) joint.mimic = result.joint_remap[static_cast<size_t>(joint.mimic)];
   }
-  // A FIXED joint has no coordinates: those of the others stay as they are.
+  // A FIXED joint has no coordinates, so the coordinates of other joints stay.
   keep_rows(joints_, joint_stays);
   keep_rows(body_q, body_stays);
   keep_rows(body_qd, body_stays);
   keep_rows(bodies_, body_stays);
-  std::vector<int32_t> before(joint_stays.size() + 1, 0);  // joints that stay before one
+  // number of kept joints before each joint
+  std::vector<int32_t> before(joint_stays.size() + 1, 0);
   for (size_t j = 0; j < joint_stays.size(); ++j) before[j + 1] = before[j] + joint_stays[j];
   std::vector<Articulation> articulations;
   for (Articulation& a : articulations_) {

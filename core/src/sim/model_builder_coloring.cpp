@@ -1,4 +1,4 @@
-// Colors of a ModelBuilder's particles.
+// Coloring of the particles of a ModelBuilder.
 #include <algorithm>
 #include <numeric>
 #include <queue>
@@ -9,9 +9,9 @@
 namespace novaphy {
 namespace {
 
-// Which particles share an element with a particle.
+// For each particle, the particles that share an element with it.
 struct Neighbors {
-  std::vector<size_t> begin;  // particles + 1
+  std::vector<size_t> begin;  // particles + 1 offsets into items
   std::vector<int32_t> items;
 
   Neighbors(size_t particles, std::vector<std::pair<int32_t, int32_t>> pairs)
@@ -29,8 +29,8 @@ struct Neighbors {
   }
 };
 
-// The particles in the order in which the greedy coloring visits them: each one has the fewest
-// neighbors among those before it and itself; of several the one with the largest index is last.
+// Returns the order of the greedy coloring (smallest last). Among a particle and those before it,
+// the particle has the fewest neighbors. On a tie the largest index comes last.
 std::vector<int32_t> smallest_last_order(const Neighbors& neighbors) {
   const size_t count = neighbors.begin.size() - 1;
   using Entry = std::pair<size_t, int32_t>;  // degree, minus index
@@ -46,7 +46,7 @@ std::vector<int32_t> smallest_last_order(const Neighbors& neighbors) {
     const auto [d, minus_p] = queue.top();
     queue.pop();
     const auto p = static_cast<size_t>(-minus_p);
-    if (removed[p] || d != degree[p]) continue;  // an entry from before the degree fell
+    if (removed[p] || d != degree[p]) continue;  // an outdated entry: the degree has dropped since
     removed[p] = true;
     order[--place] = static_cast<int32_t>(p);
     for (const int32_t q : neighbors.of(p))
@@ -61,8 +61,8 @@ bool may_have(const Neighbors& neighbors, const std::vector<int32_t>& colors, si
                               [&](int32_t q) { return colors[static_cast<size_t>(q)] == color; });
 }
 
-// Moves particles, in the order of their indices, from colors above the mean size to the smallest
-// one that may take them, until none moves.
+// Balances the colors. Particles move, in the order of their indices, from colors above the mean
+// size to the smallest color without a neighbor, until no particle moves.
 void balance(const Neighbors& neighbors, std::vector<int32_t>& colors, size_t color_count) {
   std::vector<size_t> size(color_count);
   for (const int32_t color : colors) ++size[static_cast<size_t>(color)];

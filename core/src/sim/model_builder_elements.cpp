@@ -13,7 +13,7 @@ namespace {
 
 constexpr size_t kMaxElements = static_cast<size_t>(std::numeric_limits<int32_t>::max());
 
-// How an element is named in messages: "add_triangle: triangle 3 (particles 4, 5, 6)".
+// The name of an element in error messages: "add_triangle: triangle 3 (particles 4, 5, 6)".
 struct Element {
   std::string_view function, kind;
   size_t number;
@@ -39,12 +39,13 @@ void check_room(const Element& e) {
   require(e.number < kMaxElements, ErrorKind::Value, e, ": expected at most ", kMaxElements,
           " of them");
 }
-// Finite and >= 0; the element is named, since a list of materials may hold one that is not.
+// Checks that a material is finite and >= 0. The message names the element, because each element
+// may have its own material.
 void check_material(const Element& e, const char* name, float value) {
   require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, e, ": ", name,
           ": expected a finite number >= 0, got ", value);
 }
-// `relative`: the size relative to the longest edge. Written so that a NaN is refused.
+// `relative`: the size relative to the longest edge. The comparison is written so that NaN fails.
 void check_size(const Element& e, const char* what, double relative, double size) {
   require(relative > detail::kSmallestRelativeSize, ErrorKind::Value, e, ": expected ", what,
           " above ", detail::kSmallestRelativeSize, " relative to its longest edge, got ", relative,

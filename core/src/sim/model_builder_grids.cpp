@@ -26,7 +26,7 @@ Vec3f rounded(double x, double y, double z) {
   return {static_cast<float>(x), static_cast<float>(y), static_cast<float>(z)};
 }
 
-// Random numbers of a seed: the same everywhere (splitmix64).
+// A random number generator with the same results on every platform (splitmix64).
 class Random {
  public:
   explicit Random(uint64_t seed) : state_(seed) {}
@@ -167,13 +167,14 @@ void ModelBuilder::add_soft_grid(const SoftGridArgs& args) {
   for (int32_t z = 0; z < args.dim_z; ++z)
     for (int32_t y = 0; y < args.dim_y; ++y)
       for (int32_t x = 0; x < args.dim_x; ++x) {
-        // The cell's corners: v0 to v3 around its lower y face, v4 to v7 above them.
+        // Corners of the cell: v0 to v3 around the lower y face, v4 to v7 above them.
         const auto at = [&](int32_t dx, int32_t dy, int32_t dz) {
           return first + nx * ny * (z + dz) + nx * (y + dy) + (x + dx);
         };
         const int32_t v0 = at(0, 0, 0), v1 = at(1, 0, 0), v2 = at(1, 0, 1), v3 = at(0, 0, 1);
         const int32_t v4 = at(0, 1, 0), v5 = at(1, 1, 0), v6 = at(1, 1, 1), v7 = at(0, 1, 1);
-        // Two mirrored patterns in turn, so that the diagonals of neighbors meet.
+        // Cells alternate between two mirrored patterns, so that the diagonals of neighboring cells
+        // coincide.
         if ((x ^ y ^ z) & 1) {
           add(v0, v1, v4, v3);
           add(v2, v3, v6, v1);

@@ -80,7 +80,7 @@ int32_t ModelBuilder::next_dof() const {
                          : joints_.back().qd_start + joints_.back().linear + joints_.back().angular;
 }
 
-// Of the child's joint frame in the parent's, from the bodies' poses.
+// Returns the pose of the child's joint frame in the parent's, from the poses of the bodies.
 Transformf ModelBuilder::relative_pose(const Joint& joint) const {
   Transformf anchor = joint.parent_xform;
   if (joint.parent >= 0) anchor = math::multiply(body_q[static_cast<size_t>(joint.parent)], anchor);
@@ -246,7 +246,7 @@ int32_t ModelBuilder::add_joint_d6(int32_t parent, int32_t child, const JointArg
   return append_joint("add_joint_d6", JointType::D6, parent, child, args);
 }
 
-// `axis`: the normal of the plane. The axes of `args` are not read.
+// `axis`: the normal of the plane. The axis vectors in `args` are ignored.
 int32_t ModelBuilder::add_joint_planar(int32_t parent, int32_t child, const Vec3f& axis,
                                        JointArgs args) {
   constexpr std::string_view name = "add_joint_planar";
@@ -333,7 +333,7 @@ void ModelBuilder::append_joints(const ModelBuilder& b, int32_t first_body,
     if (joint.parent >= 0) {
       joint.parent += first_body;
     } else if (moves && joint.type == JointType::FREE && joint.parent_xform == identity) {
-      // Without an anchor the coordinates are the pose in the world.
+      // A FREE joint to the world without an anchor has the world pose as coordinates.
       float* const q = &joint_q[static_cast<size_t>(joint.q_start)];
       float* const qd = &joint_qd[static_cast<size_t>(joint.qd_start)];
       const Transformf x = math::multiply(xform, {{q[0], q[1], q[2]}, {q[3], q[4], q[5], q[6]}});
@@ -356,7 +356,7 @@ void ModelBuilder::append_joints(const ModelBuilder& b, int32_t first_body,
   }
 }
 
-// Those that were asked for, and those of bodies that a joint connects.
+// Returns the filtered pairs: those of the user, and those of bodies that a joint connects.
 std::set<std::pair<int32_t, int32_t>> ModelBuilder::all_filter_pairs() const {
   std::set<std::pair<int32_t, int32_t>> pairs = filter_pairs_;
   std::vector<std::vector<int32_t>> shapes(bodies_.size());
@@ -486,7 +486,8 @@ void ModelBuilder::upload_joints(Model& m) const {
     axes.insert(axes.end(), joint.axes.begin(), joint.axes.end());
     const auto body = static_cast<size_t>(joint.child);
     if (bodies_[body].is_link || joint.type != JointType::FREE) continue;
-    // Of add_body: at the body, until it is edited itself.
+    // The free joint of add_body starts at the pose of the body, unless its coordinates were
+    // edited.
     float* const at = &q[static_cast<size_t>(joint.q_start)];
     const Transformf& x = body_q[body];
     if (Transformf{{at[0], at[1], at[2]}, {at[3], at[4], at[5], at[6]}} == bodies_[body].added_at) {

@@ -10,7 +10,7 @@
 namespace novaphy {
 namespace {
 
-// Indices into the vertices of a mesh, `width` per element; every vertex must be used by one.
+// Checks the indices of a mesh, `width` per element. Every vertex must belong to an element.
 void check_mesh(std::string_view function, std::span<const Vec3f> vertices,
                 std::span<const int32_t> indices, size_t width, const char* elements) {
   require(!vertices.empty(), ErrorKind::Value, function, ": vertices: expected at least one, got ",

@@ -23,7 +23,7 @@ void check_vertices(std::string_view name, std::span<const Vec3f> vertices) {
     detail::check_finite({name, "vertices", i}, vertices[i]);
 }
 
-// Runs what names itself in its messages; `name` and the argument come before them.
+// Runs f and prepends `name` and `argument` to the message of an error.
 template <class F>
 auto named(std::string_view name, std::string_view argument, F f) {
   try {
@@ -45,7 +45,8 @@ std::string_view bytes_of(const std::vector<T>& values) {
   return {reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T)};
 }
 
-// The volume (m^3, < 0) of a closed mesh whose triangles face inward; 0 of any other.
+// Returns the volume (m^3, < 0) of a closed mesh whose triangles face inward, and 0 for any other
+// mesh.
 double inside_out_volume(const std::vector<Vec3f>& vertices, const std::vector<Vec3i>& triangles) {
   using detail::Vec3d;
   const Vec3d middle = detail::to_double(vertices[0]);
@@ -61,7 +62,7 @@ double inside_out_volume(const std::vector<Vec3f>& vertices, const std::vector<V
     area += detail::norm(twice);
     volume += math::dot(a, math::cross(b, c)) / 6.0;
   }
-  // The areas of a closed mesh sum to 0, those of a terrain do not.
+  // The area vectors of a closed mesh sum to 0; those of an open terrain do not.
   if (!(volume < -1e-12 * area * std::sqrt(area)) || detail::norm(sum) > 1e-6 * area) return 0.0;
   for (const Vec3i& t : triangles) edges.insert(edges.end(), {{t.x, t.y}, {t.y, t.z}, {t.z, t.x}});
   std::sort(edges.begin(), edges.end());
@@ -109,7 +110,7 @@ int32_t ModelBuilder::add_shape_mesh(int32_t body, const ShapeMeshArgs& args) {
     require(args.indices[i] >= 0 && static_cast<size_t>(args.indices[i]) < args.vertices.size(),
             ErrorKind::Index, name, ": indices[", i, "]: expected 0 to ", args.vertices.size() - 1,
             ", got ", args.indices[i]);
-  // Vertices that are used, in the order of the input, one in each place.
+  // Keeps the vertices that triangles use, in the order of the input, and one vertex per position.
   const std::vector<int32_t> place = first_in_place(args.vertices);
   std::vector<int32_t> number(place.size(), -1), indices;
   for (const int32_t i : args.indices)
@@ -129,7 +130,7 @@ int32_t ModelBuilder::add_shape_mesh(int32_t body, const ShapeMeshArgs& args) {
             t, " has two corners in one place");
   }
   const ShapeConfig& cfg = args.cfg ? *args.cfg : default_shape_cfg;
-  // One that gives a mass is refused.
+  // A mesh that gives a mass is checked elsewhere, and refused.
   if ((body < 0 || !(cfg.density > 0.0f)) &&
       (cfg.has_shape_collision || cfg.has_particle_collision)) {
     const double volume = inside_out_volume(mesh.vertices, mesh.triangles);
@@ -156,7 +157,7 @@ int32_t ModelBuilder::add_shape_convex_hull(int32_t body, const ShapeConvexHullA
   ConvexHull hull =
       named(name, "vertices", [&] { return convex_hull(args.vertices, args.max_vertices); });
   const Vec3f scale = detail::checked_scale(name, GeoType::CONVEX_MESH, args.scale);
-  if (scale.x != scale.y || scale.y != scale.z) {  // as the pipeline will see it
+  if (scale.x != scale.y || scale.y != scale.z) {  // checks the scaled hull that the pipeline uses
     std::vector<Vec3f> scaled;
     for (const Vec3f& v : hull.vertices)
       scaled.push_back({v.x * scale.x, v.y * scale.y, v.z * scale.z});
@@ -166,7 +167,7 @@ int32_t ModelBuilder::add_shape_convex_hull(int32_t body, const ShapeConvexHullA
   Mesh mesh;
   mesh.triangles = rows_of_three(hull_of_all(hull.vertices));
   mesh.vertices = std::move(hull.vertices);
-  // Where vertices were left out, the mass is that of the hull of all.
+  // If vertices were left out, the mass is that of the hull of all points.
   std::optional<SolidProperties> solid;
   const ShapeConfig cfg = args.cfg.value_or(default_shape_cfg);
   if (left_out && body >= 0 && cfg.density > 0.0f)
@@ -188,7 +189,7 @@ int32_t ModelBuilder::add_shape_convex_hull(int32_t body, const ShapeConvexHullA
 
 ModelBuilder::MeshPool ModelBuilder::mesh_pool() const {
   MeshPool pool;
-  std::map<const Mesh*, Vec2i> first;  // vertex and triangle of each mesh
+  std::map<const Mesh*, Vec2i> first;  // first vertex and first triangle of each mesh
   constexpr auto kMost = static_cast<size_t>(std::numeric_limits<int32_t>::max());
   for (const Shape& shape : shapes_) {
     if (!shape.mesh) {

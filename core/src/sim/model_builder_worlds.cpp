@@ -1,4 +1,4 @@
-// Worlds of a ModelBuilder, and builders inside of builders.
+// Worlds of a ModelBuilder, and adding a builder to another builder.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -17,7 +17,7 @@ void append(std::vector<T>& to, const std::vector<T>& values) {
   to.insert(to.end(), values.begin(), values.end());
 }
 
-// Rows of particle numbers; absent particles (-1) stay absent.
+// Appends rows of particle indices, shifted by first_particle. Missing particles (-1) stay -1.
 template <class Row>
 void append_indices(std::vector<Row>& to, const std::vector<Row>& rows, int32_t first_particle) {
   const auto moved = [first_particle](int32_t p) { return p < 0 ? p : p + first_particle; };
@@ -31,7 +31,7 @@ void append_indices(std::vector<Row>& to, const std::vector<Row>& rows, int32_t 
   }
 }
 
-// Where the copies of ModelBuilder::replicate stand: Newton's grid.
+// Returns the positions of the copies of ModelBuilder::replicate, on Newton's grid.
 std::vector<Vec3f> world_offsets(int32_t count, const Vec3f& spacing, Axis up_axis) {
   const float step[3] = {spacing.x, spacing.y, spacing.z};
   std::vector<int> axes;
@@ -133,7 +133,7 @@ void ModelBuilder::add_builder(const ModelBuilder& b, const Transformf& given) {
   constexpr std::string_view name = "add_builder";
   check_addable(name, b, 1);
   const Transformf xform = detail::checked_pose(name, given);
-  // What does not move keeps its bits.
+  // An identity transform keeps the bits.
   const Transformf identity = Transformf::identity();
   const bool moves = xform != identity, turns = xform.q != identity.q;
 

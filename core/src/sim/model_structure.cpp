@@ -1,4 +1,5 @@
-// Which joints and articulations there are, which may not change after a model is made, and worlds.
+// Checks of the arrays that may not change after finalize: the structure of joints and
+// articulations, and worlds.
 #include <algorithm>
 #include <bit>
 #include <type_traits>
@@ -17,7 +18,7 @@ std::vector<int32_t> numbers_of(const Array& array) {
   return numbers;
 }
 
-// `real`: the numbers are the bits of floats.
+// `real`: whether the integers are the bits of floats.
 void check_same(std::string_view function, const char* name, const Array& array,
                 const std::vector<int32_t>& made, bool real) {
   const std::vector<int32_t> now = numbers_of(array);

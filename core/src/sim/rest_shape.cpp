@@ -16,8 +16,8 @@ struct Solved {
   double determinant = 0.0;
 };
 
-// Inverse and determinant by elimination with partial pivoting; a singular matrix has determinant
-// 0.
+// Returns inverse and determinant by elimination with partial pivoting. A singular matrix has
+// determinant 0.
 template <int N>
 Solved<N> solve(const float (&matrix)[N][N]) {
   double a[N][N];
@@ -63,7 +63,7 @@ Vec3<double> exact(const Vec3f& a) {
 }
 double squared(const Vec3<double>& a) { return math::dot(a, a); }
 
-// a dot b as a fused chain, the order of a small matrix product.
+// Returns a dot b as a chain of fused multiply-adds, in the order of a small matrix product.
 float fused_dot(const Vec3f& a, const Vec3f& b) {
   return std::fma(a.z, b.z, std::fma(a.y, b.y, a.x * b.x));
 }

@@ -38,11 +38,13 @@ std::vector<Vec2i> make_shape_contact_pairs(
   const ShapePairRules rules{body, flags, collision_group, world, &filter_pairs};
   check_rules("make_shape_contact_pairs", rules);
   std::vector<Vec2i> pairs;
-  // Without a moving shape there is no pair; this spares large static scenes the search.
+  // Without a moving shape no pair exists. The early return saves the search in large static
+  // scenes.
   if (std::all_of(body.begin(), body.end(), [](int32_t b) { return b < 0; })) return pairs;
-  // A shape meets those of its world and those of all worlds, one of all worlds meets any.
+  // A shape collides with shapes of its world and of all worlds. A shape of all worlds collides
+  // with any shape.
   const auto count = static_cast<int32_t>(body.size());
-  std::map<int32_t, std::vector<int32_t>> of_world;  // ascending; -1: of all worlds
+  std::map<int32_t, std::vector<int32_t>> of_world;  // keyed by world, ascending; -1: all worlds
   for (int32_t s = 0; s < count; ++s)
     of_world[std::max(world[static_cast<size_t>(s)], -1)].push_back(s);
   const std::vector<int32_t>& shared = of_world[-1];
@@ -83,7 +85,7 @@ const DeviceArray<Vec2i>& ShapePairList::get(
   if (is_made()) return pairs_;
   const std::lock_guard lock(mutex_);
   if (is_made()) return pairs_;
-  const UntrackedScope untracked;  // no part of what a capture records
+  const UntrackedScope untracked;  // a capture must not record this
   std::vector<Vec2i> pairs;
   if (columns_ != nullptr)
     pairs = make_shape_contact_pairs(columns_->body, columns_->flags, columns_->collision_group,

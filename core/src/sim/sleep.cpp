@@ -14,7 +14,7 @@ namespace {
 
 constexpr int64_t kChunk = 4096;  // bodies
 
-// A NaN is no zero.
+// NaN does not count as zero.
 bool is_zero(const SpatialVectorf& v) {
   const Vec3f &a = v.linear, &b = v.angular;
   return a.x == 0.0f && a.y == 0.0f && a.z == 0.0f && b.x == 0.0f && b.y == 0.0f && b.z == 0.0f;
@@ -111,11 +111,11 @@ bool SleepingBodies::find(const Model& model, const SimState& state) {
   return false;
 }
 
-// Islands of bodies that were written, and worlds of kinematic ones: who stood on one that was put
-// elsewhere is not known.
+// Wakes the islands of bodies that were written. For a kinematic body that was written, all bodies
+// of its world are woken, because the bodies that touched its old pose are not known.
 void SleepingBodies::wake_written() {
   const int32_t* const world = model_->body_world.data();
-  std::vector<uint8_t> in_world;  // of all worlds first
+  std::vector<uint8_t> in_world;  // index 0: objects of all worlds
   for (size_t b = 0; b < written_.size(); ++b) {
     if (written_[b] == 0) continue;
     if (motion_[b] != BodyActivity::Driven) {

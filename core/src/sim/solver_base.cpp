@@ -19,7 +19,7 @@
 namespace novaphy {
 namespace {
 
-// The arrays of a state that hold something.
+// The arrays of a state that have rows.
 struct StateArrays {
   struct Item {
     std::string_view name;
@@ -65,7 +65,8 @@ void check_apart(const char* name, const SimState& state_in, const SimState& sta
   }
 }
 
-// step for the states of a trajectory, on copies of its forces, which step adds to.
+// Runs `step` over the states of a trajectory. The step adds to its forces, so it works on copies
+// of them.
 class ForwardSteps {
  public:
   using StepToTargets = std::function<void(SimState&, SimState&, const Control*, const Contacts*,
@@ -90,7 +91,7 @@ class ForwardSteps {
   ForwardSteps& operator=(const ForwardSteps&) = delete;
 
   void run(int32_t t, const SimState& from, SimState& to) {
-    static_cast<StateFields&>(now_) = from;  // handles
+    static_cast<StateFields&>(now_) = from;  // copies the handles
     for (size_t k = 0; k < fields_.size(); ++k) {
       if (fields_[k].info.role != FieldRole::Applied) continue;
       own_fields_[k].array->assign(*shared_fields_[k].array);
@@ -126,18 +127,19 @@ class ForwardSteps {
   SolverBase& solver_;
   StepToTargets step_to_targets_;
   RolloutInputs inputs_;
-  StateFields shared_;  // the trajectory's
+  StateFields shared_;  // arrays of the trajectory
   SimState now_;
-  StateFields own_;  // the arrays that were made with now_
+  StateFields own_;  // the arrays allocated with now_
   std::vector<detail::MutableField> fields_;
   std::vector<detail::ConstField> shared_fields_;
   std::vector<detail::MutableField> own_fields_;
-  DeviceArray<Vec3f> targets_;     // of a step
-  std::optional<Contacts> found_;  // by the pipeline, anew in every step
+  DeviceArray<Vec3f> targets_;     // targets of one step
+  std::optional<Contacts> found_;  // contacts that the pipeline finds in each step
 };
 
-// What a solver carries besides the state, where a trajectory with checkpoints keeps states; and
-// the same in steps that Trajectory::recompute runs once more, which leave the solver's as it is.
+// Copies of the memory that a solver carries besides the state. A trajectory with checkpoints keeps
+// a copy with each kept state. Trajectory::recompute uses the copies, and leaves the solver's own
+// memory unchanged.
 class KeptCarried {
  public:
   KeptCarried(Array carried, int32_t interval) : now_(std::move(carried)), interval_(interval) {}
@@ -233,7 +235,7 @@ SimState& SolverBase::next_state(const char* name) {
           " on an active Tape: state_out: expected another state than state_in, whose values the "
           "gradient needs; take two states, rollout of a Trajectory, or nova.no_grad()");
   if (next_ == nullptr) {
-    const UntrackedScope fresh;  // memory that no capture has seen
+    const UntrackedScope fresh;  // a capture does not know this memory yet
     next_ = std::make_unique<SimState>(*model_);
   }
   size_t k = 0;

@@ -21,7 +21,7 @@ void UnsupportedMaterials::check(const Model& model) {
     const DeviceArray<float>& array;
     float by_default;
     bool is_read;
-    bool may_be_zero = true;  // no such force
+    bool may_be_zero = true;  // 0 switches the force off
   };
   const ShapeConfig d;
   const Setting settings[] = {

@@ -1,2 +1,2 @@
-// <novaphy/core/export.h> for device code, where no library exports anything.
+// The twin of <novaphy/core/export.h> for device code, which exports no symbols.
 #define NOVAPHY_CORE_API

@@ -1,7 +1,8 @@
-// <novaphy/core/row_kernel.h> for device code: the kernel calls the function of the row on each
-// thread.
+// The twin of <novaphy/core/row_kernel.h> for device code. Each thread of a kernel calls the row
+// function with its row.
 namespace novaphy {
-// The access types of <novaphy/core/launch_arguments.h>: what a launch does, the host knows.
+// The access types of <novaphy/core/launch_arguments.h> as plain pointers. Only the host needs to
+// know the access of a launch.
 template <class T>
 using Reads = const T*;
 template <class T>

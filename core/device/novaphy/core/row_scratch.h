@@ -1,4 +1,4 @@
-// <novaphy/core/row_scratch.h> for device code.
+// The twin of <novaphy/core/row_scratch.h> for device code.
 #include "novaphy/core/row_stack.h"
 
 #define NOVAPHY_ROW_SCRATCH(TYPE, NAME, MEMORY) TYPE& NAME = *(MEMORY)

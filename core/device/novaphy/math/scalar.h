@@ -1,6 +1,6 @@
-// The scalar functions of <novaphy/math/scalar.h> for device code, which has no library header. The
-// formulas themselves are the same files.
-#ifdef __CUDACC_RTC__  // which lacks these
+// The twin of <novaphy/math/scalar.h> for device code, which has no library headers. The formulas
+// themselves are the same files on host and device.
+#ifdef __CUDACC_RTC__  // NVRTC lacks these builtins
 template <class A, class B>
 constexpr bool novaphy_is_same = false;
 template <class A>

@@ -1,4 +1,5 @@
-// Remembers which bytes, in which version, something was made from.
+// ArrayStamp: remembers the memory range and the version of an array that a result was computed
+// from.
 #pragma once
 
 #include <cstdint>
@@ -10,11 +11,12 @@ namespace novaphy {
 
 class ArrayStamp {
  public:
-  // True if the array is the one that was stamped and was not written since. False for an array
-  // that is exported writable, or was meanwhile: it can change unseen.
+  // Return whether the array is the stamped one and has not been written since. The answer is false
+  // for an array with a writable export now, or with one since the stamp: such an array can change
+  // without a new version.
   bool matches(const Array& array) const {
     const std::shared_ptr<Range>& range = array.range();
-    // The storage that owns the range is compared without a count of its owners.
+    // owner_before compares the owners without touching the reference count.
     return at_ != nullptr && at_ == range.get() && !storage_.owner_before(range) &&
            !range.owner_before(storage_) && version_ == array.version() &&
            exports_ == range->exports() && !range->writable_export();
@@ -34,7 +36,7 @@ class ArrayStamp {
 
  private:
   const Range* at_ = nullptr;
-  std::weak_ptr<Range> storage_;  // so that no other has its address
+  std::weak_ptr<Range> storage_;  // held weakly; keeps the address from being reused
   uint64_t version_ = 0, exports_ = 0;
 };
 

@@ -1,13 +1,13 @@
-// NOVAPHY_ASSERT(condition): an invariant of the engine's own tables. The preset `debug` checks it,
-// prints a broken one and aborts; other builds compile the condition and do not evaluate it. A
-// mistake of a caller is an Error instead.
+// NOVAPHY_ASSERT(condition) checks an invariant of the engine's own tables. Under the preset
+// `debug` a broken invariant is printed and aborts the process. Other builds compile the condition
+// without evaluating it. A mistake of the caller raises an Error instead.
 #pragma once
 
 #include "novaphy/core/export.h"
 
 namespace novaphy {
 
-// Prints to the standard error and aborts.
+// Prints the condition with its file and line to the standard error, then aborts.
 [[noreturn]] NOVAPHY_CORE_API void assertion_failed(const char* condition, const char* file,
                                                     int line) noexcept;
 

@@ -1,4 +1,4 @@
-// Code that is compiled once for each instruction set: which of them runs.
+// Chooses between versions of code that are compiled once for each CPU instruction set.
 #pragma once
 
 #include <array>
@@ -9,12 +9,13 @@
 
 namespace novaphy {
 
-// The place of the level that NOVAPHY_CPU_ISA names, else of the first that this processor has,
-// among "avx512", "avx2" and "baseline". ErrorKind::Runtime: the variable names none of these, or
-// one that the processor or the build has not.
+// Returns the index of the instruction set to use. NOVAPHY_CPU_ISA ("avx512", "avx2" or "baseline")
+// names the level. Without the variable, the first level that the processor supports is chosen.
+// Throws ErrorKind::Runtime if the variable has another value, or names a level that the processor
+// or the build lacks.
 NOVAPHY_CORE_API size_t choose_cpu_level(std::span<const char* const> best_first);
 
-// The same of levels with a name.
+// Returns the chosen element of a list of levels, each of which has a member `name`.
 template <class Level, size_t count>
 const Level& choose_cpu_level(const std::array<const Level*, count>& best_first) {
   std::array<const char*, count> names;

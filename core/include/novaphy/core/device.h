@@ -1,4 +1,5 @@
-// A compute device, named "cpu", "cuda:0", ... The loaded backends decide which devices exist.
+// A compute device, named "cpu", "cuda:0" and so on. The loaded backends decide which devices
+// exist.
 #pragma once
 
 #include <cstdint>
@@ -20,8 +21,8 @@ struct NOVAPHY_CORE_API Device {
 
   static Device cpu() { return {}; }
   static Device cuda(int32_t ordinal = 0) { return {DeviceType::CUDA, ordinal}; }
-  // "cpu", "cuda", "cuda:1", "dlan", "dlan:0"; anything else throws ErrorKind::Value. Does not ask
-  // whether the device is there.
+  // Reads "cpu", "cuda", "cuda:1", "dlan" or "dlan:0". Throws ErrorKind::Value for any other text.
+  // The device need not exist.
   static Device parse(std::string_view spec);
   std::string str() const;  // "cpu", "cuda:0"
   bool is_cpu() const { return type == DeviceType::CPU; }
@@ -38,15 +39,16 @@ struct DeviceInfo {
   bool supports_graph_capture = false;
 };
 
-// The default device: set_default_device, else the environment variable NOVAPHY_DEVICE, else cpu.
+// Returns the default device: the one given to set_default_device, else the environment variable
+// NOVAPHY_DEVICE, else the CPU.
 NOVAPHY_CORE_API Device default_device();
-NOVAPHY_CORE_API void set_default_device(Device device);  // throws when it is not available
+NOVAPHY_CORE_API void set_default_device(Device device);  // throws ErrorKind::Runtime if missing
 NOVAPHY_CORE_API std::vector<Device> devices();
 NOVAPHY_CORE_API bool device_available(Device device);
-// Throws ErrorKind::Runtime with the collected reasons when the device is not there.
+// Throws ErrorKind::Runtime with the reasons of all backends if the device does not exist.
 NOVAPHY_CORE_API void require_device(Device device);
-// For a feature of the CPU alone: throws ErrorKind::NotImplemented elsewhere. `parts` name the
-// caller and the feature.
+// Throws ErrorKind::NotImplemented unless the device is the CPU. Features that only the CPU
+// supports call this check. `parts` start the message: the caller and the feature.
 template <class... Parts>
 void require_cpu(Device device, const Parts&... parts) {
   if (!device.is_cpu()) [[unlikely]]

@@ -1,5 +1,5 @@
-// DeviceArray<T>: rows of T on a device. A shared handle: copies of it look at the same memory;
-// clone() copies.
+// DeviceArray<T>: rows of T on a device. An array is a shared handle: copying the handle shares the
+// memory, and clone() copies the values.
 #pragma once
 
 #include <cstddef>
@@ -20,7 +20,7 @@ namespace novaphy {
 
 enum class Scalar : uint8_t { F32, I32, U32, U8, U64 };
 
-// What one element of an array is. Vector and matrix elements are tightly packed scalars.
+// The type of one element of an array. Vector and matrix elements are tightly packed scalars.
 enum class DType : uint8_t {
   float32,
   int32,
@@ -44,7 +44,7 @@ struct DTypeInfo {
   const char* name;
   Scalar scalar;
   int ndim;      // 0 scalar, 1 vector, 2 matrix
-  int shape[2];  // of the element
+  int shape[2];  // of one element
   int scalars;   // per element
   size_t bytes;  // per element
 };
@@ -69,13 +69,14 @@ NOVAPHY_DTYPE_OF(uint32_t, uint32) NOVAPHY_DTYPE_OF(uint8_t, uint8)
                         NOVAPHY_DTYPE_OF(Vec4i, vec4i)
 #undef NOVAPHY_DTYPE_OF
 
-    // The type-erased handle: everything that does not need to know T.
+    // The type-erased base of DeviceArray<T>: everything that does not depend on T.
     class NOVAPHY_CORE_API Array {
  public:
   Array() = default;  // 0 rows of float32 on the CPU, no storage
-  // Zero filled. `width` > 1 makes a row table {rows, width} (float32 and int32 only).
+  // Makes an array filled with zeros. A `width` above 1 makes a row table {rows, width}, for
+  // float32 and int32 only.
   Array(DType dtype, size_t rows, Device device, size_t width = 1);
-  // A view of existing bytes: `range` must hold exactly rows * width elements.
+  // Makes a view of existing bytes: `range` must hold exactly rows * width elements.
   Array(DType dtype, size_t rows, size_t width, std::shared_ptr<Range> range);
 
   DType dtype() const { return dtype_; }
@@ -86,26 +87,29 @@ NOVAPHY_DTYPE_OF(uint32_t, uint32) NOVAPHY_DTYPE_OF(uint8_t, uint8)
   Device device() const;
   uint64_t version() const { return range_ ? range_->version() : 0; }
   const std::shared_ptr<Range>& range() const { return range_; }
-  std::vector<int64_t> shape() const;  // as NumPy sees it: vec3 -> {rows, 3}, mat33 -> {rows, 3, 3}
+  std::vector<int64_t> shape() const;  // the shape in NumPy: vec3 is {rows, 3}, mat33 is {rows, 3,
+                                       // 3}
 
   const void* raw() const { return range_ ? range_->data() : nullptr; }
-  void* raw_mutable();  // marks the range as written
+  void* raw_mutable();  // counts as a write: raises the range's version
 
-  // Host transfers. Sizes in bytes must match exactly (ErrorKind::Value).
+  // Copies between host and device. `bytes` must equal the size of the array (ErrorKind::Value).
   void copy_from_host(const void* source, size_t bytes);
   void copy_to_host(void* target, size_t bytes) const;
   void zero();
-  void fill_bytes(const void* element, size_t element_bytes);  // repeats one element over the array
-  // Copies the values of an array of the same dtype, rows and width (ErrorKind::Value otherwise);
-  // from another device by way of the host.
+  void fill_bytes(const void* element, size_t element_bytes);  // repeats one element over the whole
+                                                               // array
+  // Copies the values of an array of the same dtype, rows and width (ErrorKind::Value otherwise). A
+  // copy from another device goes through the host.
   void assign(const Array& source);
   Array clone() const;
-  Array to(Device device) const;  // a copy, also when the device is the same
+  Array to(Device device) const;  // always a copy, even on the same device
 
-  // A handle through which nothing is written: that raises (ErrorKind::Runtime), with the reason.
-  // `reason` must outlive the handle, e.g. a literal.
+  // Returns a read-only handle. Writing through the handle throws ErrorKind::Runtime with `reason`,
+  // which must outlive the handle (for example a literal).
   Array read_only(const char* reason) const;
-  // For whoever writes by other ways: raises where the handle is read-only.
+  // Throws ErrorKind::Runtime if the handle is read-only. Code that writes without raw_mutable()
+  // calls this check first.
   void require_writable(const char* what) const;
 
  protected:
@@ -121,7 +125,7 @@ class DeviceArray : public Array {
   DeviceArray() { dtype_ = DTypeOf<T>::value; }
   explicit DeviceArray(size_t rows, Device device = default_device(), size_t width = 1)
       : Array(DTypeOf<T>::value, rows, device, width) {}
-  // Checked down-cast of the type-erased handle.
+  // Casts the type-erased handle. Throws ErrorKind::Type if the element type differs.
   explicit DeviceArray(Array array) : Array(std::move(array)) {
     require(dtype() == DTypeOf<T>::value, ErrorKind::Type, "array: expected ",
             dtype_info(DTypeOf<T>::value).name, ", got ", dtype_info(dtype()).name);
@@ -133,7 +137,8 @@ class DeviceArray : public Array {
     return array;
   }
 
-  // Device pointers; the mutable one marks the array as written.
+  // Pointers to the memory of the device. mutable_data() counts as a write and raises the range's
+  // version.
   const T* data() const { return static_cast<const T*>(raw()); }
   T* mutable_data() { return static_cast<T*>(raw_mutable()); }
 

@@ -1,15 +1,15 @@
-// Kernel: the launch interface of hand-written kernels (row_kernel.h). A kernel's struct of
-// arguments says how a launch accesses each array.
-//
+// Kernel: the launch interface of hand-written kernels (row_kernel.h). The argument struct of a
+// kernel says how a launch accesses each array.
+// 
 //   const Kernel<ScaleArguments> kScale(scale, scale_kernels_source);
 //   run(kScale, n, {.x = x, .y = y, .factor = 2.0f});
-//
-// DeviceKernel: the same for the builtins of backends, and for kernels without such a struct.
-//
+// 
+// DeviceKernel: the same for the builtins of backends, and for kernels without an argument struct.
+// 
 //   kScan.launch(device, n, {reads("in", in), writes("out", out)});
-//
-// One call says what the launch reads and writes, as ranges: that orders it among recorded
-// launches, raises versions and keeps the memory alive.
+// 
+// A launch names the ranges that it reads and writes. From these names follow the order among
+// recorded launches, the versions of the arrays, and the lifetime of their memory.
 #pragma once
 
 #include <atomic>
@@ -26,9 +26,10 @@
 
 namespace novaphy {
 
-// The arguments of a launch, in the order of its words. reads and writes: any row in any row; the
-// others: row i only in row i, so the array has at least as many rows as the launch. `updates`
-// reads and writes. Float arrays that are read are differentiable (see LaunchArgument).
+// The arguments of a launch, in the order of the kernel's argument words. With `reads`, `writes`
+// and `updates` any row of the kernel may access any row of the array; `updates` reads and writes.
+// With `..._row`, row i accesses only row i of the array, which therefore needs at least as many
+// rows as the launch. Float arrays that are read are differentiable (see LaunchArgument).
 NOVAPHY_CORE_API LaunchArgument reads(const char* name, const Array& array);
 NOVAPHY_CORE_API LaunchArgument reads_row(const char* name, const Array& array);
 NOVAPHY_CORE_API LaunchArgument writes(const char* name, const Array& array);
@@ -37,11 +38,11 @@ NOVAPHY_CORE_API LaunchArgument updates(const char* name, const Array& array);
 NOVAPHY_CORE_API LaunchArgument updates_row(const char* name, const Array& array);
 NOVAPHY_CORE_API LaunchArgument number(int64_t value);
 
-// The text of a *_kernels.h for the compilers of devices; null: the build has none.
+// Returns the source of a *_kernels.h for device compilers. Null: the build has no device source.
 using DeviceText = const char* (*)();
 
-// Made ready for a device at its first launch there. For objects that live as long as the process:
-// recordings refer to them.
+// A kernel is compiled or loaded for a device at its first launch there. A DeviceKernel must live
+// as long as the process, because recordings refer to it.
 class NOVAPHY_CORE_API DeviceKernel {
  public:
   DeviceKernel(const novaphy_row_function& function, DeviceText text);
@@ -51,15 +52,16 @@ class NOVAPHY_CORE_API DeviceKernel {
   DeviceKernel& operator=(const DeviceKernel&) = delete;
 
   const char* name() const { return name_; }
-  // Over n rows on the device of the arrays; 0 rows do nothing, and write nothing. Errors:
-  //   ErrorKind::Value           another number of arguments or device, too few rows
-  //   ErrorKind::NotImplemented  a device for which the build has no text of the kernel
-  //   ErrorKind::Runtime         a recorder refuses, or the device fails
+  // Runs the kernel over n rows on the device of the arrays. A launch over 0 rows does nothing.
+  // Errors:
+  //   ErrorKind::Value           wrong number of arguments, wrong device, too few rows
+  //   ErrorKind::NotImplemented  the build has no source of the kernel for the device
+  //   ErrorKind::Runtime         the recorder refuses the launch, or the device fails
   void launch(Device device, int64_t n, std::span<const LaunchArgument> arguments) const;
   void launch(Device device, int64_t n, std::initializer_list<LaunchArgument> arguments) const {
     launch(device, n, std::span<const LaunchArgument>(arguments.begin(), arguments.size()));
   }
-  // The same of an array, or the bits of a number, for each argument.
+  // The same, with one array or the bits of one number as the value of each argument.
   void launch_arrays(int64_t n, std::span<const ArgumentInfo> infos,
                      const ArgumentWord* values) const;
 
@@ -80,12 +82,14 @@ class NOVAPHY_CORE_API DeviceKernel {
   const char* name_;
   const novaphy_row_function* function_ = nullptr;  // null: a builtin
   DeviceText text_ = nullptr;
-  mutable std::atomic<const Made*> first_{nullptr};  // found without the lock
+  mutable std::atomic<const Made*> first_{nullptr};  // the entry of the first device, read without
+                                                     // the lock
   mutable std::mutex mutex_;
-  std::vector<std::unique_ptr<const Made>>& all_;  // never destroyed, like the devices
+  std::vector<std::unique_ptr<const Made>>& all_;  // never destroyed, because devices are not
+                                                   // either
 };
 
-// A DeviceKernel whose arguments are of a struct.
+// A DeviceKernel with an argument struct A.
 template <class A>
 class Kernel : public DeviceKernel {
  public:
@@ -93,8 +97,8 @@ class Kernel : public DeviceKernel {
   explicit Kernel(const char* builtin) : DeviceKernel(builtin) {}
 };
 
-// Over n rows, on the device of the arrays: now, or where this thread records. Errors as
-// DeviceKernel::launch.
+// Runs the kernel over n rows on the device of the arrays. A thread that records adds the launch to
+// the recording instead. Errors as for DeviceKernel::launch.
 template <class A>
 void run(const Kernel<A>& kernel, int64_t n, const std::type_identity_t<A>& arguments) {
   kernel.launch_arrays(n, detail::ArgumentTable<A>::kInfos,

@@ -1,5 +1,5 @@
-// The one family of exceptions that NovaPhy throws. Messages name the argument, what was expected
-// and what came.
+// Error: the only exception type that NovaPhy throws. A message names the argument, what was
+// expected and what came.
 #pragma once
 
 #include <concepts>
@@ -13,7 +13,7 @@
 
 namespace novaphy {
 
-// What kind of mistake it was; the Python binding maps it to the exception in the comment.
+// The kind of an error. The Python binding raises the exception that the comment names.
 enum class ErrorKind {
   Value,           // ValueError: a bad value
   Type,            // TypeError: a wrong dtype or kind of object
@@ -34,8 +34,8 @@ class NOVAPHY_CORE_API Error : public std::runtime_error {
   ErrorKind kind_;
 };
 
-// One part of a message: text, or a number as a stream prints it. A type of its own becomes one by
-// a function message_text(const T&) beside it.
+// One part of an error message: a text, or a number as a stream prints it. A type T becomes usable
+// as a part by a function message_text(const T&) in its namespace.
 class NOVAPHY_CORE_API MessagePart {
  public:
   MessagePart(std::string_view text) : text_(text) {}
@@ -62,7 +62,7 @@ class NOVAPHY_CORE_API MessagePart {
   std::string_view text_;
 };
 
-// Throws an Error whose message is the parts joined.
+// Throws an Error whose message joins the parts.
 [[noreturn]] NOVAPHY_CORE_API void throw_error(ErrorKind kind, std::span<const MessagePart> parts);
 
 template <class... Parts>

@@ -1,5 +1,6 @@
-// ExclusiveUse: memory that an object keeps from call to call, for one call at a time. A second
-// thread is refused, because both would silently compute with what the other one writes there.
+// ExclusiveUse: a guard of memory that an object keeps between calls. Only one call at a time may
+// use the memory. A call from a second thread is refused, because two calls would overwrite each
+// other's results.
 #pragma once
 
 #include <algorithm>
@@ -14,8 +15,8 @@ namespace novaphy {
 
 class ExclusiveUse {
  public:
-  // The use of one call, for as long as it lives. ErrorKind::Runtime while there is another.
-  // `call` and `owner`, which the memory belongs to, are for the message.
+  // Holds the use of one call for its lifetime. Throws ErrorKind::Runtime while another call holds
+  // the use. The message names `call` and `owner`, the owner of the memory.
   class Scope {
    public:
     Scope(ExclusiveUse& use, const char* call, const char* owner) : use_(&use) {
@@ -37,7 +38,7 @@ class ExclusiveUse {
   std::atomic<bool> taken_{false};
 };
 
-// All that work uses which was recorded and is run later.
+// The guards of all memory that recorded work uses when the work runs later.
 class ExclusiveUses {
  public:
   void add(const std::shared_ptr<ExclusiveUse>& use) {

@@ -1,4 +1,4 @@
-// Symbol visibility: everything is hidden unless it carries its library's macro.
+// Symbol visibility: a symbol is hidden unless its library's macro exports the symbol.
 #pragma once
 
 #define NOVAPHY_EXPORT __attribute__((visibility("default")))

@@ -1,9 +1,10 @@
 // Lanes: LANES floats that formulas treat as one scalar. Every operation acts on each lane and
-// rounds as the float's (math/scalar.h), so a lane has the bits that the formula has of a float.
+// rounds like the operation on a float (math/scalar.h). Each lane therefore has the same bits as
+// the formula in float.
 //
-// Compiled once for each instruction set, so all of it is in a namespace of the user's level,
-// NOVAPHY_LANES: nothing of it may be merged with what another level made. Functions of a single
-// user are in that user's header.
+// This header is compiled once for each instruction set. Its content lies in the namespace
+// NOVAPHY_LANES of the user's instruction set, so that the linker never merges code of two sets. A
+// function with a single user lies in that user's header.
 #pragma once
 
 #include <cstdint>

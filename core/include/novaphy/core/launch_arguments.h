@@ -1,15 +1,15 @@
-// The arguments of a hand-written kernel, declared once: as a struct of access types, which say
-// what a launch does to each array. The kernel reads the same struct, as pointers and numbers.
-//
+// Argument structs of hand-written kernels. The members are access types, which say what a launch
+// does to each array. The kernel reads the same struct as pointers and numbers.
+// 
 //   struct ScaleArguments {
 //     NOVAPHY_ARGUMENTS(ReadsRow<float> x; WritesRow<float> y; Number<float> factor;)
 //   };
 //   NOVAPHY_ROW_KERNEL(scale, ScaleArguments) { a.y[row] = a.factor.value * a.x[row]; }
 //   run(kScale, n, {.x = x, .y = y, .factor = 2.0f});
-//
-// Access types have no default constructor. Three mistakes do not compile: an argument that is left
-// out, an array of another element type, and a kernel that writes what it declares to read. The
-// folder core/device/ has the twins of these types for device code, which are plain pointers.
+// 
+// Access types have no default constructor. Three mistakes therefore fail to compile: a missing
+// argument, an array of another element type, and a kernel that writes an argument declared as
+// read. The folder core/device/ has twins of these types for device code, which are plain pointers.
 #pragma once
 
 #include <array>
@@ -26,30 +26,30 @@
 
 namespace novaphy {
 
-// What a launch does to an argument.
+// Bits that say what a launch does to an argument.
 namespace access {
 constexpr uint8_t kNumber = 0, kRead = 1, kWrite = 2, kOptional = 4, kDifferentiable = 8;
 }  // namespace access
 
 using ArgumentWord [[gnu::may_alias]] = uint64_t;
-constexpr uint64_t kArrayBit = 1;  // of the word of a range, before a launch
+constexpr uint64_t kArrayBit = 1;  // marks the word of a range before a launch resolves its address
 inline uint64_t word_of(const std::shared_ptr<Range>& range) {
   return range == nullptr ? 0 : reinterpret_cast<uint64_t>(range.get()) | kArrayBit;
 }
-// Null: a number, memory, or no rows.
+// Returns the range of a word. Null: the word is a number, an address, or an array without rows.
 inline Range* range_of(uint64_t word) {
   return (word & kArrayBit) == 0 ? nullptr : reinterpret_cast<Range*>(word - kArrayBit);
 }
 
-// An argument word of a kernel.
+// One argument word of a kernel.
 struct ArgumentInfo {
   const char* name = "";
-  uint32_t row_bytes = 0;  // row i touches the bytes [i, i + 1) * row_bytes only; 0: any
+  uint32_t row_bytes = 0;  // row i accesses only bytes [i, i + 1) * row_bytes; 0: any bytes
   uint8_t access = access::kNumber;
 };
 
-// What the caller vouches for the element type of: an array of bytes or of flat floats, a range, or
-// memory of the host.
+// An argument whose element type the compiler cannot check: bytes, flat floats, a range, or memory
+// of the host. The caller is responsible for the type.
 struct Untyped {
   explicit Untyped(const Array& of) : word(word_of(of.range())) {}
   explicit Untyped(Array&&) = delete;
@@ -58,15 +58,15 @@ struct Untyped {
   uint64_t word;
 };
 
-// Of each k < n what of(k) gives, in their order.
+// Returns the values of(0), ..., of(n - 1) as arguments.
 template <size_t n, class Of>
 std::array<Untyped, n> each(const Of& of) {
   return [&]<size_t... k>(std::index_sequence<k...>) { return std::array<Untyped, n>{of(k)...}; }
   (std::make_index_sequence<n>());
 }
 
-// Memory as an argument, on the CPU: of a launch that runs at once, or of a function of a row that
-// the host calls. A launch on a device, and one that is recorded, refuse memory.
+// Host memory as an argument. Valid for a launch that runs at once on the CPU, and for a row
+// function that the host calls. Launches on other devices and recorded launches refuse host memory.
 template <class T>
 struct Direct {
   T* rows;
@@ -86,10 +86,11 @@ Direct<T> direct(std::vector<T>& rows) {
 
 namespace detail {
 
-// Collects what the members of a struct are, in their order. Each member takes one Probe.
+// Collects the argument words of a struct, in the order of its members. Each member takes one
+// Probe.
 struct ArgumentCollector {
   std::array<ArgumentInfo, 128> words = {};
-  std::array<size_t, 128> member = {};  // of each word; its number
+  std::array<size_t, 128> member = {};  // index of the member that each word belongs to
   size_t count = 0;
 };
 struct Probe {
@@ -101,7 +102,7 @@ struct Probe {
   }
 };
 
-// The elements of the arrays that a kernel sees as T.
+// The element type of the arrays that a kernel accesses as T.
 template <class T>
 struct ElementOf {
   using type = T;
@@ -129,8 +130,9 @@ inline constexpr bool kIsFloat<Vec3i> = false;
 template <>
 inline constexpr bool kIsFloat<Vec4i> = false;
 
-// One word: for the caller the address of the array's range, with a bit, or 0; for the kernel that
-// of its memory. A launch puts one for the other.
+// One argument word. For the caller the word is the address of the array's range with kArrayBit, or
+// 0. For the kernel the word is the address of the memory. A launch replaces the first by the
+// second.
 template <class T, uint8_t kAccess, bool kOwnRow>
 class Argument {
  public:
@@ -152,14 +154,14 @@ class Argument {
   template <class U>
   requires std::convertible_to<U*, T*> Argument(const Direct<U>& memory)
       : word_(reinterpret_cast<uint64_t>(memory.rows)) {}
-  // What another argument is, written or read otherwise.
+  // Passes the array of another argument on, with another access.
   template <class U, uint8_t kOther, bool kOtherRow>
   requires std::convertible_to<U*, T*> Argument(const Argument<U, kOther, kOtherRow>& other)
       : word_(other.word()) {}
   constexpr Argument(const Probe& probe) : word_(0) {
     probe.add({"", kOwnRow ? static_cast<uint32_t>(sizeof(T)) : 0, kAccess});
   }
-  // For the kernel.
+  // Pointers to the rows, for the kernel.
   T* rows() const { return reinterpret_cast<T*>(word_); }
   operator T*() const { return rows(); }
   T* operator->() const { return rows(); }
@@ -174,8 +176,9 @@ constexpr uint8_t kReadOf = access::kRead | (kIsFloat<T> ? access::kDifferentiab
 
 }  // namespace detail
 
-// reads and writes: any row in any row; Row: row i only in row i, so that the array has at least as
-// many rows as the launch. Float arrays that are read are differentiable (see LaunchArgument).
+// The access types. With Reads, Writes and Updates any row of the kernel may access any row of the
+// array. With ...Row, row i accesses only row i of the array, which needs at least as many rows as
+// the launch. Float arrays that are read are differentiable (see LaunchArgument).
 template <class T>
 struct Reads : detail::Argument<const T, detail::kReadOf<T>, false> {
   using detail::Argument<const T, detail::kReadOf<T>, false>::Argument;
@@ -200,12 +203,12 @@ template <class T>
 struct UpdatesRow : detail::Argument<T, access::kWrite | detail::kReadOf<T>, true> {
   using detail::Argument<T, access::kWrite | detail::kReadOf<T>, true>::Argument;
 };
-// May be null, or an array without rows.
+// An argument that may be null or an array without rows.
 template <class A>
 struct Optional : detail::Argument<typename A::Value, A::kWhat | access::kOptional, A::kRow> {
   using detail::Argument<typename A::Value, A::kWhat | access::kOptional, A::kRow>::Argument;
 };
-// Of values through which no gradient is meant to flow.
+// An argument whose values carry no gradient on purpose.
 template <class A>
 struct Detached
     : detail::Argument<typename A::Value, A::kWhat & ~access::kDifferentiable & 0xff, A::kRow> {
@@ -238,7 +241,7 @@ struct Number<T, 4> {
   operator T() const { return value; }
 };
 
-// Several arguments of one access, of an array of arrays or of numbers.
+// An array of n arguments with the same access.
 template <class A, size_t n>
 struct Each {
   A of[n];
@@ -266,7 +269,7 @@ template <class A, size_t... k>
 constexpr bool takes_probes(std::index_sequence<k...>) {
   return requires(Probe probe) { A{(static_cast<void>(k), probe)...}; };
 }
-// Members of a struct; those of several words are one.
+// Counts the members of an argument struct. A member with several words counts once.
 template <class A, size_t n = sizeof(A) / sizeof(uint64_t)>
 constexpr size_t count_members() {
   static_assert(n > 0, "expected members of access types, Number, Each and Part only");
@@ -283,7 +286,8 @@ constexpr ArgumentCollector collect(std::index_sequence<k...>) {
   return found;
 }
 
-// The names in the text of a struct: each is what stands before a comma or a semicolon.
+// The names of the members, read from the text of the struct. A name is the word before a comma or
+// a semicolon.
 template <size_t bytes>
 struct MemberNames {
   char text[bytes] = {};
@@ -311,7 +315,7 @@ constexpr MemberNames<bytes> member_names(const char (&text)[bytes]) {
   return names;
 }
 
-// What is known of a kernel's arguments.
+// The compile-time table of a kernel's arguments: words, members, names and access.
 template <class A>
 struct ArgumentTable {
   static_assert(std::is_trivially_copyable_v<A> && sizeof(A) % sizeof(uint64_t) == 0);
@@ -330,7 +334,7 @@ struct ArgumentTable {
   static constexpr std::array<ArgumentInfo, kWords> kInfos = make();
 };
 
-// The arguments that a kernel gets: the words of a launch, where they lie.
+// Reinterprets the words of a launch as the argument struct of the kernel, without a copy.
 template <class A>
 const A& arguments_of(const uint64_t* words) {
   return *std::launder(reinterpret_cast<const A*>(words));
@@ -338,7 +342,7 @@ const A& arguments_of(const uint64_t* words) {
 
 }  // namespace detail
 
-// The arguments of several kernels, as one member.
+// The argument struct of another kernel as one member.
 template <class T>
 struct Part : T {
   Part(const T& of) : T(of) {}
@@ -356,8 +360,8 @@ struct Part : T {
       : T{(static_cast<void>(k), detail::Probe{&unused, 0})...} {}
 };
 
-// The same with the memory of the cpu's arrays in their place, for functions of rows that the host
-// calls itself. Says that what they write is written.
+// Returns the arguments with addresses of CPU memory in place of ranges, for row functions that the
+// host calls directly. Written arrays count as written.
 template <class A>
 A in_memory(const A& arguments) {
   A made = arguments;

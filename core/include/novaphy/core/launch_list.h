@@ -1,21 +1,23 @@
-// LaunchList: the launches of a step, made once, and again when what they were made of changes. A
-// step sets what differs, and runs the list or a stretch of it. The CPU runs the launches as phases
-// of one call of its threads. A device enqueues them, and a thread that records submits them.
-//
+// LaunchList: the launches of a step. A solver makes the list once, and again when the objects
+// behind the list change. A step sets the arguments that differ, and runs the list or a range of
+// it. The CPU runs the launches as phases of one call of its threads. A device enqueues the
+// launches. A thread that records submits the launches to its recorder.
+// 
 //   LaunchList list(device);
 //   const auto scale = list.add(kScale, n, {.x = x, .y = y, .factor = 2.0f});
 //   list.run();
 //   list.set(scale, {.x = z, .y = y, .factor = 3.0f});
 //   list.run();
+// 
+// Devices and row counts are checked when a launch is added or set. Arrays must live until the last
+// run. A run without a recorder allocates nothing, counts no references and takes no lock.
 //
-// Devices and rows are checked when a launch is added or set; its arrays live until it ran last.
-// Nothing is allocated, counted or locked when a list runs and nobody records.
+// On the CPU an argument may be host memory (`direct`) instead of an array. A list with such an
+// argument always runs at once, even on a thread that records.
 //
-// On the CPU arguments may be memory (`direct`) instead of arrays. A list that has any runs at
-// once, also on a thread that records.
-//
-// Questions of a step to the host stand between two stretches. The CPU has run the first stretch
-// when `run` returns, a device when the host has waited. A recording has run nothing.
+// A step that reads results on the host runs the list in two ranges, and reads between them. After
+// `run` of the first range the results are ready on the CPU. On a device the host must wait first.
+// While a capture records, no result exists.
 #pragma once
 
 #include <cstddef>
@@ -29,7 +31,7 @@ namespace novaphy {
 
 class NOVAPHY_CORE_API LaunchList {
  public:
-  // A launch of the list.
+  // The handle of a launch in the list, for `set`.
   template <class A>
   struct Place {
     size_t number = 0;
@@ -37,7 +39,7 @@ class NOVAPHY_CORE_API LaunchList {
 
   explicit LaunchList(Device device);
 
-  // At the end of the list; `chunk`: the rows that a thread of the CPU takes at a time. Errors as
+  // Appends a launch. `chunk`: the number of rows that a CPU thread takes at a time. Errors as for
   // DeviceKernel::launch.
   template <class A>
   Place<A> add(const Kernel<A>& kernel, int64_t n, const std::type_identity_t<A>& arguments,
@@ -52,7 +54,7 @@ class NOVAPHY_CORE_API LaunchList {
   size_t size() const { return ops_.size(); }
 
   void run() const { run(0, size()); }
-  // The launches [first, last).
+  // Runs the launches [first, last).
   void run(size_t first, size_t last) const;
 
  private:
@@ -77,12 +79,12 @@ class NOVAPHY_CORE_API LaunchList {
   }
 
   Device device_;
-  bool has_memory_ = false;  // among the arguments
+  bool has_memory_ = false;  // whether an argument is host memory
   std::vector<Op> ops_;
   std::vector<uint64_t> words_;
-  std::vector<Range*> ranges_;  // of each word, or null
-  std::vector<Chunk> chunks_;   // on the CPU
-  std::vector<int64_t> ends_;   // of the chunks of each phase
+  std::vector<Range*> ranges_;  // range of each argument word, or null
+  std::vector<Chunk> chunks_;   // chunks of rows, for the CPU
+  std::vector<int64_t> ends_;   // end of each phase in chunks_
 };
 
 }  // namespace novaphy

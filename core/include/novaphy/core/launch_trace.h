@@ -1,5 +1,5 @@
-// The hook in every launch. NOVAPHY_TRACE (docs/environment.md) makes launches events of a trace
-// file, or ranges of a profiler.
+// Tracing of launches. With NOVAPHY_TRACE (docs/environment.md) every launch becomes an event of a
+// trace file or a range of a profiler.
 #pragma once
 
 #include <cstdint>
@@ -11,10 +11,11 @@ namespace novaphy {
 
 namespace detail {
 
-// Whether NOVAPHY_TRACE is set; it is read when the first device is opened, before any launch.
+// Whether NOVAPHY_TRACE is set. The variable is read before the first launch, when the first device
+// is opened.
 extern NOVAPHY_CORE_API bool launches_are_traced;
 
-// An event that lasts as long as the object.
+// A trace event that lasts from the constructor to the destructor.
 class NOVAPHY_CORE_API LaunchEvent {
  public:
   LaunchEvent(const DeviceContext& context, const char* name, int64_t rows);
@@ -30,8 +31,8 @@ class NOVAPHY_CORE_API LaunchEvent {
 
 }  // namespace detail
 
-// What `run` returns, which hands a launch over those rows to a backend. The event of a device
-// lasts as long as that takes; its rows may be computed later.
+// Calls `run`, which hands a launch over `rows` rows to a backend, and returns its result. The
+// event lasts as long as the call. A device may compute the rows later.
 template <class Run>
 auto traced_launch(const DeviceContext& context, const char* name, int64_t rows, const Run& run) {
   if (!detail::launches_are_traced) [[likely]]

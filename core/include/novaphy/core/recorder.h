@@ -1,6 +1,6 @@
-// Launches, and who may record them instead of running them. Libraries change arrays of a device
-// through submit_launch alone. Each launch is therefore ordered, raises versions, and can stand in
-// a capture, and the library need not know captures.
+// Launches, and recorders that take launches instead of running them. Libraries change arrays of a
+// device through submit_launch alone. Every launch is therefore ordered, raises versions and can be
+// captured, although the library does not know about captures.
 #pragma once
 
 #include <cstdint>
@@ -18,26 +18,25 @@ namespace novaphy {
 
 class Array;
 
-// One argument word of a launch: a number, or the address of a range with what the launch does to
-// it.
+// One argument word of a launch: a number, or a range with the access of the launch to the range.
 struct LaunchArgument {
   uint64_t word = 0;
-  const char* name = "";         // for messages
-  std::shared_ptr<Range> range;  // null: a number, or an array of no rows
-  uint32_t row_bytes = 0;        // row i touches the bytes [i, i + 1) * row_bytes only; 0: any
+  const char* name = "";         // for error messages
+  std::shared_ptr<Range> range;  // null: the word is a number, or the array has no rows
+  uint32_t row_bytes = 0;        // row i accesses only bytes [i, i + 1) * row_bytes; 0: any bytes
   bool read = false, write = false;
-  // Float values whose derivative counts: reading them raises where they carry a gradient, because
-  // it would stop here.
+  // The values are differentiable floats. A recorder throws if a differentiable argument that is
+  // read carries a gradient, because a hand-written kernel would lose the gradient.
   bool differentiable = false;
 
-  // The same, of values through which no gradient is meant to flow.
+  // Returns the argument without its gradient, for values that carry no gradient on purpose.
   LaunchArgument detached() && {
     differentiable = false;
     return std::move(*this);
   }
 };
 
-// A launch over the rows [0, n). `name`, and the kernel, live as long as the process.
+// A launch over the rows [0, n). `kernel` and `name` live as long as the process.
 struct Launch {
   const DeviceContext& context;
   novaphy_kernel* kernel;
@@ -47,36 +46,40 @@ struct Launch {
   std::span<const LaunchArgument> arguments;
 };
 
-// Takes what one thread submits. The tensor runtime installs one while a tape or a capture of its
-// is active on the thread.
+// Takes the launches that one thread submits. The tensor runtime installs a recorder while one of
+// its tapes or captures is active on the thread.
 class NOVAPHY_CORE_API LaunchRecorder {
  public:
   virtual ~LaunchRecorder();
-  // Runs or records it, and raises the versions of what it writes. Throws before anything is
-  // written: ErrorKind::Runtime for a differentiable argument that carries a gradient.
+  // Runs or records the launch, and raises the versions of the written ranges. Throws
+  // ErrorKind::Runtime before the first write if a differentiable argument carries a gradient.
   virtual void launch(const Launch& launch) = 0;
-  // Whether gradients of what it records are asked for.
+  // Returns whether a tape needs gradients of the recorded launches.
   virtual bool has_tape() const = 0;
-  // What is submitted next holds for the present values of the range only, which the host has read.
-  // A replay throws once they were written.
+  // Says that later launches are valid only for the present values of the range, because the host
+  // has read them. A replay throws if the range was written since.
   virtual void depends_on(const std::shared_ptr<Range>& range) = 0;
-  // The same of a number of a model; `name`, a field of it, lives as long as the process.
+  // Says the same of a number of a model. `name` is the field of the number and lives as long as
+  // the process.
   virtual void depends_on(const std::shared_ptr<const float>& number, std::string_view name) = 0;
-  // Every replay begins with this, once per owner; what it throws, the replay throws.
+  // Registers a check that runs at the start of every replay, once per owner. An error of the check
+  // becomes an error of the replay.
   virtual void before_replay(const std::shared_ptr<const void>& owner,
                              const std::function<void()>& check) = 0;
-  // What is submitted uses this memory beside its arguments: a replay takes it.
+  // Says that later launches use this memory besides their arguments. A replay holds the guard
+  // while it runs.
   virtual void uses(const std::shared_ptr<ExclusiveUse>& memory) = 0;
 };
-NOVAPHY_CORE_API LaunchRecorder* launch_recorder();  // of this thread, or null
+NOVAPHY_CORE_API LaunchRecorder* launch_recorder();  // this thread's recorder, or null
 NOVAPHY_CORE_API LaunchRecorder* set_launch_recorder(
-    LaunchRecorder* recorder);  // returns the one before
+    LaunchRecorder* recorder);  // returns the previous recorder
 
-// Whether a launch of this thread has run when it returns, and nobody records it.
+// Returns whether a launch of this thread has finished when the call returns: the device is the CPU
+// and no recorder is installed.
 inline bool runs_at_once(Device device) { return device.is_cpu() && launch_recorder() == nullptr; }
 
-// While one lives, launches of this thread run at once and nobody records them. `here` false: it
-// does nothing.
+// Removes the recorder of this thread for the lifetime of the object, so that launches run at once.
+// With `here` false the object does nothing.
 class Unrecorded {
  public:
   explicit Unrecorded(bool here = true) : before_(launch_recorder()) {
@@ -90,16 +93,17 @@ class Unrecorded {
   LaunchRecorder* const before_;
 };
 
-// What this thread submits next holds for the present values of these arrays only, which the host
-// has read: see LaunchRecorder::depends_on.
+// Says that later launches of this thread are valid only for the present values of these arrays,
+// because the host has read them. See LaunchRecorder::depends_on.
 NOVAPHY_CORE_API void depend_on(std::span<const Array* const> arrays);
 inline void depend_on(std::initializer_list<const Array*> arrays) {
   depend_on(std::span(arrays.begin(), arrays.size()));
 }
 
-// By the recorder of this thread, or at once.
+// Gives the launch to the recorder of this thread, or runs the launch if no recorder is installed.
 NOVAPHY_CORE_API void submit_launch(const Launch& launch);
-// At once, whoever records. Versions are the caller's. The error names `name`.
+// Runs the launch at once, even if a recorder is installed. The caller raises the versions. An
+// error message contains `name`.
 NOVAPHY_CORE_API void launch_now(const DeviceContext& context, novaphy_kernel* kernel,
                                  const char* name, int64_t n, std::span<const uint64_t> words);
 

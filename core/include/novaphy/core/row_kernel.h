@@ -1,20 +1,20 @@
-// Hand-written kernels, as a function of one row. A header that declares kernels is read twice.
-// Here each kernel becomes a function over rows that the CPU backend runs. The compilers of devices
-// read the header as source; core/device/ has the twin of this header for them.
-//
+// Hand-written kernels as functions of one row. A header with kernels is compiled twice. The C++
+// compiler makes each kernel a function over rows that the CPU backend runs. Device compilers read
+// the header as source, with the twin of this header in core/device/.
+// 
 //   struct ScaleArguments {
 //     NOVAPHY_ARGUMENTS(ReadsRow<float> x; WritesRow<float> y; Number<float> factor;)
 //   };
 //   NOVAPHY_ROW_KERNEL(scale, ScaleArguments) { a.y[row] = a.factor.value * a.x[row]; }
+// 
+// This declares the kernel `scale`. In the body, `a` holds the arguments (launch_arguments.h),
+// `row` is the row and `n` the number of rows. Rows run in any order and at the same time. A row
+// may therefore not read what another row writes.
 //
-// declares the kernel `scale`. In the body `a` are the arguments (launch_arguments.h), `row` is the
-// row and `n` the number of rows. Rows run in any order and at the same time, so a row may not read
-// what another one writes.
-//
-// Such headers are called *_kernels.h and include formulas, the math headers, the enumerations and
-// this one, nothing else. novaphy_add_device_module (cmake/NovaPhyDeviceModule.cmake) makes the
-// text that devices get; Kernel launches a kernel. Names of kernels are unique in a text, whatever
-// the namespaces.
+// Such headers are named *_kernels.h. They include only formulas, math headers, enumerations and
+// this header. novaphy_add_device_module (cmake/NovaPhyDeviceModule.cmake) makes the source for
+// devices, and Kernel launches a kernel. Kernel names are unique in such a source, whatever the
+// namespace.
 #pragma once
 
 #include <cstdint>
@@ -23,32 +23,34 @@
 #include "novaphy/core/launch_arguments.h"
 
 namespace novaphy {
-// A kernel of this struct of arguments.
+// A kernel with the argument struct A.
 template <class A>
 struct RowKernel : novaphy_row_function {
   using Arguments = A;
 };
 
-// The same kernel, of which a thread of the CPU takes so many rows at a time: where a row is much
-// work.
+// Returns the same kernel with another chunk size: the number of rows that a CPU thread takes at a
+// time. Kernels with much work per row use small chunks.
 template <class A>
 constexpr RowKernel<A> in_chunks(RowKernel<A> kernel, uint32_t rows) {
   kernel.chunk = rows;
   return kernel;
 }
-// Launches refer to kernels.
+// The kernel with another chunk size as a constant, because launches keep a reference to the
+// kernel.
 template <const auto& kernel, uint32_t rows>
 inline constexpr auto kInChunks = in_chunks(kernel, rows);
 }  // namespace novaphy
 
-// Kernels for devices only, as a function of a block of 128 threads, which may share memory and
-// wait for each other. The body follows within #ifdef NOVAPHY_KERNEL, as
-//
+// Kernels for devices only, as functions of a block of 128 threads. The threads of a block may
+// share memory and wait for each other. The body follows within #ifdef NOVAPHY_KERNEL:
+// 
 //   NOVAPHY_BLOCK_KERNEL(team, ScaleArguments);
 //   NOVAPHY_BLOCK_BODY(team, ScaleArguments) { ... }
-//
-// where `a` are the arguments, `block` is the block and `blocks` the number of blocks. A launch
-// over n rows has a block for every 128 of them. A CPU is refused (ErrorKind::NotImplemented).
+// 
+// In the body, `a` holds the arguments, `block` is the block and `blocks` the number of blocks. A
+// launch over n rows has one block for every 128 rows. A launch on the CPU throws
+// ErrorKind::NotImplemented.
 #define NOVAPHY_BLOCK_KERNEL(NAME, ARGUMENTS)    \
   inline constexpr RowKernel<ARGUMENTS> NAME = { \
       {sizeof(novaphy_row_function), #NAME, sizeof(ARGUMENTS) / sizeof(uint64_t), 0, nullptr}}

@@ -1,6 +1,6 @@
-// Memory of a row of a hand-written kernel that is too large for the registers of a device's
-// thread. On the CPU the memory is an object on the stack. On a device (core/device/) it is a row
-// of an array, which keeps the values of the last launch.
+// Scratch memory of a row of a hand-written kernel, for data that exceeds the registers of a device
+// thread. On the CPU the memory is an object on the stack. On a device (core/device/) the memory is
+// a row of an array, which keeps the values of the last launch.
 #pragma once
 
 #include <cstddef>
@@ -13,7 +13,8 @@
 namespace novaphy {
 inline constexpr int64_t kRowStack = kHostRowStack;
 
-// So many numbers of the thread that runs a row, until it asks again; null on devices.
+// Returns `count` numbers of memory that belong to the calling thread. The memory is valid until
+// the next call of the thread. Null on devices.
 inline double* thread_numbers(int64_t count) {
   static thread_local std::vector<double> numbers;
   if (numbers.size() < static_cast<size_t>(count)) numbers.resize(static_cast<size_t>(count));

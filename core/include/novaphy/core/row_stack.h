@@ -1,6 +1,6 @@
-// The bytes that a row of a hand-written kernel may have on the stack, for a thread of the host and
-// for a thread of a device. On a device the stacks of a group of threads are interleaved, so that
-// the threads read together. All threads that can run have a stack.
+// The number of bytes on the stack of one row of a hand-written kernel, on the host and on a
+// device. Every device thread that can run has a stack. The stacks of a group of threads are
+// interleaved, so that the threads read neighboring memory together.
 #pragma once
 
 #include <cstdint>

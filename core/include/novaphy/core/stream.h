@@ -1,6 +1,6 @@
-// Streams and events: thin owners of the handles of <novaphy/abi/backend.h>. Work in one stream
-// runs in order; an event marks a point in a stream that another stream, or the host, can wait for.
-// On the CPU work runs at once.
+// Streams and events: owners of the handles of <novaphy/abi/backend.h>. Work in one stream runs in
+// order. An event marks a point in a stream that another stream or the host can wait for. On the
+// CPU all work runs at once.
 #pragma once
 
 #include <utility>
@@ -27,7 +27,7 @@ class NOVAPHY_CORE_API Event {
   novaphy_event* native() const { return event_; }
   void record();             // marks the work issued so far to the device's default stream
   void synchronize() const;  // the host waits for the mark
-  // Seconds between two recorded marks of the same device.
+  // Returns the seconds between two recorded events of the same device.
   static double elapsed(const Event& start, const Event& stop);
 
  private:
@@ -50,8 +50,8 @@ class NOVAPHY_CORE_API Stream {
   Device device() const { return context_->id; }
   novaphy_stream* native() const { return stream_; }
   void synchronize() const;
-  void wait(const Event& event) const;  // later work waits for the mark
-  void record(Event& event) const;      // marks the work issued so far
+  void wait(const Event& event) const;  // later work of this stream waits for the event
+  void record(Event& event) const;      // marks the work issued so far to this stream
 
  private:
   const DeviceContext* context_;

@@ -1,4 +1,5 @@
-// Warnings of the engine. Nothing is printed: Python makes warnings of it.
+// Warnings of the engine. The engine never prints; the Python binding turns a warning into a Python
+// warning.
 #pragma once
 
 #include <string>
@@ -8,12 +9,13 @@
 
 namespace novaphy {
 
-// Is called by warn(), on its thread; what it throws goes through the caller. Null: no one listens.
+// warn() calls the handler on its own thread. An exception of the handler passes through the caller
+// of warn(). Null: warnings are dropped.
 using WarningHandler = void (*)(const std::string& text);
 NOVAPHY_CORE_API void set_warning_handler(WarningHandler handler);
 NOVAPHY_CORE_API void warn(const std::string& text);
 
-// The parts joined, as in an error.
+// Warns with the parts joined to one text, as in an error message.
 template <class... Parts>
 void warn_of(const Parts&... parts) {
   std::string text;

@@ -1,11 +1,11 @@
-// Smooth and clipped ramps, as templates over the scalar (scalar.h): T = float runs, T = nova::Real
-// is traced.
+// Smooth and clipped ramp functions, as templates over the scalar (scalar.h). T = float runs in the
+// engine, and T = nova::Real is traced.
 //
 //   sigmoid(x)  = 1 / (1 + exp(-x))           derivative sigmoid(x) sigmoid(-x)
 //   softplus(x) = max(x, 0) + log1p(exp(-|x|))   derivative sigmoid(x)
 //   relu(x)     = max(x, 0)                   derivative 1 above 0, 0 below and at 0
-// None overflows; both exponentials have 3 ulp. softplus and sigmoid are exactly 0 below -103.97,
-// where exp is.
+// No function overflows. sigmoid and softplus have an error of 3 ulp, and are exactly 0 below x =
+// -103.97, where exp is 0.
 #pragma once
 
 #include "novaphy/math/functions.h"
@@ -23,7 +23,8 @@ T sigmoid(const T& x) {
 template <FormulaScalar T>
 T softplus(const T& x) {
   const T one = T(1.0f), power = exp(-abs(x));
-  // log1p(u) = log(w) u / (w - 1) with w = 1 + u as rounded: the error of w cancels.
+  // log1p(u) = log(w) u / (w - 1), where w is 1 + u after rounding. The rounding error of w
+  // cancels.
   const T w = one + power, rounded = w - one;
   const T log1p = select(rounded == T(0.0f), power, log(w) * (power / rounded));
   return with_derivative(detach(max(x, T(0.0f)) + log1p), x, detach(sigmoid(x)));

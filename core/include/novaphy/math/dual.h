@@ -1,13 +1,13 @@
-// Dual: a scalar, a float or lanes of floats, with its derivative along one direction. Formulas are
-// instantiated with it as they stand. Comparisons look at values, so branches are those of the
-// values. The rules are those of tools/vbd_adjoints/symbol.h: sqrt has the derivative 0 at 0, and
-// max and min that of their first argument where both are equal.
+// Dual: a scalar (a float or lanes of floats) with its derivative along one direction. A formula
+// template runs with Dual unchanged. Comparisons use the values, so the branches are those of the
+// values. Conventions, as in tools/vbd_adjoints/symbol.h: sqrt has the derivative 0 at 0. For equal
+// arguments, max and min have the derivative of the first.
 #pragma once
 
 #include "novaphy/math/functions.h"
 #include "novaphy/math/types.h"
 
-#ifndef NOVAPHY_LANE_FN  // of floats
+#ifndef NOVAPHY_LANE_FN  // qualifiers of functions on floats
 #define NOVAPHY_LANE_FN inline
 #endif
 
@@ -20,7 +20,7 @@ struct Dual {
 
   Dual() = default;
   template <class Value>
-  explicit Dual(Value value) : v(value) {}  // of a float, too
+  explicit Dual(Value value) : v(value) {}  // also converts from a float
   Dual(S value, S tangent) : v(value), d(tangent) {}
 
   NOVAPHY_LANE_FN friend Dual operator+(const Dual& a, const Dual& b) {

@@ -1,7 +1,7 @@
-// Elementary functions, written once: branch-free templates over the scalar T. With T = float they
-// run in the forward engine, with T = nova::Real they are traced. The functions use only operations
-// that round the same everywhere: + - * / sqrt floor fma, comparisons, selects, casts and bit
-// patterns. Without libm, all devices give the same bits.
+// Elementary functions, written once as branch-free templates over the scalar T. T = float runs in
+// the forward engine, and T = nova::Real is traced. The functions use only operations that round
+// the same on every device: + - * / sqrt floor fma, comparisons, selects, casts and bit patterns.
+// They use no libm, so all devices give the same bits.
 //
 //   function    worst error  where        special values (NaN in gives NaN out)
 //   sin, cos    1.6 ulp      |x| <= 1e5   sin(-0) = -0, +-inf gives NaN
@@ -15,13 +15,13 @@
 //   atan2       1.6 ulp      everywhere   as C99: all quadrants, signed zeros, infinities
 //   rsqrt       1.5 ulp      everywhere   1/sqrt(x): rsqrt(+-0) = +-inf, NaN for x < 0
 //
-// Everywhere includes denormal arguments and results. The errors are measured against double
-// precision: over all arguments for functions of one, over 4e8 random pairs for those of two. The
-// error of sin and cos is 2.4 ulp up to |x| = 1e6. Further out the argument reduction runs out of
-// bits: the result is still in [-1, 1] and the same everywhere, but above about 1e7 it means
-// nothing.
+// "Everywhere" includes denormal arguments and results. Errors are measured against double
+// precision: over all arguments for functions of one argument, over 4e8 random pairs for functions
+// of two. The error of sin and cos is 2.4 ulp up to |x| = 1e6. Beyond, the argument reduction runs
+// out of bits. The result is still in [-1, 1] and the same on every device, but is meaningless
+// above about 1e7.
 //
-// Derivatives are the analytic ones. Where there is none, by convention:
+// Derivatives are analytic. Conventions where the derivative does not exist:
 //   log         1/x everywhere, so +-inf at +-0
 //   pow         d/dx = y pow(x, y - 1), and 0 for y = 0: at x = 0 that is 0 for y > 1, 1 for y = 1,
 //               and infinite for other y. d/dy = pow(x, y) log(x); 0 where x or the value is 0; NaN
@@ -30,20 +30,21 @@
 //   atan2       0 for both arguments at the origin
 //   rsqrt       0 for x <= 0, as sqrt
 //
-// Call them from namespace novaphy or nova, or as math::sin(x): at global scope an unqualified
-// sin(x) of a float is libm's.
+// Call the functions from namespace novaphy or nova, or as math::sin(x). At global scope an
+// unqualified sin(x) of a float is the function of libm.
 //
-// The coefficients are minimax fits of the relative error. Lawson's iteration (least squares,
-// reweighted until the error is level) runs on 1500 Chebyshev nodes against 50-digit values.
-// Coefficients are rounded to binary32 from the lowest degree up, with the rest refitted after each.
-// A search over neighboring floats comes last. Each use states its interval and relative error.
+// The coefficients are minimax fits of the relative error. Lawson's iteration (reweighted least
+// squares until the error is level) runs on 1500 Chebyshev nodes against 50-digit values. The
+// coefficients are rounded to binary32 from the lowest degree up. After each rounding the other
+// coefficients are fitted again. A search over neighboring floats comes last. Each use states its
+// interval and relative error.
 #pragma once
 
 #include "novaphy/math/scalar.h"
 
 namespace novaphy::math {
 
-// float and nova::Real; not double or int, which would be converted.
+// Matches float and nova::Real. Excludes double and int, which would be converted silently.
 template <class T>
 concept FormulaScalar = requires(const T& x) {
   requires __is_same(decltype(detach(x)), T);
@@ -60,15 +61,16 @@ inline constexpr float kSmallest = 0x1p-149f;
 inline constexpr float kSmallestNormal = 0x1p-126f;
 inline constexpr float kThird = 0x1.555556p-2f;
 inline constexpr float kLog2e = 0x1.715476p+0f;
-// ln 2 in two parts. The first has 15 bits: a product with an exponent is exact.
+// ln 2 as the sum of two parts. The first part has 15 bits, so that its product with an exponent is
+// exact.
 inline constexpr float kLn2Hi = 0x1.62e4p-1f, kLn2Lo = 0x1.7f7d1cp-20f;
 inline constexpr float kTwoOverPi = 0x1.45f306p-1f;
-// pi/2 in three parts, to 2^-73. The first two are cut, not rounded: all parts are positive, which
-// keeps a zero's sign.
+// pi/2 as the sum of three parts, to 2^-73. The first two are truncated instead of rounded. All
+// parts are therefore positive, which keeps the sign of a zero.
 inline constexpr float kHalfPi1 = 0x1.921fb4p+0f;
 inline constexpr float kHalfPi2 = 0x1.4442dp-24f;
 inline constexpr float kHalfPi3 = 0x1.84698ap-48f;
-// pi/2 as the nearest float and the rest.
+// pi/2 as the nearest float plus the rounding error.
 inline constexpr float kHalfPiHi = 0x1.921fb6p+0f, kHalfPiLo = -0x1.777a5cp-25f;
 
 // c + rest[0] u + rest[1] u^2 + ..., by Horner's rule.
@@ -81,17 +83,17 @@ T polynomial(const T& u, float c, Rest... rest) {
   }
 }
 
-// min and max return the second operand for a NaN: in this order a NaN x passes.
+// min and max return the second operand if the first is NaN. The order here passes a NaN x through.
 template <class T>
 T clamp_to(const T& x, float lo, float hi) {
   return max(T(lo), min(T(hi), x));
 }
 
 template <class T>
-auto has_sign(const T& x) {  // -0 too
+auto has_sign(const T& x) {  // true for -0 too
   return float_bits(x) < 0;
 }
-// The magnitude, which must not be negative, with the sign of s.
+// Returns `magnitude`, which must be >= 0, with the sign of s.
 template <class T>
 T with_sign_of(const T& s, const T& magnitude) {
   return bits_float(float_bits(magnitude) | (float_bits(s) & kSignBit));
@@ -101,30 +103,34 @@ template <class T>
 struct SinCos {
   T sin{}, cos{};
 };
-// Both, because the derivative of one is the other. x = k pi/2 + r (Cody and Waite), then
-// polynomials in r. For |x| <= 1e5, x 2/pi is known to 2^-8: |r| exceeds pi/4 = 0.7854 by little.
+// Returns sine and cosine together, because each is the derivative of the other up to sign. The
+// argument is x = k pi/2 + r (Cody and Waite), followed by polynomials in r. For |x| <= 1e5, x 2/pi
+// is known to 2^-8, so |r| exceeds pi/4 = 0.7854 only slightly.
 template <class T>
 SinCos<T> sin_cos(const T& x) {
   const T k = floor(fma(x, T(kTwoOverPi), T(0.5f)));
-  // The first step is exact, since x and k kHalfPi1 agree in their leading bits. The others round
-  // relative to r.
+  // The first subtraction is exact, because x and k kHalfPi1 agree in their leading bits. The other
+  // two round relative to r.
   const T exact = fma(k, T(-kHalfPi1), x);
   const T reduced = fma(k, T(-kHalfPi3), fma(k, T(-kHalfPi2), exact));
-  const T r = clamp_to(reduced, -1.0f, 1.0f);  // bounds the result where k is wrong
+  const T r = clamp_to(reduced, -1.0f, 1.0f);  // bounds the result if k is wrong
   const T u = r * r;
   // sin(r) to 2^-27.7 and cos(r) to 2^-32.6 for |r| <= 0.80
   const T s = fma(r * u, polynomial(u, -0.166666538f, 0.00833209511f, -0.0001950554f), r);
   const T c = polynomial(u, 1.0f, -0.5f, 0.0416666418f, -0.00138871302f, 2.44120856e-05f);
   const auto quadrant = to_int(k);
   const auto odd = (quadrant & 1) == 1;
-  const auto sin_sign = (quadrant << 30) & kSignBit;                      // quadrants 2, 3
-  const auto cos_sign = ((quadrant ^ (quadrant << 1)) << 30) & kSignBit;  // quadrants 1, 2
+  // negative in quadrants 2 and 3
+  const auto sin_sign = (quadrant << 30) & kSignBit;
+  // negative in quadrants 1 and 2
+  const auto cos_sign = ((quadrant ^ (quadrant << 1)) << 30) & kSignBit;
   const T sine = bits_float(float_bits(select(odd, c, s)) ^ sin_sign);
   const T cosine = bits_float(float_bits(select(odd, s, c)) ^ cos_sign);
-  return {select(x == T(0.0f), x, sine), cosine};  // r + r^3 (...) loses the sign of -0
+  return {select(x == T(0.0f), x, sine), cosine};  // the polynomial would lose the sign of -0
 }
 
-// x = n ln 2 + r, exp(x) = 2^n (1 + exp_minus_1(r)), |r| <= 0.3471.
+// Exponent n and remainder r of x = n ln 2 + r with |r| <= 0.3471, so that exp(x) = 2^n (1 +
+// exp_minus_1(r)).
 template <class T>
 T nearest_exponent(const T& x) {
   return floor(fma(x, T(kLog2e), T(0.5f)));
@@ -139,7 +145,8 @@ T exp_minus_1(const T& r) {  // to 2^-28.2 of exp(r)
       polynomial(r, 0.49999994f, 0.166665211f, 0.0416682847f, 0.00836869422f, 0.0013819189f);
   return fma(r * r, p, r);
 }
-// x 2^n for whole |n| <= 252. Only the second product can round, overflow or underflow.
+// Returns x 2^n for whole n with |n| <= 252. Only the second product can round, overflow or
+// underflow.
 template <class T>
 T scale(const T& x, const T& n) {
   const auto k = to_int(n);
@@ -149,7 +156,7 @@ T scale(const T& x, const T& n) {
 
 template <class T>
 T exp_value(const T& x) {
-  const T clamped = clamp_to(x, -104.0f, 89.0f);  // gives 0 and inf
+  const T clamped = clamp_to(x, -104.0f, 89.0f);  // beyond, exp is 0 or inf in float
   const T n = nearest_exponent(clamped);
   return scale(T(1.0f) + exp_minus_1(without_exponent(clamped, n)), n);
 }
@@ -158,8 +165,8 @@ template <class T>
 struct Scientific {
   T mantissa{}, exponent{};
 };
-// a = mantissa 2^exponent for finite a > 0, the mantissa in [sqrt(1/2), sqrt(2)); else some
-// numbers.
+// Splits a finite a > 0 into mantissa 2^exponent, with the mantissa in [sqrt(1/2), sqrt(2)). Other
+// inputs give arbitrary numbers.
 template <class T>
 Scientific<T> split(const T& a) {
   const auto denormal = a < T(kSmallestNormal);
@@ -173,7 +180,7 @@ template <class T>
 T log_value(const T& x) {
   const Scientific<T> part = split(abs(x));
   const T f = part.mantissa - T(1.0f);
-  // (log(1 + f) - f) / f^2 on [sqrt(1/2) - 1, sqrt(2) - 1]: 2^-27.8 of log(1 + f)
+  // Polynomial of (log(1 + f) - f) / f^2 on [sqrt(1/2) - 1, sqrt(2) - 1], to 2^-27.8 of log(1 + f).
   const T p = polynomial(f, -0.499999881f, 0.333333254f, -0.250016093f, 0.200020134f, -0.166084543f,
                          0.141806036f, -0.132470503f, 0.129145741f, -0.0762491301f);
   const T small = f + fma(part.exponent, T(kLn2Lo), (f * f) * p);
@@ -186,22 +193,22 @@ template <class T>
 struct Pair {  // the unevaluated sum hi + lo, hi = fl(hi + lo)
   T hi{}, lo{};
 };
-// log(a) for finite a > 0, to a relative error of about 2^-31, which pow multiplies by up to 88. It
-// is exponent ln 2 + 2 atanh(s), s = (m - 1) / (m + 1), |s| <= 0.1716, where s and its cube are
-// pairs.
+// Returns log(a) for finite a > 0 as a pair, to a relative error of about 2^-31; pow multiplies the
+// error by up to 88. The formula is exponent ln 2 + 2 atanh(s), s = (m - 1) / (m + 1), |s| <=
+// 0.1716. s and its cube are pairs.
 template <class T>
 Pair<T> log_pair(const T& a) {
   const Scientific<T> part = split(a);
   const T m = part.mantissa, one = T(1.0f), third = T(kThird);
-  const T f = m - one, d = m + one;  // f is exact, d + d_lo is m + 1
+  const T f = m - one, d = m + one;  // f is exact; d + d_lo equals m + 1
   const T d_lo = m - (d - one);
   const T inverse = one / d;
   const T s = f * inverse;
   const T s_lo = fma(-s, d_lo, fma(-s, d, f)) * inverse;
   const T u = s * s, cube = s * u;
   const T cube_lo = fma(s, fma(s, s, -u), fma(s, u, -cube));
-  // (atanh(s) / s - 1) / s^2 after its first coefficient 1/3: 2^-35.5 of atanh(s). The derivative
-  // 1 + s^2 of atanh goes with s_lo.
+  // Polynomial of (atanh(s) / s - 1) / s^2 without its first coefficient 1/3, to 2^-35.5 of
+  // atanh(s). The term s_lo has the factor 1 + s^2, the derivative of atanh.
   const T p = polynomial(u, 0.199998766f, 0.142850175f, 0.115100279f);
   const T tail = fma(cube, third, fma(cube * u, p, fma(cube_lo, third, fma(s_lo, u, s_lo))));
   const T exponent_hi = part.exponent * T(kLn2Hi), s2 = s + s;
@@ -214,7 +221,7 @@ Pair<T> log_pair(const T& a) {
 
 template <class T>
 struct Pow {
-  T value{}, log{};  // of |x|
+  T value{}, log{};  // log of |x|
 };
 template <class T>
 Pow<T> pow_value(const T& x, const T& y) {
@@ -222,12 +229,12 @@ Pow<T> pow_value(const T& x, const T& y) {
   const T a = abs(x);
   const Pair<T> log_a = log_pair(a);
   const T l = select(a < infinity, select(a == zero, -infinity, log_a.hi), a);
-  // The product y log(a) as a pair. y is clamped so that nothing overflows; the result is still 0,
-  // 1 or inf there, since |log(a)| > 2^-25 for a != 1.
+  // The product y log(a) as a pair. y is clamped to avoid overflow. The result is the same, 0, 1 or
+  // inf, because |log(a)| > 2^-25 for a != 1.
   const T yc = clamp_to(y, -0x1p40f, 0x1p40f);
   const T hi = yc * l;
   const T lo = select(abs(hi) < T(128.0f), fma(yc, log_a.lo, fma(yc, l, -hi)), zero);
-  const T e = clamp_to(hi, -128.0f, 128.0f);  // gives 0 and inf
+  const T e = clamp_to(hi, -128.0f, 128.0f);  // beyond, the result is 0 or inf
   const T n = nearest_exponent(e);
   const T magnitude = scale(one + exp_minus_1(without_exponent(e, n) + lo), n);
 
@@ -245,7 +252,7 @@ template <class T>
 struct Tanh {
   T value{}, derivative{};
 };
-// m / (m + 2) with m = exp(2|x|) - 1, the quotient corrected by its remainder.
+// tanh = m / (m + 2) with m = exp(2|x|) - 1. The quotient is corrected by its remainder.
 template <class T>
 Tanh<T> tanh_value(const T& x) {
   const T a = abs(x), two = T(2.0f);
@@ -259,16 +266,16 @@ Tanh<T> tanh_value(const T& x) {
   const T inverse = T(1.0f) / d;
   const T q = m * inverse;
   const T value = fma(fma(-q, d_lo, fma(-q, d, m)), inverse, q);
-  // 1 - tanh^2 without cancellation: 4 exp(2|x|) / (exp(2|x|) + 1)^2, never less than 6e-38
+  // 1 - tanh^2 without cancellation: 4 exp(2|x|) / (exp(2|x|) + 1)^2, never below 6e-38.
   const T derivative = (fma(p, power, power) * (inverse + inverse)) * (inverse + inverse);
   return {with_sign_of(x, value), derivative};
 }
 
 template <class T>
 struct Asin {
-  T small{};  // asin(|x|), or for |x| > 1/2 asin(sqrt((1 - |x|) / 2)) = acos(|x|) / 2
+  T small{};  // asin(|x|); for |x| > 1/2, asin(sqrt((1 - |x|) / 2)) = acos(|x|) / 2
   decltype(T{} < T{}) large{};
-  T derivative{};  // of asin
+  T derivative{};  // derivative of asin
 };
 template <class T>
 Asin<T> asin_parts(const T& x) {
@@ -277,7 +284,7 @@ Asin<T> asin_parts(const T& x) {
   const auto large = a > T(0.5f);
   const T u = select(large, fma(a, T(-0.5f), T(0.5f)), a * a);
   const T s = select(large, sqrt(u), a);
-  // (asin(s) / s - 1) / s^2 for s <= 1/2: 2^-27.6
+  // Polynomial of (asin(s) / s - 1) / s^2 for s <= 1/2, to 2^-27.6.
   const T p =
       polynomial(u, 0.166667521f, 0.0749530941f, 0.0454691499f, 0.0241847783f, 0.0421583056f);
   const T derivative = select(a == one, T(0.0f), one / sqrt((one - a) * (one + a)));
@@ -288,18 +295,19 @@ template <class T>
 struct Atan2 {
   T value{}, dy{}, dx{};
 };
-// atan of the quotient q <= 1 of the smaller by the larger argument, moved to its octant.
+// atan of the quotient q <= 1 of the smaller and the larger argument, moved to the octant of (x,
+// y).
 template <class T>
 Atan2<T> atan2_value(const T& y, const T& x) {
   const T zero = T(0.0f), one = T(1.0f);
   const T ax = abs(x), ay = abs(y);
   const auto steep = ay > ax;
   const T smaller = select(steep, ax, ay), larger = select(steep, ay, ax);
-  const T d = max(T(kSmallest), larger);  // 0/0 is 0, inf/inf is 1
+  const T d = max(T(kSmallest), larger);  // makes 0/0 = 0; inf/inf is set to 1
   const auto both_infinite = both(smaller == T(kInfinity), larger == T(kInfinity));
   const T q = select(both_infinite, one, smaller / d);
   const T u = q * q;
-  // (atan(q) / q - 1) / q^2 for q <= 1: 2^-28.5
+  // Polynomial of (atan(q) / q - 1) / q^2 for q <= 1, to 2^-28.5.
   const T p =
       polynomial(u, -0.333332986f, 0.199985296f, -0.142640159f, 0.109508805f, -0.0839930624f,
                  0.0578813925f, -0.0310970023f, 0.0108687095f, -0.00178283197f);
@@ -309,7 +317,7 @@ Atan2<T> atan2_value(const T& y, const T& x) {
   const T b = select(steep, -a, a);
   const T angle = fma(quarters, T(kHalfPiHi), fma(quarters, T(kHalfPiLo), select(left, -b, b)));
 
-  const T norm = d * (one + u);  // (x^2 + y^2) / larger, without overflow
+  const T norm = d * (one + u);  // (x^2 + y^2) / larger, which cannot overflow
   const T dy = with_sign_of(x, select(steep, q, one)) / norm;
   const T dx = -with_sign_of(y, select(steep, one, q)) / norm;
   const auto origin = larger == zero;
@@ -352,7 +360,8 @@ template <FormulaScalar T>
 T pow(const T& x, const T& y) {
   const T zero = T(0.0f);
   const auto v = functions_detail::pow_value(x, y);
-  // A second pow: not every compiler sees that a float does not need it.
+  // The derivatives need a second pow. For float, which has no derivative, the early return skips
+  // it, because some compilers would not.
   if constexpr (__is_same(T, float)) return v.value;
   const T dx = select(y == zero, zero, y * functions_detail::pow_value(x, y - T(1.0f)).value);
   const T dy = select(either(x == zero, v.value == zero), zero,

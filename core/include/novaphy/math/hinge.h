@@ -1,14 +1,5 @@
-// Two triangles that share an edge, and the angle between them.
-//
-//         x1           The triangles are (x1, x3, x4) and (x2, x4, x3); the edge runs from x3 to
-//         x4.
-//        /  \          The angle is 0 where they lie flat side by side, and signed: with the
-//      x3 -- x4        normals n1 and n2 and the unit vector e along the edge it is
-//        \  /            atan2(dot(cross(n1, n2), e), dot(n1, n2))  in [-pi, pi].
-//         x2           At a full fold it jumps from pi to -pi.
-//
-// The builder measures rest angles with the very function that the bending force uses: a hinge at
-// rest has no force, to the bit.
+// The builder measures rest angles with the same function as the bending force. A hinge at its rest
+// angle therefore has exactly no force.
 #pragma once
 
 #include "novaphy/math/functions.h"
@@ -19,11 +10,12 @@ namespace novaphy::math {
 template <class T>
 struct Hinge {
   Vec3<T> n1{}, n2{}, e{};  // unit normals of the triangles, unit vector along the edge
-  T n1_length{}, n2_length{}, e_length{};  // twice the areas (m^2), the edge's length (m)
+  T n1_length{}, n2_length{}, e_length{};  // twice the triangles' areas (m^2), the edge's length
+                                           // (m)
   T angle{};                               // rad
 };
 
-// Undefined directions (and angle) where a length is 0: ask before they are used.
+// Directions and the angle are undefined if a length is 0. Check the lengths before using them.
 template <class T>
 Hinge<T> make_hinge(const Vec3<T>& x1, const Vec3<T>& x2, const Vec3<T>& x3, const Vec3<T>& x4) {
   Hinge<T> h;

@@ -1,6 +1,6 @@
-// A = L D L^T of small symmetric matrices whose size is known to the compiler, templated on the
-// scalar like types.h: no branch, no allocation, no pivoting. For positive definite A, which every
-// inertia is, no pivoting is needed (Golub and Van Loan, Matrix Computations, section 4.2).
+// Factorization A = L D L^T of small symmetric matrices of a fixed size, as a template over the
+// scalar like types.h. The code has no branch, no allocation and no pivoting. A positive definite
+// A, such as an inertia, needs no pivoting (Golub and Van Loan, Matrix Computations, section 4.2).
 #pragma once
 
 #include "novaphy/math/scalar.h"
@@ -9,12 +9,14 @@ namespace novaphy::math {
 
 template <class T, int N>
 struct Ldlt {
-  T l[N][N]{};  // below the diagonal: L, whose diagonal is 1
-  T d[N]{};     // all > 0 exactly when A is positive definite (else what follows is no solution)
+  T l[N][N]{};  // L below the diagonal; the diagonal of L is 1
+  T d[N]{};     // all > 0 if and only if A is positive definite; otherwise `solve` gives no
+                // solution
   T reciprocal[N]{};  // 1 / d
 };
 
-// Reads A on and below its diagonal. Row by row, each entry minus its terms in ascending order.
+// Factors A, which is read on and below its diagonal. Rows are computed in order; each entry
+// subtracts its terms in ascending order.
 template <int N, class T>
 Ldlt<T, N> ldlt(const T (&a)[N][N]) {
   Ldlt<T, N> f;
@@ -32,7 +34,7 @@ Ldlt<T, N> ldlt(const T (&a)[N][N]) {
   return f;
 }
 
-// x of A x = b: forward through L, over D, back through L^T.
+// Solves A x = b: forward substitution with L, division by D, backward substitution with L^T.
 template <int N, class T>
 void solve(const Ldlt<T, N>& f, const T (&b)[N], T (&x)[N]) {
   for (int i = 0; i < N; ++i) {

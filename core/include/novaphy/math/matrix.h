@@ -1,8 +1,8 @@
-// Small matrices: products, determinants, columns; templated on the scalar like types.h.
+// Products, determinants and columns of small matrices, as templates over the scalar like types.h.
 //
 // A product of two matrices is a chain of explicit fused multiply-adds per entry,
 //   fma(a_i2, b_2j, fma(a_i1, b_1j, a_i0 b_0j)),
-// so every device rounds once per link. Products with vectors and determinants are not fused.
+// so every device rounds in the same places. Products with vectors and determinants are not fused.
 #pragma once
 
 #include "novaphy/math/types.h"
@@ -49,7 +49,7 @@ Mat33<T> multiply(const Mat33<T>& a, const Mat33<T>& b) {
   return product;
 }
 
-// (column 0 * x + column 1 * y) + column 2 * z
+// Returns (column 0 * x + column 1 * y) + column 2 * z.
 template <class T>
 Vec3<T> multiply(const Mat33<T>& a, const Vec3<T>& v) {
   return {(a.m[0][0] * v.x + a.m[0][1] * v.y) + a.m[0][2] * v.z,

@@ -1,14 +1,15 @@
-// Philox4x32-10: 128 random bits from a counter of 128 and a key of 64 bits, without a state.
+// Philox4x32-10, a counter-based random number generator without a state: a counter of 128 bits and
+// a key of 64 bits give 128 random bits.
 //
-// Source: Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3" (SC 2011). As
-// templates over the integer I: PhiloxWord runs, nova::Int is traced.
+// Source: Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3" (SC 2011). The
+// functions are templates over the integer type I: PhiloxWord runs, nova::Int is traced.
 #pragma once
 
 #include <cstdint>
 
 namespace novaphy::math {
 
-// 32 bits with arithmetic that wraps.
+// A 32-bit integer whose arithmetic wraps.
 struct PhiloxWord {
   uint32_t bits = 0;
   PhiloxWord() = default;
@@ -23,7 +24,7 @@ inline PhiloxWord shift_right_unsigned(PhiloxWord a, PhiloxWord n) {
   return philox_word(a.bits >> n.bits);
 }
 
-// The upper 32 bits of a product, by halves of 16.
+// Returns the upper 32 bits of a product, computed from halves of 16 bits.
 template <class I>
 I philox_high(const I& a, uint32_t factor) {
   const I half = I(16), mask = I(0xFFFF);

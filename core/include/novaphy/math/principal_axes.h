@@ -1,4 +1,4 @@
-// Eigenvalues and eigenvectors of a symmetric matrix of three rows, by Jacobi's rotations.
+// Eigenvalues and eigenvectors of a symmetric 3x3 matrix by Jacobi rotations.
 #pragma once
 
 #include <cmath>
@@ -7,7 +7,7 @@
 
 namespace novaphy::math {
 
-// A = R diag(moments) R^T.
+// The decomposition A = R diag(moments) R^T.
 struct PrincipalAxes {
   double moments[3];
   double axes[3][3];  // R: the axes are its columns

@@ -1,9 +1,10 @@
-// The scalar functions that formulas use. A formula is a template over its scalar T: with T = float
-// it runs in the forward engine, with T = nova::Real it is traced into a Program. So every function
-// here has a twin for nova::Real (found by argument-dependent lookup) with the same rounding and
-// the same ties.
+// The scalar functions that formulas use. A formula is a template over its scalar T. With T = float
+// it runs in the forward engine, and with T = nova::Real it is traced into a Program. Every
+// function here has a twin for nova::Real with the same rounding and the same ties, found by
+// argument-dependent lookup.
 //
-// Freestanding: no library header except <cstdint> and <cmath>'s correctly rounded operations.
+// Freestanding: the only library headers are <cstdint>, and <cmath> for correctly rounded
+// operations.
 #pragma once
 
 #include <cmath>
@@ -11,7 +12,7 @@
 
 namespace novaphy::math {
 
-// min is a <= b ? a : b and max is a >= b ? a : b, so with a NaN the second operand comes back.
+// min is a <= b ? a : b, and max is a >= b ? a : b. With a NaN both return the second operand.
 inline float min(float a, float b) { return a <= b ? a : b; }
 inline float max(float a, float b) { return a >= b ? a : b; }
 inline float abs(float a) { return __builtin_fabsf(a); }
@@ -20,16 +21,16 @@ inline float sqrt(float a) { return __builtin_sqrtf(a); }
 inline float floor(float a) { return __builtin_floorf(a); }
 inline float fma(float a, float b, float c) { return std::fma(a, b, c); }
 
-// c ? a : b. Formulas write select instead of `if`, so that they can be traced.
+// Returns c ? a : b. Formulas use select instead of `if`, so that they can be traced.
 inline float select(bool c, float a, float b) { return c ? a : b; }
 inline bool select(bool c, bool a, bool b) { return c ? a : b; }
 inline bool both(bool a, bool b) { return a && b; }
 inline bool either(bool a, bool b) { return a || b; }
 inline bool negate(bool a) { return !a; }
 
-// Casts and bit patterns. A traced integer wraps; an int32_t must not overflow, so formulas that do
-// integer arithmetic keep it in range (shifts included: the count is 0 .. 31).
-inline int32_t to_int(float a) {  // truncates, saturates, NaN gives 0
+// Casts and bit patterns. A traced integer wraps, but an int32_t must not overflow. Integer
+// formulas must therefore stay in range; the count of a shift is 0 .. 31.
+inline int32_t to_int(float a) {  // truncates and saturates; NaN gives 0
   if (a != a) return 0;
   if (a >= 2147483648.0f) return INT32_MAX;
   if (a <= -2147483648.0f) return INT32_MIN;
@@ -39,13 +40,14 @@ inline float to_real(int32_t a) { return static_cast<float>(a); }  // rounds to 
 inline int32_t float_bits(float a) { return __builtin_bit_cast(int32_t, a); }
 inline float bits_float(int32_t a) { return __builtin_bit_cast(float, a); }
 
-// Marks for the derivative, which floats do not carry: the value as a constant, and the value y
-// whose derivative with respect to x is declared to be dy_dx.
+// Declarations about derivatives, without effect on floats. detach(a) is a as a constant.
+// with_derivative(y, x, dy_dx) is y with the declared derivative dy_dx with respect to x.
 inline float detach(float a) { return a; }
 inline float with_derivative(float y, float, float) { return y; }
 
-// c x, of a coefficient that often is 0, as a damping: it is 0 there whatever x is, and traced code
-// skips what only x needs. The derivatives are the product's, with respect to c too.
+// Returns c x for a coefficient c that is often 0, such as a damping. The result is 0 for c = 0,
+// whatever x is, so traced code can skip the computation of x. The derivatives are those of the
+// product, also with respect to c.
 template <class T>
 T optional_product(const T& c, const T& x) {
   return with_derivative(select(c == T(0.0f), T(0.0f), detach(c) * x), c, detach(x));

@@ -1,19 +1,20 @@
-// Spatial vectors, frames and inertias, templated on the scalar like types.h.
+// Spatial vectors, frames and inertias, as templates over the scalar like types.h.
 //
-// Motion (v, w) and force (f, t) are linear first and about the origin of their frame. The vector v
-// is the velocity of the body point at the origin, t the moment about the origin. A frame is a
-// Transform X: its pose in the outer frame, p' = p + rotate(q, x). Inertias are ten numbers about
-// the origin, never 6x6 except where they are factored (ldlt.h). Source: Featherstone, Rigid Body
-// Dynamics Algorithms (2008), chapter 2, with the linear part first; equations are named where they
-// stand.
+// Motion (v, w) and force (f, t) have their linear part first and refer to the origin of their
+// frame. v is the velocity of the body point at the origin, and t the moment about the origin. A
+// frame is a Transform X, the pose of the frame in the outer frame: p' = p + rotate(q, x). An
+// inertia is ten numbers about the origin; only factorizations use a 6x6 matrix (ldlt.h).
+//
+// Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 2, but with the linear part
+// first. Comments give the numbers of equations.
 #pragma once
 
 #include "novaphy/math/types.h"
 
 namespace novaphy {
 
-// (2.63): mass, moment m c of the center of mass c, and the symmetric rotational inertia about the
-// origin, I_c + m (|c|^2 1 - c c^T). kg, kg m, kg m^2.
+// Spatial inertia (2.63): mass (kg), first moment m c of the center of mass c (kg m), and symmetric
+// rotational inertia about the origin, I_c + m (|c|^2 1 - c c^T) (kg m^2).
 template <class T>
 struct SpatialInertia {
   T mass{};
@@ -49,25 +50,26 @@ SpatialInertia<T> operator+(const SpatialInertia<T>& a, const SpatialInertia<T>&
 
 namespace math {
 
-// Power of a force on a motion.
+// Returns the power of a force on a motion.
 template <class T>
 T dot(const SpatialVector<T>& motion, const SpatialVector<T>& force) {
   return dot(motion.linear, force.linear) + dot(motion.angular, force.angular);
 }
-// m x m', the rate of a motion that moves with m (2.31).
+// Returns m x m': the rate of a motion m' that moves with m (2.31).
 template <class T>
 SpatialVector<T> cross_motion(const SpatialVector<T>& m, const SpatialVector<T>& motion) {
   return {cross(m.angular, motion.linear) + cross(m.linear, motion.angular),
           cross(m.angular, motion.angular)};
 }
-// m x* f, the rate of a force that moves with m (2.32): minus the transpose of m x.
+// Returns m x* f: the rate of a force f that moves with m (2.32). This map is minus the transpose
+// of m x.
 template <class T>
 SpatialVector<T> cross_force(const SpatialVector<T>& m, const SpatialVector<T>& force) {
   return {cross(m.angular, force.linear),
           cross(m.angular, force.angular) + cross(m.linear, force.linear)};
 }
 
-// The same motion or force about another point, at r from the origin; axes stay.
+// Shifts a motion or force to another point at r from the origin. The axes stay.
 template <class T>
 SpatialVector<T> motion_at(const SpatialVector<T>& motion, const Vec3<T>& r) {
   return {motion.linear + cross(motion.angular, r), motion.angular};
@@ -77,7 +79,7 @@ SpatialVector<T> force_at(const SpatialVector<T>& force, const Vec3<T>& r) {
   return {force.linear, force.angular - cross(r, force.linear)};
 }
 
-// From the frame X to the outer one: X m, and X^-T f (2.24, 2.25).
+// Transform from the frame X to the outer frame: X m for motions, X^-T f for forces (2.24, 2.25).
 template <class T>
 SpatialVector<T> transform_motion(const Transform<T>& x, const SpatialVector<T>& motion) {
   const Vec3<T> angular = rotate(x.q, motion.angular);
@@ -88,7 +90,8 @@ SpatialVector<T> transform_force(const Transform<T>& x, const SpatialVector<T>& 
   const Vec3<T> linear = rotate(x.q, force.linear);
   return {linear, rotate(x.q, force.angular) + cross(x.p, linear)};
 }
-// From the outer frame to X: X^-1 m, and X^T f, with dot(X m, f) = dot(m, X^T f).
+// Transform from the outer frame to X: X^-1 m for motions, X^T f for forces. dot(X m, f) = dot(m,
+// X^T f).
 template <class T>
 SpatialVector<T> inverse_transform_motion(const Transform<T>& x, const SpatialVector<T>& motion) {
   return {rotate_inverse(x.q, motion.linear - cross(x.p, motion.angular)),
@@ -100,8 +103,8 @@ SpatialVector<T> inverse_transform_force(const Transform<T>& x, const SpatialVec
           rotate_inverse(x.q, force.angular - cross(x.p, force.linear))};
 }
 
-// Of a body with its center of mass at c and the symmetric rotational inertia `about_com`, in the
-// axes of the frame.
+// Returns the inertia of a body with the center of mass c and the symmetric rotational inertia
+// `about_com`, in the axes of the frame.
 template <class T>
 SpatialInertia<T> spatial_inertia(const T& mass, const Vec3<T>& c, const Mat33<T>& about_com) {
   const Vec3<T> h = c * mass;
@@ -115,28 +118,30 @@ SpatialInertia<T> spatial_inertia(const T& mass, const Vec3<T>& c, const Mat33<T
           about_com.m[2][0] - h.x * c.z,
           about_com.m[2][1] - h.y * c.z};
 }
-// The rotational inertia about the origin times a vector.
+// Returns the product of the rotational inertia about the origin and a vector.
 template <class T>
 Vec3<T> rotational(const SpatialInertia<T>& y, const Vec3<T>& w) {
   return {(y.xx * w.x + y.xy * w.y) + y.xz * w.z, (y.xy * w.x + y.yy * w.y) + y.yz * w.z,
           (y.xz * w.x + y.yz * w.y) + y.zz * w.z};
 }
-// Momentum of a motion, or force of an acceleration: Y m.
+// Returns Y m: the momentum of a motion, or the force of an acceleration.
 template <class T>
 SpatialVector<T> apply(const SpatialInertia<T>& y, const SpatialVector<T>& motion) {
   return {motion.linear * y.mass - cross(y.moment, motion.angular),
           cross(y.moment, motion.linear) + rotational(y, motion.angular)};
 }
-// The force that keeps a body in its motion: m x* Y m, the gyroscopic term and the moving origin's.
+// Returns m x* Y m: the bias force, which has the gyroscopic term and the term of the moving
+// origin.
 template <class T>
 SpatialVector<T> bias_force(const SpatialInertia<T>& y, const SpatialVector<T>& motion) {
   return cross_force(motion, apply(y, motion));
 }
-// About another point, at r from the origin; axes stay.
+// Shifts an inertia to another point at r from the origin. The axes stay.
 template <class T>
 SpatialInertia<T> inertia_at(const SpatialInertia<T>& y, const Vec3<T>& r) {
   const Vec3<T> h = y.moment - r * y.mass;
-  // I_r = I - (|r|^2 terms of the shift): r (h + moment) once for each side.
+  // Parallel axis theorem: subtracts the terms of r (h + moment), where h is the first moment about
+  // the new point.
   const Vec3<T> s = y.moment + h;
   const T half = T(0.5f);
   const T rx = r.x * s.x, ry = r.y * s.y, rz = r.z * s.z;
@@ -149,7 +154,7 @@ SpatialInertia<T> inertia_at(const SpatialInertia<T>& y, const Vec3<T>& r) {
           y.xz + (r.x * s.z + r.z * s.x) * half,
           y.yz + (r.y * s.z + r.z * s.y) * half};
 }
-// In axes that are turned by q: R Y R^T.
+// Returns the inertia in axes that are rotated by q: R Y R^T.
 template <class T>
 SpatialInertia<T> rotate(const Quat<T>& q, const SpatialInertia<T>& y) {
   const Vec3<T> a = rotate(q, Vec3<T>{y.xx, y.xy, y.xz}), b = rotate(q, Vec3<T>{y.xy, y.yy, y.yz}),
@@ -158,12 +163,12 @@ SpatialInertia<T> rotate(const Quat<T>& q, const SpatialInertia<T>& y) {
                 m = rotate(q, Vec3<T>{a.y, b.y, c.y});
   return {y.mass, rotate(q, y.moment), x.x, m.y, z.z, x.y, x.z, m.z};
 }
-// From the frame X to the outer one (2.66).
+// Transforms an inertia from the frame X to the outer frame (2.66).
 template <class T>
 SpatialInertia<T> transform_inertia(const Transform<T>& x, const SpatialInertia<T>& y) {
   return inertia_at(rotate(x.q, y), -x.p);
 }
-// As a matrix, linear rows first: {m 1, -[h]; [h], I}.
+// Returns the inertia as a 6x6 matrix with the linear rows first: {m 1, -[h]; [h], I}.
 template <class T>
 Mat66<T> to_matrix(const SpatialInertia<T>& y) {
   const T o = T(0.0f);

@@ -1,9 +1,10 @@
-// Vectors, matrices, quaternions and transforms, templated on the scalar (float or nova::Real).
+// Vectors, matrices, quaternions and transforms, as templates over the scalar (float or
+// nova::Real).
 //
-// Every operator rounds once, left to right as written, without contraction; FORMULAS of the forces
-// are exact to the bit in this arithmetic. Conventions: quaternions are (x, y, z, w), Hamilton
-// product, active rotation; matrices are row-major; a transform is p' = p + rotate(q, v); spatial
-// vectors are linear first.
+// Every operator rounds once, from left to right as written, without contraction. The formulas of
+// the forces are exact to the bit in this arithmetic. Conventions: quaternions are (x, y, z, w)
+// with the Hamilton product and rotate actively. Matrices are row-major. A transform is p' = p +
+// rotate(q, v). Spatial vectors are linear first.
 #pragma once
 
 #include <cstdint>
@@ -107,7 +108,7 @@ template <class T>
 T length(const Vec3<T>& a) {
   return sqrt(dot(a, a));
 }
-// Each component divided by the length; the zero vector stays zero (and passes no gradient).
+// Divides each component by the length. The zero vector stays zero and passes no gradient.
 template <class T>
 Vec3<T> normalize(const Vec3<T>& a) {
   const T l = length(a);
@@ -116,7 +117,7 @@ Vec3<T> normalize(const Vec3<T>& a) {
   return {select(positive, a.x / l, zero), select(positive, a.y / l, zero),
           select(positive, a.z / l, zero)};
 }
-// Each component of y with the declared derivative by the same component of x.
+// Returns y with the derivative dy_dx of each component with respect to the same component of x.
 template <class T>
 Vec3<T> with_derivative(const Vec3<T>& y, const Vec3<T>& x, const T& dy_dx) {
   return {with_derivative(y.x, x.x, dy_dx), with_derivative(y.y, x.y, dy_dx),
@@ -137,7 +138,8 @@ Quat<T> multiply(const Quat<T>& a, const Quat<T>& b) {
       a.w * b.x + b.w * a.x + a.y * b.z - b.y * a.z, a.w * b.y + b.w * a.y + a.z * b.x - b.z * a.x,
       a.w * b.z + b.w * a.z + a.x * b.y - b.x * a.y, a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z};
 }
-// p*c + q*d + cross(q, p)*w*2 with c = 2ww - 1, d = 2 dot(q, p): exact for the identity.
+// Returns p*c + q*d + cross(q, p)*w*2 with c = 2ww - 1 and d = 2 dot(q, p). The identity rotates
+// exactly.
 template <class T>
 Vec3<T> rotate(const Quat<T>& q, const Vec3<T>& p) {
   const T c = (T(2.0f) * q.w) * q.w - T(1.0f);

@@ -1,4 +1,4 @@
-// The convex hull of points with all of its vertices, for masses.
+// The convex hull of points with all of its vertices. Mass properties are computed from this hull.
 #pragma once
 
 #include <cstdint>
@@ -10,8 +10,8 @@
 
 namespace novaphy {
 
-// As triangles, 3 indices into `points` each, counter-clockwise seen from outside. Faces are not
-// merged. Errors as those of the points in convex_hull (convex_hull.h).
+// Returns the hull as triangles, 3 indices into `points` each, counter-clockwise seen from outside.
+// Faces are not merged. Throws the same errors about points as convex_hull (convex_hull.h).
 NOVAPHY_CORE_API std::vector<int32_t> hull_of_all(std::span<const Vec3f> points);
 
 }  // namespace novaphy

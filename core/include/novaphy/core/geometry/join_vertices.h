@@ -1,4 +1,4 @@
-// Vertices in one place.
+// Finds vertices that share a position.
 #pragma once
 
 #include <cstdint>
@@ -10,7 +10,8 @@
 
 namespace novaphy {
 
-// For each vertex the first one in the same place, where numbers are equal (0 and -0 are).
+// Returns for each vertex the index of the first vertex with the same position. Positions are the
+// same if their numbers are equal (0 equals -0).
 NOVAPHY_CORE_API std::vector<int32_t> first_in_place(std::span<const Vec3f> vertices);
 
 }  // namespace novaphy

@@ -1,4 +1,4 @@
-// The one way in which files are opened for reading.
+// The only function that opens files for reading.
 #pragma once
 
 #include <filesystem>
@@ -9,8 +9,8 @@
 
 namespace novaphy {
 
-// All bytes of a file. ErrorKind::Value, naming `function`, the path and the reason: there is no
-// such file, it is a folder or cannot be read.
+// Returns all bytes of a file. Throws ErrorKind::Value with `function`, the path and the reason if
+// the path does not exist, is a folder or cannot be read.
 NOVAPHY_CORE_API std::string read_file(std::string_view function,
                                        const std::filesystem::path& path);
 

@@ -1,8 +1,8 @@
-// The arrays of a model that say what its actuators are; columns as in model.h.
+// The arrays of a model that describe its actuators; the columns are those of model.h.
 #pragma once
 
-// Actuators: novaphy/dynamics/articulation/actuation.h says what they do. Ranges: lower, upper;
-// -1e10, 1e10: none.
+// novaphy/dynamics/articulation/actuation.h has the law of actuators. A range is (lower, upper);
+// (-1e10, 1e10) means no limit.
 #define NOVAPHY_MODEL_ACTUATOR_FIELDS(X)                                                          \
   X(actuator_dof, int32_t, 1, actuator_count, "", "",                                             \
     "degree of freedom of the actuator; -1: it pushes bodies")                                    \

@@ -13,19 +13,19 @@ class Model;
 class ActuatorList {
  public:
   struct Actuator {
-    int32_t dof;  // -1: it pushes `body`, or the world (-1)
+    int32_t dof;  // -1: acts on `body` (-1: the world)
     int32_t body;
     BodyActuatorArgs args;
   };
 
   int32_t count() const { return static_cast<int32_t>(all_.size()); }
   int32_t state_count() const;
-  // Returns the index. `function` starts the messages about args.law.
+  // Adds an actuator and returns its index. Error messages about args.law begin with `function`.
   int32_t add(std::string_view function, const Actuator &actuator);
-  // Those of another builder; `xform` moves what is fixed to the world.
+  // Adds the actuators of another builder. `xform` moves frames that are fixed to the world.
   void append(const ActuatorList &other, int32_t first_dof, int32_t first_body,
               const Transformf &xform);
-  // Calls move(body, frame) for both ends of each that pushes bodies.
+  // Calls move(body, frame) for both ends of each actuator that acts on bodies.
   template <class Move>
   void move_bodies(const Move &move) {
     for (Actuator &a : all_) {

@@ -1,12 +1,13 @@
-// How many rows of contacts are filled, for the host.
+// Counts the contact rows that are filled, for the host.
 #pragma once
 
 #include <cstdint>
 
 namespace novaphy {
 
-// Of `count` contacts for `most` slots. A recorded search without room in its list of pairs counts
-// pairs that have no rows, and leaves the last slots empty. `shape0`: {most}, negative in these.
+// Returns the number of filled rows. `count` is the number of contacts found, and `most` the number
+// of slots. A recorded search whose list of pairs is full counts pairs that have no rows, and
+// leaves the last slots empty. `shape0` {most} is negative in an empty slot.
 template <class Column>
 int32_t filled_rows(int32_t count, int64_t most, const Column& shape0) {
   if (count <= most) return count < 0 ? 0 : count;

@@ -1,5 +1,5 @@
-// Contacts: the buffers that a collision pipeline fills and solvers read. Made by
-// CollisionPipeline::contacts().
+// Contacts: the buffers that a collision pipeline fills and solvers read.
+// CollisionPipeline::contacts() makes them.
 #pragma once
 
 #include <array>
@@ -14,17 +14,16 @@ namespace novaphy {
 class Model;
 
 struct ContactCounts {
-  int32_t soft_contact_max = 0;         // slots
-  int32_t soft_contact_pair_count = 0;  // candidate (particle, shape) pairs
-  int32_t rigid_contact_max = 0;        // rows
-  int32_t rigid_contact_materials = 0;  // rows with a material of their own: all or none
+  int32_t soft_contact_max = 0;         // number of slots
+  int32_t soft_contact_pair_count = 0;  // candidate pairs (particle, shape)
+  int32_t rigid_contact_max = 0;        // number of rows
+  int32_t rigid_contact_materials = 0;  // rows with their own material: all rows or 0
   int32_t one = 1;
   bool operator==(const ContactCounts&) const = default;
 };
 
-// X(name, element type, width, count, unit, frame, doc). The frame "body, or world" is the
-// frame of the shape's body, the world for a world-owned shape.
-// clang-format off
+// X(name, element type, width, count, unit, frame, doc). The frame "body, or world" is the frame of
+// the shape's body. For a world-owned shape the frame is the world.
 #define NOVAPHY_CONTACT_FIELDS(X)                                                                 \
   X(soft_contact_count, int32_t, 1, one, "", "",                                                  \
     "soft contacts found; may exceed soft_contact_max, consumers use min(count, max)")            \
@@ -69,14 +68,14 @@ struct ContactCounts {
 
 NOVAPHY_DECLARE_FIELDS(ContactFields, NOVAPHY_CONTACT_FIELDS, ContactCounts)
 
-// One soft contact, on the host.
+// One soft contact, copied to the host.
 struct SoftContact {
   int32_t particle = -1, shape = -1;
   Vec3f body_pos{}, body_vel{}, normal{};
   bool operator==(const SoftContact&) const = default;
 };
 
-// One rigid contact, on the host.
+// One rigid contact, copied to the host.
 struct RigidContact {
   int32_t shape0 = -1, shape1 = -1;
   Vec3f point0{}, point1{}, offset0{}, offset1{}, normal{};
@@ -90,20 +89,22 @@ struct ContactsOptions {
   int32_t soft_contact_max = 0;
   int32_t soft_contact_pair_count = 0;
   int32_t rigid_contact_max = 0;
-  uint64_t model_id = 0;  // Model::id() of their model; 0: none, and no pipeline takes them
+  uint64_t model_id = 0;  // Model::id() of the model; 0: no model, and every pipeline refuses these
+                          // contacts
   bool requires_grad = false;
-  bool per_contact_shape_properties = false;  // rigid_contact_stiffness, _damping, _friction
+  bool per_contact_shape_properties = false;  // allocates rigid_contact_stiffness, _damping and
+                                              // _friction
 };
 
 // Contacts of particles with shapes ("soft contacts") and of shapes with each other ("rigid
-// contacts"). Both capacities are fixed: when more contacts are found than there are slots, the
-// first soft_contact_max (rigid_contact_max) in their order are kept, the count still says how many
-// there are, and overflowed() is true. Move-only, as SimState.
+// contacts"). Both capacities are fixed. If the search finds more contacts than slots, the first
+// soft_contact_max (rigid_contact_max) contacts in their order are kept. The count still has the
+// number found, and overflowed() is true. Move-only, like SimState.
 class NOVAPHY_CORE_API Contacts : public ContactFields {
  public:
   using Fields = ContactFields;
 
-  // ErrorKind::Value on a negative count.
+  // Throws ErrorKind::Value for a negative count.
   explicit Contacts(const ContactsOptions& options = {}, Device device = default_device());
   Contacts(Contacts&&) = default;
   Contacts& operator=(Contacts&&) = default;
@@ -112,38 +113,39 @@ class NOVAPHY_CORE_API Contacts : public ContactFields {
   int32_t soft_contact_max() const { return counts_.soft_contact_max; }
   int32_t soft_contact_pair_count() const { return counts_.soft_contact_pair_count; }
   int32_t rigid_contact_max() const { return counts_.rigid_contact_max; }
-  // Whether rows may have materials of their own. They belong to the rows that are there: collide
-  // and clear() set them to 0, so that the shapes' count.
+  // Returns whether rows may have materials of their own. The materials belong to the present rows:
+  // collide and clear() set them to 0, and 0 selects the material of the shapes.
   bool per_contact_shape_properties() const { return counts_.rigid_contact_materials > 0; }
   Device device() const { return device_; }
   uint64_t model_id() const { return model_id_; }
   bool requires_grad = false;
 
-  // No contacts: the count 0, every slot unused; raises contact_generation.
+  // Removes all contacts: sets the count to 0, marks every slot unused, and raises
+  // contact_generation.
   void clear();
-  // Every row has the material of its shapes again.
+  // Gives every row the material of its shapes again.
   void clear_materials();
-  // ErrorKind::Value, naming `function`, unless the materials of rows are finite and >= 0. On other
-  // devices than the CPU they are not read.
+  // Throws ErrorKind::Value, with `function` in the message, unless the materials of all rows are
+  // finite and >= 0. Materials on other devices than the CPU are not read.
   void check_materials(const char* function) const;
-  // min(count, max) on the host: the slots that hold a contact. Read from the device.
+  // Returns min(count, max): the number of slots with a contact. Reads from the device.
   int32_t active_soft_contact_count() const;
   int32_t active_rigid_contact_count() const;
-  // True if contacts were found that no slot was left for. Reads from the device.
+  // Returns whether the search found more contacts than slots. Reads from the device.
   bool overflowed() const;
-  // The contacts, in slot order. Reads from the device.
+  // Returns the contacts in slot order. Reads from the device.
   std::vector<SoftContact> soft_contacts() const;
   std::vector<RigidContact> rigid_contacts() const;
   void assign(
       const Contacts& source);  // ErrorKind::Value when an array's rows or the device differ
-  Contacts clone() const;       // knows too which poses its rows were found from
+  Contacts clone() const;       // also copies the record of the poses (see below)
 
-  // Says that the rows of rigid contacts were found from these poses and the shapes of the model,
-  // as they are now. A pipeline does so behind its search.
+  // Records that the rows of rigid contacts belong to these poses and to the present shapes of the
+  // model. A pipeline calls this function after its search.
   void set_rigid_contacts_found_from(const Model& model, const Array& body_q);
-  // Whether they were, and neither poses nor shapes nor rows have been written since, or could have
-  // been by who has a writable export of them. False for rows that a launch of a captured graph has
-  // found or that assign() has copied.
+  // Returns whether the rows belong to these poses: neither poses nor shapes nor rows have been
+  // written since, and no writable export could have changed them. The answer is false for rows
+  // that a captured graph found and for rows that assign() copied.
   bool rigid_contacts_found_from(const Model& model, const Array& body_q) const;
 
  private:
@@ -156,7 +158,8 @@ class NOVAPHY_CORE_API Contacts : public ContactFields {
   Device device_;
   uint64_t model_id_ = 0;
   std::array<ArrayStamp, kSources> found_from_;
-  std::array<ArrayStamp, kRowArrays> as_found_;  // what steps read of rigid_contact_*
+  std::array<ArrayStamp, kRowArrays> as_found_;  // stamps of the arrays of rigid_contact_* that
+                                                 // steps read
 };
 
 }  // namespace novaphy

@@ -1,5 +1,5 @@
-// Control: what drives the model during a step. Made by Model::control(), which copies the values
-// of the model.
+// Control: the inputs of a step, such as drive targets and joint forces. Model::control() makes a
+// control with the values of the model.
 #pragma once
 
 #include <cstdint>
@@ -29,13 +29,13 @@ class Model;
 
 NOVAPHY_DECLARE_FIELDS(ControlFields, NOVAPHY_CONTROL_FIELDS, ModelCounts)
 
-// Move-only, as SimState. Arrays of something that the model does not have exist with 0 rows.
+// Move-only, like SimState. Arrays of a feature that the model lacks have 0 rows.
 class NOVAPHY_CORE_API Control : public ControlFields {
  public:
   using Fields = ControlFields;
 
-  explicit Control(const Model& model);  // zero filled
-  // The same without the model itself; model_id is its id().
+  explicit Control(const Model& model);  // filled with zeros
+  // The same from the counts alone; `model_id` is the id() of the model.
   Control(const ModelCounts& counts, Device device, uint64_t model_id);
   Control(Control&&) = default;
   Control& operator=(Control&&) = default;
@@ -46,8 +46,9 @@ class NOVAPHY_CORE_API Control : public ControlFields {
   uint64_t model_id() const { return model_id_; }
   bool requires_grad = false;
 
-  void clear();                        // everything to zero
-  void assign(const Control& source);  // ErrorKind::Value when an array's rows or the device differ
+  void clear();                        // sets all arrays to zero
+  void assign(const Control& source);  // ErrorKind::Value if the rows of an array or the device
+                                       // differ
   Control clone() const;
 
  private:

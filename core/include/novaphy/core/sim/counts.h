@@ -1,4 +1,4 @@
-// How many there are of everything in a model.
+// The counts of a model: the number of particles, bodies, shapes, joints and so on.
 #pragma once
 
 #include <cstdint>

@@ -1,11 +1,11 @@
-// Derived arrays of a model: each is computed from another one, when the model is made and again
-// when that one was written since. One X-macro lists them
-//
+// Derived arrays of a model. A derived array is computed from a source array when the model is
+// made, and again after each write to the source. One X-macro lists the derived arrays:
+// 
 //   #define NOVAPHY_DERIVED_MODEL_FIELDS(X)  X(derived, source, rule) ...
-//
-// from which Model::update_derived and the kernels that a capture records follow. Adding one is one
-// line in the list and one rule here. A rule reads one row of the source and writes one row of the
-// derived array, as packed scalars: float on the host, nova::Real in a kernel.
+// 
+// Model::update_derived and the kernels that a capture records follow from the list. A new derived
+// array needs one line in the list and one rule here. A rule reads one row of the source and writes
+// one row of the derived array, as packed scalars: float on the host, nova::Real in a kernel.
 #pragma once
 
 #include <atomic>
@@ -18,7 +18,7 @@
 
 namespace novaphy {
 
-// 1/x, and 0 where x is 0.
+// Returns 1/x, and 0 for x = 0.
 struct InverseOrZero {
   static constexpr const char* name = "inverse_or_zero";
   static constexpr int32_t source_width = 1, derived_width = 1;  // scalars per row
@@ -28,8 +28,8 @@ struct InverseOrZero {
   }
 };
 
-// The inverse of a symmetric positive definite 3x3 matrix, of which the part on and below the
-// diagonal is read; 0 for a matrix whose diagonal is 0.
+// Returns the inverse of a symmetric positive definite 3x3 matrix. Only the diagonal and the part
+// below are read. A matrix whose diagonal is 0 gives 0.
 struct InverseInertia {
   static constexpr const char* name = "inverse_inertia";
   static constexpr int32_t source_width = 9, derived_width = 9;
@@ -52,11 +52,12 @@ struct InverseInertia {
   }
 };
 
-// What a derived array was computed from: which bytes, in which version.
+// The memory range and the version that a derived array was computed from.
 class NOVAPHY_CORE_API DerivedStamp {
  public:
-  // Whether the source is what it was at `set`. Where somebody outside can write it, its checksum
-  // tells. No lock: a stamp that is being set matches nothing new.
+  // Returns whether the source has not changed since `set`. For a source with a writable export,
+  // the checksum decides. No lock is taken: while another thread sets the stamp, the answer is
+  // false for the new source.
   bool matches(const Array& source) const;
   void set(const Array& source);
 

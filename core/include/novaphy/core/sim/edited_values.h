@@ -1,6 +1,6 @@
-// Checks of values that were written to a model after it was made. A value that the builder would
-// have refused is refused, so that a NaN or a negative stiffness is named and does not spread
-// through the state.
+// Checks of values that were written to a model after finalize. The checks refuse every value that
+// the builder refuses. A NaN or a negative stiffness is thus reported by name before the value
+// spreads through the state.
 #pragma once
 
 #include <array>
@@ -13,10 +13,14 @@
 
 namespace novaphy {
 
-// X(array, rule). All numbers must be finite. NotNegative: and >= 0. Mass: and have a finite
-// inverse, or be 0. Unread: and be 0. UnitPose: the quaternion has length 1. NotZero: axis or
-// quaternion has a length (those of joints have a gradient, and may leave 1). RestPose: the
-// determinant is > 0.
+// X(array, rule). All numbers must be finite. Further rules:
+//   NotNegative  >= 0
+//   Mass         0, or with a finite inverse
+//   Unread       0, because the solver does not read the array
+//   UnitPose     quaternion of length 1
+//   NotZero      an axis or quaternion with a length > 0; those of joints have a gradient and may
+//                leave length 1
+//   RestPose     determinant > 0
 #define NOVAPHY_EDITED_ARRAYS(X)              \
   X(gravity, Finite)                          \
   X(body_gravcomp, Unread)                    \
@@ -64,21 +68,25 @@ class NOVAPHY_CORE_API EditedValues {
  public:
   explicit EditedValues(const char* solver) : solver_(solver) {}
 
-  // ErrorKind::NotImplemented: a model with actuators.
-  // Cheap while the arrays were not written since the last call. ErrorKind::Value names array and
-  // row: what NOVAPHY_EDITED_ARRAYS asks for; joint_limit_lower at most joint_limit_upper; body_com
-  // finite; of dynamic bodies body_mass > 0, body_inertia symmetric (to 1e-5 of its largest number)
-  // and positive definite, the inverses finite. The derived arrays
-  // must be those of their sources. On other devices than the CPU, arrays that another library may
-  // write are not read. Host reads are not observed: no kernel depends on them. While a capture
-  // records on the CPU, every replay will check too.
+  // Checks the arrays of NOVAPHY_EDITED_ARRAYS. A call is cheap if no array was written since the
+  // last call. ErrorKind::NotImplemented: the model has actuators. ErrorKind::Value names the array
+  // and the row. Besides the rules of the list:
+  //   joint_limit_lower <= joint_limit_upper; body_com is finite
+  //   dynamic bodies have body_mass > 0 and finite inverses; their body_inertia is positive definite
+  //     and symmetric (to 1e-5 of its largest number)
+  //   derived arrays agree with their sources
+  // On other devices than the CPU, arrays that another library may write are not read. The host
+  // reads here are not recorded, because no kernel depends on them. While a capture records on the
+  // CPU, every replay repeats the check.
   void check(const Model& model);
-  // Likewise, of what articulations read: joint_armature, _damping, _friction, _target_ke, _kd,
-  // _limit_ke, _kd, _effort_limit, _velocity_limit, body_mass (links may have none), the diagonal
-  // of body_inertia, shape_material_*, shape_scale and _gap finite and >= 0, restitution <= 1;
-  // joint_limit_lower at most joint_limit_upper; joint_target_mode a JointTargetMode; joint_axis
-  // and the quaternions of joint_X_p, _X_c of length 1 (to 1e-3), that of shape_transform (to
-  // 1e-5); all of these, gravity, shape_margin and body_com finite.
+  // Checks the arrays that articulations read, likewise.
+  //   finite and >= 0: joint_armature, _damping, _friction, _target_ke, _kd, _limit_ke, _kd,
+  //     _effort_limit, _velocity_limit, body_mass (a link may have 0), the diagonal of body_inertia,
+  //     shape_material_*, shape_scale and _gap; restitution <= 1
+  //   joint_limit_lower <= joint_limit_upper; joint_target_mode is a JointTargetMode
+  //   unit length (to 1e-3): joint_axis, the quaternions of joint_X_p and _X_c; (to 1e-5): the
+  //     quaternion of shape_transform
+  //   finite: all of these, gravity, shape_margin and body_com
   void check_joints(const Model& model);
 
  private:
@@ -93,10 +101,11 @@ class NOVAPHY_CORE_API EditedValues {
   void check_all(const Model& model, Check check);
 
   const char* solver_;
-  std::shared_ptr<const int> id_ = std::make_shared<const int>(0);  // to recordings
+  // identifies this object to recordings
+  std::shared_ptr<const int> id_ = std::make_shared<const int>(0);
   std::array<ArrayStamp, kBodyArrays> bodies_;
   std::array<ArrayStamp, kArrays> arrays_;
-  std::vector<ArrayStamp> joints_;  // of the arrays of check_joints, in its order
+  std::vector<ArrayStamp> joints_;  // of the arrays of check_joints, in their order
   ArrayStamp limits_[2];            // lower, upper
 };
 

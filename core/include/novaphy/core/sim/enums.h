@@ -1,5 +1,5 @@
-// The enumerations of the model. The values are part of the public interface (they are stored in
-// int32 arrays) and equal Newton 1.8's.
+// The enumerations of the model. Their values are public: int32 arrays store them, and they equal
+// the values of Newton 1.8.
 #pragma once
 
 #include <cstdint>
@@ -11,7 +11,7 @@ namespace novaphy {
 
 enum class Axis : int32_t { X = 0, Y = 1, Z = 2 };
 
-// What a row of Model::shape_type holds. `shape_scale` by type:
+// The values of Model::shape_type. `shape_scale` by type:
 //   PLANE    (width, length, 0): local +z is the normal; infinite unless both are > 0
 //   SPHERE   (radius, 0, 0)
 //   CAPSULE  (radius, half_height, 0): along local z, half_height excludes the caps
@@ -20,7 +20,7 @@ enum class Axis : int32_t { X = 0, Y = 1, Z = 2 };
 //   BOX      (hx, hy, hz): half extents
 //   CONE     (radius, half_height, 0): along local z, apex at +half_height
 //   MESH, CONVEX_MESH (x, y, z): factors of the vertices of Model::mesh_vertices
-// HFIELD is reserved: adding one raises ErrorKind::NotImplemented.
+// HFIELD is reserved: adding one throws ErrorKind::NotImplemented.
 enum class GeoType : int32_t {
   NONE = 0,
   PLANE = 1,
@@ -34,7 +34,7 @@ enum class GeoType : int32_t {
   CONE = 9,
   CONVEX_MESH = 10,
 };
-// "PLANE", ...; "unknown" for a value that is none.
+// Returns "PLANE" and so on, or "unknown" for any other value.
 NOVAPHY_CORE_API const char* geo_type_name(GeoType type);
 
 // Bit masks of the *_flags arrays.
@@ -45,18 +45,19 @@ enum class ShapeFlags : int32_t {
   COLLIDE_PARTICLES = 4,
   SITE = 8
 };
-// KINEMATIC: the body follows its velocity; no force moves it.
+// KINEMATIC: the body keeps moving with its velocity, and no force changes the velocity.
 enum class BodyFlags : int32_t { DYNAMIC = 1, KINEMATIC = 2 };
 
 enum class JointType : int32_t;  // joint_types.h
-// "PRISMATIC", ...; "unknown" for a value that is none.
+// Returns "PRISMATIC" and so on, or "unknown" for any other value.
 NOVAPHY_CORE_API const char* joint_type_name(JointType type);
 
-// Which of target_ke (target_q - q) and target_kd (target_qd - qd) the drive of a dof has:
-//   NONE, EFFORT        none
-//   POSITION            the first, and -target_kd qd
-//   VELOCITY            the second
-//   POSITION_VELOCITY   both
+// The modes of a drive. They select the spring target_ke (target_q - q) and the damper target_kd
+// (target_qd - qd) of a dof:
+//   NONE, EFFORT        no force
+//   POSITION            the spring, and the damper -target_kd qd
+//   VELOCITY            the damper
+//   POSITION_VELOCITY   the spring and the damper
 enum class JointTargetMode : int32_t {
   NONE = 0,
   POSITION = 1,
@@ -65,23 +66,23 @@ enum class JointTargetMode : int32_t {
   EFFORT = 4,
 };
 
-// How the activation of an actuator follows its control.
+// How the activation `act` of an actuator depends on its control.
 enum class ActuatorDynamics : int32_t {
-  NONE = 0,          // it has none: the control acts at once
+  NONE = 0,          // no activation: the control acts at once
   INTEGRATOR = 1,    // act' = control
-  FILTER = 2,        // act' = (control - act) / time, explicit
-  FILTER_EXACT = 3,  // the same, exactly
+  FILTER = 2,        // act' = (control - act) / time, explicit Euler
+  FILTER_EXACT = 3,  // the same law, integrated exactly
 };
 
-// Of an actuator that pushes bodies; combine with |.
+// Axes of an actuator that acts on bodies. Combine the bits with |.
 enum class ActuatorAxes : int32_t {
-  FRAME = 0,             // its force and moment have the axes of its frame, and its length is 0
-  REFERENCE_FORCE = 1,   // the force has the axes of the reference
-  REFERENCE_MOMENT = 2,  // the moment has
-  LENGTH = 4,            // its length is the pose of its frame in the reference
+  FRAME = 0,             // force and moment have the axes of the actuator's frame; the length is 0
+  REFERENCE_FORCE = 1,   // the force has the axes of the reference frame
+  REFERENCE_MOMENT = 2,  // the moment has the axes of the reference frame
+  LENGTH = 4,            // the length is the pose of the frame in the reference frame
 };
 
-// What SolverBase::notify_model_changed is told. Combine with |.
+// The kinds of edits that SolverBase::notify_model_changed reports. Combine the bits with |.
 enum class ModelFlags : int32_t {
   JOINT_PROPERTIES = 1,
   JOINT_DOF_PROPERTIES = 2,
@@ -95,13 +96,13 @@ constexpr ModelFlags operator|(ModelFlags a, ModelFlags b) {
   return static_cast<ModelFlags>(static_cast<int32_t>(a) | static_cast<int32_t>(b));
 }
 
-// True if every bit of `flag` is set in an element of a *_flags array.
+// Returns whether an element of a *_flags array has every bit of `flag`.
 template <class Flag>
 constexpr bool has_flag(int32_t flags, Flag flag) {
   return (flags & static_cast<int32_t>(flag)) == static_cast<int32_t>(flag);
 }
 
-// The unit vector of an axis.
+// Returns the unit vector of an axis.
 constexpr Vec3f axis_vector(Axis axis) {
   return {axis == Axis::X ? 1.0f : 0.0f, axis == Axis::Y ? 1.0f : 0.0f,
           axis == Axis::Z ? 1.0f : 0.0f};

@@ -1,11 +1,11 @@
-// Field lists. Model, SimState, Control and Contacts each name their arrays once, in an X-macro
-//
+// Field lists. Model, SimState, Control and Contacts each list their arrays once, in an X-macro:
+// 
 //   #define NOVAPHY_..._FIELDS(X)  X(name, element type, width, count, unit, frame, doc) ...
-//
-// from which the members, their allocation, clone, assign and every walk over them (views, dumps,
-// the documentation table) follow. `count` names a member of the class's counts structure: the
-// number of rows. Adding an array is one line in its list. A line of SimState also says the role of
-// its array.
+// 
+// The members, their allocation, clone, assign and every loop over the arrays (views, dumps, the
+// documentation table) follow from the list. `count` is the member of the counts structure with the
+// number of rows. A new array is one line in its list. A line of SimState also has the role of the
+// array.
 #pragma once
 
 #include <cstddef>
@@ -19,18 +19,19 @@
 
 namespace novaphy {
 
-// What an array of a state is for a step: carried from state to state, or applied in the step from
-// the state that holds it. Arrays of other classes have none.
+// The role of an array of a state in a step. Carried: a step reads the array and writes the next
+// value. Applied: an input of the step that starts from the state. Arrays of other classes have no
+// role.
 enum class FieldRole : uint8_t { None, Carried, Applied };
 
-// What is known about a field without an object.
+// The properties of a field that do not need an object.
 struct FieldInfo {
   std::string_view name;  // "particle_q"
   DType dtype = DType::float32;
-  size_t width = 1;             // elements per row; more than 1 only for row tables
-  std::string_view count_name;  // the count that gives the rows: "particle_count"
-  std::string_view unit;        // "m/s"; "1" is dimensionless, "" has no unit (indices, flags)
-  std::string_view frame;       // "world", "shape", ...; "" where no frame applies
+  size_t width = 1;             // elements per row; above 1 only for row tables
+  std::string_view count_name;  // name of the count of rows: "particle_count"
+  std::string_view unit;        // "m/s"; "1": dimensionless; "": no unit (indices, flags)
+  std::string_view frame;       // "world", "shape" and so on; "": no frame
   std::string_view doc;
   FieldRole role = FieldRole::None;
 };
@@ -51,9 +52,9 @@ struct FieldInfo {
   rows.push_back(static_cast<size_t>(counts.count));
 #define NOVAPHY_FIELD_COUNT(name, ...) +1
 
-// Declares the aggregate `Name` of the arrays in a list: `visit` walks them, `visit_rows` with the
-// rows that they should have, `allocate` makes them zero filled, `expected_rows` lists their rows
-// in order.
+// Declares the aggregate `Name` of the arrays of a list. `visit` walks over the arrays.
+// `visit_rows` also gives the expected number of rows. `allocate` makes arrays filled with zeros.
+// `expected_rows` returns the expected rows in order.
 #define NOVAPHY_DECLARE_FIELDS(Name, LIST, Counts)                                      \
   struct Name {                                                                         \
     static constexpr size_t kFieldCount = 0 LIST(NOVAPHY_FIELD_COUNT);                  \
@@ -74,15 +75,15 @@ struct FieldInfo {
     }                                                                                   \
   };
 
-// Calls visitor(FieldInfo, array) for every field of a Model, SimState, Control or Contacts (or of
-// their field aggregates), in the order of the list. The array is the typed DeviceArray<T>&, const
-// if the object is.
+// Calls visitor(FieldInfo, array) for every field of a Model, SimState, Control or Contacts, or of
+// their field aggregates, in the order of the list. The array is a DeviceArray<T>&, const for a
+// const object.
 template <class Object, class Visitor>
 void for_each_field(Object& object, Visitor&& visitor) {
   std::remove_const_t<Object>::Fields::visit(object, visitor);
 }
 
-// The field list of a class, for documentation and bindings.
+// Returns the field list of a class, for documentation and bindings.
 template <class Object>
 std::vector<FieldInfo> field_infos() {
   std::vector<FieldInfo> infos;
@@ -120,8 +121,8 @@ std::vector<MutableField> mutable_fields(Fields& fields) {
   return result;
 }
 
-// ErrorKind::Value, naming `what` and the field, unless the array has its expected rows, width and
-// device.
+// Throws ErrorKind::Value, with `what` and the field, unless the array has the expected rows, width
+// and device.
 NOVAPHY_CORE_API void check_field(const FieldInfo& info, const Array& array, size_t expected_rows,
                                   Device device, const char* what);
 template <class Fields, class Counts>
@@ -131,11 +132,11 @@ void check_fields(const Fields& fields, const Counts& counts, Device device, con
                        check_field(info, array, expected_rows, device, what);
                      });
 }
-// Checks all fields (ErrorKind::Value: rows or device differ), then copies the values. Nothing is
-// copied after an error.
+// Checks the rows and devices of all fields (ErrorKind::Value), then copies the values. After an
+// error nothing is copied.
 NOVAPHY_CORE_API void assign_fields(const std::vector<MutableField>& targets,
                                     const std::vector<ConstField>& sources, const char* what);
-// A copy of every array, on a device.
+// Returns a copy of every array on a device.
 template <class Fields>
 Fields copy_fields(const Fields& fields, Device device) {
   Fields copy;

@@ -1,5 +1,5 @@
-// parallel_for over ranges of elements, in chunks of a fixed size: how the elements are cut never
-// depends on the number of threads.
+// parallel_for over ranges of elements. The chunks have a fixed size, which never depends on the
+// number of threads.
 #pragma once
 
 #include <algorithm>

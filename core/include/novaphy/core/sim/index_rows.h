@@ -1,5 +1,5 @@
-// The inverse of a list of numbers, as rows: items(k) are the places of the list that hold k, in
-// ascending order. Negative entries belong to no row.
+// IndexRows: the inverse of a list of integers. items(k) are the positions of the list that hold k,
+// in ascending order. Negative entries belong to no row.
 #pragma once
 
 #include <cstdint>
@@ -12,7 +12,7 @@ namespace novaphy {
 
 class IndexRows {
  public:
-  // By a stable counting sort. Entries are less than `rows`. Keeps its memory.
+  // Builds the rows by a stable counting sort. Entries must be less than `rows`. Memory is reused.
   void build(std::span<const int32_t> entries, int32_t rows) {
     begin_.assign(static_cast<size_t>(rows) + 1, 0);
     size_t present = 0;
@@ -26,7 +26,7 @@ class IndexRows {
     items_.resize(present);
     for (size_t place = 0; place < entries.size(); ++place) {
       if (entries[place] < 0) continue;
-      // begin_[k] runs ahead to the row's end and is put back below.
+      // begin_[k] advances to the end of row k here. The loop below restores the starts.
       items_[static_cast<size_t>(begin_[static_cast<size_t>(entries[place])]++)] =
           static_cast<int32_t>(place);
     }
@@ -37,7 +37,7 @@ class IndexRows {
   void clear() { items_.clear(); }
 
   bool empty() const { return items_.empty(); }
-  // All items, row after row; row k begins at begins()[k].
+  // All items, row after row. Row k begins at begins()[k].
   std::span<const int32_t> all() const { return items_; }
   std::span<const int32_t> begins() const { return begin_; }
   std::span<const int32_t> items(int64_t row) const {

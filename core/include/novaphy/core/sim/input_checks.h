@@ -1,5 +1,5 @@
-// Checks of states and contacts, for steps and searches. On other devices than the CPU nothing is
-// read. NaN values pass, and show in the resulting state.
+// Checks of states and contacts before a step or a search. Data on other devices than the CPU is
+// not read. NaN passes the checks and appears in the resulting state.
 #pragma once
 
 #include "novaphy/core/sim/contacts.h"
@@ -7,9 +7,10 @@
 
 namespace novaphy {
 
-// ErrorKind::Value, naming `function`, unless the quaternions of body_q have length 1, to 1 %.
+// Throws ErrorKind::Value, with `function` in the message, unless the quaternions of body_q have
+// length 1 (to 1 %).
 NOVAPHY_CORE_API void check_rotations(const char* function, const SimState& state);
-// Likewise the normals of rigid contacts.
+// The same for the normals of rigid contacts.
 NOVAPHY_CORE_API void check_normals(const char* function, const Contacts& contacts);
 
 }  // namespace novaphy

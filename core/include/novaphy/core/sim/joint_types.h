@@ -1,7 +1,6 @@
-// The types of joints, and what the builder, the solvers, the files and Python ask of a type.
+// The types of joints, with the traits that the builder, solvers, file readers and Python need.
 //
-// A type is a line of the list. How a tree moves a link of a type is in
-// dynamics/articulation/joints/.
+// A type is one line of the list. dynamics/articulation/joints/ has the kinematics of each type.
 #pragma once
 
 #include <cstdint>
@@ -10,28 +9,30 @@
 
 namespace novaphy {
 
-// What holds the two frames of a joint together.
+// The constraint between the two frames of a joint.
 enum class JointConstraint : int32_t {
-  AXES,      // they coincide, but for the motions along and about the axes
-  DISTANCE,  // their origins keep a distance
+  AXES,      // the frames coincide, except for motions along and about the axes
+  DISTANCE,  // the origins keep a distance
   NONE,
 };
 
-// How many axes the caller of ModelBuilder::add_joint gives.
+// The number of axes that the caller of ModelBuilder::add_joint gives.
 struct JointAxisCount {
   int32_t least = 0, most = 0;
 };
 
 struct JointTraits {
-  // Each axis is a degree of freedom with a coordinate, a drive, limits, damping and actuators.
+  // Axes of the type. Each axis is a degree of freedom with a coordinate, a drive, limits, damping
+  // and actuators.
   JointAxisCount linear_axes = {}, angular_axes = {};
   int32_t linear = 0, angular = 0;  // degrees of freedom besides those of the axes
-  int32_t quaternion = -1;          // its first coordinate; -1: none
-  bool is_chain = false;            // trees have a link for each axis, in their order
+  int32_t quaternion = -1;          // index of its first coordinate; -1: no quaternion
+  bool is_chain = false;            // an articulation has one link per axis, in the order of the
+                                    // axes
   JointConstraint constraint = JointConstraint::AXES;
 };
 
-// X(name, value, traits). (coordinates, degrees of freedom) of each:
+// X(name, value, traits). Each type with its number of coordinates and degrees of freedom:
 //   PRISMATIC (1, 1) along an axis      REVOLUTE (1, 1) about an axis, not wrapped
 //   BALL      (4, 3) quaternion xyzw; angular velocity of the child relative to the parent
 //   FIXED     (0, 0)
@@ -41,8 +42,8 @@ struct JointTraits {
 //   D6        (n, n) translations along n_l axes, then rotations about n_a transported axes
 //   PLANAR    (3, 3) translations x and y along two perpendicular axes, then an angle about their
 //                    normal
-// All in the axes of the joint frame of the parent. The values are those of Newton 1.8, which has
-// no PLANAR and another type at 7.
+// Coordinates have the axes of the joint frame of the parent. The values equal those of Newton 1.8.
+// Newton has no PLANAR joint, and uses 7 for another type.
 #define NOVAPHY_JOINT_TYPES(X)                                                                  \
   X(PRISMATIC, 0, {.linear_axes = {1, 1}})                                                      \
   X(REVOLUTE, 1, {.angular_axes = {1, 1}})                                                      \
@@ -54,7 +55,7 @@ struct JointTraits {
   X(D6, 6, {.linear_axes = {0, 3}, .angular_axes = {0, 3}, .is_chain = true})                   \
   X(PLANAR, 8, {.linear_axes = {2, 2}, .angular_axes = {1, 1}, .is_chain = true})
 
-// What a row of Model::joint_type holds.
+// The values of Model::joint_type.
 enum class JointType : int32_t {
 #define NOVAPHY_VALUE(name, value, ...) name = value,
   NOVAPHY_JOINT_TYPES(NOVAPHY_VALUE)
@@ -71,11 +72,11 @@ constexpr JointTraits joint_traits(JointType type) {
   }
   return {};
 }
-// The first coordinate of the quaternion of a joint; -1: the joint has none.
+// Returns the index of a joint's first quaternion coordinate; -1: no quaternion.
 constexpr int32_t quaternion_at(JointType type) { return joint_traits(type).quaternion; }
-// FREE and DISTANCE joints, whose coordinates are a pose.
+// Returns whether the coordinates of a joint are a pose: FREE and DISTANCE joints.
 constexpr bool has_pose(JointType type) { return quaternion_at(type) == 3; }
-// Joints with drives, limits and actuators.
+// Returns whether a joint has axes, and so drives, limits and actuators.
 constexpr bool has_axes(JointType type) {
   const JointTraits t = joint_traits(type);
   return t.linear_axes.most + t.angular_axes.most > 0;
@@ -84,7 +85,7 @@ constexpr bool can_move(JointType type) {
   const JointTraits t = joint_traits(type);
   return has_axes(type) || t.linear + t.angular > 0;
 }
-// Coordinates of a joint with so many axes.
+// Returns the number of coordinates of a joint with `axes` axes.
 constexpr int32_t coordinate_count(JointType type, int32_t axes) {
   const JointTraits t = joint_traits(type);
   return axes + t.linear + t.angular + (t.quaternion >= 0 ? 1 : 0);

@@ -1,5 +1,5 @@
-// Model: what stays the same over time. Made by ModelBuilder::finalize; the sizes are fixed, values
-// may be edited.
+// Model: the part of a scene that stays the same over time. ModelBuilder::finalize makes a model.
+// The sizes are fixed; the values may be edited.
 #pragma once
 
 #include <array>
@@ -24,12 +24,12 @@
 
 namespace novaphy {
 
-// X(name, element type, width, count, unit, frame, doc). The frame "body, or world" is the
-// frame of the shape's body, the world for a world-owned shape; "joint" is the joint frame of the
-// parent, X_parent joint_X_p.
+// X(name, element type, width, count, unit, frame, doc). The frame "body, or world" is the frame of
+// the shape's body. For a world-owned shape the frame is the world. The frame "joint" is the joint
+// frame of the parent, X_parent joint_X_p.
 //
-// One number per degree of freedom of a joint, which ModelBuilder has under the same names.
-// clang-format off
+// This list has the arrays with one number per degree of freedom of a joint. ModelBuilder has lists
+// of the same names.
 #define NOVAPHY_MODEL_JOINT_DOF_FIELDS(X)                                                         \
   X(joint_qd, float, 1, joint_dof_count, "m/s or rad/s", "joint", "initial joint velocities")     \
   X(joint_f, float, 1, joint_dof_count, "N or N*m", "joint", "what a control starts from")        \
@@ -85,7 +85,8 @@ namespace novaphy {
   X(articulation_end, int32_t, 1, articulation_count, "", "",                                     \
     "behind the last joint")
 
-// Which joints and articulations there are: does not change once a model is made.
+// The arrays that say which joints and articulations exist. These arrays may not change after
+// finalize.
 #define NOVAPHY_MODEL_STRUCTURE(X) \
   X(joint_type)                    \
   X(joint_parent)                  \
@@ -222,9 +223,8 @@ NOVAPHY_DECLARE_FIELDS(ModelFields, NOVAPHY_MODEL_FIELDS, ModelCounts)
   X(body_inv_mass, body_mass, InverseOrZero)         \
   X(body_inv_inertia, body_inertia, InverseInertia)
 
-// X(name, default, may be infinite, unit, doc). Numbers >= 0. Every coefficient of a soft contact
-// is the mean of the one here and of the shape's material.
-// clang-format off
+// X(name, default, may be infinite, unit, doc). All numbers are >= 0. Every coefficient of a soft
+// contact is the mean of the number here and the number of the shape's material.
 #define NOVAPHY_MODEL_NUMBERS(X)                                                                  \
   X(soft_contact_ke, 1.0e3f, false, "N/m", "contact stiffness")                                   \
   X(soft_contact_kd, 10.0f, false, "N*s/m", "contact damping")                                    \
@@ -237,7 +237,7 @@ NOVAPHY_DECLARE_FIELDS(ModelFields, NOVAPHY_MODEL_FIELDS, ModelCounts)
   X(particle_max_radius, 0.0f, false, "m", "the largest particle_radius when the model was made")
 // clang-format on
 
-// What is known about such a number without an object.
+// The properties of a number that do not need an object.
 struct NumberInfo {
   std::string_view name;
   bool may_be_infinite = false;
@@ -248,7 +248,7 @@ struct ModelNumbers {
 #define NOVAPHY_NUMBER_MEMBER(name, by_default, infinite, unit, doc) float name = by_default;
   NOVAPHY_MODEL_NUMBERS(NOVAPHY_NUMBER_MEMBER)
 #undef NOVAPHY_NUMBER_MEMBER
-  // Calls visitor(NumberInfo, number) for each.
+  // Calls visitor(NumberInfo, number) for each number.
   template <class Visitor>
   void visit_numbers(Visitor&& visitor) const {
 #define NOVAPHY_VISIT_NUMBER(name, by_default, infinite, unit, doc) \
@@ -257,20 +257,20 @@ struct ModelNumbers {
 #undef NOVAPHY_VISIT_NUMBER
   }
 };
-// ErrorKind::Value: NaN, negative, or infinite where that has no meaning. `function` and `object`
-// start the message.
+// Throws ErrorKind::Value for a number that is NaN, negative, or infinite although it must be
+// finite. The message begins with `function` and `object`.
 NOVAPHY_CORE_API void check_number(std::string_view function, std::string_view object,
                                    const NumberInfo& info, float value);
 
-// What a model holds besides its arrays; all of it may be edited.
+// The values of a model besides its arrays. All of them may be edited.
 struct ModelSettings : ModelNumbers {
-  bool requires_grad = false;            // what state() and control() hand on
+  bool requires_grad = false;            // default for state() and control()
   std::vector<std::string> body_label;   // one per body
   std::vector<std::string> shape_label;  // one per shape
   std::vector<std::string> joint_label, articulation_label, actuator_label;
   int32_t max_joints_per_articulation = 0, max_dofs_per_articulation = 0;
   std::set<std::pair<int32_t, int32_t>>
-      shape_collision_filter_pairs;  // (i < j): never in shape_contact_pairs
+      shape_collision_filter_pairs;  // pairs (i < j) that never touch
 };
 
 class NOVAPHY_CORE_API Model : public ModelFields,
@@ -286,18 +286,20 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   const ModelCounts& counts() const { return counts_; }
   Device device() const { return device_; }
   Axis up_axis() const { return up_axis_; }
-  // A number that no other model of any process has; states, controls and contacts carry it.
+  // Returns the id of the model, which no other model of any process has. States, controls and
+  // contacts carry the id.
   uint64_t id() const { return id_; }
-  // Zero filled, to take the values of a model that was kept outside of the process. It takes that
-  // model's id as well, so that the states that were kept with it fit.
+  // Makes a model filled with zeros, for values that were saved outside of the process. The model
+  // takes the id of the saved model, so that saved states belong to it.
   static std::shared_ptr<Model> restore(const ModelCounts& counts, Device device, Axis up_axis,
                                         uint64_t id);
 
-  // A state with the initial values. `requires_grad`: the model's when empty.
+  // Returns a state with the initial values. Empty `requires_grad`: the setting of the model.
   SimState state(std::optional<bool> requires_grad = {}) const;
   Control control(std::optional<bool> requires_grad = {}) const;
 
-  // Listed at the first call; values may be edited. Errors: see ShapePairList::get.
+  // Returns the shape pairs that may touch. The first call makes the list; the values may be
+  // edited. Errors as for ShapePairList::get.
   const DeviceArray<Vec2i>& shape_contact_pairs() const {
     return shape_pair_list_.get(shape_collision_filter_pairs, device_);
   }
@@ -305,19 +307,20 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   ShapePairList& shape_pair_list() { return shape_pair_list_; }
   const ShapePairList& shape_pair_list() const { return shape_pair_list_; }
 
-  // The particles of every color, ascending; empty unless the builder was colored. Read from the
-  // device.
+  // Returns the particles of each color, ascending. The result is empty if the builder had no
+  // colors. Reads from the device.
   std::vector<std::vector<int32_t>> particle_color_groups() const;
 
-  // m/s^2, of one world or (world empty) of all. ErrorKind::Value: not finite; ErrorKind::Index: no
-  // such world.
+  // Sets gravity (m/s^2) of one world, or of all worlds if `world` is empty. ErrorKind::Value: a
+  // number is not finite. ErrorKind::Index: the world does not exist.
   void set_gravity(const Vec3f& value, std::optional<int32_t> world = {});
 
-  // Computes the derived arrays whose source was written since. Solvers do so at the start of a
-  // step. What somebody assigns to a derived array stays until its source is written.
+  // Computes the derived arrays whose source was written since. Solvers call this function at the
+  // start of a step. A value that a caller assigns to a derived array stays until the source is
+  // written.
   void update_derived() const;
-  // The same by derive(rule, source, derived), which returns whether the values are there now: a
-  // capture only records. Several threads may call it.
+  // The same with derive(rule, source, derived) as the computation. It returns whether the values
+  // exist now: a capture only records the computation. Several threads may call this function.
   template <class Derive>
   void update_derived(const Derive& derive) const {
     const auto update = [&](const auto& rule, const Array& source, const Array& derived,
@@ -332,24 +335,27 @@ class NOVAPHY_CORE_API Model : public ModelFields,
     NOVAPHY_DERIVED_MODEL_FIELDS(NOVAPHY_UPDATE_DERIVED)
 #undef NOVAPHY_UPDATE_DERIVED
   }
-  // Says that what the derived arrays hold now stays until their source is written.
+  // Accepts the present values of the derived arrays. They stay until their source is written.
   void accept_derived() const;
-  // Says that the joints are those that the arrays hold now, for check_structure.
+  // Records the present joints as the reference of check_structure.
   void keep_structure();
-  // Checks the worlds and NOVAPHY_MODEL_STRUCTURE; ErrorKind::Value names the array and the row
-  // that were changed. Cheap while no array was written. Later launches depend on the values.
+  // Checks the worlds and the arrays of NOVAPHY_MODEL_STRUCTURE. ErrorKind::Value names the array
+  // and the row that changed. A call is cheap if no array was written. Later launches depend on the
+  // checked values.
   void check_structure(std::string_view function) const;
-  // ErrorKind::Index names the array and the row of a world that is neither -1 nor of the model.
+  // Checks the world of every row: -1, or a world of the model. ErrorKind::Index names the array
+  // and the row.
   void check_worlds(std::string_view function) const;
-  // check_number of all of them; `function` starts the messages.
+  // Calls check_number for all numbers. Messages begin with `function`.
   void check_numbers(std::string_view function) const;
-  // What this thread submits next has the present numbers as arguments: a replay throws
-  // ErrorKind::Runtime where one is another than then.
+  // Says that later launches of this thread have the present numbers as arguments. A replay throws
+  // ErrorKind::Runtime if a number has changed since.
   void depend_on_numbers() const;
 
   std::shared_ptr<Model> clone() const { return to(device_); }
-  std::shared_ptr<Model> to(Device device) const;  // a copy on a device; it has its own id
-  // What the host can read: this model, not owned, where it is on the cpu; else a copy.
+  std::shared_ptr<Model> to(Device device) const;  // a copy with its own id
+  // Returns a model that the host can read: this model without ownership if it is on the CPU, else
+  // a copy.
   std::shared_ptr<const Model> on_host() const;
 
  private:
@@ -381,7 +387,7 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   ShapePairList shape_pair_list_;
   std::shared_ptr<const Structure> structure_;
   mutable StructureStamps structure_stamps_;
-  mutable std::array<DerivedStamp, 3> world_stamps_;  // the numbers of worlds were checked
+  mutable std::array<DerivedStamp, 3> world_stamps_;  // stamps of the checked arrays of worlds
   mutable std::mutex derived_mutex_;
 };
 

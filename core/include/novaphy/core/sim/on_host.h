@@ -1,4 +1,4 @@
-// The rows of an array for the host.
+// OnHost: the rows of an array for reading on the host.
 #pragma once
 
 #include <span>
@@ -8,7 +8,7 @@
 
 namespace novaphy {
 
-// Without a copy where they lie there.
+// No copy is made of an array on the CPU.
 template <class T>
 class OnHost {
  public:

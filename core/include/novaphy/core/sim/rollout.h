@@ -1,4 +1,4 @@
-// Inputs of the steps of a rollout.
+// The inputs of the steps of a rollout.
 #pragma once
 
 #include <cstdint>
@@ -14,45 +14,47 @@ namespace novaphy {
 
 inline constexpr float kLongestStep = 1.0e3f;  // s
 
-// What finds the contacts of a state: a CollisionPipeline, for those who know nothing of collision.
+// The interface of an object that finds the contacts of a state, such as CollisionPipeline. Core
+// uses the interface because core does not know the collision library.
 class ContactFinder {
  public:
   virtual ~ContactFinder() = default;
-  virtual Contacts contacts() const = 0;  // empty ones, which collide takes
-  // `dt` (s): of the step that takes the contacts; rows of rigid contacts that cannot touch within
-  // it need not be there. Empty: any step may take them.
+  virtual Contacts contacts() const = 0;  // empty buffers for `collide`
+  // `dt` (s): the step that the contacts are for. Rigid contacts that cannot touch within dt may be
+  // left out. Empty: the contacts are valid for a step of any length.
   virtual void collide(const SimState& state, Contacts& contacts,
                        std::optional<float> soft_contact_margin = {},
                        std::optional<float> dt = {}) = 0;
 };
 
 struct RolloutOptions {
-  // Forces on the particles (N, world frame) besides the trajectory's particle_f: n rows that act
-  // in every step, or n rows for each step of this call, time-major.
+  // Forces on the particles (N, world frame), added to the trajectory's particle_f. Either n rows
+  // for all steps, or n rows for each step of this call, time-major.
   const DeviceArray<Vec3f>* forces = nullptr;
-  // Instead of `control`: m controls (null: the model's defaults), each for a m-th of the steps of
-  // this call, which must be a multiple of m.
+  // Replaces `control`: m controls, of which each acts in an equal share of the steps. Null: the
+  // model's defaults. The number of steps must be a multiple of m.
   std::vector<const Control*> controls = {};
-  // Wrenches on the bodies (N, N m, world frame, about the center of mass) besides the trajectory's
-  // body_f: b rows, or b rows for each step, as `forces`.
+  // Wrenches on the bodies (N, N m, world frame, about the center of mass), added to the
+  // trajectory's body_f. Either b rows for all steps, or b rows for each step, time-major.
   const DeviceArray<SpatialVectorf>* body_forces = nullptr;
-  // Where the particles that the solver holds are at the end of a step (m, world frame), in the
-  // order of their indices: k rows for every step, or k rows for each step of this call,
-  // time-major. ErrorKind::NotImplemented: the solver moves no kinematic particles.
+  // Kinematic targets: positions of the kinematic particles at the end of a step (m, world frame),
+  // in the order of their indices. Either k rows for all steps, or k rows for each step of this
+  // call, time-major. ErrorKind::NotImplemented: the solver has no kinematic targets.
   const DeviceArray<Vec3f>* targets = nullptr;
-  // Finds the contacts of every step anew, from its state, instead of the `contacts` of the call.
+  // Finds new contacts for every step from its state. Replaces the `contacts` of the call.
   ContactFinder* pipeline = nullptr;
-  // Steps [start, stop) of the trajectory; stop = -1: to the end. Both states must be kept.
+  // Steps [start, stop) of the trajectory. stop = -1: to the end. States `start` and `stop` must be
+  // kept.
   int32_t start = 0, stop = -1;
 };
 
-// The checked arguments of a rollout, step by step.
+// The checked arguments of a rollout, accessed by step.
 class NOVAPHY_CORE_API RolloutInputs {
  public:
-  // ErrorKind::Value, naming the argument: objects of another model, dt not in (0, kLongestStep],
-  // forces of another size or device, a number of controls that does not divide the steps, states
-  // that are not there or not kept, contacts besides a pipeline. `held`: the particles that targets
-  // move; -1: none can be given.
+  // Throws ErrorKind::Value and names the argument: objects of another model, dt not in (0,
+  // kLongestStep], forces of another size or device, a number of controls that does not divide the
+  // steps, states that do not exist or are not kept, contacts together with a pipeline. `held`: the
+  // number of kinematic particles that targets move; -1: the solver has no targets.
   RolloutInputs(const Model& model, const Trajectory& trajectory, const Control* control,
                 const Contacts* contacts, float dt, const RolloutOptions& options,
                 int32_t held = -1);
@@ -66,14 +68,14 @@ class NOVAPHY_CORE_API RolloutInputs {
     return controls_[static_cast<size_t>((t - start_) / steps_per_control_)];
   }
   ContactFinder* pipeline() const { return pipeline_; }
-  // Rows that act on each particle or body besides the trajectory's; or targets.
+  // Rows of forces on each particle or body, or rows of targets.
   struct Forces {
-    Array rows;           // none: none
-    size_t count = 0;     // of particles or bodies
-    bool change = false;  // over the steps
+    Array rows;           // without rows: no forces
+    size_t count = 0;     // number of particles or bodies
+    bool change = false;  // whether the rows differ between steps
     int32_t start = 0;
     bool any() const { return rows.rows() != 0; }
-    size_t first(int32_t t) const {  // the row at which those of step t begin
+    size_t first(int32_t t) const {  // first row of step t
       return change ? static_cast<size_t>(t - start) * count : 0;
     }
   };

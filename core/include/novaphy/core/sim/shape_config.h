@@ -1,4 +1,4 @@
-// ShapeConfig: material and collision settings of a shape.
+// ShapeConfig: the material and collision settings of a shape.
 #pragma once
 
 #include <cstdint>
@@ -9,51 +9,51 @@
 
 namespace novaphy {
 
-// How materials of two shapes combine. Where one of both has the weight 0, each coefficient is the
-// mean of both. Else, as in MuJoCo, the shape of the higher priority decides about mu, ke and kd;
-// of shapes of one priority mu is the larger one, and ke and kd are means by weight. ke and kd are
-// then per kg of 1 / (sum of the inverse masses). SolverFeatherstone's pgs contacts only; other
-// solvers take means.
+// Rules that combine the materials of two shapes. If either weight is 0, each coefficient is the
+// mean of both. Otherwise the rules are MuJoCo's: the shape with the higher priority decides mu, ke
+// and kd. With equal priorities, mu is the larger one, and ke and kd are means by weight. ke and kd
+// are then per kg of 1 / (sum of the inverse masses). Only the pgs contacts of SolverFeatherstone
+// read these settings; other solvers take means.
 struct ShapeMixing {
   float priority = 0.0f;
   float weight = 0.0f;        // 1
   float inverse_mass = 0.0f;  // 1/kg
-  float mu = 0.0f;            // in place of a mu of 0, where the mu of the other shape is not 0
+  float mu = 0.0f;            // replaces a mu of 0 if the other shape's mu is not 0
 };
 
-// All numbers must be finite, and all but `margin`, `collision_group` and the priority must be >=
-// 0.
+// All numbers must be finite. All but `margin`, `collision_group` and the priority must be >= 0.
 struct ShapeConfig {
-  float density = 1000.0f;   // kg/m^3, of the mass that the shape adds to its body
+  float density = 1000.0f;   // kg/m^3, for the mass that the shape adds to its body
   float ke = 2500.0f;        // N/m, contact stiffness
   float kd = 100.0f;         // N*s/m, contact damping
   float kf = 1000.0f;        // N*s/m, friction below the Coulomb limit
   float ka = 0.0f;           // m, adhesion distance (rigid contacts)
   float mu = 1.0f;           // 1, Coulomb friction
-  float restitution = 0.0f;  // 1, of bounces; SolverFeatherstone's pgs contacts only
-  // Kept in the model; no solver reads them, and each refuses other values than these.
+  float restitution = 0.0f;  // 1, only in pgs contacts of SolverFeatherstone
+  // Stored in the model. No solver supports them, and every solver refuses other values than these.
   float mu_torsional = 0.005f, mu_rolling = 1e-4f;
-  // m, moves the surface outwards for other shapes. For particles it only widens the detection: the
-  // soft contact force does not use it. A shell (is_solid false) has walls of this thickness.
+  // m, thickness of the surface against other shapes. For particles the margin only widens the
+  // detection; the force of a soft contact ignores the margin. A shell (is_solid false) has walls
+  // of this thickness.
   float margin = 0.0f;
-  // m, detection distance of rigid contacts; ModelBuilder::rigid_gap when empty.
+  // m, detection distance of rigid contacts. Empty: ModelBuilder::rigid_gap.
   std::optional<float> gap = {};
-  bool is_solid = true;  // false: a shell, for the mass
-  // 1 by default; 0 collides with nothing; a positive group meets itself and every negative group;
-  // a negative group meets everything but the same negative number. For shapes among each other;
-  // particles do not look at it.
+  bool is_solid = true;  // false: a shell, which only affects the mass
+  // Which shapes collide with each other; particles ignore the group. Group 0 collides with
+  // nothing. A positive group collides with itself and every negative group. A negative group
+  // collides with every group except itself and 0.
   int32_t collision_group = 1;
   bool collision_filter_parent = true;
   bool has_shape_collision = true;
   bool has_particle_collision = true;
   bool is_visible = true;
-  // A frame of its body, which meets nothing and has no mass, whatever the fields above say.
+  // A site: a frame of its body without mass and without contacts, whatever the other fields say.
   bool is_site = false;
-  // Red, green, blue, 0 to 1, in which viewers show it; they choose one when empty.
+  // Red, green and blue (0 to 1) in viewers. Empty: the viewer chooses.
   std::optional<Vec3f> color = {};
   ShapeMixing mixing = {};
 
-  // The bits of Model::shape_flags.
+  // Returns the bits of Model::shape_flags.
   constexpr int32_t flags() const {
     const int32_t seen = is_visible ? static_cast<int32_t>(ShapeFlags::VISIBLE) : 0;
     if (is_site) return seen | static_cast<int32_t>(ShapeFlags::SITE);

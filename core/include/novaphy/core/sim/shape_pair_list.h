@@ -1,6 +1,6 @@
-// The shape pairs (i < j) of a model that may touch, in lexicographic order. Bodies, flags, groups,
-// worlds and filters of the shapes count as they were when the model was made. The first use lists
-// the pairs, because their number is the square of the number of shapes.
+// ShapePairList: the shape pairs (i < j) of a model that may touch, in lexicographic order. Bodies,
+// flags, groups, worlds and filters count as at the time of finalize. The list is made at its first
+// use, because its length grows with the square of the number of shapes.
 #pragma once
 
 #include <atomic>
@@ -17,7 +17,7 @@ namespace novaphy {
 
 class NOVAPHY_CORE_API ShapePairList {
  public:
-  // What the pairs follow from, a row per shape: the arrays of the model when it was made.
+  // The inputs of the list, one row per shape: arrays of the model at the time of finalize.
   struct Columns {
     std::vector<int32_t> body, flags, collision_group, world;
   };
@@ -29,11 +29,12 @@ class NOVAPHY_CORE_API ShapePairList {
 
   void follow(std::shared_ptr<const Columns> columns) { columns_ = std::move(columns); }
   const std::shared_ptr<const Columns>& columns() const { return columns_; }
-  // The list from now on, whatever the columns say.
+  // Replaces the list. The columns are then ignored.
   void set(DeviceArray<Vec2i> pairs);
   bool is_made() const { return made_.load(std::memory_order_acquire); }
 
-  // Several threads may call it. ErrorKind::Value: more than kMostPairs.
+  // Returns the list. Several threads may call this function. ErrorKind::Value: more than
+  // kMostPairs pairs.
   const DeviceArray<Vec2i>& get(const std::set<std::pair<int32_t, int32_t>>& filter_pairs,
                                 Device device) const;
 

@@ -1,5 +1,5 @@
-// Whether two shapes may touch, whatever their poses, as hosts and devices ask it. Filtered pairs
-// are asked elsewhere (shape_pair_rules.h). Freestanding.
+// The rule whether two shapes may touch, whatever their poses, shared by host and device. Filtered
+// pairs have their own check (shape_pair_rules.h). Freestanding.
 #pragma once
 
 #include "novaphy/core/sim/enums.h"
@@ -7,7 +7,7 @@
 namespace novaphy {
 
 struct PairedShape {
-  int32_t body;  // -1: of the world
+  int32_t body;  // -1: the world
   int32_t flags, collision_group;
   int32_t world;  // -1: all worlds
 };
@@ -17,7 +17,8 @@ inline bool groups_meet(int32_t a, int32_t b) {
   return a > 0 && b > 0 ? a == b : a != b;
 }
 
-// Both collide with shapes, worlds and groups meet, they are not on one body nor both world-owned.
+// Returns whether both shapes collide with shapes, their worlds and groups are compatible, and they
+// belong to different bodies and not both to the world.
 inline bool may_touch_unfiltered(const PairedShape& a, const PairedShape& b) {
   if (a.body == b.body || (a.body < 0 && b.body < 0)) return false;
   return has_flag(a.flags, ShapeFlags::COLLIDE_SHAPES) &&

@@ -1,4 +1,4 @@
-// Rules for pairs of shapes that may touch, whatever their poses.
+// Rules that say which pairs of shapes may touch, whatever their poses.
 #pragma once
 
 #include <cstdint>
@@ -10,18 +10,20 @@
 
 namespace novaphy {
 
-// A row per shape; `body` -1 is the world, `world` -1 all worlds. The arrays and the set of pairs
-// (i < j) that never touch belong to the caller.
+// One row per shape. `body` -1 is the world, `world` -1 all worlds. The caller owns the arrays and
+// the set of filtered pairs (i < j).
 struct ShapePairRules {
   std::span<const int32_t> body, flags, collision_group, world;
   const std::set<std::pair<int32_t, int32_t>>* filter_pairs = nullptr;  // null: none
 };
 
-// ErrorKind::Value unless there are as many rows of each; `function` is who asks.
+// Throws ErrorKind::Value unless all columns have the same number of rows. `function` is the
+// caller, for the message.
 NOVAPHY_CORE_API void check_rules(const char* function, const ShapePairRules& rules);
 
-// True if both collide with shapes, worlds and groups meet, they are not on one body nor both
-// world-owned, and the pair is not filtered. i != j, both within the rows.
+// Returns whether both shapes collide with shapes, their worlds and groups are compatible, they
+// belong to different bodies and not both to the world, and the pair is not filtered. i and j are
+// different rows.
 NOVAPHY_CORE_API bool may_touch(const ShapePairRules& rules, int32_t i, int32_t j);
 
 }  // namespace novaphy

@@ -1,4 +1,5 @@
-// SimState: what changes over time. Made by Model::state(), or over given arrays (a trajectory).
+// SimState: the part of a scene that changes over time. Model::state() makes a state. A state may
+// also be a view of given arrays, as in a trajectory.
 #pragma once
 
 #include <cstdint>
@@ -38,19 +39,20 @@ class Model;
 
 NOVAPHY_DECLARE_FIELDS(StateFields, NOVAPHY_STATE_FIELDS, ModelCounts)
 
-// Arrays of something that the model does not have exist with 0 rows. The arrays are public
-// handles: write values through them, but keep their sizes (solvers check). Move-only: copying
-// handles would make two states of one memory; clone() copies the values.
+// Arrays of a feature that the model lacks have 0 rows. The arrays are public handles: values may
+// be written, but sizes must stay (solvers check). Move-only, because two copies of the handles
+// would share memory; clone() copies the values.
 class NOVAPHY_CORE_API SimState : public StateFields {
  public:
   using Fields = StateFields;
 
-  // Zero filled, on the model's device. Model::state() also copies the initial values.
+  // Makes a state filled with zeros on the model's device. Model::state() also copies the initial
+  // values.
   explicit SimState(const Model& model);
-  // The same without the model itself; model_id is its id().
+  // The same from the counts alone; `model_id` is the id() of the model.
   SimState(const ModelCounts& counts, Device device, uint64_t model_id);
-  // A state over existing arrays, e.g. ranges of one long allocation. ErrorKind::Value names the
-  // array whose rows or device are not the model's.
+  // Makes a state of existing arrays, for example ranges of one long allocation. ErrorKind::Value
+  // names an array whose rows or device differ from the model's.
   SimState(const Model& model, StateFields fields);
   SimState(SimState&&) = default;
   SimState& operator=(SimState&&) = default;
@@ -58,12 +60,12 @@ class NOVAPHY_CORE_API SimState : public StateFields {
   NOVAPHY_MODEL_COUNTS(NOVAPHY_COUNT_GETTER)
   const ModelCounts& counts() const { return counts_; }
   Device device() const { return device_; }
-  uint64_t model_id() const { return model_id_; }  // Model::id() of the model it belongs to
+  uint64_t model_id() const { return model_id_; }  // Model::id() of its model
   bool requires_grad = false;
 
-  // The applied arrays, particle_f and body_f, to zero.
+  // Sets the applied arrays, particle_f and body_f, to zero.
   void clear_forces();
-  // Copies all values. ErrorKind::Value when an array's rows or the device differ.
+  // Copies all values. ErrorKind::Value: the rows of an array or the device differ.
   void assign(const SimState& source);
   SimState clone() const;
 

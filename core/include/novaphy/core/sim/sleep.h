@@ -1,10 +1,12 @@
-// Sleeping bodies: an island of bodies that has been slow for some time keeps its bits until
-// something wakes it. SimState::body_sleep says which bodies sleep, so a copy of a state sleeps
-// likewise. Solvers put bodies to sleep, and searches for contacts leave out what sleeps.
+// Sleeping bodies. An island of bodies that has been slow for some time falls asleep: its state
+// keeps its bits until something wakes the island. SimState::body_sleep marks the sleeping bodies,
+// so a copy of a state sleeps too. Solvers put bodies to sleep, and contact searches skip sleeping
+// bodies.
 //
-// A body sleeps while its mark is that of its pose and of the model's arrays, its velocity is zero
-// and no force of the state acts on it. So whatever writes one of these wakes the body. Marks of a
-// solver in joint coordinates are also those of the coordinates of its FREE joint.
+// The mark of a sleeping body is a hash of its pose and of the versions of the model's arrays. A
+// body sleeps while its mark is valid, its velocity is zero, and no force of the state acts on it.
+// A write to any of these wakes the body. In a solver with joint coordinates the mark includes the
+// coordinates of the body's FREE joint.
 #pragma once
 
 #include <cstdint>
@@ -17,8 +19,8 @@
 
 namespace novaphy {
 
-// An island falls asleep once each of its bodies has been slower than `speed` and `spin` for
-// `after`.
+// An island falls asleep when each of its bodies has been slower than `speed` and `spin` for the
+// time `after`.
 struct SleepConfig {
   float speed = 0.01f;  // m/s, of the center of mass
   float spin = 0.05f;   // rad/s
@@ -26,16 +28,16 @@ struct SleepConfig {
   bool operator==(const SleepConfig&) const = default;
 };
 
-// ErrorKind::Value, naming `solver`, unless all numbers are finite, speed and spin >= 0, and after
-// > 0 and at most kLongestRest.
+// Throws ErrorKind::Value, with `solver` in the message, unless all numbers are finite, speed and
+// spin are >= 0, and after is in (0, kLongestRest].
 inline constexpr float kLongestRest = 1000.0f;  // s
 NOVAPHY_CORE_API void check_sleep(const char* solver, const SleepConfig& config);
 
-// What the marks of a model's bodies are made with: the versions of its arrays. 0: one of them may
-// change unseen, so that no body sleeps.
+// Returns the part of the mark that depends on the model: a hash of the versions of its arrays. 0:
+// an array may change without a new version, so no body may sleep.
 NOVAPHY_CORE_API uint64_t sleep_stamp(const Model& model);
-// The mark of a body that sleeps at this pose, < 0. `joint_q`: the coordinates of its FREE joint
-// {7}, of a solver that moves these; null: of one that moves the pose.
+// Returns the mark (< 0) of a body that sleeps at this pose. `joint_q` {7}: the coordinates of its
+// FREE joint, for a solver in joint coordinates; null for other solvers.
 inline constexpr uint32_t kSleeps = 0x80000000u, kSleepsInJoints = 0x40000000u;
 inline int32_t sleep_mark(uint64_t stamp, const Transformf& pose, const float* joint_q = nullptr) {
   uint32_t words[7];
@@ -58,30 +60,31 @@ inline bool sleeps_in_joints(int32_t mark) {
 }
 
 enum class BodyActivity : uint8_t {
-  Awake,   // moves by forces
+  Awake,   // moves under forces
   Asleep,  // keeps its bits
-  Driven,  // kinematic, with a velocity or a pose that was written
+  Driven,  // kinematic, with a velocity or a rewritten pose
   Still,   // kinematic, at rest
 };
 
-// Which bodies of a state sleep. A state on another device than the CPU is not read.
+// Finds the sleeping bodies of a state. States on other devices than the CPU are not read.
 class NOVAPHY_CORE_API SleepingBodies {
  public:
-  // False: none sleeps.
+  // Finds the sleeping bodies. Returns false if no body sleeps.
   bool find(const Model& model, const SimState& state);
   BodyActivity motion(int32_t body) const { return motion_[static_cast<size_t>(body)]; }
   bool is_asleep(int32_t body) const { return body >= 0 && motion(body) == BodyActivity::Asleep; }
-  // Whether a body wakes what it touches.
+  // Returns whether a body wakes the bodies that it touches.
   bool stirs(int32_t body) const {
     return body >= 0 &&
            (motion(body) == BodyActivity::Awake || motion(body) == BodyActivity::Driven);
   }
-  // Behind find(): wakes the island of a body that sleeps, with wake_islands().
+  // Marks the island of a sleeping body for waking. Call this after find() and before
+  // wake_islands().
   void wake(int32_t body);
-  // Wakes all bodies of the islands that were woken, and appends them to `woken`, ascending.
+  // Wakes all bodies of the marked islands, and appends them to `woken` in ascending order.
   void wake_islands(std::vector<int32_t>& woken);
   uint64_t stamp() const { return stamp_; }
-  // The FREE joint from the world that a body hangs on; -1: none.
+  // Returns the FREE joint between the world and a body; -1: none.
   int32_t free_joint(int32_t body) const { return free_joint_[static_cast<size_t>(body)]; }
 
  private:
@@ -94,9 +97,9 @@ class NOVAPHY_CORE_API SleepingBodies {
   uint64_t stamp_ = 0;
   std::vector<BodyActivity> motion_;
   uint64_t joints_stamp_ = 0;
-  std::vector<int32_t> free_joint_;  // of each body
-  std::vector<uint8_t> written_;     // of each body: it has a mark that no longer holds
-  std::vector<uint8_t> woken_;       // of each first body of an island
+  std::vector<int32_t> free_joint_;  // one per body
+  std::vector<uint8_t> written_;     // one per body: its mark is no longer valid
+  std::vector<uint8_t> woken_;       // one per first body of an island
   bool any_woken_ = false;
 };
 

@@ -1,4 +1,4 @@
-// Trajectory: the states of a rollout, contiguous in time.
+// Trajectory: the states of a rollout, one after the other in memory.
 #pragma once
 
 #include <functional>
@@ -13,28 +13,31 @@
 
 namespace novaphy {
 
-// An array that a solver wants for each step of a rollout, besides the states.
+// The type and size of an array that a solver needs for each step of a rollout besides the states.
 struct ScratchSpec {
   DType dtype = DType::float32;
   size_t rows = 0, width = 1;
   bool operator==(const ScratchSpec&) const = default;
 };
-using StepScratch = std::span<const Array>;  // in the order of the specs
+using StepScratch = std::span<const Array>;  // in the order of the ScratchSpecs
 
-// steps + 1 states of a model. The kept values of each carried array are one allocation, {kept *
-// rows}; state(t) is a regular SimState over its part. state(0) starts with the model's initial
-// values. Applied arrays (particle_f, body_f) are there once: they act in every step of a rollout,
-// and only state 0 can be written through; the others raise. For particles that is 24 bytes per
-// particle and kept state, and 24 more for the gradients of all states once a backward ran; where
-// elements act, or forces change over time, 12 more of both for the sums.
+// steps + 1 states of a model. All kept values of a carried array are one allocation {kept * rows};
+// state(t) is a SimState that views its part. state(0) starts with the model's initial values.
+// Applied arrays (particle_f, body_f) exist once and act in every step of a rollout. They can be
+// written through state 0 only; a write through another state throws.
 //
-// With a checkpoint interval k only every k-th state and the last one are kept; the k - 1 states in
-// between share one memory. backward then runs each stretch between two kept states once more: the
-// same bits, about one forward rollout more of time, and memory for steps / k + k states, which is
-// least near k = sqrt(steps).
+// Memory: 24 bytes per particle and kept state, and 24 more for the gradients after a backward
+// pass. With elements or with forces that change over time, the sums of forces take 12 more of
+// each.
+//
+// With a checkpoint interval k only every k-th state and the last state are kept. The k - 1 states
+// between two kept states share one memory. The backward pass recomputes each such stretch with the
+// same bits, which costs about the time of one forward rollout. The memory is that of steps / k + k
+// states, which is least near k = sqrt(steps).
 class NOVAPHY_CORE_API Trajectory {
  public:
-  // ErrorKind::Value unless steps >= 0 and checkpoint_interval >= 1. 1 keeps all states.
+  // Throws ErrorKind::Value unless steps >= 0 and checkpoint_interval >= 1. An interval of 1 keeps
+  // all states.
   Trajectory(std::shared_ptr<const Model> model, int32_t steps, bool requires_grad = true,
              int32_t checkpoint_interval = 1);
   Trajectory(const Trajectory&) = delete;
@@ -42,7 +45,8 @@ class NOVAPHY_CORE_API Trajectory {
 
   int32_t steps() const { return steps_; }
   const std::shared_ptr<const Model>& model() const { return model_; }
-  // ErrorKind::Index unless 0 <= t <= steps; ErrorKind::Runtime for a state that is not kept.
+  // Throws ErrorKind::Index unless 0 <= t <= steps, and ErrorKind::Runtime for a state that is not
+  // kept.
   SimState& state(int32_t t);
   const SimState& state(int32_t t) const;
 
@@ -50,26 +54,29 @@ class NOVAPHY_CORE_API Trajectory {
   bool keeps(int32_t t) const { return t % interval_ == 0 || t == steps_; }
   int32_t kept_count() const { return static_cast<int32_t>(kept_.states.size()); }
   std::string kept_text() const;  // "0, 8, 16, ... and 100"
-  // State t, kept or not, once more from the last kept one before it: a copy. What the last rollout
-  // got (solver, contacts, controls, forces) must still be there; ErrorKind::Runtime when it did
-  // not run these steps, or when the next kept state does not come out again bit by bit, as far as
-  // steps write it, because something was changed.
+  // Recomputes state t, kept or not, from the last kept state before it, and returns a copy. The
+  // inputs of the last rollout (solver, contacts, controls, forces) must still exist.
+  // ErrorKind::Runtime: the last rollout did not run these steps, or the recomputed next kept state
+  // differs in a bit because an input has changed.
   SimState recompute(int32_t t) const;
 
-  // The whole arrays: carried ones {kept * rows}, time-major; applied ones {rows}.
+  // The whole arrays: carried arrays have {kept * rows} rows, time-major, and applied arrays
+  // {rows}.
   const StateFields& fields() const { return kept_.whole; }
   const DeviceArray<Vec3f>& particle_q() const { return kept_.whole.particle_q; }
   const DeviceArray<Vec3f>& particle_qd() const { return kept_.whole.particle_qd; }
   const DeviceArray<Vec3f>& particle_f() const { return kept_.whole.particle_f; }
 
-  // For solvers. State t, also one that is not kept; its values are there until the next stretch.
+  // For solvers: returns state t even if it is not kept. The values stay until the next stretch is
+  // computed.
   SimState& any_state(int32_t t);
-  // One set of arrays for each step that backward runs at a time; made anew when the specs differ.
+  // For solvers: makes one set of arrays for each step that the backward pass runs at a time. Other
+  // specs replace the arrays.
   void reserve_scratch(const std::vector<ScratchSpec>& specs);
   StepScratch scratch(int32_t t) const { return scratch_.sets[static_cast<size_t>(slot(t))]; }
-  // Step t of the last rollout, unrecorded.
+  // Runs step t of the last rollout without recording it.
   using StepFn = std::function<void(int32_t t, const SimState& from, SimState& to)>;
-  // What recompute runs: steps [start, stop).
+  // Sets the steps [start, stop) that recompute can run.
   void set_last_rollout(int32_t start, int32_t stop, StepFn step);
 
  private:
@@ -82,7 +89,7 @@ class NOVAPHY_CORE_API Trajectory {
 
   std::shared_ptr<const Model> model_;
   int32_t steps_ = 0, interval_ = 1;
-  StateFields applied_;  // the arrays of that role
+  StateFields applied_;  // the arrays with FieldRole::Applied
   States kept_, between_;
   struct Scratch {
     std::vector<ScratchSpec> specs;
@@ -92,12 +99,12 @@ class NOVAPHY_CORE_API Trajectory {
   StepFn step_;
 };
 
-// Arrays as the specs say, one set for each of `count` steps, contiguous in time.
+// Makes the arrays of the specs, one set for each of `count` steps, contiguous in time.
 NOVAPHY_CORE_API std::vector<std::vector<Array>> make_scratch(const std::vector<ScratchSpec>& specs,
                                                               int32_t count, Device device);
 
-// The smallest checkpoint interval with which the states of a rollout take at most `bytes`.
-// ErrorKind::Value, naming the least that is possible, when none does.
+// Returns the smallest checkpoint interval with which the states of a rollout take at most `bytes`.
+// Throws ErrorKind::Value with the least possible size if no interval suffices.
 NOVAPHY_CORE_API int32_t checkpoint_interval_for(const Model& model, int32_t steps, uint64_t bytes);
 
 }  // namespace novaphy

@@ -1,6 +1,5 @@
-// Settings of ShapeConfig and of springs that a solver does not read. A value other than the
-// default is refused, except for a 0 that means that there is no such force. No setting is ignored
-// silently.
+// Checks for settings of shapes and springs that a solver does not support. A value other than the
+// default is refused. A 0 that switches the force off is accepted. No setting is ignored silently.
 #pragma once
 
 #include <array>
@@ -13,16 +12,17 @@ namespace novaphy {
 
 class NOVAPHY_CORE_API UnsupportedMaterials {
  public:
-  // What a solver reads besides ke, kd and mu. No solver reads mu_torsional and mu_rolling.
+  // The settings that a solver supports besides ke, kd and mu. No solver supports mu_torsional and
+  // mu_rolling.
   struct Reads {
     bool kf = true, ka = true, restitution = false;
-    bool ropes = true;  // particle_spring_tension_only, or the solver has no particles
+    bool ropes = true;  // particle_spring_tension_only; also true without particles
   };
   UnsupportedMaterials(const char* solver, Reads reads) : solver_(solver), reads_(reads) {}
 
-  // Cheap while the arrays were not written since the last call. ErrorKind::NotImplemented names
-  // the shape or the spring, and the setting. Host reads of the arrays are not observed: no kernel
-  // depends on them.
+  // Checks the arrays. A call is cheap if no array was written since the last call.
+  // ErrorKind::NotImplemented names the shape or the spring, and the setting. The host reads here
+  // are not recorded, because no kernel depends on them.
   void check(const Model& model);
 
  private:

@@ -24,7 +24,7 @@ using detail::Value;
                 p.sources[source].name, "': no gradient, because it is read at ", why);
 }
 
-// How the row of a load was found.
+// How a load finds its row.
 struct RowPattern {
   enum class Kind : uint8_t { Row, Uniform, Item, TableAtRow, TableAtItem, Computed } kind;
   int32_t table = -1, column = 0;
@@ -37,7 +37,7 @@ RowPattern row_pattern(const ir::Program& p, const Instr& load) {
   if (row.op == Op::INDEX) return {RowPattern::Kind::Row};
   if (is_zero(row)) return {RowPattern::Kind::Uniform};
   if (is_item(row)) return {RowPattern::Kind::Item};
-  if (row.op == Op::LOAD_I) {  // a table has exactly one row per row or item of the kernel
+  if (row.op == Op::LOAD_I) {  // a table has one row per row or item of the kernel
     const Instr& at = p.instrs[row.b];
     const ir::Access access = p.sources[row.a].access;
     if (at.op == Op::INDEX && access == ir::Access::Direct)
@@ -48,7 +48,7 @@ RowPattern row_pattern(const ir::Program& p, const Instr& load) {
   return {RowPattern::Kind::Computed};
 }
 
-// Collects the columns of each output of a stage. A column is the sum of its values, in order.
+// Collects the columns of each output of a stage. A column is the ordered sum of its values.
 class Outputs {
  public:
   using Column = std::vector<Value>;
@@ -63,8 +63,8 @@ class Outputs {
     columns_.emplace_back(static_cast<size_t>(width));
     return columns_.back();
   }
-  // Writes the outputs into the Program; missing columns are 0, accumulated gradients start from
-  // what is there.
+  // Writes the outputs into the Program. Missing columns are 0, and accumulated gradients start
+  // from the present values.
   AdjointStage finish(const AdjointMask& mask, const AdjointPlan& plan) {
     Trace& t = sweep_.trace();
     for (size_t k = 0; k < columns_.size(); ++k) {
@@ -77,12 +77,12 @@ class Outputs {
       Value previous = kNone;
       if (at_its_row && (gated || mask.accumulate[source]))
         previous = sweep_.add_source(names_[k] + "_before", width, binding, ir::Access::Direct);
-      // Of an adjoint of one source something is wanted, or it does not run.
+      // A mask with one source always requests it, so only several sources need the check.
       const bool may_be_unwanted = gated && std::ranges::count(mask.wrt, true) > 1;
       std::vector<Value> totals;
       for (int32_t c = 0; c < width; ++c) {
         Value total = previous == kNone ? kNone : sweep_.load(previous, sweep_.index(), c);
-        if (gated && previous != kNone) {  // x + -0 is x
+        if (gated && previous != kNone) {  // adding -0 keeps every x
           const Value none = t.constant(columns_[k][c].empty() ? 0.0f : -0.0f);
           total = t.emit({Op::SELECT_F, sweep_.gate(source, kGateAdd), total, none});
         }
@@ -120,7 +120,7 @@ int32_t row_sum_entry(AdjointPlan& plan, const AdjointRowSum& wanted) {
   return static_cast<int32_t>(plan.row_sums.size()) - 1;
 }
 
-// Sends an adjoint of one load to the output that it belongs to.
+// Adds the adjoint of one load to the output of its source.
 void route(const ir::Program& p, AdjointPlan& plan, Outputs& outputs, const Instr& load,
            Value value, bool at_item) {
   const int32_t s = load.a, width = p.sources[s].width;
@@ -175,7 +175,7 @@ bool wanted_at_item(const Primal& primal) {
   return false;
 }
 
-// `summed`, where the items want it: which sums of the loop have a gradient.
+// `summed`, if not null, gets for each sum of the loop whether it has a gradient.
 AdjointStage make_rows(const Primal& primal, AdjointPlan& plan, std::vector<bool>* summed) {
   const ir::Program& p = primal.p;
   Sweep sweep(primal, Sweep::Domain::Rows, ".adjoint");
@@ -248,9 +248,9 @@ AdjointStage make_items(const Primal& primal, AdjointPlan& plan, const std::vect
   return outputs.empty() ? AdjointStage{} : outputs.finish(primal.mask, plan);
 }
 
-// Where launches of the primal carry outputs to sources, those of the adjoint follow each other
-// backward: the gradient of such a source is what the next one reads as that of the output. All
-// gradients have to be of that kind.
+// If launches of the primal carry outputs to sources, launches of the adjoint carry gradients in
+// the opposite order. The gradient of a carried source is the output gradient of the next adjoint
+// launch. This is marked only if all gradients are of this kind.
 void carry_gradients(const ir::Program& p, AdjointStage& stage) {
   const auto gradient_of_output = [&](int32_t source) -> int32_t {
     for (size_t k = 0; k < stage.sources.size(); ++k)
@@ -277,7 +277,7 @@ void carry_gradients(const ir::Program& p, AdjointStage& stage) {
   stage.program.primal = ir::hash(ir::canonicalise(p, true));
 }
 
-// The gradient of the sums is for the items: without them nobody reads it.
+// Removes the gradient of the loop's sums, which only the items Program reads.
 void drop_loop_gradient(AdjointStage& stage) {
   for (size_t k = 0; k < stage.outputs.size(); ++k) {
     if (stage.outputs[k].kind != Kind::LoopGradient) continue;

@@ -16,12 +16,12 @@ Operand temporary(int64_t rows, int32_t width, const novaphy::Device& device) {
 
 namespace {
 
-// The memory that the stages of one call share.
+// The memory that the stages of one adjoint call share.
 struct Scratch {
-  std::vector<Operand> contributions;  // one per row-sum of the plan
+  std::vector<Operand> contributions;  // one per row sum of the plan
   Operand loop_gradient;
-  // What the plan has and the call has not: per output, zeros as its gradient; per source, where
-  // its gradient goes.
+  // Substitutes for gradients that the plan uses and the call lacks: zeros per output, and scratch
+  // per source.
   std::vector<Operand> zeros, unwanted;
 };
 
@@ -77,7 +77,7 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
         source((*call.csr)->table.range, (*call.csr)->table.rows);
         break;
       case Kind::Contribution:
-        break;  // never read
+        break;  // not read by any stage
     }
   }
   for (const AdjointBinding& b : stage.outputs) words.pointer(target(b)->data());
@@ -93,7 +93,7 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
   if (stage.takes_row_count) words.word(static_cast<uint32_t>(call.dim));
   for (const int32_t s : stage.gates) words.word(gate(call.asked, s));
   reads.add(active_count(call.active));
-  // Rows that were not computed give nothing.
+  // Rows that were not computed contribute zero.
   if (call.active)
     for (const AdjointBinding& b : stage.outputs)
       if (b.kind == Kind::Contribution || !(call.asked.accumulate >> b.index & 1))
@@ -111,13 +111,13 @@ void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scrat
                   int64_t items) {
   const std::vector<AdjointRowSum>& sums = plan.plan.row_sums;
   const auto wanted = [&](const AdjointRowSum& r) { return (call.asked.wrt >> r.source & 1) != 0; };
-  uint64_t stored = call.asked.accumulate;  // sources whose gradient holds a contribution already
+  uint64_t stored = call.asked.accumulate;  // sources whose gradient already has a contribution
   const auto target = [&](const AdjointRowSum& r) {
     Operand out = *call.inputs[r.source];
     out.range = *call.input_gradients[r.source];
     return out;
   };
-  // Whether what is there is added to. Rows that the sum does not reach are zero.
+  // Whether the sum adds to the present gradient. Rows beyond the sum are set to zero.
   const auto adds = [&](const AdjointRowSum& r, const Operand& out, int64_t rows) {
     const uint64_t bit = uint64_t{1} << r.source;
     const bool add = stored & bit, partly = !add && rows < out.rows;
@@ -133,7 +133,7 @@ void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scrat
       const Operand* init = adds(r, out, out.rows) ? &out : nullptr;
       const Incidence incidence = cached_incidence(*call.inputs[r.table], out.rows);
       hold_in_capture(incidence);
-      // Positions and velocities come one after the other.
+      // Two sums over the same table run as one launch. Position and velocity are such a pair.
       if (k + 1 < sums.size() && wanted(sums[k + 1]) && sums[k + 1].kind == r.kind &&
           sums[k + 1].table == r.table && sums[k + 1].source != r.source &&
           sums[k + 1].per_item == r.per_item && sums[k + 1].width == r.width &&
@@ -159,7 +159,7 @@ void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scrat
   }
 }
 
-// Zeros and memory for what the call has not.
+// Provides zeros and scratch for gradients that the call lacks.
 template <class Memory>
 void make_up(const KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall& call,
              const Memory& memory, Scratch& scratch) {
@@ -187,8 +187,8 @@ void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall
   if (call.csr) hold_in_capture(*call.csr);
   const int64_t items = call.csr ? (*call.csr)->table.rows : call.dim * call.extent;
   Scratch scratch;
-  // Many steps need the memory of one: the adjoints run one after the other. A device may run
-  // several at once, and each needs its own there.
+  // Adjoints run one after the other on the CPU and share one scratch buffer. A device may run
+  // several at once, and each needs its own buffer.
   size_t number = 0;
   OpList* capture = current_capture();
   ScratchMemory& shared = capture ? capture->scratch() : *call.scratch;
@@ -201,7 +201,7 @@ void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall
     const int32_t table_width = r.table < 0 ? 1 : call.inputs[r.table]->width;
     scratch.contributions.push_back(memory((r.per_item ? items : call.dim) * table_width, r.width));
   }
-  // The adjoints of the sums over each kind of element of one step do run at the same time.
+  // The adjoints of different kinds of elements of one step may run at the same time.
   constexpr size_t kKinds = 4;
   if (plan.items)
     scratch.loop_gradient =

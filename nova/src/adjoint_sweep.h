@@ -1,4 +1,4 @@
-// Internal: the reverse sweep over a traced Program, the heart of adjoint generation.
+// Internal: the reverse sweep over a traced Program, the core of adjoint generation.
 #pragma once
 
 #include <algorithm>
@@ -24,21 +24,22 @@ using Kind = AdjointBinding::Kind;
 
 inline bool is_item(const Instr& in) { return in.op == Op::SLOT || in.op == Op::REDUCE_INDEX; }
 
-// Facts about the primal that both stages use.
+// Properties of the primal Program that both stages use.
 struct Primal {
   const ir::Program& p;
   const AdjointMask& mask;
   std::vector<int32_t> section;
   std::vector<char>
-      active;  // a wanted source is reachable from the value, through differentiable operands
-  mutable ir::Guards guards;  // the sweep adds the sides of selects that guard nothing of their own
-  // The value is outside of the loop and needed for one side of a select in it. Its gradient is a
-  // sum over the items, which no guard covers: it may be 0 where the value is no number.
+      active;  // per value: a requested source is reachable through differentiable operands
+  mutable ir::Guards guards;  // the sweep adds sides of selects that guard no instruction
+  // Values outside of the loop that only one side of a select in the loop needs. Their gradient is
+  // a sum over items that no guard covers. The gradient may be 0 where the value is NaN.
   std::vector<char> perhaps_unneeded;
 
   Primal(const ir::Program& program, const AdjointMask& m)
       : p(program), mask(m), section(ir::sections(program)) {
-    // The guards are those of the whole adjoint: contributions are added in their order.
+    // Guards are found for the whole adjoint first, so that contributions are added in the same
+    // order for every mask.
     find_active(-1);
     find_guards();
     if (mask.narrowed >= 0 && !mask.gated) find_active(mask.narrowed);
@@ -62,10 +63,10 @@ struct Primal {
     return on;
   }
 
-  // As ir::guards, but a use in a condition does not count, because no gradient comes from there.
-  // So the gradient of what was computed for one side stays on that side, although a condition
-  // needed the value as well. Guards hold across the sections too, except from inside the loop to
-  // outside.
+  // Finds guards as ir::guards does, but ignores uses in conditions, because conditions carry no
+  // gradient. A value that one side of a select uses thus has its gradient on that side only, even
+  // if a condition also uses it. Guards also apply across sections, except from inside of the loop
+  // to outside.
   void find_guards() {
     constexpr int32_t kUnused = -1;
     guards.nodes.push_back({});
@@ -103,7 +104,8 @@ struct Primal {
   }
 };
 
-// One stage: clones of the primal into a new Program, and the reverse sweep over them.
+// One stage of the adjoint: clones of primal values in a new Program, and the reverse sweep over
+// them.
 class Sweep {
  public:
   enum class Domain { Rows, CsrItems, FixedItems };
@@ -138,7 +140,7 @@ class Sweep {
   Value index() { return trace_.emit({Op::INDEX}); }
   Trace& trace() { return trace_; }
 
-  // A bit of what a launch says of the gradient of a source. Asked for when the sweep is done.
+  // Returns a gate bit of a source's gradient. Call this after the sweep.
   Value gate(int32_t source, AdjointGate bit) {
     const auto at = std::find(stage.gates.begin(), stage.gates.end(), source);
     const auto number = static_cast<int32_t>(at - stage.gates.begin());
@@ -150,7 +152,7 @@ class Sweep {
     return trace_.emit({Op::INE, one, trace_.constant(int32_t{0})});
   }
 
-  // The row of the primal that the lane belongs to.
+  // Returns the row of the primal that the lane belongs to.
   Value primal_row() {
     if (domain_ == Domain::Rows) return index();
     if (domain_ == Domain::FixedItems) return trace_.emit({Op::IMOD, index(), row_count()});
@@ -165,8 +167,8 @@ class Sweep {
     return domain_ == Domain::CsrItems ? index() : trace_.emit({Op::IDIV, index(), row_count()});
   }
 
-  // The clone of a primal value; `copy` 0 = as in the primal, 1 = inside the loop that sums
-  // adjoints.
+  // Returns the clone of a primal value. copy 0: as in the primal; copy 1: inside of the loop that
+  // sums adjoints.
   Value clone(Value v, int copy) {
     if (primal_.section[v] % 2 == 0) copy = 0;
     Value& mapped = clones_[copy][v];
@@ -185,15 +187,15 @@ class Sweep {
     return mapped = trace_.emit(in);
   }
 
-  // Adds `value` to the adjoint of v, as seen under guard g of the primal.
+  // Adds `value` to the adjoint of v, under guard g of the primal.
   void contribute(Value v, int32_t g, Value value) {
     if (!primal_.active[v]) return;
     auto [entry, fresh] = adjoints_[v].try_emplace(g, value);
     if (!fresh) entry->second = add(entry->second, value);
   }
 
-  // Gives the adjoint of a loop's sum to its term: once per item, also when the term is the same
-  // for all.
+  // Adds the adjoint of a loop's sum to the term of the sum, once per item, even if the term does
+  // not depend on the item.
   void contribute_term(Value term, Value value) {
     if (primal_.section[term] == 1) {
       contribute(term, 0, value);
@@ -202,21 +204,21 @@ class Sweep {
     }
   }
 
-  // Sweeps the values of one section in reverse.
+  // Sweeps the values of one section in reverse order.
   void sweep(int32_t section, int copy) {
     for (size_t k = p_.instrs.size(); k-- > 0;)
       if (primal_.section[k] == section && primal_.active[k])
         reverse(static_cast<Value>(k), section, copy);
   }
 
-  // The adjoint of v with every guard resolved up to `to`, or kNone.
+  // Returns the adjoint of v with all guards resolved up to `to`, or kNone.
   Value gather_adjoint(Value v, int32_t to, int copy) {
     auto found = adjoints_.find(v);
     if (found == adjoints_.end()) return kNone;
     auto& by_guard = found->second;
     while (!by_guard.empty()) {
       const auto deepest =
-          std::prev(by_guard.end());  // children have larger numbers than their parents
+          std::prev(by_guard.end());  // children have larger indices than their parents
       const int32_t g = deepest->first;
       Value value = deepest->second;
       if (g == to) return value;
@@ -232,15 +234,16 @@ class Sweep {
     return kNone;
   }
 
-  // The adjoint of a load, resolved to "always": kNone where there is none. They stay two, because
-  // they are added to a gradient one after the other, as the loop of a kernel of its own would.
+  // The adjoint of a load outside and inside of the loop, without guards; kNone: none. The two stay
+  // separate, because they are added to the gradient one after the other, as two kernels would do.
   struct LoadAdjoint {
     Value outside = kNone, loop = kNone;
   };
-  std::map<Value, LoadAdjoint> load_adjoints;  // of load values in the primal
+  std::map<Value, LoadAdjoint> load_adjoints;  // keyed by the load in the primal
 
-  // After the sweep over the loop's section: turns what the body contributed to outer values into
-  // sums of a new loop. That of a load starts from 0, others from the adjoint so far.
+  // Called after the sweep over the loop's section. Turns the contributions of the body to outer
+  // values into sums of a new loop. The sum for a load starts from 0, other sums start from the
+  // present adjoint.
   void close_adjoint_loop() {
     ir::Program& out = trace_.program();
     for (auto& [v, value] : from_body_) {
@@ -267,7 +270,7 @@ class Sweep {
   }
 
  private:
-  Value row_count() {  // an extra parameter behind those of the primal
+  Value row_count() {  // one more parameter after those of the primal
     stage.takes_row_count = true;
     trace_.program().param_count = p_.param_count + 1;
     return trace_.emit({Op::PARAM_I, p_.param_count});
@@ -329,12 +332,12 @@ class Sweep {
   void differentiate(Value v, const Instr& in, Value g, int32_t guard, int copy, const Give& give) {
     switch (in.op) {
       case Op::SELECT_F:
-        // Under the guard of its own side; gather_adjoint turns it into a select where the side is
-        // left.
+        // Each side gets its gradient under its own guard. gather_adjoint makes a select when the
+        // guard ends.
         give(in.b, primal_.guards.find_or_add(guard, in.a, true), g);
         give(in.c, primal_.guards.find_or_add(guard, in.a, false), g);
         break;
-      case Op::SUM:  // passes to the initial value here; to the terms by the caller
+      case Op::SUM:  // passes to the initial value; the caller handles the terms
         sum_adjoints[{in.a, in.b}] = gather_adjoint(v, 0, copy);
         give(p_.loops[in.a].sums[in.b].init, 0, sum_adjoints[{in.a, in.b}]);
         break;
@@ -349,9 +352,11 @@ class Sweep {
     }
   }
 
-  // Inside the loop an outer value collects one term per item; wrapped up to "always" first.
+  // Contributes to a value outside of the loop. Inside of the loop the value collects one term per
+  // item, after all guards are resolved.
   void give_outward(Value operand, int32_t guard, Value value, int copy) {
-    if (!in_body_) return contribute(operand, guard, value);  // epilogue to an earlier section
+    // from the epilogue to an earlier section
+    if (!in_body_) return contribute(operand, guard, value);
     for (int32_t g = guard; g != 0; g = primal_.guards.nodes[g].parent)
       value = wrap(g, value, copy);
     auto [entry, fresh] = from_body_.try_emplace(operand, value);

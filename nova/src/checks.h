@@ -1,4 +1,4 @@
-// Internal: checks of arguments whose messages are put together only when something is wrong.
+// Internal: checks of arguments. Messages are only composed on failure.
 #pragma once
 
 #include <algorithm>
@@ -13,7 +13,8 @@
 
 namespace nova::detail {
 
-// "adam_update_f32, m: ", or "Adam, params[2]: " for an entry of a list.
+// The beginning of an error message: "adam_update_f32, m: ", or "Adam, params[2]: " for an element
+// of a list.
 struct Argument {
   const char* call;
   const char* name;
@@ -31,9 +32,9 @@ inline void check_f32(const Tensor& x, const Argument& argument) {
                    x.defined() ? dtype_name(x.dtype()) : "an undefined tensor");
 }
 
-// The first value that is not finite, or -1.
+// Returns the index of the first value that is not finite, or -1.
 inline int64_t first_not_finite(std::span<const float> values) {
-  uint32_t found = 0;  // in a loop without branches
+  uint32_t found = 0;  // the first pass has no branches
   constexpr uint32_t kExponent = 0x7F800000;
   for (const float v : values) found |= (std::bit_cast<uint32_t>(v) & kExponent) == kExponent;
   if (found == 0) return -1;

@@ -1,4 +1,4 @@
-// Custom operations of a tape: their record, and how backward runs their functions.
+// Custom operations of a tape: recording them, and running their functions in backward.
 #include "novaphy/nova/custom_op.h"
 
 #include <algorithm>
@@ -47,7 +47,8 @@ template <class F>
 void run_functions(const CustomOp& op, DeferredScope& deferred, F&& functions) {
   if (!op.submits_only) deferred.pause();
   functions();
-  // They may have submitted hand-written launches, which raise no versions and hold no memory.
+  // Hand-written launches of the functions raise no versions and keep no memory alive, so both
+  // happen here.
   for (const Tensor& scratch : op.writes) note_write(scratch.range());
   for (const auto* list : {&op.inputs, &op.outputs, &op.reads, &op.writes})
     for (const Tensor& tensor : *list) hold_in_capture(tensor.range());
@@ -109,7 +110,7 @@ void Tape::record_custom(CustomOp op) {
   if (!recorded && !(t.in_group && op.forward)) return;
   require(!t.in_group || op.forward, ErrorKind::NotImplemented, "record_custom '", op.name,
           "': between checkpoints operations are run once more, so it needs a forward function");
-  std::vector<const Tensor*> values;  // that vjp reads, besides inputs and outputs
+  std::vector<const Tensor*> values;  // values that vjp reads besides inputs and outputs
   for (const Tensor& value : op.reads) {
     if (holds(op.inputs, value.range()) || holds(op.outputs, value.range())) continue;
     require(value.dtype() != DType::F32 || !t.carries(*value.range()), ErrorKind::Runtime,

@@ -1,4 +1,4 @@
-// Internal: the derivative of each instruction, which adjoints and tangents share.
+// Internal: the derivative rule of each instruction, shared by adjoints and tangents.
 #pragma once
 
 #include "novaphy/nova/trace.h"
@@ -6,8 +6,8 @@
 
 namespace nova::detail {
 
-// Calls f(value, position) for the operands that a gradient of the result passes to: position 0, 1
-// or 2 of a, b, c. Integers, comparisons, SIGN, FLOOR, DETACH: none.
+// Calls f(value, position) for each operand that gets a gradient of the result; positions 0, 1, 2
+// are a, b, c. Integers, comparisons, SIGN, FLOOR and DETACH pass no gradient.
 template <class F>
 void for_each_differentiable(const ir::Instr& in, const F& f) {
   using ir::Op;
@@ -41,8 +41,9 @@ void for_each_differentiable(const ir::Instr& in, const F& f) {
   }
 }
 
-// The partial derivative by one operand is a number, so one map serves both directions: it takes a
-// gradient of the result to one of the operand, and a tangent of the operand to one of the result.
+// The derivative rules. The partial derivative by one operand is a number, so one rule serves both
+// directions. It maps a gradient of the result to the operand, or a tangent of the operand to the
+// result.
 class DerivativeRules {
  public:
   using Value = ir::Value;
@@ -53,9 +54,9 @@ class DerivativeRules {
   Value choose(Value c, Value a, Value b) { return trace_.emit({ir::Op::SELECT_F, c, a, b}); }
   Value zero() { return trace_.constant(0.0f); }
 
-  // x times the derivative of instruction v of `p` by the operand at `position`. `at` gives the
-  // trace's copy of a value of p. `zero_safe_products`: 0 times infinity or NaN is 0. SELECT_F is
-  // the caller's: which side is taken is no number.
+  // Returns x times the derivative of instruction v of `p` by the operand at `position`. `at`
+  // returns the trace's copy of a value of p. `zero_safe_products`: 0 times infinity or NaN is 0.
+  // The caller handles SELECT_F, whose derivative depends on the chosen side.
   template <class At>
   Value apply(const ir::Program& p, Value v, int position, Value x, const At& at,
               bool zero_safe_products = false) {
@@ -101,13 +102,14 @@ class DerivativeRules {
  private:
   Value mul(Value a, Value b) { return trace_.emit({ir::Op::MUL, a, b}); }
   Value neg(Value a) { return trace_.emit({ir::Op::NEG, a}); }
-  // A vector's components are divided by its length, and so are their gradients and that of the
-  // length: the reciprocal is one division for all. That of a root is never infinite or denormal.
+  // Division by a square root, as in normalizing a vector, multiplies by the reciprocal. The
+  // components and their gradients then share one division. The reciprocal of a root is never
+  // infinite or denormal.
   Value quotient(Value a, Value b) {
     if (trace_.program().instrs[b].op != ir::Op::SQRT) return trace_.emit({ir::Op::DIV, a, b});
     return mul(a, trace_.emit({ir::Op::DIV, trace_.constant(1.0f), b}));
   }
-  // value, but exactly 0 where x is 0: 0 * inf and 0 / 0 stay 0.
+  // Returns `value`, or exactly 0 if x is 0, so that 0 * inf and 0 / 0 give 0.
   Value zero_safe(Value x, Value value) {
     return choose(trace_.emit({ir::Op::EQ, x, zero()}), zero(), value);
   }

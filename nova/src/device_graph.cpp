@@ -64,12 +64,12 @@ void issue_in_order(const DeviceContext& context, std::span<const OpList::Op> op
 
 namespace {
 
-// Fewer operations are not worth compiling a kernel for.
+// A shorter list is not worth compiling a kernel.
 constexpr uint32_t kMinListOps = 8;
 
 constexpr uint32_t kMinPersistentOps = 16;
-// A kernel that occurs less often costs more to compile into a persistent kernel than a launch
-// costs.
+// A kernel with fewer occurrences costs more to compile into a persistent kernel than its launches
+// cost.
 constexpr uint32_t kMinOccurrences = 4;
 
 bool switched_off(const char* value) { return value != nullptr && std::strcmp(value, "0") == 0; }
@@ -79,7 +79,7 @@ bool lists_wanted(const novaphy_backend_api& api) {
          !switched_off(std::getenv("NOVAPHY_DEVICE_LISTS"));
 }
 bool persistent_wanted(const novaphy_backend_api& api) {
-  constexpr uint32_t kOperationsHaveBytes = 9;  // the minor version
+  constexpr uint32_t kOperationsHaveBytes = 9;  // minimum ABI minor version
   return has_entry(api, &novaphy_backend_api::persistent_create) &&
          api.abi_minor >= kOperationsHaveBytes &&
          !switched_off(std::getenv("NOVAPHY_DEVICE_PHASES"));
@@ -101,7 +101,7 @@ novaphy_list_op list_op(const OpList::Op& op, std::span<const uint64_t> words, i
   return out;
 }
 
-// What a launch may read from its first argument on.
+// Returns the bytes that a launch may read through its first argument.
 uint64_t source_bytes(const OpList::Op& op, std::span<const uint64_t> words,
                       std::span<const MemoryAccess> accesses) {
   uint64_t bytes = 0;
@@ -133,7 +133,7 @@ void DeviceGraph::make_lists(const RunPlan& plan, std::span<const uint64_t> word
   }
 }
 
-// What no list holds, as far as the backend takes it.
+// Makes persistent kernels of the operations outside of lists, as far as the backend supports them.
 void DeviceGraph::make_persistent_kernels(std::span<const OpList::Op> ops,
                                           std::span<const uint64_t> words,
                                           std::span<const MemoryAccess> accesses) {
@@ -147,7 +147,8 @@ void DeviceGraph::make_persistent_kernels(std::span<const OpList::Op> ops,
       return false;
     const novaphy_list_op one = list_op(op, words, std::max<int64_t>(1, rows_of(op)));
     std::vector<MemoryAccess> touched;
-    // The backend looks at the tables of a persistent kernel when it makes it.
+    // The backend reads the tables of a persistent kernel when it makes the kernel, so the tables
+    // must not change.
     return rows_of(op) > 0 && !op.tables_change && !op.active &&
            touched_by(op, words, accesses, touched) &&
            api.persistent_takes(context_.device, &one) != 0;
@@ -210,14 +211,14 @@ novaphy_status DeviceGraph::issue_all(novaphy_stream* stream, std::span<const Op
 void DeviceGraph::capture(std::span<const OpList::Op> ops, std::span<const uint64_t> words) {
   const novaphy_backend_api& api = *context_.api;
   novaphy_error error = novaphy::make_error();
-  // A stream of its own: other threads may be using the device's.
+  // A separate stream, because other threads may use the device's stream.
   novaphy_stream* stream = nullptr;
   novaphy::check(api.stream_create(context_.device, &stream, &error), error, "graph");
   const char* name = "graph";
   novaphy_status status = api.capture_begin(stream, &error);
   if (status == NOVAPHY_OK) {
     status = issue_all(stream, ops, words, error, name);
-    // Also after an error: the stream must leave the capture.
+    // The capture must end even after an error.
     novaphy_error end_error = novaphy::make_error();
     const novaphy_status ended = api.capture_end(stream, &graph_, &end_error);
     if (status == NOVAPHY_OK && ended != NOVAPHY_OK) {
@@ -246,8 +247,9 @@ std::unique_ptr<DeviceGraph> DeviceGraph::fused(const DeviceContext& context,
   std::unique_ptr<DeviceGraph> made(new DeviceGraph(context));
   RunPlan plan = plan_run(ops, words, accesses, {.min_rows = 1, .multiples = false});
   made->make_lists(plan, words);
-  // The order of the plan brings rows of lists together. Where there are none, it would only put
-  // what happens once, as the first fill of a gradient, among the substeps of a persistent kernel.
+  // The order of the plan groups the rows of lists. Without lists that order would only move single
+  // operations, such as the first fill of a gradient, between the substeps of a persistent kernel.
+  // The recorded order is used instead.
   if (made->lists_.empty()) plan.ops.assign(ops.begin(), ops.end());
   mark_changing_tables(plan.ops, words, accesses);
   made->make_persistent_kernels(plan.ops, words, accesses);

@@ -1,9 +1,9 @@
 // Internal: a recorded list as a graph of the device, so that a replay is one call. A plain graph
-// has a launch for each operation. A fused graph has the same results.
+// has one launch per operation. A fused graph has fewer launches and the same results.
 //
-// Fusion makes one launch of each stretch of operations that touch written memory at their own row
-// only, where the backend can (NOVAPHY_DEVICE_LISTS=0 keeps the operations apart). The operations
-// between become one launch with barriers (NOVAPHY_DEVICE_PHASES=0 keeps them apart).
+// Fusion makes one launch of consecutive operations that access written memory only at their own
+// row, if the backend supports it (NOVAPHY_DEVICE_LISTS=0 switches this off). The operations
+// between become one launch with barriers (NOVAPHY_DEVICE_PHASES=0 switches this off).
 #pragma once
 
 #include <cstdint>
@@ -16,15 +16,16 @@
 
 namespace nova::detail {
 
-// Issues one operation to the device's stream. OK, or the backend's status and message.
+// Issues one operation to the device's stream. Returns OK, or the status and message of the
+// backend.
 novaphy_status issue(const novaphy::DeviceContext& context, const OpList::Op& op,
                      const uint64_t* words, novaphy_error& error);
 
-// Of the rows [begin, begin + rows) of a launch, on a device whose memory the host may dereference,
-// how many are to be computed now.
+// Returns how many of the rows [begin, begin + rows) of a launch are active now, on a device whose
+// memory the host can access.
 int64_t active_rows(const OpList::Op& op, int64_t begin, int64_t rows);
 
-// Issues operations to the device's stream, one after the other. Throws like a launch.
+// Issues operations to the device's stream in order. Throws like a launch.
 void issue_in_order(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,
                     std::span<const uint64_t> words);
 
@@ -32,11 +33,12 @@ struct RunPlan;
 
 class DeviceGraph {
  public:
-  // The backend captures streams.
+  // Makes a plain graph. The backend must support the capture of streams.
   static std::unique_ptr<DeviceGraph> plain(const novaphy::DeviceContext& context,
                                             std::span<const OpList::Op> ops,
                                             std::span<const uint64_t> words);
-  // Null when nothing can be fused. Compiles, which takes seconds where the code is not at hand.
+  // Makes a fused graph, or returns null if nothing can be fused. Compiling takes seconds unless
+  // the code is cached.
   static std::unique_ptr<DeviceGraph> fused(const novaphy::DeviceContext& context,
                                             std::span<const OpList::Op> ops,
                                             std::span<const uint64_t> words,
@@ -58,7 +60,7 @@ class DeviceGraph {
                            std::span<const uint64_t> words, novaphy_error& error,
                            const char*& name) const;
 
-  // A stretch of the operations that the backend runs as one launch.
+  // Consecutive operations that the backend runs as one launch.
   struct List {
     uint32_t first, last;
     novaphy_list* list;

@@ -13,8 +13,9 @@ namespace {
 
 using std::chrono::seconds;
 
-// Threads at work, or about to be. A list that is never destroyed leaves its thread running when
-// the process exits, and uses what the exit destroys: so that waits, too.
+// The number of compiling threads. A list that is never destroyed may leave its thread running at
+// the exit of the process. The exit destroys objects that the thread uses, so the exit waits for
+// it.
 std::atomic<int>& working() {
   static std::atomic<int> count{0};
   static const struct Exit {
@@ -32,7 +33,8 @@ struct Work {
   Work& operator=(const Work&) = delete;
 };
 
-// Whether the bits may depend on what is fused. They must not depend on when it is there.
+// Returns whether the bits may depend on fusion, because a kernel allows contraction. The bits must
+// not depend on the time at which the fused graph is ready.
 bool contracted(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops) {
   const novaphy_backend_api& api = *context.api;
   if (!has_entry(api, &novaphy_backend_api::kernel_info)) return false;
@@ -54,7 +56,8 @@ DeviceReplay::DeviceReplay(const novaphy::DeviceContext& context, std::span<cons
                            std::span<const uint64_t> words, std::span<const MemoryAccess> accesses)
     : context_(context), ops_(ops), words_(words) {
   auto make = [=, &context, work = std::make_shared<Work>()]() mutable {
-    const std::shared_ptr<Work> until_done = std::move(work);  // the future may live longer
+    // the future may live longer than the work
+    const std::shared_ptr<Work> until_done = std::move(work);
     return DeviceGraph::fused(context, ops, words, accesses);
   };
   fused_ = std::async(std::launch::async | std::launch::deferred, std::move(make));

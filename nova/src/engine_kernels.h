@@ -1,4 +1,4 @@
-// Internal: each file that defines kernels adds them to the list of the engine's.
+// Internal: each file with kernels adds them to the list of the engine's kernels.
 #pragma once
 
 #include "novaphy/nova/registry.h"
@@ -13,7 +13,7 @@ void add_row_kernels(EngineKernels& list);      // ops_rows.cpp
 void add_matmul_kernels(EngineKernels& list);   // ops_matmul.cpp
 void add_vector_kernels(EngineKernels& list);   // ops_vectors.cpp
 void add_network_kernels(EngineKernels& list);  // ops_networks.cpp
-void add_optim_kernels(EngineKernels& list);    // optim.cpp, with the following three
+void add_optim_kernels(EngineKernels& list);    // optim.cpp; calls the next three
 void add_sgd_kernels(EngineKernels& list);      // optim_sgd.cpp
 void add_adam_kernels(EngineKernels& list);     // optim_adam.cpp
 void add_clip_kernels(EngineKernels& list);     // optim_clip.cpp

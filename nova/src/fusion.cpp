@@ -19,16 +19,16 @@ namespace nova::detail {
 
 namespace {
 
-// Fewer operations gain less than it takes to plan phases.
+// Planning phases does not pay off for fewer operations.
 constexpr uint32_t kMinPhasedOps = 16;
-constexpr uint32_t kShort = 8;  // operations of a segment
+constexpr uint32_t kShort = 8;  // fewer operations make a short segment
 
 struct FusedRun {
   const novaphy::DeviceContext& context;
-  std::span<const OpList::Op> ops;  // of the whole plan
+  std::span<const OpList::Op> ops;  // all operations of the plan
   std::span<const uint64_t> words;
   const Segment& segment;
-  std::span<const HostPlan::Scan> scan;  // from the segment on
+  std::span<const HostPlan::Scan> scan;  // scans from the segment on
   int64_t first_block;
   std::atomic<bool> failed{false};
   std::mutex mutex = {};
@@ -36,13 +36,13 @@ struct FusedRun {
   novaphy_status status = NOVAPHY_OK;
   novaphy_error error = novaphy::make_error();
   const OpList::Op* failed_op = nullptr;
-  bool by_scan = false;  // whose messages count from row 0
+  bool by_scan = false;  // messages of a scan count rows from 0
 
   void note(int64_t block, novaphy_status s, const novaphy_error& e, const OpList::Op& op,
             bool many) {
     const std::lock_guard lock(mutex);
     if (failed && failed_block < block)
-      return;  // the first block's error, whatever the threads did
+      return;  // report the error of the first block, whatever thread finds it
     failed = true;
     failed_block = block;
     status = s;
@@ -76,11 +76,11 @@ void run_block(FusedRun& run, int64_t block) {
   }
 }
 
-// Runs one segment block by block on the threads.
+// Runs one segment on the threads, block by block.
 void run_fused(FusedRun& run) {
   const Segment& segment = run.segment;
   const int64_t blocks = (segment.n + segment.block_rows - 1) / segment.block_rows;
-  // Between two looks at an interrupt.
+  // Number of blocks between two checks for an interrupt.
   const int64_t per_round = std::max<int64_t>(1, 262144 / segment.block_rows);
   for (; run.first_block < blocks; run.first_block += per_round) {
     novaphy::check_interrupt();
@@ -102,7 +102,8 @@ bool makes_scan(const novaphy_backend_api& api) {
          has_entry(api, &novaphy_backend_api::scan_destroy);
 }
 
-// Whether an operation between a scan and `last` may write what those of the scan touched.
+// Returns whether an operation between a scan and `last` may write memory that the scan's
+// operations accessed.
 bool written_since(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
                    std::span<const MemoryAccess> accesses, const HostPlan::Scan& scan,
                    uint32_t last) {
@@ -118,7 +119,7 @@ bool written_since(std::span<const OpList::Op> ops, std::span<const uint64_t> wo
   return false;
 }
 
-// Where launches of the kernel at k, over the rows of the segment, end.
+// Returns the end of consecutive launches of the kernel at k over the rows of the segment.
 uint32_t end_of_scan(std::span<const OpList::Op> ops, const Segment& segment, uint32_t k) {
   const OpList::Op& first = ops[k];
   uint32_t end = k;
@@ -223,8 +224,8 @@ void HostPlan::make_scan(std::span<const MemoryAccess> accesses) {
   }
 }
 
-// Segments of a few operations would part the phases, in which these operations share their rows
-// as well.
+// Cuts the operations into phases. Short segments become parts of phases, because they would
+// otherwise split them; inside of phases the operations share rows too.
 void HostPlan::make_phases(std::span<const MemoryAccess> accesses) {
   const auto is_short = [](const Segment& s) { return s.n == 0 || s.last - s.first < kShort; };
   std::vector<Segment> cut;

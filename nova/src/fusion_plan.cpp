@@ -1,4 +1,4 @@
-// Which recorded operations can run block by block, and in which order.
+// Decides which recorded operations run block by block, and in which order.
 #include <algorithm>
 #include <map>
 
@@ -62,7 +62,8 @@ bool touched_by(const OpList::Op& op, std::span<const uint64_t> words,
   touched.insert(touched.end(), known.begin(), known.end());
   if (!op.layout || op.layout->of_builtin) return !known.empty();
   const uint64_t* arguments = words.data() + op.first_word;
-  for (const RowLayout::Word& w : op.layout->inputs)  // the rows may be fewer: no lane needs more
+  // an input may have fewer rows; no lane reads beyond
+  for (const RowLayout::Word& w : op.layout->inputs)
     touched.push_back({arguments[w.word], std::min(rows, arguments[w.word + 1]) * w.row_bytes,
                        w.row_bytes, false});
   for (const RowLayout::Word& w : op.layout->shared)
@@ -74,23 +75,24 @@ bool touched_by(const OpList::Op& op, std::span<const uint64_t> words,
 
 namespace {
 
-// A scan of launches over few rows is shared out to threads in blocks of kFewRows once it has so
-// many rows in all its launches.
+// A scan over few rows is distributed over threads in blocks of kFewRows if all its launches
+// together have kSharedOut rows.
 constexpr int64_t kSharedOut = 32768, kFewRows = 128;
-// Between two looks at an interrupt.
+// Number of launches between two checks for an interrupt.
 constexpr size_t kMostLaunches = 65536;
 
-// The memory that some operations touch: disjoint intervals by their start.
+// The memory that some operations access, as disjoint intervals keyed by their start.
 class Footprint {
   struct Interval {
     uint64_t end;
-    uint32_t row_bytes;  // 0: all rows may be read
+    uint32_t row_bytes;  // 0: any row may be read
     bool written;
   };
   using Intervals = std::map<uint64_t, Interval>;
 
  public:
-  // Whether running before what was added, instead of after it, could change a result.
+  // Returns whether an access would change a result if it ran before the added accesses instead of
+  // after them.
   bool conflicts(const MemoryAccess& access) const {
     if (access.bytes == 0) return false;
     for (auto at = first_from(intervals_, access.begin); at != intervals_.end(); ++at) {
@@ -104,8 +106,8 @@ class Footprint {
                        [this](const MemoryAccess& a) { return conflicts(a); });
   }
 
-  // Adds the accesses of an operation that is to run block by block with the others; false, and
-  // nothing added, when it may see another row's data.
+  // Adds the accesses of an operation that is to run block by block with the others. Returns false,
+  // without a change, if the operation may access data of another row.
   bool add_fused(std::span<const MemoryAccess> accesses) {
     undo_.clear();
     for (const MemoryAccess& access : accesses) {
@@ -121,14 +123,14 @@ class Footprint {
     }
     return true;
   }
-  // Adds the accesses of an operation that runs apart.
+  // Adds the accesses of an operation that runs separately.
   void add(std::span<const MemoryAccess> accesses) {
     for (const MemoryAccess& access : accesses) {
       if (access.bytes == 0) continue;
       uint64_t begin = access.begin, end = access.begin + access.bytes;
       bool written = access.write;
       auto at = first_from(intervals_, begin);
-      while (at != intervals_.end() && at->first < end) {  // overlapping ones become one
+      while (at != intervals_.end() && at->first < end) {  // merges overlapping intervals
         begin = std::min(begin, at->first);
         end = std::max(end, at->second.end);
         written = written || at->second.written;
@@ -138,7 +140,7 @@ class Footprint {
     }
   }
   void clear() { intervals_.clear(); }
-  // Of one row, everything that is touched at the own row.
+  // Returns the bytes per row of all memory that is accessed at the own row.
   uint64_t bytes_per_row() const {
     uint64_t bytes = 0;
     for (const auto& [begin, interval] : intervals_) bytes += interval.row_bytes;
@@ -155,7 +157,7 @@ class Footprint {
       undo_.push_back({access.begin, Interval{}});
       return true;
     }
-    // The intervals stay disjoint: another view of the same bytes is not fused.
+    // Intervals stay disjoint. An access through another view of the same bytes is not fused.
     Interval& known = at->second;
     if (at->first != access.begin || known.end != end) return false;
     if ((access.write || known.written) &&
@@ -216,8 +218,8 @@ class Planner {
 
   const OpList::Op& op(size_t k) const { return ops_[order_[k]]; }
 
-  // The rows of a segment that starts at k: those of its first launch, or of one soon after that
-  // has fewer for each.
+  // Returns the number of rows for a segment that starts at k: those of its first launch, or of a
+  // launch soon after that has fewer rows per element.
   int64_t rows_from(size_t k) const {
     constexpr size_t kLookAhead = 32;
     int64_t n = 0;
@@ -230,8 +232,8 @@ class Planner {
     return n;
   }
 
-  // What the operation touches. Gives false when that is not known; `own_row`: whether everything
-  // that it writes is touched at its own one of n rows.
+  // Finds the accesses of an operation. Returns false if they are unknown. `own_row`: whether all
+  // memory that it writes is accessed only at its own one of n rows.
   bool look_at(const OpList::Op& o, int64_t n, bool& own_row) {
     touched_.clear();
     const bool launch = o.kind == OpList::Op::Kind::Launch;
@@ -245,8 +247,8 @@ class Planner {
     return true;
   }
 
-  // Orders what starts at k into operations that go before a segment, the segment, and those after
-  // it. False, with the order as it was, when no segment of at least two operations starts there.
+  // Orders the operations from k on: those before a segment, the segment, and those after it.
+  // Returns false, without a change, if no segment of at least two operations starts at k.
   bool grow(size_t k, int64_t n) {
     constexpr size_t kMaxApart = 16;
     segment_.clear();
@@ -279,8 +281,8 @@ class Planner {
     return true;
   }
 
-  // The end of a scan of launches that begins at k, or k: they all run the same kernel, and touch
-  // what they write at their own row only.
+  // Returns the end of a scan that begins at k, or k if none does. All launches of a scan run the
+  // same kernel and access written memory at their own row only.
   size_t end_of_scan(size_t k) {
     if (limits_.min_scan == 0 || op(k).n == 0) return k;
     segment_.clear();
@@ -296,9 +298,9 @@ class Planner {
     return end - k >= limits_.min_scan ? end : k;
   }
 
-  // So many rows that what one block touches stays in the cache of a core from the first operation
-  // to the last, and that some threads get about the same, unless they get so few that the launches
-  // cost more than the memory.
+  // Chooses the rows of a block. The data of a block should stay in a core's cache over all
+  // operations, and the threads should get similar shares. A block must not be so small that
+  // launches cost more than memory.
   int64_t block_rows(int64_t n) const {
     constexpr uint64_t kCacheBytes = 768 << 10;
     constexpr int64_t kStep = 128, kMost = 1024, kBlocks = 8;
@@ -315,7 +317,7 @@ class Planner {
   std::vector<uint32_t> order_;
   Footprint segment_, late_;
   std::vector<uint32_t> before_, fused_, after_;
-  std::vector<MemoryAccess> touched_;  // by the operation looked at
+  std::vector<MemoryAccess> touched_;  // by the operation under inspection
 };
 
 }  // namespace

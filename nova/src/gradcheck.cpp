@@ -11,7 +11,7 @@
 namespace nova {
 namespace {
 
-// Numbers in [-1, 1) that are the same everywhere.
+// Returns pseudorandom numbers in [-1, 1), the same on every platform.
 std::vector<float> direction(int64_t n, uint32_t& state) {
   std::vector<float> u(static_cast<size_t>(n));
   for (float& x : u) {
@@ -27,7 +27,7 @@ void check_direction(Tape& tape, const Tensor& loss, const std::vector<Tensor>& 
   double reverse = 0.0, size = 1e-30;
   std::vector<Tensor> moved, tangents;
   for (const Tensor& x : inputs) {
-    if (!tape.has_leaf(x)) continue;  // fn does not read it
+    if (!tape.has_leaf(x)) continue;  // fn does not read this input
     const std::vector<float> u = direction(x.size(), state), g = x.grad().to_host();
     for (size_t i = 0; i < u.size(); ++i) {
       const double term = static_cast<double>(u[i]) * static_cast<double>(g[i]);
@@ -44,7 +44,7 @@ void check_direction(Tape& tape, const Tensor& loss, const std::vector<Tensor>& 
   if (!(result.dot_product_error <= options.dot_product_tolerance)) result.ok = false;
 }
 
-// An input that gets its values, its gradient and its flag back, however the check ends.
+// Restores the values, the gradient and the flag of an input at the end of the check.
 class Borrowed {
  public:
   explicit Borrowed(const Tensor& x)
@@ -63,7 +63,7 @@ class Borrowed {
       x_.zero_grad();
       if (!gradient_.empty())
         x_.grad().copy_from_host(gradient_.data(), gradient_.size() * sizeof(float));
-    } catch (...) {  // a device that is lost: the check has failed already
+    } catch (...) {  // the device is lost, and the check has failed already
     }
   }
   const std::vector<float>& values() const { return values_; }
@@ -135,7 +135,7 @@ GradcheckResult gradcheck(const std::function<Tensor(const std::vector<Tensor>&)
       const double error = std::fabs(static_cast<double>(ad[i]) - fd[i]);
       const bool ok =
           error <= static_cast<double>(options.atol) + static_cast<double>(options.rtol) * scale;
-      if (!ok) result.ok = false;  // also when it is NaN
+      if (!ok) result.ok = false;  // also fails for NaN
       if (!(error <= static_cast<double>(result.max_abs_error))) {
         result.max_abs_error = static_cast<float>(error);
         result.max_rel_error = static_cast<float>(error / std::max(scale, 1e-30));

@@ -37,7 +37,7 @@ void run_guarded(const HostWork& work) {
 }  // namespace
 
 void capture_host_work(const HostWork& work) {
-  // Never destroyed: recordings refer to it.
+  // Never destroyed, because recordings refer to the kernel.
   static const auto& kernel = *new novaphy::DeviceKernel(kWork, nullptr);
   const NoGrad no_grad;
   const auto run = std::make_shared<const std::function<void()>>([work] { run_guarded(work); });

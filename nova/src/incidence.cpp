@@ -23,7 +23,8 @@ using novaphy::require;
 
 namespace {
 
-// A builtin of the backend, made once per device. Null: the device lacks it, which only some may.
+// Returns a builtin kernel of the backend, made once per device. With `may_lack`, null means that
+// the device lacks it.
 novaphy_kernel* builtin(const DeviceContext& context, const std::string& name,
                         bool may_lack = false) {
   struct Made {
@@ -32,7 +33,7 @@ novaphy_kernel* builtin(const DeviceContext& context, const std::string& name,
     bool lacks = false;
   };
   static std::mutex mutex;
-  // Never destroyed: tensors of static lifetime may still use it at exit.
+  // Never destroyed, because tensors with static lifetime may use the kernels at exit.
   static auto& all = *new std::map<std::pair<const DeviceContext*, std::string>, Made>;
   std::lock_guard lock(mutex);
   Made& made = all[{&context, name}];
@@ -51,8 +52,8 @@ novaphy_kernel* builtin(const DeviceContext& context, const std::string& name,
 
 uint64_t word(const void* p) { return reinterpret_cast<uint64_t>(p); }
 
-// How the arguments of a row sum depend on the row. Kept for good: recordings refer to it. `init`:
-// whether each of the sums has one.
+// Returns the row layout of a row sum. Layouts are kept forever, because recordings refer to them.
+// `init`: whether each sum has an initial value.
 const detail::RowLayout* row_sum_layout(uint32_t row_bytes, int64_t stride, bool by_offsets,
                                         std::span<const bool> init) {
   static std::mutex mutex;
@@ -64,7 +65,8 @@ const detail::RowLayout* row_sum_layout(uint32_t row_bytes, int64_t stride, bool
   detail::RowLayout& layout = at->second;
   if (!is_new) return &layout;
   layout.row_local = layout.of_builtin = true;
-  layout.operations = row_bytes * static_cast<uint32_t>(init.size());  // those of a few items
+  // an estimate for rows of a few items
+  layout.operations = row_bytes * static_cast<uint32_t>(init.size());
   if (by_offsets) {
     layout.tables.push_back({1, 4});
   } else {
@@ -78,7 +80,7 @@ const detail::RowLayout* row_sum_layout(uint32_t row_bytes, int64_t stride, bool
   return &layout;
 }
 
-// One sum, or two over the same items.
+// Runs one row sum, or two over the same items.
 void run_row_sums(std::span<const RowSumTerm> terms, const IncidenceData* csr, int64_t rows,
                   int64_t stride) {
   const Operand& first = *terms[0].out;
@@ -91,7 +93,7 @@ void run_row_sums(std::span<const RowSumTerm> terms, const IncidenceData* csr, i
   struct Known {
     const DeviceContext* context = nullptr;
     novaphy_kernel* one = nullptr;
-    novaphy_kernel* pair = nullptr;  // null: the device has none
+    novaphy_kernel* pair = nullptr;  // null: the device has no such builtin
   };
   static thread_local Known known;
   if (known.context != &context)
@@ -107,7 +109,7 @@ void run_row_sums(std::span<const RowSumTerm> terms, const IncidenceData* csr, i
       0, static_cast<uint64_t>(first.width),   static_cast<uint64_t>(stride)};
   std::array<detail::MemoryAccess, 8> accesses;
   std::array<bool, 2> has_init{};
-  constexpr size_t kWords[2][3] = {{0, 3, 4}, {7, 8, 9}};  // source, init, out
+  constexpr size_t kWords[2][3] = {{0, 3, 4}, {7, 8, 9}};  // argument words of source, init and out
   for (size_t k = 0; k < terms.size(); ++k) {
     const auto& [source, init, out] = terms[k];
     has_init[k] = init != nullptr;
@@ -153,7 +155,7 @@ std::array<detail::MemoryAccess, 2> detail::table_accesses(const IncidenceData& 
 
 namespace {
 
-// Which value of the table its arrays hold.
+// Records the value of the table that the arrays were built from.
 void note_value(IncidenceData& made, const Range& table, uint64_t capture) {
   made.version = table.version();
   made.capture = capture;
@@ -239,7 +241,7 @@ Incidence cached_incidence(const Operand& table, int64_t rows) {
       std::find_if(known.begin(), known.end(), [&](const auto& i) { return i->rows == rows; });
   if (found == known.end()) {
     IncidenceData data = *make_incidence(table, rows);
-    data.table.range = nullptr;  // the table owns this entry; the other way round would be a cycle
+    data.table.range = nullptr;  // the table owns this entry, and a reference back would be a cycle
     known.push_back(std::make_shared<const IncidenceData>(std::move(data)));
     found = known.end() - 1;
   }

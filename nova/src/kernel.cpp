@@ -42,7 +42,7 @@ novaphy_kernel* Executable::get(const novaphy::DeviceContext& context) {
   const bool first = all_.empty();
   all_.push_back(std::move(made));
   if (first) first_.store(all_.back().get(), std::memory_order_release);
-  lock.unlock();  // whoever lists the kernels takes the two locks the other way round
+  lock.unlock();  // kernel_info takes the two locks in the other order
   if (first) remember_executable(this);
   return kernel;
 }
@@ -84,12 +84,12 @@ AdjointKey key_of(const AdjointMask& mask) {
 
 AdjointKey KernelImpl::declared_key(const AdjointKey& asked) const {
   const AdjointKey* best = nullptr;
-  uint64_t at_their_row = 0;  // sources whose gradients the plan itself adds up
+  uint64_t at_their_row = 0;  // sources whose gradients the plan adds up itself
   for (size_t s = 0; s < sources.size(); ++s)
     if (sources[s].access == Access::Direct || sources[s].access == Access::CsrRow)
       at_their_row |= uint64_t{1} << s;
   const auto has_all = [&](const AdjointKey& key) {
-    // What nobody asked for may be stored or added to, with all columns or some.
+    // Gradients that were not requested may be stored or added, with any columns.
     const bool stores_so = ((key.accumulate ^ asked.accumulate) & at_their_row & asked.wrt) == 0;
     const bool has_columns = key.narrowed < 0 || !(asked.wrt >> key.narrowed & 1) ||
                              (key.narrowed == asked.narrowed && key.unread == asked.unread);
@@ -185,7 +185,7 @@ std::string found(const Operand& o) {
          "} " + (o.type == ir::Type::F32 ? "float32" : "int32");
 }
 
-// `slots`: of the CSR sum.
+// `slots`: number of slots of the CSR sum.
 void check_inputs(const detail::KernelImpl& k, int64_t dim, std::span<const Operand> inputs,
                   int32_t extent, int64_t slots) {
   require(inputs.size() == k.sources.size(), ErrorKind::Value, k.name, ": expected ",
@@ -214,7 +214,8 @@ void check_inputs(const detail::KernelImpl& k, int64_t dim, std::span<const Oper
   }
 }
 
-// A device that follows a pointer of another one is lost.
+// A device that follows a pointer of another device fails for good, so the devices are compared
+// here.
 void check_devices(const detail::KernelImpl& k, std::span<const Operand> inputs,
                    std::span<const Operand> outputs) {
   const Device device = outputs[0].range->storage().device();
@@ -237,7 +238,7 @@ void check_params(const detail::KernelImpl& k, const LaunchOptions& options) {
             k.param_types[p] == 1 ? "float" : "int");
 }
 
-// What says over which items a kernel sums, and only that, is given.
+// Checks that the call gives the items of the kernel's sum, and no others.
 void check_sum(const detail::KernelImpl& k, int64_t dim, const LaunchOptions& options) {
   constexpr int32_t kNone = -1;
   const bool has_csr = options.csr && *options.csr, has_extent = options.extent != kNone;
@@ -279,8 +280,8 @@ void check_active(const detail::KernelImpl& k, const Operand& active,
           " launches all rows only");
 }
 
-// An output may equal an input only as exactly the same view, read direct; every other overlap is
-// refused.
+// Checks aliasing. An output may be an input only as the same view with Direct access. Every other
+// overlap is refused.
 void check_alias(const detail::KernelImpl& k, std::span<const Operand> inputs,
                  std::span<const Operand> outputs, bool recorded) {
   for (size_t o = 0; o < outputs.size(); ++o) {
@@ -302,8 +303,8 @@ void check_alias(const detail::KernelImpl& k, std::span<const Operand> inputs,
   }
 }
 
-// Whoever transforms a Program walks it depth first, so a chain must not be longer than a stack is
-// deep.
+// Transformations walk a Program depth first by recursion. A chain of values must therefore fit on
+// the stack.
 void check_depth(const ir::Program& p, const std::string& name) {
   constexpr int32_t kDeepest = 10000;
   std::vector<int32_t> depth(p.instrs.size(), 1);

@@ -1,4 +1,4 @@
-// Internal: compiled Programs and the record of a kernel.
+// Internal: compiled Programs and the implementation of a kernel.
 #pragma once
 
 #include <array>
@@ -12,7 +12,7 @@
 
 namespace nova::detail {
 
-// A Program and what each device made of it.
+// A Program with its compiled kernel for each device.
 class Executable {
  public:
   explicit Executable(ir::Program p)
@@ -38,15 +38,15 @@ class Executable {
   std::vector<std::unique_ptr<Compiled>> all_;
 };
 
-// The Programs that kernel_info() lists: those that were made ready for a device.
+// The list of Programs for kernel_info(): those that were prepared for a device.
 void remember_executable(Executable* executable);
 void forget_executable(Executable* executable);
 
-// Which sources and outputs a reverse step concerns, as bits.
+// The sources and outputs of an adjoint, as bits.
 struct AdjointKey {
   uint64_t wrt = 0, accumulate = 0;
   uint32_t seeded = 0;
-  int32_t table = -1;  // from here on see AdjointMask
+  int32_t table = -1;  // from here on as in AdjointMask
   int32_t narrowed = -1;
   uint32_t unread = 0;
   bool gated = false;
@@ -58,7 +58,7 @@ struct CompiledPlan {
   AdjointKey key;
   AdjointPlan plan;
   std::unique_ptr<Executable> rows, items;
-  uint64_t reached = 0;  // sources that get a gradient; the others' is zero
+  uint64_t reached = 0;  // sources with a gradient; other gradients are zero
 };
 
 struct CompiledTangent {
@@ -77,17 +77,18 @@ struct KernelImpl {
   uint64_t hash = 0;
   bool has_fixed_loop = false, has_csr_loop = false;
   int32_t summed_source = -1;  // see ir.h
-  bool is_copy = false;        // of the values of its source, nothing else
-  // Those that are built ahead; see with_gradients.
+  bool is_copy = false;        // the kernel only copies its source
+  // Sets of gradients that are compiled ahead of time (see with_gradients).
   std::vector<AdjointMask> gradients;
   std::vector<AdjointKey> gradient_keys;
 
   const CompiledPlan& adjoint(const AdjointKey& key);
-  // The same of the smallest declared set that has all that is asked for, if there is one. What
-  // the plan has beyond that, the caller gives zeros and scratch.
+  // Returns the plan of the smallest declared set with all requested gradients, if one exists. The
+  // caller provides zeros and scratch for the rest of the plan.
   const CompiledPlan& declared_adjoint(const AdjointKey& asked);
-  CompiledTangent& tangent(uint64_t wrt);  // the sources that have one, as bits
-  // Of the gradient of an output, where gradients are wanted with respect to these sources.
+  CompiledTangent& tangent(uint64_t wrt);  // wrt: sources with a tangent, as bits
+  // Returns the columns of an output's gradient that are not read if gradients of these sources are
+  // requested.
   uint32_t unread_columns(uint32_t output, uint64_t wrt);
 
  private:
@@ -100,10 +101,11 @@ struct KernelImpl {
     AdjointKey asked;
     const CompiledPlan* plan = nullptr;
   };
-  std::map<AdjointKey, Declared> declared_;  // per key that was asked for
+  std::map<AdjointKey, Declared> declared_;  // one per requested key
   std::map<uint64_t, std::unique_ptr<CompiledTangent>> tangents_;
-  std::map<std::pair<uint64_t, uint32_t>, uint32_t> unread_;  // per wrt and output
-  std::atomic<const Declared*> last_{nullptr};  // rollouts ask for the same one again and again
+  std::map<std::pair<uint64_t, uint32_t>, uint32_t> unread_;  // keyed by wrt and output
+  std::atomic<const Declared*> last_{nullptr};  // the last result, since rollouts repeat the same
+                                                // request
 };
 
 // The argument words of one launch, in the order of <novaphy/abi/program.h>.
@@ -125,19 +127,19 @@ class Words {
   std::vector<uint64_t> heap_;
 };
 
-// What a launch with a CSR loop reads besides its sources.
+// Returns the accesses of a launch with a CSR loop besides its sources.
 std::array<MemoryAccess, 2> table_accesses(const IncidenceData& csr);
 
-// Runs (or captures) a kernel whose operands were checked; raises the versions of the outputs.
+// Runs or captures a kernel with checked operands, and raises the versions of the outputs.
 void run_forward(KernelImpl& kernel, int64_t dim, std::span<const Operand> inputs,
                  std::span<const Operand> outputs, std::span<const Param> params,
                  const IncidenceData* csr, int32_t extent, const Operand* active = nullptr);
 
-// The number of rows that a launch with `active` computes.
+// Returns the address of the number of rows that a launch with `active` computes.
 inline const int32_t* active_count(const Operand* active) {
   return active ? static_cast<const int32_t*>(active->range->data()) : nullptr;
 }
-// What a launch reads besides its sources: CSR rows, and that number.
+// Accesses of a launch besides its sources: CSR rows and the number of active rows.
 class ExtraReads {
  public:
   void add(const IncidenceData& csr) {

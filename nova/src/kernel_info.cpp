@@ -8,7 +8,7 @@ namespace nova {
 namespace detail {
 namespace {
 
-// Outlives every kernel, those in static variables included.
+// Outlives every kernel, including kernels in static variables.
 struct Known {
   std::mutex mutex;
   std::vector<Executable*> list;

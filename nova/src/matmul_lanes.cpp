@@ -11,8 +11,8 @@ namespace nova::NOVAPHY_LEVEL {
 
 namespace {
 
-constexpr int64_t kWidth = 2 * LANES;  // columns that a tile has in registers
-constexpr int64_t kHeight = 6;         // rows of a tile: 12 sums of 16 registers
+constexpr int64_t kWidth = 2 * LANES;  // columns of a tile in registers
+constexpr int64_t kHeight = 6;         // rows of a tile: 12 sums use 12 of 16 registers
 
 VectorF load(const float* at) {
   VectorF v;
@@ -20,7 +20,8 @@ VectorF load(const float* at) {
   return v;
 }
 
-// `height` rows of the result times kWidth columns: b has `b_row` floats from row to row.
+// Computes a tile of `height` rows and kWidth columns. `b_row`: floats from one row of b to the
+// next.
 template <int64_t height>
 void tile(const ProductWords& p, const float* a, const float* b, int64_t b_row, float* out,
           int64_t columns) {

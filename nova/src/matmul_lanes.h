@@ -1,22 +1,24 @@
-// The matrix product on the CPU: every entry adds its products one after the other, each rounded
-// before it is added, as the kernel that devices run.
+// The matrix product on the CPU. Each entry adds its products in order and rounds each product
+// before the addition, like the kernel for devices.
 #pragma once
 
 #include <cstdint>
 
 namespace nova {
 
-// Entry (r, c) of a matrix: at r * row + c * column. Members of 8 bytes, the words of a launch.
+// A matrix product as words of a launch (8 bytes per member). Entry (r, c) of a matrix is at r *
+// row + c * column.
 struct ProductWords {
   const float *a, *b;
-  float* out;  // rows by columns, one row after the other
+  float* out;  // {rows, columns}, row-major
   int64_t a_row, a_column, b_row, b_column;
   int64_t rows, columns, shared;
 };
 
 struct ProductLevel {
   const char* name;
-  void (*multiply)(const ProductWords& product, int64_t begin, int64_t end);  // rows of the result
+  // for rows [begin, end) of the result
+  void (*multiply)(const ProductWords& product, int64_t begin, int64_t end);
 };
 
 }  // namespace nova

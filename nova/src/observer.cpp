@@ -1,4 +1,4 @@
-// What the runtime does about array operations that are no kernel launches.
+// The runtime's reaction to array operations that are not kernel launches.
 #include "observer.h"
 
 #include "novaphy/core/error.h"

@@ -1,4 +1,4 @@
-// Internal: one array observer per thread while a tape or a capture is active there.
+// Internal: installs an array observer on a thread while a tape or a capture is active there.
 #pragma once
 
 namespace nova::detail {

@@ -21,11 +21,11 @@ using novaphy::require;
 
 namespace {
 
-thread_local OpList* capture = nullptr;                // of a ScopedCapture
-thread_local OpList* deferred = nullptr;               // of a DeferredScope
-thread_local DeferredScope* deferred_scope = nullptr;  // whose list that is
+thread_local OpList* capture = nullptr;                // list of the active ScopedCapture
+thread_local OpList* deferred = nullptr;               // list of the active DeferredScope
+thread_local DeferredScope* deferred_scope = nullptr;  // the scope that owns `deferred`
 
-// Fewer launches of one kernel gain less than it takes to find out.
+// Finding scans does not pay off for fewer launches of one kernel.
 constexpr uint32_t kMinScan = 8;
 
 void run_copy(const DeviceContext& c, void* target, const void* source, int64_t bytes) {
@@ -140,7 +140,8 @@ void OpList::launch() const {
       novaphy::fail(ErrorKind::Runtime, "graph.launch(): model.", n.name, ": recorded as ",
                     n.recorded, ", and now ", *n.number, "; record anew, or set it back");
   for (const auto& [owner, prepare] : before_launch_) prepare();
-  // Also when an operation fails or is interrupted in between: the ranges may have been written.
+  // Marks the ranges as written even if an operation fails or is interrupted, because some may have
+  // been written.
   struct MarkWritten {
     const std::vector<std::shared_ptr<Range>>& ranges;
     ~MarkWritten() {
@@ -201,7 +202,7 @@ DeferredScope::~DeferredScope() {
 }
 void DeferredScope::flush() {
   if (!list_) return;
-  deferred = nullptr;  // also when running it throws
+  deferred = nullptr;  // reset even if running the list throws
   const std::unique_ptr<OpList> full = std::move(list_);
   full->run_once();
   resume();

@@ -23,7 +23,7 @@ void check_devices(const char* call, const Tensor& a, const Tensor& b) {
           ", b on ", b.device().str());
 }
 
-// Both operands in full, in one shape.
+// Launches a kernel on two operands that are broadcast to one shape.
 Tensor launch_pair(const Kernel& kernel, const Tensor& a, const Tensor& b,
                    std::span<const Param> params = {}) {
   const char* call = kernel.name().c_str();
@@ -60,7 +60,7 @@ Tensor unary(const Kernel& kernel, const Tensor& x, std::span<const Param> param
   return out;
 }
 
-// Kernels are shared by threads; making one is rare, so a function-local static guards it.
+// Kernels are shared by threads. A function-local static makes each one once.
 #define NOVA_BINARY_OP(function, expression)                                                 \
   const Kernel& function##_kernel() {                                                        \
     static const Kernel kernel = with_one_gradient_set(pair_kernel(                          \
@@ -73,7 +73,7 @@ Tensor unary(const Kernel& kernel, const Tensor& x, std::span<const Param> param
         unary_kernel(#function, [](TraceContext&, const Real& v) { return expression; }); \
     return kernel;                                                                        \
   }
-// With a parameter s.
+// Defines an operation with a parameter s.
 #define NOVA_SCALAR_OP(function, name, expression)                                       \
   const Kernel& function##_kernel() {                                                    \
     static const Kernel kernel = unary_kernel(name, [](TraceContext& c, const Real& v) { \
@@ -105,7 +105,8 @@ NOVA_UNARY_OP(tanh, tanh(v))
 NOVA_UNARY_OP(acos, acos(v))
 NOVA_BINARY_OP(atan2, atan2(x, y))
 
-// Which of the four ways in which two numbers can compare make a 1: bits of a launch parameter.
+// The outcomes of comparing two numbers, as bits of a launch parameter: those for which the result
+// is 1.
 enum Holds : int32_t { kLess = 1, kEqual = 2, kGreater = 4, kUnordered = 8 };
 int32_t holds(Comparison what) {
   constexpr int32_t kHolds[] = {
@@ -125,8 +126,8 @@ const Kernel& compare_kernel() {
   return kernel;
 }
 
-// A float is 0 when all bits but the sign are, so parameter 0, the bits that count, serves
-// conditions of both types.
+// Parameter 0 masks the bits that decide. A float is 0 if all bits except the sign are 0, so one
+// kernel serves conditions of both types.
 const Kernel& where_kernel() {
   static const Kernel kernel =
       with_one_gradient_set(make_kernel("where",
@@ -160,7 +161,7 @@ Tensor with_parameter(const Kernel& kernel, const Tensor& x, float value) {
 NOVA_BINARY_OPS(NOVA_DEFINE_BINARY)
 NOVA_UNARY_OPS(NOVA_DEFINE_UNARY)
 Tensor add(const Tensor& x, float b) { return with_parameter(add_scalar_kernel(), x, b); }
-// The same bits as x - b, and as -x.
+// x + (-b) has the same bits as x - b, and -0 - x the same bits as -x.
 Tensor sub(const Tensor& x, float b) { return with_parameter(add_scalar_kernel(), x, -b); }
 Tensor neg(const Tensor& x) { return with_parameter(scalar_sub_kernel(), x, -0.0f); }
 Tensor mul(const Tensor& x, float b) { return with_parameter(mul_scalar_kernel(), x, b); }

@@ -1,5 +1,5 @@
-// Internal: what the files of the tensor functions (ops.cpp, ops_*.cpp) share, and kernels that
-// others launch into memory of their own.
+// Internal: functions that ops.cpp and ops_*.cpp share, and kernels that other files launch into
+// their own memory.
 #pragma once
 
 #include "novaphy/nova/kernel.h"
@@ -7,25 +7,25 @@
 
 namespace nova::detail {
 
-// out = x limited to [param 0, param 1], value by value; NaN stays NaN.
+// Returns the kernel that limits x to [param 0, param 1] value by value. NaN stays NaN.
 const Kernel& clamp_kernel();
-// Limits that clamp takes: ErrorKind::Value unless lower <= upper (so also for NaN).
+// Throws ErrorKind::Value unless lower <= upper, so also for NaN.
 void check_limits(const char* call, float lower, float upper);
 
-// A shape seen from one dimension: {outer, count, inner}.
+// A shape viewed from one dimension: {outer, count, inner}.
 struct Along {
   size_t axis = 0;
   int64_t outer = 1, count = 1, inner = 1;
 };
 Along along(const char* call, const Shape& shape, int64_t axis);  // see sum
-// A size as a launch parameter: ErrorKind::Value beyond 32 bits.
+// Returns a size as a launch parameter. ErrorKind::Value: more than 32 bits.
 Param int_param(const char* call, int64_t value);
 using Gradients = std::span<const Tensor>;
 using InputGradients = std::span<const InputGradient>;
-// Tangents of the inputs (undefined: zero) to that of the output.
+// Computes the tangent of the output from those of the inputs (undefined: zero).
 using TangentFn = std::function<Tensor(std::span<const Tensor>)>;
-// Records out = f(inputs), which was computed, if a tape is active. `reads`: what vjp and tangent
-// read the values of.
+// Records out = f(inputs), already computed, if a tape is active. `reads`: tensors whose values vjp
+// and tangent read.
 void record(const char* name, std::vector<Tensor> inputs, const Tensor& out,
             decltype(CustomOp::vjp) vjp, TangentFn tangent, std::vector<Tensor> reads = {});
 

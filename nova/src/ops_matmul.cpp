@@ -1,5 +1,5 @@
-// The matrix product. Its two gradients are products with transposed matrices, so that one kernel,
-// which takes the strides as parameters, is all three.
+// The matrix product. Its two gradients are products with transposed matrices. One kernel with
+// strides as parameters computes all three.
 #include <algorithm>
 #include <array>
 #include <cstring>
@@ -36,17 +36,18 @@ using novaphy::require;
 
 namespace {
 
-// On the CPU: one launch, whose rows are cut here, because they cost more than a kernel's.
+// On the CPU the product is one launch, whose rows are split here, because a row is more work than
+// a row of other kernels.
 void multiply(const uint64_t* words, int64_t, int64_t, int64_t) {
   static const ProductLevel& level = novaphy::choose_cpu_level(std::to_array<const ProductLevel*>({
 #ifdef NOVAPHY_X86_LEVELS
       &avx512::kLevel, &avx2::kLevel,
 #endif
       &baseline::kLevel}));
-  constexpr int64_t kTiles = 24, kProducts = 1 << 22;  // rows of a chunk; what it is worth
+  constexpr int64_t kTiles = 24, kProducts = 1 << 22;  // rows per chunk; products per chunk
   struct Work {
     ProductWords product;
-    int64_t rows;  // of a chunk
+    int64_t rows;  // rows per chunk
   } work;
   std::memcpy(&work.product, words, sizeof(work.product));
   const ProductWords& p = work.product;
@@ -64,8 +65,8 @@ void multiply(const uint64_t* words, int64_t, int64_t, int64_t) {
 constexpr novaphy_row_function kMultiply = {sizeof(novaphy_row_function), "matmul",
                                             sizeof(ProductWords) / 8, 0, multiply};
 
-// On devices, with the same bits. Parameters: columns of the result; strides of the rows and
-// columns of a, then of b.
+// The kernel for devices, with the same bits. Parameters: columns of the result, row and column
+// strides of a, row and column strides of b.
 const Kernel& matmul_kernel() {
   static const Kernel kernel = make_reduce_kernel(
       "matmul", {{"a", DType::F32, 1, Access::Indexed}, {"b", DType::F32, 1, Access::Indexed}},
@@ -126,7 +127,8 @@ Tensor product(const Matrix& a, const Matrix& b, const Shape& shape) {
   return out;
 }
 
-// Not built ahead: it moves few numbers. Parameters: rows and columns of x.
+// Transposes a matrix. Not compiled ahead of time, because it moves few numbers. Parameters: rows
+// and columns of x.
 const Kernel& transpose_kernel() {
   static const Kernel kernel = make_kernel(
       "transpose", {{"x", DType::F32, 1, Access::Indexed}}, {{"out", 1}}, [](TraceContext& c) {
@@ -136,7 +138,7 @@ const Kernel& transpose_kernel() {
   return kernel;
 }
 
-// weight^T in memory of its own, so that a device reads it row by row.
+// Returns weight^T in new memory, so that a device reads it row by row.
 Tensor transposed(const Tensor& x) {
   const Tensor out({x.dim(1), x.dim(0)}, DType::F32, x.device());
   const Param params[] = {int_param("linear", x.dim(0)), int_param("linear", x.dim(1))};
@@ -146,7 +148,7 @@ Tensor transposed(const Tensor& x) {
   return out;
 }
 
-// a b^T
+// Returns a b^T.
 Tensor product_with_transposed(const Matrix& a, const Matrix& b, const Shape& shape) {
   if (b.tensor.device().is_cpu()) return product(a, b.transposed(), shape);
   return product(a, {transposed(b.tensor), b.columns, b.rows}, shape);

@@ -1,4 +1,4 @@
-// Activations, and random numbers without a state.
+// Activation functions and counter-based random numbers.
 #include <limits>
 
 #include "checks.h"
@@ -43,14 +43,15 @@ Tensor apply(const Kernel& kernel, const Tensor& x) {
   return out;
 }
 
-// The words of a value's counter. Parameters: width, both halves of the seed, stream, first world.
+// Returns the random words of a value's counter. Parameters: width, both halves of the seed, stream,
+// first world.
 novaphy::math::Philox<Int> words_of(TraceContext& c, const Int& column) {
   const Int world = c.index() / c.param_i32(0) + c.param_i32(4);
   return novaphy::math::philox4x32_10<Int>(
       {{shift_right_unsigned(column, Int(2)), world, c.i32(0), c.param_i32(3)}}, c.param_i32(1),
       c.param_i32(2));
 }
-// The upper 24 bits, plus `more`, by 2^24.
+// Returns (the upper 24 bits of a word + `more`) / 2^24.
 Real fraction(const Int& word, int32_t more) {
   return to_real(shift_right_unsigned(word, Int(8)) + Int(more)) * Real(0x1p-24f);
 }

@@ -1,5 +1,5 @@
-// Reads of parts of a tensor, and their assembly: slice, gather, concat. They move 32-bit words, so
-// int32 tensors go the same way as float32, without a gradient.
+// Functions that read parts of a tensor and join parts: slice, gather, concat. They move 32-bit
+// words, so int32 tensors use the same code, without a gradient.
 #include <algorithm>
 #include <string>
 
@@ -23,14 +23,16 @@ using novaphy::require;
 
 namespace {
 
-// Entry k of a dimension of the target takes entry (k * times + plus) / over of the source, where
-// that is whole and there. This is a slice, and with the inverse map its adjoint.
+// Maps entries of a dimension: entry k of the target is entry (k * times + plus) / over of the
+// source, if that is an integer in range. A slice is such a map, and its adjoint is the inverse
+// map.
 struct EntryMap {
   int64_t times = 1, plus = 0, over = 1;
 };
 
-// Parameters: the words of the inner dimensions; of all from the mapped one on, in the target and
-// in the source; entries of the source; the map. What is not taken stays.
+// Copies mapped entries; other entries of the target stay unchanged. Parameters: words of the inner
+// dimensions; words from the mapped dimension on, in the target and in the source; entries of the
+// source; the map.
 const Kernel& copy_entries_kernel() {
   static const Kernel kernel = make_kernel(
       "copy_entries",
@@ -53,7 +55,7 @@ const Kernel& gather_kernel() {
       {{"out", 1}}, [](TraceContext& c) {
         const Int width = c.param_i32(0), i = c.index(), row = c.i32(0, i / width, 0);
         const Bool there = both(Int(0) <= row, row < c.param_i32(1));
-        const Int past_the_end = INT32_MAX;  // fails the launch
+        const Int past_the_end = INT32_MAX;  // an index out of range fails the launch
         return std::vector{c.f32(1, select(there, row * width + i % width, past_the_end), 0)};
       });
   return kernel;
@@ -65,7 +67,7 @@ Operand words_of(const Tensor& x) {
   return words;
 }
 
-// The two have the same shape but for the dimension that is mapped.
+// Source and target have the same shape except for the mapped dimension.
 void copy_entries(const char* call, const Tensor& source, const Tensor& target, const Along& along,
                   const EntryMap& map) {
   const int64_t entries = source.dim(along.axis);
@@ -122,7 +124,8 @@ Tensor slice(const Tensor& x, int64_t axis, int64_t start, int64_t count, int64_
 
 namespace {
 
-// The first entry that names no row, for the message; there is none where the host may not look.
+// Returns the first entry out of range, for the error message. In a capture, where the host may not
+// read, the result is empty.
 std::string wrong_entry(const Tensor& index, int64_t rows) {
   if (current_capture()) return "";
   const std::vector<int32_t> entries = index.to_host_i32();
@@ -177,7 +180,7 @@ Tensor concat(std::span<const Tensor> parts, int64_t axis) {
   require(!parts.empty(), ErrorKind::Value, "concat, parts: expected at least one tensor");
   check_words("concat", "parts[0]", parts[0]);
   Along along = detail::along("concat", parts[0].shape(), axis);
-  constexpr size_t kMost = 64;  // inputs of one operation of a tape
+  constexpr size_t kMost = 64;  // largest number of inputs of an operation on a tape
   if (parts.size() > kMost) {
     std::vector<Tensor> joined;
     for (size_t k = 0; k < parts.size(); k += kMost)
@@ -201,7 +204,7 @@ Tensor concat(std::span<const Tensor> parts, int64_t axis) {
     shape[along.axis] += part.dim(along.axis);
   }
   const Tensor out(shape, parts[0].dtype(), parts[0].device());
-  std::vector<int64_t> first{0};  // entry of each part, and the end
+  std::vector<int64_t> first{0};  // first entry of each part, and the end
   for (const Tensor& part : parts) {
     copy_entries("concat", part, out, along, {.plus = -first.back()});
     first.push_back(first.back() + part.dim(along.axis));
@@ -246,7 +249,7 @@ Tensor stack(std::span<const Tensor> parts, int64_t axis) {
 Tensor transpose(const Tensor& x, std::span<const int64_t> axes) {
   check_words("transpose", "x", x);
   const size_t ndim = x.ndim();
-  std::vector<size_t> from(ndim, ndim);  // the dimension of x that becomes dimension k
+  std::vector<size_t> from(ndim, ndim);  // dimension of x that becomes dimension k
   require(axes.empty() || axes.size() == ndim, ErrorKind::Value, "transpose, axes: expected ", ndim,
           " for shape ", shape_str(x.shape()), ", got ", axes.size());
   for (size_t k = 0; k < ndim; ++k)
@@ -266,7 +269,7 @@ Tensor transpose(const Tensor& x, std::span<const int64_t> axes) {
   if (x.size() == 0) return Tensor(shape, x.dtype(), x.device());
   (void)int_param("transpose", x.size());
   std::vector<int32_t> entries(static_cast<size_t>(x.size()));
-  std::vector<int64_t> at(ndim, 0);  // of an entry of the result
+  std::vector<int64_t> at(ndim, 0);  // index of an entry of the result
   for (int32_t& entry : entries) {
     int64_t place = 0;
     for (size_t k = 0; k < ndim; ++k) place += at[k] * stride[k];
@@ -274,7 +277,7 @@ Tensor transpose(const Tensor& x, std::span<const int64_t> axes) {
     for (size_t k = ndim; k > 0 && ++at[k - 1] == shape[k - 1]; --k) at[k - 1] = 0;
   }
   const Tensor index = [&] {
-    const novaphy::UntrackedScope fresh;  // memory that no capture has seen
+    const novaphy::UntrackedScope fresh;  // a capture does not know this memory yet
     return Tensor::from_host(entries, shape, x.device());
   }();
   return gather(x.reshape({x.size()}), index);

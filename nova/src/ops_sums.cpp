@@ -1,4 +1,4 @@
-// Sums and their adjoint, repetition: of a tensor seen as {outer, count, inner}, over `count`.
+// Sums and their adjoint, repetition, over `count` of a tensor viewed as {outer, count, inner}.
 #include <algorithm>
 
 #include "checks.h"
@@ -29,7 +29,7 @@ const Kernel& broadcast_kernel() {
   return kernel;
 }
 
-// A single value goes without the row number, and so block by block with its neighbors.
+// Repeats a single value without the row index, so the kernel can be fused with its neighbors.
 const Kernel& broadcast_value_kernel() {
   static const Kernel kernel =
       make_kernel("broadcast_value", {{"value", DType::F32, 1, Access::Uniform}}, {{"out", 1}},
@@ -39,20 +39,20 @@ const Kernel& broadcast_value_kernel() {
 
 Tensor repeat_along(const Tensor& x, const Along& along, const Shape& shape);
 
-// {1} if it was the only one.
+// Removes a dimension. A shape without other dimensions becomes {1}.
 Shape without_dimension(Shape shape, size_t axis, bool keepdims) {
   shape[axis] = 1;
   if (!keepdims && shape.size() > 1) shape.erase(shape.begin() + static_cast<std::ptrdiff_t>(axis));
   return shape;
 }
 
-// {outer, count, inner} to {outer, inner}, in the order of the row-sum rule.
+// Sums {outer, count, inner} to {outer, inner}, in the order of the row-sum rule.
 Tensor sum_along(const Tensor& x, const Along& along, const Shape& shape) {
   require(along.inner <= INT32_MAX, ErrorKind::Value,
           "sum: expected rows of less than 2^31 values, got shape ", shape_str(x.shape()));
   const Tensor out(shape, DType::F32, x.device());
   const auto width = static_cast<int32_t>(along.inner);
-  if (width != 0)  // rows of nothing have no sum
+  if (width != 0)  // rows of width 0 have no sum
     row_sum({x.range(), along.outer * along.count, width}, along.outer, along.count, nullptr,
             {out.range(), along.outer, width});
   detail::record(
@@ -64,7 +64,7 @@ Tensor sum_along(const Tensor& x, const Along& along, const Shape& shape) {
   return out;
 }
 
-// {outer, inner} to {outer, count, inner}.
+// Repeats {outer, inner} to {outer, count, inner}.
 Tensor repeat_along(const Tensor& x, const Along& along, const Shape& shape) {
   const Tensor out(shape, DType::F32, x.device());
   const Operand in = x.flat_operand(), target = out.flat_operand();
@@ -81,8 +81,8 @@ Tensor repeat_along(const Tensor& x, const Along& along, const Shape& shape) {
       "broadcast", {x}, out,
       [along, shape = x.shape()](Gradients g, InputGradients to) {
         if (along.outer * along.inner != 1) return to[0].put(sum_along(g[0], along, shape));
-        // That of a single value goes on from what is there, as one that a kernel reads for all
-        // rows.
+        // The gradient of a single value continues from the present value, like the gradient of a
+        // uniform source.
         const Operand sum = to[0].grad.flat_operand();
         row_sum({g[0].range(), along.count, 1}, 1, along.count, to[0].add ? &sum : nullptr, sum);
       },
@@ -195,8 +195,8 @@ Tensor mean(const Tensor& x, int64_t axis, bool keepdims) {
   return div(sum(x, axis, keepdims), static_cast<float>(count));
 }
 namespace {
-// Both halves of a dimension are compared until one entry is left; of an odd number the middle one
-// is in both.
+// Compares both halves of a dimension until one entry is left. For an odd size the middle entry
+// belongs to both halves.
 Tensor fold(const char* call, Tensor x, int64_t axis, bool keepdims,
             Tensor (*pick)(const Tensor&, const Tensor&)) {
   check_f32(x, {call, "x"});

@@ -24,8 +24,8 @@ Quaternion quaternion(TraceContext& c, size_t s) {
 std::vector<Real> values(const Vector& v) { return {v.x, v.y, v.z}; }
 std::vector<Real> values(const Quaternion& q) { return {q.x, q.y, q.z, q.w}; }
 
-// q = (r sin(a)/|r|, cos(a)), a = |r|/2. Below a = 0.1 the sine is its series, which has a
-// derivative at 0.
+// Returns q = (r sin(a)/|r|, cos(a)) with a = |r|/2. Below a = 0.1 the sine is replaced by its
+// series, which has a derivative at 0.
 Quaternion exponential(const Vector& r) {
   const Vector half = r * Real(0.5f);
   const Real a2 = math::dot(half, half), a = sqrt(a2);
@@ -33,8 +33,8 @@ Quaternion exponential(const Vector& r) {
   const Real s = select(a2 < Real(1e-2f), series, sin(a) / a);
   return {half.x * s, half.y * s, half.z * s, cos(a)};
 }
-// r = 2 atan2(|v|, w) v/|v| of the one of q and -q with w >= 0. Below |v|/w = 0.03 the arc tangent
-// is its series.
+// Returns r = 2 atan2(|v|, w) v/|v| for the one of q and -q with w >= 0. Below |v|/w = 0.03 the arc
+// tangent is replaced by its series.
 Vector logarithm(const Quaternion& q) {
   const Real side = select(q.w < Real(0.0f), Real(-1.0f), Real(1.0f)), w = q.w * side;
   const Vector v = Vector{q.x, q.y, q.z} * side;
@@ -45,7 +45,7 @@ Vector logarithm(const Quaternion& q) {
   return v * (Real(2.0f) * select(small, series / w, atan2(n, w) / n));
 }
 
-// Every source is a row of its own.
+// Makes a kernel that reads every source at its own row.
 template <class F>
 Kernel row_kernel(const char* name, std::vector<SourceSpec> sources, int32_t width, F f) {
   return with_one_gradient_set(make_kernel(name, std::move(sources), {{"out", width}},
@@ -82,7 +82,7 @@ const Kernel& quat_log_kernel() {
   return kernel;
 }
 
-// The leading dimensions of the inputs are broadcast.
+// Launches a kernel on inputs whose leading dimensions are broadcast.
 Tensor launch_rows(const Kernel& kernel, std::initializer_list<Tensor> inputs) {
   const char* call = kernel.name().c_str();
   const std::vector<SourceSpec>& sources = kernel.sources();

@@ -23,10 +23,10 @@ void check_param(const Tensor& param, float learning_rate, const char* call) {
           ", learning_rate: expected a finite number, got ", learning_rate);
 }
 
-// x * 0 is 0 exactly when x is finite.
+// x * 0 is 0 if and only if x is finite.
 Bool is_finite(const Real& x) { return x * Real(0.0f) == Real(0.0f); }
 
-// v, scaled to the length `limit` when it is longer; limit <= 0 switches it off.
+// Returns v, scaled to the length `limit` if it is longer. limit <= 0 switches the clip off.
 Vec3<Real> clip(const Vec3<Real>& v, const Real& limit) {
   const Real l = novaphy::math::length(v);
   const Bool too_long = both(Real(0.0f) < limit, limit < l);
@@ -59,7 +59,7 @@ const Kernel& sgd_vec3_clipped_kernel() {
 
 }  // namespace
 
-// Updates are never recorded, so they have no gradients.
+// Updates are never recorded, so these kernels have no gradients.
 void detail::add_optim_kernels(EngineKernels& list) {
   list.push_back({sgd_kernel(), {}});
   list.push_back({sgd_vec3_clipped_kernel(), {}});

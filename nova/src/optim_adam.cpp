@@ -26,10 +26,10 @@ void check_options(const char* call, const AdamOptions& options) {
           "expected a finite float32 > 0, got ", options.eps);
 }
 
-// 1 - beta^count. With c(k) = 1 - beta^k, products of powers are
+// Returns 1 - beta^count. With c(k) = 1 - beta^k, products of powers are
 //   c(j + k) = c(j) + c(k) * (1 - c(j)),   c(2 k) = c(k) * (2 - c(k)),
-// so the bits of count say which to take. 1 - pow(beta, count) would cancel: for beta = 0.999 it
-// has lost 14 bits at the first step.
+// so the bits of count select the factors. 1 - pow(beta, count) would cancel: for beta = 0.999 it
+// loses 14 bits in the first step.
 Real bias_correction(const Int& count, const Real& beta) {
   Real total(0.0f), power = Real(1.0f) - beta;
   for (int k = 0; k < detail::kCountBits; ++k) {
@@ -52,8 +52,8 @@ const Kernel& adam_advance_kernel() {
   return kernel;
 }
 
-// t += 1, and both bias corrections for it: once a step, because they are many operations, and one
-// step of the class has one t for all parameters.
+// Computes t += 1 and both bias corrections. This runs once per step, because it takes many
+// operations and all parameters of the class share one t.
 void advance(const Tensor& t, const Tensor& correction, const Tensor& unfit,
              const AdamOptions& options) {
   const Operand in[] = {t.flat_operand(), unfit.operand()}, out[] = {in[0], correction.operand()};
@@ -92,7 +92,7 @@ void update(const Tensor& param, const Tensor& m, const Tensor& v, const Tensor&
   adam_update_kernel().launch(param.size(), in, {in, 3}, {.params = params});
 }
 
-// Two floats for advance to write.
+// Allocates the two floats that `advance` writes.
 Tensor make_correction(Device device) { return Tensor({1, 2}, DType::F32, device); }
 
 void check_state(const Tensor& param, const Tensor& m, const Tensor& v, const Tensor& t) {

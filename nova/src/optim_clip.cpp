@@ -1,4 +1,4 @@
-// Clipping of gradients, and the projection of a parameter on an interval.
+// Clipping of gradients, and limiting a parameter to an interval.
 #include <cmath>
 
 #include "engine_kernels.h"
@@ -20,7 +20,7 @@ const Kernel& square_kernel() {
   return kernel;
 }
 
-// PyTorch's, which keeps a norm of 0 from dividing.
+// PyTorch's constant, which avoids a division by 0.
 constexpr float kNormEpsilon = 1e-6f;
 
 const Kernel& clip_factor_kernel() {
@@ -35,8 +35,8 @@ const Kernel& clip_factor_kernel() {
   return kernel;
 }
 
-// total becomes the norm; factor what the gradients are multiplied with, 0 for a norm that is not
-// finite.
+// Turns `total`, the sum of squares, into the norm. `factor` becomes the factor of the gradients, 0
+// for a norm that is not finite.
 void norm_and_factor(const Operand& total, const Operand& factor, float max_norm) {
   const Operand out[] = {total, factor};
   const Param params[] = {max_norm};
@@ -49,7 +49,7 @@ const Kernel& scale_grad_kernel() {
       {{"grad", DType::F32, 1, Access::Direct}, {"factor", DType::F32, 1, Access::Uniform}},
       {{"grad", 1}}, [](TraceContext& c) {
         const Real zero(0.0f), by = c.f32(1);
-        // 0 times a gradient that is not finite would be NaN.
+        // The product of 0 and a gradient that is not finite would be NaN.
         return std::vector{select(by == zero, zero, c.f32(0) * by)};
       });
   return kernel;

@@ -67,7 +67,7 @@ void sum_over_grads(std::span<const Tensor> params, const Kernel& f, const Opera
 
 Operand grad_operand(const Tensor& param) {
   const GradInfo& info = grad_info(*param.range());
-  if (info.state != GradState::Held) param.grad();  // fills it
+  if (info.state != GradState::Held) param.grad();  // fills the gradient with zeros
   Operand o = param.flat_operand();
   o.range = info.grad;
   return o;

@@ -1,4 +1,4 @@
-// Internal: what the optimizer functions and classes share.
+// Internal: functions that all optimizers share.
 #pragma once
 
 #include <span>
@@ -10,30 +10,31 @@
 
 namespace nova::detail {
 
-// ErrorKind::Value unless finite and >= 0.
+// Throws ErrorKind::Value unless the value is finite and >= 0.
 void check_rate(const Argument& argument, float value);
-// ErrorKind::Value unless the parameter has a gradient.
+// Throws ErrorKind::Value unless the parameter has a gradient.
 void check_has_grad(const Tensor& param, const Argument& argument);
-// "params" of a call: not empty, float32, on one device, none twice or overlapping.
+// Checks the parameters of a call: at least one, float32, on one device, without overlap.
 void check_params(std::span<const Tensor> params, const char* call);
 void check_grads(std::span<const Tensor> params, const char* call);
 
-// ErrorKind::Runtime unless all gradients are finite; looks at them on the host.
+// Throws ErrorKind::Runtime unless all gradients are finite. Reads them on the host.
 void check_finite_grads(std::span<const Tensor> params, const char* call);
-// total = the sum of f over the values of all gradients, as one row sum that goes on from one
-// parameter to the next.
+// Sets `total` to the sum of f over the values of all gradients. One row sum continues from
+// parameter to parameter.
 void sum_over_grads(std::span<const Tensor> params, const Kernel& f, const Operand& total);
 
-// The gradient, value by value; it is zero where no backward has filled it.
+// Returns the gradient as single values. A gradient that no backward pass has filled is zero.
 Operand grad_operand(const Tensor& param);
 
-// The number of the update that runs now, from the number of those before (a float32 that holds an
-// integer, so that a kernel can write it). What is no count (negative, NaN) counts as 0. It stays
-// at 2^24 - 1, the last step that float32 can make; bias corrections are long 1 by then.
+// Returns the number of the current update from the number of earlier ones, a float32 with an
+// integer value. A value that is negative or NaN counts as 0. The number stops at 2^24 - 1, the
+// largest step that float32 can count; bias corrections are 1 long before.
 inline constexpr int kCountBits = 24;
 Int next_count(const Real& t);
 
-// What a step leaves: `unfit` is 0, or a gradient is not finite.
+// Returns `next` if `unfit` is 0, else `now`. unfit is NaN if a gradient is not finite, and the
+// step then changes nothing.
 inline Real if_fit(const Real& unfit, const Real& next, const Real& now) {
   return select(unfit == Real(0.0f), next, now);
 }

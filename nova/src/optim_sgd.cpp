@@ -1,4 +1,4 @@
-// The class SGD, and what it shares with Adam.
+// The class SGD, and code that it shares with Adam.
 #include <cmath>
 
 #include "engine_kernels.h"
@@ -39,7 +39,7 @@ void check_refused(const char* name, const Tensor& refused, const Tensor& unfit)
                 steps, " of them, which wrote nothing");
 }
 
-// 0, or NaN for a value that is not finite.
+// Returns 0 for a finite value, else NaN.
 const Kernel& unfit_kernel() {
   static const Kernel kernel =
       make_kernel("not_finite_f32", {{"x", DType::F32, 1, Access::Direct}}, {{"out", 1}},
@@ -57,8 +57,8 @@ const Kernel& count_refused_kernel() {
   return kernel;
 }
 
-// The gradient with the one of weight_decay / 2 * p^2 added. Without decay it keeps its bits (the
-// sum would turn -0 into +0), also where p is not finite.
+// Adds the gradient of weight_decay / 2 * p^2. Without decay the gradient keeps its bits: the sum
+// would turn -0 into +0, and would fail for a p that is not finite.
 Real decayed(const Real& grad, const Real& p, const Real& weight_decay) {
   return select(weight_decay == Real(0.0f), grad, grad + weight_decay * p);
 }
@@ -104,7 +104,7 @@ const Kernel& sgd_momentum_kernel() {
   return kernel;
 }
 
-// t counts the steps, this one included.
+// t is the number of steps including this one.
 void update_with_momentum(const Tensor& param, const Tensor& b, const Tensor& t,
                           const Tensor& unfit, float lr, const SGDOptions& options) {
   const Operand in[] = {param.flat_operand(), b.flat_operand(), detail::grad_operand(param),

@@ -1,4 +1,4 @@
-// Internal: what a backend may lack.
+// Internal: optional functions of a backend.
 #pragma once
 
 #include <cstdint>
@@ -7,7 +7,8 @@
 
 namespace nova::detail {
 
-// Whether a table, which ends early where the backend is older, has an optional entry.
+// Returns whether a backend's table has an optional entry. The table of an older backend ends
+// earlier.
 template <class Entry>
 bool has_entry(const novaphy_backend_api& api, Entry novaphy_backend_api::*entry) {
   const auto begin = reinterpret_cast<uintptr_t>(&api);

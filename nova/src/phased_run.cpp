@@ -13,24 +13,25 @@ namespace nova::detail {
 
 namespace {
 
-// An operation whose rows cannot be shared out may touch so many bytes.
+// Largest number of bytes that an operation may access if its rows cannot be split.
 constexpr uint64_t kSmallBytes = 1 << 15;
-// Fewer operations between two barriers, rows times those of a row, are done sooner
-// by one thread: compiled code does so many in about three microseconds.
+// A phase with fewer operations (rows times operations per row) is faster on one thread. Compiled
+// code runs this many in about three microseconds.
 constexpr int64_t kWorthSharing = 1 << 17;
-// Every thread has a part of each chain, the same part in every phase, so that it wrote most of
-// what it reads; many rows are cut further, so that a thread can take over from another. A call for
-// a quarter of these rows costs up to a tenth more: compiled code is slow to begin.
+// Every thread has the same part of each chain in every phase, so that it reads mostly data that it
+// wrote. Chains with many rows are split further, so that threads can take over parts from each
+// other. A quarter of these rows per call costs up to 10 % more, because compiled code has a
+// start-up cost.
 constexpr int64_t kRowsPerPart = 1024, kMostEach = 32;
-constexpr int64_t kGroupRows = 16;  // that compiled code computes together, at most
-// Between two looks at an interrupt.
+constexpr int64_t kGroupRows = 16;  // largest number of rows that compiled code computes together
+// Number of phases between two checks for an interrupt.
 constexpr size_t kPhasesPerRound = 64;
 bool can_be_cut(const OpList::Op& op) {
   return op.kind == OpList::Op::Kind::Launch ? op.layout != nullptr && op.layout->row_local
                                              : op.n % 4 == 0;
 }
 
-// The threads that the rows of these phases are worth.
+// Returns the number of threads that these phases can keep busy.
 int64_t threads_for(std::span<const Phased> placed, std::span<const OpList::Op> ops) {
   int64_t operations = 0;
   for (const Phased& p : placed) {
@@ -72,11 +73,11 @@ PhasedRun::PhasedRun(const novaphy::DeviceContext& context, std::span<OpList::Op
         {first, k, p.phase, p.rows, parts_of(ops_.subspan(first, k - first), p.rows)});
   }
   make_chunks();
-  for (const Chain& chain : chains_)  // the parts share out the rows
+  for (const Chain& chain : chains_)  // the parts cover all rows
     NOVAPHY_ASSERT(chain.begin(0) == 0 && chain.begin(chain.parts) == chain.rows);
 }
 
-// In whole groups of rows.
+// Parts begin at whole groups of rows.
 int64_t PhasedRun::Chain::begin(uint32_t part) const {
   return part == parts ? rows : rows * part / parts / kGroupRows * kGroupRows;
 }
@@ -96,8 +97,8 @@ void PhasedRun::make_chunks() {
     const auto begin = static_cast<ptrdiff_t>(chunks_.size());
     for (; c < end; ++c)
       for (uint32_t part = 0; part < chains_[c].parts; ++part) chunks_.push_back({c, part});
-    // The same part of all chains together: a thread gets a part of each, and elements near the
-    // particles that it moves.
+    // Sorts the same parts of all chains together. A thread then gets a part of each chain, and
+    // elements near the particles that it moves.
     const auto place = [this](const Chunk& chunk) {
       return static_cast<double>(chunk.part) / static_cast<double>(chains_[chunk.chain].parts);
     };
@@ -129,7 +130,7 @@ void PhasedRun::run_chunk(int64_t number, Failure& failure) const {
     if (status == NOVAPHY_OK) [[likely]]
       continue;
     const std::lock_guard lock(failure.mutex);
-    // Others look at the phase without the lock: it is written once, before `any`.
+    // Other threads read `phase` without the lock. It is written once, before `any`.
     if (!failure.any) failure.phase = chain.phase;
     if (!failure.any || order_[k] < order_[failure.op]) {
       failure.op = k;

@@ -1,5 +1,5 @@
-// Internal: runs a stretch of recorded operations that read one another's rows on the host, phase
-// by phase. Threads share the rows of all operations of a phase, and meet once before the next one.
+// Internal: runs recorded operations that read each other's rows on the host, phase by phase.
+// Threads share the rows of all operations of a phase, and meet at a barrier before the next phase.
 #pragma once
 
 #include <cstdint>
@@ -10,24 +10,24 @@
 
 namespace nova::detail {
 
-// Whether an operation can be one of a phase: what it touches is known, and its rows can be shared
-// out, unless it is small.
+// Returns whether an operation can be part of a phase: its accesses are known, and its rows can be
+// split or it is small.
 bool fits_phases(const OpList::Op& op, std::span<const uint64_t> words,
                  std::span<const MemoryAccess> accesses);
 
 class PhasedRun {
  public:
-  // Puts the operations in the order of phases and chains. They and `words`, those of the recorded
-  // list, outlive this and stay as they are then.
+  // Puts the operations into the order of phases and chains. The operations and the words of the
+  // recorded list must outlive this object unchanged.
   PhasedRun(const novaphy::DeviceContext& context, std::span<OpList::Op> ops,
             std::span<const uint64_t> words, std::span<const MemoryAccess> accesses);
-  // Throws like a launch: of the operations that fail in the first phase that has any, the one that
-  // was recorded first is named.
+  // Throws like a launch. The error is that of the first phase with a failure, and there of the
+  // operation that was recorded first.
   void run() const;
   size_t phases() const { return ends_.size(); }
 
  private:
-  // Operations [first, last), one after another for each part of the rows.
+  // Operations [first, last), which run one after another for each part of the rows.
   struct Chain {
     uint32_t first, last;
     uint32_t phase;
@@ -47,11 +47,11 @@ class PhasedRun {
   const novaphy::DeviceContext& context_;
   const std::span<const uint64_t> words_;
   const std::span<const OpList::Op> ops_;
-  int64_t threads_ = 1;          // that the rows are shared out to
-  std::vector<uint32_t> order_;  // when each was recorded
+  int64_t threads_ = 1;          // number of threads that share the rows
+  std::vector<uint32_t> order_;  // position of each operation in the recording
   std::vector<Chain> chains_;
   std::vector<Chunk> chunks_;
-  std::vector<int64_t> ends_;  // of the chunks of each phase
+  std::vector<int64_t> ends_;  // end of each phase in chunks_
 };
 
 }  // namespace nova::detail

@@ -12,9 +12,9 @@ namespace nova::detail {
 
 namespace {
 
-// Rows of an operation for each row of its chain, at most: more would leave threads idle.
+// Largest number of rows of an operation per row of its chain; more would leave threads idle.
 constexpr int64_t kMaxRowsEach = 8;
-// What a device keeps at hand of a phase.
+// Limits of the data that a device caches for a phase.
 constexpr size_t kMaxWords = 448, kMaxChains = 24;
 
 class PhasePlanner {
@@ -46,26 +46,26 @@ class PhasePlanner {
 
  private:
   struct Chain {
-    uint32_t phase = 0, joined = 0;  // joined: itself, or the chain that it became part of
-    int64_t rows = 0, most = 0;      // most: of one of its operations
+    uint32_t phase = 0, joined = 0;  // joined: itself, or the chain that absorbed it
+    int64_t rows = 0, most = 0;      // most: largest number of rows of one operation
   };
   struct Phase {
     size_t words = 0, chains = 0;
   };
   struct User {
     uint32_t chain = 0;
-    bool own = false;  // at the own row only
+    bool own = false;  // accesses only its own row
   };
-  // Memory that operations touched: the last write, and the reads in the last phase that has any.
+  // Memory that operations accessed: the last write, and the reads in the last phase with reads.
   struct Interval {
     uint64_t end = 0;
     std::optional<User> writer;
     std::vector<User> readers;
   };
-  // An operation that the next one must come after.
+  // An operation that must come before the next one.
   struct Before {
     uint32_t chain = 0;
-    bool own = false;  // only row i of it before row i of the next one
+    bool own = false;  // only row i of it must come before row i of the next
   };
 
   uint32_t root(uint32_t chain) const {
@@ -104,8 +104,8 @@ class PhasePlanner {
       add_reader(at->second, user);
     }
   }
-  // Another view of the same bytes: together they are one interval, and whoever comes next comes
-  // after all that touched it.
+  // Merges intervals for an access through another view of the same bytes. The next operation then
+  // comes after all operations that accessed them.
   void merge(std::map<uint64_t, Interval>::iterator at, const MemoryAccess& access,
              uint32_t chain) {
     uint64_t begin = access.begin, end = access.begin + access.bytes;
@@ -137,7 +137,7 @@ class PhasePlanner {
     interval.readers.push_back(user);
   }
 
-  // Memory that an operation touches in two ways counts as touched at any row.
+  // Memory that an operation accesses in two ways counts as accessed at any row.
   void forget_rows_of_mixed_access() {
     const auto mixed = [](const MemoryAccess& a, const MemoryAccess& b) {
       return share_bytes(a, b) && (b.row_bytes == 0 || a.begin != b.begin || a.bytes != b.bytes);
@@ -147,7 +147,7 @@ class PhasePlanner {
         if (mixed(a, b)) a.row_bytes = 0;
   }
 
-  // The chain of an operation that comes after those.
+  // Returns the chain for operation k, which comes after the operations placed so far.
   uint32_t place(uint32_t k) {
     touched_.clear();
     before_.clear();
@@ -185,7 +185,7 @@ class PhasePlanner {
     for (const MemoryAccess& access : touched_) add(access, chain);
     return chain;
   }
-  // Makes one chain of several that also holds an operation over so many rows.
+  // Merges several chains into one that also has an operation over `rows` rows.
   std::optional<uint32_t> join(const std::vector<uint32_t>& with, int64_t rows) {
     int64_t fewest = rows, most = rows;
     for (const uint32_t c : with) {
@@ -208,7 +208,7 @@ class PhasePlanner {
   std::vector<Chain> chains_;
   std::vector<Phase> phases_;
   std::map<uint64_t, Interval> intervals_;
-  std::vector<MemoryAccess> touched_;  // by the operation looked at
+  std::vector<MemoryAccess> touched_;  // by the operation under inspection
   std::vector<Before> before_;
 };
 

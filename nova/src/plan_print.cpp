@@ -19,7 +19,7 @@ std::string name_of(const OpList::Op& op) {
   return op.name;
 }
 
-// Why an operation is in no block of rows.
+// Returns the reason why an operation does not run block by block.
 std::string reason_of(const OpList::Op& op, std::span<const uint64_t> words,
                       std::span<const MemoryAccess> accesses) {
   std::vector<MemoryAccess> touched;
@@ -36,7 +36,7 @@ std::string reason_of(const OpList::Op& op, std::span<const uint64_t> words,
   return "no neighbor has as many rows and shares memory with it at the own row only";
 }
 
-// Names in the order of their first operation, with their numbers.
+// Returns the names of the operations with their counts, in order of first occurrence.
 std::string names(std::span<const OpList::Op> ops) {
   std::vector<std::pair<std::string, size_t>> found;
   for (const OpList::Op& op : ops) {

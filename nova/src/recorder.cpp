@@ -1,4 +1,4 @@
-// What the runtime does about launches of libraries that do not know it.
+// The runtime's recorder of launches by libraries that do not depend on the runtime.
 #include "recorder.h"
 
 #include <vector>
@@ -14,7 +14,7 @@ namespace {
 using novaphy::Launch;
 using novaphy::LaunchArgument;
 
-// No adjoint is known of such a launch.
+// Refuses arguments that carry a gradient, because a hand-written launch has no known adjoint.
 void refuse_gradients(const Tape& tape, const Launch& launch) {
   for (const LaunchArgument& a : launch.arguments) {
     if (!a.read || !a.differentiable || !a.range) continue;
@@ -65,7 +65,7 @@ class Recorder : public novaphy::LaunchRecorder {
   }
 
  private:
-  std::vector<MemoryAccess> accesses_;  // of the launch at hand; kept for its memory
+  std::vector<MemoryAccess> accesses_;  // of the current launch; a member to reuse its memory
 };
 
 thread_local Recorder recorder;

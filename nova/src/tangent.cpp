@@ -15,7 +15,7 @@ using ir::kNone;
 using ir::Op;
 using ir::Value;
 
-// One pass over the primal in its own order: of every value a copy, and its tangent where it has
+// Generates a tangent in one pass over the primal: a copy of every value, and its tangent if it has
 // one.
 class Push {
  public:
@@ -71,7 +71,7 @@ class Push {
     return trace_.emit(in);
   }
 
-  // kNone: 0.
+  // Returns the tangent of a value; kNone means 0.
   Value tangent(Value v, const Instr& in) {
     if (in.op == Op::LOAD_F) {
       const int32_t source = tangent_source_[in.a];
@@ -106,7 +106,7 @@ class Push {
   const ir::Program& p_;
   Trace trace_;
   DerivativeRules rules_{trace_};
-  std::vector<int32_t> tangent_source_;  // per source of the primal, or -1
+  std::vector<int32_t> tangent_source_;  // per source of the primal: its tangent's source, or -1
   std::vector<Value> copies_, tangents_;
 };
 

@@ -18,12 +18,12 @@ thread_local int no_grad_depth = 0;
 
 bool Tape::Impl::carries(const Range& range) {
   const GradInfo* info = find_grad_info(range);
-  if (!info) return false;  // nothing that takes part in differentiation
+  if (!info) return false;  // the range does not take part in differentiation
   const Node* n = find(range);
   return n && n->ever_written ? n->carries : info->requires_grad;
 }
 
-// Computed once for a version.
+// Returns the checksum of an exported value, computed once per version.
 bool Tape::Impl::note_exported_value(const Range& range, uint64_t& checksum) {
   Value& value = values[&range];
   if (value.version != range.version()) value = {range.version(), checksum_now(range)};
@@ -52,7 +52,7 @@ Tape::Impl::Use& Tape::Impl::add_input(const Op& op, const Operand& operand) {
   return use;
 }
 
-// The uses of the operation are the last ones.
+// Appends an operation, whose uses are the last ones in `uses`.
 void Tape::Impl::append(Op op, bool recorded) {
   op.step = of_step;
   ops.push_back(std::move(op));
@@ -70,7 +70,7 @@ void Tape::Impl::append(Op op, bool recorded) {
   if (in_group) groups.back().last = static_cast<uint32_t>(ops.size());
 }
 
-// Of a value that is read by a capture and comes from outside of it.
+// Throws if a capture reads an exported value from outside of the capture.
 void Tape::Impl::refuse_export_in_capture() {
   fail(ErrorKind::Runtime,
        "tape: an array with a writable export cannot be followed into, or out of, a ScopedCapture; "
@@ -82,7 +82,7 @@ uint64_t Tape::Impl::checksum_now(const Range& range) {
   return range.checksum();
 }
 
-// Whether the recorded value of the node is no longer there.
+// Returns whether the recorded value of the node has been overwritten.
 bool Tape::Impl::was_written_outside(const Node& n) {
   if (n.written_version != version_of(*n.range)) return true;
   if (!n.has_checksum && !n.range->was_exported()) return false;
@@ -100,13 +100,13 @@ void Tape::Impl::check_not_of_another(const Range& range, const std::string& op,
          "here. Record both on one tape, take detach(), or reset() the other tape");
 }
 
-// A value that the tape produced and that was then overwritten behind it would carry a wrong
-// gradient.
+// Checks that an input is not a value of the tape that was overwritten outside of the tape. Its
+// gradient would be wrong.
 void Tape::Impl::check_not_overwritten(const Operand& in, const std::string& op,
                                        const std::string& input) {
   if (in.type == ir::Type::F32) {
     check_not_of_another(*in.range, op, input);
-    // Gradients belong to ranges: through another view of bytes that carry one it would stop.
+    // Gradients belong to ranges, so a gradient of an overlapping range would be lost.
     const auto has_gradient = [](const Range& other, void* self) {
       return static_cast<Impl*>(self)->carries(other) ||
              static_cast<Impl*>(self)->is_of_another(other);
@@ -198,7 +198,7 @@ void Tape::mark_untracked(const std::shared_ptr<Range>& range, const char* why) 
   n.untracked = why;
 }
 
-// A loop makes a tape per iteration: the next one takes over the memory of the last.
+// A loop that makes one tape per iteration reuses the memory of the last tape.
 std::unique_ptr<Tape::Impl>& Tape::spare() {
   thread_local std::unique_ptr<Impl> impl;
   return impl;
@@ -300,7 +300,7 @@ void Tape::record_launch(const std::shared_ptr<KernelImpl>& kernel, int64_t dim,
   t.append(std::move(op), recorded);
 }
 
-// A group that is run once more needs the rows again that it had.
+// Records a rebuild for a group, because a recomputed group needs its rows again.
 void Tape::record_rebuild(const Incidence& incidence) {
   Impl& t = *impl_;
   if (!t.in_group) return;
@@ -345,7 +345,7 @@ void Tape::record_launch(const novaphy::Launch& launch,
   t.append(std::move(op), false);
 }
 
-// The rows as the operation found them, and the table that they were made of.
+// Records the rows of a CSR sum, and the table that they were built from.
 void Tape::Impl::add_csr(const Op& op) {
   const IncidenceData& csr = *op.csr;
   const bool current = is_current(csr, *csr.table.range);
@@ -397,12 +397,13 @@ void Tape::backward(const Tensor& loss, const Tensor& seed) {
 void Tape::zero() {
   for (Impl::Node& n : impl_->nodes) {
     GradInfo& info = grad_info(*n.range);
-    info.state = GradState::Zero;  // and the next contribution stores
+    info.state = GradState::Zero;  // the next contribution stores
     if (OpList* graph = current_capture()) {
       info.zeroed_in_capture = graph->id();
       graph->gradient(n.range, info.state);
     }
-    // Whoever holds the gradient's memory must see the zero now; what only the tape sees can wait.
+    // A holder of a leaf's gradient must see the zero now. Other gradients belong to the tape alone
+    // and are set later.
     if (!n.ever_written && info.grad) submit_fill(info.grad, 0.0f);
   }
 }

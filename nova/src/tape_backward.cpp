@@ -1,5 +1,5 @@
-// Tape::backward: first decides what to run and checks every value that will be read, then runs it.
-// So an overwritten input is reported before any gradient was touched.
+// Tape::backward. It first plans the steps and checks every value that will be read, then runs the
+// steps. An overwritten input is therefore reported before a gradient changes.
 #include <algorithm>
 #include <array>
 #include <utility>
@@ -38,7 +38,8 @@ void fill_zero_now(Range& range) {
 
 uint64_t bit(uint32_t k) { return uint64_t{1} << k; }
 
-// The gradients of other sources are sums over rows, with the order of all columns.
+// Returns whether a gradient is stored at its own row. Gradients of other sources are row sums with
+// all columns.
 bool is_stored_at_its_row(Access access) {
   return access == Access::Direct || access == Access::CsrRow;
 }
@@ -57,7 +58,7 @@ void detail::accumulate(const Operand& into, const Operand& from) {
 
 void detail::add_tape_kernels(EngineKernels& list) { list.push_back({accumulate_kernel(), {}}); }
 
-// Whether an earlier input of the operation that carries a gradient is the same range.
+// Returns whether an earlier input of the operation is the same range and carries a gradient.
 bool Tape::Impl::bound_before(const Op& op, uint32_t s) const {
   for (uint32_t other = 0; other < s; ++other)
     if (input(op, other).carries && input(op, other).operand.range == input(op, s).operand.range)
@@ -65,7 +66,7 @@ bool Tape::Impl::bound_before(const Op& op, uint32_t s) const {
   return false;
 }
 
-// Whether the next contribution to the range's gradient adds to what is there (else it stores).
+// Returns whether the next contribution adds to the range's gradient; otherwise it stores.
 bool Tape::Impl::begin_contribution(Node& n) {
   if (n.set) return true;
   n.set = true;
@@ -75,11 +76,11 @@ bool Tape::Impl::begin_contribution(Node& n) {
   const bool kept = leaf || !leaves_only;
   n.place = kept ? &grad_storage(*n.range) : pool.take(*n.range);
   if (leaf && graph && info.state != GradState::Held && info.zeroed_in_capture != graph->id()) {
-    // Every replay adds to what is there then: give the first one a real zero to add to.
+    // Every replay adds to the gradient of its time, so the first replay needs real zeros.
     fill_zero_now(*info.grad);
     info.state = GradState::Held;
   }
-  const bool add = leaf && info.state == GradState::Held;  // only leaves go on from before
+  const bool add = leaf && info.state == GradState::Held;  // only leaves accumulate over calls
   info.state = kept ? GradState::Held : GradState::Dropped;
   if (graph) graph->gradient(n.range, info.state);
   return add;
@@ -106,8 +107,8 @@ void Tape::Impl::GradientPool::clear() {
   free_.clear();
 }
 
-// The rows of a CSR sum are still those that it added up; the items find their row in the table
-// that these were made of.
+// Checks that the rows of a CSR sum are unchanged. The items Program also needs the unchanged table
+// behind the rows.
 void Tape::Impl::check_csr(const Op& op, std::initializer_list<CsrUse> needed) {
   for (const CsrUse which : needed) {
     const Use& use = csr_use(op, which);
@@ -122,7 +123,8 @@ void Tape::Impl::check_csr(const Op& op, std::initializer_list<CsrUse> needed) {
   }
 }
 
-// What an adjoint reads must be what was recorded, or will be once its group was run.
+// Checks that a value that an adjoint reads is as recorded, or will be after its group is
+// recomputed.
 void Tape::Impl::check_needed(const Use& use, const Op& op, uint32_t input) {
   if (use.producer < 0) {
     check_value(use, op, input);
@@ -145,8 +147,8 @@ void Tape::Impl::check_needed(const Op& op, const detail::CompiledPlan& plan) {
   if (plan.rows && !plan.rows->program.loops.empty()) check_csr(op, {kOffsets, kItems});
 }
 
-// A group is run once more before the first of its adjoints: then all that it reads from outside
-// must still be there.
+// Checks a group. It is recomputed before the first of its adjoints, so its inputs from outside
+// must be unchanged.
 void Tape::Impl::check_group(const Group& group) {
   for (uint32_t k = group.first; k < group.last; ++k) {
     if (!ops[k].replayed) continue;
@@ -179,8 +181,7 @@ void Tape::Impl::run_again(const Op& op, DeferredScope& deferred) {
   }
 }
 
-// What a group leaves when it runs once more is what it had left, unless that was overwritten
-// meanwhile.
+// Returns the values that a group leaves, except those that were overwritten afterwards.
 std::vector<const Tape::Impl::Use*> Tape::Impl::last_written(const Group& group) const {
   std::vector<const Use*> found;
   for (uint32_t k = group.first; k < group.last; ++k) {
@@ -222,10 +223,9 @@ void Tape::Impl::run_group(const Group& group, DeferredScope& deferred) {
   }
 }
 
-// Whether operation k only adds up, through a table, what the operation before it wrote for the
-// columns of that table: the source that is the table there, or -1. Then the adjoint before reads
-// the gradient of the sums through its table, and only a tape that keeps all gradients needs that
-// of the terms.
+// Returns the source of the previous operation that is the index table through which operation k
+// sums its output, or -1. The previous adjoint then reads the gradient of the sums through the
+// table. The gradient of the terms is needed only by a tape that keeps all gradients.
 int32_t Tape::Impl::summed_through(size_t k, uint32_t s) {
   const Op& sum = ops[k];
   if (k == 0 || !sum.kernel || !sum.csr || sum.kernel->summed_source != static_cast<int32_t>(s))
@@ -238,7 +238,8 @@ int32_t Tape::Impl::summed_through(size_t k, uint32_t s) {
   if (input(sum, s).operand.range != terms.range || find(*terms.range)->set) return -1;
   const Operand& table = sum.csr->table;
   for (uint32_t t = 0; t < giver.inputs; ++t)
-    if (input(giver, t).operand.range == output(sum, 0).range) return -1;  // one gradient for both
+    // both would share one gradient
+    if (input(giver, t).operand.range == output(sum, 0).range) return -1;
   for (uint32_t t = 0; t < giver.inputs; ++t) {
     const Operand& in = input(giver, t).operand;
     const bool same = in.range == table.range && in.rows * in.width == table.rows &&
@@ -249,13 +250,12 @@ int32_t Tape::Impl::summed_through(size_t k, uint32_t s) {
   return -1;
 }
 
-// The columns, as bits, of the gradient of an input of operation k that the adjoint of the
-// operation that wrote it does not read. A tape that keeps the gradients of leaves only shows it to
-// nobody else.
+// Returns, as bits, the columns of an input's gradient that the adjoint of the writing operation
+// does not read. This is only valid for a tape that keeps the gradients of leaves alone.
 uint32_t Tape::Impl::unread_columns(size_t k, const Operand& in) {
   const Range* range = in.range.get();
   while (k-- > 0) {
-    // Mostly nobody has written the range since.
+    // In most cases no operation has written the range since.
     if (const int32_t writer = find(*range)->writer; writer < static_cast<int32_t>(k)) {
       if (writer < 0) return 0;
       k = static_cast<size_t>(writer);
@@ -265,7 +265,7 @@ uint32_t Tape::Impl::unread_columns(size_t k, const Operand& in) {
       const Operand& out = output(op, o);
       if (out.range.get() != range) continue;
       if (!op.kernel || op.constant || out.rows * out.width != in.rows * in.width) return 0;
-      if (op.kernel->is_copy) {  // hands on what it gets
+      if (op.kernel->is_copy) {  // a copy passes its gradient on
         range = input(op, 0).operand.range.get();
         break;
       }
@@ -282,8 +282,8 @@ void Tape::Impl::plan_steps() {
   steps.clear();
   places.clear();
   int32_t open_group = -1;
-  // Of the operation that comes next: see summed_through. The rows of the sums, and where their
-  // gradient is.
+  // For the next operation, see summed_through: the number of rows of the sums, and the place of
+  // their gradient.
   int32_t table = -1;
   int64_t sums = 0;
   const std::shared_ptr<Range>* of_sums = nullptr;
@@ -302,7 +302,7 @@ void Tape::Impl::plan_steps() {
       if (!n.set) continue;
       key.seeded |= uint32_t{1} << o;
       output_places[o] = key.table < 0 ? n.place : of_sums;
-      n.set = false;  // consumed: an earlier value of the same range starts anew
+      n.set = false;  // an earlier value of the same range starts without a gradient
     }
     if (!key.seeded) {
       places.resize(first_place);
@@ -329,7 +329,7 @@ void Tape::Impl::plan_steps() {
         }
       }
       key.wrt |= bit(s);
-      if (bound_before(op, s)) {  // its gradient goes apart and is added afterwards
+      if (bound_before(op, s)) {  // this gradient is computed separately and added afterwards
         input_places[s] = n.place;
         continue;
       }
@@ -380,7 +380,7 @@ void Tape::Impl::backward(Node& loss, const Tensor& seed) {
     n.unread = 0;
     if (n.ever_written) info.state = GradState::Zero;
   }
-  Copies kept;  // of gradients that are added to
+  Copies kept;  // copies of gradients before the call
   bool running = false;
   try {
     begin_contribution(loss);
@@ -397,8 +397,7 @@ void Tape::Impl::backward(Node& loss, const Tensor& seed) {
     running = true;
     run_steps(*loss_gradient, seed);
     if (!current_capture()) tell_not_finite(*loss_gradient, seed, kept);
-  } catch (...) {  // a call that was refused, or failed on the way, leaves the gradients of leaves
-                   // as they were
+  } catch (...) {  // A call that fails restores the gradients of leaves.
     size_t k = 0;
     for (Node& n : nodes) {
       const GradState state = before[k++];
@@ -426,8 +425,8 @@ void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Te
   } else {
     submit_fill(loss_gradient, 1.0f);
   }
-  // Large domains are collected and run block by block, as long as what that keeps alive stays
-  // small.
+  // Operations over many rows are collected and run block by block, as long as the memory that this
+  // keeps alive is small.
   int64_t largest = 0;
   for (const Step& step : steps)
     if (step.op) largest = std::max(largest, step.op->dim);
@@ -452,8 +451,8 @@ void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Te
 void Tape::Impl::run_kernel(const Step& step) {
   const Op& op = *step.op;
   constexpr size_t kMaxSources = 64;
-  // Where the gradient of each source goes. A range bound to two sources is written once and added
-  // to once.
+  // The place of each source's gradient. A range that is bound to two sources is written once and
+  // added to once.
   std::array<const std::shared_ptr<Range>*, kMaxSources> gradients;
   std::vector<std::pair<uint32_t, Operand>> added_later;
   for (uint32_t s = 0; s < op.inputs; ++s) {
@@ -462,7 +461,7 @@ void Tape::Impl::run_kernel(const Step& step) {
     const Operand& in = input(op, s).operand;
     gradients[s] = input_place(step, s);
     if (bound_before(op, s)) {
-      added_later.reserve(op.inputs);  // the pointers must stay
+      added_later.reserve(op.inputs);  // keeps pointers to the elements valid
       added_later.push_back(
           {s, detail::temporary(in.rows, in.width, in.range->storage().device())});
       gradients[s] = &added_later.back().second.range;

@@ -1,4 +1,4 @@
-// What a tape holds.
+// Queries about the contents of a tape.
 #include <utility>
 
 #include "novaphy/nova/tape.h"

@@ -1,4 +1,4 @@
-// Internal: what a tape keeps.
+// Internal: the data of a tape.
 #pragma once
 
 #include <bit>
@@ -16,7 +16,7 @@
 namespace nova {
 
 namespace detail {
-// into += from, over all values.
+// Computes into += from over all values.
 void accumulate(const Operand& into, const Operand& from);
 }  // namespace detail
 
@@ -29,34 +29,35 @@ struct Tape::Impl {
   struct Use {
     Operand operand;
     uint64_t version = 0;
-    uint64_t capture = 0;  // that recorded it, or 0
+    uint64_t capture = 0;  // id of the capture that recorded it, or 0
     uint64_t checksum = 0;
-    bool has_checksum = false;  // where somebody outside can write it
-    bool carries = false;       // a gradient flows through it
-    int32_t producer = -1;      // the use by which an operation of the same group writes it
-    bool overwritten = false;   // what it writes, by a later operation of the same group
-    bool read = false;          // by the adjoint of a custom operation
+    bool has_checksum = false;  // for memory with a writable export
+    bool carries = false;       // whether a gradient flows through it
+    int32_t producer = -1;      // in a group: the use that writes the value; -1: none
+    bool overwritten = false;   // in a group: a later operation overwrites the output
+    bool read = false;          // whether the adjoint of a custom operation reads it
   };
   struct Op {
     std::shared_ptr<detail::KernelImpl>
-        kernel;  // null: custom, hand-written, or the rebuilding of `csr`
+        kernel;  // null: a custom or hand-written operation, or the rebuild of `csr`
     int64_t dim = 0;
     uint32_t first_use = 0, inputs = 0, outputs = 0;
     uint32_t first_param = 0, params = 0;
     int32_t extent = 0;
     int32_t custom = -1;
     int32_t hand_written = -1;
-    int32_t group = -1;               // of operations that backward runs once more
-    uint64_t capture = capture_id();  // that records it, or 0
-    int32_t step = -1;                // of the rollout that records it; -1: of none
-    bool replayed = false;    // in a group: another operation of it reads what this one writes
+    int32_t group = -1;               // group of recomputed operations; -1: none
+    uint64_t capture = capture_id();  // id of the capture that records it, or 0
+    int32_t step = -1;                // step of the rollout; -1: none
+    bool replayed = false;    // in a group: another operation of the group reads its output
     bool constant = false;    // in a group: no gradient flows through it
-    bool has_active = false;  // its use comes after those of the outputs: see active_use
-    Incidence csr;            // its uses come after those of the outputs: see csr_use
+    bool has_active = false;  // its use follows those of the outputs, see active_use
+    Incidence csr;            // its uses follow those of the outputs, see csr_use
   };
   enum CsrUse : uint32_t { kOffsets, kItems, kTable };
-  static constexpr uint64_t kOutdated = UINT64_MAX;  // version of a table that the rows are not of
-  // A launch of a kernel that is no Kernel.
+  // version of a table that the rows do not belong to
+  static constexpr uint64_t kOutdated = UINT64_MAX;
+  // A launch of a hand-written kernel.
   struct HandWritten {
     const novaphy::DeviceContext* context;
     novaphy_kernel* kernel;
@@ -68,28 +69,28 @@ struct Tape::Impl {
   struct Group {
     uint32_t first = 0, last = 0;  // operations
   };
-  // What the tape knows about a range.
+  // The tape's record of a range.
   struct Node {
     std::shared_ptr<Range> range;
-    int32_t writer = -1;            // the last operation that wrote it
-    int32_t group = -1;             // the group of that operation
-    int32_t written_use = -1;       // in a group: the use by which it wrote it
-    uint64_t written_version = 0;   // its version after that
-    uint64_t capture = 0;           // that recorded the write, or 0
-    uint64_t written_checksum = 0;  // of its value after that, where somebody outside can write it
+    int32_t writer = -1;            // last operation that wrote it
+    int32_t group = -1;             // group of that operation
+    int32_t written_use = -1;       // in a group: the use that wrote it
+    uint64_t written_version = 0;   // version after that write
+    uint64_t capture = 0;           // id of the capture that recorded the write, or 0
+    uint64_t written_checksum = 0;  // checksum after that write, with a writable export
     bool has_checksum = false;
-    bool ever_written = false;        // by an operation of this tape: not a leaf
+    bool ever_written = false;        // an operation of this tape wrote it, so it is not a leaf
     bool carries = false;             // a gradient flows through its present value
-    uint64_t untracked_version = 0;   // its version when it got a value that is not followed
-    const char* untracked = nullptr;  // why that may not be an input
-    bool set = false;                 // during backward: its gradient has a contribution
-    const std::shared_ptr<Range>* place = nullptr;  // during backward: where that is
-    uint32_t unread = 0;       // during backward: columns of it that nobody reads, as bits,
-    int32_t unread_width = 0;  // of so many
+    uint64_t untracked_version = 0;   // version of a value that the tape does not follow
+    const char* untracked = nullptr;  // reason why that value may not be an input
+    bool set = false;                 // in backward: its gradient has a contribution
+    const std::shared_ptr<Range>* place = nullptr;  // in backward: memory of its gradient
+    uint32_t unread = 0;       // in backward: gradient columns that nobody reads, as bits
+    int32_t unread_width = 0;  // in backward: number of columns that `unread` refers to
     uint64_t read_version =
-        0;  // during backward: of a leaf's value, where the first contribution came from
+        0;  // in backward: version of the leaf's value at its first contribution
   };
-  // The nodes in the order in which they came, with an open-addressing index by range.
+  // The nodes in the order of their creation, with an open-addressing index keyed by range.
   class NodeTable {
    public:
     Node* find(const Range& range) {
@@ -129,22 +130,22 @@ struct Tape::Impl {
       index_[at] = static_cast<uint32_t>(k + 1);
     }
     std::vector<Node> nodes_;
-    std::vector<uint32_t> index_;  // position + 1; 0 is free
+    std::vector<uint32_t> index_;  // position + 1; 0: free
   };
   struct Value {
     uint64_t version = UINT64_MAX, checksum = 0;
   };
-  // One operation to be reversed, decided before anything runs.
+  // One operation of the backward pass, planned before any runs.
   struct Step {
-    const Op* op;  // null: run a group once more
+    const Op* op;  // null: recompute a group
     detail::AdjointKey key;
     const detail::CompiledPlan* plan;
-    size_t first_place;         // in `places`: of the gradients of the outputs, then of the inputs
-    int64_t gradient_rows = 0;  // of the gradients of the outputs
+    size_t first_place;         // index in `places`: gradients of the outputs, then of the inputs
+    int64_t gradient_rows = 0;  // rows of the gradients of the outputs
     int32_t group = -1;
   };
-  // Memory for gradients that are not kept, used again after they were read. Of one backward: what
-  // a capture recorded has its memory for itself.
+  // Memory for gradients that are not kept, reused after they were read. The pool belongs to one
+  // backward pass, because a captured pass keeps its memory.
   class GradientPool {
    public:
     const std::shared_ptr<Range>* take(const Range& like);
@@ -162,31 +163,31 @@ struct Tape::Impl {
   std::vector<CustomOp> customs;
   std::vector<HandWritten> hand_written;
   std::vector<Group> groups;
-  bool in_group = false;  // the last of them is still growing
+  bool in_group = false;  // the last group is still open
   std::vector<std::shared_ptr<const Witness>> witnesses;
   bool has_gone_back = false;
   int32_t of_step = -1;   // see Tape::StepScope
   novaphy::ExclusiveUses group_memory;
   NodeTable nodes;
-  // Checksums of what somebody outside can write: of the versions that were recorded since the last
-  // backward, and during backward those of now.
+  // Checksums of values with a writable export: `values` for versions recorded since the last
+  // backward, `present` for the versions during backward.
   std::unordered_map<const Range*, Value> values;
   std::unordered_map<const Range*, uint64_t> present;
   bool leaves_only = false;  // KeepGradients::Leaves
-  // Of the last backward; kept for their memory.
+  // Data of the last backward pass, kept to reuse its memory.
   std::vector<Step> steps;
   std::vector<const std::shared_ptr<Range>*> places;
-  std::vector<GradState> before;  // of every node
+  std::vector<GradState> before;  // state of every node
   GradientPool pool;
-  ScratchMemory scratch;          // of the adjoints of one backward
-  std::vector<Operand> operands;  // of an operation that is run once more
-  // Of ranges that a group has written once more, with the same bits: the version that was
-  // recorded, and the one of now.
+  ScratchMemory scratch;          // scratch of the adjoints
+  std::vector<Operand> operands;  // operands of a recomputed operation
+  // Ranges that a recomputed group has rewritten with the same bits: the recorded version and the
+  // present one.
   struct WrittenAgain {
     uint64_t recorded, now;
   };
   std::unordered_map<const Range*, WrittenAgain> written_again;
-  // The version that uses of a range know its present value by.
+  // Returns the version by which uses identify the present value of a range.
   uint64_t version_of(const Range& range) const {
     const uint64_t now = range.version();
     if (written_again.empty()) return now;
@@ -216,27 +217,27 @@ struct Tape::Impl {
 
   bool carries(const Range& range);
   Use& add_use(const Op& op, const Operand& operand);
-  // Appends an input to an operation that is being recorded; append() ends it.
+  // Adds an input to the operation that is being recorded. append() ends the operation.
   Use& add_input(const Op& op, const Operand& operand);
   void append(Op op, bool recorded);
   static void refuse_export_in_capture();
   static uint64_t checksum_now(const Range& range);
-  // The checksum of a value that somebody outside can write; false: nobody can. What a capture
-  // records runs when it is launched: then all of it reads the value of that moment.
+  // Computes the checksum of a value with a writable export. Returns false for a value without one,
+  // and in a capture, whose launches all read the value at launch time.
   bool note_value(const Range& range, uint64_t capture, uint64_t& checksum) {
     return range.was_exported() && capture == 0 && note_exported_value(range, checksum);
   }
   bool note_exported_value(const Range& range, uint64_t& checksum);
   bool was_written_outside(const Node& n);
   void check_not_overwritten(const Operand& in, const std::string& op, const std::string& input);
-  // Whether the value of the range is one that another living tape recorded.
+  // Returns whether another living tape recorded the value of the range.
   bool is_of_another(const Range& range) const {
     const GradInfo* info = find_grad_info(range);
     return info && info->last_tape && info->last_tape != this &&
            info->recorded_version == range.version();
   }
   void check_not_of_another(const Range& range, const std::string& op, const std::string& input);
-  // Whether the value of an input is not the recorded one any more.
+  // Returns whether the value of an input differs from the recorded one.
   bool was_modified(const Use& use) {
     const Range& range = *use.operand.range;
     return version_of(range) != use.version ||
@@ -252,14 +253,15 @@ struct Tape::Impl {
   void mark_constant(const Range& range);
   void forget();
 
-  // tape_backward.cpp
+  // Functions of tape_backward.cpp.
   void backward(Node& loss, const Tensor& seed);
   void plan_steps();
-  // `stop`, if any, is asked after every one, which is not deferred then.
+  // `stop`, if given, is called after every step; steps are then not deferred.
   void run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
                  const std::function<bool(const Step&)>& stop = nullptr);
   using Copies = std::vector<std::pair<std::shared_ptr<Range>, std::shared_ptr<Range>>>;
-  // After a backward on the CPU; `earlier`: gradients of leaves that it added to, as they were.
+  // Called after a backward pass on the CPU. `earlier`: copies of the leaf gradients that it added
+  // to.
   static bool is_finite_where_read(const Range& gradient, const Node& n);
   void tell_not_finite(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
                        const Copies& earlier);
@@ -286,7 +288,7 @@ struct Tape::Impl {
   bool bound_before(const Op& op, uint32_t s) const;
   void run_kernel(const Step& step);
 
-  // custom_op.cpp
+  // Functions of custom_op.cpp.
   void check_read_values(const Op& op);
   void run_custom(const Step& step, DeferredScope& deferred);
   void run_custom_forward(const CustomOp& op, DeferredScope& deferred);
@@ -295,7 +297,7 @@ struct Tape::Impl {
 
   class Forward;  // tape_jvp.cpp
 
-  novaphy::ExclusiveUse in_use;  // of what a pass keeps here
+  novaphy::ExclusiveUse in_use;  // guards the data of a pass
 };
 
 }  // namespace nova

@@ -1,4 +1,4 @@
-// Tape::jvp: one pass over the recorded operations in their order, each by its tangent Program.
+// Tape::jvp: runs the tangent Program of each recorded operation, in order.
 #include <algorithm>
 #include <unordered_map>
 
@@ -32,7 +32,7 @@ class Tape::Impl::Forward {
  public:
   explicit Forward(Impl& tape) : t_(tape) {}
 
-  // False where that input has a tangent already.
+  // Sets the tangent of an input. Returns false if the input already has one.
   bool seed(const Tensor& input, const Tensor& tangent) {
     return moving_.try_emplace(input.range().get(), Moving{tangent.range(), 0, true}).second;
   }
@@ -45,7 +45,7 @@ class Tape::Impl::Forward {
       if (op.constant) continue;
       if (const uint64_t wrt = moving_inputs(op); wrt != 0) {
         push(op, wrt);
-      } else {  // what is written no longer depends on the inputs
+      } else {  // the outputs no longer depend on the inputs
         for (uint32_t o = 0; o < op.outputs; ++o) moving_.erase(t_.output(op, o).range.get());
       }
     }
@@ -60,11 +60,11 @@ class Tape::Impl::Forward {
  private:
   struct Moving {
     std::shared_ptr<Range> tangent;
-    uint64_t version = 0;  // of a leaf's value, where it was read first
+    uint64_t version = 0;  // version of a leaf's value at its first read
     bool leaf = false;
   };
 
-  // The inputs, as bits, that have a tangent.
+  // Returns the inputs that have a tangent, as bits.
   uint64_t moving_inputs(const Op& op) {
     uint64_t wrt = 0;
     for (uint32_t s = 0; s < op.inputs; ++s) {
@@ -120,7 +120,7 @@ class Tape::Impl::Forward {
       const Range& like = *t_.output(op, o).range;
       made.push_back(Storage::allocate(like.bytes(), like.storage().device(), false)->range());
     }
-    if (op.has_active)  // rows that were not computed do not move
+    if (op.has_active)  // rows that were not computed have the tangent 0
       for (const auto& range : made) submit_fill(range, 0.0f);
     Words words(code.argument_count);
     const auto source = [&](const std::shared_ptr<Range>& range, int64_t rows) {
@@ -159,8 +159,9 @@ class Tape::Impl::Forward {
   }
 
   Impl& t_;
-  std::unordered_map<const Range*, Moving> moving_;  // what depends on the inputs at this point
-  int32_t group_ = -1;                               // that was run once more last
+  // ranges that depend on the inputs at this point
+  std::unordered_map<const Range*, Moving> moving_;
+  int32_t group_ = -1;                               // the group that was recomputed last
 };
 
 bool Tape::has_leaf(const Tensor& tensor) const {

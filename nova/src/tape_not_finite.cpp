@@ -1,4 +1,4 @@
-// Where the first gradient that is not finite comes from.
+// Finds the operation from which the first gradient that is not finite comes.
 #include "checks.h"
 #include "novaphy/core/warning.h"
 #include "novaphy/nova/op_list.h"
@@ -17,7 +17,7 @@ bool is_finite(const Range& gradient) { return detail::first_not_finite(values_o
 
 }  // namespace
 
-// As far as somebody reads it: the other columns may never have been written.
+// Checks the columns that are read; other columns may never have been written.
 bool Tape::Impl::is_finite_where_read(const Range& gradient, const Node& n) {
   const std::span<const float> values = values_of(gradient);
   if (detail::first_not_finite(values) < 0) return true;
@@ -38,7 +38,7 @@ void Tape::Impl::tell_not_finite(const std::shared_ptr<Range>& loss_gradient, co
   const bool known =
       std::ranges::any_of(earlier, [](const auto& b) { return !is_finite(*b.second); });
   if (bad == 0 || known) return;
-  // The same once more, from the gradients before, up to the first.
+  // Repeats the backward pass from the earlier gradients, up to the first value that is not finite.
   Copies results;
   for (const std::shared_ptr<Range>& gradient : leaves) {
     results.emplace_back(

@@ -29,9 +29,11 @@ std::string shape_str(const Shape& shape) {
 
 namespace {
 
-// Dimensions of 0 are left out of the limit, so that the other sizes of an empty tensor stay true.
+// Dimensions of 0 do not count for the size limit, so the other dimensions of an empty tensor may
+// have any size.
 int64_t scalar_count(const Shape& shape) {
-  constexpr int64_t kMost = std::numeric_limits<int64_t>::max() / 8;  // as many bytes fit as well
+  // the number of bytes must fit too
+  constexpr int64_t kMost = std::numeric_limits<int64_t>::max() / 8;
   int64_t n = 1;
   bool empty = false;
   for (int64_t d : shape) {
@@ -47,7 +49,7 @@ void host_read(const char* what) {
   if (auto* observer = novaphy::array_observer()) observer->host_read(what);
 }
 
-// Attachments are made rarely; after that they are read without a lock.
+// Attachments are made under this lock, and read without a lock afterwards.
 std::mutex& attachment_mutex() {
   static std::mutex mutex;
   return mutex;
@@ -65,7 +67,7 @@ GradInfo& grad_info(Range& range) {
 
 const std::shared_ptr<Range>& grad_storage(Range& range) {
   GradInfo& info = grad_info(range);
-  // What a capture records runs later; until then it reads as zero.
+  // A captured operation fills the gradient later; until then it is zero.
   if (!info.grad)
     info.grad =
         Storage::allocate(range.bytes(), range.storage().device(), current_capture() != nullptr)

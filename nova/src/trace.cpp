@@ -28,7 +28,8 @@ int32_t float_to_int(float x) {
 }
 int32_t wrap(uint32_t x) { return static_cast<int32_t>(x); }
 
-// What the backends compute for the op, on constants: f32 results as bits.
+// Evaluates an instruction on constants with the same result as the backends. f32 values are given
+// as bits.
 int32_t evaluate(ir::Op op, int32_t a, int32_t b, int32_t c) {
   namespace m = novaphy::math;
   const float x = f32(a), y = f32(b);

@@ -1,4 +1,4 @@
-// Internal: which columns of a gradient an adjoint leaves unread.
+// Internal: finds the columns of a gradient that an adjoint does not read.
 #pragma once
 
 #include <cstddef>
@@ -8,7 +8,8 @@
 
 namespace nova {
 
-// The columns, as bits, of an output's gradient from which nothing flows to the wanted sources.
+// Returns, as bits, the columns of an output's gradient that contribute nothing to the requested
+// sources.
 uint32_t unread_columns(const ir::Program& program, size_t output, const AdjointMask& mask);
 
 }  // namespace nova

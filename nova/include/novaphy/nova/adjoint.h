@@ -1,14 +1,16 @@
-// Adjoints: from the Program of a kernel to the Programs that pull gradients of its outputs back to
-// its sources.
+// Generates adjoints. From the Program of a kernel follow the Programs that propagate gradients of
+// the outputs back to the sources.
 //
-// The instruction set is closed under the adjoint. A gather becomes a row-sum over the inverse of
-// the index table, a row-sum becomes a gather, and a uniform read becomes a row-sum with one row.
-// No atomics, so the order of every sum is fixed. One Program is made per output domain:
-//   rows   one lane per output row: gradients of direct sources, and the part of each row for
+// The adjoint of every instruction is expressed in the same instruction set. The adjoint of a
+// gather is a row sum over the inverse of the index table. The adjoint of a row sum is a gather,
+// and the adjoint of a uniform read is a row sum with one row. No atomics are used, so the order of
+// every sum is fixed. An adjoint has up to two Programs:
+//   rows   one lane per output row: gradients of direct sources, and each row's contribution to
 //          uniform and indexed sources
-//   items  one lane per loop item (CSR slot, or (row, r) pair of a fixed loop): gradients of sources
-//          that are read inside the loop at the item
-// Each Program recomputes the primal values it needs, and runs one reverse sweep.
+//   items  one lane per loop item (CSR slot, or (row, r) pair of a fixed loop): gradients of
+//          sources
+//          that the loop reads at the item
+// Each Program recomputes the primal values that it needs and runs one reverse sweep.
 #pragma once
 
 #include <cstdint>
@@ -20,33 +22,34 @@
 
 namespace nova {
 
-// Which gradients are wanted and which are given.
+// Selects the gradients that an adjoint computes, and those that are given.
 struct AdjointMask {
-  std::vector<bool> wrt;         // per source: its gradient is wanted
-  std::vector<bool> accumulate;  // per source: add to the gradient that is there (else store)
-  std::vector<bool> seeded;      // per output: has a gradient
-  // Or -1: the source whose columns name the rows that the output was added to, a part of the
-  // output for each column. The gradient given is that of the sums, and read there.
+  std::vector<bool> wrt;         // per source: whether its gradient is computed
+  std::vector<bool> accumulate;  // per source: adds to the present gradient (else stores)
+  std::vector<bool> seeded;      // per output: whether its gradient is given
+  // The source that is an index table through which the output is summed afterwards, one part of
+  // the output per column; -1: none. The given gradient is the gradient of the sums, and the
+  // adjoint reads it through the table.
   int32_t table = -1;
-  // Or -1: the source of whose gradient nobody reads these columns, as bits. They are stored as 0,
-  // or left as they are.
+  // The source with gradient columns that nobody reads (`unread`, as bits); -1: none. The adjoint
+  // stores 0 in these columns or leaves them unchanged.
   int32_t narrowed = -1;
   uint32_t unread = 0;
-  // Each launch says which gradients are wanted, which are added to, and whether somebody reads the
-  // columns `unread`: see AdjointStage::gates. Then `accumulate` is not looked at.
+  // Whether each launch selects the gradients by AdjointStage::gates. `accumulate` is then ignored.
   bool gated = false;
   auto operator<=>(const AdjointMask&) const = default;
 };
 
-// Where a source of an adjoint Program comes from, or where an output goes.
+// The data behind a source or an output of an adjoint Program.
 struct AdjointBinding {
   enum class Kind : uint8_t {
     PrimalSource,    // index = source of the kernel
     OutputGradient,  // index = output of the kernel
-    SourceGradient,  // index = source of the kernel: its gradient, in place when accumulating
+    SourceGradient,  // index = source of the kernel: its gradient, updated in place when
+                     // accumulating
     Contribution,    // index = entry of AdjointPlan::row_sums
-    LoopGradient,    // gradient of the loop's sums, {n, sums}: made by `rows`, read by `items`
-    RowOfItem,       // CSR: the row that an item belongs to (the table the Incidence inverts)
+    LoopGradient,    // gradient of the loop's sums, {n, sums}; `rows` writes it, `items` reads it
+    RowOfItem,       // CSR: the row that each item belongs to (the table behind the Incidence)
   } kind;
   int32_t index = 0;
 };
@@ -55,39 +58,42 @@ struct AdjointStage {
   ir::Program program;
   std::vector<AdjointBinding> sources, outputs;
   bool takes_row_count =
-      false;  // one more i32 parameter at the end: the number of rows n (fixed loops)
-  // Of a gated adjoint: the sources of which a parameter after that has the bits of AdjointGate.
+      false;  // whether one more i32 parameter at the end has the number of rows n (fixed loops)
+  // For a gated adjoint: the sources with a further parameter each, which has the bits of
+  // AdjointGate.
   std::vector<int32_t> gates;
 };
 
-// What a launch says of the gradient of a source.
+// Bits by which a launch of a gated adjoint selects the gradient of a source.
 enum AdjointGate : uint32_t {
-  kGateWanted = 1,   // else it is stored as 0
-  kGateAdd = 2,      // added to what is there, else stored
-  kGateColumns = 4,  // with the columns AdjointMask::unread, else these are 0
+  kGateWanted = 1,   // computed; otherwise 0 is stored
+  kGateAdd = 2,      // added to the present gradient; otherwise stored
+  kGateColumns = 4,  // the columns AdjointMask::unread are computed; otherwise 0
 };
 
-// After the stages: gradient of `source` (+)= row-sum of a contribution.
+// A row sum that runs after the stages: gradient of `source` (+)= row sum of a contribution.
 struct AdjointRowSum {
-  // Row: an indexed source that is read at the row (or item) itself; its other reads have sums of
-  // their own.
+  // Row: an indexed source at the row (or item) itself. Other reads of the same source have their
+  // own sums.
   enum class Kind : uint8_t { Uniform, Table, Reduced, Row } kind;
   int32_t source = 0;
   int32_t table = -1;  // Table: the i32 source whose Incidence gives the rows
   bool per_item =
-      false;  // the contribution has one row per loop item (times the table's width), else per row
+      false;  // whether the contribution has a row per loop item (times the table's width) instead
+              // of per row
   int32_t width = 1;
 };
 
 struct AdjointPlan {
-  std::vector<AdjointStage> rows;   // zero or one
-  std::vector<AdjointStage> items;  // zero or one
+  std::vector<AdjointStage> rows;   // zero or one stage
+  std::vector<AdjointStage> items;  // zero or one stage
   std::vector<AdjointRowSum> row_sums;
-  std::vector<bool> loads_value;  // per source: the adjoint reads its value
+  std::vector<bool> loads_value;  // per source: whether the adjoint reads its value
 };
 
-// Makes the plan. `program` still carries PARTIAL and DETACH. Throws novaphy::Error when a wanted
-// source is read in a way that has no gradient (an integer source, a computed row).
+// Makes the plan of an adjoint. `program` must still contain PARTIAL and DETACH. Throws
+// novaphy::Error if a requested source has no gradient: an integer source, or a source that is read
+// at a computed row.
 NOVAPHY_NOVA_API AdjointPlan make_adjoint(const ir::Program& program, const AdjointMask& mask);
 
 }  // namespace nova

@@ -1,5 +1,5 @@
-// CustomOp: a differentiable operation given as functions, for what no traced kernel can say, e.g.
-// the analytic adjoint of an articulated body's step.
+// CustomOp: a differentiable operation given as functions, for operations that a traced kernel
+// cannot express. An example is the analytic adjoint of an articulation's step.
 #pragma once
 
 #include <functional>
@@ -11,45 +11,49 @@
 
 namespace nova {
 
-// Where the gradient of an input goes.
+// The destination of an input's gradient.
 struct NOVAPHY_NOVA_API InputGradient {
-  Tensor grad;       // shaped like the input; undefined: nobody wants it
-  bool add = false;  // to what is there; false: the memory holds nothing yet and must be written
+  Tensor grad;       // shape of the input; undefined: not requested
+  bool add = false;  // true: add to the present values; false: the memory must be overwritten
 
   bool wanted() const { return grad.defined(); }
-  // Stores or adds, as wanted. Undefined: a contribution of zero. ErrorKind::Value: another size.
+  // Stores or adds the contribution as requested. An undefined contribution is zero.
+  // ErrorKind::Value: another size.
   void put(const Tensor& contribution) const;
 };
 
-// The functions submit: launches, copies and fills on memory that is there, in the same order at
-// every call, and look at no value on the host. So the operation can be recorded into a capture and
-// replayed, be deferred, and be run once more between checkpoints. They keep what they use alive.
+// The functions must submit the same launches, copies and fills in every call, must not allocate,
+// and must not read values on the host. The operation can then be captured and replayed, deferred,
+// and recomputed between checkpoints. The functions keep the objects that they use alive.
 struct CustomOp {
   std::string name;
-  // float32, at most 64 inputs and values together, and 32 outputs. An output overlaps no input.
+  // float32 tensors: at most 64 inputs and `reads` together, and 32 outputs. An output may not
+  // overlap an input.
   std::vector<Tensor> inputs, outputs;
-  // Gives the gradients of the inputs, from those of the outputs (undefined where there is none).
+  // Computes the gradients of the inputs from those of the outputs. An output without a gradient is
+  // undefined.
   std::function<void(std::span<const Tensor>, std::span<const InputGradient>)> vjp;
-  // Computes the outputs again. Without it the operation cannot stand between checkpoints.
+  // Recomputes the outputs. Null: the operation cannot be recorded between checkpoints.
   std::function<void()> forward = nullptr;
-  // Tangents of the inputs (undefined: zero) to tangents of the outputs, which are written in full.
-  // Without it there is no forward derivative.
+  // Computes the tangents of the outputs, which it overwrites, from those of the inputs (undefined:
+  // zero). Null: the operation has no forward derivative.
   std::function<void(std::span<const Tensor>, std::span<const Tensor>)> jvp = nullptr;
-  // What vjp reads the values of: inputs, outputs, and other memory, which forward may read too.
-  // backward throws when one was changed since.
+  // Values that vjp reads: inputs, outputs, and other memory, which `forward` may read too.
+  // backward throws if one of them has changed since.
   std::vector<Tensor> reads = {};
-  // Memory besides the outputs that the functions write: scratch.
+  // Scratch memory that the functions write besides the outputs.
   std::vector<Tensor> writes = {};
-  // False: the functions may look at values on the host, so what was submitted before has to run
-  // first. In a capture that raises as everywhere.
+  // False: the functions read values on the host, so earlier submissions must run first. Such an
+  // operation throws in a capture.
   bool submits_only = true;
 };
 
-// Gradients of the outputs in (undefined where there is none), gradients of the inputs out
-// (likewise).
+// Maps the gradients of the outputs to the gradients of the inputs. Missing gradients are
+// undefined.
 using BackwardFn = std::function<std::vector<Tensor>(const std::vector<Tensor>&)>;
 
-// From a function that returns the gradients, reads the inputs' values, and may look at the host.
+// Makes a custom operation from a function that returns the gradients. The function may read the
+// values of the inputs, also on the host.
 NOVAPHY_NOVA_API CustomOp make_custom_op(std::string name, std::vector<Tensor> inputs,
                                          std::vector<Tensor> outputs, BackwardFn backward);
 

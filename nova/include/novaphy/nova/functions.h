@@ -1,7 +1,7 @@
-// The elementary functions of traced values: nova::sin(Real) and so on, which append the formulas
-// of <novaphy/math/functions.h> to the Program. Accuracy, special values and derivatives are stated
-// there; the bits are those of the same function of a float. (sqrt, abs, floor, min, max and fma
-// are operations: see trace.h.)
+// The elementary functions of traced values, such as nova::sin(Real). Each appends the formula of
+// <novaphy/math/functions.h> to the Program. That header states accuracy, special values and
+// derivatives. The bits equal those of the same function of a float. sqrt, abs, floor, min, max and
+// fma are instructions (trace.h).
 #pragma once
 
 #include "novaphy/math/functions.h"

@@ -1,4 +1,4 @@
-// Work of the host as a launch, which a capture records and replays: for what no kernel can do.
+// Host code as a launch that a capture records and replays, for work that no kernel can do.
 #pragma once
 
 #include <functional>
@@ -10,16 +10,18 @@
 namespace nova {
 
 struct HostWork {
-  const char* name;                     // in errors
-  std::vector<Tensor> reads, results;   // results: float32, which it writes
-  std::vector<Tensor> writes = {};      // what it writes besides
-  std::string* failure = nullptr;       // null, or lives as long as `run`; empty: none yet
-  std::function<void()> run = nullptr;  // keeps what it uses alive
+  const char* name;                     // for error messages
+  std::vector<Tensor> reads, results;   // results: float32 tensors that `run` writes
+  std::vector<Tensor> writes = {};      // other tensors that `run` writes
+  std::string* failure = nullptr;       // error text, empty without an error; null, or lives as
+                                        // long as `run`
+  std::function<void()> run = nullptr;  // keeps the objects that it uses alive
 };
 
-// In a capture: every replay calls `run`, behind what writes `reads` and before what reads
-// `results` and `writes`. No replay passes on what it throws: `failure` says the first since it was
-// empty, of which others may be consequences, and the results are NaN.
+// Records host work into the active capture. Every replay calls `run`, after the writers of `reads`
+// and before the readers of `results` and `writes`. If `run` throws, the replay continues with NaN
+// results, and `failure` gets the message if it is empty. Later failures may be consequences of the
+// first.
 NOVAPHY_NOVA_API void capture_host_work(const HostWork& work);
 
 }  // namespace nova

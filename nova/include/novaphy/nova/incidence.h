@@ -1,5 +1,5 @@
-// Incidence: the inverse of an index table as CSR. Row r lists, in ascending order, the slots of
-// the table that hold r; negative entries belong to no row.
+// Incidence: the inverse of an index table in CSR form. Row r lists, in ascending order, the slots
+// of the table that contain r. Negative entries belong to no row.
 #pragma once
 
 #include <memory>
@@ -9,38 +9,38 @@
 namespace nova {
 
 struct IncidenceData {
-  Operand table;          // {slots, 1} as built from
-  uint64_t version = 0;   // of the table then
-  uint64_t checksum = 0;  // of the table then, where somebody outside can write it
+  Operand table;          // {slots, 1}, the table that was inverted
+  uint64_t version = 0;   // version of the table at that time
+  uint64_t checksum = 0;  // checksum of the table at that time, for a table with a writable export
   bool has_checksum = false;
-  uint64_t capture = 0;  // that recorded the building, and whose launches do it; 0: it is done
+  uint64_t capture = 0;  // the capture whose launches build the arrays; 0: they are built
   int64_t rows = 0;
   std::shared_ptr<Range> offsets;  // i32 {rows + 1}
   std::shared_ptr<Range> items;    // i32 {slots}
 };
 using Incidence = std::shared_ptr<IncidenceData>;
 
-// Built by a stable counting sort on the table's device; throws ErrorKind::Index for an entry >=
-// rows. Inside a capture that writes the table, each replay builds it; of any other table the
-// capture needs the present value (see OpList::freeze).
+// Builds an Incidence by a stable counting sort on the table's device. ErrorKind::Index: an entry
+// >= rows. If the active capture writes the table, each replay builds the Incidence anew. For any
+// other table the capture depends on the present value (see OpList::freeze).
 NOVAPHY_NOVA_API Incidence make_incidence(const Operand& table, int64_t rows);
-// Builds it again, into the same arrays, from what the table holds now. A launch like any other:
-// captured, and run once more with a group of recomputed operations. An adjoint that needs the
-// rows as they were before throws. On the CPU, the arrays are as before after an error. Outside of
-// a capture that rebuilt it, it counts as outdated until the next call.
+// Rebuilds the arrays in place from the present table. The rebuild is a launch: a capture records
+// it, and a group of recomputed operations repeats it. An adjoint that needs the earlier rows
+// throws. After an error the arrays on the CPU are unchanged. An Incidence that a capture has
+// rebuilt counts as outdated outside of the capture until the next rebuild.
 NOVAPHY_NOVA_API void rebuild(const Incidence& incidence);
-// Whether the table, which may be given apart, still holds what the Incidence was built from, for
-// who runs or records on this thread.
+// Returns whether the arrays belong to the present value of the table, for code that runs or
+// records on this thread. `table` may be another view of the table.
 NOVAPHY_NOVA_API bool is_current(const IncidenceData& incidence, const Range& table);
-// The same as make_incidence; the sorted form is remembered with the table while the table does not
-// change.
+// Same as make_incidence, with a cache. The Incidence is stored with the table and reused while the
+// table is unchanged.
 NOVAPHY_NOVA_API Incidence cached_incidence(const Operand& table, int64_t rows);
 
-// out[r, :] = init[r, :] + sum of source[items[k], :] over row r, in the order of the row-sum rule
-// (see <novaphy/abi/program.h>). Null init: starts from +0. out may be init.
+// Computes out[r, :] = init[r, :] + sum of source[items[k], :] over row r, in the order of the
+// row-sum rule (see <novaphy/abi/program.h>). A null `init` starts from +0. `out` may be `init`.
 NOVAPHY_NOVA_API void row_sum(const Operand& source, const IncidenceData& rows, const Operand* init,
                               const Operand& out);
-// Two of them over the same rows; in one launch where the device can.
+// Computes two row sums over the same rows, in one launch if the device supports it.
 struct RowSumTerm {
   const Operand* source;
   const Operand* init;
@@ -48,7 +48,7 @@ struct RowSumTerm {
 };
 NOVAPHY_NOVA_API void row_sums(const RowSumTerm& first, const RowSumTerm& second,
                                const IncidenceData& rows);
-// The same with rows of `stride` consecutive items.
+// Computes row sums where each row has `stride` consecutive items.
 NOVAPHY_NOVA_API void row_sum(const Operand& source, int64_t rows, int64_t stride,
                               const Operand* init, const Operand& out);
 

@@ -5,8 +5,8 @@
 //       [](nova::TraceContext& c) { ... return std::vector<nova::Real>{...}; });
 //   std::vector<nova::Tensor> y = scale(n, {x, s});
 //
-// Inside an active Tape a call is recorded when an input carries a gradient, and Tape::backward
-// runs its adjoint.
+// An active Tape records a call if an input carries a gradient, and Tape::backward runs the
+// adjoint.
 #pragma once
 
 #include <bit>
@@ -42,8 +42,8 @@ struct SourceSpec {
 struct OutputSpec {
   std::string name;
   int32_t width = 1;
-  // Or the source that the next launch reads it as, where launches follow each other: the state of
-  // a step. Compiled kernels may then run many steps of a row at once.
+  // The source of the next launch that reads this output, when launches follow each other: the
+  // state of a step. Compiled kernels may then run many steps of a row in one call.
   std::string carried_to = {};
 };
 
@@ -55,7 +55,7 @@ struct Param {
   Param(int32_t v) : bits(static_cast<uint32_t>(v)), is_float(false) {}
 };
 
-// What a traced function sees.
+// The interface of a traced function to its sources, parameters and indices.
 class NOVAPHY_NOVA_API TraceContext {
  public:
   TraceContext(Trace& trace, const std::vector<SourceSpec>& sources, std::vector<int>& param_types,
@@ -63,14 +63,15 @@ class NOVAPHY_NOVA_API TraceContext {
       : trace_(trace), sources_(sources), param_types_(param_types), loop_(loop) {}
 
   Int index() const;         // the output row i
-  Int reduce_index() const;  // r: the position in the sum (inside a sum's body)
-  Int slot() const;          // the CSR slot (inside the body of a CSR sum)
+  Int reduce_index() const;  // position r in the sum, inside the body of a sum
+  Int slot() const;          // CSR slot, inside the body of a CSR sum
 
-  // Column `column` of a source, by its number or name, at the row that its access declares.
+  // Returns a column of a source, by its number or name, at the row that the source's access
+  // declares.
   Real f32(size_t source, int32_t column = 0) const;
   Int i32(size_t source, int32_t column = 0) const;
-  // At an explicit row. The row must fit the declared access: index() for Direct, an i32() value
-  // for Indexed, ...
+  // Returns a column at an explicit row. The row must fit the declared access, for example index()
+  // for Direct and an i32() value for Indexed.
   Real f32(size_t source, const Int& row, int32_t column) const;
   Int i32(size_t source, const Int& row, int32_t column) const;
   size_t source(const std::string& name) const;  // the number of a source
@@ -89,13 +90,13 @@ class NOVAPHY_NOVA_API TraceContext {
 };
 
 using TraceFn = std::function<std::vector<Real>(TraceContext&)>;
-// epilogue(context, sums) -> outputs
+// epilogue(context, sums) returns the outputs.
 using EpilogueFn = std::function<std::vector<Real>(TraceContext&, std::span<const Real>)>;
 
 struct ReduceFns {
   TraceFn init;         // initial values of the sums; empty: +0
   TraceFn body;         // the terms at (i, r)
-  EpilogueFn epilogue;  // empty: the sums themselves
+  EpilogueFn epilogue;  // empty: the sums are the outputs
 };
 
 class Kernel;
@@ -103,18 +104,18 @@ namespace detail {
 struct KernelImpl;
 }
 
-// Options of one call.
+// The options of one call.
 struct LaunchOptions {
   std::span<const Param> params = {};
-  int32_t extent = -1;             // of a fixed sum; -1: none given
-  const Incidence* csr = nullptr;  // of a CSR sum: one row per output row
-  // int32 {1}, read when the launch runs: so many of the first rows are computed, and the others
-  // stay as they are. Of kernels without a sum. On a tape, outputs are memory that the tape has
-  // not written before.
+  int32_t extent = -1;             // number of items of a fixed sum; -1: not given
+  const Incidence* csr = nullptr;  // rows of a CSR sum, one per output row
+  // int32 {1}: the number of leading rows to compute, read when the launch runs. The other rows
+  // stay unchanged. Only for kernels without a sum. On a tape, outputs must be memory that the tape
+  // has not written yet.
   const Operand* active = nullptr;
 };
 
-// The arguments of one call, in the kernel's order: several operands, or a single one.
+// The arguments of one call in the kernel's order: several operands or a single one.
 class Operands : public std::span<const Operand> {
  public:
   using span::span;
@@ -122,33 +123,34 @@ class Operands : public std::span<const Operand> {
   Operands(const Operand& single) : span(&single, 1) {}
 };
 
-// A Program with its adjoints and compiled modules. Cheap to copy.
+// A Program with its adjoints and compiled modules. Copies are cheap.
 class NOVAPHY_NOVA_API Kernel {
  public:
   Kernel() = default;
-  // Allocates the outputs; each is {dim, width}.
+  // Runs the kernel and allocates the outputs; each is {dim, width}.
   std::vector<Tensor> operator()(int64_t dim, std::span<const Tensor> inputs,
                                  const LaunchOptions& options = {}) const;
   std::vector<Tensor> operator()(int64_t dim, std::initializer_list<Tensor> inputs,
                                  const LaunchOptions& options = {}) const {
     return (*this)(dim, std::span<const Tensor>(inputs.begin(), inputs.size()), options);
   }
-  // Into given memory: what the engine's own operators call. Recorded like the form above.
+  // Runs the kernel into given memory. The engine's own operators use this form. It is recorded
+  // like the form above.
   void launch(int64_t dim, Operands inputs, Operands outputs,
               const LaunchOptions& options = {}) const;
 
   const std::string& name() const;
   const std::vector<SourceSpec>& sources() const;
   const std::vector<OutputSpec>& outputs() const;
-  const ir::Program& program() const;  // what runs: canonical, without tracing marks
-  const ir::Program& traced() const;   // with them
+  const ir::Program& program() const;  // the Program that runs: canonical, without tracing marks
+  const ir::Program& traced() const;   // the Program with tracing marks
   uint64_t hash() const;
-  // As text: "c", what the compiler gets or would get, or "program", the Program itself.
-  // ErrorKind::Value for others.
+  // Returns the kernel as text. "c": the source for the compiler. "program": the Program.
+  // ErrorKind::Value: another form.
   std::string source(const std::string& form = "c") const;
-  // The plan for a set of gradients, made once and kept.
+  // Returns the plan of a set of gradients, which is made once and cached.
   const AdjointPlan& adjoint(const AdjointMask& mask) const;
-  // The sets of gradients that are built ahead: see with_gradients.
+  // Returns the sets of gradients whose adjoints are compiled ahead of time (see with_gradients).
   const std::vector<AdjointMask>& gradients() const;
   const std::shared_ptr<detail::KernelImpl>& impl() const { return impl_; }
   explicit Kernel(std::shared_ptr<detail::KernelImpl> impl) : impl_(std::move(impl)) {}
@@ -158,16 +160,18 @@ class NOVAPHY_NOVA_API Kernel {
 };
 using IndexedKernel = Kernel;
 
-// out[i, 0..n_out) = f(i)
+// Makes a kernel with one output: out[i, 0..n_out) = f(i).
 NOVAPHY_NOVA_API Kernel make_indexed_expr_kernel_typed_access_n(std::string name,
                                                                 std::vector<SourceSpec> sources,
                                                                 int32_t n_out,
                                                                 const TraceFn& trace);
-// out[i, 0..n_out) = epilogue(i, ordered sum over r < extent of body(i, r), starting from init(i)).
-// The sum runs over a CSR row when a source is CsrRow, else over `extent` items.
+// Makes a kernel with a sum: out[i, 0..n_out) = epilogue(i, ordered sum over r < extent of body(i,
+// r), starting from init(i)). The sum runs over a CSR row if a source is CsrRow, else over `extent`
+// items.
 NOVAPHY_NOVA_API Kernel make_indexed_fixed_reduce_expr_kernel_typed_access_n(
     std::string name, std::vector<SourceSpec> sources, int32_t n_out, const ReduceFns& fns);
-// The same with several named outputs, whose columns the functions return one after the other.
+// The same with several named outputs. The functions return the columns of all outputs, one output
+// after the other.
 NOVAPHY_NOVA_API Kernel make_kernel(std::string name, std::vector<SourceSpec> sources,
                                     std::vector<OutputSpec> outputs, const TraceFn& trace);
 NOVAPHY_NOVA_API Kernel make_reduce_kernel(std::string name, std::vector<SourceSpec> sources,
@@ -175,17 +179,18 @@ NOVAPHY_NOVA_API Kernel make_reduce_kernel(std::string name, std::vector<SourceS
 
 // How a Program runs on a device.
 struct KernelInfo {
-  std::string name;   // of the kernel; adjoints end in ".adjoint" or ".adjoint_items"
-  uint64_t hash = 0;  // of its Program
+  std::string name;   // kernel name; adjoints end in ".adjoint" or ".adjoint_items"
+  uint64_t hash = 0;  // hash of the Program
   novaphy::Device device;
-  std::string how;  // "native": compiled code; "interpreter"; "unknown": the backend does not tell
-  std::string isa;  // the instruction set: "avx2", ...
-  int32_t lanes = 1;  // rows per vector of the processor
+  std::string how;  // "native": compiled code; "interpreter"; "unknown": the backend does not
+                    // report it
+  std::string isa;  // instruction set, such as "avx2"
+  int32_t lanes = 1;  // rows per SIMD vector
 };
-// Of every Program that was made ready for a device and is still there, in that order: kernels and
-// their adjoints, the engine's own and those of users.
+// Returns an entry for every Program that was prepared for a device and still exists, in order of
+// preparation: kernels and adjoints of the engine and of users.
 NOVAPHY_NOVA_API std::vector<KernelInfo> kernel_info();
-// Of one Program, which is made ready for this.
+// Prepares one Program for a device and returns its entry.
 NOVAPHY_NOVA_API KernelInfo kernel_info(const ir::Program& program,
                                         const novaphy::Device& device = novaphy::default_device());
 

@@ -1,4 +1,4 @@
-// A tensor, or a part of memory, as an argument of a launch (core/device_kernel.h).
+// Tensors and parts of memory as arguments of a launch (core/device_kernel.h).
 #pragma once
 
 #include "novaphy/core/device_kernel.h"
@@ -6,12 +6,13 @@
 
 namespace nova {
 
-// An undefined tensor: a null pointer.
+// Returns a tensor as an argument. An undefined tensor gives a null pointer.
 inline novaphy::Untyped argument(const Tensor& tensor) {
   return tensor.defined() ? novaphy::Untyped(tensor.range()) : novaphy::Untyped(nullptr);
 }
 
-// Bytes of a range, from its byte `first` on; none: a null pointer.
+// Returns `bytes` bytes of a range from byte `first` on as an argument. 0 bytes give a null
+// pointer.
 inline novaphy::Untyped part_of(const std::shared_ptr<novaphy::Range>& all, size_t first,
                                 size_t bytes) {
   if (bytes == 0) return novaphy::Untyped(nullptr);

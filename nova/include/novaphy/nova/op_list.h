@@ -1,6 +1,6 @@
-// OpList: recorded launches, copies and fills. A capture replays the list. Every operation of the
-// runtime on device memory goes through submit_*, which runs the operation now or records it into
-// the capture of this thread.
+// OpList: a list of recorded launches, copies and fills, which a capture replays. Every operation
+// of the runtime on device memory goes through submit_*, which runs the operation or records it
+// into the capture of this thread.
 #pragma once
 
 #include <cstdint>
@@ -27,7 +27,8 @@ enum class GradState : uint8_t;  // tensor.h
 namespace detail {
 struct RowLayout;
 class HostPlan;
-// Memory that an operation reads or writes. `row_bytes`: of one row of its domain; 0: any row.
+// Memory that an operation reads or writes. `row_bytes`: bytes per row, if row i accesses only its
+// own row; 0: any row.
 struct MemoryAccess {
   uint64_t begin = 0, bytes = 0;
   uint32_t row_bytes = 0;
@@ -36,8 +37,8 @@ struct MemoryAccess {
 class DeviceReplay;
 }  // namespace detail
 
-// Memory that only a few operations use, one after the other: the same for the same number and
-// size, or one of so many that take turns.
+// Scratch memory that few operations use, one after the other. Requests with the same number and
+// size share memory. With `turns` above 1, they alternate between that many buffers.
 class NOVAPHY_NOVA_API ScratchMemory {
  public:
   const std::shared_ptr<Range>& take(size_t number, size_t bytes, size_t turns,
@@ -49,15 +50,15 @@ class NOVAPHY_NOVA_API ScratchMemory {
     std::vector<std::shared_ptr<Range>> ranges;
     size_t taken = 0;
   };
-  std::map<std::pair<size_t, size_t>, Ranges> known_;  // by number and bytes
+  std::map<std::pair<size_t, size_t>, Ranges> known_;  // keyed by number and bytes
 };
 
 class NOVAPHY_NOVA_API OpList {
  public:
   struct Op {
     enum class Kind : uint8_t { Launch, Copy, Fill } kind;
-    uint32_t first_word = 0, word_count = 0;  // Launch: argument words
-    int64_t n = 0;                            // Launch: domain; Copy and Fill: bytes
+    uint32_t first_word = 0, word_count = 0;  // Launch: its argument words
+    int64_t n = 0;                            // Launch: number of rows; Copy and Fill: bytes
     novaphy_kernel* kernel = nullptr;
     const char* name = "";
     void* target = nullptr;
@@ -65,77 +66,81 @@ class NOVAPHY_NOVA_API OpList {
     uint32_t pattern = 0;
     const detail::RowLayout* layout =
         nullptr;  // Launch: how the arguments depend on the row; null: unknown
-    // Launch: what it touches, and the layout does not tell.
+    // Launch: memory accesses that the layout does not describe.
     uint32_t first_access = 0, access_count = 0;
-    const int32_t* active = nullptr;  // Launch: so many of the first rows; null: all
-    bool tables_change = false;  // in a plan: the list writes index tables that the launch reads
+    const int32_t* active = nullptr;  // Launch: number of leading rows to run; null: all rows
+    bool tables_change = false;  // in a plan: whether the list writes index tables that the launch
+                                 // reads
   };
 
-  // No accesses and no layout: what a launch touches is not known, and it keeps its place.
+  // Appends an operation. Without accesses and layout its memory is unknown, and the operation
+  // keeps its place in the order.
   void add(Op op, std::span<const uint64_t> words,
            std::span<const detail::MemoryAccess> accesses = {});
-  // Keeps a range (or a kernel) alive for as long as the list lives.
+  // Keeps a range or a kernel alive as long as the list.
   void hold(std::shared_ptr<const void> owner, size_t bytes = 0) {
     held_.push_back(std::move(owner));
     held_bytes_ += bytes;
   }
   size_t held_bytes() const { return held_bytes_; }
-  // Memory that only a few operations of the list use, one after the other. The list keeps it.
+  // Scratch memory of the list, for few operations one after the other.
   ScratchMemory& scratch() { return scratch_; }
   void writes(const std::shared_ptr<Range>& range);
-  // Whether an operation so far writes bytes of the range.
+  // Returns whether a recorded operation writes bytes of the range.
   bool writes_to(const Range& range) const;
-  // The recording depends on the present value of the range (an index table): launch throws once it
-  // was changed. `arrays`: it depends on them, which were made of the range; no matter where the
-  // list makes them itself.
+  // Says that the recording depends on the present value of a range (an index table). launch throws
+  // if the value has changed. `arrays`: arrays that were computed from the range and that the
+  // recording uses. The dependence ends if the list computes the arrays itself.
   void freeze(const std::shared_ptr<Range>& range, const std::shared_ptr<Range>& arrays = nullptr);
-  // The same of a number of a model, which launches have as an argument. The list keeps its owner;
-  // `name`, a field of the model, must outlive the list.
+  // Says the same of a number of a model that is an argument of launches. The list keeps the number
+  // alive. `name`, the field of the model, must outlive the list.
   void freeze(const std::shared_ptr<const float>& number, std::string_view name);
-  // Every launch begins with this, once per owner: it brings up to date what the list only reads.
-  // The list keeps the owner.
+  // Registers a function that runs at the start of every launch, once per owner. It updates data
+  // that the list only reads. The list keeps the owner alive.
   void before_launch(const std::shared_ptr<const void>& owner, std::function<void()> prepare);
   void end_recording();
-  // What the gradient of the range is after this point of the recording.
+  // Records the state of a range's gradient after this point of the list.
   void gradient(const std::shared_ptr<Range>& range, GradState state) { gradients_[range] = state; }
-  // Memory that the operations use beside what they were given: a launch takes it.
+  // Says that operations use this memory besides their arguments. A launch holds the guard.
   void uses(const std::shared_ptr<novaphy::ExclusiveUse>& memory) { memory_.add(memory); }
   size_t size() const { return ops_.size(); }
   const std::vector<Op>& ops() const { return ops_; }
   uint64_t id() const { return id_; }
 
-  // Runs all operations in order. No allocation, lock or check per operation; the versions of all
-  // written ranges are raised once at the end. Operations that touch written memory at their own
-  // row only run block by block of rows, so that a block stays in the cache: the same results, less
-  // memory traffic. Threads that launch one list take turns; while somebody else uses what it
-  // `uses`, it throws.
+  // Runs all operations in order, without an allocation, lock or check per operation. The versions
+  // of all written ranges are raised once at the end. Operations that access written memory only at
+  // their own row run block by block of rows. A block then stays in the cache, and the results are
+  // the same. Threads that launch the same list take turns. Throws if another call uses memory
+  // given to `uses`.
   //
-  // On a device that compiles, the first launches run the kernels of the operations, and one that
-  // fuses them takes over when a thread has compiled it: the same bits, faster. The destructor
-  // waits for that thread.
+  // On a device that compiles kernels, the first launches run the kernels of the operations one by
+  // one. Another thread compiles a fused kernel, which takes over when it is ready and gives the
+  // same bits. The destructor waits for that thread.
   void launch() const;
-  // Does now, and waits for, what else the first launches do or start: plans and compiles. Throws
-  // what they would, and while this thread captures. Nothing that a launch writes is touched.
+  // Makes the plans and compiles the kernels of the first launches now, and waits for them. Throws
+  // their errors, and throws while this thread captures. Memory that a launch writes is not
+  // touched.
   void prepare() const;
-  // The same for a list that is run once, by the code that recorded it: the versions were raised
-  // then.
+  // The same for a list that runs once, by the code that recorded it. The versions were raised
+  // during recording.
   void run_once() const;
 
   OpList();
   ~OpList();
   OpList(const OpList&) = delete;
   OpList& operator=(const OpList&) = delete;
-  const novaphy::DeviceContext* context = nullptr;  // of the first operation; all must agree
+  const novaphy::DeviceContext* context = nullptr;  // of the first operation; all operations must
+                                                    // agree
 
  private:
-  void run(bool again) const;  // again: it is worth a plan
+  void run(bool again) const;  // again: the list runs repeatedly, so a plan pays off
   detail::HostPlan& host_plan(bool again) const;
-  detail::DeviceReplay* device_replay() const;  // null: the device replays no graphs
+  detail::DeviceReplay* device_replay() const;  // null: the device cannot replay graphs
   uint64_t id_;
   std::vector<Op> ops_;
   std::vector<uint64_t> words_;
   std::vector<detail::MemoryAccess> accesses_;
-  // Made at the first launch, on devices whose memory the host may dereference.
+  // Made at the first launch, on devices whose memory the host can access.
   mutable std::unique_ptr<detail::HostPlan> host_plan_;
   mutable std::mutex launching_;
   novaphy::ExclusiveUses memory_;
@@ -143,7 +148,7 @@ class NOVAPHY_NOVA_API OpList {
   size_t held_bytes_ = 0;
   ScratchMemory scratch_;
   std::vector<std::shared_ptr<Range>> written_;
-  std::vector<const Range*> written_keys_;  // sorted, to add each once
+  std::vector<const Range*> written_keys_;  // sorted; prevents duplicates
   struct Frozen {
     std::shared_ptr<Range> table;
     uint64_t version;
@@ -158,50 +163,51 @@ class NOVAPHY_NOVA_API OpList {
   };
   std::vector<FrozenNumber> frozen_numbers_;
   std::vector<std::pair<std::shared_ptr<const void>, std::function<void()>>> before_launch_;
-  std::map<std::shared_ptr<Range>, GradState> gradients_;  // after a launch
-  // Made at the first launch, on devices that replay graphs. Last, because its thread reads what is
-  // above.
+  std::map<std::shared_ptr<Range>, GradState> gradients_;  // state after a launch
+  // Made at the first launch, on devices that replay graphs. Declared last, because its thread
+  // reads the members above.
   mutable std::unique_ptr<detail::DeviceReplay> device_replay_;
 };
 
-// Waits for what launches have started on other threads. Lists wait when they are destroyed; this
-// is for those that a process leaves behind: the exit destroys static objects of compilers, so a
-// compilation must not be under way then. Python calls it at its exit.
+// Waits for compilations on other threads. A list waits in its destructor, so this function serves
+// lists that still exist at the end of the process. The exit destroys static objects of compilers,
+// and no compilation may run then. Python calls this function at its exit.
 NOVAPHY_NOVA_API void wait_for_compilers();
 
-// While one is alive, launches, copies and fills of this thread are recorded and not run. Host
-// reads and other work that cannot be recorded raise, naming the call.
+// Records launches, copies and fills of this thread, instead of running them, for the lifetime of
+// the object. Host reads and other work that cannot be recorded throw, with the name of the call.
 class NOVAPHY_NOVA_API ScopedCapture {
  public:
   ScopedCapture();
   ~ScopedCapture();
   ScopedCapture(const ScopedCapture&) = delete;
   ScopedCapture& operator=(const ScopedCapture&) = delete;
-  void end();  // stops recording; the destructor does it too
+  void end();  // stops recording; the destructor also does
   const std::shared_ptr<OpList>& graph() const { return graph_; }
 
  private:
   std::shared_ptr<OpList> graph_;
   bool active_ = true;
 };
-NOVAPHY_NOVA_API OpList* current_capture();  // of this thread, or null
-// Whether the host can read the results of a launch of this thread when the launch returns.
+NOVAPHY_NOVA_API OpList* current_capture();  // this thread's capture, or null
+// Returns whether the host can read the results of a launch of this thread as soon as the launch
+// returns.
 inline bool host_can_read(novaphy::Device device) {
   return device.is_cpu() && current_capture() == nullptr;
 }
 
-// While one is alive, what this thread submits is collected and then run as one list, so that its
-// operations can share the cache. Does nothing inside a capture (the capture collects already).
-// flush() runs what there is.
+// Collects the submissions of this thread into one list and then runs the list, so that operations
+// share the cache. Has no effect inside of a capture, which collects already. flush() runs the
+// collected operations.
 class NOVAPHY_NOVA_API DeferredScope {
  public:
   explicit DeferredScope(bool wanted);
-  ~DeferredScope();  // discards what was not flushed: an exception is on its way
+  ~DeferredScope();  // discards unflushed operations, as after an exception
   DeferredScope(const DeferredScope&) = delete;
   DeferredScope& operator=(const DeferredScope&) = delete;
   void flush();
-  void pause();   // flush, and run directly from now on
-  void resume();  // collect again
+  void pause();   // runs the collected operations; later ones run directly
+  void resume();  // collects again
   size_t held_bytes() const;
 
  private:
@@ -209,12 +215,13 @@ class NOVAPHY_NOVA_API DeferredScope {
   bool wanted_;
 };
 
-// Runs what a DeferredScope of this thread has collected: for whoever is about to look at the
-// memory.
+// Runs the operations that a DeferredScope of this thread has collected. Code that is about to read
+// the memory calls this function.
 NOVAPHY_NOVA_API void flush_deferred();
 
-// Launches of this library's own kernels over the domain n; novaphy::submit_launch is for those of
-// others. `words` are the argument words; `name` is for messages and must outlive the list.
+// Submits a launch of this library's own kernels over n rows. Other libraries use
+// novaphy::submit_launch. `words` are the argument words. `name` is for messages and must outlive
+// the list.
 NOVAPHY_NOVA_API void submit_launch(const novaphy::DeviceContext& context, novaphy_kernel* kernel,
                                     const char* name, int64_t n, std::span<const uint64_t> words,
                                     const detail::RowLayout* layout = nullptr,
@@ -225,12 +232,13 @@ NOVAPHY_NOVA_API void submit_copy(const std::shared_ptr<Range>& target,
 NOVAPHY_NOVA_API void submit_fill(const std::shared_ptr<Range>& target, float value);
 // Says that a submitted operation writes the range: raises its version, now and at every replay.
 NOVAPHY_NOVA_API void note_write(const std::shared_ptr<Range>& range);
-// Runs now even while a capture records: for what is derived from index tables, which a capture
-// freezes.
+// Runs a launch now even while a capture records. Used for data derived from index tables, whose
+// values a capture freezes.
 using novaphy::launch_now;
-// The capture or deferred list of this thread, or null.
+// Returns the capture or the deferred list of this thread, or null.
 NOVAPHY_NOVA_API OpList* recording();
-// Keeps the owner alive while that list (if any) lives. `bytes`: memory that only the list needs.
+// Keeps the owner alive as long as that list, if one exists. `bytes`: memory that only the list
+// needs.
 template <class T>
 void hold_in_capture(const std::shared_ptr<T>& owner, size_t bytes = 0) {
   if (OpList* list = recording()) list->hold(owner, bytes);

@@ -1,17 +1,16 @@
-// Optimizers and gradient clipping as kernels: in place, never recorded on a tape, without a read
-// on the host but for what direct steps on the CPU check. So all of it may stand in a
-// ScopedCapture, and a launch of the graph gives the bits of the same calls run at once. Numbers
-// (rates, limits) are those of the moment of the capture; what changes from step to step (moments,
-// step counters) lives on the device.
+// Optimizers and gradient clipping as kernels. They update in place and are never recorded on a
+// tape. Only the checks of direct steps on the CPU read values on the host. All functions may
+// therefore be captured, and a replay gives the bits of direct calls. Numbers such as rates and
+// limits keep their value at capture time. Values that change from step to step (moments, step
+// counters) live on the device.
 //
-// All parameters are float32, of any shape; a parameter's gradient is param.grad(), which counts as
-// zero after zero_grad(). Units: a gradient has those of loss / param, a learning rate for SGD
-// those of param^2 / loss, for Adam those of param.
+// All parameters are float32 of any shape. The gradient of a parameter is param.grad(), which
+// counts as zero after zero_grad(). Units: a gradient has the unit of loss / param. A learning rate
+// has the unit of param^2 / loss for SGD and of param for Adam.
 //
-// Errors name the call and the argument, and come before anything is written. ErrorKind::Type: a
-// tensor that is undefined or not float32. ErrorKind::Value: a parameter without a gradient, a
-// wrong shape, another device, no parameters, memory that is given twice, or a number out of the
-// ranges below.
+// Errors name the call and the argument, and come before any write. ErrorKind::Type: a tensor that
+// is undefined or not float32. ErrorKind::Value: a parameter without a gradient, a wrong shape,
+// another device, no parameters, memory that is given twice, or a number out of range.
 #pragma once
 
 #include <vector>
@@ -22,46 +21,48 @@ namespace nova {
 
 // ---- updates of one parameter ----
 
-// param -= learning_rate * param.grad. The learning rate is finite.
+// Computes param -= learning_rate * param.grad. The learning rate is finite.
 NOVAPHY_NOVA_API void sgd_update_f32(const Tensor& param, float learning_rate);
 
-// Per row of param {n, 3}: a gradient with a value that is not finite leaves the row unchanged; a
-// gradient longer than max_gradient_norm is scaled to it; p -= learning_rate * g; a result longer
-// than max_parameter_norm is scaled to it. A norm <= 0 switches that clip off.
+// Updates each row of param {n, 3} with clipping. A row whose gradient is not finite stays
+// unchanged. A gradient longer than max_gradient_norm is scaled to that length, then p -=
+// learning_rate * g. A result longer than max_parameter_norm is scaled to that length. A norm <= 0
+// switches the clip off.
 NOVAPHY_NOVA_API void sgd_update_vec3_clipped_f32(const Tensor& param, float learning_rate,
                                                   float max_parameter_norm,
                                                   float max_gradient_norm);
 
 // Adam (Kingma and Ba, "Adam: A Method for Stochastic Optimization", ICLR 2015, Algorithm 1), value
-// by value, each operation rounded to float32 in this order (Warp's):
+// by value. Each operation is rounded to float32 in this order, which is Warp's:
 //   t += 1
 //   m = beta1 * m + (1 - beta1) * g
 //   v = beta2 * v + (1 - beta2) * g * g
 //   param -= lr * (m / (1 - beta1^t)) / (sqrt(v / (1 - beta2^t)) + eps)
-// m, v: the moments, of param's shape, zero before the first update. t {1} float32: the number of
-// updates so far, zero before the first; a kernel raises it, so each launch of a captured graph is
-// a step. One t per parameter: every call raises it. t stays at 2^24 - 1; a t that is negative or
-// NaN counts as 0.
-// 1 - beta^t is computed from the bits of t by products alone (no pow, and no difference of two
-// numbers near 1), to a relative error of 2e-6; it depends on t only, not on the way there.
-// lr finite, >= 0; beta1 and beta2 in [0, 1); eps finite, > 0. A value whose gradient is not
-// finite, or whose square overflows, spoils its moments: clip first, or use the class.
+// The moments m and v have the shape of param and are zero before the first update. t {1} float32
+// is the number of updates so far. A kernel increments t, so each launch of a captured graph is a
+// step. Every call increments its t, so each parameter needs its own. t stops at 2^24 - 1. A t that
+// is negative or NaN counts as 0.
+// 1 - beta^t is computed from the bits of t by products alone, without pow and without
+// cancellation, to a relative error of 2e-6. The result depends on t only.
+// lr is finite and >= 0, beta1 and beta2 are in [0, 1), and eps is finite and > 0. A gradient that
+// is not finite, or whose square overflows, makes its moments invalid. Clip the gradient first, or
+// use the class Adam.
 NOVAPHY_NOVA_API void adam_update_f32(const Tensor& param, const Tensor& m, const Tensor& v,
                                       const Tensor& t, float lr, float beta1 = 0.9f,
                                       float beta2 = 0.999f, float eps = 1e-8f);
 
 // ---- clipping ----
 
-// Scales all gradients so that the Euclidean norm over all of them together is at most max_norm,
-// with PyTorch's factor min(1, max_norm / (norm + 1e-6)); a factor of 1 keeps every bit. Returns
-// the norm before that, {1}. The squares are summed in the order of the row-sum rule, one parameter
-// after the other: the same bits for any number of threads. A norm that is not finite (a gradient
-// is not, or its square overflows) sets all gradients to zero, so that an update after it moves
-// nothing by garbage; the norm that is returned tells. max_norm > 0; infinity only measures.
+// Scales all gradients so that their common Euclidean norm is at most max_norm. The factor is
+// PyTorch's min(1, max_norm / (norm + 1e-6)); a factor of 1 keeps every bit. Returns the norm
+// before clipping, {1}. The squares are summed in the order of the row-sum rule, one parameter
+// after the other, with the same bits for any number of threads. If the norm is not finite, all
+// gradients are set to zero, so that the next update has no effect, and the returned norm shows it.
+// max_norm > 0; infinity only measures.
 NOVAPHY_NOVA_API Tensor clip_grad_norm_(const std::vector<Tensor>& params, float max_norm);
-// Limits every value of every gradient to [-v, v]; NaN stays NaN. v > 0.
+// Limits every value of every gradient to [-v, v], where v > 0. NaN stays NaN.
 NOVAPHY_NOVA_API void clip_grad_value_(const std::vector<Tensor>& params, float v);
-// Limits every value of param itself to [lower, upper]; NaN stays NaN. lower <= upper.
+// Limits every value of param to [lower, upper], where lower <= upper. NaN stays NaN.
 NOVAPHY_NOVA_API void clamp_(const Tensor& param, float lower, float upper);
 
 // ---- optimizers of several parameters ----
@@ -71,7 +72,7 @@ struct SGDOptions {
   float momentum = 0.0f;      // finite, >= 0
   float dampening = 0.0f;     // finite
   float weight_decay = 0.0f;  // finite, >= 0
-  bool nesterov = false;      // needs a momentum > 0 and no dampening
+  bool nesterov = false;      // needs momentum > 0 and dampening 0
 };
 struct AdamOptions {
   float lr = 1e-3f;                    // finite, >= 0
@@ -81,47 +82,50 @@ struct AdamOptions {
 
 namespace optim {
 
-// The parameters and the learning rate. The parameters are on one device and share no memory.
+// The parameters and the learning rate of an optimizer. The parameters are on one device and share
+// no memory.
 //
-// A step takes finite gradients only. Called directly on the CPU it throws otherwise. On a device
-// and in the replays of a capture it leaves parameters and state as they are and notes that: the
-// next check() throws, which direct steps on the CPU, the replays there and the accessors of the
-// state begin with.
+// A step needs finite gradients. A direct step on the CPU throws otherwise. On a device and in
+// replays such a step changes nothing and sets a flag. The next check() then throws. Direct steps
+// and replays on the CPU, and the accessors of the state, call check().
 class NOVAPHY_NOVA_API Optimizer {
  public:
   Optimizer(const Optimizer&) = delete;  // a copy would share the state
   Optimizer& operator=(const Optimizer&) = delete;
   const std::vector<Tensor>& params() const { return params_; }
   float lr() const { return lr_; }
-  void set_lr(float lr);   // for steps from now on; a captured graph keeps its own
-  void zero_grad() const;  // of every parameter
-  // ErrorKind::Runtime where steps since the last call met a gradient that is not finite. Waits for
-  // a device; in a capture it does nothing.
+  void set_lr(float lr);   // for later steps; a captured graph keeps its rate
+  void zero_grad() const;  // zeroes the gradient of every parameter
+  // Throws ErrorKind::Runtime if a step since the last call met a gradient that is not finite.
+  // Waits for the device. Has no effect in a capture.
   void check() const;
 
  protected:
   Optimizer(const char* name, std::vector<Tensor> params, float lr);
   ~Optimizer() = default;
-  // Before a step: the gradients are finite, or it throws, or unfit_ is NaN when the step runs.
+  // Checks the gradients before a step. Throws if one is not finite, or sets unfit_ to NaN when the
+  // step runs.
   void begin_step() const;
   const char* name_;
   std::vector<Tensor> params_;
   float lr_;
-  Tensor unfit_, refused_;  // {1}: 0, else a step changes nothing; such steps
+  Tensor unfit_, refused_;  // {1} each: 0, or NaN for a step that changes nothing; the number of
+                            // such steps
 };
 
-// Stochastic gradient descent with momentum, in PyTorch's and Warp's form:
+// Stochastic gradient descent with momentum, in the form of PyTorch and Warp:
 //   g += weight_decay * p;  b = momentum * b + (1 - dampening) * g, in the first step b = g;
 //   g = nesterov ? g + momentum * b : b;  p -= lr * g
-// Without momentum there is no b, and without weight decay either a step is sgd_update_f32.
+// Without momentum b does not exist. Without weight decay too, a step is sgd_update_f32.
 class NOVAPHY_NOVA_API SGD : public Optimizer {
  public:
   explicit SGD(std::vector<Tensor> params, const SGDOptions& options = {});
-  // ErrorKind::Value: a parameter has no gradient; ErrorKind::Runtime: one that is not finite.
+  // ErrorKind::Value: a parameter has no gradient. ErrorKind::Runtime: a gradient is not finite.
   void step() const;
-  // The state, all zero before the first step; empty and undefined without momentum.
-  const std::vector<Tensor>& b() const { return check(), b_; }  // as the parameters
-  const Tensor& t() const { return check(), t_; }               // {1}: the steps so far
+  // The state, which is zero before the first step. Without momentum, b() is empty and t() is
+  // undefined.
+  const std::vector<Tensor>& b() const { return check(), b_; }  // shapes of the parameters
+  const Tensor& t() const { return check(), t_; }               // {1}: number of steps so far
 
  private:
   SGDOptions options_;
@@ -129,15 +133,15 @@ class NOVAPHY_NOVA_API SGD : public Optimizer {
   Tensor t_;
 };
 
-// adam_update_f32 of every parameter, with one t for all.
+// Adam for several parameters: adam_update_f32 with a common t.
 class NOVAPHY_NOVA_API Adam : public Optimizer {
  public:
   explicit Adam(std::vector<Tensor> params, const AdamOptions& options = {});
-  void step() const;  // errors as SGD's
-  // The state, all zero before the first step.
-  const std::vector<Tensor>& m() const { return check(), m_; }  // as the parameters
+  void step() const;  // errors as for SGD::step
+  // The state, which is zero before the first step.
+  const std::vector<Tensor>& m() const { return check(), m_; }  // shapes of the parameters
   const std::vector<Tensor>& v() const { return check(), v_; }
-  const Tensor& t() const { return check(), t_; }  // {1}: the steps so far
+  const Tensor& t() const { return check(), t_; }  // {1}: number of steps so far
 
  private:
   AdamOptions options_;

@@ -1,7 +1,7 @@
-// Tangents: from the Program of a kernel to the Program that pushes tangents of its sources forward
-// to its outputs (forward mode). The instruction set is closed under this: the tangent of a gather
-// is a gather, of an ordered sum the ordered sum of the tangents. Tangents share the derivative
-// rules with adjoints, so <J u, w> = <u, J^T w> up to rounding.
+// Generates tangents (forward mode). From the Program of a kernel follows the Program that
+// propagates tangents of the sources to the outputs, in the same instruction set. The tangent of a
+// gather is a gather, and the tangent of an ordered sum is the ordered sum of the tangents.
+// Tangents and adjoints share the derivative rules, so <J u, w> = <u, J^T w> up to rounding.
 #pragma once
 
 #include <vector>
@@ -12,14 +12,16 @@
 namespace nova {
 
 struct TangentPlan {
-  // Sources: those of the kernel, then the tangents of `wrt` in order, each read like its source.
-  // Outputs: the tangents of the kernel's outputs. Parameters and loops: those of the kernel.
+  // Sources: those of the kernel, then the tangents of `wrt` in order, each with the access of its
+  // source. Outputs: the tangents of the kernel's outputs. Parameters and loops are those of the
+  // kernel.
   ir::Program program;
-  std::vector<bool> loads_value;  // per source: its value is read
+  std::vector<bool> loads_value;  // per source: whether its value is read
 };
 
-// `program` still carries PARTIAL and DETACH. `wrt`, per source: it has a tangent; those of all
-// others are 0. Throws ErrorKind::Value for an integer source.
+// Makes the tangent of a Program, which must still contain PARTIAL and DETACH. `wrt`: per source,
+// whether it has a tangent; other tangents are 0. ErrorKind::Value: an integer source has a
+// tangent.
 NOVAPHY_NOVA_API TangentPlan make_tangent(const ir::Program& program, const std::vector<bool>& wrt);
 
 }  // namespace nova

@@ -1,16 +1,17 @@
-// Tape: records the launches whose inputs carry gradients, and runs their adjoints in reverse.
+// Tape: records the launches whose inputs carry gradients, and runs their adjoints in reverse
+// order.
 //
 // Rules:
-//  - A leaf is a range that no operation of the tape writes. Only leaves accumulate over calls of
-//    backward; every other gradient is unset at its start, the first contribution stores, later
-//    ones add in a fixed order.
-//  - Operands are held by reference with their version. When an adjoint would read a value that was
-//    overwritten since, backward throws and names the operation and the input. Nothing is copied.
-//  - A leaf that was read with different values has no gradient of both: backward throws.
-//  - A value that another living tape recorded is neither a leaf nor a constant: reading it throws.
-//  - A tape that keeps the gradients of leaves only (KeepGradients::Leaves) gives the same bits; to
-//    read another gradient afterwards throws.
-//  - Kernels run and are recorded on the thread on which the tape is active.
+//   - A leaf is a range that no operation of the tape writes. Only leaves accumulate gradients over
+//     several calls of backward. Every other gradient is unset at its start: the first contribution
+//     stores, and later ones add in a fixed order.
+//   - Operands are held by reference, with their version. If an adjoint would read a value that was
+//     overwritten, backward throws and names the operation and the input. Nothing is copied.
+//   - backward throws for a leaf that was read with different values.
+//   - Reading a value that another living tape recorded throws.
+//   - A tape with KeepGradients::Leaves gives the same bits. Reading another gradient afterwards
+//     throws.
+//   - Kernels are recorded on the thread on which the tape is active.
 #pragma once
 
 #include <cstdint>
@@ -32,8 +33,8 @@ namespace detail {
 struct MemoryAccess;
 }
 
-// Which gradients can be read after backward. Those of intermediate values take as much memory as
-// the values do; a tape that keeps leaves only uses that memory again as soon as it can.
+// The gradients that can be read after backward. Gradients of intermediate values take as much
+// memory as the values. With Leaves the tape reuses this memory as soon as possible.
 enum class KeepGradients : uint8_t { All, Leaves };
 
 class NOVAPHY_NOVA_API Tape {
@@ -43,43 +44,45 @@ class NOVAPHY_NOVA_API Tape {
   Tape(const Tape&) = delete;
   Tape& operator=(const Tape&) = delete;
 
-  // Makes this the active tape of the thread; throws when another one is active.
+  // Makes this tape the active tape of the thread. Throws if another tape is active.
   void begin();
   void end();
-  static Tape* active();  // of this thread, or null; null inside NoGrad
+  static Tape* active();  // this thread's tape, or null; null inside NoGrad
 
-  // Pulls the gradient of `loss` back to every leaf. `loss` must be written by an operation of this
-  // tape. Without `seed` it must hold one value. Throws ErrorKind::Value or Runtime, or what a
-  // custom operation threw; the gradients of leaves are then as before the call. On the CPU it
-  // warns of gradients of leaves that are not finite, with the operation, its input and the step of
-  // the rollout where the first came up, which it looks for only then.
+  // Propagates the gradient of `loss` back to every leaf. An operation of this tape must have
+  // written `loss`. Without `seed`, `loss` must have one value. Throws ErrorKind::Value or Runtime,
+  // or an error of a custom operation. After an error the gradients of leaves are as before the
+  // call. On the CPU, backward warns if a gradient of a leaf is not finite, and names the first
+  // operation, input and rollout step where this happens. The search runs only in that case.
   void backward(const Tensor& loss, const Tensor& seed = {});
-  // Pushes tangents of leaves forward: for each of `outputs` its derivative in the direction of
-  // `tangents`, one per input, in new memory. The tape may be used for backward before and after.
-  // Every operation is reread as backward would: values that a tangent needs must be as recorded.
-  // ErrorKind::Value: an input that is no leaf with a gradient, an output that this tape did not
-  // write; ErrorKind::NotImplemented: a custom operation that was recorded without a tangent.
+  // Propagates tangents of leaves forward. Returns for each of `outputs` its derivative in the
+  // direction of `tangents`, which has one tangent per input. The tape may be used for backward
+  // before and after. Values that a tangent needs must still be as recorded. ErrorKind::Value: an
+  // input that is not a leaf with a gradient, or an output that this tape did not write.
+  // ErrorKind::NotImplemented: a custom operation without a tangent.
   std::vector<Tensor> jvp(const std::vector<Tensor>& outputs, const std::vector<Tensor>& inputs,
                           const std::vector<Tensor>& tangents);
-  bool has_leaf(const Tensor& tensor) const;  // that this tape read, and that carries a gradient
-  bool has_tangents() const;                  // jvp works for every operation
-  void zero();                                // all gradients that this tape touched are zero
-  void reset();                               // forgets all operations
+  bool has_leaf(const Tensor& tensor) const;  // whether the tape read this leaf and it carries a
+                                              // gradient
+  bool has_tangents() const;                  // whether every operation has a tangent
+  void zero();                                // sets all gradients of this tape to zero
+  void reset();                               // drops all operations
   size_t size() const;
-  // What the maker of operations says of their gradients. A tape forgets witnesses with operations.
+  // Information about the gradients of recorded operations, added by the code that records them.
+  // reset() drops witnesses with the operations.
   struct NOVAPHY_NOVA_API Witness {
     virtual ~Witness();
   };
   void add_witness(std::shared_ptr<const Witness> witness);
   std::span<const std::shared_ptr<const Witness>> witnesses() const;
-  bool has_gone_back() const;  // backward has run since the last reset
+  bool has_gone_back() const;  // whether backward has run since the last reset
   std::vector<std::string> op_names() const;
-  size_t memory_bytes() const;  // of the records themselves (not of states and gradients)
+  size_t memory_bytes() const;  // size of the records, without states and gradients
 
-  // A differentiable operation that is no kernel: call it after the outputs were computed.
-  // ErrorKind::Type, ErrorKind::Value: see CustomOp; ErrorKind::NotImplemented: between checkpoints
-  // without `forward`; ErrorKind::Runtime: it reads a value that carries a gradient and is no
-  // input.
+  // Records a differentiable operation that is not a kernel, after its outputs were computed.
+  // ErrorKind::Type, ErrorKind::Value: see CustomOp. ErrorKind::NotImplemented: recorded between
+  // checkpoints without `forward`. ErrorKind::Runtime: the operation reads a value that carries a
+  // gradient and is not an input.
   void record_custom(CustomOp op);
   void record_custom(std::string name, std::vector<Tensor> inputs, std::vector<Tensor> outputs,
                      BackwardFn backward) {
@@ -87,21 +90,21 @@ class NOVAPHY_NOVA_API Tape {
                                  std::move(backward)));
   }
 
-  // Says that a recorded value stops in the range: what wrote it is not followed, as a copy, or a
-  // forward solver's step. Using it as an input before it is written again, or is the output of a
-  // recorded operation, throws. `why` completes "input of op: ".
+  // Marks a range whose recorded history ends: it was written by an operation that the tape does
+  // not follow, such as a copy or a step of a forward solver. Using the range as an input throws
+  // until a recorded operation writes it. `why` completes the message "input of op: ".
   void mark_untracked(const std::shared_ptr<Range>& range, const char* why);
 
-  // What is recorded in between may be overwritten afterwards, but for what it reads from before
-  // and for what is read of it later: backward runs these operations once more, ahead of their
-  // adjoints. So a rollout needs memory for some of its states only (Griewank and Walther,
-  // "Algorithm 799: revolve", with a fixed interval). Custom operations need their `forward` there.
-  // `memory`, if any, is what they use apart from their operands; backward takes it.
-  // ErrorKind::Runtime inside another.
+  // Starts a group of operations that backward recomputes before their adjoints. Values inside of
+  // the group may be overwritten afterwards, except inputs from before the group and values that
+  // are read after it. A rollout therefore keeps only some of its states (Griewank and Walther,
+  // "Algorithm 799: revolve", with a fixed interval). Custom operations in a group need `forward`.
+  // `memory`: the guard of memory that the group uses besides its operands. ErrorKind::Runtime:
+  // inside of another group.
   void begin_recomputed(const std::shared_ptr<novaphy::ExclusiveUse>& memory = {});
   void end_recomputed();
 
-  // While one is alive, what this thread records belongs to a step of a rollout: for messages.
+  // Assigns operations that this thread records to a step of a rollout, for error messages.
   class NOVAPHY_NOVA_API StepScope {
    public:
     explicit StepScope(int32_t step);
@@ -113,27 +116,26 @@ class NOVAPHY_NOVA_API Tape {
     Tape* tape_;
   };
 
-  // For Kernel::launch: whether an input carries a gradient; refusals before anything is written;
-  // the record.
+  // For Kernel::launch: whether an input carries a gradient, the checks before the first write, and
+  // the recording.
   bool must_record(std::span<const Operand> inputs) const;
-  // `partly`: outputs that are written in part.
+  // `partly`: outputs of which only some rows are written.
   void check_launch(const detail::KernelImpl& kernel, std::span<const Operand> inputs,
                     std::span<const Operand> partly) const;
   void record_launch(const std::shared_ptr<detail::KernelImpl>& kernel, int64_t dim,
                      std::span<const Operand> inputs, std::span<const Operand> outputs,
                      const LaunchOptions& options, bool recorded);
-  void record_rebuild(const Incidence& incidence);  // for rebuild()
-  // For launches that are no Kernels, before they are noted as writes: a group of recomputed
-  // operations runs them once more.
+  void record_rebuild(const Incidence& incidence);  // records rebuild()
+  // For launches of hand-written kernels, called before the writes are noted: a group of recomputed
+  // operations repeats them.
   void record_launch(const novaphy::Launch& launch, std::span<const detail::MemoryAccess> accesses);
 
-  // For launches that are no Kernels: whether the range, or one that shares bytes with it, carries
-  // a gradient; and that it now holds a constant.
+  // For launches of hand-written kernels: whether the range or an overlapping one carries a
+  // gradient, and marking the range as a constant.
   bool carries_gradient(const Range& range) const;
   void mark_constant(const Range& range);
-  // ErrorKind::Runtime where the value of the range, or of one that shares bytes with it, is one
-  // that another living tape recorded: its gradient would stop here. `input`, `op`: for the
-  // message.
+  // Throws ErrorKind::Runtime if another living tape recorded the value of the range or of an
+  // overlapping one, because its gradient would be lost. `input` and `op` are for the message.
   void check_not_of_another(const Range& range, const std::string& op,
                             const std::string& input) const;
 
@@ -143,7 +145,7 @@ class NOVAPHY_NOVA_API Tape {
   std::unique_ptr<Impl> impl_;
 };
 
-// begin_recomputed and end_recomputed of the active tape, if there is one and it is wanted.
+// Calls begin_recomputed and end_recomputed of the active tape, if one exists and `wanted` is true.
 class NOVAPHY_NOVA_API RecomputedScope {
  public:
   explicit RecomputedScope(bool wanted, const std::shared_ptr<novaphy::ExclusiveUse>& memory = {})
@@ -171,7 +173,7 @@ class NOVAPHY_NOVA_API TapeScope {
   Tape& tape_;
 };
 
-// While one is alive nothing of this thread is recorded on a tape.
+// Stops recording on tapes on this thread for the lifetime of the object.
 class NOVAPHY_NOVA_API NoGrad {
  public:
   NoGrad();

@@ -1,8 +1,9 @@
-// Tracing: Real, Int and Bool are small handles into the Program that is being built. Arithmetic on
-// them appends an instruction, after bit-exact constant folding and value numbering. Formulas
-// written as templates over the scalar run with float in the forward engine and with Real here.
+// Tracing. Real, Int and Bool are small handles of values in the Program that is being built. An
+// arithmetic operation appends an instruction, after bit-exact constant folding and value
+// numbering. A formula template runs with float in the forward engine and with Real here.
 //
-// Bool has no conversion to bool: a data-dependent `if` does not compile. Write select(c, a, b).
+// Bool does not convert to bool, so a data-dependent `if` fails to compile. Write select(c, a, b)
+// instead.
 #pragma once
 
 #include <cstdint>
@@ -14,16 +15,16 @@
 
 namespace nova {
 
-// Builds one Program. While a Trace is alive it is the current one of its thread.
+// Builds one Program. A Trace is the current trace of its thread as long as it exists.
 class NOVAPHY_NOVA_API Trace {
  public:
   explicit Trace(std::string name);
   ~Trace();
   Trace(const Trace&) = delete;
   Trace& operator=(const Trace&) = delete;
-  static Trace& current();  // throws when no trace is being built on this thread
+  static Trace& current();  // throws if this thread builds no trace
 
-  // Appends the instruction, or returns the value that is equal to it already.
+  // Appends an instruction, or returns an existing value that equals it.
   ir::Value emit(ir::Instr instr);
   ir::Value constant(float value);
   ir::Value constant(int32_t value);
@@ -54,7 +55,7 @@ class Int;
 // A traced float.
 class NOVAPHY_NOVA_API Real {
  public:
-  Real() = default;  // no value yet
+  Real() = default;  // has no value yet
   Real(float constant) : value_(Trace::current().constant(constant)) {}
   static Real of(ir::Value value) {
     Real r;
@@ -161,7 +162,7 @@ NOVA_UNARY(to_int, F_TO_I, Real, Int)  // truncates, saturates, NaN gives 0
 NOVA_UNARY(to_real, I_TO_F, Int, Real)
 NOVA_UNARY(float_bits, F_BITS, Real, Int)
 NOVA_UNARY(bits_float, BITS_F, Int, Real)
-NOVA_UNARY(detach, DETACH, Real, Real)  // the value, as a constant for the derivative
+NOVA_UNARY(detach, DETACH, Real, Real)  // the value without its derivative
 #undef NOVA_BINARY
 #undef NOVA_SWAPPED
 #undef NOVA_UNARY
@@ -169,8 +170,7 @@ NOVA_UNARY(detach, DETACH, Real, Real)  // the value, as a constant for the deri
 inline Real fma(const Real& a, const Real& b, const Real& c) {
   return Real::of(detail::emit(ir::Op::FMA, a.value(), b.value(), c.value()));
 }
-// c ? a : b. The gradient goes to the side that is taken, and the other side may hold NaN without
-// harm.
+// Returns c ? a : b. Only the chosen side gets the gradient; NaN on the other side has no effect.
 inline Real select(const Bool& c, const Real& a, const Real& b) {
   return Real::of(detail::emit(ir::Op::SELECT_F, c.value(), a.value(), b.value()));
 }
@@ -180,8 +180,8 @@ inline Int select(const Bool& c, const Int& a, const Int& b) {
 inline Bool select(const Bool& c, const Bool& a, const Bool& b) {
   return Bool::of(detail::emit(ir::Op::SELECT_B, c.value(), a.value(), b.value()));
 }
-// The value of y, whose derivative with respect to x is declared to be dy_dx. Gradients through y
-// itself add to it, so pass detach(y) when dy_dx is the whole derivative.
+// Returns y with the declared derivative dy_dx with respect to x. The derivative of y itself is
+// added. Pass detach(y) if dy_dx is the whole derivative.
 inline Real with_derivative(const Real& y, const Real& x, const Real& dy_dx) {
   return Real::of(detail::emit(ir::Op::PARTIAL, y.value(), x.value(), dy_dx.value()));
 }

@@ -1,4 +1,4 @@
-// Internal: the versions of arrays of a model that something was made from.
+// Internal: the versions of the model arrays that a result was computed from.
 #pragma once
 
 #include <array>
@@ -13,8 +13,8 @@ class ArrayVersions {
  public:
   using Arrays = std::array<const Array*, N>;
 
-  // Whether the arrays are as they were when they were set. False for one that was ever exported:
-  // it can change unseen.
+  // Returns whether the arrays are unchanged. The answer is false for an array that was ever
+  // exported, because it can change without a new version.
   bool match(const Arrays& arrays) const {
     for (size_t k = 0; k < N; ++k) {
       const auto& range = arrays[k]->range();

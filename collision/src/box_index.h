@@ -1,6 +1,6 @@
-// Internal: boxes that stay where they are, to ask for those that meet another one. Shapes are
-// sorted along an axis within their world. A box that is much longer than the others, such as a
-// ground, stands apart and is asked by everybody.
+// Internal: an index of boxes that do not move, which finds the boxes that overlap a given one.
+// Shapes are sorted along an axis within their world. Boxes that are much longer than the others,
+// such as a ground, are kept in a separate list that every query tests.
 #pragma once
 
 #include <cstdint>
@@ -13,11 +13,11 @@ namespace novaphy::detail {
 
 class BoxIndex {
  public:
-  // `world`: of every shape of the model, -1: all worlds. A box with a NaN meets nothing.
+  // `world`: world of every shape of the model; -1: all worlds. A box with a NaN overlaps nothing.
   void build(std::span<const int32_t> members, std::span<const RigidShape> shapes,
              std::span<const int32_t> world);
   size_t size() const { return entries_.size() + apart_.size(); }
-  // Calls visit(shape) for the members of these worlds whose box meets this one.
+  // Calls visit(shape) for the members of compatible worlds whose box overlaps this one.
   template <class Visit>
   void visit_meeting(const geometry::Box3& box, int32_t world, const Visit& visit) const {
     for (const Entry& one : apart_)
@@ -29,11 +29,11 @@ class BoxIndex {
 
  private:
   struct Entry {
-    float begin;  // along the axis
+    float begin;  // lower end along the axis
     int32_t shape;
     geometry::Box3 box;
   };
-  struct Segment {  // of entries, of one world
+  struct Segment {  // range of entries of one world
     int32_t world;
     size_t begin, end;
   };
@@ -50,7 +50,7 @@ class BoxIndex {
   float along(const Vec3f& v) const { return axis_ == 0 ? v.x : axis_ == 1 ? v.y : v.z; }
 
   int axis_ = 0;
-  float longest_ = 0.0f;  // m, of an entry along the axis, and a little more
+  float longest_ = 0.0f;  // m, longest entry along the axis, plus rounding
   std::vector<Entry> entries_, apart_;
   std::vector<Segment> segments_;
 };

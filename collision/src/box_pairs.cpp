@@ -12,8 +12,7 @@ namespace {
 
 using geometry::Box3;
 
-// The pairs that `visit_all` names: those of each smaller shape together, in the order of the
-// larger.
+// Sorts the pairs that `visit_all` reports, by their smaller shape and then by the larger one.
 template <class VisitAll>
 std::vector<Vec2i> sorted_pairs(const char* function, size_t shapes, int64_t limit,
                                 VisitAll visit_all) {
@@ -43,10 +42,10 @@ void check_boxes(const char* function, std::span<const Box3> boxes, const ShapeP
           ": boxes: expected one per shape (", rules.body.size(), "), got ", boxes.size());
 }
 
-bool meets_itself(const Box3& box) { return boxes_meet(box, box); }  // no NaN, and lo <= hi
+bool meets_itself(const Box3& box) { return boxes_meet(box, box); }  // false for NaN or lo > hi
 
-// Insertion sort for what is nearly sorted; std::sort takes over after a few moves per item. The
-// order is total, so both give the same.
+// Insertion sort for a nearly sorted list. After a few moves per item std::sort takes over. The
+// order is total, so both give the same result.
 template <class Before>
 void sort_again(std::vector<int32_t>& order, Before before) {
   size_t moves = 8 * order.size();
@@ -106,7 +105,7 @@ std::vector<Vec2i> SweepAndPrune::box_pairs(std::span<const Box3> boxes,
   }
   const int axis = detail::sweep_axis(boxes, [](const Box3& box) -> const Box3& { return box; });
   auto box = [&](int32_t i) -> const Box3& { return boxes[static_cast<size_t>(i)]; };
-  auto lower = [&](int32_t i) {  // what meets nothing comes last
+  auto lower = [&](int32_t i) {  // boxes without overlap come last
     return meets_itself(box(i)) ? geometry::component(box(i).lo, axis)
                                 : std::numeric_limits<float>::infinity();
   };
@@ -115,7 +114,7 @@ std::vector<Vec2i> SweepAndPrune::box_pairs(std::span<const Box3> boxes,
     return x != y ? x < y : a < b;
   });
 
-  // The sorted shapes of each world, and of all worlds.
+  // The sorted shapes of each world, and those of all worlds.
   std::vector<int32_t> worlds(rules.world.begin(), rules.world.end());
   for (int32_t& w : worlds) w = std::max(w, -1);
   std::vector<int32_t> by_world;
@@ -131,10 +130,10 @@ std::vector<Vec2i> SweepAndPrune::box_pairs(std::span<const Box3> boxes,
       std::find_if(by_world.begin(), by_world.end(), [&](int32_t i) { return in_world(i) >= 0; });
   const std::vector<int32_t> shared(by_world.begin(), own_begin);
 
-  // Boxes side by side, in the order of the sweep: what follows another begins behind it.
+  // Boxes in the order of the sweep, stored side by side.
   struct Swept {
-    float begin, end;    // along the axis
-    float lo[2], hi[2];  // along the other two
+    float begin, end;    // ends along the axis
+    float lo[2], hi[2];  // ends along the other two axes
     int32_t shape;
   };
   std::vector<Swept> swept;

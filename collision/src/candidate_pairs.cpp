@@ -19,7 +19,7 @@ CandidatePairs make_candidate_pairs(const Model& model) {
   for (size_t p = 0; p < particle_world.size(); ++p)
     of_world[std::max(particle_world[p], -1)].push_back(static_cast<int32_t>(p));
   const std::vector<int32_t> everywhere = of_world[-1];
-  // What a shape of a world meets: merged once per world.
+  // The particles for shapes of a world, merged once per world.
   std::map<int32_t, std::vector<int32_t>> met;
   const auto particles_met = [&](int32_t world) -> const std::vector<int32_t>& {
     const auto [at, is_new] = met.try_emplace(std::max(world, -1));

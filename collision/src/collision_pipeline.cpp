@@ -21,7 +21,7 @@ void check_margin(const char* what, float margin) {
           ": soft_contact_margin: expected a finite number >= 0, got ", margin);
 }
 
-// Each pair once, the smaller shape first, in ascending order.
+// Sorts the pairs in ascending order, each once, with the smaller shape first.
 void order_pairs(std::vector<Vec2i>& pairs, const Model& model) {
   constexpr const char* name = "CollisionPipeline: shape_pairs_filtered";
   const std::vector<int32_t> body = model.shape_body.to_host();
@@ -142,7 +142,7 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
   check_rows("particle_q", state.particle_q, model_->particle_count());
   check_rows("body_q", state.body_q, model_->body_count());
   if (dt) check_rows("body_qd", state.body_qd, model_->body_count());
-  // The states of a rollout are those of its steps, and may not be there yet.
+  // With dt the states belong to a rollout, and their values may not exist yet.
   if (launch_recorder() == nullptr && !dt) check_rotations(name, state);
   model_->check_worlds(name);
   const int64_t pairs = count_pairs();
@@ -163,7 +163,7 @@ void CollisionPipeline::collide(const SimState& state, Contacts& contacts,
   soft_contacts_->collide(state, contacts, gap);
   const uint64_t version = contacts.rigid_contact_count.version();
   rigid_contacts_->collide(state, contacts, dt.value_or(0.0f));
-  // Unless a capture has recorded the search: then nothing was written.
+  // If a capture recorded the search, nothing was written yet.
   if (contacts.rigid_contact_count.version() == version) return;
   contacts.set_rigid_contacts_found_from(*model_, state.body_q);
   warn_of_overlaps(state, contacts);

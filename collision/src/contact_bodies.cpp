@@ -9,7 +9,7 @@ namespace novaphy {
 
 void find_contact_bodies(const Model& model, const Contacts& contacts,
                          const DeviceArray<int32_t>& rigid, const DeviceArray<int32_t>& soft) {
-  // Never destroyed: recordings refer to it.
+  // Never destroyed, because recordings refer to the kernel.
   static const auto& kernel =
       *new Kernel<ContactBodyArguments>(contact_body, detail::contact_body_kernels_source);
   const auto find = [&](const DeviceArray<int32_t>& shape0, const DeviceArray<int32_t>* shape1,

@@ -1,8 +1,8 @@
-// Internal: the text for devices of the kernel in contact_body_kernels.h.
+// Internal: the device source of the kernel in contact_body_kernels.h.
 #pragma once
 
 namespace novaphy::detail {
 
-const char* contact_body_kernels_source();  // null: the build has none
+const char* contact_body_kernels_source();  // null: the build has no device source
 
 }  // namespace novaphy::detail

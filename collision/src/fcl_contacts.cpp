@@ -21,13 +21,13 @@ int32_t FclContacts::ask(const RigidShape& s0, const RigidShape& s1, int32_t cou
                          int32_t per_pair, geometry::Manifold& kept) {
   using namespace geometry;
   const Transformf relative = relative_pose(s0.pose, s1.pose);
-  const Shape a = convex_shape(s0), b = convex_shape(s1);  // the pair points to both
+  const Shape a = convex_shape(s0), b = convex_shape(s1);  // the pair has pointers to both
   const ShapePair pair = shape_pair(a, b, relative);
   if (!is_finite(pair)) return count;
   float deepest = 0.0f;
   for (int32_t i = 0; i < count; ++i) deepest = math::min(deepest, kept.points[i].distance);
   const auto found = hull_of(s0).penetration(hull_of(s1), relative);
-  if (!found && deepest >= 0.0f) return count;  // apart, for both
+  if (!found && deepest >= 0.0f) return count;  // both methods find no overlap
   ++pairs_;
   constexpr float kTolerance = 1e-4f;  // of the size
   const auto size = [](const RigidShape& s) {
@@ -36,7 +36,7 @@ int32_t FclContacts::ask(const RigidShape& s0, const RigidShape& s1, int32_t cou
   const float tolerance = kTolerance * (size(s0) + size(s1));
   const float depth = found ? static_cast<float>(found->depth) : 0.0f;
   const Vec3f n = found ? found->normal : Vec3f{};
-  // Written so that a NaN is refused.
+  // The comparisons are written so that NaN fails.
   const bool good = found && math::abs(math::length(n) - 1.0f) <= 1e-3f &&
                     math::abs(separation_along(pair, n) + depth) <= tolerance &&
                     math::abs(depth + deepest) <= tolerance;

@@ -1,4 +1,4 @@
-// Internal: FCL's answers for pairs of convex hulls, in place of the search's own
+// Internal: uses FCL for pairs of convex hulls in place of the engine's narrow phase
 // (NarrowPhase::Fcl).
 #pragma once
 
@@ -12,14 +12,14 @@ namespace novaphy::detail {
 
 class FclContacts {
  public:
-  // The hulls of other tables are made anew.
+  // Drops cached hulls if the tables have another version.
   void use_tables(uint64_t version);
-  // Takes FCL's answer for two hulls whose boxes meet. `kept`: the `count` rows that the search has
-  // found, and has written only where there are some. Returns how many there are now.
+  // Replaces the rows of two hulls with overlapping boxes by FCL's result. `kept`: the `count` rows
+  // of the engine's narrow phase, written only if count > 0. Returns the new number of rows.
   int32_t ask(const RigidShape& s0, const RigidShape& s1, int32_t count, int32_t per_pair,
               geometry::Manifold& kept);
 
-  // So far: pairs that overlap, and those for which FCL's answer was not taken.
+  // Counts so far: overlapping pairs, and pairs whose FCL result was rejected.
   int64_t pairs() const { return pairs_; }
   int64_t fallbacks() const { return fallbacks_; }
 
@@ -27,7 +27,7 @@ class FclContacts {
   const FclHull& hull_of(const RigidShape& shape);
 
   std::map<const geometry::GeometryView*, FclHull> hulls_;
-  uint64_t version_ = 0;  // of the tables
+  uint64_t version_ = 0;  // version of the tables
   int64_t pairs_ = 0, fallbacks_ = 0;
 };
 

@@ -1,9 +1,9 @@
-// Internal: overlapping convex hulls by FCL's solver over libccd, in double precision. Only where
-// the build has it (NOVAPHY_WITH_FCL); without it, hulls are never made.
+// Internal: penetration of convex hulls by FCL's libccd solver, in double precision. Exists only in
+// builds with NOVAPHY_WITH_FCL; other builds never make a hull.
 //
-// The only call is GJKSolver_libccd::shapeIntersect on Convex: the signed distance and the planes
-// of FCL end the process for some poses. The call may throw, which here is no answer, and its
-// normal may be zero. The call refuses nothing, so poses must be finite.
+// The only call is GJKSolver_libccd::shapeIntersect on Convex, because FCL's signed distance and
+// planes abort the process for some poses. The call may throw, which counts as no result, and may
+// return a zero normal. The call checks nothing, so poses must be finite.
 #pragma once
 
 #include <memory>
@@ -15,7 +15,7 @@ namespace novaphy::detail {
 
 bool has_fcl();  // NOVAPHY_WITH_FCL
 
-// A hull as FCL wants it. Copies the tables, which lie in the memory of the host.
+// A hull in FCL's format. Copies the tables, which must be in host memory.
 class FclHull {
  public:
   explicit FclHull(const geometry::HullView& hull);
@@ -23,10 +23,11 @@ class FclHull {
   FclHull(FclHull&&) noexcept;
 
   struct Penetration {
-    Vec3f normal;  // from the first to the second, not checked
+    Vec3f normal;  // from the first hull to the second, unchecked
     double depth;  // m
   };
-  // Nothing where FCL finds no overlap, or throws. The second hull in the frame of the first.
+  // Returns nothing if FCL finds no overlap or throws. The second hull is in the frame of the
+  // first.
   std::optional<Penetration> penetration(const FclHull& other,
                                          const Transformf& other_in_this) const;
 

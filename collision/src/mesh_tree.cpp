@@ -40,7 +40,7 @@ void check(std::span<const Vec3f> vertices, std::span<const int32_t> indices) {
             " (exclusive), got ", indices[i]);
 }
 
-// The items [0, count), as rows by their keys, which are below `keys`.
+// Returns the items [0, count) as rows by their keys, which are less than `keys`.
 template <class KeyOf>
 IndexRows rows_by(size_t keys, size_t count, KeyOf key_of) {
   std::vector<int32_t> all(count);
@@ -50,14 +50,14 @@ IndexRows rows_by(size_t keys, size_t count, KeyOf key_of) {
   return rows;
 }
 
-// Side k of the triangles goes from a corner of triangle k / 3 to the next one.
+// Side k goes from a corner of triangle k / 3 to the next corner.
 int32_t corner_of(const MeshTree& tree, size_t triangle, size_t corner) {
   const Vec3i& t = tree.triangles[triangle];
   return corner % 3 == 0 ? t.x : corner % 3 == 1 ? t.y : t.z;
 }
 
 void set_rings(MeshTree& tree) {
-  // From each corner to the two others.
+  // Each corner has both other corners of its triangle as neighbors.
   const auto from = [&](size_t k) { return corner_of(tree, k / 6, k / 2 % 3); };
   const auto to = [&](size_t k) { return corner_of(tree, k / 6, k / 2 % 3 + 1 + k % 2); };
   const IndexRows rows = rows_by(tree.vertices.size(), 6 * tree.triangles.size(), from);
@@ -74,11 +74,12 @@ void set_rings(MeshTree& tree) {
 }
 
 struct Side {
-  int32_t a, b, triangle, corner;  // a, b: as the triangle goes round
-  bool is_empty;                   // of a triangle without area
+  int32_t a, b, triangle, corner;  // a, b: in the orientation of the triangle
+  bool is_empty;                   // side of a triangle without area
 };
 
-// Those of one edge side by side, of triangles with an area first.
+// Returns the sides, sorted so that sides of the same edge are consecutive, with those of triangles
+// with area first.
 std::vector<Side> sorted_sides(const MeshTree& tree) {
   const auto side = [&](size_t k) {
     const size_t t = k / 3, corner = k % 3;
@@ -100,8 +101,8 @@ std::vector<Side> sorted_sides(const MeshTree& tree) {
   return sides;
 }
 
-// Where more than two triangles meet, or two with opposite sides, each has a border. Triangles
-// without area have no edges, but what they touch is unclear.
+// Finds the edges. If more than two triangles meet in an edge, or two with opposite orientations,
+// each has a border. Triangles without area have no edges, and their neighbors are marked unclear.
 void set_edges(MeshTree& tree) {
   constexpr float kConvexSine = 1e-3f;
   const std::vector<Side> sides = sorted_sides(tree);
@@ -120,7 +121,7 @@ void set_edges(MeshTree& tree) {
     tree.edges.push_back({s.a, s.b, third(s), right, s.triangle});
   };
   for (size_t i = 0, end = 0; i < sides.size(); i = end) {
-    size_t full = i;  // behind those of triangles with an area
+    size_t full = i;  // end of the sides of triangles with area
     for (end = i; end < sides.size() &&
                   std::min(sides[end].a, sides[end].b) == std::min(sides[i].a, sides[i].b) &&
                   std::max(sides[end].a, sides[end].b) == std::max(sides[i].a, sides[i].b);
@@ -143,8 +144,8 @@ void set_edges(MeshTree& tree) {
   }
 }
 
-// The triangles are sorted along each axis once; every node parts the three lists, and the one by
-// number, in two.
+// Builds the tree. The triangles are sorted once along each axis. Every node splits the three
+// sorted lists, and the list by index, in two.
 class Builder {
  public:
   explicit Builder(MeshTree& tree) : tree_(tree), is_left_(tree.triangles.size()) {
@@ -175,8 +176,8 @@ class Builder {
             static_cast<double>(geometry::component(box.hi, axis))) *
            0.5;
   }
-  // The triangles by their centers, then by number: by the digits of the centers in float, and by
-  // the centers where these are the same.
+  // Returns the triangles sorted by their centers along an axis, then by index. A radix sort on
+  // float keys comes first, and exact centers decide ties.
   std::vector<int32_t> sorted_along(int axis) const {
     struct Item {
       uint32_t key;
@@ -223,7 +224,7 @@ class Builder {
     }
     return best;
   }
-  // Puts those of the left half first, each half in its order.
+  // Moves the items of the left half to the front; both halves keep their order.
   void part(std::vector<int32_t>& list, size_t begin, size_t end) {
     size_t left = begin;
     right_.clear();
@@ -236,7 +237,7 @@ class Builder {
     }
     std::copy(right_.begin(), right_.end(), list.begin() + static_cast<std::ptrdiff_t>(left));
   }
-  // The node of order[begin .. end), and all below it: depth is the logarithm of the triangles.
+  // Adds the node of order[begin .. end) and its subtree. The recursion depth is logarithmic.
   void add(size_t begin, size_t end) {
     const size_t node = tree_.nodes.size();
     const bool leaf = end - begin <= kLeafTriangles;
@@ -264,13 +265,14 @@ class Builder {
   }
 
   MeshTree& tree_;
-  std::vector<Box3> boxes_;                    // of the triangles
-  std::array<std::vector<int32_t>, 3> along_;  // these by their centers
+  std::vector<Box3> boxes_;                    // boxes of the triangles
+  std::array<std::vector<int32_t>, 3> along_;  // triangles sorted by center along each axis
   std::vector<uint8_t> is_left_;
   std::vector<int32_t> right_;
 };
 
-// The box of the mesh. With a border, it goes on behind the triangles as far as the mesh is large.
+// Sets the box of the mesh. For a mesh with a border, the box extends behind the triangles by the
+// size of the mesh.
 void set_behind(MeshTree& tree) {
   Box3& box = tree.behind;
   box = tree.nodes[0].box;
@@ -280,7 +282,7 @@ void set_behind(MeshTree& tree) {
     return across.x == kBorder || across.y == kBorder || across.z == kBorder;
   };
   if (std::none_of(tree.across.begin(), tree.across.end(), has_border)) return;
-  Vec3f lo{}, hi{};  // of the normals
+  Vec3f lo{}, hi{};  // bounds of the normals
   for (const Vec3f& n : tree.normals) {
     lo = {std::min(lo.x, n.x), std::min(lo.y, n.y), std::min(lo.z, n.z)};
     hi = {std::max(hi.x, n.x), std::max(hi.y, n.y), std::max(hi.z, n.z)};

@@ -15,13 +15,14 @@ namespace novaphy {
 namespace {
 
 constexpr float kLeast = 1e-2f;    // of the smaller collision radius
-constexpr float kMoved = 1e-3f;    // m: a pair is not as at the start
-constexpr float kAlike = 0.9999f;  // product of two rotations that are the same, to 0.03 rad
-constexpr size_t kNamed = 5;       // pairs of a message
+constexpr float kMoved = 1e-3f;    // m, smallest displacement that counts as moved
+constexpr float kAlike = 0.9999f;  // smallest dot product of equal rotations, 0.03 rad
+constexpr size_t kNamed = 5;       // pairs listed in a message
 
 using Pair = std::pair<int32_t, int32_t>;
 
-// A body of each mechanism, the same one for all bodies that joints join.
+// Returns for each body a representative body of its mechanism, the same for all bodies that joints
+// connect.
 std::vector<int32_t> mechanisms(const Model& m) {
   std::vector<int32_t> up(static_cast<size_t>(m.body_count()));
   std::iota(up.begin(), up.end(), 0);
@@ -39,7 +40,7 @@ std::vector<int32_t> mechanisms(const Model& m) {
   return up;
 }
 
-// Whether two bodies are to each other as at the start.
+// Returns whether two bodies have their initial relative pose.
 bool at_start(const Model& m, const Transformf* q, int32_t a, int32_t b) {
   const Transformf* const first = m.body_q.data();
   const Transformf now = math::multiply(math::inverse(q[a]), q[b]);

@@ -1,7 +1,7 @@
-// The search for rigid contacts as kernels. Shapes are moved to the world, and every candidate pair
-// computes its manifold. A scan of the counts gives the rows before each pair, and the pairs write
-// their rows. Where there are more rows than room, pairs keep those within a common part of their
-// gaps. The definition of a contact is in collision_pipeline.h.
+// The kernels of the search for rigid contacts. Shapes are moved to the world, and every candidate
+// pair computes its manifold. A scan of the counts gives the first row of each pair, and the pairs
+// write their rows. With more rows than slots, pairs keep the rows within a common fraction of
+// their gaps. collision_pipeline.h defines a contact.
 #pragma once
 
 #include "novaphy/collision/geometry/collide.h"
@@ -13,8 +13,8 @@
 
 namespace novaphy {
 
-// How far the shape reaches from its origin (a hull or mesh: the middle of its box) along a unit
-// vector of its own frame, at most.
+// Returns an upper bound of the extent of the shape from its origin (for a hull or mesh: the middle
+// of its box) along a unit vector in its own frame.
 inline float reach_along(const RigidShape& shape, const Vec3f& axis) {
   const float x = math::abs(axis.x), y = math::abs(axis.y), z = math::abs(axis.z);
   if (shape.geometry != nullptr) {
@@ -28,12 +28,13 @@ inline float reach_along(const RigidShape& shape, const Vec3f& axis) {
     return (s.x * x + s.y * y) + s.z * z;
   if (shape.type == GeoType::CYLINDER || shape.type == GeoType::CONE)
     return s.x * math::sqrt(x * x + y * y) + s.y * z;
-  return 1.0e6f;  // a plane
+  return 1.0e6f;  // plane
 }
 
-// The part of a shape in the distance up to which a step of dt may let its points touch: twice
-// their way, and kMoreSpeed (m/s) dt for what the step does to them. With both parts a little more
-// than what solvers leave out (dynamics/articulation/islands.h), so these solve the same rows.
+// Returns the shape's part of the distance at which points may touch within a step of dt: twice the
+// path of the shape's points, plus kMoreSpeed (m/s) dt for velocity changes in the step. Both parts
+// are slightly larger than the limits of the solvers (dynamics/articulation/islands.h), so that
+// solvers solve the same rows.
 inline constexpr float kMoreSpeed = 2.1f;
 inline float step_gap(const RigidShape& shape, const SpatialVectorf& twist, const Vec3f& arm,
                       float dt) {
@@ -46,7 +47,8 @@ inline float step_gap(const RigidShape& shape, const SpatialVectorf& twist, cons
   return (2.0f * speed + kMoreSpeed) * dt;
 }
 
-// Of types in their order: a mesh and a convex shape or mesh, which rigid_mesh_kernels.h handles.
+// For types in order: whether one is a mesh and the other a convex shape or a mesh, a case of
+// rigid_mesh_kernels.h.
 inline bool is_mesh_pair(GeoType a, GeoType b) {
   return a == GeoType::MESH || (b == GeoType::MESH && a != GeoType::PLANE);
 }
@@ -57,7 +59,7 @@ struct RigidContactShapeArguments {
                     Detached<Reads<float>> shape_margin, shape_gap;
                     Detached<Reads<Transformf>> body_q; Detached<Reads<SpatialVectorf>> body_qd;
                     Detached<Reads<Vec3f>> body_com; Detached<Reads<float>> shape_material_ka;
-                    Number<float> dt;            // of the step that takes the rows; 0: any
+                    Number<float> dt;            // step that the rows are for; 0: any
                     ReadsRow<int32_t> geometry;  // rows of `views`, or -1
                     Reads<geometry::GeometryView> views; Writes<RigidShape> shapes;)
 };
@@ -81,11 +83,11 @@ NOVAPHY_ROW_KERNEL(rigid_contact_shape, RigidContactShapeArguments) {
   if (a.dt.value > 0.0f) {
     const SpatialVectorf twist = body < 0 ? SpatialVectorf{} : a.body_qd[body];
     const Vec3f com = body < 0 ? center : math::transform_point(shape.owner, a.body_com[body]);
-    // Adhesion acts up to ka.
+    // Adhesion acts up to the distance ka.
     shape.row_gap = math::min(
         shape.gap, step_gap(shape, twist, center - com, a.dt.value) + a.shape_material_ka[row]);
   }
-  // Grown by rounding, so that the boxes part nothing that touches.
+  // The boxes grow by rounding, so that touching shapes always overlap.
   const float beyond = (shape.margin + shape.row_gap) + 1.0e-4f;
   const Vec3f grow = {
       beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{1.0f, 0.0f, 0.0f})),
@@ -94,8 +96,8 @@ NOVAPHY_ROW_KERNEL(rigid_contact_shape, RigidContactShapeArguments) {
   shape.box = {center - grow, center + grow};
 }
 
-// The manifold of a pair, a.type <= b.type, in the world. `reach` (m): farther points need not
-// come.
+// Returns the manifold of a pair with a.type <= b.type in the world frame. Points beyond `reach`
+// (m) may be missing.
 inline geometry::Manifold rigid_manifold(const RigidShape& a, const RigidShape& b, float reach) {
   using namespace geometry;
   if (a.type != GeoType::PLANE)
@@ -114,7 +116,7 @@ inline geometry::Manifold rigid_manifold(const RigidShape& a, const RigidShape& 
                         math::length(solid.box.hi - solid.box.lo), reach);
 }
 
-// Keeps of a manifold, at most `per_pair` points where no plane is in it, what are rows.
+// Keeps the points of a manifold that are rows: at most `per_pair` for a pair without a plane.
 inline void keep_rows(const RigidShape& s0, const RigidShape& s1, const geometry::Manifold& all,
                       int64_t per_pair, geometry::Manifold& kept) {
   const bool reduces = s0.type != GeoType::PLANE && all.count > per_pair;
@@ -126,7 +128,7 @@ inline void keep_rows(const RigidShape& s0, const RigidShape& s1, const geometry
   kept.count = 0;
   for (int32_t k = 0; k < found.count; ++k) {
     const CorePoints core = core_points(s0, s1, kept.normal, found.points[k]);
-    // Written so that a NaN is no contact.
+    // The comparison is written so that NaN is not a contact.
     if (math::dot(core.b - core.a, kept.normal) - inside <= s0.row_gap + s1.row_gap)
       kept.points[kept.count++] = found.points[k];
   }
@@ -134,11 +136,11 @@ inline void keep_rows(const RigidShape& s0, const RigidShape& s1, const geometry
 
 struct RigidContactFindArguments {
   NOVAPHY_ARGUMENTS(
-      Optional<Reads<int32_t>> pairs_found;  // as many of the pairs count; null: all
+      Optional<Reads<int32_t>> pairs_found;  // number of valid pairs; null: all
       ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes;
-      Number<int64_t> per_pair;              // rows of a pair without a plane, at most
-      Writes<geometry::Manifold> manifolds;  // a row per pair: the contacts that are rows
-      WritesRow<int32_t> counts;             // of these
+      Number<int64_t> per_pair;              // largest number of rows of a pair without a plane
+      Writes<geometry::Manifold> manifolds;  // contacts of each pair that are rows
+      WritesRow<int32_t> counts;             // number of these
   )
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_find, RigidContactFindArguments) {
@@ -153,7 +155,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_find, RigidContactFindArguments) {
   a.counts[row] = kept.count;
 }
 
-// The sum of kScanChunk counts for each of these.
+// Sums chunks of kScanChunk counts.
 struct RigidContactChunkArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> counts; Number<int64_t> pair_count; WritesRow<int32_t> sums;)
 };
@@ -164,15 +166,15 @@ NOVAPHY_ROW_KERNEL(rigid_contact_chunk, RigidContactChunkArguments) {
   a.sums[row] = sum;
 }
 
-inline constexpr int64_t kLimitSums = 128;  // rows that add up
+inline constexpr int64_t kLimitSums = 128;  // number of partial sums
 
-// How many rows there are within each part, in rows that add up to it; those of mesh pairs
-// rigid_mesh_limit_sum adds.
+// Counts the rows within each fraction of the gap, as partial sums. rigid_mesh_limit_sum adds those
+// of mesh pairs.
 struct RigidContactLimitSumArguments {
   NOVAPHY_ARGUMENTS(Reads<Vec2i> pairs; Reads<RigidShape> shapes;
                     Reads<geometry::Manifold> manifolds; Part<PairRows> found;
                     Number<int64_t> pair_count, capacity;
-                    Writes<int32_t> sums;  // kLimitParts of each row
+                    Writes<int32_t> sums;  // kLimitParts per partial sum
   )
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_limit_sum, RigidContactLimitSumArguments) {
@@ -192,7 +194,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_limit_sum, RigidContactLimitSumArguments) {
 
 struct RigidContactLimitArguments {
   NOVAPHY_ARGUMENTS(Part<PairRows> found; Reads<int32_t> sums;
-                    Number<int64_t> pair_count, capacity, rows;  // of sums
+                    Number<int64_t> pair_count, capacity, rows;  // partial sums
                     Writes<RigidContactLimit> limit;)
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_limit, RigidContactLimitArguments) {
@@ -207,7 +209,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_limit, RigidContactLimitArguments) {
   a.limit->room = static_cast<int32_t>(a.capacity - sum);
 }
 
-// How many rows of each pair only the part above the limit has.
+// Counts for each pair the rows that are only within the fraction above the limit.
 struct RigidContactFartherArguments {
   NOVAPHY_ARGUMENTS(Reads<RigidContactLimit> limit; ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes;
                     Reads<geometry::Manifold> manifolds; ReadsRow<int32_t> counts;
@@ -248,8 +250,8 @@ NOVAPHY_ROW_KERNEL(rigid_contact_trim, RigidContactTrimArguments) {
 
 struct RigidContactWriteArguments {
   NOVAPHY_ARGUMENTS(
-      Optional<Reads<RigidContactLimit>> limit;  // null: all fit
-      Optional<Reads<int32_t>> pairs_found;      // may be more than there is room for; null: all
+      Optional<Reads<RigidContactLimit>> limit;  // null: all rows fit
+      Optional<Reads<int32_t>> pairs_found;      // may exceed the room; null: all
       ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes; Reads<geometry::Manifold> manifolds;
       Part<PairRows> found; Writes<int32_t> rigid_contact_count; Part<RigidContactRows> rows;
       Writes<int32_t> rows_filled;)
@@ -259,7 +261,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_write, RigidContactWriteArguments) {
   if (count == 0 && row < n - 1) return;
   const int32_t first = rows_before(a.found, row);
   if (row == n - 1) {
-    // A pair that found no room in the list of pairs counts as one row after the written rows.
+    // Each pair without room in the list of pairs counts as one row after the written rows.
     const int64_t found = a.pairs_found == nullptr ? n : *a.pairs_found;
     int64_t rows = a.limit == nullptr ? first + count : a.limit->total;
     *a.rows_filled = first + count;
@@ -278,19 +280,19 @@ NOVAPHY_ROW_KERNEL(rigid_contact_write, RigidContactWriteArguments) {
 struct RigidContactClearArguments {
   NOVAPHY_ARGUMENTS(Number<int64_t> pairs; Updates<int32_t> rigid_contact_count;
                     Optional<Reads<int32_t>> rows_filled;  // null: none
-                    Reads<int32_t> shape0;                 // of the rows
+                    Reads<int32_t> shape0;                 // of each row
 
                     Part<RigidContactRows> rows; Writes<Vec3f> rigid_contact_force;)
 };
-// Empties the row if it lies behind the last contact, else its force; the row behind all sets the
-// count where no pair has done it.
+// Clears a row after the last contact, or the force of a valid row. The last thread sets the count
+// if no pair exists.
 NOVAPHY_ROW_KERNEL(rigid_contact_clear, RigidContactClearArguments) {
   if (row == n - 1) {
     if (a.pairs == 0) *a.rigid_contact_count = 0;
     return;
   }
   const bool touches = a.rows_filled != nullptr && row < *a.rows_filled;
-  if (!touches && a.shape0[row] < 0) return;  // empty already
+  if (!touches && a.shape0[row] < 0) return;  // already empty
   a.rigid_contact_force[row] = Vec3f{};
   if (touches) return;
   a.rows.rigid_contact_shape0[row] = -1;

@@ -22,7 +22,7 @@ struct RigidContacts::Impl {
   RigidLaunches launches = {};
   FclContacts fcl = {};
   SleepingShapes sleeping = {};
-  // rigid_contact_shape0 as the last call left it, empty behind `used` rows.
+  // Stamp of rigid_contact_shape0 after the last call; rows from `used` on are empty.
   ArrayStamp emptied = {};
   int64_t used = 0;
 
@@ -72,16 +72,16 @@ void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
   RigidPairs& pairs = impl_->pairs;
   RigidLaunches& launches = impl_->launches;
   impl_->update();
-  depend_on(pairs.sources());  // which the host has read
+  depend_on(pairs.sources());  // the host has read them
   const bool asks_fcl = impl_->narrow_phase == NarrowPhase::Fcl;
   require(!asks_fcl || launch_recorder() == nullptr, ErrorKind::Runtime,
           "collide: the narrow phase \"fcl\" asks on the host, so it cannot be recorded; use "
           "\"auto\"");
   const int64_t rows = c.rigid_contact_max();
-  // Nothing to find and nowhere to write: a model without bodies needs no kernel on its device.
+  // Without pairs and rows, as in a model without bodies, no kernel runs.
   if (!pairs.are_swept() && pairs.count() == 0 && rows == 0) return;
-  // Where the host waits for the launches, it keeps the order of the last sweep, which is faster,
-  // and the rows behind those of the last search need no second look.
+  // If the host waits for the launches, it uses the faster sweep that keeps its last order, and it
+  // knows which rows are already empty.
   const bool waits = this->waits();
   const bool knows_empty = waits && impl_->emptied.matches(c.rigid_contact_shape0);
   const bool sleeps =

@@ -1,5 +1,5 @@
-// Internal: the rigid contacts of a model's states, found on its device. The kernels are those of
-// rigid_contact_kernels.h.
+// Internal: finds the rigid contacts of a model's states on its device. rigid_contact_kernels.h has
+// the kernels.
 #pragma once
 
 #include <cstdint>
@@ -22,16 +22,17 @@ class RigidContacts {
                 std::optional<std::vector<Vec2i>> explicit_pairs);
   ~RigidContacts();
 
-  // Rows that no state can exceed. The model's arrays are read when they were written since the
-  // last call. ErrorKind::NotImplemented: two shapes that may meet and are not covered.
+  // Returns an upper bound of the number of rows. Reads the model's arrays if they were written
+  // since the last call. ErrorKind::NotImplemented: a pair of shapes that may touch and is not
+  // supported.
   int64_t most_rows();
-  // Whether what a search finds is there for the host when collide returns.
+  // Returns whether the host can read the result of a search as soon as collide returns.
   bool waits() const;
-  // Counts since the start: overlapping pairs of hulls, and pairs whose answer of FCL was not used.
+  // Counts so far: overlapping pairs of hulls, and pairs whose FCL result was rejected.
   int64_t fcl_pairs() const;
   int64_t fcl_fallbacks() const;
-  // Recorded where the thread records. `dt` (s) of the step that takes the rows: only those that
-  // may touch in it; 0: all.
+  // Finds the contacts; recorded if the thread records. `dt` (s): the step that the rows are for,
+  // which removes rows that cannot touch in it; 0: keeps all.
   void collide(const SimState& state, Contacts& contacts, float dt);
 
  private:
@@ -39,7 +40,7 @@ class RigidContacts {
   std::unique_ptr<Impl> impl_;
 };
 
-// The texts of the kernels for devices; null: the build has none.
+// The device sources of the kernels; null: the build has none.
 const char* rigid_contact_kernels_source();
 const char* rigid_mesh_kernels_source();
 

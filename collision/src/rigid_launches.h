@@ -1,5 +1,5 @@
-// Internal: the launches of the search for rigid contacts, in their order, and the memory between
-// them. The kernels are those of rigid_contact_kernels.h and rigid_mesh_kernels.h.
+// Internal: the launches of the search for rigid contacts, in order, and their intermediate memory.
+// rigid_contact_kernels.h and rigid_mesh_kernels.h have the kernels.
 #pragma once
 
 #include <cstdint>
@@ -21,26 +21,25 @@ class RigidLaunches {
  public:
   // Moves the shapes to the world. `dt`: see RigidContacts::collide.
   void move(const Model& model, const SimState& state, const ShapeGeometries& geometries, float dt);
-  // The same of some shapes only, on the CPU, where nobody records.
+  // Moves some shapes only, on the CPU and outside of recordings.
   void move_some(const Model& model, const SimState& state, const ShapeGeometries& geometries,
                  float dt, std::span<const int32_t> moved);
-  // The rest for at least one pair.
+  // Finds the contacts of at least one pair.
   void find(const RigidPairs& pairs, int32_t contacts_per_pair);
   void scan(const RigidPairs& pairs);
-  // Leaves out the rows that are farthest apart where there are more than `capacity`, and scans
-  // again.
+  // If more than `capacity` rows exist, removes the rows that are farthest apart, and scans again.
   void limit(const RigidPairs& pairs, int64_t capacity);
-  // `limited`: behind limit().
+  // `limited`: whether limit() was called.
   void write(const RigidPairs& pairs, bool limited, const Contacts& contacts);
-  // Empties the rows behind the contacts, up to `last`, and the forces of the others.
+  // Clears the rows after the contacts, up to `last`, and the forces of valid rows.
   void clear(int64_t pairs, int64_t last, const Contacts& contacts);
 
   const Array& shapes() const { return shapes_; }
-  // On the host; empty before they were moved.
+  // Host access; empty before the first move.
   std::span<const RigidShape> host_shapes() const;
   geometry::Manifold* host_manifolds() const;
   int32_t* host_counts() const;
-  // Behind the scan.
+  // Call this after the scan.
   int64_t rows_found(const RigidPairs& pairs) const;
 
  private:
@@ -51,13 +50,13 @@ class RigidLaunches {
   void scan(const DeviceArray<int32_t>& counts, int64_t count, const DeviceArray<int32_t>& before);
   void find_limit(const RigidPairs& pairs, int64_t capacity);
 
-  Array shapes_, manifolds_, mesh_contacts_;  // of RigidShape, Manifold, MeshRows
-  DeviceArray<int32_t> counts_, before_;      // PairRows
-  DeviceArray<int32_t> sums_;                 // of a scan
-  DeviceArray<int32_t> filled_;               // how many rows were written
-  // Of limit().
+  Array shapes_, manifolds_, mesh_contacts_;  // rows of RigidShape, Manifold, MeshRows
+  DeviceArray<int32_t> counts_, before_;      // the arrays of PairRows
+  DeviceArray<int32_t> sums_;                 // sums of a scan
+  DeviceArray<int32_t> filled_;               // number of written rows
+  // Memory of limit().
   DeviceArray<int32_t> limit_sums_, farther_, farther_before_;
-  Array limit_;  // a RigidContactLimit
+  Array limit_;  // one RigidContactLimit
 };
 
 }  // namespace novaphy::detail

@@ -13,7 +13,8 @@
 namespace novaphy::detail {
 namespace {
 
-// The most contacts of a pair of types, in their order; 0 if the pair is not covered.
+// Returns the largest number of contacts of a pair of types, in order; 0: the pair is not
+// supported.
 int32_t most_contacts(GeoType a, GeoType b, int32_t per_pair) {
   using geometry::is_convex_type;
   if (is_mesh_pair(a, b)) {
@@ -92,7 +93,7 @@ void RigidPairs::update() {
   versions_.set(sources());
 }
 
-// Puts a pair in its order. Returns the most rows that it can have.
+// Puts a pair in order. Returns the largest number of its rows.
 int32_t RigidPairs::orient(Vec2i& pair) const {
   const int32_t last = model_->shape_count() - 1;
   require(pair.x >= 0 && pair.y >= 0 && pair.x <= last && pair.y <= last, ErrorKind::Index,
@@ -106,7 +107,7 @@ int32_t RigidPairs::orient(Vec2i& pair) const {
           ") may meet, and contacts of this pair of types are not supported; ",
           explicit_ ? "leave it out of shape_pairs_filtered"
                     : "ModelBuilder.add_shape_collision_filter_pair or collision groups part them");
-  // On a GPU their normals and names were seen to differ from the CPU's in some rows.
+  // Mesh pairs run on the CPU only: on a GPU, normals and ids differed from the CPU's in some rows.
   if (is_mesh_pair(a, b))
     require_cpu(model_->device(), "CollisionPipeline: shapes ", pair.x, " (", geo_type_name(a),
                 ") and ", pair.y, " (", geo_type_name(b), ") may meet: contacts of meshes");
@@ -118,7 +119,7 @@ int32_t RigidPairs::orient(Vec2i& pair) const {
   return most;
 }
 
-// Takes pairs (i < j) as those to look at. Returns the most rows that they can have.
+// Uses pairs (i < j) as candidates. Returns the largest number of their rows.
 int64_t RigidPairs::take(std::vector<Vec2i> found) {
   int64_t rows = 0;
   for (Vec2i& pair : found) rows += orient(pair);
@@ -155,7 +156,7 @@ void RigidPairs::make_room(size_t count) {
     rows_ = DeviceArray<Vec2i>(count, model_->device());
 }
 
-// What kernels that find pairs cannot refuse.
+// Checks all pairs in advance, because kernels cannot throw.
 void RigidPairs::check_all() const {
   const ShapePairRules rule = rules();
   const auto count = static_cast<int32_t>(type_.size());
@@ -180,10 +181,10 @@ void RigidPairs::sweep(std::span<const RigidShape> shapes) {
   take(host_sweep_.box_pairs(boxes_, rules()));
 }
 
-// As many pairs as there is room for. Outside of a recording there is room for all.
+// Finds as many pairs as the list has room for. Outside of a recording the list has room for all.
 void RigidPairs::find_by_kernels(const Array& shapes) {
   if (!tree_known_) {
-    const UntrackedScope untracked;  // the model is no part of what a capture records
+    const UntrackedScope untracked;  // a capture does not record the model
     check_all();
     tree_.update(*model_, world_);
     tree_known_ = true;

@@ -1,4 +1,4 @@
-// Internal: the pairs of a model's shapes that the search for rigid contacts looks at.
+// Internal: the candidate pairs of the search for rigid contacts.
 #pragma once
 
 #include <array>
@@ -23,29 +23,31 @@ class RigidPairs {
   RigidPairs(std::shared_ptr<const Model> model, BroadPhase broad_phase, int32_t contacts_per_pair,
              std::optional<std::vector<Vec2i>> explicit_pairs);
 
-  // Reads the model's arrays when they were written since the last call: which pairs there are, if
-  // they are not swept. ErrorKind::NotImplemented: two shapes that may meet and are not covered.
+  // Reads the model's arrays if they were written since the last call, and lists the pairs unless a
+  // sweep finds them. ErrorKind::NotImplemented: a pair of shapes that may touch and is not
+  // supported.
   void update();
-  // The arrays that update() has read.
+  // The arrays that update() reads.
   std::array<const Array*, 7> sources() const;
-  // Rows that no state can exceed.
+  // An upper bound of the number of rows.
   int64_t most_rows() const { return most_rows_; }
 
-  // Whether the pairs are those whose boxes meet now, of shapes (RigidShape) that were moved to the
-  // world: found by the host, or by launches, which leave what they find on the device.
+  // Whether the pairs come from a sweep over the present boxes of moved shapes (RigidShape). The
+  // host finds them by sweep(), or launches find them by find_by_kernels() and leave them on the
+  // device.
   bool are_swept() const { return broad_phase_ == BroadPhase::Sap; }
   void sweep(std::span<const RigidShape> shapes);
   void find_by_kernels(const Array& shapes);
-  // Instead of a sweep: pairs (i < j) that others found.
+  // Replaces a sweep by pairs (i < j) that were found elsewhere.
   void take_swept(std::vector<Vec2i> found) { take(std::move(found)); }
   ShapePairRules rules() const;
 
   int64_t count() const { return count_; }
-  // (shape0, shape1) in ascending order, at least as many rows as pairs.
+  // Pairs (shape0, shape1) in ascending order; the array may have more rows than pairs.
   const DeviceArray<Vec2i>& rows() const { return rows_; }
-  // How many of the rows kernels have found; null: all.
+  // Number of valid rows found by kernels; null: all rows.
   const DeviceArray<int32_t>* found() const { return found_; }
-  // Rows with a mesh and no plane.
+  // Number of pairs with a mesh and without a plane.
   int64_t mesh_count() const { return mesh_count_; }
   const DeviceArray<int32_t>& mesh_rows() const { return mesh_rows_; }
 
@@ -63,14 +65,14 @@ class RigidPairs {
   std::shared_ptr<const Model> model_;
   BroadPhase broad_phase_;
   int32_t contacts_per_pair_;
-  std::optional<std::vector<Vec2i>> explicit_;  // instead of the model's
-  Array no_pairs_;                              // of the model, which are not asked for
+  std::optional<std::vector<Vec2i>> explicit_;  // replaces the model's pairs
+  Array no_pairs_;                              // stands for the model's list, which is not needed
   ArrayVersions<7> versions_;
-  std::vector<int32_t> body_, type_, flags_, group_, world_;  // of the shapes
+  std::vector<int32_t> body_, type_, flags_, group_, world_;  // columns of the shapes
   std::vector<Vec3f> scale_;
   SweepAndPrune host_sweep_;
-  RigidTree tree_;           // on devices, and what is recorded
-  bool tree_known_ = false;  // its tables
+  RigidTree tree_;           // for devices and recordings
+  bool tree_known_ = false;  // whether its tables are up to date
   std::vector<geometry::Box3> boxes_;
   int64_t most_rows_ = 0, count_ = 0, mesh_count_ = 0;
   DeviceArray<Vec2i> rows_;

@@ -14,7 +14,7 @@
 namespace novaphy::detail {
 namespace {
 
-// Never destroyed: recordings refer to them.
+// Never destroyed, because recordings refer to the kernels.
 struct Kernels {
   Kernel<RigidTreeBoundsArguments> bounds{rigid_tree_bounds, rigid_tree_kernels_source};
   Kernel<RigidTreeKeyArguments> key{rigid_tree_key, rigid_tree_kernels_source};
@@ -30,15 +30,16 @@ const Kernels& kernels() {
 }
 
 constexpr int64_t kTotals = 256;
-constexpr int64_t kMostUnwrapped = 65536;  // shapes whose pairs int32 counts
+constexpr int64_t kMostUnwrapped = 65536;  // largest number of shapes whose pairs int32 can count
 
-// What few enough rows stand for that a row of the next launch goes through all of them.
+// Returns about the square root: the number of partial results that one row of the next launch can
+// read in full.
 int64_t root_of(int64_t count) {
   return std::max<int64_t>(1, std::llround(std::sqrt(static_cast<double>(count))));
 }
 
-// The shapes that nearly all others may meet: at most kMostApart, the largest of those that are
-// much larger than most and have very many to meet. Each of them asks all shapes.
+// Returns the shapes that are kept outside of the tree: at most kMostApart of the largest, if they
+// are much larger than most and may touch very many others. Each of them tests all shapes.
 std::vector<int32_t> apart_of(const Model& m, std::span<const int32_t> world) {
   constexpr size_t kMostApart = 64, kVeryMany = 512;
   constexpr float kMuchLarger = 16.0f;
@@ -82,7 +83,7 @@ void RigidTree::update(const Model& m, std::span<const int32_t> given_world) {
 }
 
 void RigidTree::set_filters(const Model& m) {
-  std::vector<int32_t> ends;  // of the pairs, one after the other
+  std::vector<int32_t> ends;  // both shapes of each pair, one after the other
   for (const auto& [i, j] : m.shape_collision_filter_pairs)
     if (i >= 0 && j >= 0 && std::max(i, j) < m.shape_count()) ends.insert(ends.end(), {i, j});
   IndexRows rows;
@@ -93,13 +94,13 @@ void RigidTree::set_filters(const Model& m) {
   filtered_ = DeviceArray<int32_t>::from_host(filtered, m.device());
 }
 
-// Which shapes are in the tree, and the slots of all.
+// Decides which shapes are in the tree, and assigns the slots of all shapes.
 void RigidTree::set_places(const Model& m, std::span<const int32_t> world) {
   const size_t shapes = world.size();
   const std::vector<int32_t> apart = apart_of(m, world);
   const auto parts = static_cast<int32_t>((shapes + kApartPart - 1) / kApartPart);
   segments_ = int64_t{m.world_count()} + 1;
-  std::vector<int32_t> slots, members, segment;  // of the members
+  std::vector<int32_t> slots, members, segment;  // world index of each member
   int32_t slot = 0;
   for (size_t s = 0, next = 0; s < shapes; ++s) {
     slots.push_back(slot);
@@ -116,7 +117,7 @@ void RigidTree::set_places(const Model& m, std::span<const int32_t> world) {
   rows.build(segment, static_cast<int32_t>(segments_));
   slot_count_ = slot;
   entry_count_ = static_cast<int64_t>(members.size());
-  // Until the first sort runs, an order that has each world in one piece.
+  // The order before the first sort, in which each world is contiguous.
   using Table = std::pair<DeviceArray<int32_t>*, std::span<const int32_t>>;
   for (const auto& [table, values] :
        {Table{&slots_, slots}, Table{&apart_, apart}, Table{&members_, members},
@@ -128,7 +129,7 @@ void RigidTree::set_places(const Model& m, std::span<const int32_t> world) {
   kept_ = DeviceArray<Vec2i>(static_cast<size_t>(slot) * kKept, m.device());
 }
 
-// Levels until one has few enough boxes.
+// Makes levels until one has few boxes.
 void RigidTree::set_levels(Device device) {
   level_counts_.clear();
   levels_.clear();
@@ -167,11 +168,11 @@ RigidTreeTables RigidTree::tables(const Model& m, const Array& shapes) const {
           .segments = segments_};
 }
 
-// Whether the order of an earlier search of the same recording does as well: what moves little
-// stays near in the tree, and pairs do not depend on the order. A tape searches again behind the
-// search that it goes back to, so there every search sorts.
+// Returns whether the order of an earlier search in the same recording can be kept. Shapes that
+// move little stay near each other in the tree, and the pairs do not depend on the order. On a tape
+// every search sorts, because the tape runs searches again.
 bool RigidTree::keeps_order() {
-  constexpr int32_t kSearches = 8;  // of an order
+  constexpr int32_t kSearches = 8;  // searches per sort
   LaunchRecorder* const recorder = launch_recorder();
   std::shared_ptr<ExclusiveUse> sorted = sorted_in_.lock();
   const bool is_here = sorted != nullptr && (recorder == nullptr) == (sorted == sorted_at_once_);
@@ -187,7 +188,7 @@ bool RigidTree::keeps_order() {
   return false;
 }
 
-// By world and, within it, along the curve.
+// Sorts by world and, within a world, along a space-filling curve.
 void RigidTree::sort(const Model& m, const Array& shapes) {
   const Kernels& k = kernels();
   const auto bits =

@@ -1,5 +1,5 @@
-// Internal: the pairs of shapes whose boxes meet, found on their device by a tree of boxes. The
-// kernels are those of rigid_tree_kernels.h.
+// Internal: finds the pairs of shapes with overlapping boxes on the device, by a tree of boxes.
+// rigid_tree_kernels.h has the kernels.
 #pragma once
 
 #include <cstdint>
@@ -19,14 +19,16 @@ namespace novaphy::detail {
 
 class RigidTree {
  public:
-  // Tables of a model whose shapes have these worlds. ErrorKind::Index: a world that is not there.
+  // Updates the tables. `world`: the world of each shape. ErrorKind::Index: a world that does not
+  // exist.
   void update(const Model& model, std::span<const int32_t> world);
-  // Launches that sort the shapes (RigidShape), make the tree and count the partners of each.
+  // Launches kernels that sort the shapes (RigidShape), build the tree, and count the partners of
+  // each shape.
   void count(const Model& model, const Array& shapes);
-  // Behind `count`: launches that write the pairs (shape0, shape1), in ascending order, as many as
-  // there is room for, and their true number.
+  // Call this after `count`. Launches kernels that write the pairs (shape0, shape1) in ascending
+  // order, as many as fit, and their true number.
   void write(const Model& model, const Array& shapes, const DeviceArray<Vec2i>& pairs);
-  const DeviceArray<int32_t>& found() const { return found_; }  // that number
+  const DeviceArray<int32_t>& found() const { return found_; }  // the true number
 
  private:
   void set_filters(const Model& model);
@@ -36,22 +38,22 @@ class RigidTree {
   bool keeps_order();
   RigidTreeTables tables(const Model& model, const Array& shapes) const;
 
-  // Held by the recording that the last sort is part of, or by this.
+  // Kept alive by the recording with the last sort, or by this object.
   std::weak_ptr<ExclusiveUse> sorted_in_;
   std::shared_ptr<ExclusiveUse> sorted_at_once_;
-  int32_t searches_ = 0;  // since then
+  int32_t searches_ = 0;  // searches since the last sort
   int64_t segments_ = 0, entry_count_ = 0, slot_count_ = 0;
-  std::vector<int64_t> level_counts_;  // nodes of each level
-  std::vector<int32_t> levels_;        // the first of them
-  // Of the shapes, and where pairs are asked for.
+  std::vector<int64_t> level_counts_;  // number of nodes of each level
+  std::vector<int32_t> levels_;        // first node of each level
+  // Tables of the shapes, and of the threads that search partners.
   DeviceArray<int32_t> filter_starts_, filtered_, slots_, apart_, members_, starts_, level_starts_;
   DeviceArray<int32_t> keys_, order_, counts_, before_, found_;
   DeviceArray<Vec2i> kept_;
   DeviceArray<uint64_t> totals_;
-  Array bounds_, entries_, nodes_;  // bytes
+  Array bounds_, entries_, nodes_;  // rows of structs as bytes
 };
 
-// The text of the kernels for devices; null: the build has none.
+// The device source of the kernels; null: the build has none.
 const char* rigid_tree_kernels_source();
 
 }  // namespace novaphy::detail

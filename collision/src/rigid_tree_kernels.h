@@ -1,13 +1,13 @@
-// The pairs of BroadPhase::Sap as kernels, found on the device of the shapes: the pairs of
-// box_pairs.h, sorted, in time that grows with the shapes and the pairs.
+// Kernels for BroadPhase::Sap on the device of the shapes. They find the sorted pairs of
+// box_pairs.h in time proportional to the number of shapes and pairs.
 //
-// Shapes are sorted by world and, within it, along a curve that fills space. Levels of boxes stand
-// over the sorted shapes, each box over kTreeWidth of the level below. A shape asks only those
-// whose boxes meet its own. The order changes the time, not the pairs.
+// Shapes are sorted by world and, within a world, along a space-filling curve. A hierarchy of boxes
+// covers the sorted shapes: each box covers kTreeWidth boxes of the level below. A shape descends
+// only into boxes that overlap its own. The order affects the time, not the pairs.
 //
-// A few shapes that nearly all others may meet, such as a ground, stand apart. All shapes ask them,
-// and each of them asks all shapes in parts of kApartPart. A shape that asks counts its partners
-// and, after a scan of the counts, writes them.
+// A few shapes that may touch nearly all others, such as a ground, are kept outside of the tree
+// ("apart"). All shapes test them, and each of them tests all shapes, in parts of kApartPart
+// shapes. Each searching thread counts its partners and, after a scan of the counts, writes them.
 #pragma once
 
 #include "novaphy/collision/geometry/rigid_shape.h"
@@ -16,9 +16,9 @@
 
 namespace novaphy {
 
-inline constexpr int32_t kTreeBits = 3, kTreeWidth = 1 << kTreeBits;  // of a level in the next one
+inline constexpr int32_t kTreeBits = 3, kTreeWidth = 1 << kTreeBits;  // children per node
 inline constexpr int32_t kApartPart = 4;
-inline constexpr int32_t kKept = 12;  // partners that the count remembers
+inline constexpr int32_t kKept = 12;  // partners that the count kernel stores for the write kernel
 
 inline geometry::Box3 no_box() {
   return {{3.0e38f, 3.0e38f, 3.0e38f}, {-3.0e38f, -3.0e38f, -3.0e38f}};
@@ -30,7 +30,7 @@ inline void grow(geometry::Box3& all, const geometry::Box3& one) {
             math::max(all.hi.z, one.hi.z)};
 }
 
-// Where the middles of the shapes of the tree are: of every n-th one.
+// Bounds of the centers of every n-th shape in the tree.
 struct RigidTreeBoundsArguments {
   NOVAPHY_ARGUMENTS(Reads<RigidShape> shapes; Reads<int32_t> members; Number<int64_t> count;
                     Writes<geometry::Box3> bounds;)
@@ -48,7 +48,7 @@ NOVAPHY_ROW_KERNEL(rigid_tree_bounds, RigidTreeBoundsArguments) {
 struct RigidTreeKeyArguments {
   NOVAPHY_ARGUMENTS(Reads<RigidShape> shapes; Reads<int32_t> members, world;
                     Reads<geometry::Box3> bounds; Number<int64_t> bound_count;
-                    Number<int64_t> bits;  // of the curve, for each axis
+                    Number<int64_t> bits;  // bits of the curve per axis
                     WritesRow<int32_t> keys;)
 };
 NOVAPHY_ROW_KERNEL(rigid_tree_key, RigidTreeKeyArguments) {
@@ -62,7 +62,7 @@ NOVAPHY_ROW_KERNEL(rigid_tree_key, RigidTreeKeyArguments) {
   const float scale = last / math::max(math::max(size.x, size.y), math::max(size.z, 1.0e-30f));
   const Vec3f at = (middle - all.lo) * scale;
   int32_t key = a.world[shape] < 0 ? 0 : a.world[shape] + 1;
-  // A NaN is in the first cell.
+  // NaN goes to the first cell.
   const auto cell = [last](float x) {
     return x > 0.0f ? static_cast<int32_t>(math::min(x, last)) : 0;
   };
@@ -72,24 +72,24 @@ NOVAPHY_ROW_KERNEL(rigid_tree_key, RigidTreeKeyArguments) {
   a.keys[row] = key;
 }
 
-// Child k of a node. Where a level of `count` boxes ends, the last one stands for those behind it:
-// so nothing asks whether to load a box, and the loads of all children run at the same time.
+// Returns child k of a node. Beyond the end of a level with `count` boxes, the last box is
+// returned. Loads then need no branch, and the loads of all children overlap.
 inline int64_t child(int64_t node, int32_t k, int64_t count) {
   const int64_t at = node * kTreeWidth + k;
   return at < count ? at : count - 1;
 }
 
-// In the order of the tree.
+// A shape in the order of the tree.
 struct TreeEntry {
-  geometry::Box3 box;  // one with a NaN meets nothing, not even a box without end
+  geometry::Box3 box;  // a box with a NaN overlaps nothing, not even an infinite box
   int32_t shape;
   int32_t unused;
 };
 
-// The entries, and their boxes in eights: a row for each of these.
+// Writes the entries and the lowest level of boxes; one row per group of eight.
 struct RigidTreeEntryArguments {
   NOVAPHY_ARGUMENTS(Reads<RigidShape> shapes; Reads<int32_t> members, order;
-                    Number<int64_t> count;  // of the entries
+                    Number<int64_t> count;  // number of entries
                     Writes<TreeEntry> entries; Writes<geometry::Box3> nodes;)
 };
 NOVAPHY_ROW_KERNEL(rigid_tree_entry, RigidTreeEntryArguments) {
@@ -106,10 +106,11 @@ NOVAPHY_ROW_KERNEL(rigid_tree_entry, RigidTreeEntryArguments) {
   a.nodes[row] = all;
 }
 
-// The next level.
+// Builds the next level.
 struct RigidTreeLevelArguments {
-  NOVAPHY_ARGUMENTS(Number<int64_t> below, count;  // the first of the nodes below, and how many
-                    Number<int64_t> above;         // the first of those that are made
+  NOVAPHY_ARGUMENTS(Number<int64_t> below, count;  // first node of the level below, and their
+                                                   // number
+                    Number<int64_t> above;         // first node of the level being built
                     Updates<geometry::Box3> nodes;)
 };
 NOVAPHY_ROW_KERNEL(rigid_tree_level, RigidTreeLevelArguments) {
@@ -118,27 +119,27 @@ NOVAPHY_ROW_KERNEL(rigid_tree_level, RigidTreeLevelArguments) {
   a.nodes[a.above + row] = all;
 }
 
-// What partners are asked by.
+// The tables of the search for partners.
 struct RigidTreeTables {
   NOVAPHY_ARGUMENTS(
       Reads<RigidShape> shapes; Reads<int32_t> body, flags, group, world,
-                                filter_starts;  // of every shape: those that it never touches are
+                                filter_starts;  // for each shape: start of its filtered shapes in
       Reads<int32_t> filtered;  // filtered[filter_starts[s]] .. [filter_starts[s + 1] - 1]
-      Reads<int32_t> slots;     // of every shape: its first slot of counts
-      Reads<int32_t> apart;     // the shapes that stand apart
+      Reads<int32_t> slots;     // for each shape: its first slot of counts
+      Reads<int32_t> apart;     // the shapes outside of the tree
       Reads<TreeEntry> entries; Reads<geometry::Box3> nodes;  // level by level
-      Reads<int32_t> levels;  // the first node of each: levels[0] is that of the eights
-      Reads<int32_t> starts;  // of the entries of all worlds, of each world, and the end
+      Reads<int32_t> levels;  // first node of each level; levels[0] is the lowest
+      Reads<int32_t> starts;  // first entry of all worlds, of each world, and the end
       Number<int64_t> shape_count, entry_count, apart_count, level_count, segments;)
 };
 inline PairedShape paired_shape(const RigidTreeTables& a, int32_t shape) {
   return {a.body[shape], a.flags[shape], a.group[shape], a.world[shape]};
 }
 
-// A row of those who ask: a shape of the tree, or a part of the shapes that one apart asks.
+// The thread of a search: a shape of the tree, or one part of the search of a shape apart.
 struct TreeAsker {
   int32_t shape, slot;
-  int32_t part;  // -1: of the tree
+  int32_t part;  // -1: a shape of the tree
 };
 inline TreeAsker tree_asker(const RigidTreeTables& a, int64_t row) {
   if (row < a.entry_count) {
@@ -151,7 +152,7 @@ inline TreeAsker tree_asker(const RigidTreeTables& a, int64_t row) {
   return {shape, a.slots[shape] + part, part};
 }
 
-// What the partners of a shape are found by.
+// The data of a shape whose partners are searched.
 struct TreeShape {
   int32_t shape;
   GeoType type;
@@ -167,7 +168,8 @@ inline TreeShape tree_shape(const RigidTreeTables& a, int32_t shape) {
           a.filter_starts[shape],
           a.filter_starts[shape + 1]};
 }
-// Whether `other`, whose box meets that of the shape, may touch it and stands second in the pair.
+// Returns whether `other`, whose box overlaps that of the shape, may touch the shape and is second
+// in the pair.
 inline bool is_partner(const RigidTreeTables& a, const TreeShape& s, int32_t other) {
   const GeoType type = a.shapes[other].type;
   const PairedShape paired = paired_shape(a, other);
@@ -178,7 +180,7 @@ inline bool is_partner(const RigidTreeTables& a, const TreeShape& s, int32_t oth
   return true;
 }
 
-// Calls visit(other) for the shapes [begin, end) that are partners of the shape, ascending.
+// Calls visit(other) for the partners among the shapes [begin, end), in ascending order.
 template <class Visit>
 void for_partners_among(const RigidTreeTables& a, const TreeShape& s, int64_t begin, int64_t end,
                         Visit& visit) {
@@ -187,10 +189,10 @@ void for_partners_among(const RigidTreeTables& a, const TreeShape& s, int64_t be
         is_partner(a, s, static_cast<int32_t>(other)))
       visit(static_cast<int32_t>(other));
 }
-// The levels that for_partners_in goes down: a byte of its word each.
+// Largest number of levels in for_partners_in, which has one byte of a word per level.
 inline constexpr int32_t kTreeDepth = 8;
-// Bit k: the box meets that of child k of a node of the level, and the child holds some of the
-// entries [begin, end).
+// Returns a bit mask. Bit k: the box overlaps that of child k of a node, and the child contains
+// some of the entries [begin, end).
 inline uint64_t meeting_children(const RigidTreeTables& a, const geometry::Box3& box, int32_t level,
                                  int64_t node, int64_t begin, int64_t end) {
   const int32_t below = kTreeBits * (level - 1);
@@ -204,7 +206,7 @@ inline uint64_t meeting_children(const RigidTreeTables& a, const geometry::Box3&
   }
   return bits;
 }
-// For the partners among the entries [begin, end), in their order.
+// Calls visit for the partners among the entries [begin, end), in their order.
 template <class Visit>
 void for_partners_in(const RigidTreeTables& a, const TreeShape& s, int64_t begin, int64_t end,
                      Visit& visit) {
@@ -215,7 +217,7 @@ void for_partners_in(const RigidTreeTables& a, const TreeShape& s, int64_t begin
     int64_t node = root;
     int32_t level = top;
     uint64_t open =
-        0;  // a byte for each level: the children of its node that are still to be asked
+        0;  // a byte per level: the children of its node that are still to be visited
     if (!geometry::boxes_meet(s.box, a.nodes[a.levels[top - 1] + root])) continue;
     open = meeting_children(a, s.box, level, node, begin, end) << 8 * (level - 1);
     while (level <= top) {
@@ -260,7 +262,7 @@ void for_partners(const RigidTreeTables& a, const TreeAsker& asker, Visit visit)
   }
 }
 
-// Pairs of a shape, ascending, the first `room` of them.
+// The pairs of a shape in ascending order; the first `room` are kept.
 struct SortedPairs {
   Vec2i* pairs;
   int64_t room, count;
@@ -273,8 +275,10 @@ inline void add_pair(SortedPairs& to, const Vec2i& pair) {
 }
 
 struct RigidTreeCountArguments {
-  NOVAPHY_ARGUMENTS(Part<RigidTreeTables> tree; Writes<int32_t> counts;  // of each slot
-                    Writes<Vec2i> kept;                                  // kKept of each slot
+  // per slot
+  NOVAPHY_ARGUMENTS(Part<RigidTreeTables> tree; Writes<int32_t> counts;
+                    // kKept per slot
+                    Writes<Vec2i> kept;
   )
 };
 NOVAPHY_ROW_KERNEL(rigid_tree_count, RigidTreeCountArguments) {
@@ -287,10 +291,10 @@ NOVAPHY_ROW_KERNEL(rigid_tree_count, RigidTreeCountArguments) {
   a.counts[asker.slot] = count;
 }
 
-// Where a scan of the counts may wrap.
+// Sums the counts in 64 bits, if their 32-bit scan may overflow.
 struct RigidTreeTotalArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> counts; Number<int64_t> slots;
-                    WritesRow<int64_t> totals;  // of every n-th slot
+                    WritesRow<int64_t> totals;  // partial sums over every n-th slot
   )
 };
 NOVAPHY_ROW_KERNEL(rigid_tree_total, RigidTreeTotalArguments) {
@@ -301,12 +305,14 @@ NOVAPHY_ROW_KERNEL(rigid_tree_total, RigidTreeTotalArguments) {
 
 struct RigidTreeWriteArguments {
   NOVAPHY_ARGUMENTS(Part<RigidTreeTables> tree;
-                    Reads<int32_t> counts, before;         // a scan of the counts
-                    Reads<Vec2i> kept;                     // of what a slot counts up to kKept
-                    Optional<Reads<int64_t>> totals;       // null: the scan cannot wrap
-                    Number<int64_t> total_rows, capacity;  // of the pairs
-                    Writes<Vec2i> pairs;                   // the first ones, in ascending order
-                    Writes<int32_t> pairs_found;           // all of them; 2^31 - 1: as many or more
+                    Reads<int32_t> counts, before;         // counts, and their scan
+                    // the stored partners of slots with at most kKept
+                    Reads<Vec2i> kept;
+                    Optional<Reads<int64_t>> totals;       // null: the scan cannot overflow
+                    Number<int64_t> total_rows, capacity;  // number of totals; room for pairs
+                    Writes<Vec2i> pairs;                   // the first pairs, in ascending order
+                    // number of all pairs; 2^31 - 1: that many or more
+                    Writes<int32_t> pairs_found;
   )
 };
 NOVAPHY_ROW_KERNEL(rigid_tree_write, RigidTreeWriteArguments) {
@@ -328,7 +334,7 @@ NOVAPHY_ROW_KERNEL(rigid_tree_write, RigidTreeWriteArguments) {
     return;
   }
   const auto add = [&](int32_t other) { add_pair(mine, {asker.shape, other}); };
-  // One with very many goes through all shapes, which come in the right order.
+  // A shape with very many partners loops over all shapes, which are already in order.
   if (asker.part < 0 && count * count > 4 * a.tree.shape_count)
     for_partners_among(a.tree, tree_shape(a.tree, asker.shape), 0, a.tree.shape_count, add);
   else

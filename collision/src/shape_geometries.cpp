@@ -18,18 +18,18 @@ namespace {
 
 using geometry::GeometryView;
 
-// Views at the front, tables behind them, with pointers that hold where the bytes will be.
+// Writes views, followed by their tables, into bytes whose pointers refer to the final address.
 class TableWriter {
  public:
   explicit TableWriter(size_t views) : bytes_(round_up(views * sizeof(GeometryView))) {}
 
-  // Makes room for tables that follow at once.
+  // Reserves memory for the next tables.
   template <class... T>
   void expect(const std::vector<T>&... tables) {
     const size_t bytes = bytes_.size() + (... + round_up(tables.size() * sizeof(T) + 1));
     if (bytes > bytes_.capacity()) bytes_.reserve(std::max(bytes, 2 * bytes_.capacity()));
   }
-  // The place of a table, as an offset until `move_to`.
+  // Appends a table. The returned pointer is an offset until `move_to`.
   template <class T>
   const T* add(const std::vector<T>& table) {
     const size_t at = bytes_.size();
@@ -41,7 +41,7 @@ class TableWriter {
     auto storage = Storage::allocate(bytes_.size(), device);
     const auto base = reinterpret_cast<uintptr_t>(storage->data());
     const auto move = [base](auto*& table) {
-      if (table == nullptr) return;  // tables begin behind the views, so none has the offset 0
+      if (table == nullptr) return;  // tables follow the views, so offset 0 means no table
       table = reinterpret_cast<std::remove_reference_t<decltype(table)>>(
           base + reinterpret_cast<uintptr_t>(table));
     };
@@ -125,7 +125,7 @@ void ShapeGeometries::update() {
   const std::vector<Vec3f> scale = m.shape_scale.to_host(), vertices = m.mesh_vertices.to_host();
   const std::vector<Vec3i> triangles = m.mesh_indices.to_host();
 
-  // The shapes of each geometry, in the order of the first ones.
+  // Groups shapes with the same geometry, in the order of first occurrence.
   using Key = std::tuple<int32_t, int32_t, int32_t, float, float, float>;
   std::map<Key, int32_t> found;
   std::vector<size_t> first;

@@ -1,6 +1,6 @@
-// Internal: the tables of a model's convex hulls and meshes on its device, one for each (mesh,
-// type, scale) that shapes have. The tables follow from arrays of the model and are made anew when
-// these were written.
+// Internal: the tables of a model's convex hulls and meshes on its device, one for each combination
+// of mesh, type and scale. The tables are rebuilt when their source arrays in the model were
+// written.
 #pragma once
 
 #include <array>
@@ -18,17 +18,17 @@ class ShapeGeometries {
  public:
   explicit ShapeGeometries(std::shared_ptr<const Model> model) : model_(std::move(model)) {}
 
-  // Makes what is out of date. ErrorKind::Value, naming the shape: a range outside of the model's
-  // vertices or triangles, what convex_hull or build_mesh_tree refuse. Recorded launches depend on
-  // the arrays.
+  // Rebuilds outdated tables. ErrorKind::Value, with the shape: a range outside of the model's
+  // vertices or triangles, or an error of convex_hull or build_mesh_tree. Recorded launches depend
+  // on the source arrays.
   void update();
 
-  // The rest after update().
-  // Of each shape its row in the views, or -1.
+  // The functions below need a call of update() first. of_shape: for each shape its row in the
+  // views, or -1.
   const DeviceArray<int32_t>& of_shape() const { return of_shape_; }
-  // GeometryViews, then the tables that they point to.
+  // GeometryViews, followed by the tables that they point to.
   Array tables() const { return {DType::uint8, tables_->bytes(), 1, tables_->range()}; }
-  // How often they were made.
+  // Number of rebuilds.
   uint64_t version() const { return version_; }
 
  private:

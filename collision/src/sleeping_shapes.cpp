@@ -9,8 +9,8 @@
 namespace novaphy::detail {
 namespace {
 
-// m: what may be a row wakes a body in the search, and a little more for rounding. Steps ask
-// whether the row touches.
+// m. The search wakes a body if a pair may have a row. The tolerances cover rounding. A step then
+// tests whether the row touches.
 constexpr float kNearly = 1.0e-4f, kOfPlace = 1.0e-6f;
 
 bool may_have_rows(const RigidShape& s0, const RigidShape& s1) {
@@ -82,7 +82,7 @@ void SleepingShapes::list(const Model& model, const SimState& state,
   }
 }
 
-// Makes the index anew where many shapes are not in it.
+// Rebuilds the index if many shapes are missing in it.
 void SleepingShapes::index(std::span<const RigidShape> shapes, const ShapePairRules& rules) {
   others_.clear();
   size_t rest = 0;

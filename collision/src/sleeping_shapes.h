@@ -1,12 +1,13 @@
-// Internal: the pairs of a search where bodies sleep (core/sim/sleep.h), on the CPU. Only shapes
-// that move, or whose body wakes, look for partners. So a search takes the time of what moves, and
-// a look at each body.
+// Internal: the broad phase for sleeping bodies (core/sim/sleep.h), on the CPU. Only shapes that
+// move, or whose body wakes, search for partners. A search costs time for the moving shapes, and
+// one check per body.
 //
-//   begin()   which shapes move, and which of the others are to be moved to the world again
-//   pairs()   of those that move. A sleeping body that may have a row with one of them wakes with
-//             its island, and looks for its own partners.
+//   begin()   finds the shapes that move, and other shapes whose world pose is outdated
+//   pairs()   finds the pairs of moving shapes. A sleeping body that may have a row with one of
+//             them
+//             wakes with its island, and its shapes search for partners too.
 //
-// A step asks again, with the rows that were found, and wakes the same bodies or fewer.
+// A step checks the found rows again, and wakes the same bodies or fewer.
 #pragma once
 
 #include <cstdint>
@@ -22,16 +23,16 @@ namespace novaphy::detail {
 
 class SleepingShapes {
  public:
-  // False: none sleeps, or so few that a search over all shapes takes less time; then the shapes
-  // are to be moved by others. `version`: of the geometries.
+  // Returns false if no body sleeps, or so few that a full search is faster; the caller then moves
+  // all shapes. `version`: version of the geometries.
   bool begin(const Model& model, const SimState& state, std::span<const RigidShape> shapes,
              float dt, uint64_t version);
-  // Shapes that are not where the last search left them, ascending.
+  // The shapes that have moved since the last search, ascending.
   std::span<const int32_t> moved() const { return moved_; }
-  // (i < j), behind the move of these.
+  // Returns pairs (i < j). Call this after moving the shapes of moved().
   std::vector<Vec2i> pairs(const Model& model, std::span<const RigidShape> shapes,
                            const ShapePairRules& rules);
-  // Others have moved the shapes.
+  // Says that the caller has moved all shapes.
   void forget() { stamp_ = 0; }
 
  private:
@@ -43,11 +44,11 @@ class SleepingShapes {
   void wake();
 
   SleepingBodies bodies_;
-  uint64_t stamp_ = 0, version_ = 0;  // of what is known
+  uint64_t stamp_ = 0, version_ = 0;  // stamps of the cached data
   float dt_ = 0.0f;
-  IndexRows shapes_of_;             // each body
-  std::vector<uint8_t> is_still_;   // of each shape: it is where it was, at rest
-  std::vector<uint8_t> is_active_;  // it looks for partners
+  IndexRows shapes_of_;             // shapes of each body
+  std::vector<uint8_t> is_still_;   // per shape: at rest at the same pose
+  std::vector<uint8_t> is_active_;  // per shape: searches for partners
   std::vector<uint8_t> is_indexed_, is_done_;
   std::vector<int32_t> moved_, queue_, others_, woken_;
   BoxIndex still_, loose_;  // shapes of the index, and all others

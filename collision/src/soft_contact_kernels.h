@@ -1,7 +1,7 @@
-// The search for soft contacts as kernels. The shapes are made ready, and every candidate pair (a
-// particle and a shape, candidate_pairs.h) finds whether it touches. A scan of the answers gives
-// the slots before each pair, and pairs that touch write their record. The definition of a contact
-// is in collision_pipeline.h.
+// The kernels of the search for soft contacts. A kernel prepares the shapes. Every candidate pair
+// of a particle and a shape (candidate_pairs.h) tests whether it touches. A scan of the results
+// gives the slot of each pair, and touching pairs write their contact. collision_pipeline.h defines
+// a contact.
 #pragma once
 
 #include "novaphy/collision/diff_soft_contact_trace.h"
@@ -11,18 +11,19 @@
 
 namespace novaphy {
 
-// What the search needs of a shape that particles may meet.
+// The data of a shape that particles may touch.
 struct SoftContactShape {
   GeoType type;
   float reach;  // m: gap + margin
   Vec3f scale;
-  Transformf xform, pose, to_local;  // in its body, in the world, and back
+  Transformf xform, pose, to_local;  // shape to body, shape to world, world to shape
   Vec3f
-      velocity;  // of the surface in the body's frame: zero, with the signs that rotating it gives
-  const geometry::GeometryView* geometry;  // of a hull or mesh, else null
+      velocity;  // zero velocity of the surface, body frame; its zeros have the signs of a rotated
+                 // vector
+  const geometry::GeometryView* geometry;  // for a hull or mesh, else null
 };
 
-// `radius` (m) of the particle at x, in the frame of the shape.
+// Returns the distance of a particle with the given radius (m) at x, in the frame of the shape.
 inline SurfaceDistance<float> surface_distance(const SoftContactShape& shape, const Vec3f& x,
                                                float radius) {
   if (shape.geometry != nullptr) {
@@ -41,18 +42,18 @@ inline SurfaceDistance<float> surface_distance(const SoftContactShape& shape, co
   return plane_distance(x, shape.scale.x, shape.scale.y);
 }
 
-// A record carries no gradient, so what the search reads is detached.
+// Prepares shapes. A contact has no gradient, so the inputs are detached.
 struct SoftContactShapeArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<int32_t> candidates;  // shapes that particles may meet
                     Reads<int32_t> body; Detached<Reads<Transformf>> body_q; Reads<int32_t> type;
                     Detached<Reads<Vec3f>> scale; Detached<Reads<Transformf>> xform;
                     Detached<Reads<float>> margin; Number<float> gap;
-                    Reads<int32_t> geometry;  // of the shapes: rows of `views`, or -1
+                    Reads<int32_t> geometry;  // per shape: row of `views`, or -1
                     Reads<geometry::GeometryView> views;
-                    Writes<SoftContactShape> shapes;  // a row per shape of the model
+                    Writes<SoftContactShape> shapes;  // per shape of the model
   )
 };
-// Makes the candidate shape `row` ready.
+// Prepares candidate shape `row`.
 NOVAPHY_ROW_KERNEL(soft_contact_shape, SoftContactShapeArguments) {
   const int32_t s = a.candidates[row];
   SoftContactShape& shape = a.shapes[s];
@@ -75,7 +76,7 @@ struct SoftContactTouchArguments {
                     WritesRow<int32_t> touches;  // a row per pair
   )
 };
-// touches = 1 where the pair `row` touches, else 0.
+// Sets touches to 1 if pair `row` touches, else to 0.
 NOVAPHY_ROW_KERNEL(soft_contact_touch, SoftContactTouchArguments) {
   const int32_t p = a.pair_particle[row];
   const SoftContactShape& shape = a.shapes[a.pair_shape[row]];
@@ -89,16 +90,16 @@ NOVAPHY_ROW_KERNEL(soft_contact_touch, SoftContactTouchArguments) {
 
 struct SoftContactWriteArguments {
   NOVAPHY_ARGUMENTS(
-      ReadsRow<int32_t> pair_particle;  // these two: a row per pair
+      ReadsRow<int32_t> pair_particle;  // per pair, as the next
       ReadsRow<int32_t> pair_shape; Reads<SoftContactShape> shapes; Detached<Reads<Vec3f>> q;
       Detached<Reads<float>> radius; ReadsRow<int32_t>
-          before;  // the slots before each pair: a scan of what soft_contact_touch wrote
+          before;  // slots before each pair: the scan of soft_contact_touch
       Number<int64_t> slots;
-      UpdatesRow<int32_t> tids;  // of the pairs: in, whether they touch; out, their slot, or -1
-      Writes<int32_t> count, particle;  // the rest: a row per slot
+      UpdatesRow<int32_t> tids;  // input: whether the pair touches; output: its slot, or -1
+      Writes<int32_t> count, particle;  // from here on: per slot
       Writes<int32_t> shape; Writes<Vec3f> body_pos, body_vel, normal;)
 };
-// Writes the record of the pair `row`, if it touches, into its slot.
+// Writes the contact of pair `row` into its slot, if the pair touches.
 NOVAPHY_ROW_KERNEL(soft_contact_write, SoftContactWriteArguments) {
   const int32_t slot = a.before[row];
   const bool touches = a.tids[row] != 0;
@@ -123,14 +124,14 @@ NOVAPHY_ROW_KERNEL(soft_contact_write, SoftContactWriteArguments) {
 struct SoftContactNoneArguments {
   NOVAPHY_ARGUMENTS(Writes<int32_t> count;)
 };
-// The count where there are no pairs.
+// Sets the count to 0 if no pairs exist.
 NOVAPHY_ROW_KERNEL(soft_contact_none, SoftContactNoneArguments) { a.count[row] = 0; }
 
 struct SoftContactClearArguments {
-  NOVAPHY_ARGUMENTS(Reads<int32_t> count; Writes<int32_t> particle;  // the rest: a row per slot
+  NOVAPHY_ARGUMENTS(Reads<int32_t> count; Writes<int32_t> particle;  // from here on: per slot
                     Writes<int32_t> shape; Writes<Vec3f> body_pos, body_vel, normal;)
 };
-// Empties the slot `row` if it lies behind the last contact.
+// Clears slot `row` if it is after the last contact.
 NOVAPHY_ROW_KERNEL(soft_contact_clear, SoftContactClearArguments) {
   if (row < *a.count) return;
   a.particle[row] = -1;
@@ -143,8 +144,8 @@ NOVAPHY_ROW_KERNEL(soft_contact_clear, SoftContactClearArguments) {
 struct ContactGenerationArguments {
   NOVAPHY_ARGUMENTS(UpdatesRow<int32_t> generation;)
 };
-// Raises the generation: a launch of its own, because steps that are run once more for a gradient
-// must not need the number as it was.
+// Raises the generation. This is a separate launch, so that recomputing a step for a gradient does
+// not depend on the earlier generation.
 NOVAPHY_ROW_KERNEL(contact_generation, ContactGenerationArguments) { ++a.generation[row]; }
 
 }  // namespace novaphy

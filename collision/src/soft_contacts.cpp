@@ -13,7 +13,7 @@
 namespace novaphy::detail {
 namespace {
 
-// Never destroyed: recordings refer to them.
+// Never destroyed, because recordings refer to the kernels.
 struct Kernels {
   Kernel<SoftContactShapeArguments> shape{soft_contact_shape, soft_contact_kernels_source};
   Kernel<SoftContactTouchArguments> touch{soft_contact_touch, soft_contact_kernels_source};
@@ -45,13 +45,13 @@ void check_covered_shape(int32_t index, int32_t body, int32_t bodies, GeoType ty
 struct SoftContacts::Impl {
   std::shared_ptr<const Model> model;
   std::shared_ptr<ShapeGeometries> geometries;
-  // Which shapes may be met and by whom, and the versions of the arrays that say so.
+  // The candidate shapes and pairs, with the versions of the arrays behind them.
   ArrayVersions<5> versions;
   DeviceArray<int32_t> candidates;
   DeviceArray<int32_t> pair_particle, pair_shape;  // candidate_pairs.h
-  // Scratch, kept from call to call.
+  // Scratch memory, reused between calls.
   Array shapes;                 // a SoftContactShape per shape
-  DeviceArray<int32_t> before;  // the slots before each pair
+  DeviceArray<int32_t> before;  // slots before each pair
 
   std::array<const Array*, 5> choosing() const {
     return {&model->shape_flags, &model->shape_body, &model->shape_type, &model->shape_world,
@@ -63,7 +63,7 @@ struct SoftContacts::Impl {
     const std::vector<int32_t> body = model->shape_body.to_host(),
                                type = model->shape_type.to_host();
     const CandidatePairs pairs = make_candidate_pairs(*model);
-    std::vector<int32_t> found;  // the shapes of the pairs, which are shape-major
+    std::vector<int32_t> found;  // shapes of the pairs, which are in shape-major order
     for (const int32_t s : pairs.shape) {
       if (!found.empty() && found.back() == s) continue;
       check_covered_shape(s, body[static_cast<size_t>(s)], model->body_count(),
@@ -95,7 +95,7 @@ void SoftContacts::collide(const SimState& state, Contacts& contacts, float gap)
   const Model& m = *impl_->model;
   const Device device = m.device();
   impl_->find_candidates();
-  depend_on(impl_->choosing());  // which the host has read
+  depend_on(impl_->choosing());  // the host has read them
   const int64_t pairs = contacts.soft_contact_pair_count(), slots = contacts.soft_contact_max();
   const auto shape_count = static_cast<int64_t>(impl_->candidates.rows());
   const Array& shapes = impl_->shapes;

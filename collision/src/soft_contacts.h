@@ -1,5 +1,5 @@
-// Internal: the soft contacts of a model's states, found on its device. The kernels are those of
-// soft_contact_kernels.h.
+// Internal: finds the soft contacts of a model's states on its device. soft_contact_kernels.h has
+// the kernels.
 #pragma once
 
 #include <cstdint>
@@ -16,10 +16,11 @@ class SoftContacts {
   SoftContacts(std::shared_ptr<const Model> model, std::shared_ptr<ShapeGeometries> geometries);
   ~SoftContacts();
 
-  // Candidate pairs. The model's arrays are read when they were written since
-  // the last call. ErrorKind::NotImplemented: a colliding shape that is not covered.
+  // Returns the number of candidate pairs. Reads the model's arrays if they were written since the
+  // last call. ErrorKind::NotImplemented: a colliding shape that is not supported.
   int32_t pair_count();
-  // The contacts have as many candidate pairs as there are. Recorded where the thread records.
+  // Finds the contacts, whose number of candidate pairs must be current. Recorded if the thread
+  // records.
   void collide(const SimState& state, Contacts& contacts, float gap);
 
  private:
@@ -27,7 +28,7 @@ class SoftContacts {
   std::unique_ptr<Impl> impl_;
 };
 
-// The text of the kernels for devices; null: the build has none.
+// The device source of the kernels; null: the build has none.
 const char* soft_contact_kernels_source();
 
 }  // namespace novaphy::detail

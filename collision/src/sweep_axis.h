@@ -1,4 +1,4 @@
-// Internal: the axis along which boxes are sorted.
+// Internal: the choice of the sweep axis.
 #pragma once
 
 #include <cmath>
@@ -7,8 +7,8 @@
 
 namespace novaphy::detail {
 
-// The axis on which the centers of the boxes vary most, the first among equals. `box_of`: the box
-// of a row.
+// Returns the axis on which the centers of the boxes vary most, and the first axis on a tie.
+// `box_of` returns the box of a row.
 template <class Rows, class BoxOf>
 int sweep_axis(const Rows& rows, const BoxOf& box_of) {
   double sum[3] = {}, square[3] = {}, count = 0.0;
@@ -17,7 +17,7 @@ int sweep_axis(const Rows& rows, const BoxOf& box_of) {
     for (int k = 0; k < 3; ++k) {
       const double c = 0.5 * (static_cast<double>(geometry::component(box.lo, k)) +
                               static_cast<double>(geometry::component(box.hi, k)));
-      if (!std::isfinite(c)) continue;  // unbounded
+      if (!std::isfinite(c)) continue;  // skip unbounded boxes
       sum[k] += c;
       square[k] += c * c;
     }

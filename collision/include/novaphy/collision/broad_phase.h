@@ -1,5 +1,5 @@
-// How the pairs of shapes that may touch are found. Particle contacts always look at every
-// (particle, shape) pair.
+// The choice of the broad phase for pairs of shapes. Contacts of particles always test every pair
+// (particle, shape).
 #pragma once
 
 #include <string_view>
@@ -11,10 +11,10 @@ namespace novaphy {
 enum class BroadPhase {
   Explicit,  // the pairs of Model::shape_contact_pairs
   NxN,       // every pair of shapes
-  Sap,       // the pairs whose boxes meet: sweep and prune, or a tree of boxes
+  Sap,       // the pairs whose boxes overlap: sweep and prune, or a tree of boxes
 };
 
-// "explicit", "nxn", "sap"; anything else throws ErrorKind::Value.
+// Reads "explicit", "nxn" or "sap". Throws ErrorKind::Value for any other text.
 NOVAPHY_COLLISION_API BroadPhase parse_broad_phase(std::string_view name);
 NOVAPHY_COLLISION_API const char* broad_phase_name(BroadPhase broad_phase);
 

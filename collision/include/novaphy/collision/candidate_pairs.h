@@ -1,4 +1,5 @@
-// The particles and shapes that may meet: the candidates of every search for soft contacts.
+// The pairs of a particle and a shape that may touch: the candidates of every search for soft
+// contacts.
 #pragma once
 
 #include <cstdint>
@@ -9,15 +10,15 @@
 
 namespace novaphy {
 
-// Pairs of a particle and a shape with ShapeFlags.COLLIDE_PARTICLES, of one world or with one of
-// both in all worlds (-1). Shape-major: all particles that may meet the first colliding shape, in
-// ascending order, then those of the second, ...
+// Pairs of a particle and a shape with ShapeFlags.COLLIDE_PARTICLES whose worlds are equal, or of
+// which one belongs to all worlds (-1). The order is shape-major: the particles of the first
+// colliding shape in ascending order, then those of the second, and so on.
 struct CandidatePairs {
   std::vector<int32_t> particle, shape;
 };
 
-// Reads the model's arrays on the host; takes time linear in the particles, the shapes and the
-// pairs. ErrorKind::Value: more pairs than int32 counts.
+// Makes the pairs from the model's arrays on the host, in time linear in particles, shapes and
+// pairs. ErrorKind::Value: more pairs than int32 can count.
 NOVAPHY_COLLISION_API CandidatePairs make_candidate_pairs(const Model& model);
 
 }  // namespace novaphy

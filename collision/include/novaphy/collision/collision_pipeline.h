@@ -24,119 +24,128 @@ class SoftContacts;
 struct CollisionOptions {
   BroadPhase broad_phase = BroadPhase::Explicit;
   NarrowPhase narrow_phase = NarrowPhase::Auto;
-  // With BroadPhase::Explicit, the pairs of shapes to look at instead of
-  // Model::shape_contact_pairs, whatever flags, groups, worlds and filters say.
+  // Replaces Model::shape_contact_pairs with BroadPhase::Explicit. The pairs are used whatever
+  // flags, groups, worlds and filters say.
   std::optional<std::vector<Vec2i>> shape_pairs_filtered = {};
-  // Rows of the rigid contacts. When empty, as many as the candidate pairs can have, so that
-  // nothing can overflow; but no more than 1000 or 64 per shape, whichever is larger.
+  // Number of rows for rigid contacts. Empty: the largest number that the candidate pairs can have,
+  // but at most the larger of 1000 and 64 per shape.
   std::optional<int32_t> rigid_contact_max = {};
-  // Rows of a pair of shapes, 8 or 4: the penalty stiffness of a face is that of its rows. Planes
-  // with shapes have their own number, four for a box.
+  // Largest number of rows of a pair of shapes, 8 or 4. Each row has the penalty stiffness, so the
+  // number affects the stiffness of a face. Pairs with a plane have a fixed number, for example
+  // four for a box.
   int32_t contacts_per_pair = 8;
-  // Slots of the contacts; as many as candidate pairs when empty, so that nothing can overflow.
+  // Number of slots for soft contacts. Empty: the number of candidate pairs, which cannot overflow.
   std::optional<int32_t> soft_contact_max = {};
-  // m, finite and >= 0: contacts are made up to this distance between the surfaces. Newton 1.8
-  // calls it soft_contact_gap.
+  // m, finite and >= 0: largest distance between the surfaces of a soft contact. Newton 1.8 calls
+  // this value soft_contact_gap.
   float soft_contact_margin = 0.01f;
-  bool deterministic = true;  // contacts are always made in candidate order, also with false
-  std::optional<bool> requires_grad = {};  // handed on to contacts(); the model's when empty
-  // On the CPU, the first collide that finds contacts warns of overlaps (overlaps.h).
+  bool deterministic = true;  // contacts always have the order of the candidates, even with false
+  std::optional<bool> requires_grad = {};  // for contacts(); empty: the model's setting
+  // Whether the first collide on the CPU that finds contacts warns of initial overlaps
+  // (overlaps.h).
   bool warns_of_overlaps = true;
 };
 
-// Soft contacts: a record for every active particle and every shape with
-// ShapeFlags.COLLIDE_PARTICLES, of one world or with one of both in all worlds (-1), whose distance
-// d from the particle's center to the surface is
+// Soft contacts. A contact exists for every active particle and every shape with
+// ShapeFlags.COLLIDE_PARTICLES of a compatible world if the distance d from the particle's center
+// to the surface is
 //   d < (soft_contact_margin + shape_margin) + particle_radius
-// with the closest point of the surface and the normal there (collision/diff_soft_contact_trace.h).
-// Planes, boxes, spheres, capsules, cylinders, cones, ellipsoids, convex hulls and meshes of the
-// world and of bodies
-// (geometry/point_distance.h; of a mesh, what is behind its nearest triangle is inside); others
-// throw ErrorKind::NotImplemented. The geometry of a record carries no gradient. A particle whose
-// position is NaN meets nothing.
+// The contact has the closest point of the surface and the normal there
+// (collision/diff_soft_contact_trace.h), without a gradient. Supported shapes, of the world and of
+// bodies: planes, boxes, spheres, capsules, cylinders, cones, ellipsoids, convex hulls and meshes
+// (geometry/point_distance.h). Points behind the nearest triangle of a mesh are inside. Other
+// shapes throw ErrorKind::NotImplemented. A particle whose position is NaN has no contacts.
 //
-// Rigid contacts: the points where two shapes touch or nearly do, of pairs of which at least one is
-// on a body. Shape A is the one of the smaller GeoType; of two alike the one of the smaller index.
-// The narrow phase gives a normal n from A to B and points with a signed distance (geometry/); a
-// point is a row where
+// Rigid contacts. A contact is a point where two shapes touch or nearly touch; at least one shape
+// belongs to a body. Shape A has the smaller GeoType, or the smaller index for equal types. The
+// narrow phase (geometry/) gives a normal n from A to B and points with a signed distance. A point
+// is a row if
 //   dot(b - a, n) - (radius_A + radius_B + margin_A + margin_B) <= gap_A + gap_B
-// with the core points a, b of Contacts::rigid_contact_point0, point1. Covered are infinite planes
-// with spheres, capsules, ellipsoids, cylinders, boxes (their four deepest corners), cones, convex
-// hulls and meshes (up to four vertices), and all but meshes with each other (geometry/collide.h),
-// up to eight points. On the CPU, meshes meet these and each other (geometry/mesh_pair.h): up to
-// 32 points with normals of their own, ordered by distance, whose names may change when a point
-// passes to another triangle. Candidates are Model::shape_contact_pairs (BroadPhase::Explicit), or
-// the pairs that flags, groups and worlds of shapes now allow (NxN; Sap, which lists no others), of
-// all three those whose boxes meet: the same rows. Sap finds its pairs by a tree of boxes on the
-// device of the model (on the CPU by sweep and prune on the host, unless it is recorded). Outside
-// of a recording it makes room for all of them; a recording has the room that there is, at least 16
-// pairs for each shape, and each pair beyond counts as a row behind rigid_contact_max, so that the
-// contacts have overflowed, with slots left empty at the end. Rows are in the order of (shape A,
-// shape B, point of the manifold) for any number of threads. If there are more than
-// rigid_contact_max, those stay that are within the largest part of the gaps of their pairs for
-// which there is room (1/2, 1/4, ..., 1/1024, or what touches), and the first of those within the
-// next larger part, so that no slot is empty. rigid_contact_count keeps the full number. Source:
-// Newton 1.8.0; its rows on the cpu are the same bits for planes with spheres, capsules and boxes,
-// but the order of pairs where shape A has the larger index.
+// with the core points a, b of Contacts::rigid_contact_point0, point1. Supported pairs:
+//   - infinite planes with spheres, capsules, ellipsoids, cylinders, boxes (their four deepest
+//     corners), cones, convex hulls and meshes (up to four vertices)
+//   - all other convex shapes with each other (geometry/collide.h), up to eight points
+//   - on the CPU, meshes with convex shapes and with each other (geometry/mesh_pair.h), up to 32
+//     points, each with its normal, ordered by distance. The id of such a point may change when the
+//     point moves to another triangle.
 //
-// Candidate pairs (candidate_pairs.h) of soft contacts are ordered shape-major: the particles that
-// may meet the first colliding shape, then those of the second, ... The contacts have that order
-// for any number of threads. If there are more than slots, the first ones are kept,
-// soft_contact_count keeps the full number and Contacts::overflowed() is true.
+// Candidates are Model::shape_contact_pairs (Explicit), or the pairs that flags, groups and worlds
+// allow now (NxN and Sap). All three keep the pairs whose boxes overlap and give the same rows. Sap
+// uses a tree of boxes on the device of the model. On the CPU, outside of recordings, Sap is sweep
+// and prune on the host. Outside of recordings the list of pairs grows as needed. A recording has a
+// list of fixed size, at least 16 pairs per shape. Each pair beyond counts as a row beyond
+// rigid_contact_max, so the contacts overflow and the last slots stay empty.
 //
-// One thread at a time may use a pipeline: another one gets ErrorKind::Runtime.
+// Rows have the order (shape A, shape B, point of the manifold) for any number of threads. With
+// more than rigid_contact_max rows, the pipeline keeps the rows within the largest fraction of
+// their pair's gap for which all fit (1/2, 1/4, ..., 1/1024, or only touching rows). The first rows
+// within the next larger fraction fill the rest. rigid_contact_count has the full number. Source:
+// Newton 1.8.0. Its rows on the CPU have the same bits for planes with spheres, capsules and boxes,
+// except for the order of pairs in which shape A has the larger index.
+//
+// Soft contacts have the order of candidate_pairs.h for any number of threads. With more contacts
+// than slots, the first ones are kept, soft_contact_count has the full number, and
+// Contacts::overflowed() is true.
+//
+// Only one thread at a time may use a pipeline. A second thread gets ErrorKind::Runtime.
 class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
  public:
-  // ErrorKind::Value: no model, a bad margin, a negative maximum, too many pairs for int32; pairs
-  // with another broad phase, of two shapes of one body or of the world; ErrorKind::Index: of a
-  // shape that is not there;
-  // ErrorKind::NotImplemented: a narrow phase that the build lacks, two shapes that may meet and
-  // are not covered, a model on a device whose collision was not built, a colliding shape that is
-  // not covered.
+  // Makes a pipeline.
+  //   ErrorKind::Value           no model, a bad margin, a negative maximum, too many pairs for
+  //                              int32;
+  //                              shape pairs with another broad phase, or of two shapes of one
+  //                                body or
+  //                              of the world
+  //   ErrorKind::Index           a pair with a shape that does not exist
+  //   ErrorKind::NotImplemented  a narrow phase that the build lacks, a pair of shapes that may
+  //                              touch
+  //                              and is not supported, a colliding shape that is not supported, a
+  //                                model
+  //                              on a device without collision in the build
   explicit CollisionPipeline(std::shared_ptr<const Model> model,
                              const CollisionOptions& options = {});
 
   const std::shared_ptr<const Model>& model() const { return model_; }
   BroadPhase broad_phase() const { return options_.broad_phase; }
-  // Those of the options, each once, the smaller shape first, in ascending order.
+  // Returns the pairs of the options, each once, with the smaller shape first, in ascending order.
   const std::optional<std::vector<Vec2i>>& shape_pairs_filtered() const {
     return options_.shape_pairs_filtered;
   }
   NarrowPhase narrow_phase() const { return options_.narrow_phase; }
-  // With NarrowPhase::Fcl, over all calls so far: the pairs of hulls that overlap, and those of
-  // them for which FCL's answer was not taken.
+  // With NarrowPhase::Fcl, the counts over all calls: overlapping pairs of hulls, and pairs whose
+  // FCL result was rejected.
   int64_t fcl_pair_count() const;
   int64_t fcl_fallback_count() const;
   float soft_contact_margin() const { return options_.soft_contact_margin; }
   int32_t rigid_contact_max() const;        // rows of contacts()
   int32_t soft_contact_max() const;         // slots of contacts()
-  int32_t soft_contact_pair_count() const;  // candidate_pairs.h
+  int32_t soft_contact_pair_count() const;  // number of candidate pairs
 
-  // Empty contacts that collide takes; with true, rows may have materials of their own
-  // (Contacts::rigid_contact_stiffness, ...), and no collide with them can be recorded.
+  // Returns empty contacts for `collide`. With true, rows may have materials of their own
+  // (Contacts::rigid_contact_stiffness and others), and collide cannot be recorded.
   Contacts contacts() const override { return contacts(false); }
   Contacts contacts(bool per_contact_shape_properties) const;
 
-  // Replaces the contacts by those of the state and raises contact_generation. May stand in a
-  // capture: a replay finds the contacts of what the state then holds, and refuses once the flags,
-  // types or bodies of shapes were written.
-  // `soft_contact_margin` replaces the pipeline's for this call. `dt` (s) is that of the step that
-  // takes the contacts: rows of rigid contacts that are farther apart than twice the way of their
-  // shapes in it, and 4 m/s dt, are left out. Nothing is written after an error:
-  //   ErrorKind::Value  a state or contacts of another model or device; contacts for another number
-  //                     of candidate pairs (shape flags were edited: call contacts() again); a bad
-  //                     margin; dt not finite or <= 0; without dt, and unless it is
-  //                     recorded, check_rotations (input_checks.h)
-  //   ErrorKind::Index  a world of a particle, body or shape that is not there
-  //   ErrorKind::NotImplemented  a colliding shape that is not covered
-  //   ErrorKind::Runtime         NarrowPhase::Fcl is recorded; NotImplemented: so is Sap, with
-  //   meshes
+  // Replaces the contacts by those of the state and raises contact_generation. A capture may record
+  // the search: a replay finds the contacts of the state at that time, and throws if flags, types
+  // or bodies of shapes were written.
+  // `soft_contact_margin` replaces the pipeline's value for this call. `dt` (s) is the step that
+  // the contacts are for. It removes rigid contacts whose distance exceeds 4 m/s dt plus twice the
+  // path of their shapes in the step. After an error nothing is written:
+  //   ErrorKind::Value           a state or contacts of another model or device; contacts for
+  //                              another
+  //                              number of candidate pairs (after an edit of shape flags, call
+  //                              contacts() again); a bad margin; dt not finite or <= 0; without dt
+  //                              and outside of recordings, check_rotations (input_checks.h)
+  //   ErrorKind::Index           a world of a particle, body or shape that does not exist
+  //   ErrorKind::NotImplemented  a colliding shape that is not supported; recording Sap with meshes
+  //   ErrorKind::Runtime         recording NarrowPhase::Fcl
   void collide(const SimState& state, Contacts& contacts,
                std::optional<float> soft_contact_margin = {},
                std::optional<float> dt = {}) override;
 
  private:
-  int32_t count_pairs() const;  // within a use
+  int32_t count_pairs() const;  // call while the pipeline is in use
   void warn_of_overlaps(const SimState& state, const Contacts& contacts);
 
   std::shared_ptr<const Model> model_;
@@ -144,7 +153,8 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
   bool has_looked_for_overlaps_ = false;
   std::shared_ptr<detail::SoftContacts> soft_contacts_;
   std::shared_ptr<detail::RigidContacts> rigid_contacts_;
-  std::shared_ptr<ExclusiveUse> in_use_ = std::make_shared<ExclusiveUse>();  // of both
+  // guards both searches
+  std::shared_ptr<ExclusiveUse> in_use_ = std::make_shared<ExclusiveUse>();
 };
 
 }  // namespace novaphy

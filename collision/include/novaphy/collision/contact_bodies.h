@@ -1,4 +1,5 @@
-// Tables of the bodies that contacts touch, by which bodies add up the wrenches of their contacts.
+// Tables of the bodies that contacts act on. Bodies sum the wrenches of their contacts by these
+// tables.
 #pragma once
 
 #include <cstdint>
@@ -11,14 +12,14 @@
 
 namespace novaphy {
 
-// Body of each contact's shape, -1 for the world and for unused rows: `rigid` {rigid_contact_max,
-// 2} of shape A and B, `soft` {soft_contact_max}; empty arrays are left out. A launch, which may be
-// recorded.
+// Finds the bodies of contacts, -1 for the world and for unused rows: `rigid` {rigid_contact_max,
+// 2} for shapes A and B, `soft` {soft_contact_max}. Arrays without rows are skipped. The function
+// is a launch and may be recorded.
 NOVAPHY_COLLISION_API void find_contact_bodies(const Model& model, const Contacts& contacts,
                                                const DeviceArray<int32_t>& rigid,
                                                const DeviceArray<int32_t>& soft);
 
-// Whether particles may meet a shape of a body. Reads the model on the host.
+// Returns whether particles may touch a shape of a body. Reads the model on the host.
 NOVAPHY_COLLISION_API bool particles_may_meet_bodies(const Model& model);
 
 }  // namespace novaphy

@@ -1,4 +1,4 @@
-// The texts of this library's device modules, for whoever compiles them ahead.
+// The sources of this library's device modules, for compilation ahead of time.
 #pragma once
 
 #include <string>
@@ -8,7 +8,8 @@
 
 namespace novaphy {
 
-// SOURCE modules of <novaphy/abi/backend.h>; none where the build has no device collision.
+// Returns SOURCE modules of <novaphy/abi/backend.h>. The list is empty if the build has no device
+// collision.
 NOVAPHY_COLLISION_API std::vector<std::string> collision_device_modules();
 
 }  // namespace novaphy

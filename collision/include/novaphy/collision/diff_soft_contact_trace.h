@@ -1,11 +1,11 @@
-// The contact of a particle with a shape, as formulas: the force of a contact record, and the
-// distance query of a static shape (signed distance, normal, closest point).
+// The contact of a particle with a shape, as formulas: the contact force, and the distance query of
+// a static shape (signed distance, normal, closest point).
 //
-// Law (penalty spring, one-sided damper, capped viscous friction):
+// Law (penalty spring, damper that acts only on approach, viscous friction with a Coulomb limit):
 //   c  = dot(n, x - p) - R
 //   v  = v_p - v_s, vn = dot(n, v), vt = v - n*vn
 //   f  = (n*c)*ke + ((n*min(vn, 0))*kd + unit(vt)*min(kf*|vt|, |(mu*c)*ke|))
-//   the particle gets -f where c <= a, and nothing where c > a
+//   the force on the particle is -f for c <= a, and 0 for c > a
 // Symbols:
 //   x, v_p           particle position (m) and velocity (m/s), world frame
 //   R                particle radius (m)
@@ -13,28 +13,28 @@
 //   n                unit normal, out of the shape, world frame
 //   c                gap between the two surfaces (m); < 0 is penetration
 //   ke, kd, kf, mu   N/m, N*s/m, N*s/m, 1: each the mean of the model's value and the shape's
-//   r                1/s: kf is at most r m, with m the particle's mass (kg) if that is not 0. A
-//                    solver has r = particle_kf_bound / dt, so that friction takes at most that
-//                    part of a slip in a step; of the operators, and for Newton's law, r =
-//                    kNoKfBound
-//   a                adhesion distance (m), 0 unless the model says otherwise
+//   r                1/s: bounds kf by r m, where m is the particle's mass (kg), if m is not 0. A
+//                    solver uses r = particle_kf_bound / dt, so friction removes at most that part
+//                    of the slip in a step. The operators, and Newton's law, use r = kNoKfBound
+//   a                adhesion distance (m), 0 by default
 //   f                N, world frame
-// The margin of a shape widens the search for contacts only; it is not part of the force.
-// Source: Newton 1.8.0, SolverSemiImplicit, without a bound; its output on the cpu is the same bits
+// The margin of a shape widens the search for contacts only and is not part of the force. Source:
+// Newton 1.8.0, SolverSemiImplicit, which has no bound r. Its output on the CPU has the same bits
 // wherever kf <= r m.
 //
-// Not smooth, and what is returned there (the derivative follows the same choice):
+// Points where the law is not smooth, and the value there (the derivative makes the same choice):
 //   c = a    the force acts. It jumps by the damping kd*vn at touch-down.
-//   vn = 0   min takes the constant 0: damping passes nothing.
-//   |vt| = 0 (underflow included)   the force is 0. It is the smooth kf*vt below the Coulomb limit,
-//            whose derivative is returned: kf by vt where |(mu*c)*ke| > 0, else nothing.
-//   kf*|vt| = |(mu*c)*ke|   the Coulomb side; |.| has derivative +1 at 0.
+//   vn = 0   min takes the constant 0: damping has no gradient.
+//   |vt| = 0 (underflow included)   the force is 0. The smooth branch kf*vt gives the derivative:
+//     kf
+//            by vt if |(mu*c)*ke| > 0, else 0.
+//   kf*|vt| = |(mu*c)*ke|   the Coulomb branch; |.| has derivative +1 at 0.
 //   kf = r m the derivative by kf.
 //   The normal jumps on a box's faces, edges and symmetry planes (box_distance), at the center of
 //   a sphere and on the axis of a capsule (sphere_distance, capsule_distance), on edges, axis and
 //   apex of a cylinder and a cone, and on the planes of symmetry within an ellipsoid.
-// Gradient: exact in x, v_p, R, p, v_s, n, ke, kd, kf, mu, m away from these. `a` only chooses and
-// passes nothing, r is a number.
+// Gradient: exact in x, v_p, R, p, v_s, n, ke, kd, kf, mu, m away from these points. `a` only
+// selects a branch and has no gradient; r is a constant.
 //
 // Freestanding: T = float runs in the forward engine, T = nova::Real is traced. Every operator
 // rounds once, in the order written, so both give the same bits.
@@ -49,7 +49,7 @@ struct SoftContactMaterial {
   T ke{}, kd{}, kf{}, mu{};
 };
 
-// 0.5*(model + shape), each coefficient.
+// Returns 0.5*(model + shape) for each coefficient.
 template <class T>
 SoftContactMaterial<T> mean_soft_contact_material(const SoftContactMaterial<T>& model,
                                                   const SoftContactMaterial<T>& shape) {
@@ -58,9 +58,9 @@ SoftContactMaterial<T> mean_soft_contact_material(const SoftContactMaterial<T>& 
           half * (model.mu + shape.mu)};
 }
 
-// Finite, because 0 times the derivative of what it bounds has to be 0.
+// Stands for infinity. It is finite, because 0 times its derivative must be 0.
 inline constexpr float kNoKfBound = 1e30f;
-// r of the law, of a bound >= 0, perhaps infinite.
+// Returns r of the law from a bound >= 0, which may be infinite.
 inline float kf_rate(float bound, float dt) {
   const float rate = bound / dt;
   return rate < kNoKfBound ? rate : kNoKfBound;
@@ -74,9 +74,8 @@ SoftContactMaterial<T> with_bounded_kf(SoftContactMaterial<T> material, const T&
   return material;
 }
 
-// What a contact adds to the particle's force: -f, or -0 where it does not act. acc + (-f) has the
-// bits of acc - f, and acc + (-0) those of acc for every acc, so adding the terms in slot order
-// gives Newton's sum.
+// Returns the force on the particle: -f, or -0 for an inactive contact. acc + (-0) has the bits of
+// acc for every acc, so adding the terms in slot order gives Newton's sum.
 template <class T>
 Vec3<T> soft_contact_force_term(const Vec3<T>& x, const Vec3<T>& v_p, const T& radius,
                                 const Vec3<T>& point, const Vec3<T>& point_velocity,
@@ -91,23 +90,23 @@ Vec3<T> soft_contact_force_term(const Vec3<T>& x, const Vec3<T>& v_p, const T& r
   const Vec3<T> fd = (normal * min(vn, T(0.0f))) * material.kd;
   const T speed = length(vt), limit = abs((material.mu * c) * material.ke);
   const Vec3<T> friction = normalize(vt) * min(material.kf * speed, limit);
-  // Neither unit nor length passes anything at rest, so this is the whole derivative there.
+  // The unit vector and the length have no gradient at rest, so this is the whole derivative there.
   const T at_rest = select(both(speed == T(0.0f), limit > T(0.0f)), material.kf, T(0.0f));
   const Vec3<T> ft = with_derivative(friction, vt, at_rest);
   const Vec3<T> f = fn + (fd + ft);
-  // Asked as c > a, so that a NaN reaches the force instead of switching the contact off.
+  // The test is c > a, so that a NaN reaches the force instead of switching the contact off.
   const T none = T(-0.0f);
   return select(c > adhesion, Vec3<T>{none, none, none}, -f);
 }
 
-// The contact point of a shape that a body owns.
+// The contact point of a shape on a body.
 template <class T>
 struct SoftContactBody {
   Vec3<T> position{}, velocity{};  // world frame
-  Vec3<T> arm{};                   // of the position from the center of mass, world frame
+  Vec3<T> arm{};                   // from the center of mass to the position, world frame
 };
-// From the body's pose, twist (velocity of the center of mass) and center of mass (body frame), and
-// the point and its velocity relative to the body, both in the body's frame.
+// Computes the contact point from the body's pose, twist (velocity of the center of mass) and
+// center of mass (body frame), and from the point and its relative velocity in the body frame.
 template <class T>
 SoftContactBody<T> soft_contact_body(const Transform<T>& pose, const SpatialVector<T>& twist,
                                      const Vec3<T>& com, const Vec3<T>& point,
@@ -119,15 +118,15 @@ SoftContactBody<T> soft_contact_body(const Transform<T>& pose, const SpatialVect
           arm};
 }
 
-// Signed distance of a point to a surface (m, < 0 inside) and the outward normal there, both in the
-// shape's frame.
+// Signed distance of a point to a surface (m, < 0 inside) and the outward normal at the closest
+// point, both in the shape's frame.
 template <class T>
 struct SurfaceDistance {
   T distance{};
   Vec3<T> normal{};
 };
 
-// Sphere of a radius about the origin. Within 1e-8 of the center the normal is +z.
+// Sphere about the origin. Within 1e-8 of the center the normal is +z.
 template <class T>
 SurfaceDistance<T> sphere_distance(const Vec3<T>& x, const T& radius) {
   using namespace math;
@@ -136,8 +135,8 @@ SurfaceDistance<T> sphere_distance(const Vec3<T>& x, const T& radius) {
   return {l - radius, select(l > T(1e-8f), x / l, up)};
 }
 
-// Capsule along z; half_height excludes the caps. Within 1e-8 of the axis the normal is +z, at the
-// lower cap's center (below -half_height) -z.
+// Capsule along z; half_height excludes the caps. Within 1e-8 of the axis the normal is +z, or -z
+// at the center of the lower cap and below.
 template <class T>
 SurfaceDistance<T> capsule_distance(const Vec3<T>& x, const T& radius, const T& half_height) {
   using namespace math;
@@ -151,11 +150,12 @@ SurfaceDistance<T> capsule_distance(const Vec3<T>& x, const T& radius, const T& 
   return {l - radius, select(l > T(1e-8f), v / l, axis)};
 }
 
-// Box of half extents h. Outside, the normal is the direction from the closest point. Inside and on
-// the surface it is the face's with the largest q = |x| - h: x if qx is the only largest, y
-// likewise, else z, with the sign of the coordinate (+ at 0); on an edge where two q are exactly 0,
-// the third axis is not chosen: (qy = qz = 0) gives x, (qx = qz = 0) y, (qx = qy = 0) z, and the
-// corner x. For a tie of qx and qy inside, the normal z does not belong to the distance qx.
+// Box with half extents h. Outside, the normal is the direction from the closest point. Inside and
+// on the surface, the normal is that of the face with the largest q = |x| - h: x if qx is the only
+// maximum, likewise y, else z, with the sign of the coordinate (+ at 0). On an edge, where two q
+// are exactly 0, the third axis is not chosen: (qy = qz = 0) gives x, (qx = qz = 0) gives y, (qx =
+// qy = 0) gives z, and a corner gives x. On a tie of qx and qy inside, the normal z does not belong
+// to the distance qx.
 template <class T>
 SurfaceDistance<T> box_distance(const Vec3<T>& x, const Vec3<T>& h) {
   using namespace math;
@@ -163,7 +163,7 @@ SurfaceDistance<T> box_distance(const Vec3<T>& x, const Vec3<T>& h) {
   const Vec3<T> q = {abs(x.x) - h.x, abs(x.y) - h.y, abs(x.z) - h.z};
   const Vec3<T> e = {max(q.x, zero), max(q.y, zero), max(q.z, zero)};
   const T deepest = max(q.x, max(q.y, q.z));
-  // On a face neither length nor min passes anything, so this is the whole derivative there.
+  // On a face the length and min have no gradient, so this is the whole derivative there.
   const T distance = with_derivative(length(e) + min(deepest, zero), deepest,
                                      select(deepest == zero, T(1.0f), zero));
 
@@ -180,11 +180,11 @@ SurfaceDistance<T> box_distance(const Vec3<T>& x, const Vec3<T>& h) {
   return {distance, select(is_outside, outside, inside)};
 }
 
-// Plane with the normal +z through the origin. Infinite unless width and length (along x and y, m)
-// are both > 0. A finite plane is the top face of a solid block without a bottom: the distance and
-// normal are those of a box whose top is the plane and that has no lower end. (Newton's finite
-// plane has an unsigned distance and always the normal +z: below its sheet and beside it the
-// contact point is not on the sheet. Above the sheet both agree to the bit.)
+// Plane through the origin with the normal +z. The plane is infinite unless width and length (m,
+// along x and y) are both > 0. A finite plane is the top face of a solid block without a bottom.
+// Distance and normal are those of a box whose top is the plane and that has no lower end.
+// (Newton's finite plane has an unsigned distance and always the normal +z. Below and beside the
+// plane its contact point is not on the plane. Above the plane both have the same bits.)
 template <class T>
 SurfaceDistance<T> plane_distance(const Vec3<T>& x, const T& width, const T& length_y) {
   using namespace math;
@@ -198,7 +198,7 @@ SurfaceDistance<T> plane_distance(const Vec3<T>& x, const T& width, const T& len
   // Beside the block: the closest point is on a wall or on the rim.
   const Vec3<T> closest = {min(max(-hx, x.x), hx), min(max(-hy, x.y), hy), min(x.z, zero)};
   const Vec3<T> away = x - closest;
-  // Inside the block a wall may be closer than the top; on a tie the top is taken.
+  // Inside of the block a wall may be closer than the top. On a tie the top is chosen.
   const auto under = both(finite, qz < zero);
   const auto wall_x = both(under, both(qx > qy, qx > qz));
   const auto wall_y = both(under, both(negate(qx > qy), qy > qz));
@@ -210,8 +210,8 @@ SurfaceDistance<T> plane_distance(const Vec3<T>& x, const T& width, const T& len
   return {select(beside, length(away), inside), select(beside, normalize(away), inside_normal)};
 }
 
-// From the half plane of a solid of revolution about z back to space: the direction (along, up) at
-// x; towards +x on the axis.
+// Maps a direction (along, up) in the meridian half plane of a solid of revolution about z back to
+// space. On the axis the half plane points to +x.
 template <class T>
 Vec3<T> meridian_direction(const Vec3<T>& x, const T& along, const T& up) {
   using namespace math;
@@ -222,8 +222,8 @@ Vec3<T> meridian_direction(const Vec3<T>& x, const T& along, const T& up) {
           up};
 }
 
-// Cylinder along z. Inside, the nearer of side and cap counts, of both the cap; on the axis the
-// side is towards +x.
+// Cylinder along z. Inside, the nearer of side and cap is chosen, and the cap on a tie. On the axis
+// the side points to +x.
 template <class T>
 SurfaceDistance<T> cylinder_distance(const Vec3<T>& x, const T& radius, const T& half_height) {
   using namespace math;
@@ -240,23 +240,23 @@ SurfaceDistance<T> cylinder_distance(const Vec3<T>& x, const T& radius, const T&
   return {select(inside, select(by_side, side, cap), l), meridian_direction(x, along, height)};
 }
 
-// Cone along z: the base (radius) at -half_height, the apex at +half_height. Inside, the nearer of
-// side and base counts, of both the base; on the axis the side is towards +x, at the apex the
-// normal is -x, on the rim -z.
+// Cone along z with the base (radius) at -half_height and the apex at +half_height. Inside, the
+// nearer of side and base is chosen, and the base on a tie. On the axis the side points to +x. At
+// the apex the normal is -x, on the rim -z.
 template <class T>
 SurfaceDistance<T> cone_distance(const Vec3<T>& x, const T& radius, const T& half_height) {
   using namespace math;
   const T zero = T(0.0f), one = T(1.0f);
   const T rho = sqrt(x.x * x.x + x.y * x.y), height = T(2.0f) * half_height;
   const T slant = sqrt(radius * radius + height * height);
-  // Along and across the generator from the rim to the apex, seen from the rim.
+  // Coordinates along and across the generator from the rim to the apex, with the rim as origin.
   const T r = rho - radius, z = x.z + half_height;
   const T across = (r * height + z * radius) / slant;
   const T along = (z * height - r * radius) / slant;
   const Vec3<T> down = {zero, zero, T(-1.0f)};
   const SurfaceDistance<T> side = {across, meridian_direction(x, height / slant, radius / slant)};
   const SurfaceDistance<T> base = {-z, down};
-  // The apex as a point, and the rim or what is below the base.
+  // Outside: the distance to the apex as a point, and to the rim or the base.
   const Vec3<T> d = {x.x, x.y, x.z - half_height};
   const T square = (d.x * d.x + d.y * d.y) + d.z * d.z;
   const auto off_apex = square > zero;
@@ -281,11 +281,12 @@ SurfaceDistance<T> cone_distance(const Vec3<T>& x, const T& radius, const T& hal
                  select(inside, base.normal, select(by_apex, out, below.normal)))};
 }
 
-// Ellipsoid of half axes h: the nearest point y_i = h_i^2 x_i / (t + h_i^2), with t from
-// sum (h_i x_i / (t + h_i^2))^2 = 1 by Newton's method on the root of the sum, from below (J. J.
+// Ellipsoid with half axes h. The nearest point is y_i = h_i^2 x_i / (t + h_i^2), where t solves
+// sum (h_i x_i / (t + h_i^2))^2 = 1. Newton's method runs on the root of the sum, from below (J. J.
 // More, D. C. Sorensen, Computing a Trust Region Step, 1983). Coordinates below 1e-6 of their half
-// axis count as that much, so that a nearest point is chosen on the planes of symmetry, too; the
-// derivative there is that of the smooth function, and none by that coordinate where it jumps.
+// axis are raised to that value, which selects a nearest point on the planes of symmetry too. There
+// the derivative is that of the smooth function, and 0 by a coordinate in which the nearest point
+// jumps.
 template <class T>
 SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
   using namespace math;
@@ -298,7 +299,7 @@ SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
     excess[i] = (hs[i] - shortest) * (hs[i] + shortest);
     u[i] = hs[i] * at[i];
   }
-  // s = t + shortest^2, without the cancellation of t.
+  // One Newton step on s = t + shortest^2, which avoids the cancellation in t.
   const auto improve = [&](const T& s, const T(&v)[3]) {
     T sum = T(0.0f), slope = T(0.0f);
     for (int i = 0; i < 3; ++i) {
@@ -313,7 +314,7 @@ SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
   T s = max(fixed[0] - detach(excess[0]),
             max(fixed[1] - detach(excess[1]), fixed[2] - detach(excess[2])));
   for (int k = 0; k < kIterations; ++k) s = detach(improve(s, fixed));
-  // Where the limit of a coordinate acts, the distance is smooth in it unless t + h_i^2 vanishes.
+  // Where a raised coordinate is used, the distance is smooth in it unless t + h_i^2 vanishes.
   for (int i = 0; i < 3; ++i) {
     const auto limited = abs(xs[i]) < T(1e-6f) * hs[i];
     const auto smooth = s + detach(excess[i]) > T(1e-3f) * (hs[i] * hs[i]);
@@ -321,7 +322,7 @@ SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
     at[i] = with_derivative(at[i], xs[i], select(both(limited, smooth), side, T(0.0f)));
     u[i] = hs[i] * at[i];
   }
-  s = improve(s, u);  // whose derivative at the root is that of the root
+  s = improve(s, u);  // one more step, whose derivative at the root is the root's
   T y[3], n[3];
   for (int i = 0; i < 3; ++i) {
     const T share = u[i] / (s + excess[i]);  // y_i / h_i
@@ -333,14 +334,14 @@ SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
   return {dot(normal, x - Vec3<T>{y[0], y[1], y[2]}), normal};
 }
 
-// Which type a static shape is: bool, or nova::Bool in a trace. None set means a plane.
+// The type of a static shape as flags: bool, or nova::Bool in a trace. No flag means a plane.
 template <class B>
 struct StaticShapeType {
   B is_box{}, is_sphere{}, is_capsule{}, is_cylinder{}, is_cone{}, is_ellipsoid{};
 };
 
-// Signed distance and normal in the frame of a shape of any covered type; `scale` as GeoType says.
-// `Round`: of a cylinder, a cone and an ellipsoid too.
+// Signed distance and normal in the frame of a shape of any supported type; `scale` is described at
+// GeoType. `Round`: includes cylinders, cones and ellipsoids.
 template <bool Round, class B, class T>
 SurfaceDistance<T> static_shape_distance(const StaticShapeType<B>& type, const Vec3<T>& scale,
                                          const Vec3<T>& x) {
@@ -359,7 +360,8 @@ SurfaceDistance<T> static_shape_distance(const StaticShapeType<B>& type, const V
   if constexpr (!Round) {
     return flat;
   } else {
-    // Of other types sizes that do not divide by 0: what is not taken passes 0, times what it is.
+    // For other types the sizes are 1, to avoid a division by 0: the unused branch must have a
+    // finite gradient, because it is multiplied by 0.
     const T one = T(1.0f);
     const auto solid = either(type.is_cylinder, type.is_cone);
     const T radius = select(solid, scale.x, one), height = select(solid, scale.y, one);
@@ -376,7 +378,7 @@ SurfaceDistance<T> static_shape_distance(const StaticShapeType<B>& type, const V
   }
 }
 
-// A contact record of a world-owned shape, world frame: what the force law takes.
+// A contact of a world-owned shape, world frame, as the force law needs it.
 template <class T>
 struct StaticContact {
   T distance{};      // m, from the particle's center to the surface
@@ -384,18 +386,18 @@ struct StaticContact {
   Vec3<T> normal{};  // unit, out of the shape
 };
 
-// The pose of a world-owned shape as the search uses it: Newton multiplies it by the identity pose
-// of the world, which turns -0 components into +0.
+// Returns the pose of a world-owned shape as the search uses it. Newton multiplies the pose by the
+// identity pose of the world, which turns -0 components into +0.
 template <class T>
 Transform<T> static_shape_pose(const Transform<T>& xform) {
   return math::multiply(Transform<T>::identity(), xform);
 }
-// The particle's position in the shape's frame; `pose` from static_shape_pose.
+// Returns the particle's position in the shape's frame; `pose` is from static_shape_pose.
 template <class T>
 Vec3<T> to_shape_frame(const Transform<T>& pose, const Vec3<T>& x) {
   return math::transform_point(math::inverse(pose), x);
 }
-// The record of a distance and normal in the shape's frame.
+// Makes a contact from a distance and a normal in the shape's frame.
 template <class T>
 StaticContact<T> static_contact_record(const Transform<T>& xform, const Transform<T>& pose,
                                        const Vec3<T>& x_local, const SurfaceDistance<T>& surface) {
@@ -404,8 +406,8 @@ StaticContact<T> static_contact_record(const Transform<T>& xform, const Transfor
           rotate(pose.q, surface.normal)};
 }
 
-// All of it: the record of particle position `x` (world) with a world-owned shape at `xform`. A
-// contact exists where distance < (gap + margin) + radius.
+// Makes the contact of a particle at `x` (world) with a world-owned shape at `xform`. The contact
+// exists if distance < (gap + margin) + radius.
 template <bool Round, class B, class T>
 StaticContact<T> static_shape_contact(const StaticShapeType<B>& type, const Transform<T>& xform,
                                       const Vec3<T>& scale, const Vec3<T>& x) {

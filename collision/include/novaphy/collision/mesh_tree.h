@@ -1,4 +1,4 @@
-// The tables of a triangle mesh that collision needs (geometry/mesh_view.h), built on the host.
+// The tables of a triangle mesh for collision (geometry/mesh_view.h), built on the host.
 #pragma once
 
 #include <span>
@@ -11,7 +11,7 @@ namespace novaphy {
 
 struct MeshTree {
   std::vector<Vec3f> vertices;
-  std::vector<Vec3i> triangles;  // of corners in one place, the first
+  std::vector<Vec3i> triangles;  // corners at the same position have the first index
   std::vector<Vec3f> normals;
   std::vector<int32_t> ring_starts, ring;
   std::vector<geometry::MeshEdge> edges;
@@ -20,15 +20,15 @@ struct MeshTree {
   std::vector<int32_t> order;
   geometry::Box3 behind;
 };
-// Valid as long as the tree lives and stays as it is.
+// The view is valid as long as the tree exists unchanged.
 NOVAPHY_COLLISION_API geometry::MeshView mesh_view(const MeshTree& tree);
 
-// The mesh may be open. Vertices in the same place, to the bit, count as one. Triangles without
-// area never touch. Boxes are halved at the middle triangle along the longest axis of their
-// centers, ties by index: the same mesh gives the same tables.
+// Builds the tables of a mesh, which may be open. Vertices with exactly the same position count as
+// one. Triangles without area have no contacts. The tree splits at the median triangle along the
+// longest axis of the centers, with ties by index, so the same mesh gives the same tables.
 //
-// ErrorKind::Value: no triangle; indices not a multiple of 3 or out of range; a vertex that is not
-// finite. The index is named.
+// Throws ErrorKind::Value, with the index, for no triangle, a number of indices that is not a
+// multiple of 3, an index out of range, or a vertex that is not finite.
 NOVAPHY_COLLISION_API MeshTree build_mesh_tree(std::span<const Vec3f> vertices,
                                                std::span<const int32_t> indices);
 

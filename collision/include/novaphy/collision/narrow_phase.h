@@ -1,4 +1,4 @@
-// The choice of the method that measures the overlap of two convex hulls.
+// The choice of the narrow phase for two convex hulls.
 #pragma once
 
 #include <string_view>
@@ -8,16 +8,16 @@
 namespace novaphy {
 
 enum class NarrowPhase {
-  Auto,  // collision/geometry/, for all pairs
-  // Overlap, depth and normal of penetrating pairs of convex hulls from FCL's libccd solver, in
-  // double precision, on the CPU; not within a capture. An answer whose normal is not of unit
-  // length, whose depth is not that along its normal, or that differs from Auto's by more than 1e-4
-  // of the size of the pair (libccd's MPR is wrong in about a sixth of all poses) counts as none:
-  // the pair has Auto's rows then. Needs a build with NOVAPHY_WITH_FCL.
+  Auto,  // collision/geometry/ for all pairs
+  // Overlapping convex hulls get depth and normal from FCL's libccd solver in double precision, on
+  // the CPU and outside of captures. Needs a build with NOVAPHY_WITH_FCL. Rejected results: a
+  // normal without unit length, a depth that is not that along the normal, or a difference to Auto
+  // of more than 1e-4 of the size of the pair. (libccd's MPR is wrong in about a sixth of all
+  // poses.) A pair with a rejected result has Auto's rows.
   Fcl,
 };
 
-// "auto", "fcl"; anything else throws ErrorKind::Value.
+// Reads "auto" or "fcl". Throws ErrorKind::Value for any other text.
 NOVAPHY_COLLISION_API NarrowPhase parse_narrow_phase(std::string_view name);
 NOVAPHY_COLLISION_API const char* narrow_phase_name(NarrowPhase narrow_phase);
 

@@ -1,10 +1,10 @@
-// Box against box: the 15 separating axes, then the clipped faces (clip_manifold.h). Frame of A, m.
+// Box against box: 15 separating axes, then clipping of the faces (clip_manifold.h). Frame of A, m.
 //
-// The axis with the largest separation wins. A cross axis of two edges must win by kEdgeBias of the
-// size of the boxes, so that rounding does not turn a face contact into one of edges. The normal
-// and depth of overlapping boxes are exact to that bias. Boxes that are apart are as far apart as a
-// face axis says only if the clipped faces overlap there; else GJK finds the distance. Source:
-// Gottschalk, Lin, Manocha, OBBTree (1996), for the axes.
+// The axis with the largest separation is chosen. A cross axis of two edges must exceed the face
+// axes by kEdgeBias of the size of the boxes, so that rounding does not turn a face contact into an
+// edge contact. Normal and depth of overlapping boxes are exact up to that bias. For separate
+// boxes, the separation of a face axis is the distance only if the clipped faces overlap. Otherwise
+// GJK computes the distance. Source of the axes: Gottschalk, Lin, Manocha, OBBTree (1996).
 #pragma once
 
 #include "novaphy/collision/geometry/convex_pair.h"
@@ -13,15 +13,15 @@
 namespace novaphy::geometry {
 
 inline constexpr float kEdgeBias = 2e-6f;      // of the sum of the half extents
-inline constexpr float kEdgeAxisSine = 1e-4f;  // edges more parallel than this have no axis
+inline constexpr float kEdgeAxisSine = 1e-4f;  // edges closer to parallel give no axis
 
 struct BoxAxis {
   Vec3f normal{};  // from A to B
   float separation{};
-  int32_t edge_a = -1, edge_b = -1;  // of a cross axis: the directions of the edges
+  int32_t edge_a = -1, edge_b = -1;  // for a cross axis: directions of the edges
 };
 
-// The separation along the unit axis n, which is turned from A to B.
+// Returns the separation along the unit axis n, flipped to point from A to B.
 inline BoxAxis box_axis(const ShapePair& pair, const Vec3f& n) {
   const Vec3f m = apply_transposed(pair.rotation, n);
   const float side = math::dot(n, pair.offset);
@@ -31,8 +31,8 @@ inline BoxAxis box_axis(const ShapePair& pair, const Vec3f& n) {
           (math::abs(side) - math::dot(a, pair.a->scale)) - math::dot(b, pair.b->scale)};
 }
 
-// Whether a direction is an axis of both boxes, within half of kEdgeBias. Then every cross axis is
-// a face axis of one of them, and none can win by kEdgeBias.
+// Returns whether a direction is an axis of both boxes, within half of kEdgeBias. Every cross axis
+// is then a face axis of one box, and cannot exceed it by kEdgeBias.
 inline bool share_an_axis(const ShapePair& pair) {
   constexpr float kNone = 0.5f * kEdgeBias;
   for (int32_t i = 0; i < 3; ++i) {
@@ -44,7 +44,8 @@ inline bool share_an_axis(const ShapePair& pair) {
   return false;
 }
 
-// Of boxes that are farther apart than the gap any axis that says so.
+// Returns the axis with the largest separation. For boxes that are farther apart than the gap, any
+// axis with such a separation is returned.
 inline BoxAxis best_box_axis(const ShapePair& pair, float gap) {
   BoxAxis best = box_axis(pair, unit_axis(0, 1.0f));
   for (int32_t i = 1; i < 6; ++i) {
@@ -69,7 +70,8 @@ inline BoxAxis best_box_axis(const ShapePair& pair, float gap) {
   return best;
 }
 
-// The nearest points: of the two edges of a cross axis, or a corner and its foot on the face.
+// Returns the nearest points: of the two edges of a cross axis, or a corner and its projection on
+// the face.
 inline Proximity box_proximity(const ShapePair& pair, const BoxAxis& axis) {
   const Vec3f n = axis.normal;
   const SupportPoint corner = support_point(pair, n);

@@ -1,11 +1,12 @@
-// Capsule against capsule and against box, in closed form. Two contacts where the capsule lies
+// Capsule against capsule and against box, in closed form. Two contacts exist if the capsule lies
 // along the other capsule or along a face (clip_manifold.h). Frame of A, m.
 //
-// Capsules: nearest points of the segments. Segments that cross part along the normal of their
-// plane; in one line, across it. The signed distance is then -(sum of the radii). Box: a segment
-// outside is nearest at one of its ends or across one of the 12 edges. A segment that meets the box
-// parts along the shortest of six ways: the 3 face normals, and the 3 axes across the segment and
-// an edge (separating axes). The first of equal ways is taken. MuJoCo 4.0 is wrong there.
+// Capsules: the nearest points of the two segments. Crossing segments separate along the normal of
+// their plane, and collinear segments across their line. The signed distance is then -(sum of the
+// radii). Box: a segment outside of the box is nearest at one of its ends or at one of the 12
+// edges. A segment that intersects the box separates along the shortest of six directions: 3 face
+// normals and 3 cross products of the segment and an edge. On a tie the first is chosen. MuJoCo 4.0
+// gives wrong results for the intersecting case.
 #pragma once
 
 #include "novaphy/collision/geometry/clip_manifold.h"
@@ -14,11 +15,11 @@
 
 namespace novaphy::geometry {
 
-inline constexpr float kAxisSine = 1e-4f;      // cross axes of edges more parallel than this: none
-inline constexpr float kTouchingCore = 2e-6f;  // of the size: nearest points that give no direction
+inline constexpr float kAxisSine = 1e-4f;      // edges closer to parallel give no cross axis
+inline constexpr float kTouchingCore = 2e-6f;  // of the size: nearer points define no direction
 
-// Nearest points of two cores, as a proximity of the surfaces. False if they are too near to give
-// a direction.
+// Makes a proximity of the surfaces from the nearest points of two cores. Returns false if the
+// points are too near to define a direction.
 inline bool proximity_of_points(const Vec3f& a, const Vec3f& b, float ra, float rb, float size,
                                 Proximity& out) {
   const Vec3f d = b - a;
@@ -48,8 +49,9 @@ NOVAPHY_OUT_OF_LINE Manifold collide_capsules(const ShapePair& pair, float gap) 
   return clip_manifold(pair, proximity, gap);
 }
 
-// The segment c - u .. c + u that meets the box, in the frame of the box: the shortest way out.
-// The normal points out of the box, the distance is that of the segment, < 0.
+// For a segment c - u .. c + u that intersects the box, in the frame of the box: returns the
+// shortest translation out of the box. The normal points out of the box; the distance is that of
+// the segment, < 0.
 inline SolidPoint segment_out_of_box(const Vec3f& c, const Vec3f& u, const Vec3f& h) {
   SolidPoint best;
   bool found = false;
@@ -71,7 +73,7 @@ inline SolidPoint segment_out_of_box(const Vec3f& c, const Vec3f& u, const Vec3f
   return best;
 }
 
-// Nearest points of a segment outside and the box, in the frame of the box.
+// Finds the nearest points of the box and a segment outside of it, in the frame of the box.
 inline void nearest_of_segment_and_box(const Vec3f& s0, const Vec3f& s1, const Vec3f& h,
                                        Vec3f& on_segment, Vec3f& on_box) {
   float best = -1.0f;
@@ -97,7 +99,7 @@ inline void nearest_of_segment_and_box(const Vec3f& s0, const Vec3f& s1, const V
   }
 }
 
-// True if the segment has a point in the box (slabs).
+// Returns whether the segment intersects the box (slab test).
 inline bool segment_meets_box(const Vec3f& s0, const Vec3f& s1, const Vec3f& h) {
   float enter = 0.0f, leave = 1.0f;
   for (int32_t i = 0; i < 3; ++i) {
@@ -113,14 +115,14 @@ inline bool segment_meets_box(const Vec3f& s0, const Vec3f& s1, const Vec3f& h) 
   return enter <= leave;
 }
 
-// A is a capsule, B a box.
+// A is a capsule and B a box.
 NOVAPHY_OUT_OF_LINE Manifold collide_capsule_box(const ShapePair& pair, float gap) {
   const Vec3f h = pair.b->scale;
   const float r = pair.a->scale.x;
   const Vec3f c = apply_transposed(pair.rotation, -pair.offset);
   const Vec3f u = apply_transposed(pair.rotation, {0.0f, 0.0f, pair.a->scale.y});
   Vec3f on_segment{}, on_box{};
-  Proximity local;  // in the frame of the box, from the capsule to the box
+  Proximity local;  // frame of the box, from capsule to box
   bool apart = !segment_meets_box(c - u, c + u, h);
   if (apart) {
     nearest_of_segment_and_box(c - u, c + u, h, on_segment, on_box);
@@ -129,7 +131,7 @@ NOVAPHY_OUT_OF_LINE Manifold collide_capsule_box(const ShapePair& pair, float ga
   }
   if (!apart) {
     const SolidPoint way = segment_out_of_box(c, u, h);
-    const Vec3f end = math::dot(way.normal, u) > 0.0f ? c - u : c + u;  // the deeper one
+    const Vec3f end = math::dot(way.normal, u) > 0.0f ? c - u : c + u;  // deeper end of the segment
     local = {-way.normal, way.distance - r, end - way.normal * r, end - way.normal * way.distance};
   }
   const Proximity proximity = {apply(pair.rotation, local.normal), local.distance,

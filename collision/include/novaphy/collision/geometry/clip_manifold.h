@@ -1,19 +1,19 @@
-// The manifold of two shapes with known normal, distance and nearest points: the supporting feature
-// of one is clipped against that of the other.
+// The contact manifold of two shapes with known normal, distance and nearest points. The supporting
+// feature of one shape is clipped against that of the other.
 //
-// The reference is the face that the normal is best aligned with, if within kFaceCosine. The other
-// feature, a face or an edge, is cut by the planes through the reference's edges (Sutherland,
-// Hodgman 1974). Each corner's distance is measured along the normal to the reference's plane. Two
-// nearly parallel edges (kParallelSine) are clipped likewise, by the planes through the ends of the
-// first. Everything else touches in one point.
+// The reference feature is the face that is best aligned with the normal, within kFaceCosine. The
+// other feature, a face or an edge, is clipped by the planes through the edges of the reference
+// (Sutherland, Hodgman 1974). The distance of each corner is measured along the normal to the plane
+// of the reference. Two nearly parallel edges (kParallelSine) are clipped by the planes through the
+// ends of the first. All other features touch in one point.
 //
-// No corner counts as deeper than the known distance. Where none is as deep (round rims, edges on
+// No corner counts as deeper than the known distance. If no corner is as deep (round rims, edges on
 // edges), the nearest points are added. The deepest point of the manifold therefore always has the
 // distance of the pair.
 //
-// The normal need not be a face's: it may be an edge axis that is a hair better than the face it
-// nearly lies along. The manifold is then still that of the faces, which keeps stacks steady.
-// Frame of A, m.
+// The normal may differ from that of the face: it may be an edge axis that is slightly better than
+// a nearly parallel face. The manifold is still that of the faces, which keeps stacks stable. Frame
+// of A, m.
 #pragma once
 
 #include "novaphy/collision/geometry/feature.h"
@@ -23,11 +23,12 @@ namespace novaphy::geometry {
 
 inline constexpr float kFaceCosine = 0.99863f;   // 3 deg
 inline constexpr float kParallelSine = 0.0349f;  // 2 deg
-inline constexpr float kFacePreference = 1e-4f;  // of the cosine: A's face among equals
-inline constexpr float kDeepestShare = 4e-6f;    // of the features' size: as deep as the distance
+inline constexpr float kFacePreference = 1e-4f;  // of the cosine: preference for the face of A
+inline constexpr float kDeepestShare = 4e-6f;    // of the features' size: tolerance of the deepest
+                                                 // point
 inline constexpr int32_t kClipCapacity = 2 * kFeatureCapacity;
 
-// Signed distance, normal from A to B and nearest points of a pair, of the surfaces.
+// The signed distance, the normal from A to B, and the nearest points of the surfaces of a pair.
 struct Proximity {
   Vec3f normal{};
   float distance{};
@@ -36,9 +37,10 @@ struct Proximity {
 
 struct ClippedFeature {
   Vec3f points[kClipCapacity];
-  int32_t codes[kClipCapacity];  // corner i: i; made by plane k: 16 + 2 k, + 1 where it enters
+  int32_t codes[kClipCapacity];  // corner i: i; point made by plane k: 16 + 2 k, + 1 where the
+                                 // outline enters
   int32_t count = 0;
-  bool open = false;  // an edge, not a polygon
+  bool open = false;  // whether the feature is an edge instead of a polygon
 };
 
 inline void add_clipped(ClippedFeature& out, const Vec3f& point, int32_t code) {
@@ -47,7 +49,7 @@ inline void add_clipped(ClippedFeature& out, const Vec3f& point, int32_t code) {
   out.codes[out.count++] = code;
 }
 
-// Keeps what has dot(normal, x) <= offset.
+// Keeps the part with dot(normal, x) <= offset.
 NOVAPHY_OUT_OF_LINE ClippedFeature clip_by_plane(const ClippedFeature& in, const Vec3f& normal,
                                                  float offset, int32_t plane) {
   ClippedFeature out;
@@ -96,14 +98,15 @@ inline ClippedFeature clip_to_edge(const Feature& edge, const Feature& incident)
   return clip_by_plane(clipped, -d, -math::dot(d, edge.points[0]), 0);
 }
 
-// The plane that corners are measured to: through a face, or through the edge nearest across n.
+// Returns the normal of the reference plane: the plane of the face, or the plane through the edge
+// whose normal is closest to n.
 inline Vec3f reference_normal(const Feature& reference, const Vec3f& n) {
   if (reference.count > 2) return reference.normal;
   const Vec3f d = math::normalize(reference.points[1] - reference.points[0]);
   return math::normalize(n - d * math::dot(n, d));
 }
 
-// Both are edges, nearly parallel and nearly across n.
+// Returns whether both features are edges that are nearly parallel and nearly perpendicular to n.
 inline bool edges_run_along(const Feature& a, const Feature& b, const Vec3f& n) {
   if (a.count != 2 || b.count != 2) return false;
   const Vec3f u = math::normalize(a.points[1] - a.points[0]);
@@ -112,7 +115,7 @@ inline bool edges_run_along(const Feature& a, const Feature& b, const Vec3f& n) 
          math::abs(math::dot(u, n)) < kParallelSine && math::abs(math::dot(v, n)) < kParallelSine;
 }
 
-// The features of both shapes that face each other along n.
+// Finds the features of both shapes that face each other along n.
 inline void facing_features(const ShapePair& pair, const Vec3f& n, Feature& a, Feature& b) {
   a = supporting_feature(*pair.a, n);
   b = supporting_feature(*pair.b, apply_transposed(pair.rotation, -n));
@@ -120,8 +123,8 @@ inline void facing_features(const ShapePair& pair, const Vec3f& n, Feature& a, F
   b.normal = apply(pair.rotation, b.normal);
 }
 
-// Adds what of one feature lies over the other, the reference (A's if a_leads), within the gap.
-// True if a point is as deep as the pair.
+// Adds the points of one feature that lie over the reference feature (A's if a_leads) and within
+// the gap. Returns whether a point is as deep as the pair.
 NOVAPHY_OUT_OF_LINE bool clip_features(const ShapePair& pair, const Proximity& proximity,
                                        const Feature& a, const Feature& b, bool a_leads, float gap,
                                        ContactCandidates& found) {
@@ -129,7 +132,7 @@ NOVAPHY_OUT_OF_LINE bool clip_features(const ShapePair& pair, const Proximity& p
   const Feature& incident = a_leads ? b : a;
   const ClippedFeature clipped =
       reference.count > 2 ? clip_to_face(reference, incident) : clip_to_edge(reference, incident);
-  // Seen from the reference, the incident shape lies along `away`.
+  // Direction from the reference to the other shape.
   const Vec3f away = a_leads ? proximity.normal : -proximity.normal;
   const Vec3f plane = reference_normal(reference, away);
   const float cosine = math::dot(plane, away);
@@ -143,14 +146,15 @@ NOVAPHY_OUT_OF_LINE bool clip_features(const ShapePair& pair, const Proximity& p
     const float distance = math::max(core - radius, proximity.distance);
     if (!(distance <= gap)) continue;
     as_deep = as_deep || distance <= proximity.distance + tolerance;
-    // The incident surface lies `shift` before its core; the middle half a distance further.
+    // The other surface lies `shift` before its core; the contact point lies half a distance
+    // further.
     add_contact(found, p - away * (shift + 0.5f * distance), distance,
                 contact_feature(a.face, b.face, clipped.codes[i]));
   }
   return as_deep;
 }
 
-// The points of two features with a distance of at most `gap`, not yet reduced.
+// Returns the points of two features with a distance of at most `gap`, before reduction.
 NOVAPHY_OUT_OF_LINE ContactCandidates clip_candidates(const ShapePair& pair,
                                                       const Proximity& proximity, const Feature& a,
                                                       const Feature& b, float gap) {

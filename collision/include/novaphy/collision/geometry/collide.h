@@ -1,4 +1,4 @@
-// The contacts of two convex shapes: which method serves which pair.
+// The contacts of two convex shapes, with a table of the method for each pair of types:
 //
 //              sphere    capsule   ellipsoid cylinder  box       cone      hull
 //   sphere     closed    closed    GJK/EPA   closed    closed    closed    GJK/EPA
@@ -6,8 +6,8 @@
 //   box                                                SAT, clip
 //   all others: GJK distance, EPA penetration, clipped features
 //
-// The shape with the smaller type is A within, so both orders of a pair of unlike types give the
-// same bits. A pair that holds a number that is not finite has no contacts.
+// Inside, shape A is the shape with the smaller type. Both orders of a pair of different types
+// therefore give the same bits. A pair with a number that is not finite has no contacts.
 #pragma once
 
 #include "novaphy/collision/geometry/box_box.h"
@@ -21,7 +21,7 @@ inline bool is_convex_type(GeoType type) {
          type == GeoType::CONVEX_MESH;
 }
 
-// type(a) <= type(b). Frame of A.
+// Requires type(a) <= type(b). Frame of A.
 inline Manifold collide_ordered(const ShapePair& pair, float gap) {
   const GeoType a = pair.a->type, b = pair.b->type;
   if (a == GeoType::SPHERE && has_closed_point_distance(b)) return collide_sphere(pair, gap);
@@ -31,7 +31,8 @@ inline Manifold collide_ordered(const ShapePair& pair, float gap) {
   return collide_convex(pair, gap);
 }
 
-// Points with a distance of at most `gap` (m), in the world, with the normal from a to b.
+// Returns the points with a distance of at most `gap` (m) in the world frame, with the normal from
+// a to b.
 inline Manifold collide(const Shape& a, const Transformf& pose_a, const Shape& b,
                         const Transformf& pose_b, float gap) {
   if (!is_convex_type(a.type) || !is_convex_type(b.type)) return {};

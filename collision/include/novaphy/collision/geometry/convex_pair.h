@@ -1,5 +1,5 @@
-// Any two convex shapes: distance by GJK, penetration by EPA, manifold by clipping. Closed forms
-// (collide.h) are used where there are some. Frame of A, m.
+// The general pair of convex shapes: distance by GJK, penetration by EPA, manifold by clipping.
+// collide.h uses closed forms where they exist. Frame of A, m.
 #pragma once
 
 #include "novaphy/collision/geometry/clip_manifold.h"
@@ -7,7 +7,8 @@
 
 namespace novaphy::geometry {
 
-// Distances above `limit` come back as some lower bound of them, which is above `limit` too.
+// Returns the proximity of a pair. For a distance above `limit`, the result is a lower bound of the
+// distance that is also above `limit`.
 NOVAPHY_OUT_OF_LINE Proximity convex_proximity(const ShapePair& pair, float limit) {
   const float ra = core_radius(*pair.a), rb = core_radius(*pair.b);
   GjkResult gjk_result = gjk(pair, (limit + ra) + rb);

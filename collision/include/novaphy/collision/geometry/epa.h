@@ -1,18 +1,18 @@
 // The penetration of two convex cores (shape.h) that touch or overlap: EPA on A - B.
 //
-// A polytope of support points grows inside the Minkowski difference. The face nearest to the
-// origin gives a lower bound of the depth. The support point along its normal n gives the upper
-// bound h(n): A and B part when they are moved by h(n) along n. The smallest h(n) seen is the
-// answer, so depth and normal belong together however the growth ends. The growth ends when both
-// bounds meet within kEpaTolerance of the size of the difference, by a full workspace, or by
-// rounding.
+// A polytope of support points grows inside of the Minkowski difference. The face nearest to the
+// origin gives a lower bound of the depth. The support point along its normal n gives an upper
+// bound h(n): A and B separate when they move apart by h(n) along n. The result is the smallest
+// h(n) seen, so depth and normal always belong together. The growth ends when both bounds agree
+// within kEpaTolerance of the size of the difference, when the workspace is full, or when rounding
+// stops it.
 //
-// Distances of faces are signed. The polytope itself turns faces outward, not the origin, which may
-// lie on the surface or just outside (kissing contact, depth 0 or < 0).
-// Source: van den Bergen, Proximity Queries and Penetration Depth Computation on 3D Game Objects
-// (2001).
+// Distances of faces are signed. The polytope itself orients its faces, not the origin, which may
+// lie on the surface or just outside (touching contact, depth 0 or < 0). Source: van den Bergen,
+// Proximity Queries and Penetration Depth Computation on 3D Game Objects (2001).
 //
-// A difference without volume (crossing segments) parts along the normal of its plane. Frame of A.
+// For a difference without volume (crossing segments), the cores separate along the normal of its
+// plane. Frame of A.
 #pragma once
 
 #include "novaphy/collision/geometry/gjk.h"
@@ -21,21 +21,22 @@ namespace novaphy::geometry {
 
 inline constexpr int32_t kEpaVertices = 96;
 inline constexpr int32_t kEpaFaces = 2 * kEpaVertices;
-inline constexpr int32_t kEpaEdges = 64;       // of the hole that a new vertex makes
+inline constexpr int32_t kEpaEdges = 64;       // edges of the hole for a new vertex
 inline constexpr float kEpaTolerance = 5e-7f;  // of the size
-inline constexpr float kEpaFlat = 1e-6f;       // height of a tetrahedron, of the size
+inline constexpr float kEpaFlat = 1e-6f;       // of the size: smallest height of a tetrahedron
 inline constexpr float kNoFace = 3.0e38f;
 
 struct Penetration {
   Vec3f normal{1.0f, 0.0f, 0.0f};  // unit, from A to B
-  float depth = kNoFace;           // m: of the cores
+  float depth = kNoFace;           // m, of the cores
   Vec3f on_a{}, on_b{};
 };
 
 struct EpaFace {
   int32_t v[3];
   Vec3f normal;
-  float offset;  // of the plane from the origin along the normal; kNoFace: without area
+  float offset;  // distance of the plane from the origin along the normal; kNoFace: a face without
+                 // area
 };
 struct EpaPolytope {
   SupportPoint vertex[kEpaVertices];
@@ -59,7 +60,7 @@ inline void add_face(EpaPolytope& poly, int32_t i, int32_t j, int32_t k) {
   f.offset = math::dot(n, n) > 0.0f ? math::dot(f.normal, a) : kNoFace;
 }
 
-// An edge that two faces of the hole share is inside it.
+// Adds an edge of the hole. An edge that two removed faces share is inside of the hole and cancels.
 inline void toggle_edge(EpaEdges& edges, int32_t from, int32_t to) {
   for (int32_t i = 0; i < edges.count; ++i)
     if (edges.from[i] == to && edges.to[i] == from) {
@@ -76,7 +77,7 @@ inline void toggle_edge(EpaEdges& edges, int32_t from, int32_t to) {
   edges.to[edges.count++] = to;
 }
 
-// The points of A and B that the origin's foot on a face stands for.
+// Sets the points of A and B for the projection of the origin on a face.
 inline void set_witness(Penetration& best, const EpaPolytope& poly, const EpaFace& face) {
   Simplex s;
   s.count = 3;
@@ -93,7 +94,8 @@ inline void set_witness(Penetration& best, const EpaPolytope& poly, const EpaFac
   }
 }
 
-// Asks a direction: keeps it if the cores part sooner along it than along the best so far.
+// Tests a direction. Keeps it if the cores separate by a shorter distance along it than along the
+// best one so far.
 inline SupportPoint ask_direction(const ShapePair& pair, const Vec3f& n, Penetration& best,
                                   bool& better) {
   const SupportPoint p = support_point(pair, n);
@@ -108,8 +110,8 @@ inline SupportPoint ask_direction(const ShapePair& pair, const Vec3f& n, Penetra
   return p;
 }
 
-// Grows a simplex to a tetrahedron with volume. False if there is none: `best` then holds the
-// direction across the flat difference.
+// Grows a simplex to a tetrahedron with volume. Returns false if the difference is flat; `best`
+// then has the direction across the flat difference.
 NOVAPHY_OUT_OF_LINE bool grow_tetrahedron(const ShapePair& pair, Simplex& s, float& size,
                                           Penetration& best) {
   bool better = false;
@@ -122,7 +124,7 @@ NOVAPHY_OUT_OF_LINE bool grow_tetrahedron(const ShapePair& pair, Simplex& s, flo
     return math::abs(distance(p.w)) > kEpaFlat * size;
   };
   for (int32_t i = 0; i < s.count; ++i) size = math::max(size, math::length(s.p[i].w));
-  if (s.count == 4) {  // from GJK: may be flat
+  if (s.count == 4) {  // the tetrahedron of GJK may be flat
     const Vec3f a = s.p[0].w;
     const Vec3f n = math::normalize(math::cross(s.p[1].w - a, s.p[2].w - a));
     if (math::abs(math::dot(n, s.p[3].w - a)) > kEpaFlat * size) return true;
@@ -141,7 +143,7 @@ NOVAPHY_OUT_OF_LINE bool grow_tetrahedron(const ShapePair& pair, Simplex& s, flo
       s.count = 1;
       found = farthest(unit_axis(i, 1.0f), [&](const Vec3f& w) { return math::length(w - a); });
     }
-    if (!found) {  // all of the difference is one point
+    if (!found) {  // the difference is a single point
       ask_direction(pair, {1.0f, 0.0f, 0.0f}, best, better);
       return false;
     }
@@ -151,7 +153,7 @@ NOVAPHY_OUT_OF_LINE bool grow_tetrahedron(const ShapePair& pair, Simplex& s, flo
     auto off_line = [&](const Vec3f& w) { return math::length(math::cross(w - a, d)); };
     if (!farthest(u, off_line)) {
       s.count = 2;
-      if (!farthest(math::cross(d, u), off_line)) {  // a line
+      if (!farthest(math::cross(d, u), off_line)) {  // the difference is a line
         ask_direction(pair, u, best, better);
         return false;
       }
@@ -171,7 +173,7 @@ inline void start_polytope(EpaPolytope& poly, const Simplex& s) {
   poly.vertex_count = 4;
   const Vec3f a = s.p[0].w;
   const Vec3f n = math::cross(s.p[1].w - a, s.p[2].w - a);
-  const bool below = math::dot(n, s.p[3].w - a) < 0.0f;  // p[3] is on the inner side of 0 1 2
+  const bool below = math::dot(n, s.p[3].w - a) < 0.0f;  // p[3] is on the inner side of face 0 1 2
   const int32_t j = below ? 1 : 2, k = below ? 2 : 1;
   add_face(poly, 0, j, k);
   add_face(poly, 0, k, 3);
@@ -179,8 +181,8 @@ inline void start_polytope(EpaPolytope& poly, const Simplex& s) {
   add_face(poly, j, 0, 3);
 }
 
-// Puts a vertex outside of the face `from`: all faces that see it give way. False if there is no
-// room.
+// Adds a vertex outside of the face `from` and removes all faces that the vertex sees. Returns
+// false if the workspace is full.
 NOVAPHY_OUT_OF_LINE bool add_vertex(EpaPolytope& poly, const SupportPoint& p, int32_t from,
                                     float tolerance) {
   EpaEdges edges;

@@ -1,14 +1,14 @@
 // The feature of a shape in a direction: a face, an edge or a point of its core (shape.h).
 //
 // A face is a convex polygon, counter-clockwise seen from outside, with its normal. The caps of
-// cylinder and cone are polygons of 8 rim points. The points are fixed in the shape's frame, so
-// that a resting manifold does not turn with rounding. Generators of cylinder and cone, and the
-// segment of a capsule, are edges. A face of a hull with more than 16 corners gives every k-th of
-// them.
+// cylinder and cone are polygons with 8 rim points. The points are fixed in the shape's frame, so
+// that a resting manifold does not rotate by rounding. The generators of cylinder and cone and the
+// segment of a capsule are edges. For a hull face with more than 16 corners, every k-th corner is
+// taken.
 //
-// `face` is the number of the face within the shape. Faces of a box have 2 axis + (0: negative
-// side, 1: positive), caps 0 and 1, faces of a hull their index, and other shapes 0. Frame of the
-// shape.
+// `face` is the number of the face in the shape. Faces of a box have the number 2 axis + (0:
+// negative side, 1: positive side). Caps have 0 and 1, faces of a hull their index, and other
+// shapes 0. Frame of the shape.
 #pragma once
 
 #include "novaphy/collision/geometry/support.h"
@@ -16,11 +16,12 @@
 namespace novaphy::geometry {
 
 inline constexpr int32_t kFeatureCapacity = 16;
-inline constexpr float kCapCosine = 0.92388f;  // cos 22.5 deg: nearer to the axis is the cap
+inline constexpr float kCapCosine = 0.92388f;  // cos 22.5 deg: directions closer to the axis select
+                                               // the cap
 
 struct Feature {
   Vec3f points[kFeatureCapacity];
-  Vec3f normal{};     // of a face
+  Vec3f normal{};     // for a face
   int32_t count = 0;  // 1: a point, 2: an edge, else a face
   int32_t face = 0;
 };

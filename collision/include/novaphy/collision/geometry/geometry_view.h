@@ -1,5 +1,6 @@
-// The geometry of a shape beyond its type and scale: the tables of a hull or mesh, scaled, and the
-// box that holds it. Frame of the shape, m. Made on the host (collision/src/ shape_geometries.h).
+// The geometry of a shape beyond its type and scale: the scaled tables of a hull or mesh, and the
+// bounding box. Frame of the shape, m. The host makes the tables
+// (collision/src/shape_geometries.h).
 #pragma once
 
 #include "novaphy/collision/geometry/mesh_view.h"
@@ -7,8 +8,8 @@
 namespace novaphy::geometry {
 
 struct GeometryView {
-  HullView hull;  // of a CONVEX_MESH
-  MeshView mesh;  // of a MESH
+  HullView hull;  // for CONVEX_MESH
+  MeshView mesh;  // for MESH
   Box3 box;
 };
 

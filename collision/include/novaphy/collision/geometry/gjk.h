@@ -1,17 +1,17 @@
 // The distance of two separate convex cores (shape.h): GJK on the Minkowski difference A - B.
 //
-// The point v of the current simplex is nearest to the origin. Each iteration adds the support
-// point in -v and cuts the simplex to the face that holds the new v. For n = -v/|v| the support
-// point w gives -w.n <= distance <= |v|. The largest lower bound seen is the answer, with its n. A
-// distance along a direction is never more than the true distance.
+// The point v of the current simplex is the nearest to the origin. Each iteration adds the support
+// point in direction -v and reduces the simplex to the face with the new v. For n = -v/|v| the
+// support point w gives the bounds -w.n <= distance <= |v|. The result is the largest lower bound
+// seen, with its n. The separation along a direction never exceeds the true distance.
 //
 // Source: Gilbert, Johnson, Keerthi (1988); termination as in van den Bergen, Collision Detection
-// in Interactive 3D Environments (2003), 4.3. The nearest point of a triangle comes from its normal
-// (not from differences of products of edges), which keeps its relative accuracy for thin ones.
+// in Interactive 3D Environments (2003), 4.3. The nearest point of a triangle is computed from its
+// normal, which is accurate for thin triangles; differences of products of edges are not.
 //
-// Ends in kGjkIterations, or when nothing is gained. Within kTouchingDistance of the size of the
-// simplex the cores count as touching: the direction of v is rounding there, and EPA (epa.h)
-// decides. Frame of A, m.
+// The iteration ends after kGjkIterations, or without progress. Below kTouchingDistance of the size
+// of the simplex the cores count as touching. The direction of v is dominated by rounding there,
+// and EPA (epa.h) decides. Frame of A, m.
 #pragma once
 
 #include "novaphy/collision/geometry/support.h"
@@ -19,25 +19,27 @@
 namespace novaphy::geometry {
 
 inline constexpr int32_t kGjkIterations = 64;
-inline constexpr float kGjkTolerance = 1e-6f;      // of the distance: upper less lower bound
+inline constexpr float kGjkTolerance = 1e-6f;      // of the distance: difference of the bounds
 inline constexpr float kTouchingDistance = 2e-6f;  // of the simplex' size
 
 struct Simplex {
   SupportPoint p[4];
-  float weight[4];  // of the nearest point; they sum to 1
+  float weight[4];  // barycentric weights of the nearest point; they sum to 1
   int32_t count = 0;
 };
 
-enum class GjkStatus : int32_t { SEPARATE, BEYOND, TOUCHING };  // BEYOND: more than was asked for
+// BEYOND: the distance exceeds the limit
+enum class GjkStatus : int32_t { SEPARATE, BEYOND, TOUCHING };
 struct GjkResult {
   GjkStatus status = GjkStatus::SEPARATE;
   Vec3f normal{};  // unit, from A to B
   float distance{};
   Vec3f on_a{}, on_b{};
-  Simplex simplex;  // what EPA starts from
+  Simplex simplex;  // the start of EPA
 };
 
-// The point of the segment p[0] p[1] nearest to the origin: cuts the simplex to what holds it.
+// Finds the point of the segment p[0] p[1] nearest to the origin, and reduces the simplex to its
+// feature.
 inline void nearest_of_segment(Simplex& s) {
   const Vec3f a = s.p[0].w, ab = s.p[1].w - a;
   const float square = math::dot(ab, ab), t = -math::dot(a, ab);
@@ -55,7 +57,7 @@ inline void nearest_of_segment(Simplex& s) {
 }
 
 inline Vec3f nearest_point(const Simplex& s) {
-  // The plane of a triangle is known better than the sum of its weighted corners.
+  // For a triangle, the plane gives a more accurate point than the weighted sum of corners.
   if (s.count == 3) {
     const Vec3f n = math::cross(s.p[1].w - s.p[0].w, s.p[2].w - s.p[0].w);
     const float square = math::dot(n, n);
@@ -104,8 +106,8 @@ inline void nearest_of_triangle(Simplex& s) {
   s = best;
 }
 
-// True if the tetrahedron holds the origin; else s becomes its nearest face, edge or corner. A flat
-// tetrahedron has no inside: all its faces are asked.
+// Returns whether the tetrahedron contains the origin; otherwise reduces s to the nearest face,
+// edge or corner. A flat tetrahedron has no inside, so all its faces are tested.
 inline bool nearest_of_tetrahedron(Simplex& s) {
   Simplex best;
   float best_square = -1.0f;
@@ -125,7 +127,8 @@ inline bool nearest_of_tetrahedron(Simplex& s) {
   return !outside;
 }
 
-// True if the simplex holds the origin.
+// Reduces the simplex to the feature nearest to the origin. Returns whether the simplex contains
+// the origin.
 NOVAPHY_OUT_OF_LINE bool cut_to_nearest(Simplex& s) {
   if (s.count == 1) s.weight[0] = 1.0f;
   if (s.count == 2) nearest_of_segment(s);
@@ -139,7 +142,7 @@ inline bool has_vertex(const Simplex& s, const Vec3f& w) {
   return false;
 }
 
-// Distances above `limit` are not looked at more closely.
+// Computes the distance of a pair. Distances above `limit` are not refined.
 NOVAPHY_OUT_OF_LINE GjkResult gjk(const ShapePair& pair, float limit) {
   GjkResult result;
   Simplex& s = result.simplex;
@@ -176,13 +179,13 @@ NOVAPHY_OUT_OF_LINE GjkResult gjk(const ShapePair& pair, float limit) {
       return result;
     }
     const Vec3f next = nearest_point(s);
-    if (!(math::dot(next, next) < upper * upper)) {  // rounding: nothing is gained any more
+    if (!(math::dot(next, next) < upper * upper)) {  // rounding: no progress
       s = before;
       break;
     }
     v = next;
   }
-  // Without a direction that separates, rounding has hidden an overlap.
+  // Without a separating direction, rounding has hidden an overlap.
   if (!(best > 0.0f)) result.status = GjkStatus::TOUCHING;
   result.distance = best;
   for (int32_t i = 0; i < s.count; ++i) {

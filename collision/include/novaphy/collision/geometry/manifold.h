@@ -1,29 +1,31 @@
-// The contact points of a pair of shapes: at most 8, with one normal.
+// The contact points of a pair of shapes: at most 8 points with a common normal.
 //
-// Frame: that of shape A within collide.h, else the world. `normal` is a unit vector
-// from A to B. A point lies midway between the two surfaces; `distance` (m) is signed along the
-// normal, < 0 where the shapes overlap, and the surface points are
+// Frame: that of shape A inside of collide.h, else the world. `normal` is a unit vector from A to
+// B. A point lies midway between the two surfaces. `distance` (m) is signed along the normal, < 0
+// for an overlap. The surface points are
 //   on A: position - normal (distance / 2),    on B: position + normal (distance / 2).
-// `feature` names the features of A and B that meet (contact_feature). The name is unique within a
-// manifold and stays while the same features touch, so contacts can be followed from step to step.
-// The function collide() sorts points by it, so that nothing depends on the order in which they
-// were found. Points of planes keep the order of plane_pairs.h.
+// `feature` identifies the touching features of A and B (contact_feature). It is unique in a
+// manifold and stays the same while the same features touch, so contacts can be matched between
+// steps. collide() sorts points by feature, so the result does not depend on the order of
+// discovery. Points of planes keep the order of plane_pairs.h.
 //
-// Reduction (reduce_contacts) takes points in this order: the deepest point, the farthest from it,
-// the largest triangle, and the largest triangle on the other side of the longest edge. Each
-// further point is the farthest from the points taken. Ties go to the smaller feature.
+// Reduction (reduce_contacts) selects points in this order: the deepest point, the point farthest
+// from it, the point with the largest triangle, and the point with the largest triangle on the
+// other side of the longest edge. Each further point is the farthest from the selected points. Ties
+// go to the smaller feature.
 #pragma once
 
 #include "novaphy/math/types.h"
 
-// Compilers of devices put everything inline: the large functions stay functions, which cuts the
-// time they take over a kernel of all pairs by seven.
+// Device compilers inline everything by default. Keeping the large functions out of line makes the
+// compilation of a kernel for all pairs seven times faster.
 #define NOVAPHY_OUT_OF_LINE __attribute__((noinline)) inline
 
 namespace novaphy::geometry {
 
 inline constexpr int32_t kManifoldCapacity = 8;
-inline constexpr int32_t kCandidateCapacity = 40;  // what clipping and a witness point can yield
+inline constexpr int32_t kCandidateCapacity = 40;  // largest number of points from clipping plus a
+                                                   // nearest point
 
 struct ContactPoint {
   Vec3f position{};      // m
@@ -40,13 +42,14 @@ struct ContactSet {
 using Manifold = ContactSet<kManifoldCapacity>;
 using ContactCandidates = ContactSet<kCandidateCapacity>;
 
-// Face of A, face (or edge, or 0) of B, and a code of the point within them: 11, 11 and 7 bits.
+// Packs a feature: face of A, face (or edge, or 0) of B, and a code of the point, in 11, 11 and 7
+// bits.
 inline constexpr int32_t kWitnessCode = 127;
 inline int32_t contact_feature(int32_t face_a, int32_t face_b, int32_t code) {
   return ((face_a & 2047) << 18) | ((face_b & 2047) << 7) | code;
 }
 
-// Adds a point where there is room; a full set stays as it is.
+// Adds a point unless the set is full.
 template <int32_t Capacity>
 void add_contact(ContactSet<Capacity>& set, const Vec3f& position, float distance,
                  int32_t feature) {
@@ -54,7 +57,7 @@ void add_contact(ContactSet<Capacity>& set, const Vec3f& position, float distanc
 }
 
 template <int32_t Capacity>
-void sort_contacts(ContactSet<Capacity>& set) {  // by feature
+void sort_contacts(ContactSet<Capacity>& set) {  // sorts by feature
   for (int32_t i = 1; i < set.count; ++i) {
     const ContactPoint point = set.points[i];
     int32_t j = i;
@@ -64,13 +67,13 @@ void sort_contacts(ContactSet<Capacity>& set) {  // by feature
   }
 }
 
-// The set with A and B exchanged, still in the frame of the same shape.
+// Returns the set with A and B exchanged, in the unchanged frame.
 template <int32_t Capacity>
 ContactSet<Capacity> exchanged(ContactSet<Capacity> set) {
   set.normal = -set.normal;
   return set;
 }
-// The set in the frame in which the shape's pose is `pose`.
+// Returns the set in an outer frame; `pose` is the pose of its present frame.
 template <int32_t Capacity>
 ContactSet<Capacity> in_frame(ContactSet<Capacity> set, const Transformf& pose) {
   set.normal = math::rotate(pose.q, set.normal);
@@ -79,9 +82,10 @@ ContactSet<Capacity> in_frame(ContactSet<Capacity> set, const Transformf& pose) 
   return set;
 }
 
-// Takes up to `limit` (at most 8) points of a set by the rule above: set.point(i) of set.size()
-// points in the order that breaks ties, set.open(i) while one may be taken, set.take(i). Stops at
-// points that are within `least` (m) of one that is taken.
+// Selects up to `limit` (at most 8) points of a set by the rule above. set.point(i), for i <
+// set.size(), are the points in the order that breaks ties. set.open(i) says whether a point may be
+// selected, and set.take(i) selects it. The selection ends at points within `least` (m) of a
+// selected point.
 template <class Set>
 void take_extremes(Set& set, const Vec3f& n, int32_t limit, float least) {
   Vec3f corner[kManifoldCapacity];
@@ -102,7 +106,7 @@ void take_extremes(Set& set, const Vec3f& n, int32_t limit, float least) {
     return true;
   };
   auto square = [](const Vec3f& d) { return math::dot(d, d); };
-  // Twice the signed area of the triangle on the first edge, seen along the normal.
+  // Twice the signed area of the triangle with the first edge, seen along the normal.
   auto area = [&](const Vec3f& p) {
     return math::dot(n, math::cross(corner[1] - corner[0], p - corner[0]));
   };
@@ -130,11 +134,11 @@ void take_extremes(Set& set, const Vec3f& n, int32_t limit, float least) {
   }
 }
 
-// At most `limit` (1 .. Kept) of the points, sorted by feature.
+// Returns at most `limit` (1 .. Kept) of the points, sorted by feature.
 template <int32_t Kept, int32_t Capacity>
 __attribute__((noinline)) ContactSet<Kept> reduce_contacts(const ContactSet<Capacity>& found,
                                                            int32_t limit = Kept) {
-  ContactSet<Capacity> set = found;  // no parameter by value: docs/design/0023
+  ContactSet<Capacity> set = found;  // parameters are not passed by value: docs/design/0023
   sort_contacts(set);
   struct Points {
     const ContactSet<Capacity>& set;

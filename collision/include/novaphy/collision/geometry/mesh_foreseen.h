@@ -1,16 +1,17 @@
-// Facts about a triangle of a mesh and a convex shape B that need no GJK: they have no contact, or
-// B faces the triangle.
+// A cheap test of a mesh triangle and a convex shape B that avoids GJK. It detects pairs without a
+// contact, and pairs in which B faces the triangle.
 //
-// The core of B is a box about its own origin: a box itself, the segment of a capsule or the point
-// of a sphere. The way w leads from a point of the triangle to the nearest point of the core. Each
-// coordinate of w is a monotone function of that of the point, in the frame of B. The ways of the
-// corners thus bound w for the whole triangle. The normal of the pair is w / |w| for one of them.
+// The core of B must be a box about its own origin: a box, the segment of a capsule, or the center
+// of a sphere. Let w be the vector from a point of the triangle to the nearest point of the core.
+// In the frame of B, each coordinate of w is a monotone function of the same coordinate of the
+// point. The vectors w of the corners therefore bound w for the whole triangle. The normal of the
+// pair is w / |w| for one point.
 //
-// collide_triangle (mesh_triangle.h) adds nothing where the shapes are farther apart than the gap.
-// Where they are apart, a normal that is not that of the face and does not stand adds nothing
-// either. The normal stands nowhere if the mesh rises above the plane across every w. The corners
-// and edges that may be the farthest along w are asked. Tolerances allow for the rounding of GJK,
-// which answers where there is a doubt. Frame of B, m.
+// collide_triangle (mesh_triangle.h) adds no contact if the shapes are farther apart than the gap.
+// For separate shapes it also adds none if the normal is neither that of the face nor valid for the
+// surface (normal_stands). No normal is valid if the mesh rises above the plane perpendicular to
+// every w. The test checks the corners and edges that may be the farthest along w. Tolerances cover
+// the rounding of GJK, which decides doubtful cases. Frame of B, m.
 #pragma once
 
 #include "novaphy/collision/geometry/clip_manifold.h"
@@ -18,13 +19,14 @@
 
 namespace novaphy::geometry {
 
-inline constexpr float kForeseenEdge = 4.0f;    // of the gap: longer edges are not worth it
-inline constexpr float kSurelyRises = 0.008f;   // sine: more than kLeanSine by what a normal is off
-inline constexpr float kSurelyTilted = 0.056f;  // sine: that of kFaceCosine is 0.0523
-inline constexpr float kSurelyFacing = 0.048f;  // likewise
+inline constexpr float kForeseenEdge = 4.0f;    // of the gap: the test does not pay off for longer
+                                                // edges
+inline constexpr float kSurelyRises = 0.008f;   // sine: kLeanSine plus the error of a normal
+inline constexpr float kSurelyTilted = 0.056f;  // sine: above that of kFaceCosine, 0.0523
+inline constexpr float kSurelyFacing = 0.048f;  // sine: below that of kFaceCosine
 inline constexpr float kSurelyApart = 1e-3f;    // of the sizes
 
-// False: the core of the shape is no box.
+// Finds the half extents of the core box. Returns false if the core is not a box.
 inline bool core_box(const Shape& b, Vec3f& half) {
   half = {};
   if (b.type == GeoType::BOX) half = b.scale;
@@ -32,7 +34,7 @@ inline bool core_box(const Shape& b, Vec3f& half) {
   return b.type == GeoType::BOX || b.type == GeoType::CAPSULE || b.type == GeoType::SPHERE;
 }
 
-// The ways w from a triangle, between `lo` and `hi`, and their lengths.
+// Bounds of w over a triangle, and of its length.
 struct Ways {
   Vec3f lo{}, hi{};
   float least = 0.0f, most = 0.0f;
@@ -60,18 +62,19 @@ inline Ways ways_from(const Vec3f* corners, const Vec3f& half) {
   w.most = math::sqrt(w.most);
   return w;
 }
-// The least of w . d.
+// Returns the smallest possible w . d.
 inline float least_along(const Ways& w, const Vec3f& d) {
   return (d.x * (d.x > 0.0f ? w.lo.x : w.hi.x) + d.y * (d.y > 0.0f ? w.lo.y : w.hi.y)) +
          d.z * (d.z > 0.0f ? w.lo.z : w.hi.z);
 }
-// Whether what lies at d, of this length, is above the plane across every w.
+// Returns whether a point at d (with the given length) lies above the plane perpendicular to every
+// w.
 inline bool rises(const Ways& w, const Vec3f& d, float length) {
   return least_along(w, d) > kSurelyRises * length * w.most;
 }
 
-// Whether the mesh rises at every corner and over every edge that may be the farthest along a w.
-// `corners` are those of the triangle in the frame of B.
+// Returns whether the mesh rises at every corner and over every edge that may be the farthest along
+// a w. `corners` are the triangle's corners in the frame of B.
 inline bool rises_beyond(const MeshView& mesh, int32_t triangle, const ShapePair& pair,
                          const Vec3f* corners, const Ways& w) {
   const Vec3i t = mesh.triangles[triangle], all = mesh.across[triangle];
@@ -87,7 +90,7 @@ inline bool rises_beyond(const MeshView& mesh, int32_t triangle, const ShapePair
   };
   for (int32_t k = 0; k < 3; ++k) {
     const int32_t i = (k + 1) % 3, j = (k + 2) % 3;
-    // The edge from i to j; beyond it across[k].
+    // The edge from i to j, with the opposite vertex across[k].
     if (!below(i, k) && !below(j, k) && !below(i, j) && !below(j, i)) {
       if (across[k] == kMeshBorder) return false;
       if (across[k] >= 0) {
@@ -108,12 +111,11 @@ inline bool rises_beyond(const MeshView& mesh, int32_t triangle, const ShapePair
 }
 
 struct Foreseen {
-  bool no_contact = false;  // collide_triangle adds nothing
-  // m. Above 0, GJK would find a distance of at least this, within the gap, along a normal that is
-  // that of the face.
+  bool no_contact = false;  // collide_triangle adds no contact
+  // m. Above 0: GJK would find at least this distance, within the gap, with the normal of the face.
   float facing = 0.0f;
 };
-// `half`: that of core_box.
+// `half`: from core_box.
 NOVAPHY_OUT_OF_LINE Foreseen foresee(const MeshView& mesh, int32_t triangle, const ShapePair& pair,
                                      const Vec3f& half, float gap) {
   Foreseen known;

@@ -1,24 +1,24 @@
-// Two triangle meshes, concave ones too: the contacts of A with B before their reduction, which is
-// that of mesh_pair.h. Two kinds, as of any two polyhedra:
+// Contacts of two triangle meshes, convex or not, before the reduction of mesh_pair.h. As for any
+// two polyhedra, two kinds exist:
 //
 // Vertices of each mesh on the other (vertices_on_mesh). Outside, the normal is that of the nearest
 // point (point_to_mesh). Inside, the normal is that of the nearest face over the vertex. In a
-// hollow edge or corner, all faces are beside the vertex; two or three of them give a normal, each
-// with the distance to its plane (faces_over).
+// concave edge or corner no face lies over the vertex. Two or three neighboring faces then give a
+// normal each, with the distance to its plane (faces_over).
 //
-// A normal counts only if the vertex stands on it: no neighbor of the vertex lies farther along the
-// inward normal than kStandSine of the way there. A mesh that is flush with a side is therefore not
-// pushed off that side.
+// A normal is valid only if the mesh at the vertex lies on its side: no neighbor of the vertex lies
+// farther along the inward normal than kStandSine of the distance to the neighbor. A mesh that is
+// flush with a side is therefore not pushed off that side.
 //
-// Edges on edges (edges_on_edges) are those of the border and of convex places of the mesh. The
-// normal is across both, and must lie in the cones of both. Where they overlap each point must lie
-// in or on the other mesh. Several directions may meet at one place: the direction with the
-// shortest way out counts (drop_long_ways).
+// Edges on edges (edges_on_edges), for border edges and convex edges. The normal is perpendicular
+// to both edges and must lie in the normal cones of both. For an overlap each point must lie in or
+// on the other mesh. Among several directions at one place, the shortest way out is kept
+// (drop_long_ways).
 //
-// Sides are those of point_to_mesh: a closed mesh has an inside, an open one a side behind its
-// triangles. A part that lies deep in a closed mesh is pushed out by its vertices. Every loop is
-// over vertices, edges or nodes of a tree: the time is bounded, and results are in their order.
-// Frame of A, m.
+// Inside and outside are those of point_to_mesh: a closed mesh has an inside, and an open mesh a
+// side behind its triangles. The vertices push a part that is deep in a closed mesh out. Every loop
+// runs over vertices, edges or tree nodes. The time is therefore bounded, and the order of the
+// results is fixed. Frame of A, m.
 #pragma once
 
 #include "novaphy/collision/geometry/mesh_pair.h"
@@ -27,18 +27,19 @@
 namespace novaphy::geometry {
 
 inline constexpr float kStandSine = 0.3f;      // about 17 deg
-inline constexpr float kMeshTouch = 1e-5f;     // of the size: on the surface
-inline constexpr float kOverFace = 1e-4f;      // of an edge: beside a face and yet over it
-inline constexpr float kBeside = 0.01f;        // of the size: beside a face in a hollow
-inline constexpr float kCrossingSine = 1e-2f;  // edges that are less turned are parallel
+inline constexpr float kMeshTouch = 1e-5f;     // of the size: counts as on the surface
+inline constexpr float kOverFace = 1e-4f;      // of an edge: beside a face by this much counts as
+                                               // over it
+inline constexpr float kBeside = 0.01f;        // of the size: beside a face in a concave edge
+inline constexpr float kCrossingSine = 1e-2f;  // edges closer to parallel have no contact
 inline constexpr float kMeshNear = 0.1f;       // of the size: mesh_reach
-inline constexpr int32_t kEdgeFeature = 16;    // and above: contacts of edges
-inline constexpr int32_t kVertexKinds = 8;     // features of a vertex of B; of A they follow
+inline constexpr int32_t kEdgeFeature = 16;    // features from here on are contacts of edges
+inline constexpr int32_t kVertexKinds = 8;     // features per vertex of B; those of A follow
 inline constexpr float kFarDeeper = 10.0f;
 
-// Contacts that are farther than the gap or a tenth of the smaller mesh beyond the margins are not
-// looked for. Nor are edges that are farther apart or overlap by more, or by more than the longest
-// edge of both: there vertices tell.
+// Search distances. Contacts that are farther apart than the gap, or than a tenth of the smaller
+// mesh beyond the margins, are not searched. Pairs of edges have a smaller limit: the same
+// distance, also for overlaps, and the longest edge of both. Vertices cover the rest.
 struct MeshReach {
   float size, gap, edges;  // m
 };
@@ -52,13 +53,13 @@ inline MeshReach mesh_reach(const GeometryView& a, const GeometryView& b, float 
   return reach;
 }
 
-// A mesh in the frame of another.
+// A mesh with its pose in the frame of the other mesh.
 struct PlacedMesh {
   const MeshView* mesh;
   Transformf pose;
 
   Vec3f at(int32_t vertex) const { return math::transform_point(pose, mesh->vertices[vertex]); }
-  // Whether the mesh about the vertex x lies on the side of n.
+  // Returns whether the mesh around the vertex lies on the side of n.
   bool stands(int32_t vertex, const Vec3f& n) const {
     const Vec3f along = math::rotate_inverse(pose.q, n), x = mesh->vertices[vertex];
     for (int32_t i = mesh->ring_starts[vertex]; i < mesh->ring_starts[vertex + 1]; ++i) {
@@ -69,22 +70,23 @@ struct PlacedMesh {
   }
 };
 
-// 1 to 6, the same while a normal turns little: it tells contacts of one vertex apart.
+// Returns a number from 1 to 6 for the dominant axis of n. It stays the same for small rotations,
+// and distinguishes contacts of one vertex.
 inline int32_t side_of_normal(const Vec3f& n) {
   const float x = math::abs(n.x), y = math::abs(n.y), z = math::abs(n.z);
   const int32_t axis = x >= y && x >= z ? 0 : y >= z ? 1 : 2;
   return 1 + 2 * axis + (component(n, axis) < 0.0f ? 0 : 1);
 }
 
-// The faces on which a vertex in or on a mesh stands, seen from behind, one for each side of
-// side_of_normal: the nearest, and the others of a hollow edge or corner.
+// The faces that push a vertex in or on a mesh out: the nearest face, and the other faces of a
+// concave edge or corner, one for each value of side_of_normal.
 struct FacePoint {
   Vec3f normal{};
   float distance = -kFarAway;
 };
 struct FacesOver {
-  FacePoint over;       // the nearest of those that are over the point
-  FacePoint beside[6];  // that are not, but nearly: the nearest of each side
+  FacePoint over;       // the nearest face over the point
+  FacePoint beside[6];  // the nearest face of each side that the point is slightly beside
 };
 inline FacesOver faces_over(const MeshView& onto, const PlacedMesh& of, int32_t vertex,
                             const Vec3f& x, const MeshReach& reach) {
@@ -93,7 +95,7 @@ inline FacesOver faces_over(const MeshView& onto, const PlacedMesh& of, int32_t 
   float nearest = kFarAway;
   for (int32_t i = 0; i < onto.node_count;) {
     const MeshNode& node = onto.nodes[i];
-    // What is beside by as much as is wanted, and as deep as is wanted.
+    // Upper bound of the distances that can still matter.
     const float bound = 3.0f * (kLongWay * nearest + slack) + slack;
     if (square_outside(node.box, x) > bound * bound) {
       i = node.skip;
@@ -114,7 +116,7 @@ inline FacesOver faces_over(const MeshView& onto, const PlacedMesh& of, int32_t 
             beside, -math::dot(math::cross(edge, x - v[e]), n) / length - kOverFace * length);
       }
       FacePoint& best = beside > 0.0f ? found.beside[side_of_normal(n) - 1] : found.over;
-      // Written so that a NaN is none.
+      // The comparison is written so that NaN fails.
       if (!(distance > best.distance) || !(beside <= slack + kLongWay * math::abs(distance)) ||
           !of.stands(vertex, n))
         continue;
@@ -123,7 +125,7 @@ inline FacesOver faces_over(const MeshView& onto, const PlacedMesh& of, int32_t 
     }
     ++i;
   }
-  // A face that is over the point and no farther than those beside it is all that counts.
+  // If a face over the point is nearer than the faces beside it, only that face counts.
   bool hollow = false;
   for (const FacePoint& face : found.beside) hollow = hollow || face.distance > found.over.distance;
   if (hollow) found.over = {};
@@ -132,13 +134,13 @@ inline FacesOver faces_over(const MeshView& onto, const PlacedMesh& of, int32_t 
   return found;
 }
 
-// Calls emit(vertex, feature, x, normal, distance) for the vertices of a mesh on another, in whose
-// frame x and the normal, outward, are.
+// Calls emit(vertex, feature, x, normal, distance) for the vertices of a mesh on another mesh. x
+// and the outward normal are in the frame of the other mesh.
 template <class Emit>
 void vertices_on_mesh(const MeshView& onto, const PlacedMesh& of, const MeshReach& reach,
                       Emit emit) {
   const float touch = kMeshTouch * reach.size;
-  // On the surface, near the vertex before: it bounds how far the surface is.
+  // A point on the surface near the previous vertex, which bounds the distance of the next one.
   Vec3f known{};
   float knows = kFarAway;
   for (int32_t vertex = 0; vertex < of.mesh->vertex_count; ++vertex) {
@@ -157,7 +159,7 @@ void vertices_on_mesh(const MeshView& onto, const PlacedMesh& of, const MeshReac
     }
     const FacesOver faces = faces_over(onto, of, vertex, x, reach);
     const auto take = [&](const FacePoint& face) {
-      // Nothing but the mesh may be between: halfway is inside too.
+      // Only the mesh may lie between: the midpoint must be inside too.
       const Vec3f between = x - face.normal * (0.5f * face.distance);
       if (face.distance > -kFarAway && point_to_mesh(between, onto, touch).distance <= touch)
         emit(vertex, side_of_normal(face.normal), x, face.normal, face.distance);
@@ -167,12 +169,12 @@ void vertices_on_mesh(const MeshView& onto, const PlacedMesh& of, const MeshReac
   }
 }
 
-// Whether n, across the edge, lies between the normals of its two faces, or before the one. Where
-// the faces are nearly one, -n is not.
+// Returns whether n, perpendicular to the edge, lies between the normals of the two faces, or in
+// front of the one face of a border edge. For nearly parallel faces -n is excluded.
 inline bool in_cone(const MeshView& mesh, const MeshEdge& edge, const Vec3f& n) {
   const Vec3f a = mesh.vertices[edge.a], along = mesh.vertices[edge.b] - a;
   const float square = math::dot(along, along);
-  // Along the face that goes on to a third corner.
+  // Direction along the face to its third corner.
   const auto beside = [&](int32_t corner) {
     const Vec3f d = mesh.vertices[corner] - a;
     return d - along * (math::dot(d, along) / square);
@@ -225,7 +227,7 @@ void edges_on_edges(const MeshView& a, const PlacedMesh& b, const MeshReach& rea
           distance = -distance;
         }
         if (!(distance <= reach.edges)) continue;
-        if (!faces(n)) {  // not apart, so maybe they overlap
+        if (!faces(n)) {  // not separate, so test for an overlap
           n = -n;
           distance = -distance;
           const float in = touch - 0.1f * distance;
@@ -239,7 +241,7 @@ void edges_on_edges(const MeshView& a, const PlacedMesh& b, const MeshReach& rea
   }
 }
 
-// All contacts, in a fixed order, each given to add(contact). Normals are from A to B.
+// Calls add(contact) for all contacts in a fixed order. Normals point from A to B.
 template <class Add>
 void collide_meshes(const MeshView& a, const MeshView& b, const Transformf& b_in_a,
                     const MeshReach& reach, Add add) {
@@ -272,9 +274,10 @@ void collide_meshes(const MeshView& a, const MeshView& b, const Transformf& b_in
                  });
 }
 
-// Drops overlaps near which another contact has a shorter way out in another direction: of edges
-// where it is shorter, of vertices where it is so by far, as where a vertex that is flush with one
-// side would be pushed off the far side. The number that stays, in order.
+// Drops overlaps near a contact with a shorter way out in another direction. A contact of edges is
+// dropped if the other way is shorter. A contact of a vertex is dropped if the other way is much
+// shorter, for example if a vertex that is flush with one side would be pushed off the far side.
+// Returns the number that stays, in order.
 inline int32_t drop_long_ways(MeshContact* c, int32_t count) {
   const auto is_long = [&](const MeshContact& contact) {
     const float distance = contact.point.distance;

@@ -1,30 +1,28 @@
 // A triangle mesh (A) against a convex shape (B): the contacts of B with each triangle near it
-// (mesh_triangle.h), without those of inner edges, and their reduction.
+// (mesh_triangle.h), without contacts of interior edges, and their reduction.
 //
 // Reduction (reduce_mesh_contacts) sorts contacts by (distance, triangle, feature). Each contact
-// joins the first group whose deepest contact has a normal within 5 degrees. From each group the
-// contacts stay that are farthest in eight directions across the normal. The directions are the
-// same from step to step. The deepest stays too if none of these is as deep. Groups follow until
-// `limit` contacts stay.
+// joins the first group whose deepest contact has a normal within 5 degrees. Each group keeps the
+// contacts that are farthest in eight fixed directions perpendicular to the normal, and its deepest
+// contact. Groups are processed until `limit` contacts are kept.
 //
-// The result is a function of the set: neither the order of contacts nor the capacity has an
-// effect, as long as all found room.
-// Frame of the mesh, m.
+// The result depends only on the set of contacts, not on their order or on the capacity, if all
+// contacts fit. Frame of the mesh, m.
 #pragma once
 
 #include "novaphy/collision/geometry/mesh_triangle.h"
 
 namespace novaphy::geometry {
 
-inline constexpr float kSeamNear = 0.05f;          // of the triangle: in one place
-inline constexpr float kLongWay = 2.0f;            // of the shortest
+inline constexpr float kSeamNear = 0.05f;          // of the triangle: counts as the same place
+inline constexpr float kLongWay = 2.0f;            // of the shortest way
 inline constexpr float kGroupCosine = 0.9961947f;  // 5 deg
 inline constexpr int32_t kGroupPoints = 9;
-inline constexpr int32_t kMeshContacts = 32;  // of a pair
+inline constexpr int32_t kMeshContacts = 32;  // per pair
 inline constexpr float kSamePoint = 1e-4f;    // of the extent of a group's points
-inline constexpr Vec3f kSteadyDirection = {0.83f, 0.47f, 0.31f};  // along nothing that is common
+inline constexpr Vec3f kSteadyDirection = {0.83f, 0.47f, 0.31f};  // not along any common direction
 
-// The box of B in the mesh, grown by the gap.
+// Returns the box of B in the frame of the mesh, grown by the gap.
 inline Box3 box_in_mesh(const ShapePair& pair, float gap) {
   const float grow = core_radius(*pair.b) + gap;
   Box3 box;
@@ -47,7 +45,7 @@ void collide_mesh(const MeshView& mesh, const Shape& b, const Transformf& b_in_m
   const ShapePair pair = shape_pair(none, b, b_in_mesh);
   if (!is_finite(pair)) return;
   Vec3f half;
-  // A large triangle is near in one of its points mostly, so its bounds tell little.
+  // Bounds over a large triangle are too loose for the cheap test.
   const bool foresees = core_box(b, half) && mesh.longest_edge <= kForeseenEdge * gap;
   for_triangles_in(mesh, box_in_mesh(pair, gap), [&](int32_t triangle) {
     const Foreseen known = foresees ? foresee(mesh, triangle, pair, half, gap) : Foreseen{};
@@ -81,8 +79,8 @@ inline void sort_mesh_contacts(MeshContact* c, int32_t count) {  // heap sort
   }
 }
 
-// True if B no longer meets the triangle of `of` once it is out along `contact`. For a seam, which
-// only doubles what is in its place, they must be near.
+// Returns whether B no longer touches the triangle of `of` after the translation of `contact`. A
+// seam contact only duplicates its place, so both must be near.
 inline bool takes_off(const MeshView& mesh, const MeshContact& contact, const MeshContact& of) {
   const Vec3i t = mesh.triangles[of.triangle];
   const Vec3f &x = mesh.vertices[t.x], &y = mesh.vertices[t.y], &z = mesh.vertices[t.z];
@@ -98,11 +96,12 @@ inline bool takes_off(const MeshView& mesh, const MeshContact& contact, const Me
   return along > 0.0f && along >= math::dot(of.shortest, of.shortest);
 }
 
-// Drops contacts that another one explains, which takes B off their triangle: one of a lower rank,
-// or of the same with a shorter way. For one that is far deeper than its triangle alone would have
-// it, any such contact will do. A way out over its triangle is not explained by contacts in
-// its own direction; where one that counts is about as deep, nothing explains it: a corner that has
-// just passed an inner edge. The number that stays, in order.
+// Drops contacts that another contact explains: moving B out along the other contact separates B
+// from the triangle. The other contact has a lower rank, or the same rank and a shorter way. Any
+// such contact explains a contact that is much deeper than its triangle requires. Contacts in the
+// same direction do not explain a WayOut contact over its triangle. Nothing explains such a contact
+// if a Counts contact is about as deep, as for a corner that has just passed an interior edge.
+// Returns the number that stays, in order.
 inline int32_t drop_explained(const MeshView& mesh, MeshContact* c, int32_t count) {
   const auto is_explained = [&](int32_t of) {
     const MeshContact& contact = c[of];
@@ -133,7 +132,7 @@ inline int32_t drop_explained(const MeshView& mesh, MeshContact* c, int32_t coun
   return n;
 }
 
-// Keeps the deepest contact of group `group` (its first one) and its extremes; the number kept, at
+// Keeps the deepest contact of a group (its first) and its extremes. Returns the number kept, at
 // most `room`.
 inline int32_t keep_extremes(MeshContact* c, int32_t count, int32_t group, float extent,
                              int32_t room) {
@@ -173,7 +172,7 @@ inline int32_t keep_extremes(MeshContact* c, int32_t count, int32_t group, float
   return kept;
 }
 
-// Reduces in place; the number that stays, sorted as above.
+// Reduces in place. Returns the number that stays, sorted as above.
 inline int32_t reduce_mesh_contacts(const MeshView& mesh, MeshContact* c, int32_t count,
                                     int32_t limit = kMeshContacts) {
   sort_mesh_contacts(c, count);

@@ -1,20 +1,20 @@
-// A triangle of a mesh (A) against a convex shape (B): as any two convex shapes, with the normal n
-// and a rank (MeshRank).
+// A triangle of a mesh (A) against a convex shape (B): the contacts of two convex shapes, each with
+// a normal n and a rank (MeshRank).
 //
-// - Counts. The normal stands: the mesh about the part of the triangle that is farthest along n
-//   stays below the plane across n there (normal_stands). That part is one of the surface then,
-//   and not of its cut. A normal within 3 degrees of the triangle's own counts too. The latter
-//   takes its place with the separation along it, for what of B lies over the triangle.
-// - Seam. In the second case B's deepest point lies over another triangle, and n stands: a convex
-//   edge of less than 6 degrees.
-// - WayOut. B overlaps the triangle, and n does not stand: B is deep, or the edge is flat or
-//   concave. What of B lies over the triangle has the triangle's own normal.
-// - Beside. B's deepest point, where B overlaps the triangle and nothing over it touches.
+// - Counts: the normal is valid. Around the part of the triangle that is farthest along n, the mesh
+//   stays below the plane perpendicular to n (normal_stands). That part is then on the surface. A
+//   normal within 3 degrees of the triangle's own normal is valid too. The own normal then replaces
+//   it, with the separation along it, for the part of B over the triangle.
+// - Seam: as the second case, but B's deepest point lies over another triangle, and n is valid: a
+//   convex edge of less than 6 degrees.
+// - WayOut: B overlaps the triangle, and n is not valid: B is deep, or the edge is flat or concave.
+//   The part of B over the triangle has the triangle's own normal.
+// - Beside: B's deepest point, if B overlaps the triangle but nothing over it touches.
 //
-// A contact that is no Counts stays only where no better one takes B off its triangle
-// (drop_explained). A shape slides over flat and concave edges as over one face, and a touch at
-// one place takes nothing from another. A shape wholly behind a triangle does not touch it, so one
-// far inside of a mesh has no contacts. Frame of the mesh, m.
+// A contact of a rank other than Counts stays only if no better contact moves B off its triangle
+// (drop_explained). A shape thus slides over flat and concave edges as over one face, and a contact
+// in one place does not remove contacts elsewhere. A shape that is completely behind a triangle
+// does not touch it, so a shape far inside of a mesh has no contacts. Frame of the mesh, m.
 #pragma once
 
 #include "novaphy/collision/geometry/convex_pair.h"
@@ -22,11 +22,11 @@
 
 namespace novaphy::geometry {
 
-inline constexpr float kLeanSine = 1e-3f;     // a normal leans over an edge
-inline constexpr float kBehindCosine = 0.1f;  // a normal points into the mesh, not along it
-inline constexpr int32_t kBesideFace = 2;     // names what is not over the face
+inline constexpr float kLeanSine = 1e-3f;     // tolerance of a normal that leans over an edge
+inline constexpr float kBehindCosine = 0.1f;  // limit for a normal that points into the mesh
+inline constexpr int32_t kBesideFace = 2;     // feature of a contact beside the face
 inline constexpr float kAsDeep = 1.2f;
-inline constexpr float kSurelyDeep = 1.19f;  // of what is foreseen
+inline constexpr float kSurelyDeep = 1.19f;  // of the distance from Foreseen
 
 enum class MeshRank : int32_t { Counts, Seam, WayOut, Beside };
 
@@ -35,14 +35,14 @@ struct MeshContact {
   Vec3f normal{};  // from the mesh to B
   int32_t triangle = 0;
   MeshRank rank = MeshRank::Counts;
-  float way_out = 0.0f;  // m: the separation of B from the triangle along the normal
-  Vec3f shortest{};      // m: the way that takes B off the triangle, were it alone
-  float clears = 0.0f;   // m: how far along the normal B begins once it is out along it
-  int32_t group = -1;    // within reduce_mesh_contacts
+  float way_out = 0.0f;  // m, separation of B from the triangle along the normal
+  Vec3f shortest{};      // m, translation that separates B from this triangle alone
+  float clears = 0.0f;   // m, position of B along the normal after that translation
+  int32_t group = -1;    // used by reduce_mesh_contacts
   bool kept = false;
 };
 
-// A triangle as a polytope with two faces, 0 in front and 1 behind.
+// The triangle as a polytope with two faces, 0 in front and 1 behind.
 struct TriangleHull {
   Vec3f vertices[3], normals[2];
   int32_t face_starts[3], face_vertices[6];
@@ -71,7 +71,8 @@ inline HullView view_of(const TriangleHull& t) {
   return view;
 }
 
-// The corners of the triangle that are farthest along n: what of it meets a shape that lies there.
+// Returns the corners of the triangle that are farthest along n: the feature that touches a shape
+// there.
 inline Feature corners_along(const TriangleHull& t, const Vec3f& n) {
   float height[3];
   for (int32_t k = 0; k < 3; ++k) height[k] = math::dot(n, t.vertices[k] - t.vertices[0]);
@@ -85,9 +86,9 @@ inline Feature corners_along(const TriangleHull& t, const Vec3f& n) {
   return feature;
 }
 
-// True if the mesh lies below the plane across n through the face, edge or corner of the triangle
-// that is farthest along n: about an edge as the triangle beyond it tells, about a corner as its
-// neighbors do.
+// Returns whether the mesh lies below the plane perpendicular to n through the face, edge or corner
+// of the triangle that is farthest along n. The neighboring triangle decides for an edge, and the
+// neighbors of a corner for a corner.
 inline bool normal_stands(const MeshView& mesh, int32_t triangle, const Vec3f& n) {
   const Vec3i t = mesh.triangles[triangle];
   const int32_t corners[3] = {t.x, t.y, t.z};
@@ -128,7 +129,7 @@ inline bool normal_stands(const MeshView& mesh, int32_t triangle, const Vec3f& n
   return true;
 }
 
-// Proximity along the triangle's own normal.
+// Returns the proximity along the triangle's own normal.
 inline Proximity face_proximity(const ShapePair& pair, const TriangleHull& t) {
   const Vec3f n = t.normals[0];
   const SupportPoint p = support_point(pair, n);
@@ -137,8 +138,9 @@ inline Proximity face_proximity(const ShapePair& pair, const TriangleHull& t) {
   return {n, distance, on_b - n * distance, on_b};
 }
 
-// What of B lies over the face of the triangle, `over` its own normal; `front` and `facing` are the
-// features. The deepest point of a round or turned shape is no corner of its feature.
+// Returns the points of B over the face of the triangle. `over` has the triangle's own normal;
+// `front` and `facing` are the features. The deepest point of a round or rotated shape is not a
+// corner of its feature.
 inline ContactCandidates over_face(const ShapePair& pair, const Proximity& over, float gap,
                                    Feature& front, Feature& facing) {
   facing_features(pair, over.normal, front, facing);
@@ -158,7 +160,7 @@ inline bool has_deeper(const ContactCandidates& found, float distance) {
   return false;
 }
 
-// `nearest` is of no use to what counts.
+// `nearest` is not used for the rank Counts.
 inline MeshContact mesh_contact(int32_t triangle, const ContactPoint& point, const Proximity& along,
                                 const Proximity& nearest, MeshRank rank) {
   MeshContact contact;
@@ -172,8 +174,8 @@ inline MeshContact mesh_contact(int32_t triangle, const ContactPoint& point, con
   return contact;
 }
 
-// Calls add(contact) for the contacts of B with one triangle, before reduction. `foreseen`:
-// Foreseen::facing, by which most triangles that B faces need no GJK.
+// Calls add(contact) for the contacts of B with one triangle, before reduction. `foreseen` is
+// Foreseen::facing, which makes GJK unnecessary for most triangles that B faces.
 template <class Add>
 NOVAPHY_OUT_OF_LINE void collide_triangle(const MeshView& mesh, int32_t triangle, const Shape& b,
                                           const Transformf& b_in_mesh, float gap, float foreseen,
@@ -225,7 +227,7 @@ NOVAPHY_OUT_OF_LINE void collide_triangle(const MeshView& mesh, int32_t triangle
          over, MeshRank::Beside);
     return;
   }
-  // B's deepest point may lie over a face that falls away from this one.
+  // B's deepest point may lie over a face that slopes away from this one.
   const float deep = nearest.distance + (kAsDeep - 1.0f) * math::abs(nearest.distance) +
                      kDeepestShare * extent(front);
   if (has_deeper(found, deep)) return;

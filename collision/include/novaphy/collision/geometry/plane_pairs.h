@@ -1,11 +1,11 @@
 // Contacts of an infinite plane (A) with the other primitives (B), in closed form.
 //
-// A plane is its pose: local +z is the normal n, p its origin. Distances are those of points of B
-// to the plane, so they are exact for every point that is named. The midpoint of a contact is the
-// point of B moved back by half its distance: x - (n/2) d. Sizes as in GeoType.
-// Source: plane with sphere, capsule and box: Newton 1.8.0, the same bits on the cpu.
+// A plane is given by its pose: local +z is the normal n, and p is its origin. Distances are those
+// of points of B to the plane, so they are exact for every listed point. The midpoint of a contact
+// is the point of B moved back by half its distance: x - (n/2) d. Sizes are described at GeoType.
+// Source: plane with sphere, capsule and box: Newton 1.8.0, with the same bits on the CPU.
 //
-// Freestanding: read by device compilers.
+// Freestanding: device compilers read this header.
 #pragma once
 
 #include "novaphy/collision/geometry/manifold.h"
@@ -25,7 +25,7 @@ inline Manifold plane_manifold(const Plane& plane) {
   return manifold;
 }
 
-// The contact of a point x of B.
+// Adds the contact of a point x of B.
 inline void add_plane_point(Manifold& manifold, const Plane& plane, const Vec3f& x,
                             int32_t feature) {
   const Vec3f& n = plane.normal;
@@ -33,7 +33,7 @@ inline void add_plane_point(Manifold& manifold, const Plane& plane, const Vec3f&
   add_contact(manifold, x - (n * 0.5f) * d, d, feature);
 }
 
-// The contact of a sphere of B.
+// Adds the contact of a sphere of B.
 inline void add_plane_sphere(Manifold& manifold, const Plane& plane, const Vec3f& center,
                              float radius, int32_t feature) {
   const Vec3f& n = plane.normal;
@@ -47,7 +47,7 @@ inline Manifold plane_sphere(const Plane& plane, const Transformf& sphere, float
   return manifold;
 }
 
-// Both ends, +z (feature 0) first.
+// Adds both ends; the end at +z is feature 0 and comes first.
 inline Manifold plane_capsule(const Plane& plane, const Transformf& capsule, float radius,
                               float half_height) {
   const Vec3f half = math::rotate(capsule.q, Vec3f{0.0f, 0.0f, 1.0f}) * half_height;
@@ -57,15 +57,15 @@ inline Manifold plane_capsule(const Plane& plane, const Transformf& capsule, flo
   return manifold;
 }
 
-// The four deepest corners of those within `reach`, in the slots in which they were found: a corner
-// that is deeper than the highest of four takes its slot, of equal ones the earlier corner stays.
-// Features are the corners, bit k set for the + side of axis k.
+// Keeps the four deepest corners within `reach`, in the slots of their discovery. A corner that is
+// deeper than the highest of four replaces it; on a tie the earlier corner stays. The feature is
+// the corner: bit k is set for the + side of axis k.
 inline Manifold plane_box(const Plane& plane, const Transformf& box, const Vec3f& half,
                           float reach) {
   const Vec3f& n = plane.normal;
   const float center = math::dot(box.p - plane.point, n);
   Manifold manifold = plane_manifold(plane);
-  if (center - 1.001f * math::length(half) > reach) return manifold;  // no corner is that near
+  if (center - 1.001f * math::length(half) > reach) return manifold;  // no corner is within reach
   const Vec3f ex = math::rotate(box.q, Vec3f{1.0f, 0.0f, 0.0f});
   const Vec3f ey = math::rotate(box.q, Vec3f{0.0f, 1.0f, 0.0f});
   const Vec3f ez = math::rotate(box.q, Vec3f{0.0f, 0.0f, 1.0f});
@@ -91,8 +91,8 @@ inline Manifold plane_box(const Plane& plane, const Transformf& box, const Vec3f
   return manifold;
 }
 
-// The point of the rim of a disc that is deepest below the plane, relative to its center. u and v
-// span the disc; for a disc parallel to the plane it is u.
+// Returns the deepest point of a disc's rim below the plane, relative to the center. u and v span
+// the disc. For a disc parallel to the plane the result is along u.
 inline Vec3f deepest_of_rim(const Vec3f& n, const Vec3f& u, const Vec3f& v, float radius) {
   const float x = -math::dot(n, u), y = -math::dot(n, v);
   const float length = math::sqrt(x * x + y * y);
@@ -103,11 +103,11 @@ inline Vec3f deepest_of_rim(const Vec3f& n, const Vec3f& u, const Vec3f& v, floa
 inline constexpr float kFlatCap = 0.92387953f;     // cosine of 22.5 degrees
 inline constexpr float kRestingCap = 0.99862953f;  // of 3 degrees
 
-// A disc across the unit `axis`, feature 0 its deepest point. Of a disc flatter than 22.5 degrees
-// three points of the rim follow, features 1 to 3, 120 degrees apart from u on. These turn with the
-// body, so a steeper disc, which rolls on its rim, has none. The points nearest to the deepest are
-// left out: within 1 % of the radius, or within 60 degrees on a disc that is tilted by more than 3
-// degrees.
+// Adds a disc with the unit axis `axis`. Feature 0 is its deepest point. For a disc within 22.5
+// degrees of the plane, three rim points follow, features 1 to 3, 120 degrees apart from u on.
+// These points rotate with the body, so a steeper disc, which rolls on its rim, has none. Rim
+// points near the deepest point are left out: within 1 % of the radius, or within 60 degrees for a
+// disc tilted by more than 3 degrees.
 inline void add_plane_disc(Manifold& manifold, const Plane& plane, const Vec3f& center,
                            const Vec3f& u, const Vec3f& v, const Vec3f& axis, float radius) {
   const Vec3f deepest = deepest_of_rim(plane.normal, u, v, radius);
@@ -115,7 +115,7 @@ inline void add_plane_disc(Manifold& manifold, const Plane& plane, const Vec3f& 
   const float flatness = math::abs(math::dot(plane.normal, axis));
   if (!(flatness > kFlatCap)) return;
   const float apart = (flatness > kRestingCap ? 0.01f : 1.0f) * radius;
-  constexpr float kSine = 0.8660254f;  // of 120 degrees
+  constexpr float kSine = 0.8660254f;  // sine of 120 degrees
   const Vec3f rim[3] = {u * radius, (u * -0.5f + v * kSine) * radius,
                         (u * -0.5f - v * kSine) * radius};
   for (int32_t k = 0; k < 3; ++k) {
@@ -124,7 +124,7 @@ inline void add_plane_disc(Manifold& manifold, const Plane& plane, const Vec3f& 
   }
 }
 
-// The cap that is lower, and the deepest point of the other one (feature 4): the second end of the
+// Adds the lower cap, and the deepest point of the other cap (feature 4), the second end of the
 // generator on which the cylinder rolls.
 inline Manifold plane_cylinder(const Plane& plane, const Transformf& cylinder, float radius,
                                float half_height) {
@@ -140,7 +140,7 @@ inline Manifold plane_cylinder(const Plane& plane, const Transformf& cylinder, f
   return manifold;
 }
 
-// The base (features 0 to 3) and the apex (4).
+// Adds the base (features 0 to 3) and the apex (4).
 inline Manifold plane_cone(const Plane& plane, const Transformf& cone, float radius,
                            float half_height) {
   const Vec3f u = math::rotate(cone.q, Vec3f{1.0f, 0.0f, 0.0f});
@@ -152,7 +152,7 @@ inline Manifold plane_cone(const Plane& plane, const Transformf& cone, float rad
   return manifold;
 }
 
-// The deepest point.
+// Adds the deepest point.
 inline Manifold plane_ellipsoid(const Plane& plane, const Transformf& ellipsoid,
                                 const Vec3f& half_axes) {
   const Vec3f n = math::rotate_inverse(ellipsoid.q, plane.normal);
@@ -165,13 +165,14 @@ inline Manifold plane_ellipsoid(const Plane& plane, const Transformf& ellipsoid,
   return manifold;
 }
 
-inline constexpr float kPlaneBand = 0.05f;       // of the size: nearly as deep as the deepest
-inline constexpr float kEquallyDeep = 1e-5f;     // of the size: the first vertex counts
+inline constexpr float kPlaneBand = 0.05f;       // of the size: band below the deepest vertex
+inline constexpr float kEquallyDeep = 1e-5f;     // of the size: on such a tie the first vertex
+                                                 // counts
 inline constexpr float kSamePlanePoint = 1e-4f;  // of the size
 
-// Of the vertices of a hull or mesh that are nearly as deep as the deepest up to four, by the rule
-// of reduce_contacts. Distances and areas are compared in the frame of the shape, so what rests
-// keeps its vertices. `size` (m) is that of the shape. Features are the vertices.
+// Keeps up to four of the vertices of a hull or mesh that are nearly as deep as the deepest, by the
+// rule of reduce_contacts. Distances and areas are compared in the frame of the shape, so that a
+// resting shape keeps its vertices. `size` (m) is that of the shape. The feature is the vertex.
 inline Manifold plane_vertices(const Plane& plane, const Transformf& pose, const Vec3f* vertices,
                                int32_t count, float size, float reach) {
   const Vec3f n = math::rotate_inverse(pose.q, plane.normal);

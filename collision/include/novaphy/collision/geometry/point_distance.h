@@ -2,10 +2,10 @@
 // the surface at the nearest point. The nearest point is x - normal * distance. Frame of the shape,
 // m.
 //
-// Mesh: the sign is that of the angle-weighted normal of all triangles that meet in the nearest
-// point, which is right for closed meshes. Beside a border the point is outside.
-// Source: J. A. Baerentzen, H. Aanaes, Signed Distance Computation Using the Angle Weighted
-// Pseudonormal (2005).
+// For a mesh the sign is that of the angle-weighted normal of all triangles that meet in the
+// nearest point, which is correct for closed meshes. Points beside a border are outside. Source: J.
+// A. Baerentzen, H. Aanaes, Signed Distance Computation Using the Angle Weighted Pseudonormal
+// (2005).
 #pragma once
 
 #include "novaphy/collision/geometry/geometry_view.h"
@@ -14,9 +14,9 @@
 
 namespace novaphy::geometry {
 
-inline constexpr float kFarAway = 1e30f;     // m: a distance that was not looked for
-inline constexpr float kSameCorner = 1e-4f;  // of the triangle: nearest points that are one
-inline constexpr float kOnSurface = 1e-6f;   // of the triangle: too near for a direction
+inline constexpr float kFarAway = 1e30f;     // m, stands for a distance beyond the search range
+inline constexpr float kSameCorner = 1e-4f;  // of the triangle: nearer points count as one
+inline constexpr float kOnSurface = 1e-6f;   // of the triangle: nearer points define no direction
 
 inline SolidPoint point_to_hull(const Vec3f& x, const HullView& hull) {
   SolidPoint deepest{-kFarAway, {}}, nearest{kFarAway, {}};
@@ -26,7 +26,7 @@ inline SolidPoint point_to_hull(const Vec3f& x, const HullView& hull) {
     const float above = math::dot(n, x - hull.vertices[hull.face_vertices[begin]]);
     if (above > deepest.distance) deepest = {above, n};
     if (!(above > 0.0f)) continue;
-    // Of a point over a face that point is nearest, else one of its edges.
+    // For a point over a face the projection is nearest, else a point of an edge.
     bool over = true;
     for (int32_t k = begin; k < end; ++k) {
       const Vec3f a = hull.vertices[hull.face_vertices[k]];
@@ -42,8 +42,8 @@ inline SolidPoint point_to_hull(const Vec3f& x, const HullView& hull) {
   return nearest.distance < kFarAway ? nearest : deepest;
 }
 
-// The point of a triangle that is nearest to x, and the angle that the triangle fills about it:
-// 2 pi within it, pi on an edge. `corner`: the corner that it is, or -1.
+// The point of a triangle nearest to x, and the angle that the triangle fills around it: 2 pi
+// inside, pi on an edge. `corner`: index of the corner that the point is, or -1.
 struct TrianglePoint {
   Vec3f point{};
   float angle = 0.0f;
@@ -51,7 +51,7 @@ struct TrianglePoint {
 };
 inline float angle_between(const Vec3f& u, const Vec3f& v) {
   const float c = math::dot(u, v) / (math::length(u) * math::length(v));
-  // Weights need no more than this: acos to 1 %.
+  // acos to 1 %, which is sufficient for weights.
   const float a = math::sqrt(math::max(2.0f - 2.0f * math::abs(c), 0.0f));
   const float angle = a * (1.0f + a * a / 24.0f);
   return c < 0.0f ? 3.1415927f - angle : angle;
@@ -87,13 +87,13 @@ inline float square_outside(const Box3& box, const Vec3f& x) {
   return math::dot(d, d);
 }
 
-// Farther than `reach` (m) outside of the mesh's box: kFarAway; of a mesh with a border, as far
-// outside of what lies behind it, which ends where the mesh is no larger. `within` (m): the surface
-// is known to be no farther, which saves time.
+// Returns kFarAway for a point farther than `reach` (m) outside of the mesh's box. For a mesh with
+// a border, the box includes the region behind the mesh, up to the size of the mesh. `within` (m):
+// a known upper bound of the distance to the surface, which saves time.
 inline SolidPoint point_to_mesh(const Vec3f& x, const MeshView& mesh, float reach,
                                 float within = kFarAway) {
   SolidPoint far{kFarAway, {0.0f, 0.0f, 1.0f}};
-  // Written so that a NaN is far.
+  // The comparison is written so that a NaN counts as far.
   if (!(square_outside(mesh.behind, x) <= reach * reach)) return far;
   float least = kFarAway, tolerance = 0.0f;
   Vec3f nearest{}, normal{};

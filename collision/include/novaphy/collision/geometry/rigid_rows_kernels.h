@@ -1,4 +1,4 @@
-// The rows of rigid contacts as the kernels of a search write them.
+// Writing the rows of rigid contacts, for the kernels of a search.
 #pragma once
 
 #include "novaphy/collision/geometry/rigid_shape.h"
@@ -6,7 +6,7 @@
 
 namespace novaphy {
 
-// Where rows are written.
+// The arrays that rows are written to.
 struct RigidContactRows {
   NOVAPHY_ARGUMENTS(Number<int64_t> capacity;
                     Writes<int32_t> rigid_contact_shape0, rigid_contact_shape1;
@@ -16,8 +16,8 @@ struct RigidContactRows {
                     Writes<int32_t> rigid_contact_point_id;)
 };
 
-// How many rows each pair has, and how many stand before every kScanChunk-th pair: a scan of these
-// is short where there is room for many more pairs than there are.
+// The number of rows of each pair, and a scan over chunks of kScanChunk pairs. A scan of chunks is
+// short even if the list has room for many more pairs.
 inline constexpr int64_t kScanChunk = 32;
 struct PairRows {
   NOVAPHY_ARGUMENTS(Reads<int32_t> counts, before;)
@@ -31,14 +31,14 @@ inline int32_t rows_up_to(const PairRows& rows, int64_t pair) {
   return rows_before(rows, pair) + rows.counts[pair];
 }
 
-// Into the frames of the owners of a pair.
+// The transforms into the frames of the owners of a pair's shapes.
 struct ToOwners {
   Transformf to0, to1;
 };
 inline ToOwners to_owners(const RigidShape& s0, const RigidShape& s1) {
   return {math::inverse(s0.owner), math::inverse(s1.owner)};
 }
-// Row `at`, if it has room; the normal is from pair.x to pair.y.
+// Writes row `at` if it is below the capacity. The normal points from pair.x to pair.y.
 inline void write_contact(const RigidContactRows& rows, int64_t at, const Vec2i& pair,
                           const RigidShape* shapes, const ToOwners& owners, const Vec3f& normal,
                           const geometry::ContactPoint& point) {

@@ -1,9 +1,10 @@
-// A convex shape as its core and a radius, and the pose of one shape in the frame of another.
+// A convex shape as a core and a radius, and the pose of one shape in the frame of another.
 //
-// Sphere and capsule are a point and a segment, grown by their radius; all others are their own
-// core, with radius 0. Distances of grown shapes are those of the cores less the radii, exactly,
-// for penetration too. `scale` is that of Model::shape_scale (core/sim/enums.h): half extents,
-// radius and half height along z, half axes; m. A convex hull has its scale in its vertices.
+// The core of a sphere is its center and the core of a capsule its segment; both have a radius.
+// Every other shape is its own core with radius 0. The distance of two shapes is exactly the
+// distance of the cores minus the radii, also for penetration. `scale` (m) is Model::shape_scale
+// (core/sim/enums.h): half extents, or radius and half height along z, or half axes. The vertices
+// of a convex hull include the scale.
 #pragma once
 
 #include "novaphy/collision/geometry/manifold.h"
@@ -12,14 +13,14 @@
 
 namespace novaphy::geometry {
 
-// The tables of a convex polytope. Faces are polygons with the vertices counter-clockwise seen
-// from outside; neighbors of a vertex are those it shares an edge with.
+// The tables of a convex polytope. Faces are polygons, counter-clockwise seen from outside.
+// Neighbors of a vertex share an edge with it.
 struct HullView {
   const Vec3f* vertices{};
   const Vec3f* face_normals{};   // unit, outward
   const int32_t* face_starts{};  // faces + 1 into face_vertices
   const int32_t* face_vertices{};
-  const int32_t* neighbor_starts{};  // vertices + 1 into neighbors; null: not known
+  const int32_t* neighbor_starts{};  // vertices + 1 into neighbors; null: unknown
   const int32_t* neighbors{};
   int32_t vertex_count = 0;
   int32_t face_count = 0;
@@ -35,8 +36,8 @@ inline float core_radius(const Shape& shape) {
   return shape.type == GeoType::SPHERE || shape.type == GeoType::CAPSULE ? shape.scale.x : 0.0f;
 }
 
-// The pose of B in the frame of A. The difference of the positions is taken first, so that a pair
-// far from the origin loses no more than its own coordinates have lost.
+// Returns the pose of B in the frame of A. The positions are subtracted first, which keeps the
+// precision of pairs far from the origin.
 inline Transformf relative_pose(const Transformf& a, const Transformf& b) {
   return {math::rotate_inverse(a.q, b.p - a.p), math::multiply(math::conjugate(a.q), b.q)};
 }
@@ -68,7 +69,7 @@ inline Vec3f from_b(const ShapePair& pair, const Vec3f& point) {
   return apply(pair.rotation, point) + pair.offset;
 }
 
-// Numbers beyond 1e30 count as not finite: their squares are not.
+// Numbers beyond 1e30 count as not finite, because their squares overflow.
 inline bool is_finite(float x) { return math::abs(x) < 1e30f; }
 inline bool is_finite(const Vec3f& v) { return is_finite(v.x) && is_finite(v.y) && is_finite(v.z); }
 inline bool is_finite(const ShapePair& pair) {
@@ -77,12 +78,13 @@ inline bool is_finite(const ShapePair& pair) {
          is_finite(pair.a->scale) && is_finite(pair.b->scale);
 }
 
-// The i-th coordinate and unit vector.
+// Return the i-th coordinate and the i-th unit vector.
 inline float component(const Vec3f& v, int32_t i) { return i == 0 ? v.x : i == 1 ? v.y : v.z; }
 inline Vec3f unit_axis(int32_t i, float length) {
   return {i == 0 ? length : 0.0f, i == 1 ? length : 0.0f, i == 2 ? length : 0.0f};
 }
-// A unit vector across v, which need not be of unit length: v x the axis that v has least of.
+// Returns a unit vector perpendicular to v, which may have any length: the cross product with the
+// axis of v's smallest component.
 inline Vec3f any_orthogonal(const Vec3f& v) {
   const float x = math::abs(v.x), y = math::abs(v.y), z = math::abs(v.z);
   const int32_t least = x <= y && x <= z ? 0 : y <= z ? 1 : 2;

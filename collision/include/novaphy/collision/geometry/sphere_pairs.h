@@ -1,15 +1,15 @@
 // A sphere against sphere, capsule, box, cylinder and cone, in closed form: the signed distance of
-// the center to the solid, less the radius. One contact.
+// the center to the solid, minus the radius. One contact.
 //
-// Solids of revolution are cut by the half plane through the center (rho, z): a rectangle, a
-// triangle. Inside, the nearest face counts.
+// A solid of revolution is reduced to its cross section in the half plane through the center (rho,
+// z): a rectangle or a triangle. Inside, the nearest face counts.
 //
-// Where the nearest point is not unique, the choice is fixed. For centers in one point, and for a
-// center on the segment of a capsule, the normal is +x. Inside a box the face of the lowest axis is
-// taken, + at 0. On the axis of a cylinder or cone the side towards +x is taken, and of side and
-// cap the cap.
+// If the nearest point is not unique, the choice is fixed. For coinciding centers, and for a center
+// on the segment of a capsule, the normal is +x. Inside of a box the face of the lowest axis is
+// chosen, on the + side at 0. On the axis of a cylinder or cone the side towards +x is chosen, and
+// the cap on a tie of side and cap.
 //
-// Frame of the solid, which is B; the sphere is A and the normal points from A to B. m.
+// Frame of the solid (m), which is B. A is the sphere, and the normal points from A to B.
 #pragma once
 
 #include "novaphy/collision/diff_soft_contact_trace.h"
@@ -18,7 +18,7 @@
 namespace novaphy::geometry {
 
 struct SolidPoint {
-  float distance{};  // of x, < 0 inside
+  float distance{};  // distance of x, < 0 inside
   Vec3f normal{};    // unit, outward
 };
 
@@ -57,7 +57,7 @@ inline bool has_closed_point_distance(GeoType type) {
          type == GeoType::CYLINDER || type == GeoType::CONE;
 }
 
-// The point x against the core of a solid.
+// Returns the signed distance of the point x to the core of a solid.
 inline SolidPoint point_to_core(const Vec3f& x, const Shape& solid) {
   const Vec3f s = solid.scale;
   switch (solid.type) {
@@ -74,7 +74,7 @@ inline SolidPoint point_to_core(const Vec3f& x, const Shape& solid) {
   }
 }
 
-// A is a sphere, B has a closed distance. Frame of A.
+// A is a sphere, and B has a closed-form distance. Frame of A.
 inline Manifold collide_sphere(const ShapePair& pair, float gap) {
   const Vec3f center = apply_transposed(pair.rotation, -pair.offset);
   const SolidPoint p = point_to_core(center, *pair.b);

@@ -1,11 +1,11 @@
-// Support functions: the point of a convex core (shape.h) that lies farthest in a direction, and
-// the same of a pair's Minkowski difference A - B. The difference contains the origin when the
+// Support functions: the point of a convex core (shape.h) that is farthest in a direction, and the
+// same for the Minkowski difference A - B of a pair. The difference contains the origin if the
 // cores overlap.
 //
-// Directions need not be of unit length; where several points are farthest, the same one comes for
-// the same direction. Polytopes with more than 32 vertices climb from neighbor to neighbor: a
-// vertex of a convex polytope without a higher neighbor is the highest.
-// Source: C. Ericson, Real-Time Collision Detection (2005), 9.5.
+// Directions may have any length. If several points are farthest, the same direction always gives
+// the same point. For polytopes with more than 32 vertices, the search climbs from neighbor to
+// neighbor: a vertex of a convex polytope without a higher neighbor is the highest. Source: C.
+// Ericson, Real-Time Collision Detection (2005), 9.5.
 #pragma once
 
 #include "novaphy/collision/geometry/shape.h"
@@ -40,7 +40,7 @@ inline int32_t hull_support_vertex(const HullView& hull, const Vec3f& d) {
   return best;
 }
 
-// The horizontal part of d, scaled to a length; zero on the axis.
+// Returns the horizontal part of d, scaled to a length; zero on the axis.
 inline Vec3f radial(const Vec3f& d, float length) {
   const float rho = math::sqrt(d.x * d.x + d.y * d.y);
   if (!(rho > 0.0f)) return {};
@@ -60,7 +60,7 @@ inline Vec3f ellipsoid_support(const Vec3f& axes, const Vec3f& d) {
   return {axes.x * (s.x / l), axes.y * (s.y / l), axes.z * (s.z / l)};
 }
 
-// In the frame of the shape.
+// Returns the support point in the frame of the shape.
 NOVAPHY_OUT_OF_LINE Vec3f core_support(const Shape& shape, const Vec3f& d) {
   const Vec3f s = shape.scale;
   switch (shape.type) {
@@ -77,11 +77,11 @@ NOVAPHY_OUT_OF_LINE Vec3f core_support(const Shape& shape, const Vec3f& d) {
     case GeoType::CONVEX_MESH:
       return shape.hull.vertices[hull_support_vertex(shape.hull, d)];
     default:
-      return {};  // a sphere's center
+      return {};  // the center of a sphere
   }
 }
 
-// A point of the Minkowski difference and the points of A and B that make it, in the frame of A.
+// A point of the Minkowski difference, and the points of A and B behind it, in the frame of A.
 struct SupportPoint {
   Vec3f w, a, b;  // w = a - b
 };
@@ -91,8 +91,8 @@ inline SupportPoint support_point(const ShapePair& pair, const Vec3f& d) {
   return {a - b, a, b};
 }
 
-// How far apart the grown shapes are along the unit vector n from A to B (m): a lower bound of
-// their signed distance for every n, and equal to it for the best.
+// Returns the separation of the shapes along the unit vector n from A to B (m). It is a lower bound
+// of the signed distance, and equal to it for the best n.
 inline float separation_along(const ShapePair& pair, const Vec3f& n) {
   return (-math::dot(support_point(pair, n).w, n) - core_radius(*pair.a)) - core_radius(*pair.b);
 }

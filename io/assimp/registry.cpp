@@ -1,5 +1,5 @@
-// What assimp has of importers and processing steps: those of load_mesh. This takes the place of its
-// Common/ImporterRegistry.cpp and Common/PostStepRegistry.cpp, which list all that it knows.
+// Registers the importers and processing steps of assimp that load_mesh needs. This file replaces
+// assimp's Common/ImporterRegistry.cpp and Common/PostStepRegistry.cpp, which register all of them.
 #include <vector>
 
 #include "AssetLib/Collada/ColladaLoader.h"
@@ -18,7 +18,7 @@ void DeleteImporterInstanceList(std::vector<BaseImporter*>& importers) {
   for (const BaseImporter* importer : importers) delete importer;
 }
 
-// The validation is no step of this list: assimp runs it before them.
+// assimp runs its validation before the steps of this list.
 void GetPostProcessingStepInstanceList(std::vector<BaseProcess*>& out) {
   out = {new TriangulateProcess};
 }

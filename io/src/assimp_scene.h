@@ -1,4 +1,4 @@
-// A file that assimp reads, as a soup of triangles. Only assimp_scene.cpp knows assimp.
+// Reads a file with assimp into unconnected triangles. Only assimp_scene.cpp includes assimp.
 #pragma once
 
 #include <array>
@@ -13,18 +13,18 @@
 namespace novaphy::detail {
 
 using Triangle = std::array<Vec3f, 3>;
-using Colors = std::map<std::string, Vec3f, std::less<>>;  // of materials by name
+using Colors = std::map<std::string, Vec3f, std::less<>>;  // material colors by name
 
 struct Soup {
   std::vector<Triangle> triangles;
-  std::vector<std::optional<Vec3f>> colors;  // of their materials
+  std::vector<std::optional<Vec3f>> colors;  // material color of each triangle
 
   void add(const Triangle& triangle, const std::optional<Vec3f>& color);
 };
 
-// All triangles of the scene in the `bytes` of a file, placed by its nodes; a COLLADA scene in
-// meters with z up. `where` begins every message; `colors` instead of those in the file.
-// ErrorKind::Value: assimp refuses the file, or a face has a corner that is not there.
+// Returns all triangles of the scene in a file's `bytes`, placed by its nodes. A COLLADA scene is
+// in meters with z up. `where` begins every error message. `colors` replace those of the file.
+// ErrorKind::Value: assimp refuses the file, or a face has a corner that does not exist.
 Soup read_triangles(const std::string& where, std::string_view bytes, std::string_view extension,
                     const Colors* colors);
 

@@ -12,7 +12,7 @@
 namespace novaphy::detail {
 namespace {
 
-// A value of a JSON text: null, false and true are null.
+// A JSON value; null, false and true are stored as null.
 struct Json {
   std::variant<std::monostate, double, std::string, std::vector<Json>, std::map<std::string, Json>>
       value = {};
@@ -46,7 +46,7 @@ class JsonReader {
     expect(take('"'));
     std::string text;
     while (at_ < text_.size() && text_[at_] != '"') {
-      if (text_[at_] == '\\') ++at_;  // names with escapes are no names that are looked for
+      if (text_[at_] == '\\') ++at_;  // no name that the reader needs has an escape
       expect(at_ < text_.size());
       text.push_back(text_[at_++]);
     }
@@ -94,7 +94,7 @@ class JsonReader {
   size_t at_ = 0;
 };
 
-using Matrix = std::array<double, 16>;  // columns
+using Matrix = std::array<double, 16>;  // column-major
 
 Matrix multiply(const Matrix& a, const Matrix& b) {
   Matrix c{};
@@ -215,7 +215,8 @@ class GlbReader {
       for (const Json& child : list(*children)) add_node(index(child), pose, depth + 1);
   }
 
-  // None where an image has it. The file has it linear, viewers show sRGB.
+  // Returns a material's color, or nothing for an image. The color of the file is linear and is
+  // converted to sRGB, which viewers show.
   std::optional<Vec3f> color_of(const Json& primitive) const {
     const Json* const number = member(primitive, "material");
     if (number == nullptr) return std::nullopt;
@@ -232,7 +233,7 @@ class GlbReader {
     const char* first;
     size_t count, stride;
   };
-  // `width`: numbers of a row.
+  // `width`: numbers per row.
   Rows rows(const Json& accessor, size_t bytes) const {
     const Json* const view = member(accessor, "bufferView");
     require(view != nullptr && member(accessor, "sparse") == nullptr, ErrorKind::NotImplemented,
@@ -284,7 +285,7 @@ class GlbReader {
     expect(count % 3 == 0, "three corners of a triangle");
     const auto corner = [&](size_t k) {
       if (bytes == 0) return point(k);
-      uint32_t at = 0;  // little endian, as the file
+      uint32_t at = 0;  // little endian, as in the file
       std::memcpy(&at, corners.first + k * corners.stride, bytes);
       return point(at);
     };

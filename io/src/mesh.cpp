@@ -68,7 +68,8 @@ void check_degenerate(const std::string& where, detail::Soup& soup, bool drop) {
        " triangles have; drop_degenerate leaves them out)");
 }
 
-// Of the material of most of the surface. Materials of one color leave the list empty.
+// Sets the color of most of the surface and the colors of the triangles. If all triangles have one
+// color, the list stays empty.
 void set_colors(detail::Soup& soup, Mesh& mesh) {
   std::map<std::array<float, 3>, double> areas;
   for (size_t n = 0; n < soup.triangles.size(); ++n) {
@@ -91,7 +92,7 @@ void set_colors(detail::Soup& soup, Mesh& mesh) {
 std::vector<Mesh> parts_by_color(const Mesh& mesh) {
   if (mesh.colors.empty()) return {mesh};
   std::vector<Mesh> parts;
-  std::vector<std::vector<int32_t>> row_of;  // of each part, of the vertices
+  std::vector<std::vector<int32_t>> row_of;  // new index of each vertex in each part
   for (size_t n = 0; n < mesh.colors.size(); ++n) {
     const auto same = [&](const Mesh& part) { return part.color == mesh.colors[n]; };
     const auto found = std::find_if(parts.begin(), parts.end(), same);
@@ -143,7 +144,7 @@ Mesh load_mesh(const std::filesystem::path& path, const MeshOptions& options) {
   corners.reserve(3 * triangles.size());
   for (const Triangle& triangle : triangles)
     for (const Vec3f& c : triangle)
-      corners.push_back({c.x + 0.0f, c.y + 0.0f, c.z + 0.0f});  // -0 becomes +0
+      corners.push_back({c.x + 0.0f, c.y + 0.0f, c.z + 0.0f});  // adding 0 turns -0 into +0
   if (!options.join_vertices) {
     mesh.indices.resize(corners.size());
     std::iota(mesh.indices.begin(), mesh.indices.end(), 0);

@@ -10,7 +10,7 @@ namespace {
 
 constexpr std::uintmax_t kLargest = 1 << 20;  // bytes
 
-// What stands behind the word, without the blanks around.
+// Returns the rest of the line without surrounding blanks.
 std::string rest_of(std::istream& line) {
   std::string text;
   std::getline(line >> std::ws, text);

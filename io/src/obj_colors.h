@@ -1,4 +1,4 @@
-// Colors of the materials of OBJ files.
+// Reads the colors of materials of OBJ files.
 #pragma once
 
 #include <filesystem>
@@ -7,8 +7,8 @@
 
 namespace novaphy::detail {
 
-// The diffuse colors in the file that the `mtllib` of an OBJ file names, in the folder of that
-// file. A file elsewhere, a missing or broken one and materials of images have no colors.
+// Returns the diffuse colors in the material file that `mtllib` of an OBJ file names. The file must
+// lie in the same folder. A missing or corrupt file, and materials with images, give no colors.
 Colors obj_colors(const std::filesystem::path& folder, std::string_view bytes);
 
 }  // namespace novaphy::detail

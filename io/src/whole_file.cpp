@@ -11,7 +11,7 @@ namespace {
 
 struct Property {
   bool is_list = false;
-  size_t count_size = 0;  // bytes of the length of a list
+  size_t count_size = 0;  // bytes of a list's length
   size_t size = 0;        // bytes of a value
 };
 struct Element {
@@ -24,7 +24,7 @@ struct PlyHeader {
   std::string_view body;
 };
 
-// Takes the first line off, without its end.
+// Removes and returns the first line, without its end.
 std::string_view take_line(std::string_view& text) {
   const size_t end = std::min(text.find('\n'), text.size());
   std::string_view line = text.substr(0, end);
@@ -33,7 +33,7 @@ std::string_view take_line(std::string_view& text) {
   return line;
 }
 
-// The words of a line, in memory that is used again.
+// Splits a line into words, and reuses the memory of `words`.
 void split(std::string_view line, std::vector<std::string_view>& words) {
   const auto is_blank = [](char c) { return c == ' ' || c == '\t' || c == '\r'; };
   words.clear();
@@ -101,7 +101,7 @@ PlyHeader read_ply_header(const std::string& where, std::string_view bytes) {
   fail(ErrorKind::Value, where, ": expected end_header, got the end of the file");
 }
 
-// A length, of 1, 2 or 4 bytes; a negative one comes out too large for any file.
+// Reads a length of 1, 2 or 4 bytes. A negative length becomes larger than any file.
 size_t read_length(std::string_view bytes, bool big_endian) {
   size_t value = 0;
   for (size_t n = 0; n < bytes.size(); ++n)
@@ -110,14 +110,14 @@ size_t read_length(std::string_view bytes, bool big_endian) {
   return value;
 }
 
-// Takes `count` values of `size` bytes off; false where there are fewer.
+// Removes `count` values of `size` bytes. Returns false if there are fewer.
 bool take(std::string_view& body, size_t count, size_t size) {
   if (count > body.size() / size) return false;
   body.remove_prefix(count * size);
   return true;
 }
 
-// Takes the rows of an element off a binary body; false where there are fewer.
+// Removes the rows of an element from a binary body. Returns false if there are fewer.
 bool take_rows(std::string_view& body, const Element& element, bool big_endian) {
   const bool has_list = std::any_of(element.properties.begin(), element.properties.end(),
                                     [](const Property& p) { return p.is_list; });
@@ -137,7 +137,7 @@ bool take_rows(std::string_view& body, const Element& element, bool big_endian) 
   return true;
 }
 
-// The same of a text, one line each.
+// The same for a text with one row per line.
 bool take_lines(std::string_view& body, size_t rows) {
   for (; rows > 0; --rows) {
     while (!body.empty() && split(body.substr(0, body.find('\n'))).empty()) take_line(body);
@@ -164,7 +164,7 @@ void check_stl(const std::string& where, std::string_view bytes) {
   constexpr size_t kHeader = 84, kTriangle = 50;
   if (bytes.size() >= kHeader) {
     const size_t count = read_length(bytes.substr(kHeader - 4, 4), false);
-    if (bytes.size() == kHeader + count * kTriangle) return;  // binary, and whole
+    if (bytes.size() == kHeader + count * kTriangle) return;  // binary and complete
   }
   require(!bytes.starts_with("solid") || bytes.find("endsolid") != std::string_view::npos,
           ErrorKind::Value, where, ": expected endsolid, got the end of the file");
@@ -173,7 +173,7 @@ void check_stl(const std::string& where, std::string_view bytes) {
 void check_dae(const std::string& where, std::string_view bytes) {
   for (size_t at = bytes.find("<p"); at != std::string_view::npos; at = bytes.find("<p", at)) {
     at += 2;
-    if (bytes.substr(at, 1).find_first_of("> \t\r\n") != 0) continue;  // the tag of something else
+    if (bytes.substr(at, 1).find_first_of("> \t\r\n") != 0) continue;  // a tag with a longer name
     at = std::min(bytes.find('>', at), bytes.size() - 1) + 1;
     const std::string_view text = bytes.substr(at, bytes.find('<', at) - at);
     const size_t bad = text.find_first_not_of("+-0123456789 \t\r\n");
@@ -201,7 +201,7 @@ std::string obj_for_assimp(const std::string& where, std::string_view bytes) {
   size_t next = 1;
   while (!bytes.empty()) {
     const size_t number = next;
-    for (line.clear(); !bytes.empty();) {  // a line, and the next where it ends in a backslash
+    for (line.clear(); !bytes.empty();) {  // read a line; a backslash at its end continues it
       size_t end = 0;
       while (end < bytes.size() && bytes[end] != '\n' && bytes[end] != '\r') ++end;
       line.append(bytes.substr(0, end));
@@ -217,7 +217,7 @@ std::string obj_for_assimp(const std::string& where, std::string_view bytes) {
       continue;
     }
     if (line.size() > 1 && (line[1] == 'n' || line[1] == 't'))
-      continue;  // normals, coordinates of textures
+      continue;  // skip normals and texture coordinates
     split(std::string_view(line).substr(0, line.find('#')), words);
     if (words.empty() || words[0] != "v") continue;
     const size_t numbers = words.size() - 1;

@@ -1,4 +1,4 @@
-// MJCF files become a Robot, and that goes into a builder.
+// Reads an MJCF file into a Robot, and adds the Robot to a builder.
 #include "mjcf_attach.h"
 #include "mjcf_include.h"
 #include "mjcf_start.h"
@@ -7,7 +7,7 @@ namespace novaphy {
 namespace detail {
 namespace {
 
-// The children `name` of the sections `section`.
+// Visits the children `name` of all sections `section`.
 template <class Visit>
 void each(const XmlFile& file, const char* section, const char* name, Visit&& visit) {
   for (const Element* all = file.root().FirstChildElement(section); all != nullptr;
@@ -17,7 +17,7 @@ void each(const XmlFile& file, const char* section, const char* name, Visit&& vi
       visit(*e);
 }
 
-// <custom><numeric name="init_qpos">: where the joints start.
+// Reads <custom><numeric name="init_qpos">: the initial joint coordinates.
 void set_start(MjcfContext& context) {
   each(context.file, "custom", "numeric", [&](const Element& e) {
     const char* const name = e.Attribute("name");
@@ -40,8 +40,7 @@ void set_start(MjcfContext& context) {
   });
 }
 
-// The gravity of the file becomes that of a builder that has nothing in it yet and gravity by
-// default.
+// The gravity of the file replaces that of an empty builder with default gravity.
 std::optional<Vec3f> gravity_of(MjcfContext& context) {
   if (!context.settings.option.gravity) return {};
   const Vec3f g = to_float(*context.settings.option.gravity);
@@ -89,7 +88,7 @@ void add_keyframes(const MjcfContext& context, const Posed& xform, int32_t coord
   });
 }
 
-// A frame of a link of the file.
+// Returns a frame of a link of the file as a frame of its body.
 RobotSite site_of(const MjcfContext& context, const Posed& xform, const RobotImport& added,
                   const std::pair<int32_t, Posed>& at) {
   if (at.first < 0) return {-1, to_float(math::multiply(xform, at.second))};
@@ -160,7 +159,7 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
 
   const detail::Posed xform = detail::to_double(options.xform);
   const int32_t coord = builder.joint_coord_count();
-  RobotImport result;  // what may fail comes first
+  RobotImport result;  // keyframes may fail, so they come first
   detail::add_keyframes(context, xform, coord, result);
   RobotImport added = detail::emit_robot(builder, context.robot,
                                          {.function = name,
@@ -174,7 +173,7 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
                                           .links_to_keep = options.links_to_keep,
                                           .filter_parent = context.settings.option.parent_filter});
   added.keyframes = std::move(result.keyframes);
-  // Hinges and slides of one body are one joint of several degrees of freedom.
+  // The hinges and slides of one body are one joint with several degrees of freedom.
   for (const auto& [joint, at] : context.joints) {
     const std::string& whole = context.robot.joints[static_cast<size_t>(at.joint)].name;
     added.joints[joint] = added.joints.at(whole);

@@ -1,4 +1,4 @@
-// <actuator> of MJCF files: rows of ModelBuilder::add_actuator, of hinges and slides.
+// Reads <actuator> of MJCF files into ModelBuilder::add_actuator.
 #include <algorithm>
 #include <cmath>
 
@@ -20,12 +20,12 @@ constexpr std::string_view kRead[] = {
 constexpr std::string_view kPassedOver[] = {"user",    "lengthrange", "cranklength",
                                             "nsample", "interp",      "delay"};
 
-// MuJoCo's <general>, which all others are.
+// The parameters of MuJoCo's <general>, to which all other kinds of actuators are converted.
 struct Law {
   std::string gain_type = "fixed", bias_type = "none", dynamics = "none";
   double gain[3] = {1.0, 0.0, 0.0}, bias[3] = {0.0, 0.0, 0.0}, time = 1.0;
   double inherit_range = 0.0;
-  std::string kind = {};  // of the element that said so last
+  std::string kind = {};  // kind of the last element that set the law
 };
 
 using Range = std::pair<double, double>;
@@ -38,7 +38,8 @@ struct Actuator {
   Law law;
   double gear[6] = {1.0, 0.0, 0.0, 0.0, 0.0, 0.0};
   Range control = kNoRange, force = kNoRange, activation = kNoRange;
-  // A part of the drive of its dof, and not a force alone.
+  // Whether the law is a spring or damper and so a part of the drive of its dof, instead of a force
+  // alone.
   bool is_servo() const {
     return law.gain[1] != 0.0 || law.gain[2] != 0.0 || law.bias[1] != 0.0 || law.bias[2] != 0.0;
   }
@@ -66,8 +67,8 @@ class ActuatorReader {
   }
 
  private:
-  // Sets what an element of the file or of a default class says. `outer`: the laws of the classes
-  // around that, outermost first.
+  // Applies the attributes of an element of the file or of a default class. `outer`: the laws of
+  // the enclosing classes, outermost first.
   void apply(const Element& e, Law& law, std::span<const Law> outer) const {
     const std::string kind = e.Name();
     const auto first = [&](const char* name, std::span<double> to) {
@@ -93,7 +94,7 @@ class ActuatorReader {
     }
     if (e.Attribute("inheritrange") != nullptr && kind != "position" && kind != "intvelocity")
       file_.refuse(e, "inheritrange: expected <position> or <intvelocity>");
-    // The others go on from what the same kind, or <general>, said last.
+    // Other attributes continue from the last law of the same kind or of <general>.
     Law from;
     const auto goes_on = [&](const Law& l) { return l.kind == kind || l.kind == "general"; };
     if (goes_on(law)) {
@@ -114,7 +115,7 @@ class ActuatorReader {
     apply_servo(e, law, from);
   }
 
-  // <position>, <velocity> and <intvelocity>.
+  // Applies <position>, <velocity> and <intvelocity>.
   void apply_servo(const Element& e, Law& law, const Law& from) const {
     const std::string& kind = law.kind;
     const auto one = [&](const char* name) {
@@ -224,7 +225,7 @@ class ActuatorReader {
     return true;
   }
 
-  // `always`: whatever the flag.
+  // `always`: reads the range even if the flag is off.
   std::optional<Range> range(const Element& e, const char* name, const char* flag,
                              bool always = false) const {
     const std::vector<double> values = list(e, name);
@@ -242,7 +243,8 @@ class ActuatorReader {
     return std::pair(values[0], values[1]);
   }
 
-  // False: there is no such law here. `joint`: null: it pushes bodies.
+  // Reads the law. Returns false if NovaPhy does not support it. Null `joint`: the actuator acts on
+  // bodies.
   bool read_law(Actuator& a, const MjcfJoint* joint) {
     const Element& e = *a.element;
     Law& law = a.law;
@@ -263,7 +265,7 @@ class ActuatorReader {
     const auto early = text(e, "actearly");
     if (has_state && early && read_flag(file_, e, "actearly", *early)) return refuse("actearly");
     if (number(e, "actdim").value_or(1.0) > 1.0) return refuse("actdim above 1");
-    // A damping ratio, of the inertia at the start.
+    // A damping ratio is relative to the inertia at the initial pose.
     if (law.bias[2] > 0.0 && law.gain[0] == -law.bias[1]) {
       if (joint == nullptr) return refuse("a dampratio, of no hinge or slide");
       const double inertia = dof_inertia(*joint) / (a.gear[0] * a.gear[0]);
@@ -288,7 +290,7 @@ class ActuatorReader {
     if (control && context_.settings.option.clamp_control) a.control = *control;
     a.force = range(e, "forcerange", "forcelimited").value_or(kNoRange);
     if (joint == nullptr) return true;
-    // Drives pull to where they go and against the velocity, whatever the control.
+    // A drive must pull towards its target and against the velocity for every control.
     const Range& input = has_state ? a.activation : a.control;
     for (const int k : {1, 2})
       for (const double c : {input.first, input.second})
@@ -302,13 +304,14 @@ class ActuatorReader {
     return k < in.linear.size() ? in.linear[k] : in.angular[k - in.linear.size()];
   }
 
-  // What the dof moves at the start, where all others may move.
+  // Returns the inertia of a dof at the initial pose if all other dofs may move.
   double dof_inertia(const MjcfJoint& joint) {
     if (inertias_.empty()) inertias_ = free_inertias(context_.robot);
     return inertias_[static_cast<size_t>(joint.joint)][static_cast<size_t>(joint.dof)];
   }
 
-  // A spring and a damper by their time constant and ratio, of the inertia at the start.
+  // Converts a time constant and a damping ratio to a spring and damper, with the inertia at the
+  // initial pose.
   void set_spring_damper(MjcfJoint& joint) {
     const auto [time, ratio] = joint.spring_damper;
     if (time == 0.0) return;
@@ -317,7 +320,7 @@ class ActuatorReader {
     dof_of(joint).damping = context_.settings.option.damper ? static_cast<float>(damping) : 0.0f;
   }
 
-  // The spring of a joint, and its limit of forces.
+  // Sets the spring of a joint and its force limit.
   void set_joint(const std::string& name) {
     MjcfJoint& joint = context_.joints.at(name);
     if (!joint.is_scalar) return;
@@ -389,7 +392,7 @@ class ActuatorReader {
   const MjcfDefaults& defaults_;
   std::vector<Actuator> found_;
   std::set<std::string> names_;
-  std::vector<std::vector<double>> inertias_;  // of dofs, when they are needed
+  std::vector<std::vector<double>> inertias_;  // per joint and dof, computed on demand
 };
 
 }  // namespace

@@ -11,9 +11,10 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr int32_t kMostModels = 1000;
-constexpr size_t kMostBytes = size_t{256} << 20;  // of all of them
+constexpr size_t kMostBytes = size_t{256} << 20;  // for all attached models together
 
-// Only the options of the file itself count.
+// Prepares an attached file: only the options of the main file count, so other option sections are
+// removed.
 const XmlFile& prepared(XmlFile& file, std::span<const fs::path> package_dirs) {
   include_files(file, package_dirs);
   for (const char* section : {"option", "keyframe", "custom", "size", "visual", "statistic"})
@@ -27,8 +28,8 @@ const char* needed(const MjcfContext& context, const Element& e, const char* nam
   return given;
 }
 
-// A file that <model> names, in the folder of this file or one beside it: so that what it may read
-// in turn is not more.
+// Reads a file that <model> names. The file must lie in the folder of this file or in a folder
+// beside it, so that its own references cannot reach further.
 XmlSource read_model(MjcfContext& context, const Element& e) {
   const XmlFile& file = context.file;
   const char* const given = needed(context, e, "file");
@@ -60,7 +61,7 @@ XmlSource read_model(MjcfContext& context, const Element& e) {
   return source;
 }
 
-// The first of a name counts, as in MuJoCo.
+// Notes models with a duplicate name. The first one counts, as in MuJoCo.
 void note_others(MjcfContext& context, const Element& first, const std::string& name) {
   for (const Element* m = first.NextSiblingElement("model"); m != nullptr;
        m = m->NextSiblingElement("model"))
@@ -68,7 +69,7 @@ void note_others(MjcfContext& context, const Element& first, const std::string& 
       context.notes.ignored(*m, "another model of this name stands before it");
 }
 
-// A <model> without a name has that of its file.
+// Finds a <model> by its name. A <model> without a name has the name of its file.
 std::shared_ptr<MjcfAttached> read_named(MjcfContext& context, const Element& e) {
   const std::string wanted = needed(context, e, "model");
   for (const Element* all = context.file.root().FirstChildElement("asset"); all != nullptr;

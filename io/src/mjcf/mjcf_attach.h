@@ -1,20 +1,20 @@
-// <attach>: a body of another file, or all of its world, becomes a part of this one.
+// <attach>: adds a body of another file, or its whole world, to this file.
 #pragma once
 
 #include "mjcf_bodies.h"
 
 namespace novaphy::detail {
 
-// The other file, as long as its elements are in use.
+// The other file, kept as long as its elements are used.
 struct MjcfAttached {
   MjcfAttached(const MjcfContext& parent, XmlSource source);
   XmlFile file;
   MjcfContext context;
 };
 
-// Reads the bodies into the Robot of `context`, below `to`.
+// Reads the bodies of an attached file below `to` into the Robot of `context`.
 void attach(MjcfContext& context, const Element& e, BodyPart& to);
-// <contact> and <actuator> of what is attached, once the masses are known.
+// Reads <contact> and <actuator> of attached files. Call this after the masses are known.
 void finish_attached(MjcfContext& context);
 
 }  // namespace novaphy::detail

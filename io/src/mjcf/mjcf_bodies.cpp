@@ -1,4 +1,4 @@
-// <worldbody> of MJCF files: bodies, frames, copies, geoms, sites and inertials.
+// Reads <worldbody> of MJCF files: bodies, frames, replicated copies, geoms, sites and inertials.
 #include <algorithm>
 
 #include "mjcf_attach.h"
@@ -7,7 +7,7 @@ namespace novaphy::detail {
 namespace {
 
 constexpr size_t kMostBodies = 10000;
-constexpr int64_t kMostElements = 1000000;  // with the copies of <replicate>
+constexpr int64_t kMostElements = 1000000;  // including copies of <replicate>
 
 class BodiesReader {
  public:
@@ -41,7 +41,7 @@ class BodiesReader {
   }
 
  private:
-  // Reads the body of that name, wherever it is in `e`.
+  // Reads the body with a given name at any depth of `e`.
   bool find_body(const Element& e, const char* name, const BodyPart& to) {
     for (const Element* c = e.FirstChildElement(); c != nullptr; c = c->NextSiblingElement()) {
       const std::string_view kind = c->Name();
@@ -105,7 +105,8 @@ class BodiesReader {
     }
   }
 
-  // Copies, each moved by `offset` and turned by `euler` in the frame of the one before.
+  // Reads copies. Each copy is moved by `offset` and rotated by `euler` in the frame of the
+  // previous one.
   void replicate(const Element& e, BodyPart& part) {
     double n[1] = {0.0}, offset[3] = {0.0, 0.0, 0.0}, angles[3] = {0.0, 0.0, 0.0};
     if (!file_.numbers(e, "count", n) || n[0] < 1.0 || n[0] > kMostElements ||
@@ -151,7 +152,7 @@ class BodiesReader {
       return;
     }
     if (geom->shape.type == GeoType::PLANE && part.is_static) {
-      // Planes belong to the world.
+      // A static plane belongs to the world.
       geom->shape.pose = math::multiply(part.in_world, geom->shape.pose);
       geom->shape.link = part.link;
       robot.world_shapes.push_back(std::move(geom->shape));
@@ -171,7 +172,7 @@ class BodiesReader {
       context_.sites[name] = {part.link, math::multiply(part.frame, pose_of(e, part.childclass))};
   }
 
-  // A camera or a light.
+  // Adds a camera or a light.
   void add_view(const Element& e, const BodyPart& part) {
     context_.notes.read(e.Name());
     const bool is_camera = std::string_view(e.Name()) == "camera";

@@ -1,47 +1,48 @@
-// Bodies of MJCF files and the joints that move them.
+// Bodies of MJCF files and their joints.
 #pragma once
 
 #include "mjcf_context.h"
 
 namespace novaphy::detail {
 
-// Where the children of an element belong.
+// The place to which the children of an element are added.
 struct BodyPart {
   int32_t link = kWorldLink;
-  Posed frame = identity_pose();  // of the element in the link
+  Posed frame = identity_pose();  // frame of the element in the link
   std::string childclass = {};
-  bool is_static = true;  // fixed to the world, in which it has the pose
+  bool is_static = true;  // whether the element is fixed to the world
   Posed in_world = identity_pose();
-  std::string prefix = {};  // of names, of a model that is attached
-  std::string suffix = {};  // of names, of a copy
-  bool with_mass = false;   // geoms have one
-  size_t geoms = 0;         // so far
+  std::string prefix = {};  // prefix of names in an attached model
+  std::string suffix = {};  // suffix of names in a copy
+  bool with_mass = false;   // whether geoms add mass
+  size_t geoms = 0;         // number of geoms so far
 
-  // With the suffix; empty: the element has no name.
+  // Returns the name with prefix and suffix; empty: the element has no name.
   std::string name_of(const Element& e) const {
     const char* const given = e.Attribute("name");
     return given == nullptr || *given == '\0' ? std::string() : prefix + given + suffix;
   }
 };
 
-// The joints of one body, as one joint of several degrees of freedom where that is the same, else
-// as a chain of joints with links without mass between them.
+// The joints of one body. They become one joint with several degrees of freedom if that is
+// equivalent, else a chain of joints with massless links between them.
 class BodyJoints {
  public:
-  // `outer`: where the body stands; `childclass`: that of its children.
+  // `outer`: the place of the body. `childclass`: the default class of its children.
   BodyJoints(MjcfContext& context, const Element& body, const BodyPart& outer,
              std::string childclass, std::string name);
-  // Adds links and joints; the body has the pose `pose` in the outer link. Returns its link.
+  // Adds links and joints. `pose` is the pose of the body in the outer link. Returns the link of
+  // the body.
   int32_t add(const Posed& pose, bool is_mocap);
   bool moves() const { return moves_; }
 
  private:
   struct Found {
     const Element* element;
-    Posed frame;  // of what the element stands in, in the body
+    Posed frame;  // frame of the enclosing element in the body
     std::string childclass;
   };
-  struct BallForces {  // of a ball or free joint
+  struct BallForces {  // passive forces of a ball or free joint
     double damping = 0.0, friction = 0.0, armature = 0.0, stiffness = 0.0;
     bool operator==(const BallForces&) const = default;
   };
@@ -62,7 +63,7 @@ class BodyJoints {
   static void set_forces(RobotJoint& joint, const BallForces& forces);
   void add_free(const Element& e, const std::string& name, const BallForces& forces);
   void add_group(std::span<const Scalar> group);
-  // Adds a joint whose child is the body, or a link between where another one follows.
+  // Adds a joint. Its child is the body, or a massless link if another joint follows.
   RobotJoint& add_joint(std::string name, const Element& e, JointType type, bool is_last);
   void note_joint(const std::string& name, MjcfJoint joint, int32_t dof);
   double passive(const Element& e, const char* name, const std::string& childclass,
@@ -73,13 +74,14 @@ class BodyJoints {
   const BodyPart& outer_;
   const std::string name_;
   std::vector<Found> found_;
-  Posed pose_ = identity_pose();  // of what comes next, in parent_
+  Posed pose_ = identity_pose();  // pose of the next joint in parent_
   int32_t parent_ = kWorldLink;
   size_t named_ = 0;
   bool moves_ = false, is_mocap_ = false;
 };
 
-// Reads the body of that name below `to`, or all of <worldbody> (null). False: there is none.
+// Reads the body with a given name below `to`, or all of <worldbody> if `body` is null. Returns
+// false if the body does not exist.
 bool read_attached(MjcfContext& context, const char* body, BodyPart& to);
 
 }  // namespace novaphy::detail

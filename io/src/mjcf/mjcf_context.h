@@ -1,4 +1,4 @@
-// The state that the parts of the MJCF reader share while a file becomes a Robot.
+// The state that the parts of the MJCF reader share.
 #pragma once
 
 #include <set>
@@ -10,32 +10,35 @@ namespace novaphy::detail {
 // A hinge, slide, ball or free joint of the file.
 struct MjcfJoint {
   const Element* element = nullptr;
-  int32_t joint = 0, dof = 0;  // of the Robot, and which of its degrees of freedom
+  int32_t joint = 0, dof = 0;  // joint of the Robot, and index of the dof in it
   bool is_scalar = false;      // hinge or slide
   bool is_ball = false;
   double stiffness = 0.0, spring_ref = 0.0;
-  double spring_damper[2] = {0.0, 0.0};  // time constant, s, and ratio of damping, above 0; or none
+  double spring_damper[2] = {0.0, 0.0};  // time constant (s) and damping ratio, both > 0; zeros:
+                                         // not given
   double range[2] = {0.0, 0.0};
   bool is_limited = false;
-  std::optional<std::pair<double, double>> force_range = {};  // of all actuators together
+  // force limit for all actuators together
+  std::optional<std::pair<double, double>> force_range = {};
 };
 
-// What an actuator pushes: a joint, or two sites of links, each with its pose in the link.
+// The object that an actuator acts on: a joint, or two sites with their links and poses.
 struct MjcfActuator {
-  std::string joint;  // empty: links
+  std::string joint;  // empty: acts on links
   std::pair<int32_t, Posed> site = {}, reference = {};
-  BodyActuatorArgs args;  // law.axis: in the joint of the Robot
+  BodyActuatorArgs args;  // law.axis: dof of the Robot's joint
 };
 
 struct MjcfCamera {
-  std::pair<int32_t, Posed> at;  // in its link
+  std::pair<int32_t, Posed> at;  // link and pose in it
   double fovy;                   // rad
 };
 
 struct MjcfAttached;  // mjcf_attach.h
-// Of a file and all that it attaches.
+// State of a file with all files that it attaches.
 struct MjcfAttaching {
-  std::filesystem::path top = {};  // in which models may read; empty: XML given as text
+  std::filesystem::path top = {};  // folder from which models may be read; empty: the XML was given
+                                   // as text
   int32_t models = 0;
   size_t bytes = 0;
 };
@@ -54,12 +57,12 @@ struct MjcfContext {
     file.refuse(e, what + " is not read", ErrorKind::NotImplemented);
   }
 
-  // What finalize refuses, unless such parts are left out.
+  // Adds a reason for finalize to throw, or a note if unsupported parts are left out.
   void refuse_at_finalize(const Element& e, const std::string& text) {
     if (options.unsupported == Unsupported::Warn) return notes.left_out(e, text);
     refused.push_back(file.place(e) + ": " + text + " (unsupported=\"warn\" leaves it out)");
   }
-  // A name of the file, of a model that is attached.
+  // Returns a name with the prefix and suffix of an attached model.
   std::string named(const std::string& name) const { return prefix + name + suffix; }
 
   const ModelBuilder& builder;
@@ -70,17 +73,18 @@ struct MjcfContext {
   MjcfDefaults defaults;
   MjcfAssets assets;
   Robot robot = {};
-  std::map<std::string, int32_t> bodies = {};  // links
+  std::map<std::string, int32_t> bodies = {};  // link indices
   std::map<std::string, MjcfJoint> joints = {};
-  std::vector<std::string> joint_order = {};  // as in qpos
+  std::vector<std::string> joint_order = {};  // order of qpos
   std::set<std::string> geoms = {};
-  std::map<std::string, std::pair<int32_t, Posed>> sites = {}, lights = {};  // in their links
+  // link and pose in it
+  std::map<std::string, std::pair<int32_t, Posed>> sites = {}, lights = {};
   std::map<std::string, MjcfCamera> cameras = {};
   std::vector<MjcfActuator> actuators = {};
   std::vector<RobotPart> equalities = {}, tendons = {}, height_fields = {}, sensors = {};
-  std::vector<std::string> refused = {};  // by finalize
-  // Of a model that is attached: what its names get, by whom, and whether it is a part only, so
-  // that names may be missing.
+  std::vector<std::string> refused = {};  // reasons for finalize to throw
+  // For an attached model: additions to its names, the parent, and whether only a part is attached,
+  // in which case names may be missing.
   std::string prefix = {}, suffix = {};
   bool is_part = false;
   const MjcfContext* parent = nullptr;
@@ -88,30 +92,30 @@ struct MjcfContext {
   std::vector<std::shared_ptr<MjcfAttached>> attached = {};
 };
 
-// <worldbody>: bodies, joints, geoms, sites.
+// Reads <worldbody>: bodies, joints, geoms, sites.
 void read_bodies(MjcfContext& context);
-// An element and what is in it, with the defaults of its class.
+// Reads an element with its children and the defaults of its class.
 RobotPart read_part(const MjcfContext& context, const Element& e);
 RobotPart read_height_field(const MjcfContext& context, const Element& e);
-// A <geom>: its shape, and what it adds to the mass of its body.
+// A <geom>: its shape, and its contribution to the mass of its body.
 struct MjcfGeom {
   RobotShape shape;
   double mass = 0.0;
   Vec3d com{};  // in the frame of the geom
   Mat33d inertia{};
 };
-// `with_mass`: else the mass stays 0.
+// `with_mass` false: the mass stays 0.
 std::optional<MjcfGeom> read_geom(MjcfContext& context, const Element& e,
                                   const std::string& childclass, const std::string& label,
                                   bool with_mass);
-// <contact>: pairs and excluded bodies.
+// Reads <contact>: pairs and excluded bodies.
 void read_contacts(MjcfContext& context);
-// <actuator>; after the masses, which damping ratios need.
+// Reads <actuator>. Call this after the masses are known, which damping ratios need.
 void read_actuators(MjcfContext& context);
-// <equality>, <tendon>, <sensor> and what else has no counterpart.
+// Reads <equality>, <tendon>, <sensor> and other unsupported sections.
 void read_others(MjcfContext& context);
-// The coordinates of the Robot's joints, in its order, from qpos; mocap bodies have the poses
-// `mocap`, position and quaternion each, or those of the file.
+// Returns the coordinates of the Robot's joints, in its order, from qpos. Mocap bodies have the
+// poses `mocap` (position and quaternion each), or those of the file.
 std::vector<double> coordinates_of(const MjcfContext& context, const Element& e,
                                    std::span<const double> qpos);
 

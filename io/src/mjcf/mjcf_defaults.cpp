@@ -17,7 +17,7 @@ Vec3d unit(const XmlFile& file, const Element& e, const char* attribute, const V
   return v / length;
 }
 
-// The turn whose matrix has x as its first and z as its last column.
+// Returns the rotation whose matrix has x as its first and z as its last column.
 Quatd from_columns(const Vec3d& x, const Vec3d& z) {
   const Quatd first = turn_from_z(z);
   const Vec3d turned_x = math::rotate(first, Vec3d{1.0, 0.0, 0.0});
@@ -37,7 +37,7 @@ MjcfDefaults::MjcfDefaults(const XmlFile& file) : file_(file) {
 void MjcfDefaults::read(const Element& e, const std::string& parent) {
   const char* given = e.Attribute("class");
   if (given == nullptr && !parent.empty()) file_.refuse(e, "class: expected a name, got none");
-  // What is outermost is the default of all, whatever its name.
+  // The outermost class is the default of all elements, whatever its name.
   const std::string name = parent.empty() ? "main" : given;
   if (!parent.empty() && !classes_.emplace(name, classes_.at(parent)).second)
     file_.refuse(e, "class: expected different names, got \"" + name + "\" twice");

@@ -1,4 +1,4 @@
-// Attributes of MJCF elements: their own, else those of their default class.
+// Attributes of MJCF elements: the element's own value, else that of its default class.
 #pragma once
 
 #include <map>
@@ -16,29 +16,33 @@ class MjcfDefaults {
  public:
   explicit MjcfDefaults(const XmlFile& file);
 
-  // The attribute of an element; its own, that of its class, or that of `childclass`. Classes have
-  // the defaults of all equalities under equality, those of <spatial> and <fixed> under tendon.
+  // Returns an attribute of an element: its own value, else that of its class, else that of
+  // `childclass`. The class has defaults of all equalities under `equality`, and those of <spatial>
+  // and <fixed> under `tendon`.
   std::optional<std::string> text(const Element& e, const char* attribute,
                                   const std::string& childclass) const;
-  // As exactly out.size() finite numbers; false: there is none.
+  // Reads an attribute as exactly out.size() finite numbers. Returns false if the attribute is
+  // missing.
   bool numbers(const Element& e, const char* attribute, const std::string& childclass,
                std::span<double> out) const;
-  // As many as there are.
+  // Reads an attribute as a list of any length.
   std::vector<double> list(const Element& e, const char* attribute,
                            const std::string& childclass) const;
   double number(const Element& e, const char* attribute, const std::string& childclass,
                 double by_default) const;
-  // Raises NotImplemented where an element, or its class, has an attribute that is not in `read`
-  // and not in `passed_over`.
+  // Throws NotImplemented for an attribute of an element or its class that is neither in `read` nor
+  // in `passed_over`.
   void check_known(const Element& e, const std::string& childclass,
                    std::span<const std::string_view> read,
                    std::span<const std::string_view> passed_over) const;
-  // The <general>, <motor>, ... of the classes around an actuator's, outermost first, and its own.
+  // The actuator elements (<general>, <motor> and so on) of the classes around an actuator's class,
+  // outermost first, and of its own class.
   using ActuatorClasses = std::vector<std::vector<const Element*>>;
   const ActuatorClasses& actuators(const Element& e) const;
-  // The attribute, or that of the <general>, <position>, ... of the class that comes last.
+  // Returns the attribute, or that of the last actuator element of the class.
   std::optional<std::string> actuator_text(const Element& e, const char* attribute) const;
-  // The orientation of an element: axisangle, euler, zaxis or xyaxes, else quat; else the identity.
+  // Returns the orientation of an element from axisangle, euler, zaxis, xyaxes or quat; the
+  // identity without any.
   Quatd orientation(const Element& e, const std::string& childclass,
                     const MjcfCompiler& compiler) const;
 
@@ -57,7 +61,7 @@ class MjcfDefaults {
   std::map<std::string, Class> classes_;
 };
 
-// The turn of three angles of the file, by `eulerseq`.
+// Returns the rotation of three Euler angles of the file, in the order of `eulerseq`.
 Quatd euler_turn(const Vec3d& angles, const MjcfCompiler& compiler);
 
 }  // namespace novaphy::detail

@@ -1,4 +1,4 @@
-// Geoms of MJCF files.
+// Reads geoms of MJCF files.
 #include <cmath>
 
 #include "mjcf_context.h"
@@ -12,15 +12,16 @@ constexpr std::string_view kRead[] = {
     "zaxis",  "xyaxes",  "fromto",       "size",   "mass",   "density",   "friction",
     "margin", "contype", "conaffinity",  "condim", "rgba",   "mesh",      "material",
     "group",  "hfield",  "shellinertia", "solref", "solimp", "solmix",    "priority"};
-// Of fluids, which are left out as a whole, and `gap`, which moves nothing.
+// Attributes without effect here: those of fluids, which are not supported at all, and `gap`, which
+// does not affect the motion.
 constexpr std::string_view kPassedOver[] = {"user", "fluidshape", "fluidcoef",
                                             "gap",  "fitscale",   "surfacevel"};
 
 struct Kind {
   const char* name;
   GeoType type;
-  size_t sizes;  // numbers of `size`
-  bool is_long;  // may have fromto
+  size_t sizes;  // number of entries in `size`
+  bool is_long;  // whether fromto is allowed
 };
 constexpr Kind kKinds[] = {
     {"sphere", GeoType::SPHERE, 1, false},    {"capsule", GeoType::CAPSULE, 2, true},
@@ -80,7 +81,7 @@ class GeomReader {
   }
   bool is_seen_only() const { return geom_.shape.contype == 0 && geom_.shape.conaffinity == 0; }
 
-  // Pose, size and mesh. False: the geom is left out.
+  // Reads pose, size and mesh. Returns false if the geom is left out.
   bool read_place(const Kind& kind, const std::string& type) {
     RobotShape& shape = geom_.shape;
     double v[6] = {};
@@ -110,7 +111,7 @@ class GeomReader {
     } else if (e_.Attribute("fromto") != nullptr) {
       file_.refuse(e_, "fromto: expected none of a " + type);
     }
-    // MuJoCo's planes end only in pictures: they collide everywhere.
+    // Planes of MuJoCo are finite only in rendering, and collide everywhere.
     if (kind.type == GeoType::PLANE) size.resize(2);
     if (size.size() < kind.sizes)
       file_.refuse(e_, "size: expected " + std::to_string(kind.sizes) + " numbers of a " + type +
@@ -169,7 +170,7 @@ class GeomReader {
 
   void read_collision() {
     ShapeConfig& cfg = geom_.shape.cfg;
-    cfg.density = 0.0f;  // the masses of bodies are those of read_mass
+    cfg.density = 0.0f;  // read_mass computes the masses of bodies
     const double bits[] = {number("contype", 1.0), number("conaffinity", 1.0)};
     for (const double value : bits)
       if (value < 0.0 || value > 2147483647.0 || value != std::floor(value))
@@ -178,7 +179,8 @@ class GeomReader {
     geom_.shape.conaffinity = static_cast<uint32_t>(bits[1]);
     if (is_seen_only() || !context_.settings.option.contact)
       cfg.has_shape_collision = cfg.has_particle_collision = false;
-    cfg.is_visible = number("group", 0.0) <= 2.0;  // what MuJoCo's viewers show at first
+    cfg.is_visible = number("group", 0.0) <= 2.0;  // the groups that MuJoCo's viewers show by
+                                                   // default
     const double margin = number("margin", 0.0);
     if (margin < 0.0) file_.refuse(e_, "margin: expected >= 0");
     cfg.margin = static_cast<float>(margin);
@@ -200,8 +202,8 @@ class GeomReader {
     if (condim != 1.0 && condim != 3.0 && condim != 4.0 && condim != 6.0)
       file_.refuse(e_, "condim: expected 1, 3, 4 or 6");
     if (condim == 1.0) cfg.mixing.mu = std::exchange(cfg.mu, 0.0f);
-    // As in MuJoCo, contacts of fewer than 4 dimensions have no torsional and rolling friction,
-    // and those of 4 no rolling.
+    // As in MuJoCo, contacts with fewer than 4 dimensions have no torsional and rolling friction,
+    // and those with 4 no rolling friction.
     if (condim < 4.0) cfg.mu_torsional = 0.0f;
     if (condim < 6.0) cfg.mu_rolling = 0.0f;
     if (condim >= 4.0 && !is_seen_only())

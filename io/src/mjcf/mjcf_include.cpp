@@ -10,8 +10,8 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr size_t kMostFiles = 1000;
-constexpr size_t kMostBytes = size_t{64} << 20;  // of all files
-constexpr int kDeepest = 100;                    // elements inside of each other
+constexpr size_t kMostBytes = size_t{64} << 20;  // for all files together
+constexpr int kDeepest = 100;                    // largest depth of nested elements
 
 int depth_of(const Element& element) {
   int depth = 0;
@@ -34,7 +34,7 @@ class Includer {
   }
 
  private:
-  // The element behind `e` in the order of the document; with `inside` also one in it.
+  // Returns the next element after `e` in document order; `inside`: also a child.
   static Element* next(Element& e, bool inside) {
     if (inside && e.FirstChildElement() != nullptr) return e.FirstChildElement();
     for (Element* at = &e; at != nullptr;) {
@@ -44,7 +44,7 @@ class Includer {
     return nullptr;
   }
 
-  // Returns where to go on.
+  // Returns the element to continue with.
   Element* include(Element& e) {
     const char* const given = e.Attribute("file");
     if (given == nullptr) file_.refuse(e, "file: missing");

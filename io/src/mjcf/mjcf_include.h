@@ -1,4 +1,4 @@
-// The <include> elements of MJCF files.
+// Resolves the <include> elements of MJCF files.
 #pragma once
 
 #include <filesystem>
@@ -8,9 +8,9 @@
 
 namespace novaphy::detail {
 
-// Puts the files that <include> elements name in the places of these. ErrorKind::Value: a file that
-// is not there, lies elsewhere (see resolve_file), is too large with the others, is no XML, or is
-// included twice, which a cycle does.
+// Replaces <include> elements by the contents of their files. ErrorKind::Value: a file is missing,
+// lies in a forbidden folder (see resolve_file), exceeds the common size limit, is not XML, or is
+// included twice, as in a cycle.
 void include_files(XmlFile& file, std::span<const std::filesystem::path> package_dirs);
 
 }  // namespace novaphy::detail

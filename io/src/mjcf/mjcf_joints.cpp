@@ -1,4 +1,4 @@
-// Joints of MJCF files.
+// Reads joints of MJCF files.
 #include <algorithm>
 #include <cmath>
 
@@ -27,7 +27,8 @@ constexpr std::string_view kPassedOver[] = {"margin",         "solreflimit",    
                                             "solreffriction", "solimpfriction",   "group",
                                             "user",           "actuatorgravcomp", "align"};
 
-// The volume (area) that unit axes span says how far they are from a plane (line).
+// Returns whether unit axes are linearly independent, by the volume of three axes or the area of
+// two.
 bool are_independent(const std::vector<Vec3d>& axes) {
   if (axes.size() < 2) return true;
   const Vec3d n = math::cross(axes[0], axes[1]);
@@ -102,7 +103,7 @@ int32_t BodyJoints::add(const Posed& pose, bool is_mocap) {
     group.push_back(std::move(next));
   }
   end_group();
-  // What carries the last joint is the body.
+  // The child of the last joint is the body.
   RobotLink& link = context_.robot.links[static_cast<size_t>(parent_)];
   link.name = name_;
   link.is_between = false;
@@ -198,7 +199,7 @@ void BodyJoints::add_ball(const Found& found, const std::string& type) {
   if (!limits.is_limited) return;
   if (limits.range[0] != 0.0 || limits.range[1] < 0.0)
     file.refuse(e, "range: expected 0 and the largest angle of a ball joint");
-  constexpr double kLeast = 1e-3;  // rad: a turn of 0 has no axis
+  constexpr double kLeast = 1e-3;  // rad; a rotation by 0 has no axis
   if (limits.range[1] < kLeast) context_.notes.mended(e, "its range is 0.001 rad");
   if (option.limit) joint.limit_angle = std::max(limits.range[1], kLeast);
 }
@@ -210,8 +211,8 @@ void BodyJoints::set_forces(RobotJoint& joint, const BallForces& forces) {
   joint.stiffness = forces.stiffness;
 }
 
-// One with forces or inertia of its own is three slides and a ball joint, which have these: the
-// coordinates are the same.
+// Adds a free joint. If it has passive forces or an armature, it becomes three slides and a ball
+// joint, which support them and have the same coordinates.
 void BodyJoints::add_free(const Element& e, const std::string& name, const BallForces& forces) {
   if (forces == BallForces{}) {
     add_joint(name, e, JointType::FREE, true);
@@ -315,11 +316,11 @@ void BodyJoints::add_group(std::span<const Scalar> group) {
     joint.start.push_back(s.ref);
   }
   joint.child_pose = place;
-  // The coordinates of the file are those of the joint: at `ref` the body is where the file has it.
+  // The coordinates of the joint are those of the file: at `ref` the body has its pose in the file.
   Posed back = place;
   for (const Scalar& s : group) {
     if (s.is_hinge)
-      back.q = turn(s.axis, -s.ref);  // a hinge with a ref is alone
+      back.q = turn(s.axis, -s.ref);  // a hinge with a ref is not combined with others
     else
       back.p = back.p - s.axis * s.ref;
   }

@@ -5,22 +5,24 @@
 
 namespace novaphy::detail {
 
-// In the frame of a geom, of density 1: the inertia is about `com`.
+// Mass properties for density 1 in the frame of a geom. The inertia is about `com`.
 struct SolidMass {
-  double volume = 0.0;  // of a shell: its area
+  double volume = 0.0;  // for a shell, its area
   Vec3d com{};
   Mat33d inertia{};
 };
 
 enum class MeshInertia { Legacy, Exact, Convex, Shell };
 
-// Of a sphere, capsule, cylinder, ellipsoid or box, with the scale of GeoType.
+// Returns the mass properties of a sphere, capsule, cylinder, ellipsoid or box with the scale of
+// GeoType.
 SolidMass primitive_mass(GeoType type, const Vec3d& scale);
-// As MuJoCo has them: of the pyramids between the triangles and the middle of the surface, with
-// their signs (Exact) or without (Legacy), or of the triangles themselves (Shell).
+// Returns the mass properties of a mesh as MuJoCo computes them: from the pyramids between the
+// triangles and the center of the surface, with signed volumes (Exact) or absolute volumes
+// (Legacy), or from the triangles themselves (Shell).
 SolidMass mesh_mass(const Mesh& surface, MeshInertia how);
 
-// boundmass, boundinertia, balanceinertia and settotalmass, in this order.
+// Applies boundmass, boundinertia, balanceinertia and settotalmass, in this order.
 void mend_masses(Robot& robot, const MjcfCompiler& compiler);
 
 }  // namespace novaphy::detail

@@ -14,13 +14,13 @@ namespace fs = std::filesystem;
 constexpr std::string_view kRead[] = {"name",    "class",       "file",        "vertex",
                                       "face",    "scale",       "refpos",      "refquat",
                                       "inertia", "maxhullvert", "content_type"};
-// Pictures, and what is made of a mesh anew.
+// Attributes of rendering, or of data that the reader computes itself.
 constexpr std::string_view kPassedOver[] = {"smoothnormal", "texcoord", "normal", "material",
                                             "user"};
 constexpr uintmax_t kLargest = uintmax_t{256} << 20;  // bytes
 
-// MuJoCo's binary format: four counts, then positions, normals and texture coordinates as float32,
-// and corners as int32.
+// Reads MuJoCo's binary format: four counts, then positions, normals and texture coordinates as
+// float32, and corners as int32.
 Mesh read_msh(std::string_view function, const fs::path& path) {
   const std::string bytes = read_file(function, path);
   int32_t counts[4] = {};  // positions, normals, texture coordinates, triangles
@@ -160,7 +160,7 @@ MjcfMesh MjcfAssets::load(const Asset& asset) {
     file_.refuse(e, error.what(), error.kind());
   }
 
-  // The place that becomes the origin, then the turn that goes, then the scale.
+  // Moves refpos to the origin, removes the rotation refquat, then applies the scale.
   double place[3] = {0.0, 0.0, 0.0}, q[4] = {1.0, 0.0, 0.0, 0.0}, scale[3] = {1.0, 1.0, 1.0};
   defaults_.numbers(e, "refpos", {}, place);
   defaults_.numbers(e, "refquat", {}, q);
@@ -174,7 +174,7 @@ MjcfMesh MjcfAssets::load(const Asset& asset) {
     const Vec3d at = math::rotate(back, Vec3d{v.x - place[0], v.y - place[1], v.z - place[2]});
     v = to_float(Vec3d{at.x * scale[0], at.y * scale[1], at.z * scale[2]});
   }
-  if (scale[0] * scale[1] * scale[2] < 0.0)  // mirrored
+  if (scale[0] * scale[1] * scale[2] < 0.0)  // mirrored: flip the orientation
     for (size_t k = 0; k + 2 < mesh.indices.size(); k += 3)
       std::swap(mesh.indices[k + 1], mesh.indices[k + 2]);
   drop_degenerate(mesh);

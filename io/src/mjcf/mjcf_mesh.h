@@ -1,4 +1,4 @@
-// Meshes and materials among the assets of MJCF files.
+// Meshes and materials in the assets of MJCF files.
 #pragma once
 
 #include <map>
@@ -20,21 +20,21 @@ struct MjcfMesh {
 
 class MjcfAssets {
  public:
-  // Reads the names; the files are read when they are used.
+  // Reads the names. A mesh file is read at its first use.
   MjcfAssets(const XmlFile& file, const MjcfDefaults& defaults, const MjcfSettings& settings,
              std::span<const std::filesystem::path> package_dirs, Notes& notes);
 
-  // The mesh of an element, read once. ErrorKind::Value: there is none of that name, or the file
-  // is refused.
+  // Returns the mesh of an element, read once. ErrorKind::Value: the name does not exist, or the
+  // file is refused.
   const MjcfMesh& mesh(const Element& user, const std::string& name);
-  // Whether the file of a mesh is there; true for one without a file.
+  // Returns whether the file of a mesh exists; true for a mesh without a file.
   bool is_there(const std::string& name) const;
   std::optional<Vec4f> color(const std::string& material) const;
 
  private:
   struct Asset {
     const Element* element;
-    std::string file;  // empty: its vertices stand in the file
+    std::string file;  // empty: the vertices are in the MJCF file
     std::unique_ptr<MjcfMesh> mesh = {};
   };
   std::string path_of(const std::string& file) const;

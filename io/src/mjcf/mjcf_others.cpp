@@ -1,4 +1,4 @@
-// What else MJCF files have beside bodies and actuators.
+// Reads sections of MJCF files other than bodies and actuators.
 #include <algorithm>
 #include <cmath>
 
@@ -51,7 +51,7 @@ void read_pair(MjcfContext& context, const Element& e) {
       return context.notes.ignored(e, "numbers of a pair: its geoms have those of their own");
 }
 
-// Whether a tendon has forces of its own.
+// Returns whether a tendon has its own forces.
 bool acts(const MjcfContext& context, const Element& e) {
   const MjcfDefaults& d = context.defaults;
   const auto has = [&](const char* name) {

@@ -1,4 +1,4 @@
-// Equalities, tendons, height fields and sensors of MJCF files, as the file has them.
+// Reads equalities, tendons, height fields and sensors of MJCF files without interpreting them.
 #include <algorithm>
 #include <cstring>
 
@@ -44,7 +44,8 @@ RobotPart read_part(const MjcfContext& context, const Element& e) {
   return part;
 }
 
-// MuJoCo's binary format: two counts, then elevations as float32. Other files are pictures.
+// Reads a height field in MuJoCo's binary format: two counts, then elevations as float32. Other
+// files are images.
 RobotPart read_height_field(const MjcfContext& context, const Element& e) {
   RobotPart part = read_part(context, e);
   const auto file = part.names.find("file");

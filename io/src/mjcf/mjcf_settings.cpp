@@ -109,7 +109,7 @@ class SettingsReader {
         o.has_fluid = true;
         notes_.left_out(e, std::string(name) + ": there are no forces of a fluid");
       } else if (name == "wind") {
-        file_.numbers(e, "wind", v);  // it acts through density and viscosity
+        file_.numbers(e, "wind", v);  // acts only through density and viscosity
       } else if (name == "actuatorgroupdisable") {
         for (const double group : file_.parse(e, "actuatorgroupdisable", a->Value()))
           if (group >= 0.0 && group <= 30.0) o.disabled_groups |= 1u << static_cast<int>(group);

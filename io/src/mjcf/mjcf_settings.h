@@ -1,4 +1,4 @@
-// <compiler> and <option> of MJCF files: how the file is written, and what acts.
+// <compiler> and <option> of MJCF files: conventions of the file, and switched-off features.
 #pragma once
 
 #include <array>
@@ -14,8 +14,8 @@ struct MjcfCompiler {
   double angle = 3.14159265358979323846 / 180.0;  // radians per unit
   bool auto_limits = true;
   enum class Inertia { Auto, Always, Never } inertia_from_geom = Inertia::Auto;
-  double groups[2] = {0.0, 5.0};  // of the geoms that have a mass
-  std::string euler = "xyz";      // capital letters: about axes that stay
+  double groups[2] = {0.0, 5.0};  // range of geom groups that have a mass
+  std::string euler = "xyz";      // capital letters: axes fixed in space
   std::filesystem::path mesh_folder = {};
   bool strip_path = false, balance_inertia = false, fit_aabb = false;
   double bound_mass = 0.0, bound_inertia = 0.0, total_mass = -1.0;
@@ -24,11 +24,11 @@ struct MjcfCompiler {
 struct MjcfOption {
   std::optional<Vec3d> gravity = {};
   std::optional<double> timestep = {};
-  // What <flag> turns off.
+  // Features that <flag> may switch off.
   bool contact = true, limit = true, friction = true, equality = true, actuation = true,
        spring = true, damper = true, parent_filter = true, clamp_control = true;
-  bool has_fluid = false;        // density or viscosity
-  uint32_t disabled_groups = 0;  // of actuators
+  bool has_fluid = false;        // density or viscosity is not 0
+  uint32_t disabled_groups = 0;  // disabled actuator groups, as bits
 };
 
 struct MjcfSettings {
@@ -38,7 +38,7 @@ struct MjcfSettings {
 
 MjcfSettings read_settings(const XmlFile& file, Notes& notes);
 
-// An attribute that is true or false.
+// Reads an attribute with the value true or false.
 bool read_flag(const XmlFile& file, const Element& e, const char* name, std::string_view text);
 
 }  // namespace novaphy::detail

@@ -6,7 +6,7 @@
 namespace novaphy::detail {
 namespace {
 
-constexpr double kLeastImpedance = 1e-4, kMostImpedance = 0.9999;  // MuJoCo's
+constexpr double kLeastImpedance = 1e-4, kMostImpedance = 0.9999;  // MuJoCo's limits
 
 double impedance(const double (&solimp)[5], double overlap) {
   const auto within = [](double d) { return std::clamp(d, kLeastImpedance, kMostImpedance); };
@@ -35,7 +35,7 @@ SpringPerMass spring_per_mass(const MjcfSoftness& of, double gravity, double sho
     return k * d * d / (1.0 - d);
   };
   double overlap = 0.0;
-  if (k > 0.0) {  // stiffness and overlap make the weight
+  if (k > 0.0) {  // find the overlap at which the spring carries the weight
     double low = 0.0, high = gravity / std::min(stiffness(0.0), stiffness(1e6));
     for (int i = 0; i < 60; ++i) {
       overlap = 0.5 * (low + high);

@@ -5,15 +5,15 @@
 namespace novaphy::detail {
 namespace {
 
-// A motion of unit rate; `linear` is that of the point at the origin.
+// A unit rate motion; `linear` is the velocity of the point at the origin.
 struct Screw {
   Vec3d angular{}, linear{};
 };
 
-// Of all that moves with a link, about the origin.
+// Inertia of a link and its subtree, about the origin.
 struct Inertia {
   double mass = 0.0;
-  Vec3d moment{};  // mass times the center
+  Vec3d moment{};  // mass times the center of mass
   Mat33d about{};
 
   Screw momentum(const Screw& s) const {
@@ -46,13 +46,13 @@ Inertia inertia_of(const RobotLink& link, const Posed& pose) {
 constexpr Vec3d kAxes[] = {{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}};
 
 struct Dof {
-  size_t joint, place;  // among those of the joint
+  size_t joint, place;  // joint, and index of the dof in it
   Screw screw;
   double armature;
-  int32_t parent;  // the dof before it on the way to the root; -1: none
+  int32_t parent;  // previous dof on the path to the root; -1: none
 };
 
-// M at the start, where all dofs may move, as L^T D L.
+// The mass matrix M at the initial pose, where all dofs may move, factored as L^T D L.
 class StartDynamics {
  public:
   explicit StartDynamics(const Robot& robot)
@@ -69,7 +69,7 @@ class StartDynamics {
     factor(sum);
   }
 
-  // 1 / (M^-1)_kk of each joint's dofs, or 0 where M is not positive definite.
+  // Returns 1 / (M^-1)_kk for each joint's dofs, or 0 if M is not positive definite.
   std::vector<std::vector<double>> inertias() const {
     std::vector<std::vector<double>> result;
     for (const size_t count : places_) result.emplace_back(count, 0.0);
@@ -80,7 +80,8 @@ class StartDynamics {
     }
     return result;
   }
-  // The mean over three directions of what a force at a link's center of mass accelerates there.
+  // Returns the mean over three directions of the acceleration of a link's center of mass per unit
+  // force there.
   double inverse_mass(size_t link) const {
     if (last_[link] < 0 || !is_definite_) return 0.0;
     const auto k = static_cast<size_t>(last_[link]);
@@ -120,7 +121,8 @@ class StartDynamics {
       for (const Vec3d& axis : kAxes) add(axis, false, joint.armature);
     if (is_free || quaternion_at(joint.type) == 0)
       for (const Vec3d& axis : kAxes) add(axis, true, joint.armature);
-    // Angles before that of an axis are 0, but for a ref, with which a hinge is alone.
+    // At the initial pose the earlier angles of a joint are 0. Only a hinge with a ref differs, and
+    // such a hinge has no other axes.
     for (const auto* axes : {&joint.linear, &joint.angular})
       for (const JointDofConfig& dof : *axes)
         add(math::rotate(frame.q, Vec3d{dof.axis.x, dof.axis.y, dof.axis.z}),
@@ -128,9 +130,9 @@ class StartDynamics {
     last_[child] = before;
   }
 
-  // Sparse along the branches: rows of ancestors only.
+  // Factors M. The factor is sparse: the row of a dof has entries for its ancestors only.
   void factor(const std::vector<Inertia>& sum) {
-    rows_.resize(dofs_.size());  // from the dof to the root
+    rows_.resize(dofs_.size());  // entries from the dof to the root
     for (size_t k = 0; k < dofs_.size(); ++k) {
       const auto child = static_cast<size_t>(robot_.joints[dofs_[k].joint].child);
       const Screw momentum = sum[child].momentum(dofs_[k].screw);
@@ -155,8 +157,8 @@ class StartDynamics {
     }
   }
 
-  // x . M^-1 x = |D^-1/2 L^-T x|^2 of x along the branch of dof k: L^T spreads from a dof to its
-  // ancestors.
+  // Returns x . M^-1 x = |D^-1/2 L^-T x|^2 for x along the branch of dof k. L^T couples a dof with
+  // its ancestors.
   double answer(size_t k, std::vector<double> x) const {
     double sum = 0.0;
     for (size_t a = 0; a < rows_[k].size(); ++a) {
@@ -169,8 +171,8 @@ class StartDynamics {
 
   const Robot& robot_;
   std::vector<Posed> pose_;
-  std::vector<int32_t> last_;   // dof of each link
-  std::vector<size_t> places_;  // dofs of each joint
+  std::vector<int32_t> last_;   // last dof of each link
+  std::vector<size_t> places_;  // number of dofs of each joint
   std::vector<Dof> dofs_;
   std::vector<std::vector<std::pair<size_t, double>>> rows_;
   bool is_definite_ = true;

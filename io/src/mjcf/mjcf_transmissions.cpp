@@ -46,11 +46,11 @@ class TransmissionFinder {
       to_.joint = name;
       return name;
     }
-    // The gear of a ball joint is a moment between its bodies, that of a free joint a force in the
-    // axes of the world and a moment.
+    // The gear of a ball joint is a moment between its bodies. The gear of a free joint is a force
+    // in world axes and a moment.
     const auto* joint = &context_.robot.joints[static_cast<size_t>(found->second.joint)];
     const bool is_ball = found->second.is_ball;
-    if (joint->type == JointType::D6) ++joint;  // a free joint as slides and a ball
+    if (joint->type == JointType::D6) ++joint;  // a free joint may be slides and a ball
     const double* const g = gear_;
     BodyActuatorArgs& args = to_.args;
     args.axes = in_parent ? kOfMoment : 0;

@@ -1,11 +1,12 @@
-// Joints and sites that actuators of MJCF files push.
+// Finds the joints and sites that actuators of MJCF files act on.
 #pragma once
 
 #include "mjcf_context.h"
 
 namespace novaphy::detail {
 
-// Finds it by `gear`. Returns its name; empty: there is no such transmission here.
+// Finds the transmission of an actuator with `gear`. Returns its name; empty: the transmission is
+// not supported.
 std::string find_transmission(MjcfContext& context, const Element& e, const double (&gear)[6],
                               MjcfActuator& to);
 

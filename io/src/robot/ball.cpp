@@ -1,4 +1,4 @@
-// Numbers of BALL and FREE joints.
+// Sets the properties of BALL and FREE joints.
 #include <algorithm>
 
 #include "robot.h"

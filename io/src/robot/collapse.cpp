@@ -1,4 +1,4 @@
-// Links on fixed joints become one.
+// Merges links that fixed joints connect.
 #include "robot.h"
 
 namespace novaphy::detail {
@@ -54,7 +54,7 @@ void add_mass(RobotLink& to, double mass, const Vec3d& com, const Mat33d& inerti
   to.com = center;
 }
 
-// The pose of the child's joint frame in the parent's at the start.
+// Returns the pose of the child's joint frame in the parent's at the initial coordinates.
 Posed start_pose(const RobotJoint& joint) {
   Posed pose = identity_pose();
   if (quaternion_at(joint.type) == 0 && joint.start.size() == 4)
@@ -101,7 +101,8 @@ std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
                                                       std::span<const std::string> to_keep,
                                                       std::vector<int32_t>& joints_out) {
   const auto count = static_cast<int32_t>(robot.links.size());
-  std::vector<int32_t> mover(robot.links.size(), -1), renamed = mover;  // joint, and new index
+  // joint above each link, and new index of each link
+  std::vector<int32_t> mover(robot.links.size(), -1), renamed = mover;
   for (size_t j = 0; j < robot.joints.size(); ++j)
     mover[static_cast<size_t>(robot.joints[j].child)] = static_cast<int32_t>(j);
   const auto joint_of = [&](int32_t link) -> const RobotJoint& {

@@ -1,4 +1,4 @@
-// A Robot goes into a ModelBuilder.
+// Adds a Robot to a ModelBuilder.
 #include <algorithm>
 #include <deque>
 #include <numeric>
@@ -10,7 +10,7 @@
 namespace novaphy::detail {
 namespace {
 
-// Runs `add`; an error of the builder gets the place in the file in front.
+// Runs `add`. An error of the builder gets the place in the file prepended.
 template <class Add>
 auto at(std::string_view function, const std::string& where, Add&& add) {
   try {
@@ -20,13 +20,14 @@ auto at(std::string_view function, const std::string& where, Add&& add) {
   }
 }
 
-// What a viewer shows of the color of a file, rgba; it has no alpha.
+// Returns the displayed color of an rgba color; alpha is dropped.
 Vec3f shown(const Vec4f& color) {
   const auto in_range = [](float x) { return x > 0.0f ? std::min(x, 1.0f) : 0.0f; };
   return {in_range(color.x), in_range(color.y), in_range(color.z)};
 }
 
-using Children = std::vector<std::vector<int32_t>>;  // per link, and last of the world: joints
+// joints below each link; the last entry is the world
+using Children = std::vector<std::vector<int32_t>>;
 
 Children children_of(const Robot& robot) {
   Children children(robot.links.size() + 1);
@@ -38,7 +39,7 @@ Children children_of(const Robot& robot) {
   return children;
 }
 
-// The joints of the tree below a joint of the world, in the order that is asked for.
+// Returns the joints of the tree below a joint of the world, in the requested order.
 std::vector<int32_t> tree_order(const Robot& robot, const Children& children, int32_t root,
                                 JointOrdering ordering) {
   std::vector<int32_t> order;
@@ -58,13 +59,13 @@ std::vector<int32_t> tree_order(const Robot& robot, const Children& children, in
   return order;
 }
 
-// Joints start at 0, or where the file says: where that is outside of their limits, at the nearest.
+// Sets the initial coordinates: those of the file, or 0, moved into the limits.
 void start_within_limits(RobotJoint& joint) {
   if (!has_axes(joint.type)) return;
   joint.start.resize(joint.linear.size() + joint.angular.size(), 0.0);
   const auto within = [](double q, const JointDofConfig& dof) {
     const double lower = dof.limit_lower, upper = dof.limit_upper;
-    return lower <= upper ? std::clamp(q, lower, upper) : q;  // the builder refuses the other order
+    return lower <= upper ? std::clamp(q, lower, upper) : q;  // the builder refuses reversed limits
   };
   size_t k = 0;
   for (const auto* axes : {&joint.linear, &joint.angular})
@@ -128,7 +129,7 @@ class Emitter {
       trees_.push_back(tree_order(robot_, children, root, options_.ordering));
   }
 
-  // Of the frame that holds the roots: the world's, or the parent body's.
+  // Returns the frame of the roots: that of the world or of the parent body.
   Posed base() const {
     if (options_.parent_body < 0) return options_.xform;
     return math::multiply(to_double(builder_.body_q[static_cast<size_t>(options_.parent_body)]),
@@ -221,7 +222,7 @@ class Emitter {
     }
   }
 
-  // The surface of which a hull collides.
+  // Adds the visible surface of a mesh whose convex hull collides.
   void show_mesh(int32_t body, const Posed& pose, const RobotShape& shape, ShapeConfig cfg) {
     cfg.has_shape_collision = cfg.has_particle_collision = false;
     cfg.density = 0.0f;
@@ -251,19 +252,19 @@ class Emitter {
     }
   }
 
-  // The joint that `joint` follows; null: none.
+  // Returns the joint that a mimic joint follows; null: none.
   const RobotJoint* leader_of(const RobotJoint& joint) const {
     const auto found = std::find_if(robot_.joints.begin(), robot_.joints.end(),
                                     [&](const RobotJoint& j) { return j.name == joint.leader; });
     return joint.leader.empty() || found == robot_.joints.end() ? nullptr : &*found;
   }
 
-  // They start where their leaders do.
+  // Sets the initial coordinates of mimic joints from their leaders.
   void start_mimics() {
     for (RobotJoint& joint : robot_.joints) {
       double offset = 0.0, ratio = 1.0;
       const RobotJoint* end = &joint;
-      // A cycle is refused later.
+      // a later check refuses cycles
       for (size_t steps = 0; steps <= robot_.joints.size(); ++steps) {
         const RobotJoint* const next = leader_of(*end);
         if (next == nullptr) break;
@@ -276,7 +277,8 @@ class Emitter {
     }
   }
 
-  // The leader keeps to the velocity limit of what follows it, which has none of its own.
+  // Adds the mimic constraints. The leader gets the velocity limit of the mimic joint, which has no
+  // limit of its own.
   void add_mimics() {
     for (size_t j = 0; j < robot_.joints.size(); ++j) {
       const RobotJoint& joint = robot_.joints[j];
@@ -314,7 +316,7 @@ class Emitter {
         joint.parent < 0 ? options_.parent_body : body_[static_cast<size_t>(joint.parent)];
     if (joint.parent < 0) {
       args.parent_xform = to_float(math::multiply(options_.xform, joint.parent_pose));
-      if (joint.type == JointType::FREE)  // its coordinates are the pose of the link
+      if (joint.type == JointType::FREE)  // coordinates are the pose of the link
         args.parent_xform = args.child_xform = Transformf::identity();
     }
     dof_[static_cast<size_t>(j)] = builder_.joint_dof_count();
@@ -330,13 +332,13 @@ class Emitter {
     return index;
   }
 
-  // Of a link of the file, or of the world.
+  // Returns the row of a link of the file, or of the world.
   size_t row_of(int32_t link) const {
     return link < 0 ? shapes_of_.size() - 1 : static_cast<size_t>(link);
   }
 
-  // Links that fixed joints hold together are one part. Says which parts joints connect, and which
-  // joints hang on what is a part of the world.
+  // Groups links that fixed joints connect into parts. Finds the parts that joints connect, and the
+  // joints below parts of the world.
   void find_parts() {
     const size_t world = row_of(kWorldLink);
     part_.resize(world + 1);
@@ -371,7 +373,8 @@ class Emitter {
     if (!kept_.contains(std::minmax(a, b))) builder_.add_shape_collision_filter_pair(a, b);
   }
 
-  // The links of a part meet neither each other nor those of its neighbors.
+  // Adds collision filters: links of a part do not collide with each other or with neighboring
+  // parts.
   void filter() {
     for (const auto& [a, b] : robot_.pairs)
       if (named_shapes_.contains(a) && named_shapes_.contains(b))
@@ -386,7 +389,7 @@ class Emitter {
       if (members[a].size() > 1) meet(a, a);
     for (const auto& [a, b] : neighbors_)
       if (a != b) meet(a, b);
-    // What follows a motion of its own moves neither what does so nor the world.
+    // Kinematic parts collide neither with each other nor with the world.
     for (size_t k = 0; k < kinematic_.size(); ++k) {
       if (options_.pairs_of_mujoco) meet(kinematic_[k], row_of(kWorldLink));
       for (size_t l = 0; l < k; ++l) meet(kinematic_[l], kinematic_[k]);
@@ -412,21 +415,22 @@ class Emitter {
       }
   }
 
-  ModelBuilder builder_;  // a copy, until all is well
+  ModelBuilder builder_;  // a copy, used until no error is possible
   Robot robot_;
   const EmitOptions& options_;
   RobotImport result_;
-  std::vector<std::vector<int32_t>> trees_;  // joints, in the order of the model
-  std::vector<int32_t> body_, joint_;        // of links and joints
-  std::vector<int32_t> dof_, coord_;         // of joints: their first rows
-  std::vector<size_t> part_;                 // of the links of the file, and last of the world
-  std::set<std::pair<size_t, size_t>> neighbors_;  // parts that a joint connects
-  std::vector<size_t> kinematic_;                  // parts
-  // Of each link of the file, and last of the world: the shapes.
+  std::vector<std::vector<int32_t>> trees_;  // joints of each tree, in the order of the model
+  std::vector<int32_t> body_, joint_;        // index of each link and joint in the builder
+  std::vector<int32_t> dof_, coord_;         // first rows of each joint
+  std::vector<size_t> part_;                 // part of each link of the file, and of the world
+                                             // (last)
+  std::set<std::pair<size_t, size_t>> neighbors_;  // pairs of parts that a joint connects
+  std::vector<size_t> kinematic_;                  // kinematic parts
+  // Shapes of each link of the file, and of the world (last).
   std::vector<std::vector<std::pair<int32_t, const RobotShape*>>> shapes_of_;
-  std::set<std::string> in_pairs_;                         // labels of shapes
-  std::unordered_map<std::string, int32_t> named_shapes_;  // of those
-  std::set<std::pair<int32_t, int32_t>> kept_;             // pairs that no filter takes
+  std::set<std::string> in_pairs_;                         // labels of shapes in explicit pairs
+  std::unordered_map<std::string, int32_t> named_shapes_;  // index of those shapes
+  std::set<std::pair<int32_t, int32_t>> kept_;             // pairs that no filter removes
 };
 
 }  // namespace

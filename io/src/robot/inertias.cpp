@@ -1,4 +1,4 @@
-// Inertias of links, and what is done where a file gives none that a body has.
+// Inertias of links, and corrections of inertias that are missing or not physical.
 #include <algorithm>
 #include <numbers>
 
@@ -81,7 +81,7 @@ void mend_inertias(Robot& robot, bool moving, bool on_world,
            "water of its mass");
   }
   if (!moving) return;
-  // What moves nothing that has a mass has no acceleration.
+  // A subtree without mass does not move, so it needs no inertia.
   std::vector<double> below(robot.links.size());
   for (const RobotJoint* joint : joints) {
     const auto child = static_cast<size_t>(joint->child);

@@ -16,18 +16,19 @@ class Notes {
   void ignored(const Element& e, std::string text) {
     report_.ignored.push_back(file_.note(e, std::move(text)));
   }
-  // What is left out though the reader knows it: a file is missing that only a picture needs.
+  // Notes an element that is left out although it is supported, because a file is missing that only
+  // the display needs.
   void missing(const Element& e, std::string text) {
     report_.left_out.push_back(file_.note(e, std::move(text)));
   }
-  // Raises ErrorKind::NotImplemented unless such parts are left out. `text`: what has no
-  // counterpart here.
+  // Notes an unsupported part, or throws ErrorKind::NotImplemented if unsupported parts are errors.
+  // `text` describes the part.
   void left_out(const Element& e, const std::string& text) {
     if (unsupported_ == Unsupported::Error)
       file_.refuse(e, text + " (unsupported=\"warn\" leaves it out)", ErrorKind::NotImplemented);
     report_.left_out.push_back(file_.note(e, text));
   }
-  // The notes of another file that is a part of this one.
+  // Adds the notes of another file that is a part of this one.
   void add(RobotReport other) {
     for (const auto& [kind, count] : other.read) report_.read[kind] += count;
     const auto append = [](auto& to, auto& from) { to.insert(to.end(), from.begin(), from.end()); };

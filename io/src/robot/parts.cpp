@@ -1,4 +1,4 @@
-// Pictures of meshes with several materials.
+// Display shapes of meshes with several materials.
 #include "robot.h"
 
 namespace novaphy::detail {

@@ -1,5 +1,5 @@
-// The common description of URDF and MJCF files: a forest of links and joints in double precision,
-// on its way into a ModelBuilder.
+// The common description of URDF and MJCF files before they are added to a ModelBuilder: a forest
+// of links and joints in double precision.
 #pragma once
 
 #include <cmath>
@@ -29,16 +29,16 @@ inline constexpr int32_t kWorldLink = -1;
 
 struct RobotShape {
   GeoType type;
-  Posed pose;   // in its link
-  Vec3d scale;  // see GeoType; of a mesh its factors
+  Posed pose;   // pose in its link
+  Vec3d scale;  // see GeoType; for a mesh, scale factors
   ShapeConfig cfg;
   std::string label, where;  // where: "file:line: <element>"
   std::filesystem::path mesh = {};
-  std::shared_ptr<const Mesh> surface = {};   // instead of `mesh`, where it was read already
-  std::optional<int32_t> hull_vertices = {};  // the convex hull of the mesh
+  std::shared_ptr<const Mesh> surface = {};   // replaces `mesh` if it was read already
+  std::optional<int32_t> hull_vertices = {};  // for the convex hull of the mesh
   std::optional<Vec4f> color = {};
   uint32_t contype = 1, conaffinity = 1;  // of MJCF
-  int32_t link = kWorldLink;              // of the file, also where that was merged
+  int32_t link = kWorldLink;              // link of the file, even if it was merged
 };
 
 struct RobotLink {
@@ -48,8 +48,8 @@ struct RobotLink {
   Mat33d inertia{};  // about com, along the axes of the link
   std::vector<RobotShape> shapes = {};
   bool is_kinematic = false;
-  double gravcomp = 0.0;  // part of its weight that a force takes away
-  // It only carries the next joint of a body that has several: a part of the link on that joint.
+  double gravcomp = 0.0;  // fraction of the weight that gravity compensation cancels
+  // Whether the link only connects two joints of one body. It belongs to the body.
   bool is_between = false;
 };
 
@@ -59,14 +59,14 @@ struct RobotJoint {
   int32_t parent, child;  // links
   Posed parent_pose, child_pose;
   std::vector<JointDofConfig> linear = {}, angular = {};
-  std::vector<double> start = {};  // coordinates of linear and angular; empty: 0
-  double damping = 0.0, armature = 0.0, friction = 0.0;  // of each axis of a BALL or FREE joint
-  double stiffness = 0.0;                                // likewise, of a BALL, towards `rest`
+  std::vector<double> start = {};  // initial coordinates of linear and angular axes; empty: 0
+  double damping = 0.0, armature = 0.0, friction = 0.0;  // per axis of a BALL or FREE joint
+  double stiffness = 0.0;                                // per axis of a BALL joint, towards `rest`
   Quatd rest = {0.0, 0.0, 0.0, 1.0};
-  double limit_angle = 0.0;         // of a BALL; 0: none
-  std::string leader = {};          // joint that it follows; empty: none
-  double coef0 = 0.0, coef1 = 1.0;  // its coordinate: coef0 + coef1 times the leader's
-  bool meets_parent = false;        // the child's shapes do, and the parent's
+  double limit_angle = 0.0;         // of a BALL joint; 0: none
+  std::string leader = {};          // joint that this joint mimics; empty: none
+  double coef0 = 0.0, coef1 = 1.0;  // coordinate = coef0 + coef1 * leader's coordinate
+  bool meets_parent = false;        // shapes of child and parent may collide
   int32_t coordinates() const {
     return coordinate_count(type, static_cast<int32_t>(linear.size() + angular.size()));
   }
@@ -77,8 +77,9 @@ struct Robot {
   std::vector<RobotLink> links = {};
   std::vector<RobotShape> world_shapes = {};
   std::vector<RobotJoint> joints = {};
-  std::vector<std::pair<int32_t, int32_t>> excluded = {};  // links of the file that do not meet
-  // Labels of shapes that meet whatever filters say.
+  // pairs of links of the file that do not collide
+  std::vector<std::pair<int32_t, int32_t>> excluded = {};
+  // Labels of shapes that may collide whatever filters say.
   std::vector<std::pair<std::string, std::string>> pairs = {};
 };
 
@@ -88,10 +89,11 @@ struct EmitOptions {
   int32_t parent_body;
   bool collapse, self_collisions, bodies_follow;
   JointOrdering ordering;
-  // Pairs as in MuJoCo: by contype and conaffinity; links welded to the world are a part of it.
+  // Selects pairs by MuJoCo's rules: contype and conaffinity decide, and links welded to the world
+  // belong to the world.
   bool pairs_of_mujoco;
-  std::span<const std::string> links_to_keep = {};  // by `collapse`
-  bool filter_parent = true;  // links do not meet those that a joint connects them with
+  std::span<const std::string> links_to_keep = {};  // links that `collapse` keeps
+  bool filter_parent = true;  // links do not collide with neighbors in the tree
 };
 
 inline Posed identity_pose() { return {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0, 1.0}}; }
@@ -106,53 +108,52 @@ inline Transformf to_float(const Posed& x) {
           {static_cast<float>(x.q.x), static_cast<float>(x.q.y), static_cast<float>(x.q.z),
            static_cast<float>(x.q.w)}};
 }
-// A turn by `angle` about a unit vector.
+// Returns a rotation by `angle` about a unit vector.
 inline Quatd turn(const Vec3d& axis, double angle) {
   const double s = std::sin(0.5 * angle);
   return {axis.x * s, axis.y * s, axis.z * s, std::cos(0.5 * angle)};
 }
-// The shortest turn of +z to a vector that is not zero.
+// Returns the shortest rotation from +z to a nonzero vector.
 Quatd turn_from_z(const Vec3d& to);
-// R I R^T
+// Returns R I R^T.
 Mat33d turned(const Quatd& q, const Mat33d& inertia);
 
-// A picture of a mesh of several materials, as a shape for each color. `known`: parts that were
-// made before. One of more than 64 colors stays whole.
+// Adds the display shape of a mesh with several materials as one shape per color. `known`: parts of
+// meshes that were split before. A mesh with more than 64 colors stays whole.
 using MeshParts = std::map<std::shared_ptr<const Mesh>, std::vector<std::shared_ptr<const Mesh>>>;
 void add_parts(const RobotShape& whole, MeshParts& known, std::vector<RobotShape>& to);
 
-// What a BALL or FREE joint has besides its frames, of the one that was added last.
+// Sets the properties of the BALL or FREE joint that was added last, except its frames.
 void set_ball(const RobotJoint& joint, ModelBuilder& builder);
 
-// Adds what has a mass, a center and an inertia about that, in the frame of the link.
+// Adds a mass with its center and its inertia about the center, in the frame of the link.
 void add_mass(RobotLink& to, double mass, const Vec3d& com, const Mat33d& inertia);
 
-// Whether a body may have this inertia: positive definite, also when it is rounded to float32.
+// Returns whether an inertia is physical: positive definite, even after rounding to float32.
 bool has_extent(const Mat33d& inertia);
 using math::principal_axes;
 using math::PrincipalAxes;
-// R diag(moments) R^T
+// Returns R diag(moments) R^T.
 Mat33d from_axes(const PrincipalAxes& axes);
-// What a file gives a mass and no inertia, or the other way round. On a fixed joint its parent gets
-// both, which moves alike, and the world, if it is below, forgets them; else, if `moving`,
-// principal moments are at least those of a ball of water of that mass. `mended(link, text)` hears
-// of the latter.
+// Corrects links with a mass and no inertia, or the reverse. On a fixed joint the parent gets both,
+// since it has the same motion; the world drops them. If `moving`, principal moments of other links
+// are raised to those of a ball of water of the same mass. `mended(link, text)` reports each such
+// correction.
 void mend_inertias(Robot& robot, bool moving, bool on_world,
                    const std::function<void(size_t, const std::string&)>& mended);
 
-// The pose of the child's joint frame in the parent's at the start.
+// Returns the pose of the child's joint frame in the parent's at the initial coordinates.
 Posed start_pose(const RobotJoint& joint);
 
-// ErrorKind::Value: there is no link of a name.
+// ErrorKind::Value: a name belongs to no link.
 void check_links(const Robot& robot, std::span<const std::string> names, std::string_view function);
-// Merges every link that hangs on a FIXED joint below another link into that. Returns, of each old
-// link, the link that it is part of now and its pose there; joints_out: the new index of each
-// joint, -1: it is gone.
+// Merges every link on a FIXED joint into its parent link. Returns for each old link the link that
+// it belongs to now and its pose there. joints_out: the new index of each joint; -1: removed.
 std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
                                                       std::span<const std::string> kept,
                                                       std::vector<int32_t>& joints_out);
 
-// Adds the robot to the builder, or throws and leaves the builder as it was.
+// Adds the robot to the builder. After an error the builder is unchanged.
 RobotImport emit_robot(ModelBuilder& builder, Robot robot, const EmitOptions& options);
 
 }  // namespace novaphy::detail

@@ -14,7 +14,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr size_t kLargest = size_t{64} << 20;  // bytes
-constexpr int kDeepest = 100;                  // elements inside of each other
+constexpr int kDeepest = 100;                  // largest depth of nested elements
 
 bool is_space(char c) { return c == ' ' || c == '\t' || c == '\n' || c == '\r'; }
 
@@ -29,7 +29,7 @@ fs::path resolved(const fs::path& path) {
   return error ? path.lexically_normal() : result;
 }
 
-// The folders in a list of an environment variable.
+// Returns the folders in an environment variable.
 std::vector<fs::path> listed(const char* variable) {
   std::vector<fs::path> folders;
   const char* const given = std::getenv(variable);
@@ -42,7 +42,7 @@ std::vector<fs::path> listed(const char* variable) {
   return folders;
 }
 
-// Whether a folder says that it is that package.
+// Returns whether a folder contains the package, according to its package.xml.
 bool is_package(const fs::path& folder, std::string_view name) {
   std::ifstream file(folder / "package.xml");
   std::string text(size_t{64} << 10, '\0');
@@ -51,8 +51,8 @@ bool is_package(const fs::path& folder, std::string_view name) {
   return text.find("<name>" + std::string(name) + "</name>") != std::string::npos;
 }
 
-// Where a package may be, likeliest first: what is given, what ROS says, and the folders that the
-// robot's file lies in, with the packages beside these.
+// Returns the folders that may contain a package, most likely first: the given ones, those of ROS,
+// and the folders above the robot's file with their neighbors.
 std::vector<fs::path> package_roots(std::string_view package, const fs::path& folder,
                                     std::span<const fs::path> package_dirs) {
   std::vector<fs::path> roots, dirs(package_dirs.begin(), package_dirs.end());
@@ -62,7 +62,7 @@ std::vector<fs::path> package_roots(std::string_view package, const fs::path& fo
     roots.push_back(each / package);
     if (resolved(each).filename() == package) roots.push_back(each);
   }
-  // What may be read anyway.
+  // Folders that may be read in any case.
   for (const fs::path& each : {folder, folder.parent_path()})
     if (!folder.empty()) roots.push_back(each / package);
   int levels = 0;
@@ -104,7 +104,7 @@ fs::path in_packages(const std::string& where, std::string_view file, const fs::
        folders.empty() ? " none" : folders);
 }
 
-// Whether names may become texts of Python. Decodes as RFC 3629 says.
+// Returns whether a text is valid UTF-8 (RFC 3629), so that names can become Python strings.
 bool is_utf8(std::string_view text) {
   for (size_t k = 0; k < text.size();) {
     const auto byte = [&](size_t i) {
@@ -137,7 +137,7 @@ XmlSource read_source(std::string_view function, std::string_view source,
   while (first < source.size() && is_space(source[first])) ++first;
   require(first < source.size(), ErrorKind::Value, function,
           ": source: expected a path or XML, got nothing");
-  // Some programs end texts with a 0.
+  // Some programs append a 0 byte.
   const auto text_of = [](std::string_view all) {
     return std::string(all.substr(0, all.find_last_not_of('\0') + 1));
   };
@@ -191,7 +191,7 @@ XmlFile::XmlFile(std::string_view function, XmlSource source, const char* root)
   };
   if (source_.text.size() > kLargest) broken(0, "expected at most 64 MiB");
   if (source_.text.find('\0') != std::string::npos) broken(0, "expected text, got a 0 byte");
-  // The parser would pass these over, and what they say with them.
+  // The parser would silently skip these declarations and their effect.
   for (const std::string_view word : {"<!DOCTYPE", "<!ENTITY", "<!doctype"})
     if (source_.text.find(word) != std::string::npos)
       broken(0, std::string(word) + ": a document type and entities are not read");
@@ -207,7 +207,7 @@ XmlFile::XmlFile(std::string_view function, XmlSource source, const char* root)
 }
 
 void XmlFile::check_elements() const {
-  // No recursion: tinyxml2 itself has ended where it is too deep for that.
+  // Not recursive: tinyxml2 itself stops at a depth that is too large for recursion.
   int depth = 0;
   for (const tinyxml2::XMLNode* node = root_; node != nullptr;) {
     if (const Element* element = node->ToElement()) {

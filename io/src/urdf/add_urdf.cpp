@@ -1,4 +1,4 @@
-// What urdfdom read becomes a Robot.
+// Converts the model that urdfdom has read to a Robot.
 #include <cmath>
 
 #include "urdf_check.h"
@@ -11,7 +11,7 @@ namespace {
 
 Vec3d to_vec(const urdf::Vector3& v) { return {v.x, v.y, v.z}; }
 
-// What rounding leaves of rpy is taken out: the quaternion has unit length.
+// Converts a pose. The quaternion is normalized, because the rounding of rpy changes its length.
 Posed to_pose(const urdf::Pose& pose, double scale) {
   Quatd q = {pose.rotation.x, pose.rotation.y, pose.rotation.z, pose.rotation.w};
   const double norm = std::sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w);
@@ -145,7 +145,7 @@ class Reader {
     return Vec4f{c.r, c.g, c.b, c.a};
   }
 
-  // False: it is left out.
+  // Adds a shape. Returns false if the shape is left out.
   bool add_shape(RobotLink& to, const urdf::GeometrySharedPtr& geometry, const urdf::Pose& origin,
                  const Element& e, const std::string& label, bool is_collider, bool is_visible,
                  std::optional<Vec4f> color) {
@@ -192,7 +192,7 @@ class Reader {
     return true;
   }
 
-  // A mesh that cannot be read is no reason to refuse a robot of which it is only a picture.
+  // Adds a mesh. A display mesh that cannot be read is left out without an error.
   bool add_mesh(const urdf::Mesh& mesh, const Element& e, bool is_collider, RobotShape& to) {
     to.type = GeoType::MESH;
     to.scale = to_vec(mesh.scale) * scale_;
@@ -214,7 +214,8 @@ class Reader {
     return true;
   }
 
-  // Each file once. A mirrored one has its own vertices, and `scale` becomes 1.
+  // Returns the mesh of a file, read once. A mirrored mesh gets its own vertices, and `scale`
+  // becomes 1.
   std::shared_ptr<const Mesh> surface(const std::filesystem::path& path, Vec3d& scale) {
     auto& read = meshes_[path.string()];
     if (read == nullptr)
@@ -270,7 +271,7 @@ class Reader {
         result.linear = {dof(joint, axis, scale_)};
         return result;
       case urdf::Joint::PLANAR: {
-        // Two translations along the plane, and a turn about its normal, `axis`.
+        // Two translations in the plane, and a rotation about its normal `axis`.
         const Quatd q = turn_from_z(axis);
         result.type = JointType::PLANAR;
         result.linear = {dof(joint, math::rotate(q, Vec3d{1.0, 0.0, 0.0}), scale_),
@@ -286,7 +287,7 @@ class Reader {
     }
   }
 
-  // Lengths of the file are scaled, angles are not.
+  // Lengths of the file are scaled; angles are not.
   double scale_of(int type) const { return type == urdf::Joint::PRISMATIC ? scale_ : 1.0; }
 
   void follow(const urdf::Joint& joint, RobotJoint& to) const {
@@ -299,7 +300,7 @@ class Reader {
                scale_of(leader == types_.end() ? joint.type : leader->second);
   }
 
-  // Files that leave effort and velocity open often say 0.
+  // Warns of limits of 0, which files often use for an unknown effort or velocity.
   void warn_of_zero_limits(const urdf::Joint& joint, const Element& e) {
     const bool is_read = robot_.joints.back().type != JointType::FIXED && joint.limits != nullptr;
     if (!is_read) return;
@@ -343,11 +344,11 @@ class Reader {
   UrdfElements elements_;
   std::map<std::string, std::shared_ptr<const Mesh>> meshes_;  // by path
   MeshParts parts_;
-  std::map<std::string, int> types_;  // of joints
+  std::map<std::string, int> types_;  // types of joints, by name
   Robot robot_;
 };
 
-// The turn that takes the up axis of the file to that of the builder.
+// Returns the rotation from the up axis of the file to that of the builder.
 Quatd turn_up(Axis from, Axis to) {
   if (from == to) return {0.0, 0.0, 0.0, 1.0};
   const Vec3f a = axis_vector(from), b = axis_vector(to);

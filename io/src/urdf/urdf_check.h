@@ -1,4 +1,4 @@
-// Refuses faults of URDF files that urdfdom lets through.
+// Refuses faults of URDF files that urdfdom accepts.
 #pragma once
 
 #include <map>
@@ -10,13 +10,14 @@
 namespace novaphy::detail {
 
 struct UrdfElements {
-  // The <link> and <joint> elements, by name; names of links and joints are apart.
+  // The <link> and <joint> elements, by name. A link and a joint may have the same name.
   std::map<std::string, const Element*> links, joints;
-  std::vector<std::string> link_order, joint_order;  // as in the file
+  std::vector<std::string> link_order, joint_order;  // order of the file
   std::string root;                                  // the link without a parent
 };
 
-// Checks names, numbers and the tree: one root, each other link the child of one joint, no cycle.
+// Checks names, numbers and the tree: one root, every other link is the child of exactly one joint,
+// and no cycle exists.
 UrdfElements check_urdf(const XmlFile& file, Notes& notes);
 
 }  // namespace novaphy::detail

@@ -39,14 +39,14 @@ class Mender {
     e.SetAttribute("name", by_default);
     notes_.mended(e, "it had no name");
   }
-  // Of several elements of one name the first stays, as in urdfdom.
+  // Keeps the first of several elements with one name, as urdfdom does.
   void keep_first(Element& parent, std::initializer_list<const char*> names) {
     for (const char* each : names)
       if (Element* first = parent.FirstChildElement(each))
         while (Element* other = first->NextSiblingElement(each))
           drop(*other, "there is one before it, which counts");
   }
-  // Elements that urdfdom may refuse and no one reads.
+  // Removes elements that the reader ignores and that urdfdom may refuse.
   void pass_over(Element& parent, std::initializer_list<const char*> names) {
     for (const char* each : names)
       while (Element* e = parent.FirstChildElement(each)) {
@@ -55,7 +55,7 @@ class Mender {
       }
   }
 
-  // An attribute of a child; null: there is none.
+  // Returns an attribute of a child; null: missing.
   static const char* of_child(const Element& e, const char* child, const char* attribute) {
     const Element* const found = e.FirstChildElement(child);
     return found == nullptr ? nullptr : found->Attribute(attribute);
@@ -64,7 +64,8 @@ class Mender {
     return of_child(material, "color", "rgba") != nullptr ||
            of_child(material, "texture", "filename") != nullptr;
   }
-  // Materials of the whole file by name: those of links count for all others.
+  // Collects the materials of the whole file by name. Materials of links are valid for other links
+  // too.
   void collect_materials(const Element& robot) {
     const auto add = [&](const Element* e) {
       const char* const given = e->Attribute("name");
@@ -93,7 +94,7 @@ class Mender {
     if (Element* texture = e.FirstChildElement("texture"))
       if (texture->Attribute("filename") == nullptr) drop(*texture, "it has no filename");
     if (is_global) {
-      // Each once, and those that say nothing not at all.
+      // Each material is kept once; a material without a definition is removed.
       if (!is_defined(e)) return drop(e);
       if (!global_.insert(own).second) drop(e, "there is one of that name, which counts");
       return;
@@ -220,7 +221,8 @@ class Mender {
   XmlFile& file_;
   Notes& notes_;
   MendedUrdf mended_;
-  std::map<std::string, std::pair<std::string, std::string>> materials_;  // rgba, texture
+  // rgba and texture, by name
+  std::map<std::string, std::pair<std::string, std::string>> materials_;
   std::set<std::string> global_, joints_;
   int unnamed_ = 0;
 };

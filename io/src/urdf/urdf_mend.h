@@ -1,4 +1,4 @@
-// Makes common deviations of URDF files fit the definition of the format.
+// Corrects common deviations of URDF files from the format.
 #pragma once
 
 #include <set>
@@ -11,7 +11,7 @@ struct MendedUrdf {
   std::set<const Element*> capsules;  // <cylinder> elements that were <capsule>
 };
 
-// Changes the elements of the file; each change is noted.
+// Changes the elements of the file, and notes each change.
 MendedUrdf mend_urdf(XmlFile& file, Notes& notes);
 
 }  // namespace novaphy::detail

@@ -10,7 +10,7 @@
 namespace novaphy::detail {
 namespace {
 
-// Keeps the first error instead of printing it.
+// Stores the first error instead of printing it.
 class Listener : public console_bridge::OutputHandler {
  public:
   void log(const std::string& text, console_bridge::LogLevel level, const char*, int) override {
@@ -19,7 +19,8 @@ class Listener : public console_bridge::OutputHandler {
   std::string error;
 };
 
-// While it lives, what urdfdom says goes to a Listener. The handler is one of the process.
+// Directs messages of urdfdom to a Listener for the lifetime of the object. The process has a
+// single handler, so a lock is held.
 class Listening {
  public:
   explicit Listening(Listener& listener) : lock_(mutex()) {

@@ -1,4 +1,4 @@
-// urdfdom, behind one function: the only file that includes its parser is beside this one.
+// The interface to urdfdom. Only urdfdom.cpp includes its parser.
 #pragma once
 
 #include <urdf_model/model.h>
@@ -8,11 +8,11 @@
 
 namespace novaphy::detail {
 
-// Parses a file that check_urdf accepted. `where` begins every message. ErrorKind::Value: urdfdom
-// refuses the file, or says of a part that it left it out.
+// Parses a file that check_urdf has accepted. `where` begins every error message. ErrorKind::Value:
+// urdfdom refuses the file, or reports that it left out a part.
 std::shared_ptr<urdf::ModelInterface> parse_urdf(const std::string& where, const std::string& text);
 
-// Takes the links of a model apart, so that a long chain of them does not end on the stack.
+// Disconnects the links of a model, so that destroying a long chain does not recurse too deep.
 void take_apart(urdf::ModelInterface& model);
 
 }  // namespace novaphy::detail

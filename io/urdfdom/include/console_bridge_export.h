@@ -1,4 +1,5 @@
-// In place of what console_bridge's own build writes: it is linked in, and shows nothing.
+// Replaces the header that console_bridge's own build writes. The library is linked in and exports
+// no symbols.
 #pragma once
 
 #define CONSOLE_BRIDGE_DLLAPI

@@ -1,5 +1,5 @@
-// Instead of assimp's reader of ZIP archives: a COLLADA file is never one here, because load_mesh
-// takes .dae and no .zae. So there is no zlib either.
+// Replaces assimp's reader of ZIP archives, so that the build needs no zlib. load_mesh reads .dae
+// files, which are never archives, and does not read .zae files.
 #pragma once
 
 #include <assimp/IOSystem.hpp>

@@ -1,7 +1,8 @@
 // Triangle meshes from files, for ModelBuilder::add_cloth_mesh.
 //
-// The formats are Wavefront OBJ, STL (text and binary), PLY (text and binary) and COLLADA, read by
-// assimp. Tetrahedral meshes need no library: novaphy/core/io/tet_mesh.h.
+// Supported formats: Wavefront OBJ, STL (text and binary), PLY (text and binary), COLLADA and
+// binary glTF. assimp reads all but the last. Tetrahedral meshes have their own reader, which needs
+// no library (novaphy/core/io/tet_mesh.h).
 #pragma once
 
 #include <cstdint>
@@ -15,40 +16,39 @@
 namespace novaphy {
 
 struct Mesh {
-  std::vector<Vec3f> vertices;      // see load_mesh for unit and axes
+  std::vector<Vec3f> vertices;      // load_mesh describes units and axes
   std::vector<int32_t> indices;     // 3 per triangle, into vertices, counter-clockwise from outside
-  std::optional<Vec3f> color = {};  // of the material of most of the surface; none of an image
-  // Of each triangle; empty: they have one, or none.
+  std::optional<Vec3f> color = {};  // material color of most of the surface; empty for an image
+  // Color of each triangle. Empty: all triangles have the color above, or none has a color.
   std::vector<std::optional<Vec3f>> colors = {};
 };
 
-// A mesh of each color, in the order in which the triangles have them first.
+// Splits a mesh by the colors of its triangles, in the order of their first occurrence.
 NOVAPHY_IO_API std::vector<Mesh> parts_by_color(const Mesh& mesh);
 
 struct MeshOptions {
-  // Corners at the same position, to the bit, become one vertex. Most formats store the corners of
-  // every triangle, so without this a mesh falls apart into triangles. It also joins what only
-  // touches: parts that share positions.
+  // Merges corners with exactly the same position into one vertex. Most formats store the corners
+  // of every triangle separately. Without merging, a mesh falls apart into triangles. Merging also
+  // connects parts that only touch.
   bool join_vertices = true;
-  // Leaves out triangles with two corners at the same position, which otherwise are an error.
+  // Leaves out triangles with two corners at the same position. False: such triangles are an error.
   bool drop_degenerate = false;
 };
 
-// Everything in the file as one mesh: all meshes of its scene, each where the nodes of the scene
-// put it (a mesh that is used twice comes twice; a mirroring node keeps the outside outside).
+// Reads a file as one mesh: all meshes of its scene, placed by the scene's nodes. A mesh that is
+// used twice occurs twice. A mirroring node keeps the outside outside.
 //
-// * The format is the ending of the name: .obj, .stl, .ply, .dae or .glb, in any case.
-// * Polygons are cut into triangles. Points and lines are left out, and so are vertices that no
-//   triangle uses: of most formats assimp does not even say that they were there.
-// * Unit and axes: .dae says both, and comes in meters with z up. The others say nothing, and their
-//   numbers stay as they are; `scale` and `rot` of add_cloth_mesh do the rest.
-// * Vertices come in the order in which the triangles use them first.
-// * The materials of an .obj are in a file beside it; without one the mesh has no color.
-// * Numbers in text are rounded as assimp does, which may be the last bit of a float32 off.
+// * The extension gives the format: .obj, .stl, .ply, .dae or .glb, in upper or lower case.
+// * Polygons are cut into triangles. Points, lines and vertices without a triangle are left out.
+// * Units and axes: .dae defines both and is converted to meters with z up. The numbers of other
+//   formats stay unchanged; use `scale` and `rot` of add_cloth_mesh.
+// * Vertices have the order of their first use by a triangle.
+// * An .obj takes its materials from a file in the same folder. Without it the mesh has no color.
+// * Numbers in text are rounded by assimp, which may change the last bit of a float32.
 //
-// ErrorKind::Value, naming the path: another ending; a file that is missing or cannot be read; one
-// that is broken, with what assimp says of it (an index out of range for one); no triangle at all;
-// a position that is not finite; a triangle with two corners in one place.
+// Throws ErrorKind::Value with the path: an unknown extension; a file that is missing or
+// unreadable; a corrupt file, with assimp's message; no triangle; a position that is not finite; a
+// triangle with two corners in one place.
 NOVAPHY_IO_API Mesh load_mesh(const std::filesystem::path& path, const MeshOptions& options = {});
 
 }  // namespace novaphy

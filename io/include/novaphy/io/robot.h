@@ -1,4 +1,4 @@
-// Robots from URDF and MJCF files, added to a ModelBuilder.
+// Reads robots from URDF and MJCF files into a ModelBuilder.
 #pragma once
 
 #include <cstdint>
@@ -21,60 +21,63 @@ struct BaseJoint {
 };
 
 enum class JointOrdering {
-  DepthFirst,    // the children of a link in the order of the file, each with all below it
-  BreadthFirst,  // all joints of one depth before those of the next
-  File           // as in the file, which must have parents before children
+  DepthFirst,    // children in the order of the file, each followed by its subtree
+  BreadthFirst,  // all joints of one depth before the next depth
+  File           // order of the file, in which parents must come before children
 };
 
-// What a <mimic> element of URDF becomes.
+// The treatment of <mimic> elements of URDF.
 enum class MimicMode {
-  Follow,      // ModelBuilder::add_constraint_mimic, without a drive of its own
+  Follow,      // a mimic joint (add_constraint_mimic) without its own drive
   Refuse,      // ErrorKind::NotImplemented
-  Fixed,       // the joint is fixed where the other one is at 0: at its offset
-  Independent  // a joint of its own
+  Fixed,       // a fixed joint at the mimic offset
+  Independent  // a joint of its own, without the constraint
 };
 
-// Where <dynamics damping="..."/> of URDF goes.
+// The destination of <dynamics damping="..."/> of URDF.
 enum class JointDampingMode {
   Passive,  // JointDofConfig::damping
   Drive     // JointDofConfig::target_kd
 };
 
-// What becomes of a part of a file that has no counterpart here.
+// The treatment of parts of a file that NovaPhy does not support.
 enum class Unsupported {
   Error,  // ErrorKind::NotImplemented
-  Warn    // it is left out, and RobotReport::left_out has it
+  Warn    // left out and listed in RobotReport::left_out
 };
 
 struct UrdfOptions {
-  Transformf xform = Transformf::identity();  // of the root link, in the world or `parent_body`
-  std::optional<bool> floating = {};          // true: FREE; false and empty: FIXED
-  std::optional<BaseJoint> base_joint = {};   // instead of `floating`
-  // The body that carries the root link, -1: the world. With a body the joints are of no
-  // articulation, whose root is at the world.
+  Transformf xform = Transformf::identity();  // pose of the root link, in the world or
+                                              // `parent_body`
+  std::optional<bool> floating = {};          // true: a FREE base joint; false or empty: FIXED
+  std::optional<BaseJoint> base_joint = {};   // replaces `floating`
+  // The body that carries the root link; -1: the world. With a body the joints belong to no
+  // articulation, because an articulation starts at the world.
   int32_t parent_body = -1;
-  float scale = 1.0f;         // of all lengths; masses stay, inertias grow with its square
-  bool hide_visuals = false;  // leaves the <visual> elements out; their meshes may be missing
-  bool parse_visuals_as_colliders = false;  // <visual> in place of <collision>
-  Axis up_axis = Axis::Z;                   // of the file; turned to that of the builder
-  bool force_show_colliders = false;        // else they are hidden where the link has a <visual>
+  float scale = 1.0f;         // scales all lengths; masses stay, inertias scale with its square
+  bool hide_visuals = false;  // skips <visual> elements, whose meshes may then be missing
+  bool parse_visuals_as_colliders = false;  // reads <visual> in place of <collision>
+  Axis up_axis = Axis::Z;                   // up axis of the file, rotated to that of the builder
+  bool force_show_colliders = false;        // false: colliders of links with a <visual> are hidden
   bool enable_self_collisions = true;
-  bool ignore_inertial_definitions = false;  // masses from the colliders, of default_shape_cfg
+  bool ignore_inertial_definitions = false;  // computes masses from colliders with the density of
+                                             // default_shape_cfg
   JointOrdering joint_ordering = JointOrdering::DepthFirst;
   bool bodies_follow_joint_ordering = true;     // false: bodies in the order of the file
   bool collapse_fixed_joints = false;           // merges a link on a fixed joint into its parent
-  std::vector<std::string> links_to_keep = {};  // that collapse_fixed_joints does not merge
-  // Meshes of colliders become their convex hull of at most so many vertices; empty: they stay.
+  std::vector<std::string> links_to_keep = {};  // links that collapse_fixed_joints does not merge
+  // Replaces meshes of colliders by their convex hull with at most this many vertices. Empty:
+  // meshes stay.
   std::optional<int32_t> mesh_maxhullvert = {};
   JointDampingMode joint_damping_mode = JointDampingMode::Passive;
-  // Where package://NAME/... is: a folder that has a folder NAME, or that is called NAME.
+  // Folders for package://NAME/... : a folder that contains a folder NAME, or that is named NAME.
   std::vector<std::filesystem::path> package_dirs = {};
   MimicMode mimic = MimicMode::Follow;
-  // A mass without an inertia that a body can have gets one: on a fixed joint it is a part of its
-  // parent, else its principal moments are at least those of a ball of water. False: an error of
-  // ModelBuilder::finalize.
+  // Corrects a mass whose inertia is missing or not physical. A link on a fixed joint adds its mass
+  // to the parent. For other links the principal moments are raised to those of a ball of water.
+  // False: ModelBuilder::finalize throws an error.
   bool mend_inertias = true;
-  bool ignore_zero_effort = false;  // a <limit> with effort="0" leaves the force open
+  bool ignore_zero_effort = false;  // <limit> with effort="0" means no limit
   Unsupported unsupported = Unsupported::Error;
 };
 
@@ -83,31 +86,31 @@ struct MjcfOptions {
   bool collapse_fixed_joints = false;  // merges a body without a joint into its parent
   std::vector<std::string> links_to_keep = {};
   bool enable_self_collisions = true;
-  // Folders beside that of the file, and the one above it, that it may read from.
+  // Further folders from which files may be read, besides the folder of the file and its parent.
   std::vector<std::filesystem::path> package_dirs = {};
   Unsupported unsupported = Unsupported::Error;
 };
 
-// A site of an MJCF file: a frame of a body.
+// A site of an MJCF file: a frame on a body.
 struct RobotSite {
   int32_t body;  // -1: the world
   Transformf pose;
 };
 
-// A camera of an MJCF file: it looks along -z, and y points up.
+// A camera of an MJCF file, which looks along -z with y up.
 struct RobotCamera {
   RobotSite at;
-  float fovy;  // rad, of the height
+  float fovy;  // rad, vertical field of view
 };
 
-// A keyframe of an MJCF file: the rows of joint_q from `coord` on.
+// A keyframe of an MJCF file: values of joint_q from row `coord` on.
 struct RobotKeyframe {
   float time;
   int32_t coord;
   std::vector<float> joint_q;
 };
 
-// What the reader has to say of an element.
+// A remark of the reader about an element.
 struct RobotNote {
   std::string file;
   int32_t line;
@@ -115,16 +118,17 @@ struct RobotNote {
   std::string text;
 };
 
-// What was read, mended and left out.
+// What the reader read, corrected and left out.
 struct RobotReport {
-  std::map<std::string, int32_t> read;  // elements that count, by kind
-  std::vector<RobotNote> mended;        // what was changed to be read
-  std::vector<RobotNote> left_out;      // what changes the motion and has no counterpart here
-  std::vector<RobotNote> ignored;       // what does not change it, or is up to the simulation
+  std::map<std::string, int32_t> read;  // number of supported elements, by kind
+  std::vector<RobotNote> mended;        // corrected elements
+  std::vector<RobotNote> left_out;      // unsupported elements that affect the motion
+  std::vector<RobotNote> ignored;       // elements that do not affect the motion, or that the
+                                        // simulation decides
 };
 
-// An equality, tendon, height field or sensor of an MJCF file as it stands there, with the defaults
-// of its class: names and words, and lists of numbers, by attribute; a tendon has parts.
+// An equality, tendon, height field or sensor of an MJCF file, unchanged, with the defaults of its
+// class. Attributes with names and with lists of numbers are kept separately. A tendon has parts.
 struct RobotPart {
   std::string kind, name = {};
   std::map<std::string, std::string> names = {};
@@ -132,37 +136,39 @@ struct RobotPart {
   std::vector<RobotPart> parts = {};
 };
 
-// What was added, by the names of the file.
+// The added objects, by their names in the file.
 struct RobotImport {
-  std::map<std::string, int32_t> links;   // body; a merged link: the one it is part of
+  std::map<std::string, int32_t> links;   // body index; for a merged link, the body it belongs to
   std::map<std::string, int32_t> joints;  // -1: merged
-  // The first row of the joint in joint_qd and the like, and in joint_q; -1: merged.
+  // First row of each joint in joint_qd and similar arrays, and in joint_q; -1: merged.
   std::map<std::string, int32_t> joint_dofs, joint_coords;
-  // Of each link in its body: the identity, unless it was merged.
+  // Pose of each link in its body: the identity unless the link was merged.
   std::map<std::string, Transformf> link_poses;
-  std::map<int32_t, Vec4f> shape_colors;  // r, g, b, a of the shapes that have one
+  std::map<int32_t, Vec4f> shape_colors;  // r, g, b, a of shapes with a color
   std::vector<int32_t> shapes, articulations;
   std::map<std::string, int32_t> actuators;        // rows of Control::ctrl
   std::map<std::string, RobotSite> sites, lights;  // a light shines along -z
   std::map<std::string, RobotCamera> cameras;
   std::map<std::string, RobotKeyframe> keyframes;
-  std::optional<float> timestep;  // s, that of the file
-  // ModelBuilder::finalize refuses those that act, unless they are left out.
+  std::optional<float> timestep;  // s, time step of the file
+  // ModelBuilder::finalize refuses active ones unless they are left out.
   std::vector<RobotPart> equalities, tendons, height_fields;
   std::vector<RobotPart> sensors;
   RobotReport report;
-  std::vector<std::string> warnings;  // the notes of the report, those of one text as one
+  std::vector<std::string> warnings;  // remarks of the report; equal texts are combined
 };
 
-// Adds a robot of a URDF file: a path, package://NAME/..., or the XML itself. Links become bodies,
-// joints joints, of one articulation. Meshes are read by load_mesh; they lie in the folder of the
-// file, the one above it, or in package_dirs. ErrorKind::Value and ErrorKind::NotImplemented name
-// the file, the line and the element; the builder is then as it was.
+// Adds a robot from a URDF file: a path, package://NAME/..., or the XML text. Links become bodies,
+// and joints become joints of one articulation. load_mesh reads the meshes, which lie in the folder
+// of the file, in its parent folder, or in package_dirs. ErrorKind::Value and
+// ErrorKind::NotImplemented name the file, the line and the element. After an error the builder is
+// unchanged.
 NOVAPHY_IO_API RobotImport add_urdf(ModelBuilder& builder, std::string_view source,
                                     const UrdfOptions& options = {});
 
-// Adds what an MJCF file has: a subset of the format, see docs/guide/robots.md. What would change
-// the physics and is not in it raises ErrorKind::NotImplemented by name. As add_urdf otherwise.
+// Adds the contents of an MJCF file. docs/guide/robots.md lists the supported subset. An
+// unsupported element that affects the physics throws ErrorKind::NotImplemented with its name.
+// Otherwise like add_urdf.
 NOVAPHY_IO_API RobotImport add_mjcf(ModelBuilder& builder, std::string_view source,
                                     const MjcfOptions& options = {});
 

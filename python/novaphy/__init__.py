@@ -1,11 +1,11 @@
 """NovaPhy: a differentiable physics engine.
 
-The engine itself is native; this package is its Python surface. Subpackages (``novaphy.nova``,
-``novaphy.diff``, ``novaphy.solvers``, ``novaphy.viewer``, ``novaphy.io``, ``novaphy.assets``,
-``novaphy.testing``) are imported when they are first used.
+The engine is a native library, and this package is its Python interface. The subpackages
+(``novaphy.nova``, ``novaphy.diff``, ``novaphy.solvers``, ``novaphy.viewer``, ``novaphy.io``,
+``novaphy.assets``, ``novaphy.testing``) are imported at their first use.
 
-Conventions: SI units, float32, z up by default, quaternions ``(x, y, z, w)``, transforms
-``(px, py, pz, qx, qy, qz, qw)``.
+Conventions: SI units, float32, z up by default, quaternions ``(x, y, z, w)``, transforms ``(px, py,
+pz, qx, qy, qz, qw)``.
 """
 
 from __future__ import annotations
@@ -217,10 +217,16 @@ __all__ = [
 
 
 def _select(self: Model, pattern: str, *, world: int | None = None) -> Selection:
-    """Joints, bodies and actuators whose name matches, as a Selection.
+    """Return the joints, bodies and actuators whose name matches a pattern, as a Selection.
 
-    pattern: of shell style (*, ?, [...]), for the name or for articulation/name, such as "*/knee*".
-    world: one world; None: all. ValueError: nothing matches; IndexError: no such world.
+    Args:
+        pattern: a shell pattern (*, ?, [...]) for the name, or for articulation/name, such as
+            "*/knee*".
+        world: one world; None: all worlds.
+
+    Raises:
+        ValueError: nothing matches.
+        IndexError: the world does not exist.
     """
     from ._select import Selection
 
@@ -231,7 +237,7 @@ Model.select = _select  # type: ignore[method-assign]
 
 
 def __getattr__(name: str) -> object:
-    """Import a subpackage, or a viewer, at its first use; say of a planned name that it is one."""
+    """Import a subpackage or a viewer at its first use; explain names that are not supported."""
     import importlib
 
     if name in _SUBPACKAGES:
@@ -242,5 +248,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """Every public name, also those that are imported later."""
+    """Return every public name, including names that are imported at their first use."""
     return sorted(set(globals()) | set(__all__))

@@ -1,4 +1,4 @@
-"""``python -m novaphy``: the command `novaphy`."""
+"""``python -m novaphy`` runs the command `novaphy`."""
 
 import sys
 

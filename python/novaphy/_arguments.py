@@ -1,6 +1,7 @@
-"""Errors of native functions about arguments: the name, the expected type, the given one.
+"""Error messages about arguments of native functions: the name, the expected type, the given one.
 
-pybind11 lists the signatures in its message. Here they are read again, and compared with the call.
+The message of pybind11 lists the signatures. This module parses them and compares them with the
+call.
 """
 
 from __future__ import annotations
@@ -55,13 +56,13 @@ class _Complaint:
 
 
 def explain(label: str, message: str, args: Sequence[Any], kwargs: dict[str, Any]) -> str:
-    """Say what is wrong with a call, or return the message of pybind11 where that is not found out.
+    """Explain what is wrong with a call, or return pybind11's message if the reason is not found.
 
     Args:
-        label: the function as users know it, without the package: "diff.Trajectory".
-        message: what pybind11 says: one signature per overload.
-        args: the positional arguments, with the object of a method.
-        kwargs: the arguments by name.
+        label: the function's public name without the package: "diff.Trajectory".
+        message: pybind11's message, with one signature per overload.
+        args: the positional arguments, including the object of a method.
+        kwargs: the keyword arguments.
     """
     if message.startswith("__init__()"):
         args = args[1:]
@@ -88,7 +89,7 @@ def explain(label: str, message: str, args: Sequence[Any], kwargs: dict[str, Any
 def _complaint(
     parameters: list[_Parameter], args: Sequence[Any], kwargs: dict[str, Any]
 ) -> _Complaint | None:
-    """Find the first thing that does not fit."""
+    """Return the first argument that does not match the parameters."""
     positional = [p for p in parameters if not p.keyword_only]
     if len(args) > len(positional):
         text = f"expected at most {len(positional)} positional arguments, got {len(args)}"
@@ -124,7 +125,7 @@ def _complaint(
 
 
 def _mismatch(annotation: str, value: Any) -> str | None:
-    """Say what was expected where a value is not that; None where it is, or cannot be told."""
+    """Return the expected type if a value does not match it; None if it matches or is not known."""
     annotation, optional = re.subn(r" \| None$", "", annotation)
     if optional and value is None:
         return None
@@ -152,7 +153,7 @@ def _mismatch(annotation: str, value: Any) -> str | None:
 
 
 def _parameters(signature: str) -> list[_Parameter]:
-    """Read "(a: int, *, b: str = 'x') -> None"; commas and colons inside of brackets are values."""
+    """Parse a signature such as "(a: int, *, b: str = 'x') -> None"; brackets may nest."""
     start = signature.index("(") + 1
     parts, depth, begin, quote = [], 0, start, ""
     for k, letter in enumerate(signature[start:], start):
@@ -181,7 +182,7 @@ def _parameters(signature: str) -> list[_Parameter]:
 
 
 def _shown(value: Any) -> str:
-    """Return a number itself, and of anything else its type."""
+    """Return a number as text, and the type of any other value."""
     if value is None or type(value) in (int, float):
         return repr(value)
     cls = type(value)

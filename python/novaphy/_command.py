@@ -1,4 +1,4 @@
-"""The command `novaphy`: demos, what is installed, recordings and meshes."""
+"""The command `novaphy`: runs demos, shows the installation, and views recordings and meshes."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ OPTIONAL = {
 
 
 def demos_folder() -> Path | None:
-    """Where the demos are: in the package, or beside it in a checkout."""
+    """Return the folder of the demos: in the package, or beside the package in a checkout."""
     package = Path(novaphy.__file__).resolve().parent
     for folder in (package / "demos", package.parent / "demos"):
         if folder.is_dir():
@@ -67,7 +67,7 @@ def demos_folder() -> Path | None:
 
 
 def demos() -> dict[str, Path]:
-    """The demos by name."""
+    """Return the files of the demos by name."""
     folder = demos_folder()
     files = sorted(folder.rglob("demo_*.py")) if folder is not None else []
     named = {re.sub("^demo_(diffsim_)?", "", file.stem): file for file in files}
@@ -76,7 +76,8 @@ def demos() -> dict[str, Path]:
 
 
 def find_demo(name: str) -> Path:
-    """The file of a demo. ValueError names those that there are."""
+    """Return the file of a demo. ValueError: the demo does not exist; the message lists all demos.
+    """
     found = demos()
     if name not in found:
         known = ", ".join(found) or "none: this installation has no demos"
@@ -85,7 +86,7 @@ def find_demo(name: str) -> Path:
 
 
 def start_demo(path: Path, options: list[str]) -> int:
-    """Run a demo in this process as if it had been started; returns its exit code."""
+    """Run a demo in this process as a main program, and return its exit code."""
     argv, folders = sys.argv, list(sys.path)
     sys.argv = [str(path), *options]
     sys.path[:0] = [str(path.parent)]
@@ -130,7 +131,7 @@ def check(args: argparse.Namespace) -> int:
 
 
 def bench(args: argparse.Namespace) -> int:
-    """Measure an iteration of a demo, or a frame of one without iterations."""
+    """Measure the time of a demo's iteration, or of a frame if the demo has no iterations."""
     from unittest import mock
 
     from .viewer import Stage
@@ -170,7 +171,7 @@ def bench(args: argparse.Namespace) -> int:
 
 
 def info(args: argparse.Namespace) -> int:
-    """Say what is installed, what is missing, and how to get it."""
+    """Show what is installed, what is missing, and how to install it."""
     built = [name for name, on in novaphy.build_info().items() if on]
     print(f"novaphy {novaphy.__version__} in {Path(novaphy.__file__).parent}")
     print(f"Python {platform.python_version()}, NumPy {np.__version__}, {platform.platform()}")
@@ -245,7 +246,7 @@ def completion(args: argparse.Namespace) -> int:
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """The command and its parts."""
+    """Make the parser of the command and its subcommands."""
     from .viewer import add_arguments
 
     parser = argparse.ArgumentParser(prog="novaphy", description="A differentiable physics engine.")
@@ -291,7 +292,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns its exit code. Errors of the user are one line."""
+    """Run the command and return its exit code. Errors of the user are printed as one line."""
     from .viewer import check_arguments
 
     parser = make_parser()

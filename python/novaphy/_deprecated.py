@@ -1,4 +1,4 @@
-"""Old names of arguments: each works for one version and warns."""
+"""Deprecated names of arguments. Each old name works for one version, with a warning."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ Result = TypeVar("Result")
 def renamed_argument(
     old: str, new: str
 ) -> Callable[[Callable[Parameters, Result]], Callable[Parameters, Result]]:
-    """Let a function accept an argument by its old name, with a DeprecationWarning.
+    """Make a decorator that accepts an argument by its old name, with a DeprecationWarning.
 
     Args:
         old: the old name of a keyword argument.
-        new: the name that the function declares.
+        new: the name in the function's signature.
 
     Raises:
         TypeError: a call gives both names.

@@ -1,7 +1,8 @@
-"""Names that are missing: what to use instead, or that they are not supported.
+"""Messages for names that do not exist: what to use instead, or that a feature is not supported.
 
-The names are those of Newton 1.8 and of upstream NovaPhy, which users write from habit. A name
-leaves these tables when it is built; a test walks the lists of both projects.
+The names are those of Newton 1.8 and of upstream NovaPhy, which users may know. A name is removed
+from the tables when its feature is added. A test compares the tables with the lists of both
+projects.
 """
 
 from __future__ import annotations
@@ -290,14 +291,16 @@ ARGUMENTS: dict[str, str] = {
 
 
 class PlannedError(NotImplementedError, AttributeError):
-    """A member of an object that is not built: hasattr(builder, "add_usd") stays False."""
+    """Raised for a member that is not supported. It is an AttributeError too, so hasattr returns
+    False.
+    """
 
 
 def missing_from_module(module: str, name: str) -> Exception:
-    """Return what a module raises for a name that it does not have.
+    """Return the exception that a module raises for a missing name.
 
-    For a name of the tables not an AttributeError, which ``from module import name`` would replace
-    by "cannot import name".
+    A name in the tables gives a NotImplementedError. An AttributeError would be hidden by ``from
+    module import name``, which reports "cannot import name".
     """
     told = _sentence(module, name)
     if told:
@@ -306,12 +309,12 @@ def missing_from_module(module: str, name: str) -> Exception:
 
 
 def explain_members(cls: type, owner: str = "", base: str = "") -> None:
-    """Let objects of a class say what to do without a name that they do not have.
+    """Make objects of a class explain missing members.
 
     Args:
         cls: the class, which gets __getattr__ and __setattr__.
-        owner: what the tables call it; "" for the name of the object's own class.
-        base: what they call the class that all of them have in common.
+        owner: the name of the class in the tables; "": the name of the object's class.
+        base: the name of a common base class in the tables.
     """
 
     def get(self: object, name: str) -> object:
@@ -334,7 +337,7 @@ def explain_members(cls: type, owner: str = "", base: str = "") -> None:
 
 
 def _sentence(owner: str, name: str, base: str = "") -> str | None:
-    """Say what to do without a name of another project; None for any other name."""
+    """Return the message about a missing name of another project; None for any other name."""
     if name.startswith("_"):
         return None
     for part, planned in PLANNED.get(owner, {}).items():

@@ -1,4 +1,4 @@
-"""Errors of parts that are not built."""
+"""Errors about optional parts that a build lacks."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from . import _core
 
 
 def require_diff(module: str) -> None:
-    """Raise ImportError naming the CMake option unless the differentiable part is built."""
+    """Raise ImportError with the CMake option unless the build has the differentiable part."""
     if not _core.has_diff():
         raise _missing(module, "NOVAPHY_WITH_DIFF")
 
 
 def require_vbd(module: str) -> None:
-    """Raise ImportError naming the CMake option unless VBD is built."""
+    """Raise ImportError with the CMake option unless the build has VBD."""
     if not _core.has_vbd():
         raise _missing(module, "NOVAPHY_BUILD_VBD")
 

@@ -1,4 +1,4 @@
-"""Model.select: joints, bodies, shapes and actuators by name, and their rows of any array."""
+"""Model.select: finds joints, bodies, shapes and actuators by name, and their rows in arrays."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _OF_JOINTS = frozenset(
 
 
 class Selection:
-    """The result of Model.select, over the worlds of a model.
+    """The joints, bodies, shapes and actuators that Model.select found, with rows in arrays.
 
-    The attributes joints, bodies, shapes, sites, actuators, coords and dofs are indices, ascending.
-    Sites are the shapes that have ShapeFlags.SITE. The method view reads and writes the rows of a
-    field. The method get copies the rows once, and set writes them once. No other row changes.
-    With several worlds that have as many rows, values are {worlds, rows, ...}, otherwise
+    The attributes joints, bodies, shapes, sites, actuators, coords and dofs are indices in
+    ascending order. Sites are shapes with ShapeFlags.SITE. `view` gives access to the rows of a
+    field, `get` returns a copy of the rows, and `set` writes them. Other rows are not changed.
+    Values have the shape {worlds, rows, ...} if several worlds have equally many rows, else
     {rows, ...}.
     """
 
@@ -61,11 +61,13 @@ class Selection:
         self.sites = self.shapes[(flags & int(_core.ShapeFlags.SITE)) != 0]
 
     def rows(self, field: str) -> NDArray[np.int32]:
-        """Rows of a field of a Model, SimState or Control: joint_q, body_qd, ctrl, ..."""
+        """Return the rows of a field of a Model, SimState or Control, such as joint_q, body_qd or
+        ctrl.
+        """
         return getattr(self, self._kind(field))  # type: ignore[no-any-return]
 
     def view(self, owner: Any, field: str) -> RowsView:
-        """The rows of a field, which are read and written in place."""
+        """Return the rows of a field as a view, for reading and writing in place."""
         kind = self._kind(field)
         rows = getattr(self, kind)
         array = getattr(owner, field)
@@ -80,11 +82,11 @@ class Selection:
         return RowsView(array, rows)
 
     def get(self, owner: Any, field: str) -> NDArray[Any]:
-        """The rows of a field, a copy."""
+        """Return a copy of the rows of a field."""
         return self.view(owner, field)[...]
 
     def set(self, owner: Any, field: str, values: ArrayLike) -> None:
-        """Writes the rows of a field; values broadcast to the shape that get has."""
+        """Write the rows of a field; values are broadcast to the shape of `get`."""
         self.view(owner, field)[...] = values
 
     @staticmethod
@@ -104,11 +106,11 @@ class Selection:
 
 
 class RowsView:
-    """Rows of an array: view[key] reads the current values, view[key] = values writes them.
+    """Rows of an array: view[key] reads the present values, and view[key] = values writes them.
 
-    A key is one of NumPy's for values of this shape; np.asarray(view) copies all. On the CPU only
-    the values of the key are copied. As after array.numpy(copy=False, writable=True), tapes compare
-    the contents of an array that is written so.
+    A key is a NumPy key for the shape of the view. np.asarray(view) copies all values. On the CPU
+    only the values of the key are copied. Tapes compare the contents of an array that is written
+    this way, as after array.numpy(copy=False, writable=True).
     """
 
     def __init__(self, array: _core.DeviceArray, rows: NDArray[np.int32]) -> None:
@@ -120,7 +122,7 @@ class RowsView:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """As NumPy's."""
+        """The shape of the values, as in NumPy."""
         return self._places.shape
 
     def __len__(self) -> int:
@@ -155,7 +157,7 @@ class RowsView:
 
 
 class _Names:
-    """Find joints, bodies, shapes and actuators by name or by articulation/name."""
+    """Finds joints, bodies, shapes and actuators by name or by articulation/name."""
 
     def __init__(self, model: _core.Model, pattern: str, world: int | None) -> None:
         of_joint = model.joint_articulation.numpy()
@@ -198,7 +200,7 @@ class _Names:
         }  # fmt: skip
 
     def rows(self) -> list[tuple[NDArray[np.int32], NDArray[np.int32]]]:
-        """Rows and the world of each row: joints, bodies, shapes, actuators, coords and dofs."""
+        """Return the rows and the world of each row: joints, bodies, shapes, actuators, coords, dofs."""
         pairs = [(rows, self.world[kind][rows]) for kind, rows in self.found.items()]
         joints = self.found["joint"]
         for starts in self.starts.values():

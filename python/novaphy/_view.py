@@ -1,4 +1,4 @@
-"""The window of `novaphy view`: a mesh, or a robot whose joints and controls sliders move."""
+"""The window of `novaphy view`: a mesh, or a robot with sliders for its joints and controls."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ REACH = {"rad": math.pi, "m": 1.0}  # of the slider of a joint without limits
 
 
 class Puppet:
-    """A robot that sliders of joints pose, and that moves by itself once a control is moved.
+    """A robot whose pose follows sliders of joints. Moving a control starts its simulation.
 
-    A joint that is moved ends the motion.
+    Moving a joint slider stops the simulation.
     """
 
     def __init__(self, model: _core.Model, add_slider: Callable[..., Slider]) -> None:
-        """Make a slider of every joint, then of every control (see Viewer.add_slider)."""
+        """Make a slider for every joint and then for every control (see Viewer.add_slider)."""
         self.model, self.control = model, model.control()
         self.state, self._after = model.state(), model.state()
         self._q, ctrl = model.joint_q.numpy(), model.ctrl.numpy()
@@ -68,13 +68,13 @@ class Puppet:
         return [*self.joints.values(), *itertools.chain(*self.balls.values()), *self.controls]
 
     def reset(self) -> None:
-        """Pose the robot as in its file."""
+        """Reset the robot to the pose of its file."""
         for slider, value in zip(self._sliders(), self._start, strict=True):
             slider.set(value)
         self._seen = []
 
     def turn(self) -> None:
-        """Do what the sliders say: pose the robot, or let 1 / FPS seconds pass."""
+        """Update the robot from the sliders: set its pose, or simulate 1 / FPS seconds."""
         before, self._seen = self._seen, [each.value for each in self._sliders()]
         count = len(self._seen) - len(self.controls)
         if self.controls:
@@ -117,7 +117,9 @@ class Puppet:
             self.moves = False
 
     def overlaps(self) -> list[tuple[str, str, float]]:
-        """Pairs of shapes that overlap, as "shape of body", and their depth (m), deepest first."""
+        """Return pairs of overlapping shapes, as "shape of body", with their depth (m), deepest
+        first.
+        """
         names, radius = shape_names(self.model), self.model.shape_collision_radius.numpy()
         deepest: dict[tuple[int, int], float] = {}
         for row in self.contacts.rigid_contacts(self.model, self.state):
@@ -130,14 +132,14 @@ class Puppet:
 
 
 def shape_names(model: _core.Model) -> list[str]:
-    """The labels of every shape and its body."""
+    """Return the labels of every shape with its body."""
     bodies = [*model.body_label, "the world"]  # -1 is the last one
     labels = zip(model.shape_label, model.shape_body.numpy(), strict=True)
     return [f'"{label}" of "{bodies[body]}"' for label, body in labels]
 
 
 def show_robot(args: argparse.Namespace) -> str:
-    """Show a .urdf or .xml (MJCF) file until the window is closed; returns what is in it."""
+    """Show a .urdf or .xml (MJCF) file until the window is closed; return a description of it."""
     builder = _core.ModelBuilder()
     is_urdf = Path(args.file).suffix.lower() == ".urdf"
     add = builder.add_urdf if is_urdf else builder.add_mjcf
@@ -165,7 +167,7 @@ def show_robot(args: argparse.Namespace) -> str:
 def camera_look(
     model: _core.Model, robot: _core.io.RobotImport, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where a camera of a robot's file stands at the start, and a point in front of it (m)."""
+    """Return the initial position of a camera of a robot's file, and a point in front of it (m)."""
     if name not in robot.cameras:
         names = ", ".join(robot.cameras) or "none"
         raise ValueError(f"--camera: expected a camera of the file ({names}), got {name}")
@@ -183,7 +185,7 @@ def camera_look(
 
 
 def control_ranges(model: _core.Model) -> Iterator[tuple[str, float, float]]:
-    """Name and range of every control."""
+    """Yield the name and range of every control."""
     labels, ranges = model.actuator_label, model.actuator_ctrl_range.numpy()
     for label, (low, high) in zip(labels, ranges.tolist(), strict=True):
         is_limited = -UNLIMITED < low < high < UNLIMITED
@@ -191,7 +193,7 @@ def control_ranges(model: _core.Model) -> Iterator[tuple[str, float, float]]:
 
 
 def joint_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, float]]:
-    """Row of joint_q, name and range (rad, m) of every coordinate that a slider can move."""
+    """Yield the row of joint_q, name and range (rad, m) of every coordinate with a slider."""
     labels, axes = model.joint_label, model.joint_dof_dim.numpy()
     rows, dofs = model.joint_q_start.numpy(), model.joint_qd_start.numpy()
     lower, upper = model.joint_limit_lower.numpy(), model.joint_limit_upper.numpy()
@@ -209,7 +211,8 @@ def joint_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, float]]:
 
 
 def ball_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, list[float]]]:
-    """Row of joint_q, name, largest angle and rotation vector (rad) of every BALL joint."""
+    """Yield the row of joint_q, name, largest angle and rotation vector (rad) of every BALL joint.
+    """
     rows, dofs = model.joint_q_start.numpy(), model.joint_qd_start.numpy()
     upper, q = model.joint_limit_upper.numpy(), model.joint_q.numpy().astype(float)
     for joint in range(model.joint_count):
@@ -223,14 +226,15 @@ def ball_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, list[floa
 
 
 def quaternion(turn: list[float]) -> list[float]:
-    """The quaternion xyzw of a rotation vector."""
+    """Return the quaternion xyzw of a rotation vector (rad)."""
     angle = math.hypot(*turn)
     per_angle = math.sin(0.5 * angle) / angle if angle > 0.0 else 0.5
     return [*(x * per_angle for x in turn), math.cos(0.5 * angle)]
 
 
 def show_mesh(args: argparse.Namespace) -> str:
-    """Show the surface of a .msh, .obj, .stl, .ply, .dae or .glb file; returns what is in it."""
+    """Show the surface of a .msh, .obj, .stl, .ply, .dae or .glb file; return a description of it.
+    """
     if Path(args.file).suffix.lower() == ".msh":
         tets = io.load_tet_mesh(args.file)
         points, triangles = tets.vertices, boundary_triangles(np.asarray(tets.indices))

@@ -1,8 +1,8 @@
-"""``python -m novaphy.backend_check dlan``: whether a backend works on this machine.
+"""``python -m novaphy.backend_check dlan``: checks whether a backend works on this machine.
 
-For somebody who has a Denglin card. The program prints its findings, compiles missing kernels, and
-runs the conformance suite and demos. States of the demos must have the bits of the CPU. A report
-holds the output.
+The program is for owners of a Denglin card. It compiles missing kernels and runs the conformance
+suite and demos. The states of the demos must have the bits of the CPU. The output is also written
+to a report.
 """
 
 from __future__ import annotations
@@ -46,26 +46,26 @@ print(f"{d}: {d.name}, {d.total_memory} bytes, {d.free_memory} free, number {d.a
 
 
 class Report:
-    """Lines that are printed, and later written."""
+    """Collects lines that are printed, and written to a file at the end."""
 
     def __init__(self) -> None:
-        """Nothing yet."""
+        """Start an empty report."""
         self.lines: list[str] = []
         self.failed: list[str] = []
 
     def say(self, text: str) -> None:
-        """Print lines."""
+        """Print lines and add them to the report."""
         self.lines.append(text)
         print(text, flush=True)
 
     def result(self, what: str, problem: str = "") -> None:
-        """One check: passed, or why not."""
+        """Add the result of one check: passed, or the problem."""
         self.say(f"[{'FAILED' if problem else 'passed'}] {what}{': ' if problem else ''}{problem}")
         if problem:
             self.failed.append(what)
 
     def run(self, what: str, *command: str | Path) -> bool:
-        """Run a command; its last lines are part of the report. One for nothing is no check."""
+        """Run a command and add its last lines to the report. Return whether it succeeded."""
         words = [str(word) for word in command]
         self.say(f"$ {' '.join(words)}")
         start = time.perf_counter()
@@ -87,13 +87,13 @@ class Report:
 
 
 def plugin() -> Path | None:
-    """The plugin, whether it can be used or not."""
+    """Return the path of the plugin, even if the plugin cannot be used."""
     found = [Path(b.path) for b in novaphy.backends() if b.path and b.name == "dlan"]
     return found[0] if found else None
 
 
 def find_compiler() -> str:
-    """The dlcc that compile.sh takes, or nothing."""
+    """Return the dlcc compiler that compile.sh uses, or an empty text."""
     places = [
         os.environ.get("NOVAPHY_DLAN_DLCC", ""),
         os.path.join(os.environ.get("DLICC_PATH", "/nowhere"), "dlcc"),
@@ -114,7 +114,7 @@ def compile_kernels(report: Report, sources: Path, kernels: Path) -> bool:
 
 
 def compare_demo(report: Report, name: str, iterations: int) -> None:
-    """The states of a demo on the device and on the CPU."""
+    """Compare the states of a demo on the device with those on the CPU."""
     path = demos().get(name)
     if path is None:
         report.result(f"demo {name}", "it is not installed")
@@ -141,7 +141,7 @@ def compare_demo(report: Report, name: str, iterations: int) -> None:
 
 
 def check_dlan(report: Report, args: argparse.Namespace) -> None:
-    """All checks."""
+    """Run all checks."""
     report.say(f"NovaPhy {novaphy.__version__}, Python {platform.python_version()}")
     report.say(platform.platform())
     for name in VARIABLES:
@@ -175,7 +175,7 @@ def check_dlan(report: Report, args: argparse.Namespace) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the checks; 0 when none failed."""
+    """Run the checks; return 0 if none failed."""
     parser = argparse.ArgumentParser(
         prog="python -m novaphy.backend_check", description=(__doc__ or "").splitlines()[0]
     )

@@ -1,4 +1,4 @@
-"""Functions of NovaPhy inside of JAX, with their gradients.
+"""NovaPhy functions in JAX programs, with their gradients.
 
     step = novaphy.jax.wrap(lambda q: ..., (3,))   # nova Tensors in, nova Tensors out
     jax.grad(lambda q: step(q).sum())(q)           # JAX arrays in and out
@@ -24,7 +24,7 @@ __all__ = ["wrap"]
 
 
 def _jax() -> Any:
-    """The library, which is imported by the first function that needs it."""
+    """Return the module jax, imported at the first use."""
     try:
         return importlib.import_module("jax")
     except ImportError as error:
@@ -34,23 +34,23 @@ def _jax() -> Any:
 def wrap(
     function: Callable[..., Any], result: Sequence[int] | Sequence[Sequence[int]]
 ) -> Callable[..., Any]:
-    """Make a function of JAX arrays, with gradients, of one of nova Tensors.
+    """Convert a function of nova Tensors to a function of JAX arrays with gradients.
 
     Args:
-        function: takes nova Tensors, and returns one or several: any step, rollout or loss, made of
-            recorded operations. The function must be pure. JAX calls the function at any time, and
-            once more on a tape for the backward pass, because JAX keeps arrays and no tapes.
-        result: the shape of its result, or a list of shapes.
+        function: takes nova Tensors and returns one or several: any step, rollout or loss made of
+            recorded operations. The function must be pure. JAX may call the function at any time.
+            The backward pass calls it again on a tape, because JAX stores arrays but no tapes.
+        result: the shape of the result, or a list of shapes.
 
     Returns:
-        A `jax.custom_vjp` of as many float32 arrays, which may stand inside of jit (a
-        `jax.pure_callback`), vmap (one call after the other) and grad, once. Arrays are copied on
-        the way in, because JAX's may not be written to. A result that depends on no input has the
-        gradient 0.
+        A `jax.custom_vjp` of equally many float32 arrays. It can be used in jit (as a
+        `jax.pure_callback`), in vmap (one call after the other) and in grad, for first derivatives.
+        Input arrays are copied, because JAX arrays may not be written to. A result that depends on
+        no input has the gradient 0.
 
     Raises:
         ImportError: JAX is not installed.
-        TypeError: an argument that is not float32. Inside of jit errors arrive as JAX's own.
+        TypeError: an argument is not float32. Inside of jit JAX wraps the error.
     """
     jax = _jax()
     shapes = _shapes(result)
@@ -100,17 +100,17 @@ def wrap(
 
 
 def _is_list(shape: Sequence[Any]) -> bool:
-    """Whether these are several shapes."""
+    """Return whether the argument is a list of shapes."""
     return bool(shape) and not isinstance(shape[0], (int, np.integer))
 
 
 def _shapes(result: Sequence[Any]) -> list[tuple[int, ...]]:
-    """The shapes of all results."""
+    """Return the shapes of all results."""
     return [tuple(shape) for shape in (result if _is_list(result) else [result])]
 
 
 def _float32(value: Any) -> np.ndarray:
-    """A copy on the host."""
+    """Return a copy on the host; TypeError unless float32."""
     array = np.array(value)
     if array.dtype != np.float32:
         raise TypeError(f"expected a float32 array, got {array.dtype}")

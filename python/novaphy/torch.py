@@ -1,4 +1,4 @@
-"""Functions of NovaPhy inside of PyTorch, with their gradients.
+"""NovaPhy functions in PyTorch programs, with their gradients.
 
     step = novaphy.torch.wrap(lambda q, qd: ...)   # nova Tensors in, nova Tensors out
     loss = step(q, qd).sum()                       # torch tensors in and out
@@ -23,7 +23,7 @@ __all__ = ["wrap"]
 
 
 def _torch() -> Any:
-    """The library, which is imported by the first function that needs it."""
+    """Return the module torch, imported at the first use."""
     try:
         return importlib.import_module("torch")
     except ImportError as error:
@@ -31,7 +31,7 @@ def _torch() -> Any:
 
 
 class _Call:
-    """The memory of a call for its backward pass."""
+    """The inputs, results and tape of a call, for its backward pass."""
 
     def __init__(self, inputs: list[nova.Tensor]) -> None:
         self.inputs = inputs
@@ -41,7 +41,7 @@ class _Call:
 
 
 def _results(result: Any, *, on_tape: bool) -> list[nova.Tensor]:
-    """The results of a function; on a tape, inputs among them as copies that it recorded."""
+    """Return the results of a function as a list. On a tape, results that are inputs are copied."""
     made = [result] if isinstance(result, nova.Tensor) else list(result)
     for k, tensor in enumerate(made):
         if not isinstance(tensor, nova.Tensor):
@@ -50,7 +50,7 @@ def _results(result: Any, *, on_tape: bool) -> list[nova.Tensor]:
 
 
 def _forward(ctx: Any, function: Callable[..., Any], call: list[_Call], *values: Any) -> Any:
-    """Run a function of nova Tensors, on a tape where a gradient is wanted."""
+    """Run a function of nova Tensors, on a tape if a gradient is needed."""
     torch = _torch()
     inputs = [nova.from_dlpack(value.detach().contiguous()) for value in values]
     made = _Call(inputs)
@@ -75,7 +75,7 @@ def _forward(ctx: Any, function: Callable[..., Any], call: list[_Call], *values:
 
 
 def _backward(ctx: Any, *gradients: Any) -> Any:
-    """Pull gradients back by that tape."""
+    """Compute the gradients of the inputs by the tape of the forward pass."""
     torch = _torch()
     if torch.is_grad_enabled():  # create_graph: the gradient would count as a constant
         raise NotImplementedError("novaphy.torch: expected one derivative, got create_graph=True")
@@ -99,7 +99,7 @@ _classes: list[Any] = []  # the torch.autograd.Function of all wrapped functions
 
 
 def _recorded() -> Any:
-    """The class whose forward and backward pass are those above."""
+    """Return the autograd class with the forward and backward pass above."""
     if not _classes:
         passes = {"forward": staticmethod(_forward), "backward": staticmethod(_backward)}
         _classes.append(type("Recorded", (_torch().autograd.Function,), passes))
@@ -107,30 +107,31 @@ def _recorded() -> Any:
 
 
 def wrap(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Make a function of torch tensors, with gradients, of one of nova Tensors.
+    """Convert a function of nova Tensors to a function of torch tensors with gradients.
 
     Args:
-        function: takes nova Tensors, and returns one or several: any step, rollout or loss, made of
-            recorded operations. Every call runs the function anew on a tape of its own. Until the
-            backward pass its results (a Trajectory, states) must stay, so create them inside the
-            function. Values besides the arguments are constants.
+        function: takes nova Tensors and returns one or several: any step, rollout or loss made of
+            recorded operations. Every call runs the function on a new tape. The objects behind the
+            results (a Trajectory, states) must not change before the backward pass, so create them
+            inside of the function. Values other than the arguments are constants.
 
     Returns:
-        A function of as many torch tensors, float32, on the same device, that returns a torch
-        tensor, or a tuple of them.
+        A function of equally many float32 torch tensors on the same device. It returns a torch
+        tensor or a tuple of them.
 
-        Inputs and results share memory with the nova Tensors, without a copy. Inputs that are not
-        contiguous are copied. So are inputs that are results, where a gradient is wanted.
+        Inputs and results share memory with the nova Tensors, without a copy. Two kinds of inputs
+        are copied: those that are not contiguous, and those that are also results if a gradient is
+        needed.
 
         Gradients are those of the tape, with its labels (exact, surrogate, frozen). A result that
-        depends on no input has the gradient 0. The function can be differentiated once;
-        create_graph=True raises NotImplementedError. A backward pass raises if memory that it needs
-        was written in place.
+        depends on no input has the gradient 0. Only first derivatives are supported;
+        create_graph=True raises NotImplementedError. A backward pass raises an error if memory that
+        it needs was overwritten.
 
     Raises:
         ImportError: PyTorch is not installed.
-        TypeError: an argument that is no torch tensor of float32.
-        novaphy.Error, ValueError: what the function or the tape raises.
+        TypeError: an argument is not a float32 torch tensor.
+        novaphy.Error, ValueError: errors of the function or the tape.
     """
 
     torch, recorded = _torch(), _recorded()

@@ -1,7 +1,7 @@
-"""Robots that come with NovaPhy, as URDF and MJCF files.
+"""Bundled robots as URDF and MJCF files.
 
-``builder.add_urdf(novaphy.assets.path("fr3.urdf"))``; `names` lists them. Masses, frames and limits
-of ``fr3.urdf`` are those of franka_description (Apache License 2.0, see NOTICE).
+Use ``builder.add_urdf(novaphy.assets.path("fr3.urdf"))``; `names` lists the files. Masses, frames
+and limits of ``fr3.urdf`` are those of franka_description (Apache License 2.0, see NOTICE).
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ _FOLDER = Path(__file__).resolve().parent
 
 
 def names() -> list[str]:
-    """Return the names of the files, sorted."""
+    """Return the names of all bundled files, sorted."""
     return sorted(file.name for file in _FOLDER.iterdir() if file.suffix in (".urdf", ".xml"))
 
 
 def path(name: str) -> Path:
-    """Return where the file of that name is.
+    """Return the path of a bundled file.
 
     Raises:
-        ValueError: there is no such file; the message has the names.
+        ValueError: the file does not exist; the message lists all names.
     """
     if name not in names():
         raise ValueError(f"name: expected one of {', '.join(names())}, got {name!r}")

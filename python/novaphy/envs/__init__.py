@@ -1,6 +1,6 @@
-"""Environments for training policies: batches of worlds, and Gymnasium's interfaces to them.
+"""Environments for training policies: batches of worlds, and Gymnasium interfaces.
 
-`AntWorlds` needs nothing but NovaPhy; `AntEnv` and `AntVectorEnv` need the package gymnasium.
+`AntWorlds` needs only NovaPhy. `AntEnv` and `AntVectorEnv` need the package gymnasium.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """Import what needs gymnasium at its first use."""
+    """Import the classes that need gymnasium at their first use."""
     if name in ("AntEnv", "AntVectorEnv"):
         from . import _gym
 

@@ -1,4 +1,4 @@
-"""AntWorlds: many Ants at once, stepped by SolverFeatherstone at the rate of a policy."""
+"""AntWorlds: a batch of Ant robots, stepped by SolverFeatherstone at the rate of a policy."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ..solvers import SolverFeatherstone
 
 Array = NDArray[Any]  # float32
 
-# Parameter set -> file, torque per unit of action (N m), lowest height (m), and the hinge of each
-# action: hip_1, ankle_1, hip_2, ... are 0 to 7.
+# Parameter sets: file, torque per unit of action (N m), lowest height of a healthy Ant (m), and the
+# hinge of each action. Hinges hip_1, ankle_1, hip_2, ... have the numbers 0 to 7.
 ANTS: dict[str, tuple[str, float, float, tuple[int, ...]]] = {
     "dva": ("ant_heavy.xml", 200.0, 0.27, (0, 1, 2, 3, 4, 5, 6, 7)),
     "gym": ("ant.xml", 150.0, 0.2, (6, 7, 0, 1, 2, 3, 4, 5)),
@@ -45,15 +45,15 @@ VARIED_RANGES = {"friction": (0.0, 1e3), "mass": (1e-3, 1e3), "torso_mass": (1e-
 
 
 class AntWorlds:
-    """A batch of Ants on the ground, which do not see each other.
+    """A batch of Ants on the ground, each in its own world.
 
-    Z up. A frame of the policy is 1/20 s: `substeps` steps with contacts. Actions are torques of
-    the hinges over the gear (200 N m of `dva`, 150 N m of `gym`), in the order of the motors of the
-    file. All arrays have one row per world, float32.
+    The z axis points up. A frame of the policy lasts 1/20 s and has `substeps` steps with contacts.
+    An action is the torque of a hinge divided by the gear (200 N m for `dva`, 150 N m for `gym`),
+    in the order of the motors in the file. All arrays are float32 with one row per world.
 
-    `q` {worlds, 15} is position (m), quaternion xyzw and the hinges hip_1, ankle_1, ... (rad);
-    `qd` {worlds, 14} the velocity of the torso's origin and its angular velocity, world axes, and
-    the hinges' rates.
+    `q` {worlds, 15} has the position (m), the quaternion xyzw and the hinge angles hip_1, ankle_1,
+    ... (rad). `qd` {worlds, 14} has the velocity of the torso's origin and its angular velocity in
+    world axes, and the hinge rates.
     """
 
     def __init__(
@@ -67,21 +67,23 @@ class AntWorlds:
         device: str | None = None,
         **solver_options: Any,
     ) -> None:
-        """Build the worlds and put all Ants at their start.
+        """Build the worlds and reset all Ants.
 
         Args:
-            num_worlds: how many.
+            num_worlds: number of worlds.
             ant: "dva" (density 1000, 182 kg) or "gym" (density 5, armature 1).
-            seed: of the noise of starts.
-            substeps: of a frame; 50 are steps of 1 ms.
-            noise: of starts: positions uniform in +-noise, velocities normal with this deviation.
-            device: where the worlds are stepped, with the same bits (None: the default device);
-                the arrays here stay NumPy's. Other devices than the CPU replay a captured frame.
-            solver_options: of SolverFeatherstone.
+            seed: seed of the initial noise.
+            substeps: steps per frame; 50 means steps of 1 ms.
+            noise: initial noise: positions are uniform in +-noise, velocities normal with this
+                standard deviation.
+            device: device of the simulation (None: the default device). Every device gives the same
+                bits. Devices other than the CPU replay a captured frame. The arrays here are NumPy
+                arrays.
+            solver_options: options of SolverFeatherstone.
 
         Raises:
-            ValueError: an argument out of its range.
-            ImportError: a build without readers of robot files.
+            ValueError: an argument is out of range.
+            ImportError: the build has no readers of robot files.
         """
         if ant not in ANTS:
             raise ValueError(f"ant: expected one of {', '.join(ANTS)}, got {ant!r}")
@@ -116,21 +118,23 @@ class AntWorlds:
 
     @property
     def total_mass(self) -> float:
-        """The mass of an Ant without changes, kg."""
+        """The mass of an unmodified Ant (kg)."""
         return float(self._masses[0].sum())
 
     @property
     def q(self) -> Array:
-        """Joint coordinates {worlds, 15}; a copy."""
+        """A copy of the joint coordinates {worlds, 15}."""
         return self.state.joint_q.numpy().reshape(self.num_worlds, COORDS)
 
     @property
     def qd(self) -> Array:
-        """Joint rates {worlds, 14}; a copy."""
+        """A copy of the joint rates {worlds, 14}."""
         return self.state.joint_qd.numpy().reshape(self.num_worlds, DOFS)
 
     def set_state(self, q: ArrayLike, qd: ArrayLike, frame: ArrayLike = 0) -> None:
-        """Put all Ants where q {worlds, 15} and qd {worlds, 14} say; forget impulses of contacts.
+        """Set the coordinates q {worlds, 15} and rates qd {worlds, 14} of all Ants.
+
+        Contact impulses of the solver are cleared.
 
         Raises:
             ValueError: another shape, or numbers that are not finite.
@@ -147,7 +151,7 @@ class AntWorlds:
         self.frame[:] = frame
 
     def _forget(self) -> None:
-        """Let the solver read the model again, without impulses of contacts."""
+        """Make the solver read the model again and clear its contact impulses."""
         self.solver.notify_model_changed(0)
         self._graphs.clear()  # they would go on with what was read before
 
@@ -157,11 +161,11 @@ class AntWorlds:
         eval_fk(self.model, state.joint_q, state.joint_qd, state)
 
     def reseed(self, seed: int) -> None:
-        """Draw the starts from now on with another seed."""
+        """Use another seed for later resets."""
         self.seed, self._resets = seed, 0
 
     def start(self) -> tuple[Array, Array]:
-        """Coordinates {worlds, 15} and rates {worlds, 14} of the next start of every world."""
+        """Return the coordinates {worlds, 15} and rates {worlds, 14} of each world's next reset."""
         q = np.tile(
             np.array([0, 0, START_HEIGHT, 0, 0, 0, 1, *START_JOINTS], np.float32),
             (self.num_worlds, 1),
@@ -175,10 +179,11 @@ class AntWorlds:
         return q, qd
 
     def reset(self, worlds: ArrayLike | None = None) -> Array:
-        """Put Ants at their start; the observations {worlds, 111} of all.
+        """Reset Ants and return the observations {worlds, 111} of all Ants.
 
         Args:
-            worlds: a mask {worlds}; None: all of them, with the solver's impulses of contacts.
+            worlds: a mask {worlds} of the worlds to reset. None: all worlds, and the solver's
+                contact impulses are cleared.
         """
         mask = np.ones(self.num_worlds, bool) if worlds is None else np.asarray(worlds, bool)
         if mask.shape != (self.num_worlds,):
@@ -203,14 +208,14 @@ class AntWorlds:
         return self.observations()
 
     def vary(self, **values: ArrayLike) -> None:
-        """Change numbers of the worlds: `friction`, `mass`, `torso_mass`, `gear`, `slope`, ...
+        """Change parameters of the worlds: `friction`, `mass`, `torso_mass`, `gear`, `slope` and
+        others.
 
         Args:
-            values: a number, or one per world; of `gear` also {worlds, 8}.
+            values: a number, or one number per world; `gear` may be {worlds, 8}.
 
         Raises:
-            ValueError: an unknown name, another shape, numbers that no Ant can have; nothing
-                is changed then.
+            ValueError: an unknown name, another shape, or numbers out of range. Nothing is changed.
         """
         changed = {}
         for name, value in values.items():
@@ -250,7 +255,9 @@ class AntWorlds:
         self._forget()
 
     def joint_forces(self, actions: ArrayLike) -> Array:
-        """Forces of the dofs {worlds, 14} (N m) of actions {worlds, 8}, clipped to +-1."""
+        """Return the joint forces {worlds, 14} (N m) of actions {worlds, 8}, which are clipped to
+        +-1.
+        """
         a = np.asarray(actions, np.float32)
         if a.shape != (self.num_worlds, ACTIONS):
             raise ValueError(f"actions: expected {{{self.num_worlds}, {ACTIONS}}}, got {a.shape}")
@@ -269,12 +276,12 @@ class AntWorlds:
         push: ArrayLike | None = None,
         each: Callable[[int, SimState], None] | None = None,
     ) -> None:
-        """Step all worlds by a frame of 1/20 s.
+        """Step all worlds by one frame of 1/20 s.
 
         Args:
-            actions: {worlds, 8}, held over the frame.
+            actions: {worlds, 8}, constant over the frame.
             push: force on the torso over the frame, world axes, {worlds, 3} (N).
-            each: called behind every substep, with its number and the state.
+            each: called after every substep with its index and the state.
         """
         forces = self.joint_forces(actions)
         if push is not None:
@@ -292,7 +299,7 @@ class AntWorlds:
         self.frame += 1
 
     def _run(self, each: Callable[[int, SimState], None] | None = None) -> None:
-        """The substeps of a frame."""
+        """Run the substeps of a frame."""
         for k in range(self.substeps):
             self.pipeline.collide(self.state, self.contacts)
             self.solver.step(self.state, self._after, self.control, self.contacts, self.dt)
@@ -301,7 +308,7 @@ class AntWorlds:
                 each(k, self.state)
 
     def _replay(self) -> None:
-        """The substeps of a frame, from the graph that the first call captures."""
+        """Run the substeps of a frame from a graph, which the first call captures."""
         begins = id(self.state)
         if begins not in self._graphs:
             with nova.ScopedCapture() as capture:
@@ -315,20 +322,21 @@ class AntWorlds:
     def observations(self) -> Array:
         """Return the observations of Gymnasium's Ant-v3, {worlds, 111}.
 
-        Height; quaternion w x y z; hinges; velocity (world axes); angular velocity (body axes);
-        rates of the hinges; then 84 zeros, where MuJoCo has contact forces since 2.0.
+        The columns are height; quaternion w x y z; hinges; velocity (world axes); angular velocity
+        (body axes); hinge rates; and 84 zeros. MuJoCo has contact forces in the last columns, but
+        zeros since 2.0.
         """
         return observations(self.q, self.qd)
 
     def healthy(self) -> NDArray[np.bool_]:
-        """Whether an Ant is finite, above the lowest height and below 1 m, {worlds}."""
+        """Return whether each Ant is finite, above the lowest height and below 1 m, {worlds}."""
         q, qd = self.q, self.qd
         finite = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1)
         return finite & (q[:, 2] >= self.lowest) & (q[:, 2] <= HIGHEST)
 
 
 def check_varied(name: str, values: ArrayLike) -> None:
-    """Refuse values of `AntWorlds.vary` that are not finite, or that no Ant can have."""
+    """Raise ValueError for values of `AntWorlds.vary` that are not finite or out of range."""
     rows = np.asarray(values, np.float32)
     least, most = VARIED_RANGES.get(name, (-np.inf, np.inf))
     good = np.isfinite(rows) & (rows >= least) & (rows <= most)
@@ -340,7 +348,7 @@ def check_varied(name: str, values: ArrayLike) -> None:
 def build_ants(
     file: str, num_worlds: int, requires_grad: bool = False, device: str | None = None
 ) -> Model:
-    """Ants of a file of `novaphy.assets`, each in a world of its own over its own ground."""
+    """Build Ants from a file of `novaphy.assets`, each in its own world with its own ground."""
     one, many = ModelBuilder(), ModelBuilder()
     one.add_mjcf(assets.path(file))
     many.replicate(one, num_worlds)
@@ -365,7 +373,7 @@ def observations(q: Array, qd: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """a x b {..., 3}: what np.cross gives, sooner for few rows."""
+    """Return the cross products a x b {..., 3}; faster than np.cross for few rows."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape), np.result_type(a, b))
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
@@ -374,20 +382,21 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def rotate(quaternion: Array, v: Array) -> Array:
-    """R(quaternion xyzw) v, {n, 3}."""
+    """Rotate vectors {n, 3} by quaternions xyzw."""
     u, w = quaternion[..., :3], quaternion[..., 3:]
     return v + 2.0 * _cross(u, _cross(u, v) + w * v)
 
 
 def rotate_back(quaternion: Array, v: Array) -> Array:
-    """The transpose of R(quaternion xyzw), times v, {n, 3}."""
+    """Rotate vectors {n, 3} by the inverses of quaternions xyzw."""
     u, w = quaternion[..., :3], quaternion[..., 3:]
     return v + 2.0 * _cross(u, _cross(u, v) - w * v)
 
 
 def feet(state: SimState, num_worlds: int) -> tuple[Array, Array, Array]:
-    """Return tip centers {worlds, 4, 3} (m), heights {worlds, 4} (m) of the feet's lowest points,
-    and velocities {worlds, 4, 3} (m/s) of these points."""
+    """Return tip centers {worlds, 4, 3} (m), and heights {worlds, 4} (m) and velocities {worlds, 4,
+    3} (m/s) of the lowest points of the feet.
+    """
     poses = state.body_q.numpy().reshape(num_worlds, -1, 7)[:, FEET]
     rates = state.body_qd.numpy().reshape(num_worlds, -1, 6)[:, FEET]
     arm = rotate(poses[..., 3:], np.broadcast_to(TIPS.astype(np.float32), poses[..., :3].shape))
@@ -399,15 +408,15 @@ def feet(state: SimState, num_worlds: int) -> tuple[Array, Array, Array]:
 
 
 def asset_hash(ant: str) -> str:
-    """The first 16 digits of SHA-256 of the file of a parameter set."""
+    """Return the first 16 digits of the SHA-256 hash of a parameter set's file."""
     return hashlib.sha256(assets.path(ANTS[ant][0]).read_bytes()).hexdigest()[:16]
 
 
 def check_meta(path: str, meta: Mapping[str, Any], ant: str) -> None:
-    """Refuse a policy of another Ant.
+    """Check that a policy belongs to an Ant.
 
     Raises:
-        ValueError: meta names no Ant, or another, or another version of its file.
+        ValueError: meta names no Ant, another Ant, or another version of its file.
     """
     if meta.get("ant") != ant:
         raise ValueError(f"{path}: expected a policy of the Ant {ant!r}, got {meta.get('ant')!r}")

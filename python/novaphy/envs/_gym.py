@@ -1,4 +1,4 @@
-"""Gymnasium's interfaces to AntWorlds."""
+"""Gymnasium interfaces to AntWorlds."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Ranges = Mapping[str, tuple[float, float]]
 
 
 class _Rules:
-    """Rewards, ends and randomization, as Gymnasium's Ant-v3 has them."""
+    """Rewards, terminations and randomization of Gymnasium's Ant-v3."""
 
     def __init__(
         self, ants: AntWorlds, episode: int, randomize: Ranges | None, forward_weight: float
@@ -41,7 +41,7 @@ class _Rules:
         self.randomize, self.forward_weight = dict(randomize or {}), forward_weight
 
     def draw(self, rng: np.random.Generator, worlds: np.ndarray) -> None:
-        """New numbers for worlds that begin again."""
+        """Draw new parameters for worlds that are reset."""
         values = {}
         for name, (low, high) in self.randomize.items():
             rows = self.ants.varied[name].copy()
@@ -52,7 +52,7 @@ class _Rules:
             self.ants.vary(**values)
 
     def step(self, actions: Array) -> tuple[Array, np.ndarray, np.ndarray]:
-        """Rewards, terminated, truncated {worlds}."""
+        """Step all worlds; return rewards, terminated and truncated {worlds}."""
         ants = self.ants
         before = ants.q[:, 0]
         ants.step(actions)
@@ -70,11 +70,11 @@ def _spaces() -> tuple[Any, Any]:
 
 
 class AntEnv(gymnasium.Env[Array, Array]):
-    """One Ant, with the observations and rewards of Gymnasium's Ant-v3, at 20 Hz.
+    """One Ant with the observations and rewards of Gymnasium's Ant-v3, at 20 Hz.
 
-    The reward of a frame is 1 while it is healthy, plus the speed along +x (m/s), less half the
-    squares of the actions. `terminated`: not finite, or the torso too low or above 1 m;
-    `truncated`: `episode` frames are over.
+    The reward of a frame is 1 while the Ant is healthy, plus the speed along +x (m/s), minus half
+    the sum of squared actions. `terminated`: the state is not finite, or the torso is too low or
+    above 1 m. `truncated`: the episode has lasted `episode` frames.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": 20}  # noqa: RUF012
@@ -94,11 +94,11 @@ class AntEnv(gymnasium.Env[Array, Array]):
 
         Args:
             ant: "dva" or "gym".
-            episode: frames until it is truncated.
-            noise: of starts, see AntWorlds.
-            randomize: (low, high) by the names of AntWorlds.vary, drawn at every reset.
-            forward_weight: of the speed in the reward.
-            substeps: of a frame.
+            episode: number of frames until truncation.
+            noise: initial noise, see AntWorlds.
+            randomize: ranges (low, high) by the names of AntWorlds.vary, drawn at every reset.
+            forward_weight: weight of the speed in the reward.
+            substeps: steps per frame.
         """
         self.ants = AntWorlds(1, ant=ant, noise=noise, substeps=substeps)
         self._rules = _Rules(self.ants, episode, randomize, forward_weight)
@@ -108,14 +108,14 @@ class AntEnv(gymnasium.Env[Array, Array]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode; with a seed, always the same one."""
+        """Start an episode; the same seed gives the same episode."""
         super().reset(seed=seed)
         self.ants.reseed(int(self.np_random.integers(2**31)))
         self._rules.draw(self.np_random, np.ones(1, bool))
         return self.ants.reset()[0], {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Step a frame."""
+        """Step one frame."""
         rewards, terminated, truncated = self._rules.step(np.asarray(action, np.float32)[None])
         info = {"x_position": float(self.ants.q[0, 0])}
         out = np.nan_to_num(self.ants.observations()[0])
@@ -123,10 +123,10 @@ class AntEnv(gymnasium.Env[Array, Array]):
 
 
 class AntVectorEnv(VectorEnv[Array, Array, Array]):
-    """Many Ants, stepped as one batch; the rules are those of AntEnv.
+    """A batch of Ants with the rules of AntEnv.
 
-    Autoreset is SAME_STEP: where an episode ends, the observation is already that of the next one,
-    and infos["final_obs"] holds the last one, with the mask infos["_final_obs"].
+    The autoreset mode is SAME_STEP. At the end of an episode the observation is that of the next
+    episode. infos["final_obs"] has the last observation, with the mask infos["_final_obs"].
     """
 
     @renamed_argument("randomise", "randomize")  # codespell:ignore randomise
@@ -141,7 +141,7 @@ class AntVectorEnv(VectorEnv[Array, Array, Array]):
         forward_weight: float = 1.0,
         substeps: int = 50,
     ) -> None:
-        """As AntEnv, for `num_envs` worlds."""
+        """Build `num_envs` worlds. The arguments are those of AntEnv."""
         self.ants = AntWorlds(num_envs, ant=ant, noise=noise, substeps=substeps)
         self._rules = _Rules(self.ants, episode, randomize, forward_weight)
         self.num_envs, self.render_mode = num_envs, None
@@ -155,14 +155,14 @@ class AntVectorEnv(VectorEnv[Array, Array, Array]):
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin all episodes."""
+        """Start all episodes."""
         super().reset(seed=seed[0] if isinstance(seed, list) else seed)
         self.ants.reseed(int(self.np_random.integers(2**31)))
         self._rules.draw(self.np_random, np.ones(self.num_envs, bool))
         return self.ants.reset(), {}
 
     def step(self, actions: Array) -> tuple[Array, Array, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Step a frame of all worlds, and begin again where an episode is over."""
+        """Step all worlds by one frame, and restart worlds whose episode has ended."""
         rewards, terminated, truncated = self._rules.step(np.asarray(actions, np.float32))
         out, over = np.nan_to_num(self.ants.observations()), terminated | truncated
         info: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Files: meshes read, arrays written whole or not at all."""
+"""File access: reading meshes, and writing arrays atomically."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ __all__ = [
 
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary path beside `path`; what is written there becomes `path` at the end.
+    """Yield a temporary path beside `path`, which replaces `path` at the end.
 
-    The temporary name has the same ending. After an exception nothing is left, and an earlier file
-    at `path` is as it was.
+    The temporary name has the same extension. After an exception the temporary file is removed, and
+    an existing file at `path` is unchanged.
 
     Raises:
         ValueError: the folder of `path` does not exist, or `path` is a folder.
-        OSError: the folder cannot be written.
+        OSError: the folder is not writable.
     """
     target = Path(path)
     if target.is_dir():
@@ -58,10 +58,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def save_npz(path: str | os.PathLike[str], **arrays: Any) -> None:
-    """Write named arrays as a compressed ``.npz`` file; the name must end in ``.npz``.
+    """Write named arrays to a compressed ``.npz`` file; the name must end in ``.npz``.
 
-    Arrays may be anything that `numpy.asarray` takes, `novaphy.DeviceArray` and `nova.Tensor`
-    included.
+    Arrays may be anything that `numpy.asarray` accepts, including `novaphy.DeviceArray` and
+    `nova.Tensor`.
     """
     if Path(path).suffix != ".npz":
         raise ValueError(f"path: expected a name that ends in .npz, got {os.fspath(path)!r}")

@@ -1,4 +1,4 @@
-"""Meshes from files, as NumPy arrays that ModelBuilder takes."""
+"""Reads meshes from files as NumPy arrays for ModelBuilder."""
 
 from __future__ import annotations
 
@@ -30,20 +30,21 @@ class TetMesh(NamedTuple):
 
 
 def height_field(heights: ArrayLike, cell_x: float, cell_y: float | None = None) -> Mesh:
-    """Make the triangles of a terrain: a height for every point of a grid.
+    """Make the triangle mesh of a terrain from a grid of heights.
 
-    The front of the mesh is above. Terrains have no inside, so they belong to the world, or to a
-    body by ``density=0``: ``builder.add_shape_mesh(-1, mesh=height_field(z, 0.25), cfg=...)``.
+    The front of the mesh is the upper side. A terrain has no inside and so no mass. It belongs to
+    the world, or to a body with ``density=0``:
+    ``builder.add_shape_mesh(-1, mesh=height_field(z, 0.25), cfg=...)``.
 
     Args:
-        heights: (rows, columns) in m: ``heights[j, i]`` at x = i ``cell_x``, y = j ``cell_y``, with
-            the middle of the grid at the origin. At least 2 of each.
-        cell_x: Distance of columns, m.
-        cell_y: Distance of rows, m; None: ``cell_x``.
+        heights: (rows, columns) in m. ``heights[j, i]`` is the height at x = i ``cell_x``, y = j
+            ``cell_y``, with the origin at the middle of the grid. At least 2 rows and 2 columns.
+        cell_x: distance of columns (m).
+        cell_y: distance of rows (m); None: ``cell_x``.
 
     Returns:
-        rows * columns vertices, row by row, and two triangles in every cell, which meet in the
-        diagonal from its corner of the smallest x and y.
+        rows * columns vertices, row by row, and two triangles per cell. The common edge of the two
+        triangles is the diagonal from the corner with the smallest x and y.
 
     Raises:
         ValueError: another shape, a height that is not finite, a distance that is not > 0.
@@ -70,7 +71,7 @@ def height_field(heights: ArrayLike, cell_x: float, cell_y: float | None = None)
 
 
 def _check_opens(path: str | os.PathLike[str]) -> None:
-    """Raise the OSError of Python itself: FileNotFoundError, IsADirectoryError, ..."""
+    """Open a file, so that a failure raises Python's own OSError (such as FileNotFoundError)."""
     with open(path, "rb"):
         pass
 
@@ -80,19 +81,19 @@ def load_mesh(
 ) -> Mesh:
     """Read the triangles of an ``.obj``, ``.stl``, ``.ply``, ``.dae`` or ``.glb`` file.
 
-    Needs a build with ``NOVAPHY_WITH_IO=ON`` (`novaphy.has_io`), as wheels are.
+    Needs a build with ``NOVAPHY_WITH_IO=ON`` (`novaphy.has_io`), as in the wheels.
 
-    All meshes of the file come as one, each where the nodes of its scene put it. Polygons are cut
-    into triangles; points, lines and vertices that no triangle uses are left out. A ``.dae`` says
-    its unit and up axis, and comes in meters with z up; the other formats say nothing, and their
-    numbers stay as they are: see ``scale`` and ``rot`` of `ModelBuilder.add_cloth_mesh`.
+    All meshes of the file become one mesh, placed by the nodes of the scene. Polygons are cut into
+    triangles. Points, lines and vertices without a triangle are left out. A ``.dae`` file defines
+    its unit and up axis and is converted to meters with z up. The numbers of other formats stay
+    unchanged; see ``scale`` and ``rot`` of `ModelBuilder.add_cloth_mesh`.
 
     Args:
-        path: The file; the ending of its name says the format.
-        join_vertices: Make one vertex of corners at the same position, to the bit. Most formats
-            store the corners of each triangle, and without this the mesh falls apart.
-        drop_degenerate: Leave out triangles with two corners at the same position instead of
-            refusing them.
+        path: the file; its extension gives the format.
+        join_vertices: merge corners with exactly the same position into one vertex. Most formats
+            store the corners of each triangle separately, and without merging the mesh falls apart.
+        drop_degenerate: leave out triangles with two corners at the same position. False: raise an
+            error for them.
 
     Returns:
         ``vertices`` (n, 3) float32 in the order of their first use, ``indices`` (m, 3) int32.
@@ -100,8 +101,8 @@ def load_mesh(
     Raises:
         ImportError: this build has no mesh reader.
         OSError: the file is missing or cannot be opened.
-        ValueError: the name ends in something else; the file is broken, or has no triangle; a
-            position is not finite; a triangle has two corners in one place.
+        ValueError: the extension is unknown; the file is corrupt, or has no triangle; a position is
+            not finite; a triangle has two corners in one place.
     """
     if _core.has_io():
         _check_opens(path)
@@ -110,25 +111,25 @@ def load_mesh(
 
 
 def load_tet_mesh(path: str | os.PathLike[str], *, drop_loose_vertices: bool = False) -> TetMesh:
-    """Read the 4-node tetrahedra of a Gmsh MSH 4.1 ASCII file. Every build can.
+    """Read the 4-node tetrahedra of a Gmsh MSH 4.1 ASCII file. Every build has this reader.
 
-    The format is the "MSH file format" of https://gmsh.info/doc/texinfo/gmsh.html, what Gmsh writes
-    by default. Points, lines, surfaces and physical groups in the file are skipped. Positions keep
-    the unit and the axes of the file.
+    The format is the "MSH file format" of https://gmsh.info/doc/texinfo/gmsh.html, Gmsh's default.
+    Points, lines, surfaces and physical groups of the file are skipped. Positions keep the unit and
+    the axes of the file.
 
     Args:
-        path: The file.
-        drop_loose_vertices: Leave out nodes that no tetrahedron uses instead of refusing them.
+        path: the file.
+        drop_loose_vertices: leave out nodes without a tetrahedron. False: raise an error for them.
 
     Returns:
         ``vertices`` (n, 3) float32 in the order of the file, ``indices`` (m, 4) int32.
 
     Raises:
         OSError: the file is missing or cannot be opened.
-        ValueError: with the line, if one is known. The file has another format, is broken or
-            truncated, or has an empty mesh. A position is not finite. Solids are no 4-node
-            tetrahedra. Tetrahedra are degenerate or inverted (with their number). A face has more
-            than two tetrahedra, or two on one side. A vertex is loose.
+        ValueError: with the line, if one is known. The file has another format, is corrupt or
+            truncated, or has an empty mesh. A position is not finite. A solid element is not a
+            4-node tetrahedron. Tetrahedra are degenerate or inverted (with their number). A face
+            has more than two tetrahedra, or two on one side. A vertex belongs to no tetrahedron.
     """
     _check_opens(path)
     return TetMesh(*_core.io.load_tet_mesh(path, drop_loose_vertices=drop_loose_vertices))

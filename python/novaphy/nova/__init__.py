@@ -1,9 +1,9 @@
 """The tensor runtime: tensors with gradients, tapes, captures, kernels from traced functions.
 
-Arithmetic and functions of tensors are recorded on the tape of a ``with nova.Tape() as tape``
-block when an input carries a gradient; ``tape.backward(loss)`` fills ``.grad``. The same functions
-work on the traced values (Real, Int, Bool) inside a function given to make_indexed_kernel, where
-``nova.select(condition, a, b)`` takes the place of an ``if``.
+A ``with nova.Tape() as tape`` block records arithmetic and functions of tensors if an input carries
+a gradient. ``tape.backward(loss)`` fills ``.grad``. The same functions work on traced values (Real,
+Int, Bool) inside of a function for make_indexed_kernel. There ``nova.select(condition, a, b)``
+replaces ``if``.
 """
 
 from .._require import require_diff

@@ -1,4 +1,4 @@
-"""Tensors over memory that another library describes with ``__cuda_array_interface__``."""
+"""Tensors over memory of other libraries, by the protocol ``__cuda_array_interface__``."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ _NAME = "from_cuda_array_interface"
 
 
 def _is_packed(shape: tuple[int, ...], strides: tuple[int, ...]) -> bool:
-    """Whether rows of four-byte values lie one after the other."""
+    """Return whether rows of four-byte values are contiguous."""
     packed = (4 * math.prod(shape[k + 1 :]) for k in range(len(shape)))
     steps = zip(shape, strides, packed, strict=True)
     return 0 in shape or all(n == 1 or given == wanted for n, given, wanted in steps)
 
 
 def from_cuda_array_interface(obj: Any, device: Any = "cuda:0") -> Tensor:
-    """Look at device memory of another library, without a copy.
+    """Return a tensor over device memory of another library, without a copy.
 
-    For objects that have no DLPack; where there is both, `from_dlpack` also tells the device and
-    waits for any stream. Protocol: Numba's CUDA array interface, versions 2 and 3.
+    Use this function for objects without DLPack. `from_dlpack` also finds the device and waits for
+    any stream. The protocol is Numba's CUDA array interface, versions 2 and 3.
 
     Args:
-        obj: an object with ``__cuda_array_interface__``; kept alive with the tensor. Its values are
-            float32 or int32, in packed rows, complete in the order of the default stream.
-        device: where the memory is, which the protocol does not say.
+        obj: an object with ``__cuda_array_interface__``; the tensor keeps it alive. Its values are
+            float32 or int32, in packed rows, and complete in the order of the default stream.
+        device: the device of the memory, which the protocol does not give.
 
     Returns:
-        A tensor of the object's shape. Writing to it writes to the object.
+        A tensor with the object's shape. Writing to the tensor writes to the object.
 
     Raises:
-        TypeError: there is no such interface, or the values have another type.
-        ValueError: the rows are not packed, values are masked, or a stream other than the default
-            one is still to be waited for.
+        TypeError: the object has no such interface, or its values have another type.
+        ValueError: the rows are not packed, values are masked, or the values are not complete in
+            the default stream.
         BufferError: the memory is read-only.
     """
     interface = getattr(obj, "__cuda_array_interface__", None)

@@ -1,4 +1,4 @@
-"""Densities of policies, and parameters in files."""
+"""Log densities of policies, and files with parameters."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ _DAMAGED = (
 def gaussian_log_density(
     u: Tensor, mean: Tensor, log_std: Tensor, *, squashed: bool = True
 ) -> Tensor:
-    """Log density of actions of a Gaussian policy, recorded on an active tape.
+    """Return the log density of actions of a Gaussian policy, recorded on an active tape.
 
     Args:
-        u: what was drawn, {n, k}; before the tanh.
-        mean: of the Gaussian, {n, k}.
-        log_std: logarithm of its standard deviation, {n, k} or {k}.
-        squashed: the action is tanh(u). Its density has the term -log(1 - tanh(u)^2) of every
-            column, as 2 (log 2 - u - softplus(-2 u)) without cancellation (Haarnoja et al., "Soft
-            actor-critic algorithms and applications", 2018, appendix C). False: that of u.
+        u: samples of the Gaussian, before the tanh, {n, k}.
+        mean: mean of the Gaussian, {n, k}.
+        log_std: logarithm of the standard deviation, {n, k} or {k}.
+        squashed: whether the action is tanh(u). The density then has the term -log(1 - tanh(u)^2)
+            for every column, computed as 2 (log 2 - u - softplus(-2 u)) without cancellation
+            (Haarnoja et al., "Soft actor-critic algorithms and applications", 2018, appendix C).
+            False: the density of u.
 
     Returns:
         {n}, the sum over columns.
@@ -61,19 +62,19 @@ def save_parameters(
     parameters: Mapping[str, Tensor],
     meta: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write tensors by name into an ``.npz`` file, float32, without pickle.
+    """Write named float32 tensors to an ``.npz`` file, without pickle.
 
     Args:
         path: a name that ends in ``.npz``.
-        parameters: finite float32 tensors by name. A name is any text but "meta", "file", "path"
-            and "allow_pickle", without NUL and not ending in ".npy".
-        meta: what JSON can hold: seed, environment, ...
+        parameters: finite float32 tensors by name. A name is any text except "meta", "file", "path"
+            and "allow_pickle", without NUL and without the ending ".npy".
+        meta: data that JSON can represent, such as the seed and the environment.
 
     Raises:
-        TypeError: parameters or meta that are no mapping, a name that is no text, a value that is
-            no tensor.
-        ValueError: a tensor that holds NaN or infinity, a name that is not allowed, meta that JSON
-            does not hold (NaN and infinity too), another ending.
+        TypeError: parameters or meta are not a mapping, a name is not a text, or a value is not a
+            tensor.
+        ValueError: a tensor contains NaN or infinity, a name is not allowed, JSON cannot represent
+            meta (NaN and infinity included), or the path has another extension.
     """
     from ..io import save_npz
 
@@ -98,18 +99,18 @@ def save_parameters(
 def load_parameters(
     path: str | os.PathLike[str], like: Mapping[str, Tensor] | None = None
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read what `save_parameters` wrote: tensors by name, and meta.
+    """Read a file of `save_parameters`: tensors by name, and meta.
 
     Args:
-        path: the file; pickled objects in it are refused.
-        like: these names and shapes are expected, no others; the values are written into these
-            float32 tensors, all of them or none, which are what is returned.
+        path: the file; pickled objects in the file are refused.
+        like: float32 tensors with the expected names and shapes. Either all of them get the values
+            of the file and are returned, or none is changed. None: new tensors are returned.
 
     Raises:
-        FileNotFoundError: no such file.
-        TypeError: like holds something other than float32 tensors.
-        ValueError: no such archive or a damaged one, pickled objects, missing or unknown names,
-            another shape, NaN.
+        FileNotFoundError: the file does not exist.
+        TypeError: like contains values other than float32 tensors.
+        ValueError: the file is not an archive or is damaged, contains pickled objects or NaN, or
+            has missing names, unknown names or other shapes.
     """
     arrays, meta = _read(path)
     if like is None:
@@ -137,21 +138,21 @@ def _listed(names: Iterable[Any]) -> str:
 
 
 def _mapping(value: Any, name: str) -> Mapping[Any, Any]:
-    """The value, when it is a mapping."""
+    """Return the value if it is a mapping; TypeError otherwise."""
     if not isinstance(value, Mapping):
         raise TypeError(f"{name}: expected a mapping by name, got {type(value).__name__}")
     return value
 
 
 def _tensor(value: Any, name: str) -> Tensor:
-    """The value, when it is a tensor."""
+    """Return the value if it is a tensor; TypeError otherwise."""
     if not isinstance(value, Tensor):
         raise TypeError(f"{name}: expected a nova.Tensor, got {type(value).__name__}")
     return value
 
 
 def _read(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays of an archive by name, all float32 and finite, and its meta."""
+    """Return the arrays of an archive by name, all float32 and finite, and its meta."""
     where = os.fspath(path)
     with open(path, "rb") as file:  # OSError: of the file system. Below it: of what is in the file.
         try:
@@ -181,7 +182,7 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str
 
 
 def _check_count(file: BinaryIO, found: int) -> None:
-    """An archive says at its end how many members it has; damage may hide some of them."""
+    """Check the number of members at the end of an archive, because damage may hide members."""
     file.seek(-22, os.SEEK_END)
     mark, said = struct.unpack("<4s6xH10x", file.read())
     if mark != b"PK\5\6" or said != found:
@@ -189,7 +190,7 @@ def _check_count(file: BinaryIO, found: int) -> None:
 
 
 def _finite(value: np.ndarray, name: str) -> np.ndarray:
-    """The array, when it is float32 and finite."""
+    """Return the array if it is float32 and finite; ValueError otherwise."""
     if value.dtype != np.float32:
         raise ValueError(f"{name}: expected float32, got {value.dtype}")
     if not np.all(np.isfinite(value)):

@@ -1,4 +1,4 @@
-"""Solvers. The differentiable ones need a build with NOVAPHY_WITH_DIFF=ON."""
+"""Solvers. The differentiable solvers need a build with NOVAPHY_WITH_DIFF=ON."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ explain_members(SolverBase, base="SolverBase")
 
 
 def __getattr__(name: str) -> object:
-    """Say why a solver is not there: not in this build, or not built yet."""
+    """Explain why a solver is missing: the build lacks it, or it is not supported."""
     if name in (
         "DiffFeatherstoneSolver",
         "DiffSemiImplicitSolver",

@@ -1,7 +1,7 @@
-"""Checks for tests of simulations: equal bits, close arrays, gradients.
+"""Assertions for tests of simulations: equal bits, close arrays, gradients.
 
-Arrays may be NumPy arrays, DeviceArrays, Tensors or nested lists. A failed check raises
-AssertionError saying where the first difference is.
+Arrays may be NumPy arrays, DeviceArrays, Tensors or nested lists. A failed assertion raises
+AssertionError with the first difference.
 """
 
 from __future__ import annotations
@@ -16,7 +16,10 @@ __all__ = ["assert_allclose", "assert_gradcheck", "assert_same_bits", "assert_sa
 
 
 def assert_same_bits(actual: Any, expected: Any, what: str = "array") -> None:
-    """Same shape, dtype and bits. Two NaNs are the same; +0 and -0 are not."""
+    """Assert that two arrays have the same shape, dtype and bits.
+
+    Two NaNs are equal; +0 and -0 are not.
+    """
     a, b = np.asarray(actual), np.asarray(expected)
     if a.shape != b.shape or a.dtype != b.dtype:
         raise AssertionError(f"{what}: {a.dtype} {a.shape} is not {b.dtype} {b.shape}")
@@ -36,7 +39,7 @@ def assert_same_bits(actual: Any, expected: Any, what: str = "array") -> None:
 def assert_allclose(
     actual: Any, expected: Any, rtol: float = 1e-5, atol: float = 1e-6, what: str = "array"
 ) -> None:
-    """|actual - expected| <= atol + rtol * |expected|, value by value, and no NaN."""
+    """Assert |actual - expected| <= atol + rtol * |expected| for every value; NaN fails."""
     np.testing.assert_allclose(
         np.asarray(actual),
         np.asarray(expected),
@@ -48,7 +51,7 @@ def assert_allclose(
 
 
 def assert_same_state(actual: SimState, expected: SimState) -> None:
-    """Every array of two states has the same bits."""
+    """Assert that every array of two states has the same bits."""
     for name in dir(SimState):
         value = getattr(actual, name)
         if hasattr(value, "numpy"):
@@ -58,7 +61,7 @@ def assert_same_state(actual: SimState, expected: SimState) -> None:
 def assert_gradcheck(
     fn: Any, inputs: Any, *, epsilon: float = 1e-3, rtol: float = 2e-2, atol: float = 1e-4
 ) -> None:
-    """Assert that nova.gradcheck(fn, inputs) holds (needs NOVAPHY_WITH_DIFF)."""
+    """Assert that nova.gradcheck(fn, inputs) passes (needs NOVAPHY_WITH_DIFF)."""
     from ..nova import gradcheck
 
     result = gradcheck(fn, list(inputs), epsilon=epsilon, rtol=rtol, atol=atol)

@@ -1,9 +1,9 @@
-"""Viewers: what a simulation shows and records.
+"""Viewers, which show or record a simulation.
 
-All have the same calls, so a script runs with any of them. ViewerGL draws in a window or without a
-display, ViewerViser serves a page, ViewerHTML writes one that replays the run, ViewerFile records
-to a file, ViewerNull shows nothing. Packages that only one viewer needs are imported with that
-viewer.
+All viewers have the same methods, so a script works with each of them. ViewerGL draws in a window
+or without a display. ViewerViser serves a web page, ViewerHTML writes a page that replays the run,
+ViewerFile records to a file, and ViewerNull shows nothing. Packages that only one viewer needs are
+imported with that viewer.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _KINDS = {
 def create_viewer(kind: str, **options: Any) -> Viewer:
     """Make a viewer by name: "gl", "viser", "html", "file" or "null".
 
-    Options go to its constructor. ValueError for any other name.
+    Options are passed to its constructor. ValueError: any other name.
     """
     if kind not in _KINDS:
         expected = ", ".join(map(repr, _KINDS))
@@ -69,5 +69,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Every public name, also those that are imported later."""
+    """Return every public name, including names that are imported at their first use."""
     return sorted(set(globals()) | set(__all__))

@@ -1,4 +1,4 @@
-"""The calls that every viewer has. Here they do nothing."""
+"""The interface of all viewers. The methods here do nothing."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ArrayLike = Any
 
 
 class Slider:
-    """A number that the user may move; called, it gives its value."""
+    """A number that the user can change; calling the slider returns the number."""
 
     def __init__(
         self,
@@ -25,18 +25,18 @@ class Slider:
         value: float,
         on_change: Callable[[float], object] | None = None,
     ) -> None:
-        """Start at `value`. ValueError unless low <= value <= high and low < high."""
+        """Set the initial value. ValueError unless low <= value <= high and low < high."""
         if not low < high or not low <= value <= high:
             raise ValueError(f"add_slider, value: expected {low} <= {value} <= {high}, low < high")
         self.name, self.low, self.high = name, float(low), float(high)
         self.value, self.on_change = float(value), on_change
 
     def __call__(self) -> float:
-        """Where it stands."""
+        """Return the present value."""
         return self.value
 
     def set(self, value: float) -> None:
-        """Move it, within its ends."""
+        """Set the value, limited to the range of the slider."""
         self.value = min(max(float(value), self.low), self.high)
         if self.on_change is not None:
             self.on_change(self.value)
@@ -53,11 +53,11 @@ class Viewer:
         self._paused = False
 
     def set_model(self, model: Model) -> None:
-        """Show the shapes and particles of a model from now on."""
+        """Show the shapes and particles of a model."""
         self.model = model
 
     def set_model_arrays(self, arrays: Mapping[str, np.ndarray], up_axis: int) -> None:
-        """Show a model of which only the arrays are there, by field, as in a recording."""
+        """Show a model given by its arrays, keyed by field, as in a recording."""
 
     def set_camera(
         self, pos: ArrayLike, pitch: float | None = None, yaw: float | None = None
@@ -68,13 +68,13 @@ class Viewer:
         """Place the camera at `pos`, looking at `target` (m)."""
 
     def follow(self, body: int | None) -> None:
-        """Let the camera go along with a body of the model, on the level; None: let it stay."""
+        """Make the camera track a body of the model horizontally; None: stop tracking."""
 
     def set_world_offsets(self, spacing: ArrayLike) -> None:
-        """Show the worlds of a model apart by `spacing` (m)."""
+        """Show the worlds of a model at distances of `spacing` (m)."""
 
     def begin_frame(self, t: float) -> None:
-        """Start a frame at time `t` (s). The log_* calls that follow belong to it."""
+        """Start a frame at time `t` (s). The following log_* calls belong to it."""
         self.time = float(t)
 
     def end_frame(self) -> None:
@@ -84,15 +84,16 @@ class Viewer:
         """Show a state of the model."""
 
     def log_state_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Show a state of which only the arrays are there, by field, as in a recording."""
+        """Show a state given by its arrays, keyed by field, as in a recording."""
 
     def log_contacts(self, contacts: Contacts, state: SimState) -> None:
         """Show the contacts of a state."""
 
     def set_shape_colors(self, shapes: ArrayLike, colors: ArrayLike) -> None:
-        """Show shapes {n} of the model in colors {n, 3}, and all others in their own.
+        """Set the colors {n, 3} of shapes {n} of the model; other shapes get their own colors.
 
-        Colors {n, 4} have as their fourth number the contrast of a checker (0 to 1, 0: none).
+        Colors {n, 4} have the contrast of a checker pattern as fourth number (0 to 1, 0: no
+        pattern).
         """
 
     def log_mesh(
@@ -165,7 +166,7 @@ class Viewer:
         """Show points {n, 3} with radii {n} (m)."""
 
     def log_array(self, name: str, array: ArrayLike) -> None:
-        """Show a plot of an array."""
+        """Plot an array."""
 
     def log_scalar(self, name: str, value: float) -> None:
         """Add a value to a plot over time."""
@@ -181,9 +182,10 @@ class Viewer:
         value: float,
         on_change: Callable[[float], object] | None = None,
     ) -> Slider:
-        """Let the user move a number between `low` and `high`; called, the slider gives its value.
+        """Add a slider for a number between `low` and `high`; calling the slider returns the
+        number.
 
-        A viewer without a user leaves it at `value`. `on_change` is called with a new one.
+        Without a user the number stays at `value`. `on_change` is called with each new value.
         ValueError unless low <= value <= high and low < high.
         """
         return Slider(name, low, high, value, on_change)
@@ -192,34 +194,34 @@ class Viewer:
         """Add the forces of the user's pointer to a state."""
 
     def clear(self) -> None:
-        """Take out the model and all that was drawn."""
+        """Remove the model and all drawings."""
 
     def is_running(self) -> bool:
-        """Return False once the viewer was closed."""
+        """Return False after the viewer was closed."""
         return self._running
 
     def is_paused(self) -> bool:
-        """Whether the user paused the simulation."""
+        """Return whether the user has paused the simulation."""
         return self._paused
 
     def should_step(self) -> bool:
-        """Whether the simulation should advance in this frame."""
+        """Return whether the simulation should advance in this frame."""
         return not self.is_paused()
 
     def is_key_down(self, key: str | int) -> bool:
-        """Whether a key is held."""
+        """Return whether a key is pressed."""
         return False
 
     def get_frame(self) -> np.ndarray:
-        """Return the picture {h, w, 3}, uint8. NotImplementedError for a viewer that draws none."""
+        """Return the image {h, w, 3}, uint8. NotImplementedError: the viewer draws no image."""
         raise NotImplementedError(f"{type(self).__name__} draws no picture")
 
     def close(self) -> None:
-        """End the viewer."""
+        """Close the viewer."""
         self._running = False
 
     def __enter__(self) -> Viewer:
-        """Return itself; it is closed when the block ends."""
+        """Return the viewer, which is closed at the end of the block."""
         return self
 
     def __exit__(

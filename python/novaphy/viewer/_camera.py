@@ -1,4 +1,4 @@
-"""The camera of a viewer: where it stands, where it looks, and how the pointer moves it."""
+"""The camera of a viewer: position, direction, and control by the pointer."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ CLOSEST = 1e-3  # m
 
 
 class Camera:
-    """Looks from `pos` at `target`; up is an axis of the world."""
+    """A camera at `pos` that looks at `target`; the up direction is an axis of the world."""
 
     def __init__(self, up_axis: int = 2) -> None:
-        """Start away from the origin."""
+        """Place the camera at a default position away from the origin."""
         self.up_axis = up_axis
         self.is_set = False
         self.target = np.zeros(3)
@@ -21,12 +21,12 @@ class Camera:
 
     @property
     def up(self) -> np.ndarray:
-        """The upward direction of the world."""
+        """The up direction of the world."""
         return np.eye(3)[self.up_axis]
 
     @property
     def forward(self) -> np.ndarray:
-        """The direction of sight."""
+        """The viewing direction."""
         yaw, pitch = np.radians([self.yaw, self.pitch])
         direction = np.zeros(3)
         direction[(self.up_axis + 1) % 3] = np.cos(yaw) * np.cos(pitch)
@@ -36,11 +36,11 @@ class Camera:
 
     @property
     def pos(self) -> np.ndarray:
-        """Where it stands (m)."""
+        """The position of the camera (m)."""
         return self.target - self.distance * self.forward
 
     def place(self, pos: np.ndarray, pitch: float | None, yaw: float | None) -> None:
-        """Stand at `pos`; without angles look at the target."""
+        """Move the camera to `pos`; without angles the camera looks at the target."""
         away = self.target - pos
         self.distance = max(float(np.linalg.norm(away)), CLOSEST)
         flat = away[[(self.up_axis + 1) % 3, (self.up_axis + 2) % 3]]
@@ -53,38 +53,38 @@ class Camera:
         self.is_set = True
 
     def frame(self, lower: np.ndarray, upper: np.ndarray) -> None:
-        """See all of a box."""
+        """Move the camera so that a whole box is visible."""
         self.target = 0.5 * (lower + upper)
         radius = 0.5 * float(np.linalg.norm(upper - lower))
         self.distance = max(1.1 * radius / np.sin(np.radians(FIELD_OF_VIEW / 2)), 10 * CLOSEST)
 
     def orbit(self, right: float, up: float) -> None:
-        """Go around the target by angles in degrees."""
+        """Rotate the camera around the target by angles in degrees."""
         self.yaw -= right
         self.pitch = float(np.clip(self.pitch - up, -89.0, 89.0))
         self.is_set = True
 
     def pan(self, right: float, up: float) -> None:
-        """Move sideways by parts of the picture's height."""
+        """Move the camera sideways by fractions of the image's height."""
         side, above, _ = self.axes()
         height = 2.0 * self.distance * np.tan(np.radians(FIELD_OF_VIEW / 2))
         self.target = self.target - height * (right * side + up * above)
         self.is_set = True
 
     def zoom(self, factor: float) -> None:
-        """Go nearer (below 1) or away."""
+        """Scale the distance to the target; below 1 the camera gets nearer."""
         self.distance = max(self.distance * factor, CLOSEST)
         self.is_set = True
 
     def axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Right, above and forward of the picture."""
+        """Return the right, up and forward directions of the image."""
         forward = self.forward
         side = np.cross(forward, self.up)
         side /= np.linalg.norm(side)
         return side, np.cross(side, forward), forward
 
     def view_projection(self, aspect: float) -> np.ndarray:
-        """World to clip coordinates {4, 4}, for column vectors."""
+        """Return the matrix {4, 4} from world to clip coordinates, for column vectors."""
         side, above, forward = self.axes()
         view = np.eye(4)
         view[:3, :3] = [side, above, -forward]
@@ -101,14 +101,14 @@ class Camera:
         return projection @ view
 
     def project(self, points: np.ndarray, width: int, height: int) -> np.ndarray:
-        """Points {n, 3} (m) to pixels {n, 2} from the upper left corner."""
+        """Project points {n, 3} (m) to pixels {n, 2}, counted from the upper left corner."""
         clip = np.pad(points, ((0, 0), (0, 1)), constant_values=1.0)
         clip = clip @ self.view_projection(width / height).T
         x, y = (clip[:, :2] / clip[:, 3:]).T
         return np.stack([0.5 * (1 + x) * width, 0.5 * (1 - y) * height], axis=-1)
 
     def ray(self, x: float, y: float, width: int, height: int) -> np.ndarray:
-        """The direction from the camera through a pixel."""
+        """Return the direction from the camera through a pixel."""
         side, above, forward = self.axes()
         size = np.tan(np.radians(FIELD_OF_VIEW / 2))
         right, up = (2 * x / width - 1) * size * width / height, (1 - 2 * y / height) * size

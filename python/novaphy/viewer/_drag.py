@@ -1,4 +1,4 @@
-"""Picking a body or particle with the pointer, and pulling it by a spring."""
+"""Dragging: picks a body or particle with the pointer, and pulls it by a spring."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ PICK_PIXELS = 40.0
 
 
 class Drag:
-    """A body or particle on a spring to a point that the pointer moves."""
+    """A spring between a body or particle and a point that the pointer moves."""
 
     def __init__(self, viewer: SceneViewer) -> None:
-        """Hold nothing."""
+        """Start without a dragged object."""
         self.viewer = viewer
         self.item: tuple[str, int] | None = None  # "body" or "particle", and which
         self.goal = np.zeros(3)
@@ -27,13 +27,13 @@ class Drag:
         self.depth = 0.0
 
     def candidates(self) -> list[tuple[str, int, np.ndarray]]:
-        """The bodies and particles of the last state: kind, number, place."""
+        """Return the bodies and particles of the last state: kind, index, position."""
         latest = self.viewer.latest_state
         out = [("body", k, row[:3]) for k, row in enumerate(latest.get("body_q", ()))]
         return out + [("particle", k, row) for k, row in enumerate(latest.get("particle_q", ()))]
 
     def place(self, item: tuple[str, int]) -> np.ndarray:
-        """Where a body or particle of the last state is."""
+        """Return the position of a body or particle in the last state."""
         rows = self.viewer.latest_state[f"{item[0]}_q"]
         return np.asarray(rows[item[1]][:3], np.float64)
 
@@ -52,7 +52,7 @@ class Drag:
         return found[nearest] if away[nearest] < PICK_PIXELS else None
 
     def start(self, x: float, y: float, size: tuple[int, int]) -> None:
-        """Take hold of what is under a pixel."""
+        """Start dragging the object under a pixel."""
         found = self.pick(x, y, size)
         if found is not None:
             camera = self.viewer.camera
@@ -60,21 +60,21 @@ class Drag:
             self.hold(found[:2], self._point(x, y, size))
 
     def hold(self, item: tuple[str, int], point: np.ndarray) -> None:
-        """Take hold of something at a point of it."""
+        """Start dragging an object at one of its points."""
         self.grip = self.place(item) - point
         self.item = item
         self.pull(point)
 
     def move(self, x: float, y: float, size: tuple[int, int]) -> None:
-        """Pull towards a pixel, as far away as what is held was."""
+        """Move the target to a pixel, at the same depth as the dragged point."""
         self.pull(self._point(x, y, size))
 
     def pull(self, point: np.ndarray) -> None:
-        """Pull what is held so that its grip comes to a point."""
+        """Set the target so that the dragged point moves to `point`."""
         self.goal = point + self.grip
 
     def stop(self) -> None:
-        """Let go."""
+        """Stop dragging."""
         self.item = None
 
     def _point(self, x: float, y: float, size: tuple[int, int]) -> np.ndarray:
@@ -83,7 +83,7 @@ class Drag:
         return np.asarray(camera.pos + ray * (self.depth / (ray @ camera.forward)))
 
     def nearest_to_middle(self) -> int | None:
-        """The candidate nearest to the middle of the picture."""
+        """Return the candidate nearest to the center of the image."""
         found = self.candidates()
         if not found:
             return None
@@ -91,13 +91,13 @@ class Drag:
         return int(np.argmin([np.linalg.norm(place - target) for _, _, place in found]))
 
     def look_at(self, number: int) -> None:
-        """Keep a candidate in the middle."""
+        """Make the camera look at a candidate."""
         found = self.candidates()
         if number < len(found):
             self.viewer.camera.target = np.asarray(found[number][2], np.float64)
 
     def apply(self, state: SimState) -> None:
-        """Add m (w² (goal - x) - 2 w v) to the forces of what is held, w = DRAG_RATE."""
+        """Add the force m (w² (goal - x) - 2 w v) to the dragged object, w = DRAG_RATE."""
         model, item = self.viewer.model, self.item
         if item is None or model is None:
             return

@@ -39,10 +39,10 @@ DRAWINGS = (
 
 
 class ViewerFile(Viewer):
-    """Records every frame: its state, and what is drawn.
+    """Records the state and the drawings of every frame.
 
-    A recording may also be loaded, played back into states of the same sizes, and shown by another
-    viewer. In a notebook it shows itself.
+    A recording can also be loaded, played back into states of the same sizes, and shown in another
+    viewer. A notebook displays the recording.
     """
 
     def __init__(
@@ -54,11 +54,13 @@ class ViewerFile(Viewer):
     ) -> None:
         """Record to `output_path`.
 
-        With auto_save the frames are written in chunks of `save_interval`, and when the viewer is
-        closed: a program that is killed loses those since the last chunk. Only the last
-        `max_history_size` frames are kept (None: all). A name that ends in .npz asks for one
-        archive that NumPy opens, which has no drawings and is written anew at every save.
-        ValueError: a number below 1, or a folder that is not there.
+        With auto_save the frames are written in chunks of `save_interval` frames, and when the
+        viewer is closed. A program that is killed loses only the frames since the last chunk. At
+        most the last `max_history_size` frames are kept (None: all).
+
+        A name that ends in .npz selects a single archive that NumPy can open. It has no drawings
+        and is rewritten at every save. ValueError: a number below 1, or a folder that does not
+        exist.
         """
         super().__init__()
         self.output_path = os.path.abspath(os.fspath(output_path))
@@ -83,21 +85,21 @@ class ViewerFile(Viewer):
 
     @property
     def frame_count(self) -> int:
-        """Frames that are held."""
+        """The number of frames in memory."""
         return len(self._frames)
 
     @property
     def times(self) -> np.ndarray:
-        """The time of every held frame {frames}, s."""
+        """The times of the frames in memory {frames}, s."""
         return np.array([frame.time for frame in self._frames], np.float64)
 
     def set_model(self, model: Model) -> None:
-        """Put what is shown of a model into the recording."""
+        """Add the visible parts of a model to the recording."""
         super().set_model(model)
         self.set_model_arrays(model_arrays(model), model.up_axis)
 
     def set_model_arrays(self, arrays: Mapping[str, np.ndarray], up_axis: int) -> None:
-        """Put a model of which only the arrays are there into the recording."""
+        """Add a model given by its arrays to the recording."""
         self._model_arrays = dict(arrays)
         self._up_axis = int(up_axis)
         if self._file is not None:  # it begins with the model: write it anew
@@ -105,12 +107,13 @@ class ViewerFile(Viewer):
             self._unsaved = list(self._frames)
 
     def log_state(self, state: SimState) -> None:
-        """Record the state with the frame. ValueError when its sizes differ from the others'."""
+        """Record the state of the frame. ValueError: its sizes differ from those of other frames.
+        """
         fields = {name: getattr(state, name) for name in STATE_FIELDS}
         self.log_state_arrays({name: rows.numpy() for name, rows in fields.items()})
 
     def log_state_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Record a state of which only the arrays are there."""
+        """Record a state given by its arrays."""
         state = {name: np.array(rows) for name, rows in arrays.items() if len(rows)}
         with_states = next((frame for frame in self._frames if frame.state), None)
         if with_states is not None:
@@ -118,7 +121,7 @@ class ViewerFile(Viewer):
         self._state = state
 
     def log_contacts(self, contacts: Contacts, state: SimState) -> None:
-        """Record the contacts of a state as points and arrows. ValueError without a model."""
+        """Record the contacts of a state as points and arrows. ValueError: no model is set."""
         if not self._model_arrays:
             raise ValueError("log_contacts: expected a model before, got none: call set_model")
         draw_contacts(self, self._model_arrays, contacts, state)
@@ -129,7 +132,9 @@ class ViewerFile(Viewer):
             self._add(self._state or {})
 
     def record(self, state: SimState) -> None:
-        """Add a copy of a state as a frame. ValueError when its sizes differ from the others'."""
+        """Add a copy of a state as a frame. ValueError: its sizes differ from those of other
+        frames.
+        """
         self.log_state(state)
         self.end_frame()
 
@@ -145,7 +150,7 @@ class ViewerFile(Viewer):
             self._save_new()
 
     def _draw(self, call: str, arguments: dict[str, Any]) -> None:
-        """Keep a call, unless it says what the last one of this name said."""
+        """Record a drawing call, unless it repeats the last call with this name."""
         plain = {name: _plain(value) for name, value in arguments.items()}
         key = (call, str(plain.get("name", "")))
         known = self._latest.get(key)
@@ -155,10 +160,10 @@ class ViewerFile(Viewer):
         self._calls.append((call, plain))
 
     def _save_new(self) -> None:
-        """Write what was not written yet to output_path.
+        """Write the unsaved frames to output_path.
 
-        Written frames stay in the file after an exception, as that of Ctrl-C. The next call writes
-        the rest.
+        Frames that were written stay in the file after an exception, such as Ctrl-C. The next call
+        writes the rest.
         """
         if self._is_archive(self.output_path) or self._frames.maxlen is not None:
             self.save_recording()
@@ -179,7 +184,7 @@ class ViewerFile(Viewer):
     def save_recording(self, path: str | os.PathLike[str] | None = None) -> str:
         """Write the recording (None: to output_path) and return the path.
 
-        The file appears complete or not at all. OSError when it cannot be written.
+        The file is written atomically. OSError: the file cannot be written.
         """
         target = self.output_path if path is None else os.path.abspath(os.fspath(path))
         frames = list(self._frames)
@@ -196,9 +201,10 @@ class ViewerFile(Viewer):
         return target
 
     def load_recording(self, path: str | os.PathLike[str] | None = None) -> None:
-        """Replace what is held by a recording (None: from output_path).
+        """Replace the frames in memory by a recording (None: from output_path).
 
-        ValueError when the file is no recording that this version reads; what was held stays then.
+        ValueError: the file is not a recording that this version supports; the frames in memory are
+        then unchanged.
         """
         recording = _recording.read(self.output_path if path is None else os.fspath(path))
         kept = self._frames.maxlen or len(recording.frames)
@@ -213,9 +219,10 @@ class ViewerFile(Viewer):
         self._unsaved = []
 
     def playback(self, state: SimState, frame: int) -> float:
-        """Copy a held frame into a state and return its time (s).
+        """Copy a frame into a state and return its time (s).
 
-        IndexError: no such frame; ValueError: the state's sizes differ from the recording's.
+        IndexError: the frame does not exist. ValueError: the state's sizes differ from the
+        recording's.
         """
         held = self._frame(frame, "playback")
         sizes = {
@@ -230,17 +237,17 @@ class ViewerFile(Viewer):
         return self.time
 
     def show_start(self, viewer: Viewer) -> None:
-        """Give another viewer the model of the recording, and nothing drawn."""
+        """Clear another viewer and give it the model of the recording."""
         viewer.clear()
         viewer.set_model_arrays(self._model_arrays, self._up_axis)
 
     def show_frame(self, viewer: Viewer, frame: int, from_start: bool = False) -> float:
-        """Show a held frame in another viewer and return its time (s).
+        """Show a frame in another viewer and return its time (s).
 
         Args:
-            viewer: that has shown the frame before, or none yet (show_start).
-            frame: its number. IndexError: there is none.
-            from_start: show also what was drawn for all frames before.
+            viewer: has shown the previous frame, or nothing yet (show_start).
+            frame: index of the frame. IndexError: the frame does not exist.
+            from_start: also show the drawings of all earlier frames.
         """
         held = self._frame(frame, "show_frame")
         calls, followed = held.calls, {}
@@ -276,7 +283,7 @@ class ViewerFile(Viewer):
         return self._frames[frame]
 
     def _repr_html_(self) -> str:
-        """A page that replays the recording, in a frame."""
+        """Return an inline frame with a page that replays the recording."""
         from ._html import ViewerHTML
 
         page = ViewerHTML(None)
@@ -284,7 +291,7 @@ class ViewerFile(Viewer):
         return page._repr_html_()
 
     def close(self) -> None:
-        """End the viewer; with auto_save, write what was not written yet."""
+        """Close the viewer; with auto_save, write the unsaved frames."""
         if self.is_running() and self.auto_save:
             self.end_frame()
             if self._unsaved:
@@ -303,7 +310,7 @@ class ViewerFile(Viewer):
 
 
 def _drawing(call: str) -> Callable[..., None]:
-    """Make the method that records a call, with the signature and text of Viewer's."""
+    """Make a method that records a call, with the signature and docstring of Viewer's method."""
     import functools
     import inspect
 
@@ -322,7 +329,7 @@ for _call in DRAWINGS:
 
 
 def _plain(value: Any) -> Any:
-    """A number, text, None or an array of its own."""
+    """Return a number, text or None unchanged, and any other value as a copied array."""
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     array = np.array(value.numpy() if hasattr(value, "numpy") else value)
@@ -336,7 +343,7 @@ def _same(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
 
 
 def _carry_drawings(dropped: Frame, after: Frame) -> None:
-    """Let a frame draw first what still stands of one before it, which is dropped."""
+    """Move drawings of a dropped frame that are still visible to the next frame."""
     replaced = {(call, arguments.get("name")) for call, arguments in after.calls}
     after.calls = [
         (call, arguments)
@@ -346,7 +353,7 @@ def _carry_drawings(dropped: Frame, after: Frame) -> None:
 
 
 def _write_runs(file: BinaryIO, frames: list[Frame]) -> None:
-    """Write frames, with and without a state, as chunks."""
+    """Write frames with and without a state as separate chunks."""
     start = 0
     for k in range(1, len(frames) + 1):
         if k == len(frames) or bool(frames[k].state) != bool(frames[start].state):

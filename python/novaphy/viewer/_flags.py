@@ -1,4 +1,4 @@
-"""The flags of a program that shows something: --viewer, --headless, --record and --refresh."""
+"""The command line flags of programs with a viewer: --viewer, --headless, --record, --refresh."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def add_arguments(parser: argparse.ArgumentParser, default: int, unit: str) -> N
 
     Args:
         parser: the parser of a program.
-        default: the number for --headless, and in a window.
-        unit: of --headless, such as "training iterations" or "frames".
+        default: default count for --headless, and for a window.
+        unit: unit of the count, such as "training iterations" or "frames".
     """
     parser.add_argument(
         "--headless",
@@ -42,9 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser, default: int, unit: str) -> N
 
 
 def check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
-    """End the program with a message when a flag makes no sense, also one called --plot.
+    """Check the flags, including one named --plot, and end the program with a message on an error.
 
-    Afterwards `headless` is a number, and `live` says whether somebody is to look on.
+    Sets `headless` to a number, and `live` to whether a user watches.
     """
     args.live = args.headless is None and args.viewer in (None, "gl", "viser")
     if args.headless is None:
@@ -68,7 +68,7 @@ def check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -
 
 
 def _check_plot(parser: argparse.ArgumentParser, path: str) -> None:
-    """End the program now, not after its work, when matplotlib cannot write the picture."""
+    """End the program at its start if matplotlib cannot write the image."""
     try:
         from matplotlib.figure import Figure
     except ImportError:

@@ -1,4 +1,4 @@
-"""ViewerGL: pictures by OpenGL, in a window or without any display."""
+"""ViewerGL: images by OpenGL, in a window or without a display."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ GRACE = 2e-3  # s: how long a program waits for its picture, so that a fast one 
 
 
 class ViewerGL(SceneViewer):
-    """Draws the scene on the GPU; headless through EGL, otherwise in a window.
+    """Draws the scene on the GPU, in a window, or without a display through EGL.
 
-    In the window, drag to turn, drag with the right button to move, and use the wheel to zoom.
-    Control and drag pulls a body or particle (see apply_forces). Tab chooses a slider; the left and
-    right arrow move it. The text names the shape and the body under the pointer. With imgui-bundle
-    a panel has switches and sliders.
+    Mouse: drag rotates the camera, drag with the right button moves it, and the wheel zooms. Drag
+    with control pulls a body or particle (see apply_forces). The text names the shape and the body
+    under the pointer. With imgui-bundle the window has a panel with switches and sliders.
 
-    Keys: space pauses, N steps, R resets, F follows, H hides the text, P saves a picture, escape
-    closes. J shows joints, I inertias, C contacts, E the energy.
+    Keys: space pauses, N steps, R resets, F tracks a body, H hides the text, P saves an image,
+    escape closes. J shows joints, I inertias, C contacts, E the energy. Tab selects a slider; the
+    left and right arrow keys move it.
 
     Attributes:
         show_text: whether the box with time and scalars is drawn.
-        curve: the scalar whose curve is drawn below it.
+        curve: the scalar whose curve is drawn below the text.
         reset_requested: set by R, until the caller sets it to False.
-        draw_calls: draw calls of the last picture.
-        waits: whether a window shows every frame, at most DISPLAY_RATE a second, and the program
-            waits for it. Otherwise frames are left out: those that come while the last picture is
-            drawn, and where the drawing would take more than a quarter of the program's time.
-        sliders: what add_slider registered.
+        draw_calls: number of draw calls of the last image.
+        waits: whether a window shows every frame, at most DISPLAY_RATE per second, and the program
+            waits for it. Otherwise frames are skipped while the last image is drawn, and if drawing
+            takes more than a quarter of the program's time.
+        sliders: the sliders of add_slider.
     """
 
     def __init__(
@@ -55,9 +55,10 @@ class ViewerGL(SceneViewer):
         paused: bool = False,
         title: str = "NovaPhy",
     ) -> None:
-        """Open a window of width x height pixels, or with headless a picture of that size.
+        """Open a window of width x height pixels; headless: an image of that size.
 
-        ImportError names the package that is missing; RuntimeError says why there is no context.
+        ImportError names the missing package. RuntimeError gives the reason why no context is
+        available.
         """
         super().__init__()
         if width < 1 or height < 1:
@@ -86,19 +87,19 @@ class ViewerGL(SceneViewer):
 
     @property
     def draw_calls(self) -> int:
-        """Draw calls of the last picture."""
+        """The number of draw calls of the last image."""
         return self._renderer.draw_calls
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the picture in pixels."""
+        """The width and height of the image in pixels."""
         width, height = self._renderer.target.size
         return int(width), int(height)
 
     def end_frame(self) -> None:
-        """Show the frame: at once without a window, else at most at the rate of a display.
+        """Show the frame: at once without a window, else at most at the rate of the display.
 
-        In a window the program goes on while the picture is drawn, unless it `waits`.
+        In a window the program continues while the image is drawn, unless `waits` is set.
         """
         now = time.perf_counter()
         if self._frame_at:
@@ -113,7 +114,7 @@ class ViewerGL(SceneViewer):
             self._video.add(self.get_frame())
 
     def _show(self, now: float) -> None:
-        """Bring the last picture to the screen, and begin the next if it is due."""
+        """Show the last image on the screen, and start the next one if it is due."""
         window = self._window
         window.show_finished(self._renderer)
         if self._running and not window.is_drawing:
@@ -131,7 +132,7 @@ class ViewerGL(SceneViewer):
                     self._due = max(self._due, begin + cost / SHARE)
 
     def draw(self) -> None:
-        """Draw the scene as it is now."""
+        """Draw the present scene."""
         self._place_camera()
         box = None
         if self.show_text:
@@ -150,7 +151,7 @@ class ViewerGL(SceneViewer):
         self._drawn = self._look()
 
     def get_frame(self) -> np.ndarray:
-        """Return the picture {h, w, 3}, uint8."""
+        """Return the image {h, w, 3}, uint8."""
         if not self._running:
             raise RuntimeError("get_frame: the viewer is closed")
         if self._drawn != self._look():
@@ -162,30 +163,30 @@ class ViewerGL(SceneViewer):
         return (self.show_text, self.curve, tuple(camera.pos), tuple(camera.target))
 
     def save_picture(self, path: str | os.PathLike[str]) -> None:
-        """Write the picture to a .png file: all of it, or nothing."""
+        """Write the image to a .png file, atomically."""
         with atomic_path(os.path.abspath(os.fspath(path))) as temporary:
             write_png(temporary, self.get_frame())
 
     def start_video(self, path: str | os.PathLike[str], fps: float = 60.0) -> None:
-        """Write every frame from now on to a video (.mp4, .webm, .gif, .webp) by ffmpeg.
+        """Write every later frame to a video (.mp4, .webm, .gif, .webp) by ffmpeg.
 
-        RuntimeError without ffmpeg.
+        RuntimeError: ffmpeg is missing.
         """
         self.stop_video()
         self._video = Video(path, *self.size, fps)
 
     def stop_video(self) -> None:
-        """Finish the video. RuntimeError when ffmpeg failed."""
+        """Finish the video. RuntimeError: ffmpeg failed."""
         video, self._video = self._video, None
         if video is not None:
             video.close()
 
     def pause(self, paused: bool = True) -> None:
-        """Pause, or go on."""
+        """Pause or resume."""
         self._paused = paused
 
     def is_key_down(self, key: str | int) -> bool:
-        """Whether a key is held: its name ("space", "a"), or pyglet's number."""
+        """Return whether a key is pressed; `key` is a name ("space", "a") or pyglet's number."""
         return self._window is not None and self._window.is_key_down(key)
 
     def add_slider(
@@ -196,14 +197,14 @@ class ViewerGL(SceneViewer):
         value: float,
         on_change: Callable[[float], object] | None = None,
     ) -> Slider:
-        """Give the window a slider; called, it gives its value.
+        """Add a slider to the window; calling the slider returns its value.
 
         Args:
-            name: beside the slider.
-            low: the smallest value.
-            high: the largest value. ValueError unless low < high and value is between.
-            value: to begin with.
-            on_change: called in end_frame when somebody moves it.
+            name: label of the slider.
+            low: smallest value.
+            high: largest value. ValueError unless low < high and low <= value <= high.
+            value: initial value.
+            on_change: called in end_frame when the user moves the slider.
         """
         slider = super().add_slider(name, low, high, value, on_change)
         self.sliders.append(slider)
@@ -215,7 +216,7 @@ class ViewerGL(SceneViewer):
             self._window.drag.apply(state)
 
     def close(self) -> None:
-        """Close the window and give the context back."""
+        """Close the window and release the context."""
         if not self._running:
             return
         super().close()

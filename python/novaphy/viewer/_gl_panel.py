@@ -1,4 +1,5 @@
-"""The panel in the window of ViewerGL: switches and sliders by imgui-bundle, on moderngl."""
+"""The panel in the window of ViewerGL: switches and sliders by imgui-bundle, drawn with moderngl.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ void main() { pixel = tint * texture(image, at); }
 
 
 def imgui_module() -> Any:
-    """The module imgui, or None where imgui-bundle is not installed."""
+    """Return the module imgui, or None if imgui-bundle is not installed."""
     try:
         return importlib.import_module("imgui_bundle").imgui
     except ImportError:
@@ -40,10 +41,10 @@ def imgui_module() -> Any:
 
 
 class Panel:
-    """Pause, step and reset, what is shown, and a slider for every number of add_slider."""
+    """A panel with pause, step, reset, visibility switches, and the sliders of add_slider."""
 
     def __init__(self, viewer: ViewerGL, window: Any, context: Any, imgui: Any) -> None:
-        """Put it into a window of pyglet with a context of moderngl."""
+        """Attach the panel to a pyglet window with a moderngl context."""
         self.viewer, self.window, self.context, self.imgui = viewer, window, context, imgui
         self._mine = imgui.create_context()
         imgui.set_current_context(self._mine)
@@ -63,35 +64,35 @@ class Panel:
         )  # fmt: skip
 
     def on_mouse_motion(self, x: int, y: int, dx: int, dy: int) -> bool:
-        """Follow the pointer."""
+        """Pass the pointer's position to imgui; return whether the panel uses it."""
         self.imgui.set_current_context(self._mine)
         self.io.add_mouse_pos_event(float(x), float(self.window.height - y))
         return bool(self.io.want_capture_mouse)
 
     def on_mouse_press(self, x: int, y: int, button: int, modifiers: int) -> bool:
-        """Press what is under the pointer, if that is the panel."""
+        """Pass a button press to imgui; return whether the panel uses it."""
         captured = self.on_mouse_motion(x, y, 0, 0)
         self.io.add_mouse_button_event({1: 0, 4: 1, 2: 2}.get(button, 0), True)
         return captured
 
     def on_mouse_release(self, x: int, y: int, button: int, modifiers: int) -> bool:
-        """Let go."""
+        """Pass a button release to imgui; return whether the panel uses it."""
         captured = self.on_mouse_motion(x, y, 0, 0)
         self.io.add_mouse_button_event({1: 0, 4: 1, 2: 2}.get(button, 0), False)
         return captured
 
     def on_mouse_drag(self, x: int, y: int, dx: int, dy: int, buttons: int, modifiers: int) -> bool:
-        """Move what is held."""
+        """Pass a drag to imgui; return whether the panel uses it."""
         return self.on_mouse_motion(x, y, dx, dy)
 
     def on_mouse_scroll(self, x: int, y: int, scroll_x: float, scroll_y: float) -> bool:
-        """Scroll, if the pointer is on the panel."""
+        """Pass a scroll to imgui; return whether the panel uses it."""
         captured = self.on_mouse_motion(x, y, 0, 0)
         self.io.add_mouse_wheel_event(float(scroll_x), float(scroll_y))
         return captured
 
     def draw(self) -> None:
-        """Draw it on the screen, and do what was pressed."""
+        """Draw the panel and apply the user's input."""
         imgui, io = self.imgui, self.io
         imgui.set_current_context(self._mine)
         now = time.perf_counter()
@@ -163,7 +164,7 @@ class Panel:
         context.disable(context.BLEND)
 
     def _upload(self, name: str, source: Any, width: int) -> None:
-        """Write vertices or indices into the buffer of this name, which grows."""
+        """Write vertices or indices into the buffer of this name, which grows as needed."""
         size = source.size() * width
         buffer = getattr(self, name)
         if size > buffer.size:
@@ -178,7 +179,7 @@ class Panel:
             buffer.write(ctypes.string_at(source.data_address(), size))
 
     def _follow(self, texture: Any) -> None:
-        """Make, write or give back a texture of imgui's, as it asks."""
+        """Create, update or destroy a texture as imgui requests."""
         status = self.imgui.ImTextureStatus
         if texture.status in (status.want_create, status.want_updates):
             made = self._textures.get(texture.tex_id)
@@ -194,7 +195,7 @@ class Panel:
             texture.status = status.destroyed
 
     def close(self) -> None:
-        """Give everything back."""
+        """Release all resources."""
         self.imgui.set_current_context(self._mine)
         for texture in self.imgui.get_platform_io().textures:
             texture.status = self.imgui.ImTextureStatus.destroyed

@@ -1,4 +1,4 @@
-"""Draws a scene with moderngl: one draw call for all copies of a mesh."""
+"""Draws a scene with moderngl, with one draw call for all copies of a mesh."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ REACH = 9.0  # camera distances until a plane is lost in the haze
 
 
 class Renderer:
-    """The programs, and buffers that follow the revisions of a scene's objects."""
+    """The shader programs, and GPU buffers that are updated from a scene's objects."""
 
     def __init__(self, context: Any, samples: int) -> None:
-        """Compile the programs."""
+        """Compile the shader programs."""
         self.context = context
         self.samples = samples
         self.draw_calls = 0
@@ -48,7 +48,7 @@ class Renderer:
         self.resolved: Any = None
 
     def resize(self, width: int, height: int) -> None:
-        """Draw pictures of this size from now on."""
+        """Set the size of later images."""
         if self.target is not None and self.target.size == (width, height):
             return
         self._release_targets()
@@ -60,7 +60,7 @@ class Renderer:
         self.resolved = self.context.framebuffer([make(size, 4)])
 
     def draw(self, scene: Scene, camera: Camera, box: np.ndarray | None) -> None:
-        """Draw the scene, and a box of text over it, into `resolved`."""
+        """Draw the scene with a text box on top into `resolved`."""
         self.draw_calls = 0
         self._follow(scene)
         light = _light(camera.up_axis)
@@ -100,14 +100,14 @@ class Renderer:
         context.copy_framebuffer(self.resolved, self.target)
 
     def read(self) -> np.ndarray:
-        """The picture {h, w, 3}, uint8, first row on top."""
+        """Return the image {h, w, 3}, uint8, with the top row first."""
         width, height = self.resolved.size
         data = self.resolved.read(components=3, alignment=1)
         rows = np.frombuffer(data, np.uint8).reshape(height, width, 3)
         return np.ascontiguousarray(rows[::-1])
 
     def release(self) -> None:
-        """Give the buffers back."""
+        """Release the buffers."""
         for group in (self._items, self._lines, self._meshes):
             for drawable in group.values():
                 drawable.release()
@@ -152,7 +152,7 @@ class Renderer:
         self.draw_calls += 1
 
     def _follow(self, scene: Scene) -> None:
-        """Bring the buffers up to the scene's revisions."""
+        """Update the buffers to the scene's revisions."""
         for group, items in (
             (self._items, scene.instances),
             (self._lines, scene.lines),
@@ -215,7 +215,7 @@ class _Buffers:
         return self.buffers[field]
 
     def follow(self, item: object) -> bool:
-        """Write what changed; whether a buffer was made anew."""
+        """Write the changed arrays; return whether a buffer was replaced."""
         remade = False
         for field in self.fields:
             part: Part = getattr(item, field)
@@ -233,13 +233,13 @@ class _Buffers:
         return remade
 
     def release(self) -> None:
-        """Give the buffers back."""
+        """Release the buffers."""
         for buffer in self.buffers.values():
             buffer.release()
 
 
 class _Drawable:
-    """Buffers and the arrays that draw from them."""
+    """Buffers, and the vertex arrays that draw from them."""
 
     def __init__(self, context: Any, fields: tuple[str, ...]) -> None:
         self.buffers = _Buffers(context, fields)
@@ -248,20 +248,20 @@ class _Drawable:
         self.shadow: Any = None
 
     def forget_arrays(self) -> None:
-        """Give the arrays back."""
+        """Release the vertex arrays."""
         for array in (self.array, self.shadow):
             if array is not None:
                 array.release()
         self.array = self.shadow = None
 
     def release(self) -> None:
-        """Give everything back."""
+        """Release all resources."""
         self.forget_arrays()
         self.buffers.release()
 
 
 def cell_size(distance: float) -> float:
-    """The side of a checker's field (m) for a camera at this distance: 1, or a power of ten."""
+    """Return the size of a checker's squares (m) for a camera distance: a power of ten."""
     return float(10.0 ** np.floor(np.log10(distance / 2.0)))
 
 
@@ -270,7 +270,7 @@ def _is_drawn(item: Instances | Lines) -> bool:
 
 
 def _set(program: Any, **values: Any) -> None:
-    """Set uniforms, those that the compiler took out left alone."""
+    """Set uniforms, except those that the compiler removed."""
     for name, value in values.items():
         if name in program:
             if isinstance(value, bytes):
@@ -292,7 +292,7 @@ def _light(up_axis: int) -> np.ndarray:
 
 
 def _shadow_projection(camera: Camera, light: np.ndarray) -> np.ndarray:
-    """World to the clip coordinates of the light, around what the camera looks at."""
+    """Return the matrix from world to the light's clip coordinates, around the camera's target."""
     side = np.cross(camera.up, light)
     side /= np.linalg.norm(side)
     axes = np.stack([side, np.cross(light, side), light])

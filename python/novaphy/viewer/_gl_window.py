@@ -1,4 +1,4 @@
-"""The window of ViewerGL: pyglet opens it and tells of keys and the pointer."""
+"""The window of ViewerGL: pyglet opens it and reports keys and the pointer."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ SLIDER_STEPS = 100.0  # of an arrow key, from end to end
 
 
 class Window:
-    """A window with an OpenGL context, and what its events do."""
+    """A window with an OpenGL context and its event handlers."""
 
     def __init__(self, viewer: ViewerGL, width: int, height: int, vsync: bool, title: str) -> None:
-        """Open it. MissingPackageError without a display or without a package."""
+        """Open the window. MissingPackageError: the display or a package is missing."""
         moderngl = needs("moderngl", "gl", "ViewerGL")
         pyglet = needs("pyglet", "gl", "a window of ViewerGL")
         if os.name == "posix" and not os.environ.get("DISPLAY"):
@@ -70,18 +70,20 @@ class Window:
 
     @property
     def is_drawing(self) -> bool:
-        """Whether a picture was started that is not on the screen yet."""
+        """Whether an image was started that is not on the screen yet."""
         return self._fence is not None
 
     def start(self) -> None:
-        """Say that a picture was given to the GPU, which draws it while the program goes on."""
+        """Record that an image was submitted to the GPU, which draws it while the program
+        continues.
+        """
         self._fence = self._gl.glFenceSync(self._gl.GL_SYNC_GPU_COMMANDS_COMPLETE, 0)
         self._gl.glFlush()
 
     def show_finished(self, renderer: Renderer, wait: bool = False, grace: float = 0.0) -> None:
-        """Bring the picture that was started to the screen, and handle events.
+        """Show the started image on the screen, and handle events.
 
-        Nothing happens while it is not drawn, after `grace` s, unless told to `wait`.
+        If the image is not ready after `grace` s, nothing happens unless `wait` is set.
         """
         if self._fence is None:
             return
@@ -122,12 +124,12 @@ class Window:
         self.window.close()
 
     def is_key_down(self, key: str | int) -> bool:
-        """Whether a key is held."""
+        """Return whether a key is pressed."""
         number = getattr(self.key, key.upper(), None) if isinstance(key, str) else key
         return number in self._held
 
     def name_under_pointer(self) -> str | None:
-        """The shape and the body that the pointer is on."""
+        """Return the names of the shape and the body under the pointer."""
         now = time.perf_counter()
         if self._pointer is None:
             self._name = None
@@ -138,20 +140,20 @@ class Window:
         return self._name
 
     def on_mouse_motion(self, x: int, y: int, dx: int, dy: int) -> None:
-        """Remember where the pointer is."""
+        """Store the position of the pointer."""
         self._pointer = x, self.window.height - y
 
     def on_mouse_leave(self, x: int, y: int) -> None:
-        """Forget where the pointer is."""
+        """Clear the position of the pointer."""
         self._pointer = None
 
     def on_close(self) -> bool:
-        """End the viewer; the context stays until close()."""
+        """Stop the viewer; the context stays until close()."""
         self.viewer._running = False
         return True
 
     def on_key_press(self, symbol: int, modifiers: int) -> bool:
-        """Do what the key stands for."""
+        """Run the action of a key."""
         self._held.add(symbol)
         viewer, key = self.viewer, self.key
         if symbol == key.SPACE:
@@ -190,20 +192,20 @@ class Window:
         return True
 
     def on_key_release(self, symbol: int, modifiers: int) -> None:
-        """Forget that the key is held."""
+        """Mark the key as released."""
         self._held.discard(symbol)
 
     def on_mouse_press(self, x: int, y: int, button: int, modifiers: int) -> None:
-        """With control, take hold of what is under the pointer."""
+        """With control, start dragging the object under the pointer."""
         if button == self.mouse.LEFT and modifiers & self.key.MOD_CTRL:
             self.drag.start(x, self.window.height - y, self.window.get_size())
 
     def on_mouse_release(self, x: int, y: int, button: int, modifiers: int) -> None:
-        """Let go."""
+        """Stop dragging."""
         self.drag.stop()
 
     def on_mouse_drag(self, x: int, y: int, dx: int, dy: int, buttons: int, modifiers: int) -> None:
-        """Pull what is held, or turn or move the camera."""
+        """Pull the dragged object, or rotate or move the camera."""
         camera, height = self.viewer.camera, self.window.height
         if self.drag.item is not None:
             self.drag.move(x, height - y, self.window.get_size())
@@ -213,7 +215,7 @@ class Window:
             camera.pan(dx / height, dy / height)
 
     def on_mouse_scroll(self, x: int, y: int, scroll_x: float, scroll_y: float) -> None:
-        """Zoom."""
+        """Zoom the camera."""
         self.viewer.camera.zoom(0.9**scroll_y)
 
 

@@ -1,4 +1,4 @@
-"""ViewerHTML: one page that replays a run in any browser, without a server or a library."""
+"""ViewerHTML: a single page that replays a run in any browser, without a server or a library."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from ._scene import Instances, Lines, f32
 from ._scene_viewer import SceneViewer
 
 MESH_FIELDS = ("points", "shift", "indices")
-# What moves is stored on a grid (_packing.py): this many steps to the height of the picture where
-# the camera looks, and of a quaternion's components.
+# Resolution of stored motion (_packing.py): positions have this many steps over the height of the
+# image at the camera's target, and components of quaternions have this quantum.
 STEPS_OF_PICTURE, QUATERNION_QUANTUM = 2**14, 2.0**-15
 MOVING = {"points": 3, "poses": 7, "starts": 3, "ends": 3}
 
@@ -32,16 +32,16 @@ MOVING = {"points": 3, "poses": 7, "starts": 3, "ends": 3}
 class ViewerHTML(SceneViewer):
     """Collects frames, and writes a self-contained page when it is closed.
 
-    A frame whose time is not after that of the one before begins a new take: another iteration of
-    a training, say. The page plays the takes one after the other, and has a slider for them.
-    Constant arrays are stored once. Positions are stored to 1/16384 of the height of the picture
-    where the camera looks, and quaternions to 3e-5. Other values are stored as they are.
+    A frame whose time is not later than the previous one starts a new take, for example another
+    iteration of a training. The page plays the takes in order and has a slider to select one.
+    Constant arrays are stored once. Positions are stored to 1/16384 of the height of the image at
+    the camera's target, and quaternions to 3e-5. Other values are stored unchanged.
     """
 
     def __init__(self, output_path: str | os.PathLike[str] | None, title: str = "NovaPhy") -> None:
-        """Write to `output_path`; None: only show itself in a notebook, or give its page().
+        """Write to `output_path`. None: only display in a notebook, or return page().
 
-        ValueError: a folder that is not there.
+        ValueError: the folder does not exist.
         """
         super().__init__()
         self.output_path = None if output_path is None else os.path.abspath(os.fspath(output_path))
@@ -58,11 +58,11 @@ class ViewerHTML(SceneViewer):
 
     @property
     def frame_count(self) -> int:
-        """Frames that are held."""
+        """The number of frames in memory."""
         return len(self._times)
 
     def end_frame(self) -> None:
-        """Keep what changed since the last frame."""
+        """Store the changes since the last frame."""
         frame = len(self._times)
         if not frame or self.time <= self._times[-1]:
             self._takes.append(frame)
@@ -114,7 +114,7 @@ class ViewerHTML(SceneViewer):
         values: np.ndarray,
         coded: Callable[[np.ndarray], np.ndarray],
     ) -> None:
-        """Keep an array that the scene replaces whole, which is another object then."""
+        """Store an array of the scene. A changed array is always a new object."""
         track = self._tracks.setdefault(key, _Track())
         if track.seen is not values:
             track.seen = values
@@ -131,7 +131,7 @@ class ViewerHTML(SceneViewer):
         track.sizes.append(values.size)
 
     def page(self) -> str:
-        """Return the page with what is held so far."""
+        """Return the page with all frames so far."""
         if not self.camera.is_set:
             self._place_camera()
         names: dict[str, Any] = {
@@ -186,10 +186,10 @@ class ViewerHTML(SceneViewer):
         return f"{head}{text}{middle}{blob}{tail}"
 
     def _packed_data(self) -> tuple[bytes, list[list[int]], list[Any]]:
-        """The stored arrays, packed.
+        """Return the stored arrays, packed.
 
-        Returns three values: the data; the unpacked parts (index and number of words); the packed
-        parts (method, components, their quanta, numbers in a frame, and indices of frames).
+        The result has three values: the data; the unpacked parts (index and number of words); the
+        packed parts (method, components, their quanta, numbers in a frame, and indices of frames).
         """
         height = 2.0 * self.camera.distance * math.tan(math.radians(FIELD_OF_VIEW / 2))
         step = quantum(height / STEPS_OF_PICTURE)
@@ -214,7 +214,7 @@ class ViewerHTML(SceneViewer):
         return bytes(data) + words[plain].tobytes(), runs, packed
 
     def _repr_html_(self) -> str:
-        """The page in a frame, for notebooks."""
+        """Return an inline frame with the page, for notebooks."""
         import html
 
         return (
@@ -223,7 +223,7 @@ class ViewerHTML(SceneViewer):
         )
 
     def save(self, path: str | os.PathLike[str] | None = None) -> str:
-        """Write the page (None: to output_path), all of it or nothing, and return the path."""
+        """Write the page (None: to output_path), atomically, and return the path."""
         target = self.output_path if path is None else os.path.abspath(os.fspath(path))
         if target is None:
             raise ValueError("save, path: expected one, since the viewer has no output_path")
@@ -232,14 +232,14 @@ class ViewerHTML(SceneViewer):
         return target
 
     def close(self) -> None:
-        """Write the page, and end."""
+        """Write the page and close the viewer."""
         if self._running and self._times and self.output_path:
             self.save()
         super().close()
 
 
 class _Track:
-    """The values of one array over the frames: where each begins in the data, in words."""
+    """The values of one array over the frames, as offsets into the data, in words."""
 
     def __init__(self) -> None:
         self.seen: Any = None
@@ -249,7 +249,7 @@ class _Track:
 
 
 def _equal_sizes(track: _Track, free: np.ndarray) -> Iterator[tuple[int, list[int]]]:
-    """Runs of a track's frames that have the same size and are in no other run: size and places."""
+    """Yield runs of frames with the same size, each frame once: the size and the offsets."""
     seen: set[int] = set()
     size = 0
     places: list[int] = []
@@ -267,11 +267,11 @@ def _equal_sizes(track: _Track, free: np.ndarray) -> Iterator[tuple[int, list[in
 
 
 def _png_words(pixels: np.ndarray) -> np.ndarray:
-    """A picture as PNG, in whole words."""
+    """Return an image as PNG, padded to whole words."""
     data = png_bytes(pixels)
     return np.frombuffer(data + bytes(-len(data) % 4), np.float32)
 
 
 def _short(sizes: list[int]) -> list[int] | int:
-    """One number where all are the same."""
+    """Return a single number if all sizes are equal."""
     return sizes[0] if len(set(sizes)) == 1 else sizes

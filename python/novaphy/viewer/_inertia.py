@@ -1,4 +1,4 @@
-"""Boxes that have the mass and inertia of bodies, as lines."""
+"""Boxes with the mass and inertia of bodies, drawn as lines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _EDGES = np.array([(a, a | b) for b in (1, 2, 4) for a in range(8) if not a & b]
 
 
 def inertia_boxes(mass: np.ndarray, inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Half extents {n, 3} (m) of boxes of this mass and inertia {n, 3, 3}, and their axes.
+    """Return half extents {n, 3} (m) and axes of boxes with a given mass and inertia {n, 3, 3}.
 
     The axes {n, 3, 3} are columns in the frame of the body. A body without mass has no extent.
     """
@@ -27,7 +27,9 @@ def inertia_boxes(mass: np.ndarray, inertia: np.ndarray) -> tuple[np.ndarray, np
 def inertia_edges(
     arrays: Mapping[str, np.ndarray], body_q: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ends {12 n, 3} of the edges of such boxes of a model, around the centers of mass."""
+    """Return the ends {12 n, 3} of the edges of a model's inertia boxes, around the centers of
+    mass.
+    """
     half, axes = inertia_boxes(arrays["body_mass"], arrays["body_inertia"].reshape(-1, 3, 3))
     local = arrays["body_com"][:, None] + np.einsum("nij,ncj->nci", axes, half[:, None] * _CORNERS)
     corners = f32(body_q[:, None, :3] + rotate(body_q[:, None, 3:], f32(local)))

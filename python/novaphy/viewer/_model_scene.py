@@ -1,6 +1,7 @@
-"""A model and its states as objects of a scene: the one file here that knows physics.
+"""Converts a model and its states to objects of a scene. Only this file of the viewer knows
+physics.
 
-The scene works on arrays, so that a recording can be shown without the model.
+The input is arrays, so that a recording can be shown without the model.
 """
 
 from __future__ import annotations
@@ -82,13 +83,14 @@ _SHAPES = {
 
 
 def model_arrays(model: Model) -> dict[str, np.ndarray]:
-    """The fields of a model that are shown."""
+    """Return the visible fields of a model."""
     arrays = {name: getattr(model, name).numpy() for name in MODEL_FIELDS}
     return {name: values for name, values in arrays.items() if values.size}
 
 
 def shape_name(geo_type: int) -> str:
-    """The mesh that shows a type of shape; NotImplementedError where there is none."""
+    """Return the name of the mesh for a type of shape. NotImplementedError: the type has no mesh.
+    """
     if geo_type not in _SHAPES:
         kind = GeoType(geo_type).name if geo_type in set(GeoType) else geo_type
         raise NotImplementedError(f"viewer: shapes of the type {kind} are not drawn")
@@ -96,7 +98,7 @@ def shape_name(geo_type: int) -> str:
 
 
 def shape_scales(geo_type: int, scale: np.ndarray) -> np.ndarray:
-    """Scales {n, 4} of instances for the shape_scale {n, 3} of a type (core/sim/enums.h)."""
+    """Return scales {n, 4} of instances for the shape_scale {n, 3} of a type (core/sim/enums.h)."""
     out = np.zeros((len(scale), 4), np.float32)
     a, b = scale[:, 0], scale[:, 1]
     if geo_type == GeoType.PLANE:
@@ -117,7 +119,7 @@ def shape_scales(geo_type: int, scale: np.ndarray) -> np.ndarray:
 
 
 def boundary_triangles(tets: np.ndarray) -> np.ndarray:
-    """Faces {m, 3} that only one tetrahedron has, seen from outside."""
+    """Return the faces {m, 3} that belong to one tetrahedron only, oriented outwards."""
     faces = np.concatenate([tets[:, f] for f in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))])
     key = np.sort(faces, axis=1)
     _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
@@ -125,10 +127,10 @@ def boundary_triangles(tets: np.ndarray) -> np.ndarray:
 
 
 class ModelScene:
-    """Keeps the objects named model/... of a scene in step with states."""
+    """Updates the objects named model/... of a scene from states."""
 
     def __init__(self, scene: Scene, arrays: Mapping[str, np.ndarray]) -> None:
-        """Put the shapes, particles, surfaces and springs of a model into a scene."""
+        """Add the shapes, particles, surfaces and springs of a model to a scene."""
         for name in [n for n in scene.instances if n.startswith("model/")]:
             scene.remove(name)
         self.scene = scene
@@ -141,12 +143,12 @@ class ModelScene:
         self._add_particles()
 
     def get(self, name: str, width: int) -> np.ndarray:
-        """A field of the model, empty where the model has no rows of it."""
+        """Return a field of the model; a missing field is empty."""
         dtype = np.float32 if name in _FLOATS else np.int32
         return self.arrays.get(name, np.zeros((0, width) if width else 0, dtype))
 
     def _put_mesh(self, name: str, shape: int) -> None:
-        """Put the mesh or hull of a shape into the scene, each face with its own normal."""
+        """Add the mesh or hull of a shape to the scene, with a separate normal per face."""
         vertex, vertices, triangle, triangles = self.arrays["shape_mesh_range"][shape]
         faces = self.arrays["mesh_indices"][triangle : triangle + triangles]
         points = self.arrays["mesh_vertices"][vertex : vertex + vertices][faces]
@@ -192,7 +194,7 @@ class ModelScene:
             self._bodies.append((item, moving[moving >= 0].astype(np.intp)))
 
     def color_shapes(self, shapes: np.ndarray, colors: np.ndarray) -> None:
-        """Give shapes {n} colors {n, 4}, and all others their own."""
+        """Set the colors {n, 4} of shapes {n}; other shapes get their own colors."""
         count = len(self.get("shape_type", 0))
         if len(shapes) and not 0 <= shapes.min() <= shapes.max() < count:
             raise ValueError(f"set_shape_colors, shapes: expected numbers of {count} shapes")
@@ -202,14 +204,15 @@ class ModelScene:
             item.colors.set(np.where(np.isnan(given[rows]), own, given[rows]))
 
     def shape_at(self, origin: np.ndarray, ray: np.ndarray) -> int | None:
-        """The shape of a body that a ray meets first; None when it meets none."""
+        """Return the first shape of a body that a ray hits; None: no hit."""
         items = [(item, len(bodies)) for item, bodies in self._bodies]
         found = first_hit(self.scene, items, origin, ray)
         return None if found is None else int(self._rows[found[0]][1][found[1]])
 
     def owner(self, name: str, row: int, point: np.ndarray) -> tuple[str, int] | None:
-        """The body or particle that a row of instances shows, and of a surface the particle
-        nearest to a point; None when it shows neither.
+        """Return the body or particle behind a row of instances; None: neither.
+
+        For a surface, the result is its particle nearest to a point.
         """
         item = self.scene.instances.get(name)
         for instances, bodies in self._bodies:
@@ -262,7 +265,7 @@ class ModelScene:
             self._update_particles(state["particle_q"])
 
     def _update_joints(self, body_q: np.ndarray) -> None:
-        """Show every axis of a joint as a segment through it; free joints have none."""
+        """Show every joint axis as a segment through the joint; free joints have none."""
         name = "model/joints"
         if not self.show_joints:
             self.scene.remove(name)
@@ -286,7 +289,7 @@ class ModelScene:
         self.scene.put_lines(name, f32(at - half), ends, colors, JOINT_WIDTH)
 
     def _update_inertia(self, body_q: np.ndarray) -> None:
-        """Show the box of equal mass and inertia around the center of mass of every body."""
+        """Show a box of equal mass and inertia around the center of mass of every body."""
         name = "model/inertia"
         if not self.show_inertia:
             self.scene.remove(name)
@@ -325,7 +328,7 @@ class ModelScene:
 
 
 def energy(arrays: Mapping[str, np.ndarray], state: Mapping[str, np.ndarray]) -> float:
-    """Kinetic energy and that of gravity, of bodies and particles (J); not that of springs."""
+    """Return kinetic plus gravitational energy of bodies and particles (J), without springs."""
     total = 0.0
     if "particle_qd" in state:
         mass, q, v = arrays["particle_mass"], state["particle_q"], state["particle_qd"]
@@ -353,7 +356,7 @@ def _energy_of_points(
 def draw_contacts(
     viewer: Viewer, arrays: Mapping[str, np.ndarray], contacts: Contacts, state: SimState
 ) -> None:
-    """Draw the contacts of a state: a point each, and its force, or its normal."""
+    """Draw the contacts of a state: a point each, with its force, or its normal without a force."""
     q, p = state.body_q.numpy(), state.particle_q.numpy()
     starts, ends = contact_segments(arrays, contacts, q, p)
     viewer.log_points("contacts/points", starts, CONTACT_POINT, CONTACT_COLOR)
@@ -366,7 +369,9 @@ def contact_segments(
     body_q: np.ndarray,
     particle_q: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points {n, 3} of contacts, and their ends: the force, or the normal where there is none."""
+    """Return points {n, 3} of contacts, and ends of arrows: the force, or the normal without a
+    force.
+    """
     points, arrows = [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.float32)]
     count = min(contacts.active_rigid_contact_count, contacts.rigid_contact_max)
     if count:

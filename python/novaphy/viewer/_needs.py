@@ -1,4 +1,4 @@
-"""Packages that only some viewers need, imported when one of them is made."""
+"""Import of packages that only some viewers need."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from typing import Any
 
 
 class MissingPackageError(ImportError, RuntimeError):
-    """A viewer cannot start: the message says what to install."""
+    """Raised if a viewer cannot start; the message says what to install."""
 
 
 def needs(module: str, extra: str, who: str) -> Any:
-    """Import a module; ImportError names the extra of novaphy that brings it."""
+    """Import a module. ImportError: the module is missing; the message names the extra of novaphy.
+    """
     try:
         return importlib.import_module(module)
     except ImportError as error:

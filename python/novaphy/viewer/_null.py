@@ -1,4 +1,4 @@
-"""ViewerNull."""
+"""ViewerNull: a viewer without output."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ._base import Viewer
 class ViewerNull(Viewer):
     """Shows nothing and runs for a number of frames.
 
-    With benchmark=True it measures the time of each frame, from one end_frame to the next.
+    With benchmark=True the viewer measures the time of each frame, from one end_frame to the next.
     """
 
     def __init__(self, num_frames: int = 1000, benchmark: bool = False) -> None:
@@ -25,7 +25,7 @@ class ViewerNull(Viewer):
         self._seconds: list[float] = []
 
     def is_running(self) -> bool:
-        """Return False once all frames are done, or it was closed."""
+        """Return False after the last frame, or after the viewer was closed."""
         return super().is_running() and self.frame_count < self.num_frames
 
     def end_frame(self) -> None:
@@ -39,9 +39,9 @@ class ViewerNull(Viewer):
         self._last = now
 
     def benchmark_result(self) -> dict[str, float] | None:
-        """Frames, seconds and frames per second measured so far; None without a measurement.
+        """Return frames, seconds and frames per second so far; None without a measurement.
 
-        The first frame is left out: it may include making kernels.
+        The first frame is not counted, because it may include the compilation of kernels.
         """
         if not self._seconds:
             return None

@@ -1,4 +1,4 @@
-"""Text and a curve over the picture, drawn with NumPy: no window system, no font library."""
+"""Text and a curve over the image, drawn with NumPy, without a window system or a font library."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CURVE_SIZE = (72, 216)  # pixels: height, width
 
 
 def _glyphs() -> np.ndarray:
-    """Gray values {95, height, width} of the printable ASCII characters."""
+    """Return gray values {95, height, width} of the printable ASCII characters."""
     data = resources.files(__package__).joinpath("assets/font.bin").read_bytes()
     height, width = struct.unpack_from("<II", data)
     values = np.frombuffer(zlib.decompress(data[8:]), np.uint8).reshape(-1, height, width)
@@ -30,7 +30,7 @@ FONT = _glyphs()
 
 
 def text_coverage(lines: Sequence[str]) -> np.ndarray:
-    """How much {h, w} of each pixel a text covers; other characters show as a question mark."""
+    """Return the coverage {h, w} of pixels by a text; other characters become question marks."""
     _, height, width = FONT.shape
     columns = max(map(len, lines), default=0)
     out = np.zeros((len(lines) * height, columns * width), np.float32)
@@ -44,7 +44,7 @@ def text_coverage(lines: Sequence[str]) -> np.ndarray:
 
 
 def curve_coverage(values: ArrayLike) -> np.ndarray:
-    """A curve of values, on a logarithmic scale where all are positive, as coverage {h, w}."""
+    """Return the coverage {h, w} of a curve, on a logarithmic scale if all values are positive."""
     height, width = CURVE_SIZE
     y = np.asarray(values, np.float64)
     y = np.log(y) if np.all(y > 0.0) else y
@@ -58,13 +58,13 @@ def curve_coverage(values: ArrayLike) -> np.ndarray:
 
 
 def curve_picture(values: ArrayLike) -> np.ndarray:
-    """A curve of values on white {h, w, 3}, uint8."""
+    """Return an image {h, w, 3}, uint8, of a curve on a white background."""
     coverage = curve_coverage(values)[..., None]
     return np.round(255.0 * (1.0 - coverage * (1.0 - f32(CURVE)))).astype(np.uint8)
 
 
 def overlay(scene: Scene, lines: Sequence[str], curve: str | None) -> np.ndarray:
-    """A box {h, w, 4}, uint8: lines of text, the curve of a scalar, those of arrays, and images."""
+    """Return a box {h, w, 4}, uint8: lines of text, the curve of a scalar, arrays and images."""
     blocks = [_inked(text_coverage(lines), INK)]
     if curve is not None and len(scene.scalars.get(curve, ())) > 1:
         blocks.append(_inked(curve_coverage(scene.scalars[curve]), CURVE))
@@ -92,5 +92,5 @@ def overlay(scene: Scene, lines: Sequence[str], curve: str | None) -> np.ndarray
 
 
 def _inked(coverage: np.ndarray, color: Sequence[float]) -> np.ndarray:
-    """A color where a text or a curve covers {h, w, 4}."""
+    """Return a color with the coverage as alpha, {h, w, 4}."""
     return np.dstack([np.broadcast_to(f32(color), (*coverage.shape, 3)), coverage])

@@ -1,8 +1,8 @@
-"""How a page stores motion: positions on a grid, as differences that compress well.
+"""The storage of motion in a page: positions on a grid, as differences that compress well.
 
-Float32 hardly compresses. Moving values are kept as whole multiples of a quantum, far below a
-pixel. The frames before, or the row before, predict each multiple. The differences are small
-numbers, whose four bytes are stored in planes of their own.
+Float32 values hardly compress. Moving values are therefore stored as integer multiples of a
+quantum, which is far below a pixel. Each multiple is predicted from earlier frames or from the row
+before. The differences are small, and each of their four bytes is stored in a plane of its own.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ BY_ROW, BY_FRAME, BY_MOTION = 0, 1, 2
 
 
 def quantum(resolution: float) -> float:
-    """The power of two that is not above a resolution: its multiples are exact in float32."""
+    """Return the largest power of two up to a resolution; its multiples are exact in float32."""
     return float(2.0 ** np.floor(np.log2(resolution)))
 
 
 def pack(frames: np.ndarray, quanta: np.ndarray) -> tuple[int, bytes] | None:
-    """The smallest of the three ways to store frames {n, rows, width} with a quantum a component.
+    """Pack frames {n, rows, width} in the smallest of three ways, with a quantum per component.
 
-    Returns the way and 16 bytes for every four numbers; None where they do not fit the grid.
+    Returns the way and 16 bytes for every four numbers; None if the values do not fit the grid.
     """
     if not np.isfinite(frames).all() or frames.size < SMALLEST:
         return None
@@ -44,7 +44,7 @@ def pack(frames: np.ndarray, quanta: np.ndarray) -> tuple[int, bytes] | None:
 
 
 def _planes(differences: np.ndarray) -> bytes:
-    """Differences with the sign in the lowest bit, all their lowest bytes first."""
+    """Return differences with the sign in the lowest bit, with all lowest bytes first."""
     flat = np.ascontiguousarray(differences, np.int32).ravel()
     zigzag = ((flat << 1) ^ (flat >> 31)).astype("<u4")
     return np.ascontiguousarray(zigzag.view(np.uint8).reshape(-1, 4).T).tobytes()

@@ -1,4 +1,4 @@
-"""Find the shape that a ray meets first: boxes first, then the triangles in them."""
+"""Picking: finds the first shape that a ray hits, by boxes and then by triangles."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ._scene import Instances, Mesh, Scene, f32, rotate
 def first_hit(
     scene: Scene, items: Sequence[tuple[Instances, int]], origin: np.ndarray, ray: np.ndarray
 ) -> tuple[int, int] | None:
-    """The item and the row of the instance that a ray meets first; None when it meets none.
+    """Return the item and the row of the first instance that a ray hits; None: no hit.
 
     Args:
         scene: has the meshes.
-        items: instances, and how many rows of each count.
-        origin: where the ray begins {3} (m).
-        ray: its direction {3}.
+        items: instances, and the number of rows to test in each.
+        origin: start of the ray {3} (m).
+        ray: direction {3}.
     """
     near: list[tuple[float, int, int, np.ndarray, np.ndarray]] = []
     for k, (item, n) in enumerate(items):
@@ -50,7 +50,7 @@ def first_hit(
 
 
 def _way(mesh: Mesh, scale: np.ndarray, start: np.ndarray, along: np.ndarray) -> float:
-    """How far a ray goes to the first triangle of a mesh; infinity where it meets none."""
+    """Return the ray parameter of the first triangle of a mesh that is hit; infinity: no hit."""
     points = mesh.points.values * scale[:3]
     points[:, 2] += mesh.shift.values[:, 0] * scale[3]
     a, b, c = (points[mesh.indices.values[:, k]].astype(np.float64) for k in range(3))

@@ -1,4 +1,4 @@
-"""Pictures as PNG files."""
+"""Writes images as PNG files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 def png_bytes(pixels: np.ndarray) -> bytes:
-    """A picture {h, w, 3}, uint8, as PNG."""
+    """Return an image {h, w, 3}, uint8, as PNG bytes."""
     height, width, _ = pixels.shape
     rows = np.zeros((height, 1 + 3 * width), np.uint8)  # each row begins with its filter, none
     rows[:, 1:] = pixels.reshape(height, -1)
@@ -24,6 +24,6 @@ def png_bytes(pixels: np.ndarray) -> bytes:
 
 
 def write_png(path: str | os.PathLike[str], pixels: np.ndarray) -> None:
-    """Write a picture {h, w, 3}, uint8."""
+    """Write an image {h, w, 3}, uint8, to a PNG file."""
     with open(path, "wb") as file:
         file.write(png_bytes(pixels))

@@ -1,4 +1,4 @@
-"""Meshes of the primitives, of unit size; an instance's scale gives them their own."""
+"""Meshes of primitives with unit size; the scale of an instance gives the actual size."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ AXIS = np.array([0.0, 0.0, 1.0])
 
 
 def add_primitive(scene: Scene, name: str) -> None:
-    """Put the mesh of a primitive into a scene, once."""
+    """Add the mesh of a primitive to a scene, unless the scene has it."""
     if name in scene.meshes:
         return
     points, normals, indices, shift = _MAKERS[name]()
@@ -33,7 +33,7 @@ def _finish(points, normals, indices, shift=None):
 
 
 def _quads(rows: int, columns: int) -> np.ndarray:
-    """Triangles of a grid of rows x columns points, counter-clockwise from outside."""
+    """Return the triangles of a grid of rows x columns points, counter-clockwise from outside."""
     k = np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)
     low = np.stack([k, k + columns + 1, k + columns], axis=-1)
     high = np.stack([k, k + 1, k + columns + 1], axis=-1)

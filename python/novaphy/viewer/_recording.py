@@ -1,16 +1,16 @@
-"""The two formats of a recording: what is written and read, apart from the viewer that does it.
+"""The two file formats of recordings, separate from the viewer that uses them.
 
-Version 2 (.nprec) is a line that names it, then chunks that are only appended. A chunk is the
-length and the CRC-32 of the content (uint32 each, little-endian), then the content, an .npz
+Version 2 (.nprec) is a line with its name, followed by chunks that are only appended. A chunk is
+the length and the CRC-32 of the content (uint32 each, little-endian), then the content, an .npz
 archive. The first chunk has the header and the model's arrays (`model/<field>`). Each other chunk
 has a number of frames:
 
 * `time`: {frames}, s.
 * `state/<field>`: {frames, ...}.
 * `calls`: a JSON text (as uint8) with the drawings of each frame, [[call, arguments], ...]. The
-  value {"array": k} stands for the entry `array/k`.
+value {"array": k} stands for the entry `array/k`.
 
-A half-written end of a killed process is not read.
+An incomplete chunk at the end, as after a killed process, is ignored.
 
 Version 1 (.npz) is one archive with the states of all frames, without drawings.
 """
@@ -36,34 +36,35 @@ Call = tuple[str, dict[str, Any]]
 
 
 class Frame:
-    """The state of a moment, and what was drawn for it."""
+    """The state and the drawings of one frame."""
 
     def __init__(self, time: float, state: dict[str, np.ndarray], calls: list[Call]) -> None:
-        """Time in s; arrays of the state by field; calls in their order."""
+        """Make a frame from the time (s), the arrays of the state by field, and the calls in order.
+        """
         self.time = time
         self.state = state
         self.calls = calls
 
 
 class Recording:
-    """The contents of a file."""
+    """The contents of a recording."""
 
     def __init__(self, model: dict[str, np.ndarray], up_axis: int, frames: Sequence[Frame]) -> None:
-        """The model's arrays by field, its upward axis, and the frames."""
+        """Make a recording from the model's arrays by field, its up axis, and the frames."""
         self.model = model
         self.up_axis = up_axis
         self.frames = list(frames)
 
 
 def write_start(file: BinaryIO, model: Mapping[str, np.ndarray], up_axis: int) -> None:
-    """Write the beginning of a version 2."""
+    """Write the beginning of a version 2 file."""
     header = {"format": FORMAT, "version": 2, "novaphy": _core.version(), "up_axis": up_axis}
     file.write(MAGIC)
     _write_chunk(file, {"header": _text(header)} | {f"model/{k}": v for k, v in model.items()})
 
 
 def write_frames(file: BinaryIO, frames: Sequence[Frame]) -> None:
-    """Append frames, all with states of the same sizes, as one chunk."""
+    """Append frames as one chunk; all states have the same sizes."""
     arrays: dict[str, np.ndarray] = {"time": np.array([frame.time for frame in frames])}
     for name in frames[0].state:
         arrays[f"state/{name}"] = np.stack([frame.state[name] for frame in frames])
@@ -87,7 +88,7 @@ def write_frames(file: BinaryIO, frames: Sequence[Frame]) -> None:
 def write_archive(
     file: BinaryIO, model: Mapping[str, np.ndarray], up_axis: int, frames: Sequence[Frame]
 ) -> None:
-    """Write a version 1."""
+    """Write a version 1 file."""
     names = list(frames[0].state) if frames else []
     arrays: dict[str, Any] = {"time": np.array([frame.time for frame in frames], np.float64)}
     for name in names:
@@ -107,7 +108,7 @@ def write_archive(
 
 
 def read(source: str) -> Recording:
-    """Read a recording of either version. ValueError when the file is none."""
+    """Read a recording of either version. ValueError: the file is not a recording."""
     with open(source, "rb") as file:
         if file.read(len(MAGIC)) == MAGIC:
             return _read_chunks(source, file)
@@ -135,7 +136,7 @@ def _write_chunk(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def _chunks(file: BinaryIO) -> Iterator[dict[str, np.ndarray]]:
-    """The chunks of a file up to its end, or to where it was cut off."""
+    """Yield the chunks of a file up to its end, or up to an incomplete chunk."""
     while True:
         head = file.read(8)
         if len(head) < 8:

@@ -1,7 +1,7 @@
-"""The parts of a picture: named objects that stay until they are replaced or taken out.
+"""The scene of a viewer: named objects that stay until they are replaced or removed.
 
-Nothing here knows physics or a graphics library. Every part of an object has a revision, so that a
-back end uploads, sends or writes only what changed.
+This module knows neither physics nor a graphics library. Every array of an object has a revision,
+so that a viewer uploads, sends or writes only what has changed.
 """
 
 from __future__ import annotations
@@ -17,12 +17,14 @@ CHECKER = 0.12  # the fourth number of a color: how much darker every other fiel
 
 
 def f32(values: Any) -> np.ndarray:
-    """An array of float32."""
+    """Return the values as a float32 array."""
     return np.array(values, np.float32)
 
 
 def as_array(value: Any, width: int, name: str, dtype: Any = np.float32) -> np.ndarray:
-    """Rows {n, width} of a DeviceArray, Tensor, array or sequence; ValueError for another shape."""
+    """Return rows {n, width} of a DeviceArray, Tensor, array or sequence; ValueError: another
+    shape.
+    """
     numbers = value.numpy() if hasattr(value, "numpy") else np.asarray(value)
     rows = np.ascontiguousarray(numbers, dtype)
     if rows.size == 0:
@@ -35,7 +37,7 @@ def as_array(value: Any, width: int, name: str, dtype: Any = np.float32) -> np.n
 
 
 def per_row(value: Any, rows: int, width: int, default: Any, name: str) -> np.ndarray:
-    """One value for all rows, or one each, as {rows, width}."""
+    """Return one value for all rows, or one per row, as {rows, width}."""
     if value is None:
         value = default
     numbers = np.atleast_1d(value.numpy() if hasattr(value, "numpy") else np.asarray(value))
@@ -51,13 +53,13 @@ def per_row(value: Any, rows: int, width: int, default: Any, name: str) -> np.nd
 
 
 def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Vectors {..., 3} turned by quaternions {..., 4}, xyzw."""
+    """Rotate vectors {..., 3} by quaternions {..., 4}, xyzw."""
     t = 2.0 * np.cross(q[..., :3], v)
     return v + q[..., 3:] * t + np.cross(q[..., :3], t)
 
 
 def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Transforms {n, 7}: first b, then a."""
+    """Compose transforms {n, 7}: first b, then a."""
     ax, ay, az, aw = a[:, 3], a[:, 4], a[:, 5], a[:, 6]
     bx, by, bz, bw = b[:, 3], b[:, 4], b[:, 5], b[:, 6]
     out = np.empty((len(a), 7), np.float32)
@@ -70,7 +72,7 @@ def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def turns_of_z(axis: np.ndarray) -> np.ndarray:
-    """Quaternions {n, 4} that turn z into unit vectors {n, 3}."""
+    """Return quaternions {n, 4} that rotate z to unit vectors {n, 3}."""
     q = np.concatenate([-axis[:, 1:2], axis[:, :1], 0.0 * axis[:, :1], 1.0 + axis[:, 2:]], axis=1)
     length = np.linalg.norm(q, axis=1, keepdims=True)
     down = length[:, 0] < 1e-6
@@ -80,7 +82,7 @@ def turns_of_z(axis: np.ndarray) -> np.ndarray:
 
 
 def smooth_normals(points: np.ndarray, indices: np.ndarray) -> np.ndarray:
-    """Normals {n, 3} of vertices: those of their triangles, weighted by area."""
+    """Return vertex normals {n, 3}: the normals of their triangles, weighted by area."""
     a, b, c = (points[indices[:, k]] for k in range(3))
     faces = np.cross(b - a, c - a)
     corners = indices.ravel()
@@ -96,42 +98,42 @@ _REVISIONS = itertools.count(1)
 
 
 class Part:
-    """An array of an object, and a revision that no other array and no other content has."""
+    """An array of an object with a revision, which is unique to the array and its content."""
 
     def __init__(self, values: np.ndarray) -> None:
-        """Take the first values."""
+        """Set the first values."""
         self.values = values
         self.revision = next(_REVISIONS)
 
     def set(self, values: np.ndarray) -> None:
-        """Take new values, unless they are the old ones."""
+        """Set new values and a new revision, unless the values are equal."""
         same = values.shape == self.values.shape and np.array_equal(values, self.values)
         if not same:
             self.values = values
             self.touch()
 
     def touch(self) -> None:
-        """Say that the values were written in place."""
+        """Set a new revision after the values were written in place."""
         self.revision = next(_REVISIONS)
 
 
 class Mesh:
-    """Triangles. Vertices with a shift move along local z by it times the instance's fourth scale.
+    """A triangle mesh. A vertex moves along local z by its shift times the instance's fourth scale.
 
-    One capsule serves all proportions: its halves shift by +1 and -1.
+    One capsule mesh thus serves all proportions: its halves have the shifts +1 and -1.
     """
 
     fields = ("points", "normals", "shift", "indices")
 
     def __init__(self, points: np.ndarray, indices: np.ndarray) -> None:
-        """Points {n, 3}, indices {m, 3}."""
+        """Make a mesh from points {n, 3} and indices {m, 3}."""
         self.points = Part(points)
         self.indices = Part(indices)
         self.shift = Part(np.zeros((len(points), 1), np.float32))
         self.normals = Part(np.zeros((0, 3), np.float32))
 
     def update(self, points: np.ndarray, indices: np.ndarray, normals: np.ndarray | None) -> None:
-        """Take new points and triangles; normals are computed where none are given."""
+        """Set new points and triangles; missing normals are computed."""
         if len(points) != len(self.shift.values):
             self.shift.set(np.zeros((len(points), 1), np.float32))
         before = self.points.revision, self.indices.revision
@@ -145,21 +147,21 @@ class Mesh:
             self.normals.set(smooth_normals(points, indices))
 
     def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """The lower and upper corner of its points."""
+        """Return the lower and upper corner of the points."""
         points = self.points.values
         return points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
 
 
 class Instances:
-    """Copies of a mesh: poses {n, 7} of bodies, and on them local poses, scales {n, 4}, colors.
+    """Copies of a mesh: poses {n, 7} of bodies, with local poses, scales {n, 4} and colors.
 
-    A color is red, green, blue and the contrast of a checker on the surface (0: none).
+    A color is red, green, blue and the contrast of a checker pattern on the surface (0: none).
     """
 
     fields = ("poses", "local", "scales", "colors")
 
     def __init__(self, mesh: str, count: int) -> None:
-        """Start at the origin, in gray."""
+        """Make `count` gray copies at the origin."""
         self.mesh = mesh
         self.hidden = False
         self.culled = True
@@ -170,16 +172,16 @@ class Instances:
 
     @property
     def count(self) -> int:
-        """How many copies there are."""
+        """The number of copies."""
         return len(self.poses.values)
 
     def world(self) -> np.ndarray:
-        """Poses {n, 7} in the world."""
+        """Return the poses {n, 7} in the world."""
         return compose(self.poses.values, self.local.values)
 
 
 class Lines:
-    """Segments {n, 3} to {n, 3} with colors {n, 3} and one width in m."""
+    """Segments from {n, 3} to {n, 3} with colors {n, 3} and a common width (m)."""
 
     fields = ("starts", "ends", "colors")
 
@@ -192,15 +194,15 @@ class Lines:
 
     @property
     def count(self) -> int:
-        """How many segments there are."""
+        """The number of segments."""
         return len(self.starts.values)
 
 
 class Scene:
-    """All objects by name, numbers and their curves, images, and the time."""
+    """All objects by name, scalars and their curves, images, and the time."""
 
     def __init__(self) -> None:
-        """Start empty, z up."""
+        """Start with an empty scene, z up."""
         self.meshes: dict[str, Mesh] = {}
         self.instances: dict[str, Instances] = {}
         self.lines: dict[str, Lines] = {}
@@ -213,7 +215,7 @@ class Scene:
     def put_mesh(
         self, name: str, points: np.ndarray, indices: np.ndarray, normals: np.ndarray | None = None
     ) -> Mesh:
-        """Add or replace a mesh. ValueError for an index that is no point."""
+        """Add or replace a mesh. ValueError: an index names no point."""
         if indices.size and (indices.min() < 0 or indices.max() >= len(points)):
             raise ValueError(f"log_mesh, indices: expected numbers of {len(points)} points")
         mesh = self.meshes.get(name)
@@ -260,12 +262,14 @@ class Scene:
         item.width, item.hidden = float(width), hidden
 
     def remove(self, name: str) -> None:
-        """Take out what has this name."""
+        """Remove the objects with this name."""
         for kind in (self.meshes, self.instances, self.lines):
             kind.pop(name, None)
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Lower and upper corner of what is shown, planes left out; None when nothing is."""
+        """Return the lower and upper corner of all visible objects except planes; None: nothing is
+        visible.
+        """
         lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
         for item in self.instances.values():
             if item.hidden or not item.count or item.mesh == "plane":

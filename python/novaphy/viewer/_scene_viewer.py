@@ -1,4 +1,4 @@
-"""The base of viewers that show a picture: their calls become objects of a scene."""
+"""The base class of viewers with an image: their calls become objects of a scene."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ ARROW_HEAD = 4.0  # widths of the line
 
 
 class SceneViewer(Viewer):
-    """Keeps a scene and a camera; a back end shows them in end_frame.
+    """Keeps a scene and a camera; a derived viewer shows them in end_frame.
 
     Attributes:
         show_joints: whether the axes of joints are drawn.
-        show_inertia: whether a box of equal mass and inertia is drawn of each body.
-        show_energy: whether the energy is computed and told.
+        show_inertia: whether a box of equal mass and inertia is drawn for each body.
+        show_energy: whether the energy is computed and shown.
         show_contacts: whether the contacts of log_contacts are drawn.
     """
 
@@ -51,11 +51,12 @@ class SceneViewer(Viewer):
         self._followed_at: np.ndarray | None = None
 
     def step_once(self) -> None:
-        """Let one more step happen while paused."""
+        """Allow one more step while the simulation is paused."""
         self._steps_wanted += 1
 
     def should_step(self) -> bool:
-        """Whether the simulation should advance: not paused, or a single step was asked for."""
+        """Return whether the simulation should advance: not paused, or a single step was requested.
+        """
         if not self._paused:
             return True
         if self._steps_wanted:
@@ -64,7 +65,7 @@ class SceneViewer(Viewer):
         return False
 
     def set_model(self, model: Model) -> None:
-        """Show the shapes, particles, surfaces and springs of a model from now on."""
+        """Show the shapes, particles, surfaces and springs of a model."""
         super().set_model(model)
         self.set_model_arrays(model_arrays(model), model.up_axis)
         self.log_state_arrays(
@@ -72,7 +73,7 @@ class SceneViewer(Viewer):
         )
 
     def set_model_arrays(self, arrays: Mapping[str, np.ndarray], up_axis: int) -> None:
-        """Show a model of which only the arrays are there, by field, as in a recording."""
+        """Show a model given by its arrays, keyed by field, as in a recording."""
         self.scene.up_axis = self.camera.up_axis = int(up_axis)
         self._model_scene = ModelScene(self.scene, arrays)
         self._model_scene.offsets = self._offsets
@@ -82,7 +83,7 @@ class SceneViewer(Viewer):
     ) -> None:
         """Place the camera at `pos` (m), looking along pitch and yaw (degrees).
 
-        Without angles it looks at what it looked at before.
+        Without angles the camera keeps its target.
         """
         self.camera.place(np.asarray(pos, np.float64), pitch, yaw)
 
@@ -92,15 +93,15 @@ class SceneViewer(Viewer):
         self.camera.place(np.asarray(pos, np.float64), None, None)
 
     def follow(self, body: int | None) -> None:
-        """Let the camera go along with a body of the model, on the level; None: let it stay.
+        """Make the camera track a body of the model horizontally; None: stop tracking.
 
-        The camera moves as the body does from the next state on; the user may turn it meanwhile.
+        The camera moves with the body from the next state on. The user may rotate it meanwhile.
         """
         self._followed, self._followed_at = body, None
 
     @property
     def follows(self) -> bool:
-        """Whether the camera goes along with a body."""
+        """Whether the camera tracks a body."""
         return self._followed is not None
 
     def _go_along(self) -> None:
@@ -115,16 +116,16 @@ class SceneViewer(Viewer):
         self._followed_at = place
 
     def set_world_offsets(self, spacing: ArrayLike) -> None:
-        """Show world k of a model moved by k times `spacing` (m)."""
+        """Show world k of a model displaced by k times `spacing` (m)."""
         self._offsets = as_array(spacing, 3, "set_world_offsets, spacing")[0]
         if self._model_scene is not None:
             self._model_scene.offsets = self._offsets
 
     def set_shape_colors(self, shapes: ArrayLike, colors: ArrayLike) -> None:
-        """Show shapes {n} of the model in colors {n, 3}, and all others in their own.
+        """Set the colors {n, 3} of shapes {n} of the model; other shapes get their own colors.
 
-        Colors {n, 4} have as their fourth number the contrast of a checker (0 to 1, 0: none).
-        ValueError for a shape that is none, or without a model.
+        Colors {n, 4} have the contrast of a checker pattern as fourth number (0 to 1, 0: no
+        pattern). ValueError: a shape does not exist, or no model is set.
         """
         if self._model_scene is None:
             raise ValueError("set_shape_colors: expected a model before, got none: call set_model")
@@ -139,7 +140,7 @@ class SceneViewer(Viewer):
         self.scene.time = self.time
 
     def log_state(self, state: SimState) -> None:
-        """Show a state of the model. ValueError without a model."""
+        """Show a state of the model. ValueError: no model is set."""
         names = ["body_q", "particle_q"]
         if self.show_energy:
             names += ["body_qd", "particle_qd"]
@@ -148,7 +149,7 @@ class SceneViewer(Viewer):
         self.log_state_arrays({k: a.numpy(copy=not a.device.is_cpu) for k, a in fields.items()})
 
     def log_state_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Show a state of which only the arrays are there, by field, as in a recording."""
+        """Show a state given by its arrays, keyed by field, as in a recording."""
         if self._model_scene is None:
             raise ValueError("log_state: expected a model before, got none: call set_model")
         self.latest_state = {name: rows for name, rows in arrays.items() if len(rows)}
@@ -161,7 +162,7 @@ class SceneViewer(Viewer):
             self._energy = energy(self._model_scene.arrays, self.latest_state)
 
     def texts(self, paused: bool = False) -> list[str]:
-        """The text: the time, the energy and the latest scalars."""
+        """Return the lines of text: the time, the energy and the latest scalars."""
         lines = [f"time {self.scene.time:.3f} s" + ("   paused" if paused else "")]
         if self._energy is not None:
             lines.append(f"energy {self._energy:.6g} J")
@@ -169,7 +170,9 @@ class SceneViewer(Viewer):
         return lines + [f"{name} {values[-1]:.6g}" for name, values in scalars if values]
 
     def log_contacts(self, contacts: Contacts, state: SimState) -> None:
-        """Show the contacts of a state: a point each, and its force, or its normal."""
+        """Show the contacts of a state: a point each, with its force, or its normal without a
+        force.
+        """
         if self._model_scene is None:
             raise ValueError("log_contacts: expected a model before, got none: call set_model")
         if not self.show_contacts:
@@ -179,11 +182,11 @@ class SceneViewer(Viewer):
         draw_contacts(self, self._model_scene.arrays, contacts, state)
 
     def body_at(self, origin: ArrayLike, ray: ArrayLike) -> int | None:
-        """The body whose shapes a ray meets first; None when it meets none.
+        """Return the first body whose shapes a ray hits; None: no hit.
 
         Args:
-            origin: where the ray begins {3} (m).
-            ray: its direction {3}.
+            origin: start of the ray {3} (m).
+            ray: direction {3}.
         """
         shape = self._shape_at(origin, ray)
         if shape is None or self._model_scene is None:
@@ -191,7 +194,9 @@ class SceneViewer(Viewer):
         return int(self._model_scene.arrays["shape_body"][shape])
 
     def name_at(self, origin: ArrayLike, ray: ArrayLike) -> str | None:
-        """The labels of the shape that a ray meets first and of its body; None without a model."""
+        """Return the labels of the first shape that a ray hits and of its body; None without a
+        model.
+        """
         shape = self._shape_at(origin, ray)
         if shape is None or self.model is None:
             return None
@@ -216,7 +221,7 @@ class SceneViewer(Viewer):
     ) -> None:
         """Show triangles: points {n, 3} (m), indices {m, 3}.
 
-        Without normals they are smooth. NotImplementedError for a texture.
+        Without normals the surface is smooth. NotImplementedError: a texture is given.
         """
         if texture is not None:
             raise NotImplementedError("log_mesh: textures are not drawn")
@@ -244,7 +249,7 @@ class SceneViewer(Viewer):
     ) -> None:
         """Show copies of a mesh at transforms {n, 7}; scales and colors are {3} or {n, 3}.
 
-        ValueError when no mesh has this name, NotImplementedError for materials.
+        ValueError: no mesh has this name. NotImplementedError: materials are given.
         """
         if mesh not in self.scene.meshes:
             known = ", ".join(sorted(self.scene.meshes)) or "none"
@@ -287,7 +292,7 @@ class SceneViewer(Viewer):
         width: float = 0.01,
         hidden: bool = False,
     ) -> None:
-        """Show segments from starts to ends {n, 3} (m), `width` m thick; None: take them out."""
+        """Show segments from starts to ends {n, 3} (m) with a width in m; None: remove them."""
         self._put_lines("log_lines", name, starts, ends, colors, width, hidden)
 
     def log_arrows(
@@ -299,7 +304,7 @@ class SceneViewer(Viewer):
         width: float = 0.01,
         hidden: bool = False,
     ) -> None:
-        """Show arrows from starts to ends {n, 3} (m); None: take them out."""
+        """Show arrows from starts to ends {n, 3} (m); None: remove them."""
         drawn = self._put_lines("log_arrows", name, starts, ends, colors, width, hidden)
         heads = f"{name}/heads"
         if drawn is None:
@@ -343,7 +348,7 @@ class SceneViewer(Viewer):
         colors: ArrayLike | None = None,
         hidden: bool = False,
     ) -> None:
-        """Show points {n, 3} as spheres of radii {n} (m; 0.01 without); None: take them out."""
+        """Show points {n, 3} as spheres with radii {n} (m, default 0.01); None: remove them."""
         if points is None:
             self.scene.remove(name)
             return
@@ -358,14 +363,14 @@ class SceneViewer(Viewer):
         self.scene.put_instances(name, "sphere", poses, sizes, shades, hidden)
 
     def log_array(self, name: str, array: ArrayLike) -> None:
-        """Show the curve of an array of numbers. ValueError when one is not finite."""
+        """Show the curve of an array. ValueError: a number is not finite."""
         values = np.array(array.numpy() if hasattr(array, "numpy") else array, np.float64).ravel()
         if not values.size or not np.isfinite(values).all():
             raise ValueError("log_array, array: expected finite numbers, at least one")
         self.scene.curves[name] = values
 
     def log_scalar(self, name: str, value: float) -> None:
-        """Show a number, and keep it for its curve."""
+        """Show a number, and add it to its curve."""
         values = self.scene.scalars.setdefault(name, [])
         values.append(float(value))
         del values[:-HISTORY]
@@ -381,7 +386,7 @@ class SceneViewer(Viewer):
         self.scene.images[name] = pixels
 
     def clear(self) -> None:
-        """Take out the model and all that was drawn."""
+        """Remove the model and all drawings."""
         self._model_scene = None
         self.latest_state = {}
         scene = self.scene
@@ -391,7 +396,7 @@ class SceneViewer(Viewer):
             numbers.clear()
 
     def _place_camera(self) -> None:
-        """See the whole scene, unless the camera was placed."""
+        """Make the whole scene visible, unless the camera was placed."""
         if self.camera.is_set:
             return
         bounds = self.scene.bounds()

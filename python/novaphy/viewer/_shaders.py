@@ -1,4 +1,4 @@
-"""The shaders, the same for OpenGL 3.3 and WebGL 2; a back end puts its header in front."""
+"""The shaders, common to OpenGL 3.3 and WebGL 2; each renderer prepends its header."""
 
 GL_HEADER = "#version 330\n"
 WEB_HEADER = (

@@ -1,4 +1,4 @@
-"""Stage: what a program's flags --viewer, --headless and --record ask for, in a few calls."""
+"""Stage: shows a simulation as the flags --viewer, --headless and --record request."""
 
 from __future__ import annotations
 
@@ -36,12 +36,11 @@ Frames = Callable[[], Iterable[tuple[float, SimState]]]
 
 
 class Stage:
-    """Shows a simulation, or the iterations of a training, in the viewers that flags ask for.
+    """Shows a simulation, or the iterations of a training, in the viewers that the flags select.
 
-    In a window frames come at the rate of the film, space pauses, N steps, and a reset begins the
-    simulation again; without one nothing waits. At the end the window replays the last rollout, or
-    the simulation, until it is closed; a reset begins the replay again. Closing the window ends the
-    showing, not the program.
+    A window shows frames at the frame rate; space pauses, N steps, and a reset restarts the
+    simulation. Without a window nothing waits. At the end the window replays the last rollout or
+    simulation until it is closed. Closing the window ends the display, not the program.
 
         with Stage(args, model) as stage:
             for frames in stage.runs(args.headless):            # again at every reset
@@ -65,13 +64,13 @@ class Stage:
         """Make the viewers.
 
         Args:
-            args: what parse_args gave, after check_arguments.
-            model: what is simulated; None where a recording is shown.
+            args: the result of parse_args, after check_arguments.
+            model: the simulated model; None for a recording.
             fps: frames per second of simulated time.
-            refresh: show every N-th training iteration, unless --refresh says something else.
-            look: where the camera stands, and what it looks at (m).
-            path_width: how thick paths are drawn (m).
-            viewers: these, instead of those of the flags.
+            refresh: show every N-th training iteration, unless --refresh overrides it.
+            look: position of the camera and its target (m).
+            path_width: width of paths (m).
+            viewers: use these viewers instead of those of the flags.
         """
         self.fps = fps
         self.refresh = args.refresh or refresh
@@ -128,24 +127,25 @@ class Stage:
         return made
 
     def mark(self, point: ArrayLike, radius: float = 0.05, name: str = "target") -> None:
-        """Show a point that something should reach (m)."""
+        """Show a target point (m)."""
         for viewer in self.viewers:
             viewer.log_points(name, [point], radius, TARGET)
 
     def follow(self, body: int | None) -> None:
-        """Let the cameras go along with a body of the model (Viewer.follow)."""
+        """Make the cameras track a body of the model (Viewer.follow)."""
         for viewer in self.viewers:
             viewer.follow(body)
 
     def set_shape_colors(self, shapes: ArrayLike, colors: ArrayLike) -> None:
-        """Show shapes {n} of the model in colors {n, 3} or {n, 4} (Viewer.set_shape_colors)."""
+        """Set colors {n, 3} or {n, 4} of shapes {n} of the model (Viewer.set_shape_colors)."""
         for viewer in self.viewers:
             viewer.set_shape_colors(shapes, colors)
 
     def runs(self, count: int) -> Iterator[Iterator[int]]:
-        """Simulations, each from its start: one, and another whenever somebody asks for a reset.
+        """Yield simulations, each from its start: one, and another after every reset.
 
-        Each gives the numbers of its frames 1, 2, ..., `count` when the simulation should advance.
+        Each simulation yields the indices of its frames 1, 2, ..., `count`, each when it should
+        advance.
         """
         self._begin_again = True
         while self._begin_again:
@@ -162,9 +162,9 @@ class Stage:
             yield frame
 
     def turns(self) -> Iterator[int]:
-        """Turns 0, 1, ... of a program that sliders steer, until the window is closed.
+        """Yield the passes 0, 1, ... of a program with sliders, until the window is closed.
 
-        A reset begins with 0 again. Without a window there is one turn.
+        A reset restarts at 0. Without a window a single pass runs.
         """
         turn = 0
         yield turn
@@ -173,7 +173,7 @@ class Stage:
             yield turn
 
     def add_slider(self, name: str, low: float, high: float, value: float) -> Slider:
-        """Let whoever looks on move a number (Viewer.add_slider)."""
+        """Add a slider for a number (Viewer.add_slider)."""
         viewer: Viewer = self._screen or next(iter(self.viewers), Viewer())
         return viewer.add_slider(name, low, high, value)
 
@@ -191,7 +191,7 @@ class Stage:
         self._pace()
 
     def show_recording(self, recording: ViewerFile) -> None:
-        """Show a recording: what it drew, and its states."""
+        """Show a recording: its drawings and states."""
         self._again = partial(self._play_recording, recording)
         self._again()
 
@@ -215,7 +215,7 @@ class Stage:
             self._pace()
 
     def _until_end(self, start: Callable[[], Iterable[Any]]) -> Iterator[Any]:
-        """All of what start() gives, again from the start at every reset."""
+        """Yield the items of start(), again from the start after every reset."""
         again = True
         while again:
             again = False
@@ -233,7 +233,7 @@ class Stage:
             time.sleep(max(0.0, self._due - time.perf_counter()))
 
     def apply_forces(self, state: SimState) -> None:
-        """Add the pull of the pointer to a state's forces, which were cleared before."""
+        """Add the pull of the pointer to a state's forces, which must be cleared before."""
         for viewer in self._open():
             viewer.apply_forces(state)
 
@@ -245,17 +245,16 @@ class Stage:
         paths: Mapping[str, np.ndarray] | Callable[[], Mapping[str, np.ndarray]],
         last: bool = False,
     ) -> None:
-        """Show an iteration of a training, if it is one that should be shown.
+        """Show an iteration of a training, if it is due.
 
-        Its rollout is played, its paths are drawn, and those of the iterations shown before stay,
-        fading.
+        Its rollout is played and its paths are drawn. Paths of earlier iterations stay and fade.
 
         Args:
-            number: of the iteration.
-            loss: of its rollout.
-            frames: gives times and states of the rollout.
-            paths: points {n, 3} (m) by name, or what gives them.
-            last: show it in any case.
+            number: index of the iteration.
+            loss: loss of its rollout.
+            frames: returns the times and states of the rollout.
+            paths: points {n, 3} (m) by name, or a function that returns them.
+            last: show the iteration in any case.
         """
         for viewer in self.viewers:
             viewer.log_scalar("iteration", number)
@@ -292,9 +291,9 @@ class Stage:
             self.show(t, state)
 
     def replay(self) -> None:
-        """In a window, play the last rollout, recording or simulation until it is closed.
+        """In a window, replay the last rollout, recording or simulation until the window is closed.
 
-        A recording to a file ends before.
+        A recording to a file ends before the replay.
         """
         if not self._waits:
             return
@@ -317,14 +316,14 @@ class Stage:
             time.sleep(1.0 / self.fps)
 
     def _wait_while_paused(self) -> None:
-        """Wait until a step should happen, or somebody asks for a reset."""
+        """Wait until a step should run or a reset is requested."""
         while self._waits and self._screen.is_running() and not self._screen.should_step():
             if self._screen.reset_requested:
                 return
             self._screen.end_frame()
 
     def _take_reset(self) -> bool:
-        """Whether somebody asked for a reset; asked again it says no."""
+        """Return whether a reset is requested, and clear the request."""
         if self._screen is None or not self._screen.reset_requested:
             return False
         self._screen.reset_requested = False
@@ -334,7 +333,7 @@ class Stage:
         return [viewer for viewer in self._audience if viewer.is_running()]
 
     def close(self) -> None:
-        """Write what was recorded, and close all viewers."""
+        """Write the recordings, and close all viewers."""
         with contextlib.ExitStack() as closing:
             for viewer in self.viewers:
                 closing.callback(viewer.close)
@@ -342,7 +341,7 @@ class Stage:
                 self._picture[0].save_picture(self._picture[1])
 
     def __enter__(self) -> Stage:
-        """Return itself; it is closed when the block ends."""
+        """Return the stage, which is closed at the end of the block."""
         return self
 
     def __exit__(
@@ -351,7 +350,7 @@ class Stage:
         value: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Replay in a window until it is closed, unless there was an error; then close."""
+        """Without an error, replay in a window until it is closed; then close the stage."""
         try:
             if kind is None:
                 self.replay()

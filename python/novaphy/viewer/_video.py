@@ -1,4 +1,4 @@
-"""Videos: frames go through a pipe to ffmpeg."""
+"""Videos, written by ffmpeg through a pipe."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Video:
     """A video that is being written."""
 
     def __init__(self, path: str | os.PathLike[str], width: int, height: int, fps: float) -> None:
-        """Start ffmpeg. ValueError for an ending that is not known, RuntimeError without ffmpeg."""
+        """Start ffmpeg. ValueError: the extension is unknown. RuntimeError: ffmpeg is missing."""
         self.path = os.path.abspath(os.fspath(path))
         ending = os.path.splitext(self.path)[1].lower()
         if ending not in CODECS:
@@ -59,7 +59,7 @@ class Video:
             self.close()
 
     def close(self) -> None:
-        """Finish the file. RuntimeError says what ffmpeg said when it failed."""
+        """Finish the file. RuntimeError: ffmpeg failed; the message has its output."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         code = self._process.wait()

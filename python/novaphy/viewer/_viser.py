@@ -1,4 +1,4 @@
-"""ViewerViser: the scene in the browser, on the package viser."""
+"""ViewerViser: shows the scene in web browsers, with the package viser."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ LOCAL = ("127.0.0.1", "localhost", "::1")
 
 
 class ViewerViser(SceneViewer):
-    """Serves a page at which any number of browsers look.
+    """Serves a web page for any number of browsers.
 
-    The page pauses, steps, resets, goes through the last frames by a slider, and has a slider for
-    every parameter that add_slider registers. Control and drag pulls a body or particle.
+    The page can pause, step and reset, and has a slider over the last frames and the sliders of
+    add_slider. Drag with control pulls a body or particle.
 
     Attributes:
-        port: the port that is used.
+        port: the port in use.
         url: the address of the page.
         reset_requested: set by the page's button, until the caller sets it to False.
     """
@@ -45,18 +45,18 @@ class ViewerViser(SceneViewer):
         history: int = 600,
         verbose: bool = True,
     ) -> None:
-        """Start the server, on this machine only unless `host` says otherwise.
+        """Start the server, which by default is reachable from this machine only.
 
         Args:
-            host: the address to listen at.
-            port: the first port that is tried, of ten; 0 takes any that is free.
-            history: frames that the page can go back to.
-            verbose: say where the page is.
+            host: the address to listen on.
+            port: the first of ten ports to try; 0: any free port.
+            history: number of past frames that the page can show.
+            verbose: print the address of the page.
 
         Raises:
             ImportError: the package viser is missing.
-            OSError: all ten ports are taken.
-            ValueError: a number that makes no sense.
+            OSError: all ten ports are in use.
+            ValueError: a number is out of range.
         """
         super().__init__()
         if not 0 <= port <= 65535:
@@ -104,14 +104,14 @@ class ViewerViser(SceneViewer):
         value: float,
         on_change: Callable[[float], object] | None = None,
     ) -> Slider:
-        """Give the page a slider; called, it gives its value.
+        """Add a slider to the page; calling the slider returns its value.
 
         Args:
-            name: beside the slider.
-            low: the smallest value.
-            high: the largest value. ValueError unless low < high and value is between.
-            value: to begin with.
-            on_change: called in a thread of the server when somebody moves it.
+            name: label of the slider.
+            low: smallest value.
+            high: largest value. ValueError unless low < high and low <= value <= high.
+            value: initial value.
+            on_change: called in a thread of the server when a user moves the slider.
         """
         slider = _PageSlider(name, low, high, value, on_change)
         slider.show_on(self._server.gui)
@@ -119,11 +119,11 @@ class ViewerViser(SceneViewer):
 
     @property
     def client_count(self) -> int:
-        """Browsers that look at the page."""
+        """The number of connected browsers."""
         return len(self._server.get_clients())
 
     def pause(self, paused: bool = True) -> None:
-        """Pause, or go on, at the latest frame."""
+        """Pause, or resume at the latest frame."""
         with self._lock:
             self._paused = paused
             if self._pause_box.value != paused:
@@ -133,7 +133,7 @@ class ViewerViser(SceneViewer):
                 self._scrubber.value = self.history - 1
 
     def end_frame(self) -> None:
-        """Send the frame, at most SEND_RATE times per second; keep it for the slider."""
+        """Send the frame, at most SEND_RATE times per second, and store it for the slider."""
         now = time.perf_counter()
         if now - self._sent_at < 1.0 / SEND_RATE and not self._paused:
             return
@@ -152,7 +152,7 @@ class ViewerViser(SceneViewer):
         return {"time": self.time, "poses": poses, "points": points}
 
     def _scrub(self) -> None:
-        """Show the past frame that the slider stands at."""
+        """Show the past frame that the slider selects."""
         with self._lock:
             if not self._past:
                 return
@@ -171,7 +171,7 @@ class ViewerViser(SceneViewer):
             self._send(past["time"])
 
     def _send(self, at: float | None = None) -> None:
-        """Bring the page up to the scene."""
+        """Update the page from the scene."""
         if not self.camera.is_set:
             self._place_camera()
         self._send_camera()
@@ -216,7 +216,7 @@ class ViewerViser(SceneViewer):
             client.camera.position, client.camera.look_at = tuple(eye), tuple(seen[1])
 
     def _pull(self, name: str, rows: np.ndarray, event: Any) -> None:
-        """Pull what the rows of an object show of the model, as the pointer does."""
+        """Drag the body or particle behind the rows of an object, as the pointer does."""
         with self._lock:
             start = np.array(event.start_position)
             if event.phase == "start" and self._model_scene is not None:
@@ -235,11 +235,11 @@ class ViewerViser(SceneViewer):
             self._drag.apply(state)
 
     def is_key_down(self, key: str | int) -> bool:
-        """NotImplementedError: a page tells of no keys."""
+        """Raise NotImplementedError: keyboard input is not available on a page."""
         raise NotImplementedError("is_key_down: the page of ViewerViser tells of no keys")
 
     def close(self) -> None:
-        """Stop the server, and free the port."""
+        """Stop the server and free the port."""
         if self._running:
             super().close()
             with _silence():
@@ -247,10 +247,10 @@ class ViewerViser(SceneViewer):
 
 
 class _PageSlider(Slider):
-    """A slider of the page."""
+    """A slider on the page."""
 
     def show_on(self, gui: Any) -> None:
-        """Put it into the panel."""
+        """Add the slider to the panel."""
         step = (self.high - self.low) / 1000.0
         self.handle = gui.add_slider(self.name, self.low, self.high, step, self.value)
         self.handle.on_update(
@@ -258,18 +258,18 @@ class _PageSlider(Slider):
         )
 
     def set(self, value: float) -> None:
-        """Move it, on the page too."""
+        """Set the value, on the page too."""
         super().set(value)
         self.handle.value = self.value
 
 
 def _silence() -> contextlib.AbstractContextManager[Any]:
-    """Keep viser from printing its own banner, and that it stopped."""
+    """Suppress the messages that viser prints at its start and end."""
     return contextlib.redirect_stdout(io.StringIO())
 
 
 def _free_port(host: str, first: int) -> int:
-    """The first port of some that nobody listens at."""
+    """Return the first free port from `first` on."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for port in range(first, min(first + PORTS_TRIED, 65536)):
         with socket.socket(family, socket.SOCK_STREAM) as probe:

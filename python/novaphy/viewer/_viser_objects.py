@@ -17,26 +17,26 @@ FIELDS, PIXELS = 32, 32  # how far it goes (m), and pixels of 1 m
 
 
 class PageObjects:
-    """Keeps the page in step with a scene: only what changed is sent.
+    """Updates the page from a scene; only changes are sent.
 
     Attributes:
-        handles: of every object by name, with what of it was sent.
+        handles: handles of every object by name, with the revisions that were sent.
     """
 
     def __init__(self, server: Any, pull: Callable[[str, np.ndarray, Any], None]) -> None:
         """Start with an empty page.
 
         Args:
-            server: of viser.
-            pull: a callback. The first argument is the name of an object of the model. The second
-                has the rows of the object that a mesh of the page shows. The third is an event of
-                the pointer that drags the mesh.
+            server: the viser server.
+            pull: a callback for dragging. The first argument is the name of an object of the model.
+                The second has the rows of the object that a mesh of the page shows. The third is
+                the event of the pointer.
         """
         self.server, self.pull = server, pull
         self.handles: dict[str, tuple[Any, Any]] = {}
 
     def send(self, scene: Scene) -> None:
-        """Bring the page up to a scene."""
+        """Update the page to a scene."""
         wanted = {f"/{name}" for name in (*scene.instances, *scene.lines)}
         for name in [name for name in self.handles if name not in wanted]:
             self.handles.pop(name)[0].remove()
@@ -68,7 +68,7 @@ class PageObjects:
         self.handles[name] = (handle, now)
 
     def _add(self, name: str, item: Instances, mesh: Mesh, poses: np.ndarray) -> Any:
-        """Put instances on the page."""
+        """Add instances to the page."""
         scene = self.server.scene
         group = _Object()
         if item.hidden or not item.count:
@@ -107,7 +107,7 @@ class PageObjects:
         return group
 
     def _add_checker(self, name: str, contrast: float, color: np.ndarray, pose: np.ndarray) -> Any:
-        """A checker of squares of 1 m: a picture, which no light of the page makes pale."""
+        """Add a checker of squares of 1 m as an image, which the page's light does not brighten."""
         field = np.arange(2 * FIELDS)
         dark = (field[:, None] + field) % 2 == 1
         dark = dark.repeat(PIXELS, axis=0).repeat(PIXELS, axis=1)[..., None]
@@ -145,12 +145,12 @@ class _Object:
         self.ratios: list[float] = []  # of the meshes of a part
 
     def reshape(self, mesh: Mesh) -> None:
-        """Give the points of a mesh new places."""
+        """Update the points of a mesh."""
         for (handle, _), ratio in zip(self.parts, self.ratios, strict=False):
             handle.vertices = _stretched(mesh, ratio)
 
     def move(self, poses: np.ndarray) -> None:
-        """Give instances new poses."""
+        """Set new poses of the instances."""
         for handle, rows in self.parts:
             if rows is None:
                 handle.position, handle.wxyz = poses[0, :3], _wxyz(poses)[0]
@@ -159,28 +159,30 @@ class _Object:
                 handle.batched_wxyzs = _wxyz(poses[rows])
 
     def remove(self) -> None:
-        """Take them from the page."""
+        """Remove the object from the page."""
         for handle, _ in self.parts:
             handle.remove()
 
 
 def _node(name: str) -> str:
-    """The name of an object's node: none is below another, which viser removes with it."""
+    """Return the name of an object's node without hierarchy: viser removes a node with its
+    children.
+    """
     return "/" + name.removeprefix("/").replace("/", "|")
 
 
 def _stretched(mesh: Mesh, ratio: float) -> np.ndarray:
-    """The points of a mesh, its halves shifted along z."""
+    """Return the points of a mesh with its halves shifted along z."""
     return mesh.points.values + mesh.shift.values * f32([0.0, 0.0, ratio])
 
 
 def _hairs(rows: np.ndarray) -> np.ndarray:
-    """Factors {n, 1} of scales a hair below 1: surfaces of shapes that coincide do not fight."""
+    """Return scale factors {n, 1} slightly below 1, so that coinciding surfaces do not flicker."""
     return f32(1.0 - 1e-3 * (rows[:, None] % 8))
 
 
 def _shades(colors: np.ndarray) -> np.ndarray:
-    """Colors as uint8, darker, because the page's light from all sides makes them pale."""
+    """Return colors as uint8, darkened, because the page's ambient light makes colors pale."""
     return np.round(255.0 * colors**DARKER).astype(np.uint8)
 
 

@@ -1,4 +1,4 @@
-// The code of articulations for devices, for tools that compile it ahead.
+// The device sources of this library, for compilation ahead of time.
 #pragma once
 
 #include <string>
@@ -8,7 +8,8 @@
 
 namespace novaphy {
 
-// SOURCE modules of <novaphy/abi/backend.h>; none where the build has no devices.
+// Returns SOURCE modules of <novaphy/abi/backend.h>. The list is empty if the build supports no
+// devices.
 NOVAPHY_DYNAMICS_API std::vector<std::string> dynamics_device_modules();
 
 }  // namespace novaphy

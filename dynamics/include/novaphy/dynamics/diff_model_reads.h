@@ -1,5 +1,5 @@
-// The work of an operation before it reads a model: checks the model's numbers, makes its derived
-// arrays current, and tells a capture which arrays it holds.
+// Preparations of an operation that reads a model: checks the model's numbers, updates its derived
+// arrays, and registers the arrays with a capture.
 #pragma once
 
 #include <functional>
@@ -13,33 +13,33 @@
 
 namespace novaphy::diff {
 
-// `function` starts the messages. ErrorKind::Value: a number of the model that makes no sense.
-// While a capture records, a derived array whose source was written (by the capture, say) is
-// computed by a recorded launch; every launch of the list begins with the others, and throws
-// ErrorKind::Runtime where a number of the model (soft_contact_ke, ...) is another than the one
-// recorded.
+// Prepares an operation. Messages begin with `function`. ErrorKind::Value: a number of the model is
+// invalid. In a capture, a recorded launch computes each derived array whose source was written,
+// for example by the capture itself. The other derived arrays are updated at the start of every
+// launch of the list. Such a launch throws ErrorKind::Runtime if a number of the model (such as
+// soft_contact_ke) has changed since.
 NOVAPHY_DYNAMICS_API void begin_model_reads(const Model& model, const char* function);
 
 struct NamedArray {
   const char* name;
   const Array& array;
 };
-// Of arrays of a model that steps read, or would have to, and that no gradient reaches:
-// ErrorKind::NotImplemented where one carries a gradient of the active tape. `owner` stands before
-// the names.
+// Throws ErrorKind::NotImplemented if one of the arrays carries a gradient of the active tape. The
+// arrays belong to a model, are read by steps, and have no gradient. `owner` precedes the names.
 NOVAPHY_DYNAMICS_API void check_no_gradient(const char* solver,
                                             std::initializer_list<NamedArray> arrays,
                                             const char* owner = "model.");
 
-// Of the model, `control` and `contacts` (null: none) of a step: ErrorKind::NotImplemented, by
-// name, where an array carries a gradient of the active tape and has_gradient(its name) is false.
-// Positions and velocities of the model are not looked at, because a state starts with copies.
+// Checks the arrays of the model, `control` and `contacts` (null: none) of a step. Throws
+// ErrorKind::NotImplemented with the name of an array that carries a gradient of the active tape
+// although has_gradient(name) is false. Positions and velocities of the model are not checked,
+// because a state starts with copies.
 NOVAPHY_DYNAMICS_API void check_other_gradients(
     const char* solver, const Model& model, const Control* control, const Contacts* contacts,
     const std::function<bool(std::string_view)>& has_gradient);
 
-// particle_inv_mass = 1/particle_mass, 0 where the mass is 0, also where something else was
-// assigned to it. Not recorded on a tape. Solvers do so themselves where masses were written.
+// Sets particle_inv_mass = 1/particle_mass, and 0 for mass 0, even if another value was assigned.
+// Not recorded on a tape. Solvers call this function if masses were written.
 NOVAPHY_DYNAMICS_API void update_inverse_mass(Model& model);
 
 }  // namespace novaphy::diff

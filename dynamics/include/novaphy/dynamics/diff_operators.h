@@ -1,4 +1,4 @@
-// The kernels of the operators, with the gradients that are built ahead for them; see
+// The kernels of the operators, with the gradients whose adjoints are compiled ahead of time; see
 // <novaphy/nova/registry.h>.
 #pragma once
 

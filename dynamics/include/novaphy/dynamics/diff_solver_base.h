@@ -1,6 +1,6 @@
-// DiffSolverBase: the base of solvers whose steps are kernels of the tensor runtime, recorded or
-// not. A solver gives one step; the rollout is here. Compiled into novaphy::dynamics where nova is
-// built.
+// DiffSolverBase: the base class of solvers whose steps are kernels of the tensor runtime, recorded
+// or not. A derived solver defines one step; this class has the rollout. Compiled into
+// novaphy::dynamics if nova is built.
 #pragma once
 
 #include <map>
@@ -14,71 +14,70 @@
 
 namespace novaphy::diff {
 
-// What acts in a recorded step, besides the model.
+// The inputs of a recorded step besides the model.
 struct StepInputs {
   const Control* control = nullptr;    // null: the model's defaults
   const Contacts* contacts = nullptr;  // null: none
-  // Of contacts that the rollout has found for this step; null: the contacts are those of all
+  // Tables of contacts that the rollout found for this step. Null: the same contacts hold for all
   // steps.
   ContactTables* tables = nullptr;
-  nova::Operand forces;       // {n, 3}: on the particles; only read
-  nova::Operand body_forces;  // {b, 6}: on the bodies; only read
-  // {k, 3}, the rows of this step from `first_target` on: where held particles go; without a range:
-  // they stay.
+  nova::Operand forces;       // {n, 3}: forces on the particles; only read
+  nova::Operand body_forces;  // {b, 6}: wrenches on the bodies; only read
+  // Kinematic targets {k, 3}; the rows of this step begin at `first_target`. Without a range,
+  // kinematic particles stay.
   nova::Operand targets;
   size_t first_target = 0;
   float dt = 0.0f;
-  int32_t step = -1;  // of a rollout: from its state `step` to the next
+  int32_t step = -1;  // step of a rollout: from its state `step` to the next
 
-  // Of a rollout over a trajectory that does not keep all states.
+  // For a rollout over a trajectory with checkpoints.
   struct Checkpoints {
     int32_t step = 0;               // from state `step` to the next
-    bool next_is_kept = false;      // the state after it
-    bool is_recomputed = false;     // by Trajectory::recompute, after the rollout
-    std::map<int32_t, Array> kept;  // what a solver carries besides the state, at kept states
+    bool next_is_kept = false;      // whether the state after it is kept
+    bool is_recomputed = false;     // whether Trajectory::recompute runs it, after the rollout
+    std::map<int32_t, Array> kept;  // carried memory of a solver at kept states
   };
-  std::shared_ptr<Checkpoints> checkpoints;  // null: all are kept, or no rollout
+  std::shared_ptr<Checkpoints> checkpoints;  // null: all states are kept, or no rollout
 };
 
 class NOVAPHY_DYNAMICS_API DiffSolverBase : public SolverBase {
  public:
   using SolverBase::SolverBase;
 
-  // One record_step for each step, recorded on an active tape; between two kept states the steps
-  // are run once more by backward. The forces of the options have gradients, and so have the
-  // controls as far as the solver says. May be captured. With a pipeline every kept step remembers
-  // contacts of its own.
+  // Runs one record_step per step, recorded on an active tape. The backward pass recomputes the
+  // steps between two kept states. The forces of the options have gradients, and so have the
+  // controls that the solver supports. A capture may record the rollout. With a pipeline every kept
+  // step stores its own contacts.
   void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts, float dt,
                const RolloutOptions& options = {}) override;
 
  protected:
   // The arrays that a step writes besides its state and that its gradient may read.
   virtual std::vector<ScratchSpec> step_scratch() const { return {}; }
-  // Whether a step writes memory that the solver keeps from call to call. Then graphs and backward,
-  // which run steps later, are refused while another call uses the solver.
+  // Returns whether a step writes memory that the solver keeps between calls. Graphs and backward
+  // run steps later, and are then refused while another call uses the solver.
   virtual bool step_writes_kept_memory() const { return true; }
-  // Whether record_step only submits launches. A rollout of many particles then collects the
-  // launches of several steps; nothing may read memory on the host before it called
-  // nova::flush_deferred().
+  // Returns whether record_step only submits launches. A rollout of many particles then collects
+  // the launches of several steps, and host reads need a call of nova::flush_deferred() first.
   virtual bool only_submits() const { return false; }
-  // Checks, and what the steps of a rollout have in common. False: no step does anything.
+  // Makes the checks and preparations of a rollout. Returns false if no step has an effect.
   virtual bool begin_rollout(const RolloutInputs& inputs) = 0;
-  // Submits the launches of one step from `in` to `out`, the carried arrays of which it writes in
-  // full. It reads the forces of the inputs instead of those in `in`. Custom operations need their
-  // `forward`, or trajectories with checkpoints are refused.
+  // Submits the launches of one step from `in` to `out`, whose carried arrays it overwrites
+  // completely. The forces are those of `inputs`, not those in `in`. Custom operations need their
+  // `forward`, else trajectories with checkpoints are refused.
   virtual void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                            StepScratch scratch) = 0;
 };
 
-// Makes leaves of positions and velocities where the state's requires_grad is set. Its views
-// (diff/tensor_views.h) do so, and the solvers with the state that a recorded step or rollout
-// starts from. Forces are leaves on request only (state_particle_f_tensor(state, true)), because a
-// leaf costs.
+// Makes positions and velocities leaves if the state's requires_grad is set. Views of the state
+// (diff/tensor_views.h) call this function, and so do solvers for the state at the start of a
+// recorded step or rollout. Forces become leaves on request only (state_particle_f_tensor(state,
+// true)), because a leaf costs memory and time.
 NOVAPHY_DYNAMICS_API void make_leaves(const SimState& state);
 
 namespace detail {
-// {n, 3} or {n, 6}: `applied` plus those of `forces` that begin at a row of it: into `sum`. On a
-// tape, exact gradients for both.
+// Computes sum = applied + rows of `forces` from first_row on, for {n, 3} or {n, 6}. On a tape both
+// have exact gradients.
 void add_forces(nova::Operand applied, nova::Operand forces, size_t first_row, nova::Operand sum);
 }  // namespace detail
 

@@ -1,25 +1,25 @@
 // Joint coordinates from the pose and motion of the child. The inverse, poses from coordinates, is
 // in articulation/kinematics.h.
 //
-// Symbols, world frame unless said:
+// Symbols, in the world frame unless stated otherwise:
 //   X_p, X_c     pose of the joint frame in the parent and in the child
-//   J(q)         pose of the child's joint frame in the parent's, whose axes all of q and qd have:
+//   J(q)         pose of the child's joint frame in the parent's; q and qd have its axes:
 //     linear axes a_i     translation sum a_i q_i
-//     angular axes        then R(a_0, q_0) R(a_1, q_1) R(a_2, q_2): axes turn with those before
+//     angular axes        then R(a_0, q_0) R(a_1, q_1) R(a_2, q_2): each axis rotates with the axes
+//                         before it
 //     BALL, FREE          a quaternion; FREE: the translation too
-//   qd           the rates of those; of BALL the angular velocity of the child relative to the
-//                parent; of FREE the velocity of its center of mass, then its angular velocity,
-//                relative to the parent
+//   qd           the rates of q. BALL: the angular velocity of the child relative to the parent.
+//                FREE: the velocity of the center of mass, then the angular velocity, relative to
+//                the parent
 //   twists       (velocity of the center of mass, angular velocity), m/s, rad/s
-// Law: X_child = X_parent X_p J(q) X_c^-1. Back: the angle of one angular axis is that in [-pi,
-// pi]. Angles of two and three perpendicular axes are those with the second in [-pi/2, pi/2]. Where
-// the second is at its end, their axes lie in a plane, and the rates are those of a determinant of
-// 1e-4.
+// Law: X_child = X_parent X_p J(q) X_c^-1. In the inverse, the angle of a single angular axis is in
+// [-pi, pi]. For two and three perpendicular axes the second angle is in [-pi/2, pi/2]. At the ends
+// of that interval the axes lie in a plane, and the rates are those of a determinant of 1e-4.
 // Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 4.4; coordinates of Newton
 // 1.8.0.
 //
-// Freestanding: templated on the scalar. Gradient: none is taken; the formulas are smooth but where
-// angles jump and axes lie in a plane.
+// Freestanding: templates over the scalar. No gradient is used. The formulas are smooth except
+// where angles jump or axes lie in a plane.
 #pragma once
 
 #include "novaphy/math/functions.h"
@@ -28,24 +28,26 @@
 
 namespace novaphy {
 
-// The degrees of freedom of a joint that is not FREE: `linear` axes, then `angular` ones; unit
-// vectors, joint frame of the parent.
+// The axes of a joint that is not FREE: `linear` axes, then `angular` ones; unit vectors in the
+// joint frame of the parent.
 template <class T>
 struct JointAxes {
   const Vec3<T>* axis = nullptr;
   int linear = 0, angular = 0;
-  bool is_ball = false;  // one quaternion instead of the three angular coordinates
+  bool is_ball = false;  // one quaternion replaces the three angular coordinates
 };
 
 template <class T>
 struct JointMotion {
   Transform<T> pose = Transform<T>::identity();  // J(q)
-  // Of the child's joint frame relative to the parent's: at its own origin, axes of the parent's.
+  // Rate of the child's joint frame relative to the parent's, at its own origin, in the parent
+  // frame's axes.
   SpatialVector<T> rate{};
 };
 
-// The angles of a rotation about perpendicular axes, and the dual basis of the turned axes: rate i
-// is dual[i] . w. Two axes are completed by the third direction, whose angle is what is left.
+// The angles of a rotation about perpendicular axes, and the dual basis of the rotated axes: rate i
+// is dual[i] . w. Two axes are completed by a third direction, whose angle has the rest of the
+// rotation.
 template <class T>
 struct JointAngles {
   T q[3]{};
@@ -75,14 +77,15 @@ JointAngles<T> joint_angles(const Quat<T>& r, const Vec3<T>* axis, int count) {
   a.dual[0] = n * inverse;
   a.dual[1] = cross(r2, a0) * inverse;
   a.dual[2] = cross(a0, e1) * inverse;
-  // The third axis may be the other direction.
+  // The third axis may have the opposite direction.
   const T side = count == 3 ? select(dot(axis[2], a2) < T(0.0f), T(-1.0f), T(1.0f)) : T(1.0f);
   a.q[2] = a.q[2] * side;
   a.dual[2] = a.dual[2] * side;
   return a;
 }
 
-// The coordinates of a motion. `angular` axes are perpendicular, and so are the linear ones.
+// Computes the coordinates of a motion. The `angular` axes are perpendicular, and so are the linear
+// ones.
 template <class T>
 void joint_coordinates(const JointAxes<T>& joint, const JointMotion<T>& motion, T* q, T* qd) {
   using namespace math;

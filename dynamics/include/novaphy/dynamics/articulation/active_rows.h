@@ -1,9 +1,9 @@
-// The rows of converged contacts that are active, as derivatives take them, and how near a step is
-// to other ones. Freestanding: the host and the kernels of devices share it.
+// The active constraint rows of converged contacts, as derivatives use them, and the distance of a
+// step to other branches. Freestanding: shared by the host and device kernels.
 //
-// Systems are solved in double precision: contacts of a face depend on each other, and what keeps
-// them apart is 1e-7 of the diagonal. Products, sums and quotients only, which round everywhere
-// alike.
+// Systems are solved in double precision. The contacts of a face depend on each other, and the
+// regularization that makes the system regular is only 1e-7 of the diagonal. Only products, sums
+// and quotients are used, which round the same on every device.
 #pragma once
 
 #include "novaphy/dynamics/articulation/contact_branches.h"
@@ -11,16 +11,18 @@
 
 namespace novaphy::articulation {
 
-inline constexpr float kSlides = 1e-5f;      // relative: nearer to the cone is on it
-inline constexpr double kRegularity = 1e-7;  // of redundant rows, relative to their diagonal
+inline constexpr float kSlides = 1e-5f;      // relative: this close to the friction cone counts as
+                                             // sliding
+inline constexpr double kRegularity = 1e-7;  // regularization of redundant rows, relative to their
+                                             // diagonal
 inline constexpr float kLeastSlip = 1e-6f;   // m/s
-inline constexpr float kConverged = 1e-5f;   // m/s: of shifts
+inline constexpr float kConverged = 1e-5f;   // m/s, tolerance of shifts
 
 inline float tangent_length(float x, float y) { return math::sqrt(x * x + y * y); }
 
 struct ContactBranch {
   bool active = false;
-  bool slides[2] = {false, false};  // of the tangents; of a cone both or none
+  bool slides[2] = {false, false};  // per tangent; with a cone, both are equal
 };
 inline ContactBranch branch_of(const PgsContact<float>& c, bool cone) {
   ContactBranch b;
@@ -33,18 +35,19 @@ inline ContactBranch branch_of(const PgsContact<float>& c, bool cone) {
   }
   return b;
 }
-// Whether dry friction holds its dof.
+// Returns whether dry friction holds its dof.
 inline bool holds(float impulse, float limit) {
   return math::abs(impulse) < limit * (1.0f - kSlides);
 }
 
-// The slip along the tangents, where one of them slides; else zeros.
+// Finds the slip along the tangents; zeros if neither tangent slides.
 inline void slip_along(const PgsContact<float>& c, const ContactBranch& branch, float* along) {
   const bool slides = branch.slides[0] || branch.slides[1];
   for (int i = 0; i < 2; ++i) along[i] = slides ? slip(c, i + 1) : 0.0f;
 }
 
-// B and R of a contact; rows are equations, columns n, t1, t2. `slip` {2}: along the tangents.
+// The blocks B and R of a contact (contact_adjoint.h). Rows are equations, and columns are n, t1,
+// t2. `slip` {2}: slip along the tangents.
 struct ContactBlocks {
   double b[3][3] = {}, r[3][3] = {};
 };
@@ -66,7 +69,7 @@ inline void set_blocks(const PgsContact<float>& c, const ContactBranch& branch, 
   const double size = length > kLeastSlip ? length : kLeastSlip;
   const double by = tangent_length(c.impulse[1], c.impulse[2]);
   double t[2] = {slip[0] / size,
-                 slip[1] / size};  // a converged sweep has t = -lambda_t / |lambda_t|
+                 slip[1] / size};  // at convergence, t = -lambda_t / |lambda_t|
   if (by > 0.0)
     for (int i = 0; i < 2; ++i) t[i] = -c.impulse[i + 1] / by;
   const double push = double{c.friction} * c.impulse[0] / size;
@@ -75,8 +78,8 @@ inline void set_blocks(const PgsContact<float>& c, const ContactBranch& branch, 
     for (int j = 0; j < 2; ++j) k.b[i + 1][j + 1] = push * ((i == j ? 1.0 : 0.0) - t[i] * t[j]);
   }
 }
-// How the rows change with the friction coefficient: where a tangent slides, the impulse along n
-// times the direction of its slip.
+// Derivative of the rows by the friction coefficient: for a sliding tangent, the impulse along n
+// times the direction of the slip.
 inline void rows_by_friction(const PgsContact<float>& c, const ContactBranch& branch, bool cone,
                              const float* slip, double* to) {
   float direction[2] = {-c.impulse[1], -c.impulse[2]};
@@ -91,7 +94,8 @@ inline void rows_by_friction(const PgsContact<float>& c, const ContactBranch& br
   }
 }
 
-// x of A x = b for A {n, n + 1} with b as the last column, which x replaces. By rows, with pivots.
+// Solves A x = b for A {n, n + 1} with b as the last column, which is replaced by x. Gaussian
+// elimination with row pivoting.
 inline void solve_dense(double* a, int64_t n) {
   const int64_t width = n + 1;
   const auto size = [](double x) { return x < 0.0 ? -x : x; };
@@ -118,7 +122,7 @@ inline void solve_dense(double* a, int64_t n) {
   }
 }
 
-// What the rows of two contacts share: J_i of a times Y_j of b.
+// Returns the coupling of two contact rows: J_i of a times Y_j of b.
 inline double coupling(const PgsContact<float>& a, int i, const PgsContact<float>& b, int j) {
   double sum = 0.0;
   for (const RowSide<float>& s : a.sides)
@@ -128,10 +132,10 @@ inline double coupling(const PgsContact<float>& a, int i, const PgsContact<float
   return sum;
 }
 
-// What branches the rows of a step have, or of a part of one: ContactBranches of it.
+// The branches of the rows of a step or a part of it, for ContactBranches.
 struct BranchNotes {
   int32_t rows = 0, held = 0, breaking = 0, sticking = 0, sliding = 0;
-  int32_t far = 0;  // an island is far from converged
+  int32_t far = 0;  // whether an island is far from convergence
   float normal_margin = ContactBranches::kNone, gap_margin = ContactBranches::kNone,
         cone_margin = ContactBranches::kNone, slip_margin = ContactBranches::kNone;
   StepNotes all;
@@ -151,7 +155,7 @@ inline void note_all(const BranchNotes& of, BranchNotes& to) {
   lower(to.slip_margin, of.slip_margin);
   note_all(of.all, to.all);
 }
-// Those of a whole step.
+// Adds the branches of a whole step.
 inline void note_step(const BranchNotes& of, ContactBranches& to) {
   note_step(of.all, to.all);
   if (of.rows == 0) return;
@@ -167,7 +171,7 @@ inline void note_step(const BranchNotes& of, ContactBranches& to) {
   lower(to.slip_margin, of.slip_margin);
 }
 
-// What a row has become, for the events of the next step (gradient_counts.h).
+// Returns the state of a contact for the event detection of the next step (gradient_counts.h).
 inline SeenContact seen_contact(const ContactRows& c, const IslandContact& row, bool cone) {
   const ContactBranch branch = branch_of(row.solver, cone);
   const int32_t mode = 1 + (branch.slides[0] ? 1 : 0) + (branch.slides[1] ? 2 : 0);
@@ -175,22 +179,23 @@ inline SeenContact seen_contact(const ContactRows& c, const IslandContact& row, 
           c.point_id == nullptr ? -1 : c.point_id[row.contact], branch.active ? mode : 0};
 }
 
-// How far an island is from its law: the last change of velocity, relative to the largest impulse
-// (IslandResult); 0 within the tolerance of the sweeps.
+// Returns the residual of an island: the last change of velocity relative to the largest impulse
+// (IslandResult), or 0 within the tolerance of the sweeps.
 inline float relative_residual(float residual, float largest, float tolerance) {
   return residual < tolerance ? 0.0f : residual / largest;
 }
 
-// `by_restitution`: for gradients by it, which an approach without any has none of: its law jumps.
+// `by_restitution`: whether gradients by restitution are requested. They do not exist for an
+// approach without restitution, where the law jumps.
 inline void note_contact(const ContactRows& of, const ContactLaw<float>& law, bool by_restitution,
                          const IslandContact& row, BranchNotes& to) {
   const PgsContact<float>& c = row.solver;
-  // Where beta has another slope on the other side.
+  // Whether the slope of beta differs on the other side.
   const bool at_contact = law.compliant || law.slop > 0.0f || law.erp < 1.0f;
   const bool at_slop = !law.compliant && law.slop > 0.0f && law.erp > 0.0f;
   const ContactBranch branch = branch_of(c, law.cone);
   const bool jumps = !row.elastic && row.before < -law.restitution_threshold;
-  // By a part of what changes with q.
+  // Only for the part of the row that changes with q.
   const bool shifts = c.shifted > 0.0f;
   const bool softened = (branch.active && c.cfm > row.target.cfm) || (shifts && c.lack > 0.0f);
   const bool shifting =
@@ -213,7 +218,7 @@ inline void note_contact(const ContactRows& of, const ContactLaw<float>& law, bo
     const float limit = c.friction * c.impulse[0];
     const float t1 = math::abs(c.impulse[1]), t2 = math::abs(c.impulse[2]);
     const float most = law.cone ? tangent_length(t1, t2) : (t1 < t2 ? t2 : t1);
-    if (!(limit > 0.0f)) {  // without friction there is no cone
+    if (!(limit > 0.0f)) {  // without friction the cone does not exist
     } else if (slides) {
       lower(to.slip_margin, tangent_length(slip(c, 1), slip(c, 2)));
     } else {

@@ -1,15 +1,16 @@
-// Actuators: what controls and activations add to the drives and forces of a step.
+// Actuators: their contribution to the drives and forces of a step.
 //
 // An actuator has the length l = gear q and the rate v = gear qd of its degree of freedom, and
-//   c      the control, clipped to ctrl_range, or the activation where it has dynamics
+//   c      the control, clipped to ctrl_range, or the activation if the actuator has dynamics
 //   force  (gain0 + gain1 l + gain2 v) c + bias0 + bias1 l + bias2 v, clipped to force_range
-// The degree of freedom feels gear times the force. The parameters by l and v, which are not
-// positive, are a stiffness and a damping of the drive (drives.h), so a step is as stable as drives
-// are. The other parameters are the drive's target, or a force where nothing depends on l and v. A
-// force range of a servo is the effort limit of the drive about the middle of the range. Dynamics:
+// The force on the degree of freedom is gear times this force. The coefficients of l and v must not
+// be positive. They are a stiffness and a damping of the drive (drives.h), so a step is as stable
+// as with drives. The other coefficients give the drive's target, or a plain force if nothing
+// depends on l and v. The force range of a servo is the effort limit of the drive about the middle
+// of the range. Dynamics:
 //   integrator   act' = c
 //   filter       act' = (c - act) / time, explicit; filter_exact: its solution over the step
-// and then act is clipped to act_range. Source: MuJoCo, "Computation", actuation model.
+// Afterwards act is clipped to act_range. Source: MuJoCo, "Computation", actuation model.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -17,7 +18,8 @@
 
 namespace novaphy::articulation {
 
-// What a step reads; the first six are those of the drives, which it gives as well.
+// The inputs of actuators in a step. The first six are also outputs, because actuators modify the
+// inputs of drives.
 enum ActuationInput : int32_t {
   kJointForce,
   kTarget,
@@ -25,7 +27,7 @@ enum ActuationInput : int32_t {
   kStiffness,
   kDamping,
   kEffort,
-  kActuated,  // how many
+  kActuated,  // number of inputs that are also outputs
   kControl = kActuated,
   kActivation,
   kGear,
@@ -36,7 +38,7 @@ enum ActuationInput : int32_t {
   kForceRange,
   kActivationRange,
   kActuationInputs,
-  kWrench = kActuationInputs,  // of those that push bodies (body_actuation.h)
+  kWrench = kActuationInputs,  // for actuators on bodies (body_actuation.h)
   kActuatorInputs
 };
 inline constexpr int32_t kNextActivation = kActuated, kActuationOutputs = kActuated + 1;
@@ -46,10 +48,10 @@ inline int32_t numbers_of_input(int32_t input) {
   return input < kControlRange ? 3 : 2;
 }
 
-// Actuators of dof d: order[first[d]] to order[first[d + 1] - 1]. coord: the coordinate of each
-// dof; below 0: of a BALL, FREE or DISTANCE joint. Those that push bodies (`dof` -1) are among
-// those of some dof, for their activations. The first dof of a BALL has -2 - its first coordinate:
-// its four targets are copied.
+// The actuators of dof d are order[first[d]] to order[first[d + 1] - 1]. `coord` is the coordinate
+// of each dof. A negative value marks a dof of a BALL, FREE or DISTANCE joint. The first dof of a
+// BALL joint has -2 - its first coordinate, since its four targets are copied. Actuators on bodies
+// (`dof` -1) are listed with some dof, for their activations.
 struct Actuation {
   NOVAPHY_ARGUMENTS(Reads<int32_t> first, order, coord, dof, state, dynamics;
                     novaphy::Each<Detached<Reads<float>>, kActuationInputs> in; Number<float> dt;)
@@ -59,7 +61,7 @@ inline DualFloat clipped(const DualFloat& x, const DualFloat& lower, const DualF
   if (x < lower) return lower;
   return x > upper ? upper : x;
 }
-// 1 - exp(-x) of x >= 0, also where it is small.
+// Returns 1 - exp(-x) for x >= 0, accurate for small x.
 inline DualFloat part_reached(const DualFloat& x) {
   const float left = math::exp(-x.value), v = x.value;
   const float small =
@@ -67,7 +69,8 @@ inline DualFloat part_reached(const DualFloat& x) {
   return {v < 0.1f ? small : 1.0f - left, left * x.tangent};
 }
 
-// number(input, row, k): number k of a row of an input. put(output, row, value).
+// number(input, row, k) returns number k of a row of an input. put(output, row, value) writes an
+// output.
 template <class Number, class Put>
 void next_activation(const Actuation& a, int32_t actuator, const DualFloat& control,
                      const Number& number, const Put& put) {
@@ -84,7 +87,7 @@ void next_activation(const Actuation& a, int32_t actuator, const DualFloat& cont
       clipped(next, number(kActivationRange, actuator, 0), number(kActivationRange, actuator, 1)));
 }
 
-// Of one actuator at its control or activation: force part + by_length l + by_rate v.
+// The force of one actuator at its control or activation: part + by_length l + by_rate v.
 struct ActuatorForce {
   DualFloat gear, part, by_length, by_rate, lower, upper;
   bool is_servo, is_limited;
@@ -110,13 +113,14 @@ DualFloat clipped_control(int32_t actuator, const Number& number) {
   return clipped(number(kControl, actuator, 0), number(kControlRange, actuator, 0),
                  number(kControlRange, actuator, 1));
 }
-// `state`: its row of activations; -1: none.
+// `state`: row of the actuator's activation; -1: none.
 template <class Number>
 DualFloat actuator_input(int32_t actuator, int32_t state, const Number& number) {
   return state < 0 ? clipped_control(actuator, number) : number(kActivation, state, 0);
 }
 
-// The target of a coordinate, or those of a BALL, which no actuator moves.
+// Writes the target of a coordinate, or copies the targets of a BALL joint, which no actuator
+// changes.
 template <class Number, class Put>
 void put_targets(int32_t coord, const DualFloat& target, const Number& number, const Put& put) {
   if (coord >= 0) put(kTarget, coord, target);
@@ -124,7 +128,7 @@ void put_targets(int32_t coord, const DualFloat& target, const Number& number, c
     put(kTarget, c, number(kTarget, c, 0));
 }
 
-// The drive and force of a degree of freedom, and the activations of its actuators.
+// Computes the drive and force of a degree of freedom, and the activations of its actuators.
 template <class Number, class Put>
 void actuate(const Actuation& a, int32_t dof, const Number& number, const Put& put) {
   const DualFloat none = 0.0f, half = 0.5f;

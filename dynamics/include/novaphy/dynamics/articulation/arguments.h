@@ -1,4 +1,4 @@
-// The arguments of the kernels that step articulations (core/row_kernel.h), one row per
+// The arguments of the kernels that step articulations (core/row_kernel.h), with one row per
 // articulation, over the arrays of models and states.
 #pragma once
 
@@ -7,7 +7,8 @@
 
 namespace novaphy {
 
-// Whether a gradient flows, the tape's operations say that launch the kernels.
+// Arguments without a gradient: the tape operations that launch the kernels handle gradients
+// themselves.
 template <class T>
 using Given = Detached<Reads<T>>;
 template <class T>
@@ -19,23 +20,23 @@ struct GivenArrays {
   template <articulation::RowOf, class Value>
   using Array = Given<Value>;
 };
-// Null: nobody wants the gradient.
+// Gradient outputs; null: the gradient is not requested.
 struct WantedArrays {
   using Scalar = float;
   template <articulation::RowOf, class Value>
   using Array = Optional<Changed<Value>>;
 };
 
-// Where an articulation's rows are.
+// The rows of an articulation in the arrays.
 struct ArticulationRows {
   int32_t first_link, link_count, first_dof, dof_count, world;
   int32_t moves;   // 0: impulses move none of its dofs
-  int32_t mimics;  // links that follow others
+  int32_t mimics;  // number of mimic links
   int32_t joints_in_a_row;
 };
 
-// What a step reads: the arrays of a model, state and control; links and dof_parent are those of
-// Articulations. With dual numbers as T, copies of them with their tangents.
+// The inputs of a step: arrays of a model, state and control. The links and dof_parent come from
+// Articulations. With dual numbers as T the arrays are copies with tangents.
 template <class T>
 struct ArticulationArgumentsOf {
   NOVAPHY_ARGUMENTS(Part<articulation::GradientArrays<GivenArrays<T>>> arrays;
@@ -74,9 +75,9 @@ articulation::Tree<T> articulation_tree(const ArticulationArgumentsOf<T>& a,
   return tree;
 }
 
-// qdd and branch: a row per dof, what the adjoint needs of the step. status: a row per
-// articulation, 0, or 1 + the dof that failed. stride: numbers of the workspace for an
-// articulation; 0: they are on the stack.
+// qdd and branch: per dof, needed by the adjoint. status: per articulation, 0, or 1 + the dof that
+// failed. stride: size of the workspace of an articulation in numbers; 0: the workspace is on the
+// stack.
 struct ArticulationStepArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationArguments> in; Writes<float> q_next, qd_next;
                     Writes<Transformf> body_q; Writes<SpatialVectorf> body_qd;
@@ -84,7 +85,7 @@ struct ArticulationStepArguments {
                     Number<int64_t> stride;)
 };
 
-// NaN in the new state of an articulation, and in its accelerations.
+// Writes NaN to the new state of an articulation and to its accelerations.
 inline void write_failure(const ArticulationStepArguments& a, const ArticulationRows& rows) {
   const float nan = math::bits_float(0x7fc00000);
   const Vec3f none = {nan, nan, nan};
@@ -102,7 +103,7 @@ inline void write_failure(const ArticulationStepArguments& a, const Articulation
   }
 }
 
-// The new state of an articulation, behind its rates.
+// Computes the new state of an articulation from the new rates.
 template <class Arguments, class T>
 void finish_step(const Arguments& a, const articulation::Tree<T>& tree,
                  const articulation::StepInputs<T>& in, const articulation::StepOptions<T>& options,
@@ -112,7 +113,7 @@ void finish_step(const Arguments& a, const articulation::Tree<T>& tree,
   SpatialVector<T>* const body_qd = a.body_qd;
   articulation::finish_step(tree, in, options, ws, q, qd, body_q, body_qd);
 }
-// What the adjoint needs.
+// Writes the results that the adjoint needs.
 inline void write_rates(const ArticulationStepArguments& a, const ArticulationRows& rows,
                         const articulation::Workspace<float>& ws) {
   for (int32_t k = 0; k < rows.dof_count; ++k) {
@@ -120,7 +121,7 @@ inline void write_rates(const ArticulationStepArguments& a, const ArticulationRo
     a.branch[rows.first_dof + k] = static_cast<float>(ws.branch[k]);
   }
 }
-// Both.
+// Writes the new state and the results for the adjoint.
 inline void write_step(const ArticulationStepArguments& a, const ArticulationRows& rows,
                        const articulation::Tree<float>& tree,
                        const articulation::StepInputs<float>& in,

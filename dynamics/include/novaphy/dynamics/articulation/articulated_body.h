@@ -1,23 +1,23 @@
-// Articulated bodies: M^-1 of a tree link by link, without M.
+// Articulated bodies: applies M^-1 of a tree link by link, without forming M.
 //
 //   M^-1 = (1 - H psi K)^T D^-1 (1 - H psi K)
-// A link and its descendants, whose joints give way, resist with the articulated inertia P. P is
-// the inertia of the link plus P - K D K^T of each child, with D = S^T P S + diagonal and K = P S
-// D^-1 of the child's joint. Dofs of a joint are taken one by one, as if massless links were
-// between them.
+// P is the articulated inertia of a link: the inertia of the link with its descendants and their
+// free joints. P is the inertia of the link plus P - K D K^T of each child, where D = S^T P S +
+// diagonal and K = P S D^-1 of the child's joint. The dofs of a joint are eliminated one by one, as
+// if massless links were between them.
 //
-// Motions and forces of a link are about a point of its own, in the axes of its body. The point is
-// its joint, or its center of mass for FREE, and accelerations are those of the point. No large
-// terms cancel: float32 has 1e-6 at 200 links. Errors of a mass matrix grow with the fourth power
-// of the links in a row. Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 7;
-// Rodriguez, Jain and Kreutz-Delgado, A spatial operator algebra for manipulator modeling and
-// control (IJRR 1991).
+// Motions and forces of a link refer to a point of the link, in the axes of its body. The point is
+// the joint, or the center of mass for FREE. Accelerations are those of the point. No large terms
+// cancel, so float32 reaches 1e-6 at 200 links. The errors of a mass matrix grow with the fourth
+// power of the number of links in a row. Source: Featherstone, Rigid Body Dynamics Algorithms
+// (2008), chapter 7; Rodriguez, Jain and Kreutz-Delgado, A spatial operator algebra for manipulator
+// modeling and control (IJRR 1991).
 #pragma once
 
 #include "novaphy/dynamics/articulation/kinematics.h"
 #include "novaphy/math/matrix.h"
 
-// Functions apart, so that callers stay small: kernels of devices, and what the host inlines whole.
+// The functions for long trees are not inlined, which keeps device kernels and their callers small.
 #ifdef NOVAPHY_KERNEL
 #define NOVAPHY_LONG_TREES __attribute__((noinline))
 #else
@@ -26,17 +26,17 @@
 
 namespace novaphy::articulation {
 
-// Rows of a link and of a dof, in the workspace's matrix.
+// Data of a link and of a dof, stored in the memory of the workspace's matrix.
 template <class T>
 struct ArticulatedLink {
-  Mat33<T> turn{};  // from its axes to its parent's
-  Vec3<T> at{};     // its point from the parent's, in the parent's axes; of a root 0
+  Mat33<T> turn{};  // rotation from its axes to its parent's
+  Vec3<T> at{};     // its point relative to the parent's, parent axes; 0 for a root
 };
 template <class T>
 struct ArticulatedDof {
-  Vec3<T> axis{};           // of S, which is linear or angular
+  Vec3<T> axis{};           // axis of S, which is linear or angular
   SpatialVector<T> gain{};  // K
-  T inverse{};              // of D
+  T inverse{};              // 1 / D
 };
 template <class T>
 ArticulatedLink<T>* articulated_links(const Workspace<T>& ws) {
@@ -46,7 +46,7 @@ template <class T>
 ArticulatedDof<T>* articulated_dofs(const Tree<T>& tree, const Workspace<T>& ws) {
   return reinterpret_cast<ArticulatedDof<T>*>(articulated_links(ws) + tree.link_count);
 }
-// A number of each dof, behind them.
+// One number per dof, stored after the dofs.
 template <class T>
 T* articulated_corrections(const Tree<T>& tree, const Workspace<T>& ws) {
   return reinterpret_cast<T*>(articulated_dofs(tree, ws) + tree.dof_count);
@@ -57,14 +57,14 @@ Vec3<T>& part(bool linear, SpatialVector<T>& x) {
   return linear ? x.linear : x.angular;
 }
 
-// The point of a link, in its body's frame.
+// Returns the reference point of a link, in its body's frame.
 template <class T>
 Vec3<T> link_point(const Tree<T>& tree, const Link& link) {
   if (is_free(link)) return link.body < 0 ? Vec3<T>{} : tree.com[link.body];
   return link.frame_c < 0 ? Vec3<T>{} : tree.X_c[link.frame_c].p;
 }
 
-// A link's frame against its parent's, and the axes of its joint.
+// Sets a link's frame relative to its parent's, and the axes of its joint.
 template <class T>
 void set_articulated_frame(const Tree<T>& tree, const Link& link, const T* q, ArticulatedLink<T>& s,
                            ArticulatedDof<T>* dofs) {
@@ -88,7 +88,7 @@ void set_articulated_frame(const Tree<T>& tree, const Link& link, const T* q, Ar
                                   : math::rotate_inverse(in_joint, unit_vector<T>(j % 3));
 }
 
-// Of a link about its point, in its body's axes.
+// Returns the inertia of a link about its reference point, in its body's axes.
 template <class T>
 SpatialInertia<T> inertia_at_point(const Tree<T>& tree, const Link& link) {
   if (link.body < 0) return {};
@@ -105,7 +105,7 @@ SpatialInertia<T> inertia_at_point(const Tree<T>& tree, const Link& link) {
                           link_point(tree, link) - tree.com[link.body]);
 }
 
-// From a link to its parent: a force, and a motion the other way.
+// Transforms a force from a link to its parent, or a motion from the parent to the link.
 template <class T>
 SpatialVector<T> force_to_parent(const ArticulatedLink<T>& s, const SpatialVector<T>& f) {
   const Vec3<T> linear = math::multiply(s.turn, f.linear);
@@ -121,7 +121,8 @@ SpatialVector<T> motion_from_parent(const ArticulatedLink<T>& s, const SpatialVe
   return {turned_back(s, m.linear + math::cross(m.angular, s.at)), turned_back(s, m.angular)};
 }
 
-// P: {linear, coupling; coupling^T, angular}, both of the diagonal symmetric.
+// The articulated inertia P as blocks {linear, coupling; coupling^T, angular}; the diagonal blocks
+// are symmetric.
 template <class T>
 struct ArticulatedInertia {
   Mat33<T> linear{}, coupling{}, angular{};
@@ -138,7 +139,7 @@ ArticulatedInertia<T> articulated_inertia(const SpatialInertia<T>& y) {
           cross_matrix(-y.moment),
           {{{y.xx, y.xy, y.xz}, {y.xy, y.yy, y.yz}, {y.xz, y.yz, y.zz}}}};
 }
-// Its 21 numbers in a link's state, where adjoint sweeps have theirs.
+// Stores the 21 numbers of P in a link's state, in the memory that adjoint sweeps use.
 template <class T>
 void keep_inertia(const ArticulatedInertia<T>& p, LinkState<T>& s) {
   const auto &a = p.linear.m, &c = p.angular.m;
@@ -158,7 +159,8 @@ ArticulatedInertia<T> kept_inertia(const LinkState<T>& s) {
           symmetric(s.v_adjoint.angular, s.wrench_torque)};
 }
 
-// P of a link, what its joint takes of it left out, about its parent's point in the parent's axes.
+// Returns P of a link without the part that its joint absorbs, about the parent's point in the
+// parent's axes.
 template <class T>
 ArticulatedInertia<T> at_parent(const ArticulatedLink<T>& s, const ArticulatedInertia<T>& p) {
   const auto from_rows = [](const Vec3<T>& x, const Vec3<T>& y, const Vec3<T>& z) {
@@ -176,7 +178,7 @@ ArticulatedInertia<T> at_parent(const ArticulatedLink<T>& s, const ArticulatedIn
       for (int j = 0; j < 3; ++j) c.m[i][j] = a.m[i][j] - b.m[i][j];
     return c;
   };
-  // B - A [r], and C - B^T [r] + [r] (B - A [r]).
+  // Shifts the reference point by r: B - A [r], and C - B^T [r] + [r] (B - A [r]).
   const Mat33<T> linear = turned(p.linear), coupling = turned(p.coupling);
   const auto row = [&](int i) { return math::cross(math::row(linear, i), s.at); };
   const Mat33<T> moved = minus(coupling, from_rows(row(0), row(1), row(2)));
@@ -187,8 +189,9 @@ ArticulatedInertia<T> at_parent(const ArticulatedLink<T>& s, const ArticulatedIn
                     math::from_columns(behind(0), behind(1), behind(2)))};
 }
 
-// The factor of M = H + diag(ws.diagonal) at q (rows of the arrays). The first dof from the leaves
-// whose pivot is not positive (in any lane), or -1; there it stops.
+// Factors M = H + diag(ws.diagonal) at q (rows of the arrays). Returns the first dof, counted from
+// the leaves, whose pivot is not positive (in any lane), or -1. The factorization stops at that
+// dof.
 template <class T>
 NOVAPHY_LONG_TREES int32_t factor_links(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
   ArticulatedLink<T>* const links = articulated_links(ws);
@@ -234,7 +237,7 @@ NOVAPHY_LONG_TREES int32_t factor_links(const Tree<T>& tree, const T* q, Workspa
   return -1;
 }
 
-// x of M x = x - S^T f in place, of what the links' `w` hold as forces f on all that hangs on them.
+// Solves M x = x - S^T f in place. f are the forces in the links' `w`, summed over all descendants.
 template <class T>
 void sweep_links(const Tree<T>& tree, const Workspace<T>& ws, T* x) {
   const ArticulatedLink<T>* const links = articulated_links(ws);
@@ -266,15 +269,15 @@ void sweep_links(const Tree<T>& tree, const Workspace<T>& ws, T* x) {
   }
 }
 
-// x of M x = b, in place.
+// Solves M x = b in place.
 template <class T>
 NOVAPHY_LONG_TREES void solve_links(const Tree<T>& tree, const Workspace<T>& ws, T* x) {
   for (int32_t i = 0; i < tree.link_count; ++i) ws.links[i].w = zero_spatial<T>();
   sweep_links(tree, ws, x);
 }
 
-// The forces that the links' motions at the rates qd and accelerations ws.qdd (rows of the tree)
-// take, beyond their wrenches, in their `w`. Newton's and Euler's laws.
+// Computes in the links' `w` the forces that their motions need at the rates qd and accelerations
+// ws.qdd (rows of the tree), minus their wrenches. Newton's and Euler's laws.
 template <class T>
 void link_forces(const Tree<T>& tree, const T* qd, const Workspace<T>& ws) {
   const ArticulatedLink<T>* const links = articulated_links(ws);
@@ -316,9 +319,9 @@ void link_forces(const Tree<T>& tree, const T* qd, const Workspace<T>& ws) {
   }
 }
 
-// ws.qdd of ID(q, qd, qdd) + diagonal qdd = ws.rhs: a first solution from rest, and its correction
-// by what inverse dynamics leaves of the right side. Dofs with endless diagonal keep theirs (those
-// of KINEMATIC have none).
+// Solves ID(q, qd, qdd) + diagonal qdd = ws.rhs for ws.qdd: a first solution from qdd = 0, and one
+// correction by the residual of inverse dynamics. A dof with infinite diagonal keeps its qdd; dofs
+// of KINEMATIC joints have none.
 template <class T>
 NOVAPHY_LONG_TREES void accelerate_links(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
   const T o = T(0.0f), endless = T(math::bits_float(0x7f800000));

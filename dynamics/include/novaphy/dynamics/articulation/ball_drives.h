@@ -1,14 +1,13 @@
-// Drives and limits of BALL joints, besides the damping that all joints have (drives.h).
+// Drives and limits of BALL joints; drives.h has the damping of all joints.
 //
-//   drive   t_k = ke_k phi_k + kd_k (qd*_k - v_k) of each dof k, with phi the rotation vector from
-//   q
-//           to the target, in the anchor's axes, at most half a turn long
-//   limit   of the angle a by which q turns, about the axis n: where a > limit_upper of the first
-//           dof, t = n (limit_ke (limit_upper - a) - limit_kd n . v), which pushes inwards only
-// Implicit: phi - dt v and a + dt n . v with the v of the end of the step stand for those of the
-// end. A drive then adds to the mass matrix's diagonal, a limit w n n^T with w = dt (limit_kd + dt
-// limit_ke). Whether a limit pulls is seen at the rates at the start of the step. Drives have no
-// effort limits.
+//   drive   t_k = ke_k phi_k + kd_k (qd*_k - v_k) for each dof k, where phi is the rotation vector
+//           from q to the target, in the anchor's axes, at most half a turn long
+//   limit   for the rotation angle a of q about the axis n: if a > limit_upper of the first dof,
+//           t = n (limit_ke (limit_upper - a) - limit_kd n . v), which pushes inwards only
+// Implicit: phi - dt v and a + dt n . v, with v at the end of the step, approximate the values at
+// the end of the step. A drive then adds to the mass matrix's diagonal, and a limit adds w n n^T
+// with w = dt (limit_kd + dt limit_ke). The rates at the start of the step decide whether a limit
+// would pull. Drives of BALL joints have no effort limits.
 #pragma once
 
 #include "novaphy/dynamics/articulation/drives.h"
@@ -22,7 +21,7 @@ Vec3<T> three(const T* x) {
   return {x[0], x[1], x[2]};
 }
 
-// phi; 0 where nothing asks for it.
+// Returns phi, or 0 without a drive.
 template <class T>
 Vec3<T> target_rotation(const Link& link, const StepInputs<T>& in) {
   const T o = T(0.0f), *const ke = in.target_ke + link.dof;
@@ -30,7 +29,7 @@ Vec3<T> target_rotation(const Link& link, const StepInputs<T>& in) {
   return rotation_vector(math::multiply(unit_quaternion(in.target_q + link.coord),
                                         math::conjugate(unit_quaternion(in.q + link.coord))));
 }
-// That of dof j, as if of a dof at 0.
+// The drive law of dof j, with the dof's own position taken as 0.
 template <class T>
 DriveLaw<T> ball_law(const Link& link, int32_t j, const StepInputs<T>& in,
                      const Branches<T>& branch, const Vec3<T>& phi, bool implicit) {
@@ -40,12 +39,12 @@ DriveLaw<T> ball_law(const Link& link, int32_t j, const StepInputs<T>& in,
   return law;
 }
 
-// The limit of a joint whose branch (that of its first dof) may be outside.
+// The limit of a joint. The branch of the joint's first dof says whether the joint may be outside.
 template <class T>
 struct BallLimit {
-  Vec3<T> turn{}, axis{};  // rotation vector of q; n, where it acts
+  Vec3<T> turn{}, axis{};  // rotation vector of q; n if the limit acts
   T angle{};
-  DriveLaw<T> law{};  // without stiffness and damping where it does not act
+  DriveLaw<T> law{};  // zero stiffness and damping if the limit does not act
 };
 template <class T>
 BallLimit<T> ball_limit(const Link& link, const StepInputs<T>& in, const Branches<T>& branch) {
@@ -82,7 +81,7 @@ void set_ball_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepO
       ws.branch[local_dof(tree, tree.links[i])] = ball_branch(tree.links[i], in, options);
 }
 
-// Of its dofs, damping included; `cone`: sqrt(w) n.
+// Computes the terms of the joint's dofs, damping included; `cone`: sqrt(w) n.
 template <class T>
 NOVAPHY_SELDOM void ball_terms(const Link& link, const StepInputs<T>& in,
                                const StepOptions<T>& options, const Branches<T>& branch,
@@ -106,7 +105,7 @@ NOVAPHY_SELDOM void ball_terms(const Link& link, const StepInputs<T>& in,
   }
 }
 
-// Of the cones c of all joints: lambda . (c c^T) x adds its gradient.
+// Adds the gradient of lambda . (c c^T) x by the cone vectors c of all joints.
 template <class T>
 NOVAPHY_SELDOM void cones_vjp(const Tree<T>& tree, const T* cone, const T* lambda, const T* x,
                               T* gradient) {
@@ -127,9 +126,9 @@ void add_vector(const Vec3<T>& v, T* to) {
   to[2] = to[2] + v.z;
 }
 
-// What a step with the accelerations qdd and the adjoint lambda of a joint gives to the numbers of
-// its limit, to q and to qd. Pointers are to the first of its three dofs. `of_cone`: what has left
-// the gradient of `cone` besides lambda and qdd.
+// Adds the gradients of a step, with accelerations qdd and the joint's adjoint lambda, by the
+// limit's parameters, q and qd. Pointers are to the first of the joint's three dofs. `of_cone`: the
+// gradient of `cone` from sources other than lambda and qdd.
 template <class T>
 void ball_limit_gradient(const Link& link, const StepInputs<T>& in, const StepOptions<T>& options,
                          const Branches<T>& branch, const T* qdd, const T* lambda, const T* of_cone,
@@ -144,7 +143,7 @@ void ball_limit_gradient(const Link& link, const StepInputs<T>& in, const StepOp
   const T push = math::dot(along, n), rate = math::dot(n, v_end);
   const T stiffness = limit.law.stiffness, damped = limit.law.rate + dt * stiffness;
   const T depth = limit.law.target - limit.angle, force = stiffness * depth - damped * rate;
-  // w of what contacts do to the mass matrix, by its root.
+  // Contacts see w through its root in the mass matrix.
   const auto stiff = both(acts, dt * damped > o);
   const T root = select(stiff, square_root(select(stiff, dt * damped, one)), o);
   const T by_w = select(stiff, math::dot(n, cone) / (select(stiff, root, one) * T(2.0f)), o);
@@ -159,7 +158,7 @@ void ball_limit_gradient(const Link& link, const StepInputs<T>& in, const StepOp
   add_vector(n * -(damped * push), qd_gradient);
 }
 
-// drive_gradient of its three dofs, with that of the limit.
+// drive_gradient for the joint's three dofs, and the gradient of the limit.
 template <class T>
 NOVAPHY_SELDOM void ball_gradient(const Link& link, const StepInputs<T>& in,
                                   const StepOptions<T>& options, const Branches<T>& branch,
@@ -169,7 +168,7 @@ NOVAPHY_SELDOM void ball_gradient(const Link& link, const StepInputs<T>& in,
   const T o = T(0.0f);
   const Vec3<T> phi = target_rotation(link, in);
   const T turn[3] = {phi.x, phi.y, phi.z};
-  T back[3] = {o, o, o};  // of a dof at 0: less by_phi
+  T back[3] = {o, o, o};  // gradient of a dof's position: minus that by phi
   for (int32_t j = 0; j < 3; ++j)
     drive_gradient(link, j, in, options, branch, turn + j, qdd[j], lambda[j], diagonal[j], o, o,
                    back[j], qd_gradient[j], g);

@@ -1,15 +1,16 @@
-// Actuators that push bodies: a frame of one body, and back a frame of another one, the reference.
+// Actuators on bodies: they apply a wrench to a frame of one body and the opposite wrench to a
+// frame of a reference body.
 //
-//   F, M     the force (1) and moment (m) of a force of 1 N, turned into world axes by the frame,
-//            or by the reference (ActuatorAxes)
+//   F, M     force (1) and moment (m) per newton of actuator force, rotated into world axes by the
+//            frame or by the reference (ActuatorAxes)
 //   l        0, or F . (x - x_ref) + M . log(R_ref^T R) in the axes of the reference
 //   v        F . (x' - x_ref') + M . (w - w_ref) - w_common . ((x - x_ref) x F)
-// with the origins x of the frames and the angular velocities w. The force f is that of an actuator
-// of l and v (actuation.h).
+// x are the origins of the frames and w the angular velocities. The actuator force f is that of an
+// actuator with l and v (actuation.h).
 //
-// The body feels f F at x and f M, the reference the opposite at x_ref. The moment f (x - x_ref) x
-// F is left. The nearest body that carries both takes it, so that no joint that carries both feels
-// the pair. All acts at the start of the step.
+// The body gets the force f F at x and the moment f M. The reference gets the opposite at x_ref.
+// The unbalanced moment f (x - x_ref) x F acts on the nearest common ancestor of both bodies, so
+// that no joint above both bodies feels the pair. All forces are taken at the start of the step.
 //
 // Source: MuJoCo, "Computation", transmission of sites. log is not smooth at half a turn.
 #pragma once
@@ -20,16 +21,16 @@
 
 namespace novaphy::articulation {
 
-// What an actuator of bodies touches: its body, the reference, the body that carries both.
+// The bodies of an actuator: its body, the reference, and the common ancestor.
 inline constexpr int32_t kPushed = 3;
 
-// A body at the start of a step; the world: the default.
+// A body at the start of a step; the default is the world.
 struct PushedBody {
   Transform<DualFloat> pose = Transform<DualFloat>::identity();
   SpatialVector<DualFloat> motion = zero_spatial<DualFloat>();  // of the center of mass
-  Vec3<DualFloat> com = {0.0f, 0.0f, 0.0f};                     // in the body
+  Vec3<DualFloat> com = {0.0f, 0.0f, 0.0f};                     // body frame
 };
-// Numbers of one: position, quaternion, velocity, angular velocity, center of mass.
+// Number of values of a body: position, quaternion, velocity, angular velocity, center of mass.
 inline constexpr int32_t kPushedNumbers = 16;
 inline DualFloat& number_of(PushedBody& b, int32_t k) {
   DualFloat* const all[kPushedNumbers] = {&b.pose.p.x,
@@ -73,9 +74,9 @@ struct PushedFrame {
   }
 };
 
-// Calls put(which, wrench) for what each of the three bodies feels: force, and moment about its
-// center of mass. Returns the force of the actuator. `input`: its control or activation;
-// number(input, row, k) as in actuate.
+// Calls put(which, wrench) with the wrench on each of the three bodies: the force, and the moment
+// about the center of mass. Returns the force of the actuator. `input`: its control or activation.
+// number(input, row, k) is as in actuate.
 template <class Number, class Put>
 DualFloat push_bodies(const PushedBody (&bodies)[kPushed], const Transformf& frame,
                       const Transformf& reference, int32_t axes, int32_t actuator,

@@ -1,4 +1,5 @@
-// The adjoint of a step with contacts, by the set of rows that are active (pgs.h, active_rows.h).
+// The adjoint of a step with contacts, for the set of active constraint rows (pgs.h,
+// active_rows.h).
 //
 // With the converged impulses lambda, v' solves M (v' - v) = J^T lambda together with one row per
 // active direction:
@@ -8,28 +9,32 @@
 //   sliding                             lambda_t + mu lambda_n t = 0, t = w_t / |w_t|, w_t = J_t v'
 //   sliding of a pyramid's tangent      lambda_t -+ mu lambda_n = 0
 //   dry friction that holds its dof     v'_k = 0; else a constant: lambda -+ friction dt = 0
-// Rows move velocities by B J (B 3 x 3 per contact: 1; a sliding cone mu lambda_n (1 - t
-// t^T)/|w_t|) and impulses by R. With the gradient g of v':
+// The derivative of the rows is B J by the velocities and R by the impulses. B is 3 x 3 per
+// contact: the identity, or mu lambda_n (1 - t t^T)/|w_t| for a sliding cone. With the gradient g
+// of v':
 //   (J M^-1 J^T B^T + R^T) z = J M^-1 g,   gradient of M v:  p = M^-1 (g - J^T B^T z)
-// so B^T z, as pushes at the contacts, leaves g, and the adjoint without contacts does the rest. A
-// material p gives -z . d(rows)/dp, dry friction +-dt p_k. The remaining part is the geometry
-// (contact_geometry.h). Source: the implicit function theorem.
+// B^T z, as impulses at the contacts, is thus subtracted from g, and the adjoint without contacts
+// does the rest. The gradient by a material parameter p is -z . d(rows)/dp, and by dry friction
+// +-dt p_k. contact_geometry.h has the gradient of the geometry. Source: the implicit function
+// theorem.
 #pragma once
 
 #include "novaphy/dynamics/articulation/contact_geometry.h"
 
 namespace novaphy::articulation {
 
-// Shifts (pgs.h) stand behind: with the gradient h of what moves the coordinates, the rows that
-// shift have  (J M^-1 J^T + softness) y = J M^-1 h,  and J^T y leaves h and so g. With
-// p_h = M^-1 (h - J^T y) and the shift p:
+// Shifts (pgs.h) come first in the adjoint, because they are the last part of the step. With the
+// gradient h of the displacement of coordinates, the shifting rows satisfy (J M^-1 J^T + softness)
+// y = J M^-1 h, and J^T y is subtracted from h and so from g. With p_h = M^-1 (h - J^T y) and the
+// shift p, the geometry contributes
 //   -p_h . dM p + mu . (dJ of p_h) - y . (dJ of (v' + p) + d beta + d(softness) mu)
-// The softness is a part of j . M^-1 j of each side, which changes by 2 x . dj - x . dM x with
-// x = M^-1 j, and one by the mass m of the trees. Its small part by other axes is left out: it is
-// 5e-5 of the shift.
+// The softness has one part from j . M^-1 j of each side, with the derivative 2 x . dj - x . dM x,
+// x = M^-1 j, and one part from the mass m of the trees. Its small part along other axes, 5e-5 of
+// the shift, is neglected.
 
-// y of an island, before solve_adjoint. Of `island`, besides what that takes:
-//   for_shifted(f)       f(contact), of the rows that shift, in their order
+// Solves for y of an island; call this before solve_adjoint. Members of `island`, besides those of
+// solve_adjoint:
+//   for_shifted(f)       calls f(contact) for the shifting rows, in their order
 //   move_gradient(tree)  h
 template <class Island>
 bool solve_shift_adjoint(const Island& island) {
@@ -74,17 +79,17 @@ bool solve_shift_adjoint(const Island& island) {
   return true;
 }
 
-// The numbers of the system of an island.
+// Number of values in the system of an island.
 inline int64_t adjoint_numbers(int64_t contacts, int64_t held) {
   const int64_t n = 3 * contacts + held;
   return n * (n + 1);
 }
 
-// z of an island; their pulls and those of dry friction leave the gradients of the rates. Of
-// `island`:
-//   for_contacts(f)     f(contact), of the rows with impulses, in their order
-//   for_held(f)         f(friction, tree), of the dry friction that holds its dof
-//   system(numbers)     memory, or null: then nothing is done and the result is false
+// Solves for z of an island, and subtracts the impulses of contacts and dry friction from the
+// gradients of the rates. Members of `island`:
+//   for_contacts(f)     calls f(contact) for rows with impulses, in their order
+//   for_held(f)         calls f(friction, tree) for dry friction that holds its dof
+//   system(numbers)     returns memory, or null; with null the result is false
 //   rate_gradient(tree), dofs(tree)
 template <class Island>
 bool solve_adjoint(const Island& island, bool cone) {
@@ -111,7 +116,7 @@ bool solve_adjoint(const Island& island, bool cone) {
     of_held += width;
     ++own;
   });
-  int64_t column = 0;  // of a contact's normal
+  int64_t column = 0;  // column of a contact's normal
   island.for_contacts([&](const AdjointContact& at) {
     const PgsContact<float>& other = at.solver;
     const ContactBranch branch = branch_of(other, cone);
@@ -140,7 +145,7 @@ bool solve_adjoint(const Island& island, bool cone) {
       double* const row = system + (column + i) * width;
       int64_t f = first_held;
       island.for_held([&](const Dry& dry, int32_t) {
-        double y[3] = {};  // of the contact's rows, for the dof
+        double y[3] = {};  // response of the contact's rows for the dof
         for (const RowSide<float>& s : other.sides) {
           if (s.response == nullptr || s.rates != dry.rates) continue;
           for (int j = 0; j < 3; ++j) y[j] += s.response[j * s.width + dry.dof];
@@ -200,8 +205,8 @@ bool solve_adjoint(const Island& island, bool cone) {
   return true;
 }
 
-// -y mu d(softness) of a row that shifts, behind solve_shift_adjoint, into the gradients of its
-// trees. The motions of their links are other ones then.
+// Adds -y mu d(softness) of a shifting row to the gradients of its trees, after
+// solve_shift_adjoint. Overwrites the motions of their links.
 template <class TreeOf, class MemoryOf>
 void add_softness_gradient(const AdjointContact& row, float dt, const TreeOf& tree_of,
                            const MemoryOf& memory_of) {
@@ -248,8 +253,8 @@ void add_softness_gradient(const AdjointContact& row, float dt, const TreeOf& tr
     add_contact_geometry(of, dt, tree_of, memory_of, signs);
   }
 }
-// What the shifts of a tree do to its mass matrix, and the motions for add_shift_geometry, behind
-// the softness. `rates`: with the shifts behind them.
+// Adds the effect of a tree's shifts on its mass matrix, and sets the motions for
+// add_shift_geometry. Call this after the softness. `rates`: followed by the shifts.
 inline void set_shift_motions(const Tree<float>& tree, const StepInputs<float>& in,
                               const StepOptions<float>& options, const float* rates,
                               Workspace<float>& ws, AdjointMemory<float>& memory) {
@@ -266,7 +271,7 @@ inline void set_shift_motions(const Tree<float>& tree, const StepInputs<float>& 
   for (int32_t k = 0; k < n; ++k) x[k] = rates[k] + shift[k];
   set_contact_motions(tree, x, ws, memory);
 }
-// As add_contact_geometry, of a row that shifts.
+// add_contact_geometry for a shifting row.
 template <class TreeOf, class MemoryOf>
 void add_shift_geometry(const AdjointContact& row, float dt, const TreeOf& tree_of,
                         const MemoryOf& memory_of) {
@@ -275,16 +280,16 @@ void add_shift_geometry(const AdjointContact& row, float dt, const TreeOf& tree_
   of.solver.impulse[1] = of.solver.impulse[2] = 0.0f;
   of.z = of.pull = {row.shift_z, 0.0f, 0.0f};
   of.target.slope = row.target.shift_slope;
-  of.target.bounce = of.target.shift_bounce = 0.0f;  // with those of the rates
+  of.target.bounce = of.target.shift_bounce = 0.0f;  // they belong to the rates
   add_contact_geometry(of, dt, tree_of, memory_of);
 }
-// Whether add_contact_geometry has something of a row behind the rates' adjoint.
+// Returns whether a row contributes in add_contact_geometry after the adjoint of the rates.
 inline bool has_geometry(const AdjointContact& row) {
   return row.solver.impulse[0] > 0.0f ||
          (row.solver.shifted > 0.0f && row.target.shift_bounce > 0.0f);
 }
 
-// -z . d(rows)/dp of a contact.
+// Returns -z . d(rows)/dp of a contact for its material parameters.
 inline MaterialGradient material_gradient(const ContactLaw<float>& law,
                                           const ContactMaterial<float>& of, const PairParts& parts,
                                           const AdjointContact& row) {
@@ -314,8 +319,9 @@ inline MaterialGradient material_gradient(const ContactLaw<float>& law,
   return to;
 }
 
-// How lambda of a dof changes with its friction: it slides against it, or would if it had some; at
-// rest it would not. `has`: it has some, with this `impulse` of at most `limit`.
+// Returns the derivative of a dof's dry friction impulse by the friction: the sign against the
+// slip, or 0 if the friction holds the dof. A dof without friction gets the derivative of adding
+// friction. `has`: the dof has friction with `impulse` and the bound `limit`.
 inline float friction_push(bool has, float impulse, float limit, float rate) {
   if (has) return holds(impulse, limit) ? 0.0f : (impulse < 0.0f ? -1.0f : 1.0f);
   return rate > kLeastSlip ? -1.0f : (rate < -kLeastSlip ? 1.0f : 0.0f);

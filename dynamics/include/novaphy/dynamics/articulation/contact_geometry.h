@@ -1,10 +1,11 @@
-// The change with q of the rows of a contact itself, in their adjoint (contact_adjoint.h):
+// The gradient of a contact's rows by q, for the adjoint (contact_adjoint.h):
 //   -lambda . (J of p) + (B^T z) . (J of v')
-// Turning by S_k all that hangs on link i changes a motion T of link b by S_k x (T_b - T_i).
-// Besides, the midpoint, the axes and the gap move with the two bodies:
-//   held       cores stay in their bodies, axes in the world; the midpoint moves with half of each
-//   follows    the plane's point goes along the plane below the other: all of its movement there
-//   turns      by turning_contacts.h
+// Rotating all descendants of link i by S_k changes a motion T of link b by S_k x (T_b - T_i). In
+// addition, the midpoint, the axes and the gap move with the two bodies:
+//   held       core points are fixed in their bodies and axes in the world; the midpoint moves with
+//              the mean of both
+//   follows    the point on the plane moves along the plane below the other point
+//   turns      turning_contacts.h
 // Source: Featherstone (2008), section 3.3, for motions.
 #pragma once
 
@@ -15,14 +16,14 @@
 namespace novaphy::articulation {
 
 struct AdjointContact : IslandContact {
-  Vec3f z{};             // multipliers of its equations
+  Vec3f z{};             // multipliers of the contact's equations
   Vec3f pull{};          // B^T z, along n, t1, t2
   float shift_z = 0.0f;  // multiplier of its shift
   ContactTurning turning{};
 };
 
-// Behind step_vjp_solve: of the links, w becomes the motion of lambda = dt p and a_adjoint that of
-// `rates`, those behind the impulses; v is that of qd.
+// Sets the motions of links after step_vjp_solve: w becomes the motion of lambda = dt p, a_adjoint
+// the motion of `rates` (after the impulses), and v the motion of qd.
 inline void set_contact_motions(const Tree<float>& tree, const float* rates, Workspace<float>& ws,
                                 const AdjointMemory<float>& memory) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
@@ -36,12 +37,13 @@ inline void set_contact_motions(const Tree<float>& tree, const float* rates, Wor
   }
 }
 
-// Of the sides in a row; 0: it is not in the row, but moves the midpoint.
+// Signs of the two sides in a row. 0: the side is not in the row, but moves the midpoint.
 struct RowSigns {
   float of[2] = {-1.0f, 1.0f};
 };
-// What a row differentiates: forces along the motions w, a_adjoint and v of its links, and what its
-// place is worth, as a force (`linear` at `at`) and a torque on the pose of each side.
+// The inputs of a row's derivative: forces along the motions w, a_adjoint and v of its links, and
+// the derivative by the contact's place, as a force (`linear` at `at`) and a torque on the pose of
+// each side.
 struct RowGeometry {
   Vec3f forces[3] = {};
   SpatialVectorf motions[2][3] = {};
@@ -49,12 +51,12 @@ struct RowGeometry {
   Vec3f at[2] = {};
 };
 
-// The pulls of a contact that turns. `by_point`: of its midpoint.
+// Sets the forces of a moving contact point. `by_point`: derivative by its midpoint.
 template <class Geometry>
 void turn_row(const AdjointContact& row, float dt, const RowSigns& signs, const Vec3f& by_point,
               Geometry& g) {
   const Vec3f points[2] = {row.place.a, row.place.b};
-  Vec3f moved[3] = {};  // J's motions
+  Vec3f moved[3] = {};  // motions of J
   for (int side = 0; side < 2; ++side)
     for (int f = 0; f < 3; ++f)
       moved[f] =
@@ -87,7 +89,7 @@ RowGeometry row_geometry(const AdjointContact& row, float dt, const TreeOf& tree
   g.forces[0] = -push;
   g.forces[1] = world(row.pull.x, row.pull.y, row.pull.z);
   g.forces[2] = axes[0] * (normal * row.target.bounce + row.shift_z * row.target.shift_bounce);
-  Vec3f by_point{};  // how the sum changes with the midpoint, halved
+  Vec3f by_point{};  // derivative of the sum by the midpoint, halved
   for (int side = 0; side < 2; ++side) {
     const ContactSide& at = row.sides[side];
     if (at.tree < 0 || signs.of[side] == 0.0f) continue;
@@ -110,8 +112,8 @@ RowGeometry row_geometry(const AdjointContact& row, float dt, const TreeOf& tree
   return g;
 }
 
-// A row's own change with q, and of a bounce with qd, into the gradients of its trees. tree_of(i)
-// is an IslandTree, memory_of(i) an AdjointMemory.
+// Adds a row's own derivative by q, and a bounce's by qd, to the gradients of its trees. tree_of(i)
+// is an IslandTree and memory_of(i) an AdjointMemory.
 template <class TreeOf, class MemoryOf>
 void add_contact_geometry(const AdjointContact& row, float dt, const TreeOf& tree_of,
                           const MemoryOf& memory_of, const RowSigns& signs = {}) {
@@ -129,8 +131,8 @@ void add_contact_geometry(const AdjointContact& row, float dt, const TreeOf& tre
       const Link& link = tree.links[i];
       const LinkState<float>& s = of.ws.links[i];
       const SpatialVectorf own[3] = {s.w, s.a_adjoint, s.v};
-      // The rates of a FREE joint are about its center of mass, which moves with its translation
-      // and with body_com: how they turn, without what carries the joint.
+      // The rates of a FREE joint refer to its center of mass, which moves with the translation and
+      // with body_com. The contribution uses the joint's own rotation without that of its parent.
       Vec3f turning[3] = {};
       if (is_free(link) && sign != 0.0f) {
         Vec3f by_com{};

@@ -1,5 +1,5 @@
-// Groups of articulations that may touch each other, those of a world, with the contacts of each:
-// what the kernels of a step with contacts and of its adjoint share. A row of them is a group,
+// Groups of articulations that may touch each other, those of one world, with their contacts. The
+// kernels of a step with contacts and of its adjoint share this file. A kernel row is a group,
 // which splits into islands (islands.h).
 #pragma once
 
@@ -16,13 +16,13 @@ struct ContactPlaces {
   NOVAPHY_ARGUMENTS(Given<int32_t> shape0, shape1; Given<Vec3f> point0, point1, normal;
                     Given<float> margin0, margin1;)
 };
-// What the sides of contacts are found by. shape_body: {shapes}.
+// The tables that give the sides of contacts. shape_body: {shapes}.
 struct ContactShapes {
   NOVAPHY_ARGUMENTS(Part<ContactPlaces> at; Given<int32_t> shape_body;
                     Given<articulation::ContactSide> side_of_body; Given<int32_t> group_of_tree;
                     Number<int64_t> shapes, bodies;)
 };
-// False: there is no such shape or body.
+// Finds the sides of a contact. Returns false if a shape or body does not exist.
 inline bool contact_sides(const ContactShapes& s, int32_t contact,
                           articulation::ContactSide* sides) {
   bool there = true;
@@ -37,27 +37,29 @@ inline bool contact_sides(const ContactShapes& s, int32_t contact,
   return there;
 }
 
-// Of a tree, in a step. Lists end with -1.
+// Data of a tree during a step. Lists end with -1.
 struct IslandNode {
-  int32_t root;                       // of its island
-  int32_t next;                       // tree of the island, ascending
-  int32_t met;                        // impulses do not move it, and a contact has it
-  int32_t taken;                      // TreeSteps steps it
-  int32_t joined;                     // what is below is of roots
-  int32_t last;                       // tree
-  int32_t first_row, last_row, rows;  // its contacts, places in the list of the group
-  int32_t begin;                      // contacts of islands of the group before it
+  int32_t root;                       // root of its island
+  int32_t next;                       // next tree of the island, ascending
+  int32_t met;                        // whether a contact touches it although impulses do not move
+                                      // it
+  int32_t taken;                      // whether TreeSteps steps it
+  int32_t joined;                     // for roots only, with all members below: whether the island
+                                      // is coupled
+  int32_t last;                       // last tree of the island
+  int32_t first_row, last_row, rows;  // its contacts, as places in the list of the group
+  int32_t begin;                      // number of contacts in earlier islands of the group
   int32_t solved, failed;
   articulation::IslandResult result;
 };
-// Of a place in the list of a group.
+// Data of a place in the list of a group.
 struct ContactLink {
-  int32_t next;  // place of the island's next contact; -2: the group does not have it
-  int32_t kept;  // find_kept
+  int32_t next;  // place of the island's next contact; -2: the group lacks the contact
+  int32_t kept;  // result of find_kept
 };
 
-// The trees of each group are ascending, and so are its contacts. found: ContactRows::found.
-// contact_stride: numbers of the memory for a contact.
+// The trees of each group are in ascending order, and so are its contacts. found:
+// ContactRows::found. contact_stride: size of the memory of a contact, in numbers.
 struct ContactGroupArguments {
   NOVAPHY_ARGUMENTS(Part<ContactShapes> shapes; Given<float> mu, restitution, ke, kd, mixing;
                     Given<float> joint_friction; Given<int32_t> tree_begin, trees;
@@ -68,12 +70,12 @@ struct ContactGroupArguments {
                     Writes<IslandNode> nodes; Writes<float> memory; Number<int64_t> contact_stride;)
 };
 
-// Memory of a tree: its workspace, its rates, the dry friction of its joints, and what an adjoint
-// needs.
+// Offsets in the memory of a tree: its workspace, its rates, the dry friction of its joints, and
+// data of the adjoint.
 inline int64_t tree_rates_offset(int32_t links, int32_t dofs) {
   return articulation::workspace_bytes<float>(links, dofs);
 }
-// Rates and shifts.
+// Size of rates and shifts.
 inline int64_t tree_rates_bytes(int32_t dofs) {
   return 2 * articulation::padded_dofs(dofs) * static_cast<int64_t>(sizeof(float));
 }
@@ -85,7 +87,7 @@ inline int64_t island_tree_bytes(int32_t links, int32_t dofs) {
 inline int64_t island_adjoint_bytes(int32_t links, int32_t dofs) {
   return island_tree_bytes(links, dofs) + articulation::adjoint_bytes<float>(links, dofs);
 }
-// Numbers of the rows of a contact, of trees with so many dofs.
+// Size of a contact's rows for trees with `dofs` dofs.
 inline int64_t contact_row_bytes(int32_t dofs) {
   return 12 * articulation::padded_dofs(dofs) * static_cast<int64_t>(sizeof(float));
 }
@@ -134,7 +136,7 @@ struct GroupLists {
   int32_t find_root(int32_t i) const {
     return articulation::find_root([&](int32_t t) -> int32_t& { return root(t); }, i);
   }
-  // Of the first place of the group.
+  // Memory of the first place of the group.
   unsigned char* island_memory() const {
     return reinterpret_cast<unsigned char*>(a.memory +
                                             a.contact_begin[group] * a.contact_stride.value);
@@ -145,7 +147,7 @@ struct GroupLists {
   articulation::TurningShapes turning_shapes() const {
     return {a.shape_type, a.shape_transform, a.shape_scale};
   }
-  // pose_of(side): where a body is.
+  // pose_of(side): pose of a side's body.
   template <class PoseOf>
   articulation::TurningInput<float> turning_input(int32_t contact, const PoseOf& pose_of) const {
     return {{contacts.shape0[contact], contacts.shape1[contact]},
@@ -192,7 +194,7 @@ struct ContactGroup : GroupLists {
     return articulation::make_adjoint_memory<float>(
         memory(i) + island_tree_bytes(r.link_count, r.dof_count), r.link_count, r.dof_count);
   }
-  // Where the body of a side is, about the origin of the first tree of the contact.
+  // Pose of a side's body, relative to the origin of the contact's first tree.
   Transformf pose(const articulation::ContactSide* sides, int side) const {
     const auto link = [&](int of) -> const articulation::LinkState<float>& {
       return tree(sides[of].tree).ws.links[sides[of].link];
@@ -204,7 +206,8 @@ struct ContactGroup : GroupLists {
   articulation::TurningInput<float> turning_input(const articulation::IslandContact& row) const {
     return GroupLists::turning_input(row.contact, [&](int side) { return pose(row.sides, side); });
   }
-  // Whether a contact turns, while its trees are where the step starts.
+  // Returns whether a contact has a moving contact point, while its trees are in the pose of the
+  // step's start.
   bool turns(const articulation::IslandContact& row) const {
     return contacts.found && !row.follows && articulation::pushes(row) &&
            articulation::turn_contact(turning_shapes(), turning_input(row)).is_exact;
@@ -225,8 +228,8 @@ inline void start_node(const GroupLists& s, int32_t i) {
   s.a.nodes[i] = node;
 }
 
-// Joins the trees of a contact. The result: -1, or a tree of the group whose contact is with
-// something that is not of it.
+// Joins the trees of a contact. Returns -1, or a tree of the group whose contact has an object
+// outside of the group.
 inline int32_t join_contact(const GroupLists& s, int32_t place) {
   const ContactGroupArguments& a = s.a;
   articulation::ContactSide sides[2];
@@ -247,7 +250,7 @@ inline int32_t join_contact(const GroupLists& s, int32_t place) {
   return here ? -1 : mine;
 }
 
-// Lists the trees of each island, behind all joins; `root` is then that of the island.
+// Lists the trees of each island, after all joins; `root` is then the root of the island.
 inline void list_trees(const GroupLists& s) {
   const ContactGroupArguments& a = s.a;
   for (int32_t k = s.first_tree(); k < s.end_tree(); ++k) {
@@ -259,7 +262,7 @@ inline void list_trees(const GroupLists& s) {
   }
 }
 
-// Puts a contact at the end of its island's list, whose root is the result; -1: it has none.
+// Appends a contact to the list of its island and returns the island's root; -1: none.
 inline int32_t list_contact(const GroupLists& s, int32_t place) {
   const ContactGroupArguments& a = s.a;
   if (a.chain[place].next == -2) return -1;
@@ -276,7 +279,7 @@ inline int32_t list_contact(const GroupLists& s, int32_t place) {
   return root;
 }
 
-// A contact with memory in `numbers`, which then point behind it.
+// Places a contact in the memory `numbers`, which is advanced.
 inline void place_row(const ContactGroup& s, int32_t contact, float*& numbers,
                       articulation::IslandContact& row) {
   row.contact = contact;
@@ -288,7 +291,7 @@ inline void place_row(const ContactGroup& s, int32_t contact, float*& numbers,
   row.numbers = numbers;
   numbers += 6 * (widths[0] + widths[1]);
 }
-// All of its rows.
+// Builds all rows of a contact.
 inline void build_row(const ContactGroup& s, int32_t contact, float*& numbers,
                       articulation::IslandContact& row) {
   place_row(s, contact, numbers, row);
@@ -306,9 +309,9 @@ inline void build_dry(const ContactGroup& s, int32_t i) {
                                    responses + k * width, dry[k]);
 }
 
-// What is solved of an island behind its impulses, for an adjoint or a tangent: the contacts that
-// push, and memory for the system of those. `Group`: GroupLists with a row for each contact,
-// whose arguments (`all`) hold that memory, so many numbers for each contact and so many besides.
+// The contacts of an island that push, and memory for their system, for an adjoint or a tangent.
+// `Group`: GroupLists with a row for each contact. Its arguments (`all`) have the memory, as a size
+// per contact and a size per group.
 template <class Group>
 struct ActiveIsland {
   const Group& s;
@@ -331,7 +334,8 @@ struct ActiveIsland {
       if (row.solver.shifted > 0.0f) f(row);
     });
   }
-  // Null: there is no room, and the group's status says for how many numbers.
+  // Returns memory for a system. Null: the memory is too small, and the group's status has the
+  // required size.
   double* system(int64_t numbers) const {
     const int64_t contacts = s.end_place() - s.first_place();
     const int64_t of_contact = s.all.system_of_contact, of_group = s.all.system_of_group;

@@ -1,8 +1,8 @@
-// Forward derivatives of contacts and dry friction, by the set of rows that are active: the
-// transpose of contact_adjoint.h. Dual numbers carry the step with the impulses as they are; the
-// rows then have the derivatives r, and the impulses answer by (B J M^-1 J^T + R) lambda' = -r.
-// Freestanding: the host and the kernels of devices share it. `trees` gives:
-//   tree(i), workspace(i)   of tree i with dual numbers, behind free_rates
+// Tangents of contacts and dry friction for the set of active rows: the transpose of
+// contact_adjoint.h. Dual numbers carry the step with constant impulses. The rows then have the
+// derivatives r, and the tangents of the impulses solve (B J M^-1 J^T + R) lambda' = -r.
+// Freestanding: shared by the host and device kernels. Members of `trees`:
+//   tree(i), workspace(i)   tree i with dual numbers, after free_rates
 //   turning(contact)        DualTurning
 #pragma once
 
@@ -11,13 +11,13 @@
 
 namespace novaphy::articulation {
 
-// What a tree has of a row: J and Y {3, dofs}. An absent one has no tree.
+// A tree's part of a row: J and Y {3, dofs}. A missing part has no tree.
 struct DualSide {
   int32_t tree = -1, dofs = 0;
   DualFloat *jacobian = nullptr, *response = nullptr;
 };
-// Of IslandContact: the contact, its sides, `follows`, and of `solver` the widths, the impulses and
-// what is said of them.
+// A contact with dual rows. Of IslandContact, only the contact, its sides, `follows`, and the
+// widths and impulses of `solver` are used.
 struct DualContact : IslandContact {
   DualSide moved[2];
   NormalTarget<DualFloat> goal;
@@ -39,7 +39,7 @@ inline ContactLaw<DualFloat> dual_law(const ContactLaw<float>& f) {
           f.cone};
 }
 
-// J qd; `qd` (rows of the arrays) null: of the new rates.
+// Returns J qd for `qd` (rows of the arrays); null: J times the new rates.
 template <class Trees>
 DualFloat dual_slip(const DualContact& row, int r, const Trees& trees, const DualFloat* qd) {
   DualFloat sum(0.0f);
@@ -51,7 +51,7 @@ DualFloat dual_slip(const DualContact& row, int r, const Trees& trees, const Dua
   }
   return sum;
 }
-// J_i Y_j.
+// Returns J_i Y_j.
 inline double dual_coupling(const DualContact& a, int i, const DualContact& b, int j) {
   double sum = 0.0;
   for (const DualSide& s : a.moved)
@@ -60,7 +60,7 @@ inline double dual_coupling(const DualContact& a, int i, const DualContact& b, i
         sum += double{s.jacobian[i * s.dofs + k].value} * t.response[j * t.dofs + k].value;
   return sum;
 }
-// What an impulse along row j does to the rate of a dof.
+// Returns the change of a dof's rate per impulse along row j.
 inline double dual_response(const DualContact& row, int j, int32_t tree, int32_t dof) {
   double sum = 0.0;
   for (const DualSide& m : row.moved)
@@ -76,7 +76,8 @@ void dual_push(const DualContact& row, int r, const DualFloat& impulse, const Tr
   }
 }
 
-// Its rows, in `numbers` {dual_contact_numbers of the most dofs}, at the rates without impulses.
+// Builds the rows of a contact in `numbers` {dual_contact_numbers of the largest dof count}, at the
+// rates without impulses.
 template <class Trees>
 void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloat* qd,
                         const ContactLaw<DualFloat>& law, const DualMaterials& of,
@@ -166,8 +167,8 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
   row.solver.impulse[2] = impulse.z;
 }
 
-// The impulse of the dry friction of a dof, whose `limit` is friction dt; makes its response.
-// Whether it holds the dof is the result.
+// Applies the impulse of a dof's dry friction, with the bound `limit` = friction dt, and computes
+// its response. Returns whether the friction holds the dof.
 inline bool push_dual_friction(const Tree<DualFloat>& tree, Workspace<DualFloat>& w, int32_t dof,
                                const DualFloat& limit, float value, DualFloat* response) {
   for (int32_t k = 0; k < tree.dof_count; ++k) response[k] = DualFloat(k == dof ? 1.0f : 0.0f);
@@ -178,7 +179,7 @@ inline bool push_dual_friction(const Tree<DualFloat>& tree, Workspace<DualFloat>
   for (int32_t k = 0; k < tree.dof_count; ++k) w.qd_next[k] = w.qd_next[k] + response[k] * impulse;
   return held;
 }
-// Dofs without dry friction, as if they had it; `friction`: rows of the arrays.
+// Applies the tangent of dry friction to dofs without friction; `friction`: rows of the arrays.
 inline void push_absent_friction(const Tree<DualFloat>& tree, Workspace<DualFloat>& w,
                                  const DualFloat* friction, float dt) {
   DualFloat* const answer = w.rhs;
@@ -193,11 +194,11 @@ inline void push_absent_friction(const Tree<DualFloat>& tree, Workspace<DualFloa
   }
 }
 
-// How the impulses of an island change, behind all of the above. Of `island`:
-//   for_contacts(f)  f(DualContact) of its contacts that push, in their order
-//   for_held(f)      f(tree, dof, response) of the dofs that dry friction holds
-//   system(n)        memory for n numbers; null: there is none
-// False: without memory; nothing has changed.
+// Computes the tangents of an island's impulses, after all functions above. Members of `island`:
+//   for_contacts(f)  calls f(DualContact) for contacts that push, in their order
+//   for_held(f)      calls f(tree, dof, response) for dofs that dry friction holds
+//   system(n)        returns memory for n numbers, or null
+// Returns false without memory; then nothing has changed.
 template <class Trees, class Island>
 bool solve_dual_island(const Trees& trees, const Island& island, bool cone) {
   int64_t contacts = 0, n = 0;
@@ -277,9 +278,9 @@ bool solve_dual_island(const Trees& trees, const Island& island, bool cone) {
   return true;
 }
 
-// The shifts (pgs.h) of an island, behind solve_dual_island, into the workspaces' `bias`, which is
-// zero before. Of `island`, besides what that takes:
-//   for_rows(f), for_shifted(f)  f(DualContact) of all its contacts, of those that shift
+// Adds the tangents of an island's shifts (pgs.h) to the workspaces' `bias`, which must be zero
+// before. Call this after solve_dual_island. Members of `island`, besides those above:
+//   for_rows(f), for_shifted(f)  call f(DualContact) for all contacts, and for those that shift
 template <class Trees, class Island>
 bool add_dual_shifts(const Trees& trees, const Island& island) {
   const auto slip_of = [&](const DualContact& row) {

@@ -1,14 +1,15 @@
-// Rows of contacts between trees, and with the world: where they are, how the rates of dofs move
-// their points, and how impulses answer.
+// Constraint rows of contacts between trees and with the world: the place of a contact, the
+// Jacobian of its points by the rates of dofs, and the response to impulses.
 //
 // A contact has the unit normal n from side A to side B and one point P of each surface, moved by
-// its margin. Its gap is d = n . (P_B - P_A); both sides push at the midpoint of the two points.
+// its margin. The gap is d = n . (P_B - P_A). Both sides push at the midpoint of the two points.
 // Rows are along n, t1 and t2: J qd = (velocity of B - velocity of A) at the midpoint. Each row has
-// J and the response Y = M^-1 J^T for each tree on a side, by the tree's factor (factor.h).
+// J and the response Y = M^-1 J^T for each tree on a side, computed by the tree's factor
+// (factor.h).
 //
-// The tangent t1 is n x e made unit. The axis e is the one along which n is smallest (of two alike
-// the first), and t2 = n x t1. Points are about the origins of the trees' roots, so contacts of
-// trees among each other do not depend on where they are.
+// The tangent t1 is n x e normalized, where e is the axis along which n is smallest (the first on a
+// tie), and t2 = n x t1. Points are relative to the origins of the trees' roots, so contacts
+// between trees do not depend on the world position.
 #pragma once
 
 #include "novaphy/dynamics/articulation/factor.h"
@@ -34,13 +35,13 @@ ContactFrame<T> contact_frame(const Vec3<T>& n) {
   return {{n, t1, math::cross(n, t1)}};
 }
 
-// A point of a surface: about its root's origin, which is at `origin` in the world.
+// A surface point relative to its root's origin, which is at `origin` in the world.
 template <class T>
 struct SurfacePoint {
   Vec3<T> at{}, origin{};
 };
-// `core` in the frame of the link's body, or (link null) of the world; `out` from it to the
-// surface.
+// Returns a surface point. `core` is in the frame of the link's body, or of the world for a null
+// link. `out` leads from the core to the surface.
 template <class T>
 SurfacePoint<T> surface_point(const LinkState<T>* link, const Vec3<T>& core, const Vec3<T>& out) {
   const Vec3<T> none = {T(0.0f), T(0.0f), T(0.0f)};
@@ -50,8 +51,8 @@ SurfacePoint<T> surface_point(const LinkState<T>* link, const Vec3<T>& core, con
 
 template <class T>
 struct ContactPlace {
-  T gap{};           // m, < 0 is penetration
-  Vec3<T> a{}, b{};  // the midpoint about the origins of A and B
+  T gap{};           // m, < 0 for penetration
+  Vec3<T> a{}, b{};  // midpoint relative to the origins of A and B
 };
 template <class T>
 ContactPlace<T> contact_place(const SurfacePoint<T>& a, const SurfacePoint<T>& b,
@@ -61,7 +62,7 @@ ContactPlace<T> contact_place(const SurfacePoint<T>& a, const SurfacePoint<T>& b
   return {math::dot(apart, normal), a.at + half, b.at - half};
 }
 
-// The dof that moves a link and is the nearest to it, among the tree's; -1: none.
+// Returns the last dof that moves a link, as an index in the tree; -1: none.
 template <class T>
 int32_t last_dof(const Tree<T>& tree, int32_t link) {
   for (int32_t i = link; i >= 0; i = tree.links[i].parent)
@@ -69,15 +70,16 @@ int32_t last_dof(const Tree<T>& tree, int32_t link) {
   return -1;
 }
 
-// Whether impulses may move the joint of a link.
+// Returns whether impulses may move the joint of a link.
 inline bool is_moved(const Link& link) { return link.dofs > 0 && !is_kinematic(link); }
-// Whether a link is `above`, or hangs on it. `above` -1: on any joint that impulses may move.
+// Returns whether a link is `above` or its descendant. `above` -1: whether the link is below any
+// joint that impulses may move.
 template <class T>
 bool hangs_on(const Tree<T>& tree, int32_t link, int32_t above) {
   while (link > above && !(above < 0 && is_moved(tree.links[link]))) link = tree.links[link].parent;
   return above < 0 ? link >= 0 : link == above;
 }
-// The mass of such links, kg.
+// Returns the mass of such links (kg).
 template <class T>
 T hanging_mass(const Tree<T>& tree, const Workspace<T>& ws, int32_t above) {
   T sum = T(0.0f);
@@ -85,9 +87,9 @@ T hanging_mass(const Tree<T>& tree, const Workspace<T>& ws, int32_t above) {
     if (hangs_on(tree, i, above)) sum = sum + ws.links[i].inertia.mass;
   return sum;
 }
-// What parts the two sides of a contact of a tree with itself: joints, of which the nearest to the
-// root carries one link but not the other. The link below it on the side where less mass hangs on
-// it; -1: none, or sides of two trees.
+// For a contact of a tree with itself: finds the joint nearest to the root that is above one side
+// only. Returns the link below it, on the side with the smaller mass; -1: none, or sides of two
+// trees.
 template <class T, class Side>
 int32_t parted_link(const Tree<T>& tree, const Workspace<T>& ws, const Side (&sides)[2]) {
   if (sides[0].tree != sides[1].tree) return -1;
@@ -101,14 +103,14 @@ int32_t parted_link(const Tree<T>& tree, const Workspace<T>& ws, const Side (&si
   if (of_a < 0 || of_b < 0) return of_a < 0 ? of_b : of_a;
   return hanging_mass(tree, ws, of_b) < hanging_mass(tree, ws, of_a) ? of_b : of_a;
 }
-// The mass of the links of a tree that a contact parts, kg.
+// Returns the mass (kg) of the links of a tree that a self contact separates.
 template <class T, class Side>
 T parted_mass(const Tree<T>& tree, const Workspace<T>& ws, const Side (&sides)[2]) {
   return hanging_mass(tree, ws, parted_link(tree, ws, sides));
 }
 
-// Adds to the rows of J {3, stride} the velocity of a link's point along the three axes, times
-// `sign`.
+// Adds the velocity of a link's point along the three axes, times `sign`, to the rows of J {3,
+// stride}.
 template <class T>
 void add_point_rows(const Tree<T>& tree, const SpatialVector<T>* axes, int32_t link,
                     const Vec3<T>& point, const ContactFrame<T>& frame, const T& sign,
@@ -122,8 +124,9 @@ void add_point_rows(const Tree<T>& tree, const SpatialVector<T>* axes, int32_t l
   }
 }
 
-// Of a contact of a tree with itself: what J_n Y_n lacks of those of its two sides alone, summed,
-// by side A. `link`, `point`: of that; `response`: Y_n of both. Uses ws.rhs.
+// For a contact of a tree with itself: returns the coupling of the two sides, the part of J_n Y_n
+// that the sides alone lack. `link`, `point`: those of side A. `response`: Y_n of both sides. Uses
+// ws.rhs.
 template <class T>
 T shared_in_tree(const Tree<T>& tree, const Workspace<T>& ws, int32_t link, const Vec3<T>& point,
                  const Vec3<T>& normal, const T* response) {
@@ -140,8 +143,8 @@ T shared_in_tree(const Tree<T>& tree, const Workspace<T>& ws, int32_t link, cons
   return T(2.0f) * (alone - of_both);
 }
 
-// The responses Y {3, stride} of rows J, by the factor. J is zero but for `last` and the dofs above
-// it; -1: it may be anything.
+// Computes the responses Y {3, stride} of rows J by the factor. J is zero except for `last` and the
+// dofs above it; -1: J may be anything.
 template <class T>
 void response_rows(const Tree<T>& tree, const Workspace<T>& ws, int32_t last, int64_t stride,
                    const T* jacobian, T* response) {

@@ -1,28 +1,29 @@
-// How the state of a tree changes with parameters of its control, carried along step by step.
+// The sensitivity of a tree's state to parameters of its control, propagated step by step.
 //
-// Let x be the change of the force of dofs for a parameter. Parts of x are the change of the target
-// or torque, and of drives and damping by the changes dq and dv of the state. M, branches and new
+// Let x be the change of the dof forces for a parameter. x has the change of the target or torque,
+// and the changes of drives and damping by the changes dq and dv of the state. M, branches and new
 // rates are those of the step (step.h):
 //   dv' = dv + dt M^-1 x, 0 for dofs at their velocity limits
 //   dq' = dq + dt dv' (FREE: angular tangents by the derivative of the Cayley map)
 //   then dv' of angular dofs times 1 - angular_damping dt
-// Frozen: x leaves out how mass matrix, bias and wrenches change with the state. dq and dv are
-// tangents (tree.h). Trees of FIXED and one-dof joints, with a FREE joint at the root.
+// Frozen: the changes of the mass matrix, bias and wrenches with the state are left out of x. dq
+// and dv are tangents (tree.h). Supports trees of FIXED and one-dof joints, with an optional FREE
+// joint at the root.
 #pragma once
 
 #include "novaphy/dynamics/articulation/step.h"
 
 namespace novaphy::articulation {
 
-// The change of a control with one parameter; rows of the tree's dofs, null: none.
+// The derivative of a control by one parameter, in rows of the tree's dofs; null: zero.
 template <class T>
 struct ControlTangent {
   const T* target_q = nullptr;
   const T* target_qd = nullptr;
-  const T* force = nullptr;  // of a FREE joint: a world wrench about the center of mass
+  const T* force = nullptr;  // for a FREE joint, a world wrench about the center of mass
 };
 
-// x, behind forward_step; rows of the tree.
+// Computes x after forward_step, in rows of the tree.
 template <class T>
 void frozen_force_change(const Tree<T>& tree, const StepInputs<T>& in,
                          const StepOptions<T>& options, const Workspace<T>& ws,
@@ -61,7 +62,7 @@ void frozen_force_change(const Tree<T>& tree, const StepInputs<T>& in,
   }
 }
 
-// dv of the undamped new rates to dq' and dv', in place; `rates` are the undamped new rates.
+// Converts dv of the undamped new rates to dq' and dv', in place. `rates`: the undamped new rates.
 template <class T>
 void integrate_changes(const Tree<T>& tree, const StepOptions<T>& options, const T* rates, T* dq,
                        T* dv) {
@@ -86,8 +87,8 @@ void integrate_changes(const Tree<T>& tree, const StepOptions<T>& options, const
   }
 }
 
-// A point of a link, `local` in the frame of its body (m): where it is and how it moves, in the
-// world, behind link_frames and link_motions.
+// Returns position and velocity in the world of a link's point, `local` in the frame of its body
+// (m). Call this after link_frames and link_motions.
 template <class T>
 struct PointState {
   Vec3<T> position{}, velocity{};
@@ -98,7 +99,7 @@ PointState<T> point_state(const Workspace<T>& ws, int32_t link, const Vec3<T>& l
   const Vec3<T> p = s.p + math::rotate(s.q, local);
   return {s.origin + p, math::motion_at(s.v, p).linear};
 }
-// Its velocity by the rates of dofs: column(k, velocity) for those that move it.
+// Computes the Jacobian of the point: calls column(k, velocity) for the dofs that move it.
 template <class T, class Column>
 void point_jacobian(const Tree<T>& tree, const Workspace<T>& ws, int32_t link, const Vec3<T>& local,
                     Column&& column) {
@@ -111,7 +112,7 @@ void point_jacobian(const Tree<T>& tree, const Workspace<T>& ws, int32_t link, c
   }
 }
 
-// The numbers of q's change (rows of the arrays) that a tangent (rows of the tree) is.
+// Converts a tangent (rows of the tree) to a change of q (rows of the arrays).
 template <class T, class Put>
 void tangent_to_coordinates(const Tree<T>& tree, const T* q, const T* tangent, Put&& put) {
   for (int32_t i = 0; i < tree.link_count; ++i) {

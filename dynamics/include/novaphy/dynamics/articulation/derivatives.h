@@ -1,19 +1,19 @@
-// The derivative matrices of inverse and forward dynamics, analytic.
+// Analytic derivative matrices of inverse and forward dynamics.
 //
-// About O, in world axes. Y, B and F are sums over a link and its descendants, v and a belong to
-// link i, v_p to its parent. For a dof k of joint i
+// All quantities are about O, in world axes. Y, B and F are sums over a link and its descendants; v
+// and a belong to link i, v_p to its parent. For a dof k of joint i
 //   psi = v x S_k,   psi' = a x S_k + v x psi,   sigma = v_p x S_k + v x S_k
-// (a FREE joint's sigma has (R e_k x omega, 0) more for linear dofs, (v_rel x R e_k, 0) for angular
-// ones):
+// (for a FREE joint, sigma has the additional term (R e_k x omega, 0) for linear dofs and (v_rel x
+// R e_k, 0) for angular dofs):
 //   d tau_r / d q_k  = S_r . (Y psi' + B psi + S_k x* F)   for r of joint i or nearer to the root
-//                    = S_r . (Y_j psi' + B_j psi)          for r of a joint j that hangs on it
+//                    = S_r . (Y_j psi' + B_j psi)          for r of a descendant joint j
 //   d tau_r / d qd_k = S_r . (Y sigma + B S_k), and with Y_j, B_j likewise.
-// B m = v x* Y m - Y (v x m) + m x* Y v has no part from m's linear half: it is
+// B m = v x* Y m - Y (v x m) + m x* Y v does not depend on the linear part of m:
 //   (-2 P x m_w,  (2 (v.h) 1 - 2 v h^T + 2 [w] I - tr(I) [w]) m_w)
-// with P = m v + w x h of the link, so it takes 12 numbers and adds up. Rows of joints that hang on
-// that of k take (Y_j S_r) . psi' + (B_j^T S_r) . psi, whose factors serve all columns.
-// Source: Carpentier and Mansard, Analytical derivatives of rigid body dynamics algorithms (RSS
-// 2018), for columns of S that stay in the parent.
+// with P = m v + w x h of the link, so B has 12 numbers and can be summed. Rows of descendant
+// joints are (Y_j S_r) . psi' + (B_j^T S_r) . psi, whose factors serve all columns. Source:
+// Carpentier and Mansard, Analytical derivatives of rigid body dynamics algorithms (RSS 2018), for
+// columns of S that are fixed in the parent.
 #pragma once
 
 #include "novaphy/dynamics/articulation/factor.h"
@@ -31,7 +31,7 @@ MotionBias<T> motion_bias(const SpatialInertia<T>& y, const SpatialVector<T>& v)
   const Vec3<T>&l = v.linear, w = v.angular, h = y.moment;
   const T two = T(2.0f);
   const T trace = (y.xx + y.yy) + y.zz, d = two * math::dot(l, h);
-  // [w] I by its columns w x (column of I).
+  // [w] I, column by column: w x (column of I).
   const Vec3<T> cx = math::cross(w, {y.xx, y.xy, y.xz}), cy = math::cross(w, {y.xy, y.yy, y.yz}),
                 cz = math::cross(w, {y.xz, y.yz, y.zz});
   return {l * y.mass + math::cross(w, h),
@@ -53,15 +53,16 @@ template <class T>
 SpatialVector<T> apply(const MotionBias<T>& b, const SpatialVector<T>& m) {
   return {math::cross(b.momentum, m.angular) * T(-2.0f), math::multiply(b.angular, m.angular)};
 }
-// The angular half of B^T m; the linear one is 0.
+// Returns the angular part of B^T m; the linear part is 0.
 template <class T>
 Vec3<T> apply_transposed(const MotionBias<T>& b, const SpatialVector<T>& m) {
   return math::multiply(math::transpose(b.angular), m.angular) -
          math::cross(m.linear, b.momentum) * T(2.0f);
 }
 
-// Of dof k: psi, psi' and sigma. psi and psi' of linear dofs of a FREE joint are 0 at a root, whose
-// place nothing depends on; below a body they have how the joint's twist turns with its place.
+// The quantities psi, psi' and sigma of dof k. For linear dofs of a FREE root, psi and psi' are 0,
+// because nothing depends on the root's position. For a FREE joint below a body, they have the
+// change of the joint's twist with its position.
 template <class T>
 struct DofMotion {
   SpatialVector<T> psi{}, psi_rate{}, sigma{};
@@ -104,9 +105,9 @@ DofMotion<T> dof_motion(const Tree<T>& tree, const Link& link, int32_t k, const 
   return m;
 }
 
-// {dofs, dofs} each, row-major, stored in full: d tau / d q (tangent columns of q) and d tau / d qd
-// of tau = ID(q, qd, qdd), behind inverse_dynamics at (q, qd, qdd) without wrenches, and
-// composite_inertias.
+// Computes the matrices d tau / d q (by tangents of q) and d tau / d qd of tau = ID(q, qd, qdd),
+// {dofs, dofs} each, full and row-major. Call this after inverse_dynamics at (q, qd, qdd) without
+// wrenches, and after composite_inertias.
 template <class T>
 void inverse_dynamics_derivatives(const Tree<T>& tree, const T* qd, const T* qdd, Workspace<T>& ws,
                                   DerivativeWorkspace<T>& memory, T* dq, T* dqd) {
@@ -133,7 +134,7 @@ void inverse_dynamics_derivatives(const Tree<T>& tree, const T* qd, const T* qdd
       SpatialVector<T> fq = math::apply(s.composite, m.psi_rate) + apply(b, m.psi);
       if (!still) fq = fq + math::cross_force(axis, s.f);
       const SpatialVector<T> fv = math::apply(s.composite, m.sigma) + apply(b, axis);
-      // Rows of the joint itself and towards the root.
+      // Rows of the joint itself and of its ancestors.
       for (int32_t r = first + link.dofs - 1; r >= 0; r = tree.dof_parent[r]) {
         dq[r * n + k] = math::dot(ws.axes[r], fq);
         dqd[r * n + k] = math::dot(ws.axes[r], fv);
@@ -143,7 +144,7 @@ void inverse_dynamics_derivatives(const Tree<T>& tree, const T* qd, const T* qdd
           dq[r * n + k] =
               dq[r * n + k] + math::dot(math::cross(axis.linear, ws.axes[r].angular), s.f.linear);
     }
-    // Columns of the joints towards the root.
+    // Columns of the ancestors.
     for (int32_t r = first; r < first + link.dofs; ++r) {
       const SpatialVector<T> y = math::apply(s.composite, ws.axes[r]);
       const Vec3<T> turning = apply_transposed(b, ws.axes[r]);
@@ -157,9 +158,9 @@ void inverse_dynamics_derivatives(const Tree<T>& tree, const T* qd, const T* qdd
   }
 }
 
-// X of M X = B, {dofs, dofs} row-major, in place, by the factor of M; solve (factor.h) of all its
-// columns. `upper`: B is the identity and the factor is sparse, so that X is symmetric, and of row
-// k only the columns from k on are computed.
+// Solves M X = B, {dofs, dofs} row-major, in place, by the factor of M (solve of factor.h for all
+// columns). `upper`: B is the identity and the factor is sparse. X is then symmetric, and only the
+// columns from k on are computed in row k.
 template <class T>
 void solve_columns(const Tree<T>& tree, const Workspace<T>& ws, T* x, bool upper = false) {
   const int64_t n = tree.dof_count;
@@ -197,8 +198,8 @@ void solve_columns(const Tree<T>& tree, const Workspace<T>& ws, T* x, bool upper
   });
 }
 
-// From those of inverse dynamics at the accelerations qdd = M^-1 (tau - ID(q, qd, 0)), and the
-// factor of M: d qdd / d q and d qdd / d qd in place of them, and M^-1 = d qdd / d tau.
+// Converts the derivatives of inverse dynamics at qdd = M^-1 (tau - ID(q, qd, 0)) to d qdd / d q
+// and d qdd / d qd in place, by the factor of M, and computes M^-1 = d qdd / d tau.
 template <class T>
 void forward_dynamics_derivatives(const Tree<T>& tree, const Workspace<T>& ws, T* dq, T* dqd,
                                   T* inverse) {

@@ -1,6 +1,6 @@
-// Dual numbers: a value and its derivative along one direction. The algorithms of trees (tree.h)
-// with them as scalar give forward derivatives; comparisons look at values, so branches are those
-// of the values.
+// Dual numbers: a value and its derivative along one direction. The tree algorithms (tree.h) with
+// dual numbers as scalar give tangents. Comparisons use the values, so the branches are those of
+// the values.
 #pragma once
 
 #include "novaphy/dynamics/articulation/scalar.h"

@@ -1,4 +1,5 @@
-// How a contact of trees turns with the tangents of its bodies' poses (turning_contacts.h).
+// The tangent of a moving contact point of trees, from the tangents of its bodies' poses
+// (turning_contacts.h).
 #pragma once
 
 #include "novaphy/dynamics/articulation/dual.h"
@@ -17,7 +18,7 @@ inline Transformf value_of(const Transform<DualFloat>& x) {
   return {value_of(x.p), {x.q.x.value, x.q.y.value, x.q.z.value, x.q.w.value}};
 }
 
-// The tangent of a pose as a twist at a point.
+// Returns the tangent of a pose as a twist at a point.
 inline SpatialVectorf twist_of(const Transform<DualFloat>& pose, const Vec3f& at) {
   const Transformf x = value_of(pose);
   const Quatf speed = {pose.q.x.tangent, pose.q.y.tangent, pose.q.z.tangent, pose.q.w.tangent};
@@ -28,13 +29,13 @@ inline SpatialVectorf twist_of(const Transform<DualFloat>& pose, const Vec3f& at
   return to;
 }
 
-// Of a contact: the normal, and how the surface points move in the world.
+// The normal of a contact, and the motion of its surface points in the world.
 struct DualTurning {
   bool is_exact = false;
   Vec3<DualFloat> normal{};
   Vec3f moved[2] = {};
   Vec3f about{};
-  Transform<DualFloat> pose[2] = {};  // of the bodies, about that
+  Transform<DualFloat> pose[2] = {};  // of the bodies, relative to `about`
 
   // `of`: the contact at the values of the poses.
   void find(const TurningShapes& shapes, const TurningInput<float>& of, float margin0,

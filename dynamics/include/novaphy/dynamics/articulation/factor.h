@@ -1,13 +1,14 @@
-// M^-1 of a tree, with M = H(q) + diag(ws.diagonal) + c c^T of each BALL joint, c its rows of
-// ws.cone: a factor, and what it does to forces and to motions. There are two, and the tree alone
-// says which:
+// The inverse of a tree's mass matrix M = H(q) + diag(ws.diagonal) + c c^T for each BALL joint,
+// where c are its rows of ws.cone. Two factorizations exist, and the tree alone selects one:
 //
-//   M = L^T D L of a matrix with a tree's sparsity (Featherstone 2008, section 6.5): rows are
-//   eliminated from the leaves, so L has entries only where M has, and no fill-in. With mimic
-//   joints (mimic.h) M stands for T^T M T, and M^-1 for T (T^T M T)^-1 T^T; rows have all entries.
+//   M = L^T D L of a matrix with a tree's sparsity (Featherstone 2008, section 6.5). Rows are
+//   eliminated from the leaves, so L has entries only where M has entries, without fill-in. With
+//   mimic joints (mimic.h), M stands for T^T M T and M^-1 for T (T^T M T)^-1 T^T, and rows are
+//     full.
 //
-//   Articulated bodies (articulated_body.h), for trees with more than kMatrixJoints in a row: float
-//   cannot hold the mass matrix of a long chain. There c is 0.
+//   Articulated bodies (articulated_body.h), for trees with more than kMatrixJoints joints in a
+//     row,
+//   because float cannot represent the mass matrix of a long chain. c is then 0.
 #pragma once
 
 #include "novaphy/dynamics/articulation/articulated_body.h"
@@ -24,12 +25,13 @@ bool has_matrix([[maybe_unused]] const Tree<T>& tree) {
   return tree.mimics > 0 || tree.joints_in_a_row <= kMatrixJoints;
 #endif
 }
-// Whether a solve may leave out what does not hang together.
+// Returns whether a solve may skip uncoupled dofs.
 template <class T>
 bool is_sparse(const Tree<T>& tree) {
   return tree.mimics == 0 && has_matrix(tree);
 }
-// f(above): above(k) is the next row towards the root that row k of L has an entry of; -1: none.
+// Calls f(above): above(k) is the next row towards the root in which row k of L has an entry; -1:
+// none.
 template <class T, class F>
 auto with_rows_above(const Tree<T>& tree, const F& f) {
   if (tree.mimics > 0) return f([](int32_t k) { return k - 1; });
@@ -50,9 +52,10 @@ void add_cones(const Tree<T>& tree, Workspace<T>& ws) {
   }
 }
 
-// In the workspace's matrix, behind kinematics at q (rows of the arrays): L below the diagonal (its
-// own is 1), D on it; or the rows of articulated bodies. The index of the first dof from the leaves
-// whose pivot is not positive (in any lane), or -1; there it stops.
+// Factors M in the workspace's matrix, after kinematics at q (rows of the arrays): L below the
+// diagonal (its diagonal is 1) and D on it, or the rows of articulated bodies. Returns the first
+// dof, counted from the leaves, whose pivot is not positive (in any lane), or -1. The factorization
+// stops at that dof.
 template <class T>
 int32_t factor(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
   if (!has_matrix(tree)) return factor_links(tree, q, ws);
@@ -77,7 +80,7 @@ int32_t factor(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
   });
 }
 
-// x of M x = b, in place.
+// Solves M x = b in place.
 template <class T>
 void solve(const Tree<T>& tree, const Workspace<T>& ws, T* x) {
   if (!has_matrix(tree)) return solve_links(tree, ws, x);
@@ -95,16 +98,16 @@ void solve(const Tree<T>& tree, const Workspace<T>& ws, T* x) {
   spread_leaders(tree, x);
 }
 
-// ws.bias of ID(q, qd, 0), rows of the tree, and the links' motions. Of articulated bodies the bias
-// is 0: find_accelerations has it.
+// Computes ws.bias = ID(q, qd, 0), in rows of the tree, and the links' motions. For articulated
+// bodies the bias is 0, because find_accelerations includes it.
 template <class T>
 void bias_forces(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
   if (has_matrix(tree)) return inverse_dynamics<T>(tree, qd, nullptr, ws, ws.bias);
   link_motions(tree, qd, ws);
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.bias[k] = T(0.0f);
 }
-// ws.qdd, behind factor, of the forces ws.rhs, from which ws.bias is taken. Of articulated bodies,
-// dofs with endless diagonal keep theirs, and what hangs on them moves as they do.
+// Computes ws.qdd from the forces ws.rhs minus ws.bias, after `factor`. With articulated bodies, a
+// dof with infinite diagonal keeps its qdd, and its descendants move with it.
 template <class T>
 void find_accelerations(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
   if (!has_matrix(tree)) return accelerate_links(tree, qd, ws);

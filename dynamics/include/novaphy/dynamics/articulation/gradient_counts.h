@@ -1,20 +1,19 @@
-// Labels and counts of the gradients of steps, added up over steps (gradient_info.h), and the
-// events of contacts between two steps. Freestanding: the host and the kernels of devices share it.
+// Labels and counts of the gradients of steps, accumulated over steps (gradient_info.h), and the
+// events of contacts between two steps. Freestanding: shared by the host and device kernels.
 #pragma once
 
 #include <cstdint>
 
 namespace novaphy {
 
-// Where contacts miss their law by more than this part of the largest impulse, the gradient of a
-// step is a surrogate.
+// If contacts violate their law by more than this fraction of the largest impulse, the gradient of
+// a step is a surrogate.
 inline constexpr float kSurrogateResidual = 1e-3f;
 
 inline constexpr int32_t kContactBegan = 0, kContactEnded = 1, kContactTurned = 2;
 
-// Two shapes, or a shape and kParticle plus a particle, and what happened to their contact. Of
-// several the one that comes first in the order of the numbers counts, so that nobody depends on
-// another order.
+// A pair of shapes, or a shape and kParticle plus a particle, with the event of its contact. Of
+// several pairs the smallest counts, so that the result does not depend on the order of processing.
 struct ContactPair {
   static constexpr int32_t kNone = 0x7fffffff, kParticle = 0x40000000;
   int32_t first = kNone, second = kNone, event = kNone;
@@ -27,12 +26,13 @@ inline void take_first(const ContactPair& of, ContactPair& to) {
   if (before) to = of;
 }
 
-// Of a step, or of a part of one.
+// Notes of a step, or of a part of a step.
 struct StepNotes {
-  int32_t began = 0, ended = 0, turned = 0;  // contacts; turned: between sticking and slipping
-  ContactPair event;                         // the first of those
-  ContactPair held;                          // that pushes, with a point or normal that is held
-  int32_t jumps = 0;                         // a law has no derivative, or the step failed
+  int32_t began = 0, ended = 0, turned = 0;  // counts of contacts; turned: between sticking and
+                                             // slipping
+  ContactPair event;                         // first pair with an event
+  ContactPair held;                          // first pushing pair with a frozen point or normal
+  int32_t jumps = 0;                         // whether a law has no derivative, or the step failed
   float residual = 0.0f;                     // relative to the largest impulse
 };
 inline void note_all(const StepNotes& of, StepNotes& to) {
@@ -48,9 +48,9 @@ inline void note_all(const StepNotes& of, StepNotes& to) {
 struct GradientCounts {
   int64_t steps = 0, exact = 0, frozen = 0, surrogate = 0;
   int64_t began = 0, ended = 0, turned = 0;
-  int64_t event_step = -1, frozen_step = -1, surrogate_step = -1;  // the first of each
-  ContactPair event, held;                                         // of those steps
-  float residual = 0.0f;                                           // the largest
+  int64_t event_step = -1, frozen_step = -1, surrogate_step = -1;  // first step of each kind
+  ContactPair event, held;                                         // pairs of those steps
+  float residual = 0.0f;                                           // largest residual
   int32_t jumps = 0;                                               // of a surrogate step
 };
 inline void note_step(const StepNotes& of, GradientCounts& to) {
@@ -79,7 +79,7 @@ inline void note_step(const StepNotes& of, GradientCounts& to) {
   ++to.steps;
 }
 
-// Steps that come after those of `to`.
+// Adds steps that come after those of `to`.
 inline void note_steps(const GradientCounts& of, GradientCounts& to) {
   const auto first = [&](int64_t step, int64_t& of_all) {
     const bool is_first = step >= 0 && of_all < 0;
@@ -100,14 +100,14 @@ inline void note_steps(const GradientCounts& of, GradientCounts& to) {
   to.steps += of.steps;
 }
 
-// A contact of a step. `mode`: 0 where it does not push, 1 where it sticks, more where it slips;
-// `held`: its point or normal is.
+// A contact of a step. `mode`: 0: no push, 1: sticks, larger: slips. `held`: whether its point or
+// normal is frozen.
 struct SeenContact {
   int32_t first = ContactPair::kNone, second = 0, point = 0, mode = 0, held = 0;
 };
 
-// The mode of the same contact in a list in the order of pairs. `next`: where its pair begins, 0 at
-// first and for contacts that do not come in that order.
+// Returns the mode of the same contact in a list sorted by pairs. `next`: start of its pair in the
+// list, initially 0; contacts in another order also restart at 0.
 inline int32_t mode_of(const SeenContact* list, int32_t count, int32_t& next,
                        const SeenContact& of) {
   while (next < count && (list[next].first < of.first ||
@@ -117,7 +117,7 @@ inline int32_t mode_of(const SeenContact* list, int32_t count, int32_t& next,
     if (list[i].point == of.point && list[i].mode != 0) return list[i].mode;
   return 0;
 }
-// Of a contact that pushes, and of its mode in the step before; of one that no longer does.
+// Notes the change of a pushing contact's mode since the last step, or the end of a contact.
 inline void note_change(const SeenContact& c, int32_t mode, StepNotes& to) {
   if (mode == c.mode) return;
   ++(mode == 0 ? to.began : to.turned);
@@ -127,7 +127,7 @@ inline void note_end(const SeenContact& c, StepNotes& to) {
   ++to.ended;
   take_first({c.first, c.second, kContactEnded}, to.event);
 }
-// The events between two steps that follow each other; lists in the order of pairs.
+// Notes the events between two consecutive steps; both lists are sorted by pairs.
 inline void note_events(const SeenContact* before, int32_t before_count, const SeenContact* now,
                         int32_t now_count, StepNotes& to) {
   int32_t next = 0;

@@ -1,5 +1,5 @@
-// The step of a group of articulations with contacts and dry friction: what the kernels of
-// articulation_contact_kernels.h share.
+// The step of a group of articulations with contacts and dry friction, shared by the kernels of
+// articulation_contact_kernels.h.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -8,13 +8,18 @@
 
 namespace novaphy {
 
-// step.status: also -1 - a contact that the group cannot have. moved_by: of links, bits of the
-// tree's dofs. most_alone: contacts of an island that tree_contacts.h takes. kept_begin: of each
-// group. kept_friction: {dofs}, of the step before, now_friction: of this. now: a row per place in
-// the lists. lanes: TreeSteps takes trees, which have `taken`. For derivatives, null where they are
-// not asked for: impulses along n, t1, t2 and of dry friction, what branches there are, and with
-// these `seen`, a row per place in the lists, those of the step before and where the groups' begin.
-// continues: the step starts where the one before ended.
+// Arguments of the step:
+//   step.status     also -1 - a contact that the group cannot have
+//   moved_by        per link: its dofs, as bits
+//   most_alone      largest number of contacts of an island that tree_contacts.h solves
+//   kept_begin      per group: its first kept contact
+//   kept_friction   {dofs}, impulses of the step before; now_friction: of this step
+//   now             a row per place in the lists
+//   lanes           whether TreeSteps steps the trees that are marked `taken`
+//   continues       whether the step starts where the one before ended
+// For derivatives, null if not requested: the impulses along n, t1, t2 and of dry friction, the
+// branches, `seen` (a row per place in the lists), and `seen` of the step before with the groups'
+// starts.
 struct ArticulationContactStepArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationStepArguments> step; Part<ContactGroupArguments> of;
                     Optional<Given<int32_t>> point_id; Given<int32_t> moved_by;
@@ -30,11 +35,11 @@ struct ArticulationContactStepArguments {
                     Number<int64_t> by_restitution, continues, lanes;)
 };
 
-// Memory of a contact of trees with so many dofs, however it is solved.
+// Size of the memory of a contact for trees with `dofs` dofs, for any method of solution.
 inline int64_t island_contact_bytes(int32_t dofs) {
   namespace art = articulation;
   const int64_t joined = static_cast<int64_t>(sizeof(art::IslandContact)) + contact_row_bytes(dofs);
-  // The bytes of n contacts are at most n times those of one, A of which is {3 n, 3 n}.
+  // n contacts need at most n times the memory of one; A is {3 n, 3 n}.
   const int64_t coupling = art::kCoupledContacts * 9 * static_cast<int64_t>(sizeof(float));
   const int64_t alone =
       static_cast<int64_t>(sizeof(art::TreeContact<float>) + sizeof(art::TreeContactLink<float>)) +
@@ -42,14 +47,14 @@ inline int64_t island_contact_bytes(int32_t dofs) {
   return ((joined > alone ? joined : alone) + 7) / 8 * 8;
 }
 
-// A group of one tree works on the stack, if the tree fits, and its contacts if they do too: stacks
-// of threads are interleaved, so that those of a warp read together.
+// A group with one tree works on the stack if the tree fits, and its contacts if they also fit. The
+// stacks of threads are interleaved, so that the threads of a warp read neighboring memory.
 inline constexpr int64_t kIslandStack = 12288;
 struct LocalIsland {
   alignas(16) unsigned char bytes[kIslandStack];
 };
 
-// A group's step. `local`: memory of its tree, where that has none.
+// The step of a group. `local`: stack memory of its tree.
 struct GroupStep : ContactGroup {
   const ArticulationContactStepArguments& all;
   const float warm_scale;
@@ -66,11 +71,11 @@ struct GroupStep : ContactGroup {
     const float before = a.warm_start.value != 0 ? *a.kept_dt : 0.0f;
     return before > 0.0f ? a.step.in.dt.value / before : 1.0f;
   }
-  // Of the contacts of an island.
+  // Memory of an island's contacts.
   unsigned char* rows_memory(int32_t root) const {
     return island_memory() + a.nodes[root].begin * a.contact_stride.value * int64_t{sizeof(float)};
   }
-  // For so many bytes of an island, behind `used` of its tree on the stack.
+  // Memory of `bytes` bytes for an island, after the `used` bytes of its tree on the stack.
   unsigned char* memory_behind(int32_t root, int64_t used, int64_t bytes) const {
     return stride == 0 && used + bytes <= kIslandStack ? memory(0) + used : rows_memory(root);
   }
@@ -79,7 +84,8 @@ struct GroupStep : ContactGroup {
     return all.places + (first_place() + a.nodes[root].begin);
   }
   bool is_kept(int32_t place) const { return a.chain[place].kept >= 0; }
-  // Zeros: it starts from nothing. (No pointer that may be null: a GPU has read through one.)
+  // Returns the impulses of the step before, or zeros. (Not a pointer that may be null, because a
+  // GPU has read through one.)
   articulation::KeptContact kept(int32_t place) const {
     articulation::KeptContact of{};
     if (is_kept(place)) of = all.kept[a.chain[place].kept];
@@ -87,7 +93,7 @@ struct GroupStep : ContactGroup {
   }
 };
 
-// Where the links of a tree are and how they move; it is an island of its own.
+// Computes the frames and motions of a tree's links, and makes the tree an island.
 inline void open_tree(const GroupStep& s, int32_t i) {
   articulation::IslandTree of = s.tree(i);
   articulation::link_frames(of.tree, s.in.q, of.ws);
@@ -95,7 +101,7 @@ inline void open_tree(const GroupStep& s, int32_t i) {
   s.all.step.status[i] = 0;
   start_node(s, i);
 }
-// The rates of a tree without impulses.
+// Computes the rates of a tree without impulses.
 inline void start_tree(const GroupStep& s, int32_t i) {
   articulation::IslandTree of = s.tree(i);
   const ArticulationRows& rows = s.rows(i);
@@ -111,7 +117,8 @@ inline void open_and_start(const GroupStep& s, int32_t i) {
   start_node(s, i);
 }
 
-// Whether a contact may touch in the step, or its trees fail or are not all of this group.
+// Returns whether a contact may touch in the step. Also true if its trees fail or are not all in
+// this group.
 inline bool is_near(const GroupStep& s, int32_t contact) {
   articulation::ContactSide sides[2];
   if (!contact_sides(s.a.shapes, contact, sides)) return true;
@@ -125,7 +132,8 @@ inline bool is_near(const GroupStep& s, int32_t contact) {
   return articulation::may_touch(s.contacts, contact, links, s.how.dt);
 }
 
-// Joins the trees of a contact that may touch. One that is not of this group makes a tree fail.
+// Joins the trees of a contact that may touch. A contact with a tree outside of this group makes a
+// tree fail.
 inline void join_step_contact(const GroupStep& s, int32_t place) {
   const int32_t contact = s.a.contacts[place];
   if (is_near(s, contact)) {
@@ -150,7 +158,7 @@ inline void list_step_contact(const GroupStep& s, int32_t place, int32_t& next_k
   s.a.chain[place].kept = kept < 0 ? -1 : begin + kept;
 }
 
-// Gives an island the places of its contacts, behind `used` of islands before.
+// Assigns places to an island's contacts, after the `used` places of earlier islands.
 inline void close_island(const GroupStep& s, int32_t root, int32_t& used) {
   IslandNode& node = s.a.nodes[root];
   node.begin = used;
@@ -163,7 +171,7 @@ inline void close_island(const GroupStep& s, int32_t root, int32_t& used) {
   if (friction || node.rows > s.all.most_alone.value) node.joined = 1;
 }
 
-// Behind open_tree or start_tree of all trees.
+// Finds the islands; call this after open_tree or start_tree of all trees.
 inline void find_islands(const GroupStep& s) {
   const int32_t* const trees = s.a.trees;
   for (int32_t place = s.first_place(); place < s.end_place(); ++place) join_step_contact(s, place);
@@ -185,7 +193,7 @@ inline void take_contact(const GroupStep& s, int32_t place,
   if (s.all.impulses != nullptr) s.all.impulses[contact] = {impulse[0], impulse[1], impulse[2]};
 }
 
-// The velocity limits of a tree that touches nothing.
+// Applies the velocity limits of a tree without contacts.
 inline void hold_rates(const GroupStep& s, int32_t i) {
   const articulation::IslandTree of = s.tree(i);
   articulation::Workspace<float> ws = of.ws;
@@ -195,7 +203,7 @@ inline void hold_rates(const GroupStep& s, int32_t i) {
   if (failed < 0) articulation::free_rates(of.tree, s.in, s.how, ws);
 }
 
-// The contact of a tree with the world, and its link.
+// Returns the contact of a tree with the world, and its link.
 inline articulation::TreeContact<float> contact_of_tree(const GroupStep& s, int32_t tree,
                                                         int32_t place, int32_t& link) {
   const int32_t contact = s.a.contacts[place];
@@ -208,7 +216,7 @@ inline articulation::TreeContact<float> contact_of_tree(const GroupStep& s, int3
                                     s.material(contact), s.kept(place), s.warm_scale);
 }
 
-// An island of one tree that touches the world.
+// Solves an isolated island: one tree that touches the world.
 inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) {
   const IslandNode& node = s.a.nodes[root];
   const articulation::IslandTree of = s.tree(root);
@@ -255,19 +263,19 @@ inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) 
   return {static_cast<int32_t>(result.sweeps), result.residual, result.largest};
 }
 
-// f(row, dof of the arrays) for the dry friction of an island.
+// Calls f(row, dof of the arrays) for the dry friction of an island.
 template <class F>
 void for_friction(const GroupStep& s, int32_t root, const F& f) {
   for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
     for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
       if (s.has_friction(i, k)) f(s.friction(i)[k], s.rows(i).first_dof + k);
 }
-// The rows of a joined island.
+// The rows of a coupled island.
 inline articulation::IslandContact* rows_of(const GroupStep& s, int32_t root) {
   return reinterpret_cast<articulation::IslandContact*>(s.rows_memory(root));
 }
 
-// Any island.
+// Solves any island.
 inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root) {
   const ContactGroupArguments& a = s.a;
   const IslandNode& node = a.nodes[root];
@@ -327,7 +335,7 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
   return result;
 }
 
-// Where a tree fails, its island does.
+// Solves an island. If a tree fails, the whole island fails.
 inline void solve_island(const GroupStep& s, int32_t root) {
   const ContactGroupArguments& a = s.a;
   int32_t* const all_status = s.all.step.status;

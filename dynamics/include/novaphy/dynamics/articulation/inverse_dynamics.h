@@ -1,6 +1,6 @@
-// Inverse dynamics, the mass matrix, the center of mass and the energy of a tree (tree.h), all
-// behind kinematics().
-//   tau = ID(q, qd, qdd) = H(q) qdd + bias(q, qd), without armature; wrenches on bodies act.
+// Inverse dynamics, the mass matrix, the center of mass and the energy of a tree (tree.h). Call
+// kinematics() first.
+//   tau = ID(q, qd, qdd) = H(q) qdd + bias(q, qd), without armature, with wrenches on bodies.
 // Source: Featherstone (2008), section 5.3 (recursive Newton-Euler) and 6.2 (composite bodies).
 #pragma once
 
@@ -8,8 +8,8 @@
 
 namespace novaphy::articulation {
 
-// What S's change adds to a FREE joint's acceleration in its public coordinates: (v x w, 0) of the
-// joint's own motion in world axes.
+// The change of S contributes to a FREE joint's acceleration in its public coordinates: (v x w, 0)
+// of the joint's own motion in world axes.
 template <class T>
 SpatialVector<T> free_joint_acceleration(const Quat<T>& anchor_q, const T* qd) {
   SpatialVector<T> a = zero_spatial<T>();
@@ -17,7 +17,7 @@ SpatialVector<T> free_joint_acceleration(const Quat<T>& anchor_q, const T* qd) {
   return a;
 }
 
-// The moment about O of a wrench (force, torque about the center of mass).
+// Returns a wrench (force, torque about the center of mass) about O.
 template <class T>
 SpatialVector<T> wrench_at_origin(const SpatialVector<T>& wrench, const Vec3<T>& com) {
   return {wrench.linear, wrench.angular + math::cross(com, wrench.linear)};
@@ -28,7 +28,8 @@ void clear_wrenches(const Tree<T>& tree, Workspace<T>& ws) {
   for (int32_t i = 0; i < tree.link_count; ++i) ws.links[i].wrench = zero_spatial<T>();
 }
 
-// tau (rows of the tree), and in the workspace v, a and f. qdd null: 0. The links' wrenches act.
+// Computes tau (rows of the tree), and v, a and f in the workspace. Null qdd: 0. The links'
+// wrenches act.
 template <class T>
 void inverse_dynamics(const Tree<T>& tree, const T* qd, const T* qdd, Workspace<T>& ws, T* tau) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
@@ -67,8 +68,8 @@ void composite_inertias(const Tree<T>& tree, Workspace<T>& ws) {
   }
 }
 
-// H in the workspace's matrix, on and below the diagonal: H[k n + j] for j an ancestor of k.
-// Entries of dofs of which none hangs on the other are not written; they are 0.
+// Computes H in the workspace's matrix, on and below the diagonal: H[k n + j] for j an ancestor of
+// k. Entries of dofs on different branches are 0 and are not written.
 template <class T>
 void mass_matrix(const Tree<T>& tree, Workspace<T>& ws) {
   composite_inertias(tree, ws);
@@ -89,7 +90,7 @@ struct TreeMass {
   T mass{};
   Vec3<T> com{};  // m, world
 };
-// Of all links. Without mass, com is 0.
+// Returns the mass and the center of mass of all links. Without mass, com is 0.
 template <class T>
 TreeMass<T> center_of_mass(const Tree<T>& tree, const Workspace<T>& ws) {
   TreeMass<T> sum{T(0.0f), {T(0.0f), T(0.0f), T(0.0f)}};
@@ -107,9 +108,9 @@ TreeMass<T> center_of_mass(const Tree<T>& tree, const Workspace<T>& ws) {
 
 template <class T>
 struct TreeEnergy {
-  T kinetic{}, potential{};  // J; the potential against the world's origin
+  T kinetic{}, potential{};  // J; potential relative to the world's origin
 };
-// Behind link_motions. Armature is not in it.
+// Returns the energy, without armature. Call link_motions first.
 template <class T>
 TreeEnergy<T> energy(const Tree<T>& tree, const Workspace<T>& ws) {
   TreeEnergy<T> sum{T(0.0f), T(0.0f)};

@@ -1,33 +1,34 @@
-// The adjoint of inverse dynamics in one sweep out and one back, without matrices.
+// The adjoint of inverse dynamics in one outward and one inward sweep, without matrices.
 //
-//   Phi = lambda . ID(q, qd, qdd)   (tree.h; armature apart)
-// With the virtual motion w_i = w_parent + S_i lambda_i, Phi is the sum of w_i . f_i over the
-// links, f_i = Y_i a_i + v_i x* Y_i v_i - wrench_i. The adjoints of a, v and w are
+//   Phi = lambda . ID(q, qd, qdd)   (tree.h; without armature)
+// With the virtual motion w_i = w_parent + S_i lambda_i, Phi is the sum over the links of w_i .
+// f_i, where f_i = Y_i a_i + v_i x* Y_i v_i - wrench_i. The adjoints of a, v and w are
 //   A_i = Y_i w_i,  V_i = -w_i x* Y_i v_i + Y_i (w_i x v_i),  F_i = f_i
-// summed over what hangs on the link. Turning all of that by the motion S_k, together with its
-// motions, changes nothing, but link i's own v, a and w do not turn with its q; hence
+// summed over the descendants of the link. Rotating all descendants by the motion S_k, with their
+// motions, leaves Phi unchanged. But link i's own v, a and w do not rotate with its q, so
 //   dPhi/dq_k = -S_k . (v_i x* V_i + a_i x* A_i + w_i x* F_i) + (angular S_k) . torque_i
-// where torque_i are the wrenches' f x w_c + t x w_w, which stay as they are in the world.
-// A FREE joint's rates are those of its center of mass: its angular columns move with that.
+// where torque_i is f x w_c + t x w_w of the wrenches, which are constant in the world. The rates
+// of a FREE joint refer to its center of mass, so its angular columns move with the center of mass.
 #pragma once
 
 #include "novaphy/dynamics/articulation/inverse_dynamics.h"
 
 namespace novaphy::articulation {
 
-// Gradients of Phi. Rows of q, qd and qdd are the tree's dofs (tangents of q), the others' are its
-// links. They are stored, not added; a null one is left out.
+// Gradients of Phi. Rows of q, qd and qdd are the tree's dofs (tangents of q); other rows are its
+// links. Gradients are stored, not added. A null gradient is skipped.
 template <class T>
 struct InverseDynamicsGradient {
   T *q = nullptr, *qd = nullptr, *qdd = nullptr;
   SpatialVector<T>* wrench = nullptr;  // about the center of mass, world axes
-  T* mass = nullptr;                   // at the same center of mass and inertia about it
-  Vec3<T>* com = nullptr;              // body frame; at the same q
+  T* mass = nullptr;                   // at constant center of mass and inertia about it
+  Vec3<T>* com = nullptr;              // body frame; at constant q
   Mat33<T>* inertia = nullptr;         // body axes, symmetric
   Vec3<T> gravity = {};
 };
 
-// A link's own dPhi/d(com), in world axes, at fixed v_com and frames: of m w_c . a_c - w_c . f.
+// Returns a link's own dPhi/d(com), in world axes, at constant v_com and frames: the derivative of
+// m w_c . a_c - w_c . f.
 template <class T>
 Vec3<T> com_gradient(const LinkState<T>& s) {
   const Vec3<T> a_com = math::motion_at(s.a, s.com).linear +
@@ -38,7 +39,7 @@ Vec3<T> com_gradient(const LinkState<T>& s) {
   return g * s.inertia.mass - math::cross(s.wrench.linear, s.w.angular);
 }
 
-// The symmetric dPhi/dI in body axes: w_w . (I alpha + omega x I omega).
+// Returns the symmetric dPhi/dI in body axes: the derivative of w_w . (I alpha + omega x I omega).
 template <class T>
 Mat33<T> inertia_gradient(const LinkState<T>& s) {
   const Vec3<T> w = math::rotate_inverse(s.q, s.w.angular);
@@ -57,8 +58,8 @@ Mat33<T> inertia_gradient(const LinkState<T>& s) {
            {xz, yz, w.z * alpha.z + u.z * omega.z}}};
 }
 
-// dPhi when the columns of a FREE joint's angular rates move by d, as they do with its center of
-// mass: of its own a, v and w, and all that hangs on it.
+// Returns the change of Phi if the angular columns of a FREE joint move by d, as they do with its
+// center of mass: by its own a, v and w, and by its descendants.
 template <class T>
 T moved_columns(const LinkState<T>& s, const SpatialVector<T>& v_parent, const Vec3<T>& d,
                 const Vec3<T>& omega, const Vec3<T>& alpha, const Vec3<T>& lambda) {
@@ -70,8 +71,8 @@ T moved_columns(const LinkState<T>& s, const SpatialVector<T>& v_parent, const V
          math::dot(math::cross(d, lambda), s.f.linear);
 }
 
-// A link's gradients for its own joint, when its adjoints are summed, and what a FREE joint adds to
-// that of `com`.
+// Computes a link's gradients for its own joint from its summed adjoints, and a FREE joint's
+// contribution to the gradient of `com`.
 template <class T>
 void joint_gradient(const Tree<T>& tree, const Link& link, const T* qd, const T* qdd,
                     const T* lambda, const SpatialVector<T>& v_parent, const Workspace<T>& ws,
@@ -99,7 +100,7 @@ void joint_gradient(const Tree<T>& tree, const Link& link, const T* qd, const T*
     const T add[6] = {linear.x, linear.y, linear.z, angular.x, angular.y, angular.z};
     for (int k = 0; k < 6; ++k) g.qd[first + k] = g.qd[first + k] + add[k];
   }
-  if (g.q)  // nothing depends on where a root is
+  if (g.q)  // nothing depends on the position of a root
     for (int k = 0; k < 3; ++k)
       g.q[first + k] =
           link.parent < 0 ? T(0.0f) : g.q[first + k] + moved(ws.axes[first + k].linear);
@@ -110,7 +111,7 @@ void joint_gradient(const Tree<T>& tree, const Link& link, const T* qd, const T*
   }
 }
 
-// The gradients of Phi, behind inverse_dynamics at (q, qd, qdd). lambda: rows of the tree.
+// Computes the gradients of Phi, after inverse_dynamics at (q, qd, qdd). lambda: rows of the tree.
 template <class T>
 void inverse_dynamics_vjp(const Tree<T>& tree, const T* qd, const T* qdd, const T* lambda,
                           Workspace<T>& ws, InverseDynamicsGradient<T>& g) {

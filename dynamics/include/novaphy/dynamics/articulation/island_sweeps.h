@@ -1,15 +1,15 @@
-// The sweeps of an island (islands.h): those of rates, and behind them those of shifts.
+// The sweeps of an island (islands.h): sweeps of rates, followed by sweeps of shifts.
 //
-// A contact that pushes nothing has no Y, and nothing that sweeps divide by. Both are made when a
-// sweep finds that the contact is about to push. The impulses are the same, to the bit.
+// A contact that does not push needs neither Y nor the divisors of a sweep. Both are computed when
+// a sweep finds that the contact is about to push. The impulses have the same bits.
 #pragma once
 
 #include "novaphy/dynamics/articulation/islands.h"
 
 namespace novaphy::articulation {
 
-// for_rows(f) calls f for each contact. whole(row, speed) says whether a contact that parts at that
-// speed pushes, and makes it whole then.
+// for_rows(f) calls f for each contact. whole(row, speed) returns whether a contact that separates
+// at `speed` pushes, and then completes its data.
 template <class ForRows, class Whole>
 void sweep_shifts(const ForRows& for_rows, const Whole& whole) {
   bool overlap = false;
@@ -27,8 +27,8 @@ void sweep_shifts(const ForRows& for_rows, const Whole& whole) {
   }
 }
 
-// for_contacts(back, f) calls f for each contact, for_friction(f) for each dry friction.
-// complete(row) makes a contact whole.
+// for_contacts(back, f) calls f for each contact, and for_friction(f) for each dry friction.
+// complete(row) completes the data of a contact.
 template <class ForContacts, class ForFriction, class Complete>
 IslandResult sweep_island(bool cone, int32_t most_sweeps, float tolerance,
                           const ForContacts& for_contacts, const ForFriction& for_friction,

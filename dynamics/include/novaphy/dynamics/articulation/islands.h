@@ -1,8 +1,7 @@
-// Islands: trees that touch each other, directly or by others, with their contacts and the dry
-// friction of their joints, which are solved together (pgs.h). The solver on the host and the
-// kernel of devices (articulation_contact_kernels.h) share this text; where rows are kept, and in
-// which lists, is theirs.
-// A tree that touches nothing but the world, without dry friction, is solved by tree_contacts.h.
+// Islands: trees that touch each other, directly or through other trees, with their contacts and
+// the dry friction of their joints, which are solved together (pgs.h). The solver on the host and
+// the device kernel (articulation_contact_kernels.h) share this source. Each has its own memory and
+// lists of rows. tree_contacts.h solves a tree that touches only the world and has no dry friction.
 #pragma once
 
 #include "novaphy/core/sim/enums.h"
@@ -15,8 +14,9 @@ namespace novaphy::articulation {
 
 inline constexpr int32_t kMostTreeContacts = 64;
 
-// Rigid contacts (core/sim/contacts.h). `point_id` may be null where nothing starts warm. `found`:
-// the search found them from the state of the step, so that derivatives let them follow it.
+// Rigid contacts (core/sim/contacts.h). `point_id` may be null without a warm start. `found`:
+// whether the search found them from the state of the step, so that derivatives let them move with
+// the state.
 struct ContactRows {
   int32_t count = 0;
   const int32_t *shape0 = nullptr, *shape1 = nullptr, *point_id = nullptr;
@@ -25,7 +25,7 @@ struct ContactRows {
   bool found = false;
 };
 
-// The material of a contact, and the parts that its shapes have in that.
+// Returns the material of a contact, and the contributions of its shapes.
 inline PairParts contact_parts(const ShapeMaterials& of, const ContactRows& c, int32_t contact) {
   return pair_parts(of, c.shape0[contact], c.shape1[contact], [](float x) { return x; });
 }
@@ -35,38 +35,40 @@ inline ContactMaterial<float> contact_material(const ShapeMaterials& of, const C
 }
 
 struct ContactSide {
-  int32_t tree = -1, link = -1;  // -1: the world, or what no dof moves
+  int32_t tree = -1, link = -1;  // -1: the world, or a link that no dof moves
 };
 
-// Of the rates of a tree, and of its rows.
+// Returns the padded number of dofs in the rates and rows of a tree.
 inline int32_t padded_dofs(int32_t dofs) { return (dofs + 3) / 4 * 4; }
 
-// Whether impulses move the tree of a side; `trees`: rows with `moves` and `dof_count`.
+// Returns whether impulses move the tree of a side; `trees`: rows with `moves` and `dof_count`.
 template <class TreeRows>
 bool moves(const TreeRows* trees, const ContactSide& side) {
   return side.tree >= 0 && trees[side.tree].moves != 0;
 }
-// The first tree of a contact that they move, whose island has it.
+// Returns the first tree of a contact that impulses move. The contact belongs to its island.
 template <class TreeRows>
 int32_t moved_tree(const TreeRows* trees, const ContactSide* sides) {
   return sides[moves(trees, sides[0]) ? 0 : 1].tree;
 }
-// The widths of the rows of a contact; false: it moves nothing.
+// Sets the widths of a contact's rows. Returns false if the contact moves nothing.
 template <class TreeRows>
 bool set_widths(const TreeRows* trees, const ContactSide* sides, int32_t* widths) {
   for (int side = 0; side < 2; ++side)
     widths[side] = sides[side].tree < 0 ? 0 : padded_dofs(trees[sides[side].tree].dof_count);
-  if (sides[0].tree == sides[1].tree) widths[1] = 0;  // one row holds both sides
+  if (sides[0].tree == sides[1].tree) widths[1] = 0;  // one row has both sides
   return moves(trees, sides[0]) || moves(trees, sides[1]);
 }
 
-// Whether the island of a contact is more than one tree with the world, or has too many `dofs` for
-// tree_contacts.h; more than kMostTreeContacts contacts and dry friction make it so too.
+// Returns whether the island of a contact is more than one tree with the world, or has too many
+// `dofs` for tree_contacts.h. More than kMostTreeContacts contacts, and dry friction, also make an
+// island coupled.
 inline bool joins_more(const ContactSide* sides, int32_t dofs) {
   return (sides[0].tree >= 0 && sides[1].tree >= 0) || dofs > kTreeContactDofs;
 }
 
-// Trees that touch have the root of the smallest index. root_of(tree) is a tree nearer to it.
+// Returns the root of a tree's island, the touching tree with the smallest index. root_of(tree) is
+// a tree nearer to the root.
 template <class RootOf>
 int32_t find_root(const RootOf& root_of, int32_t tree) {
   while (root_of(tree) != tree) {
@@ -82,10 +84,10 @@ void join_trees(const RootOf& root_of, int32_t tree, int32_t other) {
   root_of(a < b ? b : a) = a < b ? a : b;
 }
 
-// The impulses of a point, for the next step.
+// The impulses of a contact point, for the warm start of the next step.
 struct KeptContact {
   int32_t shape0 = 0, shape1 = 0, point = 0;
-  float normal = 0.0f;  // 0: nobody starts from it
+  float normal = 0.0f;  // 0: not used for a warm start
   Vec3f tangent = {};
 };
 inline KeptContact kept_contact(const ContactRows& c, int32_t contact,
@@ -94,13 +96,13 @@ inline KeptContact kept_contact(const ContactRows& c, int32_t contact,
   return {c.shape0[contact], c.shape1[contact], c.point_id == nullptr ? -1 : c.point_id[contact],
           impulse[0], tangent};
 }
-// The mean force of a step on B, N.
+// Returns the mean force of a step on B (N).
 inline Vec3f contact_force(const ContactFrame<float>& frame, const KeptContact& of, float dt) {
   return (frame.axes[0] * of.normal + of.tangent) * (1.0f / dt);
 }
 
-// Where the impulses of the same point stand in those of the step before, or -1. `next` is where
-// the pair before stood, 0 at first: both lists are in the order of shapes.
+// Returns the index of the same point in the impulses of the step before, or -1. `next`: index of
+// the last found pair, initially 0; both lists are sorted by shapes.
 inline int32_t find_kept(const KeptContact* kept, int32_t count, int32_t& next,
                          const ContactRows& c, int32_t contact) {
   const int32_t a = c.shape0[contact], b = c.shape1[contact];
@@ -112,7 +114,8 @@ inline int32_t find_kept(const KeptContact* kept, int32_t count, int32_t& next,
   return -1;
 }
 
-// Whether the point of a shape that meets a plane is fixed to it: a center, an end, a corner.
+// Returns whether the point of a shape that touches a plane is fixed to the shape: a center, an end
+// or a corner.
 inline bool meets_planes_in_points(int32_t shape_type) {
   switch (static_cast<GeoType>(shape_type)) {
     case GeoType::SPHERE:
@@ -125,7 +128,7 @@ inline bool meets_planes_in_points(int32_t shape_type) {
       return false;
   }
 }
-// IslandContact::follows of a contact.
+// Returns IslandContact::follows of a contact.
 inline bool follows_plane(const ContactRows& c, const int32_t* shape_type, int32_t contact,
                           const ContactSide* sides) {
   const int32_t types[2] = {shape_type[c.shape0[contact]], shape_type[c.shape1[contact]]};
@@ -137,36 +140,37 @@ inline bool follows_plane(const ContactRows& c, const int32_t* shape_type, int32
   return follows;
 }
 
-// What the rows of an island read of a tree, and move.
+// The data of a tree that the rows of an island read and change.
 struct IslandTree {
   Tree<float> tree;
-  Workspace<float> ws;  // behind free_rates
-  float* rates;         // {2, padded_dofs}: ws.qd_next, which contacts change, and shifts; zeros
-  const float* qd;      // of before
-  bool moves;           // by impulses
+  Workspace<float> ws;  // after free_rates
+  float* rates;         // {2, padded_dofs}: ws.qd_next, which contacts change, and the shifts;
+                        // padded with zeros
+  const float* qd;      // rates before the step
+  bool moves;           // whether impulses move it
 };
 
-// A contact of an island; `contact` is its row, and the widths are those of set_widths.
+// A contact of an island. `contact` is its row; the widths come from set_widths.
 struct IslandContact {
   int32_t contact = 0;
   ContactSide sides[2] = {};
   ContactFrame<float> frame = {};
   ContactPlace<float> place = {};
-  Vec3f cores[2] = {};  // about the origins
+  Vec3f cores[2] = {};  // relative to the origins
   float before = 0.0f;  // J_n qd
   NormalTarget<float> target = {};
   PgsContact<float> solver = {};
-  // For derivatives (active_rows.h). Found from the state, of a point that is fixed to its shape
-  // and a plane of the world: so the normal is constant, and the point of the plane goes along it
-  // below the other.
+  // For derivatives (active_rows.h): the contact was found from the state, between a point fixed to
+  // its shape and a plane of the world. The normal is then constant, and the point on the plane
+  // moves below the other point.
   bool follows = false;
-  bool turns = false;        // points and normal follow both bodies (turning_contacts.h)
-  bool elastic = false;      // it has restitution
-  float* numbers = nullptr;  // {6, widths of both sides}: J, and Y behind it, of each side
-  bool whole = false;        // build_responses was there
+  bool turns = false;        // moving contact point (turning_contacts.h)
+  bool elastic = false;      // whether it has restitution
+  float* numbers = nullptr;  // {6, widths of both sides}: J, followed by Y, of each side
+  bool whole = false;        // whether build_responses was called
 };
 
-// Whether it pushes or shifts.
+// Returns whether a contact pushes or shifts.
 inline bool pushes(const IslandContact& row) {
   return row.solver.impulse[0] > 0.0f || row.solver.shifted > 0.0f;
 }
@@ -178,9 +182,9 @@ inline void contact_points(const ContactRows& c, int32_t contact,
   points[1] = surface_point(links[1], c.point1[contact], normal * -c.margin1[contact]);
 }
 
-// Whether a contact may touch in a step of dt: its gap is at most twice the way that its points
-// come together with the motions of the links (null: the world), and kMoreSpeed (m/s) dt for what
-// the step does to them. Only such contacts are solved. A gap that is no number may.
+// Returns whether a contact may touch in a step of dt: its gap is at most twice the approach of its
+// points by the links' motions (null: the world), plus kMoreSpeed (m/s) dt for changes in the step.
+// Only such contacts are solved. A NaN gap may touch.
 inline bool may_touch(const ContactRows& c, int32_t contact, const LinkState<float>* const* links,
                       float dt) {
   const Vec3f normal = c.normal[contact];
@@ -195,7 +199,7 @@ inline bool may_touch(const ContactRows& c, int32_t contact, const LinkState<flo
   return !(place.gap > (2.0f * math::max(closing, 0.0f) + kMoreSpeed) * dt);
 }
 
-// Where a contact is and its J, in row.numbers.
+// Computes the place of a contact and its J, in row.numbers.
 template <class TreeOf>
 void build_jacobian(const ContactRows& c, const TreeOf& tree_of, IslandContact& row) {
   const int32_t i = row.contact;
@@ -233,7 +237,7 @@ void build_jacobian(const ContactRows& c, const TreeOf& tree_of, IslandContact& 
   row.before = before;
 }
 
-// Behind build_jacobian: what its impulses do.
+// Computes the responses of a contact, after build_jacobian.
 template <class TreeOf>
 void build_responses(const ContactRows& c, const TreeOf& tree_of, IslandContact& row) {
   row.whole = true;
@@ -267,7 +271,8 @@ void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
   build_responses(c, tree_of, row);
 }
 
-// What its normal wants, behind build_jacobian and at the rates without impulses.
+// Sets the target of a contact's normal row, after build_jacobian and at the rates without
+// impulses.
 inline void aim(const ContactLaw<float>& law, const ContactMaterial<float>& material,
                 IslandContact& row) {
   row.target = normal_target(law, material, row.place.gap, row.before, slip(row.solver, 0));
@@ -277,7 +282,7 @@ inline void aim(const ContactLaw<float>& law, const ContactMaterial<float>& mate
   row.solver.friction = material.friction;
   row.elastic = material.restitution > 0.0f;
 }
-// Likewise, behind build_contact.
+// Sets the target after build_contact.
 inline void set_target(const ContactLaw<float>& law, const ContactMaterial<float>& material,
                        IslandContact& row) {
   aim(law, material, row);
@@ -291,7 +296,7 @@ inline void start_from_kept(const KeptContact& kept, float scale, bool cone, Isl
              math::dot(tangent, row.frame.axes[2]));
 }
 
-// Dry friction of a dof, with its `response` {padded_dofs}; `limit`: friction dt.
+// Builds the row of a dof's dry friction, with its `response` {padded_dofs}; `limit`: friction dt.
 inline void build_friction(const IslandTree& of, int32_t dof, float limit, float* response,
                            PgsJointFriction<float>& row) {
   const int32_t width = padded_dofs(of.tree.dof_count);
@@ -304,18 +309,18 @@ inline void build_friction(const IslandTree& of, int32_t dof, float limit, float
   row.dof = dof;
   row.limit = limit;
   row.impulse = 0.0f;
-  // Of a dof at its velocity limit nothing but the limit's force depends on it.
+  // For a dof at its velocity limit, only the force of the limit depends on the friction.
   if (response[dof] == 0.0f && of.rates[dof] != 0.0f)
     row.impulse = of.rates[dof] > 0.0f ? -limit : limit;
 }
 
 struct IslandResult {
   int32_t sweeps = 0;
-  float residual = 0.0f;  // the largest change of velocity of the last, m/s
-  float largest = 0.0f;   // impulse, as a velocity, m/s
+  float residual = 0.0f;  // m/s, largest change of velocity in the last sweep
+  float largest = 0.0f;   // m/s, largest impulse as a velocity
 };
-// The rates that an island left, into qd_next and qdd, and its shifts. The first dof whose rate is
-// not finite, or -1; there it stops.
+// Stores the rates of an island in qd_next and qdd, and its shifts. Returns the first dof whose
+// rate is not finite, or -1. The function stops at that dof.
 inline int32_t take_rates(float* rates, const float* qd, float dt, int32_t dofs,
                           Workspace<float>& ws) {
   ws.shift = rates + padded_dofs(dofs);
@@ -328,13 +333,13 @@ inline int32_t take_rates(float* rates, const float* qd, float dt, int32_t dofs,
   return -1;
 }
 
-// Adds what a contact pushes the dofs of a tree with, N s or N m s. `rates`: those of the tree.
+// Adds the impulse of a contact on the dofs of a tree (N s or N m s). `rates`: those of the tree.
 inline void add_impulses(const PgsContact<float>& c, const float* rates, int32_t dofs, float* to) {
   for (const RowSide<float>& s : c.sides)
     for (int32_t r = 0; s.width > 0 && s.rates == rates && r < 3; ++r)
       for (int32_t k = 0; k < dofs; ++k) to[k] += s.jacobian[r * s.width + k] * c.impulse[r];
 }
-// Behind sweep_island: accelerations, and renew_branches, of one of its trees.
+// Computes the accelerations of a tree after sweep_island, and calls renew_branches.
 template <class ForContacts, class ForFriction>
 bool renew_tree(const IslandTree& of, const StepInputs<float>& in, const StepOptions<float>& how,
                 int32_t round, const ForContacts& for_contacts, const ForFriction& for_friction) {
@@ -352,7 +357,7 @@ bool renew_tree(const IslandTree& of, const StepInputs<float>& in, const StepOpt
   }
   return renew_branches(of.tree, in, how, true, round, ws);
 }
-// Its rates without impulses once more. The dof that fails, or -1.
+// Computes the rates without impulses again. Returns the dof that fails, or -1.
 inline int32_t restart_tree(const IslandTree& of, const StepInputs<float>& in,
                             const StepOptions<float>& how) {
   Workspace<float> ws = of.ws;
@@ -364,7 +369,7 @@ inline int32_t restart_tree(const IslandTree& of, const StepInputs<float>& in,
   return failed;
 }
 
-// Bits of the dofs that move a link, for tree_contacts.h.
+// Returns the dofs that move a link, as bits, for tree_contacts.h.
 template <class T>
 int32_t moving_dofs(const Tree<T>& tree, int32_t link) {
   uint32_t bits = 0;
@@ -372,8 +377,8 @@ int32_t moving_dofs(const Tree<T>& tree, int32_t link) {
     if (d < kTreeContactDofs) bits |= 1u << d;
   return static_cast<int32_t>(bits);
 }
-// The contact of a tree with the world, for tree_contacts.h. `moved_by`: bits of the dofs that move
-// its link; `kept`: what it starts from, zeros where that is nothing.
+// Returns the contact of a tree with the world for tree_contacts.h. `moved_by`: dofs that move its
+// link, as bits. `kept`: impulses for the warm start, or zeros.
 inline TreeContact<float> tree_contact(const ContactRows& c, int32_t i, int32_t side,
                                        int32_t moved_by, const ContactMaterial<float>& material,
                                        const KeptContact& kept, float scale) {

@@ -8,8 +8,8 @@ namespace novaphy {
 
 using articulation::DualFloat;
 
-// What the results were stays where a step fails. branch: of the step; a row per dof. stride:
-// numbers of the workspace for an articulation.
+// If a step fails, its results stay unchanged. branch: branches of the step, per dof. stride: size
+// of the workspace of an articulation in numbers.
 struct ArticulationJvpArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationArgumentsOf<DualFloat>> in; Changed<DualFloat> q_next, qd_next;
                     Changed<Transform<DualFloat>> body_q; Changed<SpatialVector<DualFloat>> body_qd;

@@ -1,12 +1,12 @@
-// Where the links are, and how they move: forward kinematics, the update of q, and the adjoint of
-// both. Conventions: tree.h.
+// Forward kinematics: frames and motions of the links, the update of q, and the adjoint of both.
+// tree.h has the conventions.
 #pragma once
 
 #include "novaphy/dynamics/articulation/joints/joints.h"
 
 namespace novaphy::articulation {
 
-// X_j(q), with a quaternion of any length made unit; `length` is what it had.
+// Returns X_j(q) with a normalized quaternion, and its `length` before.
 template <class T>
 Transform<T> joint_transform(const Tree<T>& tree, const Link& link, const T* q, T& length) {
   Transform<T> x;
@@ -14,7 +14,7 @@ Transform<T> joint_transform(const Tree<T>& tree, const Link& link, const T* q, 
   return x;
 }
 
-// R I R^T about O, of a body with its center of mass at c.
+// Returns the inertia R I R^T about O of a body with the center of mass c.
 template <class T>
 SpatialInertia<T> world_inertia(const Tree<T>& tree, const Link& link, const Quat<T>& q,
                                 const Vec3<T>& c) {
@@ -25,7 +25,7 @@ SpatialInertia<T> world_inertia(const Tree<T>& tree, const Link& link, const Qua
           yz = (i.m[1][2] + i.m[2][1]) * half;
   const Vec3<T> x = math::rotate(q, unit_vector<T>(0)), y = math::rotate(q, unit_vector<T>(1)),
                 z = math::rotate(q, unit_vector<T>(2));
-  // R I by its columns, times the rows of R.
+  // R I, column by column, times the rows of R.
   const Vec3<T> a = x * i.m[0][0] + (y * xy + z * xz), b = x * xy + (y * i.m[1][1] + z * yz),
                 d = x * xz + (y * yz + z * i.m[2][2]);
   const auto entry = [&](T Vec3<T>::*r, T Vec3<T>::*s) {
@@ -38,7 +38,7 @@ SpatialInertia<T> world_inertia(const Tree<T>& tree, const Link& link, const Qua
       -c);
 }
 
-// The columns of S of a link whose frames are set.
+// Sets the columns of S of a link whose frames are set.
 template <class T>
 void set_axes(const Tree<T>& tree, const Link& link, const LinkState<T>& s,
               SpatialVector<T>* axes) {
@@ -46,7 +46,7 @@ void set_axes(const Tree<T>& tree, const Link& link, const LinkState<T>& s,
   Joints::visit(link.joint, [&](auto joint) { joint.set_axes(tree, link, s, column); });
 }
 
-// Frames of a link behind its parent's (null: the world), from q (rows of the arrays).
+// Computes a link's frames from its parent's (null: the world) and q (rows of the arrays).
 template <class T>
 void link_frame(const Tree<T>& tree, const Link& link, const LinkState<T>* parent, const T* q,
                 LinkState<T>& s) {
@@ -77,7 +77,7 @@ void link_frame(const Tree<T>& tree, const Link& link, const LinkState<T>* paren
   if (!parent && is_free(link)) s.com = none;
 }
 
-// Frames and axes of all links.
+// Computes the frames and axes of all links.
 template <class T>
 void link_frames(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
@@ -88,7 +88,7 @@ void link_frames(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
   }
 }
 
-// link_frames, and the inertias of all links.
+// Calls link_frames, and computes the inertias of all links.
 template <class T>
 void kinematics(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
   link_frames(tree, q, ws);
@@ -96,7 +96,7 @@ void kinematics(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
     ws.links[i].inertia = world_inertia(tree, tree.links[i], ws.links[i].q, ws.links[i].com);
 }
 
-// Motions of the links, from qd (rows of the tree).
+// Computes the motions of the links from qd (rows of the tree).
 template <class T>
 void link_motions(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
@@ -106,7 +106,7 @@ void link_motions(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
   }
 }
 
-// body_q and body_qd (rows of the bodies), behind link_frames and link_motions.
+// Writes body_q and body_qd (rows of the bodies), after link_frames and link_motions.
 template <class T>
 void write_body(int32_t body, const LinkState<T>& s, Transform<T>* body_q,
                 SpatialVector<T>* body_qd) {
@@ -122,7 +122,7 @@ void write_bodies(const Tree<T>& tree, const Workspace<T>& ws, Transform<T>* bod
   }
 }
 
-// q after dt at the rates qd (rows of the tree). Quaternions come out unit.
+// Computes q after dt with the rates qd (rows of the tree). Quaternions are normalized.
 template <class T>
 void integrate_coordinates(const Tree<T>& tree, const T* q, const T* qd, const T& dt, T* q_next) {
   for (int32_t i = 0; i < tree.link_count; ++i) {

@@ -1,9 +1,9 @@
 // The adjoint of forward kinematics: from gradients of body_q and body_qd to those of q (tangents),
 // qd and centers of mass.
 //
-// A link's velocity at its center of mass c is v + w x c. With its gradient (u, t): V = (u, t + c x
-// u) is that of the motion about O. Turning all that hangs on link i by S_k moves poses and centers
-// of mass and turns motions, but not link i's own (inverse_dynamics_vjp.h).
+// The velocity of a link's center of mass c is v + w x c. For its gradient (u, t), V = (u, t + c x
+// u) is the gradient of the motion about O. Rotating all descendants of link i by S_k moves poses
+// and centers of mass and rotates motions, except link i's own (inverse_dynamics_vjp.h).
 #pragma once
 
 #include "novaphy/dynamics/articulation/inverse_dynamics.h"
@@ -13,17 +13,18 @@ namespace novaphy::articulation {
 
 template <class T>
 struct KinematicsGradient {
-  T *q = nullptr, *qd = nullptr;  // rows of the tree's dofs, stored
-  Vec3<T>* com = nullptr;         // rows of links, body frame, stored
+  T *q = nullptr, *qd = nullptr;  // rows of the tree's dofs; stored, not added
+  Vec3<T>* com = nullptr;         // rows of links, body frame; stored, not added
 };
 
-// The gradient of a pose (of its numbers) as a force about O.
+// Returns the gradient of a pose (by its seven numbers) as a force about O.
 template <class T>
 SpatialVector<T> pose_force(const LinkState<T>& s, const Transform<T>& g) {
   return {g.p, quat_to_tangent(s.q, g.q) + math::cross(s.p, g.p)};
 }
 
-// Behind link_frames and link_motions. Null: a gradient of zero. Uses v_adjoint and f of the links.
+// Computes the gradients. Call link_frames and link_motions first. A null gradient is zero.
+// Overwrites v_adjoint and f of the links.
 template <class T>
 void kinematics_vjp(const Tree<T>& tree, const T* qd, const Transform<T>* body_q,
                     const SpatialVector<T>* body_qd, Workspace<T>& ws, KinematicsGradient<T>& g) {
@@ -36,7 +37,7 @@ void kinematics_vjp(const Tree<T>& tree, const T* qd, const Transform<T>* body_q
     if (body_q) s.f = pose_force(s, body_q[link.body]);
     if (!body_qd) continue;
     const SpatialVector<T>& u = body_qd[link.body];
-    const Vec3<T> moved = math::cross(u.linear, s.v.angular);  // gradient of c
+    const Vec3<T> moved = math::cross(u.linear, s.v.angular);  // gradient by c
     s.v_adjoint = wrench_at_origin(u, s.com);
     s.f = s.f + math::cross_force(s.v, s.v_adjoint) +
           SpatialVector<T>{moved, math::cross(s.com, moved)};

@@ -1,5 +1,6 @@
-// The first include of kernels that factor mass matrices only (factor.h): functions of articulated
-// bodies made the kernels of contacts fail on GPUs. Their callers refuse longer trees.
+// The first include of kernels that support mass matrices only (factor.h). With the functions of
+// articulated bodies the contact kernels fail on GPUs. The callers of such kernels refuse longer
+// trees.
 #pragma once
 
 #ifdef NOVAPHY_KERNEL

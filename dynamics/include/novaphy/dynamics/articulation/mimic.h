@@ -1,11 +1,11 @@
-// Links whose joint follows that of another one (URDF's mimic): q_f = multiplier q_l + offset, of
-// joints with one dof. With the constant T of qd = T qd_reduced a step moves
+// Mimic joints (URDF): q_f = multiplier q_l + offset for joints with one dof, where q_l belongs to
+// the leader. With the constant matrix T of qd = T qd_reduced, a step solves
 //   T^T M T qdd_reduced = T^T f,   qdd = T qdd_reduced
-// so M^-1 becomes the symmetric T (T^T M T)^-1 T^T in every formula (contacts, adjoints,
-// derivatives), and nothing else changes. A mimic joint's coordinates are written from the leader's
-// at the end of a step; at its start they are read as they stand. Mimic joints join branches, so
-// the matrix is factored whole, without the tree's sparsity. Source: Featherstone, Rigid Body
-// Dynamics Algorithms (2008), section 3.4 (implicit constraints made explicit).
+// so M^-1 becomes the symmetric matrix T (T^T M T)^-1 T^T in every formula (contacts, adjoints,
+// derivatives), and nothing else changes. At the end of a step the coordinates of mimic joints are
+// written from their leaders. At the start of a step they are read unchanged. Mimic joints couple
+// branches, so the matrix is factored without the tree's sparsity. Source: Featherstone, Rigid Body
+// Dynamics Algorithms (2008), section 3.4 (explicit form of implicit constraints).
 #pragma once
 
 #include "novaphy/dynamics/articulation/tree.h"
@@ -14,7 +14,8 @@ namespace novaphy::articulation {
 
 inline bool follows(const Link& link) { return link.leader >= 0; }
 
-// f(mimic joint's dof, leader's dof, multiplier) for each mimic joint; dofs among the tree's.
+// Calls f(mimic joint's dof, leader's dof, multiplier) for each mimic joint, with dofs as indices
+// in the tree.
 template <class T, class F>
 void for_mimics(const Tree<T>& tree, F&& f) {
   if (tree.mimics == 0) return;
@@ -25,7 +26,7 @@ void for_mimics(const Tree<T>& tree, F&& f) {
   }
 }
 
-// x = T^T x: numbers of dofs that act (forces, gradients).
+// Computes x = T^T x for dual quantities (forces, gradients).
 template <class T>
 void gather_mimics(const Tree<T>& tree, T* x) {
   for_mimics(tree, [x](int32_t mimic, int32_t leader, const T& multiplier) {
@@ -33,7 +34,7 @@ void gather_mimics(const Tree<T>& tree, T* x) {
     x[mimic] = T(0.0f);
   });
 }
-// x = T x: numbers of dofs that move (rates, accelerations).
+// Computes x = T x for motions (rates, accelerations).
 template <class T>
 void spread_leaders(const Tree<T>& tree, T* x) {
   for_mimics(tree, [x](int32_t mimic, int32_t leader, const T& multiplier) {
@@ -41,7 +42,7 @@ void spread_leaders(const Tree<T>& tree, T* x) {
   });
 }
 
-// A new state's coordinates and rates of mimic joints; rows of the arrays.
+// Writes the coordinates and rates of mimic joints in a new state; rows of the arrays.
 template <class T>
 void follow(const Tree<T>& tree, T* q, T* qd) {
   if (tree.mimics == 0) return;
@@ -54,7 +55,7 @@ void follow(const Tree<T>& tree, T* q, T* qd) {
   }
 }
 
-// T^T M T in place of what mass_matrix wrote, with 1 on the diagonal of mimic joints.
+// Replaces the result of mass_matrix by T^T M T, with 1 on the diagonal of mimic joints.
 template <class T>
 void reduce_matrix(const Tree<T>& tree, T* m) {
   const int64_t n = tree.dof_count;

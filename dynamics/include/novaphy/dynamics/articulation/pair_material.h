@@ -1,9 +1,9 @@
-// The material of two shapes that touch (core/sim/shape_config.h, ShapeMixing).
+// The material of two touching shapes (core/sim/shape_config.h, ShapeMixing).
 //
-// A coefficient of the pair is  a times that of shape A + b times that of shape B (+ a constant),
-// with the parts a and b below. The parts depend on the values but not on their derivatives. Steps,
-// adjoints and tangents share the parts. Where both mu are the same, each shape has half of it.
-// Source: MuJoCo documentation, Computation, contact parameters.
+// A coefficient of the pair is a times that of shape A plus b times that of shape B (plus a
+// constant), with the fractions a and b below. The fractions are constant in derivatives. Steps,
+// adjoints and tangents share them. If both mu are equal, each shape has the fraction 1/2. Source:
+// MuJoCo documentation, Computation, contact parameters.
 #pragma once
 
 #include "novaphy/dynamics/articulation/pgs.h"
@@ -13,15 +13,15 @@ namespace novaphy::articulation {
 struct PairParts {
   float friction[2] = {0.5f, 0.5f};
   float restitution[2] = {0.5f, 0.5f};
-  float softness[2] = {0.5f, 0.5f};  // of ke and kd
+  float softness[2] = {0.5f, 0.5f};  // fractions for ke and kd
   float more_friction = 0.0f;
 };
-// The gradients of both shapes, by their parts.
+// The gradients of both shapes, by their fractions.
 struct MaterialGradient {
   float mu[2] = {}, restitution[2] = {}, ke[2] = {}, kd[2] = {};
 };
 
-// `mixing`: of ShapeMixing, the four numbers of each shape; `mu`: of each shape.
+// `mixing`: the four numbers of ShapeMixing of each shape. `mu`: of each shape.
 inline PairParts pair_parts(const float* mixing_a, const float* mixing_b, float mu_a, float mu_b) {
   PairParts to;
   const float *const mixing[2] = {mixing_a, mixing_b}, mu[2] = {mu_a, mu_b};
@@ -35,7 +35,7 @@ inline PairParts pair_parts(const float* mixing_a, const float* mixing_b, float 
     const float ahead = mixing[i][0] - mixing[1 - i][0];
     const float over = ahead != 0.0f ? ahead : has[i] - has[1 - i];
     const float part = over > 0.0f ? 1.0f : over < 0.0f ? 0.0f : 0.5f;
-    // Of the shape that decides alone, mu counts as it is.
+    // The mu of a shape that decides alone is used as it is.
     const bool constant = ahead == 0.0f && !slips && !(mu[i] > 0.0f);
     to.friction[i] = constant ? 0.0f : part;
     to.more_friction += constant ? part * has[i] : 0.0f;
@@ -44,7 +44,7 @@ inline PairParts pair_parts(const float* mixing_a, const float* mixing_b, float 
   return to;
 }
 
-// Numbers {shapes} each; of mixing four.
+// Arrays with one row per shape; mixing has four numbers per row.
 template <class T>
 struct MaterialsOf {
   const T *mu, *restitution, *ke, *kd;
@@ -52,7 +52,7 @@ struct MaterialsOf {
 };
 using ShapeMaterials = MaterialsOf<float>;
 
-// `value_of`: the float of a T.
+// `value_of`: converts T to float.
 template <class T, class ValueOf>
 PairParts pair_parts(const MaterialsOf<T>& of, int32_t a, int32_t b, const ValueOf& value_of) {
   return pair_parts(of.mixing + 4 * int64_t{a}, of.mixing + 4 * int64_t{b}, value_of(of.mu[a]),

@@ -1,37 +1,37 @@
-// Contacts and dry friction of joints by projected Gauss-Seidel, at the level of velocities.
+// Contacts and dry friction of joints by projected Gauss-Seidel, at the velocity level.
 //
-//   v' = v + M^-1 J^T lambda,  lambda impulses (N s), v the rates that the step has without them
+//   v' = v + M^-1 J^T lambda,  lambda: impulses (N s), v: rates of the step without impulses
 //   normal     0 <= lambda_n, J_n v' + beta + cfm lambda_n >= 0, one of both = 0
 //   friction   |lambda_t| <= mu lambda_n, against the slip J_t v' (cone); or each of the two
 //              tangents by itself (pyramid: up to sqrt 2 too strong along the diagonals)
 //   joints     |lambda| <= friction dt, against the rate of the dof
-// with d the gap:
-//   d > 0      beta = d / dt: the gap may close, and no more
-//   d <= 0     beta = erp min(0, d + slop) / dt, not below -max_depenetration: what an overlap
-//              wants. Of it the rates get what fits into kRestSpeed without a slop, where contacts
-//              at rest lie at d = 0 but for rounding. The rest moves positions alone, so that an
-//              overlap does not become speed
+// where d is the gap:
+//   d > 0      beta = d / dt: the gap may close, but not more
+//   d <= 0     beta = erp min(0, d + slop) / dt, at least -max_depenetration: the correction of an
+//              overlap. The rates get the part of it that fits into kRestSpeed without a slop, so
+//              that resting contacts are at d = 0 up to rounding. The rest only shifts positions,
+//              so that an overlap does not become speed
 //   an approach faster than the restitution threshold that touches within the step:
-//              beta = min(beta, restitution J_n qd), qd the rates before the step
-// A contact with the stiffness k and the damping c has instead, for d <= 0,
+//              beta = min(beta, restitution J_n qd), qd: the rates before the step
+// A contact with stiffness k and damping c instead has, for d <= 0,
 //   beta = erp d / dt, erp = dt k / (dt k + c), and cfm = 1 / (dt (dt k + c)).
-// A sweep takes contact after contact: the normal first, then the tangents as a block. The tangents
-// are moved by -w_t / s and projected radially, with s the largest eigenvalue of their 2 x 2 block
-// of J Y. Sliding does not lift a contact (no De Saxce correction). After these sweeps, where an
-// overlap wants more than the rates have, positions move at v' + p:
+// A sweep processes the contacts one by one: the normal first, then the tangents as a block. The
+// tangents are moved by -w_t / s and projected radially, where s is the largest eigenvalue of their
+// 2 x 2 block of J Y. Sliding does not lift a contact (no De Saxce correction). After these sweeps,
+// if an overlap needs a larger correction than the rates have, positions move at v' + p:
 //   p = M^-1 J_n^T mu,  0 <= mu, J_n (v' + p) + beta + softness mu >= 0, one of both = 0
-// Contacts that the joints of a tree hardly part, or not at all, would take endless impulses. Two
-// bounds prevent this. By cfm, a normal gets at least the part kLeastMobility of the J_n Y_n that
-// its sides have each alone, and at least kLeastOfMass / m. In shifts a normal has the softness
-// kShiftSoftness of the first bound and kLeastOfMass / m.
+// Contacts that the joints of a tree can hardly separate would need unbounded impulses. Two lower
+// bounds prevent this. cfm increases the mobility of a normal to at least kLeastMobility of the J_n
+// Y_n of its sides alone, and to at least kLeastOfMass / m. In shifts a normal has the softness
+// kShiftSoftness of the first bound plus kLeastOfMass / m.
 //
 // The mass m is that of all moving bodies in the trees of the contact. If a tree touches itself, m
-// is the mass that joints can part, on the lighter side. A tree without an anchor has a J_n Y_n of
-// at least 1 / m against others.
+// is the mass that joints can separate, on the lighter side. A tree that is not fixed to the world
+// has a J_n Y_n of at least 1 / m against other trees.
 //
-// A joint cannot part an overlap deeper than its lever: no contact shifts a dof by more than
-// kMostShift. A contact without an impulse that only a speed above kMoreSpeed closes in the step
-// does not hold shifts: steps may leave such contacts out.
+// A joint cannot resolve an overlap deeper than its lever arm, so no contact shifts a dof by more
+// than kMostShift. A contact without an impulse that only a speed above kMoreSpeed would close in
+// the step does not limit shifts, because steps may leave out such contacts.
 // Sources: Guendelman, Bridson, Fedkiw, Nonconvex Rigid Bodies with Stacking (2003), section 7, for
 // shifts. Preclik, Models and Algorithms for Ultrascale Simulations of Non-smooth Granular Dynamics
 // (2014), section 4. Catto, Iterative Dynamics with Temporal Coherence (2005).
@@ -47,7 +47,7 @@ struct ContactLaw {
   T erp{}, slop{}, cfm{};     // 1, m, (m/s) / (N s)
   T max_depenetration{};      // m/s
   T restitution_threshold{};  // m/s
-  bool compliant = false;     // by the stiffness and damping of the shapes
+  bool compliant = false;     // uses the stiffness and damping of the shapes
   bool cone = true;
 };
 inline constexpr float kRestSpeed = 0.01f;       // m/s
@@ -55,22 +55,24 @@ inline constexpr float kMoreSpeed = 4.0f;        // m/s
 inline constexpr float kLeastMobility = 1e-3f;   // 1
 inline constexpr float kLeastOfMass = 1e-2f;     // 1
 inline constexpr float kShiftSoftness = 0.05f;   // 1
-inline constexpr float kMostShift = 0.1f;        // rad or m of a dof, in a step
-inline constexpr int32_t kShiftSweeps = 100;     // at most
+inline constexpr float kMostShift = 0.1f;        // rad or m per dof and step
+inline constexpr int32_t kShiftSweeps = 100;     // largest number of sweeps of shifts
 inline constexpr float kShiftTolerance = 1e-6f;  // m/s
-inline constexpr float kOtherAxes = 1e-3f;       // of the tangents' J Y in that of a normal alone
+inline constexpr float kOtherAxes = 1e-3f;       // part of the tangents' J Y in that of the normal
+                                                 // alone
 template <class T>
 struct ContactMaterial {
   T friction{}, restitution{}, stiffness{}, damping{};
 };
 
-// `bias`: beta of the rates, `shift` that of positions; `slope`, `shift_slope`: their derivatives
-// by the gap, on their branches; `bounce`, `shift_bounce`: those by J_n qd.
+// The target of a normal row. `bias`: beta of the rates; `shift`: beta of positions. `slope`,
+// `shift_slope`: their derivatives by the gap in the active branch. `bounce`, `shift_bounce`: their
+// derivatives by J_n qd.
 template <class T>
 struct NormalTarget {
   T bias{}, cfm{}, slope{}, bounce{}, shift{}, shift_slope{}, shift_bounce{};
 };
-// `before`: J_n qd at the beginning of the step; `after`: without impulses.
+// `before`: J_n qd at the start of the step. `after`: J_n v without impulses.
 template <class T>
 NormalTarget<T> normal_target(const ContactLaw<T>& law, const ContactMaterial<T>& material,
                               const T& gap, const T& before, const T& after) {
@@ -114,8 +116,8 @@ NormalTarget<T> normal_target(const ContactLaw<T>& law, const ContactMaterial<T>
   return to;
 }
 
-// What a tree has of a row: its rates, with the shifts p behind them, J and Y (null: nothing moves
-// the tree). `width` is a multiple of 4, padded with zeros.
+// A tree's part of a row: its rates, followed by the shifts p, J and Y (null: the tree is not
+// moved). `width` is a multiple of 4, padded with zeros.
 template <class T>
 struct RowSide {
   T* rates = nullptr;  // {2 width}
@@ -123,7 +125,7 @@ struct RowSide {
   int32_t width = 0;
 };
 
-// Four numbers of a row at once, which compilers make one instruction of.
+// Four numbers of a row, which the compiler processes as one SIMD vector.
 template <class T>
 struct Four {
   T v[4];
@@ -132,14 +134,14 @@ template <class T>
 Four<T> four(const T* x) {
   return {{x[0], x[1], x[2], x[3]}};
 }
-// to + x y.
+// Returns to + x y.
 template <class T>
 Four<T> add_product(const Four<T>& to, const Four<T>& x, const Four<T>& y) {
   Four<T> sum = to;
   for (int32_t i = 0; i < 4; ++i) sum.v[i] = to.v[i] + x.v[i] * y.v[i];
   return sum;
 }
-// In four sums, whatever the width.
+// Returns a . b in four partial sums, for any width.
 template <class T>
 T row_dot(const T* a, const T* b, int32_t width) {
   const T o = T(0.0f);
@@ -147,7 +149,7 @@ T row_dot(const T* a, const T* b, int32_t width) {
   for (int32_t k = 0; k < width; k += 4) s = add_product(s, four(a + k), four(b + k));
   return (s.v[0] + s.v[1]) + (s.v[2] + s.v[3]);
 }
-// rates + y impulse.
+// Adds y impulse to the rates.
 template <class T>
 void add_row(const T* y, const T& impulse, int32_t width, T* rates) {
   const Four<T> by = {{impulse, impulse, impulse, impulse}};
@@ -157,22 +159,23 @@ void add_row(const T* y, const T& impulse, int32_t width, T* rates) {
   }
 }
 
-// The numbers of a contact that a sweep takes.
+// The data of a contact that a sweep uses.
 template <class T>
 struct PgsNumbers {
   T bias{}, shift{}, cfm{}, friction{};
-  T normal{}, apart{};                       // J_n Y_n; that of the sides each alone, summed
+  T normal{}, apart{};                       // J_n Y_n; the sum of both sides without their
+                                             // coupling
   T mass{};                                  // m, kg
-  T reach{};                                 // the largest number of Y_n
+  T reach{};                                 // largest entry of Y_n
   T tangent[3] = {};                         // t1 t1, t1 t2, t2 t2 of J Y
   T normal_step{}, bound{}, tangent_step{};  // 1 / (J_n Y_n + cfm), s, 1 / s
   T impulse[3] = {};                         // along n, t1, t2
-  T softness{}, shifted{};                   // of shifts: mu
-  T lack{};                                  // > 0: what kMostShift adds to the softness
+  T softness{}, shifted{};                   // of shifts; `shifted` is mu
+  T lack{};                                  // > 0: softness that enforces kMostShift
 };
 template <class T>
 struct PgsContact : PgsNumbers<T> {
-  RowSide<T> sides[2];  // three rows each; an absent one has the width 0
+  RowSide<T> sides[2];  // three rows each; a missing side has width 0
 };
 
 template <class T>
@@ -182,7 +185,7 @@ T slip(const PgsContact<T>& c, int32_t row) {
     if (s.width > 0) v = v + row_dot(s.jacobian + row * s.width, s.rates, s.width);
   return v;
 }
-// J_n (v' + p).
+// Returns J_n (v' + p).
 template <class T>
 T moving_slip(const PgsContact<T>& c) {
   T v = slip(c, 0);
@@ -196,7 +199,7 @@ void push(const PgsContact<T>& c, int32_t row, const T& impulse) {
     if (s.response != nullptr) add_row(s.response + row * s.width, impulse, s.width, s.rates);
   }
 }
-// J_i Y_j.
+// Returns J_i Y_j.
 template <class T>
 T row_product(const PgsContact<T>& c, int32_t i, int32_t j) {
   T sum = T(0.0f);
@@ -205,7 +208,7 @@ T row_product(const PgsContact<T>& c, int32_t i, int32_t j) {
       sum = sum + row_dot(s.jacobian + i * s.width, s.response + j * s.width, s.width);
   return sum;
 }
-// The largest number of y {count}, of either sign, or `least`.
+// Returns the largest absolute value of y {count}, at least `least`.
 template <class T>
 T largest(const T* y, int64_t count, T least) {
   for (int64_t k = 0; k < count; ++k) {
@@ -224,21 +227,22 @@ void set_diagonals(PgsContact<T>& c) {
   c.tangent[1] = row_product(c, 1, 2);
   c.tangent[2] = row_product(c, 2, 2);
 }
-// The largest eigenvalue of the tangents' block.
+// Returns the largest eigenvalue of the tangents' block.
 template <class T>
 T tangent_bound(const PgsNumbers<T>& c) {
   const T half = T(0.5f), d = (c.tangent[0] - c.tangent[2]) * half;
   return (c.tangent[0] + c.tangent[2]) * half + square_root(d * d + c.tangent[1] * c.tangent[1]);
 }
 
-// Of rates and of shifts, by the mass m.
+// Returns the softness of rates and shifts for the mass m.
 template <class T>
 T softness_of_mass(const T& mass) {
   const auto some = mass > T(0.0f);
   return select(some, T(kLeastOfMass) / select(some, mass, T(1.0f)), T(0.0f));
 }
 
-// What sweeps divide by, behind set_diagonals and with cfm and shift. 0 where nothing moves.
+// Computes the divisors of sweeps, after set_diagonals and with cfm and shift. A divisor is 0 if
+// nothing moves.
 template <class T>
 void set_steps(const T& dt, PgsNumbers<T>& c) {
   const T o = T(0.0f);
@@ -273,7 +277,7 @@ void project_friction(const T& limit, bool cone, T& x, T& y) {
   y = clamped(y, limit);
 }
 
-// Impulses to start from, those of an earlier step, along n, t1, t2: in their cone.
+// Sets initial impulses from an earlier step, along n, t1, t2, projected into the friction cone.
 template <class T>
 void start_from(PgsNumbers<T>& c, bool cone, const T& n, const T& t1, const T& t2) {
   c.impulse[0] = select(n > T(0.0f), n, T(0.0f));
@@ -281,15 +285,16 @@ void start_from(PgsNumbers<T>& c, bool cone, const T& n, const T& t1, const T& t
   c.impulse[2] = t2;
   project_friction(c.friction * c.impulse[0], cone, c.impulse[1], c.impulse[2]);
 }
-// Likewise, and applies them.
+// Sets initial impulses and applies them.
 template <class T>
 void warm_start(PgsContact<T>& c, bool cone, const T& n, const T& t1, const T& t2) {
   start_from<T>(c, cone, n, t1, t2);
   for (int32_t r = 0; r < 3; ++r) push(c, r, c.impulse[r]);
 }
 
-// One contact of a sweep, where `active`: slip_of(row) is its velocity, push_row(row, impulse)
-// applies. The result: the largest change of velocity along a row, m/s.
+// Processes one contact of a sweep, if `active`. slip_of(row) returns its velocity, and
+// push_row(row, impulse) applies an impulse. Returns the largest change of velocity along a row
+// (m/s).
 template <class T, class Active, class Slip, class Push>
 T sweep_contact(PgsNumbers<T>& c, bool cone, const Active& active, const Slip& slip_of,
                 const Push& push_row) {
@@ -325,7 +330,7 @@ T sweep_contact(PgsNumbers<T>& c, bool cone, const Active& active, const Slip& s
   }
   return worst;
 }
-// Behind the sweeps of rates: the normal's part of a sweep of shifts, likewise.
+// Processes the normal of a contact in a sweep of shifts, after the sweeps of rates.
 template <class T, class Active, class Slip, class Push>
 T sweep_shift(PgsNumbers<T>& c, const Active& active, const Slip& slip_of, const Push& push_row) {
   const T o = T(0.0f), soft = c.normal + c.softness;
@@ -355,14 +360,14 @@ T sweep(PgsContact<T>& c, bool cone) {
       [&](int32_t row, const T& impulse) { push(c, row, impulse); });
 }
 
-// Sweeps that ended with changes of velocity up to `residual` are far from converged where that is
-// more than this part of the largest impulse, as the velocity that it gives.
+// Sweeps are far from convergence if the last change of velocity, `residual`, exceeds this fraction
+// of the largest impulse expressed as a velocity.
 inline constexpr float kFarPart = 1e-2f;
 inline bool far_from_converged(float residual, float largest, float tolerance) {
   return !(residual < tolerance) && !(residual <= kFarPart * largest);
 }
 
-// Dry friction of a dof: the row is the dof itself.
+// Dry friction of a dof; the row is the dof itself.
 template <class T>
 struct PgsJointFriction {
   T* rates = nullptr;           // of the tree
@@ -374,7 +379,7 @@ template <class T>
 void push(const PgsJointFriction<T>& f, const T& impulse) {
   add_row(f.response, impulse, f.width, f.rates);
 }
-// Starts from the impulse of an earlier step, within its limit.
+// Starts from the impulse of an earlier step, clamped to its limit.
 template <class T>
 void warm_start(PgsJointFriction<T>& f, const T& impulse) {
   f.impulse = clamped(impulse, f.limit);

@@ -1,4 +1,4 @@
-// The rotation vector of a unit quaternion, its derivative with it.
+// The rotation vector of a unit quaternion, and its derivative.
 #pragma once
 
 #include "novaphy/dynamics/articulation/scalar.h"
@@ -6,10 +6,10 @@
 
 namespace novaphy::articulation {
 
-// Below this square of the sine of half the angle, series.
+// The series are used below this squared sine of half the angle.
 inline constexpr float kSmallSine2 = 0.01f;
 
-// phi of r = exp(phi), at most half a turn long.
+// Returns phi with r = exp(phi), at most half a turn long.
 template <class T>
 Vec3<T> rotation_vector(Quat<T> r) {
   const T one = T(1.0f);
@@ -18,14 +18,15 @@ Vec3<T> rotation_vector(Quat<T> r) {
   const T square = (v.x * v.x + v.y * v.y) + v.z * v.z;
   const auto small = square < T(kSmallSine2);
   const T sine = square_root(select(small, one, square));
-  // The angle over the sine of its half: 2 asin(s) / s.
+  // The angle divided by the sine of its half: 2 asin(s) / s.
   const T series =
       T(2.0f) + square * (T(1.0f / 3.0f) + square * (T(3.0f / 20.0f) + square * T(5.0f / 56.0f)));
   const T exact = T(2.0f) * angle_of(sine, r.w * side) / sine;
   return v * select(small, series, exact);
 }
 
-// From a gradient h by phi that by e, where r becomes exp(e) r (side 1) or r exp(e) (side -1):
+// Converts a gradient h by phi to the gradient by a small rotation e, where r becomes exp(e) r
+// (side 1) or r exp(e) (side -1):
 //   h + side phi x h / 2 + c phi x (phi x h), c = (1 - (|phi| / 2) cot(|phi| / 2)) / |phi|^2
 // Source: Sola, Deray and Atchuthan, A micro Lie theory (2018), equations 144 and 146.
 template <class T>

@@ -1,17 +1,17 @@
-// One step of a tree without contact.
+// One step of a tree without contacts.
 //
-//   M = H(q) + diag(armature + what drives add),  M qdd = f - bias(q, qd) + drives (drives.h) + r
-//   v  = qd + dt qdd, |v| <= velocity_limit for joints with one dof: with the force r of a dof that
-//   is at its limit, which pushes inwards only, and which the rest of the tree feels
-//   q' = q moved by v over dt (quaternions by the Cayley map; overlaps add shifts, pgs.h, that
-//   stay within the limits of joints), then
-//   qd' = v, of angular dofs times 1 - angular_damping dt
-//   q' and qd' of joints that follow others from theirs (mimic.h); body_q, body_qd of (q', qd')
-// Kinematic dofs have endless inertia: their qdd is 0, whatever pulls at them, nothing damps them,
-// and what hangs on them moves as they do. Contacts (pgs.h) change v between the first and the
-// second line; qdd is then what they leave. Wrenches on bodies, and joint_f of FREE joints, are
-// world wrenches about the center of mass. All but where the roots are has the same bits wherever
-// the roots are.
+//   M = H(q) + diag(armature + terms of drives),  M qdd = f - bias(q, qd) + drives (drives.h) + r
+//   v  = qd + dt qdd, |v| <= velocity_limit for joints with one dof. r is the force of a dof at its
+//        velocity limit; it only acts inwards, and the rest of the tree feels it
+//   q' = q moved by v over dt (quaternions by the Cayley map; overlaps add shifts, pgs.h, which
+//     stay
+//        within the limits of joints)
+//   qd' = v, times 1 - angular_damping dt for angular dofs
+//   q' and qd' of mimic joints follow from their leaders (mimic.h); body_q, body_qd of (q', qd')
+// Kinematic dofs have infinite inertia: their qdd is 0 for any force, nothing damps them, and their
+// descendants move with them. Contacts (pgs.h) change v between the first and the second line; qdd
+// then includes their effect. Wrenches on bodies, and joint_f of FREE joints, are world wrenches
+// about the center of mass. All results except positions have the same bits wherever the roots are.
 #pragma once
 
 #include "novaphy/dynamics/articulation/ball_drives.h"
@@ -31,28 +31,28 @@ void set_wrenches(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& ws
   }
 }
 
-// f(link, k) of joints with one dof, which have drives and limits.
+// Calls f(link, k) for joints with one dof, which have drives and limits.
 template <class T, class F>
 void for_drives(const Tree<T>& tree, const F& f) {
   for (int32_t i = 0; i < tree.link_count; ++i)
     if (has_one_dof(tree.links[i])) f(tree.links[i], local_dof(tree, tree.links[i]));
 }
 
-// The lanes of which a dof is at its velocity limit.
+// Returns a mask of the lanes in which a dof is at its velocity limit.
 template <class T>
 auto holds_rates(const Tree<T>& tree, const Workspace<T>& ws) {
   Branches<T> all{};
   for (int32_t k = 0; k < tree.dof_count; ++k) all = all | ws.branch[k];
   return has(all, kVelocityClamped);
 }
-// The rate of a dof that is at its velocity limit, and else v.
+// Returns the limit rate of a dof at its velocity limit, else v.
 template <class T>
 T held_rate(const StepInputs<T>& in, int32_t row, const Branches<T>& branch, const T& v) {
   const T limit = in.velocity_limit[row];
   return select(has(branch, kVelocityAtUpper), limit,
                 select(has(branch, kVelocityAtLower), -limit, v));
 }
-// The accelerations of dofs at their velocity limits, and of those that follow them.
+// Sets the accelerations of dofs at their velocity limits, and of their mimic joints.
 template <class T>
 void hold_accelerations(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                         Workspace<T>& ws) {
@@ -63,8 +63,8 @@ void hold_accelerations(const Tree<T>& tree, const StepInputs<T>& in, const Step
   spread_leaders(tree, ws.qdd);
 }
 
-// rhs = joint_f - bias + drives, and what armature and drives add to M's diagonal. Dofs whose
-// accelerations are given have endless inertia.
+// Computes rhs = joint_f - bias + drives, and the terms of armature and drives on M's diagonal.
+// Dofs with prescribed accelerations have infinite inertia.
 template <class T>
 void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                 const T* bias, Workspace<T>& ws) {
@@ -102,7 +102,7 @@ int32_t solve_accelerations(const Tree<T>& tree, const StepInputs<T>& in,
     for (int32_t k = 0; k < tree.dof_count; ++k) ws.qdd[k] = T(0.0f);
     hold_accelerations(tree, in, options, ws);
   }
-  if (any(holds) && has_matrix(tree)) {  // with the accelerations that are given
+  if (any(holds) && has_matrix(tree)) {  // with the prescribed accelerations
     inverse_dynamics<T>(tree, in.qd + tree.first_dof, ws.qdd, ws, ws.rhs);
     for (int32_t k = 0; k < tree.dof_count; ++k) ws.rhs[k] = select(holds, ws.rhs[k], ws.bias[k]);
     bias = ws.rhs;
@@ -115,7 +115,7 @@ int32_t solve_accelerations(const Tree<T>& tree, const StepInputs<T>& in,
   return -1;
 }
 
-// The forces of drives and limits of joints with one dof in a step with the acceleration qdd.
+// The forces of drives and limits of one-dof joints in a step with the acceleration qdd.
 template <class T>
 struct StepDrives {
   const StepInputs<T>& in;
@@ -129,7 +129,7 @@ struct StepDrives {
     return given_force(branch, asked(link, branch, qdd), in.effort_limit[link.dof],
                        options.implicit_drives);
   }
-  // What a solve with the branch takes for it.
+  // Returns the force that a solve with the given branch assumes.
   T assumed(const Link& link, const Branches<T>& branch, const T& qdd) const {
     const DriveTerm<T> term = branch_term(in, link.dof, link.coord, branch, in.q[link.coord],
                                           in.qd[link.dof], options.dt, options.implicit_drives);
@@ -141,10 +141,10 @@ struct StepDrives {
   }
 };
 
-// Forces t of drives and limits fall with qdd, so M qdd = f - bias + t(qdd) is where a convex
-// function is least. A solve with the branches of a point is a step of Newton's method for it. A
-// whole one may go round in circles, so the best point so far (qdd in qd_next, t in given) goes as
-// far towards the solution as the function falls. Its slope along p is p . (M qdd - f + bias - t).
+// Line search. The forces t of drives and limits decrease with qdd, so the solution of M qdd = f -
+// bias + t(qdd) minimizes a convex function. A solve with the branches of a point is a Newton step.
+// Full steps may cycle, so the best point so far (qdd in qd_next, t in given) moves towards the
+// solution only as far as the function decreases. The slope along p is p . (M qdd - f + bias - t).
 template <class T>
 T slope_towards(const Tree<T>& tree, const StepDrives<T>& drives, const Workspace<T>& ws,
                 const T& s) {
@@ -157,10 +157,11 @@ T slope_towards(const Tree<T>& tree, const StepDrives<T>& drives, const Workspac
   return sum;
 }
 
-inline constexpr int32_t kFreeRounds = 32;  // behind them clamps stay
+inline constexpr int32_t kFreeRounds = 32;  // afterwards, clamped drives stay clamped
 inline constexpr int32_t kHalvings = 16;
 
-// The branches for the next round; false: those of the solve follow from it, in all lanes.
+// Computes the branches for the next round. Returns false if all lanes are consistent with the
+// branches of the solve.
 template <class T>
 bool next_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                    int32_t round, Workspace<T>& ws) {
@@ -198,8 +199,8 @@ bool next_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   return true;
 }
 
-// Solves, in rounds, until the branches that it assumes follow from it. At the latest some rounds
-// behind kFreeRounds: drives then keep to their limits all the same.
+// Solves repeatedly until the solution is consistent with its branches. Ends at the latest some
+// rounds after kFreeRounds; drives obey their limits even then.
 template <class T>
 int32_t settle(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                Workspace<T>& ws) {
@@ -209,17 +210,17 @@ int32_t settle(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T
   }
 }
 
-// Takes dofs of some lanes to their velocity limits, or off them, behind a solve: those that would
-// be beyond, and those whose force r would pull outwards (not if `keep`). A dof with the limit 0
-// never leaves it: there the sign of r says which of its two limits it is at. False: there are
-// none. given: what contacts and dry friction push the dofs with, N s or N m s; read where one is
-// there.
+// After a solve, moves dofs of some lanes to their velocity limits, or releases them. Dofs beyond
+// the limit are moved, and dofs whose force r would pull outwards are released (unless `keep`). A
+// dof with the limit 0 is never released; the sign of r selects the upper or lower limit. Returns
+// false if no dof changed. given: impulses of contacts and dry friction on the dofs (N s or N m s),
+// read only where a dof is at its limit.
 template <class T, class Mask>
 bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                      const Mask& lanes, bool keep, Workspace<T>& ws) {
   const T o = T(0.0f);
   const auto holds = holds_rates(tree, ws);
-  if (any(holds)) {  // r in rhs
+  if (any(holds)) {  // compute r in rhs
     inverse_dynamics<T>(tree, in.qd + tree.first_dof, ws.qdd, ws, ws.rhs);
     for_drives(tree, [&](const Link& link, int32_t k) {
       const int32_t row = link.dof;
@@ -255,7 +256,7 @@ bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
   return changes;
 }
 
-// v = qd + dt qdd.
+// Computes v = qd + dt qdd.
 template <class T>
 void free_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                 Workspace<T>& ws) {
@@ -267,11 +268,11 @@ void free_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
   });
 }
 
-// What a step starts from, in the workspace. The result is the dof of a coordinate that is not
-// finite, counted from the tree's first; -1: none.
+// Prepares the workspace for a step. Returns the first dof whose coordinate is not finite, counted
+// from the tree's first; -1: none.
 template <class T>
 int32_t begin_step(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& ws) {
-  // Where a tree is does not change its accelerations: so coordinates are looked at on their own.
+  // Accelerations do not depend on the position of a tree, so coordinates are checked separately.
   for (int32_t i = 0; i < tree.link_count; ++i) {
     const Link& link = tree.links[i];
     for (int32_t c = 0; c < coordinate_count(link); ++c)
@@ -284,7 +285,8 @@ int32_t begin_step(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& w
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.branch[k] = {};
   return -1;
 }
-// The squares of rates and accelerations must be finite too: new coordinates and body_qd take them.
+// The squares of rates and accelerations must be finite too, because new coordinates and body_qd
+// use them.
 template <class T>
 auto has_finite_square(const T& x) {
   return is_finite(x * x);
@@ -296,7 +298,7 @@ int32_t find_infinite(const Tree<T>& tree, const Workspace<T>& ws) {
   return -1;
 }
 
-// Settles once more with the velocity limits of some lanes, until none is taken or left.
+// Repeats the solve with the velocity limits of some lanes until no dof changes.
 template <class T, class Mask>
 int32_t hold_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                    const Mask& lanes, Workspace<T>& ws) {
@@ -308,11 +310,11 @@ int32_t hold_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   }
 }
 
-// qdd and the branches in the workspace, M's factor with them. The result is the dof whose pivot is
+// Computes qdd and the branches in the workspace, with M's factor. Returns the dof whose pivot is
 // not positive or whose acceleration is not finite (in any lane), counted from the tree's first;
-// -1: none. Velocity limits act in lanes that are `alone`: those of others act behind contacts,
-// which may push dofs off them (renew_branches). Dofs with the limit 0 are at it from the first
-// solve on, so they need no inertia.
+// -1: none. Velocity limits act in lanes that are `alone`. In other lanes they act after contacts,
+// which may push dofs off their limits (renew_branches). Dofs with the limit 0 are held from the
+// first solve on, so they need no inertia.
 template <class T, class Mask>
 int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                    const Mask& alone, Workspace<T>& ws) {
@@ -330,7 +332,7 @@ int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   return failed >= 0 ? failed : find_infinite(tree, ws);
 }
 
-// Likewise, with the branches of a step that ran; a row per dof of the arrays.
+// The same with the branches of an earlier step; a row per dof of the arrays.
 template <class T>
 int32_t accelerate_again(const Tree<T>& tree, const StepInputs<T>& in,
                          const StepOptions<T>& options, const float* branch, Workspace<T>& ws) {
@@ -344,9 +346,9 @@ int32_t accelerate_again(const Tree<T>& tree, const StepInputs<T>& in,
 
 inline constexpr int32_t kContactRounds = 8;
 
-// The branches that follow from the accelerations behind contacts, of some lanes: those of effort
-// and velocity limits. Whether a position limit lets go stays as it is without contacts. True:
-// solve_accelerations with those, and contacts once more. `given` as above.
+// Updates the branches of effort and velocity limits of some lanes from the accelerations after
+// contacts. The release of position limits stays as without contacts. Returns true if
+// solve_accelerations and contacts must run again. `given` as above.
 template <class T, class Mask>
 bool renew_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                     const Mask& lanes, int32_t round, Workspace<T>& ws) {
@@ -361,7 +363,7 @@ bool renew_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
   return changes;
 }
 
-// accelerate, and the undamped new rates.
+// Calls accelerate, and computes the undamped new rates.
 template <class T>
 int32_t forward_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                      Workspace<T>& ws) {
@@ -370,8 +372,8 @@ int32_t forward_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
   return failed;
 }
 
-// The part of a shift of a dof that moves at v which does not take it out of its limits, or farther
-// out.
+// Returns the part of a dof's shift that does not move the dof, with its rate v, out of its limits
+// or farther out.
 template <class T>
 T kept_shift(const Link& link, const StepInputs<T>& in, const StepOptions<T>& options, const T& v,
              const T& shift) {
@@ -381,7 +383,8 @@ T kept_shift(const Link& link, const StepInputs<T>& in, const StepOptions<T>& op
   const T most = select(up > o, up, o), least = select(down < o, down, o);
   return select(shift > most, most, select(shift < least, least, shift));
 }
-// What moves the coordinates: the new rates, with the shifts of contacts as far as limits let them.
+// Returns the rates that move the coordinates: the new rates plus the shifts of contacts within the
+// limits.
 template <class T>
 const T* moving_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                       Workspace<T>& ws) {
@@ -394,7 +397,7 @@ const T* moving_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOp
   return ws.rhs;
 }
 
-// The first dof whose new rate, or shift, is not finite (in any lane); -1: none.
+// Returns the first dof whose new rate or shift is not finite (in any lane); -1: none.
 template <class T>
 int32_t first_not_finite(const Workspace<T>& ws, int32_t dofs) {
   for (int32_t k = 0; k < dofs; ++k)
@@ -402,7 +405,7 @@ int32_t first_not_finite(const Workspace<T>& ws, int32_t dofs) {
   return -1;
 }
 
-// The new state, behind forward_step; rows of the arrays. Overwrites the links' states.
+// Computes the new state after forward_step; rows of the arrays. Overwrites the links' states.
 template <class T>
 void finish_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                  Workspace<T>& ws, T* q_next, T* qd_next, Transform<T>* body_q,

@@ -1,9 +1,9 @@
-// The arrays that a step of trees reads: the one list of which arguments of kernels, gradients,
-// lanes, dual numbers, launches and names in messages are made.
+// The list of the arrays that a step of trees reads. Kernel arguments, gradients, lanes, dual
+// numbers, launches and names in error messages all follow from this list.
 //
-// A says what a field is. ReadPointers, WritePointers: a pointer to the array. GivenArrays,
-// WantedArrays (arguments.h): an argument of kernels. Each: a thing of the same type for every
-// array, as its place in the list. StepShape: the array's rows and width.
+// The template argument A selects the type of each field. ReadPointers, WritePointers: a pointer to
+// the array. GivenArrays, WantedArrays (arguments.h): a kernel argument. Each: the same type for
+// every array, for example its index in the list. StepShape: the rows and width of the array.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -12,7 +12,7 @@
 
 namespace novaphy::articulation {
 
-// What an array has a row for.
+// The kind of the rows of an array.
 enum class RowOf : int32_t { Coord, Dof, Body, World, Joint };
 
 // Arrays with a gradient.
@@ -30,7 +30,7 @@ struct GradientArrays {
                     Array<RowOf::Body, T> mass; Array<RowOf::Body, Vec3<T>> com;
                     Array<RowOf::Body, Mat33<T>> inertia; Array<RowOf::World, Vec3<T>> gravity;)
 };
-// Calls visit(field of each of `a`...) for every array. This order is that of the members.
+// Calls visit(field of each of `a`...) for every array, in the order of the members.
 template <class Visit, class... Arrays>
 constexpr void for_each_gradient_array(const Visit& visit, Arrays&... a) {
   visit(a.q...);
@@ -55,7 +55,7 @@ constexpr void for_each_gradient_array(const Visit& visit, Arrays&... a) {
   visit(a.gravity...);
 }
 
-// Arrays without one.
+// Arrays without a gradient.
 template <class A>
 struct FrameArrays {
   using T = typename A::Scalar;
@@ -104,7 +104,7 @@ struct StepShape {
   };
 };
 
-// What a step reads; null where an algorithm does not look.
+// The inputs of a step; null if an algorithm does not need an array.
 template <class T>
 struct StepInputs : StepArrays<ReadPointers<T>> {
   const int32_t* target_mode;  // JointTargetMode
@@ -116,8 +116,7 @@ struct StepOptions {
   bool implicit_drives = true;
 };
 
-// Where gradients go; null: nobody wants it. `add`: bit i for the i-th array, to what is there;
-// else they are stored.
+// The gradient arrays; null: not requested. `add`: bit i adds to the i-th array instead of storing.
 template <class T>
 struct StepGradient : GradientArrays<WritePointers<T>> {
   int32_t add;

@@ -1,4 +1,4 @@
-// The list of step_arrays.h by numbers: for loops over the arrays of a step.
+// The arrays of step_arrays.h by index, for loops over the arrays of a step.
 #pragma once
 
 #include <type_traits>
@@ -8,7 +8,7 @@
 
 namespace novaphy {
 
-// The place of each array in the list.
+// The index of each array in the list.
 constexpr articulation::StepArrays<articulation::Each<int32_t>> places_of_step_arrays() {
   articulation::StepArrays<articulation::Each<int32_t>> places = {};
   int32_t next = 0;
@@ -16,7 +16,7 @@ constexpr articulation::StepArrays<articulation::Each<int32_t>> places_of_step_a
   return places;
 }
 inline constexpr auto kAt = places_of_step_arrays();
-inline constexpr size_t kGradientArrays = kAt.X_p;  // how many have a gradient
+inline constexpr size_t kGradientArrays = kAt.X_p;  // number of arrays with a gradient
 inline constexpr size_t kStepArrays = kAt.axis + 1;
 
 struct StepRow {
@@ -38,7 +38,7 @@ constexpr StepRows rows_of_step_arrays() {
 }
 inline constexpr StepRows kStepRows = rows_of_step_arrays();
 
-// Points the arrays with a gradient, or all of them, to what stands in `to`.
+// Sets the pointers of the arrays with a gradient, or of all arrays, to `to`.
 template <class Arrays, class T>
 void point_gradient_arrays(Arrays& arrays, T* const* to) {
   articulation::for_each_gradient_array(
@@ -56,7 +56,7 @@ void point_arrays(Arrays& arrays, T* const* to) {
       arrays);
 }
 
-// The arrays that argument(place) gives, in the order of the list.
+// Returns the arrays from argument(index), in the order of the list.
 template <class Arrays, int32_t first, class Argument, size_t... k>
 Arrays step_arguments(const Argument& argument, std::index_sequence<k...>) {
   return {argument(first + static_cast<int32_t>(k))...};

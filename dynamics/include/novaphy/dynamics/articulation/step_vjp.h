@@ -2,12 +2,13 @@
 //
 // With the gradients h of q' (tangents) and g of qd', and u = qd + dt qdd:
 //   gu = dt h (BALL and FREE: through the Cayley map) + g (1 - angular_damping dt)
-//   lambda = M^-1 dt gu, 0 for dofs at their velocity limits, which then have gu = (H lambda) / dt;
-//   what that takes from gu is the gradient of the limit
+//   lambda = M^-1 dt gu, and 0 for dofs at their velocity limits. Those have gu = (H lambda) /
+//     dt, and
+//   the difference to the former gu is the gradient of the limit
 //   gradient of joint_f = lambda, of q = h - dPhi/dq - K lambda, of qd = gu - dPhi/dqd - (D + dt K)
 //   lambda, with Phi of inverse_dynamics_vjp.h at (q, qd, qdd)
-// and those of drives and masses likewise. So a step needs no more memory than (q, qd, qdd,
-// branches). The branches stay as they are: the gradient is exact where none changes.
+// Gradients of drives and masses follow likewise. The adjoint needs only (q, qd, qdd, branches) of
+// a step. The branches are constant: the gradient is exact where no branch changes.
 #pragma once
 
 #include "novaphy/dynamics/articulation/inverse_dynamics_vjp.h"
@@ -17,7 +18,7 @@
 
 namespace novaphy::articulation {
 
-// Gradients of what a step gives; null: zero.
+// Gradients of the results of a step; null: zero.
 template <class T>
 struct StepOutputGradient {
   const T *q, *qd;
@@ -25,14 +26,14 @@ struct StepOutputGradient {
   const SpatialVector<T>* body_qd;
 };
 
-// Memory besides the workspace: `tangent` and `rate` {dofs}, `scratch` {3 dofs}; the others have a
-// row per link.
+// Memory besides the workspace: `tangent` and `rate` {dofs}, `scratch` {3 dofs}; other arrays have
+// a row per link.
 template <class T>
 struct AdjointMemory {
   T *tangent = nullptr, *rate = nullptr, *scratch = nullptr;
-  T* diagonal = nullptr;  // {dofs}: matrix_vjp, of the diagonal that stands beside H
-  T* cone = nullptr;      // {dofs}: likewise of ws.cone
-  T* stops = nullptr;     // {2 dofs}: of the upper and lower limits at which shifts stop
+  T* diagonal = nullptr;  // {dofs}: matrix_vjp, gradient of the diagonal added to H
+  T* cone = nullptr;      // {dofs}: the same for ws.cone
+  T* stops = nullptr;     // {2 dofs}: gradient of the upper and lower limits that stop shifts
   SpatialVector<T>* wrench = nullptr;
   T *mass = nullptr, *moved_mass = nullptr;
   Vec3<T>*com = nullptr, *moved_com = nullptr;
@@ -63,7 +64,8 @@ AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) 
   return m;
 }
 
-// What the gradient g of p' of a FREE joint gives to its center of mass: p' = x_com' - R(r') rc.
+// Returns the contribution of the gradient g of a FREE joint's p' to its center of mass: p' =
+// x_com' - R(r') rc.
 template <class T>
 Vec3<T> free_com_gradient(const Tree<T>& tree, const Link& link, const T* q, const T* q_next,
                           const Vec3<T>& g) {
@@ -74,8 +76,8 @@ Vec3<T> free_com_gradient(const Tree<T>& tree, const Link& link, const T* q, con
   return link.frame_c < 0 ? in_joint : math::rotate(tree.X_c[link.frame_c].q, in_joint);
 }
 
-// Out of the gradients of the new state those of u (`rate`) and of q (`tangent`), by the update of
-// the coordinates.
+// The adjoint of the coordinate update: computes the gradients of u (`rate`) and q (`tangent`) from
+// those of the new state.
 template <class T>
 void integrate_coordinates_vjp(const Tree<T>& tree, const T* qd, const T& dt, T* tangent, T* rate) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
@@ -101,8 +103,8 @@ void add_mass_gradients(const Tree<T>& tree, const StepGradient<T>& g,
   }
 }
 
-// The gradients of the new coordinates (tangents) and rates, with those of the poses, in `tangent`
-// and `rate`; rows of the arrays.
+// Computes the gradients of the new coordinates (tangents) and rates, including those of the poses,
+// in `tangent` and `rate`; rows of the arrays.
 template <class T>
 void step_vjp_end(const Tree<T>& tree, const StepInputs<T>& in, const T* q_next, const T* qd_next,
                   const StepOutputGradient<T>& out, Workspace<T>& ws, AdjointMemory<T>& memory) {
@@ -110,7 +112,7 @@ void step_vjp_end(const Tree<T>& tree, const StepInputs<T>& in, const T* q_next,
   const int32_t n = tree.dof_count, row0 = tree.first_dof;
   T *const tangent = memory.tangent, *const rate = memory.rate, *const lambda = memory.scratch;
 
-  // Of the poses, then of the numbers.
+  // Gradients of the poses first, then of the coordinates.
   for (int32_t i = 0; i < tree.link_count; ++i) {
     memory.moved_com[i] = {o, o, o};
     memory.moved_mass[i] = o;
@@ -142,9 +144,9 @@ void step_vjp_end(const Tree<T>& tree, const StepInputs<T>& in, const T* q_next,
   gather_mimics(tree, rate);
 }
 
-// The first of three parts: from the gradients of the new state to those of q and of u, in
-// `tangent` and `rate`; the part of the latter that comes from q' is the second of `scratch`.
-// `qdd`, `branch` (as numbers), `q_next` and `qd_next` are those of the step; rows of the arrays.
+// The first of three parts: computes the gradients of q and u, in `tangent` and `rate`, from those
+// of the new state. The second part of `scratch` has the contribution of q' to `rate`. `qdd`,
+// `branch` (as numbers), `q_next` and `qd_next` are those of the step; rows of the arrays.
 template <class T>
 void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                     const T* qdd, const T* branch, const T* q_next, const T* qd_next,
@@ -160,7 +162,7 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
     }
   }
 
-  // Of the coordinates' update.
+  // The adjoint of the coordinate update.
   for (int32_t k = 0; k < n; ++k) {
     ws.branch[k] = to_branches(branch[row0 + k]);
     ws.qdd[k] = qdd[row0 + k];
@@ -186,7 +188,7 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
   });
 }
 
-// The second: the dynamics at the start of the step once more, with M's factor.
+// The second part: recomputes the dynamics at the start of the step, with M's factor.
 template <class T>
 void step_vjp_dynamics(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                        Workspace<T>& ws) {
@@ -196,8 +198,8 @@ void step_vjp_dynamics(const Tree<T>& tree, const StepInputs<T>& in, const StepO
   add_drives(tree, in, options, ws.bias, ws);
   factor(tree, in.q, ws);
 }
-// Between these: lambda . dM x leaves the gradients, lambda the first of `scratch`, x the third.
-// step_vjp_dynamics must follow.
+// Optional between the parts: subtracts the gradient of lambda . dM x. lambda is the first part of
+// `scratch` and x the third. Call step_vjp_dynamics afterwards.
 template <class T>
 void matrix_vjp(const Tree<T>& tree, Workspace<T>& ws, AdjointMemory<T>& memory) {
   const T o = T(0.0f);
@@ -221,7 +223,8 @@ void matrix_vjp(const Tree<T>& tree, Workspace<T>& ws, AdjointMemory<T>& memory)
     memory.moved_inertia[i] = memory.moved_inertia[i] + memory.inertia[i];
   }
 }
-// lambda = M^-1 dt gu, in `scratch`. What contacts do to u has left `rate` before.
+// Computes lambda = M^-1 dt gu in `scratch`. The effect of contacts on u must already be subtracted
+// from `rate`.
 template <class T>
 void step_vjp_solve(const Tree<T>& tree, const StepOptions<T>& options, Workspace<T>& ws,
                     AdjointMemory<T>& memory) {
@@ -229,7 +232,7 @@ void step_vjp_solve(const Tree<T>& tree, const StepOptions<T>& options, Workspac
   solve(tree, ws, memory.scratch);
 }
 
-// The last: gradients from lambda.
+// The third part: computes the gradients of the inputs from lambda.
 template <class T>
 void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                      const StepGradient<T>& g, Workspace<T>& ws, AdjointMemory<T>& memory) {
@@ -288,7 +291,7 @@ void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
                         [&](int32_t row, const T& value) { put(g, &G::q, row, value); });
 }
 
-// All of them.
+// Runs all parts.
 template <class T>
 void step_vjp(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
               const T* qdd, const T* branch, const T* q_next, const T* qd_next,

@@ -1,11 +1,12 @@
-// Gradients with respect to the numbers of q, and to its tangents (tree.h).
+// Conversion between gradients by the coordinates q and by their tangents (tree.h).
 #pragma once
 
 #include "novaphy/dynamics/articulation/kinematics.h"
 
 namespace novaphy::articulation {
 
-// Of the numbers g (rows of the arrays) at q, to tangents (rows of the tree).
+// Converts a gradient g by coordinates (rows of the arrays) at q to one by tangents (rows of the
+// tree).
 template <class T>
 void gradient_to_tangent(const Tree<T>& tree, const T* q, const T* g, T* tangent) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
@@ -16,7 +17,8 @@ void gradient_to_tangent(const Tree<T>& tree, const T* q, const T* g, T* tangent
   }
 }
 
-// The other way. `put(row, value)` takes the gradient of the coordinate `row` of the arrays.
+// The inverse conversion. `put(row, value)` receives the gradient by the coordinate `row` of the
+// arrays.
 template <class T, class Put>
 void tangent_to_gradient(const Tree<T>& tree, const T* q, const T* tangent, Put&& put) {
   for (int32_t i = 0; i < tree.link_count; ++i) {

@@ -1,25 +1,27 @@
-// Articulated trees: what a tree is made of, and the memory that its algorithms work in. Templated
-// on the scalar (float, double, Dual<float>, lanes of floats), freestanding, without allocation.
+// Articulated trees: the description of a tree, and the memory of its algorithms. Templates over
+// the scalar (float, double, Dual<float>, SIMD lanes of floats), freestanding, without allocation.
 //
-// A tree has links; link i is moved by one joint against its parent link, which stands before it
-// (parent -1: the world). A joint of type D6 is a chain of links, all but the last of them without
-// mass: prismatic along its linear axes, then revolute about its angular ones. Several links may
-// have the parent -1.
+// A tree has links. Link i is connected by one joint to its parent link, which has a smaller index
+// (parent -1: the world). A joint of type D6 is a chain of links, all massless except the last:
+// prismatic along its linear axes, then revolute about its angular axes. Several links may have the
+// parent -1.
 //
-// Frames. X_wpj = X_parent X_p is the joint's frame in the parent (its anchor), X = X_wpj X_j(q)
-// X_c^-1 the body's. Every root has an origin O of its own: its anchor, or the center of mass of a
-// FREE root. All positions, motions (v, w) and forces (f, t) of the tree are about O, in world
-// axes. Only O depends on the world's origin.
+// Frames. X_wpj = X_parent X_p is the joint's frame in the parent (the anchor), and X = X_wpj
+// X_j(q) X_c^-1 the body's frame. Every root has its own origin O: the anchor, or the center of
+// mass of a FREE root. All positions, motions (v, w) and forces (f, t) of the tree are relative to
+// O, in world axes. Only O depends on the world's origin.
 //
-// Velocities. The joint's motion is S qd. The columns of S do not turn with the joint's own q:
+// Velocities. The joint's motion is S qd. The columns of S do not rotate with the joint's own q:
 //   PRISMATIC  (R a, 0)                REVOLUTE  (p x R a, R a)        BALL  (p x R e_k, R e_k)
 //   FREE       (R e_k, 0), then (c x R e_k, R e_k)
-// with the anchor's rotation R and position p and the body's center of mass c. The qd of a BALL is
-// therefore the angular velocity in the anchor's axes. The qd of a FREE joint is the velocity of
-// the center of mass and the angular velocity, relative to the anchor, in its axes.
+// with the anchor's rotation R and position p and the body's center of mass c. The qd of a BALL
+// joint is therefore the angular velocity in the anchor's axes. The qd of a FREE joint is the
+// velocity of the center of mass and the angular velocity, relative to the anchor, in the anchor's
+// axes.
 //
-// Tangents of q are per dof. BALL turns by exp(e) on the left. FREE moves the center of mass by
-// e_linear and turns the body by exp(e_angular) about it. For all of them, dX = S e.
+// Tangents of q have one number per dof. A BALL joint rotates by exp(e) on the left. A FREE joint
+// moves the center of mass by e_linear and rotates the body by exp(e_angular) about it. For all
+// joints, dX = S e.
 // Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapters 4 to 6.
 #pragma once
 
@@ -28,7 +30,7 @@
 
 namespace novaphy::articulation {
 
-// The numbers are those of JointType, but Kinematic: a FREE joint whose rates nothing changes.
+// The values are those of JointType, except Kinematic: a FREE joint with prescribed rates.
 enum class LinkJoint : int32_t {
   Prismatic = 0,
   Revolute = 1,
@@ -40,81 +42,83 @@ enum class LinkJoint : int32_t {
 
 struct Link {
   LinkJoint joint = LinkJoint::Fixed;
-  int32_t parent = -1;   // link
+  int32_t parent = -1;   // parent link
   int32_t frame_p = -1;  // row of X_p; -1: identity
   int32_t frame_c = -1;  // row of X_c; -1: identity
   int32_t body = -1;     // row of mass, com, inertia, wrenches, body_q and body_qd; -1: no mass
   int32_t coord = 0;     // first row of q
   int32_t dof = 0;       // first row of qd, and of the axis
   int32_t dofs = 0;
-  int32_t leader = -1;                     // link that it follows (mimic.h), which follows none
-  float multiplier = 1.0f, offset = 0.0f;  // of the leader's coordinate
+  int32_t leader = -1;                     // leader of a mimic joint (mimic.h), which is no mimic
+                                           // joint itself; -1: none
+  float multiplier = 1.0f, offset = 0.0f;  // relation to the leader's coordinate
   bool operator==(const Link&) const = default;
 };
 
-// Rows are those of the arrays, which may belong to many trees. Quaternions of X_p and X_c are
-// unit.
+// Rows are those of the arrays, which several trees may share. Quaternions of X_p and X_c have unit
+// length.
 template <class T>
 struct Tree {
   int32_t link_count = 0, dof_count = 0;
   const Link* links = nullptr;          // {link_count}
   const int32_t* dof_parent = nullptr;  // {dof_count}: the next dof towards the root; -1: none.
                                         // Both are counted from the tree's first dof.
-  int32_t first_dof = 0;                // the row of dof 0
+  int32_t first_dof = 0;                // row of dof 0
   const Transform<T>*X_p = nullptr, *X_c = nullptr;
-  const Vec3<T>* axis = nullptr;      // unit
+  const Vec3<T>* axis = nullptr;      // unit vector
   const T* mass = nullptr;            // kg
   const Vec3<T>* com = nullptr;       // m, body frame
-  const Mat33<T>* inertia = nullptr;  // kg m^2 about the center of mass, body axes; (I + I^T) / 2
-                                      // is what acts
+  const Mat33<T>* inertia = nullptr;  // kg m^2 about the center of mass, body axes; its symmetric
+                                      // part is used
   Vec3<T> gravity = {};               // m/s^2
-  int32_t mimics = 0;                 // links that follow others
-  int32_t joints_in_a_row = 0;        // that move, at most, from a root to a leaf
+  int32_t mimics = 0;                 // number of mimic links
+  int32_t joints_in_a_row = 0;        // largest number of moving joints from a root to a leaf
 };
-// Trees with more of them in a row have no mass matrix (factor.h).
+// Trees with more joints in a row have no mass matrix (factor.h).
 inline constexpr int32_t kMatrixJoints = 9;
 
-// What kinematics, inverse_dynamics and mass_matrix leave of a link.
+// The results of kinematics, inverse_dynamics and mass_matrix for a link.
 template <class T>
 struct LinkState {
-  Quat<T> anchor_q{};             // of X_wpj
+  Quat<T> anchor_q{};             // rotation of X_wpj
   Vec3<T> anchor_p{};             // m, about O
-  Quat<T> q{};                    // of the body
-  Vec3<T> p{};                    // of the body's origin, m, about O
+  Quat<T> q{};                    // rotation of the body
+  Vec3<T> p{};                    // m, body's origin about O
   Vec3<T> com{};                  // m, about O
-  Vec3<T> origin{};               // O in the world
-  T quat_length = T(1.0f);        // of the joint's coordinates; BALL and FREE
+  Vec3<T> origin{};               // O in the world frame
+  T quat_length = T(1.0f);        // length of the joint's quaternion coordinates; BALL and FREE
   SpatialInertia<T> inertia{};    // about O
-  SpatialInertia<T> composite{};  // of the link and all that hangs on it
-  SpatialVector<T> v{};           // its motion
-  SpatialVector<T> a{};           // and acceleration, with that of the world against gravity
+  SpatialInertia<T> composite{};  // of the link with its descendants
+  SpatialVector<T> v{};           // motion of the link
+  SpatialVector<T> a{};           // acceleration, including that of the world against gravity
   SpatialVector<T> f{};           // force through the joint
-  SpatialVector<T> wrench{};      // that acts on it: about its center of mass, world axes
-  // Of the adjoint sweeps: virtual motion, adjoints of acceleration and motion, torque of wrenches.
-  // Those of articulated bodies (articulated_body.h) use them too.
+  SpatialVector<T> wrench{};      // external wrench about its center of mass, world axes
+  // Data of adjoint sweeps: virtual motion, adjoints of acceleration and motion, torque of
+  // wrenches. The sweeps of articulated bodies (articulated_body.h) also use them.
   SpatialVector<T> w{}, a_adjoint{}, v_adjoint{};
   Vec3<T> wrench_torque{};
 };
 
-// Memory of a tree with n dofs; `links` has link_count rows, the rest n rows. matrix: {n, n}.
+// The memory of a tree with n dofs. `links` has link_count rows, other arrays n rows. matrix: {n,
+// n}.
 template <class T>
 struct Workspace {
   LinkState<T>* links = nullptr;
   SpatialVector<T>* axes = nullptr;  // S
-  T* matrix = nullptr;               // lower: H; or a factor (factor.h)
-  T* diagonal = nullptr;             // what is added to H's
-  T* cone = nullptr;  // of BALL joints: c, of c c^T that is added to their block of H
+  T* matrix = nullptr;               // lower triangle: H, or a factor (factor.h)
+  T* diagonal = nullptr;             // terms added to H's diagonal
+  T* cone = nullptr;  // for BALL joints: c of the term c c^T in H
   T *bias = nullptr, *qdd = nullptr, *qd_next = nullptr, *rhs = nullptr, *given = nullptr;
-  T* shift = nullptr;             // of contacts (pgs.h), besides qd_next; null: none
-  Branches<T>* branch = nullptr;  // Branch bits of drives.h
+  T* shift = nullptr;             // shifts of contacts (pgs.h), added to qd_next; null: none
+  Branches<T>* branch = nullptr;  // Branch bits (drives.h)
 };
 
-// Numbers of the matrix, or of the rows of articulated bodies.
+// Returns the size of the matrix, or of the rows of articulated bodies, in numbers.
 inline int64_t matrix_numbers(int32_t links, int32_t dofs) {
   const int64_t n = dofs, matrix = n * n, rows = int64_t{12} * links + 11 * n;
   return dofs > kMatrixJoints && matrix < rows ? rows : matrix;
 }
-// In multiples of 8 bytes; memory is aligned to 8 (of lanes: to a lane type).
+// Returns a multiple of 8 bytes. The memory is aligned to 8 bytes, or to the lane type.
 template <class T>
 int64_t workspace_bytes(int32_t links, int32_t dofs) {
   const int64_t n = dofs, ints = (n * static_cast<int64_t>(sizeof(Branches<T>)) + 7) / 8 * 8;
@@ -141,7 +145,7 @@ Workspace<T> make_workspace(void* memory, int32_t links, int32_t dofs) {
   return ws;
 }
 
-// The rows of a link among the tree's dofs.
+// Returns the first dof of a link as an index in the tree.
 template <class T>
 int32_t local_dof(const Tree<T>& tree, const Link& link) {
   return link.dof - tree.first_dof;
@@ -158,7 +162,7 @@ template <class T>
 SpatialVector<T> operator-(const SpatialVector<T>& a) {
   return {-a.linear, -a.angular};
 }
-// What a link contributes of joint velocities: the sum of S_k x_k.
+// Returns the sum of S_k x_k over a link's dofs.
 template <class T>
 SpatialVector<T> joint_motion(const Tree<T>& tree, const Link& link, const SpatialVector<T>* axes,
                               const T* x) {
@@ -167,7 +171,7 @@ SpatialVector<T> joint_motion(const Tree<T>& tree, const Link& link, const Spati
   for (int32_t k = first; k < first + link.dofs; ++k) sum = sum + axes[k] * x[k];
   return sum;
 }
-// Three numbers of a tree's dofs as a vector, in world axes: those of an anchor turned.
+// Returns three numbers of an anchor's axes as a vector in world axes.
 template <class T>
 Vec3<T> turned(const Quat<T>& q, const T* x) {
   return math::rotate(q, Vec3<T>{x[0], x[1], x[2]});

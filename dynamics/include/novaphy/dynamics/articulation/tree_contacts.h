@@ -1,12 +1,12 @@
 // Contacts of one tree with the world, by projected Gauss-Seidel (pgs.h).
 //
-// With A = J M^-1 J^T the velocities of the rows are w = J v + A lambda. With a few contacts a
-// sweep moves w, and v is made once after the sweeps. With more contacts a sweep moves v, as in
-// contact_rows.h. The iterates are the same, up to rounding.
+// With A = J M^-1 J^T the velocities of the rows are w = J v + A lambda. For a few contacts, a
+// sweep updates w, and v is computed once after the sweeps. For more contacts, a sweep updates v,
+// as in contact_rows.h. The iterates are the same up to rounding.
 //
-// Every contact has rows over all dofs of the tree, zero where a dof does not move its link. The
-// lanes of a scalar may therefore be trees that touch with other links. A lane with fewer contacts
-// has contacts that push nothing: no link is moved, and the normal is any.
+// Every contact has rows over all dofs of the tree, with zeros for dofs that do not move its link.
+// SIMD lanes may therefore be trees that touch with different links. A lane with fewer contacts is
+// filled with contacts that move no link and have an arbitrary normal.
 #pragma once
 
 #include "novaphy/dynamics/articulation/contact_rows.h"
@@ -15,25 +15,25 @@
 
 namespace novaphy::articulation {
 
-inline constexpr int32_t kTreeContactDofs = 32;  // at most: bits of a branch
-// Contacts, at most, whose A is made. It is the lanes' own number that counts, so lanes that are
-// solved together must all have more, or none.
+inline constexpr int32_t kTreeContactDofs = 32;  // largest number of dofs: bits of a branch
+// Largest number of contacts for which A is computed. The number of each lane counts, so lanes that
+// are solved together must all exceed it, or none.
 inline constexpr int32_t kCoupledContacts = 8;
 
-// What is known of a contact before the step; numbers only, one behind the other.
+// The data of a contact before the step; plain numbers in a row.
 template <class T>
 struct TreeContact {
   Branches<T> moved_by{};      // bit k: dof k moves the link
   T sign{};                    // 1: the tree is side B, -1: side A
   Vec3<T> normal{};            // from A to B
   Vec3<T> core{};              // in the frame of the link's body
-  Vec3<T> world{};             // the world's point
+  Vec3<T> world{};             // point on the world's side
   T margin{}, world_margin{};  // along the normal, signed
   ContactMaterial<T> material{};
-  T start_normal{};  // impulses to start from, the tangential one in the world
+  T start_normal{};  // initial impulses; the tangential one is in the world frame
   Vec3<T> start_tangent{};
 };
-// Where its link is.
+// The pose of the contact's link.
 template <class T>
 struct TreeContactLink {
   Quat<T> q{};
@@ -44,12 +44,12 @@ struct TreeContactRow : PgsNumbers<T> {
   ContactFrame<T> frame = {};
 };
 
-// Memory for `contacts` of a tree with n dofs.
+// Memory for the contacts of a tree with n dofs.
 template <class T>
 struct TreeContactMemory {
   TreeContactRow<T>* rows = nullptr;
   T *jacobian = nullptr, *response = nullptr;  // {contacts, 3, n}
-  T* coupling = nullptr;                       // {3 contacts, 3 contacts}: A, by columns
+  T* coupling = nullptr;                       // {3 contacts, 3 contacts}: A, column-major
   T* slip = nullptr;                           // {3 contacts}: w
   T* shift = nullptr;                          // {n}: p of pgs.h
 };
@@ -72,7 +72,7 @@ TreeContactMemory<T> make_tree_contact_memory(void* memory, int64_t contacts, in
   return m;
 }
 
-// J and Y of a contact at its place.
+// Computes J and Y of a contact at its point.
 template <class T>
 void tree_contact_rows(const Tree<T>& tree, const Workspace<T>& ws, const TreeContact<T>& contact,
                        const Vec3<T>& at, const ContactFrame<T>& frame, T* jacobian, T* response) {
@@ -148,11 +148,11 @@ Coupling<T> coupling(const Tree<T>& tree, const TreeContact<T>* contacts, int32_
 
 template <class T>
 struct TreeContactResult {
-  T sweeps{}, residual{}, largest{};  // as IslandResult
+  T sweeps{}, residual{}, largest{};  // as in IslandResult
 };
 
-// The rates v of the tree, from those without impulses, in place. `contacts` and `links`: {count},
-// `qd`: the tree's rates before the step. The impulses and shifts stay in the memory.
+// Computes the rates v of the tree in place, from those without impulses. `contacts` and `links`:
+// {count}. `qd`: the tree's rates before the step. Impulses and shifts stay in the memory.
 template <class T>
 TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>& ws,
                                          const ContactLaw<T>& law, int32_t most_sweeps,
@@ -171,7 +171,7 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
     const Vec3<T> mine =
         (link.p + math::rotate(link.q, contact.core)) + contact.normal * contact.margin;
     const Vec3<T> other = contact.world + contact.normal * contact.world_margin;
-    // From the tree to the world, then from A to B.
+    // From the tree to the world; the sign then gives A to B.
     const Vec3<T> apart = (none - link.origin) + (other - mine);
     const T gap = math::dot(apart, contact.normal) * (o - contact.sign);
     row.frame = contact_frame(contact.normal);
@@ -261,7 +261,8 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
   };
   for (int32_t c = 0; coupled && c < count; ++c)
     for (int32_t r = 0; r < 3; ++r) add(3 * c + r, m.rows[c].impulse[r], v);
-  for (int64_t k = 0; k < n; ++k) v[k] = v[k] + o;  // a zero is +0, whatever was skipped
+  for (int64_t k = 0; k < n; ++k) v[k] = v[k] + o;  // turns -0 into +0, so that skipped terms do
+                                                    // not matter
 
   for (int32_t c = 0; c < count; ++c) {
     const T size = m.rows[c].normal * m.rows[c].impulse[0];
@@ -295,14 +296,15 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
   return result;
 }
 
-// The lanes that have contacts.
+// Returns a mask of the lanes with contacts.
 template <class T>
 auto touching(const TreeContact<T>* contacts, int32_t count) {
   auto touches = T(1.0f) < T(0.0f);
   for (int32_t c = 0; c < count; ++c) touches = either(touches, has(contacts[c].moved_by, -1));
   return touches;
 }
-// Behind them, the rates v in qd_next: accelerations and renew_branches of those lanes.
+// After the contacts, with the rates v in qd_next: computes accelerations and calls renew_branches
+// for lanes with contacts.
 template <class T>
 bool renew_tree(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                 const TreeContact<T>* contacts, int32_t count, const TreeContactMemory<T>& m,

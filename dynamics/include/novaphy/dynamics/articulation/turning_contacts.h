@@ -1,18 +1,18 @@
-// How the surface points and the normal of a contact of trees move with the poses of its two
-// bodies, by the closed forms of moving_contact_trace.h.
+// Moving contact points of trees: the derivative of the surface points and the normal by the poses
+// of the two bodies, by the closed forms of moving_contact_trace.h.
 //
-// A common motion of both bodies carries points and normal along. So the law is differentiated by
-// the motion of B while A is at rest (six directions):
+// A common motion of both bodies carries points and normal along. The law is therefore
+// differentiated by the motion of B relative to A only (six directions):
 //   da = motion of A at a + sum_i a_i x_i,   x = twist of B - twist of A at the midpoint
 // and likewise db, and dn with the rotation of A. The gap d = n . (b - a) has dd = n . (db - da).
-// Freestanding: the host and the kernels of devices share it.
+// Freestanding: shared by the host and device kernels.
 #pragma once
 
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/articulation/contact_rows.h"
 #include "novaphy/dynamics/semi_implicit/moving_contact_trace.h"
 
-// Apart, so that no function of articulations is one of its numbers.
+// A separate namespace, so that argument-dependent lookup finds no function of articulations.
 namespace novaphy::by_twist {
 
 // A number with its derivatives by a twist.
@@ -22,7 +22,7 @@ struct ByTwist {
   ByTwist() = default;
   explicit ByTwist(float v) : value(v) {}
 
-  // f(i): its derivative by part i.
+  // f(i): derivative by component i.
   template <class F>
   static ByTwist make(float value, const F& f) {
     ByTwist to(value);
@@ -68,17 +68,17 @@ namespace novaphy::articulation {
 
 using by_twist::ByTwist;
 
-// The shapes of a model.
+// The shape arrays of a model.
 struct TurningShapes {
   const int32_t* type;
-  const Transformf* pose;  // in the bodies
+  const Transformf* pose;  // pose in the body
   const Vec3f* scale;
 };
-// A contact as it was found, and where its bodies are, about one origin.
+// A contact as it was found, and the poses of its bodies relative to one origin.
 template <class T>
 struct TurningInput {
   int32_t shape[2];
-  Vec3f point[2], normal;  // in the frames of the bodies; in the world
+  Vec3f point[2], normal;  // points in body frames; normal in the world
   Transform<T> pose[2];
 };
 
@@ -103,13 +103,13 @@ NOVAPHY_SELDOM MovingContact<bool, T> turn_contact(const TurningShapes& shapes,
   return moving_contact(feature(0), feature(1), normal);
 }
 
-// a_i, b_i and n_i of the above.
+// a_i, b_i and n_i of the head comment.
 struct ContactTurning {
   bool is_exact = false;
   Vec3f a[6] = {}, b[6] = {}, normal[6] = {};
 };
 
-// Body B as it moves about `at`.
+// Returns the pose of body B with its derivatives by a twist about `at`.
 inline Transform<ByTwist> moving_pose(const Transformf& pose, const Vec3f& at) {
   const Vec3f arm = pose.p - at;
   Transform<ByTwist> to;
@@ -131,7 +131,7 @@ inline Transform<ByTwist> resting_pose(const Transformf& pose) {
           {ByTwist(pose.q.x), ByTwist(pose.q.y), ByTwist(pose.q.z), ByTwist(pose.q.w)}};
 }
 
-// `margins`: from the cores to the surfaces, along the normal. `at`: the midpoint.
+// `margins`: distances from the cores to the surfaces, along the normal. `at`: the midpoint.
 NOVAPHY_SELDOM inline ContactTurning contact_turning(const TurningShapes& shapes,
                                                      const TurningInput<float>& of,
                                                      const float* margins, const Vec3f& at) {
@@ -150,7 +150,7 @@ NOVAPHY_SELDOM inline ContactTurning contact_turning(const TurningShapes& shapes
   return to;
 }
 
-// How fast contact_frame turns about the normal, by the change of the normal.
+// Returns the rotation of contact_frame about the normal, per change of the normal.
 inline Vec3f frame_spin(const ContactFrame<float>& frame) {
   const Vec3f n = frame.axes[0];
   const float x = math::abs(n.x), y = math::abs(n.y), z = math::abs(n.z);
@@ -159,9 +159,9 @@ inline Vec3f frame_spin(const ContactFrame<float>& frame) {
   return frame.axes[1] * (-part / math::sqrt(1.0f - part * part));
 }
 
-// What a change of the points and of the normal of a contact is worth, as forces at the midpoint
-// (angular: torques) on the poses of A and B. `by_point`: of the midpoint. `by_axes`: of the axes
-// of the frame. `by_gap`: of the gap.
+// Converts gradients by the points and the normal of a contact to forces and torques at the
+// midpoint on the poses of A and B. `by_point`: gradient by the midpoint. `by_axes`: by the axes of
+// the frame. `by_gap`: by the gap.
 struct TurningPulls {
   SpatialVectorf on[2] = {};
 };
@@ -182,7 +182,7 @@ inline TurningPulls turning_pulls(const ContactTurning& of, const ContactFrame<f
   return to;
 }
 
-// How the surface points and the normal move with the twists of A and B at the midpoint.
+// The motion of the surface points and the normal for twists of A and B at the midpoint.
 // `half_gap`: from the midpoint to b along the normal.
 struct TurningMotion {
   Vec3f a, b, normal;

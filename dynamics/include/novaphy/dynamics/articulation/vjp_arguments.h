@@ -6,8 +6,8 @@
 
 namespace novaphy {
 
-// q_next, qd_next, qdd and branch: of the step. out_q to out_body_qd: the gradients of what it
-// gave; null: zero. add: of StepGradient.
+// q_next, qd_next, qdd and branch: results of the step. out_q to out_body_qd: gradients of its
+// results; null: zero. add: StepGradient::add.
 struct ArticulationStepVjpArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationArguments> in; Given<float> q_next, qd_next, qdd, branch;
                     Given<float> out_q, out_qd; Given<Transformf> out_body_q;
@@ -16,7 +16,7 @@ struct ArticulationStepVjpArguments {
                     Changed<float> workspace; Number<int64_t> stride;)
 };
 
-// The gradients of the rates of a step.
+// Computes the gradients of the rates of a step.
 inline void step_vjp_rates(const ArticulationStepVjpArguments& a,
                            const articulation::Tree<float>& tree,
                            const articulation::StepInputs<float>& in,

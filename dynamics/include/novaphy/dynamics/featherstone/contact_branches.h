@@ -1,4 +1,4 @@
-// ContactBranches, where solvers and their users look for it.
+// Forwards to ContactBranches, for solvers and their users.
 #pragma once
 
 #include "novaphy/dynamics/articulation/contact_branches.h"

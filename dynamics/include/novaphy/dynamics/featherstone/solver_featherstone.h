@@ -1,4 +1,4 @@
-// SolverFeatherstone: articulated bodies in the coordinates of their joints.
+// SolverFeatherstone: articulated bodies in generalized coordinates.
 #pragma once
 
 #include <memory>
@@ -12,91 +12,97 @@ namespace novaphy {
 
 struct ArticulationStepArguments;
 
-// How articulations meet each other and the world.
+// The contact model between articulations and with the world.
 enum class ArticulationContact {
-  None,     // contacts raise
-  Pgs,      // articulation/pgs.h: impulses that keep gaps open and friction in its cone
-  Penalty,  // semi_implicit/rigid_contact_trace.h (law huber): explicit springs, as Newton
+  None,     // a step with contacts throws
+  Pgs,      // impulse contacts with a friction cone (articulation/pgs.h)
+  Penalty,  // explicit penalty contacts, as in Newton (law huber of
+            // semi_implicit/rigid_contact_trace.h)
 };
 enum class FrictionCone { Cone, Pyramid };
 
-// All numbers finite and >= 0. What only one way of contact reads must have its default in the
+// All numbers are finite and >= 0. Options of one contact model must have their defaults with the
 // others.
 struct FeatherstoneOptions {
-  float angular_damping = 0.0f;  // 1/s, of angular dofs: velocities times 1 - dt angular_damping
-  // Drives, limits and damping of the end of the step, stable for any gains, with limits that only
-  // push. False: those of its start, and limits that also pull, as Newton 1.8.
+  float angular_damping = 0.0f;  // 1/s, scales angular velocities by 1 - dt angular_damping
+  // Whether drives, limits and damping act at the end of the step, which is stable for any gains,
+  // and limits only push. False: they act at the start of the step, and limits may pull, as in
+  // Newton 1.8.
   bool implicit_drives = true;
   ArticulationContact contact = ArticulationContact::Pgs;
-  // Of Pgs:
+  // Options of Pgs:
   FrictionCone friction_cone = FrictionCone::Cone;
-  int32_t pgs_iterations = 30;               // sweeps at most, >= 1
-  float pgs_tolerance = 1e-6f;               // m/s: an island ends when a sweep changes less
-  float pgs_erp = 0.2f;                      // the part of an overlap that a step takes away
-  float pgs_slop = 0.005f;                   // m, an overlap that stays
+  int32_t pgs_iterations = 30;               // largest number of sweeps, >= 1
+  float pgs_tolerance = 1e-6f;               // m/s: sweeps end when they change less
+  float pgs_erp = 0.2f;                      // part of an overlap that a step corrects
+  float pgs_slop = 0.005f;                   // m, overlap that is not corrected
   float pgs_cfm = 0.0f;                      // (m/s) / (N s), softness of contacts
   float max_depenetration_velocity = 10.0f;  // m/s
   float restitution_threshold = 0.2f;        // m/s: slower approaches do not bounce
-  bool warm_start = true;  // from the impulses of the step before, by pair of shapes and point id
-  // Overlaps push by shape_material_ke and _kd, instead of by pgs_erp.
+  bool warm_start = true;  // start from the last step's impulses, matched by shapes and point id
+  // Whether shape_material_ke and _kd correct overlaps, instead of pgs_erp.
   bool compliant_contacts = false;
-  // Of Penalty: m/s, below which friction is smoothed.
+  // Option of Penalty: m/s, below which friction is smoothed.
   float friction_smoothing = 0.1f;
-  // Islands of bodies on FREE joints that rest keep their bits (core/sim/sleep.h), on the CPU, with
-  // Pgs or None. Bodies of other articulations never sleep. Empty: none sleeps.
+  // Islands of resting bodies on FREE joints fall asleep and keep their bits (core/sim/sleep.h), on
+  // the CPU, with Pgs or None. Bodies of other articulations never sleep. Empty: no body sleeps.
   std::optional<SleepConfig> sleep = {};
 };
 
-// Covers joints of all types but DISTANCE in articulations, in any order with parents first: drives
-// by target mode, limits, effort and velocity limits, damping, armature, joint forces, wrenches on
-// bodies (body_f, and joint_f of FREE joints: world axes, about the center of mass), gravity,
-// angular damping, dry friction (joint_friction), and contacts of the shapes of articulations with
-// each other and the world. Friction, restitution, stiffness and damping of a contact are the mean
-// of the two shapes'. Kinematic bodies, with a joint FREE or FIXED to the world, follow their
-// joint_qd; their mass has no end. Other parts of a model throw ErrorKind::NotImplemented.
+// Supported features: joints of all types except DISTANCE in articulations, with parents before
+// children; drives by target mode; limits, effort and velocity limits; damping, armature and joint
+// forces; wrenches on bodies (body_f, and joint_f of FREE joints: world axes, about the center of
+// mass); gravity; angular damping; dry friction (joint_friction); contacts between articulations
+// and with the world. Friction, restitution, stiffness and damping of a contact are the means of
+// the two shapes'. Kinematic bodies, with a joint FREE or FIXED to the world, follow their joint_qd
+// and have infinite mass. Other features throw ErrorKind::NotImplemented.
 //
-// One step: articulation/step.h, with Pgs between velocities and positions; rigid_contact_force of
-// the contacts is then their mean force over the step. It reads joint_q and joint_qd of state_in
-// and body_f, and writes joint_q, joint_qd, body_q and body_qd of state_out. Articulations move the
-// same, to the bit, wherever they stand and however many threads there are. No memory is allocated
-// in a step. Inside an active nova::Tape a step runs and is not recorded: what it wrote may be no
-// input there, unless diff::record_planar_2r_featherstone_step records it. DiffFeatherstoneSolver
-// is the differentiable one.
+// articulation/step.h describes one step. Pgs contacts act between velocities and positions;
+// rigid_contact_force is then the mean force over the step. A step reads joint_q, joint_qd and
+// body_f of state_in, and writes joint_q, joint_qd, body_q and body_qd of state_out. The motion of
+// an articulation has the same bits at any position and for any number of threads. A step allocates
+// no memory. A step inside of an active nova::Tape is not recorded, so its results may not be
+// inputs there, unless diff::record_planar_2r_featherstone_step records the step.
+// DiffFeatherstoneSolver is the differentiable solver.
 //
-// A model on a device is stepped there with the bits of the cpu, by launches, which a capture
-// records; contacts by Penalty throw ErrorKind::NotImplemented. With contacts or dry friction a
-// thread steps a world (all of them where an articulation belongs to all), in memory that the first
-// step with contacts takes, and a later one with a larger capacity, which also forgets impulses.
-// Nobody waits for it: an articulation that fails, and with rows its island, gets NaN, and
-// check_last_step says why.
+// A model on a device is stepped there with the bits of the CPU, by launches, which a capture
+// records. Penalty contacts throw ErrorKind::NotImplemented there. With contacts or dry friction
+// one thread steps a world (all worlds if an articulation belongs to all). The first step with
+// contacts allocates memory. A later step with a larger capacity allocates again and forgets the
+// kept impulses. The host does not wait for a step. If an articulation fails, it gets NaN, and with
+// contacts so does its island; check_last_step gives the reason.
 class NOVAPHY_DYNAMICS_API SolverFeatherstone : public SolverBase {
  public:
-  // ErrorKind::Value: a bad option; ErrorKind::NotImplemented: what is not covered.
+  // ErrorKind::Value: a bad option. ErrorKind::NotImplemented: an unsupported feature.
   explicit SolverFeatherstone(std::shared_ptr<const Model> model,
                               const FeatherstoneOptions& options = {});
   ~SolverFeatherstone() override;
 
   const FeatherstoneOptions& options() const { return options_; }
 
-  // Besides the errors of SolverBase::step: ErrorKind::Value for contacts without a way of contact;
-  // ErrorKind::NotImplemented for a value without effect (joint_enabled, joint_act, rolling
-  // friction of shapes that may meet, ...); ErrorKind::Index: contacts of shapes that are not
-  // there; ErrorKind::Runtime, naming the dof, where the mass matrix is singular or an acceleration
-  // is not finite: the articulation keeps its rows of state_out.
+  // Errors besides those of SolverBase::step:
+  //   ErrorKind::Value           contacts with contact model None
+  //   ErrorKind::NotImplemented  a value without effect (joint_enabled, joint_act, rolling friction
+  //                              of
+  //                              shapes that may touch and so on)
+  //   ErrorKind::Index           contacts of shapes that do not exist
+  //   ErrorKind::Runtime         with the dof: the mass matrix is singular or an acceleration is
+  //                              not
+  //                              finite; the articulation's rows of state_out are unchanged
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override;
-  // False on the cpu.
+  // False on the CPU.
   bool supports_graph_capture() const override { return !device().is_cpu(); }
-  // Of a model on a device: waits for the last step or replay. ErrorKind::Runtime where it failed,
-  // naming the dof as step does on the cpu; ErrorKind::Index for a row of the contacts that names
-  // no shape, or joins two worlds.
+  // For a model on a device: waits for the last step or replay. ErrorKind::Runtime: it failed; the
+  // message has the dof as for a step on the CPU. ErrorKind::Index: a contact names no shape, or
+  // connects two worlds.
   void check_last_step() const;
-  // Also forgets the impulses that a step starts from, those of captured steps too. What else was
-  // read from the model stays in captures as it was when they were made; check_last_step,
-  // pgs_sweeps and pgs_residual speak of steps and captures made since.
+  // Also forgets the kept impulses, including those of captured steps. Other values that were read
+  // from the model stay unchanged in captures. check_last_step, pgs_sweeps and pgs_residual refer
+  // to steps and captures made afterwards.
   void notify_model_changed(ModelFlags flags) override;
-  // Of the last step: the most sweeps of an island, and the largest change of velocity (m/s) of a
-  // last sweep. 0 without rows.
+  // Of the last step: the largest number of sweeps of an island, and the largest change of velocity
+  // (m/s) in a last sweep. 0 without contact rows.
   int32_t pgs_sweeps() const;
   float pgs_residual() const;
 

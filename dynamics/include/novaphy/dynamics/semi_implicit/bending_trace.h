@@ -5,25 +5,26 @@
 //   d1 = -n1 |e|                              d2 = -n2 |e|
 //   d3 = -n1 (x1-x4).e - n2 (x2-x4).e         d4 = -n1 (x3-x1).e - n2 (x3-x2).e
 //   t  = -|e| (ke (theta - rest) + kd (d1.v1 + d2.v2 + d3.v3 + d4.v4))
-//   vertex a gets d_a t
+//   vertex a gets the force d_a t
 // Symbols:
 //   x, v       position (m) and velocity (m/s) of the vertices, world frame
 //   ke, kd     stiffness (N/m^2 per rad) and damping (N*s/m^4)
 //   rest       angle without a force (rad)
 //   results    N, world frame
 // Source: the bending element of Bridson, Marino, Fedkiw, "Simulation of Clothing with Folds and
-// Wrinkles" (2003), section 4, in the simplified form of Newton 1.8.0, SolverSemiImplicit. Where ke
-// = 0 its output on the cpu is the same bits; otherwise atan2 differs by up to 1.6 ulp.
+// Wrinkles" (2003), section 4, in the simplified form of Newton 1.8.0, SolverSemiImplicit. For ke =
+// 0 its output on the CPU has the same bits; otherwise atan2 differs by up to 1.6 ulp.
 //
-// Where kd = 0 no velocity is looked at.
+// For kd = 0 velocities are not read.
 //
-// The forces of a hinge sum to zero. Their moment does only where both triangles have the same
-// height over the edge: the directions d are not divided by the heights, as the gradient of theta
-// would be.
+// The forces of a hinge sum to zero. Their moment is zero only if both triangles have the same
+// height over the edge, because the directions d are not divided by the heights as in the gradient
+// of theta.
 //
-// A border (an opposite vertex is absent) and a hinge with a triangle or edge smaller than 1e-6
-// (|n| in m^2, |e| in m) have no force and pass nothing. At a full fold theta jumps by 2 pi, and
-// the force with it. Gradient: exact in x, v, ke, kd, rest elsewhere, at a straight hinge too.
+// A border edge (an opposite vertex is missing), and a hinge with a triangle or edge smaller than
+// 1e-6 (|n| in m^2, |e| in m), has no force and no gradient. At a full fold theta jumps by 2 pi,
+// and the force jumps too. Gradient: exact in x, v, ke, kd, rest elsewhere, including a straight
+// hinge.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
 #pragma once
@@ -32,13 +33,13 @@
 
 namespace novaphy {
 
-// What the edge adds to the forces of its vertices.
+// The forces of a bending edge on its vertices.
 template <class T>
 struct BendingForces {
   Vec3<T> f1{}, f2{}, f3{}, f4{};
 };
 
-// `complete`: none of the vertices is absent; a bool, or nova::Bool in a trace.
+// `complete`: whether no vertex is missing; bool, or nova::Bool in a trace.
 template <class B, class T>
 BendingForces<T> bending_forces(const B& complete, const Vec3<T> (&x)[4], const Vec3<T> (&v)[4],
                                 const T& stiffness, const T& damping, const T& rest_angle) {
@@ -56,7 +57,7 @@ BendingForces<T> bending_forces(const B& complete, const Vec3<T> (&x)[4], const 
       optional_product(damping, ((dot(d1, v[0]) + dot(d2, v[1])) + dot(d3, v[2])) + dot(d4, v[3]));
   const T t = (-h.e_length) * (elastic + viscous);
   const auto acts = both(complete, negate(degenerate));
-  const T none = T(-0.0f);  // adding it changes no bit
+  const T none = T(-0.0f);  // adding -0 changes no bit
   const Vec3<T> nothing = {none, none, none};
   return {select(acts, d1 * t, nothing), select(acts, d2 * t, nothing),
           select(acts, d3 * t, nothing), select(acts, d4 * t, nothing)};

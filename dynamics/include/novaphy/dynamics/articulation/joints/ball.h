@@ -1,7 +1,8 @@
-// BALL: a turn by the unit quaternion q. The rates are the angular velocity in the anchor's axes.
+// BALL: a rotation by the unit quaternion q. The rates are the angular velocity in the anchor's
+// axes.
 //   X_j = (0, q)      S_k = (p x R e_k, R e_k)      q' = cayley(dt qd / 2) q
-// A step e of the tangent turns by exp(e) on the left: E(q) e in the numbers of q. Gradients with
-// respect to numbers come out tangent to the unit sphere: those of a function of q / |q|.
+// A tangent step e rotates by exp(e) on the left, which is E(q) e in the numbers of q. Gradients by
+// the numbers of q are tangent to the unit sphere: those of a function of q / |q|.
 #pragma once
 
 #include "novaphy/dynamics/articulation/joints/joint_tools.h"

@@ -1,4 +1,4 @@
-// FIXED: X_j = 1, and no degree of freedom.
+// FIXED: X_j = 1, without degrees of freedom.
 #pragma once
 
 #include "novaphy/dynamics/articulation/joints/joint_tools.h"

@@ -1,12 +1,12 @@
-// FREE: the position x of the joint's frame in the anchor, m, and the unit quaternion r of its
-// turn. The rates are the velocity v of the center of mass and the angular velocity w, in the
+// FREE: the position x (m) of the joint's frame in the anchor and the unit quaternion r of its
+// rotation. The rates are the velocity v of the center of mass and the angular velocity w, in the
 // anchor's axes.
 //   X_j = (x, r)      S = (R e_k, 0), then (c x R e_k, R e_k)
 //   r' = cayley(dt w / 2) r      x' = x + dt v + (R(r) - R(r')) rc
-// The center of mass is at c about O, and at rc in the joint's frame. A step (e, f) of the tangent
-// moves the center of mass by e and turns the body by exp(f) about it. In the numbers the step is
-// (e - f x R(r) rc, E(r) f). S moves with the center of mass, so the algorithms have terms of their
-// own where is_free. The rates of a kinematic joint are given.
+// The center of mass is at c about O, and at rc in the joint's frame. A tangent step (e, f) moves
+// the center of mass by e and rotates the body by exp(f) about it. In the coordinates the step is
+// (e - f x R(r) rc, E(r) f). S moves with the center of mass, so the algorithms have additional
+// terms for is_free links. The rates of a kinematic joint are prescribed.
 #pragma once
 
 #include "novaphy/dynamics/articulation/joints/joint_tools.h"

@@ -1,17 +1,18 @@
-// The joints of links: the list of their types, and what the algorithms ask of a link's joint.
+// The joint types of links, and the queries that the algorithms make about a link's joint.
 //
-// A type has, in a header of its own:
-//   kType, kLinear, kAngular      its number, and its degrees of freedom, the linear ones first
+// A type has a header with these members:
+//   kType, kLinear, kAngular      its number, and its numbers of linear and angular dofs (linear
+//     first)
 //   kQuaternion                   the first coordinate of its quaternion; -1: none
-//   kHasDrive                     one dof with a drive and limits
-//   kIsFree, kIsKinematic         S moves with the center of mass; the rates are given
-//   transform                     X_j(q), with a quaternion of any length made unit; its length
+//   kHasDrive                     whether it has one dof with a drive and limits
+//   kIsFree, kIsKinematic         S moves with the center of mass; the rates are prescribed
+//   transform                     X_j(q), with a normalized quaternion, and its length before
 //   set_axes                      the columns of S of a link whose frames are set
-//   integrate, integrate_vjp      q after dt at the rates u, quaternions made unit; its adjoint
-//   gradient_to_tangent           from a gradient by the numbers of q to one by the tangent
-//   tangent_to_gradient           the other way; put(coordinate of the joint, value)
-// S may not depend on the joint's own q, but for kIsFree. In chains of many joints
-// (articulated_body.h) each column is a translation or a turn.
+//   integrate, integrate_vjp      q after dt with the rates u, quaternions normalized; the adjoint
+//   gradient_to_tangent           converts a gradient by the coordinates to one by the tangent
+//   tangent_to_gradient           the inverse; put(coordinate of the joint, value)
+// S may not depend on the joint's own q, except for kIsFree. In long chains (articulated_body.h)
+// each column of S is a translation or a rotation.
 #pragma once
 
 #include "novaphy/dynamics/articulation/joints/ball.h"
@@ -24,12 +25,12 @@ namespace novaphy::articulation {
 
 template <class... Joint>
 struct JointList {
-  // f(type) of the type that a link has.
+  // Calls f(type) with the joint type of a link.
   template <class F>
   static void visit(LinkJoint type, const F& f) {
     (void)((type == Joint::kType && (f(Joint{}), true)) || ...);
   }
-  // Whether `question`, a constant of a type, holds for the type that a link has.
+  // Returns whether `question`, a constant of a type, is true for a link's joint type.
   template <class Question>
   static bool ask(LinkJoint type, const Question& question) {
     return ((question(Joint{}) && type == Joint::kType) || ...);
@@ -44,7 +45,7 @@ inline bool is_kinematic(const Link& link) {
 inline bool is_free(const Link& link) {
   return Joints::ask(link.joint, [](auto joint) { return decltype(joint)::kIsFree; });
 }
-// A drive and limits.
+// Returns whether the joint has one dof with a drive and limits.
 inline bool has_one_dof(const Link& link) {
   return Joints::ask(link.joint, [](auto joint) { return decltype(joint)::kHasDrive; });
 }
@@ -59,7 +60,7 @@ inline bool is_linear(const Link& link, int32_t dof_of_link) {
   return Joints::ask(link.joint,
                      [&](auto joint) { return dof_of_link < decltype(joint)::kLinear; });
 }
-// Which dofs of a link angular damping acts on.
+// Returns whether angular damping acts on a dof of a link.
 inline bool is_angular(const Link& link, int32_t dof_of_link) {
   return Joints::ask(link.joint, [&](auto joint) {
     return !decltype(joint)::kIsKinematic && decltype(joint)::kAngular > 0 &&

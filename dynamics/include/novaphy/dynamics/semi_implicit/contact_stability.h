@@ -1,12 +1,12 @@
-// Up to which dt the springs and dampers of rigid contacts are stable.
+// The largest dt for which the springs and dampers of rigid contacts are stable.
 //
-// Law, for the rows that touch, n the normal and r the arm from the center of mass of a body:
+// Law, for the rows that touch, with the normal n and the arm r from the center of mass of a body:
 //   K = sum ke J(n) J(n)^T + stick_ke T,  D = sum kd J(n) J(n)^T + kf T,
 //   T = sum_u J(u) J(u)^T - J(n) J(n)^T, u the three axes,  J(u) = (u, r x u),  M mass and inertia
 //   x'' = -M^-1 (K x + D x') in steps of semi-implicit Euler leaves the unit circle at -1, where
 //   the largest eigenvalue of M^-1 (dt^2 K + 2 dt D) is 4.
-// Dampers along the normal only push apart: they act in every other of the steps that swing there,
-// and the eigenvalue is that of dt^2 K + dt D.
+// Dampers along the normal only push apart. In an oscillation at the limit they act in every second
+// step, so the eigenvalue is that of dt^2 K + dt D.
 #pragma once
 
 #include <cstdint>
@@ -21,67 +21,66 @@
 namespace novaphy {
 
 struct ContactLimit {
-  float dt;           // s; infinite: none
-  int32_t body = -1;  // that has it
+  float dt;           // s; infinite: no limit
+  int32_t body = -1;  // the limiting body; -1: none
 };
 
-// Enough: K and D in full, those of rows of two bodies that move twice, which allows for neighbors
-// in antiphase. Needed: a longer dt diverges though the other bodies are held: ke, and kd once; and
-// by itself kf, of rows with friction.
+// Enough: a safe dt. K and D count fully, and twice for rows of two moving bodies, which allows for
+// neighbors in antiphase. Needed: a larger dt diverges even if all other bodies are fixed. ke and
+// kd count once, and kf of rows with friction is tested separately.
 enum class Stability { Enough, Needed };
 
 namespace detail {
 struct TouchingRows;
 }
 
-// The longest dt (s) at which springs and dampers of what touches are stable, friction as far as it
-// sticks, whatever the neighbors of a body do; infinite: none touches. Reads from the device; no
-// tape sees it. `function` starts the message of ErrorKind::Value: a state or contacts of another
-// model, contacts that have overflowed.
+// Returns the largest dt (s) for which the springs and dampers of touching contacts are stable,
+// with sticking friction and any motion of the neighbors. Infinite: nothing touches. Reads from the
+// device without a tape. ErrorKind::Value: a state or contacts of another model, or contacts that
+// have overflowed. The message begins with `function`.
 NOVAPHY_DYNAMICS_API float stable_contact_dt(const char* function, const Model& model,
                                              const SimState& state, const Contacts& contacts,
                                              float stick_ke);
 
-// Warns, once each:
-//   of a dt at which ke and kd of what touches diverge even with all but one body held
-//   of one at which kf does, of a friction law whose slope at rest is kf: it shakes at its cone
-//   of a body that rests deeper than a quarter of its radius of gyration
-//   of a body whose pose is not finite, which meets nothing
-// It looks at a body whenever the shapes that touch it, or in how many rows, are others than
-// before, at depths in every 32nd step, and at poses in steps 1, 2, 4, 8, ..., 1024, 2048, 3072,
-// ...
+// Warns once each of
+//   a dt at which ke and kd of touching contacts diverge even if all other bodies are fixed
+//   a dt at which kf diverges, for a friction law with slope kf at rest: friction then chatters
+//   a body that rests deeper than a quarter of its radius of gyration
+//   a body whose pose is not finite, which has no contacts
+// A body is checked when the touching shapes or their numbers of rows change. Depths are checked in
+// every 32nd step, and poses in steps 1, 2, 4, 8, ..., 1024, 2048, 3072, ...
 class NOVAPHY_DYNAMICS_API ContactWatch {
  public:
-  // `function` starts the messages, `advice` ends those of dt.
+  // Messages begin with `function`. Messages about dt end with `advice`.
   explicit ContactWatch(const char* function,
                         const char* advice =
                             "stable_dt(state, contacts) says what is safe, and "
                             "SolverFeatherstone needs none of them")
       : function_(function), advice_(advice) {}
-  // Of a law of friction whose slope at rest is less than kf.
+  // Skips the check of kf, for a friction law whose slope at rest is below kf.
   void leave_out_friction() { warned_of_friction_ = true; }
 
-  // Counts a step, and says whether it is one to look at: every one, or where looking is dear
-  // steps 1, 2, 4, 8, ... 1024, 2048, 3072, ...
+  // Counts a step, and returns whether to check it: every step, or if checks are expensive, steps
+  // 1, 2, 4, 8, ... 1024, 2048, 3072, ...
   bool is_due(bool is_dear);
-  // Reads on the host. The rows must be of shapes and bodies that are there. `bodies`: nonzero for
-  // those to look at; null: all. `pushed`: rigid_contact_force is that of the
-  // rows as they are, which says what touches.
+  // Checks a step on the host. The rows must name shapes and bodies that exist. `bodies`: nonzero
+  // for bodies to check; null: all. `pushed`: whether rigid_contact_force belongs to the present
+  // rows and so shows which rows touch.
   void look(const Model& model, const SimState& state, const Contacts& contacts, float dt,
             bool pushed, const std::vector<uint8_t>* bodies = nullptr);
-  // For contacts that nothing holds: what the softest contact of one of the model's pairs of shapes
-  // does, one row through the center of mass. It looks only while dt is longer than before, or ke,
-  // kd, kf or masses were written.
+  // For contacts that are not stored: checks the softest contact of each of the model's pairs of
+  // shapes, as one row through the center of mass. The check runs only if dt is larger than before,
+  // or ke, kd, kf or masses were written.
   void look_at_pairs(const Model& model, float dt);
 
  private:
-  // What has touched a body, as numbers; 0: nothing.
+  // Hashes of the objects that have touched a body; 0: none.
   struct Touched {
     uint32_t now = 0, seen[4] = {};
-    int32_t next = 0;      // of seen
-    int32_t changed = -1;  // its place among those that changed
+    int32_t next = 0;      // next entry of `seen`
+    int32_t changed = -1;  // index among the changed bodies; -1: unchanged
   };
-  // Of a body: its deepest contact that carries it, and what springs carry of its weight, N.
+  // The deepest supporting contact of a body, and the weight that springs carry (N).
   struct Load {
     float depth = 0.0f, lift = 0.0f;
   };
@@ -95,11 +94,11 @@ class NOVAPHY_DYNAMICS_API ContactWatch {
   uint64_t steps_ = 0;
   bool warned_ = false, warned_of_friction_ = false, warned_of_depth_ = false,
        warned_of_pose_ = false;
-  float longest_dt_ = 0.0f;                  // s, that was looked at
-  ArrayStamp read_[5];                       // as they were
-  std::vector<Touched> touched_;             // of bodies
+  float longest_dt_ = 0.0f;                  // s, largest dt so far
+  ArrayStamp read_[5];                       // stamps of the arrays that were read
+  std::vector<Touched> touched_;             // per body
   std::vector<int32_t> touching_, changed_;  // bodies
-  std::vector<Load> loads_;                  // of bodies
+  std::vector<Load> loads_;                  // per body
 };
 
 }  // namespace novaphy

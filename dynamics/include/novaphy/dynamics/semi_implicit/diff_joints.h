@@ -1,13 +1,14 @@
 // Differentiable penalty joints, in two steps. A kernel over the joints writes the wrenches of each
 // joint on its two bodies (penalty_joint_trace.h). A sum over the bodies adds them in the order of
-// the joints, the parent's side before the child's. Compiled into novaphy::dynamics where nova is
+// the joints, with the parent's side before the child's. Compiled into novaphy::dynamics if nova is
 // built.
 //
 // The gradient of each input:
 //   body_q, body_qd                                                     exact
 //   joint_f, joint_target_q, joint_target_qd (the control's or the model's)   exact
 //   model: joint_target_ke, _kd, joint_limit_ke, _kd, _lower, _upper, joint_damping,
-//       joint_effort_limit, joint_X_p, joint_X_c, joint_axis, body_com  exact, of the branch taken
+//       joint_effort_limit, joint_X_p, joint_X_c, joint_axis, body_com  exact, for the active
+//         branch
 //   joint_attach_ke, _kd, types, modes, joint_enabled                   none
 #pragma once
 
@@ -26,27 +27,28 @@ class JointForces;
 
 namespace novaphy::diff {
 
-// Keeps tables from call to call; one thread at a time may use it.
+// Keeps tables between calls; only one thread at a time may use it.
 class NOVAPHY_DYNAMICS_API DiffJoints {
  public:
-  // N/m and N*m/rad; N*s/m, and 0.01 of it N*m*s/rad.
+  // Stiffness (N/m and N*m/rad). Damping: kd (N*s/m), and 0.01 of its value in N*m*s/rad.
   struct Attach {
     float ke = 1.0e4f, kd = 1.0e2f;
   };
-  // ErrorKind::NotImplemented: what penalty joints do not cover; ErrorKind::Value: a bad
-  // attachment. Both name the array.
+  // ErrorKind::NotImplemented: a feature that penalty joints do not support. ErrorKind::Value: a
+  // bad attachment. Both name the array.
   DiffJoints(const Model& model, const Attach& attach);
   ~DiffJoints();
   DiffJoints(DiffJoints&&) noexcept;
   DiffJoints& operator=(DiffJoints&&) noexcept;
 
-  // What the steps of a call have in common. FREE joints count where a force acts along them: in
-  // the model, or in `control` (null: none). ErrorKind::Value: dt is above the stable step of a
-  // joint; ErrorKind::NotImplemented: as the constructor, of what was written since.
+  // Makes the preparations that all steps of a call share. A FREE joint counts only if a force acts
+  // along it, in the model or in `control` (null: none). ErrorKind::Value: dt is above the stable
+  // step of a joint. ErrorKind::NotImplemented: as for the constructor, for values written since.
   void begin(const Model& model, const Control* control, float dt);
-  // False: no joint exerts a force.
+  // Returns whether a joint exerts a force.
   bool act() const { return act_; }
-  // {b, 6}: `body_f` plus what the joints do, into `sum`. `wrenches` {2 joints, 6} is scratch.
+  // Computes `sum` {b, 6} = `body_f` plus the wrenches of the joints. `wrenches` {2 joints, 6} is
+  // scratch memory.
   void add(const Model& model, const Control* control, const nova::Operand& body_q,
            const nova::Operand& body_qd, const nova::Operand& body_f, const nova::Operand& wrenches,
            const nova::Operand& sum);
@@ -55,7 +57,7 @@ class NOVAPHY_DYNAMICS_API DiffJoints {
   void find_tables(const Model& model);
 
   Attach attach_;
-  bool act_ = false, hold_ = false;  // hold_: there are joints that are not FREE
+  bool act_ = false, hold_ = false;  // hold_: whether the model has joints that are not FREE
   std::unique_ptr<JointForces> checks_;
   ArrayStamp enabled_;
   DeviceArray<int32_t> sides_, layout_, dofs_, coordinates_;

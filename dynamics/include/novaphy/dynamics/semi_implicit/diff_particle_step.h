@@ -1,6 +1,6 @@
-// One semi-implicit step of particles as generated kernels: forces of the elements and of contacts,
-// then integration. DiffSemiImplicitSolver records the kernels, and SolverSemiImplicit runs them on
-// devices other than the CPU. Compiled into novaphy::dynamics where nova is built.
+// One semi-implicit step of particles as generated kernels: forces of elements and contacts, then
+// integration. DiffSemiImplicitSolver records the kernels, and SolverSemiImplicit runs them on
+// devices other than the CPU. Compiled into novaphy::dynamics if nova is built.
 #pragma once
 
 #include "novaphy/collision/diff_soft_contacts.h"
@@ -13,52 +13,53 @@ namespace novaphy::diff {
 
 struct ParticleStepOptions {
   ElementSet elements;
-  bool contacts = true;                // those of a Contacts act
-  bool static_contacts = false;        // world-owned shapes at their true distance instead
+  bool contacts = true;                // whether contacts of a Contacts act
+  bool static_contacts = false;        // use world-owned shapes at their true distance instead of
+                                       // contacts
   float static_contact_margin = 0.0f;  // m
   float kf_bound = 1.0f;               // see SemiImplicitOptions::particle_kf_bound
 };
 
-// Keeps memory from call to call; one thread at a time may use it.
+// Keeps memory between calls; only one thread at a time may use it.
 class NOVAPHY_DYNAMICS_API ParticleStep {
  public:
-  // ErrorKind::NotImplemented: with static contacts, a shape that they do not cover.
+  // ErrorKind::NotImplemented: a shape that static contacts do not support.
   ParticleStep(const Model& model, const ParticleStepOptions& options);
 
   float kf_bound() const { return options_.kf_bound; }
   const WorldRows& rows() const { return rows_; }
   bool has_elements() const { return !elements_.empty(); }
-  bool meets_bodies() const { return meets_bodies_; }  // contacts may touch bodies
+  bool meets_bodies() const { return meets_bodies_; }  // whether contacts may touch bodies
   // The arrays that `record` writes besides its outputs.
   std::vector<ScratchSpec> scratch() const;
-  // What the steps of a call have in common; `function` starts the messages.
+  // Makes the preparations that all steps of a call share. Messages begin with `function`.
   void begin(const Model& model, const char* function);
-  // From `in` to `out`; forces are added to in.particle_f, in the order of SolverSemiImplicit.
-  // `tables`: of the contacts.
+  // Steps from `in` to `out`. Forces are added to in.particle_f in the order of SolverSemiImplicit.
+  // `tables`: tables of the contacts.
   void run(const Model& model, SimState& in, SimState& out, const Control* control,
            const Contacts* contacts, const ContactTables& tables, float dt);
-  // The same with forces that are only read, and contacts and integration in one kernel where no
-  // contact touches a body.
+  // The same with forces that are only read. Contacts and integration are one kernel if no contact
+  // touches a body.
   void record(const Model& model, const SimState& in, SimState& out, const StepInputs& inputs,
               const ContactTables& tables, StepScratch scratch);
-  // What the contacts of the last step do to bodies: {slots, 6}; null: nothing.
+  // Returns the wrenches of the last step's contacts on bodies {slots, 6}; null: none.
   const nova::Operand* wrenches() const { return touches_ ? &wrenches_ : nullptr; }
 
  private:
-  // f plus the forces of the elements: in `to`, which is returned; f itself without elements.
+  // Adds the forces of the elements to f in `to`, and returns `to`; without elements returns f.
   nova::Operand add_elements(const Model& model, const Control* control, const nova::Operand& q,
                              const nova::Operand& qd, const nova::Operand& f,
                              const nova::Operand& to);
-  // f plus the forces of the contacts, of which some may touch bodies, into `to`.
+  // Adds the forces of the contacts to f in `to`. Some contacts may touch bodies.
   void add_contacts(const Model& model, const SimState& in, const Contacts& contacts,
                     const ContactTables& tables, const nova::Operand& f, float dt,
                     const nova::Operand& to);
 
   ParticleStepOptions options_;
-  WorldRows rows_;  // of a model of several worlds
+  WorldRows rows_;  // for models with several worlds
   ElementOperators elements_;
   bool meets_bodies_ = false, touches_ = false;
-  // What each contact adds to its particle and to its body, which no adjoint reads.
+  // The contribution of each contact to its particle and to its body; no adjoint reads them.
   nova::Operand forces_, wrenches_;
 };
 

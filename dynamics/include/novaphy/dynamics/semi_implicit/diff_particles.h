@@ -1,11 +1,11 @@
-// Differentiable particle integration. Compiled into novaphy::dynamics where nova is built.
+// Differentiable integration of particles. Compiled into novaphy::dynamics if nova is built.
 //
 // The gradient of each input:
 //   particle_q, particle_qd, particle_f   exact
 //   gravity of each world                 exact
 //   particle_mass                         exact (through particle_inv_mass = 1/mass; 0 for mass 0)
-//   particle_radius, shape_material_*     exact, where static contacts are part of the operator
-//   particle_flags, particle_max_velocity, dt   none (they choose, or are constants of the launch)
+//   particle_radius, shape_material_*     exact, if static contacts are part of the operator
+//   particle_flags, particle_max_velocity, dt   none (they select, or are constants of the launch)
 #pragma once
 
 #include <utility>
@@ -18,15 +18,15 @@
 
 namespace novaphy::diff {
 
-// Symplectic Euler (particle_integrator_trace.h): positions {n, 3} (m) and velocities {n, 3} (m/s)
-// after dt (s). Inputs {n, 3} tightly packed float32 on the model's device; dt finite and > 0
-// (ErrorKind::Type, ErrorKind::Value).
+// Returns positions {n, 3} (m) and velocities {n, 3} (m/s) after dt (s) by symplectic Euler
+// (particle_integrator_trace.h). Inputs are {n, 3} packed float32 on the model's device; dt is
+// finite and > 0 (ErrorKind::Type, ErrorKind::Value).
 NOVAPHY_DYNAMICS_API std::pair<nova::Tensor, nova::Tensor> integrate_particles_generated(
     const Model& model, const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
     const nova::Tensor& particle_f, float dt);
 
-// The forces of all static shapes (eval_static_particle_shape_contact_forces_generated) and the
-// integration in one kernel: the same bits as one after the other.
+// Computes the forces of all static shapes (eval_static_particle_shape_contact_forces_generated)
+// and the integration in one kernel, with the same bits as two calls.
 NOVAPHY_DYNAMICS_API std::pair<nova::Tensor, nova::Tensor>
 integrate_particles_with_static_contacts_generated(const Model& model,
                                                    const nova::Tensor& particle_q,
@@ -34,23 +34,23 @@ integrate_particles_with_static_contacts_generated(const Model& model,
                                                    const nova::Tensor& particle_f,
                                                    float soft_contact_margin, float dt);
 
-// Into given memory: what the solver calls. Whether the particles' worlds are covered is the
-// caller's to check (WorldRows).
+// The same into given memory, as solvers use it. The caller must check that the particles' worlds
+// are supported (WorldRows).
 NOVAPHY_DYNAMICS_API void integrate_particles(const Model& model, const nova::Operand& particle_q,
                                               const nova::Operand& particle_qd,
                                               const nova::Operand& particle_f, float dt,
                                               const nova::Operand& q_out,
                                               const nova::Operand& qd_out);
 
-// The forces of all static shapes and the integration, into given memory. kf_rate is r of
-// diff_soft_contact_trace.h; the operators have none.
+// Computes the forces of all static shapes and the integration into given memory. kf_rate is r of
+// diff_soft_contact_trace.h; the operators above use none.
 NOVAPHY_DYNAMICS_API void step_particles_with_static_contacts(
     const Model& model, const WorldRows& rows, const nova::Operand& particle_q,
     const nova::Operand& particle_qd, const nova::Operand& particle_f, float kf_rate,
     float soft_contact_margin, float dt, const nova::Operand& q_out, const nova::Operand& qd_out);
 
-// The forces of recorded contacts (eval_soft_contact_forces) and the integration in one kernel: the
-// same bits as one after the other. `particle_f` is only read.
+// Computes the forces of recorded contacts (eval_soft_contact_forces) and the integration in one
+// kernel, with the same bits as two calls. `particle_f` is only read.
 NOVAPHY_DYNAMICS_API void step_particles(const Model& model, const Contacts& contacts,
                                          const nova::Incidence& contacts_of,
                                          const nova::Operand& particle_q,

@@ -1,10 +1,10 @@
-// Differentiable rigid bodies on planes of the world. Compiled into novaphy::dynamics where nova is
+// Differentiable rigid bodies on planes of the world. Compiled into novaphy::dynamics if nova is
 // built.
 //
 // The gradient of each input:
-//   body_q, body_qd, body_f    exact for the corners of boxes that are kept (rigid_plane_trace.h);
+//   body_q, body_qd, body_f    exact for the kept corners of boxes (rigid_plane_trace.h);
 //                              body_q as seven free numbers
-//   model: body_mass, body_inertia (by way of their stored inverses, which follow them), body_com,
+//   model: body_mass, body_inertia (through their stored inverses, which are derived), body_com,
 //   gravity, shape_material_ke, _kd, _kf, _mu    exact
 //   shape_transform, shape_scale, shape_margin, shape_gap, shape_material_ka, flags, angular
 //   damping, smoothing, dt     none
@@ -19,14 +19,14 @@
 
 namespace novaphy::diff {
 
-// The shape pairs that the operators below cover, as rows of bodies: an infinite plane of the world
-// with a box, sphere or capsule of a body.
+// The shape pairs that the operators below support, as rows of bodies: an infinite plane of the
+// world with a box, sphere or capsule of a body.
 class NOVAPHY_DYNAMICS_API PlanePairs {
  public:
-  // Made anew when the arrays that they are made from were written; `with_contacts` false: no
-  // pairs, and shape_contact_pairs is not asked for. ErrorKind::NotImplemented: a pair of
-  // shape_contact_pairs that is not covered, by its shapes, or a body of all worlds (-1) in a model
-  // of several; ErrorKind::Index: no such world.
+  // Updates the pairs if their source arrays were written. `with_contacts` false: no pairs, and
+  // shape_contact_pairs is not read. ErrorKind::NotImplemented: a pair of shape_contact_pairs that
+  // is not supported (the message has its shapes), or a body of all worlds (-1) in a model of
+  // several worlds. ErrorKind::Index: a world that does not exist.
   void update(const Model& model, bool with_contacts);
   const nova::Operand& pairs() const { return pairs_; }  // {n, 2}: plane, shape
   const nova::Incidence& pairs_of_bodies() const { return pairs_of_bodies_; }
@@ -39,20 +39,20 @@ class NOVAPHY_DYNAMICS_API PlanePairs {
   nova::Incidence pairs_of_bodies_;
 };
 
-// One step of dt (s) of SolverSemiImplicit with the friction law huber: contacts of the pairs of
-// shape_contact_pairs at the poses of body_q, found inside of the kernel, then
-// rigid_integrator_trace.h. body_q {b, 7}, body_qd {b, 6}, body_f {b, 6} tightly packed float32 on
-// the model's device (ErrorKind::Type, ErrorKind::Value); angular_damping (1/s) and
-// friction_smoothing (m/s) >= 0: 0 is the viscous law; newton_spin: rigid_integrator_trace.h; pairs
-// that are not covered: ErrorKind::NotImplemented. The contacts of a pair are added up first, then
-// the pairs on body_f in their order.
+// Computes one step of dt (s) of SolverSemiImplicit with the friction law huber. Contacts of the
+// pairs of shape_contact_pairs are found inside of the kernel at the poses of body_q; then follows
+// rigid_integrator_trace.h. The contacts of a pair are summed first, and the pairs are added to
+// body_f in their order. body_q {b, 7}, body_qd {b, 6}, body_f {b, 6} are packed float32 on the
+// model's device (ErrorKind::Type, ErrorKind::Value). angular_damping (1/s) and friction_smoothing
+// (m/s) are >= 0; smoothing 0 is the viscous law. newton_spin: see rigid_integrator_trace.h.
+// ErrorKind::NotImplemented: a pair that is not supported.
 NOVAPHY_DYNAMICS_API std::pair<nova::Tensor, nova::Tensor>
 integrate_rigid_bodies_with_static_contacts_generated(
     const Model& model, const nova::Tensor& body_q, const nova::Tensor& body_qd,
     const nova::Tensor& body_f, float angular_damping, float friction_smoothing, float dt,
     bool newton_spin = false);
 
-// The same into given memory: what the solver calls, with pairs that are up to date.
+// The same into given memory, as solvers use it, with up-to-date pairs.
 struct RigidStepNumbers {
   float angular_damping = 0.05f;    // 1/s
   float friction_smoothing = 0.1f;  // m/s

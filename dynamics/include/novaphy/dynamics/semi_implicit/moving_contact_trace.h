@@ -1,43 +1,48 @@
-// How the points and the normal of a rigid contact move with the poses of its two bodies. A closed
-// form exists for planes with all shapes, and for spheres, capsules and boxes.
+// Moving contact points: the derivative of the points and the normal of a rigid contact by the
+// poses of its two bodies. A closed form exists for planes with all shapes, and for spheres,
+// capsules and boxes.
 //
 // The search stores points of the cores in the frames of the bodies, and a normal in the world. The
-// point itself tells the feature of its shape on which it lies:
+// position of a point identifies the feature of its shape:
 //   sphere           the center: a point
 //   capsule          an end: a point; between: a line along z
 //   plane            a face
 //   box              on three faces: a point (corner), on two: a line (edge), on one: flat
-//   cylinder, cone   on the rim: the deepest point, which wanders, or one of three that are fixed;
-//                    the apex: a point
-//   ellipsoid        the deepest point, which wanders
-//   hull, mesh       a vertex: a point, where a plane meets it
-// Law. P and Q are points that are fixed in A and B. U, V are directions of lines and M normals of
-// faces, which all turn with their bodies. The normal n points from A to B:
-//   a plane, or a face of a box along which n is, or the face of two boxes (a box and a capsule)
-//   that leads where n is across an edge of each
-//       n is M, or along the product of the two edges. The point of the other shape is a corner, or
-//       where its line meets a side of the box, or where the edge between two sides of the box
-//       meets its face, or the deepest along n: c + D^2 m/|D m|, m = n in the frame of the shape,
-//       D the half axes of an ellipsoid, (r, r, 0) of a rim. That of the face is this one, moved
-//       along n onto the face
+//   cylinder, cone   on the rim: the deepest point, which moves along the rim, or one of three
+//     fixed
+//                    points; the apex: a point
+//   ellipsoid        the deepest point, which moves over the surface
+//   hull, mesh       a vertex: a point, for contacts with planes
+// Law. P and Q are points fixed in A and B. U, V are directions of lines and M normals of faces,
+// which rotate with their bodies. The normal n points from A to B:
+//   face      for a plane; for a face of a box along n; or for the leading face if n is
+//             perpendicular to an edge of each of two boxes (or a box and a capsule):
+//             n is M, or along the product of the two edges. The point of the other shape is a
+//               corner,
+//             or the intersection of its line with a side of the box, or of the edge between two
+//               sides
+//             of the box with its face, or the deepest point along n: c + D^2 m/|D m|, m = n in the
+//             frame of the shape, D the half axes of an ellipsoid, or (r, r, 0) of a rim. The
+//               point of
+//             the face is this point, moved along n onto the face
 //   points    P, Q,  n along Q - P
 //   point and line    the line's point is the nearest to the other
-//   lines     their nearest points, n along U x V (less parallel than 0.6 degrees)
-// Otherwise contacts are frozen: points stay fixed in their bodies and the normal in the world.
+//   lines     their nearest points, n along U x V (if at least 0.6 degrees from parallel)
+// All other contacts are frozen: points stay fixed in their bodies and the normal in the world.
 // Four kinds of contacts are frozen:
 //
 // - The normal is not that of this law (within 0.3 degrees).
 // - The search chooses among features that coincide (within 1e-4 of a size or a direction).
 //   Examples are a capsule flat on a face of a box, and a corner of a box on the outline of
-//   another's face. Further examples are two corners or ends with the normal across an edge or axis
-//   of each, and parallel faces of two boxes.
-// - A rim lies flat on a plane (within 1e-4), so its deepest point is none of its own.
-// - A shape that is not a plane meets an ellipsoid, a cylinder, a cone, a hull or a mesh.
+//   another's face. Further examples are two corners or ends with the normal perpendicular to an
+//   edge or axis of each, and parallel faces of two boxes.
+// - A rim lies flat on a plane (within 1e-4), so its deepest point is not unique.
+// - A shape other than a plane touches an ellipsoid, a cylinder, a cone, a hull or a mesh.
 //
-// Values are the stored points and normal as they are; the law gives their derivatives only.
-// Gradient: exact, by poses, as long as the features stay the same; shapes carry none.
+// The values are the stored points and normal; the law only gives their derivatives. Gradient:
+// exact by poses while the features stay the same; shapes have no gradient.
 //
-// Freestanding: T = float names what is exact, T = nova::Real is traced.
+// Freestanding: T = float tests which contacts are exact, T = nova::Real is traced.
 #pragma once
 
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
@@ -45,15 +50,16 @@
 
 namespace novaphy {
 
-// B: bool or nova::Bool. None set: a shape of another type.
+// The type, pose and scale of a shape. B is bool or nova::Bool. No flag means another type.
 template <class B, class T>
 struct ContactShape {
   B is_plane{}, is_sphere{}, is_capsule{}, is_box{}, is_ellipsoid{}, is_cylinder{}, is_cone{},
       is_polytope{};
   Transform<T> pose{};  // in its body
-  Vec3<T> scale{};      // as GeoType says
+  Vec3<T> scale{};      // see GeoType
 };
-// `is(type)`: whether the shape is of this Type, GeoType, which formulas do not include.
+// `is(type)`: whether the shape has this type. Type is GeoType as a template argument, because
+// formulas do not include its header.
 template <class Type, class B, class T, class Is>
 ContactShape<B, T> contact_shape(const Is& is, const Transform<T>& pose, const Vec3<T>& scale) {
   using math::either;
@@ -69,34 +75,36 @@ ContactShape<B, T> contact_shape(const Is& is, const Transform<T>& pose, const V
           scale};
 }
 
-// Directions are unit vectors in the world.
+// The feature of a shape at a contact point. Directions are unit vectors in the world.
 template <class B, class T>
 struct ContactFeature {
   Vec3<T> point{};
   B is_known{}, is_point{}, is_line{}, is_flat{};
   Vec3<T> line{}, flat{};
-  // The face that looks along the normal: whether the normal is along it and the point on it; how
-  // far it looks along (cosine).
+  // The face that is closest to the normal: whether the normal is along it and the point on it, its
+  // normal, and the cosine to the normal.
   B is_along{}, is_on_face{};
   Vec3<T> face{};
   T cosine{};
-  // The point of the other shape, held by this one, and on which sides of that face it is.
+  // The other shape's point as a point of this shape, and the sides of that face that it is on.
   Vec3<T> held{}, side{};
   B has_side{}, has_corner{};
-  // The one edge (axis of a capsule) that the normal is across.
+  // The edge (or axis of a capsule) that the normal is perpendicular to.
   B has_across{};
   Vec3<T> across{};
   B is_box{}, is_capsule{}, is_corner{};
-  // Where the other shape is a plane: one, what it meets, and a point of that which is fixed.
+  // For contacts with planes: whether the shape is a plane, whether its feature can touch planes,
+  // and whether the point is fixed to the shape.
   B is_plane{}, meets_planes{}, is_fixed{};
-  // The deepest point along a normal, about `center`, which wanders: half axes, side of the normal.
+  // A deepest point along a normal, which moves over the shape: its center, half axes, and the side
+  // of the normal.
   B is_deepest{};
   Vec3<T> center{}, half_axes{};
   T direction{};
   Quat<T> turn{};
 };
 
-// Of a shape of which f.is_deepest.
+// Returns the deepest point of a shape with f.is_deepest.
 template <class B, class T>
 Vec3<T> deepest_point(const ContactFeature<B, T>& f, const Vec3<T>& normal) {
   using namespace math;
@@ -114,7 +122,7 @@ struct MovingContact {
   B is_exact{};
 };
 
-// Of the point of a shape; `other`: that of the other shape, in the world.
+// Finds the feature of a shape's point. `other`: the point of the other shape, in the world.
 template <class B, class T>
 ContactFeature<B, T> contact_feature_of(const ContactShape<B, T>& shape, const Transform<T>& body,
                                         const Vec3<T>& body_point, const Vec3<T>& other,
@@ -141,7 +149,7 @@ ContactFeature<B, T> contact_feature_of(const ContactShape<B, T>& shape, const T
   };
   const Vec3<T> faces = {on(x.x, h.x), on(x.y, h.y), on(x.z, h.z)};
   const Vec3<T> others = {on(y.x, h.x), on(y.y, h.y), on(y.z, h.z)};
-  // 1 for the axis of the face that looks along the normal.
+  // 1 for the axis of the face that is closest to the normal.
   const auto first = both(m.x >= m.y, m.x >= m.z), second = m.y >= m.z;
   const Vec3<T> looks = {flag(first), flag(both(negate(first), second)),
                          flag(both(negate(first), negate(second)))};
@@ -180,7 +188,7 @@ ContactFeature<B, T> contact_feature_of(const ContactShape<B, T>& shape, const T
   f.is_box = shape.is_box;
   f.is_capsule = shape.is_capsule;
   f.is_corner = both(shape.is_box, f.is_point);
-  // Rims: the deepest point lies against the normal, which is that of a plane below.
+  // Rims: the deepest point lies opposite to the normal, which points up from a plane below.
   const auto has_rim = either(shape.is_cylinder, shape.is_cone);
   const T across = sqrt(n.x * n.x + n.y * n.y), reach = across * h.x;
   const T off_side = abs(x.x * n.y - x.y * n.x), down = -(x.x * n.x + x.y * n.y);
@@ -204,7 +212,8 @@ ContactFeature<B, T> contact_feature_of(const ContactShape<B, T>& shape, const T
 
 namespace moving_contact_detail {
 
-inline constexpr float kFacePreference = 1e-4f;  // that of collision/geometry/clip_manifold.h
+inline constexpr float kFacePreference = 1e-4f;  // equal to that of
+                                                 // collision/geometry/clip_manifold.h
 
 template <class T>
 T nonzero(const T& x, const T& least) {
@@ -233,7 +242,7 @@ Vec3<T> unit_along(const Vec3<T>& v, const Vec3<T>& normal) {
   return unit * side_of(unit, normal);
 }
 
-// The points of a face and of the other shape, with the normal n.
+// The points of a face and of the other shape, for the normal n.
 template <class B, class T>
 struct FaceContact {
   Vec3<T> of_face{}, of_other{};
@@ -256,7 +265,7 @@ FaceContact<B, T> face_contact(const ContactFeature<B, T>& face, const ContactFe
   c.of_other = select(
       at_side, on_line,
       select(at_corner, on_flat, select(other.is_deepest, deepest_point(other, n), other.point)));
-  // The two edges that n is across are not as far apart as the line is above the face.
+  // The two edges perpendicular to n are closer to each other than the line is to the face.
   const T own = dot(cross(face.face, face.side), face.across),
           theirs = dot(other.line, other.across);
   const auto edges = both(both(at_side, both(face.has_across, other.has_across)),
@@ -272,7 +281,8 @@ FaceContact<B, T> face_contact(const ContactFeature<B, T>& face, const ContactFe
 
 }  // namespace moving_contact_detail
 
-// Whether features of the two shapes coincide, so that the points do not say which the search took.
+// Returns whether features of the two shapes coincide, so that the points do not identify the
+// search's choice.
 template <class B, class T>
 B features_coincide(const ContactFeature<B, T>& a, const ContactFeature<B, T>& b) {
   using namespace math;
@@ -302,7 +312,7 @@ MovingContact<B, T> moving_contact(const ContactFeature<B, T>& a, const ContactF
   };
   const auto along_a = face_leads(a), along_b = both(negate(face_leads(a)), face_leads(b));
 
-  // Points and lines.
+  // Point and line features.
   const auto points = both(a.is_point, b.is_point), to_line = both(a.is_point, b.is_line),
              from_line = both(a.is_line, b.is_point);
   const T cosine = dot(a.line, b.line), part = one - cosine * cosine;
@@ -322,7 +332,7 @@ MovingContact<B, T> moving_contact(const ContactFeature<B, T>& a, const ContactF
                              either(either(points, lines), either(to_line, from_line)));
   const auto by_features = both(features, dot(n, normal) > close);
 
-  // Faces.
+  // Face features.
   const Vec3<T> product = d::unit_along(cross(a.across, b.across), normal);
   const auto by_product = both(both(known, both(a.has_across, b.has_across)),
                                both(both(negate(either(along_a, along_b)), negate(by_features)),

@@ -1,4 +1,5 @@
-// Symplectic Euler for a particle: new velocity from the force, new position from the new velocity.
+// Symplectic Euler for a particle: the new velocity from the force, the new position from the new
+// velocity.
 //
 //   v1 = v0 + (f*w + g*s)*dt   with s = 1 if w > 0, else 0
 //   v1 = v1*(v_max/|v1|)  if |v1| > v_max
@@ -12,11 +13,11 @@
 //
 // A particle that is not active keeps position and velocity.
 //
-// Source: Newton 1.8.0, SolverSemiImplicit. Its output on the cpu is the same bits; it does not
-// write the velocity of an inactive particle, this does.
+// Source: Newton 1.8.0, SolverSemiImplicit. Its output on the CPU has the same bits, except that
+// Newton does not write the velocity of an inactive particle.
 //
 // Gradient: exact for x0, v0, f, w, g, dt. Not smooth at |v1| = v_max, where the branch without the
-// limit is taken, and s passes nothing (its derivative is 0 wherever there is one).
+// limit is used. s has no gradient.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
 #pragma once
@@ -41,7 +42,7 @@ ParticleState<T> integrate_particle(const Vec3<T>& x0, const Vec3<T>& v0, const 
   return {x0 + v1 * dt, v1};
 }
 
-// With the active flag: `active` is a bool, or nova::Bool in a trace.
+// The same with an active flag: bool, or nova::Bool in a trace.
 template <class B, class T>
 ParticleState<T> integrate_particle(const B& active, const Vec3<T>& x0, const Vec3<T>& v0,
                                     const Vec3<T>& f, const T& w, const Vec3<T>& g, const T& v_max,

@@ -1,16 +1,17 @@
-// Up to which dt the springs and dampers of particles are stable: elements, and contacts.
+// The largest dt for which the springs and dampers of particles are stable: those of elements and
+// contacts.
 //
 // Law, for particles of mass m_i: x'' = -M^-1 (K x + D x'), in steps of semi-implicit Euler. The
 // step leaves the unit circle at -1, where the largest eigenvalue of M^-1 (dt^2 K + 2 dt D) is 4.
-// With the blocks K_e, D_e of an element of n_e particles at rest (spring_trace.h,
-// triangle_trace.h, bending_trace.h, tetrahedron_trace.h), sums over the elements e of a particle
-// i:
+// With the blocks K_e, D_e of an element of n_e particles in its rest shape (spring_trace.h,
+// triangle_trace.h, bending_trace.h, tetrahedron_trace.h), and sums over the elements e of a
+// particle i:
 //   enough  dt^2 sum n_e K_e,ii + 2 dt sum n_e D_e,ii <= 4 m_i for all i, because
 //           x^T K_e x <= n_e sum_i x_i^T K_e,ii x_i
-//   needed  the same without n_e: one particle diverges though all others are held
-// Contacts are those of contact_stability.h, of one particle with a shape (n_e = 1). Along the
-// normal act ke and kd, where kd acts in every other step. Across the normal acts kf. The bound b =
-// particle_kf_bound limits kf to b m/dt: friction then has 2 b of the 4.
+//   needed  the same without n_e: beyond, one particle diverges even if all others are fixed
+// Contacts are those of contact_stability.h, of one particle with a shape (n_e = 1). ke and kd act
+// along the normal, where kd acts in every second step, and kf acts across the normal. The bound b
+// = particle_kf_bound limits kf to b m/dt, so friction takes 2 b of the 4.
 #pragma once
 
 #include <cstdint>
@@ -25,32 +26,32 @@
 
 namespace novaphy {
 
-// What acts on particles.
+// The forces on particles to include.
 struct ParticleForces {
   bool springs = true, triangles = true, edges = true, tetrahedra = true;
-  bool contacts = true;  // with any shape that they may meet
+  bool contacts = true;  // with every shape that they may touch
   float kf_bound = 1.0f;
 };
 
 struct ParticleLimit {
-  float dt;               // s; infinite: none
-  int32_t particle = -1;  // that has it
-  const char* of = "";    // what
+  float dt;               // s; infinite: no limit
+  int32_t particle = -1;  // the limiting particle; -1: none
+  const char* of = "";    // the limiting force
 };
 
-// `needed` of elements, and of one contact with the shape whose ke, kd or kf need the shortest
-// step. Reads on the host.
+// Returns the `needed` limit of elements, and of one contact with the shape whose ke, kd or kf need
+// the smallest step. Reads on the host.
 ParticleLimit needed_particle_dt(const Model& model, const ParticleForces& forces);
-// The longest dt (s) that is `enough` for elements and for the contacts that touch in the state;
-// without contacts (null) for one with each shape that a particle may meet, if forces.contacts.
-// Infinite: none act. Reads from the device; no tape sees it. `function` starts the message of
-// ErrorKind::Value: a state of another model.
+// Returns the largest dt (s) that is `enough` for elements and for touching contacts of the state.
+// Null contacts, with forces.contacts: for one contact with each shape that a particle may touch.
+// Infinite: no force acts. Reads from the device without a tape. ErrorKind::Value: a state of
+// another model; the message begins with `function`.
 NOVAPHY_DYNAMICS_API float enough_particle_dt(const char* function, const Model& model,
                                               const SimState& state, const Contacts* contacts,
                                               const ParticleForces& forces);
 
-// Warns, once, of a dt above needed_particle_dt. It looks at calls 1, 2, 4, 8, ... 1024, 2048, ...,
-// while dt is longer than before or materials, rest shapes or masses were written.
+// Warns once of a dt above needed_particle_dt. The check runs at calls 1, 2, 4, 8, ... 1024, 2048,
+// ..., if dt is larger than before, or if materials, rest shapes or masses were written.
 class NOVAPHY_DYNAMICS_API ParticleWatch {
  public:
   explicit ParticleWatch(const char* function) : function_(function) {}

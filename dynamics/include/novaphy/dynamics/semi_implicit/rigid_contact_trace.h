@@ -1,50 +1,49 @@
-// The force of a rigid contact: penalty spring, one-sided damper, friction.
+// The force of a rigid contact: penalty spring, damper that acts only on approach, friction.
 //
 // Law, for the shapes A and B, N = -normal (from B to A):
-//   P_A = X_A(p_A) - N m_A,  P_B = X_B(p_B) + N m_B     points of the surfaces with their margins
-//   d  = dot(N, P_A - P_B)                              < 0 is penetration; no force where d >= ka
-//   P  = (P_A + P_B)/2 between two bodies; the body's own point where the other is the world
+//   P_A = X_A(p_A) - N m_A,  P_B = X_B(p_B) + N m_B     surface points including the margins
+//   d  = dot(N, P_A - P_B)                              < 0 is penetration; no force for d >= ka
+//   P  = (P_A + P_B)/2 between two bodies; the body's own point if the other side is the world
 //   u  = v_A - v_B at P,  un = dot(N, u),  ut = u - N un
-//   fn = ke d,  fd = kd min(un, 0) where d < 0, else 0
-//   F  = N (fn + fd) + friction(ut, c),  c = -mu (fn + fd) the Coulomb limit, 0 where d >= 0
-//   B gets F at P, A gets -F there, so momentum and angular momentum of both stay; moments are
+//   fn = ke d,  fd = kd min(un, 0) for d < 0, else 0
+//   F  = N (fn + fd) + friction(ut, c),  c = -mu (fn + fd) the Coulomb limit, 0 for d >= 0
+//   B gets F at P and A gets -F there, which conserves momentum and angular momentum; moments are
 //   about the centers of mass
 // Friction (c > 0, s = |ut|):
-//   viscous   kf ut, cut off at the cone: ut c/s where kf s > c
-//   huber     ut min(kf, c/h),  h = (s^2 + e^2)/(2 e) where s <= e, else s. Never leaves the cone,
+//   viscous   kf ut, clipped to the cone: ut c/s for kf s > c
+//   huber     ut min(kf, c/h),  h = (s^2 + e^2)/(2 e) for s <= e, else s. Never exceeds the cone,
 //             smooth for s < e. e = 0 has the bits of viscous
-//   newton17  ut/h min(kf h, c),  h = s^2/2 where s <= e, else e (s - e/2). Leaves the cone
+//   newton17  ut/h min(kf h, c),  h = s^2/2 for s <= e, else e (s - e/2). May exceed the cone
 //   newton18  viscous
 // With newton17 and newton18 A gets -F at P_A and B gets F at P_B, each with the velocity there, as
-// in Newton. Friction then makes a couple |ut part of F| |d|. Both laws are for comparison only.
-// None of them sticks: under a load below the cone a contact creeps.
+// in Newton. Friction then makes a couple |ut part of F| |d|. Both laws are for comparison only. No
+// law sticks: a contact creeps under a load below the cone.
 //
 // With PenaltyLaw::Mean the force near the surface, |d| < w = h |un|/2 (h: the step), is its mean
-// over [t - h/2, t + h/2] at the velocities of t. The part of that time in contact is
-// r = 1/2 - d/(2 w):
+// over [t - h/2, t + h/2] at the velocities of time t. The fraction of that time in contact is r =
+// 1/2 - d/(2 w):
 //   fn = -ke (w - d)^2/(4 w),  fd = r kd min(un, 0),  friction with r kf and c = -mu (fn + fd)
-// So the force is continuous in d, and a touch depends little on the phase of its begin in a step.
-// The laws of Newton do not have the mean. Symbols:
-//   X, v, w, c   pose, velocity, angular velocity and center of mass of a body (Model::body_q,
-//   ...);
-//                the world: identity, 0
-//   p, m, normal Contacts::rigid_contact_point0, margin0, ...
-//   ke, kd, kf   N/m, N*s/m, N*s/m; mu 1; ka m: each the mean of the two shapes', but for ke, kd
-//   and
-//                mu of a row that has its own (Contacts::rigid_contact_stiffness, ...)
+// The force is then continuous in d, and a touch depends little on the phase of its begin in a
+// step. The laws of Newton do not support the mean. Symbols:
+//   X, v, w, c   pose, velocity, angular velocity and center of mass of a body (Model::body_q and
+//                others); the world: identity, 0
+//   p, m, normal Contacts::rigid_contact_point0, margin0 and so on
+//   ke, kd, kf   N/m, N*s/m, N*s/m; mu 1; ka m: each the mean of the two shapes', except for ke, kd
+//                and mu of a row with its own values (Contacts::rigid_contact_stiffness and others)
 //   e            friction_smoothing (m/s), e > 0 for newton17
 //   F            N, world frame
-// Source: Newton 1.8.0 for newton18, the same bits on the cpu but that margins act on world-owned
-// shapes too; viscous has these bits where one side is the world. Newton 1.7 for newton17. huber is
-// the Huber norm scaled to bound the cone.
+// Source: Newton 1.8.0 for newton18, with the same bits on the CPU, except that margins act on
+// world-owned shapes too; viscous has these bits if one side is the world. Newton 1.7 for newton17.
+// huber is the Huber norm, scaled to stay within the cone.
 //
-// Not smooth, and what is returned there (the derivative follows the same choice):
+// Points where the law is not smooth, and the value there (the derivative makes the same choice):
 //   d = ka, d = 0   no force, no damping. At touch-down the sampled force jumps by kd un.
-//   |d| = w, un = 0 the mean: continuous with its first derivative by d, but for damping, friction
-//   un = 0          min takes the constant 0: damping passes nothing.
+//   |d| = w, un = 0 the mean: the force and its first derivative by d are continuous, except for
+//                   damping and friction
+//   un = 0          min takes the constant 0: damping has no gradient.
 //   at the cone     viscous: kf ut.
 // Gradient: exact in poses, velocities, centers of mass, p, m, normal, ke, kd, kf, mu away from
-// these, at rest too. `ka` only chooses and passes nothing.
+// these points, including at rest. `ka` only selects and has no gradient.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
 #pragma once
@@ -54,11 +53,11 @@
 namespace novaphy {
 
 enum class FrictionLaw { Viscous, Huber, Newton17, Newton18 };
-// The force at the start of a step, or its mean about that.
+// Sampled: the force at the start of a step. Mean: its mean around that time.
 enum class PenaltyLaw { Sampled, Mean };
 
-// Of Newton: each side has the force at its own point, and bodies have Newton's spin
-// (rigid_integrator_trace.h).
+// Returns whether a law is Newton's: each side gets the force at its own point, and bodies have
+// Newton's spin (rigid_integrator_trace.h).
 inline bool is_of_newton(FrictionLaw law) {
   return law == FrictionLaw::Newton17 || law == FrictionLaw::Newton18;
 }
@@ -75,7 +74,8 @@ RigidContactMaterial<T> mean_rigid_contact_material(const RigidContactMaterial<T
           (a.mu + b.mu) * half};
 }
 
-// With the stiffness, damping and coefficient of friction of the row, where they are > 0.
+// Returns the material with the stiffness, damping and friction coefficient of the row, where they
+// are > 0.
 template <class T>
 RigidContactMaterial<T> rigid_contact_material_of_row(const RigidContactMaterial<T>& of_shapes,
                                                       const T& ke, const T& kd, const T& mu) {
@@ -88,30 +88,30 @@ RigidContactMaterial<T> rigid_contact_material_of_row(const RigidContactMaterial
 // One side of a contact.
 template <class T>
 struct RigidContactSide {
-  Transform<T> pose{};  // of the body; the world's by default
+  Transform<T> pose{};  // pose of the body; the identity for the world
   SpatialVector<T> twist{};
   Vec3<T> com{};
-  Vec3<T> point{};  // of the core, body frame
+  Vec3<T> point{};  // point of the core, body frame
   T margin{};
-  T is_body{};  // 1; 0: the world
+  T is_body{};  // 1 for a body, 0 for the world
 };
 
-// The force on B, and the arms from the centers of mass to where it acts.
+// The force on B, and the arms from the centers of mass to its points of application.
 template <class T>
 struct RigidContactForce {
   Vec3<T> force{}, arm_a{}, arm_b{};
 };
 
-// friction(ut, c) for c > 0, else 0.
+// Returns friction(ut, c) for c > 0, else 0.
 template <class T>
 Vec3<T> rigid_friction(FrictionLaw law, const Vec3<T>& ut, const T& limit, const T& kf,
                        const T& smoothing) {
   using namespace math;
   const T zero = T(0.0f), one = T(1.0f);
   const auto acts = both(limit > zero, kf > zero);
-  const T cap = select(acts, limit, one), k = select(acts, kf, one);  // never divide by 0
+  const T cap = select(acts, limit, one), k = select(acts, kf, one);  // avoids a division by 0
   const T s2 = dot(ut, ut);
-  T slope;  // friction per slip
+  T slope;  // friction per slip speed
   if (law == FrictionLaw::Viscous || law == FrictionLaw::Newton18) {
     const T at_cap = cap / k;
     const auto slides = s2 > at_cap * at_cap;
@@ -134,7 +134,7 @@ Vec3<T> rigid_friction(FrictionLaw law, const Vec3<T>& ut, const T& limit, const
   return ut * select(acts, slope, zero);
 }
 
-// Of rigid contacts. half_step: h/2, which only the mean reads.
+// The options of the law. half_step: h/2, used by the mean only.
 template <class T>
 struct RigidContactLaw {
   FrictionLaw friction = FrictionLaw::Viscous;
@@ -143,7 +143,7 @@ struct RigidContactLaw {
   T half_step{};
 };
 
-// The mean force, at the gap d.
+// Returns the mean force at the gap d.
 template <class T>
 Vec3<T> mean_contact_force(const RigidContactLaw<T>& law, const Vec3<T>& n, const T& d, const T& un,
                            const Vec3<T>& ut, const RigidContactMaterial<T>& material) {
@@ -158,10 +158,11 @@ Vec3<T> mean_contact_force(const RigidContactLaw<T>& law, const Vec3<T>& n, cons
   const T limit = select(d < w, (-material.mu) * (fn + fd), zero);
   const Vec3<T> force = n * (fn + fd) + rigid_friction(law.friction, ut, limit,
                                                        material.kf * in_contact, law.smoothing);
-  return select(d >= w, Vec3<T>{zero, zero, zero}, force);  // NaN as below
+  return select(d >= w, Vec3<T>{zero, zero, zero}, force);  // NaN reaches the force, as below
 }
 
-// The force on B at two points p_a, p_b of the surfaces with their margins, n = N, u = v_A - v_B.
+// Returns the force on B for two surface points p_a, p_b including the margins, n = N, u = v_A -
+// v_B.
 template <class T>
 Vec3<T> rigid_contact_law(const RigidContactLaw<T>& law, const Vec3<T>& n, const Vec3<T>& p_a,
                           const Vec3<T>& p_b, const Vec3<T>& u,
@@ -177,11 +178,11 @@ Vec3<T> rigid_contact_law(const RigidContactLaw<T>& law, const Vec3<T>& n, const
   const T limit = select(d < zero, (-material.mu) * (fn + fd), zero);
   const Vec3<T> force =
       n * (fn + fd) + rigid_friction(law.friction, ut, limit, material.kf, law.smoothing);
-  // Asked as d >= ka, so that a NaN reaches the force instead of switching the contact off.
+  // The test is d >= ka, so that a NaN reaches the force instead of switching the contact off.
   return select(d >= material.ka, Vec3<T>{zero, zero, zero}, force);
 }
 
-// At two points of the cores, world frame.
+// Returns the force at two points of the cores, world frame.
 template <class T>
 RigidContactForce<T> rigid_contact_force_at(const RigidContactLaw<T>& law,
                                             const RigidContactSide<T>& a,

@@ -15,16 +15,15 @@
 //   c         center of mass (m), I inertia about it (kg m^2), body frame
 //   g         gravity (m/s^2), world frame
 //   a         angular damping (1/s)
-// A kinematic body keeps its velocity and follows it: x_c1 = x_c + v0 dt, q1 from w0.
+// A kinematic body keeps its velocity and moves with it: x_c1 = x_c + v0 dt, q1 from w0.
 //
-// Newton's spin is w1 = rotate(q, w_b + (I^-1 t_b) dt), the same but for rounding: |q| is not quite
-// 1, so |w| grows by about 2e-7 in each step.
+// Newton's spin is w1 = rotate(q, w_b + (I^-1 t_b) dt), which differs only by rounding: |q| is not
+// exactly 1, so |w| grows by about 2e-7 in each step.
 //
-// Source: Newton 1.8.0, SolverSemiImplicit. With Newton's spin the output on the cpu has its bits,
-// but that Newton's kinematic bodies do not move. The gyroscopic term gains energy, of the order of
-// (|w| dt)^2 per step; the angle of a step is 2 atan(|w| dt / 2).
-// Gradient: exact in x, q, v, w, f, t, c, I, I^-1, 1/m, g, dt, with q four free numbers; s passes
-// nothing.
+// Source: Newton 1.8.0, SolverSemiImplicit. With Newton's spin the output on the CPU has its bits,
+// except that Newton's kinematic bodies do not move. The gyroscopic term gains energy of the order
+// of (|w| dt)^2 per step. The rotation angle of a step is 2 atan(|w| dt / 2). Gradient: exact in x,
+// q, v, w, f, t, c, I, I^-1, 1/m, g, dt, with q as four free numbers; s has no gradient.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
 #pragma once
@@ -46,7 +45,7 @@ struct RigidBodyMass {
   Mat33<T> inertia{}, inv_inertia{};
 };
 
-// unit(q + 1/2 (w, 0) q dt)
+// Returns unit(q + 1/2 (w, 0) q dt).
 template <class T>
 Quat<T> integrate_orientation(const Quat<T>& q, const Vec3<T>& w, const T& dt) {
   using namespace math;

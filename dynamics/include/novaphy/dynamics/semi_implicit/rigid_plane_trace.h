@@ -1,6 +1,6 @@
 // The contacts of a box, sphere or capsule of a body with a plane of the world, as one formula.
-// Points of the shape are chosen, each has the force of rigid_contact_trace.h, and their wrenches
-// are added in order.
+// Points of the shape are selected, each gets the force of rigid_contact_trace.h, and their
+// wrenches are added in order.
 //
 // Points: the center of a sphere, the ends of a capsule (+z first), and the four deepest corners of
 // a box. Corners have the slots and the comparisons of geometry::plane_box
@@ -8,9 +8,9 @@
 //   d = dot(n, P - p_plane) - margin_plane
 // With five or more corners below the plane the fifth deepest has no force.
 //
-// Gradient: exact for the points that were chosen, in the pose, twist and center of mass of the
-// body and in the materials. Comparisons decide which corners are kept, and pass nothing. Neither
-// do the size, the pose in the body and the margins of shapes, nor the plane.
+// Gradient: exact for the selected points, in the pose, twist and center of mass of the body and in
+// the materials. The comparisons that select corners have no gradient. The size, the pose in the
+// body and the margins of shapes have none either, nor has the plane.
 //
 // Freestanding: T = float for tests, T = nova::Real is traced. No branch depends on a value.
 #pragma once
@@ -28,7 +28,7 @@ struct WorldPlane {
 template <class B, class T>
 struct BodyShape {
   B is_box, is_capsule;  // neither: a sphere
-  Transform<T> xform{};  // in the body
+  Transform<T> xform{};  // pose in the body
   Vec3<T> scale{};
   T margin{};
 };
@@ -48,7 +48,8 @@ struct CornerSlots {
   T count{};
 };
 
-// `box` is its pose in the world. The four deepest of the corners up to `reach` above the plane.
+// Returns the four deepest of the corners up to `reach` above the plane. `box` is the pose in the
+// world.
 template <class T>
 CornerSlots<T> deepest_corners(const WorldPlane<T>& plane, const Transform<T>& box,
                                const Vec3<T>& half, const T& reach) {
@@ -64,7 +65,7 @@ CornerSlots<T> deepest_corners(const WorldPlane<T>& plane, const Transform<T>& b
     kept.distance[j] = zero;
   }
   kept.count = zero;
-  T highest = zero, highest_distance = zero;  // the slot that a deeper corner takes
+  T highest = zero, highest_distance = zero;  // the slot that a deeper corner replaces
   for (int k = 0; k < 8; ++k) {
     const Vec3<T> corner = {(k & 1) != 0 ? half.x : -half.x, (k & 2) != 0 ? half.y : -half.y,
                             (k & 4) != 0 ? half.z : -half.z};
@@ -97,8 +98,8 @@ CornerSlots<T> deepest_corners(const WorldPlane<T>& plane, const Transform<T>& b
   return kept;
 }
 
-// The wrench on the body about its center of mass. `material` is the mean of both shapes', `gap`
-// the sum of both.
+// Returns the wrench on the body about its center of mass. `material` is the mean and `gap` the sum
+// of both shapes'.
 template <class B, class T>
 SpatialVector<T> plane_contact_wrench(FrictionLaw law, const WorldPlane<T>& plane,
                                       const BodyShape<B, T>& shape, const BodyMotion<T>& body,
@@ -122,7 +123,7 @@ SpatialVector<T> plane_contact_wrench(FrictionLaw law, const WorldPlane<T>& plan
     const Vec3<T> local = select(shape.is_box, corners.corner[j], Vec3<T>{zero, zero, end});
     const Vec3<T> point =
         transform_point(body.pose, transform_point(shape.xform, local)) + n * beyond;
-    // An end is a contact within the gap, as for the search; so are the corners that were kept.
+    // An end of a capsule is a contact within the gap, as in the search; selected corners are too.
     const auto near = negate(gap < dot(n, on_plane - point));
     auto present = both(shape.is_box, corners.count > T(static_cast<float>(j)));
     if (j == 0) present = either(present, both(near, negate(shape.is_box)));

@@ -46,7 +46,7 @@ struct TetrahedronMaterial {
   T mu{}, lambda{}, damping{};
 };
 
-// What the element adds to the forces of its corners.
+// The forces of a tetrahedron on its corners.
 template <class T>
 struct TetrahedronForces {
   Vec3<T> f0{}, f1{}, f2{}, f3{};

@@ -45,7 +45,7 @@ struct TriangleMaterial {
   T ke{}, ka{}, kd{}, drag{}, lift{};
 };
 
-// What the element adds to the forces of its corners.
+// The forces of a triangle on its corners.
 template <class T>
 struct TriangleForces {
   Vec3<T> f0{}, f1{}, f2{};
@@ -58,7 +58,7 @@ struct Edges {
   Vec3<T> f1{}, f2{};
 };
 
-// The area force and its damping, added to the membrane's.
+// Adds the area force and its damping to the membrane forces.
 template <class T>
 Edges<T> add_area_force(const Edges<T>& membrane, const Vec3<T>& x10, const Vec3<T>& x20,
                         const Vec3<T> (&v)[3], const Vec3<T>& normal, const T& area,

@@ -72,8 +72,8 @@ class NOVAPHY_CORE_API EditedValues {
   // last call. ErrorKind::NotImplemented: the model has actuators. ErrorKind::Value names the array
   // and the row. Besides the rules of the list:
   //   joint_limit_lower <= joint_limit_upper; body_com is finite
-  //   dynamic bodies have body_mass > 0 and finite inverses; their body_inertia is positive definite
-  //     and symmetric (to 1e-5 of its largest number)
+  //   dynamic bodies have body_mass > 0 and finite inverses; their body_inertia is positive
+  //     definite and symmetric (to 1e-5 of its largest number)
   //   derived arrays agree with their sources
   // On other devices than the CPU, arrays that another library may write are not read. The host
   // reads here are not recorded, because no kernel depends on them. While a capture records on the
@@ -81,8 +81,8 @@ class NOVAPHY_CORE_API EditedValues {
   void check(const Model& model);
   // Checks the arrays that articulations read, likewise.
   //   finite and >= 0: joint_armature, _damping, _friction, _target_ke, _kd, _limit_ke, _kd,
-  //     _effort_limit, _velocity_limit, body_mass (a link may have 0), the diagonal of body_inertia,
-  //     shape_material_*, shape_scale and _gap; restitution <= 1
+  //     _effort_limit, _velocity_limit, body_mass (a link may have 0), the diagonal of
+  //     body_inertia, shape_material_*, shape_scale and _gap; restitution <= 1
   //   joint_limit_lower <= joint_limit_upper; joint_target_mode is a JointTargetMode
   //   unit length (to 1e-3): joint_axis, the quaternions of joint_X_p and _X_c; (to 1e-5): the
   //     quaternion of shape_transform

@@ -151,8 +151,8 @@ struct FinalizeOptions {
 };
 
 // Every add_* function checks its arguments first. After an error the builder is unchanged.
-//   ErrorKind::Value           a number that is not finite, a negative number, an extent that is not
-//                              positive, a quaternion without unit length and so on
+//   ErrorKind::Value           a number that is not finite, a negative number, an extent that is
+//                              not positive, a quaternion without unit length and so on
 //   ErrorKind::Index           a body, shape or vertex that does not exist
 //   ErrorKind::NotImplemented  a shape type that is not supported
 // A quaternion may miss unit length by 1e-3 and is then normalized. A quaternion of unit length to
@@ -311,8 +311,8 @@ class NOVAPHY_CORE_API ModelBuilder {
   // of joint0 act on joint1; the velocity limit of joint0 has no effect. A mimic joint may lead
   // other mimic joints. The initial joint_q and joint_qd of joint0 follow from those of joint1.
   //   ErrorKind::Index  a joint that does not exist
-  //   ErrorKind::Value  a joint of another type, a joint that mimics already, a cycle, a number that is
-  //                     not finite; from finalize: joints of different articulations
+  //   ErrorKind::Value  a joint of another type, a joint that mimics already, a cycle, a number that
+  //                     is not finite; from finalize: joints of different articulations
   void add_constraint_mimic(int32_t joint0, int32_t joint1, float coef0 = 0.0f, float coef1 = 1.0f);
   // Adds an actuator of a joint with axes (joint_types.h), or of a body (-1: the world). Returns
   // the index, which is the row of Control::ctrl.
@@ -327,7 +327,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   // Merges the child of every enabled FIXED joint into the parent: mass, shapes and joints. A joint
   // stays if
   //   its label is in `keep`,
-  //   its child has another joint to a parent, is kinematic under a body, or has another gravcomp, or
+  //   its child has another joint to a parent, is kinematic under a body or has another gravcomp, or
   //   it is a root with more than one child in its articulation.
   CollapsedJoints collapse_fixed_joints(std::span<const std::string> keep = {});
 

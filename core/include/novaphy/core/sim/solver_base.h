@@ -33,11 +33,11 @@ class NOVAPHY_CORE_API SolverBase {
   // solver adds its own forces to them; clear them before the next use. Null `control`: the model's
   // defaults. Null `contacts`: no contacts. Both states may be the same object: the step then goes
   // through a state of the solver, with the same result.
-  //   ErrorKind::Value    two states that share memory; dt not in (0, kLongestStep]; a state, control
-  //                       or contacts of another model or device; on the CPU, a contact normal without
-  //                       unit length
-  //   ErrorKind::Runtime  read-only forces in state_in (states of a Trajectory other than state 0); the
-  //                       same state twice on an active tape, which needs the values of both
+  //   ErrorKind::Value    two states that share memory; dt not in (0, kLongestStep]; a state, a
+  //                       control or contacts of another model or device; on the CPU, a contact
+  //                       normal without unit length
+  //   ErrorKind::Runtime  read-only forces in state_in (states of a Trajectory other than state 0);
+  //                       the same state twice on an active tape, which needs the values of both
   virtual void step(SimState& state_in, SimState& state_out, const Control* control,
                     const Contacts* contacts, float dt) = 0;
   // Runs the steps of a trajectory. The result has the bits of a loop over step in which every step

@@ -21,7 +21,8 @@ const nova::Kernel& rule_kernel() {
   return kernel;
 }
 
-// No tape records it: the kernels that read a derived array give its gradient to the source.
+// Runs outside of any tape: the kernels that read a derived array pass its gradient to the source
+// array.
 template <class Rule>
 void launch(const Rule&, const Array& source, const Array& derived) {
   const nova::NoGrad no_grad;
@@ -29,7 +30,7 @@ void launch(const Rule&, const Array& source, const Array& derived) {
   rule_kernel<Rule>().launch(in.rows, in, out);
 }
 
-// A derived array that is made a leaf would stay at a gradient of 0.
+// Refuses a derived array as a leaf, because its gradient would stay 0.
 void check_leaves(const Model& model) {
   const auto check = [](const Array& derived, const char* name, const char* source) {
     const nova::GradInfo* info =

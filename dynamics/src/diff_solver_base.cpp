@@ -29,13 +29,13 @@ const nova::Kernel& add_kernel() {
   return kernel;
 }
 
-// sum = a + b, row by row; sum may be one of them where nothing is recorded.
+// Computes sum = a + b, row by row. Without an active tape, `sum` may be `a` or `b`.
 void add(const Operand& a, const Operand& b, const Operand& sum) {
   const Operand in[] = {a, b};
   add_kernel().launch(sum.rows, in, sum);
 }
 
-// `rows` rows of an operand, as an operand of its own.
+// Returns `rows` rows of an operand as an operand of their own.
 Operand rows_of(const Operand& all, size_t first, int64_t rows) {
   const size_t row = static_cast<size_t>(all.width) * sizeof(float);
   Operand part = all;
@@ -49,7 +49,7 @@ Tensor tensor_of(const Operand& operand) {
   return {operand.range, {operand.rows, operand.width}, DType::F32};
 }
 
-// The gradient of `forces` belongs to all of it, so a step adds to its rows of that.
+// The gradient of `forces` covers the whole array, so the adjoint of a step adds to its own rows.
 nova::CustomOp add_forces_op(const Operand& f, const Operand& forces, size_t first_row,
                              const Operand& sum) {
   const int64_t rows = sum.rows;
@@ -81,7 +81,7 @@ nova::CustomOp add_forces_op(const Operand& f, const Operand& forces, size_t fir
 }  // namespace
 
 void detail::add_forces(Operand applied, Operand forces, size_t first_row, Operand sum) {
-  constexpr int32_t kWidth = 3;  // of the kernel: wrenches are two rows of it
+  constexpr int32_t kWidth = 3;  // width of the kernel: a wrench fills two rows
   first_row *= static_cast<size_t>(sum.width / kWidth);
   for (Operand* o : {&applied, &forces, &sum}) {
     o->rows *= o->width / kWidth;
@@ -113,11 +113,12 @@ void make_leaves(const SimState& state) {
 
 namespace {
 
-// The forces of a rollout on particles, or on bodies.
+// The external forces of a rollout, on its particles or on its bodies.
 struct AppliedForces {
   RolloutInputs::Forces forces;
-  Operand applied, more;  // `applied` with those that act in every step
-  size_t scratch = 0;     // where the sum of a step goes, if they change over the steps
+  Operand applied, more;  // the forces in `applied`, and those that act in every step
+  size_t scratch = 0;     // scratch memory for the sum of a step, if the forces change over the
+                          // steps
 
   AppliedForces(const Array& of_trajectory, const RolloutInputs::Forces& given)
       : forces(given), applied(nova::operand_of(of_trajectory)) {
@@ -142,7 +143,7 @@ struct AppliedForces {
   }
 };
 
-// Contacts that a pipeline finds in one step.
+// The contacts that a pipeline finds in one step.
 struct FoundContacts {
   Contacts contacts;
   ContactTables tables;
@@ -159,7 +160,7 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
   const bool recording = nova::Tape::active() != nullptr;
   if (recording) make_leaves(trajectory.any_state(inputs.start()));
   constexpr int32_t kStepsPerInterruptCheck = 32;
-  // From here on the steps share the cache block by block.
+  // Deferred steps run block by block from here on, so that a block stays in the cache.
   constexpr int32_t kLargeParticleCount = 2048;
   nova::DeferredScope deferred(only_submits() && model()->particle_count() >= kLargeParticleCount);
   AppliedForces on_particles(trajectory.fields().particle_f, inputs.forces()),
@@ -171,11 +172,11 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
   const auto alone = make_scratch(specs, 1, device());
   if (recording) trajectory.reserve_scratch(specs);
 
-  // Every step that the tape remembers finds contacts of its own; the others share the first.
+  // Each step that the tape stores has contacts of its own. All other steps share the first ones.
   const int32_t interval = trajectory.checkpoint_interval();
   const auto found = std::make_shared<std::vector<FoundContacts>>();
   if (inputs.pipeline() != nullptr) {
-    // New memory is no part of what a capture records.
+    // A capture must not record the allocation of new memory.
     const UntrackedScope untracked;
     const int32_t remembered = !recording ? 0 : interval == 1 ? inputs.steps() : interval;
     for (int32_t k = 0; k <= remembered; ++k) found->push_back({inputs.pipeline()->contacts(), {}});

@@ -1,7 +1,9 @@
-// Kernels of the functions of joint coordinates. For eval_fk, a row per articulation runs
-// articulation/kinematics.h over the arrays of models and states. Bodies are then where a step of
-// articulations would have them, to the bit. For eval_ik, a row per joint runs
-// joint_kinematics_trace.h. For eval_mimic, a row per joint computes q0 = coef0 + coef1 q1.
+// The kernels of the functions of joint coordinates.
+//
+//   eval_fk_articulation  a row per articulation: articulation/kinematics.h over the arrays of
+//                         models and states, with the bits of a step of articulations
+//   eval_ik_joint         a row per joint: joint_kinematics_trace.h
+//   eval_mimic_joint      a row per joint: q0 = coef0 + coef1 q1
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -11,7 +13,7 @@
 
 namespace novaphy {
 
-// The joints of a model.
+// The joint arrays of a model.
 struct JointArrays {
   NOVAPHY_ARGUMENTS(Reads<int32_t> joint_type, joint_parent, joint_child, joint_q_start,
                     joint_qd_start;
@@ -33,8 +35,8 @@ struct JointArrays {
 
 struct BodyFrame {
   Transformf pose = Transformf::identity();
-  SpatialVectorf twist{};  // of the point `com`
-  Vec3f com{};             // world
+  SpatialVectorf twist{};  // velocity at the point `com`
+  Vec3f com{};             // in the world frame
   Vec3f velocity(const Vec3f& point) const {
     return twist.linear + math::cross(twist.angular, point - com);
   }
@@ -45,7 +47,7 @@ inline BodyFrame body_frame(const JointArrays& joints, const Transformf* q,
   return {q[body], qd[body], math::transform_point(q[body], joints.body_com[body])};
 }
 
-// What a body's links have, besides body_q.
+// The pose and motion of a body's link, besides body_q.
 struct BodyPlace {
   Vec3f p, origin;
   SpatialVectorf v;
@@ -53,7 +55,8 @@ struct BodyPlace {
 
 struct EvalFkArguments {
   NOVAPHY_ARGUMENTS(Part<JointArrays> joints; ReadsRow<int32_t> articulation_start,
-                                              articulation_end;  // joints of the articulations
+                                              // first and last joint of each articulation
+                                              articulation_end;
                     Reads<float> joint_q, joint_qd; Detached<Updates<Transformf>> body_q;
                     Detached<Updates<SpatialVectorf>> body_qd;
                     Writes<BodyPlace> places;  // {bodies}
@@ -69,7 +72,7 @@ NOVAPHY_ROW_KERNEL(eval_fk_articulation, EvalFkArguments) {
   tree.X_c = joints.joint_X_c;
   tree.axis = joints.joint_axis;
   tree.com = joints.body_com;
-  articulation::LinkState<float> links[2];  // a link and the one before it
+  articulation::LinkState<float> links[2];  // the current link and the one before
   for (int32_t j = a.articulation_start[row]; j < a.articulation_end[row]; ++j) {
     const articulation::JointRows joint = joints.rows(j);
     tree.first_dof = joint.dof;
@@ -130,8 +133,8 @@ struct EvalMimicArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> joint_mimic, joint_q_start, joint_qd_start;
                     Reads<Vec2f> joint_mimic_coef; Updates<float> joint_q, joint_qd;)
 };
-// A mimic joint takes the joint that its leaders follow in the end, which nobody writes; by the
-// numbers of Articulations.
+// A mimic joint reads the joint at the end of its chain of leaders, because no row writes that one.
+// The numbers are those of Articulations.
 NOVAPHY_ROW_KERNEL(eval_mimic_joint, EvalMimicArguments) {
   const int32_t joint = static_cast<int32_t>(row);
   int32_t leader = joint;

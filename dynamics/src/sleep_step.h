@@ -1,9 +1,9 @@
 // Internal: the sleep of bodies in a step of a solver (core/sim/sleep.h).
 //
-//   begin()          who sleeps in the state
-//   wake_touched()   by contacts with what moves
-//   wake_forced()    by forces that a search for contacts does not know, such as those of joints
-//   end()            how long bodies have been slow, and which islands fall asleep
+//   begin()          finds the bodies that sleep in the state
+//   wake_touched()   wakes bodies that touch moving bodies
+//   wake_forced()    wakes bodies under forces that the contact search does not know, as of joints
+//   end()            counts the rest time of slow bodies, and puts islands to sleep
 #pragma once
 
 #include <cstdint>
@@ -16,29 +16,31 @@
 
 namespace novaphy {
 
-// ErrorKind::Runtime, naming `step`, for a solver with sleep on an active tape.
+// ErrorKind::Runtime, naming `step`: a solver with sleep runs on an active tape.
 void check_not_on_tape(const std::optional<SleepConfig>& sleep, const char* step);
 
 class SleepStep {
  public:
-  // `in_joints`: the solver moves joint_q and joint_qd, of bodies on FREE joints.
+  // `in_joints`: the solver moves joint_q and joint_qd of bodies on FREE joints.
   explicit SleepStep(const SleepConfig& config, bool in_joints = false)
       : config_(config), in_joints_(in_joints) {}
 
   void begin(const Model& model, const SimState& in);
-  // `bodies`: of the two sides of each of the first contacts. Those touch that are nearer than the
-  // mean adhesion of their shapes, or would be after `ahead` (s) of free fall.
+  // `bodies`: the bodies on the two sides of each of the first contacts. Two bodies touch if they
+  // are nearer than the mean adhesion distance of their shapes, or would be after `ahead` (s) of
+  // free fall.
   void wake_touched(const Model& model, const SimState& in, const Contacts& contacts,
                     std::span<const int32_t> bodies, float ahead);
-  // Whether contacts of the body have no say in this step: a search that took it to sleep has left
-  // them out. What carries the body is then as large as its weight.
+  // Whether this step ignores the contacts of the body, because the search took the body to sleep
+  // and left them out. Its support then equals its weight.
   bool is_afloat(int32_t body) const { return afloat_[static_cast<size_t>(body)] != 0; }
   bool is_asleep(int32_t body) const { return bodies_.is_asleep(body); }
   int32_t free_joint(int32_t body) const { return bodies_.free_joint(body); }
-  // Wakes the bodies of `forced`, ascending, and their islands. Others act on a body that is awake,
-  // which then is not at rest.
+  // Wakes the bodies of `forced`, in ascending order, and their islands. A force acts on these
+  // bodies, so they are not at rest.
   void wake_forced(std::span<const int32_t> forced);
-  // Behind the new poses and velocities of `out`, of which those that fall asleep get zero.
+  // Call after the new poses and velocities of `out` are written. Bodies that fall asleep get zero
+  // velocity.
   void end(const Model& model, const SimState& in, SimState& out, float dt);
 
  private:
@@ -55,8 +57,8 @@ class SleepStep {
   std::vector<uint8_t> afloat_, forced_;
   std::vector<int32_t> woken_;
   std::span<const int32_t> sides_;
-  std::vector<uint8_t> touches_;      // of each contact
-  std::vector<int32_t> root_, rest_;  // of each body; rest: us
+  std::vector<uint8_t> touches_;      // for each contact
+  std::vector<int32_t> root_, rest_;  // for each body; rest: us
 };
 
 }  // namespace novaphy

@@ -1,4 +1,4 @@
-// Where a step finds its arrays (articulation/step_arrays.h), and their names.
+// Where a step finds its arrays (articulation/step_arrays.h), and the names of the arrays.
 #pragma once
 
 #include <array>
@@ -9,7 +9,7 @@
 
 namespace novaphy {
 
-// The state has the array, or the control where there is one, or else the model.
+// An array belongs to the state, to the control if there is one, or else to the model.
 struct StepSource {
   using Scalar = float;
   template <articulation::RowOf, class Value>
@@ -55,7 +55,7 @@ inline constexpr articulation::StepArrays<StepSource> kStepSources = {
 // All arrays, at their places.
 struct NamedStepArray {
   const char* name;
-  const Array* array;  // null: without a state, what the state has
+  const Array* array;  // null: an array of the state, and there is no state
   bool is_constant;
 };
 using NamedStepArrays = std::array<NamedStepArray, kStepArrays>;

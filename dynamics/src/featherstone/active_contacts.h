@@ -1,5 +1,5 @@
-// The contacts that push an articulation in a step of SolverFeatherstone, and the null space of
-// their normals, for sensitivities with frozen dynamics: contact_rows.h, by islands.h.
+// The contacts that push one articulation in a step of SolverFeatherstone, and the null space of
+// their normals. Sensitivities with frozen dynamics use them.
 #pragma once
 
 #include <vector>
@@ -16,34 +16,36 @@ class ActiveContacts {
  public:
   ActiveContacts(const Model& model, const Articulations& articulations, int32_t articulation);
 
-  // Behind the step's free_rates of the tree: the contacts that push in the step that wrote
-  // `contacts` (null: none) and `after`, with their rows. `user` starts the messages.
-  // ErrorKind::Index: shapes that are not there; ErrorKind::NotImplemented: one pushes a dof of
-  // another articulation too.
+  // Finds the contacts with a positive normal force, after free_rates of the step. `contacts`
+  // (null: none) and `after` are from that step of the solver. `user` starts the messages.
+  // ErrorKind::Index: a shape does not exist. ErrorKind::NotImplemented: a contact also pushes
+  // another articulation that can move.
   void find(const Model& model, const Contacts* contacts, const SimState& after,
             const articulation::Tree<float>& tree, articulation::Workspace<float>& ws,
             const char* user);
   bool empty() const { return rows_.empty(); }
-  // Behind find. What their impulses do to the rates of the tree's dofs (qd_next), and what they
-  // push those with (given); the result is the largest sum of the sizes that a rate is made of.
+  // Call after find. Adds the contact impulses to the rates ws.qd_next, and writes the generalized
+  // impulses to ws.given. Returns the largest intermediate rate, as the scale of rounding errors.
   float push(float dt, articulation::Workspace<float>& ws);
-  // v - M^-1 N^T (N M^-1 N^T)^-1 N v, N the normals' rows: the nearest change of rates (by M) that
-  // opens and closes none. What normals make up of others counts once.
+  // Projects v to v - M^-1 N^T (N M^-1 N^T)^-1 N v, with the rows of N along the normals. The
+  // result is the nearest change of the rates (in the norm of M) that leaves every normal velocity
+  // unchanged. Linearly dependent normals count once.
   void project(float* v);
 
  private:
   struct Place {
-    int32_t link = -1;   // of the tree
-    bool moves = false;  // with a dof of another articulation
+    int32_t link = -1;   // in the tree
+    bool moves = false;  // belongs to another articulation, with a degree of freedom
   };
   std::vector<Place> of_body_;
   int32_t dofs_ = 0;
-  std::vector<float> rates_;    // padded
-  std::vector<float> numbers_;  // J and Y
+  std::vector<float> rates_;    // {padded dofs}
+  std::vector<float> numbers_;  // the Jacobians J and the responses Y = M^-1 J^T
   std::vector<double> system_;
   std::vector<articulation::IslandContact> rows_;
-  std::vector<Vec3f> force_;  // of each row, on B, N
-  // Of each row as build_contact reads it, with bodies that stay in the world as points of it.
+  std::vector<Vec3f> force_;  // contact force of each row on body B, N
+  // The rows as build_contact reads them. Points of bodies outside of the tree are in the world
+  // frame.
   std::vector<Vec3f> point0_, point1_, normal_;
   std::vector<float> margin0_, margin1_;
 };

@@ -82,7 +82,7 @@ Actuators::Actuators(const Model& m) : any_(m.actuator_count() > 0) {
 
 namespace {
 
-// Of the values of a model on the host.
+// Checks the actuators of a model, by values on the host.
 class ActuatorCheck {
  public:
   ActuatorCheck(const Model& m, const char* user) : m_(m), user_(user) {}
@@ -192,7 +192,7 @@ GravcompInputs gravcomp_inputs(const Model& m, const Array& body_f) {
           .worlds = m.world_count()};
 }
 
-// Never destroyed: recordings refer to them.
+// Never destroyed, because recordings refer to the kernels.
 const ActuationKernels& actuation_kernels() {
   static const auto& kernels =
       *new ActuationKernels{{actuation, detail::articulation_kernels_source},
@@ -206,7 +206,7 @@ const ActuationKernels& actuation_kernels() {
 
 namespace {
 
-// Rows of a kernel on the host, where nothing records them, or as a launch.
+// Runs rows of a kernel on the host if nothing records them, or else as a launch.
 template <class A>
 void run_step(bool on_host, const Kernel<A>& kernel, const RowKernel<A>& row, int64_t rows,
               int64_t chunk, const A& arguments) {

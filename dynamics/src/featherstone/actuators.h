@@ -1,5 +1,5 @@
-// The actuators of a model and its gravity compensation: what a step reads of them instead of the
-// drives and forces of the model, the control and the state.
+// The actuators of a model and its gravity compensation. A step reads their results in place of the
+// drives and external forces of the model, the control and the state.
 #pragma once
 
 #include <array>
@@ -16,19 +16,20 @@
 
 namespace novaphy {
 
-// As ActuationInput has them; arrays of no rows are none.
+// In the order of ActuationInput. An array without rows is absent.
 using ActuationArrays = std::array<Array, articulation::kActuationInputs>;
 
-// The drives of a step: joint_f, joint_target_q, joint_target_qd, joint_target_ke,
-// joint_target_kd, joint_effort_limit, as in ActuationInput.
+// The drives of a step, in the order of ActuationInput: joint_f, joint_target_q, joint_target_qd,
+// joint_target_ke, joint_target_kd, joint_effort_limit.
 using StepDrives = std::array<Array, articulation::kActuated>;
 StepDrives drives_of(const Model& model, const Control* control);
 inline constexpr int32_t kActuatedPlaces[] = {kAt.joint_f,   kAt.target_q,  kAt.target_qd,
                                               kAt.target_ke, kAt.target_kd, kAt.effort_limit};
-// Puts them in the place of those of the model and the control.
+// Replaces the drives of the model and the control in `arrays`.
 void read_instead(NamedStepArrays& arrays, const StepDrives& drives);
 
-// Of a step that failed: names the control or activation that is not finite.
+// Call after a failed step. Throws an error that names the control or activation that is not
+// finite.
 void check_actuator_inputs(const Model& model, const SimState& state, const Control* control,
                            const char* user);
 
@@ -38,18 +39,20 @@ class Actuators {
  public:
   explicit Actuators(const Model& model);
 
-  bool any() const { return any_; }  // actuators
-  // Those that push bodies; null: none does.
+  bool any() const { return any_; }  // whether the model has actuators
+  // The actuators that push bodies; null: none.
   const BodyActuators* on_bodies() const { return on_bodies_.get(); }
-  bool lifts() const { return lifts_; }  // some gravcomp is not 0, or its gradient is asked for
-  // Looks again where arrays were written, also whether some gravcomp is not 0. ErrorKind::Value: a
-  // range in the wrong order. ErrorKind::NotImplemented, naming the actuator: a stiffness or
-  // damping that would be negative, a servo of a dof whose drive does not have both targets, a
-  // force range of a servo that has only one end, or whose dof has another servo or drive.
+  bool lifts() const { return lifts_; }  // whether some gravcomp is not 0, or its gradient is
+                                         // requested
+  // Checks the actuators again if an array was written, and whether some gravcomp is not 0.
+  // ErrorKind::Value: a range has its ends in the wrong order. ErrorKind::NotImplemented, naming
+  // the actuator: a stiffness or damping would be negative; a servo acts on a degree of freedom
+  // whose drive does not have both targets; a servo has a force range with one end; a servo has a
+  // force range, and its degree of freedom has another servo or drive.
   void check(const Model& model, const char* user, bool gradient_by_gravcomp = false);
-  // Of the degrees of freedom, as in Actuation.
+  // The coordinate of each degree of freedom, as in Actuation.
   std::vector<int32_t> coordinates() const { return coord_.to_host(); }
-  // As ActuationInput has them.
+  // Returns the arrays in the order of ActuationInput.
   static ActuationArrays inputs(const Model& model, const SimState& state, const Control* control);
   articulation::Actuation arguments(const Model& model, const ActuationArrays& inputs,
                                     float dt) const;
@@ -73,12 +76,13 @@ struct ActuationKernels {
 };
 const ActuationKernels& actuation_kernels();
 
-// What the steps of a solver have in common: memory for the drives of a step that no tape records.
+// Computes the drives and wrenches of a step outside of tapes. All steps of a solver share its
+// memory.
 class ActuatedStep {
  public:
   explicit ActuatedStep(const Model& model);
-  // Actuators::check, and the drives of a step and its wrenches on bodies. On devices by launches,
-  // which also write the activations of `out`; on the host they are written by finish.
+  // Calls Actuators::check, and computes the drives of a step and its wrenches on bodies. On
+  // devices the launches also write the activations of `out`; on the host finish writes them.
   struct Read {
     StepDrives drives;
     Array body_f;

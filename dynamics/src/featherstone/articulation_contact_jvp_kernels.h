@@ -1,5 +1,5 @@
 // The tangent of a step of articulations with contacts and dry friction
-// (articulation/contact_jvp.h), for devices; a row takes a group.
+// (articulation/contact_jvp.h), for devices. Each row of the kernel takes one group.
 #pragma once
 
 // clang-format off: before what reads it
@@ -12,9 +12,10 @@
 
 namespace novaphy {
 
-// step.workspace has the responses of dry friction behind it. impulses {contacts} and
-// friction_impulses {dofs}: of the step. system: of a group, so many numbers for each contact, and
-// so many besides. status {groups}: 0, or 1 + the numbers that there was no room for.
+// step.workspace also holds the responses of dry friction, behind its own numbers. impulses
+// {contacts} and friction_impulses {dofs} are those of the step. The memory `system` of a group has
+// a number of floats per contact, and another per group. status {groups}: 0, or 1 + the size of a
+// system that did not fit.
 struct ArticulationContactJvpArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationJvpArguments> step; Part<ContactGroupArguments> of;
                     Given<Vec3f> impulses; Given<float> friction_impulses;
@@ -22,7 +23,7 @@ struct ArticulationContactJvpArguments {
                     Number<int64_t> system_of_contact, system_of_group; WritesRow<int32_t> status;)
 };
 
-// Memory of a contact of trees with so many dofs.
+// Returns the memory of a contact between trees with `dofs` degrees of freedom.
 inline int64_t dual_contact_bytes(int32_t dofs) {
   return (static_cast<int64_t>(sizeof(articulation::DualContact)) +
           articulation::dual_contact_numbers(dofs) *
@@ -64,7 +65,7 @@ struct GroupTangent : GroupLists {
   articulation::DualMaterials materials() const {
     return {all.mu, all.restitution, all.ke, all.kd, a.mixing};
   }
-  // Where the body of a side is and how it moves, about `about`.
+  // Returns the pose and the motion of the body of a side, about the point `about`.
   Transform<articulation::DualFloat> pose(const articulation::ContactSide& side,
                                           const Vec3f& about) const {
     using articulation::constant;
@@ -72,7 +73,7 @@ struct GroupTangent : GroupLists {
     const auto& link = workspace(side.tree).links[side.link];
     return {link.p + (link.origin - constant(about)), link.q};
   }
-  // The turning of a contact, and how its body poses move it.
+  // Returns how the poses of the two bodies turn the normal and move the points of a contact.
   articulation::DualTurning turning(const articulation::DualContact& row) const {
     articulation::DualTurning to;
     if (!contacts.found || row.follows) return to;
@@ -91,7 +92,7 @@ struct GroupTangent : GroupLists {
   }
 };
 
-// What solve_dual_island reads of an island.
+// An island as solve_dual_island reads it.
 struct TangentIsland : ActiveIsland<GroupTangent> {
   template <class F>
   void for_held(const F& f) const {
@@ -103,7 +104,7 @@ struct TangentIsland : ActiveIsland<GroupTangent> {
   }
 };
 
-// Without room for its system, the tangents of an island are NaN.
+// Sets the tangents of an island to NaN, if its system does not fit into the memory.
 inline void fill_tangents(const GroupTangent& s, int32_t root) {
   for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
     for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
@@ -117,7 +118,7 @@ inline void solve_island_tangent(const GroupTangent& s, int32_t root) {
   fill_tangents(s, root);
 }
 
-// As on the host: no tangent of a group in which a tree fails.
+// A group in which a tree fails gets no tangent, as on the host.
 NOVAPHY_ROW_KERNEL(articulation_contact_jvp, ArticulationContactJvpArguments) {
   using articulation::DualFloat;
   const GroupTangent s(a, row);

@@ -1,24 +1,26 @@
-// A step of articulations with contacts and dry friction (articulation/islands.h). Articulations
-// that may touch each other are a group, those of a world.
+// A step of articulations with contacts and dry friction (articulation/islands.h). A group holds
+// the articulations that may touch each other: those of one world.
+//
+// If each group is one tree:
 //
 //   articulation_contact_group    the group of each contact, for the lists of contacts by group
-//   articulation_contact_step     a row does all of a group, where each group is one tree
+//   articulation_contact_step     a row per group: the whole step
 //
-// or, where groups have several trees, or TreeSteps takes some of them:
+// If groups have several trees, or TreeSteps takes some of the trees:
 //
-//   articulation_contact_open     a row per tree: where its links are; without `lanes` also start
+//   articulation_contact_open     a row per tree: the link frames; without `lanes` also `start`
 //   articulation_contact_islands  a row per group: its islands, and their contacts
 //   articulation_contact_start    a row per tree: its rates without impulses
-//   articulation_contact_solve    a row per tree: the island whose root it is
+//   articulation_contact_solve    a row per tree: the island whose root the tree is
 //   articulation_contact_finish   a row per tree: its new state
-//   articulation_contact_notes    a row per group: what branches its islands took
+//   articulation_contact_notes    a row per group: the active branches of its islands
 //
-// and behind both:
+// After both:
 //
-//   articulation_contact_keep     the impulses for the next step
-//   articulation_note_some, articulation_note_step   what branches a step took (active_rows.h)
+//   articulation_contact_keep     the impulses for the warm start of the next step
+//   articulation_note_some, articulation_note_step   the active branches of a step (active_rows.h)
 //
-//   articulation_contact_copy     the contacts of a step for its adjoint
+//   articulation_contact_copy     copies the contacts of a step for its adjoint
 #pragma once
 
 // clang-format off: before what reads it
@@ -29,7 +31,7 @@
 
 namespace novaphy {
 
-// group: -1: the contact moves nothing. force, impulses: null: not asked for.
+// group: -1 for a contact that moves nothing. force, impulses: null: not requested.
 struct ArticulationContactGroupArguments {
   NOVAPHY_ARGUMENTS(Part<ContactShapes> shapes; Given<ArticulationRows> rows; Given<int32_t> count;
                     WritesRow<int32_t> group; Optional<Writes<Vec3f>> force;
@@ -37,7 +39,7 @@ struct ArticulationContactGroupArguments {
 };
 NOVAPHY_ROW_KERNEL(articulation_contact_group, ArticulationContactGroupArguments) {
   a.group[row] = -1;
-  // Of an overflow the last rows may be empty (core/sim/contact_count.h).
+  // After an overflow the last rows may be empty (core/sim/contact_count.h).
   if (row >= *a.count || (*a.count > n && a.shapes.at.shape0[row] < 0)) return;
   if (a.force != nullptr) a.force[row] = Vec3f{};
   if (a.impulses != nullptr) a.impulses[row] = Vec3f{};
@@ -49,7 +51,7 @@ NOVAPHY_ROW_KERNEL(articulation_contact_group, ArticulationContactGroupArguments
   if (moves)
     a.group[row] = a.shapes.group_of_tree[articulation::moved_tree(rows, sides)];
   else if (!there)
-    a.group[row] = 0;  // which says so
+    a.group[row] = 0;  // the solve of group 0 then reports the bad shape
 }
 
 NOVAPHY_ROW_KERNEL(articulation_contact_step, ArticulationContactStepArguments) {
@@ -105,7 +107,7 @@ NOVAPHY_ROW_KERNEL(articulation_contact_keep, ArticulationContactKeepArguments) 
   if (row < a.begin[a.groups.value]) a.kept[row] = a.now[row];
 }
 
-// The contacts of a step for its adjoint, which runs when the arrays hold those of others.
+// Copies the contacts of a step for its adjoint, because a later search overwrites the arrays.
 struct ArticulationContactCopyArguments {
   NOVAPHY_ARGUMENTS(Given<int32_t> count; Part<ContactPlaces> from; Changed<int32_t> to_count;
                     Changed<int32_t> shape0, shape1; Changed<Vec3f> point0, point1, normal;
@@ -125,8 +127,8 @@ NOVAPHY_ROW_KERNEL(articulation_contact_copy, ArticulationContactCopyArguments) 
   a.margin1[row] = a.from.margin1[row];
 }
 
-// What branches the groups had: first of some of them, row by row, then of all. Keeps what was seen
-// for the next step.
+// The active branches of the groups: one kernel sums them in parts, row by row, the next over all
+// parts. The contacts that were seen are kept for the next step.
 struct ArticulationNoteArguments {
   NOVAPHY_ARGUMENTS(Given<articulation::BranchNotes> notes;
                     WritesRow<articulation::BranchNotes> some; Given<SeenContact> seen;

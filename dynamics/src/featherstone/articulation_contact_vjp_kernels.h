@@ -1,9 +1,11 @@
 // The adjoint of a step of articulations with contacts and dry friction
-// (articulation/contact_adjoint.h), for devices; a row differentiates a group.
+// (articulation/contact_adjoint.h), for devices.
 //
-//   articulation_contact_vjp        all gradients but those of materials, which it leaves by
-//   contact articulation_material_clear     of contacts that have none
-//   articulation_material_gradient  those of a shape, in the order of its contacts
+//   articulation_contact_vjp        a row per group: all gradients except those of materials, which
+//                                   it stores by contact
+//   articulation_material_clear     clears the stored gradients of contacts that have none
+//   articulation_material_gradient  a row per shape: sums the gradients of its contacts, in their
+//                                   order
 #pragma once
 
 // clang-format off: before what reads it
@@ -17,10 +19,11 @@
 
 namespace novaphy {
 
-// impulses {contacts} and friction_impulses {dofs}: of the step. joint_friction: its gradient,
-// added to. materials: a row per contact; shape_of {2 contacts}: whose they are. Null: nobody wants
-// them. system: of a group, so many numbers for each contact, and so many besides. status {groups}:
-// 0, or 1 + the numbers that there was no room for.
+// impulses {contacts} and friction_impulses {dofs} are those of the step. joint_friction: the
+// gradient, to which the kernel adds. materials: a row per contact; shape_of {2 contacts}: the
+// shapes of each contact. Null: not requested. The memory `system` of a group has a number of
+// floats per contact, and another per group. status {groups}: 0, or 1 + the size of a system that
+// did not fit.
 struct ArticulationContactVjpArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationStepVjpArguments> step; Part<ContactGroupArguments> of;
                     Given<Vec3f> impulses; Given<float> friction_impulses;
@@ -30,14 +33,14 @@ struct ArticulationContactVjpArguments {
                     Number<int64_t> system_of_contact, system_of_group; WritesRow<int32_t> status;)
 };
 
-// Memory of a contact of trees with so many dofs.
+// Returns the memory of a contact between trees with `dofs` degrees of freedom.
 inline int64_t adjoint_contact_bytes(int32_t dofs) {
   return (static_cast<int64_t>(sizeof(articulation::AdjointContact)) + contact_row_bytes(dofs) +
           7) /
          8 * 8;
 }
 
-// A group's adjoint.
+// The adjoint of one group.
 struct GroupAdjoint : ContactGroup {
   const ArticulationContactVjpArguments& all;
 
@@ -51,7 +54,7 @@ struct GroupAdjoint : ContactGroup {
   }
 };
 
-// What solve_adjoint reads of an island.
+// An island as solve_adjoint reads it.
 struct GroupIsland : ActiveIsland<GroupAdjoint> {
   template <class F>
   void for_held(const F& f) const {
@@ -66,8 +69,8 @@ struct GroupIsland : ActiveIsland<GroupAdjoint> {
   int32_t dofs(int32_t tree) const { return s.rows(tree).dof_count; }
 };
 
-// The dynamics of a tree at the start of the step, its rates behind the impulses, and the gradients
-// of those.
+// Evaluates a tree at the start of the step: the gradients of its rates, its dynamics, and its
+// rates without impulses.
 inline void start_adjoint(const GroupAdjoint& s, int32_t i) {
   articulation::IslandTree of = s.tree(i);
   articulation::AdjointMemory<float> memory = s.adjoint(i);
@@ -79,7 +82,7 @@ inline void start_adjoint(const GroupAdjoint& s, int32_t i) {
   start_node(s, i);
 }
 
-// How a row that pushes or shifts turns, unless that is known.
+// Finds how the bodies turn a contact that pushes or shifts, unless its turning is known exactly.
 inline void find_turning(const GroupAdjoint& s, articulation::AdjointContact& row) {
   if (!s.contacts.found || row.follows || row.turning.is_exact || !articulation::pushes(row))
     return;
@@ -88,7 +91,7 @@ inline void find_turning(const GroupAdjoint& s, articulation::AdjointContact& ro
                                               row.sides[0].tree >= 0 ? row.place.a : row.place.b);
 }
 
-// Takes the impulses out of the rates, or puts them back.
+// Adds all impulses to the rates, times `sign`: -1 removes them.
 inline void apply_impulses(const GroupAdjoint& s, float sign) {
   for (int32_t place = s.first_place(); place < s.end_place(); ++place) {
     const articulation::AdjointContact& row = s.row(place);
@@ -105,7 +108,7 @@ inline void apply_impulses(const GroupAdjoint& s, float sign) {
   }
 }
 
-// The rows of all contacts and of dry friction, as the step had them.
+// Builds the rows of all contacts and of dry friction as in the step.
 inline void build_rows(const GroupAdjoint& s) {
   auto* numbers = reinterpret_cast<float*>(&s.row(s.end_place()));
   for (int32_t place = s.first_place(); place < s.end_place(); ++place) {
@@ -134,7 +137,7 @@ inline void build_rows(const GroupAdjoint& s) {
   apply_impulses(s, 1.0f);
 }
 
-// The shifts of an island, from its impulses; whether there are some.
+// Solves for the position shifts of an island from its impulses. Returns whether there are any.
 inline bool solve_island_shifts(const GroupAdjoint& s, int32_t root) {
   if (s.a.nodes[root].solved != 0) return false;
   s.a.nodes[root].solved = -1;
@@ -146,13 +149,13 @@ inline bool solve_island_shifts(const GroupAdjoint& s, int32_t root) {
   island.for_shifted([&](const articulation::AdjointContact&) { shifts = true; });
   return shifts;
 }
-// Where there is no room for its system, the gradients of an island are NaN.
+// Sets the gradients of an island to NaN, if its system does not fit into the memory.
 inline void fill_rates(const GroupAdjoint& s, int32_t root) {
   const float nan = math::bits_float(0x7fc00000);
   for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
     for (int32_t k = 0; k < s.rows(i).dof_count; ++k) s.adjoint(i).rate[k] = nan;
 }
-// Their adjoint, of all islands.
+// Adds the adjoint of the position shifts of all islands.
 inline void add_shifts(const GroupAdjoint& s) {
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
     const int32_t i = s.a.trees[t];
@@ -227,7 +230,8 @@ inline void finish_adjoint(const GroupAdjoint& s, int32_t i) {
   articulation::step_vjp_inputs(of.tree, s.in, s.how, step_gradient(s.all.step), of.ws, memory);
 }
 
-// Islands in the order of their first contacts, as on the host: they meet in kinematic bodies.
+// Takes the islands in the order of their first contacts, as on the host, because islands may share
+// kinematic bodies.
 NOVAPHY_ROW_KERNEL(articulation_contact_vjp, ArticulationContactVjpArguments) {
   const GroupAdjoint s(a, row);
   const int32_t* const trees = a.of.trees;
@@ -266,8 +270,8 @@ struct ArticulationMaterialClearArguments {
 NOVAPHY_ROW_KERNEL(articulation_material_clear, ArticulationMaterialClearArguments) {
   a.shape_of[2 * row] = a.shape_of[2 * row + 1] = -1;
 }
-// Added to what is there; null: nobody wants it. sides: of each shape its contacts, times 2, and
-// the side.
+// Adds to the gradients of the materials of a shape; null: not requested. `sides` lists the
+// contacts of each shape, as 2 contact + side.
 struct ArticulationMaterialGradientArguments {
   NOVAPHY_ARGUMENTS(Given<int32_t> begin, sides; Given<articulation::MaterialGradient> materials;
                     Optional<Changed<float>> mu, restitution, ke, kd;)

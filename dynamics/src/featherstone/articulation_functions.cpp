@@ -26,18 +26,19 @@ const Kernel<ArticulationFunctionArguments>& kernel() {
   return kernel;
 }
 
-// The algorithms with all that they call inlined.
+// `flatten` inlines the whole algorithm into the caller.
 template <Function F>
 [[gnu::flatten]] void evaluate(const ArticulationFunctionArguments& a, int64_t i) {
   ArticulationEvaluation(a, i).run<F>();
 }
 
-// Numbers of memory for an articulation.
+// Returns the number of floats of the workspace of an articulation.
 size_t workspace_numbers(Function f, int32_t links, int32_t dofs) {
   return static_cast<size_t>(function_workspace_bytes(f, links, dofs) / 16 + 1) * 4;
 }
 
-// The trees of the model that this thread asked for last. Results go to the host.
+// Returns the trees of a model, from a cache of the last model of this thread. Results of the
+// functions go to the host.
 const Articulations& trees_of(const Model& m, const char* function) {
   struct Last {
     uint64_t model = 0;
@@ -56,7 +57,7 @@ const Articulations& trees_of(const Model& m, const char* function) {
   return *last.trees;
 }
 
-// A function of the articulations of a model, where the model is.
+// Evaluates a function of the articulations of a model, on the model's device.
 class Evaluation {
  public:
   Evaluation(const Model& m, const SimState& state, const char* name)
@@ -110,7 +111,7 @@ class Evaluation {
   }
 
  private:
-  // But for memory.
+  // All arguments except the workspace.
   ArticulationFunctionArguments arguments(Function f, const Untyped& given,
                                           const std::array<Untyped, 3>& results,
                                           const Untyped& status) const {
@@ -148,7 +149,7 @@ class Evaluation {
         F, Untyped(given_.data()), each<3>([&](size_t k) { return Untyped(results_[k].data()); }),
         Untyped(status.data())));
     for_chunks(articulations_.count(), 4, [&](int64_t begin, int64_t end, int64_t) {
-      // Of one articulation at a time, which a thread keeps.
+      // Each thread works on one articulation at a time and keeps this memory.
       static thread_local std::vector<uint64_t> memory;
       if (memory.size() < numbers / 2) memory.resize(numbers / 2);
       ArticulationFunctionArguments a = all;

@@ -1,6 +1,6 @@
-// The functions of the dynamics of articulations (articulation_functions.h), a row per
-// articulation: the freestanding algorithms over the arrays of models and states, for the host and
-// for devices.
+// The functions of the dynamics of articulations (articulation_functions.h), with a row per
+// articulation. The freestanding algorithms read the arrays of models and states, on the host and
+// on devices.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -21,10 +21,11 @@ enum class ArticulationFunction : int32_t {
   Energy,
 };
 
-// given: the argument of a function of dofs, a row per dof. results: up to three outputs: rows of
-// dofs, or matrices {articulations, matrix_rows, matrix_columns}, padded with zeros. CenterOfMass
-// has three numbers per articulation, Energy two. status: per articulation 0, or 1 + the dof where
-// M is not positive. stride: floats of the workspace of an articulation.
+// given: the argument of a function of degrees of freedom, a row for each. results: up to three
+// outputs; each has rows of dofs, or matrices {articulations, matrix_rows, matrix_columns} padded
+// with zeros. CenterOfMass has three numbers per articulation, Energy two. status: per articulation
+// 0, or 1 + the dof at which M is not positive definite. stride: floats of the workspace of an
+// articulation.
 struct ArticulationFunctionArguments {
   NOVAPHY_ARGUMENTS(Given<ArticulationRows> rows; Given<articulation::Link> links;
                     Given<int32_t> dof_parent; Given<Transformf> X_p, X_c; Given<Vec3f> axis;
@@ -47,7 +48,7 @@ inline int64_t function_workspace_bytes(ArticulationFunction f, int64_t links, i
          3 * dofs * dofs * static_cast<int64_t>(sizeof(float));
 }
 
-// One articulation at a time.
+// Evaluates the functions for one articulation.
 class ArticulationEvaluation {
  public:
   ArticulationEvaluation(const ArticulationFunctionArguments& arguments, int64_t row)
@@ -82,7 +83,8 @@ class ArticulationEvaluation {
     articulation::inverse_dynamics(tree, qd, qdd, ws, tau);
     for (int32_t k = 0; qdd != nullptr && k < tree.dof_count; ++k) tau[k] += armature[k] * qdd[k];
   }
-  // ws.qdd = M^-1 (tau - bias), and M's factor. False: M is not positive.
+  // Computes ws.qdd = M^-1 (tau - bias), and factors M. Returns false if M is not positive
+  // definite.
   bool accelerate(const float* tau) {
     articulation::bias_forces(tree, qd, ws);
     for (int32_t k = 0; k < tree.dof_count; ++k) {
@@ -96,7 +98,7 @@ class ArticulationEvaluation {
     articulation::find_accelerations(tree, qd, ws);
     return true;
   }
-  // H of both triangles.
+  // Writes both triangles of the mass matrix H.
   void write_mass_matrix(int result, bool include_armature) {
     articulation::mass_matrix(tree, ws);
     float* const to = cleared(result);
@@ -122,7 +124,8 @@ class ArticulationEvaluation {
       row += 6 * a.matrix_columns;
     }
   }
-  // Those of inverse dynamics, in memory behind the workspace: d tau / d q, d tau / d qd.
+  // Returns the derivatives of inverse dynamics, d tau / d q and then d tau / d qd, in memory
+  // behind the workspace.
   float* derivatives(const float* qdd) {
     articulation::DerivativeWorkspace<float> memory;
     memory.motions = reinterpret_cast<articulation::DofMotion<float>*>(behind);
@@ -144,7 +147,7 @@ class ArticulationEvaluation {
     }
   }
 
-  // What a function does with it; templated, so that the host has code of its own for each.
+  // Runs a function. The template gives the host separate code for each function.
   template <ArticulationFunction F>
   void run() {
     using Function = ArticulationFunction;
@@ -194,7 +197,7 @@ class ArticulationEvaluation {
   int64_t i;
   articulation::Tree<float> tree;
   articulation::Workspace<float> ws;
-  unsigned char* behind;  // the workspace
+  unsigned char* behind;  // the memory behind the workspace
   const float *q, *qd, *armature;
 };
 

@@ -1,9 +1,9 @@
-// The tangent of a step of articulations without contacts and dry friction, for devices: the step's
-// text with dual numbers (articulation/dual.h), in copies of the arrays.
+// The tangent of a step of articulations without contacts and dry friction, for devices. The code
+// of the step runs with dual numbers (articulation/dual.h), in copies of the arrays.
 //
-//   dual_pack              numbers and their tangents as dual numbers
+//   dual_pack              combines values and tangents to dual numbers
 //   articulation_step_jvp  the step, a row per articulation
-//   dual_tangent           tangents of dual numbers
+//   dual_tangent           extracts the tangents of dual numbers
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -11,7 +11,7 @@
 
 namespace novaphy {
 
-// tangents null: 0
+// tangents: null for zeros
 struct DualPackArguments {
   NOVAPHY_ARGUMENTS(Given<float> values, tangents; Changed<DualFloat> to;)
 };

@@ -1,7 +1,7 @@
-// A step of articulations, and its adjoints, one row per articulation: articulation/step.h and
-// step_vjp.h over the arrays of models and states. Actuators (articulation/actuation.h) and gravity
-// compensation act besides the drives. Gravity compensation is a force -gravcomp mass gravity at
-// centers of mass.
+// A step of articulations and its adjoints, with a row per articulation. The algorithms of
+// articulation/step.h and step_vjp.h read the arrays of models and states. Actuators
+// (articulation/actuation.h) and gravity compensation act in addition to the drives. Gravity
+// compensation is the force -gravcomp mass gravity at each center of mass.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -11,7 +11,8 @@
 
 namespace novaphy {
 
-// Small trees work on the stack, the others in memory of their own; so do adjoints on devices.
+// Small trees use this memory on the stack. Other trees, and all adjoints on devices, use a
+// workspace.
 struct LocalWorkspace {
   alignas(16) unsigned char bytes[kRowStack];
 };
@@ -21,7 +22,7 @@ unsigned char* workspace_of(const Arguments& a, int64_t row, LocalWorkspace& loc
   return a.stride.value > 0 ? reinterpret_cast<unsigned char*>(own) : local.bytes;
 }
 
-// Nobody waits for a launch, so one that fails writes NaN.
+// The host does not wait for a launch, so a failed step writes NaN.
 NOVAPHY_ROW_KERNEL(articulation_step, ArticulationStepArguments) {
   const ArticulationRows& rows = a.in.rows[row];
   const articulation::Tree<float> tree = articulation_tree(a.in, rows);
@@ -55,9 +56,9 @@ NOVAPHY_ROW_KERNEL(articulation_step_vjp, ArticulationStepVjpArguments) {
   articulation::step_vjp_inputs(tree, in, options, step_gradient(a), ws, adjoint);
 }
 
-// The gradient of gravity {worlds} from that of body_f: a force at each center of mass, with its
-// mass. One row, so that the sums have one order. wrenches: the gradient of body_f, which goes on
-// to body_f.
+// Computes the gradient of gravity {worlds} from the gradient of body_f, because gravity is a force
+// of size mass at each center of mass. A single row keeps the order of the sums fixed. wrenches:
+// the gradient of body_f, which is also added to body_f.
 struct GravityGradientArguments {
   NOVAPHY_ARGUMENTS(Given<ArticulationRows> rows; Given<articulation::Link> links;
                     Given<float> mass; Given<SpatialVectorf> wrenches; Changed<Vec3f> gravity;
@@ -95,7 +96,7 @@ NOVAPHY_ROW_KERNEL(actuation, ActuationArguments) {
       });
 }
 
-// Null: zeros, and nobody wants it.
+// Null tangents are zero; null outputs are not requested.
 struct ActuationJvpArguments {
   NOVAPHY_ARGUMENTS(Part<articulation::Actuation> in;
                     Each<Given<float>, articulation::kActuationInputs> tangent;
@@ -114,7 +115,8 @@ NOVAPHY_ROW_KERNEL(actuation_jvp, ActuationJvpArguments) {
       });
 }
 
-// Adds to the gradients, one number of an input after the other. Null: zeros, and nobody wants it.
+// Adds to the gradients of the inputs, one number after the other. Null outputs have a zero
+// gradient; null gradients are not requested.
 struct ActuationVjpArguments {
   NOVAPHY_ARGUMENTS(Part<articulation::Actuation> in;
                     Each<Given<float>, articulation::kActuationOutputs> out;
@@ -150,8 +152,8 @@ NOVAPHY_ROW_KERNEL(actuation_vjp, ActuationVjpArguments) {
   }
 }
 
-// A row per body: body_f and the force that takes a part of the weight away. The world of a body is
-// -1: the last.
+// A row per body: body_f plus the force of gravity compensation. World -1 stands for the last
+// world.
 struct GravcompInputs {
   NOVAPHY_ARGUMENTS(Given<int32_t> world; Given<float> gravcomp, mass; Given<Vec3f> gravity;
                     Given<SpatialVectorf> body_f; Number<int64_t> worlds;)
@@ -168,7 +170,7 @@ NOVAPHY_ROW_KERNEL(gravity_compensation, GravcompArguments) {
   a.out[row] = f;
 }
 
-// The tangents; null: zeros.
+// The tangents of the inputs; null: zeros.
 struct GravcompTangents {
   NOVAPHY_ARGUMENTS(Part<GravcompInputs> in; Changed<SpatialVectorf> out;
                     Given<float> gravcomp, mass; Given<Vec3f> gravity;
@@ -187,8 +189,8 @@ NOVAPHY_ROW_KERNEL(gravity_compensation_jvp, GravcompTangents) {
   a.out[row] = f;
 }
 
-// Adds to the gradients; null: nobody wants it. out: that of the result. One row, so that the sums
-// have one order.
+// Adds to the gradients of the inputs; null: not requested. out: the gradient of the result. A
+// single row keeps the order of the sums fixed.
 struct GravcompGradients {
   NOVAPHY_ARGUMENTS(Part<GravcompInputs> in; Given<SpatialVectorf> out;
                     Changed<float> gravcomp, mass; Changed<Vec3f> gravity;

@@ -1,4 +1,4 @@
-// Checks, and the arguments of a step, which the solvers of articulations share.
+// The checks and the arguments of a step, which all solvers of articulations share.
 #pragma once
 
 #include <span>
@@ -16,9 +16,9 @@
 
 namespace novaphy {
 
-// Trees or groups that a thread of the CPU takes at a time.
+// The number of trees or groups that a thread of the CPU takes at a time.
 inline constexpr uint32_t kTreeRows = 4;
-// Runs a kernel of a step on the CPU, where nobody records, with arguments in memory. A thread
+// Runs a kernel of a step on the CPU, with arguments in host memory and no recording. A thread
 // takes `chunk` rows at a time.
 template <class A>
 void run_rows(const RowKernel<A>& kernel, int64_t n, const std::type_identity_t<A>& in_memory,
@@ -27,7 +27,7 @@ void run_rows(const RowKernel<A>& kernel, int64_t n, const std::type_identity_t<
     kernel.rows(reinterpret_cast<const uint64_t*>(&in_memory), n, begin, end);
   });
 }
-// Likewise these rows only.
+// Runs the kernel for the given rows only.
 template <class A>
 void run_some(const RowKernel<A>& kernel, int64_t n, const std::type_identity_t<A>& in_memory,
               std::span<const int32_t> rows) {
@@ -40,54 +40,56 @@ void run_some(const RowKernel<A>& kernel, int64_t n, const std::type_identity_t<
              });
 }
 
-// A step without contacts and dry friction.
+// The kernel of a step without contacts and dry friction.
 const Kernel<ArticulationStepArguments>& tree_step_kernel();
 
-// ErrorKind::Value: a bad option; ErrorKind::NotImplemented: parts besides articulations.
+// ErrorKind::Value: a bad option. ErrorKind::NotImplemented: the model has parts besides
+// articulations.
 void check_featherstone_model(const Model& model, const FeatherstoneOptions& options,
                               const char* user);
-// Of shapes in contact.
+// Checks the materials of shapes in contact.
 UnsupportedMaterials unsupported_materials(ArticulationContact contact, const char* user);
 
-// ErrorKind::Runtime, naming the first dof that failed; `state`: where the step began, if known.
+// ErrorKind::Runtime, naming the first dof that failed. `state`: where the step began, if known.
 void check_status(const Model& model, const Articulations& articulations,
                   std::span<const int32_t> status, const char* user,
                   const SimState* state = nullptr);
 
-// Likewise, of a step from a state on the cpu. Where a dof of what failed moves so fast that this
-// is why, it names that and the contact with the largest force (empty: none).
+// Does the same for a step from a state on the CPU. If a dof of the failed articulation moved too
+// fast, the message says so and names the contact with the largest force (empty: none).
 void check_exploded(const Model& model, const Articulations& articulations,
                     std::span<const int32_t> status, const SimState& from, float dt,
                     const std::string& largest_force, const char* user);
 
-// ErrorKind::Index: a status that names a row of contacts, and what is wrong with its shapes
-// (null: not known).
+// ErrorKind::Index: a status names a row of contacts; the message says what is wrong with its
+// shapes (null: unknown).
 void check_contact_status(std::span<const int32_t> status, const char* user,
                           const Model* model = nullptr, const int32_t* shape0 = nullptr,
                           const int32_t* shape1 = nullptr);
 
-// What the host has looked at, and no launch looks at: a replay throws once it was written.
+// Declares the values that the host has checked and that no launch reads. A replay throws once they
+// were written.
 void depend_on_values(const Model& model, const Control* control);
-void depend_on_modes(const Model& model, const Control* control);  // of them, but for friction
+// Declares the same values without joint_friction, which the launch reads.
+void depend_on_modes(const Model& model, const Control* control);
 
-// The poses and velocities of all bodies, from joint_q and joint_qd; on the cpu.
+// Computes the poses and velocities of all bodies from joint_q and joint_qd, on the CPU.
 void place_bodies(const Articulations& articulations, const ArticulationArguments& in,
                   Transformf* body_q, SpatialVectorf* body_qd);
 
-// Numbers of memory per articulation, for a step on a device; 0: the stack of a row holds it.
+// Returns the floats of workspace per articulation for a step on a device; 0: the stack suffices.
 int64_t device_workspace(const Articulations& articulations);
-// For a step and its adjoint; 0: the stack of the host holds
-// it.
+// The same for a step and its adjoint; 0: the stack of the host suffices.
 int64_t step_workspace(const Articulations& articulations);
 
-// What a step reads besides the arrays of step_arrays.h.
+// The tables that a step reads besides the arrays of step_arrays.h.
 struct StepTables {
   Given<int32_t> target_mode;
   Given<ArticulationRows> rows;
   Given<articulation::Link> links;
   Given<int32_t> dof_parent;
 };
-// argument(place) gives the arrays, in the order of their places.
+// argument(place) returns the array at a place, in the order of step_arrays.h.
 template <class T, class Argument>
 ArticulationArgumentsOf<T> arguments_of(const Argument& argument, const StepTables& tables,
                                         const FeatherstoneOptions& options, float dt) {

@@ -28,7 +28,7 @@ std::string joint_name(const Model& m, int64_t joint) {
          "')";
 }
 
-// Coordinates are those of a tree: a joint that is not enabled would have none.
+// A disabled joint has no coordinates in a tree, so articulations do not support one.
 void check_enabled(const Model& m, int64_t joint, bool enabled, const char* user) {
   if (enabled) return;
   fail(ErrorKind::NotImplemented, user, ": model.joint_enabled[", joint, "], of ",
@@ -38,7 +38,7 @@ void check_enabled(const Model& m, int64_t joint, bool enabled, const char* user
        "or use SolverSemiImplicit");
 }
 
-// A joint outside of the articulations: one that was forgotten, or one that closes a loop.
+// Reports a joint outside of the articulations: a forgotten joint, or one that closes a loop.
 void check_in_articulation(const Model& m, int32_t joint, const char* user) {
   const int32_t* const articulation = m.joint_articulation.data();
   if (articulation[joint] >= 0) return;
@@ -54,7 +54,7 @@ void check_in_articulation(const Model& m, int32_t joint, const char* user) {
            : "name it in add_articulation");
 }
 
-// The links of one articulation, joint by joint.
+// Builds the links of one articulation, joint by joint.
 class TreeMaker {
  public:
   TreeMaker(const Model& model, const char* user, bool has_kinematic)
@@ -64,12 +64,12 @@ class TreeMaker {
   }
 
   void begin() { first_ = static_cast<int32_t>(links.size()); }
-  // Of the articulation that is being made.
+  // The number of mimic joints in the articulation under construction.
   int32_t mimics() const {
     return static_cast<int32_t>(
         std::count_if(links.begin() + first_, links.end(), articulation::follows));
   }
-  // That move, from a root to a leaf.
+  // The largest number of moving joints on a path from the root to a leaf.
   int32_t joints_in_a_row() const {
     std::vector<int32_t> above(links.size() - static_cast<size_t>(first_), 0);
     int32_t most = 0;
@@ -82,7 +82,7 @@ class TreeMaker {
       has_cones = has_cones || (articulation::is_ball(link) &&
                                 model_.joint_limit_upper.data()[link.dof] < kJointUnlimited);
     }
-    // Those limits need a mass matrix (factor.h).
+    // limits of cone joints need a mass matrix (factor.h)
     return has_cones ? std::min(most, articulation::kMatrixJoints) : most;
   }
   int32_t link_count() const { return static_cast<int32_t>(links.size()) - first_; }
@@ -107,22 +107,22 @@ class TreeMaker {
                                           model_.joint_dof_dim.data()[joint].x};
     for (int32_t k = 0; k < articulation::link_count(rows); ++k) {
       links.push_back(articulation::joint_link(rows, k, parent));
-      NOVAPHY_ASSERT(parent >= -1 && parent < link_count() - 1);  // a parent comes first
+      NOVAPHY_ASSERT(parent >= -1 && parent < link_count() - 1);  // parents precede children
       if (kinematic && type == JointType::FREE) links.back().joint = LinkJoint::Kinematic;
       parent = link_count() - 1;
     }
     link_of_body_[static_cast<size_t>(child)] = parent;
   }
 
-  // Behind all joints.
+  // Call after all joints.
   void check_bodies() const {
     for (size_t b = 0; b < link_of_body_.size(); ++b)
       require(link_of_body_[b] >= 0, ErrorKind::NotImplemented, user_, ": model: body ", b, " ('",
               model_.body_label[b], "') has no joint: add_body gives it a FREE one");
   }
 
-  // The link of a joint with one dof that follows another, and of the one that it follows in the
-  // end: a mimic joint may lead others.
+  // Sets the link that a mimic joint follows. Mimic joints may form a chain, so this is the joint
+  // at its end.
   void follow(int32_t joint) {
     const int32_t* const leaders = model_.joint_mimic.data();
     if (leaders[joint] < 0) return;
@@ -143,7 +143,7 @@ class TreeMaker {
     link.offset = offset;
   }
 
-  // Of the articulation's dofs, counted from the first.
+  // Ends an articulation: finds the parent of each degree of freedom, counted from the first.
   void end(int32_t first_dof) {
     for (size_t i = static_cast<size_t>(first_); i < links.size(); ++i) {
       int32_t above = -1;
@@ -153,7 +153,8 @@ class TreeMaker {
         p = link.parent;
       }
       NOVAPHY_ASSERT(links[i].dofs == 0 ||
-                     links[i].dof == static_cast<int32_t>(dof_parent.size()));  // in their order
+                     // in ascending order
+                     links[i].dof == static_cast<int32_t>(dof_parent.size()));
       for (int32_t k = 0; k < links[i].dofs; ++k) {
         dof_parent.push_back(k == 0 ? above : links[i].dof - first_dof + k - 1);
         joint_of_dof.push_back(links[i].joint);
@@ -185,7 +186,8 @@ class TreeMaker {
   int32_t first_ = 0;
 };
 
-// Of T^T M T: its largest eigenvalue over its smallest, by iteration with it and its inverse.
+// Returns the condition number of T^T M T: its largest eigenvalue over its smallest, by power
+// iteration with the matrix and its inverse.
 double matrix_condition(const articulation::Tree<float>& tree, const float* q,
                         const float* armature) {
   const int64_t n = tree.dof_count, width = n + 1;
@@ -198,7 +200,7 @@ double matrix_condition(const articulation::Tree<float>& tree, const float* q,
   for (int64_t k = 0; k < n; ++k) ws.matrix[k * n + k] += armature[k];
   articulation::reduce_matrix(tree, ws.matrix);
   std::vector<double> system(static_cast<size_t>(n * width));
-  double sizes[2];  // of the matrix, and of its inverse
+  double sizes[2];  // of the matrix, then of its inverse
   for (int inverse = 0; inverse < 2; ++inverse) {
     std::vector<double> x(static_cast<size_t>(n), 1.0);
     articulation::for_mimics(tree,
@@ -324,7 +326,7 @@ void Articulations::check_drives(const Model& m, const char* user) const {
          "]: ", dof_name(m, static_cast<int32_t>(k)), " is of a ", type, " joint, ", why, "; got ",
          got);
   };
-  int32_t of_joint = 0;  // dofs of the BALL before this one
+  int32_t of_joint = 0;  // degrees of freedom of the same BALL joint before this one
   for (size_t k = 0; k < joint_of_dof_.size(); ++k) {
     const LinkJoint joint = joint_of_dof_[k];
     if (joint == LinkJoint::Prismatic || joint == LinkJoint::Revolute) continue;

@@ -1,5 +1,5 @@
-// Actuators that push bodies (articulation/body_actuation.h), a row per articulation: what they add
-// to body_f, its adjoint and its tangent.
+// Actuators that push bodies (articulation/body_actuation.h), with a row per articulation: their
+// wrenches in body_f, the adjoint and the tangent.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -12,9 +12,9 @@ namespace novaphy {
 using articulation::DualFloat;
 inline constexpr int32_t kPushingInputs = articulation::kActuatorInputs - articulation::kActuated;
 
-// Actuators of articulation i: order[first[i]] to order[first[i + 1] - 1]. pushed: three links of
-// the articulation for each actuator, as PushedBody; -1: the world. in: from kControl on.
-// stride: numbers of the workspace for an articulation.
+// The actuators of articulation i are order[first[i]] to order[first[i + 1] - 1]. pushed: three
+// links of the articulation for each actuator, as PushedBody; -1: the world. in: the inputs from
+// kControl on. stride: floats of the workspace per articulation.
 template <class T>
 struct BodyActuationOf {
   NOVAPHY_ARGUMENTS(Given<ArticulationRows> rows; Given<articulation::Link> links;
@@ -35,7 +35,7 @@ template <class T>
 struct PushedTree {
   articulation::Tree<T> tree;
   articulation::Workspace<T> ws;
-  float* rest;  // of the workspace
+  float* rest;  // the free rest of the workspace
 
   PushedTree(const BodyActuationOf<T>& a, int64_t row) {
     const ArticulationRows& rows = a.rows[row];
@@ -64,8 +64,8 @@ struct PushedTree {
   }
 };
 
-// Calls put(link, wrench) for each body that the actuator pushes. number(input, row, k): of the
-// kPushingInputs, counted as ActuationInput.
+// Calls put(link, wrench) for each body that the actuator pushes. number(input, row, k) returns
+// number k in a row of an input. Inputs are counted as in ActuationInput.
 template <class T, class Number, class Put>
 void push(const BodyActuationOf<T>& a, const articulation::PushedBody (&bodies)[3],
           int32_t actuator, const Number& number, const Put& put) {
@@ -77,7 +77,7 @@ void push(const BodyActuationOf<T>& a, const articulation::PushedBody (&bodies)[
                               if (link >= 0) put(link, wrench);
                             });
 }
-// The value of a number of an input; `at` is its place in the array.
+// Returns one number of an input, at the place `at` of its array.
 template <class T>
 float pushing_number(const BodyActuationOf<T>& a, int32_t input, int32_t at) {
   return a.in[input - articulation::kActuated][at];
@@ -116,7 +116,7 @@ NOVAPHY_ROW_KERNEL(body_actuation, BodyActuationArguments) {
       });
 }
 
-// Null: zeros.
+// Null tangents are zero.
 struct BodyActuationJvpArguments {
   NOVAPHY_ARGUMENTS(Part<BodyActuationOf<DualFloat>> in; Each<Given<float>, kPushingInputs> tangent;
                     Given<SpatialVectorf> body_f; Changed<SpatialVectorf> out;)
@@ -140,15 +140,15 @@ NOVAPHY_ROW_KERNEL(body_actuation_jvp, BodyActuationJvpArguments) {
       });
 }
 
-// Adds to the gradients; null: nobody wants it. out: the gradient of the result. poses, motions:
-// memory, {bodies}.
+// Adds to the gradients of the inputs; null: not requested. out: the gradient of the result. poses,
+// motions: scratch memory {bodies}.
 struct BodyActuationVjpArguments {
   NOVAPHY_ARGUMENTS(Part<BodyActuationOf<float>> in; Given<SpatialVectorf> out;
                     Each<Changed<float>, kPushingInputs> gradient; Changed<float> q, qd;
                     Changed<Vec3f> com; Changed<SpatialVectorf> body_f; Changed<Transformf> poses;
                     Changed<SpatialVectorf> motions;)
 };
-// Of one actuator: one number of its inputs after the other.
+// Adds the gradient of one actuator, one number of its inputs after the other.
 inline void push_gradient(const BodyActuationVjpArguments& a, const PushedTree<float>& tree,
                           int32_t actuator, Vec3f* com) {
   const int32_t* const links = a.in.pushed + 3 * actuator;
@@ -221,7 +221,7 @@ NOVAPHY_ROW_KERNEL(body_actuation_vjp, BodyActuationVjpArguments) {
     for (int32_t i = 0; a.com != nullptr && i < tree.link_count; ++i)
       if (at.body(i) >= 0) a.com[at.body(i)] = a.com[at.body(i)] + com[i];
   };
-  add_com();  // of arms; then of kinematics
+  add_com();  // first the gradient through the arms; then that through the kinematics
   const Transformf* const poses = a.poses;
   const SpatialVectorf* const motions = a.motions;
   articulation::KinematicsGradient<float> g{q, qd, com};

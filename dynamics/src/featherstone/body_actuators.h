@@ -1,4 +1,4 @@
-// The actuators of a model that push bodies: what they add to the wrenches of a step.
+// The actuators of a model that push bodies, and their wrenches in a step.
 #pragma once
 
 #include <functional>
@@ -12,31 +12,32 @@ namespace novaphy {
 
 class BodyActuators {
  public:
-  // ErrorKind::NotImplemented, naming the actuator: bodies of different articulations.
+  // ErrorKind::NotImplemented, naming the actuator: its bodies belong to different articulations.
   explicit BodyActuators(const Model& model);
 
   int64_t count() const { return articulations_.count(); }
-  // Of an actuator: its body, the reference, the nearest body that carries both; -1: the world.
+  // The body of an actuator, its reference body, and the nearest common ancestor of both; -1: the
+  // world.
   struct Bodies {
     int32_t of[articulation::kPushed];
   };
-  const std::vector<Bodies>& bodies() const { return bodies_; }  // of all actuators
-  // A dof of the articulation of each actuator; -1: it pushes no bodies.
+  const std::vector<Bodies>& bodies() const { return bodies_; }  // a row per actuator
+  // A degree of freedom in the articulation of each actuator; -1: the actuator pushes no bodies.
   const std::vector<int32_t>& dofs() const { return dofs_; }
-  // Puts the forces of the actuators that push bodies into those of all. number: as in actuate.
+  // Writes the forces of the actuators that push bodies into `all`. `number` is that of actuate.
   using Number = std::function<articulation::DualFloat(int32_t, int32_t, int32_t)>;
   void forces(const Model& model, const SimState& state, const Number& number,
               std::vector<float>& all) const;
-  // Floats of the workspace for steps of numbers of T.
+  // Returns the floats of workspace per articulation, for a step with numbers of type T.
   template <class T>
   int64_t stride() const {
     return (body_actuation_bytes<T>(articulations_.max_links(), articulations_.max_dofs()) + 15) /
            16 * 4;
   }
-  // Of floats, which all steps share; and for the adjoint, 13 numbers for each body.
+  // The workspace for floats, which all steps share; the adjoint's memory has 13 numbers per body.
   const DeviceArray<float>& workspace() const { return workspace_; }
   const DeviceArray<float>& adjoint_memory() const { return adjoint_memory_; }
-  // `take(array)` gives the numbers that the kernel takes as T.
+  // `take(array)` returns the numbers of an array as type T.
   template <class T, class Take>
   BodyActuationOf<T> arguments(const Model& m, const ActuationArrays& inputs, const Array& q,
                                const Array& qd, const DeviceArray<float>& workspace,

@@ -1,4 +1,4 @@
-// What ContactSteps says of the last step.
+// The functions of ContactSteps that report on the last step.
 #include <algorithm>
 #include <cmath>
 #include <cstring>

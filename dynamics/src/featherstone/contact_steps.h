@@ -1,6 +1,7 @@
-// Steps of articulations with contacts and dry friction (articulation/pgs.h), their adjoints and
-// tangents, as launches (articulation_contact_kernels.h): island after island, the contacts of each
-// in their order. So nothing depends on the number of threads and on the device.
+// Steps of articulations with contacts and dry friction (articulation/pgs.h), with their adjoints
+// and tangents, as launches of articulation_contact_kernels.h. Islands are solved one after the
+// other, with the contacts of each in their order. The result is therefore independent of the
+// number of threads and of the device.
 #pragma once
 
 #include <optional>
@@ -21,17 +22,17 @@
 
 namespace novaphy {
 
-// Of contacts on the cpu; null: none.
+// Returns the rows of contacts on the CPU; null: none.
 articulation::ContactRows contact_rows(const Contacts* contacts);
 
-// The island of a step that is the farthest from converged (pgs.h); without sweeps none is far.
-// `at` is its contact that pushes most, or -1 - that dof whose dry friction does.
+// The island with the largest residual among those far from converged (pgs.h). Residual 0: none is.
+// `at` is the contact with the largest impulse, or -1 - the dof with the largest dry friction.
 struct FarIsland {
   int32_t sweeps = 0;
   float residual = 0.0f, largest = 0.0f;
   int32_t at = 0;
 };
-// `shape0`, `shape1`: of the contacts.
+// `shape0` and `shape1` are the arrays of the contacts.
 std::string describe(const FarIsland& of, const Model& model, const Articulations& articulations,
                      const int32_t* shape0, const int32_t* shape1);
 
@@ -39,112 +40,115 @@ std::string describe(const FarIsland& of, const Model& model, const Articulation
 struct ContactArguments {
   ContactPlaces at;
   Given<int32_t> count;
-  int64_t most;  // rows
+  int64_t most;  // the number of rows
   Optional<Given<int32_t>> point_id = nullptr;
-  Optional<Writes<Vec3f>> force = nullptr;  // null: nobody wants it
+  Optional<Writes<Vec3f>> force = nullptr;  // null: not requested
 };
 ContactArguments contact_arguments(const Contacts& contacts);
-// Of memory on the cpu.
+// Returns arguments for arrays in host memory.
 ContactArguments contact_arguments(const articulation::ContactRows& contacts);
 
-// Adds up branches of steps.
+// Adds the branch counts of steps.
 void add_branches(const ContactBranches& of, ContactBranches& to);
 
-// What a step does for its adjoint; null: nothing.
+// The results that a step stores for its adjoint; null: none.
 struct ContactRecord {
   Optional<Changed<Vec3f>> impulses = nullptr;  // along n, t1, t2
-  Optional<Changed<float>> friction = nullptr;  // of dofs with dry friction
+  Optional<Changed<float>> friction = nullptr;  // impulses of dry friction
   bool found = false;                           // ContactRows::found
   bool by_restitution = false;
-  bool continues = false;  // it starts where the last one that noted ended
-  bool dry = false;        // joints have dry friction, or may have some in a replay
-  bool notes = false;      // for events, and note_branches
+  bool continues = false;  // starts from the end of the last step that stored branches
+  bool dry = false;        // joints have dry friction, or may get some before a replay
+  bool notes = false;      // for events and note_branches
   bool records = false;
 };
 
-// Where the gradients go of what only contacts and dry friction read; they are added to. Null:
-// nobody wants it.
+// The gradients of arrays that only contacts and dry friction read. The adjoint adds to them. Null:
+// not requested.
 struct ContactGradientArguments {
   Optional<Changed<float>> joint_friction, mu, restitution, ke, kd;
   bool of_materials() const {
     return (mu.word() | restitution.word() | ke.word() | kd.word()) != 0;
   }
 };
-// Their dual numbers; null: of a model without shapes.
+// The dual numbers of those arrays; null: the model has no shapes.
 struct ContactDualArguments {
   Given<articulation::DualFloat> joint_friction, mu, restitution, ke, kd;
 };
 
-// Articulations in a step, on the CPU.
+// Which articulations sleep in a step, on the CPU.
 struct SleepingTrees {
-  std::span<const uint8_t> asleep;  // of each: nonzero for those that impulses do not move
-  std::span<const int32_t> awake;   // the others, ascending
-  int32_t contacts = 0;             // the first rows
+  std::span<const uint8_t> asleep;  // for each articulation; not 0: impulses do not move it
+  std::span<const int32_t> awake;   // the other articulations, in ascending order
+  int32_t contacts = 0;             // the number of contact rows to use, from the first
 };
 
 class ContactSteps {
  public:
-  // A group is a world. Where an articulation belongs to all worlds, all are one group.
+  // A group is a world. If an articulation belongs to all worlds, all worlds form one group.
   ContactSteps(const Model& model, const Articulations& articulations);
 
-  // Whether a step has to go through here: it has contacts or dry friction, or one before had
-  // contacts, whose impulses are to be forgotten. Where not, it forgets them.
+  // Returns whether the step needs the contact solver: it has contacts or dry friction, or an
+  // earlier step left impulses. In the other case the impulses of earlier steps are discarded.
   bool has_rows(const Contacts* contacts);
-  // Whether joints have dry friction. Looks again when the array was written.
+  // Whether joints have dry friction. Checks again if the array was written.
   bool has_friction();
-  // Takes memory for the contacts where that of steps before is too small, and forgets their
-  // impulses then. One that records starts from nothing, and solves all islands by pgs.h.
-  // `lanes` (null: none; on the cpu) takes the articulations that touch nothing but the world.
-  // There the results of a step that fails (`status`) are not kept for the next. `sleeping`, with
-  // lanes only: articulations that keep their rows of the new state; null: none.
+  // Runs a step. If the memory is too small for the contacts, allocates more and discards the
+  // impulses of the last step. A step that records starts without a warm start, and solves all
+  // islands by pgs.h.
+  // `lanes` (CPU only; null: none) takes the articulations that touch only the world. The results
+  // of a step that fails (`status`) are then not kept for the next step. `sleeping` (only with
+  // lanes; null: none): articulations whose rows of the new state stay unchanged.
   void step(const ArticulationStepArguments& step, const ContactArguments& contacts,
             const FeatherstoneOptions& options, const ContactRecord& record, TreeSteps* lanes,
             const SleepingTrees* sleeping = nullptr);
-  // Of the last step that noted its branches, before note_branches; on the cpu: the contacts that
-  // begin in it. They approach by more than 1 mm/s, and than the forces of a step make, and did not
-  // push in the step before. `qd` {dofs}: before the step; `landed`: ContactEvents::landed of the
-  // step before.
+  // Call on the CPU, after a step that stores its branches and before note_branches. Returns the
+  // contacts that begin in that step. Such a contact did not push in the step before. Its approach
+  // speed is above 1 mm/s, and above the speed that the forces of a step produce. `qd` {dofs}:
+  // before the step. `landed`: ContactEvents::landed of the step before.
   ContactEvents events(const float* qd, bool continues, std::span<const LandedRow> landed) const;
-  // Behind a step that noted them: adds them to branches(), and keeps them for the next step.
+  // Call after a step that stores its branches. Adds them to branches(), and keeps them for the
+  // next step.
   void note_branches() const;
-  // The arrays of no contacts.
+  // The arrays of an empty list of contacts.
   ContactArguments none() const { return contact_arguments(none_); }
-  // Copies rows, but for their names and forces.
+  // Copies rows, without their point names and forces.
   void copy(const ContactArguments& from, const ContactArguments& to) const;
-  // The adjoint of a step that was recorded.
+  // The adjoint of a recorded step.
   void vjp(const ArticulationStepVjpArguments& step, const ContactArguments& contacts,
            const FeatherstoneOptions& options, const ContactRecord& record,
            const ContactGradientArguments& to);
-  // Likewise its tangent.
+  // The tangent of a recorded step.
   void jvp(const ArticulationJvpArguments& step, const ContactArguments& contacts,
            const FeatherstoneOptions& options, const ContactRecord& record,
            const ContactDualArguments& duals);
-  // ErrorKind::Runtime: an adjoint or a tangent that ran had an island too large for its memory.
+  // ErrorKind::Runtime: in an adjoint or a tangent, an island was too large for its memory.
   void check_adjoint(const char* user) const;
-  // Of the steps that noted theirs, since the last clear. Waits for them.
+  // The branch counts of the steps since the last clear. Waits for the steps.
   ContactBranches branches() const;
   void clear_branches();
-  // Whether the last step that noted its branches had contacts, as far as the host knows at once.
+  // Whether the last step that stored branches had contacts, as far as the host knows without
+  // waiting.
   bool has_seen() const;
 
-  // Lets the next step, and captures that replay one, start without impulses of the step before.
+  // The next step, and captures that replay one, start without a warm start.
   void forget_impulses();
 
-  // Numbers of memory for an articulation, of an adjoint.
+  // The floats of memory per articulation in an adjoint.
   int64_t adjoint_tree_stride() const { return adjoint_tree_stride_; }
-  // Of the last step that ran, 0 without rows; they wait for it.
+  // The sweeps and the residual of the last step, 0 without rows. Both wait for the step.
   int32_t sweeps() const;
   float residual() const;
-  // The same on the cpu.
+  // Returns the island of the last step that is farthest from converged, on the CPU.
   FarIsland far_island(float tolerance) const;
-  // The largest force of a contact in the last step that kept some, as text; empty: there was none.
+  // The largest contact force in the last step that stored forces, as text; empty: no force.
   std::string largest_force() const;
 
  private:
   void reserve(int64_t contacts);
-  bool reserve_notes();  // whether what the step before saw was lost
+  bool reserve_notes();  // returns whether the contacts of the step before were lost
   void reserve_adjoint(bool dry, bool materials);
-  // `record`: which results it clears.
+  // `record`: which results to clear
   void list_contacts(const ContactArguments& contacts, const ContactRecord& record,
                      const SleepingTrees* sleeping = nullptr) const;
   void hold_some(const SleepingTrees& sleeping);
@@ -161,9 +165,9 @@ class ContactSteps {
   bool take_trees(const FeatherstoneOptions& options, TreeSteps& lanes, bool keeps_rates,
                   const SleepingTrees* sleeping);
   void open_some(const SleepingTrees& sleeping, const ContactArguments& contacts);
-  std::span<IslandNode> nodes_here() const;  // on the cpu
+  std::span<IslandNode> nodes_here() const;  // on the CPU
   std::vector<IslandNode> last_nodes() const;
-  bool has_failed() const;                  // a tree of the last step, on the cpu
+  bool has_failed() const;                  // whether a tree of the last step failed, on the CPU
   int32_t hardest_row(int32_t root) const;  // FarIsland::at
 
   const Model& model_;
@@ -173,17 +177,18 @@ class ContactSteps {
   ArrayStamp friction_stamp_;
   bool has_friction_ = false, on_stack_;
   bool has_run_ = false;                                  // the last step had rows
-  std::optional<ArticulationContactStepArguments> last_;  // in memory, on the cpu
-  std::vector<int32_t> taken_;                            // trees
-  std::vector<ArticulationRows> rows_;                    // where some sleep: these do not move
-  std::vector<int32_t> met_;                              // trees that sleep and have a contact
-  bool has_long_trees_ = false;  // without a mass matrix, which the kernels need
+  std::optional<ArticulationContactStepArguments> last_;  // in host memory, on the CPU
+  std::vector<int32_t> taken_;                            // the trees that TreeSteps takes
+  // the rows with sleeping trees held in place
+  std::vector<ArticulationRows> rows_;
+  std::vector<int32_t> met_;                              // sleeping trees with a contact
+  bool has_long_trees_ = false;  // some tree has no mass matrix, which the kernels need
   Contacts none_;
-  int64_t capacity_ = -1;  // contacts; -1: no memory was taken
+  int64_t capacity_ = -1;  // the number of contacts that fit; -1: no memory yet
   DeviceArray<int32_t> group_, contact_begin_, contacts_, chain_, nodes_, kept_begin_, places_;
   DeviceArray<float> now_, kept_, kept_dt_, kept_friction_, now_friction_, memory_, trees_memory_;
-  // Of steps that are recorded, and of adjoints.
-  int64_t group_dofs_ = 0;  // of the largest group
+  // The members below serve recorded steps and adjoints.
+  int64_t group_dofs_ = 0;  // the degrees of freedom of the largest group
   int64_t adjoint_capacity_ = -1, adjoint_dofs_ = 0, adjoint_stride_, system_of_contact_ = 0,
           system_of_group_ = 0;
   DeviceArray<float> adjoint_memory_, tangent_memory_, system_, materials_;

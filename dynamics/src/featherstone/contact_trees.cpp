@@ -1,5 +1,5 @@
-// Which articulations a step with contacts takes on the CPU: several at once by TreeSteps, and none
-// that sleeps.
+// Chooses the trees of a step with contacts on the CPU: trees without neighbors go to TreeSteps,
+// and sleeping trees are skipped.
 #include <algorithm>
 #include <cstring>
 
@@ -47,12 +47,12 @@ class TakenContacts : public TreeContacts {
     const int32_t group = s_.a.shapes.group_of_tree[tree];
     return s_.all.places[s_.a.contact_begin[group] + node(tree).begin + i];
   }
-  const GroupStep s_;  // of any group: what it is asked for is of none
+  const GroupStep s_;  // of an arbitrary group: the functions used here do not depend on the group
 };
 
 }  // namespace
 
-// Whether some trees are left.
+// Lets TreeSteps step all trees that touch only the world. Returns whether other trees remain.
 bool ContactSteps::take_trees(const FeatherstoneOptions& options, TreeSteps& lanes,
                               bool keeps_rates, const SleepingTrees* sleeping) {
   const std::span<IslandNode> nodes = nodes_here();
@@ -70,7 +70,7 @@ bool ContactSteps::take_trees(const FeatherstoneOptions& options, TreeSteps& lan
   return taken_.size() < (sleeping != nullptr ? sleeping->awake.size() : nodes.size());
 }
 
-// Nothing moves trees that sleep.
+// Replaces the rows of sleeping trees by ones that do not move.
 void ContactSteps::hold_some(const SleepingTrees& sleeping) {
   const auto* const all = reinterpret_cast<const ArticulationRows*>(articulations_.rows().data());
   rows_.assign(all, all + articulations_.count());
@@ -78,7 +78,7 @@ void ContactSteps::hold_some(const SleepingTrees& sleeping) {
     if (sleeping.asleep[i] != 0) rows_[i].moves = 0;
 }
 
-// Trees that sleep are there for what touches them.
+// Prepares the sleeping trees, because other trees may touch them.
 void ContactSteps::open_some(const SleepingTrees& sleeping, const ContactArguments& contacts) {
   last_->step.in.rows = direct(rows_.data());
   const GroupStep any(*last_, nullptr, 0);

@@ -36,7 +36,7 @@ struct OwnWorkspace {
         ws(articulation::make_workspace<T>(memory.data(), links, dofs)) {}
 };
 
-// The arrays of a step as dual numbers without tangents, in memory that is kept.
+// The arrays of a step as dual numbers with zero tangents, in memory that is reused.
 class DualStep {
  public:
   void load(const NamedStepArrays& from, const Tree<float>& tree, const ArticulationArguments& a) {
@@ -130,8 +130,8 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
             q.size(), " and ", qd.size(), " joint coordinates and velocities, got ",
             state.joint_q.rows(), " and ", state.joint_qd.rows());
   }
-  // Whether the articulation's rows of a state are q_ and qd_, whose rates may be `off` by some.
-  // `touches`: contacts may have shifted q_.
+  // Whether the articulation's rows of a state equal q_ and qd_. The rates may differ by `off`.
+  // With `touches` q_ is not compared, because contacts may have shifted the positions.
   bool same(const SimState& state, const std::vector<float>& q_, const std::vector<float>& qd_,
             const Tree<float>& tree, float off = 0.0f, bool touches = false) const {
     const auto near = [&](const float* values, const std::vector<float>& expected, int32_t row) {
@@ -156,7 +156,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
       require(std::isfinite(values[i]), ErrorKind::Value, kStep, ", ", name, "[", i / parameters(),
               ", ", i % parameters(), "]: expected a finite number, got ", values[i]);
   }
-  // A target that moves needs a drive that follows it.
+  // A target may only change if a drive follows it.
   void check_followed(const Tree<float>& tree, const StepInputs<float>& in,
                       std::span<const float> values, bool rate, const char* name) const {
     for (int32_t i = 0; i < tree.link_count; ++i) {
@@ -178,7 +178,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     }
   }
 
-  // A row per dof of one parameter; null: no such change.
+  // Returns one column: a number per dof for one parameter. null: no change.
   const float* take_column(std::span<const float> values, size_t parameter, size_t slot) {
     if (values.empty()) return nullptr;
     float* const to = column.data() + slot * dofs;
@@ -201,7 +201,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     const auto held = [&](size_t k) {
       return articulation::has(single.ws.branch[k], articulation::kVelocityClamped);
     };
-    if (articulation::holds_rates(tree, single.ws)) {  // their rates stop changing
+    if (articulation::holds_rates(tree, single.ws)) {  // velocity limits hold these rates constant
       for (size_t k = 0; k < dofs; ++k) stopped[k] = held(k) ? -from_dv[k] / o.dt : 0.0f;
       float *const with_them = stopped.data() + dofs, *const without = single.ws.rhs;
       const float* const rates = in.qd + first_dof;
@@ -214,7 +214,8 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     if (!contacts.empty()) contacts.project(to_dv);
   }
 
-  // By the dual numbers of the step; the arrays' tangents are zero again afterwards.
+  // Computes the change of the rates with the dual numbers of the step. The tangents of the arrays
+  // are zero again afterwards.
   void exact_change(const StepOptions<float>& o, const articulation::ControlTangent<float>& c,
                     const Tree<float>& tree, const float* q_in, const float* from_dq,
                     const float* from_dv, float* to_dv) {
@@ -241,7 +242,8 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     for (size_t k = 0; k < dofs; ++k) to_dv[k] = dual.ws.qd_next[k].tangent;
   }
 
-  // The point and its Jacobians, behind finish_step of the new state; `exact` with dual numbers.
+  // Computes the point and its Jacobians, after finish_step of the new state; `exact` uses dual
+  // numbers.
   void find_point(const Tree<float>& tree, const ArticulationArguments* a) {
     const size_t n = parameters();
     const PointState<float> at =
@@ -288,7 +290,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     }
   }
 
-  // {parameters, dofs} to {dofs, parameters}
+  // Transposes {parameters, dofs} to {dofs, parameters}.
   std::vector<float> by_dof(const std::vector<float>& by_parameter) const {
     std::vector<float> to(by_parameter.size());
     for (size_t p = 0; p < parameters(); ++p)
@@ -311,7 +313,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
   bool started = false;
   std::vector<float> dq, dv, next_dq, next_dv;     // {parameters, dofs}
   std::vector<float> jacobian, velocity_jacobian;  // {3, parameters}
-  std::vector<float> q, qd, q_next, qd_next;       // rows of the arrays: where the last step ended
+  std::vector<float> q, qd, q_next, qd_next;       // rows of the arrays at the end of the last step
   std::vector<Transformf> body_q;
   std::vector<SpatialVectorf> body_qd;
   std::vector<float> column, tangent, stopped;
@@ -405,7 +407,7 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
           ", state_in: expected the state that reset or the last step ended with");
   const bool touches = contacts != nullptr;
   bool stepped = articulation::accelerate(tree, in, options, false, s.single.ws) < 0;
-  float off = 0.0f;  // rates may be, where contacts push: 1e-5 of what they are made of
+  float off = 0.0f;  // tolerance of rates under contacts: 1e-5 of the largest intermediate rate
   for (int32_t round = 0; stepped; ++round) {
     articulation::free_rates(tree, in, options, s.single.ws);
     s.contacts.find(m, contacts, state_out, tree, s.single.ws, kStep);
@@ -444,7 +446,7 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
       "dt, contacts, angular_damping (",
       s.options.solver.angular_damping, ") and implicit_drives (", s.options.solver.implicit_drives,
       ")");
-  if (touches) {  // to the bit where the next step starts
+  if (touches) {  // take the exact bits from which the next step starts
     std::copy_n(state_out.joint_q.data(), s.q.size(), s.q_next.begin());
     std::copy_n(state_out.joint_qd.data(), s.qd.size(), s.qd_next.begin());
     articulation::link_frames(tree, s.q_next.data(), s.single.ws);

@@ -8,15 +8,16 @@ namespace {
 
 namespace art = articulation;
 
-// A gradient as an argument; null where nobody wants it. What is added to is there then.
+// Returns a gradient as an argument; null: not requested. A gradient without earlier terms is set
+// to zero first.
 Untyped gradient_of(const nova::InputGradient& to) {
   if (!to.wanted()) return Untyped(nullptr);
   if (!to.add) nova::submit_fill(to.grad.range(), 0.0f);
   return argument(to.grad);
 }
 
-// The tensors of the arrays that have rows, and the place of each array among them; -1: it has no
-// rows.
+// The tensors of the arrays that have rows, and the index of each array among the tensors; -1: the
+// array has no rows.
 struct Rows {
   std::vector<Tensor> tensors;
   std::vector<int32_t> place;
@@ -83,7 +84,7 @@ void submit_drives(const std::shared_ptr<const Actuators>& actuators, const Mode
               }});
 }
 
-// Actuators of bodies in a step.
+// The actuators that push bodies, in a step.
 class Push {
  public:
   Push(const std::shared_ptr<const Actuators>& actuators, const Model& m, const SimState& state,
@@ -96,7 +97,7 @@ class Push {
         body_f_(body_f),
         sum_(sum) {}
 
-  // kPushingInputs arrays, then body_f, q, qd and body_com.
+  // Returns the kPushingInputs arrays, then body_f, q, qd and body_com.
   std::vector<Array> arrays() const {
     std::vector<Array> all(inputs_.begin() + art::kActuated, inputs_.end());
     for (const Array& array :
@@ -108,7 +109,7 @@ class Push {
     run(body_actuation_kernels().forward, trees(),
         {.in = arguments(), .body_f = Untyped(body_f_), .out = Untyped(sum_)});
   }
-  // to(i): the gradient of the i-th array.
+  // to(i) returns the gradient of array i.
   template <class To>
   void vjp(const Tensor& gradient, const To& to) const {
     const auto& memory = actuators_->on_bodies()->adjoint_memory().range();
@@ -124,7 +125,7 @@ class Push {
          .poses = nova::part_of(memory, 0, poses),
          .motions = nova::part_of(memory, poses, motions)});
   }
-  // tangent(i): that of the i-th array.
+  // tangent(i) returns the tangent of array i.
   template <class Of>
   void jvp(const Tensor& to, const Of& tangent) const {
     const BodyActuators& all = *actuators_->on_bodies();
@@ -132,7 +133,7 @@ class Push {
       const UntrackedScope untracked;
       return DeviceArray<float>(static_cast<size_t>(numbers), model_->device());
     };
-    std::vector<DeviceArray<float>> duals;  // of what the trees read
+    std::vector<DeviceArray<float>> duals;  // the dual numbers of the arrays that the trees read
     const auto take = [&](const Array& array) {
       const std::pair<const Array&, size_t> moving[] = {{q_, 1}, {qd_, 2}, {model_->body_com, 3}};
       Tensor along;

@@ -7,9 +7,9 @@ namespace novaphy::diff::detail {
 
 using articulation::DualFloat;
 
-// Over `take(values, tangent)`, the Untyped dual numbers of an array; an undefined tangent is 0.
-// `t`: of the inputs. `from` (null: the step's inputs): the state that it starts from. Indices are
-// those of the step.
+// `take(values, tangent)` returns the dual numbers of an array; an undefined tangent is 0. `t`: the
+// tangents of the inputs. `from`: the state at which the step starts (null: its inputs). Branches
+// and tables are those of the recorded step.
 template <class Take>
 ArticulationArgumentsOf<DualFloat> dual_arguments(const Step& s, const StepOutputs* from,
                                                   std::span<const Tensor> t, const Take& take) {

@@ -1,4 +1,4 @@
-// The arrays of a step of articulations, and its forward.
+// The arrays of a step of articulations, and the forward step.
 #include "diff_articulation_motion.h"
 #include "diff_articulation_parts.h"
 #include "novaphy/core/sim/on_host.h"
@@ -6,7 +6,7 @@
 
 namespace novaphy::diff::detail {
 
-// Also of an array that may not be written through this handle.
+// Returns the tensor of an array, even if this handle is read-only.
 Tensor tensor_of(const Array& array) {
   const nova::Operand operand = nova::operand_of(array);
   const bool is_float = dtype_info(array.dtype()).scalar == Scalar::F32;
@@ -14,7 +14,7 @@ Tensor tensor_of(const Array& array) {
       operand.range, {operand.rows, operand.width}, is_float ? nova::DType::F32 : nova::DType::I32};
 }
 
-// Numbers of the memory of contacts; on the host memory, for launches that nobody records.
+// Returns a part of the memory of contacts: host memory if nothing records the launches.
 Untyped part_of(const Step& s, int64_t first, int64_t count) {
   if (s.shared->runs_on_host()) return Untyped(numbers(s.contacts) + first);
   const auto bytes = [](int64_t n) { return static_cast<size_t>(n) * sizeof(float); };
@@ -122,7 +122,7 @@ StepOutputs outputs_of(const Step& s) {
 
 namespace {
 
-// Behind a step as it is recorded: what its contacts say.
+// Call after a recorded step. Stores the events and branches of its contacts.
 void tell_contacts(const Step& s) {
   ArticulationStep::Shared& shared = *s.shared;
   if (s.motion) {
@@ -137,7 +137,7 @@ void tell_contacts(const Step& s) {
   shared.contacts.clear_branches();
 }
 
-// `tell`: notes its branches and writes the forces of its contacts.
+// `tell`: also stores the branches, and writes the contact forces.
 void run_contacts(const Step& s, const ArticulationStepArguments& step, bool tell) {
   ArticulationStep::Shared& shared = *s.shared;
   ContactArguments rows = kept_arguments(s);

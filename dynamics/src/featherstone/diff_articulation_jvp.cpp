@@ -5,7 +5,7 @@
 namespace novaphy::diff::detail {
 namespace {
 
-// Dual numbers of arrays, one behind the other in memory that steps share.
+// The dual numbers of several arrays, one after the other in memory that steps share.
 class DualArrays {
  public:
   explicit DualArrays(const DeviceArray<float>& memory) : memory_(memory) {}
@@ -15,7 +15,7 @@ class DualArrays {
         {.values = argument(values), .tangents = argument(tangent), .to = to});
     return to;
   }
-  // So many dual numbers.
+  // Returns memory for `count` dual numbers.
   Untyped part(int64_t count) {
     const size_t bytes = static_cast<size_t>(count) * sizeof(DualFloat), begin = used_;
     used_ += bytes;
@@ -27,10 +27,10 @@ class DualArrays {
 
  private:
   const DeviceArray<float>& memory_;
-  size_t used_ = 0;  // bytes
+  size_t used_ = 0;  // in bytes
 };
 
-// Of all arrays of a step.
+// Returns the number of dual numbers in all arrays of a step.
 int64_t dual_numbers(const Step& s) {
   int64_t sum = 0;
   for (const Named& in : s.inputs) sum += in.tensor.defined() ? in.tensor.size() : 0;
@@ -39,7 +39,8 @@ int64_t dual_numbers(const Step& s) {
   return sum;
 }
 
-// `from` (null: its inputs): the state that the step into `to` starts from.
+// Computes the tangent of the step into `to`. `from`: the state at which the step starts (null: its
+// inputs).
 void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
              std::span<const Tensor> t, std::span<const Tensor> tangents) {
   require_converged(s, "jvp");

@@ -1,5 +1,5 @@
-// The parts that the files of ArticulationStep share: the arrays of a step for the tape, its
-// forward, adjoint and tangent.
+// Declarations shared by the files of ArticulationStep: the arrays of a step for the tape, its
+// forward step, its adjoint and its tangent.
 #pragma once
 
 #include <algorithm>
@@ -31,7 +31,7 @@ using nova::argument;
 using nova::Tensor;
 inline constexpr const char* kName = "articulation_step";
 struct MotionNotes;
-// Inputs behind the arrays with a gradient (kAt). Those of shapes only with contacts.
+// Inputs after the arrays with a gradient (kAt). The inputs of shapes exist only with contacts.
 enum MoreInputs : size_t {
   kJointFriction = kGradientArrays,
   kShapeInputs,
@@ -41,7 +41,7 @@ enum MoreInputs : size_t {
   kDamping,
   kInputs
 };
-// What a step reads without a gradient, in the order of ArticulationArguments.
+// The arrays that a step reads without a gradient, in the order of ArticulationArguments.
 enum Values : size_t { kFrameP, kFrameC, kAxis, kTargetMode, kRows, kLinks, kDofParent, kValues };
 
 struct Named {
@@ -49,10 +49,10 @@ struct Named {
   Tensor tensor;
 };
 
-// The contacts of a step as it keeps them: numbers per contact, array after array, with the
-// impulses behind; indices as the bits of floats. Then how many there are, and the impulses of
-// joints' dry friction, a row per dof; on the cpu also the island that is far from converged,
-// before the friction.
+// The contacts that a step stores: one array after the other, kContactNumbers floats per contact,
+// with the impulses at the end. Indices are stored as the bits of floats. The count of contacts
+// follows. The impulses of dry friction come last, one per dof; on the CPU a FarIsland precedes
+// them.
 inline constexpr int64_t kContactNumbers = 16, kFarNumbers = sizeof(FarIsland) / sizeof(float);
 struct KeptContacts {
   static int64_t size(int64_t most, int64_t dofs) {
@@ -81,7 +81,7 @@ struct KeptContacts {
   float* friction;
 };
 
-// The arrays of contacts that a rollout finds anew whenever its steps run.
+// The arrays of contacts that a rollout finds anew each time its steps run.
 struct FoundRows {
   explicit FoundRows(const Contacts& c)
       : most(c.rigid_contact_max()),
@@ -104,8 +104,8 @@ struct FoundRows {
   DeviceArray<float> margin0, margin1;
 };
 
-// The drives and wrenches of a step, in its memory `scratch`: what its actuators and gravity
-// compensation make of them. Recorded on an active tape.
+// The drives and wrenches of a step with actuators and gravity compensation, in its memory
+// `scratch`. An active tape records them.
 struct ActuatedInputs {
   StepDrives drives;
   nova::Operand body_f;
@@ -114,9 +114,9 @@ ActuatedInputs submit_actuation(const std::shared_ptr<const Actuators>& actuator
                                 const SimState& in, const SimState& out, const Control* control,
                                 const nova::Operand& body_f, float dt, StepScratch scratch);
 
-// What a step gives: q, qd, body_q, body_qd, and for its adjoint qdd and branch.
+// The results of a step: q, qd, body_q, body_qd, and for its adjoint qdd and branch.
 using StepOutputs = std::array<Tensor, 6>;
-inline constexpr size_t kMostSteps = 8;  // of an operation: a tape takes 32 outputs
+inline constexpr size_t kMostSteps = 8;  // steps per operation: a tape allows 32 outputs
 
 }  // namespace detail
 
@@ -134,7 +134,8 @@ struct ArticulationStep::Shared {
     own_stride = step_workspace(articulations);
     status = DeviceArray<int32_t>(count, device);
   }
-  // Memory of trees for a step and its adjoint; `solves`: with contacts or dry friction.
+  // Allocates the memory of trees for a step and its adjoint. `solves`: with contacts or dry
+  // friction.
   void reserve(bool solves) {
     const int64_t numbers = solves ? contacts.adjoint_tree_stride() : own_stride;
     if (numbers <= stride) return;
@@ -142,55 +143,57 @@ struct ArticulationStep::Shared {
     const UntrackedScope untracked;
     workspace = DeviceArray<float>(all.size() * static_cast<size_t>(stride), device);
   }
-  // Where nothing records on the cpu, which steps without launches.
+  // True on the CPU without a recording: the step then runs without launches.
   bool runs_on_host() const { return nova::host_can_read(device); }
   FeatherstoneOptions options;
   Device device;
   Articulations articulations;
-  std::optional<TreeSteps> trees;  // on the cpu
+  std::optional<TreeSteps> trees;  // on the CPU
   ContactSteps contacts;
-  std::vector<int32_t> all;  // articulations
+  std::vector<int32_t> all;  // all articulations
   std::shared_ptr<Actuators> actuators;
-  int64_t stride = 0, own_stride = 0;  // of a step without contacts
+  int64_t stride = 0, own_stride = 0;  // own_stride: of a step without contacts
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;
-  ContactBranches branches;  // of steps of the cpu
+  ContactBranches branches;  // on the CPU
   UnsupportedMaterials materials;
-  std::vector<float> between;   // gradients of states between the steps of an operation
-  DeviceArray<float> wrenches;  // gradients of body_f, where gravity's is asked for
-  DeviceArray<float> duals;     // of tangents on devices
-  std::string failure;          // of a replay
-  bool dry = false;             // joints have dry friction, or its gradient is asked for
+  std::vector<float> between;   // gradients of states between the steps of one operation
+  DeviceArray<float> wrenches;  // gradients of body_f, if that of gravity is requested
+  DeviceArray<float> duals;     // dual numbers on devices
+  std::string failure;          // the error of a replay
+  bool dry = false;             // joints have dry friction, or its gradient is requested
   bool allow_unconverged = false;
   DerivativeOf contact_gradient = DerivativeOf::Code;
   MotionCounts motion;
   struct Witness;
   std::weak_ptr<Witness> witness;
-  std::weak_ptr<const Step> last;           // with MotionNotes
-  int64_t chain = 0;                        // of `last`
-  const MotionEvents* last_told = nullptr;  // of the step that is recorded
-  int64_t next_step = 0;                    // number of the next step that is recorded
-  // On devices, whether a step since the last check is far from converged, and how many were.
+  std::weak_ptr<const Step> last;           // only with MotionNotes
+  int64_t chain = 0;                        // the chain of `last`
+  const MotionEvents* last_told = nullptr;  // events of the step under recording
+  int64_t next_step = 0;                    // the number of the next recorded step
+  // On devices: whether a step since the last check did not converge, and the number of such steps.
   std::shared_ptr<bool> far = std::make_shared<bool>(false);
   int64_t far_steps = 0;
-  int64_t free_steps = 0;       // recorded without contacts and dry friction
-  const void* ended = nullptr;  // where the last step with contacts left joint_q
+  int64_t free_steps = 0;       // recorded steps without contacts and dry friction
+  const void* ended = nullptr;  // joint_q of the last step with contacts
 };
 
-// The arrays of a step, and of those behind it that are one operation with it: handles, and what
-// they are for the tape.
+// The arrays of a step, as handles and as inputs and outputs of the tape. `following` has the
+// further steps of the same operation.
 struct ArticulationStep::Step {
   std::shared_ptr<ArticulationStep::Shared> shared;
   std::shared_ptr<const Model> model;
-  detail::Tensor contacts = {};                  // KeptContacts; undefined without
-  int64_t contact_max = 0;                       // of them
-  std::optional<detail::FoundRows> found = {};   // copied whenever the step runs
-  bool follow = false;                           // they are of the state that it starts from
-  std::optional<DeviceArray<Vec3f>> force = {};  // of the contacts
-  // Of the contacts, as long as they are those of the step: for the events between steps.
+  detail::Tensor contacts = {};                  // KeptContacts; undefined without contacts
+  int64_t contact_max = 0;                       // the capacity of `contacts`
+  std::optional<detail::FoundRows> found = {};   // copied each time the step runs
+  bool follow = false;                           // the contacts move with the state at the start of
+                                                 // the step
+  std::optional<DeviceArray<Vec3f>> force = {};  // the contact forces
+  // Names of the contact points, for the events between steps. Valid as long as the contacts belong
+  // to the step.
   std::optional<DeviceArray<int32_t>> point_id = {};
-  bool continues = false;       // it starts where the last one with contacts ended
-  bool by_restitution = false;  // its gradient is asked for
+  bool continues = false;       // starts at the end of the last step with contacts
+  bool by_restitution = false;  // the gradient of the restitution is requested
   bool dry = false;             // Shared::dry
   std::array<detail::Named, detail::kInputs> inputs;  // at kAt and MoreInputs
   std::array<detail::Named, detail::kValues> values;
@@ -200,13 +203,14 @@ struct ArticulationStep::Step {
   int64_t count = 0, stride = 0;
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;
-  std::optional<ArticulationArguments> host = {};   // of the first step, where others follow
-  std::vector<detail::StepOutputs> following = {};  // each starts where the one before ended
+  std::optional<ArticulationArguments> host = {};   // of the first step, if others follow
+  std::vector<detail::StepOutputs> following = {};  // each starts at the end of the one before
   int64_t number = 0;
   std::shared_ptr<bool> far = {};                    // Shared::far
-  std::shared_ptr<detail::MotionNotes> motion = {};  // null: gradients are of the code
+  std::shared_ptr<detail::MotionNotes> motion = {};  // null: the derivative is that of the code
 
-  // Whether its forward fills `contacts` anew, so that nobody minds who wrote there.
+  // Whether the forward step fills `contacts` each time, so that later writes to its memory do no
+  // harm.
   bool copies_contacts() const { return found.has_value() || contact_max == 0; }
   const detail::Tensor& in(size_t member) const { return inputs[member].tensor; }
 };
@@ -218,34 +222,35 @@ using Step = ArticulationStep::Step;
 inline const ArticulationRows* rows_of_step(const Step& s) {
   return static_cast<const ArticulationRows*>(s.values[kRows].tensor.range()->data());
 }
-// Also of an array that may not be written through this handle.
+// Returns the tensor of an array, even if this handle is read-only.
 Tensor tensor_of(const Array& array);
 inline float* numbers(const Tensor& tensor) {
   return tensor.defined() ? static_cast<float*>(tensor.range()->data()) : nullptr;
 }
 // Whether a capture records the step as work of the host.
 bool works_on_host(const Step& s);
-// Of launches: the arguments of the contacts that the step keeps, and of its impulses.
+// Arguments of launches: the contacts that the step stores, and its impulses.
 ContactArguments kept_arguments(const Step& s);
 ContactRecord contact_record(const Step& s);
 inline KeptContacts kept_contacts(const Step& s) { return {numbers(s.contacts), s.contact_max}; }
 inline articulation::ContactRows contact_rows_of(const Step& s) {
   return kept_contacts(s).rows(s.follow);
 }
-// ErrorKind::Runtime where the step is far from converged and nobody allows it. `what`: backward or
-// jvp.
+// ErrorKind::Runtime: the step did not converge, and the options do not allow it. `what`: backward
+// or jvp.
 void require_converged(const Step& s, const char* what);
-// In a capture of the host: its replays fail there, and these results are NaN.
+// Inside a capture on the host: replays of an unconverged step fail, and `results` become NaN.
 void watch_convergence(const std::shared_ptr<const Step>& step, std::span<const Tensor> results,
                        const char* what);
-// Whether a step has contacts or dry friction, as far as the host sees at once; or somebody asks
-// for the gradient of friction.
+// Whether a step has contacts or dry friction, as far as the host knows without waiting, or the
+// gradient of friction is requested.
 bool acts(const Step& s, const Tensor& joint_friction);
 StepOutputs outputs_of(const Step& s);
-// What a replay of the step or of its adjoint reads and others may write.
+// The arrays that a replay of the step or of its adjoint reads, and that others may write.
 std::vector<Tensor> reads_of(const Step& s);
 
-// The arguments of the first step of an operation; take(values, place) gives those of an array.
+// The arguments of the first step of an operation. take(values, place) returns the argument of an
+// array.
 template <class T, class Take>
 ArticulationArgumentsOf<T> step_arguments_of(const Step& s, const Take& take) {
   const auto table = [&](Values i) { return argument(s.values[i].tensor); };
@@ -261,21 +266,22 @@ ArticulationArguments step_arguments_of(const Step& s);
 inline ArticulationArguments host_arguments(const Step& s) {
   return in_memory(step_arguments_of(s));
 }
-// The step from the state `from`, or the first one's, into `to`.
+// Runs the step from the state `from` (null: that of the first step) into `to`.
 void run_host(const Step& s, const ArticulationArguments& in, const StepOutputs* from,
               const StepOutputs& to);
-// The step now, or in the replays of a capture. `tell`: counts its branches and writes the forces
-// of its contacts.
+// Runs the step now, or in the replays of a capture. `tell`: also counts its branches and writes
+// the contact forces.
 void submit_forward(const std::shared_ptr<const Step>& step, bool tell);
-// All steps of the operation again.
+// Runs all steps of the operation again.
 void run_all(const std::shared_ptr<const Step>& step);
-// The adjoint of a step now, or in the replays of a capture.
+// Runs the adjoint of a step now, or in the replays of a capture.
 void submit_vjp(const std::shared_ptr<const Step>& step, std::span<const Tensor> outputs,
                 std::span<const nova::InputGradient> gradients);
-// The adjoint of some steps, from the last on. The gradients of the states between them stay here.
+// Runs the adjoints of several steps, from the last to the first. The gradients of the states
+// between the steps stay in Shared::between.
 void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
                       std::span<const nova::InputGradient> gradients);
-// The tangents of all steps of the operation now, or in the replays of a capture.
+// Computes the tangents of all steps of the operation now, or in the replays of a capture.
 void submit_jvp(const std::shared_ptr<const Step>& step, std::span<const Tensor> inputs,
                 std::span<const Tensor> outputs);
 

@@ -20,7 +20,8 @@ ContactBranches all_branches(const ArticulationStep::Shared& shared) {
   return b;
 }
 
-constexpr int32_t kLeastSweeps = 1000;  // at most, where impulses are differentiated
+constexpr int32_t kLeastSweeps = 1000;  // minimum of pgs_iterations, because the adjoint needs
+                                        // converged impulses
 
 nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   nova::CustomOp op{.name = kName, .inputs = {}, .outputs = {}, .vjp = nullptr};
@@ -29,7 +30,7 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   op.reads = op.inputs;
   for (const Named& value : step->values) op.reads.push_back(value.tensor);
   if (step->inputs[kMu].tensor.defined()) op.reads.push_back(tensor_of(step->model->shape_mixing));
-  // Of a single step, which may be run again from a checkpoint, qdd and branch are outputs too.
+  // A single step may run again from a checkpoint, so qdd and branch are outputs too.
   const bool single = step->following.empty();
   const auto add_step = [&](const StepOutputs& out) {
     op.outputs.insert(op.outputs.end(), out.begin(), out.begin() + (single ? 6 : 4));
@@ -37,11 +38,12 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   };
   add_step(outputs_of(*step));
   for (const StepOutputs& out : step->following) add_step(out);
-  // Read too, but nobody else has it, and the other steps of a rollout keep the same there.
+  // The step also reads its contacts. No other operation has them, and other steps of a rollout
+  // store the same contacts there.
   if (step->contacts.defined()) op.writes.push_back(step->contacts);
   op.writes.push_back(tensor_of(step->status));
   if (step->stride > 0) op.writes.push_back(tensor_of(step->workspace));
-  // Outside of captures the CPU works at once, on what was submitted before.
+  // Outside of captures the CPU runs at once, after all submitted work.
   op.submits_only = !step->shared->runs_on_host();
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> inputs) {
     if (step->motion)
@@ -99,7 +101,7 @@ void set_contacts(Step& s, const Contacts& contacts, FoundContacts found) {
 
 }  // namespace
 
-// On the host a tape has counts of its own; replays and devices count for all.
+// On the host a tape has its own counts. Replays and devices share the counts of all steps.
 struct ArticulationStep::Shared::Witness : GradientWitness {
   std::shared_ptr<Shared> shared;
   GradientCounts counts;
@@ -119,7 +121,7 @@ struct ArticulationStep::Shared::Witness : GradientWitness {
 
 namespace {
 
-// While one lives, counts of a step on a tape go to the tape's witness too.
+// Guard: during its lifetime, the counts of a step on a tape are also added to the tape's witness.
 class CountsOfStep {
  public:
   explicit CountsOfStep(const std::shared_ptr<ArticulationStep::Shared>& shared)
@@ -160,12 +162,12 @@ class CountsOfStep {
   int64_t free_steps_ = 0;
 };
 
-// Behind a step that has run: what it says of its events, and where the next one finds it.
+// Call after a step has run. Stores its events, and makes the step known to the next one.
 void note(ArticulationStep::Shared& shared, const std::shared_ptr<const Step>& step) {
   std::shared_ptr<const Step> before = shared.last.lock();
   if (before && before->outputs[0].tensor.range()->data() != step->in(kAt.q).range()->data())
     before = nullptr;
-  if (before == nullptr) {  // the list is of the last steps that follow each other
+  if (before == nullptr) {  // a new chain: the list covers consecutive steps only
     ++shared.chain;
     shared.motion.events.clear();
   }
@@ -231,7 +233,7 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
       model, function, tape != nullptr && tape->carries_gradient(*model.body_gravcomp.range()));
   shared_->dry = tape != nullptr && tape->carries_gradient(*model.joint_friction.range());
   shared_->dry = shared_->dry || shared_->contacts.has_friction();
-  if (shared_->trees || shared_->dry)  // which steps read
+  if (shared_->trees || shared_->dry)  // the step reads joint_friction
     depend_on_modes(model, control);
   else
     depend_on_values(model, control);
@@ -294,7 +296,8 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   pending_->host = step_arguments_of(*pending_);
 }
 
-// Whether the step is one operation with those that wait to be recorded; then it has run.
+// Adds the step to the operation that waits to be recorded, if possible, and runs it. Returns
+// whether it did.
 bool ArticulationStep::joins(const Model& m, const SimState& in, SimState& out,
                              const Control* control, const nova::Operand& body_f, float dt,
                              StepScratch scratch) {

@@ -5,7 +5,7 @@
 namespace novaphy::diff::detail {
 namespace {
 
-// Never destroyed: recordings refer to them.
+// Never destroyed, because recordings refer to the kernels.
 struct Kernels {
   Kernel<ArticulationStepVjpArguments> vjp{kInChunks<articulation_step_vjp, kTreeRows>,
                                            novaphy::detail::articulation_kernels_source};
@@ -17,7 +17,7 @@ const Kernels& kernels() {
   return all;
 }
 
-// Memory for the gradients of body_f, from which gravity's follow.
+// Returns memory for the gradients of body_f, from which the gradient of gravity is computed.
 DeviceArray<float>& wrench_memory(const Step& s) {
   const auto numbers_of = static_cast<size_t>(s.in(kAt.body_f).size());
   DeviceArray<float>& memory = s.shared->wrenches;
@@ -27,7 +27,8 @@ DeviceArray<float>& wrench_memory(const Step& s) {
   }
   return memory;
 }
-// Calls `adjoint` with the arguments, and gives gravity its gradient (`add`: to what is there).
+// Calls `adjoint` with the arguments, and computes the gradient of gravity. `add`: adds to that
+// gradient.
 template <class Adjoint>
 void with_gravity(const Step& s, ArticulationStepVjpArguments a, const nova::InputGradient& gravity,
                   bool add, const Tensor& body_f, const Adjoint& adjoint) {
@@ -54,8 +55,8 @@ void with_gravity(const Step& s, ArticulationStepVjpArguments a, const nova::Inp
     run(kernels().gravity, 1, of_gravity);
 }
 
-// Of the first step, from the gradients of what it gave, but for gravity's, which with_gravity
-// writes.
+// Returns the arguments of the adjoint of the first step, from the gradients of its outputs. The
+// gradient of gravity is left to with_gravity.
 ArticulationStepVjpArguments vjp_arguments(const Step& s, const ArticulationArguments& in,
                                            const Tensor* outputs,
                                            std::span<const nova::InputGradient> gradients) {

@@ -20,7 +20,7 @@ NOVAPHY_LANE_FN void transpose(Row (&r)[4]) {
   r[3] = __builtin_shufflevector(c, d, 2, 3, 6, 7);
 }
 
-// `n` numbers of every lane, which begin at the row first[lane] of rows of `width` numbers.
+// Reads `n` numbers for each lane, starting at row first[lane]. Rows have `width` numbers.
 void gather(const float* from, const int32_t* first, int32_t width, int32_t n, Lanes* to) {
   float* const out = reinterpret_cast<float*>(to);
   if (n < 4) {
@@ -65,7 +65,7 @@ void scatter(const Lanes* from, const int32_t* first, int32_t width, int32_t n, 
   }
 }
 
-// Likewise, to what is there.
+// Adds numbers of each lane to the rows, starting at row first[lane].
 void scatter_sum(const Lanes* from, const int32_t* first, int32_t width, int32_t n, int32_t used,
                  float* to) {
   const float* const in = reinterpret_cast<const float*>(from);
@@ -91,9 +91,9 @@ void scatter_sum(const Lanes* from, const int32_t* first, int32_t width, int32_t
       to[static_cast<int64_t>(first[l]) * width + i] += in[i * LANES + l];
 }
 
-// Numbers besides the workspace and that of contacts.
+// Returns the size of the memory besides the workspace and the contacts, in numbers.
 int64_t state_numbers(const TreeShape& s) {
-  int64_t numbers = s.coords + s.dofs + (7 + 6) * s.bodies;  // of the next state
+  int64_t numbers = s.coords + s.dofs + (7 + 6) * s.bodies;  // the next state
   for (int32_t k = 0; k < s.changing_count; ++k) {
     const StepRow of = kStepRows.at[s.changing[k]];
     numbers += of.width * s.count(of.of);
@@ -107,7 +107,7 @@ int64_t memory(const TreeShape& s, int32_t contacts) {
          tree_contact_bytes<Lanes>(contacts, s.dofs) + 64;
 }
 
-// Where the links of contacts are.
+// Reads the frames of the links in contact.
 void gather_links(const LaneStepArguments& a, const Workspace<Lanes>& ws,
                   TreeContactLink<Lanes>* to) {
   for (int32_t c = 0; c < a.contact_count; ++c)
@@ -127,12 +127,12 @@ void gather_links(const LaneStepArguments& a, const Workspace<Lanes>& ws,
     }
 }
 
-// {lanes}: the first rows of arrays that trees do not share.
+// Returns the first row of each lane {lanes}, for arrays that trees do not share.
 const int32_t* first_rows(const LaneStepArguments& a, RowOf what) {
   return what == RowOf::Coord ? a.coord : what == RowOf::Dof ? a.dof : a.body;
 }
 
-// The arrays of a step, in memory that begins at `next`.
+// Reads the arrays of a step into memory that begins at `next`.
 StepInputs<Lanes> gather_inputs(const LaneStepArguments& a, Lanes*& next) {
   const TreeShape& s = a.shape;
   const Lanes* arrays[kStepArrays];
@@ -258,7 +258,7 @@ bool run(const LaneStepArguments& a) {
 bool step(const LaneStepArguments& a) {
   const bool done = run(a);
 #if defined(__AVX__)
-  _mm256_zeroupper();  // else what other code does behind it is slow
+  _mm256_zeroupper();  // avoids the AVX-SSE transition penalty in later code
 #endif
   return done;
 }

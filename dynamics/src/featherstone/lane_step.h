@@ -1,5 +1,5 @@
-// A step of several trees alike at once, a lane each: articulation/step.h and tree_contacts.h with
-// lanes as scalar (lanes.h), for one instruction set.
+// A step of several identical trees at once, one per lane. The algorithms are articulation/step.h
+// and tree_contacts.h with lanes as the scalar type (lanes.h), compiled for one instruction set.
 #pragma once
 
 #include <cstdint>
@@ -10,11 +10,11 @@ namespace novaphy::articulation {
 
 struct TreeShape {
   int32_t links = 0, dofs = 0, coords = 0, bodies = 0, joints = 0, joints_in_a_row = 0;
-  const Link* link_rows = nullptr;  // all rows counted from the tree's first
+  const Link* link_rows = nullptr;  // row indices are relative to the tree's first row
   const int32_t* dof_parent = nullptr;
   const int32_t* target_mode = nullptr;
-  // Arrays of the model stand one behind the other: where each begins, and the numbers of all. The
-  // places of the others.
+  // Constant arrays of the model are stored one after the other: `constant` has the offset of each,
+  // and `constants` the total. `changing` lists the places of the other arrays.
   int32_t constant[kStepArrays] = {};
   int32_t constants = 0;
   int32_t changing[kStepArrays] = {}, changing_count = 0;
@@ -35,18 +35,20 @@ struct TreeShape {
   }
 };
 
-// Rows are those of the arrays.
+// Array rows are those of the model and the states.
 struct LaneStepArguments {
   TreeShape shape = {};
   const float* constants = nullptr;  // {numbers, lanes}
-  int32_t used = 0;                  // lanes that are written; the others repeat one of them
+  int32_t used = 0;                  // lanes in use; the others repeat one of them
   const int32_t *coord = nullptr, *dof = nullptr, *body = nullptr;  // {lanes}: first rows
-  const float* in[kStepArrays] = {};                                // those of `changing` are read
+  // only arrays in `changing` are read
+  const float* in[kStepArrays] = {};
   float *q_next = nullptr, *qd_next = nullptr, *body_q = nullptr, *body_qd = nullptr;
-  float *qdd = nullptr, *branch = nullptr;  // null: not asked for
+  float *qdd = nullptr, *branch = nullptr;  // null: not requested
   float dt = 0.0f, angular_damping = 0.0f;
   bool implicit_drives = true;
-  // Contacts: the most of a lane; TreeContact of lanes, and the links {contacts, lanes}.
+  // Contacts. contact_count: the largest count of a lane. contacts: TreeContact of lanes.
+  // contact_links {contacts, lanes}.
   int32_t contact_count = 0;
   const void* contacts = nullptr;
   const int32_t* contact_links = nullptr;
@@ -56,30 +58,30 @@ struct LaneStepArguments {
   int32_t most_sweeps = 1;
   float* impulses = nullptr;  // {contacts, 3, lanes}, along n, t1, t2
   float *sweeps = nullptr, *residual = nullptr, *largest = nullptr;  // {lanes}
-  void* memory = nullptr;                                            // aligned to 64
+  void* memory = nullptr;                                            // aligned to 64 bytes
 };
 
 // The adjoint of a step without contacts (articulation/step_vjp.h).
 struct LaneVjpArguments {
-  LaneStepArguments step = {};  // what it read; `memory`
+  LaneStepArguments step = {};  // the inputs of the step, and the memory
   const float *qdd = nullptr, *branch = nullptr, *q_next = nullptr, *qd_next = nullptr;
-  // Gradients of what it gave; null: zero.
+  // Gradients of the outputs; null: zero.
   const float *out_q = nullptr, *out_qd = nullptr, *out_body_q = nullptr, *out_body_qd = nullptr;
-  float* gradient[kGradientArrays] = {};  // null: not asked for
-  int32_t add = 0;                        // of StepGradient
+  float* gradient[kGradientArrays] = {};  // null: not requested
+  int32_t add = 0;                        // flags of StepGradient
 };
 
 struct LaneLevel {
   const char* name;
   int32_t lanes;
-  int64_t (*memory)(const TreeShape&, int32_t contacts);  // bytes
-  // False: some lane's matrix is not positive definite or something is not finite; nothing is
-  // written then.
+  int64_t (*memory)(const TreeShape&, int32_t contacts);  // returns bytes
+  // Returns false, and writes nothing, if the matrix of a lane is not positive definite or a number
+  // is not finite.
   bool (*step)(const LaneStepArguments&);
   int64_t (*vjp_memory)(const TreeShape&);
   void (*vjp)(const LaneVjpArguments&);
 };
-// The best of this processor, or what NOVAPHY_CPU_ISA names.
+// Returns the best level for this processor, or the one that NOVAPHY_CPU_ISA names.
 const LaneLevel& lane_level();
 
 }  // namespace novaphy::articulation

@@ -1,4 +1,5 @@
-// Lanes (math/lanes.h) as the scalar of the algorithms of articulations (articulation/scalar.h).
+// Lanes (math/lanes.h) as the scalar type of the algorithms of articulations
+// (articulation/scalar.h).
 #pragma once
 
 #include "novaphy/dynamics/articulation/scalar.h"
@@ -43,7 +44,7 @@ NOVAPHY_LANE_FN Lanes floor(Lanes a) {
   return r;
 #endif
 }
-// Truncates, saturates, NaN gives 0.
+// Truncates toward zero and saturates; NaN becomes 0.
 NOVAPHY_LANE_FN Ints to_int(Lanes a) {
   const VectorI number = a.v == a.v, low = a.v <= -2147483648.0f, high = a.v >= 2147483648.0f;
   const VectorI inside = number & ~low & ~high;
@@ -52,7 +53,7 @@ NOVAPHY_LANE_FN Ints to_int(Lanes a) {
 }
 
 NOVAPHY_LANE_FN Lanes square_root(Lanes a) { return sqrt(a); }
-// All of them.
+// Whether all lanes are finite.
 NOVAPHY_LANE_FN bool is_finite(Lanes a) { return all(a - a == Lanes(0.0f)); }
 NOVAPHY_LANE_FN SinCos<Lanes> sin_cos(Lanes a) {
   const auto v = math::functions_detail::sin_cos(a);

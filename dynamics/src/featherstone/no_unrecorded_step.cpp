@@ -1,4 +1,4 @@
-// For builds without the tensor runtime.
+// Compiled into builds without the tensor runtime.
 #include "unrecorded_step.h"
 
 namespace novaphy {

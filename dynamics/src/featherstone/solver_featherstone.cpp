@@ -24,7 +24,7 @@ namespace {
 
 constexpr const char* kName = "SolverFeatherstone.step";
 
-// What a state had before a step, for one that fails.
+// The rows of a state before a step, to restore them if an articulation fails.
 class EarlierState {
  public:
   void keep(const SimState& state) {
@@ -63,7 +63,7 @@ struct SolverFeatherstone::Cache {
         actuated(m),
         contacts(m, articulations),
         materials(unsupported_materials(contact, kName)) {
-    watch.leave_out_friction();  // its law is huber
+    watch.leave_out_friction();  // its friction law is huber
     const Device device = m.device();
     const auto dofs = static_cast<size_t>(m.joint_dof_count());
     const auto count = static_cast<size_t>(articulations.count());
@@ -88,23 +88,24 @@ struct SolverFeatherstone::Cache {
   Articulations articulations;
   DeviceArray<float> qdd, branch, workspace;
   DeviceArray<int32_t> status;
-  int64_t stride = 0;              // of the workspace
-  std::vector<int32_t> all;        // articulations
-  std::optional<TreeSteps> trees;  // on the cpu, where a step runs at once
+  int64_t stride = 0;              // floats of the workspace per articulation
+  std::vector<int32_t> all;        // all articulations
+  std::optional<TreeSteps> trees;  // only on the CPU, where a step runs at once
   std::optional<ArticulationSleep> sleep;
   ActuatedStep actuated;
   EarlierState earlier;
-  bool keeps_earlier = false;  // in this step
+  bool keeps_earlier = false;  // whether the current step uses `earlier`
   ContactSteps contacts;
   RigidBodies penalty;
-  // Of bodies on FREE joints: those that others hold have more than their own mass.
+  // Bodies that form an articulation alone, on a FREE joint. In a longer tree the effective mass at
+  // a contact exceeds the body's own.
   std::vector<uint8_t> free_bodies;
   const SleepingTrees* begin_sleep(const Model& m, const SimState& in, const Contacts* of,
                                    const Control* control, const ArticulationStepArguments& step) {
     if (!sleep) return nullptr;
     return sleep->begin(m, in, of, control, in_memory(step).in, step.in.dt);
   }
-  bool warned = false;  // of the residual
+  bool warned = false;  // the warning about the residual was given
   void warn_of_residual(const Model& m, const Contacts* of, float tolerance) {
     if (warned) return;
     const FarIsland far = contacts.far_island(tolerance);
@@ -159,7 +160,7 @@ void SolverFeatherstone::make_cache() {
 
 void SolverFeatherstone::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("SolverFeatherstone.notify_model_changed");
-  cache_->contacts.forget_impulses();  // captures keep what they were made with
+  cache_->contacts.forget_impulses();  // captures keep the old cache
   make_cache();
 }
 
@@ -169,13 +170,14 @@ float SolverFeatherstone::pgs_residual() const { return cache_->contacts.residua
 void SolverFeatherstone::check_last_step() const {
   const ExclusiveUse::Scope scope = use("SolverFeatherstone.check_last_step");
   const Cache& c = *cache_;
-  if (c.trees) return;  // step has said it
+  if (c.trees) return;  // step has already reported its errors
   const std::vector<int32_t> status = c.status.to_host();
   check_contact_status(status, kName);
   check_status(*model(), c.articulations, status, kName);
 }
 
-// The wrenches of contacts of the bodies where joint_q and joint_qd have them, beside body_f.
+// Adds the wrenches of penalty contacts to body_f, with the bodies at the poses of joint_q and
+// joint_qd.
 void SolverFeatherstone::add_penalties(const Contacts& contacts, ArticulationStepArguments& a) {
   const Model& m = *model();
   Cache& c = *cache_;
@@ -239,7 +241,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   const Contacts* const touching = penalty ? nullptr : contacts;
   const auto* const sleeping = c.begin_sleep(m, state_in, touching, control, a);
   const bool has_rows = c.contacts.has_rows(touching);
-  // A tree alone that fails writes nothing.
+  // A single tree that fails writes nothing.
   c.keeps_earlier = c.trees && (has_rows || c.all.size() > 1);
   if (c.keeps_earlier) c.earlier.keep(state_out);
   if (has_rows)
@@ -254,7 +256,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   mark_unrecorded_step(m, state_in, state_out, control);
 }
 
-// Where a step runs at once: an articulation that fails leaves the new state as it was.
+// Finishes a step that ran at once: a failed articulation keeps its rows of the new state.
 void SolverFeatherstone::finish(const Contacts* contacts, const Control* control,
                                 const SimState& from, SimState& to, float dt) {
   Cache& c = *cache_;

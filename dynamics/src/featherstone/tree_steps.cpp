@@ -41,9 +41,9 @@ namespace {
 
 namespace art = articulation;
 constexpr int64_t kBatchChunk = 2;
-constexpr size_t kFewest = 3;  // trees that lanes are worth for
+constexpr size_t kFewest = 3;  // the fewest trees for which lanes are faster
 
-// What actuators give in place of the model's is no constant.
+// Results of actuators replace these arrays of the model, so the arrays are not constant.
 NamedStepArrays arrays_of_lanes(const Model& m) {
   NamedStepArrays arrays = step_arrays(m, nullptr, nullptr);
   for (const int32_t place : {kAt.target_ke, kAt.target_kd, kAt.effort_limit})
@@ -51,7 +51,7 @@ NamedStepArrays arrays_of_lanes(const Model& m) {
   return arrays;
 }
 
-// Constants stand one behind the other.
+// Constant arrays are stored one after the other.
 void list_constants(const NamedStepArrays& arrays, art::TreeShape& shape) {
   for (int32_t c = 0; c < static_cast<int32_t>(kStepArrays); ++c) {
     if (!arrays[static_cast<size_t>(c)].is_constant) {
@@ -65,7 +65,7 @@ void list_constants(const NamedStepArrays& arrays, art::TreeShape& shape) {
 
 }  // namespace
 
-// Of one thread.
+// The memory of one thread.
 struct TreeSteps::Memory {
   std::vector<unsigned char> bytes = {};
   std::vector<int32_t> links = {};
@@ -112,7 +112,7 @@ void TreeSteps::find_groups(const Model& m) {
           last_joint = std::max(last_joint, joint);
         }
     }
-    // Only of trees whose rows stand together, and in which no joint follows another.
+    // Lanes need trees with contiguous rows and without mimic joints.
     if (rows.mimics > 0 || last_joint < 0 || last_body - first.body + 1 != shape.bodies ||
         rows.dof_count == 0)
       continue;
@@ -146,7 +146,7 @@ void TreeSteps::find_groups(const Model& m) {
   }
 }
 
-// The constants of a tree, `stride` apart.
+// Reads the constants of a tree, with a spacing of `stride`.
 void TreeSteps::constants_of(const Model& m, int32_t tree, float* to, int32_t stride) const {
   const FirstRows& first = first_[static_cast<size_t>(tree)];
   const ArticulationRows& rows = trees_[tree];
@@ -167,7 +167,7 @@ void TreeSteps::constants_of(const Model& m, int32_t tree, float* to, int32_t st
   }
 }
 
-// Reads the constants again when arrays were written.
+// Reads the constants again if arrays were written.
 void TreeSteps::renew(const Model& m) {
   bool same = mode_stamp_.matches(m.joint_target_mode);
   if (!same) find_groups(m);
@@ -206,8 +206,8 @@ void TreeSteps::renew(const Model& m) {
   mode_stamp_.set(m.joint_target_mode);
 }
 
-// Trees of a group stand in the order of their numbers of contacts where their constants are the
-// same, so that the lanes of a batch have about as many.
+// Trees with equal constants are sorted by their number of contacts, so that the lanes of a batch
+// have similar counts.
 void TreeSteps::make_packs(std::span<const int32_t> trees, const TreeContacts* contacts) {
   batches_.clear();
   counts_.resize(first_.size());
@@ -255,7 +255,7 @@ art::ContactLaw<float> contact_law(const FeatherstoneOptions& o, float dt) {
           o.friction_cone == FrictionCone::Cone};
 }
 
-// The algorithms with all that they call inlined.
+// `flatten` inlines the whole algorithm into the caller.
 [[gnu::flatten]] int32_t accelerate(const art::Tree<float>& tree, const art::StepInputs<float>& in,
                                     const art::StepOptions<float>& how, bool alone,
                                     art::Workspace<float>& ws) {
@@ -297,7 +297,7 @@ bool TreeSteps::has_lanes(const Batch& batch) {
   return batch.group >= 0 && batch.count >= static_cast<int32_t>(kFewest);
 }
 
-// A tree alone.
+// Steps a single tree.
 void TreeSteps::single(const ArticulationStepArguments& a, int64_t tree_row,
                        const FeatherstoneOptions& options, TreeContacts* contacts, bool keep,
                        Memory& memory) {
@@ -353,7 +353,8 @@ struct TreeSteps::FirstOfLanes {
   int32_t coord[kMostLanes], dof[kMostLanes], body[kMostLanes];
 };
 
-// What the lanes of a batch read. `constants`: memory for a batch that has none of its own.
+// Sets the inputs of the lanes of a batch. `constants`: memory for a batch without constants of its
+// own.
 void TreeSteps::set_lanes(art::LaneStepArguments& s, const ArticulationArguments& in,
                           const Model& m, const Batch& batch, FirstOfLanes& first,
                           float* constants) const {
@@ -394,7 +395,7 @@ void TreeSteps::set_lanes(art::LaneStepArguments& s, const ArticulationArguments
   s.implicit_drives = in.implicit_drives.value != 0;
 }
 
-// Several alike; false: one of them fails, and nothing is written.
+// Steps a batch of trees. Returns false, and writes nothing, if a tree fails.
 bool TreeSteps::lanes(const ArticulationStepArguments& a, const Model& m, const Batch& batch,
                       const FeatherstoneOptions& options, TreeContacts* contacts, bool keep,
                       Memory& memory) const {

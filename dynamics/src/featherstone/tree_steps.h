@@ -1,6 +1,6 @@
-// Steps of the articulations that touch nothing but the world, one by one or, of those alike (as
-// replicate makes them), several at once with a lane each (lane_step.h). A tree gets the same bits
-// either way, and for any number of threads.
+// Steps of the articulations that touch only the world. Identical trees (as replicate makes them)
+// step several at once, one per lane (lane_step.h). The result of a tree has the same bits with and
+// without lanes, and for any number of threads.
 #pragma once
 
 #include <cstdint>
@@ -17,14 +17,15 @@
 
 namespace novaphy {
 
-using articulation::kMostTreeContacts;  // of a tree that TreeSteps takes
+using articulation::kMostTreeContacts;  // contacts of a tree that TreeSteps takes
 // The contacts of trees with the world, for TreeSteps.
 class TreeContacts {
  public:
   virtual int32_t count(int64_t tree) const = 0;
-  // Of the tree's contact i: the numbers of TreeContact, `stride` apart; the result is its link.
+  // Writes contact i of a tree as the numbers of TreeContact, with a spacing of `stride`. Returns
+  // its link.
   virtual int32_t fill(int64_t tree, int32_t i, float* numbers, int32_t stride) = 0;
-  // Its impulses along n, t1, t2, `stride` apart.
+  // Takes the impulses of contact i along n, t1, t2, with a spacing of `stride`.
   virtual void take(int64_t tree, int32_t i, const float* impulses, int32_t stride) = 0;
   virtual void solved(int64_t tree, const articulation::IslandResult& result) = 0;
 
@@ -36,12 +37,12 @@ class TreeSteps {
  public:
   TreeSteps(const Model& model, const Articulations& articulations);
 
-  // A step of the trees, ascending; `status` gets a row for each of them. One that fails leaves its
-  // rows of the new state as they are. `contacts` null: none. `keep`: writes qdd and branch too.
+  // Steps the given trees, in ascending order; `status` gets a row for each. A tree that fails
+  // keeps its rows of the new state. `contacts` null: none. `keep`: also writes qdd and branch.
   void step(const ArticulationStepArguments& step, const Model& model,
             std::span<const int32_t> trees, const FeatherstoneOptions& options,
             TreeContacts* contacts, bool keep = false);
-  // The adjoint of a step without contacts: what articulation_step_vjp does for the trees.
+  // The adjoint of a step without contacts: for the given trees, the same as articulation_step_vjp.
   void vjp(const ArticulationStepVjpArguments& step, const Model& model,
            std::span<const int32_t> trees);
 
@@ -49,20 +50,20 @@ class TreeSteps {
   struct alignas(64) Line {
     float numbers[16];
   };
-  struct Group {  // of trees alike
+  struct Group {  // identical trees
     articulation::TreeShape shape = {};
     std::vector<articulation::Link> links = {};
     std::vector<int32_t> target_mode = {};
     bool same = false;                 // all trees have the same constants
     std::vector<Line> lines = {};      // constants: {batches or 1, numbers, lanes}
-    std::vector<int32_t> packed = {};  // the trees of the batches, where constants differ
+    std::vector<int32_t> packed = {};  // the trees of the batches, if constants differ
   };
   struct FirstRows {
     int32_t coord = 0, body = 0, joint = 0, group = -1;  // group -1: no lanes
   };
   struct Batch {
-    int32_t group = 0, begin = 0, count = 0;  // of sorted_
-    int32_t contacts = 0;                     // the most of one
+    int32_t group = 0, begin = 0, count = 0;  // begin, count: a range of sorted_
+    int32_t contacts = 0;                     // the largest count of a tree
   };
   struct Memory;
 
@@ -88,9 +89,9 @@ class TreeSteps {
   const articulation::LaneLevel& level_ = articulation::lane_level();
   const Articulations& articulations_;
   const ArticulationRows* trees_;
-  std::vector<FirstRows> first_;  // of each tree
+  std::vector<FirstRows> first_;  // for each tree
   std::vector<Group> groups_;
-  ArrayStamp stamps_[kStepArrays];  // of those in groups
+  ArrayStamp stamps_[kStepArrays];  // of the arrays in groups
   ArrayStamp mode_stamp_;
   std::vector<int32_t> sorted_, counts_, keys_;
   IndexRows order_;

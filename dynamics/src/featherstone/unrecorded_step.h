@@ -1,4 +1,4 @@
-// The effect of a step of the forward solver on a tape.
+// Marks a step of the forward solver on a tape.
 #pragma once
 
 #include "novaphy/core/sim/control.h"
@@ -7,8 +7,8 @@
 
 namespace novaphy {
 
-// Inside an active tape: what the step wrote may be no input of it, where what the step read
-// carries a gradient. A build without the tensor runtime has no tapes.
+// Inside an active tape, if an input of the step carries a gradient: operations that later read its
+// outputs throw an error. Builds without the tensor runtime have no tapes.
 void mark_unrecorded_step(const Model& model, const SimState& in, const SimState& out,
                           const Control* control);
 

@@ -23,7 +23,7 @@ namespace {
 
 constexpr float kNone = std::numeric_limits<float>::infinity();
 
-// Steps 1, 2, 4, 8, ... 1024, 2048, 3072, ...
+// True for the steps 1, 2, 4, 8, ..., 1024, 2048, 3072, ...
 bool is_rare(uint64_t step) {
   constexpr uint64_t kOften = 1024;
   return std::has_single_bit(step) || step % kOften == 0;
@@ -62,14 +62,15 @@ Six motion(const Vec3f& u, const Vec3f& arm) {
   return {u.x, u.y, u.z, turn.x, turn.y, turn.z};
 }
 
-// M^-1 y of a body that is turned by q.
+// Returns M^-1 y for a body with orientation q.
 Six accelerate(const Six& y, float inv_mass, const Mat33f& inv_inertia, const Quatf& q) {
   const Vec3f t = math::rotate(
       q, math::multiply(inv_inertia, math::rotate_inverse(q, Vec3f{y[3], y[4], y[5]})));
   return {y[0] * inv_mass, y[1] * inv_mass, y[2] * inv_mass, t.x, t.y, t.z};
 }
 
-// The largest eigenvalue of M^-1 A, by power iteration from x, which becomes its vector.
+// Returns the largest eigenvalue of M^-1 A by power iteration. It starts from x, which becomes the
+// eigenvector.
 template <class Accelerate>
 float largest(const Matrix& a, Accelerate accelerate, Six& x) {
   float w = 0.0f;
@@ -87,13 +88,13 @@ float largest(const Matrix& a, Accelerate accelerate, Six& x) {
 
 constexpr Six kStart = {1.0f, 0.9f, -0.8f, 0.7f, 0.6f, -0.5f};
 
-// Whether the largest eigenvalue of M^-1 (dt^2 springs + dt dampers) is above 4.
+// Returns whether the largest eigenvalue of M^-1 (dt^2 springs + dt dampers) is above 4.
 template <class Accelerate>
 bool grows(const Matrix& springs, const Matrix& dampers, float dt, Accelerate accelerate) {
   Matrix sum;
   for (size_t i = 0; i < 6; ++i)
     for (size_t j = 0; j < 6; ++j) sum.m[i][j] = (dt * springs.m[i][j] + dampers.m[i][j]) * dt;
-  float trace = 0.0f;  // no eigenvalue is larger
+  float trace = 0.0f;  // an upper bound of the eigenvalues
   for (size_t i = 0; i < 6; ++i) {
     Six column;
     for (size_t j = 0; j < 6; ++j) column[j] = sum.m[j][i];
@@ -103,13 +104,14 @@ bool grows(const Matrix& springs, const Matrix& dampers, float dt, Accelerate ac
   return trace > 4.0f && largest(sum, accelerate, x) > 4.0f;
 }
 
-// The dt with springs dt^2 + dampers dt = 4.
+// Returns the dt with springs dt^2 + dampers dt = 4.
 float longest_dt(float springs, float dampers) {
   return 8.0f / (dampers + std::sqrt(dampers * dampers + 16.0f * springs));
 }
 
-// The dt at which the largest eigenvalue of M^-1 (dt^2 springs + dt dampers) is 4. The quotients of
-// any vector give a longer one, those of the vector that belongs to it give the next.
+// Returns the dt at which the largest eigenvalue of M^-1 (dt^2 springs + dt dampers) is 4. The
+// Rayleigh quotients of any vector give an upper bound; those of the eigenvector give the next
+// iterate.
 template <class Accelerate>
 float longest_dt(const Terms& terms, Accelerate accelerate) {
   Six x = kStart, y = x;
@@ -136,7 +138,7 @@ float longest_dt(const Terms& terms, Accelerate accelerate) {
 
 }  // namespace
 
-// What the model and the contacts hold, on the host.
+// Host copies of the arrays of the model and the contacts.
 struct detail::TouchingRows {
   TouchingRows(const Model& m, const SimState& state, const Contacts& c, bool pushed,
                const std::vector<uint8_t>* of_bodies)
@@ -178,7 +180,8 @@ struct detail::TouchingRows {
   Transformf pose(int32_t b) const {
     return b < 0 ? Transformf::identity() : q[static_cast<size_t>(b)];
   }
-  // Of a row: its shapes, their bodies, the points of both surfaces, and how deep it is.
+  // A contact row: its shapes, their bodies, the points on both surfaces (world frame), and the
+  // depth of the overlap (m).
   struct Row {
     size_t shapes[2];
     int32_t bodies[2];
@@ -227,7 +230,7 @@ namespace {
 
 using detail::TouchingRows;
 
-// Of a side of row k, of a body that moves.
+// Adds the stiffness and damping of one side of row k, for a body that moves.
 void add_side(const TouchingRows& rows, size_t k, const TouchingRows::Row& r, size_t side,
               Stability stability, float stick_ke, Terms& m) {
   const bool enough = stability == Stability::Enough;
@@ -368,7 +371,7 @@ void ContactWatch::find_changed(const TouchingRows& rows, const Model& model, fl
 }
 
 void ContactWatch::check_depths(const TouchingRows& rows, const Model& model) {
-  constexpr float kDeep = 0.25f;  // of the radius of gyration
+  constexpr float kDeep = 0.25f;  // times the radius of gyration
   std::vector<Load>& loads = loads_;
   loads.assign(rows.q.size(), {});
   const OnHost<Vec3f> gravity(model.gravity);
@@ -397,7 +400,7 @@ void ContactWatch::check_depths(const TouchingRows& rows, const Model& model) {
     const Mat33f& i = inertia[b];
     const float radius = std::sqrt((i.m[0][0] + i.m[1][1] + i.m[2][2]) / (3.0f * mass[b]));
     const float weight = mass[b] * math::length(gravity_of(b));
-    // Where springs carry about the weight, it rests, or would.
+    // If the springs carry about the weight of the body, the body rests on them.
     if (!(loads[b].depth > kDeep * radius) || loads[b].lift < 0.5f * weight ||
         loads[b].lift > 1.05f * weight)
       continue;

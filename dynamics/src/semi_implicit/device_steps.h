@@ -1,4 +1,4 @@
-// The steps of SolverSemiImplicit on other devices than the CPU.
+// The steps of SolverSemiImplicit on devices other than the CPU.
 #pragma once
 
 #include <memory>
@@ -8,8 +8,9 @@
 
 namespace novaphy::detail {
 
-// Null: the model is on the CPU. The options are checked and complete. ErrorKind::NotImplemented:
-// this library was built without the kernels (NOVAPHY_WITH_NOVA=OFF), or what they do not cover.
+// Returns null for a model on the CPU. The options must be checked and complete.
+// ErrorKind::NotImplemented: this library was built without the kernels (NOVAPHY_WITH_NOVA=OFF), or
+// the kernels do not support the options.
 std::unique_ptr<SolverBase> make_device_steps(const std::shared_ptr<const Model>& model,
                                               const SemiImplicitOptions& options);
 

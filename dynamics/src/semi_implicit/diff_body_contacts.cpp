@@ -23,7 +23,7 @@ void add_shapes(const Model& m, std::vector<Operand>& in) {
     in.push_back(nova::operand_of(*of_shapes));
 }
 
-// The force on body B.
+// Computes the force on body B.
 const nova::Kernel& force_kernel() {
   static const nova::Kernel kernel =
       nova::make_kernel("rigid_contact_forces", {{"wrench", DType::F32, 12, Access::Direct}},
@@ -40,11 +40,12 @@ Vec3<Real> with_derivative_of(const Vec3<Real>& value, const Vec3<Real>& live) {
           with_derivative(still.z, live.z, one)};
 }
 
-// A point of a shape (frame of its body) and the normal there (world).
+// A point on a shape (in the frame of its body) and the normal there (in the world frame).
 struct SoftPoint {
   Vec3<Real> point, normal;
 };
-// How they move with the particle at x and the body, from what the search has stored.
+// Returns the stored point and normal with derivatives by the particle position x and the body's
+// pose.
 SoftPoint following_point(TraceContext& c, const Int& shape, const ContactBody& body,
                           const Vec3<Real>& x, const SoftPoint& stored) {
   using namespace math;
@@ -59,7 +60,7 @@ SoftPoint following_point(TraceContext& c, const Int& shape, const ContactBody& 
       StaticShapeType<Bool>{is(GeoType::BOX), is(GeoType::SPHERE), is(GeoType::CAPSULE),
                             is(GeoType::CYLINDER), is(GeoType::CONE), is(GeoType::ELLIPSOID)},
       constant(Columns(c, "shape_scale", &shape).vec3()), in_shape);
-  // Hulls and meshes: the half space through the point, which turns with the body.
+  // Hulls and meshes act as the half space through the point, which turns with the body.
   const Quat<Real>& q = body.pose.q;
   const Vec3<Real> face = constant(rotate_inverse(q, stored.normal));
   const Bool polytope = either(is(GeoType::CONVEX_MESH), is(GeoType::MESH));
@@ -70,7 +71,7 @@ SoftPoint following_point(TraceContext& c, const Int& shape, const ContactBody& 
   return {with_derivative_of(stored.point, point), with_derivative_of(stored.normal, normal)};
 }
 
-// `follow`: points and normals follow the particles and the bodies.
+// `follow`: points and normals move with the particles and the bodies.
 std::vector<Real> soft_forces(TraceContext& c, bool follow) {
   const Int particle = c.i32(c.source("particle")), shape = c.i32(c.source("shape")),
             row = c.i32(c.source("body"));
@@ -141,8 +142,8 @@ const nova::Kernel& sum_kernel() {
   return kernel;
 }
 
-// Sorts the table into the same arrays as before where it is the same memory. Always a rebuild,
-// which a group of recomputed operations runs once more.
+// Sorts the table, into the arrays of the last call if the table has the same memory. Sorting is
+// always a rebuild, which a group of recomputed operations runs again.
 void sort(const Array& table, int64_t rows, nova::Incidence& sorted) {
   const Operand operand = nova::operand_of(table);
   if (!sorted || sorted->rows != rows || sorted->table.range != operand.range)
@@ -175,7 +176,7 @@ void ContactTables::update(const Model& model, const Contacts& contacts, const W
       same(shape0_, contacts.rigid_contact_shape0) &&
       same(shape1_, contacts.rigid_contact_shape1) && same(shape_body_, model.shape_body);
   if (known) return;
-  if (nova::Tape::active() != nullptr) {  // which remembers those of other contacts
+  if (nova::Tape::active() != nullptr) {  // the tape still refers to the tables of other contacts
     soft_bodies_ = {};
     rigid_bodies_ = {};
   }

@@ -1,4 +1,4 @@
-// The columns of bodies and shapes that traced kernels of contacts read.
+// The columns of bodies and shapes that the traced contact kernels read.
 #pragma once
 
 #include <vector>
@@ -17,7 +17,7 @@ using nova::Int;
 using nova::Real;
 using nova::TraceContext;
 
-// A body as contacts see it: the world, at rest in its own frame, where the row is -1.
+// A body in a contact. Row -1 is the world, at rest in its own frame.
 struct ContactBody {
   Transform<Real> pose;
   SpatialVector<Real> twist;
@@ -27,7 +27,7 @@ struct ContactBody {
 inline ContactBody load_body(TraceContext& c, const Int& body) {
   ContactBody b = {Columns(c, "body_q", &body).transform(), Columns(c, "body_qd", &body).spatial(),
                    Columns(c, "body_com", &body).vec3(), body < Int(0)};
-  // A row that is not there reads as zeros.
+  // A row that does not exist reads as zeros, so the world needs the unit quaternion.
   b.pose.q.w = select(b.is_world, Real(1.0f), b.pose.q.w);
   return b;
 }
@@ -37,7 +37,7 @@ inline std::vector<nova::SourceSpec> body_sources() {
           {"body_qd", DType::F32, 6, Access::Indexed},
           {"body_com", DType::F32, 3, Access::Indexed}};
 }
-// A contact that follows its bodies needs these of its shapes.
+// The sources of shapes, for contacts whose points follow the bodies.
 inline std::vector<nova::SourceSpec> shape_sources() {
   return {{"shape_type", DType::I32, 1, Access::Indexed},
           {"shape_transform", DType::F32, 7, Access::Indexed},
@@ -50,7 +50,7 @@ inline std::vector<Real> list(const Vec3<Real>& a, const Vec3<Real>& b) {
 
 inline Vec3<Real> constant(const Vec3<Real>& v) { return {detach(v.x), detach(v.y), detach(v.z)}; }
 
-// Shapes carry no gradient.
+// Loads a shape as a constant, because shapes carry no gradient.
 inline ContactShape<Bool, Real> load_shape(TraceContext& c, const Int& shape) {
   const Int type = c.i32(c.source("shape_type"), shape, 0);
   const auto is = [&](GeoType wanted) { return type == Int(static_cast<int32_t>(wanted)); };

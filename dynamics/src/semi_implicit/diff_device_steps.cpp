@@ -12,7 +12,7 @@
 namespace novaphy {
 namespace {
 
-// SolverSemiImplicit has checked the other arguments, and refuses tapes and captures.
+// SolverSemiImplicit checks the other arguments, and rejects tapes and captures.
 class DeviceSteps final : public diff::DiffSolverBase {
  public:
   DeviceSteps(const std::shared_ptr<const Model>& model, const SemiImplicitOptions& options)
@@ -55,7 +55,7 @@ class DeviceSteps final : public diff::DiffSolverBase {
     return specs;
   }
   bool begin_rollout(const RolloutInputs& inputs) override {
-    // Joints without a force may get one by the control of any step.
+    // The control of any step may activate a joint that had no force before.
     const Control* acting = inputs.control(inputs.start());
     for (int32_t t = inputs.start(); t < inputs.stop(); ++t) {
       if (t > inputs.start() && inputs.control(t) == acting) continue;
@@ -84,7 +84,7 @@ class DeviceSteps final : public diff::DiffSolverBase {
     return {.particles = moves_particles(),
             .particles_on_bodies = particles_.meets_bodies(),
             .bodies = moves_bodies(),
-            .of_this_state = false};  // what follows the bodies is their gradient's
+            .of_this_state = false};  // only a gradient uses contacts that follow the bodies
   }
   void begin(const char* function, const Control* control, const Contacts* contacts, float dt) {
     particles_.begin(*model(), function);
@@ -112,7 +112,7 @@ class DeviceSteps final : public diff::DiffSolverBase {
   diff::BodyStep bodies_;
   std::optional<diff::DiffJoints> joints_;
   diff::ContactTables tables_;         // of the contacts of all steps
-  DeviceArray<SpatialVectorf> total_;  // of single steps: what acts on each body
+  DeviceArray<SpatialVectorf> total_;  // total wrench on each body, for single steps
 };
 
 }  // namespace

@@ -19,7 +19,7 @@ using nova::TraceContext;
 
 namespace {
 
-// particle_f plus what the elements gave to each particle, in the order of the elements.
+// Sums particle_f and the forces of the elements on each particle, in the order of the elements.
 const nova::Kernel& sum_kernel() {
   static const nova::Kernel kernel = [] {
     const nova::Kernel made =
@@ -41,7 +41,7 @@ const nova::Kernel& sum_kernel() {
   return kernel;
 }
 
-// The same bytes as one row per corner.
+// Returns the same bytes with one row per corner.
 Operand per_corner(Operand contributions, int32_t corners) {
   contributions.rows *= corners;
   contributions.width = 3;
@@ -53,7 +53,7 @@ Operand allocate(int64_t rows, int32_t width, Device device) {
   return {Storage::allocate(bytes, device)->range(), rows, width};
 }
 
-// For a table that is about to be sorted anew. It does not change while a capture records, so the
+// Checks a table before it is sorted. The table does not change while a capture records, so the
 // host may read it there too.
 void check_table(const Model& model, const Array& indices) {
   const UntrackedScope untracked;
@@ -67,7 +67,8 @@ void check_table(const Model& model, const Array& indices) {
   });
 }
 
-// The slots of every particle in a table of the model, sorted once for all operators.
+// Returns the slots of every particle in a table of the model. The table is sorted once for all
+// operators.
 nova::Incidence rows_of(const Model& model, const Array& indices) {
   const nova::GradInfo* info = nova::find_grad_info(*indices.range());
   const auto is_known = [&](const auto& rows) {
@@ -172,7 +173,7 @@ detail::OperatorSpec detail::with_kernel(OperatorSpec spec) {
   const nova::Kernel kernel =
       nova::make_kernel(spec.kernel_name, sources, {{"contribution", 3 * spec.corners}}, spec.law);
   std::vector<nova::AdjointMask> masks = nova::gradient_sets(kernel, {"particle_q", "particle_qd"});
-  // The gradient of the forces on the particles is read through `indices`.
+  // The adjoint reads the gradient of the forces on the particles through `indices`.
   for (nova::AdjointMask& mask : masks) mask.table = 0;
   spec.kernel = nova::with_gradients(kernel, std::move(masks));
   return spec;

@@ -23,7 +23,7 @@ using nova::TraceContext;
 
 namespace {
 
-// Sources of the integration, after particle_q, particle_qd and particle_f.
+// The sources of the integration, after particle_q, particle_qd and particle_f.
 std::vector<nova::SourceSpec> integration_sources(Worlds worlds) {
   const bool several = worlds == Worlds::Several;
   std::vector<nova::SourceSpec> sources = {
@@ -39,7 +39,7 @@ std::vector<nova::SourceSpec> integration_sources(Worlds worlds) {
 }
 constexpr int32_t kMaxVelocity = 0, kDt = 1;  // launch parameters
 
-// 1/mass as stored, whose gradient goes to the mass.
+// Loads the stored 1/mass, and passes its gradient to the mass.
 Real inverse_mass(TraceContext& c) {
   const Real w = detach(c.f32(c.source("particle_inv_mass")));
   return with_derivative(w, c.f32(c.source("particle_mass")), -(w * w));
@@ -63,12 +63,13 @@ std::vector<Real> integrate(TraceContext& c, Worlds worlds, const Vec3<Real>& fo
 const std::vector<nova::OutputSpec> kOutputs = {{"particle_q", 3, "particle_q"},
                                                 {"particle_qd", 3, "particle_qd"}};
 
-// Of the kernels that also find contacts, particles alone are the most frequent use.
+// Gradients of the state alone are the most frequent request to the kernels that also find
+// contacts.
 nova::Kernel with_state_gradients(const nova::Kernel& kernel) {
   return nova::with_gradient_sets(kernel, {"particle_q", "particle_qd"});
 }
 
-// The forces that it reads come from elements, whose gradients follow.
+// particle_f comes from elements here, so its gradient is needed to reach them.
 nova::Kernel make_integrate_kernel(const char* name, Worlds worlds) {
   return nova::with_gradient_sets(
       nova::make_kernel(name, integration_sources(worlds), kOutputs,
@@ -88,7 +89,7 @@ nova::EpilogueFn integrate_sums(Worlds worlds) {
   };
 }
 
-// Static contacts and integration of one substep.
+// Evaluates static contacts and integrates one substep.
 nova::Kernel make_fused_kernel(const char* name, Worlds worlds, Shapes shapes) {
   std::vector<nova::SourceSpec> sources = integration_sources(worlds);
   sources.push_back({"particle_radius", DType::F32, 1, Access::Direct});
@@ -106,7 +107,7 @@ nova::Kernel make_fused_kernel(const char* name, Worlds worlds, Shapes shapes) {
        .epilogue = integrate_sums(worlds)}));
 }
 
-// Contacts and integration of one substep.
+// Evaluates contacts and integrates one substep.
 nova::Kernel make_step_kernel(const char* name, Worlds worlds) {
   std::vector<nova::SourceSpec> sources = integration_sources(worlds);
   sources.push_back({"particle_radius", DType::F32, 1, Access::Direct});
@@ -124,7 +125,7 @@ nova::Kernel make_step_kernel(const char* name, Worlds worlds) {
        .epilogue = integrate_sums(worlds)}));
 }
 
-// The kernels for one world, or for several.
+// The kernels for one world, or for several worlds.
 struct Kernels {
   nova::Kernel integrate, fused, step;
 };
@@ -141,7 +142,8 @@ const Kernels& kernels(Worlds worlds) {
   return worlds == Worlds::Several ? several : one;
 }
 
-// With static contacts: not built ahead where there are shapes of all types.
+// Returns the kernel with static contacts. A scene with other than simple shapes gets a kernel that
+// is not compiled ahead of time.
 const nova::Kernel& fused_kernel(Worlds worlds, Shapes shapes) {
   if (shapes == Shapes::Simple) return kernels(worlds).fused;
   static const nova::Kernel one = make_fused_kernel("integrate_particles_with_all_static_contacts",

@@ -11,7 +11,7 @@ struct RigidKernel {
   FrictionLaw law = FrictionLaw::Huber;
   PenaltyLaw penalty = PenaltyLaw::Sampled;
   bool follow = false;   // points and normals follow the bodies
-  bool of_rows = false;  // rows have materials of their own
+  bool of_rows = false;  // contact rows have their own materials
 };
 std::vector<Real> rigid_wrenches(TraceContext& c, const RigidKernel& of) {
   const size_t bodies = c.source("bodies");
@@ -76,7 +76,7 @@ const nova::Kernel& rigid_kernel(bool follow) {
                             held = make_rigid_kernel("held_rigid_contact_wrenches", {});
   return follow ? following : held;
 }
-// Of rows with materials of their own.
+// The kernel for contact rows with their own materials.
 const nova::Kernel& own_rigid_kernel(bool follow) {
   static const nova::Kernel following = make_rigid_kernel("own_rigid_contact_wrenches",
                                                           {.follow = true, .of_rows = true}),
@@ -84,7 +84,7 @@ const nova::Kernel& own_rigid_kernel(bool follow) {
                                                      {.of_rows = true});
   return follow ? following : held;
 }
-// Of the mean law. They are interpreted, as those below: few scenes have them.
+// The kernel of PenaltyLaw::Mean. It is interpreted, as the one below, because few scenes use it.
 const nova::Kernel& mean_kernel(bool follow, bool of_rows) {
   const auto make = [](const char* name, bool follows, bool own) {
     return make_rigid_kernel(name,
@@ -97,7 +97,7 @@ const nova::Kernel& mean_kernel(bool follow, bool of_rows) {
        make("own_mean_rigid_contact_wrenches", true, true)}};
   return kernels[follow][of_rows];
 }
-// For comparison only, so they are no kernels of the engine.
+// Only for comparisons, so these kernels are not compiled ahead of time.
 const nova::Kernel& newton_kernel(FrictionLaw law, bool of_rows) {
   const auto make = [](const char* name, FrictionLaw of, bool own) {
     return make_rigid_kernel(name, {.law = of, .of_rows = own});

@@ -13,9 +13,9 @@ using nova::TraceContext;
 
 namespace {
 
-// Every step but the last of a training of materials adds to their gradient, and nobody reads that
-// of the damping of materials that assign_tet_materials has written. That set comes instead of the
-// one of the state, whose part it has.
+// Optimization of materials accumulates their gradient in every step but the last of the backward
+// pass. No caller reads the gradient of the damping of materials that assign_tet_materials has
+// written. This set of gradients contains that of the state and replaces it.
 detail::OperatorSpec with_material_gradients(detail::OperatorSpec spec) {
   constexpr uint32_t kDamping = 2;
   std::vector<nova::AdjointMask> masks = spec.kernel.gradients();
@@ -66,7 +66,8 @@ Tensor eval_tetrahedra_forces_generated(const Model& model, const Tensor& partic
 
 namespace {
 
-// k_mu and k_lambda from the parameters, read at the row itself or for all, k_damp from the base.
+// Computes k_mu and k_lambda from the parameters, which a row or the whole model has, and k_damp
+// from the base.
 nova::Kernel make_material_kernel(const char* name, Access access) {
   return nova::with_one_gradient_set(
       nova::make_kernel(name,

@@ -1,4 +1,4 @@
-// The columns that the kernels of bodies read, as vectors, poses and materials.
+// Loads the columns of bodies and shapes in traced kernels as vectors, poses and materials.
 #pragma once
 
 #include <vector>
@@ -10,7 +10,7 @@
 
 namespace novaphy::diff::detail {
 
-// Columns of a source at the row of the launch, or at a given one.
+// The columns of a source, at the row of the launch or at a given row.
 struct Columns {
   nova::TraceContext& c;
   size_t source;
@@ -27,7 +27,7 @@ struct Columns {
   SpatialVector<nova::Real> spatial() const { return {vec3(), vec3(3)}; }
 };
 
-// The contact material of shapes: its sources, their operands, and that of one shape.
+// The contact material of shapes: the sources, the operands, and the material of one shape.
 inline std::vector<nova::SourceSpec> material_sources() {
   using nova::Access;
   using nova::DType;

@@ -9,9 +9,9 @@
 namespace novaphy {
 namespace {
 
-constexpr int64_t kChunk = 128;  // elements
+constexpr int64_t kChunk = 128;  // elements per thread
 
-// Calls body(element, forces of its entries) for every element; `width` entries each.
+// Calls body(element, forces of its entries) for every element. An element has `width` entries.
 template <class Body>
 void for_elements(int32_t count, size_t width, std::vector<Vec3f>& forces, Body&& body) {
   for_chunks(count, kChunk, [&](int64_t begin, int64_t end, int64_t) {
@@ -19,7 +19,7 @@ void for_elements(int32_t count, size_t width, std::vector<Vec3f>& forces, Body&
   });
 }
 
-// The state at the corners of an element; zero for an absent one.
+// The state at the corners of an element. An absent corner is zero.
 template <size_t N>
 struct Corners {
   Vec3f x[N], v[N];

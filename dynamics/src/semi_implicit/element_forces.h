@@ -1,6 +1,7 @@
-// The forces of springs, triangles, bending edges and tetrahedra, in two passes without a race.
-// First every element writes its forces on its particles. Then every particle sums its forces in
-// the order springs, triangles, edges, tetrahedra, and within a kind in the order of the elements.
+// The forces of springs, triangles, bending edges and tetrahedra, in two passes without a data
+// race. First every element writes its forces on its particles. Then every particle sums its forces
+// in the order springs, triangles, edges, tetrahedra, and within each kind in the order of the
+// elements.
 #pragma once
 
 #include <vector>
@@ -13,13 +14,13 @@ namespace novaphy {
 
 class ElementForces {
  public:
-  // Whether the model has elements at all.
+  // Whether the model has elements.
   static bool any(const Model& model);
 
-  // Evaluates all elements. The activations are the control's, or the model's without one. Keeps
-  // its memory. ErrorKind::Index: an element of a particle that is not there.
+  // Evaluates all elements, with the activations of the control, or of the model if `control` is
+  // null. Reuses its memory. ErrorKind::Index: an element names a particle that does not exist.
   void evaluate(const Model& model, const Control* control, const Vec3f* q, const Vec3f* qd);
-  // f with the forces of the particle's elements added.
+  // Returns f plus the forces of the particle's elements.
   Vec3f add(int64_t particle, Vec3f f) const {
     for (const Table& table : tables_) {
       if (table.rows.empty()) continue;
@@ -33,7 +34,7 @@ class ElementForces {
  private:
   struct Table {
     ParticleRows rows;
-    std::vector<Vec3f> forces;  // of every entry of the table of indices
+    std::vector<Vec3f> forces;  // for each entry of the table of indices
     void update(const Array& indices, int32_t particles, const char* name,
                 bool may_be_absent = false);
   };

@@ -22,7 +22,7 @@ JointType type_of(const Model& m, int32_t joint) {
   return static_cast<JointType>(m.joint_type.data()[joint]);
 }
 
-// Arrays that have no meaning where bodies are held by springs.
+// Rejects arrays that have no effect on joints held by springs.
 void check_unused(const Model& m, const char* solver) {
   const std::vector<int32_t> leader = m.joint_mimic.to_host();
   for (size_t j = 0; j < leader.size(); ++j)
@@ -41,7 +41,7 @@ void check_unused(const Model& m, const char* solver) {
   check("joint_velocity_limit", m.joint_velocity_limit, 1.0e6f);
 }
 
-// BALL, FREE and DISTANCE joints have no drive, and no limits but the distance.
+// BALL, FREE and DISTANCE joints have no drive. Their only limit is the distance.
 void check_without_drive(const Model& m, const char* solver) {
   const std::vector<int32_t> type = m.joint_type.to_host(), start = m.joint_qd_start.to_host();
   const auto check = [&](const char* name, const DeviceArray<float>& array, float by_default,
@@ -77,7 +77,7 @@ void check_perpendicular(const std::vector<Vec3f>& axes, int32_t begin, int32_t 
 
 }  // namespace
 
-// What `prepare` asks of a model on any device.
+// Host copies of the arrays that `prepare` reads from a model on any device.
 struct HostJoints {
   explicit HostJoints(const Model& m)
       : type(m.joint_type.to_host()),
@@ -105,8 +105,8 @@ struct HostJoints {
 
 namespace {
 
-// Inverse inertias of a body, world axes at its pose in the model; nothing for the world and for
-// kinematic bodies, which no force moves.
+// The inverse mass and inertia of a body, in world axes at its pose in the model. Zero for the
+// world and for kinematic bodies, which forces do not move.
 struct Mobility {
   float linear = 0.0f;
   Mat33f angular{};
@@ -125,8 +125,8 @@ float along(const Mat33f& a, const Vec3f& n) {
   return sum;
 }
 
-// The largest n . a n over unit vectors n perpendicular to `axis` (zero: over all), by power
-// iteration.
+// Returns the largest n . a n over unit vectors n perpendicular to `axis` (zero: over all unit
+// vectors), by power iteration.
 float largest_along(const Mat33f& a, const Vec3f& axis) {
   float largest = 0.0f;
   for (const Vec3f& start : {Vec3f{1.0f, 0.3f, 0.2f}, Vec3f{0.2f, 1.0f, 0.3f}}) {
@@ -142,7 +142,7 @@ float largest_along(const Mat33f& a, const Vec3f& axis) {
   return largest;
 }
 
-// Of a point at `arm` from the center of mass: 1/m + [arm]^T I^-1 [arm].
+// The mobility of a point at `arm` from the center of mass: 1/m + [arm]^T I^-1 [arm].
 Mat33f mobility_at(const Mobility& body, const Vec3f& arm) {
   const float cross[3][3] = {{0.0f, -arm.z, arm.y}, {arm.z, 0.0f, -arm.x}, {-arm.y, arm.x, 0.0f}};
   Mat33f w{};
@@ -155,8 +155,8 @@ Mat33f mobility_at(const Mobility& body, const Vec3f& arm) {
   return w;
 }
 
-// The dt with ke w dt^2 + 2 kd w dt = 4, up to which symplectic Euler holds a mode of the inverse
-// mass w.
+// Returns the dt with ke w dt^2 + 2 kd w dt = 4. Up to this dt, symplectic Euler is stable for a
+// mode of inverse mass w.
 float stable_dt(float w, float ke, float kd) {
   return w > 0.0f ? 4.0f / w / (kd + std::sqrt(kd * kd + 4.0f * ke / w))
                   : std::numeric_limits<float>::infinity();
@@ -173,7 +173,7 @@ struct DofArrays {
   articulation::StepArrays<articulation::ReadPointers<float>> arrays = {};
   const int32_t* mode;
 
-  // `q`: the coordinate of the degree of freedom; -1: it has no target.
+  // `q`: the coordinate of the degree of freedom; -1: no target.
   JointDof<float> at(int32_t dof, int32_t q) const {
     const auto which = static_cast<JointTargetMode>(mode[dof]);
     const bool both = which == JointTargetMode::POSITION_VELOCITY;
@@ -226,7 +226,8 @@ void JointForces::check_edits(const Model& m, const Control* control, const char
   bool same = true;
   for (size_t i = 0; i < std::size(arrays); ++i)
     same = same && (covered_[i].matches(*arrays[i]) ||
-                    // Of a device, what others may write is not read again in every step.
+                    // On devices, an array that another library may write is not read again in
+                    // every step.
                     (!m.device().is_cpu() && arrays[i]->range() != nullptr &&
                      arrays[i]->range()->writable_export()));
   if (same) return;
@@ -239,9 +240,9 @@ void JointForces::check_edits(const Model& m, const Control* control, const char
   for (size_t i = 0; i < std::size(arrays); ++i) covered_[i].set(*arrays[i]);
 }
 
-// The longest stable step of the attachment of one joint, s: of the stiffest direction that it
-// holds of either body by itself, so that a longer step diverges whatever else there is. Infinite:
-// it holds none.
+// Returns the longest stable step (s) of the attachment of one joint, in the stiffest direction for
+// either body alone. A longer step diverges regardless of the rest of the model. Infinite: the
+// joint holds no direction.
 static float joint_stable_dt(const HostJoints& m, size_t joint, const JointAttachOptions& attach) {
   float longest = std::numeric_limits<float>::infinity();
   const JointType type = m.type_of(joint);
@@ -250,7 +251,7 @@ static float joint_stable_dt(const HostJoints& m, size_t joint, const JointAttac
   const Transformf frames[2] = {m.frame[0][joint], m.frame[1][joint]};
   const int32_t bodies[2] = {m.parent[joint], m.child[joint]};
   for (int side = 0; side < 2; ++side) {
-    // Each body by itself, in its own axes: both together are no more stable.
+    // Each body alone, in its own axes: both bodies together are not more stable.
     const Mobility body = mobility(m, bodies[side]);
     if (bodies[side] < 0 || body.linear == 0.0f) continue;
     if (dims.x == 0) {
@@ -326,7 +327,7 @@ void JointForces::evaluate(const Model& m, const SimState& state, const Control*
   for_chunks(m.joint_count(), kJointChunk, [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t j = begin; j < end; ++j) {
       const size_t first = 2 * static_cast<size_t>(j);
-      if (bodies_[first + 1] < 0) continue;  // not enabled
+      if (bodies_[first + 1] < 0) continue;  // joint is disabled
       const JointType type = type_of(m, static_cast<int32_t>(j));
       const JointConstraint constraint = joint_traits(type).constraint;
       JointWrench<float> wrench;
@@ -342,7 +343,7 @@ void JointForces::evaluate(const Model& m, const SimState& state, const Control*
                      : penalty_joint_wrench(frames, d, dims[j].x, dims[j].y,
                                             quaternion_at(type) == 0, attach);
       }
-      // A wrench in the world about the child's center of mass.
+      // The wrench acts about the child's center of mass, in the world frame.
       if (has_pose(type))
         wrench.child = wrench.child + SpatialVectorf{{d[0].force, d[1].force, d[2].force},
                                                      {d[3].force, d[4].force, d[5].force}};

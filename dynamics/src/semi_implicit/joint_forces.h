@@ -1,5 +1,5 @@
-// The joints of a step: a wrench for each side of each joint, and which sides every body has, in
-// the order of the joints, the parent's before the child's.
+// The joints of a step: a wrench on each side of each joint. Every body sums the wrenches in the
+// order of the joints, the parent's side before the child's.
 #pragma once
 
 #include <vector>
@@ -18,20 +18,20 @@ struct JointAttachOptions {
 
 struct HostJoints;
 
-// `prepare` works on models of every device, the rest on the CPU.
+// `prepare` supports models on every device, the other functions only the CPU.
 class JointForces {
  public:
-  // Refuses what penalty joints cannot hold: ErrorKind::NotImplemented names the array and the row.
-  // `solver` starts the messages.
+  // Rejects models that penalty joints do not support. ErrorKind::NotImplemented names the array
+  // and the row. `solver` starts the messages.
   static void check_covered(const Model& model, const char* solver);
 
-  // check_covered again, where one of its arrays was written since, and joint_act, the control's or
-  // the model's. In a capture a replay throws once one was that has no effect.
+  // Calls check_covered again if one of its arrays was written, and checks joint_act of the control
+  // or the model. In a capture, a replay throws once such an array was written.
   void check_edits(const Model& model, const Control* control, const char* solver);
-  // Finds the sides of every body where the joints were written since. ErrorKind::Value: a step
-  // above stable_dt.
+  // Finds the sides of every body again if the joints were written. ErrorKind::Value: a step above
+  // stable_dt.
   void prepare(const Model& model, const JointAttachOptions& attach, float dt);
-  // control null: the model's forces and targets.
+  // Null control: the forces and targets of the model.
   void evaluate(const Model& model, const SimState& state, const Control* control,
                 const JointAttachOptions& attach);
   bool empty() const { return bodies_.empty(); }
@@ -42,8 +42,8 @@ class JointForces {
 
   std::vector<ArrayStamp> covered_;
   ArrayStamp enabled_, mass_, inertia_, flags_;
-  float stable_dt_ = 0.0f;       // s: above it the attachment of a joint diverges by itself
-  int32_t unstable_joint_ = -1;  // that joint
+  float stable_dt_ = 0.0f;       // s; a longer step makes the attachment of a joint diverge
+  int32_t unstable_joint_ = -1;  // the joint with the shortest stable step
   std::vector<int32_t> bodies_;  // of the two sides of every joint; -1: the world, or no force
   IndexRows sides_;
   std::vector<SpatialVectorf> wrenches_;

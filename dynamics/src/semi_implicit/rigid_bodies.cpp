@@ -90,7 +90,7 @@ void RigidBodies::evaluate(const Model& m, const Transformf* q, const SpatialVec
       if (of_rows)
         both = rigid_contact_material_of_row(both, row_ke[row], row_kd[row], row_mu[row]);
       const float kf_of_row = both.kf;
-      if (sticks) both.kf = 0.0f;  // and no friction of the law
+      if (sticks) both.kf = 0.0f;  // the stick springs replace the friction of the law
       RigidContactForce<float> f = rigid_contact_force(law, a, b, normal[row], both);
       if (sticks) {
         const Vec3f n = -normal[row];
@@ -100,7 +100,7 @@ void RigidBodies::evaluate(const Model& m, const Transformf* q, const SpatialVec
                                              -both.mu * math::dot(n, f.force), kf_of_row,
                                              how.stick_ke, how.dt);
       }
-      // acc + (-f) has the bits of acc - f.
+      // acc + (-f) has the same bits as acc - f.
       wrenches_[first] = {-f.force, -math::cross(f.arm_a, f.force)};
       wrenches_[first + 1] = {f.force, math::cross(f.arm_b, f.force)};
       force[row] = f.force;
@@ -119,7 +119,7 @@ void RigidBodies::add_contact_wrenches(const Model& m, const Transformf* q,
   });
 }
 
-// Wakes what contacts and forces wake.
+// Wakes the bodies that contacts and forces act on.
 void RigidBodies::find_sleepers(const Model& m, const SimState& in, const Contacts* contacts,
                                 const JointForces& joints, const ParticleContacts* particles,
                                 SleepStep& sleep) {

@@ -1,5 +1,5 @@
-// The rigid bodies of a step: contact forces row by row, their sum on each body in the order of the
-// rows, then the integration of each body. So nothing depends on the number of threads.
+// The rigid bodies of a step: the contact forces row by row, their sum on each body in the order of
+// the rows, then the integration of each body. The result is independent of the number of threads.
 #pragma once
 
 #include <vector>
@@ -23,28 +23,29 @@ struct RigidStep {
   float friction_smoothing;  // m/s
   float angular_damping;     // 1/s
   float dt;                  // s
-  float stick_ke = 0.0f;     // N/m, of friction; 0: none sticks
+  float stick_ke = 0.0f;     // N/m, stiffness of static friction; 0: no static friction
   PenaltyLaw penalty_law = PenaltyLaw::Sampled;
 };
 
 class RigidBodies {
  public:
-  // Checks what step reads, and finds the rows of every body if the contacts are others than at the
-  // last call. Keeps its memory. ErrorKind::Index: a contact of a shape, a shape of a body, or a
-  // body of a world that is not there. ErrorKind::Value: a material of a row that none can have.
+  // Checks the arrays that a step reads, and finds the contact rows of every body if the contacts
+  // differ from those of the last call. Reuses its memory. ErrorKind::Index: a contact names a
+  // shape, a shape a body, or a body a world that does not exist. ErrorKind::Value: a row has an
+  // invalid material.
   void prepare(const Model& model, const Contacts* contacts);
-  // Adds the wrenches of `joints`, which were evaluated, to body_f, then those of the contacts.
-  // Writes the bodies of `out`, and rigid_contact_force of the contacts that were prepared.
-  // `particles`: those that touch bodies, evaluated; null: none. `watch` looks at the contacts
-  // before bodies are written. `sleep` null: no body sleeps.
+  // Adds to body_f the wrenches of `joints`, which must be evaluated, and then those of the
+  // contacts. Writes the bodies of `out`, and rigid_contact_force of the prepared contacts.
+  // `particles`: the evaluated contacts between particles and bodies; null: none. `watch` checks
+  // the contacts before bodies are written. `sleep` null: no body sleeps.
   void step(const Model& model, const SimState& in, SimState& out, const Contacts* contacts,
             const JointForces& joints, const ParticleContacts* particles, const RigidStep& how,
             ContactWatch& watch, SleepStep* sleep = nullptr);
-  // The poses that a step wrote are now in `to`, from which the next step goes on.
+  // Tells that the poses written by a step were copied to `to`, from which the next step starts.
   void were_copied(const Array& from, const Array& to) { sticks_.were_copied(from, to); }
-  // Adds what the contacts that were prepared do to the bodies at `q` with the velocities `qd` to
-  // their wrenches {body_count}; writes rigid_contact_force. Reads friction_law and
-  // friction_smoothing.
+  // Adds the wrenches of the prepared contacts to `wrenches` {body_count}, for bodies at `q` with
+  // the velocities `qd`. Writes rigid_contact_force. Uses only friction_law and friction_smoothing
+  // of `how`.
   void add_contact_wrenches(const Model& model, const Transformf* q, const SpatialVectorf* qd,
                             const Contacts& contacts, const RigidStep& how,
                             SpatialVectorf* wrenches);
@@ -56,13 +57,13 @@ class RigidBodies {
   void evaluate(const Model& model, const Transformf* q, const SpatialVectorf* qd,
                 const Contacts& contacts, const RigidStep& how);
 
-  int32_t rows_ = 0;  // contacts that act
+  int32_t rows_ = 0;  // the number of contacts that act
   ArrayStamp count_, shape0_, shape1_, shape_body_;
   std::vector<int32_t> bodies_;           // of the two sides of every row; -1: the world
-  IndexRows sides_;                       // of every body
-  std::vector<SpatialVectorf> wrenches_;  // what every side adds to its body
+  IndexRows sides_;                       // for each body
+  std::vector<SpatialVectorf> wrenches_;  // the wrench of each side on its body
   StickSprings sticks_;
-  std::vector<int32_t> forced_;  // bodies on which joints or particles act
+  std::vector<int32_t> forced_;  // the bodies on which joints or particles act
 };
 
 }  // namespace novaphy

@@ -26,7 +26,7 @@ namespace novaphy {
 namespace {
 
 constexpr const char* kName = "SolverSemiImplicit.step";
-constexpr int64_t kChunk = 512;  // particles
+constexpr int64_t kChunk = 512;  // particles per thread
 
 void check_option(const char* name, float value) {
   require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, "SolverSemiImplicit: ", name,
@@ -62,7 +62,7 @@ struct SolverSemiImplicit::Cache {
   ElementForces elements;
   JointForces joints;
   RigidBodies bodies;
-  UnsupportedMaterials materials;  // adhesion is of contacts of bodies
+  UnsupportedMaterials materials;  // only contacts of bodies have adhesion
   EditedValues values{"SolverSemiImplicit"};
   ContactWatch watch{kName};
   ParticleWatch particle_watch{kName};

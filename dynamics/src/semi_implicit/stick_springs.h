@@ -1,16 +1,18 @@
-// Static friction of rigid contacts: a tangential spring for every row, kept from step to step by
-// the name of its point.
+// Static friction of rigid contacts. Each contact row has a tangential spring, which persists from
+// step to step under the name of its contact point.
 //
-//   s  <- P s + ut dt            P takes off what is along the normal; s = 0 in a row that is new
-//   f  = ke s + kf ut, cut off at the Coulomb limit c: f c/|f|, and then s = f/ke: the spring by
-//        itself ends at the cone, so what slides is braked by c whatever kf and ke are
-// Symbols: s slip (m), ut slip velocity (m/s) of A against B, world frame; f friction on B (N).
-// Under a load below the cone a body rests at s = load/(rows ke) instead of creeping.
+//   s  <- P s + ut dt       P removes the normal component; s = 0 in a new row
+//   f  = ke s + kf ut       limited to the Coulomb cone: if |f| > c, f becomes f c/|f| and s = f/ke
 //
-// Slips carry over only into the step that follows: from the very poses that the last step wrote.
-// After a reset, an edited state or another state they start anew, so a run has the same bits
-// whatever the solver did before.
-// Source: P. A. Cundall, O. D. L. Strack, A Discrete Numerical Model for Granular Assemblies, 1979.
+//  The spring alone ends at the cone, so a sliding contact is braked by c for any kf and ke.
+//  Symbols: s slip (m), ut slip velocity (m/s) of A against B, world frame; f friction on B (N).
+//  Below the cone, a body under load rests at s = load/(rows ke) instead of creeping.
+//
+// Slips persist only into a step that starts from the poses written by the last step. After a
+// reset, an edited state or another state they start at zero. A run therefore has the same bits
+// regardless of earlier steps of the solver.
+//  Source: P. A. Cundall, O. D. L. Strack, A Discrete Numerical Model for Granular Assemblies,
+//    1979.
 #pragma once
 
 #include <vector>
@@ -22,14 +24,15 @@ namespace novaphy {
 
 class StickSprings {
  public:
-  // The first `rows` of the contacts act, in a step from `body_q`.
+  // Begins a step from `body_q`. The first `rows` of the contacts act.
   void begin(const Contacts& contacts, int32_t rows, const Array& body_q);
-  // Of a row, with its unit normal and the limit >= 0; each row once in a step, on any thread.
+  // Returns the friction force of a row, with its unit normal and the limit >= 0. Call once per row
+  // and step, from any thread.
   Vec3f friction(int64_t row, const Vec3f& normal, const Vec3f& ut, float limit, float kf, float ke,
                  float dt);
-  // The step wrote these poses.
+  // Ends the step, which wrote the poses `body_q`.
   void end(const Array& body_q);
-  // What the step wrote in `from` is now in `to`.
+  // Tells that the poses written to `from` were copied to `to`.
   void were_copied(const Array& from, const Array& to) {
     if (last_.matches(from)) last_.set(to);
   }

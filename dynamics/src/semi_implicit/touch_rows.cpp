@@ -18,12 +18,13 @@ using math::dot;
 
 Vec3d wide(const Vec3f& a) { return {a.x, a.y, a.z}; }
 
-// fn = n (ke d + kd min(un, 0)), and friction below the cone mu (ke d + kd_of_cone min(un, 0)).
+// The normal force is n (ke d + kd min(un, 0)). The friction cone has the size mu (ke d +
+// kd_of_cone min(un, 0)).
 struct TouchLaw {
   double ke, kd, kd_of_cone, kf, mu, smoothing;
 };
 
-// The force of a contact that overlaps, and its derivatives by the gap and by u.
+// The force of an overlapping contact, and its derivatives by the gap and by u.
 struct TouchForce {
   Vec3d force{}, by_gap{};
   Columns3 by_velocity{};
@@ -60,8 +61,8 @@ TouchForce force_inside(const TouchLaw& law, const Vec3d& n, double gap, const V
   return f;
 }
 
-// What a row keeps of the law, with the gap `reach` (m) below which it acts; `inverse_mass`: along
-// a direction.
+// Evaluates the law for a row. The law acts below the gap `reach` (m). inverse_mass(direction)
+// returns the inverse mass of the contact along a unit vector.
 template <class InverseMass>
 void apply(const TouchLaw& law, const Vec3d& u, double reach, float dt,
            const InverseMass& inverse_mass, TouchRow& row) {
@@ -146,7 +147,7 @@ void find_rigid(const Model& m, const SimState& state, const Contacts& c,
     const auto at = [&](int32_t body, const Vec3f& point) {
       return body < 0 ? point : math::transform_point(bodies.q[body], point);
     };
-    // As in rigid_contact_force_at, with its bits.
+    // The order of operations is that of rigid_contact_force_at, for the same bits.
     const Vec3f p0 = at(b0, c.rigid_contact_point0.data()[i]) -
                      n * c.rigid_contact_margin0.data()[i],
                 p1 = at(b1, c.rigid_contact_point1.data()[i]) +

@@ -1,5 +1,5 @@
-// The contacts of penalties that push in a step, or that stand within half a step of that, as the
-// motion of their times sees them (diff_touches.h). On the host.
+// The penalty contacts that push in a step, and those within half a step of touching, for the
+// derivatives of event times (diff_touches.h). On the host.
 #pragma once
 
 #include <array>
@@ -16,16 +16,16 @@ using Vec3d = Vec3<double>;
 using Columns3 = std::array<Vec3d, 3>;
 
 struct TouchOptions {
-  bool rigid = false, soft = false;  // which contacts act
+  bool rigid = false, soft = false;  // which kinds of contacts act
   float smoothing = 0.0f;            // m/s, of friction between bodies
   float kf_rate = 0.0f;              // 1/s, of friction of particles
   float dt = 0.0f;
 };
 
-// A body or a particle; neither: the world.
+// A body, a particle, or the world if neither is set.
 struct TouchSide {
   int32_t body = -1, particle = -1;
-  bool responds = false;  // to forces
+  bool responds = false;  // whether forces move it
   Vec3d arm{};            // of a body: from its center of mass to the contact, world frame
   bool exists() const { return body >= 0 || particle >= 0; }
   bool is(const TouchSide& other) const {
@@ -33,28 +33,31 @@ struct TouchSide {
   }
 };
 
-// The force acts on side 1, its opposite on side 0. With P the points where the sides meet, v their
-// velocities and n the normal, the gap is n . (P_0 - P_1), and u = v_0 - v_1.
+// The force acts on side 1, its opposite on side 0. P are the points where the sides meet, v their
+// velocities, and n is the normal. The gap is n . (P_0 - P_1), and u = v_0 - v_1.
 struct TouchRow {
-  int32_t first = 0, second = 0, point = 0;  // pair as in ContactPair, and the point of it
+  int32_t first = 0, second = 0, point = 0;  // the pair as in ContactPair, and the point of the
+                                             // pair
   std::array<TouchSide, 2> sides;
   Vec3d normal{}, force{};
-  double gap = 0.0, speed = 0.0;  // m, m/s: n . u
+  double gap = 0.0, speed = 0.0;  // m; m/s, n . u
   double inverse_mass = 0.0;      // 1/kg, along n
   double stiffness = 0.0;         // N/m
-  double slip_taken = 0.0;        // by friction below its cone, in a step: a part of the slip
-  double speed_taken = 0.0;       // by damping, likewise: a part of the approach
+  double slip_taken = 0.0;        // the part of the slip that friction below its cone removes in a
+                                  // step
+  double speed_taken = 0.0;       // the part of the approach speed that damping removes in a step
   bool pushes = false;
-  bool slides = false;   // its friction is at the cone
+  bool slides = false;   // friction is at the cone
   bool adheres = false;  // acts beyond the gap 0
-  // Within half a step of the gap 0: what the force averaged over that step has by the gap and by u
-  // (columns) besides what the force as it is has. The force that jumps at the gap 0 is a part.
+  // Set within half a step of the gap 0. by_gap and by_velocity (columns) are then the derivatives
+  // of the force averaged over that step, minus those of the force itself. They include the jump of
+  // the force at the gap 0.
   bool ramp = false;
   Vec3d by_gap{};
   Columns3 by_velocity{};
 };
 
-// Replaces the rows.
+// Replaces the contents of `rows`.
 void find_touches(const Model& model, const SimState& state, const Contacts& contacts,
                   const TouchOptions& options, std::vector<TouchRow>& rows);
 

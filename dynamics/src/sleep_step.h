@@ -32,7 +32,7 @@ class SleepStep {
   void wake_touched(const Model& model, const SimState& in, const Contacts& contacts,
                     std::span<const int32_t> bodies, float ahead);
   // Whether this step ignores the contacts of the body, because the search took the body to sleep
-  // and left them out. Its support then equals its weight.
+  // and left them out. The step then omits the weight of the body too.
   bool is_afloat(int32_t body) const { return afloat_[static_cast<size_t>(body)] != 0; }
   bool is_asleep(int32_t body) const { return bodies_.is_asleep(body); }
   int32_t free_joint(int32_t body) const { return bodies_.free_joint(body); }

@@ -31,11 +31,11 @@ struct novaphy_event {
   std::chrono::steady_clock::time_point time;
   bool recorded = false;
 };
-// One of the three: a builtin, a function over rows, or a Program.
+// A kernel is a builtin, a function over rows, or a Program.
 struct novaphy_kernel {
   const novaphy::cpu::IsaTable* isa = nullptr;
   const novaphy::cpu::Builtin* builtin = nullptr;
-  novaphy_row_function function = {};  // of rows null: none
+  novaphy_row_function function = {};  // not a function over rows if `rows` is null
   std::unique_ptr<const novaphy::cpu::Executable> executable;
   uint32_t argument_count = 0;
 
@@ -69,7 +69,7 @@ constexpr size_t kAlignment = 256;
 constexpr size_t kHugePage = size_t{2} << 20;
 constexpr uint64_t kLargeBytes = 2 * kHugePage;
 
-// No exception may cross the C boundary.
+// Converts exceptions to a status, because no exception may cross the C boundary.
 template <class Body>
 novaphy_status guarded(novaphy_error* error, Body&& body) noexcept {
   try {
@@ -83,7 +83,7 @@ novaphy_status guarded(novaphy_error* error, Body&& body) noexcept {
   }
 }
 
-// The instruction set: NOVAPHY_CPU_ISA, else the best that the processor has.
+// Chooses the instruction set: NOVAPHY_CPU_ISA, or the best one of the processor.
 novaphy_status choose_isa(const IsaTable** isa, novaphy_error* error) {
   struct Level {
     const IsaTable* table;
@@ -187,8 +187,8 @@ novaphy_status memory_alloc(novaphy_device*, int32_t kind, uint64_t bytes, void*
   *pointer =
       rounded >= bytes ? std::aligned_alloc(large ? kHugePage : kAlignment, rounded) : nullptr;
 #if defined(MADV_HUGEPAGE)
-  // A rollout runs through many arrays at once, one page of each: with small pages the processor's
-  // page table cache misses all the time. A hint; where it is not taken, nothing changes.
+  // A rollout reads many arrays at the same time, a page of each. Small pages would cause misses in
+  // the translation lookaside buffer. This is only a hint to the kernel.
   if (large && *pointer != nullptr) (void)madvise(*pointer, rounded, MADV_HUGEPAGE);
 #endif
   if (*pointer != nullptr) return NOVAPHY_OK;
@@ -219,7 +219,7 @@ novaphy_status memory_fill(novaphy_stream*, void* target, uint64_t pattern, uint
                 static_cast<unsigned long long>(bytes), pattern_bytes);
   }
   if (bytes == 0) return NOVAPHY_OK;
-  // As eight bytes every pattern is the same loop.
+  // Repeats the pattern to eight bytes, so that one loop serves all sizes.
   uint64_t word = pattern;
   for (uint32_t have = pattern_bytes; have < 8; have *= 2) {
     word = (word & ((uint64_t{1} << (8 * have)) - 1)) | (word << (8 * have));
@@ -277,7 +277,7 @@ novaphy_status create_program(const IsaTable& isa, const void* data, uint64_t by
                 "not a valid Program: %llu bytes are no whole words",
                 static_cast<unsigned long long>(bytes));
   }
-  // A copy, because the caller's bytes may be unaligned.
+  // The caller's bytes may be unaligned, so they are copied.
   std::vector<uint32_t> words(bytes / sizeof(uint32_t));
   if (bytes != 0) std::memcpy(words.data(), data, bytes);
   nova::ir::Program program;
@@ -300,7 +300,7 @@ novaphy_status module_create(novaphy_device* device, int32_t format, const void*
       if (status != NOVAPHY_OK) return status;
     } else if (format == NOVAPHY_CODE_BUILTIN) {
       const std::string_view name(static_cast<const char*>(data), bytes);
-      // The name may come with its terminating zero.
+      // The name may include its terminating zero.
       made->kernel.builtin = find_builtin(name.substr(0, name.find('\0')));
       if (made->kernel.builtin == nullptr) {
         return fail(error, NOVAPHY_INVALID_ARGUMENT, "unknown builtin '%.*s'",
@@ -429,20 +429,20 @@ constexpr novaphy_backend_api kApi = {
     module_destroy,
     kernel_get,
     launch,
-    nullptr,  // no capture: the runtime replays launches itself
+    nullptr,  // capture: the runtime replays launches itself
     nullptr,
     nullptr,
     nullptr,
     kernel_info,
-    nullptr,  // no lists: the runtime runs blocks of rows itself
+    nullptr,  // lists: the runtime runs blocks of rows itself
     nullptr,
     nullptr,
     scan_create,
     scan_launch,
     scan_destroy,
-    nullptr,  // no persistent kernels either
+    nullptr,  // persistent kernels
     nullptr,
-    nullptr,  // launch_active: the host reads the number
+    nullptr,  // launch_active: the host reads the number of rows
 };
 
 }  // namespace

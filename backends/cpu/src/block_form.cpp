@@ -134,8 +134,8 @@ class BlockBuilder {
     out_.loads.push_back(load);
   }
 
-  // Jumps are relative: from a skip past its region, from a loop's begin past its end and back to
-  // its body.
+  // Sets the relative jumps: a skip jumps past its region, a loop's begin past its end, and its end
+  // back to its body.
   void set_jumps(const std::vector<int32_t>& at) {
     for (size_t k = 0; k < l_.items.size(); ++k) {
       const Item& item = l_.items[k];

@@ -39,8 +39,8 @@ struct RowSum {
   const float* item(int64_t k) const { return source + number(k) * width; }
 };
 
-// acc[0..width) += the items [begin, end), in order. With the width known the sums stay in machine
-// registers.
+// Adds the items [begin, end) to acc[0..width), in order. The constant width keeps the sums in
+// machine registers.
 template <int kWidth>
 void fold(const RowSum& s, int64_t begin, int64_t end, float* acc) {
   float sum[kWidth];
@@ -77,8 +77,8 @@ void fold_any(const RowSum& s, int64_t begin, int64_t end, float* acc) {
   }
 }
 
-// The sum from +0 of rows of `width` floats that lie one after the other, by the rule for long
-// rows. The sums of chunks replace the rows that they are of.
+// Computes the sum of contiguous rows of `width` floats, starting from +0, by the rule for long
+// rows. Overwrites the rows with the sums of chunks.
 void fold_chunks(float* sums, int64_t count, int64_t width, float* result) {
   const auto fold_rows = [&](int64_t begin, int64_t end) {
     std::fill(result, result + width, 0.0f);
@@ -98,8 +98,8 @@ void fold_chunks(float* sums, int64_t count, int64_t width, float* result) {
   fold_rows(0, count);
 }
 
-// The partial sums of a long row, kept per thread so that a replay allocates nothing. Taken out
-// while it is in use: a thread that waits for others may be given another row meanwhile.
+// The partial sums of a long row. Each thread keeps the memory, so a replay allocates none. A sum
+// takes the vector out of the thread, because a waiting thread may start another row meanwhile.
 thread_local std::vector<float> t_partial;
 
 struct LongRow {
@@ -120,10 +120,10 @@ void sum_long_row(const novaphy_host_api& host, const RowSum& s, int64_t begin, 
                   float* acc) {
   const int64_t chunks = (end - begin + kSumChunk - 1) / kSumChunk;
   std::vector<float> partial = std::move(t_partial);
-  partial.assign(static_cast<size_t>((chunks + 1) * s.width), 0.0f);  // and the total
+  partial.assign(static_cast<size_t>((chunks + 1) * s.width), 0.0f);  // the last row is the total
   LongRow row{&s, begin, end, partial.data()};
   if (chunks >= 8) {
-    host.parallel_for(chunks, sum_one_chunk, &row);  // serial when the rows already run in parallel
+    host.parallel_for(chunks, sum_one_chunk, &row);  // serial if the rows already run in parallel
   } else {
     for (int64_t chunk = 0; chunk < chunks; ++chunk) sum_one_chunk(&row, chunk);
   }
@@ -134,8 +134,8 @@ void sum_long_row(const novaphy_host_api& host, const RowSum& s, int64_t begin, 
 }
 
 struct RowSumLaunch {
-  RowSum sum, second;  // without an `out`: there is no second
-  ThreeSums threes;    // the same, for a width of 3
+  RowSum sum, second;  // second.out null: no second sum
+  ThreeSums threes;    // the same for a width of 3
   int64_t chunk_rows;
   const novaphy_host_api* host;
   const IsaTable* isa;
@@ -153,7 +153,7 @@ void sum_row(RowSumLaunch& launch, const RowSum& s, int64_t row) {
   if (end - begin <= kSumChunk) return fold_any(s, begin, end, out);
   try {
     sum_long_row(*launch.host, s, begin, end, out);
-  } catch (...) {  // only the partial sums allocate
+  } catch (...) {  // only the partial sums allocate memory
     launch.out_of_memory = true;
   }
 }
@@ -236,14 +236,14 @@ novaphy_status exclusive_scan(const novaphy_host_api&, const IsaTable&, int64_t 
   return NOVAPHY_OK;
 }
 
-// Least significant digit first, 11 bits at a time: each pass is stable.
+// A radix sort from the least significant digit, 11 bits at a time. Each pass is stable.
 novaphy_status sort_by_key(const novaphy_host_api&, const IsaTable&, int64_t n, const uint64_t* a,
                            novaphy_error*) {
   const auto* keys = pointer<const int32_t>(a[0]);
   auto* order = pointer<int32_t>(a[1]);
   if (n <= 64) {
     std::iota(order, order + n, 0);
-    for (int64_t k = 1; k < n; ++k) {  // insertion keeps equal keys in order
+    for (int64_t k = 1; k < n; ++k) {  // insertion sort is stable
       const int32_t item = order[k];
       int64_t at = k;
       for (; at > 0 && keys[order[at - 1]] > keys[item]; --at) order[at] = order[at - 1];
@@ -280,7 +280,7 @@ novaphy_status incidence(const novaphy_host_api&, const IsaTable&, int64_t n, co
                 "incidence_i32: slots: expected 0 to 2^31 - 1, got %lld",
                 static_cast<long long>(slots));
   }
-  for (int64_t s = 0; s < slots; ++s) {  // before anything is written
+  for (int64_t s = 0; s < slots; ++s) {  // checked before any result is written
     if (table[s] >= n) {
       return fail(error, NOVAPHY_INDEX_OUT_OF_RANGE,
                   "incidence_i32: slot %lld holds row %d of %lld rows", static_cast<long long>(s),
@@ -292,7 +292,7 @@ novaphy_status incidence(const novaphy_host_api&, const IsaTable&, int64_t n, co
     if (table[s] >= 0) ++offsets[table[s] + 1];
   }
   std::partial_sum(offsets, offsets + n + 1, offsets);
-  // Offsets run ahead to the ends of their rows, and are put back.
+  // The loop advances each offset to the end of its row; the offsets are shifted back afterwards.
   for (int64_t s = 0; s < slots; ++s) {
     if (table[s] >= 0) items[offsets[table[s]]++] = static_cast<int32_t>(s);
   }
@@ -304,7 +304,7 @@ novaphy_status incidence(const novaphy_host_api&, const IsaTable&, int64_t n, co
 struct Checksum {
   const unsigned char* data;
   int64_t bytes;
-  std::atomic<uint64_t> sum{0};  // in any order: it wraps
+  std::atomic<uint64_t> sum{0};  // the order does not matter, because the sum wraps
 };
 constexpr int64_t kChecksumChunk = 8192;  // words
 

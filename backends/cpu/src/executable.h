@@ -1,10 +1,9 @@
-// A Program on the CPU: two instruction lists over plain numbers. The block form runs each
-// instruction over a block of lanes (rows); the scalar form runs one row at a time and is for
-// launches of very few rows.
+// A Program on the CPU, as two instruction lists over plain numbers. The block form runs each
+// instruction over a block of lanes (rows). The scalar form runs one row at a time, for launches of
+// very few rows.
 //
-// Translation units that are compiled for one instruction set include this header. The header must
-// not bring in any inline function of a library: the linker could keep the copy that only a newer
-// processor can run.
+// Translation units for one instruction set include this header. The header must not include any
+// inline function of a library: the linker could keep a copy that only a newer processor can run.
 #pragma once
 
 #include <stdint.h>
@@ -15,18 +14,18 @@
 namespace novaphy::cpu {
 
 constexpr int32_t kLanes = 256;     // rows per block
-constexpr int32_t kLaneGroup = 16;  // a block's lanes are rounded up to a multiple of this
+constexpr int32_t kLaneGroup = 16;  // the lanes of a block are rounded up to a multiple of this
 constexpr int32_t kMaxLoadColumns = 4;
 
-// The name of every arithmetic op; ops.h gives the expressions. MUL_ADD, MUL_SUB and SUB_MUL round
-// twice, exactly as the two instructions that they stand for.
+// The names of all arithmetic operations; ops.h has the expressions. MUL_ADD, MUL_SUB and SUB_MUL
+// round twice, exactly as the two instructions that they replace.
 enum CpuOp : uint16_t {
 #define NOVAPHY_CPU_NAME1(name, r, a, expr) name,
 #define NOVAPHY_CPU_NAME2(name, r, a, b, expr) name,
 #define NOVAPHY_CPU_NAME3(name, r, a, b, c, expr) name,
   NOVAPHY_CPU_OPS(NOVAPHY_CPU_NAME1, NOVAPHY_CPU_NAME2, NOVAPHY_CPU_NAME3) kArithmeticOps,
-  // scalar form only
-  kSkipUnless = kArithmeticOps,  // a = condition, jump when it is false
+  // The operations below exist only in the scalar form.
+  kSkipUnless = kArithmeticOps,  // a = condition; jumps if the condition is false
   kSkipIf,
   kLoopBegin,  // a = loop
   kLoopEnd,
@@ -34,7 +33,7 @@ enum CpuOp : uint16_t {
   kLoadRow2,
   kLoadRow3,
   kLoadRow4,
-  kLoadAt1,  // the same of row b
+  kLoadAt1,  // the same for row b
   kLoadAt2,
   kLoadAt3,
   kLoadAt4,
@@ -62,9 +61,9 @@ struct SumSlots {
 
 struct LoopCode {
   int32_t csr;
-  int32_t word;           // launch argument: the extent, or the CSR offsets (items follow)
-  int32_t reduce;         // scalar that receives the loop counter, -1: nobody reads it
-  int32_t slot;           // receives the item, -1: nobody reads it
+  int32_t word;           // launch argument: the extent, or the CSR offsets (followed by the items)
+  int32_t reduce;         // scalar for the loop counter; -1: unused
+  int32_t slot;           // receives the item; -1: unused
   int32_t start, length;  // block form, CSR: registers
   int32_t active;         // block form, CSR: mask register
   int32_t sums_begin, sums_end;
@@ -73,9 +72,9 @@ struct LoopCode {
 
 struct LoadCode {
   int32_t source, width, column, count;  // consecutive columns
-  int32_t row;  // register or scalar; not used when the row is the lane's own
+  int32_t row;  // register or scalar; unused for the lane's own row
   int32_t target[kMaxLoadColumns];
-  int32_t guards_begin, guards_end;  // a lane needs the value only when all of these hold
+  int32_t guards_begin, guards_end;  // a lane needs the value only if all of these guards hold
 };
 
 struct GuardCode {
@@ -89,7 +88,7 @@ struct StoreCode {
 
 struct BlockContext;
 struct BlockInstr;
-// Runs one instruction over the lanes of a block and returns the next one, null at the end.
+// Runs one instruction over the lanes of a block. Returns the next instruction, null at the end.
 using BlockFn = const BlockInstr* (*)(BlockContext&, const BlockInstr&);
 struct BlockInstr {
   BlockFn run;
@@ -108,13 +107,13 @@ struct BlockTables {
 struct BlockContext {
   uint32_t* registers;  // kLanes words each
   uint32_t* scalars;
-  int32_t lanes;  // rounded up; lanes past `count` compute rubbish that nobody reads
+  int32_t lanes;  // rounded up; the results of lanes past `count` are ignored
   int32_t count;
   int64_t base;  // row of lane 0
   const uint64_t* arguments;
   BlockTables tables;
   ErrorSink* sink;
-  int32_t counter, extent;  // of the loop that runs
+  int32_t counter, extent;  // of the current loop
 };
 
 struct ScalarInstr {
@@ -131,12 +130,12 @@ struct ScalarCode {
   int32_t index;         // the scalar that holds the row number
 };
 
-// Rows of three floats, each its `init` (null: +0) and then the rows of its items in their order,
-// of one array or of two over the same items: without offsets a row has `stride` items, without
-// items they are in order.
+// Sums rows of three floats. A row starts from its `init` (null: +0) and adds its items in order.
+// Two arrays may be summed over the same items. Without offsets a row has `stride` items; without
+// items they are consecutive.
 struct ThreeSum {
   const float *source, *init;
-  float* out;  // null: there is no second sum
+  float* out;  // null: no second sum
 };
 struct ThreeSums {
   ThreeSum sum[2];
@@ -144,19 +143,19 @@ struct ThreeSums {
   int64_t stride, longest;
 };
 
-// The functions of one instruction set. `ops` is indexed by op and by the set of operands that are
-// scalars (bit k: operand k); with all operands scalar the result is a scalar.
+// The functions for one instruction set. The first index of `ops` is the operation. The second is
+// the set of scalar operands (bit k: operand k); if all operands are scalar, so is the result.
 struct IsaTable {
   const char* name;
-  int32_t lanes;        // of a vector of the processor
-  int64_t scalar_rows;  // up to so many rows the scalar form is faster (measured)
+  int32_t lanes;        // lanes of a vector register
+  int64_t scalar_rows;  // the scalar form is faster up to this many rows (measured)
   BlockFn ops[kArithmeticOps][8];
   BlockFn index, store, end, loop_begin, loop_end;
   BlockFn load_row, load_at, load_scalar;
-  BlockFn skip[2];  // by: the condition is a scalar
+  BlockFn skip[2];  // [1]: the condition is a scalar
   void (*run_scalar)(const ScalarCode& code, const uint64_t* arguments, int64_t begin, int64_t end,
                      uint32_t* scalars, ErrorSink* sink);
-  // Returns the first row that it left: one of more items than the longest.
+  // Returns the first row that was not summed, because it has more items than `longest`.
   int64_t (*sum_threes)(const ThreeSums& sums, int64_t row, int64_t last);
 };
 

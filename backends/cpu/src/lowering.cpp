@@ -90,8 +90,8 @@ CpuOp cpu_op(Op op) {
     case Op::SELECT_I:
     case Op::SELECT_B:
       return SELECT;
-    // No default, so that a new op is noticed here. The rest are leaves, loads, aliases and trace
-    // ops.
+    // No default, so that the compiler reports a missing new operation. The cases below are leaves,
+    // loads, aliases and trace operations.
     case Op::CONST_F:
     case Op::CONST_I:
     case Op::CONST_B:
@@ -162,7 +162,7 @@ class Lowerer {
         loop.active = new_value(false);
       }
     }
-    // F_BITS and BITS_F only change how a word is read, and SUM is its accumulator.
+    // F_BITS and BITS_F only reinterpret a word, and SUM is an alias of its accumulator.
     alias_.resize(count);
     for (size_t v = 0; v < count; ++v) {
       const ir::Instr& in = p_.instrs[v];
@@ -197,7 +197,7 @@ class Lowerer {
     }
   }
 
-  // Which loop and which skip region a step stands in.
+  // Finds the loop and the skip region around each step.
   void locate_steps() {
     place_of_.assign(p_.instrs.size(), {-1, -1});
     std::vector<std::pair<int32_t, int32_t>> open;  // (end, region)
@@ -223,7 +223,7 @@ class Lowerer {
       if (step.kind != ir::Step::Kind::Compute) continue;
       const ir::Instr& in = p_.instrs[static_cast<size_t>(step.value)];
       if (in.op == Op::F_BITS || in.op == Op::BITS_F)
-        continue;  // its own uses count for what it stands for
+        continue;  // the uses of an alias count for its operand
       ir::for_each_operand(in, [&](ir::Value o) { use(resolve(o)); });
     }
     for (const LoopValues& loop : out_.loops) {
@@ -235,9 +235,9 @@ class Lowerer {
     }
   }
 
-  // a * b whose only use is one addition next to it becomes part of that addition: the same two
-  // roundings, one instruction less. Never across a region, so that the product is not computed
-  // where it was not.
+  // Merges a * b into an addition next to it, if the addition is its only use. The merged operation
+  // rounds twice, as before. A product never moves into a region, where it would be computed for
+  // other lanes.
   void join_multiply_add() {
     joined_.assign(p_.instrs.size(), kNoValue);
     absorbed_.assign(p_.instrs.size(), false);
@@ -258,8 +258,8 @@ class Lowerer {
     }
   }
 
-  // Loads of consecutive columns of one row, in the same loop and region, become one item where the
-  // first stood.
+  // Merges loads of consecutive columns of a row, in the same loop and region, into one item at the
+  // place of the first load.
   void group_loads() {
     using Key = std::tuple<int32_t, ValueId, int32_t, int32_t>;  // source, row, loop, region
     std::map<Key, std::vector<std::pair<int32_t, ValueId>>> columns;
@@ -273,7 +273,7 @@ class Lowerer {
     }
     groups_at_.resize(p_.instrs.size());
     for (auto& [key, loads] : columns) {
-      const ValueId leader = loads.front().second;  // the first in the order of steps
+      const ValueId leader = loads.front().second;  // the first load in the order of steps
       std::sort(loads.begin(), loads.end());
       for (size_t k = 0; k < loads.size();) {
         LoadGroup group{std::get<0>(key), loads[k].first, std::get<1>(key), {}};
@@ -352,7 +352,7 @@ class Lowerer {
     item.kind = Item::Kind::Op;
     item.d = value;
     ValueId* const operands[3] = {&item.a, &item.b, &item.c};
-    size_t count = 0;  // by the signature: the words of absent operands may hold anything
+    size_t count = 0;  // counted by signature, because the words of absent operands are arbitrary
     ir::for_each_operand(in, [&](ir::Value o) { *operands[count++] = resolve(o); });
     if (joined_[v] != kNoValue) {
       const ir::Instr& product = p_.instrs[static_cast<size_t>(joined_[v])];
@@ -382,8 +382,8 @@ class Lowerer {
     }
   }
 
-  // Constants (each bit pattern once) and parameters are scalars that are filled at the start of a
-  // launch.
+  // Constants (one for each bit pattern) and parameters are scalars, which are set at the start of
+  // a launch.
   void place_leaves() {
     out_.place.assign(static_cast<size_t>(next_value_), {-1, 0});
     for (size_t v = 0; v < out_.place.size(); ++v) out_.place[v].uniform = uniform_[v] ? 1 : 0;
@@ -419,8 +419,8 @@ class Lowerer {
   std::vector<char> uniform_;
   std::vector<std::pair<int32_t, int32_t>> place_of_;  // per instruction: loop, region
   std::vector<int32_t> uses_;
-  std::vector<ValueId> joined_;  // the product that an addition takes in
-  std::vector<char> absorbed_;   // products that live in an addition
+  std::vector<ValueId> joined_;  // the product merged into an addition
+  std::vector<char> absorbed_;   // products merged into an addition
   std::vector<std::vector<int32_t>> groups_at_;
 };
 

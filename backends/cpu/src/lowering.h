@@ -1,6 +1,6 @@
-// Lowers a Program to a flat list of items on numbered values: the common half of making the block
-// and the scalar form. Aliases are resolved, uniform values known, loads of neighboring columns
-// grouped and multiply-add pairs joined. Every value is placed in a register or a scalar.
+// Lowers a Program to a flat list of items on numbered values, the common part of the block form
+// and the scalar form. Lowering resolves aliases, finds uniform values, groups loads of neighboring
+// columns and merges multiply-add pairs. It also assigns a register or a scalar to every value.
 #pragma once
 
 #include <stdint.h>
@@ -12,14 +12,14 @@
 
 namespace novaphy::cpu {
 
-// Values are the instructions of the Program and, after them, those that only exist at run time
-// (the row's number, accumulators, the state of a CSR loop).
+// Values are the instructions of the Program, followed by values that exist only at run time: the
+// row number, accumulators and the state of a CSR loop.
 using ValueId = int32_t;
 constexpr ValueId kNoValue = -1;
 
 struct LoadGroup {
   int32_t source = 0, column = 0;
-  ValueId row = kNoValue;  // the lane's own row when it is Lowering::index_value
+  ValueId row = kNoValue;  // Lowering::index_value: the lane's own row
   std::vector<ValueId> targets;
 };
 
@@ -27,9 +27,9 @@ struct Item {
   enum class Kind { Op, Load, Skip, LoopBegin, LoopEnd } kind;
   CpuOp op = kArithmeticOps;
   ValueId d = kNoValue, a = kNoValue, b = kNoValue, c = kNoValue;
-  int32_t group = -1;    // Load
-  int32_t loop = -1;     // LoopBegin, LoopEnd: which; else the loop around, or -1
-  int32_t region = -1;   // innermost skip around (item number), or -1
+  int32_t group = -1;    // for Load
+  int32_t loop = -1;     // LoopBegin, LoopEnd: this loop; others: the enclosing loop, or -1
+  int32_t region = -1;   // item number of the innermost enclosing skip, or -1
   bool polarity = true;  // Skip: the region is for lanes with a == polarity
   int32_t target = -1;   // Skip: first item after the region
   bool uniform = false;  // one result for all lanes
@@ -37,7 +37,7 @@ struct Item {
 
 struct LoopValues {
   std::vector<ValueId> accumulators, inits, terms;
-  ValueId reduce = kNoValue, slot = kNoValue;  // kNoValue: nobody reads it
+  ValueId reduce = kNoValue, slot = kNoValue;  // kNoValue: unused
   ValueId start = kNoValue, length = kNoValue, active = kNoValue;
   int32_t begin = 0, end = 0;  // items
 };
@@ -51,7 +51,7 @@ struct Lowered {
   bool index_used = false;          // as a value, not only as the row of a load
   std::vector<Operand> place;       // per value
   std::vector<uint32_t> constants;  // scalars [0, n)
-  std::vector<int32_t> parameters;  // the following scalars: which parameter each holds
+  std::vector<int32_t> parameters;  // the next scalars: the parameter in each
   int32_t register_count = 0, scalar_count = 0;
   std::vector<int32_t> prologue;  // block form: items that run once per launch
 };
@@ -60,7 +60,7 @@ struct Lowered {
 Lowered lower(const nova::ir::Program& program, const std::vector<nova::ir::Step>& steps,
               bool scalar_form);
 
-// Gives every value of `lowered` its place.
+// Assigns a register or a scalar to every value of `lowered`.
 void place_values(Lowered& lowered, bool scalar_form);
 
 }  // namespace novaphy::cpu

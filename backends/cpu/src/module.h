@@ -1,4 +1,4 @@
-// A Program, or a builtin, made ready to run.
+// A Program or a builtin, ready to run.
 #pragma once
 
 #include <stdint.h>
@@ -17,7 +17,8 @@ namespace novaphy::cpu {
 
 struct BlockForm {
   std::vector<uint32_t> constants;
-  std::vector<uint32_t> parameter_words;  // launch argument words, one per following scalar
+  std::vector<uint32_t> parameter_words;  // launch argument words, for the scalars after the
+                                          // constants
   int32_t register_count = 0, scalar_count = 0;
   std::vector<BlockInstr> prologue, code;
   std::vector<LoadCode> loads;
@@ -59,8 +60,8 @@ class Executable {
   const uint32_t first_output;
   const IsaTable& isa;
   const NativeCode native;
-  const double operations;  // of one row, but for its sums: a load counts as several
-  // Made at once without native code, else when a launch first needs it.
+  const double operations;  // operations per row, without its sums; a load counts as several
+  // Built immediately if there is no native code, or else when a launch first needs it.
   const Interpreted& interpreted() const;
 
  private:
@@ -73,29 +74,30 @@ BlockForm make_block_form(const nova::ir::Program& program,
 ScalarForm make_scalar_form(const nova::ir::Program& program,
                             const std::vector<nova::ir::Step>& steps);
 
-// The scratch memory of the calling thread, at least `words` words, 64-byte aligned; kept between
-// calls.
+// Returns scratch memory of the calling thread, of at least `words` words with 64-byte alignment.
+// The memory is kept between calls.
 uint32_t* thread_scratch(size_t words);
 
-// Rows per chunk of a launch that is shared out to threads, at most: a multiple of every group.
+// The largest number of rows per chunk of a parallel launch: a multiple of the size of every lane
+// group.
 constexpr int64_t kChunkRows = 8 * kLanes;
 
 novaphy_status run_executable(const Executable& executable, const novaphy_host_api& host, int64_t n,
                               const uint64_t* arguments, novaphy_error* error);
-// The native code, which hands the rows that it cannot do to the interpreter.
+// Runs the native code. Rows that it does not support go to the interpreter.
 void run_native(const Executable& executable, const novaphy_host_api& host, int64_t n,
                 const uint64_t* arguments, ErrorSink& sink);
-// Some rows of a launch, on the calling thread.
+// Runs some rows of a launch on the calling thread.
 void run_native_rows(const Executable& executable, const uint64_t* arguments, int64_t begin,
                      int64_t end, ErrorSink& sink);
-// The message of the read out of range that the sink holds.
+// Writes the message about the out-of-range read in the sink.
 novaphy_status out_of_range(const Executable& executable, const ErrorSink& sink,
                             const uint64_t* arguments, novaphy_error* error);
-// The interpreter, on the calling thread.
+// Runs the interpreter on the calling thread.
 void interpret_rows(const Executable& executable, int64_t begin, int64_t end,
                     const uint64_t* arguments, ErrorSink& sink);
 
-// A builtin: its argument count, and what runs it.
+// A builtin: its number of arguments and its function.
 struct Builtin {
   const char* name;
   uint32_t argument_count;

@@ -14,7 +14,7 @@ struct Launch {
   int64_t n, chunk_rows;
 };
 
-// What one row costs, in operations: once more for every item of a sum.
+// Returns the operations per row. Each item of a sum adds the same number again.
 double operations_per_row(const Executable& executable, int64_t n, const uint64_t* arguments) {
   const nova::ir::Program& p = executable.program;
   double times = 1.0;
@@ -30,11 +30,12 @@ double operations_per_row(const Executable& executable, int64_t n, const uint64_
   return times * executable.operations;
 }
 
-// So many rows that a chunk, about a microsecond of work, is worth handing to another thread; more
-// where there are many chunks, and all about the same.
+// Returns the rows per chunk. A chunk takes at least about a microsecond, so that it is worth
+// handing to another thread. Many chunks get more rows each, of about equal size.
 int64_t chunk_rows(const Executable& executable, int64_t n, const uint64_t* arguments) {
   constexpr double kOperations = 1 << 16;
-  constexpr int64_t kStep = 64, kManyChunks = 256;  // the step is a multiple of every group
+  constexpr int64_t kStep = 64, kManyChunks = 256;  // kStep is a multiple of the size of every lane
+                                                    // group
   const double rows = kOperations / operations_per_row(executable, n, arguments);
   const int64_t most =
       std::clamp(std::max(static_cast<int64_t>(rows), n / kManyChunks), kStep, kChunkRows);
@@ -58,15 +59,15 @@ void run_native_rows(const Executable& executable, const uint64_t* arguments, in
   int64_t done = begin;
   if (end - begin >= code.lanes) done = code.rows(arguments, begin, end, &sink);
   if (done < end) done = code.scalar(arguments, done, end, &sink);
-  // Only where a source has fewer rows than the launch: the interpreter knows which lanes need
-  // them.
+  // Rows are left only if a source has fewer rows than the launch. The interpreter knows which
+  // lanes read such a row.
   if (done < end) [[unlikely]]
     interpret_rows(executable, done, end, arguments, sink);
 }
 
 void run_native(const Executable& executable, const novaphy_host_api& host, int64_t n,
                 const uint64_t* arguments, ErrorSink& sink) {
-  constexpr int64_t kFew = 128;  // too few to ask what they cost
+  constexpr int64_t kFew = 128;  // too few rows to estimate their cost
   const bool whole = n <= kFew || (host.in_parallel != nullptr && host.in_parallel() != 0);
   const int64_t rows = whole ? n : chunk_rows(executable, n, arguments);
   if (n <= rows) {

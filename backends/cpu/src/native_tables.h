@@ -1,5 +1,5 @@
-// Kernels that were compiled ahead, found by the hash of their Program. The objects that core links
-// have none; the plugin brings its tables.
+// Kernels compiled ahead of time, found by the hash of their Program. The objects that core links
+// have none; the plugin has tables.
 #pragma once
 
 #include <span>
@@ -10,23 +10,23 @@
 namespace novaphy::cpu {
 
 struct NativeLevel {
-  const char* name;  // of the instruction set; "scalar": one row at a time, for every processor
+  const char* name;  // name of the instruction set; "scalar": one row at a time, on every processor
   std::span<const novaphy_native_table* const> parts;
 };
 
-// What runs a Program natively; all null: nothing does.
+// The native code of a Program; all null: there is none.
 struct NativeCode {
   novaphy_native_fn rows = nullptr;    // groups of `lanes` rows
   novaphy_native_fn scalar = nullptr;  // single rows
   int32_t lanes = 1;
-  // The same for scans of launches, both or none.
+  // The same for scans of launches: both are set, or neither.
   const novaphy_native_scan* scan_rows = nullptr;
   const novaphy_native_scan* scan_scalar = nullptr;
 };
 
-// Called by the plugin, before any device is opened.
+// The plugin calls this before any device is opened.
 void set_native_levels(std::span<const NativeLevel> levels);
-// Both forms, or none.
+// Returns both forms, or neither.
 NativeCode find_native(const nova::ir::Program& program, const char* isa);
 
 }  // namespace novaphy::cpu

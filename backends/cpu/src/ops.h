@@ -1,6 +1,6 @@
-// The arithmetic of the CPU backend, once, for the block form and the scalar form: OPk(name, result type, operand
-// types, expression). F float, I int32, U uint32; bools are I with all bits 0 or all bits 1. A bit pattern needs no
-// cast op: registers carry words.
+// The arithmetic of the CPU backend, shared by the block form and the scalar form: OPk(name, result
+// type, operand types, expression). F float, I int32, U uint32; bools are I with all bits 0 or all
+// bits 1. Reinterpreting bits needs no operation, because registers hold words.
 
 #ifndef NOVAPHY_CPU_OPS
 #define NOVAPHY_CPU_OPS(OP1, OP2, OP3)                  \

@@ -1,5 +1,5 @@
-// Linear scan: values whose lives do not overlap share a register, so that the registers of a block
-// fit the cache.
+// Linear scan: values whose lifetimes do not overlap share a register. The registers of a block
+// then fit into the cache.
 #include <algorithm>
 #include <functional>
 
@@ -27,10 +27,10 @@ class Placer {
       if (end < static_cast<int32_t>(l_.items.size()))
         dying[static_cast<size_t>(end) + 1].push_back(static_cast<ValueId>(v));
     }
-    // Slot 0 of both lists is "before the first item": the row's number.
+    // Slot 0 of both lists stands for "before the first item", where the row number is set.
     for (size_t at = 0; at <= l_.items.size(); ++at) {
-      // Only a plain op reads all its operands lane by lane before it writes: there the result may
-      // take the place of an operand.
+      // Only a plain operation reads all operands lane by lane before it writes. Its result may
+      // therefore replace an operand.
       const bool in_place = at > 0 && l_.items[at - 1].kind == Item::Kind::Op;
       if (in_place) {
         release(dying[at], static_cast<int32_t>(at) - 1, false);
@@ -46,14 +46,15 @@ class Placer {
 
  private:
   static constexpr int32_t kNever = -2;
-  static constexpr int32_t kBefore = -1;  // born before the first item
+  static constexpr int32_t kBefore = -1;  // defined before the first item
 
-  // Scalars of the block form keep a place of their own: they are four bytes each.
+  // Scalars of the block form do not share places: a scalar takes only four bytes.
   bool shares(ValueId v) const {
     return scalar_form_ || l_.place[static_cast<size_t>(v)].uniform == 0;
   }
 
-  // Uniform items outside of loops and regions run once per launch, if all that they read does.
+  // Finds the uniform items outside of loops and regions that read only such items. They run once
+  // per launch.
   void find_prologue() {
     std::vector<char> early(l_.place.size(), 0);
     const auto known = [&](ValueId v) {
@@ -85,7 +86,7 @@ class Placer {
   void use(ValueId v, int32_t at) {
     if (v == kNoValue || l_.place[static_cast<size_t>(v)].slot >= 0)
       return;  // a constant or a parameter
-    // A value from before a loop is read in every iteration.
+    // A loop reads a value from before the loop in every iteration.
     const int32_t first = first_[static_cast<size_t>(v)];
     for (const LoopValues& loop : l_.loops) {
       if (at > loop.begin && at <= loop.end && first < loop.begin) at = loop.end;
@@ -111,7 +112,7 @@ class Placer {
           break;
         case Item::Kind::Skip:
           use(item.a,
-              std::max(at, item.target - 1));  // loads inside of the region look at the condition
+              std::max(at, item.target - 1));  // loads inside the region read the condition
           break;
         case Item::Kind::LoopBegin: {
           const LoopValues& loop = l_.loops[static_cast<size_t>(item.loop)];
@@ -137,7 +138,8 @@ class Placer {
       for (const ValueId v : values) use(v, static_cast<int32_t>(l_.items.size()));
     }
     if (scalar_form_)
-      use(l_.index_value, static_cast<int32_t>(l_.items.size()));  // the loop over rows sets it
+      // the loop over rows sets the index
+      use(l_.index_value, static_cast<int32_t>(l_.items.size()));
   }
 
   void take(const std::vector<ValueId>& values) {

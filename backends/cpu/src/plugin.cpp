@@ -3,7 +3,7 @@
 #include "novaphy/cpu/query.h"
 
 namespace novaphy::cpu {
-// Defined by the file that cmake/NovaPhyNative.cmake writes.
+// Defined in the file that cmake/NovaPhyNative.cmake generates.
 std::span<const NativeLevel> compiled_levels();
 }  // namespace novaphy::cpu
 

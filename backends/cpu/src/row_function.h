@@ -1,4 +1,4 @@
-// Hand-written kernels: functions over rows, which the host passes as BINARY modules.
+// Handwritten kernels: functions over rows, which the host passes as BINARY modules.
 #pragma once
 
 #include "novaphy/abi/backend.h"
@@ -8,7 +8,7 @@ namespace novaphy::cpu {
 // Checks and copies the struct of a BINARY module.
 novaphy_status read_row_function(const void* data, uint64_t bytes, novaphy_row_function& function,
                                  novaphy_error* error);
-// All rows, on the host's threads.
+// Runs all rows on the host's threads.
 void run_row_function(const novaphy_row_function& function, const novaphy_host_api& host, int64_t n,
                       const uint64_t* arguments);
 

@@ -1,5 +1,6 @@
-// Runs an executable: one row at a time when there are few rows, else in fixed chunks of blocks.
-// The chunks do not depend on the number of threads, and no row depends on its chunk.
+// Runs an executable: one row at a time if there are few rows, or else in fixed chunks of blocks.
+// Chunks do not depend on the number of threads, and the result of a row does not depend on its
+// chunk.
 #include <algorithm>
 #include <cstdlib>
 #include <new>
@@ -10,7 +11,8 @@
 namespace novaphy::cpu {
 namespace {
 
-constexpr size_t kStackScalars = 1024;  // a scalar form with more of them uses the thread's scratch
+constexpr size_t kStackScalars = 1024;  // a scalar form with more scalars uses the thread's scratch
+                                        // memory
 
 struct Scratch {
   uint32_t* words = nullptr;
@@ -19,7 +21,7 @@ struct Scratch {
 };
 thread_local Scratch t_scratch;
 
-// The scalars at the start of a launch: constants, then parameters.
+// Sets the scalars at the start of a launch: constants, then parameters.
 inline void set_leaves(uint32_t* scalars, const std::vector<uint32_t>& constants,
                        const std::vector<uint32_t>& parameter_words, const uint64_t* arguments) {
   uint32_t* next = std::copy(constants.begin(), constants.end(), scalars);
@@ -72,8 +74,8 @@ void run_chunk(void* opaque, int64_t chunk) {
   run_rows(launch, begin, std::min(launch.n, begin + kChunkRows));
 }
 
-// Prepares a launch of the block form and gives it to `run`. Rows of the scalars are copied for
-// every chunk, so that a chunk may write the ones that change in its loops.
+// Prepares a launch of the block form and passes it to `run`. Each chunk copies the scalars,
+// because its loops write some of them.
 template <class Run>
 void with_launch(const BlockForm& block, int64_t n, const uint64_t* arguments, ErrorSink& sink,
                  const Run& run) {

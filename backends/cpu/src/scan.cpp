@@ -22,7 +22,7 @@ struct Interval {
   bool overlaps(const Interval& other) const { return begin < other.end && other.begin < end; }
 };
 
-// What a launch may read through a source.
+// Returns the memory that a launch may read through a source.
 Interval read_by(const Program& p, const uint64_t* arguments, int32_t source) {
   const auto s = static_cast<size_t>(source);
   const uint64_t begin = arguments[p.source_argument(s)];
@@ -30,24 +30,26 @@ Interval read_by(const Program& p, const uint64_t* arguments, int32_t source) {
   return {begin, begin + rows * static_cast<uint64_t>(p.sources[s].width) * 4};
 }
 
-// An output has the rows of the source that it is carried to.
+// Returns the memory that an output writes. It has as many rows as the source to which it is
+// carried.
 Interval written_by(const Program& p, const uint64_t* arguments, size_t output, int32_t carried) {
   const Interval like = read_by(p, arguments, carried);
   const uint64_t begin = arguments[p.output_argument(output)];
   return {begin, begin + (like.end - like.begin)};
 }
 
-// A write that follows another to the same array is looked for in so many launches.
+// The number of later launches that are searched for a second write to the same array.
 constexpr size_t kLookForward = 8;
-// Outputs that take so much are streamed: no cache holds them until they are read.
+// From this size on, outputs are streamed past the caches, because no cache holds them until they
+// are read.
 constexpr uint64_t kStreamedBytes = 32 << 20;
 constexpr int32_t kLine = 64;
-// Of a room only what launches need in which something acts is ever touched.
+// Launches touch only as much of this memory as they need.
 constexpr int64_t kRoomBytes = 4 << 20;
 
 }  // namespace
 
-// What a scan has handed over on this thread: notes, and then rows.
+// The data that a scan passes to the next one on this thread: notes, followed by rows.
 struct novaphy_scan::Room {
   char* bytes = nullptr;
   const novaphy_scan* from = nullptr;
@@ -62,7 +64,7 @@ struct novaphy_scan::Room {
     begin = b;
     end = e;
   }
-  // What of the room there is for a scan that writes it, or the one that follows.
+  // Gives a part of the room to a scan that writes it, or to the scan that follows.
   void give(const novaphy_scan& writer, int64_t rows, novaphy_native_launches& all) {
     if (bytes == nullptr) [[unlikely]] {
       bytes = static_cast<char*>(std::aligned_alloc(4096, kRoomBytes));
@@ -106,7 +108,8 @@ std::span<const int32_t> novaphy_scan::varying() const {
   return {form.sources + form.outputs, static_cast<size_t>(form.varying)};
 }
 
-// Whether every launch reads what the one before wrote, and has the other words of the first.
+// Whether every launch reads the outputs of the one before, and has the other argument words of the
+// first.
 bool novaphy_scan::same_but_for_arrays() const {
   const Program& p = executable_->program;
   std::vector<char> free(executable_->argument_count, 0);
@@ -124,7 +127,7 @@ bool novaphy_scan::same_but_for_arrays() const {
   return true;
 }
 
-// Whether a launch writes what is read once, before all of them.
+// Whether a launch writes an array that the scan reads only once, before all launches.
 bool novaphy_scan::writes_what_all_read() const {
   const Program& p = executable_->program;
   const auto once = [&](int32_t source) {
@@ -144,8 +147,8 @@ bool novaphy_scan::writes_what_all_read() const {
   return false;
 }
 
-// Whether anything but the next launch, which has it in registers, reads what a launch writes:
-// after the scan, or in it.
+// Whether the output of a launch is read, after the scan or in it, by anything but the next launch,
+// which has it in registers.
 bool novaphy_scan::read_again(size_t k, size_t output) const {
   const Program& p = executable_->program;
   const Interval written = written_by(p, launches_[k], output, carried()[output]);
@@ -174,8 +177,8 @@ void novaphy_scan::make_table() {
   large_ = is_large();
 }
 
-// Whether the outputs are too much for the caches, and of the kind that the compiled form streams:
-// rows of three numbers, of which a group is whole lines.
+// Whether the outputs exceed the caches, and can be streamed by the compiled form: rows of three
+// numbers, where a group of rows fills whole cache lines.
 bool novaphy_scan::is_large() const {
   const Program& p = executable_->program;
   if (executable_->native.lanes * 12 % kLine != 0) return false;
@@ -201,8 +204,8 @@ void novaphy_scan::follow(novaphy_scan& first) {
                           static_cast<int64_t>(first.launches_.size());
 }
 
-// Whether, when this scan begins, anything that a launch of `first` read as carried has been
-// written again, or will be.
+// Whether an array that a launch of `first` carried is written again before this scan begins, or
+// later.
 bool novaphy_scan::overwrites(const novaphy_scan& first) const {
   std::map<uint64_t, uint64_t> taken;
   const auto apart = [&](const Interval& i) {
@@ -227,7 +230,8 @@ bool novaphy_scan::overwrites(const novaphy_scan& first) const {
   return !written(first, take) || !written(*this, apart);
 }
 
-// Whether every launch asks what one of `first` has asked, of the same values; and notes which.
+// Whether every launch evaluates the conditions of a launch of `first` with the same values. Stores
+// the matching launches.
 bool novaphy_scan::asks_like(const novaphy_scan& first) {
   const Program &asks = executable_->program, &asked = first.executable_->program;
   const uint64_t primal = executable_->native.scan_rows->primal;
@@ -278,7 +282,7 @@ novaphy_status novaphy_scan::run(int64_t begin, int64_t end, novaphy_error* erro
   all.streams = large_ && all.room != nullptr && begin * 12 % kLine == 0 ? 1 : 0;
   if (writes) room.from = nullptr;
   ErrorSink sink;
-  bool whole = true;  // all rows were done by the compiled form
+  bool whole = true;  // the compiled form did all rows
   for (int64_t i = begin; i < end;) {
     const novaphy_native_scan& form =
         end - i >= code.lanes ? *code.scan_rows : *code.scan_scalar;
@@ -287,7 +291,7 @@ novaphy_status novaphy_scan::run(int64_t begin, int64_t end, novaphy_error* erro
       i = left;
       continue;
     }
-    // Rows that this form cannot do, launch by launch.
+    // Rows that this form does not support run launch by launch.
     const int64_t stop = std::min(end, i + (end - i >= code.lanes ? code.lanes : 1));
     for (size_t k = 0; k < launches_.size(); ++k)
       run_native_rows(*executable_, launches_[k], i, stop, sink);
@@ -295,7 +299,7 @@ novaphy_status novaphy_scan::run(int64_t begin, int64_t end, novaphy_error* erro
     whole = false;
   }
 #if defined(__x86_64__)
-  if (all.streams != 0) _mm_sfence();  // other threads see what was streamed
+  if (all.streams != 0) _mm_sfence();  // makes streamed stores visible to other threads
 #endif
   if (sink.index != INT64_MAX) [[unlikely]]
     return out_of_range(*executable_, sink, launches_[0], error);

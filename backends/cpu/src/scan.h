@@ -11,21 +11,22 @@
 
 struct novaphy_scan {
  public:
-  // Null when the kernel has no compiled form for a scan, or the launches differ in more than
-  // that form allows. `first`: null, or a scan that always runs just before on the same rows and
-  // thread, and nothing in between writes what it read or wrote. If the new one asks the same
-  // questions, `first` notes for it which launches were quiet, and keeps near by what the others
-  // read, so that large outputs may be written past the caches.
+  // Returns null if the kernel has no compiled form for a scan, or if the launches differ in more
+  // than that form allows.
+  // `first` (may be null) is a scan that always runs just before this one, on the same rows and
+  // thread. No work in between writes the arrays that `first` read or wrote. If both scans evaluate
+  // the same conditions, `first` notes for this scan which launches had no effect. It also stores
+  // the rows that the other launches read, so that large outputs may bypass the caches.
   static std::unique_ptr<novaphy_scan> make(const novaphy::cpu::Executable& executable,
                                             std::span<const uint64_t* const> launches,
                                             novaphy_scan* first);
-  // The rows [begin, end) of all launches, on the calling thread.
+  // Runs the rows [begin, end) of all launches on the calling thread.
   novaphy_status run(int64_t begin, int64_t end, novaphy_error* error) const;
 
  private:
   struct Room;
   explicit novaphy_scan(const novaphy::cpu::Executable& executable) : executable_(&executable) {}
-  std::span<const int32_t> carried() const;  // per output: the source
+  std::span<const int32_t> carried() const;  // the source of each output
   std::span<const int32_t> varying() const;
   bool same_but_for_arrays() const;
   bool writes_what_all_read() const;
@@ -38,10 +39,10 @@ struct novaphy_scan {
   bool overwrites(const novaphy_scan& first) const;
 
   const novaphy::cpu::Executable* executable_;
-  std::vector<const uint64_t*> launches_;  // the argument words of each
-  std::vector<uint64_t> table_;            // what the compiled form reads of each launch
-  bool large_ = false;                     // the outputs are worth streaming
-  bool notes_ = false;                     // whether it writes notes for a scan that follows
-  int64_t room_row_bytes_ = 0;             // what a row takes of the room for that
-  const novaphy_scan* follows_ = nullptr;  // whose notes this one reads
+  std::vector<const uint64_t*> launches_;  // the argument words of each launch
+  std::vector<uint64_t> table_;            // the words of each launch that the compiled form reads
+  bool large_ = false;                     // streams the outputs
+  bool notes_ = false;                     // writes notes for a following scan
+  int64_t room_row_bytes_ = 0;             // bytes of the room per row
+  const novaphy_scan* follows_ = nullptr;  // the scan whose notes this one reads
 };

@@ -1,4 +1,4 @@
-// A plugin without code that was built ahead.
+// Compiled into plugins without ahead-of-time device code.
 #include "ahead.h"
 
 namespace novaphy::gpu {

@@ -1,4 +1,4 @@
-// The exported entry of libnovaphy_backend_cuda.so, and what is CUDA's own.
+// The exported entry of libnovaphy_backend_cuda.so, and the parts specific to CUDA.
 #include <cstdlib>
 
 #include "backend.h"

@@ -20,17 +20,17 @@
 namespace novaphy::gpu {
 namespace {
 
-// What stands where an image would.
+// Takes the place of a code image.
 struct Code {
   char magic[8];
-  uint64_t value;  // of kStubs: the address of stubs; of kLibrary: how many bytes follow
+  uint64_t value;  // kStubs: the address of the stubs; kLibrary: the number of bytes that follow
 };
 constexpr char kStubs[8] = "NVPSTUB", kLibrary[8] = "NVPLIBR";
 
-// A module that is loaded.
+// A loaded module.
 struct StubLibrary {
   const Stub* stubs;
-  void* library;  // null: that of all modules
+  void* library;  // null: the library of all modules
 };
 
 struct Kernels {
@@ -54,7 +54,7 @@ void put(std::vector<unsigned char>& bytes, const T& value) {
   bytes.insert(bytes.end(), from, from + sizeof(value));
 }
 
-// The table of ahead.h: each entry holds the address of the stubs.
+// Builds the table of ahead.h. Each entry holds the address of the stubs.
 void list_modules(const StubModule* modules, Kernels& kernels) {
   std::vector<StubModule> all;
   for (; modules->stubs != nullptr; ++modules) all.push_back(*modules);
@@ -67,7 +67,7 @@ void list_modules(const StubModule* modules, Kernels& kernels) {
   put(kernels.ahead, header);
   uint64_t offset = sizeof(header) + all.size() * sizeof(AheadEntry);
   for (const StubModule& m : all) {
-    // As text for the oldest device: whatever there is can run it.
+    // Marked as text for the oldest device, so that every device accepts it.
     put(kernels.ahead, AheadEntry{{m.key[0], m.key[1]}, 0, 1, offset, sizeof(Code)});
     offset += sizeof(Code);
   }
@@ -106,7 +106,7 @@ const Kernels& kernels() {
   return *opened;
 }
 
-// The file of a library that lies in memory.
+// Opens a shared library that lies in memory.
 void* open_bytes(const char* bytes, uint64_t count) {
   const int file = memfd_create("novaphy_kernel", MFD_CLOEXEC);
   if (file < 0) return nullptr;
@@ -123,9 +123,9 @@ void* open_bytes(const char* bytes, uint64_t count) {
   return library;
 }
 
-// Of what comes behind the prelude: those that "// kernel NAME WORDS" or VENDOR_ENTRY declares.
+// Returns the kernels declared after the prelude, by "// kernel NAME WORDS" or VENDOR_ENTRY.
 std::set<std::string> kernel_names(std::string source) {
-  source.erase(0, prelude_text().size() - 1);  // its last line ends there
+  source.erase(0, prelude_text().size() - 1);  // the last line of the prelude ends there
   std::set<std::string> names;
   const auto word_at = [&](size_t at) {
     size_t end = at;
@@ -181,7 +181,7 @@ Result load_stubs(Module* module, const void* code) {
   return kSuccess;
 }
 
-// A library stays open: run-time libraries keep addresses of what has registered with them.
+// Libraries stay open, because run-time libraries keep addresses of registered kernels.
 Result unload_stubs(Module module) {
   delete reinterpret_cast<StubLibrary*>(module);
   return kSuccess;
@@ -207,7 +207,7 @@ std::string stub_table(const std::string& source) {
   return text + "    {0, 0}};\n";
 }
 
-// The same options whatever the command is: the code that was built ahead stays valid.
+// The options do not depend on the command, so code built ahead of time stays valid.
 const CompilerHook kDlanCompiler = {
     [](Compiler& found, int) {
       const char* command = compiler_command();

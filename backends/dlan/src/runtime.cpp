@@ -26,11 +26,12 @@ struct Runtime {
 };
 Runtime g_runtime;
 
-// Copies, as cudaMemcpyKind.
+// Directions of copies, as in cudaMemcpyKind.
 enum : int { kToDevice = 1, kToHost = 2, kOnDevice = 3 };
 
-// NOVAPHY_DLAN_SYMBOLS: a file of lines "NAME = OTHER", where NAME is one of the list and OTHER
-// what the library calls it; nothing: it has none. Lines that begin with # say nothing.
+// Reads the file NOVAPHY_DLAN_SYMBOLS, with lines "NAME = OTHER": the library exports the function
+// NAME as OTHER. An empty OTHER means that the library lacks the function. Lines that begin with #
+// are comments.
 bool read_symbols(std::map<std::string, std::string>& names, std::string& problem) {
 #define NOVAPHY_DLAN_NAME(name, result, arguments, symbol, needed) names[symbol] = symbol;
   NOVAPHY_DLAN_FUNCTIONS(NOVAPHY_DLAN_NAME)
@@ -65,7 +66,7 @@ Context context_of(int device) {
 }
 int device_of(Context context) { return static_cast<int>(reinterpret_cast<intptr_t>(context) - 1); }
 
-// Another device for a scope.
+// Makes another device current for a scope.
 class On {
  public:
   explicit On(int device) {
@@ -80,7 +81,7 @@ class On {
   int before_ = 0;
 };
 
-// Properties begin with the name; how long they are is the library's secret.
+// The properties begin with the name. Their total size is not known.
 Result name_of(char* name, int size, DeviceId device) {
   constexpr size_t kMost = 64 << 10, kName = 256;
   std::snprintf(name, static_cast<size_t>(size), "%s", vendor().toolkit);
@@ -93,7 +94,7 @@ Result name_of(char* name, int size, DeviceId device) {
   return result;
 }
 
-// Bytes that are equal are the library's own; other patterns are a kernel's work.
+// The library fills with equal bytes; a kernel fills with other patterns.
 Result fill_rows(DevicePointer target, size_t pitch, uint32_t pattern, uint32_t bytes, size_t count,
                  Stream stream) {
   const uint32_t byte = pattern & 0xffu;
@@ -156,7 +157,7 @@ void fit(Driver& d) {
   d.memory_info = r.memory_info;
   d.alloc = r.alloc;
   d.free = r.free;
-  // Without memory in the order of a stream, whoever frees waits for it.
+  // If the library has no stream-ordered memory, freeing waits for the stream.
   d.alloc_async = r.alloc_async;
   d.free_async = r.free_async;
   if (r.alloc_async == nullptr || r.free_async == nullptr) {
@@ -208,7 +209,7 @@ void fit(Driver& d) {
     return g_runtime.launch(function, {bx, by, bz}, {tx, ty, tz}, arguments, shared, stream);
   };
   d.blocks_per_unit = r.blocks_per_unit;
-  // Persistent kernels and graphs: VendorInfo says that there are none.
+  // VendorInfo says that there are no persistent kernels and graphs.
   d.launch_together = [](Function, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned,
                          unsigned, Stream, void**) { return kNotSupported; };
 }
@@ -228,7 +229,7 @@ bool load_runtime(Driver& d, void* library) {
 #undef NOVAPHY_DLAN_LOAD
   fit(d);
   if (!missing.empty()) return lacks_symbol(d, missing.c_str());
-  // Kernels register with the library: they find it by its symbols.
+  // Kernels find the library by its symbols when they register.
   Dl_info info{};
   if (dladdr(reinterpret_cast<const void*>(g_runtime.launch), &info) != 0)
     dlopen(info.dli_fname, RTLD_NOW | RTLD_GLOBAL | RTLD_NOLOAD);

@@ -1,6 +1,7 @@
-// A run-time library that looks like CUDA's, fitted to the table of a driver (driver.h).
+// Fits a run-time library with CUDA's interface to the driver table (driver.h).
 //
-// Nobody here has seen Denglin's: the names are CUDA's, in one list, and a file can replace them.
+// The names in the list are CUDA's, because Denglin's library has not been tested. A file can
+// replace the names.
 #pragma once
 
 #include <string>
@@ -13,7 +14,7 @@ struct Dim3 {
   unsigned x, y, z;
 };
 
-// X(member, result, arguments, symbol, needed). Those that are not needed have another way.
+// X(member, result, arguments, symbol, needed). A function that is not needed has a replacement.
 #define NOVAPHY_DLAN_FUNCTIONS(X)                                                                \
   X(version, Result, (int*), "cudaRuntimeGetVersion", false)                                     \
   X(error_name, const char*, (Result), "cudaGetErrorName", true)                                 \

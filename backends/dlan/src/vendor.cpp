@@ -1,4 +1,4 @@
-// What is Denglin's own. docs/guide/denglin.md lists what of it nobody has verified.
+// The parts specific to Denglin. docs/guide/denglin.md lists the parts that have not been verified.
 #include "vendor.h"
 
 #include <cstdlib>
@@ -12,7 +12,7 @@
 namespace novaphy::gpu {
 namespace {
 
-// NOVAPHY_DLAN_LIBRARY, else libcurt.so of NOVAPHY_DLAN_ROOT, which is the folder of the SDK.
+// Returns NOVAPHY_DLAN_LIBRARY, or libcurt.so in the SDK folder NOVAPHY_DLAN_ROOT.
 const char* library() {
   if (const char* file = std::getenv("NOVAPHY_DLAN_LIBRARY"); file != nullptr && *file != '\0')
     return file;

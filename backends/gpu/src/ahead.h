@@ -1,4 +1,4 @@
-// Device code that was compiled in the build, and lies in the plugin.
+// Device code compiled in the build and stored in the plugin.
 #pragma once
 
 #include <cstdint>
@@ -14,12 +14,13 @@ struct AheadEntry {
   int32_t arch = 0;
   int32_t is_text = 0;  // assembler text for this and newer devices; else an image for this one
                         // and newer ones of its major version
-  uint64_t offset = 0;  // of the code, from the start of the whole; 64-byte aligned
+  uint64_t offset = 0;  // offset of the code in the whole data; 64-byte aligned
   uint64_t bytes = 0;
 };
 struct AheadHeader {
   char magic[8];
-  uint64_t count;  // of the entries that follow, sorted by key, then images, then texts, by arch
+  uint64_t count;  // number of entries that follow, sorted by key, then images before texts, then
+                   // by arch
 };
 inline constexpr char kAheadMagic[8] = {'N', 'V', 'P', 'H', 'D', 'E', 'V', '1'};
 
@@ -27,10 +28,10 @@ struct AheadCode {
   const void* data = nullptr;
   uint64_t bytes = 0;
 };
-// The newest image that runs on the device, else the newest text, else null.
+// Returns the newest image that runs on the device, or else the newest text, or else null.
 AheadCode find_ahead(const CodeKey& key, int arch);
 
-// The whole, which the plugin defines; no bytes: nothing was built ahead.
+// The data defined by the plugin; no bytes: nothing was built ahead of time.
 struct AheadData {
   const unsigned char* data;
   uint64_t bytes;

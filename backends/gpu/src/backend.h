@@ -1,4 +1,4 @@
-// The table of a backend of this family, for the vendor's plugin to export.
+// The function table of a GPU backend, which the vendor's plugin exports.
 #pragma once
 
 #include "novaphy/abi/backend.h"

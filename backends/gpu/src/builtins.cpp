@@ -1,5 +1,5 @@
-// The host's side of the builtins: their modules, launches and scratch memory. The scratch memory
-// is taken and given back in stream order, so a captured builtin brings its own along.
+// The host side of the builtins: their modules, launches and scratch memory. Scratch memory is
+// allocated and freed in stream order, so a captured builtin contains its own.
 #include <algorithm>
 #include <bit>
 #include <limits>
@@ -18,7 +18,7 @@ struct Functions {
            checksum = nullptr;
 };
 
-// Compiled at the first use on a device and kept as long as the process.
+// Compiled at the first use on a device, and kept until the process ends.
 std::mutex g_mutex;
 std::map<const novaphy_device*, Functions> g_functions;
 
@@ -52,7 +52,7 @@ novaphy_status load_functions(novaphy_device* device, const Functions** result,
   return NOVAPHY_OK;
 }
 
-// Of a kernel that exists: loaded already.
+// Returns the functions of a kernel that exists, which are therefore loaded.
 const Functions& functions_of(const novaphy_device* device) {
   const std::lock_guard lock(g_mutex);
   return g_functions.find(device)->second;
@@ -155,13 +155,14 @@ int64_t sort_blocks(int64_t n) {
 }
 uint64_t sort_counts(int64_t n) { return static_cast<uint64_t>(sort_blocks(n) * kDigits); }
 
-// Sorts the numbers 0 .. n-1 by the lowest `bits` of their keys into `result`. `other`: memory for
-// as many. `size`: where the number of those below the limit stands, or null.
+// Sorts the numbers 0 .. n-1 by the lowest `bits` of their keys into `result`. `other`: memory of
+// the same size. `size`: the address of the number of items below the limit, or null.
 novaphy_status sort(novaphy_stream* stream, const Functions& f, SortArguments arguments,
                     int32_t bits, uint64_t result, uint64_t other, const char* name,
                     novaphy_error* error) {
   const int64_t blocks = sort_blocks(arguments.n);
-  const uint64_t size = std::exchange(arguments.size, 0);  // the first pass leaves others out
+  // the first pass drops the items above the limit
+  const uint64_t size = std::exchange(arguments.size, 0);
   void* pointers[] = {&arguments};
   if ((bits + kDigitBits - 1) / kDigitBits % 2 == 0) std::swap(result, other);
   for (arguments.shift = 0; arguments.shift < bits; arguments.shift += kDigitBits) {

@@ -124,7 +124,7 @@ bool CodeCache::find(const CodeKey& key, std::vector<char>& code) {
     good = have == code.size() && hash_bytes(code.data(), code.size(), key.a) == header.checksum;
   }
   if (good) {
-    ::futimens(file, nullptr);  // used now: the last to go
+    ::futimens(file, nullptr);  // marks the file as recently used
   } else {
     code.clear();
     ::unlink(path.c_str());
@@ -153,7 +153,7 @@ void CodeCache::store(const CodeKey& key, const std::vector<char>& code) {
     ::unlink(draft.c_str());
     return;
   }
-  // Now and then: looking at every file is slow, and the limit is no exact one.
+  // Only from time to time: scanning the folder is slow, and the limit is approximate.
   static std::atomic<uint32_t> stored{0};
   if (stored.fetch_add(1) % 64 == 0) make_room();
 }
@@ -168,7 +168,7 @@ void CodeCache::make_room() {
   uint64_t total = 0;
   std::error_code failed;
   for (const auto& entry : fs::directory_iterator(folder_, failed)) {
-    std::error_code gone;  // another process may remove it meanwhile
+    std::error_code gone;  // another process may remove the file meanwhile
     const std::string name = entry.path().filename().string();
     if (name.find(".code") == std::string::npos) continue;
     const uint64_t bytes = entry.file_size(gone);

@@ -1,9 +1,9 @@
 // Compiled device code on disk, shared by all processes of a user.
 //
-// One file per entry, named by its key. A file is written under another name and renamed, so that a
-// reader sees a whole file or none. A file carries its key, its length and a checksum. A file that
-// does not fit is removed and made anew. The oldest entries go when the folder grows past its
-// limit.
+// Each entry is a file named by its key. A file is written under another name and then renamed, so
+// that a reader sees a whole file or none. A file contains its key, its length and a checksum. A
+// file with a mismatch is removed and built again. If the folder exceeds its limit, the oldest
+// entries are removed.
 #pragma once
 
 #include <cstdint>
@@ -19,20 +19,20 @@ struct CodeKey {
   bool operator==(const CodeKey&) const = default;
 };
 CodeKey code_key(const std::string& text);
-// Of code that was built ahead: of the text and the options. Of code on disk: also of the device
-// and the compiler's version.
+// ahead_key hashes the text and the options. disk_key also hashes the device and the compiler's
+// version.
 CodeKey ahead_key(const std::string& source, Dialect dialect);
 CodeKey disk_key(const std::string& source, Dialect dialect, int arch);
 
 class CodeCache {
  public:
-  // NOVAPHY_CACHE_DIR ("off": no cache), else XDG_CACHE_HOME/novaphy, else ~/.cache/novaphy;
-  // limited to NOVAPHY_CACHE_MB.
+  // The folder is NOVAPHY_CACHE_DIR ("off": no cache), or XDG_CACHE_HOME/novaphy, or
+  // ~/.cache/novaphy. NOVAPHY_CACHE_MB limits its size.
   static CodeCache& get();
   CodeCache(std::string folder, uint64_t limit_bytes);
 
   bool find(const CodeKey& key, std::vector<char>& code);
-  // A cache that cannot be written is no error: the next process compiles again.
+  // A cache that cannot be written is not an error: the next process compiles again.
   void store(const CodeKey& key, const std::vector<char>& code);
   const std::string& folder() const { return folder_; }
 

@@ -1,4 +1,4 @@
-// A compiler that is a program of its own.
+// A compiler that is a separate program.
 #include <fcntl.h>
 #include <spawn.h>
 #include <sys/wait.h>
@@ -17,7 +17,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// A folder that goes with its files.
+// A temporary folder, which the destructor removes.
 struct Folder {
   std::string path = (fs::temp_directory_path() / "novaphy_compile_XXXXXX").string();
   const bool made = mkdtemp(path.data()) != nullptr;
@@ -35,7 +35,7 @@ std::vector<char> read_file(const std::string& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-// The exit code; what it prints goes to `log`.
+// Runs the command. Returns its exit code; its output goes to `log`.
 int run(std::string command, std::string code, std::string source, const std::string& log) {
   char* const words[] = {command.data(), code.data(), source.data(), nullptr};
   posix_spawn_file_actions_t files;

@@ -42,7 +42,7 @@ Functions g_functions;
 
 constexpr const char* kNames[] = {"libnvrtc.so.13", "libnvrtc.so.12", "libnvrtc.so"};
 
-// Folders of the toolkit, and those of the packages of Python beside which this library lies.
+// Returns the folders of the toolkit, and of the Python packages beside this library.
 std::vector<std::string> folders() {
   std::vector<std::string> list;
   const auto add = [&](const fs::path& folder) {
@@ -145,7 +145,7 @@ std::string log_of(Program program) {
   return log;
 }
 
-// "--gpu-architecture=sm_90", or compute_XX for a device that is newer than the compiler.
+// Returns "--gpu-architecture=sm_90", or compute_XX for a device newer than the compiler.
 std::string architecture_option(int arch, bool& is_text) {
   if (is_text) return "--gpu-architecture=compute_" + std::to_string(arch);
   int count = 0;
@@ -162,10 +162,11 @@ std::string architecture_option(int arch, bool& is_text) {
   return "--gpu-architecture=compute_" + std::to_string(nearest);
 }
 
-// The exit of the process waits for compilations of other threads, which hold this: it destroys
-// static objects of the compiler, and they would crash or hang. It must wait before that, so this
-// comes after those objects; the compiler makes most of them when it compiles for the first time.
-// (An exit meanwhile is the host's to prevent: wait_for_compilers in <novaphy/nova/op_list.h>.)
+// Compilations of other threads hold this mutex, and the exit of the process waits for it. The exit
+// destroys static objects of the compiler, so a running compilation would crash or hang. The wait
+// must precede that destruction, so the mutex is made after those objects; the compiler makes most
+// of them at its first compilation. (The host prevents an exit meanwhile: wait_for_compilers in
+// <novaphy/nova/op_list.h>.)
 std::shared_mutex& before_exit() {
   static std::shared_mutex& mutex = [&]() -> std::shared_mutex& {
     Program program = nullptr;

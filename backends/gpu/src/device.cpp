@@ -1,4 +1,4 @@
-// Devices, and errors: of the driver, and of kernels that read past the end of a source.
+// Devices, driver errors, and errors of kernels that read past the end of a source.
 #include "device.h"
 
 #include <cstdarg>
@@ -13,7 +13,7 @@ namespace {
 
 constexpr ErrorRecord kNoError = {std::numeric_limits<int64_t>::max(), 0, 0, 0, -1, 0, 0};
 
-// Errors after which nothing works any more in this process on this device.
+// Returns whether the device is unusable in this process after an error.
 bool is_fatal(Result result) {
   switch (result) {
     case 4:    // the driver is shutting down
@@ -30,7 +30,7 @@ bool is_fatal(Result result) {
     case 717:  // invalid address space
     case 718:  // invalid program counter
     case 719:  // launch failure
-    case 999:  // unknown, as after a card fell off its bus
+    case 999:  // unknown, for example after a card lost its bus
       return true;
     default:
       return false;
@@ -45,7 +45,7 @@ novaphy_status check_ordinal(int32_t ordinal, novaphy_error* error) {
               d.devices - 1, ordinal);
 }
 
-// The record of failing reads, and the flag that says that there is one.
+// Allocates the record of failing reads, and the flag that signals a record.
 novaphy_status make_sink(novaphy_device& device, novaphy_error* error) {
   const Driver& d = driver();
   void* flag = nullptr;
@@ -57,8 +57,8 @@ novaphy_status make_sink(novaphy_device& device, novaphy_error* error) {
   status =
       check(&device, d.host_device_pointer(&device.flag_on_device, flag, 0), "device_open", error);
   if (status != NOVAPHY_OK) return status;
-  // The record, and behind it the zeros that a load reads in place of a row that is not there: of
-  // the widest row that a Program may have.
+  // The record is followed by zeros. A load reads them in place of a row that does not exist, up to
+  // the widest row of a Program.
   constexpr size_t kBytes = 128 + 4 * 4096;
   status = check(&device, d.alloc(&device.record, kBytes), "device_open", error);
   if (status != NOVAPHY_OK) return status;
@@ -200,7 +200,7 @@ novaphy_status device_info(int32_t ordinal, novaphy_device_info* info, novaphy_e
   if (result == kSuccess) result = d.device_attribute(&minor, kComputeMinor, id);
   if (result == kSuccess) result = d.device_attribute(&units, kMultiprocessors, id);
   if (result == kSuccess) result = d.device_memory(&total, id);
-  // The free memory is that of a context. Where none can be had, it is reported as none.
+  // The free memory is known only to a context. Without a context it is reported as zero.
   Context context = nullptr;
   if (result == kSuccess && d.context_retain(&context, id) == kSuccess) {
     novaphy_device here;

@@ -1,5 +1,5 @@
-// The objects behind the opaque handles of <novaphy/abi/backend.h>, and how errors of the driver
-// become those of the ABI.
+// The objects behind the opaque handles of <novaphy/abi/backend.h>, and the conversion of driver
+// errors to errors of the ABI.
 #pragma once
 
 #include <atomic>
@@ -15,7 +15,7 @@
 
 namespace novaphy::gpu {
 
-// device_error of device_prelude.cuh: what a failing read leaves.
+// The record of a failing read: device_error of device_prelude.cuh.
 struct ErrorRecord {
   int64_t index;  // INT64_MAX: none
   int64_t row;
@@ -36,7 +36,7 @@ struct SinkArgument {
 };
 static_assert(sizeof(SinkArgument) == 32);
 
-// What the message about a failing read says; kept for as long as the kernel lives.
+// The names in the message about a failing read, kept as long as the kernel.
 struct KernelNames {
   std::string name;
   std::vector<std::string> sources;
@@ -44,7 +44,7 @@ struct KernelNames {
 
 novaphy_status fail(novaphy_error* error, novaphy_status status, const char* format, ...)
     __attribute__((format(printf, 3, 4)));
-// No exception may cross the C boundary.
+// Converts exceptions to a status, because no exception may cross the C boundary.
 template <class Body>
 novaphy_status guarded(novaphy_error* error, Body&& body) noexcept;
 
@@ -59,12 +59,12 @@ struct novaphy_device {
   int32_t arch = 0;  // 90 for compute capability 9.0
   int32_t units = 0;
   uint64_t total_memory = 0;
-  novaphy::gpu::Module interpreter = nullptr;  // once a Program needed it
+  novaphy::gpu::Module interpreter = nullptr;  // null until a Program needs it
   // Failing reads.
   novaphy::gpu::DevicePointer record = 0, flag_on_device = 0;
   volatile uint32_t* flag = nullptr;
   std::atomic<bool> lost{false};
-  std::mutex mutex;  // guards what follows
+  std::mutex mutex;  // guards the members below
   std::string lost_reason;
   uint32_t next_kernel = 1;
   std::unordered_map<uint32_t, novaphy::gpu::KernelNames> kernels;
@@ -73,7 +73,7 @@ struct novaphy_stream {
   novaphy_device* device;
   novaphy::gpu::Stream stream;
   bool capturing = false;
-  novaphy::gpu::Stream before_capture = nullptr;  // while capturing: where its work goes otherwise
+  novaphy::gpu::Stream before_capture = nullptr;  // the stream used outside of the capture
 };
 struct novaphy_event {
   novaphy_device* device;
@@ -87,7 +87,7 @@ struct novaphy_graph {
 
 namespace novaphy::gpu {
 
-// Makes the device's context current for a scope, and gives the caller's back.
+// Makes the device's context current for a scope, and then restores the caller's.
 class Use {
  public:
   explicit Use(const novaphy_device* device) {
@@ -106,15 +106,15 @@ class Use {
   bool restore_ = false;
 };
 
-// OK, or the status and message of a failed call of the driver. An error after which the device's
-// context is unusable marks the device as lost: from then on every call says so.
+// Returns OK, or the status and message of a failed driver call. An error that makes the context
+// unusable marks the device as lost. Every later call then reports it.
 novaphy_status check(novaphy_device* device, Result result, const char* what, novaphy_error* error);
 novaphy_status check_lost(novaphy_device* device, const char* what, novaphy_error* error);
-// After the host has waited for a stream: whether a kernel read past the end of a source.
+// Call after the host has waited for a stream. Reports a kernel that read past the end of a source.
 novaphy_status check_reads(novaphy_device* device, novaphy_stream* stream, novaphy_error* error);
-// What the builtins keep per device; its context is current.
+// Frees what the builtins keep for a device. The context of the device must be current.
 void forget_builtins(const novaphy_device* device);
-// A number for the kernel, by which a failing read names it.
+// Returns a number for the kernel, by which a failing read names it.
 uint32_t remember_kernel(novaphy_device* device, KernelNames names);
 void forget_kernel(novaphy_device* device, uint32_t kernel);
 inline SinkArgument sink_of(const novaphy_device* device, uint32_t kernel,

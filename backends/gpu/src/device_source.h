@@ -1,4 +1,4 @@
-// The text of device code: the prelude, and what the emitter writes for a Program.
+// The text of device code: the prelude, and the text that the emitter writes for a Program.
 #pragma once
 
 #include <string>
@@ -17,15 +17,16 @@ const char* device_prelude_text();  // device_prelude.cuh
 const char* builtins_text();        // builtins.cuh
 const char* interpreter_text();     // interpreter.cuh
 const char* persistent_text();      // persistent.cuh
-// What comes before all device code: the vendor's file, the generic one and the prelude.
+// Returns the text before all device code: the vendor's file, the generic file and the prelude.
 std::string prelude_text();
-// Equal Programs have equal text, whatever their names.
+// Removes the names, so that equal Programs have equal text.
 nova::ir::Program without_names(nova::ir::Program program);
-// One kernel: novaphy_main(argument words, n, sink), a thread per row.
+// Returns the text of one kernel: novaphy_main(argument words, n, sink), with a thread per row.
 std::string kernel_source(const nova::ir::Program& program);
 std::string builtins_source();
 std::string interpreter_source();
-// A SOURCE module: what <novaphy/abi/backend.h> says is known to it, then its own text.
+// Returns a SOURCE module: the declarations promised in <novaphy/abi/backend.h>, and then its own
+// text.
 std::string module_source(const std::string& text);
 
 }  // namespace novaphy::gpu

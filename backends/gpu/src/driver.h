@@ -1,5 +1,5 @@
-// The vendor's driver library, opened at run time through one table of functions, so that the same
-// build serves machines with and without a GPU. Nothing of a toolkit is needed to compile this.
+// The vendor's driver library, opened at run time through a table of functions. The same build
+// therefore runs on machines with and without a GPU, and compiles without a toolkit.
 #pragma once
 
 #include <cstddef>
@@ -31,11 +31,11 @@ enum DeviceAttribute : int {
   kMultiprocessors = 16,
   kComputeMajor = 75,
   kComputeMinor = 76,
-  kMostSharedBytes = 97,  // of a block whose function asks for them
+  kMostSharedBytes = 97,  // per block, if the function requests it
 };
 enum FunctionAttribute : int {
-  kSharedBytes = 8,     // that a launch may add
-  kLargeClusters = 14,  // of sizes that not every device takes
+  kSharedBytes = 8,     // added by a launch
+  kLargeClusters = 14,  // cluster sizes that not every device supports
 };
 enum : unsigned {
   kStreamDefault = 0,
@@ -45,7 +45,7 @@ enum : unsigned {
   kCaptureRelaxed = 2,
 };
 
-// A launch, to ask about.
+// The shape of a launch, for queries.
 struct LaunchShape {
   unsigned blocks[3], threads[3], shared_bytes;
   Stream stream;
@@ -53,9 +53,9 @@ struct LaunchShape {
   unsigned attribute_count;
 };
 
-// X(member, result, arguments, symbol). A vendor without a library of these functions fits what it
-// has to the members (VendorInfo::load). The first three come first on purpose: with them every
-// later failure has a version and a text.
+// X(member, result, arguments, symbol). A vendor with a different library assigns its own functions
+// to the members (VendorInfo::load). The first three come first, so that every later failure can
+// report a version and a text.
 #define NOVAPHY_GPU_DRIVER_FUNCTIONS(X)                                                           \
   X(driver_version, Result, (int*), "cuDriverGetVersion")                                         \
   X(error_name, Result, (Result, const char**), "cuGetErrorName")                                 \
@@ -127,19 +127,19 @@ struct Driver {
 #undef NOVAPHY_GPU_MEMBER
   int version = 0;  // 13000: CUDA 13.0
   int devices = 0;
-  std::string problem;  // not empty: there is no device to use, and why
+  std::string problem;  // not empty: why no device can be used
 
-  // "CUDA_ERROR_OUT_OF_MEMORY: out of memory"
+  // Returns a text such as "CUDA_ERROR_OUT_OF_MEMORY: out of memory".
   std::string describe(Result result) const;
 };
 
-// Opened at the first call and kept for the life of the process. Never throws.
+// Opened at the first call and kept until the process ends. Never throws.
 const Driver& driver();
-// The functions by the symbols above: false, with d.problem, where one is missing.
+// Loads the functions by the symbols above. Returns false and sets d.problem if one is missing.
 bool load_driver(Driver& d, void* library);
-// What VendorInfo::load says then.
+// Sets d.problem for a missing symbol, for VendorInfo::load. Returns false.
 bool lacks_symbol(Driver& d, const char* symbol);
-// "13.0"
+// Returns a text such as "13.0".
 std::string version_text(int version);
 
 }  // namespace novaphy::gpu

@@ -1,4 +1,5 @@
-// The host's side of the interpreter: its module, the code of a Program in device memory, launches.
+// The host side of the interpreter: its module, the code of a Program in device memory, and
+// launches.
 #include "interpreter.h"
 
 #include <algorithm>
@@ -13,11 +14,12 @@
 namespace novaphy::gpu {
 namespace {
 
-constexpr unsigned kThreads = 64;             // of a block
-constexpr int64_t kSharedOfBlock = 48 << 10;  // every device has so much for a block
-constexpr int64_t kBlocksPerUnit = 16;        // more wait, or take the next rows in turn
+constexpr unsigned kThreads = 64;             // per block
+constexpr int64_t kSharedOfBlock = 48 << 10;  // every device has this much shared memory per block
+constexpr int64_t kBlocksPerUnit = 16;        // further blocks wait, or a block takes several rows
+                                              // in turn
 
-// Loaded at the first use on a device and kept until it is closed.
+// Loaded at the first use on a device, and kept until the device is closed.
 novaphy_status load_interpreter(novaphy_device* device, Function* function, novaphy_error* error) {
   static std::mutex mutex;
   const std::lock_guard lock(mutex);

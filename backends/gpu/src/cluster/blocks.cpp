@@ -10,21 +10,23 @@
 namespace novaphy::gpu {
 namespace {
 
-constexpr int32_t kItemWords = 4;      // of an item in the memory of a block
-constexpr int32_t kMostOutput = 24;    // words of a row of items
-constexpr int32_t kLongSum = 256;      // items; longer sums have a rule of their own
-constexpr uint32_t kRowsOfWarp = 8;    // that sum; fewer lanes wait for fewer lines
-constexpr uint32_t kMostSumWarps = 2;  // of a block, where they need not be more
+constexpr int32_t kItemWords = 4;      // words of an item in the memory of a block
+constexpr int32_t kMostOutput = 24;    // largest row of items, in words
+constexpr int32_t kLongSum = 256;      // number of items; longer sums follow another rule
+constexpr uint32_t kRowsOfWarp = 8;    // rows per warp of sums; fewer lanes wait for fewer cache
+                                       // lines
+constexpr uint32_t kMostSumWarps = 2;  // warps of sums per block, if more are not needed
 constexpr size_t kMostLayouts = 8;
-// RowList that are computed, for so many of makers. More than that costs more than an exchange.
+// Limits on the rows that are computed more than once. Above them, redundant work costs more than
+// an exchange.
 constexpr size_t kMostComputed = 8, kOfRows = 5;
 
 struct Table {
   std::vector<int32_t> offsets, items;
 };
-// A sum over items that the phase before makes.
+// A sum over items that the previous phase makes.
 struct Link {
-  size_t sum, maker;  // operations
+  size_t sum, maker;  // indices of operations
   size_t output;      // of the maker
   int32_t width, corners;
   const Table* table;
@@ -38,7 +40,7 @@ class Planner {
 
   std::optional<BlockPlan> run() {
     links_.resize(phases_.size());
-    std::optional<int64_t> rows;  // of all sums
+    std::optional<int64_t> rows;  // common to all sums
     for (size_t k = 0; k + 1 < phases_.size(); ++k) {
       if (k > 0 && !links_[k - 1].empty()) continue;
       links_[k] = links_between(phases_[k], phases_[k + 1]);
@@ -64,7 +66,7 @@ class Planner {
   }
 
  private:
-  using Shares = std::vector<std::vector<RowList>>;  // rows of a chain in a block
+  using Shares = std::vector<std::vector<RowList>>;  // the rows of a chain in each block
   using Key = std::vector<uint64_t>;
 
   uint32_t chains_of(const PhaseSpan& phase) const { return ops_[phase.last - 1].chain + 1; }
@@ -80,7 +82,7 @@ class Planner {
         made[begin] = {k, output};
         written.add(begin, bytes);
       });
-    // A row that is computed twice must not need what it leaves.
+    // A row that is computed twice must not read its own result.
     bool fits = true;
     for (size_t k = makers.first; k < makers.last; ++k)
       for_each_read(ops_[k], [&](uint64_t begin, uint64_t bytes, int32_t) {
@@ -102,9 +104,9 @@ class Planner {
     if (!fits || !alone_on_tables(sums, links)) links.clear();
     return links;
   }
-  // A chain loads the items of a table once: then all find the same.
+  // A chain loads the items of a table once, so all its sums need the same items.
   bool alone_on_tables(const PhaseSpan& sums, const std::vector<Link>& links) const {
-    std::map<uint64_t, size_t> linked, all;  // uses, by where the offsets are
+    std::map<uint64_t, size_t> linked, all;  // uses, by the address of the offsets
     std::map<uint64_t, std::pair<uint32_t, int32_t>> makers;
     for (const Link& link : links) {
       const novaphy_persistent_op& o = ops_[link.sum];
@@ -137,7 +139,7 @@ class Planner {
     return link.table != nullptr;
   }
 
-  // Null: an item is none, or a sum is long.
+  // Returns null if an item is missing or a sum is long.
   const Table* table_of(const novaphy_persistent_op& o, const CsrSum& sum, int64_t item_count) {
     const uint64_t offsets = o.op.arguments[sum.offsets], items = o.op.arguments[sum.offsets + 1];
     const auto [known, fresh] = tables_.try_emplace({offsets, items, o.n});
@@ -166,7 +168,7 @@ class Planner {
     return true;
   }
 
-  // Items of one phase are neither read nor written by anything but its makers and sums.
+  // Whether the items of a phase are read and written only by their makers and sums.
   bool nobody_else_needs_items() {
     Pieces items;
     std::vector<std::vector<size_t>> made(ops_.size());
@@ -193,11 +195,11 @@ class Planner {
     return alone;
   }
 
-  // Which block has which sums.
+  // Assigns the sums to blocks.
   void make_parts(size_t n) {
     const auto pair = std::find_if(links_.begin(), links_.end(),
                                    [](const std::vector<Link>& links) { return !links.empty(); });
-    std::map<uint32_t, uint32_t> first_of_chain;  // its first number among those of all makers
+    std::map<uint32_t, uint32_t> first_of_chain;  // the first index of each chain among all makers
     uint32_t makers = 0;
     std::vector<RowList> needs(n);
     for (const Link& link : *pair) {
@@ -211,7 +213,7 @@ class Planner {
     part_ = parts_of(std::move(needs), makers, blocks_);
   }
 
-  // f(row, position in the table, row of the maker, corner)
+  // Calls f(row, position in the table, row of the maker, corner) for each item.
   template <class F>
   static void for_each_item(const Link& link, const F& f) {
     const auto corners = static_cast<uint32_t>(link.corners);
@@ -231,7 +233,7 @@ class Planner {
                              static_cast<uint64_t>(link.corners)});
     return key;
   }
-  // False: too many rows would be computed more than once.
+  // Returns false if too many rows would be computed more than once.
   bool lay_out_makers(size_t k) {
     const auto [known, fresh] = shares_.try_emplace(makers_key(k));
     if (!fresh) return true;
@@ -252,7 +254,7 @@ class Planner {
         of_block.erase(std::unique(of_block.begin(), of_block.end()), of_block.end());
         for (const uint32_t row : of_block) there[row] = 1;
       }
-      // What nobody sums is computed all the same.
+      // Items that no sum needs are computed too.
       for (uint32_t row = 0; row < there.size(); ++row)
         if (there[row] == 0) rows[uint64_t{row} * blocks_ / there.size()].push_back(row);
     }
@@ -270,7 +272,7 @@ class Planner {
     return kOfRows * computed <= kMostComputed * rows;
   }
 
-  // Which chains of a phase make items.
+  // Returns which chains of a phase make items.
   std::vector<char> makers(size_t k) const {
     std::vector<char> makes(chains_of(phases_[k]), 0);
     for (const Link& link : links_[k]) makes[ops_[link.maker].chain] = 1;
@@ -284,7 +286,8 @@ class Planner {
     return static_cast<uint32_t>(most);
   }
 
-  // Makers on the first warps of a block, sums on others, which work at different times.
+  // Puts makers on the first warps of a block and sums on other warps. They work at different
+  // times.
   bool place_warps() {
     std::vector<uint32_t> of_part(blocks_, 0);
     for (const uint32_t part : part_) ++of_part[part];
@@ -301,7 +304,7 @@ class Planner {
     return true;
   }
 
-  // Rows that any block may have.
+  // Distributes rows that any block may compute.
   Shares spread(const PhaseSpan& phase) const {
     Shares shares(chains_of(phase), std::vector<RowList>(blocks_));
     for (size_t o = phase.first; o < phase.last; ++o) {
@@ -314,7 +317,7 @@ class Planner {
     return shares;
   }
 
-  // Gives the chains of a phase their warps and rows.
+  // Assigns warps and rows to the chains of a phase.
   bool fill_layout(size_t k) {
     const bool makes = !links_[k].empty();
     const bool adds = k > 0 && !links_[k - 1].empty();
@@ -342,7 +345,7 @@ class Planner {
     std::vector<uint32_t> warps;
     for (const std::vector<RowList>& of_chain : rows)
       warps.push_back(rounded_up(most(of_chain), kWarp));
-    // Of the chains that make no items.
+    // Counts the warps of the chains that make no items.
     const auto others = [&] {
       uint32_t sum = 0;
       for (size_t c = 0; c < warps.size(); ++c) sum += makes[c] == 0 ? warps[c] : 0;
@@ -355,7 +358,7 @@ class Planner {
       room += maker_warps_;
     }
     if (others() > room || plan_.layouts.size() == kMostLayouts) return false;
-    // Fewer rows for a warp where there are more warps.
+    // If there are more warps, each takes fewer rows.
     for (bool more = true; more;) {
       more = false;
       for (size_t c = 0; c < warps.size(); ++c)
@@ -386,22 +389,23 @@ class Planner {
     }
     return true;
   }
-  // Where the row at a position among those of a block goes, which its warps share evenly.
+  // Returns the thread for a row, given its position among the rows of a block. The warps share the
+  // rows evenly.
   size_t thread_of(uint32_t block, uint32_t first, uint32_t warps, size_t rows, size_t at) const {
     const size_t each = (rows + warps - 1) / warps;
     return size_t{block} * plan_.threads + (first + at / each) * kWarp + at % each;
   }
-  // Lanes without a row take one of their warp.
+  // A lane without a row repeats a row of its warp.
   static void go_along(uint32_t* words) {
     for (uint32_t k = 0; k < kWarp; ++k)
       if (words[k] == 0) words[k] = words[0] & ~(BlockPlan::kOn | BlockPlan::kOwns);
   }
 
-  // Where the items of a phase lie, and where its sums find them.
+  // Finds where the items of a phase are stored, and where its sums find them.
   void link_operations(size_t k) {
     const BlockPlan::Phase& phase = plan_.phases[k];
-    const uint32_t rows_of_array = plan_.threads * corners_ + 1;  // and one of zeros
-    std::map<uint32_t, uint32_t> arrays;                          // of a chain
+    const uint32_t rows_of_array = plan_.threads * corners_ + 1;  // one more row for zeros
+    std::map<uint32_t, uint32_t> arrays;                          // per chain
     std::map<std::pair<size_t, size_t>, uint32_t> base;
     for (const Link& link : links_[k]) {
       const auto [at, fresh] = base.try_emplace({link.maker, link.output});
@@ -431,7 +435,7 @@ class Planner {
         static_cast<uint32_t>(plan_.items.size()));
     if (!fresh) return known->second;
     const BlockPlan::Chain& warps = makers.chains[chain];
-    // The thread of each row, in each block that computes it.
+    // The thread of each row, in each block that computes the row.
     std::vector<std::map<uint32_t, uint32_t>> thread(blocks_);
     for (uint32_t block = 0; block < blocks_; ++block)
       for (uint32_t k = 0; k < warps.warps * kWarp; ++k) {
@@ -448,7 +452,7 @@ class Planner {
     return known->second;
   }
 
-  // What makers store is stored by the same thread each time, so that it comes in order.
+  // Whether the same thread stores an item each time, so that its stores stay in order.
   bool items_have_one_place() {
     struct Place {
       BlockPlan::Chain warps;
@@ -474,7 +478,8 @@ class Planner {
     }
     return one;
   }
-  // What is written once more, and read by sums of the block alone, need not be in memory before.
+  // Items that are written again later, and read only by sums of their block, need not go to memory
+  // now.
   void keep_last_items() {
     std::map<uint64_t, size_t> last;
     const auto each = [&](const auto& f) {
@@ -509,13 +514,13 @@ class Planner {
   const uint32_t blocks_, most_warps_;
   const ReadWords& read_;
   const std::vector<PhaseSpan> phases_;
-  std::vector<std::vector<Link>> links_;  // of a phase's items to the sums of the next one
+  std::vector<std::vector<Link>> links_;  // from the items of a phase to the sums of the next phase
   std::map<std::tuple<uint64_t, uint64_t, int64_t>, Table> tables_;
   std::vector<uint32_t> part_;  // the block of each row of sums
   std::map<Key, Shares> shares_;
   std::map<Key, Layout> layout_of_;
   std::map<std::tuple<uint64_t, uint32_t, uint32_t, uint64_t>, uint32_t> items_;
-  std::map<std::tuple<uint32_t, uint32_t, uint32_t>, bool> same_;  // layouts, in a warp and more
+  std::map<std::tuple<uint32_t, uint32_t, uint32_t>, bool> same_;  // by layouts and chain
   uint32_t maker_warps_ = 0, sum_warps_ = 0, corners_ = 0;
   BlockPlan plan_;
 };

@@ -1,12 +1,12 @@
-// The rows of a phase that each block of a cluster computes. The sums of a phase may add items that
-// the phase before makes, such as forces of elements on their corners. A block then computes all
-// rows that its own sums need, even if other blocks compute them too. Items then stay in the memory
-// of the block, and only what sums leave goes from block to block: one exchange for two phases. The
-// results are the same, because every row is the same wherever it is computed.
+// Assigns the rows of each phase to the blocks of a cluster. The sums of a phase may add items that
+// the previous phase makes, such as forces of elements on their corners. A block then computes all
+// rows that its own sums need, even if other blocks compute the same rows. Items stay in the memory
+// of their block, and blocks exchange only the results of the sums: one exchange for two phases.
+// The results are the same, because a row does not depend on the block that computes it.
 //
-// Blocks exchange the rows of a halo: rows of sums that elements of other blocks read. Where these
-// rows are known, a block sends them straight to the memory of those blocks, and nobody waits until
-// memory has them.
+// Blocks exchange the rows of a halo: rows of sums that elements of other blocks read. If these
+// rows are known, a block sends them directly to the memory of those blocks, and does not wait for
+// global memory.
 #pragma once
 
 #include <cstdint>
@@ -21,14 +21,15 @@
 
 namespace novaphy::gpu {
 
-// Threads of a warp; persistent kernels are for vendors that say so.
+// Threads of a warp. Only vendors with this size support persistent kernels.
 inline constexpr uint32_t kWarp = 32;
 
 struct BlockPlan {
-  static constexpr uint32_t kOwns = 1u << 31;  // stores what others may read
-  static constexpr uint32_t kOn = 1u << 30;    // has a row, and does not only go along with others
-  // Where the items of sums lie in the memory of a block: rows of four words, `corners` of them for
-  // each thread.
+  static constexpr uint32_t kOwns = 1u << 31;  // stores a result that others may read
+  static constexpr uint32_t kOn = 1u << 30;    // has a row of its own, instead of repeating another
+                                               // row
+  // The memory of a block holds the items of sums in rows of four words, `corners` rows for each
+  // thread.
   struct Output {
     uint32_t base = 0;
     int32_t width = 0;  // words of an item
@@ -41,17 +42,17 @@ struct BlockPlan {
   struct Operation {
     std::map<size_t, Output> outputs;
     std::optional<Sum> sum;
-    // Where the rows of an output go in other blocks, and where those of a source come.
+    // The halo arrays into which an output is sent, and from which a source is read.
     std::map<size_t, uint32_t> sends, receives;
-    // Arguments whose rows are what the same thread has left there.
+    // Arguments whose rows the same thread has written.
     std::set<int32_t> mine;
   };
   struct Chain {
-    uint32_t first_warp = 0, warps = 0;  // of each block
-    bool stores = true;                  // leaves more than items
+    uint32_t first_warp = 0, warps = 0;  // in each block
+    bool stores = true;                  // stores more than items
     bool keeps = false;                  // its items are the last ones in their memory
   };
-  // Rows that come from memory.
+  // Rows that are read from global memory.
   struct Fill {
     uint64_t from = 0;
     uint32_t base = 0, rows = 0;
@@ -60,42 +61,43 @@ struct BlockPlan {
   };
   struct Phase {
     uint32_t layout = 0;
-    bool makes_items = false, sums_items = false;  // makes them for the next phase; adds them
+    bool makes_items = false, sums_items = false;  // makes items for the next phase; sums items of
+                                                   // the previous phase
     std::vector<Chain> chains;
-    bool sends = false;       // rows of the halo
-    bool fences = true;       // others read what it stores from memory
-    bool joined = false;      // runs with the next one, which adds its items, as one phase
-    uint32_t turns = 0;       // phases before that send
-    std::vector<Fill> fills;  // before it begins
+    bool sends = false;       // sends rows of the halo
+    bool fences = true;       // others read its results from global memory
+    bool joined = false;      // runs together with the next phase, which sums its items
+    uint32_t turns = 0;       // number of earlier phases that send
+    std::vector<Fill> fills;  // done before the phase begins
   };
-  // Arrays of rows of four words, each with one of zeros behind its last. There are two of each,
-  // for turns that are odd or even: elements read what came in one while others send the next.
+  // Arrays of rows of four words, each followed by a row of zeros. Even and odd turns have separate
+  // arrays: elements read the rows of one turn while other blocks send those of the next.
   struct Halo {
     static constexpr uint32_t kSends = 1u << 31;
     static constexpr uint32_t kBlockShift = 16, kLaneShift = 24;
-    uint32_t rows = 0;    // of all arrays
-    uint32_t rounds = 0;  // in which a warp sends its rows
+    uint32_t rows = 0;    // in all arrays
+    uint32_t rounds = 0;  // rounds in which a warp sends its rows
     uint32_t turns = 0;   // phases that send
-    // Block after block, round after round, a word for each thread that adds: the row, the block to
-    // which it goes, and the lane that has it.
+    // For each block and each round, a word for each summing thread: the row, the receiving block,
+    // and the lane with the row.
     std::vector<uint32_t> sends;
-    std::vector<uint32_t> bytes;  // that a block gets each time
+    std::vector<uint32_t> bytes;  // bytes that each block receives per turn
   };
   std::vector<Phase> phases;
-  std::vector<Operation> operations;           // one for each of the persistent kernel
-  std::vector<std::vector<uint32_t>> layouts;  // block after block, a word for each thread
-  std::vector<std::vector<int32_t>> items;     // instead of a CSR table's
-  uint32_t maker_warps = 0;                    // of a block, its first ones; the others add
+  std::vector<Operation> operations;           // one for each operation of the persistent kernel
+  std::vector<std::vector<uint32_t>> layouts;  // for each block, a word per thread
+  std::vector<std::vector<int32_t>> items;     // replace the items of a CSR table
+  uint32_t maker_warps = 0;                    // the first warps of a block; the other warps sum
   uint32_t threads = 0, corners = 0, item_rows = 0;
   Halo halo;
 };
 
 // Reads from the device's memory.
 using ReadWords = std::function<std::vector<int32_t>(uint64_t where, size_t count)>;
-// None: there are no such sums, or a row has to be known elsewhere, or there are too many of them.
+// Returns no plan if there are no such sums, too many rows, or a row that others must know.
 std::optional<BlockPlan> plan_blocks(std::span<const novaphy_persistent_op> ops, uint32_t blocks,
                                      uint32_t most_warps, const ReadWords& read);
-// Adds a halo to a plan; false: it is not known who reads what, and the plan stays as it was.
+// Adds a halo to a plan. Returns false and keeps the plan if the readers of the rows are not known.
 bool plan_halo(std::span<const novaphy_persistent_op> ops, uint32_t blocks, const ReadWords& read,
                BlockPlan& plan);
 

@@ -1,4 +1,5 @@
-// Which rows of sums go to which blocks, and what need not be in memory before others go on.
+// Plans the halo: which rows of sums go to which blocks, and which results need not reach global
+// memory before other blocks continue.
 #include <algorithm>
 #include <set>
 #include <tuple>
@@ -9,9 +10,9 @@
 namespace novaphy::gpu {
 namespace {
 
-constexpr int32_t kRowWords = 4;  // of the halo
+constexpr int32_t kRowWords = 4;  // words of a row of the halo
 constexpr size_t kRowBytes = 16;
-constexpr uint64_t kMostRows = 1 << 16;  // which a send can name
+constexpr uint64_t kMostRows = 1 << 16;  // the most rows that a send can address
 constexpr uint32_t kMostBlocks = 32;
 
 class HaloPlanner {
@@ -48,7 +49,8 @@ class HaloPlanner {
     int32_t width;
     uint32_t rows, base = 0;
   };
-  // A source or an output, wherever the same operation occurs: chain, place in it, kernel, slot.
+  // A source or an output of an operation, wherever the operation occurs: chain, place in the
+  // chain, kernel, slot.
   using Slot = std::tuple<uint32_t, size_t, const novaphy_kernel*, size_t>;
   struct Written {
     size_t op;
@@ -58,7 +60,7 @@ class HaloPlanner {
   static Slot slot_of(const novaphy_persistent_op& o, size_t place, size_t slot) {
     return {o.chain, place, o.op.kernel, slot};
   }
-  // f(operation, its place in its chain)
+  // Calls f(operation, its place in its chain).
   template <class F>
   void for_each_op(size_t phase, const F& f) const {
     size_t first = spans_[phase].first;
@@ -67,7 +69,8 @@ class HaloPlanner {
       f(k, k - first);
     }
   }
-  // f(source, where its rows lie, their count), of sources that are read at rows which others name
+  // Calls f(source, address of its rows, their count) for each source whose rows are selected by
+  // indices.
   template <class F>
   static void for_each_gathered(const novaphy_persistent_op& o, const F& f) {
     if (o.op.kernel == nullptr || is_builtin(o)) return;
@@ -89,7 +92,7 @@ class HaloPlanner {
     return written;
   }
 
-  // What elements of a phase read of what the sums before have left.
+  // Finds the arrays of the previous sums that elements of a phase read.
   bool find_arrays(size_t k) {
     const std::map<uint64_t, Written> written = written_in(k - 1);
     std::map<uint64_t, size_t> here;
@@ -128,12 +131,12 @@ class HaloPlanner {
     return fits;
   }
 
-  // Where elements find the rows that they read. What the sums before have not left comes from
-  // memory.
+  // Finds the halo arrays from which elements read. Arrays that the previous sums did not write
+  // come from memory.
   bool receive(size_t k) {
     const std::map<uint64_t, Written> written =
         k > 0 && plan_.phases[k - 1].sends ? written_in(k - 1) : std::map<uint64_t, Written>{};
-    std::map<size_t, uint64_t> memory;  // of an array
+    std::map<size_t, uint64_t> memory;  // of each array
     bool fits = true;
     for_each_op(k, [&](size_t o, size_t place) {
       for_each_gathered(ops_[o], [&](size_t s, uint64_t begin, uint64_t rows) {
@@ -166,15 +169,15 @@ class HaloPlanner {
     if (sent.empty()) return true;
     plan_.phases[k].sends = true;
     ++plan_.halo.turns;
-    // All at once, and from the same threads each time. Before, each block waits for what others
-    // sent.
+    // All rows are sent together, each time by the same threads. Before sending, a block waits for
+    // the rows that others sent.
     return once && sent.size() == arrays_.size() &&
            std::all_of(senders_.begin(), senders_.end(),
                        [&](const auto& s) { return s.first == senders_.begin()->first; }) &&
            (plan_.phases[k].turns == 0 || receivers_[k - 1] != 0);
   }
 
-  // f(block, thread, row) of a chain
+  // Calls f(block, thread, row) for the rows of a chain.
   template <class F>
   void for_each_row(size_t phase, uint32_t chain, const F& f) const {
     const BlockPlan::Phase& p = plan_.phases[phase];
@@ -188,9 +191,9 @@ class HaloPlanner {
       }
   }
 
-  // The blocks that read each row, which are the same after each turn. Who writes indices between
-  // two runs would not be noticed. So they have to be those of the elements at each point that the
-  // sums know, which stay: see persistent_create.
+  // Finds the blocks that read each row. They must be the same after each turn, and a change of
+  // indices between two runs would stay unnoticed. The indices must therefore be those of the
+  // elements at each point, which the sums know and which do not change: see persistent_create.
   bool find_readers() {
     using Named = std::vector<std::pair<uint64_t, int32_t>>;  // tables of indices, and columns
     std::set<std::vector<uint64_t>> known;
@@ -267,8 +270,8 @@ class HaloPlanner {
     if (fresh) known->second = read_(begin, words);
     return known->second;
   }
-  // Which tables name the rows of a source that a Program reads: at its own row, and nobody writes
-  // them.
+  // Finds the index tables that select the rows of a source in a Program. The Program must read
+  // them at its own row, and no operation may write them.
   bool find_indices(const novaphy_persistent_op& o, size_t source,
                     std::vector<std::pair<uint64_t, int32_t>>& by) {
     using nova::ir::Op;
@@ -336,7 +339,7 @@ class HaloPlanner {
                                [&](const Array& a) { return a.rows == readers_.size(); });
   }
 
-  // Which phases leave nothing in memory that another block reads there.
+  // Finds the phases whose results no other block reads from memory.
   void find_fences() {
     struct Left {
       uint64_t bytes;
@@ -347,7 +350,7 @@ class HaloPlanner {
     std::map<uint64_t, Left> left;
     uint64_t longest = 0;
     for (BlockPlan::Phase& phase : plan_.phases) phase.fences = !phase.sends;
-    // What others have left there needs a fence, unless it is safe.
+    // Results of other phases there need a fence, unless the access is safe.
     const auto touch = [&](uint64_t begin, uint64_t bytes, const auto& is_safe) {
       for (auto at = left.lower_bound(begin + bytes); at != left.begin();) {
         --at;
@@ -376,7 +379,7 @@ class HaloPlanner {
       for (size_t o = spans_[k].first; o < spans_[k].last; ++o)
         for_each_written(ops_[o], [&](uint64_t begin, uint64_t bytes, size_t) {
           const Left here{bytes, ops_[o].n, k, ops_[o].chain};
-          // What others store comes in order, too.
+          // The results of other threads are also stored in order.
           touch(begin, bytes, [&](uint64_t at, const Left& l) {
             return at == begin && l.bytes == bytes && l.rows == here.rows &&
                    ops_[o].n == ops_[o].rows && same_blocks(l.phase, l.chain, k, here.chain);
@@ -390,9 +393,9 @@ class HaloPlanner {
     const int32_t source = source_at(ops_[o], word);
     return source >= 0 && plan_.operations[o].receives.contains(static_cast<size_t>(source));
   }
-  // Whether blocks may add what they have made while others still make items: nothing that elements
-  // read or write is touched by sums. (They begin when the elements of their block are done, which
-  // have waited for the phase before.)
+  // Whether blocks may sum their items while other blocks still make items. No array that elements
+  // read or write may be touched by the sums. (Sums begin when the elements of their block are
+  // done; those elements have waited for the phase before.)
   bool may_join(size_t k) const {
     if (!plan_.phases[k].makes_items || !plan_.phases[k + 1].sums_items) return false;
     for (const BlockPlan::Chain& chain : plan_.phases[k].chains)
@@ -416,7 +419,7 @@ class HaloPlanner {
     }
     return fits;
   }
-  // The source of a Program that an argument word names; -1: none.
+  // Returns the source of a Program that an argument word belongs to; -1: none.
   static int32_t source_at(const novaphy_persistent_op& o, int32_t word) {
     if (o.op.kernel == nullptr || is_builtin(o)) return -1;
     const nova::ir::Program& p = o.op.kernel->program;
@@ -424,7 +427,7 @@ class HaloPlanner {
       if (static_cast<int32_t>(p.source_argument(s)) == word) return static_cast<int32_t>(s);
     return -1;
   }
-  // Whether an operation reads a source at its own row alone, which is one for each of the chain.
+  // Whether an operation reads a source only at its own row, with one row for each of the chain.
   static bool reads_own(const novaphy_persistent_op& o, int32_t word) {
     if (o.n != o.rows || o.op.kernel == nullptr) return false;
     if (is_builtin(o)) return word == CsrSum{}.init;
@@ -458,12 +461,12 @@ class HaloPlanner {
   const std::vector<PhaseSpan> spans_;
   Pieces written_;
   std::vector<Array> arrays_;
-  std::map<Slot, size_t> sources_, outputs_;         // which array
+  std::map<Slot, size_t> sources_, outputs_;         // indices of arrays
   std::vector<char> receivers_;                      // phases
   std::set<std::pair<uint32_t, uint32_t>> senders_;  // layouts and chains
   std::map<uint64_t, std::vector<int32_t>> tables_;
   std::map<uint64_t, int32_t> table_width_;
-  std::vector<std::set<uint32_t>> readers_;  // of each row
+  std::vector<std::set<uint32_t>> readers_;  // for each row
   std::map<std::tuple<uint32_t, uint32_t, uint32_t, uint32_t>, bool> same_;
 };
 

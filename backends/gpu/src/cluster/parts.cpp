@@ -8,7 +8,7 @@ namespace novaphy::gpu {
 namespace {
 
 constexpr int kMostSweeps = 32;
-constexpr size_t kMoreRows = 2;  // of a part than an even share
+constexpr size_t kMoreRows = 2;  // rows of a part beyond an even share
 
 void make_set(RowList& rows) {
   std::sort(rows.begin(), rows.end());
@@ -34,12 +34,12 @@ class Cutter {
  private:
   bool is_free(uint32_t row) const { return part_[row] == parts_; }
 
-  // Part after part, by the row that adds least to what the part needs.
+  // Fills part after part. The next row is the one that adds the least to what the part needs.
   void grow() {
-    RowList last_part(needed_by_.size(), parts_);  // that has it
+    RowList last_part(needed_by_.size(), parts_);  // the last part that has each
     size_t left = part_.size();
     for (uint32_t part = 0; part < parts_; ++part) {
-      RowList edge;  // rows that need what the part has
+      RowList edge;  // rows that share a need with the part
       for (size_t room = (left + parts_ - part - 1) / (parts_ - part); room > 0; --room, --left) {
         std::erase_if(edge, [&](uint32_t row) { return !is_free(row); });
         const uint32_t row = next_row(edge, last_part, part);
@@ -53,7 +53,7 @@ class Cutter {
       }
     }
   }
-  // A part begins with the row that has the fewest free neighbors, which is at the border.
+  // Begins a part with the row that has the fewest free neighbors, which lies at the border.
   uint32_t next_row(const RowList& edge, const RowList& last_part, uint32_t part) const {
     uint32_t best = UINT32_MAX;
     std::pair<size_t, size_t> least;
@@ -75,8 +75,7 @@ class Cutter {
     return best;
   }
 
-  // Moves rows to other parts as long as that makes the sum of the squares of what parts need
-  // smaller.
+  // Moves rows to other parts while that reduces the sum of the squares of the parts' needs.
   void even_out() {
     uses_.resize(parts_);
     std::vector<size_t> size(parts_, 0);
@@ -130,8 +129,9 @@ class Cutter {
 
   const uint32_t parts_;
   std::vector<RowList> needs_, needed_by_;
-  RowList part_;                                    // of each row; parts_: none yet
-  std::vector<std::map<uint32_t, uint32_t>> uses_;  // per part: what its rows need, and how many do
+  RowList part_;                                    // for each row; parts_: not assigned
+  std::vector<std::map<uint32_t, uint32_t>> uses_;  // for each part: each need, and the number of
+                                                    // rows that have it
 };
 
 }  // namespace

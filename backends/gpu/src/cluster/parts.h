@@ -1,5 +1,5 @@
-// Cuts rows into parts that need little more than their share, if rows need what neighbors need,
-// too: points of a mesh, and the elements that touch them.
+// Partitions rows so that the parts need little in common, if neighboring rows have needs in
+// common: points of a mesh, and the elements that touch them.
 #pragma once
 
 #include <cstdint>
@@ -9,7 +9,7 @@ namespace novaphy::gpu {
 
 using RowList = std::vector<uint32_t>;
 
-// The part of each row. `needs`: per row, numbers below `count`, which may occur more than once.
+// Returns the part of each row. `needs`: for each row, numbers below `count`, possibly repeated.
 // Equal arguments give equal parts.
 RowList parts_of(std::vector<RowList> needs, uint32_t count, uint32_t parts);
 

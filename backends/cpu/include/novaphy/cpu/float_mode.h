@@ -1,6 +1,6 @@
 // The floating-point mode of the arithmetic contract: round to nearest, no flush to zero. A library
-// or the application may have changed the mode of a thread (-ffast-math does at start-up), so
-// whoever computes sets it and gives the caller's mode back.
+// or the application may have changed the mode of a thread (-ffast-math does so at start-up).
+// Computing code therefore sets the mode and restores the caller's mode afterwards.
 #pragma once
 
 #include <stdint.h>
@@ -27,13 +27,14 @@ class FloatMode {
  private:
 #if defined(__x86_64__)
   using Word = uint32_t;
-  // MXCSR: the sticky flags stay; all exceptions masked, rounding 0, FTZ (15) and DAZ (6) off.
+  // MXCSR: keeps the sticky flags, masks all exceptions, rounds to nearest, clears FTZ (15) and DAZ
+  // (6).
   static Word wanted(Word mode) { return (mode & 0x3Fu) | 0x1F80u; }
   static Word read() { return _mm_getcsr(); }
   static void write(Word mode) { _mm_setcsr(mode); }
 #elif defined(__aarch64__)
   using Word = uint64_t;
-  // FPCR: trap enables (8-12, 15), FZ16 (19), rounding (22-23), FZ (24), DN (25) off.
+  // FPCR: clears the trap enables (8-12, 15), FZ16 (19), rounding (22-23), FZ (24) and DN (25).
   static Word wanted(Word mode) { return mode & ~Word{0x03C89F00}; }
   static Word read() {
     Word mode;

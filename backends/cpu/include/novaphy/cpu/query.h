@@ -1,4 +1,5 @@
-// The CPU backend when it is linked in; as a plugin the same objects export novaphy_backend_query.
+// The entry of the CPU backend if it is linked in. As a plugin, the same objects export
+// novaphy_backend_query.
 #pragma once
 
 #include "novaphy/abi/backend.h"

@@ -1,5 +1,5 @@
-// Programs for the interpreter on the device (interpreter.cuh): for devices whose code cannot be
-// compiled, because there is no run-time compiler and nobody has built it ahead.
+// Programs for the interpreter on the device (interpreter.cuh), if no run-time compiler is
+// available and the code was not built ahead of time.
 #pragma once
 
 #include <cstdint>
@@ -14,7 +14,7 @@ namespace novaphy::gpu {
 
 inline constexpr uint32_t kMaxArgumentWords = 500;  // a kernel takes 4 KiB of arguments
 
-// The operations of Programs, and those that a flat list needs besides.
+// The operations of Programs, and additional ones for a flat list.
 #define NOVAPHY_INTERPRETER_OPS(X) \
   X(MOVE) X(SELECT) X(LOAD) X(LOAD_OWN) X(STORE) X(SKIP) X(LOOP) X(AGAIN) X(END)
 enum class InterpreterOp : int32_t {
@@ -24,8 +24,8 @@ enum class InterpreterOp : int32_t {
 #undef NOVAPHY_INTERPRETER_OP
 };
 
-// interpreter_instruction: operands and result are numbers of values; interpreter.cuh says the
-// rest.
+// interpreter_instruction: operands and results are numbers of values. interpreter.cuh describes
+// the operations.
 struct InterpreterInstruction {
   int32_t op, d = 0, a = 0, b = 0, c = 0, e = 0;
 };
@@ -34,17 +34,18 @@ struct InterpreterCode {
   std::vector<InterpreterInstruction> instructions;
   int32_t values = 0;  // words per thread
 };
-// In the order of schedule(), with the values that do not live at the same time sharing a word.
+// Returns the instructions in the order of schedule(). Values whose lifetimes do not overlap share
+// a word.
 InterpreterCode interpreter_code(const nova::ir::Program& program);
 
-// NOVAPHY_DEVICE_INTERPRETER=1 asks for it even where Programs can be compiled.
+// Whether NOVAPHY_DEVICE_INTERPRETER=1 requests the interpreter even if Programs can be compiled.
 bool interpreter_is_forced();
-// Says once per process that kernels are interpreted, and why.
+// Prints once per process that kernels are interpreted, and why.
 void say_interpreted(const char* why);
-// Makes a kernel of the Program that is interpreted.
+// Makes an interpreted kernel of the Program.
 novaphy_status make_interpreted(novaphy_device* device, const nova::ir::Program& program,
                                 novaphy_kernel& kernel, novaphy_error* error);
-// Launches one; `active`: see novaphy_backend_api::launch_active, or 0.
+// Launches an interpreted kernel. `active`: see novaphy_backend_api::launch_active, or 0.
 novaphy_status run_interpreted(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
                                DevicePointer active, const uint64_t* arguments,
                                novaphy_error* error);

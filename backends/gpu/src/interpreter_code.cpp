@@ -1,4 +1,4 @@
-// Program -> the flat list of instructions that the interpreter on the device runs.
+// Converts a Program to the flat list of instructions that the interpreter on the device runs.
 #include <algorithm>
 
 #include "interpreter.h"
@@ -12,7 +12,7 @@ using ir::Op;
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 InterpreterInstruction make(InterpreterOp op) { return {static_cast<int32_t>(op)}; }
 
-// Values are the instructions of the Program and, behind them, the accumulators of its sums.
+// Values are the instructions of the Program, followed by the accumulators of its sums.
 class Encoder {
  public:
   explicit Encoder(const ir::Program& program)
@@ -67,7 +67,7 @@ class Encoder {
 
   int32_t here() const { return static_cast<int32_t>(out_.instructions.size()); }
 
-  // `used`: the values that a, b and c name, for those that do.
+  // `used`: the values of the operands a, b and c, as far as these are values.
   void add(InterpreterInstruction in, std::initializer_list<ir::Value> used, ir::Value made) {
     Operands operands;
     operands.d = made;
@@ -157,8 +157,8 @@ class Encoder {
       }
   }
 
-  // A value lives from the instruction that first makes it to the last one that uses it; one from
-  // before a loop is used in every step of it.
+  // A value is live from the instruction that first defines it to its last use. A value from before
+  // a loop is used in every iteration.
   void find_lives() {
     for (int32_t k = 0; k < here(); ++k) {
       const Operands& operands = operands_[at(k)];
@@ -176,7 +176,8 @@ class Encoder {
     }
   }
 
-  // An instruction reads its operands before it writes its result, which may take their place.
+  // An instruction reads its operands before it writes its result, so the result may take their
+  // place.
   void place() {
     find_lives();
     std::vector<std::vector<ir::Value>> dying(out_.instructions.size());
@@ -197,7 +198,7 @@ class Encoder {
         if (free.empty()) free.push_back(out_.values++);
         mine = free.back();
         free.pop_back();
-        if (lives_[at(operands.d)].last == k) free.push_back(mine);  // nobody reads it
+        if (lives_[at(operands.d)].last == k) free.push_back(mine);  // unused
       }
       in.d = mine;
     }
@@ -205,11 +206,11 @@ class Encoder {
 
   const ir::Program& p_;
   int32_t next_;
-  std::vector<int32_t> accumulators_;  // per loop: of its first sum
+  std::vector<int32_t> accumulators_;  // per loop: its first sum
   InterpreterCode out_;
   std::vector<Operands> operands_;                  // per instruction
   std::vector<Life> lives_;                         // per value
-  std::vector<std::pair<int32_t, int32_t>> loops_;  // the instructions LOOP and AGAIN of each
+  std::vector<std::pair<int32_t, int32_t>> loops_;  // per loop: its instructions LOOP and AGAIN
   int32_t begin_ = 0;
 };
 

@@ -1,5 +1,6 @@
 // Sources that a fused list can load before its loop over the items of a CSR sum (the contacts of a
-// particle). A source is read at the item, or at a row that such a source names.
+// particle). Such a source is read at the item, or at a row whose index comes from a source read at
+// the item.
 #pragma once
 
 #include <cstdint>
@@ -11,9 +12,9 @@ namespace novaphy::gpu {
 
 struct ItemSource {
   enum How : uint8_t { Not, AtSlot, AtIndex } how = Not;
-  int32_t index = 0, column = 0;  // AtIndex: the source, read at the item, that names the row
+  int32_t index = 0, column = 0;  // AtIndex: the source with the row index, read at the item
 };
-// Per source of a Program. A source that is read in any other way is none.
+// Classifies the sources of a Program. A source with any other read is `Not`.
 std::vector<ItemSource> item_sources(const nova::ir::Program& program);
 
 }  // namespace novaphy::gpu

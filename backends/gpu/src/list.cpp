@@ -24,7 +24,7 @@ novaphy_status create(novaphy_device* device, int64_t n, std::span<const novaphy
                   "kernel '%s': expected %u argument words, got %u", op.kernel->name.c_str(),
                   op.kernel->argument_count, op.argument_count);
   }
-  // One rounding policy for the whole text.
+  // The whole text has one rounding policy.
   for (const novaphy_list_op& op : ops)
     if (op.kernel != nullptr && op.kernel->program.contract != contract)
       return refuse("kernels with and without contraction");

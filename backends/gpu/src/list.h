@@ -18,9 +18,8 @@ struct novaphy_list {
   int64_t n = 0;
   int64_t blocks = 1;
   unsigned threads = 0;
-  unsigned shared_bytes = 0;  // of a block, beside those that the text names
-  // A kernel that runs before it, of so many blocks of kEarlyThreads, and the memory for what it
-  // leaves.
+  unsigned shared_bytes = 0;  // per block, in addition to the static shared memory of the text
+  // A kernel that runs first, with blocks of kEarlyThreads, and the memory for its results.
   static constexpr unsigned kEarlyThreads = 128;
   novaphy::gpu::Function early = nullptr;
   novaphy::gpu::DevicePointer early_memory = 0, jobs = 0;
@@ -35,8 +34,8 @@ struct DestroyList {
 };
 using OwnList = std::unique_ptr<novaphy_list, DestroyList>;
 
-// Compiles the text, and copies the table to the device. `relative`: words of the table that count
-// bytes from its first, and become addresses.
+// Compiles the text, and copies the table to the device. `relative`: words of the table that hold
+// offsets in bytes from its start; they are replaced by addresses.
 novaphy_status load_list(novaphy_list& list, const std::string& text, bool contract,
                          std::vector<uint64_t>& table, std::span<const uint64_t> relative,
                          novaphy_error* error);

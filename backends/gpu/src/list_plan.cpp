@@ -17,7 +17,7 @@ bool same_kind(const novaphy_list_op& a, const novaphy_list_op& b) {
   return a.row_bytes == b.row_bytes && (a.source == nullptr) == (b.source == nullptr);
 }
 
-// The stretch that repeats: the one that leaves the fewest operations outside.
+// Finds the repeating stretch that leaves the fewest operations outside.
 void find_body(ListPlan& plan, std::span<const novaphy_list_op> ops) {
   const auto count = static_cast<uint32_t>(ops.size());
   uint32_t best = 0;
@@ -35,9 +35,9 @@ void find_body(ListPlan& plan, std::span<const novaphy_list_op> ops) {
   }
 }
 
-// Who wrote the memory that an operation reads at its own row.
+// The operation that wrote the memory which another operation reads at its own row.
 struct Producer {
-  int64_t op = -1;  // -1: nobody in the list before
+  int64_t op = -1;  // -1: no earlier operation of the list
   uint32_t output = 0;
   bool kernel = false;
   bool operator==(const Producer&) const = default;
@@ -84,7 +84,8 @@ class Planner {
 
   ListPlan run() {
     find_body(plan_, ops_);
-    // Where the loop begins decides what an iteration hands on: the turn that keeps most is taken.
+    // The start of the loop decides which results an iteration passes to the next one. The rotation
+    // that keeps the most results in registers is chosen.
     const uint32_t first = plan_.first;
     uint32_t best = first;
     size_t most = 0;
@@ -155,7 +156,8 @@ class Planner {
       source.from = ListPlan::Source::From::Constant;
       return source;
     }
-    // In every iteration but the first the same operation of the same distance made it.
+    // In every iteration but the first, the same operation at the same distance must have made the
+    // value.
     const auto place = [&](uint32_t k, int64_t& distance, uint32_t& j, uint32_t& output) {
       const Producer& made = flow_.producer(op + k * plan_.period, s);
       if (made.op < plan_.first || !made.kernel) return false;
@@ -172,7 +174,7 @@ class Planner {
       if (!place(k, d, other_j, other_output) || d != distance || other_j != j ||
           other_output != output)
         return source;
-    // A register holds the value of the iteration before only until its operation runs again.
+    // A register holds the value of the previous iteration only until its operation runs again.
     if (distance == 1 && j < op - plan_.first) return source;
     const nova::ir::Program& p = ops_[op].kernel->program;
     const nova::ir::Program& maker = ops_[plan_.first + j].kernel->program;
@@ -187,7 +189,7 @@ class Planner {
   }
 
   // Registers that the first iteration reads are loaded before the loop. All sources that read such
-  // a register must therefore name the same memory.
+  // a register must therefore refer to the same memory.
   void agree_on_starts() {
     std::map<std::pair<uint32_t, uint32_t>, uint64_t> start;
     for (ListPlan::Site& s : plan_.body)

@@ -1,4 +1,4 @@
-// The text of a list as one kernel: a thread runs all operations of its row.
+// The text of a list as one kernel: a thread runs all operations for its row.
 #include <map>
 #include <set>
 
@@ -12,8 +12,8 @@ namespace {
 
 constexpr size_t kMaxWords = 480;       // a kernel takes 4 KiB of arguments
 constexpr int32_t kMaxItemWords = 24;   // registers for an item of a CSR loop
-constexpr uint64_t kManyRows = 4096;    // from here on the registers of a thread are limited
-constexpr uint64_t kBlocksPerUnit = 5;  // at a time, where there are many rows
+constexpr uint64_t kManyRows = 4096;    // from this count on, the registers of a thread are limited
+constexpr uint64_t kBlocksPerUnit = 5;  // blocks that run at the same time, for many rows
 constexpr uint64_t kMaxRegisters = 16;  // words of a row that is stored after its operation
 
 std::string str(uint64_t k) { return std::to_string(k); }
@@ -48,19 +48,21 @@ class Writer {
     out_.words.push_back(value);
     return out_.words.size() - 1;
   }
-  // Equal words that are the same in every iteration share a place, so that the compiler sees that
-  // they are equal. Only numbers of rows: whether two addresses are equal depends on the list.
+  // Equal words that are constant over the iterations share a place, so that the compiler knows
+  // they are equal. Only row counts do this, because the equality of two addresses depends on the
+  // list.
   uint64_t rows_word(uint64_t rows) {
     const auto [known, fresh] = rows_.emplace(rows, 0);
     if (fresh) known->second = word(rows);
     return known->second;
   }
 
-  // Word w of an operation, of this iteration or a later one: fixed, growing evenly, or listed.
+  // Returns the text of word w of an operation, in this iteration or a later one: constant, growing
+  // evenly, or from the table.
   std::string word_text(uint32_t op, uint32_t w, bool in_body, uint32_t later = 0) {
     const uint64_t value = ops_[op].arguments[w];
     const size_t sources = ops_[op].kernel->program.sources.size();
-    if (w < 2 * sources && w % 2 == 1) {  // a number of rows
+    if (w < 2 * sources && w % 2 == 1) {  // a row count
       bool fixed = true;
       for (uint32_t k = 1; in_body && k < plan_.repeats; ++k)
         fixed = fixed && ops_[op + k * plan_.period].arguments[w] == value;
@@ -100,7 +102,7 @@ class Writer {
     return false;
   }
 
-  // Declares the registers of the body, and loads those that the first iteration finds filled.
+  // Declares the registers of the body, and loads those that the first iteration reads.
   std::string registers() {
     std::string code;
     for (uint32_t j = 0; j < plan_.period; ++j) {
@@ -122,8 +124,8 @@ class Writer {
     }
     return code;
   }
-  // A source that is the same rows in every iteration, which no operation writes, and of which only
-  // one row is read, the own or the first: it is loaded before the loop.
+  // Whether a source is loaded before the loop: its rows are the same in every iteration, no
+  // operation writes them, and only one row is read, the own or the first.
   bool is_loaded_once(const ListPlan::Site& site, size_t s) const {
     const nova::ir::Program& p = ops_[site.op].kernel->program;
     const Rows rows = rows_read(p, s);
@@ -158,9 +160,10 @@ class Writer {
     }
     return code;
   }
-  // A source whose own row is another one in every iteration, and which no operation writes: the
-  // row of the next iteration is loaded during this one, and where rows are so many that they lie
-  // beyond the caches, the one after it is sent for. Adds to `before` the row of the first.
+  // Whether a source is prefetched: its own row differs in every iteration, and no operation writes
+  // it. The row of the next iteration is loaded during the current one. If the rows exceed the
+  // caches, the row after that is prefetched into the cache. Adds the row of the first iteration to
+  // `before`.
   bool is_prefetched(const ListPlan::Site& site, size_t s) const {
     return ops_[site.op].kernel != nullptr &&
            site.sources[s].from == ListPlan::Source::From::Constant && !is_loaded_once(site, s) &&
@@ -192,13 +195,13 @@ class Writer {
     return code;
   }
 
-  // Whether the same memory is bound in all iterations.
+  // Whether the word refers to the same memory in all iterations.
   bool is_fixed(uint32_t op, uint32_t w) const {
     for (uint32_t k = 1; k < plan_.repeats; ++k)
       if (ops_[op + k * plan_.period].arguments[w] != ops_[op].arguments[w]) return false;
     return true;
   }
-  // Which sources of an operation of the body are kept in registers for the first items of its CSR
+  // Returns which sources of a body operation are kept in registers for the first items of its CSR
   // loops. All these loops must go over the same items.
   std::vector<char> items_to_keep(const ListPlan::Site& site) const {
     if (ops_[site.op].kernel == nullptr) return {};
@@ -228,7 +231,7 @@ class Writer {
       }
     return total == 0 || total > kMaxItemWords ? std::vector<char>{} : kept;
   }
-  // Loads them: item r as far as the row has one and the rows that it names are there.
+  // Loads the kept sources: item r if the row has one and the indexed rows exist.
   std::string items(const ListPlan::Site& site) {
     const std::vector<char>& kept = kept_items_[site.op - plan_.first];
     if (kept.empty()) return {};
@@ -268,7 +271,7 @@ class Writer {
            ".csr, (const int32_t*)" + pointer(table + 1) + ", r, 1);\n" + at_slot + at_index +
            "      if (fine) " + name + ".count = r + 1;\n    }\n  }\n";
   }
-  // Operations of one Program share its function, so they keep the same sources, or nothing.
+  // Operations of one Program share its function, so they keep the same sources, or none.
   std::string all_items() {
     std::string code;
     for (const ListPlan::Site& site : plan_.body) {
@@ -281,8 +284,8 @@ class Writer {
     return code;
   }
 
-  // From which iteration on each output of the body has to be stored: what an earlier one leaves is
-  // overwritten before anyone reads it from memory. Looked through from the end.
+  // Finds the first iteration from which each output of the body must be stored. Earlier results
+  // are overwritten before they are read from memory. The search runs backward.
   void find_first_stores() {
     std::map<uint64_t, size_t> overwritten;  // memory, with the words of a row
     const auto read = [&](uint64_t where) { overwritten.erase(where); };
@@ -376,7 +379,7 @@ class Writer {
     return code + (kept ? ", kept" + str(j) : "") + ", i, failure);\n" + stores + indent + "}\n";
   }
 
-  // Once per thread: a branch after each operation would keep the next one's loads waiting.
+  // Once per thread: a branch after each operation would delay the loads of the next one.
   std::string report() const {
     std::string code = "  if (failure.source >= 0) {\n    uint64_t kernel = 0;\n";
     for (size_t k = 0; k < kernels_.size(); ++k)
@@ -386,7 +389,7 @@ class Writer {
            "    end_row(failure, device_sink{sink.record, sink.flag, (uint32_t)kernel}, i);\n  }\n";
   }
 
-  // A copy or a fill of the own row.
+  // Writes a copy or a fill of the own row.
   std::string move(const ListPlan::Site& site, bool in_body, const std::string& indent) {
     const auto address = [](const void* p) { return reinterpret_cast<uint64_t>(p); };
     const auto at = [&](uint32_t k) -> const novaphy_list_op& {
@@ -426,7 +429,7 @@ class Writer {
       if (items != with_items_.end())
         text += nova::ir::emit_device(program, name + "_kept", items->second);
     }
-    out_.text = text + out_.text;  // the kept items' structures
+    out_.text = text + out_.text;  // the structures of the kept items come first
     out_.fits = out_.words.size() <= kMaxWords;
     out_.table_width = static_cast<uint32_t>(columns_.size());
     out_.text += "#define TABLE_WIDTH " + str(columns_.size()) + "\n";
@@ -454,8 +457,9 @@ class Writer {
   std::map<uint64_t, uint64_t> rows_;
   std::map<uint32_t, std::vector<char>> with_items_;  // per function of the body
   std::vector<std::vector<char>> kept_items_;         // per operation of the body and source
-  std::vector<uint64_t> kernels_;                     // words: numbers of the operations' kernels
-  std::string starts_, steps_;                        // of addresses that grow evenly
+  // words with the kernel numbers of the operations
+  std::vector<uint64_t> kernels_;
+  std::string starts_, steps_;                        // for addresses that grow evenly
   std::vector<std::vector<uint32_t>> first_stores_;   // per operation of the body and output
 };
 

@@ -1,4 +1,4 @@
-// Device and pinned host memory, copies and fills.
+// Device memory and pinned host memory, copies and fills.
 #include "device.h"
 
 namespace novaphy::gpu {
@@ -37,7 +37,7 @@ novaphy_status memory_alloc(novaphy_device* device, int32_t kind, uint64_t bytes
   return check(device, result, "memory_alloc", error);
 }
 
-// Nothing can be said here; memory of a lost device went with its context.
+// The function cannot report errors. The memory of a lost device was freed with its context.
 void memory_free(novaphy_device* device, int32_t kind, void* pointer) {
   if (pointer == nullptr || device->lost) return;
   const Use use(device);
@@ -57,7 +57,7 @@ novaphy_status memory_copy(novaphy_stream* stream, int32_t kind, void* target, c
     return status;
   const Driver& d = driver();
   const Use use(stream->device);
-  // With memory that is not pinned these return when the host's side is done.
+  // With pageable memory these calls return after the host's part of the copy.
   switch (kind) {
     case NOVAPHY_COPY_HOST_TO_DEVICE:
       return check(stream->device,

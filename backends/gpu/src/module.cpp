@@ -15,8 +15,8 @@
 namespace novaphy::gpu {
 namespace {
 
-// NOVAPHY_CUDA_CONTRACT=on: products and sums of all kernels may become one rounding, as other
-// engines have them on GPUs.
+// NOVAPHY_CUDA_CONTRACT=on lets compilers contract products and sums of all kernels to one
+// rounding, as is common on GPUs.
 novaphy_status contraction_is_on(bool* on, novaphy_error* error) {
   const char* text = std::getenv("NOVAPHY_CUDA_CONTRACT");
   const std::string_view value = text != nullptr ? text : "";
@@ -59,7 +59,7 @@ novaphy_status create_program(novaphy_device* device, const void* data, uint64_t
   status =
       load_code(device, kernel_source(program), kernel.name,
                 program.contract ? Dialect::Contracted : Dialect::Program, &module.module, error);
-  if (status == NOVAPHY_NOT_SUPPORTED && !contract) {  // the interpreter rounds twice
+  if (status == NOVAPHY_NOT_SUPPORTED && !contract) {  // the interpreter does not contract
     status = make_interpreted(device, program, kernel, error);
     if (status == NOVAPHY_OK) say_interpreted(compiler(driver().version).problem.c_str());
     return status;
@@ -71,8 +71,9 @@ novaphy_status create_program(novaphy_device* device, const void* data, uint64_t
   return status;
 }
 
-// Text whose kernels are named in lines "// kernel NAME WORDS" (0: as many as a launch gives), of
-// one whose threads know their block with " NOVAPHY_BLOCK" behind.
+// Makes a module from text. The text names its kernels in lines "// kernel NAME WORDS". WORDS 0
+// stands for the number of words of the launch. A kernel whose threads use their block index has "
+// NOVAPHY_BLOCK" at the end.
 novaphy_status create_source(novaphy_device* device, const void* data, uint64_t bytes,
                              novaphy_module& module, novaphy_error* error) {
   const std::string text(static_cast<const char*>(data), bytes);
@@ -129,7 +130,7 @@ novaphy_status load_code(novaphy_device* device, const std::string& source, cons
   std::vector<char> code;
   if (CodeCache::get().find(key, code)) {
     if (d.module_load(module, code.data()) == kSuccess) return NOVAPHY_OK;
-    code.clear();  // e.g. made for another driver: made anew
+    code.clear();  // for example built for another driver: compiled again
   }
   if (!c.available())
     return fail(error, NOVAPHY_NOT_SUPPORTED, "kernel '%s' cannot be compiled: %s", name.c_str(),
@@ -169,7 +170,7 @@ novaphy_status module_create(novaphy_device* device, int32_t format, const void*
       status = create_program(device, data, bytes, *made, error);
     } else if (format == NOVAPHY_CODE_BUILTIN) {
       const std::string_view name(static_cast<const char*>(data), bytes);
-      // The name may come with its terminating zero.
+      // The name may include its terminating zero.
       novaphy_kernel& kernel = *made->kernels.emplace_back(std::make_unique<novaphy_kernel>());
       kernel.device = device;
       status = make_builtin(device, name.substr(0, name.find('\0')), kernel, error);
@@ -189,7 +190,8 @@ void module_destroy(novaphy_module* module) { destroy(module); }
 novaphy_status kernel_get(novaphy_module* module, const char* name, novaphy_kernel** kernel,
                           novaphy_error* error) {
   for (const auto& own : module->kernels) {
-    const bool is_main = own->hash != 0 || own->run != nullptr;  // else it has a name of its own
+    // other kernels have a name of their own
+    const bool is_main = own->hash != 0 || own->run != nullptr;
     if (std::strcmp(name, is_main ? "main" : own->name.c_str()) != 0) continue;
     *kernel = own.get();
     return NOVAPHY_OK;

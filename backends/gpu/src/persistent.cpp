@@ -1,4 +1,4 @@
-// Persistent kernels: which operations they take, in which form they run, and their launch.
+// Persistent kernels: which operations they support, in which form they run, and their launch.
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
@@ -16,20 +16,21 @@ namespace {
 
 using Form = PersistentShape::Form;
 
-// Warps of a block that have rows of a phase, and all of them: as many as leave a thread the
-// registers that adjoints of elements take.
+// Warps of a block with rows of a phase, and all warps of a block. The limits leave enough
+// registers for the adjoints of elements.
 constexpr unsigned kFewWarps = 4, kMostWarps = 8, kMostWarpsAtAll = 12;
-// Blocks of a large cluster, where the driver finds the units for it, and for how many warps it is
-// not worth it.
+// The blocks of a large cluster, if the driver finds the units for it, and the number of warps up
+// to which it does not pay off.
 constexpr unsigned kMostInLargeCluster = 16, kFewForLarge = 32;
-constexpr int32_t kClusters = 90;  // the first architecture that has
-// Of the shared memory of a block, and what threads may keep of it beside the records.
+constexpr int32_t kClusters = 90;  // the first architecture with clusters
+// Static shared memory of a block, and the part in which threads may keep values beside the
+// records.
 constexpr unsigned kSharedOfText = 48 << 10, kKeptBytes = 38 << 10;
-// What they may keep where blocks have a plan, which asks for more shared memory.
+// The same if blocks have a plan, which requests more shared memory.
 constexpr unsigned kKeptWithPlan = 100 << 10;
-// Of memory, for what is computed early, and which part of what is free.
+// Limits on the memory for early results: bytes, and the share of the free memory.
 constexpr uint64_t kEarlyBytes = uint64_t{4} << 30, kEarlyPart = 4;
-// What the builtin, where a block works on such a row, sums faster.
+// Rows from this size on are summed faster by the builtin, where a whole block works on a row.
 constexpr uint64_t kLongRow = 1024, kWideRow = 16;
 
 // NOVAPHY_DEVICE_PHASES=BLOCKSxTHREADS.
@@ -45,8 +46,8 @@ bool asked_for(unsigned& blocks, unsigned& threads) {
 
 unsigned rounded_up(unsigned a, unsigned b) { return (a + b - 1) / b; }
 
-// Few rows stay on one unit, where a barrier costs next to nothing; more of them spread over a
-// cluster, whose barrier is the hardware's, and many over the device.
+// Few rows stay on one unit, where a barrier is almost free. More rows use a cluster with its
+// hardware barrier, and many rows the whole device.
 PersistentShape choose(const novaphy_device& device, unsigned warps, unsigned in_cluster) {
   const bool clusters = device.arch >= kClusters;
   PersistentShape shape;
@@ -74,7 +75,7 @@ PersistentShape choose(const novaphy_device& device, unsigned warps, unsigned in
   return shape;
 }
 
-// Whether the device has the units of a large cluster side by side.
+// Whether the device has enough adjacent units for a large cluster.
 bool runs_as_cluster(const novaphy_list& list) {
   const Use use(list.device);
   const Driver& d = driver();
@@ -100,7 +101,7 @@ novaphy_status fit_together(novaphy_list& list, novaphy_error* error) {
   return status;
 }
 
-// What lies in the memory of the device, once all work that was launched there is done.
+// Reads device memory, after all work launched on the device is done.
 std::vector<int32_t> words_at(const novaphy_device* device, uint64_t where, size_t count) {
   std::vector<int32_t> words(count);
   const Use use(device);
@@ -118,13 +119,13 @@ uint64_t early_bytes(const novaphy_device* device) {
   return std::min<uint64_t>(kEarlyBytes, free / kEarlyPart);
 }
 
-// Whether the compiler knows how blocks of a cluster send rows to one another.
+// Whether the compiler supports sends between blocks of a cluster.
 bool knows_sends() {
   const Compiler& c = compiler(driver().version);
   return c.major > 12 || (c.major == 12 && c.minor >= 1);
 }
 
-// Of a block of a launch that asks for it.
+// Returns the shared memory that a launch can request per block.
 uint64_t most_shared_bytes(const novaphy_device* device) {
   int most = 0;
   const bool known = driver().device_attribute(&most, kMostSharedBytes, device->id) == kSuccess;
@@ -148,7 +149,7 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_persistent
     for (size_t s = 0; s < p.sources.size(); ++s)
       if (o.op.arguments[p.source_argument(s) + 1] > INT32_MAX) return refuse("too many rows");
   }
-  // One rounding policy for the whole text.
+  // The whole text has one rounding policy.
   if (plain && contract) return refuse("kernels with and without contraction");
   const uint32_t warps = most_warps(ops);
   for (const unsigned in_cluster : {kMostInLargeCluster, kMostInCluster}) {

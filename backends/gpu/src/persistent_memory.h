@@ -1,4 +1,4 @@
-// The operations of a persistent kernel: their phases, and what they read and write.
+// The operations of a persistent kernel: their phases, and the memory that they read and write.
 #pragma once
 
 #include <algorithm>
@@ -12,7 +12,7 @@
 
 namespace novaphy::gpu {
 
-// The operations of the phase that begins with the first of them.
+// Returns the operations of the phase that begins with operation `first`.
 inline std::span<const novaphy_persistent_op> phase_at(std::span<const novaphy_persistent_op> ops,
                                                        size_t first) {
   size_t last = first;
@@ -20,7 +20,7 @@ inline std::span<const novaphy_persistent_op> phase_at(std::span<const novaphy_p
   return ops.subspan(first, last - first);
 }
 
-// All of them, as numbers of operations.
+// A phase as a range of operation indices.
 struct PhaseSpan {
   size_t first, last;
 };
@@ -31,7 +31,7 @@ inline std::vector<PhaseSpan> phases_of(std::span<const novaphy_persistent_op> o
   return phases;
 }
 
-// Pieces of memory.
+// A set of memory ranges.
 class Pieces {
  public:
   void add(uint64_t begin, uint64_t bytes) {
@@ -54,15 +54,15 @@ class Pieces {
 };
 
 inline uint64_t address(const void* p) { return reinterpret_cast<uint64_t>(p); }
-// Of a launch; the others are copies and fills.
+// Whether a launch is a builtin. Operations that are not launches are copies and fills.
 inline bool is_builtin(const novaphy_persistent_op& o) {
   return o.op.kernel->program.instrs.empty();
 }
 
-// A sum of rows of CSR items: the builtin, or a Program that adds them to its own row, which is
-// there. Its argument words; items come after offsets.
+// A sum of rows of CSR items: the builtin, or a Program that adds such rows to its own row, which
+// must exist. The members are argument words; the word of the items follows that of the offsets.
 struct CsrSum {
-  int32_t source = -1;  // -1: the operation is none
+  int32_t source = -1;  // -1: the operation is not such a sum
   int32_t offsets = 1, init = 3, out = 4;
   int32_t width = 1;
   bool has_init = false;
@@ -93,7 +93,7 @@ inline CsrSum csr_sum(const novaphy_persistent_op& o) {
           true};
 }
 
-// f(offsets), of each CSR table
+// Calls f(offsets) for each CSR table.
 template <class F>
 void for_each_table(const novaphy_persistent_op& o, const F& f) {
   if (o.op.kernel == nullptr) return;
@@ -106,7 +106,7 @@ void for_each_table(const novaphy_persistent_op& o, const F& f) {
     if (p.loops[l].kind == nova::ir::LoopKind::Csr) f(o.op.arguments[p.loop_argument(l)]);
 }
 
-// f(begin, bytes, output)
+// Calls f(begin, bytes, output) for each range written.
 template <class F>
 void for_each_written(const novaphy_persistent_op& o, const F& f) {
   const auto rows = static_cast<uint64_t>(o.n) * sizeof(int32_t);
@@ -123,7 +123,7 @@ void for_each_written(const novaphy_persistent_op& o, const F& f) {
 inline void add_written(Pieces& written, const novaphy_persistent_op& o) {
   for_each_written(o, [&](uint64_t begin, uint64_t bytes, size_t) { written.add(begin, bytes); });
 }
-// f(begin, bytes, argument word)
+// Calls f(begin, bytes, argument word) for each range read.
 template <class F>
 void for_each_read(const novaphy_persistent_op& o, const F& f) {
   const auto rows = static_cast<uint64_t>(o.n) * sizeof(int32_t);

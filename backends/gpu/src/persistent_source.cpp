@@ -1,4 +1,5 @@
-// The text of a persistent kernel: a function for each form of a chain, and the choice among them.
+// The text of a persistent kernel: a function for each form of a chain, and the dispatch among
+// them.
 #include "persistent_source.h"
 
 #include <algorithm>
@@ -13,25 +14,26 @@ namespace {
 
 using Operation = ChainForm::Operation;
 
-constexpr int32_t kMostItemWords = 72;  // of rows of items, which a thread has before it adds them
+constexpr int32_t kMostItemWords = 72;  // words of item rows that a thread holds before it adds
+                                        // them
 
 std::string str(int64_t k) { return std::to_string(k); }
 std::string registers(int32_t op, int32_t output) { return "r" + str(op) + "_" + str(output); }
 
-// Several rows for each of the chain come one after another: not early.
+// If an operation has several rows for each of the chain, they run one after another, not early.
 std::vector<nova::ir::Available> available(const Operation& op) {
   using nova::ir::Available;
   std::vector<Available> sources;
   for (const Operation::Source& source : op.sources) {
     const bool early = source.early && op.each == 1;
-    // What a thread keeps need not come from memory once more.
+    // Values kept by a thread need no second load from memory.
     const bool both = source.fixed && op.early_word >= 0;
     sources.push_back(!early ? Available::Late : both ? Available::Both : Available::Early);
   }
   return sources;
 }
 
-// More than loads of own rows, which the chain has done already.
+// Whether a Program does more than load own rows, which the chain has already loaded.
 bool is_work(const nova::ir::Program& p) {
   using nova::ir::Op;
   for (const nova::ir::Instr& in : p.instrs) {
@@ -42,18 +44,18 @@ bool is_work(const nova::ir::Program& p) {
   return false;
 }
 
-// The functions of the Programs in a persistent kernel, each once: whole, or what can be done early and what
-// is left.
+// The functions of the Programs in a persistent kernel, without duplicates: whole, or split into an
+// early half and the rest.
 class RowFunctions {
  public:
   explicit RowFunctions(const PersistentTable& table) : table_(table) {}
 
   struct Function {
     std::string name;
-    nova::ir::Cut halves{};  // without outputs of `early`: the function is whole
+    nova::ir::Cut halves{};  // no outputs of `early`: the function is whole
     bool is_cut() const { return !halves.early.outputs.empty(); }
-    // By how many words its arguments begin before those of the whole Program: parameters lie
-    // behind what differs.
+    // How many words earlier its arguments begin than those of the whole Program. Parameters follow
+    // the words that differ.
     int64_t shift = 0, early_shift = 0;
   };
   const Function& of(const Operation& op) {
@@ -107,7 +109,7 @@ class ChainText {
       loads(false);
     }
     const size_t sums = sums_of_block();
-    if (sums > 0) {  // lanes that only go along would load rows, too
+    if (sums > 0) {  // lanes without a row of their own would load rows too
       for (size_t k = 0; k < sums; ++k) declare_registers(static_cast<int32_t>(k), " = {}");
       code_ += "  if (on) {\n";
     }
@@ -120,14 +122,14 @@ class ChainText {
       operation(static_cast<int32_t>(k), k < sums);
     }
     if (sums == form_.operations.size()) code_ += "  }\n";
-    // Others may still read what the phase before has read.
+    // Other blocks may still read the data of the previous phase.
     if (!stores_at_once()) {
       if (form_.sums_items || waits_late) code_ += wait;
       sends();
       hand_over();
       code_ += leave;
     }
-    // With a plan a row that nobody stores may have failed, too.
+    // With a plan, a row that no thread stores may have failed too.
     if (table_.layouts != 0) {
       report();
       code_ += "  if (!owns) return;\n";
@@ -140,7 +142,7 @@ class ChainText {
            code_ + "}\n";
   }
 
-  // The early halves that are computed before, as a function of their own; none: empty.
+  // Returns the function of the early halves, which run before the persistent kernel; empty: none.
   std::string run_early(size_t number) {
     for (size_t k = 0; k < form_.operations.size(); ++k) early_half(static_cast<int32_t>(k));
     if (code_.empty()) return code_;
@@ -168,7 +170,8 @@ class ChainText {
         if (output.halo >= 0) return true;
     return false;
   }
-  // Whether nothing that it reads is there only when the phase before is over.
+  // Whether the chain reads the halo, and nothing else that is complete only after the previous
+  // phase.
   bool reads_halo_alone() const {
     if (!reads_halo() || form_.sums_items || stores_at_once()) return false;
     for (const Operation& op : form_.operations) {
@@ -191,7 +194,7 @@ class ChainText {
   static std::string own_words(int32_t op, size_t source, int32_t words) {
     return "  int32_t " + own(op, source) + "[" + str(words) + "];\n";
   }
-  // Whether the items of a table lie in the memory of the block.
+  // Whether the items of a table are in the memory of the block.
   bool in_block(int32_t t) const {
     return std::any_of(form_.operations.begin(), form_.operations.end(),
                        [&](const Operation& op) { return op.sum.items >= 0 && op.tables[0] == t; });
@@ -199,9 +202,8 @@ class ChainText {
   static std::string crossing_count(const nova::ir::Output& output) {
     return str(static_cast<int64_t>(crossing_words(output)));
   }
-  // What the chain reads at its own row, and the first items of its sums, are loaded at once when
-  // it begins, or as soon as the phase before is over: a thread then waits once, and not for each
-  // operation anew.
+  // When a chain begins, or as soon as the previous phase is over, all own rows and the first items
+  // of its sums are loaded together. A thread then waits once instead of once per operation.
   std::string own_load(int32_t k, size_t s, int32_t words) {
     const Operation::Source& source = at(k).sources[s];
     code_ += own_words(k, s, words);
@@ -221,7 +223,7 @@ class ChainText {
       if (!source.fixed && source.early == early) code_ += "  " + own_load(k, s, words);
     });
   }
-  // What nothing in the persistent kernel writes a thread keeps for the next time.
+  // A thread keeps data that no operation of the persistent kernel writes.
   void kept_loads() {
     std::string declared, fixed, filled, kept;
     const auto keep = [&](const std::string& words) {
@@ -257,21 +259,22 @@ class ChainText {
                "    if (kept != 0) {\n" + begin_kept() + filled + "    }\n  }\n";
       return;
     }
-    // All is kept: what fills is far from what runs each time, which so stays short.
+    // All such data is kept. The function that fills it is separate, so that the code of each run
+    // stays short.
     filling_ = "COLD_FN void fill" + number_ +
                "(const uint64_t* words, const int64_t i, int32_t* at) {\n" + declared + fixed +
                items + filled + "}\n";
     code_ += "  if (is_to_be_filled(kept)) fill" + number_ +
              "(words, i, begin_kept(memory, kept));\n  {\n" + begin_kept() + kept + "  }\n";
   }
-  // The rows of the first items of its sums, as many as registers hold.
+  // Loads the rows of the first items of its sums, as many as registers hold.
   void item_loads(size_t first, size_t last) {
     int32_t words = 0;
     for (auto k = static_cast<int32_t>(first); k < static_cast<int32_t>(last); ++k) {
       const Operation& op = at(k);
       if (op.kind != Operation::RowSum || !op.sum.offsets || op.tables[0] < 0) continue;
       const bool joined = is_joined(k);
-      if (op.sum.joins) continue;  // with the one before
+      if (op.sum.joins) continue;  // loaded with the previous operation
       words += (joined ? 2 : 1) * op.sum.width * (op.sum.batch != 0 ? op.sum.batch : kBatch);
       if (words > kMostItemWords) return;
       has_items_.insert(k);
@@ -287,13 +290,13 @@ class ChainText {
   static std::string batch(const Operation& op) {
     return "batch_rows<" + str(op.sum.width) + ", " + batch_size(op) + ">";
   }
-  // Where the items of a sum lie.
+  // Returns where the items of a sum are stored.
   static std::string summed(const Operation& op) {
     return op.sum.items >= 0
                ? "block_items{memory.rows + " + str(op.sum.items) + "}"
                : "memory_items{words[" + str(op.first_word + op.sum.source_word) + "]}";
   }
-  // What goes to the memory of other blocks. All lanes of a warp share this work.
+  // Writes the sends to the memory of other blocks. All lanes of a warp share this work.
   void sends() {
     for (int32_t k = 0; k < static_cast<int32_t>(form_.operations.size()); ++k)
       for (size_t o = 0; o < at(k).outputs.size(); ++o) {
@@ -303,7 +306,7 @@ class ChainText {
                    registers(k, static_cast<int32_t>(o)) + ");\n";
       }
   }
-  // What goes to the memory of the block, before what goes to memory.
+  // Writes the stores to the memory of the block, before the stores to global memory.
   void hand_over() {
     std::string puts;
     for (int32_t k = 0; k < static_cast<int32_t>(form_.operations.size()); ++k)
@@ -326,7 +329,8 @@ class ChainText {
     return op.first_word + table_.source_word(op, source);
   }
 
-  // What an operation can do before the phase before is over; what it leaves stays in registers.
+  // Writes the part of an operation that may run before the previous phase is over. Its results
+  // stay in registers.
   void early(int32_t k) {
     const Operation& op = at(k);
     if (op.kind != Operation::Program || !rows_.of(op).is_cut()) return;
@@ -383,13 +387,13 @@ class ChainText {
              str(op.first_word - 1) + "];\n    end_row(failure, sink, i);\n  }\n  }\n";
   }
 
-  // How many operations at the beginning add items of the block.
+  // The number of leading operations that add items of the block.
   size_t sums_of_block() const {
     size_t k = 0;
     while (k < form_.operations.size() && form_.operations[k].sum.items >= 0 &&
            form_.operations[k].outputs[0].store != Operation::Output::Now)
       ++k;
-    if (k > 0 && is_joined(static_cast<int32_t>(k) - 1)) --k;  // both or none
+    if (k > 0 && is_joined(static_cast<int32_t>(k) - 1)) --k;  // both or neither
     return k;
   }
   void declare_registers(int32_t k, const std::string& value = "") {
@@ -411,7 +415,7 @@ class ChainText {
     code_ += ";\n" + call(k, loop) + (loop ? "    }\n" : "") + "  }\n";
   }
 
-  // Words of row j of an operation among those of the chain's row.
+  // Returns the words of row j of an operation within the chain's row.
   static std::string of_row(const std::string& name, int32_t width, bool loop) {
     return loop ? name + " + j * " + str(width) : name;
   }
@@ -472,7 +476,7 @@ class ChainText {
           ", " + output(k, static_cast<int32_t>(o), loop, "w[" + str(p.output_argument(o)) + "]");
     return text + ", row, failure);\n";
   }
-  // Its words, with its tables where the chain has loaded them all.
+  // Returns the arguments, with the tables if the chain has loaded all of them.
   std::string arguments(const Operation& op, int64_t shift) const {
     const std::string words = shift == 0 ? "w" : "w - " + str(shift);
     std::string tables;
@@ -510,13 +514,14 @@ class ChainText {
     return text + ", row);\n";
   }
 
-  // Rows of the operations before, for one of the chain: so a failure names operation and row.
+  // The number of rows of earlier operations for one row of the chain, so that a failure names the
+  // operation and the row.
   int64_t first_row(int32_t k) const {
     int64_t rows = 0;
     for (int32_t before = 0; before < k; ++before) rows += at(before).each;
     return rows;
   }
-  // Once per chain: a branch after each row would keep the next one's loads waiting.
+  // Once per chain: a branch after each row would delay the loads of the next row.
   void report() {
     code_ +=
         "  if (failure.source >= 0) {\n    const int32_t at = failure.source / kSources;\n"
@@ -552,11 +557,11 @@ class ChainText {
   const ChainForm& form_;
   RowFunctions& rows_;
   std::string number_, code_;
-  std::string filling_;          // a function of its own
+  std::string filling_;          // a separate function
   std::set<int32_t> has_items_;  // sums whose first items are loaded before any is added
 };
 
-// The kernel that computes early halves.
+// The kernel of the early halves.
 std::string early_source(const PersistentTable& table, RowFunctions& rows) {
   std::string functions, cases;
   for (size_t k = 0; k < table.forms.size(); ++k) {
@@ -575,7 +580,7 @@ std::string early_source(const PersistentTable& table, RowFunctions& rows) {
 }
 
 uint64_t record_words(const PersistentTable& table) {
-  constexpr uint64_t kStep = 64;  // tables of about one size share their code
+  constexpr uint64_t kStep = 64;  // tables of similar size share their code
   return (table.most_words + kStep - 1) / kStep * kStep;
 }
 
@@ -591,7 +596,7 @@ nova::ir::Cut halves_of(const PersistentTable& table, const Operation& op) {
 uint64_t shared_bytes(const PersistentTable& table, const PersistentShape& shape) {
   constexpr uint64_t kRecords = 3;
   const uint64_t words = table.layouts != 0 ? table.layouts : table.kept_words;
-  constexpr uint64_t kHaloBytes = 24;  // its barriers, and how much they wait for
+  constexpr uint64_t kHaloBytes = 24;  // its barriers, and the byte count they wait for
   return kRecords * record_words(table) * sizeof(uint64_t) +
          words * shape.threads * sizeof(int32_t) +
          uint64_t{table.halo_rounds} * shape.threads * sizeof(int32_t) + kHaloBytes;

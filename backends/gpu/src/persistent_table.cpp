@@ -1,4 +1,4 @@
-// From operations to records and forms of chains.
+// Converts operations to records and forms of chains.
 #include <algorithm>
 #include <cstring>
 #include <map>
@@ -17,33 +17,33 @@ using Operation = ChainForm::Operation;
 
 constexpr int32_t kMaxRegisters = 24;  // words of an output that stays in registers
 constexpr int32_t kMaxOwn = 12;        // words of a source that are loaded when a chain begins
-constexpr int32_t kMaxTables = 3;      // CSR tables likewise
+constexpr int32_t kMaxTables = 3;      // CSR tables that are loaded then
 constexpr uint64_t kAlignment = 16;
-constexpr uint32_t kMinUses = 4;  // of what is worth keeping
-// Of a task, where a plan says which rows a thread has; as in persistent.cuh.
+constexpr uint32_t kMinUses = 4;  // uses from which keeping a value pays off
+// The bits of a task, if a plan assigns rows to threads; as in persistent.cuh.
 constexpr uint64_t kWorks = 1, kStores = 2, kHandsOver = 4, kTakesOver = 8, kKeeps = 16,
                    kSends = 32, kFills = 256;
 constexpr uint64_t kTurnShift = 6, kLayoutShift = 16;
-constexpr uint64_t kHeader = 4;       // words of a record, there
+constexpr uint64_t kHeader = 4;       // words of a record's header, with a plan
 constexpr uint64_t kJobWords = 4;     // as in persistent.cuh
-constexpr size_t kFetchedBefore = 2;  // records: what is loaded is near by then
+constexpr size_t kFetchedBefore = 2;  // records; loads then hit the cache
 
-// The memory that an operation of a chain touches at its own row.
+// The memory that an operation of a chain accesses at its own row.
 struct Touch {
   uint64_t where = 0;
-  int32_t words = 0;  // for each row of the chain
-  int32_t slot = 0;   // which source or output; of a row_sum source 0 is `init`
+  int32_t words = 0;  // per row of the chain
+  int32_t slot = 0;   // the source or output; source 0 of a row_sum is `init`
 };
 
-using Warps = std::pair<uint64_t, uint64_t>;  // from the first to before the second
+using Warps = std::pair<uint64_t, uint64_t>;  // [first, last)
 
-// The words of threads that keep what chains load anew in every substep. Chains of different warps
-// share them.
+// The words in which threads keep data that chains would load again in every substep. Chains of
+// different warps share the words.
 class Kept {
  public:
   explicit Kept(uint32_t most) : most_(most) {}
   uint32_t words() const { return words_; }
-  // The position, counted from 1, or 0 where there is no room.
+  // Returns the position, counted from 1, or 0 if there is no room.
   uint32_t place(uint32_t words, Warps warps) {
     for (Region& region : regions_) {
       bool free = words <= region.words;
@@ -73,7 +73,7 @@ uint64_t warps_of(int64_t rows, int64_t lanes) {
   return static_cast<uint64_t>((rows + lanes - 1) / lanes);
 }
 
-// Warps of a phase, with so many rows each.
+// Returns the warps of a phase, with `lanes` rows per warp.
 uint64_t warps_of(std::span<const novaphy_persistent_op> phase, int64_t lanes) {
   uint64_t warps = 0;
   for (size_t k = 0; k < phase.size(); ++k)
@@ -83,8 +83,8 @@ uint64_t warps_of(std::span<const novaphy_persistent_op> phase, int64_t lanes) {
 
 class Writer {
  public:
-  // Of each operation, the bytes of a row of what its early half leaves, per output, if that is
-  // computed early. Empty: none is.
+  // For each operation and output, the bytes of a row of its early half's results, if computed
+  // early. Empty: none.
   using EarlyWords = std::vector<std::vector<uint64_t>>;
   Writer(const PersistentRoom& room, EarlyWords early)
       : kept_(room.kept_words), room_(room), early_halves_(std::move(early)) {}
@@ -149,18 +149,19 @@ class Writer {
     out_.fits = out_.fits && out_.words.size() < UINT32_MAX;
     return std::move(out_);
   }
-  // Of each operation: its form, and which one it is there.
+  // For each operation: the index of its form, and its index there.
   const std::vector<std::pair<uint32_t, uint32_t>>& form_of() const { return form_of_; }
 
  private:
   struct User {
     uint32_t words;
     Warps warps;
-    std::vector<uint64_t> chains;  // where the word of each lies
+    std::vector<uint64_t> chains;  // positions of the words of each chain
   };
-  using SourceUse = std::tuple<const novaphy_kernel*, int32_t, uint64_t>;  // kernel, source, rows
+  // kernel, source, rows
+  using SourceUse = std::tuple<const novaphy_kernel*, int32_t, uint64_t>;
 
-  // The words since the record before are one, of which the header of that one tells.
+  // Ends a record at the current word. The header of the previous record tells its size.
   void end_record() {
     const uint64_t size = out_.words.size() - record_;
     out_.most_words = std::max(out_.most_words, size);
@@ -224,9 +225,9 @@ class Writer {
   static bool begins_chain(std::span<const novaphy_persistent_op> ops, size_t k) {
     return ops[k].chain != ops[k - 1].chain || ops[k].phase != ops[k - 1].phase;
   }
-  // What the warps from `warp` on do in the phase: rows of a chain. Neighbors go to different
-  // blocks, so that few warps use many units. In a large cluster, they share a block where all are
-  // used: its code is then that of few chains, and fits its cache.
+  // Assigns rows of a chain to the warps from `warp` on. Neighboring warps are in different blocks,
+  // so that few warps use many units. In a large cluster that uses all blocks, they share a block:
+  // the code of few chains fits its instruction cache.
   void add_tasks(uint64_t chain, int64_t rows, int64_t lanes, uint64_t warp) {
     const uint64_t of_block = room_.warps / room_.blocks, group = phase_ % room_.groups;
     uint64_t* const phase = tasks_.data() + tasks_.size() - room_.warps * room_.groups;
@@ -243,11 +244,11 @@ class Writer {
   const BlockPlan::Phase* planned() const {
     return room_.plan ? &room_.plan->phases[phase_] : nullptr;
   }
-  // Of all warps in a phase: the turn of the halo before, modulo four.
+  // The bits of all warps in a phase: the last turn of the halo, modulo four.
   static uint64_t halo_task(const BlockPlan::Phase& phase) {
     return (phase.sends ? kSends : 0) | uint64_t{(phase.turns + 3) % 4} << kTurnShift;
   }
-  // Of warps without rows.
+  // Adds the tasks of warps without rows.
   void add_idle_tasks() {
     const uint64_t of_block = room_.warps / room_.blocks;
     for (uint64_t warp = 0; warp < room_.warps; ++warp) {
@@ -259,7 +260,7 @@ class Writer {
       tasks_.push_back(hands | halo_task(phase));
     }
   }
-  // A phase of its own: all blocks load rows of the halo from memory.
+  // Adds a phase in which all blocks load rows of the halo from memory.
   void add_fills(const BlockPlan::Phase& phase) {
     out_.words.insert(out_.words.end(), {0, phase.fills.size(), 0, 0});
     for (const BlockPlan::Fill& fill : phase.fills)
@@ -267,7 +268,7 @@ class Writer {
                                            static_cast<uint64_t>(fill.width)});
     tasks_.resize(tasks_.size() + room_.warps, kFills | halo_task(phase));
   }
-  // The same, where a plan says which rows a thread has.
+  // Adds the tasks of a chain if a plan assigns rows to threads.
   void add_planned_tasks(uint64_t chain, const BlockPlan::Phase& phase,
                          const BlockPlan::Chain& warps) {
     const BlockPlan& plan = *room_.plan;
@@ -282,7 +283,7 @@ class Writer {
                     (warps.keeps || !phase.fences ? kKeeps : 0);
       }
   }
-  // The rows of threads, and the items of sums, behind the records.
+  // Adds the rows of threads, and the items of sums, after the records.
   void add_plan() {
     const BlockPlan& plan = *room_.plan;
     out_.layouts = static_cast<uint32_t>(plan.layouts.size());
@@ -297,7 +298,7 @@ class Writer {
     for (const auto& layout : plan.layouts) words.insert(words.end(), layout.begin(), layout.end());
     for (const auto* halo : {&plan.halo.sends, &plan.halo.bytes})
       words.insert(words.end(), halo->begin(), halo->end());
-    std::vector<uint64_t> first;  // of the items of a table
+    std::vector<uint64_t> first;  // of the items of each table
     for (const auto& items : plan.items) {
       first.push_back(out_.rows * sizeof(uint64_t) + words.size() * sizeof(int32_t));
       words.insert(words.end(), items.begin(), items.end());
@@ -308,16 +309,16 @@ class Writer {
     for (const uint64_t at : out_.relative) out_.words[at] = first[out_.words[at]];
   }
 
-  // Rows of a warp: fewer where warps would idle, because a load waits for all the lines that its
-  // lanes touch.
+  // Returns the rows per warp. Fewer rows use otherwise idle warps, because a load waits for all
+  // cache lines of its lanes.
   int64_t lanes_of(std::span<const novaphy_persistent_op> phase) const {
     int64_t lanes = kWarp;
     while (lanes > 1 && warps_of(phase, lanes / 2) <= room_.warps) lanes /= 2;
     return lanes;
   }
 
-  // Adds the arguments to the record; which form the chain has.
-  // `at`: where they will lie.
+  // Adds the arguments to the record. Returns the form of the chain. `at`: the position of the
+  // arguments.
   uint32_t add_chain(std::span<const novaphy_persistent_op> chain, Warps warps, uint64_t at,
                      std::vector<uint64_t>& body) {
     ChainForm form;
@@ -368,7 +369,7 @@ class Writer {
     const uint64_t of_block = (warps.second - warps.first) * kWarp;
     return {of_block * room_.blocks, of_block, warps.first * kWarp};
   }
-  // Where the early half of an operation leaves what it computes early.
+  // Sets the place of an early half's results.
   void add_early(const novaphy_persistent_op& o, Operation& op, Warps warps, size_t start,
                  uint64_t at, std::vector<uint64_t>& body) {
     const std::vector<uint64_t>* const row_bytes =
@@ -384,15 +385,14 @@ class Writer {
     body.push_back(slots.first << 48 | slots.of_block << 32 | slots.all);
   }
 
-  // Which items of a chain lie in the memory of its block.
+  // Sets which items of a chain are in the memory of its block.
   void plan_items(std::span<const novaphy_persistent_op> chain, ChainForm& form, uint64_t* words,
                   uint64_t at) {
     form.sums_items = room_.plan->phases[phase_].sums_items;
     for (size_t k = 0; k < chain.size(); ++k) {
       const BlockPlan::Operation& planned = room_.plan->operations[number_of(chain[k])];
       Operation& op = form.operations[k];
-      // Rows are handed over or sent when the chain is done, which those stored at once do not wait
-      // for.
+      // Rows are handed over or sent when the chain is done, so they are not stored at once.
       if (!planned.outputs.empty() || !planned.sends.empty())
         for (const Operation& any : form.operations)
           for (const Operation::Output& stored : any.outputs)
@@ -416,9 +416,10 @@ class Writer {
         op.sources[source].halo_rows = static_cast<int32_t>(rows);
       }
       if (!planned.sum) continue;
-      out_.fits = out_.fits && op.tables[0] >= 0;  // else items that lack would be no zeros
+      out_.fits = out_.fits && op.tables[0] >= 0;  // missing items would not read as zeros
+                                                   // otherwise
       op.sum.items = static_cast<int32_t>(planned.sum->base);
-      op.sum.chunks = false;  // none is that long
+      op.sum.chunks = false;  // no row is that long
       if (planned.sum->longest < kBatch) op.sum.batch = std::max(planned.sum->longest, 1);
       const int32_t word = op.first_word + op.sum.offsets_word + 1;
       const auto own = static_cast<uint64_t>(word);
@@ -427,7 +428,7 @@ class Writer {
     }
   }
 
-  // Notes which sources the chain may read before the phase before it is over.
+  // Records the sources that the chain may read before the previous phase is over.
   void note_early(std::span<const novaphy_persistent_op> chain, const ChainForm& form,
                   uint32_t number) {
     Pieces own;
@@ -451,14 +452,14 @@ class Writer {
       for (size_t k = 0; k < early.size(); ++k) early_[number][k] &= early[k];
     }
   }
-  // Whether the same thread has left the rows that it reads.
+  // Whether the same thread wrote the rows that the source reads.
   bool is_mine(const novaphy_persistent_op& o, const Operation& op, size_t source) const {
     return room_.plan != nullptr && op.kind != Operation::Copy &&
            op.sources[source].from == Operation::Source::Own &&
            room_.plan->operations[number_of(o)].mine.contains(
                static_cast<int32_t>(out_.source_word(op, source)));
   }
-  // What an operation may read of a source: where it begins, and how many bytes.
+  // Returns the memory that an operation may read of a source: its begin and its bytes.
   std::pair<uint64_t, uint64_t> memory_of(const novaphy_persistent_op& o, const Operation& op,
                                           size_t source) const {
     const uint64_t row = static_cast<uint64_t>(out_.source_width(op, source)) * sizeof(int32_t);
@@ -469,8 +470,8 @@ class Writer {
     return {o.op.arguments[word], rows * row};
   }
 
-  // Notes what a chain loads of memory that nothing in the persistent kernel writes. Chains that
-  // load the same for the same threads are one user of it.
+  // Records the loads of memory that no operation of the persistent kernel writes. Chains that load
+  // the same memory for the same threads count as one user.
   void note_kept(const ChainForm& form, uint32_t number, int64_t rows, Warps warps,
                  const uint64_t* words, uint64_t at) {
     User user{0, warps, {at}};
@@ -494,7 +495,7 @@ class Writer {
       users_[known->second].chains.push_back(at);
     }
   }
-  // In the words of its chains: twice the position, and one more where it is to be filled.
+  // Writes into the chains' words twice the position, plus one if it must be filled.
   void place_kept() {
     std::stable_sort(users_.begin(), users_.end(),
                      [](const User& a, const User& b) { return a.words > b.words; });
@@ -508,7 +509,8 @@ class Writer {
     if (room_.plan != nullptr) place_rare();
   }
 
-  // With a plan all is kept. What is not worth it is filled each time, at one place.
+  // With a plan, all such loads are kept. Those that do not pay off share a place, which is filled
+  // each time.
   void place_rare() {
     User all{0, {0, UINT64_MAX}, {}};
     for (const User& user : users_) {
@@ -593,7 +595,8 @@ class Writer {
           {words[p.output_argument(k)], op.each * op.outputs[k].width, static_cast<int32_t>(k)});
   }
 
-  // The CSR tables of the chain, each once, as far as a row of it is a row of theirs.
+  // Finds the CSR tables of the chain, without duplicates, if the rows of the chain are the rows of
+  // the table.
   static void find_tables(std::span<const novaphy_persistent_op> chain, ChainForm& form) {
     std::vector<const uint64_t*> known;
     for (size_t k = 0; k < chain.size(); ++k) {
@@ -635,8 +638,8 @@ class Writer {
     }
   }
 
-  // What one operation leaves for a later one goes through registers, and is stored at the end, so
-  // that no store stands between the loads of the chain.
+  // Passes results to later operations of the chain through registers. They are stored at the end,
+  // so that no store comes between the chain's loads.
   void link(std::span<const novaphy_persistent_op> chain, ChainForm& form) const {
     struct Place {
       int32_t words = 0, op = -1, output = 0;
@@ -715,9 +718,9 @@ class Writer {
   }
 
   PersistentTable out_;
-  Pieces written_, phase_written_;  // by the persistent kernel, by the phase before
+  Pieces written_, phase_written_;  // by the persistent kernel, by the previous phase
   uint64_t phase_ = 0;
-  uint64_t record_ = 0, record_before_ = 0;  // where they begin
+  uint64_t record_ = 0, record_before_ = 0;  // positions of their first words
   size_t first_op_ = 0;                      // of the phase
   std::span<const novaphy_persistent_op> phase_ops_;
   Kept kept_;
@@ -730,9 +733,11 @@ class Writer {
   std::map<ChainForm, uint32_t> forms_;
   static constexpr char kEarly = 1, kUnwritten = 2;
   std::vector<std::vector<char>> early_;                // per form and source of its operations
-  std::vector<std::pair<uint32_t, uint32_t>> form_of_;  // of an operation, and which it is there
+  // per operation: its form, and its index there
+  std::vector<std::pair<uint32_t, uint32_t>> form_of_;
   const EarlyWords early_halves_;
-  // What a record loads of what is computed early, and where its header says what to fetch.
+  // The early results that a record loads, and the position in its header that names them for
+  // prefetching.
   struct EarlyOf {
     uint64_t header, first, bytes;
   };
@@ -763,9 +768,9 @@ int64_t PersistentTable::source_word(const Operation& op, size_t source) const {
 
 namespace {
 
-// Of an operation whose early half is worth a launch of its own, the bytes of a row of what that
-// leaves: it reads only what nobody writes in the persistent kernel, and computes much more than it
-// leaves.
+// Returns the bytes of a row of the results, for an operation whose early half is worth a separate
+// launch: no operation of the persistent kernel writes its sources, and it computes much more than
+// it stores.
 std::vector<uint64_t> worth_early(const PersistentTable& table, Operation op) {
   constexpr size_t kInstructionsOfWord = 3;
   if (op.kind != Operation::Program) return {};

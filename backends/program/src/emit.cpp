@@ -18,15 +18,15 @@ const char* access_name(Access access) {
 }
 const char* type_name(Type t) { return t == Type::F32 ? "f32" : "i32"; }
 
-// A name in a comment must not end it or begin another line.
+// Keeps a name from ending a comment or starting another line.
 std::string one_line(const std::string& s) {
   std::string out;
   for (const char c : s) out += c == '\n' || c == '\r' || c == '\\' ? ' ' : c;
   return out;
 }
 
-// Elements: long formulas of rows that are prefetched. Regions part their lines, and most are
-// taken anyway.
+// Elements have long formulas with prefetched rows. Regions would split their lines, and most
+// regions are taken.
 constexpr int32_t kMinElementRegion = 20;
 EmitPlan plan_for(const Program& p, bool device, bool scan) {
   EmitPlan plan = make_emit_plan(p, device);
@@ -43,7 +43,7 @@ Emitter::Emitter(const Program& program, bool device, const Scan* scan, std::vec
       text_(p_, plan_, device),
       device_(device),
       scan_(scan),
-      // A thread of a GPU has one row and few registers: there it is cheaper to compute again.
+      // A GPU thread has one row and few registers, so computing again is cheaper.
       held_(scan ? find_held_values(p_, plan_, *scan) : std::vector<char>{}),
       kept_(device ? std::vector<KeptValues>{} : find_kept_values(p_, plan_)),
       items_(std::move(items)),
@@ -58,7 +58,7 @@ Emitter::Emitter(const Program& program, bool device, const Scan* scan, std::vec
   if (!device_ && !scan_)
     for (FollowedItem& item : find_followed_items(p_, plan_))
       if (adds_nothing(item.idle)) followed_.push_back(std::move(item));
-  // The next group is read before this one is written.
+  // Prefetching reads the next group before this one is written.
   if (!device_ && !scan_ && may_run_again()) prefetch_ = find_prefetched_gathers(p_, plan_);
 }
 
@@ -182,8 +182,8 @@ void Emitter::arguments() {
          " == items" + b + ";");
   }
   line("int64_t i = begin, last = end;");
-  // Rows that a source lacks are left to the caller: a launch that runs into them is an error,
-  // unless no lane needs them.
+  // The caller computes rows that a source lacks. Such a launch is an error, unless no lane needs
+  // the missing rows.
   for (size_t s = 0; s < p_.sources.size(); ++s)
     if (own[s]) {
       const std::string n = "n" + str(static_cast<int64_t>(s));
@@ -231,8 +231,8 @@ void Emitter::before_the_rows() {
 
 void Emitter::steps() {
   loads_first(-1);
-  std::vector<std::pair<int32_t, int32_t>> closing;  // step at which each open `if` ends, region
-  size_t begin = 0;                                  // of the loop that we are in
+  std::vector<std::pair<int32_t, int32_t>> closing;  // end step of each open `if`, region
+  size_t begin = 0;                                  // first step of the current loop
   for (size_t s = 0; s <= plan_.steps.size(); ++s) {
     while (!closing.empty() && closing.back().first <= static_cast<int32_t>(s)) {
       prefetch_end(closing.back().second);
@@ -254,7 +254,7 @@ void Emitter::steps() {
       case Step::Kind::LoopEnd:
         loop_end(step.value);
         if (!in_items_) break;
-        in_items_ = false;  // once more, for the items that are not in registers
+        in_items_ = false;  // again, for the items that are not in registers
         looked_ = looked_before_;
         for (size_t v = 0; v < p_.instrs.size(); ++v)
           if (plan_.loop[v] == step.value) computed_[v] = 0, chosen_[v] = kNone;
@@ -330,7 +330,7 @@ std::string Emitter::need(Value v) const {
 
 void Emitter::load(Value v, const Instr& in) {
   const int32_t number = plan_.group[at(v)];
-  if (number < 0) {  // a column that its group's first value has loaded, or the same once more
+  if (number < 0) {  // a column loaded with the first value of its group, or the same load again
     const Value first = column_owner(v, in);
     if (first != v) line(declaration(v) + " = " + text_.name(first) + ";");
     return;
@@ -348,7 +348,7 @@ void Emitter::load(Value v, const Instr& in) {
   int32_t wanted = 0;
   for (const Value c : group.columns) wanted += c != kNone ? 1 : 0;
   const std::string s = "s" + str(group.source);
-  // On a device a source knows its rows.
+  // On a device, a source knows its number of rows.
   const std::string table = is_item(group.source) ? "source_item{kept." + s + " + r" + str(loop_) +
                                                         " * " + str(width) + "}"
                             : device_ ? s
@@ -384,7 +384,8 @@ void Emitter::load(Value v, const Instr& in) {
     if (d == kNone) continue;
     if (const int32_t first = four_columns(c, width); own && !device_ && first >= 0) {
       const auto begin = group.columns.begin();
-      if (std::count(begin + c, begin + first + 4, kNone) <= first + 2 - c) {  // at least two
+      // at least two columns
+      if (std::count(begin + c, begin + first + 4, kNone) <= first + 2 - c) {
         line("load_columns4" + t + "(" + own_column(s, width, first) + ", " + str(width) +
              columns(v, group, c, first, 4) + ");");
         c = first + 3;

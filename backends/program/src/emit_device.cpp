@@ -1,4 +1,4 @@
-// What the emitter writes for a device, where a thread has one row and one lane.
+// The text of the emitter for a device, where a thread has one row and one lane.
 #include "emitter.h"
 
 namespace nova::ir {
@@ -21,7 +21,7 @@ void Emitter::device_items(int32_t l) {
   } else if (!again) {
     csr_rows(l);
   }
-  std::string on = "splatb(1)";  // a lane that is off has left
+  std::string on = "splatb(1)";  // inactive lanes have already returned
   if (again) {
     line("for (int32_t " + r + " = kept.count; " + r + " < csr" + k + ".longest; ++" + r + ") {");
   } else if (!items_.empty()) {
@@ -87,7 +87,7 @@ void Emitter::make_it_there(Value v) {
 }
 
 void Emitter::quotients_together(Value v) {
-  constexpr size_t kMost = 12;  // more would need registers that other values have
+  constexpr size_t kMost = 12;  // more would take registers from other values
   if (!device_ || loop_ >= 0 || p_.contract || !is_quotient(v)) return;
   const int32_t region = plan_.printed_region(plan_.region[at(v)]);
   std::vector<Value> together = {v};

@@ -1,7 +1,6 @@
-// The emitter's launches that do nothing out of the ordinary: no contact touches, no limit is met.
-// A primal notes for each group of rows which launches these are, and keeps near by what the others
-// read. Its adjoint, which would ask the same questions of the same values, has a short form for
-// quiet launches.
+// Quiet launches: no contact touches, and no limit is reached. A primal notes the quiet launches of
+// each group of rows, and stores nearby the rows that the other launches read. Its adjoint has the
+// same conditions on the same values, and therefore a short form for quiet launches.
 #include <algorithm>
 
 #include "emitter.h"
@@ -9,8 +8,8 @@
 namespace nova::ir {
 namespace {
 
-// Equal for values that are computed alike from the same sources: an adjoint has those of its
-// primal at the same places. All CSR loops count as loops over the same rows.
+// Returns equal numbers for values that are computed alike from the same sources. An adjoint has
+// the sources of its primal at the same places. All CSR loops count as loops over the same rows.
 class Alike {
  public:
   explicit Alike(const Program& program) : p_(program), known_(program.instrs.size(), 0) {}

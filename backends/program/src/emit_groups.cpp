@@ -1,4 +1,4 @@
-// The emitter's groups of rows, the last one above all, and the columns of wide rows.
+// Groups of rows in the emitter, especially the last group, and the columns of wide rows.
 #include <algorithm>
 
 #include "emitter.h"

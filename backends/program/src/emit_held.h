@@ -1,4 +1,4 @@
-// Internal to the emitter: what all launches of a scan share.
+// Internal to the emitter: values that all launches of a scan share.
 #pragma once
 
 #include <vector>
@@ -8,9 +8,9 @@
 
 namespace nova::ir {
 
-// Per value whether it is the same in every launch, and is computed whatever the conditions: it
-// depends on parameters, on tables, and on sources that are neither carried nor varying. A value of
-// a CSR loop has one for each item.
+// Returns, per value, whether it is the same in every launch and is computed regardless of
+// conditions. Such a value depends on parameters, tables, and sources that are neither carried nor
+// varying. In a CSR loop there is one for each item.
 std::vector<char> find_held_values(const Program& program, const EmitPlan& plan, const Scan& scan);
 
 }  // namespace nova::ir

@@ -10,7 +10,7 @@ namespace {
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 
-// The steps that open the regions which stand in a loop under no condition.
+// Returns the steps that open the unconditional regions of a loop.
 std::vector<size_t> top_regions(const EmitPlan& plan, int32_t wanted) {
   std::vector<size_t> found;
   int32_t loop = -1;
@@ -45,7 +45,7 @@ class Finder {
   }
 
  private:
-  // The region that stands in the loop under no condition, if there is one only.
+  // Finds the unconditional region of the loop, if there is exactly one.
   bool find_region() {
     const std::vector<size_t> steps = top_regions(plan_, loop_);
     if (steps.size() != 1) return false;
@@ -53,7 +53,7 @@ class Finder {
     region_ = plan_.region_of_step[begin_];
     return !plan_.uniform[at(plan_.regions[at(region_)].cond)];
   }
-  // What a later loop reads has to be there whether the region is entered or not.
+  // Whether values for a later loop are computed even if the region is skipped.
   bool kept_before(const std::vector<KeptValues>& all) const {
     const auto before = [&](Value v) {
       return std::any_of(
@@ -66,7 +66,7 @@ class Finder {
     return true;
   }
 
-  // The value in every lane that has the item, when none of them takes the region.
+  // Returns the value in every lane with the item, if no lane takes the region.
   std::optional<float> constant(Value v) {
     const auto known = known_.find(v);
     if (known != known_.end()) return known->second;
@@ -105,7 +105,7 @@ class Finder {
   size_t begin_ = 0;  // its step
 };
 
-// Whether two values are the same function of what lies outside of their loops and of the step.
+// Whether two values are the same function of values outside of their loops and of the iteration.
 class SameValue {
  public:
   SameValue(const Program& program, int32_t loop, int32_t earlier)
@@ -135,7 +135,7 @@ class SameValue {
 }  // namespace
 
 std::vector<FollowedItem> find_followed_items(const Program& program, const EmitPlan& plan) {
-  // Those that lanes take or not.
+  // The regions that lanes may skip.
   std::vector<std::vector<int32_t>> regions(program.loops.size());
   for (size_t l = 0; l < regions.size(); ++l)
     for (const size_t s : top_regions(plan, static_cast<int32_t>(l)))

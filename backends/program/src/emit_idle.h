@@ -8,19 +8,20 @@
 
 namespace nova::ir {
 
-// What a CSR loop adds for an item where no lane of a group takes the one region at its end: known
-// when the text is written, so nothing of what follows the region has to be computed there.
-// Contacts that do not touch are such items.
+// The terms that a CSR loop adds for an item if no lane of a group takes the single region at its
+// end. They are known when the text is written, so the code after the region is skipped. An example
+// is a contact that does not touch.
 struct IdleItem {
   int32_t loop = -1, region = -1;
-  std::vector<float> terms;  // of each sum of the loop
+  std::vector<float> terms;  // for each sum of the loop
 };
 
 std::vector<IdleItem> find_idle_items(const Program& program, const EmitPlan& plan,
                                       const std::vector<KeptValues>& kept);
 
-// A loop of as many steps as an earlier one, whose items are idle where those of the earlier one
-// take no part in a region: the second sum of an adjoint, where a contact does not touch.
+// A loop with the same number of iterations as an earlier loop. Its items are idle if the items of
+// the earlier loop skip a region. An example is the second sum of an adjoint, for a contact that
+// does not touch.
 struct FollowedItem {
   IdleItem idle;
   int32_t earlier = -1, earlier_region = -1;

@@ -9,7 +9,7 @@ namespace {
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 
-// Fewer operations than this for each kept value are computed again at less cost.
+// With fewer operations per kept value, computing again is cheaper.
 constexpr size_t kMinOperationsPerValue = 3;
 
 class Finder {
@@ -31,13 +31,13 @@ class Finder {
   }
 
  private:
-  // Computed for every item of the loop, whatever the conditions in it.
+  // Whether the value is computed for every item of the loop, without a condition.
   bool in(int32_t loop, size_t v) const {
     return plan_.is_line(v, p_.instrs[v].op) && plan_.loop[v] == loop && plan_.region[v] == -1;
   }
   static auto key(Op op, Value a, Value b, Value c) { return std::make_tuple(op, a, b, c); }
 
-  // Value numbering: the operands of the later loop are read as their equals in the earlier one.
+  // Value numbering: operands of the later loop are replaced by their equals in the earlier loop.
   void find_equal() {
     std::map<std::tuple<Op, Value, Value, Value>, Value> earlier;
     for (size_t v = 0; v < p_.instrs.size(); ++v) {
@@ -69,8 +69,8 @@ class Finder {
     return key(r.op, r.a, r.b, r.c);
   }
 
-  // Columns of one row are loaded together: they stay together, and what is made of one that has no
-  // equal has none either.
+  // Columns of a row are loaded together, so either all have equals or none. Values computed from a
+  // column without an equal have none either.
   void drop_split_loads() {
     for (bool changed = true; changed;) {
       changed = false;

@@ -1,5 +1,6 @@
-// Internal to the emitter: what a sum over CSR rows computes again that an earlier sum over the
-// same rows has computed for each item. An adjoint does: its first sum is the primal's.
+// Internal to the emitter: values that a sum over CSR rows would compute again, after an earlier
+// sum computed them for each item of the same rows. Adjoints have such sums: their first sum is the
+// primal's.
 #pragma once
 
 #include "emit_plan.h"
@@ -8,15 +9,15 @@ namespace nova::ir {
 
 struct KeptValues {
   int32_t loop = -1, earlier = -1;
-  // In `loop`, in their order, with their equals in `earlier`: unconditional, and made of values
-  // from outside and of each other only.
+  // Unconditional values of `loop`, in their order, with their equals in `earlier`. They depend
+  // only on values from outside and on each other.
   std::vector<std::pair<Value, Value>> equal;
-  // Of these, the ones that the rest of the loop reads.
+  // The values among these that the rest of the loop reads.
   std::vector<std::pair<Value, Value>> kept;
 };
 
-// Those that are worth the memory; at most one per loop. What the loops have in common is decided
-// by their text: whether they run over the same rows is asked at run time.
+// Returns the values that are worth the memory, at most one set per loop. The text decides what the
+// loops have in common; a run-time test decides whether they run over the same rows.
 std::vector<KeptValues> find_kept_values(const Program& program, const EmitPlan& plan);
 
 }  // namespace nova::ir

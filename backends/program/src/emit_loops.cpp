@@ -1,4 +1,4 @@
-// The emitter's loops and conditional regions.
+// The loops and conditional regions of the emitter.
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -23,7 +23,7 @@ bool Emitter::region_begin(int32_t number) {
     if (!region.polarity) question = "vnot(" + question + ")";
     if (in_csr_loop(loop_)) question = "vand(" + question + ", on" + str(loop_) + ")";
     question = "any(" + question + ")";
-    // Items in reach are many, items that act few; and limits are seldom met.
+    // Most items in a CSR loop are inactive, and limits are rarely reached.
     const bool rare = !device_ && (in_csr_loop(loop_) || plan_.root[at(region.cond)] != kNone);
     line("if (" + (rare ? "rarely(" + question + ")" : question) + ") {");
   }

@@ -8,11 +8,12 @@ namespace {
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 
-// How far a line may come before others. More would keep too many values waiting.
+// The largest distance that a line may move forward. A larger one would keep too many values in
+// registers.
 constexpr size_t kReach = 110;
 
-// A processor that begins two operations per cycle, one product and one sum among them, as those do
-// whose vectors have 16 lanes.
+// The model of a processor that starts two operations per cycle, at most one product and one sum,
+// as processors with vectors of 16 lanes do.
 enum class Unit { None, Product, Sum, Any };
 Unit unit_of(Op op) {
   switch (op) {
@@ -31,7 +32,7 @@ Unit unit_of(Op op) {
       return Unit::Any;
   }
 }
-// Cycles until the result can be used.
+// Cycles until the result is available.
 int32_t latency(Op op) {
   switch (op) {
     case Op::MUL:
@@ -59,9 +60,9 @@ int32_t latency(Op op) {
 }
 constexpr int32_t kRegionLatency = 15;
 
-// What is moved as a whole: a value, or a printed region with all that is in it.
+// The unit that is moved: a value, or a printed region with its contents.
 struct Item {
-  Step step;  // that computes the value, or opens the region
+  Step step;  // computes the value, or opens the region
   std::vector<Item> inside;
   int32_t region = -1;
   bool is_region() const { return region >= 0; }
@@ -91,7 +92,7 @@ class Orderer {
         items.push_back({step, {}, -1});
       } else if (plan_.regions[at(region)].printed) {
         items.push_back({step, items_until(s, at(step.target)), region});
-      }  // what is not printed needs no step
+      }  // unprinted values need no step
     }
     return items;
   }
@@ -107,9 +108,8 @@ class Orderer {
     }
   }
 
-  // The values that a line reads: its operands, the comparison that computes a root which mostly is
-  // not needed, the load that it is a column of, and the conditions that say which lanes need a
-  // load.
+  // Calls f for the values that a line reads: its operands, the comparison before a conditional
+  // root, the load of its columns, and the conditions of a load's lanes.
   template <class F>
   void for_each_read(Value v, const F& f) const {
     const Instr& in = p_.instrs[at(v)];
@@ -135,7 +135,7 @@ class Orderer {
   std::vector<Item> order(std::vector<Item> items) {
     for (Item& item : items) item.inside = order(std::move(item.inside));
     const size_t count = items.size();
-    // Values are computed once, so all that matters is who made what is read.
+    // Each value is computed once, so only the definition of each operand matters.
     for (size_t k = 0; k < count; ++k)
       for_each_value(items[k], [&](Value v) { maker_[at(v)] = static_cast<int32_t>(k); });
     std::vector<std::vector<size_t>> before(count), after(count);
@@ -164,7 +164,7 @@ class Orderer {
     return is_line(item) ? unit_of(op_of(item)) : Unit::None;
   }
 
-  // Cycle by cycle what is ready, those first that the longest chain waits for.
+  // List scheduling: each cycle takes the ready items with the longest remaining chain first.
   std::vector<Item> taken_in_turn(std::vector<Item> items,
                                   const std::vector<std::vector<size_t>>& before,
                                   const std::vector<std::vector<size_t>>& after) const {
@@ -178,7 +178,7 @@ class Orderer {
     }
     std::vector<char> taken(count, 0);
     std::vector<Item> result;
-    size_t first = 0;  // not taken
+    size_t first = 0;  // the first item not taken
     for (int32_t cycle = 0; result.size() < count; ++cycle) {
       int32_t any = 2, products = 1, sums = 1;
       for (bool found = true; found;) {
@@ -210,7 +210,7 @@ class Orderer {
 
   const Program& p_;
   EmitPlan& plan_;
-  std::vector<int32_t> maker_;  // of the items that are put in order, the one that has a value
+  std::vector<int32_t> maker_;  // per value: the item that defines it
 };
 
 }  // namespace

@@ -5,8 +5,8 @@
 
 namespace nova::ir {
 
-// Lines without sums in the order in which a processor can begin them, as far as they need not wait
-// for one another: it looks ahead only so far, and the lines of a formula come one after the other.
+// Reorders lines without sums for the processor, which looks ahead only a limited distance.
+// Independent lines are interleaved, because the lines of a formula depend on each other.
 EmitPlan ordered(const Program& program, EmitPlan plan);
 
 }  // namespace nova::ir

@@ -9,14 +9,14 @@
 namespace nova::ir {
 namespace {
 
-// One gather alone is not worth the room that it takes.
+// A single gather does not pay off.
 constexpr int64_t kFewestGathers = 2;
 
 bool has(const auto& list, const auto& item) {
   return std::find(list.begin(), list.end(), item) != list.end();
 }
 
-// The group of loads, at the own row whatever holds, that the value is a column of; -1: of none.
+// Returns the group of unconditional loads at the own row with this value as a column; -1: none.
 int32_t table_of(const Program& p, const EmitPlan& plan, Value v) {
   for (size_t g = 0; g < plan.groups.size(); ++g) {
     const LoadGroup& group = plan.groups[g];
@@ -28,7 +28,7 @@ int32_t table_of(const Program& p, const EmitPlan& plan, Value v) {
   return -1;
 }
 
-// Where most of the arithmetic is: a printed region, or -1, and its weight.
+// Finds the printed region (or -1) with most of the arithmetic, and its weight.
 void find_scope(const Program& p, const EmitPlan& plan, PrefetchedGathers& out) {
   std::map<int32_t, int32_t> weights;
   for (size_t v = 0; v < p.instrs.size(); ++v)
@@ -40,7 +40,7 @@ void find_scope(const Program& p, const EmitPlan& plan, PrefetchedGathers& out) 
     if (total > out.weight) out.scope = region, out.weight = total;
 }
 
-// The printed region that alone needs the group, or -1: it is loaded wherever the scope is
+// Returns the only printed region that needs the group, or -1 if it is loaded wherever the scope is
 // computed.
 int32_t only_region(const EmitPlan& plan, const LoadGroup& group, int32_t scope) {
   const Value first =
@@ -98,7 +98,7 @@ std::string Emitter::prefetch_gather(const PrefetchedGather& g, int32_t column) 
          ");";
 }
 
-// Row k is where the next group begins.
+// Row k is the first row of the next group.
 void Emitter::prefetch_begin() {
   if (prefetch_.table < 0) return;
   const LoadGroup& table = plan_.groups[at(prefetch_.table)];
@@ -182,13 +182,13 @@ void Emitter::prefetch_line(Value v) {
   while (prefetch_written_ < due) line(prefetch_text_[prefetch_written_++]);
 }
 
-// Gradients with respect to velocities, where nothing is damped.
+// Gradients by velocities are zero without damping.
 int32_t Emitter::zero_without(const Output& output) const {
   const auto scope_of = [&](int32_t r) {
     return plan_.printed_region(plan_.regions[at(r)].parent);
   };
   for (const int32_t taken : prefetch_regions()) {
-    // Groups take regions of one scope by one condition together.
+    // Regions of one scope with the same condition are taken together.
     const auto taken_too = [&](int32_t r) {
       const Region &a = plan_.regions[at(r)], &b = plan_.regions[at(taken)];
       return a.cond == b.cond && a.polarity == b.polarity && scope_of(r) == scope_of(taken);
@@ -212,7 +212,7 @@ void Emitter::prefetch_region(int32_t region) {
   if (has(prefetch_regions(), region)) line("took" + str(region) + " = 1;");
 }
 
-// Columns of a group that was prefetched, or would have been, had its region been foreseen.
+// Loads columns of a prefetched group, or of one whose region was not predicted.
 void Emitter::prefetch_load(Value v, const LoadGroup& group, int32_t first, const std::string& where) {
   const PrefetchedGather& g = prefetch_.gathers[at(first / 3)];
   const std::string targets = g.region < 0 ? "" : columns(v, group, 0, 0, 3);
@@ -233,11 +233,11 @@ void Emitter::prefetch_load(Value v, const LoadGroup& group, int32_t first, cons
   close();
 }
 
-// Where the scope ends. A region that no lane takes must not keep the next group waiting.
+// Ends the scope. Writes the remaining prefetches even if no lane took a region.
 void Emitter::prefetch_end(int32_t scope) {
   if (prefetch_.table < 0 || scope != prefetch_.scope) return;
   while (prefetch_written_ < prefetch_text_.size()) line(prefetch_text_[prefetch_written_++]);
-  // In one place: a branch between the lines would part them for the compiler.
+  // All in one place: a branch between the lines would split the block for the compiler.
   for (const int32_t region : prefetch_regions()) {
     line("if (fetch" + str(region) + ") {");
     ++depth_;

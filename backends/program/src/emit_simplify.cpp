@@ -22,7 +22,7 @@ std::vector<int32_t> count_uses(const Program& p) {
   return uses;
 }
 
-// What is no longer used would seem to need its operands, whatever the condition.
+// Removes unused values, which would otherwise count as unconditional uses of their operands.
 void drop_unused(Program& p) {
   std::vector<int32_t> uses = count_uses(p);
   for (size_t v = p.instrs.size(); v-- > 0;) {
@@ -32,7 +32,7 @@ void drop_unused(Program& p) {
   }
 }
 
-// The sign of a factor goes to what the product is added to: c + (-a) b is c - a b.
+// Moves the sign of a factor into the sum of its product: c + (-a) b becomes c - a b.
 class NegationFolder {
  public:
   explicit NegationFolder(Program& p) : p_(p), users_(p.instrs.size()), kept_(p.instrs.size(), 0) {
@@ -53,8 +53,8 @@ class NegationFolder {
 
  private:
   static bool is_product(const Instr& in) { return in.op == Op::MUL || in.op == Op::DIV; }
-  // Whether all that read the value can take its negative for it, without an operation more. Of
-  // products only one may read it: two could meet in one sum.
+  // Whether all users can take the negative of the value without an additional operation. At most
+  // one product may use it, because two could meet in one sum.
   bool flips(Value v) const {
     const std::vector<Value>& users = users_[at(v)];
     return kept_[at(v)] == 0 && std::all_of(users.begin(), users.end(), [&](Value user) {
@@ -80,7 +80,7 @@ class NegationFolder {
       }
     }
   }
-  // `user` reads `positive` instead of `negative`, where that takes no operation more.
+  // Lets `user` read `positive` instead of `negative`, if that needs no additional operation.
   void take_sign(Value user, Value negative, Value positive) {
     if (!takes_negative(user, negative)) return;
     Instr& in = p_.instrs[at(user)];

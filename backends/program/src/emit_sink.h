@@ -7,8 +7,8 @@
 
 namespace nova::ir {
 
-// The schedule, with arithmetic before a CSR loop moved into the region of the loop that alone
-// needs it. There it is done for every item that acts, which most do not.
+// Returns the schedule with arithmetic before a CSR loop moved into the only region that needs it.
+// The region then repeats it for every active item, but most items are inactive.
 std::vector<Step> sunk(const Program& program, std::vector<Step> steps);
 
 }  // namespace nova::ir

@@ -7,7 +7,7 @@
 namespace nova::ir {
 namespace {
 
-// The infix operator of the ops that C has one for on scalars and on vectors alike.
+// Returns the infix operator that C has for an operation on both scalars and vectors.
 const char* infix(Op op) {
   switch (op) {
     case Op::ADD:
@@ -32,7 +32,8 @@ const char* infix(Op op) {
   }
 }
 
-// The prelude's function for the others, without its first letter: v for lanes, u for scalars.
+// Returns the prelude's function for the other operations, without its first letter: v for lanes, u
+// for scalars.
 const char* function(Op op) {
   switch (op) {
     case Op::IADD:
@@ -120,7 +121,8 @@ std::string float_literal(int32_t bits) {
     std::snprintf(text, sizeof(text), "ubits_f((int32_t)0x%08Xu)", static_cast<uint32_t>(bits));
     return text;
   }
-  std::snprintf(text, sizeof(text), "%.9g", static_cast<double>(value));  // nine digits: exact
+  // nine digits are exact
+  std::snprintf(text, sizeof(text), "%.9g", static_cast<double>(value));
   std::string s = text;
   if (s.find_first_of(".e") == std::string::npos) s += ".0";
   s += 'f';
@@ -181,7 +183,7 @@ std::string ValueText::expression(Value v) const {
   const Instr& in = p_.instrs[static_cast<size_t>(v)];
   if (in.op == Op::INDEX) return "index_lanes(i)";
   if (in.op == Op::NEG) return "-" + name(in.a);
-  const bool own =  // a device's prelude has a function of its own
+  const bool own =  // a device's prelude has its own function
       in.op == Op::IADD || in.op == Op::ISUB || in.op == Op::IMUL || in.op == Op::DIV;
   if (const char* sign = infix(in.op); sign != nullptr && !(device_ && own))
     return name(in.a) + " " + sign + " " + name(in.b);

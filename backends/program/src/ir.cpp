@@ -36,8 +36,8 @@ class Reader {
     return words_[next_++];
   }
   int32_t signed_word() { return static_cast<int32_t>(word()); }
-  // A count that must leave at least `words_each` words for every item, so a broken one cannot
-  // allocate much.
+  // A count must leave at least `words_each` words for every item, so that corrupt data cannot
+  // cause a large allocation.
   uint32_t count(uint32_t n, uint32_t words_each) {
     if (static_cast<uint64_t>(n) * words_each > words_.size() - next_) ok_ = false;
     return ok_ ? n : 0;
@@ -202,8 +202,8 @@ std::string validate(const Program& p, bool allow_trace_ops) {
 
 namespace {
 
-// The source of which the initial values (or the terms) of a loop's sums are the columns of one
-// row, all of them and in their order; `row` makes the row's number. -1: none.
+// Returns the source whose row provides the initial values (or the terms) of a loop's sums, as all
+// its columns in order; `row` is the operation of the row index. -1: none.
 int32_t row_source(const Program& p, const Loop& loop, Value Sum::*value, Op row) {
   if (loop.sums.empty()) return -1;
   const auto instr = [&](Value v) -> const Instr& { return p.instrs[static_cast<size_t>(v)]; };

@@ -1,4 +1,4 @@
-// The orders in which a Program is read: canonical order, guards and the schedule with skippable
+// The orders in which a Program is read: canonical order, guards, and the schedule with skippable
 // regions.
 #include <algorithm>
 #include <functional>
@@ -9,7 +9,7 @@
 namespace nova::ir {
 namespace {
 
-// Copies what the outputs need, depth first, into a new Program.
+// Copies the values that the outputs need, depth first, into a new Program.
 class Canonicaliser {
  public:
   Canonicaliser(const Program& from, bool strip)
@@ -36,8 +36,7 @@ class Canonicaliser {
   }
 
  private:
-  // Loops keep their relative order (it is the order of execution); loops that nothing needs are
-  // dropped.
+  // Loops keep their order of execution. Unneeded loops are dropped.
   void number_loops() {
     std::vector<char> needed(from_.instrs.size(), 0);
     std::vector<char> loop_needed(from_.loops.size(), 0);
@@ -103,7 +102,7 @@ class Canonicaliser {
 
 bool is_select(Op op) { return op == Op::SELECT_F || op == Op::SELECT_I || op == Op::SELECT_B; }
 
-// A region shorter than this costs less than asking whether it can be skipped.
+// A shorter region costs less than the test whether it can be skipped.
 constexpr int kMinRegion = 4;
 
 class Scheduler {
@@ -144,9 +143,8 @@ class Scheduler {
         node.parent = guards_.nodes[node.parent].parent;
   }
 
-  // Emits the values of one section whose guard is exactly `guard`, in order; before a value that
-  // needs a deeper region, that region is emitted as one skippable block with everything in it that
-  // is ready.
+  // Emits the values of one section whose guard is exactly `guard`, in order. If a value needs a
+  // deeper region, that region is emitted first, as one skippable block with all its ready values.
   void emit_region(int32_t section, int32_t guard) {
     for (size_t v = 0; v < p_.instrs.size(); ++v)
       if (section_[v] == section && guards_.guard[v] == guard && !emitted_[v])
@@ -161,7 +159,7 @@ class Scheduler {
     push({Step::Kind::Compute, v, true, -1});
   }
 
-  // The value o lies in a region below `guard`: opens the child region of `guard` that contains it.
+  // The value o is in a region below `guard`. Opens the child region of `guard` that contains it.
   void emit_child_of(Value o, int32_t section, int32_t guard) {
     int32_t child = guards_.guard[o];
     while (guards_.nodes[child].parent != guard) child = guards_.nodes[child].parent;
@@ -175,11 +173,9 @@ class Scheduler {
     steps_[skip].target = static_cast<int32_t>(steps_.size());
   }
 
-  // Whether v can be computed now, given that everything inside `guard` may still be emitted with
-  // it.
+  // Whether v can be computed now, if all values inside `guard` may be emitted with it.
   bool ready(Value v, int32_t section, int32_t guard) {
-    ++stamp_;  // answers are remembered within one question only: what is emitted changes in
-               // between
+    ++stamp_;  // results are cached for one call only, because emitted values change between calls
     return ready_inside(v, section, guard);
   }
 
@@ -196,7 +192,7 @@ class Scheduler {
     return result;
   }
 
-  // A deeper region needs its conditions: they live between `guard` and that region.
+  // A deeper region needs its conditions, which are between `guard` and that region.
   bool cond_ready(Value o, int32_t section, int32_t guard) {
     for (int32_t g = guards_.guard[o]; g != guard; g = guards_.nodes[g].parent) {
       const Value cond = guards_.nodes[g].cond;
@@ -256,8 +252,7 @@ Guards guards(const Program& p) {
     const Instr& in = p.instrs[k];
     int32_t& mine = result.guard[k];
     if (mine == kUnused) mine = 0;
-    // Sums are made by their loop; leaves that cost nothing to have are never worth a region of
-    // their own.
+    // Sums are computed by their loop. Leaves are free, so they never need a region of their own.
     if (in.op == Op::SUM) mine = 0;
     const int32_t guard = mine;
     auto use_here = [&](Value v, int32_t g) { use(v, section[v] == section[k] ? g : 0); };

@@ -1,4 +1,4 @@
-// A Program in two, for a thread that waits for some of its sources only.
+// Splits a Program in two, for a thread that waits only for some of its sources.
 #pragma once
 
 #include <cstdint>
@@ -9,17 +9,17 @@
 namespace nova::ir {
 
 struct Cut {
-  // What needs no late source. Its outputs, one of floats and one of ints (a bool is 0 or 1), are
-  // the values that `late` takes from it; none: nothing of the Program can be computed early.
+  // The part that needs no late source. It has one output of floats and one of ints (a bool is 0 or
+  // 1), with the values for `late`. No output: no part of the Program can be computed early.
   Program early;
-  // The rest. Its sources are those of the Program, then the outputs of `early`, read at the row
-  // itself.
+  // The rest. Its sources are those of the Program, then the outputs of `early`, read at the own
+  // row.
   Program late;
 };
-// When a source is there. What both halves have, both read at the row itself.
+// When a source is available. Both: both halves may read it, at the own row.
 enum class Available : uint8_t { Early, Late, Both };
-// `sources`: of each. One after the other the two give the Program's bits, and read no row that it
-// would not read. Loops are all in `late`.
+// `sources`: for each source. The two halves in sequence give the same bits as the Program, and
+// read no other rows. All loops are in `late`.
 Cut cut(const Program& program, const std::vector<Available>& sources);
 
 }  // namespace nova::ir

@@ -19,23 +19,24 @@
 
 namespace nova::ir {
 
-// `function`: the name of the C function; empty: one made of the Program's name and hash.
+// `function`: the name of the C function; empty: a name from the Program's name and hash.
 std::string emit_c(const Program& program, const std::string& function = {});
-// The function that runs many launches, whose name is `function`. That of a `primal` notes for
-// groups of rows the launches in which no contact touches and no limit is met; that of its adjoint
-// has a short form for these.
+// Returns the function that runs many launches, with the name `function`. The function of a
+// `primal` notes, for groups of rows, the launches in which no contact touches and no limit is
+// reached. The function of its adjoint has a short form for such launches.
 std::string emit_c_scan(const Program& program, const Scan& scan, const std::string& function,
                         const Program* primal = nullptr);
-// Whether `adjoint` is one of `primal` and may take the notes of that for its own: what makes its
-// launches more than quiet ones is computed alike there.
+// Whether `adjoint` belongs to `primal` and may use its notes: both compute the conditions of a
+// quiet launch in the same way.
 bool adjoint_of_scan(const Program& adjoint, const Program& primal);
-// The same for a GPU: a C++ function of one row, templated on how each source and output is reached
-// (s0, o0, ...), whose names backends/gpu/src/device_prelude.cuh gives a meaning.
-// With `items`, the sources that it names are kept for the first items of each CSR loop in what the
-// function takes as `kept` (see backends/gpu/src/kept_items.h).
+// Returns the text for a GPU: a C++ function of one row. Its template parameters are the kinds of
+// access to each source and output (s0, o0, ...), which backends/gpu/src/device_prelude.cuh
+// defines. `items` selects the sources that are kept for the first items of each CSR loop, in the
+// parameter `kept` (see backends/gpu/src/kept_items.h).
 std::string emit_device(const Program& program, const std::string& function,
                         const std::vector<char>& items = {});
-// "step_particles_0123456789abcdef": a legal C name, the same for equal Programs of one name.
+// Returns a legal C name such as "step_particles_0123456789abcdef". Equal Programs with equal names
+// get the same name.
 std::string c_function_name(const Program& program);
 
 }  // namespace nova::ir

@@ -1,7 +1,6 @@
-// Program: the SSA of one kernel as a plain value, and what every reader of it needs (serialization
-// with validation, printing, hashing, sections, guards, schedule). The meaning of the format is
-// stated in <novaphy/abi/program.h>; this header adds the C++ form, shared by the runtime and the
-// CPU backend.
+// Program: the SSA form of one kernel as a plain value, with serialization, validation, printing,
+// hashing, sections, guards and the schedule. <novaphy/abi/program.h> defines the meaning of the
+// format. This header adds the C++ form, shared by the runtime and the CPU backend.
 #pragma once
 
 #include <cstdint>
@@ -31,14 +30,14 @@ inline constexpr const char* kOpSignatures[] = {
 };
 inline constexpr int kOpCount = sizeof(kOpNames) / sizeof(kOpNames[0]);
 
-// From here on part of the API of nova, which exports it.
+// The declarations below belong to the API of nova, which exports them.
 #pragma GCC visibility push(default)
 
 enum class Type : uint8_t { F32 = 0, I32 = 1, Bool = 2 };
 enum class Access : uint8_t { Direct = 0, Uniform = 1, Indexed = 2, CsrRow = 3, Reduced = 4 };
 enum class LoopKind : uint8_t { Fixed = 0, Csr = 1 };
 
-using Value = int32_t;  // index of the instruction that makes it
+using Value = int32_t;  // index of the instruction that defines it
 inline constexpr Value kNone = -1;
 
 struct Instr {
@@ -52,14 +51,14 @@ struct Source {
   Type type = Type::F32;
   int32_t width = 1;
   Access access = Access::Direct;
-  bool varies = false;  // launches of a scan may each have another array: see scan.h
+  bool varies = false;  // launches of a scan may have different arrays: see scan.h
 };
 
 struct Output {
   std::string name;
   Type type = Type::F32;
   std::vector<Value> values;  // one per column
-  int32_t carried = kNone;    // the source that the next launch of a scan reads it as
+  int32_t carried = kNone;    // the source through which the next launch of a scan reads it
 };
 
 struct Sum {
@@ -80,8 +79,7 @@ struct Program {
   std::vector<Loop> loops;
   int32_t param_count = 0;
   bool contract = false;
-  // Of an adjoint that carries what its primal does, backward: the hash of that primal, whose
-  // sources are its first ones. Else 0.
+  // For the adjoint of a scan: the hash of its primal, whose sources come first. Else 0.
   uint64_t primal = 0;
   std::vector<Instr> instrs;
 
@@ -94,7 +92,7 @@ struct Program {
 };
 
 Type result_type(Op op);
-// Calls f(operand value) for each operand that is a value (immediates are left out).
+// Calls f(value) for each operand that is a value; immediates are skipped.
 template <class F>
 void for_each_operand(const Instr& instr, F&& f) {
   const char* s = kOpSignatures[static_cast<int>(instr.op)];
@@ -103,38 +101,39 @@ void for_each_operand(const Instr& instr, F&& f) {
   if (s[3] != '#' && s[3] != '-') f(instr.c);
 }
 
-// Empty when the Program keeps every rule of the format, else what is wrong with it.
+// Returns an empty text if the Program satisfies every rule of the format, or else the violated
+// rule.
 std::string validate(const Program& program, bool allow_trace_ops = false);
 
 std::vector<uint32_t> serialize(const Program& program);
-// Returns false and a reason when the words are not a valid Program.
+// Returns false and a reason if the words are not a valid Program.
 bool deserialize(std::span<const uint32_t> words, Program& program, std::string& reason);
 
 std::string to_string(const Program& program);
 
-// 64-bit hash of a canonical Program (names excluded): equal for equal computations, whatever the
-// order in which the compiler evaluated the operands while it was traced.
+// Returns a 64-bit hash of a canonical Program without its names. Equal computations have equal
+// hashes, regardless of the order in which the compiler evaluated operands during tracing.
 uint64_t hash(const Program& program);
 
-// Rebuilds the Program depth first from its outputs: dead code goes, the order is canonical, and
-// with strip_trace_ops PARTIAL and DETACH are replaced by their value.
+// Rebuilds the Program depth first from its outputs. This removes dead code and makes the order
+// canonical. With strip_trace_ops, PARTIAL and DETACH are replaced by their value.
 Program canonicalise(const Program& program, bool strip_trace_ops);
 
-// Where each value lives: 2l outside of loops and after loop l-1, 2l+1 inside of loop l.
+// Returns the section of each value: 2l outside of loops and after loop l-1, 2l+1 inside of loop l.
 std::vector<int32_t> sections(const Program& program);
-// The source of which a Program adds up the rows of CSR items, and does nothing else with them: the
-// gradient at an item is that of the output at the item's row. -1: none.
+// Returns the source whose rows a Program only sums over CSR items. The gradient at an item then
+// equals that of the output at the item's row. -1: none.
 int32_t summed_source(const Program& program);
-// Where a Program does no more than add rows of CSR items to its own row of a source: that source,
-// and the one of the items. {-1, -1}: it does something else.
+// Finds the sources if a Program only adds rows of CSR items to its own row of another source. {-1,
+// -1}: the Program does something else.
 struct AddedRows {
   int32_t init = -1, source = -1;
 };
 AddedRows added_rows(const Program& program);
 
-// Guards: a value whose every use sits on one side of the same select need not be computed for
-// lanes that take the other side. Guard 0 is "always"; guard g holds when its parent holds and cond
-// == polarity.
+// Guards: if all uses of a value are on one side of the same select, lanes that take the other side
+// do not need the value. Guard 0 is "always". Guard g holds if its parent holds and cond ==
+// polarity.
 struct Guard {
   int32_t parent = -1;
   Value cond = kNone;
@@ -148,8 +147,8 @@ struct Guards {
 };
 Guards guards(const Program& program);
 
-// The order in which a reader runs a Program. SkipIfNone jumps to `target` when no lane of a group
-// has value (a bool) == polarity; LoopBegin/LoopEnd bracket loop `value`.
+// The order in which a reader runs a Program. SkipIfNone jumps to `target` if no lane of a group
+// has value (a bool) == polarity. LoopBegin and LoopEnd enclose loop `value`.
 struct Step {
   enum class Kind : uint8_t { Compute, SkipIfNone, LoopBegin, LoopEnd } kind;
   int32_t value = kNone;

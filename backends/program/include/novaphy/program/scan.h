@@ -1,6 +1,6 @@
-// A scan: launches of one Program, one after the other, in which each reads at its own row what the
-// one before has written. The steps of a rollout are one, and so are their adjoints. A reader can
-// run all launches of a few rows with the state in registers, and load what does not change once.
+// A scan: successive launches of one Program, where each launch reads the previous launch's results
+// at its own row. The steps of a rollout form a scan, and so do their adjoints. A reader can run
+// all launches for a few rows with the state in registers, and load unchanging data once.
 #pragma once
 
 #include <optional>
@@ -12,21 +12,20 @@
 namespace nova::ir {
 
 struct Scan {
-  std::vector<int32_t> carried;  // per output: the source that the next launch reads it as
-  std::vector<int32_t> varying;  // sources of which every launch may have another array
+  std::vector<int32_t> carried;  // per output: the source through which the next launch reads it
+  std::vector<int32_t> varying;  // sources that may have a different array in every launch
 };
 
-// Whether rows of such words may be written past the caches, and kept near by where they are
-// needed.
+// Whether rows of this type and width may bypass the caches, with a copy near the launches that
+// need it.
 inline bool handed_over(Type type, int32_t width) { return type == Type::F32 && width == 3; }
 
-// What a row of so many carried sources takes in the memory where a scan keeps, for each launch,
-// what it read as carried.
+// Returns the bytes per row in the memory where a scan keeps the carried sources of each launch.
 int32_t room_bytes(const Program& program, std::span<const int32_t> carried);
 
-// What the Program says of itself: Output::carried and Source::varies. All other sources, tables
-// and parameters have to be the same in every launch. None: an output is not carried, or to a
-// source that is read at other rows as well, or the Program is so small that nothing is gained.
+// Returns the scan declared by the Program: Output::carried and Source::varies. All other sources,
+// tables and parameters must be the same in every launch. None: an output is not carried, or its
+// source is also read at other rows, or the Program is too small to gain from a scan.
 std::optional<Scan> find_scan(const Program& program);
 
 }  // namespace nova::ir

@@ -1,4 +1,4 @@
-// Kernels for BroadPhase::Sap on the device of the shapes. They find the sorted pairs of
+// Kernels for BroadPhase::Sap on the device of the shapes. The kernels find the sorted pairs of
 // box_pairs.h in time proportional to the number of shapes and pairs.
 //
 // Shapes are sorted by world and, within a world, along a space-filling curve. A hierarchy of boxes

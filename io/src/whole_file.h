@@ -1,6 +1,6 @@
 // Checks that a file is complete before assimp reads it.
 //
-// assimp does not detect some faults. It reads past the end of a truncated PLY file. It never
+// assimp does not detect some faults. A truncated PLY file is read past its end. The library never
 // returns on a PLY without the end of its header, and on a COLLADA with text among its indices. A
 // truncated STL text becomes a smaller mesh. OBJ files have no length to check, and a truncated
 // COLLADA is not XML.

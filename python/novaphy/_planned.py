@@ -291,8 +291,8 @@ ARGUMENTS: dict[str, str] = {
 
 
 class PlannedError(NotImplementedError, AttributeError):
-    """Raised for a member that is not supported. It is an AttributeError too, so hasattr returns
-    False.
+    """Raised for a member that is not supported. The error is also an AttributeError, so hasattr
+    returns False.
     """
 
 

@@ -1,8 +1,8 @@
 """``python -m novaphy.backend_check dlan``: checks whether a backend works on this machine.
 
-The program is for owners of a Denglin card. It compiles missing kernels and runs the conformance
-suite and demos. The states of the demos must have the bits of the CPU. The output is also written
-to a report.
+The program is for owners of a Denglin card. The program compiles missing kernels and runs the
+conformance suite and demos. The states of the demos must have the bits of the CPU. The output is
+also written to a report.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ def wrap(
         result: the shape of the result, or a list of shapes.
 
     Returns:
-        A `jax.custom_vjp` of equally many float32 arrays. It can be used in jit (as a
+        A `jax.custom_vjp` of equally many float32 arrays. The function can be used in jit (as a
         `jax.pure_callback`), in vmap (one call after the other) and in grad, for first derivatives.
         Input arrays are copied, because JAX arrays may not be written to. A result that depends on
         no input has the gradient 0.

@@ -116,8 +116,8 @@ def wrap(function: Callable[..., Any]) -> Callable[..., Any]:
             inside of the function. Values other than the arguments are constants.
 
     Returns:
-        A function of equally many float32 torch tensors on the same device. It returns a torch
-        tensor or a tuple of them.
+        A function of equally many float32 torch tensors on the same device. The function returns a
+        torch tensor or a tuple of them.
 
         Inputs and results share memory with the nova Tensors, without a copy. Two kinds of inputs
         are copied: those that are not contiguous, and those that are also results if a gradient is

@@ -1,6 +1,6 @@
 // Lowers a Program to a flat list of items on numbered values, the common part of the block form
 // and the scalar form. Lowering resolves aliases, finds uniform values, groups loads of neighboring
-// columns and merges multiply-add pairs. It also assigns a register or a scalar to every value.
+// columns and merges multiply-add pairs. Every value gets a register or a scalar.
 #pragma once
 
 #include <stdint.h>

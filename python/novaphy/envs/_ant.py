@@ -48,8 +48,9 @@ class AntWorlds:
     """A batch of Ants on the ground, each in its own world.
 
     The z axis points up. A frame of the policy lasts 1/20 s and has `substeps` steps with contacts.
-    An action is the torque of a hinge divided by the gear (200 N m for `dva`, 150 N m for `gym`),
-    in the order of the motors in the file. All arrays are float32 with one row per world.
+    An action is the torque of a hinge divided by the gear: 200 N m for `dva`, 150 N m for `gym`.
+    Actions are in the order of the motors in the file. All arrays are float32 with one row per
+    world.
 
     `q` {worlds, 15} has the position (m), the quaternion xyzw and the hinge angles hip_1, ankle_1,
     ... (rad). `qd` {worlds, 14} has the velocity of the torso's origin and its angular velocity in

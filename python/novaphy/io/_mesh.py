@@ -32,9 +32,9 @@ class TetMesh(NamedTuple):
 def height_field(heights: ArrayLike, cell_x: float, cell_y: float | None = None) -> Mesh:
     """Make the triangle mesh of a terrain from a grid of heights.
 
-    The front of the mesh is the upper side. A terrain has no inside and so no mass. It belongs to
-    the world, or to a body with ``density=0``:
-    ``builder.add_shape_mesh(-1, mesh=height_field(z, 0.25), cfg=...)``.
+    The front of the mesh is the upper side. A terrain has no inside and so no mass. A terrain
+    belongs to the world, or to a body with ``density=0``: ``builder.add_shape_mesh(-1,
+    mesh=height_field(z, 0.25), cfg=...)``.
 
     Args:
         heights: (rows, columns) in m. ``heights[j, i]`` is the height at x = i ``cell_x``, y = j

@@ -2,7 +2,7 @@
 
 A ``with nova.Tape() as tape`` block records arithmetic and functions of tensors if an input carries
 a gradient. ``tape.backward(loss)`` fills ``.grad``. The same functions work on traced values (Real,
-Int, Bool) inside of a function for make_indexed_kernel. There ``nova.select(condition, a, b)``
+Int, Bool) inside of a function for make_indexed_kernel. Inside, ``nova.select(condition, a, b)``
 replaces ``if``.
 """
 

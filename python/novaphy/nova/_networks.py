@@ -36,7 +36,7 @@ def gaussian_log_density(
         mean: mean of the Gaussian, {n, k}.
         log_std: logarithm of the standard deviation, {n, k} or {k}.
         squashed: whether the action is tanh(u). The density then has the term -log(1 - tanh(u)^2)
-            for every column, computed as 2 (log 2 - u - softplus(-2 u)) without cancellation
+            for every column. The form 2 (log 2 - u - softplus(-2 u)) avoids cancellation
             (Haarnoja et al., "Soft actor-critic algorithms and applications", 2018, appendix C).
             False: the density of u.
 

@@ -58,9 +58,9 @@ class ViewerFile(Viewer):
         viewer is closed. A program that is killed loses only the frames since the last chunk. At
         most the last `max_history_size` frames are kept (None: all).
 
-        A name that ends in .npz selects a single archive that NumPy can open. It has no drawings
-        and is rewritten at every save. ValueError: a number below 1, or a folder that does not
-        exist.
+        A name that ends in .npz selects a single archive that NumPy can open. The archive has no
+        drawings and is rewritten at every save. ValueError: a number below 1, or a folder that does
+        not exist.
         """
         super().__init__()
         self.output_path = os.path.abspath(os.fspath(output_path))

@@ -1,8 +1,10 @@
 // Assigns the rows of each phase to the blocks of a cluster. The sums of a phase may add items that
 // the previous phase makes, such as forces of elements on their corners. A block then computes all
-// rows that its own sums need, even if other blocks compute the same rows. Items stay in the memory
-// of their block, and blocks exchange only the results of the sums: one exchange for two phases.
-// The results are the same, because a row does not depend on the block that computes it.
+// rows that its own sums need, even if other blocks compute the same rows.
+//
+// Items stay in the memory of their block, and blocks exchange only the results of the sums: one
+// exchange for two phases. The results are the same, because a row does not depend on the block
+// that computes it.
 //
 // Blocks exchange the rows of a halo: rows of sums that elements of other blocks read. If these
 // rows are known, a block sends them directly to the memory of those blocks, and does not wait for

@@ -1,13 +1,13 @@
 // Kernel: the launch interface of hand-written kernels (row_kernel.h). The argument struct of a
 // kernel says how a launch accesses each array.
-// 
+//
 //   const Kernel<ScaleArguments> kScale(scale, scale_kernels_source);
 //   run(kScale, n, {.x = x, .y = y, .factor = 2.0f});
-// 
+//
 // DeviceKernel: the same for the builtins of backends, and for kernels without an argument struct.
-// 
+//
 //   kScan.launch(device, n, {reads("in", in), writes("out", out)});
-// 
+//
 // A launch names the ranges that it reads and writes. From these names follow the order among
 // recorded launches, the versions of the arrays, and the lifetime of their memory.
 #pragma once

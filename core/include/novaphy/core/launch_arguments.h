@@ -1,12 +1,12 @@
 // Argument structs of hand-written kernels. The members are access types, which say what a launch
 // does to each array. The kernel reads the same struct as pointers and numbers.
-// 
+//
 //   struct ScaleArguments {
 //     NOVAPHY_ARGUMENTS(ReadsRow<float> x; WritesRow<float> y; Number<float> factor;)
 //   };
 //   NOVAPHY_ROW_KERNEL(scale, ScaleArguments) { a.y[row] = a.factor.value * a.x[row]; }
 //   run(kScale, n, {.x = x, .y = y, .factor = 2.0f});
-// 
+//
 // Access types have no default constructor. Three mistakes therefore fail to compile: a missing
 // argument, an array of another element type, and a kernel that writes an argument declared as
 // read. The folder core/device/ has twins of these types for device code, which are plain pointers.

@@ -2,13 +2,13 @@
 // behind the list change. A step sets the arguments that differ, and runs the list or a range of
 // it. The CPU runs the launches as phases of one call of its threads. A device enqueues the
 // launches. A thread that records submits the launches to its recorder.
-// 
+//
 //   LaunchList list(device);
 //   const auto scale = list.add(kScale, n, {.x = x, .y = y, .factor = 2.0f});
 //   list.run();
 //   list.set(scale, {.x = z, .y = y, .factor = 3.0f});
 //   list.run();
-// 
+//
 // Devices and row counts are checked when a launch is added or set. Arrays must live until the last
 // run. A run without a recorder allocates nothing, counts no references and takes no lock.
 //

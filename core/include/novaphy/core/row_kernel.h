@@ -1,20 +1,20 @@
 // Hand-written kernels as functions of one row. A header with kernels is compiled twice. The C++
 // compiler makes each kernel a function over rows that the CPU backend runs. Device compilers read
 // the header as source, with the twin of this header in core/device/.
-// 
+//
 //   struct ScaleArguments {
 //     NOVAPHY_ARGUMENTS(ReadsRow<float> x; WritesRow<float> y; Number<float> factor;)
 //   };
 //   NOVAPHY_ROW_KERNEL(scale, ScaleArguments) { a.y[row] = a.factor.value * a.x[row]; }
-// 
+//
 // This declares the kernel `scale`. In the body, `a` holds the arguments (launch_arguments.h),
 // `row` is the row and `n` the number of rows. Rows run in any order and at the same time. A row
 // may therefore not read what another row writes.
 //
-// Such headers are named *_kernels.h. They include only formulas, math headers, enumerations and
-// this header. novaphy_add_device_module (cmake/NovaPhyDeviceModule.cmake) makes the source for
-// devices, and Kernel launches a kernel. Kernel names are unique in such a source, whatever the
-// namespace.
+// Such headers are named *_kernels.h. Such a header includes only formulas, math headers,
+// enumerations and this header. novaphy_add_device_module (cmake/NovaPhyDeviceModule.cmake) makes
+// the source for devices, and Kernel launches a kernel. Kernel names are unique in such a source,
+// whatever the namespace.
 #pragma once
 
 #include <cstdint>
@@ -44,10 +44,10 @@ inline constexpr auto kInChunks = in_chunks(kernel, rows);
 
 // Kernels for devices only, as functions of a block of 128 threads. The threads of a block may
 // share memory and wait for each other. The body follows within #ifdef NOVAPHY_KERNEL:
-// 
+//
 //   NOVAPHY_BLOCK_KERNEL(team, ScaleArguments);
 //   NOVAPHY_BLOCK_BODY(team, ScaleArguments) { ... }
-// 
+//
 // In the body, `a` holds the arguments, `block` is the block and `blocks` the number of blocks. A
 // launch over n rows has one block for every 128 rows. A launch on the CPU throws
 // ErrorKind::NotImplemented.

@@ -1,7 +1,7 @@
 // Elementary functions, written once as branch-free templates over the scalar T. T = float runs in
 // the forward engine, and T = nova::Real is traced. The functions use only operations that round
 // the same on every device: + - * / sqrt floor fma, comparisons, selects, casts and bit patterns.
-// They use no libm, so all devices give the same bits.
+// None uses libm, so all devices give the same bits.
 //
 //   function    worst error  where        special values (NaN in gives NaN out)
 //   sin, cos    1.6 ulp      |x| <= 1e5   sin(-0) = -0, +-inf gives NaN

@@ -1,8 +1,8 @@
 // Spatial vectors, frames and inertias, as templates over the scalar like types.h.
 //
 // Motion (v, w) and force (f, t) have their linear part first and refer to the origin of their
-// frame. v is the velocity of the body point at the origin, and t the moment about the origin. A
-// frame is a Transform X, the pose of the frame in the outer frame: p' = p + rotate(q, x). An
+// frame. The velocity v is that of the body point at the origin. The moment t is about the origin.
+// A frame is a Transform X, the pose of the frame in the outer frame: p' = p + rotate(q, x). An
 // inertia is ten numbers about the origin; only factorizations use a 6x6 matrix (ldlt.h).
 //
 // Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 2, but with the linear part

@@ -1,5 +1,5 @@
 // The elementary functions of traced values, such as nova::sin(Real). Each appends the formula of
-// <novaphy/math/functions.h> to the Program. That header states accuracy, special values and
+// <novaphy/math/functions.h> to the Program. The same header states accuracy, special values and
 // derivatives. The bits equal those of the same function of a float. sqrt, abs, floor, min, max and
 // fma are instructions (trace.h).
 #pragma once

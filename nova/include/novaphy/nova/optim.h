@@ -1,4 +1,4 @@
-// Optimizers and gradient clipping as kernels. They update in place and are never recorded on a
+// Optimizers and gradient clipping as kernels. All update in place and are never recorded on a
 // tape. Only the checks of direct steps on the CPU read values on the host. All functions may
 // therefore be captured, and a replay gives the bits of direct calls. Numbers such as rates and
 // limits keep their value at capture time. Values that change from step to step (moments, step

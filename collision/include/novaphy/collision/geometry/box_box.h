@@ -1,7 +1,7 @@
 // Box against box: 15 separating axes, then clipping of the faces (clip_manifold.h). Frame of A, m.
 //
 // The axis with the largest separation is chosen. A cross axis of two edges must exceed the face
-// axes by kEdgeBias of the size of the boxes, so that rounding does not turn a face contact into an
+// axes by kEdgeBias of the size of the boxes. Rounding then does not turn a face contact into an
 // edge contact. Normal and depth of overlapping boxes are exact up to that bias. For separate
 // boxes, the separation of a face axis is the distance only if the clipped faces overlap. Otherwise
 // GJK computes the distance. Source of the axes: Gottschalk, Lin, Manocha, OBBTree (1996).

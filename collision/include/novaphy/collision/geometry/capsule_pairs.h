@@ -3,10 +3,12 @@
 //
 // Capsules: the nearest points of the two segments. Crossing segments separate along the normal of
 // their plane, and collinear segments across their line. The signed distance is then -(sum of the
-// radii). Box: a segment outside of the box is nearest at one of its ends or at one of the 12
-// edges. A segment that intersects the box separates along the shortest of six directions: 3 face
-// normals and 3 cross products of the segment and an edge. On a tie the first is chosen. MuJoCo 4.0
-// gives wrong results for the intersecting case.
+// radii).
+//
+// Box: a segment outside of the box is nearest at one of its ends or at one of the 12 edges. A
+// segment that intersects the box separates along the shortest of six directions: 3 face normals
+// and 3 cross products of the segment and an edge. On a tie the first is chosen. MuJoCo 4.0 gives
+// wrong results for the intersecting case.
 #pragma once
 
 #include "novaphy/collision/geometry/clip_manifold.h"

@@ -4,15 +4,15 @@
 // B. A point lies midway between the two surfaces. `distance` (m) is signed along the normal, < 0
 // for an overlap. The surface points are
 //   on A: position - normal (distance / 2),    on B: position + normal (distance / 2).
-// `feature` identifies the touching features of A and B (contact_feature). It is unique in a
-// manifold and stays the same while the same features touch, so contacts can be matched between
-// steps. collide() sorts points by feature, so the result does not depend on the order of
-// discovery. Points of planes keep the order of plane_pairs.h.
+// `feature` identifies the touching features of A and B (contact_feature). A feature is unique in a
+// manifold and constant while the same features touch. Contacts can therefore be matched between
+// steps. The function collide() sorts points by feature, so the result does not depend on the order
+// of discovery. Points of planes keep the order of plane_pairs.h.
 //
-// Reduction (reduce_contacts) selects points in this order: the deepest point, the point farthest
-// from it, the point with the largest triangle, and the point with the largest triangle on the
-// other side of the longest edge. Each further point is the farthest from the selected points. Ties
-// go to the smaller feature.
+// Reduction (reduce_contacts) first selects the deepest point and the point farthest from it. The
+// third point gives the largest triangle, and the fourth the largest triangle on the other side of
+// the longest edge. Each further point is the farthest from the selected points. Ties go to the
+// smaller feature.
 #pragma once
 
 #include "novaphy/math/types.h"

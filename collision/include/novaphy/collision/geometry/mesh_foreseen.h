@@ -1,5 +1,5 @@
-// A cheap test of a mesh triangle and a convex shape B that avoids GJK. It detects pairs without a
-// contact, and pairs in which B faces the triangle.
+// A cheap test of a mesh triangle and a convex shape B that avoids GJK. The test detects pairs
+// without a contact, and pairs in which B faces the triangle.
 //
 // The core of B must be a box about its own origin: a box, the segment of a capsule, or the center
 // of a sphere. Let w be the vector from a point of the triangle to the nearest point of the core.

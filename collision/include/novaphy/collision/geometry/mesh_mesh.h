@@ -6,9 +6,9 @@
 // concave edge or corner no face lies over the vertex. Two or three neighboring faces then give a
 // normal each, with the distance to its plane (faces_over).
 //
-// A normal is valid only if the mesh at the vertex lies on its side: no neighbor of the vertex lies
-// farther along the inward normal than kStandSine of the distance to the neighbor. A mesh that is
-// flush with a side is therefore not pushed off that side.
+// A normal is valid only if the mesh at the vertex lies on its side. No neighbor of the vertex may
+// lie farther along the inward normal than kStandSine times its distance. A mesh that is flush with
+// a side is therefore not pushed off that side.
 //
 // Edges on edges (edges_on_edges), for border edges and convex edges. The normal is perpendicular
 // to both edges and must lie in the normal cones of both. For an overlap each point must lie in or

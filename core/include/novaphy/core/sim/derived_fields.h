@@ -1,8 +1,8 @@
 // Derived arrays of a model. A derived array is computed from a source array when the model is
 // made, and again after each write to the source. One X-macro lists the derived arrays:
-// 
+//
 //   #define NOVAPHY_DERIVED_MODEL_FIELDS(X)  X(derived, source, rule) ...
-// 
+//
 // Model::update_derived and the kernels that a capture records follow from the list. A new derived
 // array needs one line in the list and one rule here. A rule reads one row of the source and writes
 // one row of the derived array, as packed scalars: float on the host, nova::Real in a kernel.

@@ -1,7 +1,7 @@
 // Field lists. Model, SimState, Control and Contacts each list their arrays once, in an X-macro:
-// 
+//
 //   #define NOVAPHY_..._FIELDS(X)  X(name, element type, width, count, unit, frame, doc) ...
-// 
+//
 // The members, their allocation, clone, assign and every loop over the arrays (views, dumps, the
 // documentation table) follow from the list. `count` is the member of the counts structure with the
 // number of rows. A new array is one line in its list. A line of SimState also has the role of the

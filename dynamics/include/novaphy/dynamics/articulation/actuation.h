@@ -4,10 +4,10 @@
 //   c      the control, clipped to ctrl_range, or the activation if the actuator has dynamics
 //   force  (gain0 + gain1 l + gain2 v) c + bias0 + bias1 l + bias2 v, clipped to force_range
 // The force on the degree of freedom is gear times this force. The coefficients of l and v must not
-// be positive. They are a stiffness and a damping of the drive (drives.h), so a step is as stable
-// as with drives. The other coefficients give the drive's target, or a plain force if nothing
-// depends on l and v. The force range of a servo is the effort limit of the drive about the middle
-// of the range. Dynamics:
+// be positive. These coefficients are a stiffness and a damping of the drive (drives.h), so a step
+// is as stable as with drives. The other coefficients give the drive's target, or a plain force if
+// nothing depends on l and v. The force range of a servo is the effort limit of the drive about the
+// middle of the range. Dynamics:
 //   integrator   act' = c
 //   filter       act' = (c - act) / time, explicit; filter_exact: its solution over the step
 // Afterwards act is clipped to act_range. Source: MuJoCo, "Computation", actuation model.

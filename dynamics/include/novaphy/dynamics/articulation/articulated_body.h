@@ -9,9 +9,10 @@
 // Motions and forces of a link refer to a point of the link, in the axes of its body. The point is
 // the joint, or the center of mass for FREE. Accelerations are those of the point. No large terms
 // cancel, so float32 reaches 1e-6 at 200 links. The errors of a mass matrix grow with the fourth
-// power of the number of links in a row. Source: Featherstone, Rigid Body Dynamics Algorithms
-// (2008), chapter 7; Rodriguez, Jain and Kreutz-Delgado, A spatial operator algebra for manipulator
-// modeling and control (IJRR 1991).
+// power of the number of links in a row.
+//
+// Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 7; Rodriguez, Jain and
+// Kreutz-Delgado, A spatial operator algebra for manipulator modeling and control (IJRR 1991).
 #pragma once
 
 #include "novaphy/dynamics/articulation/kinematics.h"

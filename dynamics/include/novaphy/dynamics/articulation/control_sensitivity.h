@@ -1,8 +1,8 @@
 // The sensitivity of a tree's state to parameters of its control, propagated step by step.
 //
-// Let x be the change of the dof forces for a parameter. x has the change of the target or torque,
-// and the changes of drives and damping by the changes dq and dv of the state. M, branches and new
-// rates are those of the step (step.h):
+// Let x be the change of the dof forces by a parameter. The change x contains that of the target or
+// torque, and those of drives and damping by the changes dq and dv of the state. M, branches and
+// new rates are those of the step (step.h):
 //   dv' = dv + dt M^-1 x, 0 for dofs at their velocity limits
 //   dq' = dq + dt dv' (FREE: angular tangents by the derivative of the Cayley map)
 //   then dv' of angular dofs times 1 - angular_damping dt

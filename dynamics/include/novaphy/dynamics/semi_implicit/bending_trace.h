@@ -18,13 +18,13 @@
 // For kd = 0 velocities are not read.
 //
 // The forces of a hinge sum to zero. Their moment is zero only if both triangles have the same
-// height over the edge, because the directions d are not divided by the heights as in the gradient
-// of theta.
+// height over the edge. The reason is that the directions d are not divided by the heights, unlike
+// the gradient of theta.
 //
-// A border edge (an opposite vertex is missing), and a hinge with a triangle or edge smaller than
-// 1e-6 (|n| in m^2, |e| in m), has no force and no gradient. At a full fold theta jumps by 2 pi,
-// and the force jumps too. Gradient: exact in x, v, ke, kd, rest elsewhere, including a straight
-// hinge.
+// A border edge, whose opposite vertex is missing, has no force and no gradient. Neither has a
+// hinge with a triangle or edge smaller than 1e-6 (|n| in m^2, |e| in m). At a full fold theta
+// jumps by 2 pi, and the force jumps too. Gradient: exact in x, v, ke, kd, rest elsewhere,
+// including a straight hinge.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
 #pragma once

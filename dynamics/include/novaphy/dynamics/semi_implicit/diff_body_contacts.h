@@ -1,8 +1,8 @@
 // Differentiable contacts of bodies stored in a Contacts: of shapes with each other, and of
 // particles with shapes of bodies. Compiled into novaphy::dynamics if nova is built.
 //
-// Each evaluation has two steps: a kernel over the contacts, which writes the forces of each
-// contact, and a sum over the bodies (or particles) in the order of the contacts. The sums need no
+// Each evaluation has two steps. A kernel over the contacts writes the forces of each contact. A
+// sum over the bodies (or particles) adds them in the order of the contacts. The sums need no
 // atomics, forward or backward, and the bits are those of SolverSemiImplicit.
 //
 // The gradient of each input:

@@ -9,9 +9,9 @@
 //   enough  dt^2 sum n_e K_e,ii + 2 dt sum n_e D_e,ii <= 4 m_i for all i, because
 //           x^T K_e x <= n_e sum_i x_i^T K_e,ii x_i
 //   needed  the same without n_e: beyond, one particle diverges even if all others are fixed
-// Contacts are those of contact_stability.h, of one particle with a shape (n_e = 1). ke and kd act
-// along the normal, where kd acts in every second step, and kf acts across the normal. The bound b
-// = particle_kf_bound limits kf to b m/dt, so friction takes 2 b of the 4.
+// Contacts are those of contact_stability.h, of one particle with a shape (n_e = 1). The stiffness
+// ke and the damping kd act along the normal, kd in every second step. The friction kf acts across
+// the normal. The bound b = particle_kf_bound limits kf to b m/dt, so friction takes 2 b of the 4.
 #pragma once
 
 #include <cstdint>

@@ -71,8 +71,8 @@ struct ThreadTeam::Shared {
 
   const int threads;
   std::atomic_flag taken = ATOMIC_FLAG_INIT;  // held by the thread that owns the job
-  // The job. It is written while `number` is even, and read by members that entered while `number`
-  // was odd.
+  // The job, which is written while `number` is even, and read by members that entered while
+  // `number` was odd.
   alignas(64) std::atomic<uint64_t> number{0};
   void (*work)(void*, int64_t) = nullptr;
   void* context = nullptr;

@@ -42,8 +42,8 @@ void for_each_differentiable(const ir::Instr& in, const F& f) {
 }
 
 // The derivative rules. The partial derivative by one operand is a number, so one rule serves both
-// directions. It maps a gradient of the result to the operand, or a tangent of the operand to the
-// result.
+// directions. The rule maps a gradient of the result to the operand, or a tangent of the operand to
+// the result.
 class DerivativeRules {
  public:
   using Value = ir::Value;

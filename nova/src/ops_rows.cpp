@@ -1,4 +1,4 @@
-// Functions that read parts of a tensor and join parts: slice, gather, concat. They move 32-bit
+// Functions that read parts of a tensor and join parts: slice, gather, concat. All move 32-bit
 // words, so int32 tensors use the same code, without a gradient.
 #include <algorithm>
 #include <string>

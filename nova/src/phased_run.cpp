@@ -130,7 +130,7 @@ void PhasedRun::run_chunk(int64_t number, Failure& failure) const {
     if (status == NOVAPHY_OK) [[likely]]
       continue;
     const std::lock_guard lock(failure.mutex);
-    // Other threads read `phase` without the lock. It is written once, before `any`.
+    // Other threads read `phase` without the lock. The phase is written once, before `any`.
     if (!failure.any) failure.phase = chain.phase;
     if (!failure.any || order_[k] < order_[failure.op]) {
       failure.op = k;

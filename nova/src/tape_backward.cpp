@@ -1,5 +1,5 @@
-// Tape::backward. It first plans the steps and checks every value that will be read, then runs the
-// steps. An overwritten input is therefore reported before a gradient changes.
+// Tape::backward first plans the steps and checks every value that will be read. Then the steps
+// run. An overwritten input is therefore reported before a gradient changes.
 #include <algorithm>
 #include <array>
 #include <utility>
@@ -147,8 +147,8 @@ void Tape::Impl::check_needed(const Op& op, const detail::CompiledPlan& plan) {
   if (plan.rows && !plan.rows->program.loops.empty()) check_csr(op, {kOffsets, kItems});
 }
 
-// Checks a group. It is recomputed before the first of its adjoints, so its inputs from outside
-// must be unchanged.
+// Checks a group. The group is recomputed before the first of its adjoints, so its inputs from
+// outside must be unchanged.
 void Tape::Impl::check_group(const Group& group) {
   for (uint32_t k = group.first; k < group.last; ++k) {
     if (!ops[k].replayed) continue;

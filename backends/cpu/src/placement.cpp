@@ -53,8 +53,8 @@ class Placer {
     return scalar_form_ || l_.place[static_cast<size_t>(v)].uniform == 0;
   }
 
-  // Finds the uniform items outside of loops and regions that read only such items. They run once
-  // per launch.
+  // Finds the uniform items outside of loops and regions that read only such items. These items run
+  // once per launch.
   void find_prologue() {
     std::vector<char> early(l_.place.size(), 0);
     const auto known = [&](ValueId v) {

@@ -30,8 +30,8 @@ Interval read_by(const Program& p, const uint64_t* arguments, int32_t source) {
   return {begin, begin + rows * static_cast<uint64_t>(p.sources[s].width) * 4};
 }
 
-// Returns the memory that an output writes. It has as many rows as the source to which it is
-// carried.
+// Returns the memory that an output writes. The output has as many rows as the source to which it
+// is carried.
 Interval written_by(const Program& p, const uint64_t* arguments, size_t output, int32_t carried) {
   const Interval like = read_by(p, arguments, carried);
   const uint64_t begin = arguments[p.output_argument(output)];

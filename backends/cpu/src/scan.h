@@ -12,11 +12,11 @@
 struct novaphy_scan {
  public:
   // Returns null if the kernel has no compiled form for a scan, or if the launches differ in more
-  // than that form allows.
-  // `first` (may be null) is a scan that always runs just before this one, on the same rows and
-  // thread. No work in between writes the arrays that `first` read or wrote. If both scans evaluate
-  // the same conditions, `first` notes for this scan which launches had no effect. It also stores
-  // the rows that the other launches read, so that large outputs may bypass the caches.
+  // than that form allows. `first` (may be null) is a scan that always runs just before this one,
+  // on the same rows and thread. No work in between writes the arrays that `first` read or wrote.
+  // If both scans evaluate the same conditions, `first` notes for this scan which launches had no
+  // effect. The scan `first` also stores the rows that the other launches read, so that large
+  // outputs may bypass the caches.
   static std::unique_ptr<novaphy_scan> make(const novaphy::cpu::Executable& executable,
                                             std::span<const uint64_t* const> launches,
                                             novaphy_scan* first);

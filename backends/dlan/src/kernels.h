@@ -31,8 +31,8 @@ Result load_stubs(Module* module, const void* code);
 Result unload_stubs(Module module);
 Result find_stub(Function* function, Module module, const char* name);
 
-// Returns the lines that list the kernels of a module, as `static const ... stubs[]`. They follow
-// the text of the module.
+// Returns the lines that list the kernels of a module, as `static const ... stubs[]`. These lines
+// follow the text of the module.
 std::string stub_table(const std::string& source);
 // The command NOVAPHY_DLAN_COMPILER, or none.
 extern const CompilerHook kDlanCompiler;

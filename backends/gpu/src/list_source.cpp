@@ -124,8 +124,8 @@ class Writer {
     }
     return code;
   }
-  // Whether a source is loaded before the loop: its rows are the same in every iteration, no
-  // operation writes them, and only one row is read, the own or the first.
+  // Whether a source is loaded before the loop. Its rows must be the same in every iteration, and
+  // no operation may write them. Only one row may be read, the own or the first.
   bool is_loaded_once(const ListPlan::Site& site, size_t s) const {
     const nova::ir::Program& p = ops_[site.op].kernel->program;
     const Rows rows = rows_read(p, s);

@@ -44,8 +44,8 @@ struct ChainForm {
       bool aligned = false;        // Own: the words are aligned to 16 bytes
       bool fixed =
           false;  // Own, First: no operation writes them, so they are worth keeping
-      // Neither the previous phase, at any place of the form, nor the chain writes the source. It
-      // may therefore be read before that phase is over.
+      // Neither the previous phase, at any place of the form, nor the chain writes the source. The
+      // source may therefore be read before that phase is over.
       bool early = false;
       bool fixed_rows = false;  // early, and no operation of the persistent kernel writes it
       // Place and count of its rows in the memory of the block; -1: in global memory.

@@ -509,7 +509,7 @@ class Writer {
     if (room_.plan != nullptr) place_rare();
   }
 
-  // With a plan, all such loads are kept. Those that do not pay off share a place, which is filled
+  // With a plan, all such loads are kept. Loads that do not pay off share a place, which is filled
   // each time.
   void place_rare() {
     User all{0, {0, UINT64_MAX}, {}};
@@ -638,8 +638,8 @@ class Writer {
     }
   }
 
-  // Passes results to later operations of the chain through registers. They are stored at the end,
-  // so that no store comes between the chain's loads.
+  // Passes results to later operations of the chain through registers. Results are stored at the
+  // end, so that no store comes between the chain's loads.
   void link(std::span<const novaphy_persistent_op> chain, ChainForm& form) const {
     struct Place {
       int32_t words = 0, op = -1, output = 0;
@@ -769,8 +769,8 @@ int64_t PersistentTable::source_word(const Operation& op, size_t source) const {
 namespace {
 
 // Returns the bytes of a row of the results, for an operation whose early half is worth a separate
-// launch: no operation of the persistent kernel writes its sources, and it computes much more than
-// it stores.
+// launch. No operation of the persistent kernel writes the sources of such a half, and the half
+// computes much more than it stores.
 std::vector<uint64_t> worth_early(const PersistentTable& table, Operation op) {
   constexpr size_t kInstructionsOfWord = 3;
   if (op.kind != Operation::Program) return {};

@@ -9,8 +9,8 @@
 namespace nova::ir {
 
 // The terms that a CSR loop adds for an item if no lane of a group takes the single region at its
-// end. They are known when the text is written, so the code after the region is skipped. An example
-// is a contact that does not touch.
+// end. The terms are known when the text is written, so the code after the region is skipped. An
+// example is a contact that does not touch.
 struct IdleItem {
   int32_t loop = -1, region = -1;
   std::vector<float> terms;  // for each sum of the loop

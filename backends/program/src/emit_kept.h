@@ -9,8 +9,8 @@ namespace nova::ir {
 
 struct KeptValues {
   int32_t loop = -1, earlier = -1;
-  // Unconditional values of `loop`, in their order, with their equals in `earlier`. They depend
-  // only on values from outside and on each other.
+  // Unconditional values of `loop`, in their order, with their equals in `earlier`. The values
+  // depend only on values from outside and on each other.
   std::vector<std::pair<Value, Value>> equal;
   // The values among these that the rest of the loop reads.
   std::vector<std::pair<Value, Value>> kept;

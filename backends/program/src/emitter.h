@@ -47,8 +47,8 @@ class Emitter {
   // them.
   void groups_begin();
   void groups_end();
-  // Prefetching: declares and gathers the rows of the first group, hands them over to the group
-  // that begins, and gathers those of the next group between the lines of the current one.
+  // Prefetching. Declares and gathers the rows of the first group. Hands rows over to the group
+  // that begins, and gathers those of the next group between its lines.
   void prefetch_begin();
   void prefetch_group();
   void prefetch_line(Value v);

@@ -59,8 +59,8 @@ inline void check_particle_flags(const Where& where, int32_t flags) {
           ": expected 0 or ParticleFlags.ACTIVE (1), got ", flags);
 }
 
-// Objects in all worlds (-1) have the gravity of the last world (see Model::gravity). That gravity
-// must therefore equal the builder's.
+// Objects in all worlds (-1) have the gravity of the last world (see Model::gravity). The gravity
+// of the last world must therefore equal the builder's.
 inline void check_world_gravity(const Where& where, int32_t world, const Vec3f& gravity,
                                 std::span<const Vec3f> world_gravity) {
   require(world >= 0 || world_gravity.empty() || gravity == world_gravity.back(), ErrorKind::Value,

@@ -76,7 +76,7 @@ struct ContactDualArguments {
   Given<articulation::DualFloat> joint_friction, mu, restitution, ke, kd;
 };
 
-// Which articulations sleep in a step, on the CPU.
+// The articulations that sleep in a step, on the CPU.
 struct SleepingTrees {
   std::span<const uint8_t> asleep;  // for each articulation; not 0: impulses do not move it
   std::span<const int32_t> awake;   // the other articulations, in ascending order

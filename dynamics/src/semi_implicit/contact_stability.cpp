@@ -69,8 +69,8 @@ Six accelerate(const Six& y, float inv_mass, const Mat33f& inv_inertia, const Qu
   return {y[0] * inv_mass, y[1] * inv_mass, y[2] * inv_mass, t.x, t.y, t.z};
 }
 
-// Returns the largest eigenvalue of M^-1 A by power iteration. It starts from x, which becomes the
-// eigenvector.
+// Returns the largest eigenvalue of M^-1 A by power iteration. The iteration starts from x, which
+// becomes the eigenvector.
 template <class Accelerate>
 float largest(const Matrix& a, Accelerate accelerate, Six& x) {
   float w = 0.0f;

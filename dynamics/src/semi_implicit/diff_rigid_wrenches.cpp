@@ -84,7 +84,8 @@ const nova::Kernel& own_rigid_kernel(bool follow) {
                                                      {.of_rows = true});
   return follow ? following : held;
 }
-// The kernel of PenaltyLaw::Mean. It is interpreted, as the one below, because few scenes use it.
+// The kernel of PenaltyLaw::Mean. Like the kernel below, this one is interpreted, because few
+// scenes use it.
 const nova::Kernel& mean_kernel(bool follow, bool of_rows) {
   const auto make = [](const char* name, bool follows, bool own) {
     return make_rigid_kernel(name,

@@ -50,7 +50,7 @@ struct TouchRow {
   bool slides = false;   // friction is at the cone
   bool adheres = false;  // acts beyond the gap 0
   // Set within half a step of the gap 0. by_gap and by_velocity (columns) are then the derivatives
-  // of the force averaged over that step, minus those of the force itself. They include the jump of
+  // of the force averaged over that step, minus those of the force itself. Both include the jump of
   // the force at the gap 0.
   bool ramp = false;
   Vec3d by_gap{};

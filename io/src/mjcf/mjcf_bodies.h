@@ -24,7 +24,7 @@ struct BodyPart {
   }
 };
 
-// The joints of one body. They become one joint with several degrees of freedom if that is
+// The joints of one body. The joints become one joint with several degrees of freedom if that is
 // equivalent, else a chain of joints with massless links between them.
 class BodyJoints {
  public:

@@ -17,9 +17,9 @@ enum class MeshInertia { Legacy, Exact, Convex, Shell };
 // Returns the mass properties of a sphere, capsule, cylinder, ellipsoid or box with the scale of
 // GeoType.
 SolidMass primitive_mass(GeoType type, const Vec3d& scale);
-// Returns the mass properties of a mesh as MuJoCo computes them: from the pyramids between the
-// triangles and the center of the surface, with signed volumes (Exact) or absolute volumes
-// (Legacy), or from the triangles themselves (Shell).
+// Returns the mass properties of a mesh as MuJoCo computes them. Exact and Legacy sum the pyramids
+// between the triangles and the center of the surface, with signed or absolute volumes. Shell sums
+// the triangles themselves.
 SolidMass mesh_mass(const Mesh& surface, MeshInertia how);
 
 // Applies boundmass, boundinertia, balanceinertia and settotalmass, in this order.

@@ -49,7 +49,7 @@ struct RobotLink {
   std::vector<RobotShape> shapes = {};
   bool is_kinematic = false;
   double gravcomp = 0.0;  // fraction of the weight that gravity compensation cancels
-  // Whether the link only connects two joints of one body. It belongs to the body.
+  // Whether the link only connects two joints of one body. The link then belongs to the body.
   bool is_between = false;
 };
 

@@ -286,8 +286,8 @@ class Planner {
     return static_cast<uint32_t>(most);
   }
 
-  // Puts makers on the first warps of a block and sums on other warps. They work at different
-  // times.
+  // Puts makers on the first warps of a block and sums on other warps. Makers and sums work at
+  // different times.
   bool place_warps() {
     std::vector<uint32_t> of_part(blocks_, 0);
     for (const uint32_t part : part_) ++of_part[part];

@@ -191,8 +191,8 @@ class HaloPlanner {
       }
   }
 
-  // Finds the blocks that read each row. They must be the same after each turn, and a change of
-  // indices between two runs would stay unnoticed. The indices must therefore be those of the
+  // Finds the blocks that read each row. The readers must be the same after each turn, and a change
+  // of indices between two runs would stay unnoticed. The indices must therefore be those of the
   // elements at each point, which the sums know and which do not change: see persistent_create.
   bool find_readers() {
     using Named = std::vector<std::pair<uint64_t, int32_t>>;  // tables of indices, and columns

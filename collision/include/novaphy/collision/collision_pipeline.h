@@ -128,10 +128,10 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
 
   // Replaces the contacts by those of the state and raises contact_generation. A capture may record
   // the search: a replay finds the contacts of the state at that time, and throws if flags, types
-  // or bodies of shapes were written.
-  // `soft_contact_margin` replaces the pipeline's value for this call. `dt` (s) is the step that
-  // the contacts are for. It removes rigid contacts whose distance exceeds 4 m/s dt plus twice the
-  // path of their shapes in the step. After an error nothing is written:
+  // or bodies of shapes were written. `soft_contact_margin` replaces the pipeline's value for this
+  // call. `dt` (s) is the step that the contacts are for. The search removes rigid contacts whose
+  // distance exceeds 4 m/s dt plus twice the path of their shapes in the step. After an error
+  // nothing is written:
   //   ErrorKind::Value           a state or contacts of another model or device; contacts for
   //                              another
   //                              number of candidate pairs (after an edit of shape flags, call

@@ -58,7 +58,7 @@ SoftContactMaterial<T> mean_soft_contact_material(const SoftContactMaterial<T>& 
           half * (model.mu + shape.mu)};
 }
 
-// Stands for infinity. It is finite, because 0 times its derivative must be 0.
+// Stands for infinity. The value is finite, because 0 times its derivative must be 0.
 inline constexpr float kNoKfBound = 1e30f;
 // Returns r of the law from a bound >= 0, which may be infinite.
 inline float kf_rate(float bound, float dt) {
@@ -151,11 +151,11 @@ SurfaceDistance<T> capsule_distance(const Vec3<T>& x, const T& radius, const T& 
 }
 
 // Box with half extents h. Outside, the normal is the direction from the closest point. Inside and
-// on the surface, the normal is that of the face with the largest q = |x| - h: x if qx is the only
-// maximum, likewise y, else z, with the sign of the coordinate (+ at 0). On an edge, where two q
-// are exactly 0, the third axis is not chosen: (qy = qz = 0) gives x, (qx = qz = 0) gives y, (qx =
-// qy = 0) gives z, and a corner gives x. On a tie of qx and qy inside, the normal z does not belong
-// to the distance qx.
+// on the surface, the normal is that of the face with the largest q = |x| - h. The axis is x if qx
+// is the only maximum, y if qy is, and else z. The sign is that of the coordinate (+ at 0). On an
+// edge, where two q are exactly 0, another rule applies: (qy = qz = 0) gives x, (qx = qz = 0) gives
+// y, and (qx = qy = 0) gives z. A corner gives x. On a tie of qx and qy inside, the normal z does
+// not belong to the distance qx.
 template <class T>
 SurfaceDistance<T> box_distance(const Vec3<T>& x, const Vec3<T>& h) {
   using namespace math;
@@ -284,9 +284,9 @@ SurfaceDistance<T> cone_distance(const Vec3<T>& x, const T& radius, const T& hal
 // Ellipsoid with half axes h. The nearest point is y_i = h_i^2 x_i / (t + h_i^2), where t solves
 // sum (h_i x_i / (t + h_i^2))^2 = 1. Newton's method runs on the root of the sum, from below (J. J.
 // More, D. C. Sorensen, Computing a Trust Region Step, 1983). Coordinates below 1e-6 of their half
-// axis are raised to that value, which selects a nearest point on the planes of symmetry too. There
-// the derivative is that of the smooth function, and 0 by a coordinate in which the nearest point
-// jumps.
+// axis are raised to that value, which selects a nearest point on the planes of symmetry too. In
+// such places the derivative is that of the smooth function, and 0 by a coordinate in which the
+// nearest point jumps.
 template <class T>
 SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
   using namespace math;

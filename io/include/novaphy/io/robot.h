@@ -118,7 +118,7 @@ struct RobotNote {
   std::string text;
 };
 
-// What the reader read, corrected and left out.
+// A report of what the reader read, corrected and left out.
 struct RobotReport {
   std::map<std::string, int32_t> read;  // number of supported elements, by kind
   std::vector<RobotNote> mended;        // corrected elements

@@ -134,8 +134,8 @@ class NOVAPHY_NOVA_API Kernel {
                                  const LaunchOptions& options = {}) const {
     return (*this)(dim, std::span<const Tensor>(inputs.begin(), inputs.size()), options);
   }
-  // Runs the kernel into given memory. The engine's own operators use this form. It is recorded
-  // like the form above.
+  // Runs the kernel into given memory. The engine's own operators use this form. The launch is
+  // recorded like the form above.
   void launch(int64_t dim, Operands inputs, Operands outputs,
               const LaunchOptions& options = {}) const;
 

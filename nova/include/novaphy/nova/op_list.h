@@ -95,8 +95,8 @@ class NOVAPHY_NOVA_API OpList {
   // Says the same of a number of a model that is an argument of launches. The list keeps the number
   // alive. `name`, the field of the model, must outlive the list.
   void freeze(const std::shared_ptr<const float>& number, std::string_view name);
-  // Registers a function that runs at the start of every launch, once per owner. It updates data
-  // that the list only reads. The list keeps the owner alive.
+  // Registers a function that runs at the start of every launch, once per owner. The function
+  // updates data that the list only reads. The list keeps the owner alive.
   void before_launch(const std::shared_ptr<const void>& owner, std::function<void()> prepare);
   void end_recording();
   // Records the state of a range's gradient after this point of the list.

@@ -9,8 +9,9 @@
 namespace nova::ir {
 
 struct Cut {
-  // The part that needs no late source. It has one output of floats and one of ints (a bool is 0 or
-  // 1), with the values for `late`. No output: no part of the Program can be computed early.
+  // The part that needs no late source. This part has one output of floats and one of ints (a bool
+  // is 0 or 1), with the values for `late`. No output: no part of the Program can be computed
+  // early.
   Program early;
   // The rest. Its sources are those of the Program, then the outputs of `early`, read at the own
   // row.

@@ -70,8 +70,8 @@ struct PlacedMesh {
   }
 };
 
-// Returns a number from 1 to 6 for the dominant axis of n. It stays the same for small rotations,
-// and distinguishes contacts of one vertex.
+// Returns a number from 1 to 6 for the dominant axis of n. The number stays the same for small
+// rotations, and distinguishes contacts of one vertex.
 inline int32_t side_of_normal(const Vec3f& n) {
   const float x = math::abs(n.x), y = math::abs(n.y), z = math::abs(n.z);
   const int32_t axis = x >= y && x >= z ? 0 : y >= z ? 1 : 2;

@@ -91,8 +91,8 @@ inline SupportPoint support_point(const ShapePair& pair, const Vec3f& d) {
   return {a - b, a, b};
 }
 
-// Returns the separation of the shapes along the unit vector n from A to B (m). It is a lower bound
-// of the signed distance, and equal to it for the best n.
+// Returns the separation of the shapes along the unit vector n from A to B (m). This value is a
+// lower bound of the signed distance, and equal to it for the best n.
 inline float separation_along(const ShapePair& pair, const Vec3f& n) {
   return (-math::dot(support_point(pair, n).w, n) - core_radius(*pair.a)) - core_radius(*pair.b);
 }

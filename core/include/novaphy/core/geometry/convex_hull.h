@@ -39,8 +39,8 @@ struct ConvexHull {
 // Source: Barber, Dobkin, Huhdanpaa, The Quickhull Algorithm for Convex Hulls (1996).
 //
 // Throws ErrorKind::Value for fewer than 4 points, a point that is not finite (the message has its
-// index), points in a plane, on a line or in one place (to 1e-6 of their extent), and max_vertices
-// out of range.
+// index), and max_vertices out of range. The same error reports points in a plane, on a line or in
+// one place (to 1e-6 of their extent).
 NOVAPHY_CORE_API ConvexHull convex_hull(std::span<const Vec3f> points,
                                         int32_t max_vertices = kMaxHullVertices);
 

@@ -319,8 +319,9 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   // start of a step. A value that a caller assigns to a derived array stays until the source is
   // written.
   void update_derived() const;
-  // The same with derive(rule, source, derived) as the computation. It returns whether the values
-  // exist now: a capture only records the computation. Several threads may call this function.
+  // The same with derive(rule, source, derived) as the computation. The function `derive` returns
+  // whether the values exist now: a capture only records the computation. Several threads may call
+  // this function.
   template <class Derive>
   void update_derived(const Derive& derive) const {
     const auto update = [&](const auto& rule, const Array& source, const Array& derived,
@@ -335,7 +336,8 @@ class NOVAPHY_CORE_API Model : public ModelFields,
     NOVAPHY_DERIVED_MODEL_FIELDS(NOVAPHY_UPDATE_DERIVED)
 #undef NOVAPHY_UPDATE_DERIVED
   }
-  // Accepts the present values of the derived arrays. They stay until their source is written.
+  // Accepts the present values of the derived arrays. The values stay until their source is
+  // written.
   void accept_derived() const;
   // Records the present joints as the reference of check_structure.
   void keep_structure();

@@ -172,9 +172,9 @@ class NOVAPHY_CORE_API ModelBuilder {
   ShapeConfig default_shape_cfg;
   JointDofConfig default_joint_cfg;
   float rigid_gap = 0.1f;  // m, gap of shapes whose ShapeConfig has no gap
-  // Corrections of dynamic bodies with a mass. finalize makes them and warns. They add a multiple
-  // of the identity to the inertia. balance_inertia: raises principal moments of which one exceeds
-  // the sum of the other two. False: such an inertia is an error.
+  // Corrections of dynamic bodies with a mass. The function finalize applies them and warns.
+  // Corrections add a multiple of the identity to the inertia. balance_inertia: acts if one
+  // principal moment exceeds the sum of the other two. False: such an inertia is an error.
   bool balance_inertia = true;
   std::optional<float> bound_mass = {};     // kg, > 0: smallest mass
   std::optional<float> bound_inertia = {};  // kg m^2, > 0: smallest principal moment

@@ -21,9 +21,9 @@ struct ShapePairRules {
 // caller, for the message.
 NOVAPHY_CORE_API void check_rules(const char* function, const ShapePairRules& rules);
 
-// Returns whether both shapes collide with shapes, their worlds and groups are compatible, they
-// belong to different bodies and not both to the world, and the pair is not filtered. i and j are
-// different rows.
+// Returns whether two shapes i != j may collide. Both must collide with shapes, have compatible
+// worlds and groups, and belong to different bodies. A pair of two world shapes and a filtered pair
+// do not collide.
 NOVAPHY_CORE_API bool may_touch(const ShapePairRules& rules, int32_t i, int32_t j);
 
 }  // namespace novaphy

@@ -61,8 +61,8 @@ class NOVAPHY_CORE_API SolverBase {
   SimState& next_state(const char* name);
   void take_next(SimState& state);
   // Warns once if the search found more contacts than slots; the message begins with `name`. The
-  // check waits for a device, so on devices it runs only at steps 1, 2, 4, 8, and so on. It is
-  // skipped while a tape or a capture records.
+  // check waits for a device, so on devices it runs only at steps 1, 2, 4, 8, and so on. The check
+  // is skipped while a tape or a capture records.
   void watch_overflow(const char* name, const Contacts& contacts) const;
   // Holds the solver's memory for the duration of a call.
   ExclusiveUse::Scope use(const char* call) const { return {*in_use_, call, "the solver"}; }

@@ -23,8 +23,8 @@ using StepScratch = std::span<const Array>;  // in the order of the ScratchSpecs
 
 // steps + 1 states of a model. All kept values of a carried array are one allocation {kept * rows};
 // state(t) is a SimState that views its part. state(0) starts with the model's initial values.
-// Applied arrays (particle_f, body_f) exist once and act in every step of a rollout. They can be
-// written through state 0 only; a write through another state throws.
+// Applied arrays (particle_f, body_f) exist once and act in every step of a rollout. Applied arrays
+// can be written through state 0 only; a write through another state throws.
 //
 // Memory: 24 bytes per particle and kept state, and 24 more for the gradients after a backward
 // pass. With elements or with forces that change over time, the sums of forces take 12 more of

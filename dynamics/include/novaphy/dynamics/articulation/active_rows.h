@@ -185,8 +185,8 @@ inline float relative_residual(float residual, float largest, float tolerance) {
   return residual < tolerance ? 0.0f : residual / largest;
 }
 
-// `by_restitution`: whether gradients by restitution are requested. They do not exist for an
-// approach without restitution, where the law jumps.
+// `by_restitution`: whether gradients by restitution are requested. Such gradients do not exist for
+// an approach without restitution, where the law jumps.
 inline void note_contact(const ContactRows& of, const ContactLaw<float>& law, bool by_restitution,
                          const IslandContact& row, BranchNotes& to) {
   const PgsContact<float>& c = row.solver;

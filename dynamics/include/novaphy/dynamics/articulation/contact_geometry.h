@@ -41,9 +41,9 @@ inline void set_contact_motions(const Tree<float>& tree, const float* rates, Wor
 struct RowSigns {
   float of[2] = {-1.0f, 1.0f};
 };
-// The inputs of a row's derivative: forces along the motions w, a_adjoint and v of its links, and
-// the derivative by the contact's place, as a force (`linear` at `at`) and a torque on the pose of
-// each side.
+// The inputs of a row's derivative. The first are forces along the motions w, a_adjoint and v of
+// its links. The others are the derivative by the contact's place, as a force (`linear` at `at`)
+// and a torque on the pose of each side.
 struct RowGeometry {
   Vec3f forces[3] = {};
   SpatialVectorf motions[2][3] = {};

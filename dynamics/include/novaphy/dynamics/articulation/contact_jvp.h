@@ -16,8 +16,8 @@ struct DualSide {
   int32_t tree = -1, dofs = 0;
   DualFloat *jacobian = nullptr, *response = nullptr;
 };
-// A contact with dual rows. Of IslandContact, only the contact, its sides, `follows`, and the
-// widths and impulses of `solver` are used.
+// A contact with dual rows. Only some members of IslandContact are used: the contact, its sides,
+// `follows`, and the widths and impulses of `solver`.
 struct DualContact : IslandContact {
   DualSide moved[2];
   NormalTarget<DualFloat> goal;

@@ -199,7 +199,7 @@ void solve_columns(const Tree<T>& tree, const Workspace<T>& ws, T* x, bool upper
 }
 
 // Converts the derivatives of inverse dynamics at qdd = M^-1 (tau - ID(q, qd, 0)) to d qdd / d q
-// and d qdd / d qd in place, by the factor of M, and computes M^-1 = d qdd / d tau.
+// and d qdd / d qd, in place. Uses the factor of M, and also computes M^-1 = d qdd / d tau.
 template <class T>
 void forward_dynamics_derivatives(const Tree<T>& tree, const Workspace<T>& ws, T* dq, T* dqd,
                                   T* inverse) {

@@ -12,8 +12,8 @@ inline constexpr float kSurrogateResidual = 1e-3f;
 
 inline constexpr int32_t kContactBegan = 0, kContactEnded = 1, kContactTurned = 2;
 
-// A pair of shapes, or a shape and kParticle plus a particle, with the event of its contact. Of
-// several pairs the smallest counts, so that the result does not depend on the order of processing.
+// A pair of shapes, or a shape and kParticle plus a particle, with the event of its contact. The
+// smallest of several pairs counts, so that the result does not depend on the order of processing.
 struct ContactPair {
   static constexpr int32_t kNone = 0x7fffffff, kParticle = 0x40000000;
   int32_t first = kNone, second = kNone, event = kNone;

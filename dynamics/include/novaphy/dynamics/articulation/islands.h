@@ -182,9 +182,9 @@ inline void contact_points(const ContactRows& c, int32_t contact,
   points[1] = surface_point(links[1], c.point1[contact], normal * -c.margin1[contact]);
 }
 
-// Returns whether a contact may touch in a step of dt: its gap is at most twice the approach of its
-// points by the links' motions (null: the world), plus kMoreSpeed (m/s) dt for changes in the step.
-// Only such contacts are solved. A NaN gap may touch.
+// Returns whether a contact may touch in a step of dt. The limit of its gap is twice the approach
+// of its points by the links' motions (null: the world). The term kMoreSpeed (m/s) dt is added for
+// changes in the step. Only such contacts are solved. A NaN gap may touch.
 inline bool may_touch(const ContactRows& c, int32_t contact, const LinkState<float>* const* links,
                       float dt) {
   const Vec3f normal = c.normal[contact];

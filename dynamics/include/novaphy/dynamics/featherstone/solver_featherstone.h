@@ -101,7 +101,7 @@ class NOVAPHY_DYNAMICS_API SolverFeatherstone : public SolverBase {
   // from the model stay unchanged in captures. check_last_step, pgs_sweeps and pgs_residual refer
   // to steps and captures made afterwards.
   void notify_model_changed(ModelFlags flags) override;
-  // Of the last step: the largest number of sweeps of an island, and the largest change of velocity
+  // In the last step: the largest number of sweeps of an island, and the largest change of velocity
   // (m/s) in a last sweep. 0 without contact rows.
   int32_t pgs_sweeps() const;
   float pgs_residual() const;

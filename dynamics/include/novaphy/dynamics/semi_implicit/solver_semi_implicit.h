@@ -89,7 +89,7 @@ class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
   //   ErrorKind::Index           a contact or element of a particle or shape that does not exist
   //   ErrorKind::NotImplemented  a contact with a shape of a body
   // Warns once of a dt at which ke or kd of touching contacts diverges even if all other bodies are
-  // fixed, and of a dt at which a particle diverges by its elements or contacts
+  // fixed. Also warns of a dt at which a particle diverges by its elements or contacts
   // (needed_particle_dt). The checks do not run in every step. On an active tape the step throws;
   // DiffSemiImplicitSolver is the differentiable solver.
   void step(SimState& state_in, SimState& state_out, const Control* control,

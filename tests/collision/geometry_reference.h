@@ -1,6 +1,6 @@
-// Exact distances of convex shapes in double precision, found without GJK, EPA or SAT of the
-// library: the signed distance is the largest separation over all directions, found by a dense
-// search, and for polytopes over their features.
+// Exact distances of convex shapes in double precision, without the library's GJK, EPA or SAT. The
+// signed distance is the largest separation over all directions. A dense search finds it, and for
+// polytopes a search over their features.
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// Broad phases: all give the pairs that a look at every pair gives, in one order.
+// Broad phases: all give the same pairs, in the same order, as a test of every pair.
 #include <gtest/gtest.h>
 
 #include <algorithm>

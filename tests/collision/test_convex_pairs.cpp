@@ -1,5 +1,5 @@
 // All pairs of convex shapes in random poses, against exact distances (geometry_reference.h) and
-// against what must hold without any reference.
+// against properties that need no reference.
 #include <gtest/gtest.h>
 
 #include <cstdio>

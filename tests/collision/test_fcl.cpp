@@ -1,5 +1,5 @@
-// Convex hulls by FCL's solver: where its answer is taken, and where not; and what is published of
-// failures of FCL and others, for our own solver too.
+// Convex hulls with FCL's solver: the cases in which its result is accepted or rejected. Published
+// failures of FCL and other libraries are also run with the engine's own solver.
 #include <gtest/gtest.h>
 
 #include <algorithm>

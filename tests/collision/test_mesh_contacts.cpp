@@ -1,4 +1,5 @@
-// Rigid contacts of convex hulls and triangle meshes: which rows, their order, edits of the arrays.
+// Rigid contacts of convex hulls and triangle meshes: the rows, their order, and edits of the
+// arrays.
 #include <gtest/gtest.h>
 
 #include <algorithm>

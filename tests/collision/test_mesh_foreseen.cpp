@@ -1,5 +1,5 @@
-// What is foreseen of triangles holds: those that are left out have no contacts, and what B faces
-// has the same ones without GJK. Most triangles are foreseen.
+// The cheap test of mesh_foreseen.h. Skipped triangles have no contacts. Triangles that B faces get
+// the same contacts without GJK. The test decides most triangles.
 #include <gtest/gtest.h>
 
 #include <cmath>

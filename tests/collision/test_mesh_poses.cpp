@@ -1,6 +1,5 @@
-// Convex shapes that are lowered into triangle meshes of all kinds: each pose that touches has a
-// row that touches, and none that is deeper than the shape was lowered by. A float64 search finds
-// the touch.
+// Convex shapes that are lowered into triangle meshes of all kinds. Each touching pose has a
+// touching row, and no row is deeper than the shape was lowered. A float64 search finds the touch.
 #include <gtest/gtest.h>
 
 #include <algorithm>

@@ -1,5 +1,5 @@
-// Pairs with known answers: the poses in which other libraries fail, and the manifolds that stacks
-// rest on.
+// Pairs with known results: poses in which other libraries fail, and the contact points that
+// support a stack.
 #include <gtest/gtest.h>
 
 #include "collision/geometry_reference.h"

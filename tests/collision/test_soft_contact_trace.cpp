@@ -1,4 +1,4 @@
-// The formulas of diff_soft_contact_trace.h against closed forms, and on their edges.
+// The formulas of diff_soft_contact_trace.h against closed forms, and at their discontinuities.
 #include <gtest/gtest.h>
 
 #include <cmath>

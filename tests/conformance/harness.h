@@ -1,5 +1,5 @@
-// What every conformance test uses: the backend under test as its C table, owners for its handles,
-// and a way to run a Program both on the backend and in the reference evaluator.
+// Shared by all conformance tests: the C table of the tested backend, owners for its handles, and a
+// function that runs a Program on the backend and in the reference evaluator.
 #pragma once
 
 #include <cstdint>

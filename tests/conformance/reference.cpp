@@ -1,4 +1,4 @@
-// The meaning of a Program as program.h states it, written for clarity: one row at a time, every
+// The meaning of a Program as stated in program.h, written for clarity: one row at a time, every
 // value on demand.
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
-// Every op over the grid of edge values, in registers and with constant operands, for few and many
-// rows.
+// Every operation over the grid of edge values, with operands in registers and as constants, for
+// few and many rows.
 #include <gtest/gtest.h>
 
 #if defined(__x86_64__)

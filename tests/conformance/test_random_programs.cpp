@@ -1,5 +1,5 @@
-// Random Programs with every op, access and loop kind: the backend, the reference, few rows and
-// many rows, and 1, 2 and 7 threads all give the same bits.
+// Random Programs with every operation, access and loop kind. The backend and the reference give
+// the same bits, for few and many rows, and with 1, 2 and 7 threads.
 #include <gtest/gtest.h>
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// Stands for libnvToolsExt.so.1: prints the ranges.
+// Replaces libnvToolsExt.so.1 and prints the ranges.
 #include <cstdio>
 
 extern "C" {

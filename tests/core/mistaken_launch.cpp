@@ -1,5 +1,6 @@
-// What launch arguments refuse at compile time: tests/core/CMakeLists.txt compiles this file once
-// for each MISTAKE, and looks for its message. Without one it compiles.
+// Launch arguments that must not compile. tests/core/CMakeLists.txt compiles this file once for
+// each value of MISTAKE, and looks for the message of that mistake. Without MISTAKE the file
+// compiles.
 #include "novaphy/core/device_kernel.h"
 
 namespace novaphy::testing {

@@ -1,4 +1,5 @@
-// Convex hulls: exact on known bodies, deterministic, bounded, and clear about what is none.
+// Convex hulls: exact for known bodies, deterministic and limited in size. Point sets without a
+// hull give clear errors.
 #include <gtest/gtest.h>
 
 #include <algorithm>

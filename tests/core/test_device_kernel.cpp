@@ -1,4 +1,4 @@
-// Hand-written kernels on the CPU, without the tensor runtime.
+// Handwritten kernels on the CPU, without the tensor runtime.
 #include <gtest/gtest.h>
 
 #include <algorithm>

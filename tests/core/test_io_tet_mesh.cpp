@@ -1,4 +1,4 @@
-// Tetrahedral meshes from MSH 4.1 files: a known cube, and every way in which a file can be bad.
+// Tetrahedral meshes from MSH 4.1 files: a known cube, and every kind of invalid file.
 #include <gtest/gtest.h>
 
 #include <limits>

@@ -1,4 +1,4 @@
-// NOVAPHY_TRACE in a process of its own. tests/python/test_trace.py reads the files.
+// Runs NOVAPHY_TRACE in a separate process. tests/python/test_trace.py reads the files.
 #include <gtest/gtest.h>
 
 #include <string>

@@ -1,4 +1,4 @@
-// Derived arrays of a model follow their source; its numbers are checked.
+// Derived arrays of a model follow their source arrays. The derived values are checked.
 #include <gtest/gtest.h>
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// What every solver checks, on one that is made from core alone.
+// The checks that all solvers share, tested on a solver that uses only core.
 #include <gtest/gtest.h>
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// The tool of the build that makes the text of kernels for devices from headers for the host.
+// The build tool that converts kernel headers of the host to source text for devices.
 #include <gtest/gtest.h>
 #include <unistd.h>
 

@@ -1,4 +1,4 @@
-// The engine's kernels, called with random arguments.
+// Calls the engine's kernels with random arguments.
 #pragma once
 
 #include <map>

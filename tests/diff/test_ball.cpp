@@ -1,5 +1,5 @@
-// The ball against Newton: every state, force, loss and contact to the bit, the gradient and the
-// training closely.
+// The ball against Newton: every state, force, loss and contact has the same bits. The gradient and
+// the training agree closely.
 #include <gtest/gtest.h>
 
 #include <cmath>

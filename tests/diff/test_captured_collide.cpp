@@ -1,4 +1,4 @@
-// The search for contacts inside captures, between the kernels of a rollout.
+// The contact search inside captures, between the kernels of a rollout.
 #include <gtest/gtest.h>
 
 #include <optional>

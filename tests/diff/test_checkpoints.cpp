@@ -1,4 +1,5 @@
-// A trajectory that keeps some of its states only: the same bits, and nothing that can be misread.
+// A trajectory that keeps only some of its states: the results have the same bits, and a read of a
+// missing state is an error.
 #include <gtest/gtest.h>
 
 #include "diff/ball_scene.h"

@@ -1,4 +1,5 @@
-// The same bits for any number of threads, for every way of running, in every process and thread.
+// The results have the same bits for any number of threads, for direct, recorded and replayed runs,
+// and in every process and thread.
 #include <gtest/gtest.h>
 #include <sys/wait.h>
 #include <unistd.h>

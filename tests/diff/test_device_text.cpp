@@ -1,4 +1,4 @@
-// The text for devices of the engine's kernels, as far as it can be seen without one.
+// The device text of the engine's kernels, as far as it can be tested without a device.
 #include <gtest/gtest.h>
 
 #include <regex>

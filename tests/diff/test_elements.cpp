@@ -1,6 +1,6 @@
-// The differentiable forces of elements: the bits of the forward engine, gradients with respect to
-// every input of the table in diff_elements.h against central differences and the adjoint
-// dot-product identity, and the special cases that the formulas' head comments name.
+// The differentiable forces of elements have the bits of the forward solver. Their gradients by
+// every input in the table of diff_elements.h agree with central differences, and satisfy the
+// adjoint dot-product identity. The special cases in the formulas' head comments are tested too.
 #include <gtest/gtest.h>
 
 #include <cmath>

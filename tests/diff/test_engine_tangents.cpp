@@ -1,5 +1,5 @@
 // The adjoint dot-product identity <J u, w> = <u, J^T w> for every kernel of the engine, at random
-// inputs: what a new operator gets without a line of its own.
+// inputs. The test covers new operators without a change.
 #include <set>
 
 #include "engine_calls.h"

@@ -1,5 +1,5 @@
-// What recorded and captured operations read of a model: derived arrays follow their source, and a
-// list knows the numbers that it holds.
+// How recorded and captured operations read a model: derived arrays follow their source, and a
+// captured list knows the values that it contains.
 #include <gtest/gtest.h>
 
 #include <cmath>

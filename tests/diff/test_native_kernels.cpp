@@ -1,6 +1,6 @@
-// The kernels that were compiled ahead: none is missing, what a user runs is native, and every one
-// gives the bits of the interpreter, for few rows and many, on every instruction set that this
-// processor has.
+// Kernels compiled ahead of time. None is missing, and the kernels of users' solvers run natively.
+// Each gives the bits of the interpreter, for few and many rows, on every instruction set of this
+// processor.
 #include <gtest/gtest.h>
 
 #include <algorithm>

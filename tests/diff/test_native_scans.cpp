@@ -1,5 +1,5 @@
-// Scans of launches of compiled kernels give the bits of the launches one by one, on every
-// instruction set that this processor has, and what is no scan is refused.
+// Scans of launches of compiled kernels give the bits of single launches, on every instruction set
+// of this processor. Launches that do not form a scan are rejected.
 #include <gtest/gtest.h>
 
 #include <algorithm>

@@ -1,6 +1,6 @@
-// The differentiable operators: values against the float templates of the forward engine, gradients
-// with respect to every input of the coverage tables against central differences and the adjoint
-// dot-product identity.
+// The differentiable operators. Values are compared with the float templates of the forward solver.
+// Gradients by every input of the coverage tables are compared with central differences and by the
+// adjoint dot-product identity.
 #include <gtest/gtest.h>
 
 #include <cmath>

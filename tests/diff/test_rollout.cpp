@@ -1,5 +1,5 @@
-// What acts in a rollout: forces and controls over time, parts of a trajectory, and solvers that
-// give nothing but one step.
+// Inputs of a rollout: forces and controls that change over time, parts of a trajectory, and
+// solvers that implement only a single step.
 #include <gtest/gtest.h>
 
 #include <set>

@@ -1,5 +1,5 @@
-// The soft body of Newton's example through the differentiable solver: its bits by every way, its
-// gradients, and that threads and replay change nothing.
+// The soft body of Newton's example in the differentiable solver: the same bits in every way of
+// running, its gradients, and independence of threads and replay.
 #include <gtest/gtest.h>
 
 #include <cmath>

@@ -1,5 +1,5 @@
-// Contacts of particles under a tape: friction at rest, where the law is smooth though its unit
-// vector and length are not.
+// Contacts of particles on a tape: friction at rest, where the law is smooth although the unit
+// vector and the length of the slip velocity are not.
 #include <gtest/gtest.h>
 
 #include <cmath>

@@ -1,5 +1,6 @@
-// The differentiable solver on the scenes that reach the branches which the ball does not (see
-// tools/reference/make_newton_branches.py): forward to the bit, gradients closely.
+// The differentiable solver on scenes with branches that the ball does not reach (see
+// tools/reference/make_newton_branches.py). The forward run has the same bits as Newton, and the
+// gradients agree closely.
 #include <gtest/gtest.h>
 
 #include <cmath>

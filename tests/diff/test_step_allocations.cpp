@@ -1,4 +1,4 @@
-// A step takes no memory from the heap, once the memory that its solver keeps has grown.
+// A step allocates no heap memory, once the solver's own memory has grown to its final size.
 #include <gtest/gtest.h>
 
 #include <memory>

@@ -1,4 +1,4 @@
-// Models of several worlds: each world has the bits that it has alone, its gradient too.
+// Models of several worlds: states and gradients of each world have the bits of that world alone.
 #include <gtest/gtest.h>
 
 #include <functional>

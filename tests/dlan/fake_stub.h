@@ -1,4 +1,4 @@
-// Between the fake run-time library and kernels that were compiled for it.
+// The interface between the fake run-time library and kernels compiled for it.
 #pragma once
 
 struct FakeStub {

@@ -1,5 +1,5 @@
-// Put before device code that a compiler of the host reads: its threads run on the host, and stubs
-// are functions that run one. Which thread runs, and where threads wait, is fake_runtime.cpp's.
+// Included before device code that a host compiler reads. Device threads run on the host, and a
+// stub is a function that runs one thread. fake_runtime.cpp schedules the threads and their waits.
 #pragma once
 
 #include <cmath>

@@ -1,5 +1,5 @@
-// Runs a scene on the CPU and on a device, and prints whether the bits are the same; errors as
-// "error: ...".
+// Runs a scene on the CPU and on a device, and prints whether the bits are the same. Errors are
+// printed as "error: ...".
 #include <cstdio>
 #include <cstring>
 #include <string>

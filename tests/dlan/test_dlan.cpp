@@ -1,6 +1,6 @@
-// What the Denglin backend says and does where the library is missing, old, renamed, without a
-// device or out of memory, and when it has lost its device; and that kernels give the bits of the
-// CPU. On a run-time library that is the host. A process each, because the library is opened once.
+// The Denglin backend with a run-time library that simulates a device on the host. The library may
+// be missing, old, renamed, without a device, out of memory, or lose its device. Kernels give the
+// bits of the CPU. Each test runs a process of its own, because a process opens the library once.
 #include <gtest/gtest.h>
 
 #include <fstream>

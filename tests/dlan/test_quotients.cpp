@@ -1,4 +1,4 @@
-// Quotients and roots of device code from the generic seeds are those that the host rounds.
+// Quotients and roots of device code with the generic seeds have the bits of the host.
 #include <gtest/gtest.h>
 
 #include <cmath>

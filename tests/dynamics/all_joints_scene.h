@@ -1,4 +1,4 @@
-// Articulations with joints of all types, in which drives, limits and clamps of all kinds act.
+// Articulations with joints of all types. Drives, limits and clamps of all kinds are active.
 #pragma once
 
 #include <cmath>

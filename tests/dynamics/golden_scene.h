@@ -1,4 +1,4 @@
-// A scene of a golden file that Newton made: its model, and the run that the file holds.
+// A scene from a golden file of Newton: its model, and the run stored in the file.
 #pragma once
 
 #include <gtest/gtest.h>

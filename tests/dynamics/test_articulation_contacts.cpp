@@ -1,4 +1,4 @@
-// Contact rows and sweeps in double precision, on trees made by hand.
+// Contact rows and solver sweeps in double precision, on handwritten trees.
 #include <gtest/gtest.h>
 
 #include <cmath>

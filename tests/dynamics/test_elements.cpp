@@ -1,5 +1,5 @@
-// What the forces of elements must do whatever their formula: conserve momentum, turn with the
-// body, lose energy where there is damping, and meet closed forms.
+// Properties of element forces that do not depend on the formula: conservation of momentum,
+// invariance under rotations, energy loss by damping, and closed forms.
 #include <gtest/gtest.h>
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// Small scenes that reach the branches which the ball does not, run by Newton
+// Small scenes with branches that the ball does not reach, run by Newton
 // (tools/reference/make_newton_branches.py).
 #include <algorithm>
 #include <set>

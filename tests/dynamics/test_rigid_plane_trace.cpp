@@ -1,4 +1,5 @@
-// The traced choice of corners is that of the search for contacts; its wrench is the solver's.
+// The traced kernel selects the same corners as the contact search, and gives the wrench of the
+// solver.
 #include <gtest/gtest.h>
 
 #include <cmath>

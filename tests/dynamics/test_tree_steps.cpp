@@ -1,4 +1,4 @@
-// Trees that are stepped several at once, a lane each, have the bits of those alone.
+// Trees that step several at once, one per lane, have the bits of trees that step alone.
 #include <gtest/gtest.h>
 
 #include <algorithm>

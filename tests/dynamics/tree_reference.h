@@ -1,4 +1,4 @@
-// Trees for tests: with their own arrays, from the file of reference trees or by hand.
+// Trees with their own arrays for tests, read from the file of reference trees or built by hand.
 #pragma once
 
 #include <algorithm>

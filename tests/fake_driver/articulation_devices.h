@@ -1,4 +1,4 @@
-// What the tests of articulations on devices share.
+// Helpers shared by the tests of articulations on devices.
 #pragma once
 
 #include <functional>

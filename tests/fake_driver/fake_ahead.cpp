@@ -1,6 +1,6 @@
-// What a plugin that was built with NOVA_ENABLE_NVRTC=OFF has ahead: the builtins, the interpreter
-// and the hand-written kernels. Their code is nothing here; the fake driver knows kernels by their
-// names.
+// The ahead-of-time code of a plugin that was built with NOVA_ENABLE_NVRTC=OFF: the builtins, the
+// interpreter and the handwritten kernels. The code is empty here, because the fake driver finds
+// kernels by name.
 #include <algorithm>
 #include <cstring>
 #include <iterator>

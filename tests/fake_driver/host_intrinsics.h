@@ -1,5 +1,5 @@
-// What device text expects of its compiler, for a host on which one thread runs at a time. Included
-// within the namespace of the text, behind the standard headers that it needs.
+// The intrinsics that device text expects of its compiler, for a host on which one thread runs at a
+// time. Include this file inside the namespace of the text, after the standard headers of the text.
 template <class T>
 T __ldg(const T* p) {
   return *p;

@@ -1,6 +1,6 @@
-// The device's interpreter and builtins, compiled for the host from the text that goes to the
-// device: the fake driver runs them. The threads of a block are fibers that take turns, and wait
-// for each other where the text says so.
+// The device's interpreter and builtins, compiled for the host from the device text. The fake
+// driver runs them. The threads of a block are fibers, which take turns and wait for each other at
+// the barriers of the text.
 #include "host_kernels.h"
 
 #include <ucontext.h>

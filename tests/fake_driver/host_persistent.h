@@ -1,6 +1,6 @@
-// What the text of a persistent kernel expects of its compiler and its device, on the host:
-// test_persistent_run.cpp puts this before the text. The threads of all blocks are fibers of one
-// thread, which run in a random order until each waits for others.
+// The intrinsics and functions that the text of a persistent kernel expects, for the host.
+// test_persistent_run.cpp includes this file before the text. The threads of all blocks are fibers
+// of one thread. The fibers run in a random order until each waits for another.
 #include <ucontext.h>
 
 #include <algorithm>

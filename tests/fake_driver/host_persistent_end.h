@@ -1,4 +1,4 @@
-// Behind the text of a persistent kernel: runs it. `start`: the words of a launch.
+// Included after the text of a persistent kernel: runs the kernel. `start`: the words of a launch.
 }  // namespace
 }  // namespace device
 

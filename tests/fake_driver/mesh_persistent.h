@@ -1,5 +1,5 @@
-// Meshes as persistent kernels: elements of two kinds leave items at their corners, points add them
-// and move.
+// Meshes as persistent kernels: elements of two kinds compute items for their corners, and points
+// sum the items and move.
 #pragma once
 
 #include <gtest/gtest.h>

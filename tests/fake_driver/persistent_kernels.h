@@ -1,4 +1,4 @@
-// What tests make persistent kernels of: kernels, and operations with their arguments.
+// The parts of persistent kernels for tests: kernels, and operations with their arguments.
 #pragma once
 
 #include <cstdint>

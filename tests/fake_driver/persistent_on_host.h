@@ -1,4 +1,4 @@
-// Runs a persistent kernel on the host: its text is compiled by the compiler of this build, and its
+// Runs a persistent kernel on the host. The compiler of this build compiles its text, and its
 // threads are fibers that take turns in a random order (host_persistent.h).
 #pragma once
 

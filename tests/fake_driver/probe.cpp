@@ -1,5 +1,5 @@
-// Uses a device (cuda, unless a second argument names one) and prints what happens; errors as
-// "error: ...".
+// Uses a device (cuda, or the one that a second argument names) and prints what happens. Errors are
+// printed as "error: ...".
 #include <array>
 #include <cstdio>
 #include <cstring>

@@ -1,5 +1,5 @@
-// What the CUDA backend says and does when the driver is missing, old, without a device, out of
-// memory or has lost its device. A process each, because the driver is opened once.
+// The CUDA backend if the driver is missing, old, without a device, out of memory, or has lost its
+// device. Each test runs a process of its own, because a process opens the driver once.
 #include <gtest/gtest.h>
 
 #include <string>

@@ -1,5 +1,5 @@
-// What Programs become for the interpreter on the device. That it gives the bits of the reference
-// is tested by the conformance suite, on the fake driver too.
+// The conversion of Programs to code for the interpreter on the device. The conformance suite tests
+// that the interpreter gives the bits of the reference, on the fake driver too.
 #include <gtest/gtest.h>
 
 #include "interpreter.h"

@@ -1,4 +1,5 @@
-// How a list of operations becomes one kernel: what repeats, and what stays in registers.
+// The conversion of a list of operations to one kernel: which operations repeat, and which values
+// stay in registers.
 #include <gtest/gtest.h>
 
 #include <memory>

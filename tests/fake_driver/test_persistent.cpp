@@ -1,4 +1,5 @@
-// How a persistent kernel becomes a table and a text: forms of chains, and what stays in registers.
+// The conversion of a persistent kernel to a table and a text: the forms of chains, and the values
+// that stay in registers.
 #include <gtest/gtest.h>
 
 #include <utility>

@@ -1,5 +1,5 @@
-// Persistent kernels whose blocks compute all that their own sums need: which rows these are, and
-// that the results are those of the same persistent kernel without it.
+// Persistent kernels whose blocks compute all rows that their own sums need: the rows of each
+// block. The results equal those of the same persistent kernel without this option.
 #include <cmath>
 #include <numeric>
 #include <set>

@@ -1,5 +1,6 @@
-// Rows that sums send to the blocks whose elements read them: which these are, and what they leave
-// in memory for others. test_persistent_blocks.cpp compares the results.
+// Sums of a persistent kernel send rows to the blocks whose elements read them: which rows are
+// sent, and which results stay in memory for other blocks. test_persistent_blocks.cpp compares the
+// results.
 #include <map>
 #include <set>
 

@@ -1,6 +1,6 @@
-// Persistent kernels, run on the host: their text is compiled by the compiler of this build, and
-// its threads are fibers that take turns in a random order. What a barrier does not hold back
-// happens early.
+// Persistent kernels on the host. The compiler of this build compiles their text, and their threads
+// are fibers that take turns in a random order. Work that no barrier delays runs early, so a
+// missing barrier is detected.
 #include <gtest/gtest.h>
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// A step of VBD as kernels of a device: the bits of the CPU, whichever way a color moves.
+// A step of VBD as kernels of a device has the bits of the CPU, for every way of updating a color.
 #include <gtest/gtest.h>
 
 #include <string>

@@ -1,4 +1,4 @@
-// What the tests of optimizers and of clipping share.
+// Helpers shared by the tests of optimizers and of gradient clipping.
 #pragma once
 
 #include <limits>

@@ -1,6 +1,6 @@
-// An independent reference for gradients: runs a traced Program row by row in double precision with
-// dual numbers (a value and its derivative in one direction). It knows nothing of adjoints, blocks
-// or lanes.
+// An independent reference for gradients. The oracle runs a traced Program row by row in double
+// precision with dual numbers (a value and its derivative in one direction). Its code shares
+// nothing with the adjoints, blocks and lanes of the engine.
 #pragma once
 
 #include <bit>

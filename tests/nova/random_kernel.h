@@ -1,4 +1,4 @@
-// Random kernels with every access kind and nested selects, for tests of whatever reads or
+// Random kernels with every access kind and nested selects, for tests of all code that reads or
 // transforms Programs.
 #pragma once
 

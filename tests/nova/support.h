@@ -1,5 +1,5 @@
-// What the tests of the tensor runtime share: random tensors, and gradients compared with the
-// oracle.
+// Helpers shared by the tests of the tensor runtime: random tensors, and the comparison of
+// gradients with the oracle.
 #pragma once
 
 #include <gtest/gtest.h>

@@ -1,5 +1,5 @@
-// Launches that read from memory how many of their rows to compute: values, gradients and replays
-// are those of the first rows alone.
+// Launches that read the number of their active rows from memory. Values, gradients and replays
+// equal those of a launch with only these rows.
 #include <algorithm>
 #include <cmath>
 

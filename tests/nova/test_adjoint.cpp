@@ -1,5 +1,5 @@
-// Adjoints against an oracle that knows nothing of adjoints (forward mode and central differences,
-// in double): every rule of an op, what happens at kinks, and every way in which a source is read.
+// Adjoints against an oracle that uses forward mode and central differences in double precision.
+// The tests cover the rule of every operation, its kinks, and every way in which a source is read.
 #include <cmath>
 #include <limits>
 #include <set>

@@ -1,5 +1,5 @@
-// Captures: a replay has the bits of running the same calls, and what cannot be recorded is refused
-// by name.
+// Captures: a replay has the bits of direct calls. A call that cannot be recorded is rejected by
+// name.
 #include <algorithm>
 #include <array>
 #include <cmath>

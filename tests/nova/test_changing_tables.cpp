@@ -1,5 +1,5 @@
-// Index tables that a list writes itself, as contacts that are found anew in each substep: replays
-// and gradients are those of step by step.
+// Index tables that a list itself writes, such as contacts that are found anew in each substep.
+// Replays and gradients equal those of step-by-step execution.
 #include <cmath>
 
 #include "novaphy/nova/op_list.h"

@@ -1,5 +1,5 @@
-// Operations with an adjoint of their own, between checkpoints and in captures. The example: pairs
-// of bodies on a line, joined by a hardening spring, with the derivative of a step written by hand.
+// Operations with a custom adjoint, between checkpoints and in captures. The example is pairs of
+// bodies on a line, joined by a hardening spring, with a handwritten derivative of the step.
 #include <algorithm>
 #include <functional>
 

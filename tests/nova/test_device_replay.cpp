@@ -1,5 +1,5 @@
-// Which graph launches run while another thread makes the fused one. The graphs are stand-ins; the
-// real ones are tested on devices.
+// Which graph a launch uses while another thread builds the fused graph. The graphs are fakes; the
+// tests on devices use real ones.
 #include <gtest/gtest.h>
 
 #include <atomic>

@@ -1,5 +1,5 @@
-// A list of operations that is reordered and run block by block gives the bits of running it as
-// written.
+// A list of operations that is reordered and run block by block gives the bits of the original
+// order.
 #include <array>
 
 #include "novaphy/core/backend.h"

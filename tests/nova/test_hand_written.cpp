@@ -1,4 +1,4 @@
-// Hand-written kernels of libraries that do not know the tensor runtime, recorded by it.
+// Handwritten kernels of libraries without the tensor runtime, recorded by the runtime.
 #include <numeric>
 
 #include "novaphy/core/device_kernel.h"

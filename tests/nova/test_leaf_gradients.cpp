@@ -1,4 +1,5 @@
-// A tape that keeps the gradients of leaves only: the same bits, and nothing that can be misread.
+// A tape that keeps only the gradients of leaves: the gradients have the same bits, and a read of
+// another gradient is an error.
 #include <array>
 #include <cmath>
 #include <thread>

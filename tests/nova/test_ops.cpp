@@ -1,5 +1,5 @@
-// Functions of tensors: shapes, the order of sums, what a tape keeps of them, and the number of
-// Programs that they take.
+// Functions of tensors: shapes, the order of sums, the data that a tape keeps, and the number of
+// Programs.
 #include <set>
 
 #include "novaphy/nova/gradcheck.h"

@@ -1,5 +1,5 @@
-// Optimizers: against recurrences written out by hand, in captures (with clipping), and refused by
-// name.
+// Optimizers: compared with recurrences written by hand, also in captures with clipping. Invalid
+// calls are rejected by name.
 #include <cmath>
 
 #include "novaphy/nova/op_list.h"

@@ -1,4 +1,4 @@
-// Clipping of gradients: the bits of the rule written out, and what is refused by name.
+// Clipping of gradients: the bits of the rule written by hand. Invalid calls are rejected by name.
 #include <cmath>
 
 #include "novaphy/core/parallel.h"

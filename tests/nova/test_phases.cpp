@@ -1,4 +1,4 @@
-// Phases: as few as the data flow allows, and no operation before what it depends on.
+// Phases: the fewest that the data flow allows, and no operation before its inputs.
 #include <gtest/gtest.h>
 
 #include <algorithm>

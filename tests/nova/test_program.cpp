@@ -1,4 +1,5 @@
-// Programs as data: serialization, validation, the canonical hash, and the schedule that may skip.
+// Programs as data: serialization, validation, the canonical hash, and the schedule with skippable
+// regions.
 #include <optional>
 
 #include "novaphy/core/parallel.h"

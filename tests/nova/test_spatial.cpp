@@ -1,5 +1,5 @@
-// Spatial algebra and small factorizations against what defines them, in double, and the same bits
-// from float and from the traced Program.
+// Spatial algebra and small factorizations against their definitions, in double precision. The
+// float code and the traced Program give the same bits.
 #include <array>
 #include <cmath>
 

@@ -1,5 +1,5 @@
-// Tangents on a tape: what a chain of operations gives, what is refused, and replay. The rules
-// themselves are compared with the oracle wherever adjoints are (expect_gradients).
+// Tangents on a tape: the result of a chain of operations, rejected calls, and replay. The tests of
+// adjoints compare the rules themselves with the oracle (expect_gradients).
 #include "novaphy/nova/gradcheck.h"
 #include "novaphy/nova/op_list.h"
 #include "support.h"

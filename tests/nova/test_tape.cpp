@@ -1,4 +1,5 @@
-// The tape cannot lie: every way to use it wrongly is either right or a clear error.
+// A tape never gives a wrong gradient silently: every misuse gives either the correct result or a
+// clear error.
 #include <optional>
 
 #include "novaphy/nova/optim.h"

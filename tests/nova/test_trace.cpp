@@ -1,5 +1,5 @@
-// Tracing: folding has the bits of the run, nothing is lost or invented, and what a kernel may not
-// do is refused when it is made.
+// Tracing: constant folding has the bits of the run, and no operation is lost or invented. An
+// operation that kernels do not support is rejected when the kernel is made.
 #include <limits>
 #include <type_traits>
 

@@ -1,4 +1,4 @@
-// In a file of its own: where the compiler sees new and delete at their use, it warns that delete
+// In a separate file, because a compiler that sees new and delete at their use warns that delete
 // calls free.
 #include "support/allocations.h"
 

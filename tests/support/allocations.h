@@ -1,6 +1,6 @@
-// How often memory was taken from the heap, by all threads of the process: malloc and its kin where
-// the C library is glibc, else and under sanitizers operator new. A program that links
-// allocations.cpp counts.
+// Counts the heap allocations of all threads of the process, in programs that link allocations.cpp.
+// With glibc the count covers malloc and related functions. Without glibc and under sanitizers it
+// covers operator new.
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// A shape of each convex type, for scenes in which all of them meet.
+// A shape of each convex type, for scenes in which all types touch.
 #pragma once
 
 #include <vector>

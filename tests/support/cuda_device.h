@@ -1,4 +1,4 @@
-// Tests that need a CUDA device, a GPU or the fake driver.
+// The base of tests that need a CUDA device: a GPU or the fake driver.
 #pragma once
 
 #include <gtest/gtest.h>

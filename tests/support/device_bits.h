@@ -1,4 +1,4 @@
-// What runs on a device against what runs on the cpu, byte by byte.
+// Compares results of a device with those of the CPU, byte by byte.
 #pragma once
 
 #include <gtest/gtest.h>

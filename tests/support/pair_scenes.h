@@ -1,4 +1,4 @@
-// Scenes that are hard for a search for pairs: it finds the rows of the exhaustive one.
+// Difficult scenes for a broad phase, which must find the rows of the exhaustive search.
 #pragma once
 
 #include <algorithm>

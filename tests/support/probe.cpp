@@ -1,4 +1,5 @@
-// Prints what the core library decides from the environment; errors as "error: ...".
+// Prints the choices that the core library makes from the environment. Errors are printed as
+// "error: ...".
 #include <cstdio>
 #include <cstring>
 #include <string>

@@ -1,4 +1,4 @@
-// Runs the probe process with an environment.
+// Runs the probe process with a given environment.
 #pragma once
 
 #include <string>

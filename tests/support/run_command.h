@@ -1,4 +1,4 @@
-// Runs a process, for tests of what it prints and how it ends.
+// Runs a process, for tests of its output and exit status.
 #pragma once
 
 #include <sys/wait.h>

@@ -1,4 +1,4 @@
-// Hand-written kernels for tests of the launch interface.
+// Handwritten kernels for tests of the launch interface.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"

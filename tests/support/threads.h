@@ -1,4 +1,4 @@
-// How many threads the engine uses, for a while.
+// Sets the number of threads of the engine for a scope.
 #pragma once
 
 #include "novaphy/core/parallel.h"

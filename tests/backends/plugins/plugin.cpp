@@ -1,5 +1,5 @@
-// One source for all plugins of the registry's tests: each is right but for what its definition
-// says.
+// The source of all plugins in the tests of the backend registry. Each plugin is correct except for
+// the fault that its macro definition selects.
 #include <cstddef>
 #include <cstdio>
 

@@ -1,4 +1,5 @@
-// Solves the equation of motion of an arm by Eigen, on the memory of what the engine returns.
+// Solves the equation of motion of an arm with Eigen, directly on the memory of the engine's
+// results.
 #include <Eigen/Dense>
 #include <iostream>
 #include <span>

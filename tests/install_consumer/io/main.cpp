@@ -1,4 +1,4 @@
-// Makes a cloth of a mesh from a file.
+// Makes a cloth from a mesh file.
 #include <fstream>
 #include <iostream>
 

@@ -1,5 +1,6 @@
-// What a CUDA compiler's own headers declare of what device code uses, for clang without a CUDA SDK
-// (-nocudainc -nocudalib), and of the run-time library, what it needs to write host stubs.
+// Declarations for device code that the headers of a CUDA compiler would provide, for clang without
+// a CUDA SDK (-nocudainc -nocudalib). Also declares the run-time functions that clang needs for
+// host stubs.
 #pragma once
 
 #define __host__ __attribute__((host))

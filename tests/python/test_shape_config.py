@@ -47,7 +47,9 @@ def bodies(**settings):
     builder = novaphy.ModelBuilder()
     builder.add_ground_plane(cfg=config(**settings))
     for x, height in ((0.0, 0.099), (1.0, 0.109), (2.0, 0.24)):  # in touch, near, in the gap
-        body = builder.add_body(xform=(x, 0, height, 0, 0, 0, 1))
+        body = builder.add_body(
+            xform=(x, 0, height, 0, 0, 0, 1), mass=1.0, inertia=0.01 * np.eye(3)
+        )
         builder.body_qd[body] = (0.3, 0.2, -0.4, 0.1, 0.2, 0.3)
         builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1, cfg=config(**settings), label="crate")
     return builder.finalize()

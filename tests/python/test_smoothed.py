@@ -89,6 +89,25 @@ def test_the_bits_depend_on_the_seed_only(order) -> None:
     assert np.allclose(few[0][0] - START, START - few[0][1], atol=1e-6)
 
 
+def test_a_function_may_keep_its_memory_from_call_to_call() -> None:
+    """A trajectory that every batch fills again."""
+    builder = novaphy.ModelBuilder()
+    for _ in range(8):
+        builder.add_particle((0, 0, 1), (0, 0, 0), 1.0)
+    model = builder.finalize(requires_grad=True)
+    solver, path = novaphy.solvers.DiffSemiImplicitSolver(model), diff.Trajectory(model, 10)
+
+    def last_height_of(theta: nova.Tensor) -> nova.Tensor:
+        diff.state_particle_qd_tensor(path[0]).copy_(theta)
+        solver.rollout(path, None, None, 0.01)
+        return diff.state_particle_q_tensor(path[10])[:, 2]
+
+    with nova.Tape() as tape:
+        leaf = nova.tensor([0.0, 0.0, 1.0], requires_grad=True)
+        tape.backward(diff.smoothed(last_height_of, leaf, 0.1, worlds=32, order=1, batch=8))
+    assert np.allclose(leaf.grad.numpy(), [0.0, 0.0, 0.1], atol=1e-6)
+
+
 @pytest.mark.parametrize("order", [0, 1, "mixed"])
 def test_on_a_tape_it_is_a_value_with_its_gradient_and_tangent(order) -> None:
     """theta is a result of the tape; the samples are recorded on no tape."""

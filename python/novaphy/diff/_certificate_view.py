@@ -170,8 +170,9 @@ def _draw(of: Certificate, on: _Svg | _Figure) -> None:
         )
 
     on.line(LEFT, at(0.0), WIDTH - 10, at(0.0), "#d0d7de", 1.0)
-    for value in sorted({low, 0.0, high}):
-        on.text(6, at(value) + 4, _number(value), "#57606a", 12)
+    for value in (low, 0.0, high):
+        if value == 0.0 or abs(at(value) - at(0.0)) > 14.0:
+            on.text(6, at(value) + 4, _number(value), "#57606a", 12)
     column = (WIDTH - LEFT - 10) / len(slopes)
     for k, (name, *_rest) in enumerate(rows_of_derivatives(of)[1:-1]):
         x = LEFT + column * k
@@ -179,7 +180,8 @@ def _draw(of: Certificate, on: _Svg | _Figure) -> None:
         for e, shade in enumerate(SHADES):
             on.dot(x + column * (0.2 + 0.13 * e), at(of.differences[e, k]), shade)
         middle = x + 0.76 * column
-        on.line(middle, at(smooth[k] - error[k]), middle, at(smooth[k] + error[k]), GOOD, 6.0)
+        top, bottom = at(smooth[k] + error[k]) - 4.0, at(smooth[k] - error[k]) + 4.0
+        on.line(middle, top, middle, bottom, GOOD, 6.0)
         on.text(x + 0.1 * column, HEIGHT - BOTTOM + 18, name, "#24292f", 12)
     on.text(LEFT, HEIGHT - 12, "line: gradient", BAD, 12)
     wide = " ".join(f"{e:g}" for e in of.steps)

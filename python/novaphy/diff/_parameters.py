@@ -212,28 +212,29 @@ class Losses:
 
     def slopes(self, moves: Numbers) -> Slopes:
         """Return losses and gradients of moves; the info is of the last batch."""
-        found, gradients, info = [], [], None
-        for first, points in self._parts(moves):
-            leaves = self.parameters.rows(points, leaves=True)
-            tape = Tape()
-            with tape:
-                losses = self._call(leaves, len(points))
-                if not tape.follows(losses):
-                    raise ValueError(
-                        f"{self.user}, f: expected losses that the tape follows from theta, got "
-                        "losses without a gradient path"
-                    )
-                found.append(self._check("losses", losses.numpy().astype(float), first, points))
-                tape.backward(losses, ones((len(points),), device=losses.device))
-            each = [
-                leaf.grad.numpy().reshape(len(points), -1)
-                for leaf in (leaves.values() if self.parameters.named else [leaves])
-            ]
-            slopes = np.concatenate(each, axis=1).astype(np.float64)
-            gradients.append(self._check("gradients", slopes, first, points))
-            info = _info_of(tape)
-        slope = np.concatenate(gradients) * self.parameters.sigma
-        return Slopes(np.concatenate(found), slope, info)
+        # Each batch has a tape of its own, which is gone when f writes its memory again.
+        parts = [self._slopes(first, points) for first, points in self._parts(moves)]
+        losses, gradients = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+        return Slopes(losses, gradients * self.parameters.sigma, parts[-1].info)
+
+    def _slopes(self, first: int, points: NDArray[np.float32]) -> Slopes:
+        """Return losses and gradients of a batch, in the units of theta."""
+        leaves = self.parameters.rows(points, leaves=True)
+        with Tape() as tape:
+            losses = self._call(leaves, len(points))
+            if not tape.follows(losses):
+                raise ValueError(
+                    f"{self.user}, f: expected losses that the tape follows from theta, got "
+                    "losses without a gradient path"
+                )
+            found = self._check("losses", losses.numpy().astype(float), first, points)
+            tape.backward(losses, ones((len(points),), device=losses.device))
+        each = [
+            leaf.grad.numpy().reshape(len(points), -1)
+            for leaf in (leaves.values() if self.parameters.named else [leaves])
+        ]
+        gradients = np.concatenate(each, axis=1).astype(np.float64)
+        return Slopes(found, self._check("gradients", gradients, first, points), _info_of(tape))
 
 
 def _info_of(tape: Tape) -> GradientInfo | None:

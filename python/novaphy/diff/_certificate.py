@@ -32,8 +32,8 @@ class Certificate:
 
     verdict, sentence: the verdict, and its reason. The first that holds:
       the loss does not change within one sigma: "zero".
-      differences over 0.3 sigma agree with the gradient within 20 %: "of the motion".
-      differences settle at another slope: "biased".
+      settled differences, or the slope of samples, are within 20 % of it: "of the motion".
+      differences or samples settle at another slope: "biased".
       the gradient is right for moves of 0.01 sigma only: "local".
       neither differences nor gradients of samples settle: "chaotic".
     info: the GradientInfo of the gradient, or None without a solver.

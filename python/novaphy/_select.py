@@ -200,7 +200,7 @@ class _Names:
         }  # fmt: skip
 
     def rows(self) -> list[tuple[NDArray[np.int32], NDArray[np.int32]]]:
-        """Return the rows and the world of each row: joints, bodies, shapes, actuators, coords, dofs."""
+        """Return rows and their worlds: of joints, bodies, shapes, actuators, coords and dofs."""
         pairs = [(rows, self.world[kind][rows]) for kind, rows in self.found.items()]
         joints = self.found["joint"]
         for starts in self.starts.values():

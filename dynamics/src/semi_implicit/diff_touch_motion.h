@@ -3,18 +3,21 @@
 
 #include <algorithm>
 #include <memory>
+#include <unordered_map>
 #include <utility>
 #include <vector>
 
 #include "diff_touch_events.h"
 #include "novaphy/dynamics/semi_implicit/diff_touches.h"
+#include "touch_index.h"
 
 namespace novaphy::diff {
 
 using namespace detail;  // names of what a touch keeps
 
 struct TouchMotion::Impl {
-  explicit Impl(const TouchSettings& s) : settings(s) {}
+  Impl(const TouchSettings& s, const Model& m)
+      : settings(s), index(m.body_count(), m.particle_count()) {}
 
   // What a step knows until its kernels have run.
   struct Open {
@@ -26,23 +29,16 @@ struct TouchMotion::Impl {
     if (side.particle >= 0) return settings.elements;
     return side.body >= 0 && jointed[static_cast<size_t>(side.body)];
   }
-  static bool share(const std::array<TouchSide, 2>& a, const std::array<TouchSide, 2>& b) {
-    for (const TouchSide& x : a)
-      for (const TouchSide& y : b)
-        if (x.responds && x.is(y)) return true;
-    return false;
-  }
   // Whether another contact of the sides of a touch rests: it is with the world, and the same
   // points have pushed since before the touch, and go on until its end.
   bool is_beside(TouchEvent& touch, const std::array<TouchSide, 2>& sides,
                  const TouchRow& row) const {
     for (const TouchSide& y : row.sides)
       if (y.responds && !y.is(sides[0]) && !y.is(sides[1])) return false;
-    const auto of =
-        std::ranges::find_if(open, [&](const Open& o) { return is_pair(*o.event, row); });
-    if (of == open.end()) return false;
-    const auto is_it = [&](const auto& other) { return other.lock() == of->event; };
-    if (std::ranges::none_of(touch.beside, is_it)) touch.beside.push_back(of->event);
+    const auto of = open_of.find(pair_key(row));
+    if (of == open_of.end()) return false;
+    const auto is_it = [&](const auto& other) { return other.lock() == of->second; };
+    if (std::ranges::none_of(touch.beside, is_it)) touch.beside.push_back(of->second);
     return true;
   }
   static bool rests(const TouchEvent& touch) {
@@ -53,28 +49,24 @@ struct TouchMotion::Impl {
   }
   // Whether the sides of a touch touch something else that does not rest.
   bool meets_others(TouchEvent& touch, const std::array<TouchSide, 2>& sides) const {
-    for (const TouchRow& row : rows)
-      if (row.pushes && !is_pair(touch, row) && share(sides, row.sides) &&
-          !is_beside(touch, sides, row))
-        return true;
+    for (const TouchSide& side : sides) {
+      if (!side.responds) continue;
+      for (const int32_t at : index.of_side(side)) {
+        const TouchRow& row = rows[static_cast<size_t>(at) / 2];
+        if (pair_key(touch) != pair_key(row) && !is_beside(touch, sides, row)) return true;
+      }
+    }
     return !rests(touch);
   }
   void find_changes() {
     for (const Open& o : open) {
       int64_t points = 0;
-      for (const TouchRow& row : rows)
-        if (row.pushes && is_pair(*o.event, row)) points += (int64_t{row.point} << 8) + 1;
+      for (const int32_t k : index.of_pair(pair_key(*o.event)))
+        points += (int64_t{rows[static_cast<size_t>(k)].point} << 8) + 1;
       if (points != o.event->points) o.event->changed = number;
       o.event->points = points;
     }
   }
-  static bool same_pair(const TouchRow& a, const TouchRow& b) {
-    return a.first == b.first && a.second == b.second;
-  }
-  static bool is_pair(const TouchEvent& e, const TouchRow& row) {
-    return e.first == row.first && e.second == row.second;
-  }
-
   std::array<Vec3d, 2> applied(const TouchedStep& step, const TouchSide& side) const {
     const auto load = [](const nova::Operand& of, int64_t at) {
       const float* const f = static_cast<const float*>(of.range->data()) + at;
@@ -139,8 +131,11 @@ struct TouchMotion::Impl {
   std::vector<char> jointed;                            // of bodies
   std::vector<double> off_of_bodies, off_of_particles;  // TouchEvent::speed_off
   std::vector<TouchRow> rows;
+  TouchIndex index;  // of `rows`
   std::vector<Open> open, closing;
-  std::vector<std::shared_ptr<TouchRamp>> waiting;  // of the last step: their touch may follow
+  std::unordered_map<PairKey, std::shared_ptr<TouchEvent>> open_of, closing_of;
+  // Ramps of the last step. The touch of a ramp may follow.
+  std::unordered_multimap<PairKey, std::shared_ptr<TouchRamp>> waiting;
   const void* at_q = nullptr;
   uint64_t at_version = 0;
   float last_dt = 0.0f;

@@ -34,7 +34,7 @@ TouchedStep::TouchedStep(TouchedStep&&) noexcept = default;
 TouchedStep::~TouchedStep() = default;
 
 TouchMotion::TouchMotion(const Model& model, const TouchSettings& settings)
-    : impl_(std::make_unique<Impl>(settings)) {
+    : impl_(std::make_unique<Impl>(settings, model)) {
   impl_->jointed.assign(static_cast<size_t>(model.body_count()), 0);
   impl_->off_of_bodies.resize(static_cast<size_t>(model.body_count()));
   impl_->off_of_particles.resize(static_cast<size_t>(model.particle_count()));
@@ -86,29 +86,27 @@ void TouchMotion::Impl::begin_touch(const Model& m, const SimState& in, const To
   event->told->version =
       settings.bodies ? in.body_q.range()->version() : in.particle_q.range()->version();
   for (TouchList* list : {&a, &b}) list->events.push_back(event);
-  for (const auto& ramp : waiting)
-    if (same_pair(ramp->row, row)) ramp->event = event;
+  const auto [first, last] = waiting.equal_range(pair_key(row));
+  for (auto ramp = first; ramp != last; ++ramp) ramp->second->event = event;
   open.push_back({event, nullptr});
+  open_of[pair_key(row)] = event;
 }
 
 void TouchMotion::Impl::find_steps(const Model& m, TouchedStep& step, bool follows_last, float dt,
                                    TouchList& a, TouchList& b) {
   // A touch that goes on, or begins, and its first contact.
-  for (const TouchRow& row : rows) {
-    if (!row.pushes) continue;
-    const auto known =
-        std::ranges::find_if(open, [&](const Open& o) { return is_pair(*o.event, row); });
-    if (known == open.end()) begin_touch(m, *step.in, row, follows_last, dt, a, b);
-  }
+  for (const TouchRow& row : rows)
+    if (row.pushes && !open_of.contains(pair_key(row)))
+      begin_touch(m, *step.in, row, follows_last, dt, a, b);
   find_changes();
   closing.clear();
-  for (size_t i = 0; i < open.size();) {
-    Open& o = open[i];
+  closing_of.clear();
+  for (Open& o : open) {
     TouchEvent& event = *o.event;
     const TouchRow* mine = nullptr;
     bool several = false, held = false;
-    for (const TouchRow& row : rows) {
-      if (!row.pushes || !is_pair(event, row)) continue;
+    for (const int32_t k : index.of_pair(pair_key(event))) {
+      const TouchRow& row = rows[static_cast<size_t>(k)];
       several = several || mine != nullptr || row.point != event.point;
       held = held || row.adheres || is_held(row.sides[0]) || is_held(row.sides[1]);
       mine = &row;
@@ -122,8 +120,9 @@ void TouchMotion::Impl::find_steps(const Model& m, TouchedStep& step, bool follo
     if (event.flaw == TouchFlaw::None && held) event.flaw = TouchFlaw::Held;
     if (mine == nullptr) {
       event.ended = true;
+      open_of.erase(pair_key(event));
+      closing_of[pair_key(event)] = o.event;
       closing.push_back(std::move(o));
-      open.erase(open.begin() + static_cast<std::ptrdiff_t>(i));
       continue;
     }
     watch_friction(*mine, several, event);
@@ -145,8 +144,8 @@ void TouchMotion::Impl::find_steps(const Model& m, TouchedStep& step, bool follo
       step.work->steps.push_back(s);
     }
     ++event.steps;
-    ++i;
   }
+  std::erase_if(open, [](const Open& o) { return o.event == nullptr; });
 }
 
 void TouchMotion::Impl::find_ramps(const Model& m, TouchedStep& step, TouchList& a, TouchList& b) {
@@ -155,10 +154,10 @@ void TouchMotion::Impl::find_ramps(const Model& m, TouchedStep& step, TouchList&
     if (!row.ramp) continue;
     const auto ramp = std::make_shared<TouchRamp>(TouchRamp{row, {}, nullptr});
     for (size_t i = 0; i < 2; ++i) ramp->frames[i] = frame_of(m, *step.in, row.sides[i]);
-    for (const auto& list : {open, closing})
-      for (const Open& o : list)
-        if (is_pair(*o.event, row)) ramp->event = o.event;
-    if (ramp->event == nullptr) waiting.push_back(ramp);
+    for (const auto* touches : {&open_of, &closing_of})
+      if (const auto of = touches->find(pair_key(row)); of != touches->end())
+        ramp->event = of->second;
+    if (ramp->event == nullptr) waiting.emplace(pair_key(row), ramp);
     step.work->ramps.push_back(ramp);
   }
   if (!step.work->ramps.empty())
@@ -219,6 +218,7 @@ TouchedStep TouchMotion::begin(const Model& model, const SimState& in, SimState&
       if (o.event->flaw == TouchFlaw::None) o.event->flaw = TouchFlaw::OneSided;
     if (!follows) {
       t.open.clear();
+      t.open_of.clear();
       t.waiting.clear();
       std::ranges::fill(t.off_of_bodies, 0.0);
       std::ranges::fill(t.off_of_particles, 0.0);
@@ -234,6 +234,7 @@ TouchedStep TouchMotion::begin(const Model& model, const SimState& in, SimState&
   if (contacts != nullptr)
     find_touches(model, in, *contacts,
                  {t.settings.rigid, t.settings.soft, t.settings.smoothing, kf_rate, dt}, t.rows);
+  t.index.build(t.rows);
   t.find_steps(model, step, follows, dt, of_chain, of_tape);
   t.find_ramps(model, step, of_chain, of_tape);
   if (!step.work->steps.empty() || !step.work->ramps.empty()) t.move(model, step);
@@ -268,9 +269,9 @@ void TouchMotion::end(const Model& model, TouchedStep& step) {
     o.event->whole = true;
   }
   t.closing.clear();
-  for (const auto& s : step.work->steps) {
-    const auto open =
-        std::ranges::find_if(t.open, [&](const Impl::Open& o) { return o.event == s->event; });
+  auto open = t.open.begin();
+  for (const auto& s : step.work->steps) {  // in the order of their touches
+    while (open->event != s->event) ++open;
     if (open->last != nullptr) finish(*open->last);
     open->last = s;
     for (size_t k = 0; k < 2; ++k) {

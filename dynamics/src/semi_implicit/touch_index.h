@@ -1,0 +1,61 @@
+// The rows of a step by pair and by side, so that a step with many touches takes linear time.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <unordered_map>
+#include <vector>
+
+#include "novaphy/core/sim/index_rows.h"
+#include "touch_rows.h"
+
+namespace novaphy::diff::detail {
+
+// A pair of shapes, or of a shape and a particle, as one number.
+using PairKey = uint64_t;
+template <class T>  // TouchRow or TouchEvent
+PairKey pair_key(const T& of) {
+  return uint64_t{static_cast<uint32_t>(of.first)} << 32 | static_cast<uint32_t>(of.second);
+}
+
+// The rows that push. Indices of rows ascend.
+class TouchIndex {
+ public:
+  TouchIndex(int32_t bodies, int32_t particles) : bodies_(bodies), particles_(particles) {}
+
+  void build(std::span<const TouchRow> rows) {
+    pair_numbers_.clear();
+    pairs_.clear();
+    sides_.clear();
+    for (const TouchRow& row : rows) {
+      const auto next = static_cast<int32_t>(pair_numbers_.size());
+      pairs_.push_back(row.pushes ? pair_numbers_.try_emplace(pair_key(row), next).first->second
+                                  : -1);
+      for (const TouchSide& side : row.sides) sides_.push_back(row.pushes ? number(side) : -1);
+    }
+    of_pair_.build(pairs_, static_cast<int32_t>(pair_numbers_.size()));
+    of_side_.build(sides_, bodies_ + particles_);
+  }
+  std::span<const int32_t> of_pair(PairKey key) const {
+    const auto found = pair_numbers_.find(key);
+    if (found == pair_numbers_.end()) return {};
+    return of_pair_.items(found->second);
+  }
+  // Twice the index of each row that the side belongs to, plus the place of the side in the row.
+  std::span<const int32_t> of_side(const TouchSide& side) const {
+    if (!side.exists()) return {};
+    return of_side_.items(number(side));
+  }
+
+ private:
+  int32_t number(const TouchSide& side) const {
+    return side.particle >= 0 ? bodies_ + side.particle : side.body;
+  }
+
+  int32_t bodies_, particles_;
+  std::unordered_map<PairKey, int32_t> pair_numbers_;
+  std::vector<int32_t> pairs_, sides_;
+  IndexRows of_pair_, of_side_;
+};
+
+}  // namespace novaphy::diff::detail

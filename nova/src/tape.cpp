@@ -402,8 +402,7 @@ void Tape::zero() {
       info.zeroed_in_capture = graph->id();
       graph->gradient(n.range, info.state);
     }
-    // A holder of a leaf's gradient must see the zero now. Other gradients belong to the tape alone
-    // and are set later.
+    // A holder of a leaf's gradient must see the zero now. Other gradients are set later.
     if (!n.ever_written && info.grad) submit_fill(info.grad, 0.0f);
   }
 }

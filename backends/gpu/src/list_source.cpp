@@ -48,17 +48,15 @@ class Writer {
     out_.words.push_back(value);
     return out_.words.size() - 1;
   }
-  // Equal words that are constant over the iterations share a place, so that the compiler knows
-  // they are equal. Only row counts do this, because the equality of two addresses depends on the
-  // list.
+  // Equal words that are constant over the iterations share a place, so that the compiler knows they are equal. Only
+  // row counts do this, because the equality of two addresses depends on the list.
   uint64_t rows_word(uint64_t rows) {
     const auto [known, fresh] = rows_.emplace(rows, 0);
     if (fresh) known->second = word(rows);
     return known->second;
   }
 
-  // Returns the text of word w of an operation, in this iteration or a later one: constant, growing
-  // evenly, or from the table.
+  // Returns the text of word w of an operation, in this iteration or a later one.
   std::string word_text(uint32_t op, uint32_t w, bool in_body, uint32_t later = 0) {
     const uint64_t value = ops_[op].arguments[w];
     const size_t sources = ops_[op].kernel->program.sources.size();
@@ -160,10 +158,9 @@ class Writer {
     }
     return code;
   }
-  // Whether a source is prefetched: its own row differs in every iteration, and no operation writes
-  // it. The row of the next iteration is loaded during the current one. If the rows exceed the
-  // caches, the row after that is prefetched into the cache. Adds the row of the first iteration to
-  // `before`.
+  // Whether a source is prefetched: its own row differs in every iteration, and no operation writes it. The row of
+  // the next iteration is loaded during the current one. If the rows exceed the caches, the row after that is
+  // prefetched into the cache. Adds the row of the first iteration to `before`.
   bool is_prefetched(const ListPlan::Site& site, size_t s) const {
     return ops_[site.op].kernel != nullptr &&
            site.sources[s].from == ListPlan::Source::From::Constant && !is_loaded_once(site, s) &&
@@ -457,8 +454,7 @@ class Writer {
   std::map<uint64_t, uint64_t> rows_;
   std::map<uint32_t, std::vector<char>> with_items_;  // per function of the body
   std::vector<std::vector<char>> kept_items_;         // per operation of the body and source
-  // words with the kernel numbers of the operations
-  std::vector<uint64_t> kernels_;
+  std::vector<uint64_t> kernels_;                     // words with the operations' kernel numbers
   std::string starts_, steps_;                        // for addresses that grow evenly
   std::vector<std::vector<uint32_t>> first_stores_;   // per operation of the body and output
 };

@@ -25,8 +25,7 @@ std::string one_line(const std::string& s) {
   return out;
 }
 
-// Elements have long formulas with prefetched rows. Regions would split their lines, and most
-// regions are taken.
+// Elements have long formulas with prefetched rows. Regions would split their lines, and most regions are taken.
 constexpr int32_t kMinElementRegion = 20;
 EmitPlan plan_for(const Program& p, bool device, bool scan) {
   EmitPlan plan = make_emit_plan(p, device);
@@ -384,8 +383,7 @@ void Emitter::load(Value v, const Instr& in) {
     if (d == kNone) continue;
     if (const int32_t first = four_columns(c, width); own && !device_ && first >= 0) {
       const auto begin = group.columns.begin();
-      // at least two columns
-      if (std::count(begin + c, begin + first + 4, kNone) <= first + 2 - c) {
+      if (std::count(begin + c, begin + first + 4, kNone) <= first + 2 - c) {  // at least two
         line("load_columns4" + t + "(" + own_column(s, width, first) + ", " + str(width) +
              columns(v, group, c, first, 4) + ");");
         c = first + 3;

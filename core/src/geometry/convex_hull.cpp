@@ -21,13 +21,10 @@ namespace {
 using detail::Edge;
 using detail::Vec3d;
 
-constexpr double kFlat = 1e-6;                    // of the extent: a smaller height above a face
-                                                  // counts as flat
-constexpr double kVisible = 1e-9;                 // of the extent: a point this far above a face
-                                                  // sees the face
+constexpr double kFlat = 1e-6;                    // of the extent: smaller heights count as flat
+constexpr double kVisible = 1e-9;                 // of the extent: a point this high sees a face
 constexpr double kCoplanarCosine = 1 - 1.523e-6;  // 0.1 deg
-constexpr double kLost = 0.01;                    // of the thickness: largest height of a corner
-                                                  // that a merge may remove
+constexpr double kLost = 0.01;                    // of the thickness: height a merge may remove
 
 struct Triangle {
   std::array<int32_t, 3> v;
@@ -257,8 +254,7 @@ std::vector<int32_t> outline(const std::vector<Triangle>& triangles,
   return loop;
 }
 
-// Returns twice the vector area (Newell), which has the direction of the normal that fits all
-// corners.
+// Returns twice the vector area (Newell), which has the direction of the normal that fits all corners.
 Vec3d vector_area(const std::vector<Vec3d>& points, const std::vector<int32_t>& v) {
   Vec3d sum{};
   for (size_t k = 1; k + 1 < v.size(); ++k)
@@ -266,9 +262,8 @@ Vec3d vector_area(const std::vector<Vec3d>& points, const std::vector<int32_t>& 
   return sum;
 }
 
-// Merges coplanar triangles. Larger triangles come first and absorb neighbors in their plane. A
-// merge removes the corners inside of the outline. A merge is refused if a removed corner would
-// make the hull thinner, or flat.
+// Merges coplanar triangles. Larger triangles come first and absorb neighbors in their plane. A merge removes the
+// corners inside of the outline. A merge is refused if a removed corner would make the hull thinner, or flat.
 std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
   const std::vector<Triangle>& triangles = hull.triangles;
   detail::EdgeOwners owner;
@@ -329,9 +324,8 @@ std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
   return polygons;
 }
 
-// Makes the tables of the hull. Triangle edges inside of a merged face remain neighbors. Merged
-// faces are flat only to 0.1 degrees, and without these edges a hill climb over the neighbors could
-// stop at the low side of such a face.
+// Makes the tables of the hull. Triangle edges inside of a merged face remain neighbors. Merged faces are flat only
+// to 0.1 degrees, and without these edges a hill climb over the neighbors could stop at the low side of such a face.
 ConvexHull tables(std::span<const Vec3f> points, const std::vector<Triangle>& triangles,
                   std::vector<Polygon> polygons) {
   std::set<int32_t> used;

@@ -173,8 +173,7 @@ void ModelBuilder::add_soft_grid(const SoftGridArgs& args) {
         };
         const int32_t v0 = at(0, 0, 0), v1 = at(1, 0, 0), v2 = at(1, 0, 1), v3 = at(0, 0, 1);
         const int32_t v4 = at(0, 1, 0), v5 = at(1, 1, 0), v6 = at(1, 1, 1), v7 = at(0, 1, 1);
-        // Cells alternate between two mirrored patterns, so that the diagonals of neighboring cells
-        // coincide.
+        // Cells alternate between two mirrored patterns, so that diagonals of neighbors coincide.
         if ((x ^ y ^ z) & 1) {
           add(v0, v1, v4, v3);
           add(v2, v3, v6, v1);

@@ -214,8 +214,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     if (!contacts.empty()) contacts.project(to_dv);
   }
 
-  // Computes the change of the rates with the dual numbers of the step. The tangents of the arrays
-  // are zero again afterwards.
+  // Computes the change of the rates by dual numbers, and then clears the tangents of the arrays.
   void exact_change(const StepOptions<float>& o, const articulation::ControlTangent<float>& c,
                     const Tree<float>& tree, const float* q_in, const float* from_dq,
                     const float* from_dv, float* to_dv) {
@@ -242,8 +241,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     for (size_t k = 0; k < dofs; ++k) to_dv[k] = dual.ws.qd_next[k].tangent;
   }
 
-  // Computes the point and its Jacobians, after finish_step of the new state; `exact` uses dual
-  // numbers.
+  // Computes the point and its Jacobians, after finish_step of the new state; `exact` uses dual numbers.
   void find_point(const Tree<float>& tree, const ArticulationArguments* a) {
     const size_t n = parameters();
     const PointState<float> at =

@@ -69,8 +69,7 @@ Six accelerate(const Six& y, float inv_mass, const Mat33f& inv_inertia, const Qu
   return {y[0] * inv_mass, y[1] * inv_mass, y[2] * inv_mass, t.x, t.y, t.z};
 }
 
-// Returns the largest eigenvalue of M^-1 A by power iteration. The iteration starts from x, which
-// becomes the eigenvector.
+// Returns the largest eigenvalue of M^-1 A by power iteration from x, which becomes its vector.
 template <class Accelerate>
 float largest(const Matrix& a, Accelerate accelerate, Six& x) {
   float w = 0.0f;
@@ -109,9 +108,8 @@ float longest_dt(float springs, float dampers) {
   return 8.0f / (dampers + std::sqrt(dampers * dampers + 16.0f * springs));
 }
 
-// Returns the dt at which the largest eigenvalue of M^-1 (dt^2 springs + dt dampers) is 4. The
-// Rayleigh quotients of any vector give an upper bound; those of the eigenvector give the next
-// iterate.
+// Returns the dt at which the largest eigenvalue of M^-1 (dt^2 springs + dt dampers) is 4. The Rayleigh quotients of
+// any vector give an upper bound; those of the eigenvector give the next iterate.
 template <class Accelerate>
 float longest_dt(const Terms& terms, Accelerate accelerate) {
   Six x = kStart, y = x;
@@ -180,8 +178,7 @@ struct detail::TouchingRows {
   Transformf pose(int32_t b) const {
     return b < 0 ? Transformf::identity() : q[static_cast<size_t>(b)];
   }
-  // A contact row: its shapes, their bodies, the points on both surfaces (world frame), and the
-  // depth of the overlap (m).
+  // A contact row: its shapes, their bodies, points on both surfaces (world), and its depth (m).
   struct Row {
     size_t shapes[2];
     int32_t bodies[2];

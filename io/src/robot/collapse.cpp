@@ -101,8 +101,7 @@ std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
                                                       std::span<const std::string> to_keep,
                                                       std::vector<int32_t>& joints_out) {
   const auto count = static_cast<int32_t>(robot.links.size());
-  // joint above each link, and new index of each link
-  std::vector<int32_t> mover(robot.links.size(), -1), renamed = mover;
+  std::vector<int32_t> mover(robot.links.size(), -1), renamed = mover;  // joint above; new index
   for (size_t j = 0; j < robot.joints.size(); ++j)
     mover[static_cast<size_t>(robot.joints[j].child)] = static_cast<int32_t>(j);
   const auto joint_of = [&](int32_t link) -> const RobotJoint& {

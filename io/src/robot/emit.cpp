@@ -26,8 +26,7 @@ Vec3f shown(const Vec4f& color) {
   return {in_range(color.x), in_range(color.y), in_range(color.z)};
 }
 
-// joints below each link; the last entry is the world
-using Children = std::vector<std::vector<int32_t>>;
+using Children = std::vector<std::vector<int32_t>>;  // joints below each link; last: the world
 
 Children children_of(const Robot& robot) {
   Children children(robot.links.size() + 1);
@@ -277,8 +276,7 @@ class Emitter {
     }
   }
 
-  // Adds the mimic constraints. The leader gets the velocity limit of the mimic joint, which has no
-  // limit of its own.
+  // Adds the mimic constraints. The leader gets the velocity limit of the mimic joint, which has no limit of its own.
   void add_mimics() {
     for (size_t j = 0; j < robot_.joints.size(); ++j) {
       const RobotJoint& joint = robot_.joints[j];
@@ -373,8 +371,7 @@ class Emitter {
     if (!kept_.contains(std::minmax(a, b))) builder_.add_shape_collision_filter_pair(a, b);
   }
 
-  // Adds collision filters: links of a part do not collide with each other or with neighboring
-  // parts.
+  // Adds collision filters: links of a part do not collide with each other or with neighboring parts.
   void filter() {
     for (const auto& [a, b] : robot_.pairs)
       if (named_shapes_.contains(a) && named_shapes_.contains(b))
@@ -422,8 +419,7 @@ class Emitter {
   std::vector<std::vector<int32_t>> trees_;  // joints of each tree, in the order of the model
   std::vector<int32_t> body_, joint_;        // index of each link and joint in the builder
   std::vector<int32_t> dof_, coord_;         // first rows of each joint
-  std::vector<size_t> part_;                 // part of each link of the file, and of the world
-                                             // (last)
+  std::vector<size_t> part_;                 // part of each link, and of the world (last)
   std::set<std::pair<size_t, size_t>> neighbors_;  // pairs of parts that a joint connects
   std::vector<size_t> kinematic_;                  // kinematic parts
   // Shapes of each link of the file, and of the world (last).

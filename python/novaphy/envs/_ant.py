@@ -49,8 +49,7 @@ class AntWorlds:
 
     The z axis points up. A frame of the policy lasts 1/20 s and has `substeps` steps with contacts.
     An action is the torque of a hinge divided by the gear: 200 N m for `dva`, 150 N m for `gym`.
-    Actions are in the order of the motors in the file. All arrays are float32 with one row per
-    world.
+    Actions are in the order of the file's motors. All arrays are float32, a row per world.
 
     `q` {worlds, 15} has the position (m), the quaternion xyzw and the hinge angles hip_1, ankle_1,
     ... (rad). `qd` {worlds, 14} has the velocity of the torso's origin and its angular velocity in
@@ -75,11 +74,9 @@ class AntWorlds:
             ant: "dva" (density 1000, 182 kg) or "gym" (density 5, armature 1).
             seed: seed of the initial noise.
             substeps: steps per frame; 50 means steps of 1 ms.
-            noise: initial noise: positions are uniform in +-noise, velocities normal with this
-                standard deviation.
+            noise: initial positions are uniform in +-noise; velocities have this deviation.
             device: device of the simulation (None: the default device). Every device gives the same
-                bits. Devices other than the CPU replay a captured frame. The arrays here are NumPy
-                arrays.
+                bits. Devices other than the CPU replay a captured frame. Arrays here are NumPy's.
             solver_options: options of SolverFeatherstone.
 
         Raises:
@@ -183,8 +180,7 @@ class AntWorlds:
         """Reset Ants and return the observations {worlds, 111} of all Ants.
 
         Args:
-            worlds: a mask {worlds} of the worlds to reset. None: all worlds, and the solver's
-                contact impulses are cleared.
+            worlds: a mask {worlds}. None: resets all, and clears the solver's contact impulses.
         """
         mask = np.ones(self.num_worlds, bool) if worlds is None else np.asarray(worlds, bool)
         if mask.shape != (self.num_worlds,):
@@ -209,8 +205,7 @@ class AntWorlds:
         return self.observations()
 
     def vary(self, **values: ArrayLike) -> None:
-        """Change parameters of the worlds: `friction`, `mass`, `torso_mass`, `gear`, `slope` and
-        others.
+        """Change parameters of the worlds, such as `friction`, `mass`, `torso_mass` and `slope`.
 
         Args:
             values: a number, or one number per world; `gear` may be {worlds, 8}.
@@ -256,9 +251,7 @@ class AntWorlds:
         self._forget()
 
     def joint_forces(self, actions: ArrayLike) -> Array:
-        """Return the joint forces {worlds, 14} (N m) of actions {worlds, 8}, which are clipped to
-        +-1.
-        """
+        """Return joint forces {worlds, 14} (N m) of actions {worlds, 8}, clipped to +-1."""
         a = np.asarray(actions, np.float32)
         if a.shape != (self.num_worlds, ACTIONS):
             raise ValueError(f"actions: expected {{{self.num_worlds}, {ACTIONS}}}, got {a.shape}")
@@ -324,8 +317,7 @@ class AntWorlds:
         """Return the observations of Gymnasium's Ant-v3, {worlds, 111}.
 
         The columns are height; quaternion w x y z; hinges; velocity (world axes); angular velocity
-        (body axes); hinge rates; and 84 zeros. MuJoCo has contact forces in the last columns, but
-        zeros since 2.0.
+        (body axes); hinge rates; and 84 zeros, as in MuJoCo since version 2.0.
         """
         return observations(self.q, self.qd)
 
@@ -395,9 +387,7 @@ def rotate_back(quaternion: Array, v: Array) -> Array:
 
 
 def feet(state: SimState, num_worlds: int) -> tuple[Array, Array, Array]:
-    """Return tip centers {worlds, 4, 3} (m), and heights {worlds, 4} (m) and velocities {worlds, 4,
-    3} (m/s) of the lowest points of the feet.
-    """
+    """Return tip centers {worlds, 4, 3}, and heights and velocities of lowest foot points."""
     poses = state.body_q.numpy().reshape(num_worlds, -1, 7)[:, FEET]
     rates = state.body_qd.numpy().reshape(num_worlds, -1, 6)[:, FEET]
     arm = rotate(poses[..., 3:], np.broadcast_to(TIPS.astype(np.float32), poses[..., :3].shape))

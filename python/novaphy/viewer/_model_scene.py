@@ -1,5 +1,4 @@
-"""Converts a model and its states to objects of a scene. Only this file of the viewer knows
-physics.
+"""Converts a model and its states to a scene. Only this file of the viewer knows physics.
 
 The input is arrays, so that a recording can be shown without the model.
 """
@@ -89,8 +88,7 @@ def model_arrays(model: Model) -> dict[str, np.ndarray]:
 
 
 def shape_name(geo_type: int) -> str:
-    """Return the name of the mesh for a type of shape. NotImplementedError: the type has no mesh.
-    """
+    """Return the name of the mesh for a shape type. NotImplementedError: the type has none."""
     if geo_type not in _SHAPES:
         kind = GeoType(geo_type).name if geo_type in set(GeoType) else geo_type
         raise NotImplementedError(f"viewer: shapes of the type {kind} are not drawn")
@@ -369,9 +367,7 @@ def contact_segments(
     body_q: np.ndarray,
     particle_q: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points {n, 3} of contacts, and ends of arrows: the force, or the normal without a
-    force.
-    """
+    """Return points {n, 3} of contacts, and arrow ends: the force, or else the normal."""
     points, arrows = [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.float32)]
     count = min(contacts.active_rigid_contact_count, contacts.rigid_contact_max)
     if count:

@@ -55,8 +55,7 @@ class SceneViewer(Viewer):
         self._steps_wanted += 1
 
     def should_step(self) -> bool:
-        """Return whether the simulation should advance: not paused, or a single step was requested.
-        """
+        """Return whether the simulation should advance: not paused, or a step was requested."""
         if not self._paused:
             return True
         if self._steps_wanted:
@@ -170,9 +169,7 @@ class SceneViewer(Viewer):
         return lines + [f"{name} {values[-1]:.6g}" for name, values in scalars if values]
 
     def log_contacts(self, contacts: Contacts, state: SimState) -> None:
-        """Show the contacts of a state: a point each, with its force, or its normal without a
-        force.
-        """
+        """Show a point for each contact of a state, with its force, or else its normal."""
         if self._model_scene is None:
             raise ValueError("log_contacts: expected a model before, got none: call set_model")
         if not self.show_contacts:
@@ -194,9 +191,7 @@ class SceneViewer(Viewer):
         return int(self._model_scene.arrays["shape_body"][shape])
 
     def name_at(self, origin: ArrayLike, ray: ArrayLike) -> str | None:
-        """Return the labels of the first shape that a ray hits and of its body; None without a
-        model.
-        """
+        """Return the labels of the first shape on a ray and of its body; None without a model."""
         shape = self._shape_at(origin, ray)
         if shape is None or self.model is None:
             return None

@@ -1,5 +1,4 @@
-// The step of a group of articulations with contacts and dry friction, shared by the kernels of
-// articulation_contact_kernels.h.
+// The step of a group of articulations with contacts, for articulation_contact_kernels.h.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -12,14 +11,11 @@ namespace novaphy {
 //   step.status     also -1 - a contact that the group cannot have
 //   moved_by        per link: its dofs, as bits
 //   most_alone      largest number of contacts of an island that tree_contacts.h solves
-//   kept_begin      per group: its first kept contact
-//   kept_friction   {dofs}, impulses of the step before; now_friction: of this step
-//   now             a row per place in the lists
-//   lanes           whether TreeSteps steps the trees that are marked `taken`
+//   kept_begin      per group: its first kept contact; kept_friction, now_friction: impulses {dofs}
+//   now             a row per place in the lists; lanes: TreeSteps steps the trees marked `taken`
 //   continues       whether the step starts where the one before ended
-// For derivatives, null if not requested: the impulses along n, t1, t2 and of dry friction, the
-// branches, `seen` (a row per place in the lists), and `seen` of the step before with the groups'
-// starts.
+// For derivatives, null if not requested: the impulses along n, t1, t2 and of dry friction, the branches, `seen` (a
+// row per place in the lists), and `seen` of the step before with the groups' starts.
 struct ArticulationContactStepArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationStepArguments> step; Part<ContactGroupArguments> of;
                     Optional<Given<int32_t>> point_id; Given<int32_t> moved_by;
@@ -84,8 +80,7 @@ struct GroupStep : ContactGroup {
     return all.places + (first_place() + a.nodes[root].begin);
   }
   bool is_kept(int32_t place) const { return a.chain[place].kept >= 0; }
-  // Returns the impulses of the step before, or zeros. (Not a pointer that may be null, because a
-  // GPU has read through one.)
+  // Returns the impulses of the step before, or zeros. (GPUs have read through a null pointer.)
   articulation::KeptContact kept(int32_t place) const {
     articulation::KeptContact of{};
     if (is_kept(place)) of = all.kept[a.chain[place].kept];
@@ -117,8 +112,7 @@ inline void open_and_start(const GroupStep& s, int32_t i) {
   start_node(s, i);
 }
 
-// Returns whether a contact may touch in the step. Also true if its trees fail or are not all in
-// this group.
+// Returns whether a contact may touch in the step. Also true if its trees fail or are not all in this group.
 inline bool is_near(const GroupStep& s, int32_t contact) {
   articulation::ContactSide sides[2];
   if (!contact_sides(s.a.shapes, contact, sides)) return true;
@@ -132,8 +126,7 @@ inline bool is_near(const GroupStep& s, int32_t contact) {
   return articulation::may_touch(s.contacts, contact, links, s.how.dt);
 }
 
-// Joins the trees of a contact that may touch. A contact with a tree outside of this group makes a
-// tree fail.
+// Joins the trees of a contact that may touch. A contact with a tree outside of this group makes a tree fail.
 inline void join_step_contact(const GroupStep& s, int32_t place) {
   const int32_t contact = s.a.contacts[place];
   if (is_near(s, contact)) {

@@ -261,8 +261,7 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
   };
   for (int32_t c = 0; coupled && c < count; ++c)
     for (int32_t r = 0; r < 3; ++r) add(3 * c + r, m.rows[c].impulse[r], v);
-  for (int64_t k = 0; k < n; ++k) v[k] = v[k] + o;  // turns -0 into +0, so that skipped terms do
-                                                    // not matter
+  for (int64_t k = 0; k < n; ++k) v[k] = v[k] + o;  // -0 becomes +0, as with skipped terms
 
   for (int32_t c = 0; c < count; ++c) {
     const T size = m.rows[c].normal * m.rows[c].impulse[0];

@@ -76,8 +76,7 @@ def demos() -> dict[str, Path]:
 
 
 def find_demo(name: str) -> Path:
-    """Return the file of a demo. ValueError: the demo does not exist; the message lists all demos.
-    """
+    """Return the file of a demo. ValueError: no such demo; the message lists all demos."""
     found = demos()
     if name not in found:
         known = ", ".join(found) or "none: this installation has no demos"

@@ -211,8 +211,7 @@ def joint_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, float]]:
 
 
 def ball_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, list[float]]]:
-    """Yield the row of joint_q, name, largest angle and rotation vector (rad) of every BALL joint.
-    """
+    """Yield row of joint_q, name, largest angle and rotation vector (rad) of every BALL joint."""
     rows, dofs = model.joint_q_start.numpy(), model.joint_qd_start.numpy()
     upper, q = model.joint_limit_upper.numpy(), model.joint_q.numpy().astype(float)
     for joint in range(model.joint_count):
@@ -233,8 +232,7 @@ def quaternion(turn: list[float]) -> list[float]:
 
 
 def show_mesh(args: argparse.Namespace) -> str:
-    """Show the surface of a .msh, .obj, .stl, .ply, .dae or .glb file; return a description of it.
-    """
+    """Show the surface of a .msh, .obj, .stl, .ply, .dae or .glb file; return a description."""
     if Path(args.file).suffix.lower() == ".msh":
         tets = io.load_tet_mesh(args.file)
         points, triangles = tets.vertices, boundary_triangles(np.asarray(tets.indices))

@@ -107,8 +107,7 @@ class ViewerFile(Viewer):
             self._unsaved = list(self._frames)
 
     def log_state(self, state: SimState) -> None:
-        """Record the state of the frame. ValueError: its sizes differ from those of other frames.
-        """
+        """Record the state of the frame. ValueError: its sizes differ from other frames."""
         fields = {name: getattr(state, name) for name in STATE_FIELDS}
         self.log_state_arrays({name: rows.numpy() for name, rows in fields.items()})
 

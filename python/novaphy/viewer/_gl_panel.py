@@ -1,5 +1,4 @@
-"""The panel in the window of ViewerGL: switches and sliders by imgui-bundle, drawn with moderngl.
-"""
+"""The panel of ViewerGL: switches and sliders by imgui-bundle, drawn with moderngl."""
 
 from __future__ import annotations
 

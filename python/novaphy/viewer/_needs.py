@@ -11,8 +11,7 @@ class MissingPackageError(ImportError, RuntimeError):
 
 
 def needs(module: str, extra: str, who: str) -> Any:
-    """Import a module. ImportError: the module is missing; the message names the extra of novaphy.
-    """
+    """Import a module. ImportError: the module is missing; the message names the extra."""
     try:
         return importlib.import_module(module)
     except ImportError as error:

@@ -39,8 +39,7 @@ class Frame:
     """The state and the drawings of one frame."""
 
     def __init__(self, time: float, state: dict[str, np.ndarray], calls: list[Call]) -> None:
-        """Make a frame from the time (s), the arrays of the state by field, and the calls in order.
-        """
+        """Make a frame from the time (s), the state arrays by field, and the calls in order."""
         self.time = time
         self.state = state
         self.calls = calls

@@ -1,5 +1,4 @@
-// Finds the contacts of a particle with a wall and the ground. The program has no solver and no
-// gradients, and links one library.
+// Finds the contacts of a particle with a wall and the ground. No solver, no gradients: one library.
 #include <iostream>
 
 #include "novaphy/collision/collision_pipeline.h"

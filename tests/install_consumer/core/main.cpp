@@ -1,4 +1,4 @@
-// Lists the backends, and copies some numbers through device memory.
+// Lists the backends, and moves some numbers through device memory.
 #include <iostream>
 #include <vector>
 

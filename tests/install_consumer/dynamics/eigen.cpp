@@ -1,5 +1,4 @@
-// Solves the equation of motion of an arm with Eigen, directly on the memory of the engine's
-// results.
+// Solves the equation of motion of an arm by Eigen, on the memory of what the engine returns.
 #include <Eigen/Dense>
 #include <iostream>
 #include <span>

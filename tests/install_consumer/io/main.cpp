@@ -1,4 +1,4 @@
-// Makes a cloth from a mesh file.
+// Makes a cloth of a mesh from a file.
 #include <fstream>
 #include <iostream>
 

@@ -1,4 +1,4 @@
-// A user-defined kernel and its gradient: the energy of springs of different stiffness.
+// A kernel of one's own, and its gradient: the energy of springs of different stiffness.
 #include <cmath>
 #include <iostream>
 #include <string>

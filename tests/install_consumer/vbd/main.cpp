@@ -1,5 +1,4 @@
-// Lets a cloth hang from one side. The program has no other solver and no gradients, and links
-// three libraries.
+// Lets a cloth hang from one side. No other solver, no gradients: three libraries.
 #include <iostream>
 
 #include "novaphy/core/sim/model_builder.h"

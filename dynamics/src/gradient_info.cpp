@@ -27,7 +27,7 @@ int64_t cut_landings(const MotionCounts& m) {
 }
 bool is_of_the_motion(const MotionCounts& m) {
   return m.several == 0 && m.unmoved == 0 && m.one_sided == 0 && m.stiff == 0 && m.rough == 0 &&
-         m.phased == 0 && m.rows_are_exact && are_apart(m) && cut_landings(m) == 0;
+         m.phased == 0 && m.inexact == 0 && are_apart(m) && cut_landings(m) == 0;
 }
 std::string motion_of_springs(const MotionCounts& m) {
   std::string text = ", and the times at which they begin and end move with the state";
@@ -45,9 +45,9 @@ std::string motion_of_springs(const MotionCounts& m) {
   add(m.one_sided, " whose begin or end is outside of the steps, or cut by a written state");
   return text;
 }
-std::string motion_of(const MotionCounts& m) {
-  if (m.of_springs) return motion_of_springs(m);
-  std::string text = ", and the times at which they begin move with the state";
+// Why the gradient may be another than that of the motion.
+std::string doubts(const MotionCounts& m) {
+  std::string text;
   if (m.unmoved > 0)
     text += ", but for " + std::to_string(m.unmoved) +
             " limits of joints in what touches something, which may have any length";
@@ -62,32 +62,48 @@ std::string motion_of(const MotionCounts& m) {
     text += "; two events of one tree are " + std::to_string(m.least_separation) +
             " steps apart, which may come in the other order";
   if (cut_landings(m) > 0) text += "; a landing is cut by the end of the steps";
-  if (!m.rows_are_exact)
-    text += "; overlaps are not of the motion but with pgs_slop=0 and pgs_erp=1";
+  if (m.inexact > 0) text += "; overlaps are not of the motion but with pgs_slop=0 and pgs_erp=1";
   return text;
+}
+std::string motion_of(const MotionCounts& m) {
+  if (m.of_springs) return motion_of_springs(m);
+  return ", and the times at which they begin move with the state" + doubts(m);
+}
+
+// Steps whose gradient is neither that of the code nor, for certain, that of the motion.
+int64_t unclaimed_steps(const MotionCounts* motion) {
+  return motion != nullptr && !is_of_the_motion(*motion) ? motion->moved : 0;
 }
 
 std::string reason_of(const GradientCounts& c, bool implicit, const MotionCounts* motion,
                       int64_t events) {
   if (c.steps == 0) return "no step has been taken since the last clear_gradient_info";
   std::string text;
+  const int64_t unclaimed = unclaimed_steps(motion);
+  if (unclaimed > 0)
+    text = some(unclaimed, c.steps) +
+           " have events whose times move with the state, so that the gradient is not that of the "
+           "code, and it may be another than that of the motion; ";
   if (c.surrogate > 0) {
-    text = some(c.surrogate, c.steps) + " are a surrogate (the first is step " +
-           std::to_string(c.surrogate_step) + "), where ";
+    text += some(c.surrogate, c.steps) + " are a surrogate (the first is step " +
+            std::to_string(c.surrogate_step) + "), where ";
     text += c.jumps != 0 ? "a contact law jumps or a step failed"
                          : "contacts have not converged (" + std::to_string(c.residual) +
                                " of the largest impulse)";
     text += ": gradients through them may have any length and sign";
   } else if (c.frozen > 0) {
-    text = some(c.frozen, c.steps) +
-           " hold points or normals of contacts that push (first in step " +
-           std::to_string(c.frozen_step) + ", " + pair_text(c.held) +
-           "): gradients by poses, velocities, masses and materials may be off, also in sign";
+    text += some(c.frozen, c.steps) +
+            " hold points or normals of contacts that push (first in step " +
+            std::to_string(c.frozen_step) + ", " + pair_text(c.held) +
+            "): gradients by poses, velocities, masses and materials may be off, also in sign";
   } else {
-    text = std::string("all steps are differentiated exactly as ") +
-           (implicit ? "their solutions" : "the code runs them");
+    text += std::string(unclaimed > 0 ? "besides, all steps" : "all steps") +
+            " are differentiated exactly as " +
+            (implicit ? "their solutions" : "the code runs them");
   }
-  if (events == 0) return text + (c.surrogate + c.frozen > 0 ? "" : ", and no contact changed");
+  if (events == 0)
+    return text + (c.surrogate + c.frozen > 0 ? "" : ", and no contact changed") +
+           (unclaimed > 0 && !motion->of_springs ? doubts(*motion) : "");
   static constexpr const char* kWhat[] = {"begins", "ends",
                                           "changes between sticking and slipping"};
   return text + "; contacts changed " + std::to_string(events) + " times (first in step " +
@@ -101,15 +117,17 @@ std::string reason_of(const GradientCounts& c, bool implicit, const MotionCounts
 
 GradientInfo gradient_info(const GradientCounts& c, bool implicit, const MotionCounts* motion) {
   GradientInfo info;
-  info.label = c.surrogate > 0                                  ? "surrogate"
+  const int64_t unclaimed = unclaimed_steps(motion);
+  info.label = c.surrogate > 0 || unclaimed > 0                 ? "surrogate"
                : c.frozen > 0                                   ? "frozen"
                : implicit                                       ? "implicit"
                : motion != nullptr && is_of_the_motion(*motion) ? "exact of the motion"
                                                                 : "exact of the code";
   info.steps = c.steps;
-  info.exact_steps = c.exact;
+  const int64_t less = std::min(unclaimed, c.exact);
+  info.exact_steps = c.exact - less;
   info.frozen_steps = c.frozen;
-  info.surrogate_steps = c.surrogate;
+  info.surrogate_steps = c.surrogate + less;
   info.began = c.began;
   info.ended = c.ended;
   info.turned = c.turned;

@@ -13,6 +13,10 @@ label: the worst label of the steps:
   "frozen": contacts push whose points or normals are held.
   "surrogate": the contact solve missed its law by more than 1e-3 of the largest impulse, or a law
   jumps.
+
+A gradient with contact_gradient="motion" is a "surrogate" too where times of events move, but it
+may be another than that of the motion.
+
 reason: one sentence on the consequence, with step and pair.
 steps: exact_steps + frozen_steps + surrogate_steps, where exact_steps counts implicit ones too.
 events: began + ended + turned, between two steps that follow each other: contacts that began or

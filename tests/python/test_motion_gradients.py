@@ -196,7 +196,7 @@ def test_a_ball_that_meets_two_walls_at_once_turns_both_signs() -> None:
         run = Run(model, "motion", 96, 1 / 480, speed, weights, along=(np.eye(7)[i], np.zeros(6)))
         assert abs(run.of_q[i] + 1.0) < 1e-4 and abs(run.of_q[2 - i]) < 1e-4
         assert abs(run.along + 1.0) < 1e-4
-        assert run.info.label == "exact of the code" and "several pairs hit" in run.info.reason
+        assert run.info.label == "surrogate" and "several pairs hit" in run.info.reason
 
 
 def test_the_control_of_an_event_is_that_of_its_step() -> None:

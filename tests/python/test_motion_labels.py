@@ -135,7 +135,7 @@ def test_a_bounce_that_claims_the_motion_has_its_gradient(seed: int) -> None:
     bounce = Bounce(seed)
     gradient, info = bounce.gradient()
     assert info.events > 0
-    assert info.label == "exact of the " + ("motion" if seed in CLAIMED else "code")
+    assert info.label == ("exact of the motion" if seed in CLAIMED else "surrogate")
     if seed not in CLAIMED:
         return
     rng = np.random.default_rng(seed)

@@ -203,7 +203,7 @@ def test_an_oblique_hit_turns_the_normal_and_jvp_is_the_transpose() -> None:
     ("mu", "time", "rate", "label"),
     [
         (0.0, 0.26, 4000, "exact of the motion"),
-        (0.3, 0.28, 1000, "exact of the code"),  # it slips, then sticks
+        (0.3, 0.28, 1000, "surrogate"),  # it slips, then sticks
     ],
 )
 def test_a_box_on_its_corner_agrees_with_differences(
@@ -278,24 +278,24 @@ def test_labels_tell_which_touches_are_not_covered() -> None:
     stiff = balls((0, 0, 0.3), of=surface(1e5), planes=FLOOR)
     down = [[0, 0, -1, 0, 0, 0]]
     cut = Run(stiff, "motion", 203, 1 / 1000, down, weight(1, 0, 2)).info
-    assert cut.label == "exact of the code" and cut.one_sided == 1
+    assert cut.label == "surrogate" and cut.one_sided == 1
     assert "outside of the steps" in cut.reason
     # It is there at the start.
     inside = balls((0, 0, 0.0995), of=surface(1e5), planes=FLOOR)
     late = Run(inside, "motion", 100, 1 / 1000, [[0, 0, 1, 0, 0, 0]], weight(1, 0, 2)).info
-    assert late.label == "exact of the code" and late.one_sided == 1
+    assert late.label == "surrogate" and late.one_sided == 1
     # A corner of two planes at once.
     corner = balls(
         (0.3, 0, 0.3), of=surface(1e5), planes=((0.0, 0.0, 1.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     )
     both = Run(corner, "motion", 300, 1 / 1000, [[-1, 0, -1, 0, 0, 0]], weight(1, 0, 2)).info
-    assert both.label == "exact of the code" and both.several == 2
+    assert both.label == "surrogate" and both.several == 2
     assert "several contacts at once" in both.reason
     # Friction of kf dt (1/m + r^2/I) = 3.5 shakes.
     rough = balls((0, 0, 0.3), of=surface(1e4, 0.0, 1e3, 0.5), planes=FLOOR)
     with pytest.warns(RuntimeWarning, match="shakes at the cone"):
         slip = Run(rough, "motion", 300, 1 / 1000, [[1, 0, -1, 0, 0, 0]], weight(1, 0, 2)).info
-    assert slip.label == "exact of the code" and "takes half of the slip in a step" in slip.reason
+    assert slip.label == "surrogate" and "takes half of the slip in a step" in slip.reason
     # Nothing happens, so both words hold; a ball that rests has no event either.
     free = Run(stiff, "motion", 20, 1 / 1000, down, weight(1, 0, 2)).info
     assert free.label == "exact of the motion" and free.events == 0
@@ -326,7 +326,7 @@ def test_a_held_body_is_not_claimed() -> None:
     builder.add_ground_plane(cfg=of)
     model = builder.finalize(requires_grad=True)
     info = Run(model, "motion", 300, 1 / 1000, [[0, 0, -1, 0, 0, 0]], weight(1, 0, 2)).info
-    assert info.events > 0 and info.label == "exact of the code"
+    assert info.events > 0 and info.label == "surrogate"
     assert "joints, elements or adhesion" in info.reason
 
 
@@ -366,7 +366,7 @@ def test_another_dt_cuts_a_touch() -> None:
         solver.rollout(path, None, None, 1 / 2000, pipeline=pipeline, start=203)
         tape.backward(diff.state_body_q_tensor(path[300])[0, 2])
     info = tape.gradient_info()
-    assert info.label == "exact of the code" and info.one_sided >= 1
+    assert info.label == "surrogate" and info.one_sided >= 1
 
 
 def particle(z: float, mode: str, gradient: bool = True) -> Any:

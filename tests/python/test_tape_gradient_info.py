@@ -106,7 +106,7 @@ def test_it_is_of_the_tape_and_not_of_the_solver(make: object) -> None:
     assert third.gradient_info().began == 1
     if make is penalty:
         assert third.gradient_info().one_sided == 1 and solver.gradient_info().one_sided == 0
-        assert third.gradient_info().label == "exact of the code"
+        assert third.gradient_info().label == "surrogate"
 
 
 def test_a_frozen_rollout_is_not_hidden_by_the_next_one() -> None:

@@ -57,6 +57,8 @@ struct MotionNotes {
   bool stands_in_event() const { return !inside.empty(); }
   bool in_contact() const { return stands_in_event() || !found.events.empty(); }
   bool concerned() const { return in_contact() || !limits.empty(); }
+  // Whether its gradient has more than that of the code.
+  bool moves() const { return !found.events.empty() || !limits.empty(); }
 };
 
 // First and number of the coordinates of a tree.

@@ -109,7 +109,7 @@ struct ArticulationStep::Shared::Witness : GradientWitness {
   bool has_replays;
   Witness(std::shared_ptr<Shared> of, bool replays)
       : shared(std::move(of)), motion(shared->motion), has_replays(replays) {
-    motion = {.rows_are_exact = motion.rows_are_exact};
+    motion = {};
   }
   MotionEvents events() const override { return motion.events; }
   bool has_events() const override { return shared->contact_gradient == DerivativeOf::Motion; }
@@ -134,6 +134,8 @@ class CountsOfStep {
     motion_.several = shared_.motion.several;
     motion_.unmoved = shared_.motion.unmoved;
     motion_.phased = shared_.motion.phased;
+    motion_.moved = shared_.motion.moved;
+    motion_.inexact = shared_.motion.inexact;
     free_steps_ = shared_.free_steps;
   }
   CountsOfStep(const CountsOfStep&) = delete;
@@ -149,6 +151,8 @@ class CountsOfStep {
     witness_->motion.several += shared_.motion.several - motion_.several;
     witness_->motion.unmoved += shared_.motion.unmoved - motion_.unmoved;
     witness_->motion.phased += shared_.motion.phased - motion_.phased;
+    witness_->motion.moved += shared_.motion.moved - motion_.moved;
+    witness_->motion.inexact += shared_.motion.inexact - motion_.inexact;
     if (shared_.last_told != nullptr)
       for (const auto& event : *std::exchange(shared_.last_told, nullptr))
         witness_->motion.add(event);
@@ -172,6 +176,11 @@ void note(ArticulationStep::Shared& shared, const std::shared_ptr<const Step>& s
     shared.motion.events.clear();
   }
   note_motion(step, before);
+  if (step->motion->moves()) ++shared.motion.moved;
+  const auto& touched = step->motion->found.touched;
+  const bool exact = shared.options.pgs_slop == 0.0f && shared.options.pgs_erp == 1.0f;
+  const bool touches = std::any_of(touched.begin(), touched.end(), [](char t) { return t != 0; });
+  if (touches && !exact) ++shared.motion.inexact;
   for (const auto& event : step->motion->told) shared.motion.add(event);
   shared.last_told = &step->motion->told;
   shared.last = step;
@@ -193,7 +202,6 @@ ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions
   shared_ = std::make_shared<Shared>(model, converged, user);
   shared_->allow_unconverged = allow_unconverged;
   shared_->contact_gradient = contact_gradient;
-  shared_->motion.rows_are_exact = options.pgs_slop == 0.0f && options.pgs_erp == 1.0f;
   if (contact_gradient == DerivativeOf::Motion)
     require_cpu(model.device(), user, ": contact_gradient \"motion\"");
   require(contact_gradient == DerivativeOf::Code || !options.compliant_contacts,
@@ -336,7 +344,7 @@ void ArticulationStep::clear_branches() {
   shared_->ended = nullptr;
   if (!shared_->trees) shared_->contacts.clear_branches();
   shared_->branches = {};
-  shared_->motion = {.rows_are_exact = shared_->motion.rows_are_exact};
+  shared_->motion = {};
   shared_->far_steps = 0;
 }
 const MotionCounts* ArticulationStep::motion_counts() const {

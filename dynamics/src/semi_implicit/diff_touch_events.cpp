@@ -310,6 +310,7 @@ MotionCounts TouchList::counts() const {
   MotionCounts counts;
   counts.of_springs = true;
   counts.ramp_steps = ramp_steps;
+  counts.moved = std::ranges::count_if(works, [](const auto& work) { return work->acts(); });
   for (const auto& e : events) {
     if (e->flaw == detail::TouchFlaw::Rests) continue;
     e->told->whole = true;
@@ -327,6 +328,7 @@ MotionCounts TouchList::counts() const {
 }
 void TouchList::clear() {
   events.clear();
+  works.clear();
   ramp_steps = 0;
 }
 

@@ -1,6 +1,7 @@
 // The record of a touch, and the effect of its steps on tangents and gradients (diff_touches.h).
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <memory>
 #include <vector>
@@ -123,6 +124,11 @@ std::shared_ptr<MotionEvent> tell_touch(const Model& m, const TouchRow& row,
 struct TouchWork {
   std::vector<std::shared_ptr<TouchStep>> steps;
   std::vector<std::shared_ptr<TouchRamp>> ramps;
+  // Whether the step has more than the gradient of the code.
+  bool acts() const {
+    return std::ranges::any_of(steps, [](const auto& s) { return s->event->is_window(); }) ||
+           std::ranges::any_of(ramps, [](const auto& r) { return r->acts(); });
+  }
 };
 
 // The arrays of an operation, in the order of StateRows.

@@ -237,7 +237,10 @@ TouchedStep TouchMotion::begin(const Model& model, const SimState& in, SimState&
   t.index.build(t.rows);
   t.find_steps(model, step, follows, dt, of_chain, of_tape);
   t.find_ramps(model, step, of_chain, of_tape);
-  if (!step.work->steps.empty() || !step.work->ramps.empty()) t.move(model, step);
+  if (!step.work->steps.empty() || !step.work->ramps.empty()) {
+    for (TouchList* list : {&of_chain, &of_tape}) list->works.push_back(step.work);
+    t.move(model, step);
+  }
   return step;
 }
 

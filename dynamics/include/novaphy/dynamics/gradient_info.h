@@ -27,7 +27,8 @@ enum class DerivativeOf : uint8_t {
 struct GradientInfo {
   // "exact of the motion", "exact of the code", "implicit" (of the solutions of the steps),
   // "frozen" (points or normals of contacts that push are held), "surrogate": the worst of the
-  // steps.
+  // steps. Where times of events move, but the gradient may be another than that of the motion,
+  // "surrogate": it is neither of both.
   std::string label;
   std::string reason;  // one sentence: what makes it so, and what follows
   int64_t steps = 0, exact_steps = 0, frozen_steps = 0, surrogate_steps = 0;
@@ -60,8 +61,9 @@ struct MotionCounts {
   int64_t stiff = 0;       // of springs: touches of few steps with a lever arm
   int64_t rough = 0;       // of springs: touches whose speed depends on the phase of the steps
   int64_t ramp_steps = 0;  // of springs: steps with contacts within half a step of begin or end
+  int64_t moved = 0;       // steps whose gradient has more than that of the code
   bool of_springs = false;
-  bool rows_are_exact = true;  // of gaps and overlaps: pgs_slop 0, pgs_erp 1
+  int64_t inexact = 0;  // with contacts, whose overlaps are of the code: not pgs_slop 0, pgs_erp 1
   float least_approach = std::numeric_limits<float>::infinity();      // m/s, rad/s
   double least_separation = std::numeric_limits<double>::infinity();  // steps, of one tree or body
   MotionEvents events = {};

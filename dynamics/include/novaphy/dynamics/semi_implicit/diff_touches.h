@@ -45,6 +45,7 @@ class NOVAPHY_DYNAMICS_API TouchList {
   MotionCounts counts() const;
   void clear();
   std::vector<std::shared_ptr<detail::TouchEvent>> events;
+  std::vector<std::shared_ptr<const detail::TouchWork>> works;  // of the steps that have some
   int64_t ramp_steps = 0;
 };
 

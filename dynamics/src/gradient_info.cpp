@@ -1,6 +1,7 @@
 #include "novaphy/dynamics/gradient_info.h"
 
 #include <algorithm>
+#include <cmath>
 #include <string_view>
 #include <tuple>
 
@@ -144,6 +145,12 @@ GradientInfo gradient_info(const GradientCounts& c, bool implicit, const MotionC
     info.event_list = motion->events;
     sort_by_time(info.event_list);
   }
+  if (motion != nullptr && motion->drift != nullptr && motion->drift->steps > 0) {
+    const AdjointDrift& drift = *motion->drift;
+    info.h_drift = drift.largest > 0.0 ? drift.most / drift.largest : 0.0;
+    info.h_step = drift.step;
+    info.h_skipped = drift.skipped;
+  }
   info.residual = c.residual;
   info.reason = reason_of(c, implicit, motion, info.events);
   return info;
@@ -158,6 +165,7 @@ GradientInfo worst_of(std::span<const GradientInfo> all) {
   GradientInfo sum = *std::ranges::max_element(all, {}, rank);
   sum.steps = sum.exact_steps = sum.frozen_steps = sum.surrogate_steps = 0;
   sum.several = sum.one_sided = sum.ramp_steps = sum.landings = sum.phased = sum.lost_events = 0;
+  sum.h_skipped = 0;
   sum.event_list.clear();
   sum.events = sum.began = sum.ended = sum.turned = 0;
   for (const GradientInfo& of : all) {
@@ -179,6 +187,10 @@ GradientInfo worst_of(std::span<const GradientInfo> all) {
     sum.least_separation = std::min(sum.least_separation, of.least_separation);
     sum.event_list.insert(sum.event_list.end(), of.event_list.begin(), of.event_list.end());
     sum.residual = std::max(sum.residual, of.residual);
+    sum.h_skipped += of.h_skipped;
+    if (!(of.h_drift > sum.h_drift) && !std::isnan(sum.h_drift)) continue;
+    sum.h_drift = of.h_drift;
+    sum.h_step = of.h_step;
   }
   sort_by_time(sum.event_list);
   return sum;

@@ -9,10 +9,10 @@ namespace novaphy::python {
 
 namespace {
 
+py::object there(double x) { return x == x ? py::object(py::float_(x)) : py::none(); }
 py::list rows_of(const MotionEvents& events) {
   static constexpr const char* kKinds[] = {"bounce", "landing", "spring", "limit"};
   static constexpr const char* kFriction[] = {"none", "sticks", "slides", "turns"};
-  const auto there = [](double x) { return x == x ? py::object(py::float_(x)) : py::none(); };
   py::list rows;
   for (const auto& e : events)
     rows.append(py::dict("step"_a = e->step, "time"_a = e->time, "world"_a = e->world,
@@ -35,7 +35,9 @@ GradientInfoFields to_fields(const GradientInfo& i, const py::dict& more) {
                   "ramp_steps"_a = i.ramp_steps, "landings"_a = i.landings, "phased"_a = i.phased,
                   "lost_events"_a = i.lost_events, "least_approach"_a = i.least_approach,
                   "least_separation"_a = i.least_separation, "event_list"_a = rows_of(i.event_list),
-                  "residual"_a = i.residual);
+                  "residual"_a = i.residual, "h_drift"_a = there(i.h_drift),
+                  "h_step"_a = i.h_drift == i.h_drift ? py::object(py::int_(i.h_step)) : py::none(),
+                  "h_skipped"_a = i.h_skipped);
   for (const auto& [name, value] : more) fields[name] = value;
   return {fields};
 }
@@ -87,7 +89,15 @@ constexpr std::pair<const char*, const char*> kFields[] = {
     {"event_list",
      "With contact_gradient=\"motion\": a dict per contact or limit that begins, in the order of "
      "time, of the last chain of steps or of a tape. docs/conventions.md lists the keys."},
-    {"residual", "The largest miss of the law of contacts, relative to the largest impulse (1)."}};
+    {"residual", "The largest miss of the law of contacts, relative to the largest impulse (1)."},
+    {"h_drift",
+     "With contact_gradient=\"motion\" of articulations: how far the last backward is from keeping "
+     "the adjoint times the rates in steps without events (1). None without a backward. "
+     "docs/conventions.md has the law."},
+    {"h_step", "The step of h_drift, from the first of the steps; None without."},
+    {"h_skipped",
+     "Steps that h_drift leaves out: the state was written behind them, they have not converged, "
+     "or dt changes."}};
 
 constexpr const char* kDoc = doc::kGradientInfo;
 

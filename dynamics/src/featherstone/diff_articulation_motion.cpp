@@ -181,13 +181,10 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
                 std::span<const nova::InputGradient> gradients, const Adjoint& run) {
   MotionNotes& notes = *s.motion;
   const nova::InputGradient &of_q = gradients[kAt.q], &of_qd = gradients[kAt.qd];
-  if (!notes.concerned() || !of_q.grad.defined()) return run(gradients);
+  if (!of_q.grad.defined()) return run(gradients);
+  if (!notes.concerned()) return drift_vjp(s, outputs, gradients, run);
   std::vector<nova::InputGradient> all(gradients.begin(), gradients.end());
-  const auto own = [](const Tensor& like) {
-    return Tensor(like.shape(), nova::DType::F32, Device::cpu());
-  };
-  all[kAt.q] = {own(s.in(kAt.q)), false};
-  all[kAt.qd] = {own(s.in(kAt.qd)), false};
+  for (const size_t i : {kAt.q, kAt.qd}) all[i] = own_gradient(s, i);
   run(all);
   float *const y_q = numbers(all[kAt.q].grad), *const y_qd = numbers(all[kAt.qd].grad);
 
@@ -262,12 +259,7 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
   }
   notes.mismatch = std::move(mismatch);
   limits_vjp(s, in, y_q, y_qd);
-  const auto give = [](const nova::InputGradient& to, const float* from) {
-    float* const x = numbers(to.grad);
-    for (int64_t i = 0; i < to.grad.size(); ++i) x[i] = to.add ? x[i] + from[i] : from[i];
-  };
-  give(of_q, y_q);
-  if (of_qd.grad.defined()) give(of_qd, y_qd);
+  for (const size_t i : {kAt.q, kAt.qd}) give_gradient(all[i], gradients[i]);
 }
 
 namespace {

@@ -16,6 +16,7 @@
 // (2024).
 #pragma once
 
+#include <array>
 #include <functional>
 #include <memory>
 #include <span>
@@ -53,6 +54,13 @@ struct MotionNotes {
   std::shared_ptr<const ArticulationStep::Step> controls;  // of the event in which it stands
   // {trees}: from the step behind, in an adjoint; from the step before, in a tangent.
   std::vector<float> mismatch, delay;
+  // For AdjointDrift, of the solver and of the tape; null: none.
+  std::array<std::shared_ptr<AdjointDrift>, 2> drifts;
+  int64_t order = 0;  // of the steps of the solver
+  // How the forces have changed since the step before, by kForces; empty: not.
+  std::array<std::vector<float>, 4> force_change;
+  uint64_t versions[2] = {};  // of the new coordinates and rates, behind the step
+  bool breaks = false;        // the state was written before the step, or dt has changed
 
   bool stands_in_event() const { return !inside.empty(); }
   bool in_contact() const { return stands_in_event() || !found.events.empty(); }
@@ -60,6 +68,17 @@ struct MotionNotes {
   // Whether its gradient has more than that of the code.
   bool moves() const { return !found.events.empty() || !limits.empty(); }
 };
+
+// Memory of its own for the gradient of an input, and what it holds where the gradient goes.
+inline nova::InputGradient own_gradient(const ArticulationStep::Step& s, size_t input) {
+  return {nova::Tensor(s.in(input).shape(), nova::DType::F32, Device::cpu()), false};
+}
+inline void give_gradient(const nova::InputGradient& from, const nova::InputGradient& to) {
+  if (!to.grad.defined()) return;
+  const float* const own = numbers(from.grad);
+  float* const x = numbers(to.grad);
+  for (int64_t i = 0; i < to.grad.size(); ++i) x[i] = to.add ? x[i] + own[i] : own[i];
+}
 
 // First and number of the coordinates of a tree.
 std::pair<int32_t, int32_t> coordinates_of(const ArticulationStep::Step& step, int32_t tree);
@@ -88,10 +107,18 @@ void limits_vjp(const ArticulationStep::Step& step, const ArticulationArguments&
 void note_motion(const std::shared_ptr<const ArticulationStep::Step>& step,
                  const std::shared_ptr<const ArticulationStep::Step>& before);
 
+// What AdjointDrift compares, behind a step that has run; `before` as above.
+inline constexpr std::array<size_t, 4> kForces = {kAt.joint_f, kAt.body_f, kAt.target_q,
+                                                  kAt.target_qd};
+void note_drift(const ArticulationStep::Step& step, const ArticulationStep::Step* before);
+
 // The adjoint of a step: `run` is that of the code.
 using Adjoint = std::function<void(std::span<const nova::InputGradient>)>;
 void motion_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor> outputs,
                 std::span<const nova::InputGradient> gradients, const Adjoint& run);
+// Likewise of a step without events, which is compared.
+void drift_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor> outputs,
+               std::span<const nova::InputGradient> gradients, const Adjoint& run);
 // Its tangent likewise.
 using Tangent = std::function<void(std::span<const nova::Tensor>)>;
 void motion_jvp(const ArticulationStep::Step& step, std::span<const nova::Tensor> inputs,

@@ -168,6 +168,7 @@ struct ArticulationStep::Shared {
   struct Witness;
   std::weak_ptr<Witness> witness;
   std::weak_ptr<const Step> last;           // only with MotionNotes
+  int64_t moving_steps = 0;                 // recorded steps with MotionNotes
   int64_t chain = 0;                        // the chain of `last`
   const MotionEvents* last_told = nullptr;  // events of the step under recording
   int64_t next_step = 0;                    // the number of the next recorded step

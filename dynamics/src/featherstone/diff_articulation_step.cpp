@@ -109,7 +109,7 @@ struct ArticulationStep::Shared::Witness : GradientWitness {
   bool has_replays;
   Witness(std::shared_ptr<Shared> of, bool replays)
       : shared(std::move(of)), motion(shared->motion), has_replays(replays) {
-    motion = {};
+    motion = {.drift = std::make_shared<AdjointDrift>()};
   }
   MotionEvents events() const override { return motion.events; }
   bool has_events() const override { return shared->contact_gradient == DerivativeOf::Motion; }
@@ -176,6 +176,10 @@ void note(ArticulationStep::Shared& shared, const std::shared_ptr<const Step>& s
     shared.motion.events.clear();
   }
   note_motion(step, before);
+  note_drift(*step, before.get());
+  step->motion->order = shared.moving_steps++;
+  step->motion->drifts[0] = shared.motion.drift;
+  if (const auto witness = shared.witness.lock()) step->motion->drifts[1] = witness->motion.drift;
   if (step->motion->moves()) ++shared.motion.moved;
   const auto& touched = step->motion->found.touched;
   const bool exact = shared.options.pgs_slop == 0.0f && shared.options.pgs_erp == 1.0f;
@@ -202,6 +206,7 @@ ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions
   shared_ = std::make_shared<Shared>(model, converged, user);
   shared_->allow_unconverged = allow_unconverged;
   shared_->contact_gradient = contact_gradient;
+  shared_->motion.drift = std::make_shared<AdjointDrift>();
   if (contact_gradient == DerivativeOf::Motion)
     require_cpu(model.device(), user, ": contact_gradient \"motion\"");
   require(contact_gradient == DerivativeOf::Code || !options.compliant_contacts,
@@ -344,7 +349,7 @@ void ArticulationStep::clear_branches() {
   shared_->ended = nullptr;
   if (!shared_->trees) shared_->contacts.clear_branches();
   shared_->branches = {};
-  shared_->motion = {};
+  shared_->motion = {.drift = std::make_shared<AdjointDrift>()};
   shared_->far_steps = 0;
 }
 const MotionCounts* ArticulationStep::motion_counts() const {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <limits>
+#include <memory>
 #include <span>
 #include <string>
 
@@ -42,6 +43,38 @@ struct GradientInfo {
   double least_separation = std::numeric_limits<double>::infinity();
   MotionEvents event_list;  // in the order of time
   float residual = 0.0f;    // largest, relative to the impulses
+  // AdjointDrift of the last adjoint; NaN: none has measured some.
+  double h_drift = std::numeric_limits<double>::quiet_NaN();
+  int64_t h_step = -1, h_skipped = 0;
+};
+
+// How far an adjoint is from keeping H = p . f in steps without events: each step is compared with
+// itself along its own motion. With y_k = D_k^T p_k+1, the rates f_k of the state in step k, and
+// the gradient w_k by the forces u_k of step k (which targets and wrenches are too),
+//   m_k = y_k . f_k - p_k+1 . f_k+1 + w_k . (u_k+1 - u_k) / dt
+// is 0 but for O(dt). Steps that cannot be compared are skipped: the state was written behind them,
+// they have not converged, or the next one has another dt.
+struct AdjointDrift {
+  double most = 0.0;     // |m_k|
+  double largest = 0.0;  // |p . f|
+  int64_t step = -1;     // of `most`, from the first of its chain
+  int64_t steps = 0;     // that were compared
+  int64_t skipped = 0;   // without what follows no step
+  int64_t next = -1;     // the order of the step that was visited last
+
+  // An adjoint visits steps from the last on; one that is not before the last one begins anew.
+  void visit(int64_t order) {
+    if (order >= next) *this = {};
+    next = order;
+  }
+  void add(double m, double h, int64_t at) {
+    const auto size = [](double x) { return x < 0.0 ? -x : x; };
+    largest = largest < size(h) ? size(h) : largest;
+    ++steps;
+    if (steps > 1 && !(size(m) > most)) return;
+    most = size(m);
+    step = at;
+  }
 };
 
 // Events at one time are in the order of their worlds, shapes, particles and joints.
@@ -67,6 +100,7 @@ struct MotionCounts {
   float least_approach = std::numeric_limits<float>::infinity();      // m/s, rad/s
   double least_separation = std::numeric_limits<double>::infinity();  // steps, of one tree or body
   MotionEvents events = {};
+  std::shared_ptr<AdjointDrift> drift = {};  // null: nobody measures some
 
   NOVAPHY_DYNAMICS_API void add(const std::shared_ptr<MotionEvent>& event);
 };

@@ -58,6 +58,25 @@ Block<T> particle_contact_block(const Vec3<T>& x, const Vec3<T>& start,
   return where(depth > zero, block);
 }
 
+// With H the derivative of the force under its load: c along the slip is 0 beyond eps, and
+// 2 mu ke pen (1 - |u_t|/eps)/eps below.
+template <class T>
+Block<T> particle_contact_stiffness(const Vec3<T>& x, const Vec3<T>& start,
+                                    const ParticleContact<T>& c) {
+  using namespace math;
+  const T zero = T(0.0f), one = T(1.0f);
+  const Vec3<T> u = (x - start) - c.travel, ut = u - c.normal * dot(c.normal, u);
+  const T load = (c.mu * c.ke) * max(zero, c.radius - dot(c.normal, x - c.point));
+  const T squared = dot(ut, ut), slip = sqrt(squared);
+  const auto slides = slip > c.slip;
+  // (c along the slip - c) / |u_t|^2
+  const T less = select(slides, -(one / (squared * select(slides, slip, one))),
+                        -(one / ((c.slip * c.slip) * max(slip, c.slip * T(1e-6f)))));
+  Block<T> block = particle_contact_block(x, start, c);
+  add_outer(block, load * less, ut);
+  return block;
+}
+
 // `load` is ke pen_0, see above.
 template <class T>
 T particle_contact_load(const Vec3<T>& x, const ParticleContact<T>& c) {

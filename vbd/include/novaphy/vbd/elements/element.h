@@ -12,7 +12,7 @@
 // derivative (math/dual.h), or is an expression (tools/vbd_adjoints).
 #pragma once
 
-#include "novaphy/vbd/block_law.h"
+#include "novaphy/vbd/stiffness_law.h"
 
 namespace novaphy::vbd {
 
@@ -24,7 +24,9 @@ constexpr int kMostArrays = 4, kMostSlots = 2;  // of parameters and of slots of
 // The base of the struct of an element, with what holds where the struct says nothing. The struct
 // also has kLawFloats and kStartFloats, the numbers of the law and of the start; kDampingParameter;
 // block(in, damped) and energy(in); put_start(in, put) and put_numbers(corner, parameters, h, put),
-// which call put(k, value) for the k-th number of the start and of the slot.
+// which call put(k, value) for the k-th number of the start and of the slot. With more than two
+// corners the struct has stiffness(in, damped, put). The function calls put(k, H) with the
+// stiffness (stiffness_law.h) between the own corner and itself (k = 0) or the k-th other one.
 template <int corners>
 struct ElementOf {
   static constexpr int kCorners = corners;
@@ -33,6 +35,7 @@ struct ElementOf {
   static constexpr int kSlots = 1, kSlot = 0;     // slots of the element, and which one this is
   static constexpr bool kIsOuter = false;         // summed with contacts, before the inertia
   static constexpr bool kIsAlwaysDamped = false;  // else without damping where all of it is 0
+  static constexpr bool kResistsTurns = false;  // H of block() holds more than that of stiffness()
   static constexpr bool kMayLackCorners = false;
   static constexpr const char* kUnread = "";  // the columns of its material that no force reads
   // Derivatives are 0 where is_defined(in) does not hold.

@@ -48,6 +48,18 @@ struct Hinge : ElementOf<4> {
     const S pi = S(0x1.921fb6p+1f), turn = S(0x1.921fb6p+2f);
     return select(angle > pi, angle - turn, select(angle < -pi, angle + turn, angle));
   }
+  // dth/dx of an opposite vertex, whose triangle has the unit normal n of length N, and of the end
+  // x2 of the edge.
+  template <class S>
+  static Vec3<S> turning_of_opposite(const Vec3<S>& n, const S& n_length, const math::Hinge<S>& h) {
+    return n * (-(h.e_length / n_length));
+  }
+  template <class S>
+  static Vec3<S> turning_of_end(const math::Hinge<S>& h, const Vec3<S>& x0, const Vec3<S>& x1,
+                                const Vec3<S>& x3) {
+    return h.n1 * (math::dot(x3 - x0, h.e) / h.n1_length) +
+           h.n2 * (math::dot(x3 - x1, h.e) / h.n2_length);
+  }
   template <class T, class Put>
   static void put_numbers(int, const T* p, const T& h, const Put& put) {
     put(0, p[0] * p[3]);
@@ -90,6 +102,27 @@ struct HingeSlot : Hinge {
     const S energy = S(0.5f) * ((in.numbers[0] * bent) * bent + (in.numbers[1] * moved) * moved);
     return select(is_defined_by(h), energy, S(0.0f));
   }
+  // H of block() between the own corner and all.
+  template <class In, class Put>
+  static void stiffness(const In& in, bool, const Put& put) {
+    using math::select;
+    using S = typename In::Scalar;
+    const math::Hinge<S> h = Slot::hinge(in);
+    const auto defined = is_defined_by(h);
+    Vec3<S> t[4];  // by vertex; the angle does not change where all move alike
+    t[0] = turning_of_opposite(h.n1, h.n1_length, h);
+    t[1] = turning_of_opposite(h.n2, h.n2_length, h);
+    t[2] = Slot::turning_of_x2(in, h);
+    t[3] = -((t[0] + t[1]) + t[2]);
+    const S k = in.numbers[0] + in.numbers[1];
+    for (Vec3<S>& turning : t) turning = select(defined, turning, Vec3<S>{});
+    for (int c = 0; c < 4; ++c) {
+      Mat33<S> row;
+      add_outer(row, k, t[Slot::kVertex],
+                t[c == 0 ? Slot::kVertex : other_corner(Slot::kVertex, c - 1)]);
+      put(c, row);
+    }
+  }
   template <class In, class Put>
   static void put_start(const In& in, const Put& put) {
     put(0, Slot::hinge(in).angle);
@@ -97,27 +130,34 @@ struct HingeSlot : Hinge {
 };
 // The opposite vertex x0.
 struct HingeOpposite : HingeSlot<HingeOpposite> {
+  static constexpr int kVertex = 0;
   template <class In>
   static auto hinge(const In& in) {
     return math::make_hinge(in.own, in.others[0], in.others[1], in.others[2]);
   }
   template <class In, class S>
   static auto turning(const In&, const math::Hinge<S>& h) {
-    return h.n1 * (-(h.e_length / h.n1_length));
+    return turning_of_opposite(h.n1, h.n1_length, h);
+  }
+  template <class In, class S>
+  static auto turning_of_x2(const In& in, const math::Hinge<S>& h) {
+    return turning_of_end(h, in.own, in.others[0], in.others[2]);
   }
 };
 // The end x2 of the edge.
 struct HingeEnd : HingeSlot<HingeEnd> {
-  static constexpr int kSlot = 1;
+  static constexpr int kSlot = 1, kVertex = 2;
   template <class In>
   static auto hinge(const In& in) {
     return math::make_hinge(in.others[0], in.others[1], in.own, in.others[2]);
   }
   template <class In, class S>
   static auto turning(const In& in, const math::Hinge<S>& h) {
-    const auto& x = in.others;
-    return h.n1 * (math::dot(x[2] - x[0], h.e) / h.n1_length) +
-           h.n2 * (math::dot(x[2] - x[1], h.e) / h.n2_length);
+    return turning_of_end(h, in.others[0], in.others[1], in.others[2]);
+  }
+  template <class In, class S>
+  static auto turning_of_x2(const In& in, const math::Hinge<S>& h) {
+    return turning(in, h);
   }
 };
 

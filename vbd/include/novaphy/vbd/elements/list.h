@@ -84,9 +84,30 @@ struct SlotInputs {
   Vec3<S> own, others[kOthers[role]];
   Numbers numbers;
 };
-template <Role role, class S, class N>
+// `turns`: with H of stiffness_of.
+template <bool turns = false, Role role, class S, class N>
 Block<S> block_of(const SlotInputs<role, S, N>& in, bool damped) {
-  return SlotOf<role>::block(in, damped);
+  if constexpr (turns && SlotOf<role>::kResistsTurns) {
+    return SlotOf<role>::template block<true>(in, damped);
+  } else {
+    return SlotOf<role>::block(in, damped);
+  }
+}
+
+// Calls put(k, H) for the stiffness between the own corner and itself (k = 0) or the k-th other
+// one.
+template <Role role, class S, class N, class Put>
+void stiffness_of(const SlotInputs<role, S, N>& in, bool damped, const Put& put) {
+  if constexpr (kOthers[role] == 1) {  // a force along the line between two points
+    const Mat33<S> h = stiffness_matrix(block_of(in, damped));
+    Mat33<S> minus;
+    for (int r = 0; r < 3; ++r)
+      for (int c = 0; c < 3; ++c) minus.m[r][c] = -h.m[r][c];
+    put(0, h);
+    put(1, minus);
+  } else {
+    SlotOf<role>::stiffness(in, damped, put);
+  }
 }
 
 // Calls body(parameter, array, index in the array) for the parameters of an element.

@@ -8,6 +8,10 @@
 //   E = V [ mu/2 (tr C - 3) + ln/2 (J - alpha)^2 ] + V kd/(2h) sum_pq (C_pq - Cn_pq)^2
 //   f = -V [ mu F m + ln (J - alpha) cof F m ] - damping
 //   H = V [ mu |m|^2 I + ln (cof F m)(cof F m)^T ] + damping's
+// The stiffness between the corners k and l, with d.([v] e) = v.(d x e) and s = ln (J - alpha):
+//   H_kl = V [ mu m_k.m_l I + ln (cof F m_k)(cof F m_l)^T + s' [F (m_k x m_l)] ] + damping's
+// s' is s within bounds that keep H positive semidefinite: with the largest stretch S of F,
+// -min(mu/S, ln max(J, 0)) and mu/(2 S). S^2 is bounded by the largest row sum of |C|.
 // H is the exact second derivative of the elastic E, positive definite for every shape, inverted
 // ones too, because J is linear in one corner. The damping's part is its Gauss-Newton one. Symbols:
 // x (m), w (1/m), V = volume at rest (m^3), mu, lam (Pa), kd (Pa*s), act (1): activation, added to
@@ -96,6 +100,53 @@ struct Tetrahedron : ElementOf<4> {
       add_outer(block, weight, e[k]);
     }
     return block;
+  }
+  // s within its bounds.
+  template <class S>
+  static S bounded(const S& s, const S& mu, const S& ln, const S& j, const Strain<S>& strain) {
+    using namespace math;
+    const auto& c = strain.c;
+    const S shear[3] = {max(c[3], -c[3]), max(c[4], -c[4]), max(c[5], -c[5])};
+    const S squared = max((c[0] + shear[0]) + shear[1],
+                          max((c[1] + shear[0]) + shear[2], (c[2] + shear[1]) + shear[2]));
+    const S most = mu / sqrt(max(squared, S(1e-12f)));
+    return max(min(s, S(0.5f) * most), -min(most, ln * max(j, S(0.0f))));
+  }
+  template <class In, class Put>
+  static void stiffness(const In& in, bool damped, const Put& put) {
+    using namespace math;
+    using S = typename In::Scalar;
+    const auto& n = in.numbers;
+    const Columns<S> columns_of_f = columns(in);
+    const auto& f = columns_of_f.f;
+    const S mu = n[9], ln = n[10], two = S(2.0f);
+    Vec3<S> m[4] = {{}, {n[0], n[1], n[2]}, {n[3], n[4], n[5]}, {n[6], n[7], n[8]}};
+    m[0] = -((m[1] + m[2]) + m[3]);
+    const Vec3<S> c0 = cross(f[1], f[2]), c1 = cross(f[2], f[0]), c2 = cross(f[0], f[1]);
+    const S j = dot(f[0], c0);
+    const S s = bounded(ln * (j - n[11]), mu, ln, j, strain(columns_of_f));
+    const Vec3<S> dj = (c0 * m[0].x + c1 * m[0].y) + c2 * m[0].z;
+    for (int k = 0; k < 4; ++k) {
+      const Vec3<S>& w = m[k];
+      Mat33<S> row;
+      add_identity(row, mu * dot(m[0], w));
+      add_outer(row, ln, dj, (c0 * w.x + c1 * w.y) + c2 * w.z);
+      const Vec3<S> turn = cross(m[0], w) * s;
+      add_turn(row, (f[0] * turn.x + f[1] * turn.y) + f[2] * turn.z);
+      if (damped) {
+        const auto strained = [&](const Vec3<S>& of, int e) {
+          return e == 0   ? f[0] * (two * of.x)
+                 : e == 1 ? f[1] * (two * of.y)
+                 : e == 2 ? f[2] * (two * of.z)
+                 : e == 3 ? f[0] * of.y + f[1] * of.x
+                 : e == 4 ? f[0] * of.z + f[2] * of.x
+                          : f[1] * of.z + f[2] * of.y;
+        };
+        for (int e = 0; e < 6; ++e)
+          add_outer(row, e < 3 ? n[12] : two * n[12], strained(m[0], e), strained(w, e));
+      }
+      put(k, row);
+    }
   }
   template <class In>
   static auto energy(const In& in) {

@@ -14,6 +14,10 @@
 //   dJ = g0 a + g1 b, w = f1 a - f0 b, r = max(0, s)/J
 // H is the second derivative of the elastic E where s >= 0 and positive semidefinite everywhere;
 // the damping's part is its Gauss-Newton one. A rotation is not damped.
+// The stiffness between the corners k and l, with d.([v] e) = v.(d x e) and w_k = f1 a_k - f0 b_k:
+//   H_kl = A [ mu (a_k a_l + b_k b_l) I + ln dJ_k dJ_l^T + max(s/J, -mu/S^2) (w_k.w_l) n n^T
+//              + clamp(s, -mu, mu) (a_k b_l - a_l b_k) [n] ] + damping's
+// S is the larger stretch of F. At the bounds an eigenvalue is 0.
 // Symbols: x (m), w (1/m), A = area at rest (m^2), mu, lam (N/m: ke and ka of
 // particle_tri_material), kd (N*s/m), act (1): activation, added to the relative area.
 //
@@ -37,6 +41,7 @@ namespace novaphy::vbd {
 struct Triangle : ElementOf<3> {
   static constexpr int kWeights = 4, kLawFloats = 4, kStartFloats = 3;
   static constexpr int kDampingParameter = 7, kActivated = 6;
+  static constexpr bool kResistsTurns = true;
   static constexpr const char* kUnread = "drag and lift";
   NOVAPHY_VBD_ELEMENT(particle_tri_indices, NOVAPHY_VBD_TRIANGLE_PARAMETERS)
   template <class M>
@@ -72,8 +77,19 @@ struct Triangle : ElementOf<3> {
     return sqrt(max(math::dot(normal, normal), S(1e-20f)));
   }
 
-  // `damped` false leaves the terms of kd out, which are 0 then.
-  template <class In>
+  // The stiffness across the membrane, over (w_k.w_l): s/J within its bound.
+  template <class S>
+  static S across(const Columns<S>& f, const S& s_by_j, const S& mu) {
+    using math::max, math::sqrt;
+    const auto [c00, c01, c11] = strain(f);
+    const S half = S(0.5f), apart = half * (c00 - c11);
+    const S largest = half * (c00 + c11) + sqrt(apart * apart + c01 * c01);
+    return max(s_by_j, -(mu / max(largest, S(1e-20f))));
+  }
+
+  // `damped` false leaves the terms of kd out, which are 0 then. `turns`: H is that of stiffness(),
+  // with r = max(s/J, -mu/S^2).
+  template <bool turns = false, class In>
   static auto block(const In& in, bool damped) {
     using namespace math;
     using S = typename In::Scalar;
@@ -89,7 +105,7 @@ struct Triangle : ElementOf<3> {
     const S s = ln * (j - numbers[6]);
     const Vec3<S> dj = cross(f1, n) * a + cross(n, f0) * b;
     const Vec3<S> w = f1 * a - f0 * b;
-    const S r = max(zero, s) / j;
+    const S r = turns ? across(c, s / j, mu) : max(zero, s) / j;
     Block<S> block;
     block.f = -((f0 * a + f1 * b) * mu + dj * s);
     add_identity(block, mu * (a * a + b * b) + r * dot(w, w));
@@ -106,6 +122,38 @@ struct Triangle : ElementOf<3> {
     add_outer(block, k2, e01);
     add_outer(block, k, e11);
     return block;
+  }
+  template <class In, class Put>
+  static void stiffness(const In& in, bool damped, const Put& put) {
+    using namespace math;
+    using S = typename In::Scalar;
+    const auto& numbers = in.numbers;
+    const S mu = numbers[4], ln = numbers[5], two = S(2.0f);
+    const Columns<S> c = columns(in);
+    const auto& [f0, f1] = c;
+    const Vec3<S> m = cross(f0, f1);
+    const S j = area_ratio(m);
+    const Vec3<S> n = m / j, g0 = cross(f1, n), g1 = cross(n, f0);
+    const S a[3] = {-(numbers[0] + numbers[2]), numbers[0], numbers[2]};
+    const S b[3] = {-(numbers[1] + numbers[3]), numbers[1], numbers[3]};
+    const S s = ln * (j - numbers[6]);
+    const S tension = across(c, s / j, mu);
+    const S within = max(min(s, mu), -mu);
+    const Vec3<S> dj = g0 * a[0] + g1 * b[0], w = f1 * a[0] - f0 * b[0];
+    for (int k = 0; k < 3; ++k) {
+      Mat33<S> row;
+      add_identity(row, mu * (a[0] * a[k] + b[0] * b[k]));
+      add_outer(row, ln, dj, g0 * a[k] + g1 * b[k]);
+      add_outer(row, tension * dot(w, f1 * a[k] - f0 * b[k]), n, n);
+      add_turn(row, n * (within * (a[0] * b[k] - a[k] * b[0])));
+      if (damped) {
+        const S kd = numbers[7];
+        add_outer(row, kd, f0 * (two * a[0]), f0 * (two * a[k]));
+        add_outer(row, two * kd, f1 * a[0] + f0 * b[0], f1 * a[k] + f0 * b[k]);
+        add_outer(row, kd, f1 * (two * b[0]), f1 * (two * b[k]));
+      }
+      put(k, row);
+    }
   }
   template <class In>
   static auto energy(const In& in) {

@@ -23,6 +23,12 @@ VbdInitialGuess to_guess(const std::string& name) {
        "initial_guess: expected \"inertia\", \"previous\" or \"adaptive\", got \"", name, "\"");
 }
 
+bool to_coarse(const std::optional<std::string>& name) {
+  require(!name || *name == "auto", ErrorKind::Value, "coarse: expected \"auto\" or None, got \"",
+          name.value_or(""), "\"");
+  return name.has_value();
+}
+
 constexpr char kKinematicCountDoc[] = "The number of kinematic particles: the rows of targets.";
 constexpr char kHeldCountDoc[] = "The old name of kinematic_count. DeprecationWarning.";
 
@@ -71,20 +77,27 @@ VbdGradientOptions to_gradient_options(const std::string& gradient,
   return options;
 }
 
+auto to_info(const diff::DiffSolverVBD& s) {
+  const diff::DiffVbdGradientInfo i = s.gradient_info();
+  return to_fields(i, py::dict("primal"_a = i.primal, "linear_residual"_a = i.linear_residual,
+                               "linear_sweeps"_a = i.linear_sweeps, "converged"_a = i.converged));
+}
+
 void bind_diff_vbd(py::module_& solvers) {
   using diff::DiffSolverVBD, diff::DiffVbdOptions;
   const DiffVbdOptions d;
   py::class_<DiffSolverVBD, SolverBase>(solvers, "DiffSolverVBD", doc::kDiffVbd)
       .def(py::init(
                [](const std::shared_ptr<Model>& model, int32_t iterations, float friction_epsilon,
-                  const std::string& initial_guess, float lhs_regularization,
-                  const std::string& gradient, std::optional<float> gradient_tolerance,
-                  std::optional<int32_t> gradient_sweeps, std::optional<int32_t> newton_iterations,
-                  std::optional<bool> allow_unconverged) {
+                  const std::string& initial_guess, const std::optional<std::string>& coarse,
+                  float lhs_regularization, const std::string& gradient,
+                  std::optional<float> gradient_tolerance, std::optional<int32_t> gradient_sweeps,
+                  std::optional<int32_t> newton_iterations, std::optional<bool> allow_unconverged) {
                  return std::make_unique<DiffSolverVBD>(
                      model, DiffVbdOptions{.iterations = iterations,
                                            .friction_epsilon = friction_epsilon,
                                            .initial_guess = to_guess(initial_guess),
+                                           .coarse = to_coarse(coarse),
                                            .lhs_regularization = lhs_regularization,
                                            .gradient = to_gradient_options(
                                                gradient, gradient_tolerance, gradient_sweeps,
@@ -92,10 +105,10 @@ void bind_diff_vbd(py::module_& solvers) {
                }),
            py::arg("model").none(false), py::kw_only(), "iterations"_a = d.iterations,
            "friction_epsilon"_a = d.friction_epsilon, "initial_guess"_a = "inertia",
-           "lhs_regularization"_a = d.lhs_regularization, "gradient"_a = "unrolled",
-           "gradient_tolerance"_a = py::none(), "gradient_sweeps"_a = py::none(),
-           "newton_iterations"_a = py::none(), "allow_unconverged"_a = py::none(),
-           doc::kDiffVbdInit)
+           "coarse"_a = py::none(), "lhs_regularization"_a = d.lhs_regularization,
+           "gradient"_a = "unrolled", "gradient_tolerance"_a = py::none(),
+           "gradient_sweeps"_a = py::none(), "newton_iterations"_a = py::none(),
+           "allow_unconverged"_a = py::none(), doc::kDiffVbdInit)
       .def_property_readonly(
           "iterations", [](const DiffSolverVBD& s) { return s.options().iterations; },
           "Sweeps over all colors in a step.")
@@ -107,15 +120,7 @@ void bind_diff_vbd(py::module_& solvers) {
           "\"unrolled\" or \"implicit\".")
       .def_property_readonly("kinematic_count", &DiffSolverVBD::kinematic_count, kKinematicCountDoc)
       .def_property_readonly("held_count", &old_kinematic_count<DiffSolverVBD>, kHeldCountDoc)
-      .def(
-          "gradient_info",
-          [](const DiffSolverVBD& s) {
-            const diff::DiffVbdGradientInfo i = s.gradient_info();
-            return to_fields(
-                i, py::dict("primal"_a = i.primal, "linear_residual"_a = i.linear_residual,
-                            "linear_sweeps"_a = i.linear_sweeps, "converged"_a = i.converged));
-          },
-          doc::kDiffVbdInfo)
+      .def("gradient_info", &to_info, doc::kDiffVbdInfo)
       .def("clear_gradient_info", &DiffSolverVBD::clear_gradient_info,
            "Resets the counts of gradient_info.")
       .def("reset", &DiffSolverVBD::reset, release_gil(),
@@ -135,9 +140,7 @@ void bind_diff_vbd(py::module_& solvers) {
 }
 #endif
 
-}  // namespace
-
-void bind_vbd(py::module_& solvers) {
+void bind_residual(py::module_& solvers) {
   py::class_<VbdResidual>(solvers, "VbdResidual", "The residual of a step of SolverVBD.")
       .def_readonly("force", &VbdResidual::force,
                     "N: norm of the force on all particles that move, inertia included.")
@@ -147,7 +150,12 @@ void bind_vbd(py::module_& solvers) {
       .def_readonly("floor", &VbdResidual::floor,
                     "The change of relative by one rounding of the positions.")
       .def_readonly("iterations", &VbdResidual::iterations, "The number of iterations that ran.");
+}
 
+}  // namespace
+
+void bind_vbd(py::module_& solvers) {
+  bind_residual(solvers);
   const VbdOptions d;
   py::class_<SolverVBD, SolverBase>(
       solvers, "SolverVBD",
@@ -161,7 +169,8 @@ void bind_vbd(py::module_& solvers) {
       .def(py::init([](const std::shared_ptr<Model>& model, int32_t iterations,
                        float friction_epsilon, const std::string& initial_guess,
                        std::optional<float> acceleration, std::optional<float> tolerance,
-                       bool safeguard, float lhs_regularization) {
+                       bool safeguard, const std::optional<std::string>& coarse,
+                       float lhs_regularization) {
              return std::make_unique<SolverVBD>(
                  model, VbdOptions{.iterations = iterations,
                                    .friction_epsilon = friction_epsilon,
@@ -169,12 +178,13 @@ void bind_vbd(py::module_& solvers) {
                                    .acceleration = acceleration,
                                    .tolerance = tolerance,
                                    .safeguard = safeguard,
+                                   .coarse = to_coarse(coarse),
                                    .lhs_regularization = lhs_regularization});
            }),
            py::arg("model").none(false), py::kw_only(), "iterations"_a = d.iterations,
            "friction_epsilon"_a = d.friction_epsilon, "initial_guess"_a = "inertia",
            "acceleration"_a = py::none(), "tolerance"_a = py::none(), "safeguard"_a = d.safeguard,
-           "lhs_regularization"_a = d.lhs_regularization, doc::kVbdInit)
+           "coarse"_a = py::none(), "lhs_regularization"_a = d.lhs_regularization, doc::kVbdInit)
       .def_property_readonly(
           "iterations", [](const SolverVBD& s) { return s.options().iterations; },
           "Sweeps over all colors in a step.")
@@ -196,6 +206,9 @@ void bind_vbd(py::module_& solvers) {
       .def_property_readonly(
           "safeguard", [](const SolverVBD& s) { return s.options().safeguard; },
           "Whether steps are halved while the energy rises.")
+      .def_property_readonly(
+          "coarse", [](const SolverVBD& s) { return s.options().coarse ? "auto" : nullptr; },
+          "\"auto\" or None.")
       .def_property_readonly(
           "lhs_regularization", [](const SolverVBD& s) { return s.options().lhs_regularization; },
           "The regularization of nearly singular blocks.")

@@ -28,7 +28,8 @@ gradient_sweeps: 200; at most for a linear system.
 newton_iterations: 30; at most for a step.
 allow_unconverged: False: a novaphy.Error names what is not solved. True: gradient_info() says it.
 
-Errors are those of SolverVBD. ValueError: one of these options with "unrolled".)";
+Errors are those of SolverVBD. ValueError: one of these options with "unrolled".
+NotImplementedError: coarse="auto" with gradient="unrolled".)";
 
 inline constexpr char kDiffVbdInfo[] =
     R"(Returns the GradientInfo of the last chain of steps on a tape, after a backward or jvp. The
@@ -54,6 +55,8 @@ as acted in the last step).
 acceleration: Chebyshev's, by a spectral radius in (0, 1).
 tolerance: ends a step when residual().relative is at most this.
 safeguard: halves the step of a particle while its energy rises.
+coarse: "auto": a step on smooth fields follows each iteration, for errors that span many particles.
+None: iterations alone. Not together with acceleration.
 
 ValueError: a bad option, particles without a color, a negative or NaN material.
 NotImplementedError: names what is not covered.)";

@@ -112,7 +112,8 @@ TEST(StepAllocations, FeatherstoneTakesNone) {
 TEST(StepAllocations, VbdTakesNone) {
   for (const VbdOptions& options :
        {VbdOptions{}, VbdOptions{.acceleration = 0.9f},
-        VbdOptions{.initial_guess = VbdInitialGuess::Adaptive}, VbdOptions{.tolerance = 1e-3f}}) {
+        VbdOptions{.initial_guess = VbdInitialGuess::Adaptive}, VbdOptions{.tolerance = 1e-3f},
+        VbdOptions{.coarse = true}}) {
     Scene scene(EverythingScene::builder());
     SolverVBD solver(scene.model, options);
     EXPECT_EQ(scene.of_steps(solver), 0);

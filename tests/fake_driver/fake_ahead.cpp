@@ -27,6 +27,7 @@ const char* joint_coordinates_kernels_source();
 #ifdef FAKE_DRIVER_HAS_VBD
 const char* vbd_kernels_source();
 const char* vbd_adjoint_kernels_source();
+const char* vbd_coarse_kernels_source();
 const char* vbd_gradient_kernels_source();
 const char* vbd_tangent_kernels_source();
 #endif
@@ -54,6 +55,7 @@ AheadData ahead_data() {
 #ifdef FAKE_DRIVER_HAS_VBD
         detail::vbd_kernels_source,
         detail::vbd_adjoint_kernels_source,
+        detail::vbd_coarse_kernels_source,
         detail::vbd_gradient_kernels_source,
         detail::vbd_tangent_kernels_source,
 #endif

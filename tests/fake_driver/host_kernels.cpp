@@ -180,6 +180,9 @@ namespace vbd_source {
 namespace vbd_adjoint_source {
 #include "vbd_adjoint_kernels.cuh"
 }
+namespace vbd_coarse_source {
+#include "vbd_coarse_kernels.cuh"
+}
 namespace vbd_gradient_source {
 #include "vbd_gradient_kernels.cuh"
 }
@@ -319,6 +322,19 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(vbd_adjoint_source::novaphy, vbd_adjoint_solution_weights),
       OF_TEXT(vbd_adjoint_source::novaphy, vbd_adjoint_start),
       OF_TEXT(vbd_adjoint_source::novaphy, vbd_adjoint_start_weights),
+      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_move),
+      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_rows),
+      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_force),
+      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_outer),
+      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_matrix),
+      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_factor),
+      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_load),
+      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_solve),
+      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_test),
+      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_try),
+      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_take),
+      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_balance),
+      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_shift),
       OF_TEXT(vbd_gradient_source::novaphy, vbd_clear),
       OF_TEXT(vbd_gradient_source::novaphy, vbd_keep),
       OF_TEXT(vbd_gradient_source::novaphy, vbd_adjoint_begin),

@@ -81,6 +81,7 @@ void step_vbd(const std::string& options, novaphy::Device device) {
   VbdOptions o = {.iterations = 7};
   const auto has = [&](const char* word) { return options.find(word) != std::string::npos; };
   if (has("safeguard")) o.safeguard = true;
+  if (has("coarse")) o.coarse = true;
   if (has("acceleration")) o.acceleration = 0.7f;
   if (has("previous")) o.initial_guess = VbdInitialGuess::Previous;
   if (has("adaptive")) o.initial_guess = VbdInitialGuess::Adaptive;

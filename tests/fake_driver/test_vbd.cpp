@@ -29,7 +29,7 @@ TEST_P(VbdDeviceOptions, HaveTheBitsOfTheCpu) {
   EXPECT_EQ(probe("", std::string("vbd-") + GetParam()), kSame);
 }
 INSTANTIATE_TEST_SUITE_P(Options, VbdDeviceOptions,
-                         ::testing::Values("safeguard", "acceleration", "previous"));
+                         ::testing::Values("safeguard", "acceleration", "previous", "coarse"));
 
 TEST(VbdDevice, TheAdaptiveGuessKeepsItsVelocityOnTheDevice) {
   EXPECT_EQ(probe("", "vbd-adaptive"),

@@ -244,6 +244,9 @@ ROWS = {
     "`safeguard`": Row(
         forward(safeguard=True), option_gradient(safeguard=True), {"safeguard": True}
     ),
+    "`coarse": Row(
+        forward(coarse="auto"), option_gradient(coarse="auto"), {"coarse": "auto"}
+    ),
     "`initial_guess": Row(
         forward(initial_guess="adaptive"),
         gradients(("particle_mass", "gravity"), initial_guess="adaptive"),

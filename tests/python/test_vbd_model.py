@@ -195,6 +195,7 @@ OPTIONS = {
     "acceleration": 0.5,
     "tolerance": 0.5,
     "safeguard": True,
+    "coarse": "auto",
     "lhs_regularization": 0.1,
 }
 

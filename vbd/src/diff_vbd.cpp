@@ -40,6 +40,7 @@ DiffSolverVBD::DiffSolverVBD(std::shared_ptr<const Model> model, const DiffVbdOp
           VbdOptions{.iterations = options.iterations,
                      .friction_epsilon = options.friction_epsilon,
                      .initial_guess = options.initial_guess,
+                     .coarse = options.coarse,
                      .lhs_regularization = options.lhs_regularization},
           options.gradient)) {
   if (looks_back())

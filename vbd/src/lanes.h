@@ -109,7 +109,8 @@ void of_sweep(const VbdSweepArguments&, const LaneGroup<Lanes>& g) {
 }
 
 // Of the other files of the level: see SweepLevel.
-GroupKernel adjoint, adjoint_start, tangent, tangent_start;
+GroupKernel adjoint, adjoint_start, tangent, tangent_start, coarse_move, coarse_rows, coarse_force,
+    coarse_outer;
 
 }  // namespace NOVAPHY_LEVEL
 }  // namespace novaphy::vbd

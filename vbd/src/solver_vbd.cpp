@@ -30,6 +30,10 @@ void check_options(const VbdOptions& o) {
             "tolerance: expected a finite number > 0, or none, got ", *o.tolerance);
   require(!o.safeguard || !o.acceleration, ErrorKind::Value, name,
           "safeguard: expected no acceleration besides, which may raise the energy");
+  require(!o.coarse || !o.acceleration, ErrorKind::Value, name,
+          "coarse: expected no acceleration besides, got ", o.acceleration.value_or(0.0f));
+  require(!o.coarse || !o.safeguard, ErrorKind::Value, name,
+          "coarse: expected safeguard False besides, got True");
   require(std::isfinite(o.lhs_regularization) && o.lhs_regularization >= 0.0f, ErrorKind::Value,
           name, "lhs_regularization: expected a finite number >= 0, got ", o.lhs_regularization);
 }

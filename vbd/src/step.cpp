@@ -102,6 +102,7 @@ void Step::build() {
             "]: expected -1 to ", m.world_count() - 1, ", got ", w);
   }
   slots_.build(m, lanes_on(device()));
+  if (options_.coarse) coarse_.emplace(m, slots_, device());
   ++builds_;
   is_held_ = upload<int32_t>(slots_.held_flags(), device());
   held_ = upload<int32_t>(slots_.held(), device());
@@ -177,7 +178,8 @@ int64_t Step::find_mover() const {
   const std::string_view wanted = variable != nullptr ? variable : "";
   require(wanted.empty() || wanted == "thread" || wanted == "team", ErrorKind::Value,
           "NOVAPHY_VBD_SWEEP: expected thread or block_groups, got '", wanted, "'");
-  return options_.safeguard || wanted == "thread" ? 0 : tables_->block_groups;
+  return options_.safeguard || coarse() != nullptr || wanted == "thread" ? 0
+                                                                         : tables_->block_groups;
 }
 
 // Writes activations into the slots, where they do not hold them.

@@ -9,6 +9,7 @@
 #include <span>
 #include <vector>
 
+#include "coarse.h"
 #include "color_slots.h"
 #include "novaphy/core/sim/derived_fields.h"
 #include "novaphy/core/sim/edited_values.h"
@@ -67,6 +68,8 @@ class Step {
   Device device() const { return model_.device(); }
   bool on_cpu() const { return on_cpu_; }
   const ColorSlots& slots() const { return slots_; }
+  // The coarse correction; null: not wanted, or no two particles that move share an element.
+  const Coarse* coarse() const { return coarse_ && coarse_->systems() > 0 ? &*coarse_ : nullptr; }
   const std::vector<int64_t>& colors() const { return slots_.color_begin(); }
   uint64_t builds() const { return builds_; }    // of the slots
   uint64_t version() const { return version_; }  // of the memory of launches
@@ -165,6 +168,7 @@ class Step {
   std::vector<const Array*> read_;  // the arrays of both
   size_t of_elements_ = 0;          // of the values
   ColorSlots slots_;
+  std::optional<Coarse> coarse_;
   uint64_t builds_ = 0, version_ = 0;
   std::optional<Tables> tables_;
   std::optional<StepList> lists_[2][2][2];  // with contacts, damping, iterates

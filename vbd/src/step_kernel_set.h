@@ -7,6 +7,7 @@
 #include "novaphy/core/device_kernel.h"
 #include "sweep.h"
 #include "vbd_adjoint_kernels.h"
+#include "vbd_coarse_kernels.h"
 #include "vbd_gradient_kernels.h"
 #include "vbd_kernels.h"
 #include "vbd_tangent_kernels.h"
@@ -14,6 +15,7 @@
 namespace novaphy::detail {
 const char* vbd_kernels_source();
 const char* vbd_adjoint_kernels_source();
+const char* vbd_coarse_kernels_source();
 const char* vbd_gradient_kernels_source();
 const char* vbd_tangent_kernels_source();
 }  // namespace novaphy::detail
@@ -30,7 +32,8 @@ void run_level(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {
   (sweep_level_of(sweep.lanes).*of)(words, n, begin, end);
 }
 static_assert(offsetof(VbdAdjointArguments, sweep) == 0 &&
-              offsetof(VbdTangentArguments, sweep) == 0);
+              offsetof(VbdTangentArguments, sweep) == 0 &&
+              offsetof(VbdCoarseArguments, sweep) == 0);
 template <class A>
 constexpr RowKernel<A> with_rows(RowKernel<A> kernel, GroupKernel* rows) {
   kernel.rows = rows;
@@ -89,6 +92,20 @@ struct Kernels {
   NOVAPHY_LEVEL_KERNEL_OF(vbd_tangent, tangent, tangent)
   NOVAPHY_LEVEL_KERNEL_OF(vbd_tangent, tangent_start, tangent_start)
   NOVAPHY_KERNEL_OF(vbd_tangent, tangent_move)
+
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_coarse, coarse_move, coarse_move)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_coarse, coarse_rows, coarse_rows)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_coarse, coarse_force, coarse_force)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_coarse, coarse_outer, coarse_outer)
+  NOVAPHY_KERNEL_OF(vbd_coarse, coarse_matrix)
+  NOVAPHY_KERNEL_OF(vbd_coarse, coarse_factor)
+  NOVAPHY_KERNEL_OF(vbd_coarse, coarse_load)
+  NOVAPHY_KERNEL_OF(vbd_coarse, coarse_solve)
+  NOVAPHY_KERNEL_OF(vbd_coarse, coarse_test)
+  NOVAPHY_KERNEL_OF(vbd_coarse, coarse_try)
+  NOVAPHY_KERNEL_OF(vbd_coarse, coarse_take)
+  NOVAPHY_KERNEL_OF(vbd_coarse, coarse_balance)
+  NOVAPHY_KERNEL_OF(vbd_coarse, coarse_shift)
 #undef NOVAPHY_KERNEL_OF
 #undef NOVAPHY_LEVEL_KERNEL_OF
 };

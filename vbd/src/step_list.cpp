@@ -6,7 +6,7 @@ namespace novaphy::vbd {
 namespace {
 
 // Rows that a thread of the CPU takes at a time.
-constexpr int64_t kParticleRows = 512, kLaneRows = 64;
+constexpr int64_t kParticleRows = 512, kLaneRows = 64, kMatrixRows = 4096;
 constexpr int64_t kBlockThreads = 128;
 
 }  // namespace
@@ -19,6 +19,7 @@ int64_t block_threads(int64_t groups, int64_t block_groups) {
 void StepList::add_moves(const Step& step) {
   const int64_t block_groups = step.block_groups();
   const Kernel<VbdSweepArguments>& move = block_groups != 0          ? kernels().move_by_blocks
+                                          : step.coarse() != nullptr ? kernels().coarse_move
                                           : step.options().safeguard ? kernels().move_guarded
                                                                      : kernels().move;
   for (size_t c = 0; c + 1 < step.colors().size(); ++c) {
@@ -37,6 +38,45 @@ void StepList::add_moves(const Step& step) {
   }
 }
 
+void StepList::add_coarse_matrices(const Step& step) {
+  const Coarse& coarse = *step.coarse();
+  const int64_t groups = step.colors().back();
+  const VbdCoarseArguments a = coarse.arguments(step.sweep(0, groups), 0);
+  list_.add(kernels().clear, static_cast<int64_t>(coarse.matrix().rows()),
+            {.values = coarse.matrix()}, kMatrixRows);
+  list_.add(kernels().coarse_rows, groups * step.slots().lanes(), a, kLaneRows);
+  list_.add(kernels().coarse_matrix, coarse.pairs(), a, kLaneRows);
+  list_.add(kernels().coarse_factor, coarse.systems(), a, 1);
+}
+
+// A step of each system, as long as it turns out to be.
+void StepList::add_coarse_step(const Step& step) {
+  const Coarse& coarse = *step.coarse();
+  const int64_t groups = step.colors().back(), n = step.model().particle_count();
+  const VbdSweepArguments sweep = step.sweep(0, groups);
+  const auto add_load = [&](int64_t tests) {
+    const VbdCoarseArguments a = coarse.arguments(sweep, tests);
+    list_.add(kernels().coarse_force, groups * step.slots().lanes(), a, kLaneRows);
+    list_.add(kernels().coarse_load, coarse.functions(), a, kLaneRows);
+    list_.add(tests == 0 ? kernels().coarse_solve : kernels().coarse_test, coarse.systems(), a, 1);
+  };
+  add_load(0);
+  for (int64_t tests = 1; tests <= kVbdCoarseTests; ++tests) {
+    list_.add(kernels().coarse_try, n, coarse.arguments(sweep, tests), kParticleRows);
+    add_load(tests);
+  }
+  list_.add(kernels().coarse_take, n, coarse.arguments(sweep, 0), kParticleRows);
+}
+
+void StepList::add_coarse_balance(const Step& step) {
+  const Coarse& coarse = *step.coarse();
+  const int64_t groups = step.colors().back();
+  const VbdCoarseArguments a = coarse.arguments(step.sweep(0, groups), 0);
+  list_.add(kernels().coarse_outer, groups * step.slots().lanes(), a, kLaneRows);
+  list_.add(kernels().coarse_balance, coarse.systems(), a, kLaneRows);
+  list_.add(kernels().coarse_shift, step.model().particle_count(), a, kParticleRows);
+}
+
 StepList::StepList(const Step& step, const VbdPredictArguments& predict,
                    const VbdFinishArguments& finish, std::span<const DeviceArray<Vec4f>> iterates)
     : list_(step.device()) {
@@ -49,13 +89,17 @@ StepList::StepList(const Step& step, const VbdPredictArguments& predict,
   prepare_ =
       list_.add(kernels().prepare, groups * step.slots().lanes(), step.sweep(0, groups), kLaneRows);
   iterations_.push_back(list_.size());
+  const bool corrects = step.coarse() != nullptr && step.options().iterations > 0;
+  if (corrects) add_coarse_matrices(step);
   for (int32_t k = 1; k <= step.options().iterations; ++k) {
     keep(static_cast<size_t>(k - 1));
     add_moves(step);
     if (step.options().acceleration)
       list_.add(kernels().accelerate, n, step.acceleration(k), kParticleRows);
+    if (corrects) add_coarse_step(step);
     iterations_.push_back(list_.size());
   }
+  if (corrects) add_coarse_balance(step);
   keep(static_cast<size_t>(step.options().iterations));
   finish_ = list_.add(kernels().finish, n, finish, kParticleRows);
   again_ = list_.size();

@@ -35,6 +35,10 @@ class StepList {
 
  private:
   void add_moves(const Step& step);
+  // Of the coarse correction: its matrices, a correction, and the balance of free systems.
+  void add_coarse_matrices(const Step& step);
+  void add_coarse_step(const Step& step);
+  void add_coarse_balance(const Step& step);
 
   LaunchList list_;
   LaunchList::Place<VbdPredictArguments> predict_;

@@ -12,7 +12,7 @@ struct SweepLevel {
   const char* name;
   int lanes;
   GroupKernel *prepare, *move, *move_guarded, *residual, *adjoint, *adjoint_start, *tangent,
-      *tangent_start;
+      *tangent_start, *coarse_move, *coarse_rows, *coarse_force, *coarse_outer;
 };
 
 // The level of NOVAPHY_CPU_ISA, else the best of this processor. ErrorKind::Runtime: the variable

@@ -10,12 +10,16 @@ extern const SweepLevel kLevel;
 const SweepLevel kLevel = {.name = NOVAPHY_LEVEL_NAME,
                            .lanes = LANES,
                            .prepare = kOf<vbd::prepare<Lanes>>,
-                           .move = kOf<vbd::move<false, Lanes>>,
-                           .move_guarded = kOf<vbd::move<true, Lanes>>,
+                           .move = kOf<vbd::move<false, false, Lanes>>,
+                           .move_guarded = kOf<vbd::move<true, false, Lanes>>,
                            .residual = kOf<vbd::residual<Lanes>>,
                            .adjoint = adjoint,
                            .adjoint_start = adjoint_start,
                            .tangent = tangent,
-                           .tangent_start = tangent_start};
+                           .tangent_start = tangent_start,
+                           .coarse_move = coarse_move,
+                           .coarse_rows = coarse_rows,
+                           .coarse_force = coarse_force,
+                           .coarse_outer = coarse_outer};
 
 }  // namespace novaphy::vbd::NOVAPHY_LEVEL

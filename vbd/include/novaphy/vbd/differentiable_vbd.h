@@ -101,7 +101,7 @@ struct VbdGradientInfo {
 // processor.
 class NOVAPHY_VBD_API DifferentiableVbd {
  public:
-  // ErrorKind::NotImplemented: acceleration, tolerance, safeguard.
+  // ErrorKind::NotImplemented: acceleration, tolerance, safeguard; coarse without implicit.
   // ErrorKind::Value: bad options; implicit without an iteration. Other errors as SolverVBD.
   explicit DifferentiableVbd(std::shared_ptr<const Model> model, const VbdOptions& options = {},
                              const VbdGradientOptions& gradient_options = {});

@@ -26,6 +26,9 @@ struct VbdOptions {
   // Halves the step of a particle while the energy of its elements rises, up to four times, then
   // leaves it where it is: the energy of all never rises. Not together with acceleration.
   bool safeguard = false;
+  // After each iteration a step of Galerkin's method (coarse_kernels.h), which takes away errors
+  // that are smooth over many particles. Not together with acceleration and safeguard.
+  bool coarse = false;
   float lhs_regularization = 1e-6f;  // see vbd/block_law.h; finite, >= 0
 };
 

@@ -35,7 +35,7 @@ struct VbdSweepArguments {
                     Number<float> regularization, slip; Number<int64_t> lanes;  // of a group
                     Number<int64_t> damped;                                     // bit of each role
                     Number<int64_t> first_group, end_group,
-                    block_groups;                    // groups of a block: 1 or kVbdLargeBlock
+                    block_groups;            // groups of a block: 1 or kVbdLargeBlock
                     Writes<float> residual;  // of vbd_residual
   )
 };
@@ -76,7 +76,7 @@ struct LaneGroup : LaneAccess<S> {
   using Access = LaneAccess<S>;
   const VbdSweepArguments& a;
   int64_t group;
-  int32_t lane, filled;     // the first; how many are particles
+  int32_t lane, filled;                 // the first; how many are particles
   typename Access::Particles particle;  // of each
   LaneGroup(const VbdSweepArguments& arguments, int64_t row)
       : a(arguments),
@@ -197,15 +197,16 @@ Block<S> contact_blocks(const LaneGroup<S>& g, const Vec3<S>& x) {
 }
 
 // The block of the particles of a group at x, in this order: contacts and outer elements; then
-// inertia and the other elements; then both sums.
-template <class S>
+// inertia and the other elements; then both sums. `turns`: see block_of.
+template <bool turns = false, class S>
 Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x) {
   const VbdRow* const q = g.a.x;
   Block<S> outer = contact_blocks(g, x);
   const auto add = [&](auto is, Block<S>& sum) {
     constexpr Role role = decltype(is)::role;
     const bool damped = g.is_damped(role);
-    for_slots<role>(g, [&](const auto& s) { sum = sum + block_of(inputs_of(s, x, q), damped); });
+    for_slots<role>(
+        g, [&](const auto& s) { sum = sum + block_of<turns>(inputs_of(s, x, q), damped); });
   };
   for_roles_that_are<true>([&](auto is) { add(is, outer); });
   Block<S> block = inertia_block(x, g.at(g.a.target), g.mass_by_h2());
@@ -263,11 +264,11 @@ Vec3<S> guarded_step(const LaneGroup<S>& g, const Vec3<S>& x, Vec3<S> d) {
 }
 
 // One step of each particle.
-template <bool safeguard, class S>
+template <bool safeguard, bool turns, class S>
 void move(const LaneGroup<S>& g) {
   if (g.filled == 0) return;
   const Vec3<S> x = g.at(g.a.x);
-  const Block<S> block = block_at(g, x);
+  const Block<S> block = block_at<turns>(g, x);
   Vec3<S> d = solve_block(factorize(block, S(g.a.regularization.value)), block.f);
   if (safeguard) d = guarded_step(g, x, d);
   const Vec3<S> moved = g.at(g.a.moved) + d;

@@ -1,0 +1,150 @@
+// The coarse correction of VBD, as templates over the scalar of a sweep (sweep_kernels.h): the
+// parts that go over the slots of particles. src/vbd_coarse_kernels.h has the rest.
+//
+// Sweeps hardly move errors that are smooth over many particles. The correction takes such errors
+// away by one step of Galerkin's method. A system is a connected component of particles that move.
+// Each aggregate of a system is some particles that lie together, with 1 to 4 functions: 1, and
+// linear functions of the positions at rest. The fields of a system are P a: each function times a
+// vector. With the stiffness H of the step (stiffness_law.h, inertia, contacts) at its first guess:
+//   A = P^T H P,  A a = P^T f,  x += t P a
+// f are the forces at x. The length t is 1, halved while the forces work against the step: while
+// f(x + t P a).(P a) < -f(x).(P a)/2. After kVbdCoarseTests tests t is 0.
+#pragma once
+
+#include "novaphy/vbd/sweep_kernels.h"
+
+namespace novaphy {
+
+constexpr int kVbdCoarseTests = 4;
+
+// The search for the length of a step: t, f.(P a), and whether t was found.
+struct alignas(16) VbdCoarseSearch {
+  using Element = Vec4f;  // of arrays of them
+  float length = 0.0f, slope = 0.0f, is_done = 0.0f, unused = 0.0f;
+};
+
+// Index tables: `begin` also behind the last.
+struct VbdCoarseArguments {
+  NOVAPHY_ARGUMENTS(
+      Part<VbdSweepArguments> sweep; Reads<int32_t> aggregate;  // of each particle; -1: none
+      Reads<VbdRow> field;        // of each particle: the functions behind the first
+      Reads<int32_t> near_begin;  // of each particle: the aggregates of its elements
+      Reads<int32_t> near;
+      Reads<int64_t> near_row;        // of each of these: its first matrix among `rows`
+      Reads<int32_t> function_begin;  // of each aggregate
+      Reads<int32_t> member_begin;    // of each aggregate: its particles
+      Reads<int32_t> members; Reads<int32_t> function_aggregate;  // of each function
+      Reads<int32_t> pairs;                                       // of functions of near aggregates
+      Reads<int32_t> system;                                      // of each aggregate
+      Reads<int32_t> system_begin;                                // of each system: its aggregates
+      Reads<int32_t> is_free;       // of each system: no element holds it
+      Reads<int64_t> matrix_begin;  // of each system
+      // H P: a 3x3 matrix for each particle and function near it; then the block of a particle.
+      Updates<float> rows; Updates<float> matrix;  // A; then its factors, column by column
+      Updates<VbdRow> force;                       // of each particle
+      Updates<float> load, step;                   // P^T f and a: 3 numbers of each function
+      Updates<VbdCoarseSearch> search;             // of each system
+      Updates<VbdRow> shift;                       // of each system
+      Number<int64_t> tests;                       // before this launch
+  )
+};
+
+namespace vbd {
+
+inline int32_t system_of(const VbdCoarseArguments& a, int32_t particle) {
+  const int32_t aggregate = a.aggregate[particle];
+  return aggregate < 0 ? -1 : a.system[aggregate];
+}
+// The value of a function of the aggregate of a particle.
+inline float function_at(const VbdCoarseArguments& a, int32_t particle, int32_t number) {
+  const VbdRow& field = a.field[particle];
+  return number == 0 ? 1.0f : number == 1 ? field.x : number == 2 ? field.y : field.z;
+}
+// Where the matrices of a particle and an aggregate near it begin; null: it is not near.
+inline float* rows_of(const VbdCoarseArguments& a, int32_t particle, int32_t aggregate) {
+  for (int32_t k = a.near_begin[particle]; k < a.near_begin[particle + 1]; ++k)
+    if (a.near[k] == aggregate) return a.rows + 9 * a.near_row[k];
+  return nullptr;
+}
+
+// Adds the stiffness between the particles of a group and others, times the functions there.
+template <class S>
+void add_stiffness(const VbdCoarseArguments& a, const LaneGroup<S>& g, const int32_t* others,
+                   const Mat33<S>& h) {
+  using Access = LaneAccess<S>;
+  float values[9][Access::kLanes];
+  for (int k = 0; k < 9; ++k) Access::store(values[k], h.m[k / 3][k % 3]);
+  for (int l = 0; l < g.filled; ++l) {
+    const int32_t p = g.particle[l], q = others[l], aggregate = a.aggregate[q];
+    if (aggregate < 0 || a.aggregate[p] < 0) continue;
+    float* to = rows_of(a, p, aggregate);
+    const int32_t functions = a.function_begin[aggregate + 1] - a.function_begin[aggregate];
+    for (int32_t j = 0; j < functions; ++j, to += 9) {
+      const float value = function_at(a, q, j);
+      for (int k = 0; k < 9; ++k) to[k] = to[k] + value * values[k][l];
+    }
+  }
+}
+template <class S>
+void coarse_rows(const VbdCoarseArguments& a, const LaneGroup<S>& g) {
+  if (g.filled == 0) return;
+  for (int l = 0; l < g.filled; ++l) {
+    const int32_t p = g.particle[l];
+    const int64_t begin = a.near_row[a.near_begin[p]], end = a.near_row[a.near_begin[p + 1]];
+    for (int64_t k = 9 * begin; k < 9 * end; ++k) a.rows[k] = 0.0f;
+  }
+  const Vec3<S> x = g.at(a.sweep.x);
+  Block<S> outer = inertia_block(x, g.at(a.sweep.target), g.mass_by_h2());
+  for_contacts(g, [&](const LaneContacts<S>& c) {
+    const Block<S> block = particle_contact_stiffness(x, g.at(a.sweep.start), c.contact);
+    outer = outer + where(c.touching, block);
+  });
+  Mat33<S> own = stiffness_matrix(outer);
+  for_roles([&](auto is) {
+    constexpr Role role = decltype(is)::role;
+    for_slots<role>(g, [&](const auto& slot) {
+      stiffness_of(inputs_of(slot, x, a.sweep.x), g.is_damped(role), [&](int k, const Mat33<S>& h) {
+        if (k == 0) {
+          add_to(own, h);
+        } else {
+          add_stiffness(a, g, slot.ints + (k - 1) * LaneAccess<S>::kStride, h);
+        }
+      });
+    });
+  });
+  add_stiffness(a, g, g.particle, own);
+}
+
+// Whether all particles of a group have no step to look for any more.
+template <class S>
+bool is_coarse_done(const VbdCoarseArguments& a, const LaneGroup<S>& g) {
+  for (int l = 0; l < g.filled; ++l) {
+    const int32_t s = system_of(a, g.particle[l]);
+    if (s >= 0 && (a.tests == 0 || a.search[s].is_done == 0.0f)) return false;
+  }
+  return true;
+}
+template <class S>
+void coarse_force(const VbdCoarseArguments& a, const LaneGroup<S>& g) {
+  if (!is_coarse_done(a, g)) g.put(a.force, block_at(g, g.at(a.sweep.x)).f);
+}
+
+// What the particles of free systems feel besides their elements, which move no system.
+template <class S>
+void coarse_outer(const VbdCoarseArguments& a, const LaneGroup<S>& g) {
+  using Access = LaneAccess<S>;
+  if (g.filled == 0) return;
+  const Vec3<S> x = g.at(a.sweep.x);
+  const Block<S> b = inertia_block(x, g.at(a.sweep.target), g.mass_by_h2()) + contact_blocks(g, x);
+  g.put(a.force, b.f);
+  const S all[6] = {b.h00, b.h11, b.h22, b.h01, b.h02, b.h12};
+  for (int l = 0; l < g.filled; ++l) {
+    const int32_t p = g.particle[l];
+    if (a.aggregate[p] < 0) continue;
+    float* const to = a.rows + 9 * a.near_row[a.near_begin[p]];
+    for (int k = 0; k < 6; ++k) to[k] = Access::get(all[k], l);
+  }
+}
+
+}  // namespace vbd
+}  // namespace novaphy

@@ -1,0 +1,21 @@
+// The coarse correction of one instruction set.
+#include "lanes.h"
+// Behind lanes.h, as sweep_kernels.h.
+#include "novaphy/vbd/coarse_kernels.h"
+
+namespace novaphy::vbd::NOVAPHY_LEVEL {
+
+void coarse_move(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {
+  over_groups<VbdSweepArguments, of_sweep<vbd::move<false, true, Lanes>>>(words, n, begin, end);
+}
+void coarse_rows(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {
+  over_groups<VbdCoarseArguments, vbd::coarse_rows<Lanes>>(words, n, begin, end);
+}
+void coarse_force(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {
+  over_groups<VbdCoarseArguments, vbd::coarse_force<Lanes>>(words, n, begin, end);
+}
+void coarse_outer(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {
+  over_groups<VbdCoarseArguments, vbd::coarse_outer<Lanes>>(words, n, begin, end);
+}
+
+}  // namespace novaphy::vbd::NOVAPHY_LEVEL

@@ -1,0 +1,195 @@
+// The coarse correction of VBD as kernels (coarse_kernels.h). Sums go over the particles of an
+// aggregate and the functions of a system in their order, so the bits depend on nothing else.
+#pragma once
+
+#include "novaphy/vbd/coarse_kernels.h"
+
+namespace novaphy {
+
+// `row`: over the lanes of the groups of the launch. The first is vbd_move with other blocks.
+NOVAPHY_ROW_KERNEL(vbd_coarse_move, VbdSweepArguments) {
+  vbd::move<false, true>(vbd::LaneGroup<float>(a, row));
+}
+NOVAPHY_ROW_KERNEL(vbd_coarse_rows, VbdCoarseArguments) {
+  vbd::coarse_rows(a, vbd::LaneGroup<float>(a.sweep, row));
+}
+NOVAPHY_ROW_KERNEL(vbd_coarse_force, VbdCoarseArguments) {
+  vbd::coarse_force(a, vbd::LaneGroup<float>(a.sweep, row));
+}
+NOVAPHY_ROW_KERNEL(vbd_coarse_outer, VbdCoarseArguments) {
+  vbd::coarse_outer(a, vbd::LaneGroup<float>(a.sweep, row));
+}
+
+namespace vbd {
+
+// The system of a row: its first function, its unknowns and its matrix.
+struct CoarseSystem {
+  int64_t first, unknowns;
+  float* matrix;
+  CoarseSystem(const VbdCoarseArguments& a, int32_t system)
+      : first(a.function_begin[a.system_begin[system]]),
+        unknowns(3 * (a.function_begin[a.system_begin[system + 1]] - first)),
+        matrix(a.matrix + a.matrix_begin[system]) {}
+};
+
+// The sum of a[k] b[k], in four parts.
+inline float coarse_dot(const float* a, const float* b, int64_t count) {
+  float sum[4] = {};
+  int64_t k = 0;
+  for (; k + 4 <= count; k += 4)
+    for (int64_t part = 0; part < 4; ++part) sum[part] = sum[part] + a[k + part] * b[k + part];
+  for (int64_t part = 0; k < count; ++k, ++part) sum[part] = sum[part] + a[k] * b[k];
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+// to[k] -= s a[k].
+inline void coarse_subtract(float* to, float s, const float* a, int64_t count) {
+  for (int64_t k = 0; k < count; ++k) to[k] = to[k] - s * a[k];
+}
+
+}  // namespace vbd
+
+// `row`: over the pairs of functions.
+NOVAPHY_ROW_KERNEL(vbd_coarse_matrix, VbdCoarseArguments) {
+  const int32_t g = a.pairs[2 * row], h = a.pairs[2 * row + 1];
+  const int32_t from = a.function_aggregate[g], to = a.function_aggregate[h];
+  const int32_t of_g = g - a.function_begin[from], of_h = h - a.function_begin[to];
+  float sum[9] = {};
+  for (int32_t m = a.member_begin[from]; m < a.member_begin[from + 1]; ++m) {
+    const int32_t p = a.members[m];
+    const float* const h_p = vbd::rows_of(a, p, to);
+    if (h_p == nullptr) continue;
+    const float value = vbd::function_at(a, p, of_g);
+    for (int k = 0; k < 9; ++k) sum[k] = sum[k] + value * h_p[9 * of_h + k];
+  }
+  const vbd::CoarseSystem s(a, a.system[from]);
+  for (int r = 0; r < 3; ++r)
+    for (int c = 0; c < 3; ++c)
+      s.matrix[(3 * (h - s.first) + c) * s.unknowns + 3 * (g - s.first) + r] = sum[3 * r + c];
+}
+
+// A = L D L^T, L below the diagonal and 1/D on it. An unknown whose pivot is at most 1e-6 of its
+// diagonal is left out. `row`: over the systems.
+NOVAPHY_ROW_KERNEL(vbd_coarse_factor, VbdCoarseArguments) {
+  const vbd::CoarseSystem s(a, static_cast<int32_t>(row));
+  const int64_t size = s.unknowns;
+  for (int64_t j = 0; j < size; ++j) {
+    float* const column = s.matrix + j * size;
+    const float diagonal = column[j];
+    for (int64_t k = 0; k < j; ++k) {
+      const float* const before = s.matrix + k * size;
+      if (before[j] == 0.0f || before[k] == 0.0f) continue;
+      vbd::coarse_subtract(column + j, before[j] / before[k], before + j, size - j);
+    }
+    const float inverse = column[j] > 1e-6f * diagonal ? 1.0f / column[j] : 0.0f;
+    column[j] = inverse;
+    for (int64_t i = j + 1; i < size; ++i) column[i] = column[i] * inverse;
+  }
+}
+
+// `row`: over the functions.
+NOVAPHY_ROW_KERNEL(vbd_coarse_load, VbdCoarseArguments) {
+  const int32_t aggregate = a.function_aggregate[row];
+  if (a.tests != 0 && a.search[a.system[aggregate]].is_done != 0.0f) return;
+  const auto number = static_cast<int32_t>(row - a.function_begin[aggregate]);
+  Vec3f sum;
+  for (int32_t m = a.member_begin[aggregate]; m < a.member_begin[aggregate + 1]; ++m) {
+    const int32_t p = a.members[m];
+    sum = sum + to_vec3(a.force[p]) * vbd::function_at(a, p, number);
+  }
+  a.load[3 * row] = sum.x;
+  a.load[3 * row + 1] = sum.y;
+  a.load[3 * row + 2] = sum.z;
+}
+
+// `row`: over the systems.
+NOVAPHY_ROW_KERNEL(vbd_coarse_solve, VbdCoarseArguments) {
+  const vbd::CoarseSystem s(a, static_cast<int32_t>(row));
+  const int64_t size = s.unknowns;
+  const float* const load = a.load + 3 * s.first;
+  float* const step = a.step + 3 * s.first;
+  for (int64_t i = 0; i < size; ++i) step[i] = load[i];
+  for (int64_t j = 0; j < size; ++j)
+    vbd::coarse_subtract(step + j + 1, step[j], s.matrix + j * size + j + 1, size - j - 1);
+  for (int64_t j = size; j-- > 0;) {
+    const float* const column = s.matrix + j * size;
+    step[j] = step[j] * column[j] - vbd::coarse_dot(column + j + 1, step + j + 1, size - j - 1);
+  }
+  VbdCoarseSearch& search = a.search[row];
+  search.length = 1.0f;
+  search.slope = vbd::coarse_dot(load, step, size);
+  search.is_done = 0.0f;
+}
+
+// Whether the step is short enough, or the next one is half as long. `row`: over the systems.
+NOVAPHY_ROW_KERNEL(vbd_coarse_test, VbdCoarseArguments) {
+  VbdCoarseSearch& search = a.search[row];
+  if (search.is_done != 0.0f) return;
+  const vbd::CoarseSystem s(a, static_cast<int32_t>(row));
+  const float slope = vbd::coarse_dot(a.load + 3 * s.first, a.step + 3 * s.first, s.unknowns);
+  if (slope >= -0.5f * search.slope) {
+    search.is_done = 1.0f;
+  } else {
+    search.length = a.tests == kVbdCoarseTests ? 0.0f : 0.5f * search.length;
+  }
+}
+
+namespace vbd {
+
+// What a particle moves by in the coarse step.
+inline Vec3f coarse_field(const VbdCoarseArguments& a, int32_t particle, float length) {
+  const int32_t aggregate = a.aggregate[particle], first = a.function_begin[aggregate];
+  Vec3f sum;
+  for (int32_t g = first; g < a.function_begin[aggregate + 1]; ++g) {
+    const float* const step = a.step + 3 * static_cast<int64_t>(g);
+    sum = sum + Vec3f{step[0], step[1], step[2]} * function_at(a, particle, g - first);
+  }
+  return sum * length;
+}
+
+}  // namespace vbd
+
+// `row`: over the particles. Tries a step.
+NOVAPHY_ROW_KERNEL(vbd_coarse_try, VbdCoarseArguments) {
+  const auto p = static_cast<int32_t>(row);
+  const int32_t s = vbd::system_of(a, p);
+  if (s < 0 || a.search[s].is_done != 0.0f) return;
+  const Vec3f moved = to_vec3(a.sweep.moved[p]) + vbd::coarse_field(a, p, a.search[s].length);
+  a.sweep.x[p] = to_row(to_vec3(a.sweep.start[p]) + moved);
+}
+// Takes the step that was found.
+NOVAPHY_ROW_KERNEL(vbd_coarse_take, VbdCoarseArguments) {
+  const auto p = static_cast<int32_t>(row);
+  const int32_t s = vbd::system_of(a, p);
+  if (s < 0) return;
+  const float length = a.search[s].length;
+  Vec3f moved = to_vec3(a.sweep.moved[p]);
+  if (length > 0.0f) moved = moved + vbd::coarse_field(a, p, length);
+  a.sweep.moved[p] = to_row(moved);
+  a.sweep.x[p] = to_row(to_vec3(a.sweep.start[p]) + moved);
+}
+
+// The translation of a free system that balances its forces. `row`: over the systems.
+NOVAPHY_ROW_KERNEL(vbd_coarse_balance, VbdCoarseArguments) {
+  vbd::Block<float> sum;
+  const int32_t first = a.system_begin[row], end = a.system_begin[row + 1];
+  for (int32_t m = a.member_begin[first]; a.is_free[row] != 0 && m < a.member_begin[end]; ++m) {
+    const int32_t p = a.members[m];
+    const float* const h = a.rows + 9 * a.near_row[a.near_begin[p]];
+    sum = sum + vbd::Block<float>{to_vec3(a.force[p]), h[0], h[1], h[2], h[3], h[4], h[5]};
+  }
+  a.shift[row] = to_row({});
+  if (a.is_free[row] != 0)
+    a.shift[row] =
+        to_row(vbd::solve_block(vbd::factorize(sum, a.sweep.regularization.value), sum.f));
+}
+// `row`: over the particles.
+NOVAPHY_ROW_KERNEL(vbd_coarse_shift, VbdCoarseArguments) {
+  const auto p = static_cast<int32_t>(row);
+  const int32_t s = vbd::system_of(a, p);
+  if (s < 0 || a.is_free[s] == 0) return;
+  const Vec3f moved = to_vec3(a.sweep.moved[p]) + to_vec3(a.shift[s]);
+  a.sweep.moved[p] = to_row(moved);
+  a.sweep.x[p] = to_row(to_vec3(a.sweep.start[p]) + moved);
+}
+
+}  // namespace novaphy

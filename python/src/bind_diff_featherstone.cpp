@@ -14,6 +14,24 @@ namespace novaphy::python {
 
 using diff::DiffFeatherstoneSolver;
 
+namespace {
+
+GradientInfoFields info_of(const DiffFeatherstoneSolver& s) {
+  const ContactBranches b = s.branches();
+  const auto margin = [](float x) {
+    return x < ContactBranches::kNone ? py::object(py::float_(x)) : py::none();
+  };
+  return to_fields(
+      s.gradient_info(),
+      py::dict("contact_steps"_a = b.steps, "frozen_contacts"_a = b.held,
+               "unconverged_steps"_a = b.unconverged, "breaking"_a = b.breaking,
+               "sticking"_a = b.sticking, "sliding"_a = b.sliding,
+               "normal_margin"_a = margin(b.normal_margin), "gap_margin"_a = margin(b.gap_margin),
+               "cone_margin"_a = margin(b.cone_margin), "slip_margin"_a = margin(b.slip_margin)));
+}
+
+}  // namespace
+
 void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
   const FeatherstoneOptions d;
   py::class_<DiffFeatherstoneSolver, SolverBase> solver(solvers, "DiffFeatherstoneSolver",
@@ -25,21 +43,25 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
                        float pgs_erp, float pgs_slop, float pgs_cfm,
                        float max_depenetration_velocity, float restitution_threshold,
                        bool compliant_contacts, bool allow_unconverged,
-                       const std::string& contact_gradient) {
+                       const std::string& contact_gradient, const std::string& joint_limits,
+                       float joint_limit_restitution) {
              return std::make_unique<DiffFeatherstoneSolver>(
                  model,
-                 FeatherstoneOptions{.angular_damping = angular_damping,
-                                     .implicit_drives = implicit_drives,
-                                     .contact = to_contact(contact),
-                                     .friction_cone = to_cone(friction_cone),
-                                     .pgs_iterations = pgs_iterations,
-                                     .pgs_tolerance = pgs_tolerance,
-                                     .pgs_erp = pgs_erp,
-                                     .pgs_slop = pgs_slop,
-                                     .pgs_cfm = pgs_cfm,
-                                     .max_depenetration_velocity = max_depenetration_velocity,
-                                     .restitution_threshold = restitution_threshold,
-                                     .compliant_contacts = compliant_contacts},
+                 FeatherstoneOptions{
+                     .angular_damping = angular_damping,
+                     .implicit_drives = implicit_drives,
+                     .joint_limits = to_limits("DiffFeatherstoneSolver", joint_limits),
+                     .joint_limit_restitution = joint_limit_restitution,
+                     .contact = to_contact(contact),
+                     .friction_cone = to_cone(friction_cone),
+                     .pgs_iterations = pgs_iterations,
+                     .pgs_tolerance = pgs_tolerance,
+                     .pgs_erp = pgs_erp,
+                     .pgs_slop = pgs_slop,
+                     .pgs_cfm = pgs_cfm,
+                     .max_depenetration_velocity = max_depenetration_velocity,
+                     .restitution_threshold = restitution_threshold,
+                     .compliant_contacts = compliant_contacts},
                  allow_unconverged,
                  to_contact_gradient("DiffFeatherstoneSolver", contact_gradient));
            }),
@@ -50,25 +72,9 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
            "max_depenetration_velocity"_a = d.max_depenetration_velocity,
            "restitution_threshold"_a = d.restitution_threshold,
            "compliant_contacts"_a = d.compliant_contacts, "allow_unconverged"_a = false,
-           "contact_gradient"_a = "code", doc::kDiffFeatherstoneInit)
-      .def(
-          "gradient_info",
-          [](const DiffFeatherstoneSolver& s) {
-            const ContactBranches b = s.branches();
-            const auto margin = [](float x) {
-              return x < ContactBranches::kNone ? py::object(py::float_(x)) : py::none();
-            };
-            return to_fields(
-                s.gradient_info(),
-                py::dict("contact_steps"_a = b.steps, "frozen_contacts"_a = b.held,
-                         "unconverged_steps"_a = b.unconverged, "breaking"_a = b.breaking,
-                         "sticking"_a = b.sticking, "sliding"_a = b.sliding,
-                         "normal_margin"_a = margin(b.normal_margin),
-                         "gap_margin"_a = margin(b.gap_margin),
-                         "cone_margin"_a = margin(b.cone_margin),
-                         "slip_margin"_a = margin(b.slip_margin)));
-          },
-          doc::kFeatherstoneInfo)
+           "contact_gradient"_a = "code", "joint_limits"_a = "spring",
+           "joint_limit_restitution"_a = d.joint_limit_restitution, doc::kDiffFeatherstoneInit)
+      .def("gradient_info", &info_of, doc::kFeatherstoneInfo)
       .def("clear_gradient_info", &DiffFeatherstoneSolver::clear_gradient_info,
            "Resets the counts of gradient_info.")
       .def_property_readonly(

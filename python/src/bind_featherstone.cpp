@@ -144,10 +144,13 @@ std::unique_ptr<SolverFeatherstone> make_solver(
     const std::optional<std::string>& contact, const std::string& friction_cone, int pgs_iterations,
     float pgs_tolerance, float pgs_erp, float pgs_slop, float pgs_cfm,
     float max_depenetration_velocity, float restitution_threshold, bool warm_start,
-    bool compliant_contacts, float friction_smoothing, const std::optional<SleepConfig>& sleep) {
+    bool compliant_contacts, float friction_smoothing, const std::optional<SleepConfig>& sleep,
+    const std::string& joint_limits, float joint_limit_restitution) {
   return std::make_unique<SolverFeatherstone>(
       model, FeatherstoneOptions{.angular_damping = angular_damping,
                                  .implicit_drives = implicit_drives,
+                                 .joint_limits = to_limits("SolverFeatherstone", joint_limits),
+                                 .joint_limit_restitution = joint_limit_restitution,
                                  .contact = to_contact(contact),
                                  .friction_cone = to_cone(friction_cone),
                                  .pgs_iterations = pgs_iterations,
@@ -179,6 +182,7 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
            "restitution_threshold"_a = d.restitution_threshold, "warm_start"_a = d.warm_start,
            "compliant_contacts"_a = d.compliant_contacts,
            "friction_smoothing"_a = d.friction_smoothing, "sleep"_a = py::none(),
+           "joint_limits"_a = "spring", "joint_limit_restitution"_a = d.joint_limit_restitution,
            doc::kFeatherstoneInit)
       .def_property_readonly(
           "sleep", [](const SolverFeatherstone& s) { return s.options().sleep; },
@@ -186,6 +190,14 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
       .def_property_readonly(
           "contact", [](const SolverFeatherstone& s) { return contact_name(s.options().contact); },
           "\"pgs\", \"penalty\" or None")
+      .def_property_readonly(
+          "joint_limits",
+          [](const SolverFeatherstone& s) { return limits_name(s.options().joint_limits); },
+          "\"spring\" or \"row\"")
+      .def_property_readonly(
+          "joint_limit_restitution",
+          [](const SolverFeatherstone& s) { return s.options().joint_limit_restitution; },
+          "0 to 1, of joint_limits=\"row\".")
       .def_property_readonly(
           "friction_cone",
           [](const SolverFeatherstone& s) {

@@ -24,6 +24,14 @@ inline FrictionCone to_cone(const std::string& name) {
     if (name == kCones[i]) return static_cast<FrictionCone>(i);
   fail(ErrorKind::Value, "friction_cone: expected \"cone\" or \"pyramid\", got \"", name, "\"");
 }
+inline constexpr const char* kLimits[] = {"spring", "row"};  // of JointLimits
+inline JointLimits to_limits(const char* user, const std::string& name) {
+  for (size_t i = 0; i < std::size(kLimits); ++i)
+    if (name == kLimits[i]) return static_cast<JointLimits>(i);
+  fail(ErrorKind::Value, user, ": joint_limits: expected \"spring\" or \"row\", got \"", name,
+       "\"");
+}
+inline const char* limits_name(JointLimits limits) { return kLimits[static_cast<size_t>(limits)]; }
 inline std::optional<std::string> contact_name(ArticulationContact contact) {
   const char* const name = kContacts[static_cast<size_t>(contact)];
   if (name == nullptr) return {};

@@ -28,6 +28,9 @@ limits that only push. False: of the start of the step, as in Newton 1.8.
 contact: "pgs" (impulses by projected Gauss-Seidel), "penalty" (springs of the shapes' ke, kd and
 kf, explicit) or None (contacts raise).
 friction_smoothing: m/s, of "penalty": friction is smooth below this slip.
+joint_limits: "spring" (by joint_limit_ke and _kd) or "row": limits of joints with one dof let their
+gap close in a step, and no more (an impulse that only pushes). Cones of BALL joints stay springs.
+joint_limit_restitution: 0 to 1, of "row", for approaches above restitution_threshold.
 sleep: a SleepConfig, with "pgs" or None on the CPU. Bodies on FREE joints may sleep, bodies of other
 articulations never do. None: no body sleeps.
 

@@ -8,6 +8,7 @@
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/row_scratch.h"
 #include "novaphy/core/sim/for_chunks.h"
+#include "novaphy/core/sim/joint_args.h"
 
 namespace novaphy {
 namespace detail {
@@ -62,6 +63,25 @@ void check_contact_options(const FeatherstoneOptions& o, const char* user) {
           " and ", o.pgs_slop);
 }
 
+void check_joint_limits(const Model& m, const FeatherstoneOptions& options, const char* user) {
+  const bool rows = options.joint_limits == JointLimits::Row;
+  const float elastic = options.joint_limit_restitution;
+  require(elastic >= 0.0f && elastic <= (rows ? 1.0f : 0.0f), ErrorKind::Value, user,
+          ": joint_limit_restitution: expected ",
+          rows ? "0 to 1" : "0 without joint_limits=\"row\"", ", got ", elastic);
+  if (!rows) return;
+  const std::vector<int32_t> leader = m.joint_mimic.to_host(), first = m.joint_qd_start.to_host();
+  const std::vector<float> lower = m.joint_limit_lower.to_host(),
+                           upper = m.joint_limit_upper.to_host();
+  for (size_t j = 0; j < leader.size(); ++j) {
+    const auto k = static_cast<size_t>(first[j]);
+    if (leader[j] < 0 || k >= lower.size()) continue;
+    require(lower[k] <= -kJointUnlimited && upper[k] >= kJointUnlimited, ErrorKind::NotImplemented,
+            user, ": joint_limits: \"row\" does not support limits of joint ", j, " ('",
+            m.joint_label[j], "'), which follows joint ", leader[j], ": limit that one");
+  }
+}
+
 }  // namespace
 
 void check_featherstone_model(const Model& m, const FeatherstoneOptions& options,
@@ -69,6 +89,7 @@ void check_featherstone_model(const Model& m, const FeatherstoneOptions& options
   require(std::isfinite(options.angular_damping) && options.angular_damping >= 0.0f,
           ErrorKind::Value, user, ": angular_damping: expected a finite number >= 0, got ",
           options.angular_damping);
+  check_joint_limits(m, options, user);
   check_contact_options(options, user);
   require(m.particle_count() == 0, ErrorKind::NotImplemented, user,
           ": model: expected particle_count 0 (particles are not covered), got ",

@@ -104,7 +104,10 @@ ArticulationArgumentsOf<T> arguments_of(const Argument& argument, const StepTabl
           .dof_parent = tables.dof_parent,
           .dt = dt,
           .angular_damping = options.angular_damping,
-          .implicit_drives = options.implicit_drives};
+          .limit_restitution = options.joint_limit_restitution,
+          .restitution_threshold = options.restitution_threshold,
+          .implicit_drives = options.implicit_drives,
+          .limit_rows = options.joint_limits == JointLimits::Row};
 }
 ArticulationArguments articulation_arguments(const Model& model, const Articulations& articulations,
                                              const SimState& in, const StepDrives& drives,

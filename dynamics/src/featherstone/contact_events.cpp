@@ -154,11 +154,13 @@ ContactEvents ContactSteps::events(const float* qd, bool continues,
   ContactEvents found;
   const auto count = static_cast<size_t>(articulations_.count());
   found.touched.resize(count);
+  found.root.resize(count);
   bool any = false;
   for (int64_t group = 0; group < groups_; ++group) {
     const GroupStep s(*last_, nullptr, group);
     for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
       const int32_t root = s.a.trees[t];
+      found.root[static_cast<size_t>(root)] = s.root(root);
       if (s.root(root) != root || s.a.nodes[root].joined == 0) continue;
       any = true;
       const std::vector<char> hits = find_hits(s, root, continues, found);
@@ -185,7 +187,10 @@ ContactEvents ContactSteps::events(const float* qd, bool continues,
     }
   }
   std::sort(found.hits.begin(), found.hits.end());
-  if (!any) found.touched.clear();
+  if (!any) {
+    found.touched.clear();
+    found.root.clear();
+  }
   return found;
 }
 

@@ -236,7 +236,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
       }
     };
     seed(c.force, c.target_q, c.target_qd, from_dq, from_dv);
-    const StepOptions<D> options_of_dual = {D(o.dt), D(o.angular_damping), o.implicit_drives};
+    const StepOptions<D> options_of_dual = articulation::options_as<D>(o);
     articulation::forward_step(duals.tree(), duals.inputs(), options_of_dual, dual.ws);
     for (size_t k = 0; k < dofs; ++k) to_dv[k] = dual.ws.qd_next[k].tangent;
   }

@@ -76,8 +76,10 @@ std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
   return qdd;
 }
 
-// Without the contacts that hit in the step.
-std::vector<float> smooth_accelerations(const Step& s, const ArticulationArguments& in) {
+// Without the contacts that hit in the step, and the limits of these dofs.
+std::vector<float> smooth_accelerations(const Step& s, ArticulationArguments in,
+                                        std::span<const int32_t> limits) {
+  const LiftedLimits lifted(s, limits, in);
   if (!s.contacts.defined()) return accelerations(s, in, {});
   const std::vector<int32_t>& hits = s.motion->found.hits;
   const SomeContacts others(contact_rows_of(s), [&](int32_t i) {
@@ -132,8 +134,6 @@ float total_approach(const ContactEvent& event) {
   for (const ContactEvent::Group& g : event.groups) sum += g.approach;
   return sum;
 }
-// Several pairs at once, none of which lands: each has a delay of its own.
-bool is_apart(const ContactEvent& event) { return event.groups.size() > 1 && !event.lands; }
 
 }  // namespace
 
@@ -146,6 +146,8 @@ void note_motion(const std::shared_ptr<const Step>& step,
   const auto dofs = static_cast<size_t>(s.in(kAt.qd).size());
   MotionNotes* const last = before ? before->motion.get() : nullptr;
   bool follows = false;  // an event that has begun before ends at its start, or goes on
+  find_stops(s, last,
+             [&](std::span<const int32_t> limits) { return smooth_accelerations(s, in, limits); });
   tell_events(s, in, before.get());
   if (last != nullptr) {
     last->next = s.motion;
@@ -158,13 +160,13 @@ void note_motion(const std::shared_ptr<const Step>& step,
       notes.inside = inside;
     if (follows) notes.controls = last->stands_in_event() ? last->controls : before;
   }
-  if (std::any_of(notes.found.events.begin(), notes.found.events.end(), is_apart))
-    ++s.shared->motion.several;
-  if (notes.found.hits.empty()) {
+  const std::vector<ContactEvent>& events = notes.found.events;
+  if (std::ranges::any_of(events, &ContactEvent::has_several)) ++s.shared->motion.several;
+  if (notes.found.hits.empty() && notes.found.limits.empty()) {
     notes.smooth.resize(dofs);
     for (size_t k = 0; k < dofs; ++k) notes.smooth[k] = (qd_next[k] - in.arrays.qd[k]) / s.dt;
   } else {
-    notes.smooth = smooth_accelerations(s, in);
+    notes.smooth = smooth_accelerations(s, in, notes.found.limits);
   }
   note_limits(s, last);
   if (!follows || same_controls(s, *notes.controls)) return;
@@ -174,7 +176,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
   held.arrays.body_f = of.arrays.body_f;
   held.arrays.target_q = of.arrays.target_q;
   held.arrays.target_qd = of.arrays.target_qd;
-  notes.after = smooth_accelerations(s, held);
+  notes.after = smooth_accelerations(s, held, notes.found.limits);
 }
 
 void motion_vjp(const Step& s, std::span<const Tensor> outputs,
@@ -231,7 +233,7 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
     for (const int32_t tree : event.trees) s_all += double{mismatch[static_cast<size_t>(tree)]};
     tell_mismatch(event, h_before, s_all);
     const double approach = total_approach(event);
-    const bool apart = is_apart(event);
+    const bool apart = event.is_apart();
     std::vector<double> by_push(event.groups.size());
     double rest = s_all;
     for (size_t g = 0; apart && g < event.groups.size(); ++g) {
@@ -356,7 +358,7 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
       own[g] = by / event.groups[g].approach;
       all += by / approach;
     }
-    for (size_t g = 0; is_apart(event) && g < event.groups.size(); ++g)
+    for (size_t g = 0; event.is_apart() && g < event.groups.size(); ++g)
       for_dofs(s, event, [&](size_t at, size_t row) {
         jump[row] += static_cast<float>((own[g] - all) * event.groups[g].push[at]);
       });

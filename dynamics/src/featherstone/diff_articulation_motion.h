@@ -97,6 +97,16 @@ void tell_events(const ArticulationStep::Step& step, const ArticulationArguments
                  const ArticulationStep::Step* before);
 void tell_limit(const ArticulationStep::Step& step, int32_t tree, int32_t dof);
 void tell_mismatch(const ContactEvent& event, std::span<const double> h_before, double mismatch);
+// Memory for the limits of a step without those of some dofs, which `in` then reads.
+struct LiftedLimits {
+  LiftedLimits(const ArticulationStep::Step& step, std::span<const int32_t> dofs,
+               ArticulationArguments& in);
+  std::vector<float> lower, upper;
+};
+// Adds the limits as rows that hit in a step to the events of its contacts. `last` as below;
+// `smooth(limits)`: the accelerations without contacts that hit and the limits of these dofs.
+using Smooth = std::function<std::vector<float>(std::span<const int32_t>)>;
+void find_stops(const ArticulationStep::Step& step, const MotionNotes* last, const Smooth& smooth);
 // Notes the limits of a step that pushed otherwise in the one before (null: none).
 void note_limits(const ArticulationStep::Step& step, const MotionNotes* before);
 // Adds what they do to the gradients of the state that the step starts from.

@@ -26,6 +26,13 @@ MotionEvent::Slope no_slope(const Step& s, int32_t tree) {
   return {.first = first, .by = std::vector<float>(static_cast<size_t>(count))};
 }
 
+int32_t joint_of(const Step& s, int32_t dof) {
+  const Model& m = *s.model;
+  const int32_t* const first_dof = m.joint_qd_start.data();
+  return static_cast<int32_t>(std::upper_bound(first_dof, first_dof + m.joint_count(), dof) -
+                              first_dof - 1);
+}
+
 // A group of contacts that hits, by the coordinates of the trees of its event.
 void tell_group(const Step& s, const ArticulationArguments& in, const ContactEvent& event,
                 ContactEvent::Group& group) {
@@ -34,6 +41,10 @@ void tell_group(const Step& s, const ArticulationArguments& in, const ContactEve
   told.shape0 = group.shape0;
   told.shape1 = group.shape1;
   told.kind = group.lands ? MotionEventKind::Landing : MotionEventKind::Bounce;
+  if (group.dof >= 0) {
+    told.kind = MotionEventKind::Limit;
+    told.joint = joint_of(s, group.dof);
+  }
   told.whole = !group.lands;
   told.friction = group.friction;
   told.approach = group.approach / group.impulse;
@@ -82,10 +93,7 @@ void tell_limit(const Step& s, int32_t tree, int32_t dof) {
   const float q = inputs.q[link->coord], rate = inputs.qd[dof];
   const auto told = new_event(s, tree);
   told->kind = MotionEventKind::Limit;
-  const Model& m = *s.model;
-  const int32_t* const first_dof = m.joint_qd_start.data();
-  told->joint = static_cast<int32_t>(std::upper_bound(first_dof, first_dof + m.joint_count(), dof) -
-                                     first_dof - 1);
+  told->joint = joint_of(s, dof);
   told->approach = std::abs(rate);
   told->set_time(s.motion->time, s.dt,
                  rate < 0.0f ? q - inputs.limit_lower[dof] : inputs.limit_upper[dof] - q);

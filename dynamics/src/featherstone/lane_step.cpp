@@ -207,7 +207,7 @@ bool run(const LaneStepArguments& a) {
   const Tree<Lanes> tree = make_tree(s, in);
   Lanes *const q_next = take(s.coords), *const qd_next = take(s.dofs);
   Lanes *const body_q = take(7 * s.bodies), *const body_qd = take(6 * s.bodies);
-  const StepOptions<Lanes> options = {Lanes(a.dt), Lanes(a.angular_damping), a.implicit_drives};
+  const StepOptions<Lanes> options = options_as<Lanes>(a.options);
   Workspace<Lanes> ws = make_workspace<Lanes>(next, s.links, s.dofs);
   const auto* const contacts = static_cast<const TreeContact<Lanes>*>(a.contacts);
   const Mask alone = negate(touching(contacts, a.contact_count));
@@ -218,7 +218,7 @@ bool run(const LaneStepArguments& a) {
     gather_links(a, ws, links);
     const TreeContactMemory<Lanes> m =
         make_tree_contact_memory<Lanes>(links + a.contact_count, a.contact_count, s.dofs);
-    const ContactLaw<Lanes> law = {Lanes(a.dt),
+    const ContactLaw<Lanes> law = {Lanes(a.options.dt),
                                    Lanes(a.erp),
                                    Lanes(a.slop),
                                    Lanes(a.cfm),
@@ -298,7 +298,7 @@ void run_vjp(const LaneVjpArguments& v) {
   const auto coords = [&](const float* from) { return take(from, a.coord, 1, s.coords); };
   const StepInputs<Lanes> in = gather_inputs(a, next);
   const Tree<Lanes> tree = make_tree(s, in);
-  const StepOptions<Lanes> options = {Lanes(a.dt), Lanes(a.angular_damping), a.implicit_drives};
+  const StepOptions<Lanes> options = options_as<Lanes>(a.options);
   const Lanes *const qdd = dofs(v.qdd), *const branch = dofs(v.branch);
   const Lanes *const q_next = coords(v.q_next), *const qd_next = dofs(v.qd_next);
   const Lanes *const out_q = coords(v.out_q), *const out_qd = dofs(v.out_qd);

@@ -45,8 +45,7 @@ struct LaneStepArguments {
   const float* in[kStepArrays] = {};
   float *q_next = nullptr, *qd_next = nullptr, *body_q = nullptr, *body_qd = nullptr;
   float *qdd = nullptr, *branch = nullptr;  // null: not requested
-  float dt = 0.0f, angular_damping = 0.0f;
-  bool implicit_drives = true;
+  StepOptions<float> options = {};
   // Contacts. contact_count: the largest count of a lane. contacts: TreeContact of lanes.
   // contact_links {contacts, lanes}.
   int32_t contact_count = 0;

@@ -389,9 +389,7 @@ void TreeSteps::set_lanes(art::LaneStepArguments& s, const ArticulationArguments
   art::for_each_array(
       [&](const auto* from, int32_t place) { s.in[place] = reinterpret_cast<const float*>(from); },
       inputs, kAt);
-  s.dt = in.dt.value;
-  s.angular_damping = in.angular_damping.value;
-  s.implicit_drives = in.implicit_drives.value != 0;
+  s.options = articulation_options(in);
 }
 
 // Steps a batch of trees. Returns false, and writes nothing, if a tree fails.

@@ -43,7 +43,8 @@ struct ArticulationArgumentsOf {
                     Part<articulation::FrameArrays<GivenArrays<T>>> frames;
                     Given<int32_t> target_mode; Given<ArticulationRows> rows;
                     Given<articulation::Link> links; Given<int32_t> dof_parent;
-                    Number<float> dt, angular_damping; Number<int64_t> implicit_drives;)
+                    Number<float> dt, angular_damping, limit_restitution, restitution_threshold;
+                    Number<int64_t> implicit_drives, limit_rows;)
 };
 using ArticulationArguments = ArticulationArgumentsOf<float>;
 
@@ -58,7 +59,8 @@ articulation::StepInputs<T> articulation_inputs(const ArticulationArgumentsOf<T>
 }
 template <class T>
 articulation::StepOptions<T> articulation_options(const ArticulationArgumentsOf<T>& a) {
-  return {T(a.dt.value), T(a.angular_damping.value), a.implicit_drives.value != 0};
+  return {T(a.dt.value),           T(a.angular_damping.value),   a.implicit_drives.value != 0,
+          a.limit_rows.value != 0, T(a.limit_restitution.value), T(a.restitution_threshold.value)};
 }
 template <class T>
 articulation::Tree<T> articulation_tree(const ArticulationArgumentsOf<T>& a,

@@ -122,7 +122,7 @@ Branches<T> next_branch(const Branches<T>& branch, const AskedForces<T>& asked,
     lower = either(was_lower, both(lower, negate(was_upper)));
     released = either(released, has(branch, kLimitReleased));
   }
-  Branches<T> next = branch & (kOutside | kVelocityClamped);
+  Branches<T> next = branch & (kOutside | kVelocityClamped | kAtStop | kStopBounces);
   if (implicit) next = with(next, released, kLimitReleased);
   return with(with(next, upper, kEffortAtUpper), lower, kEffortAtLower);
 }

@@ -17,6 +17,8 @@ enum Branch : int32_t {
   kEffortAtLower = 16,  // and - effort_limit
   kVelocityAtUpper = 32,
   kVelocityAtLower = 64,
+  kAtStop = 128,       // with one of these two: the rate is that of a limit as a row
+  kStopBounces = 256,  // with that: of its restitution
 };
 inline constexpr int32_t kOutside = kBelowLimit | kAboveLimit;
 inline constexpr int32_t kEffortClamped = kEffortAtUpper | kEffortAtLower;

@@ -16,6 +16,7 @@
 
 #include "novaphy/dynamics/articulation/ball_drives.h"
 #include "novaphy/dynamics/articulation/factor.h"
+#include "novaphy/dynamics/articulation/rate_bounds.h"
 
 namespace novaphy::articulation {
 
@@ -45,19 +46,13 @@ auto holds_rates(const Tree<T>& tree, const Workspace<T>& ws) {
   for (int32_t k = 0; k < tree.dof_count; ++k) all = all | ws.branch[k];
   return has(all, kVelocityClamped);
 }
-// Returns the limit rate of a dof at its velocity limit, else v.
-template <class T>
-T held_rate(const StepInputs<T>& in, int32_t row, const Branches<T>& branch, const T& v) {
-  const T limit = in.velocity_limit[row];
-  return select(has(branch, kVelocityAtUpper), limit,
-                select(has(branch, kVelocityAtLower), -limit, v));
-}
-// Sets the accelerations of dofs at their velocity limits, and of their mimic joints.
+// Sets the accelerations of dofs at bounds of their rates, and of their mimic joints.
 template <class T>
 void hold_accelerations(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                         Workspace<T>& ws) {
   for_drives(tree, [&](const Link& link, int32_t k) {
-    const T v = in.qd[link.dof], to = held_rate(in, link.dof, ws.branch[k], v);
+    const T v = in.qd[link.dof];
+    const T to = held_rate(in, options, link.dof, link.coord, ws.branch[k], v);
     ws.qdd[k] = select(has(ws.branch[k], kVelocityClamped), (to - v) / options.dt, ws.qdd[k]);
   });
   spread_leaders(tree, ws.qdd);
@@ -209,10 +204,10 @@ int32_t settle(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T
   }
 }
 
-// After a solve, moves dofs of some lanes to their velocity limits, or releases them. Dofs beyond the limit are
-// moved, and dofs whose force r would pull outwards are released (unless `keep`). A dof with the limit 0 is never
-// released; the sign of r selects the upper or lower limit. Returns false if no dof changed. given: impulses of
-// contacts and dry friction on the dofs (N s or N m s), read only where a dof is at its limit.
+// After a solve, moves dofs of some lanes to the bounds of their rates, or releases them. Dofs
+// beyond a bound are moved. Dofs whose force r would pull outwards are released (unless `keep`). A
+// dof whose bounds leave no room is never released: the sign of r selects the bound. Returns false
+// if no dof changed. given: impulses of contacts and dry friction on dofs at a bound (N s, N m s).
 template <class T, class Mask>
 bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                      const Mask& lanes, bool keep, Workspace<T>& ws) {
@@ -232,13 +227,15 @@ bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
   bool changes = false;
   for_drives(tree, [&](const Link& link, int32_t k) {
     if (follows(link)) return;
-    const T limit = in.velocity_limit[link.dof], v = in.qd[link.dof] + options.dt * ws.qdd[k];
+    const RateBounds<T> bounds = rate_bounds(in, options, link.dof, link.coord);
+    const T v = in.qd[link.dof] + options.dt * ws.qdd[k];
     const Branches<T> branch = ws.branch[k];
-    const auto held = has(branch, kVelocityClamped), over = v > limit, under = v < -limit;
+    const auto held = has(branch, kVelocityClamped), over = v > bounds.upper,
+               under = v < bounds.lower;
     if (!any(either(held, either(over, under)))) return;
     auto upper = has(branch, kVelocityAtUpper), lower = has(branch, kVelocityAtLower);
     if (any(held) && !keep) {
-      const auto still = both(held, negate(limit > o));
+      const auto still = both(held, negate(bounds.upper > bounds.lower));
       const auto from_upper = both(upper, ws.rhs[k] > o), from_lower = both(lower, ws.rhs[k] < o);
       upper = either(both(upper, negate(from_upper)), both(from_lower, still));
       lower = either(both(lower, negate(from_lower)), both(from_upper, still));
@@ -246,9 +243,7 @@ bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
     upper = either(upper, both(negate(held), over));
     lower = either(lower, both(negate(held), under));
     ws.branch[k] = select(
-        lanes,
-        with(with(branch & ~kVelocityClamped, upper, kVelocityAtUpper), lower, kVelocityAtLower),
-        branch);
+        lanes, bound_branch(in, options, link.dof, link.coord, branch, upper, lower), branch);
     changes = changes || any(differ(ws.branch[k], branch));
   });
   return changes;
@@ -262,7 +257,7 @@ void free_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
     ws.qd_next[k] = in.qd[tree.first_dof + k] + options.dt * ws.qdd[k];
   if (!any(holds_rates(tree, ws))) return;
   for_drives(tree, [&](const Link& link, int32_t k) {
-    ws.qd_next[k] = held_rate(in, link.dof, ws.branch[k], ws.qd_next[k]);
+    ws.qd_next[k] = held_rate(in, options, link.dof, link.coord, ws.branch[k], ws.qd_next[k]);
   });
 }
 
@@ -318,10 +313,14 @@ int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   int32_t failed = begin_step(tree, in, ws);
   if (failed >= 0) return failed;
   for_drives(tree, [&](const Link& link, int32_t k) {
-    ws.branch[k] = limit_branch(in, link.dof, in.q[link.coord]);
+    ws.branch[k] =
+        options.limit_rows ? Branches<T>{} : limit_branch(in, link.dof, in.q[link.coord]);
     if (follows(link)) return;
-    const auto still = negate(in.velocity_limit[link.dof] > T(0.0f));
-    ws.branch[k] = with(ws.branch[k], still, kVelocityAtUpper);
+    const RateBounds<T> bounds = rate_bounds(in, options, link.dof, link.coord);
+    const auto still = negate(bounds.upper > bounds.lower);
+    if (!any(still)) return;
+    const auto lower = both(still, negate(still));
+    ws.branch[k] = bound_branch(in, options, link.dof, link.coord, ws.branch[k], still, lower);
   });
   set_ball_branches(tree, in, options, ws);
   failed = settle(tree, in, options, ws);

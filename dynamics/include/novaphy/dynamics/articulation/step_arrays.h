@@ -114,7 +114,15 @@ struct StepOptions {
   T dt{};               // s
   T angular_damping{};  // 1/s
   bool implicit_drives = true;
+  bool limit_rows = false;                         // limits of joints: rate_bounds.h
+  T limit_restitution{}, restitution_threshold{};  // 1, m/s or rad/s
 };
+
+template <class To, class From>
+StepOptions<To> options_as(const StepOptions<From>& o) {
+  return {To(o.dt),     To(o.angular_damping),   o.implicit_drives,
+          o.limit_rows, To(o.limit_restitution), To(o.restitution_threshold)};
+}
 
 // The gradient arrays; null: not requested. `add`: bit i adds to the i-th array instead of storing.
 template <class T>

@@ -232,6 +232,23 @@ void step_vjp_solve(const Tree<T>& tree, const StepOptions<T>& options, Workspac
   solve(tree, ws, memory.scratch);
 }
 
+// Adds the gradients of the bound that a dof may be at. Returns the gradient of its velocity limit.
+template <class T>
+T bound_vjp(const Link& link, const StepInputs<T>& in, const StepOptions<T>& options, int32_t k,
+            const Branches<T>& branch, const T& h_lambda, int32_t dofs, AdjointMemory<T>& memory) {
+  const auto held = has(branch, kVelocityClamped);
+  T *const rate = memory.rate + k, *const stops = memory.stops + k;
+  const T left = h_lambda / options.dt, pull = select(held, *rate - left, T(0.0f));
+  const BoundGradient<T> bound = bound_gradient(in, options, link.dof, link.coord, branch, pull);
+  *rate = select(held, left, *rate);
+  if (!options.limit_rows) return bound.velocity_limit;
+  *rate = *rate + bound.qd;
+  memory.tangent[k] = memory.tangent[k] + bound.q;
+  stops[0] = stops[0] + bound.upper;
+  stops[dofs] = stops[dofs] + bound.lower;
+  return bound.velocity_limit;
+}
+
 // The third part: computes the gradients of the inputs from lambda.
 template <class T>
 void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
@@ -251,13 +268,9 @@ void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
     const Link& link = tree.links[i];
     for (int32_t j = 0; j < link.dofs; ++j) {
       const int32_t k = local_dof(tree, link) + j;
-      T by_limit = o;
-      if (any(holds) && has_one_dof(link)) {
-        const auto held = has(ws.branch[k], kVelocityClamped);
-        const T left = h_lambda[k] / options.dt, pull = select(held, rate[k] - left, o);
-        by_limit = select(has(ws.branch[k], kVelocityAtUpper), pull, select(held, -pull, o));
-        rate[k] = select(held, left, rate[k]);
-      }
+      const T by_limit = any(holds) && has_one_dof(link)
+                             ? bound_vjp(link, in, options, k, ws.branch[k], h_lambda[k], n, memory)
+                             : o;
       put(g, &G::velocity_limit, row0 + k, by_limit);
       tangent[k] = tangent[k] - phi_q[k];
       rate[k] = rate[k] - phi_qd[k];

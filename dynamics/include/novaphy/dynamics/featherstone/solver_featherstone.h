@@ -20,6 +20,11 @@ enum class ArticulationContact {
             // semi_implicit/rigid_contact_trace.h)
 };
 enum class FrictionCone { Cone, Pyramid };
+// How limits of joints with one dof push.
+enum class JointLimits {
+  Spring,  // by joint_limit_ke and _kd, where the dof is outside
+  Row      // as the normal of a contact, without compliance (articulation/rate_bounds.h)
+};
 
 // All numbers are finite and >= 0. Options of one contact model must have their defaults with the
 // others.
@@ -29,6 +34,8 @@ struct FeatherstoneOptions {
   // and limits only push. False: they act at the start of the step, and limits may pull, as in
   // Newton 1.8.
   bool implicit_drives = true;
+  JointLimits joint_limits = JointLimits::Spring;
+  float joint_limit_restitution = 0.0f;  // 0 to 1, of Row: of approaches above the threshold
   ArticulationContact contact = ArticulationContact::Pgs;
   // Options of Pgs:
   FrictionCone friction_cone = FrictionCone::Cone;
@@ -38,7 +45,8 @@ struct FeatherstoneOptions {
   float pgs_slop = 0.005f;                   // m, overlap that is not corrected
   float pgs_cfm = 0.0f;                      // (m/s) / (N s), softness of contacts
   float max_depenetration_velocity = 10.0f;  // m/s
-  float restitution_threshold = 0.2f;        // m/s: slower approaches do not bounce
+  // m/s, for limits of joints also rad/s: slower approaches do not bounce.
+  float restitution_threshold = 0.2f;
   bool warm_start = true;  // start from the last step's impulses, matched by shapes and point id
   // Whether shape_material_ke and _kd correct overlaps, instead of pgs_erp.
   bool compliant_contacts = false;

@@ -214,7 +214,7 @@ void check_inputs(const detail::KernelImpl& k, int64_t dim, std::span<const Oper
   }
 }
 
-// A device that follows a pointer of another device fails for good, so the devices are compared here.
+// A device that follows a pointer of another device fails for good, so devices are compared here.
 void check_devices(const detail::KernelImpl& k, std::span<const Operand> inputs,
                    std::span<const Operand> outputs) {
   const Device device = outputs[0].range->storage().device();

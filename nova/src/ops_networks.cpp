@@ -43,8 +43,8 @@ Tensor apply(const Kernel& kernel, const Tensor& x) {
   return out;
 }
 
-// Returns the random words of a value's counter. Parameters: width, both halves of the seed, stream,
-// first world.
+// Returns the random words of a value's counter. Parameters: width, both halves of the seed,
+// stream, first world.
 novaphy::math::Philox<Int> words_of(TraceContext& c, const Int& column) {
   const Int world = c.index() / c.param_i32(0) + c.param_i32(4);
   return novaphy::math::philox4x32_10<Int>(

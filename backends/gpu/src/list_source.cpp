@@ -48,8 +48,8 @@ class Writer {
     out_.words.push_back(value);
     return out_.words.size() - 1;
   }
-  // Equal words that are constant over the iterations share a place, so that the compiler knows they are equal. Only
-  // row counts do this, because the equality of two addresses depends on the list.
+  // Equal words that are constant over the iterations share a place, so that the compiler sees the
+  // equality. Only row counts do this, because the equality of two addresses depends on the list.
   uint64_t rows_word(uint64_t rows) {
     const auto [known, fresh] = rows_.emplace(rows, 0);
     if (fresh) known->second = word(rows);
@@ -158,8 +158,8 @@ class Writer {
     }
     return code;
   }
-  // Whether a source is prefetched: its own row differs in every iteration, and no operation writes it. The row of
-  // the next iteration is loaded during the current one. If the rows exceed the caches, the row after that is
+  // Whether a source is prefetched: its own row differs in every iteration, and no operation writes
+  // the row. An iteration loads the row of the next. If the rows exceed caches, the row after that is
   // prefetched into the cache. Adds the row of the first iteration to `before`.
   bool is_prefetched(const ListPlan::Site& site, size_t s) const {
     return ops_[site.op].kernel != nullptr &&

@@ -1,4 +1,4 @@
-// The text of a persistent kernel: a function for each form of a chain, and the dispatch among them.
+// The text of a persistent kernel: a function per form of a chain, and the dispatch among them.
 #include "persistent_source.h"
 
 #include <algorithm>
@@ -168,7 +168,7 @@ class ChainText {
         if (output.halo >= 0) return true;
     return false;
   }
-  // Whether the chain reads the halo, and nothing else that is complete only after the previous phase.
+  // Whether the chain reads the halo, and nothing else that waits for the previous phase.
   bool reads_halo_alone() const {
     if (!reads_halo() || form_.sums_items || stores_at_once()) return false;
     for (const Operation& op : form_.operations) {
@@ -256,7 +256,7 @@ class ChainText {
                "    if (kept != 0) {\n" + begin_kept() + filled + "    }\n  }\n";
       return;
     }
-    // All such data is kept. The function that fills it is separate, so that the code of each run stays short.
+    // All such data is kept. A separate function for filling keeps the code of each run short.
     filling_ = "COLD_FN void fill" + number_ +
                "(const uint64_t* words, const int64_t i, int32_t* at) {\n" + declared + fixed +
                items + filled + "}\n";
@@ -325,7 +325,7 @@ class ChainText {
     return op.first_word + table_.source_word(op, source);
   }
 
-  // Writes the part of an operation that may run before the previous phase is over. Its results stay in registers.
+  // Writes the part of an operation that may run in the previous phase. Results stay in registers.
   void early(int32_t k) {
     const Operation& op = at(k);
     if (op.kind != Operation::Program || !rows_.of(op).is_cut()) return;

@@ -83,7 +83,7 @@ uint64_t warps_of(std::span<const novaphy_persistent_op> phase, int64_t lanes) {
 
 class Writer {
  public:
-  // For each operation and output, the bytes of a row of its early half's results, if computed early. Empty: none.
+  // Bytes of a row of an early half's results, per operation and output. Empty: not computed early.
   using EarlyWords = std::vector<std::vector<uint64_t>>;
   Writer(const PersistentRoom& room, EarlyWords early)
       : kept_(room.kept_words), room_(room), early_halves_(std::move(early)) {}
@@ -316,7 +316,7 @@ class Writer {
     return lanes;
   }
 
-  // Adds the arguments to the record. Returns the form of the chain. `at`: the position of the arguments.
+  // Adds the arguments to the record. Returns the chain's form. `at`: position of the arguments.
   uint32_t add_chain(std::span<const novaphy_persistent_op> chain, Warps warps, uint64_t at,
                      std::vector<uint64_t>& body) {
     ChainForm form;
@@ -507,7 +507,7 @@ class Writer {
     if (room_.plan != nullptr) place_rare();
   }
 
-  // With a plan, all such loads are kept. Loads that do not pay off share a place, which is filled each time.
+  // A plan keeps all such loads. Loads that do not pay off share a place, filled each time.
   void place_rare() {
     User all{0, {0, UINT64_MAX}, {}};
     for (const User& user : users_) {
@@ -592,7 +592,7 @@ class Writer {
           {words[p.output_argument(k)], op.each * op.outputs[k].width, static_cast<int32_t>(k)});
   }
 
-  // Finds the CSR tables of the chain, without duplicates, if the rows of the chain are the rows of the table.
+  // Finds the CSR tables of the chain with the same rows as the chain, without duplicates.
   static void find_tables(std::span<const novaphy_persistent_op> chain, ChainForm& form) {
     std::vector<const uint64_t*> known;
     for (size_t k = 0; k < chain.size(); ++k) {
@@ -732,7 +732,7 @@ class Writer {
   // per operation: its form, and its index there
   std::vector<std::pair<uint32_t, uint32_t>> form_of_;
   const EarlyWords early_halves_;
-  // The early results that a record loads, and the position in its header that names them for prefetching.
+  // Early results that a record loads, and the place in its header that names them for prefetching.
   struct EarlyOf {
     uint64_t header, first, bytes;
   };

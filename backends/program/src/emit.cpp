@@ -25,7 +25,7 @@ std::string one_line(const std::string& s) {
   return out;
 }
 
-// Elements have long formulas with prefetched rows. Regions would split their lines, and most regions are taken.
+// Elements have long formulas with prefetched rows. Regions split lines, and most are taken.
 constexpr int32_t kMinElementRegion = 20;
 EmitPlan plan_for(const Program& p, bool device, bool scan) {
   EmitPlan plan = make_emit_plan(p, device);

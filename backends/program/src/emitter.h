@@ -63,8 +63,8 @@ class Emitter {
   std::string prefetch_gather(const PrefetchedGather& gather, int32_t column) const;
   void prefetch_load(Value v, const LoadGroup& group, int32_t first, const std::string& where);
   std::string output_bytes(size_t o) const;
-  // Whether rows may be computed twice. An output may share the memory of a source, which then holds
-  // results of the first run. A row index read from there could be past a table's end.
+  // Whether rows may be computed twice. An output may share the memory of a source, which then
+  // holds results of the first run. A row index read from there could be past a table's end.
   bool may_run_again() const;
   bool varies(int32_t source) const;
   // The output that is carried to a source, or -1.

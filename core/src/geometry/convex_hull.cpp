@@ -254,7 +254,7 @@ std::vector<int32_t> outline(const std::vector<Triangle>& triangles,
   return loop;
 }
 
-// Returns twice the vector area (Newell), which has the direction of the normal that fits all corners.
+// Returns twice the vector area (Newell), in the direction of the normal that fits all corners.
 Vec3d vector_area(const std::vector<Vec3d>& points, const std::vector<int32_t>& v) {
   Vec3d sum{};
   for (size_t k = 1; k + 1 < v.size(); ++k)
@@ -262,8 +262,8 @@ Vec3d vector_area(const std::vector<Vec3d>& points, const std::vector<int32_t>& 
   return sum;
 }
 
-// Merges coplanar triangles. Larger triangles come first and absorb neighbors in their plane. A merge removes the
-// corners inside of the outline. A merge is refused if a removed corner would make the hull thinner, or flat.
+// Merges coplanar neighbors, from the largest triangle on. A merge removes the corners inside of
+// the outline. A merge is refused if a removed corner would make the hull thinner, or flat.
 std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
   const std::vector<Triangle>& triangles = hull.triangles;
   detail::EdgeOwners owner;
@@ -324,8 +324,8 @@ std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
   return polygons;
 }
 
-// Makes the tables of the hull. Triangle edges inside of a merged face remain neighbors. Merged faces are flat only
-// to 0.1 degrees, and without these edges a hill climb over the neighbors could stop at the low side of such a face.
+// Makes the tables of the hull. Triangle edges inside merged faces remain neighbors: such faces are
+// flat only to 0.1 degrees, and a hill climb without these edges could stop at a face's low side.
 ConvexHull tables(std::span<const Vec3f> points, const std::vector<Triangle>& triangles,
                   std::vector<Polygon> polygons) {
   std::set<int32_t> used;

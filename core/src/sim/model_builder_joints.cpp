@@ -486,7 +486,7 @@ void ModelBuilder::upload_joints(Model& m) const {
     axes.insert(axes.end(), joint.axes.begin(), joint.axes.end());
     const auto body = static_cast<size_t>(joint.child);
     if (bodies_[body].is_link || joint.type != JointType::FREE) continue;
-    // The free joint of add_body starts at the pose of the body, unless its coordinates were edited.
+    // The free joint of add_body starts at the pose of the body unless its coordinates were edited.
     float* const at = &q[static_cast<size_t>(joint.q_start)];
     const Transformf& x = body_q[body];
     if (Transformf{{at[0], at[1], at[2]}, {at[3], at[4], at[5], at[6]}} == bodies_[body].added_at) {

@@ -241,7 +241,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     for (size_t k = 0; k < dofs; ++k) to_dv[k] = dual.ws.qd_next[k].tangent;
   }
 
-  // Computes the point and its Jacobians, after finish_step of the new state; `exact` uses dual numbers.
+  // Computes the point and its Jacobians after finish_step of the new state; `exact`: dual numbers.
   void find_point(const Tree<float>& tree, const ArticulationArguments* a) {
     const size_t n = parameters();
     const PointState<float> at =

@@ -353,7 +353,7 @@ struct TreeSteps::FirstOfLanes {
   int32_t coord[kMostLanes], dof[kMostLanes], body[kMostLanes];
 };
 
-// Sets the inputs of the lanes of a batch. `constants`: memory for a batch without constants of its own.
+// Sets the inputs of the lanes of a batch. `constants`: memory for a batch without own constants.
 void TreeSteps::set_lanes(art::LaneStepArguments& s, const ArticulationArguments& in,
                           const Model& m, const Batch& batch, FirstOfLanes& first,
                           float* constants) const {

@@ -108,8 +108,8 @@ float longest_dt(float springs, float dampers) {
   return 8.0f / (dampers + std::sqrt(dampers * dampers + 16.0f * springs));
 }
 
-// Returns the dt at which the largest eigenvalue of M^-1 (dt^2 springs + dt dampers) is 4. The Rayleigh quotients of
-// any vector give an upper bound; those of the eigenvector give the next iterate.
+// Returns the dt at which the largest eigenvalue of M^-1 (dt^2 springs + dt dampers) is 4. Rayleigh
+// quotients of any vector give an upper bound, and quotients of the eigenvector the next iterate.
 template <class Accelerate>
 float longest_dt(const Terms& terms, Accelerate accelerate) {
   Six x = kStart, y = x;

@@ -38,7 +38,7 @@ struct Actuator {
   Law law;
   double gear[6] = {1.0, 0.0, 0.0, 0.0, 0.0, 0.0};
   Range control = kNoRange, force = kNoRange, activation = kNoRange;
-  // Whether the law is a spring or damper and so a part of the drive of its dof, instead of a force alone.
+  // Whether the law is a spring or damper and so part of the drive of its dof, not a force alone.
   bool is_servo() const {
     return law.gain[1] != 0.0 || law.gain[2] != 0.0 || law.bias[1] != 0.0 || law.bias[2] != 0.0;
   }
@@ -242,7 +242,7 @@ class ActuatorReader {
     return std::pair(values[0], values[1]);
   }
 
-  // Reads the law. Returns false if NovaPhy does not support it. Null `joint`: the actuator acts on bodies.
+  // Reads the law. Returns false if NovaPhy lacks it. Null `joint`: the actuator acts on bodies.
   bool read_law(Actuator& a, const MjcfJoint* joint) {
     const Element& e = *a.element;
     Law& law = a.law;

@@ -276,7 +276,7 @@ class Emitter {
     }
   }
 
-  // Adds the mimic constraints. The leader gets the velocity limit of the mimic joint, which has no limit of its own.
+  // Adds the mimic constraints. The velocity limit of a mimic joint limits its leader instead.
   void add_mimics() {
     for (size_t j = 0; j < robot_.joints.size(); ++j) {
       const RobotJoint& joint = robot_.joints[j];
@@ -371,7 +371,7 @@ class Emitter {
     if (!kept_.contains(std::minmax(a, b))) builder_.add_shape_collision_filter_pair(a, b);
   }
 
-  // Adds collision filters: links of a part do not collide with each other or with neighboring parts.
+  // Adds collision filters: links of a part do not collide with each other or neighboring parts.
   void filter() {
     for (const auto& [a, b] : robot_.pairs)
       if (named_shapes_.contains(a) && named_shapes_.contains(b))

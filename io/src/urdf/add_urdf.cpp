@@ -214,7 +214,7 @@ class Reader {
     return true;
   }
 
-  // Returns the mesh of a file, read once. A mirrored mesh gets its own vertices, and `scale` becomes 1.
+  // Returns the mesh of a file, read once. A mirrored mesh has its own vertices; `scale` becomes 1.
   std::shared_ptr<const Mesh> surface(const std::filesystem::path& path, Vec3d& scale) {
     auto& read = meshes_[path.string()];
     if (read == nullptr)

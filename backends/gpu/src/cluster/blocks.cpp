@@ -16,7 +16,7 @@ constexpr int32_t kLongSum = 256;      // number of items; longer sums follow an
 constexpr uint32_t kRowsOfWarp = 8;    // rows per warp of sums; few lanes wait for few cache lines
 constexpr uint32_t kMostSumWarps = 2;  // warps of sums per block, if more are not needed
 constexpr size_t kMostLayouts = 8;
-// Limits on the rows that are computed more than once. Above them, redundant work costs more than an exchange.
+// Limits on rows computed more than once. Above, redundant work costs more than an exchange.
 constexpr size_t kMostComputed = 8, kOfRows = 5;
 
 struct Table {
@@ -284,7 +284,7 @@ class Planner {
     return static_cast<uint32_t>(most);
   }
 
-  // Puts makers on the first warps of a block and sums on other warps. Makers and sums work at different times.
+  // Puts makers on the first warps of a block and sums on others. The two work at different times.
   bool place_warps() {
     std::vector<uint32_t> of_part(blocks_, 0);
     for (const uint32_t part : part_) ++of_part[part];
@@ -386,7 +386,7 @@ class Planner {
     }
     return true;
   }
-  // Returns the thread for a row, given its position among the rows of a block. The warps share the rows evenly.
+  // Returns the thread of row `at` among the rows of a block. The warps share the rows evenly.
   size_t thread_of(uint32_t block, uint32_t first, uint32_t warps, size_t rows, size_t at) const {
     const size_t each = (rows + warps - 1) / warps;
     return size_t{block} * plan_.threads + (first + at / each) * kWarp + at % each;
@@ -474,7 +474,7 @@ class Planner {
     }
     return one;
   }
-  // Items that are written again later, and read only by sums of their block, need not go to memory now.
+  // Items that are rewritten later and read only by sums of their block need not go to memory.
   void keep_last_items() {
     std::map<uint64_t, size_t> last;
     const auto each = [&](const auto& f) {

@@ -49,7 +49,7 @@ class HaloPlanner {
     int32_t width;
     uint32_t rows, base = 0;
   };
-  // A source or an output of an operation, wherever the operation occurs: chain, place in the chain, kernel, slot.
+  // A source or output of an operation at all its occurrences: chain, place there, kernel, slot.
   using Slot = std::tuple<uint32_t, size_t, const novaphy_kernel*, size_t>;
   struct Written {
     size_t op;
@@ -68,7 +68,7 @@ class HaloPlanner {
       f(k, k - first);
     }
   }
-  // Calls f(source, address of its rows, their count) for each source whose rows are selected by indices.
+  // Calls f(source, address of its rows, their count) for each source with rows chosen by indices.
   template <class F>
   static void for_each_gathered(const novaphy_persistent_op& o, const F& f) {
     if (o.op.kernel == nullptr || is_builtin(o)) return;
@@ -129,7 +129,7 @@ class HaloPlanner {
     return fits;
   }
 
-  // Finds the halo arrays from which elements read. Arrays that the previous sums did not write come from memory.
+  // Finds halo arrays that elements read. Arrays not written by the previous sums come from memory.
   bool receive(size_t k) {
     const std::map<uint64_t, Written> written =
         k > 0 && plan_.phases[k - 1].sends ? written_in(k - 1) : std::map<uint64_t, Written>{};

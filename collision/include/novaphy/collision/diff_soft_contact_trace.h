@@ -18,8 +18,8 @@
 //                    of the slip in a step. The operators, and Newton's law, use r = kNoKfBound
 //   a                adhesion distance (m), 0 by default
 //   f                N, world frame
-// The margin of a shape widens the search for contacts only and is not part of the force. Source: Newton 1.8.0,
-// SolverSemiImplicit, which has no bound r. Its output on the CPU has the same bits wherever kf <= r m.
+// The margin of a shape widens the search for contacts, not the force. Source: SolverSemiImplicit
+// of Newton 1.8.0, which has no bound r. Its output on the CPU has the same bits where kf <= r m.
 //
 // Points where the law is not smooth, and the value there (the derivative makes the same choice):
 //   c = a    the force acts. It jumps by the damping kd*vn at touch-down.
@@ -149,11 +149,11 @@ SurfaceDistance<T> capsule_distance(const Vec3<T>& x, const T& radius, const T& 
   return {l - radius, select(l > T(1e-8f), v / l, axis)};
 }
 
-// Box with half extents h. Outside, the normal is the direction from the closest point. Inside and on the surface,
-// the normal is that of the face with the largest q = |x| - h. The axis is x if qx is the only maximum, y if qy is,
-// and else z. The sign is that of the coordinate (+ at 0). On an edge, where two q are exactly 0, another rule
-// applies: (qy = qz = 0) gives x, (qx = qz = 0) gives y, and (qx = qy = 0) gives z. A corner gives x. On a tie of qx
-// and qy inside, the normal z does not belong to the distance qx.
+// Box with half extents h. Outside, the normal is the direction from the closest point. Elsewhere,
+// the normal is that of the face with the largest q = |x| - h: axis x if qx is the only maximum, y
+// if qy is, else z. The sign is that of the coordinate (+ at 0). An edge, with two q exactly 0, has
+// another rule: qy = qz = 0 gives x, qx = qz = 0 gives y, qx = qy = 0 gives z. A corner gives x.
+// On a tie of qx and qy inside, the normal z does not belong to the distance qx.
 template <class T>
 SurfaceDistance<T> box_distance(const Vec3<T>& x, const Vec3<T>& h) {
   using namespace math;

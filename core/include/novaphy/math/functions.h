@@ -1,6 +1,6 @@
-// Elementary functions, written once as branch-free templates over the scalar T. T = float runs in the forward
-// engine, and T = nova::Real is traced. The functions use only operations that round the same on every device: + - *
-// / sqrt floor fma, comparisons, selects, casts and bit patterns. None uses libm, so all devices give the same bits.
+// Elementary functions as branch-free templates over the scalar T. T = float runs in the forward
+// engine, T = nova::Real is traced. All operations round the same on every device: + - * / sqrt
+// floor fma, comparisons, selects, casts and bit patterns, no libm. So all devices give equal bits.
 //
 //   function    worst error  where        special values (NaN in gives NaN out)
 //   sin, cos    1.6 ulp      |x| <= 1e5   sin(-0) = -0, +-inf gives NaN
@@ -14,10 +14,10 @@
 //   atan2       1.6 ulp      everywhere   as C99: all quadrants, signed zeros, infinities
 //   rsqrt       1.5 ulp      everywhere   1/sqrt(x): rsqrt(+-0) = +-inf, NaN for x < 0
 //
-// "Everywhere" includes denormal arguments and results. Errors are measured against double precision: over all
-// arguments for functions of one argument, over 4e8 random pairs for functions of two. The error of sin and cos is
-// 2.4 ulp up to |x| = 1e6. Beyond, the argument reduction runs out of bits. The result is still in [-1, 1] and the
-// same on every device, but is meaningless above about 1e7.
+// "Everywhere" includes denormal arguments and results. The reference is double precision, over all
+// arguments for functions of one argument, and over 4e8 random pairs for functions of two. The
+// error of sin and cos is 2.4 ulp up to |x| = 1e6. Beyond, the argument reduction runs out of bits.
+// The result stays in [-1, 1] and the same on every device, but is meaningless above about 1e7.
 //
 // Derivatives are analytic. Conventions where the derivative does not exist:
 //   log         1/x everywhere, so +-inf at +-0
@@ -31,10 +31,10 @@
 // Call the functions from namespace novaphy or nova, or as math::sin(x). At global scope an
 // unqualified sin(x) of a float is the function of libm.
 //
-// The coefficients are minimax fits of the relative error. Lawson's iteration (reweighted least squares until the
-// error is level) runs on 1500 Chebyshev nodes against 50-digit values. The coefficients are rounded to binary32 from
-// the lowest degree up. After each rounding the other coefficients are fitted again. A search over neighboring floats
-// comes last. Each use states its interval and relative error.
+// The coefficients are minimax fits of the relative error. Lawson's iteration (reweighted least
+// squares until the error is level) runs on 1500 Chebyshev nodes against 50-digit values. Rounding
+// to binary32 goes from the lowest degree up, with a new fit of the other coefficients each time. A
+// search over neighboring floats comes last. Each use states its interval and relative error.
 #pragma once
 
 #include "novaphy/math/scalar.h"
@@ -58,7 +58,7 @@ inline constexpr float kSmallest = 0x1p-149f;
 inline constexpr float kSmallestNormal = 0x1p-126f;
 inline constexpr float kThird = 0x1.555556p-2f;
 inline constexpr float kLog2e = 0x1.715476p+0f;
-// ln 2 as the sum of two parts. The first part has 15 bits, so that its product with an exponent is exact.
+// ln 2 in two parts. The first part has 15 bits, so that its product with an exponent is exact.
 inline constexpr float kLn2Hi = 0x1.62e4p-1f, kLn2Lo = 0x1.7f7d1cp-20f;
 inline constexpr float kTwoOverPi = 0x1.45f306p-1f;
 // pi/2 as the sum of three parts, to 2^-73. The first two are truncated instead of rounded. All
@@ -124,7 +124,7 @@ SinCos<T> sin_cos(const T& x) {
   return {select(x == T(0.0f), x, sine), cosine};  // the polynomial would lose the sign of -0
 }
 
-// Exponent n and remainder r of x = n ln 2 + r with |r| <= 0.3471, so that exp(x) = 2^n (1 + exp_minus_1(r)).
+// Exponent n and remainder r: x = n ln 2 + r, |r| <= 0.3471, exp(x) = 2^n (1 + exp_minus_1(r)).
 template <class T>
 T nearest_exponent(const T& x) {
   return floor(fma(x, T(kLog2e), T(0.5f)));
@@ -139,7 +139,7 @@ T exp_minus_1(const T& r) {  // to 2^-28.2 of exp(r)
       polynomial(r, 0.49999994f, 0.166665211f, 0.0416682847f, 0.00836869422f, 0.0013819189f);
   return fma(r * r, p, r);
 }
-// Returns x 2^n for whole n with |n| <= 252. Only the second product can round, overflow or underflow.
+// Returns x 2^n for whole |n| <= 252. Only the second product can round, overflow or underflow.
 template <class T>
 T scale(const T& x, const T& n) {
   const auto k = to_int(n);
@@ -186,8 +186,8 @@ template <class T>
 struct Pair {  // the unevaluated sum hi + lo, hi = fl(hi + lo)
   T hi{}, lo{};
 };
-// Returns log(a) for finite a > 0 as a pair, to a relative error of about 2^-31; pow multiplies the error by up to
-// 88. The formula is exponent ln 2 + 2 atanh(s), s = (m - 1) / (m + 1), |s| <= 0.1716. s and its cube are pairs.
+// Returns log(a) for finite a > 0 as a pair. pow multiplies the relative error, about 2^-31, by up
+// to 88. Formula: exponent ln 2 + 2 atanh(s), s = (m - 1) / (m + 1), |s| <= 0.1716. s, s^3: pairs.
 template <class T>
 Pair<T> log_pair(const T& a) {
   const Scientific<T> part = split(a);
@@ -287,7 +287,7 @@ template <class T>
 struct Atan2 {
   T value{}, dy{}, dx{};
 };
-// atan of the quotient q <= 1 of the smaller and the larger argument, moved to the octant of (x, y).
+// atan of the quotient q <= 1 of the smaller and larger argument, in the octant of (x, y).
 template <class T>
 Atan2<T> atan2_value(const T& y, const T& x) {
   const T zero = T(0.0f), one = T(1.0f);

@@ -1,4 +1,4 @@
-// ModelBuilder: collects particles, elements, bodies, joints and shapes, checks them, and makes a Model.
+// ModelBuilder: collects particles, elements, bodies, joints and shapes, and makes a checked Model.
 #pragma once
 
 #include <cstdint>
@@ -51,8 +51,8 @@ struct BodyArgs {
   std::string label = {};     // "body_<index>" when empty
 };
 
-// The options of the add_shape_* functions. An empty `cfg` selects ModelBuilder::default_shape_cfg, and an empty
-// `label` selects "shape_<index>". `xform` is the pose of the shape in its body, or in the world for body -1.
+// Options of add_shape_* functions. Empty `cfg`: ModelBuilder::default_shape_cfg. Empty `label`:
+// "shape_<index>". `xform`: the pose of the shape in its body, or in the world for body -1.
 struct ShapeArgs {
   int32_t body = -1;
   GeoType type = GeoType::NONE;
@@ -135,7 +135,7 @@ struct ShapeConvexHullArgs {
 
 // The options of ModelBuilder::color.
 struct ColorArgs {
-  // Whether the corners of a bending edge get different colors. Empty: only for edges with stiffness or damping.
+  // Whether corners of a bending edge differ in color. Empty: if the edge has stiffness or damping.
   // False: corners may share a color, and then a stiff hinge converges badly or not at all.
   std::optional<bool> include_bending = {};
   bool balance_colors = true;  // moves particles until the colors have similar sizes
@@ -160,8 +160,8 @@ class NOVAPHY_CORE_API ModelBuilder {
   Axis up_axis() const { return up_axis_; }
   Vec3f up_vector() const { return axis_vector(up_axis_); }
 
-  // Settings. A changed setting affects what is added afterwards. Gravity (m/s^2, world frame): begin_world reads
-  // this value for a world without its own gravity, and finalize for a builder without worlds.
+  // Settings. A change affects what is added afterwards. Gravity (m/s^2, world frame): begin_world
+  // reads the value for a world without its own gravity, and finalize for a builder without worlds.
   Vec3f gravity;
   float default_particle_radius = 0.1f;  // m
   ShapeConfig default_shape_cfg;
@@ -188,7 +188,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   std::vector<int32_t> particle_flags;         // ParticleFlags
   std::vector<int32_t> particle_world;         // -1: all worlds
 
-  // Initial poses and velocities of the bodies (see Model::body_q, body_qd). The values may be edited.
+  // Initial poses and velocities of the bodies (see Model::body_q, body_qd), which may be edited.
   std::vector<Transformf> body_q;
   std::vector<SpatialVectorf> body_qd;
 
@@ -216,7 +216,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t edge_count() const { return static_cast<int32_t>(edges_.indices.size()); }
   int32_t tet_count() const { return static_cast<int32_t>(tetrahedra_.indices.size()); }
 
-  // Adds a particle and returns its index. A particle with `mass` 0 is kinematic: it keeps its velocity.
+  // Adds a particle and returns its index. `mass` 0: kinematic, so the particle keeps its velocity.
   int32_t add_particle(const Vec3f& pos, const Vec3f& vel, float mass,
                        std::optional<float> radius = {},
                        int32_t flags = static_cast<int32_t>(ParticleFlags::ACTIVE));
@@ -230,28 +230,28 @@ class NOVAPHY_CORE_API ModelBuilder {
   // up to 1e-7 of the longest edge squared, a volume up to 1e-7 of the longest edge cubed, or an
   // inverted tetrahedron. Materials are finite and >= 0.
   //
-  // Adds a spring and returns its index. The rest length is the present distance. `control` is only stored. With
-  // `tension_only` the spring is a rope, which pulls beyond its rest length and never pushes.
+  // Adds a spring and returns its index. The rest length is the present distance. `control` is only
+  // stored. `tension_only`: the spring is a rope, which pulls beyond its rest length, never pushes.
   int32_t add_spring(int32_t i, int32_t j, float ke, float kd, float control = 0.0f,
                      bool tension_only = false);
   // Adds a triangle, counter-clockwise. Returns its area (m^2).
   float add_triangle(int32_t i, int32_t j, int32_t k, const TriMaterial& material = {});
-  // Adds several triangles. `materials`: empty, one for all, or one each. Returns their areas (m^2).
+  // Adds several triangles. `materials`: empty, one for all, or one each. Returns the areas (m^2).
   std::vector<float> add_triangles(std::span<const Vec3i> indices,
                                    std::span<const TriMaterial> materials = {});
-  // Adds a tetrahedron. The right-hand normal of (i, j, k) points to l. Returns the volume > 0 (m^3).
+  // Adds a tetrahedron. The right-hand normal of (i, j, k) points to l. Returns a volume > 0 (m^3).
   float add_tetrahedron(int32_t i, int32_t j, int32_t k, int32_t l, std::optional<float> k_mu = {},
                         std::optional<float> k_lambda = {}, std::optional<float> k_damp = {});
-  // Adds several tetrahedra. Each material: empty, one for all, or one each. Returns the volumes (m^3).
+  // Adds tetrahedra. Each material: empty, one for all, or one each. Returns the volumes (m^3).
   std::vector<float> add_tetrahedra(std::span<const Vec4i> indices,
                                     std::span<const float> k_mu = {},
                                     std::span<const float> k_lambda = {},
                                     std::span<const float> k_damp = {});
-  // Adds a bending edge from k to l between the triangles (i, k, l) and (j, l, k). An i or j of -1 marks a border
-  // edge, which has no force. Empty `rest` (rad) selects the present angle. Returns the index.
+  // Adds a bending edge from k to l between triangles (i, k, l) and (j, l, k). i or j = -1: a
+  // border edge, which has no force. Empty `rest` (rad): the present angle. Returns the index.
   int32_t add_edge(int32_t i, int32_t j, int32_t k, int32_t l, std::optional<float> rest = {},
                    const EdgeMaterial& material = {});
-  // Adds several bending edges. `rest`: empty or one each. `materials`: empty, one for all, or one each.
+  // Adds bending edges. `rest`: empty or one each. `materials`: empty, one for all, or one each.
   void add_edges(std::span<const Vec4i> indices, std::span<const float> rest = {},
                  std::span<const EdgeMaterial> materials = {});
 
@@ -267,14 +267,13 @@ class NOVAPHY_CORE_API ModelBuilder {
   // of the joint. Returns the index. ErrorKind::Value: the mass or inertia is not physical.
   // finalize makes the same check of the body with its shapes.
   int32_t add_body(const BodyArgs& args = {});
-  // Adds a rigid body without a joint; the mass may be 0. finalize refuses a link that is not the child of a joint.
+  // Adds a body without a joint; the mass may be 0. finalize refuses a link without a parent joint.
   int32_t add_link(const BodyArgs& args = {});
 
-  // Joints. A joint connects a child body to a parent body (-1: the world). All functions return the index of the
-  // joint. Coordinates start at 0, except that FREE and DISTANCE joints start at the present poses of the bodies.
-  // Shapes of a child with ShapeConfig::collision_filter_parent never collide with shapes of the parent.
-  //   ErrorKind::Value  a bad pose, axis or number, limits in the wrong order, a child equal to the
-  //                     parent, bodies of two worlds
+  // A joint connects a child to a parent body (-1: the world). Functions return the joint's index.
+  // Coordinates start at 0, but FREE and DISTANCE joints start at the present poses of the bodies.
+  // Child shapes with ShapeConfig::collision_filter_parent never collide with shapes of the parent.
+  //   ErrorKind::Value  bad pose, axis, number or limit order; child = parent; bodies of two worlds
   //   ErrorKind::Index  a body that does not exist
   int32_t add_joint(JointType type, int32_t parent, int32_t child, const JointArgs& args = {});
   int32_t add_joint_revolute(int32_t parent, int32_t child, const AxisJointArgs& args = {});
@@ -295,7 +294,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   // of joint0 act on joint1; the velocity limit of joint0 has no effect. A mimic joint may lead
   // other mimic joints. The initial joint_q and joint_qd of joint0 follow from those of joint1.
   //   ErrorKind::Index  a joint that does not exist
-  //   ErrorKind::Value  a joint of another type, a joint that mimics already, a cycle, a number that
+  //   ErrorKind::Value  a joint of another type or one that mimics already, a cycle, a number that
   //                     is not finite; from finalize: joints of different articulations
   void add_constraint_mimic(int32_t joint0, int32_t joint1, float coef0 = 0.0f, float coef1 = 1.0f);
   // Adds an actuator of a joint with axes (joint_types.h), or of a body (-1: the world). Returns
@@ -305,12 +304,11 @@ class NOVAPHY_CORE_API ModelBuilder {
   //                     finite, a frame whose quaternion has not length 1, a time constant <= 0
   int32_t add_actuator(int32_t joint, const ActuatorArgs& args = {});
   int32_t add_body_actuator(int32_t body, const BodyActuatorArgs& args = {});
-  // Makes finalize throw ErrorKind::NotImplemented. `why` names the feature that no solver supports.
+  // Makes finalize throw ErrorKind::NotImplemented. `why` names the feature that solvers lack.
   void refuse_at_finalize(std::string why) { refused_.push_back(std::move(why)); }
-  // Merges the child of every enabled FIXED joint into the parent: mass, shapes and joints. A joint stays if
-  //   its label is in `keep`,
-  //   its child has another joint to a parent, is kinematic under a body or has another gravcomp, or
-  //   it is a root with more than one child in its articulation.
+  // Merges the child of each enabled FIXED joint into the parent: mass, shapes and joints. A joint
+  // stays if its label is in `keep`, if it is a root with several children in its articulation, or
+  // if its child has another joint to a parent, is kinematic under a body or has another gravcomp.
   CollapsedJoints collapse_fixed_joints(std::span<const std::string> keep = {});
 
   // Shapes. All functions return the index of the shape. `body` -1 is the world. A plane belongs to
@@ -324,16 +322,16 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t add_shape_cylinder(int32_t body, const ShapeCylinderArgs& args = {});
   int32_t add_shape_cone(int32_t body, const ShapeConeArgs& args = {});
   int32_t add_shape_ellipsoid(int32_t body, const ShapeEllipsoidArgs& args = {});
-  // Adds a triangle mesh. A mesh with a density and a body must be closed; see mesh_properties. A hollow mesh has a
-  // wall of cfg.margin; see shell_properties (core/geometry/mesh_mass.h). ErrorKind::Value: no triangle, an index out
-  // of range, two corners of a triangle in one place, a number that is not finite, or a scale <= 0.
+  // Adds a triangle mesh. A mesh with a density and a body must be closed; see mesh_properties. A
+  // hollow mesh has a wall of cfg.margin; see shell_properties (core/geometry/mesh_mass.h).
+  // ErrorKind::Value: no triangle, two equal corners of one, a bad index or number, a scale <= 0.
   int32_t add_shape_mesh(int32_t body, const ShapeMeshArgs& args);
   // Adds the convex hull of points. ErrorKind::Value: an error of convex_hull, or a scale <= 0.
   int32_t add_shape_convex_hull(int32_t body, const ShapeConvexHullArgs& args);
   // A named frame: a shape with ShapeFlags::SITE, which meets nothing and has no mass.
   int32_t add_site(const ShapeArgs& args);
 
-  // Makes two shapes never collide. ErrorKind::Index: a shape does not exist. ErrorKind::Value: a == b.
+  // Makes two shapes never collide. ErrorKind::Index: no such shape. ErrorKind::Value: a == b.
   void add_shape_collision_filter_pair(int32_t a, int32_t b);
 
   // Worlds. Everything that is added between begin_world and end_world belongs to one world.
@@ -344,14 +342,14 @@ class NOVAPHY_CORE_API ModelBuilder {
   // ErrorKind::Value: a number is not finite.
   int32_t begin_world(std::optional<Vec3f> gravity = {});
   void end_world();
-  // Adds all of another builder to the current world, moved by `xform`. The worlds of the other builder are ignored.
-  // Its gravity becomes the gravity of this world, or of this builder outside of worlds. ErrorKind::Value: another up
-  // axis, this builder itself, a bad pose, or too many particles.
+  // Adds all of another builder to the current world, moved by `xform`. The other builder's worlds
+  // do not count. Its gravity becomes that of this world, or of this builder outside of worlds.
+  // ErrorKind::Value: another up axis, this builder itself, a bad pose, or too many particles.
   void add_builder(const ModelBuilder& builder, const Transformf& xform = Transformf::identity());
   // Calls begin_world, add_builder and end_world. Returns the index of the world.
   int32_t add_world(const ModelBuilder& builder, const Transformf& xform = Transformf::identity());
-  // Calls add_world `world_count` times on a grid. `spacing` (m, world frame): the grid spans the axes with a nonzero
-  // spacing. The grid is centered at the origin, but starts at 0 along the up axis.
+  // Calls add_world `world_count` times on a grid along the axes with a nonzero `spacing` (m, world
+  // frame). The grid is centered at the origin, but starts at 0 along the up axis.
   void replicate(const ModelBuilder& builder, int32_t world_count, const Vec3f& spacing = {});
 
   // Colors the particles, so that the particles of one element have different colors. Elements are
@@ -526,9 +524,9 @@ class NOVAPHY_CORE_API ModelBuilder {
   enum class ColorCheck : uint8_t { None, WithoutBending, All } color_check_ = ColorCheck::All;
 };
 
-// Returns the shape pairs (i < j, in lexicographic order) that may touch. Both shapes collide with shapes, their
-// worlds and collision groups are compatible, they belong to different bodies and not both to the world, and the pair
-// is not filtered. `body` -1 is the world. All spans have one row per shape.
+// Returns the shape pairs (i < j, in lexicographic order) that may touch. Both shapes collide with
+// shapes, their worlds and collision groups are compatible, their bodies differ (-1: world), and
+// the pair is not filtered. All spans have one row per shape.
 NOVAPHY_CORE_API std::vector<Vec2i> make_shape_contact_pairs(
     std::span<const int32_t> body, std::span<const int32_t> flags,
     std::span<const int32_t> collision_group, std::span<const int32_t> world,

@@ -14,8 +14,8 @@ namespace novaphy {
 //   kept_begin      per group: its first kept contact; kept_friction, now_friction: impulses {dofs}
 //   now             a row per place in the lists; lanes: TreeSteps steps the trees marked `taken`
 //   continues       whether the step starts where the one before ended
-// For derivatives, null if not requested: the impulses along n, t1, t2 and of dry friction, the branches, `seen` (a
-// row per place in the lists), and `seen` of the step before with the groups' starts.
+// For derivatives, null if not requested: impulses along n, t1, t2 and of dry friction, branches,
+// `seen` (a row per place in the lists), and `seen` of the step before with the groups' starts.
 struct ArticulationContactStepArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationStepArguments> step; Part<ContactGroupArguments> of;
                     Optional<Given<int32_t>> point_id; Given<int32_t> moved_by;
@@ -112,7 +112,7 @@ inline void open_and_start(const GroupStep& s, int32_t i) {
   start_node(s, i);
 }
 
-// Returns whether a contact may touch in the step. Also true if its trees fail or are not all in this group.
+// Returns whether a contact may touch in the step, or its trees fail or are not all in this group.
 inline bool is_near(const GroupStep& s, int32_t contact) {
   articulation::ContactSide sides[2];
   if (!contact_sides(s.a.shapes, contact, sides)) return true;
@@ -126,7 +126,7 @@ inline bool is_near(const GroupStep& s, int32_t contact) {
   return articulation::may_touch(s.contacts, contact, links, s.how.dt);
 }
 
-// Joins the trees of a contact that may touch. A contact with a tree outside of this group makes a tree fail.
+// Joins the trees of a contact that may touch. A contact that leaves this group makes a tree fail.
 inline void join_step_contact(const GroupStep& s, int32_t place) {
   const int32_t contact = s.a.contacts[place];
   if (is_near(s, contact)) {

@@ -14,8 +14,8 @@ namespace novaphy::articulation {
 
 inline constexpr int32_t kMostTreeContacts = 64;
 
-// Rigid contacts (core/sim/contacts.h). `point_id` may be null without a warm start. `found`: whether the search
-// found them from the state of the step, so that derivatives let them move with the state.
+// Rigid contacts (core/sim/contacts.h). `point_id` may be null without a warm start. `found`: a
+// search found the contacts from the state of the step, and derivatives move them with the state.
 struct ContactRows {
   int32_t count = 0;
   const int32_t *shape0 = nullptr, *shape1 = nullptr, *point_id = nullptr;

@@ -155,7 +155,7 @@ T slope_towards(const Tree<T>& tree, const StepDrives<T>& drives, const Workspac
 inline constexpr int32_t kFreeRounds = 32;  // afterwards, clamped drives stay clamped
 inline constexpr int32_t kHalvings = 16;
 
-// Computes the branches for the next round. Returns false if all lanes are consistent with the branches of the solve.
+// Computes the next round's branches. Returns false if all lanes fit the branches of the solve.
 template <class T>
 bool next_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                    int32_t round, Workspace<T>& ws) {
@@ -204,10 +204,10 @@ int32_t settle(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T
   }
 }
 
-// After a solve, moves dofs of some lanes to the bounds of their rates, or releases them. Dofs
-// beyond a bound are moved. Dofs whose force r would pull outwards are released (unless `keep`). A
-// dof whose bounds leave no room is never released: the sign of r selects the bound. Returns false
-// if no dof changed. given: impulses of contacts and dry friction on dofs at a bound (N s, N m s).
+// After a solve, moves dofs of some lanes that are beyond a bound of their rates to the bound.
+// Releases dofs whose force r would pull outwards, unless `keep`. A dof whose bounds leave no room
+// stays: the sign of r selects the bound. Returns false if no dof changed. given: impulses of
+// contacts and dry friction on dofs at a bound (N s or N m s).
 template <class T, class Mask>
 bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                      const Mask& lanes, bool keep, Workspace<T>& ws) {
@@ -278,7 +278,7 @@ int32_t begin_step(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& w
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.branch[k] = {};
   return -1;
 }
-// The squares of rates and accelerations must be finite too, because new coordinates and body_qd use them.
+// Squares of rates and accelerations must be finite, because new coordinates and body_qd use them.
 template <class T>
 auto has_finite_square(const T& x) {
   return is_finite(x * x);

@@ -159,7 +159,7 @@ class Writer {
     return code;
   }
   // Whether a source is prefetched: its own row differs in every iteration, and no operation writes
-  // the row. An iteration loads the row of the next. If the rows exceed caches, the row after that is
+  // the row. An iteration loads the row of the next. If rows exceed caches, the row after that is
   // prefetched into the cache. Adds the row of the first iteration to `before`.
   bool is_prefetched(const ListPlan::Site& site, size_t s) const {
     return ops_[site.op].kernel != nullptr &&

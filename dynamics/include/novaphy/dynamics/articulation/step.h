@@ -193,8 +193,7 @@ bool next_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   return true;
 }
 
-// Solves repeatedly until the solution is consistent with its branches. Ends at the latest some
-// rounds after kFreeRounds; drives obey their limits even then.
+// Solves until the branches are consistent, or some rounds after kFreeRounds. Drives obey limits.
 template <class T>
 int32_t settle(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                Workspace<T>& ws) {

@@ -62,14 +62,14 @@ def drift(torque: np.ndarray, *, running: bool = True) -> novaphy.solvers.Gradie
 
 
 def test_a_driven_damped_arm_keeps_it_under_any_control() -> None:
-    """Without the term of the control the smooth one would have more than 1 %, noise 100 %."""
+    """Also where the control jumps in every step, and with a loss of all states."""
     time = DT * np.arange(200)[:, None]
     smooth = np.concatenate([2 * np.sin(7 * time), np.cos(11 * time)], axis=1)
     noise = np.random.default_rng(0).normal(size=(200, 2))
     constant = np.ones((200, 2))
     found = [drift(x).h_drift for x in (constant, smooth, noise)]
-    assert found[0] < 5e-3 and found[1] < 5e-3 and found[2] < 2e-2, found
-    assert drift(smooth, running=False).h_drift < 5e-3
+    assert found[0] < 2e-4 and found[1] < 5e-4 and found[2] < 4e-3, found
+    assert drift(smooth, running=False).h_drift < 5e-4
 
 
 def falling(kind: str, mode: str = "motion") -> novaphy.solvers.GradientInfo:
@@ -102,7 +102,13 @@ def falling(kind: str, mode: str = "motion") -> novaphy.solvers.GradientInfo:
 
 def test_it_is_kept_between_the_impacts_of_a_box() -> None:
     info = falling("box")
-    assert len(info.event_list) > 0 and info.h_drift < 0.01, (info.h_drift, info.h_step)
+    assert len(info.event_list) > 0 and info.h_drift < 2e-3, (info.h_drift, info.h_step)
+
+
+def test_a_normal_that_is_held_shows() -> None:
+    """An ellipsoid that rolls on a ball: its points and normals have no closed form."""
+    info = falling("ellipsoid")
+    assert info.label == "frozen" and info.h_drift > 0.1
 
 
 def test_without_a_backward_or_with_gradients_of_the_code_there_is_none() -> None:

@@ -282,8 +282,10 @@ def test_labels_tell_which_touches_are_not_covered() -> None:
     assert "outside of the steps" in cut.reason
     # It is there at the start.
     inside = balls((0, 0, 0.0995), of=surface(1e5), planes=FLOOR)
-    late = Run(inside, "motion", 100, 1 / 1000, [[0, 0, 1, 0, 0, 0]], weight(1, 0, 2)).info
-    assert late.label == "surrogate" and late.one_sided == 1
+    up = [[0, 0, 1, 0, 0, 0]]
+    moved, code = (Run(inside, m, 100, 1 / 1000, up, weight(1, 0, 2)) for m in ("motion", "code"))
+    assert moved.info.label == "exact of the code" and moved.info.one_sided == 1
+    assert np.array_equal(moved.of_q, code.of_q) and np.array_equal(moved.of_qd, code.of_qd)
     # A corner of two planes at once.
     corner = balls(
         (0.3, 0, 0.3), of=surface(1e5), planes=((0.0, 0.0, 1.0, 0.0), (1.0, 0.0, 0.0, 0.0))

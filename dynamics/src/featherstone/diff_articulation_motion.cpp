@@ -182,8 +182,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
 void motion_vjp(const Step& s, std::span<const Tensor> outputs,
                 std::span<const nova::InputGradient> gradients, const Adjoint& run) {
   MotionNotes& notes = *s.motion;
-  const nova::InputGradient &of_q = gradients[kAt.q], &of_qd = gradients[kAt.qd];
-  if (!of_q.grad.defined()) return run(gradients);
+  if (!gradients[kAt.q].grad.defined()) return run(gradients);
   if (!notes.concerned()) return drift_vjp(s, outputs, gradients, run);
   std::vector<nova::InputGradient> all(gradients.begin(), gradients.end());
   for (const size_t i : {kAt.q, kAt.qd}) all[i] = own_gradient(s, i);

@@ -51,8 +51,9 @@ endif()
 # not held to the warnings of written code; nor does it need the search for common subexpressions, which has been done:
 # that takes a sixth of the time to compile it.
 set(NOVAPHY_KERNEL_OPTIMIZATION -O2 CACHE STRING "Optimization of the compiled kernels")
+# No exception passes through the code, so it has no tables for one.
 set(NOVAPHY_NATIVE_COMMON_OPTIONS "$<$<C_COMPILER_ID:GNU>:-fno-gcse;-fno-tree-pre>" -g0 -ffp-contract=off -fno-math-errno
-    -fno-trapping-math -fwrapv -fno-strict-aliasing -w -Wno-psabi)
+    -fno-trapping-math -fwrapv -fno-strict-aliasing -fno-asynchronous-unwind-tables -w -Wno-psabi)
 
 function(novaphy_add_native_kernels target)
   cmake_parse_arguments(ARG "" "NAME;PARTS;PROGRAMS;OPTIMIZATION" "" ${ARGN})
@@ -90,7 +91,12 @@ function(novaphy_add_native_kernels target)
       target_include_directories(${objects} PRIVATE ${prelude})
       target_compile_definitions(${objects} PRIVATE LANES=${NOVAPHY_NATIVE_LANES_${level}}
                                  NOVAPHY_NATIVE_LEVEL=${level})
-      target_compile_options(${objects} PRIVATE ${ARG_OPTIMIZATION} ${NOVAPHY_NATIVE_COMMON_OPTIONS}
+      set(optimization ${ARG_OPTIMIZATION})
+      # Beside AVX2 the baseline serves old processors only, and the wheel has a limit of its size.
+      if(level STREQUAL "baseline" AND "avx2" IN_LIST NOVAPHY_NATIVE_LEVELS AND optimization STREQUAL "-O2")
+        set(optimization -Os)
+      endif()
+      target_compile_options(${objects} PRIVATE ${optimization} ${NOVAPHY_NATIVE_COMMON_OPTIONS}
                              ${NOVAPHY_NATIVE_OPTIONS_${level}})
       target_sources(${target} PRIVATE $<TARGET_OBJECTS:${objects}>)
       string(APPEND lists "constexpr const novaphy_native_table* k_${level}[] = {")

@@ -47,6 +47,11 @@ def out_of_reach(theta: nova.Tensor) -> nova.Tensor:
     return nova.sum(nova.relu(theta - 50.0), axis=-1) + 3.0
 
 
+def buried(theta: nova.Tensor) -> nova.Tensor:
+    """A slope of 0.3 with the gradient -0.15, beside a constant that hides both from differences."""
+    return 1e6 + nova.sum(theta.detach() * 0.45 - theta * 0.15, axis=-1)
+
+
 @pytest.mark.parametrize(
     ("f", "theta", "verdict", "words"),
     [
@@ -54,6 +59,7 @@ def out_of_reach(theta: nova.Tensor) -> nova.Tensor:
         (half, [1.0, -2.0, 0.5], "biased", "50 % from the gradient"),
         (ripples, [0.01, 0.02], "local", "tiny moves"),
         (logistic, [0.2, 0.1], "chaotic", "median lengths|do not settle"),
+        (buried, [1.0], "biased", "slope of the samples"),
         (out_of_reach, [0.1, 0.2], "zero", "reaches nothing"),
     ],
 )

@@ -40,6 +40,13 @@ def disagreements(of: Evidence) -> Numbers:
     return np.maximum(apart - floor, 0.0) / np.maximum(lengths, 1e-300)
 
 
+def is_hidden(of: Evidence, step: int, part: float) -> bool:
+    """Whether rounding is more than a part of the differences over a step and of the gradient."""
+    floor = 3.0 * of.noise[step] * np.sqrt(len(of.slopes))
+    length = max(np.linalg.norm(of.differences[step]), np.linalg.norm(of.slopes))
+    return bool(floor > part * length)
+
+
 def is_settled(of: Evidence) -> bool:
     """Whether differences over 0.3 and 0.1 sigma agree, but for rounding."""
     _, wide, narrow, _ = of.differences
@@ -69,7 +76,8 @@ def judge(of: Evidence) -> tuple[str, str]:
     _, at_wide, _, at_tiny = disagreements(of)
     if is_zero(of):
         return "zero", "The loss does not change within one sigma: the motion reaches nothing."
-    settled, by_samples = is_settled(of), f"{100.0 * from_smoothed(of):.0f} %"
+    settled = is_settled(of) and not is_hidden(of, 1, 0.5)
+    by_samples = f"{100.0 * from_smoothed(of):.0f} %"
     if settled and at_wide <= AGREES:
         return "of the motion", (
             "Differences of the loss over 0.3 sigma agree with the gradient within "
@@ -86,7 +94,8 @@ def judge(of: Evidence) -> tuple[str, str]:
             f"{100.0 * at_wide:.0f} % from the gradient.{_advice(of)}"
         )
     is_biased = is_known(of) and _leaves_times_out(of)
-    if at_tiny <= AGREES_CLOSELY and of.tail <= HEAVY and not is_biased:
+    close = at_tiny <= AGREES_CLOSELY and not is_hidden(of, 3, 1.0)
+    if close and of.tail <= HEAVY and not is_biased:
         return "local", (
             "The gradient holds for tiny moves only: differences over 0.01 sigma agree, and those "
             "over 0.1 and 0.3 sigma do not settle."
@@ -116,6 +125,8 @@ def _advice(of: Evidence) -> str:
 
 def _cause(of: Evidence) -> str:
     causes = []
+    if is_hidden(of, 1, 0.5):
+        causes.append("rounding of the loss hides its slope: take a constant off, or raise sigma")
     if of.tail > HEAVY:
         causes.append(f"the longest gradient of the samples has {of.tail:.3g} median lengths")
     if of.info is not None and of.info.least_separation < APART:

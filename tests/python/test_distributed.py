@@ -252,6 +252,22 @@ def test_a_failure_of_one_rank_ends_all_with_its_number():
     assert isinstance(first, RuntimeError) and "rank 1: ValueError: value_and_grad" in str(first)
 
 
+def test_sums_of_blocks_copy_and_check_their_rows():
+    shard = dist.shard(bouncing(), worlds=10, block=2)
+    memory = np.zeros(1, np.float32)
+
+    def same_memory(block):
+        memory[0] = block.index + 1
+        return memory
+
+    assert dist.sum_blocks(same_memory, shard).tolist() == [15.0]
+    with pytest.raises(ValueError, match="rows of one length, got 1 and 3 numbers"):
+        dist.sum_blocks(lambda b: np.ones(3 - 2 * (b.index % 2), np.float32), shard)
+    for wrong in (None, np.ones(2), np.ones((1, 2), np.float32)):
+        with pytest.raises(TypeError, match="expected a row of float32 numbers"):
+            dist.sum_blocks(lambda b, wrong=wrong: wrong, shard)
+
+
 def test_bad_input_is_named():
     shard = dist.shard(bouncing(), worlds=4, block=2)
     for arguments, message in (

@@ -62,15 +62,25 @@ def _check_finite(losses: NDArray[np.float32], block: Block) -> None:
 def sums_of(function: Callable[[Block], Vector], shard: Shard) -> list[Node]:
     """The sums of the largest subtrees of this rank; devices work side by side."""
     sums = BlockSums(shard.block_count)
+
+    def row_of(block: Block) -> Vector:
+        row = np.array(function(block))  # a copy: the function may use its memory again
+        if row.ndim != 1 or row.dtype != np.float32:
+            raise TypeError(
+                "sum_blocks: function: expected a row of float32 numbers, got the shape "
+                f"{row.shape} of {row.dtype}"
+            )
+        return row
+
     devices = list(dict.fromkeys(block.device for block in shard.blocks))
     if len(devices) == 1:
         for block in shard.blocks:
-            sums.put(0, block.index, function(block))
+            sums.put(0, block.index, row_of(block))
         return sums.nodes()
 
     def run(device: str) -> list[tuple[int, Vector]]:
         own = [block for block in shard.blocks if block.device == device]
-        return [(block.index, function(block)) for block in own]
+        return [(block.index, row_of(block)) for block in own]
 
     with ThreadPoolExecutor(len(devices)) as threads:
         for found in threads.map(run, devices):

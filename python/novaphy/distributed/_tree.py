@@ -30,6 +30,11 @@ class BlockSums:
                 other = self._nodes.pop((level, sibling), None)
                 if other is None:
                     break
+                if other.shape != values.shape:
+                    raise ValueError(
+                        f"sum_blocks: function: expected rows of one length, got {len(values)} and "
+                        f"{len(other)} numbers"
+                    )
                 values = values + other if index < sibling else other + values
             level, index = level + 1, index >> 1
         self._nodes[level, index] = values

@@ -48,7 +48,7 @@ def out_of_reach(theta: nova.Tensor) -> nova.Tensor:
 
 
 def buried(theta: nova.Tensor) -> nova.Tensor:
-    """A slope of 0.3 with the gradient -0.15, beside a constant that hides both from differences."""
+    """A slope of 0.3 with the gradient -0.15, beside a constant that hides both."""
     return 1e6 + nova.sum(theta.detach() * 0.45 - theta * 0.15, axis=-1)
 
 

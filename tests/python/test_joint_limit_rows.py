@@ -380,3 +380,73 @@ def test_the_tangent_of_a_chain_on_its_stops_is_the_transpose_of_its_adjoint(mod
     if mode == "code":  # moves that leave the stops in their steps, and are more than rounding
         slopes = [(run(start + e * along)[0] - run(start - e * along)[0]) / (2 * e) for e in MOVES]
         assert np.abs(np.array(slopes) - adjoint).min() < 5e-3 * abs(adjoint), (slopes, adjoint)
+
+
+@needs_diff
+@pytest.mark.parametrize("worlds", [1, 4])
+def test_a_bounce_off_a_stop_has_its_time_in_every_number_of_worlds(worlds: int) -> None:
+    """A slide of 1 m/s that leaves its stop with 0.7 of it: dq/dq0 is -0.7."""
+    from novaphy import diff, nova
+
+    one = novaphy.ModelBuilder(gravity=0.0)
+    link = one.add_link(mass=1.0, inertia=np.eye(3))
+    joint = one.add_joint_prismatic(-1, link, axis=(0, 0, 1), limit_lower=-1.0, limit_upper=0.1)
+    one.add_articulation([joint])
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    builder.replicate(one, worlds)
+    model = builder.finalize(requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, contact_gradient="motion", joint_limits="row", joint_limit_restitution=0.7
+    )
+    path = diff.Trajectory(model, 180)
+    path[0].joint_qd.assign(np.ones(worlds, np.float32))
+    with nova.Tape() as tape:
+        solver.rollout(path, None, None, 1e-3)
+        tape.backward(nova.sum(diff.state_joint_q_tensor(path[180])))
+    np.testing.assert_allclose(path[0].joint_q.grad.numpy(), -0.7, atol=1e-4)
+    assert len(solver.gradient_info().event_list) == worlds
+
+
+@needs_diff
+@pytest.mark.parametrize("bound", ["row", "velocity"])
+def test_a_contact_that_bounces_beside_a_held_dof_has_one_derivative(bound: str) -> None:
+    """Two links, of which one is held in the step in which their ball leaves the ground."""
+    from novaphy import diff, nova
+
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.0, restitution=0.5, gap=0.05)
+    held = {"limit_lower": -0.0097} if bound == "row" else {"velocity_limit": 0.5}
+    upper = builder.add_link(mass=1.0, inertia=np.diag([0.01, 0.02, 0.02]))
+    lower = builder.add_link(mass=1.0, inertia=np.diag([0.01, 0.02, 0.02]))
+    turn, end = (0, 0, 0, 1), ((-0.25, 0, 0), (0, 0, 0, 1))
+    joints = [
+        builder.add_joint_revolute(
+            -1, upper, axis=(0, 1, 0), parent_xform=((0, 0, 0.1995), turn), child_xform=end
+        ),
+        builder.add_joint_revolute(
+            upper, lower, axis=(0, 1, 0), parent_xform=((0.25, 0, 0), turn), child_xform=end, **held
+        ),
+    ]
+    builder.add_shape_sphere(lower, radius=0.1, xform=((0.25, 0, 0), turn), cfg=surface)
+    builder.add_articulation(joints)
+    builder.add_ground_plane(cfg=surface)
+    model = builder.finalize(requires_grad=True)
+    options = {"joint_limits": "row"} if bound == "row" else {}
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_erp=1.0, **options)
+    path = diff.Trajectory(model, 1)
+    path[0].joint_q.assign(np.float32([0.1, -0.0047]))
+    path[0].joint_qd.assign(np.float32([2.88, 1.615]))
+    novaphy.eval_fk(model, path[0].joint_q, path[0].joint_qd, path[0])
+    states = [diff.state_joint_q_tensor(path[0]), diff.state_joint_qd_tensor(path[0])]
+    with nova.Tape() as tape:
+        solver.rollout(path, None, None, 0.01, pipeline=novaphy.CollisionPipeline(model))
+        loss = nova.sum(diff.state_joint_qd_tensor(path[1])[0:1])
+        tape.backward(loss)
+        tangents = []
+        for row in np.eye(4, dtype=np.float32):
+            moved = [nova.tensor(row[:2]), nova.tensor(row[2:])]
+            tangents.append(tape.jvp([loss], states, moved)[0].item())
+    gradient = np.r_[path[0].joint_q.grad.numpy(), path[0].joint_qd.grad.numpy()]
+    np.testing.assert_allclose(gradient, tangents, atol=1e-4)
+    # The ball leaves with half of the rate of both links: of v0 twice as far away as of v1.
+    np.testing.assert_allclose(gradient[2:], [-0.5, -0.25], atol=1e-4)

@@ -293,6 +293,15 @@ def test_what_only_looks_as_if_it_acted_is_read():
     assert robot.timestep is None and robot.report.read["tendon"] == 1
 
 
+def test_a_site_from_a_point_to_another_is_in_their_middle():
+    inside = '<body name="b">' + GEOM + '<site name="s" fromto="0 0 0 1 0 0" size=".01"/></body>'
+    model, _ = loaded(mjcf(inside))
+    x, y, z, *turn = model.select("s").get(model, "shape_transform")[0]
+    assert_allclose([x, y, z], [0.5, 0.0, 0.0], atol=1e-7)
+    # As in MuJoCo the z axis goes from the second point to the first.
+    assert_allclose(np.abs(turn), [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)], atol=1e-6)
+
+
 def test_the_gravity_and_the_step_of_a_file():
     """A builder that has nothing in it yet takes the gravity of the file."""
     text = mjcf(ARM.format(joint=""), '<option gravity="0 1 0" timestep="0.003"/>')

@@ -97,11 +97,16 @@ void tell_events(const ArticulationStep::Step& step, const ArticulationArguments
                  const ArticulationStep::Step* before);
 void tell_limit(const ArticulationStep::Step& step, int32_t tree, int32_t dof);
 void tell_mismatch(const ContactEvent& event, std::span<const double> h_before, double mismatch);
-// Memory for the limits of a step without those of some dofs, which `in` then reads.
+// Memory for the limits of a step without those of some dofs, which `in` then reads. Trees do not
+// share lanes meanwhile: lanes read the limits of the model.
 struct LiftedLimits {
   LiftedLimits(const ArticulationStep::Step& step, std::span<const int32_t> dofs,
                ArticulationArguments& in);
+  LiftedLimits(const LiftedLimits&) = delete;
+  LiftedLimits& operator=(const LiftedLimits&) = delete;
+  ~LiftedLimits();
   std::vector<float> lower, upper;
+  TreeSteps* trees = nullptr;
 };
 // Adds the limits as rows that hit in a step to the events of its contacts. `last` as below;
 // `smooth(limits)`: the accelerations without contacts that hit and the limits of these dofs.

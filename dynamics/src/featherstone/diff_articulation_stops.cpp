@@ -83,6 +83,8 @@ void add_stop(const Step& s, const Stop& stop, ContactEvents& found) {
 LiftedLimits::LiftedLimits(const Step& s, std::span<const int32_t> dofs,
                            ArticulationArguments& in) {
   if (dofs.empty()) return;
+  trees = &*s.shared->trees;
+  trees->use_lanes(false);
   const auto copy = [&](size_t input, std::vector<float>& to, float without) {
     const float* const x = numbers(s.in(input));
     to.assign(x, x + s.in(input).size());
@@ -92,6 +94,10 @@ LiftedLimits::LiftedLimits(const Step& s, std::span<const int32_t> dofs,
   copy(kAt.limit_upper, upper, std::numeric_limits<float>::infinity());
   in.arrays.limit_lower = direct(lower);
   in.arrays.limit_upper = direct(upper);
+}
+
+LiftedLimits::~LiftedLimits() {
+  if (trees != nullptr) trees->use_lanes(true);
 }
 
 void find_stops(const Step& s, const MotionNotes* last, const Smooth& smooth) {

@@ -293,8 +293,8 @@ TreeSteps::Memory& TreeSteps::thread_memory() {
   static thread_local Memory memory;
   return memory;
 }
-bool TreeSteps::has_lanes(const Batch& batch) {
-  return batch.group >= 0 && batch.count >= static_cast<int32_t>(kFewest);
+bool TreeSteps::has_lanes(const Batch& batch) const {
+  return uses_lanes_ && batch.group >= 0 && batch.count >= static_cast<int32_t>(kFewest);
 }
 
 // Steps a single tree.

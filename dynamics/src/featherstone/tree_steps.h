@@ -42,6 +42,8 @@ class TreeSteps {
   void step(const ArticulationStepArguments& step, const Model& model,
             std::span<const int32_t> trees, const FeatherstoneOptions& options,
             TreeContacts* contacts, bool keep = false);
+  // Lanes read the constants of the model. A step with other constants takes tree by tree.
+  void use_lanes(bool use) { uses_lanes_ = use; }
   // The adjoint of a step without contacts: for the given trees, the same as articulation_step_vjp.
   void vjp(const ArticulationStepVjpArguments& step, const Model& model,
            std::span<const int32_t> trees);
@@ -75,7 +77,7 @@ class TreeSteps {
               const FeatherstoneOptions& options, TreeContacts* contacts, bool keep,
               Memory& memory);
   static Memory& thread_memory();
-  static bool has_lanes(const Batch& batch);
+  bool has_lanes(const Batch& batch) const;
   struct FirstOfLanes;
   void set_lanes(articulation::LaneStepArguments& to, const ArticulationArguments& in,
                  const Model& model, const Batch& batch, FirstOfLanes& first,
@@ -86,6 +88,7 @@ class TreeSteps {
              const FeatherstoneOptions& options, TreeContacts* contacts, bool keep,
              Memory& memory) const;
 
+  bool uses_lanes_ = true;
   const articulation::LaneLevel& level_ = articulation::lane_level();
   const Articulations& articulations_;
   const ArticulationRows* trees_;

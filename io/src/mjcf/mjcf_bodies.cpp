@@ -168,8 +168,15 @@ class BodiesReader {
   void add_site(const Element& e, const BodyPart& part) {
     context_.notes.read("site");
     const std::string name = part.name_of(e);
-    if (!name.empty())
-      context_.sites[name] = {part.link, math::multiply(part.frame, pose_of(e, part.childclass))};
+    if (name.empty()) return;
+    Posed pose = pose_of(e, part.childclass);
+    double v[6];
+    if (context_.defaults.numbers(e, "fromto", part.childclass, v)) {
+      const Vec3d from = {v[0], v[1], v[2]}, to = {v[3], v[4], v[5]}, way = from - to;
+      if (!(math::dot(way, way) > 1e-18)) file_.refuse(e, "fromto: expected two different points");
+      pose = {(from + to) * 0.5, turn_from_z(way)};
+    }
+    context_.sites[name] = {part.link, math::multiply(part.frame, pose)};
   }
 
   // Adds a camera or a light.

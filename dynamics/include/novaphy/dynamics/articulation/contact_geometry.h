@@ -160,8 +160,10 @@ void add_contact_geometry(const AdjointContact& row, float dt, const TreeOf& tre
           sum += sign * math::dot(g.forces[f], math::motion_at(d, points[side]).linear);
         }
         memory.tangent[k] -= sum;
-        if (row.target.bounce > 0.0f)
-          memory.rate[k] -= sign * math::dot(bounce, math::motion_at(axis, points[side]).linear);
+        if (!(row.target.bounce > 0.0f)) continue;
+        const bool held = has(of.ws.branch[k], kVelocityClamped);
+        (held ? memory.bounce : memory.rate)[k] -=
+            sign * math::dot(bounce, math::motion_at(axis, points[side]).linear);
       }
     }
   }

@@ -34,6 +34,7 @@ struct AdjointMemory {
   T* diagonal = nullptr;  // {dofs}: matrix_vjp, gradient of the diagonal added to H
   T* cone = nullptr;      // {dofs}: the same for ws.cone
   T* stops = nullptr;     // {2 dofs}: gradient of the upper and lower limits that stop shifts
+  T* bounce = nullptr;    // {dofs}: gradient of qd by bouncing contacts, for dofs at a rate bound
   SpatialVector<T>* wrench = nullptr;
   T *mass = nullptr, *moved_mass = nullptr;
   Vec3<T>*com = nullptr, *moved_com = nullptr;
@@ -43,7 +44,7 @@ template <class T>
 int64_t adjoint_bytes(int32_t links, int32_t dofs) {
   const int64_t per_link =
       sizeof(SpatialVector<T>) + 2 * (sizeof(T) + sizeof(Vec3<T>) + sizeof(Mat33<T>));
-  return (9 * dofs * static_cast<int64_t>(sizeof(T)) + links * per_link + 7) / 8 * 8;
+  return (10 * dofs * static_cast<int64_t>(sizeof(T)) + links * per_link + 7) / 8 * 8;
 }
 template <class T>
 AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) {
@@ -54,7 +55,8 @@ AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) 
   m.diagonal = m.scratch + 3 * dofs;
   m.cone = m.diagonal + dofs;
   m.stops = m.cone + dofs;
-  m.wrench = reinterpret_cast<SpatialVector<T>*>(m.stops + 2 * dofs);
+  m.bounce = m.stops + 2 * dofs;
+  m.wrench = reinterpret_cast<SpatialVector<T>*>(m.bounce + dofs);
   m.mass = reinterpret_cast<T*>(m.wrench + links);
   m.moved_mass = m.mass + links;
   m.com = reinterpret_cast<Vec3<T>*>(m.moved_mass + links);
@@ -119,6 +121,7 @@ void step_vjp_end(const Tree<T>& tree, const StepInputs<T>& in, const T* q_next,
     memory.moved_inertia[i] = Mat33<T>{};
   }
   for (int32_t k = 0; k < n; ++k) tangent[k] = rate[k] = memory.diagonal[k] = memory.cone[k] = o;
+  for (int32_t k = 0; k < n; ++k) memory.bounce[k] = o;
   if (out.body_q || out.body_qd) {
     link_frames(tree, q_next, ws);
     link_motions(tree, qd_next + row0, ws);
@@ -240,7 +243,7 @@ T bound_vjp(const Link& link, const StepInputs<T>& in, const StepOptions<T>& opt
   T *const rate = memory.rate + k, *const stops = memory.stops + k;
   const T left = h_lambda / options.dt, pull = select(held, *rate - left, T(0.0f));
   const BoundGradient<T> bound = bound_gradient(in, options, link.dof, link.coord, branch, pull);
-  *rate = select(held, left, *rate);
+  *rate = select(held, left + memory.bounce[k], *rate);
   if (!options.limit_rows) return bound.velocity_limit;
   *rate = *rate + bound.qd;
   memory.tangent[k] = memory.tangent[k] + bound.q;

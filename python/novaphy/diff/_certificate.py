@@ -254,7 +254,7 @@ def _smooth_slope(losses: Numbers, w: Numbers, gradient: Numbers) -> tuple[Numbe
     if pairs < 2 * n:
         mean, error = mean_and_error((rises - w @ gradient)[:, None] * w)
         return gradient + mean, error
-    slope: Numbers = np.linalg.lstsq(w, rises, rcond=None)[0]
+    slope = np.asarray(np.linalg.lstsq(w, rises, rcond=None)[0], np.float64)
     variance = ((rises - w @ slope) ** 2).sum() / (pairs - n)
     return slope, np.sqrt(variance * np.diag(np.linalg.inv(w.T @ w)))
 

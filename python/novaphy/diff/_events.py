@@ -15,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from ._parameters import Numbers
 
-    Event = dict[str, Any]
+Event = dict[str, Any]
 
 
 class Margin(NamedTuple):

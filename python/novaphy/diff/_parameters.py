@@ -9,20 +9,19 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from .._core import Error
 from .._core.nova import Tape, Tensor, active_tape, ones, random_normal, tensor
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
     from .._core.solvers import GradientInfo
 
-    Numbers = NDArray[np.float64]
-    Theta = Tensor | ArrayLike | Mapping[str, Tensor | ArrayLike]
-    Sigma = ArrayLike | Mapping[str, ArrayLike]
-    # Rows of parameters {worlds, ...} to losses {worlds}.
-    Function = Callable[..., Tensor]
+Numbers = NDArray[np.float64]
+Theta = Tensor | ArrayLike | Mapping[str, Tensor | ArrayLike]
+Sigma = ArrayLike | Mapping[str, ArrayLike]
+# Rows of parameters {worlds, ...} to losses {worlds}.
+Function = Callable[..., Tensor]
 
 
 def normal_numbers(count: int, width: int, seed: int, stream: int = 0) -> Numbers:

@@ -46,7 +46,7 @@ def gradient_of_block(rollout: Rollout, params: dict[str, Vector], block: Block)
         tape.backward(total)
     _check_finite(losses.numpy(), block)
     rows = [total.numpy().reshape(1)]
-    rows += [leaf.grad.numpy().reshape(-1) for leaf in leaves.values()]
+    rows += [leaf.grad.numpy().reshape(-1) for leaf in leaves.values() if leaf.grad is not None]
     return np.concatenate(rows)
 
 
@@ -169,5 +169,6 @@ def step(optimizer: nova.optim.SGD | nova.optim.Adam, grads: Gradients) -> None:
             )
     for param, gradient in zip(optimizer.params, grads.values(), strict=True):
         param.requires_grad = True
-        param.grad.assign(gradient)
+        if param.grad is not None:  # it requires a gradient, so it has one
+            param.grad.assign(gradient)
     optimizer.step()

@@ -132,7 +132,7 @@ def shard(
 
 def _compare(group: Group, model: _core.Model, *, alike: bool) -> None:
     """Ranks have one model; where worlds differ, their models have the same arrays."""
-    kept = model.__getstate__()  # type: ignore[attr-defined]
+    kept: Any = model.__getstate__()
     found = hashlib.sha256()
     for name, values in sorted(kept["arrays"].items()):
         array = np.asarray(values)

@@ -7,10 +7,7 @@ import os
 import pickle
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from .. import io, nova
+from .. import nova
 from ._gradients import Params, checked_params
 from ._groups import Group, current
 from ._shard import Shard
@@ -59,8 +56,8 @@ def sync(params: Params, optimizer: Optimizer | None = None, group: Group | None
 
 def _assign(tensors: dict[str, nova.Tensor], values: dict[str, Any], call: str) -> None:
     for name, tensor in tensors.items():
-        if name not in values or np.shape(values[name]) != tensor.shape:
-            got = np.shape(values[name]) if name in values else "nothing"
+        got = values[name].shape if name in values else "nothing"
+        if got != tensor.shape:
             raise ValueError(f"{call}: {name}: expected the shape {tensor.shape}, got {got}")
     for name, tensor in tensors.items():
         tensor.assign(values[name])
@@ -80,10 +77,8 @@ def save(
     numbers: further integers, as seed=7. The file is whole or not there.
     """
     if shard.group.rank == 0:
-        tensors = _tensors(checked_params(params, "save"), optimizer)
-        arrays = {name: t.numpy() for name, t in tensors.items()}
-        whole = {"iteration": iteration, "worlds": shard.worlds, "block": shard.block} | numbers
-        io.save_npz(path, **arrays, **{f"number.{k}": np.int64(v) for k, v in whole.items()})
+        meta = {"iteration": iteration, "worlds": shard.worlds, "block": shard.block} | numbers
+        nova.save_parameters(path, _tensors(checked_params(params, "save"), optimizer), meta)
     shard.group.barrier()
 
 
@@ -95,13 +90,7 @@ def load(
     All ranks read the file. ValueError: another number of worlds or another block, which would give
     other bits; other parameters.
     """
-    with np.load(path) as file:
-        values: dict[str, NDArray[Any]] = dict(file.items())
-    numbers = {
-        name.removeprefix("number."): int(v)
-        for name, v in values.items()
-        if name.startswith("number.")
-    }
+    values, numbers = nova.load_parameters(path)
     for name in ("worlds", "block"):
         if numbers.get(name) != getattr(shard, name):
             raise ValueError(

@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -287,32 +287,30 @@ def python() -> None:
     viewer_tests_ran(LOGS / "python.pytest.xml")
 
 
-def viewer_tests_ran(junit: Path) -> None:
-    """Every test of a viewer was run, as all that they need was installed.
-
-    But for those of pages on an Ubuntu, which has no package of a browser.
-    """
+def skipped_cases(junit: Path) -> Iterator[tuple[str, str, str]]:
+    """The module, the name and the reason of each test that was skipped."""
     for case in ElementTree.parse(junit).iter("testcase"):
-        skipped = case.find("skipped")
-        if skipped is None or "test_viewer" not in case.get("classname", ""):
-            continue
-        if not (reason := skipped.get("message", "")).startswith("no Chromium"):
-            results.fail(f"python: {case.get('name')} was skipped: {reason}")
+        if (skipped := case.find("skipped")) is not None:
+            yield case.get("classname", ""), case.get("name", ""), skipped.get("message", "")
+
+
+def viewer_tests_ran(junit: Path) -> None:
+    """Every test of a viewer was run, but for pages on an Ubuntu, which has no browser package."""
+    for module, name, reason in skipped_cases(junit):
+        if "test_viewer" in module and not reason.startswith("no Chromium"):
+            results.fail(f"python: {name} was skipped: {reason}")
 
 
 @step
 def distributed() -> None:
     """Ranks by torch.distributed, Ray and MPI, with the libraries of all three."""
-    libraries = ("ray>=2.9", "mpi4py>=4", "mpich", "matplotlib", "tqdm", "pytest", "pytest-xdist")
     # torch is Debian's, which was built for NumPy 1.
-    interpreter = make_venv(
-        "distributed", "numpy<2", *libraries, options=("--system-site-packages",)
-    )
+    libraries = (*TEST_REQUIREMENTS, "numpy<2", "ray>=2.9", "mpi4py>=4", "mpich")
+    interpreter = make_venv("distributed", *libraries, options=("--system-site-packages",))
     pip("distributed", interpreter, "install", "--no-deps", "--force-reinstall", make_wheel())
     pytest("distributed", interpreter, "tests/python/test_distributed.py")
-    for case in ElementTree.parse(LOGS / "distributed.pytest.xml").iter("testcase"):
-        if (skipped := case.find("skipped")) is not None:
-            results.fail(f"distributed: {case.get('name')} was skipped: {skipped.get('message')}")
+    for _, name, reason in skipped_cases(LOGS / "distributed.pytest.xml"):
+        results.fail(f"distributed: {name} was skipped: {reason}")
 
 
 @step

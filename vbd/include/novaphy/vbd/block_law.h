@@ -1,16 +1,17 @@
-// The 3x3 block of one particle in VBD: what its elements add up to, and the step that it gives.
+// The block of one particle in VBD: the force and the 3x3 stiffness matrix that its elements add up
+// to, and the step that follows.
 //
-// A particle at x feels the force f and has the stiffness H, symmetric and positive definite. Its
-// step d solves H d = f. Every law of VBD (elements/, particle_contact_law.h) returns
-// the block of one element for one corner, and takes this corner as the first.
+// A particle at x feels the force f and has the stiffness H, symmetric and positive definite. The
+// step d of the particle solves H d = f. Every law of VBD (elements/, particle_contact_law.h)
+// returns the block of one element for one corner, and takes this corner as the first.
 //
-// Inertia, of a mass m (kg), the inertial position y = xn + h vn + h^2 (g + f_ext/m) and the step h
-// (s):
+// Inertia, for a mass m (kg), the inertial position y = xn + h vn + h^2 (g + f_ext/m) and the step
+// size h (s):
 //   E = m/(2 h^2) |x - y|^2,  f = m/h^2 (y - x),  H = m/h^2 I
 //
 // Source: Chen et al., "Vertex Block Descent" (2024), equations 5 to 10.
 //
-// Freestanding: T = float, lanes of floats, or a scalar that carries derivatives.
+// Freestanding: T is float, lanes of floats, or a scalar that carries derivatives.
 #pragma once
 
 #include "novaphy/math/ldlt.h"
@@ -31,7 +32,7 @@ Block<T> operator+(const Block<T>& a, const Block<T>& b) {
           a.h01 + b.h01, a.h02 + b.h02, a.h12 + b.h12};
 }
 
-// The block where the condition holds, else nothing.
+// Returns the block in the lanes where the condition holds, and 0 in the other lanes.
 template <class B, class T>
 Block<T> where(const B& c, const Block<T>& a) {
   using math::select;
@@ -41,7 +42,7 @@ Block<T> where(const B& c, const Block<T>& a) {
           select(c, a.h12, zero)};
 }
 
-// H + s I, and H + s a a^T.
+// Adds s I to H, or s a a^T.
 template <class T>
 void add_identity(Block<T>& block, const T& s) {
   block.h00 = block.h00 + s;
@@ -78,8 +79,8 @@ T inertia_energy(const Vec3<T>& x, const Vec3<T>& target, const T& mass_by_h2) {
   return (T(0.5f) * mass_by_h2) * math::dot(d, d);
 }
 
-// H as it is solved with: where det H <= 1e-7 h00 h11 h22, which rounding makes of a block that is
-// nearly singular, with `regularization` times the mean of the diagonal added to it.
+// Returns the L D L^T factors of H. Rounding can make H nearly singular: det H <= 1e-7 h00 h11 h22.
+// Then the function first adds `regularization` times the mean of the diagonal to the diagonal.
 template <class T>
 math::Ldlt<T, 3> factorize(const Block<T>& b, const T& regularization) {
   const auto factors = [&b](const T& shift) {
@@ -96,11 +97,12 @@ math::Ldlt<T, 3> factorize(const Block<T>& b, const T& regularization) {
   using math::select;
   const auto is_regular = det > T(1e-7f) * product;
   if constexpr (__is_same(decltype(is_regular), const bool))
-    if (is_regular) return plain;  // what shifting by 0 gives
+    if (is_regular) return plain;  // the same bits as a shift by 0
   return factors(select(is_regular, zero, regularization * mean));
 }
 
-// The derivative of -u.(H d) by the entries of H, beside u: what a law is read backwards with.
+// Returns the adjoints of a block: u for f, and the derivative of -u.(H d) for each entry of H. The
+// reverse law of an element takes these adjoints.
 template <class T>
 Block<T> adjoints_of(const Vec3<T>& u, const Vec3<T>& d) {
   Block<T> adjoint;
@@ -114,7 +116,7 @@ Block<T> adjoints_of(const Vec3<T>& u, const Vec3<T>& d) {
   return adjoint;
 }
 
-// The step d of H d = f.
+// Solves H d = f for the step d (m).
 template <class T>
 Vec3<T> solve_block(const math::Ldlt<T, 3>& factors, const Vec3<T>& f) {
   const T b[3] = {f.x, f.y, f.z};

@@ -1,14 +1,15 @@
-// The coarse correction of VBD, as templates over the scalar of a sweep (sweep_kernels.h): the
-// parts that go over the slots of particles. src/vbd_coarse_kernels.h has the rest.
+// The coarse correction of VBD, as templates over the scalar of a sweep (sweep_kernels.h). This
+// header has the parts that visit the slots of particles. src/vbd_coarse_kernels.h has the rest.
 //
-// Sweeps hardly move errors that are smooth over many particles. The correction takes such errors
-// away by one step of Galerkin's method. A system is a connected component of particles that move.
-// Each aggregate of a system is some particles that lie together, with 1 to 4 functions: 1, and
-// linear functions of the positions at rest. The fields of a system are P a: each function times a
-// vector. With the stiffness H of the step (stiffness_law.h, inertia, contacts) at its first guess:
+// A sweep hardly reduces errors that are smooth over many particles. The correction removes such
+// errors by one step of Galerkin's method. A system is a connected component of particles that
+// move. Each aggregate of a system is a set of neighboring particles with 1 to 4 functions: the
+// constant 1, and linear functions of the positions at rest. The fields of a system are P a: each
+// function times a vector. With the stiffness H of the step (stiffness_law.h, inertia, contacts) at
+// the initial guess:
 //   A = P^T H P,  A a = P^T f,  x += t P a
-// f are the forces at x. The length t is 1, halved while the forces work against the step: while
-// f(x + t P a).(P a) < -f(x).(P a)/2. After kVbdCoarseTests tests t is 0.
+// f are the forces at x. The length t starts at 1. The line search halves t while the forces work
+// against the step: while f(x + t P a).(P a) < -f(x).(P a)/2. After kVbdCoarseTests tests t is 0.
 #pragma once
 
 #include "novaphy/vbd/sweep_kernels.h"
@@ -17,35 +18,36 @@ namespace novaphy {
 
 constexpr int kVbdCoarseTests = 4;
 
-// The search for the length of a step: t, f.(P a), and whether t was found.
+// The line search of a system: the length t, the slope f.(P a), and whether t was found (1 or 0).
 struct alignas(16) VbdCoarseSearch {
-  using Element = Vec4f;  // of arrays of them
+  using Element = Vec4f;  // the element type of arrays of this struct
   float length = 0.0f, slope = 0.0f, is_done = 0.0f, unused = 0.0f;
 };
 
-// Index tables: `begin` also behind the last.
+// Tables named `..._begin` have one more entry behind the last.
 struct VbdCoarseArguments {
   NOVAPHY_ARGUMENTS(
       Part<VbdSweepArguments> sweep; Reads<int32_t> aggregate;  // of each particle; -1: none
-      Reads<VbdRow> field;        // of each particle: the functions behind the first
+      Reads<VbdRow> field;        // of each particle: the values of the functions behind the first
       Reads<int32_t> near_begin;  // of each particle: the aggregates of its elements
       Reads<int32_t> near;
-      Reads<int64_t> near_row;        // of each of these: its first matrix among `rows`
+      Reads<int64_t> near_row;        // of each near aggregate: its first matrix in `rows`
       Reads<int32_t> function_begin;  // of each aggregate
       Reads<int32_t> member_begin;    // of each aggregate: its particles
       Reads<int32_t> members; Reads<int32_t> function_aggregate;  // of each function
-      Reads<int32_t> pairs;                                       // of functions of near aggregates
-      Reads<int32_t> system;                                      // of each aggregate
-      Reads<int32_t> system_begin;                                // of each system: its aggregates
-      Reads<int32_t> is_free;       // of each system: no element holds it
-      Reads<int64_t> matrix_begin;  // of each system
-      // H P: a 3x3 matrix for each particle and function near it; then the block of a particle.
-      Updates<float> rows; Updates<float> matrix;  // A; then its factors, column by column
+      Reads<int32_t> pairs;         // pairs of functions of near aggregates
+      Reads<int32_t> system;        // of each aggregate
+      Reads<int32_t> system_begin;  // of each system: its aggregates
+      // of each system: 1 if no element connects it to a kinematic particle
+      Reads<int32_t> is_free; Reads<int64_t> matrix_begin;  // of each system
+      // At first H P: a 3x3 matrix for each particle and each function near it. coarse_outer writes
+      // the block of each particle over the first matrix.
+      Updates<float> rows; Updates<float> matrix;  // A, then the factors of A, column by column
       Updates<VbdRow> force;                       // of each particle
       Updates<float> load, step;                   // P^T f and a: 3 numbers of each function
       Updates<VbdCoarseSearch> search;             // of each system
       Updates<VbdRow> shift;                       // of each system
-      Number<int64_t> tests;                       // before this launch
+      Number<int64_t> tests;                       // number of tests before this launch
   )
 };
 
@@ -55,19 +57,20 @@ inline int32_t system_of(const VbdCoarseArguments& a, int32_t particle) {
   const int32_t aggregate = a.aggregate[particle];
   return aggregate < 0 ? -1 : a.system[aggregate];
 }
-// The value of a function of the aggregate of a particle.
+// Returns the value at a particle of function `number` of its aggregate.
 inline float function_at(const VbdCoarseArguments& a, int32_t particle, int32_t number) {
   const VbdRow& field = a.field[particle];
   return number == 0 ? 1.0f : number == 1 ? field.x : number == 2 ? field.y : field.z;
 }
-// Where the matrices of a particle and an aggregate near it begin; null: it is not near.
+// Returns the first matrix of a particle and an aggregate near it. Null: the aggregate is not near.
 inline float* rows_of(const VbdCoarseArguments& a, int32_t particle, int32_t aggregate) {
   for (int32_t k = a.near_begin[particle]; k < a.near_begin[particle + 1]; ++k)
     if (a.near[k] == aggregate) return a.rows + 9 * a.near_row[k];
   return nullptr;
 }
 
-// Adds the stiffness between the particles of a group and others, times the functions there.
+// Adds to H P the stiffness h between each particle of the group and particle others[lane], times
+// the functions at that other particle.
 template <class S>
 void add_stiffness(const VbdCoarseArguments& a, const LaneGroup<S>& g, const int32_t* others,
                    const Mat33<S>& h) {
@@ -115,7 +118,7 @@ void coarse_rows(const VbdCoarseArguments& a, const LaneGroup<S>& g) {
   add_stiffness(a, g, g.particle, own);
 }
 
-// Whether all particles of a group have no step to look for any more.
+// Returns whether the line searches of all particles of a group have ended.
 template <class S>
 bool is_coarse_done(const VbdCoarseArguments& a, const LaneGroup<S>& g) {
   for (int l = 0; l < g.filled; ++l) {
@@ -129,7 +132,8 @@ void coarse_force(const VbdCoarseArguments& a, const LaneGroup<S>& g) {
   if (!is_coarse_done(a, g)) g.put(a.force, block_at(g, g.at(a.sweep.x)).f);
 }
 
-// What the particles of free systems feel besides their elements, which move no system.
+// Writes the block of inertia and contacts of each particle. The elements are left out, because
+// their forces cancel over a free system.
 template <class S>
 void coarse_outer(const VbdCoarseArguments& a, const LaneGroup<S>& g) {
   using Access = LaneAccess<S>;

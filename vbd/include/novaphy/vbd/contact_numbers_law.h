@@ -1,4 +1,5 @@
-// The numbers of a contact in a step (elements/list.h), from its record and the materials.
+// The numbers of a contact in a step (elements/list.h), from the contact's record and the
+// materials.
 //
 // Freestanding: device code reads it too.
 #pragma once
@@ -13,8 +14,8 @@ struct ContactMaterial {
   T ke, kd, mu;  // N/m, N*s/m, 1
 };
 
-// Means of the coefficients of the model and the shape, of mu the geometric one: calls put(k,
-// value) for the k-th number of the law.
+// Combines the materials of the model and the shape: arithmetic means of ke and kd, the geometric
+// mean of mu. Calls put(k, value) for the k-th number of the law.
 template <class T, class Put>
 void put_contact_law(const T& radius, const ContactMaterial<T>& model,
                      const ContactMaterial<T>& shape, const T& h, const Put& put) {

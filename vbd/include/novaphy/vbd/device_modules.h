@@ -1,4 +1,4 @@
-// The code of VBD for devices, for tools that compile it ahead.
+// The source code of VBD's device kernels, for tools that compile kernels ahead of time.
 #pragma once
 
 #include <string>
@@ -8,7 +8,8 @@
 
 namespace novaphy {
 
-// SOURCE modules of <novaphy/abi/backend.h>; none where the build has no VBD for devices.
+// Returns SOURCE modules of <novaphy/abi/backend.h>. The list is empty if the build has no VBD for
+// devices.
 NOVAPHY_VBD_API std::vector<std::string> vbd_device_modules();
 
 }  // namespace novaphy

@@ -11,38 +11,41 @@
 
 namespace novaphy {
 
-// Activations of elements, of a control or the model.
+// Activations of elements, from a control or from the model.
 struct VbdActivations {
   DeviceArray<float> particle_tri_activation = {}, particle_tet_activation = {};
 };
 
-// What a step reads, besides the model, on its device. Arrays may be without rows, but for q, qd
-// and f.
+// The inputs of a step besides the model, on the model's device. Only q, qd and f need rows.
 struct VbdStepInputs {
   DeviceArray<Vec3f> q, qd, f;
-  VbdActivations activations = {};     // without rows: the model's
-  const Contacts* contacts = nullptr;  // null: none
-  DeviceArray<Vec3f> targets = {};     // of the kinematic particles; without rows: they stay
-  float dt = 0.0f;                     // s
-  // Of the adaptive guess: the velocity at the start of the step before (m/s), and 1, or 0 where
-  // there was none; without rows: none.
+  VbdActivations activations = {};     // without rows: those of the model
+  const Contacts* contacts = nullptr;  // null: no contacts
+  // positions of the kinematic particles (m); without rows: they stay
+  DeviceArray<Vec3f> targets = {};
+  float dt = 0.0f;  // s
+  // For the adaptive guess: the velocity at the start of the previous step (m/s) and the number 1.
+  // The number 0 means that there was no previous step. Without rows: there was none for any
+  // particle.
   DeviceArray<Vec4f> last_velocity = {};
-  // In a capture: replays read the materials and rest shapes of elements as they are then, where an
-  // element whose coefficients are all 0 keeps them.
+  // In a capture: replays read the present materials and rest shapes of elements. An element whose
+  // coefficients are all 0 has to keep its values.
   bool trains_elements = false;
 };
 
-// One derivative for each number that a step reads, as float32 with the rows and columns of the
-// arrays of Model of these names, and of the targets. Either those of a scalar by what a step
-// reads, written in full (without rows: not wanted), or those of what it reads along a direction
-// (without rows: 0). Kinematic particles have none by mass. Where friction has no part (the product
-// of the coefficients is 0) there is none by shape_material_mu.
+// One derivative for each number that a step reads, as float32. Rows and columns are those of the
+// arrays of Model with these names, and of the targets. The arrays hold one of two things:
+// - Adjoints: the derivatives of a scalar with respect to each input, written in full. An array
+// without rows is not computed.
+// - A direction: the tangent of each input. An array without rows means 0.
+// The derivative with respect to the mass of a kinematic particle is 0. The derivative with respect
+// to shape_material_mu is 0 where the product of the two friction coefficients is 0.
 struct VbdStepDerivatives {
   Array particle_q = {};
   Array particle_qd = {};
   Array particle_f = {};
   Array targets = {};
-  Array last_velocity = {};  // column 3: 0; implicit: 0, the solution does not know the guess
+  Array last_velocity = {};  // column 3: 0; 0 with implicit gradients, which ignore the guess
   Array gravity = {};
   Array particle_mass = {};
   Array particle_radius = {};
@@ -66,23 +69,42 @@ struct VbdStepDerivatives {
 };
 
 struct VbdGradientOptions {
-  // False: of the sweeps that run. True: of the solution of the step, which forward then finds.
+  // False: the gradient of the sweeps that run. True: the gradient of the step's solution. forward
+  // then iterates to this solution.
   bool implicit = false;
   // Implicit: the relative residual at which the step and the linear system count as solved, > 0.
-  // The step also does where rounding allows no smaller one (twice VbdResidual::floor).
+  // The step also counts as solved at twice VbdResidual::floor, because rounding allows no smaller
+  // residual.
   float tolerance = 1e-4f;
-  int32_t newton_iterations = 30;  // to solve the step, each of at most krylov_sweeps; >= 0
-  int32_t krylov_sweeps = 200;     // to solve a linear system, >= 1
-  bool allow_unconverged = false;  // false: ErrorKind::Runtime where one was not solved
+  // iterations to solve the step, each of at most krylov_sweeps; >= 0
+  int32_t newton_iterations = 30;
+  int32_t krylov_sweeps = 200;     // sweeps to solve a linear system, >= 1
+  bool allow_unconverged = false;  // false: ErrorKind::Runtime where a system was not solved
 };
 
-// What the derivatives of the last step are.
+// How exact the derivatives of the last step are.
 struct VbdGradientInfo {
   std::string label;           // "exact": of the sweeps that ran; "implicit": of the solution
-  VbdResidual primal;          // how far the step was from its solution
-  double linear_residual = 0;  // implicit: of the linear system, relative; else 0
-  int32_t linear_sweeps = 0;   // that it took
-  bool converged = true;       // implicit: both are within the tolerance
+  VbdResidual primal;          // residual of the step
+  double linear_residual = 0;  // implicit: relative residual of the linear system; else 0
+  // implicit: sweeps for the linear system # 14 Unrolled, the derivative is exact for the sweeps
+  // that run Unrolled gradients are exact for the sweeps that run. The backward pass visits every
+  // color of every iteration in reverse, with the branches that the iteration took. A particle
+  // moves by d = H^-1 f. Let u = H^-1 xbar. The derivative with respect to each input of f and H is
+  // that of u.f - u.(H d), with u and d held constant: a sum over the elements of the particle.
+  //
+  // Implicit gradients are those of the solution, where f = 0. With J = -df/dx and J^T lambda =
+  // xbar, the derivative with respect to each input of f is that of lambda.f. The same sweeps in
+  // reverse, with d = 0, are a block Gauss-Seidel iteration for lambda. This iteration
+  // preconditions a generalized conjugate residual method. Newton's method solves the step first,
+  // with the tangents of the same sweeps, and `forward` returns this solution. J is the whole
+  // derivative of f. H leaves parts of J out.
+  //
+  // Points, normals and velocities of contacts are frozen. Kinematic particles carry a gradient
+  // with respect to their positions or targets. The result has the same bits for any number of
+  // threads and on any processor.
+  int32_t linear_sweeps = 0;
+  bool converged = true;  // implicit: both are within the tolerance
 };
 
 // Unrolled, the derivative is exact for the sweeps that run: it goes back through every color of
@@ -101,29 +123,32 @@ struct VbdGradientInfo {
 // processor.
 class NOVAPHY_VBD_API DifferentiableVbd {
  public:
-  // ErrorKind::NotImplemented: acceleration, tolerance, safeguard; coarse without implicit.
-  // ErrorKind::Value: bad options; implicit without an iteration. Other errors as SolverVBD.
+  // ErrorKind::NotImplemented: acceleration, tolerance or safeguard is set, or coarse without
+  // implicit. ErrorKind::Value: a bad option, or implicit without an iteration. Other errors: as
+  // for SolverVBD.
   explicit DifferentiableVbd(std::shared_ptr<const Model> model, const VbdOptions& options = {},
                              const VbdGradientOptions& gradient_options = {});
   ~DifferentiableVbd();
 
   int32_t kinematic_count() const;
-  // On the CPU all of these run at once, and nobody records. On a device they are launches: forward
-  // and, unrolled, backward may be recorded; `in_use` is the use of the memory, which a recording
-  // takes. Else the host waits. Errors as SolverVBD::step.
+  // On the CPU the next three functions run at once, and no recorder sees them. On a device they
+  // submit launches. A capture may record forward, and unrolled backward. `in_use` marks the
+  // solver's memory as used, and a recording holds the mark. With implicit gradients the host waits
+  // for the device. Errors: as for SolverVBD::step.
   //
-  // SolverVBD::step, in all bits; implicit: the solution of the step.
+  // A step with the bits of SolverVBD::step. Implicit: the solution of the step.
   void forward(const VbdStepInputs& inputs, const DeviceArray<Vec3f>& q_out,
                const DeviceArray<Vec3f>& qd_out, const std::shared_ptr<ExclusiveUse>& in_use = {});
-  // From the derivatives of a scalar by the results (without rows: 0). Runs the step once more, and
-  // unrolled keeps its iterates: 16 (iterations + 1) bytes for each particle.
+  // Maps the adjoints of the results to those of the inputs. An adjoint without rows is 0. Runs the
+  // step once more. Unrolled gradients keep its iterates: 16 (iterations + 1) bytes for each
+  // particle.
   void backward(const VbdStepInputs& inputs, const Array& q_out_adjoint,
                 const Array& qd_out_adjoint, const VbdStepDerivatives& gradients,
                 const std::shared_ptr<ExclusiveUse>& in_use = {});
-  // The derivatives of the results along a direction.
+  // Writes the tangents of the results along a direction.
   void tangent(const VbdStepInputs& inputs, const VbdStepDerivatives& direction,
                DeviceArray<Vec3f> q_out_tangent, DeviceArray<Vec3f> qd_out_tangent);
-  // Of the last backward or tangent. ErrorKind::Runtime: there was none.
+  // Describes the last backward or tangent. ErrorKind::Runtime: none of them ran yet.
   VbdGradientInfo info() const;
 
  private:

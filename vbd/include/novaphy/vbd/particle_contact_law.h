@@ -7,18 +7,17 @@
 //   f = n (ke pen - kd/h min(n.u, 0)) - c u_t,  u_t = u - n (n.u)
 //   H = (ke + [n.u < 0] kd/h) n n^T + c (I - n n^T)
 //   c = mu ke pen times 1/|u_t| beyond the slip eps = friction_epsilon h, (2 - |u_t|/eps)/eps below
-// Coefficients are the means of those of the model and the shape, mu their geometric mean. H keeps
-// c along the slip, where the derivative of the force is about 0: without it the iteration does not
-// converge. In the step p, n and v_s stay as they are. Symbols: x (m), ke (N/m), kd (N*s/m), mu
-// (1), eps (m).
+// The coefficients ke and kd are the means of those of the model and the shape. mu is the geometric
+// mean. H keeps c in the direction of the slip, although the derivative of the force there is about
+// 0: without it the iteration does not converge. During the step p, n and v_s are constant.
+// Symbols: x (m), ke (N/m), kd (N*s/m), mu (1), eps (m).
+// Energy, for the safeguard against too long steps: ke/2 pen^2 + [n.u < 0] kd/(2h) (n.u)^2 + mu ke
+// pen_0 S(|u_t|), with S' = c/(mu ke pen). pen_0 is the overlap at the position before, because the
+// friction force has no potential.
 //
-// Energy, for the test whether a step is too long: ke/2 pen^2 + [n.u < 0] kd/(2h) (n.u)^2 + mu ke
-// pen_0 S(|u_t|), with S' = c/(mu ke pen). The overlap pen_0 is that of the position before,
-// because friction is no potential.
-//
-// Source: Newton 1.8.0's SolverVBD; friction of Li et al., "Incremental Potential Contact" (2020).
-// Newton leaves c out of f and H where u_t is 0, which makes a particle at rest and one that creeps
-// two laws; here c keeps its limit 2/eps.
+// Source: Newton 1.8.0's SolverVBD, and the friction of Li et al., "Incremental Potential Contact"
+// (2020). Newton drops c from f and H where u_t is 0, so a resting particle and a creeping particle
+// have different laws. Here c keeps its limit 2/eps.
 // Not smooth: pen = 0, where f jumps by the damping; n.u = 0 in H.
 // Gradient: exact in x, xn, p, n, v_s, ke, kd, mu away from these; R and eps carry none.
 #pragma once
@@ -27,7 +26,7 @@
 
 namespace novaphy::vbd {
 
-// `radius` is R, `slip` eps (m); travel = h v_s (m).
+// `radius` is R (m), `slip` is eps (m), and `travel` is h v_s (m).
 template <class T>
 struct ParticleContact {
   Vec3<T> point{}, normal{}, travel{};
@@ -58,8 +57,8 @@ Block<T> particle_contact_block(const Vec3<T>& x, const Vec3<T>& start,
   return where(depth > zero, block);
 }
 
-// With H the derivative of the force under its load: c along the slip is 0 beyond eps, and
-// 2 mu ke pen (1 - |u_t|/eps)/eps below.
+// Returns the block with H as the derivative of the friction force at constant load mu ke pen. In
+// the direction of the slip H has 0 beyond eps, and 2 mu ke pen (1 - |u_t|/eps)/eps below.
 template <class T>
 Block<T> particle_contact_stiffness(const Vec3<T>& x, const Vec3<T>& start,
                                     const ParticleContact<T>& c) {
@@ -77,7 +76,8 @@ Block<T> particle_contact_stiffness(const Vec3<T>& x, const Vec3<T>& start,
   return block;
 }
 
-// `load` is ke pen_0, see above.
+// Returns the load ke pen (N) of the contact at x. particle_contact_energy takes it as `load`, from
+// the position before.
 template <class T>
 T particle_contact_load(const Vec3<T>& x, const ParticleContact<T>& c) {
   using namespace math;
@@ -100,8 +100,8 @@ T particle_contact_energy(const Vec3<T>& x, const Vec3<T>& start, const Particle
          (c.mu * load) * distance;
 }
 
-// The tangent of mu, while x moves along dx, at which the load of friction stays: that of the
-// energy.
+// Returns the tangent of mu that keeps the load of friction constant while x moves along dx, as the
+// energy does.
 template <class T>
 T tangent_that_keeps_load(const Vec3<T>& x, const Vec3<T>& dx, const ParticleContact<T>& c) {
   using namespace math;

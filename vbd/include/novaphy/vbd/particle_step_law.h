@@ -1,10 +1,12 @@
-// Where a particle begins a step: its inertial target, and the guess from which iterations start.
+// The start of a particle's step: the inertial position y, and the initial guess x0 of the
+// iterations.
 //
 //   y = xn + h (vn + h (g + f/m)),  x0 = y, or xn, or xn + h vn + h^2 a g
-// a is the part of gravity in the acceleration of the step before (Chen et al. 2024):
+// a is the part of gravity in the acceleration of the previous step (Chen et al. 2024):
 //   a = s clamped to 0 to 1,  s = (vn - vl).g / (h |g|^2)
-// with the velocity vl at the start of that step; without one x0 = y. The derivatives are exact;
-// that of the clamp is 0 at and beyond its ends, and so is all of a's without gravity.
+// Here vl is the velocity at the start of that step. Without a previous step x0 = y. The
+// derivatives are exact. The derivative of the clamp is 0 at and beyond its ends. Without gravity
+// all derivatives of a are 0.
 //
 // Freestanding: device code reads it too.
 #pragma once
@@ -13,7 +15,7 @@
 
 namespace novaphy::vbd {
 
-// Of VbdInitialGuess.
+// The values of VbdInitialGuess.
 constexpr int32_t kGuessPrevious = 1, kGuessAdaptive = 2;
 
 inline bool is_finite(const Vec3f& v) {
@@ -21,8 +23,8 @@ inline bool is_finite(const Vec3f& v) {
   return sum == 0.0f;
 }
 
-// What is not finite of a particle: what a step reads, its target though all of that is, or where
-// the step leaves it.
+// The fault of a particle: which input is not finite, the inertial position although all inputs are
+// finite, or the result of the step.
 constexpr int32_t kNoFault = 0, kFaultPosition = 1, kFaultVelocity = 2, kFaultForce = 3,
                   kFaultTarget = 4, kFaultResult = 5;
 
@@ -30,7 +32,7 @@ struct Prediction {
   Vec3f target, moved;  // y; x0 - xn
 };
 
-// s, before it is clamped.
+// Returns s, before the clamp.
 inline float gravity_that_acted(const Vec3f& g, const Vec3f& acceleration) {
   const float squared = math::dot(g, g);
   return squared > 0.0f ? math::dot(acceleration, g) / squared : 0.0f;
@@ -49,7 +51,7 @@ inline Prediction predict_particle(const Vec3f& q, const Vec3f& qd, const Vec3f&
   return p;
 }
 
-// Of what a step reads of a particle that moves, and the target it makes of it.
+// Returns the fault of the inputs of a particle that moves, and of the inertial position `target`.
 inline int32_t input_fault(const Vec3f& q, const Vec3f& qd, const Vec3f& f, const Vec3f& target) {
   if (!is_finite(q)) return kFaultPosition;
   if (is_finite(target)) return kNoFault;
@@ -57,7 +59,7 @@ inline int32_t input_fault(const Vec3f& q, const Vec3f& qd, const Vec3f& f, cons
   return is_finite(f) ? kFaultTarget : kFaultForce;
 }
 
-// The derivatives of a scalar by what the adaptive guess reads besides xn, from those by x0.
+// The adjoints of the inputs of the adaptive guess besides xn, from the adjoint of x0.
 struct GuessAdjoints {
   Vec3f by_velocity, by_last, by_gravity;
 };
@@ -72,7 +74,7 @@ inline GuessAdjoints adaptive_guess_adjoints(const Vec3f& adjoint, const Vec3f& 
           adjoint * (a * (h * h)) + (acceleration - g * (2.0f * s)) * by_s};
 }
 
-// The derivative of x0 - xn along tangents of vn, g and vl.
+// Returns the tangent of x0 - xn along tangents of vn, g and vl.
 inline Vec3f adaptive_guess_tangent(const Vec3f& qd, const Vec3f& g, float h,
                                     const Vec3f& last_velocity, const Vec3f& qd_tangent,
                                     const Vec3f& g_tangent, const Vec3f& last_tangent) {

@@ -1,4 +1,4 @@
-// A row of the tables of a sweep: three numbers of a particle, and a fourth that few tables use.
+// A row of the tables of a sweep: a vector of a particle, and a fourth number that few tables use.
 #pragma once
 
 #include "novaphy/math/types.h"
@@ -6,7 +6,7 @@
 namespace novaphy {
 
 struct alignas(16) VbdRow {
-  using Element = Vec4f;  // of arrays of them
+  using Element = Vec4f;  // the element type of arrays of this struct
   float x = 0.0f, y = 0.0f, z = 0.0f, w = 0.0f;
   VbdRow() = default;
   VbdRow(const Vec3f& v) : x(v.x), y(v.y), z(v.z) {}
@@ -17,7 +17,8 @@ inline VbdRow to_row(const Vec3f& v) { return v; }
 
 namespace vbd {
 
-// What the adaptive guess keeps of a step for the next: its velocity, and 1. Without a step: 0.
+// Returns the row that the adaptive guess keeps for the next step: the velocity qd, and the number
+// 1. A row of zeros means that there was no step.
 inline VbdRow to_last_velocity(const Vec3f& qd) {
   VbdRow row(qd);
   row.w = 1.0f;

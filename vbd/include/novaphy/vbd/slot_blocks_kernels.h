@@ -1,5 +1,6 @@
-// Blocks, for devices only: the threads of a block share the slots of the particles of some groups.
-// A thread for each component of the particles' matrices adds the slots in slot order.
+// Moves of particles by thread blocks, for devices only. The threads of a block share the slots of
+// the particles of some groups. A thread for each component of the particles' matrices adds the
+// slots in slot order.
 #pragma once
 
 #include "novaphy/vbd/sweep_kernels.h"
@@ -7,18 +8,18 @@
 #ifdef NOVAPHY_KERNEL
 namespace novaphy::vbd {
 
-// A block has kThreads threads, for the particles of up to G groups. Its terms are lanes of
-// slots, by role in the order of their sums; those of a role begin at a multiple of kAlign, so that
-// the threads of a warp have one role where it has no more.
+// A block has kThreads threads, for the particles of up to G groups. A term is one lane of a slot.
+// Terms lie by role in the order of their sums. The terms of a role begin at a multiple of kAlign,
+// so that the threads of a warp work on few roles.
 constexpr int kThreads = 128, kAlign = 32, kComponents = 9;
 
-// Shared memory has no constructors.
+// The shared memory of a block. The struct has no constructors, because shared memory runs none.
 struct BlockMemory {
   float terms[kComponents][kVbdBlockTerms];
   float outer[kComponents][kVbdLanes * kVbdLargeBlock],
       inner[kComponents][kVbdLanes * kVbdLargeBlock];
   float x[kVbdLanes * kVbdLargeBlock][3];
-  int64_t first[kRoles][kVbdLargeBlock];  // slots of the groups
+  int64_t first[kRoles][kVbdLargeBlock];  // the first slot of each role and group
   int32_t count[kRoles][kVbdLargeBlock];
 };
 
@@ -46,10 +47,11 @@ inline void put_term(const VbdSweepArguments& a, BlockMemory& m, int32_t begin, 
       block_of(inputs_of(slot, Vec3f{x[0], x[1], x[2]}, a.x), ((a.damped >> role) & 1) != 0));
 }
 
-// The blocks of the particles of the groups [first, end), at most G, as block_at has them. All
-// threads of the block call it. A thread for each particle has a `Finish`, made of the arguments:
-// ask(lane) asks for what is needed in the end at the beginning, also for lanes that are no
-// particles; put(lane, block) gets the block. place(lane): where the particle is.
+// Computes the blocks of the particles of the groups [first, end), at most G groups, with the bits
+// of block_at. All threads of the block call the function. The thread of a particle has a `Finish`,
+// made from the arguments: ask(lane) loads early what put needs, also for lanes that are no
+// particles. place(lane) returns the position of the particle, and put(lane, block) takes the
+// block.
 template <int G, class Finish, class Arguments>
 inline void for_block(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,
                       int64_t end, BlockMemory& m) {
@@ -57,7 +59,6 @@ inline void for_block(const VbdSweepArguments& a, const Arguments& arguments, in
   const auto thread = static_cast<int32_t>(threadIdx.x);
   const auto groups = static_cast<int32_t>(end - first < G ? end - first : G);
   Finish finish(arguments);
-  // Of the particles of the block.
   const auto lane_of = [&](int32_t k) {
     return LaneGroup<float>(a, (first - a.first_group) * kVbdLanes + k);
   };
@@ -129,7 +130,8 @@ inline void for_block(const VbdSweepArguments& a, const Arguments& arguments, in
   }
 }
 
-// The same for the groups of the blocks `block`, `block` + `blocks`, ... of those of [first, end).
+// Calls for_block for the thread blocks `block`, `block` + `blocks`, ... over the groups [first,
+// end).
 template <int G, class Finish, class Arguments>
 inline void for_blocks_of(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,
                           int64_t end, int64_t block, int64_t blocks, BlockMemory& memory) {

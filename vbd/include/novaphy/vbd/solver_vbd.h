@@ -9,102 +9,110 @@
 
 namespace novaphy {
 
-// Where the iteration starts: the inertial target, the position at the start of the step, or the
-// target with as much of gravity as acted in the step before (Chen et al. 2024).
+// The initial guess of the iteration: the inertial position, the position at the start of the step,
+// or the inertial position with only that part of gravity that acted in the previous step (Chen et
+// al. 2024).
 enum class VbdInitialGuess { Inertia, Previous, Adaptive };
 
 struct VbdOptions {
-  int32_t iterations = 10;         // sweeps over all colors, >= 0
+  int32_t iterations = 10;         // number of sweeps over all colors, >= 0
   float friction_epsilon = 1e-2f;  // m/s, > 0: friction grows up to the Coulomb limit at this slip
   VbdInitialGuess initial_guess = VbdInitialGuess::Inertia;
-  // Chebyshev acceleration by this spectral radius, in (0, 1), of the particles that touch nothing.
-  // Above 0.8 it may stall or diverge.
+  // The spectral radius of Chebyshev acceleration, in (0, 1), for the particles without contacts.
+  // Above 0.8 the iteration may stall or diverge.
   std::optional<float> acceleration = {};
-  // Ends the iteration when VbdResidual::relative is at most this, > 0. Each iteration then costs
-  // the forces once more.
+  // Ends the iteration when VbdResidual::relative is at most this, > 0. Each iteration then
+  // computes the forces once more.
   std::optional<float> tolerance = {};
-  // Halves the step of a particle while the energy of its elements rises, up to four times, then
-  // leaves it where it is: the energy of all never rises. Not together with acceleration.
+  // Halves the step of a particle while the energy of its elements rises, up to four times. If the
+  // energy still rises, the particle stays where it is. The total energy therefore never rises. Not
+  // together with acceleration.
   bool safeguard = false;
-  // After each iteration a step of Galerkin's method (coarse_kernels.h), which takes away errors
-  // that are smooth over many particles. Not together with acceleration and safeguard.
+  // Adds a step of Galerkin's method after each iteration (coarse_kernels.h), which removes errors
+  // that are smooth over many particles. Not together with acceleration or safeguard.
   bool coarse = false;
   float lhs_regularization = 1e-6f;  // see vbd/block_law.h; finite, >= 0
 };
 
-// How far the last step was from its solution.
+// The distance of the last step from its solution.
 struct VbdResidual {
-  double force = 0.0;     // N: norm of the force over all particles that move, inertia included
-  double scale = 0.0;     // N: norm of m (y - xn)/h^2, what the step has to balance
+  double force = 0.0;     // N: norm of the total force over all particles that move, with inertia
+  double scale = 0.0;     // N: norm of m (y - xn)/h^2 over all particles that move
   double relative = 0.0;  // force / scale; 0 where the force is 0
-  double floor = 0.0;     // of relative: what one rounding of the positions changes
+  double floor = 0.0;     // the part of `relative` that one rounding of the positions can cause
   int32_t iterations = 0;
 };
 
-// Covers particles and elements over them: springs, triangles, bending edges, tetrahedra, external
-// forces, gravity, and soft contacts with world-owned shapes. ErrorKind::NotImplemented names what
-// is not covered: bodies, joints, drag and lift of triangles, particle_adhesion, a
-// particle_max_velocity below its default, a soft_contact_kf or shape_material_kf that is not the
-// default (friction below the cone is that of friction_epsilon), restitution, and a
-// particle_spring_control that is not 0; on a device also `tolerance`, and
-// a build without NOVAPHY_WITH_VBD_CUDA. There is no contact between particles or of particles with
-// triangles.
+// The solver supports particles and elements over them: springs, triangles, bending edges,
+// tetrahedra, external forces, gravity, and soft contacts with shapes of the world. These features
+// raise ErrorKind::NotImplemented, by name:
+// - bodies and joints;
+// - drag and lift of triangles;
+// - particle_adhesion;
+// - a particle_max_velocity below its default;
+// - a soft_contact_kf or shape_material_kf other than the default, because friction_epsilon sets
+// the friction below the cone;
+// - restitution;
+// - a particle_spring_control other than 0;
+// - on a device: `tolerance`, and a build without NOVAPHY_WITH_VBD_CUDA.
+// Particles have no contacts with each other or with triangles.
 //
 // One step minimizes, over the positions x of the particles that move,
 //   sum m/(2h^2) |x - y|^2 + E(x; xn),  y = xn + h vn + h^2 (g + f/m)
-// where E are the energies of the elements (vbd/elements/), and sets v = (x - xn)/h. An iteration
-// goes through the colors of the model (ModelBuilder::color, set_coloring) in order; all particles
-// of a color move together by the 3x3 system of their own elements, from the positions before the
-// color. Sums run per particle in a fixed order. The result has the same bits for any number of
-// threads, on any processor and on any device.
+// where E is the sum of the energies of the elements (vbd/elements/). The step sets v = (x - xn)/h.
+// An iteration visits the colors of the model (ModelBuilder::color, set_coloring) in order. All
+// particles of a color move together. Each solves the 3x3 system of its own elements, from the
+// positions before the color. Sums run per particle in a fixed order. The result has the same bits
+// for any number of threads, on any processor and on any device.
+// A step can be captured. A graph keeps the recorded dt. A replay throws if a number of the model
+// (soft_contact_ke, ...) has changed since the recording. A replay also throws if arrays behind the
+// solver's tables were edited: materials of elements, rest shapes, masses, flags. A step on a
+// device and a replay cannot throw for values that only the device sees. They note states that are
+// not finite and contacts that overflowed, without a wait. The next residual() throws, and on the
+// CPU so does the next step().
 //
-// A step can be captured; a graph keeps the dt with which it was recorded, and throws once a number
-// of the model (soft_contact_ke, ...) is another than then, or arrays that its tables were made of
-// were edited (materials of elements, rest shapes, masses, flags). A step on a device and a replay
-// cannot throw: numbers of states that are not finite and contacts that overflowed leave a note,
-// and the next residual() throws; on the CPU so does the next step(). Nothing waits for it before.
-//
-// Particles of mass 0 or without ParticleFlags.ACTIVE are kinematic: they stay, or go where
-// `targets` say; their velocity is what they moved by in the step, and 0 otherwise. Nothing is
-// written to state_in. particle_f acts and stays as it is.
+// Particles of mass 0 or without ParticleFlags.ACTIVE are kinematic. They stay in place, or move to
+// `targets`. Their new velocity is their displacement divided by dt. A step does not write to
+// state_in. particle_f acts and keeps its values.
 class NOVAPHY_VBD_API SolverVBD : public SolverBase {
  public:
-  // ErrorKind::Value: a bad option; particles without a color; what EditedValues refuses.
-  // ErrorKind::Index: an element of a particle that is not there.
+  // ErrorKind::Value: a bad option, particles without a color, or a value that EditedValues
+  // refuses. ErrorKind::Index: an element refers to a particle that does not exist.
   explicit SolverVBD(std::shared_ptr<const Model> model, const VbdOptions& options = {});
   ~SolverVBD() override;
 
   const VbdOptions& options() const { return options_; }
-  // Kinematic particles, see above: the rows of `targets`, in the order of their indices.
+  // Number of kinematic particles: the rows of `targets`, in the order of the particles' indices.
   int32_t kinematic_count() const;
-  // True without `tolerance`.
+  // True if `tolerance` is not set.
   bool supports_graph_capture() const override;
 
-  // Besides the errors of SolverBase::step and of the constructor: ErrorKind::Value when the
-  // indices of elements or the colors were edited after the solver was made, and for states,
-  // activations and arrays of the model that are not finite; ErrorKind::Runtime for contacts that
-  // overflowed, for positions that do not stay finite (state_out is not written then), and under a
-  // Tape for an input that carries a gradient; ErrorKind::NotImplemented for a contact with a shape
-  // of a body.
+  // Errors besides those of SolverBase::step and of the constructor:
+  // ErrorKind::Value: the indices of elements or the colors were edited after the solver was made,
+  // or states, activations or arrays of the model are not finite.
+  // ErrorKind::Runtime: contacts overflowed, positions do not stay finite (state_out is then not
+  // written), or an input carries a gradient under a Tape.
+  // ErrorKind::NotImplemented: a contact with a shape of a body.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override {
     step(state_in, state_out, control, contacts, dt, nullptr);
   }
-  // `targets`: {kinematic_count} positions (m, world frame) where the kinematic particles are at
-  // the end of the step; null: where they are.
+  // `targets`: {kinematic_count} positions of the kinematic particles at the end of the step (m,
+  // world frame). Null: these particles stay in place.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt, const DeviceArray<Vec3f>* targets);
-  // Of the last step; waits for the device. ErrorKind::Runtime: there was none since the solver was
-  // made or reset; a step on a device or a replay since the last call read or made numbers that are
-  // not finite, or contacts that had overflowed (it says the first of a particle, once).
+  // Returns the residual of the last step, and waits for the device. ErrorKind::Runtime: no step
+  // ran since the solver was made or reset. ErrorKind::Runtime: since the last call a step on a
+  // device or a replay met numbers that are not finite, or contacts that overflowed. The message
+  // names the first such particle, and each fault is reported once.
   VbdResidual residual() const;
-  // Forgets the last step, which the adaptive guess and residual() look at.
+  // Forgets the last step, which the adaptive guess and residual() read.
   void reset();
   void notify_model_changed(ModelFlags flags) override;
 
  protected:
   int32_t target_count() const override { return kinematic_count(); }
-  Array carried() const override;  // of the adaptive guess
+  Array carried() const override;  // the previous velocity, for the adaptive guess
   void step_to_targets(SimState& state_in, SimState& state_out, const Control* control,
                        const Contacts* contacts, float dt,
                        const DeviceArray<Vec3f>& targets) override {

@@ -1,9 +1,9 @@
-// The stiffness between two particles of an element, as a 3x3 matrix: sums of simple parts.
+// The stiffness between two particles of an element: a 3x3 matrix, built as a sum of simple parts.
 //
-// An element of VBD has the energy E. Its stiffness between the corners k and l is the part H_kl of
-// a matrix H over all corners. H is the second derivative of E where that is positive semidefinite,
-// and positive semidefinite everywhere. H_kk may be smaller than the block of a sweep
-// (block_law.h), because H knows that an element that turns resists nothing.
+// An element of VBD has the energy E. Its stiffness between the corners k and l is the block H_kl
+// of a matrix H over all corners. H is positive semidefinite everywhere. H equals the second
+// derivative of E where that is positive semidefinite. H_kk may be smaller than the block of a
+// sweep (block_law.h), because H has no stiffness against a rotation of the whole element.
 //
 // Freestanding: T = float, lanes of floats, or a scalar of a test.
 #pragma once
@@ -22,7 +22,7 @@ void add_to(Mat33<T>& sum, const Mat33<T>& h) {
     for (int c = 0; c < 3; ++c) sum.m[r][c] = sum.m[r][c] + h.m[r][c];
 }
 
-// H + s I, H + s a b^T, and H + [v], with d.([v] e) = v.(d x e).
+// Adds to H: s I, s a b^T, or the matrix [v] with d.([v] e) = v.(d x e).
 template <class T>
 void add_identity(Mat33<T>& h, const T& s) {
   for (int r = 0; r < 3; ++r) h.m[r][r] = h.m[r][r] + s;

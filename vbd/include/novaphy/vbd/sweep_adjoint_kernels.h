@@ -1,37 +1,39 @@
-// A sweep in reverse (sweep_kernels.h). A particle moves by d = H^-1 f. With u = H^-T xbar, the
-// derivative of d.xbar by anything that f and H read is that of u.f - u.(H d), u and d held
-// constant: a sum over slots. The build derives the laws of slots (tools/vbd_adjoints).
+// The reverse of a sweep (sweep_kernels.h). A particle moves by d = H^-1 f. Let u = H^-T xbar. The
+// derivative of d.xbar with respect to each input of f and H is that of u.f - u.(H d), with u and d
+// held constant: a sum over slots. The build derives the laws of slots (tools/vbd_adjoints).
 //
-// The CPU has all of a group at once. A device passes u, d and what slots give through memory:
-// threads for the particles find u and d, threads for the lanes of slots what these give.
+// On the CPU one call handles a whole group. On a device u, d and the results of slots pass through
+// memory: threads for particles compute u and d, then threads for lanes of slots compute the
+// adjoints of the slots' inputs.
 #pragma once
 
 #include "novaphy/vbd/sweep_kernels.h"
 
 namespace novaphy {
 
-// Derivatives of a scalar, called adjoints, as a sweep in reverse reads and makes them. "Added to"
-// unless said otherwise.
+// The adjoints that a reverse sweep reads and writes. The sweep adds to them unless said otherwise.
 struct VbdAdjointArguments {
   NOVAPHY_ARGUMENTS(
       Part<VbdSweepArguments> sweep; Optional<Reads<VbdRow>>
-          before;                 // where the particles of the color stood; null: they are there
-      Updates<VbdRow> x_adjoint;  // read; on the CPU also what particles give to their own
-      Updates<VbdRow> u, d, own;  // what a particle gives to its own position, but for its slots
-      Updates<VbdRow> start_adjoint, target_adjoint; Updates<float> mass_adjoint;  // by mass/h^2
+          before;  // positions of the particles before the color moved; null: they are in x
+      Updates<VbdRow> x_adjoint;  // read; on the CPU also increased by each particle's own part
+      Updates<VbdRow> u, d, own;  // own: a particle's adjoint of its own position, without slots
+      // mass_adjoint: of mass/h^2
+      Updates<VbdRow> start_adjoint, target_adjoint;
+      Updates<float> mass_adjoint;
       Optional<Updates<float>> contact_adjoints;  // kContactLawFloats for each contact of the step
-      Number<int64_t> at_solution;                // at a solution, where f = 0: with d = 0
-      Number<int64_t> weights;                    // also by the weights of slots
-      Optional<Updates<VbdRow>> multiplier;      // at rest: u, instead of solving for it; else null
-      Optional<Updates<VbdRow>> multiplier_sum;  // of u; null: not wanted
-      Reads<int32_t> slot_particle;              // of each lane of each slot of each role; -1: none
-      Updates<float> terms;    // of slots, 3 rows for each other particle, and for their own
-      Updates<float> numbers;  // of slots, by all their numbers
-      Reads<int64_t> begins;   // where roles begin in these three: 5 numbers for each
-      Each<Number<int64_t>, vbd::kRoles>
-          first;  // by role: the first lane of the slots of the launch
-      Each<Number<int64_t>, vbd::kRoles> ends;  // by role: threads up to its last one
-  )
+      Number<int64_t> at_solution;                // 1: at a solution, where f = 0 and d = 0
+      Number<int64_t> weights;                    // 1: also the adjoints of the weights of slots
+      Optional<Updates<VbdRow>> multiplier;       // null: solve for u; else a given u
+      Optional<Updates<VbdRow>> multiplier_sum;   // the sum of u; null: not wanted
+      // the particle of each lane of each slot of each role; -1: none
+      Reads<int32_t> slot_particle;
+      // of slots: 3 rows for each other particle; on devices 3 more for the own particle
+      Updates<float> terms; Updates<float> numbers;  // of slots: the adjoints of all their numbers
+      Reads<int64_t> begins;  // for the three tables above: where each role begins
+      Each<Number<int64_t>, vbd::kRoles> first;  // by role: the first lane of the launch's slots
+      // by role: the threads of the launch up to the end of the role
+      Each<Number<int64_t>, vbd::kRoles> ends;)
 };
 
 namespace vbd {
@@ -42,14 +44,15 @@ template <Role role, class S>
 float* bars_of_numbers(const VbdAdjointArguments& a, const Slot<role, S>& slot) {
   return a.numbers + (a.begins[2 * kRoles + role] + (slot.floats - a.sweep.floats[role]));
 }
-// The numbers [first, last).
+// Adds the adjoints of the numbers [first, last).
 template <Role role, class S>
 void add_numbers(float* to, const SlotAdjoints<role, S>& of, int first, int last) {
   using Access = LaneAccess<S>;
   for (int k = first; k < last; ++k)
     Access::store(to + k * Access::kStride, Access::load(to + k * Access::kStride) + of.numbers[k]);
 }
-// What a slot gives to other particles, on devices to its own before.
+// Stores the adjoints of the positions of the other particles. On devices the adjoint of the own
+// position comes first.
 template <Role role, class S>
 void put_terms(const VbdAdjointArguments& a, const Slot<role, S>& slot,
                const SlotAdjoints<role, S>& of) {
@@ -79,7 +82,7 @@ Vec3<S> reverse_slot_of(const VbdAdjointArguments& a, const Slot<role, S>& slot,
   add_numbers(bars_of_numbers(a, slot), to, weights ? 0 : law_begin(role), kFloats[role]);
   return to.own;
 }
-// A slot of a particle at x. Returns what it gives to its own.
+// Runs the law of a slot in reverse, for a particle at x. Returns the adjoint of that position.
 template <bool at_solution, bool weights, Role role, class S>
 Vec3<S> reverse_slot(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x,
                      const Block<S>& adjoint) {
@@ -103,13 +106,14 @@ Vec3<S> reverse_start_of(const VbdAdjointArguments& a, const Slot<role, S>& slot
   if (weights) add_numbers(numbers, to, 0, law_begin(role));
   return to.own;
 }
-// What a slot has of the start, of a particle that began at x.
+// Runs in reverse the law that computes a slot's numbers of the start, for a particle that began at
+// x.
 template <bool weights, Role role, class S>
 Vec3<S> reverse_start(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x) {
   return reverse_start_of < weights && kHasWeights < role >> (a, slot, x);
 }
 
-// Where the particles stood, which they then do again.
+// Moves the particles back to their positions before the color moved, and returns these positions.
 template <class S>
 Vec3<S> place_before(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
   if (a.before == nullptr) return g.at(a.sweep.x);
@@ -118,7 +122,7 @@ Vec3<S> place_before(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
   return x;
 }
 
-// What contacts give.
+// Adds the adjoints of the contacts' inputs: the own position, the start and the law.
 template <class S>
 void reverse_contacts(const VbdAdjointArguments& a, const LaneGroup<S>& g, const Vec3<S>& x,
                       const Block<S>& adjoint, Vec3<S>& own, Vec3<S>& by_start) {
@@ -142,8 +146,8 @@ void reverse_contacts(const VbdAdjointArguments& a, const LaneGroup<S>& g, const
   });
 }
 
-// The multipliers of particles at x and their steps, by the block there, and what these give, but
-// for slots. Multipliers that are given need no block.
+// Computes the multipliers u and the steps d of particles at x, from their blocks there. Adds the
+// adjoints of inertia and contacts. Given multipliers need no block.
 template <class S>
 struct Reversed {
   Vec3<S> u, d, own;
@@ -178,7 +182,7 @@ Reversed<S> reverse_particles(const VbdAdjointArguments& a, const LaneGroup<S>& 
   return to;
 }
 
-// All of a group.
+// Runs the step of a group in reverse, with all its slots.
 template <class S>
 void reverse_group(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
   const Vec3<S> x = place_before(a, g);

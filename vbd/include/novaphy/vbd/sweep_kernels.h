@@ -1,6 +1,6 @@
 // A sweep over the particles of groups, as templates over the scalar. On devices the scalar is a
-// float, and a thread has a lane of a group. On the CPU the scalar is all lanes of a group
-// (src/lanes.h), compiled once for each instruction set. Both have the same bits.
+// float, and a thread handles one lane of a group. On the CPU the scalar is all lanes of a group
+// (src/lanes.h), compiled once for each instruction set. Both give the same bits.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -8,32 +8,32 @@
 #include "novaphy/vbd/particle_contact_law.h"
 #include "novaphy/vbd/rows_kernels.h"
 
-#ifndef NOVAPHY_LANE_FN  // of floats
+#ifndef NOVAPHY_LANE_FN  // for floats; src/lanes.h has its own
 #define NOVAPHY_LANE_FN inline
 #endif
-#ifndef NOVAPHY_LANE_FN_APART  // what is large and called from many places
+#ifndef NOVAPHY_LANE_FN_APART  // for large functions with many callers
 #define NOVAPHY_LANE_FN_APART inline
 #endif
 
 namespace novaphy {
 
-// Lanes of a group on devices; groups of a block where there are many; terms that a block has room
-// for (see vbd_move_by_blocks).
+// On devices: lanes of a group, groups of a large block, and terms that a block has room for (see
+// vbd_move_by_blocks).
 constexpr int kVbdLanes = 4, kVbdLargeBlock = 8, kVbdBlockTerms = 832;
 
 struct VbdSweepArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> particle;  // of each lane of each group
                     Reads<int32_t> filled;    // lanes of a group that are particles
                     Reads<float> mass_by_h2;  // of each lane; 1 where it is no particle
-                    Each<Reads<int64_t>, vbd::kRoles> begin;  // by role: the slots of a group
-                    Each<Reads<int32_t>, vbd::kRoles> ints;
+                    // by role: the first slot of each group
+                    Each<Reads<int64_t>, vbd::kRoles> begin; Each<Reads<int32_t>, vbd::kRoles> ints;
                     Each<Updates<float>, vbd::kRoles> floats;
                     Optional<Reads<int32_t>> contact_begin;  // null: no contacts
                     Optional<Reads<float>> contacts; Reads<VbdRow> start, target;
                     Updates<VbdRow> moved, x,
                     to;  // where the particles of a color go: x, or memory of its own
                     Number<float> regularization, slip; Number<int64_t> lanes;  // of a group
-                    Number<int64_t> damped;                                     // bit of each role
+                    Number<int64_t> damped;  // a bit for each role
                     Number<int64_t> first_group, end_group,
                     block_groups;            // groups of a block: 1 or kVbdLargeBlock
                     Writes<float> residual;  // of vbd_residual
@@ -42,13 +42,13 @@ struct VbdSweepArguments {
 
 namespace vbd {
 
-// How a sweep reads and writes its scalar: kLanes lanes of a group that has kStride.
+// The access of a sweep to its scalar, which holds kLanes lanes of a group of kStride lanes.
 template <class S>
 struct LaneAccess;
 template <>
 struct LaneAccess<float> {
   static constexpr int kLanes = 1, kStride = kVbdLanes;
-  // The index, read once: a thread of a device would read memory again after each store.
+  // Holds the index in a register: a thread of a device would read memory again after each store.
   struct Particles {
     int32_t index;
     Particles(const int32_t* from) : index(*from) {}
@@ -57,7 +57,7 @@ struct LaneAccess<float> {
   static Vec3f gather(const VbdRow* rows, const int32_t* index) { return to_vec3(rows[*index]); }
   static float load(const float* from) { return *from; }
   static void store(float* to, float value) { *to = value; }
-  // Of a lane.
+  // Reads or writes one lane of a value.
   static float get(float values, int) { return values; }
   static void set(float& values, int, float value) { values = value; }
   static bool get(bool mask, int) { return mask; }
@@ -70,14 +70,14 @@ struct LaneAccess<float> {
 template <class S>
 using MaskOf = decltype(S() < S());
 
-// The lanes of a group that a scalar has. `row`: of a launch over lanes.
+// The lanes of a group that a scalar holds. `row`: of a launch over lanes.
 template <class S>
 struct LaneGroup : LaneAccess<S> {
   using Access = LaneAccess<S>;
   const VbdSweepArguments& a;
   int64_t group;
-  int32_t lane, filled;                 // the first; how many are particles
-  typename Access::Particles particle;  // of each
+  int32_t lane, filled;                 // the first lane; the number of lanes that are particles
+  typename Access::Particles particle;  // of each lane
   LaneGroup(const VbdSweepArguments& arguments, int64_t row)
       : a(arguments),
         group(a.first_group + row / Access::kStride),
@@ -89,7 +89,7 @@ struct LaneGroup : LaneAccess<S> {
   Vec3<S> at(const VbdRow* rows) const { return Access::gather(rows, particle); }
   S mass_by_h2() const { return Access::load(a.mass_by_h2 + (group * Access::kStride + lane)); }
   bool is_damped(Role role) const { return ((a.damped >> role) & 1) != 0; }
-  // Of the particles alone.
+  // Writes only the lanes that are particles.
   void put(VbdRow* rows, const Vec3<S>& values) const {
     for (int l = 0; l < filled; ++l) Access::put(rows, particle[l], values, l);
   }
@@ -98,7 +98,7 @@ struct LaneGroup : LaneAccess<S> {
   }
 };
 
-// A slot, for the lanes of a scalar; its numbers as those of SlotInputs.
+// A slot, for the lanes of a scalar. Its numbers have the order of those of SlotInputs.
 template <Role role, class S>
 struct Slot {
   using Access = LaneAccess<S>;
@@ -115,7 +115,8 @@ struct Slot {
   void set(int k, S value) const { Access::store(floats + k * Access::kStride, value); }
 };
 
-// What a slot of a particle at `own` reads. gather(indices): the point of another particle.
+// Returns the inputs of a slot, for a particle at `own`. gather(indices) returns the position of
+// another particle.
 template <Role role, class S, class V, class Numbers, class Gather>
 SlotInputs<role, V, Numbers> inputs_of(const Slot<role, S>& slot, const Vec3<V>& own,
                                        const Numbers& numbers, const Gather& gather) {
@@ -150,7 +151,7 @@ void for_slots(const LaneGroup<S>& g, const Body& body) {
   for (int64_t s = begin[g.group]; s < begin[g.group + 1]; ++s) body(Slot<role, S>(g.a, s, g.lane));
 }
 
-// The contact of each particle that has one more, and which one it is; else -1.
+// One contact of each particle that has one left, and the number of the contact. -1: none left.
 template <class S>
 struct LaneContacts {
   MaskOf<S> touching{};
@@ -184,7 +185,7 @@ void for_contacts(const LaneGroup<S>& g, const Body& body) {
     body(all);
   }
 }
-// What the contacts of particles add up to.
+// Returns the sum of the contacts' blocks.
 template <class S>
 Block<S> contact_blocks(const LaneGroup<S>& g, const Vec3<S>& x) {
   Block<S> outer;
@@ -196,8 +197,8 @@ Block<S> contact_blocks(const LaneGroup<S>& g, const Vec3<S>& x) {
   return outer;
 }
 
-// The block of the particles of a group at x, in this order: contacts and outer elements; then
-// inertia and the other elements; then both sums. `turns`: see block_of.
+// Returns the block of the particles of a group at x. The order of the sum is: contacts and outer
+// elements, then inertia and the other elements, then both sums. `turns`: see block_of.
 template <bool turns = false, class S>
 Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x) {
   const VbdRow* const q = g.a.x;
@@ -214,8 +215,8 @@ Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x) {
   return block + outer;
 }
 
-// The energy of the elements of particles at x, their contacts under the loads that they have at
-// `from`.
+// Returns the energy of the elements of particles at x (J). The contacts have the loads of the
+// position `from`.
 template <class S>
 S energy_at(const LaneGroup<S>& g, const Vec3<S>& x, const Vec3<S>& from) {
   using math::select;
@@ -233,7 +234,7 @@ S energy_at(const LaneGroup<S>& g, const Vec3<S>& x, const Vec3<S>& from) {
   return energy;
 }
 
-// What slots have of the start of the step.
+// Writes the slots' numbers of the start of the step.
 template <class S>
 void prepare(const LaneGroup<S>& g) {
   const Vec3<S> x = g.at(g.a.start);
@@ -248,7 +249,8 @@ void prepare(const LaneGroup<S>& g) {
   });
 }
 
-// The step d, halved where the energy would rise, up to four times; then none.
+// Returns the step d, halved up to four times while the energy would rise. If the energy still
+// rises, returns 0.
 template <class S>
 Vec3<S> guarded_step(const LaneGroup<S>& g, const Vec3<S>& x, Vec3<S> d) {
   using math::select;
@@ -263,7 +265,7 @@ Vec3<S> guarded_step(const LaneGroup<S>& g, const Vec3<S>& x, Vec3<S> d) {
   }
 }
 
-// One step of each particle.
+// Moves each particle of a group by one step.
 template <bool safeguard, bool turns, class S>
 void move(const LaneGroup<S>& g) {
   if (g.filled == 0) return;
@@ -276,8 +278,8 @@ void move(const LaneGroup<S>& g) {
   g.put(g.a.to, g.at(g.a.start) + moved);
 }
 
-// What residuals are sums of, for each particle: |f|^2, |M (y - xn)/h^2|^2, and the square of what
-// one rounding of the positions changes f by.
+// The part of a particle in the sums of a residual: |f|^2, |M (y - xn)/h^2|^2, and the square of
+// the change of f by one rounding of the position.
 struct ParticleResidual {
   float force = 0.0f, inertia = 0.0f, rounding = 0.0f;
 };

@@ -1,5 +1,5 @@
-// A sweep (sweep_kernels.h) along a direction. A particle moves by d = H^-1 f, so
-// d' = H^-1 (f' - H' d): at a solution, where f = 0, H^-1 f'.
+// The tangent of a sweep (sweep_kernels.h) along a direction. A particle moves by d = H^-1 f, so d'
+// = H^-1 (f' - H' d). At a solution f = 0, and d' = H^-1 f'.
 #pragma once
 
 #include "novaphy/math/dual.h"
@@ -7,25 +7,27 @@
 
 namespace novaphy {
 
-// Derivatives along a direction; null: 0.
+// The tangents that a sweep reads and writes. Null means 0.
 struct VbdTangentArguments {
   NOVAPHY_ARGUMENTS(Part<VbdSweepArguments> sweep; Optional<Reads<VbdRow>> x, start, target;
-                    Optional<Reads<float>> mass;       // by mass/h^2, per particle
-                    Optional<Reads<float>> contacts;   // kContactLawFloats for each contact
-                    Optional<Updates<float>> numbers;  // of slots, of all their numbers
-                    Each<Number<int64_t>, vbd::kRoles> begins;  // where those of a role begin
+                    Optional<Reads<float>> mass;      // of mass/h^2, per particle
+                    Optional<Reads<float>> contacts;  // kContactLawFloats for each contact
+                    // of slots: the tangents of all their numbers
+                    Optional<Updates<float>> numbers;
+                    Each<Number<int64_t>, vbd::kRoles> begins;  // where the numbers of a role begin
                     Optional<Reads<VbdRow>> load;               // added to the derivative of f
-                    Number<int64_t> at_solution;                // at a solution, where f = 0
-                    // Those of friction stay, as its energy keeps them: f has a potential then.
+                    Number<int64_t> at_solution;                // 1: at a solution, where f = 0
+                    // 1: the loads of friction are constant, as in its energy. f then has a
+                    // potential.
                     Number<int64_t> keeps_loads;
-                    // Written: f, its derivative, and that of the steps of the particles; null:
+                    // Written: f, the tangent of f, and the tangent of the particles' steps. Null:
                     // not wanted.
                     Optional<Updates<VbdRow>> force, force_tangent, step_tangent;)
 };
 
 namespace vbd {
 
-// Rows of particles with their derivatives.
+// Gathers rows of particles with their tangents.
 template <class S>
 Vec3<math::Dual<S>> gather_tangents(const VbdRow* values, const VbdRow* tangents,
                                     const int32_t* index) {
@@ -34,7 +36,7 @@ Vec3<math::Dual<S>> gather_tangents(const VbdRow* values, const VbdRow* tangents
       tangents != nullptr ? LaneAccess<S>::gather(tangents, index) : Vec3<S>{});
 }
 
-// The lanes of a group with the derivatives of what they read.
+// The lanes of a group, with the tangents of their inputs.
 template <class S>
 struct TangentGroup {
   using Access = LaneAccess<S>;
@@ -47,7 +49,7 @@ struct TangentGroup {
   Point start(const int32_t* p) const { return gather_tangents<S>(a.sweep.start, a.start, p); }
   static Point still(const Vec3<S>& v) { return math::with_tangent(v, Vec3<S>{}); }
 
-  // The numbers of a slot; without tangents they are 0.
+  // The numbers of a slot with their tangents. Without `tangents` these are 0.
   template <Role role>
   struct Numbers {
     Slot<role, S> slot;
@@ -91,7 +93,7 @@ struct TangentGroup {
     });
     return outer;
   }
-  // In the order of block_at.
+  // Returns the block with its tangent. The sum has the order of block_at.
   Block<Tangent> block(const Point& x) const {
     Block<Tangent> outer = contacts(x);
     for_roles_that_are<true>([&](auto is) { add_slots<decltype(is)::role>(x, outer); });
@@ -124,7 +126,7 @@ void tangent(const VbdTangentArguments& a, const LaneGroup<S>& g) {
   g.put(a.step_tangent, solve_block(factors, load));
 }
 
-// Of what slots have of the start: written to `numbers`.
+// Writes the tangents of the slots' numbers of the start to `numbers`.
 template <class S>
 void tangent_start(const VbdTangentArguments& a, const LaneGroup<S>& g) {
   if (g.filled == 0) return;

@@ -1,12 +1,11 @@
 // The common part of the elements of VBD.
 //
-// A sweep sees an element from one of its particles: as a slot. The struct of an element (spring.h)
-// says all that the solver asks of it, and is the slot of its corners. An element whose corners
-// have different laws (hinge.h) has a struct for each slot besides.
+// A slot is an element as one of its particles sees it. The struct of an element (spring.h) has all
+// that the solver needs from the element, and is also the slot of each corner. An element whose
+// corners have different laws (hinge.h) has an additional struct for each slot.
 //
-// The numbers of a slot are weights of the other corners, the law, and room for what the law needs
-// of the start of the step. Parameters are what the numbers are made of: columns of arrays of
-// Model.
+// The numbers of a slot are the weights of the other corners, the coefficients of the law, and
+// values of the start of the step. They are computed from parameters: columns of arrays of Model.
 //
 // Freestanding: device code reads it too. The scalar is a float, lanes of floats, carries a
 // derivative (math/dual.h), or is an expression (tools/vbd_adjoints).
@@ -16,38 +15,41 @@
 
 namespace novaphy::vbd {
 
-// The meaning of the columns of an array. kMaterial: an element acts where one is not 0.
+// The meaning of the columns of an array. kMaterial: coefficients; an element acts where one of
+// them is not 0.
 enum ArrayUse : int { kMaterial, kRestShape, kRestLength, kActivation };
 
-constexpr int kMostArrays = 4, kMostSlots = 2;  // of parameters and of slots of an element
+constexpr int kMostArrays = 4, kMostSlots = 2;  // arrays of parameters, and slots, of an element
 
-// The base of the struct of an element, with what holds where the struct says nothing. The struct
-// also has kLawFloats and kStartFloats, the numbers of the law and of the start; kDampingParameter;
-// block(in, damped) and energy(in); put_start(in, put) and put_numbers(corner, parameters, h, put),
-// which call put(k, value) for the k-th number of the start and of the slot. With more than two
-// corners the struct has stiffness(in, damped, put). The function calls put(k, H) with the
-// stiffness (stiffness_law.h) between the own corner and itself (k = 0) or the k-th other one.
+// The base of the struct of an element, with defaults. The struct also has:
+// - kLawFloats and kStartFloats, the numbers of the law and of the start; kDampingParameter;
+// - block(in, damped) and energy(in);
+// - put_start(in, put) and put_numbers(corner, parameters, h, put), which call put(k, value) for
+// the k-th number of the start and of the slot;
+// - with more than two corners stiffness(in, damped, put), which calls put(k, H) with the stiffness
+// (stiffness_law.h) between the own corner and itself (k = 0) or the k-th other corner.
 template <int corners>
 struct ElementOf {
   static constexpr int kCorners = corners;
-  static constexpr int kWeights = 0;              // numbers of a slot
-  static constexpr int kActivated = -1;           // the number that an activation changes; -1: none
-  static constexpr int kSlots = 1, kSlot = 0;     // slots of the element, and which one this is
-  static constexpr bool kIsOuter = false;         // summed with contacts, before the inertia
-  static constexpr bool kIsAlwaysDamped = false;  // else without damping where all of it is 0
-  static constexpr bool kResistsTurns = false;  // H of block() holds more than that of stiffness()
+  static constexpr int kWeights = 0;     // count of weights among a slot's numbers
+  static constexpr int kActivated = -1;  // the number that an activation changes; -1: none
+  // number of slots of the element, and the index of this one
+  static constexpr int kSlots = 1, kSlot = 0;
+  static constexpr bool kIsOuter = false;         // summed with the contacts, before the inertia
+  static constexpr bool kIsAlwaysDamped = false;  // false: no damping terms where all kd are 0
+  static constexpr bool kResistsTurns = false;    // H of block() is larger than that of stiffness()
   static constexpr bool kMayLackCorners = false;
-  static constexpr const char* kUnread = "";  // the columns of its material that no force reads
-  // Derivatives are 0 where is_defined(in) does not hold.
+  static constexpr const char* kUnread = "";  // names of the material's columns that no force reads
+  // True: the struct has is_defined(in), and derivatives are 0 where it returns false.
   static constexpr bool kMayBeUndefined = false;
-  // Which slot of the element a corner has, by flags of the model, and these flags.
+  // Returns the slot of a corner. slot_of may depend on flags of the model, which for_flags lists.
   template <class M>
   static int slot_of(const M&, int32_t, int) {
     return 0;
   }
   template <class M, class Body>
   static void for_flags(M&, const Body&) {}
-  // Which corner is the k-th other one of a slot.
+  // Returns the corner that is the k-th other one of the slot of `corner`.
   static constexpr int other_corner(int corner, int k) { return (corner + 1 + k) % corners; }
 };
 
@@ -70,8 +72,8 @@ struct ElementOf {
     body(#INDICES, m.INDICES);                                          \
   }
 
-// Weights of the corners behind `corner`: their rows of the inverse rest matrix {n, n}. The row of
-// corner 0 is minus the sum of the others.
+// Puts the weights of the other corners, in their order behind `corner`: their rows of the inverse
+// rest matrix {n, n}. The row of corner 0 is minus the sum of the rows.
 template <int n, class T, class Put>
 void put_weights(int corner, const T* pose, const Put& put) {
   for (int m = 0; m < n; ++m)
@@ -87,7 +89,8 @@ void put_weights(int corner, const T* pose, const Put& put) {
     }
 }
 
-// The law of stable Neo-Hookean elasticity, scaled by the size at rest, from the number `first` on.
+// Puts the coefficients of stable Neo-Hookean elasticity, scaled by the size at rest, from the
+// number `first` on.
 template <class T, class Put>
 void put_neo_hookean(int first, const T& size, const T& mu, const T& lambda, const T& activation,
                      const T& kd_by_h, const Put& put) {

@@ -27,7 +27,7 @@
 
 namespace novaphy::vbd {
 
-// Numbers: ke L, kd/h L, rest; thn.
+// The numbers are ke L, kd/h L, rest; thn.
 struct Hinge : ElementOf<4> {
   static constexpr int kLawFloats = 3, kStartFloats = 1, kDampingParameter = 1;
   static constexpr int kSlots = 2;  // HingeOpposite and HingeEnd
@@ -68,7 +68,8 @@ struct Hinge : ElementOf<4> {
   }
 };
 
-// `Slot` says which vertices its inputs are, and what dth/dx of its own is.
+// The law of both slots. `Slot` says which vertices its inputs are, and which dth/dx belongs to its
+// own vertex.
 template <class Slot>
 struct HingeSlot : Hinge {
   template <class S>
@@ -102,14 +103,14 @@ struct HingeSlot : Hinge {
     const S energy = S(0.5f) * ((in.numbers[0] * bent) * bent + (in.numbers[1] * moved) * moved);
     return select(is_defined_by(h), energy, S(0.0f));
   }
-  // H of block() between the own corner and all.
+  // Puts the H of block() between the own corner and each corner.
   template <class In, class Put>
   static void stiffness(const In& in, bool, const Put& put) {
     using math::select;
     using S = typename In::Scalar;
     const math::Hinge<S> h = Slot::hinge(in);
     const auto defined = is_defined_by(h);
-    Vec3<S> t[4];  // by vertex; the angle does not change where all move alike
+    Vec3<S> t[4];  // by vertex; the sum is 0, because a translation keeps the angle
     t[0] = turning_of_opposite(h.n1, h.n1_length, h);
     t[1] = turning_of_opposite(h.n2, h.n2_length, h);
     t[2] = Slot::turning_of_x2(in, h);

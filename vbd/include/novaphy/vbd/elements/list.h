@@ -1,9 +1,9 @@
-// The elements of VBD: their list, and what the solver asks of all of them.
+// The list of the elements of VBD, and functions over all elements.
 //
-// How slots (element.h) lie in memory: a group is some particles of one color, its lanes. The group
-// has slots for each role. Slot s of a group is one element for each lane: kOthers[role] rows of
-// indices, then kFloats[role] rows of numbers, with a number for each lane in a row. A lane with
-// fewer elements of a role reads, in the rest of its slots, itself and numbers of 0.
+// The memory layout of slots (element.h): a group is some particles of one color, called its lanes.
+// A group has slots for each role. Slot s of a group is one element for each lane: kOthers[role]
+// rows of indices, then kFloats[role] rows of numbers. A row has one number for each lane. A lane
+// with fewer elements of a role fills its remaining slots with its own index and numbers of 0.
 //
 // Freestanding: device code reads it too.
 #pragma once
@@ -14,7 +14,7 @@
 #include "novaphy/vbd/elements/tetrahedron.h"
 #include "novaphy/vbd/elements/triangle.h"
 
-// X(slot) in the order of sums. The slots of an element follow each other.
+// X(slot) for all slots, in the order of the sums. The slots of an element are neighbors.
 #define NOVAPHY_VBD_SLOTS(X) \
   X(Spring) X(Rope) X(Triangle) X(HingeOpposite) X(HingeEnd) X(Tetrahedron)
 // The parameters of all elements, see NOVAPHY_VBD_ELEMENT.
@@ -25,7 +25,7 @@
 
 namespace novaphy::vbd {
 
-// The kind of a slot.
+// The kind of a slot: which corner of which element.
 #define NOVAPHY_VBD_ENUMERATOR(slot) k##slot,
 enum Role : int { NOVAPHY_VBD_SLOTS(NOVAPHY_VBD_ENUMERATOR) kRoles };
 template <Role>
@@ -40,7 +40,8 @@ NOVAPHY_VBD_SLOTS(NOVAPHY_VBD_ROLE)
 template <Role role>
 using SlotOf = typename RoleIs<role>::Slot;
 
-// By role: the other corners of a slot, its numbers, those of the law and of the start.
+// By role: the count of the other corners, of a slot's numbers, and of those of the law and the
+// start.
 #define NOVAPHY_VBD_OTHERS(slot) slot::kCorners - 1,
 #define NOVAPHY_VBD_FLOATS(slot) slot::kWeights + slot::kLawFloats + slot::kStartFloats,
 #define NOVAPHY_VBD_LAW_FLOATS(slot) slot::kLawFloats,
@@ -58,7 +59,7 @@ void for_roles(const Body& body) {
 #define NOVAPHY_VBD_CALL(slot) body(RoleIs<k##slot>());
   NOVAPHY_VBD_SLOTS(NOVAPHY_VBD_CALL)
 }
-// Those that are summed with contacts, or those that are not.
+// The same for the roles that are summed with the contacts (outer), or for the other roles.
 template <bool outer, class Body>
 void for_roles_that_are(const Body& body) {
   for_roles([&body](auto is) {
@@ -69,7 +70,7 @@ constexpr bool is_outer(int role) {
 #define NOVAPHY_VBD_IS_OUTER(slot) (slot::kIsOuter && role == k##slot) ||
   return NOVAPHY_VBD_SLOTS(NOVAPHY_VBD_IS_OUTER) false;
 }
-// The first role of each element.
+// Calls body(RoleIs<role>()) for the first role of each element.
 template <class Body>
 void for_each_kind(const Body& body) {
   for_roles([&body](auto is) {
@@ -77,14 +78,14 @@ void for_each_kind(const Body& body) {
   });
 }
 
-// What a slot reads. Numbers: has the k-th number of the slot as [k].
+// The inputs of a slot. Numbers: a type whose [k] is the k-th number of the slot.
 template <Role role, class S, class Numbers = S[kFloats[role]]>
 struct SlotInputs {
   using Scalar = S;
   Vec3<S> own, others[kOthers[role]];
   Numbers numbers;
 };
-// `turns`: with H of stiffness_of.
+// Returns the block of a slot. `turns`: H is that of stiffness_of.
 template <bool turns = false, Role role, class S, class N>
 Block<S> block_of(const SlotInputs<role, S, N>& in, bool damped) {
   if constexpr (turns && SlotOf<role>::kResistsTurns) {
@@ -98,7 +99,7 @@ Block<S> block_of(const SlotInputs<role, S, N>& in, bool damped) {
 // one.
 template <Role role, class S, class N, class Put>
 void stiffness_of(const SlotInputs<role, S, N>& in, bool damped, const Put& put) {
-  if constexpr (kOthers[role] == 1) {  // a force along the line between two points
+  if constexpr (kOthers[role] == 1) {  // the force is along the line between two points
     const Mat33<S> h = stiffness_matrix(block_of(in, damped));
     Mat33<S> minus;
     for (int r = 0; r < 3; ++r)
@@ -120,8 +121,8 @@ void for_parameters(int64_t element, const Body& body) {
   });
 }
 
-// A contact of a particle in the step: point (3), normal (3), travel (3), radius, ke, kd/h, mu.
-// Derivatives are by the last four.
+// A contact in a step has the numbers point (3), normal (3), travel (3), radius, ke, kd/h, mu. The
+// last four are those of the law, and have derivatives.
 constexpr int kContactFloats = 13, kContactLawFloats = 4;
 
 }  // namespace novaphy::vbd

@@ -4,8 +4,9 @@
 //   E = ke/2 (l - rest)^2 + kd/(2h) (l - ln)^2
 //   f = -u (ke (l - rest) + kd/h (l - ln))
 //   H = (ke + kd/h) u u^T + ke max(0, 1 - rest/l) (I - u u^T)
-// H is the second derivative of E where l >= rest. Where the spring is pressed together that has
-// a negative part, ke (1 - rest/l) across the spring, which H leaves out; project = false keeps it.
+// H is the second derivative of E where l >= rest. In a compressed spring the second derivative
+// also has the negative part ke (1 - rest/l) across the spring. H leaves this part out; project =
+// false keeps it.
 // Symbols: x (m), ke (N/m), kd_by_h = kd/h (N/m), rest and ln (m).
 //
 // Source: Chen et al. (2024); Newton 1.8.0's SolverVBD has the same forces, and H without the max.
@@ -22,7 +23,7 @@
 
 namespace novaphy::vbd {
 
-// Numbers: ke, kd/h, rest; ln.
+// The numbers are ke, kd/h, rest; ln.
 struct Spring : ElementOf<2> {
   static constexpr int kLawFloats = 3, kStartFloats = 1, kDampingParameter = 1;
   static constexpr int kSlots = 2;  // Spring, and Rope (rope.h)

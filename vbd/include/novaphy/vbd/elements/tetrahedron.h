@@ -10,12 +10,13 @@
 //   H = V [ mu |m|^2 I + ln (cof F m)(cof F m)^T ] + damping's
 // The stiffness between the corners k and l, with d.([v] e) = v.(d x e) and s = ln (J - alpha):
 //   H_kl = V [ mu m_k.m_l I + ln (cof F m_k)(cof F m_l)^T + s' [F (m_k x m_l)] ] + damping's
-// s' is s within bounds that keep H positive semidefinite: with the largest stretch S of F,
-// -min(mu/S, ln max(J, 0)) and mu/(2 S). S^2 is bounded by the largest row sum of |C|.
-// H is the exact second derivative of the elastic E, positive definite for every shape, inverted
-// ones too, because J is linear in one corner. The damping's part is its Gauss-Newton one. Symbols:
-// x (m), w (1/m), V = volume at rest (m^3), mu, lam (Pa), kd (Pa*s), act (1): activation, added to
-// the relative volume.
+// s' is s within bounds that keep H positive semidefinite. The lower bound is -min(mu/S, ln max(J,
+// 0)), and the upper bound is mu/(2 S), with the largest stretch S of F. The code bounds S^2 by the
+// largest row sum of |C|.
+// H is the exact second derivative of the elastic E for one corner, because J is linear in one
+// corner. H is positive definite for every shape, also for inverted ones. The damping has its
+// Gauss-Newton part. Symbols: x (m), w (1/m), V = volume at rest (m^3), mu, lam (Pa), kd (Pa*s),
+// act (1): activation, added to the relative volume.
 //
 // Source: Smith, de Goes, Kim (2018) without the logarithm, as Newton 1.8.0's SolverVBD has it
 // (without activation).
@@ -32,7 +33,7 @@
 
 namespace novaphy::vbd {
 
-// Numbers: w1, w2, w3; V mu, V ln, alpha, V kd/h; Cn00, Cn11, Cn22, Cn01, Cn02, Cn12.
+// The numbers are w1, w2, w3; V mu, V ln, alpha, V kd/h; Cn00, Cn11, Cn22, Cn01, Cn02, Cn12.
 struct Tetrahedron : ElementOf<4> {
   static constexpr int kWeights = 9, kLawFloats = 4, kStartFloats = 6;
   static constexpr int kDampingParameter = 11, kActivated = 11;
@@ -55,7 +56,7 @@ struct Tetrahedron : ElementOf<4> {
     return Columns<S>{{(e1 * n[0] + e2 * n[3]) + e3 * n[6], (e1 * n[1] + e2 * n[4]) + e3 * n[7],
                        (e1 * n[2] + e2 * n[5]) + e3 * n[8]}};
   }
-  // In the order of the numbers.
+  // The components of C, in the order of the numbers Cn.
   template <class S>
   struct Strain {
     S c[6];
@@ -68,7 +69,7 @@ struct Tetrahedron : ElementOf<4> {
              dot(f[1], f[2])}};
   }
 
-  // `damped` false leaves the terms of kd out, which are 0 then.
+  // With `damped` false the terms of kd are left out. The caller then knows that kd is 0.
   template <class In>
   static auto block(const In& in, bool damped) {
     using namespace math;
@@ -101,7 +102,7 @@ struct Tetrahedron : ElementOf<4> {
     }
     return block;
   }
-  // s within its bounds.
+  // Returns s', which is s within its bounds.
   template <class S>
   static S bounded(const S& s, const S& mu, const S& ln, const S& j, const Strain<S>& strain) {
     using namespace math;

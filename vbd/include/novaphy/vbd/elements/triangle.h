@@ -12,8 +12,8 @@
 //   f = -A (P0 a + P1 b) - damping
 //   H = A [ (mu (a^2 + b^2) + r w.w) I + (ln - r) dJ dJ^T - r w w^T ] + damping's
 //   dJ = g0 a + g1 b, w = f1 a - f0 b, r = max(0, s)/J
-// H is the second derivative of the elastic E where s >= 0 and positive semidefinite everywhere;
-// the damping's part is its Gauss-Newton one. A rotation is not damped.
+// H is the second derivative of the elastic E where s >= 0, and positive semidefinite everywhere.
+// The damping has its Gauss-Newton part. A rotation is not damped.
 // The stiffness between the corners k and l, with d.([v] e) = v.(d x e) and w_k = f1 a_k - f0 b_k:
 //   H_kl = A [ mu (a_k a_l + b_k b_l) I + ln dJ_k dJ_l^T + max(s/J, -mu/S^2) (w_k.w_l) n n^T
 //              + clamp(s, -mu, mu) (a_k b_l - a_l b_k) [n] ] + damping's
@@ -37,7 +37,7 @@
 
 namespace novaphy::vbd {
 
-// Numbers: w1, w2; A mu, A ln, alpha, A kd/h; Cn00, Cn01, Cn11.
+// The numbers are w1, w2; A mu, A ln, alpha, A kd/h; Cn00, Cn01, Cn11.
 struct Triangle : ElementOf<3> {
   static constexpr int kWeights = 4, kLawFloats = 4, kStartFloats = 3;
   static constexpr int kDampingParameter = 7, kActivated = 6;
@@ -70,14 +70,14 @@ struct Triangle : ElementOf<3> {
   static Strain<S> strain(const Columns<S>& f) {
     return {math::dot(f.f0, f.f0), math::dot(f.f0, f.f1), math::dot(f.f1, f.f1)};
   }
-  // J, of f0 x f1.
+  // Returns J from the vector f0 x f1.
   template <class S>
   static S area_ratio(const Vec3<S>& normal) {
     using math::max, math::sqrt;
     return sqrt(max(math::dot(normal, normal), S(1e-20f)));
   }
 
-  // The stiffness across the membrane, over (w_k.w_l): s/J within its bound.
+  // Returns the stiffness across the membrane, divided by (w_k.w_l): s/J within its bound.
   template <class S>
   static S across(const Columns<S>& f, const S& s_by_j, const S& mu) {
     using math::max, math::sqrt;
@@ -87,8 +87,8 @@ struct Triangle : ElementOf<3> {
     return max(s_by_j, -(mu / max(largest, S(1e-20f))));
   }
 
-  // `damped` false leaves the terms of kd out, which are 0 then. `turns`: H is that of stiffness(),
-  // with r = max(s/J, -mu/S^2).
+  // With `damped` false the terms of kd are left out. The caller then knows that kd is 0. With
+  // `turns` H is that of stiffness(), with r = max(s/J, -mu/S^2).
   template <bool turns = false, class In>
   static auto block(const In& in, bool damped) {
     using namespace math;
@@ -169,7 +169,8 @@ struct Triangle : ElementOf<3> {
   template <class In, class Put>
   static void put_start(const In& in, const Put& put) {
     using S = typename In::Scalar;
-    const Vec3<S> f1 = column(in, 1);  // first: the order of derivatives is that of operations
+    // first, because derivatives follow the order of the operations
+    const Vec3<S> f1 = column(in, 1);
     const auto [c00, c01, c11] = strain(Columns<S>{column(in, 0), f1});
     put(0, c00);
     put(1, c01);

@@ -12,7 +12,7 @@ namespace {
 
 using Points = std::vector<Vec3<double>>;
 
-// Calls visit(particle, other) for the other corners of all slots.
+// Calls visit(particle, other) for each other corner of each slot.
 template <class Visit>
 void visit_corners(const ColorSlots& slots, const Visit& visit) {
   const auto lanes = static_cast<size_t>(slots.lanes());
@@ -31,7 +31,8 @@ void visit_corners(const ColorSlots& slots, const Visit& visit) {
   }
 }
 
-// The component of each particle is its first particle; of particles that do not move, -1.
+// Returns the connected component of each particle, named by its first particle. -1: the particle
+// is kinematic.
 std::vector<int32_t> find_components(const ColorSlots& slots) {
   std::vector<int32_t> root(slots.held_flags().size());
   std::iota(root.begin(), root.end(), 0);
@@ -53,12 +54,12 @@ std::vector<int32_t> find_components(const ColorSlots& slots) {
 struct Frame {
   Vec3<double> center;
   math::PrincipalAxes axes;
-  int rank = 0;  // axes along which the points differ, which come first
+  int rank = 0;  // number of axes along which the points differ; these axes come first
 };
 double along(const math::PrincipalAxes& axes, int axis, const Vec3<double>& d) {
   return axes.axes[0][axis] * d.x + axes.axes[1][axis] * d.y + axes.axes[2][axis] * d.z;
 }
-// Axes by falling moments.
+// Returns the center and the principal axes of points, in descending order of the moments.
 Frame frame_of(const Points& points, const int32_t* particles, size_t count) {
   Frame f;
   for (size_t k = 0; k < count; ++k)
@@ -79,7 +80,7 @@ Frame frame_of(const Points& points, const int32_t* particles, size_t count) {
     f.axes.moments[axis] = found.moments[order[axis]];
     for (int r = 0; r < 3; ++r) f.axes.axes[r][axis] = found.axes[r][order[axis]];
   }
-  constexpr double kRounding = 1e-8;  // of moments
+  constexpr double kRounding = 1e-8;  // of the moments, relative to the largest
   for (int axis = 0; axis < 3; ++axis)
     if (f.axes.moments[axis] > kRounding * f.axes.moments[0]) ++f.rank;
   return f;
@@ -92,7 +93,7 @@ CoarseTables::CoarseTables(const Model& model, const ColorSlots& slots) {
   Points points(count);
   for (size_t p = 0; p < count; ++p) {
     const Vec3f& q = model.particle_q.data()[p];
-    if (!is_finite(q)) continue;  // a function may have any values
+    if (!is_finite(q)) continue;  // the values of a function may be arbitrary
     points[p] = {static_cast<double>(q.x), static_cast<double>(q.y), static_cast<double>(q.z)};
   }
   aggregate.assign(count, -1);
@@ -101,7 +102,7 @@ CoarseTables::CoarseTables(const Model& model, const ColorSlots& slots) {
   std::vector<int32_t> component = find_components(slots);
   IndexRows particles_of;
   particles_of.build(component, model.particle_count());
-  std::vector<int32_t> system_of(count, -1);  // by component
+  std::vector<int32_t> system_of(count, -1);  // for each component
   for (int32_t c = 0; c < model.particle_count(); ++c) {
     const auto of = particles_of.items(c);
     if (of.size() < 2) continue;
@@ -127,7 +128,7 @@ CoarseTables::CoarseTables(const Model& model, const ColorSlots& slots) {
   add_pairs();
 }
 
-// Halves along the longest axis until each part is an aggregate.
+// Splits particles in two along the longest axis, until each part is an aggregate.
 void CoarseTables::split(const Points& points, std::vector<int32_t>& particles, size_t begin,
                          size_t end, int64_t parts) {
   const auto first = particles.begin() + static_cast<std::ptrdiff_t>(begin);
@@ -187,7 +188,7 @@ void CoarseTables::find_near(const ColorSlots& slots) {
   }
 }
 
-// Of functions whose aggregates are near, the first not before the second.
+// Adds the pairs of functions whose aggregates are near each other, with the larger index first.
 void CoarseTables::add_pairs() {
   for (size_t a = 0; a + 1 < member_begin.size(); ++a) {
     std::vector<int32_t> others;

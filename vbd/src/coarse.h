@@ -11,13 +11,14 @@ namespace novaphy::vbd {
 
 // The systems, aggregates and functions of particles, on the host; see VbdCoarseArguments.
 //
-// A system is a connected component of at least two particles that move. Each aggregate has about
-// kParticles particles. Systems whose unknowns would be more than kUnknowns have larger ones.
+// A system is a connected component of at least two particles that move. An aggregate has about
+// kParticles particles. The aggregates of a system are larger if it would otherwise have more than
+// kUnknowns unknowns.
 struct CoarseTables {
   static constexpr int kParticles = 10, kUnknowns = 300;
 
-  // `model`: on the host. The functions are linear in its particle_q; columns without rank are left
-  // out.
+  // `model`: on the host. The functions are linear in the model's particle_q. A function is left
+  // out if it would be constant over its aggregate.
   CoarseTables(const Model& model, const ColorSlots& slots);
 
   std::vector<int32_t> aggregate, near_begin, near, function_begin, member_begin, members;
@@ -39,7 +40,7 @@ class Coarse {
  public:
   Coarse(const Model& model, const ColorSlots& slots, Device device);
 
-  // Of a launch over all groups, after so many tests.
+  // Returns the arguments of a launch over all groups, after `tests` tests of the line search.
   VbdCoarseArguments arguments(const VbdSweepArguments& sweep, int64_t tests) const;
   int64_t systems() const { return static_cast<int64_t>(matrix_begin_.rows()); }
   int64_t functions() const { return static_cast<int64_t>(function_aggregate_.rows()); }

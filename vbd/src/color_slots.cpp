@@ -10,7 +10,7 @@
 namespace novaphy::vbd {
 namespace {
 
-// Whether a coefficient of an element is not 0.
+// Returns whether an element acts: a coefficient of its material is not 0.
 template <class Element>
 bool acts(const Model& m, size_t e) {
   bool any = false;
@@ -22,7 +22,7 @@ bool acts(const Model& m, size_t e) {
   return any;
 }
 
-// Calls visit(RoleIs of the first corner, element, corners) for the elements that act.
+// Calls visit(RoleIs<first role>(), element, corners) for each element that acts.
 template <class Visit>
 void visit_elements(const Model& m, const Visit& visit) {
   for_each_kind([&](auto is) {
@@ -37,7 +37,7 @@ void visit_elements(const Model& m, const Visit& visit) {
   });
 }
 
-// Indices of particles, and columns of materials that no force reads.
+// Checks the indices of particles, and that the columns of materials without a force are 0.
 template <class Element>
 void check_elements(const Model& m) {
   Element::with_indices(m, [&m](const char* name, const Array& indices) {
@@ -81,7 +81,7 @@ void ColorSlots::find_held(const Model& model) {
   }
 }
 
-// The slots of every particle, by role, in the order of the elements.
+// Collects the slots of every particle, by role, in the order of the elements.
 void ColorSlots::collect(const Model& model) {
   const auto count = static_cast<size_t>(model.particle_count());
   for (Table& table : tables_) table.particle_begin.assign(count + 1, 0);
@@ -106,7 +106,8 @@ void ColorSlots::collect(const Model& model) {
   visit([&](int role, size_t p, Source source) {
     tables_[role].of_particles[static_cast<size_t>(next[role][p]++)] = source;
   });
-  for (int role = 0; role < kRoles; ++role)  // the slots of a particle end where the next begin
+  // the slots of a particle end where those of the next particle begin
+  for (int role = 0; role < kRoles; ++role)
     NOVAPHY_ASSERT(std::equal(next[role].begin(), next[role].end() - 1,
                               tables_[role].particle_begin.begin() + 1));
 }
@@ -122,8 +123,8 @@ void ColorSlots::find_conflicts(const std::vector<int32_t>& colors, const Model&
   });
 }
 
-// Within a color the particles with the most slots come first, so that the lanes of a group have
-// about equally many.
+// Makes the groups of each color. The particles of a color are sorted by their number of slots, so
+// that the lanes of a group have about equally many.
 void ColorSlots::make_groups(const std::vector<int32_t>& colors) {
   std::vector<std::vector<int32_t>> of_color;
   for (size_t p = 0; p < colors.size(); ++p) {

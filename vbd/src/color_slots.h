@@ -1,5 +1,4 @@
-// The groups of a model's particles and the slots of their elements (elements/list.h), as
-// tables.
+// The groups of a model's particles and the slots of their elements (elements/list.h), as tables.
 #pragma once
 
 #include <cstdint>
@@ -13,24 +12,24 @@ namespace novaphy::vbd {
 
 class ColorSlots {
  public:
-  struct Source {  // the element of a slot's lane, and which of its corners the particle is
+  struct Source {  // the element in a slot's lane, and the corner that the lane's particle is
     int32_t element = -1, corner = 0;
   };
   struct Table {
-    std::vector<Source> of_particles;  // of each particle in the order of the elements
+    std::vector<Source> of_particles;  // of each particle, in the order of the elements
     std::vector<int64_t> particle_begin;
     std::vector<int64_t> begin;
     std::vector<Source> sources;
-    std::vector<int64_t> places;  // of each corner of each element among the sources; -1: none
+    std::vector<int64_t> places;  // index in `sources` of each corner of each element; -1: none
     std::vector<int32_t> ints;
     mutable std::vector<float> floats;
     bool damped = false;
   };
 
-  // Groups of `lanes` particles, and the elements that act. Kinematic particles have none.
-  // Errors as SolverVBD's constructor.
+  // Makes groups of `lanes` particles, and slots for the elements that act. Kinematic particles
+  // have no slots. Errors: as for SolverVBD's constructor.
   void build(const Model& model, int lanes);
-  // The numbers of the slots, without activation.
+  // Computes the numbers of the slots for the step size dt (s), with zero activation.
   void set_constants(const Model& model, float dt);
 
   const std::vector<int32_t>& held() const { return held_; }
@@ -38,18 +37,19 @@ class ColorSlots {
   bool is_held(int32_t particle) const { return is_held_[static_cast<size_t>(particle)] != 0; }
   // The groups of color c are [color_begin()[c], color_begin()[c + 1]).
   const std::vector<int64_t>& color_begin() const { return color_begin_; }
-  // Two particles of an element have the same color.
+  // Whether an element has two particles of the same color that move.
   bool has_conflicts() const { return has_conflicts_; }
   int lanes() const { return lanes_; }
   const Table& table(int role) const { return tables_[role]; }
-  // Where the floats of each role begin among those of all roles, and their number.
+  // The index of the first float of each role among the floats of all roles, and behind them the
+  // count of all floats.
   const std::vector<int64_t>& numbers_begin() const { return numbers_begin_; }
-  // Where the first number of a source of a role is among the floats.
+  // Returns the index of a source's first number among the floats of its role.
   size_t place_of(int role, size_t source) const {
     const auto lanes = static_cast<size_t>(lanes_);
     return source / lanes * lanes * static_cast<size_t>(kFloats[role]) + source % lanes;
   }
-  // Of each lane of each group: see VbdSweepArguments. The last as set_constants made them.
+  // Values of each lane of each group: see VbdSweepArguments. set_constants makes the masses.
   const std::vector<int32_t>& particles() const { return particle_; }
   const std::vector<int32_t>& filled() const { return filled_; }
   const std::vector<float>& masses_by_h2() const { return mass_by_h2_; }
@@ -72,7 +72,8 @@ class ColorSlots {
   bool has_conflicts_ = false;
 };
 
-// By the world whose gravity they feel.
+// Returns the particles of each world. Particles of all worlds (-1) belong to the last one, whose
+// gravity they feel.
 IndexRows particles_of_worlds(const Model& model);
 
 }  // namespace novaphy::vbd

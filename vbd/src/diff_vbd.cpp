@@ -16,7 +16,7 @@ namespace {
 
 using nova::Tensor;
 
-// What the adaptive guess of the next step looks at.
+// Writes the row that the adaptive guess of the next step reads: the velocity and the number 1.
 const nova::Kernel& keep_velocity_kernel() {
   static const nova::Kernel kernel = nova::make_kernel(
       "vbd_keep_velocity", {{"particle_qd", nova::DType::F32, 3, nova::Access::Direct}},
@@ -67,7 +67,8 @@ DeviceArray<Vec4f> DiffSolverVBD::new_velocities() const {
   return DeviceArray<Vec4f>(static_cast<size_t>(model()->particle_count()), device());
 }
 
-// What the step reads: on a tape memory that stays as it is until backward has read it.
+// Returns the previous velocity, as the step reads it. On a tape the memory of the rows stays
+// unchanged until backward has read them.
 Tensor DiffSolverVBD::last_velocity(StepInputs::Checkpoints* checkpoints) {
   if (!looks_back()) return {};
   const auto rows = static_cast<int64_t>(model()->particle_count());
@@ -97,7 +98,7 @@ Tensor DiffSolverVBD::last_velocity(StepInputs::Checkpoints* checkpoints) {
   return last;
 }
 
-// `in`: where the step began.
+// Keeps the velocity of `in`, the state before the step, for the next step's guess.
 void DiffSolverVBD::keep_velocity(const SimState& in, StepInputs::Checkpoints* checkpoints,
                                   StepScratch scratch) {
   if (!looks_back()) return;
@@ -130,7 +131,7 @@ namespace {
 GradientInfo info_of(GradientCounts counts, const VbdGradientInfo& of, bool implicit) {
   if (implicit) {
     counts.residual = static_cast<float>(std::max(of.primal.relative, of.linear_residual));
-    // What was allowed to stay unsolved is told of the last step alone.
+    // Only the last step can be counted as unsolved, because `of` describes only that step.
     if (counts.steps > 0 && counts.surrogate == 0 && !(counts.residual <= kSurrogateResidual)) {
       --(counts.exact > 0 ? counts.exact : counts.frozen);
       ++counts.surrogate;
@@ -179,7 +180,7 @@ DiffVbdGradientInfo DiffSolverVBD::gradient_info() const {
           of.linear_residual, of.linear_sweeps, of.converged};
 }
 
-// A replay cannot throw: this says afterwards why its results are no numbers.
+// A replay cannot throw. This check later throws the reason why the replay's results are NaN.
 void DiffSolverVBD::check_replays() const {
   if (failure_->empty()) return;
   fail(ErrorKind::Runtime,
@@ -187,8 +188,8 @@ void DiffSolverVBD::check_replays() const {
        std::exchange(*failure_, {}));
 }
 
-// A copy of contacts that may be found anew before backward reads them; that of the step before
-// where they are the same.
+// Returns a copy of the contacts, because the pipeline may overwrite them before backward reads
+// them. Equal contacts share the copy of the previous step.
 std::shared_ptr<const Contacts> DiffSolverVBD::kept(const Contacts* contacts) {
   if (contacts == nullptr) return nullptr;
   const auto same = [](const Array& a, const Array& b) {
@@ -231,7 +232,8 @@ void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control*
   record_step(state_in, state_out, inputs, {});
 }
 
-// What replays would find out on the host, whose errors are NaN, they throw before they begin.
+// In a capture on the CPU, notes the values that replays depend on. A replay with changed values
+// then throws before it begins, instead of writing NaN.
 void DiffSolverVBD::begin() {
   if (nova::current_capture() == nullptr || !device().is_cpu()) return;
   model()->depend_on_numbers();
@@ -253,10 +255,10 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   step->failure = failure_;
   step->in_use = in_use();
   const bool captured = nova::current_capture() != nullptr, on_device = step->on_device();
-  if (on_device && tape == nullptr) {  // nobody goes back through them
+  if (on_device && tape == nullptr) {  // no backward pass will read the contacts
     step->contacts = {std::shared_ptr<void>(), inputs.contacts};
   } else if ((captured || on_device) && inputs.contacts != nullptr) {
-    const nova::NoGrad no_grad;  // in a capture a copy that every replay makes
+    const nova::NoGrad no_grad;  // in a capture every replay makes this copy
     step->contacts = std::make_shared<const Contacts>(inputs.contacts->clone());
   } else {
     step->contacts = kept(inputs.contacts);

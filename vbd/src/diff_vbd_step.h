@@ -1,5 +1,5 @@
-// A step of DiffSolverVBD as a tape, a capture or a call keeps it: what it reads and writes, and
-// its derivatives between tensors.
+// A step of DiffSolverVBD as a tape, a capture or a call keeps it: its inputs and outputs, and its
+// derivatives as tensors.
 #pragma once
 
 #include <array>
@@ -27,36 +27,38 @@ struct RecordedStep {
   std::shared_ptr<const Contacts> contacts;
   std::shared_ptr<std::string> failure;  // of replays; see DiffSolverVBD::gradient_info
   std::shared_ptr<ExclusiveUse> in_use;
-  nova::Tensor q, qd, f, targets;  // the targets of all steps; undefined: none
-  nova::Tensor last;               // of the adaptive guess, else undefined
+  nova::Tensor q, qd, f, targets;  // targets: of all steps; undefined: none
+  nova::Tensor last;               // previous velocity, for the adaptive guess; else undefined
   size_t first_target = 0, target_count = 0;
   VbdActivations activations;
   DeviceArray<Vec3f> q_out, qd_out;
   float dt = 0.0f;
-  int32_t of_rollout = -1;  // which step of a rollout; -1: of none
+  int32_t of_rollout = -1;  // index of the step in a rollout; -1: not in a rollout
   bool implicit = false, trains_elements = false;
   // The model's numbers when the step was recorded.
   float soft_contact_ke = model->soft_contact_ke, soft_contact_kd = model->soft_contact_kd,
         soft_contact_mu = model->soft_contact_mu;
 
-  // An input that has a gradient, and where it is among the derivatives of a step.
+  // An input with a gradient, and the member of VbdStepDerivatives with its derivative.
   struct Input {
     nova::Tensor tensor;
     Array VbdStepDerivatives::*derivative;
     bool is_targets = false;
-    // Of those that a step reads.
+    // Returns the count of the numbers that the step reads from the tensor.
     size_t size(const RecordedStep& step) const {
       return static_cast<size_t>(is_targets ? 3 * step.target_count : tensor.size());
     }
   };
   std::vector<Input> differentiable() const;
-  // A capture on a device in which materials or rest shapes of elements carry a gradient.
+  // Returns whether this is a capture on a device in which materials or rest shapes of elements
+  // carry a gradient.
   bool trains(const nova::Tape& tape) const;
   bool on_device() const { return !model->device().is_cpu(); }
-  // ErrorKind::NotImplemented, by name: an array that carries a gradient but has none in a step.
+  // ErrorKind::NotImplemented: an array carries a gradient, but a step has none for it. The message
+  // names the array.
   void check_others(const nova::Tape& tape, const Contacts* given) const;
 
-  // Now, or in the replays of a capture. Errors name the step of a rollout.
+  // Run now, or in the replays of a capture. Errors name the step of a rollout.
   static void submit_forward(const std::shared_ptr<RecordedStep>& step);
   static void submit_backward(const std::shared_ptr<RecordedStep>& step,
                               std::span<const nova::Tensor> outputs,
@@ -78,9 +80,9 @@ struct RecordedStep {
                 std::span<const nova::InputGradient> to) const;
   void add_backward(std::span<const nova::Tensor> outputs,
                     std::span<const nova::InputGradient> to) const;
-  // Of positions and velocities.
+  // Returns the tangents of positions and velocities.
   std::array<DeviceArray<Vec3f>, 2> tangents(std::span<const nova::Tensor> tangents) const;
-  // As a launch of a capture on the CPU, which runs `run`.
+  // Adds `run` to a capture on the CPU, as host work with these reads and results.
   void capture(std::vector<nova::Tensor> reads, std::vector<nova::Tensor> results,
                std::function<void()> run) const;
   template <class Run>

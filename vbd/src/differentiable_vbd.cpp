@@ -18,7 +18,7 @@ namespace {
 using vbd::StepDerivatives;
 using vbd::StepInputs;
 
-// While one is alive nobody records and observes what this thread does.
+// While an object of this class lives, no recorder and no tracker sees the work of this thread.
 struct Unseen {
   const UntrackedScope untracked;
   const Unrecorded unrecorded;
@@ -34,7 +34,8 @@ void check_covered(const VbdOptions& o) {
   refuse(o.safeguard, "safeguard");
 }
 
-// A step to its solution has the gradient of that, however it gets there.
+// The gradient of a solution does not depend on the way there, so implicit gradients allow
+// `coarse`.
 void check_coarse(const VbdOptions& o, const VbdGradientOptions& g) {
   require(!o.coarse || g.implicit, ErrorKind::NotImplemented,
           "DiffSolverVBD: coarse: \"auto\" is not supported with gradient \"unrolled\"; take "
@@ -53,7 +54,7 @@ void check_gradient_options(const VbdOptions& o, const VbdGradientOptions& g) {
           "iterations: expected >= 1 with implicit gradients, got ", o.iterations);
 }
 
-// What is told of implicit derivatives, and asked of them.
+// The checks and the report of implicit derivatives.
 struct Solved {
   void see_step(const vbd::Solution& found) {
     primal = found.residual;
@@ -97,7 +98,7 @@ struct DifferentiableVbd::Work {
         q_out(step.x().rows(), model.device()),
         qd_out(step.x().rows(), model.device()) {}
 
-  // On the CPU at once, without a recorder.
+  // One call. On the CPU its work runs at once, without a recorder.
   struct Call {
     Call(Work& work, const char* name, const std::shared_ptr<ExclusiveUse>& use)
         : scope(work.in_use, name, "the solver") {
@@ -120,7 +121,7 @@ struct DifferentiableVbd::Work {
     solved.see_step(tangent.solve_step(static_cast<double>(gradient.tolerance),
                                        gradient.newton_iterations, gradient.krylov_sweeps));
   }
-  // For derivatives, which look at what the step was like.
+  // Runs the step once more, for derivatives, which read its intermediate values.
   void run_again(const StepInputs& in, bool damps) {
     run(in, {.q = q_out, .qd = qd_out, .keeps_iterates = !gradient.implicit}, damps);
     if (!gradient.implicit) step.find_residuals();
@@ -144,7 +145,7 @@ struct DifferentiableVbd::Work {
     tell(reverse.implicit(in, adjoints, to, static_cast<double>(gradient.tolerance),
                           gradient.krylov_sweeps));
   }
-  // Of the positions and the velocities.
+  // Returns the tangents of the positions and the velocities.
   std::array<vbd::Rows, 2> tangents(const StepInputs& in, const StepDerivatives& direction) {
     run_again(in, vbd::wants(direction, vbd::kMaterial));
     step.check();
@@ -167,9 +168,9 @@ struct DifferentiableVbd::Work {
   Solved solved;
   DeviceArray<Vec3f> q_out, qd_out;
   bool has_info = false;
-  VbdGradientInfo info;  // implicit
+  VbdGradientInfo info;  // set by implicit gradients only
   ExclusiveUse in_use;
-  std::shared_ptr<ExclusiveUse> in_use_of_caller;  // which a recording takes
+  std::shared_ptr<ExclusiveUse> in_use_of_caller;  // a recording holds it
 };
 
 DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const VbdOptions& options,
@@ -178,7 +179,7 @@ DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const V
   check_covered(options);
   check_coarse(options, gradient_options);
   check_gradient_options(options, gradient_options);
-  SolverVBD(model_, options);  // makes its checks
+  SolverVBD(model_, options);  // for its checks of the model and the options
   work_ = std::make_unique<Work>(*model_, options, gradient_options);
 }
 

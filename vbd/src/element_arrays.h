@@ -10,8 +10,8 @@
 
 namespace novaphy::vbd {
 
-// What `of` makes of each array of parameters, and of an empty one behind the last. `m`: a model,
-// or the derivatives by its arrays.
+// Returns of(array) for each array of an element's parameters, and of(empty array) for the
+// remaining places. `m`: a model, or the derivatives with the names of its arrays.
 template <class Element, class M, class Of>
 auto parameter_arrays(const M& m, const Of& of) {
   const Array none;
@@ -23,7 +23,8 @@ auto parameter_arrays(const M& m, const Of& of) {
   return all;
 }
 
-// Of a model on the host: rows of floats; null for an activation, which a step gives.
+// Returns the parameters of a model on the host, as rows of floats. The pointer of an activation is
+// null, because a step gives the activation.
 template <class Element>
 std::array<const float*, kMostArrays> parameters_on_host(const Model& m) {
   std::array<const float*, kMostArrays> all = {};
@@ -54,7 +55,7 @@ inline VbdActivations activations_of(const Control* control, const Model& m) {
   });
   return all;
 }
-// What has an array of parameters in a step: activations, or the model.
+// Returns the owner of an array of parameters in a step: the activations or the model.
 template <ArrayUse use>
 const auto& source_of(const VbdActivations& activations, const Model& m) {
   if constexpr (use == kActivation) {

@@ -1,5 +1,5 @@
-// A linear system A x = b by the generalized conjugate residual method (Eisenstat, Elman, Schultz
-// 1983), restarted: for matrices that are not symmetric, with any preconditioner.
+// Solves a linear system A x = b by the generalized conjugate residual method (Eisenstat, Elman,
+// Schultz 1983) with restarts. A need not be symmetric, and the preconditioner is arbitrary.
 #pragma once
 
 #include <cmath>
@@ -11,12 +11,13 @@
 
 namespace novaphy::vbd {
 
-// What is asked of the recurrence, whose residual drifts from the true one by rounding.
+// The recurrence has to reach this part of the tolerance, because its residual drifts from the true
+// one by rounding.
 constexpr double kMargin = 0.5;
-constexpr int kRefinements = 4;  // solutions of what the residual still is
+constexpr int kRefinements = 4;  // rounds of iterative refinement
 
 struct KrylovResult {
-  double residual = 0.0;  // |b - A x| / |b|, as the recurrence has it
+  double residual = 0.0;  // |b - A x| / |b|, from the recurrence
   int32_t iterations = 0;
 };
 
@@ -29,8 +30,8 @@ struct KeptDirections {
   void make_room() {
     if (sizes.size() == kMost) *this = {};
   }
-  // Takes from a direction and its image what they have along those kept: the parts of the image
-  // along `of`, the directions or the images, by the sizes.
+  // Orthogonalizes an image against the vectors `of` (the directions or the images), and changes
+  // the direction alike. sizes[k] is inner(images[k], of[k]).
   void take_from(Rows& direction, Rows& image, const std::vector<Rows>& of) const {
     for (size_t k = 0; k < sizes.size(); ++k) {
       const auto part = static_cast<float>(inner(image, of[k]) / sizes[k]);
@@ -45,7 +46,8 @@ struct KeptDirections {
   }
 };
 
-// x starts at 0 and residual at b. precondition(r, z, az): z = M^-1 r and az = A z.
+// Solves for x, which starts at 0; `residual` starts at b. precondition(r, z, az) sets z = M^-1 r
+// and az = A z.
 template <class Precondition>
 KrylovResult solve_krylov(Rows& x, Rows& residual, double tolerance, int32_t most,
                           Precondition&& precondition) {
@@ -68,7 +70,7 @@ KrylovResult solve_krylov(Rows& x, Rows& residual, double tolerance, int32_t mos
     add_scaled(residual, -step, az);
     kept.keep(std::move(z), std::move(az), square);
     const double now = std::sqrt(inner(residual, residual)) / scale;
-    if (!(now < result.residual) && kept.sizes.size() == 1) break;  // stagnates
+    if (!(now < result.residual) && kept.sizes.size() == 1) break;  // the iteration stagnates
     result.residual = now;
   }
   return result;

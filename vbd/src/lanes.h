@@ -1,5 +1,5 @@
-// Lanes (math/lanes.h) as the scalar of the sweeps of VBD (sweep_kernels.h), and the levels that
-// are compiled of them.
+// SIMD lanes (core/lanes.h) as the scalar of the sweeps of VBD (sweep_kernels.h), and the kernels
+// that are compiled from them for one instruction set.
 #pragma once
 
 #include "novaphy/math/types.h"
@@ -14,7 +14,7 @@ NOVAPHY_LANE_FN Lanes max(Lanes a, Lanes b) { return Lanes(a.v >= b.v ? a.v : b.
 NOVAPHY_LANE_FN Lanes abs(Lanes a) { return Lanes((VectorF)((VectorI)a.v & INT32_MAX)); }
 NOVAPHY_LANE_FN Lanes with_derivative(Lanes y, Lanes, Lanes) { return y; }
 
-// The rows `index` of a table of 4 floats each, but for the last float.
+// Gathers the rows `index` of a table with 4 floats in a row, without the last float.
 typedef float Row __attribute__((vector_size(16)));
 struct Four {
   Row x, y, z;
@@ -54,7 +54,7 @@ NOVAPHY_LANE_FN Vec3<Lanes> gather(const float* table, const int32_t* index) {
 
 }  // namespace novaphy::vbd::NOVAPHY_LEVEL
 
-// Behind the above, which says what functions of lanes are.
+// Included after the functions of lanes above, which the templates use.
 #define NOVAPHY_LANE_FN_APART [[gnu::noinline]]
 #include "novaphy/vbd/sweep_kernels.h"
 #include "sweep.h"
@@ -90,7 +90,8 @@ struct LaneAccess<NOVAPHY_LEVEL::Lanes> {
 
 namespace NOVAPHY_LEVEL {
 
-// A kernel over groups, as a function over the rows of a launch, which are their lanes.
+// A kernel over groups, as a function over the rows of a launch. The rows are the lanes of the
+// groups.
 template <class A, void (*body)(const A&, const LaneGroup<Lanes>&)>
 void over_groups(const uint64_t* words, int64_t, int64_t begin, int64_t end) {
   const auto& a = novaphy::detail::arguments_of<A>(words);
@@ -108,7 +109,7 @@ void of_sweep(const VbdSweepArguments&, const LaneGroup<Lanes>& g) {
   body(g);
 }
 
-// Of the other files of the level: see SweepLevel.
+// Defined in the other files of the instruction set: see SweepLevel.
 GroupKernel adjoint, adjoint_start, tangent, tangent_start, coarse_move, coarse_rows, coarse_force,
     coarse_outer;
 

@@ -16,9 +16,9 @@ void Receivers::build(const ColorSlots& slots, int32_t particle_count, bool own_
   const std::vector<int64_t>& colors = slots.color_begin();
   const size_t color_count = colors.size() - 1;
   const std::vector<int32_t>& lane_particle = slots.particles();
-  std::vector<size_t> color_of;  // of a group
+  std::vector<size_t> color_of;  // of each group
   for (size_t c = 0; c < color_count; ++c) color_of.resize(static_cast<size_t>(colors[c + 1]), c);
-  // Of each particle in each color: its own terms, then the others.
+  // The terms of each particle in each color: those of its own slots first, then the others.
   std::vector<Sent> all;
   const auto lanes = static_cast<int64_t>(slots.lanes());
   terms_begin.assign(1, 0);

@@ -8,20 +8,21 @@
 
 namespace novaphy::vbd {
 
-// Slots of all roles lie in one table of terms: for each of them three rows of lanes for every
-// other particle, behind three for its own if `own_terms`.
+// The slots of all roles share one table of terms. A slot has three rows of lanes for each other
+// particle of its element. With `own_terms` three rows for its own particle come first.
 //
-// For each color there are rows, one for every particle to which slots of the particles of that
-// color give something; with `own_terms` for these particles too. Entries are where terms begin,
-// whose three numbers are `lanes` apart; first those of the particle's own slots, then others, each
-// in the order of role, element and corner, which does not depend on how particles are grouped.
+// Each color has one row for every particle that receives terms from the slots of that color. With
+// `own_terms` the particles of the color have rows too. An entry is the index of a term, whose
+// three numbers are `lanes` apart. The entries of a row begin with those of the particle's own
+// slots. Each part has the order of role, element and corner, which does not depend on the groups
+// of particles.
 struct Receivers {
   void build(const ColorSlots& slots, int32_t particle_count, bool own_terms);
 
-  std::vector<int64_t> terms_begin;  // by role, and behind the last
-  std::vector<int64_t> color_begin;  // rows of each color, and behind the last
+  std::vector<int64_t> terms_begin;  // by role, and one more behind the last
+  std::vector<int64_t> color_begin;  // the first row of each color, and one more behind the last
   std::vector<int32_t> particle, is_own;
-  std::vector<int64_t> begin, others, entries;  // `begin` also behind the last
+  std::vector<int64_t> begin, others, entries;  // `begin` has one more behind the last
 };
 
 }  // namespace novaphy::vbd

@@ -22,7 +22,7 @@ inline void upload_rows(DeviceArray<Vec4f>& to, const Rows& rows) {
   to.Array::copy_from_host(rows.data(), to.bytes());
 }
 
-// In double precision, in the order of the particles.
+// Returns the inner product in double precision, summed in the order of the particles.
 inline double inner(const Rows& a, const Rows& b) {
   double sum = 0.0;
   for (size_t p = 0; p < a.size(); ++p)
@@ -31,7 +31,7 @@ inline double inner(const Rows& a, const Rows& b) {
            static_cast<double>(a[p].z) * static_cast<double>(b[p].z);
   return sum;
 }
-// a += s b.
+// Adds s b to a.
 inline void add_scaled(Rows& a, float s, const Rows& b) {
   for (size_t p = 0; p < a.size(); ++p) a[p] = Vec3f(a[p]) + Vec3f(b[p]) * s;
 }

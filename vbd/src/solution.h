@@ -1,6 +1,6 @@
-// The solution of a step of VBD, and linear systems there. Newton's method and a residual method
-// work over the sweeps of a step (StepTangent, StepAdjoint), which run where the model is. The rows
-// here are on the host.
+// Solves a step of VBD to convergence, and linear systems at its solution. Newton's method and a
+// Krylov method use the sweeps of a step (StepTangent, StepAdjoint), which run on the model's
+// device. The vectors here are on the host.
 #pragma once
 
 #include <algorithm>
@@ -14,9 +14,9 @@
 
 namespace novaphy::vbd {
 
-// J solution = load, J = -df/dx over the particles that move.
-// step.sweep(r, z, image): z is what a sweep from 0 makes of the load r, image the derivative of
-// the forces along it.
+// Solves J solution = load, with J = -df/dx over the particles that move. step.sweep(r, z, image)
+// sets z to the result of a sweep from 0 for the load r, and image to the tangent of the forces
+// along z.
 template <class Step>
 KrylovResult solve_linear(Step& step, Rows& solution, Rows& load, double tolerance,
                           int32_t sweeps) {
@@ -26,9 +26,9 @@ KrylovResult solve_linear(Step& step, Rows& solution, Rows& load, double toleran
   });
 }
 
-// Whether the energy falls along a step, all the way, from where the forces are `before`: they push
-// along it in its first half, and what they do in all, by Simpson's rule, is positive. The step
-// then is at its end.
+// Returns whether the energy falls along a whole step. `before` are the forces at its start. The
+// forces have to push along the step in its first half. Their work over the step, by Simpson's
+// rule, has to be positive. The function leaves the particles at the end of the step.
 template <class Step>
 bool falls_along(Step& step, const Rows& start, const Rows& before, const Rows& moved,
                  const Rows& newton, float part) {
@@ -47,7 +47,8 @@ bool falls_along(Step& step, const Rows& start, const Rows& before, const Rows& 
   return first > 0.0 && middle > 0.0 && end > -0.5 * first && first + 4.0 * middle + end > 0.0;
 }
 
-// The step of Newton's method, halved until the energy falls along it, up to four times; else none.
+// Tries the step of Newton's method, and halves it up to four times until the energy falls along
+// it. Returns false, with the old positions, if no length helps.
 template <class Step>
 bool try_newton(Step& step, const Rows& force, const Rows& newton) {
   const Rows x = step.positions(), moved = step.moves();
@@ -62,13 +63,14 @@ bool try_newton(Step& step, const Rows& force, const Rows& newton) {
   return false;
 }
 
-// Whether conjugate gradients, preconditioned by sweeps, meet no direction along which the energy
-// curves down, on their way to a solution for a load that has a part along all: then the positions
-// are a minimum, not a saddle. The loads of friction stay, so that there is an energy.
+// Returns whether the positions are a minimum of the energy and not a saddle. Conjugate gradients,
+// preconditioned by sweeps, solve for a pseudorandom load. They may not meet a direction of
+// negative curvature on their way. The loads of friction are constant, so that the forces have an
+// energy.
 template <class Step>
 bool is_minimum(Step& step, size_t particles, int32_t sweeps) {
-  constexpr double kSmall = 1e-3;     // what may be left of the load
-  constexpr double kRounding = 1e-5;  // of a curvature
+  constexpr double kSmall = 1e-3;     // the part of the load at which the search ends
+  constexpr double kRounding = 1e-5;  // relative rounding of a curvature
   Rows load(particles);
   for (size_t p = 0; p < particles; ++p) {
     const auto scattered = [p](uint32_t axis) {
@@ -79,7 +81,7 @@ bool is_minimum(Step& step, size_t particles, int32_t sweeps) {
     if (!step.is_held(p)) load[p] = Vec3f{scattered(0), scattered(1), scattered(2)};
   }
   const double enough = kSmall * kSmall * inner(load, load);
-  KeptDirections kept;  // of which the sizes are the curvatures
+  KeptDirections kept;  // its sizes are the curvatures
   step.keep_loads(true);
   bool curves_up = true;
   for (int32_t k = 0; k < sweeps && inner(load, load) > enough; ++k) {
@@ -105,12 +107,13 @@ struct Solution {
   bool is_minimum = true;
 };
 
-// Until the relative residual is at most the tolerance, or twice what rounding allows, or
-// `iterations` are over. Where the energy curves down, Newton's method leads to saddles and to
-// other minima than the iterations, so these go on instead; so they do where its step fails.
+// Solves the step until the relative residual is at most the tolerance or twice the rounding floor,
+// or until `iterations` are over. Where the energy has negative curvature, Newton's method would
+// lead to saddles and to other minima than the iterations do. Iterations of VBD then replace it.
+// They also replace a step of Newton's method that fails.
 template <class Step>
 Solution solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32_t sweeps) {
-  constexpr int kIterationsInstead = 20;  // which cost less than a step of Newton's method
+  constexpr int kIterationsInstead = 20;  // they cost less than a step of Newton's method
   VbdResidual now = step.residual();
   const auto is_solved = [tolerance](const VbdResidual& r) {
     return r.relative <= std::max(tolerance, 2.0 * r.floor);
@@ -122,7 +125,8 @@ Solution solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32
     if (convex) {
       const Rows force = step.force();
       Rows load = force, newton;
-      constexpr double kForcing = 1e-2;  // of the linear systems of an inexact Newton method
+      // tolerance of the linear systems: an inexact Newton method
+      constexpr double kForcing = 1e-2;
       solve_linear(step, newton, load, kForcing, sweeps);
       convex = try_newton(step, force, newton);
     }
@@ -132,10 +136,11 @@ Solution solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32
   return {now, !is_solved(now) || curves_up()};
 }
 
-// J^T solution = given, until the true residual is small enough: that of the recurrence drifts from
-// it by rounding. step.reverse_sweep(r, z, left): a sweep in reverse from the load r, the
-// multipliers z that it finds, and what they leave of r; step.balance(given, multipliers): what
-// these leave of it, and beside that the derivatives by all that f reads.
+// Solves J^T solution = given until the true residual is small enough, because the residual of the
+// recurrence drifts by rounding. step.reverse_sweep(r, z, left) runs a sweep in reverse for the
+// load r: z are its multipliers, and left is what remains of r. step.balance(given, multipliers)
+// returns what remains of `given`. step.balance also accumulates the derivatives for each input of
+// f.
 template <class Step>
 KrylovResult solve_transposed(Step& step, const Rows& given, double tolerance, int32_t sweeps) {
   const auto free_rows = [&step](Rows rows) {
@@ -147,7 +152,7 @@ KrylovResult solve_transposed(Step& step, const Rows& given, double tolerance, i
   const double scale = std::sqrt(inner(residual, residual));
   KrylovResult result;
   for (int round = 0; round < kRefinements; ++round) {
-    // A sweep in reverse from r takes away from r what the multipliers z that it finds balance.
+    // A sweep in reverse subtracts from r the image J^T z of the multipliers z that it finds.
     Rows more;
     const double asked = kMargin * tolerance * (round > 0 ? 1.0 / result.residual : 1.0);
     const KrylovResult found = solve_krylov(more, residual, asked, sweeps - result.iterations,

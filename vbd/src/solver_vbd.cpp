@@ -56,7 +56,8 @@ struct SolverVBD::Work {
       last = DeviceArray<Vec4f>(static_cast<size_t>(m.particle_count()), m.device());
   }
   vbd::Step step;
-  DeviceArray<Vec4f> last;  // of the adaptive guess, see VbdStepInputs; else without rows
+  // previous velocity, for the adaptive guess (see VbdStepInputs); else without rows
+  DeviceArray<Vec4f> last;
   bool has_stepped = false;
 };
 

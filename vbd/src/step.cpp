@@ -171,7 +171,7 @@ VbdSweepArguments Step::sweep(int64_t first_group, int64_t end_group) const {
           .residual = of_particles_};
 }
 
-// The groups of a block, where those of a color move by blocks; else 0.
+// Returns the groups of a block if colors move by blocks, else 0.
 int64_t Step::find_mover() const {
   if (tables_->block_groups == 0) return 0;
   const char* const variable = std::getenv("NOVAPHY_VBD_SWEEP");
@@ -182,7 +182,7 @@ int64_t Step::find_mover() const {
                                                                          : tables_->block_groups;
 }
 
-// Writes activations into the slots, where they do not hold them.
+// Writes activations into the slots that do not hold them yet.
 void Step::activate(const StepInputs& in) {
   for_activated_roles([&](auto is) {
     using Slot = typename decltype(is)::Slot;
@@ -197,7 +197,7 @@ void Step::activate(const StepInputs& in) {
   });
 }
 
-// The numbers of the slots of a role, from the model as it is.
+// Computes the numbers of the slots of a role from the present model.
 template <Role role>
 void Step::put_numbers(const StepInputs& in, const Kernel<VbdNumbersArguments>& numbers) const {
   using Slot = SlotOf<role>;
@@ -351,7 +351,7 @@ void Step::run(const StepInputs& in, const StepResults& out,
   list_->finish();
 }
 
-// With a tolerance until the residual is small enough.
+// Runs the iterations. With a tolerance the iteration ends when the residual is small enough.
 void Step::iterate(const StepList& list) {
   iterations_run_ = options_.iterations;
   if (!options_.tolerance) return list.iterate(0, static_cast<size_t>(options_.iterations));

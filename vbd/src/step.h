@@ -1,6 +1,6 @@
 // A step of VBD: its tables, its memory, and the list of its launches (step_list.h), on any device.
-// On the CPU, where nobody records, questions of a step to the host stand between two stretches of
-// the list. Elsewhere kernels note faults (vbd::note_fault), and check() reports them.
+// On the CPU without a recorder, the host checks a step between two stretches of the list.
+// Otherwise kernels note faults (vbd::note_fault), and check() reports them.
 #pragma once
 
 #include <deque>
@@ -23,7 +23,7 @@ namespace novaphy::vbd {
 struct StepResults {
   WritesRow<Vec3f> q, qd;
   bool keeps_iterates = false;
-  bool updates_last = false;  // the velocity before the step goes to the inputs' last_velocity
+  bool updates_last = false;  // write the velocity before the step to last_velocity of the inputs
 };
 
 template <class T, class U>
@@ -38,41 +38,44 @@ DeviceArray<T> upload(const std::vector<U>& values, Device device) {
 
 class Step {
  public:
-  using Rows4 = DeviceArray<Vec4f>;  // of four floats, one per particle
+  using Rows4 = DeviceArray<Vec4f>;  // a row of four floats per particle
 
   // ErrorKind::NotImplemented: a device for which the build has no code, or `tolerance` on one.
   Step(const Model& m, const VbdOptions& o);
 
-  // The slots anew, from the model as it is now.
+  // Rebuilds the slots from the present model.
   void build();
-  // What the tables are made of is as it was, or the tables are made anew. `damps`: terms of
-  // damping although all coefficients are 0. Errors as SolverVBD::step.
+  // Rebuilds the tables if the arrays or dt behind them have changed. `damps`: include the terms of
+  // damping even if all coefficients are 0. Errors: as for SolverVBD::step.
   void update(float dt, bool damps = false);
-  // `in_use`: the use of the solver's memory, which a recording takes.
+  // `in_use` marks the solver's memory as used. A recording holds the mark.
   void run(const StepInputs& in, const StepResults& out,
            const std::shared_ptr<ExclusiveUse>& in_use);
-  // After a run that kept no iterates: one more iteration, and the results of x as it is now.
+  // After a run that kept no iterates: iterate_again runs one more iteration, and finish_again
+  // writes the results from the present x.
   void iterate_again();
   void finish_again() const;
-  // Waits for what was launched. ErrorKind::Runtime: a step since the last check read or made
-  // numbers that are not finite, or contacts that had overflowed; says so once.
+  // Waits for all launches. ErrorKind::Runtime: since the last check a step met numbers that are
+  // not finite, or contacts that had overflowed. The error is reported once.
   void check();
   void find_residuals();
-  VbdResidual last_residual() const;  // that find_residuals found
+  VbdResidual last_residual() const;  // of the last find_residuals
   VbdResidual residual();
 
   const Model& model() const { return model_; }
-  // That of the host from which the slots were made: on a device a copy.
+  // Returns the model on the host that the slots were made from: a copy if the model is on a
+  // device.
   const Model& host_model() const { return *copy_; }
   const VbdOptions& options() const { return options_; }
   Device device() const { return model_.device(); }
   bool on_cpu() const { return on_cpu_; }
   const ColorSlots& slots() const { return slots_; }
-  // The coarse correction; null: not wanted, or no two particles that move share an element.
+  // Returns the coarse correction. Null: not wanted, or no two particles that move share an
+  // element.
   const Coarse* coarse() const { return coarse_ && coarse_->systems() > 0 ? &*coarse_ : nullptr; }
   const std::vector<int64_t>& colors() const { return slots_.color_begin(); }
-  uint64_t builds() const { return builds_; }    // of the slots
-  uint64_t version() const { return version_; }  // of the memory of launches
+  uint64_t builds() const { return builds_; }    // count of builds of the slots
+  uint64_t version() const { return version_; }  // changes with the memory of launches
   float dt() const { return tables_->dt; }
   bool damps() const { return damps_; }
   int64_t block_groups() const {
@@ -80,16 +83,16 @@ class Step {
   }  // of the last run; 0: a thread for each particle
   bool is_held(size_t p) const { return slots_.is_held(static_cast<int32_t>(p)); }
   int32_t kinematic_count() const { return static_cast<int32_t>(held_.rows()); }
-  // Whether a step begins where the velocity before says.
+  // Returns whether the initial guess of a step uses the previous velocity.
   bool looks_back(const StepInputs& in) const {
     return options_.initial_guess == VbdInitialGuess::Adaptive && in.last_velocity.rows() != 0;
   }
 
-  // Of the last run.
+  // State of the last run.
   bool has_contacts() const { return has_contacts_; }
   VbdSweepArguments sweep(int64_t first_group, int64_t end_group) const;
   VbdAccelerateArguments acceleration(int32_t iteration) const;
-  // The particles of some groups go where rows of `from` say.
+  // Returns the launch that moves the particles of some groups to the rows of `from`.
   VbdCommitArguments commit(int64_t first_group, const Rows4& from) const;
   const std::vector<Rows4>& iterates() const { return iterates_; }
   const Rows4& start() const { return start_; }
@@ -103,31 +106,31 @@ class Step {
   const DeviceArray<int32_t>& held() const { return held_; }
   const DeviceArray<int32_t>& particles() const { return tables_->particle; }  // of all lanes
   const DeviceArray<int32_t>& filled() const { return tables_->filled; }       // of all groups
-  // In the order of the particles, as many as there is room for.
+  // Contacts in the order of the particles. The arrays have room for all slots of the contacts.
   const DeviceArray<int32_t>& contact_begin() const { return contact_begin_; }
   const DeviceArray<int32_t>& contact_items() const { return contact_items_; }
 
  private:
-  // A material of elements, and which of its numbers may be other than 0: see vbd_material.
+  // A material of elements, and which of its numbers may differ from 0: see vbd_material.
   struct Trained {
     const char* name;
     const Array* array;
     DeviceArray<int32_t> allowed;
   };
-  // Made of a model and a step size.
+  // Tables that depend on the model and the step size.
   struct Tables {
     float dt = 0.0f;
-    int64_t damped = 0;        // bit of each role
-    int64_t block_groups = 0;  // groups of a block; 0: one has too many slots
-    bool is_recorded = false;  // replays write activations
+    int64_t damped = 0;        // a bit for each role
+    int64_t block_groups = 0;  // groups of a block; 0: too many slots for a block
+    bool is_recorded = false;  // replays write the activations
     DeviceArray<int32_t> particle, filled;
     DeviceArray<float> mass_by_h2;
     DeviceArray<uint64_t> begin[kRoles];
     DeviceArray<int32_t> ints[kRoles];
     DeviceArray<float> floats[kRoles];
-    DerivedStamp activations[kRoles];      // that the slots hold
+    DerivedStamp activations[kRoles];      // the activations that the slots hold
     DeviceArray<int32_t> sources[kRoles];  // see VbdNumbersArguments
-    std::vector<Trained> trained;          // where elements are trained
+    std::vector<Trained> trained;          // the materials that replays may change
   };
   struct Stamped {
     const char* name = "";
@@ -135,7 +138,7 @@ class Step {
     DerivedStamp stamp;
   };
 
-  // Whether the host sees at once what launches do.
+  // Returns whether launches run at once, so that the host sees their results.
   bool is_immediate() const { return runs_at_once(device()); }
   // step_tables.cpp
   void build_tables(float dt);
@@ -166,15 +169,15 @@ class Step {
   std::shared_ptr<const Model> copy_;  // see host_model
   std::deque<Stamped> mesh_, values_;
   std::vector<const Array*> read_;  // the arrays of both
-  size_t of_elements_ = 0;          // of the values
+  size_t of_elements_ = 0;          // count of values_ that belong to elements
   ColorSlots slots_;
   std::optional<Coarse> coarse_;
   uint64_t builds_ = 0, version_ = 0;
   std::optional<Tables> tables_;
-  std::optional<StepList> lists_[2][2][2];  // with contacts, damping, iterates
-  StepList* list_ = nullptr;                // of the last run
+  std::optional<StepList> lists_[2][2][2];  // [with contacts][with damping][keeps iterates]
+  StepList* list_ = nullptr;                // the list of the last run
   int64_t block_groups_ = 0;
-  std::vector<Trained> trained_;  // of all tables that graphs may hold
+  std::vector<Trained> trained_;  // of all tables that graphs may still use
   DeviceArray<int32_t> is_held_, held_;
   Rows4 start_, target_, moved_, x_, next_, newer_, older_;
   std::vector<Rows4> iterates_;  // the positions before each iteration

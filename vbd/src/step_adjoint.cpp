@@ -5,7 +5,7 @@
 namespace novaphy::vbd {
 namespace {
 
-constexpr int64_t kGroupsPerChunk = 4;  // that a thread of the CPU takes at a time
+constexpr int64_t kGroupsPerChunk = 4;  // groups that a thread of the CPU takes at a time
 
 }  // namespace
 
@@ -62,7 +62,7 @@ void StepAdjoint::reserve() {
       *rows = Rows4(n, device);
     mass_bar_ = DeviceArray<float>(n, device);
   }
-  const size_t contacts = step_.contact_items().rows();  // as many as the step has room for
+  const size_t contacts = step_.contact_items().rows();  // capacity of the step
   if (contact_bars_.rows() == contacts * kContactLawFloats) return;
   contact_bars_ = DeviceArray<float>(contacts * kContactLawFloats, device);
   shape_of_contact_ = DeviceArray<int32_t>(contacts, device);
@@ -70,7 +70,7 @@ void StepAdjoint::reserve() {
   shape_begin_ = DeviceArray<int32_t>(static_cast<size_t>(step_.model().shape_count()) + 1, device);
 }
 
-// Of the groups [first, end).
+// Returns the arguments of a launch over the groups [first, end).
 VbdAdjointArguments StepAdjoint::arguments(const Rows4* before, int64_t first, int64_t end) const {
   int64_t first_lanes[kRoles], ends[kRoles], threads = 0;
   for (int role = 0; role < kRoles; ++role) {
@@ -118,7 +118,7 @@ void StepAdjoint::add_receive(size_t color, const Rows4* own, const Rows4& rows,
               .parts = parts});
 }
 
-// Back through the step of some groups, up to what particles get.
+// Adds the launches of the reverse step of some groups, without the sums over receivers.
 void StepAdjoint::add_groups(const VbdAdjointArguments& a) {
   const int64_t groups = a.sweep.end_group - a.sweep.first_group, lanes = step_.slots().lanes();
   const Kernel<VbdAdjointArguments>& slots =
@@ -138,7 +138,8 @@ void StepAdjoint::add_groups(const VbdAdjointArguments& a) {
   list_->add(slots, a.ends[kRoles - 1], a);
 }
 
-// Of what slots have of the start. On the CPU a particle gets its own when its color comes.
+// Adds the reverse of the slots' numbers of the start. On the CPU a particle adds its own part when
+// its color comes.
 void StepAdjoint::add_starts() {
   const std::vector<int64_t>& colors = step_.colors();
   const Kernel<VbdAdjointArguments>& start =
@@ -189,7 +190,8 @@ void StepAdjoint::make_list(const VbdAdjointBeginArguments& begin,
   } else {
     for (size_t k = step_.iterates().size(); k-- > 0;) add_colors(&step_.iterates()[k], nullptr);
   }
-  // All groups at once, then what particles have of themselves before what others give them.
+  // All groups run at once. Then each particle adds its own part before the parts from other
+  // particles.
   balance_ = list_->size();
   if (key_.at_solution) {
     VbdAdjointArguments a = arguments(nullptr, 0, colors.back());
@@ -203,12 +205,12 @@ void StepAdjoint::make_list(const VbdAdjointBeginArguments& begin,
   add_starts();
 }
 
-// The list for a step that was run.
+// Prepares the list for a step that has run.
 void StepAdjoint::prepare(const StepInputs& in, const ResultAdjoints& adjoints,
                           const StepDerivatives& to, bool at_solution) {
   reserve();
   const float inverse_h = 1.0f / step_.dt();
-  // The adjoints of what iterations began with, see vbd_particle_gradient.
+  // The destination of the adjoint of the initial guess, see vbd_particle_gradient.
   const bool from_start = step_.options().initial_guess == VbdInitialGuess::Previous;
   const Rows4* const guess = at_solution || step_.looks_back(in) ? nullptr
                              : from_start                        ? &start_bar_

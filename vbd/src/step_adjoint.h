@@ -1,5 +1,5 @@
-// A step of VBD in reverse, as lists of launches: from the derivatives of a scalar by its results,
-// called adjoints, to those by what the step reads.
+// A step of VBD in reverse, as lists of launches: from the adjoints of its results to the adjoints
+// of its inputs.
 #pragma once
 
 #include <optional>
@@ -12,7 +12,7 @@
 
 namespace novaphy::vbd {
 
-// Of the results of a step; without rows: 0.
+// The adjoints of the results of a step. Without rows: 0.
 struct ResultAdjoints {
   const Array &q, &qd;
 };
@@ -23,7 +23,7 @@ class StepAdjoint {
 
   // After a run that kept its iterates.
   void unrolled(const StepInputs& in, const ResultAdjoints& adjoints, const StepDerivatives& to);
-  // At the solution. Returns how well the linear system was solved: the residual is the true one.
+  // At the solution. Returns the true residual of the linear system.
   KrylovResult implicit(const StepInputs& in, const ResultAdjoints& adjoints,
                         const StepDerivatives& to, double tolerance, int32_t sweeps);
 
@@ -34,23 +34,23 @@ class StepAdjoint {
 
  private:
   using Rows4 = Step::Rows4;
-  // Made of the slots. Launches of captures keep them.
+  // Tables that depend on the slots. Launches of captures keep them alive.
   struct Tables {
-    uint64_t builds = 0;  // of the slots
+    uint64_t builds = 0;  // Step::builds() of the slots
     std::vector<int64_t> color_begin;
     DeviceArray<int32_t> particle, is_own, slot_particle;
-    DeviceArray<uint64_t> begins;                  // of roles: see VbdAdjointArguments
+    DeviceArray<uint64_t> begins;                  // of the roles: see VbdAdjointArguments
     DeviceArray<uint64_t> begin, others, entries;  // see Receivers
     DeviceArray<uint64_t> places[kRoles];
     DeviceArray<int32_t> world_begin, of_worlds;
   };
-  // What a list was made for.
+  // The properties that a list was made for.
   struct Key {
     uint64_t version = 0;  // see Step::version
     int64_t block_groups = 0;
     bool with_contacts = false, damps = false;
-    bool weights = false;      // also by the weights of slots
-    bool at_solution = false;  // at a solution
+    bool weights = false;  // also the adjoints of the weights of slots
+    bool at_solution = false;
     bool operator==(const Key&) const = default;
   };
 
@@ -72,12 +72,13 @@ class StepAdjoint {
 
   Step& step_;
   Tables tables_;
-  // Up to the adjoints of slots, targets and contacts: clears, the adjoints of the positions,
-  // sweeps in reverse, at a solution also what multipliers leave, and what slots have of the start.
+  // The launches up to the adjoints of slots, targets and contacts. The stretches are: clear, the
+  // adjoints of the positions, sweeps in reverse, at a solution the remainder of the multipliers,
+  // and the slots' numbers of the start.
   std::optional<LaunchList> list_;
   LaunchList::Place<VbdAdjointBeginArguments> begin_;
   LaunchList::Place<VbdAdjointEndArguments> end_;
-  size_t sweeps_ = 0, balance_ = 0;  // where these stretches begin
+  size_t sweeps_ = 0, balance_ = 0;  // index of the first launch of these stretches
   Key key_;
   Rows4 x_bar_, u_, d_, own_, start_bar_, target_bar_, gravity_bar_, multipliers_;
   DeviceArray<float> mass_bar_, terms_, numbers_, contact_bars_;

@@ -1,4 +1,4 @@
-// What a step of VBD asks of its inputs and results.
+// The checks of a step of VBD: its inputs, its results, and the faults that kernels noted.
 #include <algorithm>
 
 #include "novaphy/core/error.h"
@@ -34,7 +34,7 @@ void Step::check_contacts(const Contacts& contacts) const {
   }
 }
 
-// Says which of what the prediction reads is not finite.
+// Reports which input of the prediction is not finite.
 void Step::check_inputs(const StepInputs& in) {
   const std::span faults(faults_.data(), faults_.rows());
   if (std::all_of(faults.begin(), faults.end(), [](int32_t f) { return f == kNoFault; })) return;
@@ -52,7 +52,7 @@ void Step::check_inputs(const StepInputs& in) {
   fail(ErrorKind::Value, kName, ": state_in: the inertial target of a particle overflows float32");
 }
 
-// Before anything is written to the results.
+// Runs before the step writes its results.
 void Step::check_positions() const {
   const Vec4f* const x = x_.data();
   for (size_t p = 0; p < x_.rows(); ++p)
@@ -68,7 +68,7 @@ void Step::check() {
   const auto first_of = [&faults](auto&& is_kind) {
     return std::find_if(faults.begin(), faults.end(), is_kind);
   };
-  // Where a step reads what is not finite, that is why others are not.
+  // An input that is not finite is reported first, because it causes the other faults.
   auto found = first_of([](int32_t fault) { return fault != kNoFault && fault != kFaultResult; });
   if (found == faults.end()) found = first_of([](int32_t fault) { return fault != kNoFault; });
   if (found == faults.end() && overflow[0] == 0) return;

@@ -1,5 +1,5 @@
-// What slots, contacts and targets change by along a direction of the arrays of the model and the
-// state.
+// The tangents of slots, contacts and inertial positions, along a direction of the arrays of the
+// model and the state.
 #include <algorithm>
 
 #include "element_arrays.h"

@@ -1,5 +1,5 @@
-// From the adjoints of slots, contacts and targets to the derivatives by the arrays of the model
-// and the state.
+// Computes the derivatives with respect to the arrays of the model and the state from the adjoints
+// of slots, contacts and inertial positions.
 #include <algorithm>
 #include <array>
 
@@ -62,7 +62,7 @@ void StepAdjoint::put_state(const StepInputs& in, const StepDerivatives& g) cons
                   .by_gravity = if_any(g.gravity)});
 }
 
-// (No derivative depends on an activation.)
+// The kernel reads no activation, because no derivative depends on one.
 void StepAdjoint::put_elements(const StepDerivatives& g) const {
   for_each_kind([&](auto is) {
     using Element = typename decltype(is)::Slot;

@@ -14,7 +14,7 @@ namespace novaphy::vbd {
 using StepInputs = VbdStepInputs;
 using StepDerivatives = VbdStepDerivatives;
 
-// Null where there are no rows.
+// Returns null if the array has no rows.
 template <class T>
 const DeviceArray<T>* if_any(const DeviceArray<T>& array) {
   return array.rows() != 0 ? &array : nullptr;
@@ -23,7 +23,7 @@ inline Untyped if_any(const Array& array) {
   return array.rows() != 0 ? Untyped(array) : Untyped(static_cast<const void*>(nullptr));
 }
 
-// Numbers for the host to read: a copy, where they are on a device.
+// The numbers of an array for the host: a copy if the array is on a device.
 template <class T>
 struct OnHost {
   explicit OnHost(const Array& array) {
@@ -38,8 +38,8 @@ struct OnHost {
   const T* rows = nullptr;  // null: none
 };
 
-// Whether a derivative by a rest shape, or by a damping whose terms would else not run where it is
-// 0, is wanted.
+// Returns whether a derivative for arrays of this use is wanted. For materials the function skips
+// elements whose damping terms always run.
 inline bool wants(const StepDerivatives& d, ArrayUse wanted) {
   bool any = false;
   for_each_kind([&](auto is) {

@@ -15,7 +15,7 @@ int64_t block_threads(int64_t groups, int64_t block_groups) {
   return (groups + block_groups - 1) / block_groups * kBlockThreads;
 }
 
-// The particles of a color move, one color after the other.
+// Adds the moves of all colors, one color after the other.
 void StepList::add_moves(const Step& step) {
   const int64_t block_groups = step.block_groups();
   const Kernel<VbdSweepArguments>& move = block_groups != 0          ? kernels().move_by_blocks
@@ -49,7 +49,7 @@ void StepList::add_coarse_matrices(const Step& step) {
   list_.add(kernels().coarse_factor, coarse.systems(), a, 1);
 }
 
-// A step of each system, as long as it turns out to be.
+// Adds the coarse step of each system, with its line search.
 void StepList::add_coarse_step(const Step& step) {
   const Coarse& coarse = *step.coarse();
   const int64_t groups = step.colors().back(), n = step.model().particle_count();

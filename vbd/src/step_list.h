@@ -1,4 +1,4 @@
-// A step of VBD as a list of launches: what follows what is written here, for the host and for
+// A step of VBD as a list of launches. This file sets the order of a step, for the host and for
 // devices.
 #pragma once
 
@@ -15,8 +15,8 @@ class Step;
 
 class StepList {
  public:
-  // `iterates`: where the positions before each iteration go, and those behind the last; fewer, or
-  // none: they are not kept.
+  // `iterates`: destinations of the positions before each iteration, and of the positions at the
+  // end. If there are fewer, the remaining positions are not kept.
   StepList(const Step& step, const VbdPredictArguments& predict, const VbdFinishArguments& finish,
            std::span<const DeviceArray<Vec4f>> iterates);
 
@@ -35,7 +35,7 @@ class StepList {
 
  private:
   void add_moves(const Step& step);
-  // Of the coarse correction: its matrices, a correction, and the balance of free systems.
+  // The coarse correction: its matrices, one correction, and the balance of free systems.
   void add_coarse_matrices(const Step& step);
   void add_coarse_step(const Step& step);
   void add_coarse_balance(const Step& step);
@@ -44,11 +44,11 @@ class StepList {
   LaunchList::Place<VbdPredictArguments> predict_;
   LaunchList::Place<VbdSweepArguments> prepare_;
   LaunchList::Place<VbdFinishArguments> finish_;
-  std::vector<size_t> iterations_;  // where each begins, and behind the last
+  std::vector<size_t> iterations_;  // the first launch of each, and one more behind the last
   size_t again_ = 0;
 };
 
-// The threads of a launch by blocks of so many groups.
+// Returns the number of threads of a launch whose blocks have `block_groups` groups.
 int64_t block_threads(int64_t groups, int64_t block_groups);
 
 }  // namespace novaphy::vbd

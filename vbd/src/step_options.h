@@ -12,7 +12,7 @@
 
 namespace novaphy::vbd {
 
-// Numbers of the model that this solver has no use for.
+// Refuses values for numbers of the model that this solver does not support.
 inline void check_numbers(const Model& model) {
   constexpr const char* kName = "SolverVBD.step";
   model.check_numbers(kName);
@@ -33,14 +33,15 @@ inline void check_numbers(const Model& model) {
           model.soft_contact_restitution);
 }
 
-// What a step asks the host about, a device and a recording cannot.
+// Refuses options that need a decision of the host, which a device or a recording cannot wait for.
 inline void check_not_launched(const VbdOptions& o) {
   require(!o.tolerance, ErrorKind::NotImplemented,
           "SolverVBD: tolerance: a step that is launched does not ask how far it is (on a device, "
           "or in a capture); set iterations");
 }
 
-// Chebyshev's factors: 1, 2/(2 - rho^2), then 4/(4 - rho^2 omega).
+// Returns the factors omega of Chebyshev acceleration: 1 up to the first iteration, 2/(2 - rho^2)
+// in the second, then 4/(4 - rho^2 omega).
 inline std::vector<float> chebyshev_factors(float radius, int32_t iterations) {
   const double rho2 = static_cast<double>(radius) * static_cast<double>(radius);
   std::vector<float> factors;
@@ -52,7 +53,7 @@ inline std::vector<float> chebyshev_factors(float radius, int32_t iterations) {
   return factors;
 }
 
-// In double precision, in the order of the particles.
+// Sums the residuals in double precision, in the order of the particles.
 inline VbdResidual sum_residuals(std::span<const ParticleResidual> of_particles,
                                  int32_t iterations) {
   double force = 0.0, inertia = 0.0, rounding = 0.0;

@@ -7,7 +7,7 @@
 namespace novaphy::vbd {
 namespace {
 
-// Colors of at least so many large blocks fill a device.
+// A color with at least this many large blocks fills a device.
 constexpr int64_t kManyBlocks = 256;
 
 }  // namespace
@@ -15,7 +15,7 @@ constexpr int64_t kManyBlocks = 256;
 void Step::build_tables(float dt) {
   const Model& m = host_model();
   forget_lists();
-  slots_.set_constants(m, dt);  // activations are those of the step
+  slots_.set_constants(m, dt);  // the step writes its activations later
   NOVAPHY_ASSERT(std::is_sorted(colors().begin(), colors().end()));
   Tables& t = tables_.emplace();
   t.dt = dt;
@@ -37,7 +37,7 @@ void Step::build_tables(float dt) {
   find_block_groups();
 }
 
-// The largest block for which there is room and work enough.
+// Chooses the largest block that fits into shared memory and still fills the device.
 void Step::find_block_groups() {
   if (on_cpu_) return;
   int64_t most_groups = 0;

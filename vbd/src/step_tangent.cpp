@@ -52,7 +52,7 @@ void StepTangent::launch(const VbdTangentArguments& a) const {
   novaphy::run(kernels().tangent, groups * step_.slots().lanes(), a);
 }
 
-// The particles of a color take their steps.
+// Adds the tangents of the steps of a color's particles to their rows of x.
 void StepTangent::move(size_t color, const Rows4& x) const {
   const int64_t first = step_.colors()[color], groups = step_.colors()[color + 1] - first;
   novaphy::run(kernels().tangent_move, groups * step_.slots().lanes(),
@@ -90,7 +90,7 @@ Rows StepTangent::unrolled(const SweepTangents& along) {
   return download(x_);
 }
 
-// A sweep from 0 with the load, at a solution, and the derivative of the forces along it.
+// Runs a sweep from 0 for the load, at a solution. `image` is the tangent of the forces along z.
 void StepTangent::sweep(const Rows& load, Rows& z, Rows& image) {
   upload_rows(load_, load);
   x_.zero();
@@ -120,7 +120,7 @@ Rows StepTangent::force() {
   return download(result_);
 }
 
-// The derivative of the forces along the direction that was put, and x.
+// Returns the tangent of the forces along the direction of put() and x.
 Rows StepTangent::force_tangent(const Rows& x) {
   upload_rows(x_, x);
   result_.zero();
@@ -135,7 +135,8 @@ Rows StepTangent::implicit(const SweepTangents& along, double tolerance, int32_t
                            KrylovResult& result) {
   put(along);
   Rows tangents = along.x;
-  // With the particles that move at rest the load, then what is left of it.
+  // At first the load, with zero tangents of the particles that move. Later what remains of the
+  // load.
   Rows load = force_tangent(tangents);
   const double scale = std::sqrt(inner(load, load));
   for (int round = 0; round < kRefinements; ++round) {

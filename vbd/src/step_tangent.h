@@ -1,5 +1,5 @@
-// The derivative of a step of VBD along a direction, and Newton's method with it (solution.h):
-// sweeps and forces are launches. The host decides how far to go, and has the rows.
+// The tangent of a step of VBD along a direction, and Newton's method with it (solution.h). Sweeps
+// and forces are launches. The host decides about the iterations, and holds the vectors.
 #pragma once
 
 #include <vector>
@@ -11,11 +11,11 @@
 
 namespace novaphy::vbd {
 
-// What a sweep reads, along a direction; see VbdTangentArguments.
+// The tangents of the inputs of a sweep; see VbdTangentArguments.
 struct SweepTangents {
-  Rows x;  // of kinematic particles the direction
+  Rows x;  // of kinematic particles
   Rows start, target;
-  Rows guess;  // of where iterations began
+  Rows guess;  // of the initial guess
   std::vector<float> mass, contacts, numbers;
 };
 SweepTangents tangents_along(const Step& step, const StepInputs& in,
@@ -27,10 +27,10 @@ class StepTangent {
 
   // After a run that kept its iterates. Returns the derivatives of the positions.
   Rows unrolled(const SweepTangents& along);
-  // At the solution. Also says how well the linear system was solved: the residual is the true one.
+  // At the solution. `found` gets the true residual of the linear system.
   Rows implicit(const SweepTangents& along, double tolerance, int32_t sweeps, KrylovResult& found);
-  // Moves a step that was run to its solution: until its relative residual is at most the
-  // tolerance, or twice what rounding allows, or `iterations` are over.
+  // Moves a step that has run to its solution. The iteration ends when the relative residual is at
+  // most the tolerance or twice the rounding floor, or after `iterations`.
   Solution solve_step(double tolerance, int32_t iterations, int32_t sweeps);
 
   // For solution.h.
@@ -50,14 +50,14 @@ class StepTangent {
 
   void reserve();
   void put(const SweepTangents& along);
-  // Of the groups of some colors, of positions alone or along the direction that was put.
+  // Returns the arguments over the groups of some colors. `along`: also with the tangents of put().
   VbdTangentArguments arguments(size_t first_color, size_t last_color, bool along) const;
   void launch(const VbdTangentArguments& arguments) const;
   void move(size_t color, const Rows4& x) const;
   Rows force_tangent(const Rows& x);
 
   Step& step_;
-  bool keeps_loads_ = false;  // see Tangents
+  bool keeps_loads_ = false;  // see VbdTangentArguments
   Rows4 x_, load_, result_, moved_, start_, target_;
   DeviceArray<float> mass_, contacts_, numbers_;
 };

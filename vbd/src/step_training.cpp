@@ -1,4 +1,4 @@
-// Materials and rest shapes that replays read as they are then: see
+// Materials and rest shapes of elements that may change between replays: see
 // VbdStepInputs::trains_elements.
 #include <algorithm>
 #include <span>
@@ -10,14 +10,14 @@
 
 namespace novaphy::vbd {
 
-// The elements whose materials may be other than 0, for the slots as they are.
+// Notes which elements may have materials other than 0 with the present slots.
 void Step::reserve_training() {
   Tables& t = *tables_;
   if (!t.trained.empty()) return;
   const UntrackedScope untracked;
   const Model& m = host_model();
-  // Columns of materials may be other than 0 where the element acts. Elements without a corner, or
-  // over kinematic particles alone, have no part, and may hold anything.
+  // Materials may differ from 0 where the element acts. Elements without a corner, or with
+  // kinematic particles alone, have no part in a step, and may have any material.
   for_each_kind([&](auto is) {
     using Element = typename decltype(is)::Slot;
     std::vector<int32_t> allowed;

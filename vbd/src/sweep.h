@@ -5,7 +5,7 @@
 
 namespace novaphy::vbd {
 
-// A function over rows of a launch, as of novaphy_row_function. Its rows are lanes of groups.
+// A function over rows of a launch, as novaphy_row_function. The rows are lanes of groups.
 using GroupKernel = void(const uint64_t* words, int64_t n, int64_t begin, int64_t end);
 
 struct SweepLevel {
@@ -15,10 +15,10 @@ struct SweepLevel {
       *tangent_start, *coarse_move, *coarse_rows, *coarse_force, *coarse_outer;
 };
 
-// The level of NOVAPHY_CPU_ISA, else the best of this processor. ErrorKind::Runtime: the variable
-// names none that this processor has.
+// Returns the level of NOVAPHY_CPU_ISA, or the best of this processor. ErrorKind::Runtime: the
+// variable does not name an instruction set of this processor.
 const SweepLevel& sweep_level();
-// That of groups of so many lanes.
+// Returns the level whose groups have `lanes` lanes.
 const SweepLevel& sweep_level_of(int64_t lanes);
 
 }  // namespace novaphy::vbd

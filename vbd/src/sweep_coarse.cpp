@@ -1,6 +1,6 @@
 // The coarse correction of one instruction set.
 #include "lanes.h"
-// Behind lanes.h, as sweep_kernels.h.
+// Included after lanes.h, as sweep_kernels.h is.
 #include "novaphy/vbd/coarse_kernels.h"
 
 namespace novaphy::vbd::NOVAPHY_LEVEL {

@@ -1,6 +1,6 @@
-// The sweep of one instruction set along a direction.
+// The tangent of the sweep of one instruction set.
 #include "lanes.h"
-// Behind lanes.h, as sweep_kernels.h.
+// Included after lanes.h, as sweep_kernels.h is.
 #include "novaphy/vbd/sweep_tangent_kernels.h"
 
 namespace novaphy::vbd::NOVAPHY_LEVEL {

@@ -1,8 +1,8 @@
 // A color of VBD in reverse on devices (sweep_adjoint_kernels.h), as three launches. First,
-// vbd_adjoint_solve finds the multipliers u and the steps d of the particles, a thread for each, or
-// vbd_adjoint_solve_by_blocks by blocks. Second, vbd_adjoint_slots finds the part of each slot for
-// positions and parameters, a thread for each lane of a slot. Third, vbd_receive
-// (vbd_gradient_kernels.h) adds the parts up in slot order.
+// vbd_adjoint_solve computes the multipliers u and the steps d of the particles, one thread per
+// particle. vbd_adjoint_solve_by_blocks does the same by thread blocks. Second, vbd_adjoint_slots
+// computes the adjoints of the positions and parameters of each slot, one thread per lane of a
+// slot. Third, vbd_receive (vbd_gradient_kernels.h) adds these parts in slot order.
 #pragma once
 
 #include "novaphy/vbd/slot_blocks_kernels.h"
@@ -15,7 +15,7 @@ NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve_by_blocks, VbdAdjointArguments);
 
 namespace vbd {
 
-// Calls body(slot, particle) for the lane of a slot that a row of a launch is.
+// Calls body(slot, particle) for the lane of a slot that belongs to a row of the launch.
 template <class Body>
 inline void for_slot_of(const VbdAdjointArguments& a, int64_t row, const Body& body) {
   for_roles([&](auto is) {
@@ -45,8 +45,8 @@ inline void reverse_starts(const VbdAdjointArguments& a, int64_t row) {
 
 }  // namespace vbd
 
-// `row`: over the lanes of the slots of the launch. "weights": also by the weights of slots;
-// "rest": at a solution; "start": of what slots have of the start.
+// `row`: over the lanes of the slots of the launch. "weights": also the adjoints of the weights of
+// slots. "solution": at a solution. "start": the reverse of the slots' numbers of the start.
 NOVAPHY_ROW_KERNEL(vbd_adjoint_slots, VbdAdjointArguments) {
   vbd::reverse_slots<false, false>(a, row);
 }
@@ -67,7 +67,7 @@ NOVAPHY_ROW_KERNEL(vbd_adjoint_start_weights, VbdAdjointArguments) {
 #ifdef NOVAPHY_KERNEL
 namespace vbd {
 
-// Finds u and d of a particle from its block, and what its inertia and contacts give.
+// Computes u and d of a particle from its block, and the adjoints of its inertia and contacts.
 struct SolveParticle {
   using Lane = LaneGroup<float>;
   const VbdAdjointArguments& a;

@@ -1,12 +1,12 @@
-// The coarse correction of VBD as kernels (coarse_kernels.h). Sums go over the particles of an
-// aggregate and the functions of a system in their order, so the bits depend on nothing else.
+// The coarse correction of VBD as kernels (coarse_kernels.h). Sums over the particles of an
+// aggregate and the functions of a system have a fixed order, so the bits depend on nothing else.
 #pragma once
 
 #include "novaphy/vbd/coarse_kernels.h"
 
 namespace novaphy {
 
-// `row`: over the lanes of the groups of the launch. The first is vbd_move with other blocks.
+// `row`: over the lanes of the groups of the launch. vbd_coarse_move is vbd_move with other blocks.
 NOVAPHY_ROW_KERNEL(vbd_coarse_move, VbdSweepArguments) {
   vbd::move<false, true>(vbd::LaneGroup<float>(a, row));
 }
@@ -22,7 +22,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_outer, VbdCoarseArguments) {
 
 namespace vbd {
 
-// The system of a row: its first function, its unknowns and its matrix.
+// The system of a row: its first function, its number of unknowns and its matrix.
 struct CoarseSystem {
   int64_t first, unknowns;
   float* matrix;
@@ -32,7 +32,7 @@ struct CoarseSystem {
         matrix(a.matrix + a.matrix_begin[system]) {}
 };
 
-// The sum of a[k] b[k], in four parts.
+// Returns the sum of a[k] b[k], in four partial sums.
 inline float coarse_dot(const float* a, const float* b, int64_t count) {
   float sum[4] = {};
   int64_t k = 0;
@@ -41,14 +41,14 @@ inline float coarse_dot(const float* a, const float* b, int64_t count) {
   for (int64_t part = 0; k < count; ++k, ++part) sum[part] = sum[part] + a[k] * b[k];
   return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
-// to[k] -= s a[k].
+// Subtracts s a[k] from to[k].
 inline void coarse_subtract(float* to, float s, const float* a, int64_t count) {
   for (int64_t k = 0; k < count; ++k) to[k] = to[k] - s * a[k];
 }
 
 }  // namespace vbd
 
-// `row`: over the pairs of functions.
+// Computes the 3x3 part of A for a pair of functions. `row`: over the pairs of functions.
 NOVAPHY_ROW_KERNEL(vbd_coarse_matrix, VbdCoarseArguments) {
   const int32_t g = a.pairs[2 * row], h = a.pairs[2 * row + 1];
   const int32_t from = a.function_aggregate[g], to = a.function_aggregate[h];
@@ -67,8 +67,8 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_matrix, VbdCoarseArguments) {
       s.matrix[(3 * (h - s.first) + c) * s.unknowns + 3 * (g - s.first) + r] = sum[3 * r + c];
 }
 
-// A = L D L^T, L below the diagonal and 1/D on it. An unknown whose pivot is at most 1e-6 of its
-// diagonal is left out. `row`: over the systems.
+// Factorizes A = L D L^T, with L below the diagonal and 1/D on the diagonal. An unknown whose pivot
+// is at most 1e-6 of its diagonal is left out. `row`: over the systems.
 NOVAPHY_ROW_KERNEL(vbd_coarse_factor, VbdCoarseArguments) {
   const vbd::CoarseSystem s(a, static_cast<int32_t>(row));
   const int64_t size = s.unknowns;
@@ -86,7 +86,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_factor, VbdCoarseArguments) {
   }
 }
 
-// `row`: over the functions.
+// Computes P^T f. `row`: over the functions.
 NOVAPHY_ROW_KERNEL(vbd_coarse_load, VbdCoarseArguments) {
   const int32_t aggregate = a.function_aggregate[row];
   if (a.tests != 0 && a.search[a.system[aggregate]].is_done != 0.0f) return;
@@ -101,7 +101,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_load, VbdCoarseArguments) {
   a.load[3 * row + 2] = sum.z;
 }
 
-// `row`: over the systems.
+// Solves for the step a, and starts the line search. `row`: over the systems.
 NOVAPHY_ROW_KERNEL(vbd_coarse_solve, VbdCoarseArguments) {
   const vbd::CoarseSystem s(a, static_cast<int32_t>(row));
   const int64_t size = s.unknowns;
@@ -120,7 +120,8 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_solve, VbdCoarseArguments) {
   search.is_done = 0.0f;
 }
 
-// Whether the step is short enough, or the next one is half as long. `row`: over the systems.
+// Ends the line search if the step is short enough, else halves the length. `row`: over the
+// systems.
 NOVAPHY_ROW_KERNEL(vbd_coarse_test, VbdCoarseArguments) {
   VbdCoarseSearch& search = a.search[row];
   if (search.is_done != 0.0f) return;
@@ -135,7 +136,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_test, VbdCoarseArguments) {
 
 namespace vbd {
 
-// What a particle moves by in the coarse step.
+// Returns the displacement of a particle by the coarse step of this length (m).
 inline Vec3f coarse_field(const VbdCoarseArguments& a, int32_t particle, float length) {
   const int32_t aggregate = a.aggregate[particle], first = a.function_begin[aggregate];
   Vec3f sum;
@@ -148,7 +149,7 @@ inline Vec3f coarse_field(const VbdCoarseArguments& a, int32_t particle, float l
 
 }  // namespace vbd
 
-// `row`: over the particles. Tries a step.
+// Moves the particles by the present length of the line search. `row`: over the particles.
 NOVAPHY_ROW_KERNEL(vbd_coarse_try, VbdCoarseArguments) {
   const auto p = static_cast<int32_t>(row);
   const int32_t s = vbd::system_of(a, p);
@@ -156,7 +157,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_try, VbdCoarseArguments) {
   const Vec3f moved = to_vec3(a.sweep.moved[p]) + vbd::coarse_field(a, p, a.search[s].length);
   a.sweep.x[p] = to_row(to_vec3(a.sweep.start[p]) + moved);
 }
-// Takes the step that was found.
+// Moves the particles by the length that the line search found. `row`: over the particles.
 NOVAPHY_ROW_KERNEL(vbd_coarse_take, VbdCoarseArguments) {
   const auto p = static_cast<int32_t>(row);
   const int32_t s = vbd::system_of(a, p);
@@ -168,7 +169,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_take, VbdCoarseArguments) {
   a.sweep.x[p] = to_row(to_vec3(a.sweep.start[p]) + moved);
 }
 
-// The translation of a free system that balances its forces. `row`: over the systems.
+// Computes the translation of a free system that balances its forces. `row`: over the systems.
 NOVAPHY_ROW_KERNEL(vbd_coarse_balance, VbdCoarseArguments) {
   vbd::Block<float> sum;
   const int32_t first = a.system_begin[row], end = a.system_begin[row + 1];
@@ -182,7 +183,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_balance, VbdCoarseArguments) {
     a.shift[row] =
         to_row(vbd::solve_block(vbd::factorize(sum, a.sweep.regularization.value), sum.f));
 }
-// `row`: over the particles.
+// Moves the particles of free systems by this translation. `row`: over the particles.
 NOVAPHY_ROW_KERNEL(vbd_coarse_shift, VbdCoarseArguments) {
   const auto p = static_cast<int32_t>(row);
   const int32_t s = vbd::system_of(a, p);

@@ -1,6 +1,7 @@
-// The backward pass of a step of VBD besides its sweeps, as kernels (row_kernel.h): its begin and
-// end, and the parts of slots for other particles. Other kernels turn derivatives by slots,
-// contacts and targets into derivatives by arrays of the model and the state. Null: not wanted.
+// The backward pass of a step of VBD without its sweeps, as kernels (row_kernel.h): the begin, the
+// end, and the sums of the terms from slots. Other kernels turn the adjoints of slots, contacts and
+// inertial positions into derivatives for arrays of the model and the state. A null output is not
+// wanted.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -21,7 +22,7 @@ struct VbdKeepArguments {
 };
 NOVAPHY_ROW_KERNEL(vbd_keep, VbdKeepArguments) { a.iterate[row] = a.x[row]; }
 
-// The adjoints of the positions, of those of the results. v = (x - xn)/h.
+// Computes the adjoints of the positions x from those of the results, with v = (x - xn)/h.
 struct VbdAdjointBeginArguments {
   NOVAPHY_ARGUMENTS(Optional<Reads<Vec3f>> q_adjoint;   // null: 0
                     Optional<Reads<Vec3f>> qd_adjoint;  // null: 0
@@ -35,7 +36,7 @@ NOVAPHY_ROW_KERNEL(vbd_adjoint_begin, VbdAdjointBeginArguments) {
 struct VbdAdjointEndArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<int32_t> is_held; ReadsRow<VbdRow> x_adjoint;
                     Optional<UpdatesRow<VbdRow>>
-                        guess;  // the adjoints of what iterations began with; null: of nothing
+                        guess;  // destination of the adjoint of the initial guess; null: none
                     Optional<Reads<Vec3f>> qd_adjoint; Number<float> inverse_h;
                     UpdatesRow<VbdRow> start_adjoint;)
 };
@@ -47,15 +48,15 @@ NOVAPHY_ROW_KERNEL(vbd_adjoint_end, VbdAdjointEndArguments) {
         to_row(to_vec3(a.start_adjoint[row]) - a.qd_adjoint[row] * a.inverse_h.value);
 }
 
-// What a particle gets: of its own slots, of those of others.
+// The parts that vbd_receive adds: terms from a particle's own slots, and from slots of others.
 constexpr int64_t kVbdReceiveOwn = 1, kVbdReceiveOthers = 2,
                   kVbdReceiveAll = kVbdReceiveOwn | kVbdReceiveOthers;
 
-// See Receivers. `row`: from `first` on.
+// See Receivers. `row`: over the rows of receivers from `first` on.
 struct VbdReceiveArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> particle;
                     Reads<int64_t> begin,
-                    others;  // from where on terms are of slots of other particles
+                    others;  // index of the first term from slots of other particles
                     Reads<int64_t> entries; Number<int64_t> first, lanes; Reads<float> terms;
                     Reads<int32_t> is_own; Optional<Reads<VbdRow>> own;  // null: 0
                     Updates<VbdRow> rows; Number<int64_t> parts;)
@@ -79,17 +80,18 @@ NOVAPHY_ROW_KERNEL(vbd_receive, VbdReceiveArguments) {
 }
 
 struct VbdParticleGradientArguments {
-  NOVAPHY_ARGUMENTS(
-      ReadsRow<int32_t> is_held; ReadsRow<float> inv_mass; ReadsRow<Vec3f> f;
-      ReadsRow<VbdRow> x_adjoint, start_adjoint, target_adjoint; ReadsRow<float> mass_adjoint;
-      Number<float> h; Number<int64_t> have_targets;  // held particles go to targets
-      Optional<Writes<Vec3f>> by_q, by_qd, by_f; Optional<Writes<float>> by_mass;
-      Optional<WritesRow<VbdRow>> by_gravity;  // of the particle's world, from this particle
-      Optional<Writes<float>> by_last;         // rows of 4
-      // Of the adaptive guess, whose adjoints are then x_adjoint; null: those of the guess are in
-      // another adjoint.
-      Optional<ReadsRow<VbdRow>> last; ReadsRow<Vec3f> qd; ReadsRow<int32_t> world;
-      Reads<Vec3f> gravity; Number<int64_t> last_world;)
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> is_held; ReadsRow<float> inv_mass; ReadsRow<Vec3f> f;
+                    ReadsRow<VbdRow> x_adjoint, start_adjoint, target_adjoint;
+                    ReadsRow<float> mass_adjoint; Number<float> h;
+                    Number<int64_t> have_targets;  // 1: kinematic particles have targets
+                    Optional<Writes<Vec3f>> by_q, by_qd, by_f; Optional<Writes<float>> by_mass;
+                    // the particle's part of the gradient of its world's gravity
+                    Optional<WritesRow<VbdRow>> by_gravity;
+                    Optional<Writes<float>> by_last;  // rows of 4
+                    // For the adaptive guess, whose adjoint is then x_adjoint. Null:
+                    // vbd_adjoint_end has already added the adjoint of the guess elsewhere.
+                    Optional<ReadsRow<VbdRow>> last; ReadsRow<Vec3f> qd; ReadsRow<int32_t> world;
+                    Reads<Vec3f> gravity; Number<int64_t> last_world;)
 };
 NOVAPHY_ROW_KERNEL(vbd_particle_gradient, VbdParticleGradientArguments) {
   const float h = a.h.value, w = a.inv_mass[row];
@@ -121,7 +123,7 @@ NOVAPHY_ROW_KERNEL(vbd_particle_gradient, VbdParticleGradientArguments) {
     a.by_last[4 * row + 3] = 0.0f;
   }
   if (a.by_f != nullptr) a.by_f[row] = by_target * ((h * h) * w);
-  // m/h^2, and 1/m in the target.
+  // The mass acts through m/h^2, and through 1/m in the inertial position.
   const float by_inverse = math::dot(by_target, a.f[row]) * (h * h);
   if (a.by_mass != nullptr)
     a.by_mass[row] = is_held ? 0.0f : a.mass_adjoint[row] / (h * h) - (w * w) * by_inverse;
@@ -136,7 +138,7 @@ NOVAPHY_ROW_KERNEL(vbd_target_gradient, VbdTargetGradientArguments) {
 }
 
 struct VbdGravityGradientArguments {
-  NOVAPHY_ARGUMENTS(Reads<int32_t> begin;  // of each world, and behind the last
+  NOVAPHY_ARGUMENTS(Reads<int32_t> begin;  // of each world, and one more behind the last
                     Reads<int32_t> particles;
                     Reads<VbdRow> of_particles;  // see VbdParticleGradientArguments
                     Writes<Vec3f> by_gravity;)
@@ -148,11 +150,11 @@ NOVAPHY_ROW_KERNEL(vbd_gravity_gradient, VbdGravityGradientArguments) {
   a.by_gravity[row] = sum;
 }
 
-// Null: not wanted.
+// A null output is not wanted.
 struct VbdElementGradientArguments {
   NOVAPHY_ARGUMENTS(
-      // Of each slot of the element: of each corner of each element, -1: none; where its adjoints
-      // begin.
+      // For each slot of the element: the place of each corner of each element (-1: none), and
+      // where the adjoints of the slot's role begin.
       Each<Optional<Reads<int64_t>>, vbd::kMostSlots> places;
       Each<Number<int64_t>, vbd::kMostSlots> first; Reads<float> numbers;  // of all roles
       Number<int64_t> role, lanes; Number<float> h;
@@ -164,8 +166,8 @@ namespace vbd {
 
 #include "number_adjoints.inc"
 
-// The adjoints of the numbers of the slots of an element: of the weights of each corner, and of the
-// law over all corners.
+// The adjoints of an element's numbers: the weights of each corner, and the law summed over all
+// corners.
 template <Role role>
 struct ElementAdjoints {
   using Element = SlotOf<role>;
@@ -195,7 +197,7 @@ inline void put_parameters(const VbdElementGradientArguments& a, int64_t e) {
     if (a.to[array] != nullptr) a.to[array][at] = to[k];
   });
   int array = 0;
-  Element::for_columns([&](int columns, int width, ArrayUse) {  // those that no force reads
+  Element::for_columns([&](int columns, int width, ArrayUse) {  // columns that no force reads get 0
     for (int c = columns; c < width && a.to[array] != nullptr; ++c)
       a.to[array][e * width + c] = 0.0f;
     ++array;
@@ -227,7 +229,7 @@ NOVAPHY_ROW_KERNEL(vbd_radius_gradient, VbdRadiusGradientArguments) {
   a.by_radius[row] = sum;
 }
 
-// The shape of each contact, in the order of the particles; -1 behind the last.
+// Writes the shape of each contact, in the order of the particles; -1 behind the last contact.
 struct VbdContactShapeArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> begin, items; Number<int64_t> particles; Reads<int32_t> shape;
                     WritesRow<int32_t> shape_of_contact;)
@@ -238,7 +240,8 @@ NOVAPHY_ROW_KERNEL(vbd_contact_shape, VbdContactShapeArguments) {
 
 struct VbdShapeGradientArguments {
   NOVAPHY_ARGUMENTS(Optional<Reads<int32_t>>
-                        begin;  // of the contacts of each shape, and behind the last; null: none
+                        // the first contact of each shape, and one more behind the last; null: none
+                        begin;
                     Optional<Reads<int32_t>> contacts;  // in the order of the particles
                     Optional<Reads<float>> contact_adjoints; ReadsRow<float> mu;
                     Number<float> model_mu, h;

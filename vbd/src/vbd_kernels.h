@@ -1,7 +1,7 @@
-// A step of VBD as kernels (row_kernel.h), whose sweep is sweep_kernels.h.
+// A step of VBD as kernels (row_kernel.h). The sweep is in sweep_kernels.h.
 //
-// A color moves in one of two ways, of the same bits. In vbd_move a thread moves each particle. In
-// vbd_move_by_blocks, for devices only, the threads of a block share the slots of some groups. A
+// A color moves in one of two ways, with the same bits. In vbd_move one thread moves each particle.
+// In vbd_move_by_blocks, for devices only, the threads of a block share the slots of some groups. A
 // thread for each component of the particles' matrices then adds the slots in slot order.
 #pragma once
 
@@ -14,9 +14,10 @@
 
 namespace novaphy {
 
-// What the tables of a sweep were made of: not read, but a gradient of it would stop.
+// The arrays that the tables of a sweep were made from. The kernel does not read them. They are
+// arguments so that a tape sees an input that carries a gradient.
 #define NOVAPHY_VBD_TABLE_ARGUMENT(array, columns, width, use) Optional<Reads<float>> array;
-#define NOVAPHY_VBD_ARGUMENTS(...) NOVAPHY_ARGUMENTS(__VA_ARGS__)  // with the names of the lists
+#define NOVAPHY_VBD_ARGUMENTS(...) NOVAPHY_ARGUMENTS(__VA_ARGS__)  // expands the names of the lists
 struct VbdTableArguments {
   NOVAPHY_VBD_ARGUMENTS(
       NOVAPHY_VBD_PARAMETERS(NOVAPHY_VBD_TABLE_ARGUMENT) Reads<float> particle_mass;
@@ -28,17 +29,18 @@ struct VbdPredictArguments {
                     ReadsRow<float> particle_inv_mass; ReadsRow<int32_t> world;
                     Reads<Vec3f> gravity; Number<int64_t> last_world; ReadsRow<int32_t> is_held;
                     Number<float> h; Number<int64_t> guess;  // VbdInitialGuess
-                    // Of the adaptive guess, else null: the velocity before the last step, and 1.
+                    // For the adaptive guess, else null: the velocity before the last step, and the
+                    // number 1.
                     Optional<ReadsRow<VbdRow>> last_velocity;
                     WritesRow<VbdRow> start, target, moved, x;
-                    Optional<WritesRow<VbdRow>> newer;  // of Chebyshev's acceleration, else null
+                    Optional<WritesRow<VbdRow>> newer;  // for Chebyshev acceleration, else null
                     UpdatesRow<int32_t> faults;         // see vbd::note_fault
                     Part<VbdTableArguments> tables;)
 };
 
 namespace vbd {
 
-// The first that was wrong with a particle since the host asked (Step::check).
+// Notes the first fault of a particle since the host last asked (Step::check).
 inline void note_fault(int32_t* faults, int64_t particle, int32_t fault) {
   if (fault != kNoFault && faults[particle] == kNoFault) faults[particle] = fault;
 }
@@ -70,12 +72,12 @@ NOVAPHY_ROW_KERNEL(vbd_predict, VbdPredictArguments) {
 struct VbdTargetArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<int32_t> held; ReadsRow<Vec3f> targets; Updates<VbdRow> x;)
 };
-// Held particles go where targets say.
+// Moves kinematic particles to their targets.
 NOVAPHY_ROW_KERNEL(vbd_target, VbdTargetArguments) { a.x[a.held[row]] = to_row(a.targets[row]); }
 
 struct VbdNumbersArguments {
   NOVAPHY_ARGUMENTS(
-      ReadsRow<int32_t> source;  // the corner plus 4 times the element, or -1
+      ReadsRow<int32_t> source;  // 4 times the element plus the corner, or -1
       Updates<float> floats; Number<int64_t> role, lanes;  // of a group
       Number<float> h;
       Each<Optional<Reads<float>>, vbd::kMostArrays> parameters;  // see for_parameters
@@ -84,8 +86,8 @@ struct VbdNumbersArguments {
 
 namespace vbd {
 
-// The numbers of slots anew, from the model as it is, or those alone that activations change.
-// `row`: over the lanes of all slots of a role.
+// Computes the numbers of slots from the present model, or only the number that an activation
+// changes. `row`: over the lanes of all slots of a role.
 template <bool only_activated>
 inline void put_numbers(const VbdNumbersArguments& a, int64_t row) {
   const int32_t e = a.source[row] >> 2;
@@ -113,9 +115,10 @@ struct VbdMaterialArguments {
                     UpdatesRow<int32_t> allowed;  // of each element
   )
 };
-// Whether materials fit the slots, which were laid when they were others: a number is finite and
-// not negative, and may be other than 0 only where `allowed` has the bit of its column. Else the
-// bit kVbdBadMaterial is set there. kVbdAnyMaterial: of an element that has no part.
+// Checks whether materials still fit the slots, which depend on older materials. A number has to be
+// finite and at least 0. It may differ from 0 only if `allowed` has the bit of its column.
+// Otherwise the kernel sets the bit kVbdBadMaterial. kVbdAnyMaterial marks an element without a
+// part in a step.
 constexpr int32_t kVbdBadMaterial = 1 << 30, kVbdAnyMaterial = 1 << 29;
 NOVAPHY_ROW_KERNEL(vbd_material, VbdMaterialArguments) {
   if ((a.allowed[row] & kVbdAnyMaterial) != 0) return;
@@ -128,15 +131,16 @@ NOVAPHY_ROW_KERNEL(vbd_material, VbdMaterialArguments) {
 }
 
 struct VbdContactArguments {
-  NOVAPHY_ARGUMENTS(
-      Reads<int32_t> begin;  // of each particle, and behind the last
-      Reads<int32_t> items;  // slots of contacts, particle by particle
-      Number<int64_t> particles; Reads<int32_t> count;
-      Updates<int32_t> overflow;  // contacts that were found, and slots, where these were too few
-      Reads<int32_t> particle, shape; Reads<Vec3f> point, velocity, normal;
-      Reads<float> particle_radius, shape_margin, shape_material_ke, shape_material_kd;
-      Reads<float> shape_material_mu; Number<float> model_ke, model_kd, model_mu, h;
-      Writes<float> numbers;)
+  NOVAPHY_ARGUMENTS(Reads<int32_t> begin;  // of each particle, and one more behind the last
+                    Reads<int32_t> items;  // slots of contacts, particle by particle
+                    Number<int64_t> particles; Reads<int32_t> count;
+                    // the count of found contacts and of slots, if the slots were too few
+                    Updates<int32_t> overflow; Reads<int32_t> particle, shape;
+                    Reads<Vec3f> point, velocity, normal;
+                    Reads<float> particle_radius, shape_margin, shape_material_ke,
+                    shape_material_kd;
+                    Reads<float> shape_material_mu; Number<float> model_ke, model_kd, model_mu, h;
+                    Writes<float> numbers;)
 };
 NOVAPHY_ROW_KERNEL(vbd_contact, VbdContactArguments) {
   if (row == 0 && *a.count > n && a.overflow[0] == 0) {
@@ -168,8 +172,8 @@ struct VbdCommitArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> particle; Number<int64_t> first_lane; Reads<VbdRow> from;
                     Updates<VbdRow> x;)
 };
-// Where colors hold conflicts: all of a color are where they went. (Lanes that are no particles
-// repeat the first.)
+// For colors with conflicts: moves all particles of a color to their new positions at once. A lane
+// that is no particle repeats the first particle.
 NOVAPHY_ROW_KERNEL(vbd_commit, VbdCommitArguments) {
   const int32_t p = a.particle[a.first_lane + row];
   a.x[p] = a.from[p];
@@ -197,8 +201,8 @@ NOVAPHY_ROW_KERNEL(vbd_accelerate, VbdAccelerateArguments) {
 struct VbdFinishArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<VbdRow> start, x; Number<float> h; WritesRow<Vec3f> q, qd;
                     UpdatesRow<int32_t> faults;
-                    // Of the adaptive guess: the velocity before the step, and where the next step
-                    // looks for that; null: not wanted.
+                    // For the adaptive guess: the velocity before the step, and its destination for
+                    // the next step. A null destination is not wanted.
                     ReadsRow<Vec3f> qd_before; Optional<WritesRow<VbdRow>> last_velocity;)
 };
 NOVAPHY_ROW_KERNEL(vbd_finish, VbdFinishArguments) {
@@ -214,7 +218,7 @@ NOVAPHY_BLOCK_KERNEL(vbd_move_by_blocks, VbdSweepArguments);
 #ifdef NOVAPHY_KERNEL
 namespace vbd {
 
-// One step of the particles of some groups.
+// Moves the particle of a thread by one step.
 struct MoveParticle {
   const VbdSweepArguments& a;
   Vec3f start, moved;

@@ -1,5 +1,5 @@
-// The forces of VBD and their derivative along a direction on devices (sweep_tangent_kernels.h), a
-// thread for each particle.
+// The forces of VBD and their tangents along a direction on devices (sweep_tangent_kernels.h), one
+// thread per particle.
 #pragma once
 
 #include "novaphy/vbd/sweep_tangent_kernels.h"
@@ -18,7 +18,8 @@ struct VbdTangentMoveArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> particle, filled; Number<int64_t> first_group, lanes;
                     Reads<VbdRow> step; Updates<VbdRow> x;)
 };
-// The particles of a color take their steps. `row`: over the lanes of its groups.
+// Adds the tangents of the steps of a color's particles to x. `row`: over the lanes of the color's
+// groups.
 NOVAPHY_ROW_KERNEL(vbd_tangent_move, VbdTangentMoveArguments) {
   const int64_t of_color = row / a.lanes, group = a.first_group + of_color;
   if (row - of_color * a.lanes >= a.filled[group]) return;

@@ -11,15 +11,17 @@
 // mean. H keeps c in the direction of the slip, although the derivative of the force there is about
 // 0: without it the iteration does not converge. During the step p, n and v_s are constant.
 // Symbols: x (m), ke (N/m), kd (N*s/m), mu (1), eps (m).
-// Energy, for the safeguard against too long steps: ke/2 pen^2 + [n.u < 0] kd/(2h) (n.u)^2 + mu ke
-// pen_0 S(|u_t|), with S' = c/(mu ke pen). pen_0 is the overlap at the position before, because the
-// friction force has no potential.
+//
+// The safeguard against too long steps has the energy
+//   ke/2 pen^2 + [n.u < 0] kd/(2h) (n.u)^2 + mu ke pen_0 S(|u_t|), with S' = c/(mu ke pen)
+// pen_0 is the overlap at the position before, because the friction force has no potential.
 //
 // Source: Newton 1.8.0's SolverVBD, and the friction of Li et al., "Incremental Potential Contact"
 // (2020). Newton drops c from f and H where u_t is 0, so a resting particle and a creeping particle
 // have different laws. Here c keeps its limit 2/eps.
 // Not smooth: pen = 0, where f jumps by the damping; n.u = 0 in H.
-// Gradient: exact in x, xn, p, n, v_s, ke, kd, mu away from these; R and eps carry none.
+// Gradient: exact in x, xn, R, ke, kd, mu away from these. p, n and v_s are frozen, and eps carries
+// none.
 #pragma once
 
 #include "novaphy/vbd/block_law.h"

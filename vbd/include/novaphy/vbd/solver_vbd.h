@@ -64,6 +64,7 @@ struct VbdResidual {
 // particles of a color move together. Each solves the 3x3 system of its own elements, from the
 // positions before the color. Sums run per particle in a fixed order. The result has the same bits
 // for any number of threads, on any processor and on any device.
+//
 // A step can be captured. A graph keeps the recorded dt. A replay throws if a number of the model
 // (soft_contact_ke, ...) has changed since the recording. A replay also throws if arrays behind the
 // solver's tables were edited: materials of elements, rest shapes, masses, flags. A step on a

@@ -3,7 +3,7 @@
 // held constant: a sum over slots. The build derives the laws of slots (tools/vbd_adjoints).
 //
 // On the CPU one call handles a whole group. On a device u, d and the results of slots pass through
-// memory: threads for particles compute u and d, then threads for lanes of slots compute the
+// memory. Threads for particles compute u and d. Threads for lanes of slots then compute the
 // adjoints of the slots' inputs.
 #pragma once
 

@@ -5,7 +5,7 @@
 // corners have different laws (hinge.h) has an additional struct for each slot.
 //
 // The numbers of a slot are the weights of the other corners, the coefficients of the law, and
-// values of the start of the step. They are computed from parameters: columns of arrays of Model.
+// values of the start of the step. The numbers depend on parameters: columns of arrays of Model.
 //
 // Freestanding: device code reads it too. The scalar is a float, lanes of floats, carries a
 // derivative (math/dual.h), or is an expression (tools/vbd_adjoints).

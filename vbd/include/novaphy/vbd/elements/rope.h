@@ -5,9 +5,9 @@
 //   T = max(0, ke (l - rest) + kd/h (l - max(ln, rest)))
 //   E = T^2 / (2 (ke + kd/h)),  f = -u T
 //   H = (ke + kd/h) u u^T + T/l (I - u u^T) where T > 0, else 0
-// T is 0 at and below the rest length. The damper acts only on the part of the motion during which
-// the rope is taut, so T is continuous. H is the second derivative of E and positive semidefinite
-// everywhere.
+// T is 0 at and below the rest length. The damper acts only while the rope is taut, so T is
+// continuous. H is the second derivative of E and positive semidefinite everywhere.
+//
 // Source: the no-compression adjoint of structural analysis, with a Kelvin-Voigt damper that never
 // pushes.
 // Not smooth: T = 0, where the derivatives are those of the slack rope, 0; ln = rest with kd > 0,

@@ -10,13 +10,14 @@
 //   H = V [ mu |m|^2 I + ln (cof F m)(cof F m)^T ] + damping's
 // The stiffness between the corners k and l, with d.([v] e) = v.(d x e) and s = ln (J - alpha):
 //   H_kl = V [ mu m_k.m_l I + ln (cof F m_k)(cof F m_l)^T + s' [F (m_k x m_l)] ] + damping's
-// s' is s within bounds that keep H positive semidefinite. The lower bound is -min(mu/S, ln max(J,
-// 0)), and the upper bound is mu/(2 S), with the largest stretch S of F. The code bounds S^2 by the
-// largest row sum of |C|.
-// H is the exact second derivative of the elastic E for one corner, because J is linear in one
-// corner. H is positive definite for every shape, also for inverted ones. The damping has its
-// Gauss-Newton part. Symbols: x (m), w (1/m), V = volume at rest (m^3), mu, lam (Pa), kd (Pa*s),
-// act (1): activation, added to the relative volume.
+// s' is s within bounds that keep H positive semidefinite: at least -min(mu/S, ln max(J, 0)), at
+// most mu/(2 S), with the largest stretch S of F. The code bounds S^2 by the largest row sum of
+// |C|.
+// H is the exact second derivative of the elastic E, because J is linear in one corner. H is
+// positive definite for every shape, also for inverted ones. The damping has its Gauss-Newton part.
+//
+// Symbols: x (m), w (1/m), V = volume at rest (m^3), mu, lam (Pa), kd (Pa*s), act (1): activation,
+// added to the relative volume.
 //
 // Source: Smith, de Goes, Kim (2018) without the logarithm, as Newton 1.8.0's SolverVBD has it
 // (without activation).

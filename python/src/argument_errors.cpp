@@ -1,9 +1,9 @@
-// Messages for arguments of a wrong type. pybind11 answers with the C++ signature and the arguments
-// that it got; here the answer goes through novaphy._arguments, which names the argument.
+// Messages for arguments of a wrong type. pybind11 reports the C++ signature and the given
+// arguments. Here novaphy._arguments makes the message, which names the argument.
 //
-// pybind11 has one entry point for all its functions, in each function's PyMethodDef. Putting
-// another one in front of it costs an indirect jump per call, and nothing is said twice in the
-// bindings.
+// pybind11 has one entry point for all its functions, in each function's PyMethodDef. An entry
+// point of our own in front of it costs an indirect jump per call. The bindings need no further
+// code.
 #include <string>
 #include <unordered_map>
 
@@ -12,7 +12,8 @@
 namespace novaphy::python {
 namespace {
 
-// By the object that pybind11 hangs on a function: "diff.Trajectory", "Model.soft_contact_ke".
+// The label of each function, by the object that pybind11 attaches to the function:
+// "diff.Trajectory", "Model.soft_contact_ke".
 std::unordered_map<PyObject*, std::string>& labels() {
   static auto* const names = new std::unordered_map<PyObject*, std::string>;  // outlives the module
   return *names;
@@ -23,8 +24,8 @@ struct Arguments {
   py::dict by_name;
 };
 
-// Replaces the TypeError that is set, when it is the one about arguments. Nothing may be thrown
-// here: Python calls.
+// Replaces the present TypeError if it concerns the arguments. The function may not throw, because
+// Python calls it.
 template <class Given>
 void explain(PyObject* function, const Given& given) {
   py::error_already_set error;
@@ -48,7 +49,7 @@ bool wrong_arguments(const PyObject* result) {
   return result == nullptr && PyErr_ExceptionMatches(PyExc_TypeError) != 0;
 }
 
-// pybind11's entry point, of the call convention that its version uses.
+// pybind11's entry point, in the call convention of its version.
 using Vector = PyObject* (*)(PyObject*, PyObject* const*, Py_ssize_t, PyObject*);
 Vector vector_entry = nullptr;
 PyCFunctionWithKeywords tuple_entry = nullptr;

@@ -20,8 +20,8 @@ DType scalar_dtype(Scalar scalar) {
   return dtypes[static_cast<size_t>(scalar)];
 }
 
-// The array of a NumPy shape: (n,) + the element's shape, (n, width) for a table of scalars, or
-// (n,) for short.
+// Makes an array of a NumPy shape: (n,) + the element's shape, (n, width) for a table of scalars,
+// or (n,) for short.
 Array make_array(DType dtype, const std::vector<int64_t>& shape, Device device) {
   const DTypeInfo& info = dtype_info(dtype);
   require(!shape.empty(), ErrorKind::Value, "shape: expected at least one size");
@@ -66,7 +66,7 @@ Array construct(py::handle data, py::handle dtype, py::handle device) {
   const py::object values = host_values(data, info.scalar, "data");
   auto shape = values.attr("shape").cast<std::vector<int64_t>>();
   if (shape.empty()) shape = {1};
-  // One element of a vector type may be given without its dimension of rows.
+  // A single element of a vector type may lack the dimension of rows.
   const std::vector<int64_t> element(info.shape, info.shape + info.ndim);
   if (info.ndim != 0 && shape == element) shape.insert(shape.begin(), 1);
   require(info.ndim == 0 || std::vector<int64_t>(shape.begin() + 1, shape.end()) == element,
@@ -103,7 +103,7 @@ void assign_array(Array& array, py::handle source) {
   check_assignable(target.shape, from.shape, "assign");
   const ReleasedGil release;
   Array flat = target.flat();
-  if (flat.rows() != 0) flat.assign(from.flat());  // a tape records it
+  if (flat.rows() != 0) flat.assign(from.flat());  // a tape records the copy
 }
 
 namespace {
@@ -140,20 +140,20 @@ void bind_dtypes(py::module_& m) {
           [](const DTypeObject& d) {
             return dtype_object(scalar_dtype(dtype_info(d.dtype).scalar));
           },
-          "The dtype of its numbers.")
+          "The dtype of the element's numbers.")
       .def_property_readonly(
           "shape",
           [](const DTypeObject& d) {
             const DTypeInfo& info = dtype_info(d.dtype);
             return shape_tuple({info.shape, info.shape + info.ndim});
           },
-          "() of a scalar, (3,) of vec3, (3, 3) of mat33.")
+          "The shape of an element: () for a scalar, (3,) for vec3, (3, 3) for mat33.")
       .def_property_readonly(
           "itemsize", [](const DTypeObject& d) { return dtype_info(d.dtype).bytes; },
           "Bytes of an element.")
       .def_property_readonly(
           "numpy", [](const DTypeObject& d) { return numpy_dtype(dtype_info(d.dtype).scalar); },
-          "The NumPy dtype of its numbers.")
+          "The NumPy dtype of the element's numbers.")
       .def("__repr__",
            [](const DTypeObject& d) { return std::string("novaphy.") + dtype_info(d.dtype).name; });
   for (int k = 0; k <= static_cast<int>(DType::vec4i); ++k) {
@@ -166,24 +166,24 @@ void bind_dtypes(py::module_& m) {
 
 void bind_array(py::module_& m) {
   bind_dtypes(m);
-  py::class_<Array> c(m, "DeviceArray",
-                      "Rows of one element type on a device, a shared handle: fields of a state "
-                      "return one that looks at "
-                      "the state's memory. Host reads wait for the device.");
+  py::class_<Array> c(
+      m, "DeviceArray",
+      "A shared handle to rows of one element type on a device. A field of a state returns a "
+      "handle to the state's memory. Reads of the host wait for the device.");
   c.def(py::init([](py::handle data, py::handle dtype, py::handle device) {
           return construct(data, dtype, device);
         }),
         "data"_a, "dtype"_a = py::none(), "device"_a = py::none(),
         "Copies numbers, lists, NumPy arrays (float64 is rounded) or another DeviceArray. Without "
-        "a dtype: float32, int32 or uint8 rows; (n, width) makes a table. ValueError: a wrong "
-        "shape.")
+        "a dtype the rows are float32, int32 or uint8, and a shape (n, width) makes a table. "
+        "ValueError: a wrong shape.")
       .def_static(
           "zeros",
           [](py::handle shape, py::handle dtype, py::handle device) {
             return make_array(to_dtype(dtype), to_shape(shape), to_device(device));
           },
           "shape"_a, "dtype"_a = dtype_object(DType::float32), "device"_a = py::none(),
-          "Zero filled. `shape`: the number of rows, or the NumPy shape.")
+          "Returns an array of zeros. `shape`: the number of rows, or the NumPy shape.")
       .def_static(
           "empty",
           [](py::handle shape, py::handle dtype, py::handle device) {
@@ -199,7 +199,7 @@ void bind_array(py::module_& m) {
             return array;
           },
           "shape"_a, "value"_a, "dtype"_a = dtype_object(DType::float32), "device"_a = py::none(),
-          "An array filled with a number or an element.")
+          "Returns an array filled with a number or an element.")
       .def_static(
           "from_dlpack",
           [](py::handle obj, py::handle dtype, bool copy) {
@@ -212,18 +212,20 @@ void bind_array(py::module_& m) {
           "shape", [](const Array& a) { return shape_tuple(a.shape()); },
           "The shape of the NumPy array: rows, then the components of an element.")
       .def_property_readonly(
-          "dtype", [](const Array& a) { return dtype_object(a.dtype()); }, "Bytes of an element.")
+          "dtype", [](const Array& a) { return dtype_object(a.dtype()); },
+          "The dtype of the elements.")
       .def_property_readonly(
           "scalar_dtype",
           [](const Array& a) { return dtype_object(scalar_dtype(dtype_info(a.dtype()).scalar)); },
-          "Bytes of a number.")
+          "The dtype of the elements' numbers.")
       .def_property_readonly(
-          "ndim", [](const Array& a) { return a.shape().size(); }, "Dimensions.")
+          "ndim", [](const Array& a) { return a.shape().size(); }, "The number of dimensions.")
       .def_property_readonly(
           "size", [](const Array& a) { return view_of(a).size(); }, "The total count of numbers.")
-      .def_property_readonly("nbytes", &Array::bytes, "Bytes.")
+      .def_property_readonly("nbytes", &Array::bytes, "The size of the memory (bytes).")
       .def_property_readonly(
-          "strides", [](const Array& a) { return shape_tuple(view_of(a).strides()); }, "Bytes.")
+          "strides", [](const Array& a) { return shape_tuple(view_of(a).strides()); },
+          "The distance between entries along each dimension (bytes).")
       .def_property_readonly("device", &Array::device, "The device of the memory.")
       .def_property_readonly(
           "ptr", [](const Array& a) { return reinterpret_cast<uintptr_t>(a.raw()); },
@@ -241,10 +243,9 @@ void bind_array(py::module_& m) {
             return view_to_numpy(view_of(a), copy, writable);
           },
           "copy"_a = true, "writable"_a = false,
-          "A NumPy array: a copy, or with copy=False the memory itself, read-only unless "
-          "writable=True. A writable one "
-          "makes tapes compare contents, because it can change values behind their back. "
-          "novaphy.Error in a capture.")
+          "Returns a NumPy array: a copy, or with copy=False the memory itself. The memory is "
+          "read-only unless writable=True. A writable array can change values unnoticed, so tapes "
+          "then compare contents. novaphy.Error: inside a capture.")
       .def("assign", &assign_array, "source"_a, doc::kAssign)
       .def("copy_from", &assign_array, "other"_a, "The same as assign.")
       .def(
@@ -253,14 +254,14 @@ void bind_array(py::module_& m) {
             fill(self.cast<Array&>(), value);
             return self;
           },
-          "value"_a, "Sets every row to a number or an element; returns the array.")
+          "value"_a, "Sets every row to a number or an element. Returns the array.")
       .def(
           "zero_",
           [](const py::object& self) {
             self.cast<Array&>().zero();
             return self;
           },
-          "Sets everything to zero; returns the array.")
+          "Sets all values to zero. Returns the array.")
       .def(
           "clone",
           [](const Array& a, py::handle device) {

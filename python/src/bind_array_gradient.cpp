@@ -7,8 +7,8 @@ using nova::Tensor;
 
 namespace {
 
-// Only these are seen by the tensor runtime, and empty arrays have no memory to attach a gradient
-// to.
+// Returns whether the array can have a gradient. The tensor runtime only knows float32 arrays, and
+// an empty array has no memory to attach a gradient to.
 bool has_gradients(const Array& array) {
   return dtype_info(array.dtype()).scalar == Scalar::F32 && array.rows() != 0;
 }
@@ -26,9 +26,8 @@ void bind_array_gradient(py::class_<Array>& array) {
   array.def_property_readonly(
       "grad", &array_grad,
       "The gradient of the values, a DeviceArray of the same shape. The gradient is zero before "
-      "the first "
-      "backward pass, and None if the array requires no gradient. A Tensor over the array has the "
-      "same memory for its grad.");
+      "the first backward pass, and None if the array requires no gradient. A Tensor over the same "
+      "memory shares the gradient.");
   array.def_property(
       "requires_grad",
       [](const Array& a) { return has_gradients(a) && Tensor::view(a).requires_grad(); },
@@ -38,10 +37,9 @@ void bind_array_gradient(py::class_<Array>& array) {
                 dtype_info(a.dtype()).name);
         if (has_gradients(a)) Tensor::view(a).set_requires_grad(on);
       },
-      "Whether the values are a leaf: an input for which backward computes a gradient. A state "
-      "whose requires_grad is set makes leaves of its positions and velocities when it is "
-      "recorded; "
-      "here any array can be one, such as forces.");
+      "Whether the values are a leaf: an input for which backward computes a gradient. Any float32 "
+      "array can be a leaf. A state with requires_grad makes its positions and velocities leaves "
+      "when a step is recorded.");
 }
 
 }  // namespace novaphy::python

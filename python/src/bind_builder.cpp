@@ -162,35 +162,39 @@ std::string text(const std::optional<std::string>& label) { return label.value_o
 
 void bind_worlds(py::class_<ModelBuilder>& c) {
   c.def_property_readonly("world_count", &ModelBuilder::world_count,
-                          "The number of worlds; a model without worlds has one.")
-      .def_property_readonly("current_world", &ModelBuilder::current_world,
-                             "The open world; -1 outside of begin_world and end_world.")
+                          "The number of worlds. A model without worlds has one.")
+      .def_property_readonly(
+          "current_world", &ModelBuilder::current_world,
+          "The index of the open world; -1 outside of begin_world and end_world.")
       .def(
           "begin_world",
           [](ModelBuilder& b, py::handle gravity) {
             return gravity.is_none() ? b.begin_world() : b.begin_world(to_vec3(gravity, "gravity"));
           },
           py::kw_only(), "gravity"_a = py::none(),
-          "Opens a world. Additions until end_world meet only additions of this world and of all "
-          "worlds (-1). Additions outside of worlds belong to all. gravity (m/s^2, world frame) "
-          "None: the builder's. Returns the number of the world. novaphy.Error: a world is open.")
-      .def("end_world", &ModelBuilder::end_world, "novaphy.Error: no world is open.")
+          "Opens a world and returns its index. Additions until end_world belong to this world. "
+          "Additions outside of worlds belong to all worlds (-1). A world meets itself and the "
+          "additions to all worlds. gravity: m/s^2, world frame; None: the builder's gravity. "
+          "novaphy.Error: a world is open.")
+      .def("end_world", &ModelBuilder::end_world,
+           "Closes the open world. novaphy.Error: no world is open.")
       .def(
           "add_builder",
           [](ModelBuilder& b, const ModelBuilder& builder, py::handle xform) {
             b.add_builder(builder, to_transform(xform, "xform"));
           },
           "builder"_a, "xform"_a = py::none(),
-          "All of another builder, moved by `xform` (m, xyzw), in the current world, which takes "
-          "that builder's gravity (outside of worlds: this builder does). ValueError: another up "
-          "axis, this builder itself, a bad pose.")
+          "Adds everything of another builder to the current world, moved by `xform` (m, xyzw). "
+          "The world takes that builder's gravity. Outside of worlds this builder takes the "
+          "gravity. ValueError: another up axis, this builder itself, a bad pose.")
       .def(
           "add_world",
           [](ModelBuilder& b, const ModelBuilder& builder, py::handle xform) {
             return b.add_world(builder, to_transform(xform, "xform"));
           },
           "builder"_a, "xform"_a = py::none(),
-          "begin_world, add_builder, end_world. Returns the number of the world.")
+          "Adds another builder as a world of its own: begin_world, add_builder, end_world. "
+          "Returns the index of the world.")
       .def(
           "replicate",
           [](ModelBuilder& b, const ModelBuilder& builder, int32_t world_count,
@@ -198,8 +202,9 @@ void bind_worlds(py::class_<ModelBuilder>& c) {
             b.replicate(builder, world_count, to_vec3(spacing, "spacing"));
           },
           "builder"_a, "world_count"_a, "spacing"_a = py::make_tuple(0.0, 0.0, 0.0),
-          "add_world `world_count` times on a grid of `spacing` (m) over the axes where it is not "
-          "0, centered at the origin but for the up axis, which starts at 0.");
+          "Calls add_world `world_count` times, on a grid. The grid extends along the axes where "
+          "`spacing` (m) is not 0. The grid is centered at the origin, except along the up axis, "
+          "where it starts at 0.");
 }
 
 std::optional<Mat33f> to_inertia(py::handle value) {
@@ -217,10 +222,10 @@ std::optional<Mat33f> to_inertia(py::handle value) {
 
 void bind_bodies(py::class_<ModelBuilder>& c) {
   bind_builder_list(c, "body_q", &ModelBuilder::body_q,
-                    "Initial poses of the body origins: m, quaternion xyzw, world frame.");
-  bind_builder_list(c, "body_qd", &ModelBuilder::body_qd,
-                    "Initial velocities: of the center of mass, m/s, then angular, rad/s; world "
-                    "frame.");
+                    "The initial poses of the bodies' origins: m, quaternion xyzw, world frame.");
+  bind_builder_list(
+      c, "body_qd", &ModelBuilder::body_qd,
+      "The initial velocities: of the center of mass (m/s), then angular (rad/s), world frame.");
   const auto bind = [&](const char* name, int32_t (ModelBuilder::*add)(const BodyArgs&),
                         const char* doc) {
     c.def(
@@ -244,8 +249,8 @@ void bind_bodies(py::class_<ModelBuilder>& c) {
   };
   bind("add_body", &ModelBuilder::add_body, doc::kAddBody);
   bind("add_link", &ModelBuilder::add_link,
-       "As add_body, without a joint: finalize refuses a link that is the child of none. Its mass "
-       "may be 0.");
+       "Adds a body without a joint, with the arguments of add_body. The mass may be 0. finalize "
+       "refuses a link that is the child of no joint. Returns the index.");
 }
 
 }  // namespace
@@ -264,8 +269,8 @@ void bind_builder(py::module_& m) {
           return ModelBuilder(to_axis(up_axis), to_gravity(gravity));
         }),
         "up_axis"_a = 2, "gravity"_a = py::none(),
-        "up_axis: Axis, \"x\", \"y\" or \"z\". gravity, m/s^2: None (-9.81 along up), a number "
-        "along up, or a vector.");
+        "Makes an empty builder. up_axis: Axis, \"x\", \"y\" or \"z\". gravity: m/s^2. None is "
+        "-9.81 along the up axis, a number is along the up axis, a vector is in the world frame.");
   c.attr("ShapeConfig") = m.attr("ShapeConfig");
   c.def_property(
        "gravity", [](const ModelBuilder& b) { return to_tuple(b.gravity); },
@@ -276,25 +281,27 @@ void bind_builder(py::module_& m) {
            b.gravity = b.up_vector() * to_float(value, "gravity");
          }
        },
-       "m/s^2, world frame; a number means along the up axis.")
+       "The gravity (m/s^2, world frame). A number is set along the up axis.")
       .def_property_readonly(
           "up_axis", [](const ModelBuilder& b) { return static_cast<int>(b.up_axis()); },
-          "0, 1 or 2.")
+          "The index of the up axis: 0, 1 or 2.")
       .def_property_readonly(
           "up_vector", [](const ModelBuilder& b) { return to_tuple(b.up_vector()); },
           "The unit vector of the up axis.")
       .def_readwrite("default_particle_radius", &ModelBuilder::default_particle_radius, "m")
       .def_readwrite("default_shape_cfg", &ModelBuilder::default_shape_cfg,
-                     "The default of added shapes.")
+                     "The ShapeConfig of shapes that are added without one.")
       .def_readwrite("rigid_gap", &ModelBuilder::rigid_gap,
-                     "m: the gap of shapes whose ShapeConfig has none.")
+                     "The gap (m) of shapes whose ShapeConfig has none.")
       .def_readwrite("balance_inertia", &ModelBuilder::balance_inertia, doc::kBalanceInertia)
-      .def_readwrite("bound_mass", &ModelBuilder::bound_mass,
-                     "kg, > 0: finalize raises smaller masses of dynamic bodies to it (their "
-                     "inertia stays) and warns; not those of 0. None: no bound.")
+      .def_readwrite(
+          "bound_mass", &ModelBuilder::bound_mass,
+          "The least mass of a dynamic body (kg, > 0). finalize raises smaller masses to this "
+          "bound, leaves the inertia as it is, and warns. Masses of 0 stay. None: no bound.")
       .def_readwrite("bound_inertia", &ModelBuilder::bound_inertia,
-                     "kg*m^2, > 0: where a principal moment of a dynamic body with a mass is below "
-                     "it, finalize raises all by what is missing, and warns. None: no bound.")
+                     "The least principal moment of a dynamic body with a mass (kg*m^2, > 0). If "
+                     "one moment is smaller, finalize adds the difference to all three moments, "
+                     "and warns. None: no bound.")
       .def("__repr__",
            [](const py::object& self) {
              std::string text = "ModelBuilder(", between;
@@ -311,12 +318,17 @@ void bind_builder(py::module_& m) {
                              "The number of particles.")
       .def_property_readonly("body_count", &ModelBuilder::body_count, "The number of bodies.")
       .def_property_readonly("shape_count", &ModelBuilder::shape_count, "The number of shapes.");
-  bind_builder_list(c, "particle_q", &ModelBuilder::particle_q, "Positions, m, world frame.");
-  bind_builder_list(c, "particle_qd", &ModelBuilder::particle_qd, "Velocities, m/s, world frame.");
-  bind_builder_list(c, "particle_mass", &ModelBuilder::particle_mass, "kg; 0: kinematic.");
+  bind_builder_list(c, "particle_q", &ModelBuilder::particle_q,
+                    "The initial positions (m, world frame).");
+  bind_builder_list(c, "particle_qd", &ModelBuilder::particle_qd,
+                    "The initial velocities (m/s, world frame).");
+  bind_builder_list(c, "particle_mass", &ModelBuilder::particle_mass,
+                    "The masses (kg); 0: kinematic.");
   bind_builder_list(c, "particle_radius", &ModelBuilder::particle_radius, "m");
-  bind_builder_list(c, "particle_flags", &ModelBuilder::particle_flags, "ParticleFlags.");
-  bind_builder_list(c, "particle_world", &ModelBuilder::particle_world, "-1: all worlds.");
+  bind_builder_list(c, "particle_flags", &ModelBuilder::particle_flags,
+                    "The ParticleFlags of the particles.");
+  bind_builder_list(c, "particle_world", &ModelBuilder::particle_world,
+                    "The world of each particle; -1: all worlds.");
 
   c.def(
        "add_particle",
@@ -326,8 +338,8 @@ void bind_builder(py::module_& m) {
        },
        "pos"_a, "vel"_a, "mass"_a, "radius"_a = py::none(),
        "flags"_a = static_cast<int32_t>(ParticleFlags::ACTIVE),
-       "A particle at `pos` (m) with `vel` (m/s) and `mass` (kg; 0: kinematic). radius (m) None: "
-       "default_particle_radius. Returns the index.")
+       "Adds a particle at `pos` (m) with the velocity `vel` (m/s) and `mass` (kg; 0: kinematic). "
+       "radius (m): None takes default_particle_radius. Returns the index.")
       .def(
           "add_particles",
           [](ModelBuilder& b, py::handle pos, py::handle vel, py::handle mass, py::handle radius,
@@ -341,16 +353,18 @@ void bind_builder(py::module_& m) {
             b.add_particles(q, qd, m_list, r, f);
           },
           "pos"_a, "vel"_a, "mass"_a, "radius"_a = py::none(), "flags"_a = py::none(),
-          "Adds many particles. ValueError: lists of different length.");
+          "Adds many particles from lists of positions, velocities and masses. ValueError: lists "
+          "of different lengths.");
   bind_builder_elements(c);
   bind_bodies(c);
   bind_builder_joints(c);
   bind_builder_list(c, "joint_q", &ModelBuilder::joint_q,
-                    "Initial coordinates, see JointType. Entries of a body of add_body follow "
-                    "body_q until they are set here.");
+                    "The initial joint coordinates, see JointType. The entries of a body of "
+                    "add_body follow body_q until they are set here.");
   bind_builder_list(c, "joint_target_q", &ModelBuilder::joint_target_q,
-                    "Position targets of the drives, m or rad.");
-  bind_builder_list(c, "joint_target_mode", &ModelBuilder::joint_target_mode, "JointTargetMode.");
+                    "The position targets of the drives (m or rad).");
+  bind_builder_list(c, "joint_target_mode", &ModelBuilder::joint_target_mode,
+                    "The JointTargetMode of each degree of freedom.");
 #define NOVAPHY_JOINT_LIST(name, type, width, count, unit, frame, doc) \
   bind_builder_list(c, #name, &ModelBuilder::name, unit ": " doc ".");
   NOVAPHY_MODEL_JOINT_DOF_FIELDS(NOVAPHY_JOINT_LIST)
@@ -365,8 +379,8 @@ void bind_builder(py::module_& m) {
       },
       "device"_a = py::none(), py::kw_only(), "requires_grad"_a = false,
       "skip_validation"_a = false,
-      "Checks everything and makes a Model; may be called again. novaphy.Error: the device is not "
-      "there.");
+      "Checks the scene and returns a Model. The builder may be finalized again. novaphy.Error: "
+      "the device is not available.");
 }
 
 }  // namespace novaphy::python

@@ -29,7 +29,7 @@ ActuatorArgs law_of(const Triple& gain, const Triple& bias, int32_t dynamics, fl
           .act = act,
           .label = label.value_or("")};
 }
-// With the arguments of law_of behind `first`.
+// Binds a function whose arguments are `first`, then those of law_of.
 template <class Function, class... First>
 void def(Builder& c, const char* name, Function function, const char* doc, const First&... first) {
   c.def(name, function, first..., "gain"_a = Triple{1.0f, 0.0f, 0.0f}, "bias"_a = Triple{},

@@ -10,7 +10,7 @@ namespace {
 using Builder = py::class_<ModelBuilder>;
 using OptionalFloat = std::optional<float>;
 
-// Indices from a flat list, or from rows of `width`, as one flat list.
+// Returns indices as one flat list, from a flat list or from rows of `width`.
 std::vector<int32_t> flat_indices(py::handle value, const char* name, int64_t width) {
   py::object array = numpy().asarray(value);
   if (array.attr("size").cast<int64_t>() == 0) return {};
@@ -21,7 +21,7 @@ std::vector<int32_t> flat_indices(py::handle value, const char* name, int64_t wi
   return to_int_list(array.attr("reshape")(-1), name);
 }
 
-// None: none; a number: one; a list: one each.
+// Returns no value for None, one value for a number, and the values of a list.
 std::vector<float> one_or_each(py::handle value, const char* name) {
   if (value.is_none()) return {};
   if (PyFloat_Check(value.ptr()) || PyLong_Check(value.ptr())) return {to_float(value, name)};
@@ -31,7 +31,8 @@ std::vector<float> one_or_each(py::handle value, const char* name) {
   return to_float_list(value, name);
 }
 
-// Materials from parallel lists: none where all are None, else one for all or one each.
+// Returns materials from parallel lists: no material if all are None, else one for all elements, or
+// one for each.
 template <class Material>
 std::vector<Material> materials(
     std::initializer_list<std::tuple<py::handle, const char*, OptionalFloat Material::*>> columns) {
@@ -88,8 +89,8 @@ void bind_single(Builder& c) {
       },
       "i"_a, "j"_a, "k"_a, py::kw_only(), "tri_ke"_a = py::none(), "tri_ka"_a = py::none(),
       "tri_kd"_a = py::none(), "tri_drag"_a = py::none(), "tri_lift"_a = py::none(),
-      "A triangle, counter-clockwise. Returns its area (m^2). ValueError: an area up to 1e-7 of "
-      "the longest edge squared.");
+      "Adds a triangle with counter-clockwise corners. Returns its area (m^2). ValueError: the "
+      "area is at most 1e-7 of the square of the longest edge.");
   c.def(
       "add_triangles",
       [](ModelBuilder& b, py::handle i, py::handle j, py::handle k, py::handle ke, py::handle ka,
@@ -103,8 +104,8 @@ void bind_single(Builder& c) {
       },
       "i"_a, "j"_a, "k"_a, py::kw_only(), "tri_ke"_a = py::none(), "tri_ka"_a = py::none(),
       "tri_kd"_a = py::none(), "tri_drag"_a = py::none(), "tri_lift"_a = py::none(),
-      "Many triangles from three lists of particles; a material is a number or a list. Returns "
-      "their areas (m^2).");
+      "Adds many triangles from three lists of particles. A material is one number, or a list. "
+      "Returns the areas (m^2).");
   c.def(
       "add_tetrahedron",
       [](ModelBuilder& b, int32_t i, int32_t j, int32_t k, int32_t l, OptionalFloat mu,
@@ -112,9 +113,9 @@ void bind_single(Builder& c) {
          OptionalFloat damp) { return b.add_tetrahedron(i, j, k, l, mu, lambda, damp); },
       "i"_a, "j"_a, "k"_a, "l"_a, "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
       "k_damp"_a = py::none(),
-      "A tetrahedron with the Lame parameters k_mu, k_lambda (Pa) and damping k_damp (Pa*s). "
-      "Returns its volume (m^3). ValueError: a volume up to 1e-7 of the longest edge cubed, or an "
-      "inverted one.");
+      "Adds a tetrahedron with the Lame parameters k_mu, k_lambda (Pa) and the damping k_damp "
+      "(Pa*s). Returns its volume (m^3). ValueError: the volume is at most 1e-7 of the cube of the "
+      "longest edge, or the tetrahedron is inverted.");
   c.def(
       "add_tetrahedra",
       [](ModelBuilder& b, py::handle i, py::handle j, py::handle k, py::handle l, py::handle mu,
@@ -125,8 +126,8 @@ void bind_single(Builder& c) {
       },
       "i"_a, "j"_a, "k"_a, "l"_a, py::kw_only(), "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
       "k_damp"_a = py::none(),
-      "Many tetrahedra from four lists of particles; a material is a number or a list. Returns "
-      "their volumes (m^3).");
+      "Adds many tetrahedra from four lists of particles. A material is one number, or a list. "
+      "Returns the volumes (m^3).");
   c.def(
       "add_edge",
       [](ModelBuilder& b, int32_t i, int32_t j, int32_t k, int32_t l, OptionalFloat rest,
@@ -163,8 +164,9 @@ void bind_grids(Builder& c) {
       py::kw_only(), "pos"_a = origin, "rot"_a = no_turn, "vel"_a = origin, "dim_x"_a, "dim_y"_a,
       "dim_z"_a, "cell_x"_a, "cell_y"_a, "cell_z"_a, "mass"_a, "jitter"_a = 0.0,
       "radius_mean"_a = py::none(), "radius_std"_a = 0.0, "seed"_a = 0,
-      "dim_x * dim_y * dim_z particles of one mass (kg), y slowest, then x, then z. jitter (m) "
-      "moves each coordinate by up to half of it; radii (m) are normally distributed.");
+      "Adds a grid of dim_x * dim_y * dim_z particles, each with `mass` (kg). The index along y "
+      "changes slowest, then x, then z. jitter (m) moves each coordinate by at most half of it. "
+      "The radii (m) have a normal distribution.");
   c.def(
       "add_cloth_grid",
       [](ModelBuilder& b, py::handle pos, py::handle rot, py::handle vel, int32_t dim_x,
@@ -198,9 +200,9 @@ void bind_grids(Builder& c) {
       "tri_lift"_a = py::none(), "edge_ke"_a = py::none(), "edge_kd"_a = py::none(),
       "add_springs"_a = false, "spring_ke"_a = py::none(), "spring_kd"_a = py::none(),
       "particle_radius"_a = py::none(),
-      "A cloth of dim_x * dim_y cells (m) in the plane z = 0 before it is placed; every particle "
-      "has `mass` (kg). Fixed sides (left, right: ends of x; bottom, top: of y) get mass 0 and are "
-      "not active.");
+      "Adds a cloth of dim_x * dim_y cells (m), in the plane z = 0 before it is placed. Every "
+      "particle has `mass` (kg). The sides left and right are the ends of x, bottom and top those "
+      "of y. A fixed side has mass 0 and is not active.");
   c.def(
       "add_soft_grid",
       [](ModelBuilder& b, py::handle pos, py::handle rot, py::handle vel, int32_t dim_x,
@@ -237,12 +239,13 @@ void bind_grids(Builder& c) {
       "tri_ka"_a = 0.0f, "tri_kd"_a = 0.0f, "tri_drag"_a = 0.0f, "tri_lift"_a = 0.0f,
       "add_surface_mesh_edges"_a = true, "edge_ke"_a = 0.0f, "edge_kd"_a = 0.0f,
       "particle_radius"_a = py::none(),
-      "A block of dim_x * dim_y * dim_z cells (m), five tetrahedra each, its surface as triangles "
-      "and bending edges. Every particle has the mass of one cell at `density` (kg/m^3). Fixed "
-      "sides (left, right: ends of x; bottom, top: of y) get mass 0.");
+      "Adds a block of dim_x * dim_y * dim_z cells (m) with five tetrahedra each. The surface has "
+      "triangles and bending edges. Every particle has the mass of one cell at `density` (kg/m^3). "
+      "The sides left and right are the ends of x, bottom and top those of y. A fixed side has "
+      "mass 0.");
 }
 
-// An attribute of a mesh where the argument was not given.
+// Returns the argument, or the attribute of the mesh if the argument is None.
 py::object given_or(const py::object& mesh, const char* attribute, const py::object& argument) {
   if (!argument.is_none() || mesh.is_none()) return argument;
   return py::getattr(mesh, attribute, py::none());
@@ -277,9 +280,9 @@ void bind_meshes(Builder& c) {
       "tri_kd"_a = py::none(), "tri_drag"_a = py::none(), "tri_lift"_a = py::none(),
       "edge_ke"_a = py::none(), "edge_kd"_a = py::none(), "add_springs"_a = false,
       "spring_ke"_a = py::none(), "spring_kd"_a = py::none(), "particle_radius"_a = py::none(),
-      "A cloth from a triangle mesh: vertices (n, 3), indices (m, 3) or flat; density (kg/m^2) by "
-      "thirds to the corners. ValueError: an empty mesh, a loose vertex, a degenerate triangle, an "
-      "edge of more than two triangles.");
+      "Adds a cloth from a triangle mesh: vertices (n, 3), and indices (m, 3) or flat. Each corner "
+      "gets a third of a triangle's mass by density (kg/m^2). ValueError: an empty mesh, a vertex "
+      "without a triangle, a degenerate triangle, an edge with more than two triangles.");
   c.def(
       "add_soft_mesh",
       [](ModelBuilder& b, py::handle pos, py::handle rot, double scale, py::handle vel,
@@ -382,28 +385,28 @@ void bind_coloring(Builder& c) {
             b.set_coloring(lists, allow_conflicts);
           },
           "groups"_a, "allow_conflicts"_a = false,
-          "The particles of each color. ValueError: an empty group, a particle in two groups or "
-          "in none, an element with two corners of one color unless allow_conflicts. IndexError: "
-          "a particle that is not there.");
+          "Sets the particles of each color. ValueError: an empty group, a particle in two groups "
+          "or in none, or without allow_conflicts an element with two corners of one color. "
+          "IndexError: a particle that does not exist.");
 }
 
 }  // namespace
 
 void bind_builder_elements(Builder& c) {
 #define NOVAPHY_DEFAULT(name, doc) c.def_readwrite(#name, &ModelBuilder::name, doc);
-  NOVAPHY_DEFAULT(default_tri_ke, "N/m, membrane stiffness of triangles.")
-  NOVAPHY_DEFAULT(default_tri_ka, "N/m, area stiffness of triangles.")
-  NOVAPHY_DEFAULT(default_tri_kd, "N*s/m, damping of triangles.")
-  NOVAPHY_DEFAULT(default_tri_drag, "N*s^2/m^4, drag of triangles.")
-  NOVAPHY_DEFAULT(default_tri_lift, "N*s^2/m^4, lift of triangles.")
-  NOVAPHY_DEFAULT(default_spring_ke, "N/m, of the springs of cloth.")
-  NOVAPHY_DEFAULT(default_spring_kd, "N*s/m, of the springs of cloth.")
-  NOVAPHY_DEFAULT(default_edge_ke, "N/m^2, stiffness of bending edges.")
-  NOVAPHY_DEFAULT(default_edge_kd, "N*s/m^4, damping of bending edges.")
-  NOVAPHY_DEFAULT(default_tet_k_mu, "Pa")
-  NOVAPHY_DEFAULT(default_tet_k_lambda, "Pa")
-  NOVAPHY_DEFAULT(default_tet_k_damp, "Pa*s")
-  NOVAPHY_DEFAULT(default_tet_density, "kg/m^3")
+  NOVAPHY_DEFAULT(default_tri_ke, "The membrane stiffness of triangles (N/m).")
+  NOVAPHY_DEFAULT(default_tri_ka, "The area stiffness of triangles (N/m).")
+  NOVAPHY_DEFAULT(default_tri_kd, "The damping of triangles (N*s/m).")
+  NOVAPHY_DEFAULT(default_tri_drag, "The drag of triangles (N*s^2/m^4).")
+  NOVAPHY_DEFAULT(default_tri_lift, "The lift of triangles (N*s^2/m^4).")
+  NOVAPHY_DEFAULT(default_spring_ke, "The stiffness of the springs of cloth (N/m).")
+  NOVAPHY_DEFAULT(default_spring_kd, "The damping of the springs of cloth (N*s/m).")
+  NOVAPHY_DEFAULT(default_edge_ke, "The stiffness of bending edges (N/m^2).")
+  NOVAPHY_DEFAULT(default_edge_kd, "The damping of bending edges (N*s/m^4).")
+  NOVAPHY_DEFAULT(default_tet_k_mu, "The Lame parameter mu of tetrahedra (Pa).")
+  NOVAPHY_DEFAULT(default_tet_k_lambda, "The Lame parameter lambda of tetrahedra (Pa).")
+  NOVAPHY_DEFAULT(default_tet_k_damp, "The damping of tetrahedra (Pa*s).")
+  NOVAPHY_DEFAULT(default_tet_density, "The density of soft bodies (kg/m^3).")
 #undef NOVAPHY_DEFAULT
   c.def_property_readonly("spring_count", &ModelBuilder::spring_count, "The number of springs.")
       .def_property_readonly("tri_count", &ModelBuilder::tri_count, "The number of triangles.")

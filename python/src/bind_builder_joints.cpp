@@ -9,20 +9,20 @@ namespace {
 using Builder = py::class_<ModelBuilder>;
 
 // The numbers of JointDofConfig.
-#define NOVAPHY_DOF_NUMBERS(X)                                                \
-  X(limit_lower, "m or rad; -1e10: no limit.")                                \
-  X(limit_upper, "m or rad; 1e10: no limit.")                                 \
-  X(limit_ke, "N/m or N*m/rad, of the limits.")                               \
-  X(limit_kd, "N*s/m or N*m*s/rad, of the limits.")                           \
-  X(target_q, "m or rad, of the drive.")                                      \
-  X(target_qd, "m/s or rad/s, of the drive.")                                 \
-  X(target_ke, "N/m or N*m/rad, of the drive.")                               \
-  X(target_kd, "N*s/m or N*m*s/rad, of the drive.")                           \
-  X(damping, "N*s/m or N*m*s/rad: force against the velocity, per velocity.") \
-  X(armature, "kg or kg*m^2, added to the inertia.")                          \
-  X(effort_limit, "N or N*m, of the drive.")                                  \
-  X(velocity_limit, "m/s or rad/s.")                                          \
-  X(friction, "N or N*m.")
+#define NOVAPHY_DOF_NUMBERS(X)                                               \
+  X(limit_lower, "The lower limit (m or rad); -1e10: no limit.")             \
+  X(limit_upper, "The upper limit (m or rad); 1e10: no limit.")              \
+  X(limit_ke, "The stiffness of the limits (N/m or N*m/rad).")               \
+  X(limit_kd, "The damping of the limits (N*s/m or N*m*s/rad).")             \
+  X(target_q, "The drive's target position (m or rad).")                     \
+  X(target_qd, "The drive's target velocity (m/s or rad/s).")                \
+  X(target_ke, "The drive's stiffness (N/m or N*m/rad).")                    \
+  X(target_kd, "The drive's damping (N*s/m or N*m*s/rad).")                  \
+  X(damping, "The passive damping (N*s/m or N*m*s/rad).")                    \
+  X(armature, "The rotor inertia, added to the mass matrix (kg or kg*m^2).") \
+  X(effort_limit, "The limit of the drive's force (N or N*m).")              \
+  X(velocity_limit, "The limit of the rate (m/s or rad/s).")                 \
+  X(friction, "The dry friction (N or N*m).")
 #define NOVAPHY_PARAMETER(name, doc) , std::optional<float> name
 #define NOVAPHY_ARGUMENT(name, doc) , py::arg(#name) = py::none()
 #define NOVAPHY_SET(name, doc) \
@@ -64,8 +64,9 @@ JointArgs joint_args(py::handle parent_xform, py::handle child_xform, std::optio
 void bind_dof_config(py::module_& m) {
   py::class_<JointDofConfig> c(
       m, "JointDofConfig",
-      "One degree of freedom of a joint. All numbers finite; all but axis, targets and limits >= "
-      "0. target_q and target_qd None: 0; actuator_mode None: POSITION_VELOCITY.");
+      "One degree of freedom of a joint. All numbers are finite. All but the axis, the targets and "
+      "the limits are >= 0. target_q and target_qd: None means 0. actuator_mode: None means "
+      "POSITION_VELOCITY.");
   c.def(py::init([](py::handle axis NOVAPHY_DOF_NUMBERS(NOVAPHY_PARAMETER),
                     std::optional<int32_t> actuator_mode) {
           JointDofConfig dof;
@@ -82,12 +83,12 @@ void bind_dof_config(py::module_& m) {
   c.def_property(
        "axis", [](const JointDofConfig& dof) { return to_tuple(dof.axis); },
        [](JointDofConfig& dof, py::handle axis) { dof.axis = to_direction(axis); },
-       "In the joint frame of the parent; an Axis or a vector of any length but 0.")
+       "The axis in the joint frame of the parent: an Axis, or a vector of any length but 0.")
       .def_property(
           "actuator_mode",
           [](const JointDofConfig& dof) { return static_cast<int32_t>(dof.actuator_mode); },
           [](JointDofConfig& dof, int32_t mode) { dof.actuator_mode = to_mode(mode); },
-          "JointTargetMode: which targets the drive follows.")
+          "The JointTargetMode: the targets that the drive follows.")
       .def_static(
           "create_unlimited",
           [](py::handle axis) {
@@ -156,8 +157,9 @@ void bind_general_joints(Builder& c) {
           "angular_axes"_a = py::none(), "parent_xform"_a = py::none(),
           "child_xform"_a = py::none(), "collision_filter_parent"_a = py::none(),
           "enabled"_a = true, "label"_a = py::none(),
-          "Translations along linear_axes, then rotations about angular_axes, each in the axes "
-          "that those before have turned. Returns the index.")
+          "Adds a joint with translations along linear_axes, then rotations about angular_axes. "
+          "Each axis is fixed in the frame that the rotations before it have turned. Returns the "
+          "index.")
       .def(
           "add_joint_fixed",
           [](ModelBuilder& b, int32_t parent, int32_t child, py::handle parent_xform,
@@ -201,10 +203,10 @@ void bind_ball_joint(Builder& c) {
       "target_q"_a = py::none(), "target_ke"_a = 0.0f, "target_kd"_a = 0.0f,
       "limit_angle"_a = kJointUnlimited, "limit_ke"_a = 1.0e4f, "limit_kd"_a = 10.0f,
       "collision_filter_parent"_a = py::none(), "enabled"_a = true, "label"_a = py::none(),
-      "The origins of the joint frames coincide. armature (kg*m^2), friction (N*m) and damping "
-      "(N*m*s/rad) of each axis. The drive turns to target_q (xyzw) with the gains target_ke "
-      "(N*m/rad) and target_kd (N*m*s/rad). From limit_angle (rad) on, a spring limit_ke and a "
-      "damper limit_kd push the rotation back. Returns the index.");
+      "Adds a ball joint: the origins of the joint frames coincide. armature (kg*m^2), friction "
+      "(N*m) and damping (N*m*s/rad) act on each axis. The drive turns to target_q (xyzw) with the "
+      "gains target_ke (N*m/rad) and target_kd (N*m*s/rad). Beyond limit_angle (rad), a spring "
+      "limit_ke and a damper limit_kd push the rotation back. Returns the index.");
 }
 
 void bind_other_joints(Builder& c) {
@@ -224,7 +226,7 @@ void bind_other_joints(Builder& c) {
        "child"_a, py::kw_only(), "parent_xform"_a = py::none(), "child_xform"_a = py::none(),
        "parent"_a = -1, "collision_filter_parent"_a = py::none(), "enabled"_a = true,
        "label"_a = py::none(),
-       "Adds a joint without a constraint: the coordinates of a body that moves freely. The "
+       "Adds a joint without a constraint, whose coordinates are those of a free body. The "
        "coordinates start at the body's present pose. Returns the index.")
       .def(
           "add_joint_distance",
@@ -248,9 +250,9 @@ void bind_other_joints(Builder& c) {
           "child_xform"_a = py::none(), "min_distance"_a = -1.0f, "max_distance"_a = 1.0f,
           "limit_ke"_a = DistanceJointArgs().limit_ke, "limit_kd"_a = DistanceJointArgs().limit_kd,
           "collision_filter_parent"_a = py::none(), "enabled"_a = true, "label"_a = py::none(),
-          "The origins of the joint frames keep a distance (m) from min_distance to max_distance; "
-          "a negative one is no limit. limit_ke (N/m) and limit_kd (N*s/m) hold it. Returns the "
-          "index.");
+          "Adds a joint that keeps the distance of the origins of both joint frames from "
+          "min_distance to max_distance (m). A negative bound is no limit. A spring limit_ke (N/m) "
+          "and a damper limit_kd (N*s/m) act at the bounds. Returns the index.");
 }
 
 void bind_planar_joint(Builder& c) {
@@ -280,10 +282,9 @@ void bind_articulations(Builder& c) {
          return b.add_articulation(to_int_list(joints, "joints"), label.value_or(""));
        },
        "joints"_a, py::kw_only(), "label"_a = py::none(),
-       "A tree of joints, root first: their indices, contiguous and increasing, parents before "
-       "children. Returns the index. ValueError: another order, two joints with one child, a "
-       "second "
-       "root, a joint of another articulation or world.")
+       "Makes an articulation of joints: their indices, contiguous and increasing, with parents "
+       "before children. Returns the index. ValueError: another order, two joints with one child, "
+       "a second root, or a joint of another articulation or world.")
       .def("add_constraint_mimic", &ModelBuilder::add_constraint_mimic, "joint0"_a, "joint1"_a,
            "coef0"_a = 0.0f, "coef1"_a = 1.0f, doc::kAddMimic)
       .def(
@@ -317,7 +318,7 @@ void bind_joint_dof_config(py::module_& m) { bind_dof_config(m); }
 void bind_builder_joints(Builder& c) {
   c.attr("JointDofConfig") = py::type::of<JointDofConfig>();
   c.def_readwrite("default_joint_cfg", &ModelBuilder::default_joint_cfg,
-                  "The default of revolute and prismatic joints.")
+                  "The JointDofConfig of revolute and prismatic joints that are added without one.")
       .def_property_readonly("joint_count", &ModelBuilder::joint_count, "The number of joints.")
       .def_property_readonly("joint_coord_count", &ModelBuilder::joint_coord_count,
                              "The number of joint coordinates.")

@@ -83,7 +83,7 @@ void bind_planes(py::class_<ModelBuilder>& c) {
           },
           py::kw_only(), "height"_a = 0.0f, "cfg"_a = py::none(), "color"_a = py::none(),
           "label"_a = py::none(),
-          "Infinite plane at a height (m) along the up axis. Returns the index.");
+          "Adds an infinite plane at a height (m) along the up axis. Returns the index.");
 }
 
 void bind_solids(py::class_<ModelBuilder>& c) {
@@ -142,7 +142,8 @@ void bind_round_solids(py::class_<ModelBuilder>& c) {
        },
        "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f, "half_height"_a = 0.5f,
        "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
-       "Capsule along local z; half_height (m) leaves out the caps. Returns the index.")
+       "Adds a capsule along local z, with the radius and half_height without the caps (m). "
+       "Returns the index.")
       .def(
           "add_shape_cylinder",
           [](ModelBuilder& b, int32_t body, py::handle xform, float radius, float half_height,
@@ -180,7 +181,7 @@ void bind_builder_shapes(py::class_<ModelBuilder>& c) {
   bind_solids(c);
   bind_round_solids(c);
   c.def("add_shape_collision_filter_pair", &ModelBuilder::add_shape_collision_filter_pair, "a"_a,
-        "b"_a, "Excludes contacts between two shapes. IndexError: no such shape.");
+        "b"_a, "Excludes contacts between two shapes. IndexError: a shape that does not exist.");
 }
 
 }  // namespace novaphy::python

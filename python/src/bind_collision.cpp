@@ -63,7 +63,7 @@ void bind_collision(py::module_& m) {
       .def_property_readonly(
           "model",
           [](const CollisionPipeline& p) { return std::const_pointer_cast<Model>(p.model()); },
-          "The model.")
+          "The model of the pipeline.")
       .def("__repr__",
            [](const CollisionPipeline& p) {
              return std::string("CollisionPipeline(broad_phase='") +
@@ -75,11 +75,11 @@ void bind_collision(py::module_& m) {
       .def_property_readonly(
           "broad_phase",
           [](const CollisionPipeline& p) { return broad_phase_name(p.broad_phase()); },
-          "\"explicit\", \"nxn\" or \"sap\".")
+          "The broad phase: \"explicit\", \"nxn\" or \"sap\".")
       .def_property_readonly(
           "narrow_phase",
           [](const CollisionPipeline& p) { return narrow_phase_name(p.narrow_phase()); },
-          "\"auto\" or \"fcl\".")
+          "The narrow phase: \"auto\" or \"fcl\".")
       .def_property_readonly(
           "shape_pairs_filtered",
           [](const CollisionPipeline& p) -> py::object {
@@ -93,9 +93,11 @@ void bind_collision(py::module_& m) {
       .def_property_readonly(
           "fcl_pair_count", &CollisionPipeline::fcl_pair_count,
           "The number of overlapping pairs of hulls so far, with narrow_phase \"fcl\".")
-      .def_property_readonly("fcl_fallback_count", &CollisionPipeline::fcl_fallback_count,
-                             "Pairs of fcl_pair_count whose answer of FCL was not used.")
-      .def_property_readonly("soft_contact_margin", &CollisionPipeline::soft_contact_margin, "m")
+      .def_property_readonly(
+          "fcl_fallback_count", &CollisionPipeline::fcl_fallback_count,
+          "The number of pairs in fcl_pair_count for which the result of FCL was not used.")
+      .def_property_readonly("soft_contact_margin", &CollisionPipeline::soft_contact_margin,
+                             "The margin of soft contacts (m).")
       .def_property_readonly("rigid_contact_max", &CollisionPipeline::rigid_contact_max,
                              "The number of rows of contacts().")
       .def_property_readonly("soft_contact_max", &CollisionPipeline::soft_contact_max,

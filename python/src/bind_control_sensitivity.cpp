@@ -1,4 +1,4 @@
-// How articulations change with parameters of their control.
+// Bindings of the sensitivity of articulations to parameters of their control.
 #include <pybind11/numpy.h>
 #include <pybind11/stl.h>
 
@@ -75,7 +75,7 @@ void bind_control_sensitivity(py::module_& solvers) {
            "kind"_a = "position", "exact"_a = py::none(), "contact_projection"_a = false,
            py::arg("solver").none(true) = py::none(), doc::kSensitivityInit)
       .def("reset", &Sensitivity::reset, "state"_a,
-           "Starts at a state that does not depend on the parameters.")
+           "Starts at a state, and sets the derivative to 0 there.")
       .def(
           "step",
           [](Sensitivity& s, const SimState& state_in, const SimState& state_out,
@@ -91,29 +91,29 @@ void bind_control_sensitivity(py::module_& solvers) {
           "dtarget_qd"_a = py::none(), "contacts"_a.none(true) = py::none(), doc::kSensitivityStep)
       .def_property_readonly(
           "dq", [](const Sensitivity& s) { return to_matrix(s.dq(), s.dof_count()); },
-          "{dofs, parameters}: of joint_q; of a FREE root the tangent (its center of mass, then "
-          "its "
-          "turn).")
+          "The derivative of joint_q {dofs, parameters}. The rows of a FREE root are those of its "
+          "center of mass, then of its rotation vector.")
       .def_property_readonly(
           "dqd", [](const Sensitivity& s) { return to_matrix(s.dqd(), s.dof_count()); },
-          "{dofs, parameters}: of joint_qd.")
+          "The derivative of joint_qd {dofs, parameters}.")
       .def_property_readonly(
           "point_jacobian", [](const Sensitivity& s) { return to_matrix(s.point_jacobian(), 3); },
-          "{3, parameters}: of point(), world axes.")
+          "The derivative of point() {3, parameters}, in world axes.")
       .def_property_readonly(
           "point_velocity_jacobian",
           [](const Sensitivity& s) { return to_matrix(s.point_velocity_jacobian(), 3); },
-          "{3, parameters}: of point_velocity(), world axes.")
+          "The derivative of point_velocity() {3, parameters}, in world axes.")
       .def(
           "point", [](const Sensitivity& s) { return to_tuple(s.point()); },
           "The position of the point (m, world frame).")
       .def(
           "point_velocity", [](const Sensitivity& s) { return to_tuple(s.point_velocity()); },
           "The velocity of the point (m/s, world frame).")
-      .def_property_readonly("label", &Sensitivity::label, "\"frozen\" or \"exact\".")
+      .def_property_readonly("label", &Sensitivity::label,
+                             "The label of the derivative: \"frozen\" or \"exact\".")
       .def_property_readonly(
           "parameter_count", [](const Sensitivity& s) { return s.options().parameter_count; },
-          "Parameters.")
+          "The number of parameters.")
       .def_property_readonly("dof_count", &Sensitivity::dof_count,
                              "The number of dofs of the articulation.");
 }

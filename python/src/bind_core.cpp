@@ -38,11 +38,11 @@ void bind_devices(py::module_& m) {
 
   py::class_<Device>(m, "Device", doc::kDevice)
       .def(py::init([](py::handle spec) { return to_device(spec); }), "spec"_a = py::none(),
-           "From a name, another Device, or None: the default device. ValueError for an unknown "
-           "name.")
+           "Makes a device from a name or another Device. None: the default device. ValueError: an "
+           "unknown name.")
       .def_property_readonly(
           "type", [device_type](const Device& d) { return device_type(static_cast<int>(d.type)); },
-          "DeviceType")
+          "The DeviceType of the device.")
       .def_property_readonly(
           "ordinal", [](const Device& d) { return d.ordinal; },
           "The index among the devices of its type.")
@@ -50,15 +50,15 @@ void bind_devices(py::module_& m) {
           "name", [](const Device& d) { return device_info(d).name; }, "The hardware's name.")
       .def_property_readonly(
           "arch", [](const Device& d) { return device_info(d).arch; },
-          "Compute capability, e.g. 90; 0 on the cpu.")
+          "The compute capability, such as 90; 0 on the cpu.")
       .def_property_readonly(
           "total_memory", [](const Device& d) { return device_info(d).total_memory; }, "Bytes.")
       .def_property_readonly(
           "free_memory", [](const Device& d) { return device_info(d).free_memory; }, "Bytes.")
-      .def_property_readonly("is_cpu", &Device::is_cpu, "Whether it is the cpu.")
+      .def_property_readonly("is_cpu", &Device::is_cpu, "Whether the device is the cpu.")
       .def_property_readonly(
           "is_cuda", [](const Device& d) { return d.type == DeviceType::CUDA; },
-          "Whether it is a CUDA device.")
+          "Whether the device is a CUDA device.")
       .def_property_readonly(
           "supports_graph_capture",
           [](const Device& d) { return device_info(d).supports_graph_capture; },
@@ -80,17 +80,17 @@ void bind_devices(py::module_& m) {
         return device;
       },
       "spec"_a = py::none(),
-      "The device of that name (None: the default one). novaphy.Error with the reasons if it is "
-      "not there.");
+      "Returns the device of a name. None: the default device. novaphy.Error, with the reasons: "
+      "the device is not available.");
   m.def("get_devices", &devices, "All devices that the backends offer.");
   m.def("get_default_device", &default_device,
         "The device of new arrays and models without a device argument.");
   m.def(
       "set_default_device", [](py::handle spec) { set_default_device(to_device(spec)); }, "spec"_a,
-      "Sets the default device. novaphy.Error if it is not there.");
+      "Sets the default device. novaphy.Error: the device is not available.");
   m.def(
       "is_device_available", [](py::handle spec) { return device_available(to_device(spec)); },
-      "spec"_a, "Whether the device is there. ValueError for an unknown name.");
+      "spec"_a, "Returns whether the device is available. ValueError: an unknown name.");
   m.def(
       "synchronize",
       [](py::handle device) {
@@ -106,8 +106,9 @@ void bind_devices(py::module_& m) {
       .def("record", &Event::record, "Marks the work that was issued so far.")
       .def("synchronize", &Event::synchronize, release_gil(),
            "Waits until the device has reached the mark.")
-      .def_static("elapsed", &Event::elapsed, "start"_a, "stop"_a, release_gil(),
-                  "Seconds between two marks of one device; waits for the second.");
+      .def_static(
+          "elapsed", &Event::elapsed, "start"_a, "stop"_a, release_gil(),
+          "Returns the time between two marks of one device (s). Waits for the second mark.");
   py::class_<ScopedDevice>(m, "ScopedDevice", "A context manager with another default device.")
       .def(py::init([](py::handle spec) { return ScopedDevice(to_device(spec)); }), "spec"_a)
       .def("__enter__", &ScopedDevice::enter)
@@ -115,7 +116,8 @@ void bind_devices(py::module_& m) {
 }
 
 void bind_backends(py::module_& m) {
-  py::class_<BackendInfo>(m, "BackendInfo", "A backend that was found, loaded or refused.")
+  py::class_<BackendInfo>(m, "BackendInfo",
+                          "A backend that was found: loaded, or refused with a reason.")
       .def_readonly("name", &BackendInfo::name,
                     "\"cpu\"; the file's name when it could not be loaded.")
       .def_readonly("version", &BackendInfo::version, "The version of the backend.")
@@ -124,24 +126,29 @@ void bind_backends(py::module_& m) {
           [](const BackendInfo& b) { return py::make_tuple(b.abi_major, b.abi_minor); },
           "(major, minor) of the plugin interface.")
       .def_property_readonly(
-          "path", [](const BackendInfo& b) { return b.path; }, "Empty for the built-in one.")
-      .def_readonly("loaded", &BackendInfo::loaded, "False: `error` says why.")
-      .def_readonly("active", &BackendInfo::active, "Whether it serves its type of device.")
+          "path", [](const BackendInfo& b) { return b.path; },
+          "The path of the plugin; empty for a built-in backend.")
+      .def_readonly("loaded", &BackendInfo::loaded,
+                    "Whether the backend was loaded; if not, `error` has the reason.")
+      .def_readonly("active", &BackendInfo::active,
+                    "Whether the backend serves its type of device.")
       .def_readonly("device_count", &BackendInfo::device_count,
                     "The number of devices that the backend offers.")
-      .def_readonly("error", &BackendInfo::error, "Why it was refused; empty when loaded.")
+      .def_readonly("error", &BackendInfo::error,
+                    "The reason why the backend was refused; empty for a loaded backend.")
       .def("__repr__", [](const BackendInfo& b) {
         return "BackendInfo(name='" + b.name + "', version='" + b.version +
                "', loaded=" + (b.loaded ? "True" : "False") +
                ", active=" + (b.active ? "True" : "False") + ", path='" + b.path + "')";
       });
-  m.def("backends", &backends, "Every backend found, in search order.");
+  m.def("backends", &backends, "Returns every backend that was found, in search order.");
   m.def(
       "load_backend",
       [](const py::object& path) {
         return load_backend(py::module_::import("os").attr("fspath")(path).cast<std::string>());
       },
-      "path"_a, "Loads a backend plugin. novaphy.Error with the reason when it is refused.");
+      "path"_a,
+      "Loads a backend plugin from a path. novaphy.Error, with the reason: the plugin is refused.");
 }
 
 }  // namespace

@@ -66,7 +66,8 @@ void bind_views(py::module_& m) {
   NOVAPHY_ELEMENT_VIEWS(NOVAPHY_BIND_ELEMENT_VIEW)
   NOVAPHY_CONTROL_VIEWS(NOVAPHY_BIND_CONTROL_VIEW)
   m.def("update_inverse_mass", &diff::update_inverse_mass, "model"_a, release_gil(),
-        "particle_inv_mass = 1 / particle_mass, 0 where the mass is 0. Not recorded.");
+        "Sets particle_inv_mass to 1 / particle_mass, or 0 where the mass is 0. A tape does not "
+        "record the call.");
 }
 
 void bind_operators(py::module_& m) {
@@ -79,29 +80,29 @@ void bind_operators(py::module_& m) {
         return labels;
       },
       "model"_a, "state"_a, "contacts"_a, doc::kRowLabels);
-  m.def(
-      "eval_static_particle_shape_contact_forces_generated",
-      &diff::eval_static_particle_shape_contact_forces_generated, "model"_a, "particle_q"_a,
-      "particle_qd"_a, "particle_f"_a, "soft_contact_margin"_a = 0.0f, release_gil(),
-      "particle_f {n, 3} plus the forces (N) of all world-owned planes, boxes, spheres, capsules, "
-      "cylinders, cones and ellipsoids at the true distance. "
-      "Exact gradients for positions, velocities, forces, radii and materials; shapes carry none.");
+  m.def("eval_static_particle_shape_contact_forces_generated",
+        &diff::eval_static_particle_shape_contact_forces_generated, "model"_a, "particle_q"_a,
+        "particle_qd"_a, "particle_f"_a, "soft_contact_margin"_a = 0.0f, release_gil(),
+        "Returns particle_f {n, 3} plus the forces (N) of all world-owned planes, boxes, spheres, "
+        "capsules, cylinders, cones and ellipsoids, at their true distance. Gradients are exact "
+        "for positions, velocities, forces, radii and materials. Shapes carry no gradient.");
   m.def("integrate_particles_generated", &diff::integrate_particles_generated, "model"_a,
         "particle_q"_a, "particle_qd"_a, "particle_f"_a, "dt"_a, release_gil(),
-        "Symplectic Euler: (positions {n, 3} m, velocities {n, 3} m/s) after dt (s). Exact "
-        "gradients, also for gravity and masses.");
+        "Returns (positions {n, 3} m, velocities {n, 3} m/s) after a step dt (s) of symplectic "
+        "Euler. Gradients are exact, also for gravity and masses.");
   m.def("integrate_particles_with_static_contacts_generated",
         &diff::integrate_particles_with_static_contacts_generated, "model"_a, "particle_q"_a,
         "particle_qd"_a, "particle_f"_a, "soft_contact_margin"_a, "dt"_a, release_gil(),
-        "Forces of static shapes and integration in one kernel, with the bits of one after the "
-        "other: (q, qd).");
+        "Adds the forces of static shapes and integrates in one kernel. Returns (q, qd), with the "
+        "bits of the two functions one after the other.");
   m.def("integrate_rigid_bodies_with_static_contacts_generated",
         &diff::integrate_rigid_bodies_with_static_contacts_generated, "model"_a, "body_q"_a,
         "body_qd"_a, "body_f"_a, "angular_damping"_a, "friction_smoothing"_a, "dt"_a,
         "newton_spin"_a = false, release_gil(), doc::kRigidStep);
   m.def("body_twist_from_omega_generated", &diff::body_twist_from_omega_generated, "omega"_a,
         "linear_x"_a, "linear_y"_a, "linear_z"_a, release_gil(),
-        "Rows (linear_x, linear_y, linear_z, omega), {b, 6}; omega {b, 3}, rad/s.");
+        "Returns twists {b, 6} of the rows (linear_x, linear_y, linear_z, omega): m/s, and omega "
+        "{b, 3} in rad/s.");
   m.def(
       "rigid_orientation_velocity_loss_generated",
       [](const Tensor& body_q, const Tensor& body_qd, int64_t body_index, py::handle local_axis_a,
@@ -123,47 +124,50 @@ void bind_operators(py::module_& m) {
       "local_axis_b"_a, "target_axis_b"_a, py::kw_only(), "axis_weight_a"_a = 1.0f,
       "axis_weight_b"_a = 1.0f, "target_height"_a = 0.0f, "height_weight"_a = 0.0f,
       "linear_velocity_weight"_a = 0.0f, "angular_velocity_weight"_a = 0.0f,
-      "wa (1 - R a . ta) + wb (1 - R b . tb) + wh (z - h)^2 + wv |v|^2 + ww |w|^2 of one body, "
-      "{1}; axes are made unit vectors. IndexError: no such body; ValueError: an axis of length "
-      "0.");
+      "Returns the loss {1} of one body: wa (1 - R a . ta) + wb (1 - R b . tb) + wh (z - h)^2 + "
+      "wv\nv|^2 + ww\nw|^2. R is the body's rotation. The local axes a and b have the targets ta "
+      "and tb in the world frame. All four are normalized. z is the height (m), v and w are the "
+      "velocities.\n\nIndexError: no such body.\nValueError: an axis of length 0.");
   m.def("assign_tet_materials_generated", &diff::assign_tet_materials_generated,
         "material_params"_a, "base_tet_materials"_a, "tet_count"_a, release_gil(),
-        "Materials {tet_count, 3}: k_mu and k_lambda (Pa) from parameters for all {2} or for each "
-        "{2 * tet_count}, k_damp from the base {tet_count, 3}. Exact gradients.");
+        "Returns materials {tet_count, 3}. k_mu and k_lambda (Pa) come from parameters: two for "
+        "all tetrahedra {2}, or two for each {2 * tet_count}. k_damp comes from the base "
+        "{tet_count, 3}. Gradients are exact.");
   m.def("eval_tetrahedra_forces_generated", &diff::eval_tetrahedra_forces_generated, "model"_a,
         "particle_q"_a, "particle_qd"_a, "particle_f"_a, "tet_activations"_a, "tet_materials"_a,
         release_gil(),
-        "particle_f {n, 3} plus the forces (N) of all tetrahedra; activations {k}, materials "
-        "{k, 3}. Exact gradients for all of them.");
+        "Returns particle_f {n, 3} plus the forces (N) of all tetrahedra, for activations {k} and "
+        "materials {k, 3}. Gradients are exact for all inputs.");
   m.def("eval_triangle_forces_generated", &diff::eval_triangle_forces_generated, "model"_a,
         "particle_q"_a, "particle_qd"_a, "particle_f"_a, "tri_activations"_a, "tri_materials"_a,
         release_gil(),
-        "particle_f {n, 3} plus the forces (N) of all triangles; activations {t}, materials "
-        "{t, 5}. Exact gradients for all of them.");
+        "Returns particle_f {n, 3} plus the forces (N) of all triangles, for activations {t} and "
+        "materials {t, 5}. Gradients are exact for all inputs.");
   m.def("eval_spring_forces_generated", &diff::eval_spring_forces_generated, "model"_a,
         "particle_q"_a, "particle_qd"_a, "particle_f"_a, "spring_stiffness"_a, "spring_damping"_a,
         "spring_rest_length"_a, release_gil(),
-        "particle_f {n, 3} plus the forces (N) of all springs; stiffness, damping and rest lengths "
-        "{s}. Exact gradients for all of them.");
+        "Returns particle_f {n, 3} plus the forces (N) of all springs, for stiffness, damping and "
+        "rest lengths {s}. Gradients are exact for all inputs.");
   m.def("eval_bending_forces_generated", &diff::eval_bending_forces_generated, "model"_a,
         "particle_q"_a, "particle_qd"_a, "particle_f"_a, "edge_materials"_a, "edge_rest_angle"_a,
         release_gil(),
-        "particle_f {n, 3} plus the forces (N) of all bending edges; materials {e, 2}, rest angles "
-        "{e}. Exact gradients for all of them.");
+        "Returns particle_f {n, 3} plus the forces (N) of all bending edges, for materials {e, 2} "
+        "and rest angles {e}. Gradients are exact for all inputs.");
   m.def("particle_point_loss_generated", &diff::particle_point_loss_generated, "particle_q"_a,
         "particle_index"_a, "target_x"_a, "target_y"_a, "target_z"_a, release_gil(),
-        "|q[particle_index] - target|^2, {1}, m^2. IndexError: no such particle.");
+        "Returns\nq[particle_index] - target|^2 {1} (m^2). IndexError: no such particle.");
   m.def("particle_centroid_generated", &diff::particle_centroid_generated, "particle_q"_a,
-        release_gil(), "Mean position {1, 3}, m, not weighted by mass.");
+        release_gil(), "Returns the mean position {1, 3} (m), without weights.");
   m.def("vec3_point_loss_generated", &diff::vec3_point_loss_generated, "point"_a, "target_x"_a,
         "target_y"_a, "target_z"_a, release_gil(),
-        "|point - target|^2, {1}, m^2, of a point {1, 3} or {3}.");
+        "Returns\npoint - target|^2 {1} (m^2) for a point {1, 3} or {3}.");
   m.def("clamp_f32_generated", &diff::clamp_f32_generated, "x"_a, "lower"_a, "upper"_a,
         release_gil(),
-        "x limited to [lower, upper]; gradient 1 inside and at the bounds, 0 outside.");
+        "Returns x limited to [lower, upper]. The gradient is 1 inside and at the bounds, 0 "
+        "outside.");
 }
 
-// The whole of a field as one tensor: {kept, n, 3} for carried vectors, {n, 3} for applied ones.
+// Returns a whole field as one tensor: {kept, n, 3} for carried vectors, {n, 3} for applied ones.
 Tensor whole(const Trajectory& t, FieldRole role, const Array& array) {
   if (role == FieldRole::Applied) return Tensor::view(array);
   nova::Shape shape = array.shape();
@@ -172,7 +176,7 @@ Tensor whole(const Trajectory& t, FieldRole role, const Array& array) {
   return {array.range(), std::move(shape), Tensor::view(array).dtype()};
 }
 
-// "64MiB" as bytes.
+// Returns a size such as "64MiB" in bytes.
 uint64_t byte_count(const std::string& text) {
   uint64_t number = 0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
@@ -225,7 +229,7 @@ void bind_trajectory(py::module_& m) {
             return t.state(k < 0 ? k + t.steps() + 1 : k);
           },
           "t"_a, py::return_value_policy::reference_internal,
-          "State t. IndexError; RuntimeError for a state that is not kept.")
+          "Returns state t. IndexError: no such state. RuntimeError: a state that is not kept.")
       .def("recompute", &Trajectory::recompute, "t"_a, release_gil(), doc::kRecompute)
       .def_property_readonly("checkpoint_interval", &Trajectory::checkpoint_interval,
                              "The interval of kept states; 1: all states are kept.")
@@ -237,12 +241,12 @@ void bind_trajectory(py::module_& m) {
               if (t.keeps(k)) kept.append(k);
             return kept;
           },
-          "The numbers of the states that are kept, which are the rows of particle_q.")
+          "The indices of the kept states, in the order of the rows of particle_q.")
       .def_property_readonly("steps", &Trajectory::steps,
-                             "The number of steps: one less than states.")
+                             "The number of steps, which is the number of states minus 1.")
       .def_property_readonly(
           "model", [](const Trajectory& t) { return std::const_pointer_cast<Model>(t.model()); },
-          "The model.");
+          "The model of the trajectory.");
 #define NOVAPHY_BIND_WHOLE(name, ...)                                                        \
   {                                                                                          \
     const FieldInfo info = NOVAPHY_FIELD_INFO(name, __VA_ARGS__);                            \
@@ -260,7 +264,7 @@ void bind_trajectory(py::module_& m) {
 #undef NOVAPHY_BIND_WHOLE
 }
 
-// A Tensor {n, width} or {steps, n, width}, or a DeviceArray of T, as rows of T.
+// Returns a Tensor {n, width} or {steps, n, width}, or a DeviceArray of T, as rows of T.
 template <class T>
 DeviceArray<T> force_rows(const py::object& forces, const char* name, int32_t count) {
   constexpr int32_t kWidth = sizeof(T) / sizeof(float);
@@ -278,7 +282,8 @@ DeviceArray<T> force_rows(const py::object& forces, const char* name, int32_t co
       Array(DTypeOf<T>::value, static_cast<size_t>(tensor.size()) / kWidth, 1, tensor.range()));
 }
 
-// Where kinematic particles go: {k, 3} or {steps, k, 3}, of which the rollout checks the rows.
+// Returns the targets of kinematic particles {k, 3} or {steps, k, 3}. The rollout checks the number
+// of rows.
 DeviceArray<Vec3f> target_rows(const py::object& targets) {
   if (py::isinstance<Array>(targets)) return DeviceArray<Vec3f>(targets.cast<Array>());
   require(py::isinstance<nova::TensorImpl>(targets), ErrorKind::Type,
@@ -293,7 +298,7 @@ DeviceArray<Vec3f> target_rows(const py::object& targets) {
       Array(DType::vec3, static_cast<size_t>(tensor.size()) / 3, 1, tensor.range()));
 }
 
-// A Tensor or DeviceArray {n} or {steps, n} for an array of a Control.
+// The values of one array of a Control over the steps: a Tensor or DeviceArray {n} or {steps, n}.
 class ControlRows {
  public:
   ControlRows(const char* name, DeviceArray<float> ControlFields::*member, const py::object& given,
@@ -322,9 +327,9 @@ class ControlRows {
   }
 
  private:
-  // A view, or where a gradient is asked a recorded copy, because a gradient belongs to one range.
-  // The copy is that of a row of a block: the gradient of a block is summed before that of the
-  // whole.
+  // Returns the row of a step: a view, or a recorded copy if the array carries a gradient, because
+  // a gradient belongs to one range. The copy is taken from a block of rows. The gradient of a
+  // block is summed first, then that of the whole array.
   std::shared_ptr<Range> row(int32_t step) {
     if (!change()) return values_.range();
     constexpr int32_t kBlock = 32;
@@ -340,12 +345,12 @@ class ControlRows {
 
   const char* name_;
   DeviceArray<float> ControlFields::*member_;
-  Tensor values_, block_;  // undefined: none
+  Tensor values_, block_;  // undefined: not given
   bool carries_ = false;
 };
 
-// The controls of a rollout whose arrays are given as tensors: one for all steps, or one for every
-// step. What no tensor gives is that of `control`, or the model's.
+// Returns the controls of a rollout with arrays from tensors: one control for all steps, or one for
+// each step. Arrays without a tensor are those of `control`, or of the model.
 py::object controls_of(const Model& model, const py::object& control, int32_t steps,
                        std::span<ControlRows> given) {
   const auto any = [](const ControlRows& g) { return g.any(); };
@@ -430,7 +435,7 @@ void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& given
     const ReleasedGil no_gil;
     solver.rollout(trajectory, one, contacts, dt, options);
   }
-  // recompute needs them again.
+  // recompute needs these arguments again.
   const py::object kept = py::isinstance<py::sequence>(control) ? py::tuple(control) : control;
   py::cast(trajectory).attr("_rollout_of") =
       py::make_tuple(py::cast(&solver), kept, py::cast(contacts), forces, body_forces, targets,
@@ -448,7 +453,7 @@ void bind_rollout(py::module_& solvers) {
       doc::kRollout);
 }
 
-// The config of a solver is a copy: writing to it would do nothing.
+// The config of a solver is a copy. A write to it raises, because it would have no effect.
 struct Settings : DiffSolverConfig {
   bool of_solver = false;
 };
@@ -533,28 +538,27 @@ void bind_solver(py::module_& solvers) {
   NOVAPHY_MEMBER(enable_triangles, "Whether triangles act.")
   NOVAPHY_MEMBER(enable_springs, "Whether springs act.")
   NOVAPHY_MEMBER(enable_bending, "Whether bending edges act.")
-  NOVAPHY_MEMBER(
-      enable_static_contacts,
-      "Contacts with world-owned shapes at their true distance in every substep, instead "
-      "of those of a Contacts, which must then be None.")
-  NOVAPHY_MEMBER(static_contact_margin, "m: how far a static contact is looked for.")
+  NOVAPHY_MEMBER(enable_static_contacts,
+                 "Whether particles meet world-owned shapes at their true distance in every "
+                 "substep. `contacts` must then be None.")
+  NOVAPHY_MEMBER(static_contact_margin, "The distance up to which static contacts are found (m).")
   NOVAPHY_MEMBER(particle_kf_bound, doc::kKfBound)
   NOVAPHY_MEMBER(enable_rigid, "Whether bodies move.")
-  NOVAPHY_MEMBER(
-      enable_rigid_contacts,
-      "Contacts of bodies act: those of a Contacts, or with enable_static_contacts those "
-      "with infinite planes of the world.")
-  NOVAPHY_MEMBER(angular_damping, "1/s, of bodies.")
+  NOVAPHY_MEMBER(enable_rigid_contacts,
+                 "Whether contacts of bodies act: those of `contacts`, or with "
+                 "enable_static_contacts those with infinite planes of the world.")
+  NOVAPHY_MEMBER(angular_damping, "The angular damping of bodies (1/s).")
   NOVAPHY_MEMBER(friction_smoothing,
-                 "m/s, of the friction law \"huber\"; None: 0.1. The solver refuses it with "
-                 "\"viscous\", which does not read it.")
+                 "The slip below which the friction law \"huber\" is smooth (m/s); None: 0.1. The "
+                 "solver refuses a value with \"viscous\", which does not read it.")
   add_contact_laws(config, [](auto&&... of) { set(of...); });
-  NOVAPHY_MEMBER(enable_joints, "Whether joints act, by springs and dampers.")
-  NOVAPHY_MEMBER(joint_attach_ke, "N/m and N*m/rad: stiffness of the attachments of joints.")
+  NOVAPHY_MEMBER(enable_joints, "Whether joints act, as springs and dampers.")
+  NOVAPHY_MEMBER(joint_attach_ke, "The stiffness of the attachments of joints (N/m and N*m/rad).")
   NOVAPHY_MEMBER(joint_attach_kd,
-                 "N*s/m, and 0.01 of it N*m*s/rad: damping of the attachments of joints.")
+                 "The damping of the attachments of joints (N*s/m, and 0.01 of it N*m*s/rad).")
   add_contact_gradient(config);
-  NOVAPHY_MEMBER(strict, "Whether unsupported parts of a model raise instead of being left out.")
+  NOVAPHY_MEMBER(strict,
+                 "Whether an unsupported part of a model raises. False: the solver leaves it out.")
 #undef NOVAPHY_MEMBER
   add_settings_pickle(config);
 
@@ -566,13 +570,14 @@ void bind_solver(py::module_& solvers) {
                  model, given != nullptr ? DiffSolverConfig(*given) : DiffSolverConfig{});
            }),
            py::arg("model").none(false), "config"_a = py::none(),
-           "NotImplementedError: unsupported parts of a model.")
+           "Makes a solver of a model. config: None takes the defaults. NotImplementedError: "
+           "unsupported parts of a model.")
       .def_property_readonly(
           "config",
           [](const DiffSemiImplicitSolver& s) {
             return Settings{s.config(), true};
           },
-          "The settings that it was made with; AttributeError where one is set.")
+          "The settings of the solver. AttributeError: a setting is assigned.")
       .def(
           "stable_dt",
           [](const DiffSemiImplicitSolver& s, const SimState& state, const Contacts* contacts) {

@@ -79,7 +79,8 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
            "Resets the counts of gradient_info.")
       .def_property_readonly(
           "angular_damping",
-          [](const DiffFeatherstoneSolver& s) { return s.options().angular_damping; }, "1/s")
+          [](const DiffFeatherstoneSolver& s) { return s.options().angular_damping; },
+          "The damping of angular dofs (1/s).")
       .def_property_readonly(
           "implicit_drives",
           [](const DiffFeatherstoneSolver& s) { return s.options().implicit_drives; },
@@ -91,20 +92,21 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
         "angular_damping"_a, release_gil(), doc::kPlanarArm);
   m.def("planar_2r_tip_loss", &diff::planar_2r_tip_loss, "model"_a, "q"_a, "target_x"_a,
         "target_z"_a, release_gil(),
-        "|tip - target|^2 {1} (m^2) of the arm of record_planar_2r_featherstone_step at q {2}, in "
-        "XOZ; the tip is as far behind the last center of mass as the joint before it. Exact.");
+        "Returns\ntip - target|^2 {1} (m^2) for the arm of record_planar_2r_featherstone_step at q "
+        "{2}, in the XZ plane. The last center of mass is the midpoint of the last joint and the "
+        "tip. The gradient is exact.");
 }
 
 void bind_event_times(py::module_& m) {
   m.def("event_times", &diff::event_times, "trajectory"_a, release_gil(),
-        "{n}, s since the first of the steps that filled the trajectory: when contacts and limits "
-        "of joints begin, in the order of GradientInfo.event_list. The solver has "
-        "contact_gradient=\"motion\". Recorded on the active tape. An event of step k has the time "
-        "t_k + d / |J v| and the derivative J / |J v| with respect to the positions of state k, "
-        "where d is the gap, J its derivative and v the rates. The number and the order of events "
-        "are those of this run (saltation matrix). {0} where nothing began. ValueError: no tape is "
-        "active, or it has no steps of such a solver; NotImplementedError: a trajectory with "
-        "checkpoints.");
+        "Returns the times {n} when contacts and limits of joints begin, in the order of "
+        "GradientInfo.event_list: s since the first step that filled the trajectory. The active "
+        "tape records the call. The solver needs contact_gradient=\"motion\".\n\nAn event of step "
+        "k has the time t_k + d /\nJ v|. Its derivative with respect to the positions of state k "
+        "is J /\nJ v|. Here d is the gap, J its derivative and v the rates (saltation matrix). The "
+        "number and the order of events are those of this run. Without events the result is "
+        "{0}.\n\nValueError: no tape is active, or the tape has no steps of such a "
+        "solver.\nNotImplementedError: a trajectory with checkpoints.");
 }
 
 }  // namespace novaphy::python

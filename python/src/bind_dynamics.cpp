@@ -18,9 +18,9 @@ void bind_sleep(py::module_& m) {
              return config;
            }),
            py::kw_only(), "speed"_a = d.speed, "spin"_a = d.spin, "after"_a = d.after)
-      .def_readonly("speed", &SleepConfig::speed, "m/s, of the center of mass.")
-      .def_readonly("spin", &SleepConfig::spin, "rad/s.")
-      .def_readonly("after", &SleepConfig::after, "s.")
+      .def_readonly("speed", &SleepConfig::speed, "The bound of the center of mass's speed (m/s).")
+      .def_readonly("spin", &SleepConfig::spin, "The bound of the angular speed (rad/s).")
+      .def_readonly("after", &SleepConfig::after, "The time below both bounds (s).")
       .def("__eq__", [](const SleepConfig& a, const SleepConfig& b) { return a == b; })
       .def("__repr__", [](const SleepConfig& c) {
         return py::str("SleepConfig(speed={:.6g}, spin={:.6g}, after={:.6g})")
@@ -37,7 +37,7 @@ void bind_stable_dt(py::class_<SolverSemiImplicit, SolverBase>& solver) {
       "state"_a, "contacts"_a = py::none(), doc::kStableDt);
   solver.def_property_readonly(
       "sleep", [](const SolverSemiImplicit& s) { return s.options().sleep; },
-      "When bodies fall asleep; None: never.");
+      "The SleepConfig; None: no body sleeps.");
 }
 
 }  // namespace
@@ -46,13 +46,12 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
   BoundClass<SimState>::remember(m.attr("SimState"));
   BoundClass<Control>::remember(m.attr("Control"));
   BoundClass<Contacts>::remember(m.attr("Contacts"));
-  py::class_<SolverBase> base(
-      solvers, "SolverBase",
-      "The base of all solvers. One thread at a time may use a solver, and what was captured of "
-      "it; another one gets novaphy.Error.");
+  py::class_<SolverBase> base(solvers, "SolverBase",
+                              "The base of all solvers. One thread at a time may use a solver and "
+                              "its captured graphs. Another thread gets a novaphy.Error.");
   base.def_property_readonly(
           "model", [](const SolverBase& s) { return std::const_pointer_cast<Model>(s.model()); },
-          "The model; its arrays and settings are read at every step.")
+          "The model. A solver reads its arrays and settings in every step.")
       .def("__repr__",
            [](const py::object& self) {
              const auto& solver = self.cast<const SolverBase&>();
@@ -71,7 +70,8 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
             s.notify_model_changed(static_cast<ModelFlags>(flags));
           },
           "flags"_a,
-          "Says that values of the model were changed behind its arrays' back (ModelFlags).");
+          "Tells the solver that values of the model were changed outside of NovaPhy's arrays. "
+          "flags: ModelFlags of the changed parts.");
   GeneralStep::function = py::object(base.attr("step")).release().ptr();
 
   bind_sleep(m);
@@ -105,28 +105,32 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
            "sleep"_a = py::none(), doc::kSemiImplicitInit)
       .def_property_readonly(
           "angular_damping",
-          [](const SolverSemiImplicit& s) { return s.options().angular_damping; }, "1/s")
+          [](const SolverSemiImplicit& s) { return s.options().angular_damping; },
+          "The angular damping of bodies (1/s).")
       .def_property_readonly(
           "friction_smoothing",
           [](const SolverSemiImplicit& s) { return s.options().friction_smoothing; },
-          "m/s; \"viscous\" and \"newton18\" do not read it.")
+          "The slip below which friction is smooth (m/s). \"viscous\" and \"newton18\" do not read "
+          "it.")
       .def_property_readonly(
           "particle_kf_bound",
           [](const SolverSemiImplicit& s) { return s.options().particle_kf_bound; },
-          "The largest kf dt/m of contacts of particles.")
+          "The bound of kf dt/m for contacts of particles (1).")
       .def_property_readonly(
           "stick_ke", [](const SolverSemiImplicit& s) { return s.options().stick_ke; },
-          "N/m, of every row of rigid contacts.")
+          "The tangential stiffness of each rigid contact (N/m).")
       .def_property_readonly(
           "joint_attach_ke",
-          [](const SolverSemiImplicit& s) { return s.options().joint_attach_ke; }, "N/m")
+          [](const SolverSemiImplicit& s) { return s.options().joint_attach_ke; },
+          "The stiffness of the attachments of joints (N/m, N*m/rad).")
       .def_property_readonly(
           "joint_attach_kd",
-          [](const SolverSemiImplicit& s) { return s.options().joint_attach_kd; }, "N*s/m")
+          [](const SolverSemiImplicit& s) { return s.options().joint_attach_kd; },
+          "The damping of the attachments of joints (N*s/m, and 0.01 of it N*m*s/rad).")
       .def_property_readonly(
           "enable_tri_contact",
           [](const SolverSemiImplicit& s) { return s.options().enable_tri_contact; },
-          "Stored; particles do not meet triangles yet.");
+          "Stored. Contacts of particles with triangles are not supported.");
   bind_stable_dt(semi_implicit);
   add_fast_step(semi_implicit);
   m.def(
@@ -135,11 +139,12 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
         eval_fk(model, DeviceArray<float>(joint_q), DeviceArray<float>(joint_qd), state);
       },
       "model"_a, "joint_q"_a, "joint_qd"_a, "state"_a,
-      "Writes body_q and body_qd of the state: poses and velocities of the children of all joints "
-      "of articulations, from joint_q {coordinates} and joint_qd {degrees of freedom}. Other "
-      "bodies stay. Quaternions are made unit. No gradient: on a tape it raises for coordinates "
-      "that carry one. ValueError: wrong rows, a state of another model, a quaternion of length 0 "
-      "(NaN on a device, on a tape and in a capture). Mimic joints stand where joint_q has them.");
+      "Writes body_q and body_qd of the state, from joint_q {coordinates} and joint_qd {degrees of "
+      "freedom}: the poses and velocities of the children of all joints of articulations. Other "
+      "bodies keep their values. Quaternions are normalized. Mimic joints take their own entries "
+      "of joint_q.\n\nNo gradient: on a tape the call raises for coordinates that carry "
+      "one.\n\nValueError: wrong rows, a state of another model, a quaternion of length 0 (NaN on "
+      "a device, on a tape and in a capture).");
   m.def(
       "eval_mimic",
       [](const Model& model, const Array& joint_q, const Array& joint_qd) {
@@ -152,11 +157,11 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
         eval_ik(model, state, DeviceArray<float>(joint_q), DeviceArray<float>(joint_qd));
       },
       "model"_a, "state"_a, "joint_q"_a, "joint_qd"_a,
-      "Writes joint_q and joint_qd: coordinates and rates of all joints, from body_q and body_qd "
-      "of the state. Motions that the joint does not allow are left out; angles are in [-pi, pi]. "
-      "No gradient: on a tape it raises for poses and velocities that carry one. ValueError: wrong "
-      "rows, a state of another model; NotImplementedError: a D6 whose axes are not "
-      "perpendicular.");
+      "Writes joint_q and joint_qd, the coordinates and rates of all joints, from body_q and "
+      "body_qd of the state. Motions that a joint does not allow are left out. Angles are in [-pi, "
+      "pi].\n\nNo gradient: on a tape the call raises for poses and velocities that carry "
+      "one.\n\nValueError: wrong rows, a state of another model.\nNotImplementedError: a D6 whose "
+      "axes are not perpendicular.");
   bind_featherstone(m, solvers);
 }
 

@@ -12,7 +12,7 @@
 namespace novaphy::python {
 namespace {
 
-// The memory of a vector as an array, without a copy.
+// Returns the memory of a vector as an array, without a copy.
 py::array_t<float> to_array(std::vector<float>&& values, std::vector<py::ssize_t> shape) {
   auto* owned = new std::vector<float>(std::move(values));
   const py::capsule owner(owned, [](void* p) { delete static_cast<std::vector<float>*>(p); });
@@ -51,8 +51,8 @@ void bind_actuator_forces(py::module_& m) {
         return to_array(unlocked([&] { return eval_actuator_forces(model, state, control); }));
       },
       "model"_a, "state"_a, "control"_a = py::none(),
-      "The forces of the actuators {actuators} at a state, before their gears. control None: that "
-      "of the model. ValueError: a state or control of another model.");
+      "Returns the forces of the actuators {actuators} at a state, before the gears. control: None "
+      "takes that of the model. ValueError: a state or control of another model.");
 }
 
 void bind_functions(py::module_& m) {
@@ -64,20 +64,18 @@ void bind_functions(py::module_& m) {
         return to_array(unlocked([&] { return eval_inverse_dynamics(model, state, a); }));
       },
       "model"_a, "state"_a, "qdd"_a,
-      "The forces of dofs {dofs} (N, N*m) with which state.joint_q and joint_qd have the "
-      "accelerations qdd {dofs}: H qdd + bias, armature included. Drives, limits and body_f take "
-      "no "
-      "part. Rates and forces of a FREE joint are of its center of mass, in the axes of the "
-      "joint's "
-      "frame in the parent.");
+      "Returns the generalized forces {dofs} (N, N*m) that cause the accelerations qdd {dofs} at "
+      "state.joint_q and joint_qd: H qdd + bias, with armature. Drives, limits and body_f are left "
+      "out. The rates and forces of a FREE joint are those of the center of mass, in the axes of "
+      "the joint's frame in the parent.");
   m.def(
       "eval_bias",
       [](const Model& model, const SimState& state) {
         return to_array(unlocked([&] { return eval_bias(model, state); }));
       },
       "model"_a, "state"_a,
-      "The forces of gravity and of velocities {dofs}: eval_inverse_dynamics at qdd = 0. Mimic "
-      "joints count as free.");
+      "Returns the bias forces of gravity and velocities {dofs} (N, N*m): eval_inverse_dynamics at "
+      "qdd = 0. Mimic joints count as free.");
   m.def(
       "eval_forward_dynamics",
       [](const Model& model, const SimState& state, py::handle tau) {
@@ -85,8 +83,8 @@ void bind_functions(py::module_& m) {
         return to_array(unlocked([&] { return eval_forward_dynamics(model, state, t); }));
       },
       "model"_a, "state"_a, "tau"_a,
-      "The joint accelerations, of shape {dofs}, for the generalized forces tau, of shape {dofs} "
-      "(N or N*m). Raises novaphy.Error with the name of the dof if the mass matrix is singular.");
+      "Returns the joint accelerations {dofs} for the generalized forces tau {dofs} (N, N*m). "
+      "novaphy.Error, with the name of the dof: the mass matrix is singular.");
   m.def(
       "eval_mass_matrix",
       [](const Model& model, const SimState& state, bool include_armature) {
@@ -99,9 +97,9 @@ void bind_functions(py::module_& m) {
         return to_array(unlocked([&] { return eval_jacobian(model, state); }));
       },
       "model"_a, "state"_a,
-      "{articulations, 6 L, D}: six rows per joint, the body_qd of its child per unit of the "
-      "rates; "
-      "L joints, padded with 0.");
+      "Returns the Jacobians {articulations, 6 L, D}, padded with 0. The six rows of a joint are "
+      "the body_qd of its child per unit of the rates. L is the largest number of joints and D the "
+      "largest number of dofs of an articulation.");
   m.def(
       "eval_inverse_dynamics_derivatives",
       [](const Model& model, const SimState& state, py::handle qdd) {
@@ -111,9 +109,9 @@ void bind_functions(py::module_& m) {
                               to_array(std::move(d.mass_matrix)));
       },
       "model"_a, "state"_a, "qdd"_a,
-      "(dtau_dq, dtau_dqd, H) of eval_inverse_dynamics, {articulations, D, D} each; analytic. "
-      "Columns of q are tangents, one per dof: a BALL turns by exp(e) on the left, a FREE joint "
-      "moves its center of mass and turns about it.");
+      "Returns the analytic derivatives (dtau_dq, dtau_dqd, H) of eval_inverse_dynamics, "
+      "{articulations, D, D} each. The columns of q are tangents, one per dof. A BALL joint turns "
+      "by exp(e) on the left. A FREE joint moves its center of mass and turns about it.");
   m.def(
       "eval_forward_dynamics_derivatives",
       [](const Model& model, const SimState& state, py::handle tau) {
@@ -123,20 +121,23 @@ void bind_functions(py::module_& m) {
                               to_array(std::move(d.inverse_mass_matrix)));
       },
       "model"_a, "state"_a, "tau"_a,
-      "(dqdd_dq, dqdd_dqd, dqdd_dtau) of eval_forward_dynamics, {articulations, D, D} each.");
+      "Returns the analytic derivatives (dqdd_dq, dqdd_dqd, dqdd_dtau) of eval_forward_dynamics, "
+      "{articulations, D, D} each.");
   m.def(
       "eval_center_of_mass",
       [](const Model& model, const SimState& state) {
         return to_rows(unlocked([&] { return eval_center_of_mass(model, state); }));
       },
-      "model"_a, "state"_a, "{articulations, 3}, m, world.");
+      "model"_a, "state"_a,
+      "Returns the centers of mass of the articulations {articulations, 3} (m, world frame).");
   m.def(
       "eval_energy",
       [](const Model& model, const SimState& state) {
         return to_rows(unlocked([&] { return eval_energy(model, state); }));
       },
       "model"_a, "state"_a,
-      "{articulations, 2}: kinetic energy, without armature, and potential energy, J.");
+      "Returns the kinetic energy, without armature, and the potential energy of the articulations "
+      "{articulations, 2} (J).");
 }
 
 std::unique_ptr<SolverFeatherstone> make_solver(
@@ -186,24 +187,24 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
            doc::kFeatherstoneInit)
       .def_property_readonly(
           "sleep", [](const SolverFeatherstone& s) { return s.options().sleep; },
-          "When bodies on FREE joints fall asleep; None: never.")
+          "The SleepConfig of bodies on FREE joints; None: no body sleeps.")
       .def_property_readonly(
           "contact", [](const SolverFeatherstone& s) { return contact_name(s.options().contact); },
-          "\"pgs\", \"penalty\" or None")
+          "The contact law: \"pgs\", \"penalty\" or None.")
       .def_property_readonly(
           "joint_limits",
           [](const SolverFeatherstone& s) { return limits_name(s.options().joint_limits); },
-          "\"spring\" or \"row\"")
+          "The law of joint limits: \"spring\" or \"row\".")
       .def_property_readonly(
           "joint_limit_restitution",
           [](const SolverFeatherstone& s) { return s.options().joint_limit_restitution; },
-          "0 to 1, of joint_limits=\"row\".")
+          "The restitution of joint limits, 0 to 1, with joint_limits=\"row\".")
       .def_property_readonly(
           "friction_cone",
           [](const SolverFeatherstone& s) {
             return kCones[static_cast<size_t>(s.options().friction_cone)];
           },
-          "\"cone\" or \"pyramid\"")
+          "The friction cone: \"cone\" or \"pyramid\".")
       .def("check_last_step", &SolverFeatherstone::check_last_step,
            py::call_guard<py::gil_scoped_release>(), doc::kCheckLastStep)
       .def_property_readonly("pgs_sweeps", &SolverFeatherstone::pgs_sweeps,
@@ -213,11 +214,12 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
                              "last step (m/s).")
       .def_property_readonly(
           "angular_damping",
-          [](const SolverFeatherstone& s) { return s.options().angular_damping; }, "1/s")
+          [](const SolverFeatherstone& s) { return s.options().angular_damping; },
+          "The damping of angular dofs (1/s).")
       .def_property_readonly(
           "friction_smoothing",
           [](const SolverFeatherstone& s) { return s.options().friction_smoothing; },
-          "m/s, of contacts by \"penalty\".")
+          "The slip below which friction is smooth, with contact=\"penalty\" (m/s).")
       .def_property_readonly(
           "implicit_drives",
           [](const SolverFeatherstone& s) { return s.options().implicit_drives; },

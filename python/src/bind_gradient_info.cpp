@@ -55,49 +55,55 @@ const char* contact_gradient_name(diff::DerivativeOf of) {
 
 namespace {
 
-// Those that all solvers tell.
+// The fields of all solvers.
 constexpr std::pair<const char*, const char*> kFields[] = {
     {"label",
-     "The worst of the steps: \"exact of the motion\", \"exact of the code\", \"implicit\", "
-     "\"frozen\", \"surrogate\"."},
-    {"reason", "One sentence: what makes it so and what follows, with step and pair."},
+     "The worst label of the steps: \"exact of the motion\", \"exact of the code\", \"implicit\", "
+     "\"frozen\" or \"surrogate\"."},
+    {"reason", "One sentence on the cause of the label and its consequence, with step and pair."},
     {"steps", "The number of steps."},
     {"exact_steps", "The number of steps that are exact of the code, or implicit."},
-    {"frozen_steps", "The number of steps with active contacts whose points or normals are held."},
-    {"surrogate_steps", "The number of steps that miss their law, or whose law jumps."},
-    {"events", "began + ended + turned."},
+    {"frozen_steps",
+     "The number of steps with active contacts whose points or normals are frozen."},
+    {"surrogate_steps",
+     "The number of steps whose contact solve missed its law, or whose law jumps."},
+    {"events", "The number of events: began + ended + turned."},
     {"began", "The number of contacts that began to push from one step to the next."},
     {"ended", "The number of contacts that ceased to push from one step to the next."},
     {"turned", "The number of contacts that changed between sticking and slipping."},
     {"several",
-     "With contact_gradient=\"motion\": steps in which several pairs hit at once; with springs "
-     "touches of several contacts at once, where they are short."},
+     "With contact_gradient=\"motion\": the number of steps in which several pairs hit at once. "
+     "With springs: the number of short touches of several contacts at once."},
     {"one_sided",
-     "With contact_gradient=\"motion\" and springs: short touches whose begin or end is outside "
-     "of the steps, or cut by a written state or another dt."},
+     "With contact_gradient=\"motion\" and springs: the number of short touches whose begin or end "
+     "is outside of the steps, or that a written state or another dt cuts."},
     {"ramp_steps",
-     "With contact_gradient=\"motion\" and springs: steps with a contact within half a step of "
-     "its begin or end."},
+     "With contact_gradient=\"motion\" and springs: the number of steps with a contact within half "
+     "a step of its begin or end."},
     {"landings",
-     "With contact_gradient=\"motion\": contacts of articulations that begin without a bounce."},
+     "With contact_gradient=\"motion\": the number of contacts of articulations that begin without "
+     "a bounce."},
     {"phased",
-     "Landings whose friction turns. The states behind such a landing depend on where in its step "
-     "the contact begins."},
-    {"lost_events", "Events for which a device has no room; 0 on the CPU."},
-    {"least_approach", "m/s, rad/s: of the events in event_list; inf without one."},
-    {"least_separation", "Steps between two events of one articulation or body; inf without two."},
+     "The number of landings whose friction turns. The states after such a landing depend on the "
+     "time in its step at which the contact begins."},
+    {"lost_events", "The number of events for which a device had no room; 0 on the CPU."},
+    {"least_approach",
+     "The least approach of the events in event_list (m/s, rad/s); inf without an event."},
+    {"least_separation",
+     "The fewest steps between two events of one articulation or body; inf without two events."},
     {"event_list",
-     "With contact_gradient=\"motion\": a dict per contact or limit that begins, in the order of "
-     "time, of the last chain of steps or of a tape. docs/conventions.md lists the keys."},
-    {"residual", "The largest miss of the law of contacts, relative to the largest impulse (1)."},
+     "With contact_gradient=\"motion\": a dict for each contact or limit that begins, in the order "
+     "of time. The events are those of the last chain of steps, or of a tape. docs/conventions.md "
+     "lists the keys."},
+    {"residual", "The largest residual of the contact law, relative to the largest impulse (1)."},
     {"h_drift",
-     "With contact_gradient=\"motion\" of articulations: how far the last backward is from keeping "
-     "the adjoint times the rates in steps without events (1). None without a backward. "
-     "docs/conventions.md has the law."},
-    {"h_step", "The step of h_drift, from the first of the steps; None without."},
+     "With contact_gradient=\"motion\" of articulations: the largest change, in steps without "
+     "events, of the adjoint times the rates, relative to its largest value (1). None without a "
+     "backward. docs/conventions.md has the law."},
+    {"h_step", "The index of the step of h_drift; None without h_drift."},
     {"h_skipped",
-     "Steps that h_drift leaves out: the state was written behind them, they have not converged, "
-     "or dt changes."}};
+     "The number of steps that h_drift leaves out: before a written state, not converged, or "
+     "before another dt."}};
 
 constexpr const char* kDoc = doc::kGradientInfo;
 

@@ -83,7 +83,7 @@ Tensor make_tensor(py::handle data, py::handle dtype, py::handle device, bool re
   return with_grad(tensor, requires_grad);
 }
 
-// The value as a T that holds it exactly.
+// Returns the value as a T. ErrorKind::Value: T cannot hold the value exactly.
 template <class T>
 T whole_number(double value) {
   constexpr double low = std::numeric_limits<T>::min(), high = std::numeric_limits<T>::max();
@@ -126,15 +126,15 @@ void bind_creation(py::module_& m) {
   const py::object f32 = dtype_object(DType::float32);
   m.def("tensor", &make_tensor, "data"_a, "dtype"_a = py::none(), "device"_a = py::none(),
         "requires_grad"_a = false,
-        "A tensor from numbers, lists or arrays; a copy. Numbers of more bits are rounded to "
-        "float32; TypeError for a float64 array with requires_grad=True.")
+        "Makes a tensor from a copy of numbers, lists or arrays. Numbers of more bits are rounded "
+        "to float32. TypeError: a float64 array with requires_grad=True.")
       .def(
           "from_numpy",
           [](py::handle a, py::handle device, bool requires_grad) {
             return make_tensor(a, py::none(), device, requires_grad);
           },
           "a"_a, "device"_a = py::none(), "requires_grad"_a = false,
-          "A copy of a NumPy array. (from_dlpack shares memory.)")
+          "Makes a tensor from a copy of a NumPy array. from_dlpack shares the memory instead.")
       .def(
           "from_dlpack",
           [](py::handle obj, bool copy) {
@@ -145,15 +145,15 @@ void bind_creation(py::module_& m) {
             return tensor_of(import_dlpack(obj, copy));
           },
           "obj"_a, "copy"_a = false,
-          "Looks at the memory of an array of another library, without a copy unless copy=True. "
-          "BufferError: it may not be written, or its producer does not say that it may (JAX); "
-          "copy=True takes such memory too.")
+          "Wraps the memory of an array of another library, without a copy unless copy=True. "
+          "BufferError: the memory may not be written, or its producer does not say that it may "
+          "(JAX). copy=True takes such memory too.")
       .def(
           "from_device_array",
           [](const Array& a, bool requires_grad) { return Tensor::view(a, requires_grad); },
           "array"_a, "requires_grad"_a = false,
-          "Looks at an engine array, without a copy: vec3 rows give {n, 3}. The same array gives "
-          "the same tensor.")
+          "Wraps a DeviceArray without a copy. vec3 rows give {n, 3}. The same array gives the "
+          "same tensor.")
       .def(
           "external",
           [](uintptr_t ptr, py::handle shape, py::handle dtype, py::handle device,
@@ -165,36 +165,39 @@ void bind_creation(py::module_& m) {
             return t;
           },
           "ptr"_a, "shape"_a, "dtype"_a, "device"_a, "owner"_a,
-          "A tensor over memory at an address, which keeps `owner` alive.")
+          "Wraps memory at an address. The tensor keeps `owner` alive.")
       .def(
           "zeros",
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
             return filled(shape, 0.0, dtype, device, grad);
           },
-          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false, "Zeros.")
+          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false,
+          "Returns a tensor of zeros.")
       .def(
           "empty",
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
             return filled(shape, 0.0, dtype, device, grad);
           },
           "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false,
-          "The same as zeros: memory is always cleared.")
+          "Returns a tensor of zeros: memory is always cleared.")
       .def(
           "ones",
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
             return filled(shape, 1.0, dtype, device, grad);
           },
-          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false, "Ones.")
+          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false,
+          "Returns a tensor of ones.")
       .def("full", &filled, "shape"_a, "value"_a, "dtype"_a = f32, "device"_a = py::none(),
            "requires_grad"_a = false,
-           "One value, rounded to float32. ValueError: the dtype holds integers, and it is none of "
-           "them.")
+           "Returns a tensor filled with one value, rounded to float32. ValueError: an integer "
+           "dtype that cannot hold the value.")
       .def(
           "zeros_like", [](const Tensor& t) { return Tensor(t.shape(), t.dtype(), t.device()); },
-          "tensor"_a, "Zeros of the same shape, dtype and device.")
+          "tensor"_a, "Returns zeros with the shape, dtype and device of a tensor.")
       .def("arange", &arange, "start"_a, "stop"_a = py::none(), "step"_a = 1,
            "dtype"_a = dtype_object(DType::int32), "device"_a = py::none(),
-           "Integers from start (0 if stop is None) to before stop.");
+           "Returns the integers from start to before stop. With stop None, those from 0 to before "
+           "start.");
 }
 
 #define NOVAPHY_BINARY(name, doc)                                                             \
@@ -205,7 +208,7 @@ void bind_creation(py::module_& m) {
   m.def(                         \
       #name, [](const Tensor& x) { return nova::name(x); }, "x"_a, release_gil(), doc);
 
-// Not a tensor: its value would be taken and its gradient dropped.
+// Reads a number. A tensor is refused, because its gradient would be lost.
 float to_number(py::handle value, const char* name) {
   require(!py::isinstance<nova::TensorImpl>(value), ErrorKind::Type, name,
           ": expected a number, got a Tensor");
@@ -213,12 +216,14 @@ float to_number(py::handle value, const char* name) {
 }
 
 void bind_functions(py::module_& m) {
-  NOVAPHY_BINARY(add, "a + b, broadcast as in NumPy.")
-  NOVAPHY_BINARY(sub, "a - b, broadcast as in NumPy.")
-  NOVAPHY_BINARY(mul, "a * b, broadcast as in NumPy.")
-  NOVAPHY_BINARY(div, "a / b, broadcast as in NumPy.")
-  NOVAPHY_BINARY(minimum, "The smaller value; the gradient goes to a where a < b, else to b.")
-  NOVAPHY_BINARY(maximum, "The larger value; the gradient goes to a where a > b, else to b.")
+  NOVAPHY_BINARY(add, "Returns a + b, broadcast as in NumPy.")
+  NOVAPHY_BINARY(sub, "Returns a - b, broadcast as in NumPy.")
+  NOVAPHY_BINARY(mul, "Returns a * b, broadcast as in NumPy.")
+  NOVAPHY_BINARY(div, "Returns a / b, broadcast as in NumPy.")
+  NOVAPHY_BINARY(minimum,
+                 "Returns the smaller value. The gradient goes to a where a < b, else to b.")
+  NOVAPHY_BINARY(maximum,
+                 "Returns the larger value. The gradient goes to a where a > b, else to b.")
   m.def(
       "min", [](const Tensor& a, const Tensor& b) { return nova::minimum(a, b); }, "a"_a, "b"_a,
       release_gil());
@@ -237,18 +242,21 @@ void bind_functions(py::module_& m) {
       "div", [](const Tensor& a, float b) { return nova::div(a, b); }, "a"_a, "b"_a, release_gil());
   m.def(
       "div", [](float a, const Tensor& b) { return nova::div(a, b); }, "a"_a, "b"_a, release_gil());
-  NOVAPHY_UNARY(neg, "-x")
-  NOVAPHY_UNARY(abs, "|x|; derivative -1 below 0, else +1.")
-  NOVAPHY_UNARY(sqrt, "Square root; no gradient at 0.")
-  NOVAPHY_UNARY(exp, "e^x")
-  NOVAPHY_UNARY(log, "Natural logarithm.")
-  NOVAPHY_UNARY(sin, "Sine, rad.")
-  NOVAPHY_UNARY(cos, "Cosine, rad.")
-  NOVAPHY_UNARY(tanh, "Hyperbolic tangent.")
-  NOVAPHY_UNARY(acos, "Arc cosine of x limited to [-1, 1], rad; no gradient at the limits.")
+  NOVAPHY_UNARY(neg, "Returns -x.")
+  NOVAPHY_UNARY(abs, "Returns\nx|. The derivative is -1 below 0, else +1.")
+  NOVAPHY_UNARY(sqrt, "Returns the square root. No gradient at 0.")
+  NOVAPHY_UNARY(exp, "Returns e^x.")
+  NOVAPHY_UNARY(log, "Returns the natural logarithm.")
+  NOVAPHY_UNARY(sin, "Returns the sine of x (rad).")
+  NOVAPHY_UNARY(cos, "Returns the cosine of x (rad).")
+  NOVAPHY_UNARY(tanh, "Returns the hyperbolic tangent.")
+  NOVAPHY_UNARY(acos,
+                "Returns the arc cosine (rad) of x limited to [-1, 1]. No gradient at the limits.")
   m.def(
       "atan2", [](const Tensor& y, const Tensor& x) { return nova::atan2(y, x); }, "y"_a, "x"_a,
-      release_gil(), "Angle of (x, y), rad, broadcast as in NumPy; no gradient at the origin.");
+      release_gil(),
+      "Returns the angle (rad) of the point (x, y), broadcast as in NumPy. No gradient at the "
+      "origin.");
   m.def(
       "clamp",
       [](const Tensor& x, py::handle lower, py::handle upper) {
@@ -257,8 +265,10 @@ void bind_functions(py::module_& m) {
         return nova::clamp(x, limits[0], limits[1]);
       },
       "x"_a, "lower"_a, "upper"_a,
-      "x limited to [lower, upper]; gradient 1 inside and at the bounds, 0 outside.");
-  NOVAPHY_BINARY(pow, "a to the power of b, broadcast as in NumPy; an exponent 2 gives a * a.")
+      "Returns x limited to [lower, upper]. The gradient is 1 inside and at the bounds, 0 "
+      "outside.");
+  NOVAPHY_BINARY(pow,
+                 "Returns a to the power of b, broadcast as in NumPy. An exponent 2 gives a * a.")
   m.def(
       "pow", [](const Tensor& a, float b) { return nova::pow(a, b); }, "a"_a, "b"_a, release_gil());
   m.def(
@@ -272,74 +282,78 @@ void bind_functions(py::module_& m) {
         return nova::where(condition, x, y);
       },
       "condition"_a, "a"_a, "b"_a,
-      "a where the condition (int32 or float32) is not 0, else b; tensors or numbers, broadcast "
-      "as in NumPy. No gradient flows to the condition.");
-  NOVAPHY_UNARY(norm, "Euclidean norm of all values, {1}; no gradient at 0.")
-  NOVAPHY_UNARY(sum_rows, "Sum of the rows of {n, w}: {1, w}.")
+      "Returns a where the condition (int32 or float32) is not 0, else b. Tensors and numbers are "
+      "broadcast as in NumPy. No gradient flows to the condition.");
+  NOVAPHY_UNARY(norm, "Returns the Euclidean norm of all values {1}. No gradient at 0.")
+  NOVAPHY_UNARY(sum_rows, "Returns the sum {1, w} of the rows of a tensor {n, w}.")
   m.def(
       "dot", [](const Tensor& a, const Tensor& b) { return nova::dot(a, b); }, "a"_a, "b"_a,
-      release_gil(), "Sum of a * b, {1}.");
+      release_gil(), "Returns the sum of a * b {1}.");
 }
 
 void bind_shapes(py::module_& m) {
   m.def("sum", &reduced<Reduction::Sum>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
-        release_gil(), "Sum of all values, {1}, or over one dimension, in a fixed order.")
+        release_gil(),
+        "Returns the sum of all values {1}, or over one dimension, in a fixed order.")
       .def("mean", &reduced<Reduction::Mean>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
-           release_gil(), "Mean of all values, {1}, or over one dimension.")
+           release_gil(), "Returns the mean of all values {1}, or over one dimension.")
       .def("max", &reduced<Reduction::Max>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
            release_gil(),
-           "Largest of all values, {1}, or over one dimension; one of equal values gets the "
-           "gradient. For two tensors use maximum.")
+           "Returns the largest of all values {1}, or over one dimension. One of equal values gets "
+           "the gradient. For two tensors use maximum.")
       .def("min", &reduced<Reduction::Min>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
            release_gil(),
-           "Smallest of all values, {1}, or over one dimension; one of equal values gets the "
-           "gradient. For two tensors use minimum.")
+           "Returns the smallest of all values {1}, or over one dimension. One of equal values "
+           "gets the gradient. For two tensors use minimum.")
       .def(
           "broadcast_to",
           [](const Tensor& x, py::handle shape) { return nova::broadcast_to(x, to_shape(shape)); },
-          "x"_a, "shape"_a, "x repeated to a shape, as in NumPy.")
+          "x"_a, "shape"_a, "Returns x repeated to a shape, as in NumPy.")
       .def(
           "gather", [](const Tensor& x, const Tensor& index) { return nova::gather(x, index); },
           "x"_a, "index"_a, release_gil(),
-          "Rows of x by an int32 tensor of any shape: index.shape + x.shape[1:]. A row may be "
-          "named several times: its gradient is the sum, in the order of the index. IndexError "
-          "for an entry outside of 0 to len(x) - 1.")
+          "Returns the rows of x that an int32 tensor of any shape names: index.shape + "
+          "x.shape[1:]. The gradient of a row that is named several times is the sum in the order "
+          "of the index. IndexError: an entry outside of 0 to len(x) - 1.")
       .def(
           "concat",
           [](const std::vector<Tensor>& parts, int64_t axis) { return nova::concat(parts, axis); },
           "parts"_a, "axis"_a = 0, release_gil(),
-          "Tensors one after the other along a dimension; their other dimensions are equal.")
+          "Joins tensors along a dimension. Their other dimensions are equal.")
       .def(
           "stack",
           [](const std::vector<Tensor>& parts, int64_t axis) { return nova::stack(parts, axis); },
           "parts"_a, "axis"_a = 0, release_gil(),
-          "Tensors of one shape along a new dimension, number `axis` of the result.")
+          "Stacks tensors of one shape along a new dimension, number `axis` of the result.")
       .def(
           "transpose",
           [](const Tensor& x, const std::optional<std::vector<int64_t>>& axes) {
             return nova::transpose(x, axes ? *axes : std::vector<int64_t>());
           },
           "x"_a, "axes"_a = py::none(), release_gil(),
-          "Dimension axes[k] of x becomes dimension k; None reverses their order. A copy.");
+          "Returns a copy in which dimension k is dimension axes[k] of x. None reverses the "
+          "dimensions.");
   NOVAPHY_BINARY(matmul,
-                 "Matrix product of {n, k} or {k} by {k, m} or {k}: each value is a left fold in "
-                 "ascending k.")
-  NOVAPHY_BINARY(cross, "a x b of vectors {..., 3}, broadcast in the dimensions before.")
+                 "Returns the matrix product of {n, k} or {k} and {k, m} or {k}. Each value is "
+                 "summed in ascending k.")
+  NOVAPHY_BINARY(
+      cross,
+      "Returns the cross product a x b of vectors {..., 3}, broadcast in the other dimensions.")
   NOVAPHY_BINARY(quat_mul,
-                 "The Hamilton product of quaternions {..., 4}, (x, y, z, w): the rotation b, then "
-                 "a.")
+                 "Returns the Hamilton product a b of quaternions {..., 4}, (x, y, z, w): the "
+                 "rotation b, then a.")
   m.def(
        "quat_rotate", [](const Tensor& q, const Tensor& v) { return nova::quat_rotate(q, v); },
        "q"_a, "v"_a, release_gil(),
-       "Vectors v {..., 3} rotated by unit quaternions q {..., 4}, (x, y, z, w). The inverse "
-       "rotation is that by q * nova.tensor([-1, -1, -1, 1]).")
+       "Returns the vectors v {..., 3} rotated by unit quaternions q {..., 4}, (x, y, z, w). q * "
+       "nova.tensor([-1, -1, -1, 1]) gives the inverse rotation.")
       .def(
           "quat_exp", [](const Tensor& r) { return nova::quat_exp(r); }, "r"_a, release_gil(),
-          "The unit quaternions {..., 4} of rotation vectors {..., 3}, rad.")
+          "Returns the unit quaternions {..., 4} of rotation vectors {..., 3} (rad).")
       .def(
           "quat_log", [](const Tensor& q) { return nova::quat_log(q); }, "q"_a, release_gil(),
-          "The rotation vectors {..., 3} of quaternions {..., 4}, rad, of length pi at most: q and "
-          "-q give the same. The gradient jumps at half a turn.");
+          "Returns the rotation vectors {..., 3} (rad) of quaternions {..., 4}. Their length is at "
+          "most pi, and q and -q give the same vector. The gradient jumps at half a turn.");
 }
 
 }  // namespace

@@ -12,7 +12,8 @@ using nova::TraceContext;
 
 namespace {
 
-// The TraceContext for as long as the function runs: a Python function may keep what it was given.
+// A reference to the TraceContext while the traced function runs. A Python function may keep its
+// argument for longer.
 struct PyContext {
   TraceContext* context;
   TraceContext& get() const {
@@ -44,54 +45,54 @@ size_t source_number(const TraceContext& c, py::handle source) {
 void bind_context(py::module_& m) {
   py::class_<PyContext, std::shared_ptr<PyContext>>(
       m, "TraceContext",
-      "The argument of a traced function. Sources are named by their name or number; without a row "
-      "they are read at the row that their access declares.")
+      "The argument of a traced function. A source is given by its name or index. Without a row it "
+      "is read at the row of its declared access.")
       .def(
-          "index", [](const PyContext& c) { return c.get().index(); }, "The output row i.")
+          "index", [](const PyContext& c) { return c.get().index(); }, "Returns the output row i.")
       .def(
           "reduce_index", [](const PyContext& c) { return c.get().reduce_index(); },
-          "The position in the sum (in its body).")
+          "Returns the position r in the sum. Only the body of a sum has one.")
       .def(
           "slot", [](const PyContext& c) { return c.get().slot(); },
-          "The slot of a CSR row (in the body of its sum).")
+          "Returns the slot of a CSR row. Only the body of a CSR sum has one.")
       .def(
           "f32",
           [](const PyContext& c, py::handle source, int32_t column) {
             return c.get().f32(source_number(c.get(), source), column);
           },
-          "source"_a, "column"_a = 0, "A float column at the declared row.")
+          "source"_a, "column"_a = 0, "Returns a float column at the declared row.")
       .def(
           "f32",
           [](const PyContext& c, py::handle source, const Int& row, int32_t column) {
             return c.get().f32(source_number(c.get(), source), row, column);
           },
           "source"_a, "row"_a, "column"_a,
-          "A float column at a row, which must fit the declared access.")
+          "Returns a float column at a row, which has to fit the declared access.")
       .def(
           "i32",
           [](const PyContext& c, py::handle source, int32_t column) {
             return c.get().i32(source_number(c.get(), source), column);
           },
-          "source"_a, "column"_a = 0, "An integer column at the declared row.")
+          "source"_a, "column"_a = 0, "Returns an integer column at the declared row.")
       .def(
           "i32",
           [](const PyContext& c, py::handle source, const Int& row, int32_t column) {
             return c.get().i32(source_number(c.get(), source), row, column);
           },
           "source"_a, "row"_a, "column"_a,
-          "An integer column at a row, which must fit the declared access.")
+          "Returns an integer column at a row, which has to fit the declared access.")
       .def(
           "param", [](const PyContext& c, int32_t k) { return c.get().param(k); }, "k"_a,
-          "Launch parameter k as a float.")
+          "Returns launch parameter k as a float.")
       .def(
           "param_i32", [](const PyContext& c, int32_t k) { return c.get().param_i32(k); }, "k"_a,
-          "Launch parameter k as an int.");
+          "Returns launch parameter k as an int.");
 }
 
 std::vector<Real> reals(const py::object& result, const char* what) {
   std::vector<Real> values;
   const auto add = [&](py::handle value) {
-    py::detail::make_caster<Real> real;  // takes plain numbers too
+    py::detail::make_caster<Real> real;  // converts plain numbers too
     require(!value.is_none() && real.load(value, true), ErrorKind::Type, what,
             ": expected Real values, got ", type_name(value));
     values.push_back(py::detail::cast_op<const Real&>(real));
@@ -139,7 +140,7 @@ std::vector<nova::SourceSpec> to_sources(const py::sequence& sources) {
   return specs;
 }
 
-// A number of columns of the output "out", or (name, width) each.
+// Reads the outputs: a number of columns of the output "out", or (name, width) each.
 std::vector<nova::OutputSpec> to_outputs(py::handle outputs) {
   if (PyIndex_Check(outputs.ptr())) return {{"out", to_int32(outputs, "outputs")}};
   std::vector<nova::OutputSpec> specs;
@@ -154,7 +155,7 @@ std::vector<nova::OutputSpec> to_outputs(py::handle outputs) {
 
 struct PyKernel {
   nova::Kernel kernel;
-  std::vector<bool> param_is_int;  // as the function reads it
+  std::vector<bool> param_is_int;  // by parameter: the function reads an int
 };
 
 PyKernel finish(nova::Kernel kernel) {
@@ -223,16 +224,15 @@ void bind_nova_kernel(py::module_& m) {
   bind_context(m);
 
   py::class_<nova::IncidenceData, std::shared_ptr<nova::IncidenceData>>(
-      m, "Incidence",
-      "The inverse of an index table: for every row the slots that hold it, ascending.")
+      m, "Incidence", "The inverse of an index table: the slots that hold each row, ascending.")
       .def_property_readonly(
-          "rows", [](const nova::IncidenceData& i) { return i.rows; }, "Rows.")
+          "rows", [](const nova::IncidenceData& i) { return i.rows; }, "The number of rows.")
       .def_property_readonly(
           "offsets", [](const nova::IncidenceData& i) { return items_to_numpy(i.offsets); },
-          "int32 {rows + 1}: where the items of a row begin.")
+          "The index of the first item of each row, and of the end: int32 {rows + 1}.")
       .def_property_readonly(
           "items", [](const nova::IncidenceData& i) { return items_to_numpy(i.items); },
-          "int32 {slots}: the slots, row by row.")
+          "The slots of all rows, row by row: int32 {slots}.")
       .def(
           "rebuild", [](const nova::Incidence& i) { nova::rebuild(i); }, release_gil(),
           doc::kRebuild);
@@ -244,54 +244,54 @@ void bind_nova_kernel(py::module_& m) {
         return nova::make_incidence(table.flat_operand(), rows);
       },
       "table"_a, "rows"_a, release_gil(),
-      "Inverts an int32 table of row numbers; negative entries belong to no row. IndexError: an "
+      "Inverts an int32 table of row indices. Negative entries belong to no row. IndexError: an "
       "entry >= rows.");
 
   py::class_<PyKernel>(m, "IndexedKernel",
-                       "A kernel with generated adjoints: call it with tensors.")
+                       "A kernel with generated adjoints. Call it with tensors.")
       .def("__call__", &call, "dim"_a, "inputs"_a, "params"_a = py::tuple(),
            "extent"_a = py::none(), "csr"_a = py::none(), "active"_a = py::none(), doc::kLaunch)
       .def_property_readonly(
           "name", [](const PyKernel& k) { return k.kernel.name(); }, "The name of the kernel.")
       .def_property_readonly(
           "hash", [](const PyKernel& k) { return k.kernel.hash(); },
-          "64 bits: equal for equal computations.")
+          "The hash of the computation (64 bits), equal for equal computations.")
       .def(
           "source",
           [](const PyKernel& k, const std::string& form) { return k.kernel.source(form); },
           "form"_a = "c",
-          "As text: \"c\", what a C compiler gets (engine kernels) or would get; \"program\", the "
-          "Program itself. ValueError: another form.")
+          "Returns the kernel as text. \"c\": the C code that a compiler gets (engine kernels) or "
+          "would get. \"program\": the Program. ValueError: another form.")
       .def("__repr__",
            [](const PyKernel& k) { return "IndexedKernel('" + k.kernel.name() + "')"; });
-  py::class_<nova::KernelInfo>(m, "KernelInfo", "How a Program runs on a device.")
+  py::class_<nova::KernelInfo>(m, "KernelInfo", "The way in which a Program runs on a device.")
       .def_readonly("name", &nova::KernelInfo::name,
                     "The name of the kernel; adjoints end in \".adjoint\" or \".adjoint_items\".")
       .def_readonly("hash", &nova::KernelInfo::hash, "The hash of the Program.")
       .def_property_readonly(
-          "device", [](const nova::KernelInfo& i) { return i.device.str(); }, "\"cpu\", ...")
+          "device", [](const nova::KernelInfo& i) { return i.device.str(); },
+          "The device: \"cpu\", ...")
       .def_readonly("how", &nova::KernelInfo::how,
-                    "\"native\", \"interpreter\", or \"unknown\" where the backend does not tell.")
+                    "The way to run: \"native\", \"interpreter\", or \"unknown\" if the backend "
+                    "does not report it.")
       .def_readonly("isa", &nova::KernelInfo::isa, "The instruction set: \"avx2\", ...")
-      .def_readonly("lanes", &nova::KernelInfo::lanes, "Rows per vector of the processor.")
+      .def_readonly("lanes", &nova::KernelInfo::lanes, "The number of rows per SIMD vector.")
       .def("__repr__", [](const nova::KernelInfo& i) {
         return "KernelInfo(name='" + i.name + "', device='" + i.device.str() + "', how='" + i.how +
                "', isa='" + i.isa + "', lanes=" + std::to_string(i.lanes) + ")";
       });
   m.def(
       "kernel_info", [] { return nova::kernel_info(); },
-      "How each kernel and adjoint runs that was made ready for a device so far, in that order: a "
-      "list of "
-      "KernelInfo.");
+      "Returns a list of KernelInfo: one for each kernel and adjoint that was prepared for a "
+      "device, in this order.");
   m.def("make_indexed_kernel", &make_indexed, "name"_a, "sources"_a, "outputs"_a, "fn"_a,
         doc::kMap);
   m.def("make_reduce_kernel", &make_reduce, "name"_a, "sources"_a, "outputs"_a, "body"_a,
         py::kw_only(), "init"_a = py::none(), "epilogue"_a = py::none(),
-        "A kernel out[i] = epilogue(i, ordered sum of body(i, r) from init(i)). body(c) returns "
-        "the terms, init(c) the "
-        "initial values (0), epilogue(c, sums) the outputs (the sums). Sources may also be "
-        "\"reduced\" (row r of `extent`) "
-        "or \"csr_row\" (the slots of row i of an Incidence).");
+        "Makes a kernel out[i] = epilogue(i, ordered sum of body(i, r) from init(i)). body(c) "
+        "returns the terms, init(c) the initial values (None: 0), epilogue(c, sums) the outputs "
+        "(None: the sums). A source may also have the access \"reduced\" (row r of `extent`) or "
+        "\"csr_row\" (the slots of row i of an Incidence).");
 }
 
 }  // namespace novaphy::python

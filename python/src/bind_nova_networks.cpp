@@ -59,7 +59,8 @@ void bind_draw(py::module_& m, const char* name, Draw draw, const char* doc) {
       [draw](py::handle shape, py::handle seed, py::handle step, py::handle stream,
              py::handle device, py::handle first_world) {
         const auto [worlds, width] = to_draw_shape(shape);
-        const nova::RandomKey key{.seed = to_seed(seed), .stream = to_int32(stream, "stream"),
+        const nova::RandomKey key{.seed = to_seed(seed),
+                                  .stream = to_int32(stream, "stream"),
                                   .first_world = to_int32(first_world, "first_world")};
         Tensor at;
         if (py::isinstance<nova::TensorImpl>(step)) {
@@ -80,11 +81,12 @@ void bind_draw(py::module_& m, const char* name, Draw draw, const char* doc) {
 }  // namespace
 
 void bind_nova_networks(py::module_& m) {
-  m.def("relu", &nova::relu, "x"_a, release_gil(), "max(x, 0); derivative 1 above 0, else 0.");
+  m.def("relu", &nova::relu, "x"_a, release_gil(),
+        "Returns max(x, 0). The derivative is 1 above 0, else 0.");
   m.def(
       "relu", [](const Real& x) { return novaphy::math::relu(x); }, "x"_a);
   m.def("softplus", &nova::softplus, "x"_a, release_gil(),
-        "log(1 + e^x), without overflow; derivative 1 / (1 + e^-x).");
+        "Returns log(1 + e^x), without overflow. The derivative is 1 / (1 + e^-x).");
   m.def(
       "softplus", [](const Real& x) { return novaphy::math::softplus(x); }, "x"_a);
   m.def(
@@ -93,14 +95,15 @@ void bind_nova_networks(py::module_& m) {
         return nova::linear(x, weight, bias.value_or(Tensor()));
       },
       "x"_a, "weight"_a, "bias"_a = py::none(), release_gil(),
-      "x weight^T + bias: x {n, k} or {k}, weight {m, k}, bias {m}, to {n, m} or {m}. Sums in the "
-      "order of matmul.");
+      "Returns x weight^T + bias {n, m} or {m}, for x {n, k} or {k}, weight {m, k} and bias {m}. "
+      "Sums have the order of matmul.");
   bind_draw(m, "random_uniform", &nova::random_uniform, doc::kUniform);
   bind_draw(m, "random_normal", &nova::random_normal,
-            "Normal numbers, mean 0 and variance 1, {worlds, width}: of the bits of "
-            "random_uniform, by Box and Muller.");
+            "Returns normal numbers {worlds, width} with mean 0 and variance 1: the Box-Muller "
+            "transform of the bits of random_uniform. No gradient.");
   m.def("philox4x32", &nova::philox4x32, "counter"_a, "key"_a,
-        "The four words that Philox4x32-10 makes of a counter of four words and a key of two.");
+        "Returns the four words of Philox4x32-10 for a counter of four words and a key of two "
+        "words.");
 }
 
 }  // namespace novaphy::python

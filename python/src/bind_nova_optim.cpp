@@ -11,7 +11,7 @@ using nova::optim::SGD;
 
 namespace {
 
-// A Tensor, or any iterable of them.
+// Reads parameters: a Tensor, or an iterable of Tensors.
 std::vector<Tensor> to_params(py::handle value, const char* call) {
   if (py::isinstance<nova::TensorImpl>(value)) return {value.cast<Tensor>()};
   require(py::isinstance<py::iterable>(value), ErrorKind::Type, call,
@@ -27,7 +27,7 @@ std::vector<Tensor> to_params(py::handle value, const char* call) {
 
 void bind_updates(py::module_& m) {
   m.def("sgd_update_f32", &nova::sgd_update_f32, "param"_a, "learning_rate"_a, release_gil(),
-        "param -= learning_rate * param.grad, in place, as one kernel. ValueError when there is no "
+        "Updates param -= learning_rate * param.grad in place, as one kernel. ValueError: no "
         "gradient.");
   m.def("sgd_update_vec3_clipped_f32", &nova::sgd_update_vec3_clipped_f32, "param"_a,
         "learning_rate"_a, "max_parameter_norm"_a, "max_gradient_norm"_a, release_gil(),
@@ -70,15 +70,15 @@ void bind_clipping(py::module_& m) {
         nova::clip_grad_value_(list, v);
       },
       "params"_a, "v"_a,
-      "Limits every value of the gradients to [-v, v], in place; NaN stays NaN. ValueError: a "
+      "Limits every value of the gradients to [-v, v], in place. NaN stays NaN. ValueError: a "
       "parameter without gradient or given twice, no parameters, v <= 0 or NaN. TypeError: not "
       "float32.");
   m.def("clamp_", &nova::clamp_, "param"_a, "lo"_a, "hi"_a, release_gil(),
-        "Limits every value of param itself to [lo, hi], in place and not recorded on a tape; NaN "
-        "stays NaN. ValueError unless lo <= hi. TypeError: not float32.");
+        "Limits every value of param to [lo, hi], in place and without a record on a tape. NaN "
+        "stays NaN. ValueError: not lo <= hi. TypeError: not float32.");
 }
 
-// What both classes have.
+// The common members of both classes.
 template <class C>
 void bind_optimizer(py::class_<C>& c) {
   c.def("__repr__",
@@ -92,13 +92,13 @@ void bind_optimizer(py::class_<C>& c) {
         })
       .def("step", &C::step, release_gil(), doc::kOptimizerStep)
       .def("check", &C::check, release_gil(),
-           "novaphy.Error where steps since the last call met a gradient that is not finite. Waits "
-           "for a device.")
+           "Waits for the device. novaphy.Error: since the last call a step met a gradient that is "
+           "not finite.")
       .def("zero_grad", &C::zero_grad, release_gil(), "Sets the gradients to zero.")
       .def_property_readonly("params", &C::params, "The parameters, as a list.")
       .def_property("lr", &C::lr, &C::set_lr,
-                    "The learning rate of steps from now on; finite and >= 0 (ValueError). A "
-                    "captured graph keeps its own.");
+                    "The learning rate of the next steps. A captured graph keeps its own. "
+                    "ValueError: not finite, or < 0.");
 }
 
 void bind_classes(py::module_& m) {
@@ -123,7 +123,8 @@ ValueError and TypeError name the argument.)");
           }),
           "params"_a, "lr"_a = s.lr, "momentum"_a = s.momentum, "dampening"_a = s.dampening,
           "weight_decay"_a = s.weight_decay, "nesterov"_a = s.nesterov)
-      .def_property_readonly("b", &SGD::b, "The momentum of each parameter; none without momentum.")
+      .def_property_readonly("b", &SGD::b,
+                             "The momentum of each parameter; an empty list without momentum.")
       .def_property_readonly("t", &SGD::t,
                              "The number of steps so far, {1}; None without momentum.");
   bind_optimizer(sgd);

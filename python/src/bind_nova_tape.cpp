@@ -81,9 +81,9 @@ GradientInfoFields tape_info(const nova::Tape& tape) { return to_fields(gradient
 constexpr const char* kTapeInfo = doc::kTapeInfo;
 
 constexpr const char* kBackward =
-    "Pulls the gradient of `loss` back: leaves accumulate over calls, everything else starts anew. "
-    "Without `grad` the loss must hold one value (ValueError, also for a loss that is not on the "
-    "tape).";
+    "Computes the gradients of `loss`. Gradients of leaves accumulate over calls, all others start "
+    "anew. grad: the gradient of the loss; None: 1, for a loss with one value. ValueError: a loss "
+    "with more values and no grad, or one that is not on the tape.";
 
 void bind_tape(py::module_& m) {
   py::class_<nova::Tape>(m, "Tape", doc::kTape)
@@ -111,11 +111,11 @@ void bind_tape(py::module_& m) {
             return tape.carries_gradient(*tensor.range());
           },
           "tensor"_a,
-          "Whether a gradient flows through the tensor's value on this tape: a leaf, or the result "
-          "of an operation that it recorded. backward() takes the latter.")
+          "Returns whether a gradient flows through the tensor's value on this tape: the tensor is "
+          "a leaf, or the result of a recorded operation. backward() takes such a result.")
       .def("gradient_info", &tape_info, kTapeInfo)
       .def("zero", &nova::Tape::zero, release_gil(),
-           "Sets all gradients that the tape touched to zero.")
+           "Sets all gradients that the tape has written to zero.")
       .def("reset", &nova::Tape::reset, "Forgets all operations.")
       .def_property_readonly("size", &nova::Tape::size, "The number of recorded operations.")
       .def("__len__", &nova::Tape::size)
@@ -128,17 +128,17 @@ void bind_tape(py::module_& m) {
            })
       .def("op_names", &nova::Tape::op_names, "The names of the recorded operations, in order.")
       .def_property_readonly("memory_bytes", &nova::Tape::memory_bytes,
-                             "Bytes of the records themselves.")
+                             "The memory of the records, without the tensors (bytes).")
       .def("record_custom", &record_custom, "name"_a, "inputs"_a, "outputs"_a, "backward"_a,
            "forward"_a = py::none(), doc::kRecordCustom);
 
   m.def("active_tape", &nova::Tape::active, py::return_value_policy::reference, doc::kActiveTape);
-  py::class_<NoGradContext>(m, "no_grad",
-                            "Context manager: nothing of this thread is recorded on a tape.")
+  py::class_<NoGradContext>(
+      m, "no_grad", "A context manager in which no tape records the operations of this thread.")
       .def(py::init<>())
       .def("__enter__", &NoGradContext::enter)
       .def("__exit__", [](NoGradContext& c, const py::args&) { c.exit(); });
-  m.def("grad_enabled", &nova::grad_enabled, "Whether this thread is outside of no_grad.");
+  m.def("grad_enabled", &nova::grad_enabled, "Returns whether this thread is outside of no_grad.");
 }
 
 std::string graph_text(const nova::OpList& graph) {
@@ -150,15 +150,15 @@ void bind_capture(py::module_& m) {
       m, "Graph", "A recorded list of operations on fixed memory, which launch() runs.")
       .def("launch", &nova::OpList::launch, release_gil(), doc::kGraphLaunch)
       .def("prepare", &nova::OpList::prepare, release_gil(),
-           "Plans and compiles what launches need to be as fast as they get, and runs nothing. For "
-           "measurements. novaphy.Error inside a ScopedCapture.")
+           "Plans and compiles the graph, so that the first launch is fast. Runs no operation. Use "
+           "it before measurements. novaphy.Error: inside a ScopedCapture.")
       .def("__len__", &nova::OpList::size)
       .def("__repr__", &graph_text)
-      .def_property_readonly("size", &nova::OpList::size, "Operations.");
-  py::class_<CaptureContext>(m, "ScopedCapture",
-                             "Context manager: launches, copies and fills of this thread are "
-                             "recorded and not run. Host reads and whatever else "
-                             "cannot be recorded raise novaphy.Error.")
+      .def_property_readonly("size", &nova::OpList::size, "The number of operations.");
+  py::class_<CaptureContext>(
+      m, "ScopedCapture",
+      "A context manager that records launches, copies and fills of this thread instead of running "
+      "them. novaphy.Error: a host read, or another operation that cannot be recorded.")
       .def(py::init<>())
       .def("__enter__",
            [](py::object self) {
@@ -173,7 +173,7 @@ void bind_capture(py::module_& m) {
       .def_property_readonly("graph", &CaptureContext::graph, "The Graph of the capture.");
   m.def(
       "capture_launch", [](const nova::OpList& graph) { graph.launch(); }, "graph"_a, release_gil(),
-      "graph.launch()");
+      "Runs graph.launch().");
   const py::cpp_function wait(&nova::wait_for_compilers, release_gil());
   py::module_::import("atexit").attr("register")(wait);
 }
@@ -181,10 +181,10 @@ void bind_capture(py::module_& m) {
 void bind_gradcheck(py::module_& m) {
   const nova::GradcheckOptions d;
   py::class_<nova::GradcheckResult>(m, "GradcheckResult",
-                                    "The result of gradcheck; true when it is ok.")
+                                    "The result of gradcheck, which is true if all values agree.")
       .def_readonly("ok", &nova::GradcheckResult::ok, "Whether all values agree.")
       .def_readonly("max_abs_error", &nova::GradcheckResult::max_abs_error,
-                    "The largest difference between gradient and difference quotient.")
+                    "The largest difference between the gradient and the difference quotient.")
       .def_readonly(
           "max_rel_error", &nova::GradcheckResult::max_rel_error,
           "The largest difference between the gradient and the difference quotient of an input, "
@@ -193,9 +193,10 @@ void bind_gradcheck(py::module_& m) {
                     "The place of the largest difference: \"input 1, value 4: ad 0.5, fd 0.4\".")
       .def_readonly("has_tangent", &nova::GradcheckResult::has_tangent,
                     "Whether every operation has a tangent, so that the dot product was compared.")
-      .def_readonly("dot_product_error", &nova::GradcheckResult::dot_product_error,
-                    "The derivative in one random direction u as J u (Tape.jvp) and as <u, "
-                    "gradient>: their difference, relative to the sum of |u_i gradient_i|.")
+      .def_readonly(
+          "dot_product_error", &nova::GradcheckResult::dot_product_error,
+          "The derivative in one random direction u, computed as J u (Tape.jvp) and as <u, "
+          "gradient>: the difference of both, relative to the sum of\nu_i gradient_i|.")
       .def("__bool__", [](const nova::GradcheckResult& r) { return r.ok; })
       .def("__repr__", [](const nova::GradcheckResult& r) {
         return std::string("GradcheckResult(ok=") + (r.ok ? "True" : "False") +

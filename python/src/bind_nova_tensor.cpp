@@ -20,7 +20,7 @@ void assign_tensor(const Tensor& self, py::handle source) {
   assign_host_values(view_of(self), source, "assign");
 }
 
-// One size may be -1: whatever is left.
+// One size may be -1: the remaining size.
 Tensor reshape(const Tensor& self, const py::args& args) {
   py::object sizes = args.size() == 1 && PySequence_Check(py::object(args[0]).ptr())
                          ? py::object(args[0])
@@ -56,7 +56,7 @@ std::string repr(const Tensor& t) {
          (t.requires_grad() ? ", requires_grad=True" : "") + ")";
 }
 
-// The value of a tensor that holds one, as a Python number.
+// Returns the value of a tensor with one value, as a Python number.
 py::object item(const Tensor& t) {
   require(t.size() == 1, ErrorKind::Value, "item: expected one value, got shape ",
           nova::shape_str(t.shape()));
@@ -69,8 +69,8 @@ bool truth(const Tensor& t) {
   return py::bool_(item(t));
 }
 
-// The values, in memory of their own after unpickling. A recorded result has no copy: it would look
-// like one that carries the gradient.
+// Pickles the values, which get their own memory after unpickling. A recorded result is refused:
+// the copy would look as if it carried the gradient.
 py::tuple keep(const Tensor& t) {
   require(t.is_leaf(), ErrorKind::Runtime,
           "pickle, copy: the tensor is the result of a recorded operation; take t.detach()");
@@ -91,24 +91,28 @@ using TensorClass = py::class_<nova::TensorImpl, std::shared_ptr<nova::TensorImp
 
 void bind_properties(TensorClass& c) {
   c.def_property_readonly(
-       "shape", [](const Tensor& t) { return shape_tuple(t.shape()); }, "Sizes.")
-      .def_property_readonly("ndim", method<&Tensor::ndim>, "Dimensions.")
+       "shape", [](const Tensor& t) { return shape_tuple(t.shape()); },
+       "The sizes of the dimensions.")
+      .def_property_readonly("ndim", method<&Tensor::ndim>, "The number of dimensions.")
       .def_property_readonly("size", method<&Tensor::size>, "The total count of values.")
       .def_property_readonly(
           "dtype", [](const Tensor& t) { return dtype_object(dtype_of(t.dtype())); },
-          "float32, int32 or uint8.")
+          "The dtype: float32, int32 or uint8.")
       .def_property_readonly("device", method<&Tensor::device>, "The device of the memory.")
       .def_property_readonly(
-          "strides", [](const Tensor& t) { return shape_tuple(view_of(t).strides()); }, "Bytes.")
+          "strides", [](const Tensor& t) { return shape_tuple(view_of(t).strides()); },
+          "The distance between entries along each dimension (bytes).")
       .def_property_readonly(
-          "itemsize", [](const Tensor& t) { return nova::dtype_bytes(t.dtype()); }, "Bytes.")
-      .def_property_readonly("nbytes", method<&Tensor::bytes>, "Bytes.")
+          "itemsize", [](const Tensor& t) { return nova::dtype_bytes(t.dtype()); },
+          "The size of a value (bytes).")
+      .def_property_readonly("nbytes", method<&Tensor::bytes>, "The size of all values (bytes).")
       .def_property_readonly(
           "data_ptr",
           [](const Tensor& t) { return reinterpret_cast<uintptr_t>(t.range()->data()); },
           "The address of the memory on the device.")
       .def_property_readonly(
-          "is_contiguous", [](const Tensor&) { return true; }, "Always.")
+          "is_contiguous", [](const Tensor&) { return true; },
+          "True: the values are tightly packed.")
       .def_property_readonly("is_external", method<&Tensor::is_external>,
                              "Whether the memory belongs to another object.")
       .def_property_readonly("is_leaf", method<&Tensor::is_leaf>,
@@ -117,7 +121,7 @@ void bind_properties(TensorClass& c) {
                              "A number that grows with every write to the memory.")
       .def_property("requires_grad", method<&Tensor::requires_grad>,
                     method<&Tensor::set_requires_grad>,
-                    "Whether tapes follow the tensor; ValueError: not float32.")
+                    "Whether tapes record operations on the tensor. ValueError: not float32.")
       .def_property_readonly(
           "grad", &grad_of,
           "The gradient, a Tensor of the same shape. The gradient is zero before the first "
@@ -131,21 +135,22 @@ void bind_methods(TensorClass& c) {
          return view_to_numpy(view_of(t), copy, writable);
        },
        "copy"_a = true, "writable"_a = false,
-       "A NumPy array: a copy, or with copy=False the memory itself, read-only unless "
-       "writable=True. novaphy.Error in a "
-       "capture.")
-      .def("item", &item, "The value of a tensor that holds one, as a Python number.")
+       "Returns a NumPy array: a copy, or with copy=False the memory itself, read-only unless "
+       "writable=True. novaphy.Error: inside a capture.")
+      .def("item", &item, "Returns the value of a tensor with one value, as a Python number.")
       .def(
           "tolist",
           [](const Tensor& t) { return py::object(copy_to_numpy(view_of(t)).attr("tolist")()); },
-          "The values as nested lists.")
+          "Returns the values as nested lists.")
       .def("clone", method<&Tensor::clone>, release_gil(),
            "Returns a copy, recorded on an active tape.")
-      .def("detach", method<&Tensor::detach>, release_gil(), "Returns a copy that no tape follows.")
+      .def("detach", method<&Tensor::detach>, release_gil(),
+           "Returns a copy that is not recorded on a tape.")
       .def(
           "to", [](const Tensor& t, py::handle device) { return t.to(to_device(device)); },
           "device"_a, "Returns a copy on a device.")
-      .def("reshape", &reshape, "The same memory in another shape; one size may be -1.")
+      .def("reshape", &reshape,
+           "Returns a tensor with the same memory and another shape. One size may be -1.")
       .def(
           "copy_",
           [](const py::object& self, const Tensor& source) {
@@ -156,7 +161,9 @@ void bind_methods(TensorClass& c) {
             }
             return self;
           },
-          "source"_a, "Copies a tensor's values, recorded on an active tape; returns self.")
+          "source"_a,
+          "Copies a tensor's values into this tensor. An active tape records the copy. Returns "
+          "this tensor.")
       .def("assign", &assign_tensor, "source"_a,
            "Copies values from a Tensor, NumPy array or list of the same number of values "
            "(ValueError). float64 values are rounded.")
@@ -286,7 +293,7 @@ void bind_operators(TensorClass& c) {
   NOVAPHY_COMPARISON(ne, Ne);
   NOVAPHY_COMPARISON(ge, Ge);
   NOVAPHY_COMPARISON(gt, Gt);
-  // Python would answer False, and True, for what is comparable with no one.
+  // Without this overload Python would answer False and True for objects that cannot be compared.
   for (const char* name : {"__eq__", "__ne__"})
     c.def(name, [name](const Tensor&, const py::object& other) -> py::object {
       require(!PyList_Check(other.ptr()) && !py::hasattr(other, "__array__"), ErrorKind::Type, name,

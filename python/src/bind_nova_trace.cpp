@@ -8,8 +8,7 @@ using nova::Bool;
 using nova::Int;
 using nova::Real;
 
-// A Python or NumPy number that stands for a constant of a trace. Truth values are none: they stay
-// Bool.
+// A Python or NumPy number that becomes a constant of a trace. Truth values stay Bool.
 struct RealConstant {
   float value = 0.0f;
 };
@@ -68,7 +67,7 @@ namespace {
 #define NOVAPHY_TRACED(cls, name, T, expression) \
   cls.def(                                       \
       "__" name "__", [](const T& a, const T& b) { return expression; }, py::is_operator())
-// Both operands' order, the other one a constant of any accepted kind.
+// Binds both orders of the operands. One of them may be a constant of any accepted kind.
 #define NOVAPHY_TRACED_PAIR(cls, name, T, expression) \
   NOVAPHY_TRACED(cls, name, T, expression);           \
   cls.def(                                            \
@@ -86,8 +85,9 @@ Real whole_power(const Real& x, int32_t n) {
 }
 
 void bind_real(py::module_& m) {
-  py::class_<Real> c(m, "Real", "A float32 while a kernel is traced.");
-  c.def(py::init([](const RealConstant& v) { return Real(v.value); }), "value"_a, "A constant.");
+  py::class_<Real> c(m, "Real", "A float32 value in a traced function.");
+  c.def(py::init([](const RealConstant& v) { return Real(v.value); }), "value"_a,
+        "Makes a constant.");
   py::implicitly_convertible<RealConstant, Real>();
   NOVAPHY_TRACED_PAIR(c, "add", Real, a + b);
   NOVAPHY_TRACED_PAIR(c, "sub", Real, a - b);
@@ -112,8 +112,9 @@ void bind_real(py::module_& m) {
 }
 
 void bind_int(py::module_& m) {
-  py::class_<Int> c(m, "Int", "An int32 while a kernel is traced; arithmetic wraps.");
-  c.def(py::init([](const IntConstant& v) { return Int(v.value); }), "value"_a, "A constant.");
+  py::class_<Int> c(m, "Int", "An int32 value in a traced function. Arithmetic wraps around.");
+  c.def(py::init([](const IntConstant& v) { return Int(v.value); }), "value"_a,
+        "Makes a constant.");
   py::implicitly_convertible<IntConstant, Int>();
   NOVAPHY_TRACED_PAIR(c, "add", Int, a + b);
   NOVAPHY_TRACED_PAIR(c, "sub", Int, a - b);
@@ -136,17 +137,16 @@ void bind_int(py::module_& m) {
   c.attr("__hash__") = py::none();
   m.def(
       "idiv", [](const Int& a, const Int& b) { return a / b; }, "a"_a, "b"_a,
-      "Integer division that truncates, as in C; 0 for a zero divisor.");
+      "Returns the quotient, truncated as in C; 0 for a zero divisor.");
   m.def(
       "imod", [](const Int& a, const Int& b) { return a % b; }, "a"_a, "b"_a,
-      "Remainder with the sign of a, as in C; 0 for a zero divisor.");
+      "Returns the remainder with the sign of a, as in C; 0 for a zero divisor.");
 }
 
 void bind_bool(py::module_& m) {
-  py::class_<Bool> c(m, "Bool",
-                     "A truth value while a kernel is traced. bool() is not supported: use "
-                     "nova.select.");
-  c.def(py::init<bool>(), "value"_a, "A constant.")
+  py::class_<Bool> c(
+      m, "Bool", "A truth value in a traced function. bool() is not supported: use nova.select.");
+  c.def(py::init<bool>(), "value"_a, "Makes a constant.")
       .def(
           "__and__", [](const Bool& a, const Bool& b) { return both(a, b); }, py::is_operator())
       .def(
@@ -160,7 +160,7 @@ void bind_bool(py::module_& m) {
   m.def(                              \
       #name, [](const Real& x) { return nova::name(x); }, "x"_a, doc);
 
-// Functions of traced values; those that tensors have too get an overload.
+// Binds functions of traced values. Functions that tensors have too get an overload.
 void bind_traced_functions(py::module_& m) {
   NOVAPHY_REAL_UNARY(abs, "")
   NOVAPHY_REAL_UNARY(sqrt, "")
@@ -169,27 +169,30 @@ void bind_traced_functions(py::module_& m) {
   NOVAPHY_REAL_UNARY(sin, "")
   NOVAPHY_REAL_UNARY(cos, "")
   NOVAPHY_REAL_UNARY(tanh, "")
-  NOVAPHY_REAL_UNARY(tan, "Tangent, rad.")
-  NOVAPHY_REAL_UNARY(asin, "Arc sine, rad.")
-  NOVAPHY_REAL_UNARY(acos, "Arc cosine, rad.")
-  NOVAPHY_REAL_UNARY(rsqrt, "1 / sqrt(x)")
-  NOVAPHY_REAL_UNARY(floor, "The largest integer <= x, as Real.")
-  NOVAPHY_REAL_UNARY(sign, "-1 for x < 0, else +1.")
-  NOVAPHY_REAL_UNARY(to_int, "Truncates; saturates; NaN gives 0.")
-  NOVAPHY_REAL_UNARY(detach, "The value, as a constant for the derivative.")
+  NOVAPHY_REAL_UNARY(tan, "Returns the tangent of x (rad).")
+  NOVAPHY_REAL_UNARY(asin, "Returns the arc sine (rad).")
+  NOVAPHY_REAL_UNARY(acos, "Returns the arc cosine (rad).")
+  NOVAPHY_REAL_UNARY(rsqrt, "Returns 1 / sqrt(x).")
+  NOVAPHY_REAL_UNARY(floor, "Returns the largest integer <= x, as a Real.")
+  NOVAPHY_REAL_UNARY(sign, "Returns -1 for x < 0, else +1.")
+  NOVAPHY_REAL_UNARY(to_int,
+                     "Returns x truncated to an Int. Large values saturate, and NaN gives 0.")
+  NOVAPHY_REAL_UNARY(detach, "Returns x as a constant for derivatives.")
   m.def(
-      "step", [](const Real& x) { return novaphy::math::step(x); }, "x"_a, "1 if x < 0, else 0.");
+      "step", [](const Real& x) { return novaphy::math::step(x); }, "x"_a,
+      "Returns 1 if x < 0, else 0.");
   m.def(
-      "to_real", [](const Int& x) { return nova::to_real(x); }, "x"_a, "The nearest float32.");
+      "to_real", [](const Int& x) { return nova::to_real(x); }, "x"_a,
+      "Returns the nearest float32 value.");
   m.def(
       "atan2", [](const Real& y, const Real& x) { return nova::atan2(y, x); }, "y"_a, "x"_a,
-      "Angle of (x, y), rad.");
+      "Returns the angle of the point (x, y) (rad).");
   m.def(
       "pow", [](const Real& x, const Real& y) { return nova::pow(x, y); }, "x"_a, "y"_a,
-      "x to the power of y.");
+      "Returns x to the power of y.");
   m.def(
       "fma", [](const Real& a, const Real& b, const Real& c) { return nova::fma(a, b, c); }, "a"_a,
-      "b"_a, "c"_a, "a * b + c, rounded once.");
+      "b"_a, "c"_a, "Returns a * b + c, rounded once.");
   m.def(
       "clamp",
       [](const Real& x, const Real& lo, const Real& hi) { return novaphy::math::clamp(x, lo, hi); },
@@ -197,22 +200,22 @@ void bind_traced_functions(py::module_& m) {
   for (const char* name : {"min", "minimum"}) {
     m.def(
         name, [](const Real& a, const Real& b) { return nova::min(a, b); }, "a"_a, "b"_a,
-        "a if a <= b, else b; the gradient goes to a if a < b, else to b.");
+        "Returns a if a <= b, else b. The gradient goes to a if a < b, else to b.");
     m.def(
         name, [](const Int& a, const Int& b) { return nova::min(a, b); }, "a"_a, "b"_a);
   }
   for (const char* name : {"max", "maximum"}) {
     m.def(
         name, [](const Real& a, const Real& b) { return nova::max(a, b); }, "a"_a, "b"_a,
-        "a if a >= b, else b; the gradient goes to a if a > b, else to b.");
+        "Returns a if a >= b, else b. The gradient goes to a if a > b, else to b.");
     m.def(
         name, [](const Int& a, const Int& b) { return nova::max(a, b); }, "a"_a, "b"_a);
   }
-  // Plain numbers on both sides are Real, so that overload comes first.
+  // Two plain numbers become Real, so that overload comes first.
   m.def(
       "select", [](const Bool& c, const Real& a, const Real& b) { return nova::select(c, a, b); },
       "condition"_a, "a"_a, "b"_a,
-      "a where the condition holds, else b. The gradient goes to the side that is taken.");
+      "Returns a where the condition holds, else b. The gradient goes to the chosen side.");
   m.def(
       "select", [](const Bool& c, const Int& a, const Int& b) { return nova::select(c, a, b); },
       "condition"_a, "a"_a, "b"_a);
@@ -225,8 +228,8 @@ void bind_traced_functions(py::module_& m) {
         return nova::with_derivative(y, x, dy_dx);
       },
       "y"_a, "x"_a, "dy_dx"_a,
-      "y, whose derivative with respect to x is declared to be dy_dx; pass detach(y) when that is "
-      "the whole derivative.");
+      "Returns y, with dy_dx declared as its derivative with respect to x. Pass detach(y) if dy_dx "
+      "is the whole derivative.");
 }
 
 }  // namespace

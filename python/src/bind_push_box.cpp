@@ -48,21 +48,22 @@ void bind_operator(py::module_& m, const char* name, Operator f, const char* doc
 void bind_push_box(py::module_& m) {
   bind_operator(
       m, "integrate_push_box_generated", &diff::integrate_push_box_generated,
-      "(box_x, box_v) {1} (m, m/s) after dt (s): a box on a line, with friction, that a sphere "
-      "pushes toward larger x. States and the pusher's are tensors {1}; mass (kg), half_extent and "
-      "pusher_radius (m), ke (N/m), kd (N s/m), friction, dt, softness (m), friction_velocity "
-      "(m/s) and gravity (m/s^2) are numbers or tensors {1}. With z = -(box_x - half_extent - "
-      "pusher_radius - pusher_x) / softness: N = ke softness softplus(z) + kd sigmoid(z) v_s "
-      "softplus((pusher_v - box_v) / v_s), friction = -mu m g tanh(box_v / v_s), symplectic Euler. "
-      "Gradients exact for all inputs, of a law that is a surrogate of contact: smooth, without a "
-      "reaction on the pusher. ValueError, naming the argument: another shape or device, a number "
-      "out of its range, a state that is not finite. Values of tensors are looked at on the cpu "
-      "outside of captures; elsewhere what is not finite goes into the results.");
-  bind_operator(
-      m, "integrate_push_box_rollout_generated", &diff::integrate_push_box_rollout_generated,
-      "integrate_push_box_generated n times as one operation, with its bits: pusher_x and pusher_v "
-      "{n}, a row per step; (box_x, box_v) {n} behind every step. On the cpu "
-      "(NotImplementedError).");
+      "Steps a box on a line that a sphere pushes toward larger x. Returns (box_x, box_v) {1} (m, "
+      "m/s) after dt (s), by symplectic Euler.\n\nbox_x, box_v, pusher_x, pusher_v: tensors "
+      "{1}.\nmass, half_extent, pusher_radius, ke, kd, friction, dt: kg, m, m, N/m, N s/m, 1 and "
+      "s; numbers or tensors {1}.\nsoftness, friction_velocity, gravity: m, m/s and m/s^2; numbers "
+      "or tensors {1}.\n\nWith z = -(box_x - half_extent - pusher_radius - pusher_x) / softness "
+      "the normal force is N = ke softness softplus(z) + kd sigmoid(z) v_s softplus((pusher_v - "
+      "box_v) / v_s). The friction is -mu m g tanh(box_v / v_s). The law is a smooth surrogate of "
+      "contact, without a reaction on the pusher. The gradients of this law are exact for all "
+      "inputs.\n\nValueError, with the name of the argument: another shape or device, a number out "
+      "of its range, a state that is not finite. Values of tensors are checked on the cpu outside "
+      "of captures. Elsewhere a value that is not finite enters the results.");
+  bind_operator(m, "integrate_push_box_rollout_generated",
+                &diff::integrate_push_box_rollout_generated,
+                "Runs integrate_push_box_generated n times as one operation, with the same bits. "
+                "pusher_x and pusher_v {n} have a row per step. Returns (box_x, box_v) {n} after "
+                "every step. NotImplementedError: another device than the cpu.");
 }
 
 }  // namespace novaphy::python

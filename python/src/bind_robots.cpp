@@ -24,7 +24,7 @@ py::dict sites_dict(const std::map<std::string, RobotSite>& sites) {
   return all;
 }
 
-// One of the words that an option takes.
+// Returns the value of an option's word.
 template <class T>
 T word(std::string_view function, const char* name, const std::string& given,
        std::initializer_list<std::pair<const char*, T>> words) {
@@ -64,7 +64,7 @@ std::optional<BaseJoint> to_base_joint(py::handle value) {
                    axes_of(joint, "linear_axes"), axes_of(joint, "angular_axes")};
 }
 
-// Text as it is, or the path of an os.PathLike.
+// Returns text as it is, or the path of an os.PathLike.
 std::string path_text(py::handle value, std::string_view name, const char* expected) {
   const bool is_path = py::isinstance<py::str>(value) || py::hasattr(value, "__fspath__");
   require(is_path, ErrorKind::Type, name, ": expected ", expected, ", got ", type_name(value));
@@ -91,7 +91,7 @@ std::vector<std::filesystem::path> to_folders(std::string_view function, py::han
   return folders;
 }
 
-// Python's OSError for a file that is not there.
+// Raises Python's OSError if the file does not exist.
 void check_opens(const std::string& source) {
   const size_t first = source.find_first_not_of(" \t\r\n");
   if (first == std::string::npos || source[first] == '<' || source.starts_with("\xEF\xBB\xBF") ||
@@ -101,7 +101,8 @@ void check_opens(const std::string& source) {
   py::module_::import("builtins").attr("open")(source, "rb").attr("close")();
 }
 
-// Puts what the Python package xacro makes of a file in its place. Its folder may be read then.
+// Replaces the path of a file by the text that the Python package xacro makes of the file. The
+// folder of the file becomes readable for the URDF reader.
 void expand_xacro(std::string_view function, std::string& source,
                   std::vector<std::filesystem::path>& folders) {
   const std::filesystem::path path = std::filesystem::absolute(source);
@@ -131,7 +132,7 @@ Unsupported to_unsupported(std::string_view function, const std::string& given) 
                            {{"error", Unsupported::Error}, {"warn", Unsupported::Warn}});
 }
 
-// While one is alive Python shows no warnings.
+// While an object of this class lives, Python shows no warnings.
 struct NoWarnings {
   const py::module_ warnings = py::module_::import("warnings");
   const py::object context = warnings.attr("catch_warnings")();
@@ -144,8 +145,8 @@ struct NoWarnings {
   ~NoWarnings() { context.attr("__exit__")(py::none(), py::none(), py::none()); }
 };
 
-// add(builder, alone) adds the robot to the builder. With `filter`, pairs of its shapes that
-// overlap where its joints start never meet: those of a model of the robot alone.
+// add(builder, alone) adds the robot to the builder. With `filter`, pairs of its shapes never meet
+// if they overlap at the start of its joints. A model of the robot alone finds these pairs.
 template <class Add>
 RobotImport add_robot(ModelBuilder& builder, bool filter, const Add& add) {
   std::vector<ShapeOverlap> overlaps;
@@ -153,7 +154,7 @@ RobotImport add_robot(ModelBuilder& builder, bool filter, const Add& add) {
     ModelBuilder alone(builder.up_axis());
     alone.default_shape_cfg = builder.default_shape_cfg;
     alone.default_joint_cfg = builder.default_joint_cfg;
-    const NoWarnings no_warnings;  // which the user's model gives
+    const NoWarnings no_warnings;  // the user's model gives the same warnings
     add(alone, true);
     overlaps = find_overlaps(alone.finalize(Device::cpu()));
   }
@@ -258,19 +259,21 @@ void bind_report(py::module_& io) {
       .def_readonly("file", &RobotNote::file, "The file; <text> for XML given as text.")
       .def_readonly("line", &RobotNote::line, "The line of the element.")
       .def_readonly("element", &RobotNote::element, "The element, such as <joint name=\"knee\">.")
-      .def_readonly("text", &RobotNote::text, "The action, and its reason.")
+      .def_readonly("text", &RobotNote::text, "The reader's action, and its reason.")
       .def("__str__", &note_text);
   py::class_<RobotReport>(io, "RobotReport",
                           "The elements of a robot's file that were read, mended and left out; "
                           "str() lists them.")
-      .def_readonly("read", &RobotReport::read, "Kind of element to how many were read.")
+      .def_readonly("read", &RobotReport::read,
+                    "A dict of each kind of element to the number that was read.")
       .def_readonly("mended", &RobotReport::mended,
                     "RobotNotes on elements that the reader mended.")
       .def_readonly("left_out", &RobotReport::left_out,
-                    "RobotNotes: what has no counterpart here and changes the motion, and files "
-                    "that are missing.")
-      .def_readonly("ignored", &RobotReport::ignored,
-                    "RobotNotes: what does not change the motion, or is up to the simulation.")
+                    "RobotNotes on elements that would change the motion but are not supported, "
+                    "and on missing files.")
+      .def_readonly(
+          "ignored", &RobotReport::ignored,
+          "RobotNotes on elements that do not change the motion, or that the simulation decides.")
       .def("__str__", &report_text);
 }
 
@@ -279,17 +282,18 @@ void bind_parts(py::module_& io) {
                         "An equality, tendon, height field or sensor of an MJCF file, with the "
                         "defaults of its class.")
       .def_readonly("kind", &RobotPart::kind, "The element, such as weld.")
-      .def_readonly("name", &RobotPart::name, "Its name; empty: it has none.")
-      .def_readonly("names", &RobotPart::names, "Attribute to a name or word, such as body1.")
-      .def_readonly("numbers", &RobotPart::numbers, "Attribute to its numbers.")
-      .def_readonly("parts", &RobotPart::parts, "RobotParts of a tendon, in order.");
+      .def_readonly("name", &RobotPart::name, "The name of the element; empty: it has none.")
+      .def_readonly("names", &RobotPart::names,
+                    "A dict of attributes to names or words, such as body1.")
+      .def_readonly("numbers", &RobotPart::numbers, "A dict of attributes to numbers.")
+      .def_readonly("parts", &RobotPart::parts, "The RobotParts of a tendon, in order.");
 }
 
 void bind_views(py::class_<RobotImport>& c) {
   c.def_property_readonly(
        "lights", [](const RobotImport& r) { return sites_dict(r.lights); },
-       "Name of a light to its body (-1: the world) and its pose there (m, xyzw). Lights shine "
-       "along -z.")
+       "A dict of each light to its body (-1: the world) and its pose there (m, xyzw). Lights "
+       "shine along -z.")
       .def_property_readonly(
           "cameras",
           [](const RobotImport& r) {
@@ -298,26 +302,29 @@ void bind_views(py::class_<RobotImport>& c) {
               cameras[py::str(name)] = py::make_tuple(of.at.body, pose_tuple(of.at.pose), of.fovy);
             return cameras;
           },
-          "Name of a camera to its body (-1: the world), its pose there (m, xyzw) and its field of "
-          "view (rad, vertical). Cameras look along -z; y points up.");
+          "A dict of each camera to its body (-1: the world), its pose there (m, xyzw) and its "
+          "field of view (rad, vertical). Cameras look along -z, and y points up.");
 }
 
 void bind_result(py::module_& io) {
   bind_report(io);
   bind_parts(io);
   py::class_<RobotKeyframe>(io, "RobotKeyframe", "A keyframe of an MJCF file.")
-      .def_readonly("time", &RobotKeyframe::time, "s.")
-      .def_readonly("coord", &RobotKeyframe::coord, "First row of joint_q.")
-      .def_readonly("joint_q", &RobotKeyframe::joint_q, "Rows of joint_q from there on.");
+      .def_readonly("time", &RobotKeyframe::time, "The time (s).")
+      .def_readonly("coord", &RobotKeyframe::coord,
+                    "The first row of joint_q that the keyframe sets.")
+      .def_readonly("joint_q", &RobotKeyframe::joint_q, "The values of joint_q from that row on.");
   py::class_<RobotImport> c(io, "RobotImport", "The additions of add_urdf or add_mjcf, by name.");
   bind_views(c);
   c.def_readonly("links", &RobotImport::links,
-                 "Link name to body; of a merged link the body that it is part of.")
-      .def_readonly("joints", &RobotImport::joints, "Joint name to joint; -1: merged.")
-      .def_readonly("joint_dofs", &RobotImport::joint_dofs,
-                    "Joint name to its first row of joint_qd and joint_f; -1: merged.")
+                 "A dict of each link to its body. A merged link has the body that it is part of.")
+      .def_readonly("joints", &RobotImport::joints,
+                    "A dict of each joint's name to its index; -1: merged.")
+      .def_readonly(
+          "joint_dofs", &RobotImport::joint_dofs,
+          "A dict of each joint's name to its first row of joint_qd and joint_f; -1: merged.")
       .def_readonly("joint_coords", &RobotImport::joint_coords,
-                    "Joint name to its first row of joint_q; -1: merged.")
+                    "A dict of each joint's name to its first row of joint_q; -1: merged.")
       .def_property_readonly(
           "link_poses",
           [](const RobotImport& r) {
@@ -325,7 +332,8 @@ void bind_result(py::module_& io) {
             for (const auto& [name, pose] : r.link_poses) poses[py::str(name)] = pose_tuple(pose);
             return poses;
           },
-          "Link name to its pose in its body (m, xyzw): the identity, unless it was merged.")
+          "A dict of each link to its pose in its body (m, xyzw): the identity, unless the link "
+          "was merged.")
       .def_property_readonly(
           "shape_colors",
           [](const RobotImport& r) {
@@ -334,24 +342,28 @@ void bind_result(py::module_& io) {
               colors[py::int_(shape)] = py::make_tuple(rgba.x, rgba.y, rgba.z, rgba.w);
             return colors;
           },
-          "Shape to (r, g, b, a), of those whose file gives one.")
+          "A dict of shapes to (r, g, b, a), for shapes whose file gives a color.")
       .def_readonly("shapes", &RobotImport::shapes, "The shapes, in order.")
       .def_readonly("articulations", &RobotImport::articulations, "The articulations, in order.")
       .def_readonly("actuators", &RobotImport::actuators,
-                    "Actuator name to its row of Control.ctrl.")
+                    "A dict of each actuator's name to its row of Control.ctrl.")
       .def_property_readonly(
           "sites", [](const RobotImport& r) { return sites_dict(r.sites); },
-          "Name of a site to its body (-1: the world) and its pose there (m, xyzw).")
-      .def_readonly("keyframes", &RobotImport::keyframes, "Name to RobotKeyframe.")
-      .def_readonly("timestep", &RobotImport::timestep, "s, that of the file; None: it has none.")
-      .def_readonly("equalities", &RobotImport::equalities,
-                    "RobotParts. ModelBuilder.finalize refuses those that act.")
+          "A dict of each site to its body (-1: the world) and its pose there (m, xyzw).")
+      .def_readonly("keyframes", &RobotImport::keyframes,
+                    "A dict of each keyframe's name to its RobotKeyframe.")
+      .def_readonly("timestep", &RobotImport::timestep,
+                    "The time step of the file (s); None: the file has none.")
+      .def_readonly(
+          "equalities", &RobotImport::equalities,
+          "RobotParts of the equalities. ModelBuilder.finalize refuses equalities that act.")
       .def_readonly("tendons", &RobotImport::tendons,
-                    "RobotParts. ModelBuilder.finalize refuses those with forces.")
+                    "RobotParts of the tendons. ModelBuilder.finalize refuses tendons with forces.")
       .def_readonly("height_fields", &RobotImport::height_fields,
-                    "RobotParts. ModelBuilder.finalize refuses geoms of one.")
-      .def_readonly("sensors", &RobotImport::sensors, "RobotParts. No solver reads them.")
-      .def_readonly("report", &RobotImport::report, "The RobotReport.")
+                    "RobotParts of the height fields. ModelBuilder.finalize refuses their geoms.")
+      .def_readonly("sensors", &RobotImport::sensors,
+                    "RobotParts of the sensors. No solver reads them.")
+      .def_readonly("report", &RobotImport::report, "The RobotReport of the reader.")
       .def_readonly("warnings", &RobotImport::warnings,
                     "The notes of the report; notes with the same text count once.");
 }

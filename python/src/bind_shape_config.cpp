@@ -18,39 +18,42 @@ void bind_mixing(py::class_<ShapeConfig>& c) {
       [](ShapeConfig& self, const std::array<float, 4>& x) {
         self.mixing = {x[0], x[1], x[2], x[3]};
       },
-      "Priority, weight, inverse mass (1/kg) and mu in place of 0, of the material of a pair. "
-      "With the weight 0 it is the mean of both shapes.");
+      "The tuple (priority, weight, inverse mass (1/kg), mu in place of 0) for the material of a "
+      "pair of shapes. With the weight 0 the material is the mean of both shapes.");
 }
 
 void bind_members(py::class_<ShapeConfig>& c) {
 #define NOVAPHY_MEMBER(name, doc) c.def_readwrite(#name, &ShapeConfig::name, doc);
-  NOVAPHY_MEMBER(density, "kg/m^3, of the mass that the shape adds to its body.")
-  NOVAPHY_MEMBER(ke, "N/m, contact stiffness.")
-  NOVAPHY_MEMBER(kd, "N*s/m, contact damping.")
-  NOVAPHY_MEMBER(kf, "N*s/m, friction below the Coulomb limit.")
-  NOVAPHY_MEMBER(ka, "m, adhesion distance of rigid contacts; refused where there are no bodies.")
-  NOVAPHY_MEMBER(mu, "Coulomb friction.")
+  NOVAPHY_MEMBER(density, "The density of the mass that the shape adds to its body (kg/m^3).")
+  NOVAPHY_MEMBER(ke, "The contact stiffness (N/m).")
+  NOVAPHY_MEMBER(kd, "The contact damping (N*s/m).")
+  NOVAPHY_MEMBER(kf, "The friction coefficient below the Coulomb limit (N*s/m).")
+  NOVAPHY_MEMBER(ka,
+                 "The adhesion distance of rigid contacts (m). Models without bodies refuse it.")
+  NOVAPHY_MEMBER(mu, "The coefficient of Coulomb friction (1).")
+  NOVAPHY_MEMBER(restitution,
+                 "The coefficient of restitution (1), for \"pgs\" contacts of SolverFeatherstone. "
+                 "Other solvers refuse all values but the default.")
+  NOVAPHY_MEMBER(mu_torsional,
+                 "Stored. Solvers refuse all values but the default, because no force uses it.")
+  NOVAPHY_MEMBER(mu_rolling,
+                 "Stored. Solvers refuse all values but the default, because no force uses it.")
   NOVAPHY_MEMBER(
-      restitution,
-      "1, of bounces; read by pgs contacts of SolverFeatherstone. The other solvers refuse "
-      "all but the default.")
-  NOVAPHY_MEMBER(mu_torsional, "Stored; solvers refuse all but the default, as no force uses it.")
-  NOVAPHY_MEMBER(mu_rolling, "Stored; solvers refuse all but the default, as no force uses it.")
-  NOVAPHY_MEMBER(margin,
-                 "m, moves the surface outwards for other shapes; for particles it only widens the "
-                 "detection. The wall of a shell.")
-  NOVAPHY_MEMBER(gap, "m, detection distance of rigid contacts; None: ModelBuilder.rigid_gap.")
-  NOVAPHY_MEMBER(is_solid, "False: a shell, for the mass.")
-  NOVAPHY_MEMBER(collision_group,
-                 "0 collides with no shape; a positive group meets itself and negative ones; a "
-                 "negative group meets all "
-                 "but itself.")
+      margin,
+      "The thickness that moves the surface outwards for other shapes (m). For particles the "
+      "margin only widens the detection. For a shell it is the thickness of the wall.")
+  NOVAPHY_MEMBER(gap, "The detection distance of rigid contacts (m); None: ModelBuilder.rigid_gap.")
+  NOVAPHY_MEMBER(is_solid, "Whether the mass is that of a solid; False: a shell.")
+  NOVAPHY_MEMBER(
+      collision_group,
+      "The collision group. Group 0 collides with no shape. A positive group collides with itself "
+      "and with negative groups. A negative group collides with all groups but itself.")
   NOVAPHY_MEMBER(collision_filter_parent,
                  "Whether contacts with the parent body of a joint are excluded.")
-  NOVAPHY_MEMBER(has_shape_collision, "Whether shapes meet it.")
-  NOVAPHY_MEMBER(has_particle_collision, "Whether particles meet it.")
-  NOVAPHY_MEMBER(is_visible, "Whether viewers show it.")
-  NOVAPHY_MEMBER(is_site, "Whether the shape is a frame that meets nothing and has no mass.")
+  NOVAPHY_MEMBER(has_shape_collision, "Whether the shape collides with shapes.")
+  NOVAPHY_MEMBER(has_particle_collision, "Whether the shape collides with particles.")
+  NOVAPHY_MEMBER(is_visible, "Whether viewers show the shape.")
+  NOVAPHY_MEMBER(is_site, "Whether the shape is a site: a frame without contacts and mass.")
 #undef NOVAPHY_MEMBER
 }
 
@@ -58,10 +61,9 @@ void bind_members(py::class_<ShapeConfig>& c) {
 
 void bind_shape_config(py::module_& m) {
   const ShapeConfig d;
-  py::class_<ShapeConfig> c(
-      m, "ShapeConfig",
-      "Material and collision settings of a shape. All numbers finite; all but margin and "
-      "collision_group >= 0.");
+  py::class_<ShapeConfig> c(m, "ShapeConfig",
+                            "The material and collision settings of a shape. All numbers are "
+                            "finite. All but margin and collision_group are >= 0.");
   c.def(py::init([](float density, float ke, float kd, float kf, float ka, float mu,
                     float restitution, float mu_torsional, float mu_rolling, float margin,
                     std::optional<float> gap, bool is_solid, int32_t collision_group,
@@ -96,13 +98,12 @@ void bind_shape_config(py::module_& m) {
         "collision_filter_parent"_a = d.collision_filter_parent,
         "has_shape_collision"_a = d.has_shape_collision,
         "has_particle_collision"_a = d.has_particle_collision, "is_visible"_a = d.is_visible,
-        "is_site"_a = d.is_site,
-        "mixing"_a = py::make_tuple(0.0f, 0.0f, 0.0f, 0.0f));
+        "is_site"_a = d.is_site, "mixing"_a = py::make_tuple(0.0f, 0.0f, 0.0f, 0.0f));
   bind_members(c);
   bind_mixing(c);
   c.def_property_readonly("flags", &ShapeConfig::flags, "The bits of Model.shape_flags.")
       .def(
-          "copy", [](const ShapeConfig& self) { return self; }, "A copy.");
+          "copy", [](const ShapeConfig& self) { return self; }, "Returns a copy.");
   add_settings_pickle(c);
 }
 

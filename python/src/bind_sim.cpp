@@ -15,7 +15,7 @@ namespace {
 
 using Names = std::initializer_list<std::pair<const char*, int>>;
 
-// enum.IntEnum or enum.IntFlag: its members are ints for every function that takes them.
+// Adds an enum.IntEnum or enum.IntFlag. Its members are ints for every function that takes them.
 void add_enum(py::module_& m, const char* base, const char* name, const char* doc,
               const Names& members) {
   py::dict values;
@@ -30,7 +30,7 @@ constexpr int value_of(E e) {
   return static_cast<int>(e);
 }
 
-// A copy of rows of C++ as a structured NumPy array.
+// Returns a copy of C++ rows as a structured NumPy array.
 template <class Row>
 py::object structured(const std::vector<Row>& rows, const py::list& fields) {
   const py::bytes data(reinterpret_cast<const char*>(rows.data()), rows.size() * sizeof(Row));
@@ -39,7 +39,7 @@ py::object structured(const std::vector<Row>& rows, const py::list& fields) {
       .attr("copy")();
 }
 
-// A rigid contact with what follows from the model and a state.
+// A rigid contact, with columns that follow from the model and a state.
 struct PlacedContact {
   RigidContact contact;
   int32_t body0, body1;
@@ -92,8 +92,8 @@ py::object rigid_contact_rows(const Contacts& contacts, const Model* model, cons
   return structured(placed(rows, *model, *state), fields);
 }
 
-// For every rigid contact the first one of `previous` with the same shapes and, unless `pairs`, the
-// same point; -1: there is none.
+// Returns for every rigid contact the row of the first one in `previous` with the same shapes and,
+// unless `pairs`, the same point. -1: no such contact.
 py::object match(const Contacts& contacts, const Contacts& previous, bool pairs) {
   require(contacts.model_id() == previous.model_id(), ErrorKind::Value,
           "match, previous: expected contacts of the same model");
@@ -112,7 +112,7 @@ py::object match(const Contacts& contacts, const Contacts& previous, bool pairs)
   return numpy().asarray(rows, numpy_dtype(Scalar::I32));
 }
 
-// The counts are not there yet while a capture records.
+// Returns the repr. While a capture records, the counts are not known yet.
 std::string contacts_repr(const Contacts& c) {
   std::string rigid = std::to_string(c.rigid_contact_max()),
               soft = std::to_string(c.soft_contact_max());
@@ -161,7 +161,7 @@ py::list shape_sources(const Model& model) {
 using ModelClass = py::class_<Model, std::shared_ptr<Model>>;
 
 void add_model_pickle(ModelClass& c) {
-  c.def_readonly("actuator_label", &Model::actuator_label, "One name per actuator.");
+  c.def_readonly("actuator_label", &Model::actuator_label, "The name of each actuator.");
   c.def(py::pickle(
       [](const Model& model) {
         model.check_structure("Model, pickle");
@@ -209,7 +209,7 @@ void add_model_pickle(ModelClass& c) {
       }));
 }
 
-// The numbers of a model, checked where they are set.
+// Binds the numbers of a model, which are checked when they are set.
 void bind_numbers(ModelClass& c) {
 #define NOVAPHY_BIND_NUMBER(name, by_default, infinite, unit, doc)                 \
   c.def_property(                                                                  \
@@ -225,8 +225,8 @@ void bind_numbers(ModelClass& c) {
 #undef NOVAPHY_BIND_NUMBER
 }
 
-// As any field, but what is read or assigned is up to date with the source first. Not while a tape
-// or a capture watches this thread: operations see to it there.
+// Binds a derived field. A read or an assignment first updates the field from its source. While a
+// tape or a capture observes this thread, the recorded operations do the update instead.
 template <class T>
 void bind_derived(ModelClass& c, const char* name, DeviceArray<T> ModelFields::*member) {
   const auto array = [member](const Model& self) {
@@ -248,9 +248,9 @@ void bind_derived(ModelClass& c, const char* name, DeviceArray<T> ModelFields::*
 void bind_model(py::module_& m) {
   py::class_<Model, std::shared_ptr<Model>> c(
       m, "Model",
-      "The constant part of a scene: particles, bodies, shapes, materials. Made by "
-      "ModelBuilder.finalize; sizes are fixed, values may be edited at any time and act at the "
-      "next step.");
+      "The constant part of a scene: particles, bodies, shapes, joints and materials. "
+      "ModelBuilder.finalize makes a model. The sizes are fixed. Values may be edited at any time, "
+      "and act from the next step on.");
   using Fields = ModelFields;
   NOVAPHY_MODEL_FIELDS(NOVAPHY_BIND_FIELD)
 #define NOVAPHY_BIND_DERIVED(derived, source, rule) bind_derived(c, #derived, &Fields::derived);
@@ -290,7 +290,7 @@ void bind_model(py::module_& m) {
   NOVAPHY_ALIAS(tet_materials, particle_tet_material)
 #undef NOVAPHY_ALIAS
   bind_numbers(c);
-  c.def_readonly("body_label", &Model::body_label, "One name per body.")
+  c.def_readonly("body_label", &Model::body_label, "The name of each body.")
       .def_property_readonly(
           "body_shapes",
           [](const Model& self) {
@@ -301,14 +301,15 @@ void bind_model(py::module_& m) {
               shapes[body[s]].push_back(static_cast<int32_t>(s));
             return shapes;
           },
-          "The shapes of every body, and of the world (-1), in ascending order.")
-      .def_readonly("shape_label", &Model::shape_label, "One name per shape.")
+          "A dict of each body, and of the world (-1), to its shapes in ascending order.")
+      .def_readonly("shape_label", &Model::shape_label, "The name of each shape.")
       .def_property_readonly(
           "shape_source", &shape_sources,
-          "For every shape its mesh, a novaphy.io.Mesh of copies before shape_scale, of which "
-          "shapes of one mesh share one; None of what is no mesh or hull.")
-      .def_readonly("joint_label", &Model::joint_label, "One name per joint.")
-      .def_readonly("articulation_label", &Model::articulation_label, "One name per articulation.")
+          "The mesh of each shape: a novaphy.io.Mesh with copies of the values before shape_scale. "
+          "Shapes of one mesh share the object. None: the shape is neither a mesh nor a hull.")
+      .def_readonly("joint_label", &Model::joint_label, "The name of each joint.")
+      .def_readonly("articulation_label", &Model::articulation_label,
+                    "The name of each articulation.")
       .def_readonly("max_joints_per_articulation", &Model::max_joints_per_articulation,
                     "The number of joints of the largest articulation.")
       .def_readonly("max_dofs_per_articulation", &Model::max_dofs_per_articulation,
@@ -321,12 +322,13 @@ void bind_model(py::module_& m) {
               groups.append(numpy().asarray(group, numpy_dtype(Scalar::I32)));
             return groups;
           },
-          "The particles of every color, ascending, as NumPy int32; empty unless the builder was "
-          "colored.")
+          "The particles of each color, ascending, as NumPy int32. The list is empty unless the "
+          "builder was colored.")
       .def_property_readonly(
-          "up_axis", [](const Model& self) { return value_of(self.up_axis()); }, "0, 1 or 2.")
+          "up_axis", [](const Model& self) { return value_of(self.up_axis()); },
+          "The index of the up axis: 0, 1 or 2.")
       .def("state", &new_state, "requires_grad"_a = py::none(),
-           "A new state with the initial values. requires_grad None: the model's.")
+           "Returns a new state with the initial values. requires_grad: None takes the model's.")
       .def(
           "control",
           [](const Model& self, bool clone_variables, std::optional<bool> grad) {
@@ -335,13 +337,14 @@ void bind_model(py::module_& m) {
             return self.control(grad);
           },
           "clone_variables"_a = true, "requires_grad"_a = py::none(),
-          "A new control: the model's joint forces, targets and activations.")
+          "Returns a new control with copies of the model's joint forces, targets and activations.")
       .def(
           "contacts",
           [](const std::shared_ptr<Model>& self, CollisionPipeline* pipeline) {
             return pipeline != nullptr ? pipeline->contacts() : CollisionPipeline(self).contacts();
           },
-          "collision_pipeline"_a = py::none(), "Empty contacts, of a pipeline or of a default one.")
+          "collision_pipeline"_a = py::none(),
+          "Returns empty contacts of a pipeline. None: a default pipeline.")
       .def(
           "collide",
           [](const std::shared_ptr<Model>& self, const SimState& state, py::object contacts,
@@ -355,38 +358,44 @@ void bind_model(py::module_& m) {
             return contacts;
           },
           "state"_a, "contacts"_a = py::none(), py::kw_only(), "collision_pipeline"_a = py::none(),
-          "Contacts of a state, by a pipeline or a default one; new ones when `contacts` is None.")
+          "Finds the contacts of a state. collision_pipeline: None takes a default pipeline. "
+          "Returns `contacts`, or new ones if it is None.")
       .def(
           "set_gravity",
           [](Model& self, py::handle value, std::optional<int32_t> world) {
             self.set_gravity(to_vec3(value, "gravity"), world);
           },
           "value"_a, "world"_a = py::none(),
-          "Gravity, m/s^2, of one world or of all. ValueError: not finite.")
-      .def("clone", &Model::clone, "A copy on the same device.")
+          "Sets the gravity (m/s^2, world frame) of one world. world: None sets all worlds. "
+          "ValueError: a number that is not finite.")
+      .def("clone", &Model::clone, "Returns a copy on the same device.")
       .def(
           "to", [](const Model& self, py::handle device) { return self.to(to_device(device)); },
-          "device"_a, "A copy on a device.");
+          "device"_a, "Returns a copy on a device.");
   add_model_pickle(c);
 }
 
 void bind_state(py::module_& m) {
-  py::class_<SimState> c(m, "SimState",
-                         "The changing part of a scene: positions, velocities, forces. Made by "
-                         "Model.state(), or part of a Trajectory. Arrays of something that the "
-                         "model does not have exist with 0 rows.");
+  py::class_<SimState> c(
+      m, "SimState",
+      "The changing part of a scene: positions, velocities, forces. Model.state() makes a state, "
+      "and a Trajectory holds states. An array of a kind that the model lacks has 0 rows.");
   using Fields = StateFields;
   NOVAPHY_STATE_FIELDS(NOVAPHY_BIND_FIELD)
   bind_counts(c);
-  c.def("clear_forces", &SimState::clear_forces, release_gil(), "particle_f and body_f to zero.")
+  c.def("clear_forces", &SimState::clear_forces, release_gil(),
+        "Sets particle_f and body_f to zero.")
       .def("assign", &SimState::assign, "source"_a, release_gil(),
-           "Copies all values. ValueError when sizes or devices differ; nothing is copied then.")
-      .def("clone", &SimState::clone, "A copy.");
+           "Copies all values of another state. ValueError: sizes or devices differ. Nothing is "
+           "copied then.")
+      .def("clone", &SimState::clone, "Returns a copy.");
   add_field_pickle(c);
 }
 
 void bind_control(py::module_& m) {
-  py::class_<Control> c(m, "Control", "The inputs of a step. Made by Model.control().");
+  py::class_<Control> c(
+      m, "Control",
+      "The inputs of a step: forces, targets and activations. Model.control() makes a control.");
   using Fields = ControlFields;
   NOVAPHY_CONTROL_FIELDS(NOVAPHY_BIND_FIELD)
   bind_field(
@@ -403,10 +412,10 @@ void bind_control(py::module_& m) {
          if (model != nullptr) self.joint_target_q.assign(model->joint_target_q);
        },
        "model"_a = py::none(),
-       "Sets all arrays to zero; with a model, joint_target_q to the model's.")
+       "Sets all arrays to zero. With a model, joint_target_q gets the model's values.")
       .def("assign", &Control::assign, "source"_a,
-           "Copies all values. ValueError when sizes or devices differ.")
-      .def("clone", &Control::clone, "A copy.");
+           "Copies all values of another control. ValueError: sizes or devices differ.")
+      .def("clone", &Control::clone, "Returns a copy.");
   add_field_pickle(c);
 }
 
@@ -423,15 +432,18 @@ void bind_contacts(py::module_& m) {
         }),
         "rigid_contact_max"_a = 0, "soft_contact_max"_a = 0, py::kw_only(), "device"_a = py::none(),
         "requires_grad"_a = false, "per_contact_shape_properties"_a = false,
-        "Empty contacts of no model; pipelines take only those that they made.");
+        "Makes empty contacts without a model. A pipeline only takes contacts that it made.");
   NOVAPHY_CONTACT_FIELDS(NOVAPHY_BIND_FIELD)
-  c.def_property_readonly("soft_contact_max", &Contacts::soft_contact_max, "Slots.")
-      .def_property_readonly("rigid_contact_max", &Contacts::rigid_contact_max, "Rows.")
+  c.def_property_readonly("soft_contact_max", &Contacts::soft_contact_max,
+                          "The number of slots of soft contacts.")
+      .def_property_readonly("rigid_contact_max", &Contacts::rigid_contact_max,
+                             "The number of rows of rigid contacts.")
       .def_property_readonly("per_contact_shape_properties",
                              &Contacts::per_contact_shape_properties,
-                             "Whether rows may have materials of their own.")
+                             "Whether rows may have their own materials.")
       .def_property_readonly("active_rigid_contact_count", &Contacts::active_rigid_contact_count,
-                             "min(rigid_contact_count, rigid_contact_max). Reads from the device.")
+                             "The number of rigid contacts: min(rigid_contact_count, "
+                             "rigid_contact_max). Reads from the device.")
       .def("__len__",
            [](const Contacts& found) {
              return found.active_rigid_contact_count() + found.active_soft_contact_count();
@@ -443,19 +455,19 @@ void bind_contacts(py::module_& m) {
       .def_property_readonly("soft_contact_pair_count", &Contacts::soft_contact_pair_count,
                              "The number of candidate (particle, shape) pairs.")
       .def_property_readonly("device", &Contacts::device, "The device of the arrays.")
-      .def_readwrite("requires_grad", &Contacts::requires_grad, "Whether gradients are wanted.")
-      .def_property_readonly(
-          "overflowed", &Contacts::overflowed,
-          "Whether more contacts were found than there are slots. Reads from the device.")
+      .def_readwrite("requires_grad", &Contacts::requires_grad, "Whether gradients are requested.")
+      .def_property_readonly("overflowed", &Contacts::overflowed,
+                             "Whether more contacts were found than fit. Reads from the device.")
       .def_property_readonly("active_soft_contact_count", &Contacts::active_soft_contact_count,
-                             "min(soft_contact_count, soft_contact_max). Reads from the device.")
+                             "The number of soft contacts: min(soft_contact_count, "
+                             "soft_contact_max). Reads from the device.")
       .def("clear", &Contacts::clear, "Removes all contacts.")
       .def("soft_contacts", &soft_contact_rows,
-           "The contacts in slot order, as a NumPy copy with the columns particle, shape, "
-           "body_pos, body_vel, normal.")
+           "Returns the soft contacts in slot order, as a NumPy copy. The columns are particle, "
+           "shape, body_pos (m, body frame), body_vel (m/s, body frame) and normal (world frame).")
       .def("assign", &Contacts::assign, "source"_a,
-           "Copies all values. ValueError when sizes or devices differ.")
-      .def("clone", &Contacts::clone, "A copy.");
+           "Copies all values of other contacts. ValueError: sizes or devices differ.")
+      .def("clone", &Contacts::clone, "Returns a copy.");
 }
 
 }  // namespace
@@ -481,7 +493,7 @@ void bind_enums(py::module_& m) {
 #undef NOVAPHY_VALUE
            });
   add_enum(m, "IntEnum", "ActuatorDynamics",
-           "How the activation of an actuator follows its control.",
+           "The law by which the activation of an actuator follows its control.",
            {{"NONE", value_of(ActuatorDynamics::NONE)},
             {"INTEGRATOR", value_of(ActuatorDynamics::INTEGRATOR)},
             {"FILTER", value_of(ActuatorDynamics::FILTER)},

@@ -29,7 +29,8 @@ bool to_coarse(const std::optional<std::string>& name) {
   return name.has_value();
 }
 
-constexpr char kKinematicCountDoc[] = "The number of kinematic particles: the rows of targets.";
+constexpr char kKinematicCountDoc[] =
+    "The number of kinematic particles, which is the number of rows of targets.";
 constexpr char kHeldCountDoc[] = "The old name of kinematic_count. DeprecationWarning.";
 
 template <class Solver>
@@ -111,20 +112,20 @@ void bind_diff_vbd(py::module_& solvers) {
            "allow_unconverged"_a = py::none(), doc::kDiffVbdInit)
       .def_property_readonly(
           "iterations", [](const DiffSolverVBD& s) { return s.options().iterations; },
-          "Sweeps over all colors in a step.")
+          "The number of sweeps over all colors in a step.")
       .def_property_readonly(
           "gradient",
           [](const DiffSolverVBD& s) {
             return s.options().gradient.implicit ? "implicit" : "unrolled";
           },
-          "\"unrolled\" or \"implicit\".")
+          "The kind of gradient: \"unrolled\" or \"implicit\".")
       .def_property_readonly("kinematic_count", &DiffSolverVBD::kinematic_count, kKinematicCountDoc)
       .def_property_readonly("held_count", &old_kinematic_count<DiffSolverVBD>, kHeldCountDoc)
       .def("gradient_info", &to_info, doc::kDiffVbdInfo)
       .def("clear_gradient_info", &DiffSolverVBD::clear_gradient_info,
            "Resets the counts of gradient_info.")
       .def("reset", &DiffSolverVBD::reset, release_gil(),
-           "Forgets the last step, which initial_guess=\"adaptive\" looks at. Can be captured.")
+           "Forgets the velocity that initial_guess=\"adaptive\" reads. Can be captured.")
       .def(
           "step",
           [](DiffSolverVBD& s, SimState& state_in, SimState& state_out, const Control* control,
@@ -136,19 +137,22 @@ void bind_diff_vbd(py::module_& solvers) {
           },
           "state_in"_a, "state_out"_a, "control"_a.none(true), "contacts"_a.none(true), "dt"_a,
           py::kw_only(), "targets"_a = py::none(),
-          "As SolverVBD.step; targets may be a Tensor that carries a gradient.");
+          "Advances state_in by dt (s) into state_out, as SolverVBD.step. targets may be a Tensor "
+          "that carries a gradient.");
 }
 #endif
 
 void bind_residual(py::module_& solvers) {
   py::class_<VbdResidual>(solvers, "VbdResidual", "The residual of a step of SolverVBD.")
       .def_readonly("force", &VbdResidual::force,
-                    "N: norm of the force on all particles that move, inertia included.")
+                    "The norm of the total force on all particles that move, with inertia (N).")
       .def_readonly("scale", &VbdResidual::scale,
-                    "N: norm of m (y - xn)/h^2, what the step has to balance.")
-      .def_readonly("relative", &VbdResidual::relative, "force / scale; 0 where the force is 0.")
+                    "The norm of m (y - xn)/h^2 over all particles that move (N), with the "
+                    "inertial position y and the step size h.")
+      .def_readonly("relative", &VbdResidual::relative,
+                    "The ratio force / scale; 0 if the force is 0.")
       .def_readonly("floor", &VbdResidual::floor,
-                    "The change of relative by one rounding of the positions.")
+                    "The part of `relative` that one rounding of the positions can cause.")
       .def_readonly("iterations", &VbdResidual::iterations, "The number of iterations that ran.");
 }
 
@@ -159,13 +163,13 @@ void bind_vbd(py::module_& solvers) {
   const VbdOptions d;
   py::class_<SolverVBD, SolverBase>(
       solvers, "SolverVBD",
-      "Implicit Euler by Vertex Block Descent: stable at large steps and stiffnesses. Covers "
-      "particles, springs, triangles, bending edges, tetrahedra, external forces, gravity, and "
-      "contacts with world-owned shapes. Particles need colors: ModelBuilder.color(). Particles "
-      "of mass 0 or without ParticleFlags.ACTIVE are kinematic. Nothing is written to state_in. "
-      "Same "
-      "bits for any number of threads and on a CUDA device. A step can be captured; on a tape it "
-      "raises where an input carries a gradient.")
+      "Implicit Euler by Vertex Block Descent, stable at large steps and stiffnesses. The solver "
+      "supports particles, springs, triangles, bending edges, tetrahedra, external forces, "
+      "gravity, and contacts with world-owned shapes.\n\nParticles need colors: "
+      "ModelBuilder.color(). Particles of mass 0 or without ParticleFlags.ACTIVE are kinematic. A "
+      "step does not write to state_in. The bits are the same for any number of threads and on a "
+      "CUDA device.\n\nA step can be captured. On a tape the step raises if an input carries a "
+      "gradient.")
       .def(py::init([](const std::shared_ptr<Model>& model, int32_t iterations,
                        float friction_epsilon, const std::string& initial_guess,
                        std::optional<float> acceleration, std::optional<float> tolerance,
@@ -187,19 +191,19 @@ void bind_vbd(py::module_& solvers) {
            "coarse"_a = py::none(), "lhs_regularization"_a = d.lhs_regularization, doc::kVbdInit)
       .def_property_readonly(
           "iterations", [](const SolverVBD& s) { return s.options().iterations; },
-          "Sweeps over all colors in a step.")
+          "The number of sweeps over all colors in a step.")
       .def_property_readonly(
           "friction_epsilon", [](const SolverVBD& s) { return s.options().friction_epsilon; },
-          "m/s")
+          "The slip at which friction reaches the Coulomb limit (m/s).")
       .def_property_readonly(
           "initial_guess",
           [](const SolverVBD& s) {
             return kGuesses[static_cast<size_t>(s.options().initial_guess)].first;
           },
-          "\"inertia\", \"previous\" or \"adaptive\".")
+          "The initial guess: \"inertia\", \"previous\" or \"adaptive\".")
       .def_property_readonly(
           "acceleration", [](const SolverVBD& s) { return s.options().acceleration; },
-          "The spectral radius, or None.")
+          "The spectral radius of Chebyshev acceleration, or None.")
       .def_property_readonly(
           "tolerance", [](const SolverVBD& s) { return s.options().tolerance; },
           "The bound of residual().relative, or None.")
@@ -208,10 +212,10 @@ void bind_vbd(py::module_& solvers) {
           "Whether steps are halved while the energy rises.")
       .def_property_readonly(
           "coarse", [](const SolverVBD& s) { return s.options().coarse ? "auto" : nullptr; },
-          "\"auto\" or None.")
+          "The coarse correction: \"auto\" or None.")
       .def_property_readonly(
           "lhs_regularization", [](const SolverVBD& s) { return s.options().lhs_regularization; },
-          "The regularization of nearly singular blocks.")
+          "The relative regularization of nearly singular blocks (1).")
       .def_property_readonly("kinematic_count", &SolverVBD::kinematic_count, kKinematicCountDoc)
       .def_property_readonly("held_count", &old_kinematic_count<SolverVBD>, kHeldCountDoc)
       .def(
@@ -227,7 +231,7 @@ void bind_vbd(py::module_& solvers) {
           py::kw_only(), "targets"_a = py::none(), doc::kVbdStep)
       .def("residual", &SolverVBD::residual, release_gil(), doc::kVbdResidual)
       .def("reset", &SolverVBD::reset,
-           "Forgets the last step, which the adaptive guess and residual() look at.");
+           "Forgets the last step, which the adaptive guess and residual() read.");
 #ifdef NOVAPHY_PYTHON_DIFF
   bind_diff_vbd(solvers);
 #endif

@@ -1,4 +1,4 @@
-// Names of the ways of contact of articulations.
+// The names of the contact options of SolverFeatherstone.
 #pragma once
 
 #include <optional>
@@ -10,8 +10,8 @@
 
 namespace novaphy::python {
 
-inline constexpr const char* kContacts[] = {nullptr, "pgs", "penalty"};  // of ArticulationContact
-inline constexpr const char* kCones[] = {"cone", "pyramid"};             // of FrictionCone
+inline constexpr const char* kContacts[] = {nullptr, "pgs", "penalty"};  // by ArticulationContact
+inline constexpr const char* kCones[] = {"cone", "pyramid"};             // by FrictionCone
 
 inline ArticulationContact to_contact(const std::optional<std::string>& name) {
   if (!name) return ArticulationContact::None;
@@ -24,7 +24,7 @@ inline FrictionCone to_cone(const std::string& name) {
     if (name == kCones[i]) return static_cast<FrictionCone>(i);
   fail(ErrorKind::Value, "friction_cone: expected \"cone\" or \"pyramid\", got \"", name, "\"");
 }
-inline constexpr const char* kLimits[] = {"spring", "row"};  // of JointLimits
+inline constexpr const char* kLimits[] = {"spring", "row"};  // by JointLimits
 inline JointLimits to_limits(const char* user, const std::string& name) {
   for (size_t i = 0; i < std::size(kLimits); ++i)
     if (name == kLimits[i]) return static_cast<JointLimits>(i);

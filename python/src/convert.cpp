@@ -5,7 +5,7 @@
 namespace novaphy::python {
 namespace {
 
-// A borrowed item view of a tuple, list, array, ...; not of a string.
+// A view of the items of a tuple, list, array, ...; a string has none. The view borrows the items.
 class Items {
  public:
   Items(py::handle value, const char* name, const char* expected) {
@@ -26,7 +26,7 @@ class Items {
 };
 
 bool is_ndarray(py::handle value) {
-  // Without NumPy in the process there is no array.
+  // True only if NumPy is in the process.
   return PyObject_HasAttrString(value.ptr(), "__array_interface__") != 0;
 }
 
@@ -227,8 +227,8 @@ DType to_dtype(py::handle value) {
 }
 
 const NumPy& numpy() {
-  // Made under the GIL, which the import may give away in between; never destroyed: Python is gone
-  // when static objects are.
+  // Made under the GIL, which the import may release for a time. Never destroyed, because Python
+  // ends before static objects do.
   static const NumPy* np = nullptr;
   if (np == nullptr) {
     const py::module_ module = py::module_::import("numpy");

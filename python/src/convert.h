@@ -54,7 +54,7 @@ void bind_diff(py::module_& diff, py::module_& solvers);
 void bind_diff_featherstone(py::module_& diff, py::module_& solvers);
 void bind_event_times(py::module_& diff);
 
-// After everything is bound: a wrong argument is named, see argument_errors.cpp.
+// Call this after all bindings. Errors then name a wrong argument, see argument_errors.cpp.
 void explain_argument_errors(py::module_& m);
 
 // "str", "numpy.ndarray", ...
@@ -62,13 +62,13 @@ std::string type_name(py::handle value);
 
 float to_float(py::handle value, const char* name);
 int32_t to_int32(py::handle value, const char* name);
-// Exactly out.size() numbers from a tuple, list, array or other sequence.
+// Reads exactly out.size() numbers from a tuple, list, array or other sequence.
 void to_floats(py::handle value, const char* name, std::span<float> out);
 Vec3f to_vec3(py::handle value, const char* name);
 Vec4f to_vec4(py::handle value, const char* name);
 // None: the identity; else (px, py, pz, qx, qy, qz, qw), or a pair (position, quaternion).
 Transformf to_transform(py::handle value, const char* name);
-// `cfg` with a color (None: its own), null meaning the builder's default.
+// Returns `cfg` with a color. color: None keeps that of cfg. cfg: null takes the builder's default.
 ShapeConfig shape_config(const ModelBuilder& builder, const ShapeConfig* cfg, py::handle color);
 std::vector<Vec3f> to_vec3_list(py::handle value, const char* name);
 std::vector<float> to_float_list(py::handle value, const char* name);
@@ -81,7 +81,7 @@ Axis to_axis(py::handle value);
 // None: 9.81 m/s^2 downwards; a number along the up axis; or a vector.
 GravitySpec to_gravity(py::handle value);
 
-// Element types are seen from Python as one object each: novaphy.vec3, ...
+// The Python object of an element type. There is one for each type: novaphy.vec3, ...
 struct DTypeObject {
   DType dtype;
 };

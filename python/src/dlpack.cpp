@@ -64,10 +64,10 @@ DLDataType dl_type_of(Scalar scalar) {
   return {scalar == Scalar::F32 ? kFloat : scalar == Scalar::I32 ? kInt : kUint, bits, 1};
 }
 
-// What an exported tensor points to, and what keeps it alive.
+// The memory that an exported tensor points to, and its owner.
 struct Exported {
   std::shared_ptr<Range> range;
-  std::shared_ptr<void> writable;  // the protocol's read-only flag stops NumPy, but not PyTorch
+  std::shared_ptr<void> writable;  // NumPy obeys the protocol's read-only flag, PyTorch does not
   std::vector<int64_t> shape, strides;
 };
 
@@ -85,7 +85,7 @@ DLTensor describe(const View& view, Exported& owner) {
           .byte_offset = 0};
 }
 
-// A managed tensor that nobody took is freed with its capsule.
+// Frees a managed tensor that no consumer took, together with its capsule.
 template <class Managed>
 void destroy_capsule(PyObject* capsule) {
   const char* name = PyCapsule_GetName(capsule);
@@ -134,7 +134,7 @@ Device device_of(const DLDevice& device) {
   fail(ErrorKind::Value, "from_dlpack: no device for DLPack device type ", device.type);
 }
 
-// Takes a managed tensor out of its capsule: its deleter runs when the storage goes.
+// Takes a managed tensor out of its capsule. The tensor's deleter runs when the storage is freed.
 template <class Managed>
 View adopt(PyObject* capsule, const char* name, const char* used_name, bool copy) {
   auto* managed = static_cast<Managed*>(PyCapsule_GetPointer(capsule, name));
@@ -195,8 +195,8 @@ py::object export_dlpack(const View& view, py::handle stream, py::handle max_ver
   require(stream.is_none() || own.type != kCpu, ErrorKind::Value,
           "__dlpack__, stream: expected None on the cpu");
   if (ArrayObserver* observer = array_observer()) observer->host_read("__dlpack__");
-  // The protocol's streams: -1 asks for no wait, 0 could mean two streams. Once the host has
-  // waited, the memory may be used on every stream.
+  // In the protocol a stream of -1 asks for no wait, and 0 is ambiguous. After a wait of the host,
+  // every stream may use the memory.
   const int64_t consumer = stream.is_none() ? 1 : stream.cast<int64_t>();
   require(consumer >= -1 && consumer != 0, ErrorKind::Value,
           "__dlpack__, stream: expected None, -1, 1, 2 or a stream's address, got ", consumer);
@@ -220,8 +220,8 @@ py::object export_dlpack(const View& view, py::handle stream, py::handle max_ver
 View import_dlpack(py::handle source, bool copy) {
   require(PyObject_HasAttrString(source.ptr(), "__dlpack__") != 0, ErrorKind::Type,
           "from_dlpack: expected an object with __dlpack__, got ", type_name(source));
-  // The memory will be used on a stream that is ordered with the device's default stream, which the
-  // protocol calls 1: the producer lets that one wait for what it has under way.
+  // The memory will be used on a stream that is ordered with the device's default stream, which is
+  // number 1 in the protocol. The producer makes that stream wait for its own pending work.
   py::dict stream;
   if (PyObject_HasAttrString(source.ptr(), "__dlpack_device__") != 0 &&
       source.attr("__dlpack_device__")().cast<std::pair<int32_t, int32_t>>().first == kCuda)
@@ -232,8 +232,8 @@ View import_dlpack(py::handle source, bool copy) {
     capsule = source.attr("__dlpack__")("max_version"_a = py::make_tuple(1, 0), **stream);
   } catch (py::error_already_set& error) {
     if (!error.matches(PyExc_TypeError)) throw;
-    // A producer from before version 1.0, which hands out only what may be written: NumPy 1,
-    // PyTorch.
+    // A producer from before version 1.0, such as NumPy 1 and PyTorch, exports only writable
+    // memory.
     capsule = source.attr("__dlpack__")(**stream);
     knows_version_1 = false;
   }
@@ -242,8 +242,8 @@ View import_dlpack(py::handle source, bool copy) {
                                            copy);
   require(PyCapsule_IsValid(capsule.ptr(), kName) != 0, ErrorKind::Type,
           "from_dlpack: __dlpack__ gave no DLPack capsule");
-  // One that knows it, and still answers in a form without flags, as JAX does for its immutable
-  // arrays, cannot say so. NumPy too takes such memory for read-only.
+  // A producer that knows version 1.0 may still answer without flags, as JAX does for its immutable
+  // arrays. The memory may then be read-only. NumPy takes such memory for read-only too.
   if (knows_version_1 && !copy)
     buffer_error(
         "from_dlpack: the producer does not say whether the memory may be written (a DLPack "

@@ -8,13 +8,13 @@ inline constexpr char kAddBody[] =
 articulation of both. Returns the index.
 
 xform: the pose (m, xyzw).
-mass, com, inertia: kg, m in the body frame, and 3x3 kg*m^2 about com; None: a point mass. Shapes
-with a density add to them.
+mass: kg. com: the center of mass (m, body frame).
+inertia: 3x3 (kg*m^2) about com; None: a point mass. Shapes with a density add to mass and inertia.
 lock_inertia: shapes add no mass and no inertia.
 is_kinematic: the body follows its velocity, and no force moves it.
-gravcomp: the part of its weight that a force at its center of mass takes away.
+gravcomp: the part of the weight that a force at the center of mass cancels.
 
-ValueError: a mass or inertia that no body has; finalize checks again.)";
+ValueError: a mass or inertia that no body can have. finalize checks again.)";
 
 inline constexpr char kAddShape[] =
     R"(Adds a shape of a GeoType to a body. Returns the index.
@@ -28,12 +28,12 @@ takes a color.
 NotImplementedError: a type that is not supported.)";
 
 inline constexpr char kAddSite[] =
-    R"(Adds a frame of a body (-1: the world), which meets nothing and has no mass.
+    R"(Adds a site: a frame of a body (-1: the world), without contacts and mass.
 
 A site is a shape with ShapeFlags.SITE. Returns the index of the shape. Model.select finds sites by
-name, and sensors, targets and actuators refer to their poses.
+name. Sensors, targets and actuators refer to their poses.
 
-xform: the pose in the body (m).
+xform: the pose in the body (m, xyzw).
 type, scale: the GeoType and the size (m) in which viewers draw a visible site.
 
 IndexError: no such body.
@@ -56,8 +56,8 @@ the normal. Returns the index.
 width, length: m, along local x and y; infinite unless both are > 0.)";
 
 inline constexpr char kBalanceInertia[] =
-    R"(Whether finalize mends an inertia of which one principal moment exceeds the sum of the other
-two. All
-moments grow until none does, with a RuntimeWarning. False: a ValueError.)";
+    R"(Whether finalize corrects an inertia of which one principal moment exceeds the sum of the
+others. All moments then grow by the same amount until none does, with a RuntimeWarning. False: a
+ValueError.)";
 
 }  // namespace novaphy::python::doc

@@ -11,7 +11,7 @@ control: stored; no force uses it.
 tension_only: a rope, which pulls where it is longer than at rest, and never pushes. SolverVBD and
 DiffSolverVBD step ropes; other solvers refuse them.
 
-ValueError: no length.)";
+ValueError: both particles are in one place.)";
 
 inline constexpr char kAddEdge[] =
     R"(Adds a bending edge from k to l between the triangles (i, k, l) and (j, l, k). Returns the
@@ -42,21 +42,23 @@ of a bending edge may share a color, with which a stiff edge converges badly or 
 balance_colors: moves particles between colors until all are about equally large.)";
 
 inline constexpr char kAddShapeMesh[] =
-    R"(Adds a surface of triangles. Returns the index. Contacts with bodies are found on the CPU.
-Vertices in one place count as one.
+    R"(Adds a surface of triangles. Returns the index. Vertices in one place count as one. Contacts
+with bodies are found on the CPU.
 
-vertices, indices: (n, 3; m) and (m, 3) or flat, counter-clockwise seen from outside; or a `mesh`
-with these as attributes.
+vertices, indices: arrays of shape (n, 3) (m) and (m, 3), or flat. The corners are counter-clockwise
+as seen from outside.
+mesh: an object with these two as attributes.
 scale: a number or three, > 0.
 
-A surface on a body, with a density, must be closed: its mass is an integral in double precision. A
+A surface on a body, with a density, must be closed. Its mass is an integral in double precision. A
 shell (cfg.is_solid False) has a wall of cfg.margin inside.
 
 ValueError: no triangle, a corner twice, not finite, open or inside out.)";
 
 inline constexpr char kAddShapeHull[] =
-    R"(Adds the convex hull of points: vertices (n, 3; m), or those of a `mesh`. Returns the index.
+    R"(Adds the convex hull of points. Returns the index.
 
+vertices: an array of shape (n, 3) (m). mesh: an object with this attribute.
 scale: a number or three, > 0.
 max_vertices: 4 to 64; the hull keeps at most so many, the farthest ones. The mass is that of the
 hull of all points, which is a little larger.

@@ -18,13 +18,14 @@ inline constexpr char kAddPlanar[] =
     R"(Adds a joint with three coordinates: x and y (m) in a plane, and an angle (rad) about its
 normal. Returns the index.
 
-axis: the normal (an Axis or a vector, joint frame of the parent); None: Z, whose plane has the axes
-x and y of that frame. Other planes have the axes that the shortest turn of Z to the normal makes of
-x and y.
-x, y, angle: JointDofConfig of the drives, limits and damping, whose axes are not read; None:
-default_joint_cfg.
+axis: the normal (an Axis or a vector, joint frame of the parent); None: Z. The plane of Z has the
+axes x and y of that frame. For another normal, the shortest rotation from Z to the normal carries
+x and y along.
+x, y, angle: JointDofConfig of the drives, limits and damping; None: default_joint_cfg. Their axes
+are not used.
 
-The rates are those of the coordinates. The first two do not turn with the child.)";
+The rates are the derivatives of the coordinates. The directions of x and y do not turn with the
+child.)";
 
 inline constexpr char kAddActuator[] =
     R"(Adds an actuator of a degree of freedom of a joint with axes. Returns the

@@ -48,7 +48,6 @@ ValueError: a state or contacts of another model or device, a bad margin or dt. 
 then.)";
 
 inline constexpr char kFilteredPairs[] =
-    R"(The pairs (i < j) that are tested instead of model.shape_contact_pairs, ascending; None:
-those.)";
+    R"(The pairs (i < j) that are tested, ascending. None: those of model.shape_contact_pairs.)";
 
 }  // namespace novaphy::python::doc

@@ -9,10 +9,10 @@ inline constexpr char kRowLabels[] =
 "exact": DiffSemiImplicitSolver follows points and normal with the poses of both bodies.
 "frozen": the points stay in the frames of their bodies, and the normal in the world.
 
-Rows that collide has not found from this state as it is are "frozen", too. Examples are rows of
-another state, written or copied rows, and rows of a captured graph. Another is rows or poses with a
-writable view of another library. A rollout that is given a Contacts holds all of its rows in all
-steps.
+A row is also "frozen" unless collide found it from this state as it is. Examples are rows of
+another state, rows that were written or copied, and rows of a captured graph. Rows are frozen too
+if another library has a writable view of the rows or poses. A rollout with `contacts` freezes all
+rows in all steps.
 
 ValueError: a state or contacts of another model.)";
 
@@ -37,8 +37,7 @@ inline constexpr char kTrajectoryInit[] =
     R"(steps: the number of steps, >= 0.
 checkpoint: None keeps all states. An interval k keeps every k-th state and the last one. "64MiB"
 chooses the smallest interval whose states take no more. With an interval, backward runs each
-stretch
-between two kept states once more: the same bits for more time.
+stretch between two kept states once more: the same bits for more time.
 
 ValueError: steps < 0, an interval < 1, or a size that no interval meets.)";
 
@@ -67,17 +66,17 @@ ValueError: an argument of another model or size.)";
 inline constexpr char kContactGradient[] =
     R"(The treatment of contacts that begin and end. The states are the same with both.
 
-"code": a contact has the steps that it has, whatever the state.
-"motion": the times of its begin and end move with the state. On the CPU, outside of captures and
-without enable_static_contacts; else NotImplementedError.)";
+"code": the steps in which a contact begins and ends do not depend on the state.
+"motion": the times at which a contact begins and ends move with the state. On the CPU, outside of
+captures and without enable_static_contacts; else NotImplementedError.)";
 
 inline constexpr char kDiffGradientInfo[] =
     R"(Returns the GradientInfo of the last chain of steps on a tape: a rollout, a loop of steps, or
 the last replay of a captured one.
 
-The call reads the states and contacts. With checkpoints, steps are read as they run. Steps are
-frozen where contacts push whose points and normals are held: see
-diff.rigid_contact_gradient_labels. Contacts of particles are held unless a rollout finds them.
+The call reads the states and contacts. With checkpoints, steps are read as they run. A step is
+frozen if contacts push whose points and normals are frozen: see
+diff.rigid_contact_gradient_labels. Contacts of particles are frozen unless a rollout finds them.
 The contacts of enable_static_contacts are exact, and count as events.)";
 
 inline constexpr char kDiffSemiImplicit[] =
@@ -86,11 +85,11 @@ bits. An active tape records the kernels on the states' own arrays.
 
 Exact gradients: positions, velocities, forces, masses, radii, gravity, contact materials,
 activations, and materials, rest lengths and rest angles of elements.
-Frozen: points and normals of contacts, except between bodies whose contacts collide has found from
+Frozen: points and normals of contacts. Contacts between bodies are exact if collide found them from
 the state of the step as it is. See diff.rigid_contact_gradient_labels.
 
-Forces left in state_in.particle_f are for reading: call clear_forces() before the state is used
-again.)";
+A step leaves forces in state_in.particle_f for reading. Call clear_forces() before the state is
+used again.)";
 
 inline constexpr char kDiffStableDt[] =
     R"(Returns the longest stable dt (s) for the elements of particles and the contacts that touch
@@ -105,12 +104,12 @@ inline constexpr char kRecompute[] =
     R"(Returns a copy of state t. A state that is not kept is computed again from the last kept
 state before it.
 
-RuntimeError: before a rollout, or if the next kept state does not come out bit by bit, because
+RuntimeError: no rollout has run, or the next kept state does not come out bit by bit, because
 something was changed.)";
 
 inline constexpr char kKfBound[] =
-    R"(The largest kf dt/m of a contact of a particle of mass m; a larger kf counts as this bound.
-From 2
-on, gradients grow in every step in which friction acts. inf: kf as it is, Newton's law.)";
+    R"(The largest kf dt/m of a contact of a particle of mass m (1). A larger kf counts as this
+bound. From 2 on, gradients grow in every step in which friction acts. inf: kf as it is, as in
+Newton.)";
 
 }  // namespace novaphy::python::doc

@@ -53,13 +53,14 @@ slip_margin: m/s, the least slip.)";
 
 inline constexpr char kPlanarArm[] =
     R"(Records a step of SolverFeatherstone of a planar arm of two links, with the exact adjoint in
-closed form, from q, qd {2} to q_out, qd_out {2}. Call it after the step, on an active tape. Without
-a tape it only checks.
+closed form, from q, qd {2} (rad, rad/s) to q_out, qd_out {2}. Call it after the step, on an active
+tape. Without a tape the call only checks the arm.
 
-`novaphy.Error`: the first condition that is not met. The arm is one articulation of two links on
-the world, REVOLUTE about +Y, without rotated frames, with centers of mass at the bodies' origins.
-The arm has no drives, damping, friction, joint_f or body_f, and gravity is along -Z. Another cause
-is a q_out or
-qd_out that differs from the closed form: a clamp, or another angular_damping.)";
+The arm is one articulation of two links on the world, REVOLUTE about +Y, without rotated frames,
+with centers of mass at the bodies' origins. The arm has no drives, damping, friction, joint_f or
+body_f, and gravity is along -Z.
+
+`novaphy.Error`: the first condition that is not met, or a q_out or qd_out that differs from the
+closed form, because of a clamp or another angular_damping.)";
 
 }  // namespace novaphy::python::doc

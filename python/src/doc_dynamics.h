@@ -29,26 +29,25 @@ friction_law: of rigid contacts:
   "huber": the same, smooth for slips below friction_smoothing.
   "newton18": "viscous" with the bits of Newton 1.8, for comparison. Two bodies get the force each
   at its own surface, and rounding makes spins grow, so angular momentum is not kept.
-  "newton17": the law of Newton 1.7, for comparison. It reads friction_smoothing and leaves the
-  cone.
+  "newton17": the law of Newton 1.7, for comparison. This law reads friction_smoothing, and its
+  force may exceed the cone.
 friction_smoothing: m/s; None: 0.1. ValueError with "viscous" and "newton18", which do not read it.
-stick_ke: N/m of every row, with "viscous" only. A spring along the surface is kept from step to
-step
-by rigid_contact_point_id, so that friction holds bodies at rest. 0: they creep. The spring starts
-anew from a state that the last step has not written.
+stick_ke: N/m of each rigid contact, with "viscous" only. A spring along the surface lets friction
+hold bodies at rest. rigid_contact_point_id identifies the spring from step to step. 0: bodies
+creep. A state that the last step has not written starts new springs.
 joint_attach_ke, joint_attach_kd: N/m and N*m/rad; N*s/m and 0.01 of it N*m*s/rad. They hold joints
-together. step refuses a dt at which one of them diverges by itself, and warns (RuntimeWarning,
-once) if ke or kd of touching shapes does.
+together. step refuses a dt at which one of them alone diverges. step warns (RuntimeWarning, once)
+if ke or kd of touching shapes diverges.
 enable_tri_contact: contacts of particles with triangles, which are not supported yet.
 particle_kf_bound: the largest kf dt/m of a contact of a particle of mass m; a larger kf counts as
-this bound. From 2 on, gradients grow in every step in which friction acts. inf: kf as it is,
-Newton's law.
-penalty_law: "sampled": the force of rigid contacts at the start of the step. "mean": near the
-surface, within half the way of a step, its mean over the step around that. Bounces then depend
-little on the phase of the touch in its step.
+this bound. From 2 on, gradients grow in every step in which friction acts. inf: kf as it is, as
+in Newton.
+penalty_law: "sampled": the force of a rigid contact at the start of the step. "mean": for gaps
+below the travel of half a step, the mean of that force over one step around the start. Bounces then
+depend little on the time in its step at which a touch begins.
 sleep: a SleepConfig, on the CPU. None: no body sleeps.
 
-NotImplementedError: parts of a model that are not covered, sleep on another device;
+NotImplementedError: parts of a model that are not supported, sleep on another device;
 penalty_law="mean" with particles, stick_ke or a law of Newton.)";
 
 inline constexpr char kSleepConfig[] =
@@ -69,9 +68,9 @@ ValueError: a number that is not finite or negative; after that is 0 or more tha
 
 inline constexpr char kStableDt[] =
     R"(Returns the longest dt (s) at which springs, dampers and sticking friction are stable
-together, whatever the neighbors of a body or particle do; inf where none acts. Elements of
-particles count at rest, contacts as they touch in the state. A longer step may do, for friction
-ends at its cone.
+together, for any motion of the neighbors of a body or particle; inf if none acts. Elements of
+particles count at their rest shape, contacts as they touch in the state. A longer step may work,
+because friction ends at its cone.
 
 ValueError: a state or contacts of another model, contacts that have overflowed.)";
 

@@ -7,12 +7,12 @@ inline constexpr char kLaunch[] =
     R"(Runs the kernel over `dim` output rows. Returns a list with one new Tensor per output, {dim,
 width} ({dim} for width 1). An active tape records the launch when an input carries a gradient.
 
-extent: items of a fixed sum.
+extent: the number of items of a fixed sum.
 csr: the Incidence of a CSR sum (a kernel with a "csr_row" source).
-active: int32 {1} in the device's memory, read when the launch runs. Only so many of the first rows
-are computed. The others stay zero and have no gradient. For kernels without a sum.
+active: int32 {1} in the device's memory, read when the launch runs. The kernel computes only this
+many of the first rows. The other rows stay zero and have no gradient. For kernels without a sum.
 
-ValueError: a shape that is not exactly the declared one, or an extent or csr that is missing or
+ValueError: another shape than the declared one, or an extent or csr that is missing or
 that the kernel has no sum for.)";
 
 inline constexpr char kMap[] =

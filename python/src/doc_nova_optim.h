@@ -15,14 +15,14 @@ ValueError: a parameter without gradient or given twice, no parameters, max_norm
 TypeError: not float32.)";
 
 inline constexpr char kOptimizerStep[] =
-    R"(Takes one step of all parameters, in place and not recorded on a tape. The step may be
-captured: each launch of the graph is a step, at the rate of the capture.
+    R"(Takes one step of all parameters, in place and without a record on a tape. The step may be
+captured: each launch of the graph is a step, with the learning rate of the capture.
 
-On a device, and in a launch of a graph, a gradient that is not finite is noted and nothing is
-written. check() raises then. So do the next step or launch on the CPU, and reads of the state.
+On a device, and in a launch of a graph, the step notes a gradient that is not finite and writes
+nothing. check() then raises. The next step or launch on the CPU, and reads of the state, raise too.
 
-ValueError: a parameter has no gradient; nothing was written.
-`novaphy.Error`: a gradient is not finite; nothing was written.)";
+ValueError: a parameter has no gradient. Nothing was written.
+`novaphy.Error`: a gradient is not finite. Nothing was written.)";
 
 inline constexpr char kClippedSgd[] =
     R"(Takes a clipped gradient step for each row of param {n, 3}. A norm <= 0 switches its clip

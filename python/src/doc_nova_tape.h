@@ -16,11 +16,11 @@ inline constexpr char kTape[] =
     R"(Records the operations whose inputs carry gradients, and runs their adjoints in reverse.
 `with nova.Tape() as tape` makes the tape the active one of the thread.
 
-Inputs are kept by reference with their version: backward raises when an adjoint would read a value
-that was overwritten since.
+The tape keeps inputs by reference, with their version. backward raises if an adjoint would read a
+value that was overwritten since.
 
-leaf_gradients_only: the memory of every other gradient is used again as soon as it was read: the
-same bits, half the memory. Reading such a gradient afterwards raises novaphy.Error.
+leaf_gradients_only: the tape reuses the memory of every other gradient once it was read. The bits
+are the same, with half the memory. Reading such a gradient afterwards raises novaphy.Error.
 
 `novaphy.Error`: another tape is active.)";
 
@@ -42,22 +42,21 @@ NotImplementedError: a custom operation that was recorded without a tangent.)";
 inline constexpr char kGraphLaunch[] =
     R"(Runs all operations of the graph.
 
-On a GPU the first launches run kernel by kernel, until a kernel that fuses these has been compiled
-in the background. The compilation takes some seconds where the kernel is not on disk. The bits are
-the same before and after. Destroying the graph waits for the compilation, and so does the exit of
-Python.
+On a GPU the first launches run kernel by kernel. Meanwhile a kernel that fuses these is compiled in
+the background. The compilation takes some seconds if the kernel is not on disk. The bits are the
+same before and after. The destruction of the graph, and the exit of Python, wait for the
+compilation.
 
 `novaphy.Error`: an index table (the contacts) changed since the capture.)";
 
 inline constexpr char kGradcheck[] =
     R"(Compares the tape's gradient of the one-value fn(*inputs) with central differences of every
-input
-value: |ad - fd| <= atol + rtol * max|fd|. The inputs keep their values, gradients and
-requires_grad, also where fn raises.
+input value: |ad - fd| <= atol + rtol * max|fd|. The inputs keep their values, gradients and
+requires_grad, also if fn raises.
 
 epsilon: the step, relative to max(1, |x|).
 dot_product_tolerance: the bound for the derivative in one random direction, compared with that of
-forward mode (Tape.jvp). The comparison needs no step, so its error is rounding alone.)";
+forward mode (Tape.jvp). This comparison has no step, so its only error is rounding.)";
 
 inline constexpr char kRecordCustom[] =
     R"(Records a differentiable operation that is no kernel. Call it after the outputs were

@@ -39,7 +39,7 @@ void report_host_read(const char* what) {
   if (ArrayObserver* observer = array_observer()) observer->host_read(what);
 }
 
-// Before the host looks at the memory itself.
+// Prepares memory for direct reads by the host.
 void open_to_host(const View& view, const char* what) {
   report_host_read(what);
   if (view.range == nullptr) return;
@@ -55,7 +55,7 @@ std::vector<int64_t> without_ones(const std::vector<int64_t>& shape) {
   return result;
 }
 
-// Anything that NumPy sees as an array; its own scalars are numbers.
+// Returns whether NumPy takes the object for an array. NumPy's own scalars count as numbers.
 bool is_array_like(py::handle source) {
   return PyObject_HasAttrString(source.ptr(), "__array__") != 0 &&
          !py::isinstance(source, numpy().generic);
@@ -76,7 +76,7 @@ bool is_row_index(py::handle index) {
          (PyIndex_Check(index.ptr()) && !PySequence_Check(index.ptr()));
 }
 
-// NumPy's own message for an index out of range says "axis 0"; ours says rows.
+// Checks a row index. NumPy's own message would say "axis 0"; this one says rows.
 py::object checked_index(const View& view, py::handle index) {
   require(is_row_index(index), ErrorKind::Type,
           "index: expected an integer or a slice of rows, got ", type_name(index));
@@ -210,7 +210,7 @@ py::dict cuda_array_interface(const View& view) {
 
 namespace {
 
-// Of values that are copied where no tape records it.
+// Refuses a source with a gradient, because no tape records this copy.
 void refuse_gradient([[maybe_unused]] py::handle source, [[maybe_unused]] const char* what) {
 #ifdef NOVAPHY_PYTHON_DIFF
   const nova::Tape* const tape = nova::Tape::active();
@@ -242,10 +242,10 @@ py::object host_values(py::handle source, Scalar scalar, const char* what) {
   if (given.equal(wanted)) return np.asarray(array, "order"_a = "C");
   const std::string kind = py::str(given.attr("kind")), given_name = py::str(given);
   const bool integers = kind == "i" || kind == "u" || kind == "b";
-  // An empty list is float64 for NumPy.
+  // NumPy makes float64 of an empty list.
   if (array.attr("size").cast<int64_t>() == 0 && !is_array)
     return np.empty(array.attr("shape"), wanted);
-  bool ok = scalar == Scalar::F32 && (kind == "f" || integers);  // rounded
+  bool ok = scalar == Scalar::F32 && (kind == "f" || integers);  // values are rounded
   if (scalar != Scalar::F32 && integers) {
     const py::object limits = np.iinfo(wanted);
     if (array.attr("size").cast<int64_t>() != 0) {
@@ -320,7 +320,7 @@ void set_rows(const View& view, py::handle index, py::handle values) {
     return;
   }
   open_to_host(view, "assignment");
-  view.flat().raw_mutable();  // refused in a capture; raises the version
+  view.flat().raw_mutable();  // raises in a capture; increments the version
   py::object memory =
       numpy().asarray(py::cast(new HostBuffer{view.range, view.shape, view.scalar, true},
                                py::return_value_policy::take_ownership));

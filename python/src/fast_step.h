@@ -1,6 +1,6 @@
-// solver.step as a plain C function: a rollout in a Python loop calls it for every substep, and
-// pybind11's general argument conversion costs more than the step of a small model. Anything that
-// is not exactly five positional arguments of the engine's own classes goes to the general binding.
+// solver.step as a plain C function. A Python loop calls it in every substep, and pybind11's
+// argument conversion costs more than the step of a small model. Calls with other arguments than
+// five positional ones of the engine's own classes use the general binding.
 #pragma once
 
 #include <exception>
@@ -18,7 +18,7 @@ namespace novaphy::python {
 // Sets the Python error that pybind11 would raise for a C++ exception.
 void set_python_error(const std::exception_ptr& error);
 
-// The C++ object in an instance of exactly the bound class T; null for anything else.
+// Returns the C++ object in an instance of exactly the bound class T, or null for any other object.
 template <class T>
 struct BoundClass {
   static inline PyTypeObject* type = nullptr;

@@ -20,7 +20,8 @@ inline std::string field_doc(const FieldInfo& info) {
          ". Reading gives the array itself; assigning copies values into it.";
 }
 
-// Reads give a DeviceArray over the same memory; assignments copy values, the array stays the same.
+// A read returns a DeviceArray over the same memory. An assignment copies values into the same
+// array.
 template <class Class, class Owner, class T>
 void bind_field(Class& c, const FieldInfo& info, DeviceArray<T> Owner::*member,
                 const char* name = nullptr) {
@@ -35,7 +36,7 @@ void bind_field(Class& c, const FieldInfo& info, DeviceArray<T> Owner::*member,
 #define NOVAPHY_BIND_FIELD(name, ...) \
   bind_field(c, NOVAPHY_FIELD_INFO(name, __VA_ARGS__), &Fields::name);
 
-// "body_count=2, shape_count=2, ": those that are not 0.
+// Returns the counts that are not 0: "body_count=2, shape_count=2, ".
 inline std::string counts_text(const ModelCounts& counts) {
   std::string text;
 #define NOVAPHY_COUNT_TEXT(count, doc) \
@@ -45,7 +46,7 @@ inline std::string counts_text(const ModelCounts& counts) {
   return text;
 }
 
-// Counts, device, requires_grad, repr: what all objects of a model have.
+// Binds the common members of the objects of a model: counts, device, requires_grad, repr.
 #define NOVAPHY_BIND_COUNT(name, doc) \
   c.def_property_readonly(#name, &Object::name, "The number of " doc ".");
 template <class Object, class... Options>

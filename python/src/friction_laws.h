@@ -40,7 +40,7 @@ inline const char* penalty_law_name(PenaltyLaw law) {
   return law == PenaltyLaw::Mean ? "mean" : "sampled";
 }
 
-// The laws of a solver, whose options() have them.
+// Binds the laws of a solver, from its options().
 template <class Solver>
 void add_contact_laws(Solver& of) {
   using Type = typename Solver::type;
@@ -51,7 +51,7 @@ void add_contact_laws(Solver& of) {
       "penalty_law", [](const Type& s) { return penalty_law_name(s.options().penalty_law); },
       "\"sampled\" or \"mean\".");
 }
-// Those of settings; set(settings, name, member, value).
+// Binds the laws of settings. set(settings, name, member, value) writes one of them.
 template <class Settings, class Set>
 void add_contact_laws(Settings& of, const Set& set) {
   using Type = typename Settings::type;

@@ -6,8 +6,9 @@ namespace novaphy::python {
 namespace py = pybind11;
 
 namespace {
-std::atomic<int> g_released{0};           // threads that compute without the lock
-std::atomic<unsigned long> g_exiting{0};  // the thread that ends the interpreter; under the lock
+std::atomic<int> g_released{0};  // threads that compute without the GIL
+// the thread that ends the interpreter; guarded by the GIL
+std::atomic<unsigned long> g_exiting{0};
 }  // namespace
 
 ReleasedGil::ReleasedGil() {
@@ -32,7 +33,7 @@ void wait_at_exit() {
     PyEval_RestoreThread(thread);
   });
   py::module_::import("atexit").attr("register")(wait);
-  // Only the thread that forked goes on in the child.
+  // In the child process only the forking thread exists.
   const py::cpp_function forked([] { g_released = 0; });
   py::module_::import("os").attr("register_at_fork")(py::arg("after_in_child") = forked);
 }

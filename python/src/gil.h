@@ -5,9 +5,10 @@
 
 namespace novaphy::python {
 
-// pybind11's own takes the lock back in a destructor. While the interpreter ends Python unwinds a
-// daemon thread that asks for the lock, and out of a destructor that is std::terminate. So the exit
-// waits for those that are under way, and later ones keep the lock.
+// pybind11's own class takes the GIL back in a destructor. While the interpreter ends, Python
+// unwinds a daemon thread that asks for the GIL. An unwind out of a destructor calls
+// std::terminate. The exit therefore waits for threads that compute, and later threads keep the
+// GIL.
 class ReleasedGil {
  public:
   ReleasedGil();
@@ -16,11 +17,11 @@ class ReleasedGil {
   ReleasedGil& operator=(const ReleasedGil&) = delete;
 
  private:
-  PyThreadState* thread_ = nullptr;  // null: kept
+  PyThreadState* thread_ = nullptr;  // null: the thread keeps the GIL
 };
 using release_gil = pybind11::call_guard<ReleasedGil>;
 
-bool exit_waits_for_me();  // so that long work of this thread should end
+bool exit_waits_for_me();  // long work of this thread should then end
 void wait_at_exit();       // registers the wait
 
 }  // namespace novaphy::python

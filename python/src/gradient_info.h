@@ -1,4 +1,4 @@
-// GradientInfo in Python: the fields that all solvers have, and those of one.
+// GradientInfo in Python: the fields of all solvers, and those of one solver.
 #pragma once
 
 #include <pybind11/pybind11.h>
@@ -11,10 +11,10 @@ namespace novaphy::python {
 struct GradientInfoFields {
   pybind11::dict fields;
 };
-// `more`: what this solver tells besides; it may not have the names of the others.
+// Returns the fields. `more`: additional fields of one solver, with other names.
 GradientInfoFields to_fields(const GradientInfo& info, const pybind11::dict& more = {});
 
-// "code" or "motion". ErrorKind::Value: another one.
+// Reads "code" or "motion". ErrorKind::Value: another name.
 diff::DerivativeOf to_contact_gradient(const char* user, const std::string& name);
 const char* contact_gradient_name(diff::DerivativeOf of);
 

@@ -33,7 +33,7 @@ PyObject* python_type(ErrorKind kind) {
   return error_type;
 }
 
-// Paths and files may bring bytes into a message that are no UTF-8.
+// Sets a Python error. A path or a file may bring bytes that are not UTF-8 into the message.
 void raise(PyObject* type, std::string_view text) {
   const auto size = static_cast<Py_ssize_t>(text.size());
   const auto message =
@@ -62,13 +62,13 @@ void make_warning(const std::string& text) {
   if (PyErr_WarnEx(PyExc_RuntimeWarning, text.c_str(), 1) != 0) throw py::error_already_set();
 }
 
-// Ctrl-C in a long native loop: Python's handlers run on its main thread only. Elsewhere this ends
-// what the exit of the interpreter waits for.
+// Handles Ctrl-C in a long native loop. Python runs its signal handlers on its main thread only. On
+// other threads the function ends work that the exit of the interpreter waits for.
 void check_signals() {
   if (!Py_IsInitialized()) return;
   const py::gil_scoped_acquire gil;
   if (PyErr_CheckSignals() != 0) throw py::error_already_set();
-  if (exit_waits_for_me()) {  // threads end without a word on this one
+  if (exit_waits_for_me()) {  // Python ends a thread silently on this exception
     PyErr_SetNone(PyExc_SystemExit);
     throw py::error_already_set();
   }

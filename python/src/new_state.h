@@ -10,7 +10,8 @@
 
 namespace novaphy::python {
 
-// With gradients its values are leaves before anything on a tape may read them.
+// Returns a new state. With gradients the values become leaves before an operation on a tape reads
+// them.
 inline SimState new_state(const Model& model, std::optional<bool> requires_grad) {
   SimState state = model.state(requires_grad);
 #ifdef NOVAPHY_PYTHON_DIFF

@@ -45,17 +45,18 @@ nova::DType to_nova_dtype(py::handle value);
 DType dtype_of(nova::DType dtype);
 View view_of(const nova::Tensor& tensor);
 nova::Tensor tensor_of(const View& view);
-// A Tensor, or a number as a tensor of one value on the device. TypeError names the argument.
+// Returns a Tensor as it is, or a number as a tensor of one value on the device. TypeError names
+// the argument.
 nova::Tensor to_operand(py::handle value, const char* name, const Device& device);
-// x[key]: a recorded read. IndexError, or TypeError for what is no index.
+// Returns x[key], as a recorded read. IndexError: no such entry. TypeError: the key is no index.
 nova::Tensor get_item(const nova::Tensor& x, py::handle key);
 
-// Over all values, or over one dimension. ValueError: keepdims without an axis.
+// A reduction over all values, or over one dimension. ValueError: keepdims without an axis.
 enum class Reduction { Sum, Mean, Max, Min };
 template <Reduction R>
 nova::Tensor reduced(const nova::Tensor& x, std::optional<int64_t> axis, bool keepdims);
 
-// A Python callable that native code may call and drop on any thread.
+// A Python callable that native code may call and release on any thread.
 class Callback {
  public:
   explicit Callback(py::object function)

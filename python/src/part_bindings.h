@@ -1,4 +1,4 @@
-// Parts of the bindings of a library that have files of their own.
+// Parts of a library's bindings that have their own files.
 #pragma once
 
 #include <pybind11/pybind11.h>

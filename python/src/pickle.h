@@ -1,5 +1,5 @@
-// pickle, copy and deepcopy: what an object is made of, as Python values. Arrays go over the host
-// and come back on the device that they were on; gradients and tapes stay behind.
+// pickle, copy and deepcopy: the content of an object as Python values. Arrays travel over the host
+// and return to the device that they were on. Gradients and tapes are left out.
 #pragma once
 
 #include <utility>
@@ -38,7 +38,7 @@ inline void add_array_pickle(py::class_<Array>& c) {
 
 // ---------------------------------------------------------------- model, state, control
 
-// What all objects of a model are made of: sizes, place and arrays.
+// Returns the content of an object of a model: sizes, device and arrays.
 template <class Object>
 py::dict keep_fields(const Object& object) {
   py::dict counts, arrays;
@@ -89,7 +89,7 @@ void add_field_pickle(py::class_<Object>& c) {
 
 // ---------------------------------------------------------------- settings
 
-// Classes whose values are their writable properties; repr shows them too.
+// For classes whose values are their writable properties. repr shows these values.
 template <class Settings>
 void add_settings_pickle(py::class_<Settings>& c) {
   const py::object writable = [](const py::object& type) {

@@ -15,7 +15,8 @@ bool is_table(py::handle key) {
          py::isinstance(key, py::module_::import("numpy").attr("ndarray"));
 }
 
-// A list or NumPy array of row numbers, or of one truth value per row, as int32.
+// Converts a list or NumPy array to int32 row indices: of row numbers, or of one truth value per
+// row.
 Tensor to_row_table(py::handle key, int64_t rows, const Device& device) {
   if (py::isinstance<nova::TensorImpl>(key)) return key.cast<Tensor>();
   const py::module_ np = py::module_::import("numpy");
@@ -44,7 +45,7 @@ Tensor to_row_table(py::handle key, int64_t rows, const Device& device) {
   return table;
 }
 
-// The dimensions that `parts` speak of; a table counts for one.
+// Counts the dimensions that `parts` refer to. A table of rows counts for one.
 size_t count_dimensions(const py::tuple& parts, size_t ndim) {
   size_t count = 0, ellipses = 0;
   for (const py::handle part : parts) (part.is(py::ellipsis()) ? ellipses : count) += 1;
@@ -54,7 +55,8 @@ size_t count_dimensions(const py::tuple& parts, size_t ndim) {
   return count;
 }
 
-// One dimension after the other; those of an integer stay as 1 until the end.
+// Indexes one dimension after the other. A dimension with an integer index has size 1 until the
+// end.
 class Indexing {
  public:
   explicit Indexing(const Tensor& x) : now_(x), dropped_(x.ndim(), false) {}

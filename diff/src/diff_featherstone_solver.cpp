@@ -76,7 +76,7 @@ float distance(const Transformf& a, const Transformf& b) {
 
 }  // namespace
 
-// Whether body_q is that of joint_q, to rounding; NaN is not.
+// Returns whether body_q agrees with joint_q up to rounding. NaN does not agree.
 bool DiffFeatherstoneSolver::poses_follow(const SimState& state) {
   const Model& m = *model();
   const nova::NoGrad no_grad;
@@ -162,7 +162,7 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
   check_contacts(kRollout, inputs.contacts(), touching);
   rollout_contacts_ = most_contacts(inputs.contacts());
   if (inputs.pipeline() != nullptr) {
-    const UntrackedScope untracked;  // memory that no capture records
+    const UntrackedScope untracked;  // no capture records this memory
     const Contacts contacts = inputs.pipeline()->contacts();
     rollout_contacts_ = most_contacts(&contacts);
   }
@@ -181,7 +181,8 @@ void DiffFeatherstoneSolver::record_step(const SimState& in, SimState& out,
   step_.record(*model(), in, out, inputs.control, inputs.contacts,
                inputs.tables != nullptr ? FoundContacts::Always : FoundContacts::Before,
                inputs.body_forces, inputs.dt, scratch, inputs.checkpoints == nullptr);
-  // A device writes NaN where a step fails, which the last one tells; here a state stays as it was.
+  // On a device a failing step writes NaN, and the rollout reports it at its end. On the host the
+  // failing step raises and leaves its state unchanged.
   if (nova::host_can_read(device())) step_.check(*model(), kRollout);
 }
 

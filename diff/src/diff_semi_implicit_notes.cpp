@@ -1,4 +1,5 @@
-// What the steps of DiffSemiImplicitSolver say of their gradients, and what moves them.
+// The record of the gradients of DiffSemiImplicitSolver's steps, and of the events that move in
+// time.
 #include <utility>
 
 #include "novaphy/collision/diff_soft_contact_trace.h"
@@ -48,7 +49,7 @@ std::optional<TouchedStep> DiffSemiImplicitSolver::begin_touches(
                         kf_rate(config_.particle_kf_bound, dt), dt, touches_, witness()->touches);
 }
 
-// What gradient_info looks at of a step on a tape.
+// Notes a step on a tape for gradient_info.
 void DiffSemiImplicitSolver::note_step(const SimState& in, const SimState& out,
                                        const Contacts* contacts, const ContactTables& tables,
                                        float dt, bool keeps) {

@@ -42,7 +42,7 @@ int32_t shapes_for_particles(const Model& model) {
   }));
 }
 
-// Of the law huber, whose bits at 0 are those of viscous.
+// Returns the smoothing of the law huber. With 0 the law has the bits of viscous.
 float huber_smoothing(const DiffSolverConfig& config) {
   require(!is_of_newton(config.friction_law), ErrorKind::NotImplemented,
           "DiffSemiImplicitSolver: friction_law: expected \"viscous\" or \"huber\", got \"newton",
@@ -130,7 +130,7 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
                                     .smoothing = friction_smoothing_});
 }
 
-// Elements that exert a force but are not enabled would be left out without a word.
+// Refuses elements that exert a force but are not enabled.
 void DiffSemiImplicitSolver::check_elements() const {
   const auto check = [](bool enabled, const char* option, const char* elements,
                         std::initializer_list<const DeviceArray<float>*> strengths) {
@@ -200,7 +200,7 @@ void DiffSemiImplicitSolver::check_contacts(const char* function, const Contacts
         " pair(s) of shapes of the model may meet", "enable_rigid_contacts");
 }
 
-// Contacts that are given are fixed while a capture records, so this host read is legal there too.
+// Given contacts do not change while a capture records, so a capture allows this host read.
 void DiffSemiImplicitSolver::check_overflow(const Contacts& contacts) {
   const UntrackedScope untracked;
   require(!contacts.overflowed(), ErrorKind::Runtime,
@@ -273,7 +273,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
     if (touched) motion_->end(*model(), *touched);
     return;
   }
-  if (body_f_.rows() == 0 || nova::Tape::active() != nullptr)  // which remembers it
+  if (body_f_.rows() == 0 || nova::Tape::active() != nullptr)  // a tape keeps the old memory
     body_f_ = DeviceArray<SpatialVectorf>(state_in.body_f.rows(), device());
   bodies_.run(*model(), from, to, nova::operand_of(from.body_f), joints_ ? &*joints_ : nullptr,
               control, contacts, tables_, particles_.wrenches(), dt, nova::operand_of(body_f_));
@@ -317,7 +317,7 @@ bool DiffSemiImplicitSolver::step_writes_kept_memory() const {
 
 bool DiffSemiImplicitSolver::begin_rollout(const RolloutInputs& inputs) {
   if (!moves_particles() && !moves_bodies()) return false;
-  // Joints without a force may get one by the control of any step.
+  // The control of any step may give a force to joints without one.
   const Control* acting = inputs.control(inputs.start());
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t) {
     if (t > inputs.start() && inputs.control(t) == acting) continue;
@@ -333,11 +333,12 @@ void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
                                          const StepInputs& inputs, StepScratch scratch) {
   if (inputs.tables != nullptr) {
     if (config_.strict && nova::current_capture() == nullptr) {
-      nova::flush_deferred();  // the search
+      nova::flush_deferred();  // runs the search for contacts
       check_overflow(*inputs.contacts);
     }
     ContactTables::Wanted wanted = wanted_tables();
-    // The search before has found them; of particles that meet no bodies they are held.
+    // The search has just found the contacts. Contacts of particles are frozen unless particles
+    // meet bodies.
     wanted.particles_follow = wanted.particles_on_bodies;
     inputs.tables->rebuild(*model(), *inputs.contacts, wanted);
   }

@@ -21,7 +21,7 @@ using Run = std::span<const std::shared_ptr<MotionEvent>>;
 
 float* numbers(const nova::Tensor& of) { return static_cast<float*>(of.range()->data()); }
 
-// The array of a state by which an event moves.
+// Returns the array of a state that an event's time depends on.
 nova::Tensor array_of(const SimState& state, MotionArray of) {
   const auto tensor_of = [](const auto& array) {
     const nova::Operand o = nova::operand_of(array);
@@ -32,7 +32,7 @@ nova::Tensor array_of(const SimState& state, MotionArray of) {
                                     : tensor_of(state.particle_q);
 }
 
-// visit(row, input, slope) for all slopes of events that begin in one step.
+// The events that begin in one step. each() calls visit(row, input, slope) for all slopes.
 struct StepEvents {
   MotionEvents events;
   std::vector<MotionArray> arrays;  // of the inputs
@@ -64,7 +64,8 @@ struct StepEvents {
   }
 };
 
-// The times of events of one step, by the state that it starts from.
+// Returns the times of the events of one step, as a function of the state that the step starts
+// from.
 nova::Tensor times_of(const SimState& state, Run run, nova::Tape& tape) {
   const auto step = std::make_shared<StepEvents>();
   step->events.assign(run.begin(), run.end());
@@ -105,7 +106,8 @@ MotionEvents events_on(const nova::Tape& tape) {
   return all;
 }
 
-// The state, from `at` on, that the step of an event starts from. False: it is of no state.
+// Finds the state that the step of an event starts from. The search begins at `at`, which gets the
+// result. Returns false if the trajectory does not have the state.
 bool find_state(const Trajectory& trajectory, const MotionEvent& event, int32_t& at) {
   for (int32_t k = 0; k <= trajectory.steps(); ++k) {
     const int32_t t = (at + k) % (trajectory.steps() + 1);
@@ -131,7 +133,7 @@ nova::Tensor event_times(const Trajectory& trajectory) {
   nova::flush_deferred();
   const MotionEvents all = events_on(*tape);
   std::vector<nova::Tensor> parts;
-  int32_t known = 0;  // the state of the last event: the next one follows soon
+  int32_t known = 0;  // the state of the last event, because the next one is near
   for (size_t first = 0, end = 0; first < all.size(); first = end) {
     const MotionEvent& of = *all[first];
     while (end < all.size() && all[end]->start == of.start && all[end]->version == of.version)

@@ -16,12 +16,12 @@ using nova::Tensor;
 
 constexpr const char* kRecorder = "record_planar_2r_featherstone_step";
 
-// A limit's force t, and what it adds to M's diagonal and to t's derivatives.
+// The force t of a limit, its part of M's diagonal, and its derivatives.
 struct Limit {
   float force = 0.0f, diagonal = 0.0f, by_q = 0.0f, by_v = 0.0f;
 };
 
-// The numbers of the closed form.
+// The constants of the closed form.
 struct Arm {
   float c1, l, tip, base_x, base_z;  // m
   float k, a, b;                     // kg m^2, N m, N m
@@ -94,7 +94,7 @@ ArmStep step_arm(const Arm& arm, const float* q, const float* v, float dt, float
   return s;
 }
 
-// Gradients of q' and v' to those of q and v.
+// Computes the gradients of q and v from those of q' and v'.
 void step_arm_vjp(const Arm& arm, const float* q, const float* v, float dt, float damping,
                   const float* q_out, const float* v_out, float* q_in, float* v_in) {
   const ArmStep s = step_arm(arm, q, v, dt, damping);
@@ -116,7 +116,7 @@ void step_arm_vjp(const Arm& arm, const float* q, const float* v, float dt, floa
 
 bool is_identity(const Quatf& q) { return q.x == 0.0f && q.y == 0.0f && q.z == 0.0f; }
 
-// ErrorKind::Runtime, naming the first condition of the domain that the model does not meet.
+// ErrorKind::Runtime, with the first condition of the domain that the model does not meet.
 void check_arm(const Model& m, const char* function) {
   const auto need = [&](bool met, const char* condition) {
     require(met, ErrorKind::Runtime, function, ": expected ", condition);
@@ -169,7 +169,7 @@ void check_forces(const Model& m, const SimState& state, const Control* control)
             " at body ", i / 6);
 }
 
-// The closed form has derivatives by q and qd alone.
+// Refuses other gradients: the closed form has derivatives with respect to q and qd alone.
 void check_gradients(const Model& m, const SimState& state, const Control* control) {
   check_no_gradient(kRecorder, {{"gravity", m.gravity},
                                 {"body_mass", m.body_mass},
@@ -257,7 +257,7 @@ Tensor planar_2r_tip_loss(const Model& model, const Tensor& q, float target_x, f
           ": expected a finite target, got (", target_x, ", ", target_z, ")");
   const Arm arm = read_arm(model);
   struct Tip {
-    float dx, dz, x12, z12, x1, z1;  // from the target; along the links
+    float dx, dz, x12, z12, x1, z1;  // tip minus target; the second link; the first link
   };
   const auto tip = [=](const float* x) {
     const float q12 = x[0] + x[1];
@@ -273,7 +273,7 @@ Tensor planar_2r_tip_loss(const Model& model, const Tensor& q, float target_x, f
     tape->record_custom("planar_2r_tip_loss", {q}, {loss}, [=](const std::vector<Tensor>& g) {
       const Tip at = tip(q.data<float>());
       const float seed = g[0].data<float>()[0];
-      // A link turns its end (x, z) to (z, -x).
+      // The derivative of a link's end (x, z) with respect to its angle is (z, -x).
       const float second = at.dx * at.z12 - at.dz * at.x12;
       const float first = second + (at.dx * at.z1 - at.dz * at.x1);
       const float back[2] = {2.0f * seed * first, 2.0f * seed * second};

@@ -140,14 +140,14 @@ struct Rollout {
   int64_t steps = 0;
 };
 
-// Of an undefined tensor: none.
+// Returns the tensor's memory. An undefined tensor gives no rows.
 DeviceArray<float> floats_of(const Tensor& tensor) {
   if (!tensor.defined()) return {};
   const auto size = static_cast<size_t>(tensor.size());
   return DeviceArray<float>(Array(novaphy::DType::float32, size, 1, tensor.range()));
 }
 
-// The inputs as arrays, which live as long as a launch of them.
+// The inputs as arrays that outlive a launch.
 struct InputArrays {
   DeviceArray<float> states[4], numbers[kPushBoxNumbers];
 
@@ -194,7 +194,7 @@ void run_vjp(const Rollout& r, std::span<const Tensor> outputs,
        .add = add});
 }
 
-// On the host.
+// Runs the tangent on the host.
 void run_jvp(const Rollout& r, std::span<const Tensor> t, std::span<const Tensor> tangents) {
   const auto tangent = [&](size_t k, int64_t row) {
     return t[k].defined() ? t[k].data<float>()[row] : 0.0f;
@@ -221,7 +221,7 @@ void run_jvp(const Rollout& r, std::span<const Tensor> t, std::span<const Tensor
   }
 }
 
-// The same now, or in the replays of a capture.
+// Runs the tangent now, or in the replays of a capture.
 void submit_jvp(const std::shared_ptr<const Rollout>& rollout, std::span<const Tensor> inputs,
                 std::span<const Tensor> outputs) {
   if (!nova::current_capture()) return run_jvp(*rollout, inputs, outputs);

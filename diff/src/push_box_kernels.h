@@ -28,7 +28,7 @@ inline void push_box_list(const PushBoxNumbers<float>& n, float (&to)[kPushBoxNu
 }
 
 struct PushBoxRolloutArguments {
-  NOVAPHY_ARGUMENTS(Part<PushBoxArguments> in; Writes<float> x, v;  // behind every step
+  NOVAPHY_ARGUMENTS(Part<PushBoxArguments> in; Writes<float> x, v;  // after every step
   )
 };
 NOVAPHY_ROW_KERNEL(push_box_rollout, PushBoxRolloutArguments) {
@@ -42,12 +42,12 @@ NOVAPHY_ROW_KERNEL(push_box_rollout, PushBoxRolloutArguments) {
 }
 
 struct PushBoxRolloutVjpArguments {
-  NOVAPHY_ARGUMENTS(
-      Part<PushBoxArguments> in; Detached<Reads<float>> x, v;  // what the rollout gave
-      Optional<Detached<Reads<float>>> x_bar, v_bar;           // their gradients; null: zero
-      // Gradients of the inputs in the order of PushBoxArguments; null: nobody wants it.
-      Each<Optional<Detached<Updates<float>>>, 4 + kPushBoxNumbers> gradient;
-      Number<int64_t> add;  // bit i: to what is there
+  NOVAPHY_ARGUMENTS(Part<PushBoxArguments> in;
+                    Detached<Reads<float>> x, v;                    // the results of the rollout
+                    Optional<Detached<Reads<float>>> x_bar, v_bar;  // their gradients; null: zero
+                    // Gradients of the inputs in the order of PushBoxArguments. Null: not wanted.
+                    Each<Optional<Detached<Updates<float>>>, 4 + kPushBoxNumbers> gradient;
+                    Number<int64_t> add;  // bit i: add to gradient i instead of overwriting it
   )
 };
 inline void push_box_give(const PushBoxRolloutVjpArguments& a, int i, int64_t row, float value) {
@@ -57,7 +57,7 @@ inline void push_box_give(const PushBoxRolloutVjpArguments& a, int i, int64_t ro
 }
 NOVAPHY_ROW_KERNEL(push_box_rollout_vjp, PushBoxRolloutVjpArguments) {
   const PushBoxNumbers<float> numbers = push_box_numbers(a.in);
-  PushBoxState<float> bar = {0.0f, 0.0f};  // gradient of the state behind step t
+  PushBoxState<float> bar = {0.0f, 0.0f};  // gradient of the state after step t
   float sums[kPushBoxNumbers] = {};
   for (int64_t t = a.in.steps; t-- > 0;) {
     if (a.x_bar) bar.x += a.x_bar[t];

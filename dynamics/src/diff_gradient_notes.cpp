@@ -15,11 +15,11 @@ namespace {
 template <class T>
 constexpr size_t kNumbers = sizeof(T) / sizeof(int32_t);
 
-// The contacts of a step are looked at in parts where they may be more than a few.
+// Steps with more than kFewContacts contacts are evaluated in kParts parts.
 constexpr size_t kParts = 64;
 constexpr int64_t kFewContacts = 256;
 
-// Null without rows.
+// Returns null if the array has no rows.
 const DeviceArray<float>* if_any(const DeviceArray<float>& array) {
   return array.rows() == 0 ? nullptr : &array;
 }
@@ -184,7 +184,7 @@ void GradientNotes::Looks::look(const Model& m, const NotedStep& step) {
   ended = contacts > 0 ? step.end : nullptr;
   const int64_t step_number = steps++;
   if (contacts == 0) return;
-  const bool begins = parts.rows() == 0;  // as a replay of a capture does
+  const bool begins = parts.rows() == 0;  // true in every replay of a capture too
   if (begins) {
     const UntrackedScope untracked;
     parts = DeviceArray<int32_t>(kParts, m.device(), kNumbers<StepNotes>);
@@ -251,7 +251,7 @@ std::shared_ptr<const ContactFields> GradientNotes::handles(const Contacts* cont
 
 GradientCounts GradientNotes::counts(const Model& model) const {
   if (chain_.empty()) return looks_.counts();
-  Looks looks;  // of states that are all there
+  Looks looks;  // all states of the chain are kept
   for (const NotedStep& step : chain_) looks.look(model, step);
   return looks.counts();
 }

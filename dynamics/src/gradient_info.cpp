@@ -19,7 +19,7 @@ std::string some(int64_t count, int64_t of) {
   return std::to_string(count) + " of " + std::to_string(of) + " steps";
 }
 
-// Events of one tree that follow each other in fewer steps may come in another order.
+// Two events of one tree within fewer steps may change their order.
 constexpr double kApart = 3.0;
 
 bool are_apart(const MotionCounts& m) { return m.of_springs || m.least_separation >= kApart; }
@@ -46,7 +46,7 @@ std::string motion_of_springs(const MotionCounts& m) {
   add(m.one_sided, " whose begin or end is outside of the steps, or cut by a written state");
   return text;
 }
-// Why the gradient may be another than that of the motion.
+// Returns the reasons why the gradient may differ from that of the motion.
 std::string doubts(const MotionCounts& m) {
   std::string text;
   if (m.unmoved > 0)
@@ -71,7 +71,8 @@ std::string motion_of(const MotionCounts& m) {
   return ", and the times at which they begin move with the state" + doubts(m);
 }
 
-// Steps whose gradient is neither that of the code nor, for certain, that of the motion.
+// Returns the number of steps whose gradient is not that of the code, and possibly not that of the
+// motion.
 int64_t unclaimed_steps(const MotionCounts* motion) {
   return motion != nullptr && !is_of_the_motion(*motion) ? motion->moved : 0;
 }

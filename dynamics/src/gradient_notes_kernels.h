@@ -1,11 +1,12 @@
-// The branches of the contacts of a step, for GradientNotes: which push, stick and slip, and which
-// hold their points or normals. Kernels for all devices, the host too.
+// The branches of a step's contacts, for GradientNotes: which contacts push, stick and slip, and
+// which have frozen points or normals. The laws are those of the semi-implicit solver and of VBD.
+// The kernels run on all devices and on the host.
 //
-//   note_soft_contacts   of a particle and a shape, by the laws of the semi-implicit solver and VBD
-//   note_rigid_contacts  of two shapes, by the law of the semi-implicit solver
-//   note_static_particles, note_plane_pairs  likewise those that steps find by themselves
-//   note_contact_events  what changed since the step before, in parts, or at once
-//   note_gradient_step   the parts of a step together
+//   note_soft_contacts   contacts of particles with shapes, by the laws of two solvers
+//   note_rigid_contacts  contacts of two shapes
+//   note_static_particles, note_plane_pairs  the same for contacts that steps find by themselves
+//   note_contact_events  changes since the step before, in parts or at once
+//   note_gradient_step   the sum of the parts of a step
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -14,7 +15,7 @@
 
 namespace novaphy {
 
-// A row of a list, which keeps that of the step before.
+// The row of a contact in a list, and the row of the step before.
 struct SeenRows {
   NOVAPHY_ARGUMENTS(UpdatesRow<SeenContact> now, before; Reads<int32_t> count;  // of contacts
   )
@@ -39,13 +40,14 @@ struct NoteSoftContactsArguments {
                     Detached<Reads<Transformf>> body_q; Detached<Reads<SpatialVectorf>> body_qd;
                     Detached<Reads<Vec3f>> body_com; Reads<int32_t> shape_body, shape_type;
                     Detached<Reads<Vec3f>> shape_scale; Detached<Reads<float>> radius;
-                    Optional<Detached<Reads<float>>> margin;  // null: no part of the law
+                    Optional<Detached<Reads<float>>> margin;  // null: not part of the law
                     Part<SoftModes> modes;
                     Number<float> slip;       // m/s, > 0: a contact sticks below it
                     Number<int64_t> follows;  // points and normals follow the particles
                     Number<int64_t> shapes;)
 };
-// Of particle p and shape s; `v`: of the particle against the shape.
+// Returns the mode of a contact of particle p and shape s. `v`: velocity of the particle relative
+// to the shape.
 inline int32_t soft_mode(float gap, const Vec3f& n, const Vec3f& v, const SoftModes& of, int64_t p,
                          int32_t s, float slip) {
   if (!(gap < 0.0f) || !(of.mass[p] > 0.0f)) return 0;
@@ -77,7 +79,7 @@ NOVAPHY_ROW_KERNEL(note_soft_contacts, NoteSoftContactsArguments) {
                       a.qd[p] - at.velocity, a.modes, p, s, a.slip.value);
 }
 
-// Contacts of particles with shapes of the world, which a step finds by itself; a row per particle.
+// Static contacts of particles with shapes of the world, a row per particle.
 struct NoteStaticParticlesArguments {
   NOVAPHY_ARGUMENTS(Updates<SeenContact> now, before;
                     Optional<Reads<int32_t>> begin,
@@ -113,8 +115,8 @@ NOVAPHY_ROW_KERNEL(note_static_particles, NoteStaticParticlesArguments) {
   }
 }
 
-// At two points, n from B to A and u the velocity of A against B at the point where the force acts
-// (rigid_contact_trace.h).
+// Returns the mode of a contact at two points. n points from B to A, and u is the velocity of A
+// relative to B at the point where the force acts (rigid_contact_trace.h).
 inline int32_t rigid_mode(const Vec3f& n, const Vec3f& p_a, const Vec3f& p_b, const Vec3f& u,
                           const RigidContactMaterial<float>& of, float smoothing) {
   const float d = math::dot(n, p_a - p_b), un = math::dot(n, u);
@@ -178,7 +180,7 @@ NOVAPHY_ROW_KERNEL(note_rigid_contacts, NoteRigidContactsArguments) {
   to.mode = rigid_mode(out, at[0], at[1], v[0] - v[1], of, a.modes.smoothing.value);
 }
 
-// Planes of the world and shapes of bodies, which a step finds by itself: eight points for each.
+// Static contacts of planes of the world with shapes of bodies: eight points per pair.
 struct NotePlanePairsArguments {
   NOVAPHY_ARGUMENTS(Updates<SeenContact> now, before;
                     Reads<int32_t> pairs;  // {rows, 2}: plane, shape
@@ -218,7 +220,7 @@ NOVAPHY_ROW_KERNEL(note_plane_pairs, NotePlanePairsArguments) {
   }
 }
 
-// The mode of the same contact in a list of `count` rows in the order of pairs.
+// Returns the mode of the same contact in a list of `count` rows, sorted by pairs.
 inline int32_t mode_in(const SeenContact* list, int64_t count, int64_t guess,
                        const SeenContact& of) {
   const auto same = [&](const SeenContact& c) {
@@ -237,16 +239,17 @@ inline int32_t mode_in(const SeenContact* list, int64_t count, int64_t guess,
   return 0;
 }
 
-// Lists of contacts of particles and of shapes; without rows where a step has none.
+// Lists of contacts of particles and of shapes. A step without contacts has no rows.
 struct NoteContactEventsArguments {
   NOVAPHY_ARGUMENTS(
       Reads<SeenContact> soft_now, soft_before, rigid_now, rigid_before;
       Number<int64_t> soft_count, rigid_count, continues;
-      WritesRow<StepNotes> notes;                // a part in each row
-      Optional<Updates<GradientCounts>> counts;  // null: note_gradient_step adds the parts up
+      WritesRow<StepNotes> notes;                // one part per row
+      Optional<Updates<GradientCounts>> counts;  // null: note_gradient_step sums the parts
       Number<int64_t> step, begins;)
 };
-// Of step `step` of a chain; `begins`: the counts start here. Steps that nobody noted are exact.
+// Adds the notes of step `step` of a chain. `begins`: the counts start here. Steps without notes
+// are exact.
 inline void note_step_of(const StepNotes& notes, int64_t step, bool begins, GradientCounts& to) {
   if (begins) to = GradientCounts{};
   to.exact += step - to.steps;

@@ -1,4 +1,4 @@
-// Which contacts begin in a step.
+// The search for contacts that begin in a step.
 #include <algorithm>
 #include <cmath>
 #include <utility>
@@ -11,10 +11,10 @@ namespace {
 namespace art = articulation;
 constexpr float kLeastApproach = 1e-3f;  // m/s
 constexpr float kParallel = 0.999f;
-constexpr float kAtCone = 0.999f;  // friction of this part of the cone slides
-constexpr float kTurned = 0.02f;   // of the coefficient of friction
+constexpr float kAtCone = 0.999f;  // above this part of the cone, friction slides
+constexpr float kTurned = 0.02f;   // change of direction, as a part of the coefficient of friction
 
-// Whether contacts delay as one: of the same links, along the same normal.
+// Returns whether two contacts have the same delay: the same links, and the same normal.
 bool hit_together(const art::ContactRows& c, const art::IslandContact& a,
                   const art::IslandContact& b) {
   for (int side = 0; side < 2; ++side)
@@ -24,8 +24,9 @@ bool hit_together(const art::ContactRows& c, const art::IslandContact& a,
   return math::dot(c.normal[a.contact], c.normal[b.contact]) > kParallel;
 }
 
-// The slips along the normals of an island without its impulses; those come back with other
-// roundings, so only behind what the step writes.
+// Returns the velocities along the normals of an island without its impulses. The function removes
+// the impulses and adds them again, which rounds differently. Call it only after the step has
+// written its results.
 std::vector<float> free_slips(const GroupStep& s, int32_t root) {
   const IslandNode& node = s.a.nodes[root];
   art::IslandContact* const rows = rows_of(s, root);
@@ -49,7 +50,7 @@ void for_rows(const GroupStep& s, int32_t root, const F& f) {
   for (int32_t n = 0; n < s.a.nodes[root].rows; ++n) f(rows_of(s, root)[n], n);
 }
 
-// Which rows of an island hit. `continues`: the step before is known.
+// Returns which rows of an island hit. `continues`: the step before is known.
 std::vector<char> find_hits(const GroupStep& s, int32_t root, bool continues,
                             ContactEvents& found) {
   const SeenContact* const seen = s.all.seen_before + s.all.seen_begin[s.group];
@@ -75,7 +76,7 @@ std::vector<char> find_hits(const GroupStep& s, int32_t root, bool continues,
 bool slides(const art::PgsContact<float>& c) {
   return std::hypot(c.impulse[1], c.impulse[2]) >= kAtCone * c.friction * c.impulse[0];
 }
-// The tangential by the normal impulse, in the world.
+// Returns the tangential impulse divided by the normal impulse, in the world frame.
 Vec3f slip_of(const art::IslandContact& row) {
   const float* const impulse = row.solver.impulse;
   return (row.frame.axes[1] * impulse[1] + row.frame.axes[2] * impulse[2]) * (1.0f / impulse[0]);
@@ -88,12 +89,12 @@ LandedRow landed_row(const art::ContactRows& c, const art::IslandContact& row) {
           .slip = slip_of(row)};
 }
 
-// What the rows of an island that hit push; `begin`: of the dofs of each of its trees. `number`: of
-// the event.
+// Adds the groups of an island's rows that hit to the event. `begin`: the first dof of each tree of
+// the island. `number`: of the event.
 void add_groups(const GroupStep& s, int32_t root, const std::vector<char>& hits,
                 const std::vector<int32_t>& begin, size_t dofs, size_t number, ContactEvent& event,
                 std::vector<LandedRow>& landed) {
-  std::vector<const art::IslandContact*> firsts;  // of the groups
+  std::vector<const art::IslandContact*> firsts;  // the first row of each group
   for_rows(s, root, [&](const art::IslandContact& row, int32_t n) {
     if (hits[static_cast<size_t>(n)] == 0) return;
     const auto at = std::find_if(

@@ -12,36 +12,36 @@
 
 namespace novaphy {
 
-// Contacts of an island that hit in a step: they push, their points approach, and they did not
-// push in the step before, or they bounce. Those of a group are of two bodies and along one normal,
+// Contacts of an island that hit in a step: they push, their points approach, and they either did
+// not push in the step before or bounce. A group has the contacts of two bodies along one normal,
 // or one limit of a joint as a row.
 struct ContactEvent {
   struct Group {
-    // {dofs of the trees, one after the other}: dp = sum J_n^T lambda_n, by which it delays, and
-    // -M^-1 J^T lambda of all of its rows.
+    // {dofs of the trees, one after the other}: normal_push is dp = sum J_n^T lambda_n, which
+    // determines the delay. push is -M^-1 J^T lambda of all rows of the group.
     std::vector<float> normal_push, push;
     float approach = 0.0f;  // |dp . qd|
-    // Of its rows, weighed by their normal impulses.
+    // Sums over the rows, with the normal impulses as weights.
     float impulse = 0.0f, gap = 0.0f;  // N s, N s m
-    int32_t shape0 = -1, shape1 = -1;  // of the first one
-    int32_t dof = -1;                  // of the limit; its impulse counts as 1, and has no `push`
+    int32_t shape0 = -1, shape1 = -1;  // of the first row
+    int32_t dof = -1;                  // of the limit; its impulse counts as 1, and `push` is empty
     MotionFriction friction = MotionFriction::None;
     bool lands = false;
     std::shared_ptr<MotionEvent> told = {};
   };
   std::vector<int32_t> trees;
   std::vector<Group> groups;
-  // A row closes its gap in the step without a bounce: the event ends a step later.
+  // Whether a row closes its gap in the step without a bounce. The event then ends a step later.
   bool lands = false;
   bool has_limit() const {
     return std::any_of(groups.begin(), groups.end(), [](const Group& g) { return g.dof >= 0; });
   }
-  // Several pairs at once, none of which lands: each has a delay of its own.
+  // Whether several pairs hit at once and none of them lands. Each then has its own delay.
   bool is_apart() const { return groups.size() > 1 && !lands && !has_limit(); }
-  // Whether the order of its pairs and limits decides.
+  // Whether the result depends on the order of the event's pairs and limits.
   bool has_several() const { return is_apart() || (groups.size() > 1 && has_limit()); }
 };
-// A row that lands, with the direction of its friction: the tangential by the normal impulse.
+// A row that lands. slip: its tangential impulse divided by its normal impulse.
 struct LandedRow {
   int32_t shape0 = -1, shape1 = -1, point = -1;
   size_t event = 0, group = 0;
@@ -49,13 +49,13 @@ struct LandedRow {
 };
 struct ContactEvents {
   std::vector<ContactEvent> events;
-  std::vector<int32_t> hits;    // rows of the contacts, ascending
-  std::vector<char> touched;    // {trees}: contacts push it; empty: none
-  std::vector<int32_t> root;    // {trees}: the first of its island; empty: each is its own
+  std::vector<int32_t> hits;  // rows of the contacts, ascending
+  std::vector<char> touched;  // {trees}: 1 if contacts push the tree; empty: none
+  std::vector<int32_t> root;  // {trees}: the first tree of the island; empty: each tree is its own
   std::vector<int32_t> limits;  // dofs whose limits hit
   std::vector<LandedRow> landed;
-  // Events and groups of the step before that landed and whose friction has turned: it slides along
-  // another direction, or did not slide before.
+  // Events and groups that landed in the step before and whose friction has turned: it slides in
+  // another direction, or has only begun to slide.
   std::vector<std::pair<size_t, size_t>> turned;
 };
 

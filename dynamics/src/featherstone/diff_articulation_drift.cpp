@@ -1,4 +1,4 @@
-// How far adjoints are from keeping H (AdjointDrift of gradient_info.h).
+// The drift of H of adjoints (AdjointDrift of gradient_info.h).
 #include <algorithm>
 
 #include "diff_articulation_motion.h"
@@ -29,7 +29,8 @@ void note_drift(const Step& s, const Step* before) {
 
 namespace {
 
-// The gradients of the coordinates behind a step as tangents, and those of its rates; {dofs}.
+// The gradients with respect to the coordinates after a step, as tangents, and with respect to its
+// rates; {dofs} each.
 struct Costate {
   std::vector<float> of_q, of_qd;
 };
@@ -66,7 +67,8 @@ Costate costate_behind(const Step& s, const ArticulationArguments& in,
   return p;
 }
 
-// p . f at the start of a step: f = (the rates behind it without what hits, its accelerations).
+// Returns p . f at the start of a step. f has the rates after the step without contacts that hit,
+// and the accelerations of the step.
 double product(const float* of_q, const float* of_qd, const float* qd,
                const std::vector<float>& qdd, float dt) {
   double sum = 0.0;

@@ -11,7 +11,7 @@ namespace {
 namespace art = articulation;
 using art::DualFloat;
 
-// Some of the contacts that a step keeps.
+// A subset of the contacts that a step keeps.
 struct SomeContacts {
   std::vector<int32_t> shape0, shape1;
   std::vector<Vec3f> point0, point1, normal;
@@ -42,7 +42,8 @@ struct SomeContacts {
   }
 };
 
-// The accelerations of a step from in.q and in.qd with these contacts; NaN where it fails.
+// Returns the accelerations of a step from in.q and in.qd with these contacts; NaN if the step
+// fails.
 std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
                                  const art::ContactRows& contacts) {
   const Unrecorded unrecorded(true);
@@ -76,7 +77,8 @@ std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
   return qdd;
 }
 
-// Without the contacts that hit in the step, and the limits of these dofs.
+// Returns the accelerations without the contacts that hit in the step, and without the limits of
+// these dofs.
 std::vector<float> smooth_accelerations(const Step& s, ArticulationArguments in,
                                         std::span<const int32_t> limits) {
   const LiftedLimits lifted(s, limits, in);
@@ -94,7 +96,7 @@ bool same_controls(const Step& a, const Step& b) {
   return true;
 }
 
-// At the end of a step that no other follows: the contacts that push in it go on.
+// Returns the accelerations at the end of a last step. The contacts that push in the step go on.
 std::vector<float> last_accelerations(const Step& s) {
   ArticulationArguments in = host_arguments(s);
   in.arrays.q = direct(numbers(s.outputs[0].tensor));
@@ -106,10 +108,10 @@ std::vector<float> last_accelerations(const Step& s) {
   return accelerations(s, in, pushing.rows());
 }
 
-// The acceleration of f behind a step: `inside` of each tree.
+// The accelerations of f after a step, and for each tree whether an event goes on.
 struct EndOfStep {
   std::vector<float> qdd;    // {dofs}
-  std::vector<char> inside;  // {trees}: an event goes on
+  std::vector<char> inside;  // {trees}: 1 if an event goes on
   std::shared_ptr<MotionNotes> next;
   explicit EndOfStep(const Step& s) : next(s.motion->next.lock()) {
     const auto trees = static_cast<size_t>(s.count);
@@ -128,7 +130,8 @@ struct EndOfStep {
   }
 };
 
-// The delays of an event by the groups' dp . dq, weighed: w_g / |dp_g . v|.
+// Returns the sum of |dp_g . v| over the groups of an event. A group's delay has the weight w_g /
+// |dp_g . v|.
 float total_approach(const ContactEvent& event) {
   float sum = 0.0f;
   for (const ContactEvent::Group& g : event.groups) sum += g.approach;
@@ -145,7 +148,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
   const float* const qd_next = numbers(s.outputs[1].tensor);
   const auto dofs = static_cast<size_t>(s.in(kAt.qd).size());
   MotionNotes* const last = before ? before->motion.get() : nullptr;
-  bool follows = false;  // an event that has begun before ends at its start, or goes on
+  bool follows = false;  // an earlier event ends at the start of this step, or goes on
   find_stops(s, last,
              [&](std::span<const int32_t> limits) { return smooth_accelerations(s, in, limits); });
   tell_events(s, in, before.get());
@@ -265,8 +268,8 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
 
 namespace {
 
-// Adds to raw coordinates and rates what the motion f = (qd, qdd) makes of them in the times `dt`
-// {trees}, and likewise to poses.
+// Adds to raw coordinates, rates and poses the displacement by the motion f = (qd, qdd) in the
+// times `dt` {trees} (s).
 void move_on(const Step& s, const float* q, const float* qd, const float* qdd,
              std::span<const float> dt, float* q_to, float* qd_to, Transformf* body_q,
              SpatialVectorf* body_qd) {
@@ -340,7 +343,7 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
   std::vector<Tensor> moved(inputs.begin(), inputs.end());
   moved[kAt.q] = copy_of(s.in(kAt.q), inputs[kAt.q]);
   moved[kAt.qd] = copy_of(s.in(kAt.qd), inputs[kAt.qd]);
-  std::vector<float> delay(trees), jump(dofs);  // of the new coordinates, tangents
+  std::vector<float> delay(trees), jump(dofs);  // jump: of the new coordinates, as tangents
   for (const ContactEvent& event : notes.found.events) {
     const double approach = total_approach(event);
     double all = 0.0;
@@ -396,7 +399,7 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
   const float *const q_next = numbers(s.outputs[0].tensor), *const qd_next =
                                                                 numbers(s.outputs[1].tensor);
   move_on(s, q_next, qd_next, end.qdd.data(), back, q_to, qd_to, body_q, body_qd);
-  // What several groups push apart: a motion with the rates `jump` for the time 1.
+  // The separate pushes of several groups: a motion with the rates `jump` for the time 1.
   if (std::any_of(jump.begin(), jump.end(), [](float x) { return x != 0.0f; })) {
     const std::vector<float> none(dofs), once(trees, 1.0f);
     move_on(s, q_next, jump.data(), none.data(), once, q_to, nullptr, body_q, nullptr);

@@ -1,16 +1,18 @@
 // Gradients of the motion: the times at which contacts begin move with the state. On the host.
 //
 // A contact hits in step k, from the state x = (q, v). The step D_k has its impulse at the start. A
-// state that is moved by dx reaches the surface later by dt = -J_n dq / (J_n v). The state moves on
-// with f- = (v, a-) so long, and is taken back by f+ at the end of the event:
+// displacement dx of the state delays the impact by dt = -J_n dq / (J_n v). The state moves on with
+// f- = (v, a-) for this time, and moves back with f+ at the end of the event:
 //   dx' = D (dx + f- dt) - f+ dt
-// a-: the accelerations without what hits; f+: at the end, under the controls of the event's step.
+// a- are the accelerations without the contacts that hit. f+ is taken at the end, under the
+// controls of the event's step.
 // An event ends with its step. An event that closes a gap without a bounce ends one step later, or
-// more where others begin then. D is that of all its steps. Its transpose, for y = D^T p:
+// more steps if others begin then. D is the derivative of all its steps. Its transpose, for y = D^T
+// p:
 //   s = y . f- - p . f+,  and the gradient of q gets s J_n / |J_n v|.
 // A limit of a joint may begin or end to push, in a tree that touches nothing. The step then
-// changes from F_A to F_B where a number g(x) changes its sign. A move of x changes how many steps
-// of each there are, by a part of one:
+// changes from F_A to F_B where a number g(x) changes its sign. A displacement of x changes the
+// number of steps of each kind by a fraction:
 //   dx + (F_B(x) - F_A(x)) (dg . dx) / (dg . (F_A(x) - x)),  then D of F_B
 // Source: the saltation matrix of hybrid systems; Kong, Payne, Zhu, Johnson, Saltation Matrices
 // (2024).
@@ -30,7 +32,7 @@
 
 namespace novaphy::diff::detail {
 
-// A change of a limit's branch, by raw coordinates and rates of its tree.
+// A change of a limit's branch, in raw coordinates and rates of its tree.
 struct LimitEvent {
   int32_t tree = 0;
   std::vector<float> jump_q, jump_qd;  // F_B(x) - F_A(x)
@@ -38,38 +40,42 @@ struct LimitEvent {
   float rate = 0.0f;                   // dg . (F_A(x) - x)
 };
 
-// What a step keeps of the events that begin in it, and of those in which it stands.
+// The record of a step about the events that begin in it, and about those that go on in it.
 struct MotionNotes {
   ContactEvents found;
-  std::vector<float> smooth;  // {dofs}: accelerations at its start without what hits
+  std::vector<float> smooth;  // {dofs}: accelerations at the start without contacts that hit
   std::vector<LimitEvent> limits;
   std::vector<float> branch;  // {dofs}: of the step
-  std::vector<float> after;   // {dofs}: under the controls of the event that ends at its start
-  std::vector<char> inside;   // {trees}: its start is inside of an event; empty: of none
-  // Of the step among those that follow each other: its number, and the time at its start.
+  // {dofs}: smooth under the controls of the event that ends at the start
+  std::vector<float> after;
+  std::vector<char> inside;  // {trees}: 1 if the start is inside of an event; empty: no tree
+  // The index of the step in its chain of consecutive steps, and the time at its start.
   int64_t number = 0, chain = 0;
   double time = 0.0;  // s
-  MotionEvents told;  // of `found` and `limits`, as far as they begin
+  MotionEvents told;  // the reported events of `found` and `limits` that begin here
   std::weak_ptr<MotionNotes> next;
-  std::shared_ptr<const ArticulationStep::Step> controls;  // of the event in which it stands
-  // {trees}: from the step behind, in an adjoint; from the step before, in a tangent.
+  // the step whose controls the ongoing event has
+  std::shared_ptr<const ArticulationStep::Step> controls;
+  // {trees}: mismatch comes from the next step in an adjoint, delay from the previous step in a
+  // tangent.
   std::vector<float> mismatch, delay;
-  // For AdjointDrift, of the solver and of the tape; null: none.
+  // The AdjointDrift of the solver and of the tape. Null: not measured.
   std::array<std::shared_ptr<AdjointDrift>, 2> drifts;
-  int64_t order = 0;  // of the steps of the solver
-  // How the forces have changed since the step before, by kForces; empty: not.
+  int64_t order = 0;  // order among the steps of the solver
+  // The changes of the forces since the step before, by kForces. Empty: no change.
   std::array<std::vector<float>, 4> force_change;
-  uint64_t versions[2] = {};  // of the new coordinates and rates, behind the step
+  uint64_t versions[2] = {};  // of the new coordinates and rates, after the step
   bool breaks = false;        // the state was written before the step, or dt has changed
 
   bool stands_in_event() const { return !inside.empty(); }
   bool in_contact() const { return stands_in_event() || !found.events.empty(); }
   bool concerned() const { return in_contact() || !limits.empty(); }
-  // Whether its gradient has more than that of the code.
+  // Returns whether the gradient of the step has more than that of the code.
   bool moves() const { return !found.events.empty() || !limits.empty(); }
 };
 
-// Memory of its own for the gradient of an input, and what it holds where the gradient goes.
+// own_gradient makes separate memory for the gradient of an input. give_gradient writes or adds
+// this memory to the destination.
 inline nova::InputGradient own_gradient(const ArticulationStep::Step& s, size_t input) {
   return {nova::Tensor(s.in(input).shape(), nova::DType::F32, Device::cpu()), false};
 }
@@ -80,9 +86,9 @@ inline void give_gradient(const nova::InputGradient& from, const nova::InputGrad
   for (int64_t i = 0; i < to.grad.size(); ++i) x[i] = to.add ? x[i] + own[i] : own[i];
 }
 
-// First and number of the coordinates of a tree.
+// Returns the first coordinate of a tree and the number of its coordinates.
 std::pair<int32_t, int32_t> coordinates_of(const ArticulationStep::Step& step, int32_t tree);
-// visit(number, row) for the dofs of an event.
+// Calls visit(number, row) for the dofs of an event.
 template <class F>
 void for_dofs(const ArticulationStep::Step& s, const ContactEvent& event, const F& visit) {
   const ArticulationRows* const rows = rows_of_step(s);
@@ -91,8 +97,9 @@ void for_dofs(const ArticulationStep::Step& s, const ContactEvent& event, const 
     for (int32_t k = 0; k < rows[tree].dof_count; ++k)
       visit(at++, static_cast<size_t>(rows[tree].first_dof + k));
 }
-// Says when the groups of a step hit, and what the landings of the one before are (null: none); of
-// a dof that reaches its limit; and of an event, H before it by trees, and the mismatch behind.
+// Three reports. tell_events gives the times at which the groups of a step hit, and the landings of
+// the step before (null: none). tell_limit gives a dof that reaches its limit. tell_mismatch gives
+// H before an event, by trees, and the mismatch after it.
 void tell_events(const ArticulationStep::Step& step, const ArticulationArguments& in,
                  const ArticulationStep::Step* before);
 void tell_limit(const ArticulationStep::Step& step, int32_t tree, int32_t dof);
@@ -114,27 +121,27 @@ using Smooth = std::function<std::vector<float>(std::span<const int32_t>)>;
 void find_stops(const ArticulationStep::Step& step, const MotionNotes* last, const Smooth& smooth);
 // Notes the limits of a step that pushed otherwise in the one before (null: none).
 void note_limits(const ArticulationStep::Step& step, const MotionNotes* before);
-// Adds what they do to the gradients of the state that the step starts from.
+// Adds the effect of the limits to the gradients of the state at the start of the step.
 void limits_vjp(const ArticulationStep::Step& step, const ArticulationArguments& in, float* of_q,
                 float* of_qd);
-// Behind a step that has run, before the contacts of the solver are used again; `before` (null:
-// none): the step that ended where it starts.
+// Call this after a step has run, before the contacts of the solver are used again. `before`: the
+// step that ended where this one starts; null: none.
 void note_motion(const std::shared_ptr<const ArticulationStep::Step>& step,
                  const std::shared_ptr<const ArticulationStep::Step>& before);
 
-// What AdjointDrift compares, behind a step that has run; `before` as above.
+// Notes the values that AdjointDrift compares, after a step has run. `before`: as above.
 inline constexpr std::array<size_t, 4> kForces = {kAt.joint_f, kAt.body_f, kAt.target_q,
                                                   kAt.target_qd};
 void note_drift(const ArticulationStep::Step& step, const ArticulationStep::Step* before);
 
-// The adjoint of a step: `run` is that of the code.
+// Runs the adjoint of a step. `run` is the adjoint of the code.
 using Adjoint = std::function<void(std::span<const nova::InputGradient>)>;
 void motion_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor> outputs,
                 std::span<const nova::InputGradient> gradients, const Adjoint& run);
-// Likewise of a step without events, which is compared.
+// The same for a step without events, which AdjointDrift compares.
 void drift_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor> outputs,
                std::span<const nova::InputGradient> gradients, const Adjoint& run);
-// Its tangent likewise.
+// The same for the tangent of a step.
 using Tangent = std::function<void(std::span<const nova::Tensor>)>;
 void motion_jvp(const ArticulationStep::Step& step, std::span<const nova::Tensor> inputs,
                 std::span<const nova::Tensor> outputs, const Tangent& run);

@@ -20,7 +20,7 @@ void add(float* to, const Vec3d& a) {
   to[2] += static_cast<float>(a.z);
 }
 
-// (a, 0) q and the vector part of p (-q), of quaternions.
+// turned: the quaternion product (a, 0) q. turn_of: the vector part of p times the conjugate of q.
 Quat<double> turned(const Vec3d& a, const Quat<double>& q) {
   return math::multiply(Quat<double>{a.x, a.y, a.z, 0.0}, q);
 }
@@ -97,7 +97,7 @@ Tangent SideFrame::gradient(const StateRows& raw) const {
 
 namespace {
 
-constexpr double kSign[] = {1.0, -1.0};  // of the sides in gap and slip
+constexpr double kSign[] = {1.0, -1.0};  // sign of a side in gap and slip
 
 void add_force(const TouchSide& side, const Vec3d& force, const StateRows& to) {
   if (side.particle >= 0 && to.particle_f != nullptr)
@@ -115,7 +115,7 @@ Vec3d force_gradient(const TouchSide& side, const StateRows& of) {
   return load(f) + cross(load(f + 3), side.arm);
 }
 
-// The forces that a ramp adds to those of tangents `x`.
+// Adds the forces of a ramp for the tangents `x`.
 void ramp_jvp(const TouchRamp& ramp, const StateRows& x, const StateRows& to) {
   double gap = 0.0;
   Vec3d u{};
@@ -203,7 +203,7 @@ void start_vjp(const TouchWork& work, const StateRows& of, const StateRows& to) 
     if (ramp->acts()) ramp_vjp(*ramp, of, to);
 }
 
-// Tensors in the order of the arrays that there are, as rows.
+// Converts tensors to rows of states. The tensors have the order of the arrays that exist.
 struct RowsOf {
   std::array<bool, 6> there{};
   StateRows of(std::span<const nova::Tensor> all) const {
@@ -218,7 +218,7 @@ struct RowsOf {
   }
 };
 
-// Copies, or zeros where there is nothing.
+// Returns a copy of `from`, or zeros if `from` is undefined.
 nova::Tensor copy_of(const nova::Tensor& like, const nova::Tensor& from) {
   nova::Tensor to(like.shape(), nova::DType::F32, Device::cpu());
   if (from.defined())
@@ -301,7 +301,8 @@ namespace novaphy::diff {
 
 namespace {
 
-// Up to this angle an event with a lever arm has it too; one without has it at every angle.
+// Up to this angle h w, the window of a touch with a lever arm is accurate. Without a lever arm it
+// is accurate at every angle.
 constexpr double kWindowAngle = 0.3;
 
 }  // namespace

@@ -1,4 +1,4 @@
-// TouchMotion::Impl: the touches that are open, step after step (diff_touches.h).
+// TouchMotion::Impl: the touches that have begun and not ended, step after step (diff_touches.h).
 #pragma once
 
 #include <algorithm>
@@ -13,24 +13,24 @@
 
 namespace novaphy::diff {
 
-using namespace detail;  // names of what a touch keeps
+using namespace detail;  // the types of touches
 
 struct TouchMotion::Impl {
   Impl(const TouchSettings& s, const Model& m)
       : settings(s), index(m.body_count(), m.particle_count()) {}
 
-  // What a step knows until its kernels have run.
+  // A touch that has begun and not ended.
   struct Open {
     std::shared_ptr<TouchEvent> event;
-    std::shared_ptr<TouchStep> last;  // null: it is no window
+    std::shared_ptr<TouchStep> last;  // its last step; null: the touch is no window
   };
 
   bool is_held(const TouchSide& side) const {
     if (side.particle >= 0) return settings.elements;
     return side.body >= 0 && jointed[static_cast<size_t>(side.body)];
   }
-  // Whether another contact of the sides of a touch rests: it is with the world, and the same
-  // points have pushed since before the touch, and go on until its end.
+  // Returns whether another contact of a touch's sides may rest: it is with the world, and has its
+  // own touch. rests() then checks that the same points push from before the touch to its end.
   bool is_beside(TouchEvent& touch, const std::array<TouchSide, 2>& sides,
                  const TouchRow& row) const {
     for (const TouchSide& y : row.sides)
@@ -47,7 +47,7 @@ struct TouchMotion::Impl {
       return other != nullptr && other->changed < touch.begin;
     });
   }
-  // Whether the sides of a touch touch something else that does not rest.
+  // Returns whether the sides of a touch have another contact that does not rest.
   bool meets_others(TouchEvent& touch, const std::array<TouchSide, 2>& sides) const {
     for (const TouchSide& side : sides) {
       if (!side.responds) continue;
@@ -80,7 +80,7 @@ struct TouchMotion::Impl {
   bool follows(const SimState& in, float dt) const {
     return at_q == place(in).first && at_version == place(in).second && last_dt == dt;
   }
-  // The memory that tells states from each other, and its version.
+  // Returns the memory that identifies a state, and its version.
   std::pair<const void*, uint64_t> place(const SimState& s) const {
     const auto of = [](const auto& q, const auto& qd) {
       return std::pair<const void*, uint64_t>(q.range()->data(),
@@ -105,8 +105,8 @@ struct TouchMotion::Impl {
     return all;
   }
 
-  // A change of friction, which several points may hide from each other: in a stiff touch, or of a
-  // body that turns.
+  // Notes a change of friction in a stiff touch, or in a touch that turns a body. Several points
+  // may hide such a change from each other.
   static void watch_friction(const TouchRow& row, bool several, TouchEvent& event) {
     if (!event.turns && event.stiff_angle <= kFrictionAngle) return;
     if (row.slides != event.slides || (several && row.slip_taken > 0.0)) event.shakes = true;
@@ -128,18 +128,18 @@ struct TouchMotion::Impl {
             : off_of_particles)[static_cast<size_t>(side.body >= 0 ? side.body : side.particle)];
   }
 
-  std::vector<char> jointed;                            // of bodies
+  std::vector<char> jointed;                            // {bodies}: 1 if a joint holds the body
   std::vector<double> off_of_bodies, off_of_particles;  // TouchEvent::speed_off
   std::vector<TouchRow> rows;
   TouchIndex index;  // of `rows`
   std::vector<Open> open, closing;
   std::unordered_map<PairKey, std::shared_ptr<TouchEvent>> open_of, closing_of;
-  // Ramps of the last step. The touch of a ramp may follow.
+  // Ramps of the last step whose touch may still begin.
   std::unordered_multimap<PairKey, std::shared_ptr<TouchRamp>> waiting;
   const void* at_q = nullptr;
   uint64_t at_version = 0;
   float last_dt = 0.0f;
-  int64_t number = 0, chain = 0;  // of the step, MotionEvent::step and chain
+  int64_t number = 0, chain = 0;  // of the step, as MotionEvent::step and chain
   double time = 0.0;              // s, at its start
   const Control* last_control = nullptr;
 };

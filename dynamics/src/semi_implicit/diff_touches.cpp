@@ -19,7 +19,7 @@ using math::dot;
 
 namespace {
 
-constexpr int32_t kMostSteps = 200;      // of a touch that is one event
+constexpr int32_t kMostSteps = 200;      // the most steps of a touch that is one event
 constexpr double kLeastApproach = 1e-3;  // m/s
 
 template <class T>
@@ -94,7 +94,7 @@ void TouchMotion::Impl::begin_touch(const Model& m, const SimState& in, const To
 
 void TouchMotion::Impl::find_steps(const Model& m, TouchedStep& step, bool follows_last, float dt,
                                    TouchList& a, TouchList& b) {
-  // A touch that goes on, or begins, and its first contact.
+  // A row without an open touch begins one.
   for (const TouchRow& row : rows)
     if (row.pushes && !open_of.contains(pair_key(row)))
       begin_touch(m, *step.in, row, follows_last, dt, a, b);
@@ -135,7 +135,7 @@ void TouchMotion::Impl::find_steps(const Model& m, TouchedStep& step, bool follo
         s->start[k] = frame_of(m, *step.in, mine->sides[k]);
         s->applied[k] = applied(step, mine->sides[k]);
         if (event.steps > 0) continue;
-        // Without the force of the touch.
+        // Subtracts the force of the touch.
         const Vec3d force = mine->force * (k == 0 ? 1.0 : -1.0);
         const auto without = respond(m, s->start[k], force, cross(mine->sides[k].arm, force));
         s->before[k][kVelocity] = without[0];
@@ -164,7 +164,7 @@ void TouchMotion::Impl::find_ramps(const Model& m, TouchedStep& step, TouchList&
     for (TouchList* list : {&a, &b}) ++list->ramp_steps;
 }
 
-// Gives the kernels memory of their own, with what the touches add to derivatives.
+// Gives the kernels separate memory, and records the effect of the touches on derivatives.
 void TouchMotion::Impl::move(const Model& m, TouchedStep& step) const {
   const SimState &in = *step.in, &out = *step.out;
   StateFields from = in, to = out;

@@ -48,7 +48,7 @@ struct TouchRow {
   double speed_taken = 0.0;       // the part of the approach speed that damping removes in a step
   bool pushes = false;
   bool slides = false;   // friction is at the cone
-  bool adheres = false;  // acts beyond the gap 0
+  bool adheres = false;  // the force acts beyond the gap 0 too
   // Set within half a step of the gap 0. by_gap and by_velocity (columns) are then the derivatives
   // of the force averaged over that step, minus those of the force itself. Both include the jump of
   // the force at the gap 0.

@@ -11,33 +11,31 @@
 
 namespace novaphy::diff {
 
-// Steps with the bits of SolverFeatherstone; with contacts the impulses are those of
-// more sweeps. Inside an active nova::Tape each is one operation with
-// the exact adjoint; gradients and what they are: diff_articulation_step.h. rollout runs many, with
-// the bits of a loop of step; with checkpoints backward runs the stretches between kept states once
-// more.
+// The differentiable SolverFeatherstone, with the same bits. With contacts the solve runs more
+// sweeps. An active nova::Tape records each step as one operation with the exact adjoint.
+// diff_articulation_step.h lists the gradients. rollout runs many steps, with the bits of a loop of
+// step. With checkpoints, backward runs the steps between two kept states once more.
 class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
  public:
-  // Errors as SolverFeatherstone. `allow_unconverged`: gradients of steps whose sweeps ended far
-  // from converged do not throw. `contact_gradient`: see ArticulationStep.
+  // Errors: as for SolverFeatherstone. `allow_unconverged`: gradients do not throw for steps whose
+  // sweeps ended far from convergence. `contact_gradient`: see ArticulationStep.
   explicit DiffFeatherstoneSolver(std::shared_ptr<const Model> model,
                                   const FeatherstoneOptions& options = {},
                                   bool allow_unconverged = false,
                                   DerivativeOf contact_gradient = DerivativeOf::Code);
 
   const FeatherstoneOptions& options() const { return options_; }
-  // Of all steps since the last clear: what their gradients are, and their contacts and dry
-  // friction.
+  // Describes the gradients of all steps since the last clear, and their contacts and dry friction.
   GradientInfo gradient_info() const {
     return novaphy::gradient_info(branches().all, false, step_.motion_counts());
   }
   ContactBranches branches() const { return step_.branches(); }
   void clear_gradient_info() { step_.clear_branches(); }
 
-  // Errors as SolverFeatherstone::step; ErrorKind::Runtime inside a ScopedCapture.
+  // Errors: as for SolverFeatherstone::step. ErrorKind::Runtime: a call inside a ScopedCapture.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override;
-  // Errors as step, of the last step that failed.
+  // Errors: as for step, for the last step that failed.
   void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts, float dt,
                const RolloutOptions& options = {}) override;
   void notify_model_changed(ModelFlags flags) override;
@@ -59,8 +57,8 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
   bool allow_unconverged_;
   DerivativeOf contact_gradient_;
   ArticulationStep step_;
-  std::shared_ptr<SimState> poses_;  // memory of poses_follow
-  int32_t rollout_contacts_ = 0;     // at most, in a step of the rollout that has begun
+  std::shared_ptr<SimState> poses_;  // memory for poses_follow
+  int32_t rollout_contacts_ = 0;     // the most contacts in a step of the present rollout
 };
 
 }  // namespace novaphy::diff

@@ -1,5 +1,5 @@
-// Every kernel that the engine's operators and losses define, with the gradients that are built
-// ahead for them; see <novaphy/nova/registry.h>.
+// The list of the kernels of the engine's operators and losses, with the gradients that the build
+// compiles ahead of time; see <novaphy/nova/registry.h>.
 #pragma once
 
 #include <vector>

@@ -1,4 +1,4 @@
-// When contacts of a trajectory begin, as values of a tape.
+// The times at which contacts of a trajectory begin, as values of a tape.
 #pragma once
 
 #include "novaphy/diff/export.h"
@@ -7,14 +7,15 @@
 
 namespace novaphy::diff {
 
-// {n}, s since the first of the steps that filled the trajectory: the times of the events that
-// their solver lists (GradientInfo::event_list), in that order. An event of step k is at
-//   t_k + d / |J v|,  with the derivative J / |J v| by the positions of state k,
-// d its gap, J the gradient of d, v the rates. Recorded on the active tape, with adjoint and
-// tangent. The number of events and their order are those of this run.
-// {0} where nothing began.
-// ErrorKind::Value: no tape is active, or it has no steps with DerivativeOf::Motion;
-// ErrorKind::NotImplemented: not all states are kept.
+// Returns the times {n} of the events that the trajectory's solver lists
+// (GradientInfo::event_list), in that order: s since the first step that filled the trajectory. An
+// event of step k is at
+//   t_k + d / |J v|,  with the derivative J / |J v| with respect to the positions of state k,
+// where d is the gap, J the gradient of d and v the rates. The active tape records the call, with
+// adjoint and tangent. The number of events and their order are those of this run. Without events
+// the result is {0}.
+// ErrorKind::Value: no tape is active, or it has no steps with DerivativeOf::Motion.
+// ErrorKind::NotImplemented: the trajectory does not keep all states.
 NOVAPHY_DIFF_API nova::Tensor event_times(const Trajectory& trajectory);
 
 }  // namespace novaphy::diff

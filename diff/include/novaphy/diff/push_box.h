@@ -16,8 +16,9 @@ namespace novaphy::diff {
 // A number, or a tensor {1} with the device of the box, whose gradient is wanted.
 using PushBoxNumber = std::variant<float, nova::Tensor>;
 
-// mass, dt, softness and friction_velocity are > 0, the others >= 0; all finite. Values of tensors
-// are looked at on the cpu outside of captures; elsewhere what is not finite goes into the results.
+// mass, dt, softness and friction_velocity are > 0, the others >= 0. All are finite. Values of
+// tensors are checked on the cpu outside of captures. Elsewhere a value that is not finite enters
+// the results.
 struct PushBoxParameters {
   PushBoxNumber mass;                       // kg
   PushBoxNumber half_extent;                // m, of the box along the axis
@@ -31,16 +32,17 @@ struct PushBoxParameters {
   PushBoxNumber gravity = 9.81f;            // m/s^2
 };
 
-// (box_x', box_v') {1}: position (m) and velocity (m/s) of the box's center after dt, from those of
-// the box and of the pusher's center {1}. ErrorKind::Type: no float32 tensor; ErrorKind::Value,
-// naming the argument: another shape or device, a number out of its range, a state not finite.
+// Returns (box_x', box_v') {1}: position (m) and velocity (m/s) of the box's center after dt. The
+// inputs {1} are those of the box and of the pusher's center. ErrorKind::Type: not a float32
+// tensor. ErrorKind::Value, with the argument's name: another shape or device, a number out of its
+// range, or a state that is not finite.
 NOVAPHY_DIFF_API std::pair<nova::Tensor, nova::Tensor> integrate_push_box_generated(
     const nova::Tensor& box_x, const nova::Tensor& box_v, const nova::Tensor& pusher_x,
     const nova::Tensor& pusher_v, const PushBoxParameters& parameters);
 
-// n steps as one operation: the pusher is at row t in step t, pusher_x and pusher_v {n}; (box_x,
-// box_v) {n} behind every step. The bits of n calls of the above; n > 0. On the cpu:
-// ErrorKind::NotImplemented elsewhere.
+// Runs n > 0 steps as one operation, with the bits of n calls of the function above. pusher_x and
+// pusher_v {n} have a row per step. Returns (box_x, box_v) {n} after every step.
+// ErrorKind::NotImplemented: another device than the cpu.
 NOVAPHY_DIFF_API std::pair<nova::Tensor, nova::Tensor> integrate_push_box_rollout_generated(
     const nova::Tensor& box_x, const nova::Tensor& box_v, const nova::Tensor& pusher_x,
     const nova::Tensor& pusher_v, const PushBoxParameters& parameters);

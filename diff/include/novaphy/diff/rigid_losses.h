@@ -1,5 +1,5 @@
-// Losses and small operators of rigid bodies. All inputs and results are float32; all gradients are
-// exact, those of quaternions as four free numbers.
+// Losses and small operators of rigid bodies. All inputs and results are float32. All gradients are
+// exact. A quaternion counts as four free numbers.
 #pragma once
 
 #include <cstdint>
@@ -10,8 +10,8 @@
 
 namespace novaphy::diff {
 
-// Rows (linear_x, linear_y, linear_z, omega), {b, 6}: a start for SimState::body_qd. omega {b, 3},
-// rad/s; the linear velocity (m/s) is that of all bodies and has no gradient.
+// Returns rows (linear_x, linear_y, linear_z, omega) {b, 6}, for the start of SimState::body_qd.
+// omega is {b, 3} (rad/s). All bodies have the same linear velocity (m/s), which has no gradient.
 NOVAPHY_DIFF_API nova::Tensor body_twist_from_omega_generated(const nova::Tensor& omega,
                                                               float linear_x, float linear_y,
                                                               float linear_z);
@@ -24,10 +24,11 @@ struct OrientationLossOptions {
   float angular_velocity_weight = 0.0f;  // s^2
 };
 
-// wa (1 - dot(R a, ta)) + wb (1 - dot(R b, tb)) + wh (z - h)^2 + wv |v|^2 + ww |w|^2 of one body,
-// {1}. body_q {b, 7}, body_qd {b, 6}. The axes (a, b in the body, ta, tb in the world) are made
-// unit vectors. ErrorKind::Index: no such body; ErrorKind::Value: an axis of length 0, numbers that
-// are not finite.
+// Returns the loss {1} of one body: wa (1 - dot(R a, ta)) + wb (1 - dot(R b, tb)) + wh (z - h)^2 +
+// wv
+// v|^2 + ww |w|^2, for body_q {b, 7} and body_qd {b, 6}. The axes a, b (body frame) and ta, tb
+// (world frame) are normalized. ErrorKind::Index: no such body. ErrorKind::Value: an axis of length
+// 0, or numbers that are not finite.
 NOVAPHY_DIFF_API nova::Tensor rigid_orientation_velocity_loss_generated(
     const nova::Tensor& body_q, const nova::Tensor& body_qd, int64_t body_index,
     const Vec3f& local_axis_a, const Vec3f& target_axis_a, const Vec3f& local_axis_b,

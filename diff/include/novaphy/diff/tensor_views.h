@@ -1,6 +1,6 @@
-// Tensors over the regular arrays of a state or a model: zero-copy, and the same gradient for every
-// view of an array. A view keeps the memory alive. requires_grad = true turns the gradient on for
-// the array; false leaves it as it is.
+// Tensors over the arrays of a state, a control or a model, without a copy. All views of an array
+// share one gradient. A view keeps the memory alive. requires_grad = true turns the array's
+// gradient on; false leaves it as it is.
 #pragma once
 
 #include "novaphy/core/sim/model.h"
@@ -10,7 +10,7 @@
 #include "novaphy/dynamics/diff_solver_base.h"
 #include "novaphy/nova/tensor.h"
 
-// X(field): the views that exist, one function per row.
+// X(field) for each view, which is one function.
 #define NOVAPHY_STATE_VIEWS(X) \
   X(particle_q)                \
   X(particle_qd) X(particle_f) X(body_q) X(body_qd) X(body_f) X(joint_q) X(joint_qd) X(act)
@@ -67,8 +67,9 @@ namespace novaphy::diff {
 NOVAPHY_STATE_VIEWS(NOVAPHY_DECLARE_STATE_VIEW)
 #undef NOVAPHY_DECLARE_STATE_VIEW
 
-// model_particle_mass_tensor(model): {n}, kg; and so on. Gradients reach masses and inertias,
-// although the integrators read the inverses, which follow them (Model::update_derived).
+// model_particle_mass_tensor(model): {n}, kg; and so on. Integrators read the inverses of masses
+// and inertias, which follow these arrays (Model::update_derived). Gradients reach the arrays
+// nevertheless.
 #define NOVAPHY_DECLARE_MODEL_VIEW(field)                                  \
   NOVAPHY_DIFF_API nova::Tensor model_##field##_tensor(const Model& model, \
                                                        bool requires_grad = false);
@@ -84,8 +85,8 @@ NOVAPHY_ELEMENT_VIEWS(NOVAPHY_DECLARE_ELEMENT_VIEW)
 
 // control_tet_activation_tensor(control): {tet_count}, control_tri_activation_tensor: {tri_count};
 // control_joint_f_tensor, control_joint_target_qd_tensor: {joint_dof_count},
-// control_joint_target_q_tensor: {joint_coord_count}. What a step reads of these comes from its
-// control; without one it is the model's.
+// control_joint_target_q_tensor: {joint_coord_count}. A step reads these arrays from its control,
+// or from the model without one.
 #define NOVAPHY_DECLARE_CONTROL_VIEW(name, field)                               \
   NOVAPHY_DIFF_API nova::Tensor control_##name##_tensor(const Control& control, \
                                                         bool requires_grad = false);

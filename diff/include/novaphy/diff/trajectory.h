@@ -1,4 +1,4 @@
-// The trajectory of core under the name that it has among the differentiable operators.
+// The trajectory of core under a name in novaphy::diff.
 #pragma once
 
 #include "novaphy/core/sim/trajectory.h"

@@ -1,5 +1,5 @@
-// GradientNotes: what the steps of a solver say of their gradients. Compiled into novaphy::dynamics
-// where nova is built.
+// GradientNotes: a record of a solver's steps, from which the labels of their gradients are
+// computed. Compiled into novaphy::dynamics where nova is built.
 #pragma once
 
 #include <memory>
@@ -15,21 +15,23 @@
 
 namespace novaphy {
 
-// What a step has, and where its contacts were. Handles: nothing is copied.
+// The arrays of a step and of its contacts. The members are handles, so no data are copied.
 struct NotedStep {
-  // Memory of the state that it starts from, and of that it ends in.
+  // Memory of the state at the start of the step, and at its end.
   const void *start = nullptr, *end = nullptr;
-  // Of particles and bodies, where the law of contacts counts.
+  // The state of particles and bodies at which the contact law is evaluated.
   DeviceArray<Vec3f> q, qd;
   DeviceArray<Transformf> body_q;
   DeviceArray<SpatialVectorf> body_qd;
   std::shared_ptr<const ContactFields> contacts;   // null: none
-  bool soft = false, rigid = false;                // which of them act
-  bool soft_follow = false, rigid_follow = false;  // found from the state
-  float kf_rate = 0.0f;    // 1/s: of particles in the semi-implicit law (soft_contact_force_term)
-  float slip = 0.0f;       // m/s: of VBD, whose law has the margins of shapes; 0: the other law
-  float smoothing = 0.0f;  // m/s: of friction between bodies
-  // Contacts that the step finds by itself.
+  bool soft = false, rigid = false;                // which kinds of contacts act
+  bool soft_follow = false, rigid_follow = false;  // contacts were found from the state of the step
+  // 1/s, of contacts of particles in the semi-implicit solver (soft_contact_force_term)
+  float kf_rate = 0.0f;
+  // m/s, slip of VBD's contact law, which includes the margins of shapes; 0: another solver
+  float slip = 0.0f;
+  float smoothing = 0.0f;  // m/s, of friction between bodies
+  // Static contacts, which the step finds by itself.
   bool static_particles = false;
   float static_reach = 0.0f;  // m
   nova::Incidence shapes_of;  // the shapes of each particle; null: all
@@ -37,20 +39,22 @@ struct NotedStep {
   nova::Operand plane_pairs;  // {n, 2}: plane and shape of a body; without a range: none
 };
 
-// Steps are remembered, and looked at when somebody asks, by kernels on their device: a rollout
-// costs nothing, and a capture tells of its last replay. Those of states that are not kept are
-// looked at at once.
+// The class remembers steps. A call of counts() evaluates them, by kernels on their device. A
+// rollout therefore costs nothing, and a capture reports its last replay. A step whose state is not
+// kept is evaluated at once.
 class NOVAPHY_DYNAMICS_API GradientNotes {
  public:
-  // A step on a tape. `keeps`: its arrays stay as they are. One that does not start where the last
-  // one ended begins a new chain, and the last one is forgotten.
+  // Adds a step on a tape. `keeps`: its arrays keep their values. A step that does not start where
+  // the last one ended begins a new chain, and the last chain is forgotten.
   void add(const Model& model, NotedStep step, bool keeps);
-  // The same, but the last chain is kept.
+  // Adds a step and always keeps the last chain.
   void add_to_all(const Model& model, NotedStep step, bool keeps);
-  // Of the chain, or of all steps that were looked at since the last clear. Waits for a device.
+  // Returns the counts of the chain, or of all steps since the last clear that were evaluated at
+  // once. Waits for the device.
   GradientCounts counts(const Model& model) const;
   void clear();
-  // The contacts of the last step, if they are these.
+  // Returns handles to the contacts. The handles of the last step are reused if it had the same
+  // contacts.
   std::shared_ptr<const ContactFields> handles(const Contacts* contacts);
 
  private:
@@ -59,7 +63,7 @@ class NOVAPHY_DYNAMICS_API GradientNotes {
     int64_t rows = 0;  // of the step
     void reserve(int64_t contacts, Device device);
   };
-  // Launches about steps that follow each other.
+  // The launches that evaluate consecutive steps.
   struct Looks {
     void look(const Model& model, const NotedStep& step);
     void at_soft(const Model& model, const NotedStep& step);
@@ -76,18 +80,19 @@ class NOVAPHY_DYNAMICS_API GradientNotes {
 
   std::vector<NotedStep> chain_;
   Looks looks_;
-  const void* ended_ = nullptr;  // where the last step did
+  const void* ended_ = nullptr;  // memory of the state at the end of the last step
 };
 
-// What a solver says of its steps on one tape.
+// The report of a solver about its steps on one tape.
 struct NOVAPHY_DYNAMICS_API GradientWitness : nova::Tape::Witness {
   virtual GradientInfo info() const = 0;
-  // The events of its steps whose time moves with the state.
+  // Returns the events of the steps whose time moves with the state.
   virtual MotionEvents events() const { return {}; }
-  // Whether the solver looks for such events.
+  // Returns whether the solver looks for such events.
   virtual bool has_events() const { return false; }
 };
-// The witness of a solver on the active tape, made by `make` where that tape has none.
+// Returns the witness of a solver on the active tape. `make` makes the witness if the tape has
+// none.
 template <class T, class Make>
 std::shared_ptr<T> witness_on_tape(std::weak_ptr<T>& last, const Make& make) {
   nova::Tape& tape = *nova::Tape::active();
@@ -99,8 +104,8 @@ std::shared_ptr<T> witness_on_tape(std::weak_ptr<T>& last, const Make& make) {
   tape.add_witness(made);
   return made;
 }
-// Of all solvers with steps on the tape: the worst label, with its reason, and the sums of counts.
-// ErrorKind::Runtime: there are none, or no backward has run.
+// Returns the worst label of all solvers with steps on the tape, with its reason, and the sums of
+// counts. ErrorKind::Runtime: no solver has steps on the tape, or no backward has run.
 NOVAPHY_DYNAMICS_API GradientInfo gradient_info(const nova::Tape& tape);
 
 }  // namespace novaphy

@@ -1,4 +1,4 @@
-// GradientInfo: what the gradient of a differentiable solver is.
+// GradientInfo: how exact the gradient of a differentiable solver is.
 #pragma once
 
 #include <limits>
@@ -13,56 +13,57 @@
 namespace novaphy {
 
 namespace diff {
-// What gradients follow where contacts begin.
+// The derivative that is computed where contacts begin.
 enum class DerivativeOf : uint8_t {
-  Code,   // the steps as they ran: a contact begins in the same step
-  Motion  // its time moves with the state (on the CPU, outside of captures)
+  Code,   // the derivative of the steps as they ran: a contact begins in the same step
+  Motion  // the time of the begin moves with the state (on the CPU, outside of captures)
 };
 }  // namespace diff
 
-// Of the steps of a solver since the last clear. "Of the code": the derivative of what each step
-// computes, with the contacts that it has. That a contact begins, ends or changes between sticking
-// and slipping moves in time with the state is no part of it; `events` counts where that matters.
-// "Of the motion": the times of events move too, so that the gradient tends to that of the motion
-// as dt goes to 0.
+// Describes the steps of a solver since the last clear. "Of the code": the derivative of what each
+// step computes, with the contacts that it has. This derivative does not move the times at which
+// contacts begin, end, or change between sticking and slipping. `events` counts these changes. "Of
+// the motion": the times of events move too, so the gradient tends to that of the motion as dt goes
+// to 0.
 struct GradientInfo {
-  // "exact of the motion", "exact of the code", "implicit" (of the solutions of the steps),
-  // "frozen" (points or normals of contacts that push are held), "surrogate": the worst of the
-  // steps. Where times of events move, but the gradient may be another than that of the motion,
-  // "surrogate": it is neither of both.
+  // The worst label of the steps: "exact of the motion", "exact of the code", "implicit" (of the
+  // solutions of the steps), "frozen" (points or normals of contacts that push are frozen), or
+  // "surrogate". A gradient is a "surrogate" too if times of events move, but the gradient may
+  // differ from that of the motion.
   std::string label;
-  std::string reason;  // one sentence: what makes it so, and what follows
+  std::string reason;  // one sentence on the cause and the consequence
   int64_t steps = 0, exact_steps = 0, frozen_steps = 0, surrogate_steps = 0;
-  // Contacts that began or ended, and that changed between sticking and slipping, between two
-  // steps that follow each other; the sum of `began`, `ended` and `turned`.
+  // Contacts that began, ended, or changed between sticking and slipping, between two consecutive
+  // steps. `events` is the sum of `began`, `ended` and `turned`.
   int64_t events = 0, began = 0, ended = 0, turned = 0;
-  // Of MotionCounts.
+  // See MotionCounts.
   int64_t several = 0, one_sided = 0, ramp_steps = 0, landings = 0, phased = 0;
-  int64_t lost_events = 0;  // for which a device has no room
+  int64_t lost_events = 0;  // events for which a device had no room
   float least_approach = std::numeric_limits<float>::infinity();
   double least_separation = std::numeric_limits<double>::infinity();
   MotionEvents event_list;  // in the order of time
-  float residual = 0.0f;    // largest, relative to the impulses
-  // AdjointDrift of the last adjoint; NaN: none has measured some.
+  float residual = 0.0f;    // the largest residual, relative to the impulses
+  // AdjointDrift of the last adjoint. NaN: no adjoint has measured the drift.
   double h_drift = std::numeric_limits<double>::quiet_NaN();
   int64_t h_step = -1, h_skipped = 0;
 };
 
-// How far an adjoint is from keeping H = p . f in steps without events: each step is compared with
-// itself along its own motion. With y_k = D_k^T p_k+1, the rates f_k of the state in step k, and
-// the gradient w_k by the forces u_k of step k (which targets and wrenches are too),
+// The drift of H = p . f of an adjoint in steps without events. Each step is compared with itself
+// along its own motion. With y_k = D_k^T p_k+1, the rates f_k of the state in step k, and the
+// gradient w_k with respect to the forces u_k of step k (targets and wrenches included),
 //   m_k = y_k . f_k - p_k+1 . f_k+1 + w_k . (u_k+1 - u_k) / dt
-// is 0 but for O(dt). Steps that cannot be compared are skipped: the state was written behind them,
-// they have not converged, or the next one has another dt.
+// is 0 up to O(dt). Steps that cannot be compared are skipped: the state after the step was
+// written, the step has not converged, or the next step has another dt.
 struct AdjointDrift {
-  double most = 0.0;     // |m_k|
-  double largest = 0.0;  // |p . f|
-  int64_t step = -1;     // of `most`, from the first of its chain
-  int64_t steps = 0;     // that were compared
-  int64_t skipped = 0;   // without what follows no step
-  int64_t next = -1;     // the order of the step that was visited last
+  double most = 0.0;     // the largest |m_k|
+  double largest = 0.0;  // the largest |p . f|
+  int64_t step = -1;     // the step of `most`, counted from the first step of its chain
+  int64_t steps = 0;     // number of compared steps
+  int64_t skipped = 0;   // number of skipped steps that have a next step
+  int64_t next = -1;     // order of the step that was visited last
 
-  // An adjoint visits steps from the last on; one that is not before the last one begins anew.
+  // An adjoint visits steps in reverse. A step that is not before the last visited one begins a new
+  // adjoint.
   void visit(int64_t order) {
     if (order >= next) *this = {};
     next = order;
@@ -77,40 +78,43 @@ struct AdjointDrift {
   }
 };
 
-// Events at one time are in the order of their worlds, shapes, particles and joints.
+// Sorts events by time. Events at the same time are ordered by world, shapes, particle and joint.
 NOVAPHY_DYNAMICS_API void sort_by_time(MotionEvents& events);
 
-// Of steps whose events move in time.
+// Counts over steps whose events move in time.
 struct MotionCounts {
-  // Steps in which several pairs hit at once; of springs touches of more than one point or pair.
+  // Steps in which several pairs hit at once. With springs: touches of more than one point or pair.
   int64_t several = 0;
-  // Limits of joints that begin or end to push in what touches something; of springs touches of
-  // what joints, elements or adhesion hold.
+  // Limits of joints that begin or end to push in a tree that touches something. With springs:
+  // touches of bodies or particles that joints, elements or adhesion hold.
   int64_t unmoved = 0;
-  // Of springs: touches whose begin or end is not in the steps, or is cut.
+  // With springs: touches whose begin or end is outside of the steps, or is cut.
   int64_t one_sided = 0;
-  int64_t landings = 0;    // events without a bounce that take two steps
+  int64_t landings = 0;    // events without a bounce, which take two steps
   int64_t phased = 0;      // landings whose friction turns: the states depend on the phase
-  int64_t stiff = 0;       // of springs: touches of few steps with a lever arm
-  int64_t rough = 0;       // of springs: touches whose speed depends on the phase of the steps
-  int64_t ramp_steps = 0;  // of springs: steps with contacts within half a step of begin or end
+  int64_t stiff = 0;       // with springs: touches of few steps with a lever arm
+  int64_t rough = 0;       // with springs: touches whose speed depends on the phase of the steps
+  int64_t ramp_steps = 0;  // with springs: steps with contacts within half a step of begin or end
   int64_t moved = 0;       // steps whose gradient has more than that of the code
   bool of_springs = false;
-  int64_t inexact = 0;  // with contacts, whose overlaps are of the code: not pgs_slop 0, pgs_erp 1
+  // steps with contacts that correct overlaps otherwise than with pgs_slop 0 and pgs_erp 1
+  int64_t inexact = 0;
   float least_approach = std::numeric_limits<float>::infinity();      // m/s, rad/s
   double least_separation = std::numeric_limits<double>::infinity();  // steps, of one tree or body
   MotionEvents events = {};
-  std::shared_ptr<AdjointDrift> drift = {};  // null: nobody measures some
+  std::shared_ptr<AdjointDrift> drift = {};  // null: not measured
 
   NOVAPHY_DYNAMICS_API void add(const std::shared_ptr<MotionEvent>& event);
 };
 
-// `implicit`: steps that are neither frozen nor a surrogate are of the solutions of the steps, and
-// `exact_steps` counts them. `motion` (null: of the code): the events of the steps move in time.
+// Makes the info of counts. `implicit`: steps that are neither frozen nor a surrogate are those of
+// the solutions, and `exact_steps` counts them. `motion`: the counts of events that move in time;
+// null: gradients of the code.
 NOVAPHY_DYNAMICS_API GradientInfo gradient_info(const GradientCounts& counts, bool implicit = false,
                                                 const MotionCounts* motion = nullptr);
 
-// The worst label with its reason, the largest residual, and the sums of counts. At least one.
+// Returns the worst label with its reason, the largest residual, and the sums of counts. `all` has
+// at least one entry.
 NOVAPHY_DYNAMICS_API GradientInfo worst_of(std::span<const GradientInfo> all);
 
 }  // namespace novaphy

@@ -17,23 +17,24 @@ enum class MotionFriction : uint8_t { None, Sticks, Slides, Turns };
 enum class MotionArray : uint8_t { JointQ, BodyQ, ParticleQ };
 
 struct MotionEvent {
-  // Steps that follow each other are a chain. Numbers and times are from its first step on.
+  // A chain is a run of consecutive steps. Step numbers and times start at its first step.
   int64_t chain = 0;
-  int64_t step = 0;   // in which it begins
+  int64_t step = 0;   // the step in which the event begins
   double time = 0.0;  // s
   int32_t world = 0;
-  // -1: none. A limit has a joint, other events two shapes, or a shape and a particle.
+  // -1: none. A limit has a joint. Other events have two shapes, or a shape and a particle.
   int32_t shape0 = -1, shape1 = -1, particle = -1, joint = -1;
   MotionEventKind kind = MotionEventKind::Bounce;
   MotionFriction friction = MotionFriction::None;
-  float approach = 0.0f;  // m/s, rad/s of an angle
+  float approach = 0.0f;  // speed of approach: m/s, or rad/s for an angle
   float phase = 0.0f;     // the part of the step before the event, 0 to 1
-  bool whole = true;      // its last step has run
-  // p . f before and behind it, of the last adjoint; NaN: none has run.
+  bool whole = true;      // the last step of the event has run
+  // p . f before and after the event, from the last adjoint. NaN: no adjoint has run.
   double h_before = std::numeric_limits<double>::quiet_NaN();
   double h_after = std::numeric_limits<double>::quiet_NaN();
 
-  // The time by rows of the state that its step starts from, at the version `version`.
+  // The derivative of the time with respect to rows of the state at the start of the event's step.
+  // The array of the state has the version `version`.
   struct Slope {
     MotionArray of = MotionArray::JointQ;
     int64_t first = 0;
@@ -43,7 +44,7 @@ struct MotionEvent {
   uint64_t version = 0;
   std::vector<Slope> slopes;
 
-  // From the gap at the start of the step.
+  // Sets time (s) and phase from the gap at the start of the step.
   void set_time(double start_time, double dt, double gap) {
     const double delay = gap / static_cast<double>(approach);
     time = start_time + delay;

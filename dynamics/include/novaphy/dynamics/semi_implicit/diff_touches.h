@@ -2,10 +2,10 @@
 // with the state. On the host. Compiled into novaphy::dynamics where nova is built.
 //
 // A touch is a contact of one pair from its first step with a force to its last one. A touch that
-// begins and ends alone is one event. Its bodies touch nothing else, or rest on the world by the
-// same points all the while. No joint or element holds its bodies. A state that is moved by dx
-// reaches the surface later by dt = -J dq / (J v), J the gradient of the gap. Each of its steps k,
-// with the derivative D of the code, becomes
+// begins and ends alone is one event: its bodies touch nothing else, or rest on the world with the
+// same points during the touch. No joint or element holds its bodies. A displacement dx of the
+// state delays the begin by dt = -J dq / (J v), with the gradient J of the gap. A step k of the
+// touch, with the derivative D of the code, becomes
 //   dx' = D (dx + f_k dt) - f_k+1 dt
 // f: the rates of the state, with the forces that are applied in step k; at the begin and after the
 // end without the force of the touch. The states between the steps have the derivatives of the
@@ -39,25 +39,26 @@ struct TouchEvent;
 struct TouchWork;
 }  // namespace detail
 
-// The touches of steps, and what they say of gradients.
+// The touches of steps, and the counts that follow for gradients.
 class NOVAPHY_DYNAMICS_API TouchList {
  public:
   MotionCounts counts() const;
   void clear();
   std::vector<std::shared_ptr<detail::TouchEvent>> events;
-  std::vector<std::shared_ptr<const detail::TouchWork>> works;  // of the steps that have some
+  // of the steps with touches or ramps
+  std::vector<std::shared_ptr<const detail::TouchWork>> works;
   int64_t ramp_steps = 0;
 };
 
 struct TouchSettings {
-  bool bodies = false, particles = false;  // which move
-  bool rigid = false, soft = false;        // which contacts act
-  bool jointed = false, elements = false;  // joints and elements are there
+  bool bodies = false, particles = false;  // which of them move
+  bool rigid = false, soft = false;        // which kinds of contacts act
+  bool jointed = false, elements = false;  // whether the model has joints and elements
   float smoothing = 0.0f;                  // m/s, of friction between bodies
 };
 
-// A step on a tape: what its kernels read and write instead of the states and forces that it was
-// given, or the same.
+// A step on a tape. Its kernels read and write the states and forces of this struct: separate
+// copies, or the given ones.
 struct NOVAPHY_DYNAMICS_API TouchedStep {
   TouchedStep(const SimState& in, SimState& out);
   TouchedStep(TouchedStep&&) noexcept;
@@ -79,8 +80,9 @@ class NOVAPHY_DYNAMICS_API TouchMotion {
   TouchMotion(const TouchMotion&) = delete;
   TouchMotion& operator=(const TouchMotion&) = delete;
 
-  // Around the kernels of a step, on an active tape. The touches that begin go to both lists; the
-  // first, of the solver, is cleared where the step does not start where the last one ended.
+  // Call begin and end around the kernels of a step, on an active tape. Touches that begin go to
+  // both lists. The list of the solver is cleared if the step does not start where the last one
+  // ended.
   TouchedStep begin(const Model& model, const SimState& in, SimState& out,
                     const nova::Operand& forces, const nova::Operand& body_forces,
                     const Control* control, const Contacts* contacts, float kf_rate, float dt,

@@ -22,10 +22,11 @@ struct Region {
   bool polarity = true;
   bool printed = true;
   int32_t weight = 0;         // of the operations inside
-  std::vector<Value> escape;  // values defined inside and read outside: declared before the `if`
+  std::vector<Value> escape;  // values computed inside and read outside: declared before the `if`
 };
 
-// Whether a value is written at its uses: constants, parameters, counters, sums.
+// Returns whether the emitter writes the operation at each use of its value, without a variable.
+// This holds for constants, parameters, loop indices and finished sums.
 bool is_leaf(Op op);
 // Returns the approximate cost of an operation, in cycles per vector.
 int32_t weight(Op op);
@@ -33,21 +34,22 @@ int32_t weight(Op op);
 struct EmitPlan {
   std::vector<Step> steps;
   std::vector<Region> regions;
-  std::vector<int32_t> region_of_step;  // SkipIfNone: the region that it opens
+  std::vector<int32_t> region_of_step;  // per step: the region that a SkipIfNone step opens
   // The members below are per value.
   std::vector<char> uniform;  // the same in every lane
-  std::vector<char> once;     // computed before the rows
+  std::vector<char> once;     // computed once, before the loop over rows
   std::vector<char> used;
   std::vector<char> escapes;    // declared before the region that computes it
   std::vector<int32_t> loop;    // the enclosing loop, or -1
   std::vector<int32_t> region;  // the innermost enclosing region, or -1
   std::vector<int32_t> group;   // loads: the group led by this value, or -1
-  // For LT(c, SQRT(x)) with c known before the rows, if only the comparison and values under it use
-  // the SQRT. Lanes far below the limit then skip the root.
+  // Pairs of a comparison LT(c, SQRT(x)) and its SQRT, where c is known before the loop over rows
+  // and only the comparison, and values under its condition, use the SQRT. Lanes whose x is far
+  // below the limit then skip the root.
   std::vector<Value> root;  // per comparison: its SQRT; per SQRT: its comparison; or kNone
   std::vector<LoadGroup> groups;
 
-  // Whether a line of its own computes the value for every row.
+  // Returns whether the loop over rows has a line that computes the value.
   bool is_line(size_t v, Op op) const { return used[v] && !once[v] && !is_leaf(op); }
 
   int32_t printed_region(int32_t r) const {
@@ -59,7 +61,7 @@ struct EmitPlan {
 
 // Below this weight, a region costs less than the test whether any lane needs it.
 inline constexpr int32_t kMinPrintedRegion = 12;
-// `device`: for a thread with one row.
+// Makes the plan of a Program. `device`: for a device, where a thread computes one row.
 EmitPlan make_emit_plan(const Program& program, bool device,
                         int32_t min_printed = kMinPrintedRegion);
 

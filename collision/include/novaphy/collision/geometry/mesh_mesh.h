@@ -6,9 +6,10 @@
 // concave edge or corner no face lies over the vertex. Two or three neighboring faces then give a
 // normal each, with the distance to its plane (faces_over).
 //
-// A normal is valid only if the mesh at the vertex lies on its side. No neighbor of the vertex may
-// lie farther along the inward normal than kStandSine times its distance. A mesh that is flush with
-// a side is therefore not pushed off that side.
+// A normal is valid only if the mesh around the vertex lies on the outer side of the face. The test
+// looks at each edge from the vertex to a neighbor: it may point inward by at most the sine
+// kStandSine. A mesh that lies flush against a side face is therefore not pushed out through that
+// face.
 //
 // Edges on edges (edges_on_edges), for border edges and convex edges. The normal is perpendicular
 // to both edges and must lie in the normal cones of both. For an overlap each point must lie in or

@@ -1,8 +1,9 @@
-// The builtins of <novaphy/abi/program.h>. Compiled behind device_prelude.cuh.
+// The builtins of <novaphy/abi/program.h>. The text follows device_prelude.cuh.
 #define BUILTIN VENDOR_ENTRY
 
-// The sum of the rows of one column, from +0, by the rule for long rows: chunks of kChunk, each
-// folded from +0, and their sums by the same rule. One block works on it; the result is thread 0's.
+// Sums the rows of one column from +0, by the rule for long rows: chunks of kChunk are folded from
+// +0 each, then the chunk sums by the same rule. One block works on the sum. Thread 0 has the
+// result.
 #define kChunk 256
 struct row_sum_arguments {
   const float* source;
@@ -69,7 +70,7 @@ BUILTIN __launch_bounds__(kChunk) row_sum_f32(const row_sum_arguments a) {
         a.out[row * a.width + c] = fold_items(a, begin, end, c, start);
       }
     } else {
-      long_rows[atomicAdd(&long_count, 1)] = (int32_t)threadIdx.x;  // in any order
+      long_rows[atomicAdd(&long_count, 1)] = (int32_t)threadIdx.x;  // the order does not matter
     }
   }
   __syncthreads();
@@ -88,8 +89,8 @@ BUILTIN __launch_bounds__(kChunk) row_sum_f32(const row_sum_arguments a) {
   }
 }
 
-// One very long row: the sums of its chunks, a thread for each, read in tiles. The sums are
-// a shorter row, of which the same is made until one thread can fold what is left.
+// Sums one very long row. A thread sums each chunk, which the block reads in tiles. The chunk sums
+// are a shorter row. The same pass repeats until one thread can fold the rest.
 #define kSumThreads 128
 #define kTile 32
 LANE_FN void tile_barrier() {
@@ -104,7 +105,8 @@ BUILTIN __launch_bounds__(kSumThreads) row_sum_chunks(const float* source, float
   __shared__ float tiles[kSumThreads / kTile][kTile][kTile + 1];
   float(*const tile)[kTile + 1] = tiles[threadIdx.x / kTile];
   const int64_t lane = threadIdx.x % kTile, column = blockIdx.x % width;
-  const int64_t first = (blockIdx.x / width * kSumThreads + threadIdx.x) / kTile * kTile;  // chunk
+  // the first chunk
+  const int64_t first = (blockIdx.x / width * kSumThreads + threadIdx.x) / kTile * kTile;
   float sum = 0.0f;
   for (int64_t t = 0; t < kChunk; t += kTile) {
 #pragma unroll 8
@@ -128,11 +130,11 @@ BUILTIN __launch_bounds__(kSumThreads) row_sum_last(const float* sums, const flo
   }
 }
 
-// One block; a thread takes kScanItems neighbors at a time. Integers wrap, so the order of
-// additions does not matter.
+// One block. A thread takes kScanItems neighboring items at a time. Integers wrap around, so the
+// order of additions does not matter.
 #define kScanThreads 1024
 #define kScanItems 4
-// The sum of the words of all threads of the block up to this one.
+// Returns the sum of the words of the block's threads up to and including this one.
 #if VENDOR_WARP > 1
 LANE_FN uint32_t warp_sum(uint32_t sum, uint32_t lane) {
   for (int step = 1; step < VENDOR_WARP; step *= 2) {
@@ -193,8 +195,8 @@ BUILTIN __launch_bounds__(kScanThreads) exclusive_scan_i32(const uint32_t* in, u
   }
 }
 
-// One pass of a stable radix sort: every thread counts, and later places, a contiguous piece of the
-// items in their order. counts {blocks, digits} has the sums of the blocks.
+// One pass of a stable radix sort. Every thread counts, and later places, a contiguous piece of the
+// items in their order. counts {blocks, digits} has the counts of each block.
 #define kDigits 64
 #define kSortThreads 128
 struct sort_arguments {
@@ -203,7 +205,7 @@ struct sort_arguments {
   int32_t* to;
   uint32_t* counts;
   const int32_t* size;  // null: n items
-  int64_t n, limit;     // an item whose key is not below the limit is left out
+  int64_t n, limit;  // items whose key is not below the limit are left out
   uint32_t flipped;     // bits of the key
   int32_t shift;
 };
@@ -216,7 +218,7 @@ LANE_FN sort_piece piece_of(const sort_arguments a) {
   const int64_t begin = each * ((int64_t)blockIdx.x * kSortThreads + threadIdx.x);
   return {begin, begin + each < n ? begin + each : n};
 }
-// The item k and its digit; whether it takes part.
+// Finds item k and its digit. Returns whether the key is below the limit.
 LANE_FN bool sort_item(const sort_arguments a, int64_t k, int32_t* item, uint32_t* digit) {
   *item = a.from != 0 ? a.from[k] : (int32_t)k;
   const uint32_t key = (uint32_t)a.keys[*item] ^ a.flipped;
@@ -271,8 +273,8 @@ BUILTIN __launch_bounds__(kSortThreads) sort_place(const sort_arguments a) {
     if (sort_item(a, k, &item, &digit)) a.to[next[threadIdx.x][digit]++] = item;
 }
 
-// The inverse of an index table: how often each row occurs. A scan of that gives the offsets, and a
-// sort of the slots by row the slots of every row.
+// First step of the inverse of an index table: counts how often each row occurs. A scan of the
+// counts gives the offsets. A sort of the slots by row gives the slots of every row.
 BUILTIN __launch_bounds__(128) incidence_count(const int32_t* table, const int64_t slots,
                                                int32_t* offsets, const int64_t n,
                                                const device_sink sink) {
@@ -286,8 +288,8 @@ BUILTIN __launch_bounds__(128) incidence_count(const int32_t* table, const int64
   }
 }
 
-// Two words of one range never change places unseen, because the number of a word is mixed in. The
-// sums of the blocks are added in any order: they wrap. `out` is zero before.
+// The hash includes the position of each word, so a swap of two words changes the checksum. The
+// sums of blocks are added in any order, because integers wrap around. `out` is zero before.
 #define kChecksumThreads 256
 LANE_FN uint64_t checksum_mix(uint64_t x) {
   x = (x ^ (x >> 32)) * 0xD6E8FEB86659FD93ull;

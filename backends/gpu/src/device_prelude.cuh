@@ -1,6 +1,8 @@
-// The prelude of device code: what the names in emitted text mean for the one row of a thread (see
-// <novaphy/program/emit.h>). Comes behind vendors/*.cuh. Needs no header: the build puts the text of
-// those that it includes in their place. The arithmetic is that of backends/cpu/src/lanes.h, to the bit. Compiled without
+// The prelude of device code: the meaning of the names in emitted text for the one row of a thread
+// (see <novaphy/program/emit.h>). The text follows vendors/*.cuh. No header is needed, because the
+// build replaces each include by its text.
+//
+// The arithmetic has the bits of backends/cpu/src/lanes.h. The code is compiled without
 // contraction, without flush to zero, and with correctly rounded division and square root.
 typedef signed char int8_t;
 typedef unsigned char uint8_t;
@@ -14,8 +16,9 @@ typedef unsigned long long uint64_t;
 #define LANE_FN static __device__ __forceinline__
 #define COLD_FN static __device__ __noinline__
 
-// What a failing read leaves for the host; the layout is that of ErrorRecord in device.h. The first
-// kernel that fails keeps the record; of its rows the smallest wins, whatever the timing.
+// The record of a failing read for the host, with the layout of ErrorRecord in device.h. The first
+// kernel that fails keeps the record. The smallest of its failing rows wins, so timing does not
+// matter.
 struct device_error {
   int64_t index;  // INT64_MAX: none
   int64_t row;
@@ -26,10 +29,10 @@ struct device_error {
   uint32_t unused;
 };
 struct device_sink {
-  device_error* record;  // device memory; zeros lie kZeros words behind its start
+  device_error* record;  // device memory; kZeros words after its start are zeros
   uint32_t* flag;        // host memory: 1 once there is a record
   uint32_t kernel;
-  const int32_t* active;  // null: all rows of a launch are computed; else the first so many
+  const int32_t* active;  // null: all rows of a launch are computed; else this many first rows
 };
 LANE_FN int64_t active_rows(const device_sink sink, const int64_t n) {
   if (sink.active == 0) return n;
@@ -39,7 +42,7 @@ LANE_FN int64_t active_rows(const device_sink sink, const int64_t n) {
 COLD_FN void report_row(const device_sink sink, int64_t index, int32_t source, int64_t row,
                         int64_t rows) {
   volatile device_error* const e = sink.record;
-  if (index >= e->index) return;  // spares the lock; asked again below
+  if (index >= e->index) return;  // avoids the lock; tested again below
   bool done = false;
   while (!done) {
     if (atomicExch(&sink.record->lock, 1u) != 0u) continue;
@@ -59,15 +62,15 @@ COLD_FN void report_row(const device_sink sink, int64_t index, int32_t source, i
   }
 }
 
-// The first failing read of a row. Loads never branch: one that may not be read reads a zero, and what
-// was wrong is kept here until the row is done.
+// The first failing read of a row. Loads never branch. An invalid load reads a zero, and the
+// failure is kept here until the row is done.
 #define kZeros 32
 struct row_failure {
   const int32_t* zeros;
-  int32_t source;  // -1: none; of a fused text: kSources times the operation, plus the source
+  int32_t source;  // -1: none; in a fused text: kSources times the operation, plus the source
   int32_t row;
   uint32_t rows;
-  int32_t operation;  // of a fused text: which one runs
+  int32_t operation;  // in a fused text: the operation that runs
 };
 #define kSources 256
 LANE_FN row_failure begin_row(const device_sink sink) {
@@ -94,10 +97,11 @@ LANE_FN float ubits_f(int32_t a) { return __int_as_float(a); }
 LANE_FN int32_t uf_bits(float a) { return __float_as_int(a); }
 #include "novaphy/program/scalars.h"
 LANE_FN float uabs(float a) { return ubits_f(uf_bits(a) & 0x7fffffff); }
-// The steps of a compiler's division, where the exponents show early that none of them leaves the
-// normal numbers. The compiler's own test comes late, and sends zeros down the slow path, a call.
-// Which these are is gathered without branches, for all quotients and roots that a thread computes
-// side by side: twice the bits of numbers, without their signs.
+// The steps of a compiler's division, used if an early test of the exponents shows that all
+// intermediate values are normal numbers. The compiler's own test comes late, and sends zeros to
+// the slow path, a call. The early test needs no branches: it collects the largest and smallest
+// magnitudes of all quotients and roots that a thread computes side by side. A magnitude is twice
+// the bits of the number, without its sign.
 struct magnitudes {
   uint32_t most, least;
 };
@@ -106,7 +110,8 @@ LANE_FN void note(magnitudes& m, uint32_t most, uint32_t least) {
   m.least = m.least < least ? m.least : least;
 }
 LANE_FN uint32_t magnitude(float a) { return (uint32_t)uf_bits(a) << 1; }
-// |a| in [2^-60, 2^60) for all, and 0 where there was 1 less than twice its bits, which are even.
+// Returns whether |a| is in [2^-60, 2^60) for all numbers. A number may also be 0 if its magnitude
+// was noted minus 1, which wraps around for 0. Magnitudes are even, so nothing else changes.
 LANE_FN bool are_moderate(const magnitudes m) {
   return m.most < 187u << 24 && m.least >= (67u << 24) - 1;
 }
@@ -126,8 +131,8 @@ LANE_FN float udiv(float a, float b) {
   const float quotient = quick_div(a, b, m);
   return are_moderate(m) ? quotient : divided(a, b);
 }
-// A root likewise. Several quotients and roots that do not depend on one another ask once for all:
-// a thread then computes them side by side, where a branch after each would keep the next waiting.
+// The same for a root. Independent quotients and roots share one test. A thread then computes them
+// side by side. A branch after each would delay the next one.
 COLD_FN float rooted(float a) { return __fsqrt_rn(a); }
 LANE_FN float quick_sqrt(float a, magnitudes& m) {
   const uint32_t bits = (uint32_t)uf_bits(a);
@@ -146,13 +151,13 @@ LANE_FN int32_t uf_to_i(float a) {
 }
 LANE_FN float ui_to_f(int32_t a) { return __int2float_rn(a); }
 
-// One lane: the scalars themselves.
+// One lane: the vector functions are those of scalars.
 #include "novaphy/program/one_lane.h"
 #define vdiv udiv
 
-// Where a source lies: its own row, or rows of it as a table. The type says what is known of it.
+// The place of a source: its own row, or its rows as a table. The type says what is known about it.
 //
-// Rows that may be missing. `source_constants` no operation of a fused list writes.
+// Rows that may be missing. No operation of a fused list writes `source_constants`.
 struct source_rows {
   const char* p;
   int64_t rows;
@@ -161,22 +166,22 @@ struct source_constants {
   const char* p;
   int64_t rows;
 };
-// Rows that are known to be there.
+// Rows that are known to exist.
 struct trusted_rows {
   const char* p;
 };
 struct trusted_constants {
   const char* p;
 };
-// The own row in registers: what an earlier operation of a fused list left.
+// The own row in registers, where an earlier operation of a fused list left it.
 struct source_registers {
   const int32_t* words;
 };
 
-// Rows of a table. No kernel writes what it gathers from, so these loads may use the read-only path;
-// in a persistent kernel, an operation may gather what another one has written.
+// Rows of a table. No kernel writes the table that it gathers from, so these loads may use the
+// read-only path. In a persistent kernel an operation may gather rows that another one has written.
 #ifdef NOVAPHY_PERSISTENT
-// Addresses come from a table. Without this the device asks of each whether it is one of shared
+// Addresses come from a table. Without this conversion the device tests each address for shared
 // memory.
 #define in_memory(p) vendor_global(p)
 #define load_table(p) (*in_memory(p))
@@ -186,8 +191,8 @@ struct source_registers {
 #endif
 typedef int32_t row_lanes;
 #define look_at_rows(row) (row)
-// One row, looked up once for all of its columns. Without a branch: zeros stand in for a row that
-// may not be read. What does not depend on the row is found once by the compiler.
+// One row, looked up once for all of its columns and without a branch: zeros replace a row that may
+// not be read. The compiler hoists the parts that do not depend on the row.
 struct table_row {
   const int32_t* p;
 };
@@ -196,7 +201,8 @@ LANE_FN table_row row_of(const S s, int32_t row, int32_t width, vb need, int32_t
                          row_failure& sink) {
   // A negative row is a large unsigned one.
 #ifdef NOVAPHY_PERSISTENT
-  const bool outside = (uint32_t)row >= (uint32_t)s.rows;  // persistent kernels take no more rows
+  // a persistent kernel has fewer rows than 2^32
+  const bool outside = (uint32_t)row >= (uint32_t)s.rows;
 #else
   const bool outside = (uint64_t)row >= (uint64_t)s.rows;
 #endif
@@ -226,7 +232,7 @@ LANE_FN int32_t column_of(const table_row r, int32_t column) {
 #endif
   return word;
 }
-// A row that a fused list has in registers: of an item of a CSR loop, or the first.
+// A row that a fused list has in registers: the row of an item of a CSR loop, or the first row.
 struct source_item {
   const int32_t* words;
 };
@@ -235,7 +241,7 @@ LANE_FN source_item row_of(const source_item s, int32_t, int32_t, vb, int32_t, r
 }
 LANE_FN int32_t column_of(const source_item r, int32_t column) { return r.words[column]; }
 
-// The own row. Through pointers that may alias: an output may be the same rows as an input.
+// The own row. The pointers may alias, because an output may be the same rows as an input.
 struct own_row {
   const int32_t* p;
 };
@@ -258,7 +264,7 @@ LANE_FN own_row own_of(const source_registers s, int64_t, int32_t, vb, int32_t, 
   return r;
 }
 LANE_FN int32_t own_column_of(const own_row r, int32_t column) { return r.p[column]; }
-// Loaded once, through the read-only path.
+// The own row of a constant source, loaded once through the read-only path.
 struct own_constant_row {
   const int32_t* p;
 };
@@ -278,7 +284,7 @@ LANE_FN own_constant_row own_of(const trusted_constants s, int64_t i, int32_t wi
 }
 LANE_FN int32_t own_column_of(const own_constant_row r, int32_t column) { return __ldg(r.p + column); }
 
-// An output in memory, and one in registers, which is stored later, if at all.
+// An output in memory, and one in registers that is stored later or not at all.
 struct output_rows {
   char* p;
 };
@@ -312,7 +318,7 @@ LANE_FN void load_row(const char* p, int64_t i, int32_t* words) {
 #pragma unroll
   for (int c = 0; c < width; ++c) words[c] = __ldg((const int32_t*)p + (i * width + c));
 }
-// Sends for a row that will be loaded.
+// Prefetches a row that will be loaded.
 LANE_FN void prefetch_row(const char* p, int64_t i, int32_t width) {
   vendor_prefetch((const int32_t*)p + i * width);
 }
@@ -396,7 +402,7 @@ LANE_FN csr_rows csr_begin(const int32_t* offsets, int64_t i) {
   c.longest = __ldg(offsets + i + 1) - c.start;
   return c;
 }
-// Short sums go over items in batches, the last of which may reach past the end.
+// Short sums add items in batches. The last batch may reach past the end.
 #ifndef CSR_BATCH
 #define CSR_BATCH 8
 #endif
@@ -405,8 +411,8 @@ LANE_FN vi csr_slot(const csr_rows* c, const int32_t* items, int32_t r, vb on) {
   const int32_t k = c->start + (on ? r : c->longest - 1);
   return items != 0 ? __ldg(items + k) : k;
 }
-// The slots of a batch, loaded together: those of the next one wait for none of its sums. Past the
-// end of a row slot 0 stands in, which all lanes share.
+// The slots of a batch, loaded together. The load of the next batch does not wait for the sums of
+// this one. Past the end of a row the slots are 0, which all lanes share.
 struct csr_batch : csr_rows {
   int32_t slots[CSR_BATCH];
 };
@@ -430,7 +436,7 @@ LANE_FN csr_batch csr_begin_batch(const int32_t* offsets, int64_t i) {
   (csr_rows&)c = csr_begin(offsets, i);
   return c;
 }
-// The first batch of a loop: the table is two words of the arguments.
+// Loads the first batch of a loop. The table is two words of the arguments.
 LANE_FN csr_batch csr_first(const uint64_t* args, int32_t word, int32_t, int64_t i) {
   csr_batch c = csr_begin_batch((const int32_t*)args[word], i);
   csr_load(&c, (const int32_t*)args[word + 1], 0);

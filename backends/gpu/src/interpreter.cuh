@@ -1,6 +1,6 @@
-// The interpreter of Programs, for devices whose code cannot be compiled: a thread per row runs the
-// instructions that interpreter.h describes, on words in memory. Compiled behind device_prelude.cuh
-// and the names of the operations; the arithmetic is that of emitted code, by the same functions.
+// The interpreter of Programs, for devices whose code cannot be compiled. A thread per row runs the
+// instructions of interpreter.h on words in memory. The text follows device_prelude.cuh and the
+// names of the operations. The arithmetic is that of emitted code, by the same functions.
 #define kInterpretedWords 500
 struct interpreter_arguments {
   uint64_t word[kInterpretedWords];
@@ -8,7 +8,7 @@ struct interpreter_arguments {
 struct interpreter_instruction {
   int32_t op, d, a, b, c, e;
 };
-// A value of this thread: neighboring threads have neighboring words.
+// A value of this thread. Neighboring threads have neighboring words.
 #define VALUE(k) values[(int64_t)(k)*threads]
 #define FLOAT(k) ubits_f(VALUE(k))
 #define RUN(name, result) \
@@ -17,7 +17,7 @@ struct interpreter_instruction {
     break
 #define RUN_F(name, result) RUN(name, uf_bits(result))
 
-// `scratch`: the values of all threads; null: they fit into the shared memory of the block.
+// `scratch`: the values of all threads. Null: the values fit into the shared memory of the block.
 VENDOR_ENTRY __launch_bounds__(64) novaphy_interpreter(
     const __grid_constant__ interpreter_arguments args,
     const interpreter_instruction* const code, int32_t* const scratch, const int64_t n,
@@ -30,7 +30,7 @@ VENDOR_ENTRY __launch_bounds__(64) novaphy_interpreter(
   const int64_t rows = active_rows(sink, n);
   for (int64_t i = first; i < rows; i += all) {
     row_failure failure = begin_row(sink);
-    int32_t counter = 0, extent = 0, start = 0;  // of the loop that runs: loops do not nest
+    int32_t counter = 0, extent = 0, start = 0;  // of the running loop; loops do not nest
     const int32_t* items = 0;
     for (int32_t pc = 0; pc >= 0;) {
       const interpreter_instruction in = code[pc++];
@@ -83,7 +83,7 @@ VENDOR_ENTRY __launch_bounds__(64) novaphy_interpreter(
         RUN(SELECT, VALUE(VALUE(in.a) != 0 ? in.b : in.c));
         RUN(F_TO_I, uf_to_i(FLOAT(in.a)));
         RUN_F(I_TO_F, ui_to_f(VALUE(in.a)));
-        case OP_LOAD: {  // column c of row b of source a, which has rows of e words
+        case OP_LOAD: {  // column c of row b of source a, whose rows have e words
           const source_rows table = {(const char*)args.word[2 * in.a],
                                      (int64_t)args.word[2 * in.a + 1]};
           VALUE(in.d) = uloadi(table, VALUE(in.b), in.e, in.c, 1, in.a, i, failure);
@@ -100,10 +100,11 @@ VENDOR_ENTRY __launch_bounds__(64) novaphy_interpreter(
           put_columni(own, in.e, in.c, i, VALUE(in.b));
           break;
         }
-        case OP_SKIP:  // to c, unless a == b
+        case OP_SKIP:  // jump to c, unless a == b
           if ((VALUE(in.a) != 0) != (in.b != 0)) pc = in.c;
           break;
-        case OP_LOOP:  // to c, if there are no steps; b: over a CSR row, else of word a's many steps
+        // jump to c if there are no steps; b: over a CSR row, else as many steps as word a says
+        case OP_LOOP:
           counter = 0;
           if (in.b != 0) {
             const csr_rows row = csr_begin((const int32_t*)args.word[in.a], i);
@@ -115,7 +116,7 @@ VENDOR_ENTRY __launch_bounds__(64) novaphy_interpreter(
           }
           if (extent <= 0) pc = in.c;
           break;
-        case OP_AGAIN:  // to c, for the next step
+        case OP_AGAIN:  // jump to c for the next step
           if (++counter < extent) pc = in.c;
           break;
         default:  // OP_END

@@ -1,12 +1,11 @@
-// A persistent kernel: phases of chains as one launch, with a barrier after each. Compiled behind
-// device_prelude.cuh; the Programs and run_chain, which knows the forms of the chains, come after
-// this text. What to run lies in a table, a record for each phase:
+// A persistent kernel: phases of chains as one launch, with a barrier after each phase. The text
+// follows device_prelude.cuh. The Programs, and run_chain with the forms of the chains, follow this
+// text. A table has a record for each phase:
 //   words of the next record << 32 | its first word      warps << 32 | rows of a warp << 16 | chains
 //   per chain: its first warp << 32 | rows               form << 32 | the first word of its arguments
 //   the arguments; before those of a Program, the number of the kernel
-// A warp takes rows of one chain. Records are loaded two phases ahead.
-// Where no warp has two chains of a phase, the table says for each warp what it does, so that
-// nothing is looked for after a barrier:
+// A warp takes rows of one chain. Records are loaded two phases ahead. If no warp has two chains of
+// a phase, the table has the task of each warp, so that no search follows a barrier:
 //   form << 48 | the first word of the arguments << 32 | rows << 24 | the first row
 #define kWordsPerThread ((PERSISTENT_WORDS + PERSISTENT_THREADS - 1) / PERSISTENT_THREADS)
 
@@ -20,15 +19,16 @@ LANE_FN void copy_word(const S from, const O to, int64_t row) {
   put_columni(to, 1, 0, row, own_columni(from, 1, 0, 1, 0, row, failure));
 }
 
-struct no_source {};  // what is not read
+struct no_source {};  // a source that is not read
 
-// Items that sums of the next phase add, in the memory of the block that has these sums: rows of
-// four words, PERSISTENT_CORNERS of them for each thread, from `base` on; behind them one of zeros,
-// for sums of few items. The rows of the halo lie behind the last array, and then what threads keep.
+// The items that sums of the next phase add, in the shared memory of the block with these sums.
+// From `base` on there are rows of four words, PERSISTENT_CORNERS for each thread. One row of zeros
+// follows, for sums of few items. After the last array follow the rows of the halo, then the values
+// that threads keep.
 //
-// Where this memory begins stays in a register. In a cluster compilers ask for the number of the
-// block each time that they need an address, which takes dozens of cycles. `turn`: the last one of
-// the halo.
+// A register holds the address of this memory. In a cluster, compilers would otherwise read the
+// number of the block for each address, which takes dozens of cycles. `turn`: the last turn of the
+// halo.
 struct block_memory {
   four_words* rows;
   uint32_t turn;
@@ -36,7 +36,7 @@ struct block_memory {
 #if PERSISTENT_LAYOUTS != 0
 extern __shared__ four_words g_items[];
 constexpr uint32_t kNoItem = PERSISTENT_CORNERS * PERSISTENT_THREADS;
-// Adding -0 changes no number, -0 included.
+// The row for missing items has -0 in all columns. Adding -0 changes no number, not even -0.
 LANE_FN void begin_items() {
   constexpr int32_t kMinusZero = INT32_MIN;
   for (uint32_t base = 0; base < PERSISTENT_ITEMS; base += kNoItem + 1)
@@ -61,7 +61,7 @@ struct memory_items {
   uint64_t source;
 };
 
-// A row of the builtin row_sum_f32.
+// The initial value of a row of the builtin row_sum_f32.
 struct no_init {};
 LANE_FN float init_of(const no_init, int32_t, int32_t, int64_t) { return 0.0f; }
 template <class S>
@@ -70,7 +70,7 @@ LANE_FN float init_of(const S s, int32_t width, int32_t column, int64_t row) {
   failure.zeros = 0;
   return own_columnf(s, width, column, 1, 0, row, failure);
 }
-// The sum of [begin, end) from `sum`, in batches, the last of which may reach past the end.
+// Adds the items [begin, end) to `sum`, in batches. The last batch may reach past the end.
 template <int width>
 LANE_FN void fold_items(const float* source, const int32_t* items, int64_t begin, int64_t end,
                         float* sum) {
@@ -86,7 +86,8 @@ LANE_FN void fold_items(const float* source, const int32_t* items, int64_t begin
     }
   }
 }
-// The rule for long rows: the sums of chunks of kChunk from +0, summed by the same rule.
+// The rule for long rows: chunks of kChunk are summed from +0, then the chunk sums by the same
+// rule.
 #define kChunk 256
 template <int width>
 static __device__ __noinline__ void fold_long(const float* source, const int32_t* items,
@@ -113,8 +114,8 @@ static __device__ __noinline__ void fold_long(const float* source, const int32_t
     }
   }
 }
-// Rows of a batch of items, loaded together. (With a condition on those that short rows lack,
-// compilers run out of registers.)
+// Rows of a batch of items, loaded together. A condition on the items that short rows lack would
+// make compilers run out of registers.
 template <int width, int count = CSR_BATCH>
 struct batch_rows {
   float columns[count][width];
@@ -129,7 +130,7 @@ LANE_FN void load_rows(batch_rows<width, count>* rows, const memory_items from,
     for (int c = 0; c < width; ++c)
       rows->columns[r][c] = *in_memory(source + (int64_t)csr.slots[r] * width + c);
 }
-// Of the first batch, where there may be no item: then zeros, without a branch.
+// Loads the rows of the first batch. If the batch is empty, zeros are loaded, without a branch.
 template <int width, int count>
 LANE_FN void load_first_rows(batch_rows<width, count>* rows, const memory_items from,
                              const csr_batch& csr, const row_failure& failure) {
@@ -157,9 +158,9 @@ LANE_FN void csr_load_items(csr_batch* c, const int32_t* items) {
   for (int32_t r = 0; r < CSR_BATCH; ++r) c->slots[r] = csr_on(c, r) ? c->slots[r] : kNoItem;
 }
 #endif
-// Sums over the same items, as many as there are sources: all rows of a batch are loaded before
-// the first one is added. `loaded`: those of the first batch are there. `chunks`: by the rule for
-// long rows.
+// Computes one sum per source over the same items. All rows of a batch are loaded before the first
+// one is added. `loaded`: the rows of the first batch are already loaded. `chunks`: use the rule
+// for long rows.
 template <bool loaded, bool chunks, int width, int count, int sums>
 LANE_FN void fold_batches(const memory_items* sources, const int32_t* items, csr_batch csr,
                           batch_rows<width, count>* rows, float (*sum)[width]) {
@@ -190,8 +191,8 @@ LANE_FN void fold_batches(const memory_items* sources, const int32_t* items, csr
   }
 }
 #if PERSISTENT_LAYOUTS != 0
-// No row has more items than `count`, if that is less than a batch. Few have more than a batch:
-// these come one by one, in little code.
+// If `count` is less than a batch, no row has more items than `count`. Few rows have more items
+// than a batch. Their further items come one by one, in little code.
 template <bool loaded, bool chunks, int width, int count, int sums>
 LANE_FN void fold_batches(const block_items* sources, const int32_t* items, const csr_batch& csr,
                           batch_rows<width, count>* rows, float (*sum)[width]) {
@@ -248,7 +249,7 @@ LANE_FN void sum_row(const csr_batch& csr, uint64_t items, batch_rows<width, cou
 #pragma unroll
   for (int c = 0; c < width; ++c) put_columnf(out, width, c, row, sum[0][c]);
 }
-// Without offsets: all rows have as many items.
+// Sums rows without offsets: all rows have equally many items.
 template <int width, class S, class O>
 LANE_FN void sum_even_row(const uint64_t* w, const S init, const O out, int64_t row) {
   const float* const source = (const float*)w[0];
@@ -269,7 +270,7 @@ LANE_FN void sum_even_row(const uint64_t* w, const S init, const O out, int64_t 
   for (int c = 0; c < width; ++c) put_columnf(out, width, c, row, sum[c]);
 }
 
-// Arguments of an operation with the tables of its loops, which the chain has loaded.
+// The arguments of an operation, with the tables of its loops that the chain has loaded.
 template <int loops>
 struct words_and_tables {
   const uint64_t* words;
@@ -280,7 +281,7 @@ template <int loops>
 LANE_FN csr_batch csr_first(const words_and_tables<loops> args, int32_t, int32_t loop, int64_t) {
   return *args.tables[loop];
 }
-// What a thread keeps in shared memory until its chain comes again.
+// The values that a thread keeps in shared memory until its chain runs again.
 #if PERSISTENT_KEPT != 0
 #if PERSISTENT_LAYOUTS != 0
 #define g_kept ((int32_t*)(memory.rows + PERSISTENT_ITEMS + 2 * PERSISTENT_HALO))
@@ -316,7 +317,7 @@ LANE_FN void take_kept(int32_t*& at, int32_t (&words)[count]) {
 #pragma unroll
   for (int c = 0; c < count; ++c) take_kept(at, words[c]);
 }
-// The own rows of a chain, before they are needed.
+// Loads the own rows of a chain before they are needed.
 template <int width, bool aligned>
 LANE_FN void own_words(uint64_t p, int64_t i, int32_t* words) {
   const int32_t* const row = in_memory((const int32_t*)p + i * width);
@@ -332,8 +333,8 @@ LANE_FN void own_words(uint64_t p, int64_t i, int32_t* words) {
   }
 }
 
-// Where a plan says who has which row, nobody looks for chains: instead the header of a record says
-// what will be loaded two records on, which all blocks bring near: an address, and bytes.
+// If a plan gives the row of each thread, no search for chains is needed. The header of a record
+// then has the address and the bytes of the record two phases later, which all blocks prefetch.
 constexpr uint32_t kHeader = 4;
 #if PERSISTENT_EARLY != 0 && PERSISTENT_HALO != 0
 LANE_FN void fetch_early(const uint64_t* record) {
@@ -343,8 +344,8 @@ LANE_FN void fetch_early(const uint64_t* record) {
   vendor_prefetch_bytes(record[2] + first, (uint32_t)(rest < part ? rest : part));
 }
 #endif
-// What an early half leaves in memory: the first four words for all threads that load it, block
-// after block, then the next four. So a warp loads whole lines, whichever rows it has.
+// The memory layout of the results of an early half: the first four words of all threads, block
+// after block, then the next four words. A warp then loads whole lines for any rows.
 template <int width>
 LANE_FN void store_early(uint64_t p, uint64_t slots, uint32_t slot, const int32_t* words) {
   four_words* at = in_memory((four_words*)p + slot);
@@ -367,10 +368,10 @@ LANE_FN void load_early(uint64_t p, uint64_t slots, uint32_t slot, int32_t* word
   }
 }
 
-// A barrier in two halves. A thread that has arrived is done with its phase; one that has waited
-// sees what all threads of all blocks wrote before they arrived. Between the two it may do what does
-// not depend on that. `wrote`: whether its warp wrote to memory, for which a fence is needed that
-// takes hundreds of cycles. `count`: of the barriers before.
+// A barrier in two halves. A thread that has arrived has finished its phase. A thread that has
+// waited sees all writes of all threads of all blocks before they arrived. Between the halves a
+// thread may do work that does not depend on these writes. `wrote`: the warp wrote to memory, which
+// needs a fence of hundreds of cycles. `count`: the number of earlier barriers.
 #if PERSISTENT_FORM == 0  // one block
 LANE_FN void phase_arrive(bool) {}
 LANE_FN void phase_wait(uint32_t* = 0, uint32_t = 0) {
@@ -381,14 +382,14 @@ LANE_FN void last_barrier(uint32_t*) {}
 LANE_FN void phase_arrive(bool wrote) { vendor_cluster_arrive(wrote); }
 LANE_FN void phase_wait(uint32_t* = 0, uint32_t = 0) { vendor_cluster_wait(); }
 LANE_FN void last_barrier(uint32_t*) {}
-#else  // all blocks, which the launch has made sure run at the same time
+#else  // all blocks; the launch ensures that they run at the same time
 LANE_FN void phase_arrive(bool) {}
 LANE_FN void phase_wait(uint32_t* counter, uint32_t count) {
   __syncthreads();
   if (threadIdx.x == 0) vendor_grid_barrier(counter, gridDim.x * (count + 1));
   __syncthreads();
 }
-// The block that is last to leave makes the counters ready for the next launch.
+// The last block that leaves resets the counters for the next launch.
 LANE_FN void last_barrier(uint32_t* counter) {
   __syncthreads();
   if (threadIdx.x != 0 || atomicAdd(counter + 1, 1u) != gridDim.x - 1) return;
@@ -397,17 +398,18 @@ LANE_FN void last_barrier(uint32_t* counter) {
 }
 #endif
 
-// Where sums add what the block has made in the phase before, the warps that make it hand it over to
-// those that sum it, which wait for that alone, and for the other blocks before they store.
+// For sums of items that the same block made in the phase before. The warps that make the items
+// hand them over to the warps that add them. The adding warps wait only for this handover, and for
+// the other blocks before they store.
 #if PERSISTENT_LAYOUTS != 0
-// This orders what was stored before, as a barrier does.
+// The handover orders earlier stores, as a barrier does.
 LANE_FN void hand_over() { vendor_hand_over<PERSISTENT_THREADS>(); }
 LANE_FN void take_over() { vendor_take_over<PERSISTENT_THREADS>(); }
 #endif
 
-// The halo: rows that sums leave, where elements of this block read them. Whoever has such a row sends
-// it to the memory of each block that needs it, whose barrier counts the bytes that have come: no fence
-// stands between, and what is stored for others, later, is not waited for.
+// The halo: rows that sums of one block compute and elements of another block read. The owner of a
+// row sends it to the memory of each block that needs it. A barrier there counts the received
+// bytes. This needs no fence, and nobody waits for later stores.
 #if PERSISTENT_HALO != 0
 constexpr uint32_t kSenders = PERSISTENT_THREADS - VENDOR_WARP * PERSISTENT_MAKERS;
 __shared__ uint64_t g_came[2];  // the barriers
@@ -422,15 +424,15 @@ LANE_FN uint32_t in_block(uint32_t address, uint32_t block) {
 LANE_FN void begin_barrier() {
   vendor_begin_bytes(in_shared(g_came));
 }
-// Turns are counted from 0, modulo four: odd ones have a barrier and rows of their own, and each
-// second one of these has the other parity.
+// Turns are counted from 0, modulo four. Even and odd turns have separate barriers and rows. The
+// parity of a barrier alternates from one of its turns to the next.
 LANE_FN void expect_rows(const uint32_t turn) {
   vendor_expect_bytes(in_shared(g_came + turn % 2), g_halo_bytes);
 }
 LANE_FN void wait_halo(const uint32_t turn) {
   vendor_wait_bytes(in_shared(g_came + turn % 2), turn / 2 % 2);
 }
-// Where a thread sends a row, whose lane has it, and whether it sends one.
+// The destination of a row, the lane that has the row, and whether the thread sends one.
 struct halo_send {
   uint32_t to, came, lane, on;
 };
@@ -446,8 +448,8 @@ LANE_FN four_words* halo_of(const block_memory memory, const uint32_t turn) {
 struct halo_sends {
   halo_send rounds[PERSISTENT_ROUNDS];
 };
-// A send is lane << 24 | block << 16 | row, and whether it is one. Few lanes have a row, which go to
-// several blocks: all lanes of the warp send.
+// A send is lane << 24 | block << 16 | row, and a flag. Few lanes have a row, which goes to several
+// blocks, so all lanes of the warp send.
 LANE_FN halo_sends begin_sends(const block_memory memory) {
   const uint32_t turn = memory.turn + 1;
   halo_sends sends;
@@ -477,14 +479,13 @@ struct halo_rows {
 struct halo_row {
   four_words words;
 };
-// Behind the last row of an array comes one of zeros. No element names a row behind that: see
-// plan_halo.
+// A row of zeros follows the last row of an array. No element names a row after it: see plan_halo.
 LANE_FN halo_row row_of(const halo_rows s, int32_t row, int32_t, vb, int32_t, row_failure&) {
   const uint32_t at = (uint32_t)row < s.rows ? (uint32_t)row : s.rows;
   return {s.array[at]};
 }
 LANE_FN int32_t column_of(const halo_row r, int32_t column) { return r.words.word[column]; }
-// `sends`: those of all blocks, then the bytes that each of them gets.
+// `sends`: the sends of all blocks, then the bytes that each block receives.
 LANE_FN void begin_halo(const block_memory memory, const uint32_t* sends) {
   for (uint32_t k = threadIdx.x; k < 2 * PERSISTENT_HALO; k += PERSISTENT_THREADS)
     memory.rows[PERSISTENT_ITEMS + k] = {};
@@ -495,7 +496,8 @@ LANE_FN void begin_halo(const block_memory memory, const uint32_t* sends) {
   g_halo_bytes = __ldg(sends + gridDim.x * words + blockIdx.x);
   begin_barrier();
 }
-// Rows that come from memory: of a record of from, base << 32 | rows, width for each array.
+// Loads the rows of the halo that come from memory. A record has, for each array: from, base << 32
+// | rows, width.
 LANE_FN void fill_halo(const block_memory memory, const uint64_t* record) {
   four_words* const halo = halo_of(memory, memory.turn);
   for (uint32_t k = 0; k < (uint32_t)record[1]; ++k) {
@@ -510,19 +512,19 @@ LANE_FN void fill_halo(const block_memory memory, const uint64_t* record) {
 }
 #endif
 
-// `on`: whether the thread has the row, or only goes along with those that have. `owns`: whether it
-// stores the row, which other blocks may compute, too.
+// `on`: the thread has the row; else it only takes part. `owns`: the thread stores the row, which
+// other blocks may compute too.
 LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i, const bool on,
                        const bool owns, const block_memory memory, const device_sink sink);
 
 constexpr uint32_t kWarps = PERSISTENT_THREADS / VENDOR_WARP;
 #if PERSISTENT_LAYOUTS != 0
-// Which row a thread has is said by the layout of the phase: see BlockPlan. A task is
+// The layout of the phase gives the row of each thread: see BlockPlan. A task is
 //   form << 48 | the first word of the arguments << 32 | layout << 16 | what the warp does
 constexpr uint32_t kWorks = 1, kStores = 2, kHandsOver = 4, kTakesOver = 8, kKeeps = 16;
 constexpr uint32_t kSends = 32, kTurnShift = 6, kFills = 256, kLayoutShift = 16;
 constexpr uint32_t kOn = 1u << 30, kOwns = 1u << 31;
-// Early halves of all phases, as a launch of its own: job after job, kEarlyThreads slots for a block.
+// Early halves of all phases, as a separate launch: job after job, kEarlyThreads slots for a block.
 // A job is the early half of a chain in a phase:
 //   slots << 32 | form      the first word of its arguments      bytes before the layout of its phase
 //   its first thread of a block << 32 | threads of a block
@@ -535,7 +537,7 @@ LANE_FN void run_job(const uint64_t* table, const uint64_t* job, const uint32_t 
   if (slot >= high_half(job[0])) return;
   const uint32_t threads = low_half(job[3]), thread = high_half(job[3]) + slot % threads;
   const uint32_t* const rows = (const uint32_t*)((const char*)table + job[2]);
-  // Lanes that go along, too: lines that have gaps take longer to write.
+  // Lanes that only take part write too, because lines with gaps take longer to write.
   const uint32_t row = rows[slot / threads * PERSISTENT_THREADS + thread] & (kOn - 1);
   run_early(low_half(job[0]), table + job[1], row, slot, sink);
 }
@@ -569,7 +571,8 @@ LANE_FN void run_task(const uint64_t* record, uint64_t task, block_memory memory
   }
 #endif
   if ((how & kWorks) == 0) {
-    // As those that work: whoever hands over before the wait might do so twice within one phase.
+    // The same order as for working warps: a handover before the wait could happen twice within one
+    // phase.
     if ((how & kTakesOver) != 0) take_over();
     phase_wait();
     if ((how & kHandsOver) != 0) hand_over();
@@ -582,7 +585,7 @@ LANE_FN void run_task(const uint64_t* record, uint64_t task, block_memory memory
 }
 LANE_FN bool stores(uint64_t task) { return (low_half(task) & kStores) != 0; }
 #elif PERSISTENT_TASKS != 0
-// Waits for the phase before, too, after what the chain may do early.
+// Runs a task. The wait for the phase before comes after the early part of the chain.
 LANE_FN void run_task(const uint64_t* record, uint64_t task, const block_memory memory,
                       const device_sink sink) {
   const uint32_t lane = threadIdx.x % VENDOR_WARP, rows = low_half(task) >> 24;
@@ -600,7 +603,7 @@ LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
   const uint64_t* const chain = record + 2;
   const uint32_t chains = low_half(record[1]) & 0xffff, lanes = low_half(record[1]) >> 16;
   const uint32_t warps = high_half(record[1]), lane = threadIdx.x % VENDOR_WARP;
-  // Neighbors go to different blocks, so that few warps use many units.
+  // Neighboring warps go to different blocks, so that few warps use many units.
 #pragma unroll 1
   for (uint32_t warp = threadIdx.x / VENDOR_WARP * gridDim.x + blockIdx.x; warp < warps;
        warp += gridDim.x * kWarps) {
@@ -619,19 +622,20 @@ LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
 #else
 #define PERSISTENT_CLUSTER
 #endif
-// An address in shared memory that stays in a register. Compilers find it anew for each use, which
-// takes longer in a cluster: the number of the block is part of it.
+// Keeps an address in shared memory in a register. Compilers would compute it anew for each use. In
+// a cluster this takes longer, because the number of the block is part of the address.
 #define stay(p) vendor_stays_shared(p)
 struct persistent_start {
   uint64_t words;  // of the first record
-  uint64_t tasks;  // where those of the warps lie
-  uint64_t rows;   // where those of the threads lie
-  uint64_t turns;  // of the halo
+  uint64_t tasks;  // the first task of a warp
+  uint64_t rows;  // the first row of a thread
+  uint64_t turns;  // turns of the halo
 };
 VENDOR_ENTRY PERSISTENT_CLUSTER __launch_bounds__(PERSISTENT_THREADS, 1) novaphy_main(
     const __grid_constant__ persistent_start start, uint64_t* table, const int64_t counters,
     const device_sink sink) {
-  // Of this phase, of the next one, and of the one after it, which is loaded during this one.
+  // The records of this phase, of the next one, and of the one after it, which is loaded during
+  // this phase.
   __shared__ uint64_t records[3][PERSISTENT_WORDS];
   uint64_t *record = stay(records[0]), *next = stay(records[1]), *later = stay(records[2]);
 #if PERSISTENT_LAYOUTS != 0
@@ -639,7 +643,7 @@ VENDOR_ENTRY PERSISTENT_CLUSTER __launch_bounds__(PERSISTENT_THREADS, 1) novaphy
 #else
   const block_memory memory = {0, 0};
 #endif
-  uint64_t head = __ldg(table);  // of the record after `record`, then of the one after that
+  uint64_t head = __ldg(table);  // header of the record after `record`, then of the one after that
   bool is_last = high_half(head) == 0;
   for (uint32_t k = threadIdx.x; k < start.words; k += PERSISTENT_THREADS)
     record[k] = __ldg(table + k);
@@ -660,7 +664,7 @@ VENDOR_ENTRY PERSISTENT_CLUSTER __launch_bounds__(PERSISTENT_THREADS, 1) novaphy
 #endif
   __syncthreads();
 #if PERSISTENT_TASKS != 0
-  phase_arrive(PERSISTENT_HALO != 0);  // others send rows to where zeros are now
+  phase_arrive(PERSISTENT_HALO != 0);  // other blocks send rows to memory that is zeroed here
 #endif
 #pragma unroll 1
   for (uint32_t phase = 0;; ++phase) {
@@ -690,7 +694,8 @@ VENDOR_ENTRY PERSISTENT_CLUSTER __launch_bounds__(PERSISTENT_THREADS, 1) novaphy
     if (is_last) break;
     is_last = words == 0;
     head = next_head;
-    // The record of the phase before is no longer read: all have waited for each other since.
+    // The record of the phase before is no longer read, because all threads have passed a barrier
+    // since.
 #pragma unroll
     for (int k = 0; k < kWordsPerThread; ++k) {
       const uint32_t at = threadIdx.x + k * PERSISTENT_THREADS;
@@ -703,7 +708,7 @@ VENDOR_ENTRY PERSISTENT_CLUSTER __launch_bounds__(PERSISTENT_THREADS, 1) novaphy
     phase_arrive(wrote);
   }
 #if PERSISTENT_HALO != 0
-  // Nobody leaves before all has come that others send.
+  // A block leaves only after all rows from other blocks have arrived.
   wait_halo((uint32_t)start.turns + 2);
   wait_halo((uint32_t)start.turns + 3);
 #endif

@@ -1,5 +1,5 @@
-// What is CUDA's own in device code, and the only file with PTX. It comes first in every text, and
-// generic.cuh, which says what the functions do, behind it.
+// CUDA's own part of device code, and the only file with PTX. This file comes first in every text.
+// generic.cuh follows, and describes the functions.
 #define VENDOR_FN static __device__ __forceinline__
 #define VENDOR_ENTRY extern "C" __global__ void
 #define VENDOR_HAS_GRID_CONSTANT
@@ -62,12 +62,12 @@ VENDOR_FN void vendor_grid_barrier(unsigned* counter, unsigned all) {
   } while (seen < all);
 }
 
-// Clusters have no stand-in elsewhere: texts that need them are for vendors that have them.
+// Clusters have no generic version. Texts that need clusters are for vendors that have them.
 VENDOR_FN void vendor_cluster_arrive(bool wrote) {
   if (wrote) {
     asm volatile("barrier.cluster.arrive.release;" ::: "memory");
   } else {
-    __threadfence_block();  // for its part of a record, which only the block reads
+    __threadfence_block();  // for its part of a record, which only this block reads
     asm volatile("barrier.cluster.arrive.relaxed;" ::: "memory");
   }
 }
@@ -80,7 +80,8 @@ VENDOR_FN void vendor_prefetch_bytes(unsigned long long p, unsigned bytes) {
 VENDOR_FN int vendor_of_lane(int word, unsigned lane) {
   return __shfl_sync(0xffffffffu, word, lane);
 }
-// Addresses in the shared memory of this block, and the same in another one of the cluster.
+// Returns an address in the shared memory of this block, or the same address in another block of
+// the cluster.
 VENDOR_FN unsigned vendor_in_shared(const void* p) {
   return (unsigned)__cvta_generic_to_shared(p);
 }
@@ -89,7 +90,7 @@ VENDOR_FN unsigned vendor_in_block(unsigned address, unsigned block) {
   asm("mapa.shared::cluster.u32 %0, %1, %2;" : "=r"(there) : "r"(address), "r"(block));
   return there;
 }
-// Two barriers at an address, which count the bytes that come.
+// Initializes two barriers at an address. They count the received bytes.
 VENDOR_FN void vendor_begin_bytes(unsigned barriers) {
   asm volatile(
       "mbarrier.init.shared::cta.b64 [%0], 1;\n"
@@ -115,7 +116,7 @@ VENDOR_FN void vendor_wait_bytes(unsigned barrier, unsigned parity) {
         : "memory");
   } while (came == 0);
 }
-// Four words to another block, whose barrier counts them; nothing where `on` is 0.
+// Sends four words to another block, whose barrier counts them. Sends nothing if `on` is 0.
 VENDOR_FN void vendor_send_words(unsigned to, unsigned barrier, unsigned on, const int* words) {
   asm volatile(
       "{\n"

@@ -8,8 +8,8 @@
 
 namespace novaphy::testing {
 
-// A block of one cell, a cloth of two by two cells beside it with springs and bending; soft enough
-// that differences of float32 forces mean something.
+// A block of one cell, and beside it a cloth of two by two cells with springs and bending. All are
+// so soft that differences of float32 forces are significant.
 inline std::shared_ptr<Model> make_elements_model(Device device = Device::cpu()) {
   ModelBuilder builder(Axis::Z, 0.0f);
   builder.add_soft_grid({.cell_x = 0.8,

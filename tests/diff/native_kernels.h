@@ -33,8 +33,8 @@ inline void host_parallel_for(int64_t chunks, void (*body)(void*, int64_t), void
   parallel_for(chunks, body, context);
 }
 
-// Arguments for a launch of n rows: random numbers with edge values among them, rows in range but
-// for negative ones.
+// Arguments for a launch of n rows: random numbers, some of them edge values. Row indices are in
+// range, except for negative ones.
 class RandomArguments {
  public:
   RandomArguments(const ir::Program& p, int64_t n, uint32_t seed) : random_(seed) {
@@ -150,7 +150,8 @@ inline const novaphy_host_api& host_api() {
   return host;
 }
 
-// The table of the plugin, which has the compiled kernels; null, and a failed test, without it.
+// Returns the table of the plugin with the compiled kernels. Without the plugin the test fails, and
+// the result is null.
 inline const novaphy_backend_api* plugin_api() {
   void* library = dlopen(NOVAPHY_CPU_PLUGIN, RTLD_NOW | RTLD_LOCAL);
   EXPECT_NE(library, nullptr) << dlerror();

@@ -78,7 +78,7 @@ TEST(CapturedCollide, FindsTheContactsOfEveryReplay) {
   }
 }
 
-// The pairs were counted when it was recorded.
+// The recording has counted the pairs.
 TEST(CapturedCollide, RefusesAReplayAfterShapesChangedWhatTheyMeet) {
   Falling scene(2);
   ScopedCapture scope;
@@ -97,7 +97,7 @@ TEST(CapturedCollide, StandsOnATapeBesideLeaves) {
   EXPECT_NO_THROW(scene.advance());
 }
 
-// Training on a rollout that finds its contacts anew in each substep.
+// Training on a rollout that finds new contacts in each substep.
 struct Training {
   static constexpr int kSteps = 60;
 
@@ -105,7 +105,7 @@ struct Training {
     for (int t = 0; t <= kSteps; ++t) states.push_back(model->state());
     for (int t = 0; t < kSteps; ++t) contacts.push_back(pipeline.contacts());
     std::vector<Vec3f> q = states[0].particle_q.to_host();
-    // Some rest on the ground, some hit it, some the wall, some both at once.
+    // Some balls rest on the ground, some hit the ground, some the wall, some both at once.
     for (size_t k = 0; k < q.size(); ++k)
       q[k] = {0.01f * static_cast<float>(k % 50), 1.4f + 0.03f * static_cast<float>(k % 9),
               0.05f + 0.04f * static_cast<float>(k % 13)};
@@ -164,7 +164,7 @@ TEST(CapturedCollide, InEverySubstepOfTrainingGivesTheGradientsOfStepByStep) {
     scope->end();
     for (const int threads : {1, 2, 7}) {
       const Threads guard(threads);
-      // Other velocities, so other contacts than those that the capture saw.
+      // Other velocities give other contacts than those during the capture.
       const std::vector<Vec3f> qd(static_cast<size_t>(balls),
                                   {0.0f, 1.0f + static_cast<float>(threads), -2.0f});
       for (Training* scene : {&direct, &captured}) {

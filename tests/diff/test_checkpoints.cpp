@@ -22,7 +22,7 @@ using nova::Tensor;
 constexpr int kSteps = 60;
 
 struct Result {
-  std::vector<Vec3f> q;  // of some states
+  std::vector<Vec3f> q;  // the positions of some states
   std::vector<float> grad_q, grad_qd, grad_material;
   float loss = 0.0f;
   bool operator==(const Result&) const = default;
@@ -121,7 +121,7 @@ TEST(Checkpoints, ABackwardThatIsCalledTwiceGivesTwice) {
               run(model, solver, &contacts, ke, {.backwards = 2}));
 }
 
-// Runs it; the message of what it throws.
+// Runs f, and returns the message of its exception.
 template <class F>
 std::string message_of(F&& f) {
   try {

@@ -67,7 +67,7 @@ Result run(int balls, Way way, int steps = 60,
   } else {
     iteration();
   }
-  if (keep == nova::KeepGradients::Leaves) {  // what lies between takes no memory
+  if (keep == nova::KeepGradients::Leaves) {  // gradients of states in between take no memory
     for (int t = 1; t <= steps; ++t)
       EXPECT_EQ(nova::grad_info(*state(t).particle_qd.range()).grad, nullptr) << t;
   }
@@ -89,7 +89,7 @@ void expect_same(const Result& actual, const Result& expected) {
   EXPECT_EQ(actual.loss, expected.loss);
 }
 
-// Sizes on both sides of what runs lane by lane, in one block, and in several blocks.
+// Sizes that run lane by lane, in one block, and in several blocks.
 class Determinism : public ::testing::TestWithParam<int> {};
 
 TEST_P(Determinism, AnyNumberOfThreadsGivesTheSameBits) {
@@ -138,7 +138,7 @@ TEST(Determinism, TwoThreadsWithATapeEachGiveTheSameBits) {
 
 TEST(Determinism, AForkedChildGivesTheSameBits) {
   const Threads scope(2);
-  const Result expected = run(5000, Way::Rollout, 10);  // the threads are there before the fork
+  const Result expected = run(5000, Way::Rollout, 10);  // creates the threads before the fork
   const pid_t child = fork();
   ASSERT_GE(child, 0);
   if (child == 0) _exit(run(5000, Way::Rollout, 10) == expected ? 0 : 1);

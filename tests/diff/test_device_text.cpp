@@ -1,4 +1,4 @@
-// The device text of the engine's kernels, as far as it can be tested without a device.
+// Tests of the device text of the engine's kernels that need no device.
 #include <gtest/gtest.h>
 
 #include <regex>
@@ -12,7 +12,7 @@
 namespace novaphy {
 namespace {
 
-// The first value that is read where nothing in scope declares it; empty if there is none.
+// Returns the first value that is read without a declaration in scope; empty if all are declared.
 std::string undeclared(const std::string& text) {
   static const std::regex declaration(R"(\bv[fib] (v\d+(?:(?:_\w+)?, v\d+)*))");
   static const std::regex name(R"(\bv\d+\b)");

@@ -24,7 +24,7 @@ namespace {
 
 using nova::Tensor;
 
-// One operator: which elements act, what it computes, its inputs after particle_f.
+// One operator: the elements that act, its function, and its inputs after particle_f.
 struct Operator {
   const char* name;
   std::function<Tensor(const Model&, const std::vector<Tensor>&)> eval;
@@ -271,7 +271,7 @@ TEST(Tetrahedron, ZeroVolumetricStiffnessIsAFiniteLimit) {
   EXPECT_NE(gradients[4][0], 0.0f);  // k_mu
   EXPECT_EQ(gradients[4][1], 0.0f);  // k_lambda: exactly 0
   EXPECT_EQ(gradients[3][0], 0.0f);  // activation: of a stiffness of 0
-  // The volumetric part is out of it: the force is the one of a small lambda without its term.
+  // The force lacks the volumetric part: it is the force of a small lambda without its term.
   const One damped(kTetrahedra, tetrahedron(0.0f, 0.0f, 0.5f), kTetrahedron, q, kSlow);
   norm = 0.0;
   for (const float f : damped.forces()) norm += std::fabs(static_cast<double>(f));
@@ -370,7 +370,7 @@ TEST(Spring, EndsInOnePointHaveNoForce) {
   one.gradients();
 }
 
-// Where the damping is 0 no velocity is looked at; its own gradient is there all the same.
+// Without damping the forces do not depend on velocities. The damping still has a gradient.
 TEST(Damping, OfZeroNeedsNoVelocitiesAndHasAGradient) {
   struct Case {
     const Operator& op;
@@ -446,7 +446,7 @@ TEST(Elements, BadInputNamesTheArgument) {
   }
 }
 
-// A kernel reads a row that is not there as zeros: a particle at the origin.
+// A kernel would read a missing row as zeros: a particle at the origin.
 TEST(Elements, OfAParticleThatIsNotThereAreRefusedByNameAndEntry) {
   const auto spoil = [](Array& indices, int32_t value) {
     std::vector<int32_t> entries(indices.bytes() / sizeof(int32_t));

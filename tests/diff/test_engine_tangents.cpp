@@ -34,7 +34,7 @@ TEST(EngineKernels, KeepTheDotProductIdentity) {
   EXPECT_TRUE(names.contains("integrate_particles"));
 }
 
-// A part of what is built ahead takes the adjoint of the whole. Zeros may differ in their signs.
+// A part of the compiled gradients uses the adjoint of all of them. The signs of zeros may differ.
 TEST(EngineKernels, GiveTheSameGradientsWhateverElseIsAskedFor) {
   int parts = 0;
   for (const nova::EngineKernel& k : all_kernels()) {

@@ -129,7 +129,7 @@ TEST(Mass, TrainedInACaptureHasTheBitsOfTrainingStepByStep) {
     }
     EXPECT_TRUE(same_bits<Vec3f>(later.end(), end));
     EXPECT_TRUE(same_bits<float>(later.mass.to_host(), now.mass.to_host()));
-    // What runs outside of the list follows too.
+    // A step outside of the list follows the change too.
     EXPECT_EQ(later.loss().item(), after);
   }
 }

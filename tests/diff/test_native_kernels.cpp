@@ -23,9 +23,9 @@ namespace {
 
 TEST(NativeKernels, NoneOfTheEngineIsMissing) {
   const std::vector<ir::Program> programs = engine_programs();
-  // What is compiled ahead stays small: 140 for the kernels that there were when this was set, and
-  // at most 5 for each new one (push box, relu, softplus, two of random numbers, held rigid rows,
-  // acos, atan2, cross, four of quaternions).
+  // Bounds the number of Programs that are compiled ahead: 140 for the first kernels, and at most 5
+  // for each later one (push box, relu, softplus, two of random numbers, held rigid rows, acos,
+  // atan2, cross, four of quaternions).
   constexpr size_t kNewKernels = 13;
   EXPECT_LT(programs.size(), 140 + 5 * kNewKernels);
   std::set<std::string> names;
@@ -101,7 +101,7 @@ TEST(NativeKernels, ATrainingIterationOfBallsRunsNothingElse) {
   EXPECT_GE(seen, 5);
 }
 
-// Whatever part of the declared gradients is asked for, and whichever outputs have one.
+// For any part of the declared gradients, and for any outputs with a gradient.
 TEST(NativeKernels, NoPartOfTheGradientsOfAnOperatorIsInterpreted) {
   std::set<uint64_t> before;
   for (const nova::KernelInfo& info : nova::kernel_info()) before.insert(info.hash);
@@ -131,7 +131,7 @@ TEST(NativeKernels, NoPartOfTheGradientsOfAnOperatorIsInterpreted) {
     }
 }
 
-// A device of a backend's table, and what ran on it.
+// A device of a backend's table, and the record of its launches.
 class Machine {
  public:
   explicit Machine(const novaphy_backend_api* api) : api_(api) {
@@ -145,8 +145,8 @@ class Machine {
   }
   Machine(const Machine&) = delete;
 
-  // The status and message, and the outputs behind them. `in_place`: per output the source whose
-  // memory it is, or -1.
+  // Returns the status and the message of a launch, and writes its outputs. `in_place`: for each
+  // output the source that shares its memory, or -1.
   std::string run(const ir::Program& p, int64_t n, std::vector<uint64_t> arguments,
                   std::vector<std::vector<uint32_t>>& outputs, bool native,
                   const std::vector<int32_t>& in_place = {}) const {
@@ -184,7 +184,7 @@ class Machine {
   novaphy_stream* stream_ = nullptr;
 };
 
-// For every output a source of the same shape that is read at the own row, or -1.
+// Returns for every output a source of the same shape that is read at the own row, or -1.
 std::vector<int32_t> sources_in_place(const ir::Program& p) {
   std::vector<int32_t> found(p.outputs.size(), -1);
   for (size_t s = 0; s < p.sources.size(); ++s) {

@@ -81,9 +81,9 @@ class CompiledKernel {
 
 constexpr int kLaunches = 11;
 
-// The arguments of launches that hand their outputs on, and the arrays of these outputs. `buffers`:
-// so many arrays for each output take turns. `reads_back`: what varies is what the launch before
-// has written, where it has the shape.
+// The arguments of launches that pass their outputs on, and the arrays of these outputs. `buffers`:
+// the number of arrays that each output uses in turns. `reads_back`: a varying source is the output
+// of the launch before, if the shapes agree.
 class Chain {
  public:
   Chain(const ir::Program& p, const ir::Scan& scan, int64_t n, uint32_t seed, int buffers,
@@ -177,8 +177,8 @@ TEST(NativeScans, EveryOneGivesTheBitsOfItsLaunches) {
   EXPECT_GT(compared, 500);
 }
 
-// What an adjoint takes over from its primal: which launches were quiet. With other
-// parameters, or a state that the primal wrote twice, it asks once more.
+// An adjoint takes the list of quiet launches from its primal. With other parameters, or a state
+// that the primal wrote twice, the adjoint tests the launches itself.
 TEST(NativeScans, AdjointsAfterTheirPrimalsGiveTheBitsOfTheirLaunches) {
   const novaphy_backend_api* api = plugin_api();
   ASSERT_NE(api, nullptr);
@@ -213,7 +213,7 @@ TEST(NativeScans, AdjointsAfterTheirPrimalsGiveTheBitsOfTheirLaunches) {
                 novaphy_scan* first = primal.scan(forward.launches);
                 novaphy_scan* then = adjoint.scan(backward.launches, first);
                 ASSERT_NE(first, nullptr);
-                if (then == nullptr) {  // it reads a state that does not vary in its scan
+                if (then == nullptr) {  // the adjoint reads a state that does not vary in its scan
                   api->scan_destroy(first);
                   primal.launch(forward.launches, n);
                   adjoint.launch(backward.launches, n);
@@ -254,7 +254,7 @@ TEST(NativeScans, StepsOfParticlesAreScans) {
   EXPECT_EQ(found["tetrahedron_forces"], 0);
 }
 
-// What is a scan, and whose adjoint a Program is, does not depend on names.
+// Names do not decide what a scan is, nor whose adjoint a Program is.
 TEST(NativeScans, NamesDecideNothing) {
   const auto renamed = [](ir::Program p) {
     p.name = "p" + std::to_string(p.instrs.size());

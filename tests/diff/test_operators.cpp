@@ -23,8 +23,8 @@ using nova::Tensor;
 
 constexpr float kDt = 0.01f;
 
-// Particles that penetrate or stand clear of tilted shapes of all four types, away from the kinks
-// of the law.
+// Particles that penetrate tilted shapes of all four types, or are apart from them, away from the
+// kinks of the law.
 std::shared_ptr<Model> make_model() {
   ModelBuilder builder;
   const float s = std::sin(0.2f), c = std::cos(0.2f);

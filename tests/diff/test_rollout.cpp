@@ -256,7 +256,7 @@ TEST(Rollout, ATrajectoryHoldsEveryFieldOfAState) {
   EXPECT_EQ(applied, (std::set<std::string_view>{"particle_f", "body_f"}));
 }
 
-// Says that a call is under way, as one of another thread would.
+// Marks the solver as used, as a call in another thread would.
 class BusySolver : public DiffSemiImplicitSolver {
  public:
   using DiffSemiImplicitSolver::DiffSemiImplicitSolver;

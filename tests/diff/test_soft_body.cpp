@@ -121,7 +121,7 @@ TEST(SoftBodyDiff, TheGradientIsThatOfDifferences) {
   }
 }
 
-// Which leaves out the gradient of the damping, as no parameter gives it.
+// The tape leaves out the gradient of the damping, because no parameter sets the damping.
 TEST(SoftBodyDiff, ATapeThatKeepsLeavesOnlyGivesTheSameGradient) {
   SoftBody all(60), leaves(60);
   all.iterate();

@@ -55,7 +55,7 @@ Vec3f velocity_gradient(const Model& model, const Vec3f& w) {
   return {g[0], g[1], g[2]};
 }
 
-// Of -kf (1 - n nT) v.
+// Returns the gradient of the viscous friction -kf (1 - n nT) v.
 Vec3f expected_gradient(const Vec3f& n, const Vec3f& w) { return (w - n * math::dot(n, w)) * -kKf; }
 
 void expect_near(const Vec3f& a, const Vec3f& b) {
@@ -74,7 +74,7 @@ TEST(FrictionAtRest, HasTheDerivativeOfViscousFriction) {
     for (const Vec3f& v : {Vec3f{}, Vec3f{-0.0f, 0.0f, -0.0f}, n * 1e-30f, Vec3f{1e-30f, 0, 0}})
       expect_near(velocity_gradient(*make_model({v}, q), kSeed), expected_gradient(n, kSeed));
   }
-  // What approaches along the normal is damped as well.
+  // An approach along the normal is damped as well.
   const Vec3f down = {0.0f, 0.0f, -0.3f}, z = {0.0f, 0.0f, 1.0f};
   expect_near(velocity_gradient(*make_model({down}, Quatf::identity()), kSeed),
               expected_gradient(z, kSeed) - z * (kKd * kSeed.z));
@@ -125,8 +125,8 @@ TEST(FrictionAtRest, TracedHasTheBitsOfTheForwardLaw) {
   EXPECT_TRUE(same_bits<float>(actual, std::span(&expected[0].x, 3 * expected.size())));
 }
 
-// A particle at rest, pressed into the ground so that the spring carries its weight: what it slides
-// in 200 substeps, by its initial velocity.
+// A particle at rest, pressed into the ground so that the spring carries its weight. Returns its
+// sliding distance in 200 substeps as a function of its initial velocity.
 class Slide : public ::testing::Test {
  protected:
   static constexpr int32_t kSteps = 200;

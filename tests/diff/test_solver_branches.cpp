@@ -110,7 +110,7 @@ TEST(FrictionBranch, OfAParticleAtRestHasTheGradientOfDifferences) {
     tape.backward(scene.loss());
   }
   const std::vector<float> gradient = qd.grad().to_host();
-  // Along y, where it stands at 0 and the steps are not rounded away.
+  // Along y, where the particle is at 0 and rounding does not remove the differences.
   const float target = scene.file["target"].as<Vec3f>()[0].y;
   const auto loss_at = [&](float v) {
     std::vector<float> start(qd.to_host());
@@ -124,17 +124,17 @@ TEST(FrictionBranch, OfAParticleAtRestHasTheGradientOfDifferences) {
   constexpr float kEps = 1e-2f;
   const double fd = (loss_at(kEps) - loss_at(-kEps)) / (2.0 * static_cast<double>(kEps));
   EXPECT_NEAR(gradient[1], fd, 1e-2 * std::fabs(fd));
-  // Newton returns 50 times as much, as if nothing held the particle.
+  // Newton returns 50 times as much, as if there were no friction.
   EXPECT_LT(std::fabs(fd),
             0.05 * std::fabs(static_cast<double>(scene.file["grad_qd"].as<float>()[1])));
-  // Friction is the same in all directions: along x by the same factor of what no friction gives.
+  // Friction reduces the gradient by the same factor in all directions, relative to no friction.
   const auto free = scene.file["grad_qd"].as<float>();
   EXPECT_NEAR(gradient[0] / free[0], gradient[1] / free[1], 1e-6f);
 }
 
-// Left out: finite_plane, where Newton's distance is unsigned and the contact geometry below and
-// beside the sheet is on the wrong side; tests/dynamics/test_newton_branches.cpp compares what is
-// sound of it.
+// The scene finite_plane is left out. Newton's distance is unsigned there, and its contact geometry
+// is on the wrong side below and beside the sheet. tests/dynamics/test_newton_branches.cpp compares
+// the valid part of that scene.
 INSTANTIATE_TEST_SUITE_P(Newton, Branches,
                          ::testing::Values("friction", "tilted", "box_interior", "walls",
                                            "velocity_clamp", "inactive", "shape_flags",

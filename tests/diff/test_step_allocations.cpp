@@ -75,7 +75,7 @@ struct Scene {
   int32_t touching() const {
     return contacts->soft_contact_count.to_host()[0] + contacts->rigid_contact_count.to_host()[0];
   }
-  // Of steps of a solver from the same state, by one thread and by two.
+  // Returns the allocations of steps from the same state, with one thread and with two.
   int64_t of_steps(SolverBase& solver) {
     EXPECT_GT(touching(), 0);
     int64_t sum = 0;
@@ -150,8 +150,8 @@ TEST(StepAllocations, DifferentiableVbdTakesHandlesOnly) {
   EXPECT_LE(of_a_step(scene, solver), 7);
 }
 
-// Where the pairs of shapes are not swept. A thread may take some memory when it first gets work,
-// which may be after the warm calls.
+// For broad phases without a sweep. A thread may allocate when it first gets work, which may happen
+// after the warm calls.
 TEST(StepAllocations, CollisionTakesNone) {
   for (const ModelBuilder& builder : {EverythingScene::builder(), trees(3), trees(40)}) {
     Scene scene(builder);

@@ -10,8 +10,9 @@ namespace novaphy::testing {
 
 int64_t allocations();
 
-// Those of `count` calls of step(), after `warm` calls, in which memory that is kept grows. The
-// fewest of some rounds: a thread of the pool that a busy machine wakes late takes its memory then.
+// Returns the allocations of `count` calls of step(). `warm` calls before let kept memory grow. The
+// result is the minimum over some rounds, because a busy machine may wake a thread of the pool
+// late.
 template <class Step>
 int64_t allocations_of(Step&& step, int count = 8, int warm = 3) {
   for (int k = 0; k < warm; ++k) step();

@@ -41,7 +41,7 @@ template <class T>
          << ", expected " << y;
 }
 
-// statement throws novaphy::Error of this kind, whose message has the text in it.
+// Expects that the statement throws a novaphy::Error of this kind with the text in its message.
 #define EXPECT_ERROR(statement, expected_kind, text)                                            \
   try {                                                                                         \
     statement;                                                                                  \

@@ -7,7 +7,7 @@
 
 namespace novaphy::testing {
 
-// Of seven types by turns: box, sphere, capsule, cylinder, cone, ellipsoid, convex hull.
+// Seven types in turns: box, sphere, capsule, cylinder, cone, ellipsoid, convex hull.
 inline void add_convex_shape(ModelBuilder& builder, int32_t body, int kind,
                              const ShapeConfig& cfg) {
   static const std::vector<Vec3f> wedge = {{0.1f, 0.1f, -0.1f},   {-0.1f, 0.1f, -0.1f},

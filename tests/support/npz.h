@@ -25,7 +25,7 @@ struct NpyArray {
   size_t size() const {
     return std::accumulate(shape.begin(), shape.end(), size_t{1}, std::multiplies<>());
   }
-  // The elements as T, which must have the array's type or be a struct of it (Vec3f over "<f4").
+  // Returns the elements as T: the array's type, or a struct of it (Vec3f over "<f4").
   template <class T>
   std::span<const T> as() const {
     if (bytes.size() % sizeof(T) != 0)

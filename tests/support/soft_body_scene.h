@@ -47,7 +47,7 @@ inline std::shared_ptr<Model> make_soft_body_model(int cells = 2, Device device 
   return model;
 }
 
-// The mean as the golden file has it: summed in order, then divided by the number.
+// The mean as in the golden file: summed in order, then divided by the count.
 inline Vec3f centroid(std::span<const Vec3f> q) {
   Vec3f sum{};
   for (const Vec3f& x : q) sum = sum + x;

@@ -1,4 +1,4 @@
-// Gradients of a rollout of DiffSolverVBD by all that it has gradients by, on any device.
+// All gradients of a rollout of DiffSolverVBD, on any device.
 #pragma once
 
 #include <memory>

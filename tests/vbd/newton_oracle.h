@@ -1,8 +1,8 @@
-// Newton 1.8.0's SolverVBD (cpu) as it stands: every operation of its kernels in float32 and in its
-// order, so that its bits come out. An oracle for tests; the product has other, closed forms.
+// Newton 1.8.0's SolverVBD (cpu): every operation of its kernels in float32 and in its order, so
+// that the bits agree. The file is an oracle for tests. The engine has other, closed forms.
 //
-// Rounding: matrix products are chains of fma, as Warp's are; everything else rounds operation by
-// operation. atan2 is that of the C library, as Warp's is.
+// Rounding: matrix products are chains of fma, as in Warp. Everything else rounds operation by
+// operation. atan2 is that of the C library, as in Warp.
 #pragma once
 
 #include <algorithm>
@@ -375,7 +375,7 @@ class Oracle {
     size_t element;
     int order;
   };
-  // An array of the model; empty: it has none of these elements.
+  // Returns an array of the model; empty if the model has no such elements.
   template <class T>
   std::span<const T> column(const char* name) const {
     const std::string key = "model_" + std::string(name);

@@ -1,8 +1,8 @@
-// The scenes of Newton 1.8.0's SolverVBD (cpu): newton_vbd_cloth.npz, a cloth of 16 x 16 particles
-// with one corner held, falling on a sphere, a box and the ground; newton_vbd_soft.npz, a block of
-// 5 x 5 x 5 particles with four springs, falling on a box and the ground. The files hold Newton's
-// model, its contacts of every substep (made with the positions before it), positions at sub_idx,
-// the iterates of three substeps, and forces and Hessians of single elements (unit_*).
+// The scenes of Newton 1.8.0's SolverVBD (cpu). newton_vbd_cloth.npz is a cloth of 16 x 16
+// particles with one fixed corner, falling on a sphere, a box and the ground. newton_vbd_soft.npz
+// is a block of 5 x 5 x 5 particles with four springs, falling on a box and the ground. The files
+// have Newton's model, its contacts of every substep (from the positions before it), positions at
+// sub_idx, the iterates of three substeps, and forces and Hessians of single elements (unit_*).
 #pragma once
 
 #include <algorithm>
@@ -83,7 +83,7 @@ class NewtonVbdScene {
     return contacts;
   }
 
-  // Newton's positions after `substeps` substeps; empty: the file does not have them.
+  // Returns Newton's positions after `substeps` substeps; empty if the file does not have them.
   std::span<const Vec3f> q(size_t substeps) const {
     const auto kept = file["sub_idx"].as<int32_t>();
     const auto found = std::find(kept.begin(), kept.end(), static_cast<int32_t>(substeps));

@@ -1,4 +1,4 @@
-// A double as a scalar of formulas, with what they ask of one.
+// A double as a scalar of formulas, with the functions that formulas need.
 #pragma once
 
 #include <cmath>

@@ -10,14 +10,14 @@ namespace novaphy::testing {
 
 using vbd::Role;
 
-// The numbers that parameters give, without those of the start.
+// Sets the numbers of a slot from parameters, without those of the start.
 template <Role role, class S>
 void set_numbers(vbd::SlotInputs<role, S>& in, int corner, std::initializer_list<S> parameters,
                  const S& h) {
   vbd::SlotOf<role>::put_numbers(corner, parameters.begin(), h,
                                  [&in](int k, const S& value) { in.numbers[k] = value; });
 }
-// Those of the start, at other points.
+// Sets the numbers of the start, from other positions.
 template <Role role, class S>
 void set_start(vbd::SlotInputs<role, S>& in, const Vec3<S>& own, std::span<const Vec3<S>> others) {
   vbd::SlotInputs<role, S> before = in;
@@ -42,7 +42,7 @@ vbd::SlotInputs<role, S> slot_of(int c, std::span<const Vec3<S>> x, std::span<co
   set_start<role, S>(in, xn[static_cast<size_t>(c)], before);
   return in;
 }
-// Its energy and force with the particle elsewhere.
+// The energy and the force of a slot with the particle at x.
 template <Role role, class S>
 S energy_at(vbd::SlotInputs<role, S> in, const Vec3<S>& x) {
   in.own = x;

@@ -45,7 +45,7 @@ TEST(Coloring, ElementsHaveCornersOfDifferentColorsInBalancedGroups) {
   std::vector<Vec4i> hinges;
   for (const Vec4i& e : model->particle_edge_indices.to_host())
     if (e.x >= 0 && e.y >= 0) hinges.push_back(e);
-  hinges.resize(static_cast<size_t>(20 * 20));  // those of the cloth, which are stiff
+  hinges.resize(static_cast<size_t>(20 * 20));  // the hinges of the cloth, which are stiff
   expect_proper(colors, hinges);
   const auto groups = model->particle_color_groups();
   size_t total = 0, smallest = colors.size(), largest = 0;

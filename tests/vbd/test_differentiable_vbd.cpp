@@ -127,7 +127,7 @@ INSTANTIATE_TEST_SUITE_P(Scenes, VbdGradients, ::testing::Values("soft", "cloth"
 class Along {
  public:
   explicit Along(double size) : size_(size) {}
-  // `values` moves by size * direction(i); `write` puts it back where the step reads it.
+  // The values are moved by size * direction(i). `write` puts them where the step reads them.
   template <class Write>
   void check(const char* name, std::vector<float> values, const std::vector<float>& bars,
              const EverythingScene& scene, DifferentiableVbd& step, const Write& write) {
@@ -211,7 +211,7 @@ TEST(DifferentiableVbd, EveryGradientIsThatOfDifferences) {
   numbers("particle_edge_rest_angle", m.particle_edge_rest_angle, angle, 0.01);
   numbers("particle_tet_activation", scene.control.particle_tet_activation, tet_act, 0.01);
   numbers("particle_tet_material", m.particle_tet_material, tet, 1.0);
-  // Columns apart: they have different units.
+  // Columns are tested one by one, because their units differ.
   const auto column = [&](const char* name, const DeviceArray<float>& array,
                           const DeviceArray<float>& bars, size_t width, size_t c, double size) {
     std::vector<float> own, by;
@@ -236,8 +236,8 @@ TEST(DifferentiableVbd, EveryGradientIsThatOfDifferences) {
   column("tet k_damp", m.particle_tet_material, tet, 3, 2, 0.5);
 }
 
-// With the velocity before chosen so that gravity acted by a part that is not cut at 0 or 1; of
-// every third particle there is none.
+// The previous velocity is chosen so that the part of gravity is not clamped at 0 or 1. Every third
+// particle has no previous velocity.
 TEST(DifferentiableVbd, TheAdaptiveGuessHasGradientsByAllThatItReads) {
   EverythingScene scene;
   const size_t n = scene.q.size();
@@ -275,7 +275,7 @@ TEST(DifferentiableVbd, TheAdaptiveGuessHasGradientsByAllThatItReads) {
   state("particle_q", &scene.q[0].x, 3 * n, bars(q), 2e-4);
   state("particle_qd", &scene.qd[0].x, 3 * n, bars(qd), 1e-2);
   state("particle_f", &scene.f[0].x, 3 * n, bars(f), 2e-2);
-  // Flags are no numbers: they stay.
+  // The flags stay constant.
   std::vector<float> velocities, by_velocities;
   for (size_t k = 0; k < 4 * n; ++k)
     if (k % 4 != 3) {
@@ -316,7 +316,7 @@ TEST(DifferentiableVbd, TheAdaptiveGuessHasGradientsByAllThatItReads) {
              static_cast<double>(flat(qd_slope)[k]) * (&scene.w_qd[0].x)[k];
   EXPECT_NEAR(found, expected, 1e-5 * size);
 
-  // At the solution the guess has none.
+  // A solution has no gradient with respect to the guess.
   DifferentiableVbd solved(scene.model,
                            {.iterations = 20, .initial_guess = VbdInitialGuess::Adaptive},
                            {.implicit = true});

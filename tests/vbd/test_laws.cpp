@@ -1,5 +1,5 @@
-// The laws of VBD in double precision: forces are minus the derivative of the stated energies, the
-// Hessians what the headers say of them.
+// The laws of VBD in double precision: forces are minus the derivatives of the stated energies, and
+// the Hessians have the properties that the headers state.
 #include <gtest/gtest.h>
 
 #include <random>
@@ -76,7 +76,7 @@ TEST(VbdLaws, ASpringsForceIsMinusTheDerivativeOfItsEnergy) {
     SlotInputs<kSpring, Real64> back = in;
     back.others[0] = x;
     EXPECT_LT(math::length(force + force_at(back, other)).v, 1e-9);
-    // Without the projection H lacks only what the damper's turning adds.
+    // Without the projection H lacks only the second derivative from the damper's rotation.
     in.numbers[1] = Real64(0.0);
     const auto elastic = [&in](const Point& p) { return force_at(in, p); };
     expect_exact(Spring::block<false>(in, true), elastic, x);

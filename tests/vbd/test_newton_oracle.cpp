@@ -1,5 +1,5 @@
-// The oracle is Newton 1.8.0 in all bits: units, sweeps and the whole rollouts of both files. And
-// the product against it, in every substep, restarted from the oracle's state.
+// The oracle has the bits of Newton 1.8.0: units, sweeps and the whole rollouts of both files. The
+// solver is compared with the oracle in every substep, restarted from the oracle's state.
 #include <gtest/gtest.h>
 
 #include "newton_oracle.h"
@@ -17,7 +17,7 @@ using newton::M;
 using newton::Unit;
 using newton::V;
 
-// 0 and -0 are one: Newton's unit kernels start their sums at 0.
+// 0 and -0 count as equal, because Newton's unit kernels start their sums at 0.
 bool equal(const V& a, const V& b) { return a.x == b.x && a.y == b.y && a.z == b.z; }
 bool equal(const M& a, const M& b) {
   for (int i = 0; i < 3; ++i)

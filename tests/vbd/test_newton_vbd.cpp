@@ -16,8 +16,8 @@ using testing::NewtonVbdScene;
 using testing::Npz;
 using vbd::Block;
 
-// Of the largest entry of the element's forces or Hessians. The forces of an edge that is bent by
-// less than a degree are a small difference of angles.
+// Relative to the largest entry of the element's forces or Hessians. The forces of an edge that is
+// bent by less than a degree are a small difference of angles.
 constexpr float kTolerance = 1e-5f, kEdgeTolerance = 2e-5f;
 
 // Compares the blocks of an element's corners with Newton's.
@@ -76,7 +76,7 @@ TEST(NewtonVbdUnits, TrianglesAreNewtons) {
            0.0f},
           dt);
     };
-    // A needle of no area has no normal.
+    // A degenerate triangle without area has no normal.
     const auto f = vbd::Triangle::columns(slot(0));
     const auto strain = vbd::Triangle::strain(f);
     if (vbd::Triangle::area_ratio(math::cross(f.f0, f.f1)) < 1e-3f * (strain.c00 + strain.c11))
@@ -150,7 +150,7 @@ TEST(NewtonVbdUnits, TetrahedraAreNewtons) {
   EXPECT_EQ(units.compared, units.count() - 1);
 }
 
-// Newton's Hessian has no projection; with it only springs under tension are the same.
+// Newton's Hessian has no projection. With the projection only springs under tension agree.
 TEST(NewtonVbdUnits, SpringsAreNewtons) {
   const Npz file = testing::golden("newton_vbd_soft.npz");
   const auto x = file["unit_spring_x"].as<Vec3f>(), xn = file["unit_spring_xprev"].as<Vec3f>();
@@ -194,7 +194,7 @@ TEST(NewtonVbdUnits, ContactsAreNewtons) {
       units.compare(e, {block});
       continue;
     }
-    // Without any slip Newton leaves friction out; here it is that of the least slip.
+    // Without slip Newton leaves friction out. Here the friction is that of the least slip.
     ++resting;
     const Vec3f aside = math::cross(n[e], n[e].x * n[e].x < 0.5f ? Vec3f{1, 0, 0} : Vec3f{0, 1, 0});
     vbd::ParticleContact<float> creeping = contact;
@@ -235,8 +235,8 @@ TEST_P(NewtonVbdRun, SubstepsFromNewtonsStateAreNewtons) {
   EXPECT_EQ(compared, 8u);
 }
 
-// The iterates of substeps in free fall, at touch-down and in sliding contact. The velocity is what
-// leads from the state to the first iterate.
+// The iterates of substeps in free fall, at touch-down and in sliding contact. The velocity leads
+// from the state to the first iterate.
 TEST_P(NewtonVbdRun, IteratesAreNewtons) {
   const NewtonVbdScene scene(GetParam());
   const Vec3f g = scene.model->gravity.to_host()[0];

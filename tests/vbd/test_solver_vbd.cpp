@@ -1,4 +1,4 @@
-// SolverVBD: what it promises beside Newton's numbers.
+// The properties of SolverVBD besides agreement with Newton.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -22,8 +22,7 @@ struct EndState {
   std::vector<Vec3f> q, qd;
 };
 
-// Steps from the model's initial state; contacts are made anew for every step when there are
-// shapes.
+// Steps from the model's initial state. If the model has shapes, every step finds new contacts.
 EndState end_of(const std::shared_ptr<Model>& model, int steps, const VbdOptions& options = {},
                 float dt = kDt) {
   SolverVBD solver(model, options);
@@ -66,7 +65,7 @@ ModelBuilder block(int size, float k_damp = 0.0f) {
   return b;
 }
 
-// What a step minimizes, in double precision, over undamped tetrahedra.
+// Returns the energy that a step minimizes, in double precision, for undamped tetrahedra (J).
 double step_energy(const Model& m, const SimState& from, std::span<const Vec3f> x, float dt) {
   const auto q = from.particle_q.to_host(), qd = from.particle_qd.to_host();
   const auto mass = m.particle_mass.to_host();
@@ -144,7 +143,7 @@ TEST(SolverVbd, AnyNumberOfThreadsGivesTheSameBits) {
   set_num_threads(before);
 }
 
-// Groups of 4, 8 and 16 particles, as far as this processor has them.
+// Groups of 4, 8 and 16 particles, as this processor supports.
 TEST(SolverVbd, AnyInstructionSetGivesTheSameBits) {
   ModelBuilder b = hanging_cloth(10);
   b.add_soft_grid({.placement = {.pos = {0.1f, 0.1f, 0.2f}},
@@ -191,7 +190,7 @@ TEST(SolverVbd, TheEnergyOfUndampedTetrahedraFallsInEverySweep) {
   }
 }
 
-// Of a step of the files' soft scene: a factor of about 0.3 per sweep.
+// In a step of the files' soft scene the residual falls by a factor of about 0.3 per sweep.
 TEST(SolverVbd, TheResidualFallsToItsFloor) {
   ModelBuilder b = block(4, 2.0f);
   for (Vec3f& q : b.particle_q) q = {q.x * 1.1f, q.y * 0.95f, q.z};
@@ -270,7 +269,7 @@ TEST(SolverVbd, InvertedAndFlatTetrahedraRecover) {
   }
 }
 
-// Stiffer by far than the step could follow, and twisted by its held ends.
+// The bar is far stiffer than the step resolves, and its fixed ends twist it.
 TEST(SolverVbd, AStiffBarIsTwistedByTheTargetsOfItsEnds) {
   ModelBuilder b;
   b.gravity = {};
@@ -307,7 +306,8 @@ TEST(SolverVbd, AStiffBarIsTwistedByTheTargetsOfItsEnds) {
     const auto q = c.particle_q.to_host(), qd = c.particle_qd.to_host();
     for (size_t k = 0; k < held.size(); ++k) EXPECT_EQ(q[held[k]], to[k]);
     if (i == 60) {
-      // The middle does not turn, a quarter of the length from an end turns by half of it.
+      // The middle does not rotate. A quarter of the length from an end rotates by half of the
+      // end's angle.
       const Vec3f middle = q[6], quarter = q[9];
       EXPECT_NEAR(std::atan2(middle.z - 0.1f, middle.y - 0.1f), std::atan2(-0.1f, -0.1f), 0.05f);
       EXPECT_NEAR(std::atan2(quarter.z - 0.1f, quarter.y - 0.1f),
@@ -322,8 +322,9 @@ TEST(SolverVbd, AStiffBarIsTwistedByTheTargetsOfItsEnds) {
   EXPECT_ERROR(solver.step(a, c, nullptr, nullptr, kDt, &wrong), ErrorKind::Value, "targets");
 }
 
-// A spring that is left out of the coloring moves its ends as if the other stood still: with a
-// stiffness above the inertia's the step does not converge. The coloring here has it.
+// If the coloring leaves out a spring, each end moves as if the other end were fixed. With a
+// stiffness above that of the inertia the step does not converge. The coloring here includes the
+// spring.
 TEST(SolverVbd, ASpringBetweenEqualColorsDoesNotConverge) {
   const auto residual = [](bool conflicts) {
     ModelBuilder b(Axis::Z, Vec3f{});

@@ -188,7 +188,7 @@ TEST(VbdStiffness, ABendingEdgeAtItsAngleHasItsSecondDerivative) {
     expect_stiffness(e.stiffness());
   }
 }
-// Inverted, flat and pressed ones are among them; with damping and activation.
+// The elements include inverted, flat and compressed ones, with damping and activation.
 TEST(VbdStiffness, NoElementHasANegativeEigenvalue) {
   for (int trial = 0; trial < 300; ++trial) {
     const Real64 kd = trial % 2 == 0 ? zero : random(0.0, 0.1);

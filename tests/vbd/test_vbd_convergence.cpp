@@ -1,5 +1,5 @@
-// How fast a step of VBD comes to its solution, and what keeps one from it: the residual curves of
-// steps of Newton's scenes, and the two of Newton's choices that are traps.
+// The convergence of a step of VBD: residual curves of steps of Newton's scenes, and two choices of
+// Newton that prevent convergence.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -64,7 +64,8 @@ TEST_P(VbdConvergence, ResidualsFallAsInDoublePrecision) {
   EXPECT_GE(compared, 2u);
 }
 
-// The start of the cloth (34 there, 16 here) is left out: it is no iterate of the solver.
+// The residual at the start of the cloth (34 there, 16 here) is left out, because the start is no
+// iterate of the solver.
 INSTANTIATE_TEST_SUITE_P(
     Curves, VbdConvergence,
     ::testing::Values(
@@ -72,8 +73,8 @@ INSTANTIATE_TEST_SUITE_P(
         Curve{"newton_vbd_soft.npz", 50, 11, {0.12, 0.03, 3e-3, 1e-3, 5e-4, 5e-5, 1e-6}},
         Curve{"newton_vbd_cloth.npz", 100, 83, {-1.0, 5.3, 0.54, 0.36, 0.22, 0.07, 0.013}}));
 
-// A particle between two anchors, on springs that are pressed to half their lengths, a little off
-// the axis: where iterations lead it.
+// A particle between two anchors, a little off the axis. The springs are compressed to half their
+// lengths. Returns the limit of the iterations.
 struct Pressed {
   using Slot = vbd::SlotInputs<vbd::kSpring, Real64>;
   const Point anchors[2] = {{}, {Real64(1.0), Real64(0.0), Real64(0.0)}};
@@ -105,8 +106,8 @@ struct Pressed {
   }
 };
 
-// Newton does not project the block of a pressed spring: its steps lead to the saddle on the axis,
-// uphill. With the projection they lead to the minimum beside it.
+// Newton does not project the block of a compressed spring. Its steps lead uphill to the saddle on
+// the axis. With the projection they lead to the minimum beside it.
 TEST(VbdTraps, AnIndefiniteSpringBlockLeadsToASaddle) {
   const Pressed scene;
   EXPECT_LT(scene.block(scene.target, false).h11.v, -100.0);
@@ -120,8 +121,8 @@ TEST(VbdTraps, AnIndefiniteSpringBlockLeadsToASaddle) {
   EXPECT_LT(math::length(scene.block(minimum, true).f).v, 1e-6);
 }
 
-// Distance to the solution of a particle that friction stops, by iterations with H as it is, or
-// without its part along the slip, where the derivative of sliding friction is 0.
+// Returns the distance of a particle that friction stops from its solution. H is complete, or lacks
+// its part along the slip, where the derivative of sliding friction is 0.
 double distance_to_rest(int iterations, bool tangential) {
   const vbd::ParticleContact<Real64> contact = {.point = {},
                                                 .normal = {Real64(0.0), Real64(0.0), Real64(1.0)},

@@ -1,5 +1,5 @@
-// The derivatives of a step of VBD, unrolled and implicit, by everything that it reads: forwards
-// against differences of the step itself, and forwards against backwards.
+// The derivatives of a step of VBD, unrolled and implicit, with respect to every input. Tangents
+// are compared with differences of the step, and with adjoints.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -88,7 +88,8 @@ std::vector<Input> inputs_of(EverythingScene& scene) {
   return all;
 }
 
-// A direction of unit size; what is 0 (elements or materials that do nothing) stays so.
+// Returns a direction of unit size. Values that are 0 (elements or materials without effect) stay
+// 0.
 std::vector<float> direction_of(const Input& input, bool everything) {
   std::vector<float> d(input.values.size());
   for (size_t i = 0; i < d.size(); ++i) {
@@ -145,7 +146,7 @@ TEST_P(VbdDerivatives, ForwardsTheyAreThoseOfDifferencesByEveryInput) {
     step->tangent(scene.inputs(), tangents, slope_rows, qd);
     const std::vector<Vec3f> slope = slope_rows.to_host();
     std::vector<Vec3f> sides[2];
-    // Without damping only more of it is allowed.
+    // A damping of 0 may only grow.
     const bool one_sided = implicit() && name.starts_with("shape_material_kd");
     const double back = one_sided ? 0.0 : -input.step, width = input.step - back;
     for (int side = 0; side < 2; ++side) {

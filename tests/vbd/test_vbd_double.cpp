@@ -1,5 +1,5 @@
-// The sweeps of VBD in double precision, of the same headers: with the colors of Newton's scenes
-// and springs as Newton has them (not projected), their derivative is that of vbd_gradients.npz.
+// The sweeps of VBD in double precision, from the same headers. With the colors of Newton's scenes
+// and Newton's springs (not projected), their derivative is that of vbd_gradients.npz.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -56,7 +56,7 @@ class DoubleStep {
   DoubleStep(const NewtonVbdScene& of, size_t t)
       : scene(of), m(*of.model), h(of.file["dt_f64"].scalar<double>()), touching(of.contacts(t)) {}
 
-  // From positions and velocities, to both.
+  // A step from positions and velocities to positions and velocities.
   void run(std::vector<Point>& q, std::vector<Point>& qd, int iterations) {
     start = q;
     target = q;
@@ -265,8 +265,8 @@ TEST_P(VbdInDouble, TheDerivativeOfTenSweepsIsThatOfTheFile) {
     }
     EXPECT_LT(off, 1e-9) << trial;
     EXPECT_NEAR(found, expected, 1e-8 * std::abs(expected)) << trial;
-    // And that of differences of the sweeps themselves.
-    // The wider, the more branches are crossed; positions move by velocities times the step.
+    // The derivative is also that of differences of the sweeps. Wider differences cross more
+    // branches. Positions are moved by velocities times the step.
     const double width = trial == 1 ? 1e-7 : 5e-9;
     double losses[2] = {};
     for (int side = 0; side < 2; ++side) {

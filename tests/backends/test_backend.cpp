@@ -181,7 +181,7 @@ TEST(BackendRegistry, ReportsABadNumberOfThreadsOrInstructionSetWhenTheDeviceOpe
       << isa.output;
 }
 
-// A copy of the core library in a folder of its own, without the plugin beside it.
+// A copy of the core library in a separate folder, without the plugin beside it.
 class CoreAlone {
  public:
   CoreAlone() {

@@ -106,7 +106,7 @@ inline void keep_larger(Exact& best, double distance, const Vec3d& normal) {
   if (distance > best.distance) best = {distance, normal};
 }
 
-// The largest value of f on [lo, hi], where it has one peak (golden section), and its place.
+// Returns the maximum of f on [lo, hi] by golden section, and its place. f has one peak there.
 template <class F>
 double golden(double lo, double hi, int steps, F f, double& at) {
   const double g = 0.6180339887498949;
@@ -124,8 +124,9 @@ double golden(double lo, double hi, int steps, F f, double& at) {
   return std::max(fx, fy);
 }
 
-// The separation about `start`: over the plane that touches the sphere of directions it is concave
-// but for the length, so one search over v for each u of another finds kinks too.
+// Refines the separation about `start`. Over the tangent plane of the sphere of directions the
+// separation is concave up to the vector's length. One search over v for each u of another search
+// therefore finds kinks too.
 inline Exact zoom(const ExactPair& pair, const Vec3d& start) {
   Exact best{pair.separation(start), start};
   for (const double width : {0.1, 0.03, 0.002}) {
@@ -180,7 +181,7 @@ inline Exact exact_distance(const Solid& x, const Solid& y, int directions = 150
 }
 
 struct Edges {
-  std::vector<Vec3d> normals, directions;  // of faces and edges, in the world
+  std::vector<Vec3d> normals, directions;  // normals of faces, directions of edges, world frame
 };
 inline Edges polytope_edges(const Solid& s) {
   const Rigid r = rigid(s.pose);
@@ -236,7 +237,7 @@ class Scenes {
     l = std::sqrt(l);
     return {float(q[0] / l), float(q[1] / l), float(q[2] / l), float(q[3] / l)};
   }
-  // Of a size between 0.1 and 0.6 m times `scale`.
+  // Returns a solid of a size between 0.1 and 0.6 m, times `scale`.
   Solid solid(GeoType type, double scale = 1.0, int max_points = 90) {
     Solid s;
     s.shape.type = type;

@@ -58,7 +58,7 @@ TEST(CollisionPipeline, OrdersContactsByShapeThenParticle) {
     EXPECT_LT(std::pair(found[i - 1].shape, found[i - 1].particle),
               std::pair(found[i].shape, found[i].particle));
   }
-  // tids says which slot every candidate got; candidate shapes are 0, 1, 3, 4.
+  // tids has the slot of every candidate. The candidate shapes are 0, 1, 3, 4.
   const auto tids = contacts.soft_contact_tids.to_host();
   const std::vector<int32_t> shapes = {0, 1, 3, 4};
   size_t used = 0;
@@ -260,7 +260,7 @@ TEST(CollisionPipeline, RefusesShapesThatItDoesNotCover) {
                "shape 3 has type HFIELD");
 }
 
-// Asks for the contacts once more while they are being searched, as another thread would.
+// Starts a second search during the first one, as another thread would.
 class AsksAgain : public LaunchRecorder {
  public:
   AsksAgain(CollisionPipeline& pipeline, const SimState& state, Contacts& contacts)

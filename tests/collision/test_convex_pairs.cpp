@@ -9,7 +9,7 @@
 namespace geometry_test {
 namespace {
 
-constexpr int kPosesPerPair = 36, kManyPosesPerPair = 360;  // of 28 pairs: 10^3 and 10^4 poses
+constexpr int kPosesPerPair = 36, kManyPosesPerPair = 360;  // 28 pairs: 10^3 and 10^4 poses
 constexpr int kFuzzedPairs = 80000;
 constexpr float kFar = 10.0f;  // m: more than any distance here
 
@@ -43,11 +43,11 @@ void for_all_pairs(int poses, double scale, Check check) {
     }
 }
 
-// The separation along a direction is a lower bound of the signed distance, in double precision and
-// for any direction. So the exact distance is the larger of what the search finds and of what the
-// answer's own normal gives: an answer is right if it equals that. Where two directions part a pair
-// equally well (to 1e-5 m), either normal is right.
-// Each exception is printed.
+// The separation along any direction is a lower bound of the signed distance, in double precision.
+// So the exact distance is the larger of two values: the result of the search, and the separation
+// along the answer's own normal. An answer is right if it equals that distance. Where two
+// directions separate a pair equally well (to 1e-5 m), either normal is right. Each exception is
+// printed.
 void check_exact(int poses_per_pair) {
   int poses = 0, overlapping = 0, wrong_distance = 0, wrong_normal = 0, wrong_sign = 0;
   for_all_pairs(poses_per_pair, 1.0, [&](const Solid& a, const Solid& b) {
@@ -169,8 +169,8 @@ TEST(ConvexPairs, AreAsExactAtEveryScale) {
       ++poses;
       wrong += std::abs(deepest(m) - exact) > 2e-5 * scale ? 1 : 0;
     });
-    // The coarse search ignores no direction that is better, but shapes lie up to 2 m apart from
-    // the origin whatever their size: a millimeter loses digits.
+    // The coarse search misses no better direction. But shapes of any size lie up to 2 m apart from
+    // the origin, so a millimeter loses digits.
     EXPECT_LE(wrong, poses / 50) << "scale " << scale;
   }
 }

@@ -107,8 +107,9 @@ constexpr NarrowPhase kPhases[] = {NarrowPhase::Auto, NarrowPhase::Fcl};
 constexpr NarrowPhase kPhases[] = {NarrowPhase::Auto};
 #endif
 
-// What is published of FCL and libccd: stacked cubes that touch (libccd #25, FCL #493), the same
-// shape twice in one place, a NaN; none may end the process, and all have Auto's rows or FCL's.
+// Published defects of FCL and libccd: stacked cubes that touch (libccd #25, FCL #493), the same
+// shape twice in one place, a NaN. None may end the process. All results are those of Auto or of
+// FCL.
 void check_cubes(NarrowPhase narrow_phase) {
   const auto cube = testing::cube(0.5f);
   for (const float height : {1.0f, 0.9999999f, 0.0f, 1e-7f, 0.5f, 1.0000001f}) {

@@ -215,7 +215,7 @@ TEST(MeshContacts, DoNotDependOnTheCapacity) {
   EXPECT_EQ(contacts.rigid_contact_count.to_host()[0], int32_t(all.size()));
   const std::vector<RigidContact> kept = contacts.rigid_contacts();
   EXPECT_EQ(kept.size(), 100u);
-  auto from = all.begin();  // they are some of all, in their order
+  auto from = all.begin();  // the rows are a part of all rows, in the same order
   for (const RigidContact& row : kept) {
     from = std::find(from, all.end(), row);
     ASSERT_NE(from, all.end());

@@ -18,8 +18,8 @@ namespace {
 using novaphy::testing::terrain;
 using novaphy::testing::Triangles;
 
-// Of the triangles without a contact, how many are left out; of those that B is above and faces,
-// how many are foreseen.
+// Counts of the triangles without a contact that are left out. A second count has only triangles
+// that face B from below.
 struct LeftOut {
   int count = 0, of = 0, facing = 0, of_facing = 0;
 
@@ -143,7 +143,7 @@ TEST(MeshForeseen, NearlyAllTrianglesBelowABoxOnLevelGroundNeedNoGjk) {
   all.look(tree, b, 0.2f);
   EXPECT_GT(all.of_facing, 700);
   EXPECT_GT(all.facing, all.of_facing * 8 / 10);
-  // About the angle up to which it faces.
+  // Near the largest angle at which the triangles still face B.
   for (int i = 0; i < 30; ++i) {
     const double x = scenes.uniform(-0.04, 0.04), y = scenes.uniform(-0.04, 0.04);
     b.pose.q = {float(x), float(y), 0.0f, float(std::sqrt(1 - x * x - y * y))};

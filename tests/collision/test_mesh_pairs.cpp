@@ -157,7 +157,8 @@ TEST(MeshPairs, ABallOnAMeshIsAsFarAsFromItsFaces) {
   }
 }
 
-// What slides feels no inner edge: the normals stay up, the depth that of the plane.
+// A sliding shape feels no inner edge: the normals stay vertical, and the depth is that of the
+// plane.
 TEST(MeshPairs, ShapesSlideOverATerrainWithoutBumping) {
   const Triangles t = terrain(22, 0.1f, flat);  // 968 triangles
   const MeshTree tree = build_mesh_tree(t.vertices, t.indices);
@@ -207,7 +208,7 @@ TEST(MeshPairs, ARidgeCarriesABoxOnItsEdge) {
   }
 }
 
-// The sides of the ridge y = 0 fall by `slope`; it rises by `rise` where |x| > 0.1.
+// The sides of the ridge y = 0 fall by `slope`. The ridge rises by `rise` where |x| > 0.1.
 MeshTree ridge(float slope, float rise) {
   std::vector<Vec3f> points;
   std::vector<int32_t> faces;
@@ -262,7 +263,7 @@ TEST(MeshPairs, ACapsuleLiesOnTwoRidges) {
     }
 }
 
-// A rod that touches two triangles at one end has a ridge deep in it two meters away.
+// A rod touches two triangles at one end. Two meters away a ridge is deep in the rod.
 TEST(MeshPairs, ATouchTakesNoDeepContactFromElsewhere) {
   const std::vector<Vec3f> points = {
       {-3, 0, 0.169508547f},   {-2, 0, 0.148490965f}, {-5, 1, 0.120274045f},

@@ -48,7 +48,7 @@ struct Ground {
   MeshTree tree;
   explicit Ground(const Triangles& t) : tree(build_mesh_tree(t.vertices, t.indices)) {}
 
-  // The least level of what the mesh has near the shape, at most `most`.
+  // Returns the smallest level of the mesh near the shape, at most `most`.
   double depth(const Solid& b, double most) const {
     const Rigid r = rigid(b.pose);
     const Vec3d h = widen(b.shape.scale);
@@ -69,7 +69,7 @@ struct Ground {
   }
 };
 
-// Once halved as often as `level` says: 20, 80, 320, ... triangles.
+// Makes a ball whose edges are halved `level` times: 20, 80, 320, ... triangles.
 Triangles ball(int level, double radius) {
   const double g = 0.5 * (1 + std::sqrt(5.0));
   std::vector<Vec3d> v;
@@ -129,7 +129,7 @@ geometry::Shape shape(int kind, float r) {
 struct Poses {
   int count = 0, missing = 0, too_deep = 0;
 
-  // Moves B along d until it touches, and then by 1 to 30 % of its radius.
+  // Moves B along d until the meshes touch, then by another 1 to 30 % of B's radius.
   void lower(const Ground& ground, Solid b, Vec3d from, const Vec3d& d, double share, float r) {
     double gap = 0.2;
     for (int i = 0; i < 60 && gap > 1e-5; ++i) {
@@ -197,7 +197,7 @@ TEST(MeshPoses, OnBallsOfTrianglesHaveARowThatTouches) {
   EXPECT_LE(poses.too_deep, 1) << poses.count;
 }
 
-// A convex mesh: what is below all of its planes is in it.
+// For a convex mesh: a point below all planes is inside.
 struct Round {
   MeshTree tree;
   geometry::GeometryView view;
@@ -237,7 +237,7 @@ TEST(MeshPoses, RoundMeshesHaveARowThatTouches) {
       Transformf pose{{}, scenes.rotation()};
       const Vec3d d = scenes.direction();
       Vec3d p = d * -1.3 + scenes.direction() * 0.05;
-      // By edges alone, so a corner of A may have touched before.
+      // The search uses edges alone, so a corner of A may have touched earlier.
       double gap = 0.2;
       for (int i = 0; i < 60 && gap > 1e-5; ++i) {
         pose.p = narrow(p);

@@ -197,7 +197,8 @@ TEST(PairCases, AKissingContactHasDistanceZero) {
       Scenes scenes(100 * uint32_t(ta) + uint32_t(tb));
       for (int i = 0; i < 20; ++i) {
         Solid a = scenes.solid(ta), b = scenes.solid(tb);
-        scenes.place(a, b, 0.0);  // apart along a direction by 0, so they touch or are apart
+        // the separation along a direction is 0, so the shapes touch or are apart
+        scenes.place(a, b, 0.0);
         const geometry::Manifold m = collide(a, b, 10.0f);
         ASSERT_GT(m.count, 0);
         EXPECT_GT(m.points[0].distance, -2e-6f);

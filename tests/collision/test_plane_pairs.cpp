@@ -105,7 +105,7 @@ TEST(PlanePairs, TheFourDeepestCornersOfABoxAreKept) {
     ASSERT_EQ(kept.size(), 4u);
     for (size_t i = 0; i < 4; ++i) ASSERT_NEAR(kept[i], all[i], 1e-5f);
   }
-  // Those beyond reach are not.
+  // Points beyond the reach are not kept.
   EXPECT_EQ(
       plane_box(ground(), {{0.0f, 0.0f, 1.0f}, Quatf::identity()}, {0.1f, 0.1f, 0.1f}, 0.5f).count,
       0);
@@ -125,7 +125,7 @@ TEST(PlanePairs, AStandingCylinderHasThreePointsAndALyingOneTwo) {
   EXPECT_EQ(near_ground(lying), 2);
 }
 
-// Points of the rim turn with the body: one that passes below a disc which rolls would brake it.
+// The points of the rim rotate with the body. A fixed point below a rolling disc would brake it.
 TEST(PlanePairs, ACapThatRollsTouchesAtItsDeepestPointOnly) {
   Poses poses;
   for (int k = 0; k < 2000; ++k) {

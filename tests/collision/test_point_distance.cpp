@@ -72,7 +72,7 @@ TEST(PointDistance, OfATerrainHasItsSideAsSign) {
   const geometry::MeshView mesh = mesh_view(tree);
   Scenes scenes(6);
   for (int i = 0; i < 3000; ++i) {
-    // Over a vertex, an edge or a face of the triangles, below or above it.
+    // A point over a vertex, an edge or a face of the triangles, on either side.
     const int32_t k = int32_t(scenes.uniform(0, double(t.indices.size() / 3)));
     Vec3f v[3];
     for (int c = 0; c < 3; ++c) v[c] = t.vertices[size_t(t.indices[size_t(3 * k + c)])];

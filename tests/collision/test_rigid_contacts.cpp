@@ -134,8 +134,8 @@ TEST(RigidContacts, EveryBroadPhaseFindsTheSameRows) {
   }
 }
 
-// Runs what is recorded at once: the search goes through the kernels of devices. What recordings
-// use is kept in `used`, as if all were one.
+// Runs recorded launches at once, so that the search uses the kernels of devices. `used` keeps the
+// objects that the recordings use, as if all were one recording.
 using Used = std::vector<std::shared_ptr<ExclusiveUse>>;
 class RunsAtOnce : public LaunchRecorder {
  public:
@@ -242,7 +242,7 @@ TEST(RigidContacts, OfMoreRowsThanThereIsRoomForTheNearestStay) {
       ASSERT_NE(from, all.end()) << "in their order";
       ++from;
     }
-    // All within half of the farthest are there.
+    // All rows within half of the farthest distance are kept.
     size_t near = 0, kept_near = 0;
     const auto is_near = [&](const RigidContact& row) {
       return separation(row, *model, q) <= 0.49f * farthest;
@@ -306,7 +306,7 @@ TEST(RigidContacts, UnusedRowsAreEmptyAgainWhenTheBodyHasLeft) {
   }
 }
 
-// Whatever the call before has left in them, and whoever has written there since.
+// The result does not depend on earlier contents of the contacts, nor on who wrote them.
 TEST(RigidContacts, AreThoseOfEmptyContactsWhateverWasInThem) {
   ModelBuilder builder;
   builder.add_ground_plane();

@@ -68,7 +68,7 @@ void Module::create(int32_t format, const void* data, uint64_t bytes) {
   EXPECT_EQ(b.api->kernel_get(module_, "main", &kernel_, &error), NOVAPHY_OK) << error.message;
 }
 
-// Which form the tests covered, where the backend tells.
+// The kind of code that the tests covered, if the backend reports it.
 void Module::count_form() const {
   Backend& b = backend();
   constexpr size_t end = offsetof(novaphy_backend_api, kernel_info) + sizeof(b.api->kernel_info);

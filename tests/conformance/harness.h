@@ -22,7 +22,7 @@ struct Backend {
   novaphy_stream* stream = nullptr;
   int32_t device_total = 0;
   std::FILE* collected = nullptr;       // receives the words of every Program that is tested
-  int64_t native = 0, interpreted = 0;  // Programs, by how the backend says that they run
+  int64_t native = 0, interpreted = 0;  // Programs, by the reported way to run
 };
 Backend& backend();
 

@@ -66,16 +66,16 @@ TEST(Access, IndexedReadsTheRowOfATableAndZeroForANegativeRow) {
   }
 }
 
-// What elements read: a table whose columns name the rows of two sources, and two own values.
+// The inputs of elements: a table whose columns name the rows of two sources, and two own values.
 struct ElementBuilder : Builder {
   explicit ElementBuilder(int32_t corners) : table(source(Type::I32, corners)) {}
   const int32_t table, own = source(Type::F32, 2), q = source(Type::F32, 3, Access::Indexed),
                        v = source(Type::F32, 3, Access::Indexed);
 };
 
-// Elements: the columns of a table name the rows of two sources; what is computed from them is long
-// enough to be skipped where the first own value is not below the parameter, and the part of the
-// second source where the second own value is 0. The table itself is read in any case.
+// Elements: the columns of a table name the rows of two sources. The computation is long enough to
+// be skipped where the first own value is not below the parameter. The part of the second source is
+// skipped where the second own value is 0. The table itself is always read.
 ir::Program elements(int32_t corners) {
   ElementBuilder b(corners);
   b.p.sources[static_cast<size_t>(b.q)].name = "particle_q";
@@ -98,7 +98,7 @@ ir::Program elements(int32_t corners) {
   return b.p;
 }
 
-// Which elements have a damping: some neighbors none, others all, or a few.
+// Which elements have a damping: none, a few, or all.
 enum class Damped : uint8_t { None, Some, All };
 
 Inputs element_inputs(int32_t corners, int64_t n, int64_t rows, int32_t first, Damped damped) {
@@ -129,8 +129,9 @@ TEST(Access, TheColumnsOfATableNameRowsTheLastOneAndAbsentOnesToo) {
   }
 }
 
-// What elements write for their corners: forces, and what is 0 without a damping. The signs of
-// factors can be those of products, and of what these are added to.
+// The values that elements write for their corners: forces, and values that are 0 without a
+// damping. The signs of factors may become those of products, or of the terms that these are added
+// to.
 ir::Program corner_rows(int32_t corners) {
   ElementBuilder b(corners);
   const Value i = b.index(), mine = b.load(b.own, i), damping = b.load(b.own, i, 1);
@@ -170,7 +171,7 @@ TEST(Access, RowsOfAllCornersAreWrittenAtOnce) {
   }
 }
 
-// A length that is needed where it is above a limit, which is where it is divided by.
+// A length that is needed only where it is above a limit, because it is a divisor there.
 TEST(Access, ElementsDivideByALengthWhereItIsAboveALimit) {
   ElementBuilder b(2);
   b.p.param_count = 1;
@@ -500,7 +501,7 @@ TEST(OutOfRange, RowsThatATableNamesAreReadAheadAndFailWhereTheyAreNeeded) {
     }
 }
 
-// Rows past their own end take no part in an iteration, whatever row they would compute.
+// A row past its own end takes no part in an iteration.
 TEST(OutOfRange, RowsOfUnequalLengthOnlyReadInTheirOwnIterations) {
   Builder b;
   const int32_t other = b.source(Type::F32, 1, Access::CsrRow);

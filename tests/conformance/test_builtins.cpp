@@ -120,7 +120,7 @@ TEST(RowSum, FollowsTheRuleOfChunksForEveryLengthAndWidth) {
   novaphy::set_num_threads(before);
 }
 
-// Whether the backend has a builtin that it may lack.
+// Returns whether the backend has an optional builtin.
 bool has_builtin(const char* name) {
   novaphy_error error = make_error();
   novaphy_module* known = nullptr;

@@ -203,7 +203,8 @@ TEST_F(Conformance, ModulesRefuseWhatIsNoProgramWithAMessage) {
   for (size_t length = 0; length < good.size(); ++length) refused(good, length * 4, "truncated");
 }
 
-// One word changed at a time: accepted or refused, never a crash. Most of them also run.
+// One word is changed at a time. The backend may accept or refuse it, but never crash. Most of the
+// Programs also run.
 TEST_F(Conformance, AProgramWithAnyOneWordChangedIsAcceptedOrRefused) {
   const std::vector<uint32_t> good = ir::serialize(small_program());
   for (size_t at = 0; at < good.size(); ++at) {

@@ -178,7 +178,7 @@ INSTANTIATE_TEST_SUITE_P(Conformance, EveryOp, testing::ValuesIn(arithmetic_ops(
                            return std::string(ir::kOpNames[static_cast<int>(test.param)]);
                          });
 
-// x * y + z in two instructions rounds twice, whatever a backend joins them to.
+// x * y + z in two instructions rounds twice, even if a backend could contract it.
 TEST(Contraction, AProductAndASumRoundTwice) {
   Builder b;
   const Value row = b.index();
@@ -247,8 +247,8 @@ TEST(FusedMultiplyAdd, RoundsOnceInHardCases) {
   EXPECT_EQ(check(b.p, static_cast<int64_t>(in.sources[0].size()), in), "");
 }
 
-// Whether a root is above a limit, with the root needed only where it is: a backend may decide that
-// without the root.
+// Tests whether a root is above a limit, and needs the root only there. A backend may decide
+// without computing the root.
 TEST(Limit, OfARootIsExactForEveryLimit) {
   Builder b;
   const Value x = b.load(b.source(Type::F32, 1), b.index());

@@ -213,7 +213,7 @@ TEST_P(RandomPrograms, GiveTheSameBitsRowByRowAsTogether) {
     const ir::Program p = g.program(GetParam());
     const Inputs in = g.inputs(p, 4);
     const Result few = run(p, 4, in);  // short path
-    // The same four rows as the first of many; the rest repeats them.
+    // The same four rows come first, and further rows repeat them.
     Inputs many = in;
     for (size_t s = 0; s < 3; ++s) {
       for (int k = 0; k < 99; ++k)
@@ -234,7 +234,7 @@ TEST_P(RandomPrograms, GiveTheSameBitsRowByRowAsTogether) {
   }
 }
 
-// What needs no late source first, then the rest.
+// The first half computes the parts that need no late source, the second half the rest.
 TEST_P(RandomPrograms, GiveTheSameBitsInTwoHalves) {
   constexpr int64_t kRows = 17;
   int halves = 0;

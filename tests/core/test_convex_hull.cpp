@@ -139,7 +139,7 @@ TEST(ConvexHull, OfAThinTetrahedronKeepsItsCorners) {
     for (int i = 0; i < 4 + k % 5; ++i)
       points.push_back({uniform(random), 1e-3f * uniform(random), uniform(random)});
     const ConvexHull hull = convex_hull(points);
-    EXPECT_NO_THROW(convex_hull(hull.vertices)) << k;  // as the pipeline will
+    EXPECT_NO_THROW(convex_hull(hull.vertices)) << k;  // the pipeline does the same
     for (const Vec3f& p : points) ASSERT_LT(height_above(hull, p), 7e-4f) << k;  // faces merged
   }
 }

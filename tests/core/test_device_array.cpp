@@ -20,7 +20,7 @@ std::string message_of(ErrorKind kind, F&& f) {
   return {};
 }
 
-// Writes down what it is told.
+// Records the reported reads and writes.
 class Recorder : public ArrayObserver {
  public:
   Recorder() : before_(set_array_observer(this)) {}

@@ -127,7 +127,7 @@ TEST(LaunchList, TakesMemoryOnTheCpuAsALaunchByItself) {
   EXPECT_EQ(z.to_host(), (std::vector<float>{4.0f, 8.0f}));
 }
 
-// What the backend refuses.
+// The arguments that the backend refuses.
 TEST(DeviceKernel, AModuleOfARowFunctionIsChecked) {
   const DeviceContext& cpu = device_context(Device::cpu());
   const auto create = [&](const novaphy_row_function& function, uint64_t bytes) {

@@ -45,7 +45,7 @@ class LoadTetMesh : public ::testing::Test {
   TetMesh load(const std::string& text, const TetMeshOptions& options = {}) {
     return load_tet_mesh(folder_.write("a.msh", text), options);
   }
-  // The message names the file and has all of `parts` in it.
+  // Expects that the message names the file and contains all of `parts`.
   void refuse(const std::string& text, const std::vector<std::string>& parts) {
     try {
       load(text);

@@ -44,7 +44,7 @@ struct Worst {
 #define EXPECT_ACCURATE(worst, bound) \
   EXPECT_LE((worst).ulp, bound) << std::hexfloat << "at " << (worst).x << ", " << (worst).y
 
-// Over a prime stride of all bit patterns with |x| <= limit, NaNs and infinities among them.
+// Visits all bit patterns with |x| <= limit at a prime stride, NaNs and infinities included.
 template <class F, class Exact>
 Worst sweep(F f, Exact exact, float limit) {
   Worst worst;

@@ -47,7 +47,8 @@ TEST_P(Parallel, RunsEveryChunkOnce) {
   }
 }
 
-// Helpers watch for the next job for a while: jobs that follow at once, and after they have left.
+// Helper threads wait for the next job for some time. Some jobs follow at once, others after this
+// time.
 TEST_P(Parallel, SmallJobsOneAfterAnotherAreDoneBeforeTheyReturn) {
   std::vector<int64_t> written(40);
   for (int job = 0; job < 3000; ++job) {

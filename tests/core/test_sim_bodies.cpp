@@ -29,7 +29,8 @@ struct Mass {
   double inertia[3][3] = {};
 };
 
-// Of everything in `inside`, a function of a point, by midpoint sums over a box.
+// Returns the mass, center of mass and inertia of the points where inside(point) holds, by midpoint
+// sums over a box.
 template <class Inside>
 Mass integrate(const Vec3f& lower, const Vec3f& upper, double density, int n, Inside&& inside) {
   Mass sum;
@@ -244,7 +245,7 @@ TEST(Bodies, PairsOfShapesAreListedWhenTheFirstOneAsks) {
   builder.add_shape_collision_filter_pair(3, 5);
   const auto model = builder.finalize(Device::cpu());
   EXPECT_FALSE(model->shape_pair_list().is_made());
-  // What is edited since does not count.
+  // Later edits do not matter.
   model->shape_flags.fill(0);
   const auto copy = model->clone();
   EXPECT_FALSE(copy->shape_pair_list().is_made());

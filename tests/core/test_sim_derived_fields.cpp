@@ -29,7 +29,7 @@ TEST(DerivedFields, FollowTheirSource) {
   model->particle_mass.copy_from_host(std::span<const float>(kMasses));
   model->update_derived();
   EXPECT_EQ(model->particle_inv_mass.to_host(), kInverses);
-  // Through a view of a part of it too.
+  // A write through a view of a part counts too.
   DeviceArray<float> last(
       Array(DType::float32, 1, 1, model->particle_mass.range()->storage().range(8, 4)));
   last.fill(8.0f);

@@ -112,7 +112,7 @@ TEST(Elements, BadOnesAreRefusedByNameAndLeaveTheBuilderAsItWas) {
   EXPECT_ERROR(builder.add_edges(edges), ErrorKind::Index, "edge 1");
   const TriMaterial two[] = {{}, {}};
   EXPECT_ERROR(builder.add_triangles(triangles, two), ErrorKind::Value, "one value or 3");
-  // A NaN that was written into a position after it was added.
+  // A NaN in a position that was edited after the particle was added.
   builder.particle_q[1].x = kNan;
   EXPECT_ERROR(builder.add_triangle(0, 1, 2), ErrorKind::Value, "triangle 0");
   EXPECT_ERROR(builder.add_tetrahedron(0, 1, 2, 3), ErrorKind::Value, "tetrahedron 0");

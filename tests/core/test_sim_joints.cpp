@@ -84,7 +84,7 @@ TEST(Joints, ABodyOfItsOwnHasAFreeJointThatFollowsItsPose) {
   EXPECT_EQ(m->joint_child.to_host()[0], body);
   EXPECT_EQ(m->joint_q.to_host(), (std::vector<float>{5, 2, 3, 0, 0, kHalf, kHalf}));
   EXPECT_EQ(m->joint_qd.to_host(), (std::vector<float>{1, 2, 3, 4, 5, 6}));
-  b.joint_q[2] = 9.0f;  // edited: it is its own from here on
+  b.joint_q[2] = 9.0f;  // an edited entry no longer follows body_q
   EXPECT_EQ(b.finalize()->joint_q.to_host(), (std::vector<float>{1, 2, 9, 0, 0, kHalf, kHalf}));
 }
 
@@ -277,7 +277,8 @@ TEST(Joints, CollapsedFixedJointsKeepMassShapesAndFrames) {
   EXPECT_NEAR(com.x, share * 1.0, 1e-5);
   EXPECT_NEAR(com.y, share * 2.1, 1e-5);
   EXPECT_NEAR(com.z, share * 3.0, 1e-5);
-  const double reduced = 2.5 * box / (2.5 + box);  // of the two parts about their common center
+  // reduced mass of the two parts, about the common center
+  const double reduced = 2.5 * box / (2.5 + box);
   const double own = box / 3.0 * (0.1 * 0.1 + 0.5 * 0.5);  // turned by 90 degrees about z
   EXPECT_NEAR(m->body_inertia.to_host()[0].m[2][2], 0.2 + own + reduced * (1.0 * 1.0 + 2.1 * 2.1),
               5e-3);

@@ -288,7 +288,8 @@ TEST(ShapeContactPairs, LeaveOutStaticAndSameBodyPairs) {
       make_shape_contact_pairs(std::vector<int32_t>(4, -1), flags, group, world, {}).empty());
 }
 
-// Worlds are searched one by one: the pairs are those of a search of all by all, in its order.
+// The search treats worlds one by one. Its pairs are those of a search over all pairs, in the same
+// order.
 TEST(ShapeContactPairs, OfManyWorldsAreThoseOfASearchOfAllByAll) {
   std::mt19937 random(3);
   const auto draw = [&](int32_t least, int32_t most) {

@@ -30,7 +30,7 @@ TEST(Storage, IsAlignedAndZeroFilledAlsoWhenTheBlockIsReused) {
   }
 }
 
-// The preset debug finds whoever reads what nobody wrote.
+// The preset debug finds reads of unwritten memory.
 TEST(Storage, UndefinedMemoryHoldsSignalingNaNInADebugBuild) {
 #ifdef NOVAPHY_DEBUG
   Storage::allocate(1000, Device::cpu());  // leaves a block of zeros behind

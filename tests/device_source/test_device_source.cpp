@@ -115,7 +115,7 @@ TEST(CodeOfTheBuild, IsIncludedAsCodeAndAsText) {
 }
 
 TEST(Literals, JoinToTheText) {
-  // As the compiler joins them: what stands between `R"==(` and `)=="`.
+  // Joins the texts between `R"==(` and `)=="`, as a compiler does.
   const std::string text = "a\n\nb\n\n\nc \\ \" )\" \n";
   std::string literals = as_literals(text);
   std::string joined;

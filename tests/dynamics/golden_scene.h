@@ -16,7 +16,7 @@
 
 namespace novaphy::testing {
 
-// Builds the scene with ModelBuilder from what the file says of Newton's model.
+// Builds the scene with ModelBuilder from the file's description of Newton's model.
 inline std::shared_ptr<Model> golden_model(const Npz& file) {
   ModelBuilder builder(Axis::Z, file["model_gravity"].as<Vec3f>()[0]);
   builder.add_particles(file["model_particle_q"].as<Vec3f>(), file["model_particle_qd"].as<Vec3f>(),
@@ -69,7 +69,7 @@ struct GoldenRun {
   std::vector<int32_t> contact_counts;  // of every step
 };
 
-// Runs the file's steps: contacts once from state 0, or anew in every step.
+// Runs the file's steps, with the contacts of state 0 or new ones in every step.
 inline GoldenRun golden_run(const std::shared_ptr<Model>& model, float gap, float dt, int steps,
                             bool regenerate) {
   CollisionPipeline pipeline(model, {.soft_contact_margin = gap});

@@ -21,7 +21,7 @@ class NewtonRigidScene {
   const NpyArray& operator[](const std::string& array) const { return file_[name_ + "_" + array]; }
   float dt() const { return static_cast<float>((*this)["dt"].scalar<double>()); }
 
-  // Mass and inertia as the file has them: Newton adds in float32.
+  // Mass and inertia come from the file, because Newton adds in float32.
   std::shared_ptr<Model> model(Device device = Device::cpu()) const {
     ModelBuilder builder(Axis::Z, (*this)["model_gravity"].as<Vec3f>()[0]);
     const size_t bodies = (*this)["model_body_mass"].size();

@@ -103,7 +103,7 @@ Dynamics<T> evaluate(const std::string& name, size_t row, int32_t joints_in_a_ro
 
 size_t rows_of(const std::string& name) { return reference()[name + "_q"].shape[0]; }
 
-// By both factors.
+// With both factorizations.
 TEST(Articulation, EqualsPinocchioInDoublePrecision) {
   for (const std::string& name : names())
     for (size_t row = 0; row < 2 * rows_of(name); ++row) {
@@ -138,12 +138,13 @@ TEST(Articulation, EqualsPinocchioInSinglePrecision) {
       check(d.matrix, "_H", 1e-5);
       check(d.dtau_dq, "_dtau_dq", 1e-5);
       check(d.dtau_dqd, "_dtau_dqd", 1e-5);
-      // Accelerations to what the condition of H allows; articulated bodies do without H.
+      // The error of accelerations is bounded by the condition number of H. Articulated bodies need
+      // no H.
       check(d.qdd, "_fd_qdd", by_links ? 2e-6 : name == "fr3" ? 2e-6 * 1.7e4 : 2e-4);
     }
 }
 
-// Links at random, every fourth on one of the six before it; the same numbers in every T.
+// Random links. Every fourth one hangs on one of the six before it. All T get the same numbers.
 template <class T>
 struct Chain {
   TestTree<T> tree;

@@ -54,7 +54,7 @@ struct Scene {
   std::vector<double> q, qd;
 };
 
-constexpr int32_t kWidth = 12;  // of 10 dofs
+constexpr int32_t kWidth = 12;  // for 10 dofs
 struct Rows {
   double jacobian[3 * kWidth] = {}, response[3 * kWidth] = {};
 };
@@ -224,7 +224,7 @@ TEST(ArticulationContacts, NormalsFollowTheGap) {
   EXPECT_DOUBLE_EQ(shift(-0.0005, 0.0), 0.0);
   EXPECT_DOUBLE_EQ(shift(-0.006, 0.0), -0.1);   // erp of what is beyond the slop
   EXPECT_DOUBLE_EQ(shift(-1.0, 0.0), -1.0);     // no faster than that
-  EXPECT_DOUBLE_EQ(shift(-0.006, -2.0), -1.2);  // which the bounce does already
+  EXPECT_DOUBLE_EQ(shift(-0.006, -2.0), -1.2);  // the bounce already opens the overlap
   law.slop = 0.0;
   law.erp = 1.0;
   EXPECT_NEAR(bias(-5e-5, 0.0), -5e-3, 1e-15);  // a contact at rest, but for rounding
@@ -248,7 +248,7 @@ TEST(ArticulationContacts, NormalsThatJointsHardlyPartAreSoft) {
     set_steps(0.01, c);
     EXPECT_NEAR(1.0 / c.normal_step, 1e-3 * (whole + 1e-3 * mobility), 1e-8);
   }
-  c.normal = 0.01;  // others stay as hard as they are
+  c.normal = 0.01;  // others keep their hardness
   c.cfm = 0.0;
   set_steps(0.01, c);
   EXPECT_EQ(c.cfm, 0.0);
@@ -264,7 +264,7 @@ TEST(ArticulationContacts, NormalsThatNothingMovesAreAsSoftAsTheMassSays) {
     EXPECT_NEAR(1.0 / c.normal_step, 1e-2 / c.mass, 1e-9);
     EXPECT_NEAR(c.softness, 1e-2 / c.mass, 1e-6);
   }
-  c.normal = 1.0 / c.mass;  // what hangs on nothing has that
+  c.normal = 1.0 / c.mass;  // the mobility of a free body
   c.cfm = 0.0;
   set_steps(0.01, c);
   EXPECT_EQ(c.cfm, 0.0);

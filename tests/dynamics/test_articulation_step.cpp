@@ -102,7 +102,7 @@ class Random {
   std::mt19937 engine_;
 };
 
-// Those need a mass matrix.
+// Limits of BALL joints need a mass matrix.
 void remove_ball_limits(Scene<double>& s) {
   for (const articulation::Link& link : s.tree.links)
     if (articulation::is_ball(link)) s.limit_upper[static_cast<size_t>(link.dof)] = 1e10;
@@ -188,7 +188,7 @@ struct Weights {
   }
 };
 
-// Each array of a scene as numbers, with its gradient beside it.
+// An array of a scene as numbers, with its gradient.
 struct Part {
   std::string name;
   double* values;
@@ -231,7 +231,8 @@ void backward(Scene<double>& s, const Result<double>& r, const Weights& w, std::
       static_cast<size_t>(articulation::adjoint_bytes<double>(links, s.tree.dofs)));
   auto adjoint = articulation::make_adjoint_memory<double>(memory.data(), links, s.tree.dofs);
   articulation::StepGradient<double> g = {};
-  size_t next = 0;  // parts stand in the order of the list; gravity, its last, is none of them
+  // parts are in the order of the list; the last part, gravity, is not in the list
+  size_t next = 0;
   articulation::for_each_gradient_array(
       [&](auto& to) {
         if (next < all.size())
@@ -255,13 +256,13 @@ TEST(ArticulationStep, ArraysStandInTheOrderOfTheirList) {
   for (int32_t i = 0; i < next; ++i) EXPECT_EQ(numbers[static_cast<size_t>(i)], i);
 }
 
-// The gradient of a symmetric part of an entry is what a change of one entry sees.
+// A change of one entry of a symmetric matrix sees the gradient of the symmetric part.
 TEST(ArticulationStep, GradientsEqualCentralDifferencesForEveryInput) {
   int clamped = 0, outside = 0, released = 0, fast = 0, turned[2] = {0, 0};
   for (uint32_t seed = 0; seed < 30; ++seed) {
     const std::vector<LinkJoint> balls(6, LinkJoint::Ball);
     Scene<double> s = random_scene(seed, seed < 24 ? all_joints(seed) : balls);
-    if (seed >= 24)  // so that some limits let go
+    if (seed >= 24)  // makes some limits let go
       for (double& damping : s.limit_kd) damping *= 4;
     s.options.implicit_drives = seed % 3 != 0;
     const Weights weights(s, seed + 7);
@@ -392,8 +393,8 @@ std::vector<LinkJoint> hinges_and_slides(uint32_t seed, LinkJoint root) {
   return joints;
 }
 
-// Stiff drives with targets far away, so that most of them stop, and single Newton steps would go
-// round in circles in about a tenth of the scenes.
+// Stiff drives with distant targets, most of which stop at a limit. Plain Newton steps would cycle
+// in about a tenth of the scenes.
 TEST(ArticulationStep, DrivesKeepToTheirEffortLimits) {
   int at_limit = 0;
   double worst = 0.0;

@@ -19,7 +19,7 @@ Vec3d exact(const Vec3f& a) {
 }
 double norm(const Vec3d& a) { return std::sqrt(math::dot(a, a)); }
 
-// One kind of element at a time, without what is no internal force (drag, lift).
+// One kind of element at a time, without external forces (drag, lift).
 enum class Kind { Springs, Triangles, Edges, Tetrahedra };
 std::shared_ptr<Model> make_model(Kind kind, float damping, float gravity = 0.0f) {
   ModelBuilder builder(Axis::Z, gravity);
@@ -147,7 +147,8 @@ TEST_P(EveryKind, AtRestThereIsNoForce) {
   EXPECT_LT(at_rest, 1e-5 * size);
 }
 
-// The kinetic energy that a disturbed body keeps: most of it without damping, little with it.
+// Returns the kinetic energy of a disturbed body after some steps (J). Most of it remains without
+// damping, little with damping.
 double kinetic_energy_after(Kind kind, float damping, int steps) {
   const auto model = make_model(kind, damping);
   SimState a = model->state(), b = model->state();
@@ -155,7 +156,7 @@ double kinetic_energy_after(Kind kind, float damping, int steps) {
   a.particle_q.copy_from_host(std::span<const Vec3f>(q));
   SolverSemiImplicit solver(model);
   const std::vector<float> mass = model->particle_mass.to_host();
-  double sum = 0.0;  // over the last half: it oscillates
+  double sum = 0.0;  // mean over the last half, because the energy oscillates
   for (int t = 0; t < steps; ++t) {
     a.clear_forces();
     solver.step(a, b, nullptr, nullptr, 5e-4f);
@@ -176,7 +177,7 @@ TEST_P(EveryKind, DampingTakesEnergyOutAndNothingElseDoes) {
   EXPECT_LT(kinetic_energy_after(GetParam(), damping, 4000), 0.2 * start);
 }
 
-// Spring k of a hanging chain carries the weights below it: it is longer by their sum over ke.
+// Spring k of a hanging chain carries the weights below it. Its extension is their sum over ke.
 TEST(Springs, AHangingChainHasTheLengthOfTheClosedForm) {
   constexpr int kLinks = 5;
   constexpr float kKe = 400.0f, kMass = 0.2f, kRest = 0.3f;
@@ -283,7 +284,8 @@ TEST(Tetrahedra, AStretchedBarHasTheForceOfTheClosedForm) {
   }
 }
 
-// A positive activation of the cells of a block is a smaller rest volume: it contracts.
+// A positive activation of the cells of a block makes their rest volume smaller: the block
+// contracts.
 TEST(Tetrahedra, ActivationsComeFromTheControl) {
   const auto model = make_model(Kind::Tetrahedra, 5.0f);
   SolverSemiImplicit solver(model);

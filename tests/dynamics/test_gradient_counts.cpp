@@ -1,4 +1,4 @@
-// What steps say of their gradients, and the events of contacts between two of them.
+// The counts of steps for labels of gradients, and the events of contacts between two steps.
 #include <gtest/gtest.h>
 
 #include <limits>
@@ -18,7 +18,7 @@ StepNotes events(const std::vector<SeenContact>& before, const std::vector<SeenC
 }
 
 TEST(GradientCounts, ContactsAreFoundAgainByPairAndPoint) {
-  // Point 3 of the pair (0, 2) goes on, points 1 and 2 change places in the list.
+  // Point 3 of the pair (0, 2) persists, and points 1 and 2 change places in the list.
   const std::vector<SeenContact> before = {{0, 1, 0, 1}, {0, 2, 1, 1}, {0, 2, 2, 2}, {0, 2, 3, 2}};
   const std::vector<SeenContact> now = {{0, 2, 2, 2}, {0, 2, 1, 2}, {0, 2, 3, 2}, {1, 2, 0, 1}};
   const StepNotes notes = events(before, now);

@@ -20,9 +20,9 @@ testing::GoldenRun run_file(const Npz& file) {
 
 class NewtonBranches : public ::testing::TestWithParam<const char*> {};
 
-// Also the scene "inactive": Newton does not write the velocity of an inactive particle, so it
-// keeps what its output state was made with, the initial velocity; here it is copied. The bits are
-// the same.
+// The scene "inactive" is included. Newton does not write the velocity of an inactive particle, so
+// its output state keeps the initial velocity. This solver copies the velocity. The bits are the
+// same.
 TEST_P(NewtonBranches, EqualNewtonInAllBits) {
   const Npz file = golden("newton_" + std::string(GetParam()) + ".npz");
   testing::expect_model_arrays_equal(file, *testing::golden_model(file), 15);
@@ -44,9 +44,9 @@ INSTANTIATE_TEST_SUITE_P(Scenes, NewtonBranches,
                                            "sphere_capsule", "sphere_capsule_regenerated"),
                          [](const auto& scene) { return std::string(scene.param); });
 
-// Newton's finite plane is unsigned and its contact point may lie beside the sheet (a defect); ours
-// is the top of a solid block. So only the particles above the sheets, and those that meet no
-// finite plane, are compared.
+// Newton's finite plane is unsigned, and its contact point may lie beside the sheet (a defect).
+// Here a finite plane is the top of a solid block. So the test compares only particles above the
+// sheets, and particles that meet no finite plane.
 TEST(NewtonFinitePlane, EqualsNewtonAboveTheSheet) {
   const Npz file = golden("newton_finite_plane.npz");
   const auto run = run_file(file);
@@ -64,8 +64,8 @@ TEST(NewtonFinitePlane, EqualsNewtonAboveTheSheet) {
   }
 }
 
-// Particle 7 starts 0.05 m below the flat sheet. Newton's contact point is mirrored to the other
-// side of the particle; ours pushes it out through the top.
+// Particle 7 starts 0.05 m below the flat sheet. Newton mirrors the contact point to the other side
+// of the particle. Here the contact pushes the particle out through the top.
 TEST(NewtonFinitePlane, PushesAParticleBelowTheSheetUp) {
   const Npz file = golden("newton_finite_plane.npz");
   const auto run = run_file(file);

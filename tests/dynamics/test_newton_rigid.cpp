@@ -81,7 +81,7 @@ INSTANTIATE_TEST_SUITE_P(Scenes, NewtonRigid,
                                            "capsule_tumble"),
                          [](const auto& scene) { return std::string(scene.param); });
 
-// With Newton's rows: pose and twist after the substeps for which the file has them.
+// Runs with Newton's contact rows, and compares pose and twist after the substeps in the file.
 TEST(NewtonRigidRows, TwoStackedBoxesMoveAsNewtonsOnItsRows) {
   const Scene scene("stack2");
   const auto model = scene.model();

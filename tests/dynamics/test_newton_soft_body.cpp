@@ -37,7 +37,7 @@ TEST(NewtonSoftBody, TheModelIsNewtonsInAllBits) {
   EXPECT_EQ(testing::kSoftBodyDt, file["sim_dt"].scalar<float>());
 }
 
-// Contacts are made anew in every substep, as the example does.
+// Every substep finds new contacts, as in the example.
 TEST(NewtonSoftBody, TheRolloutIsNewtonsInAllBits) {
   const Npz file = golden("newton_soft_body_strict.npz");
   const auto run = testing::golden_run(testing::make_soft_body_model(), testing::kSoftBodyGap,

@@ -37,7 +37,7 @@ BodyArgs body(const Transformf& x, float mass = 1.0f, float inertia = 0.1f) {
   return {.xform = x, .mass = mass, .inertia = diagonal(inertia, inertia, inertia)};
 }
 
-// Runs a model for some steps; what(t, state) sees every state after a step.
+// Runs a model for some steps, and calls what(t, state) after every step.
 template <class What>
 SimState run(const std::shared_ptr<Model>& model, int steps, const SemiImplicitOptions& options,
              What&& what, const Control* control = nullptr) {
@@ -93,7 +93,7 @@ TEST(PenaltyJoints, ThePendulumIsNewtons) {
     return std::max({math::length(a.p - b2.p), std::abs(a.q.x - b2.q.x), std::abs(a.q.y - b2.q.y),
                      std::abs(a.q.z - b2.q.z), std::abs(a.q.w - b2.q.w)});
   };
-  // One step from each of Newton's states, then all of them from the first one.
+  // First one step from each of Newton's states, then all steps from the first state.
   float one = 0.0f, all = 0.0f;
   for (size_t t = 0; t < 480; ++t) {
     now.body_q.copy_from_host(q.subspan(2 * t, 2));
@@ -137,7 +137,7 @@ TEST(PenaltyJoints, APendulumHasThePeriodOfTheClosedForm) {
       (crossings.back() - crossings.front()) / static_cast<double>(crossings.size() - 1);
   const double expected =
       2.0 * kPi * std::sqrt((kInertia + kMass * kLength * kLength) / (kMass * 9.81 * kLength));
-  // 1.6e-4 of it from the amplitude; the anchor gives way by m g / ke = 1 mm.
+  // The amplitude contributes 1.6e-4 of the period. The anchor yields by m g / ke = 1 mm.
   EXPECT_NEAR(period, expected, 2e-3 * expected);
 }
 
@@ -252,11 +252,11 @@ TEST(PenaltyJoints, ADriveHoldsWhereItsSpringSays) {
   EXPECT_NEAR(rest(moving), 0.3f + 0.1f - weight / 200.0f, 1e-4f);
   moving.actuator_mode = JointTargetMode::POSITION;
   EXPECT_NEAR(rest(moving), 0.3f - weight / 200.0f, 1e-4f);
-  // Without a drive it comes to rest below its lower limit by m g / limit_ke.
+  // Without a drive the body comes to rest below the lower limit by m g / limit_ke.
   JointDofConfig limited{
       .limit_lower = -0.5f, .limit_upper = 0.5f, .limit_ke = 1e3f, .limit_kd = 50.0f};
   EXPECT_NEAR(rest(limited), -0.5f - weight / 1e3f, 1e-4f);
-  // A drive at its effort limit of half the weight loses to it.
+  // A drive with an effort limit of half the weight cannot hold the body.
   JointDofConfig weak = limited;
   weak.target_ke = 1e4f;
   weak.effort_limit = weight / 2.0f;
@@ -418,7 +418,7 @@ TEST(PenaltyJoints, AStepAboveTheStableOneIsRefused) {
     return b.finalize();
   };
   const SemiImplicitOptions options = {.joint_attach_kd = 10.0f};
-  // How fast it turns after some steps of dt.
+  // Returns the angular speed after some steps of dt (rad/s).
   const auto speed = [&](const std::shared_ptr<Model>& m, float dt) {
     SolverSemiImplicit solver(m, options);
     SimState now = m->state(), next = m->state();
@@ -433,9 +433,9 @@ TEST(PenaltyJoints, AStepAboveTheStableOneIsRefused) {
   EXPECT_LT(speed(model({1.0f, 0.0f, 0.0f}, 0.0f), 0.99f * limit), 0.01f);
   EXPECT_ERROR(speed(model({1.0f, 0.0f, 0.0f}, 0.0f), 1.001f * limit), ErrorKind::Value,
                "above it joint 0 diverges with joint_attach_ke 10000");
-  // About its own axis the link is free; the others are held, and are heavier.
+  // The link is free about its own axis. The joint holds the other axes, which have more inertia.
   EXPECT_LT(speed(model({0.0f, 0.0f, 1.0f}, 0.0f), 2.0f * limit), 0.01f);
-  // At an arm of 0.5 m along x a force across turns it: w = 1/2 + 0.25 / 0.002.
+  // A transverse force with an arm of 0.5 m along x rotates the link: w = 1/2 + 0.25 / 0.002.
   const float w = 0.5f + 0.25f / 0.002f, far = 4.0f / w / (10.0f + std::sqrt(100.0f + 4e4f / w));
   EXPECT_NO_THROW(speed(model({0.0f, 0.0f, 1.0f}, 0.5f), 0.99f * far));
   EXPECT_ERROR(speed(model({0.0f, 0.0f, 1.0f}, 0.5f), 1.01f * far), ErrorKind::Value, "diverges");

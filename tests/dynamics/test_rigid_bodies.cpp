@@ -87,7 +87,7 @@ TEST(RigidBodies, AForceAndAMomentActAtTheCenterOfMassAndStayInTheState) {
   const Body body = run.body();
   EXPECT_NEAR(body.qd.linear.x, 0.1f, 1e-5f);   // 2 N / 2 kg * 0.1 s
   EXPECT_NEAR(body.qd.angular.z, 0.2f, 1e-5f);  // 5 Nm / 2.5 kg m^2 * 0.1 s
-  // The center moves on a line, the origin about it.
+  // The center of mass moves on a line, and the origin rotates about it.
   const Vec3f center = math::transform_point(body.q, Vec3f{0.5f, 0.0f, 0.0f});
   EXPECT_NEAR(center.y, 0.0f, 1e-6f);
   EXPECT_NEAR(center.x, 0.5f + 0.5f * 0.1f * 0.1f, 1e-4f);
@@ -191,7 +191,7 @@ TEST(RigidBodies, ABoxOnASlopeCreepsAsItsLawSays) {
 TEST(RigidBodies, ABoxAboveTheFrictionAngleSlides) {
   const double angle = 0.7, mu = 0.5;
   ModelBuilder builder = body_on_slope(angle, kSurface, 0.1f);
-  // Flat, so that it does not topple.
+  // The body is flat, so that it does not topple.
   builder.add_shape_box(0, {.hx = 0.3f, .hy = 0.3f, .hz = 0.02f, .cfg = kSurface});
   builder.body_q[0].p = math::rotate(builder.body_q[0].q, Vec3f{0.0f, 0.0f, 0.02f});
   Simulation run(builder.finalize(Device::cpu()));

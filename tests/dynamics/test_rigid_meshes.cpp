@@ -70,8 +70,8 @@ TEST(RigidMeshes, HullsAndMeshesOfABoxRestAsTheBox) {
     }
 }
 
-// Inner edges are no bumps: the vertical velocity of what slides stays below a thousandth of its
-// own.
+// Inner edges are no bumps: the vertical velocity of a sliding body stays below a thousandth of its
+// sliding velocity.
 TEST(RigidMeshes, AHullSlidesOverAThousandTrianglesWithoutBumping) {
   const Triangles ground = testing::terrain(23, 0.1f, testing::flat);  // 1058 triangles
   ShapeConfig smooth = kSurface;

@@ -165,7 +165,7 @@ TEST(SolverFeatherstone, TakesD6JointsForTheirChain) {
   EXPECT_EQ(a.q, b.q);
 }
 
-// What step says, "" if nothing.
+// Returns the error message of a step, or "" without an error.
 std::string refusal(const ModelBuilder& builder, const std::function<void(Model&)>& edit) {
   const auto model = builder.finalize();
   edit(*model);

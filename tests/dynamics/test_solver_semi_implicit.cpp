@@ -40,7 +40,7 @@ std::shared_ptr<Model> one_particle(const Vec3f& q = {}, const Vec3f& qd = {}) {
   return builder.finalize(Device::cpu());
 }
 
-// Says that a call is under way, as one of another thread would.
+// Marks the solver as used, as a call in another thread would.
 class BusySolver : public SolverSemiImplicit {
  public:
   using SolverBase::use;
@@ -119,7 +119,7 @@ TEST(SolverSemiImplicit, SlidesDownASlopeWithCoulombFriction) {
   EXPECT_NEAR(along, expected, 0.01 * expected);
 }
 
-// Below the friction angle the viscous branch lets it creep at v = m*g*sin(s)/kf.
+// Below the friction angle the body creeps at v = m*g*sin(s)/kf, by the viscous branch.
 TEST(SolverSemiImplicit, CreepsOnAFlatSlope) {
   const double slope = 0.1;
   const auto nx = static_cast<float>(std::sin(slope)), nz = static_cast<float>(std::cos(slope));
@@ -347,7 +347,7 @@ TEST(SolverSemiImplicit, RefusesContactsThatItCannotUse) {
                "soft_contact_normal: expected 1 rows");
 }
 
-// What a tape or a capture installs.
+// An observer as a tape or a capture installs one.
 class Recorder : public ArrayObserver {
  public:
   void host_read(const char*) override {}

@@ -18,7 +18,7 @@
 namespace novaphy {
 namespace {
 
-// Solvers that are made meanwhile take this level; skips where the processor does not have it.
+// Solvers that are made while it lives use this level. Skips if the processor does not support it.
 class Level {
  public:
   explicit Level(const char* name) {
@@ -54,7 +54,7 @@ ModelBuilder creature(int tail = 0) {
   surface.mu = 0.6f;
   surface.restitution = 0.3f;
   b.add_ground_plane({.cfg = surface});
-  surface.collision_group = -1;  // no shape of it meets another
+  surface.collision_group = -1;  // its shapes do not meet each other
   const auto link = [&](float radius) {
     const int32_t body = b.add_link({});
     b.add_shape_sphere(body, {.radius = radius, .cfg = surface});
@@ -183,7 +183,7 @@ Run run(const std::vector<World>& worlds, size_t place, bool spread, bool touchi
   return r;
 }
 
-// Worlds without their offsets, so each is where it would be alone.
+// Worlds without offsets, so that each is where it would be alone.
 void expect_lanes_as_alone(bool spread, bool touching, int steps, int tail = 0) {
   const auto worlds = random_worlds(*creature(tail).finalize(), 21);
   std::vector<Run> alone;

@@ -13,7 +13,8 @@ namespace novaphy::testing {
 
 template <class T>
 struct TestTree {
-  // Whose factors are of the mass matrix, and of articulated bodies.
+  // Numbers of joints in a row that choose the factor of the mass matrix, or that of articulated
+  // bodies.
   static constexpr int32_t kShort = 0, kLong = articulation::kMatrixJoints + 1;
 
   std::vector<articulation::Link> links;
@@ -26,7 +27,7 @@ struct TestTree {
   std::vector<T> armature;
   Vec3<T> gravity = {T(0), T(0), T(-9.81)};
   int32_t coords = 0, dofs = 0;
-  int32_t joints_in_a_row = 0;  // what the tree says, which chooses its factor
+  int32_t joints_in_a_row = 0;  // reported number, which chooses the factor
 
   std::vector<unsigned char> memory;
   std::vector<articulation::DofMotion<T>> motions;

@@ -165,7 +165,7 @@ TEST_F(LoadMesh, ColladaComesInMetresWithZUp) {
   };
   EXPECT_EQ(at("<unit meter=\"1\"/><up_axis>Z_UP</up_axis>"), box({0, 10, 0}, {1, 12, 4}));
   EXPECT_EQ(at("<unit meter=\"0.5\"/><up_axis>Z_UP</up_axis>"), box({0, 5, 0}, {0.5f, 6, 2}));
-  // y up: (x, y, z) stands as (x, -z, y)
+  // With y up, (x, y, z) becomes (x, -z, y).
   EXPECT_EQ(at("<unit meter=\"1\"/><up_axis>Y_UP</up_axis>"), box({0, -4, 10}, {1, 0, 12}));
   EXPECT_EQ(at("<unit meter=\"0.5\"/><up_axis>Y_UP</up_axis>"), box({0, -2, 5}, {0.5f, 0, 6}));
 }
@@ -206,7 +206,7 @@ TEST_F(LoadMesh, EveryVertexOfAnObjFileCounts) {
         "v .5 0 0 .1 .2 .3\nv 1 0 0 1 1 1 .5\nv 0 1 0 0.5\nf 1 2 3\n"s,  // colors, w
         "mtllib none.mtl\nvt .5\nvn .5 .5 .5\nv .5 0 0\nv 1 0 0 # 4\nv 0 2 0\n"
         "f 1/1/1 2/1/1 3/1/1\n"s,
-        "v .5 0 \\\n0\nv 1 0 0\nv 0 2 0\nf 1 2 \\\n3\n"s,  // lines that go on
+        "v .5 0 \\\n0\nv 1 0 0\nv 0 2 0\nf 1 2 \\\n3\n"s,  // continued lines
         "v .5 0 0\rv 1 0 0\rv 0 2 0\rf 1 2 3\r"s,
         "v .5 0 0\r\nv 1 0 0\r\nv 0 2 0\r\nf 1 2 3\r\n"s}) {
     SCOPED_TRACE(text);

@@ -21,7 +21,7 @@ std::string hinge(const std::string& type, const std::string& inside = "") {
          R"("><parent link="a"/><child link="b"/><origin xyz="0 0 1"/>)" + inside + "</joint>";
 }
 
-// What an error says; empty: there was none.
+// Returns the message of an error; empty without an error.
 template <class Add>
 std::string message(Add&& add) {
   try {

@@ -75,8 +75,8 @@ int release(void* pointer) {
   return 0;
 }
 
-// A fiber runs threads until one waits; it then keeps that thread, and another fiber takes the
-// rest.
+// A fiber runs threads until one of them waits. The fiber keeps this thread, and another fiber
+// takes the remaining threads.
 struct Fiber {
   ucontext_t context;
   std::unique_ptr<char[]> stack;
@@ -84,7 +84,7 @@ struct Fiber {
   bool waits = false;
 };
 std::vector<std::unique_ptr<Fiber>> g_fibers;
-std::vector<unsigned> g_order;  // of the threads of a block
+std::vector<unsigned> g_order;  // order of the threads of a block
 size_t g_next = 0;
 Fiber* g_running = nullptr;
 ucontext_t g_scheduler;
@@ -238,10 +238,10 @@ FAKE int cudaEventElapsedTime(float* milliseconds, void*, void*) {
 FAKE int cudaLaunchKernel(const void* function, FakeIndex grid, FakeIndex block, void** arguments,
                           size_t shared_bytes, void*) {
   ++g_launches;
-  if (lost()) return 0;  // noticed by the call after it
+  if (lost()) return 0;  // the next call reports the loss
   if (function == nullptr || grid.x == 0 || block.x == 0 || block.x > 1024) return kInvalidValue;
   const std::lock_guard lock(g_mutex);
-  const novaphy::cpu::FloatMode own;  // whatever the caller's
+  const novaphy::cpu::FloatMode own;  // independent of the caller's mode
   alignas(16) static char shared[64 << 10];
   if (shared_bytes > sizeof(shared)) return kInvalidValue;
   fake_dlan_shared = shared;

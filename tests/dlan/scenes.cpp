@@ -100,14 +100,14 @@ std::vector<float> cloth(Device device) {
                  30, 5e-4f, {0.1f, 0.2f, 0.3f});
 }
 
-// What rigid bodies ask of a device: all that these scenes say of it.
+// The settings of the scenes with rigid bodies.
 constexpr float kRigidDt = 1.0f / 960.0f;
 constexpr novaphy::ShapeConfig kSurface{.ke = 1e4f, .kd = 100.0f, .kf = 200.0f, .mu = 0.5f};
 novaphy::CollisionOptions rigid_options(novaphy::BroadPhase phase) {
   return {.broad_phase = phase, .rigid_contact_max = 400};
 }
 
-// Bodies of all types, so close that they overlap, on the ground and beside a box.
+// Overlapping bodies of all types, on the ground and beside a box.
 novaphy::ModelBuilder rigid_bodies() {
   novaphy::ModelBuilder b;
   b.add_ground_plane({.cfg = kSurface});
@@ -183,7 +183,7 @@ void rigid_contacts(Device device) {
   std::printf("\n");
 }
 
-// Articulations, from where forward kinematics has them.
+// Articulations that start at the poses of forward kinematics.
 std::vector<float> articulation_steps(Device device, bool capture) {
   using namespace novaphy;
   ModelBuilder all;
@@ -323,7 +323,7 @@ std::vector<float> articulation(Device device) {
   return results;
 }
 
-// The loss and gradients of a die and a ball on it, thrown: of a captured iteration.
+// The loss and gradients of a captured iteration: a die with a ball on it is thrown.
 std::vector<float> rigid(Device device) {
   using namespace novaphy;
   ModelBuilder b;

@@ -80,7 +80,7 @@ TEST(FakeDlan, AFileReplacesNames) {
                   "round_trip")
                 .output,
             "sum 2500\n");
-  // Without the function that says it, the version is not asked for.
+  // A runtime without the function for its version is not asked for the version.
   EXPECT_EQ(probe(kFake + "FAKE_DLAN_VERSION=8000 " +
                       symbols_file("without", "cudaRuntimeGetVersion =\n"),
                   "round_trip")
@@ -175,7 +175,7 @@ TEST_P(OnWarps, GradientsOfVbdHaveTheBitsOfTheCpu) {
 #endif
 INSTANTIATE_TEST_SUITE_P(Widths, OnWarps, testing::Values(1, 32, 64));
 
-// Kernels that nobody built ahead: interpreted, and by a command.
+// Kernels that were not built ahead of time are interpreted, or compiled by a command.
 TEST(FakeDlan, OtherKernelsAreInterpretedWhichIsSaidOrCompiledByACommand) {
   const std::string loud = "NOVAPHY_DLAN_KERNELS=" FAKE_KERNELS " NOVAPHY_DLAN_LIBRARY=" FAKE " ";
   const std::string said = probe(loud, "own_kernel", SCENES).output;

@@ -12,7 +12,7 @@ namespace {
 
 #include "fake_driver/host_intrinsics.h"
 #include "vendors/generic.cuh"
-// The prelude needs what comes before.
+// The prelude needs the includes above.
 #include "device_prelude.cuh"
 
 bool same(float a, float b) { return uf_bits(a) == uf_bits(b) || (a != a && b != b); }
@@ -24,7 +24,8 @@ namespace {
 
 using device::ubits_f;
 
-// All mantissas at an even and an odd exponent: what a root depends on besides is a power of two.
+// All mantissas at an even and an odd exponent. Other exponents only multiply a root by a power of
+// two.
 TEST(GenericSeeds, EveryRootIsRoundedCorrectly) {
   for (const uint32_t exponent : {127u, 128u}) {
     for (uint32_t mantissa = 0; mantissa < 1u << 23; ++mantissa) {
@@ -42,7 +43,7 @@ TEST(GenericSeeds, QuotientsAreRoundedCorrectly) {
     ASSERT_TRUE(device::same(device::udiv(a, b), a / b)) << a << " / " << b;
   };
   const auto bits = [](uint64_t word) { return ubits_f(static_cast<int32_t>(word)); };
-  // Whatever the exponents, zeros, denormals and NaNs among them.
+  // Operands with any exponents, zeros, denormals and NaNs included.
   for (int k = 0; k < 5000000; ++k) {
     const uint64_t word = random();
     expect(bits(word), bits(word >> 32));

@@ -42,7 +42,7 @@ inline ModelBuilder boxes() {
   return b;
 }
 
-// Cubes upon each other, and one that flies into them.
+// A stack of cubes, and a cube that flies into the stack.
 inline ModelBuilder stack() {
   ModelBuilder b;
   b.add_ground_plane({.cfg = kSurface});
@@ -56,7 +56,7 @@ inline ModelBuilder stack() {
   return b;
 }
 
-// A ball with four legs of a hinge each. `group` -1: it meets the ground only.
+// A ball with four legs, one hinge each. `group` -1: the walker meets only the ground.
 inline void add_walker(ModelBuilder& b, float x, float z, int32_t group, float friction) {
   const ShapeConfig surface = {.mu = 0.75f, .collision_group = group};
   const int32_t torso = b.add_link({.xform = at(x, 0.0f, z)});
@@ -88,8 +88,8 @@ inline ModelBuilder walker() {
   return b;
 }
 
-// Two walkers, whose legs meet everything, upon each other and among boxes: one island with dry
-// friction, of trees and free bodies. And an arm that reaches into it from the world.
+// Two walkers on each other and among boxes, whose legs meet everything. They form one island of
+// trees and free bodies, with dry friction. An arm on the world reaches into the island.
 inline ModelBuilder crowd() {
   ModelBuilder b;
   b.add_ground_plane({.cfg = kSurface});
@@ -106,7 +106,7 @@ inline ModelBuilder crowd() {
   return b;
 }
 
-// A kinematic slab that moves and turns, with a walker and boxes on it, and a body that is fixed to
+// A kinematic slab that moves and rotates, with a walker and boxes on it. Another body is fixed to
 // the world.
 inline ModelBuilder turntable() {
   ModelBuilder b;

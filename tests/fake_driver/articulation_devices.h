@@ -17,7 +17,7 @@ class ArticulationDevices : public testing::OnCuda {};
 
 namespace testing {
 
-// `launches`, or what replays a capture of them.
+// Returns `launches`, or a function that replays a capture of them.
 inline std::function<void()> replayed_if(bool captured, const std::function<void()>& launches) {
   if (!captured) return launches;
   nova::ScopedCapture scope;
@@ -42,7 +42,8 @@ inline nova::Tensor sum_of_squares(const std::vector<nova::Tensor>& tensors) {
   return sum;
 }
 
-// Of the values of a leaf: `first`, `first` + `step`, ..., seven different ones in turn.
+// Returns a direction for the values of a leaf: `first`, `first` + `step`, ..., seven values in
+// turn.
 inline nova::Tensor direction(const nova::Tensor& leaf, float step, float first) {
   std::vector<float> x(static_cast<size_t>(leaf.size()));
   for (size_t k = 0; k < x.size(); ++k) x[k] = step * static_cast<float>(k % 7) + first;

@@ -52,7 +52,8 @@ std::map<void*, size_t>& blocks() {
 }
 size_t g_used = 0;
 
-// Of a hostile device: memory that only its work can touch. Addresses are not used again.
+// The memory of a hostile device, which only work of the device can access. Addresses are not
+// reused.
 class Guarded {
  public:
   void* allocate(size_t bytes) {
@@ -86,7 +87,7 @@ Guarded* guarded() {
   static Guarded* const memory = setting("FAKE_DRIVER_HOSTILE", 0) != 0 ? new Guarded : nullptr;
   return memory;
 }
-// While it lives, the device works.
+// While an object of this class lives, the device works.
 struct Works {
   Works() {
     if (guarded() != nullptr) guarded()->enter();
@@ -129,7 +130,7 @@ void* pointer(uint64_t p) { return reinterpret_cast<void*>(p); }
 // A stream, an event, a module or a graph.
 struct Handle {
   bool capturing = false;
-  std::vector<std::function<void()>> work;  // that was captured
+  std::vector<std::function<void()>> work;  // captured work
 };
 int make(void** handle) {
   *handle = new Handle;
@@ -138,7 +139,7 @@ int make(void** handle) {
 bool capturing(void* stream) {
   return stream != nullptr && static_cast<Handle*>(stream)->capturing;
 }
-// Does it, or captures it.
+// Runs the work now, or captures it.
 int submit(void* stream, std::function<void()> work) {
   if (lost()) return kIllegalAddress;
   if (capturing(stream)) {
@@ -230,7 +231,7 @@ FAKE cuMemAllocAsync(uint64_t* target, size_t bytes, void*) {
   return allocate(reinterpret_cast<void**>(target), bytes);
 }
 #endif
-// What a captured graph allocates stays with it.
+// Memory that a captured graph allocates belongs to the graph.
 FAKE cuMemFreeAsync(uint64_t target, void* stream) {
   return capturing(stream) ? result() : release(pointer(target));
 }
@@ -298,9 +299,9 @@ FAKE cuLaunchKernel(void* function, unsigned blocks, unsigned, unsigned, unsigne
       const std::lock_guard lock(g_mutex);
       run_host_kernel(kernel, blocks, threads, setting("FAKE_DRIVER_HOSTILE", 0) != 0, thread);
     });
-  return before;  // a kernel that fails is noticed by the call after it
+  return before;  // the next call reports a failing kernel
 }
-// With one block, whatever was asked for: here blocks run one after the other.
+// Always runs one block, because blocks run one after the other here.
 FAKE cuLaunchCooperativeKernel(void* function, unsigned, unsigned, unsigned, unsigned threads,
                                unsigned, unsigned, unsigned, void* stream, void** arguments) {
   const int before = result();

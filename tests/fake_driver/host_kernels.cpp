@@ -45,7 +45,7 @@ void begin() {
   wait(State::Done);
 }
 
-// Lets all fibers of [first, last) go on, if those that are not done wait for each other.
+// Releases all fibers of [first, last) if the unfinished ones all wait for each other.
 bool release(size_t first, size_t last, State barrier) {
   bool any = false;
   for (size_t t = first; t < last; ++t) {
@@ -85,7 +85,7 @@ void run_block() {
 
 }  // namespace
 
-// What the text expects of its compiler.
+// The definitions that the text expects from its compiler.
 namespace device {
 namespace {
 
@@ -359,7 +359,7 @@ const HostKernel* find_host_kernel(const char* name) {
 
 void run_host_kernel(const HostKernel& kernel, unsigned blocks, unsigned threads, bool backwards,
                      const std::function<void()>& thread) {
-  const novaphy::cpu::FloatMode own;  // whatever the caller's
+  const novaphy::cpu::FloatMode own;  // independent of the caller's mode
   g_thread = &thread;
   gridDim.x = blocks;
   blockDim.x = threads;

@@ -6,7 +6,7 @@
 struct HostKernel {
   const char* name;
   bool waits;  // threads of a block wait for each other
-  // One thread, with a copy of the arguments as the driver gets them.
+  // One thread, with a copy of the arguments as passed to the driver.
   std::function<void()> (*bind)(void* const* arguments);
 };
 // Null: there is none of this name.

@@ -26,7 +26,7 @@ struct Fiber {
   ucontext_t context;
   std::unique_ptr<char[]> stack;
   bool done = false;
-  // How often it has come to a barrier of its block, arrived at one of all blocks, and waited
+  // Counts of the fiber: barriers of its block, arrivals at a barrier of all blocks, and waits
   // there.
   size_t at_block = 0, arrived = 0, waited = 0, shown = 0;
 };
@@ -37,7 +37,7 @@ std::function<void()> g_thread;
 std::map<std::pair<unsigned, size_t>, size_t> g_at_block;  // block, how often: threads there
 std::map<size_t, size_t> g_arrived;
 std::map<unsigned, size_t> g_handed_over;  // block: arrivals, of whichever threads
-// Of a block: turns that are over, bytes that lack, and whether they are known.
+// The state of a block's barrier: finished turns, missing bytes, and whether the bytes are known.
 struct Came {
   size_t turns = 0;
   int64_t lack = 0;
@@ -45,7 +45,7 @@ struct Came {
 };
 std::map<std::pair<unsigned, unsigned>, Came> g_came_of;  // block, odd or even
 std::vector<std::function<void()>> g_under_way;           // rows that have not come yet
-// Of a warp: what its lanes show one another.
+// The words that the lanes of a warp exchange.
 struct Shown {
   std::vector<int32_t> words;
   size_t taken = 0;
@@ -70,7 +70,7 @@ void take_over_block() {
   hand_over_block();
   while (here < complete) give_way();
 }
-// Others go on at once, before what comes next in this thread.
+// Other threads run first, before the next statement of this thread.
 void arrive_all() {
   ++g_arrived[g_running->arrived++];
   give_way();
@@ -89,7 +89,7 @@ void came(unsigned block, unsigned turn, int64_t bytes, bool expected) {
   ++here.turns;
 }
 void expect_bytes(unsigned turn, int64_t bytes) { came(blockIdx.x, turn, bytes, true); }
-// As for an mbarrier: the turn of this parity is the one that is under way, or the one before.
+// As for an mbarrier: the turn of this parity is the current one or the one before.
 void wait_turn(unsigned turn) {
   const Came& here = g_came_of[{blockIdx.x, turn % 2}];
   while (here.turns % 2 == turn / 2 % 2) give_way();
@@ -143,7 +143,7 @@ void run_all(unsigned seed) {
       swapcontext(&g_scheduler, &g_running->context);
       left -= g_running->done ? 1 : 0;
     }
-    // Some of what was sent comes, in any order.
+    // Some of the sent rows arrive, in any order.
     std::shuffle(g_under_way.begin(), g_under_way.end(), random);
     const size_t stay = g_under_way.size() / 2;
     for (size_t k = stay; k < g_under_way.size(); ++k) g_under_way[k]();

@@ -44,8 +44,9 @@ struct Kind {
   int32_t rows() const { return static_cast<int32_t>(index.size()) / corners; }
 };
 
-// A grid of points with springs along its edges and triangles in its cells, over some substeps;
-// then points pull the other way, and elements read states that nobody writes any more.
+// A grid of points with springs along its edges and triangles in its cells, over some substeps.
+// Later substeps pull the points the other way, and elements read states that nobody writes any
+// more.
 struct Mesh {
   static constexpr uint32_t kSubsteps = 5;
   std::vector<Kind> kinds;
@@ -94,7 +95,7 @@ inline novaphy_kernel pull_kernel(int32_t corners) {
                                     return item;
                                   }));
 }
-// What a state says, slowly, times what comes back to the corners.
+// A kernel of an adjoint: a slow function of the state, times the gradients of the corners.
 inline novaphy_kernel back_kernel(int32_t corners) {
   return traced(nova::make_kernel("back" + std::to_string(corners),
                                   {{"index", DType::I32, corners, Access::Direct},
@@ -135,7 +136,7 @@ class MeshPersistent : public testing::Test {
       backs_.push_back(back_kernel(corners));
     }
   }
-  // Elements read a state, and forces on points or, without them, rest values of their own.
+  // Records elements that read a state, and either forces on points or their own rest values.
   static void record_elements(RecordedPersistent& to, uint32_t phase, Mesh& mesh,
                               std::vector<novaphy_kernel>& kernels, uint64_t at,
                               const float* forces) {
@@ -160,7 +161,7 @@ class MeshPersistent : public testing::Test {
         {word(mesh.forces.data()), kPoints, word(triangles.made.data()), triangles.made.size() / 3,
          word(mesh.forces.data()), word(triangles.offsets.data()), word(triangles.items.data())});
   }
-  // `more`: operations of a phase behind those that move the points.
+  // `more`: further operations of a phase, after those that move the points.
   RecordedPersistent forward(
       Mesh& mesh, const std::function<void(RecordedPersistent&, uint32_t substep)>& more = {}) {
     RecordedPersistent to;

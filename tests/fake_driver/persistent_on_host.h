@@ -18,7 +18,7 @@
 
 namespace novaphy::gpu {
 
-// What a vendor's file would say: barriers are those of fibers, the rest is generic.
+// The vendor's file of the host: barriers are those of fibers, the rest is generic.
 constexpr const char* kHostVendor = R"(
 #define VENDOR_WARP 32
 #define VENDOR_HAS_BLOCK_BARRIERS
@@ -32,7 +32,7 @@ static void vendor_cluster_wait() { wait_all(); }
 static void vendor_prefetch_bytes(unsigned long long, unsigned) {}
 )";
 
-// The device's words for what fibers do otherwise.
+// Replaces a text of the device code by one for fibers.
 inline void replace(std::string& text, const std::string& from, const std::string& to) {
   const size_t at = text.find(from);
   ASSERT_NE(at, std::string::npos) << from;
@@ -44,7 +44,7 @@ inline void replace_body(std::string& text, const std::string& function, const s
   const size_t begin = text.find("{\n", at), end = text.find("\n}\n", at);
   text.replace(begin, end + 2 - begin, "{ " + body + " }");
 }
-// What goes from block to block.
+// Replaces the exchange between blocks.
 inline void halo_for_host(std::string& text) {
   for (const std::string name : {"uint64_t g_came[2]", "uint32_t g_halo_bytes",
                                  "uint32_t g_sends[PERSISTENT_ROUNDS * kSenders]"}) {
@@ -113,13 +113,13 @@ class HostPersistent {
   HostPersistent& operator=(const HostPersistent&) = delete;
 
   bool compiles() const { return library_ != nullptr; }
-  // False: it does not compile, or a read failed.
+  // Returns false if the text does not compile, or if a read failed.
   bool run(unsigned seed) {
     using Run =
         void (*)(const uint64_t*, uint64_t*, void*, uint32_t*, unsigned, unsigned, unsigned);
     const auto run = reinterpret_cast<Run>(compiled());
     if (run == nullptr) return false;
-    struct Record {  // as device_error, and the zeros behind it
+    struct Record {  // the layout of device_error, with the zeros after it
       int64_t index = std::numeric_limits<int64_t>::max();
       std::array<int64_t, 63> rest{};
     } record;
@@ -134,7 +134,7 @@ class HostPersistent {
   static constexpr uint64_t kAlignment = 16;
 
   void* compiled() {
-    // A name of its own: the loader may keep a library that was closed, and gives it out again.
+    // A unique name, because the loader may keep a closed library and return it again.
     static int number = 0;
     const std::string name = "persistent" + std::to_string(number++);
     const std::string from = folder_ / (name + ".cpp"), to = folder_ / (name + ".so");

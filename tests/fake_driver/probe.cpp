@@ -45,7 +45,7 @@ void round_trip() {
   std::printf("sum %g\n", static_cast<double>(sum));
 }
 
-// More than there is, then again what fits.
+// Allocates more memory than exists, then an amount that fits.
 void run_out_of_memory() {
   try {
     const DeviceArray<float> array(size_t{1} << 24, g_device);
@@ -72,7 +72,7 @@ void lose_the_device() {
   std::printf("the cpu gives %g\n", static_cast<double>(array.to_host()[9]));
 }
 
-// Two kernels; what else is printed is for the test to see.
+// Runs two kernels. The test checks the remaining output.
 void run_kernels() {
   const std::array<float, 3> values = {1.0f, 2.0f, 3.0f};
   const nova::Tensor x = nova::Tensor::from_host(values, {3}, g_device);

@@ -54,7 +54,7 @@ ModelBuilder driven() {
                          .force_range = {-1.0f, 0.3f},
                          .ctrl = 1.0f});
   b.add_actuator(kWrist, {.axis = 3, .gain = {5.0f, 0.0f, 0.0f}, .bias = {0.0f, -5.0f, 0.0f}});
-  // Of bodies: a servo between two branches, and a force with a state.
+  // Actuators of bodies: a servo between two branches, and a force with a state.
   constexpr int32_t kSlideBody = 2, kHandBody = 4, kTipBody = 6;
   b.add_body_actuator(
       kHandBody, {.frame = {{0.1f, 0.0f, 0.2f}, {0.6f, 0.0f, 0.0f, 0.8f}},
@@ -96,7 +96,7 @@ TEST_F(ArticulationDevices, ActuatedStepsHaveTheBitsOfTheCpuDirectAndReplayed) {
     for (int k = 0; k < 10; ++k) pair();
     add_all(result, a, "last");
     const std::vector<float> act = a.act.to_host();
-    EXPECT_EQ(act[1], 0.21f);  // the integrator stands at its range
+    EXPECT_EQ(act[1], 0.21f);  // the integrator is at the bound of its range
     return result;
   };
   const Result expected = run(Device::cpu(), false);
@@ -104,7 +104,8 @@ TEST_F(ArticulationDevices, ActuatedStepsHaveTheBitsOfTheCpuDirectAndReplayed) {
     expect_same(run(Device::cuda(), captured), expected, captured ? ", replayed" : ", direct");
 }
 
-// The last state of a rollout, gradients of a loss of all of it, and tangents along one direction.
+// Returns the last state of a rollout, gradients of a loss over all states, and tangents along one
+// direction.
 Result trained(Device device, bool captured, int32_t checkpoint) {
   using namespace diff;
   const auto model = made(device, true);

@@ -31,8 +31,8 @@ struct Steps {
   int pairs = 20;
   bool captured = false, contacts = true;
 };
-// States, forces and what the sweeps say after pairs of collide and step. `found`: the most
-// contacts.
+// Returns states, forces and counts of the sweeps after pairs of collide and step. `found`: the
+// most contacts.
 Result stepped(const ModelBuilder& builder, Device device, const Steps& how,
                int32_t* found = nullptr) {
   const auto model = builder.finalize(device);
@@ -210,7 +210,7 @@ TEST_F(ArticulationContactDevices, RowsBeyondTheCapacityAreLeftOutAsOnTheCpu) {
   expect_bits_of_the_cpu(stack(), how, 10);
 }
 
-// What fails takes its island along, and nothing else.
+// A failing articulation fails its island, and nothing else.
 TEST_F(ArticulationContactDevices, AnIslandThatFailsIsNaNAndNamedAndTheOthersMove) {
   const ModelBuilder builder = stack();
   const auto run = [&](Device device, bool bad) {

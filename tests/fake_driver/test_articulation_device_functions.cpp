@@ -26,8 +26,7 @@ using testing::expect_same_bits;
 using testing::expect_thrown;
 using testing::Result;
 
-// Trees of several sizes, one of them with many hinges in a row, one with a joint that follows
-// another.
+// Trees of several sizes. One has many hinges in a row, and one has a mimic joint.
 ModelBuilder trees() {
   ModelBuilder all;
   all.replicate(AllJointsScene::make(), 5, {2.0f, 0.0f, 0.0f});
@@ -80,7 +79,7 @@ TEST_F(ArticulationDevices, FunctionsHaveTheBitsOfTheCpu) {
   });
 }
 
-// What they read is of now, and neither a tape nor what was read before minds.
+// The functions read the present values. Neither a tape nor earlier reads matter.
 TEST_F(ArticulationDevices, FunctionsReadWhatWasWritten) {
   const ModelBuilder builder = trees();
   const auto run = [&](Device device, bool edited) {

@@ -28,7 +28,7 @@ using testing::expect_same;
 using testing::expect_thrown;
 using testing::Result;
 
-// A walker that stands already.
+// A walker that already stands on the ground.
 ModelBuilder standing() {
   ModelBuilder b;
   b.add_ground_plane({.cfg = kSurface});
@@ -48,8 +48,8 @@ nova::Tensor squares(const SimState& s) {
 }
 nova::Tensor along(const nova::Tensor& leaf) { return testing::direction(leaf, 0.05f, -0.12f); }
 
-// The last state of a rollout, its tangents, gradients of a loss of it, and what is said of them.
-// `single`: steps one by one, each with its collide.
+// Returns the last state of a rollout, its tangents, the gradients of a loss, and the labels.
+// `single`: steps one by one, each with its own collide.
 Result trained(const ModelBuilder& builder, Device device, const Rollout& how,
                ContactBranches* said = nullptr) {
   using namespace diff;
@@ -188,7 +188,7 @@ TEST_F(ArticulationGradientDevices, DryFrictionAloneHasTheBitsOfTheCpu) {
   expect_gradients_of_the_cpu(crowd(), {.steps = 12, .contacts = false});
 }
 
-// Each step has the contacts of its own state, which the labels show: nothing is held.
+// Each step has the contacts of its own state, as the labels show: no step is frozen.
 TEST_F(ArticulationGradientDevices, SingleStepsHaveTheBitsOfTheCpu) {
   const Rollout how = {.steps = 8, .single = true};
   ContactBranches said;
@@ -225,7 +225,7 @@ TEST_F(ArticulationGradientDevices, AnIslandWithoutRoomHasNaNAndTheNextStepSaysS
                 [&] { solver.step(a, b, nullptr, &contacts, kDt); });
 }
 
-// Also with a body that belongs to all worlds: then they are one group, with one large system.
+// The same with a body in all worlds. The worlds are then one group with one large system.
 TEST_F(ArticulationGradientDevices, WorldsHaveTheBitsOfTheCpu) {
   for (const bool shared : {false, true}) {
     ModelBuilder all, one;

@@ -88,7 +88,7 @@ TEST_F(CodeCacheTest, StaysBelowItsLimit) {
   for (int k = 0; k < 400; ++k) cache.store(code_key(std::to_string(k)), code(1000, 'a'));
   uint64_t bytes = 0;
   for (const fs::path& file : files()) bytes += fs::file_size(file);
-  EXPECT_LE(bytes, 100000u + 64 * 1100u);  // looked at now and then
+  EXPECT_LE(bytes, 100000u + 64 * 1100u);  // the cache checks its size only now and then
   EXPECT_TRUE(cache.find(code_key("399"), found));
 }
 

@@ -132,7 +132,7 @@ TEST_F(ListPlanTest, WhatComesBeforeAndAfterTheBodyReadsMemory) {
 }
 
 TEST_F(ListPlanTest, AValueThatIsOverwrittenBeforeItIsReadIsLoaded) {
-  // The second operation reads what the first one left an iteration ago.
+  // The second operation reads the first one's result of the iteration before.
   for (uint64_t t = 0; t < 5; ++t) {
     step(0x100 * t, 0x100 * (t + 1));
     push(add, {x + 0x100 * t, kRows, c, kRows, 0x50000 + 0x100 * t});
@@ -179,7 +179,7 @@ TEST_F(ListPlanTest, WhatIsOverwrittenUnreadIsNotStored) {
   for (uint64_t t = 0; t < 9; ++t) step(0x100 * (t % 2), 0x100 * ((t + 1) % 2));
   const ListPlan plan = plan_list(ops);
   const ListSource source = list_source(plan, ops, kRows);
-  // Two states take turns: the last two iterations leave them.
+  // Two states take turns. The last two iterations write their final values.
   const size_t at = source.text.find("if (k >= (int32_t)a.word[");
   ASSERT_NE(at, std::string::npos);
   EXPECT_EQ(source.words[std::stoul(source.text.substr(at + 25))], 7u);

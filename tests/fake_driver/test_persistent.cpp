@@ -101,7 +101,7 @@ TEST_F(PersistentTest, SumsOverTheSameItemsRunTogether) {
   push_sum(0, 0x1000, 0, 0x2000);
   push_sum(0, 0x3000, 0, 0x4000);
   push_sum(0, 0x5000, 0x2000, 0x2000);
-  push_sum(0, 0x6000, 0x2000, 0x7000);  // needs what the one before gives
+  push_sum(0, 0x6000, 0x2000, 0x7000);  // needs the result of the sum before
   const PersistentTable table = persistent_table(ops);
   const auto& chain = table.forms.at(0).operations;
   EXPECT_FALSE(chain[0].sum.joins);
@@ -113,11 +113,12 @@ TEST_F(PersistentTest, SumsOverTheSameItemsRunTogether) {
   expect_compiles(table);
 }
 
-// Phase t adds what is fixed to what the phase before left; another chain does the like elsewhere.
+// Phase t adds fixed values to the result of the phase before. Another chain does the same
+// elsewhere.
 TEST_F(PersistentTest, WhatNothingWritesIsKeptByItsThreads) {
   constexpr uint32_t kPhases = 6;
   constexpr uint64_t kFixed = 0x100000, kState = 0x200000, kOther = 0x300000, kBytes = kRows * 12;
-  const uint64_t almost = kState + kPhases * kBytes - 4;  // the last state ends in it
+  const uint64_t almost = kState + kPhases * kBytes - 4;  // an array that overlaps the last states
   for (uint32_t t = 0; t < kPhases; ++t) {
     push_add(t, 0, kState + t * kBytes, kFixed, kState + (t + 1) * kBytes);
     push_add(t, 1, kOther + t * kBytes, almost, kOther + (t + 1) * kBytes);
@@ -132,7 +133,7 @@ TEST_F(PersistentTest, WhatNothingWritesIsKeptByItsThreads) {
   EXPECT_EQ(fixed, 1);
   EXPECT_EQ(table.kept_words, 3u);
   for (uint32_t t = 0, at = 0; t < kPhases; ++t) {
-    EXPECT_EQ(table.words[at + 6], t == 0 ? 3u : 2u) << t;  // the first time they are filled
+    EXPECT_EQ(table.words[at + 6], t == 0 ? 3u : 2u) << t;  // the first phase fills the kept words
     EXPECT_EQ(table.words[at + 13], 0u) << t;
     at = static_cast<uint32_t>(table.words[at]);
   }
@@ -163,7 +164,7 @@ TEST_F(PersistentTest, EachWarpHasItsTask) {
   push_add(0, 0, 0x1000, 0x100, 0x2000);
   push_add(0, 1, 0x1000, 0x200, 0x3000);
   push_add(1, 0, 0x2000, 0x100, 0x4000);
-  EXPECT_EQ(persistent_table(ops, {10, 0}).tasks, 0u);  // for blocks that are not known
+  EXPECT_EQ(persistent_table(ops, {10, 0}).tasks, 0u);  // without a number of blocks
   const PersistentTable table = persistent_table(ops, {10, 0, 2});
   ASSERT_NE(table.tasks, 0u);
   EXPECT_EQ(table.counters, table.tasks + 2 * 10);
@@ -180,7 +181,7 @@ TEST_F(PersistentTest, EachWarpHasItsTask) {
   expect_compiles(table);
 }
 
-// While the warps of one phase work, those of the next do what they can before it is over.
+// While the warps of one phase work, the warps of the next phase do their early part.
 TEST_F(PersistentTest, PhasesTakeTurnsAmongGroupsOfWarps) {
   for (uint32_t t = 0; t < 4; ++t) push_add(t, 0, 0x1000 * (t + 1), 0x100, 0x1000 * (t + 2));
   const PersistentTable table = persistent_table(ops, {4, 100, 2, 2});
@@ -211,7 +212,8 @@ TEST_F(PersistentTest, WhatThePhaseBeforeDoesNotWriteIsReadEarly) {
   EXPECT_EQ(early({4, 0, 2}), (std::vector{false, true}));
   EXPECT_EQ(early({4, 0, 0}), (std::vector{false, false}));  // without tasks: nothing
 
-  // One chain of the form decides for all: the second state of phase 5 ends in what phase 4 wrote.
+  // One chain of the form decides for all chains: the second state of phase 5 overlaps a result of
+  // phase 4.
   (*recorded.words.back())[2] = 0x40000 - kRows * 12 + 4;
   EXPECT_EQ(early({4, 0, 2}), (std::vector{false, false}));
 }
@@ -345,7 +347,7 @@ TEST_F(PersistentTest, ARowForAllIsLoadedWhenTheChainBegins) {
   EXPECT_EQ(table.kept_words, 1u);
   expect_compiles(table);
 
-  // Not where the persistent kernel writes it.
+  // An array that the persistent kernel writes is not fixed.
   push(fall, 4, 0, {0x9000, kRows, 0x100, 1, 0x100});
   const PersistentTable written = persistent_table(ops, {0, 100});
   for (const ChainForm& form : written.forms)

@@ -56,8 +56,8 @@ TEST_F(PersistentBlocks, OtherOperationsMayComeBetweenSums) {
 }
 
 TEST_F(PersistentBlocks, ThreadsKeepWordsOfTheRowsThatTheyHaveInAPhase) {
-  // Points, and their mirror images in turns, add what the same elements leave: who has which
-  // element changes.
+  // Points and their mirror images take turns in adding the results of the same elements. The owner
+  // of an element therefore changes.
   const auto recorded = [&](Mesh& mesh, std::array<Kind, 2>& mirrored) {
     RecordedPersistent to = forward(mesh);
     for (size_t k = 0; k < to.ops.size(); ++k) {
@@ -147,18 +147,18 @@ TEST_F(PersistentBlocks, ABlockHasAllRowsThatItsSumsNeed) {
 TEST_F(PersistentBlocks, ItemsThatOthersNeedStayInMemory) {
   Mesh mesh;
   ASSERT_TRUE(plan(forward(mesh)));
-  // Somebody reads them at the end.
+  // Another operation reads the elements' results at the end.
   RecordedPersistent read = forward(mesh);
   std::vector<float> copy(3 * kPoints);
   novaphy_persistent_op& o = read.add(2 * Mesh::kSubsteps, 0, kPoints, kPoints);
   o.op.target = copy.data();
   o.op.source = mesh.kinds[0].made.data();
   EXPECT_FALSE(plan(read));
-  // Somebody else writes them.
+  // Another operation writes the elements' results.
   RecordedPersistent written = forward(mesh);
   written.add(2 * Mesh::kSubsteps, 0, 1, 1).op.target = mesh.kinds[1].made.data();
   EXPECT_FALSE(plan(written));
-  // An element reads what elements of its phase write.
+  // An element reads results of elements in its own phase.
   RecordedPersistent own = forward(mesh);
   std::vector<uint64_t> words(own.ops[0].op.arguments, own.ops[0].op.arguments + 7);
   words[4] = words[6];
@@ -188,7 +188,7 @@ TEST_F(PersistentBlocks, AChainLoadsOneListOfItemsForEachTable) {
 }
 
 TEST_F(PersistentBlocks, NobodyComputesMostRowsTwice) {
-  // Elements of far corners: a block would need nearly all of them.
+  // Elements with distant corners: a block would need nearly all of them.
   Mesh mesh;
   std::vector<int32_t> index;
   std::mt19937 random(5);

@@ -65,7 +65,7 @@ TEST_F(PersistentHalo, RowsGoToTheBlocksThatReadThem) {
 }
 
 TEST_F(PersistentHalo, WhatOthersReadFromMemoryIsThereBeforeTheyDo) {
-  // A copy of a state, word by word, which no plan gives to the blocks of the points.
+  // A copy of a state, word by word. No plan gives these words to the blocks of the points.
   Mesh plain, mesh;
   std::vector<float> copy(3 * kPoints);
   constexpr uint32_t kState = 3;
@@ -93,7 +93,7 @@ TEST_F(PersistentHalo, AHaloNeedsToKnowWhoReadsWhat) {
   EXPECT_FALSE(plan_with_halo(forward(mesh)));
   mesh.kinds[0].index[7] = -1;  // reads zeros
   EXPECT_TRUE(plan_with_halo(forward(mesh)));
-  // Somebody writes indices.
+  // Another operation writes indices.
   RecordedPersistent written = forward(mesh);
   written.add(2 * Mesh::kSubsteps - 1, 1, 1, 1).op.target = mesh.kinds[1].index.data();
   EXPECT_FALSE(plan_with_halo(written));
@@ -122,11 +122,11 @@ TEST_F(PersistentHalo, StoresOfOthersWaitForOneAnother) {
     return made && made->phases[kAfter - 1].sends && made->phases[kAfter - 1].fences;
   };
   EXPECT_FALSE(fences(forward(mesh)));
-  // Words of the rows are written over by whoever has the words.
+  // The owners of the words overwrite the words of the rows.
   RecordedPersistent over = forward(mesh);
   over.add(kAfter, 0, 3 * kPoints, 3 * kPoints).op.target = last;
   EXPECT_TRUE(fences(over));
-  // A few of them are, and then all are read.
+  // A few words are overwritten, and then all are read.
   RecordedPersistent few = forward(mesh);
   few.add(kAfter, 0, 4, 4).op.target = last;
   novaphy_persistent_op& o = few.add(kAfter + 1, 0, 3 * kPoints, 3 * kPoints);

@@ -23,7 +23,7 @@ using Form = PersistentShape::Form;
 
 constexpr int32_t kRows = 40, kArrays = 5, kScalars = 2;
 
-// Products that no compiler contracts with the sum around them.
+// Products that no compiler contracts with the sum that contains them.
 float times(float a, float b) {
   const volatile float product = a * b;
   return product;
@@ -54,8 +54,8 @@ struct Memory {
   }
 };
 
-// Operations by phases and chains: an array is written by one chain of a phase, which touches it at
-// its own row only; arrays that nobody writes are read at any row. Each is recorded, and done.
+// Operations in phases and chains. One chain of a phase writes an array, and touches it only at its
+// own row. Arrays without a writer are read at any row. Each operation is recorded, and run.
 class Recorder {
  public:
   Recorder(uint32_t seed, Memory& device, Memory& host)
@@ -112,7 +112,7 @@ class Recorder {
     const int32_t free_scalar = below(kScalars);  // the other one may be written
     size_t next = 0;
     uint32_t chain = 0;
-    const std::vector<int32_t> shared(order.end() - 2, order.end());  // nobody writes these
+    const std::vector<int32_t> shared(order.end() - 2, order.end());  // arrays without a writer
     while (next < order.size() - shared.size()) {
       const size_t size = std::min<size_t>(1 + below(2), order.size() - shared.size() - next);
       std::vector<int32_t> own(order.begin() + next, order.begin() + next + size);

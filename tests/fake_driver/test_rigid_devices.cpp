@@ -69,8 +69,8 @@ void add_bodies(Result& result, const SimState& s, const std::string& when) {
 
 const ShapeConfig kSurface{.ke = 1e4f, .kd = 100.0f, .kf = 200.0f, .mu = 0.5f};
 
-// Bodies of all types in random poses, so close that they overlap, on a tilted and a level plane.
-// `groups`: some shapes meet those of another group only.
+// Overlapping bodies of all types in random poses, on a tilted and a level plane. `groups`: some
+// shapes meet only shapes of another group.
 ModelBuilder heap(int bodies, float size, uint32_t seed = 5, bool groups = false) {
   std::mt19937 random(seed);
   std::uniform_real_distribution<float> unit(-1.0f, 1.0f);
@@ -135,7 +135,7 @@ int32_t count_of(const Result& rows) {
 
 constexpr BroadPhase kPhases[] = {BroadPhase::Explicit, BroadPhase::NxN, BroadPhase::Sap};
 
-// Three worlds, shapes of all of them, groups and filters.
+// Three worlds, shapes that belong to all worlds, groups and filters.
 ModelBuilder worlds() {
   ModelBuilder all;
   all.add_ground_plane({.cfg = kSurface});
@@ -274,7 +274,7 @@ TEST_F(RigidDevices, StepsOfAHeapHaveTheBitsOfTheCpu) {
     });
 }
 
-// Of the forward solver, which finds its contacts on the way.
+// A rollout of the forward solver, which finds contacts in every step.
 TEST_F(RigidDevices, ARolloutHasTheBitsOfTheSteps) {
   const ModelBuilder builder = heap(20, 0.3f);
   expect_same_bits([&](Device device) {
@@ -419,7 +419,7 @@ ModelBuilder hills() {
   return builder;
 }
 
-// Of all warnings since the last call.
+// Returns the collected warnings.
 std::vector<std::string>& warnings() {
   static std::vector<std::string> said;
   return said;
@@ -445,7 +445,7 @@ TEST_F(RigidDevices, AStepThatIsTooLongForItsContactsWarnsThereToo) {
       one->step(state, after, nullptr, &contacts, 0.5f * limit[on_device]);
       EXPECT_EQ(warnings().size(), 0u);
       for (int k = 0; k < 3; ++k) one->step(state, after, nullptr, &contacts, 0.1f);
-      ASSERT_EQ(warnings().size(), 2u);  // of springs and dampers, and of friction
+      ASSERT_EQ(warnings().size(), 2u);  // one for springs and dampers, one for friction
       for (const std::string& said : warnings())
         EXPECT_NE(said.find("dt: 0.1 s is longer than the "), std::string::npos);
     }
@@ -507,7 +507,7 @@ INSTANTIATE_TEST_SUITE_P(Scenes, NewtonScenes,
                                            "capsule_tumble"),
                          [](const auto& scene) { return std::string(scene.param); });
 
-// One die and a ball on it, thrown.
+// A die with a ball on it is thrown.
 ModelBuilder die(const Vec3f& spin) {
   ModelBuilder builder;
   builder.add_ground_plane({.cfg = kSurface});
@@ -546,7 +546,7 @@ TEST_F(RigidDevices, AThousandWorldsAreOneThousandTimes) {
   EXPECT_EQ(different, 0);
 }
 
-// Rollouts on a tape: direct, and a replay of what was captured.
+// Rollouts on a tape: a direct run, and a replay of a capture.
 Result trained(Device device, const ModelBuilder& builder, bool captured, bool fused,
                BroadPhase phase) {
   const auto model = builder.finalize(device, {.requires_grad = true});

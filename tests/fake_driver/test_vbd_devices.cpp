@@ -234,8 +234,8 @@ TEST_F(VbdDevices, ATrainedMaterialThatTheTablesHaveNoPlaceForIsNamed) {
   }
 }
 
-// Of a step of cloths in three worlds and a particle in all of them, or of particles without
-// elements.
+// Returns the gradients of a step: of cloths in three worlds and a particle in all worlds, or of
+// particles without elements.
 NamedValues gradients_of_worlds(Device device, bool with_cloths) {
   ModelBuilder cloth, all;
   cloth.add_cloth_grid({.dim_x = 3,
@@ -279,7 +279,7 @@ TEST_F(VbdDevices, AStepThatWasNotSolvedIsAnError) {
                 [&] { solver.step(a, b, nullptr, nullptr, 1.0f / 60.0f); });
 }
 
-// A solver that cannot throw says afterwards what was wrong, once.
+// A solver that cannot throw reports the fault later, once.
 TEST_F(VbdDevices, WhatIsNotFiniteIsNamedWhereTheHostAsks) {
   const float nan = std::numeric_limits<float>::quiet_NaN();
   for (const bool replayed : {false, true})

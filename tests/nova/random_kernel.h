@@ -152,8 +152,8 @@ class RandomKernel {
     }
   }
 
-  // One side of a select: a chain of its own, perhaps with another select in it, and perhaps with
-  // an operation that gives infinity or NaN where the side is not taken.
+  // One side of a select: a separate chain, perhaps with another select in it. An operation may
+  // give infinity or NaN where the side is not taken.
   Real side(int depth, const Real& divisor) {
     const size_t before = values_.size();
     const int length = 1 + random_.below(7);
@@ -162,8 +162,8 @@ class RandomKernel {
     if (unsafe) keep(pick() / (divisor * Real(4.0f)));
     if (depth < 3 && random_.chance(50)) keep(choose(depth + 1));
     const Real result = random_.chance(30) ? values_.back() * pick() * Real(0.25f) : values_.back();
-    // Usually the chain stays on this side; sometimes later code uses it, unless it may be no
-    // number.
+    // Usually the chain stays on this side. Sometimes later code uses it, unless its values may be
+    // infinite or NaN.
     if (unsafe || random_.chance(80)) values_.resize(before);
     return result;
   }

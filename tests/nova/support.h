@@ -75,7 +75,7 @@ class Random {
   std::mt19937 engine_;
 };
 
-// One kernel and what it is called with.
+// One kernel and its arguments.
 struct Call {
   Kernel kernel;
   int64_t dim = 0;

@@ -15,7 +15,7 @@ using nova::ScopedCapture;
 
 using Floats = std::vector<float>;
 
-// y = scale * a * sin(x[at]), of so many rows as `count` says.
+// Computes y = scale * a * sin(x[at]) for the first `count` rows.
 class ActiveRows : public ::testing::TestWithParam<int64_t> {
  protected:
   ActiveRows() {
@@ -44,7 +44,7 @@ class ActiveRows : public ::testing::TestWithParam<int64_t> {
     count.copy_from_host(&value, sizeof(value));
   }
   std::vector<Tensor> leaves() const { return {x, a, scale}; }
-  // What the first rows alone give.
+  // Returns the results of a launch of the first rows alone.
   std::vector<Floats> alone(int64_t rows) const {
     for (const Tensor& t : leaves()) t.zero_grad();
     std::vector<Floats> all;

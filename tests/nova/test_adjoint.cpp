@@ -232,8 +232,8 @@ TEST(AdjointKink, SqrtLengthAndUnitVectorPassNothingAtZero) {
   EXPECT_EQ(at[2], 0.0f);
 }
 
-// One reciprocal serves all quotients by a length. It has all its digits for the smallest and
-// largest lengths too.
+// One reciprocal serves all quotients by a length. The reciprocal keeps all its digits for the
+// smallest and largest lengths too.
 TEST(AdjointRule, OfAUnitVectorHoldsForTheSmallestAndLargestLengths) {
   const Formula unit = [](const Real& a, const Real& b, const Real& c) {
     return math::normalize(Vec3<Real>{a, b, c}).x;
@@ -337,8 +337,8 @@ TEST(AdjointKink, AConditionThatNeedsTheValueTooDoesNotLetItsInfinityOut) {
 }
 
 TEST(AdjointKink, WhatIsComputedOutsideOfASumForOneSideInItStaysThere) {
-  // a*b does not depend on the item, so it is computed once, before the sum; q only for one side
-  // after the sum.
+  // a*b does not depend on the item, so the kernel computes it once, before the sum. q is needed
+  // only for one side, after the sum.
   const Kernel kernel = make_reduce_kernel(
       "invariant",
       {{"a", DType::F32, 1, Access::Direct},

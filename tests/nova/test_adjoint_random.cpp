@@ -7,9 +7,9 @@ namespace {
 
 class RandomAdjoints : public ::testing::TestWithParam<SumKind> {};
 
-// Values and gradients in float against double. Where a long chain amplifies rounding the
-// comparison says nothing: such a case is told by its forward values and skipped, but most must
-// stay.
+// Values and gradients in float against double. The comparison has no meaning if a long chain
+// amplifies rounding. The forward values show such a case, which is skipped. Most cases must
+// remain.
 TEST_P(RandomAdjoints, AgreeWithForwardMode) {
   int compared = 0;
   constexpr int kCases = 60;
@@ -43,7 +43,7 @@ TEST_P(RandomAdjoints, AgreeWithForwardMode) {
   EXPECT_GT(compared, kCases * 9 / 10);
 }
 
-// A gated adjoint of all sources, whatever is asked for: the values of an adjoint of just that.
+// A gated adjoint of all sources gives the values of an adjoint of the wanted sources alone.
 TEST_P(RandomAdjoints, HaveTheSameValuesWhereLaunchesOpenGates) {
   for (uint32_t seed = 1; seed <= 30; ++seed) {
     RandomKernel maker(seed);

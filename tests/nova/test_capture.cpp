@@ -83,7 +83,7 @@ class Network {
   nova::Incidence rows_;
 };
 
-// What is recorded while f runs.
+// Returns the graph that f records.
 template <class F>
 std::shared_ptr<OpList> record(const F& f) {
   ScopedCapture capture;
@@ -443,7 +443,7 @@ TEST_F(CaptureRefuses, NothingOfAnExportedArrayWhoseForwardAndBackwardAreCapture
     x.zero_grad();
     tape.backward(nova::sum(nova::mul(x, x)));
   });
-  for (const float value : {3.0f, -7.0f}) {  // every launch reads what was written before it
+  for (const float value : {3.0f, -7.0f}) {  // every launch reads the values written before it
     DeviceContext const& c = device_context(x.device());
     novaphy_error error = make_error();
     ASSERT_EQ(c.api->memory_copy(c.stream, NOVAPHY_COPY_HOST_TO_DEVICE, x.range()->data(), &value,
@@ -565,7 +565,7 @@ TEST(CaptureLifetime, AGraphHoldsASourceThatOnlyASumReads) {
     const Tensor x = tensor({1.0f, 2.0f, 3.0f, 4.0f});
     graph = record([&] { total = nova::sum(x); });
   }
-  // Whoever gets the memory next must not be what the graph reads.
+  // The graph must not read memory that another object gets next.
   std::vector<Tensor> churn;
   for (int k = 0; k < 50; ++k) churn.push_back(Tensor::full({4}, 100.0f));
   graph->launch();

@@ -1,5 +1,5 @@
-// Index tables that a list itself writes, such as contacts that are found anew in each substep.
-// Replays and gradients equal those of step-by-step execution.
+// Index tables that a list itself writes, such as contacts that each substep finds. Replays and
+// gradients equal those of step-by-step execution.
 #include <cmath>
 
 #include "novaphy/nova/op_list.h"
@@ -30,7 +30,7 @@ class Touches {
     Tables tables = Tables::Own;
     int per_checkpoint = 0;  // substeps between two; 0: there are none
     nova::KeepGradients keep = nova::KeepGradients::All;
-    int per_table = 1;  // substeps with the touches that the first of them found
+    int per_table = 1;  // substeps that share the contacts of the first of them
   };
 
   explicit Touches(int32_t n) : Touches(n, How()) {}
@@ -107,7 +107,7 @@ class Touches {
   Tensor x0, v0, stiffness;
 
  private:
-  // A kernel writes floats; the table is what their bits are as integers.
+  // A kernel writes floats. The table is their bits as integers.
   static Tensor as_integers(const Tensor& t) { return {t.range(), t.shape(), DType::I32}; }
   static Operand slots(const Tensor& t) { return as_integers(t).flat_operand(); }
 
@@ -263,8 +263,8 @@ TEST(ChangingTables, AReplayFindsTheTouchesOfTheStateThatItIsGiven) {
   }
 }
 
-// Parts of the rows would compute the elements that their own sums need, had the table always held
-// what it did when the plan was made.
+// With the table of the plan's time, parts of the rows could compute the elements that their own
+// sums need. The table may change, so the plan must not do so.
 TEST(ChangingTables, APlanIsNotMadeOfWhatTheyHoldAtFirst) {
   const Threads of(7);
   constexpr int32_t kRows = 20001;
@@ -385,7 +385,7 @@ TEST_F(Rebuilt, BackwardRefusesThoseOfBefore) {
   Tape tape;
   const TapeScope scope(tape);
   const Tensor loss = nova::sum(squares());
-  nova::rebuild(rows);  // of the same table: the rows could have been others
+  nova::rebuild(rows);  // from the same table; the rows could have changed
   EXPECT_NO_THROW(
       tape.backward(loss));  // the items find their rows in the table, which is the same
   const Tensor again = nova::sum(squares());
@@ -468,7 +468,7 @@ TEST(ChangingTables, SortedFormsOfACaptureAreNotThoseOfLater) {
     iterate();
     graph = capture.graph();
   }
-  iterate();  // with the table as it still is
+  iterate();  // with the unchanged table
   EXPECT_EQ(x.grad().to_host(), (Floats{1.0f, 10.0f, 100.0f}));
   graph->launch();
   EXPECT_EQ(x.grad().to_host(), (Floats{100.0f, 0.0f, 11.0f}));

@@ -250,7 +250,7 @@ TEST(CustomOp, AddsToWhatOtherReadersOfItsInputGave) {
   EXPECT_EQ(x.grad().to_host(), (Floats{5.0f, 7.0f}));
 }
 
-// What the functions read is guarded, and nothing else.
+// The tape guards only the values that the functions read.
 struct Declared : ::testing::Test {
   const Tensor x = tensor({1.0f, 2.0f}, true), y = tensor({0.0f, 0.0f}), factor = tensor({3.0f});
   Tape tape;

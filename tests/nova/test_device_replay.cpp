@@ -1,5 +1,5 @@
-// Which graph a launch uses while another thread builds the fused graph. The graphs are fakes; the
-// tests on devices use real ones.
+// The choice of the graph for a launch while another thread builds the fused graph. The graphs are
+// fakes; the tests on devices use real ones.
 #include <gtest/gtest.h>
 
 #include <atomic>
@@ -43,7 +43,7 @@ namespace {
 
 using nova::detail::DeviceReplay;
 
-// A kernel of it is a number, which says how the kernel runs.
+// A stand-in for a device. Its kernels are numbers that give the way in which the kernel runs.
 novaphy::DeviceContext stand_in() {
   static const novaphy_backend_api api = [] {
     novaphy_backend_api made{};
@@ -62,7 +62,7 @@ novaphy::DeviceContext stand_in() {
 class DeviceReplayTest : public ::testing::Test {
  protected:
   void SetUp() override { g_launched.clear(); }
-  // Launches until the other thread's outcome is there, and says how that launch ended.
+  // Launches until the other thread has finished, and returns how the last launch ended.
   static std::string launch_until_ready(DeviceReplay& replay) {
     try {
       while (g_launched.find('f') == std::string::npos) {
@@ -169,7 +169,7 @@ TEST_F(DeviceReplayTest, WaitingForCompilersWaitsForTheThreadsOfAll) {
   EXPECT_EQ(done, 2);
 }
 
-// A list that nobody destroys.
+// A list that is never destroyed.
 TEST(DeviceReplayDeathTest, TheExitOfTheProcessWaitsForTheThread) {
   GTEST_FLAG_SET(death_test_style, "threadsafe");
   EXPECT_EXIT(

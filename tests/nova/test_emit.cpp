@@ -57,7 +57,7 @@ TEST(Emit, SkipsNothingWhereProductsAndSumsMayBeContracted) {
   program.contract = true;
   EXPECT_FALSE(asks());
 }
-// The two halves that the adjoint of a select leaves become one, and nothing of them stays outside.
+// The two halves from the adjoint of a select become one, and no part of them stays outside.
 TEST(Emit, SkipsWhatTheHalvesOfASelectNeedToo) {
   const nova::Kernel kernel = nova::make_kernel(
       "halves", {{"x", DType::F32, 4, Access::Direct}}, {{"y", 1}}, [](TraceContext& c) {
@@ -168,8 +168,8 @@ TEST(Emit, GathersTheRowsOfElementsOneGroupAhead) {
                         });
   expect_golden("spring", kernel.program());
 }
-// Rows behind a condition of their own are prefetched where the group before needed them, else
-// where the condition holds.
+// Rows with a condition are prefetched where the group before needs its rows, else where the
+// condition holds.
 TEST(Emit, GathersAheadWhatTheGroupBeforeNeeded) {
   const nova::Kernel kernel = nova::make_kernel(
       "damper",
@@ -200,8 +200,8 @@ TEST(Emit, SumsOverAFixedNumberOfUniformRows) {
   expect_golden("weights", kernel.program());
 }
 
-// The state stays in registers, what the walls are is loaded once, and a wall that no row touches
-// costs a comparison.
+// The state stays in registers. The parameters of the walls are loaded once. A wall that no row
+// touches costs one comparison.
 TEST(Emit, RunsManyLaunchesOfARowInOne) {
   const nova::Kernel kernel = nova::make_reduce_kernel(
       "bounce", {{"x", DType::F32, 1, Access::Direct}, {"wall", DType::F32, 1, Access::CsrRow}},

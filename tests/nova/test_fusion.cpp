@@ -125,7 +125,7 @@ class Workspace {
                                              });
     return kernel;
   }
-  // Rows for the table, as the bits of floats; some of them none.
+  // Row indices for the table, as the bits of floats; some entries are no row.
   const Kernel& find() const {
     static std::map<int64_t, Kernel> kernels;
     const auto [known, fresh] = kernels.try_emplace(rows_);
@@ -212,8 +212,8 @@ TEST_P(RandomLists, OfFewRowsToo) {
 
 INSTANTIATE_TEST_SUITE_P(Seeds, RandomLists, ::testing::Range(0u, 40u));
 
-// Elements read neighbors and are read by them, in turns, so that there are phases; the table has
-// one row too large.
+// Elements and their neighbors read each other in turns, so the list has phases. One index of the
+// table is too large.
 TEST(Phased, AFailureIsThatOfTheLaunchThatWasRecordedFirst) {
   if (!device_context(tensor({0.0f}).range()->storage().device()).host_accessible)
     GTEST_SKIP() << "a device reports failures when the host waits for it next";

@@ -165,7 +165,8 @@ TEST_F(HandWritten, WhatIsDeclaredDetachedIsAConstant) {
   EXPECT_EQ(x.grad().to_host(), (std::vector<float>{2.0f, 4.0f}));
 }
 
-// The tape does not take what it wrote before for the gradient of what stands there now.
+// The tape does not confuse a gradient that it wrote earlier with the gradient of the present
+// values.
 TEST_F(HandWritten, WhatTheyOverwriteIsAConstant) {
   const Tensor x = tensor({3.0f, 4.0f}, true), constant = tensor({1.0f, 2.0f});
   Tape tape;
@@ -195,7 +196,7 @@ TEST_F(HandWritten, ACustomOperationGivesTheirDerivative) {
   EXPECT_EQ(x.grad().to_host(), (std::vector<float>{18.0f, 36.0f}));
 }
 
-// Each step has the same memory for what the kernel leaves, which the gradient needs.
+// All steps share the memory of the kernel's results, which the gradient needs.
 TEST_F(HandWritten, BetweenCheckpointsTheyRunOnceMore) {
   const Tensor x = tensor({1.0f, 2.0f, 3.0f}, true), left({3}, DType::F32);
   const auto iterate = [&](bool checkpoints) {
@@ -210,7 +211,7 @@ TEST_F(HandWritten, BetweenCheckpointsTheyRunOnceMore) {
     }
     tape.backward(nova::sum(y));
   };
-  // y is (3, 4, 3) and (9, 16, 9); what it is multiplied by counts as constant.
+  // y is (3, 4, 3) and (9, 16, 9). Its factor counts as constant.
   const std::vector<float> expected = {3 * 3 * 9, 2 * 4 * 16, 1 * 3 * 9};
   EXPECT_ERROR(iterate(false), ErrorKind::Runtime, "was modified after recording");
   iterate(true);

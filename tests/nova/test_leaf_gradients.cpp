@@ -52,9 +52,9 @@ TEST(LeafGradients, HaveTheBitsOfATapeThatKeepsAll) {
   }
 }
 
-// What elements give to their corners, and the sum of that for each row; the next step reads it.
-// `terms_too`: the loss reads what the elements gave as well. `copied`: the gradient of the sums
-// was written for every corner.
+// Elements compute terms for their corners, and each row sums its terms. The next step reads the
+// sums. `terms_too`: the loss reads the terms as well. `copied`: the gradient of the sums was
+// written for every corner.
 struct ElementGradients {
   std::vector<Floats> values;
   bool copied = false;
@@ -134,7 +134,7 @@ TEST(LeafGradients, OfElementsAreReadThroughTheirTable) {
   }
 }
 
-// A row of three columns, of which two come from parameters, and what is computed from it, twice.
+// A row of three columns, two of them from parameters, and two values computed from the row.
 struct Materials {
   const Kernel assign = nova::make_kernel(
       "assign_row",
@@ -153,8 +153,8 @@ struct Materials {
              std::span<const float>(Floats{1.0f, 2.0f, -3.0f, 0.5f, 0.1f, 4.0f, -0.7f, 1.5f}),
              {4, 2});
   Materials() { parameters.set_requires_grad(true); }
-  // `flat`: something else reads all columns, one after the other. `copied`: into other memory,
-  // before it is read.
+  // `flat`: another operation reads all columns, one after the other. `copied`: the row is copied
+  // to other memory before it is read.
   std::vector<Floats> gradients(KeepGradients keep, bool flat, bool copied) {
     for (Tensor* leaf : {&parameters, &x, &base}) leaf->zero_grad();
     Tape tape(keep);
@@ -208,7 +208,7 @@ TEST(LeafGradients, LeaveOutColumnsThatNobodyReads) {
       }
 }
 
-// What `read` makes of rows of Materials and of numbers, through tables where it has some.
+// Compares the gradients of `read` over rows of Materials and numbers, with tables if it has some.
 void expect_the_bits_of_all(const char* what, const Kernel& read,
                             const std::vector<std::vector<int32_t>>& tables, int64_t rows) {
   const Kernel assign = Materials().assign;
@@ -271,7 +271,7 @@ TEST(LeafGradients, LeavingOutColumnsKeepsTheOrderOfAdditions) {
   expect_the_bits_of_all("tables", through, tables, 4);
 }
 
-// Terms that the sum of them reads at its own row too.
+// Terms that their sum also reads at its own row.
 TEST(LeafGradients, OfTermsThatTheSumReadsTwiceAreWhole) {
   const Kernel give = nova::make_kernel(
       "give", {{"t", DType::I32, 1, Access::Direct}, {"x", DType::F32, 1, Access::Direct}},

@@ -70,7 +70,7 @@ TEST(Ops, AGatherRefusesEntriesThatNameNoRow) {
     GTEST_SKIP() << "a device reports failures when the host waits for it next";
   EXPECT_ERROR(nova::gather(x, table({0, -1})), ErrorKind::Index,
                "gather, index: expected rows 0 to 2 of x, got -1 at entry 1");
-  // 2^31 / 2 rows of two values: the product of row and width would wrap to a row that is there.
+  // 2^31 / 2 rows of two values: the product of row and width would wrap around to an existing row.
   EXPECT_ERROR(nova::gather(x, table({INT32_MAX / 2 + 1})), ErrorKind::Index, "at entry 0");
   EXPECT_ERROR(nova::gather(x, x), ErrorKind::Type, "expected int32, got float32");
 }

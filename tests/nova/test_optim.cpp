@@ -347,8 +347,7 @@ TEST(Optimizers, AnEmptyParameterIsNoError) {
 
 // ---- captures and tapes ----
 
-// Training with everything in it: two parameters, a loss that couples them, clipping, two
-// optimizers.
+// A complete training: two parameters, a loss that couples them, clipping, two optimizers.
 class Training {
  public:
   explicit Training(int64_t n) : Training(n, Random(51)) {}

@@ -78,7 +78,8 @@ TEST(Phases, ASubstepOfASoftBodyIsTwo) {
   }
   const std::vector<Phased> plan = r.plan();
   EXPECT_EQ(phases(plan), 20u);
-  // The elements of both kinds side by side, then what happens to a particle, one after another.
+  // The elements of both kinds run side by side, then the operations of a particle one after the
+  // other.
   EXPECT_EQ(plan[0].chain, 0u);
   EXPECT_EQ(plan[1].chain, 1u);
   for (size_t k = 2; k < 5; ++k) {
@@ -107,7 +108,7 @@ TEST(Phases, AnotherViewOfTheSameBytesWaits) {
   EXPECT_EQ(phases(r.plan()), 2u);
 }
 
-// Whether b, recorded after a, may only run after it.
+// Returns whether b, recorded after a, may only run after a.
 bool depends(const Recording& r, uint32_t a, uint32_t b) {
   std::vector<MemoryAccess> of_a, of_b;
   nova::detail::touched_by(r.ops[a], r.words, r.accesses, of_a);
@@ -118,7 +119,7 @@ bool depends(const Recording& r, uint32_t a, uint32_t b) {
         return true;
   return false;
 }
-// Whether it is enough that row i of a runs before row i of b.
+// Returns whether row i of b only needs row i of a.
 bool row_by_row(const Recording& r, uint32_t a, uint32_t b) {
   std::vector<MemoryAccess> of_a, of_b;
   nova::detail::touched_by(r.ops[a], r.words, r.accesses, of_a);

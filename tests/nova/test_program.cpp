@@ -14,7 +14,7 @@ using nova::ir::Op;
 using nova::ir::Program;
 using nova::ir::Value;
 
-// A small valid Program with every part in it: sources, outputs, loops of both kinds, parameters.
+// A small valid Program with every kind of part: sources, outputs, loops of both kinds, parameters.
 Program sample() {
   Program p;
   p.name = "sample";
@@ -102,7 +102,7 @@ TEST(ProgramForm, NamesOfAnyLengthSurvive) {
   }
 }
 
-// Names are for people; what launches hand on is in fields, and so in the hash.
+// Names are for people. The values that launches pass on are in fields, and therefore in the hash.
 TEST(ProgramForm, NoNameHasAMeaning) {
   const auto hash_after = [](auto change) {
     Program p = sample();
@@ -120,7 +120,7 @@ TEST(ProgramForm, NoNameHasAMeaning) {
   EXPECT_NE(hash_after([](Program& p) { p.primal ^= uint64_t{1} << 40; }), hash);
 }
 
-// What a kernel says of its outputs gets into its Program, and from there into its adjoint.
+// The specification of a kernel's outputs enters its Program, and the adjoint of the Program.
 TEST(ProgramForm, CarriedOutputsAndTheirGradients) {
   const auto make = [](const nova::OutputSpec& q) {
     return make_kernel("step",
@@ -135,7 +135,7 @@ TEST(ProgramForm, CarriedOutputsAndTheirGradients) {
   const auto adjoint = [&](std::vector<bool> wrt) {
     return kernel.adjoint({std::move(wrt), {false, false, false}, {true}}).rows.at(0);
   };
-  // The gradient of q is what the launch before reads as that of its output.
+  // The launch before reads the gradient of q as that of its output.
   const nova::AdjointStage state = adjoint({false, true, false});
   ASSERT_EQ(state.program.outputs.size(), 1u);
   const int32_t seed = state.program.outputs[0].carried;
@@ -145,7 +145,7 @@ TEST(ProgramForm, CarriedOutputsAndTheirGradients) {
   EXPECT_TRUE(state.program.sources[1].varies);
   EXPECT_FALSE(state.program.sources[0].varies);
   EXPECT_EQ(state.program.primal, kernel.hash());
-  // That of a is carried to nothing.
+  // The gradient of a is not carried.
   const nova::AdjointStage all = adjoint({true, true, false});
   EXPECT_EQ(all.program.outputs[0].carried, ir::kNone);
   EXPECT_EQ(all.program.primal, 0u);
@@ -253,7 +253,7 @@ TEST(ProgramForm, EveryRuleOfTheFormatIsChecked) {
                     p.outputs[1] = {"again", ir::Type::F32, {11, 16}, 0};
                   }),
                   "output 'again': cannot be carried"));
-  // What belongs to a loop stays in it.
+  // The steps of a loop stay in the loop.
   EXPECT_TRUE(has(refused([](Program& p) { p.outputs[0].values[0] = 5; }), "inside a loop"));
   EXPECT_TRUE(has(refused([](Program& p) { p.instrs[11].a = 5; }), "leaves its loop"));
   EXPECT_TRUE(has(refused([](Program& p) {

@@ -255,7 +255,8 @@ TEST_F(TapeValues, OfTheTableOfACsrSumOverwrittenAreRefused) {
 }
 
 TEST_F(TapeValues, OfALeafThatChangedBetweenTwoUsesAreRefused) {
-  // Linear, so no adjoint reads them; but one gradient cannot belong to two values.
+  // The operations are linear, so no adjoint reads the values. But one gradient cannot belong to
+  // two values.
   const Tensor a = nova::mul(x, 2.0f);
   x.fill_(9.0f);
   const Tensor b = nova::mul(x, 3.0f);
@@ -586,7 +587,7 @@ TEST_F(TapeCustom, PullsGradientsThroughTheFunctionThatWasGiven) {
   EXPECT_EQ(grad(x), (Floats{8.0f, -16.0f, 24.0f}));
   tape.backward(loss);
   EXPECT_EQ(grad(x), (Floats{16.0f, -32.0f, 48.0f}));
-  EXPECT_EQ(tape.size(), 3u);  // what the function launches is not recorded
+  EXPECT_EQ(tape.size(), 3u);  // launches of the function are not recorded
 }
 
 TEST_F(TapeCustom, OneTensorAsTwoInputsGetsTheSum) {
@@ -903,7 +904,7 @@ TEST(TapeLifetime, AnActiveTapeThatIsDestroyedEnds) {
   EXPECT_EQ(array_observer(), nullptr);
 }
 
-// Many rows: the backward collects its launches and runs them block by block.
+// With many rows, backward collects its launches and runs them block by block.
 TEST(TapeLarge, BlocksOfRowsGiveTheBitsOfAFewRows) {
   constexpr int64_t kRows = 5000;
   Random random(1);

@@ -32,7 +32,7 @@ bool same_word(int32_t a, int32_t b, nova::ir::Type type) {
   return a == b || (x != x && y != y);  // the bits of a NaN are not part of the contract
 }
 
-// What the op gives on constants (folded), one word.
+// Returns the result of the op on constants (folded), one word.
 int32_t folded(const nova::ir::Instr& op, const std::vector<nova::ir::Instr>& operands) {
   Trace trace("fold");
   nova::ir::Instr in = op;
@@ -415,7 +415,7 @@ TEST(KernelRefuses, WrongParametersExtentAndIncidence) {
   EXPECT_ERROR(csr(2, {r}, {.csr = &none}), ErrorKind::Value, "expected an Incidence");
   EXPECT_ERROR(csr(3, {r}, {.csr = &rows}), ErrorKind::Value,
                "expected an Incidence of 3 rows, got 2");
-  const auto past_the_end = [] {  // a device says so when it is next waited for
+  const auto past_the_end = [] {  // a device reports the error at the next wait
     nova::make_incidence(table({0, 2}).operand(), 2);
     novaphy::synchronize(novaphy::default_device());
   };

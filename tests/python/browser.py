@@ -45,7 +45,7 @@ class Browser:
         self.folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         size = f"--window-size={width},{height}"
         command = [program, f"--user-data-dir={self.folder.name}", size, *FLAGS]
-        # Its messages go nowhere: a pipe that nobody reads would stop it at some time.
+        # The browser's messages are discarded: a full pipe that nobody reads would block it.
         self.process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         told, end = Path(self.folder.name) / "DevToolsActivePort", time.monotonic() + 120.0
         while not told.exists() or "\n" not in told.read_text("utf-8"):

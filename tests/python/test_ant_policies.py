@@ -95,7 +95,7 @@ def test_the_gradient_by_all_weights_is_that_of_differences_in_random_directions
     records = tuning.record(tuning.values)
     ways = tuning.directions()
     ad = ways @ tuning.gradient(tuning.values, records)
-    eps = 2e-5  # more of it turns units of the hidden layers on and off
+    eps = 2e-5  # a larger step switches units of the hidden layers on and off
     if gradient == "exact":
         assert tuning.label().startswith("exact of the code (100 of 100 steps are, 0 have contacts")
         losses = tuning.losses(tuning.values + eps * np.concatenate([ways, -ways]))
@@ -120,7 +120,7 @@ def test_terms_lead_from_the_frozen_gradient_to_the_exact_one(demos, monkeypatch
             found[kind, terms] = tuning.gradient(tuning.values)
     for seen in ((), ("observations",)):
         exact = found["exact", seen]
-        # In flight there are no other terms, but for the turning of what is a small turn.
+        # In flight there are no other terms, except for the rotation of a small rotation.
         off = [
             np.abs(found["frozen", (*more, *seen)] - exact).max() for more in ((), ("dynamics",))
         ]
@@ -193,7 +193,8 @@ def test_gradients_point_where_differences_of_real_rollouts_do(
         / (2.0 * e)
         for e in (3e-3, 1e-3)
     )
-    settled = np.abs(fd - finer) <= 0.2 * np.abs(fd).max()  # elsewhere the loss jumps between them
+    # elsewhere the loss jumps between the points
+    settled = np.abs(fd - finer) <= 0.2 * np.abs(fd).max()
     assert settled.sum() >= 6, (fd, finer)
     ad, fd = ad[settled], fd[settled]
     cosine = ad @ fd / (np.linalg.norm(ad) * np.linalg.norm(fd))
@@ -411,7 +412,8 @@ def test_the_loss_of_the_first_actor_has_the_derivatives_that_it_says(demos, tro
     for k in range(28):
         e = 1e-5 * np.eye(28)[k][None]
         ends = [loss(moved(q, s * e[:, :14]), qd + s * e[:, 14:], a)[0] for s in (1.0, -1.0)]
-        # The slip's are by rates only: how a foot moves does not count as what turns it.
+        # The slip's derivatives are with respect to rates only. The dependence on poses is left
+        # out.
         rows = np.arange(40) if k >= 14 else np.delete(np.arange(40), np.s_[30:38])
         fd = (ends[0] - ends[1]) / 2e-5
         np.testing.assert_allclose(fd[:, rows], by_state[:, rows, k], atol=1e-5)
@@ -433,7 +435,7 @@ def test_who_stands_has_the_stance_of_the_trot(demos):
     np.testing.assert_array_equal(pose, np.broadcast_to(pose[0], pose.shape))
     np.testing.assert_array_equal(rate, 0.0 * rate)
     assert np.abs(reference(frames)[0] - pose).max() > 0.1
-    # At rest on its feet, in this pose, it has nothing to lose but the contacts' slip of 0.
+    # At rest on its feet in this pose, all residuals are 0 except those of the contacts' slip.
     q = np.zeros((1, 15))
     q[:, 2], q[:, 6], q[:, 7:] = 0.65, 1.0, pose[0]
     r, _, _ = residuals(q, np.zeros((1, 14)), *np.zeros((2, 1, 8)), np.array([5]), trot=0.0)

@@ -53,7 +53,7 @@ def test_ten_cubes_stand_for_ten_seconds() -> None:
     assert np.abs(moved[:, :2]).max() < 2e-3
     assert np.abs(moved[:, 2]).max() < 1e-3
     assert np.abs(velocities[-1]).max() < 1e-3
-    rows = contacts.rigid_contact_shape0.numpy() == 0  # of the ground
+    rows = contacts.rigid_contact_shape0.numpy() == 0  # contacts with the ground
     carried = contacts.rigid_contact_force.numpy()[rows].sum(axis=0)
     np.testing.assert_allclose(carried, (0.0, 0.0, 80.0 * GRAVITY), atol=0.5)
 
@@ -225,7 +225,7 @@ def test_a_gripper_lifts_a_box() -> None:
     novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
     for step in range(1000):
         target = control.joint_target_q.numpy()
-        target[start + 1 :] = 0.1  # closes, as strong as the effort limit lets it
+        target[start + 1 :] = 0.1  # closes with the force of the effort limit
         target[start] = 0.3 * min(max(step / 500 - 0.4, 0.0), 1.0)
         control.joint_target_q.assign(target)
         pipeline.collide(state, contacts)

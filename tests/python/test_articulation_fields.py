@@ -202,9 +202,9 @@ WRONG = {
     "range": (of("actuator_ctrl_range", slice(1, 2), (1, 0)), r"actuator_ctrl_range\[1\]: .*first"),
     "mode": (of("joint_target_mode", HINGES, 9), r"joint_target_mode\[12\]: .*TargetMode, got 9"),
 }
-# Of the other ways of contact.
+# Fields of the other contact laws.
 PENALTY = ("shape_material_ke", "shape_material_kd", "shape_material_kf")
-# Which bodies, joints and shapes there are: read when solver and pipeline are made.
+# The structure of the model, which is read when solver and pipeline are made.
 STRUCTURE = (
     "joint_type",
     "joint_parent",

@@ -128,7 +128,7 @@ def test_numbers_that_were_edited_are_named_by_steps_and_by_replays(name, value)
     bad.flat[0] = value
     array.assign(bad)
     match = rf"model\.{name}\[0\]"
-    # Tables are made of the scale, so a graph freezes it.
+    # Tables depend on the scale, so a graph freezes the scale.
     error, words = (novaphy.Error, "modified") if name == "shape_scale" else (ValueError, match)
     with pytest.raises(error, match=words):
         capture.graph.launch()

@@ -158,7 +158,7 @@ class TestFiles:
             got = change.T @ moments(model, state).T @ force
             scale = max(np.abs(data.qfrc_actuator).max(), 1e-3)
             assert np.abs(got - data.qfrc_actuator).max() < 1e-5 * max(scale, 1.0)
-            # What a step makes of it: with and without.
+            # The effect on a step: with and without the actuator.
             free = step(model, state, control)
             model.actuator_wrench.assign(np.zeros((1, 6), np.float32))
             still = step(model, state, control)

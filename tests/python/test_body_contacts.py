@@ -377,7 +377,7 @@ def test_rows_without_a_closed_form_are_labelled_frozen():
         diff.rigid_contact_gradient_labels(model, other.state(), contacts)
 
 
-# Of each array of the model: the step of the differences, of its values.
+# The step of the differences for the values of each array of the model.
 MODEL = {
     "body_mass": 1e-2,
     "body_inertia": 3e-4,
@@ -707,7 +707,7 @@ def test_a_particle_and_a_body_exchange_their_momentum(shape, friction):
     before, after = momenta(trajectory[0]), momenta(trajectory[300])
     assert np.abs(trajectory[300].body_qd.numpy()).max() > 0.05
     np.testing.assert_allclose(after[0], before[0], atol=3e-6)
-    if not friction:  # which acts on the surface of the shape, a radius away from the particle
+    if not friction:  # friction acts on the surface of the shape, a radius away from the particle
         np.testing.assert_allclose(after[1], before[1], atol=1e-5)
 
 
@@ -853,6 +853,6 @@ def test_ten_aligned_cubes_stand_for_ten_seconds():
         state, after = after, state
     q = state.body_q.numpy()
     assert np.abs(q[:, :2]).max() < 1e-5 and np.abs(state.body_qd.numpy()).max() < 1e-4
-    # Each interface of four points carries what lies above it.
+    # Each interface of four points carries the weight above it.
     sunk = np.cumsum([(10 - k) * 8.0 * 9.81 / (4 * 2e5) for k in range(10)])
     np.testing.assert_allclose(q[:, 2], 0.1 + 0.2 * np.arange(10) - sunk, atol=2e-5)

@@ -137,7 +137,7 @@ def test_states_of_bodies_are_recomputed(make, contacts):
             one, two = getattr(again, name).numpy(), getattr(whole[t], name).numpy()
             np.testing.assert_array_equal(one, two, err_msg=f"{name} at {t}")
     assert np.abs(whole[STEPS].body_qd.numpy() - whole[1].body_qd.numpy()).max() > 1e-3
-    # What a step does not write may be anything; what it writes may not.
+    # Arrays that a step does not write may have any values. Arrays that it writes may not.
     if make is bodies:
         frugal[7].joint_q.assign(np.full(model.joint_coord_count, 9.0, np.float32))
         frugal.recompute(3)

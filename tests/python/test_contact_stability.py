@@ -133,7 +133,7 @@ def test_at_the_limit_the_steps_of_a_box_leave_the_unit_circle(ke, kd, kf):
         x = np.hstack([np.eye(6), np.zeros((6, 6))]) + dt * v
         return np.abs(np.linalg.eigvals(np.vstack([x, v]))).max()
 
-    # What nothing holds stays on the circle (the plane does not turn or push it along).
+    # Free directions stay on the unit circle (the plane does not turn or push along them).
     assert radius(0.995 * limit) < 1 + 1e-6
     assert radius(1.005 * limit) > 1 + 1e-3
 

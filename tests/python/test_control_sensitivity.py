@@ -341,7 +341,7 @@ def test_torques_of_a_free_root_are_exact() -> None:
     point = fd[-6:]
     exact = np.concatenate([s[0].point_jacobian, s[0].point_velocity_jacobian])
     assert agreement(exact, point)[0] < 3e-3
-    # Hinges and rates as they are; the root's tangents are of the centre of mass.
+    # Hinges and rates compare directly. The root's tangents are those of the center of mass.
     assert agreement(s[0].dq[6:], fd[7:9])[0] < 3e-3
     assert agreement(s[0].dqd, fd[9:17])[0] < 3e-3
     frozen = np.concatenate([s[1].point_jacobian, s[1].point_velocity_jacobian])
@@ -524,7 +524,8 @@ def test_a_contact_that_slides_on_ice_is_exact() -> None:
 
     fd = differences(end, force, 0.05)
     assert agreement(np.concatenate([s.dq, s.dqd]), fd)[0] < 1e-3
-    # It stays on the ice: both dofs move by 0.6 m per m of the second, by the mass of both.
+    # The point stays on the ice. Both dofs move by 0.6 m per m of the second, by the ratio of the
+    # masses.
     assert np.abs(s.point_jacobian[2]).max() < 1e-6
 
 
@@ -549,7 +550,7 @@ def test_contacts_of_a_sensitivity_are_checked() -> None:
     run.solver.step(now, then, None, run.contacts, DT)
     s.reset(now)
     column = np.ones((8, 1))
-    # With impulses that were not there, and without those that were.
+    # With impulses that did not act, and without impulses that did.
     with pytest.raises(novaphy.Error, match="state_out: expected what .* contacts"):
         s.step(now, then, None, DT, column)
     force = run.contacts.rigid_contact_force.numpy()
@@ -597,7 +598,7 @@ def test_limits_and_clamps_hold_what_they_hold() -> None:
     ):
         rollout = Rollout(slider(**dof), 0, (0.0, 0.0, 0.0))
         s = [rollout.sensitivity(1, exact=e) for e in (False, True)]
-        # Outside of the limit all the time: there the drive has no say.
+        # Outside of the limit all the time, where the drive has no effect.
         outside = "limit_ke" in dof
         start, n = ([0.08], 10) if outside else ([0.0], 60)
         rollout.run(n, start, target([1.0]), s, lambda t, x, s: [[1.0]])
@@ -667,7 +668,7 @@ def test_bad_arguments_are_named() -> None:
         s.step(now, then, control, DT, [[0.0, np.nan]])
     with pytest.raises(ValueError, match="dtarget_qd: dof 0 .* has no velocity drive"):
         s.step(now, then, control, DT, np.ones((1, 2)), np.ones((1, 2)))
-    # Not what the solver has done: another dt, another control, another damping.
+    # Differs from the solver's step: another dt, another control, another damping.
     with pytest.raises(novaphy.Error, match="state_out: expected what SolverFeatherstone.step"):
         s.step(now, then, control, 2 * DT, np.ones((1, 2)))
     with pytest.raises(novaphy.Error, match="state_out"):

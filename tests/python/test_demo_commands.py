@@ -16,7 +16,7 @@ import novaphy
 
 DEMOS = Path(__file__).parents[2] / "python" / "demos" / "diff"
 ACTORS = DEMOS.parent / "data" / "ant" / "rl_policies"
-# What the commands read, by the name that they give it.
+# The input files of the commands, by the name in the command.
 FILES = {
     "gait.npz": ACTORS / "periodic_ant_natural_gait.npz",
     "tuned.npz": ACTORS / "ant_walker.npz",
@@ -80,7 +80,7 @@ def start(words: list[str], folder: Path, env=None) -> subprocess.CompletedProce
     said = done.stdout + done.stderr
     verdict = done.stdout.rstrip().rpartition("\n")[2]
     assert "Traceback" not in said, said
-    # The Ant from zero says what of a gait it does not reach.
+    # The Ant from zero reports which criteria of a gait it misses.
     failed = verdict.startswith("ant on cpu: ") and "CHECK FAILED: expected" in verdict
     assert done.returncode == (1 if failed else 0), said
     assert failed or verdict.endswith("ok"), said
@@ -108,7 +108,7 @@ def test_a_command_of_the_text_without_a_window(tmp_path, name, line):
     if "--plot" in words:
         pytest.importorskip("matplotlib")
     script = DEMOS / f"demo_diffsim_{name}.py"
-    trains = "--train" in words and name == "franka_push_box"  # there it is --headless
+    trains = "--train" in words and name == "franka_push_box"  # this demo trains with --headless
     if not trains and not {"--headless", "--check-gradient"} & set(words):
         words += ["--headless", "200"]  # a window would open: those run in one below
     start([sys.executable, str(script), *shortened(name, words)], tmp_path)

@@ -367,9 +367,10 @@ def test_a_demo_shows_its_iterations(monkeypatch, name, iterations, shown, frame
         check_ways(recorder, "corner", shown, points)
         assert recorder.scene.instances["model/box"].count == 1
         heights = np.array([q[0, 2] for q in recorder.body_q])
-        assert heights[0] == pytest.approx(0.6) and heights.min() < 0.18  # it falls, frame by frame
+        # the die falls, frame by frame
+        assert heights[0] == pytest.approx(0.6) and heights.min() < 0.18
     if name == "ball":
-        way = recorder.lines["path"][-1][0]  # and the ball goes along it
+        way = recorder.lines["path"][-1][0]  # the ball moves along the path
         places = recorder.scene.instances["model/particles"].poses.values
         end = recorder.scene.lines["path"].ends.values[-1]
         np.testing.assert_allclose(places[0, :3], end, atol=1e-6)
@@ -388,7 +389,7 @@ def test_the_arm_is_blue_and_orange_over_a_black_and_white_ground(monkeypatch):
     assert red > 0.9 > green > 0.3 > blue and checker == 0.0
     *white, contrast = scene.instances[ground].colors.values[0]
     assert min(white) > 0.9 and max(white) * (1.0 - contrast) < 0.1
-    # The camera looks at the plane XOZ from in front, and all moves in it.
+    # The camera looks at the XZ plane from the front, and all bodies move in this plane.
     assert abs(camera.forward[1]) > 0.999
     assert np.abs(np.array(recorder.body_q)[:, :, 1]).max() < 1e-6
     red, green, blue = viewer._stage.PRESENT
@@ -550,7 +551,7 @@ def test_an_interrupt_leaves_a_whole_file(tmp_path, ending):
         command,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        # Who started us may ignore the signal.
+        # The parent process may ignore the signal, and a child inherits that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:

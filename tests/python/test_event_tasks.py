@@ -23,7 +23,7 @@ SHORT = [
     ("PushPenalty", 2),
     ("Hopper", 1),
 ]
-# There the gradient of the code has another sign, or twice the length or more.
+# In these tasks the gradient of the code has another sign, or at least twice the length.
 WRONG = {"BallPenalty", "BallImpulse", "BilliardPenalty"}
 
 

@@ -79,7 +79,7 @@ def test_a_bouncing_ball_has_the_times_of_the_closed_form(bounce: int) -> None:
     """t_k = t_1 (1 + 2 e + ... + 2 e^k), t_1 = (v + sqrt(v^2 + 2 g h)) / g."""
     height, e, v = 0.3, 0.7, 0.2
     root = np.sqrt(v**2 + 2 * G * height)
-    # The speed of the first impact is `root`, each flight behind it lasts 2 e^k root / g.
+    # The speed of the first impact is `root`. Each later flight lasts 2 e^k root / g.
     flights = 2 * sum(e**k for k in range(1, bounce + 1))
     exact = (v + root + flights * root) / G
     by_height, by_speed = (1 + flights) / root, (1 + (1 + flights) * v / root) / G

@@ -20,7 +20,7 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float32) - 0.5
 FACES = [0, 1, 3, 0, 3, 2, 4, 6, 7, 4, 7, 5, 0, 4, 5, 0, 5, 1,
          2, 3, 7, 2, 7, 6, 0, 2, 6, 0, 6, 4, 1, 5, 7, 1, 7, 3]  # fmt: skip
-# What no step reads, because states begin with copies.
+# Arrays that no step reads, because states start with copies.
 STARTS = {f"model.{a}_{b}" for a in ("particle", "body", "joint") for b in ("q", "qd")}
 STARTS |= {"model.act"}
 
@@ -33,7 +33,7 @@ class Scene:
     control: bool = False
     steps: int = 3
     dt: float = 2e-3
-    follows: tuple[str, ...] = ()  # of a state: other arrays of it
+    follows: tuple[str, ...] = ()  # of a state: arrays that follow from others
 
 
 def soft() -> novaphy.Model:
@@ -267,7 +267,7 @@ def direction(name: str, values: np.ndarray, draw: np.random.Generator) -> np.nd
     way = draw.normal(size=values.shape)
     is_unit = name.endswith(("joint_axis", "normal"))
     if not is_unit and (values >= 0).all() and values.any():
-        way *= values  # which stays so
+        way *= values  # values stay >= 0
     if name.endswith(("actuator_gain", "actuator_bias")):  # a motor stays one
         way *= values != 0
     if name.endswith("inertia"):

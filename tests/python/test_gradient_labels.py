@@ -99,7 +99,7 @@ class Scene:
         self.pipeline = novaphy.CollisionPipeline(self.model)
         self.control = self.model.control()
         n = self.model.joint_dof_count
-        self.directions = [rng.normal(size=n), rng.normal(size=n)]  # of rates, of forces
+        self.directions = [rng.normal(size=n), rng.normal(size=n)]  # of rates and of forces
         self.weights = [rng.normal(size=k) for k in (self.model.joint_coord_count, n)]
         self.rates = self.model.joint_qd.numpy().astype(float)
 
@@ -292,7 +292,7 @@ def test_a_bounce_is_an_event_of_articulations_with_its_step_and_pair() -> None:
     info = body_rollout(solver, 100, 1e-3, down)
     assert info.label == "exact of the code" and info.exact_steps == info.steps == 100
     assert (info.began, info.ended, info.turned, info.events) == (1, 1, 0, 2)
-    # It closes 5 cm at 1 m/s, in the step that would end below.
+    # The gap of 5 cm closes at 1 m/s, in the step that would end below the plane.
     step = int(info.reason.split("first in step ")[1].split(":")[0])
     assert 48 <= step <= 51 and "that of shapes 1 and 0 begins" in info.reason
     for name in FIELDS:
@@ -357,7 +357,7 @@ def test_rows_that_are_held_make_steps_of_the_semi_implicit_solver_frozen() -> N
     info = body_rollout(solver, 3, 1e-3, [[0.0] * 6] * 2)
     assert info.label == "frozen" and info.frozen_steps == 3 and info.exact_steps == 0
     assert "shapes 1 and 0" in info.reason and "masses and materials" in info.reason
-    # A step from another state than that of the contacts holds them.
+    # A step from another state than that of the contacts freezes them.
     model = ball_above_ground(restitution=0.0)
     solver = novaphy.solvers.DiffSemiImplicitSolver(model)
     state = model.state()

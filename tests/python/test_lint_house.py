@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 LINT = ROOT / "tools" / "lint" / "measure_house.py"
 
-# Each line tells what the lint sees in it.
+# Each line names what the lint counts in it.
 SOURCE = """\
 namespace novaphy {
 NOVAPHY_ROW_KERNEL(scale, kScaleWords, Scale) { a.y[row] = '{'; }  // a.launch({

@@ -113,7 +113,7 @@ def test_a_part_of_each_material_has_its_color(tmp_path):
     shown = model.shape_color.numpy()
     parts = [[1, 0, 0], [0.25, 0.5, 0.75], [-1, -1, -1]]
     np.testing.assert_allclose(shown, [*parts, *parts, [0, 1, 0], [0.25, 0.5, 0.75]])
-    # A triangle in each part, with the corners that it has in the file.
+    # Each part has one triangle, with its corners in the file.
     ranges = model.shape_mesh_range.numpy()
     assert ranges[:, [1, 3]].tolist() == [[3, 1]] * 6 + [[6, 3]] * 2
     corners = model.mesh_vertices.numpy()[ranges[1, 0] : ranges[1, 0] + 3]

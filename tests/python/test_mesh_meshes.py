@@ -139,7 +139,7 @@ def test_crossed_bars_meet_where_their_edges_cross():
 
 
 def test_an_angle_lies_in_an_angle():
-    # Gravity presses it to floor and wall alike.
+    # Gravity presses the shape to the floor and the wall equally.
     shape, wall = angle_shape(0.3, 0.06), 0.06
     model = pair(shape, shape, ((wall, 0, wall), UPRIGHT), gravity=(-7.0, 0, -7.0))
     end = settle(model, 1.0)
@@ -251,7 +251,7 @@ def test_rows_do_not_depend_on_the_order_of_triangles():
             of_pair = (other[0] == shape0[k]) & (other[1] == shape1[k])
             near = np.linalg.norm(other[2][of_pair] - at[k], axis=1) < 1e-4
             same += bool((near & (np.abs(other[3][of_pair] - distance[k]) < 1e-4)).any())
-        # Of 32 and more, or of points in one place, others may stay.
+        # With 32 rows or more, or with points in one place, other rows may be kept.
         assert same >= 0.95 * len(at)
         for pair_of in {(a, b) for a, b in zip(shape0, shape1, strict=True)}:
             here = distance[(shape0 == pair_of[0]) & (shape1 == pair_of[1])].min()

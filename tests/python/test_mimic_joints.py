@@ -241,8 +241,10 @@ def test_the_fingers_of_the_fr3_close_on_a_box_together():
         assert q[leader] == q[follower]
         heights.append(state.body_q.numpy()[box, 2])
     assert q[leader] == pytest.approx(0.015, abs=1e-3)
-    assert abs(heights[-1] - heights[250]) < 1e-3  # held, after it fell while they closed
-    # At rest both pads share the drive's force, 2000 N/m times 15 mm: each presses with half of it.
+    # the box is held, after it fell while the pads closed
+    assert abs(heights[-1] - heights[250]) < 1e-3
+    # At rest both pads share the drive's force, 2000 N/m times 15 mm. Each presses with half of the
+    # force.
     force = contacts.rigid_contact_force.numpy()[: contacts.rigid_contact_count.numpy()[0]]
     across = np.abs(force[:, 1]).sum()
     assert across == pytest.approx(30.0, rel=0.01)
@@ -484,7 +486,7 @@ def test_followers_are_written_from_their_leaders() -> None:
     assert_allclose(got[:, 4], 0.1 - 0.4 * got[:, 2], atol=1e-6)
     assert_allclose(got[:, 5], -0.2 + 1.5 * got[:, 4], atol=1e-6)
     assert_allclose(rates[:, 4:], rates[:, 2:3] * [[-0.4, -0.6]], atol=1e-6)
-    # As a step leaves them, to the bit.
+    # The coordinates have the bits of a step's result.
     solvers.SolverFeatherstone(model).step(state, after, None, None, DT)
     q, qd = after.joint_q.numpy(), after.joint_qd.numpy()
     novaphy.eval_mimic(model, after.joint_q, after.joint_qd)

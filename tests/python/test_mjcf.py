@@ -248,7 +248,7 @@ def test_the_ant_drops_and_stands(name):
     height = stands.body_q.numpy()[0, 2]
     assert 0.5 < height < 0.6  # its legs are at their limits, its feet on the floor
     assert np.abs(stands.joint_qd.numpy()).max() < 0.02
-    # It stays there: its feet carry it, and friction holds it in place.
+    # The robot stays there: its feet carry it, and friction holds it in place.
     later = fallen(model, stands, 240).body_q.numpy()[0, :3]
     assert_allclose(later, stands.body_q.numpy()[0, :3], atol=1e-3)
 

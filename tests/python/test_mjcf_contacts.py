@@ -113,7 +113,7 @@ def test_shapes_that_are_not_of_a_file_keep_the_mean():
         builder.add_shape_sphere(-1, cfg=novaphy.ShapeConfig(mixing=(0, -1, 0, 0)))
 
 
-# Of the contact of a ball.
+# The settings of the contact of a ball.
 SOFT = {
     "default": "",
     "soft": 'solref="0.05 1"',
@@ -138,13 +138,13 @@ def test_springs_of_contacts_are_as_soft_as_those_of_mujoco(name):
     soft = f"{BALL} {SOFT[name]}"
     exact, here = heights(scene(SOFT[name], soft, 0.1), 1500)
     assert 0.1 - exact > 1e-5 and 0.1 - here == pytest.approx(0.1 - exact, rel=0.02)
-    # Of 2 mm the same part is left after 15 ms, to a quarter of it.
+    # The same part of 2 mm remains after 15 ms, within a quarter.
     exact, here = heights(scene(SOFT[name], soft, 0.098, gravity=0.0), 15)
     assert here == pytest.approx(exact, abs=5e-4)
 
 
-# With one impedance at all depths the springs are those of MuJoCo; else they are softer or harder
-# where a contact carries less than its mass, as that of a corner of a box.
+# With one impedance at all depths, the springs are those of MuJoCo. Otherwise the springs are
+# softer or harder if a contact carries less than its mass, as a corner of a box does.
 BOXES = {
     "one impedance": ('solimp="0.9 0.9 0.001 0.5 2"', 1e-3),
     "of the plane": ('priority="1" solimp="0.8 0.8 1 0.5 2" solref="0.05 1"', 1e-3),
@@ -243,7 +243,7 @@ def test_gradients_go_to_the_shape_that_counts(name):
     np.testing.assert_allclose(
         got, together * np.array(parts), rtol=5e-3, atol=1e-3 * abs(together)
     )
-    if 0.5 not in parts:  # where both count alike, the derivative by one of them jumps
+    if 0.5 not in parts:  # with equal weights the derivative with respect to one of them jumps
         for k in range(2):
             one = np.eye(2)[k] * size
             assert (value(one) - value(-one)) / (2 * size) == pytest.approx(

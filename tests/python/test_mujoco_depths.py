@@ -16,7 +16,7 @@ mujoco = pytest.importorskip("mujoco", reason="compares with MuJoCo, which is no
 POSES = 60
 CORNERS = np.random.default_rng(8).normal(size=(2, 12, 3))
 HULLS = (0.25 * CORNERS / np.linalg.norm(CORNERS, axis=2, keepdims=True)).astype(np.float32)
-# Of each type its size in MuJoCo, and the method and arguments of the builder.
+# For each type: its size in MuJoCo, and the method and arguments of the builder.
 SHAPES = {
     "sphere": ("0.2", "sphere", {"radius": 0.2}),
     "capsule": ("0.1 0.2", "capsule", {"radius": 0.1, "half_height": 0.2}),

@@ -209,7 +209,7 @@ def test_the_density_of_a_policy(squashed: bool):
 
 
 def test_the_density_of_a_saturated_action_is_finite():
-    # log(1 - tanh(20)^2) = -38.6; formed in float32 it would be -inf.
+    # log(1 - tanh(20)^2) = -38.6. A direct evaluation in float32 would give -inf.
     u = nova.tensor([[20.0]])
     got = nova.gaussian_log_density(u, nova.tensor([[20.0]]), nova.tensor([0.0])).item()
     assert got == pytest.approx(-0.9189385 + 2.0 * (20.0 - math.log(2.0)), rel=1e-6)
@@ -217,7 +217,7 @@ def test_the_density_of_a_saturated_action_is_finite():
         nova.gaussian_log_density(u, u, nova.zeros((3,)))
 
 
-# Of the authors' Random123: counter and key of zeros, of ones, and of the digits of pi.
+# The known answers of Random123: counter and key of zeros, of ones, and of the digits of pi.
 KNOWN = [
     ([0] * 4, [0] * 2, [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8]),
     ([0xFFFFFFFF] * 4, [0xFFFFFFFF] * 2, [0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD]),

@@ -30,11 +30,11 @@ HAVE_NONE = {
     "joint_act",
     "body_gravcomp",
 }
-# Says from which distance on rows are found; those of shapes that do not overlap have no force.
+# The distance below which rows are found. Rows of shapes that do not overlap have no force.
 OF_THE_SEARCH = {"shape_gap"}
-# Of the pgs contacts of trees: materials of a pair are means here.
+# For "pgs" contacts only. Here the material of a pair is the mean.
 OF_TREES = {"shape_mixing"}
-OF_ACTUATORS = ("actuator_", "act", "ctrl")  # without rows, because they are refused
+OF_ACTUATORS = ("actuator_", "act", "ctrl")  # without rows, because actuators are refused
 EDITS = {
     name: edit
     for name, edit in {

@@ -130,7 +130,7 @@ def test_a_rollout_has_the_bits_of_the_forward_solver(kind):
     assert_same_bits(state.body_q.numpy(), ends[0][steps].body_q.numpy())
 
 
-# Of each array of the model: the step of the differences.
+# The step of the differences for each array of the model.
 ARRAYS = {
     "body_q": 2e-3,
     "body_qd": 2e-2,

@@ -9,9 +9,9 @@ from novaphy import JointDofConfig, JointType
 DT = 1e-3
 diff = pytest.mark.skipif(not novaphy.has_diff(), reason="needs NOVAPHY_WITH_DIFF")
 
-# JointModelPlanar of Pinocchio 4.1.0 in double precision, of the tree of three_joints. Its q are
-# x, y, cos and sin, and its velocity is in the axes of the child: here they are x, y, the angle and
-# their rates.
+# Results of JointModelPlanar of Pinocchio 4.1.0 in double precision, for the tree of three_joints.
+# Pinocchio's q are x, y, cos and sin, and its velocity is in the axes of the child. The values here
+# are converted to x, y, the angle and their rates.
 Q = (0.3, -0.2, 0.7, 0.5, -0.1, 0.25, -0.9)
 QD = (0.4, -0.6, 1.1, -0.8, 0.5, 0.2, -1.3)
 TAU = (1.0, -2.0, 0.5, 0.3, -0.4, 0.6, 0.2)

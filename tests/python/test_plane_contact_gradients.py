@@ -23,7 +23,7 @@ def turned_about(axis, angle):
 
 CYLINDER, CONE = {"radius": 0.1, "half_height": 0.15}, {"radius": 0.12, "half_height": 0.1}
 ELLIPSOID = {"rx": 0.15, "ry": 0.1, "rz": 0.07}
-# Of each the shape, its pose and how many rows it has.
+# For each case: the shape, its pose and its number of rows.
 ON_PLANE = {
     "a leaning cylinder": ("cylinder", CYLINDER, (0, 0, 0.16, *turned_about((0.6, 0.8, 0), 0.4))),
     "a cylinder that rolls": (

@@ -192,7 +192,7 @@ def test_without_contact_it_slides_to_rest_by_friction_alone():
     assert x.item() - first == pytest.approx(distance, abs=4e-4)
     assert 0.0 <= v.item() < 1e-9
     tape.backward(x)
-    # No contact: the pusher and its numbers have no part in it, exactly.
+    # Without contact the gradients with respect to the pusher and its numbers are exactly 0.
     assert states[2].grad.item() == 0.0
     assert states[3].grad.item() == 0.0
     # dx/dv0 = v0 / (mu g) of the distance above; the steps are half a step short.

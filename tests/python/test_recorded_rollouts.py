@@ -13,9 +13,9 @@ diff = pytest.importorskip("novaphy.diff")
 solvers = pytest.importorskip("novaphy.solvers")
 
 STEPS = 5
-# From 2,048 particles on a rollout of kernels collects the launches of several steps.
-PARTICLES = [(2047, 1), (2048, 1), (5000, 1), (36, 64)]  # of a world, and worlds
-WORLDS = [1, 64, 2048]  # of bodies
+# With 2,048 particles or more, a rollout of kernels collects the launches of several steps.
+PARTICLES = [(2047, 1), (2048, 1), (5000, 1), (36, 64)]  # particles of a world, and worlds
+WORLDS = [1, 64, 2048]  # worlds with bodies
 OF_PARTICLES = {"particle_qd": ("particle_q", "particle_qd")}
 OF_BODIES = {"body_qd": ("body_q", "body_qd")}
 OF_JOINTS = {"joint_qd": ("joint_q", "joint_qd", "body_q")}

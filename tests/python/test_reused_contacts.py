@@ -22,7 +22,7 @@ from novaphy.testing import assert_same_bits
 
 DT = 1 / 500
 STEPS = 5
-SIZE = 2e-4  # of differences: within it nothing begins to touch
+SIZE = 2e-4  # step of the differences, within which no contact begins
 TOUCHING = ["a box on a box", "a sphere on a box", "two spheres"]
 
 
@@ -90,7 +90,7 @@ def test_the_first_step_follows_the_state_of_its_contacts_and_later_ones_hold_th
     def contacts_of(k, state):
         if k == 0:
             own.append(steps.find(state))
-        first = len(own) == 1  # that on the tape uses one Contacts in all of its steps
+        first = len(own) == 1  # the run on the tape uses one Contacts in all of its steps
         assert not first or (steps.labels(own[0], state) == {"exact"}) == (k == 0)
         return own[-1] if k == 0 or first else middle
 
@@ -269,7 +269,7 @@ def test_contacts_of_particles_with_bodies_are_held_as_they_were_found(shape, ag
         for k in range(STEPS):
             after = model.state()
             now.clear_forces()
-            # The run on the tape finds them itself.
+            # The run on the tape finds its contacts itself.
             contacts = find(now) if first and (again or k == 0) else rows[k]
             contacts = on_tape[0] if first and not again and k > 0 else contacts
             on_tape.append(contacts)

@@ -15,7 +15,7 @@ SOLVERS = {"SolverSemiImplicit": 1 / 960, "SolverFeatherstone": 1 / 240}
 def rolls(name, body_of, q, twist, seconds=2.0):
     """The trajectory of body_q and body_qd of one body on a plane."""
     builder = novaphy.ModelBuilder()
-    builder.default_shape_cfg = novaphy.ShapeConfig(kf=100.0)  # 1000 shakes what is light
+    builder.default_shape_cfg = novaphy.ShapeConfig(kf=100.0)  # kf=1000 makes light bodies shake
     builder.add_ground_plane()
     body = builder.add_body(xform=q)
     body_of(builder, body)

@@ -13,7 +13,7 @@ from novaphy.testing import assert_same_bits
 
 DT = 1 / 960
 OTHER = novaphy.ShapeConfig(ke=4e3, kd=90.0, kf=500.0, mu=0.2)
-# Of each array: its setting, that of OTHER, and the step of the differences.
+# For each array: its setting, that of OTHER, and the step of the differences.
 ARRAYS = {
     "rigid_contact_stiffness": ("ke", 4e3, 20.0),
     "rigid_contact_damping": ("kd", 90.0, 2.0),

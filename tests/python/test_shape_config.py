@@ -31,7 +31,7 @@ FIELDS = {
     "is_site": True,
     "mixing": (1.0, 1.0, 1.0, 0.0),
 }
-# What a builder reads, a viewer, or contacts of trees (test_mjcf_contacts.py).
+# Fields that builders, viewers or contacts of trees read (test_mjcf_contacts.py).
 ELSEWHERE = {"is_visible", "collision_filter_parent", "mixing"}
 UNREAD = {"restitution", "mu_torsional", "mu_rolling"}
 BASE = {"ke": 2000.0, "kd": 30.0, "kf": 5.0, "mu": 0.9, "margin": 0.002}
@@ -75,7 +75,7 @@ def differentiable(model):
     return solvers.DiffSemiImplicitSolver(model)
 
 
-# Of each: the model, the solver, and which fields it does not read.
+# For each case: the model, the solver, and the fields that the solver does not read.
 CASES = {
     "bodies": (bodies, semi_implicit, UNREAD),
     "bodies, differentiable": (bodies, differentiable, UNREAD),
@@ -92,7 +92,7 @@ CASES = {
         UNREAD | {"ka", "kf"},
     ),
 }
-# What only shapes among each other have, or only the mass of a body.
+# Fields that act only between shapes, or only on the mass of a body.
 OF_BODIES = {"density", "gap", "is_solid", "collision_group", "has_shape_collision"}
 
 

@@ -93,7 +93,7 @@ def test_inverse_masses_follow_the_masses():
     model = ball_model(2)
     model.particle_mass.assign(np.array([4.0, 0.0], np.float32))
     np.testing.assert_array_equal(model.particle_inv_mass.numpy(), [0.25, 0.0])
-    # What is assigned last stays: both here, and the masses there.
+    # The last assignment stays: of both arrays here, and of the masses in the copy.
     model.particle_mass.assign(np.array([2.0, 5.0], np.float32))
     model.particle_inv_mass = np.zeros(2, np.float32)
     assert not model.particle_inv_mass.numpy().any()

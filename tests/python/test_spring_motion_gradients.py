@@ -256,7 +256,7 @@ def test_forces_that_change_within_the_touch_keep_their_clock() -> None:
         """The spring with w = 100 / s swings about 0, then about push / w^2, until it lets go."""
         inside = begin - (z - 0.1)
         d, v, rest = -np.sin(w * inside) / w, -np.cos(w * inside), push / w**2
-        # d(t) = rest + r cos(w t + phase), until it is 0 on its way up.
+        # d(t) = rest + r cos(w t + phase), until d reaches 0 on its way up.
         r, phase = np.hypot(d - rest, v / w), np.arctan2(-v / w, d - rest)
         leaves = ((2 * np.pi - np.arccos(-rest / r) - phase) % (2 * np.pi)) / w
         speed, left = np.sqrt((r * w) ** 2 - (rest * w) ** 2), end - begin - leaves
@@ -274,13 +274,13 @@ def test_forces_that_change_within_the_touch_keep_their_clock() -> None:
 
 
 def test_labels_tell_which_touches_are_not_covered() -> None:
-    # It begins within the steps and does not end there.
+    # The touch begins within the steps and does not end there.
     stiff = balls((0, 0, 0.3), of=surface(1e5), planes=FLOOR)
     down = [[0, 0, -1, 0, 0, 0]]
     cut = Run(stiff, "motion", 203, 1 / 1000, down, weight(1, 0, 2)).info
     assert cut.label == "surrogate" and cut.one_sided == 1
     assert "outside of the steps" in cut.reason
-    # It is there at the start.
+    # The touch exists at the start.
     inside = balls((0, 0, 0.0995), of=surface(1e5), planes=FLOOR)
     up = [[0, 0, 1, 0, 0, 0]]
     moved, code = (Run(inside, m, 100, 1 / 1000, up, weight(1, 0, 2)) for m in ("motion", "code"))

@@ -650,13 +650,14 @@ def test_a_value_of_another_living_tape_raises():
                 use()
         with pytest.raises(novaphy.Error, match=message):
             second.record_custom("own", [y], [nova.zeros(2)], lambda grads: grads)
-        # Its values are there for whom no gradient is to follow.
+        # Without a gradient the values may be used.
         loss = nova.sum(y.detach() * x)
         second.backward(loss)
     np.testing.assert_array_equal(x.grad.numpy(), [3.0, 6.0])
     with nova.no_grad():
         assert (y * x).tolist() == [3.0, 12.0]
-    # On its own tape it goes on; overwritten, or once the tape is gone, it is a constant.
+    # On its own tape the value carries its gradient. Once overwritten, or once the tape is gone, it
+    # is a constant.
     x.zero_grad()
     with first:
         first.backward(nova.sum(y * x))
@@ -696,7 +697,7 @@ def test_backward_tells_where_the_first_gradient_that_is_not_finite_comes_from()
         assert len(said) == 1
         return str(said[0].message)
 
-    # log at 0: the gradient of x is infinite, and that of y, which comes after it, is not.
+    # log at 0: the gradient of x is infinite. The gradient of y, which comes later, is -inf too.
     x = nova.tensor([0.0, 1.0], requires_grad=True)
     y = nova.tensor([2.0, 2.0], requires_grad=True)
     with nova.Tape() as tape:
@@ -706,7 +707,7 @@ def test_backward_tells_where_the_first_gradient_that_is_not_finite_comes_from()
     assert "of op 'mul'" in text
     np.testing.assert_array_equal(x.grad.numpy(), [np.inf, 2.0])
     np.testing.assert_array_equal(y.grad.numpy(), [-np.inf, 0.0])
-    # What was not finite before is known; what adds to it is as it was.
+    # Values that were not finite before are known, and additions to them do not warn again.
     with nova.Tape() as tape:
         tape.backward(nova.sum(nova.log(x)))
     # The seed.

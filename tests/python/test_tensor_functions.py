@@ -617,7 +617,7 @@ def test_exponential_and_logarithm_are_inverse_at_every_angle(length):
     for same in (q, -q):
         np.testing.assert_allclose(nova.quat_log(same).numpy(), r, rtol=2e-6)
 
-    # By hand: d exp/dr at r is a matrix of 4 by 3, by differences in float64.
+    # The reference: d exp/dr at r is a 4 by 3 matrix, by differences in float64.
     def exact(v):
         a = np.linalg.norm(v) / 2
         return np.array([*(v * 0.5 * np.sinc(a / np.pi)), np.cos(a)])

@@ -192,7 +192,7 @@ def test_python_runs_while_the_engine_computes(no_forced_switches):
     ticker.start()
     limit = time.perf_counter() + 30
     inside = 0
-    # A rollout may be over before the other thread is scheduled: hence more than one of them.
+    # A rollout may end before the other thread is scheduled, so the test runs more than one.
     while inside < 3 and time.perf_counter() < limit:
         before = ticks[0]
         solver.rollout(trajectory, None, contacts, DT)

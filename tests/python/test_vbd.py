@@ -375,7 +375,7 @@ def test_the_adaptive_guess_is_carried_from_step_to_step():
 
     trajectory, gradient = rolled(1)
     last = trajectory[steps].particle_q.numpy().copy()
-    # The same as steps of SolverVBD, which carries it too.
+    # Steps of SolverVBD, which carries the velocity too, give the same states.
     plain = novaphy.solvers.SolverVBD(model, **options)
     states = [model.state(), model.state()]
     states[0].particle_qd.assign(speed)
@@ -383,7 +383,7 @@ def test_the_adaptive_guess_is_carried_from_step_to_step():
         plain.step(states[0], states[1], None, None, 1 / 60)
         states.reverse()
     assert (states[0].particle_q.numpy() == last).all()
-    # Checkpoints keep it, and a rollout goes on where the one before ended.
+    # Checkpoints keep the velocity, and a rollout continues where the one before ended.
     for other in (rolled(3), rolled(1, ((0, 3), (3, None))), rolled(3, ((0, 3), (3, None)))):
         assert (other[0][steps].particle_q.numpy() == last).all()
         assert (other[1] == gradient).all()
@@ -397,7 +397,7 @@ def test_the_adaptive_guess_is_carried_from_step_to_step():
     solver.rollout(unrecorded, None, None, 1 / 60)
     assert (unrecorded[steps].particle_q.numpy() == last).all()
     assert (unrecorded.recompute(5).particle_q.numpy() == trajectory[5].particle_q.numpy()).all()
-    # Without reset() the guess of the first step looks at what was before.
+    # Without reset() the guess of the first step uses the velocity from before.
     assert (rolled(1, begin=lambda: None)[0][steps].particle_q.numpy() != last).any()
 
     direction = rng.normal(size=(49, 3)).astype(np.float32)
@@ -502,8 +502,8 @@ def test_contacts_of_every_step_are_kept_and_inputs_without_a_rule_raise():
     assert np.isfinite(grad).all() and np.abs(grad).max() > 0.1
 
 
-# What a step has a gradient by. Everything else of the model raises by name, but for the initial
-# positions and velocities, which steps do not read.
+# Arrays of the model with a gradient. All others raise by name, except the initial positions and
+# velocities, which steps do not read.
 WITH_GRADIENT = {
     "gravity",
     "particle_mass",
@@ -787,7 +787,8 @@ def test_a_replay_names_the_first_step_that_was_not_solved():
     diff = pytest.importorskip("novaphy.diff")
     solver = diff_solver(cloth(), iterations=2, gradient="implicit", newton_iterations=0)
     model = solver.model
-    # Without gravity the cloth is at rest: solved. With it the first step already is not.
+    # Without gravity the cloth is at rest, so the step is solved. With gravity the first step is
+    # not.
     gravity = model.gravity.numpy().copy()
     model.gravity.assign(0 * gravity)
     force = np.zeros((3, model.particle_count, 3), np.float32)
@@ -872,7 +873,7 @@ def test_a_captured_rollout_replays_the_gradients_of_direct_ones(gradient):
     capture.graph.launch()
     for expected, found, before in zip(moved, results(), at_rest, strict=True):
         assert (expected == found).all() and not (expected == before).all()
-    # A replay cannot raise: it leaves no numbers, and the solver says why.
+    # A replay cannot raise. Its results are NaN, and the solver reports why.
     velocity.assign(np.full((model.particle_count, 3), np.nan, np.float32))
     capture.graph.launch()
     assert np.isnan(trajectory[3].particle_q.numpy()).all()

@@ -203,7 +203,7 @@ class Row:
 
     cpu: Callable[[], None]
     gradient: Callable[[str], None]
-    options: dict | None = None  # of the solver; None: nothing is made for another device
+    options: dict | None = None  # options of the solver; None: no test on another device
 
     def on(self, device: str, captured: bool) -> None:
         if self.options is None:
@@ -212,7 +212,7 @@ class Row:
             both_ways(device, captured, **self.options)
 
 
-# By how the row begins.
+# By the begin of the row.
 ROWS = {
     "springs, triangles": Row(
         forward(),

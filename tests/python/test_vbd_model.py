@@ -113,7 +113,7 @@ def other_colors(values: np.ndarray) -> np.ndarray:
     return np.where(values < 2, 1 - values, values).astype(values.dtype)
 
 
-# name: how it is changed. The step is another one.
+# name: a change of the array, which changes the step.
 ACTS = {
     "particle_q": scaled,
     "particle_qd": scaled,
@@ -154,7 +154,7 @@ ACTS = {
     "mesh_indices": lambda values: values[:, [0, 2, 1]].copy(),
     "gravity": scaled,
 }
-# name: how it is changed, and what the error says.
+# name: a change of the array, and a part of the error message.
 RAISES = {
     "particle_spring_control": (scaled, "particle_spring_control"),
     "shape_material_kf": (scaled, "shape_material_kf"),
@@ -165,7 +165,7 @@ RAISES = {
     "shape_mesh_range": (rows(1, 0), "shape_mesh_range"),
     "shape_body": (rows(0, 0), "shape_body|body 0"),
 }
-# Without a part in a step of particles, whatever they hold: why.
+# Arrays that do not act on particles, with the reason.
 NO_PART = {
     "particle_tet_volume": "that of particle_tet_pose counts",
     "shape_color": "looks",

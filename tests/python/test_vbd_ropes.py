@@ -58,7 +58,7 @@ def test_a_slack_rope_falls_freely_and_then_catches():
     slack = free > -length
     assert 40 < slack.sum() < 80
     np.testing.assert_allclose(z[slack], free[slack], atol=1e-5)
-    # Taut: the energy of the fall stretches it by about v sqrt(m/ke), 3 cm; never farther.
+    # Taut: the energy of the fall stretches the rope by about v sqrt(m/ke), 3 cm, and never more.
     deepest = 4.0 * np.sqrt(0.5 / 1e4)
     assert z.min() > -length - deepest
     assert (z[~slack] > free[~slack]).all()

@@ -224,7 +224,8 @@ def test_opening_and_closing_leaves_nothing_behind(egl):
             seen.append((len(os.listdir("/proc/self/fd")), pages * os.sysconf("SC_PAGE_SIZE")))
     descriptors, memory = zip(*seen, strict=True)
     assert descriptors[-1] <= descriptors[0]
-    # The driver takes and returns pieces of 16 MiB, so only what 20 openings leave tells a leak.
+    # The driver allocates and frees pieces of 16 MiB, so only the total of 20 openings shows a
+    # leak.
     assert min(memory[8:]) - max(memory[:4]) < 20e6, memory
     with pytest.raises(RuntimeError, match="closed"):
         viewer.get_frame()

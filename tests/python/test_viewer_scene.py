@@ -239,7 +239,7 @@ def test_a_pointer_picks_the_front_body_anywhere_on_it():
     assert viewer.body_at((0.0, 2.0, 1.0), (0.0, 1.0, 0.0)) == 1
     assert viewer.body_at((0.0, -8.0, 1.0), (0.0, -1.0, 0.0)) is None
 
-    # What is held follows the pointer: no pull before it moves, then towards it.
+    # A dragged body follows the pointer: no pull before the pointer moves, then a pull towards it.
     x, y = pixels[0]
     drag.start(x, y, size)
     drag.apply(state)
@@ -363,7 +363,7 @@ def test_a_window_replays_the_simulation_and_files_hold_it_once():
                 stage.show(frame / 10, state)
     once = [(0.1, 1.0), (0.2, 2.0), (0.3, 3.0)]
     assert file.times == once
-    # The replay is begun again after its second frame, and then goes on until the window is closed.
+    # The replay restarts after its second frame, then runs until the window is closed.
     assert screen.times == once + once[:2] + once + once
 
 

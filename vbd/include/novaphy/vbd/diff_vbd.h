@@ -29,47 +29,13 @@ struct DiffVbdOptions {
   int32_t iterations = 10;         // sweeps over all colors, >= 0
   float friction_epsilon = 1e-2f;  // m/s, > 0, see VbdOptions
   VbdInitialGuess initial_guess = VbdInitialGuess::Inertia;
-  // see VbdOptions; needs implicit gradients # 24 SolverVBD's step, in all bits A step with the
-  // bits of SolverVBD, recorded on an active tape. With implicit gradients the step is iterated to
-  // its solution. Backward and Tape::jvp run each step once more.
-  //
-  //   input                                                gradient
-  //   particle_q, particle_qd, particle_f, targets         exact; particle_q also of kinematic ones
-  //   gravity, particle_mass (through its inverse too), particle_radius                    exact
-  //   particle_spring_stiffness, _damping, _rest_length                                    exact
-  //   particle_tri_pose, _area, _material (ke, ka, kd), particle_tet_pose, _material       exact
-  //   particle_edge_material, _rest_angle, _rest_length                                    exact
-  //   activations of triangles and tetrahedra, of the control or the model                 exact
-  //   shape_margin, shape_material_ke, _kd, _mu            exact
-  //   contacts (the tape keeps those of the step)          frozen: points, normals, which touch
-  //   all else of the model and the contacts               none: ErrorKind::NotImplemented, by
-  //   name,
-  //                                                        where it has requires_grad
-  // States start from particle_q and particle_qd of the model. Steps do not read these two arrays.
-  // A step leaves out an element whose coefficients are all 0. Such an element has no gradient.
-  //
-  // "Exact" refers to the iterations that ran. With implicit gradients "exact" refers to the
-  // solution of the step, within the residuals of gradient_info().
-  //
-  // The adaptive guess reads the velocity before the last step. The solver carries this velocity
-  // from step to step and from rollout to rollout until reset(). Unrolled gradients with respect to
-  // the velocity are exact over the steps and rollouts of a tape. Implicit gradients are 0, because
-  // a solution does not depend on the guess. Trajectories with checkpoints keep the velocity with
-  // each kept state. A replay of a capture begins where the last step ended, or with reset() if the
-  // capture starts with reset().
-  //
-  // Steps, rollouts, their backward and jvp can be captured. A replay runs on the host, or on the
-  // device of the model. On a device, materials and rest shapes of elements that carry a gradient
-  // may change from replay to replay. An element whose coefficients are all 0 has to keep them, or
-  // gradient_info() throws. A capture on a device supports neither jvp nor implicit gradients (see
-  // DifferentiableVbd).
-  bool coarse = false;
+  bool coarse = false;  // see VbdOptions; needs implicit gradients
   float lhs_regularization = 1e-6f;
   VbdGradientOptions gradient = {};
 };
 
-// SolverVBD's step, in all bits, recorded on an active tape; with implicit gradients the solution
-// of the step. Backward and Tape::jvp run each step once more.
+// A step with the bits of SolverVBD, recorded on an active tape. With implicit gradients the step
+// is iterated to its solution. Backward and Tape::jvp run each step once more.
 //
 //   input                                                gradient
 //   particle_q, particle_qd, particle_f, targets         exact; particle_q also of kinematic ones
@@ -79,23 +45,27 @@ struct DiffVbdOptions {
 //   particle_edge_material, _rest_angle, _rest_length                                    exact
 //   activations of triangles and tetrahedra, of the control or the model                 exact
 //   shape_margin, shape_material_ke, _kd, _mu            exact
-//   contacts (those of the step are kept)                frozen: points, normals, which touch
+//   contacts (the tape keeps those of the step)          frozen: points, normals, which touch
 //   all else of the model and the contacts               none: ErrorKind::NotImplemented, by name,
 //                                                        where it has requires_grad
-// particle_q and particle_qd of the model are read by states, not by steps. An element whose
-// coefficients are all 0 is left out of a step, and has no gradient.
+// States start from particle_q and particle_qd of the model. Steps do not read these two arrays. A
+// step leaves out an element whose coefficients are all 0. Such an element has no gradient.
 //
-// The adaptive guess looks at the velocity before the last step, which the solver carries from step
-// to step and from rollout to rollout until reset(). Unrolled gradients by it are exact, over the
-// steps and rollouts of a tape; a solution does not depend on the guess, so implicit ones are 0.
-// Trajectories with checkpoints keep it where they keep states. A replay of a capture begins where
-// the last step ended, or with reset() where the capture does.
-// "Exact" is of the iterations that ran, or with implicit gradients of the solution, within the
-// residuals: see gradient_info(). Steps, rollouts, their backward and jvp can be captured; a
-// replay runs them on the host, or on the device of the model, where materials and rest shapes of
-// elements that carry a gradient may change from replay to replay (an element whose coefficients
-// are all 0 keeps them, or gradient_info() throws). On a device no jvp and no
-// implicit gradients stand in a capture (see DifferentiableVbd).
+// "Exact" refers to the iterations that ran. With implicit gradients "exact" refers to the solution
+// of the step, within the residuals of gradient_info().
+//
+// The adaptive guess reads the velocity before the last step. The solver carries this velocity from
+// step to step and from rollout to rollout until reset(). Unrolled gradients with respect to the
+// velocity are exact over the steps and rollouts of a tape. Implicit gradients are 0, because a
+// solution does not depend on the guess. Trajectories with checkpoints keep the velocity with each
+// kept state. A replay of a capture begins where the last step ended, or with reset() if the
+// capture starts with reset().
+//
+// Steps, rollouts, their backward and jvp can be captured. A replay runs on the host, or on the
+// device of the model. On a device, materials and rest shapes of elements that carry a gradient may
+// change from replay to replay. An element whose coefficients are all 0 has to keep them, or
+// gradient_info() throws. A capture on a device supports neither jvp nor implicit gradients (see
+// DifferentiableVbd).
 class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
  public:
   // Errors: as for DifferentiableVbd.

@@ -87,40 +87,25 @@ struct VbdGradientInfo {
   std::string label;           // "exact": of the sweeps that ran; "implicit": of the solution
   VbdResidual primal;          // residual of the step
   double linear_residual = 0;  // implicit: relative residual of the linear system; else 0
-  // implicit: sweeps for the linear system # 14 Unrolled, the derivative is exact for the sweeps
-  // that run Unrolled gradients are exact for the sweeps that run. The backward pass visits every
-  // color of every iteration in reverse, with the branches that the iteration took. A particle
-  // moves by d = H^-1 f. Let u = H^-1 xbar. The derivative with respect to each input of f and H is
-  // that of u.f - u.(H d), with u and d held constant: a sum over the elements of the particle.
-  //
-  // Implicit gradients are those of the solution, where f = 0. With J = -df/dx and J^T lambda =
-  // xbar, the derivative with respect to each input of f is that of lambda.f. The same sweeps in
-  // reverse, with d = 0, are a block Gauss-Seidel iteration for lambda. This iteration
-  // preconditions a generalized conjugate residual method. Newton's method solves the step first,
-  // with the tangents of the same sweeps, and `forward` returns this solution. J is the whole
-  // derivative of f. H leaves parts of J out.
-  //
-  // Points, normals and velocities of contacts are frozen. Kinematic particles carry a gradient
-  // with respect to their positions or targets. The result has the same bits for any number of
-  // threads and on any processor.
-  int32_t linear_sweeps = 0;
-  bool converged = true;  // implicit: both are within the tolerance
+  int32_t linear_sweeps = 0;   // implicit: sweeps for the linear system
+  bool converged = true;       // implicit: both are within the tolerance
 };
 
-// Unrolled, the derivative is exact for the sweeps that run: it goes back through every color of
-// every iteration, with the branches that these took. A particle moves by d = H^-1 f; with
-// u = H^-1 xbar the derivative by all that f and H read is that of u.f - u.(H d), u and d held
-// constant, which is summed over its elements.
+// Unrolled gradients are exact for the sweeps that run. The backward pass visits every color of
+// every iteration in reverse, with the branches that the iteration took. A particle moves by d =
+// H^-1 f. Let u = H^-1 xbar. The derivative with respect to each input of f and H is that of u.f -
+// u.(H d), with u and d held constant: a sum over the elements of the particle.
 //
-// Implicit, it is that of the solution, where f = 0: with J = -df/dx, J^T lambda = xbar, the
-// derivative by all that f reads is that of lambda.f. The same sweeps in reverse, with d = 0, are a
-// block Gauss-Seidel iteration for lambda; it is the preconditioner of a generalized conjugate
-// residual method. Before, Newton's method with the tangent of the same sweeps solves the step,
-// which `forward` returns then. J holds the whole derivative, also what H leaves out.
+// Implicit gradients are those of the solution, where f = 0. With J = -df/dx and J^T lambda = xbar,
+// the derivative with respect to each input of f is that of lambda.f. The same sweeps in reverse,
+// with d = 0, are a block Gauss-Seidel iteration for lambda. This iteration preconditions a
+// generalized conjugate residual method. Newton's method solves the step first, with the tangents
+// of the same sweeps, and `forward` returns this solution. J is the whole derivative of f. H leaves
+// parts of J out.
 //
-// Points, normals and velocities of contacts are frozen. Kinematic particles carry a gradient by
-// their positions or targets. The result has the same bits for any number of threads and any
-// processor.
+// Points, normals and velocities of contacts are frozen. Kinematic particles carry a gradient with
+// respect to their positions or targets. The result has the same bits for any number of threads and
+// on any processor.
 class NOVAPHY_VBD_API DifferentiableVbd {
  public:
   // ErrorKind::NotImplemented: acceleration, tolerance or safeguard is set, or coarse without

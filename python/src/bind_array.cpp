@@ -212,8 +212,7 @@ void bind_array(py::module_& m) {
           "shape", [](const Array& a) { return shape_tuple(a.shape()); },
           "The shape of the NumPy array: rows, then the components of an element.")
       .def_property_readonly(
-          "dtype", [](const Array& a) { return dtype_object(a.dtype()); },
-          "The dtype of the elements.")
+          "dtype", [](const Array& a) { return dtype_object(a.dtype()); }, "The dtype of a row.")
       .def_property_readonly(
           "scalar_dtype",
           [](const Array& a) { return dtype_object(scalar_dtype(dtype_info(a.dtype()).scalar)); },

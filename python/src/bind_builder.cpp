@@ -163,9 +163,8 @@ std::string text(const std::optional<std::string>& label) { return label.value_o
 void bind_worlds(py::class_<ModelBuilder>& c) {
   c.def_property_readonly("world_count", &ModelBuilder::world_count,
                           "The number of worlds. A model without worlds has one.")
-      .def_property_readonly(
-          "current_world", &ModelBuilder::current_world,
-          "The index of the open world; -1 outside of begin_world and end_world.")
+      .def_property_readonly("current_world", &ModelBuilder::current_world,
+                             "The open world; -1 outside of begin_world and end_world.")
       .def(
           "begin_world",
           [](ModelBuilder& b, py::handle gravity) {
@@ -193,8 +192,7 @@ void bind_worlds(py::class_<ModelBuilder>& c) {
             return b.add_world(builder, to_transform(xform, "xform"));
           },
           "builder"_a, "xform"_a = py::none(),
-          "Adds another builder as a world of its own: begin_world, add_builder, end_world. "
-          "Returns the index of the world.")
+          "begin_world, add_builder and end_world in one call. Returns the index.")
       .def(
           "replicate",
           [](ModelBuilder& b, const ModelBuilder& builder, int32_t world_count,
@@ -225,7 +223,7 @@ void bind_bodies(py::class_<ModelBuilder>& c) {
                     "The initial poses of the bodies' origins: m, quaternion xyzw, world frame.");
   bind_builder_list(
       c, "body_qd", &ModelBuilder::body_qd,
-      "The initial velocities: of the center of mass (m/s), then angular (rad/s), world frame.");
+      "The initial velocities of the centers of mass (m/s), then angular (rad/s), world frame.");
   const auto bind = [&](const char* name, int32_t (ModelBuilder::*add)(const BodyArgs&),
                         const char* doc) {
     c.def(
@@ -299,9 +297,8 @@ void bind_builder(py::module_& m) {
           "The least mass of a dynamic body (kg, > 0). finalize raises smaller masses to this "
           "bound, leaves the inertia as it is, and warns. Masses of 0 stay. None: no bound.")
       .def_readwrite("bound_inertia", &ModelBuilder::bound_inertia,
-                     "The least principal moment of a dynamic body with a mass (kg*m^2, > 0). If "
-                     "one moment is smaller, finalize adds the difference to all three moments, "
-                     "and warns. None: no bound.")
+                     "The least principal moment of a body with a mass (kg*m^2, > 0). finalize "
+                     "adds what one lacks to all three, and warns. None: no bound.")
       .def("__repr__",
            [](const py::object& self) {
              std::string text = "ModelBuilder(", between;
@@ -319,16 +316,13 @@ void bind_builder(py::module_& m) {
       .def_property_readonly("body_count", &ModelBuilder::body_count, "The number of bodies.")
       .def_property_readonly("shape_count", &ModelBuilder::shape_count, "The number of shapes.");
   bind_builder_list(c, "particle_q", &ModelBuilder::particle_q,
-                    "The initial positions (m, world frame).");
+                    "Initial positions (m, world frame).");
   bind_builder_list(c, "particle_qd", &ModelBuilder::particle_qd,
-                    "The initial velocities (m/s, world frame).");
-  bind_builder_list(c, "particle_mass", &ModelBuilder::particle_mass,
-                    "The masses (kg); 0: kinematic.");
+                    "Initial velocities (m/s, world frame).");
+  bind_builder_list(c, "particle_mass", &ModelBuilder::particle_mass, "Masses (kg); 0: kinematic.");
   bind_builder_list(c, "particle_radius", &ModelBuilder::particle_radius, "m");
-  bind_builder_list(c, "particle_flags", &ModelBuilder::particle_flags,
-                    "The ParticleFlags of the particles.");
-  bind_builder_list(c, "particle_world", &ModelBuilder::particle_world,
-                    "The world of each particle; -1: all worlds.");
+  bind_builder_list(c, "particle_flags", &ModelBuilder::particle_flags, "One ParticleFlags each.");
+  bind_builder_list(c, "particle_world", &ModelBuilder::particle_world, "Worlds; -1: all worlds.");
 
   c.def(
        "add_particle",
@@ -353,8 +347,7 @@ void bind_builder(py::module_& m) {
             b.add_particles(q, qd, m_list, r, f);
           },
           "pos"_a, "vel"_a, "mass"_a, "radius"_a = py::none(), "flags"_a = py::none(),
-          "Adds many particles from lists of positions, velocities and masses. ValueError: lists "
-          "of different lengths.");
+          "Adds particles from lists. ValueError: lists of different lengths.");
   bind_builder_elements(c);
   bind_bodies(c);
   bind_builder_joints(c);
@@ -364,7 +357,7 @@ void bind_builder(py::module_& m) {
   bind_builder_list(c, "joint_target_q", &ModelBuilder::joint_target_q,
                     "The position targets of the drives (m or rad).");
   bind_builder_list(c, "joint_target_mode", &ModelBuilder::joint_target_mode,
-                    "The JointTargetMode of each degree of freedom.");
+                    "JointTargetMode per dof.");
 #define NOVAPHY_JOINT_LIST(name, type, width, count, unit, frame, doc) \
   bind_builder_list(c, #name, &ModelBuilder::name, unit ": " doc ".");
   NOVAPHY_MODEL_JOINT_DOF_FIELDS(NOVAPHY_JOINT_LIST)

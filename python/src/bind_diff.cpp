@@ -125,7 +125,7 @@ void bind_operators(py::module_& m) {
       "axis_weight_b"_a = 1.0f, "target_height"_a = 0.0f, "height_weight"_a = 0.0f,
       "linear_velocity_weight"_a = 0.0f, "angular_velocity_weight"_a = 0.0f,
       "Returns the loss {1} of one body: wa (1 - R a . ta) + wb (1 - R b . tb) + wh (z - h)^2 + "
-      "wv\nv|^2 + ww\nw|^2. R is the body's rotation. The local axes a and b have the targets ta "
+      "wv |v|^2 + ww |w|^2. R is the body's rotation. The local axes a and b have the targets ta "
       "and tb in the world frame. All four are normalized. z is the height (m), v and w are the "
       "velocities.\n\nIndexError: no such body.\nValueError: an axis of length 0.");
   m.def("assign_tet_materials_generated", &diff::assign_tet_materials_generated,
@@ -155,12 +155,12 @@ void bind_operators(py::module_& m) {
         "and rest angles {e}. Gradients are exact for all inputs.");
   m.def("particle_point_loss_generated", &diff::particle_point_loss_generated, "particle_q"_a,
         "particle_index"_a, "target_x"_a, "target_y"_a, "target_z"_a, release_gil(),
-        "Returns\nq[particle_index] - target|^2 {1} (m^2). IndexError: no such particle.");
+        "Returns |q[particle_index] - target|^2 {1} (m^2). IndexError: no such particle.");
   m.def("particle_centroid_generated", &diff::particle_centroid_generated, "particle_q"_a,
         release_gil(), "Returns the mean position {1, 3} (m), without weights.");
   m.def("vec3_point_loss_generated", &diff::vec3_point_loss_generated, "point"_a, "target_x"_a,
         "target_y"_a, "target_z"_a, release_gil(),
-        "Returns\npoint - target|^2 {1} (m^2) for a point {1, 3} or {3}.");
+        "Returns |point - target|^2 {1} (m^2) for a point {1, 3} or {3}.");
   m.def("clamp_f32_generated", &diff::clamp_f32_generated, "x"_a, "lower"_a, "upper"_a,
         release_gil(),
         "Returns x limited to [lower, upper]. The gradient is 1 inside and at the bounds, 0 "

@@ -92,7 +92,7 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
         "angular_damping"_a, release_gil(), doc::kPlanarArm);
   m.def("planar_2r_tip_loss", &diff::planar_2r_tip_loss, "model"_a, "q"_a, "target_x"_a,
         "target_z"_a, release_gil(),
-        "Returns\ntip - target|^2 {1} (m^2) for the arm of record_planar_2r_featherstone_step at q "
+        "Returns |tip - target|^2 {1} (m^2) for the arm of record_planar_2r_featherstone_step at q "
         "{2}, in the XZ plane. The last center of mass is the midpoint of the last joint and the "
         "tip. The gradient is exact.");
 }
@@ -102,8 +102,8 @@ void bind_event_times(py::module_& m) {
         "Returns the times {n} when contacts and limits of joints begin, in the order of "
         "GradientInfo.event_list: s since the first step that filled the trajectory. The active "
         "tape records the call. The solver needs contact_gradient=\"motion\".\n\nAn event of step "
-        "k has the time t_k + d /\nJ v|. Its derivative with respect to the positions of state k "
-        "is J /\nJ v|. Here d is the gap, J its derivative and v the rates (saltation matrix). The "
+        "k has the time t_k + d / |J v|. Its derivative with respect to the positions of state k "
+        "is J / |J v|. Here d is the gap, J its derivative and v the rates (saltation matrix). The "
         "number and the order of events are those of this run. Without events the result is "
         "{0}.\n\nValueError: no tape is active, or the tape has no steps of such a "
         "solver.\nNotImplementedError: a trajectory with checkpoints.");

@@ -243,7 +243,7 @@ void bind_functions(py::module_& m) {
   m.def(
       "div", [](float a, const Tensor& b) { return nova::div(a, b); }, "a"_a, "b"_a, release_gil());
   NOVAPHY_UNARY(neg, "Returns -x.")
-  NOVAPHY_UNARY(abs, "Returns\nx|. The derivative is -1 below 0, else +1.")
+  NOVAPHY_UNARY(abs, "Returns |x|. The derivative is -1 below 0, else +1.")
   NOVAPHY_UNARY(sqrt, "Returns the square root. No gradient at 0.")
   NOVAPHY_UNARY(exp, "Returns e^x.")
   NOVAPHY_UNARY(log, "Returns the natural logarithm.")

@@ -196,7 +196,7 @@ void bind_gradcheck(py::module_& m) {
       .def_readonly(
           "dot_product_error", &nova::GradcheckResult::dot_product_error,
           "The derivative in one random direction u, computed as J u (Tape.jvp) and as <u, "
-          "gradient>: the difference of both, relative to the sum of\nu_i gradient_i|.")
+          "gradient>: the difference of both, relative to the sum of |u_i gradient_i|.")
       .def("__bool__", [](const nova::GradcheckResult& r) { return r.ok; })
       .def("__repr__", [](const nova::GradcheckResult& r) {
         return std::string("GradcheckResult(ok=") + (r.ok ? "True" : "False") +

@@ -292,10 +292,9 @@ void bind_builder(py::module_& m) {
       .def_readwrite("rigid_gap", &ModelBuilder::rigid_gap,
                      "The gap (m) of shapes whose ShapeConfig has none.")
       .def_readwrite("balance_inertia", &ModelBuilder::balance_inertia, doc::kBalanceInertia)
-      .def_readwrite(
-          "bound_mass", &ModelBuilder::bound_mass,
-          "The least mass of a dynamic body (kg, > 0). finalize raises smaller masses to this "
-          "bound, leaves the inertia as it is, and warns. Masses of 0 stay. None: no bound.")
+      .def_readwrite("bound_mass", &ModelBuilder::bound_mass,
+                     "The least mass of dynamic bodies (kg, > 0). finalize raises masses but not "
+                     "0, keeps the inertia, and warns. None: no bound.")
       .def_readwrite("bound_inertia", &ModelBuilder::bound_inertia,
                      "The least principal moment of a body with a mass (kg*m^2, > 0). finalize "
                      "adds what one lacks to all three, and warns. None: no bound.")
@@ -315,13 +314,11 @@ void bind_builder(py::module_& m) {
                              "The number of particles.")
       .def_property_readonly("body_count", &ModelBuilder::body_count, "The number of bodies.")
       .def_property_readonly("shape_count", &ModelBuilder::shape_count, "The number of shapes.");
-  bind_builder_list(c, "particle_q", &ModelBuilder::particle_q,
-                    "Initial positions (m, world frame).");
-  bind_builder_list(c, "particle_qd", &ModelBuilder::particle_qd,
-                    "Initial velocities (m/s, world frame).");
+  bind_builder_list(c, "particle_q", &ModelBuilder::particle_q, "Positions (m, world frame).");
+  bind_builder_list(c, "particle_qd", &ModelBuilder::particle_qd, "Velocities (m/s, world frame).");
   bind_builder_list(c, "particle_mass", &ModelBuilder::particle_mass, "Masses (kg); 0: kinematic.");
   bind_builder_list(c, "particle_radius", &ModelBuilder::particle_radius, "m");
-  bind_builder_list(c, "particle_flags", &ModelBuilder::particle_flags, "One ParticleFlags each.");
+  bind_builder_list(c, "particle_flags", &ModelBuilder::particle_flags, "ParticleFlags.");
   bind_builder_list(c, "particle_world", &ModelBuilder::particle_world, "Worlds; -1: all worlds.");
 
   c.def(
@@ -347,7 +344,7 @@ void bind_builder(py::module_& m) {
             b.add_particles(q, qd, m_list, r, f);
           },
           "pos"_a, "vel"_a, "mass"_a, "radius"_a = py::none(), "flags"_a = py::none(),
-          "Adds particles from lists. ValueError: lists of different lengths.");
+          "Adds many particles. ValueError: lists of different lengths.");
   bind_builder_elements(c);
   bind_bodies(c);
   bind_builder_joints(c);
@@ -356,8 +353,7 @@ void bind_builder(py::module_& m) {
                     "add_body follow body_q until they are set here.");
   bind_builder_list(c, "joint_target_q", &ModelBuilder::joint_target_q,
                     "The position targets of the drives (m or rad).");
-  bind_builder_list(c, "joint_target_mode", &ModelBuilder::joint_target_mode,
-                    "JointTargetMode per dof.");
+  bind_builder_list(c, "joint_target_mode", &ModelBuilder::joint_target_mode, "JointTargetMode.");
 #define NOVAPHY_JOINT_LIST(name, type, width, count, unit, frame, doc) \
   bind_builder_list(c, #name, &ModelBuilder::name, unit ": " doc ".");
   NOVAPHY_MODEL_JOINT_DOF_FIELDS(NOVAPHY_JOINT_LIST)

@@ -31,8 +31,7 @@ std::vector<float> one_or_each(py::handle value, const char* name) {
   return to_float_list(value, name);
 }
 
-// Returns materials from parallel lists: no material if all are None, else one for all elements, or
-// one for each.
+// Returns materials from parallel lists: none if all are None, else one for all or one for each.
 template <class Material>
 std::vector<Material> materials(
     std::initializer_list<std::tuple<py::handle, const char*, OptionalFloat Material::*>> columns) {
@@ -164,9 +163,8 @@ void bind_grids(Builder& c) {
       py::kw_only(), "pos"_a = origin, "rot"_a = no_turn, "vel"_a = origin, "dim_x"_a, "dim_y"_a,
       "dim_z"_a, "cell_x"_a, "cell_y"_a, "cell_z"_a, "mass"_a, "jitter"_a = 0.0,
       "radius_mean"_a = py::none(), "radius_std"_a = 0.0, "seed"_a = 0,
-      "Adds a grid of dim_x * dim_y * dim_z particles, each with `mass` (kg). The index along y "
-      "changes slowest, then x, then z. jitter (m) moves each coordinate by at most half of it. "
-      "The radii (m) have a normal distribution.");
+      "Adds dim_x * dim_y * dim_z particles of `mass` (kg): y slowest, then x, then z. jitter (m) "
+      "moves each coordinate by up to half of it. The radii (m) are normally distributed.");
   c.def(
       "add_cloth_grid",
       [](ModelBuilder& b, py::handle pos, py::handle rot, py::handle vel, int32_t dim_x,
@@ -239,10 +237,9 @@ void bind_grids(Builder& c) {
       "tri_ka"_a = 0.0f, "tri_kd"_a = 0.0f, "tri_drag"_a = 0.0f, "tri_lift"_a = 0.0f,
       "add_surface_mesh_edges"_a = true, "edge_ke"_a = 0.0f, "edge_kd"_a = 0.0f,
       "particle_radius"_a = py::none(),
-      "Adds a block of dim_x * dim_y * dim_z cells (m) with five tetrahedra each. The surface has "
-      "triangles and bending edges. Every particle has the mass of one cell at `density` (kg/m^3). "
-      "The sides left and right are the ends of x, bottom and top those of y. A fixed side has "
-      "mass 0.");
+      "Adds a block of dim_x * dim_y * dim_z cells (m), five tetrahedra each, with triangles and "
+      "bending edges on the surface. Every particle has the mass of one cell at `density` "
+      "(kg/m^3). Fixed sides (left, right: ends of x; bottom, top: of y) get mass 0.");
 }
 
 // Returns the argument, or the attribute of the mesh if the argument is None.

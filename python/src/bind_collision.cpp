@@ -93,11 +93,9 @@ void bind_collision(py::module_& m) {
       .def_property_readonly(
           "fcl_pair_count", &CollisionPipeline::fcl_pair_count,
           "The number of overlapping pairs of hulls so far, with narrow_phase \"fcl\".")
-      .def_property_readonly(
-          "fcl_fallback_count", &CollisionPipeline::fcl_fallback_count,
-          "The number of pairs in fcl_pair_count for which the result of FCL was not used.")
-      .def_property_readonly("soft_contact_margin", &CollisionPipeline::soft_contact_margin,
-                             "The margin of soft contacts (m).")
+      .def_property_readonly("fcl_fallback_count", &CollisionPipeline::fcl_fallback_count,
+                             "Pairs in fcl_pair_count whose result of FCL was not used.")
+      .def_property_readonly("soft_contact_margin", &CollisionPipeline::soft_contact_margin, "m")
       .def_property_readonly("rigid_contact_max", &CollisionPipeline::rigid_contact_max,
                              "The number of rows of contacts().")
       .def_property_readonly("soft_contact_max", &CollisionPipeline::soft_contact_max,

@@ -106,9 +106,8 @@ void bind_devices(py::module_& m) {
       .def("record", &Event::record, "Marks the work that was issued so far.")
       .def("synchronize", &Event::synchronize, release_gil(),
            "Waits until the device has reached the mark.")
-      .def_static(
-          "elapsed", &Event::elapsed, "start"_a, "stop"_a, release_gil(),
-          "Returns the time between two marks of one device (s). Waits for the second mark.");
+      .def_static("elapsed", &Event::elapsed, "start"_a, "stop"_a, release_gil(),
+                  "Returns the seconds between two marks of one device. Waits for the second.");
   py::class_<ScopedDevice>(m, "ScopedDevice", "A context manager with another default device.")
       .def(py::init([](py::handle spec) { return ScopedDevice(to_device(spec)); }), "spec"_a)
       .def("__enter__", &ScopedDevice::enter)

@@ -101,8 +101,7 @@ void bind_operators(py::module_& m) {
         "newton_spin"_a = false, release_gil(), doc::kRigidStep);
   m.def("body_twist_from_omega_generated", &diff::body_twist_from_omega_generated, "omega"_a,
         "linear_x"_a, "linear_y"_a, "linear_z"_a, release_gil(),
-        "Returns twists {b, 6} of the rows (linear_x, linear_y, linear_z, omega): m/s, and omega "
-        "{b, 3} in rad/s.");
+        "Returns rows (linear_x, linear_y, linear_z, omega) {b, 6}; omega {b, 3} is in rad/s.");
   m.def(
       "rigid_orientation_velocity_loss_generated",
       [](const Tensor& body_q, const Tensor& body_qd, int64_t body_index, py::handle local_axis_a,
@@ -130,9 +129,8 @@ void bind_operators(py::module_& m) {
       "velocities.\n\nIndexError: no such body.\nValueError: an axis of length 0.");
   m.def("assign_tet_materials_generated", &diff::assign_tet_materials_generated,
         "material_params"_a, "base_tet_materials"_a, "tet_count"_a, release_gil(),
-        "Returns materials {tet_count, 3}. k_mu and k_lambda (Pa) come from parameters: two for "
-        "all tetrahedra {2}, or two for each {2 * tet_count}. k_damp comes from the base "
-        "{tet_count, 3}. Gradients are exact.");
+        "Returns materials {tet_count, 3}: k_mu and k_lambda (Pa) from parameters {2} or {2 * "
+        "tet_count}, k_damp from the base {tet_count, 3}. Gradients are exact.");
   m.def("eval_tetrahedra_forces_generated", &diff::eval_tetrahedra_forces_generated, "model"_a,
         "particle_q"_a, "particle_qd"_a, "particle_f"_a, "tet_activations"_a, "tet_materials"_a,
         release_gil(),
@@ -163,8 +161,7 @@ void bind_operators(py::module_& m) {
         "Returns |point - target|^2 {1} (m^2) for a point {1, 3} or {3}.");
   m.def("clamp_f32_generated", &diff::clamp_f32_generated, "x"_a, "lower"_a, "upper"_a,
         release_gil(),
-        "Returns x limited to [lower, upper]. The gradient is 1 inside and at the bounds, 0 "
-        "outside.");
+        "Limits x to [lower, upper]. The gradient is 1 inside and at the bounds, 0 outside.");
 }
 
 // Returns a whole field as one tensor: {kept, n, 3} for carried vectors, {n, 3} for applied ones.
@@ -557,8 +554,9 @@ void bind_solver(py::module_& solvers) {
   NOVAPHY_MEMBER(joint_attach_kd,
                  "The damping of the attachments of joints (N*s/m, and 0.01 of it N*m*s/rad).")
   add_contact_gradient(config);
-  NOVAPHY_MEMBER(strict,
-                 "Whether an unsupported part of a model raises. False: the solver leaves it out.")
+  NOVAPHY_MEMBER(
+      strict,
+      "Whether an unsupported part of a model raises. False: the solver leaves the part out.")
 #undef NOVAPHY_MEMBER
   add_settings_pickle(config);
 

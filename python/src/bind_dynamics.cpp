@@ -70,8 +70,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
             s.notify_model_changed(static_cast<ModelFlags>(flags));
           },
           "flags"_a,
-          "Tells the solver that values of the model were changed outside of NovaPhy's arrays. "
-          "flags: ModelFlags of the changed parts.");
+          "Tells the solver which parts (ModelFlags) changed outside of NovaPhy's arrays.");
   GeneralStep::function = py::object(base.attr("step")).release().ptr();
 
   bind_sleep(m);
@@ -105,13 +104,11 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
            "sleep"_a = py::none(), doc::kSemiImplicitInit)
       .def_property_readonly(
           "angular_damping",
-          [](const SolverSemiImplicit& s) { return s.options().angular_damping; },
-          "The angular damping of bodies (1/s).")
+          [](const SolverSemiImplicit& s) { return s.options().angular_damping; }, "1/s")
       .def_property_readonly(
           "friction_smoothing",
           [](const SolverSemiImplicit& s) { return s.options().friction_smoothing; },
-          "The slip below which friction is smooth (m/s). \"viscous\" and \"newton18\" do not read "
-          "it.")
+          "The slip below which friction is smooth (m/s), except \"viscous\", \"newton18\".")
       .def_property_readonly(
           "particle_kf_bound",
           [](const SolverSemiImplicit& s) { return s.options().particle_kf_bound; },
@@ -121,12 +118,10 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
           "The tangential stiffness of each rigid contact (N/m).")
       .def_property_readonly(
           "joint_attach_ke",
-          [](const SolverSemiImplicit& s) { return s.options().joint_attach_ke; },
-          "The stiffness of the attachments of joints (N/m, N*m/rad).")
+          [](const SolverSemiImplicit& s) { return s.options().joint_attach_ke; }, "N/m, N*m/rad")
       .def_property_readonly(
           "joint_attach_kd",
-          [](const SolverSemiImplicit& s) { return s.options().joint_attach_kd; },
-          "The damping of the attachments of joints (N*s/m, and 0.01 of it N*m*s/rad).")
+          [](const SolverSemiImplicit& s) { return s.options().joint_attach_kd; }, "N*s/m")
       .def_property_readonly(
           "enable_tri_contact",
           [](const SolverSemiImplicit& s) { return s.options().enable_tri_contact; },

@@ -128,8 +128,7 @@ void bind_functions(py::module_& m) {
       [](const Model& model, const SimState& state) {
         return to_rows(unlocked([&] { return eval_center_of_mass(model, state); }));
       },
-      "model"_a, "state"_a,
-      "Returns the centers of mass of the articulations {articulations, 3} (m, world frame).");
+      "model"_a, "state"_a, "{articulations, 3}, m, world frame.");
   m.def(
       "eval_energy",
       [](const Model& model, const SimState& state) {

@@ -171,8 +171,7 @@ void bind_creation(py::module_& m) {
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
             return filled(shape, 0.0, dtype, device, grad);
           },
-          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false,
-          "Returns a tensor of zeros.")
+          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false, "Zeros.")
       .def(
           "empty",
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
@@ -185,8 +184,7 @@ void bind_creation(py::module_& m) {
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
             return filled(shape, 1.0, dtype, device, grad);
           },
-          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false,
-          "Returns a tensor of ones.")
+          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false, "Ones.")
       .def("full", &filled, "shape"_a, "value"_a, "dtype"_a = f32, "device"_a = py::none(),
            "requires_grad"_a = false,
            "Returns a tensor filled with one value, rounded to float32. ValueError: an integer "
@@ -196,8 +194,7 @@ void bind_creation(py::module_& m) {
           "tensor"_a, "Returns zeros with the shape, dtype and device of a tensor.")
       .def("arange", &arange, "start"_a, "stop"_a = py::none(), "step"_a = 1,
            "dtype"_a = dtype_object(DType::int32), "device"_a = py::none(),
-           "Returns the integers from start to before stop. With stop None, those from 0 to before "
-           "start.");
+           "Returns the integers from start (0 if stop is None) to before stop or start.");
 }
 
 #define NOVAPHY_BINARY(name, doc)                                                             \
@@ -220,10 +217,8 @@ void bind_functions(py::module_& m) {
   NOVAPHY_BINARY(sub, "Returns a - b, broadcast as in NumPy.")
   NOVAPHY_BINARY(mul, "Returns a * b, broadcast as in NumPy.")
   NOVAPHY_BINARY(div, "Returns a / b, broadcast as in NumPy.")
-  NOVAPHY_BINARY(minimum,
-                 "Returns the smaller value. The gradient goes to a where a < b, else to b.")
-  NOVAPHY_BINARY(maximum,
-                 "Returns the larger value. The gradient goes to a where a > b, else to b.")
+  NOVAPHY_BINARY(minimum, "The smaller value. The gradient goes to a where a < b, else to b.")
+  NOVAPHY_BINARY(maximum, "The larger value. The gradient goes to a where a > b, else to b.")
   m.def(
       "min", [](const Tensor& a, const Tensor& b) { return nova::minimum(a, b); }, "a"_a, "b"_a,
       release_gil());
@@ -250,13 +245,10 @@ void bind_functions(py::module_& m) {
   NOVAPHY_UNARY(sin, "Returns the sine of x (rad).")
   NOVAPHY_UNARY(cos, "Returns the cosine of x (rad).")
   NOVAPHY_UNARY(tanh, "Returns the hyperbolic tangent.")
-  NOVAPHY_UNARY(acos,
-                "Returns the arc cosine (rad) of x limited to [-1, 1]. No gradient at the limits.")
+  NOVAPHY_UNARY(acos, "The arc cosine (rad) of x limited to [-1, 1]. No gradient at the limits.")
   m.def(
       "atan2", [](const Tensor& y, const Tensor& x) { return nova::atan2(y, x); }, "y"_a, "x"_a,
-      release_gil(),
-      "Returns the angle (rad) of the point (x, y), broadcast as in NumPy. No gradient at the "
-      "origin.");
+      release_gil(), "The angle (rad) of (x, y), broadcast. No gradient at the origin.");
   m.def(
       "clamp",
       [](const Tensor& x, py::handle lower, py::handle upper) {
@@ -265,10 +257,8 @@ void bind_functions(py::module_& m) {
         return nova::clamp(x, limits[0], limits[1]);
       },
       "x"_a, "lower"_a, "upper"_a,
-      "Returns x limited to [lower, upper]. The gradient is 1 inside and at the bounds, 0 "
-      "outside.");
-  NOVAPHY_BINARY(pow,
-                 "Returns a to the power of b, broadcast as in NumPy. An exponent 2 gives a * a.")
+      "Limits x to [lower, upper]. The gradient is 1 inside and at the bounds, 0 outside.");
+  NOVAPHY_BINARY(pow, "a to the power of b, broadcast as in NumPy. The exponent 2 gives a * a.")
   m.def(
       "pow", [](const Tensor& a, float b) { return nova::pow(a, b); }, "a"_a, "b"_a, release_gil());
   m.def(
@@ -293,8 +283,7 @@ void bind_functions(py::module_& m) {
 
 void bind_shapes(py::module_& m) {
   m.def("sum", &reduced<Reduction::Sum>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
-        release_gil(),
-        "Returns the sum of all values {1}, or over one dimension, in a fixed order.")
+        release_gil(), "The sum of all values {1}, or over one dimension, in a fixed order.")
       .def("mean", &reduced<Reduction::Mean>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
            release_gil(), "Returns the mean of all values {1}, or over one dimension.")
       .def("max", &reduced<Reduction::Max>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
@@ -331,14 +320,11 @@ void bind_shapes(py::module_& m) {
             return nova::transpose(x, axes ? *axes : std::vector<int64_t>());
           },
           "x"_a, "axes"_a = py::none(), release_gil(),
-          "Returns a copy in which dimension k is dimension axes[k] of x. None reverses the "
-          "dimensions.");
+          "Returns a copy whose dimension k is axes[k] of x. None reverses them.");
   NOVAPHY_BINARY(matmul,
                  "Returns the matrix product of {n, k} or {k} and {k, m} or {k}. Each value is "
                  "summed in ascending k.")
-  NOVAPHY_BINARY(
-      cross,
-      "Returns the cross product a x b of vectors {..., 3}, broadcast in the other dimensions.")
+  NOVAPHY_BINARY(cross, "a x b of vectors {..., 3}, broadcast in the other dimensions.")
   NOVAPHY_BINARY(quat_mul,
                  "Returns the Hamilton product a b of quaternions {..., 4}, (x, y, z, w): the "
                  "rotation b, then a.")

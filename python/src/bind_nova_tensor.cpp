@@ -144,13 +144,11 @@ void bind_methods(TensorClass& c) {
           "Returns the values as nested lists.")
       .def("clone", method<&Tensor::clone>, release_gil(),
            "Returns a copy, recorded on an active tape.")
-      .def("detach", method<&Tensor::detach>, release_gil(),
-           "Returns a copy that is not recorded on a tape.")
+      .def("detach", method<&Tensor::detach>, release_gil(), "Returns a copy that no tape records.")
       .def(
           "to", [](const Tensor& t, py::handle device) { return t.to(to_device(device)); },
           "device"_a, "Returns a copy on a device.")
-      .def("reshape", &reshape,
-           "Returns a tensor with the same memory and another shape. One size may be -1.")
+      .def("reshape", &reshape, "Returns the same memory in another shape. One size may be -1.")
       .def(
           "copy_",
           [](const py::object& self, const Tensor& source) {
@@ -161,9 +159,7 @@ void bind_methods(TensorClass& c) {
             }
             return self;
           },
-          "source"_a,
-          "Copies a tensor's values into this tensor. An active tape records the copy. Returns "
-          "this tensor.")
+          "source"_a, "Copies a tensor's values, recorded on an active tape. Returns self.")
       .def("assign", &assign_tensor, "source"_a,
            "Copies values from a Tensor, NumPy array or list of the same number of values "
            "(ValueError). float64 values are rounded.")

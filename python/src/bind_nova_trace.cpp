@@ -175,15 +175,12 @@ void bind_traced_functions(py::module_& m) {
   NOVAPHY_REAL_UNARY(rsqrt, "Returns 1 / sqrt(x).")
   NOVAPHY_REAL_UNARY(floor, "Returns the largest integer <= x, as a Real.")
   NOVAPHY_REAL_UNARY(sign, "Returns -1 for x < 0, else +1.")
-  NOVAPHY_REAL_UNARY(to_int,
-                     "Returns x truncated to an Int. Large values saturate, and NaN gives 0.")
+  NOVAPHY_REAL_UNARY(to_int, "Truncates x to an Int. Large values saturate, NaN gives 0.")
   NOVAPHY_REAL_UNARY(detach, "Returns x as a constant for derivatives.")
   m.def(
-      "step", [](const Real& x) { return novaphy::math::step(x); }, "x"_a,
-      "Returns 1 if x < 0, else 0.");
+      "step", [](const Real& x) { return novaphy::math::step(x); }, "x"_a, "1 if x < 0, else 0.");
   m.def(
-      "to_real", [](const Int& x) { return nova::to_real(x); }, "x"_a,
-      "Returns the nearest float32 value.");
+      "to_real", [](const Int& x) { return nova::to_real(x); }, "x"_a, "The nearest float32.");
   m.def(
       "atan2", [](const Real& y, const Real& x) { return nova::atan2(y, x); }, "y"_a, "x"_a,
       "Returns the angle of the point (x, y) (rad).");

@@ -101,8 +101,7 @@ void check_opens(const std::string& source) {
   py::module_::import("builtins").attr("open")(source, "rb").attr("close")();
 }
 
-// Replaces the path of a file by the text that the Python package xacro makes of the file. The
-// folder of the file becomes readable for the URDF reader.
+// Replaces a file's path by the text that xacro makes of the file, whose folder becomes readable.
 void expand_xacro(std::string_view function, std::string& source,
                   std::vector<std::filesystem::path>& folders) {
   const std::filesystem::path path = std::filesystem::absolute(source);
@@ -264,16 +263,14 @@ void bind_report(py::module_& io) {
   py::class_<RobotReport>(io, "RobotReport",
                           "The elements of a robot's file that were read, mended and left out; "
                           "str() lists them.")
-      .def_readonly("read", &RobotReport::read,
-                    "A dict of each kind of element to the number that was read.")
+      .def_readonly("read", &RobotReport::read, "A dict of kinds of elements to their number.")
       .def_readonly("mended", &RobotReport::mended,
                     "RobotNotes on elements that the reader mended.")
       .def_readonly("left_out", &RobotReport::left_out,
                     "RobotNotes on elements that would change the motion but are not supported, "
                     "and on missing files.")
-      .def_readonly(
-          "ignored", &RobotReport::ignored,
-          "RobotNotes on elements that do not change the motion, or that the simulation decides.")
+      .def_readonly("ignored", &RobotReport::ignored,
+                    "RobotNotes on elements that do not affect motion, or up to the simulation.")
       .def("__str__", &report_text);
 }
 
@@ -283,8 +280,7 @@ void bind_parts(py::module_& io) {
                         "defaults of its class.")
       .def_readonly("kind", &RobotPart::kind, "The element, such as weld.")
       .def_readonly("name", &RobotPart::name, "The name of the element; empty: it has none.")
-      .def_readonly("names", &RobotPart::names,
-                    "A dict of attributes to names or words, such as body1.")
+      .def_readonly("names", &RobotPart::names, "A dict of attributes to names or words.")
       .def_readonly("numbers", &RobotPart::numbers, "A dict of attributes to numbers.")
       .def_readonly("parts", &RobotPart::parts, "The RobotParts of a tendon, in order.");
 }
@@ -292,8 +288,8 @@ void bind_parts(py::module_& io) {
 void bind_views(py::class_<RobotImport>& c) {
   c.def_property_readonly(
        "lights", [](const RobotImport& r) { return sites_dict(r.lights); },
-       "A dict of each light to its body (-1: the world) and its pose there (m, xyzw). Lights "
-       "shine along -z.")
+       "A dict of each light to its body (-1: the world) and pose there (m, xyzw). Light goes to "
+       "-z.")
       .def_property_readonly(
           "cameras",
           [](const RobotImport& r) {
@@ -311,18 +307,15 @@ void bind_result(py::module_& io) {
   bind_parts(io);
   py::class_<RobotKeyframe>(io, "RobotKeyframe", "A keyframe of an MJCF file.")
       .def_readonly("time", &RobotKeyframe::time, "The time (s).")
-      .def_readonly("coord", &RobotKeyframe::coord,
-                    "The first row of joint_q that the keyframe sets.")
+      .def_readonly("coord", &RobotKeyframe::coord, "The first row in joint_q.")
       .def_readonly("joint_q", &RobotKeyframe::joint_q, "The values of joint_q from that row on.");
   py::class_<RobotImport> c(io, "RobotImport", "The additions of add_urdf or add_mjcf, by name.");
   bind_views(c);
   c.def_readonly("links", &RobotImport::links,
                  "A dict of each link to its body. A merged link has the body that it is part of.")
-      .def_readonly("joints", &RobotImport::joints,
-                    "A dict of each joint's name to its index; -1: merged.")
-      .def_readonly(
-          "joint_dofs", &RobotImport::joint_dofs,
-          "A dict of each joint's name to its first row of joint_qd and joint_f; -1: merged.")
+      .def_readonly("joints", &RobotImport::joints, "A dict of joints to indices; -1: merged.")
+      .def_readonly("joint_dofs", &RobotImport::joint_dofs,
+                    "A dict of joints to first rows of joint_qd and joint_f; -1: merged.")
       .def_readonly("joint_coords", &RobotImport::joint_coords,
                     "A dict of each joint's name to its first row of joint_q; -1: merged.")
       .def_property_readonly(
@@ -332,8 +325,7 @@ void bind_result(py::module_& io) {
             for (const auto& [name, pose] : r.link_poses) poses[py::str(name)] = pose_tuple(pose);
             return poses;
           },
-          "A dict of each link to its pose in its body (m, xyzw): the identity, unless the link "
-          "was merged.")
+          "A dict of links to poses in their bodies (m, xyzw): the identity, unless merged.")
       .def_property_readonly(
           "shape_colors",
           [](const RobotImport& r) {
@@ -350,19 +342,15 @@ void bind_result(py::module_& io) {
       .def_property_readonly(
           "sites", [](const RobotImport& r) { return sites_dict(r.sites); },
           "A dict of each site to its body (-1: the world) and its pose there (m, xyzw).")
-      .def_readonly("keyframes", &RobotImport::keyframes,
-                    "A dict of each keyframe's name to its RobotKeyframe.")
-      .def_readonly("timestep", &RobotImport::timestep,
-                    "The time step of the file (s); None: the file has none.")
-      .def_readonly(
-          "equalities", &RobotImport::equalities,
-          "RobotParts of the equalities. ModelBuilder.finalize refuses equalities that act.")
+      .def_readonly("keyframes", &RobotImport::keyframes, "A dict of names to RobotKeyframes.")
+      .def_readonly("timestep", &RobotImport::timestep, "In s; None: the file has none.")
+      .def_readonly("equalities", &RobotImport::equalities,
+                    "RobotParts. ModelBuilder.finalize refuses equalities that act.")
       .def_readonly("tendons", &RobotImport::tendons,
                     "RobotParts of the tendons. ModelBuilder.finalize refuses tendons with forces.")
       .def_readonly("height_fields", &RobotImport::height_fields,
                     "RobotParts of the height fields. ModelBuilder.finalize refuses their geoms.")
-      .def_readonly("sensors", &RobotImport::sensors,
-                    "RobotParts of the sensors. No solver reads them.")
+      .def_readonly("sensors", &RobotImport::sensors, "RobotParts. No solver reads them.")
       .def_readonly("report", &RobotImport::report, "The RobotReport of the reader.")
       .def_readonly("warnings", &RobotImport::warnings,
                     "The notes of the report; notes with the same text count once.");

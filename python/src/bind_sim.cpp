@@ -303,13 +303,11 @@ void bind_model(py::module_& m) {
           },
           "A dict of each body, and of the world (-1), to its shapes in ascending order.")
       .def_readonly("shape_label", &Model::shape_label, "The name of each shape.")
-      .def_property_readonly(
-          "shape_source", &shape_sources,
-          "The mesh of each shape: a novaphy.io.Mesh with copies of the values before shape_scale. "
-          "Shapes of one mesh share the object. None: the shape is neither a mesh nor a hull.")
+      .def_property_readonly("shape_source", &shape_sources,
+                             "The mesh of each shape, or None: a novaphy.io.Mesh of copies before "
+                             "shape_scale. Shapes of one mesh share it.")
       .def_readonly("joint_label", &Model::joint_label, "The name of each joint.")
-      .def_readonly("articulation_label", &Model::articulation_label,
-                    "The name of each articulation.")
+      .def_readonly("articulation_label", &Model::articulation_label, "One name per articulation.")
       .def_readonly("max_joints_per_articulation", &Model::max_joints_per_articulation,
                     "The number of joints of the largest articulation.")
       .def_readonly("max_dofs_per_articulation", &Model::max_dofs_per_articulation,
@@ -325,8 +323,7 @@ void bind_model(py::module_& m) {
           "The particles of each color, ascending, as NumPy int32. The list is empty unless the "
           "builder was colored.")
       .def_property_readonly(
-          "up_axis", [](const Model& self) { return value_of(self.up_axis()); },
-          "The index of the up axis: 0, 1 or 2.")
+          "up_axis", [](const Model& self) { return value_of(self.up_axis()); }, "0, 1 or 2.")
       .def("state", &new_state, "requires_grad"_a = py::none(),
            "Returns a new state with the initial values. requires_grad: None takes the model's.")
       .def(
@@ -343,8 +340,7 @@ void bind_model(py::module_& m) {
           [](const std::shared_ptr<Model>& self, CollisionPipeline* pipeline) {
             return pipeline != nullptr ? pipeline->contacts() : CollisionPipeline(self).contacts();
           },
-          "collision_pipeline"_a = py::none(),
-          "Returns empty contacts of a pipeline. None: a default pipeline.")
+          "collision_pipeline"_a = py::none(), "Returns empty contacts. None: a default pipeline.")
       .def(
           "collide",
           [](const std::shared_ptr<Model>& self, const SimState& state, py::object contacts,
@@ -359,15 +355,14 @@ void bind_model(py::module_& m) {
           },
           "state"_a, "contacts"_a = py::none(), py::kw_only(), "collision_pipeline"_a = py::none(),
           "Finds the contacts of a state. collision_pipeline: None takes a default pipeline. "
-          "Returns `contacts`, or new ones if it is None.")
+          "contacts: None makes new contacts.")
       .def(
           "set_gravity",
           [](Model& self, py::handle value, std::optional<int32_t> world) {
             self.set_gravity(to_vec3(value, "gravity"), world);
           },
           "value"_a, "world"_a = py::none(),
-          "Sets the gravity (m/s^2, world frame) of one world. world: None sets all worlds. "
-          "ValueError: a number that is not finite.")
+          "Sets the gravity (m/s^2) of one world. None: all. ValueError: not finite.")
       .def("clone", &Model::clone, "Returns a copy on the same device.")
       .def(
           "to", [](const Model& self, py::handle device) { return self.to(to_device(device)); },
@@ -383,19 +378,15 @@ void bind_state(py::module_& m) {
   using Fields = StateFields;
   NOVAPHY_STATE_FIELDS(NOVAPHY_BIND_FIELD)
   bind_counts(c);
-  c.def("clear_forces", &SimState::clear_forces, release_gil(),
-        "Sets particle_f and body_f to zero.")
+  c.def("clear_forces", &SimState::clear_forces, release_gil(), "Sets particle_f, body_f to zero.")
       .def("assign", &SimState::assign, "source"_a, release_gil(),
-           "Copies all values of another state. ValueError: sizes or devices differ. Nothing is "
-           "copied then.")
+           "Copies all values. ValueError, before any copy: sizes or devices differ.")
       .def("clone", &SimState::clone, "Returns a copy.");
   add_field_pickle(c);
 }
 
 void bind_control(py::module_& m) {
-  py::class_<Control> c(
-      m, "Control",
-      "The inputs of a step: forces, targets and activations. Model.control() makes a control.");
+  py::class_<Control> c(m, "Control", "The inputs of a step. Model.control() makes one.");
   using Fields = ControlFields;
   NOVAPHY_CONTROL_FIELDS(NOVAPHY_BIND_FIELD)
   bind_field(
@@ -434,16 +425,13 @@ void bind_contacts(py::module_& m) {
         "requires_grad"_a = false, "per_contact_shape_properties"_a = false,
         "Makes empty contacts without a model. A pipeline only takes contacts that it made.");
   NOVAPHY_CONTACT_FIELDS(NOVAPHY_BIND_FIELD)
-  c.def_property_readonly("soft_contact_max", &Contacts::soft_contact_max,
-                          "The number of slots of soft contacts.")
-      .def_property_readonly("rigid_contact_max", &Contacts::rigid_contact_max,
-                             "The number of rows of rigid contacts.")
+  c.def_property_readonly("soft_contact_max", &Contacts::soft_contact_max, "Number of slots.")
+      .def_property_readonly("rigid_contact_max", &Contacts::rigid_contact_max, "Number of rows.")
       .def_property_readonly("per_contact_shape_properties",
                              &Contacts::per_contact_shape_properties,
                              "Whether rows may have their own materials.")
       .def_property_readonly("active_rigid_contact_count", &Contacts::active_rigid_contact_count,
-                             "The number of rigid contacts: min(rigid_contact_count, "
-                             "rigid_contact_max). Reads from the device.")
+                             "min(rigid_contact_count, rigid_contact_max). Reads from the device.")
       .def("__len__",
            [](const Contacts& found) {
              return found.active_rigid_contact_count() + found.active_soft_contact_count();
@@ -459,8 +447,7 @@ void bind_contacts(py::module_& m) {
       .def_property_readonly("overflowed", &Contacts::overflowed,
                              "Whether more contacts were found than fit. Reads from the device.")
       .def_property_readonly("active_soft_contact_count", &Contacts::active_soft_contact_count,
-                             "The number of soft contacts: min(soft_contact_count, "
-                             "soft_contact_max). Reads from the device.")
+                             "min(soft_contact_count, soft_contact_max). Reads from the device.")
       .def("clear", &Contacts::clear, "Removes all contacts.")
       .def("soft_contacts", &soft_contact_rows,
            "Returns the soft contacts in slot order, as a NumPy copy. The columns are particle, "

@@ -1,8 +1,6 @@
 // The prelude of device code: the meaning of the names in emitted text for the one row of a thread
-// (see <novaphy/program/emit.h>). The text follows vendors/*.cuh. No header is needed, because the
-// build replaces each include by its text.
-//
-// The arithmetic has the bits of backends/cpu/src/lanes.h. The code is compiled without
+// (see <novaphy/program/emit.h>). The text follows vendors/*.cuh. The build replaces includes by
+// their text. The arithmetic has the bits of backends/cpu/src/lanes.h. It is compiled without
 // contraction, without flush to zero, and with correctly rounded division and square root.
 typedef signed char int8_t;
 typedef unsigned char uint8_t;
@@ -17,8 +15,7 @@ typedef unsigned long long uint64_t;
 #define COLD_FN static __device__ __noinline__
 
 // The record of a failing read for the host, with the layout of ErrorRecord in device.h. The first
-// kernel that fails keeps the record. The smallest of its failing rows wins, so timing does not
-// matter.
+// kernel that fails keeps the record. The smallest failing row wins, whatever the timing.
 struct device_error {
   int64_t index;  // INT64_MAX: none
   int64_t row;
@@ -97,11 +94,10 @@ LANE_FN float ubits_f(int32_t a) { return __int_as_float(a); }
 LANE_FN int32_t uf_bits(float a) { return __float_as_int(a); }
 #include "novaphy/program/scalars.h"
 LANE_FN float uabs(float a) { return ubits_f(uf_bits(a) & 0x7fffffff); }
-// The steps of a compiler's division, used if an early test of the exponents shows that all
-// intermediate values are normal numbers. The compiler's own test comes late, and sends zeros to
-// the slow path, a call. The early test needs no branches: it collects the largest and smallest
-// magnitudes of all quotients and roots that a thread computes side by side. A magnitude is twice
-// the bits of the number, without its sign.
+// The steps of a compiler's division, used if an early test shows that all intermediate values are
+// normal numbers. The compiler's own test comes late, and sends zeros to the slow path, a call. The
+// early test has no branches: it collects the extreme magnitudes of all quotients and roots that a
+// thread computes. A magnitude is twice the bits without the sign.
 struct magnitudes {
   uint32_t most, least;
 };
@@ -110,8 +106,7 @@ LANE_FN void note(magnitudes& m, uint32_t most, uint32_t least) {
   m.least = m.least < least ? m.least : least;
 }
 LANE_FN uint32_t magnitude(float a) { return (uint32_t)uf_bits(a) << 1; }
-// Returns whether |a| is in [2^-60, 2^60) for all numbers. A number may also be 0 if its magnitude
-// was noted minus 1, which wraps around for 0. Magnitudes are even, so nothing else changes.
+// Whether all |a| are in [2^-60, 2^60), or 0 if noted minus 1: that wraps. Magnitudes are even.
 LANE_FN bool are_moderate(const magnitudes m) {
   return m.most < 187u << 24 && m.least >= (67u << 24) - 1;
 }
@@ -201,8 +196,7 @@ LANE_FN table_row row_of(const S s, int32_t row, int32_t width, vb need, int32_t
                          row_failure& sink) {
   // A negative row is a large unsigned one.
 #ifdef NOVAPHY_PERSISTENT
-  // a persistent kernel has fewer rows than 2^32
-  const bool outside = (uint32_t)row >= (uint32_t)s.rows;
+  const bool outside = (uint32_t)row >= (uint32_t)s.rows;  // persistent kernels: < 2^32 rows
 #else
   const bool outside = (uint64_t)row >= (uint64_t)s.rows;
 #endif

@@ -103,8 +103,7 @@ VENDOR_ENTRY __launch_bounds__(64) novaphy_interpreter(
         case OP_SKIP:  // jump to c, unless a == b
           if ((VALUE(in.a) != 0) != (in.b != 0)) pc = in.c;
           break;
-        // jump to c if there are no steps; b: over a CSR row, else as many steps as word a says
-        case OP_LOOP:
+        case OP_LOOP:  // jump to c if there are no steps; b: steps over a CSR row, else word a
           counter = 0;
           if (in.b != 0) {
             const csr_rows row = csr_begin((const int32_t*)args.word[in.a], i);

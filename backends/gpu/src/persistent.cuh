@@ -22,9 +22,8 @@ LANE_FN void copy_word(const S from, const O to, int64_t row) {
 struct no_source {};  // a source that is not read
 
 // The items that sums of the next phase add, in the shared memory of the block with these sums.
-// From `base` on there are rows of four words, PERSISTENT_CORNERS for each thread. One row of zeros
-// follows, for sums of few items. After the last array follow the rows of the halo, then the values
-// that threads keep.
+// From `base` on there are rows of four words, PERSISTENT_CORNERS for each thread, and one row of
+// zeros for sums of few items. Rows of the halo and the threads' kept values follow all arrays.
 //
 // A register holds the address of this memory. In a cluster, compilers would otherwise read the
 // number of the block for each address, which takes dozens of cycles. `turn`: the last turn of the
@@ -86,8 +85,7 @@ LANE_FN void fold_items(const float* source, const int32_t* items, int64_t begin
     }
   }
 }
-// The rule for long rows: chunks of kChunk are summed from +0, then the chunk sums by the same
-// rule.
+// The rule for long rows: chunks of kChunk are summed from +0, then their sums by the same rule.
 #define kChunk 256
 template <int width>
 static __device__ __noinline__ void fold_long(const float* source, const int32_t* items,
@@ -496,8 +494,7 @@ LANE_FN void begin_halo(const block_memory memory, const uint32_t* sends) {
   g_halo_bytes = __ldg(sends + gridDim.x * words + blockIdx.x);
   begin_barrier();
 }
-// Loads the rows of the halo that come from memory. A record has, for each array: from, base << 32
-// | rows, width.
+// Loads rows of the halo from memory. A record has for each array: from, base << 32 | rows, width.
 LANE_FN void fill_halo(const block_memory memory, const uint64_t* record) {
   four_words* const halo = halo_of(memory, memory.turn);
   for (uint32_t k = 0; k < (uint32_t)record[1]; ++k) {
@@ -571,8 +568,7 @@ LANE_FN void run_task(const uint64_t* record, uint64_t task, block_memory memory
   }
 #endif
   if ((how & kWorks) == 0) {
-    // The same order as for working warps: a handover before the wait could happen twice within one
-    // phase.
+    // The order of working warps: an earlier handover could happen twice within one phase.
     if ((how & kTakesOver) != 0) take_over();
     phase_wait();
     if ((how & kHandsOver) != 0) hand_over();
@@ -634,8 +630,7 @@ struct persistent_start {
 VENDOR_ENTRY PERSISTENT_CLUSTER __launch_bounds__(PERSISTENT_THREADS, 1) novaphy_main(
     const __grid_constant__ persistent_start start, uint64_t* table, const int64_t counters,
     const device_sink sink) {
-  // The records of this phase, of the next one, and of the one after it, which is loaded during
-  // this phase.
+  // The records of this phase, of the next, and of the one after it, which is loaded meanwhile.
   __shared__ uint64_t records[3][PERSISTENT_WORDS];
   uint64_t *record = stay(records[0]), *next = stay(records[1]), *later = stay(records[2]);
 #if PERSISTENT_LAYOUTS != 0
@@ -694,8 +689,7 @@ VENDOR_ENTRY PERSISTENT_CLUSTER __launch_bounds__(PERSISTENT_THREADS, 1) novaphy
     if (is_last) break;
     is_last = words == 0;
     head = next_head;
-    // The record of the phase before is no longer read, because all threads have passed a barrier
-    // since.
+    // No thread reads the record of the last phase: all have passed a barrier since.
 #pragma unroll
     for (int k = 0; k < kWordsPerThread; ++k) {
       const uint32_t at = threadIdx.x + k * PERSISTENT_THREADS;

@@ -42,8 +42,7 @@ struct SomeContacts {
   }
 };
 
-// Returns the accelerations of a step from in.q and in.qd with these contacts; NaN if the step
-// fails.
+// Returns the accelerations of a step from in.q and in.qd with contacts; NaN if the step fails.
 std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
                                  const art::ContactRows& contacts) {
   const Unrecorded unrecorded(true);
@@ -77,8 +76,7 @@ std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
   return qdd;
 }
 
-// Returns the accelerations without the contacts that hit in the step, and without the limits of
-// these dofs.
+// Returns the accelerations without the contacts that hit in the step and these dofs' limits.
 std::vector<float> smooth_accelerations(const Step& s, ArticulationArguments in,
                                         std::span<const int32_t> limits) {
   const LiftedLimits lifted(s, limits, in);
@@ -130,8 +128,7 @@ struct EndOfStep {
   }
 };
 
-// Returns the sum of |dp_g . v| over the groups of an event. A group's delay has the weight w_g /
-// |dp_g . v|.
+// Returns an event's sum of |dp_g . v|. The delay of a group has the weight w_g / |dp_g . v|.
 float total_approach(const ContactEvent& event) {
   float sum = 0.0f;
   for (const ContactEvent::Group& g : event.groups) sum += g.approach;

@@ -554,9 +554,7 @@ void bind_solver(py::module_& solvers) {
   NOVAPHY_MEMBER(joint_attach_kd,
                  "The damping of the attachments of joints (N*s/m, and 0.01 of it N*m*s/rad).")
   add_contact_gradient(config);
-  NOVAPHY_MEMBER(
-      strict,
-      "Whether an unsupported part of a model raises. False: the solver leaves the part out.")
+  NOVAPHY_MEMBER(strict, "Whether unsupported parts of a model raise; else they are left out.")
 #undef NOVAPHY_MEMBER
   add_settings_pickle(config);
 
@@ -568,8 +566,7 @@ void bind_solver(py::module_& solvers) {
                  model, given != nullptr ? DiffSolverConfig(*given) : DiffSolverConfig{});
            }),
            py::arg("model").none(false), "config"_a = py::none(),
-           "Makes a solver of a model. config: None takes the defaults. NotImplementedError: "
-           "unsupported parts of a model.")
+           "Makes a solver. NotImplementedError: unsupported parts of a model.")
       .def_property_readonly(
           "config",
           [](const DiffSemiImplicitSolver& s) {

@@ -8,7 +8,7 @@ namespace {
 
 // ---------------------------------------------------------------- lists of the builder
 
-// builder.particle_q and so on: a list of fixed length that looks at the builder's own values.
+// builder.particle_q and so on: a list of fixed length over the builder's own values.
 template <class T>
 struct BuilderList {
   py::object owner;

@@ -51,7 +51,7 @@ std::vector<JointDofConfig> to_axes(py::handle value, const char* name) {
   return axes;
 }
 
-// What the functions have in common.
+// Returns the arguments that all functions which add a joint share.
 JointArgs joint_args(py::handle parent_xform, py::handle child_xform, std::optional<bool> filter,
                      bool enabled, const std::optional<std::string>& label) {
   return {.parent_xform = to_transform(parent_xform, "parent_xform"),

@@ -179,7 +179,7 @@ class LinearisedReplay:
         self.point = rows[:3] + np.cross(rows[3:].T, arm).T
 
     def end(self, policy: Callable[..., Part], theta: np.ndarray, moved: np.ndarray) -> np.ndarray:
-        """By how much the end differs with parameters `moved` instead of theta."""
+        """Return the change of the end (q, qd, tip) for parameters `moved` instead of theta."""
         dq, dv = np.zeros((2, 7))
         for t, (q, inverse) in enumerate(zip(self.q, self.inverses, strict=True)):
             shift = policy(moved, t, q + dq)[0] - policy(theta, t, q)[0]

@@ -99,7 +99,7 @@ class Scene(Protocol):
         """The final positions of the last iteration."""
 
     def elements(self) -> int:
-        """How many tetrahedra (soft body) or triangles (cloth)."""
+        """Return the number of tetrahedra of a soft body, or of triangles of a cloth."""
 
 
 def measure(

@@ -1,7 +1,7 @@
-"""Worlds that differ, and pushes: what an Ant should withstand.
+"""Disturbances that a policy of the Ant should withstand: different worlds, and pushes.
 
-Every seed has its friction, its mass, a slope whose uphill is anywhere, and pushes of the torso:
-once in a while a force along the ground, in any direction, for one frame.
+A seed draws the friction, the mass and the direction of a slope. It also draws pushes of the torso.
+A push is a force along the ground for one frame. Its direction is random, and its period is fixed.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ NAMES = ("pushes", "friction", "mass", "slope")
 
 
 class Disturbances:
-    """What differs from world to world, drawn from a seed for each."""
+    """The disturbances of each world, drawn from the seed of the world."""
 
     def __init__(self, ants: AntWorlds, seeds: np.ndarray, names: tuple[str, ...] = NAMES) -> None:
-        """Change the worlds: each by what its seed draws, of what is named."""
+        """Change each world by the draws of its seed, for the disturbances in `names`."""
         self.worlds, self.names = ants.num_worlds, names
         rngs = [np.random.Generator(np.random.Philox(key=[int(seed), 17])) for seed in seeds]
         draws = np.array([rng.uniform(0.0, 1.0, 4) for rng in rngs])

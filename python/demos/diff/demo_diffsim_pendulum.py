@@ -136,7 +136,7 @@ class Pendulum:
 
 
 def plot(path: str, losses: list[float], ways: list[np.ndarray]) -> None:
-    """Draw the loss and the way of the tip, before and after."""
+    """Plot the loss, and the path of the tip before and after the optimization."""
     figure, right = loss_figure(losses, "loss [m²]")
     for way, color, name in zip(ways, ("#adb5bd", "#2a6f97"), ("before", "after"), strict=True):
         right.plot(way[:, 0], way[:, 2], color=color, label=f"tip {name}")

@@ -50,12 +50,10 @@ struct SemiImplicitOptions {
 //      triangle_trace.h, bending_trace.h, tetrahedron_trace.h) to state_in.particle_f, for each
 //      particle in the order of the elements. Activations are the control's, or the model's without
 //      a control.
-//   2. Every soft contact adds its force (collision/diff_soft_contact_trace.h), for each particle
-//     in
-//      slot order.
-//   3. state_out.particle_q and particle_qd follow by symplectic Euler
-//     (particle_integrator_trace.h);
-//      particles without ParticleFlags.ACTIVE keep position and velocity.
+//   2. Every soft contact adds its force (collision/diff_soft_contact_trace.h). The contacts of a
+//      particle are in slot order.
+//   3. Symplectic Euler gives state_out.particle_q and particle_qd (particle_integrator_trace.h).
+//      Particles without ParticleFlags.ACTIVE keep position and velocity.
 // One step for bodies:
 //   1. Every enabled joint adds, after state_in.body_f, a wrench to its bodies
 //      (penalty_joint_trace.h), in the order of the joints, the parent's before the child's. The
@@ -64,8 +62,7 @@ struct SemiImplicitOptions {
 //   2. Every rigid contact adds its force (rigid_contact_trace.h) to its bodies in the order of the
 //      rows, shape A before shape B. body_f itself is unchanged, and Contacts::rigid_contact_force
 //      has the forces.
-//   3. state_out.body_q and body_qd follow by symplectic Euler (rigid_integrator_trace.h); a
-//     kinematic
+//   3. Symplectic Euler gives state_out.body_q and body_qd (rigid_integrator_trace.h). A kinematic
 //      body moves with its velocity.
 // If contacts have overflowed, those with a slot act (see Contacts::overflowed()). The result has
 // the same bits for any number of threads, and the bits of Newton 1.8.0 on the CPU as far as the

@@ -52,7 +52,11 @@ constexpr std::string_view kFeatherstoneGradients[] = {"body_com",
                                                        "actuator_ctrl_range",
                                                        "actuator_force_range",
                                                        "actuator_act_range",
-                                                       "body_gravcomp"};
+                                                       "body_gravcomp",
+                                                       "body_fluid_box",
+                                                       "fluid_density",
+                                                       "fluid_viscosity",
+                                                       "fluid_wind"};
 
 void check_gradients(const Model& m, const Control* control, const Contacts* contacts,
                      bool touching) {

@@ -175,6 +175,13 @@ void bind_worlds(py::class_<ModelBuilder>& c) {
           "Additions outside of worlds belong to all worlds (-1). A world meets itself and the "
           "additions to all worlds. gravity: m/s^2, world frame; None: the builder's gravity. "
           "novaphy.Error: a world is open.")
+      .def(
+          "set_fluid",
+          [](ModelBuilder& b, float density, float viscosity, py::handle wind) {
+            b.fluid = {density, viscosity, to_vec3(wind, "wind")};
+          },
+          py::kw_only(), "density"_a = 0.0f, "viscosity"_a = 0.0f,
+          "wind"_a = py::make_tuple(0.0, 0.0, 0.0), doc::kSetFluid)
       .def("end_world", &ModelBuilder::end_world,
            "Closes the open world. novaphy.Error: no world is open.")
       .def(

@@ -16,6 +16,20 @@ gravcomp: the part of the weight that a force at the center of mass cancels.
 
 ValueError: a mass or inertia that no body can have. finalize checks again.)";
 
+inline constexpr char kSetFluid[] =
+    R"(Sets the fluid of this builder, which drags the links of articulations.
+
+Worlds take the fluid as they take gravity. The fluid acts on a box for each body: the box of uniform
+density with the body's mass and inertia. SolverFeatherstone and DiffFeatherstoneSolver have these
+forces, which are explicit. The law is MuJoCo's inertia-based model.
+
+density: kg/m^3.
+viscosity: Pa*s.
+wind: the velocity of the fluid (m/s, world frame).
+
+ValueError: a number is not finite, or the density or the viscosity is negative. finalize,
+begin_world and add_builder check.)";
+
 inline constexpr char kAddShape[] =
     R"(Adds a shape of a GeoType to a body. Returns the index.
 

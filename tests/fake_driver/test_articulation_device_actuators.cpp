@@ -1,4 +1,4 @@
-// Actuators and gravity compensation on a CUDA device: states, gradients and tangents have the bits
+// Actuators, gravity compensation and a fluid on a CUDA device: states, gradients and tangents have the bits
 // of the CPU, direct, replayed and from checkpoints. On a GPU, or on the fake driver
 // (CMakeLists.txt).
 #include <algorithm>
@@ -54,6 +54,7 @@ ModelBuilder driven() {
                          .force_range = {-1.0f, 0.3f},
                          .ctrl = 1.0f});
   b.add_actuator(kWrist, {.axis = 3, .gain = {5.0f, 0.0f, 0.0f}, .bias = {0.0f, -5.0f, 0.0f}});
+  b.fluid = {.density = 40.0f, .viscosity = 0.3f, .wind = {1.0f, -0.5f, 0.2f}};
   // Actuators of bodies: a servo between two branches, and a force with a state.
   constexpr int32_t kSlideBody = 2, kHandBody = 4, kTipBody = 6;
   b.add_body_actuator(
@@ -126,7 +127,11 @@ Result trained(Device device, bool captured, int32_t checkpoint) {
       {"ctrl_range", model_actuator_ctrl_range_tensor(*model, true)},
       {"force_range", model_actuator_force_range_tensor(*model, true)},
       {"act_range", model_actuator_act_range_tensor(*model, true)},
-      {"gravcomp", model_body_gravcomp_tensor(*model, true)}};
+      {"gravcomp", model_body_gravcomp_tensor(*model, true)},
+      {"density", model_fluid_density_tensor(*model, true)},
+      {"viscosity", model_fluid_viscosity_tensor(*model, true)},
+      {"wind", model_fluid_wind_tensor(*model, true)},
+      {"box", model_body_fluid_box_tensor(*model, true)}};
   std::vector<nova::Tensor> inputs, along, tangents;
   for (const auto& [name, leaf] : leaves) {
     inputs.push_back(leaf);

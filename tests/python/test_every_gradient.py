@@ -132,6 +132,7 @@ def bodies(articulated: bool) -> novaphy.Model:
     builder.add_articulation(joints)
     if articulated:
         actuate(builder, joints, links)
+        builder.set_fluid(density=3.0, viscosity=0.1, wind=(0.5, -0.3, 0.2))
     tip = ((0.2, 0.0, 0.0), UPRIGHT)
     builder.add_shape_sphere(links[1], xform=tip, radius=0.103, cfg=light)
     model = builder.finalize()

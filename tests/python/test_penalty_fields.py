@@ -29,12 +29,15 @@ HAVE_NONE = {
     "shape_material_mu_rolling",
     "joint_act",
     "body_gravcomp",
+    "fluid_density",
+    "fluid_viscosity",
 }
 # The distance below which rows are found. Rows of shapes that do not overlap have no force.
 OF_THE_SEARCH = {"shape_gap"}
 # For "pgs" contacts only. Here the material of a pair is the mean.
 OF_TREES = {"shape_mixing"}
 OF_ACTUATORS = ("actuator_", "act", "ctrl")  # without rows, because actuators are refused
+OF_FLUIDS = ("fluid_wind", "body_fluid_")  # without effect where no fluid is
 EDITS = {
     name: edit
     for name, edit in {
@@ -42,7 +45,7 @@ EDITS = {
         **RAISE,
         **{name: scaled(name, SHAPES) for name in PENALTY},
     }.items()
-    if not name.startswith(OF_ACTUATORS)
+    if not name.startswith((*OF_ACTUATORS, *OF_FLUIDS))
 }
 ACTS = sorted(set(EDITS) - HAVE_NONE - OF_THE_SEARCH - OF_TREES)
 
@@ -78,6 +81,7 @@ def test_the_table_has_every_array_of_joints_shapes_and_bodies() -> None:
         "articulation_",
         "mesh_",
         *OF_ACTUATORS,
+        *OF_FLUIDS,
     )
     for name in sorted(arrays):
         if name.startswith(others):

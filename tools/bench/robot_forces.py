@@ -44,7 +44,38 @@ def note_forces(exact, data, model, robot, state, change, coordinates, note) -> 
     if not exact.jnt_actfrclimited.any():  # those are limits of joints there
         note("actuators", [ours[row] for row in forces], list(forces.values()))
     total += lifted(model, state)
-    note("forces", change.T @ total, data.qfrc_passive + data.qfrc_actuator)
+    note("forces", change.T @ total, data.qfrc_passive - data.qfrc_fluid + data.qfrc_actuator)
+    if exact.opt.density > 0 or exact.opt.viscosity > 0:
+        note("fluid", dragged(exact, data, model, state, change), data.qfrc_fluid)
+
+
+def dragged(exact, data, model, state, change, dt=0.125):
+    """The forces of the fluid on dofs, by a step with the fluid and a step without."""
+    import mujoco
+    import numpy as np
+
+    import novaphy
+
+    names = ("joint_damping", "joint_friction", "joint_f", "joint_target_ke", "joint_target_kd")
+    names += ("joint_limit_ke", "joint_limit_kd", "actuator_gain", "actuator_bias")
+    names += ("fluid_density", "fluid_viscosity")
+    kept = {name: getattr(model, name).numpy().copy() for name in names}
+    try:
+        for name in names[:-2]:
+            getattr(model, name).zero_()
+        ends = []
+        for factor in (1.0, 0.0):
+            for name in names[-2:]:
+                getattr(model, name).assign(kept[name] * np.float32(factor))
+            after = model.state()
+            novaphy.solvers.SolverFeatherstone(model).step(state, after, None, None, dt)
+            ends.append(after.joint_qd.numpy().astype(float))
+    finally:
+        for name, values in kept.items():
+            getattr(model, name).assign(values)
+    force = np.zeros(exact.nv)
+    mujoco.mj_mulM(exact, data, force, np.linalg.solve(change, ends[0] - ends[1]) / dt)
+    return force
 
 
 def note_accelerations(model, state, change, drift, full, bias, draw, note) -> None:

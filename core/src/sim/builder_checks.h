@@ -12,6 +12,7 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/shape_config.h"
+#include "novaphy/core/sim/world_settings.h"
 #include "novaphy/math/types.h"
 
 namespace novaphy::detail {
@@ -68,6 +69,9 @@ inline void check_world_gravity(const Where& where, int32_t world, const Vec3f& 
           ": expected a world from 0: what is in all worlds (-1) needs a gravity of the builder "
           "that the last world has too");
 }
+
+// ErrorKind::Value: a number of a fluid is not finite, or its density or viscosity is negative.
+void check_fluid(std::string_view function, const Fluid& fluid);
 
 // A list is empty (the default), has one value for all elements, or one value per element.
 inline void check_one_or_each(std::string_view function, std::string_view argument, size_t size,

@@ -266,6 +266,16 @@ void EditedValues::check_joints(const Model& model) {
   check_all(model, [](EditedValues& values, const Model& m) { values.check_joint_arrays(m); });
 }
 
+namespace {
+void check_target_modes(const char* solver, const Model& m) {
+  const std::vector<int32_t> modes = m.joint_target_mode.to_host();
+  for (size_t k = 0; k < modes.size(); ++k)
+    require(modes[k] >= 0 && modes[k] <= static_cast<int32_t>(JointTargetMode::EFFORT),
+            ErrorKind::Value, solver, ": model.joint_target_mode[", k,
+            "]: expected a JointTargetMode, got ", modes[k]);
+}
+}  // namespace
+
 void EditedValues::check_joint_arrays(const Model& m) {
   const Numbers arrays[] = {
       {"joint_armature", m.joint_armature, Rule::NotNegative},
@@ -307,6 +317,11 @@ void EditedValues::check_joint_arrays(const Model& m) {
       {"shape_scale", m.shape_scale, Rule::NotNegative},
       {"shape_gap", m.shape_gap, Rule::NotNegative},
       {"shape_margin", m.shape_margin, Rule::Finite},
+      {"body_fluid_box", m.body_fluid_box, Rule::NotNegative},
+      {"body_fluid_frame", m.body_fluid_frame, Rule::Finite},
+      {"fluid_density", m.fluid_density, Rule::NotNegative},
+      {"fluid_viscosity", m.fluid_viscosity, Rule::NotNegative},
+      {"fluid_wind", m.fluid_wind, Rule::Finite},
       {"gravity", m.gravity, Rule::Finite}};
   constexpr size_t kCount = std::size(arrays);
   joints_.resize(kCount + 1);
@@ -318,11 +333,7 @@ void EditedValues::check_joint_arrays(const Model& m) {
   }
   check_limits(m);
   if (!must_read(joints_[kCount], m.joint_target_mode)) return;
-  const std::vector<int32_t> modes = m.joint_target_mode.to_host();
-  for (size_t k = 0; k < modes.size(); ++k)
-    require(modes[k] >= 0 && modes[k] <= static_cast<int32_t>(JointTargetMode::EFFORT),
-            ErrorKind::Value, solver_, ": model.joint_target_mode[", k,
-            "]: expected a JointTargetMode, got ", modes[k]);
+  check_target_modes(solver_, m);
   joints_[kCount].set(m.joint_target_mode);
 }
 

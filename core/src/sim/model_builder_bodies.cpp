@@ -36,6 +36,7 @@ int32_t ModelBuilder::append_body(std::string_view name, const BodyArgs& args, b
   detail::check_finite({name, "com"}, args.com);
   detail::check_mass({name, "mass"}, args.mass);
   detail::check_finite({name, "gravcomp"}, args.gravcomp);
+  if (args.fluid_frame) detail::checked_pose(name, {{}, *args.fluid_frame});
   if (args.inertia) {
     detail::check_inertia({name, "inertia"}, *args.inertia, {balance_inertia, bound_inertia});
     require(args.mass > 0.0f, ErrorKind::Value, name,
@@ -54,7 +55,8 @@ int32_t ModelBuilder::append_body(std::string_view name, const BodyArgs& args, b
                      .is_link = is_link,
                      .world = current_world_,
                      .label = args.label.empty() ? "body_" + std::to_string(index) : args.label,
-                     .gravcomp = args.gravcomp});
+                     .gravcomp = args.gravcomp,
+                     .fluid_frame = args.fluid_frame});
   return index;
 }
 
@@ -167,6 +169,7 @@ void ModelBuilder::upload_bodies(Model& m, const BodyMasses& masses) const {
   m.body_flags.copy_from_host(std::span<const int32_t>(flags));
   m.body_world.copy_from_host(std::span<const int32_t>(world));
   m.body_gravcomp.copy_from_host(std::span<const float>(gravcomp));
+  upload_fluid(m, masses);
 }
 
 }  // namespace novaphy

@@ -70,7 +70,9 @@ int32_t ModelBuilder::begin_world(std::optional<Vec3f> world_gravity) {
           " is open; call end_world() first");
   const Vec3f value = world_gravity.value_or(gravity);
   detail::check_finite({"begin_world", "gravity"}, value);
+  detail::check_fluid("begin_world", fluid);
   world_gravity_.push_back(value);
+  world_fluid_.push_back(fluid);
   current_world_ = world_count() - 1;
   return current_world_;
 }
@@ -89,6 +91,7 @@ void ModelBuilder::check_addable(std::string_view function, const ModelBuilder& 
           static_cast<int32_t>(builder.up_axis_));
   builder.check_sizes();
   detail::check_finite({function, "builder.gravity"}, builder.gravity);
+  detail::check_fluid(function, builder.fluid);
   const auto check = [&](const char* what, size_t here, size_t added) {
     const int64_t total = static_cast<int64_t>(here) + copies * static_cast<int64_t>(added);
     require(total <= std::numeric_limits<int32_t>::max(), ErrorKind::Value, function,
@@ -167,6 +170,7 @@ void ModelBuilder::add_builder(const ModelBuilder& b, const Transformf& given) {
     filter_pairs_.insert({i + first_shape, j + first_shape});
 
   (current_world_ < 0 ? gravity : world_gravity_[static_cast<size_t>(current_world_)]) = b.gravity;
+  (current_world_ < 0 ? fluid : world_fluid_[static_cast<size_t>(current_world_)]) = b.fluid;
 }
 
 int32_t ModelBuilder::add_world(const ModelBuilder& builder, const Transformf& xform) {

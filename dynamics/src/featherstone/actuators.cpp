@@ -61,6 +61,7 @@ Actuators::Actuators(const Model& m) : any_(m.actuator_count() > 0) {
   const Device device = m.device();
   std::vector<int32_t> dof = m.actuator_dof.to_host();
   if (std::any_of(dof.begin(), dof.end(), [](int32_t d) { return d < 0; })) {
+    pushes_ = true;
     on_bodies_ = std::make_shared<BodyActuators>(m);
     for (size_t k = 0; k < dof.size(); ++k)
       if (dof[k] < 0) dof[k] = on_bodies_->dofs()[k];
@@ -151,25 +152,40 @@ class ActuatorCheck {
 
 }  // namespace
 
-void Actuators::check(const Model& m, const char* user, bool gradient_by_gravcomp) {
+// Finds whether gravity compensation and the fluid act.
+void Actuators::find_forces(const Model& m) {
+  const auto acts = [](const DeviceArray<float>& array) {
+    const OnHost<float> values(array);
+    return std::any_of(values.data(), values.data() + values.size(),
+                       [](float x) { return x != 0.0f; });
+  };
+  has_gravcomp_ = acts(m.body_gravcomp);
+  has_fluid_ = acts(m.fluid_density) || acts(m.fluid_viscosity);
+}
+
+void Actuators::check(const Model& m, const char* user, bool gradient_by_gravcomp,
+                      bool gradient_by_fluid) {
   const Array* const arrays[] = {
       &m.body_gravcomp,        &m.actuator_gain,      &m.actuator_bias,   &m.actuator_ctrl_range,
       &m.actuator_force_range, &m.actuator_act_range, &m.joint_target_ke, &m.joint_target_kd,
-      &m.joint_target_mode,    &m.actuator_dynamics};
+      &m.joint_target_mode,    &m.actuator_dynamics,  &m.fluid_density,   &m.fluid_viscosity};
   checked_.resize(std::size(arrays));
   bool same = true;
   for (size_t i = 0; i < std::size(arrays); ++i) same = same && checked_[i].matches(*arrays[i]);
   if (!same) {
     const UntrackedScope untracked;
-    const OnHost<float> gravcomp(m.body_gravcomp);
-    has_gravcomp_ = false;
-    for (size_t b = 0; b < gravcomp.size(); ++b)
-      has_gravcomp_ = has_gravcomp_ || gravcomp[b] != 0.0f;
+    find_forces(m);
     if (any_) ActuatorCheck(m, user).run();
     for (size_t i = 0; i < std::size(arrays); ++i) checked_[i].set(*arrays[i]);
   }
   lifts_ = has_gravcomp_ || gradient_by_gravcomp;
   if (!lifts_) depend_on({&m.body_gravcomp});
+  flows_ = has_fluid_ || gradient_by_fluid;
+  if (!flows_) depend_on({&m.fluid_density, &m.fluid_viscosity});
+  if (flows_ && on_bodies_ == nullptr) {
+    const UntrackedScope untracked;
+    on_bodies_ = std::make_shared<BodyActuators>(m);
+  }
 }
 
 art::Actuation Actuators::arguments(const Model& m, const ActuationArrays& inputs, float dt) const {
@@ -245,15 +261,16 @@ ActuatedStep::Read ActuatedStep::begin(const Model& m, const SimState& in, const
 }
 
 void ActuatedStep::push(const Model& m, const SimState& in, const Control* control, Read& read) {
-  const BodyActuators& all = *actuators_.on_bodies();
+  const std::shared_ptr<const BodyActuators> bodies = actuators_.on_bodies();
+  const BodyActuators& all = *bodies;
   if (pushed_f_.rows() == 0) {
     const UntrackedScope untracked;
     pushed_f_ = DeviceArray<SpatialVectorf>(in.body_f.rows(), m.device());
   }
   const BodyActuationArguments a = {
-      .in =
-          all.arguments<float>(m, Actuators::inputs(m, in, control), in.joint_q, in.joint_qd,
-                               all.workspace(), [](const Array& array) { return Untyped(array); }),
+      .in = all.arguments<float>(m, Actuators::inputs(m, in, control), actuators_.flows(),
+                                 in.joint_q, in.joint_qd, all.workspace(),
+                                 [](const Array& array) { return Untyped(array); }),
       .body_f = Untyped(read.body_f),
       .out = pushed_f_};
   run_step(on_host_, body_actuation_kernels().forward, body_actuation, all.count(), kTreeRows, a);
@@ -327,6 +344,18 @@ void check_actuator_inputs(const Model& m, const SimState& state, const Control*
     require(activation[k] < 0 || std::isfinite(act[row]), ErrorKind::Value, user, ": state_in.act[",
             row, name, act[row]);
   }
+}
+
+void check_no_body_forces(const Model& m, const char* user) {
+  const auto check = [&](const char* name, const DeviceArray<float>& array) {
+    const OnHost<float> values(array);
+    for (size_t k = 0; k < values.size(); ++k)
+      require(values[k] == 0.0f, ErrorKind::NotImplemented, user, ", model.", name,
+              ": expected 0, got ", values[k], ": differentiate by DiffFeatherstoneSolver");
+  };
+  check("body_gravcomp", m.body_gravcomp);
+  check("fluid_density", m.fluid_density);
+  check("fluid_viscosity", m.fluid_viscosity);
 }
 
 void ActuatedStep::finish(const SimState& out) const {

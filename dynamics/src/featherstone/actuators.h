@@ -1,5 +1,5 @@
-// The actuators of a model and its gravity compensation. A step reads their results in place of the
-// drives and external forces of the model, the control and the state.
+// The actuators of a model, its gravity compensation and its fluid. A step reads their results in
+// place of the drives and external forces of the model, the control and the state.
 #pragma once
 
 #include <array>
@@ -33,6 +33,10 @@ void read_instead(NamedStepArrays& arrays, const StepDrives& drives);
 void check_actuator_inputs(const Model& model, const SimState& state, const Control* control,
                            const char* user);
 
+// ErrorKind::NotImplemented: gravity compensation or a fluid acts, which `user` does not
+// differentiate.
+void check_no_body_forces(const Model& model, const char* user);
+
 class BodyActuators;
 
 class Actuators {
@@ -40,16 +44,22 @@ class Actuators {
   explicit Actuators(const Model& model);
 
   bool any() const { return any_; }  // whether the model has actuators
-  // The actuators that push bodies; null: none.
-  const BodyActuators* on_bodies() const { return on_bodies_.get(); }
-  bool lifts() const { return lifts_; }  // whether some gravcomp is not 0, or its gradient is
-                                         // requested
-  // Checks the actuators again if an array was written, and whether some gravcomp is not 0.
+  // The wrenches on bodies by actuators and the fluid; null: none.
+  std::shared_ptr<const BodyActuators> on_bodies() const {
+    return pushes_ || flows_ ? on_bodies_ : nullptr;
+  }
+  // Whether some gravcomp is not 0, some fluid is not empty, or the gradient is requested.
+  bool lifts() const { return lifts_; }
+  bool flows() const { return flows_; }
+  bool acts() const { return any_ || lifts_ || flows_; }
+  // Checks the actuators again if an array was written, and whether some gravcomp or the density or
+  // viscosity of some fluid is not 0.
   // ErrorKind::Value: a range has its ends in the wrong order. ErrorKind::NotImplemented, naming
   // the actuator: a stiffness or damping would be negative; a servo acts on a degree of freedom
   // whose drive does not have both targets; a servo has a force range with one end; a servo has a
   // force range, and its degree of freedom has another servo or drive.
-  void check(const Model& model, const char* user, bool gradient_by_gravcomp = false);
+  void check(const Model& model, const char* user, bool gradient_by_gravcomp = false,
+             bool gradient_by_fluid = false);
   // The coordinate of each degree of freedom, as in Actuation.
   std::vector<int32_t> coordinates() const { return coord_.to_host(); }
   // Returns the arrays in the order of ActuationInput.
@@ -58,7 +68,9 @@ class Actuators {
                                     float dt) const;
 
  private:
-  bool any_ = false, lifts_ = false, has_gravcomp_ = false;
+  void find_forces(const Model& model);
+  bool any_ = false, pushes_ = false, lifts_ = false, flows_ = false;
+  bool has_gravcomp_ = false, has_fluid_ = false;
   std::shared_ptr<const BodyActuators> on_bodies_;
   DeviceArray<int32_t> first_, order_, coord_;
   std::vector<ArrayStamp> checked_;

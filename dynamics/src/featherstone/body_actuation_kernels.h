@@ -1,10 +1,11 @@
-// Actuators that push bodies (articulation/body_actuation.h), with a row per articulation: their
-// wrenches in body_f, the adjoint and the tangent.
+// Actuators that push bodies (articulation/body_actuation.h) and the fluid (articulation/fluid.h),
+// with a row per articulation: their wrenches in body_f, the adjoint and the tangent.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/dynamics/articulation/arguments.h"
 #include "novaphy/dynamics/articulation/body_actuation.h"
+#include "novaphy/dynamics/articulation/fluid.h"
 #include "novaphy/dynamics/articulation/kinematics_vjp.h"
 
 namespace novaphy {
@@ -14,12 +15,14 @@ inline constexpr int32_t kPushingInputs = articulation::kActuatorInputs - articu
 
 // The actuators of articulation i are order[first[i]] to order[first[i + 1] - 1]. pushed: three
 // links of the articulation for each actuator, as PushedBody; -1: the world. in: the inputs from
-// kControl on. stride: floats of the workspace per articulation.
+// kControl on. fluid: as fluid_place; null: no fluid. stride: floats of the workspace per
+// articulation.
 template <class T>
 struct BodyActuationOf {
   NOVAPHY_ARGUMENTS(Given<ArticulationRows> rows; Given<articulation::Link> links;
                     Given<int32_t> first, order, pushed, axes, state;
                     Given<Transformf> frame, reference; Each<Given<float>, kPushingInputs> in;
+                    Each<Given<float>, articulation::kFluidInputs> fluid; Given<Quatf> fluid_frame;
                     Given<T> q, qd; Given<Transform<T>> X_p, X_c; Given<Vec3<T>> axis, com;
                     Changed<float> workspace; Number<int64_t> stride;)
 };
@@ -95,6 +98,27 @@ void push_all(const BodyActuationOf<T>& a, int64_t row, const PushedTree<T>& tre
   }
 }
 
+// Calls put(body, wrench) with the wrench of the fluid on each body. number(place) returns the
+// number at a place of the arrays of the fluid.
+template <class T, class Number, class Put>
+void drag_all(const BodyActuationOf<T>& a, int64_t row, const PushedTree<T>& tree,
+              const Number& number, const Put& put) {
+  for (int32_t i = 0; a.fluid[0] != nullptr && i < tree.tree.link_count; ++i) {
+    const int32_t body = tree.body(i);
+    if (body < 0) continue;
+    T numbers[articulation::kFluidNumbers];
+    for (int32_t k = 0; k < articulation::kFluidNumbers; ++k)
+      numbers[k] = number(articulation::fluid_place(k, a.rows[row].world, body));
+    const articulation::LinkState<T>& s = tree.ws.links[i];
+    put(body, articulation::fluid_wrench<T>(s.q, math::motion_at(s.v, s.com), numbers,
+                                            a.fluid_frame[body]));
+  }
+}
+inline SpatialVectorf tangent_of(const SpatialVector<DualFloat>& w) {
+  return {{w.linear.x.tangent, w.linear.y.tangent, w.linear.z.tangent},
+          {w.angular.x.tangent, w.angular.y.tangent, w.angular.z.tangent}};
+}
+
 struct BodyActuationArguments {
   NOVAPHY_ARGUMENTS(Part<BodyActuationOf<float>> in; Given<SpatialVectorf> body_f;
                     Changed<SpatialVectorf> out;)
@@ -114,11 +138,16 @@ NOVAPHY_ROW_KERNEL(body_actuation, BodyActuationArguments) {
         to = to + SpatialVectorf{{w.linear.x.value, w.linear.y.value, w.linear.z.value},
                                  {w.angular.x.value, w.angular.y.value, w.angular.z.value}};
       });
+  drag_all(
+      a.in, row, tree,
+      [&](const articulation::FluidPlace& from) { return a.in.fluid[from.input][from.at]; },
+      [&](int32_t body, const SpatialVectorf& w) { a.out[body] = a.out[body] + w; });
 }
 
 // Null tangents are zero.
 struct BodyActuationJvpArguments {
   NOVAPHY_ARGUMENTS(Part<BodyActuationOf<DualFloat>> in; Each<Given<float>, kPushingInputs> tangent;
+                    Each<Given<float>, articulation::kFluidInputs> fluid;
                     Given<SpatialVectorf> body_f; Changed<SpatialVectorf> out;)
 };
 NOVAPHY_ROW_KERNEL(body_actuation_jvp, BodyActuationJvpArguments) {
@@ -135,19 +164,73 @@ NOVAPHY_ROW_KERNEL(body_actuation_jvp, BodyActuationJvpArguments) {
       },
       [&](int32_t link, const SpatialVector<DualFloat>& w) {
         SpatialVectorf& to = a.out[tree.body(link)];
-        to = to + SpatialVectorf{{w.linear.x.tangent, w.linear.y.tangent, w.linear.z.tangent},
-                                 {w.angular.x.tangent, w.angular.y.tangent, w.angular.z.tangent}};
+        to = to + tangent_of(w);
+      });
+  drag_all(
+      a.in, row, tree,
+      [&](const articulation::FluidPlace& from) {
+        const float* const t = a.fluid[from.input];
+        return DualFloat(a.in.fluid[from.input][from.at], t != nullptr ? t[from.at] : 0.0f);
+      },
+      [&](int32_t body, const SpatialVector<DualFloat>& w) {
+        a.out[body] = a.out[body] + tangent_of(w);
       });
 }
 
 // Adds to the gradients of the inputs; null: not requested. out: the gradient of the result. poses,
-// motions: scratch memory {bodies}.
+// motions: scratch memory {bodies}. A row has `trees` articulations: all of them where gradients of
+// worlds are requested, which keeps the order of the sums fixed.
 struct BodyActuationVjpArguments {
   NOVAPHY_ARGUMENTS(Part<BodyActuationOf<float>> in; Given<SpatialVectorf> out;
-                    Each<Changed<float>, kPushingInputs> gradient; Changed<float> q, qd;
+                    Each<Changed<float>, kPushingInputs> gradient;
+                    Each<Changed<float>, articulation::kFluidInputs> fluid; Changed<float> q, qd;
                     Changed<Vec3f> com; Changed<SpatialVectorf> body_f; Changed<Transformf> poses;
-                    Changed<SpatialVectorf> motions;)
+                    Changed<SpatialVectorf> motions; Number<int64_t> trees;)
 };
+inline float dot_tangent(const SpatialVectorf& g, const SpatialVector<DualFloat>& w) {
+  return (g.linear.x * w.linear.x.tangent + g.linear.y * w.linear.y.tangent) +
+         (g.linear.z * w.linear.z.tangent + g.angular.x * w.angular.x.tangent) +
+         (g.angular.y * w.angular.y.tangent + g.angular.z * w.angular.z.tangent);
+}
+// Adds the gradient of the pose and the velocity of a body, in the order of number_of.
+inline void add_to_body(const BodyActuationVjpArguments& a, int32_t body, const float* g) {
+  Transformf& pose = a.poses[body];
+  pose = {pose.p + Vec3f{g[0], g[1], g[2]},
+          {pose.q.x + g[3], pose.q.y + g[4], pose.q.z + g[5], pose.q.w + g[6]}};
+  a.motions[body] = a.motions[body] + SpatialVectorf{{g[7], g[8], g[9]}, {g[10], g[11], g[12]}};
+}
+// Adds the gradient of the fluid, one number of a body after the other.
+inline void drag_gradient(const BodyActuationVjpArguments& a, int64_t row,
+                          const PushedTree<float>& tree) {
+  constexpr int32_t kFirst = 3, kOfBody = 13;  // rotation, velocity, angular velocity in number_of
+  for (int32_t i = 0; a.in.fluid[0] != nullptr && i < tree.tree.link_count; ++i) {
+    const int32_t body = tree.body(i);
+    if (body < 0) continue;
+    articulation::PushedBody at = tree.at(i);
+    DualFloat numbers[articulation::kFluidNumbers];
+    float of_body[kOfBody] = {};
+    const auto place = [&](int32_t k) {
+      return articulation::fluid_place(k, a.in.rows[row].world, body);
+    };
+    for (int32_t k = 0; k < articulation::kFluidNumbers; ++k)
+      numbers[k] = DualFloat(a.in.fluid[place(k).input][place(k).at]);
+    for (int32_t k = kFirst; k < kOfBody + articulation::kFluidNumbers; ++k) {
+      const bool is_of_body = k < kOfBody;
+      DualFloat& along = is_of_body ? articulation::number_of(at, k) : numbers[k - kOfBody];
+      along.tangent = 1.0f;
+      const float sum =
+          dot_tangent(a.out[body], articulation::fluid_wrench<DualFloat>(
+                                       at.pose.q, at.motion, numbers, a.in.fluid_frame[body]));
+      along.tangent = 0.0f;
+      if (is_of_body) {
+        of_body[k] = sum;
+      } else if (const auto to = place(k - kOfBody); a.fluid[to.input] != nullptr) {
+        a.fluid[to.input][to.at] += sum;
+      }
+    }
+    add_to_body(a, body, of_body);
+  }
+}
 // Adds the gradient of one actuator, one number of its inputs after the other.
 inline void push_gradient(const BodyActuationVjpArguments& a, const PushedTree<float>& tree,
                           int32_t actuator, Vec3f* com) {
@@ -164,10 +247,7 @@ inline void push_gradient(const BodyActuationVjpArguments& a, const PushedTree<f
                            input == of_input && k == of_number ? 1.0f : 0.0f);
         },
         [&](int32_t link, const SpatialVector<DualFloat>& w) {
-          const SpatialVectorf& g = a.out[tree.body(link)];
-          sum += (g.linear.x * w.linear.x.tangent + g.linear.y * w.linear.y.tangent) +
-                 (g.linear.z * w.linear.z.tangent + g.angular.x * w.angular.x.tangent) +
-                 (g.angular.y * w.angular.y.tangent + g.angular.z * w.angular.z.tangent);
+          sum += dot_tangent(a.out[tree.body(link)], w);
         });
     return sum;
   };
@@ -193,15 +273,11 @@ inline void push_gradient(const BodyActuationVjpArguments& a, const PushedTree<f
     }
     if (is_input || count == 0) continue;
     const float* const g = of_body;
-    const int32_t body = tree.body(links[which]);
-    Transformf& pose = a.poses[body];
-    pose = {pose.p + Vec3f{g[0], g[1], g[2]},
-            {pose.q.x + g[3], pose.q.y + g[4], pose.q.z + g[5], pose.q.w + g[6]}};
-    a.motions[body] = a.motions[body] + SpatialVectorf{{g[7], g[8], g[9]}, {g[10], g[11], g[12]}};
+    add_to_body(a, tree.body(links[which]), g);
     com[links[which]] = com[links[which]] + Vec3f{g[13], g[14], g[15]};
   }
 }
-NOVAPHY_ROW_KERNEL(body_actuation_vjp, BodyActuationVjpArguments) {
+inline void body_gradient(const BodyActuationVjpArguments& a, int64_t row) {
   PushedTree<float> at(a.in, row);
   const articulation::Tree<float>& tree = at.tree;
   float *const q = at.rest, *const qd = q + tree.dof_count;
@@ -217,6 +293,7 @@ NOVAPHY_ROW_KERNEL(body_actuation_vjp, BodyActuationVjpArguments) {
   for (int32_t i = 0; i < tree.link_count; ++i) com[i] = Vec3f{};
   for (int32_t i = a.in.first[row]; i < a.in.first[row + 1]; ++i)
     push_gradient(a, at, a.in.order[i], com);
+  drag_gradient(a, row, at);
   const auto add_com = [&] {
     for (int32_t i = 0; a.com != nullptr && i < tree.link_count; ++i)
       if (at.body(i) >= 0) a.com[at.body(i)] = a.com[at.body(i)] + com[i];
@@ -232,6 +309,10 @@ NOVAPHY_ROW_KERNEL(body_actuation_vjp, BodyActuationVjpArguments) {
   if (a.q != nullptr)
     articulation::tangent_to_gradient(tree, at_q, q,
                                       [&](int32_t to, float value) { a.q[to] += value; });
+}
+NOVAPHY_ROW_KERNEL(body_actuation_vjp, BodyActuationVjpArguments) {
+  const int64_t first = row * a.trees.value;
+  for (int64_t k = 0; k < a.trees.value; ++k) body_gradient(a, first + k);
 }
 
 }  // namespace novaphy

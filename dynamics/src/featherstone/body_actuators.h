@@ -1,4 +1,4 @@
-// The actuators of a model that push bodies, and their wrenches in a step.
+// The actuators of a model that push bodies and its fluid: their wrenches in a step.
 #pragma once
 
 #include <functional>
@@ -9,6 +9,11 @@
 #include "novaphy/dynamics/featherstone/articulations.h"
 
 namespace novaphy {
+
+// The arrays of the fluid, in the order of fluid_place.
+inline std::array<Array, articulation::kFluidInputs> fluid_arrays(const Model& m) {
+  return {m.fluid_density, m.fluid_viscosity, m.fluid_wind, m.body_fluid_box};
+}
 
 class BodyActuators {
  public:
@@ -37,11 +42,12 @@ class BodyActuators {
   // The workspace for floats, which all steps share; the adjoint's memory has 13 numbers per body.
   const DeviceArray<float>& workspace() const { return workspace_; }
   const DeviceArray<float>& adjoint_memory() const { return adjoint_memory_; }
-  // `take(array)` returns the numbers of an array as type T.
+  // `take(array)` returns the numbers of an array as type T. `flows`: the fluid acts.
   template <class T, class Take>
-  BodyActuationOf<T> arguments(const Model& m, const ActuationArrays& inputs, const Array& q,
-                               const Array& qd, const DeviceArray<float>& workspace,
+  BodyActuationOf<T> arguments(const Model& m, const ActuationArrays& inputs, bool flows,
+                               const Array& q, const Array& qd, const DeviceArray<float>& workspace,
                                const Take& take) const {
+    const std::array<Array, articulation::kFluidInputs> fluid = fluid_arrays(m);
     return {.rows = Untyped(articulations_.rows()),
             .links = Untyped(articulations_.links()),
             .first = first_,
@@ -56,6 +62,9 @@ class BodyActuators {
                          ? Untyped(inputs[i + articulation::kActuated])
                          : Untyped(m.actuator_wrench);
             }),
+            .fluid = each<articulation::kFluidInputs>(
+                [&](size_t i) { return flows ? Untyped(fluid[i]) : Untyped(nullptr); }),
+            .fluid_frame = m.body_fluid_frame,
             .q = take(q),
             .qd = take(qd),
             .X_p = take(m.joint_X_p),

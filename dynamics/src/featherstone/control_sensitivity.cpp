@@ -390,10 +390,7 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
           ", contacts: expected none without contact_projection");
   m.update_derived();
   s.articulations.check_values(m, control, false, kStep);
-  for (const float part : std::span(m.body_gravcomp.data(), m.body_gravcomp.rows()))
-    require(part == 0.0f, ErrorKind::NotImplemented, kStep,
-            ", model.body_gravcomp: expected 0, got ", part,
-            ": differentiate by DiffFeatherstoneSolver");
+  check_no_body_forces(m, kStep);
   const Tree<float> tree = s.articulations.tree(m, s.options.articulation);
   const ArticulationArguments a = in_memory(articulation_arguments(
       m, s.articulations, state_in, drives_of(m, control), state_in.body_f, s.options.solver, dt));

@@ -1,4 +1,4 @@
-// Actuators and gravity compensation as operations of a tape.
+// Actuators, gravity compensation and the fluid as operations of a tape.
 #include "body_actuators.h"
 #include "diff_articulation_parts.h"
 #include "tangent_launches.h"
@@ -84,51 +84,57 @@ void submit_drives(const std::shared_ptr<const Actuators>& actuators, const Mode
               }});
 }
 
-// The actuators that push bodies, in a step.
+// The actuators that push bodies and the fluid, in a step.
 class Push {
  public:
+  static constexpr size_t kFirstOfFluid = kPushingInputs + 4, kOfWorlds = 3;
   Push(const std::shared_ptr<const Actuators>& actuators, const Model& m, const SimState& state,
        const Control* control, const Array& body_f, const Array& sum)
-      : actuators_(actuators),
+      : bodies_(actuators->on_bodies()),
         model_(m.shared_from_this()),
         inputs_(Actuators::inputs(m, state, control)),
+        flows_(actuators->flows()),
         q_(state.joint_q),
         qd_(state.joint_qd),
         body_f_(body_f),
         sum_(sum) {}
 
-  // Returns the kPushingInputs arrays, then body_f, q, qd and body_com.
+  // Returns the kPushingInputs arrays, then body_f, q, qd and body_com, then those of the fluid.
   std::vector<Array> arrays() const {
     std::vector<Array> all(inputs_.begin() + art::kActuated, inputs_.end());
     for (const Array& array :
          {Array(model_->actuator_wrench), body_f_, q_, qd_, Array(model_->body_com)})
       all.push_back(array);
+    for (const Array& array : fluid_arrays(*model_))
+      if (flows_) all.push_back(array);
     return all;
   }
   void forward() const {
     run(body_actuation_kernels().forward, trees(),
         {.in = arguments(), .body_f = Untyped(body_f_), .out = Untyped(sum_)});
   }
-  // to(i) returns the gradient of array i.
+  // to(i) returns the gradient of array i. `ordered`: some of them are of worlds.
   template <class To>
-  void vjp(const Tensor& gradient, const To& to) const {
-    const auto& memory = actuators_->on_bodies()->adjoint_memory().range();
+  void vjp(const Tensor& gradient, bool ordered, const To& to) const {
+    const auto& memory = bodies_->adjoint_memory().range();
     const size_t poses = 7 * sum_.rows() * sizeof(float), motions = poses / 7 * 6;
-    run(body_actuation_kernels().vjp, trees(),
+    run(body_actuation_kernels().vjp, ordered ? 1 : trees(),
         {.in = arguments(),
          .out = argument(gradient),
          .gradient = each<kPushingInputs>(to),
+         .fluid = of_fluid(to),
          .q = to(kPushingInputs + 1),
          .qd = to(kPushingInputs + 2),
          .com = to(kPushingInputs + 3),
          .body_f = to(kPushingInputs),
          .poses = nova::part_of(memory, 0, poses),
-         .motions = nova::part_of(memory, poses, motions)});
+         .motions = nova::part_of(memory, poses, motions),
+         .trees = ordered ? trees() : 1});
   }
   // tangent(i) returns the tangent of array i.
   template <class Of>
   void jvp(const Tensor& to, const Of& tangent) const {
-    const BodyActuators& all = *actuators_->on_bodies();
+    const BodyActuators& all = *bodies_;
     const auto memory = [&](int64_t numbers) {
       const UntrackedScope untracked;
       return DeviceArray<float>(static_cast<size_t>(numbers), model_->device());
@@ -147,23 +153,30 @@ class Push {
     };
     const DeviceArray<float> workspace = memory(trees() * all.stride<DualFloat>());
     run(body_actuation_kernels().jvp, trees(),
-        {.in = all.arguments<DualFloat>(*model_, inputs_, q_, qd_, workspace, take),
+        {.in = all.arguments<DualFloat>(*model_, inputs_, flows_, q_, qd_, workspace, take),
          .tangent = each<kPushingInputs>([&](size_t i) { return argument(tangent(i)); }),
+         .fluid = of_fluid([&](size_t i) { return argument(tangent(i)); }),
          .body_f = argument(tangent(kPushingInputs)),
          .out = argument(to)});
   }
 
  private:
-  int64_t trees() const { return actuators_->on_bodies()->count(); }
+  // Returns take(i) of the arrays of the fluid.
+  template <class Take>
+  auto of_fluid(const Take& take) const {
+    return each<art::kFluidInputs>(
+        [&](size_t i) { return flows_ ? take(kFirstOfFluid + i) : Untyped(nullptr); });
+  }
+  int64_t trees() const { return bodies_->count(); }
   BodyActuationOf<float> arguments() const {
-    const BodyActuators& all = *actuators_->on_bodies();
-    return all.arguments<float>(*model_, inputs_, q_, qd_, all.workspace(),
-                                [](const Array& array) { return Untyped(array); });
+    return bodies_->arguments<float>(*model_, inputs_, flows_, q_, qd_, bodies_->workspace(),
+                                     [](const Array& array) { return Untyped(array); });
   }
 
-  std::shared_ptr<const Actuators> actuators_;
+  std::shared_ptr<const BodyActuators> bodies_;
   std::shared_ptr<const Model> model_;
   ActuationArrays inputs_;
+  bool flows_;
   Array q_, qd_, body_f_, sum_;
 };
 
@@ -176,7 +189,11 @@ void submit_push(const Push& push, const Array& sum) {
               [=](std::span<const Tensor> g, std::span<const nova::InputGradient> gradients) {
                 if (!g[0].defined()) return;
                 const nova::NoGrad no_grad;
-                push.vjp(g[0], [&](size_t i) { return gradient_of(in.of(gradients, i)); });
+                bool ordered = false;
+                for (size_t i = Push::kFirstOfFluid; i < in.place.size(); ++i)
+                  ordered = ordered || (i < Push::kFirstOfFluid + Push::kOfWorlds &&
+                                        in.of(gradients, i).wanted());
+                push.vjp(g[0], ordered, [&](size_t i) { return gradient_of(in.of(gradients, i)); });
               },
           .forward = [=] { push.forward(); },
           .jvp =

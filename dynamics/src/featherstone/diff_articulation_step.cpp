@@ -242,9 +242,12 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
          std::exchange(shared_->failure, {}));
   shared_->articulations.check_values(model, control, true, function);
   const nova::Tape* const tape = nova::Tape::active();
-  shared_->actuators->check(
-      model, function, tape != nullptr && tape->carries_gradient(*model.body_gravcomp.range()));
-  shared_->dry = tape != nullptr && tape->carries_gradient(*model.joint_friction.range());
+  const auto carries = [&](const Array& array) {
+    return tape != nullptr && tape->carries_gradient(*array.range());
+  };
+  shared_->actuators->check(model, function, carries(model.body_gravcomp),
+                            carries(model.fluid_density) || carries(model.fluid_viscosity));
+  shared_->dry = carries(model.joint_friction);
   shared_->dry = shared_->dry || shared_->contacts.has_friction();
   if (shared_->trees || shared_->dry)  // the step reads joint_friction
     depend_on_modes(model, control);
@@ -263,7 +266,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   require(!moves || !nova::current_capture(), ErrorKind::NotImplemented, kName,
           ": contact_gradient: motion is not there inside a ScopedCapture");
   const bool touching = contacts != nullptr && contacts->rigid_contact_max() > 0;
-  const bool is_actuated = shared_->actuators->any() || shared_->actuators->lifts();
+  const bool is_actuated = shared_->actuators->acts();
   join = join && !moves && !is_actuated;
   if (join && pending_ && joins(m, in, out, control, body_f, dt, scratch)) return;
   flush();

@@ -23,7 +23,9 @@ void mark_unrecorded_step(const Model& m, const SimState& in, const SimState& ou
       carries(m.joint_armature) || carries(m.body_gravcomp) || carries(m.actuator_gear) ||
       carries(m.actuator_wrench) || carries(m.actuator_gain) || carries(m.actuator_bias) ||
       carries(m.actuator_time) || carries(m.actuator_ctrl_range) ||
-      carries(m.actuator_force_range) || carries(m.actuator_act_range);
+      carries(m.actuator_force_range) || carries(m.actuator_act_range) ||
+      carries(m.body_fluid_box) || carries(m.fluid_density) || carries(m.fluid_viscosity) ||
+      carries(m.fluid_wind);
   for (const Array* array :
        {static_cast<const Array*>(&out.joint_q), static_cast<const Array*>(&out.joint_qd),
         static_cast<const Array*>(&out.body_q), static_cast<const Array*>(&out.body_qd),

@@ -40,20 +40,34 @@ void set_start(MjcfContext& context) {
   });
 }
 
-// The gravity of the file replaces that of an empty builder with default gravity.
-std::optional<Vec3f> gravity_of(MjcfContext& context) {
-  if (!context.settings.option.gravity) return {};
-  const Vec3f g = to_float(*context.settings.option.gravity);
+// Returns a value of <option> that replaces the builder's: an empty builder with the default has
+// none of its own.
+template <class T>
+std::optional<T> replaced(MjcfContext& context, const char* what, const T& of_file,
+                          const T& of_builder, const T& by_default) {
   const ModelBuilder& b = context.builder;
-  if (g == b.gravity) return {};
+  if (of_file == of_builder) return {};
   const bool is_new = b.body_count() == 0 && b.shape_count() == 0 && b.particle_count() == 0 &&
-                      b.current_world() < 0 && b.world_count() == 0 &&
-                      b.gravity == Vec3f{0.0f, 0.0f, -9.81f};
-  if (is_new) return g;
+                      b.current_world() < 0 && b.world_count() == 0 && of_builder == by_default;
+  if (is_new) return of_file;
   for (const Element* e = context.file.root().FirstChildElement("option"); e != nullptr;
        e = e->NextSiblingElement("option"))
-    context.notes.ignored(*e, "gravity: that of the builder stays, which was set or is not empty");
+    context.notes.ignored(
+        *e, std::string(what) + ": that of the builder stays, which was set or is not empty");
   return {};
+}
+
+std::optional<Vec3f> gravity_of(MjcfContext& context) {
+  const std::optional<Vec3d>& gravity = context.settings.option.gravity;
+  if (!gravity) return {};
+  return replaced(context, "gravity", to_float(*gravity), context.builder.gravity,
+                  Vec3f{0.0f, 0.0f, -9.81f});
+}
+
+std::optional<Fluid> fluid_of(MjcfContext& context) {
+  const MjcfOption& option = context.settings.option;
+  if (!option.has_fluid()) return {};
+  return replaced(context, "density, viscosity, wind", option.fluid, context.builder.fluid, Fluid{});
 }
 
 void add_keyframes(const MjcfContext& context, const Posed& xform, int32_t coord,
@@ -156,6 +170,7 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
   detail::finish_attached(context);
   detail::set_start(context);
   const std::optional<Vec3f> gravity = detail::gravity_of(context);
+  const std::optional<Fluid> fluid = detail::fluid_of(context);
 
   const detail::Posed xform = detail::to_double(options.xform);
   const int32_t coord = builder.joint_coord_count();
@@ -186,6 +201,7 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
   if (context.settings.option.timestep)
     added.timestep = static_cast<float>(*context.settings.option.timestep);
   if (gravity) builder.gravity = *gravity;
+  if (fluid) builder.fluid = *fluid;
   for (std::string& why : context.refused) builder.refuse_at_finalize(std::move(why));
   added.equalities = std::move(context.equalities);
   added.tendons = std::move(context.tendons);

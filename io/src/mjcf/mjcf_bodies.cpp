@@ -159,9 +159,12 @@ class BodiesReader {
       return;
     }
     RobotLink& link = robot.links[static_cast<size_t>(part.link)];
-    if (with_mass)
+    if (with_mass) {
+      const bool is_first = link.mass == 0.0 && geom->mass > 0.0;
       add_mass(link, geom->mass, math::transform_point(geom->shape.pose, geom->com),
                turned(geom->shape.pose.q, geom->inertia));
+      if (is_first && geom->shape.type != GeoType::MESH) link.axes = geom->shape.pose.q;
+    }
     link.shapes.push_back(std::move(geom->shape));
   }
 
@@ -218,6 +221,7 @@ class BodiesReader {
       link.inertia = {{{v[0], v[3], v[4]}, {v[3], v[1], v[5]}, {v[4], v[5], v[2]}}};
     } else if (file_.numbers(e, "diaginertia", std::span(v).first(3))) {
       link.inertia = {{{v[0], 0.0, 0.0}, {0.0, v[1], 0.0}, {0.0, 0.0, v[2]}}};
+      link.axes = pose.q;
     } else {
       file_.refuse(e, "diaginertia, fullinertia: missing");
     }

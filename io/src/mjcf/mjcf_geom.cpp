@@ -12,8 +12,8 @@ constexpr std::string_view kRead[] = {
     "zaxis",  "xyaxes",  "fromto",       "size",   "mass",   "density",   "friction",
     "margin", "contype", "conaffinity",  "condim", "rgba",   "mesh",      "material",
     "group",  "hfield",  "shellinertia", "solref", "solimp", "solmix",    "priority"};
-// Attributes without effect here: those of fluids, which are not supported at all, and `gap`, which
-// does not affect the motion.
+// Attributes without effect here. `fluidcoef` acts on ellipsoids only, and `gap` does not affect the
+// motion.
 constexpr std::string_view kPassedOver[] = {"user", "fluidshape", "fluidcoef",
                                             "gap",  "fitscale",   "surfacevel"};
 
@@ -65,6 +65,9 @@ class GeomReader {
                    .cfg = context_.builder.default_shape_cfg,
                    .label = label,
                    .where = file_.place(e_)};
+    if (context_.settings.option.has_fluid() &&
+        defaults_.text(e_, "fluidshape", childclass_).value_or("none") != "none")
+      context_.notes.left_out(e_, "fluidshape: the fluid acts on the box of the whole body");
     read_collision();
     if (!read_place(*kind, type)) return {};
     read_mass(*kind);

@@ -105,11 +105,12 @@ class SettingsReader {
         o.timestep = number(e, "timestep");
         if (!(*o.timestep > 0.0)) file_.refuse(e, "timestep: expected > 0");
       } else if (name == "density" || name == "viscosity") {
-        if (number(e, a->Name()) == 0.0) continue;
-        o.has_fluid = true;
-        notes_.left_out(e, std::string(name) + ": there are no forces of a fluid");
+        const double value = number(e, a->Name());
+        if (!(value >= 0.0)) file_.refuse(e, std::string(name) + ": expected >= 0");
+        (name == "density" ? o.fluid.density : o.fluid.viscosity) = static_cast<float>(value);
       } else if (name == "wind") {
-        file_.numbers(e, "wind", v);  // acts only through density and viscosity
+        file_.numbers(e, "wind", v);
+        o.fluid.wind = to_float(Vec3d{v[0], v[1], v[2]});
       } else if (name == "actuatorgroupdisable") {
         for (const double group : file_.parse(e, "actuatorgroupdisable", a->Value()))
           if (group >= 0.0 && group <= 30.0) o.disabled_groups |= 1u << static_cast<int>(group);

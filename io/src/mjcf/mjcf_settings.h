@@ -7,6 +7,7 @@
 #include <string>
 
 #include "../robot/notes.h"
+#include "novaphy/core/sim/world_settings.h"
 
 namespace novaphy::detail {
 
@@ -27,7 +28,8 @@ struct MjcfOption {
   // Features that <flag> may switch off.
   bool contact = true, limit = true, friction = true, equality = true, actuation = true,
        spring = true, damper = true, parent_filter = true, clamp_control = true;
-  bool has_fluid = false;        // density or viscosity is not 0
+  Fluid fluid = {};
+  bool has_fluid() const { return fluid.density != 0.0f || fluid.viscosity != 0.0f; }
   uint32_t disabled_groups = 0;  // disabled actuator groups, as bits
 };
 

@@ -44,6 +44,7 @@ void add_moved(Mat33d& inertia, double mass, const Vec3d& p) {
 
 void add_mass(RobotLink& to, double mass, const Vec3d& com, const Mat33d& inertia) {
   if (mass == 0.0) return;
+  to.axes.reset();
   const double sum = to.mass + mass;
   const Vec3d center = (to.com * to.mass + com * mass) / sum;
   for (int i = 0; i < 3; ++i)

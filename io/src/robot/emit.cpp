@@ -162,15 +162,12 @@ class Emitter {
                     .mass = static_cast<float>(link.mass),
                     .label = link.name};
       Mat33f inertia;
-      bool has_inertia = false;
       for (int i = 0; i < 3; ++i)
-        for (int k = 0; k < 3; ++k) {
-          inertia.m[i][k] = static_cast<float>(link.inertia.m[i][k]);
-          has_inertia = has_inertia || inertia.m[i][k] != 0.0f;
-        }
-      if (has_inertia) args.inertia = inertia;
+        for (int k = 0; k < 3; ++k) inertia.m[i][k] = static_cast<float>(link.inertia.m[i][k]);
+      if (inertia != Mat33f{}) args.inertia = inertia;
       args.is_kinematic = link.is_kinematic;
       args.gravcomp = static_cast<float>(link.gravcomp);
+      if (link.axes) args.fluid_frame = to_float(Posed{{}, *link.axes}).q;
       body_[static_cast<size_t>(index)] =
           at(options_.function, link.where, [&] { return builder_.add_link(args); });
     }

@@ -49,6 +49,8 @@ struct RobotLink {
   std::vector<RobotShape> shapes = {};
   bool is_kinematic = false;
   double gravcomp = 0.0;  // fraction of the weight that gravity compensation cancels
+  // Rotation of the principal axes, if the file tells it.
+  std::optional<Quatd> axes = {};
   // Whether the link only connects two joints of one body. The link then belongs to the body.
   bool is_between = false;
 };

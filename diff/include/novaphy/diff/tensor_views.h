@@ -34,6 +34,10 @@
   X(actuator_act_range)        \
   X(body_gravcomp)             \
   X(gravity)                   \
+  X(body_fluid_box)            \
+  X(fluid_density)             \
+  X(fluid_viscosity)           \
+  X(fluid_wind)                \
   X(shape_material_ke)         \
   X(shape_material_kd)         \
   X(shape_material_kf)         \

@@ -24,6 +24,8 @@ namespace novaphy {
 #define NOVAPHY_EDITED_ARRAYS(X)              \
   X(gravity, Finite)                          \
   X(body_gravcomp, Unread)                    \
+  X(fluid_density, Unread)                    \
+  X(fluid_viscosity, Unread)                  \
   X(particle_mass, Mass)                      \
   X(particle_inv_mass, NotNegative)           \
   X(particle_radius, NotNegative)             \

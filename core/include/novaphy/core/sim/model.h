@@ -21,6 +21,7 @@
 #include "novaphy/core/sim/fields.h"
 #include "novaphy/core/sim/shape_pair_list.h"
 #include "novaphy/core/sim/sim_state.h"
+#include "novaphy/core/sim/world_settings.h"
 
 namespace novaphy {
 
@@ -211,6 +212,7 @@ namespace novaphy {
     "the mesh")                                                                                   \
   NOVAPHY_MODEL_JOINT_FIELDS(X)                                                                   \
   NOVAPHY_MODEL_ACTUATOR_FIELDS(X)                                                                \
+  NOVAPHY_MODEL_FLUID_FIELDS(X)                                                                   \
   X(gravity, Vec3f, 1, world_count, "m/s^2", "world",                                             \
     "gravity of every world; world -1 reads the last row")
 // clang-format on

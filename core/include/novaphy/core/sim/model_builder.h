@@ -28,15 +28,6 @@ namespace detail {
 struct MassProperties;
 }
 
-// Gravity of a builder (m/s^2): a number along the up axis, usually negative, or a vector.
-struct GravitySpec {
-  std::optional<float> along_up = -9.81f;
-  Vec3f vector{};
-  GravitySpec() = default;
-  GravitySpec(float value) : along_up(value) {}
-  GravitySpec(const Vec3f& value) : along_up(), vector(value) {}
-};
-
 // A rigid body. The mass and inertia here are the base, without shapes. Each shape with a density
 // adds its mass and inertia, in the order of the calls, and moves the center of mass.
 struct BodyArgs {
@@ -48,7 +39,9 @@ struct BodyArgs {
   bool lock_inertia = false;  // shapes add no mass and no inertia
   bool is_kinematic = false;  // keeps moving with its velocity without forces; needs no mass
   float gravcomp = 0.0f;      // fraction of the weight that gravity compensation cancels
-  std::string label = {};     // "body_<index>" when empty
+  // Axes of the box that a fluid acts on, in the body. Empty: the principal axes of the inertia.
+  std::optional<Quatf> fluid_frame = {};
+  std::string label = {};  // "body_<index>" when empty
 };
 
 // Options of add_shape_* functions. Empty `cfg`: ModelBuilder::default_shape_cfg. Empty `label`:
@@ -163,6 +156,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   // Settings. A change affects what is added afterwards. Gravity (m/s^2, world frame): begin_world
   // reads the value for a world without its own gravity, and finalize for a builder without worlds.
   Vec3f gravity;
+  Fluid fluid;  // read as gravity is
   float default_particle_radius = 0.1f;  // m
   ShapeConfig default_shape_cfg;
   JointDofConfig default_joint_cfg;
@@ -343,7 +337,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t begin_world(std::optional<Vec3f> gravity = {});
   void end_world();
   // Adds all of another builder to the current world, moved by `xform`. The other builder's worlds
-  // do not count. Its gravity becomes that of this world, or of this builder outside of worlds.
+  // do not count. Its gravity and fluid become those of this world, or of this builder outside.
   // ErrorKind::Value: another up axis, this builder itself, a bad pose, or too many particles.
   void add_builder(const ModelBuilder& builder, const Transformf& xform = Transformf::identity());
   // Calls begin_world, add_builder and end_world. Returns the index of the world.
@@ -379,6 +373,7 @@ class NOVAPHY_CORE_API ModelBuilder {
     int32_t world;
     std::string label = {};
     float gravcomp = 0.0f;
+    std::optional<Quatf> fluid_frame = {};
     int32_t mover = -1;        // joint of an articulation with this body as child
     Transformf added_at = {};  // for add_body: the pose that its joint coordinates started from
   };
@@ -499,6 +494,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   void check_coloring(std::string_view function) const;
   void upload_elements(Model& model) const;
   void upload_bodies(Model& model, const BodyMasses& masses) const;
+  void upload_fluid(Model& model, const BodyMasses& masses) const;
   void check_sizes() const;
   void check_values() const;
   void mend_bodies(BodyMasses& masses) const;
@@ -507,6 +503,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   Axis up_axis_;
   int32_t current_world_ = -1;
   std::vector<Vec3f> world_gravity_;  // one per world
+  std::vector<Fluid> world_fluid_;    // one per world
   std::vector<Body> bodies_;
   std::vector<Shape> shapes_;
   std::vector<Joint> joints_;

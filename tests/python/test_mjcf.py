@@ -314,7 +314,7 @@ BAD = {
     "gravity": (mjcf(hinged(), '<option gravity="0 0"/>'), "gravity: expected 3 number"),
     "euler": (mjcf(hinged(), '<compiler eulerseq="xyw"/>'), "eulerseq: expected three of x"),
     "flag": (mjcf(hinged(), '<option><flag limit="off"/></option>'), "expected enable or disable"),
-    "water": (mjcf(hinged(), '<option density="1000"/>'), "density: there are no forces of a fl"),
+    "water": (mjcf(hinged(), '<option density="-1000"/>'), "density: expected >= 0"),
     "mesh": (mjcf(hinged(geom='type="mesh" mesh="m"')), 'there is no mesh "m"'),
     "mesh file": (mjcf(hinged(geom='type="mesh" mesh="m"'),
                        '<asset><mesh name="m" file="../../etc/m.obj"/></asset>'), "needs "

@@ -252,19 +252,19 @@ def test_files_of_files_are_not_trusted(tmp_path, files, message):
 def test_what_has_no_counterpart_is_left_out_and_listed():
     text = actuated(
         '<muscle name="m" joint="j"/><position joint="k" kp="3"/>', before=MESH("nothing.obj") +
-        '<option density="1.2"/>').replace(
+        '<option density="1.2"/><default><geom fluidshape="ellipsoid"/></default>').replace(
         "</mujoco>", '<equality>\n<connect body1="a" anchor="0 0 0"/></equality><sensor><jointpos '
         'joint="j"/></sensor></mujoco>').replace(
         "</worldbody>",
         '<geom type="mesh" mesh="m" contype="0" conaffinity="0"/></worldbody>')  # fmt: skip
     with pytest.raises(
-        NotImplementedError, match=r'density: .* \(unsupported="warn" leaves it out'
+        NotImplementedError, match=r'fluidshape: .* \(unsupported="warn" leaves it out'
     ):
         loaded(text)
     with pytest.warns(UserWarning, match=r"<text>:2: <connect>: left out: an equality of the kind"):
         _, robot = loaded(text, unsupported="warn")
     assert [n.element for n in robot.report.left_out] == [
-        "<option>", "<connect>", "<geom>", '<muscle name="m">',
+        "<connect>", "<geom>", "<geom>", "<geom>", "<geom>", '<muscle name="m">',
     ]  # fmt: skip
     assert robot.report.read == {
         "actuator": 2, "body": 2, "equality": 1, "geom": 2, "joint": 2, "mesh": 1, "sensor": 1,

@@ -225,6 +225,7 @@ def _select(self: Model, pattern: str, *, world: int | None = None) -> Selection
         world: one world; None: all worlds.
 
     Raises:
+        TypeError: the pattern is not a str.
         ValueError: nothing matches.
         IndexError: the world does not exist.
     """

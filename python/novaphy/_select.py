@@ -39,6 +39,8 @@ class Selection:
     dofs: NDArray[np.int32]
 
     def __init__(self, model: _core.Model, pattern: str, world: int | None) -> None:
+        if not isinstance(pattern, str):
+            raise TypeError(f"select: pattern: expected a str, got {pattern!r}")
         if world is not None and not -1 <= world < model.world_count:
             last = model.world_count - 1
             raise IndexError(f"select: world: expected -1 to {last}, got {world}")

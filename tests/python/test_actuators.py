@@ -353,6 +353,7 @@ def test_names_select_joints_bodies_and_actuators_over_worlds():
     assert model.select("hip", world=0).get(state, "joint_qd").tolist() == [0.0]
     for arguments, error, message in (
         ({"pattern": "toe"}, ValueError, "name of a joint, body, shape or actuator, got 'toe'"),
+        ({"pattern": None}, TypeError, "pattern: expected a str, got None"),
         ({"pattern": "*", "world": 2}, IndexError, "world: expected -1 to 1, got 2"),
     ):
         with pytest.raises(error, match=message):

@@ -268,6 +268,20 @@ def test_sums_of_blocks_copy_and_check_their_rows():
             dist.sum_blocks(lambda b, wrong=wrong: wrong, shard)
 
 
+def test_sums_that_overflow_are_refused():
+    shard = dist.shard(bouncing(), worlds=4, block=2)
+    with pytest.raises(ValueError, match=r"float32 holds, got 3e\+38 \+ 3e\+38 at place 1"):
+        dist.sum_blocks(lambda b: np.float32([1.0, 3e38]), shard)
+    infinite = dist.sum_blocks(lambda b: np.float32([np.inf]), shard)
+    assert infinite.tolist() == [np.inf], "the rows of a caller may be infinite"
+
+    def large(block, params):
+        return rollout(block, params) * 0.0 + 3e38
+
+    with pytest.raises(ValueError, match=r"whose sum float32 holds, got up to 3e\+38 in block 0"):
+        dist.value_and_grad(large, parameters(), shard)
+
+
 def test_bad_input_is_named():
     shard = dist.shard(bouncing(), worlds=4, block=2)
     for arguments, message in (

@@ -45,6 +45,11 @@ def gradient_of_block(rollout: Rollout, params: dict[str, Vector], block: Block)
         total = nova.sum(losses)
         tape.backward(total)
     _check_finite(losses.numpy(), block)
+    if not np.isfinite(total.item()):
+        raise ValueError(
+            "value_and_grad: rollout: expected losses whose sum float32 holds, got up to "
+            f"{np.abs(losses.numpy()).max()!s} in block {block.index}"
+        )
     rows = [total.numpy().reshape(1)]
     rows += [leaf.grad.numpy().reshape(-1) for leaf in leaves.values() if leaf.grad is not None]
     return np.concatenate(rows)
@@ -94,7 +99,8 @@ def sum_blocks(function: Callable[[Block], Vector], shard: Shard) -> Vector:
 
     function: block -> float32 {n}, for running means of observations and returns.
 
-    RuntimeError: another rank failed; the message names it.
+    ValueError: the sum of finite numbers is too large for float32. RuntimeError: another rank
+    failed; the message names it.
     """
     failure: Exception | None = None
     message = b""
@@ -143,8 +149,8 @@ def value_and_grad(rollout: Rollout, params: Params, shard: Shard) -> tuple[floa
     added up a binary tree by block number. The bits therefore depend on worlds and block of the
     shard, and never on ranks, devices or threads.
 
-    ValueError: losses of another shape, a loss that is not finite (its world is named).
-    RuntimeError: another rank failed; the message names it.
+    ValueError: losses of another shape, a loss that is not finite (its world is named), a sum that
+    is too large for float32. RuntimeError: another rank failed; the message names it.
     """
     values = {name: p.numpy() for name, p in checked_params(params, "value_and_grad").items()}
     total = sum_blocks(lambda block: gradient_of_block(rollout, values, block), shard)

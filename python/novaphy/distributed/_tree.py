@@ -9,6 +9,20 @@ Vector = NDArray[np.float32]
 Node = tuple[int, int, Vector]  # level, index, sum of the blocks below
 
 
+def _sum(a: Vector, b: Vector) -> Vector:
+    """The sum of two rows; float32 must hold the sums of finite numbers."""
+    with np.errstate(over="ignore"):
+        values = a + b
+    wrong = np.flatnonzero(~np.isfinite(values) & np.isfinite(a) & np.isfinite(b))
+    if len(wrong):
+        k = wrong[0]
+        raise ValueError(
+            "sum_blocks: function: expected numbers whose sum float32 holds, "
+            f"got {a[k]!s} + {b[k]!s} at place {k}"
+        )
+    return values
+
+
 class BlockSums:
     """The sums of whole subtrees, joined as soon as both halves are there.
 
@@ -35,7 +49,7 @@ class BlockSums:
                         f"sum_blocks: function: expected rows of one length, got {len(values)} and "
                         f"{len(other)} numbers"
                     )
-                values = values + other if index < sibling else other + values
+                values = _sum(values, other) if index < sibling else _sum(other, values)
             level, index = level + 1, index >> 1
         self._nodes[level, index] = values
 

@@ -4,11 +4,11 @@
 // also, for each limit, its gap d >= 0, the rate w that closes it and the force r of the row:
 //   0 <= r, w' <= d / dt, one of both an equality
 //
-// A dof that would pass a limit faster than the restitution threshold gets w' = -restitution w.
-// A dof outside of its limits comes back with d / dt, at most with kMostReturn. A dof at a bound
-// has endless inertia there (step.h). Where a bound begins or ends to hold, and where a dof comes
-// back at kMostReturn, the derivative is that of the branch that the step took. Source: the normal
-// of a contact (pgs.h).
+// A dof that would pass a limit faster than the restitution threshold gets w' = -restitution w, as
+// far as its velocity limit and its other limit let it. A dof outside of its limits comes back with
+// d / dt, at most with kMostReturn and its velocity limit. A dof at a bound has endless inertia
+// there (step.h). Where a bound begins or ends to hold, and where one bound replaces another, the
+// derivative is that of the branch that the step took. Source: the normal of a contact (pgs.h).
 #pragma once
 
 #include "novaphy/dynamics/articulation/limits.h"
@@ -18,49 +18,61 @@ namespace novaphy::articulation {
 
 inline constexpr float kMostReturn = 0.1f;  // m/s or rad/s
 
+// A rate that a dof may be held at, and its derivatives.
+template <class T>
+struct HeldRate {
+  T rate{}, q{}, qd{}, upper{}, lower{}, velocity_limit{};
+};
+template <class T, class Mask>
+HeldRate<T> select_rate(const Mask& first, const HeldRate<T>& a, const HeldRate<T>& b) {
+  return {select(first, a.rate, b.rate),
+          select(first, a.q, b.q),
+          select(first, a.qd, b.qd),
+          select(first, a.upper, b.upper),
+          select(first, a.lower, b.lower),
+          select(first, a.velocity_limit, b.velocity_limit)};
+}
+
 // The rate d / dt with which a dof reaches a limit; `side` 1: the upper one, -1: the lower one.
 template <class T>
-struct StopRate {
-  T rate{}, by_q{};  // by_q: -1 / dt, or 0 where the dof comes back at kMostReturn
-};
-template <class T>
-StopRate<T> stop_rate(const StepInputs<T>& in, const StepOptions<T>& options, int32_t row,
+HeldRate<T> stop_rate(const StepInputs<T>& in, const StepOptions<T>& options, int32_t row,
                       int32_t coord, float side) {
-  const T limit = side > 0.0f ? in.limit_upper[row] : in.limit_lower[row];
-  const T rate = (limit - in.q[coord]) / options.dt, o = T(0.0f);
-  const auto back = T(side) * rate < T(-kMostReturn);
-  return {select(back, T(-side * kMostReturn), rate), select(back, o, T(-1.0f) / options.dt)};
+  const bool up = side > 0.0f;
+  const T o = T(0.0f), s = T(side), most = T(kMostReturn), v = in.velocity_limit[row];
+  const T by = T(1.0f) / options.dt;
+  const T limit = up ? in.limit_upper[row] : in.limit_lower[row];
+  const HeldRate<T> closes = {(limit - in.q[coord]) / options.dt, -by, o, up ? by : o, up ? o : by,
+                              o};
+  const auto slow = v < most;
+  const T back = select(slow, v, most);
+  return select_rate(s * closes.rate < -back,
+                     HeldRate<T>{-(s * back), o, o, o, o, select(slow, -s, o)}, closes);
 }
 
+// The largest rate (`side` 1) or the smallest one that a dof may have.
 template <class T>
-struct RateBounds {
-  T upper{}, lower{};
-};
-template <class T>
-RateBounds<T> rate_bounds(const StepInputs<T>& in, const StepOptions<T>& options, int32_t row,
-                          int32_t coord) {
-  const T limit = in.velocity_limit[row];
-  if (!options.limit_rows) return {limit, -limit};
-  const T up = stop_rate(in, options, row, coord, 1.0f).rate;
-  const T down = stop_rate(in, options, row, coord, -1.0f).rate;
-  const T low = select(down > -limit, down, -limit);
-  const T high = select(up < limit, up, limit);
-  return {select(high < -limit, -limit, high), select(low > limit, limit, low)};
+HeldRate<T> rate_bound(const StepInputs<T>& in, const StepOptions<T>& options, int32_t row,
+                       int32_t coord, float side) {
+  const T o = T(0.0f), s = T(side), v = in.velocity_limit[row];
+  const HeldRate<T> fastest = {s * v, o, o, o, o, s};
+  if (!options.limit_rows) return fastest;
+  const HeldRate<T> stop = stop_rate(in, options, row, coord, side);
+  return select_rate(s * stop.rate < v, stop, fastest);
 }
 
-// The rate of a dof that is at a bound, and else v.
+// The rate of a dof that is at a bound.
 template <class T>
-T held_rate(const StepInputs<T>& in, const StepOptions<T>& options, int32_t row, int32_t coord,
-            const Branches<T>& branch, const T& v) {
-  const T limit = in.velocity_limit[row];
-  const auto upper = has(branch, kVelocityAtUpper), lower = has(branch, kVelocityAtLower);
-  const T held = select(upper, limit, select(lower, -limit, v));
-  if (!options.limit_rows) return held;
-  const auto stops = has(branch, kAtStop), bounces = has(branch, kStopBounces);
-  const T stop = select(upper, stop_rate(in, options, row, coord, 1.0f).rate,
-                        stop_rate(in, options, row, coord, -1.0f).rate);
-  const T back = -(options.limit_restitution * in.qd[row]);
-  return select(bounces, back, select(stops, stop, held));
+HeldRate<T> held_rate(const StepInputs<T>& in, const StepOptions<T>& options, int32_t row,
+                      int32_t coord, const Branches<T>& branch) {
+  const HeldRate<T> high = rate_bound(in, options, row, coord, 1.0f),
+                    low = rate_bound(in, options, row, coord, -1.0f);
+  const HeldRate<T> bound = select_rate(has(branch, kVelocityAtUpper), high, low);
+  if (!options.limit_rows) return bound;
+  const T o = T(0.0f), e = options.limit_restitution;
+  HeldRate<T> back = {-(e * in.qd[row]), o, -e, o, o, o};
+  back = select_rate(back.rate < low.rate, low, back);
+  back = select_rate(high.rate < back.rate, high, back);
+  return select_rate(has(branch, kStopBounces), back, bound);
 }
 
 // The branch of a dof that goes to its upper or lower bound, or to none, from another one.
@@ -83,31 +95,6 @@ Branches<T> bound_branch(const StepInputs<T>& in, const StepOptions<T>& options,
   const auto held = has(from, kVelocityClamped);
   const auto bounces = either(has(from, kStopBounces), both(negate(held), both(elastic, fast)));
   return with(to, both(either(at_upper, at_lower), bounces), kStopBounces);
-}
-
-// What the gradient `pull` of a held rate gives to the limits and to q and qd of its dof.
-template <class T>
-struct BoundGradient {
-  T velocity_limit{}, upper{}, lower{}, q{}, qd{};
-};
-template <class T>
-BoundGradient<T> bound_gradient(const StepInputs<T>& in, const StepOptions<T>& options, int32_t row,
-                                int32_t coord, const Branches<T>& branch, const T& pull) {
-  const T o = T(0.0f);
-  const auto upper = has(branch, kVelocityAtUpper), held = has(branch, kVelocityClamped);
-  BoundGradient<T> to;
-  to.velocity_limit = select(upper, pull, select(held, -pull, o));
-  if (!options.limit_rows) return to;
-  const auto stops = has(branch, kAtStop), bounces = has(branch, kStopBounces);
-  to.velocity_limit = select(stops, o, to.velocity_limit);
-  to.qd = select(bounces, -(options.limit_restitution * pull), o);
-  const auto closes = both(stops, negate(bounces));
-  const T by_q = select(upper, stop_rate(in, options, row, coord, 1.0f).by_q,
-                        stop_rate(in, options, row, coord, -1.0f).by_q);
-  to.q = select(closes, by_q * pull, o);
-  to.upper = select(upper, -to.q, o);
-  to.lower = select(upper, o, -to.q);
-  return to;
 }
 
 }  // namespace novaphy::articulation

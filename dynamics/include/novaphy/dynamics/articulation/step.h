@@ -4,8 +4,7 @@
 //   v  = qd + dt qdd, |v| <= velocity_limit for joints with one dof. r is the force of a dof at its
 //        velocity limit; it only acts inwards, and the rest of the tree feels it
 //   q' = q moved by v over dt (quaternions by the Cayley map; overlaps add shifts, pgs.h, which
-//     stay
-//        within the limits of joints)
+//        stay within the limits of joints)
 //   qd' = v, times 1 - angular_damping dt for angular dofs
 //   q' and qd' of mimic joints follow from their leaders (mimic.h); body_q, body_qd of (q', qd')
 // Kinematic dofs have infinite inertia: their qdd is 0 for any force, nothing damps them, and their
@@ -52,7 +51,7 @@ void hold_accelerations(const Tree<T>& tree, const StepInputs<T>& in, const Step
                         Workspace<T>& ws) {
   for_drives(tree, [&](const Link& link, int32_t k) {
     const T v = in.qd[link.dof];
-    const T to = held_rate(in, options, link.dof, link.coord, ws.branch[k], v);
+    const T to = held_rate(in, options, link.dof, link.coord, ws.branch[k]).rate;
     ws.qdd[k] = select(has(ws.branch[k], kVelocityClamped), (to - v) / options.dt, ws.qdd[k]);
   });
   spread_leaders(tree, ws.qdd);
@@ -226,15 +225,15 @@ bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
   bool changes = false;
   for_drives(tree, [&](const Link& link, int32_t k) {
     if (follows(link)) return;
-    const RateBounds<T> bounds = rate_bounds(in, options, link.dof, link.coord);
+    const T most = rate_bound(in, options, link.dof, link.coord, 1.0f).rate,
+            least = rate_bound(in, options, link.dof, link.coord, -1.0f).rate;
     const T v = in.qd[link.dof] + options.dt * ws.qdd[k];
     const Branches<T> branch = ws.branch[k];
-    const auto held = has(branch, kVelocityClamped), over = v > bounds.upper,
-               under = v < bounds.lower;
+    const auto held = has(branch, kVelocityClamped), over = v > most, under = v < least;
     if (!any(either(held, either(over, under)))) return;
     auto upper = has(branch, kVelocityAtUpper), lower = has(branch, kVelocityAtLower);
     if (any(held) && !keep) {
-      const auto still = both(held, negate(bounds.upper > bounds.lower));
+      const auto still = both(held, negate(most > least));
       const auto from_upper = both(upper, ws.rhs[k] > o), from_lower = both(lower, ws.rhs[k] < o);
       upper = either(both(upper, negate(from_upper)), both(from_lower, still));
       lower = either(both(lower, negate(from_lower)), both(from_upper, still));
@@ -256,7 +255,8 @@ void free_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
     ws.qd_next[k] = in.qd[tree.first_dof + k] + options.dt * ws.qdd[k];
   if (!any(holds_rates(tree, ws))) return;
   for_drives(tree, [&](const Link& link, int32_t k) {
-    ws.qd_next[k] = held_rate(in, options, link.dof, link.coord, ws.branch[k], ws.qd_next[k]);
+    const T to = held_rate(in, options, link.dof, link.coord, ws.branch[k]).rate;
+    ws.qd_next[k] = select(has(ws.branch[k], kVelocityClamped), to, ws.qd_next[k]);
   });
 }
 
@@ -315,8 +315,8 @@ int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
     ws.branch[k] =
         options.limit_rows ? Branches<T>{} : limit_branch(in, link.dof, in.q[link.coord]);
     if (follows(link)) return;
-    const RateBounds<T> bounds = rate_bounds(in, options, link.dof, link.coord);
-    const auto still = negate(bounds.upper > bounds.lower);
+    const auto still = negate(rate_bound(in, options, link.dof, link.coord, 1.0f).rate >
+                              rate_bound(in, options, link.dof, link.coord, -1.0f).rate);
     if (!any(still)) return;
     const auto lower = both(still, negate(still));
     ws.branch[k] = bound_branch(in, options, link.dof, link.coord, ws.branch[k], still, lower);

@@ -242,14 +242,15 @@ T bound_vjp(const Link& link, const StepInputs<T>& in, const StepOptions<T>& opt
   const auto held = has(branch, kVelocityClamped);
   T *const rate = memory.rate + k, *const stops = memory.stops + k;
   const T left = h_lambda / options.dt, pull = select(held, *rate - left, T(0.0f));
-  const BoundGradient<T> bound = bound_gradient(in, options, link.dof, link.coord, branch, pull);
+  const HeldRate<T> to = held_rate(in, options, link.dof, link.coord, branch);
+  const T by_velocity = select(held, to.velocity_limit * pull, T(0.0f));
   *rate = select(held, left + memory.bounce[k], *rate);
-  if (!options.limit_rows) return bound.velocity_limit;
-  *rate = *rate + bound.qd;
-  memory.tangent[k] = memory.tangent[k] + bound.q;
-  stops[0] = stops[0] + bound.upper;
-  stops[dofs] = stops[dofs] + bound.lower;
-  return bound.velocity_limit;
+  if (!options.limit_rows) return by_velocity;
+  *rate = *rate + to.qd * pull;
+  memory.tangent[k] = memory.tangent[k] + to.q * pull;
+  stops[0] = stops[0] + to.upper * pull;
+  stops[dofs] = stops[dofs] + to.lower * pull;
+  return by_velocity;
 }
 
 // The third part: computes the gradients of the inputs from lambda.

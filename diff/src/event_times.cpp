@@ -21,28 +21,31 @@ using Run = std::span<const std::shared_ptr<MotionEvent>>;
 
 float* numbers(const nova::Tensor& of) { return static_cast<float*>(of.range()->data()); }
 
-// Returns the array of a state that an event's time depends on.
-nova::Tensor array_of(const SimState& state, MotionArray of) {
+// Returns the array that an event's time depends on: one of a state or of the model.
+nova::Tensor array_of(const SimState& state, const MotionEvent::Slope& slope) {
   const auto tensor_of = [](const auto& array) {
     const nova::Operand o = nova::operand_of(array);
     return nova::Tensor(o.range, {o.rows, o.width}, nova::DType::F32);
   };
-  return of == MotionArray::JointQ  ? tensor_of(state.joint_q)
-         : of == MotionArray::BodyQ ? tensor_of(state.body_q)
-                                    : tensor_of(state.particle_q);
+  switch (slope.of) {
+    case MotionArray::JointQ: return tensor_of(state.joint_q);
+    case MotionArray::BodyQ: return tensor_of(state.body_q);
+    case MotionArray::ParticleQ: return tensor_of(state.particle_q);
+    default: return tensor_of(slope.limit);
+  }
 }
 
 // The events that begin in one step. each() calls visit(row, input, slope) for all slopes.
 struct StepEvents {
   MotionEvents events;
-  std::vector<MotionArray> arrays;  // of the inputs
+  std::vector<const void*> arrays;  // memory of the inputs
+  std::vector<size_t> inputs;       // of the slopes of all events, one after the other
 
   template <class F>
   void each(const F& visit) const {
+    size_t at = 0;
     for (size_t row = 0; row < events.size(); ++row)
-      for (const MotionEvent::Slope& slope : events[row]->slopes)
-        visit(row, static_cast<size_t>(std::ranges::find(arrays, slope.of) - arrays.begin()),
-              slope);
+      for (const MotionEvent::Slope& slope : events[row]->slopes) visit(row, inputs[at++], slope);
   }
   void gradients(const nova::Tensor& of, std::span<const nova::InputGradient> to) const {
     for (const nova::InputGradient& g : to)
@@ -65,16 +68,19 @@ struct StepEvents {
 };
 
 // Returns the times of the events of one step, as a function of the state that the step starts
-// from.
+// from and of the limits of joints.
 nova::Tensor times_of(const SimState& state, Run run, nova::Tape& tape) {
   const auto step = std::make_shared<StepEvents>();
   step->events.assign(run.begin(), run.end());
   nova::CustomOp op{.name = "event_times", .inputs = {}, .outputs = {}, .vjp = nullptr};
   for (const auto& event : run)
     for (const MotionEvent::Slope& slope : event->slopes) {
-      if (std::ranges::find(step->arrays, slope.of) != step->arrays.end()) continue;
-      step->arrays.push_back(slope.of);
-      op.inputs.push_back(array_of(state, slope.of));
+      const nova::Tensor array = array_of(state, slope);
+      const auto known = std::ranges::find(step->arrays, array.range()->data());
+      step->inputs.push_back(static_cast<size_t>(known - step->arrays.begin()));
+      if (known != step->arrays.end()) continue;
+      step->arrays.push_back(array.range()->data());
+      op.inputs.push_back(array);
     }
   const nova::Tensor times({static_cast<int64_t>(run.size())}, nova::DType::F32, Device::cpu());
   for (size_t row = 0; row < run.size(); ++row)

@@ -34,7 +34,7 @@ def pendulum(worlds: int = 1, gravity: float = G, **limits: float) -> novaphy.Mo
     return builder.finalize(requires_grad=novaphy.has_diff())
 
 
-def truth(q: float, v: float, time: float, restitution: float) -> np.ndarray:
+def truth(q: float, v: float, time: float, restitution: float, stop: float = STOP) -> np.ndarray:
     """The state of the pendulum after a time, by Runge-Kutta between the impacts."""
 
     def rates(x: np.ndarray) -> np.ndarray:
@@ -50,16 +50,16 @@ def truth(q: float, v: float, time: float, restitution: float) -> np.ndarray:
     while left > 1e-12:
         h = min(2e-3, left)
         if rests:  # the weight pulls it off the stop
-            x, rests = np.array([STOP, 0.0]), False
+            x, rests = np.array([stop, 0.0]), False
         then = moved(x, h)
-        if then[0] < STOP and then[1] < 0.0:
+        if then[0] < stop and then[1] < 0.0:
             low, high = 0.0, h
             for _ in range(50):
                 middle = 0.5 * (low + high)
-                low, high = (low, middle) if moved(x, middle)[0] < STOP else (middle, high)
+                low, high = (low, middle) if moved(x, middle)[0] < stop else (middle, high)
             h = high
             then = moved(x, h)
-            then = np.array([STOP, -restitution * then[1]])
+            then = np.array([stop, -restitution * then[1]])
         x, left = then, left - h
     return x
 
@@ -260,13 +260,19 @@ def test_gradients_of_the_code_are_those_of_differences(restitution: float) -> N
 def test_gradients_of_the_motion_converge_to_those_of_the_pendulum(
     restitution: float, time: float, rates: tuple[int, ...], wanted: tuple[float, ...]
 ) -> None:
-    """Two hits, or a landing that swings back; relative to the largest derivative."""
+    """Two hits, or a landing that swings back, by the start, its rate and the stop.
+
+    Relative to the largest derivative by the start and its rate, or by the stop.
+    """
     e = 1e-6
     columns = []
-    for change in ((e, 0.0), (0.0, e)):
-        ends = [truth(1.0 + s * change[0], s * change[1], time, restitution) for s in (1.0, -1.0)]
+    for q, v, stop in np.eye(3) * e:
+        ends = [
+            truth(1.0 + s * q, s * v, time, restitution, STOP + s * stop) for s in (1.0, -1.0)
+        ]
         columns.append((ends[0] - ends[1]) / (2 * e))
-    size = np.abs(columns).max()
+    size = np.abs(columns[:2]).max()
+    sizes = np.array([[size], [size], [np.abs(columns[2]).max()]])
     for rate, most in zip(rates, wanted, strict=True):
         errors = {}
         for mode in ("code", "motion"):
@@ -283,10 +289,10 @@ def test_gradients_of_the_motion_converge_to_those_of_the_pendulum(
                     weights=weights,
                     along=(0.6, -0.8),
                 )
-                found.append([run.of_q, run.of_qd])
+                found.append([run.of_q, run.of_qd, run.of_lower])
                 ours = 0.6 * run.of_q - 0.8 * run.of_qd
                 assert abs(run.along - ours) < 1e-3 * size, (run.along, ours)
-            errors[mode] = np.abs(np.array(found).T - columns).max() / size
+            errors[mode] = (np.abs(np.array(found).T - columns) / sizes).max()
         assert errors["motion"] < most and errors["code"] > 0.5, (rate, errors)
         assert {row["kind"] for row in run.info.event_list} == {"limit"}
         assert all(row["joint"] == 0 for row in run.info.event_list)

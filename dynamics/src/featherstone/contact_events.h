@@ -25,6 +25,8 @@ struct ContactEvent {
     float impulse = 0.0f, gap = 0.0f;  // N s, N s m
     int32_t shape0 = -1, shape1 = -1;  // of the first row
     int32_t dof = -1;                  // of the limit; its impulse counts as 1, and `push` is empty
+    float side = 1.0f;                 // sign of the limit's gap in q: -1 for an upper limit
+    bool is_cut = false;               // the bounce ends at the other limit in the same step
     MotionFriction friction = MotionFriction::None;
     bool lands = false;
     std::shared_ptr<MotionEvent> told = {};
@@ -39,7 +41,10 @@ struct ContactEvent {
   // Whether several pairs hit at once and none of them lands. Each then has its own delay.
   bool is_apart() const { return groups.size() > 1 && !lands && !has_limit(); }
   // Whether the result depends on the order of the event's pairs and limits.
-  bool has_several() const { return is_apart() || (groups.size() > 1 && has_limit()); }
+  bool has_several() const {
+    return is_apart() || (groups.size() > 1 && has_limit()) ||
+           std::any_of(groups.begin(), groups.end(), [](const Group& g) { return g.is_cut; });
+  }
 };
 // A row that lands. slip: its tangential impulse divided by its normal impulse.
 struct LandedRow {

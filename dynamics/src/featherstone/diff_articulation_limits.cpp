@@ -32,6 +32,28 @@ bool is_of_ball(const Step& s, int32_t tree, int32_t dof) {
                      [&](const art::Link& link) { return art::is_ball(link) && link.dof == dof; });
 }
 
+// g of a limit that lets go: its force at the end of a step F_A, which ends at `q` and `qd`.
+void add_force_gradient(const art::Tree<float>& tree, const art::Link& link,
+                        const art::StepInputs<float>& in, const art::StepOptions<float>& options,
+                        std::span<const float> qdd, std::span<const float> branch,
+                        std::span<const float> q, std::span<const float> qd,
+                        art::Workspace<float>& ws, std::span<float> by_q, std::span<float> by_qd,
+                        LimitEvent& event) {
+  std::vector<float> of_q(q.size()), of_qd(qd.size()), by_limit(qd.size());
+  of_q[static_cast<size_t>(link.coord)] = in.limit_ke[link.dof];
+  of_qd[static_cast<size_t>(link.dof)] = in.limit_kd[link.dof];
+  std::vector<uint64_t> memory(
+      static_cast<size_t>(art::adjoint_bytes<float>(tree.link_count, tree.dof_count) / 8 + 1));
+  auto adjoint = art::make_adjoint_memory<float>(memory.data(), tree.link_count, tree.dof_count);
+  art::StepGradient<float> to{};
+  to.q = by_q.data();
+  to.qd = by_qd.data();
+  (event.side > 0.0f ? to.limit_lower : to.limit_upper) = by_limit.data();
+  art::step_vjp(tree, in, options, qdd.data(), branch.data(), q.data(), qd.data(),
+                {of_q.data(), of_qd.data(), nullptr, nullptr}, to, ws, adjoint);
+  event.by_limit = by_limit[static_cast<size_t>(link.dof)] - in.limit_ke[link.dof];
+}
+
 // A dof whose limit pushes in one of two steps that follow each other; `acts`: before the change.
 void add_limit_event(const Step& s, int32_t t, int32_t dof, bool acted) {
   const ArticulationArguments in = host_arguments(s);
@@ -62,27 +84,20 @@ void add_limit_event(const Step& s, int32_t t, int32_t dof, bool acted) {
   std::vector<SpatialVectorf> body_qd(body_q.size());
   art::finish_step(tree, inputs, options, ws, q.data(), qd.data(), body_q.data(), body_qd.data());
 
+  LimitEvent event;
+  event.tree = t;
+  event.dof = dof;
+  event.side = (bits & art::kBelowLimit) != 0 ? 1.0f : -1.0f;
   std::vector<float> by_q(q.size()), by_qd(qd.size());
-  if (acted) {  // by the force at the end of the step
-    std::vector<float> of_q(q.size()), of_qd(qd.size());
-    of_q[static_cast<size_t>(link->coord)] = inputs.limit_ke[dof];
-    of_qd[static_cast<size_t>(dof)] = inputs.limit_kd[dof];
-    std::vector<uint64_t> memory(
-        static_cast<size_t>(art::adjoint_bytes<float>(of.link_count, of.dof_count) / 8 + 1));
-    auto adjoint = art::make_adjoint_memory<float>(memory.data(), of.link_count, of.dof_count);
-    art::StepGradient<float> to{};
-    to.q = by_q.data();
-    to.qd = by_qd.data();
-    art::step_vjp(tree, inputs, options, qdd.data(), branch.data(), q.data(), qd.data(),
-                  {of_q.data(), of_qd.data(), nullptr, nullptr}, to, ws, adjoint);
+  if (acted) {
+    add_force_gradient(tree, *link, inputs, options, qdd, branch, q, qd, ws, by_q, by_qd, event);
   } else {
     by_q[static_cast<size_t>(link->coord)] = 1.0f;
+    event.by_limit = -1.0f;
   }
   const auto [first, count] = coordinates_of(s, t);
   const float *const q_next = numbers(s.outputs[0].tensor), *const qd_next =
                                                                 numbers(s.outputs[1].tensor);
-  LimitEvent event;
-  event.tree = t;
   double rate = 0.0;
   for (int32_t c = first; c < first + count; ++c) {
     const auto i = static_cast<size_t>(c);
@@ -129,7 +144,8 @@ void note_limits(const Step& s, const MotionNotes* last) {
   }
 }
 
-void limits_vjp(const Step& s, const ArticulationArguments& in, float* y_q, float* y_qd) {
+void limits_vjp(const Step& s, const ArticulationArguments& in, float* y_q, float* y_qd,
+                std::span<const nova::InputGradient> gradients) {
   for (const LimitEvent& event : s.motion->limits) {
     const art::Tree<float> tree = articulation_tree(in, rows_of_step(s)[event.tree]);
     const auto first = coordinates_of(s, event.tree).first;
@@ -143,6 +159,22 @@ void limits_vjp(const Step& s, const ArticulationArguments& in, float* y_q, floa
     for (size_t i = 0; i < event.by_qd.size(); ++i)
       y_qd[static_cast<size_t>(tree.first_dof) + i] +=
           static_cast<float>(by / event.rate * event.by_qd[i]);
+    add_gradient(gradients[limit_input(event.side)], event.dof, by / event.rate * event.by_limit);
+  }
+}
+
+void limits_jvp(const Step& s, const ArticulationArguments& in, std::span<const Tensor> moved) {
+  for (const LimitEvent& event : s.motion->limits) {
+    const art::Tree<float> tree = articulation_tree(in, rows_of_step(s)[event.tree]);
+    float* const q = numbers(moved[kAt.q]) + coordinates_of(s, event.tree).first;
+    float* const qd = numbers(moved[kAt.qd]) + tree.first_dof;
+    double by = event.by_limit * tangent_at(moved[limit_input(event.side)], event.dof);
+    for (size_t i = 0; i < event.by_q.size(); ++i) by += double{event.by_q[i]} * q[i];
+    for (size_t i = 0; i < event.by_qd.size(); ++i) by += double{event.by_qd[i]} * qd[i];
+    for (size_t i = 0; i < event.by_q.size(); ++i)
+      q[i] += static_cast<float>(by / event.rate * event.jump_q[i]);
+    for (size_t i = 0; i < event.by_qd.size(); ++i)
+      qd[i] += static_cast<float>(by / event.rate * event.jump_qd[i]);
   }
 }
 

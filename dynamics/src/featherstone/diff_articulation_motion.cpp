@@ -128,13 +128,6 @@ struct EndOfStep {
   }
 };
 
-// Returns an event's sum of |dp_g . v|. The delay of a group has the weight w_g / |dp_g . v|.
-float total_approach(const ContactEvent& event) {
-  float sum = 0.0f;
-  for (const ContactEvent::Group& g : event.groups) sum += g.approach;
-  return sum;
-}
-
 }  // namespace
 
 void note_motion(const std::shared_ptr<const Step>& step,
@@ -182,7 +175,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
 void motion_vjp(const Step& s, std::span<const Tensor> outputs,
                 std::span<const nova::InputGradient> gradients, const Adjoint& run) {
   MotionNotes& notes = *s.motion;
-  if (!gradients[kAt.q].grad.defined()) return run(gradients);
+  if (!moves_by(gradients)) return run(gradients);
   if (!notes.concerned()) return drift_vjp(s, outputs, gradients, run);
   std::vector<nova::InputGradient> all(gradients.begin(), gradients.end());
   for (const size_t i : {kAt.q, kAt.qd}) all[i] = own_gradient(s, i);
@@ -227,28 +220,7 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
     mismatch[t] = static_cast<float>(sum);
   }
   if (end.next) end.next->mismatch.clear();
-  for (const ContactEvent& event : notes.found.events) {
-    double s_all = 0.0;
-    for (const int32_t tree : event.trees) s_all += double{mismatch[static_cast<size_t>(tree)]};
-    tell_mismatch(event, h_before, s_all);
-    const double approach = total_approach(event);
-    const bool apart = event.is_apart();
-    std::vector<double> by_push(event.groups.size());
-    double rest = s_all;
-    for (size_t g = 0; apart && g < event.groups.size(); ++g) {
-      for_dofs(s, event, [&](size_t at, size_t row) {
-        by_push[g] += double{p_q[row]} * event.groups[g].push[at];
-      });
-      rest -= by_push[g];
-    }
-    for (size_t g = 0; g < event.groups.size(); ++g) {
-      const ContactEvent::Group& group = event.groups[g];
-      const double by = apart ? by_push[g] / group.approach + rest / approach : s_all / approach;
-      for_dofs(s, event, [&](size_t at, size_t row) {
-        correction[row] += static_cast<float>(by * group.normal_push[at]);
-      });
-    }
-  }
+  delays_vjp(s, mismatch, h_before, p_q, correction, gradients);
   for (size_t t = 0; t < mismatch.size(); ++t) {
     const ArticulationRows& of = rows[t];
     double back = 0.0;
@@ -259,7 +231,7 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
                              [&](int32_t row, float value) { y_q[row] += value; });
   }
   notes.mismatch = std::move(mismatch);
-  limits_vjp(s, in, y_q, y_qd);
+  limits_vjp(s, in, y_q, y_qd, gradients);
   for (const size_t i : {kAt.q, kAt.qd}) give_gradient(all[i], gradients[i]);
 }
 
@@ -341,43 +313,10 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
   moved[kAt.q] = copy_of(s.in(kAt.q), inputs[kAt.q]);
   moved[kAt.qd] = copy_of(s.in(kAt.qd), inputs[kAt.qd]);
   std::vector<float> delay(trees), jump(dofs);  // jump: of the new coordinates, as tangents
-  for (const ContactEvent& event : notes.found.events) {
-    const double approach = total_approach(event);
-    double all = 0.0;
-    std::vector<double> own(event.groups.size());
-    for (size_t g = 0; g < event.groups.size(); ++g) {
-      std::vector<float> covector(dofs);
-      for_dofs(s, event,
-               [&](size_t at, size_t row) { covector[row] = event.groups[g].normal_push[at]; });
-      double by = 0.0;
-      for (const int32_t t : event.trees)
-        art::tangent_to_gradient(
-            articulation_tree(in, rows[t]), in.arrays.q.rows(), covector.data() + rows[t].first_dof,
-            [&](int32_t row, float value) { by += double{value} * numbers(moved[kAt.q])[row]; });
-      own[g] = by / event.groups[g].approach;
-      all += by / approach;
-    }
-    for (size_t g = 0; event.is_apart() && g < event.groups.size(); ++g)
-      for_dofs(s, event, [&](size_t at, size_t row) {
-        jump[row] += static_cast<float>((own[g] - all) * event.groups[g].push[at]);
-      });
-    for (const int32_t tree : event.trees)
-      delay[static_cast<size_t>(tree)] += static_cast<float>(all);
-  }
+  delays_jvp(s, in, moved, delay, jump);
   move_on(s, in.arrays.q, in.arrays.qd, notes.smooth.data(), delay, numbers(moved[kAt.q]),
           numbers(moved[kAt.qd]), nullptr, nullptr);
-  for (const LimitEvent& event : notes.limits) {
-    const art::Tree<float> tree = articulation_tree(in, rows[event.tree]);
-    float* const q = numbers(moved[kAt.q]) + coordinates_of(s, event.tree).first;
-    float* const qd = numbers(moved[kAt.qd]) + tree.first_dof;
-    double by = 0.0;
-    for (size_t i = 0; i < event.by_q.size(); ++i) by += double{event.by_q[i]} * q[i];
-    for (size_t i = 0; i < event.by_qd.size(); ++i) by += double{event.by_qd[i]} * qd[i];
-    for (size_t i = 0; i < event.by_q.size(); ++i)
-      q[i] += static_cast<float>(by / event.rate * event.jump_q[i]);
-    for (size_t i = 0; i < event.by_qd.size(); ++i)
-      qd[i] += static_cast<float>(by / event.rate * event.jump_qd[i]);
-  }
+  limits_jvp(s, in, moved);
   run(moved);
 
   const EndOfStep end(s);

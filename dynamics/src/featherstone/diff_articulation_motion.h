@@ -14,6 +14,7 @@
 // changes from F_A to F_B where a number g(x) changes its sign. A displacement of x changes the
 // number of steps of each kind by a fraction:
 //   dx + (F_B(x) - F_A(x)) (dg . dx) / (dg . (F_A(x) - x)),  then D of F_B
+// A move of the limit itself adds its part to J_n dq and to dg . dx.
 // Source: the saltation matrix of hybrid systems; Kong, Payne, Zhu, Johnson, Saltation Matrices
 // (2024).
 #pragma once
@@ -38,6 +39,9 @@ struct LimitEvent {
   std::vector<float> jump_q, jump_qd;  // F_B(x) - F_A(x)
   std::vector<float> by_q, by_qd;      // dg
   float rate = 0.0f;                   // dg . (F_A(x) - x)
+  int32_t dof = 0;
+  float side = 1.0f;      // of its limit: 1 the lower one, -1 the upper one
+  float by_limit = 0.0f;  // of g
 };
 
 // The record of a step about the events that begin in it, and about those that go on in it.
@@ -86,6 +90,19 @@ inline void give_gradient(const nova::InputGradient& from, const nova::InputGrad
   for (int64_t i = 0; i < to.grad.size(); ++i) x[i] = to.add ? x[i] + own[i] : own[i];
 }
 
+// Adds a value to a row of an input's gradient, if that gradient is wanted.
+inline void add_gradient(const nova::InputGradient& to, int32_t row, double value) {
+  if (to.grad.defined()) numbers(to.grad)[row] += static_cast<float>(value);
+}
+// Returns a row of an input's tangent. An undefined tangent is zero.
+inline double tangent_at(const nova::Tensor& of, int32_t row) {
+  return of.defined() ? double{numbers(of)[row]} : 0.0;
+}
+// Returns the input that holds the lower limits (`side` 1) or the upper limits (-1).
+size_t limit_input(float side);
+// Returns whether an adjoint has a gradient that the times of events change.
+bool moves_by(std::span<const nova::InputGradient> gradients);
+
 // Returns the first coordinate of a tree and the number of its coordinates.
 std::pair<int32_t, int32_t> coordinates_of(const ArticulationStep::Step& step, int32_t tree);
 // Calls visit(number, row) for the dofs of an event.
@@ -121,9 +138,24 @@ using Smooth = std::function<std::vector<float>(std::span<const int32_t>)>;
 void find_stops(const ArticulationStep::Step& step, const MotionNotes* last, const Smooth& smooth);
 // Notes the limits of a step that pushed otherwise in the one before (null: none).
 void note_limits(const ArticulationStep::Step& step, const MotionNotes* before);
-// Adds the effect of the limits to the gradients of the state at the start of the step.
+// Adds the effect of the limits to the gradients of the state at the start of the step and of the
+// limits.
 void limits_vjp(const ArticulationStep::Step& step, const ArticulationArguments& in, float* of_q,
-                float* of_qd);
+                float* of_qd, std::span<const nova::InputGradient> gradients);
+// Adds the effect of the limits to the tangents `moved` of the inputs.
+void limits_jvp(const ArticulationStep::Step& step, const ArticulationArguments& in,
+                std::span<const nova::Tensor> moved);
+// Adds the effect of the delays of a step's events to the gradients of its coordinates, as tangents,
+// and of limits. mismatch, h_before: {trees}; h_before is H before the step. p_q: {dofs}, of the new
+// coordinates.
+void delays_vjp(const ArticulationStep::Step& step, std::span<const float> mismatch,
+                std::span<const double> h_before, std::span<const float> p_q,
+                std::span<float> correction, std::span<const nova::InputGradient> gradients);
+// Adds the delays {trees} that the tangents of the inputs cause, and the jumps {dofs} by which
+// groups of one event move apart.
+void delays_jvp(const ArticulationStep::Step& step, const ArticulationArguments& in,
+                std::span<const nova::Tensor> moved, std::span<float> delay,
+                std::span<float> jump);
 // Call this after a step has run, before the contacts of the solver are used again. `before`: the
 // step that ended where this one starts; null: none.
 void note_motion(const std::shared_ptr<const ArticulationStep::Step>& step,

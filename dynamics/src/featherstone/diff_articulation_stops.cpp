@@ -19,7 +19,7 @@ struct Stop {
   int32_t tree = 0, dof = 0;
   float side = 1.0f;  // of the gradient of the gap: -1 of an upper limit
   float gap = 0.0f, before = 0.0f;
-  bool bounces = false;
+  bool bounces = false, is_cut = false;
 };
 
 // The limits that push in a step with an approach, and that bounce or did not push before.
@@ -27,6 +27,7 @@ std::vector<Stop> pushing_stops(const Step& s, const MotionNotes* last) {
   std::vector<Stop> found;
   const ArticulationArguments in = host_arguments(s);
   const art::StepInputs<float> inputs = articulation_inputs(in);
+  const art::StepOptions<float> options = articulation_options(in);
   const float* const branch = numbers(s.outputs[5].tensor);
   const auto bits_of = [](float x) { return static_cast<int32_t>(x); };
   for (int32_t t = 0; t < static_cast<int32_t>(s.count); ++t) {
@@ -40,6 +41,8 @@ std::vector<Stop> pushing_stops(const Step& s, const MotionNotes* last) {
       stop.gap = upper ? inputs.limit_upper[k] - q : q - inputs.limit_lower[k];
       stop.before = stop.side * inputs.qd[k];
       stop.bounces = (bits & art::kStopBounces) != 0;
+      const art::HeldRate<float> held = art::held_rate(inputs, options, k, link.coord, bits);
+      stop.is_cut = stop.bounces && (held.upper != 0.0f || held.lower != 0.0f);
       constexpr int32_t kSame = art::kAtStop | art::kVelocityClamped;
       const bool pushed = last != nullptr &&
                           (bits_of(last->branch[static_cast<size_t>(k)]) & kSame) == (bits & kSame);
@@ -73,6 +76,8 @@ void add_stop(const Step& s, const Stop& stop, ContactEvents& found) {
   group.impulse = 1.0f;
   group.gap = stop.gap;
   group.dof = stop.dof;
+  group.side = stop.side;
+  group.is_cut = stop.is_cut;
   group.lands = stop.gap > 0.0f && !stop.bounces;
   event.lands = event.lands || group.lands;
   found.limits.push_back(stop.dof);

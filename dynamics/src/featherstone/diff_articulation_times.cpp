@@ -26,6 +26,15 @@ MotionEvent::Slope no_slope(const Step& s, int32_t tree) {
   return {.first = first, .by = std::vector<float>(static_cast<size_t>(count))};
 }
 
+// `side` as in LimitEvent, `approach` of its dof.
+MotionEvent::Slope limit_slope(const Step& s, int32_t dof, float side, float approach) {
+  const Model& m = *s.model;
+  return {.of = MotionArray::JointLimit,
+          .first = dof,
+          .by = {-side / approach},
+          .limit = side > 0.0f ? m.joint_limit_lower : m.joint_limit_upper};
+}
+
 int32_t joint_of(const Step& s, int32_t dof) {
   const Model& m = *s.model;
   const int32_t* const first_dof = m.joint_qd_start.data();
@@ -61,6 +70,8 @@ void tell_group(const Step& s, const ArticulationArguments& in, const ContactEve
                              });
     told.slopes.push_back(std::move(slope));
   }
+  if (group.dof >= 0)
+    told.slopes.push_back(limit_slope(s, group.dof, group.side, group.approach));
   s.motion->told.push_back(group.told);
 }
 
@@ -100,6 +111,7 @@ void tell_limit(const Step& s, int32_t tree, int32_t dof) {
   MotionEvent::Slope slope = no_slope(s, tree);
   slope.by[static_cast<size_t>(link->coord - slope.first)] = -1.0f / rate;
   told->slopes.push_back(std::move(slope));
+  told->slopes.push_back(limit_slope(s, dof, rate < 0.0f ? 1.0f : -1.0f, told->approach));
   s.motion->told.push_back(told);
 }
 

@@ -8,13 +8,15 @@
 #include <utility>
 #include <vector>
 
+#include "novaphy/core/device_array.h"
 #include "novaphy/dynamics/export.h"
 
 namespace novaphy {
 
 enum class MotionEventKind : uint8_t { Bounce, Landing, Spring, Limit };
 enum class MotionFriction : uint8_t { None, Sticks, Slides, Turns };
-enum class MotionArray : uint8_t { JointQ, BodyQ, ParticleQ };
+// Of the state, or of the model.
+enum class MotionArray : uint8_t { JointQ, BodyQ, ParticleQ, JointLimit };
 
 struct MotionEvent {
   // A chain is a run of consecutive steps. Step numbers and times start at its first step.
@@ -33,12 +35,13 @@ struct MotionEvent {
   double h_before = std::numeric_limits<double>::quiet_NaN();
   double h_after = std::numeric_limits<double>::quiet_NaN();
 
-  // The derivative of the time with respect to rows of the state at the start of the event's step.
-  // The array of the state has the version `version`.
+  // The derivative of the time with respect to rows of the state at the start of the event's step,
+  // or of `limit`, the limits that a joint reaches. The array has the version `version`.
   struct Slope {
     MotionArray of = MotionArray::JointQ;
     int64_t first = 0;
     std::vector<float> by;
+    DeviceArray<float> limit = {};
   };
   const void* start = nullptr;  // memory of the first array of `slopes`
   uint64_t version = 0;

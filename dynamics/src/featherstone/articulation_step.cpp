@@ -4,11 +4,13 @@
 #include <cmath>
 
 #include "../step_sources.h"
+#include "follower_limits.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/row_scratch.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/sim/joint_args.h"
+#include "novaphy/core/sim/on_host.h"
 
 namespace novaphy {
 namespace detail {
@@ -69,20 +71,30 @@ void check_joint_limits(const Model& m, const FeatherstoneOptions& options, cons
   require(elastic >= 0.0f && elastic <= (rows ? 1.0f : 0.0f), ErrorKind::Value, user,
           ": joint_limit_restitution: expected ",
           rows ? "0 to 1" : "0 without joint_limits=\"row\"", ", got ", elastic);
-  if (!rows) return;
-  const std::vector<int32_t> leader = m.joint_mimic.to_host(), first = m.joint_qd_start.to_host();
-  const std::vector<float> lower = m.joint_limit_lower.to_host(),
-                           upper = m.joint_limit_upper.to_host();
+  FollowerLimits().check(m, options, user);
+}
+
+}  // namespace
+
+void FollowerLimits::check(const Model& m, const FeatherstoneOptions& options, const char* user) {
+  if (options.joint_limits != JointLimits::Row) return;
+  const Array* const arrays[] = {&m.joint_mimic, &m.joint_limit_lower, &m.joint_limit_upper};
+  bool same = true;
+  for (size_t i = 0; i < checked_.size(); ++i) same = same && checked_[i].matches(*arrays[i]);
+  if (same) return;
+  const UntrackedScope untracked;
+  const OnHost<int32_t> leader(m.joint_mimic), first(m.joint_qd_start);
+  const OnHost<float> lower(m.joint_limit_lower), upper(m.joint_limit_upper);
   for (size_t j = 0; j < leader.size(); ++j) {
     const auto k = static_cast<size_t>(first[j]);
     if (leader[j] < 0 || k >= lower.size()) continue;
     require(lower[k] <= -kJointUnlimited && upper[k] >= kJointUnlimited, ErrorKind::NotImplemented,
             user, ": joint_limits: \"row\" does not support limits of joint ", j, " ('",
-            m.joint_label[j], "'), which follows joint ", leader[j], ": limit that one");
+            m.joint_label[j], "'), which follows joint ", leader[j],
+            ": limit that one, got ", lower[k], " to ", upper[k]);
   }
+  for (size_t i = 0; i < checked_.size(); ++i) checked_[i].set(*arrays[i]);
 }
-
-}  // namespace
 
 void check_featherstone_model(const Model& m, const FeatherstoneOptions& options,
                               const char* user) {

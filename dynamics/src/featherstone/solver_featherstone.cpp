@@ -12,6 +12,7 @@
 #include "articulation_sleep.h"
 #include "articulation_step.h"
 #include "contact_steps.h"
+#include "follower_limits.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/core/warning.h"
@@ -85,7 +86,12 @@ struct SolverFeatherstone::Cache {
         free_bodies[static_cast<size_t>(tree.links[0].body)] = 1;
     }
   }
+  void check_values(const Model& m, const Control* control, const FeatherstoneOptions& options) {
+    articulations.check_values(m, control, true, kName);
+    followers.check(m, options, kName);
+  }
   Articulations articulations;
+  FollowerLimits followers;
   DeviceArray<float> qdd, branch, workspace;
   DeviceArray<int32_t> status;
   int64_t stride = 0;              // floats of the workspace per articulation
@@ -215,7 +221,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
           ErrorKind::NotImplemented, kName, ": contacts: expected none of contact \"penalty\" on ",
           device().str(), " (there it is on the cpu only)");
   if (c.trees) m.update_derived();
-  c.articulations.check_values(m, control, true, kName);
+  c.check_values(m, control, options_);
   if (contacts != nullptr) c.materials.check(m);
   if (LaunchRecorder* recorder = launch_recorder()) recorder->uses(in_use());
   depend_on_values(m, control);

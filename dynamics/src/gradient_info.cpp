@@ -28,7 +28,7 @@ int64_t cut_landings(const MotionCounts& m) {
 }
 bool is_of_the_motion(const MotionCounts& m) {
   return m.several == 0 && m.unmoved == 0 && m.one_sided == 0 && m.stiff == 0 && m.rough == 0 &&
-         m.phased == 0 && m.inexact == 0 && are_apart(m) && cut_landings(m) == 0;
+         m.phased == 0 && m.inexact == 0 && m.limits == 0 && are_apart(m) && cut_landings(m) == 0;
 }
 std::string motion_of_springs(const MotionCounts& m) {
   std::string text = ", and the times at which they begin and end move with the state";
@@ -66,8 +66,16 @@ std::string doubts(const MotionCounts& m) {
   if (m.inexact > 0) text += "; overlaps are not of the motion but with pgs_slop=0 and pgs_erp=1";
   return text;
 }
+// Of limits of joints whose times do not move: in the gradient of the code, too.
+std::string held_limits(const MotionCounts* m) {
+  const int64_t count = m == nullptr ? 0 : m->of_springs ? m->limits : m->unmoved;
+  if (count == 0) return {};
+  return "; limits of joints began or ended to push " + std::to_string(count) +
+         " times, which do not move with the state, so the gradient of the motion may have another "
+         "length and sign";
+}
 std::string motion_of(const MotionCounts& m) {
-  if (m.of_springs) return motion_of_springs(m);
+  if (m.of_springs) return motion_of_springs(m) + held_limits(&m);
   return ", and the times at which they begin move with the state" + doubts(m);
 }
 
@@ -105,7 +113,7 @@ std::string reason_of(const GradientCounts& c, bool implicit, const MotionCounts
   }
   if (events == 0)
     return text + (c.surrogate + c.frozen > 0 ? "" : ", and no contact changed") +
-           (unclaimed > 0 && !motion->of_springs ? doubts(*motion) : "");
+           (unclaimed > 0 && !motion->of_springs ? doubts(*motion) : held_limits(motion));
   static constexpr const char* kWhat[] = {"begins", "ends",
                                           "changes between sticking and slipping"};
   return text + "; contacts changed " + std::to_string(events) + " times (first in step " +

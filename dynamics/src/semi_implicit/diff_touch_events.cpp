@@ -311,6 +311,7 @@ MotionCounts TouchList::counts() const {
   MotionCounts counts;
   counts.of_springs = true;
   counts.ramp_steps = ramp_steps;
+  counts.limits = limits;
   counts.moved = std::ranges::count_if(works, [](const auto& work) { return work->acts(); });
   for (const auto& e : events) {
     if (e->flaw == detail::TouchFlaw::Rests) continue;
@@ -330,7 +331,7 @@ MotionCounts TouchList::counts() const {
 void TouchList::clear() {
   events.clear();
   works.clear();
-  ramp_steps = 0;
+  ramp_steps = limits = 0;
 }
 
 }  // namespace novaphy::diff

@@ -119,6 +119,8 @@ struct TouchMotion::Impl {
                   TouchList& b);
   void find_ramps(const Model& m, TouchedStep& step, TouchList& a, TouchList& b);
   void move(const Model& m, TouchedStep& step) const;
+  // Returns the number of dofs that have passed a limit since the last step (0 without one).
+  int64_t find_limits(const Model& m, const SimState& state, bool follows_last);
 
   TouchSettings settings;
   double& speed_off(const TouchSide& side) {
@@ -129,6 +131,7 @@ struct TouchMotion::Impl {
   }
 
   std::vector<char> jointed;                            // {bodies}: 1 if a joint holds the body
+  std::vector<char> limit_sides;                        // {dofs}: -1 below, 1 above the limits
   std::vector<double> off_of_bodies, off_of_particles;  // TouchEvent::speed_off
   std::vector<TouchRow> rows;
   TouchIndex index;  // of `rows`

@@ -235,6 +235,8 @@ TouchedStep TouchMotion::begin(const Model& model, const SimState& in, SimState&
     find_touches(model, in, *contacts,
                  {t.settings.rigid, t.settings.soft, t.settings.smoothing, kf_rate, dt}, t.rows);
   t.index.build(t.rows);
+  const int64_t limits = t.find_limits(model, in, follows);
+  for (TouchList* list : {&of_chain, &of_tape}) list->limits += limits;
   t.find_steps(model, step, follows, dt, of_chain, of_tape);
   t.find_ramps(model, step, of_chain, of_tape);
   if (!step.work->steps.empty() || !step.work->ramps.empty()) {

@@ -97,6 +97,7 @@ struct MotionCounts {
   int64_t ramp_steps = 0;  // with springs: steps with contacts within half a step of begin or end
   int64_t moved = 0;       // steps whose gradient has more than that of the code
   bool of_springs = false;
+  int64_t limits = 0;  // limits of joints between bodies that begin or end to push; times are held
   // steps with contacts that correct overlaps otherwise than with pgs_slop 0 and pgs_erp 1
   int64_t inexact = 0;
   float least_approach = std::numeric_limits<float>::infinity();      // m/s, rad/s

@@ -48,6 +48,7 @@ class NOVAPHY_DYNAMICS_API TouchList {
   // of the steps with touches or ramps
   std::vector<std::shared_ptr<const detail::TouchWork>> works;
   int64_t ramp_steps = 0;
+  int64_t limits = 0;  // of joints, that began or ended to push: their times do not move
 };
 
 struct TouchSettings {

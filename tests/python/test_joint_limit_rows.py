@@ -267,9 +267,7 @@ def test_gradients_of_the_motion_converge_to_those_of_the_pendulum(
     e = 1e-6
     columns = []
     for q, v, stop in np.eye(3) * e:
-        ends = [
-            truth(1.0 + s * q, s * v, time, restitution, STOP + s * stop) for s in (1.0, -1.0)
-        ]
+        ends = [truth(1.0 + s * q, s * v, time, restitution, STOP + s * stop) for s in (1.0, -1.0)]
         columns.append((ends[0] - ends[1]) / (2 * e))
     size = np.abs(columns[:2]).max()
     sizes = np.array([[size], [size], [np.abs(columns[2]).max()]])

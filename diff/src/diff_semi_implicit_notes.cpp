@@ -27,6 +27,7 @@ struct DiffSemiImplicitSolver::Witness : GradientWitness {
   GradientInfo info() const override { return info_of(*model, notes, touches, moves); }
   MotionEvents events() const override { return touches.counts().events; }
   bool has_events() const override { return moves; }
+  const char* without_record() const override { return "DiffSemiImplicitSolver"; }
 };
 
 std::shared_ptr<DiffSemiImplicitSolver::Witness> DiffSemiImplicitSolver::witness() {

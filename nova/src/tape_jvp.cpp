@@ -168,6 +168,15 @@ bool Tape::has_leaf(const Tensor& tensor) const {
   const Impl::Node* n = impl_->find(*tensor.range());
   return n && !n->ever_written && impl_->carries(*tensor.range());
 }
+std::vector<Tensor> Tape::leaves() const {
+  std::vector<Tensor> found;
+  for (const Impl::Node& n : impl_->nodes) {
+    if (n.ever_written || !impl_->carries(*n.range)) continue;
+    const auto size = static_cast<int64_t>(n.range->bytes() / sizeof(float));
+    found.emplace_back(n.range, std::vector<int64_t>{size}, DType::F32);
+  }
+  return found;
+}
 bool Tape::has_tangents() const {
   return std::all_of(impl_->ops.begin(), impl_->ops.end(), [this](const Impl::Op& op) {
     return op.constant || op.kernel || impl_->customs[static_cast<size_t>(op.custom)].jvp;

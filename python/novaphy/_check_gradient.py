@@ -38,6 +38,17 @@ def _find(module: Any, word: str, path: Path) -> Any:
     return getattr(module, word)
 
 
+def _save(certificate: Any, f: Any, theta: Any, sigma: Any, path: str) -> None:
+    """Write the picture; a page also has the record, where the steps have one."""
+    from .diff import _certificate_view, _parameters
+
+    of = _parameters.Losses(f, _parameters.Parameters("check", theta, sigma))
+    record = of.record() if path.lower().endswith(".html") else None
+    _certificate_view.save(certificate, path, record)
+    for found in [] if record is None else record.suspects:
+        print(f"step {found['step']}: {found['cause']}, H drifts by {found['drift']:.0%}")
+
+
 def _certify(word: str, options: list[str]) -> int:
     file, _, name = word.rpartition(":") if ".py:" in word else (word, "", "")
     if not name:
@@ -55,7 +66,7 @@ def _certify(word: str, options: list[str]) -> int:
     certificate = diff.certify(f, theta, sigma, worlds=args.worlds, seed=args.seed)
     certificate.print()
     if args.record:
-        certificate.save(args.record)
+        _save(certificate, f, theta, sigma, args.record)
     return TRUSTED if certificate.verdict == "of the motion" else DOUBTFUL
 
 

@@ -2,6 +2,7 @@
 #include "doc_nova_tape.h"
 #include "gradient_info.h"
 #include "nova_types.h"
+#include "novaphy/dynamics/diff_adjoint_record.h"
 #include "novaphy/dynamics/diff_gradient_notes.h"
 #include "novaphy/nova/gradcheck.h"
 
@@ -80,10 +81,44 @@ void record_custom(nova::Tape& tape, const std::string& name, const std::vector<
 GradientInfoFields tape_info(const nova::Tape& tape) { return to_fields(gradient_info(tape)); }
 constexpr const char* kTapeInfo = doc::kTapeInfo;
 
-constexpr const char* kBackward =
-    "Computes the gradients of `loss`. Gradients of leaves accumulate over calls, all others start "
-    "anew. grad: the gradient of the loss; None: 1, for a loss with one value. ValueError: a loss "
-    "with more values and no grad, or one that is not on the tape.";
+void run_backward(nova::Tape& tape, const Tensor& loss, const std::optional<Tensor>& grad,
+                  bool record) {
+  if (record)
+    backward_with_record(tape, loss, grad.value_or(Tensor()));
+  else
+    tape.backward(loss, grad.value_or(Tensor()));
+}
+py::list vector_of(const Vec3f& v) {
+  py::list numbers;
+  for (const float x : {v.x, v.y, v.z}) numbers.append(x);
+  return numbers;
+}
+// The steps from the first on, as dicts of lists.
+py::object record_of(nova::Tape& tape, const std::optional<std::vector<Tensor>>& inputs) {
+  const std::shared_ptr<const AdjointRecord> record = [&] {
+    const py::gil_scoped_release release;
+    return adjoint_record(tape, inputs.value_or(std::vector<Tensor>()));
+  }();
+  py::list steps;
+  for (size_t k = record->steps.size(); k-- > 0;) {
+    const AdjointRecord::Step& s = record->steps[k];
+    py::list contacts;
+    for (const AdjointRecord::Contact& c : s.contacts) {
+      const auto row = static_cast<size_t>(c.row);
+      const Vec3f change = row < s.changes.size() ? s.changes[row] : Vec3f{};
+      contacts.append(py::dict("world"_a = c.world, "shape0"_a = c.shape0, "shape1"_a = c.shape1,
+                               "point"_a = vector_of(c.point), "normal"_a = vector_of(c.normal),
+                               "impulse"_a = vector_of(c.impulse),
+                               "adjoint"_a = vector_of(c.adjoint), "change"_a = vector_of(change),
+                               "held"_a = c.held));
+    }
+    steps.append(py::dict("number"_a = s.number, "dt"_a = s.dt, "start"_a = s.start,
+                          "end"_a = s.end, "qd_in"_a = s.qd_in, "qd_out"_a = s.qd_out,
+                          "contacts"_a = contacts));
+  }
+  return py::module_::import("novaphy.nova._adjoint_record")
+      .attr("AdjointRecord")(steps, tape_info(tape));
+}
 
 void bind_tape(py::module_& m) {
   py::class_<nova::Tape>(m, "Tape", doc::kTape)
@@ -98,12 +133,9 @@ void bind_tape(py::module_& m) {
              return self;
            })
       .def("__exit__", [](nova::Tape& tape, const py::args&) { tape.end(); })
-      .def(
-          "backward",
-          [](nova::Tape& tape, const Tensor& loss, const std::optional<Tensor>& grad) {
-            tape.backward(loss, grad.value_or(Tensor()));
-          },
-          "loss"_a, "grad"_a = py::none(), release_gil(), kBackward)
+      .def("backward", &run_backward, "loss"_a, "grad"_a = py::none(), "record"_a = false,
+           release_gil(), doc::kBackward)
+      .def("adjoint_record", &record_of, "inputs"_a = py::none(), doc::kAdjointRecord)
       .def("jvp", &nova::Tape::jvp, "outputs"_a, "inputs"_a, "tangents"_a, release_gil(), doc::kJvp)
       .def(
           "follows",

@@ -12,6 +12,28 @@ clear_gradient_info.
 
 `novaphy.Error`: no such step is on the tape, or no backward has run.)";
 
+inline constexpr char kBackward[] =
+    R"(Computes the gradients of `loss`. Gradients of leaves accumulate over calls, all others start anew.
+
+grad: the gradient of `loss`, of its shape. None: 1, for a loss with one value.
+record: keep what adjoint_record() returns. The record needs memory for each step.
+
+ValueError: a loss that is not on the tape, or of several values without `grad`.
+NotImplementedError: `record` with steps of another solver than DiffFeatherstoneSolver, on a device
+or inside of a ScopedCapture.
+`novaphy.Error`: `record` without steps of a solver.)";
+
+inline constexpr char kAdjointRecord[] =
+    R"(Returns the AdjointRecord of the last backward(loss, record=True): the gradient at each step
+boundary, and the impulse of each contact with its adjoint. The changes of impulses are those along
+the unit vector against the gradient of `inputs`, from one jvp.
+
+inputs: leaves of the tape. Without them, all leaves that have a gradient.
+
+`novaphy.Error`: no backward had a record.
+ValueError: an input that is no leaf with a gradient, or given twice.
+NotImplementedError: a custom operation that was recorded without a tangent.)";
+
 inline constexpr char kTape[] =
     R"(Records the operations whose inputs carry gradients, and runs their adjoints in reverse.
 `with nova.Tape() as tape` makes the tape the active one of the thread.

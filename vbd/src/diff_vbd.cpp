@@ -153,6 +153,7 @@ struct DiffSolverVBD::Witness : GradientWitness {
   GradientInfo info() const override {
     return info_of(notes.counts(*model), steps->info(), implicit);
   }
+  const char* without_record() const override { return "DiffSolverVBD"; }
 };
 
 void DiffSolverVBD::note_step(const RecordedStep& step, const SimState& in, const SimState& out,

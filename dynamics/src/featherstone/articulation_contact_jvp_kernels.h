@@ -13,13 +13,15 @@
 namespace novaphy {
 
 // step.workspace also holds the responses of dry friction, behind its own numbers. impulses
-// {contacts} and friction_impulses {dofs} are those of the step. The memory `system` of a group has
-// a number of floats per contact, and another per group. status {groups}: 0, or 1 + the size of a
+// {contacts} and friction_impulses {dofs} are those of the step. changes {contacts} (null: not
+// requested): the tangents of the impulses in the world. The memory `system` of a group has a
+// number of floats per contact, and another per group. status {groups}: 0, or 1 + the size of a
 // system that did not fit.
 struct ArticulationContactJvpArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationJvpArguments> step; Part<ContactGroupArguments> of;
                     Given<Vec3f> impulses; Given<float> friction_impulses;
-                    Given<DualFloat> joint_friction, mu, restitution, ke, kd; Writes<double> system;
+                    Given<DualFloat> joint_friction, mu, restitution, ke, kd;
+                    Optional<Writes<Vec3f>> changes; Writes<double> system;
                     Number<int64_t> system_of_contact, system_of_group; WritesRow<int32_t> status;)
 };
 
@@ -167,6 +169,8 @@ NOVAPHY_ROW_KERNEL(articulation_contact_jvp, ArticulationContactJvpArguments) {
   }
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t)
     if (s.root(trees[t]) == trees[t]) solve_island_tangent(s, trees[t]);
+  for (int32_t place = s.first_place(); a.changes != nullptr && place < s.end_place(); ++place)
+    if (a.of.chain[place].next != -2) a.changes[s.row(place).contact] = s.row(place).change;
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t)
     for (int32_t k = 0; k < s.rows(trees[t]).dof_count; ++k)
       s.workspace(trees[t]).bias[k] = DualFloat();

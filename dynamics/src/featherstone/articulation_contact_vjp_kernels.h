@@ -21,15 +21,16 @@ namespace novaphy {
 
 // impulses {contacts} and friction_impulses {dofs} are those of the step. joint_friction: the
 // gradient, to which the kernel adds. materials: a row per contact; shape_of {2 contacts}: the
-// shapes of each contact. Null: not requested. The memory `system` of a group has a number of
-// floats per contact, and another per group. status {groups}: 0, or 1 + the size of a system that
-// did not fit.
+// shapes of each contact; notes: those of contacts that push. Null: not requested. The memory
+// `system` of a group has a number of floats per contact, and another per group. status {groups}:
+// 0, or 1 + the size of a system that did not fit.
 struct ArticulationContactVjpArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationStepVjpArguments> step; Part<ContactGroupArguments> of;
                     Given<Vec3f> impulses; Given<float> friction_impulses;
                     Optional<Changed<float>> joint_friction;
                     Optional<Writes<articulation::MaterialGradient>> materials;
-                    Optional<Writes<int32_t>> shape_of; Writes<double> system;
+                    Optional<Writes<int32_t>> shape_of;
+                    Optional<Writes<articulation::ContactNote>> notes; Writes<double> system;
                     Number<int64_t> system_of_contact, system_of_group; WritesRow<int32_t> status;)
 };
 
@@ -205,6 +206,9 @@ inline void solve_island_adjoint(const GroupAdjoint& s, int32_t root) {
 inline void add_contact(const GroupAdjoint& s, int32_t place) {
   const articulation::AdjointContact& row = s.row(place);
   if (!articulation::has_geometry(row)) return;
+  if (s.all.notes != nullptr)
+    s.all.notes[row.contact] =
+        articulation::contact_note(row, [&](int32_t i) { return s.tree(i); });
   articulation::add_contact_geometry(
       row, s.how.dt, [&](int32_t i) { return s.tree(i); }, [&](int32_t i) { return s.adjoint(i); });
   if (s.all.materials == nullptr) return;

@@ -13,6 +13,7 @@
 #include "contact_events.h"
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
+#include "novaphy/dynamics/articulation/contact_note.h"
 #include "novaphy/dynamics/articulation/jvp_arguments.h"
 #include "novaphy/dynamics/articulation/vjp_arguments.h"
 #include "novaphy/dynamics/featherstone/articulations.h"
@@ -67,6 +68,7 @@ struct ContactRecord {
 // not requested.
 struct ContactGradientArguments {
   Optional<Changed<float>> joint_friction, mu, restitution, ke, kd;
+  Optional<Writes<articulation::ContactNote>> notes = nullptr;
   bool of_materials() const {
     return (mu.word() | restitution.word() | ke.word() | kd.word()) != 0;
   }
@@ -74,6 +76,7 @@ struct ContactGradientArguments {
 // The dual numbers of those arrays; null: the model has no shapes.
 struct ContactDualArguments {
   Given<articulation::DualFloat> joint_friction, mu, restitution, ke, kd;
+  Optional<Writes<Vec3f>> changes = nullptr;  // of the impulses
 };
 
 // The articulations that sleep in a step, on the CPU.

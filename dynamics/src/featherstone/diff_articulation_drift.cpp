@@ -27,13 +27,6 @@ void note_drift(const Step& s, const Step* before) {
   }
 }
 
-namespace {
-
-// The gradients with respect to the coordinates after a step, as tangents, and with respect to its
-// rates; {dofs} each.
-struct Costate {
-  std::vector<float> of_q, of_qd;
-};
 Costate costate_behind(const Step& s, const ArticulationArguments& in,
                        std::span<const Tensor> outputs) {
   const auto dofs = static_cast<size_t>(s.in(kAt.qd).size());
@@ -66,6 +59,8 @@ Costate costate_behind(const Step& s, const ArticulationArguments& in,
   }
   return p;
 }
+
+namespace {
 
 // Returns p . f at the start of a step. f has the rates after the step without contacts that hit,
 // and the accelerations of the step.

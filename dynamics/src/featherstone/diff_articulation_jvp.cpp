@@ -1,5 +1,6 @@
 // The tangent of a step of articulations, by dual numbers.
 #include "diff_articulation_duals.h"
+#include "novaphy/dynamics/diff_adjoint_record.h"
 #include "tangent_launches.h"
 
 namespace novaphy::diff::detail {
@@ -79,9 +80,11 @@ void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
     const auto more = [&](size_t i) {
       return s.in(i).defined() ? take(s.in(i), i < t.size() ? t[i] : Tensor()) : Untyped(nullptr);
     };
-    shared.contacts.jvp(
-        a, kept_arguments(s), s.options, contact_record(s),
-        {more(kJointFriction), more(kMu), more(kRestitution), more(kStiffness), more(kDamping)});
+    AdjointRecord::Step* const noted = AdjointRecord::entry_of(&s);
+    if (noted != nullptr) noted->changes.resize(static_cast<size_t>(s.contact_max));
+    shared.contacts.jvp(a, kept_arguments(s), s.options, contact_record(s),
+                        {more(kJointFriction), more(kMu), more(kRestitution), more(kStiffness),
+                         more(kDamping), Untyped(noted ? noted->changes.data() : nullptr)});
   } else {
     run(tangent_kernels().step, s.count, a);
   }

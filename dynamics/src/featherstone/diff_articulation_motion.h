@@ -28,6 +28,7 @@
 
 #include "contact_events.h"
 #include "diff_articulation_parts.h"
+#include "novaphy/dynamics/diff_adjoint_record.h"
 #include "novaphy/dynamics/featherstone/diff_articulation_step.h"
 #include "novaphy/nova/tape.h"
 
@@ -166,6 +167,14 @@ inline constexpr std::array<size_t, 4> kForces = {kAt.joint_f, kAt.body_f, kAt.t
                                                   kAt.target_qd};
 void note_drift(const ArticulationStep::Step& step, const ArticulationStep::Step* before);
 
+// The gradients with respect to the coordinates after a step, as tangents, and with respect to its
+// rates; {dofs} each.
+struct Costate {
+  std::vector<float> of_q, of_qd;
+};
+Costate costate_behind(const ArticulationStep::Step& step, const ArticulationArguments& in,
+                       std::span<const nova::Tensor> outputs);
+
 // Runs the adjoint of a step. `run` is the adjoint of the code.
 using Adjoint = std::function<void(std::span<const nova::InputGradient>)>;
 void motion_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor> outputs,
@@ -173,6 +182,11 @@ void motion_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor
 // The same for a step without events, which AdjointDrift compares.
 void drift_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor> outputs,
                std::span<const nova::InputGradient> gradients, const Adjoint& run);
+// The same for any step. Fills an entry of the record. ErrorKind::NotImplemented: on a device, or
+// in a capture.
+void record_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor> outputs,
+                std::span<const nova::InputGradient> gradients, const Adjoint& run,
+                AdjointRecord& record);
 // The same for the tangent of a step.
 using Tangent = std::function<void(std::span<const nova::Tensor>)>;
 void motion_jvp(const ArticulationStep::Step& step, std::span<const nova::Tensor> inputs,

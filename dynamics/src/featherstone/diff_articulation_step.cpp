@@ -46,13 +46,19 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   // Outside of captures the CPU runs at once, after all submitted work.
   op.submits_only = !step->shared->runs_on_host();
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> inputs) {
-    if (step->motion)
-      motion_vjp(*step, outputs, inputs,
-                 [&](std::span<const nova::InputGradient> to) { submit_vjp(step, outputs, to); });
-    else if (step->following.empty())
-      submit_vjp(step, outputs, inputs);
+    const auto run = [&](std::span<const nova::InputGradient> to) {
+      if (step->motion)
+        motion_vjp(*step, outputs, to,
+                   [&](std::span<const nova::InputGradient> of) { submit_vjp(step, outputs, of); });
+      else if (step->following.empty())
+        submit_vjp(step, outputs, to);
+      else
+        run_vjp_of_steps(*step, outputs, to);
+    };
+    if (AdjointRecord* const record = AdjointRecord::current())
+      record_vjp(*step, outputs, inputs, run, *record);
     else
-      run_vjp_of_steps(*step, outputs, inputs);
+      run(inputs);
   };
   op.forward = [step] { run_all(step); };
   op.jvp = [step](std::span<const Tensor> inputs, std::span<const Tensor> outputs) {

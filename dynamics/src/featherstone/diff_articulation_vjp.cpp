@@ -1,5 +1,6 @@
 // The adjoint of a step of articulations.
 #include "diff_articulation_parts.h"
+#include "novaphy/dynamics/diff_adjoint_record.h"
 #include "novaphy/nova/host_work.h"
 
 namespace novaphy::diff::detail {
@@ -149,13 +150,15 @@ void run_vjp(const Step& s, std::span<const Tensor> outputs,
     if (gradients[i].grad.defined() && !gradients[i].add)
       nova::submit_fill(gradients[i].grad.range(), 0.0f);
   const auto of = [&](size_t i) { return i < gradients.size() ? gradients[i].grad : Tensor(); };
+  AdjointRecord::Step* const noted = AdjointRecord::entry_of(&s);
   const auto adjoint = [&](const ArticulationStepVjpArguments& a) {
     ArticulationStep::Shared& shared = *s.shared;
     if (acts(s, of(kJointFriction)))
       return shared.contacts.vjp(
           a, kept_arguments(s), s.options, contact_record(s),
           {argument(of(kJointFriction)), argument(of(kMu)), argument(of(kRestitution)),
-           argument(of(kStiffness)), argument(of(kDamping))});
+           argument(of(kStiffness)), argument(of(kDamping)),
+           Untyped(noted == nullptr ? nullptr : noted->notes.data())});
     if (!shared.runs_on_host()) return run(kernels().vjp, s.count, a);
     shared.trees->vjp(in_memory(a), *s.model, shared.all);
   };

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from ..nova import AdjointRecord
     from ._certificate import Certificate
 
 SHOWN = 8  # rows of parameters and of margins
@@ -189,24 +190,29 @@ def _draw(of: Certificate, on: _Svg | _Figure) -> None:
     on.text(LEFT + 380, HEIGHT - 12, "bar: smoothed gradient and its standard error", GOOD, 12)
 
 
-def _save_page(of: Certificate, path: Path) -> None:
+def _save_page(of: Certificate, path: Path, record: AdjointRecord | None) -> None:
+    from ..viewer._adjoint import fragment
+
     on = _Svg()
     _draw(of, on)
-    path.write_text(on.page(of), encoding="utf-8")
+    shown = "" if record is None else fragment(record)
+    path.write_text(on.page(of) + shown, encoding="utf-8")
 
 
-def _save_png(of: Certificate, path: Path) -> None:
+def _save_png(of: Certificate, path: Path, record: AdjointRecord | None) -> None:
     on = _Figure()
     _draw(of, on)
     on.figure.savefig(path)
 
 
-WRITERS: dict[str, Callable[[Any, Path], None]] = {".html": _save_page, ".png": _save_png}
+WRITERS: dict[str, Callable[[Any, Path, Any], None]] = {".html": _save_page, ".png": _save_png}
 
 
-def save(of: Certificate, path: str | os.PathLike[str]) -> None:
-    """Write the picture; ValueError names the endings that there are."""
+def save(
+    of: Certificate, path: str | os.PathLike[str], record: AdjointRecord | None = None
+) -> None:
+    """Write the picture, and the record on a page; ValueError names the endings that there are."""
     to = Path(path)
     if to.suffix.lower() not in WRITERS:
         raise ValueError(f"Certificate.save, path: expected .html or .png, got {to}")
-    WRITERS[to.suffix.lower()](of, to)
+    WRITERS[to.suffix.lower()](of, to, record)

@@ -16,6 +16,7 @@ from .._core.nova import Tape, Tensor, active_tape, ones, random_normal, tensor
 
 if TYPE_CHECKING:
     from .._core.solvers import GradientInfo
+    from ..nova import AdjointRecord
 
 Numbers = NDArray[np.float64]
 Theta = Tensor | ArrayLike | Mapping[str, Tensor | ArrayLike]
@@ -215,6 +216,18 @@ class Losses:
         parts = [self._slopes(first, points) for first, points in self._parts(moves)]
         losses, gradients = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
         return Slopes(losses, gradients * self.parameters.sigma, parts[-1].info)
+
+    def record(self) -> AdjointRecord | None:
+        """Return the adjoint record at theta; None with steps that have none."""
+        leaves = self.parameters.rows(self.points(np.zeros((1, self.parameters.size))), leaves=True)
+        with Tape() as tape:
+            losses = self._call(leaves, 1)
+            try:
+                tape.backward(losses, record=True)
+                entries = list(leaves.values()) if self.parameters.named else [leaves]
+                return tape.adjoint_record([leaf for leaf in entries if leaf.grad is not None])
+            except (NotImplementedError, Error):
+                return None
 
     def _slopes(self, first: int, points: NDArray[np.float32]) -> Slopes:
         """Return losses and gradients of a batch, in the units of theta."""

@@ -112,6 +112,7 @@ from .._core.nova import (  # noqa: E402
     zeros_like,
 )
 from . import optim  # noqa: E402
+from ._adjoint_record import AdjointRecord  # noqa: E402
 from ._cuda_array_interface import from_cuda_array_interface  # noqa: E402
 from ._networks import (  # noqa: E402
     gaussian_log_density,
@@ -120,6 +121,7 @@ from ._networks import (  # noqa: E402
 )
 
 __all__ = [
+    "AdjointRecord",
     "Bool",
     "GradcheckResult",
     "Graph",

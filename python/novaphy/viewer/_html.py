@@ -9,18 +9,22 @@ import os
 import zlib
 from collections.abc import Callable, Iterator
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..io import atomic_path
 from . import _shaders
+from ._adjoint import fragment, log_arrows_between
 from ._camera import FIELD_OF_VIEW
 from ._gl_renderer import HAZE, LIGHT, REACH
 from ._packing import pack, quantum
 from ._png import png_bytes
 from ._scene import Instances, Lines, f32
 from ._scene_viewer import SceneViewer
+
+if TYPE_CHECKING:
+    from ..nova import AdjointRecord
 
 MESH_FIELDS = ("points", "shift", "indices")
 # Resolution of stored motion (_packing.py): positions have this many steps over the height of the
@@ -55,6 +59,25 @@ class ViewerHTML(SceneViewer):
         self._tracks: dict[tuple[str, str, str], _Track] = {}
         self._data = bytearray()
         self._known: dict[bytes, int] = {}
+        self._record: AdjointRecord | None = None
+        self._arrow_length = 0.0
+
+    def log_adjoint_record(self, record: AdjointRecord, length: float = 0.3) -> None:
+        """Add a time axis of a gradient, and arrows of the contacts to the frames from now on.
+
+        The axis has the length of the gradient, H, events and suspects over time. A click shows the
+        step and its contacts. Times of frames are those of the record (s).
+
+        Args:
+            record: of `tape.adjoint_record()`.
+            length: of the longest impulse (blue) and of the longest adjoint (red), m.
+
+        Raises:
+            ValueError: a length that is not positive.
+        """
+        if not length > 0.0:
+            raise ValueError(f"log_adjoint_record, length: expected > 0, got {length}")
+        self._record, self._arrow_length = record, length
 
     @property
     def frame_count(self) -> int:
@@ -64,6 +87,9 @@ class ViewerHTML(SceneViewer):
     def end_frame(self) -> None:
         """Store the changes since the last frame."""
         frame = len(self._times)
+        if self._record is not None:
+            before = self._times[-1] if frame and self.time > self._times[-1] else -math.inf
+            log_arrows_between(self, self._record, before, self.time, self._arrow_length)
         if not frame or self.time <= self._times[-1]:
             self._takes.append(frame)
         self._times.append(self.time)
@@ -183,7 +209,8 @@ class ViewerHTML(SceneViewer):
         template = resources.files(__package__).joinpath("assets/page.html").read_text("utf-8")
         head, _, rest = template.partition("/*CONTENT*/")
         middle, _, tail = rest.partition("/*DATA*/")
-        return f"{head}{text}{middle}{blob}{tail}"
+        shown = "" if self._record is None else fragment(self._record)
+        return f"{head}{text}{middle}{blob}{tail}".replace("<!--ADJOINT-->", shown)
 
     def _packed_data(self) -> tuple[bytes, list[list[int]], list[Any]]:
         """Return the stored arrays, packed.

@@ -90,6 +90,8 @@ struct NOVAPHY_DYNAMICS_API GradientWitness : nova::Tape::Witness {
   virtual MotionEvents events() const { return {}; }
   // Returns whether the solver looks for such events.
   virtual bool has_events() const { return false; }
+  // The name of a solver whose steps fill no AdjointRecord; null: they do.
+  virtual const char* without_record() const { return nullptr; }
 };
 // Returns the witness of a solver on the active tape. `make` makes the witness if the tape has
 // none.

@@ -62,6 +62,8 @@ class NOVAPHY_NOVA_API Tape {
   // ErrorKind::NotImplemented: a custom operation without a tangent.
   std::vector<Tensor> jvp(const std::vector<Tensor>& outputs, const std::vector<Tensor>& inputs,
                           const std::vector<Tensor>& tangents);
+  // The leaves that carry a gradient, each as one row of numbers, in the order of their first use.
+  std::vector<Tensor> leaves() const;
   bool has_leaf(const Tensor& tensor) const;  // whether the tape read this leaf and it carries a
                                               // gradient
   bool has_tangents() const;                  // whether every operation has a tangent

@@ -20,6 +20,7 @@
 #pragma once
 
 #include "novaphy/dynamics/articulation/contact_geometry.h"
+#include "novaphy/dynamics/articulation/contact_note.h"
 
 namespace novaphy::articulation {
 
@@ -117,7 +118,7 @@ bool solve_adjoint(const Island& island, bool cone) {
     ++own;
   });
   int64_t column = 0;  // column of a contact's normal
-  island.for_contacts([&](const AdjointContact& at) {
+  island.for_contacts([&](AdjointContact& at) {
     const PgsContact<float>& other = at.solver;
     const ContactBranch branch = branch_of(other, cone);
     float along[2];
@@ -164,6 +165,7 @@ bool solve_adjoint(const Island& island, bool cone) {
           sum += double{s.response[i * s.width + x]} * g[x];
       }
       row[n] = sum;
+      at.by_impulse[i] = static_cast<float>(sum);
     }
     column += 3;
   });
@@ -282,6 +284,19 @@ void add_shift_geometry(const AdjointContact& row, float dt, const TreeOf& tree_
   of.target.slope = row.target.shift_slope;
   of.target.bounce = of.target.shift_bounce = 0.0f;  // they belong to the rates
   add_contact_geometry(of, dt, tree_of, memory_of);
+}
+// Returns the note of a contact that pushes, after solve_adjoint. tree_of(i): an IslandTree.
+template <class TreeOf>
+ContactNote contact_note(const AdjointContact& row, const TreeOf& tree_of) {
+  const int side = row.sides[0].tree >= 0 ? 0 : 1;
+  const ContactSide& at = row.sides[side];
+  const Vec3f origin = tree_of(at.tree).ws.links[at.link].origin;
+  const Vec3f* const axes = row.frame.axes;
+  const auto world = [&](const float* x) {
+    return axes[0] * x[0] + (axes[1] * x[1] + axes[2] * x[2]);
+  };
+  return {origin + (side == 0 ? row.place.a : row.place.b), axes[0], world(row.solver.impulse),
+          world(row.by_impulse), row.follows || row.turning.is_exact ? 0 : 1};
 }
 // Returns whether a row contributes in add_contact_geometry after the adjoint of the rates.
 inline bool has_geometry(const AdjointContact& row) {

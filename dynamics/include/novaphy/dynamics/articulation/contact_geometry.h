@@ -19,6 +19,7 @@ struct AdjointContact : IslandContact {
   Vec3f z{};             // multipliers of the contact's equations
   Vec3f pull{};          // B^T z, along n, t1, t2
   float shift_z = 0.0f;  // multiplier of its shift
+  float by_impulse[3] = {};  // J M^-1 g: the gradient by its impulses, along n, t1, t2
   ContactTurning turning{};
 };
 

@@ -23,6 +23,7 @@ struct DualContact : IslandContact {
   NormalTarget<DualFloat> goal;
   DualFloat mu;
   float softness_tangent = 0.0f;
+  Vec3f change{};  // the tangent of its impulse, in the world
 };
 inline int64_t dual_contact_numbers(int32_t dofs) { return 12 * static_cast<int64_t>(dofs); }
 
@@ -165,6 +166,10 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
   row.solver.impulse[0] = impulse.x;
   row.solver.impulse[1] = impulse.y;
   row.solver.impulse[2] = impulse.z;
+  for (int r = 0; r < 3; ++r) {
+    row.frame.axes[r] = value_of(frame.axes[r]);
+    row.change = row.change + tangent(frame.axes[r]) * row.solver.impulse[r];
+  }
 }
 
 // Applies the impulse of a dof's dry friction, with the bound `limit` = friction dt, and computes
@@ -265,9 +270,12 @@ bool solve_dual_island(const Trees& trees, const Island& island, bool cone) {
   });
   solve_dense(system, n);
   at = 0;
-  island.for_contacts([&](const DualContact& row) {
-    for (int r = 0; r < 3; ++r)
-      dual_push(row, r, DualFloat(0.0f, static_cast<float>(system[at++ * width + n])), trees);
+  island.for_contacts([&](DualContact& row) {
+    for (int r = 0; r < 3; ++r) {
+      const auto change = static_cast<float>(system[at++ * width + n]);
+      dual_push(row, r, DualFloat(0.0f, change), trees);
+      row.change = row.change + row.frame.axes[r] * change;
+    }
   });
   island.for_held([&](int32_t tree, int32_t, const DualFloat* response) {
     const DualFloat change(0.0f, static_cast<float>(system[at++ * width + n]));

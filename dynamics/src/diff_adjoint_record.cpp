@@ -1,0 +1,93 @@
+#include "novaphy/dynamics/diff_adjoint_record.h"
+
+#include <cmath>
+
+#include "novaphy/core/error.h"
+#include "novaphy/dynamics/diff_gradient_notes.h"
+
+namespace novaphy {
+namespace {
+
+thread_local AdjointRecord* current_record = nullptr;
+
+std::shared_ptr<AdjointRecord> last_record(const nova::Tape& tape) {
+  std::shared_ptr<AdjointRecord> last;
+  for (const auto& witness : tape.witnesses())
+    if (dynamic_cast<const AdjointRecord*>(witness.get()) != nullptr)
+      last = std::const_pointer_cast<AdjointRecord>(
+          std::static_pointer_cast<const AdjointRecord>(witness));
+  return last;
+}
+
+// The unit vector against the gradients of the leaves that have some.
+struct Downhill {
+  std::vector<nova::Tensor> leaves, tangents;
+};
+Downhill downhill(const std::vector<nova::Tensor>& leaves) {
+  Downhill to;
+  double squares = 0.0;
+  for (const nova::Tensor& leaf : leaves) {
+    if (!leaf.has_grad()) continue;
+    to.leaves.push_back(leaf);
+    to.tangents.emplace_back(leaf.shape(), nova::DType::F32, leaf.device());
+    for (const float g : leaf.grad().to_host()) squares += double{g} * g;
+  }
+  const double scale = squares > 0.0 ? -1.0 / std::sqrt(squares) : 0.0;
+  for (size_t k = 0; k < to.leaves.size(); ++k) {
+    auto* x = static_cast<float*>(to.tangents[k].range()->data());
+    for (const float g : to.leaves[k].grad().to_host()) *x++ = static_cast<float>(scale * g);
+  }
+  return to;
+}
+
+}  // namespace
+
+AdjointRecord::Step& AdjointRecord::add(const void* of) {
+  place_[of] = steps.size();
+  return steps.emplace_back();
+}
+AdjointRecord::Step* AdjointRecord::entry_of(const void* step) {
+  if (current_record == nullptr) return nullptr;
+  const auto found = current_record->place_.find(step);
+  return found == current_record->place_.end() ? nullptr : &current_record->steps[found->second];
+}
+
+AdjointRecord* AdjointRecord::current() { return current_record; }
+AdjointRecord::Scope::Scope(AdjointRecord& record) { current_record = &record; }
+AdjointRecord::Scope::~Scope() { current_record = nullptr; }
+
+void backward_with_record(nova::Tape& tape, const nova::Tensor& loss, const nova::Tensor& seed) {
+  bool has_steps = false;
+  for (const auto& witness : tape.witnesses()) {
+    const auto* const of = dynamic_cast<const GradientWitness*>(witness.get());
+    if (of == nullptr) continue;
+    has_steps = true;
+    const char* const solver = of->without_record();
+    require(solver == nullptr, ErrorKind::NotImplemented,
+            "backward, record: not supported with steps of ", solver == nullptr ? "" : solver,
+            ", only of DiffFeatherstoneSolver");
+  }
+  require(has_steps, ErrorKind::Runtime,
+          "backward, record: expected steps of DiffFeatherstoneSolver on the tape, got none");
+  const auto record = std::make_shared<AdjointRecord>();
+  record->loss = loss;
+  {
+    const AdjointRecord::Scope scope(*record);
+    tape.backward(loss, seed);
+  }
+  tape.add_witness(record);
+}
+
+std::shared_ptr<const AdjointRecord> adjoint_record(nova::Tape& tape,
+                                                    const std::vector<nova::Tensor>& inputs) {
+  const std::shared_ptr<AdjointRecord> record = last_record(tape);
+  require(record != nullptr, ErrorKind::Runtime,
+          "adjoint_record: expected backward(loss, record=True) before, got none");
+  for (AdjointRecord::Step& step : record->steps) step.changes.clear();
+  const Downhill along = downhill(inputs.empty() ? tape.leaves() : inputs);
+  const AdjointRecord::Scope scope(*record);
+  tape.jvp({record->loss}, along.leaves, along.tangents);
+  return record;
+}
+
+}  // namespace novaphy

@@ -1,0 +1,162 @@
+"""The record of a backward pass, step by step: a debugger of gradients."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from .._core.solvers import GradientInfo
+
+Row = dict[str, Any]
+Numbers = NDArray[np.float64]
+SUSPECT = 0.02  # of the largest H
+
+
+class AdjointRecord:
+    """The record of backward(loss, record=True), from the first step to the last.
+
+    boundaries: a dict per step boundary. `norm` is the length of the gradient p by positions and
+      rates. `h` is p . f with the rates and accelerations f of the step before. A step that begins
+      a contact has None. `drift` is the miss of the step from here to keep H, relative to the
+      largest |H|. The other keys are `step` and `time` (s).
+    contacts: a dict per step and contact that pushed, in the order of time. Its keys are `step`,
+      `time` (s, start of the step), `world`, `shape0` and `shape1`. `point` (m) and `normal` {3}
+      are in the world. `impulse` {3} acts on shape1 (N s). `adjoint` {3} is the derivative of the
+      loss by that impulse. `change` {3} is that of the impulse along the unit vector against the
+      gradient. `carried` is adjoint . change: how much the loss changes because this contact does.
+      `held`: the derivative holds point and normal. `begins`: the pair did not push before.
+    suspects: a dict per pair and cause whose drift is above 2 % of the largest |H|, the largest
+      first. The keys are `step`, `world`, `shape0`, `shape1`, `drift` and `cause`.
+    info: the GradientInfo of the tape.
+    """
+
+    def __init__(self, steps: list[Row], info: GradientInfo) -> None:
+        """Make the record from the steps of the engine."""
+        self.info = info
+        self.contacts = _contacts(steps)
+        self.boundaries = _boundaries(steps, self.contacts)
+        self.suspects = _suspects(self.boundaries, self.contacts, info.event_list)
+
+    def __repr__(self) -> str:
+        """Return the sizes."""
+        return (
+            f"AdjointRecord(steps={len(self.boundaries) - 1}, contacts={len(self.contacts)}, "
+            f"suspects={len(self.suspects)})"
+        )
+
+    def __str__(self) -> str:
+        """Return the suspects and the contacts that carried most, as text."""
+        lines = [f"{self.info.label}: {self.info.reason}"]
+        for s in self.suspects:
+            lines.append(f"step {s['step']}: {s['cause']}, H drifts by {100 * s['drift']:.3g} %")
+        ranked = sorted(self.contacts, key=lambda c: -abs(c["carried"]))
+        for c in ranked[:8]:
+            lines.append(f"step {c['step']}: {pair_of(c)} carried {c['carried']:.4g}")
+        return "\n".join(lines)
+
+
+def pair_of(row: Row) -> str:
+    """Name the pair of a contact."""
+    return f"shapes {row['shape0']} and {row['shape1']}"
+
+
+def _times(steps: list[Row]) -> list[float]:
+    """Return the times (s) of the boundaries; a step whose number does not follow begins anew."""
+    times, now = list[float](), 0.0
+    for k, step in enumerate(steps):
+        if k == 0 or step["number"] <= steps[k - 1]["number"]:
+            now = step["number"] * step["dt"]
+        times.append(now)
+        now += step["dt"]
+    return [*times, now]
+
+
+def _contacts(steps: list[Row]) -> list[Row]:
+    rows, times, before = list[Row](), _times(steps), set[Any]()
+    for step, time in zip(steps, times[:-1], strict=True):
+        now = {(c["world"], c["shape0"], c["shape1"]) for c in step["contacts"]}
+        for contact in step["contacts"]:
+            row = {"step": step["number"], "time": time, **contact}
+            row["carried"] = float(np.dot(contact["adjoint"], contact["change"]))
+            row["begins"] = (row["world"], row["shape0"], row["shape1"]) not in before
+            rows.append(row)
+        before = now
+    return rows
+
+
+def _rates(step: Row) -> Numbers | None:
+    """Return f = (new rates, accelerations) of a step; None where it is not known."""
+    if not step["end"]:
+        return None
+    out, start = np.array(step["qd_out"]), np.array(step["qd_in"])
+    return np.concatenate([out, (out - start) / step["dt"]])
+
+
+def _boundaries(steps: list[Row], contacts: list[Row]) -> list[Row]:
+    hits = {c["step"] for c in contacts if c["begins"]}
+    smooth = [None if s["number"] in hits else _rates(s) for s in steps]
+    rows = list[Row]()
+    for k, time in enumerate(_times(steps)):
+        last, step = steps[k - 1] if k else None, steps[k] if k < len(steps) else None
+        follows = last is not None and last["end"]
+        p = np.array(last["end"] if follows else step["start"] if step else [])
+        f = smooth[k - 1] if follows else smooth[k] if step else None
+        number = step["number"] if step else steps[-1]["number"] + 1 if steps else 0
+        h = float(p @ f) if f is not None else None
+        rows.append({"step": number, "time": time, "norm": float(np.linalg.norm(p)), "h": h})
+    largest = max((abs(r["h"]) for r in rows if r["h"] is not None), default=0.0)
+    for row, miss in zip(rows, [*_misses(steps, smooth), 0.0], strict=True):
+        row["drift"] = abs(miss) / largest if largest > 0.0 else 0.0
+    return rows
+
+
+def _misses(steps: list[Row], smooth: list[Numbers | None]) -> list[float]:
+    """Return y . f - p . f of each step along its own motion, y = D^T p.
+
+    Steps that begin a contact are compared together with the next one, along the motions before and
+    behind: the derivative of a landing takes two steps.
+    """
+    misses, k = [0.0] * len(steps), 1
+    while k + 1 < len(steps):
+        end = k
+        while end + 1 < len(steps) and smooth[end] is None:
+            end += 1
+        before = smooth[k - 1] if end > k else smooth[k]
+        behind = smooth[end] if end > k else smooth[k + 1]
+        chained = all(
+            steps[i]["number"] == steps[i - 1]["number"] + 1
+            and steps[i]["dt"] == steps[i - 1]["dt"]
+            for i in range(k, end + 1)
+        )
+        if chained and before is not None and behind is not None and steps[end]["end"]:
+            misses[k] = float(steps[k]["start"] @ before - np.array(steps[end]["end"]) @ behind)
+        k = end + 1
+    return misses
+
+
+def _suspects(boundaries: list[Row], contacts: list[Row], events: list[Row]) -> list[Row]:
+    known = {(e["step"], frozenset((e["shape0"], e["shape1"]))) for e in events}
+    by_step: dict[int, list[Row]] = {}
+    for contact in contacts:
+        by_step.setdefault(contact["step"], []).append(contact)
+    worst: dict[Any, Row] = {}
+    for row in boundaries:
+        here = by_step.get(row["step"], [])
+        if row["drift"] <= SUSPECT or not here:
+            continue
+        at = max(here, key=lambda c: (c["begins"], c["held"], np.linalg.norm(c["impulse"])))
+        pair = frozenset((at["shape0"], at["shape1"]))
+        cause = "a contact drifts"
+        if at["begins"] and (row["step"], pair) not in known:
+            cause = "missed event"
+        elif at["held"]:
+            cause = "frozen point and normal"
+        found = {name: at[name] for name in ("step", "world", "shape0", "shape1")}
+        found |= {"drift": row["drift"], "cause": f"{cause} of {pair_of(at)}"}
+        key = (at["world"], pair, cause)
+        if key not in worst or worst[key]["drift"] < row["drift"]:
+            worst[key] = found
+    return sorted(worst.values(), key=lambda found: -found["drift"])

@@ -1,0 +1,69 @@
+"""Pages and arrows of an adjoint record: the debugger of gradients."""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ..nova import AdjointRecord
+    from ._scene_viewer import SceneViewer
+
+KEPT = ("step", "time", "point", "impulse", "adjoint", "carried", "held")
+COLORS = {"impulse": (0.16, 0.44, 0.72), "adjoint": (0.82, 0.26, 0.1)}
+THICKNESS = 0.03  # of the length of the longest arrow
+
+
+def _pair(row: dict[str, Any]) -> str:
+    if row.get("kind") == "limit":
+        return f"joint {row['joint']}"
+    return f"shapes {row['shape0']} and {row['shape1']}"
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with seven digits; JSON knows no NaN."""
+    if isinstance(value, float):
+        return float(f"{value:.7g}") if np.isfinite(value) else None
+    return [_plain(v) for v in value] if isinstance(value, list) else value
+
+
+def fragment(record: AdjointRecord) -> str:
+    """Return the part of a page that shows a record over time."""
+    times = {row["step"]: row["time"] for row in record.boundaries}
+    content = {
+        "title": f"{record.info.label}: {record.info.reason}",
+        "boundaries": [{n: _plain(v) for n, v in row.items()} for row in record.boundaries],
+        "contacts": [
+            {name: _plain(row[name]) for name in KEPT} | {"pair": _pair(row)}
+            for row in record.contacts
+        ],
+        "events": [
+            {"step": e["step"], "time": _plain(e["time"]), "kind": e["kind"], "pair": _pair(e)}
+            for e in record.info.event_list
+        ],
+        "suspects": [
+            {"step": s["step"], "time": _plain(times[s["step"]]), "cause": s["cause"]}
+            for s in record.suspects
+        ],
+    }
+    template = resources.files(__package__).joinpath("assets/adjoint.html").read_text("utf-8")
+    text = json.dumps(content, separators=(",", ":")).replace("</", "<\\/")
+    return template.replace("/*RECORD*/", text)
+
+
+def log_arrows_between(
+    viewer: SceneViewer, record: AdjointRecord, after: float, until: float, length: float
+) -> None:
+    """Draw the arrows of contacts whose steps start after one time (s), until another.
+
+    length: of the longest impulse, and of the longest adjoint (m).
+    """
+    late = [c for c in record.contacts if after + 1e-7 < c["time"] <= until + 1e-7]
+    starts = np.array([c["point"] for c in late], np.float32).reshape(-1, 3)
+    for name, color in COLORS.items():
+        longest = max((np.linalg.norm(c[name]) for c in record.contacts), default=0.0) or 1.0
+        along = np.array([c[name] for c in late], np.float32).reshape(-1, 3) * (length / longest)
+        viewer.log_arrows(f"adjoint/{name}", starts, starts + along, color, THICKNESS * length)

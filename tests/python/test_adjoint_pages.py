@@ -72,7 +72,7 @@ def test_a_click_shows_the_step_the_pair_and_what_it_carried(page_file: Path, ru
         assert page.evaluate("playing") is False
         # Arrows are in the first frame that is not before the start of the step.
         frame = -(-step // 5)
-        page.evaluate(f"show_frame({frame})")
+        assert page.evaluate("frame") == frame
         lines = page.evaluate("[...state.lines['adjoint/impulse'].fields.starts.values]")
         assert np.allclose(lines[:3], contact["point"], atol=1e-3)
         page.evaluate(f"show_frame({frame + 3})")

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 Numbers = NDArray[np.float64]
-SUSPECT = 0.02  # of the largest H
+SUSPECT = 0.01  # of the largest H
 
 
 class AdjointRecord:
@@ -28,7 +28,7 @@ class AdjointRecord:
       loss by that impulse. `change` {3} is that of the impulse along the unit vector against the
       gradient. `carried` is adjoint . change: how much the loss changes because this contact does.
       `held`: the derivative holds point and normal. `begins`: the pair did not push before.
-    suspects: a dict per pair and cause whose drift is above 2 % of the largest |H|, the largest
+    suspects: a dict per pair and cause whose drift is above 1 % of the largest |H|, the largest
       first. The keys are `step`, `world`, `shape0`, `shape1`, `drift` and `cause`.
     info: the GradientInfo of the tape.
     """

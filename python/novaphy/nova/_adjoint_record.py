@@ -22,12 +22,16 @@ class AdjointRecord:
       rates. `h` is p . f with the rates and accelerations f of the step before. A step that begins
       a contact has None. `drift` is the miss of the step from here to keep H, relative to the
       largest |H|. The other keys are `step` and `time` (s).
+
     contacts: a dict per step and contact that pushed, in the order of time. Its keys are `step`,
       `time` (s, start of the step), `world`, `shape0` and `shape1`. `point` (m) and `normal` {3}
-      are in the world. `impulse` {3} acts on shape1 (N s). `adjoint` {3} is the derivative of the
-      loss by that impulse. `change` {3} is that of the impulse along the unit vector against the
-      gradient. `carried` is adjoint . change: how much the loss changes because this contact does.
-      `held`: the derivative holds point and normal. `begins`: the pair did not push before.
+      are in the world. `held`: the derivative holds point and normal. `begins`: the pair did not
+      push before.
+
+      `impulse` {3} acts on shape1 (N s). `adjoint` {3} is the derivative of the loss by that
+      impulse. `change` {3} is that of the impulse along the unit vector against the gradient.
+      `carried` is adjoint . change: how much the loss changes because this contact does.
+
     suspects: a dict per pair and cause whose drift is above 1 % of the largest |H|, the largest
       first. The keys are `step`, `world`, `shape0`, `shape1`, `drift` and `cause`.
     info: the GradientInfo of the tape.

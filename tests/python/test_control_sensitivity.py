@@ -641,6 +641,10 @@ def test_what_is_not_covered_raises() -> None:
     SolverFeatherstone(model).step(now, then, None, None, DT)
     with pytest.raises(NotImplementedError, match="body_gravcomp: .*DiffFeatherstoneSolver"):
         s.step(now, then, None, DT, np.ones((1, 1)))
+    model.body_gravcomp.fill_(0.0)
+    model.fluid_viscosity.fill_(0.5)
+    with pytest.raises(NotImplementedError, match="fluid_viscosity: .*DiffFeatherstoneSolver"):
+        s.step(now, then, None, DT, np.ones((1, 1)))
 
 
 def test_bad_arguments_are_named() -> None:

@@ -116,8 +116,11 @@ inline void fill_tangents(const GroupTangent& s, int32_t root) {
 inline void solve_island_tangent(const GroupTangent& s, int32_t root) {
   if (s.a.nodes[root].solved != 0) return;
   s.a.nodes[root].solved = 1;
-  if (articulation::solve_dual_island(s, TangentIsland{{s, root}}, s.law.cone)) return;
-  fill_tangents(s, root);
+  const TangentIsland island{{s, root}};
+  if (!articulation::solve_dual_island(s, island, s.law.cone)) return fill_tangents(s, root);
+  if (s.all.changes == nullptr) return;
+  island.for_contacts(
+      [&](const articulation::DualContact& row) { s.all.changes[row.contact] = row.change; });
 }
 
 // A group in which a tree fails gets no tangent, as on the host.
@@ -169,8 +172,6 @@ NOVAPHY_ROW_KERNEL(articulation_contact_jvp, ArticulationContactJvpArguments) {
   }
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t)
     if (s.root(trees[t]) == trees[t]) solve_island_tangent(s, trees[t]);
-  for (int32_t place = s.first_place(); a.changes != nullptr && place < s.end_place(); ++place)
-    if (a.of.chain[place].next != -2) a.changes[s.row(place).contact] = s.row(place).change;
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t)
     for (int32_t k = 0; k < s.rows(trees[t]).dof_count; ++k)
       s.workspace(trees[t]).bias[k] = DualFloat();

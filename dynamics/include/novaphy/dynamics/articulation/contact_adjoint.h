@@ -164,8 +164,7 @@ bool solve_adjoint(const Island& island, bool cone) {
         for (int32_t x = 0; x < island.dofs(tree); ++x)
           sum += double{s.response[i * s.width + x]} * g[x];
       }
-      row[n] = sum;
-      at.by_impulse[i] = static_cast<float>(sum);
+      at.by_impulse[i] = static_cast<float>(row[n] = sum);
     }
     column += 3;
   });

@@ -77,6 +77,23 @@ void dual_push(const DualContact& row, int r, const DualFloat& impulse, const Tr
   }
 }
 
+// Sets the impulse along the axes of the frame, and its tangent as far as the axes turn.
+inline void set_impulse(const Vec3f& impulse, const ContactFrame<DualFloat>& frame,
+                        DualContact& row) {
+  const float along[3] = {impulse.x, impulse.y, impulse.z};
+  for (int r = 0; r < 3; ++r) {
+    row.solver.impulse[r] = along[r];
+    row.frame.axes[r] = value_of(frame.axes[r]);
+    row.change = row.change + tangent(frame.axes[r]) * along[r];
+  }
+}
+// Applies the tangent of the impulse along an axis.
+template <class Trees>
+void change_impulse(DualContact& row, int r, float change, const Trees& trees) {
+  dual_push(row, r, DualFloat(0.0f, change), trees);
+  row.change = row.change + row.frame.axes[r] * change;
+}
+
 // Builds the rows of a contact in `numbers` {dual_contact_numbers of the largest dof count}, at the
 // rates without impulses.
 template <class Trees>
@@ -163,13 +180,7 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
   row.solver.cfm = row.goal.cfm.value;
   row.solver.friction = row.mu.value;
   set_steps<float>(law.dt.value, row.solver);
-  row.solver.impulse[0] = impulse.x;
-  row.solver.impulse[1] = impulse.y;
-  row.solver.impulse[2] = impulse.z;
-  for (int r = 0; r < 3; ++r) {
-    row.frame.axes[r] = value_of(frame.axes[r]);
-    row.change = row.change + tangent(frame.axes[r]) * row.solver.impulse[r];
-  }
+  set_impulse(impulse, frame, row);
 }
 
 // Applies the impulse of a dof's dry friction, with the bound `limit` = friction dt, and computes
@@ -271,11 +282,8 @@ bool solve_dual_island(const Trees& trees, const Island& island, bool cone) {
   solve_dense(system, n);
   at = 0;
   island.for_contacts([&](DualContact& row) {
-    for (int r = 0; r < 3; ++r) {
-      const auto change = static_cast<float>(system[at++ * width + n]);
-      dual_push(row, r, DualFloat(0.0f, change), trees);
-      row.change = row.change + row.frame.axes[r] * change;
-    }
+    for (int r = 0; r < 3; ++r)
+      change_impulse(row, r, static_cast<float>(system[at++ * width + n]), trees);
   });
   island.for_held([&](int32_t tree, int32_t, const DualFloat* response) {
     const DualFloat change(0.0f, static_cast<float>(system[at++ * width + n]));

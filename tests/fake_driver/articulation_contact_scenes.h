@@ -81,6 +81,14 @@ inline void add_walker(ModelBuilder& b, float x, float z, int32_t group, float f
   }
   b.add_articulation(joints);
 }
+// A walker that stands and kicks until its hinges are at their limits.
+inline ModelBuilder kicking() {
+  ModelBuilder b;
+  b.add_ground_plane({.cfg = kSurface});
+  add_walker(b, 0.0f, 0.318f, -1, 0.0f);
+  for (size_t k = 6; k < b.joint_qd.size(); ++k) b.joint_qd[k] = k % 2 == 0 ? 40.0f : -25.0f;
+  return b;
+}
 inline ModelBuilder walker() {
   ModelBuilder b;
   b.add_ground_plane({.cfg = kSurface});

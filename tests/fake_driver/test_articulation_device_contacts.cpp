@@ -130,6 +130,14 @@ TEST_F(ArticulationContactDevices, EveryOptionActsAsOnTheCpu) {
   }
 }
 
+TEST_F(ArticulationContactDevices, StopsBesideContactsHaveTheBitsOfTheCpu) {
+  Steps how = {.options = {.joint_limits = JointLimits::Row, .joint_limit_restitution = 0.5f},
+               .pairs = 6};
+  EXPECT_TRUE(stepped(kicking(), Device::cpu(), how) !=
+              stepped(kicking(), Device::cpu(), {.pairs = 6}));
+  expect_bits_of_the_cpu(kicking(), how, 4);
+}
+
 // Also with one body that belongs to all worlds: then the worlds are one group.
 TEST_F(ArticulationContactDevices, SixtyFourWorldsHaveTheBitsOfTheCpu) {
   for (const bool shared : {false, true}) {

@@ -76,6 +76,8 @@ Result trained(const ModelBuilder& builder, Device device, const Rollout& how,
       {"com", model_body_com_tensor(*model, true)},
       {"inertia", model_body_inertia_tensor(*model, true)},
       {"gravity", model_gravity_tensor(*model, true)},
+      {"limit_lower", nova::Tensor::view(model->joint_limit_lower, true)},
+      {"limit_upper", nova::Tensor::view(model->joint_limit_upper, true)},
       {"mu", model_shape_material_mu_tensor(*model, true)},
       {"restitution", model_shape_material_restitution_tensor(*model, true)},
       {"ke", model_shape_material_ke_tensor(*model, true)},
@@ -84,7 +86,7 @@ Result trained(const ModelBuilder& builder, Device device, const Rollout& how,
   nova::Tensor loss;
   std::vector<nova::Tensor> inputs, directions, tangents;
   for (const auto& [name, leaf] : leaves) {
-    if (!how.contacts && inputs.size() == 9) break;  // nothing reads materials
+    if (!how.contacts && inputs.size() == 11) break;  // nothing reads materials
     inputs.push_back(leaf);
     directions.push_back(along(leaf));
   }
@@ -182,6 +184,12 @@ TEST_F(ArticulationGradientDevices, PyramidsAndSoftContactsHaveTheBitsOfTheCpu) 
     for (const ModelBuilder& scene : {boxes(), standing()})
       expect_same(trained(scene, Device::cuda(), how), trained(scene, Device::cpu(), how), "");
   }
+}
+
+TEST_F(ArticulationGradientDevices, StopsBesideContactsHaveTheBitsOfTheCpu) {
+  expect_gradients_of_the_cpu(kicking(), {.options = {.joint_limits = JointLimits::Row,
+                                                      .joint_limit_restitution = 0.5f},
+                                          .steps = 8});
 }
 
 TEST_F(ArticulationGradientDevices, DryFrictionAloneHasTheBitsOfTheCpu) {

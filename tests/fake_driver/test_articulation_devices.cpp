@@ -66,8 +66,12 @@ Result stepped(const Model& m, const Steps& how) {
 
 TEST_F(ArticulationDevices, StepsHaveTheBitsOfTheCpuDirectAndReplayed) {
   const ModelBuilder builder = AllJointsScene::make();
-  for (const bool implicit : {true, false}) {
-    Steps how = {.options = {.implicit_drives = implicit}};
+  const FeatherstoneOptions all[] = {
+      {},
+      {.implicit_drives = false},
+      {.joint_limits = JointLimits::Row, .joint_limit_restitution = 0.6f}};
+  for (const FeatherstoneOptions& options : all) {
+    Steps how = {.options = options};
     const Result expected = stepped(*builder.finalize(Device::cpu()), how);
     const auto model = builder.finalize(Device::cuda());
     expect_same(stepped(*model, how), expected, ", direct");

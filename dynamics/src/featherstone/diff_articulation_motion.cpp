@@ -301,7 +301,6 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
   MotionNotes& notes = *s.motion;
   if (!notes.concerned()) return run(inputs);
   const ArticulationArguments in = host_arguments(s);
-  const ArticulationRows* const rows = rows_of_step(s);
   const auto trees = static_cast<size_t>(s.count), dofs = static_cast<size_t>(s.in(kAt.qd).size());
   const auto copy_of = [](const Tensor& like, const Tensor& from) {
     Tensor to(like.shape(), nova::DType::F32, Device::cpu());

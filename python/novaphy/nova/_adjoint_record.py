@@ -105,9 +105,9 @@ def _boundaries(steps: list[Row], contacts: list[Row]) -> list[Row]:
     rows = list[Row]()
     for k, time in enumerate(_times(steps)):
         last, step = steps[k - 1] if k else None, steps[k] if k < len(steps) else None
-        follows = last is not None and last["end"]
-        p = np.array(last["end"] if follows else step["start"] if step else [])
-        f = smooth[k - 1] if follows else smooth[k] if step else None
+        end = last["end"] if last else []
+        p = np.array(end or (step["start"] if step else []))
+        f = smooth[k - 1] if end else smooth[k] if step else None
         number = step["number"] if step else steps[-1]["number"] + 1 if steps else 0
         h = float(p @ f) if f is not None else None
         rows.append({"step": number, "time": time, "norm": float(np.linalg.norm(p)), "h": h})

@@ -164,6 +164,8 @@ RAISES = {
     "shape_material_mu_rolling": (scaled, "shape_material_mu_rolling"),
     "shape_mesh_range": (rows(1, 0), "shape_mesh_range"),
     "shape_body": (rows(0, 0), "shape_body|body 0"),
+    "fluid_density": (scaled, "fluid_density"),
+    "fluid_viscosity": (scaled, "fluid_viscosity"),
 }
 # Arrays that do not act on particles, with the reason.
 NO_PART = {
@@ -177,6 +179,7 @@ NO_PART = {
     "shape_collision_radius": "found of the shapes when the model is made",
     "shape_aabb_lower": "found of the shapes when the model is made",
     "shape_aabb_upper": "found of the shapes when the model is made",
+    "fluid_wind": "moves a fluid, and a model with one is refused",
 }
 # Without rows, because a model with bodies, joints, articulations or actuators is refused.
 OF_BODIES = ("body_", "joint_", "articulation_", "actuator_", "act", "ctrl")

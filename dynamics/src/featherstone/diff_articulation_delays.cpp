@@ -1,5 +1,5 @@
-// By how much the events of a step delay (diff_articulation_motion.h): with the state, and with the
-// limit of a joint as a row, whose gap d is side (q - limit).
+// The delays of the events of a step (diff_articulation_motion.h), as functions of the state and of
+// the limits of joints. A limit as a row has the gap d = side (q - limit).
 #include "diff_articulation_motion.h"
 #include "diff_articulation_parts.h"
 
@@ -9,7 +9,7 @@ namespace art = articulation;
 
 namespace {
 
-// The delays of an event by the groups' dp . dq, weighed: w_g / |dp_g . v|.
+// Returns an event's sum of |dp_g . v|. The delay of a group has the weight w_g / |dp_g . v|.
 float total_approach(const ContactEvent& event) {
   float sum = 0.0f;
   for (const ContactEvent::Group& g : event.groups) sum += g.approach;

@@ -8,6 +8,7 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/enums.h"
@@ -60,14 +61,14 @@ inline void check_particle_flags(const Where& where, int32_t flags) {
           ": expected 0 or ParticleFlags.ACTIVE (1), got ", flags);
 }
 
-// Objects in all worlds (-1) have the gravity of the last world (see Model::gravity). The gravity
-// of the last world must therefore equal the builder's.
-inline void check_world_gravity(const Where& where, int32_t world, const Vec3f& gravity,
-                                std::span<const Vec3f> world_gravity) {
-  require(world >= 0 || world_gravity.empty() || gravity == world_gravity.back(), ErrorKind::Value,
-          where,
-          ": expected a world from 0: what is in all worlds (-1) needs a gravity of the builder "
-          "that the last world has too");
+// Objects in all worlds (-1) have the gravity and the fluid of the last world (see Model::gravity).
+// Those of the last world must therefore equal the builder's. `name`: of the setting.
+template <class T>
+void check_world_setting(const Where& where, int32_t world, std::string_view name,
+                         const T& of_builder, const std::vector<T>& of_worlds) {
+  require(world >= 0 || of_worlds.empty() || of_builder == of_worlds.back(), ErrorKind::Value,
+          where, ": expected a world from 0: what is in all worlds (-1) needs a ", name,
+          " of the builder that the last world has too");
 }
 
 // ErrorKind::Value: a number of a fluid is not finite, or its density or viscosity is negative.

@@ -130,7 +130,7 @@ void ModelBuilder::check_values() const {
     require(particle_world[i] >= -1 && particle_world[i] < worlds, ErrorKind::Value,
             Where{name, "particle_world", i}, ": expected -1 (all worlds) to ", worlds - 1,
             ", got ", particle_world[i]);
-    detail::check_world_gravity({name, "particle_world", i}, particle_world[i], gravity,
+    detail::check_world_setting({name, "particle_world", i}, particle_world[i], "gravity", gravity,
                                 world_gravity_);
   }
 }

@@ -121,7 +121,8 @@ void ModelBuilder::check_bodies(const BodyMasses& masses) const {
     detail::checked_pose({name, "body_q", b}, body_q[b]);
     detail::check_finite({name, "body_qd", b}, body_qd[b].linear);
     detail::check_finite({name, "body_qd", b}, body_qd[b].angular);
-    detail::check_world_gravity({name, "body_world", b}, bodies_[b].world, gravity, world_gravity_);
+    detail::check_world_setting({name, "body_world", b}, bodies_[b].world, "gravity", gravity,
+                                world_gravity_);
     if (bodies_[b].is_kinematic || (bodies_[b].is_link && masses.mass[b] == 0.0f)) continue;
     require(masses.mass[b] > 0.0f, ErrorKind::Value, detail::Where{name, "body_mass", b},
             ": expected a number > 0 for a dynamic body (give it a mass, or a shape with a "

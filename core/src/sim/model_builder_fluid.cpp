@@ -76,10 +76,8 @@ void ModelBuilder::upload_fluid(Model& m, const BodyMasses& masses) const {
   std::vector<Vec3f> size;
   std::vector<Quatf> frame;
   for (size_t b = 0; b < bodies_.size(); ++b) {
-    require(bodies_[b].world >= 0 || world_fluid_.empty() || fluid == world_fluid_.back(),
-            ErrorKind::Value, detail::Where{"finalize", "body_world", b},
-            ": expected a world from 0: a body in all worlds (-1) needs a fluid of the builder that "
-            "the last world has too");
+    detail::check_world_setting({"finalize", "body_world", b}, bodies_[b].world, "fluid", fluid,
+                                world_fluid_);
     const Box box = equivalent_box(masses.mass[b], masses.inertia[b], bodies_[b].fluid_frame);
     size.push_back(box.size);
     frame.push_back(box.frame);

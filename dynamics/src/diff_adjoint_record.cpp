@@ -10,13 +10,11 @@ namespace {
 
 thread_local AdjointRecord* current_record = nullptr;
 
-std::shared_ptr<AdjointRecord> last_record(const nova::Tape& tape) {
-  std::shared_ptr<AdjointRecord> last;
+std::shared_ptr<AdjointRecord> record_of(const nova::Tape& tape) {
   for (const auto& witness : tape.witnesses())
-    if (dynamic_cast<const AdjointRecord*>(witness.get()) != nullptr)
-      last = std::const_pointer_cast<AdjointRecord>(
-          std::static_pointer_cast<const AdjointRecord>(witness));
-  return last;
+    if (auto record = std::dynamic_pointer_cast<const AdjointRecord>(witness))
+      return std::const_pointer_cast<AdjointRecord>(record);
+  return nullptr;
 }
 
 // The unit vector against the gradients of the leaves that have some.
@@ -69,18 +67,21 @@ void backward_with_record(nova::Tape& tape, const nova::Tensor& loss, const nova
   }
   require(has_steps, ErrorKind::Runtime,
           "backward, record: expected steps of DiffFeatherstoneSolver on the tape, got none");
-  const auto record = std::make_shared<AdjointRecord>();
-  record->loss = loss;
+  AdjointRecord record;
+  record.loss = loss;
   {
-    const AdjointRecord::Scope scope(*record);
+    const AdjointRecord::Scope scope(record);
     tape.backward(loss, seed);
   }
-  tape.add_witness(record);
+  if (const auto last = record_of(tape))
+    *last = std::move(record);
+  else
+    tape.add_witness(std::make_shared<AdjointRecord>(std::move(record)));
 }
 
 std::shared_ptr<const AdjointRecord> adjoint_record(nova::Tape& tape,
                                                     const std::vector<nova::Tensor>& inputs) {
-  const std::shared_ptr<AdjointRecord> record = last_record(tape);
+  const std::shared_ptr<AdjointRecord> record = record_of(tape);
   require(record != nullptr, ErrorKind::Runtime,
           "adjoint_record: expected backward(loss, record=True) before, got none");
   for (AdjointRecord::Step& step : record->steps) step.changes.clear();

@@ -72,6 +72,15 @@ def test_one_contact_carries_the_whole_derivative() -> None:
     assert contact["begins"] and not contact["held"]
 
 
+def test_a_second_backward_replaces_the_record() -> None:
+    hit = Hit(balls())
+    hit.tape.backward(hit.loss, record=True)
+    again = hit.tape.adjoint_record([hit.speed])
+    assert len(again.boundaries) == len(hit.record.boundaries)
+    assert [c["step"] for c in again.contacts] == [c["step"] for c in hit.record.contacts]
+    assert again.contacts[0]["carried"] == pytest.approx(hit.record.contacts[0]["carried"])
+
+
 @pytest.mark.parametrize("mu", [0.0, 0.3])
 def test_the_adjoint_is_the_difference_by_an_external_impulse(mu: float) -> None:
     """A hit off the line; impulses on both balls at the point, behind the solve of the step."""

@@ -4,6 +4,7 @@
 #include <initializer_list>
 
 #include "novaphy/core/parallel.h"
+#include "novaphy/core/sim/named_step.h"
 #include "novaphy/dynamics/diff_operators.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/op_list.h"
@@ -222,8 +223,10 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
         checkpoints->next_is_kept = trajectory.keeps(t + 1);
       }
       const nova::Tape::StepScope of_step(t);
-      step(t, trajectory.any_state(t), trajectory.any_state(t + 1),
-           recording ? trajectory.scratch(t) : StepScratch(alone[0]), slot(t));
+      named_step(t, [&] {
+        step(t, trajectory.any_state(t), trajectory.any_state(t + 1),
+             recording ? trajectory.scratch(t) : StepScratch(alone[0]), slot(t));
+      });
     }
   }
   deferred.flush();

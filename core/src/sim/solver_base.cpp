@@ -13,6 +13,7 @@
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/sim/input_checks.h"
+#include "novaphy/core/sim/named_step.h"
 #include "novaphy/core/warning.h"
 #include "novaphy/math/spatial.h"
 
@@ -280,7 +281,7 @@ void SolverBase::rollout(Trajectory& trajectory, const Control* control, const C
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t) {
     if (t % kStepsPerInterruptCheck == 0) check_interrupt();
     kept->keep(t);
-    steps->run(t, trajectory.any_state(t), trajectory.any_state(t + 1));
+    named_step(t, [&] { steps->run(t, trajectory.any_state(t), trajectory.any_state(t + 1)); });
   }
   trajectory.set_last_rollout(inputs.start(), inputs.stop(),
                               [steps, kept](int32_t t, const SimState& from, SimState& to) {

@@ -297,8 +297,11 @@ std::string Articulations::dof_name(const Model& m, int32_t dof) const {
   const OnHost<int32_t> starts(m.joint_qd_start);
   const int32_t* const start = starts.data();
   const auto joint = std::upper_bound(start, start + m.joint_count(), dof) - start - 1;
-  return "dof " + std::to_string(dof) + " (joint '" + m.joint_label[static_cast<size_t>(joint)] +
-         "')";
+  std::string name = "dof " + std::to_string(dof) + " (joint '" +
+                     m.joint_label[static_cast<size_t>(joint)] + "'";
+  if (m.world_count() > 1)
+    name += " of world " + std::to_string(OnHost<int32_t>(m.joint_world).data()[joint]);
+  return name + ")";
 }
 
 std::string Articulations::matrix_name(const Model& m, int32_t dof, const SimState* state) const {

@@ -282,6 +282,17 @@ def test_sums_that_overflow_are_refused():
         dist.value_and_grad(large, parameters(), shard)
 
 
+def test_a_state_that_is_not_finite_is_named_with_world_and_step():
+    shard = dist.shard(bouncing(), worlds=4, block=2)
+    ruined = parameters()
+    ruined["offset"].assign(np.full(3, np.inf, np.float32))
+    with pytest.raises(ValueError, match="in world 0 .*; the state before step 1 is its first that"):
+        dist.value_and_grad(rollout, ruined, shard)
+    shard = dist.shard(pendulum(), worlds=4, block=2)
+    with pytest.raises(novaphy.Error, match="of world 0.*; in step [0-9]+ of the rollout"):
+        dist.value_and_grad(rollout, ruined, shard)
+
+
 def test_bad_input_is_named():
     shard = dist.shard(bouncing(), worlds=4, block=2)
     for arguments, message in (
@@ -488,5 +499,5 @@ def test_a_rank_that_is_killed_ends_the_others(transport, tmp_path):
         done = done_of(*command, timeout=60)
     text = done.stderr + done.stdout
     assert done.returncode != 0 and time.monotonic() - begin < 30, text
-    named = {"torch": r"rank 0 ends: .*[Rr]ank 1|local_rank: 1", "mpi": "KILLED BY SIGNAL: 9|PID"}
+    named = {"torch": r"rank 0 ends: .*for rank 1 \(process", "mpi": "KILLED BY SIGNAL: 9|PID"}
     assert re.search(named[transport], text, re.DOTALL), text

@@ -4,6 +4,7 @@
     python tools/bench/scaling.py --scene ants --worlds 512 --block 64
     torchrun --standalone --nproc-per-node=4 tools/bench/scaling.py --scene cloth --device cuda
     mpiexec -n 2 python tools/bench/scaling.py --scene boxes
+    python tools/bench/scaling.py --scene boxes --ray 2
     python tools/bench/scaling.py --scene boxes --device cpu cuda:0   # by threads of one process
 
 --device cuda gives each process of a host its own GPU. --reduction times the sum of gradients
@@ -97,7 +98,10 @@ KINDS = {
 def solver_of(model: novaphy.Model) -> solvers.DiffSolverBase:
     """The differentiable solver of a scene."""
     if model.joint_dof_count:
-        return solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_erp=1.0)
+        # The contacts of a few of thousands of random starts do not converge.
+        return solvers.DiffFeatherstoneSolver(
+            model, pgs_slop=0.0, pgs_erp=1.0, allow_unconverged=True
+        )
     return (
         solvers.DiffSolverVBD(model) if model.tri_count else solvers.DiffSemiImplicitSolver(model)
     )
@@ -183,6 +187,14 @@ def reductions(args: argparse.Namespace, group: dist.Group) -> list[dict[str, ob
     return lines
 
 
+def lines_of(args: argparse.Namespace) -> list[dict[str, object]]:
+    """What one rank measured."""
+    group = dist.init()
+    lines = reductions(args, group) if args.reduction else [measure(args, group)]
+    group.close()
+    return lines if group.rank == 0 else []
+
+
 def main() -> None:
     """Print what was measured, on rank 0."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -193,13 +205,10 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5, help="timed iterations; 0: none")
     parser.add_argument("--device", nargs="+", default=["cpu"])
     parser.add_argument("--reduction", action="store_true", help="time the sum of gradients alone")
+    parser.add_argument("--ray", type=int, metavar="RANKS", help="run on so many actors of Ray")
     args = parser.parse_args()
-    group = dist.init()
-    lines = reductions(args, group) if args.reduction else [measure(args, group)]
-    if group.rank == 0:
-        for line in lines:
-            print(json.dumps(line), flush=True)
-    group.close()
+    for line in dist.spawn(lines_of, args, ranks=args.ray)[0] if args.ray else lines_of(args):
+        print(json.dumps(line), flush=True)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import nova
+from ..diff import Trajectory
 from ._shard import Block, Shard
 from ._tree import BlockSums, Node, Vector
 
@@ -61,7 +62,29 @@ def _check_finite(losses: NDArray[np.float32], block: Block) -> None:
         raise ValueError(
             f"value_and_grad: rollout: expected finite losses, got {losses[wrong[0]]} in world "
             f"{block.first_world + wrong[0]} (block {block.index}), and {len(wrong) - 1} more"
+            f"{_first_state(block, int(wrong[0]))}"
         )
+
+
+def _first_state(block: Block, world: int) -> str:
+    """The first kept state of a Trajectory that is not finite in a world of the block, in words."""
+    model = block.model
+    worlds_of = {
+        "particle_q": model.particle_world.numpy(),
+        "body_q": model.body_world.numpy(),
+        "joint_q": np.repeat(model.joint_world.numpy(), np.diff(model.joint_q_start.numpy())),
+    }
+    for path in block.kept.values():
+        if not isinstance(path, Trajectory):
+            continue
+        wrong = np.zeros(len(path.kept_steps), bool)
+        for name, worlds in worlds_of.items():
+            values = getattr(path, name).numpy()[:, worlds == world]
+            wrong |= ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        if wrong.any():
+            step = path.kept_steps[int(np.argmax(wrong))]
+            return f"; the state before step {step} is its first that is not finite"
+    return ""
 
 
 def sums_of(function: Callable[[Block], Vector], shard: Shard) -> list[Node]:

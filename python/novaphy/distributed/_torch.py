@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import socket
 from datetime import timedelta
+from pathlib import Path
 
 import numpy as np
 
@@ -25,6 +28,9 @@ class TorchGroup(Group):
         if self._lib.get_backend() != "gloo":
             self._group = self._lib.new_group(backend="gloo", timeout=self._timeout)
         self.rank, self.size = self._lib.get_rank(), self._lib.get_world_size()
+        self._processes: list[str] = []  # "host pid" of each rank
+        here = f"{socket.gethostname()} {os.getpid()}".encode()
+        self._processes = [of_rank.decode() for of_rank in self.all_gather(here, "init")]
 
     def close(self) -> None:
         """End the process group, if init started it."""
@@ -41,10 +47,30 @@ class TorchGroup(Group):
             padded[: len(message)] = np.frombuffer(message, np.uint8)
             parts = self._all(self._torch.from_numpy(padded))
         except RuntimeError as error:
-            raise RuntimeError(f"distributed: {call}: rank {self.rank} waited: {error}") from error
+            raise RuntimeError(
+                f"distributed: {call}: rank {self.rank} waited{self._ended()}: {error}"
+            ) from error
         return [part.numpy().tobytes()[:n] for part, n in zip(parts, lengths, strict=True)]
+
+    def _ended(self) -> str:
+        """The ranks of this host whose processes have ended, in words."""
+        ended = []
+        for rank, process in enumerate(self._processes):
+            host, pid = process.split()
+            if host == socket.gethostname() and not _runs(pid):
+                ended.append(f"rank {rank} (process {pid} of {host})")
+        return f" for {', '.join(ended)}, which ended" if ended else ""
 
     def _all(self, tensor: object) -> list:  # type: ignore[type-arg]
         parts = [self._torch.empty_like(tensor) for _ in range(self.size)]
         self._lib.all_gather(parts, tensor, group=self._group)
         return parts
+
+
+def _runs(pid: str) -> bool:
+    """Whether a process exists and is not a zombie."""
+    try:
+        state = Path("/proc", pid, "stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return not Path("/proc/self").exists()  # no /proc: nobody knows
+    return state not in ("Z", "X")

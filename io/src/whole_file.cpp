@@ -170,15 +170,21 @@ void check_stl(const std::string& where, std::string_view bytes) {
           ErrorKind::Value, where, ": expected endsolid, got the end of the file");
 }
 
+bool is_of_integers(char c) {
+  return (c >= '0' && c <= '9') || c == ' ' || c == '\n' || c == '\t' || c == '\r' || c == '+' ||
+         c == '-';
+}
+
 void check_dae(const std::string& where, std::string_view bytes) {
   for (size_t at = bytes.find("<p"); at != std::string_view::npos; at = bytes.find("<p", at)) {
     at += 2;
     if (bytes.substr(at, 1).find_first_of("> \t\r\n") != 0) continue;  // a tag with a longer name
     at = std::min(bytes.find('>', at), bytes.size() - 1) + 1;
     const std::string_view text = bytes.substr(at, bytes.find('<', at) - at);
-    const size_t bad = text.find_first_not_of("+-0123456789 \t\r\n");
-    if (bad == std::string_view::npos) continue;
-    fail(ErrorKind::Value, where, ":", 1 + std::ranges::count(bytes.substr(0, at + bad), '\n'),
+    const auto bad = std::ranges::find_if_not(text, is_of_integers);
+    if (bad == text.end()) continue;
+    const size_t place = at + static_cast<size_t>(bad - text.begin());
+    fail(ErrorKind::Value, where, ":", 1 + std::ranges::count(bytes.substr(0, place), '\n'),
          ": expected whole numbers in <p>");
   }
 }

@@ -20,6 +20,7 @@ import json
 import os
 import statistics
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +66,7 @@ def ants(first_world: int, worlds: int, device: str) -> novaphy.Model:
 class Kind:
     """How a scene is made and run: the rates of its start are a rule of random features."""
 
-    scene: object
+    scene: Callable[[], object]
     steps: int
     dt: float
 
@@ -89,9 +90,9 @@ class Kind:
 
 
 KINDS = {
-    "ants": Kind(ants, 140, 1e-3),
-    "boxes": Kind(boxes(), 60, 1e-3),
-    "cloth": Kind(cloth(), 20, 1 / 120),
+    "ants": Kind(lambda: ants, 140, 1e-3),
+    "boxes": Kind(boxes, 60, 1e-3),
+    "cloth": Kind(cloth, 20, 1 / 120),
 }
 
 
@@ -138,7 +139,7 @@ def measure(args: argparse.Namespace, group: dist.Group) -> dict[str, object]:
     """Train some iterations, then time one more."""
     kind = KINDS[args.scene]
     shard = dist.shard(
-        kind.scene, worlds=args.worlds, block=args.block, devices=devices_of(args, group)
+        kind.scene(), worlds=args.worlds, block=args.block, devices=devices_of(args, group)
     )  # fmt: skip
     width = ends_of(shard.blocks[0].model, diff.Trajectory(shard.blocks[0].model, 1))[0].size
     rule = np.random.default_rng(1).normal(0, 0.2, (width // args.block, FEATURES))

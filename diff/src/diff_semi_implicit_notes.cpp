@@ -5,6 +5,7 @@
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/core/error.h"
 #include "novaphy/diff/diff_semi_implicit_solver.h"
+#include "novaphy/dynamics/semi_implicit/diff_noted_springs.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
 
@@ -14,7 +15,9 @@ namespace {
 GradientInfo info_of(const Model& model, const GradientNotes& notes, const TouchList& touches,
                      bool moves) {
   const MotionCounts motion = touches.counts();
-  return novaphy::gradient_info(notes.counts(model), false, moves ? &motion : nullptr);
+  GradientInfo info = novaphy::gradient_info(notes.counts(model), false, moves ? &motion : nullptr);
+  info.steps_per_contact = steps_per_contact(model, notes.chain());
+  return info;
 }
 }  // namespace
 
@@ -23,16 +26,34 @@ struct DiffSemiImplicitSolver::Witness : GradientWitness {
   GradientNotes notes;
   TouchList touches;
   bool moves;
-  Witness(std::shared_ptr<const Model> of, bool motion) : model(std::move(of)), moves(motion) {}
+  const char* unrecorded;
+  Witness(std::shared_ptr<const Model> of, bool motion, const char* without)
+      : model(std::move(of)), moves(motion), unrecorded(without) {}
   GradientInfo info() const override { return info_of(*model, notes, touches, moves); }
   MotionEvents events() const override { return touches.counts().events; }
   bool has_events() const override { return moves; }
-  const char* without_record() const override { return "DiffSemiImplicitSolver"; }
+  const char* without_record() const override {
+    const bool all_kept = !notes.chain().empty() || notes.counts(*model).steps == 0;
+    return unrecorded == nullptr && !all_kept ? "DiffSemiImplicitSolver with checkpoints"
+                                              : unrecorded;
+  }
+  void begin_record() const override { clear_gradients(notes.chain()); }
+  void add_to(AdjointRecord& record) const override { add_springs(*model, notes.chain(), record); }
 };
 
 std::shared_ptr<DiffSemiImplicitSolver::Witness> DiffSemiImplicitSolver::witness() {
-  return witness_on_tape(witness_,
-                         [this] { return std::make_shared<Witness>(model(), motion_ != nullptr); });
+  return witness_on_tape(witness_, [this] {
+    return std::make_shared<Witness>(model(), motion_ != nullptr, without_record());
+  });
+}
+
+const char* DiffSemiImplicitSolver::without_record() const {
+  if (!device().is_cpu()) return "DiffSemiImplicitSolver on a device";
+  if (moves_particles()) return "DiffSemiImplicitSolver with particles";
+  if (config_.enable_static_contacts) return "DiffSemiImplicitSolver with enable_static_contacts";
+  if (config_.penalty_law != PenaltyLaw::Sampled)
+    return "DiffSemiImplicitSolver with penalty_law \"mean\"";
+  return nullptr;
 }
 
 GradientInfo DiffSemiImplicitSolver::gradient_info() const {
@@ -51,8 +72,9 @@ std::optional<TouchedStep> DiffSemiImplicitSolver::begin_touches(
 }
 
 // Notes a step on a tape for gradient_info.
-void DiffSemiImplicitSolver::note_step(const SimState& in, const SimState& out,
-                                       const Contacts* contacts, const ContactTables& tables,
+void DiffSemiImplicitSolver::note_step(const SimState& in, const SimState& from,
+                                       const SimState& out, const Contacts* contacts,
+                                       const ContactTables& tables, const nova::Operand& wrench,
                                        float dt, bool keeps) {
   if (nova::Tape::active() == nullptr) return;
   const bool particles = moves_particles() && config_.enable_particle_contacts,
@@ -63,10 +85,10 @@ void DiffSemiImplicitSolver::note_step(const SimState& in, const SimState& out,
   NotedStep step;
   step.start = place(in);
   step.end = place(out);
-  step.q = in.particle_q;
-  step.qd = in.particle_qd;
-  step.body_q = in.body_q;
-  step.body_qd = in.body_qd;
+  step.q = from.particle_q;
+  step.qd = from.particle_qd;
+  step.body_q = from.body_q;
+  step.body_qd = from.body_qd;
   step.contacts = notes_.handles(contacts);
   step.soft = particles;
   step.rigid = bodies;
@@ -74,6 +96,7 @@ void DiffSemiImplicitSolver::note_step(const SimState& in, const SimState& out,
   step.rigid_follow = tables.of_this_state();
   step.kf_rate = kf_rate(config_.particle_kf_bound, dt);
   step.smoothing = friction_smoothing_;
+  step.dt = dt;
   if (config_.enable_static_contacts) {
     step.static_particles = particles;
     step.static_reach = config_.static_contact_margin;
@@ -81,7 +104,11 @@ void DiffSemiImplicitSolver::note_step(const SimState& in, const SimState& out,
     step.shape = particles_.rows().shape();
     if (bodies) step.plane_pairs = bodies_.plane_pairs().pairs();
   }
-  witness()->notes.add_to_all(*model(), step, keeps);
+  NotedStep recorded = step;
+  recorded.wrench = wrench;
+  recorded.q_next = nova::operand_of(out.body_q);
+  recorded.qd_next = nova::operand_of(out.body_qd);
+  witness()->notes.add_to_all(*model(), std::move(recorded), keeps);
   notes_.add(*model(), std::move(step), keeps);
 }
 

@@ -253,12 +253,15 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
   begin(name, control, contacts, false,
         contacts != nullptr && contacts->rigid_contacts_found_from(*model(), state_in.body_q), dt);
   if (nova::Tape::active() != nullptr) make_leaves(state_in);
-  note_step(state_in, state_out, contacts, tables_, dt, true);
   std::optional<TouchedStep> touched =
       begin_touches(state_in, state_out, nova::operand_of(state_in.particle_f),
                     nova::operand_of(state_in.body_f), control, contacts, dt);
   SimState& from = touched && touched->moved_in ? *touched->moved_in : state_in;
   SimState& to = touched ? touched->to() : state_out;
+  // A tape keeps the old memory.
+  if (moves_bodies() && (body_f_.rows() == 0 || nova::Tape::active() != nullptr))
+    body_f_ = DeviceArray<SpatialVectorf>(state_in.body_f.rows(), device());
+  note_step(state_in, from, state_out, contacts, tables_, nova::operand_of(body_f_), dt, true);
   if (moves_particles()) {
     particles_.run(*model(), from, to, control, contacts, tables_, dt);
     if (&from != &state_in) {
@@ -273,8 +276,6 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
     if (touched) motion_->end(*model(), *touched);
     return;
   }
-  if (body_f_.rows() == 0 || nova::Tape::active() != nullptr)  // a tape keeps the old memory
-    body_f_ = DeviceArray<SpatialVectorf>(state_in.body_f.rows(), device());
   bodies_.run(*model(), from, to, nova::operand_of(from.body_f), joints_ ? &*joints_ : nullptr,
               control, contacts, tables_, particles_.wrenches(), dt, nova::operand_of(body_f_));
   if (contacts != nullptr) bodies_.write_contact_forces(*contacts);
@@ -343,19 +344,20 @@ void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
     inputs.tables->rebuild(*model(), *inputs.contacts, wanted);
   }
   const ContactTables& tables = inputs.tables != nullptr ? *inputs.tables : tables_;
-  note_step(in, out, inputs.contacts, tables, inputs.dt, inputs.checkpoints == nullptr);
   std::optional<TouchedStep> touched = begin_touches(in, out, inputs.forces, inputs.body_forces,
                                                      inputs.control, inputs.contacts, inputs.dt);
   const SimState& from = touched ? touched->from() : in;
   SimState& to = touched ? touched->to() : out;
+  const nova::Operand total =
+      moves_bodies() && !scratch.empty() ? nova::operand_of(scratch.back()) : nova::Operand{};
+  note_step(in, from, out, inputs.contacts, tables, total, inputs.dt,
+            inputs.checkpoints == nullptr);
   if (moves_particles()) {
     StepInputs own = inputs;
     if (touched) own.forces = touched->forces;
     particles_.record(*model(), from, to, own, tables, scratch);
   }
   if (moves_bodies()) {
-    const nova::Operand total =
-        scratch.empty() ? nova::Operand{} : nova::operand_of(scratch.back());
     bodies_.run(*model(), from, to, touched ? touched->body_forces : inputs.body_forces,
                 joints_ ? &*joints_ : nullptr, inputs.control, inputs.contacts, tables,
                 particles_.wrenches(), inputs.dt, total);

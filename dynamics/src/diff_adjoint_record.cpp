@@ -4,6 +4,7 @@
 
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/diff_gradient_notes.h"
+#include "novaphy/dynamics/semi_implicit/diff_noted_springs.h"
 
 namespace novaphy {
 namespace {
@@ -63,16 +64,22 @@ void backward_with_record(nova::Tape& tape, const nova::Tensor& loss, const nova
     const char* const solver = of->without_record();
     require(solver == nullptr, ErrorKind::NotImplemented,
             "backward, record: not supported with steps of ", solver == nullptr ? "" : solver,
-            ", only of DiffFeatherstoneSolver");
+            ", only of DiffFeatherstoneSolver, and of DiffSemiImplicitSolver for bodies with the "
+            "contacts of a pipeline, on the CPU");
+    of->begin_record();
   }
   require(has_steps, ErrorKind::Runtime,
-          "backward, record: expected steps of DiffFeatherstoneSolver on the tape, got none");
+          "backward, record: expected steps of DiffFeatherstoneSolver or DiffSemiImplicitSolver on "
+          "the tape, got none");
   AdjointRecord record;
   record.loss = loss;
   {
     const AdjointRecord::Scope scope(record);
     tape.backward(loss, seed);
   }
+  for (const auto& witness : tape.witnesses())
+    if (const auto* const of = dynamic_cast<const GradientWitness*>(witness.get()))
+      of->add_to(record);
   if (const auto last = record_of(tape))
     *last = std::move(record);
   else
@@ -84,10 +91,15 @@ std::shared_ptr<const AdjointRecord> adjoint_record(nova::Tape& tape,
   const std::shared_ptr<AdjointRecord> record = record_of(tape);
   require(record != nullptr, ErrorKind::Runtime,
           "adjoint_record: expected backward(loss, record=True) before, got none");
-  for (AdjointRecord::Step& step : record->steps) step.changes.clear();
+  bool all_springs = true;
+  for (AdjointRecord::Step& step : record->steps) {
+    step.changes.clear();
+    all_springs = all_springs && step.of_springs;
+  }
   const Downhill along = downhill(inputs.empty() ? tape.leaves() : inputs);
   const AdjointRecord::Scope scope(*record);
-  tape.jvp({record->loss}, along.leaves, along.tangents);
+  const auto run = [&] { tape.jvp({record->loss}, along.leaves, along.tangents); };
+  if (!find_changes_of_springs(*record, run) || !all_springs) run();
   return record;
 }
 

@@ -194,6 +194,7 @@ GradientInfo worst_of(std::span<const GradientInfo> all) {
     sum.lost_events += of.lost_events;
     sum.least_approach = std::min(sum.least_approach, of.least_approach);
     sum.least_separation = std::min(sum.least_separation, of.least_separation);
+    sum.steps_per_contact = std::min(sum.steps_per_contact, of.steps_per_contact);
     sum.event_list.insert(sum.event_list.end(), of.event_list.begin(), of.event_list.end());
     sum.residual = std::max(sum.residual, of.residual);
     sum.h_skipped += of.h_skipped;

@@ -6,6 +6,7 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/parallel.h"
 #include "novaphy/nova/op_list.h"
+#include "novaphy/nova/tangent_visitor.h"
 #include "tape_impl.h"
 
 namespace nova {
@@ -16,6 +17,13 @@ using novaphy::fail;
 using novaphy::Range;
 using novaphy::require;
 using novaphy::Storage;
+
+namespace {
+thread_local TangentVisitor* current_visitor = nullptr;
+}
+TangentVisitor::TangentVisitor() { current_visitor = this; }
+TangentVisitor::~TangentVisitor() { current_visitor = nullptr; }
+TangentVisitor* TangentVisitor::current() { return current_visitor; }
 
 CompiledTangent& detail::KernelImpl::tangent(uint64_t wrt) {
   const std::lock_guard lock(mutex_);
@@ -156,6 +164,11 @@ class Tape::Impl::Forward {
       hold_in_capture(made[o]);
       moving_[t_.output(op, o).range.get()] = {made[o]};
     }
+    TangentVisitor* const visitor = TangentVisitor::current();
+    if (visitor == nullptr) return;
+    std::vector<Operand> inputs;
+    for (uint32_t s = 0; s < op.inputs; ++s) inputs.push_back(t_.input(op, s).operand);
+    visitor->visit(op.kernel->name, inputs, made);
   }
 
   Impl& t_;

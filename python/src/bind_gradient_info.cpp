@@ -27,17 +27,18 @@ py::list rows_of(const MotionEvents& events) {
 }  // namespace
 
 GradientInfoFields to_fields(const GradientInfo& i, const py::dict& more) {
-  py::dict fields("label"_a = i.label, "reason"_a = i.reason, "steps"_a = i.steps,
-                  "exact_steps"_a = i.exact_steps, "frozen_steps"_a = i.frozen_steps,
-                  "surrogate_steps"_a = i.surrogate_steps, "events"_a = i.events,
-                  "began"_a = i.began, "ended"_a = i.ended, "turned"_a = i.turned,
-                  "several"_a = i.several, "one_sided"_a = i.one_sided,
-                  "ramp_steps"_a = i.ramp_steps, "landings"_a = i.landings, "phased"_a = i.phased,
-                  "lost_events"_a = i.lost_events, "least_approach"_a = i.least_approach,
-                  "least_separation"_a = i.least_separation, "event_list"_a = rows_of(i.event_list),
-                  "residual"_a = i.residual, "h_drift"_a = there(i.h_drift),
-                  "h_step"_a = i.h_drift == i.h_drift ? py::object(py::int_(i.h_step)) : py::none(),
-                  "h_skipped"_a = i.h_skipped);
+  py::dict fields(
+      "label"_a = i.label, "reason"_a = i.reason, "steps"_a = i.steps,
+      "exact_steps"_a = i.exact_steps, "frozen_steps"_a = i.frozen_steps,
+      "surrogate_steps"_a = i.surrogate_steps, "events"_a = i.events, "began"_a = i.began,
+      "ended"_a = i.ended, "turned"_a = i.turned, "several"_a = i.several,
+      "one_sided"_a = i.one_sided, "ramp_steps"_a = i.ramp_steps, "landings"_a = i.landings,
+      "phased"_a = i.phased, "lost_events"_a = i.lost_events, "least_approach"_a = i.least_approach,
+      "least_separation"_a = i.least_separation, "steps_per_contact"_a = i.steps_per_contact,
+      "event_list"_a = rows_of(i.event_list), "residual"_a = i.residual,
+      "h_drift"_a = there(i.h_drift),
+      "h_step"_a = i.h_drift == i.h_drift ? py::object(py::int_(i.h_step)) : py::none(),
+      "h_skipped"_a = i.h_skipped);
   for (const auto& [name, value] : more) fields[name] = value;
   return {fields};
 }
@@ -91,6 +92,10 @@ constexpr std::pair<const char*, const char*> kFields[] = {
      "The least approach of the events in event_list (m/s, rad/s); inf without an event."},
     {"least_separation",
      "The fewest steps between two events of one articulation or body; inf without two events."},
+    {"steps_per_contact",
+     "Of DiffSemiImplicitSolver: the steps of a touch of the stiffest contact that pushed, "
+     "pi / (dt sqrt(stiffness / mass)). inf without such a contact, on a device, and with "
+     "checkpoints or enable_static_contacts."},
     {"event_list",
      "With contact_gradient=\"motion\": a dict for each contact or limit that begins, in the order "
      "of time. The events are those of the last chain of steps, or of a tape. docs/conventions.md "

@@ -113,7 +113,7 @@ py::object record_of(nova::Tape& tape, const std::optional<std::vector<Tensor>>&
                                "held"_a = c.held));
     }
     steps.append(py::dict("number"_a = s.number, "dt"_a = s.dt, "start"_a = s.start,
-                          "end"_a = s.end, "qd_in"_a = s.qd_in, "qd_out"_a = s.qd_out,
+                          "end"_a = s.end, "rates"_a = s.rates, "of_springs"_a = s.of_springs,
                           "contacts"_a = contacts));
   }
   return py::module_::import("novaphy.nova._adjoint_record")

@@ -19,14 +19,16 @@ grad: the gradient of `loss`, of its shape. None: 1, for a loss with one value.
 record: keep what adjoint_record() returns. The record needs memory for each step.
 
 ValueError: a loss that is not on the tape, or of several values without `grad`.
-NotImplementedError: `record` with steps of another solver than DiffFeatherstoneSolver, on a device
-or inside of a ScopedCapture.
+NotImplementedError: `record` with steps of DiffSolverVBD, of particles, of enable_static_contacts,
+of penalty_law "mean", with checkpoints of DiffSemiImplicitSolver, on a device, or inside of a
+ScopedCapture.
 `novaphy.Error`: `record` without steps of a solver.)";
 
 inline constexpr char kAdjointRecord[] =
     R"(Returns the AdjointRecord of the last backward(loss, record=True): the gradient at each step
 boundary, and the impulse of each contact with its adjoint. The changes of impulses are those along
-the unit vector against the gradient of `inputs`, from one jvp.
+the unit vector against the gradient of `inputs`, from one jvp, or from a jvp for each pair of
+penalty contacts.
 
 inputs: leaves of the tape. Without them, all leaves that have a gradient.
 

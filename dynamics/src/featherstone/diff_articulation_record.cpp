@@ -51,12 +51,12 @@ void record_vjp(const Step& s, std::span<const Tensor> outputs,
     articulation::gradient_to_tangent(articulation_tree(in, rows[t]), numbers(s.in(kAt.q)),
                                       numbers(all[kAt.q].grad), tangent.data() + rows[t].first_dof);
   to.start = joined(tangent, numbers(all[kAt.qd].grad), dofs);
-  to.qd_in.assign(numbers(s.in(kAt.qd)), numbers(s.in(kAt.qd)) + dofs);
   if (s.following.empty()) {
     const Costate p = costate_behind(s, in, outputs);
     to.end = joined(p.of_q, p.of_qd.data(), dofs);
-    const float* const out = numbers(s.outputs[1].tensor);
-    to.qd_out.assign(out, out + dofs);
+    const float *const out = numbers(s.outputs[1].tensor), *const in = numbers(s.in(kAt.qd));
+    to.rates.assign(out, out + dofs);
+    for (size_t k = 0; k < dofs; ++k) to.rates.push_back((out[k] - in[k]) / s.dt);
   }
   if (pushes) add_contacts(s, to);
   to.notes.clear();

@@ -47,4 +47,19 @@ std::vector<bool> exact_contact_gradients(const Model& model, const SimState& st
   return exact;
 }
 
+bool has_exact_gradient(const Model& m, const DeviceArray<Transformf>& body_q,
+                        const ContactFields& c, int32_t row) {
+  const FollowedContacts of = {.shape0 = direct(c.rigid_contact_shape0.data()),
+                               .shape1 = direct(c.rigid_contact_shape1.data()),
+                               .point0 = direct(c.rigid_contact_point0.data()),
+                               .point1 = direct(c.rigid_contact_point1.data()),
+                               .normal = direct(c.rigid_contact_normal.data()),
+                               .body_q = direct(body_q.data()),
+                               .shape_body = direct(m.shape_body.data()),
+                               .shape_type = direct(m.shape_type.data()),
+                               .shape_transform = direct(m.shape_transform.data()),
+                               .shape_scale = direct(m.shape_scale.data())};
+  return contact_follows(of, row);
+}
+
 }  // namespace novaphy

@@ -17,6 +17,7 @@ using math::cross;
 using math::dot;
 
 Vec3d wide(const Vec3f& a) { return {a.x, a.y, a.z}; }
+int32_t rows_of(const DeviceArray<int32_t>& of) { return static_cast<int32_t>(of.rows()); }
 
 // The normal force is n (ke d + kd min(un, 0)). The friction cone has the size mu (ke d +
 // kd_of_cone min(un, 0)).
@@ -96,7 +97,7 @@ struct TouchBodies {
   const Model& model;
   const Transformf* q;
   const SpatialVectorf* qd;
-  TouchBodies(const Model& m, const SimState& state)
+  TouchBodies(const Model& m, const StateFields& state)
       : model(m), q(state.body_q.data()), qd(state.body_qd.data()) {}
   TouchSide side(int32_t body, const Vec3d& at) const {
     if (body < 0) return {};
@@ -123,7 +124,7 @@ struct TouchBodies {
   }
 };
 
-void find_rigid(const Model& m, const SimState& state, const Contacts& c,
+void find_rigid(const Model& m, const StateFields& state, const ContactFields& c,
                 const TouchOptions& options, std::vector<TouchRow>& rows) {
   const TouchBodies bodies(m, state);
   const int32_t* const shape_body = m.shape_body.data();
@@ -132,13 +133,13 @@ void find_rigid(const Model& m, const SimState& state, const Contacts& c,
                                        m.shape_material_kf.data()[s], m.shape_material_ka.data()[s],
                                        m.shape_material_mu.data()[s]};
   };
-  const int32_t count = filled_rows(*c.rigid_contact_count.data(), c.rigid_contact_max(),
+  const int32_t count = filled_rows(*c.rigid_contact_count.data(), rows_of(c.rigid_contact_shape0),
                                     c.rigid_contact_shape0.data());
   for (int32_t i = 0; i < count; ++i) {
     const int32_t s0 = c.rigid_contact_shape0.data()[i], s1 = c.rigid_contact_shape1.data()[i];
     if (s0 < 0 || s1 < 0) continue;
     RigidContactMaterial<float> of = mean_rigid_contact_material(material(s0), material(s1));
-    if (c.per_contact_shape_properties())
+    if (c.rigid_contact_stiffness.rows() > 0)
       of = rigid_contact_material_of_row(of, c.rigid_contact_stiffness.data()[i],
                                          c.rigid_contact_damping.data()[i],
                                          c.rigid_contact_friction.data()[i]);
@@ -154,6 +155,7 @@ void find_rigid(const Model& m, const SimState& state, const Contacts& c,
                      n * c.rigid_contact_margin1.data()[i];
     const Vec3f meet = b0 < 0 ? p1 : b1 < 0 ? p0 : (p0 + p1) * 0.5f;
     TouchRow row;
+    row.row = i;
     row.first = s0;
     row.second = s1;
     row.point = c.rigid_contact_point_id.data()[i];
@@ -170,12 +172,12 @@ void find_rigid(const Model& m, const SimState& state, const Contacts& c,
   }
 }
 
-void find_soft(const Model& m, const SimState& state, const Contacts& c,
+void find_soft(const Model& m, const StateFields& state, const ContactFields& c,
                const TouchOptions& options, std::vector<TouchRow>& rows) {
   const TouchBodies bodies(m, state);
   const SoftContactMaterial<float> of_model{m.soft_contact_ke, m.soft_contact_kd, m.soft_contact_kf,
                                             m.soft_contact_mu};
-  const int32_t count = std::min(*c.soft_contact_count.data(), c.soft_contact_max());
+  const int32_t count = std::min(*c.soft_contact_count.data(), rows_of(c.soft_contact_shape));
   for (int32_t i = 0; i < count; ++i) {
     const int32_t p = c.soft_contact_particle.data()[i], s = c.soft_contact_shape.data()[i];
     if (p < 0 || s < 0) continue;
@@ -194,6 +196,7 @@ void find_soft(const Model& m, const SimState& state, const Contacts& c,
                              at.velocity);
     const Vec3f n = c.soft_contact_normal.data()[i];
     TouchRow row;
+    row.row = i;
     row.first = s;
     row.second = ContactPair::kParticle + p;
     const float inv_mass = m.particle_inv_mass.data()[p];
@@ -213,12 +216,12 @@ void find_soft(const Model& m, const SimState& state, const Contacts& c,
 
 }  // namespace
 
-void find_touches(const Model& model, const SimState& state, const Contacts& contacts,
+void find_touches(const Model& model, const StateFields& state, const ContactFields& contacts,
                   const TouchOptions& options, std::vector<TouchRow>& rows) {
   rows.clear();
-  if (options.soft && contacts.soft_contact_max() > 0)
+  if (options.soft && rows_of(contacts.soft_contact_shape) > 0)
     find_soft(model, state, contacts, options, rows);
-  if (options.rigid && contacts.rigid_contact_max() > 0)
+  if (options.rigid && rows_of(contacts.rigid_contact_shape0) > 0)
     find_rigid(model, state, contacts, options, rows);
 }
 

@@ -38,6 +38,7 @@ struct TouchSide {
 struct TouchRow {
   int32_t first = 0, second = 0, point = 0;  // the pair as in ContactPair, and the point of the
                                              // pair
+  int32_t row = 0;                           // of the contacts
   std::array<TouchSide, 2> sides;
   Vec3d normal{}, force{};
   double gap = 0.0, speed = 0.0;  // m; m/s, n . u
@@ -58,7 +59,7 @@ struct TouchRow {
 };
 
 // Replaces the contents of `rows`.
-void find_touches(const Model& model, const SimState& state, const Contacts& contacts,
+void find_touches(const Model& model, const StateFields& state, const ContactFields& contacts,
                   const TouchOptions& options, std::vector<TouchRow>& rows);
 
 }  // namespace novaphy::diff::detail

@@ -20,8 +20,8 @@ class AdjointRecord:
 
     boundaries: a dict per step boundary. `norm` is the length of the gradient p by positions and
       rates. `h` is p . f with the rates and accelerations f of the step before. A step that begins
-      a contact has None. `drift` is the miss of the step from here to keep H, relative to the
-      largest |H|. The other keys are `step` and `time` (s).
+      a contact of articulations has None. `drift` is the miss of the step from here to keep H,
+      relative to the largest |H|. The other keys are `step` and `time` (s).
 
     contacts: a dict per step and contact that pushed, in the order of time. Its keys are `step`,
       `time` (s, start of the step), `world`, `shape0` and `shape1`. `point` (m) and `normal` {3}
@@ -31,6 +31,10 @@ class AdjointRecord:
       `impulse` {3} acts on shape1 (N s). `adjoint` {3} is the derivative of the loss by that
       impulse. `change` {3} is that of the impulse along the unit vector against the gradient.
       `carried` is adjoint . change: how much the loss changes because this contact does.
+
+      A penalty contact pushes over several steps. Its `change` leaves out what changes of the same
+      pair in earlier steps cause. The sum of `carried` over the steps of a pair is the part of the
+      derivative that goes through the pair.
 
     suspects: a dict per pair and cause whose drift is above 1 % of the largest |H|, the largest
       first. The keys are `step`, `world`, `shape0`, `shape1`, `drift` and `cause`.
@@ -42,7 +46,8 @@ class AdjointRecord:
         self.info = info
         self.contacts = _contacts(steps)
         self.boundaries = _boundaries(steps, self.contacts)
-        self.suspects = _suspects(self.boundaries, self.contacts, info.event_list)
+        springs = {s["number"] for s in steps if s["of_springs"]}
+        self.suspects = _suspects(self.boundaries, self.contacts, info.event_list, springs)
 
     def __repr__(self) -> str:
         """Return the sizes."""
@@ -91,17 +96,16 @@ def _contacts(steps: list[Row]) -> list[Row]:
     return rows
 
 
-def _rates(step: Row) -> Numbers | None:
-    """Return f = (new rates, accelerations) of a step; None where it is not known."""
-    if not step["end"]:
+def _smooth_rates(step: Row, hit: bool) -> Numbers | None:
+    """Return f = (new rates, accelerations) of a step; None where it is not smooth or known."""
+    if not step["rates"] or (hit and not step["of_springs"]):
         return None
-    out, start = np.array(step["qd_out"]), np.array(step["qd_in"])
-    return np.concatenate([out, (out - start) / step["dt"]])
+    return np.array(step["rates"])
 
 
 def _boundaries(steps: list[Row], contacts: list[Row]) -> list[Row]:
     hits = {c["step"] for c in contacts if c["begins"]}
-    smooth = [None if s["number"] in hits else _rates(s) for s in steps]
+    smooth = [_smooth_rates(s, s["number"] in hits) for s in steps]
     rows = list[Row]()
     for k, time in enumerate(_times(steps)):
         last, step = steps[k - 1] if k else None, steps[k] if k < len(steps) else None
@@ -141,7 +145,19 @@ def _misses(steps: list[Row], smooth: list[Numbers | None]) -> list[float]:
     return misses
 
 
-def _suspects(boundaries: list[Row], contacts: list[Row], events: list[Row]) -> list[Row]:
+def _changes(here: list[Row], next_ones: list[Row]) -> list[Row]:
+    """Return the contacts of pairs that push in one of two consecutive steps only."""
+    pairs = [{_pair_of_world(c) for c in rows} for rows in (here, next_ones)]
+    return [c for c in [*here, *next_ones] if _pair_of_world(c) in pairs[0] ^ pairs[1]]
+
+
+def _pair_of_world(c: Row) -> tuple[int, frozenset[int]]:
+    return c["world"], frozenset((c["shape0"], c["shape1"]))
+
+
+def _suspects(
+    boundaries: list[Row], contacts: list[Row], events: list[Row], springs: set[int]
+) -> list[Row]:
     known = {(e["step"], frozenset((e["shape0"], e["shape1"]))) for e in events}
     by_step: dict[int, list[Row]] = {}
     for contact in contacts:
@@ -149,12 +165,15 @@ def _suspects(boundaries: list[Row], contacts: list[Row], events: list[Row]) -> 
     worst: dict[Any, Row] = {}
     for row in boundaries:
         here = by_step.get(row["step"], [])
+        # The force of a spring begins and ends between two steps.
+        changed = _changes(here, by_step.get(row["step"] + 1, [])) if row["step"] in springs else []
+        here = changed or here
         if row["drift"] <= SUSPECT or not here:
             continue
         at = max(here, key=lambda c: (c["begins"], c["held"], np.linalg.norm(c["impulse"])))
         pair = frozenset((at["shape0"], at["shape1"]))
         cause = "a contact drifts"
-        if at["begins"] and (row["step"], pair) not in known:
+        if (at["begins"] or changed) and (at["step"], pair) not in known:
             cause = "missed event"
         elif at["held"]:
             cause = "frozen point and normal"

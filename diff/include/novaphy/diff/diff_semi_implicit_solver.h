@@ -151,8 +151,13 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
                                            const nova::Operand& forces,
                                            const nova::Operand& body_forces, const Control* control,
                                            const Contacts* contacts, float dt);
-  void note_step(const SimState& in, const SimState& out, const Contacts* contacts,
-                 const ContactTables& tables, float dt, bool keeps);
+  // The kernels of the step read `from`: `in`, or its copy. `wrench`: memory of the sum of
+  // wrenches.
+  void note_step(const SimState& in, const SimState& from, const SimState& out,
+                 const Contacts* contacts, const ContactTables& tables, const nova::Operand& wrench,
+                 float dt, bool keeps);
+  // The name of the solver with what has no AdjointRecord; null: nothing.
+  const char* without_record() const;
   bool moves_particles() const;
   bool moves_bodies() const;
   ParticleForces particle_forces(bool contacts) const;

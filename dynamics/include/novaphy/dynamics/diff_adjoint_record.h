@@ -21,16 +21,19 @@ struct NOVAPHY_DYNAMICS_API AdjointRecord : nova::Tape::Witness {
     Vec3f point{}, normal{}, impulse{}, adjoint{};  // as ContactNote
     bool held = false;
   };
-  // Gradients by positions, as tangents, and by rates: {2 dofs}.
+  // Gradients by positions and by rates: {2 dofs}. Positions are tangents, but raw rows of poses in
+  // steps of springs.
   struct Step {
     int64_t number = 0;
     float dt = 0.0f;
-    std::vector<float> start;          // D^T p, without what the loss adds at the start of the step
-    std::vector<float> end;            // p; empty: not known
-    std::vector<float> qd_in, qd_out;  // {dofs}: the rates
-    std::vector<Contact> contacts;     // those that push
-    std::vector<float> notes;          // a ContactNote per row, while the adjoint runs
-    std::vector<Vec3f> changes;        // of the impulses, by rows of contacts; a tangent fills them
+    std::vector<float> start;  // D^T p, without what the loss adds at the start of the step
+    std::vector<float> end;    // p; empty: not known
+    // {2 dofs}: the rates after the step and the accelerations; empty: not known
+    std::vector<float> rates;
+    bool of_springs = false;        // contacts are springs, which push over several steps
+    std::vector<Contact> contacts;  // those that push
+    std::vector<float> notes;       // a ContactNote per row, while the adjoint runs
+    std::vector<Vec3f> changes;     // of the impulses, by rows of contacts; a tangent fills them
   };
 
   nova::Tensor loss;
@@ -61,7 +64,9 @@ struct NOVAPHY_DYNAMICS_API AdjointRecord : nova::Tape::Witness {
 NOVAPHY_DYNAMICS_API void backward_with_record(nova::Tape& tape, const nova::Tensor& loss,
                                                const nova::Tensor& seed);
 // The last record of the tape, with the changes of impulses along the unit vector against the
-// gradient of these leaves (empty: of all). ErrorKind::Runtime: there is no record.
+// gradient of these leaves (empty: of all). The change of a spring leaves out what earlier changes
+// of its pair cause, so that the sum over the steps of a pair counts each of them once.
+// ErrorKind::Runtime: there is no record.
 // ErrorKind::NotImplemented: an operation of the tape has no tangent. Errors of Tape::jvp.
 NOVAPHY_DYNAMICS_API std::shared_ptr<const AdjointRecord> adjoint_record(
     nova::Tape& tape, const std::vector<nova::Tensor>& inputs = {});

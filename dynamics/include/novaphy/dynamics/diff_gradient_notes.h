@@ -3,6 +3,7 @@
 #pragma once
 
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "novaphy/core/sim/contacts.h"
@@ -14,6 +15,8 @@
 #include "novaphy/nova/tape.h"
 
 namespace novaphy {
+
+struct AdjointRecord;
 
 // The arrays of a step and of its contacts. The members are handles, so no data are copied.
 struct NotedStep {
@@ -37,6 +40,11 @@ struct NotedStep {
   nova::Incidence shapes_of;  // the shapes of each particle; null: all
   nova::Operand shape;        // of each pair
   nova::Operand plane_pairs;  // {n, 2}: plane and shape of a body; without a range: none
+  // Of steps with penalty contacts of bodies (diff_noted_springs.h). Zero or without a range: not
+  // noted.
+  float dt = 0.0f;       // s
+  nova::Operand wrench;  // {bodies, 6}: the sum of all wrenches, whose gradient a tape keeps
+  nova::Operand q_next, qd_next;  // {bodies, 7 and 6}: the state after the step
 };
 
 // The class remembers steps. A call of counts() evaluates them, by kernels on their device. A
@@ -53,6 +61,8 @@ class NOVAPHY_DYNAMICS_API GradientNotes {
   // once. Waits for the device.
   GradientCounts counts(const Model& model) const;
   void clear();
+  // The steps of the chain, if all their states are kept.
+  std::span<const NotedStep> chain() const { return chain_; }
   // Returns handles to the contacts. The handles of the last step are reused if it had the same
   // contacts.
   std::shared_ptr<const ContactFields> handles(const Contacts* contacts);
@@ -92,6 +102,10 @@ struct NOVAPHY_DYNAMICS_API GradientWitness : nova::Tape::Witness {
   virtual bool has_events() const { return false; }
   // The name of a solver whose steps fill no AdjointRecord; null: they do.
   virtual const char* without_record() const { return nullptr; }
+  // For solvers whose entries of a record come from gradients that the tape keeps: clears these
+  // before the adjoint, and adds the entries after it. Other solvers add them in their adjoints.
+  virtual void begin_record() const {}
+  virtual void add_to(AdjointRecord& /*record*/) const {}
 };
 // Returns the witness of a solver on the active tape. `make` makes the witness if the tape has
 // none.

@@ -41,6 +41,8 @@ struct GradientInfo {
   int64_t lost_events = 0;  // events for which a device had no room
   float least_approach = std::numeric_limits<float>::infinity();
   double least_separation = std::numeric_limits<double>::infinity();
+  // Steps of a touch of the stiffest penalty contact, pi / (dt w): see diff_noted_springs.h.
+  float steps_per_contact = std::numeric_limits<float>::infinity();
   MotionEvents event_list;  // in the order of time
   float residual = 0.0f;    // the largest residual, relative to the impulses
   // AdjointDrift of the last adjoint. NaN: no adjoint has measured the drift.

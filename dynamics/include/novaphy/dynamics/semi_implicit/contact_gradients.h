@@ -20,4 +20,8 @@ NOVAPHY_DYNAMICS_API std::vector<bool> exact_contact_gradients(const Model& mode
                                                                const SimState& state,
                                                                const Contacts& contacts);
 
+// Returns the same of one row that was found from these poses {bodies}, on the host.
+bool has_exact_gradient(const Model& model, const DeviceArray<Transformf>& body_q,
+                        const ContactFields& contacts, int32_t row);
+
 }  // namespace novaphy

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,20 @@ def out_of_reach(theta: nova.Tensor) -> nova.Tensor:
 def buried(theta: nova.Tensor) -> nova.Tensor:
     """A slope of 0.3 with the gradient -0.15, beside a constant that hides both."""
     return 1e6 + nova.sum(theta.detach() * 0.45 - theta * 0.15, axis=-1)
+
+
+def reversed_part(theta: nova.Tensor, size: float) -> nova.Tensor:
+    """The slopes 10 and `size`; the gradient says 10 and -size."""
+    x, y = theta[:, 0], theta[:, 1]
+    return x * 10.0 + y.detach() * (2.0 * size) - y * size
+
+
+def test_a_small_component_of_wrong_sign_is_found() -> None:
+    found = diff.certify(lambda theta: reversed_part(theta, 0.9), [1.0, 2.0], 1.0)
+    assert found.disagreements[1] < 0.2  # of all components together
+    assert found.verdict == "biased" and "direction 1: there the slope is 0.9" in found.sentence
+    found = diff.certify(lambda theta: reversed_part(theta, 0.05), [1.0, 2.0], 1.0)
+    assert found.verdict == "of the motion"  # one percent is not told from roughness
 
 
 @pytest.mark.parametrize(
@@ -125,12 +140,16 @@ def test_the_cause_of_a_rough_loss_is_named() -> None:
 
     from novaphy.diff._verdict import Evidence, judge
 
-    one, info = np.ones(1), SimpleNamespace(least_separation=2.0, events=2, event_list=[{}])
+    one = np.ones(1)
+    info = SimpleNamespace(
+        least_separation=2.0, steps_per_contact=6.3, events=2, event_list=[{}]
+    )
     differences = np.float64([[1], [2], [-3], [9]])
-    of = Evidence(one, differences, np.zeros(4), 2.0, info, 5.0, one, one, one)
+    of = Evidence(one, differences, np.zeros(4), 2.0, info, 5.0, one, one, one, one)
     verdict, sentence = judge(of)
     assert verdict == "chaotic" and "two events are 2 steps apart" in sentence
     assert "0.1 sigma moves contacts by 0.5 steps" in sentence
+    assert "a penalty contact pushes for 6.3 steps only" in sentence
     assert "40 median lengths" in judge(of._replace(tail=40.0, info=None, shift=None))[1]
     assert judge(of._replace(info=None, shift=None))[1].endswith("0.3 sigma do not settle.")
 
@@ -159,6 +178,72 @@ def test_a_ball_off_ground_and_wall_has_its_verdicts_with_each_solver(name) -> N
         found = diff.certify(function_of(kind, mode), kind.start, kind.sigma)
         assert found.verdict == verdict, str(found)
         assert found.trust_radius is None if mode == "code" else 5.0 < found.trust_radius < 20.0
+        # Half a period of 1e4 N/m and 1 kg.
+        steps = np.inf if name == "BallImpulse" else np.pi * kind.rate / 100.0
+        assert found.steps_per_contact == pytest.approx(steps, rel=1e-3)
+
+
+@cache
+def spring_of_vbd(worlds: int):
+    one = novaphy.ModelBuilder()
+    held = one.add_particle((0, 0, 0), (0, 0, 0), 0.0)
+    free = one.add_particle((0.3, 0, 0), (0, 0, 0), 0.1)
+    one.add_spring(held, free, ke=50.0, kd=0.1, control=0.0)
+    builder = novaphy.ModelBuilder()
+    builder.replicate(one, worlds)
+    builder.color()
+    model = builder.finalize(requires_grad=True)
+    return model, novaphy.solvers.DiffSolverVBD(model, iterations=10)
+
+
+def swing(theta: nova.Tensor) -> nova.Tensor:
+    """A particle on a spring starts with the velocity theta; the loss is of its place."""
+    worlds = theta.shape[0]
+    model, solver = spring_of_vbd(worlds)
+    path = diff.Trajectory(model, 20)
+    rates = nova.concat([nova.zeros((worlds, 3)), theta], axis=1).reshape(2 * worlds, 3)
+    diff.state_particle_qd_tensor(path[0]).copy_(rates)
+    solver.reset()
+    solver.rollout(path, None, None, 1 / 60)
+    place = diff.state_particle_q_tensor(path[20]).reshape(worlds, 6)[:, 3:6]
+    return nova.sum(place * place, axis=-1)
+
+
+def held_by_numpy(theta: nova.Tensor) -> nova.Tensor:
+    """Hold a pendulum by a policy of another framework, which gives its own gradients."""
+    from certify_scenes import _pendulum
+
+    worlds = theta.shape[0]
+    model, solver = _pendulum(worlds)
+    state, tape, gains = model.state(), nova.active_tape(), theta.numpy()
+    for _ in range(15):
+        q, qd = diff.state_joint_q_tensor(state), diff.state_joint_qd_tensor(state)
+        seen = np.stack([1.0 - q.numpy(), -qd.numpy()], axis=1)
+        torque = nova.tensor(np.tanh((gains * seen).sum(axis=1)))
+
+        def backward(grads, seen=seen, slope=1.0 - torque.numpy() ** 2):
+            by = (grads[0].numpy() * slope)[:, None]
+            found = (by * seen, -by[:, 0] * gains[:, 0], -by[:, 0] * gains[:, 1])
+            return [nova.tensor(np.float32(x)) for x in found]
+
+        if tape is not None:
+            tape.record_custom("policy", [theta, q, qd], [torque], backward)
+        control = model.control()
+        diff.control_joint_f_tensor(control).copy_(torque)
+        for _ in range(4):
+            after = model.state()
+            solver.step(state, after, control, None, 1 / 120)
+            state = after
+    off = diff.state_joint_q_tensor(state) - 1.0
+    return off * off
+
+
+@pytest.mark.parametrize(("f", "theta"), [(swing, [0.5, 0.2, -0.3]), (held_by_numpy, [2.0, 0.5])])
+def test_other_solvers_and_policies_have_their_verdicts(f, theta) -> None:
+    found = diff.certify(f, np.float32(theta), 0.2, worlds=32)
+    assert found.verdict == "of the motion", str(found)
+    assert found.disagreements[1] < 0.05 and found.cosine > 0.98
+    assert found.steps_per_contact == np.inf
 
 
 def test_the_order_of_two_impacts_limits_the_trust() -> None:

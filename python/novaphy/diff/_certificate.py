@@ -32,7 +32,8 @@ class Certificate:
 
     verdict, sentence: the verdict, and its reason. The first that holds:
       the loss does not change within one sigma: "zero".
-      settled differences, or the slope of samples, are within 20 % of it: "of the motion".
+      settled differences, or the slope of samples, are within 20 % of it: "of the motion". But no
+        component of more than 2 % may have another sign than settled differences.
       differences or samples settle at another slope: "biased".
       the gradient is right for moves of 0.01 sigma only: "local".
       neither differences nor gradients of samples settle: "chaotic".
@@ -48,6 +49,7 @@ class Certificate:
     margins: rows (what, step, pair, sigmas): how far the parameters may move until events change.
     trust_radius, limited_by: how far the order of events holds downhill (sigmas), and what ends it;
       None without a list of events.
+    steps_per_contact: the steps of a touch of the stiffest penalty contact; inf without one.
     cost, seconds: the time of the whole certificate in gradients, and of one gradient.
     """
 
@@ -70,6 +72,7 @@ class Certificate:
     margins: list[Margin]
     trust_radius: float | None
     limited_by: str | None
+    steps_per_contact: float
     cost: float
     seconds: float
 
@@ -165,7 +168,7 @@ def _certificate(of: _Measured, cost: float, seconds: float) -> Certificate:
     shift = None if events is None else events.shift
     evidence = Evidence(
         of.directions @ slope, of.differences, of.noise, tail, of.at.info, shift,
-        slope, smooth, error,
+        slope, smooth, error, of.directions @ smooth,
     )  # fmt: skip
     verdict, sentence = judge(evidence)
     long, wanted = float(np.linalg.norm(slope)), float(np.linalg.norm(smooth))
@@ -189,6 +192,7 @@ def _certificate(of: _Measured, cost: float, seconds: float) -> Certificate:
         margins=[] if events is None else events.margins,
         trust_radius=None if events is None else events.radius,
         limited_by=None if events is None else events.limited_by,
+        steps_per_contact=float("inf") if of.at.info is None else of.at.info.steps_per_contact,
         cost=cost,
         seconds=seconds,
     )

@@ -67,6 +67,9 @@ def rows_of_facts(of: Certificate) -> list[list[str]]:
         [f"margin {k}", f"{_number(m.sigmas)} sigmas: {m.what}, {m.pair}, step {m.step}"]
         for k, m in enumerate(of.margins[:SHOWN])
     ]
+    if np.isfinite(of.steps_per_contact):
+        told = f"{_number(of.steps_per_contact)} steps of a touch of the stiffest penalty contact"
+        facts.append(["contact", told])
     facts.append(["cost", f"{of.cost:.1f} gradients of {1e3 * of.seconds:.3g} ms"])
     return facts
 

@@ -15,6 +15,8 @@ AGREES_CLOSELY = 0.05  # over 0.01 sigma
 KNOWN = 0.15  # standard error of the smoothed gradient, relative
 HEAVY = 10.0  # the longest sample in units of the median length
 APART = 3.0  # steps between two events
+SHORT = 10.0  # steps of a penalty contact
+SEEN = 0.02  # the least part of the gradient that a wrong component has
 ROUNDING = 2.0**-23  # of a loss in float32, relative
 
 
@@ -30,6 +32,7 @@ class Evidence(NamedTuple):
     gradient: Numbers  # {n}
     smoothed: Numbers  # {n}, of samples at a quarter of sigma
     error: Numbers  # {n}, of `smoothed`
+    sampled: Numbers  # {m}: of the smoothed gradient along the directions
 
 
 def disagreements(of: Evidence) -> Numbers:
@@ -52,6 +55,22 @@ def is_settled(of: Evidence) -> bool:
     _, wide, narrow, _ = of.differences
     floor = 3.0 * of.noise[2] * np.sqrt(len(of.slopes))
     return bool(np.linalg.norm(wide - narrow) <= SETTLED * np.linalg.norm(wide) + floor)
+
+
+def reversed_component(of: Evidence) -> int | None:
+    """Return the direction of the largest component whose sign is wrong, or None.
+
+    The differences over 0.3 and 0.1 sigma agree there, and the slope of the samples is nearer to
+    them than to the gradient. A component below 2 % of the gradient is not told from roughness.
+    """
+    _, wide, narrow, _ = of.differences
+    apart = np.abs(wide - of.slopes)
+    length = max(float(np.linalg.norm(wide)), float(np.linalg.norm(of.slopes)))
+    settled = np.abs(wide - narrow) <= SETTLED * np.abs(wide)
+    floor = np.maximum(SEEN * length, 3.0 * (of.noise[1] + of.noise[2]))
+    nearer = np.abs(of.sampled - wide) < np.abs(of.sampled - of.slopes)
+    wrong = settled & (wide * of.slopes < 0.0) & (apart > floor) & nearer
+    return int(np.argmax(np.where(wrong, apart, -1.0))) if wrong.any() else None
 
 
 def is_zero(of: Evidence) -> bool:
@@ -78,6 +97,13 @@ def judge(of: Evidence) -> tuple[str, str]:
         return "zero", "The loss does not change within one sigma: the motion reaches nothing."
     settled = is_settled(of) and not is_hidden(of, 1, 0.5)
     by_samples = f"{100.0 * from_smoothed(of):.0f} %"
+    wrong = reversed_component(of)
+    if settled and at_wide <= AGREES and wrong is not None:
+        return "biased", (
+            f"Differences of the loss agree with the gradient but along direction {wrong}: there "
+            f"the slope is {of.differences[1, wrong]:.3g} per sigma, and the gradient says "
+            f"{of.slopes[wrong]:.3g}.{_advice(of)}"
+        )
     if settled and at_wide <= AGREES:
         return "of the motion", (
             "Differences of the loss over 0.3 sigma agree with the gradient within "
@@ -129,6 +155,11 @@ def _cause(of: Evidence) -> str:
         causes.append("rounding of the loss hides its slope: take a constant off, or raise sigma")
     if of.tail > HEAVY:
         causes.append(f"the longest gradient of the samples has {of.tail:.3g} median lengths")
+    if of.info is not None and of.info.steps_per_contact < SHORT:
+        causes.append(
+            f"a penalty contact pushes for {of.info.steps_per_contact:.2g} steps only, so softer "
+            "contacts or a smaller dt would tell more"
+        )
     if of.info is not None and of.info.least_separation < APART:
         causes.append(f"two events are {of.info.least_separation:.2g} steps apart")
     if of.shift is not None and 0.1 * of.shift < 1.0:

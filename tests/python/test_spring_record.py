@@ -73,6 +73,7 @@ def test_one_contact_carries_the_whole_derivative(offset: float) -> None:
     begins = [c["begins"] for c in run.record.contacts]
     assert begins == [True] + [False] * (len(steps) - 1)
     assert not any(c["held"] for c in run.record.contacts)
+    assert str(run.record).count("carried") == 1  # the touch as a whole
 
 
 def test_each_pair_of_a_chain_carries_the_derivative() -> None:

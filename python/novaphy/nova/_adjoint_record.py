@@ -46,8 +46,8 @@ class AdjointRecord:
         self.info = info
         self.contacts = _contacts(steps)
         self.boundaries = _boundaries(steps, self.contacts)
-        springs = {s["number"] for s in steps if s["of_springs"]}
-        self.suspects = _suspects(self.boundaries, self.contacts, info.event_list, springs)
+        self._springs = {s["number"] for s in steps if s["of_springs"]}
+        self.suspects = _suspects(self.boundaries, self.contacts, info.event_list, self._springs)
 
     def __repr__(self) -> str:
         """Return the sizes."""
@@ -61,10 +61,21 @@ class AdjointRecord:
         lines = [f"{self.info.label}: {self.info.reason}"]
         for s in self.suspects:
             lines.append(f"step {s['step']}: {s['cause']}, H drifts by {100 * s['drift']:.3g} %")
-        ranked = sorted(self.contacts, key=lambda c: -abs(c["carried"]))
-        for c in ranked[:8]:
+        for c in sorted(self._touches(), key=lambda c: -abs(c["carried"]))[:8]:
             lines.append(f"step {c['step']}: {pair_of(c)} carried {c['carried']:.4g}")
         return "\n".join(lines)
+
+    def _touches(self) -> list[Row]:
+        """Return the contacts; the steps of a touch of a spring are one row with their sum."""
+        rows, open_ones = list[Row](), dict[Any, Row]()
+        for c in self.contacts:
+            key = _pair_of_world(c)
+            if c["step"] not in self._springs or c["begins"] or key not in open_ones:
+                open_ones[key] = dict(c)
+                rows.append(open_ones[key])
+            else:
+                open_ones[key]["carried"] += c["carried"]
+        return rows
 
 
 def pair_of(row: Row) -> str:

@@ -48,7 +48,7 @@ std::shared_ptr<DiffSemiImplicitSolver::Witness> DiffSemiImplicitSolver::witness
 }
 
 const char* DiffSemiImplicitSolver::without_record() const {
-  if (!device().is_cpu()) return "DiffSemiImplicitSolver on a device";
+  if (!is_on_host(*model())) return "DiffSemiImplicitSolver on a device";
   if (moves_particles()) return "DiffSemiImplicitSolver with particles";
   if (config_.enable_static_contacts) return "DiffSemiImplicitSolver with enable_static_contacts";
   if (config_.penalty_law != PenaltyLaw::Sampled)

@@ -93,7 +93,7 @@ constexpr std::pair<const char*, const char*> kFields[] = {
     {"least_separation",
      "The fewest steps between two events of one articulation or body; inf without two events."},
     {"steps_per_contact",
-     "Of DiffSemiImplicitSolver: the steps of a touch of the stiffest contact that pushed, "
+     "The steps of a touch of the stiffest contact that pushed in DiffSemiImplicitSolver, "
      "pi / (dt sqrt(stiffness / mass)). inf without such a contact, on a device, and with "
      "checkpoints or enable_static_contacts."},
     {"event_list",

@@ -141,9 +141,7 @@ def test_the_cause_of_a_rough_loss_is_named() -> None:
     from novaphy.diff._verdict import Evidence, judge
 
     one = np.ones(1)
-    info = SimpleNamespace(
-        least_separation=2.0, steps_per_contact=6.3, events=2, event_list=[{}]
-    )
+    info = SimpleNamespace(least_separation=2.0, steps_per_contact=6.3, events=2, event_list=[{}])
     differences = np.float64([[1], [2], [-3], [9]])
     of = Evidence(one, differences, np.zeros(4), 2.0, info, 5.0, one, one, one, one)
     verdict, sentence = judge(of)
@@ -219,10 +217,11 @@ def held_by_numpy(theta: nova.Tensor) -> nova.Tensor:
     for _ in range(15):
         q, qd = diff.state_joint_q_tensor(state), diff.state_joint_qd_tensor(state)
         seen = np.stack([1.0 - q.numpy(), -qd.numpy()], axis=1)
-        torque = nova.tensor(np.tanh((gains * seen).sum(axis=1)))
+        push = np.tanh((gains * seen).sum(axis=1))
+        torque = nova.tensor(push)
 
-        def backward(grads, seen=seen, slope=1.0 - torque.numpy() ** 2):
-            by = (grads[0].numpy() * slope)[:, None]
+        def backward(grads, seen=seen, push=push):
+            by = (grads[0].numpy() * (1.0 - push**2))[:, None]
             found = (by * seen, -by[:, 0] * gains[:, 0], -by[:, 0] * gains[:, 1])
             return [nova.tensor(np.float32(x)) for x in found]
 

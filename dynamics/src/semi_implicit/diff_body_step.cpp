@@ -24,6 +24,8 @@ Operand both_sides(Operand wrenches) {
 
 }  // namespace
 
+bool is_on_host(const Model& model) { return model.device().is_cpu(); }
+
 void BodyStep::begin(const Model& model) { plane_pairs_.update(model, options_.static_contacts); }
 
 void BodyStep::run(const Model& model, const SimState& in, SimState& out, const Operand& body_f,
@@ -70,7 +72,7 @@ void BodyStep::look(const Model& model, const SimState& in, const Contacts* cont
                     const ContactTables& tables, float dt) {
   if (options_.static_contacts) return watch_.look_at_pairs(model, dt);
   // The check reads values on the host, which ends the deferral of steps of many particles.
-  const bool is_dear = !model.device().is_cpu() || model.particle_count() > 0;
+  const bool is_dear = !is_on_host(model) || model.particle_count() > 0;
   if (tables.sides_of_bodies() == nullptr || !watch_.is_due(is_dear)) return;
   nova::flush_deferred();
   watch_.look(model, in, *contacts, dt, false);

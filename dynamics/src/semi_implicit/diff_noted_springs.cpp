@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "novaphy/dynamics/semi_implicit/contact_gradients.h"
+#include "novaphy/dynamics/semi_implicit/diff_body_step.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tangent_visitor.h"
 #include "touch_rows.h"
@@ -119,7 +120,7 @@ class HeldPairs : public nova::TangentVisitor {
 
 float steps_per_contact(const Model& model, std::span<const NotedStep> steps) {
   double stiffest = 0.0;  // (dt w)^2
-  if (!model.device().is_cpu()) steps = {};
+  if (!diff::is_on_host(model)) steps = {};
   nova::flush_deferred();
   for (const NotedStep& step : steps)
     for_pushes(model, step, [&](const TouchRow& row) {

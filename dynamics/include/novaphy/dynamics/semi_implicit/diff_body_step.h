@@ -22,6 +22,9 @@ struct BodyStepOptions {
   PenaltyLaw penalty_law = PenaltyLaw::Sampled;
 };
 
+// Returns whether the host can read the arrays of a model in place.
+NOVAPHY_DYNAMICS_API bool is_on_host(const Model& model);
+
 // Keeps memory between calls; only one thread at a time may use it.
 class NOVAPHY_DYNAMICS_API BodyStep {
  public:

@@ -1,5 +1,5 @@
-// What penalty contacts did in noted steps (diff_gradient_notes.h): their stiffness, and their
-// entries in an AdjointRecord. On the host. Compiled into novaphy::dynamics where nova is built.
+// The stiffness of penalty contacts in noted steps (diff_gradient_notes.h), and their entries in an
+// AdjointRecord. On the host. Compiled into novaphy::dynamics where nova is built.
 //
 // The wrench of a body is the sum of all wrenches on it. The gradient w of the loss by that sum
 // gives the adjoint of the force F of a contact, which acts on B at the arm r:

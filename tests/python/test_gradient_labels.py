@@ -326,7 +326,10 @@ def test_a_bounce_is_an_event_of_the_semi_implicit_solver(kind: str) -> None:
     assert info.label == "exact of the code" and info.exact_steps == info.steps == 100
     assert (info.began, info.ended, info.turned) == (1, 1, 0), info.reason
     assert "shapes 0 and 1" in info.reason or "shapes 1 and 0" in info.reason
-    assert body_rollout(solver, 100, 1e-3, down, checkpoint=10, **options) == info
+    again = body_rollout(solver, 100, 1e-3, down, checkpoint=10, **options)
+    # Without kept states the stiffness of contacts is not known.
+    assert again.steps_per_contact == np.inf
+    assert all(again[k] == info[k] for k in info if k != "steps_per_contact")
     replayed = body_rollout(solver, 100, 1e-3, down, captured=1, **options)
     assert replayed.events == info.events and replayed.steps == info.steps
     # Every replay counts anew.

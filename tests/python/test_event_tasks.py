@@ -41,3 +41,20 @@ def test_a_gradient_of_the_motion_is_the_slope_of_the_smoothed_loss(name: str, s
     if name in WRONG:
         code = event_tasks.compare(kind(1), theta, reference)
         assert code.cosine < 0.0 or code.length > 2.0, code
+
+
+def test_gradients_and_random_search_lower_the_loss_of_the_ball() -> None:
+    import event_task_machines
+    import numpy as np
+    import optimize_tasks
+
+    problem = optimize_tasks.Problem(event_task_machines.BallParticle, 0, 8)
+    slope = problem.slope_of("motion")
+    found = optimize_tasks.run_adam(problem, slope, 12)
+    assert len(found.best) == 5 and found.best[-1] < 0.5
+    search = optimize_tasks.random_search(problem, found.seconds[-1], 0)
+    assert optimize_tasks.run_search(problem, search).best[-1] < 1.0
+    loss, gradient = slope(np.zeros(3))
+    smooth, by_samples = problem.smooth_slope(1, "motion")(np.zeros(3))
+    assert loss == problem.first and abs(smooth - loss) < 0.5 * loss
+    assert gradient @ by_samples > 0.9 * np.linalg.norm(gradient) * np.linalg.norm(by_samples)

@@ -64,7 +64,18 @@ def test_a_small_component_of_wrong_sign_is_found() -> None:
     assert found.disagreements[1] < 0.2  # of all components together
     assert found.verdict == "biased" and "direction 1: there the slope is 0.9" in found.sentence
     found = diff.certify(lambda theta: reversed_part(theta, 0.05), [1.0, 2.0], 1.0)
-    assert found.verdict == "of the motion"  # one percent is not told from roughness
+    assert found.verdict == "of the motion"  # half a percent is not told from roughness
+
+
+def test_slopes_across_the_gradient_are_no_components_of_wrong_sign() -> None:
+    """Of nine parameters, seven of the eight directions are across the gradient."""
+
+    def leaves_some_out(theta: nova.Tensor) -> nova.Tensor:
+        return theta[:, 0] * 10.0 + nova.sum(theta.detach(), axis=-1) * 0.4
+
+    found = diff.certify(leaves_some_out, np.ones(9), 1.0)
+    assert found.verdict == "of the motion", str(found)
+    assert np.abs(found.differences[1, 1:]).max() > 0.3
 
 
 @pytest.mark.parametrize(

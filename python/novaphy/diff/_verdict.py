@@ -61,15 +61,17 @@ def reversed_component(of: Evidence) -> int | None:
     """Return the direction of the largest component whose sign is wrong, or None.
 
     The differences over 0.3 and 0.1 sigma agree there, and the slope of the samples is nearer to
-    them than to the gradient. A component below 2 % of the gradient is not told from roughness.
+    them than to the gradient. A component below 2 % of the gradient is not told from roughness, as
+    are all directions across the gradient.
     """
     _, wide, narrow, _ = of.differences
     apart = np.abs(wide - of.slopes)
     length = max(float(np.linalg.norm(wide)), float(np.linalg.norm(of.slopes)))
     settled = np.abs(wide - narrow) <= SETTLED * np.abs(wide)
-    floor = np.maximum(SEEN * length, 3.0 * (of.noise[1] + of.noise[2]))
+    floor = max(SEEN * length, 3.0 * float(of.noise[1] + of.noise[2]))
+    clear = np.minimum(np.abs(wide), np.abs(of.slopes)) > floor
     nearer = np.abs(of.sampled - wide) < np.abs(of.sampled - of.slopes)
-    wrong = settled & (wide * of.slopes < 0.0) & (apart > floor) & nearer
+    wrong = settled & (wide * of.slopes < 0.0) & clear & nearer
     return int(np.argmax(np.where(wrong, apart, -1.0))) if wrong.any() else None
 
 

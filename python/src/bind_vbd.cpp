@@ -147,8 +147,10 @@ void bind_residual(py::module_& solvers) {
       .def_readonly("force", &VbdResidual::force,
                     "The norm of the total force on all particles that move, with inertia (N).")
       .def_readonly("scale", &VbdResidual::scale,
-                    "The norm of m (y - xn)/h^2 over all particles that move (N), with the "
-                    "inertial position y and the step size h.")
+                    "The norm over all particles that move (N) of m (y - xn - h vc)/h^2 and of the "
+                    "sum of the norms of the forces of contacts and elements. y is the inertial "
+                    "position, h the step size, and vc the mean velocity of the particle's "
+                    "connected component.")
       .def_readonly("relative", &VbdResidual::relative,
                     "The ratio force / scale; 0 if the force is 0.")
       .def_readonly("floor", &VbdResidual::floor,

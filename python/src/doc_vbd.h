@@ -13,7 +13,7 @@ array that carries a gradient raises NotImplementedError, with its name.
 
 gradient: "unrolled" is exact for the sweeps that ran, back through every color of every iteration.
 "implicit" is the gradient of the step's solution. Newton's method then takes the step to its
-solution.
+solution. Contacts damp only the motion inside the overlap.
 initial_guess: "adaptive" carries a velocity from step to step and from rollout to rollout until
 reset(). Unrolled gradients flow through this velocity. A solution does not depend on it.
 

@@ -229,6 +229,7 @@ void write_contact(std::ostream& out, bool at_solution) {
   c.kd_by_h = inputs.add("c.kd_by_h");
   c.mu = inputs.add("c.mu");
   c.slip = inputs.add("c.slip");
+  c.inside = inputs.add("c.inside");
   const Adjoints adjoints = adjoints_of(particle_contact_block(x, start, c), inputs, at_solution);
   std::vector<Result> results;
   const auto of = [&](const Vec3<Symbol>& v) {

@@ -81,6 +81,26 @@ void ColorSlots::find_held(const Model& model) {
   }
 }
 
+// Joins the particles of each element that move.
+void ColorSlots::find_components(const Model& model) {
+  component_.resize(is_held_.size());
+  std::iota(component_.begin(), component_.end(), 0);
+  const auto root = [this](int32_t p) {
+    const auto up = [this](int32_t of) -> int32_t& { return component_[static_cast<size_t>(of)]; };
+    while (up(p) != p) p = up(p) = up(up(p));
+    return p;
+  };
+  visit_elements(model, [&](auto is, int32_t, const int32_t* corners) {
+    for (int c = 0; c < decltype(is)::Slot::kCorners; ++c)
+      for (int d = 0; d < c; ++d) {
+        if (is_held(corners[c]) || is_held(corners[d])) continue;
+        const auto [first, last] = std::minmax(root(corners[c]), root(corners[d]));
+        component_[static_cast<size_t>(last)] = first;
+      }
+  });
+  for (int32_t p = 0; p < model.particle_count(); ++p) component_[static_cast<size_t>(p)] = root(p);
+}
+
 // Collects the slots of every particle, by role, in the order of the elements.
 void ColorSlots::collect(const Model& model) {
   const auto count = static_cast<size_t>(model.particle_count());
@@ -206,6 +226,7 @@ void ColorSlots::build(const Model& model, int lanes) {
             " has no color; call ModelBuilder.color() (or set_coloring) before finalize");
   find_held(model);
   find_conflicts(colors, model);
+  find_components(model);
   collect(model);
   make_groups(colors);
   numbers_begin_.assign(1, 0);

@@ -35,6 +35,8 @@ class ColorSlots {
   const std::vector<int32_t>& held() const { return held_; }
   const std::vector<int32_t>& held_flags() const { return is_held_; }  // of each particle
   bool is_held(int32_t particle) const { return is_held_[static_cast<size_t>(particle)] != 0; }
+  // The connected component of each particle, named by its first particle.
+  const std::vector<int32_t>& components() const { return component_; }
   // The groups of color c are [color_begin()[c], color_begin()[c + 1]).
   const std::vector<int64_t>& color_begin() const { return color_begin_; }
   // Whether an element has two particles of the same color that move.
@@ -56,6 +58,7 @@ class ColorSlots {
 
  private:
   void find_held(const Model& model);
+  void find_components(const Model& model);
   void collect(const Model& model);
   void find_conflicts(const std::vector<int32_t>& colors, const Model& model);
   void make_groups(const std::vector<int32_t>& colors);
@@ -64,7 +67,7 @@ class ColorSlots {
 
   int lanes_ = 1;
   std::vector<int32_t> is_held_;
-  std::vector<int32_t> held_;
+  std::vector<int32_t> held_, component_;
   std::vector<int64_t> color_begin_, numbers_begin_;
   std::vector<int32_t> particle_, filled_;
   std::vector<float> mass_by_h2_;

@@ -19,7 +19,35 @@ constexpr int kRefinements = 4;  // rounds of iterative refinement
 struct KrylovResult {
   double residual = 0.0;  // |b - A x| / |b|, from the recurrence
   int32_t iterations = 0;
+  double floor = 0.0;  // the part of `residual` that one rounding of x can cause; 0: not asked
 };
+
+// Solves A x = b by rounds of iterative refinement. more(tolerance, sweeps) adds a correction to x
+// and returns its result. left(x) returns b - A x; it is called with the final x last. A residual
+// above the tolerance gets its floor.
+template <class More, class Left>
+KrylovResult refine_solution(const Rows& x, double scale, double tolerance, int32_t sweeps,
+                             const More& more, const Left& left) {
+  KrylovResult result;
+  for (int round = 0; round < kRefinements; ++round) {
+    const double asked = kMargin * tolerance * (round > 0 ? 1.0 / result.residual : 1.0);
+    result.iterations += more(asked, sweeps - result.iterations).iterations;
+    const Rows remains = left(x);
+    result.residual = scale == 0.0 ? 0.0 : std::sqrt(inner(remains, remains)) / scale;
+    if (result.residual <= tolerance || result.iterations >= sweeps) break;
+  }
+  if (!(result.residual > tolerance)) return result;
+  Rows rounded = x;
+  uint32_t bits = 1;
+  for (Row& row : rounded) {
+    bits = bits * 1664525u + 1013904223u;
+    row = Vec3f(row) * (1.0f + ((bits >> 31) != 0 ? 0x1p-23f : -0x1p-23f));
+  }
+  Rows change = left(rounded);
+  add_scaled(change, -1.0f, left(x));
+  result.floor = 0.5 * std::sqrt(inner(change, change)) / scale;
+  return result;
+}
 
 // The last directions of a method and their images.
 struct KeptDirections {

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "krylov.h"
+#include "novaphy/core/error.h"
 #include "novaphy/vbd/solver_vbd.h"
 #include "rows.h"
 
@@ -26,53 +27,110 @@ KrylovResult solve_linear(Step& step, Rows& solution, Rows& load, double toleran
   });
 }
 
-// Returns whether the energy falls along a whole step. `before` are the forces at its start. The
-// forces have to push along the step in its first half. Their work over the step, by Simpson's
-// rule, has to be positive. The function leaves the particles at the end of the step.
+// What conjugate gradients found for J way = load, where the loads of friction are constant.
+struct Descent {
+  Rows way;               // the sum of the steps up to a direction of negative curvature
+  Rows curves_down;       // this direction; without rows: none was met
+  double residual = 1.0;  // what remains of the load, relative
+};
+
+// Runs conjugate gradients, preconditioned by sweeps. The energy falls along the way. Where the
+// first direction has negative curvature, the way is this direction (Nocedal and Wright, Numerical
+// Optimization, algorithm 7.1).
 template <class Step>
-bool falls_along(Step& step, const Rows& start, const Rows& before, const Rows& moved,
-                 const Rows& newton, float part) {
-  Rows x = start, now = moved;
-  const auto force_at = [&](float where) {
-    for (size_t p = 0; p < x.size(); ++p) {
-      if (step.is_held(p)) continue;
-      now[p] = Vec3f(moved[p]) + Vec3f(newton[p]) * where;
-      x[p] = Vec3f(start[p]) + Vec3f(now[p]);
+Descent find_descent(Step& step, Rows load, double tolerance, int32_t sweeps) {
+  constexpr double kRounding = 1e-5;  // relative rounding of a curvature
+  const double scale = inner(load, load);
+  Descent found;
+  found.way.assign(load.size(), Row());
+  KeptDirections kept;  // its sizes are the curvatures
+  for (int32_t k = 0; k < sweeps && found.residual > tolerance; ++k) {
+    kept.make_room();
+    Rows z(load.size()), image(load.size());
+    step.sweep(load, z, image);
+    for (Row& row : image) row = -Vec3f(row);
+    kept.take_from(z, image, kept.directions);
+    const double curvature = inner(z, image), along = inner(load, z);
+    const double size = std::sqrt(inner(z, z) * inner(image, image));
+    if (!(curvature > kRounding * size)) {
+      if (k == 0 && along > 0.0) found.way = z;
+      if (curvature < -kRounding * size) found.curves_down = std::move(z);
+      break;
     }
-    step.place(x, now);
-    return step.force();
-  };
-  const double middle = inner(force_at(0.5f * part), newton), end = inner(force_at(part), newton);
-  const double first = inner(before, newton);
-  return first > 0.0 && middle > 0.0 && end > -0.5 * first && first + 4.0 * middle + end > 0.0;
+    const auto part = static_cast<float>(along / curvature);
+    add_scaled(found.way, part, z);
+    add_scaled(load, -part, image);
+    found.residual = std::sqrt(inner(load, load) / scale);
+    kept.keep(std::move(z), std::move(image), curvature);
+  }
+  return found;
 }
 
-// Tries the step of Newton's method, and halves it up to four times until the energy falls along
-// it. Returns false, with the old positions, if no length helps.
+// Moves the particles along the way, and halves the step until the energy falls enough (Armijo).
+// The loads of friction are constant. The change of the energy is the work of the forces along the
+// step, by Simpson's rule, because rounding hides small changes of the energy. Returns the part of
+// the way, or 0 with the old positions.
 template <class Step>
-bool try_newton(Step& step, const Rows& force, const Rows& newton) {
+float descend(Step& step, const Rows& way) {
+  constexpr int kHalvings = 12;
+  constexpr double kEnough = 1e-3, kOvershoot = 0.5;
   const Rows x = step.positions(), moved = step.moves();
   // Kinematic particles stay where they are.
-  Rows start = step.starts();
-  for (size_t p = 0; p < x.size(); ++p)
-    if (step.is_held(p)) start[p] = x[p];
+  Rows start = step.starts(), to = x, now = moved;
+  const auto place_at = [&](float part) {
+    for (size_t p = 0; p < x.size(); ++p) {
+      if (step.is_held(p)) continue;
+      now[p] = Vec3f(moved[p]) + Vec3f(way[p]) * part;
+      to[p] = Vec3f(start[p]) + Vec3f(now[p]);
+    }
+    step.place(to, now);
+  };
+  const auto push_at = [&](float part) {
+    place_at(part);
+    return inner(step.force(), way);
+  };
+  const double first = inner(step.force(), way);
   float part = 1.0f;
-  for (int halvings = 0; halvings <= 4; ++halvings, part *= 0.5f)
-    if (falls_along(step, start, force, moved, newton, part)) return true;
+  double end = first >= 0.0 ? push_at(part) : 0.0;
+  for (int k = 0; first >= 0.0 && k <= kHalvings; ++k, part *= 0.5f) {
+    const double middle = push_at(0.5f * part);
+    const double work = (first + 4.0 * middle + end) / 6.0;
+    if (end > -kOvershoot * first && work > kEnough * first) {
+      place_at(part);
+      return part;
+    }
+    end = middle;
+  }
+  step.place(x, moved);
+  return 0.0f;
+}
+
+// A step of Newton's method with the whole derivative of the forces, friction included. Returns
+// false, with the old positions, where it does not halve the force.
+template <class Step>
+bool refine(Step& step, const Rows& force, double tolerance, int32_t sweeps) {
+  const Rows x = step.positions(), moved = step.moves(), start = step.starts();
+  Rows load = force, newton, to = x, now = moved;
+  solve_linear(step, newton, load, tolerance, sweeps);
+  for (size_t p = 0; p < x.size(); ++p) {
+    if (step.is_held(p)) continue;
+    now[p] = Vec3f(moved[p]) + Vec3f(newton[p]);
+    to[p] = Vec3f(start[p]) + Vec3f(now[p]);
+  }
+  step.place(to, now);
+  const Rows left = step.force();
+  if (inner(left, left) < 0.25 * inner(force, force)) return true;
   step.place(x, moved);
   return false;
 }
 
-// Returns whether the positions are a minimum of the energy and not a saddle. Conjugate gradients,
-// preconditioned by sweeps, solve for a pseudorandom load. They may not meet a direction of
-// negative curvature on their way. The loads of friction are constant, so that the forces have an
-// energy.
+// Returns a direction along which the energy has negative curvature. Without rows: conjugate
+// gradients met none on their way to the solution for a pseudorandom load.
 template <class Step>
-bool is_minimum(Step& step, size_t particles, int32_t sweeps) {
-  constexpr double kSmall = 1e-3;     // the part of the load at which the search ends
-  constexpr double kRounding = 1e-5;  // relative rounding of a curvature
-  Rows load(particles);
-  for (size_t p = 0; p < particles; ++p) {
+Rows find_way_down(Step& step, int32_t sweeps) {
+  constexpr double kSmall = 1e-3;  // the part of the load at which the search ends
+  Rows load(step.positions().size());
+  for (size_t p = 0; p < load.size(); ++p) {
     const auto scattered = [p](uint32_t axis) {
       uint32_t h = (static_cast<uint32_t>(p) * 3u + axis + 1u) * 0x9E3779B9u;
       h = (h ^ (h >> 15)) * 0x85EBCA6Bu;
@@ -80,60 +138,86 @@ bool is_minimum(Step& step, size_t particles, int32_t sweeps) {
     };
     if (!step.is_held(p)) load[p] = Vec3f{scattered(0), scattered(1), scattered(2)};
   }
-  const double enough = kSmall * kSmall * inner(load, load);
-  KeptDirections kept;  // its sizes are the curvatures
-  step.keep_loads(true);
-  bool curves_up = true;
-  for (int32_t k = 0; k < sweeps && inner(load, load) > enough; ++k) {
-    kept.make_room();
-    Rows z(particles), image(particles);
-    step.sweep(load, z, image);
-    for (Row& row : image) row = -Vec3f(row);
-    kept.take_from(z, image, kept.directions);
-    const double curvature = inner(z, image);
-    const double size = std::sqrt(inner(z, z) * inner(image, image));
-    curves_up = curvature > -kRounding * size;
-    if (!(curvature > kRounding * size)) break;
-    const auto along = static_cast<float>(inner(load, z) / curvature);
-    add_scaled(load, -along, image);
-    kept.keep(std::move(z), std::move(image), curvature);
-  }
-  step.keep_loads(false);
-  return curves_up;
+  return find_descent(step, load, kSmall, sweeps).curves_down;
+}
+
+// Returns the direction, either way, that the forces push along. Its largest row is as long as the
+// longest motion of the step.
+template <class Step>
+Rows way_off_saddle(Step& step, Rows down) {
+  const Rows moves = step.moves();
+  const auto longest = [](const Rows& rows) {
+    double most = 0.0;
+    for (const Row& row : rows)
+      most = std::max(most, static_cast<double>(math::length(Vec3f(row))));
+    return most;
+  };
+  const double side = inner(step.force(), down) < 0.0 ? -1.0 : 1.0;
+  const auto scale = static_cast<float>(side * longest(moves) / longest(down));
+  for (Row& row : down) row = Vec3f(row) * scale;
+  return down;
 }
 
 struct Solution {
   VbdResidual residual;
   bool is_minimum = true;
+
+  double allowed(double tolerance) const { return std::max(tolerance, 2.0 * residual.floor); }
+  bool is_solved(double tolerance) const {
+    return is_minimum && residual.relative <= allowed(tolerance);
+  }
+  // ErrorKind::Runtime: the step is not solved. `name` begins the message, and `advice` ends it.
+  void check(const char* name, double tolerance, int32_t iterations, const char* advice) const {
+    require(is_minimum, ErrorKind::Runtime, name,
+            ": the step was not solved: expected a minimum of its energy, got a saddle, where "
+            "conjugate gradients met negative curvature; take shorter steps, or raise ",
+            advice);
+    require(is_solved(tolerance), ErrorKind::Runtime, name,
+            ": the step was not solved: expected a relative residual of at most ",
+            allowed(tolerance), ", got ", residual.relative, " after ", residual.iterations,
+            " iterations and ", iterations, " of Newton's method; raise ", advice);
+  }
 };
 
 // Solves the step until the relative residual is at most the tolerance or twice the rounding floor,
-// or until `iterations` are over. Where the energy has negative curvature, Newton's method would
-// lead to saddles and to other minima than the iterations do. Iterations of VBD then replace it.
-// They also replace a step of Newton's method that fails.
+// or until `iterations` are over, by Newton's method on the energy.
+// - An iteration keeps the loads of friction, so that the forces have an energy, and makes this
+//   energy fall. After a whole step without negative curvature the next step uses the whole
+//   derivative of the forces.
+// - Iterations of VBD replace a step that fails. In the first half of the iterations they also
+//   replace a step that meets negative curvature, because that step can lead to another minimum.
+// - A saddle is left along its negative curvature.
 template <class Step>
 Solution solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32_t sweeps) {
   constexpr int kIterationsInstead = 20;  // they cost less than a step of Newton's method
-  VbdResidual now = step.residual();
-  const auto is_solved = [tolerance](const VbdResidual& r) {
-    return r.relative <= std::max(tolerance, 2.0 * r.floor);
-  };
-  const auto curves_up = [&] { return is_minimum(step, step.positions().size(), sweeps); };
-  bool convex = false;
-  for (int32_t k = 0; k < iterations && !is_solved(now); ++k) {
-    convex = convex || curves_up();
-    if (convex) {
-      const Rows force = step.force();
-      Rows load = force, newton;
-      // tolerance of the linear systems: an inexact Newton method
-      constexpr double kForcing = 1e-2;
-      solve_linear(step, newton, load, kForcing, sweeps);
-      convex = try_newton(step, force, newton);
+  constexpr double kForcing = 1e-2;  // tolerance of the linear systems: an inexact Newton method
+  bool is_near = false;
+  for (int32_t k = 0;; ++k) {
+    Solution now = {step.residual()};
+    const bool is_solved = now.is_solved(tolerance);
+    if (!is_solved && k >= iterations) return now;
+    Rows force = step.force();
+    if (!is_solved && is_near && (is_near = refine(step, force, kForcing, sweeps))) continue;
+    step.keep_loads(true);
+    Rows way;
+    if (is_solved) {
+      Rows down = find_way_down(step, sweeps);
+      if (down.empty() || k >= iterations) {
+        step.keep_loads(false);
+        now.is_minimum = down.empty();
+        return now;
+      }
+      way = way_off_saddle(step, std::move(down));
+    } else {
+      Descent found = find_descent(step, std::move(force), kForcing, sweeps);
+      is_near = found.curves_down.empty();
+      if (is_near || k >= iterations / 2) way = std::move(found.way);
     }
-    for (int i = 0; !convex && i < kIterationsInstead; ++i) step.iterate_again();
-    now = step.residual();
+    const float part = way.empty() ? 0.0f : descend(step, way);
+    step.keep_loads(false);
+    is_near = is_near && part == 1.0f;
+    for (int i = 0; part == 0.0f && i < kIterationsInstead; ++i) step.iterate_again();
   }
-  return {now, !is_solved(now) || curves_up()};
 }
 
 // Solves J^T solution = given until the true residual is small enough, because the residual of the
@@ -150,25 +234,23 @@ KrylovResult solve_transposed(Step& step, const Rows& given, double tolerance, i
   };
   Rows residual = free_rows(given), solution(given.size());
   const double scale = std::sqrt(inner(residual, residual));
-  KrylovResult result;
-  for (int round = 0; round < kRefinements; ++round) {
+  const auto left = [&](const Rows& multipliers) {
+    return residual = free_rows(step.balance(given, multipliers));
+  };
+  const auto more = [&](double asked, int32_t most) {
     // A sweep in reverse subtracts from r the image J^T z of the multipliers z that it finds.
-    Rows more;
-    const double asked = kMargin * tolerance * (round > 0 ? 1.0 / result.residual : 1.0);
-    const KrylovResult found = solve_krylov(more, residual, asked, sweeps - result.iterations,
-                                            [&](const Rows& r, Rows& z, Rows& image) {
-                                              Rows left;
-                                              step.reverse_sweep(r, z, left);
-                                              image = r;
-                                              add_scaled(image, -1.0f, free_rows(std::move(left)));
-                                            });
-    add_scaled(solution, 1.0f, more);
-    residual = free_rows(step.balance(given, solution));
-    result.residual = scale == 0.0 ? 0.0 : std::sqrt(inner(residual, residual)) / scale;
-    result.iterations += found.iterations;
-    if (result.residual <= tolerance || result.iterations >= sweeps) break;
-  }
-  return result;
+    Rows part;
+    const KrylovResult found =
+        solve_krylov(part, residual, asked, most, [&](const Rows& r, Rows& z, Rows& image) {
+          Rows remains;
+          step.reverse_sweep(r, z, remains);
+          image = r;
+          add_scaled(image, -1.0f, free_rows(std::move(remains)));
+        });
+    add_scaled(solution, 1.0f, part);
+    return found;
+  };
+  return refine_solution(solution, scale, tolerance, sweeps, more, left);
 }
 
 }  // namespace novaphy::vbd

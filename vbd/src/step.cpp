@@ -39,9 +39,10 @@ VbdTableArguments tables_of(const StepInputs& in, const Model& m) {
 
 }  // namespace
 
-Step::Step(const Model& m, const VbdOptions& o)
+Step::Step(const Model& m, const VbdOptions& o, bool damps_inside)
     : model_(m),
       options_(o),
+      damps_inside_(damps_inside),
       on_cpu_(m.device().is_cpu()),
       materials_("SolverVBD", {.kf = false, .ka = false}) {
   if (!on_cpu_) {
@@ -163,6 +164,7 @@ VbdSweepArguments Step::sweep(int64_t first_group, int64_t end_group) const {
           .to = slots_.has_conflicts() ? next_ : x_,
           .regularization = options_.lhs_regularization,
           .slip = options_.friction_epsilon * t.dt,
+          .inside = damps_inside_ ? 1.0f : 0.0f,
           .lanes = slots_.lanes(),
           .damped = damps_ ? (int64_t{1} << kRoles) - 1 : t.damped,
           .first_group = first_group,
@@ -377,9 +379,50 @@ void Step::find_residuals() {
   novaphy::run(kernels().residual, groups * slots_.lanes(), sweep(0, groups));
 }
 
+// Returns the sum of |m (y - xn - h vc)/h^2|^2 over the particles that move (N^2), where vc is the
+// mean velocity of the particle's component. A force that is the same for a whole component, except
+// gravity, counts as a velocity.
+double Step::motion_scale() const {
+  const Rows start = download(start_), target = download(target_);
+  const Model& m = host_model();
+  const std::vector<Vec3f> gravities = model_.gravity.to_host();
+  const std::vector<int32_t>& component = slots_.components();
+  struct Mean {
+    Vec3<double> moment;
+    double mass = 0.0;
+  };
+  std::vector<Mean> means(component.size());
+  const auto travel = [&](size_t p) {
+    const Vec3f d = Vec3f(target[p]) - Vec3f(start[p]);
+    return Vec3<double>{static_cast<double>(d.x), static_cast<double>(d.y),
+                        static_cast<double>(d.z)};
+  };
+  const auto for_moving = [&](const auto& body) {
+    for (size_t p = 0; p < component.size(); ++p)
+      if (!is_held(p))
+        body(p, static_cast<double>(m.particle_mass.data()[p]),
+             means[static_cast<size_t>(component[p])]);
+  };
+  for_moving([&](size_t p, double mass, Mean& mean) {
+    mean.moment = mean.moment + travel(p) * mass;
+    mean.mass += mass;
+  });
+  const double h2 = static_cast<double>(dt()) * static_cast<double>(dt());
+  double sum = 0.0;
+  for_moving([&](size_t p, double mass, const Mean& mean) {
+    const int32_t world = m.particle_world.data()[p];
+    const Vec3f& g = world < 0 ? gravities.back() : gravities[static_cast<size_t>(world)];
+    const Vec3<double> weight = {static_cast<double>(g.x), static_cast<double>(g.y),
+                                 static_cast<double>(g.z)};
+    const Vec3<double> force = (travel(p) - mean.moment / mean.mass) * (mass / h2) + weight * mass;
+    sum += math::dot(force, force);
+  });
+  return sum;
+}
+
 VbdResidual Step::last_residual() const {
   of_particles_.copy_to_host(std::span(&residuals_.data()->force, of_particles_.rows()));
-  return sum_residuals(residuals_, iterations_run_);
+  return sum_residuals(residuals_, motion_scale(), iterations_run_);
 }
 
 VbdResidual Step::residual() {

@@ -41,7 +41,8 @@ class Step {
   using Rows4 = DeviceArray<Vec4f>;  // a row of four floats per particle
 
   // ErrorKind::NotImplemented: a device for which the build has no code, or `tolerance` on one.
-  Step(const Model& m, const VbdOptions& o);
+  // `damps_inside`: contacts damp only the motion inside the overlap (particle_contact_law.h).
+  Step(const Model& m, const VbdOptions& o, bool damps_inside = false);
 
   // Rebuilds the slots from the present model.
   void build();
@@ -147,6 +148,7 @@ class Step {
   void check_contacts(const Contacts& contacts) const;
   void check_inputs(const StepInputs& in);
   void check_positions() const;
+  double motion_scale() const;
   void forget_lists();
   void reserve_contacts(int32_t slots);
   void find_contacts(const Contacts& contacts) const;
@@ -163,7 +165,7 @@ class Step {
 
   const Model& model_;
   const VbdOptions options_;
-  const bool on_cpu_;
+  const bool damps_inside_, on_cpu_;
   UnsupportedMaterials materials_;
   EditedValues edited_{"SolverVBD"};
   std::shared_ptr<const Model> copy_;  // see host_model

@@ -53,19 +53,20 @@ inline std::vector<float> chebyshev_factors(float radius, int32_t iterations) {
   return factors;
 }
 
-// Sums the residuals in double precision, in the order of the particles.
-inline VbdResidual sum_residuals(std::span<const ParticleResidual> of_particles,
+// Sums the residuals in double precision, in the order of the particles. `motion`: the square of
+// the part of the scale from the motion and gravity (N^2).
+inline VbdResidual sum_residuals(std::span<const ParticleResidual> of_particles, double motion,
                                  int32_t iterations) {
-  double force = 0.0, inertia = 0.0, rounding = 0.0;
+  double force = 0.0, scale = motion, rounding = 0.0;
   for (const ParticleResidual& r : of_particles) {
     force += static_cast<double>(r.force);
-    inertia += static_cast<double>(r.inertia);
+    scale += static_cast<double>(r.parts);
     rounding += static_cast<double>(r.rounding);
   }
-  const auto relative = [inertia](double squared) {
-    return squared == 0.0 ? 0.0 : std::sqrt(squared / inertia);
+  const auto relative = [scale](double squared) {
+    return squared == 0.0 ? 0.0 : std::sqrt(squared / scale);
   };
-  return {std::sqrt(force), std::sqrt(inertia), relative(force), relative(rounding), iterations};
+  return {std::sqrt(force), std::sqrt(scale), relative(force), relative(rounding), iterations};
 }
 
 }  // namespace novaphy::vbd

@@ -8,7 +8,7 @@ namespace novaphy::vbd {
 void StepTangent::reserve() {
   const UntrackedScope untracked;
   if (x_.rows() == step_.x().rows()) return;
-  for (Rows4* rows : {&x_, &load_, &result_, &moved_})
+  for (Rows4* rows : {&x_, &load_, &result_, &moved_, &loads_at_})
     *rows = Rows4(step_.x().rows(), step_.device());
 }
 
@@ -41,7 +41,7 @@ VbdTangentArguments StepTangent::arguments(size_t first_color, size_t last_color
           .begins = begins,
           .load = nullptr,
           .at_solution = int{!along},
-          .keeps_loads = int{keeps_loads_},
+          .loads_at = keeps_loads_ ? &loads_at_ : nullptr,
           .force = nullptr,
           .force_tangent = nullptr,
           .step_tangent = nullptr};
@@ -110,6 +110,13 @@ void StepTangent::sweep(const Rows& load, Rows& z, Rows& image) {
   image = download(result_);
 }
 
+void StepTangent::keep_loads(bool keep) {
+  keeps_loads_ = keep;
+  if (!keep) return;
+  const auto n = static_cast<int64_t>(x_.rows());
+  novaphy::run(kernels().keep, n, {.x = step_.x(), .iterate = loads_at_});
+}
+
 Rows StepTangent::force() {
   reserve();
   result_.zero();
@@ -139,17 +146,15 @@ Rows StepTangent::implicit(const SweepTangents& along, double tolerance, int32_t
   // load.
   Rows load = force_tangent(tangents);
   const double scale = std::sqrt(inner(load, load));
-  for (int round = 0; round < kRefinements; ++round) {
+  const auto left = [&](const Rows& x) { return load = force_tangent(x); };
+  const auto add_more = [&](double asked, int32_t most) {
     Rows more;
-    const double asked = kMargin * tolerance * (round > 0 ? 1.0 / result.residual : 1.0);
-    result.iterations +=
-        solve_linear(*this, more, load, asked, sweeps - result.iterations).iterations;
+    const KrylovResult found = solve_linear(*this, more, load, asked, most);
     for (size_t p = 0; p < tangents.size(); ++p)
       if (!is_held(p)) tangents[p] = Vec3f(tangents[p]) + Vec3f(more[p]);
-    load = force_tangent(tangents);
-    result.residual = scale == 0.0 ? 0.0 : std::sqrt(inner(load, load)) / scale;
-    if (result.residual <= tolerance || result.iterations >= sweeps) break;
-  }
+    return found;
+  };
+  result = refine_solution(tangents, scale, tolerance, sweeps, add_more, left);
   return tangents;
 }
 

@@ -42,7 +42,8 @@ class StepTangent {
   void place(const Rows& x, const Rows& moved) { step_.place(x, moved); }
   VbdResidual residual() { return step_.residual(); }
   void iterate_again() { step_.iterate_again(); }
-  void keep_loads(bool keep) { keeps_loads_ = keep; }
+  // Keeps the loads of friction of the present positions, so that the forces have an energy.
+  void keep_loads(bool keep);
   bool is_held(size_t p) const { return step_.is_held(p); }
 
  private:
@@ -58,7 +59,7 @@ class StepTangent {
 
   Step& step_;
   bool keeps_loads_ = false;  // see VbdTangentArguments
-  Rows4 x_, load_, result_, moved_, start_, target_;
+  Rows4 x_, load_, result_, moved_, loads_at_, start_, target_;
   DeviceArray<float> mass_, contacts_, numbers_;
 };
 

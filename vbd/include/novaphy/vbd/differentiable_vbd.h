@@ -73,8 +73,8 @@ struct VbdGradientOptions {
   // then iterates to this solution.
   bool implicit = false;
   // Implicit: the relative residual at which the step and the linear system count as solved, > 0.
-  // The step also counts as solved at twice VbdResidual::floor, because rounding allows no smaller
-  // residual.
+  // Rounding can prevent a smaller residual. The step therefore also counts as solved at twice
+  // VbdResidual::floor, and the linear system at four times the part that one rounding can cause.
   float tolerance = 1e-4f;
   // iterations to solve the step, each of at most krylov_sweeps; >= 0
   int32_t newton_iterations = 30;
@@ -102,6 +102,9 @@ struct VbdGradientInfo {
 // generalized conjugate residual method. Newton's method solves the step first, with the tangents
 // of the same sweeps, and `forward` returns this solution. J is the whole derivative of f. H leaves
 // parts of J out.
+//
+// Implicit steps damp only the motion of a contact inside its overlap, because the force of other
+// contacts would jump (`inside` of particle_contact_law.h).
 //
 // Points, normals and velocities of contacts are frozen. Kinematic particles carry a gradient with
 // respect to their positions or targets. The result has the same bits for any number of threads and

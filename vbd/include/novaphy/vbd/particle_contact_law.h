@@ -7,6 +7,9 @@
 //   f = n (ke pen - kd/h min(n.u, 0)) - c u_t,  u_t = u - n (n.u)
 //   H = (ke + [n.u < 0] kd/h) n n^T + c (I - n n^T)
 //   c = mu ke pen times 1/|u_t| beyond the slip eps = friction_epsilon h, (2 - |u_t|/eps)/eps below
+// With `inside` 1 the damping is kd/h min(-n.u, pen) where n.u < 0. Damping then resists only the
+// motion inside the overlap, and f is continuous. Both laws agree where the overlap began before
+// the step. The energy below is that of `inside` 0.
 // The coefficients ke and kd are the means of those of the model and the shape. mu is the geometric
 // mean. H keeps c in the direction of the slip, although the derivative of the force there is about
 // 0: without it the iteration does not converge. During the step p, n and v_s are constant.
@@ -19,7 +22,7 @@
 // Source: Newton 1.8.0's SolverVBD, and the friction of Li et al., "Incremental Potential Contact"
 // (2020). Newton drops c from f and H where u_t is 0, so a resting particle and a creeping particle
 // have different laws. Here c keeps its limit 2/eps.
-// Not smooth: pen = 0, where f jumps by the damping; n.u = 0 in H.
+// Not smooth: pen = 0, where f jumps by the damping unless `inside` is 1; n.u = 0 in H.
 // Gradient: exact in x, xn, R, ke, kd, mu away from these. p, n and v_s are frozen, and eps carries
 // none.
 #pragma once
@@ -28,11 +31,11 @@
 
 namespace novaphy::vbd {
 
-// `radius` is R (m), `slip` is eps (m), and `travel` is h v_s (m).
+// `radius` is R (m), `slip` is eps (m), `travel` is h v_s (m), and `inside` is 0 or 1.
 template <class T>
 struct ParticleContact {
   Vec3<T> point{}, normal{}, travel{};
-  T radius{}, ke{}, kd_by_h{}, mu{}, slip{};
+  T radius{}, ke{}, kd_by_h{}, mu{}, slip{}, inside{};
 };
 
 template <class T>
@@ -52,8 +55,9 @@ Block<T> particle_contact_block(const Vec3<T>& x, const Vec3<T>& start,
   const T shape = select(slip > c.slip, one / root, (T(2.0f) - slip / c.slip) / c.slip);
   const T friction = ((c.mu * c.ke) * depth) * shape;
   const T damping = select(un < zero, c.kd_by_h, zero);
+  const T approach = -select(c.inside > zero, max(un, -depth), un);
   Block<T> block;
-  block.f = n * (c.ke * depth - damping * un) - ut * friction;
+  block.f = n * (c.ke * depth + damping * approach) - ut * friction;
   add_identity(block, friction);
   add_outer(block, (c.ke + damping) - friction, n);
   return where(depth > zero, block);
@@ -102,14 +106,15 @@ T particle_contact_energy(const Vec3<T>& x, const Vec3<T>& start, const Particle
          (c.mu * load) * distance;
 }
 
-// Returns the tangent of mu that keeps the load of friction constant while x moves along dx, as the
-// energy does.
+// Returns the friction coefficient at x that gives the load of the position `from`, as the energy
+// does. Without an overlap at x the contact has no friction.
 template <class T>
-T tangent_that_keeps_load(const Vec3<T>& x, const Vec3<T>& dx, const ParticleContact<T>& c) {
+T friction_of_load(const Vec3<T>& x, const Vec3<T>& from, const ParticleContact<T>& c) {
   using namespace math;
   const T zero = T(0.0f), depth = c.radius - dot(c.normal, x - c.point);
   const auto acts = depth > zero;
-  return select(acts, c.mu * dot(c.normal, dx) / select(acts, depth, T(1.0f)), zero);
+  const T before = max(zero, c.radius - dot(c.normal, from - c.point));
+  return select(acts, c.mu * (before / select(acts, depth, T(1.0f))), zero);
 }
 
 }  // namespace novaphy::vbd

@@ -36,8 +36,11 @@ struct VbdOptions {
 
 // The distance of the last step from its solution.
 struct VbdResidual {
-  double force = 0.0;     // N: norm of the total force over all particles that move, with inertia
-  double scale = 0.0;     // N: norm of m (y - xn)/h^2 over all particles that move
+  double force = 0.0;  // N: norm of the total force over all particles that move, with inertia
+  // N: norm over all particles that move of two parts: m (y - xn - h vc)/h^2, with the mean
+  // velocity vc of the particle's connected component, and the sum of the norms of the forces of
+  // its contacts and elements. A uniform motion does not change it.
+  double scale = 0.0;
   double relative = 0.0;  // force / scale; 0 where the force is 0
   double floor = 0.0;     // the part of `relative` that one rounding of the positions can cause
   int32_t iterations = 0;

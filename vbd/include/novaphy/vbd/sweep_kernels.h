@@ -32,8 +32,9 @@ struct VbdSweepArguments {
                     Optional<Reads<float>> contacts; Reads<VbdRow> start, target;
                     Updates<VbdRow> moved, x,
                     to;  // where the particles of a color go: x, or memory of its own
-                    Number<float> regularization, slip; Number<int64_t> lanes;  // of a group
-                    Number<int64_t> damped;  // a bit for each role
+                    Number<float> regularization, slip, inside;  // see ParticleContact
+                    Number<int64_t> lanes;                       // of a group
+                    Number<int64_t> damped;                      // a bit for each role
                     Number<int64_t> first_group, end_group,
                     block_groups;            // groups of a block: 1 or kVbdLargeBlock
                     Writes<float> residual;  // of vbd_residual
@@ -180,8 +181,8 @@ void for_contacts(const LaneGroup<S>& g, const Body& body) {
     if (!any) return;
     const auto number = [&rows](int c) { return Access::load(rows[c]); };
     const auto point = [&](int c) { return Vec3<S>{number(c), number(c + 1), number(c + 2)}; };
-    all.contact = {point(0),   point(3),   point(6),   number(9),
-                   number(10), number(11), number(12), S(a.slip.value)};
+    all.contact = {point(0),   point(3),   point(6),        number(9),        number(10),
+                   number(11), number(12), S(a.slip.value), S(a.inside.value)};
     body(all);
   }
 }
@@ -198,21 +199,31 @@ Block<S> contact_blocks(const LaneGroup<S>& g, const Vec3<S>& x) {
 }
 
 // Returns the block of the particles of a group at x. The order of the sum is: contacts and outer
-// elements, then inertia and the other elements, then both sums. `turns`: see block_of.
-template <bool turns = false, class S>
-Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x) {
+// elements, then inertia and the other elements, then both sums. `turns`: see block_of. see(block)
+// gets the blocks of the contacts together and of each element.
+template <bool turns = false, class S, class See>
+Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x, const See& see) {
   const VbdRow* const q = g.a.x;
   Block<S> outer = contact_blocks(g, x);
+  see(outer);
   const auto add = [&](auto is, Block<S>& sum) {
     constexpr Role role = decltype(is)::role;
     const bool damped = g.is_damped(role);
-    for_slots<role>(
-        g, [&](const auto& s) { sum = sum + block_of<turns>(inputs_of(s, x, q), damped); });
+    for_slots<role>(g, [&](const auto& s) {
+      const Block<S> block = block_of<turns>(inputs_of(s, x, q), damped);
+      see(block);
+      sum = sum + block;
+    });
   };
   for_roles_that_are<true>([&](auto is) { add(is, outer); });
   Block<S> block = inertia_block(x, g.at(g.a.target), g.mass_by_h2());
   for_roles_that_are<false>([&](auto is) { add(is, block); });
   return block + outer;
+}
+
+template <bool turns = false, class S>
+Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x) {
+  return block_at<turns>(g, x, [](const Block<S>&) {});
 }
 
 // Returns the energy of the elements of particles at x (J). The contacts have the loads of the
@@ -278,21 +289,21 @@ void move(const LaneGroup<S>& g) {
   g.put(g.a.to, g.at(g.a.start) + moved);
 }
 
-// The part of a particle in the sums of a residual: |f|^2, |M (y - xn)/h^2|^2, and the square of
-// the change of f by one rounding of the position.
+// The part of a particle in the sums of a residual: |f|^2, the square of the sum of the |f| of its
+// contacts and elements, and the square of the change of f by one rounding of the position.
 struct ParticleResidual {
-  float force = 0.0f, inertia = 0.0f, rounding = 0.0f;
+  float force = 0.0f, parts = 0.0f, rounding = 0.0f;
 };
 template <class S>
 void residual(const LaneGroup<S>& g) {
   using namespace math;
   if (g.filled == 0) return;
   const Vec3<S> x = g.at(g.a.x);
-  const Block<S> b = block_at(g, x);
-  const Vec3<S> travel = (g.at(g.a.target) - g.at(g.a.start)) * g.mass_by_h2();
+  S parts{};
+  const Block<S> b = block_at(g, x, [&](const Block<S>& part) { parts = parts + length(part.f); });
   const S size = max(abs(x.x), max(abs(x.y), abs(x.z)));
   const Vec3<S> rounded = multiply_stiffness(b, Vec3<S>{size, size, size} * S(0x1p-24f));
-  const S all[3] = {dot(b.f, b.f), dot(travel, travel), dot(rounded, rounded)};
+  const S all[3] = {dot(b.f, b.f), parts * parts, dot(rounded, rounded)};
   for (int l = 0; l < g.filled; ++l)
     for (int k = 0; k < 3; ++k)
       g.a.residual[3 * static_cast<int64_t>(g.particle[l]) + k] = LaneAccess<S>::get(all[k], l);

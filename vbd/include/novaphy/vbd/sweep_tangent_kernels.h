@@ -17,9 +17,9 @@ struct VbdTangentArguments {
                     Each<Number<int64_t>, vbd::kRoles> begins;  // where the numbers of a role begin
                     Optional<Reads<VbdRow>> load;               // added to the derivative of f
                     Number<int64_t> at_solution;                // 1: at a solution, where f = 0
-                    // 1: the loads of friction are constant, as in its energy. f then has a
-                    // potential.
-                    Number<int64_t> keeps_loads;
+                    // The loads of friction are those of these positions, as in its energy. f then
+                    // has a potential. Null: the loads are those of x.
+                    Optional<Reads<VbdRow>> loads_at;
                     // Written: f, the tangent of f, and the tangent of the particles' steps. Null:
                     // not wanted.
                     Optional<Updates<VbdRow>> force, force_tangent, step_tangent;)
@@ -83,12 +83,11 @@ struct TangentGroup {
         for (int n = 0; all.number[l] >= 0 && n < kContactLawFloats; ++n)
           Access::set(tangents[n], l,
                       a.contacts[static_cast<int64_t>(all.number[l]) * kContactLawFloats + n]);
-      if (a.keeps_loads != 0)
-        tangents[3] = tangent_that_keeps_load(math::value_of(x), math::tangent_of(x), c);
-      const ParticleContact<Tangent> contact = {still(c.point),      still(c.normal),
-                                                still(c.travel),     {c.radius, tangents[0]},
-                                                {c.ke, tangents[1]}, {c.kd_by_h, tangents[2]},
-                                                {c.mu, tangents[3]}, Tangent(c.slip)};
+      ParticleContact<Tangent> contact = {
+          still(c.point),          still(c.normal),     still(c.travel),
+          {c.radius, tangents[0]}, {c.ke, tangents[1]}, {c.kd_by_h, tangents[2]},
+          {c.mu, tangents[3]},     Tangent(c.slip),     Tangent(c.inside)};
+      if (a.loads_at != nullptr) contact.mu = friction_of_load(x, still(g.at(a.loads_at)), contact);
       outer = outer + where(all.touching, particle_contact_block(x, begin, contact));
     });
     return outer;

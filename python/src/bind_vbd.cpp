@@ -29,6 +29,12 @@ bool to_coarse(const std::optional<std::string>& name) {
   return name.has_value();
 }
 
+bool to_converged(const std::string& solve) {
+  require(solve == "iterations" || solve == "converged", ErrorKind::Value,
+          "SolverVBD: solve: expected \"iterations\" or \"converged\", got \"", solve, "\"");
+  return solve == "converged";
+}
+
 constexpr char kKinematicCountDoc[] =
     "The number of kinematic particles, which is the number of rows of targets.";
 constexpr char kHeldCountDoc[] = "The old name of kinematic_count. DeprecationWarning.";
@@ -176,7 +182,7 @@ void bind_vbd(py::module_& solvers) {
                        float friction_epsilon, const std::string& initial_guess,
                        std::optional<float> acceleration, std::optional<float> tolerance,
                        bool safeguard, const std::optional<std::string>& coarse,
-                       float lhs_regularization) {
+                       const std::string& solve, float lhs_regularization) {
              return std::make_unique<SolverVBD>(
                  model, VbdOptions{.iterations = iterations,
                                    .friction_epsilon = friction_epsilon,
@@ -185,12 +191,14 @@ void bind_vbd(py::module_& solvers) {
                                    .tolerance = tolerance,
                                    .safeguard = safeguard,
                                    .coarse = to_coarse(coarse),
+                                   .converged = to_converged(solve),
                                    .lhs_regularization = lhs_regularization});
            }),
            py::arg("model").none(false), py::kw_only(), "iterations"_a = d.iterations,
            "friction_epsilon"_a = d.friction_epsilon, "initial_guess"_a = "inertia",
            "acceleration"_a = py::none(), "tolerance"_a = py::none(), "safeguard"_a = d.safeguard,
-           "coarse"_a = py::none(), "lhs_regularization"_a = d.lhs_regularization, doc::kVbdInit)
+           "coarse"_a = py::none(), "solve"_a = "iterations",
+           "lhs_regularization"_a = d.lhs_regularization, doc::kVbdInit)
       .def_property_readonly(
           "iterations", [](const SolverVBD& s) { return s.options().iterations; },
           "The number of sweeps over all colors in a step.")
@@ -215,6 +223,10 @@ void bind_vbd(py::module_& solvers) {
       .def_property_readonly(
           "coarse", [](const SolverVBD& s) { return s.options().coarse ? "auto" : nullptr; },
           "The coarse correction: \"auto\" or None.")
+      .def_property_readonly(
+          "solve",
+          [](const SolverVBD& s) { return s.options().converged ? "converged" : "iterations"; },
+          "How far a step goes: \"iterations\" or \"converged\".")
       .def_property_readonly(
           "lhs_regularization", [](const SolverVBD& s) { return s.options().lhs_regularization; },
           "The relative regularization of nearly singular blocks (1).")

@@ -54,10 +54,12 @@ friction_epsilon: m/s; the slip at which friction reaches the Coulomb limit.
 initial_guess: "inertia" (the inertial position), "previous" (the positions before) or "adaptive"
 (the inertial position with the part of gravity that acted in the last step).
 acceleration: the spectral radius of Chebyshev acceleration, in (0, 1).
-tolerance: ends a step when residual().relative is at most this.
+tolerance: ends a step when residual().relative is at most this. None: with solve="converged" 1e-4.
 safeguard: halves the step of a particle while its energy rises.
 coarse: "auto": a coarse correction follows each iteration, for errors that span many particles.
 None: iterations alone. Not together with acceleration.
+solve: "iterations", or "converged": Newton's method continues after the iterations, until the step
+is at the minimum of its energy. On the CPU, outside of captures.
 
 ValueError: a bad option, particles without a color, a negative or NaN material.
 NotImplementedError: names what is not supported.)";
@@ -71,7 +73,8 @@ the step, in the order of their indices. None: the particles stay in place.
 Errors are those of SolverBase.step.
 ValueError: indices or colors that were edited after the solver was made, numbers that are not
 finite.
-`novaphy.Error`: contacts that overflowed, positions that do not stay finite.)";
+`novaphy.Error`: contacts that overflowed, positions that do not stay finite, a step that
+solve="converged" does not solve.)";
 
 inline constexpr char kVbdResidual[] =
     R"(Returns the VbdResidual of the last step.

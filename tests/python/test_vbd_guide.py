@@ -255,6 +255,9 @@ ROWS = {
     "`tolerance`": Row(
         forward(tolerance=1e-3), option_gradient(tolerance=1e-3), {"tolerance": 1e-3}
     ),
+    "`solve": Row(
+        forward(solve="converged"), option_gradient(solve="converged"), {"solve": "converged"}
+    ),
     "drag and lift": Row(each_number(plain), lambda kind: each_number(differentiable)()),
     "bodies, joints": Row(bodies(plain), lambda kind: bodies(differentiable)()),
     "self-contact": Row(self_contact(plain), lambda kind: self_contact(differentiable)()),

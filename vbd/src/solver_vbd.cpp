@@ -6,6 +6,7 @@
 #include "element_arrays.h"
 #include "novaphy/core/error.h"
 #include "step.h"
+#include "step_tangent.h"
 
 namespace novaphy {
 namespace {
@@ -48,14 +49,30 @@ void check_covered(const Model& model) {
   check("articulation_count", model.articulation_count());
 }
 
+// With `converged` all iterations run, because the tolerance is that of the solution.
+VbdOptions options_of_step(VbdOptions o) {
+  if (o.converged) o.tolerance.reset();
+  return o;
+}
+
 }  // namespace
 
 struct SolverVBD::Work {
-  Work(const Model& m, const VbdOptions& o) : step(m, o) {
+  Work(const Model& m, const VbdOptions& o) : step(m, options_of_step(o), o.converged) {
     if (o.initial_guess == VbdInitialGuess::Adaptive)
       last = DeviceArray<Vec4f>(static_cast<size_t>(m.particle_count()), m.device());
   }
+  // Moves the step that has run to its solution.
+  void solve(const VbdOptions& o) {
+    step.check();
+    const VbdGradientOptions limits;
+    const auto tolerance = static_cast<double>(o.tolerance.value_or(limits.tolerance));
+    tangent.solve_step(tolerance, limits.newton_iterations, limits.krylov_sweeps)
+        .check(kName, tolerance, limits.newton_iterations, "iterations");
+  }
+
   vbd::Step step;
+  vbd::StepTangent tangent{step};
   // previous velocity, for the adaptive guess (see VbdStepInputs); else without rows
   DeviceArray<Vec4f> last;
   bool has_stepped = false;
@@ -75,7 +92,9 @@ int32_t SolverVBD::kinematic_count() const { return work_->step.kinematic_count(
 
 Array SolverVBD::carried() const { return work_->last; }
 
-bool SolverVBD::supports_graph_capture() const { return !options_.tolerance; }
+bool SolverVBD::supports_graph_capture() const {
+  return !options_.tolerance && !options_.converged;
+}
 
 void SolverVBD::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("SolverVBD.notify_model_changed");
@@ -136,6 +155,7 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
       {.q = state_out.particle_q, .qd = state_out.particle_qd, .updates_last = w.last.rows() != 0},
       in_use());
   w.has_stepped = true;
+  if (options_.converged) w.solve(options_);
 }
 
 }  // namespace novaphy

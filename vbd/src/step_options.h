@@ -38,6 +38,10 @@ inline void check_not_launched(const VbdOptions& o) {
   require(!o.tolerance, ErrorKind::NotImplemented,
           "SolverVBD: tolerance: a step that is launched does not ask how far it is (on a device, "
           "or in a capture); set iterations");
+  require(
+      !o.converged, ErrorKind::NotImplemented,
+      "SolverVBD: solve: expected \"iterations\" for a step that is launched (on a device, or in "
+      "a capture), got \"converged\", for which the host decides how far to go");
 }
 
 // Returns the factors omega of Chebyshev acceleration: 1 up to the first iteration, 2/(2 - rho^2)

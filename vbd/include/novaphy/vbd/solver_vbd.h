@@ -22,7 +22,8 @@ struct VbdOptions {
   // Above 0.8 the iteration may stall or diverge.
   std::optional<float> acceleration = {};
   // Ends the iteration when VbdResidual::relative is at most this, > 0. Each iteration then
-  // computes the forces once more.
+  // computes the forces once more. With `converged` the step is solved to this, at first by all
+  // iterations; none means 1e-4.
   std::optional<float> tolerance = {};
   // Halves the step of a particle while the energy of its elements rises, up to four times. If the
   // energy still rises, the particle stays where it is. The total energy therefore never rises. Not
@@ -31,6 +32,9 @@ struct VbdOptions {
   // Adds a step of Galerkin's method after each iteration (coarse_kernels.h), which removes errors
   // that are smooth over many particles. Not together with acceleration or safeguard.
   bool coarse = false;
+  // Continues after the iterations with Newton's method, until the step is at the minimum of its
+  // energy (DifferentiableVbd: implicit). On the CPU, outside of captures.
+  bool converged = false;
   float lhs_regularization = 1e-6f;  // see vbd/block_law.h; finite, >= 0
 };
 
@@ -57,7 +61,7 @@ struct VbdResidual {
 // the friction below the cone;
 // - restitution;
 // - a particle_spring_control other than 0;
-// - on a device: `tolerance`, and a build without NOVAPHY_WITH_VBD_CUDA.
+// - on a device: `tolerance`, `converged`, and a build without NOVAPHY_WITH_VBD_CUDA.
 // Particles have no contacts with each other or with triangles.
 //
 // One step minimizes, over the positions x of the particles that move,
@@ -88,15 +92,16 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   const VbdOptions& options() const { return options_; }
   // Number of kinematic particles: the rows of `targets`, in the order of the particles' indices.
   int32_t kinematic_count() const;
-  // True if `tolerance` is not set.
+  // True without `tolerance` and `converged`.
   bool supports_graph_capture() const override;
 
   // Errors besides those of SolverBase::step and of the constructor:
   // ErrorKind::Value: the indices of elements or the colors were edited after the solver was made,
   // or states, activations or arrays of the model are not finite.
   // ErrorKind::Runtime: contacts overflowed, positions do not stay finite (state_out is then not
-  // written), or an input carries a gradient under a Tape.
-  // ErrorKind::NotImplemented: a contact with a shape of a body.
+  // written), an input carries a gradient under a Tape, or `converged` found no solution (state_out
+  // then holds the last iterate).
+  // ErrorKind::NotImplemented: a contact with a shape of a body, or `converged` in a capture.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override {
     step(state_in, state_out, control, contacts, dt, nullptr);

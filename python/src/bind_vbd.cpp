@@ -153,10 +153,9 @@ void bind_residual(py::module_& solvers) {
       .def_readonly("force", &VbdResidual::force,
                     "The norm of the total force on all particles that move, with inertia (N).")
       .def_readonly("scale", &VbdResidual::scale,
-                    "The norm over all particles that move (N) of m (y - xn - h vc)/h^2 and of the "
-                    "sum of the norms of the forces of contacts and elements. y is the inertial "
-                    "position, h the step size, and vc the mean velocity of the particle's "
-                    "connected component.")
+                    "The force (N) that the step had to balance, as a norm over all particles that "
+                    "move. Its parts are the forces of contacts and elements, gravity, and the "
+                    "motion relative to the mean motion of a connected component.")
       .def_readonly("relative", &VbdResidual::relative,
                     "The ratio force / scale; 0 if the force is 0.")
       .def_readonly("floor", &VbdResidual::floor,
@@ -164,41 +163,8 @@ void bind_residual(py::module_& solvers) {
       .def_readonly("iterations", &VbdResidual::iterations, "The number of iterations that ran.");
 }
 
-}  // namespace
-
-void bind_vbd(py::module_& solvers) {
-  bind_residual(solvers);
-  const VbdOptions d;
-  py::class_<SolverVBD, SolverBase>(
-      solvers, "SolverVBD",
-      "Implicit Euler by Vertex Block Descent, stable at large steps and stiffnesses. The solver "
-      "supports particles, springs, triangles, bending edges, tetrahedra, external forces, "
-      "gravity, and contacts with world-owned shapes.\n\nParticles need colors: "
-      "ModelBuilder.color(). Particles of mass 0 or without ParticleFlags.ACTIVE are kinematic. A "
-      "step does not write to state_in. The bits are the same for any number of threads and on a "
-      "CUDA device.\n\nA step can be captured. On a tape the step raises if an input carries a "
-      "gradient.")
-      .def(py::init([](const std::shared_ptr<Model>& model, int32_t iterations,
-                       float friction_epsilon, const std::string& initial_guess,
-                       std::optional<float> acceleration, std::optional<float> tolerance,
-                       bool safeguard, const std::optional<std::string>& coarse,
-                       const std::string& solve, float lhs_regularization) {
-             return std::make_unique<SolverVBD>(
-                 model, VbdOptions{.iterations = iterations,
-                                   .friction_epsilon = friction_epsilon,
-                                   .initial_guess = to_guess(initial_guess),
-                                   .acceleration = acceleration,
-                                   .tolerance = tolerance,
-                                   .safeguard = safeguard,
-                                   .coarse = to_coarse(coarse),
-                                   .converged = to_converged(solve),
-                                   .lhs_regularization = lhs_regularization});
-           }),
-           py::arg("model").none(false), py::kw_only(), "iterations"_a = d.iterations,
-           "friction_epsilon"_a = d.friction_epsilon, "initial_guess"_a = "inertia",
-           "acceleration"_a = py::none(), "tolerance"_a = py::none(), "safeguard"_a = d.safeguard,
-           "coarse"_a = py::none(), "solve"_a = "iterations",
-           "lhs_regularization"_a = d.lhs_regularization, doc::kVbdInit)
+void bind_options(py::class_<SolverVBD, SolverBase>& solver) {
+  solver
       .def_property_readonly(
           "iterations", [](const SolverVBD& s) { return s.options().iterations; },
           "The number of sweeps over all colors in a step.")
@@ -229,7 +195,46 @@ void bind_vbd(py::module_& solvers) {
           "How far a step goes: \"iterations\" or \"converged\".")
       .def_property_readonly(
           "lhs_regularization", [](const SolverVBD& s) { return s.options().lhs_regularization; },
-          "The relative regularization of nearly singular blocks (1).")
+          "The relative regularization of nearly singular blocks (1).");
+}
+
+}  // namespace
+
+void bind_vbd(py::module_& solvers) {
+  bind_residual(solvers);
+  const VbdOptions d;
+  py::class_<SolverVBD, SolverBase> solver(
+      solvers, "SolverVBD",
+      "Implicit Euler by Vertex Block Descent, stable at large steps and stiffnesses. The solver "
+      "supports particles, springs, triangles, bending edges, tetrahedra, external forces, "
+      "gravity, and contacts with world-owned shapes.\n\nParticles need colors: "
+      "ModelBuilder.color(). Particles of mass 0 or without ParticleFlags.ACTIVE are kinematic. A "
+      "step does not write to state_in. The bits are the same for any number of threads and on a "
+      "CUDA device.\n\nA step can be captured. On a tape the step raises if an input carries a "
+      "gradient.");
+  bind_options(solver);
+  solver
+      .def(py::init([](const std::shared_ptr<Model>& model, int32_t iterations,
+                       float friction_epsilon, const std::string& initial_guess,
+                       std::optional<float> acceleration, std::optional<float> tolerance,
+                       bool safeguard, const std::optional<std::string>& coarse,
+                       const std::string& solve, float lhs_regularization) {
+             return std::make_unique<SolverVBD>(
+                 model, VbdOptions{.iterations = iterations,
+                                   .friction_epsilon = friction_epsilon,
+                                   .initial_guess = to_guess(initial_guess),
+                                   .acceleration = acceleration,
+                                   .tolerance = tolerance,
+                                   .safeguard = safeguard,
+                                   .coarse = to_coarse(coarse),
+                                   .converged = to_converged(solve),
+                                   .lhs_regularization = lhs_regularization});
+           }),
+           py::arg("model").none(false), py::kw_only(), "iterations"_a = d.iterations,
+           "friction_epsilon"_a = d.friction_epsilon, "initial_guess"_a = "inertia",
+           "acceleration"_a = py::none(), "tolerance"_a = py::none(), "safeguard"_a = d.safeguard,
+           "coarse"_a = py::none(), "solve"_a = "iterations",
+           "lhs_regularization"_a = d.lhs_regularization, doc::kVbdInit)
       .def_property_readonly("kinematic_count", &SolverVBD::kinematic_count, kKinematicCountDoc)
       .def_property_readonly("held_count", &old_kinematic_count<SolverVBD>, kHeldCountDoc)
       .def(

@@ -31,7 +31,8 @@ def crumpled(model, seed):
     random = np.random.default_rng(seed)
     state, shape = model.state(), (model.particle_count, 3)
     q = model.particle_q.numpy() + random.normal(0, 0.004, shape)
-    qd = random.normal(0, 0.3, shape) + [random.normal(0, 0.5), random.normal(0, 0.5), -0.3]
+    qd = random.normal(0, 0.3, shape)
+    qd += np.array([random.normal(0, 0.5), random.normal(0, 0.5), -0.3])
     state.particle_q.assign(q.astype(np.float32))
     state.particle_qd.assign(qd.astype(np.float32))
     return state

@@ -66,6 +66,25 @@ Descent find_descent(Step& step, Rows load, double tolerance, int32_t sweeps) {
   return found;
 }
 
+// The places of the particles along a line from the present ones.
+template <class Step>
+struct Line {
+  Step& step;
+  const Rows x = step.positions(), moved = step.moves(), start = step.starts();
+
+  // Kinematic particles stay where they are.
+  void go(const Rows& way, float part) const {
+    Rows to = x, now = moved;
+    for (size_t p = 0; p < x.size(); ++p) {
+      if (step.is_held(p)) continue;
+      now[p] = Vec3f(moved[p]) + Vec3f(way[p]) * part;
+      to[p] = Vec3f(start[p]) + Vec3f(now[p]);
+    }
+    step.place(to, now);
+  }
+  void go_back() const { step.place(x, moved); }
+};
+
 // Moves the particles along the way, and halves the step until the energy falls enough (Armijo).
 // The loads of friction are constant. The change of the energy is the work of the forces along the
 // step, by Simpson's rule, because rounding hides small changes of the energy. Returns the part of
@@ -74,34 +93,25 @@ template <class Step>
 float descend(Step& step, const Rows& way) {
   constexpr int kHalvings = 12;
   constexpr double kEnough = 1e-3, kOvershoot = 0.5;
-  const Rows x = step.positions(), moved = step.moves();
-  // Kinematic particles stay where they are.
-  Rows start = step.starts(), to = x, now = moved;
-  const auto place_at = [&](float part) {
-    for (size_t p = 0; p < x.size(); ++p) {
-      if (step.is_held(p)) continue;
-      now[p] = Vec3f(moved[p]) + Vec3f(way[p]) * part;
-      to[p] = Vec3f(start[p]) + Vec3f(now[p]);
-    }
-    step.place(to, now);
-  };
+  const double first = inner(step.force(), way);
+  if (!(first >= 0.0)) return 0.0f;
+  const Line<Step> line{step};
   const auto push_at = [&](float part) {
-    place_at(part);
+    line.go(way, part);
     return inner(step.force(), way);
   };
-  const double first = inner(step.force(), way);
   float part = 1.0f;
-  double end = first >= 0.0 ? push_at(part) : 0.0;
-  for (int k = 0; first >= 0.0 && k <= kHalvings; ++k, part *= 0.5f) {
+  double end = push_at(part);
+  for (int k = 0; k <= kHalvings; ++k, part *= 0.5f) {
     const double middle = push_at(0.5f * part);
     const double work = (first + 4.0 * middle + end) / 6.0;
     if (end > -kOvershoot * first && work > kEnough * first) {
-      place_at(part);
+      line.go(way, part);
       return part;
     }
     end = middle;
   }
-  step.place(x, moved);
+  line.go_back();
   return 0.0f;
 }
 
@@ -109,19 +119,14 @@ float descend(Step& step, const Rows& way) {
 // false, with the old positions, where it does not halve the force.
 template <class Step>
 bool refine(Step& step, const Rows& force, double tolerance, int32_t sweeps) {
-  const Rows x = step.positions(), moved = step.moves(), start = step.starts();
-  Rows load = force, newton, to = x, now = moved;
+  Rows load = force, newton;
   solve_linear(step, newton, load, tolerance, sweeps);
-  for (size_t p = 0; p < x.size(); ++p) {
-    if (step.is_held(p)) continue;
-    now[p] = Vec3f(moved[p]) + Vec3f(newton[p]);
-    to[p] = Vec3f(start[p]) + Vec3f(now[p]);
-  }
-  step.place(to, now);
+  const Line<Step> line{step};
+  line.go(newton, 1.0f);
   const Rows left = step.force();
-  if (inner(left, left) < 0.25 * inner(force, force)) return true;
-  step.place(x, moved);
-  return false;
+  const bool halves = inner(left, left) < 0.25 * inner(force, force);
+  if (!halves) line.go_back();
+  return halves;
 }
 
 // Returns a direction along which the energy has negative curvature. Without rows: conjugate
@@ -144,18 +149,16 @@ Rows find_way_down(Step& step, int32_t sweeps) {
 // Returns the direction, either way, that the forces push along. Its largest row is as long as the
 // longest motion of the step.
 template <class Step>
-Rows way_off_saddle(Step& step, Rows down) {
-  const Rows moves = step.moves();
+Rows way_off_saddle(Step& step, const Rows& down) {
   const auto longest = [](const Rows& rows) {
-    double most = 0.0;
-    for (const Row& row : rows)
-      most = std::max(most, static_cast<double>(math::length(Vec3f(row))));
+    float most = 0.0f;
+    for (const Row& row : rows) most = std::max(most, math::length(Vec3f(row)));
     return most;
   };
-  const double side = inner(step.force(), down) < 0.0 ? -1.0 : 1.0;
-  const auto scale = static_cast<float>(side * longest(moves) / longest(down));
-  for (Row& row : down) row = Vec3f(row) * scale;
-  return down;
+  const float size = longest(step.moves()) / longest(down);
+  Rows way(down.size());
+  add_scaled(way, inner(step.force(), down) < 0.0 ? -size : size, down);
+  return way;
 }
 
 struct Solution {
@@ -201,13 +204,13 @@ Solution solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32
     step.keep_loads(true);
     Rows way;
     if (is_solved) {
-      Rows down = find_way_down(step, sweeps);
+      const Rows down = find_way_down(step, sweeps);
       if (down.empty() || k >= iterations) {
         step.keep_loads(false);
         now.is_minimum = down.empty();
         return now;
       }
-      way = way_off_saddle(step, std::move(down));
+      way = way_off_saddle(step, down);
     } else {
       Descent found = find_descent(step, std::move(force), kForcing, sweeps);
       is_near = found.curves_down.empty();

@@ -148,7 +148,7 @@ class Step {
   void check_contacts(const Contacts& contacts) const;
   void check_inputs(const StepInputs& in);
   void check_positions() const;
-  double motion_scale() const;
+  double motion_scale() const;  // step_residual.cpp
   void forget_lists();
   void reserve_contacts(int32_t slots);
   void find_contacts(const Contacts& contacts) const;

@@ -7,9 +7,9 @@
 //   f = n (ke pen - kd/h min(n.u, 0)) - c u_t,  u_t = u - n (n.u)
 //   H = (ke + [n.u < 0] kd/h) n n^T + c (I - n n^T)
 //   c = mu ke pen times 1/|u_t| beyond the slip eps = friction_epsilon h, (2 - |u_t|/eps)/eps below
-// With `inside` 1 the damping is kd/h min(-n.u, pen) where n.u < 0. Damping then resists only the
-// motion inside the overlap, and f is continuous. Both laws agree where the overlap began before
-// the step. The energy below is that of `inside` 0.
+//
+// With `inside` 1 the damping is kd/h min(-n.u, pen) where n.u < 0, which makes f continuous.
+//
 // The coefficients ke and kd are the means of those of the model and the shape. mu is the geometric
 // mean. H keeps c in the direction of the slip, although the derivative of the force there is about
 // 0: without it the iteration does not converge. During the step p, n and v_s are constant.

@@ -199,6 +199,7 @@ OPTIONS = {
     "tolerance": 0.5,
     "safeguard": True,
     "coarse": "auto",
+    "solve": "converged",
     "lhs_regularization": 0.1,
 }
 

@@ -72,6 +72,24 @@ def test_a_converged_step_keeps_the_momentum():
     assert np.linalg.norm(after - before) < 1e-4 * np.linalg.norm(before)
 
 
+def test_a_converged_step_leaves_a_saddle():
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    for x, mass in ((-1.0, 0.0), (0.0, 0.1), (1.0, 0.0)):
+        builder.add_particle((x, 0, 0), (0, 0, 0), mass)
+    for end in (0, 2):
+        builder.add_spring(1, end, 100.0, 0.0, 0)
+    builder.color()
+    model = builder.finalize()
+    start, end = model.state(), model.state()
+    start.particle_q.assign(np.float32([[-0.5, 0, 0], [0, 0, 0], [0.5, 0, 0]]))
+    h = 1.0
+    SolverVBD(model, solve="converged").step(start, end, None, None, h)
+    x, y, z = end.particle_q.numpy()[1]
+    length = 1.0 / (1.0 + 0.1 / (2 * 100.0 * h**2))
+    assert x == pytest.approx(0.0, abs=1e-3)
+    assert np.hypot(y, z) == pytest.approx(np.sqrt(length**2 - 0.25), rel=1e-3)
+
+
 def test_a_converged_step_is_refused_by_name_in_a_capture():
     nova = pytest.importorskip("novaphy.nova")
     model = sheet()

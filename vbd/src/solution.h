@@ -147,7 +147,7 @@ Rows find_way_down(Step& step, int32_t sweeps) {
 }
 
 // Returns the direction, either way, that the forces push along. Its largest row is as long as the
-// longest motion of the step.
+// longest motion of the step, if particles moved.
 template <class Step>
 Rows way_off_saddle(Step& step, const Rows& down) {
   const auto longest = [](const Rows& rows) {
@@ -155,7 +155,7 @@ Rows way_off_saddle(Step& step, const Rows& down) {
     for (const Row& row : rows) most = std::max(most, math::length(Vec3f(row)));
     return most;
   };
-  const float size = longest(step.moves()) / longest(down);
+  const float motion = longest(step.moves()), size = motion > 0.0f ? motion / longest(down) : 1.0f;
   Rows way(down.size());
   add_scaled(way, inner(step.force(), down) < 0.0 ? -size : size, down);
   return way;

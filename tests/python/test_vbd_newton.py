@@ -164,3 +164,19 @@ def test_a_linear_system_that_stands_still_is_not_told_to_sweep_more():
         assert "more sweeps do not help" in str(error)
     else:
         assert solver.gradient_info().linear_sweeps < 5000
+
+
+def test_the_adaptive_guess_with_the_coarse_step_makes_no_energy():
+    model = sheet(
+        pos=(0, 0, 0), dim_x=8, dim_y=8, cell_x=0.05, cell_y=0.05, fix_left=True, tri_ke=200.0,
+        tri_ka=200.0, edge_ke=1e-3, edge_kd=1e-5,
+    )  # fmt: skip
+    mass = model.particle_mass.numpy().astype(float)
+    solver = SolverVBD(model, initial_guess="adaptive", coarse="auto")
+    state, after, highest = model.state(), model.state(), -np.inf
+    for _ in range(100):
+        solver.step(state, after, None, None, 1 / 60)
+        state, after = after, state
+        q, v = (a.numpy().astype(float) for a in (state.particle_q, state.particle_qd))
+        highest = max(highest, 9.81 * (mass @ q[:, 2]) + 0.5 * (mass @ (v * v).sum(1)))
+    assert highest < 0.02 * (0.2 * 9.81 * mass.sum())  # of what the fall sets free

@@ -29,8 +29,7 @@ newton_iterations: 30; the most iterations for a step.
 allow_unconverged: False: novaphy.Error names the system that is not solved. True: gradient_info()
 reports it.
 
-Errors are those of SolverVBD. ValueError: one of these options with "unrolled".
-NotImplementedError: coarse="auto" with gradient="unrolled".)";
+Errors are those of SolverVBD. ValueError: one of these options with "unrolled".)";
 
 inline constexpr char kDiffVbdInfo[] =
     R"(Returns the GradientInfo of the last chain of steps on a tape, after a backward or jvp. The

@@ -61,6 +61,13 @@ TEST_F(VbdDevices, OptionsHaveTheBitsOfTheCpu) {
   expect_bits_of_the_cpu(
       {.options = {.iterations = 3, .initial_guess = VbdInitialGuess::Previous}});
   expect_bits_of_the_cpu({.conflicts = true});
+  const VbdGradientRun coarse = {.options = {.iterations = 3, .coarse = true}, .steps = 2};
+  const NamedValues expected = gradients(Device::cpu(), coarse);
+  expect_same(gradients(Device::cuda(), coarse), expected);
+  VbdGradientRun replayed = coarse;
+  replayed.replays = 2;
+  expect_same(gradients(Device::cuda(), replayed), gradients(Device::cpu(), replayed),
+              ", replayed");
 }
 TEST_F(VbdDevices, TheAdaptiveGuessHasTheBitsOfTheCpu) {
   const diff::DiffVbdOptions adaptive = {.iterations = 3,
@@ -144,6 +151,7 @@ NamedValues tangents(Device device, const diff::DiffVbdOptions& options) {
 TEST_F(VbdDevices, TangentsHaveTheBitsOfTheCpu) {
   for (const diff::DiffVbdOptions& options :
        {diff::DiffVbdOptions{.iterations = 3},
+        diff::DiffVbdOptions{.iterations = 3, .coarse = true},
         diff::DiffVbdOptions{.iterations = 3,
         .gradient = {.implicit = true, .tolerance = 1e-3f}}}) {
     const NamedValues expected = tangents(Device::cpu(), options);

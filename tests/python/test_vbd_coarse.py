@@ -151,8 +151,101 @@ def test_options_that_do_not_fit_are_refused():
     for other in ({"acceleration": 0.5}, {"safeguard": True}):
         with pytest.raises(ValueError, match="coarse: expected"):
             SolverVBD(model, coarse="auto", **other)
-    with pytest.raises(NotImplementedError, match="coarse.*implicit"):
-        DiffSolverVBD(model, coarse="auto")
+
+
+@pytest.mark.parametrize(
+    ("touches", "slides", "iterations"), [(False, 1.0, 3), (True, 1.0, 1), (True, 0.0, 1)]
+)
+def test_unrolled_derivatives_of_free_sheets_are_those_of_differences(touches, slides, iterations):
+    nova, diff = pytest.importorskip("novaphy.nova"), pytest.importorskip("novaphy.diff")
+    sheet = novaphy.ModelBuilder(gravity=-9.81 if touches else 0.0)
+    sheet.add_cloth_grid(
+        pos=(0, 0, 0.005),
+        dim_x=5,
+        dim_y=5,
+        cell_x=0.05,
+        cell_y=0.05,
+        mass=1e-3,
+        tri_ke=300.0,
+        tri_ka=300.0,
+        tri_kd=1e-2,
+        edge_ke=1e-3,
+        edge_kd=1e-5,
+        particle_radius=0.01,
+    )
+    if touches:
+        sheet.add_ground_plane(cfg=novaphy.ShapeConfig(ke=1e3, kd=0.1, mu=0.5))
+    builder = novaphy.ModelBuilder()
+    builder.replicate(sheet, 2)
+    builder.color()
+    model = builder.finalize()
+    model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu = 1e3, 0.1, 0.5
+    solver = DiffSolverVBD(model, iterations=iterations, coarse="auto")
+    trajectory = diff.Trajectory(model, 2)
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    pipeline.collide(trajectory[0], contacts)
+    rng = np.random.default_rng(1)
+    velocity, weights, along = rng.normal(size=(3, 72, 3)).astype(np.float32)
+    velocity = slides * (0.2 * velocity + np.float32([0.3, 0.0, -0.2]))
+    leaf = diff.state_particle_qd_tensor(trajectory[0], requires_grad=True)
+
+    def end(scale):
+        leaf.assign(velocity + np.float32(scale) * along)
+        solver.rollout(trajectory, None, contacts, 1 / 120)
+        return diff.state_particle_q_tensor(trajectory[2])
+
+    sides = [end(scale).numpy().astype(float) for scale in (1e-3, -1e-3)]
+    difference = (sides[0] - sides[1]) / 2e-3
+    with nova.Tape() as tape:
+        last = end(0.0)
+        loss = nova.sum(last * nova.tensor(weights))
+    tape.backward(loss)
+    backwards = (leaf.grad.numpy().astype(float) * along).sum()
+    assert solver.gradient_info().label.startswith("exact")
+    tangent = tape.jvp([last], [leaf], [nova.tensor(along)])[0].numpy().astype(float)
+    size = np.linalg.norm(difference)
+    assert np.isfinite(leaf.grad.numpy()).all() and np.isfinite(tangent).all()
+    if slides:  # at rest friction and damping are not smooth
+        assert np.linalg.norm(tangent - difference) < 0.02 * size
+    assert backwards == pytest.approx((tangent * weights).sum(), abs=1e-5 * size * 72)
+
+
+def test_worlds_threads_and_replays_change_no_bit_of_gradients():
+    nova, diff = pytest.importorskip("novaphy.nova"), pytest.importorskip("novaphy.diff")
+    weights = np.random.default_rng(2).normal(size=(169, 3)).astype(np.float32)
+
+    def gradient(worlds, threads, replays):
+        model = hanging_sheet(worlds)
+        solver = DiffSolverVBD(model, iterations=3, coarse="auto")
+        trajectory = diff.Trajectory(model, 2)
+        leaf = diff.state_particle_q_tensor(trajectory[0], requires_grad=True)
+        before = novaphy.num_threads()
+        novaphy.set_num_threads(threads)
+
+        def run():
+            with nova.Tape() as tape:
+                solver.rollout(trajectory, None, None, 1 / 60)
+                q = diff.state_particle_q_tensor(trajectory[2])
+                loss = nova.sum(q * nova.tensor(np.tile(weights, (worlds, 1))))
+            tape.backward(loss)
+
+        try:
+            if not replays:
+                run()
+            else:
+                with nova.ScopedCapture() as capture:
+                    run()
+                capture.graph.launch()
+            return leaf.grad.numpy()
+        finally:
+            novaphy.set_num_threads(before)
+
+    one = gradient(1, 1, False)
+    assert np.abs(one).max() > 0
+    np.testing.assert_array_equal(np.tile(one, (3, 1)), gradient(3, 1, False))
+    np.testing.assert_array_equal(np.tile(one, (3, 1)), gradient(3, 2, False))
+    np.testing.assert_array_equal(one, gradient(1, 2, True))
 
 
 def test_an_implicit_step_has_the_same_solution():

@@ -245,7 +245,9 @@ ROWS = {
         forward(safeguard=True), option_gradient(safeguard=True), {"safeguard": True}
     ),
     "`coarse": Row(
-        forward(coarse="auto"), option_gradient(coarse="auto"), {"coarse": "auto"}
+        forward(coarse="auto"),
+        gradients(("particle_mass", "gravity"), coarse="auto"),
+        {"coarse": "auto"},
     ),
     "`initial_guess": Row(
         forward(initial_guess="adaptive"),

@@ -9,7 +9,8 @@
 // The laws run once with scalars that are expressions (symbol.h). Of a block f, H with adjoints u
 // and B the derivatives of u.f + B:H by positions and numbers are written, operation by operation,
 // each once; what no derivative needs is left out. For each role and contacts, with and without H
-// ("at_solution": at a solution, where its adjoints are 0), damping and derivatives by the weights.
+// ("at_solution": at a solution, where its adjoints are 0) and damping. The same of the stiffness
+// of coarse steps.
 #include <algorithm>
 #include <cstdio>
 #include <fstream>
@@ -146,10 +147,10 @@ Condition is_defined(const SlotInputs<role, Symbol>& in) {
   return {};
 }
 
-// A function of the adjoints, by the points and the numbers [first, last).
+// A function of the adjoints, by the points and the numbers before `last`.
 template <Role role>
 void write_adjoints(std::ostream& out, const SlotInputs<role, Symbol>& in, const Adjoints& adjoints,
-                    const Inputs& inputs, int first, int last, const std::string& name,
+                    const Inputs& inputs, int last, const std::string& name,
                     const std::string& argument) {
   std::vector<Result> results;
   const auto result = [&](const std::string& text, const Symbol& input) {
@@ -166,7 +167,7 @@ void write_adjoints(std::ostream& out, const SlotInputs<role, Symbol>& in, const
   vector("to.own", in.own);
   for (int k = 0; k < kOthers[role]; ++k)
     vector("to.others[" + std::to_string(k) + "]", in.others[k]);
-  for (int k = first; k < last; ++k) result("to.numbers[" + std::to_string(k) + "]", in.numbers[k]);
+  for (int k = 0; k < last; ++k) result("to.numbers[" + std::to_string(k) + "]", in.numbers[k]);
   const std::string of = "<static_cast<Role>(" + std::to_string(role) + "), S";
   out << "template <class S, class N>\nNOVAPHY_LANE_FN void " << name << ", const SlotInputs" << of
       << ", N>& x, const " << argument << ", SlotAdjoints" << of
@@ -187,21 +188,32 @@ SlotInputs<role, Symbol> slot_inputs(Inputs& inputs) {
 }
 
 template <Role role>
-void write_slot(std::ostream& out, bool at_solution, bool damped, bool weights) {
+void write_slot(std::ostream& out, bool at_solution, bool damped) {
   Graph::get().clear();
   Inputs inputs;
   const SlotInputs<role, Symbol> in = slot_inputs<role>(inputs);
   const Adjoints adjoints = adjoints_of(block_of(in, damped), inputs, at_solution);
   std::ostringstream name;
-  name << std::boolalpha << "slot_adjoint(SlotCase<" << at_solution << ", " << damped << ", "
-       << weights << ">";
-  write_adjoints(out, in, adjoints, inputs, weights ? 0 : law_begin(role), kFloats[role],
-                 name.str(), "Block<S>& adjoint");
+  name << std::boolalpha << "slot_adjoint(SlotCase<" << at_solution << ", " << damped << ">";
+  write_adjoints(out, in, adjoints, inputs, kFloats[role], name.str(), "Block<S>& adjoint");
+}
+
+// Of u.(sum of H_k d_k), with the stiffness H_k between the own corner and each corner.
+template <Role role>
+void write_stiffness(std::ostream& out) {
+  Graph::get().clear();
+  Inputs inputs;
+  const SlotInputs<role, Symbol> in = slot_inputs<role>(inputs);
+  Vec3<Symbol> d[kOthers[role] + 1];
+  for (int k = 0; k <= kOthers[role]; ++k) d[k] = inputs.add_vector("d[" + std::to_string(k) + "]");
+  const Vec3<Symbol> u = inputs.add_vector("u"), sum = stiffness_times(in, d, true);
+  write_adjoints(out, in, Adjoints({sum.x, sum.y, sum.z}, {u.x, u.y, u.z}), inputs, kFloats[role],
+                 "stiffness_adjoint(const Vec3<S>& u", "Vec3<S>* d");
 }
 
 // Of what a slot has of the start, whose adjoints are numbers of their own.
 template <Role role>
-void write_start(std::ostream& out, bool weights) {
+void write_start(std::ostream& out) {
   Graph::get().clear();
   Inputs inputs;
   const SlotInputs<role, Symbol> in = slot_inputs<role>(inputs);
@@ -210,13 +222,12 @@ void write_start(std::ostream& out, bool weights) {
     values.push_back(value);
     of_values.push_back(inputs.add("adjoint[" + std::to_string(k) + "]"));
   });
-  write_adjoints(out, in, Adjoints(values, of_values), inputs, weights ? 0 : law_begin(role),
-                 law_begin(role),
-                 "start_adjoint(StartCase<" + std::string(weights ? "true" : "false") + ">",
+  write_adjoints(out, in, Adjoints(values, of_values), inputs, law_begin(role),
+                 "start_adjoint(StartCase",
                  "S (&adjoint)[kStartFloats[" + std::to_string(role) + "]]");
 }
 
-void write_contact(std::ostream& out, bool at_solution) {
+void write_contact(std::ostream& out, const char* name, bool at_solution, bool stiffness) {
   Graph::get().clear();
   Inputs inputs;
   const Vec3<Symbol> x = inputs.add_vector("x"), start = inputs.add_vector("start");
@@ -230,7 +241,10 @@ void write_contact(std::ostream& out, bool at_solution) {
   c.mu = inputs.add("c.mu");
   c.slip = inputs.add("c.slip");
   c.inside = inputs.add("c.inside");
-  const Adjoints adjoints = adjoints_of(particle_contact_block(x, start, c), inputs, at_solution);
+  Block<Symbol> block =
+      stiffness ? particle_contact_stiffness(x, start, c) : particle_contact_block(x, start, c);
+  if (stiffness) block.f = {};
+  const Adjoints adjoints = adjoints_of(block, inputs, at_solution);
   std::vector<Result> results;
   const auto of = [&](const Vec3<Symbol>& v) {
     return Vec3<Symbol>{adjoints.of(v.x), adjoints.of(v.y), adjoints.of(v.z)};
@@ -241,9 +255,8 @@ void write_contact(std::ostream& out, bool at_solution) {
   results.push_back({"to.law[1]", adjoints.of(c.ke)});
   results.push_back({"to.law[2]", adjoints.of(c.kd_by_h)});
   results.push_back({"to.law[3]", adjoints.of(c.mu)});
-  out << "template <class S>\nNOVAPHY_LANE_FN void contact_adjoint(ContactCase<" << std::boolalpha
-      << at_solution
-      << ">, const Vec3<S>& x, const Vec3<S>& start, const ParticleContact<S>& c, const "
+  out << "template <class S>\nNOVAPHY_LANE_FN void contact_adjoint(" << name
+      << ", const Vec3<S>& x, const Vec3<S>& start, const ParticleContact<S>& c, const "
          "Block<S>& adjoint, ContactAdjoints<S>& to) {\n  using namespace math;\n";
   Writer(out, inputs).write(results);
   out << "}\n";
@@ -265,25 +278,24 @@ struct ContactAdjoints {
   S law[kContactLawFloats];
 };
 
-// `at_solution`: B is 0. `weights`: also by the weights of the other particles.
-template <bool at_solution, bool damped, bool weights>
+// `at_solution`: B is 0.
+template <bool at_solution, bool damped>
 struct SlotCase {};
 template <bool at_solution>
 struct ContactCase {};
+// Of B:H alone, with H of particle_contact_stiffness.
+struct ContactStiffnessCase {};
 // Of what the slot has of the start.
-template <bool weights>
 struct StartCase {};
 
 )";
 
 void write_blocks(std::ostream& out, bool at_solution) {
-  write_contact(out, at_solution);
+  write_contact(out, at_solution ? "ContactCase<true>" : "ContactCase<false>", at_solution, false);
   for_roles([&](auto is) {
     constexpr Role role = decltype(is)::role;
-    write_slot<role>(out, at_solution, true, false);
-    if (law_begin(role) == 0) return;
-    write_slot<role>(out, at_solution, true, true);
-    for (const bool weights : {false, true}) write_slot<role>(out, at_solution, false, weights);
+    write_slot<role>(out, at_solution, true);
+    if (law_begin(role) > 0) write_slot<role>(out, at_solution, false);
   });
 }
 
@@ -329,10 +341,11 @@ void write_all_numbers(std::ostream& out) {
 void write_all(std::ostream& out) {
   out << kHead << kDeclarations;
   for (const bool at_solution : {false, true}) write_blocks(out, at_solution);
+  write_contact(out, "ContactStiffnessCase", false, true);
   for_roles([&out](auto is) {
     constexpr Role role = decltype(is)::role;
-    write_start<role>(out, false);
-    if (law_begin(role) > 0) write_start<role>(out, true);
+    write_stiffness<role>(out);
+    write_start<role>(out);
   });
 }
 

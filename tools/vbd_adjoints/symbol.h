@@ -140,6 +140,7 @@ struct Symbol {
     return a.node == b.node ? a : of(Op::Select, c.node, a.node, b.node);
   }
   friend Symbol max(const Symbol& a, const Symbol& b) { return select(a >= b, a, b); }
+  friend Symbol min(const Symbol& a, const Symbol& b) { return select(b >= a, a, b); }
   friend Symbol sqrt(const Symbol& a) { return of(Op::Sqrt, a.node); }
   friend Symbol atan2(const Symbol& y, const Symbol& x) { return of(Op::Atan2, y.node, x.node); }
 };

@@ -46,6 +46,8 @@ class Coarse {
   int64_t functions() const { return static_cast<int64_t>(function_aggregate_.rows()); }
   int64_t pairs() const { return static_cast<int64_t>(pairs_.rows() / 2); }
   const DeviceArray<float>& matrix() const { return matrix_; }
+  // Returns the line searches of the last correction, for vbd_keep.
+  const DeviceArray<Vec4f>& search() const { return search_; }
 
  private:
   explicit Coarse(const CoarseTables& tables, Device device);

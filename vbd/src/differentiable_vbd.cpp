@@ -35,14 +35,6 @@ void check_covered(const VbdOptions& o) {
   refuse(o.converged, "solve \"converged\"");
 }
 
-// The gradient of a solution does not depend on the way there, so implicit gradients allow
-// `coarse`.
-void check_coarse(const VbdOptions& o, const VbdGradientOptions& g) {
-  require(!o.coarse || g.implicit, ErrorKind::NotImplemented,
-          "DiffSolverVBD: coarse: \"auto\" is not supported with gradient \"unrolled\"; take "
-          "gradient \"implicit\", or coarse None");
-}
-
 void check_gradient_options(const VbdOptions& o, const VbdGradientOptions& g) {
   constexpr const char* name = "DiffSolverVBD: ";
   require(std::isfinite(g.tolerance) && g.tolerance > 0.0f, ErrorKind::Value, name,
@@ -174,7 +166,6 @@ DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const V
                                      const VbdGradientOptions& gradient_options)
     : model_(std::move(model)) {
   check_covered(options);
-  check_coarse(options, gradient_options);
   check_gradient_options(options, gradient_options);
   SolverVBD(model_, options);  // for its checks of the model and the options
   work_ = std::make_unique<Work>(*model_, options, gradient_options);

@@ -110,8 +110,8 @@ void of_sweep(const VbdSweepArguments&, const LaneGroup<Lanes>& g) {
 }
 
 // Defined in the other files of the instruction set: see SweepLevel.
-GroupKernel adjoint, adjoint_start, tangent, tangent_start, coarse_move, coarse_rows, coarse_force,
-    coarse_outer;
+GroupKernel adjoint, adjoint_outer, adjoint_stiffness, adjoint_start, tangent, tangent_stiffness,
+    tangent_start, coarse_rows, coarse_force, coarse_outer;
 
 }  // namespace NOVAPHY_LEVEL
 }  // namespace novaphy::vbd

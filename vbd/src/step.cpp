@@ -167,6 +167,7 @@ VbdSweepArguments Step::sweep(int64_t first_group, int64_t end_group) const {
           .inside = damps_inside_ ? 1.0f : 0.0f,
           .lanes = slots_.lanes(),
           .damped = damps_ ? (int64_t{1} << kRoles) - 1 : t.damped,
+          .turns = int{coarse() != nullptr},
           .first_group = first_group,
           .end_group = end_group,
           .block_groups = t.block_groups,
@@ -261,10 +262,7 @@ StepList& Step::list_for(const StepInputs& in, const StepResults& out) {
     forget_lists();
     block_groups_ = block_groups;
   }
-  if (out.keeps_iterates && iterates_.empty()) {
-    const UntrackedScope untracked;
-    for (int32_t k = 0; k < options_.iterations; ++k) iterates_.emplace_back(x_.rows(), device());
-  }
+  if (out.keeps_iterates) reserve_iterates();
   const Model& m = model_;
   const VbdPredictArguments predict = {.particle_q = in.q,
                                        .particle_qd = in.qd,
@@ -297,7 +295,8 @@ StepList& Step::list_for(const StepInputs& in, const StepResults& out) {
   if (!list)
     return list.emplace(
         *this, predict, finish,
-        out.keeps_iterates ? std::span<const Rows4>(iterates_) : std::span<const Rows4>());
+        out.keeps_iterates ? std::span<const Rows4>(iterates_) : std::span<const Rows4>(),
+        out.keeps_iterates ? std::span<const Rows4>(searches_) : std::span<const Rows4>());
   list->set(predict);
   list->set(finish);
   return *list;

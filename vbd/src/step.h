@@ -95,7 +95,13 @@ class Step {
   VbdAccelerateArguments acceleration(int32_t iteration) const;
   // Returns the launch that moves the particles of some groups to the rows of `from`.
   VbdCommitArguments commit(int64_t first_group, const Rows4& from) const;
-  const std::vector<Rows4>& iterates() const { return iterates_; }
+  // The positions before and after the sweep of each iteration. Without a coarse correction, the
+  // positions after a sweep are those before the next, and of the last they are not kept.
+  const Rows4& before(size_t iteration) const { return iterates_[stride() * iteration]; }
+  const Rows4& after_sweep(size_t iteration) const { return iterates_[2 * iteration + 1]; }
+  // With a coarse correction: the line searches of an iteration, and the positions at the end.
+  const Rows4& search(size_t iteration) const { return searches_[iteration]; }
+  const Rows4& end() const { return iterates_.back(); }
   const Rows4& start() const { return start_; }
   const Rows4& moved() const { return moved_; }
   const Rows4& x() const { return x_; }
@@ -144,6 +150,7 @@ class Step {
   // step_tables.cpp
   void build_tables(float dt);
   void find_block_groups();
+  void reserve_iterates();
   // step_checks.cpp
   void check_contacts(const Contacts& contacts) const;
   void check_inputs(const StepInputs& in);
@@ -159,6 +166,7 @@ class Step {
   void reserve_training();
   void watch_materials();
   void check_trained() const;
+  size_t stride() const { return coarse() != nullptr ? 2 : 1; }  // kept positions of an iteration
   StepList& list_for(const StepInputs& in, const StepResults& out);
   int64_t find_mover() const;
   void iterate(const StepList& list);
@@ -182,7 +190,7 @@ class Step {
   std::vector<Trained> trained_;  // of all tables that graphs may still use
   DeviceArray<int32_t> is_held_, held_;
   Rows4 start_, target_, moved_, x_, next_, newer_, older_;
-  std::vector<Rows4> iterates_;  // the positions before each iteration
+  std::vector<Rows4> iterates_, searches_;  // see before() and search()
   DeviceArray<int32_t> contact_begin_, contact_items_;
   DeviceArray<float> contact_numbers_, of_particles_;
   DeviceArray<int32_t> faults_;    // of each particle, see vbd::note_fault

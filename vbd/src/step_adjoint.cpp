@@ -62,6 +62,9 @@ void StepAdjoint::reserve() {
       *rows = Rows4(n, device);
     mass_bar_ = DeviceArray<float>(n, device);
   }
+  if (step_.coarse() != nullptr)
+    while (fields_.size() < static_cast<size_t>(step_.options().iterations))
+      fields_.emplace_back(n, device);
   const size_t contacts = step_.contact_items().rows();  // capacity of the step
   if (contact_bars_.rows() == contacts * kContactLawFloats) return;
   contact_bars_ = DeviceArray<float>(contacts * kContactLawFloats, device);
@@ -80,7 +83,9 @@ VbdAdjointArguments StepAdjoint::arguments(const Rows4* before, int64_t first, i
     threads += (slots[static_cast<size_t>(end)] - begin) * kVbdLanes;
     ends[role] = threads;
   }
-  return {.sweep = step_.sweep(first, end),
+  VbdSweepArguments sweep = step_.sweep(first, end);
+  if (key_.at_solution) sweep.turns = 0;
+  return {.sweep = sweep,
           .before = before,
           .x_adjoint = x_bar_,
           .u = u_,
@@ -93,6 +98,7 @@ VbdAdjointArguments StepAdjoint::arguments(const Rows4* before, int64_t first, i
           .at_solution = int{key_.at_solution},
           .weights = int{key_.weights},
           .multiplier = nullptr,
+          .after = nullptr,
           .multiplier_sum = nullptr,
           .slot_particle = tables_.slot_particle,
           .terms = terms_,
@@ -119,13 +125,10 @@ void StepAdjoint::add_receive(size_t color, const Rows4* own, const Rows4& rows,
 }
 
 // Adds the launches of the reverse step of some groups, without the sums over receivers.
-void StepAdjoint::add_groups(const VbdAdjointArguments& a) {
+void StepAdjoint::add_groups(const VbdAdjointArguments& a, bool at_solution) {
   const int64_t groups = a.sweep.end_group - a.sweep.first_group, lanes = step_.slots().lanes();
   const Kernel<VbdAdjointArguments>& slots =
-      key_.at_solution
-          ? (key_.weights ? kernels().adjoint_solution_weights : kernels().adjoint_solution)
-      : key_.weights ? kernels().adjoint_weights
-                     : kernels().adjoint_slots;
+      at_solution ? kernels().adjoint_solution : kernels().adjoint_slots;
   if (step_.on_cpu()) {
     list_->add(slots, groups * lanes, a, kGroupsPerChunk * lanes);
     return;
@@ -138,21 +141,87 @@ void StepAdjoint::add_groups(const VbdAdjointArguments& a) {
   list_->add(slots, a.ends[kRoles - 1], a);
 }
 
+void StepAdjoint::add_everywhere(const VbdAdjointArguments& a) {
+  add_groups(a, true);
+  add_receive_all();
+}
+
+// Each particle adds its own part before the parts from other particles.
+void StepAdjoint::add_receive_all() {
+  for (const int64_t parts : {kVbdReceiveOwn, kVbdReceiveOthers})
+    for (size_t color = 0; color + 1 < step_.colors().size(); ++color)
+      add_receive(color, &own_, x_bar_, parts);
+}
+
+// The translation s solves B s = F over a free system, with the sums of f and of the blocks of
+// inertia and contacts.
+void StepAdjoint::add_coarse_balance() {
+  const Coarse& coarse = *step_.coarse();
+  const auto last = static_cast<size_t>(step_.options().iterations);
+  const int64_t groups = step_.colors().back(), lanes = groups * step_.slots().lanes();
+  VbdAdjointArguments a = arguments(&step_.before(last), 0, groups);
+  a.sweep.x = step_.before(last);
+  a.after = step_.end();
+  a.multiplier = multipliers_;
+  VbdCoarseArguments c = coarse.arguments(step_.sweep(0, groups), 0);
+  c.sweep.x = step_.before(last);
+  list_->add(kernels().coarse_outer, lanes, c);
+  c.force = x_bar_;  // the adjoint of s is the sum of those of the positions
+  list_->add(kernels().coarse_balance, coarse.systems(), c);
+  const auto n = static_cast<int64_t>(multipliers_.rows());
+  list_->add(kernels().clear, 4 * n, {.values = Untyped(multipliers_)});
+  c.sweep.moved = multipliers_;
+  c.sweep.x = own_;  // not used
+  list_->add(kernels().coarse_shift, n, c);
+  list_->add(kernels().adjoint_outer, lanes, a);
+}
+
+// The reverse of x += t P A^-1 P^T f with constant A: f has the adjoint t P A^-1 P^T xbar.
+void StepAdjoint::add_coarse_step(size_t iteration) {
+  const Coarse& coarse = *step_.coarse();
+  const int64_t groups = step_.colors().back();
+  const auto n = static_cast<int64_t>(multipliers_.rows());
+  list_->add(kernels().keep, n, {.x = step_.after_sweep(iteration), .iterate = step_.x()});
+  VbdCoarseArguments c = coarse.arguments(step_.sweep(0, groups), 0);
+  c.force = x_bar_;
+  list_->add(kernels().coarse_load, coarse.functions(), c);
+  list_->add(kernels().coarse_solve, coarse.systems(), c);
+  c.search = step_.search(iteration);
+  c.sweep.moved = fields_[iteration];
+  c.force = multipliers_;
+  list_->add(kernels().coarse_fields, n, c);
+  VbdAdjointArguments a = arguments(nullptr, 0, groups);
+  a.at_solution = 1;
+  a.multiplier = multipliers_;
+  add_everywhere(a);
+}
+
+// All coarse steps d share A. The adjoint of each is that of -u.(H d) with its field u.
+void StepAdjoint::add_coarse_matrices() {
+  const int64_t groups = step_.colors().back();
+  for (size_t k = 0; k < fields_.size(); ++k) {
+    VbdAdjointArguments a = arguments(&step_.after_sweep(k), 0, groups);
+    a.sweep.x = step_.before(0);
+    a.after = step_.before(k + 1);
+    a.multiplier = fields_[k];
+    list_->add(kernels().adjoint_stiffness, groups * step_.slots().lanes(), a);
+    add_receive_all();
+  }
+}
+
 // Adds the reverse of the slots' numbers of the start. On the CPU a particle adds its own part when
 // its color comes.
 void StepAdjoint::add_starts() {
   const std::vector<int64_t>& colors = step_.colors();
-  const Kernel<VbdAdjointArguments>& start =
-      key_.weights ? kernels().adjoint_start_weights : kernels().adjoint_start;
   const int64_t lanes = step_.slots().lanes();
   if (!step_.on_cpu()) {
     const VbdAdjointArguments a = arguments(nullptr, 0, colors.back());
-    list_->add(start, a.ends[kRoles - 1], a);
+    list_->add(kernels().adjoint_start, a.ends[kRoles - 1], a);
   }
   for (size_t color = 0; color + 1 < colors.size(); ++color) {
     const int64_t first = colors[color], end = colors[color + 1];
     if (step_.on_cpu())
-      list_->add(start, (end - first) * lanes, arguments(nullptr, first, end),
+      list_->add(kernels().adjoint_start, (end - first) * lanes, arguments(nullptr, first, end),
                  kGroupsPerChunk * lanes);
     add_receive(color, nullptr, start_bar_);
   }
@@ -181,25 +250,27 @@ void StepAdjoint::make_list(const VbdAdjointBeginArguments& begin,
         list_->add(kernels().commit, groups * step_.slots().lanes(), step_.commit(first, *iterate));
       VbdAdjointArguments a = arguments(commits ? nullptr : iterate, first, colors[color + 1]);
       a.multiplier_sum = sum;
-      add_groups(a);
+      add_groups(a, key_.at_solution);
       add_receive(color, &own_, x_bar_);
     }
   };
   if (key_.at_solution) {
     add_colors(nullptr, &multipliers_);
   } else {
-    for (size_t k = step_.iterates().size(); k-- > 0;) add_colors(&step_.iterates()[k], nullptr);
+    const auto iterations = static_cast<size_t>(step_.options().iterations);
+    const bool corrects = step_.coarse() != nullptr && iterations > 0;
+    if (corrects) add_coarse_balance();
+    for (size_t k = iterations; k-- > 0;) {
+      if (corrects) add_coarse_step(k);
+      add_colors(&step_.before(k), nullptr);
+    }
+    if (corrects) add_coarse_matrices();
   }
-  // All groups run at once. Then each particle adds its own part before the parts from other
-  // particles.
   balance_ = list_->size();
   if (key_.at_solution) {
     VbdAdjointArguments a = arguments(nullptr, 0, colors.back());
     a.multiplier = multipliers_;
-    add_groups(a);
-    for (const int64_t parts : {kVbdReceiveOwn, kVbdReceiveOthers})
-      for (size_t color = 0; color + 1 < colors.size(); ++color)
-        add_receive(color, &own_, x_bar_, parts);
+    add_everywhere(a);
   }
   end_ = list_->add(kernels().adjoint_end, n, end);
   add_starts();

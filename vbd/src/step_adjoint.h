@@ -60,7 +60,14 @@ class StepAdjoint {
   void reserve();
   VbdAdjointArguments arguments(const Rows4* before, int64_t first, int64_t end) const;
   void make_list(const VbdAdjointBeginArguments& begin, const VbdAdjointEndArguments& end);
-  void add_groups(const VbdAdjointArguments& a);
+  void add_groups(const VbdAdjointArguments& a, bool at_solution);
+  // Adds the same for all groups at once, with the sums over receivers.
+  void add_everywhere(const VbdAdjointArguments& a);
+  void add_receive_all();
+  // The parts of a coarse correction in reverse.
+  void add_coarse_balance();
+  void add_coarse_step(size_t iteration);
+  void add_coarse_matrices();
   void add_receive(size_t color, const Rows4* own, const Rows4& rows,
                    int64_t parts = kVbdReceiveAll);
   void add_starts();
@@ -80,6 +87,7 @@ class StepAdjoint {
   LaunchList::Place<VbdAdjointEndArguments> end_;
   size_t sweeps_ = 0, balance_ = 0;  // index of the first launch of these stretches
   Key key_;
+  std::vector<Rows4> fields_;  // of the coarse steps: P A^-1 P^T times the adjoint
   Rows4 x_bar_, u_, d_, own_, start_bar_, target_bar_, gravity_bar_, multipliers_;
   DeviceArray<float> mass_bar_, terms_, numbers_, contact_bars_;
   DeviceArray<int32_t> shape_of_contact_, shape_begin_, of_shapes_;

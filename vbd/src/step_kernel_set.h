@@ -71,11 +71,11 @@ struct Kernels {
   NOVAPHY_KERNEL_OF(vbd_adjoint, adjoint_solve)
   NOVAPHY_KERNEL_OF(vbd_adjoint, adjoint_solve_by_blocks)
   NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_slots, adjoint)
-  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_weights, adjoint)
   NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_solution, adjoint)
-  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_solution_weights, adjoint)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_outer, adjoint_outer)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_stiffness, adjoint_stiffness)
+  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, tangent_stiffness, tangent_stiffness)
   NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_start, adjoint_start)
-  NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_start_weights, adjoint_start)
 
   NOVAPHY_KERNEL_OF(vbd_gradient, clear)
   NOVAPHY_KERNEL_OF(vbd_gradient, keep)
@@ -94,7 +94,6 @@ struct Kernels {
   NOVAPHY_LEVEL_KERNEL_OF(vbd_tangent, tangent_start, tangent_start)
   NOVAPHY_KERNEL_OF(vbd_tangent, tangent_move)
 
-  NOVAPHY_LEVEL_KERNEL_OF(vbd_coarse, coarse_move, coarse_move)
   NOVAPHY_LEVEL_KERNEL_OF(vbd_coarse, coarse_rows, coarse_rows)
   NOVAPHY_LEVEL_KERNEL_OF(vbd_coarse, coarse_force, coarse_force)
   NOVAPHY_LEVEL_KERNEL_OF(vbd_coarse, coarse_outer, coarse_outer)
@@ -105,6 +104,7 @@ struct Kernels {
   NOVAPHY_KERNEL_OF(vbd_coarse, coarse_test)
   NOVAPHY_KERNEL_OF(vbd_coarse, coarse_try)
   NOVAPHY_KERNEL_OF(vbd_coarse, coarse_take)
+  NOVAPHY_KERNEL_OF(vbd_coarse, coarse_fields)
   NOVAPHY_KERNEL_OF(vbd_coarse, coarse_balance)
   NOVAPHY_KERNEL_OF(vbd_coarse, coarse_shift)
 #undef NOVAPHY_KERNEL_OF

@@ -19,7 +19,6 @@ int64_t block_threads(int64_t groups, int64_t block_groups) {
 void StepList::add_moves(const Step& step) {
   const int64_t block_groups = step.block_groups();
   const Kernel<VbdSweepArguments>& move = block_groups != 0          ? kernels().move_by_blocks
-                                          : step.coarse() != nullptr ? kernels().coarse_move
                                           : step.options().safeguard ? kernels().move_guarded
                                                                      : kernels().move;
   for (size_t c = 0; c + 1 < step.colors().size(); ++c) {
@@ -78,12 +77,14 @@ void StepList::add_coarse_balance(const Step& step) {
 }
 
 StepList::StepList(const Step& step, const VbdPredictArguments& predict,
-                   const VbdFinishArguments& finish, std::span<const DeviceArray<Vec4f>> iterates)
+                   const VbdFinishArguments& finish, std::span<const DeviceArray<Vec4f>> iterates,
+                   std::span<const DeviceArray<Vec4f>> searches)
     : list_(step.device()) {
   const int64_t n = step.model().particle_count(), groups = step.colors().back();
-  const auto keep = [&](size_t iteration) {
-    if (iteration < iterates.size())
-      list_.add(kernels().keep, n, {.x = step.x(), .iterate = iterates[iteration]}, kParticleRows);
+  size_t kept = 0;
+  const auto keep = [&] {
+    if (kept >= iterates.size()) return;
+    list_.add(kernels().keep, n, {.x = step.x(), .iterate = iterates[kept++]}, kParticleRows);
   };
   predict_ = list_.add(kernels().predict, n, predict, kParticleRows);
   prepare_ =
@@ -92,15 +93,22 @@ StepList::StepList(const Step& step, const VbdPredictArguments& predict,
   const bool corrects = step.coarse() != nullptr && step.options().iterations > 0;
   if (corrects) add_coarse_matrices(step);
   for (int32_t k = 1; k <= step.options().iterations; ++k) {
-    keep(static_cast<size_t>(k - 1));
+    keep();
     add_moves(step);
     if (step.options().acceleration)
       list_.add(kernels().accelerate, n, step.acceleration(k), kParticleRows);
-    if (corrects) add_coarse_step(step);
+    if (corrects) {
+      keep();
+      add_coarse_step(step);
+      if (!searches.empty())
+        list_.add(kernels().keep, step.coarse()->systems(),
+                  {.x = step.coarse()->search(), .iterate = searches[static_cast<size_t>(k - 1)]});
+    }
     iterations_.push_back(list_.size());
   }
+  keep();
   if (corrects) add_coarse_balance(step);
-  keep(static_cast<size_t>(step.options().iterations));
+  keep();
   finish_ = list_.add(kernels().finish, n, finish, kParticleRows);
   again_ = list_.size();
   add_moves(step);

@@ -15,10 +15,12 @@ class Step;
 
 class StepList {
  public:
-  // `iterates`: destinations of the positions before each iteration, and of the positions at the
-  // end. If there are fewer, the remaining positions are not kept.
+  // `iterates`: destinations of the positions before each iteration; with a coarse correction also
+  // after each sweep, then before and after the balance of free systems. `searches`: destinations
+  // of the line searches. Without rows nothing is kept.
   StepList(const Step& step, const VbdPredictArguments& predict, const VbdFinishArguments& finish,
-           std::span<const DeviceArray<Vec4f>> iterates);
+           std::span<const DeviceArray<Vec4f>> iterates,
+           std::span<const DeviceArray<Vec4f>> searches);
 
   void set(const VbdPredictArguments& arguments) { list_.set(predict_, arguments); }
   void set(const VbdFinishArguments& arguments) { list_.set(finish_, arguments); }

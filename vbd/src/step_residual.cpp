@@ -10,7 +10,9 @@ void Step::find_residuals() {
   const int64_t groups = colors().back();
   novaphy::run(kernels().clear, static_cast<int64_t>(of_particles_.rows()),
                {.values = of_particles_});
-  novaphy::run(kernels().residual, groups * slots_.lanes(), sweep(0, groups));
+  VbdSweepArguments all = sweep(0, groups);
+  all.turns = 0;
+  novaphy::run(kernels().residual, groups * slots_.lanes(), all);
 }
 
 // Returns the sum of |m (y - xn - h vc)/h^2|^2 over the particles that move (N^2), where vc is the

@@ -58,4 +58,16 @@ void Step::find_block_groups() {
     tables_->block_groups = kVbdLargeBlock;
 }
 
+void Step::reserve_iterates() {
+  const UntrackedScope untracked;
+  const auto iterations = static_cast<size_t>(options_.iterations);
+  const size_t count = coarse() != nullptr ? 2 * iterations + 2 : iterations;
+  if (iterates_.size() > count) iterates_.clear();
+  while (iterates_.size() < count) iterates_.emplace_back(x_.rows(), device());
+  if (coarse() == nullptr) return;
+  const size_t systems = coarse()->search().rows();
+  if (!searches_.empty() && searches_[0].rows() != systems) searches_.clear();
+  while (searches_.size() < iterations) searches_.emplace_back(systems, device());
+}
+
 }  // namespace novaphy::vbd

@@ -31,7 +31,9 @@ VbdTangentArguments StepTangent::arguments(size_t first_color, size_t last_color
   const std::vector<int64_t>& colors = step_.colors();
   int64_t begins[kRoles];
   std::copy_n(step_.slots().numbers_begin().begin(), int{kRoles}, begins);
-  return {.sweep = step_.sweep(colors[first_color], colors[last_color]),
+  VbdSweepArguments sweep = step_.sweep(colors[first_color], colors[last_color]);
+  if (!along) sweep.turns = 0;
+  return {.sweep = sweep,
           .x = x_,
           .start = along ? &start_ : nullptr,
           .target = along ? &target_ : nullptr,
@@ -44,7 +46,9 @@ VbdTangentArguments StepTangent::arguments(size_t first_color, size_t last_color
           .loads_at = keeps_loads_ ? &loads_at_ : nullptr,
           .force = nullptr,
           .force_tangent = nullptr,
-          .step_tangent = nullptr};
+          .step_tangent = nullptr,
+          .before = nullptr,
+          .after = nullptr};
 }
 
 void StepTangent::launch(const VbdTangentArguments& a) const {
@@ -70,24 +74,77 @@ Rows StepTangent::unrolled(const SweepTangents& along) {
   for (size_t p = 0; p < tangents.size(); ++p)
     if (!is_held(p)) tangents[p] = along.guess[p];
   upload_rows(x_, tangents);
-  const std::vector<Rows4>& iterates = step_.iterates();
-  const auto n = static_cast<int64_t>(x_.rows());
-  const auto copy = [n](const Rows4& from, const Rows4& to) {
-    novaphy::run(kernels().keep, n, {.x = from, .iterate = to});
+  const auto iterations = static_cast<size_t>(step_.options().iterations);
+  const bool corrects = step_.coarse() != nullptr && iterations > 0;
+  const auto copy = [](const Rows4& from, const Rows4& to) {
+    novaphy::run(kernels().keep, static_cast<int64_t>(from.rows()), {.x = from, .iterate = to});
   };
-  copy(step_.x(), result_);
-  if (!iterates.empty()) copy(iterates.front(), step_.x());
-  for (size_t k = 0; k < iterates.size(); ++k)
+  const Rows4 end(x_.rows(), step_.device()), guess(x_.rows(), step_.device());
+  copy(step_.x(), end);
+  copy(x_, guess);
+  if (iterations > 0) copy(step_.before(0), step_.x());
+  for (size_t k = 0; k < iterations; ++k) {
+    const Rows4& after = corrects             ? step_.after_sweep(k)
+                         : k + 1 < iterations ? step_.before(k + 1)
+                                              : end;
     for (size_t color = 0; color + 1 < step_.colors().size(); ++color) {
       VbdTangentArguments a = arguments(color, color + 1, true);
       a.step_tangent = moved_;
       launch(a);
       move(color, x_);
       const int64_t first = step_.colors()[color], groups = step_.colors()[color + 1] - first;
-      novaphy::run(kernels().commit, groups * step_.slots().lanes(),
-                   step_.commit(first, k + 1 < iterates.size() ? iterates[k + 1] : result_));
+      novaphy::run(kernels().commit, groups * step_.slots().lanes(), step_.commit(first, after));
     }
+    if (corrects) correct(k, guess);
+    if (corrects) copy(step_.before(k + 1), step_.x());
+  }
+  if (corrects) balance();
+  copy(end, step_.x());
   return download(x_);
+}
+
+// Adds to x the tangents of t P A^-1 P^T f and of A, whose particles have the tangents `guess`.
+void StepTangent::correct(size_t iteration, const Rows4& guess) {
+  const Coarse& coarse = *step_.coarse();
+  const int64_t groups = step_.colors().back();
+  VbdCoarseArguments c = coarse.arguments(step_.sweep(0, groups), 0);
+  c.force = result_;
+  c.sweep.moved = x_;
+  c.sweep.x = moved_;  // not used
+  const auto add = [&](const Rows4& search) {
+    VbdCoarseArguments taken = c;
+    taken.search = search;
+    novaphy::run(kernels().coarse_load, coarse.functions(), c);
+    novaphy::run(kernels().coarse_solve, coarse.systems(), c);
+    novaphy::run(kernels().coarse_take, static_cast<int64_t>(x_.rows()), taken);
+  };
+  VbdTangentArguments a = arguments(0, step_.colors().size() - 1, true);
+  a.force_tangent = result_;
+  launch(a);
+  add(step_.search(iteration));
+  a.sweep.x = step_.before(0);
+  a.x = guess;
+  a.before = step_.after_sweep(iteration);
+  a.after = step_.before(iteration + 1);  // the step has its length, and the load needs none
+  novaphy::run(kernels().tangent_stiffness, groups * step_.slots().lanes(), a);
+  add(coarse.search());
+}
+
+void StepTangent::balance() {
+  const Coarse& coarse = *step_.coarse();
+  const int64_t groups = step_.colors().back();
+  VbdCoarseArguments c = coarse.arguments(step_.sweep(0, groups), 0);
+  novaphy::run(kernels().coarse_outer, groups * step_.slots().lanes(), c);
+  VbdTangentArguments a = arguments(0, step_.colors().size() - 1, true);
+  a.force_tangent = result_;
+  a.before = step_.before(static_cast<size_t>(step_.options().iterations));
+  a.after = step_.end();
+  launch(a);
+  c.force = result_;
+  c.sweep.moved = x_;
+  c.sweep.x = moved_;  // not used
+  novaphy::run(kernels().coarse_balance, coarse.systems(), c);
+  novaphy::run(kernels().coarse_shift, static_cast<int64_t>(x_.rows()), c);
 }
 
 // Runs a sweep from 0 for the load, at a solution. `image` is the tangent of the forces along z.

@@ -55,6 +55,9 @@ class StepTangent {
   VbdTangentArguments arguments(size_t first_color, size_t last_color, bool along) const;
   void launch(const VbdTangentArguments& arguments) const;
   void move(size_t color, const Rows4& x) const;
+  // The tangent of a coarse correction: of the step of an iteration, and of the balance.
+  void correct(size_t iteration, const Rows4& guess);
+  void balance();
   Rows force_tangent(const Rows& x);
 
   Step& step_;

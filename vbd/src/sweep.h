@@ -11,8 +11,9 @@ using GroupKernel = void(const uint64_t* words, int64_t n, int64_t begin, int64_
 struct SweepLevel {
   const char* name;
   int lanes;
-  GroupKernel *prepare, *move, *move_guarded, *residual, *adjoint, *adjoint_start, *tangent,
-      *tangent_start, *coarse_move, *coarse_rows, *coarse_force, *coarse_outer;
+  GroupKernel *prepare, *move, *move_guarded, *residual, *adjoint, *adjoint_outer,
+      *adjoint_stiffness, *adjoint_start, *tangent, *tangent_stiffness, *tangent_start,
+      *coarse_rows, *coarse_force, *coarse_outer;
 };
 
 // Returns the level of NOVAPHY_CPU_ISA, or the best of this processor. ErrorKind::Runtime: the

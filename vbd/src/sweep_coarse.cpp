@@ -5,9 +5,6 @@
 
 namespace novaphy::vbd::NOVAPHY_LEVEL {
 
-void coarse_move(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {
-  over_groups<VbdSweepArguments, of_sweep<vbd::move<false, true, Lanes>>>(words, n, begin, end);
-}
 void coarse_rows(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {
   over_groups<VbdCoarseArguments, vbd::coarse_rows<Lanes>>(words, n, begin, end);
 }

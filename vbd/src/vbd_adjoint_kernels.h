@@ -5,8 +5,8 @@
 // slot. Third, vbd_receive (vbd_gradient_kernels.h) adds these parts in slot order.
 #pragma once
 
+#include "novaphy/vbd/coarse_adjoint_kernels.h"
 #include "novaphy/vbd/slot_blocks_kernels.h"
-#include "novaphy/vbd/sweep_adjoint_kernels.h"
 
 namespace novaphy {
 
@@ -29,39 +29,40 @@ inline void for_slot_of(const VbdAdjointArguments& a, int64_t row, const Body& b
            particle);
   });
 }
-template <bool at_solution, bool weights>
+template <bool at_solution>
 inline void reverse_slots(const VbdAdjointArguments& a, int64_t row) {
   for_slot_of(a, row, [&](const auto& slot, int32_t p) {
-    reverse_slot<at_solution, weights>(a, slot, to_vec3(a.sweep.x[p]),
-                                       adjoints_of(to_vec3(a.u[p]), to_vec3(a.d[p])));
-  });
-}
-template <bool weights>
-inline void reverse_starts(const VbdAdjointArguments& a, int64_t row) {
-  for_slot_of(a, row, [&](const auto& slot, int32_t p) {
-    reverse_start<weights>(a, slot, to_vec3(a.sweep.start[p]));
+    const Vec3f x = to_vec3(a.sweep.x[p]), u = to_vec3(a.u[p]), d = to_vec3(a.d[p]);
+    if (at_solution || !turns(a, slot)) {
+      reverse_slot<at_solution>(a, slot, x, adjoints_of(u, d));
+    } else {
+      reverse_slot<true>(a, slot, x, adjoints_of(u, d));
+      reverse_turning(a, slot, x, u, d);
+    }
   });
 }
 
 }  // namespace vbd
 
-// `row`: over the lanes of the slots of the launch. "weights": also the adjoints of the weights of
-// slots. "solution": at a solution. "start": the reverse of the slots' numbers of the start.
-NOVAPHY_ROW_KERNEL(vbd_adjoint_slots, VbdAdjointArguments) {
-  vbd::reverse_slots<false, false>(a, row);
+// `row`: over the lanes of the slots of the launch. "solution": at a solution. "start": the reverse
+// of the slots' numbers of the start.
+NOVAPHY_ROW_KERNEL(vbd_adjoint_slots, VbdAdjointArguments) { vbd::reverse_slots<false>(a, row); }
+NOVAPHY_ROW_KERNEL(vbd_adjoint_solution, VbdAdjointArguments) { vbd::reverse_slots<true>(a, row); }
+NOVAPHY_ROW_KERNEL(vbd_adjoint_start, VbdAdjointArguments) {
+  vbd::for_slot_of(a, row, [&](const auto& slot, int32_t p) {
+    vbd::reverse_start(a, slot, to_vec3(a.sweep.start[p]));
+  });
 }
-NOVAPHY_ROW_KERNEL(vbd_adjoint_weights, VbdAdjointArguments) {
-  vbd::reverse_slots<false, true>(a, row);
+
+// The derivatives of coarse steps. `row`: over the lanes of the groups of the launch.
+NOVAPHY_ROW_KERNEL(vbd_adjoint_outer, VbdAdjointArguments) {
+  vbd::reverse_outer(a, vbd::LaneGroup<float>(a.sweep, row));
 }
-NOVAPHY_ROW_KERNEL(vbd_adjoint_solution, VbdAdjointArguments) {
-  vbd::reverse_slots<true, false>(a, row);
+NOVAPHY_ROW_KERNEL(vbd_adjoint_stiffness, VbdAdjointArguments) {
+  vbd::reverse_stiffness(a, vbd::LaneGroup<float>(a.sweep, row));
 }
-NOVAPHY_ROW_KERNEL(vbd_adjoint_solution_weights, VbdAdjointArguments) {
-  vbd::reverse_slots<true, true>(a, row);
-}
-NOVAPHY_ROW_KERNEL(vbd_adjoint_start, VbdAdjointArguments) { vbd::reverse_starts<false>(a, row); }
-NOVAPHY_ROW_KERNEL(vbd_adjoint_start_weights, VbdAdjointArguments) {
-  vbd::reverse_starts<true>(a, row);
+NOVAPHY_ROW_KERNEL(vbd_tangent_stiffness, VbdTangentArguments) {
+  vbd::tangent_stiffness(a, vbd::LaneGroup<float>(a.sweep, row));
 }
 
 #ifdef NOVAPHY_KERNEL

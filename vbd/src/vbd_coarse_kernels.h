@@ -6,10 +6,7 @@
 
 namespace novaphy {
 
-// `row`: over the lanes of the groups of the launch. vbd_coarse_move is vbd_move with other blocks.
-NOVAPHY_ROW_KERNEL(vbd_coarse_move, VbdSweepArguments) {
-  vbd::move<false, true>(vbd::LaneGroup<float>(a, row));
-}
+// `row`: over the lanes of the groups of the launch.
 NOVAPHY_ROW_KERNEL(vbd_coarse_rows, VbdCoarseArguments) {
   vbd::coarse_rows(a, vbd::LaneGroup<float>(a.sweep, row));
 }
@@ -167,6 +164,14 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_take, VbdCoarseArguments) {
   if (length > 0.0f) moved = moved + vbd::coarse_field(a, p, length);
   a.sweep.moved[p] = to_row(moved);
   a.sweep.x[p] = to_row(to_vec3(a.sweep.start[p]) + moved);
+}
+// In reverse: writes the fields P a to sweep.moved, and t P a to force. `row`: over the particles.
+NOVAPHY_ROW_KERNEL(vbd_coarse_fields, VbdCoarseArguments) {
+  const auto p = static_cast<int32_t>(row);
+  const int32_t s = vbd::system_of(a, p);
+  const Vec3f field = s < 0 ? Vec3f{} : vbd::coarse_field(a, p, 1.0f);
+  a.sweep.moved[p] = to_row(field);
+  a.force[p] = to_row(s < 0 ? Vec3f{} : field * a.search[s].length);
 }
 
 // Computes the translation of a free system that balances its forces. `row`: over the systems.

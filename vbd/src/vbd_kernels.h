@@ -158,11 +158,9 @@ NOVAPHY_ROW_KERNEL(vbd_contact, VbdContactArguments) {
 
 // `row`: over the lanes of the groups of the launch.
 NOVAPHY_ROW_KERNEL(vbd_prepare, VbdSweepArguments) { vbd::prepare(vbd::LaneGroup<float>(a, row)); }
-NOVAPHY_ROW_KERNEL(vbd_move, VbdSweepArguments) {
-  vbd::move<false, false>(vbd::LaneGroup<float>(a, row));
-}
+NOVAPHY_ROW_KERNEL(vbd_move, VbdSweepArguments) { vbd::move<false>(vbd::LaneGroup<float>(a, row)); }
 NOVAPHY_ROW_KERNEL(vbd_move_guarded, VbdSweepArguments) {
-  vbd::move<true, false>(vbd::LaneGroup<float>(a, row));
+  vbd::move<true>(vbd::LaneGroup<float>(a, row));
 }
 NOVAPHY_ROW_KERNEL(vbd_residual, VbdSweepArguments) {
   vbd::residual(vbd::LaneGroup<float>(a, row));

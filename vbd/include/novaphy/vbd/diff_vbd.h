@@ -29,7 +29,7 @@ struct DiffVbdOptions {
   int32_t iterations = 10;         // sweeps over all colors, >= 0
   float friction_epsilon = 1e-2f;  // m/s, > 0, see VbdOptions
   VbdInitialGuess initial_guess = VbdInitialGuess::Inertia;
-  bool coarse = false;  // see VbdOptions; needs implicit gradients
+  bool coarse = false;  // see VbdOptions
   float lhs_regularization = 1e-6f;
   VbdGradientOptions gradient = {};
 };

@@ -94,7 +94,8 @@ struct VbdGradientInfo {
 // Unrolled gradients are exact for the sweeps that run. The backward pass visits every color of
 // every iteration in reverse, with the branches that the iteration took. A particle moves by d =
 // H^-1 f. Let u = H^-1 xbar. The derivative with respect to each input of f and H is that of u.f -
-// u.(H d), with u and d held constant: a sum over the elements of the particle.
+// u.(H d), with u and d held constant: a sum over the elements of the particle. Coarse steps have
+// the same form (coarse_adjoint_kernels.h). Their lengths are constant.
 //
 // Implicit gradients are those of the solution, where f = 0. With J = -df/dx and J^T lambda = xbar,
 // the derivative with respect to each input of f is that of lambda.f. The same sweeps in reverse,
@@ -111,9 +112,8 @@ struct VbdGradientInfo {
 // on any processor.
 class NOVAPHY_VBD_API DifferentiableVbd {
  public:
-  // ErrorKind::NotImplemented: acceleration, tolerance or safeguard is set, or coarse without
-  // implicit. ErrorKind::Value: a bad option, or implicit without an iteration. Other errors: as
-  // for SolverVBD.
+  // ErrorKind::NotImplemented: acceleration, tolerance or safeguard is set. ErrorKind::Value: a bad
+  // option, or implicit without an iteration. Other errors: as for SolverVBD.
   explicit DifferentiableVbd(std::shared_ptr<const Model> model, const VbdOptions& options = {},
                              const VbdGradientOptions& gradient_options = {});
   ~DifferentiableVbd();
@@ -129,7 +129,7 @@ class NOVAPHY_VBD_API DifferentiableVbd {
                const DeviceArray<Vec3f>& qd_out, const std::shared_ptr<ExclusiveUse>& in_use = {});
   // Maps the adjoints of the results to those of the inputs. An adjoint without rows is 0. Runs the
   // step once more. Unrolled gradients keep its iterates: 16 (iterations + 1) bytes for each
-  // particle.
+  // particle, and with coarse three times as much.
   void backward(const VbdStepInputs& inputs, const Array& q_out_adjoint,
                 const Array& qd_out_adjoint, const VbdStepDerivatives& gradients,
                 const std::shared_ptr<ExclusiveUse>& in_use = {});

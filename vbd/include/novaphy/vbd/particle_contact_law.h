@@ -75,7 +75,7 @@ Block<T> particle_contact_stiffness(const Vec3<T>& x, const Vec3<T>& start,
   const T squared = dot(ut, ut), slip = sqrt(squared);
   const auto slides = slip > c.slip;
   // (c along the slip - c) / |u_t|^2
-  const T less = select(slides, -(one / (squared * select(slides, slip, one))),
+  const T less = select(slides, -(one / select(slides, squared * slip, one)),
                         -(one / ((c.slip * c.slip) * max(slip, c.slip * T(1e-6f)))));
   Block<T> block = particle_contact_block(x, start, c);
   add_outer(block, load * less, ut);

@@ -42,9 +42,9 @@ inline void put_term(const VbdSweepArguments& a, BlockMemory& m, int32_t begin, 
   if (number >= m.count[role][group]) return;
   const float* const x = m.x[group * kVbdLanes + lane];
   const Slot<role, float> slot(a, m.first[role][group] + number, lane);
-  store_block(
-      &m.terms[0][term], kVbdBlockTerms,
-      block_of(inputs_of(slot, Vec3f{x[0], x[1], x[2]}, a.x), ((a.damped >> role) & 1) != 0));
+  store_block(&m.terms[0][term], kVbdBlockTerms,
+              block_of(inputs_of(slot, Vec3f{x[0], x[1], x[2]}, a.x), ((a.damped >> role) & 1) != 0,
+                       a.turns != 0));
 }
 
 // Computes the blocks of the particles of the groups [first, end), at most G groups, with the bits

@@ -25,6 +25,7 @@ struct VbdAdjointArguments {
       Number<int64_t> at_solution;                // 1: at a solution, where f = 0 and d = 0
       Number<int64_t> weights;                    // 1: also the adjoints of the weights of slots
       Optional<Updates<VbdRow>> multiplier;       // null: solve for u; else a given u
+      Optional<Reads<VbdRow>> after;              // with a given u: d is after - before; null: 0
       Optional<Updates<VbdRow>> multiplier_sum;   // the sum of u; null: not wanted
       // the particle of each lane of each slot of each role; -1: none
       Reads<int32_t> slot_particle;
@@ -44,26 +45,30 @@ template <Role role, class S>
 float* bars_of_numbers(const VbdAdjointArguments& a, const Slot<role, S>& slot) {
   return a.numbers + (a.begins[2 * kRoles + role] + (slot.floats - a.sweep.floats[role]));
 }
-// Adds the adjoints of the numbers [first, last).
+// Adds the adjoints of the numbers before `last`, of the weights only where wanted.
 template <Role role, class S>
-void add_numbers(float* to, const SlotAdjoints<role, S>& of, int first, int last) {
+void add_numbers(const VbdAdjointArguments& a, const Slot<role, S>& slot,
+                 const SlotAdjoints<role, S>& of, int last) {
   using Access = LaneAccess<S>;
-  for (int k = first; k < last; ++k)
+  float* const to = bars_of_numbers(a, slot);
+  for (int k = a.weights != 0 ? 0 : law_begin(role); k < last; ++k)
     Access::store(to + k * Access::kStride, Access::load(to + k * Access::kStride) + of.numbers[k]);
 }
-// Stores the adjoints of the positions of the other particles. On devices the adjoint of the own
-// position comes first.
+// Stores or adds the adjoints of the positions of the other particles. On devices the adjoint of
+// the own position comes first.
 template <Role role, class S>
 void put_terms(const VbdAdjointArguments& a, const Slot<role, S>& slot,
-               const SlotAdjoints<role, S>& of) {
+               const SlotAdjoints<role, S>& of, bool adds = false) {
   using Access = LaneAccess<S>;
   constexpr int kOwn = Access::kLanes == 1 ? 1 : 0, kPoints = kOthers[role] + kOwn;
   float* const to = a.terms + (a.begins[kRoles + role] +
                                slot.number * (kPoints * 3 * Access::kStride) + slot.lane);
-  const auto put = [to](int point, const Vec3<S>& v) {
-    Access::store(to + (3 * point) * Access::kStride, v.x);
-    Access::store(to + (3 * point + 1) * Access::kStride, v.y);
-    Access::store(to + (3 * point + 2) * Access::kStride, v.z);
+  const auto put = [to, adds](int point, const Vec3<S>& v) {
+    const S all[3] = {v.x, v.y, v.z};
+    for (int c = 0; c < 3; ++c) {
+      float* const at = to + (3 * point + c) * Access::kStride;
+      Access::store(at, adds ? Access::load(at) + all[c] : all[c]);
+    }
   };
   if (kOwn != 0) put(0, of.own);
   for (int k = 0; k < kOthers[role]; ++k) put(kOwn + k, of.others[k]);
@@ -72,45 +77,72 @@ void put_terms(const VbdAdjointArguments& a, const Slot<role, S>& slot,
 template <Role role>
 constexpr bool kHasWeights = law_begin(role) > 0;
 
-template <bool at_solution, bool damped, bool weights, Role role, class S>
+template <bool at_solution, bool damped, Role role, class S>
 Vec3<S> reverse_slot_of(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x,
                         const Block<S>& adjoint) {
   SlotAdjoints<role, S> to;
-  slot_adjoint(SlotCase<at_solution, damped, weights>(), inputs_apart(slot, x, a.sweep.x), adjoint,
-               to);
+  slot_adjoint(SlotCase<at_solution, damped>(), inputs_apart(slot, x, a.sweep.x), adjoint, to);
   put_terms(a, slot, to);
-  add_numbers(bars_of_numbers(a, slot), to, weights ? 0 : law_begin(role), kFloats[role]);
+  add_numbers(a, slot, to, kFloats[role]);
+  return to.own;
+}
+// Computes the adjoints of u.(sum of H_k d[k]), see stiffness_times.
+template <Role role, class S>
+NOVAPHY_LANE_FN_APART void stiffness_adjoint_of(const Slot<role, S>& slot, const Vec3<S>& x,
+                                                const VbdRow* rows, const Vec3<S>& u,
+                                                const Vec3<S>* d, SlotAdjoints<role, S>& to) {
+  stiffness_adjoint(u, inputs_of(slot, x, rows), d, to);
+}
+// Adds the adjoints of -u.(sum of H_k d[k]). The adjoints replace the terms of the slot unless
+// `adds`. Returns the adjoint of the own position.
+template <Role role, class S>
+Vec3<S> reverse_stiffness_of(const VbdAdjointArguments& a, const Slot<role, S>& slot,
+                             const Vec3<S>& x, const Vec3<S>& u, const Vec3<S>* d, bool adds) {
+  SlotAdjoints<role, S> to;
+  stiffness_adjoint_of(slot, x, a.sweep.x, -u, d, to);
+  put_terms(a, slot, to, adds);
+  add_numbers(a, slot, to, kFloats[role]);
   return to.own;
 }
 // Runs the law of a slot in reverse, for a particle at x. Returns the adjoint of that position.
-template <bool at_solution, bool weights, Role role, class S>
+template <bool at_solution, Role role, class S>
 Vec3<S> reverse_slot(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x,
                      const Block<S>& adjoint) {
   if constexpr (kHasWeights<role>)
     if (((a.sweep.damped >> role) & 1) == 0)
-      return reverse_slot_of<at_solution, false, weights>(a, slot, x, adjoint);
-  return reverse_slot_of < at_solution, true,
-         weights && kHasWeights < role >> (a, slot, x, adjoint);
+      return reverse_slot_of<at_solution, false>(a, slot, x, adjoint);
+  return reverse_slot_of<at_solution, true>(a, slot, x, adjoint);
 }
-template <bool weights, Role role, class S>
-Vec3<S> reverse_start_of(const VbdAdjointArguments& a, const Slot<role, S>& slot,
-                         const Vec3<S>& x) {
+// Returns whether the block of a slot has another H, see block_of.
+template <Role role, class S>
+bool turns(const VbdAdjointArguments& a, const Slot<role, S>&) {
+  return SlotOf<role>::kResistsTurns && a.sweep.turns != 0;
+}
+// Adds the adjoints of -u.(H d), with this H.
+template <Role role, class S>
+Vec3<S> reverse_turning(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x,
+                        const Vec3<S>& u, const Vec3<S>& d) {
+  if constexpr (!SlotOf<role>::kResistsTurns) {
+    return {};
+  } else {
+    const Vec3<S> steps[kOthers[role] + 1] = {d};
+    return reverse_stiffness_of(a, slot, x, u, steps, true);
+  }
+}
+// Runs in reverse the law that computes a slot's numbers of the start, for a particle that began at
+// x.
+template <Role role, class S>
+Vec3<S> reverse_start(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x) {
   using Access = LaneAccess<S>;
-  float* const numbers = bars_of_numbers(a, slot);
+  const float* const numbers = bars_of_numbers(a, slot);
   S adjoint[kStartFloats[role]];
   for (int k = 0; k < kStartFloats[role]; ++k)
     adjoint[k] = Access::load(numbers + (start_begin(role) + k) * Access::kStride);
   SlotAdjoints<role, S> to;
-  start_adjoint(StartCase<weights>(), inputs_apart(slot, x, a.sweep.start), adjoint, to);
+  start_adjoint(StartCase(), inputs_apart(slot, x, a.sweep.start), adjoint, to);
   put_terms(a, slot, to);
-  if (weights) add_numbers(numbers, to, 0, law_begin(role));
+  add_numbers(a, slot, to, law_begin(role));
   return to.own;
-}
-// Runs in reverse the law that computes a slot's numbers of the start, for a particle that began at
-// x.
-template <bool weights, Role role, class S>
-Vec3<S> reverse_start(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x) {
-  return reverse_start_of < weights && kHasWeights < role >> (a, slot, x);
 }
 
 // Moves the particles back to their positions before the color moved, and returns these positions.
@@ -123,19 +155,15 @@ Vec3<S> place_before(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
 }
 
 // Adds the adjoints of the contacts' inputs: the own position, the start and the law.
-template <class S>
-void reverse_contacts(const VbdAdjointArguments& a, const LaneGroup<S>& g, const Vec3<S>& x,
-                      const Block<S>& adjoint, Vec3<S>& own, Vec3<S>& by_start) {
+template <class Case, class S>
+void reverse_contacts(Case of, const VbdAdjointArguments& a, const LaneGroup<S>& g,
+                      const Vec3<S>& x, const Block<S>& adjoint, Vec3<S>& own, Vec3<S>& by_start) {
   using math::select;
   if (a.sweep.contact_begin == nullptr) return;
   const Vec3<S> start = g.at(a.sweep.start);
   for_contacts(g, [&](const LaneContacts<S>& c) {
     ContactAdjoints<S> to;
-    if (a.at_solution != 0) {
-      contact_adjoint(ContactCase<true>(), x, start, c.contact, adjoint, to);
-    } else {
-      contact_adjoint(ContactCase<false>(), x, start, c.contact, adjoint, to);
-    }
+    contact_adjoint(of, x, start, c.contact, adjoint, to);
     own = own + select(c.touching, to.x, Vec3<S>{});
     by_start = by_start + select(c.touching, to.start, Vec3<S>{});
     for (int l = 0; l < g.filled; ++l)
@@ -159,6 +187,7 @@ Reversed<S> reverse_particles(const VbdAdjointArguments& a, const LaneGroup<S>& 
   Reversed<S> to;
   if (a.multiplier != nullptr) {
     to.u = g.at(a.multiplier);
+    if (a.after != nullptr) to.d = step_of<S>(a, g.particle);
   } else {
     const auto factors = factorize(block, S(a.sweep.regularization.value));
     if (a.at_solution == 0) to.d = solve_block(factors, block.f);
@@ -171,7 +200,12 @@ Reversed<S> reverse_particles(const VbdAdjointArguments& a, const LaneGroup<S>& 
   const S by_mass = math::dot(to.u, (g.at(a.sweep.target) - x) - to.d);
   Vec3<S> by_start;
   to.own = -inertia;
-  reverse_contacts(a, g, x, adjoints_of(to.u, to.d), to.own, by_start);
+  const Block<S> adjoint = adjoints_of(to.u, to.d);
+  if (a.at_solution != 0) {
+    reverse_contacts(ContactCase<true>(), a, g, x, adjoint, to.own, by_start);
+  } else {
+    reverse_contacts(ContactCase<false>(), a, g, x, adjoint, to.own, by_start);
+  }
   g.add(a.target_adjoint, inertia);
   g.add(a.start_adjoint, by_start);
   for (int l = 0; l < g.filled; ++l) {
@@ -189,16 +223,15 @@ void reverse_group(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
   Reversed<S> of =
       reverse_particles(a, g, x, a.multiplier != nullptr ? Block<S>() : block_at(g, x));
   const Block<S> adjoint = adjoints_of(of.u, of.d);
-  const bool at_solution = a.at_solution != 0, weights = a.weights != 0;
-  const auto reverse = [&](const auto& slot) {
-    if (at_solution)
-      return weights ? reverse_slot<true, true>(a, slot, x, adjoint)
-                     : reverse_slot<true, false>(a, slot, x, adjoint);
-    return weights ? reverse_slot<false, true>(a, slot, x, adjoint)
-                   : reverse_slot<false, false>(a, slot, x, adjoint);
-  };
   for_roles([&](auto is) {
-    for_slots<decltype(is)::role>(g, [&](const auto& slot) { of.own = of.own + reverse(slot); });
+    constexpr Role role = decltype(is)::role;
+    for_slots<role>(g, [&](const auto& slot) {
+      const bool is_turning = a.at_solution == 0 && turns(a, slot);
+      Vec3<S> own = a.at_solution != 0 || is_turning ? reverse_slot<true>(a, slot, x, adjoint)
+                                                     : reverse_slot<false>(a, slot, x, adjoint);
+      if (is_turning) own = own + reverse_turning(a, slot, x, of.u, of.d);
+      of.own = of.own + own;
+    });
   });
   g.add(a.x_adjoint, of.own);
 }
@@ -207,10 +240,8 @@ void reverse_group_start(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
   const Vec3<S> x = g.at(a.sweep.start);
   Vec3<S> own;
   for_roles([&](auto is) {
-    for_slots<decltype(is)::role>(g, [&](const auto& slot) {
-      own = own +
-            (a.weights != 0 ? reverse_start<true>(a, slot, x) : reverse_start<false>(a, slot, x));
-    });
+    for_slots<decltype(is)::role>(g,
+                                  [&](const auto& slot) { own = own + reverse_start(a, slot, x); });
   });
   g.add(a.start_adjoint, own);
 }

@@ -35,6 +35,7 @@ struct VbdSweepArguments {
                     Number<float> regularization, slip, inside;  // see ParticleContact
                     Number<int64_t> lanes;                       // of a group
                     Number<int64_t> damped;                      // a bit for each role
+                    Number<int64_t> turns;  // 1: blocks as in block_of with `turns`
                     Number<int64_t> first_group, end_group,
                     block_groups;            // groups of a block: 1 or kVbdLargeBlock
                     Writes<float> residual;  // of vbd_residual
@@ -98,6 +99,16 @@ struct LaneGroup : LaneAccess<S> {
     for (int l = 0; l < filled; ++l) Access::add(rows, particle[l], values, l);
   }
 };
+
+template <class S>
+NOVAPHY_LANE_FN_APART Vec3<S> gather_apart(const VbdRow* rows, const int32_t* particles) {
+  return LaneAccess<S>::gather(rows, particles);
+}
+// Returns the given step of particles: after - before.
+template <class S, class Arguments>
+Vec3<S> step_of(const Arguments& a, const int32_t* particles) {
+  return gather_apart<S>(a.after, particles) - gather_apart<S>(a.before, particles);
+}
 
 // A slot, for the lanes of a scalar. Its numbers have the order of those of SlotInputs.
 template <Role role, class S>
@@ -199,10 +210,11 @@ Block<S> contact_blocks(const LaneGroup<S>& g, const Vec3<S>& x) {
 }
 
 // Returns the block of the particles of a group at x. The order of the sum is: contacts and outer
-// elements, then inertia and the other elements, then both sums. `turns`: see block_of. see(block)
-// gets the blocks of the contacts together and of each element.
-template <bool turns = false, class S, class See>
+// elements, then inertia and the other elements, then both sums. see(block) gets the blocks of the
+// contacts together and of each element.
+template <class S, class See>
 Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x, const See& see) {
+  const bool turns = g.a.turns != 0;
   const VbdRow* const q = g.a.x;
   Block<S> outer = contact_blocks(g, x);
   see(outer);
@@ -210,7 +222,7 @@ Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x, const See& see) {
     constexpr Role role = decltype(is)::role;
     const bool damped = g.is_damped(role);
     for_slots<role>(g, [&](const auto& s) {
-      const Block<S> block = block_of<turns>(inputs_of(s, x, q), damped);
+      const Block<S> block = block_of(inputs_of(s, x, q), damped, turns);
       see(block);
       sum = sum + block;
     });
@@ -221,9 +233,9 @@ Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x, const See& see) {
   return block + outer;
 }
 
-template <bool turns = false, class S>
+template <class S>
 Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x) {
-  return block_at<turns>(g, x, [](const Block<S>&) {});
+  return block_at(g, x, [](const Block<S>&) {});
 }
 
 // Returns the energy of the elements of particles at x (J). The contacts have the loads of the
@@ -277,11 +289,11 @@ Vec3<S> guarded_step(const LaneGroup<S>& g, const Vec3<S>& x, Vec3<S> d) {
 }
 
 // Moves each particle of a group by one step.
-template <bool safeguard, bool turns, class S>
+template <bool safeguard, class S>
 void move(const LaneGroup<S>& g) {
   if (g.filled == 0) return;
   const Vec3<S> x = g.at(g.a.x);
-  const Block<S> block = block_at<turns>(g, x);
+  const Block<S> block = block_at(g, x);
   Vec3<S> d = solve_block(factorize(block, S(g.a.regularization.value)), block.f);
   if (safeguard) d = guarded_step(g, x, d);
   const Vec3<S> moved = g.at(g.a.moved) + d;

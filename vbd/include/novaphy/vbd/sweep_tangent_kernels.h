@@ -22,7 +22,10 @@ struct VbdTangentArguments {
                     Optional<Reads<VbdRow>> loads_at;
                     // Written: f, the tangent of f, and the tangent of the particles' steps. Null:
                     // not wanted.
-                    Optional<Updates<VbdRow>> force, force_tangent, step_tangent;)
+                    Optional<Updates<VbdRow>> force, force_tangent, step_tangent;
+                    // The ends of a step d = after - before of all particles. Not null: elements
+                    // are left out, and the tangent of f is reduced by H' d.
+                    Optional<Reads<VbdRow>> before, after;)
 };
 
 namespace vbd {
@@ -69,9 +72,11 @@ struct TangentGroup {
   void add_slots(const Point& x, Block<Tangent>& block) const {
     for_slots<role>(g, [&](const Slot<role, S>& slot) {
       const auto in = inputs_of(slot, x, numbers(slot), [&](const int32_t* p) { return place(p); });
-      block = block + block_of(in, g.is_damped(role));
+      block = block + block_of(in, g.is_damped(role), a.sweep.turns != 0);
     });
   }
+  // `stiffness`: with the blocks of a coarse step.
+  template <bool stiffness = false>
   Block<Tangent> contacts(const Point& x) const {
     Block<Tangent> outer;
     if (a.sweep.contact_begin == nullptr) return outer;
@@ -88,20 +93,25 @@ struct TangentGroup {
           {c.radius, tangents[0]}, {c.ke, tangents[1]}, {c.kd_by_h, tangents[2]},
           {c.mu, tangents[3]},     Tangent(c.slip),     Tangent(c.inside)};
       if (a.loads_at != nullptr) contact.mu = friction_of_load(x, still(g.at(a.loads_at)), contact);
-      outer = outer + where(all.touching, particle_contact_block(x, begin, contact));
+      outer = outer + where(all.touching, stiffness ? particle_contact_stiffness(x, begin, contact)
+                                                    : particle_contact_block(x, begin, contact));
     });
     return outer;
+  }
+  Tangent mass() const {
+    S mass{};
+    for (int l = 0; a.mass != nullptr && l < g.filled; ++l)
+      Access::set(mass, l, a.mass[g.particle[l]]);
+    return {g.mass_by_h2(), mass};
   }
   // Returns the block with its tangent. The sum has the order of block_at.
   Block<Tangent> block(const Point& x) const {
     Block<Tangent> outer = contacts(x);
-    for_roles_that_are<true>([&](auto is) { add_slots<decltype(is)::role>(x, outer); });
-    S mass{};
-    for (int l = 0; a.mass != nullptr && l < g.filled; ++l)
-      Access::set(mass, l, a.mass[g.particle[l]]);
-    Block<Tangent> sum = inertia_block(x, gather_tangents<S>(a.sweep.target, a.target, g.particle),
-                                       Tangent(g.mass_by_h2(), mass));
-    for_roles_that_are<false>([&](auto is) { add_slots<decltype(is)::role>(x, sum); });
+    const bool all = a.after == nullptr;
+    if (all) for_roles_that_are<true>([&](auto is) { add_slots<decltype(is)::role>(x, outer); });
+    const Point target = gather_tangents<S>(a.sweep.target, a.target, g.particle);
+    Block<Tangent> sum = inertia_block(x, target, mass());
+    if (all) for_roles_that_are<false>([&](auto is) { add_slots<decltype(is)::role>(x, sum); });
     return sum + outer;
   }
 };
@@ -111,17 +121,17 @@ void tangent(const VbdTangentArguments& a, const LaneGroup<S>& g) {
   if (g.filled == 0) return;
   const TangentGroup<S> of = {a, g};
   const Block<math::Dual<S>> b = of.block(of.place(g.particle));
-  const Vec3<S> f = math::value_of(b.f), tangent = math::tangent_of(b.f);
+  const Vec3<S> f = math::value_of(b.f);
+  Vec3<S> tangent = math::tangent_of(b.f);
   if (a.force != nullptr) g.put(a.force, f);
+  const Block<S> turned = {tangent, b.h00.d, b.h11.d, b.h22.d, b.h01.d, b.h02.d, b.h12.d};
+  if (a.after != nullptr) tangent = tangent - multiply_stiffness(turned, step_of<S>(a, g.particle));
   if (a.force_tangent != nullptr) g.put(a.force_tangent, tangent);
   if (a.step_tangent == nullptr) return;
   const Block<S> values = {f, b.h00.v, b.h11.v, b.h22.v, b.h01.v, b.h02.v, b.h12.v};
   const auto factors = factorize(values, S(a.sweep.regularization.value));
   Vec3<S> load = tangent + (a.load != nullptr ? g.at(a.load) : Vec3<S>{});
-  if (a.at_solution == 0) {
-    const Block<S> turned = {tangent, b.h00.d, b.h11.d, b.h22.d, b.h01.d, b.h02.d, b.h12.d};
-    load = load - multiply_stiffness(turned, solve_block(factors, f));
-  }
+  if (a.at_solution == 0) load = load - multiply_stiffness(turned, solve_block(factors, f));
   g.put(a.step_tangent, solve_block(factors, load));
 }
 

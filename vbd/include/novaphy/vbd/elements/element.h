@@ -26,8 +26,8 @@ constexpr int kMostArrays = 4, kMostSlots = 2;  // arrays of parameters, and slo
 // - block(in, damped) and energy(in);
 // - put_start(in, put) and put_numbers(corner, parameters, h, put), which call put(k, value) for
 // the k-th number of the start and of the slot;
-// - with more than two corners stiffness(in, damped, put), which calls put(k, H) with the stiffness
-// (stiffness_law.h) between the own corner and itself (k = 0) or the k-th other corner.
+// - with more than two corners stiffness_times(in, d, damped), the sum of H_k d[k], with the
+// stiffness H_k (stiffness_law.h) between the own corner and itself (k = 0) or another corner.
 template <int corners>
 struct ElementOf {
   static constexpr int kCorners = corners;
@@ -37,7 +37,7 @@ struct ElementOf {
   static constexpr int kSlots = 1, kSlot = 0;
   static constexpr bool kIsOuter = false;         // summed with the contacts, before the inertia
   static constexpr bool kIsAlwaysDamped = false;  // false: no damping terms where all kd are 0
-  static constexpr bool kResistsTurns = false;    // H of block() is larger than that of stiffness()
+  static constexpr bool kResistsTurns = false;    // H of block() is larger than H_0
   static constexpr bool kMayLackCorners = false;
   static constexpr const char* kUnread = "";  // names of the material's columns that no force reads
   // True: the struct has is_defined(in), and derivatives are 0 where it returns false.

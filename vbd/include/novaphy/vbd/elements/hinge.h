@@ -72,6 +72,10 @@ struct Hinge : ElementOf<4> {
 // own vertex.
 template <class Slot>
 struct HingeSlot : Hinge {
+  template <class V>
+  struct ByVertex {
+    V x0, x1, x2, x3;
+  };
   template <class S>
   static auto is_defined_by(const math::Hinge<S>& h) {
     using math::both;
@@ -103,26 +107,19 @@ struct HingeSlot : Hinge {
     const S energy = S(0.5f) * ((in.numbers[0] * bent) * bent + (in.numbers[1] * moved) * moved);
     return select(is_defined_by(h), energy, S(0.0f));
   }
-  // Puts the H of block() between the own corner and each corner.
-  template <class In, class Put>
-  static void stiffness(const In& in, bool, const Put& put) {
-    using math::select;
+  // Returns the sum of H_0k d_k, with the H of block() for all corners.
+  template <class In, class V>
+  static V stiffness_times(const In& in, const V* d, bool) {
+    using math::dot, math::select;
     using S = typename In::Scalar;
     const math::Hinge<S> h = Slot::hinge(in);
-    const auto defined = is_defined_by(h);
-    Vec3<S> t[4];  // by vertex; the sum is 0, because a translation keeps the angle
-    t[0] = turning_of_opposite(h.n1, h.n1_length, h);
-    t[1] = turning_of_opposite(h.n2, h.n2_length, h);
-    t[2] = Slot::turning_of_x2(in, h);
-    t[3] = -((t[0] + t[1]) + t[2]);
-    const S k = in.numbers[0] + in.numbers[1];
-    for (Vec3<S>& turning : t) turning = select(defined, turning, Vec3<S>{});
-    for (int c = 0; c < 4; ++c) {
-      Mat33<S> row;
-      add_outer(row, k, t[Slot::kVertex],
-                t[c == 0 ? Slot::kVertex : other_corner(Slot::kVertex, c - 1)]);
-      put(c, row);
-    }
+    const V own = Slot::turning(in, h), of_x2 = Slot::turning_of_x2(in, h);
+    const V of_x0 = turning_of_opposite(h.n1, h.n1_length, h);
+    const V of_x1 = turning_of_opposite(h.n2, h.n2_length, h);
+    const auto& [d0, d1, d2, d3] = Slot::by_vertex(d);
+    // The sum of all dth/dx is 0, because a translation keeps the angle.
+    const S turned = (dot(of_x0, d0 - d3) + dot(of_x1, d1 - d3)) + dot(of_x2, d2 - d3);
+    return select(is_defined_by(h), own * ((in.numbers[0] + in.numbers[1]) * turned), V{});
   }
   template <class In, class Put>
   static void put_start(const In& in, const Put& put) {
@@ -131,7 +128,10 @@ struct HingeSlot : Hinge {
 };
 // The opposite vertex x0.
 struct HingeOpposite : HingeSlot<HingeOpposite> {
-  static constexpr int kVertex = 0;
+  template <class V>
+  static ByVertex<V> by_vertex(const V* d) {
+    return {d[0], d[1], d[2], d[3]};
+  }
   template <class In>
   static auto hinge(const In& in) {
     return math::make_hinge(in.own, in.others[0], in.others[1], in.others[2]);
@@ -147,7 +147,11 @@ struct HingeOpposite : HingeSlot<HingeOpposite> {
 };
 // The end x2 of the edge.
 struct HingeEnd : HingeSlot<HingeEnd> {
-  static constexpr int kSlot = 1, kVertex = 2;
+  static constexpr int kSlot = 1;
+  template <class V>
+  static ByVertex<V> by_vertex(const V* d) {
+    return {d[1], d[2], d[0], d[3]};
+  }
   template <class In>
   static auto hinge(const In& in) {
     return math::make_hinge(in.others[0], in.others[1], in.own, in.others[2]);

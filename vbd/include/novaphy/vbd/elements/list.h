@@ -86,28 +86,40 @@ struct SlotInputs {
   Numbers numbers;
 };
 // Returns the block of a slot. `turns`: H is that of stiffness_of.
-template <bool turns = false, Role role, class S, class N>
-Block<S> block_of(const SlotInputs<role, S, N>& in, bool damped) {
-  if constexpr (turns && SlotOf<role>::kResistsTurns) {
-    return SlotOf<role>::template block<true>(in, damped);
+template <Role role, class S, class N>
+Block<S> block_of(const SlotInputs<role, S, N>& in, bool damped,
+                  [[maybe_unused]] bool turns = false) {
+  if constexpr (SlotOf<role>::kResistsTurns) {
+    return SlotOf<role>::block(in, damped, turns);
   } else {
     return SlotOf<role>::block(in, damped);
   }
 }
 
-// Calls put(k, H) for the stiffness between the own corner and itself (k = 0) or the k-th other
-// one.
+// Returns the sum of H_k d[k], with the stiffness H_k between the own corner and itself (k = 0) or
+// the k-th other one.
+template <Role role, class S, class N>
+Vec3<S> stiffness_times(const SlotInputs<role, S, N>& in, const Vec3<S>* d, bool damped) {
+  if constexpr (kOthers[role] == 1) {  // the force is along the line between two points
+    return multiply_stiffness(block_of(in, damped), d[0] - d[1]);
+  } else {
+    return SlotOf<role>::stiffness_times(in, d, damped);
+  }
+}
+// Calls put(k, H_k) for these corners.
 template <Role role, class S, class N, class Put>
 void stiffness_of(const SlotInputs<role, S, N>& in, bool damped, const Put& put) {
-  if constexpr (kOthers[role] == 1) {  // the force is along the line between two points
-    const Mat33<S> h = stiffness_matrix(block_of(in, damped));
-    Mat33<S> minus;
-    for (int r = 0; r < 3; ++r)
-      for (int c = 0; c < 3; ++c) minus.m[r][c] = -h.m[r][c];
-    put(0, h);
-    put(1, minus);
-  } else {
-    SlotOf<role>::stiffness(in, damped, put);
+  for (int k = 0; k <= kOthers[role]; ++k) {
+    Mat33<S> h;
+    for (int c = 0; c < 3; ++c) {
+      Vec3<S> d[kOthers[role] + 1] = {};
+      (c == 0 ? d[k].x : c == 1 ? d[k].y : d[k].z) = S(1.0f);
+      const Vec3<S> column = stiffness_times(in, d, damped);
+      h.m[0][c] = column.x;
+      h.m[1][c] = column.y;
+      h.m[2][c] = column.z;
+    }
+    put(k, h);
   }
 }
 

@@ -48,14 +48,16 @@ struct Tetrahedron : ElementOf<4> {
   struct Columns {
     Vec3<S> f[3];
   };
+  // Returns the columns of F for points x, or their changes for changes of the points.
+  template <class S, class Numbers>
+  static Columns<S> columns_of(const Vec3<S>& own, const Vec3<S>* others, const Numbers& n) {
+    const Vec3<S> e1 = others[0] - own, e2 = others[1] - own, e3 = others[2] - own;
+    return {{(e1 * n[0] + e2 * n[3]) + e3 * n[6], (e1 * n[1] + e2 * n[4]) + e3 * n[7],
+             (e1 * n[2] + e2 * n[5]) + e3 * n[8]}};
+  }
   template <class In>
   static auto columns(const In& in) {
-    using S = typename In::Scalar;
-    const auto& n = in.numbers;
-    const Vec3<S> e1 = in.others[0] - in.own, e2 = in.others[1] - in.own,
-                  e3 = in.others[2] - in.own;
-    return Columns<S>{{(e1 * n[0] + e2 * n[3]) + e3 * n[6], (e1 * n[1] + e2 * n[4]) + e3 * n[7],
-                       (e1 * n[2] + e2 * n[5]) + e3 * n[8]}};
+    return columns_of(in.own, in.others, in.numbers);
   }
   // The components of C, in the order of the numbers Cn.
   template <class S>
@@ -114,41 +116,39 @@ struct Tetrahedron : ElementOf<4> {
     const S most = mu / sqrt(max(squared, S(1e-12f)));
     return max(min(s, S(0.5f) * most), -min(most, ln * max(j, S(0.0f))));
   }
-  template <class In, class Put>
-  static void stiffness(const In& in, bool damped, const Put& put) {
+  // Returns the sum of H_0k d_k.
+  template <class In, class V>
+  static V stiffness_times(const In& in, const V* d, bool damped) {
     using namespace math;
     using S = typename In::Scalar;
     const auto& n = in.numbers;
-    const Columns<S> columns_of_f = columns(in);
+    const Columns<S> columns_of_f = columns(in), moved = columns_of(d[0], d + 1, n);
     const auto& f = columns_of_f.f;
+    const auto& g = moved.f;
     const S mu = n[9], ln = n[10], two = S(2.0f);
-    Vec3<S> m[4] = {{}, {n[0], n[1], n[2]}, {n[3], n[4], n[5]}, {n[6], n[7], n[8]}};
-    m[0] = -((m[1] + m[2]) + m[3]);
-    const Vec3<S> c0 = cross(f[1], f[2]), c1 = cross(f[2], f[0]), c2 = cross(f[0], f[1]);
+    const V m = -((V{n[0], n[1], n[2]} + V{n[3], n[4], n[5]}) + V{n[6], n[7], n[8]});
+    const V c0 = cross(f[1], f[2]), c1 = cross(f[2], f[0]), c2 = cross(f[0], f[1]);
     const S j = dot(f[0], c0);
     const S s = bounded(ln * (j - n[11]), mu, ln, j, strain(columns_of_f));
-    const Vec3<S> dj = (c0 * m[0].x + c1 * m[0].y) + c2 * m[0].z;
-    for (int k = 0; k < 4; ++k) {
-      const Vec3<S>& w = m[k];
-      Mat33<S> row;
-      add_identity(row, mu * dot(m[0], w));
-      add_outer(row, ln, dj, (c0 * w.x + c1 * w.y) + c2 * w.z);
-      const Vec3<S> turn = cross(m[0], w) * s;
-      add_turn(row, (f[0] * turn.x + f[1] * turn.y) + f[2] * turn.z);
-      if (damped) {
-        const auto strained = [&](const Vec3<S>& of, int e) {
-          return e == 0   ? f[0] * (two * of.x)
-                 : e == 1 ? f[1] * (two * of.y)
-                 : e == 2 ? f[2] * (two * of.z)
-                 : e == 3 ? f[0] * of.y + f[1] * of.x
-                 : e == 4 ? f[0] * of.z + f[2] * of.x
-                          : f[1] * of.z + f[2] * of.y;
-        };
-        for (int e = 0; e < 6; ++e)
-          add_outer(row, e < 3 ? n[12] : two * n[12], strained(m[0], e), strained(w, e));
-      }
-      put(k, row);
-    }
+    const S grown = (dot(c0, g[0]) + dot(c1, g[1])) + dot(c2, g[2]);
+    V sum = ((g[0] * m.x + g[1] * m.y) + g[2] * m.z) * mu +
+            ((c0 * m.x + c1 * m.y) + c2 * m.z) * (ln * grown);
+    const V turned = (cross(g[2] * m.y - g[1] * m.z, f[0]) + cross(g[0] * m.z - g[2] * m.x, f[1])) +
+                     cross(g[1] * m.x - g[0] * m.y, f[2]);
+    sum = sum + turned * s;
+    if (!damped) return sum;
+    const S kd2 = two * n[12];
+    sum = sum + (f[0] * (m.x * dot(f[0], g[0])) + f[1] * (m.y * dot(f[1], g[1])) +
+                 f[2] * (m.z * dot(f[2], g[2]))) *
+                    (two * kd2);
+    const auto add = [&](const V& fa, const V& fb, const S& ma, const S& mb, const V& ga,
+                         const V& gb) {
+      sum = sum + (fa * mb + fb * ma) * (kd2 * (dot(fa, gb) + dot(fb, ga)));
+    };
+    add(f[0], f[1], m.x, m.y, g[0], g[1]);
+    add(f[0], f[2], m.x, m.z, g[0], g[2]);
+    add(f[1], f[2], m.y, m.z, g[1], g[2]);
+    return sum;
   }
   template <class In>
   static auto energy(const In& in) {

@@ -88,9 +88,9 @@ struct Triangle : ElementOf<3> {
   }
 
   // With `damped` false the terms of kd are left out. The caller then knows that kd is 0. With
-  // `turns` H is that of stiffness(), with r = max(s/J, -mu/S^2).
-  template <bool turns = false, class In>
-  static auto block(const In& in, bool damped) {
+  // `turns` H is H_00, with r = max(s/J, -mu/S^2).
+  template <class In>
+  static auto block(const In& in, bool damped, bool turns = false) {
     using namespace math;
     using S = typename In::Scalar;
     const auto& numbers = in.numbers;
@@ -123,37 +123,32 @@ struct Triangle : ElementOf<3> {
     add_outer(block, k, e11);
     return block;
   }
-  template <class In, class Put>
-  static void stiffness(const In& in, bool damped, const Put& put) {
+  // Returns the sum of H_0k d_k.
+  template <class In, class V>
+  static V stiffness_times(const In& in, const V* d, bool damped) {
     using namespace math;
     using S = typename In::Scalar;
     const auto& numbers = in.numbers;
     const S mu = numbers[4], ln = numbers[5], two = S(2.0f);
     const Columns<S> c = columns(in);
     const auto& [f0, f1] = c;
-    const Vec3<S> m = cross(f0, f1);
+    const V e1 = d[1] - d[0], e2 = d[2] - d[0];
+    const V d0 = e1 * numbers[0] + e2 * numbers[2], d1 = e1 * numbers[1] + e2 * numbers[3];
+    const V m = cross(f0, f1);
     const S j = area_ratio(m);
-    const Vec3<S> n = m / j, g0 = cross(f1, n), g1 = cross(n, f0);
-    const S a[3] = {-(numbers[0] + numbers[2]), numbers[0], numbers[2]};
-    const S b[3] = {-(numbers[1] + numbers[3]), numbers[1], numbers[3]};
+    const V n = m / j, g0 = cross(f1, n), g1 = cross(n, f0);
+    const S a = -(numbers[0] + numbers[2]), b = -(numbers[1] + numbers[3]);
     const S s = ln * (j - numbers[6]);
     const S tension = across(c, s / j, mu);
     const S within = max(min(s, mu), -mu);
-    const Vec3<S> dj = g0 * a[0] + g1 * b[0], w = f1 * a[0] - f0 * b[0];
-    for (int k = 0; k < 3; ++k) {
-      Mat33<S> row;
-      add_identity(row, mu * (a[0] * a[k] + b[0] * b[k]));
-      add_outer(row, ln, dj, g0 * a[k] + g1 * b[k]);
-      add_outer(row, tension * dot(w, f1 * a[k] - f0 * b[k]), n, n);
-      add_turn(row, n * (within * (a[0] * b[k] - a[k] * b[0])));
-      if (damped) {
-        const S kd = numbers[7];
-        add_outer(row, kd, f0 * (two * a[0]), f0 * (two * a[k]));
-        add_outer(row, two * kd, f1 * a[0] + f0 * b[0], f1 * a[k] + f0 * b[k]);
-        add_outer(row, kd, f1 * (two * b[0]), f1 * (two * b[k]));
-      }
-      put(k, row);
-    }
+    const V w = f1 * a - f0 * b;
+    V sum = (d0 * a + d1 * b) * mu + (g0 * a + g1 * b) * (ln * (dot(g0, d0) + dot(g1, d1)));
+    sum = sum + n * (tension * (dot(w, f1) * dot(n, d0) - dot(w, f0) * dot(n, d1)));
+    sum = sum + cross(d1 * a - d0 * b, n) * within;
+    if (!damped) return sum;
+    const S kd2 = two * numbers[7];
+    sum = sum + f0 * (((kd2 * two) * a) * dot(f0, d0)) + f1 * (((kd2 * two) * b) * dot(f1, d1));
+    return sum + (f1 * a + f0 * b) * (kd2 * (dot(f1, d0) + dot(f0, d1)));
   }
   template <class In>
   static auto energy(const In& in) {

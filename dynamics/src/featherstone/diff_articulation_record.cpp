@@ -54,9 +54,9 @@ void record_vjp(const Step& s, std::span<const Tensor> outputs,
   if (s.following.empty()) {
     const Costate p = costate_behind(s, in, outputs);
     to.end = joined(p.of_q, p.of_qd.data(), dofs);
-    const float *const out = numbers(s.outputs[1].tensor), *const in = numbers(s.in(kAt.qd));
-    to.rates.assign(out, out + dofs);
-    for (size_t k = 0; k < dofs; ++k) to.rates.push_back((out[k] - in[k]) / s.dt);
+    const float *const after = numbers(s.outputs[1].tensor), *const before = numbers(s.in(kAt.qd));
+    to.rates.assign(after, after + dofs);
+    for (size_t k = 0; k < dofs; ++k) to.rates.push_back((after[k] - before[k]) / s.dt);
   }
   if (pushes) add_contacts(s, to);
   to.notes.clear();

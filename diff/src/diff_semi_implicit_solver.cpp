@@ -261,7 +261,8 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
   // A tape keeps the old memory.
   if (moves_bodies() && (body_f_.rows() == 0 || nova::Tape::active() != nullptr))
     body_f_ = DeviceArray<SpatialVectorf>(state_in.body_f.rows(), device());
-  note_step(state_in, from, state_out, contacts, tables_, nova::operand_of(body_f_), dt, true);
+  const nova::Operand wrench = moves_bodies() ? nova::operand_of(body_f_) : nova::Operand{};
+  note_step(state_in, from, state_out, contacts, tables_, wrench, dt, true);
   if (moves_particles()) {
     particles_.run(*model(), from, to, control, contacts, tables_, dt);
     if (&from != &state_in) {
@@ -277,7 +278,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
     return;
   }
   bodies_.run(*model(), from, to, nova::operand_of(from.body_f), joints_ ? &*joints_ : nullptr,
-              control, contacts, tables_, particles_.wrenches(), dt, nova::operand_of(body_f_));
+              control, contacts, tables_, particles_.wrenches(), dt, wrench);
   if (contacts != nullptr) bodies_.write_contact_forces(*contacts);
   if (touched) motion_->end(*model(), *touched);
 }

@@ -196,6 +196,13 @@ class Step {
   DeviceArray<int32_t> faults_;    // of each particle, see vbd::note_fault
   DeviceArray<int32_t> overflow_;  // see VbdContactArguments
   mutable std::vector<ParticleResidual> residuals_;
+  struct Motion {
+    Rows start, target;
+    std::vector<Vec3f> gravities;
+    std::vector<Vec3<double>> moments;
+    std::vector<double> masses;
+  };
+  mutable Motion motion_;  // memory of motion_scale, on the host
   std::vector<float> chebyshev_;
   int32_t iterations_run_ = 0;
   bool has_contacts_ = false, damps_ = false, was_recorded_ = false;

@@ -23,10 +23,15 @@ double Step::motion_scale() const {
   const auto wide = [](const Vec3f& v) {
     return Point{static_cast<double>(v.x), static_cast<double>(v.y), static_cast<double>(v.z)};
   };
-  const Rows start = download(start_), target = download(target_);
-  const std::vector<Vec3f> gravities = model_.gravity.to_host();
-  std::vector<Point> moments(start.size());
-  std::vector<double> masses(start.size());
+  auto& [start, target, gravities, moments, masses] = motion_;
+  start.resize(start_.rows());
+  target.resize(start.size());
+  gravities.resize(model_.gravity.rows());
+  start_.Array::copy_to_host(start.data(), start_.bytes());
+  target_.Array::copy_to_host(target.data(), target_.bytes());
+  model_.gravity.copy_to_host(std::span(gravities));
+  moments.assign(start.size(), Point{});
+  masses.assign(start.size(), 0.0);
   // Calls body(mass, y - xn, h^2 g, component) for each particle that moves.
   const auto for_moving = [&](const auto& body) {
     const double h2 = static_cast<double>(dt()) * static_cast<double>(dt());

@@ -209,7 +209,7 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
       now.contacts = &here.contacts;
       now.tables = &here.tables;
     }
-    record_step(from, to, now, scratch.first(own));
+    named_step(t, [&] { record_step(from, to, now, scratch.first(own)); });
   };
   const std::shared_ptr<ExclusiveUse> later = step_writes_kept_memory() ? in_use() : nullptr;
   if (nova::OpList* graph = nova::current_capture(); graph != nullptr && later != nullptr)
@@ -223,10 +223,8 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
         checkpoints->next_is_kept = trajectory.keeps(t + 1);
       }
       const nova::Tape::StepScope of_step(t);
-      named_step(t, [&] {
-        step(t, trajectory.any_state(t), trajectory.any_state(t + 1),
-             recording ? trajectory.scratch(t) : StepScratch(alone[0]), slot(t));
-      });
+      step(t, trajectory.any_state(t), trajectory.any_state(t + 1),
+           recording ? trajectory.scratch(t) : StepScratch(alone[0]), slot(t));
     }
   }
   deferred.flush();

@@ -94,8 +94,8 @@ void ColorSlots::find_components(const Model& model) {
     for (int c = 0; c < decltype(is)::Slot::kCorners; ++c)
       for (int d = 0; d < c; ++d) {
         if (is_held(corners[c]) || is_held(corners[d])) continue;
-        const auto [first, last] = std::minmax(root(corners[c]), root(corners[d]));
-        component_[static_cast<size_t>(last)] = first;
+        const int32_t first = root(corners[c]), second = root(corners[d]);
+        component_[static_cast<size_t>(std::max(first, second))] = std::min(first, second);
       }
   });
   for (int32_t p = 0; p < model.particle_count(); ++p) component_[static_cast<size_t>(p)] = root(p);

@@ -6,6 +6,7 @@
 
 #include "element_arrays.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/named_step.h"
 #include "novaphy/nova/host_work.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/op_list.h"
@@ -160,12 +161,7 @@ std::vector<Tensor> RecordedStep::reads() const {
 
 template <class Run>
 decltype(auto) RecordedStep::named(const Run& run) const {
-  try {
-    return run();
-  } catch (const Error& error) {
-    if (of_rollout < 0) throw;
-    fail(error.kind(), "step ", of_rollout, " of the rollout: ", error.what());
-  }
+  return of_rollout < 0 ? run() : named_step(of_rollout, run);
 }
 
 void RecordedStep::capture(std::vector<Tensor> reads, std::vector<Tensor> results,
@@ -186,7 +182,7 @@ void RecordedStep::forward() {
 }
 
 void RecordedStep::submit_forward(const std::shared_ptr<RecordedStep>& step) {
-  if (!in_a_capture_of_the_host(*step)) return step->named([&] { step->forward(); });
+  if (!in_a_capture_of_the_host(*step)) return step->forward();
   const std::vector<Tensor> results = {tensor_of(nova::operand_of(step->q_out)),
                                        tensor_of(nova::operand_of(step->qd_out))};
   step->capture(step->reads(), results, [step] {

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import nova
+from .. import Error, nova
 from ..diff import Trajectory
 from ._shard import Block, Shard
 from ._tree import BlockSums, Node, Vector
@@ -36,7 +36,13 @@ def gradient_of_block(rollout: Rollout, params: dict[str, Vector], block: Block)
         leaves[name] = nova.tensor(value, device=block.device)
         leaves[name].requires_grad = True
     with nova.Tape() as tape:
-        losses = rollout(block, leaves)
+        try:
+            losses = rollout(block, leaves)
+        except Error as error:
+            raise Error(
+                f"value_and_grad: block {block.index}, whose world 0 is world {block.first_world} "
+                f"of the run: {error}"
+            ) from error
         if not isinstance(losses, nova.Tensor) or losses.shape != (block.worlds,):
             got = losses.shape if isinstance(losses, nova.Tensor) else type(losses).__name__
             raise ValueError(
@@ -83,7 +89,7 @@ def _first_state(block: Block, world: int) -> str:
             wrong |= ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
         if wrong.any():
             step = path.kept_steps[int(np.argmax(wrong))]
-            return f"; the state before step {step} is its first that is not finite"
+            return f"; of its kept states the one before step {step} is the first that is not finite"
     return ""
 
 

@@ -7,13 +7,13 @@
 
 namespace novaphy {
 
-// Runs step `t` of a rollout. The message of an Error of the step gets the number of the step.
+// Runs step `t` of a rollout and returns its result. The message of an Error begins with the step.
 template <class F>
-void named_step(int32_t t, F&& run) {
+decltype(auto) named_step(int32_t t, F&& run) {
   try {
-    run();
+    return run();
   } catch (const Error& error) {
-    fail(error.kind(), error.what(), "; in step ", t, " of the rollout");
+    fail(error.kind(), "step ", t, " of the rollout: ", error.what());
   }
 }
 

@@ -89,7 +89,7 @@ def _first_state(block: Block, world: int) -> str:
             wrong |= ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
         if wrong.any():
             step = path.kept_steps[int(np.argmax(wrong))]
-            return f"; of its kept states the one before step {step} is the first that is not finite"
+            return f"; its first kept state that is not finite is that before step {step}"
     return ""
 
 

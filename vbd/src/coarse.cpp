@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 
 #include "novaphy/math/principal_axes.h"
 #include "step.h"
@@ -29,26 +28,6 @@ void visit_corners(const ColorSlots& slots, const Visit& visit) {
                   table.ints[(slot * others + k) * lanes + lane]);
         }
   }
-}
-
-// Returns the connected component of each particle, named by its first particle. -1: the particle
-// is kinematic.
-std::vector<int32_t> find_components(const ColorSlots& slots) {
-  std::vector<int32_t> root(slots.held_flags().size());
-  std::iota(root.begin(), root.end(), 0);
-  const auto find = [&](int32_t p) {
-    while (root[static_cast<size_t>(p)] != p)
-      p = root[static_cast<size_t>(p)] = root[static_cast<size_t>(root[static_cast<size_t>(p)])];
-    return p;
-  };
-  visit_corners(slots, [&](int32_t p, int32_t other) {
-    if (slots.is_held(other)) return;
-    const int32_t a = find(p), b = find(other);
-    root[static_cast<size_t>(std::max(a, b))] = std::min(a, b);
-  });
-  for (int32_t p = 0; p < static_cast<int32_t>(root.size()); ++p)
-    root[static_cast<size_t>(p)] = slots.is_held(p) ? -1 : find(p);
-  return root;
 }
 
 struct Frame {
@@ -99,7 +78,8 @@ CoarseTables::CoarseTables(const Model& model, const ColorSlots& slots) {
   aggregate.assign(count, -1);
   field.resize(count);
   function_begin = member_begin = system_begin = {0};
-  std::vector<int32_t> component = find_components(slots);
+  // A kinematic particle is a component of its own, which is no system.
+  const std::vector<int32_t>& component = slots.components();
   IndexRows particles_of;
   particles_of.build(component, model.particle_count());
   std::vector<int32_t> system_of(count, -1);  // for each component

@@ -356,11 +356,13 @@ void Step::run(const StepInputs& in, const StepResults& out,
 void Step::iterate(const StepList& list) {
   iterations_run_ = options_.iterations;
   if (!options_.tolerance) return list.iterate(0, static_cast<size_t>(options_.iterations));
+  const double motion = motion_scale();  // iterations do not change it
   for (iterations_run_ = 0; iterations_run_ < options_.iterations;) {
     ++iterations_run_;
     const auto k = static_cast<size_t>(iterations_run_);
     list.iterate(k - 1, k);
-    if (residual().relative <= static_cast<double>(*options_.tolerance)) return;
+    find_residuals();
+    if (sum_residuals(motion).relative <= static_cast<double>(*options_.tolerance)) return;
   }
 }
 

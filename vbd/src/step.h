@@ -156,6 +156,7 @@ class Step {
   void check_inputs(const StepInputs& in);
   void check_positions() const;
   double motion_scale() const;  // step_residual.cpp
+  VbdResidual sum_residuals(double motion) const;
   void forget_lists();
   void reserve_contacts(int32_t slots);
   void find_contacts(const Contacts& contacts) const;

@@ -56,10 +56,12 @@ double Step::motion_scale() const {
   return sum / std::pow(static_cast<double>(dt()), 4);
 }
 
-VbdResidual Step::last_residual() const {
+VbdResidual Step::sum_residuals(double motion) const {
   of_particles_.copy_to_host(std::span(&residuals_.data()->force, of_particles_.rows()));
-  return sum_residuals(residuals_, motion_scale(), iterations_run_);
+  return vbd::sum_residuals(residuals_, motion, iterations_run_);
 }
+
+VbdResidual Step::last_residual() const { return sum_residuals(motion_scale()); }
 
 VbdResidual Step::residual() {
   find_residuals();

@@ -59,6 +59,10 @@ def test_what_has_no_inertia_gets_one():
             robot(link("a"), link("b", inertial(4, "0 0 0")), joint("j", "a", "b")),
             mend_inertias=False,
         )
+    # A link that is fixed to the world keeps its mass.
+    model, _, result = loaded(robot(link("a", inertial(0.1, "1 1 0"))))
+    assert_allclose(model.body_mass.numpy(), [0.1], rtol=1e-6)
+    assert [n.element for n in result.report.mended] == ['<link name="a">']
     # Nothing that has a mass.
     model, state, _ = loaded(robot(link("a"), link("b", ""), joint("j", "a", "b")))
     assert_allclose(novaphy.eval_mass_matrix(model, state).ravel()[0], 1e-3, rtol=1e-6)

@@ -163,7 +163,7 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
   detail::read_others(context);
   detail::read_bodies(context);
   detail::mend_masses(context.robot, context.settings.compiler);
-  detail::mend_inertias(context.robot, false, true, [](size_t, const std::string&) {});
+  detail::mend_inertias(context.robot, false, [](size_t, const std::string&) {});
   detail::set_inverse_masses(context.robot);
   detail::read_contacts(context);
   detail::read_actuators(context);

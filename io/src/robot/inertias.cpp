@@ -29,7 +29,7 @@ bool has_extent(const Mat33d& inertia) {
   return static_cast<float>(least) > 0.0f && (is_diagonal || least > 2e-7 * largest);
 }
 
-void mend_inertias(Robot& robot, bool moving, bool on_world,
+void mend_inertias(Robot& robot, bool moving,
                    const std::function<void(size_t, const std::string&)>& mended) {
   std::vector<const RobotJoint*> joints;
   std::vector<const RobotJoint*> mover(robot.links.size(), nullptr);
@@ -50,7 +50,7 @@ void mend_inertias(Robot& robot, bool moving, bool on_world,
     RobotLink& link = robot.links[static_cast<size_t>(joint->child)];
     if (link.is_kinematic || (link.mass == 0.0 && is_zero(link.inertia))) continue;
     if (link.mass > 0.0 && has_extent(link.inertia)) continue;
-    if (!can_move(joint->type) && (joint->parent >= 0 || on_world)) {
+    if (!can_move(joint->type) && (joint->parent >= 0 || !moving)) {
       if (joint->parent >= 0) {
         RobotLink& parent = robot.links[static_cast<size_t>(joint->parent)];
         const Posed pose = math::multiply(joint->parent_pose, math::inverse(joint->child_pose));

@@ -138,10 +138,10 @@ using math::PrincipalAxes;
 // Returns R diag(moments) R^T.
 Mat33d from_axes(const PrincipalAxes& axes);
 // Corrects links with a mass and no inertia, or the reverse. On a fixed joint the parent gets both,
-// since it has the same motion; the world drops them. If `moving`, principal moments of other links
-// are raised to those of a ball of water of the same mass. `mended(link, text)` reports each such
-// correction.
-void mend_inertias(Robot& robot, bool moving, bool on_world,
+// since it has the same motion. If `moving`, principal moments of other links are raised to those
+// of a ball of water of the same mass, and `mended(link, text)` reports each such correction. If
+// not, a link that is fixed to the world loses its mass, and others stay.
+void mend_inertias(Robot& robot, bool moving,
                    const std::function<void(size_t, const std::string&)>& mended);
 
 // Returns the pose of the child's joint frame in the parent's at the initial coordinates.

@@ -59,10 +59,9 @@ class Reader {
       warn_of_zero_limits(*joint, e);
     }
     if (options_.mend_inertias)
-      mend_inertias(robot_, true, options_.parent_body < 0,
-                    [&](size_t link, const std::string& text) {
-                      notes_.mended(*elements_.links.at(robot_.links[link].name), text);
-                    });
+      mend_inertias(robot_, true, [&](size_t link, const std::string& text) {
+        notes_.mended(*elements_.links.at(robot_.links[link].name), text);
+      });
     notes_.read("link", static_cast<int32_t>(robot_.links.size()));
     notes_.read("joint", static_cast<int32_t>(elements_.joint_order.size()));
   }

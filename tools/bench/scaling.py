@@ -8,8 +8,9 @@
     python tools/bench/scaling.py --scene boxes --device cpu cuda:0   # by threads of one process
 
 --device cuda gives each process of a host its own GPU. --reduction times the sum of gradients
-alone. A line has the SHA-256 of the losses and gradients, and that of the parameters and of the
-optimizer: both depend on --worlds, --block and --iterations only.
+alone. `idle` is the part of a forward pass for which the mean rank waits for the slowest one. A
+line has the SHA-256 of the losses and gradients, and that of the parameters and of the
+optimizer: both depend on --steps, --worlds, --block and --iterations only.
 """
 
 from __future__ import annotations
@@ -138,6 +139,7 @@ def devices_of(args: argparse.Namespace, group: dist.Group) -> list[str]:
 def measure(args: argparse.Namespace, group: dist.Group) -> dict[str, object]:
     """Train some iterations, then time one more."""
     kind = KINDS[args.scene]
+    kind.steps = args.steps or kind.steps
     shard = dist.shard(
         kind.scene(), worlds=args.worlds, block=args.block, devices=devices_of(args, group)
     )  # fmt: skip
@@ -157,20 +159,30 @@ def measure(args: argparse.Namespace, group: dist.Group) -> dict[str, object]:
     dist.check(params, optimizer)
     line: dict[str, object] = {
         "scene": args.scene, "ranks": group.size, "by": group.kind,
-        "devices": devices_of(args, group), "worlds": args.worlds, "block": args.block,
-        "iterations": args.iterations,
+        "devices": devices_of(args, group), "steps": kind.steps, "worlds": args.worlds,
+        "block": args.block, "iterations": args.iterations,
         "gradients": results.hexdigest(), "parameters": dist.digest(params, optimizer),
     }  # fmt: skip
     if args.repeats:
         leaves = {"rule": nova.tensor(params["rule"].numpy())}
+        own: list[float] = []
 
         def forward() -> None:
-            for block in shard.blocks:
+            begin, ends = time.perf_counter(), []
+
+            def losses(block: dist.Block) -> np.ndarray:
                 here = {name: p.to(block.device) for name, p in leaves.items()}
-                kind.run(block, here).numpy()
-            group.barrier()
+                total = kind.run(block, here).numpy().sum(keepdims=True)
+                ends.append(time.perf_counter() - begin)
+                return total
+
+            dist.sum_blocks(losses, shard)
+            own.append(max(ends))
 
         line["forward_s"] = median_of(forward, args.repeats)
+        ranks = group.all_gather(np.float64(statistics.median(own)).tobytes())
+        seconds = np.frombuffer(b"".join(ranks))
+        line["idle"] = float(1 - seconds.mean() / seconds.max())
         line["iteration_s"] = median_of(iteration, args.repeats)
     return line
 
@@ -200,6 +212,7 @@ def main() -> None:
     """Print what was measured, on rank 0."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", choices=sorted(KINDS), default="boxes")
+    parser.add_argument("--steps", type=int, help="of a rollout; default: the scene's")
     parser.add_argument("--worlds", type=int, default=256, help="of all ranks")
     parser.add_argument("--block", type=int, default=32)
     parser.add_argument("--iterations", type=int, default=10, help="before the hashes")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import time
 from datetime import timedelta
 from pathlib import Path
 
@@ -54,12 +55,19 @@ class TorchGroup(Group):
 
     def _ended(self) -> str:
         """The ranks of this host whose processes have ended, in words."""
+        # The connections of a process that is killed close before the process counts as ended.
+        latest = time.monotonic() + 2.0
+        while not (ended := self._ended_now()) and time.monotonic() < latest:
+            time.sleep(0.02)
+        return f" for {', '.join(ended)}, which ended" if ended else ""
+
+    def _ended_now(self) -> list[str]:
         ended = []
         for rank, process in enumerate(self._processes):
             host, pid = process.split()
             if host == socket.gethostname() and not _runs(pid):
                 ended.append(f"rank {rank} (process {pid} of {host})")
-        return f" for {', '.join(ended)}, which ended" if ended else ""
+        return ended
 
     def _all(self, tensor: object) -> list:  # type: ignore[type-arg]
         parts = [self._torch.empty_like(tensor) for _ in range(self.size)]

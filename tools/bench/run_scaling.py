@@ -81,7 +81,6 @@ class Runs:
         self.add(row, where, count, lines)
         print(f"{row} {scene or ''} {count} {where}: {time.monotonic() - begin:.0f} s", flush=True)
 
-
     def command(self, where: str, count: int, options: list[object]) -> list[str]:
         """The command of a row: one process a rank, or a thread a GPU."""
         if where == "threads":

@@ -142,7 +142,7 @@ def ranks_of(count: int, device: str, options: list[object]) -> list[subprocess.
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
         for rank in range(count)
-    ]  # fmt: skip
+    ]
 
 
 def last_lines(processes: list[subprocess.Popen]) -> list[str]:

@@ -135,12 +135,23 @@ def ranks_of(count: int, device: str, options: list[object]) -> list[subprocess.
     shared = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "WORLD_SIZE": str(count)}
     return [
         subprocess.Popen(
-            [sys.executable, str(DEMO), *map(str, options),
-             "--device", f"cuda:{rank}" if device == "cuda" else "cpu"],
-            env={**environment("GPU" if device == "cuda" else "CPU", count), **shared,
-                 "RANK": str(rank), "LOCAL_RANK": str(rank)},
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )  # fmt: skip
+            [
+                sys.executable,
+                str(DEMO),
+                *map(str, options),
+                "--device",
+                f"cuda:{rank}" if device == "cuda" else "cpu",
+            ],
+            env={
+                **environment("GPU" if device == "cuda" else "CPU", count),
+                **shared,
+                "RANK": str(rank),
+                "LOCAL_RANK": str(rank),
+            },
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
         for rank in range(count)
     ]
 

@@ -22,7 +22,7 @@ import os
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -139,7 +139,8 @@ def devices_of(args: argparse.Namespace, group: dist.Group) -> list[str]:
 def measure(args: argparse.Namespace, group: dist.Group) -> dict[str, object]:
     """Train some iterations, then time one more."""
     kind = KINDS[args.scene]
-    kind.steps = args.steps or kind.steps
+    if args.steps:
+        kind = replace(kind, steps=args.steps)
     shard = dist.shard(
         kind.scene(), worlds=args.worlds, block=args.block, devices=devices_of(args, group)
     )  # fmt: skip

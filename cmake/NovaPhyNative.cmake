@@ -7,14 +7,15 @@
 set(NOVAPHY_KERNEL_GENERATOR "" CACHE FILEPATH
     "A kernel generator that runs here (cross builds; empty: the one of this build)")
 
-# Level, lanes and options. The scalar form serves the rows that fill no group, on every processor.
+# Level, lanes and options. The scalar form serves the rows that fill no group, on every processor. It is also the form
+# of processors of x86-64 without AVX2, which are too rare for a third of the kernels' size.
 set(NOVAPHY_NATIVE_LEVELS scalar baseline)
 set(NOVAPHY_NATIVE_LANES_scalar 1)
 set(NOVAPHY_NATIVE_LANES_baseline 4)
 set(NOVAPHY_NATIVE_OPTIONS_scalar "")
 set(NOVAPHY_NATIVE_OPTIONS_baseline "")
 if(CMAKE_SYSTEM_PROCESSOR MATCHES "^(x86_64|AMD64)$")
-  list(APPEND NOVAPHY_NATIVE_LEVELS avx2 avx512)
+  set(NOVAPHY_NATIVE_LEVELS scalar avx2 avx512)
   set(NOVAPHY_NATIVE_LANES_avx2 8)
   set(NOVAPHY_NATIVE_LANES_avx512 16)
   set(NOVAPHY_NATIVE_OPTIONS_avx2 -mavx2 -mfma)
@@ -33,8 +34,10 @@ if(NOVAPHY_CPU_LEVELS)
       set(host avx512)
     elseif("avx2" IN_LIST NOVAPHY_NATIVE_LEVELS AND macros MATCHES "__AVX2__" AND macros MATCHES "__FMA__")
       set(host avx2)
-    else()
+    elseif("baseline" IN_LIST NOVAPHY_NATIVE_LEVELS)
       set(host baseline)
+    else()
+      set(host scalar)
     endif()
     list(TRANSFORM levels REPLACE "^host$" ${host})
   endif()
@@ -91,12 +94,7 @@ function(novaphy_add_native_kernels target)
       target_include_directories(${objects} PRIVATE ${prelude})
       target_compile_definitions(${objects} PRIVATE LANES=${NOVAPHY_NATIVE_LANES_${level}}
                                  NOVAPHY_NATIVE_LEVEL=${level})
-      set(optimization ${ARG_OPTIMIZATION})
-      # Beside AVX2 the baseline serves old processors only, and the wheel has a limit of its size.
-      if(level STREQUAL "baseline" AND "avx2" IN_LIST NOVAPHY_NATIVE_LEVELS AND optimization STREQUAL "-O2")
-        set(optimization -Os)
-      endif()
-      target_compile_options(${objects} PRIVATE ${optimization} ${NOVAPHY_NATIVE_COMMON_OPTIONS}
+      target_compile_options(${objects} PRIVATE ${ARG_OPTIMIZATION} ${NOVAPHY_NATIVE_COMMON_OPTIONS}
                              ${NOVAPHY_NATIVE_OPTIONS_${level}})
       target_sources(${target} PRIVATE $<TARGET_OBJECTS:${objects}>)
       string(APPEND lists "constexpr const novaphy_native_table* k_${level}[] = {")

@@ -41,8 +41,9 @@ NativeCode find_native(const nova::ir::Program& program, const char* isa) {
   const uint64_t hash = nova::ir::hash(program);
   int32_t one = 1, lanes = 1;
   const novaphy_native_kernel* const scalar = find_level("scalar", program, hash, one);
-  const novaphy_native_kernel* const rows = find_level(isa, program, hash, lanes);
-  if (scalar == nullptr || rows == nullptr) return {};
+  if (scalar == nullptr) return {};
+  const novaphy_native_kernel* rows = find_level(isa, program, hash, lanes);
+  if (rows == nullptr) rows = scalar;  // not compiled for this instruction set
   return {rows->run, scalar->run, lanes, rows->scan, scalar->scan};
 }
 

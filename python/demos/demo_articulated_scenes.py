@@ -27,7 +27,7 @@ STANCE = (0.0, 0.75, -1.5)  # rad, of hip, thigh and calf
 LINKS, LINK = 24, 0.12  # m
 ANTS, SPACING = 32, 1.8  # in a row, m
 TORQUE, FRAMES_PER_TORQUE = 60.0, 5  # N m
-# Of the Ant: leg, where its hip is, the axis of its ankle, and the range of that, degrees.
+# The Ant: leg, direction of its hip, axis of its ankle, and range of the ankle (degrees).
 LEGS = (
     ((0.2, 0.2), (-1.0, 1.0), (30.0, 100.0)),
     ((-0.2, 0.2), (1.0, 1.0), (-100.0, -30.0)),
@@ -37,16 +37,16 @@ LEGS = (
 
 
 def between(a: np.ndarray, b: np.ndarray) -> tuple[tuple, float]:
-    """The pose of a capsule from a to b, and half of its length."""
+    """Return the pose of a capsule from point a to point b (m), and half of its length (m)."""
     along = b - a
     length = float(np.linalg.norm(along))
-    x, y, z = along / length  # z onto it
+    x, y, z = along / length  # the direction of the capsule, the image of z
     q = np.array([-y, x, 0.0, 1.0 + z])
     return (*((a + b) / 2), *(q / np.linalg.norm(q))), length / 2
 
 
 def build_stack() -> novaphy.ModelBuilder:
-    """Ten cubes of 8 kg, one upon the other, each a little aside."""
+    """Build a stack of ten cubes of 8 kg, each with a small offset."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(mu=0.5)
     builder.add_ground_plane(cfg=surface)
@@ -59,7 +59,7 @@ def build_stack() -> novaphy.ModelBuilder:
 
 
 def build_quadruped() -> novaphy.ModelBuilder:
-    """A trunk with four legs of three hinges, which drives hold in a stance."""
+    """Build a trunk with four legs of three hinges each, which drives hold in a stance."""
     builder = novaphy.ModelBuilder()
     builder.add_ground_plane(cfg=novaphy.ShapeConfig(mu=0.8))
     body = novaphy.ShapeConfig(density=600.0, mu=0.8, collision_group=-1)
@@ -97,7 +97,9 @@ def build_quadruped() -> novaphy.ModelBuilder:
 
 
 def build_ant(ground: bool = True) -> novaphy.ModelBuilder:
-    """The Ant: a ball with four legs of two hinges; 182 kg. Its shapes meet the ground only."""
+    """Build the Ant: a ball with four legs of two hinges, 182 kg. Its shapes touch only the
+    ground.
+    """
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(mu=0.75, collision_group=-1)
     if ground:
@@ -134,7 +136,7 @@ def build_ant(ground: bool = True) -> novaphy.ModelBuilder:
 
 
 def build_chain() -> novaphy.ModelBuilder:
-    """Capsules on ball joints, held at one end and let go; the other drags along the ground."""
+    """Build capsules on ball joints. One end is fixed, and the other end drags along the ground."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(mu=0.5, collision_group=-1)
     builder.add_ground_plane(cfg=novaphy.ShapeConfig(mu=0.5))
@@ -152,7 +154,7 @@ def build_chain() -> novaphy.ModelBuilder:
 
 
 def build_ants() -> novaphy.ModelBuilder:
-    """1,024 worlds with an Ant each, side by side on one ground."""
+    """Build 1,024 worlds with one Ant each, side by side on one ground."""
     builder, ant = novaphy.ModelBuilder(), build_ant(ground=False)
     builder.add_ground_plane(cfg=novaphy.ShapeConfig(mu=0.75))
     for k in range(ANTS * ANTS):
@@ -180,7 +182,7 @@ LOOKS = {
 def simulate(
     scene: str, model: novaphy.Model, frames: int, stage: viewer.Stage
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Poses {frames + 1, bodies, 7} and the last velocities {bodies, 6}."""
+    """Return the poses {frames + 1, bodies, 7} and the last velocities {bodies, 6}."""
     for run in stage.runs(frames):
         pipeline = novaphy.CollisionPipeline(model)
         contacts, control = pipeline.contacts(), model.control()
@@ -207,7 +209,7 @@ def simulate(
 
 
 def check(scene: str, poses: np.ndarray, velocities: np.ndarray) -> str:
-    """What should be and is not; empty: nothing."""
+    """Return the failed expectations of a scene as text; empty: none."""
     if not np.isfinite(poses).all():
         return "finite poses"
     if scene == "stack":
@@ -247,7 +249,7 @@ def plot(path: str, model: novaphy.Model, poses: np.ndarray) -> None:
 
 
 def main() -> int:
-    """Simulate, draw, and check what is left."""
+    """Simulate, draw and check a scene. Return 0 if every check passed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", choices=SCENES, nargs="?", default="quadruped")
     viewer.add_arguments(parser, 240, "frames of 1/60 s")

@@ -28,7 +28,7 @@ STARTS = [  # x (m); linear and angular velocity (m/s, rad/s)
 
 
 def build_model() -> novaphy.Model:
-    """Three dice over the ground plane."""
+    """Build three dice above the ground plane."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(ke=1e4, kd=300.0, kf=500.0, mu=0.5)
     builder.add_ground_plane(cfg=surface)
@@ -42,7 +42,7 @@ def build_model() -> novaphy.Model:
 def simulate(
     model: novaphy.Model, frames: int, stage: viewer.Stage
 ) -> tuple[np.ndarray, novaphy.SimState]:
-    """Poses {frames + 1, dice, 7} and the last state."""
+    """Return the poses {frames + 1, dice, 7} and the last state."""
     for run in stage.runs(frames):
         pipeline = novaphy.CollisionPipeline(model)
         contacts = pipeline.contacts()
@@ -63,13 +63,13 @@ def simulate(
 
 
 def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Vectors {n, 3} turned by a quaternion xyzw."""
+    """Return vectors {n, 3} rotated by a quaternion xyzw."""
     t = 2.0 * np.cross(q[:3], v)
     return v + q[3] * t + np.cross(q[:3], t)
 
 
 def plot(path: str, poses: np.ndarray) -> None:
-    """Heights over time, and the dice from the side at ten times."""
+    """Draw the heights over time, and the dice from the side at ten times."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -98,7 +98,7 @@ def plot(path: str, poses: np.ndarray) -> None:
 
 
 def main() -> int:
-    """Simulate, draw, and check that the dice rest."""
+    """Simulate, draw, and check that the dice rest. Return 0 if every check passed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     viewer.add_arguments(parser, 180, "frames of 1/60 s")
     parser.add_argument("--device", default="cpu", help="cpu, cuda, cuda:1, dlan, ...")
@@ -117,7 +117,7 @@ def main() -> int:
     if args.plot:
         plot(args.plot, poses)
     weight = float(model.body_mass.numpy()[0]) * 9.81
-    rest = HALF - weight / (4 * 1e4)  # a face on four springs
+    rest = HALF - weight / (4 * 1e4)  # the overlap of a face that rests on four contact springs
     heights, speeds = end.body_q.numpy()[:, 2], np.linalg.norm(end.body_qd.numpy(), axis=1)
     for height, speed in zip(heights, speeds, strict=True):
         print(f"height {height:.5f} m  speed {speed:.1e}")

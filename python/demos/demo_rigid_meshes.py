@@ -20,18 +20,18 @@ from novaphy import viewer
 
 FPS, SUBSTEPS = 60, 16
 DT = 1.0 / (FPS * SUBSTEPS)
-CELLS, SIDE = 24, 2.4  # of the bowl: squares along a side, and its length (m)
+CELLS, SIDE = 24, 2.4  # squares along a side of the bowl, and its length (m)
 LAYERS, PER_LAYER = 6, 4
 SURFACE = novaphy.ShapeConfig(density=1000.0, ke=1e4, kd=60.0, kf=80.0, mu=0.5, gap=0.02)
 
 
 def bowl_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Flat in the middle, with a rim."""
+    """Return the height of the bowl (m): flat in the middle, with a rim."""
     return 0.5 * np.maximum(np.hypot(x, y) - 0.3, 0.0) ** 2
 
 
 def bowl() -> novaphy.io.Mesh:
-    """The bowl, cut into triangles that are counter-clockwise seen from above."""
+    """Return the mesh of a bowl. Its triangles are counter-clockwise as seen from above."""
     line = np.linspace(-SIDE / 2, SIDE / 2, CELLS + 1)
     x, y = (grid.ravel() for grid in np.meshgrid(line, line))
     row = CELLS + 1
@@ -42,13 +42,13 @@ def bowl() -> novaphy.io.Mesh:
 
 
 def box_corners(half: tuple[float, float, float], middle: tuple[float, float, float]) -> np.ndarray:
-    """The eight corners of a box."""
+    """Return the eight corners {8, 3} of a box with half extents and a center (m)."""
     signs = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     return np.asarray(middle) + np.asarray(half) * np.array(signs)
 
 
 def build_model(seed: int = 0) -> novaphy.Model:
-    """Stones and brackets over the bowl."""
+    """Build stones and brackets above the bowl."""
     random = np.random.default_rng(seed)
     directions = random.normal(size=(3, 24, 3))
     stones = directions / np.linalg.norm(directions, axis=2, keepdims=True) * (0.14, 0.11, 0.09)
@@ -70,7 +70,7 @@ def build_model(seed: int = 0) -> novaphy.Model:
 
 
 def simulate(model: novaphy.Model, frames: int, stage: viewer.Stage) -> novaphy.SimState:
-    """The state after some frames."""
+    """Simulate some frames. Return the last state."""
     for run in stage.runs(frames):
         pipeline = novaphy.CollisionPipeline(model, broad_phase="sap")
         contacts = pipeline.contacts()
@@ -90,7 +90,7 @@ def simulate(model: novaphy.Model, frames: int, stage: viewer.Stage) -> novaphy.
 
 
 def main() -> int:
-    """Simulate, and check that the pile lies in the bowl."""
+    """Simulate, and check that the pile lies in the bowl. Return 0 if every check passed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     viewer.add_arguments(parser, 300, "frames of 1/60 s")
     args = parser.parse_args()

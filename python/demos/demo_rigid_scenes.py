@@ -29,7 +29,7 @@ LINKS, LINK = 4, 0.3  # m
 
 
 def build_stack() -> novaphy.ModelBuilder:
-    """Ten cubes of 8 kg, one upon the other."""
+    """Build a stack of ten cubes of 8 kg."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(ke=2e5, kd=300.0, kf=200.0, mu=0.5)
     builder.add_ground_plane(cfg=surface)
@@ -40,7 +40,7 @@ def build_stack() -> novaphy.ModelBuilder:
 
 
 def build_dominoes() -> novaphy.ModelBuilder:
-    """A row of upright blocks, the first of which is tipped over."""
+    """Build a row of upright blocks, the first of which is tipped over."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(density=600.0, ke=2e4, kd=40.0, kf=60.0, mu=0.5)
     builder.add_ground_plane(cfg=surface)
@@ -53,7 +53,7 @@ def build_dominoes() -> novaphy.ModelBuilder:
 
 
 def build_cloth() -> novaphy.ModelBuilder:
-    """A cloth above a box that falls and tumbles a little."""
+    """Build a cloth above a box that falls and tumbles a little."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(density=300.0, ke=1e4, kd=40.0, kf=60.0, mu=0.5)
     builder.add_ground_plane(cfg=surface)
@@ -79,7 +79,7 @@ def build_cloth() -> novaphy.ModelBuilder:
 
 
 def build_wall() -> novaphy.ModelBuilder:
-    """A wall of bricks, each over a joint of the course below, and a ball that flies at it."""
+    """Build a wall of bricks in staggered courses, and a ball that flies towards the wall."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(density=800.0, ke=2e4, kd=20.0, kf=30.0, mu=0.6)
     builder.add_ground_plane(cfg=surface)
@@ -96,7 +96,7 @@ def build_wall() -> novaphy.ModelBuilder:
 
 
 def build_pendulum() -> novaphy.ModelBuilder:
-    """Rods in a row, hinged to each other and to the world by springs, let go from the side."""
+    """Build a row of rods that start at an angle. Hinges of springs hold the rods."""
     builder = novaphy.ModelBuilder()
     rod = novaphy.ShapeConfig(density=0.0, collision_group=0)
     turn = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))  # z along x
@@ -138,7 +138,7 @@ LOOKS = {
 
 
 def build_model(scene: str) -> novaphy.Model:
-    """The model of a scene."""
+    """Return the model of a scene."""
     model = SCENES[scene]().finalize()
     if model.particle_count:
         model.soft_contact_ke, model.soft_contact_kd = 1e3, 1.0
@@ -149,7 +149,7 @@ def build_model(scene: str) -> novaphy.Model:
 def simulate(
     model: novaphy.Model, frames: int, stage: viewer.Stage
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Poses {frames + 1, bodies, 7} and positions {frames + 1, particles, 3}."""
+    """Return poses {frames + 1, bodies, 7} and positions {frames + 1, particles, 3} (m)."""
     for run in stage.runs(frames):
         pipeline = novaphy.CollisionPipeline(model)
         contacts = pipeline.contacts()
@@ -171,12 +171,12 @@ def simulate(
 
 
 def upward(poses: np.ndarray) -> np.ndarray:
-    """The upward part of the z axis of each pose."""
+    """Return the vertical component of the z axis of each pose {n}."""
     return 1.0 - 2.0 * (poses[..., 3] ** 2 + poses[..., 4] ** 2)
 
 
 def check(scene: str, poses: np.ndarray, points: np.ndarray) -> str:
-    """What should be and is not; empty: nothing."""
+    """Return the failed expectations of a scene as text; empty: none."""
     if scene == "stack":
         drift = np.abs(poses[-1, :, :2]).max()
         return "" if drift < 1e-3 and upward(poses[-1]).min() > 0.9999 else "a stack that stands"
@@ -203,13 +203,13 @@ def check(scene: str, poses: np.ndarray, points: np.ndarray) -> str:
 
 
 def local(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points of the world {n, 3} in the frame of a pose."""
+    """Return points {n, 3} of the world in the frame of a pose."""
     q = pose[3:] * (-1.0, -1.0, -1.0, 1.0)
     return rotate(q, points - pose[:3])
 
 
 def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Vectors {n, 3} turned by a quaternion xyzw."""
+    """Return vectors {n, 3} rotated by a quaternion xyzw."""
     t = 2.0 * np.cross(q[:3], v)
     return v + q[3] * t + np.cross(q[:3], t)
 
@@ -226,11 +226,11 @@ def plot(path: str, model: novaphy.Model, poses: np.ndarray, points: np.ndarray)
     edges = [(a, b) for a in range(8) for b in range(a) if bin(a ^ b).count("1") == 1]
     places = np.concatenate([poses[..., :2].ravel(), points[..., :2].ravel()])
     middle, reach = (places.max() + places.min()) / 2, np.ptp(places) / 2 + 0.5
-    if poses[..., 1].max() > 5.0:  # what flies away from the wall
+    if poses[..., 1].max() > 5.0:  # bricks have flown far from the wall
         middle, reach = 0.3, 1.6
     shape_body, scale = model.shape_body.numpy(), model.shape_scale.numpy()
     is_ball = model.shape_type.numpy() == novaphy.GeoType.SPHERE
-    view = 1 if is_ball.any() else 0  # the wall from the side from which it is hit
+    view = 1 if is_ball.any() else 0  # look at the wall from the side of the ball
     for axis, frame in zip(axes, np.linspace(0, len(poses) - 1, 4).astype(int), strict=True):
         if points.shape[1]:
             grid = points[frame].reshape(CLOTH_CELLS + 1, CLOTH_CELLS + 1, 3)
@@ -255,7 +255,7 @@ def plot(path: str, model: novaphy.Model, poses: np.ndarray, points: np.ndarray)
 
 
 def main() -> int:
-    """Simulate, draw, and check what is left."""
+    """Simulate, draw and check a scene. Return 0 if every check passed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", choices=SCENES, nargs="?", default="cloth")
     viewer.add_arguments(parser, 180, "frames of 1/60 s")

@@ -2,8 +2,8 @@
 
 No motor turns. A URDF robot hangs on its base, starts off balance, and swings without contacts and
 limits. With --floating, and from MJCF files, it falls to the ground and lies or stands there:
-contacts are found in every step and solved by projected Gauss-Seidel. Printed is how much energy is
-left; it may not grow.
+contacts are found in every step and solved by projected Gauss-Seidel. The demo prints the part of
+the energy that is left. The energy may not grow.
 
     python demo_robot.py
     python demo_robot.py two_link_arm.urdf --headless 240 --plot arm.png --record arm.html
@@ -29,7 +29,11 @@ DT = 1.0 / (FPS * SUBSTEPS)
 
 
 def build_model(args: argparse.Namespace) -> tuple[novaphy.Model, bool]:
-    """The robot of the file, and whether it swings on its base: its hinges then have no limits."""
+    """Build the robot of the file.
+
+    Return the model, and whether the robot swings on its base. The hinges of a robot that swings
+    have no limits.
+    """
     path = Path(args.robot)
     if not path.exists() and args.robot in novaphy.assets.names():
         path = novaphy.assets.path(args.robot)
@@ -59,7 +63,7 @@ def build_model(args: argparse.Namespace) -> tuple[novaphy.Model, bool]:
             builder.add_ground_plane()
             model = builder.finalize()
         return model, swings
-    # Hinges turn freely; slides, as those of fingers, stay where they may be.
+    # Hinges turn without limits. Prismatic joints, such as fingers, keep their limits.
     free, q = model.joint_velocity_limit.numpy(), model.joint_q.numpy()
     lower, upper = model.joint_limit_lower.numpy(), model.joint_limit_upper.numpy()
     dofs, coords = model.joint_qd_start.numpy(), model.joint_q_start.numpy()
@@ -79,7 +83,7 @@ def build_model(args: argparse.Namespace) -> tuple[novaphy.Model, bool]:
 def simulate(
     model: novaphy.Model, swings: bool, frames: int, stage: viewer.Stage
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions of the bodies {frames + 1, bodies, 3} (m) and energies {frames + 1} (J)."""
+    """Return positions of the bodies {frames + 1, bodies, 3} (m) and energies {frames + 1} (J)."""
     for run in stage.runs(frames):
         solver = novaphy.solvers.SolverFeatherstone(model, angular_damping=0.05)
         pipeline = None if swings else novaphy.CollisionPipeline(model)
@@ -103,12 +107,12 @@ def simulate(
 
 
 def energy(model: novaphy.Model, state: novaphy.SimState) -> float:
-    """Kinetic and potential energy (J) of all articulations."""
+    """Return the kinetic plus potential energy (J) of all articulations."""
     return float(np.sum(novaphy.eval_energy(model, state)))
 
 
 def camera(model: novaphy.Model, swings: bool) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Where the eye is and where it looks, so that all of the robot is in the picture."""
+    """Return a position and a target (m) of a camera that shows the whole robot."""
     state = model.state()
     novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
     lowest, highest = np.full(3, np.inf), np.full(3, -np.inf)
@@ -121,10 +125,10 @@ def camera(model: novaphy.Model, swings: bool) -> tuple[tuple[float, ...], tuple
         p, v = poses[bodies[shape], :3], poses[bodies[shape], 3:6]
         w = poses[bodies[shape], 6]
         turned = at[:3] + 2.0 * np.cross(v, np.cross(v, at[:3]) + w * at[:3])
-        reach = min(float(scales[shape].max()), 0.3)  # of a mesh it is a factor
+        reach = min(float(scales[shape].max()), 0.3)  # the scale of a mesh is a factor
         lowest = np.minimum(lowest, p + turned - reach)
         highest = np.maximum(highest, p + turned + reach)
-    # It falls to the ground at 0, or swings to below its base.
+    # The robot falls to the ground at height 0, or swings below its base.
     lowest[2] = min(lowest[2], -0.7 * highest[2] if swings else 0.0)
     center = 0.5 * (lowest + highest)
     size = float(np.linalg.norm(highest - lowest))
@@ -133,7 +137,7 @@ def camera(model: novaphy.Model, swings: bool) -> tuple[tuple[float, ...], tuple
 
 
 def plot(path: str, model: novaphy.Model, places: np.ndarray, energies: np.ndarray) -> None:
-    """The bodies as sticks at ten times, from the side, and the energy."""
+    """Draw the bodies as sticks at ten times, from the side, and the energy."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -157,7 +161,7 @@ def plot(path: str, model: novaphy.Model, places: np.ndarray, energies: np.ndarr
 
 
 def main() -> int:
-    """Simulate, draw, and check the energy."""
+    """Simulate, draw, and check the energy. Return 0 if every check passed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     known = ", ".join(novaphy.assets.names())
     parser.add_argument("robot", nargs="?", default="fr3.urdf", help=f"a file, or one of: {known}")

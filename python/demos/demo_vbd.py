@@ -1,9 +1,15 @@
 """Stiff cloth and soft bodies by Vertex Block Descent, one step a frame.
 
-Five scenes: a cloth that hangs from one side, one that falls over a sphere, a bar that is twisted
-by its ends, a block that starts crushed, flat and turned inside out, and a net of springs that
-catches heavy particles, which hit it at 3 m/s and stay in its knots. Each ends with a check.
---check-grad compares the gradient of one more frame, by its velocities, with differences.
+There are five scenes, and each ends with a check:
+
+hanging: a cloth hangs from one side.
+draped: a cloth falls over a sphere.
+twisted: a bar is twisted by its ends.
+crushed: a block starts flat and turned inside out.
+net: a net of springs catches heavy particles, which hit it at 3 m/s and stay in its knots.
+
+--check-grad compares the gradient of one more frame, with respect to its velocities, with
+differences.
 
     python demo_vbd.py draped --headless 120 --plot draped.png
     python demo_vbd.py draped --headless 60 --check-grad
@@ -27,16 +33,16 @@ FPS = 60
 
 @dataclass
 class Scene:
-    """A model, how it is stepped, and what to say of its end."""
+    """A model, the options of its steps, and the check of its end."""
 
     model: novaphy.Model
     iterations: int
     substeps: int = 1
-    turn: float = 0.0  # rad/s, by which the held ends turn against each other
+    turn: float = 0.0  # rad/s, the relative angular velocity of the held ends
 
 
 def hanging() -> Scene:
-    """A cloth of 1 m, its left side held: it swings down."""
+    """Build a cloth of 1 m that swings down from its fixed left side."""
     builder = novaphy.ModelBuilder()
     cloth = {"tri_ke": 2e3, "tri_ka": 2e3, "tri_kd": 1e-2, "edge_ke": 1e-3, "edge_kd": 1e-5}
     builder.add_cloth_grid(
@@ -48,7 +54,7 @@ def hanging() -> Scene:
 
 
 def draped() -> Scene:
-    """A cloth of 1.2 m that falls over a sphere."""
+    """Build a cloth of 1.2 m that falls over a sphere."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(ke=1e3, kd=1e-2, mu=0.5)
     builder.default_shape_cfg = surface
@@ -66,7 +72,7 @@ def draped() -> Scene:
 
 
 def twisted() -> Scene:
-    """A bar of 1 m, its ends held and turned against each other by one turn."""
+    """Build a bar of 1 m, whose ends are turned against each other by one turn."""
     builder = novaphy.ModelBuilder(gravity=0.0)
     builder.add_soft_grid(
         pos=(0.0, -0.1, 0.3), dim_x=30, dim_y=6, dim_z=6, cell_x=1 / 30, cell_y=1 / 30,
@@ -78,7 +84,7 @@ def twisted() -> Scene:
 
 
 def crushed() -> Scene:
-    """A block that starts flat, with every second layer on the wrong side."""
+    """Build a block that starts flat, with every second layer on the wrong side."""
     builder = novaphy.ModelBuilder()
     builder.default_shape_cfg = novaphy.ShapeConfig(ke=1e4, kd=1.0, mu=0.5)
     builder.add_ground_plane()
@@ -96,7 +102,7 @@ def crushed() -> Scene:
 
 
 def net() -> Scene:
-    """A net of springs, its rim held; nine heavy particles hit it and stay in its knots."""
+    """Build a net of springs with a fixed rim. Nine heavy particles fall into its knots."""
     builder = novaphy.ModelBuilder()
     count, mesh = 21, 0.05
     side = mesh * (count - 1)
@@ -134,7 +140,7 @@ LOOKS = {
 
 
 def turned(rest: np.ndarray, angle: float) -> np.ndarray:
-    """Points about the x axis of the bar: the right end by half of the angle, the left against."""
+    """Return points turned about the x axis of the bar: the ends by half of the angle each way."""
     center = np.array([0.0, 0.0, 0.4], np.float32)
     signed = np.where(rest[:, 0] > 0.5, 0.5, -0.5) * angle
     x, y, z = (rest - center).T
@@ -145,7 +151,7 @@ def turned(rest: np.ndarray, angle: float) -> np.ndarray:
 def simulate(
     scene: Scene, frames: int, stage: viewer.Stage
 ) -> tuple[np.ndarray, SolverVBD, novaphy.SimState]:
-    """Positions {frames + 1, n, 3} of every frame, the solver and the last state."""
+    """Return the positions {frames + 1, n, 3} (m) of every frame, the solver and the last state."""
     model = scene.model
     held = model.particle_q.numpy()[model.particle_mass.numpy() == 0.0]
     dt = 1.0 / (FPS * scene.substeps)
@@ -174,9 +180,9 @@ def simulate(
 
 
 def check_gradient(scene: Scene, start: novaphy.SimState) -> bool:
-    """Whether the gradient of a frame from the state agrees with differences along it.
+    """Return whether the gradient of a frame agrees with differences along it.
 
-    The loss is a random sum of positions; the contacts are those of the state.
+    The loss is a random sum of positions. The contacts are those of the state `start`.
     """
     from novaphy import diff, nova
 
@@ -216,14 +222,14 @@ def check_gradient(scene: Scene, start: novaphy.SimState) -> bool:
 
 
 def least_volume(model: novaphy.Model, q: np.ndarray) -> float:
-    """The smallest volume of a tetrahedron, relative to that at rest."""
+    """Return the smallest volume of a tetrahedron, relative to its volume at rest."""
     a, b, c, d = q[model.tet_indices.numpy().T].astype(np.float64)
     volume = np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
     return float((volume / model.particle_tet_volume.numpy()).min())
 
 
 def check(name: str, scene: Scene, positions: np.ndarray) -> list[str]:
-    """What is wrong with the end of a scene that ran its whole time."""
+    """Return the failed expectations at the end of a complete scene."""
     end, speed = positions[-1], np.abs(positions[-1] - positions[-2]).max() * FPS
     faults = [] if np.isfinite(positions).all() else ["finite positions"]
     if name == "hanging":
@@ -255,7 +261,7 @@ def check(name: str, scene: Scene, positions: np.ndarray) -> list[str]:
 
 
 def plot(path: str, model: novaphy.Model, positions: np.ndarray) -> None:
-    """The surface at four times."""
+    """Draw the surface at four times."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -281,7 +287,7 @@ def plot(path: str, model: novaphy.Model, positions: np.ndarray) -> None:
 
 
 def main() -> int:
-    """Simulate, draw, check."""
+    """Simulate, draw and check a scene. Return 0 if every check passed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", nargs="?", choices=SCENES, default="draped")
     viewer.add_arguments(parser, 180, "frames of 1/60 s")

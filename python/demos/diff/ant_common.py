@@ -15,21 +15,21 @@ from novaphy.envs import ACTIONS, OBSERVATIONS, AntWorlds, check_meta, feet, rot
 DATA = Path(__file__).resolve().parents[1] / "data" / "ant" / "rl_policies"
 FPS = 20
 HIDDEN = 256
-LIFTED, TOUCHING = 0.010, 0.003  # m: above the first a foot is off the ground, below the second on
-SAMPLE = 5  # substeps between two looks at the feet
+LIFTED, TOUCHING = 0.010, 0.003  # m, heights: a foot above is lifted, below touches
+SAMPLE = 5  # substeps between two measurements of the feet
 
 
 class GaitMeter:
-    """Looks at the feet of a batch of Ants behind every fifth substep."""
+    """Measures the feet of a batch of Ants after every fifth substep."""
 
     def __init__(self, ants: AntWorlds) -> None:
-        """Begin."""
+        """Start a measurement at the present state of the Ants."""
         self.ants, n = ants, ants.num_worlds
         self.dt = SAMPLE * ants.dt
         self.lifted = np.zeros((n, 4), bool)
         self.peak, self.slip = np.zeros((2, n, 4))
         self.touchdowns = np.zeros((n, 4), int)
-        self.swings: list[tuple[int, int, float]] = []  # world, foot, highest
+        self.swings: list[tuple[int, int, float]] = []  # world, foot, greatest height (m)
         self.lowest = np.full(n, np.inf)
         self.excess = np.zeros(n)
         self.tilt = np.zeros(n)
@@ -39,7 +39,7 @@ class GaitMeter:
         self.lower, self.upper = (x.numpy().reshape(n, 14)[:, 6:] for x in limits)
 
     def __call__(self, substep: int, state: novaphy.SimState) -> None:
-        """Look, if it is time."""
+        """Measure the feet after a substep, if the substep is a multiple of SAMPLE."""
         if substep % SAMPLE != SAMPLE - 1:
             return
         _, height, speed = feet(state, self.ants.num_worlds)
@@ -55,16 +55,22 @@ class GaitMeter:
         self.lifted = (self.lifted | (height > LIFTED)) & ~down
 
     def end_frame(self) -> None:
-        """Look at the joints and the tilt, at the end of a frame."""
+        """Measure the joints and the tilt at the end of a frame."""
         q = self.ants.q
         out = np.maximum(self.lower - q[:, 7:], q[:, 7:] - self.upper).max(axis=1)
         self.excess = np.maximum(self.excess, out)
         self.tilt = np.maximum(self.tilt, tilt(q))
 
     def result(self) -> dict[str, np.ndarray]:
-        """Per world: touchdowns of each foot per second {n, 4}, the least median clearance of a
-        foot (m), the largest slip of a foot over the distance, the lowest foot (m), how far a joint
-        left its range (rad), the largest tilt (degrees)."""
+        """Return the measures of the gait as arrays with one row for each world.
+
+        touchdown_rate: touchdowns of each foot per second {n, 4}.
+        clearance: the least over the feet of the median height of a swing (m).
+        slip: the largest slip of a foot, relative to the distance of the Ant.
+        lowest: the height of the lowest foot (m).
+        excess: how far a joint left its range (rad).
+        tilt: the largest tilt (degrees).
+        """
         n = self.ants.num_worlds
         clearance = np.zeros((n, 4))
         for world in range(n):
@@ -83,20 +89,20 @@ class GaitMeter:
 
 
 def make_stage(args: argparse.Namespace, ants: AntWorlds) -> viewer.Stage:
-    """Where an Ant is shown, by cameras that go along with it."""
+    """Return the stage that shows an Ant, with a camera that follows the torso."""
     stage = viewer.Stage(args, ants.model, fps=FPS, look=((1.6, -2.8, 1.6), (0.0, 0.0, 0.35)))
     stage.follow(0)
     return stage
 
 
 def tilt(q: np.ndarray) -> np.ndarray:
-    """Angle of the torso's axis from the vertical {n}, rad."""
+    """Return the angles (rad) of the torsos' axes from the vertical {n}."""
     up = rotate(q[:, 3:7], np.broadcast_to(np.float32([0.0, 0.0, 1.0]), (len(q), 3)))
     return np.arctan2(np.linalg.norm(up[:, :2], axis=1), up[:, 2])
 
 
 def actor_shapes() -> dict[str, tuple[int, ...]]:
-    """Names and shapes of the actor 111-256-256-8, as Stable-Baselines3 calls them."""
+    """Return the names (of Stable-Baselines3) and shapes of the actor 111-256-256-8."""
     return {
         "latent_pi.0.weight": (HIDDEN, OBSERVATIONS),
         "latent_pi.0.bias": (HIDDEN,),
@@ -108,7 +114,7 @@ def actor_shapes() -> dict[str, tuple[int, ...]]:
 
 
 def load_actor(path: str | Path, ant: str) -> tuple[dict[str, nova.Tensor], dict]:
-    """The actor of a file, with its meta.
+    """Load an actor and its metadata from a file.
 
     Raises:
         ValueError: missing or other parameters, another shape, NaN, pickled objects, another Ant.
@@ -120,26 +126,29 @@ def load_actor(path: str | Path, ant: str) -> tuple[dict[str, nova.Tensor], dict
 
 
 def hidden(actor: dict[str, nova.Tensor], x: nova.Tensor) -> nova.Tensor:
-    """The second hidden layer {n, 256}; the mean before the tanh is linear in it."""
+    """Return the second hidden layer {n, 256}. The mean before the tanh is linear in this layer."""
     h = nova.relu(nova.linear(x, actor["latent_pi.0.weight"], actor["latent_pi.0.bias"]))
     return nova.relu(nova.linear(h, actor["latent_pi.2.weight"], actor["latent_pi.2.bias"]))
 
 
 def mean_action(actor: dict[str, nova.Tensor], x: nova.Tensor) -> nova.Tensor:
-    """The mean before the tanh {n, 8} of observations {n, 111}."""
+    """Return the mean {n, 8} before the tanh, for observations {n, 111}."""
     return nova.linear(hidden(actor, x), actor["mu.weight"], actor["mu.bias"])
 
 
 def act(actor: dict[str, nova.Tensor], observations: np.ndarray) -> np.ndarray:
-    """The deterministic actions tanh(mean) {n, 8}."""
+    """Return the deterministic actions tanh(mean) {n, 8} for observations {n, 111}."""
     return nova.tanh(mean_action(actor, nova.tensor(observations))).numpy()
 
 
 def judge(
     actor: dict[str, nova.Tensor], ants: AntWorlds, frames: int, measure: bool = True
 ) -> dict[str, np.ndarray]:
-    """Play an actor in all worlds: what GaitMeter measures, `survived`, `velocity` (m/s, while an
-    Ant lived), `distance` (m), `drift` (m)."""
+    """Play an actor in all worlds for some frames, and return measures of its gait.
+
+    The measures are those of GaitMeter (with `measure`), `survived`, `velocity` (m/s, until the Ant
+    falls), `distance` (m) and `drift` (m).
+    """
     ants.reset()
     meter = GaitMeter(ants) if measure else None
     alive = np.ones(ants.num_worlds, bool)
@@ -160,7 +169,7 @@ def judge(
 
 
 def provenance() -> str:
-    """The commit that the sources are at, "unknown" outside of a repository."""
+    """Return the commit of the sources, or "unknown" outside of a repository."""
     try:
         done = subprocess.run(
             ["git", "rev-parse", "--short=12", "HEAD"],

@@ -1,14 +1,18 @@
 """Derivatives of frames of a batch of Ants: frozen dynamics, or the exact adjoint.
 
-A frame is stepped forward once and kept; `pull` then carries adjoints of its end back to its start
-and to its forces. States are differentiated as tangents {worlds, 14} of the dofs: of the torso its
-center and the turn about it, world axes, then the hinges.
+A frame is stepped forward once and kept. `pull` then carries adjoints of the end of the frame back
+to its start and to its forces. Derivatives with respect to a state are derivatives with respect to
+tangents {worlds, 14} of the dofs: the displacement of the torso's center, the rotation about the
+center (both in world axes), then the hinges.
 
-Frozen: per substep the velocity's change goes through the mass matrix, damping, drives and springs
-of limits, projected into the null space of the normals of the contacts that push. Not
-differentiated are: contact creation and loss, mass matrix, bias and the contacts' Jacobians, by the
-state. Terms add to it: "sticking" the friction of the contacts that stick, "dynamics" mass matrix
-and bias by the state. Exact: DiffFeatherstoneSolver, whose gradient_info says how exact.
+Frozen: in each substep, the change of the velocity goes through the mass matrix, the damping, the
+drives and the springs of limits. The result is projected into the null space of the normals of the
+contacts that push. Frozen frames leave out the begin and end of contacts, and the derivatives of
+mass matrix, bias and Jacobians of contacts with respect to the state. Two terms add to this:
+"sticking" includes the friction of contacts that stick, and "dynamics" includes the derivatives of
+mass matrix and bias.
+
+Exact: the derivatives are those of DiffFeatherstoneSolver, whose gradient_info labels them.
 """
 
 from __future__ import annotations
@@ -22,13 +26,13 @@ from novaphy import diff, nova
 from novaphy.envs import AntWorlds, rotate
 
 DOFS = 14
-STICKING = 0.98  # of the friction cone: below it a contact sticks
-ROWS_AT_ONCE = 512  # worlds times substeps, in the cache
-SOFTEST = 1e-6  # part of the diagonal that is added to rows that are not independent
+STICKING = 0.98  # part of the Coulomb limit; a contact below it sticks
+ROWS_AT_ONCE = 512  # worlds times substeps at once, which fit into the cache
+SOFTEST = 1e-6  # part of the largest diagonal entry that makes dependent rows solvable
 
 
 def to_tangent(q: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Gradients of coordinates {n, 15} as those of tangents {n, 14}."""
+    """Convert gradients with respect to coordinates {n, 15} to gradients by tangents {n, 14}."""
     v, w = q[:, 3:6], q[:, 6:7]
     gv, gw = gradient[:, 3:6], gradient[:, 6:7]
     turn = 0.5 * (w * gv + np.cross(v, gv) - gw * v)
@@ -36,7 +40,10 @@ def to_tangent(q: np.ndarray, gradient: np.ndarray) -> np.ndarray:
 
 
 def to_coordinates(q: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """Gradients of tangents {n, 14} as those of coordinates {n, 15}, tangent to the unit sphere."""
+    """Convert gradients with respect to tangents {n, 14} to gradients by coordinates {n, 15}.
+
+    The part of the quaternion is tangent to the unit sphere.
+    """
     e, v, w = tangent[:, 3:6], q[:, 3:6], q[:, 6:7]
     part = 2.0 * (w * e + np.cross(e, v))
     last = -2.0 * (e * v).sum(axis=1, keepdims=True)
@@ -44,10 +51,15 @@ def to_coordinates(q: np.ndarray, tangent: np.ndarray) -> np.ndarray:
 
 
 class FrozenFrames:
-    """Frames with frozen dynamics, of the regular solver."""
+    """Frames of SolverFeatherstone with frozen dynamics."""
 
     def __init__(self, ants: AntWorlds, terms: Collection[str]) -> None:
-        """For a batch of worlds, with terms "sticking" and "dynamics"."""
+        """Prepare the derivatives of a batch of worlds.
+
+        Args:
+            ants: the worlds.
+            terms: any of "sticking" and "dynamics".
+        """
         self.ants = ants
         self.tangents, self.dynamics = "sticking" in terms, "dynamics" in terms
         model = ants.model
@@ -64,21 +76,23 @@ class FrozenFrames:
         self.mu = model.shape_material_mu.numpy()
         self.com = model.body_com.numpy().reshape(n, per_world, 3)
         self.eye = np.eye(DOFS)
-        # Called with every substep before it, to set targets of the drives.
+        # A function of the substep that runs before each substep, to set targets of the drives.
         self.lead = None
 
     def vary(self, **values: float) -> None:
-        """Change numbers of the worlds, as AntWorlds.vary."""
+        """Change parameters of the worlds, with the arguments of AntWorlds.vary."""
         self.ants.vary(**values)
         self.mu = self.ants.model.shape_material_mu.numpy()
 
     def label(self) -> str:
-        """What the derivative is."""
+        """Return a description of the derivative."""
         held = "sticking feet held" if self.tangents else "normals of contacts held"
         return f"frozen, {held}" + (", mass matrix and bias by the state" if self.dynamics else "")
 
     def run(self, actions: np.ndarray) -> list[tuple[np.ndarray, ...]]:
-        """Step a frame; per substep what `pull` needs."""
+        """Step one frame with actions {worlds, 8}. Return the data of each substep that `pull`
+        needs.
+        """
         a, steps = self.ants, []
         forces = a.joint_forces(actions)
         a.control.joint_f.assign(forces.ravel())
@@ -101,13 +115,16 @@ class FrozenFrames:
             by_state.append(self.by_state())
         a.frame += 1
         kept, most = [], max(1, ROWS_AT_ONCE // self.worlds)
-        for k in range(0, len(steps), most):  # many at once: most of the time is that of calls
+        for k in range(0, len(steps), most):  # many at once, because calls take most of the time
             kept += self.linearized(*zip(*steps[k : k + most], strict=True))
         return [(*x, y) for x, y in zip(kept, by_state, strict=True)]
 
     def by_state(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """What mass matrix times acceleration, and bias, of the step before change by with tangents
-        and rates {worlds, 14, 14}, when that is a term."""
+        """Return derivatives of (mass matrix times acceleration + bias) in the last step, or None.
+
+        The two arrays {worlds, 14, 14} are derivatives with respect to tangents and to rates. None:
+        "dynamics" is not a term.
+        """
         if not self.dynamics:
             return None
         a = self.ants
@@ -116,8 +133,11 @@ class FrozenFrames:
         return by_q.astype(np.float64), by_qd.astype(np.float64)
 
     def linearized(self, q, mass, jacobian, poses, pushes) -> list[tuple[np.ndarray, ...]]:
-        """Of each of some substeps: the inverse of its matrix, stiffness, damping, and the
-        transposed projection."""
+        """Return four arrays for each of some substeps.
+
+        The arrays are the inverse of the matrix of the implicit step, the stiffness, the damping,
+        and the transposed projection into the null space of the contacts.
+        """
         dt, shape = self.ants.dt, (len(q), self.worlds)
         x = np.stack(q)
         outside = np.zeros((*shape, DOFS), bool)
@@ -137,8 +157,11 @@ class FrozenFrames:
         return list(zip(inverse, k, d, back, strict=True))
 
     def pushes(self) -> tuple[np.ndarray, ...]:
-        """Of the contacts that push: world, link of the Ant, point on it, margin, normal, and
-        whether they stick."""
+        """Return six arrays with one entry for each contact that pushes.
+
+        The arrays are: world, link of the Ant, contact point (m, link frame), margin (m), normal,
+        and whether the contact sticks.
+        """
         c = self.ants.contacts
         count = int(c.rigid_contact_count.numpy()[0])
         force, normal = (
@@ -149,7 +172,7 @@ class FrozenFrames:
         i = np.flatnonzero(push > 0.0)
         force, normal, push = force[i], normal[i], push[i]
         shapes = np.stack([c.rigid_contact_shape0.numpy()[i], c.rigid_contact_shape1.numpy()[i]])
-        side = self.link_of_shape[shapes[1]] >= 0  # the Ant's side; the other: ground
+        side = self.link_of_shape[shapes[1]] >= 0  # whether shape 1 is the Ant's, else shape 0
         shape = np.where(side, shapes[1], shapes[0])
         point = np.where(
             side[:, None], c.rigid_contact_point1.numpy()[i], c.rigid_contact_point0.numpy()[i]
@@ -165,7 +188,9 @@ class FrozenFrames:
         return self.world_of_shape[shape], self.link_of_shape[shape], point, margin, normal, sticks
 
     def rows(self, jacobian: np.ndarray, poses: np.ndarray, pushes) -> np.ndarray:
-        """Rows of the contacts that push {substeps, worlds, most, 14}, padded with 0."""
+        """Return the constraint rows of the pushing contacts {substeps, worlds, most, 14}, padded
+        with 0.
+        """
         shape, n = poses.shape[:2], self.worlds
         substep = np.repeat(np.arange(shape[0]), [len(x[0]) for x in pushes])
         parts = (np.concatenate(x) for x in zip(*pushes, strict=True))
@@ -173,7 +198,7 @@ class FrozenFrames:
         if not len(world):
             return np.zeros((*shape, 1, DOFS))
         pose = poses[substep, world, link].astype(np.float64)
-        # From the center of mass to the surface.
+        # The vector from the center of mass to the surface point.
         arm = rotate(pose[:, 3:], point - self.com[world, link])
         arm[:, 2] -= margin
         one = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
@@ -183,7 +208,7 @@ class FrozenFrames:
         j = np.concatenate([axes, np.cross(arm[:, None], axes)], axis=2) @ links
         contact, axis = np.nonzero(np.stack([np.ones_like(sticks), sticks, sticks], axis=1))
         batch = (substep * n + world)[contact]
-        slot = np.zeros(len(batch), int)  # of a row in its world
+        slot = np.zeros(len(batch), int)  # the index of a row in its world
         order = np.argsort(batch, kind="stable")
         first = np.searchsorted(batch[order], batch[order])
         slot[order] = np.arange(len(batch)) - first
@@ -192,8 +217,12 @@ class FrozenFrames:
         return rows.reshape(*shape, -1, DOFS)
 
     def pull(self, kept, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Adjoints {worlds, m, 28} of tangents and rates at the end: to those at the start, and to
-        joint_f {worlds, m, 14}."""
+        """Carry adjoints {worlds, m, 28} of tangents and rates from the end of a frame to its
+        start.
+
+        Return the adjoints at the start {worlds, m, 28}, and the adjoints of joint_f {worlds, m,
+        14}.
+        """
         dt = self.ants.dt
         g_q, g_v = g[..., :DOFS].astype(np.float64), g[..., DOFS:].astype(np.float64)
         g_f = np.zeros_like(g_v)
@@ -212,21 +241,23 @@ class ExactFrames:
     """Frames of DiffFeatherstoneSolver, with the adjoint of every step."""
 
     def __init__(self, ants: AntWorlds) -> None:
-        """For a batch of worlds, whose solver and states are taken."""
+        """Prepare a differentiable solver for a batch of worlds. Frames overwrite the state of
+        `ants`.
+        """
         self.ants, self.worlds = ants, ants.num_worlds
-        # Feet that slide and stick at once go round in the sweeps of some steps: one such step must
-        # not end a training. `label` tells how many steps are exact.
+        # In some steps the sweeps cycle between feet that slide and feet that stick. Such a step
+        # must not end a training. `label` reports how many steps are exact.
         self.solver = novaphy.solvers.DiffFeatherstoneSolver(
             ants.model, **ants.solver_options, allow_unconverged=True
         )
-        self.lead = None  # as of FrozenFrames; called once a frame, for its middle
+        self.lead = None  # as in FrozenFrames, but called once a frame, for its middle
 
     def vary(self, **values: float) -> None:
-        """Change numbers of the worlds, as AntWorlds.vary."""
+        """Change parameters of the worlds, with the arguments of AntWorlds.vary."""
         self.ants.vary(**values)
 
     def label(self) -> str:
-        """What the derivative is."""
+        """Return a description of the derivative."""
         info = self.solver.gradient_info()
         return (
             f"{info['label']} ({info['exact_steps']} of {info['steps']} steps are, "
@@ -234,7 +265,7 @@ class ExactFrames:
         )
 
     def run(self, actions: np.ndarray):
-        """Step a frame; what `pull` needs."""
+        """Step one frame with actions {worlds, 8}. Return the data that `pull` needs."""
         kept = [self.ants.q, self.ants.qd, np.array(actions), None, None]
         kept[3:] = self.record(kept)
         kept.append(self.ants.q)
@@ -242,7 +273,10 @@ class ExactFrames:
         return kept
 
     def record(self, kept):
-        """A frame on a tape; where it ends goes into the state of the worlds."""
+        """Record one frame on a tape. The end of the frame becomes the state of the worlds.
+
+        Return (tape, end) and the arrays that carry gradients: joint_q, joint_qd, joint_f.
+        """
         a = self.ants
         trajectory, control = diff.Trajectory(a.model, a.substeps), a.model.control()
         control.joint_f.assign(a.joint_forces(kept[2]).ravel())
@@ -265,7 +299,7 @@ class ExactFrames:
         return (tape, end), (first.joint_q, first.joint_qd, control.joint_f)
 
     def pull(self, kept, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As FrozenFrames.pull: the tape goes back once for each adjoint."""
+        """Return the result of FrozenFrames.pull. Each of the m adjoints is one backward pass."""
         start, _, _, recorded, arrays, end = kept
         states, forces = [], []
         for m in range(g.shape[1]):
@@ -284,8 +318,11 @@ class ExactFrames:
 
 
 def frame_jacobians(frames, q: np.ndarray, qd: np.ndarray, actions: np.ndarray):
-    """Step a frame from states {worlds, ...}: how tangents and rates at its end change with those
-    at its start {worlds, 28, 28}, and with the actions {worlds, 28, 8}."""
+    """Step a frame from the states {worlds, ...}, and return two Jacobians of its end.
+
+    The rows are the tangents and rates at the end. The columns are the tangents and rates at the
+    start {worlds, 28, 28}, and the actions {worlds, 28, 8}.
+    """
     ants = frames.ants
     ants.set_state(q, qd)
     kept = frames.run(actions)
@@ -298,5 +335,5 @@ def frame_jacobians(frames, q: np.ndarray, qd: np.ndarray, actions: np.ndarray):
 def make_frames(
     ants: AntWorlds, kind: str, terms: Collection[str] = ("sticking",)
 ) -> FrozenFrames | ExactFrames:
-    """Frames of the kind "frozen", with terms, or "exact"."""
+    """Return the frames of a kind: "frozen", which takes the terms, or "exact"."""
     return ExactFrames(ants) if kind == "exact" else FrozenFrames(ants, terms)

@@ -1,8 +1,9 @@
-"""What the Ant that learns from zero should do: a trot, the servo that leads it, and the loss.
+"""The objective of the Ant that learns from zero: a trot, a servo that follows it, and the loss.
 
-The trot is a reference of the hinges, diagonal legs together. It breaks the symmetry that zero
-weights have. At first a servo at the hinges follows it, so that the Ant walks before its actor
-knows anything; the servo is faded out while the actor learns. Trained actors play without it.
+The trot is a reference motion of the hinges, with diagonal legs in phase. The trot breaks the
+symmetry of weights that are zero. At first a servo at the hinges follows the trot, so that the Ant
+walks before the actor has learned anything. The servo fades out while the actor learns. Trained
+actors walk without it.
 """
 
 from __future__ import annotations
@@ -12,43 +13,44 @@ import numpy as np
 from novaphy.envs import ACTIONS, FEET, AntWorlds, rotate
 
 FPS = 20
-PERIOD = 14  # frames of a phase
-# The trot (rad): sway of the hips about an offset, ahead of the lift; bend and lift of the ankles;
-# what hind legs bend and lift more, front legs less; how the ankles reach forward and back with
-# the sway, so that feet which stand go straight back below the torso. The second harmonics let a
-# foot stand still for half of the period (lift) and go back at an even speed (sway).
+PERIOD = 14  # frames in a period of the trot
+# The trot (rad). Hips: SWAY about OFFSET, with the phase AHEAD of the lift. Ankles: bend ANKLE and
+# amplitude LIFT. Hind legs bend by HIND_BEND more and lift by HIND_LIFT more, front legs less.
+# REACH couples the ankles to the sway, so that standing feet move straight back below the torso.
+# The second harmonics: a foot stands for half of the period (LIFT_2), at an even speed (SWAY_2).
 SWAY, OFFSET, AHEAD = 0.056, 0.05, 0.12
 ANKLE, LIFT, HIND_BEND, HIND_LIFT, REACH = 1.264, 0.30, 0.079, 0.1, 0.075
 SWAY_2, LIFT_2 = 0.28, 0.28
 HIP_SIGN, ANKLE_SIGN = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1.0, -1.0, -1.0, 1.0])
 FRONT = np.array([1.0, -1.0, -1.0, 1.0])
 DIAGONAL = np.array([0.0, np.pi, 0.0, np.pi])  # phase of the legs
-STIFFNESS, DAMPING = 1000.0, 70.0  # of the servo, N m/rad and N m s/rad
+STIFFNESS, DAMPING = 1000.0, 70.0  # gains of the servo (N m/rad, N m s/rad)
 SERVO_SAMPLE = 5  # substeps between two targets
 SPEED = 0.3  # m/s
-CLEARANCE, TOUCHING = 0.06, 0.004  # m: of a foot in the middle of its swing; of one that touches
-RATE = 0.06  # s, weight of the rates in the pose
+CLEARANCE, TOUCHING = 0.06, 0.004  # m: wanted height of a swinging foot, height of a touch
+RATE = 0.06  # s, weight of the rates in the term "pose"
 WEIGHTS = {
     "speed": 5.0, "tilt": 130.0, "heading": 20.0, "drift": 8.0, "pose": 5.0, "jump": 0.05,
     "symmetry": 0.25, "clearance": 150.0, "slip": 1.0, "turn": 0.09,
 }  # fmt: skip
-FREE = {**WEIGHTS, "speed": 25.0, "slip": 1.5}  # without the servo
-FAST = {**FREE, "speed": 150.0}  # in worlds that differ
-# Anchors of the hips, from the torso's center; lengths of leg and foot (m).
+FREE = {**WEIGHTS, "speed": 25.0, "slip": 1.5}  # weights of stages without the servo
+FAST = {**FREE, "speed": 150.0}  # weights of training in several worlds that differ
+# Directions of the hips from the torso's center; lengths of leg and foot (m).
 SIDES = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 LEG, FOOT, TIP_RADIUS = 0.2 * np.sqrt(2.0), 0.4 * np.sqrt(2.0), 0.08
 ROWS = 40
 
 
 def phase(frame: np.ndarray) -> np.ndarray:
-    """Of a frame."""
+    """Return the phase (rad) of the trot at a frame."""
     return 2.0 * np.pi * np.asarray(frame) / PERIOD
 
 
 def reference(frame: np.ndarray, trot: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Hinges {n, 8} of the trot at the start of frames {n} (any real numbers), and their rates.
+    """Return the hinges {n, 8} (rad) of the trot at the start of frames {n}, and their rates
+    (rad/s).
 
-    `trot` is a part of its strides; 0 is its stance.
+    `frame` may be any real numbers. `trot` scales the strides; 0 gives the stance.
     """
     p, w = phase(frame)[:, None] + DIAGONAL, 2.0 * np.pi * FPS / PERIOD
     ahead = p + AHEAD
@@ -69,13 +71,13 @@ class Servo:
     """Drives at the hinges of a batch that follow the trot, implicit in every substep."""
 
     def __init__(self, ants: AntWorlds) -> None:
-        """Without strength."""
+        """Make a servo with strength 0."""
         self.ants, self.strength, self.trot = ants, 0.0, 1.0
         self.q = ants.control.joint_target_q.numpy().reshape(ants.num_worlds, -1)
         self.qd = ants.control.joint_target_qd.numpy().reshape(ants.num_worlds, -1)
 
     def set(self, strength: float, trot: float = 1.0) -> None:
-        """Take a part of the stiffness and damping, and of the trot's strides."""
+        """Set the strength as a factor of STIFFNESS and DAMPING, and the scale of the strides."""
         self.trot = trot
         if strength == self.strength:
             return
@@ -87,7 +89,7 @@ class Servo:
         self.ants.solver.notify_model_changed(0)
 
     def lead(self, frame: np.ndarray, substep: int) -> None:
-        """Set the targets before a substep of frames {worlds}, every few of them."""
+        """Set the targets for frames {worlds}, before every SERVO_SAMPLE-th substep."""
         if self.strength > 0.0 and substep % SERVO_SAMPLE == 0:
             middle = (substep + 0.5 * (SERVO_SAMPLE - 1)) / self.ants.substeps
             now = reference(frame + middle, self.trot)
@@ -97,13 +99,17 @@ class Servo:
 
 
 def axis(q: np.ndarray, k: int) -> np.ndarray:
-    """An axis of the torso in the world {n, 3}."""
+    """Return axis k of the torso's frame in the world {n, 3}."""
     return rotate(q[:, 3:7].astype(np.float64), np.broadcast_to(np.eye(3)[k], (len(q), 3)))
 
 
 def foot_motion(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Heights of the feet {n, 4}, their derivatives by tangents {n, 4, 14}; horizontal velocities
-    of their lowest points {n, 4, 2}, their derivatives by rates {n, 4, 2, 14}."""
+    """Return heights and velocities of the feet, with their derivatives.
+
+    The four arrays are: heights {n, 4} (m), their derivatives with respect to tangents {n, 4, 14},
+    the horizontal velocities of the lowest points {n, 4, 2} (m/s), and their derivatives with
+    respect to rates {n, 4, 2, 14}.
+    """
     n, legs = len(q), len(FEET)
     bend = q[:, 8::2] * ANKLE_SIGN
     turn = np.arctan2(SIDES[:, 1], SIDES[:, 0]) + q[:, 7::2]
@@ -117,7 +123,7 @@ def foot_motion(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, ...]:
     tip = world(0.2 * SIDES[:, 0] + reach * c, 0.2 * SIDES[:, 1] + reach * s, fall)
     by_hip = world(-reach * s, reach * c, zero)
     by_bend = world(fall * c, fall * s, -FOOT * np.cos(bend))
-    # Turning a foot moves its lowest point back.
+    # A rotation of a foot moves its lowest point against the direction of rolling.
     down = np.array([0.0, 0.0, -TIP_RADIUS])
     up = world(zero, zero, zero + 1.0)
     bending = np.cross(up, world(c, s, zero))
@@ -137,9 +143,12 @@ def foot_motion(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def residuals(q, qd, a, last, frame, weights=WEIGHTS, trot=1.0):
-    """What the loss of frames {n} sums the squares of {n, 40}, at their ends; its derivatives by
-    tangents and rates {n, 40, 28}, and by the actions {n, 40, 8}: by those before, less that.
-    `trot` is a part of the strides and of the speed; 0: to stand."""
+    """Return the residuals {n, 40} at the ends of frames, whose squares sum to the loss.
+
+    Also return the derivatives with respect to tangents and rates {n, 40, 28}, and with respect to
+    the actions {n, 40, 8}. The derivatives with respect to the actions of the frame before (`last`)
+    are the negative of the latter. `trot` scales the strides and the speed; 0: the Ant stands.
+    """
     w = {name: np.sqrt(value) for name, value in weights.items()}
     n = len(q)
     q, qd = q.astype(np.float64), qd.astype(np.float64)
@@ -162,7 +171,7 @@ def residuals(q, qd, a, last, frame, weights=WEIGHTS, trot=1.0):
     r[:, 14:18] = w["symmetry"] * (q[:, 7:11] + q[:, 11:15])
     by_state[:, 14:18, 6:10] = by_state[:, 14:18, 10:14] = w["symmetry"] * np.eye(4)
     r[:, 18:26], by_action[:, 18:26] = w["jump"] * (a - last), w["jump"] * np.eye(8)
-    # Feet that swing are high enough, those that stand or touch do not slip.
+    # Swinging feet should be high enough. Standing and touching feet should not slip.
     height, by_tangent, speed, by_rate = foot_motion(q, qd)
     wave = trot * (np.cos(phase(np.asarray(frame) + 1.0)[:, None] + DIAGONAL) + 1.0) - 1.0
     low = np.minimum(height - CLEARANCE * np.maximum(wave, 0.0), 0.0) * (wave > 0.0)

@@ -1,9 +1,10 @@
-"""The last stage of the Ant that learns from zero: what is asked of the gait, measured.
+"""The last stage of the Ant that learns from zero: a search on the measured gait.
 
-Slip, clearance and touchdowns are those of contacts that come and go; the loss that has derivatives
-knows only shapes of them. So an evolution strategy ((mu/mu_w, lambda) with cumulative step-size
-adaptation: N. Hansen, The CMA Evolution Strategy: A Tutorial, 2016, eq. 6, 9, 31, 32, without the
-covariance) moves the weights that derivatives have found, and plays each candidate on three floors.
+Slip, clearance and touchdowns depend on contacts that begin and end. The differentiable loss
+contains only smooth substitutes for these measures. An evolution strategy therefore moves the
+weights that the gradients have found, and plays each candidate on three floors. The strategy is
+(mu/mu_w, lambda) with cumulative step-size adaptation, without the covariance (N. Hansen, The CMA
+Evolution Strategy: A Tutorial, 2016, eq. 6, 9, 31, 32).
 """
 
 from __future__ import annotations
@@ -19,14 +20,18 @@ GENERATIONS = 80
 
 
 def over(x: np.ndarray, most: float) -> np.ndarray:
-    """By how much."""
+    """Return by how much x exceeds a bound; 0 below the bound."""
     return np.maximum(x - most, 0.0)
 
 
 def excess(result: dict[str, np.ndarray], way: float) -> np.ndarray:
-    """What the gait of every world {n} lacks, with room to what is asked; 0: nothing.
+    """Return the weighted sum {n} by which the gait of each world misses its bounds; 0: none.
 
-    `result`: what `validate` says after FRAMES frames, in which it should go so far (m).
+    The bounds are stricter than those of the demo's checks.
+
+    Args:
+        result: the result of `validate` after FRAMES frames.
+        way: the distance that the Ant should walk in this time (m).
     """
     missing = (
         over(result["slip"], 0.12)
@@ -51,18 +56,19 @@ def polish(
     generations: int,
     until: float = np.inf,
 ) -> tuple[np.ndarray, list[float]]:
-    """Search from weights {8, 10} until nothing lacks, at most so many generations.
+    """Search from weights {8, 10} until no bound is missed, for at most `generations` generations.
 
     Args:
-        play: what `validate` says of weights {n, 8, 10} on all floors {n * floors}, in this order.
-        weights: to begin with.
-        way: how far they should go, m.
-        seed: of the draws.
-        generations: at most.
-        until: when to end (time.perf_counter, s).
+        play: returns the result of `validate` for weights {n, 8, 10} on all floors {n * floors}, in
+            this order.
+        weights: the initial weights.
+        way: the distance that the Ants should walk (m).
+        seed: the seed of the draws.
+        generations: the largest number of generations.
+        until: the time at which the search ends (time.perf_counter, s).
 
     Returns:
-        The best weights {8, 10}, and what the best of every generation lacks.
+        The best weights {8, 10}, and `excess` of the best candidate of every generation.
     """
     rng = np.random.Generator(np.random.Philox(key=[seed, 11]))
     n, parents = weights.size, CANDIDATES // 2
@@ -71,7 +77,7 @@ def polish(
     mass = 1.0 / (share**2).sum()
     decay = (mass + 2.0) / (n + mass + 5.0)
     damping = 1.0 + 2.0 * max(0.0, np.sqrt((mass - 1.0) / (n + 1.0)) - 1.0) + decay
-    length = np.sqrt(n) * (1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n**2))  # of a normal draw
+    length = np.sqrt(n) * (1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n**2))  # of a normal draw: mean
     mean, width, path = weights.ravel(), WIDTH, np.zeros(n)
     best, least, lacks = weights, np.inf, []
     for _ in range(generations):
@@ -79,8 +85,8 @@ def polish(
             break
         draws = rng.standard_normal((CANDIDATES, n))
         if not lacks:
-            draws[0] = 0.0  # those that it begins with
-        # What a file holds of them.
+            draws[0] = 0.0  # the initial weights
+        # The weights as a file stores them, in float32.
         candidates = np.float32(mean + width * draws).astype(float).reshape(-1, *weights.shape)
         lack = excess(play(candidates), way).reshape(CANDIDATES, -1).mean(axis=1)
         order = np.argsort(lack, kind="stable")

@@ -12,8 +12,8 @@ from novaphy.envs import AntWorlds
 
 FRICTION, MASS = (0.5, 1.2), (0.9, 1.1)
 SLOPE = 3.0  # degrees
-IMPULSE = 20.0  # N s, of a push; an Ant of 182 kg gets 0.11 m/s
-EVERY, MOST, FPS = 60, 64, 20  # frames between two pushes; directions; frames of a second
+IMPULSE = 20.0  # N s, impulse of a push; it changes the speed of 182 kg by 0.11 m/s
+EVERY, MOST, FPS = 60, 64, 20  # frames between two pushes; directions; frames per second
 NAMES = ("pushes", "friction", "mass", "slope")
 
 
@@ -39,7 +39,7 @@ class Disturbances:
         ants.vary(**self.changes)
 
     def push(self, frame: int) -> np.ndarray | None:
-        """Forces on the torsos in a frame {worlds, 3} (N), world axes."""
+        """Return the forces on the torsos in a frame {worlds, 3} (N, world axes), or None."""
         if "pushes" not in self.names:
             return None
         force = np.zeros((self.worlds, 3), np.float32)

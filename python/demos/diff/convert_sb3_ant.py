@@ -25,7 +25,7 @@ MEMBER = "policy.pth"
 
 
 def read_actor(path: str) -> dict[str, np.ndarray]:
-    """The six arrays of the actor.
+    """Read the six arrays of the actor from an archive.
 
     Raises:
         ImportError: torch is not installed.
@@ -52,7 +52,7 @@ def read_actor(path: str) -> dict[str, np.ndarray]:
 
 
 def main() -> int:
-    """Convert."""
+    """Convert the archive to a file of parameters. Return 0."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("zip", help="what SB3's model.save wrote")
     parser.add_argument("npz", help="the file to write")

@@ -14,7 +14,10 @@ from novaphy import nova, viewer
 
 
 def make_parser(doc: str, iterations: int) -> argparse.ArgumentParser:
-    """Flags of every demo; `iterations` is what is trained without --headless."""
+    """Make a parser with the flags of every demo.
+
+    `iterations` is the number of training iterations without --headless.
+    """
     parser = argparse.ArgumentParser(description=doc.splitlines()[0])
     viewer.add_arguments(parser, iterations, "training iterations")
     parser.add_argument("--device", default="cpu", help="cpu, cuda, cuda:1, ... or auto")
@@ -29,7 +32,7 @@ def make_parser(doc: str, iterations: int) -> argparse.ArgumentParser:
 
 
 def parse(parser: argparse.ArgumentParser) -> argparse.Namespace:
-    """Parse and check the flags; `device` is then the name of a device."""
+    """Parse and check the flags. Then `device` is the name of a device."""
     args = parser.parse_args()
     viewer.check_arguments(parser, args)
     if args.dump_states and not Path(args.dump_states).parent.is_dir():
@@ -46,7 +49,11 @@ def check_gradient(
     tolerance: float,
     indices: Iterable[int] | None = None,
 ) -> bool:
-    """Compare the tape's gradient with central differences; eps may depend on the value."""
+    """Compare the tape's gradient with central differences.
+
+    Return whether the largest difference, relative to the largest quotient, is within the
+    tolerance. The step `eps` may be a function of the value. `indices` selects values; None: all.
+    """
     with nova.Tape() as tape:
         tape.backward(forward())
         gradient = parameter.grad.numpy().ravel()
@@ -73,12 +80,12 @@ class Recorded:
     """An iteration, recorded at the first call and replayed from then on."""
 
     def __init__(self, iterate: Callable[[], nova.Tensor]) -> None:
-        """`iterate` does the work of one iteration and gives the loss."""
+        """Take a function that does one iteration and returns the loss."""
         self.iterate = iterate
         self.graph = None
 
     def __call__(self) -> float:
-        """One iteration; returns the loss before it."""
+        """Run one iteration. Return the loss before its update."""
         if self.graph is None:
             with nova.ScopedCapture() as capture:
                 self.loss = self.iterate()
@@ -95,10 +102,11 @@ def train(
     stage: viewer.Stage,
     path: Callable[[np.ndarray], np.ndarray] = lambda q: q.mean(axis=1),
 ) -> list[float]:
-    """Train as asked and show it, then dump and plot the first and the last rollout; the losses.
+    """Train and show a scene, then save and plot the first and the last rollout.
 
-    A scene has forward() (a rollout; the loss), train() (an iteration) and a trajectory. `path`
-    gives the points to draw, {n, 3}, of the positions of a rollout; without it the centroid's.
+    Return the losses. A scene has forward(), a rollout that returns the loss, train(), one
+    iteration, and a trajectory. `path` returns the points {n, 3} to draw from the positions of a
+    rollout. The default is the path of the centroid.
     """
 
     def paths() -> dict[str, np.ndarray]:
@@ -125,7 +133,7 @@ def train(
 
 
 def loss_figure(losses: list[float], loss_label: str, widths: tuple[float, float] = (4.4, 6.6)):
-    """A figure with the loss on the left, widths in inches; gives (figure, right axis)."""
+    """Make a figure with the loss on the left, widths in inches. Return (figure, right axis)."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -141,7 +149,7 @@ def loss_figure(losses: list[float], loss_label: str, widths: tuple[float, float
 
 
 def save_figure(figure, path: str) -> None:
-    """Write the picture: all of it, or nothing."""
+    """Write the picture as a whole. An error leaves no part of the file."""
     import matplotlib.pyplot as plt
 
     with novaphy.io.atomic_path(path) as temporary:
@@ -168,18 +176,18 @@ def progress(iterations: range):
 
 
 def verdict(checks: dict[str, bool]) -> str:
-    """Say "ok", or which of the checks (what should be -> whether it is) failed."""
+    """Return "ok", or a text with the names of the checks that failed."""
     failed = [name for name, passed in checks.items() if not passed]
     return "CHECK FAILED: expected " + "; ".join(failed) if failed else "ok"
 
 
 def mostly_falls(losses: list[float]) -> bool:
-    """Whether the loss falls in at least 80 % of the iterations; without any, it does."""
+    """Return whether the loss falls in at least 80 % of the iterations; True without iterations."""
     return len(losses) < 2 or float(np.mean(np.diff(losses) < 0.0)) >= 0.8
 
 
 def run(main: Callable[[], int]) -> None:
-    """Leave with main's code; errors of the user in one line."""
+    """Exit with the code of `main`. Print errors of the user as one line."""
     try:
         sys.exit(main())
     except KeyboardInterrupt:

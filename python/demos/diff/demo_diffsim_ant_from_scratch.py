@@ -1,19 +1,20 @@
 """Teach an Ant of 182 kg to walk from zero: 80 parameters, analytic gradients, a search at the end.
 
-The actor gives 8 torques 20 times a second: the tanh of 80 weights times 10 features of each hinge.
-These are 1 and two harmonics of a phase; height and velocity of the torso (ankles) or its y and
-heading (hips); its tilt towards the leg; the hinge's own angle and rate. All weights start at 0.
+The actor gives 8 torques 20 times a second. Each torque is the tanh of 10 weights times 10 features
+of a hinge. The features are 1 and two harmonics of a phase, the tilt of the torso towards the leg,
+and the angle and rate of the hinge. Ankles also have height and velocity of the torso, hips its y
+and heading. All weights start at 0.
 
-At first a servo of the hinges leads the Ant through a trot (ant_objective.py); stage by stage it
-is faded out, and the actor alone walks. Frames of the rollout are the worlds of one batch; their
-derivatives give the gradient and the Gauss-Newton matrix of segments of some frames, summed over
-the horizon. A step is kept only when the regular solver, over the whole horizon, measures a lower
-loss; all candidates are one batch too. What is asked of the gait and what is reached is printed
-(docs/guide/trained-policy.md).
+At first a servo at the hinges leads the Ant through a trot (ant_objective.py). The servo fades out
+over the stages, and then the actor walks alone. The frames of a rollout are the worlds of one
+batch. Their derivatives give the gradient and the Gauss-Newton matrix of segments, summed over the
+horizon. A step is kept only if the regular solver measures a lower loss over the whole horizon. All
+candidates are one batch too. At the end the demo prints each bound of the gait with the measured
+value (docs/guide/trained-policy.md).
 
     python demo_diffsim_ant_from_scratch.py
     python demo_diffsim_ant_from_scratch.py --headless 600 --out gait.npz
-    python demo_diffsim_ant_from_scratch.py --load gait.npz --headless 600  # 1, while a check fails
+    python demo_diffsim_ant_from_scratch.py --load gait.npz --headless 600  # 1 if a check fails
     python demo_diffsim_ant_from_scratch.py --load gait.npz --record gait.html
     python demo_diffsim_ant_from_scratch.py --load gait.npz --headless 600 --robustness 100
     python demo_diffsim_ant_from_scratch.py --start gait.npz --stages stride --out heading.npz
@@ -57,15 +58,15 @@ from novaphy.envs import ACTIONS, AntWorlds, asset_hash, check_meta
 
 GAIT = DATA / "periodic_ant_natural_gait.npz"
 FEATURES = 10
-HEIGHT = 0.61  # m, of the torso when it walks
+HEIGHT = 0.61  # m, of the torso of a walking Ant
 WAVES = ("1", "sin p", "cos p", "sin 2p", "cos 2p")
-# Of ankles and hips differ the height of the torso or y, and its velocity or heading.
+# Height and velocity of the torso are features of ankles, its y and heading of hips.
 NAMES = (*WAVES, "height/y", "velocity/heading", "tilt", "angle", "rate")
-# Of what follows the waves.
+# The scale of the features after the waves, for hips and ankles.
 SCALE = np.array([[1.0, 3.0, 5.0, 2.0, 0.2], [5.0, 1.0, 5.0, 2.0, 0.2]] * 4)
-ANGLES = ANKLE * np.stack([0.0 * ANKLE_SIGN, ANKLE_SIGN], axis=1).ravel()  # of hinges, rad
-OUTWARD = np.repeat(SIDES / np.sqrt(2.0), 2, axis=0)  # where the leg of a hinge points {8, 2}
-# Name, frames, iterations, strength of the servo.
+ANGLES = ANKLE * np.stack([0.0 * ANKLE_SIGN, ANKLE_SIGN], axis=1).ravel()  # stance, rad
+OUTWARD = np.repeat(SIDES / np.sqrt(2.0), 2, axis=0)  # direction of the leg of each hinge {8, 2}
+# Strengths of the servo. Then the stages: name, frames, iterations, strength.
 STRENGTHS = (
     0.75, 0.6, 0.5, 0.42, 0.35, 0.28, 0.22, 0.17, 0.13,
     0.1, 0.075, 0.055, 0.04, 0.028, 0.018, 0.01, 0.004,
@@ -77,38 +78,38 @@ STAGES = (
     *((f"400-{strength}", 400, 3, strength) for strength in STRENGTHS),
     ("400", 400, 12, 0.0),
 )
-TROTS = {"stand": 0.0}  # the part of the trot's strides in a stage, where it is not all of them
-# Behind these, by `polish`: how far it should go in FRAMES frames (m). The second on request.
+TROTS = {"stand": 0.0}  # scale of the strides in a stage; 1 in others
+# Stages of `polish`: the wanted distance in FRAMES frames (m). The second runs on request.
 POLISH = {"polish": 1.3, "stride": 4.1}
-# Instead, with --variants.
+# The stage for --variants, like those of STAGES.
 HEADING = (("heading", 200, 8, 0.0),)
-TRAINED_ON = 10_000  # the first seed of worlds that differ; none of those that judge
-SMALL = 1e-3  # weight of the squares of the weights
-LENGTHS = (4, 8, 16)  # frames of segments; candidates of all of them are tried
-CLIP = 2.0  # norm of a step
-DAMPING = 10.0 ** np.linspace(-3.5, 3.0, 8)  # over the largest curvature
-SHORTEST = 0.05  # part of a step that is tried
+TRAINED_ON = 10_000  # the first seed of training worlds; tests have other seeds
+SMALL = 1e-3  # weight of the regularization of the weights
+LENGTHS = (4, 8, 16)  # frames of segments; each length gives candidates
+CLIP = 2.0  # largest norm of a step
+DAMPING = 10.0 ** np.linspace(-3.5, 3.0, 8)  # relative to the largest curvature
+SHORTEST = 0.05  # smallest scale of a step
 CANDIDATES = len(LENGTHS) * len(DAMPING)
-ROWS_AT_ONCE = 256  # of the loss: frames times worlds
+ROWS_AT_ONCE = 256  # rows of the loss at once: frames times worlds
 FALLEN = 50.0  # loss of a frame of an Ant that fell
-CONTACTS = {"pgs_slop": 5e-4}  # m, an overlap of feet and ground that stays
+CONTACTS = {"pgs_slop": 5e-4}  # m, remaining overlap of feet and ground
 
 
 def make_worlds(count: int, ant: str) -> AntWorlds:
-    """Ants of this demo."""
+    """Make worlds of Ants with the contact options of this demo."""
     return AntWorlds(count, ant=ant, **CONTACTS)
 
 
 class Actor:
-    """80 weights {8, 10}; the features every action sees, and their derivatives."""
+    """80 weights {8, 10} and the features of the actor, with their derivatives."""
 
     def __init__(self, weights: np.ndarray | None = None) -> None:
-        """From zeros."""
+        """Take weights {8, 10}; None: zeros."""
         self.weights = np.zeros((ACTIONS, FEATURES)) if weights is None else weights
 
     def features(self, q: np.ndarray, qd: np.ndarray, frame: np.ndarray) -> np.ndarray:
-        """{n, 8, 10}: waves; of ankles height and velocity of the torso, of hips its y and heading;
-        the tilt towards the leg; angle and rate of the hinge."""
+        """Return the features {n, 8, 10} of the hinges: waves; height and velocity of the torso for
+        ankles, its y and heading for hips; tilt towards the leg; angle and rate of the hinge."""
         q, qd = q.astype(np.float64), qd.astype(np.float64)
         p = np.broadcast_to(phase(frame), (len(q),))
         out = np.empty((len(q), ACTIONS, FEATURES))
@@ -122,7 +123,7 @@ class Actor:
         return out
 
     def feature_jacobian(self, q: np.ndarray) -> np.ndarray:
-        """The features' derivatives by tangents and rates {n, 8, 10, 28}."""
+        """Return the derivatives of the features by tangents and rates {n, 8, 10, 28}."""
         out = np.zeros((len(q), ACTIONS, FEATURES, 28))
         out[:, 0::2, 5, 1] = out[:, 1::2, 5, 2] = out[:, 1::2, 6, 14] = 1.0
         out[:, 0::2, 6, 3:6] = np.cross(axis(q, 0), np.eye(3)[1])[:, None]
@@ -134,7 +135,7 @@ class Actor:
         return out
 
     def act(self, features: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
-        """Actions {n, 8}; with weights {n, 8, 10} each row by its own."""
+        """Return actions {n, 8}. Weights {n, 8, 10} are one set for each row; None: its own."""
         w = self.weights if weights is None else weights
         return np.tanh((w * features).sum(axis=-1))
 
@@ -151,8 +152,8 @@ class Trainer:
         candidates: int = CANDIDATES,
         variants: int = 0,
     ) -> None:
-        """With the gradient of the kind "frozen" or "exact"; in a number of worlds that differ and
-        are pushed, 0: in one that does not."""
+        """Prepare a training with the gradient of the kind "frozen" or "exact". `variants` is the
+        number of worlds that differ and are pushed; 0: one world without changes."""
         self.actor, self.kind, self.ant, self.verbose = actor, kind, ant, verbose
         self.variants = max(1, variants)
         self.search = make_worlds(candidates * self.variants, ant)
@@ -165,8 +166,8 @@ class Trainer:
         self.losses: list[float] = []
 
     def rollouts(self, weights: np.ndarray, horizon: int):
-        """Losses {n} of weights {n, 8, 10} over the horizon; states and actions of every frame
-        {horizon, n, variants, ...}."""
+        """Simulate weights {n, 8, 10} over a horizon. Return the losses {n}, and the states and
+        actions of every frame {horizon, n, variants, ...}."""
         ants, n = self.search, self.search.num_worlds
         weights = np.repeat(weights, self.variants, axis=0)
         ants.reset()
@@ -177,7 +178,7 @@ class Trainer:
             a = self.actor.act(self.actor.features(q, qd, frame), weights)
             kept.append((q, qd, a))
             self.servo.lead(frame, 0)
-            # Behind a substep the targets of the next one are set.
+            # After a substep the servo sets the targets of the next substep.
             ants.step(
                 a,
                 push=self.disturbed.push(k),
@@ -193,8 +194,8 @@ class Trainer:
         return total, [x.reshape(horizon, len(total), self.variants, -1) for x in kept]
 
     def squares(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray, end) -> np.ndarray:
-        """Sums of the squares {horizon, n} at the ends of frames with states and actions
-        {horizon, n, ...}; the last frame ends in `end`."""
+        """Return sums of squared residuals {horizon, n} at the ends of frames. The arrays {horizon,
+        n, ...} are at their starts; `end` is the end of the last frame."""
         horizon, n = a.shape[:2]
         q, qd = (np.concatenate([x[1:], x_end[None]]) for x, x_end in zip((q, qd), end))
         last = np.concatenate([np.zeros((1, n, ACTIONS)), a[:-1]])
@@ -209,9 +210,9 @@ class Trainer:
         return sums
 
     def gradients(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray, variant: int = 0):
-        """Of all lengths of segments: the gradient {80} of the loss of a rollout {horizon, ...} of
-        a variant and its Gauss-Newton matrix {80, 80}, summed over segments that begin in every
-        frame. Pushes are left out."""
+        """Return a gradient {80} and a Gauss-Newton matrix {80, 80} for each length of segments, of
+        the loss of one variant (rollout {horizon, ...}), summed over segments that begin in every
+        frame. The derivatives leave out pushes."""
         actor, n = self.actor, len(q)
         if n not in self.frames:
             frames = make_frames(make_worlds(n, self.ant), self.kind)
@@ -228,22 +229,22 @@ class Trainer:
         r, r_state, r_action = residuals(*ends, a, before, at, self.weights, self.trot)
         self.label = frames.label()
         slope = 1.0 - a**2
-        # Of actions by states, and by weights.
+        # Derivatives of actions with respect to states, and to weights.
         of_state = np.einsum(
             "na,af,nafs->nas", slope, actor.weights, actor.feature_jacobian(q), optimize=True
         )
         direct = np.einsum("na,ab,naf->nabf", slope, np.eye(ACTIONS), actor.features(q, qd, at))
         direct = direct.reshape(n, ACTIONS, -1)
-        # Products of these are most of the work: in single precision.
+        # The products take most of the time, so they are in single precision.
         r, by_state, by_action, of_state, direct, r_state, r_action = map(
             np.float32, (r, by_state, by_action, of_state, direct, r_state, r_action)
         )
         gradient, matrix, found = np.zeros(80), np.zeros((80, 80)), []
-        change = np.zeros((n, 28, 80), np.float32)  # of the segment that began `step` frames ago
+        change = np.zeros((n, 28, 80), np.float32)  # derivative of the state by the weights
         last = np.zeros((n, ACTIONS, 80), np.float32)
         lengths = {min(length, n) for length in LENGTHS}
         for step in range(max(lengths)):
-            rows = slice(step, n)  # frames that are the step-th of a segment
+            rows = slice(step, n)  # the frames with this index in a segment
             action = direct[rows] + of_state[rows] @ change[: n - step]
             change = by_state[rows] @ change[: n - step] + by_action[rows] @ action
             j = r_state[rows] @ change + r_action[rows] @ (action - last[: n - step])
@@ -256,8 +257,8 @@ class Trainer:
         return found
 
     def steps(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Of the weights {CANDIDATES, 8, 10}, of all lengths of segments and all dampings; of a
-        horizon that is shorter than some lengths, some of them again."""
+        """Return steps of the weights {CANDIDATES, 8, 10}: one for each length and damping. Steps
+        are repeated if the horizon is shorter than some lengths."""
         steps = []
         of_all = [self.gradients(q[:, v], qd[:, v], a[:, v], v) for v in range(self.variants)]
         for found in zip(*of_all, strict=True):
@@ -270,7 +271,7 @@ class Trainer:
         return np.resize(steps, (CANDIDATES, ACTIONS, FEATURES))
 
     def enter(self, name: str, strength: float) -> None:
-        """Set the servo of a stage, and the loss that belongs to it."""
+        """Set the strength of the servo and the weights of the loss for a stage."""
         self.trot = TROTS.get(name, 1.0)
         self.servo.set(strength, self.trot)
         self.weights = WEIGHTS if strength > 0.0 else FREE if self.variants == 1 else FAST
@@ -278,8 +279,8 @@ class Trainer:
     def stage(
         self, name: str, horizon: int, iterations: int, strength: float, until: float
     ) -> float:
-        """Iterations of one horizon; the part of them that found a lower loss. Behind one
-        that did not the same steps are tried, shorter; behind three the stage ends."""
+        """Run the iterations of a stage. Return the share of them that lowered the loss. A failed
+        step is tried again, shorter; after three failures the stage ends."""
         actor, accepted, tried = self.actor, 0, 0
         self.enter(name, strength)
         losses, kept = self.rollouts(np.tile(actor.weights, (CANDIDATES, 1, 1)), horizon)
@@ -313,8 +314,8 @@ class Trainer:
 def search_stage(
     trainer: Trainer, rng: np.random.Generator, stage: tuple[str, int, int, float], seconds: float
 ) -> list[float]:
-    """Gaussian steps of changing length on the loss of a stage, for some seconds of the processor;
-    the loss behind each batch of candidates, at least one."""
+    """Search weights at random, for some seconds of processor time and at least one batch, with
+    Gaussian steps of adaptive width. Return the loss after each batch."""
     name, horizon, _, strength = stage
     actor, n, losses = trainer.actor, trainer.search.num_worlds, []
     until, width = time.process_time() + seconds, 0.1
@@ -332,7 +333,7 @@ def search_stage(
 
 
 def search_rng(seed: int, stage: int = 0) -> np.random.Generator:
-    """What the yardstick draws in a stage of a number."""
+    """Return the random generator of the random search, for a seed and a stage."""
     return np.random.Generator(np.random.Philox(key=[seed, 9], counter=[0, 0, 0, stage]))
 
 
@@ -344,8 +345,7 @@ def validate(
     push: Callable[[int], np.ndarray | None] = lambda _: None,
     weights: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
-    """Play the actor in all worlds, or weights {worlds, 8, 10}: what GaitMeter measures, and where
-    the Ants end."""
+    """Play the actor, or weights {worlds, 8, 10}, in all worlds. Return measures of the gait."""
     ants.reset()
     meter = GaitMeter(ants)
     alive = np.ones(ants.num_worlds, bool)
@@ -377,7 +377,7 @@ def validate(
 def polished(
     actor: Actor, stage: str, ant: str, seed: int, generations: int, until: float = np.inf
 ) -> list[float]:
-    """Move the actor's weights by `polish`; what the best of every generation lacks."""
+    """Improve the weights by `polish`. Return the excess of the best of every generation."""
     ants = make_worlds(POLISHED * len(FLOORS), ant)
     ants.vary(friction=np.tile(FLOORS, POLISHED))
 
@@ -397,7 +397,7 @@ def polished(
 
 
 def checks_of(result: dict[str, np.ndarray], ratio: float) -> dict[str, tuple[bool, str]]:
-    """What is asked of 600 frames, whether it is so, and the figure."""
+    """Return the checks of 600 frames by name: whether each passed, and the measured value."""
     r = {k: v[0] for k, v in result.items() if k != "path"}
     touch = r["touchdowns"]
     return {
@@ -419,7 +419,7 @@ def checks_of(result: dict[str, np.ndarray], ratio: float) -> dict[str, tuple[bo
 
 
 def friction_ratio(actor: Actor, ant: str, frames: int) -> float:
-    """The shorter of the distances at friction 0.5 and 1.2 over the longer one."""
+    """Return the ratio of the shorter to the longer distance at friction 0.5 and 1.2."""
     ants = make_worlds(2, ant)
     ants.vary(friction=[0.5, 1.2])
     distance = validate(actor, ants, range(frames))["distance"]
@@ -427,7 +427,7 @@ def friction_ratio(actor: Actor, ant: str, frames: int) -> float:
 
 
 def robustness(actor: Actor, ant: str, seeds: int, frames: int) -> float:
-    """Print what becomes of Ants that differ and are pushed; the part that stays upright."""
+    """Print how Ants that differ and are pushed walk. Return the share that stays upright."""
     parts = [(), *((name,) for name in ALL), ALL]
     upright = np.ones(1)
     for names in parts:
@@ -445,7 +445,7 @@ def robustness(actor: Actor, ant: str, seeds: int, frames: int) -> float:
 
 
 def save(actor: Actor, args: argparse.Namespace) -> None:
-    """Write the weights with what they are."""
+    """Write the weights and their metadata to args.out."""
     meta = {
         "ant": args.ant,
         "asset": asset_hash(args.ant),
@@ -461,7 +461,7 @@ def save(actor: Actor, args: argparse.Namespace) -> None:
 
 
 def load(path: str, ant: str) -> Actor:
-    """The actor of a file.
+    """Load an actor from a file.
 
     Raises:
         ValueError: another Ant, another shape, NaN, pickled objects, features of another kind.
@@ -475,7 +475,7 @@ def load(path: str, ant: str) -> Actor:
 
 
 def plot(path: str, losses: list[float], result: dict[str, np.ndarray]) -> None:
-    """The loss, the way of the torso, and the hinges over two seconds."""
+    """Draw the loss, the path of the torso, and the hinges over the last two seconds."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -499,7 +499,7 @@ def plot(path: str, losses: list[float], result: dict[str, np.ndarray]) -> None:
 
 
 def arguments() -> argparse.Namespace:
-    """The flags."""
+    """Parse and check the flags."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     viewer.add_arguments(parser, 600, "frames of 1/20 s that are played after the training")
     parser.add_argument("--load", metavar="PATH.npz", help="play this file; no training")
@@ -540,7 +540,7 @@ def arguments() -> argparse.Namespace:
 
 
 def train(args: argparse.Namespace) -> tuple[Actor, list[float], dict[str, bool]]:
-    """Train as asked; the actor, the losses, and what failed."""
+    """Run the training. Return the actor, the losses, and the checks by name."""
     actor = Actor()
     if args.start:
         actor = load(args.start, args.ant)
@@ -569,7 +569,7 @@ def train(args: argparse.Namespace) -> tuple[Actor, list[float], dict[str, bool]
 
 
 def main() -> int:
-    """Train or load, play, and print what is asked of a gait; 0 when all of it is so."""
+    """Train or load an actor, play it, and print the checks. Return 0 if all checks passed."""
     args = arguments()
     checks: dict[str, bool] = {}
     if args.load:
@@ -577,7 +577,7 @@ def main() -> int:
     else:
         actor, losses, checks = train(args)
         save(actor, args)
-        actor = load(args.out, args.ant)  # what is played is what the file says, in float32
+        actor = load(args.out, args.ant)  # play the weights of the file, in float32
     ants = make_worlds(1, args.ant)
     with make_stage(args, ants) as stage:
         for frames in stage.runs(args.headless):

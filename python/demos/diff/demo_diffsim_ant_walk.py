@@ -5,12 +5,14 @@ With --train the biases before the last tanh move against the gradient of
 
     -(x_H - x_0) / (0.05 H) + mean y^2 + mean tilt^2 + 1e-3 mean |change of the actions|^2
 
-over H frames, from eight states of walking Ants (--starts) in one batch. The gradient is a direct
-force sensitivity: the biases' torques go through the mass matrix of every step of 1 ms, projected
-into the null space of the contacts' normals. Longer horizons are cut into segments of --segment
-frames, whose gradients are summed: one through many contacts tells nothing. A candidate is kept
-only when the ordinary solver measures a lower loss over the whole horizon. --train-weights all
-moves all weights of the actor in the same way.
+over H frames, from eight states of walking Ants (--starts) in one batch. y is the lateral offset
+(m), and tilt is the angle of the torso (rad).
+
+The gradient is a direct force sensitivity. The torques of the biases go through the mass matrix of
+every step of 1 ms, projected into the null space of the contacts' normals. Longer horizons are cut
+into segments of --segment frames, whose gradients are summed, because a gradient through many
+contacts is of no use. A candidate is kept only if the regular solver measures a lower loss over the
+whole horizon. --train-weights all tunes all weights of the actor in the same way.
 
     python demo_diffsim_ant_walk.py
     python demo_diffsim_ant_walk.py --headless 200
@@ -48,48 +50,46 @@ from novaphy import nova, viewer
 from novaphy.envs import ACTIONS, AntWorlds, rotate, rotate_back
 
 POLICY = DATA / "ant_walker.npz"
-WARM_UP = 40  # frames that the Ants walked before the starts
-STEPS = 2.0 ** -np.arange(0.0, 6.0)  # of the candidates, times the largest
-LARGEST = 0.03  # change of a bias in a step; of all weights the norm
-# What a gradient has beyond frozen dynamics with normals held; exact frames have more than terms.
+WARM_UP = 40  # frames of walking before the starts
+STEPS = 2.0 ** -np.arange(0.0, 6.0)  # sizes of the candidates, relative to LARGEST
+LARGEST = 0.03  # largest change of a bias in a step; for all weights, of the norm
+# The terms of a gradient besides frozen dynamics with frozen normals.
 KINDS = {"frozen": (), "sticking": ("sticking",), "exact": ("observations",)}
-# What is frozen unless a term of that name is there.
+# The parts that a gradient leaves out, unless it has the term.
 LEFT_OUT = {
     "dynamics": "derivatives of mass matrix and bias",
     "sticking": "friction tangents",
     "observations": "observations across the 20 Hz refresh",
 }
-BIASES = ("mu.bias",)  # what is tuned, but for --train-weights all
-MOST_FRAMES = 16_000  # starts times horizon; the steps of a frame are kept in 0.17 MB
-ADAPTED = {"friction": 0.5, "torso_mass": 1.2}  # and the gear of one hip by -30 %
-HELD_OUT, HELD_OUT_FRAMES = (2001, 2002, 2003), 200  # seeds of starts that nothing was tuned on
+BIASES = ("mu.bias",)  # the tuned arrays, without --train-weights all
+MOST_FRAMES = 16_000  # starts times horizon; a frame takes 0.17 MB
+ADAPTED = {"friction": 0.5, "torso_mass": 1.2}  # besides, one hip loses 30 % of its gear
+HELD_OUT, HELD_OUT_FRAMES = (2001, 2002, 2003), 200  # seeds of the test starts
 EYE = np.eye(3)
 
 Actor = dict[str, nova.Tensor]
 
 
 def adapted_gear() -> np.ndarray:
-    """Of the actions: the first hip is weak."""
+    """Return the factors {8} of the torques of the actions: the first hip has 0.7."""
     gear = np.ones(ACTIONS)
     gear[0] = 0.7
     return gear
 
 
 class Tuning:
-    """The loss of a batch of starts, and its gradient by the values that are tuned.
-
-    These are one vector: the eight biases, or the actor's arrays, flat, in the order of its names.
-    """
+    """The loss of a batch of starts, and its gradient with respect to the tuned values. The values
+    are one vector: the eight biases, or the actor's arrays, flat, in the order of their names."""
 
     def __init__(self, actor: Actor, args: argparse.Namespace) -> None:
-        """Let the starts walk."""
+        """Let Ants walk for WARM_UP frames. Their states are the starts of the rollouts."""
         self.starts_count = args.starts
         self.actor, self.ant, self.adapt = actor, args.ant, args.adapt
         self.horizon, self.segment = args.train_horizon, args.segment
         self.kind, self.terms = args.gradient, KINDS[args.gradient]
         self.names = BIASES if args.train_weights == "biases" else tuple(actor)
         self.values = np.concatenate([actor[k].numpy().ravel() for k in self.names]).astype(float)
-        self.shift = 0  # frames before the first segment; others behind a step that was not kept
+        self.shift = 0  # frames before the first segment; grows after a failed step
         warm = self.worlds(self.starts_count, seed=args.seed, noise=0.1)
         for _ in range(WARM_UP):
             warm.step(act(actor, warm.observations()))
@@ -99,53 +99,53 @@ class Tuning:
         self.search = self.worlds(self.starts_count * len(STEPS))
 
     def worlds(self, count: int, **options) -> AntWorlds:
-        """Ants, with the changes that are to be adapted to."""
+        """Make worlds of Ants, with --adapt with the changes to which the actor adapts."""
         ants = AntWorlds(count, ant=self.ant, **options)
         if self.adapt:
             ants.vary(**ADAPTED, gear=np.tile(adapted_gear(), (count, 1)))
         return ants
 
     def make_frames(self, count: int):
-        """Frames of so many worlds, with derivatives as asked."""
+        """Make frames of `count` worlds, with the derivatives of --gradient."""
         kind = "exact" if self.kind == "exact" else "frozen"
         return make_frames(self.worlds(count), kind, self.terms)
 
     def segments(self) -> int:
-        """How many of them the horizon has."""
+        """Return the number of segments of the horizon."""
         return max(1, self.horizon // self.segment)
 
     def label(self) -> str:
-        """What the gradient is."""
+        """Return a description of the gradient."""
         if self.kind == "exact":
             return f"{self.frames.label()}; observations across the refresh included"
         left = (text for term, text in LEFT_OUT.items() if term not in self.terms)
         return "frozen: " + ", ".join(("contact creation and loss", *left))
 
     def with_values(self, values: np.ndarray) -> Actor:
-        """The actor with other values of what is tuned, in float32."""
+        """Return the actor with other tuned values, in float32."""
         sizes = [self.actor[name].numpy().size for name in self.names]
         parts = np.split(np.float32(values), np.cumsum(sizes)[:-1])
         shaped = (part.reshape(self.actor[k].shape) for k, part in zip(self.names, parts))
         return {**self.actor, **dict(zip(self.names, map(nova.tensor, shaped)))}
 
     def means(self, observations: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Means before the tanh {n, 8}, with values {m, ...}, each for n / m rows, or {...}."""
+        """Return means {n, 8} before the tanh. Values {m, ...} are for n / m rows each."""
         values = np.atleast_2d(values)
         if self.names != BIASES:
             blocks = zip(values, np.split(observations, len(values)))
             means = [mean_action(self.with_values(v), nova.tensor(x)).numpy() for v, x in blocks]
             return np.concatenate(means).astype(np.float64)
-        # Added in double precision: small differences of biases are seen.
+        # The sum is in double precision, so that small differences of biases count.
         plain = mean_action(self.actor, nova.tensor(observations)).numpy().astype(np.float64)
         bias = np.repeat(values, len(observations) // len(values), axis=0)
         return plain - self.actor["mu.bias"].numpy() + bias
 
     def losses(self, values: np.ndarray) -> np.ndarray:
-        """Of real rollouts with values {m, ...} from all starts, {m}."""
+        """Return the mean losses {m} over the starts of rollouts with values {m, ...}."""
         return self.losses_by_start(values).mean(axis=1)
 
     def losses_by_start(self, values: np.ndarray) -> np.ndarray:
-        """Of real rollouts with values {m, ...}, {m, starts}."""
+        """Return the losses {m, starts} of simulated rollouts with values {m, ...}."""
         count = len(values) * self.starts_count
         ants = self.search if count == self.search.num_worlds else self.worlds(count)
         ants.set_state(*(np.tile(x, (len(values), 1)) for x in self.starts))
@@ -160,19 +160,19 @@ class Tuning:
         return np.nan_to_num(total, nan=1e9).reshape(len(values), self.starts_count)
 
     def frame_loss(self, q, first, a, last) -> np.ndarray:
-        """Of the end of a frame, without the way."""
+        """Return the loss at the end of a frame {n}, without the term of the distance."""
         aside = q[:, 1].astype(np.float64) - first[:, 1]
         jump = ((a - last) ** 2).sum(axis=1)
         return (aside**2 + tilt(q) ** 2 + 1e-3 * jump) / self.horizon
 
     def frame_gradient(self, q, first) -> np.ndarray:
-        """The derivative of frame_loss by tangents and rates {n, 28}."""
+        """Return the derivative of frame_loss with respect to tangents and rates {n, 28}."""
         g = np.zeros((len(q), 28))
         g[:, 1] = 2.0 * (q[:, 1].astype(np.float64) - first[:, 1])
         up = rotate(q[:, 3:7].astype(np.float64), np.broadcast_to(EYE[2], (len(q), 3)))
         side = np.linalg.norm(up[:, :2], axis=1)
         angle = np.arctan2(side, up[:, 2])
-        # d angle = d|side| / up_z, where |up| stays 1.
+        # d angle = d|side| / up_z, because |up| stays 1.
         g_up = np.zeros_like(up)
         scale = 2.0 * angle / np.maximum(side, 1e-9) / up[:, 2]
         g_up[:, :2] = up[:, :2] * scale[:, None]
@@ -180,7 +180,8 @@ class Tuning:
         return g / self.horizon
 
     def begin(self, values: np.ndarray):
-        """Where the segments of a rollout begin: states, actions before, starts of the rollout."""
+        """Return the beginnings of all segments: coordinates, rates, the actions of the frame
+        before, and the coordinates at the start of the rollout."""
         ants, found, last = self.worlds(self.starts_count), [], self.last
         ants.set_state(*self.starts)
         for k in range(self.shift + self.segment * (self.segments() - 1) + 1):
@@ -192,8 +193,7 @@ class Tuning:
         return q, qd, last, np.tile(self.starts[0], (len(found), 1))
 
     def record(self, values: np.ndarray) -> list[dict]:
-        """The frames of all segments, which are worlds of one batch, with what the gradient
-        needs."""
+        """Run the frames of all segments as worlds of one batch. Return data for the gradient."""
         ants = self.frames.ants
         start, rate, last, first = self.begin(values)
         ants.set_state(start, rate)
@@ -210,7 +210,7 @@ class Tuning:
         return records
 
     def gradient(self, values: np.ndarray, records: list[dict] | None = None) -> np.ndarray:
-        """By the values, the mean over the starts."""
+        """Return the gradient of the loss by the values, a mean over the starts."""
         actor = self.with_values(values)
         for name in self.names:
             actor[name].requires_grad = True
@@ -221,8 +221,8 @@ class Tuning:
         return np.concatenate(found).astype(float) / self.starts_count
 
     def pull(self, actor: Actor, records: list[dict]) -> np.ndarray:
-        """By the biases {worlds, 8}, summed over the frames; of other arrays that are tuned the sum
-        over all worlds is added to their grad."""
+        """Return the gradient with respect to the biases {worlds, 8}, summed over the frames.
+        Gradients of other tuned arrays, summed over all worlds, are added to their grad."""
         ants = self.frames.ants
         columns = 6 + np.array(ants.hinge_of_action)
         g = np.zeros((ants.num_worlds, 28))
@@ -249,9 +249,9 @@ class Tuning:
         return total
 
     def train(self) -> tuple[float, float, bool]:
-        """One step; the loss before and behind it, and whether a candidate was kept."""
+        """Take one step. Return the loss before and after it, and whether a candidate was kept."""
         gradient = self.gradient(self.values)
-        # Of all weights the norm: they act together.
+        # Biases: the largest component. All weights: the norm, because they act together.
         size = np.linalg.norm(gradient, np.inf if self.names == BIASES else 2)
         direction = gradient / max(size, 1e-12)
         candidates = self.values - LARGEST * STEPS[:, None] * direction
@@ -265,11 +265,11 @@ class Tuning:
         return before, before, False
 
     def tuned(self) -> Actor:
-        """The actor with the new values."""
+        """Return the actor with the tuned values."""
         return self.with_values(self.values)
 
     def replay(self, records: list[dict], values: np.ndarray) -> float:
-        """The loss along the linearized frames, with the stored matrices and other values."""
+        """Return the loss of other values along the linearized frames, with the stored matrices."""
         ants, dt = self.frames.ants, self.frames.ants.dt
         columns = 6 + np.array(ants.hinge_of_action)
         e, v = np.zeros((2, ants.num_worlds, DOFS))
@@ -293,13 +293,13 @@ class Tuning:
         return float((total - way / (0.05 * self.horizon)).sum() / self.starts_count)
 
     def directions(self) -> np.ndarray:
-        """In which gradients are compared {8, ...}: of every bias, or of all weights at random."""
+        """Return eight directions {8, ...}: the biases, or random ones of all weights."""
         if self.names == BIASES:
             return np.eye(ACTIONS)
         return np.random.default_rng(0).standard_normal((ACTIONS, self.values.size))
 
     def check_gradient(self) -> bool:
-        """Against differences of the linearized replay, and of real rollouts."""
+        """Compare the gradient with differences of the replay and of simulated rollouts."""
         passed, ways = True, self.directions()
         if self.kind != "exact":
             records = self.record(self.values)
@@ -331,7 +331,7 @@ class Tuning:
 
 
 def observation_jacobian(q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """Of the first 27 observations by tangents and rates {n, 27, 28}; the others are 0."""
+    """Return derivatives of the first 27 observations by tangents and rates {n, 27, 28}."""
     q, qd = q.astype(np.float64), qd.astype(np.float64)
     d = np.zeros((len(q), 27, 28))
     d[:, 0, 2] = 1.0
@@ -347,7 +347,7 @@ def observation_jacobian(q: np.ndarray, qd: np.ndarray) -> np.ndarray:
 
 
 def moved(q: np.ndarray, e: np.ndarray) -> np.ndarray:
-    """Coordinates {n, 15} moved by tangents {n, 14}."""
+    """Return coordinates {n, 15} moved by tangents {n, 14}."""
     q = q.copy()
     q[:, :3] += e[:, :3]
     angle = np.linalg.norm(e[:, 3:6], axis=1, keepdims=True)
@@ -360,8 +360,8 @@ def moved(q: np.ndarray, e: np.ndarray) -> np.ndarray:
 
 
 def returns(actor: Actor, ants: AntWorlds, tuning: Tuning, seed: int) -> np.ndarray:
-    """The mean return (what the tuning's loss is the negative of) and way (m) of an actor from
-    starts of a seed."""
+    """Return the mean return (the negative of the tuning's loss) and the mean distance (m) of an
+    actor from the starts of a seed."""
     ants.reseed(seed)
     ants.reset()
     first, last = ants.q, np.zeros((ants.num_worlds, ACTIONS))
@@ -378,7 +378,7 @@ def returns(actor: Actor, ants: AntWorlds, tuning: Tuning, seed: int) -> np.ndar
 
 
 def play(actor: Actor, args: argparse.Namespace) -> dict[str, bool]:
-    """Replay in the viewer; what should be."""
+    """Play the actor in the viewers. Return the checks by name."""
     ants = AntWorlds(1, ant=args.ant)
     if args.adapt:
         ants.vary(**ADAPTED, gear=adapted_gear()[None])
@@ -402,13 +402,13 @@ def play(actor: Actor, args: argparse.Namespace) -> dict[str, bool]:
         f"slip {r['slip'][0]:.0%} of the distance, tilt at most {r['tilt'][0]:.1f} degrees"
     )
     checks = {"an Ant that stays up": alive}
-    if args.headless >= FPS:  # it falls on its feet first
+    if args.headless >= FPS:  # at first the Ant falls on its feet
         checks["a way forward"] = way > 0.0
     return checks
 
 
 def arguments() -> argparse.Namespace:
-    """The flags."""
+    """Parse and check the flags."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     viewer.add_arguments(parser, 400, "frames of 1/20 s that are played")
     parser.add_argument("--policy", metavar="PATH.npz", default=str(POLICY), help="the actor")
@@ -465,7 +465,7 @@ def arguments() -> argparse.Namespace:
 def report_adaptation(
     before: Actor, after: Actor, tuning: Tuning, args: argparse.Namespace
 ) -> None:
-    """The share of the lost way that is back, on held-out starts."""
+    """Print how much of the lost return the tuning recovers on held-out starts."""
     plain = AntWorlds(32, ant=args.ant, noise=0.1)
     changed = tuning.worlds(32, noise=0.1)
     found = np.array([
@@ -486,7 +486,7 @@ def report_adaptation(
 
 
 def main() -> int:
-    """Tune, check and play as asked; 0 when every check passed."""
+    """Tune, check and play the actor. Return 0 if every check passed."""
     args = arguments()
     actor, meta = load_actor(args.policy, args.ant)
     checks: dict[str, bool] = {}

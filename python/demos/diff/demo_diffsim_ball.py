@@ -38,7 +38,7 @@ LEARNING_RATE = 0.02
 
 
 def build_model(device: str) -> novaphy.Model:
-    """One particle in front of a wall, over the ground."""
+    """Build one particle in front of a wall, above the ground."""
     builder = novaphy.ModelBuilder()
     builder.add_particle(pos=(0.0, -0.5, 1.0), vel=(0.0, 5.0, -5.0), mass=1.0)
     cfg = novaphy.ShapeConfig(ke=1.0e4, kd=10.0, kf=0.0, mu=0.2)
@@ -77,7 +77,7 @@ class Ball:
         )
 
     def train(self) -> float:
-        """One iteration of gradient descent; returns the loss before it."""
+        """Run one iteration of gradient descent. Return the loss before its update."""
         with nova.Tape() as tape:
             loss = self.forward()
             tape.backward(loss)
@@ -86,11 +86,11 @@ class Ball:
         return loss.item()
 
     def positions(self) -> np.ndarray:
-        """All positions of the last rollout, {STEPS + 1, n, 3}, m."""
+        """Return all positions of the last rollout, {STEPS + 1, n, 3} (m)."""
         return np.stack([state.particle_q.numpy() for state in self.states])
 
     def frames(self) -> Iterator[tuple[float, novaphy.SimState]]:
-        """Times and states of the last rollout's frames."""
+        """Yield times (s) and states of the frames of the last rollout."""
         return ((k / FPS, self.states[k * SUBSTEPS]) for k in range(FRAMES + 1))
 
 
@@ -102,7 +102,7 @@ def plot(path: str, losses: list[float], trajectories: list[np.ndarray]) -> None
     figure, right = loss_figure(losses, "squared distance to the target [m²]")
     last = len(trajectories) - 1
     scale = plt.cm.ScalarMappable(cmap="viridis_r", norm=plt.Normalize(0, max(last, 1)))
-    shown = sorted({round(k) for k in np.linspace(0, last, 25)})  # more lines would hide each other
+    shown = sorted({round(k) for k in np.linspace(0, last, 25)})  # more lines would overlap
     for k in shown:
         q = trajectories[k]
         right.plot(q[:, 0, 1], q[:, 0, 2], color=scale.to_rgba(k), linewidth=1.2)
@@ -124,7 +124,7 @@ def plot(path: str, losses: list[float], trajectories: list[np.ndarray]) -> None
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     args = parse(make_parser(__doc__, iterations=150))
     ball = Ball(args.device)
     checks = {}
@@ -150,7 +150,7 @@ def main() -> int:
         dump_states(args.dump_states, trajectories[-1], SUBSTEPS, losses)
     if args.plot:
         plot(args.plot, losses, trajectories)
-    drops = -np.diff(losses[:31])  # later on the loss may jump where a contact opens or closes
+    drops = -np.diff(losses[:31])  # later the loss may jump when a contact opens or closes
     checks["a loss that falls by 1e-3 m² in each of 30 iterations"] = bool(np.all(drops > 1.0e-3))
     checks["a loss that falls"] = final < losses[0] or not args.headless
     print(

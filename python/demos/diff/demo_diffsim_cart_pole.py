@@ -1,9 +1,9 @@
 """Swing a pole up by pushing the cart that it hangs on.
 
-The cart moves along a rail, the pole hangs on it by a hinge without a motor. Optimized is the force
-on the cart over 2 s, 60 numbers, each for 8 of the 480 substeps, so that the pole ends upright, the
-cart in the middle, and both at rest. A rollout of DiffFeatherstoneSolver, backward and Adam are one
-iteration.
+The cart moves along a rail. The pole hangs on the cart by a hinge without a motor. The force on the
+cart is optimized: 60 values over 2 s, each for 8 of the 480 substeps. At the end the pole should be
+upright and the cart in the middle, both at rest. One iteration is a rollout of
+DiffFeatherstoneSolver, a backward pass and a step of Adam.
 
     python demo_diffsim_cart_pole.py
     python demo_diffsim_cart_pole.py --headless 300 --plot cart_pole.png
@@ -29,7 +29,7 @@ FLOATING = (0.0, 0.0, 1.0, *IDENTITY)
 
 
 def build_model(device: str) -> novaphy.Model:
-    """The cart on its rail, 1 m above the ground, with the pole hanging down."""
+    """Build the cart on its rail, 1 m above the ground. The pole hangs down."""
     builder = novaphy.ModelBuilder()
     looks = novaphy.ShapeConfig(density=0.0)
     builder.add_ground_plane(cfg=looks)
@@ -58,7 +58,7 @@ class CartPole:
         self.controls = [self.model.control() for _ in range(FORCES)]
         for control in self.controls:
             control.joint_f.requires_grad = True
-        # A push to and fro, at the pole's own rate: from rest both directions are equal.
+        # The first force oscillates at the pole's frequency. From rest both directions are equal.
         self.forces = 2.0 * np.sin(np.arange(FORCES) * (STEPS / FORCES * DT) * 4.4)
         self.moments = np.zeros((2, FORCES))
         self.iterations = 0
@@ -74,7 +74,7 @@ class CartPole:
         return upright + 0.3 * q[0:1] * q[0:1] + 0.05 * nova.sum(qd * qd)
 
     def gradient(self) -> tuple[float, np.ndarray]:
-        """The loss with the effort, and its gradient with respect to the forces."""
+        """Return the loss with the effort, and its gradient with respect to the forces."""
         with nova.Tape() as tape:
             loss = self.forward()
             tape.backward(loss)
@@ -84,7 +84,7 @@ class CartPole:
         return loss.item() + effort, gradient + 2.0 * EFFORT / FORCES * self.forces
 
     def train(self) -> float:
-        """One iteration of Adam; the loss before it."""
+        """Run one iteration of Adam. Return the loss before its update."""
         loss, gradient = self.gradient()
         self.iterations += 1
         first, second = self.moments
@@ -97,7 +97,7 @@ class CartPole:
         return loss
 
     def check_gradient(self) -> bool:
-        """Some of the gradient against central differences."""
+        """Compare some values of the gradient with central differences."""
         _, gradient = self.gradient()
         start, eps, chosen = self.forces.copy(), 0.1, (0, 17, 41)
         ends = []
@@ -115,18 +115,23 @@ class CartPole:
         return error < 1e-2
 
     def frames(self) -> Iterator[tuple[float, novaphy.SimState]]:
-        """Times and states of the last rollout's frames; only steps set the poses of bodies."""
+        """Yield times (s) and states of the frames of the last rollout.
+
+        The initial state is left out, because only steps set the poses of bodies.
+        """
         for k in range(0, STEPS + 1, SUBSTEPS):
             yield k * DT, self.trajectory[max(1, k)]
 
     def paths(self) -> dict[str, np.ndarray]:
-        """The way of the pole's end in the last rollout."""
+        """Return the path of the pole's end in the last rollout {steps + 1, 3} (m), by name."""
         q = self.coordinates()
         x, z = q[:, 0] - 2.0 * LENGTH * np.sin(q[:, 1]), 1.0 - 2.0 * LENGTH * np.cos(q[:, 1])
         return {"path": np.stack([x, np.zeros_like(x), z], axis=1).astype(np.float32)}
 
     def coordinates(self) -> np.ndarray:
-        """The cart's position and the pole's angle over the last rollout, {steps + 1, 2}."""
+        """Return the cart's position (m) and the pole's angle (rad) over the last rollout, {steps +
+        1, 2}.
+        """
         return np.array([self.trajectory[t].joint_q.numpy() for t in range(STEPS + 1)])
 
 
@@ -145,7 +150,7 @@ def plot(path: str, losses: list[float], scene: CartPole) -> None:
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     args = parse(make_parser(__doc__, iterations=300))
     scene = CartPole(args.device)
     checks = {}

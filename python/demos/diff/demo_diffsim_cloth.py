@@ -1,7 +1,7 @@
 """Throw a cloth so that its middle flies through a target, by gradient descent.
 
-A square meter of cloth with drag and lift is thrown into the air, 1,920 substeps. Optimized are the
-initial velocities of all its 289 particles, so that the centroid is at the target after two
+A square meter of cloth with drag and lift is thrown into the air, for 1,920 substeps. The initial
+velocities of all 289 particles are optimized, so that the centroid is at the target after two
 seconds. An iteration (rollout, gradient, update) is recorded once and replayed.
 
     python demo_diffsim_cloth.py
@@ -37,7 +37,7 @@ CELLS = 16
 
 
 def build_model(device: str) -> novaphy.Model:
-    """A cloth, turned by 135 degrees about y."""
+    """Build a cloth, turned by 135 degrees about y."""
     half = -0.75 * np.pi / 2.0
     builder = novaphy.ModelBuilder()
     builder.default_particle_radius = 0.01
@@ -76,7 +76,7 @@ class Cloth:
         return diff.vec3_point_loss_generated(diff.particle_centroid_generated(last), *TARGET)
 
     def iterate(self) -> nova.Tensor:
-        """Forward, backward and one step of gradient descent; the loss."""
+        """Run a rollout, the backward pass and one step of gradient descent. Return the loss."""
         with nova.Tape() as tape:
             loss = self.forward()
             tape.backward(loss)
@@ -101,7 +101,7 @@ def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     args = parse(make_parser(__doc__, iterations=40))
     cloth = Cloth(args.device)
     checks = {}

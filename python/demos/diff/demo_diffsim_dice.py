@@ -1,14 +1,14 @@
 """Spin a die so that it falls on the ground with a chosen face up.
 
-A die of 12 kg falls from 0.6 m with a fixed linear velocity. Optimized is its initial angular
-velocity, so that its x axis points up, and it is at rest, after 0.8 s: 768 substeps, in each of
-which the corners that touch the ground are found anew. The loss is a landscape of steps, one for
-each face, so every update is a clipped gradient step whose length is halved until the loss falls.
-The same is then tried from seeded random spins.
+A die of 12 kg falls from 0.6 m with a fixed linear velocity. The initial angular velocity is
+optimized. After 0.8 s (768 substeps) the x axis of the die should point up, and the die should be
+at rest. Contacts of the corners with the ground are found in every substep. The loss has a step for
+each face. Every update is therefore a clipped gradient step whose length is halved until the loss
+falls. The demo then starts from seeded random spins.
 
-One die alone uses the generated operator, which finds the corners in its own kernel. Several
-(`--dice`) are thrown side by side and may collide: their contacts come from a collision pipeline,
-found anew in every substep, and the gradient follows both bodies.
+A single die uses the generated operator, which finds the corners in its own kernel. Several dice
+(`--dice`) are thrown side by side and may collide. A collision pipeline finds their contacts in
+every substep, and the gradient includes both bodies of a contact.
 
     python demo_diffsim_dice.py
     python demo_diffsim_dice.py --dice 3 --starts 0
@@ -39,7 +39,7 @@ FPS, SUBSTEPS, FRAMES = 60, 16, 48
 STEPS, DT = SUBSTEPS * FRAMES, 1.0 / (FPS * SUBSTEPS)
 HALF, SPACING = 0.1, 0.4  # m
 START = (0.0, 0.0, 0.6, 0.0, 0.0, 0.0, 1.0)
-PENETRATING = (0.0, 0.0, 0.13, 0.11, -0.21, 0.29, 0.927)  # a corner in the ground
+PENETRATING = (0.0, 0.0, 0.13, 0.11, -0.21, 0.29, 0.927)  # a pose with a corner in the ground
 VELOCITY, SPIN = (1.0, 0.0, 0.0), (1.0, 5.0, 2.0)
 FRICTION_SMOOTHING = 0.1  # m/s
 LEARNING_RATE, SMALLEST_RATE = 0.5, 1e-3
@@ -47,7 +47,7 @@ MAX_GRADIENT, MAX_SPIN = 10.0, 20.0
 
 
 def build_model(device: str, start: tuple[float, ...], count: int) -> novaphy.Model:
-    """Dice over the ground, side by side, each a little higher than the one before."""
+    """Build dice above the ground, side by side, each a little higher than the one before."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(ke=1e4, kd=300.0, kf=500.0, mu=0.5)
     builder.add_ground_plane(cfg=surface)
@@ -99,7 +99,11 @@ class Dice:
         return loss
 
     def loss(self, end: novaphy.SimState, die: int) -> nova.Tensor:
-        """How far the x axis of one die is from upwards, and what of it still moves, {1}."""
+        """Return the loss {1} of one die.
+
+        The loss is the distance of the x axis of the die from upwards, and a term of the remaining
+        motion.
+        """
         return diff.rigid_orientation_velocity_loss_generated(
             diff.state_body_q_tensor(end),
             diff.state_body_qd_tensor(end),
@@ -108,7 +112,7 @@ class Dice:
             target_axis_a=(0.0, 0.0, 1.0),
             local_axis_b=(0.0, 1.0, 0.0),
             target_axis_b=(0.0, 1.0, 0.0),
-            axis_weight_b=0.0,  # any yaw: a weight here makes a local minimum half a turn away
+            axis_weight_b=0.0,  # any yaw; a weight would make a local minimum half a turn away
             target_height=HALF,
             height_weight=1.0,
             linear_velocity_weight=0.01,
@@ -116,9 +120,10 @@ class Dice:
         )
 
     def iterate(self) -> tuple[float, bool]:
-        """One gradient, and of each die the first of the halved steps that lowers the loss, if any.
+        """Compute one gradient. For each die take the first of the halved steps that lowers the
+        loss.
 
-        Returns the loss before it, and whether a step was taken.
+        Return the loss before the steps, and whether any step was taken.
         """
         with nova.Tape() as tape:
             loss = self.forward()
@@ -133,7 +138,7 @@ class Dice:
         return before, moved
 
     def search(self, die: int, gradient: np.ndarray, before: float) -> tuple[float, bool]:
-        """The line search of one die's spin; the loss after it, and whether it took a step."""
+        """Search a step of one die's spin. Return the loss after it, and whether it was taken."""
         start = self.spin.numpy()
         length = float(np.linalg.norm(gradient))
         if not np.isfinite(length) or length == 0.0:
@@ -153,7 +158,7 @@ class Dice:
         return before, False
 
     def train(self, iterations: range, stage: viewer.Stage | None = None) -> list[float]:
-        """Iterate until nothing lowers the loss any more, and show it; the losses."""
+        """Iterate until no step lowers the loss, and show the iterations. Return the losses."""
         losses = []
         for k in iterations:
             loss, moved = self.iterate()
@@ -165,17 +170,17 @@ class Dice:
         return [*losses, self.forward().item()]
 
     def frames(self) -> Iterator[tuple[float, novaphy.SimState]]:
-        """Times and states of the last rollout's frames."""
+        """Yield times (s) and states of the frames of the last rollout."""
         return ((k / FPS, self.trajectory[k * SUBSTEPS]) for k in range(FRAMES + 1))
 
     def paths(self) -> dict[str, np.ndarray]:
-        """The ways of the centers and of a corner of the first die in the last rollout."""
+        """Return the paths of the centers and of a corner of the first die in the last rollout."""
         q = poses(self)
         ways = {f"path {k}" if k else "path": q[:, k, :3] for k in range(q.shape[1])}
         return {**ways, "corner": corner_way(q[:, 0])}
 
     def landed(self) -> int:
-        """How many dice end the last rollout with the face up, at rest."""
+        """Return the number of dice that end the last rollout at rest with the face up."""
         end = self.trajectory[self.trajectory.steps]
         x, y, z, w = end.body_q.numpy()[:, 3:].T
         up = 2.0 * (x * z - w * y)  # the height of the dice's x axes
@@ -184,7 +189,7 @@ class Dice:
 
 
 def success_rate(device: str, starts: int, iterations: int) -> int:
-    """How many of the seeded spins end with the face up."""
+    """Return the number of seeded spins that end with the face up."""
     random = np.random.default_rng(2024)
     die, landed = Dice(device), 0
     for _ in progress(range(starts)):
@@ -212,7 +217,7 @@ def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     parser = make_parser(__doc__, iterations=8)
     parser.add_argument("--starts", type=int, default=20, help="seeded random spins to try")
     parser.add_argument("--dice", type=int, default=1, help="dice that are thrown together")
@@ -259,14 +264,14 @@ def main() -> int:
 
 
 def corner_way(pose: np.ndarray) -> np.ndarray:
-    """The way {n, 3} of the corner (HALF, HALF, HALF) at poses {n, 7}."""
+    """Return the path {n, 3} (m) of the corner (HALF, HALF, HALF) at poses {n, 7}."""
     axis, w, corner = pose[:, 3:6], pose[:, 6:], np.full(3, HALF, np.float32)
     turn = 2.0 * np.cross(axis, corner)
     return (pose[:, :3] + corner + w * turn + np.cross(axis, turn)).astype(np.float32)
 
 
 def poses(die: Dice) -> np.ndarray:
-    """All poses of the last rollout, {steps + 1, dice, 7}."""
+    """Return all poses of the last rollout, {steps + 1, dice, 7}."""
     return np.array([die.trajectory[t].body_q.numpy() for t in range(STEPS + 1)])
 
 

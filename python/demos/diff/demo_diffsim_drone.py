@@ -1,11 +1,11 @@
 """Fly a drone to a waypoint, where it hovers.
 
-A drone of 1.2 kg hangs in the air, held by four rotors that turn in turn left and right. Optimized
-are four commands over 1.5 s (lift, roll, pitch, yaw; 9 values of each, linear in between), which
-make the thrust of each rotor. At the end the drone has to be at the
-waypoint, upright and at rest. What the rotors do follows the pose: a kernel of this file turns the
-thrusts into the wrench on the body in every one of the 300 substeps, and its adjoint is generated,
-as that of the engine's own kernels is.
+A drone of 1.2 kg hovers with four rotors, which turn left and right alternately. Four commands over
+1.5 s are optimized: lift, roll, pitch and yaw, with 9 values each and linear in between. They give
+the thrust of each rotor. At the end the drone should be at the waypoint, upright and at rest.
+
+The forces of the rotors turn with the pose. A kernel of this file converts the thrusts to the
+wrench on the body in each of the 300 substeps. The adjoint of the kernel is generated.
 
     python demo_diffsim_drone.py
     python demo_diffsim_drone.py --headless 100 --plot drone.png --record drone.html
@@ -36,20 +36,20 @@ STEPS, DT = SUBSTEPS * FRAMES, 1.0 / (FPS * SUBSTEPS)
 HALF = (0.1, 0.1, 0.03)  # m
 MASS, GRAVITY = 1.2, 9.81
 ARM = 0.15  # m, along x and y
-SENSES = (1.0, -1.0, 1.0, -1.0)  # of the rotors, going round
-DRAG = 0.02  # m: moment about the axis per thrust
+SENSES = (1.0, -1.0, 1.0, -1.0)  # senses of rotation of the rotors, in order around the drone
+DRAG = 0.02  # m: moment about the axis of a rotor, per thrust
 KNOTS = 9
-# N: what a unit of lift, roll, pitch and yaw adds to the thrust of each rotor
+# N: the change of the thrust of each rotor by a unit of lift, roll, pitch and yaw
 MIX = np.float32(
     [[1, 1, 1, 1], [0.1, 0.1, -0.1, -0.1], [-0.1, 0.1, 0.1, -0.1], [0.1, -0.1, 0.1, -0.1]]
 )
 START, WAYPOINT = (0.0, 0.0, 1.0), (0.8, 0.4, 1.5)  # m
-LEARNING_RATE = 0.2  # of the commands
+LEARNING_RATE = 0.2  # step size of the commands
 STILL, UPRIGHT = 0.05, 0.2
 
 
 def build_model(device: str) -> novaphy.Model:
-    """The drone over the ground, which it does not touch."""
+    """Build the drone above the ground, which the drone does not touch."""
     builder = novaphy.ModelBuilder(gravity=(0.0, 0.0, -GRAVITY))
     builder.add_ground_plane()
     density = MASS / (8.0 * HALF[0] * HALF[1] * HALF[2])
@@ -60,7 +60,7 @@ def build_model(device: str) -> novaphy.Model:
 
 
 def rotor_wrench(c: nova.TraceContext) -> list[nova.Real]:
-    """Force and moment of the four rotors, about the center of mass, in the world frame."""
+    """Return force (N) and moment (N m) of the rotors, about the center of mass, in world axes."""
     thrust = [c.f32("thrust", k) for k in range(4)]
     places = [(ARM, ARM), (-ARM, ARM), (-ARM, -ARM), (ARM, -ARM)]
     lift, moment = nova.Real(0.0), [nova.Real(0.0)] * 3
@@ -79,7 +79,7 @@ def rotor_wrench(c: nova.TraceContext) -> list[nova.Real]:
 
 
 def interpolation() -> np.ndarray:
-    """What each knot adds to the thrusts of each substep, {steps, knots}."""
+    """Return the weights {steps, knots} by which knots give the commands of substeps."""
     at = np.linspace(0.0, KNOTS - 1.0, STEPS)[:, None]
     return np.maximum(0.0, 1.0 - np.abs(at - np.arange(KNOTS))).astype(np.float32)
 
@@ -107,11 +107,15 @@ class Drone:
         self.weights = nova.tensor(np.float32(weights), device=device)
 
     def thrusts(self) -> nova.Tensor:
-        """Of each rotor in each substep, {steps, 4}: those that hover, and the commands."""
+        """Return the thrust (N) of each rotor in each substep, {steps, 4}: hover plus commands."""
         return (self.basis @ self.commands) @ self.mix + MASS * GRAVITY / 4.0
 
     def forward(self) -> nova.Tensor:
-        """Fly; the squared distance from the waypoint, and what still tilts and moves, {1}."""
+        """Simulate the flight, and return the loss {1}.
+
+        The loss is the squared distance (m^2) from the waypoint, and terms of the remaining tilt
+        and motion.
+        """
         thrusts = self.thrusts()
         for t, (state, after) in enumerate(zip(self.states, self.states[1:], strict=False)):
             (wrench,) = self.rotors(1, [diff.state_body_q_tensor(state), thrusts[t : t + 1]])
@@ -122,7 +126,7 @@ class Drone:
         return nova.sum(away * away * self.weights) + STILL * nova.sum(twist * twist)
 
     def train(self) -> float:
-        """One gradient and one update; the loss before it."""
+        """Compute one gradient and one update. Return the loss before the update."""
         with nova.Tape() as tape:
             loss = self.forward()
             tape.backward(loss)
@@ -131,11 +135,11 @@ class Drone:
         return loss.item()
 
     def frames(self) -> Iterator[tuple[float, novaphy.SimState]]:
-        """Times and states of the last flight's frames."""
+        """Yield times (s) and states of the frames of the last flight."""
         return ((k / FPS, self.states[k * SUBSTEPS]) for k in range(FRAMES + 1))
 
     def poses(self) -> np.ndarray:
-        """All poses of the last flight, {steps + 1, 7}."""
+        """Return all poses of the last flight, {steps + 1, 7}."""
         return np.array([state.body_q.numpy()[0] for state in self.states])
 
 
@@ -159,7 +163,7 @@ def plot(path: str, losses: list[float], poses: np.ndarray, thrusts: np.ndarray)
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     args = parse(make_parser(__doc__, iterations=100))
     drone, checks = Drone(args.device), {}
     if args.check_grad:

@@ -1,9 +1,9 @@
 """Throw a two-link arm so that its tip is at a target.
 
-The arm hangs on two hinges and falls for 0.6 s: 576 substeps of SolverFeatherstone.step, each
-recorded behind it by record_planar_2r_featherstone_step. Optimized are the initial velocities of
-the hinges, so that the tip ends at a target; every update is a gradient step whose length is halved
-until the loss falls. The arm moves in the vertical plane XOZ.
+The arm hangs on two hinges and falls for 0.6 s: 576 substeps of SolverFeatherstone.step.
+record_planar_2r_featherstone_step records each substep after it ran. The initial velocities of the
+hinges are optimized, so that the tip ends at a target. Every update is a gradient step whose length
+is halved until the loss falls. The arm moves in the vertical plane XOZ.
 
     python demo_diffsim_featherstone.py
     python demo_diffsim_featherstone.py --headless 20 --plot arm.png --record arm.html
@@ -39,12 +39,12 @@ LEARNING_RATE, SMALLEST_RATE = 16.0, 1e-3
 COLORS = ((0.16, 0.44, 0.72), (0.95, 0.50, 0.05))  # link 1 blue, link 2 orange
 GROUND, CHECKER = (0.96, 0.96, 0.96), 0.93  # white, and the contrast to its black fields
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
-# Of the first iteration, exact in float64 (reference: tests/golden/newton_2r_strict.npz).
+# Loss and gradient of the first iteration, in float64 (tests/golden/newton_2r_strict.npz).
 EXACT_LOSS, EXACT_GRADIENT = 1.09098, (0.32981, 0.11073)
 
 
 def build_model(device: str) -> novaphy.Model:
-    """The arm over a checkered ground that it does not touch."""
+    """Build the arm above a checkered ground, which the arm does not touch."""
     builder = novaphy.ModelBuilder()
     looks = novaphy.ShapeConfig(density=0.0)
     builder.add_ground_plane(height=-1.25, cfg=looks)
@@ -79,7 +79,7 @@ class Arm:
         self.states = [self.model.state() for _ in range(STEPS + 1)]
         self.q = [diff.state_joint_q_tensor(s) for s in self.states]
         self.qd = [diff.state_joint_qd_tensor(s) for s in self.states]
-        self.last: tuple[np.ndarray, np.ndarray] | None = None  # velocities and their gradient
+        self.last: tuple[np.ndarray, np.ndarray] | None = None  # last velocities, their gradient
 
     @property
     def velocities(self) -> nova.Tensor:
@@ -105,7 +105,7 @@ class Arm:
         return diff.planar_2r_tip_loss(self.model, self.q[STEPS], *TARGET)
 
     def gradient(self) -> tuple[float, np.ndarray]:
-        """The loss, and its gradient with respect to the velocities."""
+        """Return the loss, and its gradient with respect to the velocities."""
         with nova.Tape() as tape:
             loss = self.forward()
             tape.backward(loss)
@@ -114,10 +114,10 @@ class Arm:
         return loss.item(), gradient
 
     def iterate(self) -> tuple[float, bool]:
-        """One gradient, and the first of the halved steps that lowers the loss, if there is one.
+        """Compute one gradient, and take the first of the halved steps that lowers the loss.
 
         The first step has the length of Barzilai and Borwein (1988), from the change of the
-        gradient. Returns the loss before it, and whether a step was taken.
+        gradient. Return the loss before the step, and whether a step was taken.
         """
         before, gradient = self.gradient()
         start, rate = self.velocities.numpy(), LEARNING_RATE
@@ -135,7 +135,7 @@ class Arm:
         return before, False
 
     def train(self, iterations: range, stage: viewer.Stage) -> list[float]:
-        """Iterate until nothing lowers the loss any more, and show it; the losses."""
+        """Iterate until no step lowers the loss, and show the iterations. Return the losses."""
         losses = []
         for k in iterations:
             loss, moved = self.iterate()
@@ -146,16 +146,19 @@ class Arm:
         return [*losses, self.forward().item()]
 
     def frames(self) -> Iterator[tuple[float, novaphy.SimState]]:
-        """Times and states of the last rollout's frames; only steps set the poses of bodies."""
+        """Yield times (s) and states of the frames of the last rollout.
+
+        The initial state is left out, because only steps set the poses of bodies.
+        """
         return ((k / FPS, self.states[max(1, k * SUBSTEPS)]) for k in range(FRAMES + 1))
 
     def paths(self) -> dict[str, np.ndarray]:
-        """The way of the tip in the last rollout."""
+        """Return the path of the tip in the last rollout, by name."""
         return {"path": tips(np.array([q.numpy() for q in self.q]))}
 
 
 def tips(q: np.ndarray) -> np.ndarray:
-    """The points of the tip, {n, 3}, at the angles q {n, 2}."""
+    """Return the points of the tip {n, 3} (m) at the angles q {n, 2} (rad)."""
     first, both = q[:, 0], q[:, 0] + q[:, 1]
     x = LENGTH * (np.cos(first) + np.cos(both))
     z = -LENGTH * (np.sin(first) + np.sin(both))
@@ -182,7 +185,7 @@ def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
 
 
 def check_start(arm: Arm) -> dict[str, bool]:
-    """The gradient of the first rollout against central differences, and the exact one."""
+    """Compare the gradient of the first rollout with central differences and the exact one."""
     loss, gradient = arm.gradient()
     return {
         "a gradient within the tolerance": check_gradient(arm.velocities, arm.forward, 1e-2, 1e-3),
@@ -192,13 +195,13 @@ def check_start(arm: Arm) -> dict[str, bool]:
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     args = parse(make_parser(__doc__, iterations=20))
     arm = Arm(args.device)
     checks = check_start(arm) if args.check_grad else {}
     arm.forward()
     rollouts = [angles(arm)]
-    look = ((0.15, -3.3, -0.35), (0.15, 0.0, -0.35))  # at the plane of the arm
+    look = ((0.15, -3.3, -0.35), (0.15, 0.0, -0.35))  # perpendicular to the plane of the arm
     with viewer.Stage(args, arm.model, fps=FPS, look=look, path_width=0.012) as stage:
         stage.set_shape_colors((0, 1, 2), [(*GROUND, CHECKER), *((*c, 0.0) for c in COLORS)])
         stage.mark((TARGET[0], 0.0, TARGET[1]), radius=0.03)
@@ -226,7 +229,7 @@ def main() -> int:
 
 
 def angles(arm: Arm) -> np.ndarray:
-    """The angles of the last rollout, {steps + 1, 2}."""
+    """Return the angles of the last rollout, {steps + 1, 2} (rad)."""
     return np.array([q.numpy() for q in arm.q])
 
 

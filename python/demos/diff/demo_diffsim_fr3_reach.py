@@ -1,9 +1,9 @@
 """Reach a pose with an arm of seven axes by optimizing the targets of its drives.
 
-The Franka Research 3 starts at rest and moves for 0.75 s under gravity. Optimized are four targets
-for each axis, each held for 45 of the 180 substeps, so that the hand ends at a place, turned as
-asked, and at rest. The targets are all that changes: drives, with their effort limits, do the rest.
-A rollout of DiffFeatherstoneSolver, backward and Adam are one iteration.
+The Franka Research 3 starts at rest and moves for 0.75 s under gravity. Four targets for each axis
+are optimized, each constant for 45 of the 180 substeps. At the end the hand should have a given
+pose and be at rest. Drives with effort limits follow the targets. One iteration is a rollout of
+DiffFeatherstoneSolver, a backward pass and a step of Adam.
 
     python demo_diffsim_fr3_reach.py
     python demo_diffsim_fr3_reach.py --headless 150 --plot reach.png
@@ -24,14 +24,14 @@ STEPS, DT, KNOTS = 180, 1.0 / 240.0, 4
 FPS, SUBSTEPS = 60, 4
 HOME = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])  # rad
 KE, KD = 600.0, 50.0  # N m/rad, N m s/rad
-PLACE = (0.45, 0.3, 0.35)  # m, of the hand
+PLACE = (0.45, 0.3, 0.35)  # m, the wanted position of the hand
 TURN = (0.9239, -0.3827, 0.0, 0.0)  # xyzw: the hand points down, turned by 45 degrees
-WEIGHTS = (1.0, 0.1, 0.0005)  # 1/m^2; of the sine of half the angle, squared; s^2/rad^2
+WEIGHTS = (1.0, 0.1, 0.0005)  # of squares: distance (1/m^2), sin(angle / 2), rates (s^2/rad^2)
 LEARNING_RATE = 0.1  # rad, falling as 1 / (1 + iteration / 50)
 
 
 def build_model(device: str) -> tuple[novaphy.Model, int]:
-    """The arm with drives on its axes and its fingers held open, and the body of the hand."""
+    """Build the arm with drives and open fingers. Return the model and the body of the hand."""
     builder = novaphy.ModelBuilder()
     builder.add_ground_plane(cfg=novaphy.ShapeConfig(density=0.0))
     robot = builder.add_urdf(novaphy.assets.path("fr3.urdf"))
@@ -74,7 +74,7 @@ class Reach:
         return loss + WEIGHTS[2] * nova.sum(rates * rates)
 
     def gradient(self) -> tuple[float, np.ndarray]:
-        """The loss, and its gradient with respect to the targets, {knots, 7}."""
+        """Return the loss, and its gradient with respect to the targets, {knots, 7}."""
         with nova.Tape() as tape:
             loss = self.forward()
             tape.backward(loss)
@@ -83,7 +83,7 @@ class Reach:
         return loss.item(), gradient
 
     def train(self) -> float:
-        """One iteration of Adam; the loss before it."""
+        """Run one iteration of Adam. Return the loss before its update."""
         loss, gradient = self.gradient()
         self.iterations += 1
         first, second = self.moments
@@ -100,7 +100,7 @@ class Reach:
         return loss
 
     def check_gradient(self) -> bool:
-        """Some of the gradient against central differences."""
+        """Compare some values of the gradient with central differences."""
         _, gradient = self.gradient()
         start, eps, chosen = self.targets.copy(), 0.02, ((0, 0), (1, 3), (3, 5))
         ends = []
@@ -118,19 +118,22 @@ class Reach:
         return error < 1e-2
 
     def errors(self) -> tuple[float, float]:
-        """How far the hand ended from its goal: m, degrees."""
+        """Return the distance (m) and the angle (degrees) of the hand from its goal at the end."""
         pose = self.trajectory[STEPS].body_q.numpy()[self.hand]
         along = min(1.0, abs(float(pose[3:] @ self.goal[3:])))
         away = float(np.linalg.norm(pose[:3] - self.goal[:3]))
         return away, float(np.degrees(2.0 * np.arccos(along)))
 
     def frames(self) -> Iterator[tuple[float, novaphy.SimState]]:
-        """Times and states of the last rollout's frames; only steps set the poses of bodies."""
+        """Yield times (s) and states of the frames of the last rollout.
+
+        The initial state is left out, because only steps set the poses of bodies.
+        """
         for k in range(0, STEPS + 1, SUBSTEPS):
             yield k * DT, self.trajectory[max(1, k)]
 
     def paths(self) -> dict[str, np.ndarray]:
-        """The way of the hand in the last rollout."""
+        """Return the path of the hand in the last rollout, by name."""
         way = [self.trajectory[t].body_q.numpy()[self.hand, :3] for t in range(1, STEPS + 1)]
         return {"path": np.stack(way).astype(np.float32)}
 
@@ -152,7 +155,7 @@ def plot(path: str, losses: list[float], scene: Reach) -> None:
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     args = parse(make_parser(__doc__, iterations=150))
     scene = Reach(args.device)
     checks = {}

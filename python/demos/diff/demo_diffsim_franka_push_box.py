@@ -1,13 +1,15 @@
 """Let a Franka push a box to a mark, by the gradient of what its hand does.
 
 The seven axes of a Franka Research 3 follow four key poses with their drives for 1 s: 1,000 steps
-of the regular SolverFeatherstone. The tip of the hand is a sphere that pushes a box along x,
-against friction (integrate_push_box_rollout_generated). Optimized are the key poses, so that the
-box stops at x = 0.70 m, with the tip on its line and slow joints. The gradient: adjoints of the
-contact, by the tape, times the change of the tip's motion with the key poses, by
-FeatherstoneAnalyticControlSensitivity. The contact is a smooth surrogate, the arm's mass matrix and
-forces are frozen in the derivative (--gradient exact: not), and the box does not push back. With
---contact full arm and box are one simulation (franka_contact.py).
+of SolverFeatherstone. The tip of the hand is a sphere that pushes a box along x, against friction
+(integrate_push_box_rollout_generated). The key poses are optimized, so that the box stops at x =
+0.70 m, with the tip on its line and slow joints.
+
+The gradient is a product of two factors. A tape gives the adjoints of the contact.
+FeatherstoneAnalyticControlSensitivity gives the derivative of the tip's motion by the key poses.
+The contact is a smooth surrogate, and the box does not push back. The derivative freezes the arm's
+mass matrix and forces, unless --gradient is exact. With --contact full, arm and box are one
+simulation (franka_contact.py).
 
     python demo_diffsim_franka_push_box.py
     python demo_diffsim_franka_push_box.py --train 5 --plot franka.png
@@ -32,7 +34,7 @@ STEPS, DT, FPS = 1000, 1e-3, 50
 KEYS, AXES = 4, 7
 KE = (600.0, 600.0, 600.0, 600.0, 250.0, 150.0, 50.0)  # N m/rad
 KD = (50.0, 50.0, 50.0, 50.0, 30.0, 25.0, 15.0)  # N m s/rad
-FINGER_KE, FINGER_KD = 1e3, 50.0  # N/m, N s/m: what holds them shut
+FINGER_KE, FINGER_KD = 1e3, 50.0  # N/m, N s/m: drives that keep the fingers closed
 TIP = (0.0, 0.0, 0.107 + 0.1034)  # m, in the frame of link 7
 LINE = (0.0, 0.10)  # m, y and z of the tip
 START = (0.40, 0.45, 0.50, 0.55)  # m, x of the tip at the key poses
@@ -40,13 +42,13 @@ NO_CONTACT = "no contact: the box does not move at all, so there is no gradient"
 # The box: half extent and start (m), mass (kg), friction; the tip's sphere (m) and the contact.
 HALF, BOX, MASS, FRICTION, RADIUS, CONTACT_KE, CONTACT_KD = 0.05, 0.55, 0.5, 0.3, 0.02, 2e3, 5.0
 MARK = 0.70  # m
-SLOW, OFF_LINE, CALM = 0.01, 4.0, 1e-5  # weights of the box's and the tip's terms, of joint speeds
+SLOW, OFF_LINE, CALM = 0.01, 4.0, 1e-5  # weights: box speed, tip, joint speeds
 SAMPLE = 10  # steps between two samples of the tip's line and of the joints' speeds
-DAMPING, TRIES = 1e-4, 8  # of the first Levenberg-Marquardt step, and how often it is shortened
+DAMPING, TRIES = 1e-4, 8  # first damping of Levenberg-Marquardt, tries of a step
 
 
 def build_model(device: str, with_box: bool = False) -> novaphy.Model:
-    """The arm from its file, with drives; for the viewers with the box."""
+    """Build the arm from its file, with drives; with_box: the model for the viewers."""
     builder = novaphy.ModelBuilder()
     looks = novaphy.ShapeConfig(density=0.0)
     builder.add_ground_plane(cfg=looks)
@@ -64,7 +66,7 @@ def build_model(device: str, with_box: bool = False) -> novaphy.Model:
     ke = np.full(model.joint_dof_count, FINGER_KE, np.float32)
     kd = np.full(model.joint_dof_count, FINGER_KD, np.float32)
     ke[dofs], kd[dofs] = KE, KD
-    if with_box:  # only looked at
+    if with_box:  # the model of the viewers needs no drives
         return model
     model.joint_target_ke.assign(ke)
     model.joint_target_kd.assign(kd)
@@ -74,23 +76,21 @@ def build_model(device: str, with_box: bool = False) -> novaphy.Model:
 
 
 def axis_dofs(model: novaphy.Model) -> list[int]:
-    """The dofs of the seven axes."""
+    """Return the indices of the dofs of the seven axes."""
     start = model.joint_qd_start.numpy()
     names = [f"fr3_joint{k + 1}" for k in range(AXES)]
     return [int(start[index_of(model.joint_label, name)]) for name in names]
 
 
 def index_of(labels: list[str], name: str) -> int:
-    """Where a name is among labels, which may have a prefix."""
+    """Return the index of a name among labels. A label may have a prefix that ends in "/"."""
     return next(k for k, label in enumerate(labels) if label.split("/")[-1] == name)
 
 
 def key_weights() -> tuple[np.ndarray, np.ndarray]:
-    """What each key pose adds to the pose and to the rate of each step, {steps, keys} each.
-
-    Between two keys a cubic with continuous velocity, by the slopes of the neighbors; at rest at
-    both ends.
-    """
+    """Return the derivatives of pose and rate of each step by the key poses, {steps, keys} each. A
+    cubic with continuous velocity joins two keys. Its slopes at the keys are those of the
+    neighbors, and 0 at both ends."""
     x = (np.arange(STEPS) + 1.0) / STEPS * (KEYS - 1.0)
     k = np.minimum(x.astype(int), KEYS - 2)
     u = (x - k)[:, None]
@@ -115,7 +115,7 @@ class FrankaPush:
         self.dofs = axis_dofs(self.model)
         self.hand = index_of(self.model.body_label, "fr3_link7")
         self.sensitivity = self.make_sensitivity(KEYS * AXES, exact)
-        self.probe = self.make_sensitivity(1, False)  # where the tip is
+        self.probe = self.make_sensitivity(1, False)  # gives the position of the tip
         self.weights, self.rate_weights = key_weights()
         self.states = [self.model.state() for _ in range(STEPS + 1)]
         self.at_rest = self.model.state()
@@ -125,7 +125,7 @@ class FrankaPush:
         self.damping = DAMPING
 
     def make_sensitivity(self, count: int, exact: bool) -> FeatherstoneAnalyticControlSensitivity:
-        """Of the tip."""
+        """Make the sensitivity of the tip to `count` parameters."""
         return FeatherstoneAnalyticControlSensitivity(
             self.model,
             parameter_count=count,
@@ -136,13 +136,14 @@ class FrankaPush:
         )
 
     def label(self) -> str:
-        """What the gradient is."""
+        """Return a description of the gradient."""
         return f"surrogate contact, {self.sensitivity.label} dynamics, no reaction"
 
     def inverse_kinematics(self, x: float) -> np.ndarray:
-        """The pose with the hand down and its tip at x on the line: two bars in a plane."""
+        """Return the pose {7} (rad) with the hand down and the tip at x (m) on the line. The arm
+        then is two bars in a plane."""
         upper, lower = np.hypot(0.316, 0.0825), np.hypot(0.384, 0.0825)
-        x, z = x - 0.088, LINE[1] + TIP[2] - 0.333  # from the shoulder to the wrist
+        x, z = x - 0.088, LINE[1] + TIP[2] - 0.333  # the vector from the shoulder to the wrist
         reach = np.hypot(x, z)
         elbow = np.arccos((upper**2 + lower**2 - reach**2) / (2.0 * upper * lower))
         lift = np.arccos((upper**2 + reach**2 - lower**2) / (2.0 * upper * reach))
@@ -159,28 +160,27 @@ class FrankaPush:
         state.joint_qd.zero_()
 
     def target(self, pose: np.ndarray) -> np.ndarray:
-        """Where a drive must aim to hold a pose against gravity."""
+        """Return the targets {7} (rad) of the drives that hold a pose against gravity."""
         self.place(self.at_rest, pose)
         return pose + novaphy.eval_bias(self.model, self.at_rest)[self.dofs] / KE
 
     def target_by_pose(self) -> np.ndarray:
-        """The derivative of the last target by its pose, {axes, axes}.
-
-        Frozen leaves out how gravity changes with the pose, here as in the arm's motion, where it
-        would cancel this.
-        """
+        """Return the derivative {axes, axes} of the last target with respect to its pose. Frozen
+        dynamics leave out the change of gravity with the pose, here and in the motion of the arm,
+        where the two changes would cancel."""
         if self.sensitivity.label == "frozen":
             return np.eye(AXES)
         return self.exact_target_by_pose()
 
     def exact_target_by_pose(self) -> np.ndarray:
-        """With the change of gravity, {axes, axes}."""
+        """Return the derivative {axes, axes} of the last target, with the change of gravity."""
         still = np.zeros(self.model.joint_dof_count, np.float32)
         stiffness = novaphy.eval_inverse_dynamics_derivatives(self.model, self.at_rest, still)[0][0]
         return np.eye(AXES) + stiffness[np.ix_(self.dofs, self.dofs)] / np.array(KE)[:, None]
 
     def forward(self, keys: np.ndarray, gradient: bool = False) -> None:
-        """Run arm and box; with `gradient` also what the tip and the joints change by."""
+        """Run arm and box. With `gradient` also compute the derivatives of the tip and the
+        joints."""
         s = self.sensitivity if gradient else self.probe
         poses, rates = self.weights @ keys, self.rate_weights @ keys
         target, rate = np.zeros((2, self.model.joint_dof_count), np.float32)
@@ -209,7 +209,7 @@ class FrankaPush:
         self.push(gradient)
 
     def push(self, gradient: bool) -> None:
-        """The box under the tip's motion, and how its end changes with that."""
+        """Move the box by the tip's motion. With `gradient` also set the derivative of its end."""
         x, v = (nova.tensor([number], requires_grad=True) for number in (BOX, 0.0))
         tip = [
             nova.tensor(np.float32(rows[:, 0]), requires_grad=True)
@@ -233,7 +233,7 @@ class FrankaPush:
                 self.end_by_keys[row] += by_tip.grad.numpy().astype(np.float64) @ by_keys[:, 0]
 
     def residuals(self) -> np.ndarray:
-        """What the loss is the sum of squares of, {residuals}."""
+        """Return the residuals {residuals}, whose squares sum to the loss."""
         ends = [self.box[-1] - MARK, np.sqrt(SLOW) * self.box_rate[-1]]
         off = (self.tip[::SAMPLE, 1:] - LINE).ravel()
         speeds = np.array([s.joint_qd.numpy()[self.dofs] for s in self.states[1::SAMPLE]])
@@ -241,7 +241,7 @@ class FrankaPush:
         return np.concatenate([ends, weights[0] * off, weights[1] * speeds.ravel()])
 
     def jacobian(self) -> np.ndarray:
-        """Of the residuals by the key poses, {residuals, keys * axes}."""
+        """Return the Jacobian {residuals, keys * axes} of the residuals by the key poses."""
         off = self.by_keys[0, ::SAMPLE, 1:].reshape(-1, KEYS * AXES)
         speeds = self.speed_by_keys[::SAMPLE].reshape(-1, KEYS * AXES)
         weights = np.sqrt(OFF_LINE / (len(off) / 2)), np.sqrt(CALM / (len(speeds) / AXES))
@@ -249,18 +249,19 @@ class FrankaPush:
         return np.concatenate([ends, weights[0] * off, weights[1] * speeds])
 
     def loss(self, keys: np.ndarray) -> float:
-        """The loss of a real rollout."""
+        """Run a rollout with the key poses, and return its loss."""
         self.forward(keys)
         return float(np.sum(self.residuals() ** 2))
 
     def gradient(self) -> tuple[float, np.ndarray]:
-        """The loss, and its gradient with respect to the key poses."""
+        """Return the loss, and its gradient {keys * axes} with respect to the key poses."""
         self.forward(self.keys, gradient=True)
         residuals = self.residuals()
         return float(np.sum(residuals**2)), 2.0 * self.jacobian().T @ residuals
 
     def train(self) -> float:
-        """One step of Levenberg and Marquardt, shortened until the loss falls; the loss before."""
+        """Take one step of Levenberg and Marquardt. Return the loss before the step. The step is
+        shortened until the loss falls."""
         before, gradient = self.gradient()
         jacobian = self.jacobian()
         for _ in range(TRIES):
@@ -274,11 +275,9 @@ class FrankaPush:
         return before
 
     def difference(self, direction: np.ndarray) -> float:
-        """The slope of the loss of real rollouts along a direction.
-
-        1,000 roundings move the box by 1e-6 m, so steps are some milliradians: central differences
-        at several of them, fitted by slope and cubic term.
-        """
+        """Return the slope of the loss of simulated rollouts along a direction. 1,000 roundings
+        move the box by 1e-6 m. The slope is therefore a fit of central differences with several
+        steps of some milliradians, by a linear and a cubic term."""
         steps = np.array([1.0, 1.5, 2.0, 2.5, 3.0, 3.5]) * 4e-3
         ends = [
             [self.loss(self.keys + sign * eps * direction) for sign in (0.5, -0.5)] for eps in steps
@@ -287,7 +286,8 @@ class FrankaPush:
         return float(np.linalg.lstsq(cubic, -np.diff(ends)[:, 0], rcond=None)[0][0])
 
     def check_gradient(self) -> bool:
-        """Five random directions: frozen within 5 %, exact within 1 %, of differences."""
+        """Compare the gradient with differences along five random directions. The frozen gradient
+        may differ by 5 %, the exact gradient by 1 %."""
         rng = np.random.default_rng(7)
         directions = rng.normal(size=(5, KEYS, AXES))
         directions /= np.linalg.norm(directions, axis=(1, 2), keepdims=True)
@@ -304,11 +304,11 @@ class FrankaPush:
         return passed
 
     def off_line(self) -> float:
-        """How far the tip gets from its line, m."""
+        """Return the largest distance of the tip from its line (m)."""
         return float(np.linalg.norm(self.tip[:, 1:] - LINE, axis=1).max())
 
     def limits_kept(self) -> bool:
-        """Whether all axes stayed within their angles and speeds."""
+        """Return whether all axes stayed within their limits of angle and speed."""
         q, qd = (
             np.array([getattr(s, name).numpy()[self.dofs] for s in self.states])
             for name in ("joint_q", "joint_qd")
@@ -320,7 +320,7 @@ class FrankaPush:
         return bool(np.all(q >= lower) and np.all(q <= upper) and np.all(np.abs(qd) < fastest))
 
     def frames(self) -> Iterator[tuple[float, novaphy.SimState]]:
-        """Times and states of the last rollout's frames, with the box in them."""
+        """Yield times (s) and states of the frames of the last rollout, with the box."""
         state = self.looks.state()
         poses = state.body_q.numpy()
         box = index_of(self.looks.body_label, "box")
@@ -331,7 +331,7 @@ class FrankaPush:
             yield t * DT, state
 
     def paths(self) -> dict[str, np.ndarray]:
-        """The way of the tip in the last rollout."""
+        """Return the path of the tip in the last rollout {steps, 3} (m)."""
         return {"path": self.tip.astype(np.float32)}
 
 
@@ -350,7 +350,7 @@ def plot(path: str, losses: list[float], scene: FrankaPush) -> None:
 
 
 def arguments() -> argparse.Namespace:
-    """The flags of every demo, and the two of this one; without a window where they say so."""
+    """Parse the flags of all demos and the two flags of this demo."""
     parser = make_parser(__doc__, iterations=5)
     parser.add_argument(
         "--train", type=int, dest="headless", metavar="N", help="the same as --headless N"
@@ -376,16 +376,16 @@ def arguments() -> argparse.Namespace:
 
 
 def make_scene(args: argparse.Namespace) -> FrankaPush:
-    """Of the contact that is asked for."""
+    """Make the scene with the contact of the flags."""
     if args.contact == "full":
-        from franka_contact import FullPush  # made of what is here
+        from franka_contact import FullPush  # that module imports this one
 
         return FullPush(args.device, args.gradient == "exact")
     return FrankaPush(args.device, args.gradient == "exact")
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     args = arguments()
     scene = make_scene(args)
     print(scene.label())

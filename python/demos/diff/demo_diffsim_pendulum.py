@@ -1,9 +1,9 @@
 """Throw the tip of a double pendulum through a mark, by the targets of its two drives.
 
-Two rods hang from the world by hinges, which springs and dampers hold together (penalty joints);
-each hinge has a drive, a weak spring to an angle. Optimized are the two angles: at the end, after
-0.8 s, the tip has to be at the mark. 768 substeps; the gradient through joints, drives and bodies
-is exact.
+Two rods hang from the world by hinges, which springs and dampers hold together (penalty joints).
+Each hinge has a drive, a weak spring to a target angle. The two angles are optimized. After 0.8 s
+(768 substeps) the tip should be at the mark. The gradient through joints, drives and bodies is
+exact.
 
     python demo_diffsim_pendulum.py
     python demo_diffsim_pendulum.py --headless 60 --plot pendulum.png --record pendulum.html
@@ -33,8 +33,8 @@ from novaphy import JointTargetMode, diff, nova, viewer
 FPS, SUBSTEPS, FRAMES = 60, 16, 48
 STEPS, DT = SUBSTEPS * FRAMES, 1.0 / (FPS * SUBSTEPS)
 LENGTH, MASS, RADIUS = 0.5, 1.0, 0.03  # m, kg, m: of a rod
-ATTACH = {"joint_attach_ke": 4e3, "joint_attach_kd": 40.0}  # N/m, N s/m: what holds a hinge
-HEIGHT = 1.3  # m, of the hinge at the world
+ATTACH = {"joint_attach_ke": 4e3, "joint_attach_kd": 40.0}  # N/m, N s/m: the attachment of a hinge
+HEIGHT = 1.3  # m, height of the hinge at the world
 STIFFNESS, DAMPING = 6.0, 0.4  # N m/rad, N m s/rad, of the drives
 FIRST_ANGLES = (0.4, 0.2)  # rad
 MARK = np.array([-0.55, 0.0, 0.75])  # m
@@ -42,7 +42,7 @@ LEARNING_RATE, MOMENTUM = 0.1, 0.8  # rad
 
 
 def build_model(device: str) -> novaphy.Model:
-    """Two rods that hang down, at rest."""
+    """Build two rods that hang down, at rest."""
     builder = novaphy.ModelBuilder()
     rod = novaphy.ShapeConfig(density=0.0, collision_group=0)
     inertia = np.diag([MASS * LENGTH**2 / 12, MASS * LENGTH**2 / 12, MASS * RADIUS**2 * 4])
@@ -87,7 +87,9 @@ class Pendulum:
         self.train = Recorded(self.iterate)
 
     def tip(self) -> nova.Tensor:
-        """Where the tip of the second rod is at the end, {3}: half a rod below its middle."""
+        """Return the end position {3} (m) of the tip: half a rod below the middle of the second
+        rod.
+        """
         x, y, z, qx, qy, qz, qw = (
             diff.state_body_q_tensor(self.trajectory[STEPS])[1, k : k + 1] for k in range(7)
         )
@@ -107,7 +109,7 @@ class Pendulum:
         return nova.sum(away * away)
 
     def iterate(self) -> nova.Tensor:
-        """One gradient and one update; the loss before it."""
+        """Compute one gradient and one update. Return the loss before the update."""
         with nova.Tape() as tape:
             loss = self.forward()
             tape.backward(loss)
@@ -116,18 +118,18 @@ class Pendulum:
         return loss
 
     def frames(self) -> Iterator[tuple[float, novaphy.SimState]]:
-        """Times and states of the last rollout's frames."""
+        """Yield times (s) and states of the frames of the last rollout."""
         return ((k / FPS, self.trajectory[k * SUBSTEPS]) for k in range(FRAMES + 1))
 
     def way(self) -> np.ndarray:
-        """Where the tip was in the last rollout, {steps + 1, 3}."""
+        """Return the path of the tip in the last rollout, {steps + 1, 3} (m)."""
         q = self.trajectory.body_q.numpy().reshape(STEPS + 1, 2, 7)[:, 1]
         x, y, z, w = q[:, 3:].T
         down = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1)
         return q[:, :3] - 0.5 * LENGTH * down
 
     def gap(self) -> float:
-        """How far the hinge between the rods has opened at most, m: the springs that hold it."""
+        """Return the largest opening (m) of the hinge between the rods, which springs hold."""
         q = self.trajectory.body_q.numpy().reshape(STEPS + 1, 2, 7)
         x, y, z, w = np.moveaxis(q[:, :, 3:], 2, 0)
         up = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 2)
@@ -149,7 +151,7 @@ def plot(path: str, losses: list[float], ways: list[np.ndarray]) -> None:
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     args = parse(make_parser(__doc__, iterations=60))
     pendulum, checks = Pendulum(args.device), {}
     if args.check_grad:

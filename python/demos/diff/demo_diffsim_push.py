@@ -1,10 +1,10 @@
 """Push a box over the ground so that it comes to rest on a mark.
 
-A box of 12 kg lies on the ground, which holds it with up to 59 N of friction. Optimized is the
-horizontal force on it over 1.2 s: 13 values for each direction, linear in between. The box has to
-be on the mark, and at rest, at the end, so the force must overcome the friction and then leave the
-braking to it. 576 substeps, in each of which the contacts are found anew, by the pipeline; their
-gradient is exact, because the ground is a plane of the world.
+A box of 12 kg lies on the ground, which holds the box with up to 59 N of friction. The horizontal
+force on the box over 1.2 s is optimized: 13 values for each direction, linear in between. At the
+end the box should be on the mark and at rest. The force must overcome the friction, and friction
+brakes the box. A collision pipeline finds the contacts in each of the 576 substeps. Their gradient
+is exact, because the ground is a plane of the world.
 
     python demo_diffsim_push.py
     python demo_diffsim_push.py --headless 60 --plot push.png --record push.html
@@ -38,11 +38,11 @@ KNOTS = 13
 MARK = np.array([0.8, 0.4])  # m
 FIRST_FORCE = (70.0, 10.0)  # N
 LEARNING_RATE, MOMENTUM = 2.0, 0.8  # N
-STILL = 0.05  # of the square of a velocity (m/s) beside that of a distance (m)
+STILL = 0.05  # s^2: weight of the squared velocity; the squared distance has 1
 
 
 def build_model(device: str) -> novaphy.Model:
-    """The box on the ground, as deep in it as it rests."""
+    """Build the box on the ground, at the overlap at which it rests."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(ke=1e4, kd=300.0, kf=500.0, mu=FRICTION)
     builder.add_ground_plane(cfg=surface)
@@ -53,7 +53,7 @@ def build_model(device: str) -> novaphy.Model:
 
 
 def interpolation() -> np.ndarray:
-    """What each knot adds to the force of each substep, {steps, knots}."""
+    """Return the weights {steps, knots} by which knots give the force of substeps."""
     at = np.linspace(0.0, KNOTS - 1.0, STEPS)[:, None]
     return np.maximum(0.0, 1.0 - np.abs(at - np.arange(KNOTS))).astype(np.float32)
 
@@ -94,7 +94,7 @@ class Push:
         return nova.sum(away * away) + STILL * nova.sum(twist * twist)
 
     def iterate(self) -> nova.Tensor:
-        """One gradient and one update; the loss before it."""
+        """Compute one gradient and one update. Return the loss before the update."""
         with nova.Tape() as tape:
             loss = self.forward()
             tape.backward(loss)
@@ -103,11 +103,11 @@ class Push:
         return loss
 
     def frames(self) -> Iterator[tuple[float, novaphy.SimState]]:
-        """Times and states of the last rollout's frames."""
+        """Yield times (s) and states of the frames of the last rollout."""
         return ((k / FPS, self.trajectory[k * SUBSTEPS]) for k in range(FRAMES + 1))
 
     def way(self) -> np.ndarray:
-        """Where the box was in the last rollout, {steps + 1, 3}."""
+        """Return the path of the box in the last rollout, {steps + 1, 3} (m)."""
         return self.trajectory.body_q.numpy().reshape(STEPS + 1, 7)[:, :3]
 
 
@@ -135,7 +135,7 @@ def plot(path: str, losses: list[float], ways: list[np.ndarray], forces: np.ndar
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     args = parse(make_parser(__doc__, iterations=60))
     push, checks = Push(args.device), {}
     if args.check_grad:

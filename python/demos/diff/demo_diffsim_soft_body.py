@@ -1,9 +1,10 @@
 """Find the material of a soft block that bounces off the ground and a wall into a target.
 
-A block of 40 tetrahedra is thrown at the ground, bounces on against a wall and back, 960 substeps.
-Optimized are the two Lamé parameters of every tetrahedron (80), or of all together (2), so that
-after a second the centroid is at the target. Contacts are evaluated in every substep at the true
-distance. An iteration (rollout, gradient, update) is recorded once and replayed.
+A block of 40 tetrahedra is thrown at the ground, and bounces against a wall and back, for 960
+substeps. The two Lamé parameters are optimized, of every tetrahedron (80 values) or of all together
+(2 values). After a second the centroid should be at the target. Contacts are evaluated in every
+substep at the true distance. An iteration (rollout, gradient, update) is recorded once and
+replayed.
 
     python demo_diffsim_soft_body.py
     python demo_diffsim_soft_body.py --headless 60 --plot soft_body.png --record soft_body.html
@@ -35,11 +36,11 @@ DT = 1.0 / FPS / SUBSTEPS
 TARGET = (0.0, -1.0, 1.5)
 LEARNING_RATE, BOUNDS = 1.0e7, (500.0, 4.0e6)  # Pa² / m², Pa
 CELLS, CELL_SIZE, TOTAL_MASS = 2, 0.1, 0.2  # per side; m; kg
-YOUNG, POISSON = 1.5e4, 0.3  # Pa; the material to begin with
+YOUNG, POISSON = 1.5e4, 0.3  # Pa, 1: the initial material
 
 
 def build_model(device: str) -> novaphy.Model:
-    """A block in front of a wall, over the ground."""
+    """Build a block in front of a wall, above the ground."""
     builder = novaphy.ModelBuilder()
     builder.default_particle_radius = 0.0005
     builder.add_soft_grid(
@@ -100,7 +101,10 @@ class SoftBody:
         return diff.vec3_point_loss_generated(diff.particle_centroid_generated(last), *TARGET)
 
     def iterate(self) -> nova.Tensor:
-        """Forward, backward and one step of gradient descent within the bounds; the loss."""
+        """Run a rollout, the backward pass and one step of gradient descent within the bounds.
+
+        Return the loss.
+        """
         with nova.Tape() as tape:
             loss = self.forward()
             tape.backward(loss)
@@ -139,7 +143,7 @@ def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     parser = make_parser(__doc__, iterations=60)
     parser.add_argument(
         "--material-behavior",
@@ -155,7 +159,7 @@ def main() -> int:
         stage.mark(TARGET, 0.06)
         losses = train(body, args, SUBSTEPS, plot, stage)
     checks["a loss below 0.8 m²"] = max(losses) < 0.8
-    # It may jump where a contact opens or closes.
+    # The loss may jump when a contact opens or closes.
     checks["a loss that falls in 80 % of the iterations"] = mostly_falls(losses)
     k = body.params.numpy().reshape(-1, 2)
     print(

@@ -1,7 +1,7 @@
 """Find the rest lengths of eight springs that pull a particle to a target.
 
-A particle hangs in a cage of eight fixed points, a spring to each. Optimized are the rest lengths
-of the springs, so that the particle is at the target after a second, 30 steps.
+A particle hangs in a cage of eight fixed points, with a spring to each. The rest lengths of the
+springs are optimized, so that the particle is at the target after a second (30 steps).
 
     python demo_diffsim_spring_cage.py
     python demo_diffsim_spring_cage.py --headless 60 --record spring_cage.html
@@ -42,7 +42,7 @@ CAGE = [
 
 
 def build_model(device: str) -> novaphy.Model:
-    """The particle, the points of the cage (mass 0: they stay), and the springs."""
+    """Build the particle, the fixed points of the cage (mass 0), and the springs."""
     builder = novaphy.ModelBuilder()
     builder.add_particle((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)
     for corner in CAGE:
@@ -68,7 +68,7 @@ class SpringCage:
         return diff.particle_point_loss_generated(last, 0, *TARGET)
 
     def train(self) -> float:
-        """One iteration of gradient descent; returns the loss before it."""
+        """Run one iteration of gradient descent. Return the loss before its update."""
         with nova.Tape() as tape:
             loss = self.forward()
             tape.backward(loss)
@@ -94,7 +94,7 @@ def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     args = parse(make_parser(__doc__, iterations=60))
     cage = SpringCage(args.device)
     checks = {}

@@ -1,10 +1,10 @@
 """Find the stiffness of a cloth from noisy positions, by implicit gradients through VBD.
 
-A cloth of 0.6 m hangs from its upper side and is let go. Its positions over 0.75 s are measured,
-with a noise of 2 mm, from a simulation with another step, more iterations and other colors than
-the one that is fitted. Optimized is the logarithm of the factor of the membrane's stiffness, by the
-root of the loss's derivative (secant method). Checked are the stiffness, and the motion of the next
-0.5 s while the upper side swings, which nothing was fitted to.
+A cloth of 0.6 m hangs from its upper side and swings. Its positions over 0.75 s are measured with a
+noise of 2 mm. The measured simulation has another step, more iterations and other colors than the
+fitted one. The logarithm of the factor of the membrane's stiffness is optimized: the secant method
+finds a root of the loss's derivative. The demo checks the stiffness, and the motion of the next
+0.5 s, in which the upper side swings. The fit does not use this motion.
 
     python demo_diffsim_vbd_cloth.py
     python demo_diffsim_vbd_cloth.py --headless 6 --check-grad --plot vbd_cloth.png
@@ -31,13 +31,13 @@ FPS, FITTED, HELD_OUT = 60, 45, 30  # frames
 DT = 1.0 / FPS / 2
 SUBSTEPS, ITERATIONS = 2, 12
 TRUE_SUBSTEPS, TRUE_ITERATIONS = 6, 40
-TRUE_STIFFNESS, START, NOISE = 24.0, 0.5, 2e-3  # N/m; factor to begin with; m
+TRUE_STIFFNESS, START, NOISE = 24.0, 0.5, 2e-3  # N/m; initial factor; m
 CELLS, SIZE = 8, 0.6  # per side; m
-SWING = 0.1  # m, of the held side in the held-out part
+SWING = 0.1  # m, amplitude of the kinematic side in the part that is not fitted
 
 
 def build_model(stiffness: float, reverse_colors: bool = False) -> novaphy.Model:
-    """A cloth whose left side is held; the colors optionally in the other order."""
+    """Build a cloth with a kinematic left side; the colors optionally in reverse order."""
     builder = novaphy.ModelBuilder()
     builder.add_cloth_grid(
         pos=(0.0, -0.5 * SIZE, 1.0), rot=(0.0, 0.5**0.5, 0.0, 0.5**0.5), dim_x=CELLS, dim_y=CELLS,
@@ -53,7 +53,10 @@ def build_model(stiffness: float, reverse_colors: bool = False) -> novaphy.Model
 
 
 def targets(model: novaphy.Model, frames: int, substeps: int) -> np.ndarray:
-    """Where the held side is in every substep, {steps, k, 3}: still, then it swings."""
+    """Return the positions of the kinematic side in every substep, {steps, k, 3} (m).
+
+    The side first stands still, then swings.
+    """
     held = model.particle_q.numpy()[model.particle_mass.numpy() == 0.0]
     time = (1 + np.arange(frames * substeps)) / (FPS * substeps)
     swing = SWING * np.sin(2 * np.pi * np.maximum(0.0, time - FITTED / FPS) / 0.8)
@@ -63,7 +66,7 @@ def targets(model: novaphy.Model, frames: int, substeps: int) -> np.ndarray:
 
 
 def rollout(solver, substeps: int, frames: int) -> np.ndarray:
-    """Positions {frames + 1, n, 3} of every frame."""
+    """Return the positions {frames + 1, n, 3} (m) of every frame."""
     model = solver.model
     trajectory = diff.Trajectory(model, frames * substeps)
     places = nova.tensor(targets(model, frames, substeps))
@@ -72,7 +75,7 @@ def rollout(solver, substeps: int, frames: int) -> np.ndarray:
 
 
 def measure(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """What was measured with its noise, and the true motion, {frames + 1, n, 3}."""
+    """Return the measured motion with noise, and the true motion, {frames + 1, n, 3} (m) each."""
     true = novaphy.solvers.SolverVBD(
         build_model(TRUE_STIFFNESS, reverse_colors=True), iterations=TRUE_ITERATIONS
     )
@@ -101,11 +104,11 @@ class Cloth:
         weight = np.where(moving, 1.0 / np.sqrt(FITTED * moving.sum()), 0.0)
         self.weight = nova.tensor(np.repeat(weight[:, None], 3, 1).astype(np.float32))
         self.wanted = [nova.tensor(frame) for frame in self.measured[1 : FITTED + 1]]
-        self.last: tuple[float, float] | None = None  # logarithm and derivative
+        self.last: tuple[float, float] | None = None  # the last logarithm and derivative
 
     @property
     def stiffness(self) -> float:
-        """N/m."""
+        """The stiffness of the membrane (N/m)."""
         return TRUE_STIFFNESS * START * float(np.exp(self.params.numpy()[0]))
 
     def forward(self) -> nova.Tensor:
@@ -121,7 +124,10 @@ class Cloth:
         return loss
 
     def train(self) -> float:
-        """Forward, backward and a secant step of the derivative; the loss before it."""
+        """Run a rollout, the backward pass and a secant step of the derivative.
+
+        Return the loss before the step.
+        """
         with nova.Tape() as tape:
             loss = self.forward()
             tape.backward(loss)
@@ -136,7 +142,7 @@ class Cloth:
         return loss.item()
 
     def predict(self) -> float:
-        """Root mean square distance to the true motion that was held out, m."""
+        """Return the root mean square distance (m) from the true motion that was not fitted."""
         found = novaphy.solvers.DiffSolverVBD(
             build_model(self.stiffness), iterations=ITERATIONS, gradient="implicit"
         )
@@ -162,7 +168,7 @@ def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     parser = make_parser(__doc__, iterations=7)
     args = parse(parser)
     if args.device != "cpu":

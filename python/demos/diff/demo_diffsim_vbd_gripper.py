@@ -1,9 +1,9 @@
 """Make a soft gripper hold what it dropped before, by gradients through VBD.
 
 A soft gripper with a load of 0.5 kg at its lower end sits in a slot between two walls, as grippers
-do that hold things from inside. It holds by friction alone: expanded as little as at first, it
-slips and the load drops by tens of centimeters. Optimized is how far each of its four layers
-expands (its activations), so that after half a second the load is where it was. The gradient goes
+do that hold things from inside. Only friction holds the gripper. With its initial expansion the
+gripper slips, and the load drops by tens of centimeters. The activations, by which each of four
+layers expands, are optimized, so that the load has not moved after half a second. The gradient goes
 through 60 implicit steps with contact and friction.
 
     python demo_diffsim_vbd_gripper.py
@@ -31,12 +31,12 @@ FPS, FRAMES, SUBSTEPS, ITERATIONS = 60, 30, 2, 10
 STEPS, DT = FRAMES * SUBSTEPS, 1.0 / (FPS * SUBSTEPS)
 CELLS, LAYERS, CELL, RADIUS = 3, 4, 0.04, 0.002  # per side of a layer; layers; m; m
 LOAD, FRICTION = 0.5, 0.8  # kg
-FIRST, LARGEST = 0.05, 0.4  # expansion of a layer: of its volume at rest
-RATE = 0.05  # of expansion, in an iteration
+FIRST, LARGEST = 0.05, 0.4  # expansions of a layer, relative to its volume at rest
+RATE = 0.05  # change of the expansion in an iteration
 
 
 def build_model() -> novaphy.Model:
-    """The gripper with its load between the walls, which it just touches."""
+    """Build the gripper with its load between the walls, which the gripper just touches."""
     builder = novaphy.ModelBuilder()
     builder.add_soft_grid(
         pos=(-0.5 * CELLS * CELL, -0.5 * CELLS * CELL, 1.0), dim_x=CELLS, dim_y=CELLS, dim_z=LAYERS,
@@ -71,7 +71,7 @@ class Gripper:
         self.activation = diff.control_tet_activation_tensor(self.control)
         q = self.model.particle_q.numpy()
         layer = ((q[self.model.tet_indices.numpy()].mean(1)[:, 2] - 1.0) / CELL).astype(int)
-        # An activation adds to the relative volume, so that the element shrinks by it.
+        # A positive activation shrinks an element, because the law adds it to the relative volume.
         self.of_layers = nova.tensor(-np.eye(LAYERS, dtype=np.float32)[layer])
         self.params = nova.tensor(np.full((LAYERS, 1), FIRST, np.float32), requires_grad=True)
         self.lowest = q[:, 2] < 1.0 + 0.5 * CELL
@@ -81,13 +81,13 @@ class Gripper:
 
     @property
     def drop(self) -> float:
-        """How far the load fell in the last rollout, m."""
+        """The fall of the load in the last rollout (m)."""
         q = self.trajectory.particle_q.numpy()[:, self.lowest, 2].mean(1)
         return float(q[0] - q[-1])
 
     @property
     def speed(self) -> float:
-        """Of the load at the end of the last rollout, m/s."""
+        """The speed of the load at the end of the last rollout (m/s)."""
         q = self.trajectory.particle_q.numpy()[-2:, self.lowest].mean(1)
         return float(np.linalg.norm(q[1] - q[0])) / DT
 
@@ -99,7 +99,10 @@ class Gripper:
         return nova.sum(fell * fell)
 
     def train(self) -> float:
-        """Forward, backward and a step of fixed length down the gradient; the loss before it."""
+        """Run a rollout, the backward pass and a step of fixed length against the gradient.
+
+        Return the loss before the step.
+        """
         with nova.Tape() as tape:
             loss = self.forward()
             tape.backward(loss)
@@ -112,7 +115,7 @@ class Gripper:
 
 
 def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
-    """Draw the loss, and the gripper at the end before and after."""
+    """Draw the loss, and the gripper at the end of the first and of the last rollout."""
     import matplotlib.pyplot as plt
 
     figure, right = loss_figure(losses, "mean square of the load's fall [m²]", (4.4, 4.4))
@@ -129,7 +132,7 @@ def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
 
 
 def main() -> int:
-    """Train, check, dump and plot as asked; 0 when every check passed."""
+    """Train, check, save and plot. Return 0 if every check passed."""
     parser = make_parser(__doc__, iterations=15)
     args = parse(parser)
     if args.device != "cpu":

@@ -31,14 +31,14 @@ FEATURES = 12
 
 
 def scene() -> novaphy.ModelBuilder:
-    """One world: a ball of 1 kg."""
+    """Build one world: a ball of 1 kg."""
     builder = novaphy.ModelBuilder()
     builder.add_particle(pos=(0.0, 0.0, 0.0), vel=(0.0, 0.0, 0.0), mass=1.0)
     return builder
 
 
 def worlds_of(block: dist.Block, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Features {worlds, FEATURES}, marks {worlds, 3} (m) and winds {worlds, 3} (m/s^2)."""
+    """Return features {worlds, FEATURES}, marks {worlds, 3} (m) and winds {worlds, 3} (m/s^2)."""
     draws = nova.random_uniform((block.worlds, 4), seed=seed, first_world=block.first_world)
     u = 2.0 * draws.numpy() - 1.0
     mark, wind = np.zeros((2, block.worlds, 3), np.float32)
@@ -50,7 +50,7 @@ def worlds_of(block: dist.Block, seed: int) -> tuple[np.ndarray, np.ndarray, np.
 
 
 class Throw:
-    """The worlds of a block: what stays from iteration to iteration."""
+    """The parts of the worlds of a block that stay the same in all iterations."""
 
     def __init__(self, block: dist.Block) -> None:
         """Draw the worlds."""
@@ -59,7 +59,7 @@ class Throw:
 
 
 def rollout(block: dist.Block, params: dict[str, nova.Tensor], seed: int) -> nova.Tensor:
-    """The squared misses of a block {worlds}, in m^2."""
+    """Return the squared distances {worlds} (m^2) by which the balls of a block miss."""
     if not block.kept:
         block.kept["throw"] = Throw(block)
     throw: Throw = block.kept["throw"]
@@ -72,7 +72,7 @@ def rollout(block: dist.Block, params: dict[str, nova.Tensor], seed: int) -> nov
 
 
 def train(args: argparse.Namespace) -> str:
-    """Train on the ranks of this run; returns the digest."""
+    """Train on the ranks of this run. Return the digest."""
     group = dist.init()
     params = {"rule": nova.tensor(np.zeros((3, FEATURES), np.float32))}
     optimizer = nova.optim.Adam(params.values(), lr=LEARNING_RATE)
@@ -121,7 +121,7 @@ def plot(path: str, losses: list[float], params: dict[str, nova.Tensor], args) -
 
 
 def main() -> int:
-    """Parse, train and print the digest."""
+    """Parse the flags, train, and print the digest. Return 0."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--worlds", type=int, default=16_384, help="of all ranks")
     parser.add_argument("--block", type=int, default=1_024, help="worlds that are summed in a row")

@@ -1,9 +1,12 @@
-"""The Franka that pushes a box, in one simulation: rigid contacts, the box pushes back.
+"""The Franka that pushes a box, with rigid contacts in one simulation.
 
-Beside the surrogate of demo_diffsim_franka_push_box.py: arm and box are two articulations of one
-model. The sphere at the tip meets the box, the box a plane, by projected Gauss-Seidel with Coulomb
-friction. The box's end is differentiated by the adjoint of every step (DiffFeatherstoneSolver); the
-tip's line and the joints' speeds by the sensitivity of the arm alone, as there.
+demo_diffsim_franka_push_box.py has a surrogate contact instead. Here arm and box are two
+articulations of one model, and the box pushes back. The sphere at the tip touches the box, and the
+box lies on a plane. Contacts are solved by projected Gauss-Seidel with Coulomb friction.
+
+The derivative of the end of the box is the adjoint of every step (DiffFeatherstoneSolver). The
+derivatives of the path of the tip and of the speeds of the joints are the sensitivity of the arm
+alone, as in the other file.
 """
 
 from __future__ import annotations
@@ -34,8 +37,8 @@ from novaphy import diff, nova
 from novaphy.solvers import DiffFeatherstoneSolver
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-BOX_COORDS, BOX_DOFS = 7, 6  # the last ones of the model
-AGREE = 0.8  # cosine of the gradient and of differences, which contacts that come and go roughen
+BOX_COORDS, BOX_DOFS = 7, 6  # the box has the last coordinates and dofs of the model
+AGREE = 0.8  # least cosine with differences, which have noise of contacts
 
 
 class FullPush(FrankaPush):
@@ -78,14 +81,14 @@ class FullPush(FrankaPush):
         self.start_q[self.dofs] = self.first
 
     def label(self) -> str:
-        """What the gradient is."""
+        """Return a description of the gradient."""
         return (
             "rigid contact with reaction, adjoint of every step; tip's line: "
             f"{self.sensitivity.label}"
         )
 
     def push(self, gradient: bool) -> None:
-        """Arm and box under the targets of the last forward, and how the box's end changes."""
+        """Simulate arm and box. With `gradient` also set the derivative of the end of the box."""
         poses, rates = self.weights @ self.played, self.rate_weights @ self.played
         target, rate = self.full.joint_target_q.numpy(), self.full.joint_target_qd.numpy()
         by_pose = []
@@ -125,12 +128,12 @@ class FullPush(FrankaPush):
             self.end_by_keys[row] = by_keys.ravel()
 
     def forward(self, keys: np.ndarray, gradient: bool = False) -> None:
-        """Run the arm alone, which the tip's line is differentiated by, then arm and box."""
+        """Run the arm alone, for the derivative of the tip's path, then arm and box."""
         self.played = keys
         super().forward(keys, gradient)
 
     def take_states(self) -> None:
-        """Show and judge what the full simulation did."""
+        """Copy the states of the full simulation to the model that is shown and checked."""
         coords, dofs = self.model.joint_coord_count, self.model.joint_dof_count
         self.box, self.box_rate = np.zeros((2, STEPS))
         for t in range(STEPS + 1):
@@ -147,8 +150,11 @@ class FullPush(FrankaPush):
                 self.tip[t - 1] = hand[:3] + TIP + 2.0 * np.cross(hand[3:6], turn)
 
     def check_gradient(self) -> bool:
-        """Five random directions: the cosine with differences, of this gradient and of that
-        without reaction."""
+        """Compare gradients with differences along five random directions.
+
+        Print the cosine of this gradient, and of the gradient without reaction, with the
+        differences.
+        """
         rng = np.random.default_rng(7)
         directions = rng.normal(size=(5, KEYS, AXES))
         directions /= np.linalg.norm(directions, axis=(1, 2), keepdims=True)

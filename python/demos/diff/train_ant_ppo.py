@@ -1,10 +1,11 @@
 """Train the Ant's actor (111-256-256-8) by proximal policy optimization on a batch of worlds.
 
 Schulman et al., "Proximal policy optimization algorithms" (2017), with layers of nova: Gaussian
-actions behind a tanh, generalized advantages, clipped ratios, Adam. Only the 27 observations that
-are not always 0 are seen by the networks; their normalization is folded into the first layer of the
-file that is written, whose columns 27 to 110 are 0. The first part of the training may take coarser
-substeps (--coarse), the rest takes those of 1 ms. The same seed gives the same file.
+actions with a tanh, generalized advantages, clipped ratios, Adam. The networks read the 27
+observations that are not always 0. The normalization of the observations is folded into the first
+layer of the written file. Columns 27 to 110 of this layer are 0. The first part of the training may
+have coarser substeps (--coarse), and the rest has substeps of 1 ms. The same seed gives the same
+file.
 
     python train_ant_ppo.py --steps 8e6 --out walker.npz
     python train_ant_ppo.py --resume walker.checkpoint.npz --steps 2e7 --out walker.npz
@@ -25,7 +26,7 @@ import novaphy
 from novaphy import nova
 from novaphy.envs import ACTIONS, AntWorlds, asset_hash, rotate
 
-SEEN = 27  # of the observations
+SEEN = 27  # observations that the networks read
 GAMMA, LAMBDA, CLIP = 0.99, 0.95, 0.2
 EPISODE = 1000  # frames
 START_LOG_STD = -0.7
@@ -33,7 +34,7 @@ REWARD = "0.5 + 2 clip(vx, -1, 1.5) - 0.5 |vy| - 0.02 |a|^2 - 0.02 |da|^2 - (1 -
 
 
 def fresh(seed: int) -> dict[str, np.ndarray]:
-    """Parameters of actor and critic, drawn by Philox."""
+    """Return random initial parameters of actor and critic, drawn by Philox."""
     rng = np.random.Generator(np.random.Philox(key=[seed, 1]))
     sizes = {"0": (HIDDEN, SEEN), "2": (HIDDEN, HIDDEN)}
     parameters: dict[str, np.ndarray] = {}
@@ -48,7 +49,7 @@ def fresh(seed: int) -> dict[str, np.ndarray]:
 
 
 class Agent:
-    """Actor, critic and the normalization of what they see."""
+    """Actor, critic, and the normalization of observations."""
 
     def __init__(self, parameters: dict[str, np.ndarray], device: str, lr: float) -> None:
         """Put the parameters on the device."""
@@ -68,26 +69,26 @@ class Agent:
         self.count = total
 
     def scale(self) -> np.ndarray:
-        """Standard deviations."""
+        """Return the standard deviations of the observations {27}."""
         return np.sqrt(self.m2 / self.count) + 1e-2
 
     def normal(self, x: np.ndarray) -> np.ndarray:
-        """Normalized observations."""
+        """Return normalized observations {n, 27}."""
         return np.clip((x - self.mean) / self.scale(), -10.0, 10.0).astype(np.float32)
 
     def net(self, name: str, x: nova.Tensor) -> nova.Tensor:
-        """A network of three layers."""
+        """Return the output of a network of three layers, "pi" or "v"."""
         h = nova.relu(nova.linear(x, self.p[f"{name}.0.weight"], self.p[f"{name}.0.bias"]))
         h = nova.relu(nova.linear(h, self.p[f"{name}.2.weight"], self.p[f"{name}.2.bias"]))
         return nova.linear(h, self.p[f"{name}.4.weight"], self.p[f"{name}.4.bias"])
 
     def look(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Means {n, 8} and values {n} of normalized observations."""
+        """Return the means {n, 8} and values {n} of normalized observations."""
         t = nova.tensor(x, device=self.device)
         return self.net("pi", t).numpy(), self.net("v", t).numpy()[:, 0]
 
     def loss(self, batch: list[nova.Tensor], entropy: float) -> tuple[nova.Tensor, nova.Tensor]:
-        """The loss of a minibatch, and an estimate of the divergence from the old policy."""
+        """Return the loss of a minibatch, and an estimate of the divergence from the old policy."""
         x, u, old, advantage, returns = batch
         log_p = nova.gaussian_log_density(u, self.net("pi", x), self.p["log_std"], squashed=False)
         change = log_p - old
@@ -98,7 +99,7 @@ class Agent:
         return loss - entropy * nova.sum(self.p["log_std"]), nova.mean(ratio - 1.0 - change)
 
     def update(self, data: list[np.ndarray], rng, epochs: int, minibatch: int) -> float:
-        """Some epochs over the data; the divergence at the end."""
+        """Train for some epochs on the data. Return the divergence at the end."""
         n, divergence = len(data[0]), 0.0
         for _ in range(epochs):
             order = rng.permutation(n)
@@ -122,7 +123,7 @@ class Agent:
         return divergence
 
     def actor(self) -> dict[str, nova.Tensor]:
-        """The actor with the normalization folded into its first layer."""
+        """Return the actor with the normalization folded into its first layer."""
         p = {k: v.numpy() for k, v in self.p.items()}
         first = np.zeros((HIDDEN, OBSERVATIONS))
         first[:, :SEEN] = p["pi.0.weight"] / self.scale()
@@ -139,7 +140,7 @@ class Agent:
 
 
 def reward(ants: AntWorlds, before: np.ndarray, a: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Of the frame that began at coordinates `before`, with actions a behind actions `last`."""
+    """Return the reward {n} of a frame that began at coordinates `before` {n, 15}."""
     q = ants.q
     v = (q[:, :2] - before[:, :2]) * 20.0
     up = rotate(q[:, 3:7], np.broadcast_to(np.float32([0, 0, 1]), (len(q), 3)))[:, 2]
@@ -154,7 +155,7 @@ def reward(ants: AntWorlds, before: np.ndarray, a: np.ndarray, last: np.ndarray)
 
 
 def collect(agent: Agent, ants: AntWorlds, last: np.ndarray, rng, frames: int):
-    """Frames of all worlds: the minibatches' data, the last actions, and figures for the log."""
+    """Simulate frames of all worlds. Return the training data, the last actions, and figures."""
     n = ants.num_worlds
     xs, us, logs, rewards, values, masks, raw = [], [], [], [], [], [], []
     std = np.exp(agent.p["log_std"].numpy())
@@ -176,7 +177,7 @@ def collect(agent: Agent, ants: AntWorlds, last: np.ndarray, rng, frames: int):
         late = ants.frame >= EPISODE
         speed += np.where(bad, 0.0, (ants.q[:, 0] - before[:, 0]) * 20.0).mean()
         fallen += bad.mean()
-        if (late & ~bad).any():  # an episode that is cut off goes on in the value
+        if (late & ~bad).any():  # the value stands for the rest of a truncated episode
             cut = agent.look(agent.normal(ants.observations()[:, :SEEN]))[1]
             r = r + np.where(late & ~bad, GAMMA * cut, 0.0).astype(np.float32)
         seen = (
@@ -208,7 +209,7 @@ def collect(agent: Agent, ants: AntWorlds, last: np.ndarray, rng, frames: int):
 
 
 def save_checkpoint(path: Path, agent: Agent, steps: int, curve: list[list[float]]) -> None:
-    """Everything to go on from."""
+    """Write everything that a resumed training needs."""
     arrays = {f"p/{k}": v.numpy() for k, v in agent.p.items()}
     names = list(agent.p)
     arrays |= {f"m/{k}": v.numpy() for k, v in zip(names, agent.adam.m, strict=True)}
@@ -220,7 +221,7 @@ def save_checkpoint(path: Path, agent: Agent, steps: int, curve: list[list[float
 
 
 def load_checkpoint(path: str, device: str) -> tuple[Agent, int, list[list[float]]]:
-    """What save_checkpoint wrote."""
+    """Load the checkpoint that save_checkpoint wrote."""
     with np.load(path, allow_pickle=False) as file:
         names = [k[2:] for k in file.files if k.startswith("p/")]
         agent = Agent({k: file[f"p/{k}"] for k in names}, device, float(file["lr"]))
@@ -233,7 +234,7 @@ def load_checkpoint(path: str, device: str) -> tuple[Agent, int, list[list[float
 
 
 def main() -> int:
-    """Train and write the file; with --evaluate judge it over seeds that were not trained on."""
+    """Train and write the file. With --evaluate, judge the actor over seeds of no training."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=float, default=8e6, help="frames of all worlds in total")
     parser.add_argument("--worlds", type=int, default=1024)
@@ -267,7 +268,7 @@ def main() -> int:
             )
             first = np.random.Generator(np.random.Philox(key=[args.seed, 2]))
             ants.frame[:] = first.integers(0, EPISODE, args.worlds)
-        if steps == 0:  # what the networks see is normalized from the first update on
+        if steps == 0:  # observations are normalized from the first update on
             collect(agent, ants, last, np.random.default_rng(args.seed), args.frames)
         rng = np.random.Generator(np.random.Philox(key=[args.seed, 3 + steps]))
         start = time.perf_counter()

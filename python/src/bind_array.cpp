@@ -150,7 +150,7 @@ void bind_dtypes(py::module_& m) {
           "The shape of an element: () for a scalar, (3,) for vec3, (3, 3) for mat33.")
       .def_property_readonly(
           "itemsize", [](const DTypeObject& d) { return dtype_info(d.dtype).bytes; },
-          "Bytes of an element.")
+          "The size of an element (bytes).")
       .def_property_readonly(
           "numpy", [](const DTypeObject& d) { return numpy_dtype(dtype_info(d.dtype).scalar); },
           "The NumPy dtype of the element's numbers.")

@@ -170,11 +170,7 @@ void bind_worlds(py::class_<ModelBuilder>& c) {
           [](ModelBuilder& b, py::handle gravity) {
             return gravity.is_none() ? b.begin_world() : b.begin_world(to_vec3(gravity, "gravity"));
           },
-          py::kw_only(), "gravity"_a = py::none(),
-          "Opens a world and returns its index. Additions until end_world belong to this world. "
-          "Additions outside of worlds belong to all worlds (-1). A world meets itself and the "
-          "additions to all worlds. gravity: m/s^2, world frame; None: the builder's gravity. "
-          "novaphy.Error: a world is open.")
+          py::kw_only(), "gravity"_a = py::none(), doc::kBeginWorld)
       .def(
           "set_fluid",
           [](ModelBuilder& b, float density, float viscosity, py::handle wind) {
@@ -199,7 +195,9 @@ void bind_worlds(py::class_<ModelBuilder>& c) {
             return b.add_world(builder, to_transform(xform, "xform"));
           },
           "builder"_a, "xform"_a = py::none(),
-          "begin_world, add_builder and end_world in one call. Returns the index.")
+          "Adds a builder as a new world, moved by `xform` (m, xyzw). Calls begin_world, "
+          "add_builder "
+          "and end_world. Returns the index of the world.")
       .def(
           "replicate",
           [](ModelBuilder& b, const ModelBuilder& builder, int32_t world_count,
@@ -227,10 +225,11 @@ std::optional<Mat33f> to_inertia(py::handle value) {
 
 void bind_bodies(py::class_<ModelBuilder>& c) {
   bind_builder_list(c, "body_q", &ModelBuilder::body_q,
-                    "The initial poses of the bodies' origins: m, quaternion xyzw, world frame.");
-  bind_builder_list(
-      c, "body_qd", &ModelBuilder::body_qd,
-      "The initial velocities of the centers of mass (m/s), then angular (rad/s), world frame.");
+                    "The initial poses of the bodies' origins (m, quaternion xyzw, world frame).");
+  bind_builder_list(c, "body_qd", &ModelBuilder::body_qd,
+                    "The initial velocities of the bodies, in the world frame: the velocity of the "
+                    "center of mass "
+                    "(m/s), then the angular velocity (rad/s).");
   const auto bind = [&](const char* name, int32_t (ModelBuilder::*add)(const BodyArgs&),
                         const char* doc) {
     c.def(
@@ -293,18 +292,15 @@ void bind_builder(py::module_& m) {
       .def_property_readonly(
           "up_vector", [](const ModelBuilder& b) { return to_tuple(b.up_vector()); },
           "The unit vector of the up axis.")
-      .def_readwrite("default_particle_radius", &ModelBuilder::default_particle_radius, "m")
+      .def_readwrite("default_particle_radius", &ModelBuilder::default_particle_radius,
+                     "The radius of particles that are added without one (m).")
       .def_readwrite("default_shape_cfg", &ModelBuilder::default_shape_cfg,
                      "The ShapeConfig of shapes that are added without one.")
       .def_readwrite("rigid_gap", &ModelBuilder::rigid_gap,
                      "The gap (m) of shapes whose ShapeConfig has none.")
       .def_readwrite("balance_inertia", &ModelBuilder::balance_inertia, doc::kBalanceInertia)
-      .def_readwrite("bound_mass", &ModelBuilder::bound_mass,
-                     "The least mass of dynamic bodies (kg, > 0). finalize raises masses but not "
-                     "0, keeps the inertia, and warns. None: no bound.")
-      .def_readwrite("bound_inertia", &ModelBuilder::bound_inertia,
-                     "The least principal moment of a body with a mass (kg*m^2, > 0). finalize "
-                     "adds what one lacks to all three, and warns. None: no bound.")
+      .def_readwrite("bound_mass", &ModelBuilder::bound_mass, doc::kBoundMass)
+      .def_readwrite("bound_inertia", &ModelBuilder::bound_inertia, doc::kBoundInertia)
       .def("__repr__",
            [](const py::object& self) {
              std::string text = "ModelBuilder(", between;
@@ -321,12 +317,18 @@ void bind_builder(py::module_& m) {
                              "The number of particles.")
       .def_property_readonly("body_count", &ModelBuilder::body_count, "The number of bodies.")
       .def_property_readonly("shape_count", &ModelBuilder::shape_count, "The number of shapes.");
-  bind_builder_list(c, "particle_q", &ModelBuilder::particle_q, "Positions (m, world frame).");
-  bind_builder_list(c, "particle_qd", &ModelBuilder::particle_qd, "Velocities (m/s, world frame).");
-  bind_builder_list(c, "particle_mass", &ModelBuilder::particle_mass, "Masses (kg); 0: kinematic.");
-  bind_builder_list(c, "particle_radius", &ModelBuilder::particle_radius, "m");
-  bind_builder_list(c, "particle_flags", &ModelBuilder::particle_flags, "ParticleFlags.");
-  bind_builder_list(c, "particle_world", &ModelBuilder::particle_world, "Worlds; -1: all worlds.");
+  bind_builder_list(c, "particle_q", &ModelBuilder::particle_q,
+                    "The initial positions of the particles (m, world frame).");
+  bind_builder_list(c, "particle_qd", &ModelBuilder::particle_qd,
+                    "The initial velocities of the particles (m/s, world frame).");
+  bind_builder_list(c, "particle_mass", &ModelBuilder::particle_mass,
+                    "The masses of the particles (kg); 0: kinematic.");
+  bind_builder_list(c, "particle_radius", &ModelBuilder::particle_radius,
+                    "The radii of the particles (m).");
+  bind_builder_list(c, "particle_flags", &ModelBuilder::particle_flags,
+                    "The ParticleFlags of each particle.");
+  bind_builder_list(c, "particle_world", &ModelBuilder::particle_world,
+                    "The world of each particle; -1: all worlds.");
 
   c.def(
        "add_particle",
@@ -335,9 +337,7 @@ void bind_builder(py::module_& m) {
          return b.add_particle(to_vec3(pos, "pos"), to_vec3(vel, "vel"), mass, radius, flags);
        },
        "pos"_a, "vel"_a, "mass"_a, "radius"_a = py::none(),
-       "flags"_a = static_cast<int32_t>(ParticleFlags::ACTIVE),
-       "Adds a particle at `pos` (m) with the velocity `vel` (m/s) and `mass` (kg; 0: kinematic). "
-       "radius (m): None takes default_particle_radius. Returns the index.")
+       "flags"_a = static_cast<int32_t>(ParticleFlags::ACTIVE), doc::kAddParticle)
       .def(
           "add_particles",
           [](ModelBuilder& b, py::handle pos, py::handle vel, py::handle mass, py::handle radius,
@@ -351,18 +351,17 @@ void bind_builder(py::module_& m) {
             b.add_particles(q, qd, m_list, r, f);
           },
           "pos"_a, "vel"_a, "mass"_a, "radius"_a = py::none(), "flags"_a = py::none(),
-          "Adds many particles. ValueError: lists of different lengths.");
+          doc::kAddParticles);
   bind_builder_elements(c);
   bind_bodies(c);
   bind_builder_joints(c);
-  bind_builder_list(c, "joint_q", &ModelBuilder::joint_q,
-                    "The initial joint coordinates, see JointType. The entries of a body of "
-                    "add_body follow body_q until they are set here.");
+  bind_builder_list(c, "joint_q", &ModelBuilder::joint_q, doc::kBuilderJointQ);
   bind_builder_list(c, "joint_target_q", &ModelBuilder::joint_target_q,
                     "The position targets of the drives (m or rad).");
-  bind_builder_list(c, "joint_target_mode", &ModelBuilder::joint_target_mode, "JointTargetMode.");
+  bind_builder_list(c, "joint_target_mode", &ModelBuilder::joint_target_mode,
+                    "The JointTargetMode of each dof.");
 #define NOVAPHY_JOINT_LIST(name, type, width, count, unit, frame, doc) \
-  bind_builder_list(c, #name, &ModelBuilder::name, unit ": " doc ".");
+  bind_builder_list(c, #name, &ModelBuilder::name, "For each dof: " doc " (" unit ").");
   NOVAPHY_MODEL_JOINT_DOF_FIELDS(NOVAPHY_JOINT_LIST)
 #undef NOVAPHY_JOINT_LIST
   bind_builder_shapes(c);

@@ -88,8 +88,7 @@ void bind_single(Builder& c) {
       },
       "i"_a, "j"_a, "k"_a, py::kw_only(), "tri_ke"_a = py::none(), "tri_ka"_a = py::none(),
       "tri_kd"_a = py::none(), "tri_drag"_a = py::none(), "tri_lift"_a = py::none(),
-      "Adds a triangle with counter-clockwise corners. Returns its area (m^2). ValueError: the "
-      "area is at most 1e-7 of the square of the longest edge.");
+      doc::kAddTriangle);
   c.def(
       "add_triangles",
       [](ModelBuilder& b, py::handle i, py::handle j, py::handle k, py::handle ke, py::handle ka,
@@ -103,18 +102,14 @@ void bind_single(Builder& c) {
       },
       "i"_a, "j"_a, "k"_a, py::kw_only(), "tri_ke"_a = py::none(), "tri_ka"_a = py::none(),
       "tri_kd"_a = py::none(), "tri_drag"_a = py::none(), "tri_lift"_a = py::none(),
-      "Adds many triangles from three lists of particles. A material is one number, or a list. "
-      "Returns the areas (m^2).");
+      doc::kAddTriangles);
   c.def(
       "add_tetrahedron",
       [](ModelBuilder& b, int32_t i, int32_t j, int32_t k, int32_t l, OptionalFloat mu,
          OptionalFloat lambda,
          OptionalFloat damp) { return b.add_tetrahedron(i, j, k, l, mu, lambda, damp); },
       "i"_a, "j"_a, "k"_a, "l"_a, "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
-      "k_damp"_a = py::none(),
-      "Adds a tetrahedron with the Lame parameters k_mu, k_lambda (Pa) and the damping k_damp "
-      "(Pa*s). Returns its volume (m^3). ValueError: the volume is at most 1e-7 of the cube of the "
-      "longest edge, or the tetrahedron is inverted.");
+      "k_damp"_a = py::none(), doc::kAddTet);
   c.def(
       "add_tetrahedra",
       [](ModelBuilder& b, py::handle i, py::handle j, py::handle k, py::handle l, py::handle mu,
@@ -125,8 +120,8 @@ void bind_single(Builder& c) {
       },
       "i"_a, "j"_a, "k"_a, "l"_a, py::kw_only(), "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
       "k_damp"_a = py::none(),
-      "Adds many tetrahedra from four lists of particles. A material is one number, or a list. "
-      "Returns the volumes (m^3).");
+      "Adds many tetrahedra from four lists of particles. A material of add_tetrahedron is one "
+      "number, or a list with one number for each tetrahedron. Returns the volumes (m^3).");
   c.def(
       "add_edge",
       [](ModelBuilder& b, int32_t i, int32_t j, int32_t k, int32_t l, OptionalFloat rest,
@@ -146,7 +141,9 @@ void bind_single(Builder& c) {
                         {{ke, "edge_ke", &EdgeMaterial::ke}, {kd, "edge_kd", &EdgeMaterial::kd}}));
       },
       "i"_a, "j"_a, "k"_a, "l"_a, py::kw_only(), "rest"_a = py::none(), "edge_ke"_a = py::none(),
-      "edge_kd"_a = py::none(), "Adds many bending edges from four lists of particles.");
+      "edge_kd"_a = py::none(),
+      "Adds many bending edges from four lists of particles. rest is None, or a list of angles "
+      "(rad). A material of add_edge is one number, or a list with one number for each edge.");
 }
 
 void bind_grids(Builder& c) {
@@ -162,9 +159,7 @@ void bind_grids(Builder& c) {
       },
       py::kw_only(), "pos"_a = origin, "rot"_a = no_turn, "vel"_a = origin, "dim_x"_a, "dim_y"_a,
       "dim_z"_a, "cell_x"_a, "cell_y"_a, "cell_z"_a, "mass"_a, "jitter"_a = 0.0,
-      "radius_mean"_a = py::none(), "radius_std"_a = 0.0, "seed"_a = 0,
-      "Adds dim_x * dim_y * dim_z particles of `mass` (kg): y slowest, then x, then z. jitter (m) "
-      "moves each coordinate by up to half of it. The radii (m) are normally distributed.");
+      "radius_mean"_a = py::none(), "radius_std"_a = 0.0, "seed"_a = 0, doc::kAddParticleGrid);
   c.def(
       "add_cloth_grid",
       [](ModelBuilder& b, py::handle pos, py::handle rot, py::handle vel, int32_t dim_x,
@@ -197,10 +192,7 @@ void bind_grids(Builder& c) {
       "tri_ka"_a = py::none(), "tri_kd"_a = py::none(), "tri_drag"_a = py::none(),
       "tri_lift"_a = py::none(), "edge_ke"_a = py::none(), "edge_kd"_a = py::none(),
       "add_springs"_a = false, "spring_ke"_a = py::none(), "spring_kd"_a = py::none(),
-      "particle_radius"_a = py::none(),
-      "Adds a cloth of dim_x * dim_y cells (m), in the plane z = 0 before it is placed. Every "
-      "particle has `mass` (kg). The sides left and right are the ends of x, bottom and top those "
-      "of y. A fixed side has mass 0 and is not active.");
+      "particle_radius"_a = py::none(), doc::kAddClothGrid);
   c.def(
       "add_soft_grid",
       [](ModelBuilder& b, py::handle pos, py::handle rot, py::handle vel, int32_t dim_x,
@@ -236,10 +228,7 @@ void bind_grids(Builder& c) {
       "fix_right"_a = false, "fix_top"_a = false, "fix_bottom"_a = false, "tri_ke"_a = 0.0f,
       "tri_ka"_a = 0.0f, "tri_kd"_a = 0.0f, "tri_drag"_a = 0.0f, "tri_lift"_a = 0.0f,
       "add_surface_mesh_edges"_a = true, "edge_ke"_a = 0.0f, "edge_kd"_a = 0.0f,
-      "particle_radius"_a = py::none(),
-      "Adds a block of dim_x * dim_y * dim_z cells (m), five tetrahedra each, with triangles and "
-      "bending edges on the surface. Every particle has the mass of one cell at `density` "
-      "(kg/m^3). Fixed sides (left, right: ends of x; bottom, top: of y) get mass 0.");
+      "particle_radius"_a = py::none(), doc::kAddSoftGrid);
 }
 
 // Returns the argument, or the attribute of the mesh if the argument is None.
@@ -277,9 +266,7 @@ void bind_meshes(Builder& c) {
       "tri_kd"_a = py::none(), "tri_drag"_a = py::none(), "tri_lift"_a = py::none(),
       "edge_ke"_a = py::none(), "edge_kd"_a = py::none(), "add_springs"_a = false,
       "spring_ke"_a = py::none(), "spring_kd"_a = py::none(), "particle_radius"_a = py::none(),
-      "Adds a cloth from a triangle mesh: vertices (n, 3), and indices (m, 3) or flat. Each corner "
-      "gets a third of a triangle's mass by density (kg/m^2). ValueError: an empty mesh, a vertex "
-      "without a triangle, a degenerate triangle, an edge with more than two triangles.");
+      doc::kAddClothMesh);
   c.def(
       "add_soft_mesh",
       [](ModelBuilder& b, py::handle pos, py::handle rot, double scale, py::handle vel,

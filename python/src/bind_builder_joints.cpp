@@ -96,7 +96,7 @@ void bind_dof_config(py::module_& m) {
             dof.axis = to_direction(axis);
             return dof;
           },
-          "axis"_a, "Returns a degree of freedom without limits and drive.");
+          "axis"_a, "Returns a degree of freedom about or along `axis`, without limits and drive.");
   add_settings_pickle(c);
 }
 
@@ -171,7 +171,9 @@ void bind_general_joints(Builder& c) {
           "parent"_a, "child"_a, py::kw_only(), "parent_xform"_a = py::none(),
           "child_xform"_a = py::none(), "collision_filter_parent"_a = py::none(),
           "enabled"_a = true, "label"_a = py::none(),
-          "Adds a joint whose two frames coincide. Returns the index.");
+          "Adds a joint that fixes the child to the parent: the frames parent_xform and "
+          "child_xform "
+          "(m, xyzw) coincide. Returns the index.");
 }
 
 void bind_ball_joint(Builder& c) {

@@ -90,16 +90,16 @@ void bind_collision(py::module_& m) {
             return pairs;
           },
           doc::kFilteredPairs)
+      .def_property_readonly("fcl_pair_count", &CollisionPipeline::fcl_pair_count, doc::kFclPairs)
       .def_property_readonly(
-          "fcl_pair_count", &CollisionPipeline::fcl_pair_count,
-          "The number of overlapping pairs of hulls so far, with narrow_phase \"fcl\".")
-      .def_property_readonly("fcl_fallback_count", &CollisionPipeline::fcl_fallback_count,
-                             "Pairs in fcl_pair_count whose result of FCL was not used.")
-      .def_property_readonly("soft_contact_margin", &CollisionPipeline::soft_contact_margin, "m")
+          "fcl_fallback_count", &CollisionPipeline::fcl_fallback_count,
+          "The number of pairs in fcl_pair_count whose result of FCL was not used.")
+      .def_property_readonly("soft_contact_margin", &CollisionPipeline::soft_contact_margin,
+                             "The margin of soft contacts in collide (m).")
       .def_property_readonly("rigid_contact_max", &CollisionPipeline::rigid_contact_max,
-                             "The number of rows of contacts().")
+                             "The number of rows for rigid contacts in contacts().")
       .def_property_readonly("soft_contact_max", &CollisionPipeline::soft_contact_max,
-                             "The number of slots of contacts().")
+                             "The number of slots for soft contacts in contacts().")
       .def_property_readonly("soft_contact_pair_count", &CollisionPipeline::soft_contact_pair_count,
                              "The number of candidate pairs: particles times colliding shapes.")
       .def("contacts", py::overload_cast<bool>(&CollisionPipeline::contacts, py::const_),

@@ -105,10 +105,10 @@ void bind_control_sensitivity(py::module_& solvers) {
           "The derivative of point_velocity() {3, parameters}, in world axes.")
       .def(
           "point", [](const Sensitivity& s) { return to_tuple(s.point()); },
-          "The position of the point (m, world frame).")
+          "Returns the position of the point (m, world frame).")
       .def(
           "point_velocity", [](const Sensitivity& s) { return to_tuple(s.point_velocity()); },
-          "The velocity of the point (m/s, world frame).")
+          "Returns the velocity of the point (m/s, world frame).")
       .def_property_readonly("label", &Sensitivity::label,
                              "The label of the derivative: \"frozen\" or \"exact\".")
       .def_property_readonly(

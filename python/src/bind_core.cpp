@@ -38,8 +38,7 @@ void bind_devices(py::module_& m) {
 
   py::class_<Device>(m, "Device", doc::kDevice)
       .def(py::init([](py::handle spec) { return to_device(spec); }), "spec"_a = py::none(),
-           "Makes a device from a name or another Device. None: the default device. ValueError: an "
-           "unknown name.")
+           doc::kDeviceInit)
       .def_property_readonly(
           "type", [device_type](const Device& d) { return device_type(static_cast<int>(d.type)); },
           "The DeviceType of the device.")
@@ -52,9 +51,11 @@ void bind_devices(py::module_& m) {
           "arch", [](const Device& d) { return device_info(d).arch; },
           "The compute capability, such as 90; 0 on the cpu.")
       .def_property_readonly(
-          "total_memory", [](const Device& d) { return device_info(d).total_memory; }, "Bytes.")
+          "total_memory", [](const Device& d) { return device_info(d).total_memory; },
+          "The memory of the device (bytes).")
       .def_property_readonly(
-          "free_memory", [](const Device& d) { return device_info(d).free_memory; }, "Bytes.")
+          "free_memory", [](const Device& d) { return device_info(d).free_memory; },
+          "The free memory of the device (bytes).")
       .def_property_readonly("is_cpu", &Device::is_cpu, "Whether the device is the cpu.")
       .def_property_readonly(
           "is_cuda", [](const Device& d) { return d.type == DeviceType::CUDA; },
@@ -79,9 +80,7 @@ void bind_devices(py::module_& m) {
         require_device(device);
         return device;
       },
-      "spec"_a = py::none(),
-      "Returns the device of a name. None: the default device. novaphy.Error, with the reasons: "
-      "the device is not available.");
+      "spec"_a = py::none(), doc::kGetDevice);
   m.def("get_devices", &devices, "All devices that the backends offer.");
   m.def("get_default_device", &default_device,
         "The device of new arrays and models without a device argument.");

@@ -122,11 +122,7 @@ void bind_operators(py::module_& m) {
       "body_q"_a, "body_qd"_a, "body_index"_a, "local_axis_a"_a, "target_axis_a"_a,
       "local_axis_b"_a, "target_axis_b"_a, py::kw_only(), "axis_weight_a"_a = 1.0f,
       "axis_weight_b"_a = 1.0f, "target_height"_a = 0.0f, "height_weight"_a = 0.0f,
-      "linear_velocity_weight"_a = 0.0f, "angular_velocity_weight"_a = 0.0f,
-      "Returns the loss {1} of one body: wa (1 - R a . ta) + wb (1 - R b . tb) + wh (z - h)^2 + "
-      "wv |v|^2 + ww |w|^2. R is the body's rotation. The local axes a and b have the targets ta "
-      "and tb in the world frame. All four are normalized. z is the height (m), v and w are the "
-      "velocities.\n\nIndexError: no such body.\nValueError: an axis of length 0.");
+      "linear_velocity_weight"_a = 0.0f, "angular_velocity_weight"_a = 0.0f, doc::kOrientationLoss);
   m.def("assign_tet_materials_generated", &diff::assign_tet_materials_generated,
         "material_params"_a, "base_tet_materials"_a, "tet_count"_a, release_gil(),
         "Returns materials {tet_count, 3}: k_mu and k_lambda (Pa) from parameters {2} or {2 * "
@@ -244,18 +240,17 @@ void bind_trajectory(py::module_& m) {
       .def_property_readonly(
           "model", [](const Trajectory& t) { return std::const_pointer_cast<Model>(t.model()); },
           "The model of the trajectory.");
-#define NOVAPHY_BIND_WHOLE(name, ...)                                                        \
-  {                                                                                          \
-    const FieldInfo info = NOVAPHY_FIELD_INFO(name, __VA_ARGS__);                            \
-    const std::string doc =                                                                  \
-        "Tensor over the " + std::string(info.doc) + " of all kept states, " +               \
-        std::string(info.unit) +                                                             \
-        (info.role == FieldRole::Applied ? ": one for all, acting in every step."            \
-                                         : ": {kept, ...}, in time order.");                 \
-    c.def_property_readonly(                                                                 \
-        #name,                                                                               \
-        [role = info.role](const Trajectory& t) { return whole(t, role, t.fields().name); }, \
-        doc.c_str());                                                                        \
+#define NOVAPHY_BIND_WHOLE(name, ...)                                                             \
+  {                                                                                               \
+    const FieldInfo info = NOVAPHY_FIELD_INFO(name, __VA_ARGS__);                                 \
+    const std::string doc =                                                                       \
+        (info.role == FieldRole::Applied ? "One array for all states: "                           \
+                                         : "An array {kept, ...} over the kept states: ") +       \
+        std::string(info.doc) + (info.unit.empty() ? "." : " (" + std::string(info.unit) + ")."); \
+    c.def_property_readonly(                                                                      \
+        #name,                                                                                    \
+        [role = info.role](const Trajectory& t) { return whole(t, role, t.fields().name); },      \
+        doc.c_str());                                                                             \
   }
   NOVAPHY_STATE_FIELDS(NOVAPHY_BIND_WHOLE)
 #undef NOVAPHY_BIND_WHOLE

@@ -79,7 +79,8 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
            "Resets the counts of gradient_info.")
       .def_property_readonly(
           "angular_damping",
-          [](const DiffFeatherstoneSolver& s) { return s.options().angular_damping; }, "1/s")
+          [](const DiffFeatherstoneSolver& s) { return s.options().angular_damping; },
+          "The damping of angular dofs (1/s).")
       .def_property_readonly(
           "implicit_drives",
           [](const DiffFeatherstoneSolver& s) { return s.options().implicit_drives; },
@@ -90,9 +91,7 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
         "state_in"_a, "control"_a.none(true), "q"_a, "qd"_a, "q_out"_a, "qd_out"_a, "dt"_a,
         "angular_damping"_a, release_gil(), doc::kPlanarArm);
   m.def("planar_2r_tip_loss", &diff::planar_2r_tip_loss, "model"_a, "q"_a, "target_x"_a,
-        "target_z"_a, release_gil(),
-        "Returns |tip - target|^2 {1} (m^2), in XZ, of record_planar_2r_featherstone_step's arm at "
-        "q {2}. The last center of mass is midway from the joint to the tip.");
+        "target_z"_a, release_gil(), doc::kPlanarTipLoss);
 }
 
 void bind_event_times(py::module_& m) {

@@ -46,9 +46,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
   BoundClass<SimState>::remember(m.attr("SimState"));
   BoundClass<Control>::remember(m.attr("Control"));
   BoundClass<Contacts>::remember(m.attr("Contacts"));
-  py::class_<SolverBase> base(solvers, "SolverBase",
-                              "The base of all solvers. One thread at a time may use a solver and "
-                              "its captured graphs. Another thread gets a novaphy.Error.");
+  py::class_<SolverBase> base(solvers, "SolverBase", doc::kSolverBase);
   base.def_property_readonly(
           "model", [](const SolverBase& s) { return std::const_pointer_cast<Model>(s.model()); },
           "The model. A solver reads its arrays and settings in every step.")
@@ -104,7 +102,8 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
            "sleep"_a = py::none(), doc::kSemiImplicitInit)
       .def_property_readonly(
           "angular_damping",
-          [](const SolverSemiImplicit& s) { return s.options().angular_damping; }, "1/s")
+          [](const SolverSemiImplicit& s) { return s.options().angular_damping; },
+          "The damping of the angular velocity of bodies (1/s).")
       .def_property_readonly(
           "friction_smoothing",
           [](const SolverSemiImplicit& s) { return s.options().friction_smoothing; },
@@ -118,10 +117,12 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
           "The tangential stiffness of each rigid contact (N/m).")
       .def_property_readonly(
           "joint_attach_ke",
-          [](const SolverSemiImplicit& s) { return s.options().joint_attach_ke; }, "N/m, N*m/rad")
+          [](const SolverSemiImplicit& s) { return s.options().joint_attach_ke; },
+          "The stiffness that holds joints together (N/m and N*m/rad).")
       .def_property_readonly(
           "joint_attach_kd",
-          [](const SolverSemiImplicit& s) { return s.options().joint_attach_kd; }, "N*s/m")
+          [](const SolverSemiImplicit& s) { return s.options().joint_attach_kd; },
+          "The damping that holds joints together (N*s/m).")
       .def_property_readonly(
           "enable_tri_contact",
           [](const SolverSemiImplicit& s) { return s.options().enable_tri_contact; },
@@ -133,13 +134,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       [](const Model& model, const Array& joint_q, const Array& joint_qd, SimState& state) {
         eval_fk(model, DeviceArray<float>(joint_q), DeviceArray<float>(joint_qd), state);
       },
-      "model"_a, "joint_q"_a, "joint_qd"_a, "state"_a,
-      "Writes body_q and body_qd of the state, from joint_q {coordinates} and joint_qd {degrees of "
-      "freedom}: the poses and velocities of the children of all joints of articulations. Other "
-      "bodies keep their values. Quaternions are normalized. Mimic joints take their own entries "
-      "of joint_q.\n\nNo gradient: on a tape the call raises for coordinates that carry "
-      "one.\n\nValueError: wrong rows, a state of another model, a quaternion of length 0 (NaN on "
-      "a device, on a tape and in a capture).");
+      "model"_a, "joint_q"_a, "joint_qd"_a, "state"_a, doc::kEvalFk);
   m.def(
       "eval_mimic",
       [](const Model& model, const Array& joint_q, const Array& joint_qd) {
@@ -151,12 +146,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       [](const Model& model, const SimState& state, const Array& joint_q, const Array& joint_qd) {
         eval_ik(model, state, DeviceArray<float>(joint_q), DeviceArray<float>(joint_qd));
       },
-      "model"_a, "state"_a, "joint_q"_a, "joint_qd"_a,
-      "Writes joint_q and joint_qd, the coordinates and rates of all joints, from body_q and "
-      "body_qd of the state. Motions that a joint does not allow are left out. Angles are in [-pi, "
-      "pi].\n\nNo gradient: on a tape the call raises for poses and velocities that carry "
-      "one.\n\nValueError: wrong rows, a state of another model.\nNotImplementedError: a D6 whose "
-      "axes are not perpendicular.");
+      "model"_a, "state"_a, "joint_q"_a, "joint_qd"_a, doc::kEvalIk);
   bind_featherstone(m, solvers);
 }
 

@@ -63,11 +63,7 @@ void bind_functions(py::module_& m) {
         const std::vector<float> a = to_dofs(model, qdd, "qdd");
         return to_array(unlocked([&] { return eval_inverse_dynamics(model, state, a); }));
       },
-      "model"_a, "state"_a, "qdd"_a,
-      "Returns the generalized forces {dofs} (N, N*m) that cause the accelerations qdd {dofs} at "
-      "state.joint_q and joint_qd: H qdd + bias, with armature. Drives, limits and body_f are left "
-      "out. The rates and forces of a FREE joint are those of the center of mass, in the axes of "
-      "the joint's frame in the parent.");
+      "model"_a, "state"_a, "qdd"_a, doc::kInverseDynamics);
   m.def(
       "eval_bias",
       [](const Model& model, const SimState& state) {
@@ -128,7 +124,8 @@ void bind_functions(py::module_& m) {
       [](const Model& model, const SimState& state) {
         return to_rows(unlocked([&] { return eval_center_of_mass(model, state); }));
       },
-      "model"_a, "state"_a, "{articulations, 3}, m, world frame.");
+      "model"_a, "state"_a,
+      "Returns the center of mass of each articulation {articulations, 3} (m, world frame).");
   m.def(
       "eval_energy",
       [](const Model& model, const SimState& state) {

@@ -143,9 +143,11 @@ void bind_gradient_info(py::module_& solvers) {
       .def("__len__", [](const Info& i) { return i.fields.size(); })
       .def("__iter__", [](const Info& i) { return py::iter(i.fields); })
       .def(
-          "keys", [](const Info& i) { return i.fields.attr("keys")(); }, "The names of the fields.")
+          "keys", [](const Info& i) { return i.fields.attr("keys")(); },
+          "Returns the names of the fields.")
       .def(
-          "items", [](const Info& i) { return i.fields.attr("items")(); }, "Names and values.")
+          "items", [](const Info& i) { return i.fields.attr("items")(); },
+          "Returns the names and values of the fields.")
       .def("__dir__",
            [](const Info& i) {
              return py::list(i.fields) +

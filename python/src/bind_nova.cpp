@@ -2,6 +2,7 @@
 #include <cmath>
 #include <limits>
 
+#include "doc_nova_tensor.h"
 #include "nova_types.h"
 #include "novaphy/nova/ops.h"
 
@@ -144,10 +145,7 @@ void bind_creation(py::module_& m) {
             if (own.defined()) return copy ? own.detach() : own;
             return tensor_of(import_dlpack(obj, copy));
           },
-          "obj"_a, "copy"_a = false,
-          "Wraps the memory of an array of another library, without a copy unless copy=True. "
-          "BufferError: the memory may not be written, or its producer does not say that it may "
-          "(JAX). copy=True takes such memory too.")
+          "obj"_a, "copy"_a = false, doc::kFromDlpack)
       .def(
           "from_device_array",
           [](const Array& a, bool requires_grad) { return Tensor::view(a, requires_grad); },
@@ -171,7 +169,8 @@ void bind_creation(py::module_& m) {
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
             return filled(shape, 0.0, dtype, device, grad);
           },
-          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false, "Zeros.")
+          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false,
+          "Returns a tensor of zeros.")
       .def(
           "empty",
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
@@ -184,7 +183,8 @@ void bind_creation(py::module_& m) {
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
             return filled(shape, 1.0, dtype, device, grad);
           },
-          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false, "Ones.")
+          "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false,
+          "Returns a tensor of ones.")
       .def("full", &filled, "shape"_a, "value"_a, "dtype"_a = f32, "device"_a = py::none(),
            "requires_grad"_a = false,
            "Returns a tensor filled with one value, rounded to float32. ValueError: an integer "
@@ -217,8 +217,8 @@ void bind_functions(py::module_& m) {
   NOVAPHY_BINARY(sub, "Returns a - b, broadcast as in NumPy.")
   NOVAPHY_BINARY(mul, "Returns a * b, broadcast as in NumPy.")
   NOVAPHY_BINARY(div, "Returns a / b, broadcast as in NumPy.")
-  NOVAPHY_BINARY(minimum, "The smaller value. The gradient goes to a where a < b, else to b.")
-  NOVAPHY_BINARY(maximum, "The larger value. The gradient goes to a where a > b, else to b.")
+  NOVAPHY_BINARY(minimum, "Returns the smaller. The gradient goes to a where a < b, else to b.")
+  NOVAPHY_BINARY(maximum, "Returns the larger. The gradient goes to a where a > b, else to b.")
   m.def(
       "min", [](const Tensor& a, const Tensor& b) { return nova::minimum(a, b); }, "a"_a, "b"_a,
       release_gil());
@@ -245,10 +245,11 @@ void bind_functions(py::module_& m) {
   NOVAPHY_UNARY(sin, "Returns the sine of x (rad).")
   NOVAPHY_UNARY(cos, "Returns the cosine of x (rad).")
   NOVAPHY_UNARY(tanh, "Returns the hyperbolic tangent.")
-  NOVAPHY_UNARY(acos, "The arc cosine (rad) of x limited to [-1, 1]. No gradient at the limits.")
+  NOVAPHY_UNARY(acos,
+                "Returns the arc cosine (rad) of x limited to [-1, 1]. No gradient at the limits.")
   m.def(
       "atan2", [](const Tensor& y, const Tensor& x) { return nova::atan2(y, x); }, "y"_a, "x"_a,
-      release_gil(), "The angle (rad) of (x, y), broadcast. No gradient at the origin.");
+      release_gil(), "Returns the angle (rad) of (x, y), broadcast. No gradient at the origin.");
   m.def(
       "clamp",
       [](const Tensor& x, py::handle lower, py::handle upper) {
@@ -258,7 +259,8 @@ void bind_functions(py::module_& m) {
       },
       "x"_a, "lower"_a, "upper"_a,
       "Limits x to [lower, upper]. The gradient is 1 inside and at the bounds, 0 outside.");
-  NOVAPHY_BINARY(pow, "a to the power of b, broadcast as in NumPy. The exponent 2 gives a * a.")
+  NOVAPHY_BINARY(pow,
+                 "Returns a to the power of b, broadcast as in NumPy. The exponent 2 gives a * a.")
   m.def(
       "pow", [](const Tensor& a, float b) { return nova::pow(a, b); }, "a"_a, "b"_a, release_gil());
   m.def(
@@ -271,9 +273,7 @@ void bind_functions(py::module_& m) {
         const ReleasedGil release;
         return nova::where(condition, x, y);
       },
-      "condition"_a, "a"_a, "b"_a,
-      "Returns a where the condition (int32 or float32) is not 0, else b. Tensors and numbers are "
-      "broadcast as in NumPy. No gradient flows to the condition.");
+      "condition"_a, "a"_a, "b"_a, doc::kWhere);
   NOVAPHY_UNARY(norm, "Returns the Euclidean norm of all values {1}. No gradient at 0.")
   NOVAPHY_UNARY(sum_rows, "Returns the sum {1, w} of the rows of a tensor {n, w}.")
   m.def(
@@ -283,7 +283,8 @@ void bind_functions(py::module_& m) {
 
 void bind_shapes(py::module_& m) {
   m.def("sum", &reduced<Reduction::Sum>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
-        release_gil(), "The sum of all values {1}, or over one dimension, in a fixed order.")
+        release_gil(),
+        "Returns the sum of all values {1}, or over one dimension, in a fixed order.")
       .def("mean", &reduced<Reduction::Mean>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
            release_gil(), "Returns the mean of all values {1}, or over one dimension.")
       .def("max", &reduced<Reduction::Max>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
@@ -300,10 +301,7 @@ void bind_shapes(py::module_& m) {
           "x"_a, "shape"_a, "Returns x repeated to a shape, as in NumPy.")
       .def(
           "gather", [](const Tensor& x, const Tensor& index) { return nova::gather(x, index); },
-          "x"_a, "index"_a, release_gil(),
-          "Returns the rows of x that an int32 tensor of any shape names: index.shape + "
-          "x.shape[1:]. The gradient of a row that is named several times is the sum in the order "
-          "of the index. IndexError: an entry outside of 0 to len(x) - 1.")
+          "x"_a, "index"_a, release_gil(), doc::kGather)
       .def(
           "concat",
           [](const std::vector<Tensor>& parts, int64_t axis) { return nova::concat(parts, axis); },
@@ -324,7 +322,7 @@ void bind_shapes(py::module_& m) {
   NOVAPHY_BINARY(matmul,
                  "Returns the matrix product of {n, k} or {k} and {k, m} or {k}. Each value is "
                  "summed in ascending k.")
-  NOVAPHY_BINARY(cross, "a x b of vectors {..., 3}, broadcast in the other dimensions.")
+  NOVAPHY_BINARY(cross, "Returns a x b of vectors {..., 3}, broadcast in the other dimensions.")
   NOVAPHY_BINARY(quat_mul,
                  "Returns the Hamilton product a b of quaternions {..., 4}, (x, y, z, w): the "
                  "rotation b, then a.")

@@ -35,7 +35,7 @@ void bind_updates(py::module_& m) {
   const nova::AdamOptions d;
   m.def("adam_update_f32", &nova::adam_update_f32, "param"_a, "m"_a, "v"_a, "t"_a, "lr"_a,
         "beta1"_a = d.beta1, "beta2"_a = d.beta2, "eps"_a = d.eps, release_gil(),
-        R"(One step of Adam, in place, from param.grad (Kingma and Ba 2015, Algorithm 1):
+        R"(Takes one step of Adam, in place, from param.grad (Kingma and Ba 2015, Algorithm 1):
 
     t += 1;  m = beta1 * m + (1 - beta1) * g;  v = beta2 * v + (1 - beta2) * g * g
     param -= lr * (m / (1 - beta1^t)) / (sqrt(v / (1 - beta2^t)) + eps)

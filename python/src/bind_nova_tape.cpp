@@ -158,7 +158,8 @@ void bind_tape(py::module_& m) {
              if (!names.empty()) text += ", last='" + names.back() + "'";
              return text + ", memory_bytes=" + std::to_string(tape.memory_bytes()) + ")";
            })
-      .def("op_names", &nova::Tape::op_names, "The names of the recorded operations, in order.")
+      .def("op_names", &nova::Tape::op_names,
+           "Returns the names of the recorded operations, in order.")
       .def_property_readonly("memory_bytes", &nova::Tape::memory_bytes,
                              "The memory of the records, without the tensors (bytes).")
       .def("record_custom", &record_custom, "name"_a, "inputs"_a, "outputs"_a, "backward"_a,

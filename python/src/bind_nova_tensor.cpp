@@ -184,16 +184,16 @@ void bind_methods(TensorClass& c) {
           "Sets all values to zero; returns self.")
       .def("zero_grad", method<&Tensor::zero_grad>, "Sets the gradient to zero.")
       .def("sum", &reduced<Reduction::Sum>, "axis"_a = py::none(), "keepdims"_a = false,
-           release_gil(), "nova.sum of it.")
+           release_gil(), "Returns nova.sum of the tensor.")
       .def("mean", &reduced<Reduction::Mean>, "axis"_a = py::none(), "keepdims"_a = false,
-           release_gil(), "nova.mean of it.")
+           release_gil(), "Returns nova.mean of the tensor.")
       .def("max", &reduced<Reduction::Max>, "axis"_a = py::none(), "keepdims"_a = false,
-           release_gil(), "nova.max of it.")
+           release_gil(), "Returns nova.max of the tensor.")
       .def("min", &reduced<Reduction::Min>, "axis"_a = py::none(), "keepdims"_a = false,
-           release_gil(), "nova.min of it.")
+           release_gil(), "Returns nova.min of the tensor.")
       .def_property_readonly(
           "T", [](const Tensor& t) { return nova::transpose(t); },
-          "nova.transpose of it: the dimensions in reverse order, a copy.")
+          "A copy with the dimensions in reverse order, by nova.transpose.")
       .def("__len__",
            [](const Tensor& t) {
              require(t.ndim() != 0, ErrorKind::Type, "len: the tensor has no dimension");

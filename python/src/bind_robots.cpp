@@ -266,9 +266,7 @@ void bind_report(py::module_& io) {
       .def_readonly("read", &RobotReport::read, "A dict of kinds of elements to their number.")
       .def_readonly("mended", &RobotReport::mended,
                     "RobotNotes on elements that the reader mended.")
-      .def_readonly("left_out", &RobotReport::left_out,
-                    "RobotNotes on elements that would change the motion but are not supported, "
-                    "and on missing files.")
+      .def_readonly("left_out", &RobotReport::left_out, doc::kLeftOut)
       .def_readonly("ignored", &RobotReport::ignored,
                     "RobotNotes on elements that do not affect motion, or up to the simulation.")
       .def("__str__", &report_text);
@@ -287,9 +285,7 @@ void bind_parts(py::module_& io) {
 
 void bind_views(py::class_<RobotImport>& c) {
   c.def_property_readonly(
-       "lights", [](const RobotImport& r) { return sites_dict(r.lights); },
-       "A dict of each light to its body (-1: the world) and pose there (m, xyzw). Light goes to "
-       "-z.")
+       "lights", [](const RobotImport& r) { return sites_dict(r.lights); }, doc::kLights)
       .def_property_readonly(
           "cameras",
           [](const RobotImport& r) {
@@ -298,8 +294,7 @@ void bind_views(py::class_<RobotImport>& c) {
               cameras[py::str(name)] = py::make_tuple(of.at.body, pose_tuple(of.at.pose), of.fovy);
             return cameras;
           },
-          "A dict of each camera to its body (-1: the world), its pose there (m, xyzw) and its "
-          "field of view (rad, vertical). Cameras look along -z, and y points up.");
+          doc::kCameras);
 }
 
 void bind_result(py::module_& io) {
@@ -343,14 +338,17 @@ void bind_result(py::module_& io) {
           "sites", [](const RobotImport& r) { return sites_dict(r.sites); },
           "A dict of each site to its body (-1: the world) and its pose there (m, xyzw).")
       .def_readonly("keyframes", &RobotImport::keyframes, "A dict of names to RobotKeyframes.")
-      .def_readonly("timestep", &RobotImport::timestep, "In s; None: the file has none.")
-      .def_readonly("equalities", &RobotImport::equalities,
-                    "RobotParts. ModelBuilder.finalize refuses equalities that act.")
+      .def_readonly("timestep", &RobotImport::timestep,
+                    "The time step of the file (s); None: the file has none.")
+      .def_readonly(
+          "equalities", &RobotImport::equalities,
+          "RobotParts of the equalities. ModelBuilder.finalize refuses equalities that act.")
       .def_readonly("tendons", &RobotImport::tendons,
                     "RobotParts of the tendons. ModelBuilder.finalize refuses tendons with forces.")
       .def_readonly("height_fields", &RobotImport::height_fields,
                     "RobotParts of the height fields. ModelBuilder.finalize refuses their geoms.")
-      .def_readonly("sensors", &RobotImport::sensors, "RobotParts. No solver reads them.")
+      .def_readonly("sensors", &RobotImport::sensors,
+                    "RobotParts of the sensors. No solver reads them.")
       .def_readonly("report", &RobotImport::report, "The RobotReport of the reader.")
       .def_readonly("warnings", &RobotImport::warnings,
                     "The notes of the report; notes with the same text count once.");

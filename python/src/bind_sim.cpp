@@ -246,11 +246,7 @@ void bind_derived(ModelClass& c, const char* name, DeviceArray<T> ModelFields::*
 }
 
 void bind_model(py::module_& m) {
-  py::class_<Model, std::shared_ptr<Model>> c(
-      m, "Model",
-      "The constant part of a scene: particles, bodies, shapes, joints and materials. "
-      "ModelBuilder.finalize makes a model. The sizes are fixed. Values may be edited at any time, "
-      "and act from the next step on.");
+  py::class_<Model, std::shared_ptr<Model>> c(m, "Model", doc::kModel);
   using Fields = ModelFields;
   NOVAPHY_MODEL_FIELDS(NOVAPHY_BIND_FIELD)
 #define NOVAPHY_BIND_DERIVED(derived, source, rule) bind_derived(c, #derived, &Fields::derived);
@@ -303,11 +299,10 @@ void bind_model(py::module_& m) {
           },
           "A dict of each body, and of the world (-1), to its shapes in ascending order.")
       .def_readonly("shape_label", &Model::shape_label, "The name of each shape.")
-      .def_property_readonly("shape_source", &shape_sources,
-                             "The mesh of each shape, or None: a novaphy.io.Mesh of copies before "
-                             "shape_scale. Shapes of one mesh share it.")
+      .def_property_readonly("shape_source", &shape_sources, doc::kShapeSource)
       .def_readonly("joint_label", &Model::joint_label, "The name of each joint.")
-      .def_readonly("articulation_label", &Model::articulation_label, "One name per articulation.")
+      .def_readonly("articulation_label", &Model::articulation_label,
+                    "The name of each articulation.")
       .def_readonly("max_joints_per_articulation", &Model::max_joints_per_articulation,
                     "The number of joints of the largest articulation.")
       .def_readonly("max_dofs_per_articulation", &Model::max_dofs_per_articulation,
@@ -320,10 +315,10 @@ void bind_model(py::module_& m) {
               groups.append(numpy().asarray(group, numpy_dtype(Scalar::I32)));
             return groups;
           },
-          "The particles of each color, ascending, as NumPy int32. The list is empty unless the "
-          "builder was colored.")
+          doc::kColorGroups)
       .def_property_readonly(
-          "up_axis", [](const Model& self) { return value_of(self.up_axis()); }, "0, 1 or 2.")
+          "up_axis", [](const Model& self) { return value_of(self.up_axis()); },
+          "The index of the up axis: 0, 1 or 2.")
       .def("state", &new_state, "requires_grad"_a = py::none(),
            "Returns a new state with the initial values. requires_grad: None takes the model's.")
       .def(
@@ -354,8 +349,7 @@ void bind_model(py::module_& m) {
             return contacts;
           },
           "state"_a, "contacts"_a = py::none(), py::kw_only(), "collision_pipeline"_a = py::none(),
-          "Finds the contacts of a state. collision_pipeline: None takes a default pipeline. "
-          "contacts: None makes new contacts.")
+          doc::kModelCollide)
       .def(
           "set_gravity",
           [](Model& self, py::handle value, std::optional<int32_t> world) {
@@ -371,14 +365,12 @@ void bind_model(py::module_& m) {
 }
 
 void bind_state(py::module_& m) {
-  py::class_<SimState> c(
-      m, "SimState",
-      "The changing part of a scene: positions, velocities, forces. Model.state() makes a state, "
-      "and a Trajectory holds states. An array of a kind that the model lacks has 0 rows.");
+  py::class_<SimState> c(m, "SimState", doc::kSimState);
   using Fields = StateFields;
   NOVAPHY_STATE_FIELDS(NOVAPHY_BIND_FIELD)
   bind_counts(c);
-  c.def("clear_forces", &SimState::clear_forces, release_gil(), "Sets particle_f, body_f to zero.")
+  c.def("clear_forces", &SimState::clear_forces, release_gil(),
+        "Sets particle_f and body_f to zero.")
       .def("assign", &SimState::assign, "source"_a, release_gil(),
            "Copies all values. ValueError, before any copy: sizes or devices differ.")
       .def("clone", &SimState::clone, "Returns a copy.");
@@ -425,13 +417,17 @@ void bind_contacts(py::module_& m) {
         "requires_grad"_a = false, "per_contact_shape_properties"_a = false,
         "Makes empty contacts without a model. A pipeline only takes contacts that it made.");
   NOVAPHY_CONTACT_FIELDS(NOVAPHY_BIND_FIELD)
-  c.def_property_readonly("soft_contact_max", &Contacts::soft_contact_max, "Number of slots.")
-      .def_property_readonly("rigid_contact_max", &Contacts::rigid_contact_max, "Number of rows.")
+  c.def_property_readonly("soft_contact_max", &Contacts::soft_contact_max,
+                          "The number of slots for soft contacts.")
+      .def_property_readonly("rigid_contact_max", &Contacts::rigid_contact_max,
+                             "The number of rows for rigid contacts.")
       .def_property_readonly("per_contact_shape_properties",
                              &Contacts::per_contact_shape_properties,
-                             "Whether rows may have their own materials.")
-      .def_property_readonly("active_rigid_contact_count", &Contacts::active_rigid_contact_count,
-                             "min(rigid_contact_count, rigid_contact_max). Reads from the device.")
+                             "Whether rows of rigid contacts may have their own materials.")
+      .def_property_readonly(
+          "active_rigid_contact_count", &Contacts::active_rigid_contact_count,
+          "The number of rigid contacts: min(rigid_contact_count, rigid_contact_max). "
+          "Reads from the device.")
       .def("__len__",
            [](const Contacts& found) {
              return found.active_rigid_contact_count() + found.active_soft_contact_count();
@@ -446,8 +442,10 @@ void bind_contacts(py::module_& m) {
       .def_readwrite("requires_grad", &Contacts::requires_grad, "Whether gradients are requested.")
       .def_property_readonly("overflowed", &Contacts::overflowed,
                              "Whether more contacts were found than fit. Reads from the device.")
-      .def_property_readonly("active_soft_contact_count", &Contacts::active_soft_contact_count,
-                             "min(soft_contact_count, soft_contact_max). Reads from the device.")
+      .def_property_readonly(
+          "active_soft_contact_count", &Contacts::active_soft_contact_count,
+          "The number of soft contacts: min(soft_contact_count, soft_contact_max). Reads "
+          "from the device.")
       .def("clear", &Contacts::clear, "Removes all contacts.")
       .def("soft_contacts", &soft_contact_rows,
            "Returns the soft contacts in slot order, as a NumPy copy. The columns are particle, "

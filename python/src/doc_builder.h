@@ -74,4 +74,37 @@ inline constexpr char kBalanceInertia[] =
 others. All moments then grow by the same amount until none does, with a RuntimeWarning. False: a
 ValueError.)";
 
+inline constexpr char kAddParticles[] =
+    R"(Adds many particles.
+
+pos, vel: arrays {n, 3} (m, m/s).
+mass, radius, flags: {n}, as of add_particle; mass in kg, radius in m.
+
+ValueError: lists of different lengths.)";
+
+inline constexpr char kAddParticle[] =
+    R"(Adds a particle at `pos` (m) with the velocity `vel` (m/s) and `mass` (kg; 0: kinematic).
+radius (m): None takes default_particle_radius. Returns the index.)";
+
+inline constexpr char kBoundMass[] =
+    R"(The least mass of dynamic bodies (kg, > 0). finalize raises masses but not 0, keeps the
+inertia, and warns. None: no bound.)";
+
+inline constexpr char kBoundInertia[] =
+    R"(The least principal moment of a body with a mass (kg*m^2, > 0). finalize adds what one lacks
+to all three, and warns. None: no bound.)";
+
+inline constexpr char kBuilderJointQ[] =
+    R"(The initial joint coordinates, see JointType. The entries of a body of add_body follow body_q
+until they are set here.)";
+
+inline constexpr char kBeginWorld[] =
+    R"(Opens a world and returns its index. Additions until end_world belong to this world.
+Additions outside of worlds belong to all worlds (-1). Shapes collide within a world, and with the
+shapes of all worlds.
+
+gravity: m/s^2, world frame; None: the builder's gravity.
+
+novaphy.Error: a world is open.)";
+
 }  // namespace novaphy::python::doc

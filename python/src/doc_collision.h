@@ -18,16 +18,19 @@ capsules, ellipsoids, cylinders, boxes, cones, convex hulls and, on the CPU, mes
 meshes.)";
 
 inline constexpr char kPipelineInit[] =
-    R"(broad_phase: "explicit" takes the pairs of model.shape_contact_pairs, or shape_pairs_filtered
+    R"(Makes a pipeline for a model.
+
+broad_phase: "explicit" takes the pairs of model.shape_contact_pairs, or shape_pairs_filtered
 (n, 2), whatever flags, groups, worlds and filters say. "nxn" takes the pairs that flags, groups and
 worlds of shapes now allow. "sap" takes the same pairs by sweep and prune. All give the same rows.
 In a capture or on a tape "sap" has room for 16 pairs of each shape, or for a quarter more than a
 collide before has found.
 narrow_phase: "auto", or "fcl" in builds with NOVAPHY_WITH_FCL. FCL gives overlap, depth and normal
 of penetrating convex hulls, where its answer holds.
-rigid_contact_max: None: as many rows as the pairs can have, but at most 1000 or 64 per shape.
-contacts_per_pair: 8 or 4, of shapes that are no planes.
-soft_contact_max: None: as many slots as candidate pairs.
+rigid_contact_max: the number of rows. None: as many as the pairs can have, but at most 1000 or 64
+per shape.
+contacts_per_pair: 8 or 4; the most contacts of two shapes of which none is a plane.
+soft_contact_max: the number of slots. None: as many as candidate pairs.
 soft_contact_margin: m, 0.01 by default; soft_contact_gap is another name for it.
 reduce_contacts: True, of meshes only.)";
 
@@ -48,6 +51,10 @@ ValueError: a state or contacts of another model or device, a bad margin or dt. 
 then.)";
 
 inline constexpr char kFilteredPairs[] =
-    R"(The pairs (i < j) that are tested, ascending. None: those of model.shape_contact_pairs.)";
+    R"(The shape pairs (i < j) that are tested, ascending. None: the pairs of
+model.shape_contact_pairs.)";
+
+inline constexpr char kFclPairs[] =
+    R"(The number of overlapping pairs of hulls so far, with narrow_phase "fcl".)";
 
 }  // namespace novaphy::python::doc

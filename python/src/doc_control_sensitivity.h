@@ -19,7 +19,11 @@ Joints are FIXED, PRISMATIC, REVOLUTE, and for kind "torque" a FREE root. NotImp
 joints.)";
 
 inline constexpr char kSensitivityInit[] =
-    R"(point_body, point_local: a body of the articulation, and a point in its frame (m).
+    R"(Starts with a derivative of 0.
+
+articulation: the index of the articulation.
+parameter_count: the number of parameters.
+point_body, point_local: a body of the articulation, and a point in its frame (m).
 kind: "position": dcontrol is the change of joint_target_q. "torque": of joint_f.
 exact: True by default, and False ("frozen") with contact_projection.
 solver: the solver that steps, whose options count; None: the default options.

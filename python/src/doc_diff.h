@@ -28,13 +28,15 @@ newton_spin: the bits of Newton 1.8, whose rounding makes spins grow by 2e-7 in 
 NotImplementedError: names two shapes that may meet and are not covered.)";
 
 inline constexpr char kTrajectory[] =
-    R"(The steps + 1 states of a rollout, contiguous in time: len() states, of which [t] is a
-regular State. State 0 starts with the model's initial values.
+    R"(The states of a rollout, contiguous in memory: steps + 1 states, of which [t] is the SimState
+after t steps. State 0 starts with the model's initial values.
 
 The states share their force arrays. Forces act in every step, and state 0 alone writes them.)";
 
 inline constexpr char kTrajectoryInit[] =
-    R"(steps: the number of steps, >= 0.
+    R"(Makes a trajectory for a model.
+
+steps: the number of steps, >= 0.
 checkpoint: None keeps all states. An interval k keeps every k-th state and the last one. "64MiB"
 chooses the smallest interval whose states take no more. With an interval, backward runs each
 stretch between two kept states once more: the same bits for more time.
@@ -111,5 +113,13 @@ inline constexpr char kKfBound[] =
     R"(The largest kf dt/m of a contact of a particle of mass m (1). A larger kf counts as this
 bound. From 2 on, gradients grow in every step in which friction acts. inf: kf as it is, as in
 Newton.)";
+
+inline constexpr char kOrientationLoss[] =
+    R"(Returns the loss {1} of one body: wa (1 - R a . ta) + wb (1 - R b . tb) + wh (z - h)^2 + wv
+|v|^2 + ww |w|^2. R is the body's rotation. The local axes a and b have the targets ta and tb in the
+world frame. All four are normalized. z is the height (m), v and w are the velocities.
+
+IndexError: no such body.
+ValueError: an axis of length 0.)";
 
 }  // namespace novaphy::python::doc

@@ -63,4 +63,8 @@ body_f, and gravity is along -Z.
 `novaphy.Error`: the first condition that is not met, or a q_out or qd_out that differs from the
 closed form, because of a clamp or another angular_damping.)";
 
+inline constexpr char kPlanarTipLoss[] =
+    R"(Returns |tip - target|^2 {1} (m^2), in XZ, of record_planar_2r_featherstone_step's arm at q
+{2}. The last center of mass is midway from the joint to the tip.)";
+
 }  // namespace novaphy::python::doc

@@ -23,8 +23,10 @@ shapes, gravity, the velocity limit.
 rigid bodies: external forces, contacts, gravity, the gyroscopic term, angular damping.)";
 
 inline constexpr char kSemiImplicitInit[] =
-    R"(angular_damping: 1/s, of bodies.
-friction_law: of rigid contacts:
+    R"(Makes a solver for a model.
+
+angular_damping: 1/s, of bodies.
+friction_law: the law of friction of rigid contacts:
   "viscous": kf times the slip, cut off at the Coulomb cone.
   "huber": the same, smooth for slips below friction_smoothing.
   "newton18": "viscous" with the bits of Newton 1.8, for comparison. Two bodies get the force each
@@ -35,9 +37,9 @@ friction_smoothing: m/s; None: 0.1. ValueError with "viscous" and "newton18", wh
 stick_ke: N/m of each rigid contact, with "viscous" only. A spring along the surface lets friction
 hold bodies at rest. rigid_contact_point_id identifies the spring from step to step. 0: bodies
 creep. A state that the last step has not written starts new springs.
-joint_attach_ke, joint_attach_kd: N/m and N*m/rad; N*s/m and 0.01 of it N*m*s/rad. They hold joints
-together. step refuses a dt at which one of them alone diverges. step warns (RuntimeWarning, once)
-if ke or kd of touching shapes diverges.
+joint_attach_ke: the stiffness that holds joints together (N/m and N*m/rad).
+joint_attach_kd: the damping that holds joints together (N*s/m). The angular damping has 0.01 of the
+number (N*m*s/rad). step raises for a dt at which one attachment alone diverges.
 enable_tri_contact: contacts of particles with triangles, which are not supported yet.
 particle_kf_bound: the largest kf dt/m of a contact of a particle of mass m; a larger kf counts as
 this bound. From 2 on, gradients grow in every step in which friction acts. inf: kf as it is, as
@@ -47,11 +49,13 @@ below the travel of half a step, the mean of that force over one step around the
 depend little on the time in its step at which a touch begins.
 sleep: a SleepConfig, on the CPU. None: no body sleeps.
 
+step warns (RuntimeWarning, once) if ke or kd of touching shapes diverges.
+
 NotImplementedError: parts of a model that are not supported, sleep on another device;
 penalty_law="mean" with particles, stick_ke or a law of Newton.)";
 
 inline constexpr char kSleepConfig[] =
-    R"(When bodies fall asleep. An island is a set of bodies that touch each other. An island falls
+    R"(The rule by which bodies fall asleep. An island is a set of bodies that touch each other. An island falls
 asleep once each of its bodies has been slower than speed and spin for the time after. Its bodies
 then get the velocity 0 and keep their bits. SimState.body_sleep says which bodies sleep.
 
@@ -59,12 +63,14 @@ An island wakes in the step in which a moving body touches it, a force acts on i
 body that touches it moves. A written array of the model wakes all bodies. A written pose or velocity
 of a body wakes its island, and that of a kinematic body its world.
 
-speed: m/s, of the center of mass. spin: rad/s. after: s.
+speed: the bound of the speed of the center of mass (m/s).
+spin: the bound of the angular speed (rad/s).
+after: the time below both bounds (s).
 
 CollisionPipeline.collide leaves out contacts between bodies that sleep with the broad phase "sap"
 on the CPU, where at most half of the shapes move.
 
-ValueError: a number that is not finite or negative; after that is 0 or more than 1000 s.)";
+ValueError: a number is negative or not finite, or `after` is 0 or more than 1000 s.)";
 
 inline constexpr char kStableDt[] =
     R"(Returns the longest dt (s) at which springs, dampers and sticking friction are stable
@@ -76,10 +82,33 @@ ValueError: a state or contacts of another model, contacts that have overflowed.
 
 inline constexpr char kEvalMimic[] =
     R"(Writes the coordinates and rates of mimic joints (add_constraint_mimic) from those of their
-leaders, as a step does. Call it after you have written the leaders'.
+leaders, as a step does. Call the function after a write to the leaders' values.
 
 joint_q, joint_qd: {coordinates} and {degrees of freedom}.
 
 No gradient: on a tape the call raises for coordinates that carry one. ValueError: wrong rows.)";
+
+inline constexpr char kSolverBase[] =
+    R"(The base of all solvers. One thread at a time may use a solver and its captured graphs.
+Another thread gets a novaphy.Error.)";
+
+inline constexpr char kEvalFk[] =
+    R"(Writes body_q and body_qd of the state, from joint_q {coordinates} and joint_qd {degrees of
+freedom}: the poses and velocities of the children of all joints of articulations. Other bodies keep
+their values. Quaternions are normalized. Mimic joints take their own entries of joint_q.
+
+No gradient: on a tape the call raises for coordinates that carry one.
+
+ValueError: wrong rows, a state of another model, a quaternion of length 0 (NaN on a device, on a
+tape and in a capture).)";
+
+inline constexpr char kEvalIk[] =
+    R"(Writes joint_q and joint_qd, the coordinates and rates of all joints, from body_q and body_qd
+of the state. Motions that a joint does not allow are left out. Angles are in [-pi, pi].
+
+No gradient: on a tape the call raises for poses and velocities that carry one.
+
+ValueError: wrong rows, a state of another model.
+NotImplementedError: a D6 whose axes are not perpendicular.)";
 
 }  // namespace novaphy::python::doc

@@ -18,13 +18,16 @@ writes: joint_q, joint_qd, body_q and body_qd of state_out, and rigid_contact_fo
 On a tape a step runs and is not recorded. The arrays that it wrote may not be used on that tape.
 
 A model on a device is stepped there with the bits of the cpu, contacts only by "pgs" ("penalty"
-raises NotImplementedError). Nobody waits for such a step, which a capture records. An articulation
-that fails, and with contacts its island, gets NaN, and check_last_step() says why.)";
+raises NotImplementedError). The host does not wait for such a step, and a capture can record the
+step. An articulation that fails, and with contacts its island, gets NaN. check_last_step() raises
+the reason.)";
 
 inline constexpr char kFeatherstoneInit[] =
-    R"(angular_damping: 1/s, of angular dofs; Newton 1.8 has 0.05.
-implicit_drives: True: drives, limits and damping of the end of the step, stable for any gains, and
-limits that only push. False: of the start of the step, as in Newton 1.8.
+    R"(Makes a solver for a model.
+
+angular_damping: 1/s, of angular dofs; Newton 1.8 has 0.05.
+implicit_drives: True: drives, limits and damping are evaluated at the end of the step. Any gains
+are stable then, and limits only push. False: at the start of the step, as in Newton 1.8.
 contact: "pgs" (impulses by projected Gauss-Seidel), "penalty" (springs of the shapes' ke, kd and
 kf, explicit) or None (contacts raise).
 friction_smoothing: m/s, of "penalty": friction is smooth below this slip.
@@ -34,7 +37,7 @@ joint_limit_restitution: 0 to 1, of "row", for approaches above restitution_thre
 sleep: a SleepConfig, with "pgs" or None on the CPU. Bodies on FREE joints may sleep, bodies of other
 articulations never do. None: no body sleeps.
 
-The other options are of "pgs":
+The other options belong to contact="pgs":
 friction_cone: "cone" or "pyramid".
 pgs_iterations, pgs_tolerance: at most so many sweeps, fewer when a sweep changes velocities by less
 than the tolerance (m/s).
@@ -46,7 +49,7 @@ warm_start: begins with the impulses of the step before.
 compliant_contacts: overlaps push by the shapes' ke and kd instead of pgs_erp and pgs_slop.
 
 ValueError: a bad option, or one that the contact does not read.
-NotImplementedError: parts of a model that are not covered.)";
+NotImplementedError: parts of a model that are not supported.)";
 
 inline constexpr char kCheckLastStep[] =
     R"(Waits for the last step or replay of a model on a device.
@@ -58,5 +61,11 @@ inline constexpr char kMassMatrix[] =
     R"(Returns the mass matrices {articulations, D, D}, padded with 0; D is the largest number of
 dofs of an articulation. With mimic joints the matrix is that of the free tree. The matrix of the
 joined tree is T^T M T, with qd = T qd_reduced.)";
+
+inline constexpr char kInverseDynamics[] =
+    R"(Returns the generalized forces {dofs} (N, N*m) that cause the accelerations qdd {dofs} at
+state.joint_q and joint_qd: H qdd + bias, with armature. Drives, limits and body_f are left out. The
+rates and forces of a FREE joint are those of the center of mass, in the axes of the joint's frame
+in the parent.)";
 
 }  // namespace novaphy::python::doc

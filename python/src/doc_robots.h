@@ -18,8 +18,8 @@ joint_ordering: "dfs", "bfs" or None (the order of the file).
 mesh_maxhullvert: colliders of meshes become hulls with at most so many vertices.
 joint_damping_mode: "passive" or "drive" (target_kd).
 mimic: "follow", "refuse", "fixed" or "independent".
-filter_overlaps: True: pairs of its shapes that overlap where its joints start never meet. False:
-the first collide names them, with their depth.
+filter_overlaps: True: pairs of the robot's shapes that overlap at the start never collide. False:
+the first collide names these pairs, with their depth.
 ignore_zero_effort: effort="0" is no limit.
 
 Joints start at 0 or the nearest limit. Unread elements give a UserWarning. After an error the
@@ -37,5 +37,16 @@ NotImplementedError by name. Joints start at 0, or where init_qpos says, or at t
 Other arguments and errors are as of add_urdf.
 
 xform: the pose of the file's world (m, xyzw).)";
+
+inline constexpr char kLights[] =
+    R"(A dict of each light to its body (-1: the world) and pose there (m, xyzw). Light goes to -z.)";
+
+inline constexpr char kCameras[] =
+    R"(A dict of each camera to its body (-1: the world), its pose there (m, xyzw) and its field of
+view (rad, vertical). Cameras look along -z, and y points up.)";
+
+inline constexpr char kLeftOut[] =
+    R"(RobotNotes on elements that would change the motion but are not supported, and on missing
+files.)";
 
 }  // namespace novaphy::python::doc

@@ -32,4 +32,25 @@ number of contacts. CollisionPipeline.contacts() makes them.
 The capacities are fixed. When more are found, the first soft_contact_max (rigid_contact_max) are
 kept and overflowed is True.)";
 
+inline constexpr char kModel[] =
+    R"(The constant part of a scene: particles, bodies, shapes, joints and materials.
+ModelBuilder.finalize makes a model. The sizes are fixed. Values may be edited at any time, and act
+from the next step on.)";
+
+inline constexpr char kColorGroups[] =
+    R"(The particles of each color, ascending, as NumPy int32. The list is empty unless the builder
+was colored.)";
+
+inline constexpr char kShapeSource[] =
+    R"(The mesh of each shape, or None: a novaphy.io.Mesh of copies before shape_scale. Shapes of
+one mesh share it.)";
+
+inline constexpr char kSimState[] =
+    R"(The changing part of a scene: positions, velocities, forces. Model.state() makes a state, and
+a Trajectory holds states. An array of a kind that the model lacks has 0 rows.)";
+
+inline constexpr char kModelCollide[] =
+    R"(Finds the contacts of a state. collision_pipeline: None takes a default pipeline. contacts:
+None makes new contacts.)";
+
 }  // namespace novaphy::python::doc

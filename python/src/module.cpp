@@ -86,7 +86,8 @@ bool built_with(std::string_view option) {
 
 void bind_build(py::module_& m) {
   m.def(
-      "version", [] { return std::string(version()); }, "The version of the engine, \"0.1.0\".");
+      "version", [] { return std::string(version()); },
+      "Returns the version of the engine, such as \"0.1.0\".");
   m.def(
       "build_info",
       [] {
@@ -94,25 +95,26 @@ void bind_build(py::module_& m) {
         for (const auto& [name, on] : kBuildInfo) info[name] = on;
         return info;
       },
-      "The CMake options of this build: name -> bool.");
+      "Returns a dict of the CMake options of this build: name to bool.");
   m.def(
       "has_cuda", [] { return device_available(Device::cuda()); },
-      "Whether there is a CUDA device to use.");
+      "Returns whether a CUDA device is available.");
   m.def(
       "has_diff", [] { return built_with("NOVAPHY_WITH_DIFF"); },
-      "Whether novaphy.nova and novaphy.diff are built.");
+      "Returns whether novaphy.nova and novaphy.diff are built.");
   m.def(
       "has_io", [] { return built_with("NOVAPHY_WITH_IO"); },
-      "Whether novaphy.io.load_mesh and ModelBuilder.add_urdf and add_mjcf are built.");
+      "Returns whether novaphy.io.load_mesh, ModelBuilder.add_urdf and add_mjcf are built.");
   m.def(
       "has_vbd", [] { return built_with("NOVAPHY_BUILD_VBD"); },
-      "Whether the VBD solver is built.");
+      "Returns whether the VBD solver is built.");
   m.def(
       "has_nvrtc", [] { return built_with("NOVA_ENABLE_NVRTC"); },
       "Whether run-time compilation is built.");
-  m.def("num_threads", &num_threads, "The number of threads that parallel work uses.");
+  m.def("num_threads", &num_threads, "Returns the number of threads that parallel work uses.");
   m.def("set_num_threads", &set_num_threads, "count"_a, release_gil(),
-        "Sets the number of threads, 1 to 1024 (else ValueError). Results do not depend on it.");
+        "Sets the number of threads, 1 to 1024 (else ValueError). Results do not depend on the "
+        "number.");
 }
 
 }  // namespace

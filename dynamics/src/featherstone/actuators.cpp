@@ -152,7 +152,7 @@ class ActuatorCheck {
 
 }  // namespace
 
-// Finds whether gravity compensation and the fluid act.
+// Finds out whether gravity compensation or the fluid acts.
 void Actuators::find_forces(const Model& m) {
   const auto acts = [](const DeviceArray<float>& array) {
     const OnHost<float> values(array);

@@ -1,5 +1,5 @@
-// The actuators of a model, its gravity compensation and its fluid. A step reads their results in
-// place of the drives and external forces of the model, the control and the state.
+// The actuators, gravity compensation and fluid of a model. A step reads their results instead of
+// the drives and external forces of the model, the control and the state.
 #pragma once
 
 #include <array>
@@ -16,7 +16,7 @@
 
 namespace novaphy {
 
-// In the order of ActuationInput. An array without rows is absent.
+// The inputs of actuators, in the order of ActuationInput. An array without rows is absent.
 using ActuationArrays = std::array<Array, articulation::kActuationInputs>;
 
 // The drives of a step, in the order of ActuationInput: joint_f, joint_target_q, joint_target_qd,
@@ -25,7 +25,7 @@ using StepDrives = std::array<Array, articulation::kActuated>;
 StepDrives drives_of(const Model& model, const Control* control);
 inline constexpr int32_t kActuatedPlaces[] = {kAt.joint_f,   kAt.target_q,  kAt.target_qd,
                                               kAt.target_ke, kAt.target_kd, kAt.effort_limit};
-// Replaces the drives of the model and the control in `arrays`.
+// Replaces the drives in `arrays` by `drives`.
 void read_instead(NamedStepArrays& arrays, const StepDrives& drives);
 
 // Call after a failed step. Throws an error that names the control or activation that is not
@@ -48,7 +48,7 @@ class Actuators {
   std::shared_ptr<const BodyActuators> on_bodies() const {
     return pushes_ || flows_ ? on_bodies_ : nullptr;
   }
-  // Whether some gravcomp is not 0, some fluid is not empty, or the gradient is requested.
+  // Returns whether gravity compensation or a fluid acts, or its gradient is requested.
   bool lifts() const { return lifts_; }
   bool flows() const { return flows_; }
   bool acts() const { return any_ || lifts_ || flows_; }

@@ -1,4 +1,4 @@
-// Limits of joints that begin or end to push (diff_articulation_motion.h).
+// Events of joint limits as springs: a limit begins or ends to push (diff_articulation_motion.h).
 #include <algorithm>
 
 #include "diff_articulation_motion.h"
@@ -8,7 +8,7 @@ namespace novaphy::diff::detail {
 
 namespace art = articulation;
 
-// First and number of the coordinates of a tree.
+// Returns the first coordinate of a tree, and the number of its coordinates.
 std::pair<int32_t, int32_t> coordinates_of(const Step& s, int32_t tree) {
   const ArticulationRows& of = rows_of_step(s)[tree];
   const auto* const links =
@@ -32,7 +32,8 @@ bool is_of_ball(const Step& s, int32_t tree, int32_t dof) {
                      [&](const art::Link& link) { return art::is_ball(link) && link.dof == dof; });
 }
 
-// g of a limit that lets go: its force at the end of a step F_A, which ends at `q` and `qd`.
+// Computes the gradient of the event function of a limit that lets go. The event function is the
+// force of the limit at the end of the step F_A, which ends at `q` and `qd`.
 void add_force_gradient(const art::Tree<float>& tree, const art::Link& link,
                         const art::StepInputs<float>& in, const art::StepOptions<float>& options,
                         std::span<const float> qdd, std::span<const float> branch,
@@ -54,7 +55,8 @@ void add_force_gradient(const art::Tree<float>& tree, const art::Link& link,
   event.by_limit = by_limit[static_cast<size_t>(link.dof)] - in.limit_ke[link.dof];
 }
 
-// A dof whose limit pushes in one of two steps that follow each other; `acts`: before the change.
+// Adds the event of a dof whose limit pushes in only one of two consecutive steps. `acted`: the
+// limit pushed in the first of the two.
 void add_limit_event(const Step& s, int32_t t, int32_t dof, bool acted) {
   const ArticulationArguments in = host_arguments(s);
   const ArticulationRows& of = rows_of_step(s)[t];
@@ -68,10 +70,10 @@ void add_limit_event(const Step& s, int32_t t, int32_t dof, bool acted) {
   const auto bits = static_cast<int32_t>(now[static_cast<size_t>(dof)]);
   const bool released = (bits & art::kLimitReleased) != 0;
   if (!acted && (bits & art::kOutside) == 0) return;
-  // F_A: with the branch of before.
+  // F_A is the step with the branch from before the event.
   int32_t other = bits & ~(art::kOutside | art::kLimitReleased);
   if (acted && released) other |= bits & art::kOutside;
-  if (acted && !released) return;  // inside again, behind a limit that had let go
+  if (acted && !released) return;  // inside of the limit again, after the limit let go
   branch[static_cast<size_t>(dof)] = static_cast<float>(other);
   std::vector<uint64_t> work(
       static_cast<size_t>(art::workspace_bytes<float>(of.link_count, of.dof_count) / 8 + 1));
@@ -134,7 +136,7 @@ void note_limits(const Step& s, const MotionNotes* last) {
       const bool acted = acts(last->branch[static_cast<size_t>(k)]);
       if (acted == acts(notes.branch[static_cast<size_t>(k)])) continue;
       const size_t known = notes.limits.size();
-      // A BALL's angle has no event: its time does not move.
+      // The limit of a BALL's angle, and of a tree in contact, has no event whose time moves.
       if (touches || is_of_ball(s, t, k))
         ++s.shared->motion.unmoved;
       else

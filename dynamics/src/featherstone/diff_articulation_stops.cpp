@@ -1,4 +1,4 @@
-// Limits of joints as rows (articulation/rate_bounds.h) that hit in a step
+// Events of joint limits as rows (articulation/rate_bounds.h): a dof hits a limit in a step
 // (diff_articulation_motion.h).
 #include <algorithm>
 #include <cmath>
@@ -13,16 +13,17 @@ namespace art = articulation;
 
 namespace {
 
-constexpr float kLeastApproach = 1e-3f;  // m/s or rad/s
+constexpr float kLeastApproach = 1e-3f;  // slower dofs do not hit, m/s or rad/s
 
 struct Stop {
   int32_t tree = 0, dof = 0;
-  float side = 1.0f;  // of the gradient of the gap: -1 of an upper limit
+  float side = 1.0f;  // derivative of the gap by the coordinate; -1 for an upper limit
   float gap = 0.0f, before = 0.0f;
   bool bounces = false, is_cut = false;
 };
 
-// The limits that push in a step with an approach, and that bounce or did not push before.
+// Returns the limits that push in a step and that the dof approached. Limits that pushed in the
+// step before count only if the dof bounces.
 std::vector<Stop> pushing_stops(const Step& s, const MotionNotes* last) {
   std::vector<Stop> found;
   const ArticulationArguments in = host_arguments(s);
@@ -52,7 +53,7 @@ std::vector<Stop> pushing_stops(const Step& s, const MotionNotes* last) {
   return found;
 }
 
-// The event of a tree's island.
+// Returns the event of a tree's island, and adds one if there is none.
 ContactEvent& event_of(const Step& s, int32_t tree, ContactEvents& found) {
   for (ContactEvent& event : found.events)
     if (std::ranges::find(event.trees, tree) != event.trees.end()) return event;
@@ -112,7 +113,7 @@ void find_stops(const Step& s, const MotionNotes* last, const Smooth& smooth) {
   std::vector<int32_t> dofs;
   for (const Stop& stop : stops) dofs.push_back(stop.dof);
   const std::vector<float> free = smooth(dofs);
-  // An approach that the forces of a step make is rest.
+  // An approach no faster than the forces of one step cause is no hit: the dof rests at the limit.
   std::erase_if(stops, [&](const Stop& stop) {
     return !(stop.before < -std::abs(free[static_cast<size_t>(stop.dof)]) * s.dt);
   });

@@ -1,35 +1,36 @@
-// Limits of joints with one dof, and the branches of a dof.
+// Position limits of one-dof joints as springs, and the branches of a dof.
 //
-// Where q is outside of a limit, the force is t = limit_ke (limit - q) - limit_kd v, at the time
-// and with the branches of drives.h.
+// If q is outside of a limit, the force is t = limit_ke (limit - q) - limit_kd v. drives.h says at
+// which time t is evaluated, and when a limit lets go. Units: m or rad, N/m or N*m/rad, N*s/m or
+// N*m*s/rad.
 #pragma once
 
 #include "novaphy/dynamics/articulation/step_arrays.h"
 
 namespace novaphy::articulation {
 
-// What a dof did in a step.
+// The branch of a dof in a step, as bits.
 enum Branch : int32_t {
   kBelowLimit = 1,
   kAboveLimit = 2,
-  kLimitReleased = 4,   // with one of these two
-  kEffortAtUpper = 8,   // the drive gave + effort_limit
-  kEffortAtLower = 16,  // and - effort_limit
-  kVelocityAtUpper = 32,
-  kVelocityAtLower = 64,
-  kAtStop = 128,       // with one of these two: the rate is that of a limit as a row
-  kStopBounces = 256,  // with that: of its restitution
+  kLimitReleased = 4,     // outside of a limit that would pull, so that its force is 0
+  kEffortAtUpper = 8,     // the force of the drive is effort_limit
+  kEffortAtLower = 16,    // the force of the drive is -effort_limit
+  kVelocityAtUpper = 32,  // the rate is at its upper bound (rate_bounds.h)
+  kVelocityAtLower = 64,  // the rate is at its lower bound
+  kAtStop = 128,          // with a bit of the velocity: the bound is a position limit as a row
+  kStopBounces = 256,     // with kAtStop: the dof bounces off the limit
 };
 inline constexpr int32_t kOutside = kBelowLimit | kAboveLimit;
 inline constexpr int32_t kEffortClamped = kEffortAtUpper | kEffortAtLower;
 inline constexpr int32_t kVelocityClamped = kVelocityAtUpper | kVelocityAtLower;
 
-// t = stiffness (target - q) + rate (target_rate - v).
+// The law t = stiffness (target - q) + rate (target_rate - v).
 template <class T>
 struct DriveLaw {
   T stiffness{}, target{}, rate{}, target_rate{};
 };
-// Of the limit that q is outside of.
+// Returns the law of the limit that q is outside of.
 template <class T>
 DriveLaw<T> limit_law(const StepInputs<T>& in, int32_t row, const Branches<T>& branch) {
   return {in.limit_ke[row],
@@ -41,7 +42,7 @@ auto limit_acts(const Branches<T>& branch) {
   return both(has(branch, kOutside), negate(has(branch, kLimitReleased)));
 }
 
-// The branch that q is in. A limit without stiffness and damping is none.
+// Returns the branch of a coordinate q. A limit without stiffness and damping does not count.
 template <class T>
 Branches<T> limit_branch(const StepInputs<T>& in, int32_t row, const T& q) {
   const T o = T(0.0f);
@@ -57,15 +58,15 @@ auto limit_pulls(const Branches<T>& branch, const T& stop) {
   return either(both(has(branch, kBelowLimit), stop < o), both(has(branch, kAboveLimit), stop > o));
 }
 
-// What the gradients of the numbers of a law t = stiffness (target - q) + ... are made of: lambda
-// of step_vjp.h, q and v at the end of the step, and what the diagonal of M takes from those of the
-// stiffness and the rate.
+// The factors of the gradients with respect to the parameters of a DriveLaw. lambda is the adjoint
+// of the accelerations (step_vjp.h). q_end and v_end belong to the end of the step. by_ke and by_kd
+// are the parts of the gradients of stiffness and rate that come from the diagonal of M.
 template <class T>
 struct DriveGradient {
   T lambda{}, q_end{}, v_end{}, by_ke{}, by_kd{};
 };
-// Those of a limit. `stop`: its law where it acts, and else 0; `at_upper`, `at_lower`:
-// AdjointMemory stops (step_vjp.h).
+// Writes the gradients of the parameters of a limit. `stop`: the law of the limit that acts, else
+// 0. `at_upper`, `at_lower`: gradients of limits as rows (AdjointMemory::stops, step_vjp.h).
 template <class T>
 void limit_gradient(const DriveLaw<T>& stop, int32_t row, const Branches<T>& branch,
                     const DriveGradient<T>& d, const T& at_upper, const T& at_lower,

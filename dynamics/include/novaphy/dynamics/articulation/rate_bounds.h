@@ -1,14 +1,15 @@
-// The rates that a dof of a joint with one may have at the end of a step, and which it has there.
+// Bounds of the rate of a one-dof joint at the end of a step, and the rate at a bound.
 //
-// Velocity limits: |v| <= velocity_limit. With limits of joints as rows (StepOptions::limit_rows)
-// also, for each limit, its gap d >= 0, the rate w that closes it and the force r of the row:
-//   0 <= r, w' <= d / dt, one of both an equality
+// Velocity limits: |v| <= velocity_limit (m/s or rad/s). StepOptions::limit_rows adds a constraint
+// row for each limit of the position. d is the gap to the limit (m or rad), w the rate that closes
+// the gap at the start of the step, w' that at the end, and r the force of the row:
+//   r >= 0,  w' <= d / dt,  and one of the two holds with equality
 //
-// A dof that would pass a limit faster than the restitution threshold gets w' = -restitution w, as
-// far as its velocity limit and its other limit let it. A dof outside of its limits comes back with
-// d / dt, at most with kMostReturn and its velocity limit. A dof at a bound has endless inertia
-// there (step.h). Where a bound begins or ends to hold, and where one bound replaces another, the
-// derivative is that of the branch that the step took. Source: the normal of a contact (pgs.h).
+// A dof that would hit a limit faster than the restitution threshold gets w' = -restitution w,
+// clipped to its other bounds. A dof outside of its limits returns with the rate d / dt, clipped to
+// kMostReturn and velocity_limit. A step treats a dof at a bound as one with infinite inertia
+// (step.h). At a change from one bound to another, or to none, the derivative is that of the branch
+// of the step. Source: the law of a contact along its normal (pgs.h).
 #pragma once
 
 #include "novaphy/dynamics/articulation/limits.h"
@@ -16,24 +17,22 @@
 
 namespace novaphy::articulation {
 
-inline constexpr float kMostReturn = 0.1f;  // m/s or rad/s
+inline constexpr float kMostReturn = 0.1f;  // largest rate of a return, m/s or rad/s
 
-// A rate that a dof may be held at, and its derivatives.
+// The rate of a dof at a bound, and its derivatives by the inputs of the step.
 template <class T>
 struct HeldRate {
   T rate{}, q{}, qd{}, upper{}, lower{}, velocity_limit{};
 };
 template <class T, class Mask>
 HeldRate<T> select_rate(const Mask& first, const HeldRate<T>& a, const HeldRate<T>& b) {
-  return {select(first, a.rate, b.rate),
-          select(first, a.q, b.q),
-          select(first, a.qd, b.qd),
-          select(first, a.upper, b.upper),
-          select(first, a.lower, b.lower),
-          select(first, a.velocity_limit, b.velocity_limit)};
+  return {select(first, a.rate, b.rate),   select(first, a.q, b.q),
+          select(first, a.qd, b.qd),       select(first, a.upper, b.upper),
+          select(first, a.lower, b.lower), select(first, a.velocity_limit, b.velocity_limit)};
 }
 
-// The rate d / dt with which a dof reaches a limit; `side` 1: the upper one, -1: the lower one.
+// Returns the rate with which a dof reaches a limit: the upper one (`side` 1) or the lower one
+// (-1).
 template <class T>
 HeldRate<T> stop_rate(const StepInputs<T>& in, const StepOptions<T>& options, int32_t row,
                       int32_t coord, float side) {
@@ -41,15 +40,15 @@ HeldRate<T> stop_rate(const StepInputs<T>& in, const StepOptions<T>& options, in
   const T o = T(0.0f), s = T(side), most = T(kMostReturn), v = in.velocity_limit[row];
   const T by = T(1.0f) / options.dt;
   const T limit = up ? in.limit_upper[row] : in.limit_lower[row];
-  const HeldRate<T> closes = {(limit - in.q[coord]) / options.dt, -by, o, up ? by : o, up ? o : by,
-                              o};
+  const HeldRate<T> closes = {
+      (limit - in.q[coord]) / options.dt, -by, o, up ? by : o, up ? o : by, o};
   const auto slow = v < most;
   const T back = select(slow, v, most);
   return select_rate(s * closes.rate < -back,
                      HeldRate<T>{-(s * back), o, o, o, o, select(slow, -s, o)}, closes);
 }
 
-// The largest rate (`side` 1) or the smallest one that a dof may have.
+// Returns the largest rate (`side` 1) or the smallest rate (`side` -1) that a dof may have.
 template <class T>
 HeldRate<T> rate_bound(const StepInputs<T>& in, const StepOptions<T>& options, int32_t row,
                        int32_t coord, float side) {
@@ -60,7 +59,7 @@ HeldRate<T> rate_bound(const StepInputs<T>& in, const StepOptions<T>& options, i
   return select_rate(s * stop.rate < v, stop, fastest);
 }
 
-// The rate of a dof that is at a bound.
+// Returns the rate of a dof at the bound that `branch` names.
 template <class T>
 HeldRate<T> held_rate(const StepInputs<T>& in, const StepOptions<T>& options, int32_t row,
                       int32_t coord, const Branches<T>& branch) {
@@ -75,7 +74,8 @@ HeldRate<T> held_rate(const StepInputs<T>& in, const StepOptions<T>& options, in
   return select_rate(has(branch, kStopBounces), back, bound);
 }
 
-// The branch of a dof that goes to its upper or lower bound, or to none, from another one.
+// Returns the branch of a dof that moves from the branch `from` to its upper bound, its lower bound
+// or neither.
 template <class T, class Mask>
 Branches<T> bound_branch(const StepInputs<T>& in, const StepOptions<T>& options, int32_t row,
                          int32_t coord, const Branches<T>& from, const Mask& upper,
@@ -91,7 +91,7 @@ Branches<T> bound_branch(const StepInputs<T>& in, const StepOptions<T>& options,
   const auto elastic = options.limit_restitution > o;
   const auto fast = either(both(at_upper, v > options.restitution_threshold),
                            both(at_lower, v < -options.restitution_threshold));
-  // One that is there already goes on as it began.
+  // A dof that is at a bound already bounces only if it did so before.
   const auto held = has(from, kVelocityClamped);
   const auto bounces = either(has(from, kStopBounces), both(negate(held), both(elastic, fast)));
   return with(to, both(either(at_upper, at_lower), bounces), kStopBounces);

@@ -166,7 +166,7 @@ DEFAULT = ("lint", "tests")  # what runs without --all
 LIBRARIES = ("core", "io", "nova", "collision", "dynamics", "vbd", "diff")
 # Steps that build and check without a test of their own.
 WITHOUT_TESTS = ("lint", "symbols", "demos", "hashes")
-# What a slice of the build is looked at for: its libraries from outside.
+# The tests of a partial build: they check its libraries from outside.
 FROM_OUTSIDE = r"^exports\.|^install_consumer\."
 
 

@@ -59,7 +59,7 @@ make_venv() {
   echo "$wanted" >"$stamp"
 }
 
-# What compiles the project.
+# The packages that compile the project.
 BUILD_PACKAGES=(g++ cmake ninja-build ccache libtbb-dev python3 python3-dev python3-venv ca-certificates)
 # OpenGL without a display, with which viewers draw pictures and videos.
 OPENGL_PACKAGES=(libegl1 libgl1 libgl1-mesa-dri ffmpeg)
@@ -67,5 +67,5 @@ OPENGL_PACKAGES=(libegl1 libgl1 libgl1-mesa-dri ffmpeg)
 DISPLAY_PACKAGES=(libxrender1 xvfb)
 # Ubuntu has Chromium as a snap only, which no container runs: there the tests of pages need google-chrome.
 grep -qs '^ID=ubuntu' /etc/os-release || DISPLAY_PACKAGES+=(chromium)
-# What makes its wheel, from PyPI.
+# The packages of PyPI that make the wheel.
 WHEEL_REQUIREMENTS=("scikit-build-core>=0.10" "pybind11>=2.13" "numpy>=1.26")

@@ -9,7 +9,7 @@ import zipfile
 from pathlib import Path
 
 MAX_BYTES = 10_000_000
-# What a library of the wheel may need besides the wheel's own: all of it is on every Linux.
+# Libraries outside of the wheel that the wheel may need. Every Linux has them.
 SYSTEM_LIBRARIES = re.compile(
     r"^(libc|libm|libdl|libpthread|librt|libgcc_s|libstdc\+\+)\.so\.\d+$|^ld-linux"
 )

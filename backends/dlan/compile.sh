@@ -38,5 +38,5 @@ fi
 export dlcc flags work
 printf '%s\0' "$@" | xargs -0 -n 1 -P "${NOVAPHY_DLAN_JOBS:-$(nproc)}" sh -c \
   '"$dlcc" -c -x cuda "$1" -o "$work/$(basename "$1").o" $flags' compile
-# What the objects need of the run-time library is there when the plugin opens them.
+# The objects take symbols of the run-time library from the plugin, which opens them.
 "${CXX:-c++}" -shared -o "$output" "$work"/*.cu.o

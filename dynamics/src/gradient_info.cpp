@@ -66,7 +66,7 @@ std::string doubts(const MotionCounts& m) {
   if (m.inexact > 0) text += "; overlaps are not of the motion but with pgs_slop=0 and pgs_erp=1";
   return text;
 }
-// Of limits of joints whose times do not move: in the gradient of the code, too.
+// Returns a text about limits of joints whose event times do not move with the state.
 std::string held_limits(const MotionCounts* m) {
   const int64_t count = m == nullptr ? 0 : m->of_springs ? m->limits : m->unmoved;
   if (count == 0) return {};

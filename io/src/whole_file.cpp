@@ -137,7 +137,7 @@ bool take_rows(std::string_view& body, const Element& element, bool big_endian) 
   return true;
 }
 
-// The same for a text with one row per line.
+// Removes `rows` lines from a text body. Returns false if there are fewer.
 bool take_lines(std::string_view& body, size_t rows) {
   for (; rows > 0; --rows) {
     while (!body.empty() && split(body.substr(0, body.find('\n'))).empty()) take_line(body);

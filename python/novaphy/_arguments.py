@@ -74,7 +74,7 @@ def explain(label: str, message: str, args: Sequence[Any], kwargs: dict[str, Any
         complaints.append(complaint)
     if not complaints:
         return message
-    # Of several overloads those are meant that fit up to the last argument.
+    # The caller means the overloads that fit up to the last argument.
     furthest = max(complaint.place for complaint in complaints)
     meant = [complaint for complaint in complaints if complaint.place == furthest]
     first = meant[0]

@@ -150,7 +150,7 @@ INSTEAD: dict[str, dict[str, str]] = {
         "target_q": "target_pos",
         "target_qd": "target_vel",
     },
-    # Of all solvers, behind their own.
+    # Names of all solvers; the names of a single solver come first.
     "SolverBase": {
         "the keyword arguments of the solver, and its properties": "settings Config",
         "novaphy.backends()": "backend_info",
@@ -211,7 +211,7 @@ NOT_BUILT_IN: dict[str, dict[str, str]] = {
     },
 }
 
-# What is not built -> names of any owner.
+# A feature that is not supported -> its names, of any owner.
 NOT_BUILT: dict[str, str] = {
     "tendons": "tendon_* add_tendon Tendon*",
     "muscles": "muscle_* add_muscle",
@@ -270,7 +270,7 @@ NOT_BUILT: dict[str, str] = {
     "this solver": "SolverKamino SolverSteel SolverStyle3D experimental style3d",
 }
 
-# What to use instead of an argument.
+# The replacement of an argument -> names of the argument.
 ARGUMENTS: dict[str, str] = {
     "target_pos": "target_q",
     "target_vel": "target_qd",

@@ -52,8 +52,8 @@ KE, KD = (
     (600.0, 600.0, 600.0, 600.0, 250.0, 150.0, 50.0),
     (50.0, 50.0, 50.0, 50.0, 30.0, 25.0, 15.0),
 )
-# Of franka_description (Apache-2.0): joint origin and roll; mass; center of mass; inertia about it,
-# xx yy zz xy xz yz. Rounded.
+# Rounded numbers of franka_description (Apache-2.0), for each link: joint origin and roll, mass,
+# center of mass, and inertia about the center of mass (xx yy zz xy xz yz).
 FR3 = (
     (
         (0, 0, 0.333),

@@ -60,7 +60,7 @@ def captured(record: Callable[[], None]) -> nova.Graph:
     """What `record` launches, ready to be replayed."""
     with nova.ScopedCapture() as capture:
         record()
-    # Not prepare(): of dice the fused kernel does not compile.
+    # Without prepare(), because the fused kernel of dice does not compile.
     return capture.graph
 
 

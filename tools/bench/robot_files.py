@@ -30,7 +30,7 @@ from robot_urdf import assembled, compare_urdf
 TOLERANCE = 1e-5
 
 
-# What one worker does.
+# The functions of one worker process.
 
 
 def read_novaphy(path: str, kind: str, unsupported: str, folders: list[str]):
@@ -113,7 +113,7 @@ def compare(exact, model, robot) -> dict[str, float]:
         worst[what] = max(worst[what], float(error if np.isfinite(error) else np.inf))
 
     mass = model.body_mass.numpy()
-    # Of bodies that are held together: what has no inertia of its own adds to the one it is on.
+    # A welded body adds its inertia to the body that carries it.
     weld = exact.body_weldid[1:]
     groups = np.unique(weld[weld > 0])
     sums = [[of[weld == g].sum() for g in groups] for of in (mass[rows], exact.body_mass[1:])]

@@ -25,7 +25,7 @@ std::string read(const fs::path& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-// What stands between the quotes of `#include "..."`, at the beginning of a line.
+// Returns the name between the quotes of `#include "..."`, at the beginning of a line.
 std::optional<std::string_view> quoted_include(std::string_view line) {
   constexpr std::string_view begin = "#include \"";
   if (line.substr(0, begin.size()) != begin) return std::nullopt;

@@ -33,7 +33,7 @@
 
 namespace novaphy::gpu {
 
-// No plugin: there is nothing ahead, and the driver is not asked for.
+// The generator is no plugin, so it has no kernels that were compiled ahead.
 AheadData ahead_data() { return {nullptr, 0}; }
 const VendorInfo& vendor() {
   static constexpr VendorInfo kNone = {"none",

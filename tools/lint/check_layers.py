@@ -56,7 +56,7 @@ ALLOWED: dict[str, set[str]] = {
     "operators": {"math", "core", "nova", "formula", "collision", "dynamics", "vbd"},
     "diff": {"math", "core", "nova", "formula", "collision", "dynamics", "vbd", "operators"},
 }
-# These headers of core are open to whoever may use core, and to device text besides.
+# Headers of core that any user of core may include, and device text too.
 TEXT_HEADERS = {
     "row_scratch.h",
     "row_stack.h",
@@ -65,7 +65,7 @@ TEXT_HEADERS = {
     "shape_pair_rule.h",
     "export.h",
 }
-# These say to the host and to device text what a hand-written kernel is.
+# Headers that declare hand-written kernels for the host and for device text.
 LAUNCH_HEADERS = {"row_kernel.h", "launch_arguments.h"}
 for allowed in [allowed for allowed in ALLOWED.values() if "core" in allowed] + [ALLOWED["core"]]:
     allowed.update(("text", "launch"))

@@ -41,7 +41,7 @@ HEAD = {
 }
 OTHERS = {name for names in HEAD.values() for name in names} | {"None", "True", "False", "Mesh"}
 OTHERS |= {"Selection", "Three"}
-# What reads as the same number that is written.
+# The type of values that a writable attribute accepts, by the type that it returns.
 SAME = {"float": "SupportsFloat", "int": "SupportsIndex"}
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from signatures import ANYTHING, Function, parse_docstring, stub_type
 
-# What every class has, or what only pickle calls.
+# Members that every class has, or that only pickle calls.
 SKIPPED = {
     "__doc__",
     "__module__",

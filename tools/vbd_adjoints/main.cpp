@@ -198,7 +198,8 @@ void write_slot(std::ostream& out, bool at_solution, bool damped) {
   write_adjoints(out, in, adjoints, inputs, kFloats[role], name.str(), "Block<S>& adjoint");
 }
 
-// Of u.(sum of H_k d_k), with the stiffness H_k between the own corner and each corner.
+// Writes the adjoints of u.(sum of H_k d_k). H_k is the stiffness between the own corner and corner
+// k.
 template <Role role>
 void write_stiffness(std::ostream& out) {
   Graph::get().clear();
@@ -211,7 +212,7 @@ void write_stiffness(std::ostream& out) {
                  "stiffness_adjoint(const Vec3<S>& u", "Vec3<S>* d");
 }
 
-// Of what a slot has of the start, whose adjoints are numbers of their own.
+// Writes the adjoints of the numbers that a slot takes from the start of the step.
 template <Role role>
 void write_start(std::ostream& out) {
   Graph::get().clear();
@@ -264,8 +265,8 @@ void write_contact(std::ostream& out, const char* name, bool at_solution, bool s
 
 constexpr const char* kHead = "// Written by tools/vbd_adjoints from the laws (vbd/elements/).\n";
 
-// Of u.f + B:H, where `adjoint` holds u as f and B as h_ij, each entry once. The scalar S is a
-// float or lanes; what reads the code has NOVAPHY_LANE_FN.
+// Declarations of the adjoints of u.f + B:H. `adjoint` holds u in f, and each entry of B once in
+// h_ij. The scalar S is a float or lanes. The file that includes the code defines NOVAPHY_LANE_FN.
 constexpr const char* kDeclarations = R"(
 template <Role role, class S>
 struct SlotAdjoints {

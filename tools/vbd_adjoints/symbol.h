@@ -38,7 +38,7 @@ struct Node {
   auto key() const { return std::tuple(op, operands, value, input); }
 };
 
-// One graph at a time; equal operations are one node.
+// The graph of the present expressions. Equal operations are one node.
 class Graph {
  public:
   static Graph& get() {

@@ -19,7 +19,7 @@ struct NativeCode {
   novaphy_native_fn rows = nullptr;    // groups of `lanes` rows
   novaphy_native_fn scalar = nullptr;  // single rows
   int32_t lanes = 1;
-  // The same for scans of launches: both are set, or neither.
+  // Native code of the Program as scans of launches. Either both are set, or neither.
   const novaphy_native_scan* scan_rows = nullptr;
   const novaphy_native_scan* scan_scalar = nullptr;
 };

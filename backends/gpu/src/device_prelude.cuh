@@ -126,8 +126,8 @@ LANE_FN float udiv(float a, float b) {
   const float quotient = quick_div(a, b, m);
   return are_moderate(m) ? quotient : divided(a, b);
 }
-// The same for a root. Independent quotients and roots share one test. A thread then computes them
-// side by side. A branch after each would delay the next one.
+// Square roots, as the quotients above. Independent quotients and roots share one test, so that a
+// thread computes them side by side. A branch after each would delay the next one.
 COLD_FN float rooted(float a) { return __fsqrt_rn(a); }
 LANE_FN float quick_sqrt(float a, magnitudes& m) {
   const uint32_t bits = (uint32_t)uf_bits(a);

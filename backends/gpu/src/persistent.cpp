@@ -26,7 +26,7 @@ constexpr int32_t kClusters = 90;  // the first architecture with clusters
 // Static shared memory of a block, and the part in which threads may keep values beside the
 // records.
 constexpr unsigned kSharedOfText = 48 << 10, kKeptBytes = 38 << 10;
-// The same if blocks have a plan, which requests more shared memory.
+// Shared memory for kept values if blocks have a plan, which requests more memory.
 constexpr unsigned kKeptWithPlan = 100 << 10;
 // Limits on the memory for early results: bytes, and the share of the free memory.
 constexpr uint64_t kEarlyBytes = uint64_t{4} << 30, kEarlyPart = 4;

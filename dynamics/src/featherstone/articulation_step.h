@@ -79,7 +79,8 @@ void place_bodies(const Articulations& articulations, const ArticulationArgument
 
 // Returns the floats of workspace per articulation for a step on a device; 0: the stack suffices.
 int64_t device_workspace(const Articulations& articulations);
-// The same for a step and its adjoint; 0: the stack of the host suffices.
+// Returns the floats of workspace per articulation for a step and its adjoint; 0: the stack of the
+// host suffices.
 int64_t step_workspace(const Articulations& articulations);
 
 // The tables that a step reads besides the arrays of step_arrays.h.

@@ -175,19 +175,19 @@ struct Costate {
 Costate costate_behind(const ArticulationStep::Step& step, const ArticulationArguments& in,
                        std::span<const nova::Tensor> outputs);
 
-// Runs the adjoint of a step. `run` is the adjoint of the code.
+// Runs the adjoint of a step with the times of its events. `run` is the adjoint of the code.
 using Adjoint = std::function<void(std::span<const nova::InputGradient>)>;
 void motion_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor> outputs,
                 std::span<const nova::InputGradient> gradients, const Adjoint& run);
-// The same for a step without events, which AdjointDrift compares.
+// Runs the adjoint of a step without events, and adds the step to AdjointDrift.
 void drift_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor> outputs,
                std::span<const nova::InputGradient> gradients, const Adjoint& run);
-// The same for any step. Fills an entry of the record. ErrorKind::NotImplemented: on a device, or
-// in a capture.
+// Runs the adjoint of any step, and fills an entry of the record. ErrorKind::NotImplemented: on a
+// device, or in a capture.
 void record_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor> outputs,
                 std::span<const nova::InputGradient> gradients, const Adjoint& run,
                 AdjointRecord& record);
-// The same for the tangent of a step.
+// Runs the tangent of a step with the times of its events. `run` is the tangent of the code.
 using Tangent = std::function<void(std::span<const nova::Tensor>)>;
 void motion_jvp(const ArticulationStep::Step& step, std::span<const nova::Tensor> inputs,
                 std::span<const nova::Tensor> outputs, const Tangent& run);

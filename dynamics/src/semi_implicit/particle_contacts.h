@@ -31,7 +31,8 @@ class ParticleContacts {
     for (const int32_t slot : rows_.items(particle)) f = f + terms_[static_cast<size_t>(slot)];
     return f;
   }
-  // The same for the wrench on a body.
+  // Returns whether a contact touches a body. `add` below returns the wrench plus the contacts of a
+  // body.
   bool touches_bodies() const { return !body_rows_.empty(); }
   SpatialVectorf add(int64_t body, SpatialVectorf wrench) const;
 

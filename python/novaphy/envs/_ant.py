@@ -31,16 +31,16 @@ COORDS, DOFS = 15, 14
 FEET = (2, 4, 6, 8)  # bodies
 TIPS = np.array([(0.4, 0.4, 0.0), (-0.4, 0.4, 0.0), (-0.4, -0.4, 0.0), (0.4, -0.4, 0.0)])
 TIP_RADIUS = 0.08  # m
-# What may differ from world to world: default, and what it is.
+# The parameters that may differ between worlds, with their defaults.
 VARIED = {
-    "friction": 0.75,  # of feet on the ground, 1
+    "friction": 0.75,  # coefficient of friction of feet on the ground
     "mass": 1.0,  # factor of all masses and inertias
-    "torso_mass": 1.0,  # factor of the torso's, on top
+    "torso_mass": 1.0,  # further factor of the torso's mass and inertia
     "gear": 1.0,  # factor of the torques; a number, or one per action
-    "slope": 0.0,  # rad, uphill along +x; the ground stays level and gravity turns
-    "slope_heading": 0.0,  # rad, where uphill is
+    "slope": 0.0,  # rad; the ground stays level, and gravity is tilted
+    "slope_heading": 0.0,  # rad, direction uphill about +z, from +x
 }
-# Of these no others: masses far from those of the file leave the range of float32.
+# The ranges of parameters. Masses far from those of the file leave the range of float32.
 VARIED_RANGES = {"friction": (0.0, 1e3), "mass": (1e-3, 1e3), "torso_mass": (1e-3, 1e3)}
 
 
@@ -392,7 +392,7 @@ def feet(state: SimState, num_worlds: int) -> tuple[Array, Array, Array]:
     rates = state.body_qd.numpy().reshape(num_worlds, -1, 6)[:, FEET]
     arm = rotate(poses[..., 3:], np.broadcast_to(TIPS.astype(np.float32), poses[..., :3].shape))
     tip = poses[..., :3] + arm
-    # Of the center of mass, half way to the tip, to the lowest point.
+    # The vector from the center of mass, half way to the tip, to the lowest point.
     offset = 0.5 * arm - np.array([0.0, 0.0, TIP_RADIUS], np.float32)
     speed = rates[..., :3] + np.cross(rates[..., 3:], offset)
     return tip, tip[..., 2] - TIP_RADIUS, speed

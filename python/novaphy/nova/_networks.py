@@ -17,9 +17,9 @@ from .._core.nova import Tensor, exp, float32, softplus, sum, tensor
 
 _HALF_LOG_2_PI, _LOG_2 = 0.9189385332, 0.6931471806
 _META = "meta"
-# Of meta, and arguments of what writes the archive.
+# Names that parameters may not have: that of meta, and arguments of numpy.savez.
 _RESERVED = (_META, "file", "path", "allow_pickle")
-# What NumPy and zipfile raise on files that are not as they should be.
+# The errors that NumPy and zipfile raise for damaged files.
 _DAMAGED = (
     ValueError, AttributeError, TypeError, EOFError, OSError, KeyError, IndexError,
     NotImplementedError, RuntimeError, SyntaxError, OverflowError, MemoryError,

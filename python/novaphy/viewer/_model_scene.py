@@ -188,7 +188,7 @@ class ModelScene:
             self.scene.instances[name] = item
             moving = bodies[rows]
             self._rows.append((item, rows, item.colors.values))
-            # As numpy.take wants indices, so that it copies none.
+            # The type of indices that numpy.take uses without a copy.
             self._bodies.append((item, moving[moving >= 0].astype(np.intp)))
 
     def color_shapes(self, shapes: np.ndarray, colors: np.ndarray) -> None:

@@ -61,7 +61,7 @@ class NOVAPHY_CORE_API DeviceKernel {
   void launch(Device device, int64_t n, std::initializer_list<LaunchArgument> arguments) const {
     launch(device, n, std::span<const LaunchArgument>(arguments.begin(), arguments.size()));
   }
-  // The same, with one array or the bits of one number as the value of each argument.
+  // Launches with one array, or the bits of one number, as the value of each argument.
   void launch_arrays(int64_t n, std::span<const ArgumentInfo> infos,
                      const ArgumentWord* values) const;
 

@@ -40,8 +40,8 @@ struct NotedStep {
   nova::Incidence shapes_of;  // the shapes of each particle; null: all
   nova::Operand shape;        // of each pair
   nova::Operand plane_pairs;  // {n, 2}: plane and shape of a body; without a range: none
-  // Of steps with penalty contacts of bodies (diff_noted_springs.h). Zero or without a range: not
-  // noted.
+  // The rest belongs to steps with penalty contacts of bodies (diff_noted_springs.h). Zero or
+  // without a range: the step notes nothing.
   float dt = 0.0f;       // s
   nova::Operand wrench;  // {bodies, 6}: the sum of all wrenches, whose gradient a tape keeps
   nova::Operand q_next, qd_next;  // {bodies, 7 and 6}: the state after the step

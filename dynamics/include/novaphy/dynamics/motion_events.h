@@ -15,7 +15,7 @@ namespace novaphy {
 
 enum class MotionEventKind : uint8_t { Bounce, Landing, Spring, Limit };
 enum class MotionFriction : uint8_t { None, Sticks, Slides, Turns };
-// Of the state, or of the model.
+// The array of the state or the model by which the time of an event has a derivative.
 enum class MotionArray : uint8_t { JointQ, BodyQ, ParticleQ, JointLimit };
 
 struct MotionEvent {

@@ -170,8 +170,8 @@ NOVAPHY_NOVA_API Kernel make_indexed_expr_kernel_typed_access_n(std::string name
 // items.
 NOVAPHY_NOVA_API Kernel make_indexed_fixed_reduce_expr_kernel_typed_access_n(
     std::string name, std::vector<SourceSpec> sources, int32_t n_out, const ReduceFns& fns);
-// The same with several named outputs. The functions return the columns of all outputs, one output
-// after the other.
+// Makes a kernel, or a kernel with a sum, with several named outputs. The functions return the
+// columns of all outputs, one output after the other.
 NOVAPHY_NOVA_API Kernel make_kernel(std::string name, std::vector<SourceSpec> sources,
                                     std::vector<OutputSpec> outputs, const TraceFn& trace);
 NOVAPHY_NOVA_API Kernel make_reduce_kernel(std::string name, std::vector<SourceSpec> sources,

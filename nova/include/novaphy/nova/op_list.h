@@ -121,8 +121,8 @@ class NOVAPHY_NOVA_API OpList {
   // their errors, and throws while this thread captures. Memory that a launch writes is not
   // touched.
   void prepare() const;
-  // The same for a list that runs once, by the code that recorded it. The versions were raised
-  // during recording.
+  // Launches a list that runs once, for the code that recorded it. The recording has already raised
+  // the versions of the outputs.
   void run_once() const;
 
   OpList();

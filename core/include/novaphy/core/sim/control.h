@@ -35,7 +35,7 @@ class NOVAPHY_CORE_API Control : public ControlFields {
   using Fields = ControlFields;
 
   explicit Control(const Model& model);  // filled with zeros
-  // The same from the counts alone; `model_id` is the id() of the model.
+  // Makes a control from the counts of a model alone; `model_id` is the id() of the model.
   Control(const ModelCounts& counts, Device device, uint64_t model_id);
   Control(Control&&) = default;
   Control& operator=(Control&&) = default;

@@ -10,7 +10,7 @@ namespace novaphy {
 // Throws ErrorKind::Value, with `function` in the message, unless the quaternions of body_q have
 // length 1 (to 1 %).
 NOVAPHY_CORE_API void check_rotations(const char* function, const SimState& state);
-// The same for the normals of rigid contacts.
+// Throws ErrorKind::Value unless the normals of rigid contacts have length 1 (to 1 %).
 NOVAPHY_CORE_API void check_normals(const char* function, const Contacts& contacts);
 
 }  // namespace novaphy

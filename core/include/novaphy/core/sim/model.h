@@ -321,9 +321,9 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   // start of a step. A value that a caller assigns to a derived array stays until the source is
   // written.
   void update_derived() const;
-  // The same with derive(rule, source, derived) as the computation. The function `derive` returns
+  // Computes the derived arrays by derive(rule, source, derived). The function `derive` returns
   // whether the values exist now: a capture only records the computation. Several threads may call
-  // this function.
+  // update_derived.
   template <class Derive>
   void update_derived(const Derive& derive) const {
     const auto update = [&](const auto& rule, const Array& source, const Array& derived,

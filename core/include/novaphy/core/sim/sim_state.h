@@ -49,7 +49,7 @@ class NOVAPHY_CORE_API SimState : public StateFields {
   // Makes a state filled with zeros on the model's device. Model::state() also copies the initial
   // values.
   explicit SimState(const Model& model);
-  // The same from the counts alone; `model_id` is the id() of the model.
+  // Makes a state from the counts of a model alone; `model_id` is the id() of the model.
   SimState(const ModelCounts& counts, Device device, uint64_t model_id);
   // Makes a state of existing arrays, for example ranges of one long allocation. ErrorKind::Value
   // names an array whose rows or device differ from the model's.

@@ -191,12 +191,12 @@ inline float relative_residual(float residual, float largest, float tolerance) {
 inline void note_contact(const ContactRows& of, const ContactLaw<float>& law, bool by_restitution,
                          const IslandContact& row, BranchNotes& to) {
   const PgsContact<float>& c = row.solver;
-  // Whether the slope of beta differs on the other side.
+  // Whether the derivative of beta differs on the other side of the contact, or of the slop.
   const bool at_contact = law.compliant || law.slop > 0.0f || law.erp < 1.0f;
   const bool at_slop = !law.compliant && law.slop > 0.0f && law.erp > 0.0f;
   const ContactBranch branch = branch_of(c, law.cone);
   const bool jumps = !row.elastic && row.before < -law.restitution_threshold;
-  // Only for the part of the row that changes with q.
+  // Whether the row has a part that changes with q.
   const bool shifts = c.shifted > 0.0f;
   const bool softened = (branch.active && c.cfm > row.target.cfm) || (shifts && c.lack > 0.0f);
   const bool shifting =

@@ -35,7 +35,8 @@ ContactFrame<T> contact_frame(const Vec3<T>& n) {
   return {{n, t1, math::cross(n, t1)}};
 }
 
-// A surface point relative to its root's origin, which is at `origin` in the world.
+// A surface point relative to the origin of the tree's root. `origin`: the root's origin in the
+// world (m).
 template <class T>
 struct SurfacePoint {
   Vec3<T> at{}, origin{};

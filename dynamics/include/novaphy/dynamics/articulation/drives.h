@@ -70,7 +70,7 @@ DriveTerm<T> branch_term(const StepInputs<T>& in, int32_t row, int32_t coord,
           select(limits, term.diagonal + stop.diagonal, term.diagonal)};
 }
 
-// The same with damping.
+// Returns the terms of the drive, the limit and the damping of a one-dof joint.
 template <class T>
 DriveTerm<T> dof_term(const StepInputs<T>& in, int32_t row, int32_t coord,
                       const Branches<T>& branch, const T& q, const T& v, const T& dt,

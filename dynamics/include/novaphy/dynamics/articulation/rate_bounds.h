@@ -1,9 +1,12 @@
 // Bounds of the rate of a one-dof joint at the end of a step, and the rate at a bound.
 //
 // Velocity limits: |v| <= velocity_limit (m/s or rad/s). StepOptions::limit_rows adds a constraint
-// row for each limit of the position. d is the gap to the limit (m or rad), w the rate that closes
-// the gap at the start of the step, w' that at the end, and r the force of the row:
+// row for each limit of the position:
+//
 //   r >= 0,  w' <= d / dt,  and one of the two holds with equality
+//   d      gap to the limit (m or rad)
+//   w, w'  rate that closes the gap, at the start and at the end of the step
+//   r      force of the row (N or N*m)
 //
 // A dof that would hit a limit faster than the restitution threshold gets w' = -restitution w,
 // clipped to its other bounds. A dof outside of its limits returns with the rate d / dt, clipped to

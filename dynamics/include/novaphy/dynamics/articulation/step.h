@@ -31,7 +31,7 @@ void set_wrenches(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& ws
   }
 }
 
-// Calls f(link, k) for joints with one dof, which have drives and limits.
+// Calls f(link, k) for the one-dof joints, which have drives and limits; k: the dof in the tree.
 template <class T, class F>
 void for_drives(const Tree<T>& tree, const F& f) {
   for (int32_t i = 0; i < tree.link_count; ++i)
@@ -327,7 +327,7 @@ int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   return failed >= 0 ? failed : find_infinite(tree, ws);
 }
 
-// The same with the branches of an earlier step; a row per dof of the arrays.
+// Runs accelerate with the branches of an earlier step {dofs of the arrays}.
 template <class T>
 int32_t accelerate_again(const Tree<T>& tree, const StepInputs<T>& in,
                          const StepOptions<T>& options, const float* branch, Workspace<T>& ws) {
@@ -400,7 +400,7 @@ int32_t first_not_finite(const Workspace<T>& ws, int32_t dofs) {
   return -1;
 }
 
-// Computes the new state after forward_step; rows of the arrays. Overwrites the links' states.
+// Writes the new state to the tree's rows, after forward_step. Overwrites the links' states.
 template <class T>
 void finish_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                  Workspace<T>& ws, T* q_next, T* qd_next, Transform<T>* body_q,

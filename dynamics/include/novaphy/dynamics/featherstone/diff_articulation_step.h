@@ -88,10 +88,10 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
   void forget();
   // The number of the next step, for errors; 0 at first.
   void count_from(int64_t number);
-  // Of all steps with contacts since the last clear. Waits for a device.
+  // Returns the branches of all steps with contacts since the last clear. Waits for a device.
   ContactBranches branches() const;
   void clear_branches();
-  // With DerivativeOf::Motion; else null.
+  // Returns the counts of DerivativeOf::Motion; null with another derivative.
   const MotionCounts* motion_counts() const;
   // ErrorKind::Runtime, naming the dof, when the last step failed. Waits for a device.
   void check(const Model& model, const char* function) const;

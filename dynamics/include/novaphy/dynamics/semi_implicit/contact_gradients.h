@@ -10,17 +10,18 @@
 
 namespace novaphy {
 
-// Of each row of rigid_contact_*, in their order: true where a step of DiffSemiImplicitSolver from
-// `state` follows its points and normal with both bodies (moving_contact_trace.h); false where
-// they stay as they are, the points in the frames of their bodies and the normal in the world. So
-// do all rows that were not found from `state` as it is now
-// (Contacts::rigid_contacts_found_from); a rollout that is given contacts holds all of them.
-// Waits for a device. ErrorKind::Value: a state or contacts of another model.
+// Returns whether the gradient of each row of rigid_contact_* is exact, in a step of
+// DiffSemiImplicitSolver from `state`. true: points and normal move with both bodies
+// (moving_contact_trace.h). false: the points are frozen in the frames of their bodies, and the
+// normal in the world. Rows that were not found from the present `state` are frozen
+// (Contacts::rigid_contacts_found_from). A rollout with given contacts freezes all rows. Waits for
+// a device. ErrorKind::Value: a state or contacts of another model.
 NOVAPHY_DYNAMICS_API std::vector<bool> exact_contact_gradients(const Model& model,
                                                                const SimState& state,
                                                                const Contacts& contacts);
 
-// Returns the same of one row that was found from these poses {bodies}, on the host.
+// Returns whether the gradient of one row is exact. The row was found from the poses {bodies}, and
+// all arrays are on the host.
 bool has_exact_gradient(const Model& model, const DeviceArray<Transformf>& body_q,
                         const ContactFields& contacts, int32_t row);
 

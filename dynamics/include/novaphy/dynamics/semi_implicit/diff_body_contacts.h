@@ -40,7 +40,7 @@ class NOVAPHY_DYNAMICS_API ContactTables {
     // Whether the contacts were found from the state of the step, so that points and normals move
     // with the state; false: they are frozen.
     bool of_this_state = true;
-    // The same for contacts of particles.
+    // Whether contacts of particles were found from the state of the step.
     bool particles_follow = false;
   };
   // Updates the tables from the contacts, unless they are up to date. In a capture each replay

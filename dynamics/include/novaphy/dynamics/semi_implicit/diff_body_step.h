@@ -35,8 +35,8 @@ class NOVAPHY_DYNAMICS_API BodyStep {
       watch_.leave_out_friction();
   }
 
-  // Makes the preparations that all steps of a call share. ErrorKind::NotImplemented: a pair of
-  // shapes that static contacts do not support.
+  // Call before the steps of a solver call: updates the tables that all of them read.
+  // ErrorKind::NotImplemented: a pair of shapes that static contacts do not support.
   void begin(const Model& model);
   // Steps from `in` to `out`. The wrenches are, in the order of SolverSemiImplicit: `body_f` {b,
   // 6}, those of `joints` (null: none) with their control, those of the contacts of shapes, and

@@ -32,14 +32,15 @@ class NOVAPHY_DYNAMICS_API ParticleStep {
   bool meets_bodies() const { return meets_bodies_; }  // whether contacts may touch bodies
   // The arrays that `record` writes besides its outputs.
   std::vector<ScratchSpec> scratch() const;
-  // Makes the preparations that all steps of a call share. Messages begin with `function`.
+  // Call before the steps of a solver call: updates what all of them read. Messages begin with
+  // `function`.
   void begin(const Model& model, const char* function);
   // Steps from `in` to `out`. Forces are added to in.particle_f in the order of SolverSemiImplicit.
   // `tables`: tables of the contacts.
   void run(const Model& model, SimState& in, SimState& out, const Control* control,
            const Contacts* contacts, const ContactTables& tables, float dt);
-  // The same with forces that are only read. Contacts and integration are one kernel if no contact
-  // touches a body.
+  // Steps from `in` to `out`, and only reads the forces of `in`. Contacts and integration are one
+  // kernel if no contact touches a body.
   void record(const Model& model, const SimState& in, SimState& out, const StepInputs& inputs,
               const ContactTables& tables, StepScratch scratch);
   // Returns the wrenches of the last step's contacts on bodies {slots, 6}; null: none.

@@ -34,8 +34,8 @@ integrate_particles_with_static_contacts_generated(const Model& model,
                                                    const nova::Tensor& particle_f,
                                                    float soft_contact_margin, float dt);
 
-// The same into given memory, as solvers use it. The caller must check that the particles' worlds
-// are supported (WorldRows).
+// Integrates particles into given memory, for solvers. The caller must check that the particles'
+// worlds are supported (WorldRows).
 NOVAPHY_DYNAMICS_API void integrate_particles(const Model& model, const nova::Operand& particle_q,
                                               const nova::Operand& particle_qd,
                                               const nova::Operand& particle_f, float dt,

@@ -52,7 +52,8 @@ integrate_rigid_bodies_with_static_contacts_generated(
     const nova::Tensor& body_f, float angular_damping, float friction_smoothing, float dt,
     bool newton_spin = false);
 
-// The same into given memory, as solvers use it, with up-to-date pairs.
+// The parameters of step_rigid_bodies_with_static_contacts, which writes the step above into given
+// memory, for solvers. `pairs` must be up to date.
 struct RigidStepNumbers {
   float angular_damping = 0.05f;    // 1/s
   float friction_smoothing = 0.1f;  // m/s

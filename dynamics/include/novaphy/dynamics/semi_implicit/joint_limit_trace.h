@@ -18,8 +18,8 @@ struct JointLimit {
   T lower{}, upper{}, ke{}, kd{};
 };
 
-// Calls visit(number of d, field of each of `a`...), of structs with the fields of StepArrays
-// (articulation/step_arrays.h).
+// Calls visit(member of d, field of each of `a`...) for each parameter. `a`: structs with the
+// fields of StepArrays (articulation/step_arrays.h).
 template <class Visit, class T, class... Arrays>
 void for_each_limit_number(const Visit& visit, JointLimit<T>& d, Arrays&... a) {
   visit(d.lower, a.limit_lower...);
@@ -37,7 +37,7 @@ T limit_force(const JointLimit<T>& d, const T& q, const T& qd) {
   const T stop = select(below, -d.kd * qd, select(above, -d.kd * qd, zero));
   return limit + stop;
 }
-// x within the limits, else 0.
+// Returns x if q is within the limits, else 0.
 template <class T>
 T within_limits(const JointLimit<T>& d, const T& q, const T& x) {
   using math::select;
@@ -45,7 +45,7 @@ T within_limits(const JointLimit<T>& d, const T& q, const T& x) {
   return select(q < d.lower, zero, select(q > d.upper, zero, x));
 }
 
-// The force along a distance l with the rate l_rate: kd acts where ke does.
+// Returns the force along a distance l with the rate l_rate. kd acts only if ke does.
 template <class T>
 T distance_force(const JointLimit<T>& d, const T& l, const T& l_rate) {
   using math::select;

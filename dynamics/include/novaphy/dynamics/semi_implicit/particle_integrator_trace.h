@@ -42,7 +42,7 @@ ParticleState<T> integrate_particle(const Vec3<T>& x0, const Vec3<T>& v0, const 
   return {x0 + v1 * dt, v1};
 }
 
-// The same with an active flag: bool, or nova::Bool in a trace.
+// Integrates a particle if it is active, else returns x0 and v0. B: bool, or nova::Bool in a trace.
 template <class B, class T>
 ParticleState<T> integrate_particle(const B& active, const Vec3<T>& x0, const Vec3<T>& v0,
                                     const Vec3<T>& f, const T& w, const Vec3<T>& g, const T& v_max,

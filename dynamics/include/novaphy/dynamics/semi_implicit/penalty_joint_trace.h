@@ -51,7 +51,7 @@ struct JointBody {
   Vec3<T> com{};  // body frame
 };
 
-// Of a degree of freedom; the drive as the target mode leaves it.
+// The parameters of a degree of freedom. select_drive applies the target mode to the drive.
 template <class T>
 struct JointDof {
   Vec3<T> axis{};  // unit vector, joint frame of the parent
@@ -61,8 +61,8 @@ struct JointDof {
   T damping{}, effort_limit{};
 };
 
-// Calls visit(number of d, field of each of `a`...), of structs with the fields of StepArrays
-// (articulation/step_arrays.h).
+// Calls visit(member of d, field of each of `a`...) for each parameter. `a`: structs with the
+// fields of StepArrays (articulation/step_arrays.h).
 template <class Visit, class T, class... Arrays>
 void for_each_dof_number(const Visit& visit, JointDof<T>& d, Arrays&... a) {
   visit(d.force, a.joint_f...);
@@ -74,7 +74,7 @@ void for_each_dof_number(const Visit& visit, JointDof<T>& d, Arrays&... a) {
   visit(d.damping, a.damping...);
   visit(d.effort_limit, a.effort_limit...);
 }
-// Leaves of the drive what the target mode has.
+// Sets the parameters of the drive that the target mode does not use to 0.
 template <class T, class Bool>
 void select_drive(const Bool& position, const Bool& velocity, JointDof<T>& d) {
   using math::either;
@@ -91,7 +91,7 @@ struct JointAttach {
   T ke{}, kd{};
 };
 
-// What the parent gets about its center of mass, and the child.
+// The wrenches on parent and child, each about its center of mass (N, N*m; world frame).
 template <class T>
 struct JointWrench {
   SpatialVector<T> parent{}, child{};

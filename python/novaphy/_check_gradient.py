@@ -15,7 +15,7 @@ TRUSTED, DOUBTFUL, FAILED = 0, 1, 2  # exit codes
 
 
 def is_function(word: str) -> bool:
-    """Whether a word is FILE.py:FUNCTION, and not the name of a demo."""
+    """Return whether a word is FILE.py:FUNCTION, and not the name of a demo."""
     return ".py:" in word or word.endswith(".py")
 
 

@@ -37,20 +37,20 @@ def linearize(
     contacts: Contacts | None = None,
     inputs: str = "joint_f",
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The derivatives A, B of a step by its state and its input, for all worlds at once.
+    """Return the derivatives A, B of a step by its state and its input, for all worlds at once.
 
-    The state x of a world is (q, qd), n degrees of freedom each. Columns and rows of q are
-    tangents: an angle or distance (rad, m); for a BALL a small rotation r (rad) in the frame of
-    the joint, q -> q + (r, 0) q / 2. A FREE joint has a displacement (m) of its origin, then such
-    a rotation. Forward mode: one pass over all worlds for each column.
+    The state x of a world is (q, qd), with n degrees of freedom each. Columns and rows of q are
+    tangents: an angle or distance (rad, m); for a BALL a small rotation r (rad) in the frame of the
+    joint, q -> q + (r, 0) q / 2. A FREE joint has a displacement (m) of its origin, then such a
+    rotation. Each column is one pass of forward mode over all worlds.
 
     Args:
         solver: a DiffFeatherstoneSolver; its device runs the passes.
-        state: where to linearize; its forces act. Nothing of it is written.
+        state: where to linearize; its forces act. The function does not write the state.
         control: None: the model's.
-        dt: the time step, s.
-        contacts: those of the state, or None. Their points follow as in `step`.
-        inputs: what u is: "joint_f" (N or N m, n columns), "joint_target_qd" (n columns) or
+        dt: the time step (s).
+        contacts: those of the state, or None. Their points move as in `step`.
+        inputs: the input u: "joint_f" (N or N m, n columns), "joint_target_qd" (n columns) or
             "joint_target_q" (a column for each coordinate).
 
     Returns:
@@ -80,7 +80,7 @@ def linearize(
     into, back = rows.coordinates(q.numpy()), rows.tangents(results[0].numpy())
 
     def column(k: int, direction: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The tangents {worlds, 2 n} of the next state in a direction of one input."""
+        """Return the tangents {worlds, 2 n} of the next state in a direction of one input."""
         tangents = [zeros_like(x) for x in of_inputs]
         tangents[k].assign(direction)
         moved_q, moved_qd = (t.numpy() for t in tape.jvp(results, of_inputs, tangents))
@@ -134,7 +134,7 @@ class _Rows:
             at_q, at_qd = at_q + int(coordinates), at_qd + int(dofs)
 
     def coordinates(self, q: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The derivative of coordinates by tangents, {worlds, coordinates, n}."""
+        """Return the derivative of coordinates by tangents, {worlds, coordinates, n}."""
         result = np.zeros((*self.q.shape, self.qd.shape[1]), np.float32)
         for at_q, at_qd, dofs, turn in self.joints:
             for k in range(turn):
@@ -146,7 +146,7 @@ class _Rows:
         return result
 
     def tangents(self, q: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The derivative of tangents by coordinates, {worlds, n, coordinates}."""
+        """Return the derivative of tangents by coordinates, {worlds, n, coordinates}."""
         result = self.coordinates(q).transpose(0, 2, 1).copy()
         for at_q, at_qd, dofs, turn in self.joints:
             if turn < dofs:
@@ -156,7 +156,7 @@ class _Rows:
 
 
 def _half_turns(q: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The matrix {worlds, 4, 3} of r -> (r, 0) q / 2 for unit quaternions (x, y, z, w)."""
+    """Return the matrix {worlds, 4, 3} of r -> (r, 0) q / 2 for unit quaternions xyzw."""
     x, y, z, w = q.T
     return np.float32(0.5) * np.stack(
         [

@@ -11,11 +11,12 @@ if TYPE_CHECKING:
 
 
 def pose_tangent_gradient(body_q: ArrayLike, gradient: ArrayLike) -> NDArray[np.float32]:
-    """The gradient by displacements and small rotations of poses.
+    """Return the gradient with respect to displacements and small rotations of poses.
 
-    Gradients of `body_q` are those of seven free numbers: the part along the quaternion only
-    stretches it. A displacement d moves a pose to p + d. A small rotation r (rad) in the world
-    turns it to q + (r, 0) q / 2. The result is the gradient with respect to d and r.
+    A gradient by `body_q` is that of seven free numbers, and its part along the quaternion only
+    stretches the quaternion. A displacement d moves a pose to p + d. A small rotation r (rad) in
+    the world turns the pose to q + (r, 0) q / 2. The result is the gradient with respect to d and
+    r.
 
     Args:
         body_q: poses {n, 7} (or one, {7}): position (m), unit quaternion x, y, z, w.

@@ -44,14 +44,14 @@ def disagreements(of: Evidence) -> Numbers:
 
 
 def is_hidden(of: Evidence, step: int, part: float) -> bool:
-    """Whether rounding is more than a part of the differences over a step and of the gradient."""
+    """Return whether rounding is more than a part of the gradient and of differences of a step."""
     floor = 3.0 * of.noise[step] * np.sqrt(len(of.slopes))
     length = max(np.linalg.norm(of.differences[step]), np.linalg.norm(of.slopes))
     return bool(floor > part * length)
 
 
 def is_settled(of: Evidence) -> bool:
-    """Whether differences over 0.3 and 0.1 sigma agree, but for rounding."""
+    """Return whether differences over 0.3 and 0.1 sigma agree up to rounding."""
     _, wide, narrow, _ = of.differences
     floor = 3.0 * of.noise[2] * np.sqrt(len(of.slopes))
     return bool(np.linalg.norm(wide - narrow) <= SETTLED * np.linalg.norm(wide) + floor)
@@ -76,12 +76,12 @@ def reversed_component(of: Evidence) -> int | None:
 
 
 def is_zero(of: Evidence) -> bool:
-    """Whether gradient and differences are zero, but for rounding."""
+    """Return whether gradient and differences are zero up to rounding."""
     return not of.slopes.any() and bool((np.abs(of.differences) <= 3.0 * of.noise[:, None]).all())
 
 
 def is_known(of: Evidence) -> bool:
-    """Whether the samples tell the smoothed gradient."""
+    """Return whether the samples determine the smoothed gradient."""
     length = np.linalg.norm(of.smoothed)
     return bool(np.linalg.norm(of.error) <= KNOWN * length and of.tail <= HEAVY)
 
@@ -136,7 +136,7 @@ def judge(of: Evidence) -> tuple[str, str]:
 
 
 def _leaves_times_out(of: Evidence) -> bool:
-    """Whether contacts change, and the gradient does not move their times."""
+    """Return whether contacts change and the gradient does not move their times."""
     return of.info is not None and of.info.events > 0 and not of.info.event_list
 
 

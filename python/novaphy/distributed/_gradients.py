@@ -20,7 +20,7 @@ Rollout = Callable[[Block, dict[str, nova.Tensor]], nova.Tensor]
 
 
 def checked_params(params: Params, call: str) -> Params:
-    """A dict of float32 Tensors."""
+    """Return params. TypeError: not a dict of float32 Tensors."""
     if not isinstance(params, Mapping) or not params:
         raise TypeError(f"{call}: params: expected a dict of Tensors, got {params!r}")
     for name, value in params.items():
@@ -30,7 +30,7 @@ def checked_params(params: Params, call: str) -> Params:
 
 
 def gradient_of_block(rollout: Rollout, params: dict[str, Vector], block: Block) -> Vector:
-    """The sum of the losses of a block, then its gradient, in one row."""
+    """Return the sum of the losses of a block, then its gradient, in one row."""
     leaves = {}
     for name, value in params.items():
         leaves[name] = nova.tensor(value, device=block.device)
@@ -73,7 +73,7 @@ def _check_finite(losses: NDArray[np.float32], block: Block) -> None:
 
 
 def _first_state(block: Block, world: int) -> str:
-    """The first kept state of a Trajectory that is not finite in a world of the block, in words."""
+    """Describe the first kept state of a Trajectory that is not finite in a world of the block."""
     model = block.model
     worlds_of = {
         "particle_q": model.particle_world.numpy(),
@@ -94,7 +94,7 @@ def _first_state(block: Block, world: int) -> str:
 
 
 def sums_of(function: Callable[[Block], Vector], shard: Shard) -> list[Node]:
-    """The sums of the largest subtrees of this rank; devices work side by side."""
+    """Return the sums of the largest subtrees of this rank. Devices work side by side."""
     sums = BlockSums(shard.block_count)
 
     def row_of(block: Block) -> Vector:
@@ -124,7 +124,7 @@ def sums_of(function: Callable[[Block], Vector], shard: Shard) -> list[Node]:
 
 
 def sum_blocks(function: Callable[[Block], Vector], shard: Shard) -> Vector:
-    """The sum over all blocks of all ranks of a vector of each block, by the tree of blocks.
+    """Return the sum over all blocks of all ranks of a vector of each block, by the tree of blocks.
 
     function: block -> float32 {n}, for running means of observations and returns.
 
@@ -148,7 +148,7 @@ def sum_blocks(function: Callable[[Block], Vector], shard: Shard) -> Vector:
 
 
 def total_of(blocks: int, nodes: list[Node]) -> Vector:
-    """The root of the tree over the nodes of all ranks."""
+    """Return the root of the tree over the nodes of all ranks."""
     sums = BlockSums(blocks)
     for level, index, values in nodes:
         sums.put(level, index, values)
@@ -169,17 +169,19 @@ def mean_and_gradients(
 
 
 def value_and_grad(rollout: Rollout, params: Params, shard: Shard) -> tuple[float, Gradients]:
-    """The mean loss over all worlds of all ranks, and its gradient; the same bits on every rank.
+    """Return the mean loss over all worlds of all ranks, and its gradient, with equal bits on all
+    ranks.
 
-    rollout: (block, params) -> losses, a Tensor {block.worlds}; recorded on one tape a block.
+    rollout: (block, params) -> losses, a Tensor {block.worlds}; recorded on one tape for each
+    block.
     params: a dict of float32 Tensors. A rollout gets copies on the device of its block.
 
     Within a block a sum over worlds runs from the first world to the last one. Sums of blocks are
     added up a binary tree by block number. The bits therefore depend on worlds and block of the
     shard, and never on ranks, devices or threads.
 
-    ValueError: losses of another shape, a loss that is not finite (its world is named), a sum that
-    is too large for float32. RuntimeError: another rank failed; the message names it.
+    ValueError: losses of another shape, a loss that is not finite (the message names its world), a
+    sum that is too large for float32. RuntimeError: another rank failed; the message names it.
     """
     values = {name: p.numpy() for name, p in checked_params(params, "value_and_grad").items()}
     total = sum_blocks(lambda block: gradient_of_block(rollout, values, block), shard)
@@ -188,7 +190,7 @@ def value_and_grad(rollout: Rollout, params: Params, shard: Shard) -> tuple[floa
 
 
 def step(optimizer: nova.optim.SGD | nova.optim.Adam, grads: Gradients) -> None:
-    """A step of an optimizer with the gradients of value_and_grad, in the order of its params.
+    """Take a step of an optimizer with the gradients of value_and_grad, in the order of its params.
 
     ValueError: another number of gradients, or another shape.
     """

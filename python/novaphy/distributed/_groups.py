@@ -18,7 +18,7 @@ class Group:
     size = 1
 
     def all_gather(self, payload: bytes, call: str = "all_gather") -> list[bytes]:
-        """The payloads of all ranks, by rank; they may differ in length."""
+        """Return the payloads of all ranks, by rank. Payloads may differ in length."""
         header = call.encode() + b"\0"
         found = []
         for rank, message in enumerate(self._gather(header + payload, call)):
@@ -32,7 +32,7 @@ class Group:
         return found
 
     def broadcast(self, payload: bytes, root: int = 0, call: str = "broadcast") -> bytes:
-        """The payload of one rank, on all ranks."""
+        """Return the payload of one rank on all ranks."""
         if not 0 <= root < self.size:
             raise IndexError(f"broadcast: root: expected 0 to {self.size - 1}, got {root}")
         return self.all_gather(payload if self.rank == root else b"", call)[root]
@@ -53,7 +53,7 @@ _MPI = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK", "MPI_LOCALNRANKS")
 
 
 def _kind() -> str:
-    """The launcher of this process, by its environment variables."""
+    """Return the launcher of this process, by its environment variables."""
     if {"RANK", "WORLD_SIZE", "MASTER_ADDR"} <= os.environ.keys():
         return "torch"
     slurm = int(os.environ.get("SLURM_STEP_NUM_TASKS", "1")) > 1
@@ -95,12 +95,12 @@ def use(group: Group) -> Group:
 
 
 def current() -> Group:
-    """The group of the last init; a process alone before it."""
+    """Return the group of the last init; before init a group of this process alone."""
     return _current
 
 
 def needed(library: str, kind: str, extra: str) -> Any:
-    """A library that NovaPhy does not install."""
+    """Import a library that NovaPhy does not install."""
     import importlib
 
     try:

@@ -34,7 +34,7 @@ def _work(
     scene: Callable[[int, int, str], _core.Model],
     plan: tuple[int, int, int, int, str],
 ) -> list[Node]:
-    """The sums of the blocks first to last - 1."""
+    """Return the sums of the blocks first to last - 1."""
     worlds, block, first, last, device = plan
     key = (pickle.dumps(scene), *plan)
     if key not in _shards:
@@ -118,9 +118,9 @@ class Pool:
         worlds: int,
         block: int,
     ) -> tuple[float, Gradients]:
-        """As value_and_grad over shard(scene, ...) of so many ranks, with the same bits.
+        """Return the result of value_and_grad over shard(scene, ...), with a rank for each worker.
 
-        rollout, scene: functions of a module, which workers import.
+        The bits are the same. rollout, scene: functions of a module, which workers import.
         """
         if isinstance(scene, _core.ModelBuilder):
             raise TypeError("Pool: scene: expected a function, as builders do not travel")

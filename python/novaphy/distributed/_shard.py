@@ -54,7 +54,7 @@ class Shard:
 
 
 def counted(worlds: int, block: int, ranks: int, call: str) -> int:
-    """The number of blocks, checked."""
+    """Return the number of blocks. Errors name the arguments of `call`."""
     for name, value in (("worlds", worlds), ("block", block)):
         if value < 1:
             raise ValueError(f"{call}: {name}: expected >= 1, got {value}")
@@ -72,7 +72,7 @@ def counted(worlds: int, block: int, ranks: int, call: str) -> int:
 
 
 def part_of(blocks: int, rank: int, ranks: int) -> range:
-    """The consecutive blocks of a rank; the first ranks have one more where it does not divide."""
+    """Return the consecutive blocks of a rank. The first ranks have one more if blocks remain."""
     each, more = divmod(blocks, ranks)
     first = rank * each + min(rank, more)
     return range(first, first + each + (rank < more))

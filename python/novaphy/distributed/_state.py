@@ -16,7 +16,7 @@ Optimizer = nova.optim.SGD | nova.optim.Adam
 
 
 def _tensors(params: Params, optimizer: Optimizer | None) -> dict[str, nova.Tensor]:
-    """All tensors of the parameters and of the state of the optimizer, by name."""
+    """Return all tensors of the parameters and of the state of the optimizer, by name."""
     found = {f"param.{name}": p for name, p in params.items()}
     for part in ("m", "v", "b"):
         for k, tensor in enumerate(getattr(optimizer, part, None) or ()):
@@ -27,7 +27,7 @@ def _tensors(params: Params, optimizer: Optimizer | None) -> dict[str, nova.Tens
 
 
 def digest(params: Params, optimizer: Optimizer | None = None) -> str:
-    """The SHA-256 of the bits of parameters and of the state of an optimizer."""
+    """Return the SHA-256 of the bits of parameters and of the state of an optimizer."""
     found = hashlib.sha256()
     for name, tensor in _tensors(checked_params(params, "digest"), optimizer).items():
         found.update(f"{name} {tensor.shape}".encode() + tensor.numpy().tobytes())

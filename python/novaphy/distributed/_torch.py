@@ -54,7 +54,7 @@ class TorchGroup(Group):
         return [part.numpy().tobytes()[:n] for part, n in zip(parts, lengths, strict=True)]
 
     def _ended(self) -> str:
-        """The ranks of this host whose processes have ended, in words."""
+        """Describe the ranks of this host whose processes have ended."""
         # The connections of a process that is killed close before the process counts as ended.
         latest = time.monotonic() + 2.0
         while not (ended := self._ended_now()) and time.monotonic() < latest:
@@ -76,7 +76,7 @@ class TorchGroup(Group):
 
 
 def _runs(pid: str) -> bool:
-    """Whether a process exists and is not a zombie."""
+    """Return whether a process exists and is not a zombie."""
     try:
         state = Path("/proc", pid, "stat").read_text().rpartition(")")[2].split()[0]
     except OSError:

@@ -10,7 +10,7 @@ Node = tuple[int, int, Vector]  # level, index, sum of the blocks below
 
 
 def _sum(a: Vector, b: Vector) -> Vector:
-    """The sum of two rows; float32 must hold the sums of finite numbers."""
+    """Return the sum of two rows. ValueError: a sum of finite numbers is too large for float32."""
     with np.errstate(over="ignore"):
         values = a + b
     wrong = np.flatnonzero(~np.isfinite(values) & np.isfinite(a) & np.isfinite(b))
@@ -54,9 +54,9 @@ class BlockSums:
         self._nodes[level, index] = values
 
     def nodes(self) -> list[Node]:
-        """The largest whole subtrees so far."""
+        """Return the largest whole subtrees so far."""
         return [(level, index, values) for (level, index), values in sorted(self._nodes.items())]
 
     def total(self) -> Vector:
-        """The sum of all blocks."""
+        """Return the sum of all blocks."""
         return self._nodes[self._top, 0]

@@ -18,7 +18,7 @@ from test_results import case_name
 
 
 def names(folder: Path) -> set[str]:
-    """The names of all cases in a folder's JUnit files."""
+    """Return the names of all cases in a folder's JUnit files."""
     files = sorted(folder.glob("*.xml"))
     if not files:
         print(f"{folder}: no JUnit file", file=sys.stderr)

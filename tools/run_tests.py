@@ -51,7 +51,7 @@ results = Results()
 
 
 def environment(**extra: str) -> dict[str, str]:
-    """The caller's environment without what changes how NovaPhy runs."""
+    """Return the caller's environment without variables that change how NovaPhy runs."""
     ours = ("NOVAPHY_", "NOVA_", "CMAKE_ARGS")
     kept = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
     # All build trees lie two folders below the root: the compiler cache then knows the objects of
@@ -63,7 +63,7 @@ def environment(**extra: str) -> dict[str, str]:
 
 
 def output_of(*command: str | Path) -> str:
-    """What a command prints."""
+    """Return the output of a command."""
     words = [str(word) for word in command]
     return subprocess.run(words, capture_output=True, text=True, check=True).stdout
 
@@ -148,7 +148,7 @@ def pytest(
 
 
 def make_venv(name: str, *requirements: str, options: tuple[str, ...] = ()) -> Path:
-    """A virtual environment with these packages, made once; returns its Python."""
+    """Make a virtual environment with these packages, once. Return its Python."""
     folder = BUILD / "venv" / name
     python, stamp = folder / "bin" / "python", folder / "requirements.stamp"
     wanted = f"{sys.version} {requirements}"
@@ -192,7 +192,7 @@ def lint() -> None:
 
 
 def tests_options() -> tuple[Path, list[str]]:
-    """The Python of the tree `tests`, and the options of its build."""
+    """Return the Python of the tree `tests`, and the options of its build."""
     packages = (*BINDING_REQUIREMENTS, *TEST_REQUIREMENTS, *VIEWERS_WITHOUT_DISPLAY)
     python = make_venv("tests", *packages)
     pybind11 = output_of(python, "-m", "pybind11", "--cmakedir").strip()
@@ -205,7 +205,7 @@ def tests_options() -> tuple[Path, list[str]]:
 
 @step
 def tests() -> None:
-    """One tree with everything but devices: CTest, pytest without its slow cases, and the ball."""
+    """Build one tree with all but devices; run CTest, fast pytest cases, and the ball."""
     python, options = tests_options()
     tree = build("tests", *options)
     ctest("tests", "--preset", "tests")
@@ -219,7 +219,7 @@ def tests() -> None:
 
 
 def library(name: str) -> None:
-    """The C++ tests of one library, in the tree of the step `tests`."""
+    """Run the C++ tests of one library, in the tree of the step `tests`."""
     _, options = tests_options()
     tree = build("tests", *options, targets=[f"tests/{name}/all"])
     ctest(name, "--test-dir", tree / "tests" / name, "--no-tests=error", "--output-on-failure")
@@ -254,14 +254,14 @@ make_wheel.made = False
 
 
 def check_wheel(wheel: Path) -> None:
-    """The wheel is small, and needs NumPy and a Linux, nothing else."""
+    """Check that the wheel is small, and needs only NumPy and a Linux."""
     print(f"   {wheel.name}: {wheel.stat().st_size / 1e6:.2f} MB")
     if fault := wheel_contents.fault(wheel):
         raise StepError(f"wheel: {fault}")
 
 
 def wheel_python() -> Path:
-    """The Python of an environment with the wheel of this run."""
+    """Return the Python of an environment with the wheel of this run."""
     wheel = make_wheel()
     python = make_venv("wheel", *TEST_REQUIREMENTS, *VIEWER_REQUIREMENTS, "mypy")
     if not wheel_python.installed:
@@ -275,7 +275,7 @@ wheel_python.installed = False
 
 @step
 def python() -> None:
-    """The wheel: its size, what it needs, its stubs, and pytest against it."""
+    """Check the wheel: size, dependencies and stubs. Run pytest against the wheel."""
     check_wheel(make_wheel())
     interpreter = wheel_python()
     # Not from the repository: its python/ folder must not shadow the installed package.
@@ -288,14 +288,14 @@ def python() -> None:
 
 
 def skipped_cases(junit: Path) -> Iterator[tuple[str, str, str]]:
-    """The module, the name and the reason of each test that was skipped."""
+    """Yield the module, the name and the reason of each skipped test."""
     for case in ElementTree.parse(junit).iter("testcase"):
         if (skipped := case.find("skipped")) is not None:
             yield case.get("classname", ""), case.get("name", ""), skipped.get("message", "")
 
 
 def viewer_tests_ran(junit: Path) -> None:
-    """Every test of a viewer was run, but for pages on an Ubuntu, which has no browser package."""
+    """Check that all tests of viewers ran, except page tests on Ubuntu without a browser."""
     for module, name, reason in skipped_cases(junit):
         if "test_viewer" in module and not reason.startswith("no Chromium"):
             results.fail(f"python: {name} was skipped: {reason}")
@@ -315,7 +315,7 @@ def distributed() -> None:
 
 @step
 def editable() -> None:
-    """The documented editable install, here without io, and the ball from it."""
+    """Make the documented editable install, here without io, and run the ball from it."""
     interpreter = make_venv(
         "editable", "scikit-build-core>=0.10", "numpy", "pytest", "pytest-xdist"
     )
@@ -343,7 +343,7 @@ def editable() -> None:
 
 @step
 def demos() -> None:
-    """The demos: training, gradient check, states and picture."""
+    """Run the demos: training, gradient check, states and picture."""
     interpreter = wheel_python()
     iterations = {"ball": 5, "soft_body": 10, "cloth": 5, "spring_cage": 20, "dice": 3}
     iterations |= {
@@ -406,20 +406,22 @@ def build_slice(preset: str, *options: str, cases: str = "", folders: str = "non
 
 @step
 def core_only() -> None:
-    """novaphy::core alone."""
+    """Build and test novaphy::core alone."""
     build_slice("core-only", folders="backends", cases=r"^core\.BackendRegistry\.")
 
 
 @step
 def io() -> None:
-    """novaphy::core and novaphy::io, with the libraries of the system and of the wheel."""
+    """Build and test novaphy::core and novaphy::io, with libraries of the system and of the
+    wheel.
+    """
     build_slice("io")
     build_slice("io-source", folders="io", cases=r"^io\.")
 
 
 @step
 def cpu() -> None:
-    """The forward engine, without the tensor runtime."""
+    """Build and test the forward engine, without the tensor runtime."""
     build_slice("cpu")
 
 
@@ -431,7 +433,7 @@ def fcl() -> None:
 
 @step
 def symbols() -> None:
-    """The forward engine needs and holds nothing of the tensor runtime."""
+    """Check that the forward engine neither needs nor holds symbols of the tensor runtime."""
     tree = build("cpu", "-DNOVAPHY_TESTS=none")
     if found := list(tree.rglob("libnovaphy_nova*")) + list(tree.rglob("libnovaphy_diff*")):
         raise StepError(f"symbols: the slice cpu built {found[0].name}")
@@ -450,7 +452,7 @@ def symbols() -> None:
 
 @step
 def cuda() -> None:
-    """The forward engine without diff steps models on a fake CUDA device."""
+    """Test the forward engine without diff on a fake CUDA device."""
     tree = build_slice("cuda", folders="fake_driver", cases=r"^gpu\.Driver")
     if found := list(tree.rglob("libnovaphy_diff*")):
         raise StepError(f"cuda: the slice cuda built {found[0].name}")
@@ -460,13 +462,13 @@ def cuda() -> None:
 
 @step
 def cpu_diff() -> None:
-    """The differentiable engine."""
+    """Build and test the differentiable engine."""
     build_slice("cpu-diff")
 
 
 @step
 def install() -> None:
-    """A program per component builds against just the components that it needs, and runs."""
+    """Build and run a program for each component against only the components that it needs."""
     tree = build("cpu-diff", "-DNOVAPHY_TESTS=none")
     consumers, work = ROOT / "tests" / "install_consumer", BUILD / "install"
     shutil.rmtree(work, ignore_errors=True)
@@ -496,14 +498,14 @@ def install() -> None:
 
 @step
 def asan() -> None:
-    """The preset debug under AddressSanitizer and UndefinedBehaviorSanitizer."""
+    """Test the preset debug under AddressSanitizer and UndefinedBehaviorSanitizer."""
     build("asan", "-DNOVAPHY_QUICK_BUILD=ON")
     ctest("asan", "--preset", "asan")
 
 
 @step
 def tsan() -> None:
-    """The cases that start threads, under ThreadSanitizer."""
+    """Test the cases that start threads under ThreadSanitizer."""
     build("tsan", "-DNOVAPHY_QUICK_BUILD=ON")
     ctest("tsan", "--preset", "tsan")
 

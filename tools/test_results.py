@@ -17,7 +17,7 @@ REFERENCE_SECONDS = 0.12
 
 
 def case_name(case: ElementTree.Element) -> str:
-    """The name of a case, with its file or suite where the name alone lacks them."""
+    """Return the name of a case, with its file or suite if the name lacks them."""
     group, name = case.get("classname"), case.get("name", "")
     return name if group in (None, name) else f"{group}.{name}"
 
@@ -40,7 +40,7 @@ def reference_work() -> float:
 
 
 def slower_than_reference() -> float:
-    """How many times slower this machine is than the one of tests/slow.txt, at least 1."""
+    """Return how many times slower this machine is than that of tests/slow.txt, at least 1."""
     return max(1.0, reference_work() / REFERENCE_SECONDS)
 
 

@@ -16,7 +16,7 @@ SYSTEM_LIBRARIES = re.compile(
 
 
 def fault(wheel: Path) -> str:
-    """The first fault of a wheel; empty: none."""
+    """Return the first fault of a wheel; empty: none."""
     if (size := wheel.stat().st_size) >= MAX_BYTES:
         return f"{size} bytes, allowed are {MAX_BYTES}"
     with zipfile.ZipFile(wheel) as archive:

@@ -64,7 +64,10 @@ class Watch:
 
 
 def differences(tuning: demo.Tuning, eps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of real rollouts by the biases {starts, 8}; the starts whose contacts stay."""
+    """Return differences of simulated rollouts by the biases {starts, 8}, and the valid starts.
+
+    A start is valid if its contacts stay the same.
+    """
     ways = tuning.directions()
     moves = eps * np.concatenate([ways, -ways])
     watch = Watch(tuning, len(moves))

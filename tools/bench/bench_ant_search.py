@@ -52,7 +52,7 @@ COLUMNS = (
 
 
 def judged(actor: demo.Actor) -> dict[str, object]:
-    """The loss of the last stage, and what of the gait is reached."""
+    """Return the loss of the last stage, and the checks of the gait that passed."""
     trainer = demo.Trainer(actor, "frozen", "dva", candidates=1)
     name, horizon, _, strength = demo.STAGES[-1]
     trainer.enter(name, strength)
@@ -117,7 +117,7 @@ class Run:
 
 
 def read(folder: Path, method: str, seed: int) -> dict | None:
-    """The file of a run, if it has begun."""
+    """Return the content of the file of a run; None if the run has not begun."""
     path = folder / f"{method}-{seed}.json"
     return json.loads(path.read_text("utf-8")) if path.exists() else None
 

@@ -56,7 +56,7 @@ def turns_of(worlds: int) -> int:
 
 
 def torques(worlds: int) -> np.ndarray:
-    """Of all worlds, over the gear."""
+    """Return the torques of all worlds, relative to the gear."""
     return np.random.default_rng(0).uniform(-0.3, 0.3, (worlds, 8)).astype(np.float32)
 
 
@@ -155,7 +155,9 @@ def newton_frames(worlds: int) -> dict[str, object]:
 
 
 def gradient(kind: str) -> dict[str, object]:
-    """60 frames of the actor with 80 parameters and the gradient of their loss, in segments."""
+    """Time 60 frames of the actor with 80 parameters and the gradient of their loss, in
+    segments.
+    """
     sys.path[:0] = [str(ROOT / "python" / "demos"), str(ROOT / "python" / "demos" / "diff")]
     import demo_diffsim_ant_from_scratch as demo
 
@@ -174,7 +176,7 @@ def gradient(kind: str) -> dict[str, object]:
 
 
 def adjoint(_: str) -> dict[str, object]:
-    """60 frames of an Ant, recorded, and one adjoint through all of them."""
+    """Time 60 recorded frames of an Ant, and one adjoint through all of them."""
     from novaphy import CollisionPipeline, diff, eval_fk, nova
     from novaphy.envs import AntWorlds
     from novaphy.solvers import DiffFeatherstoneSolver
@@ -203,7 +205,7 @@ def adjoint(_: str) -> dict[str, object]:
 
 
 def layers(_: str) -> dict[str, object]:
-    """4096 x 256 by 256 x 256, and its gradients."""
+    """Time a layer, 4096 x 256 by 256 x 256, and its gradients."""
     script = Path(__file__).with_name("novaphy_linear.py")
     told = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
     return json.loads(told.stdout)
@@ -221,7 +223,7 @@ PARTS: dict[str, Callable] = {
 
 
 def measure(part: str, what: object, threads: int, seconds: float) -> dict[str, object]:
-    """A measurement in a process of its own; why there is none, if there is none."""
+    """Run a measurement in its own process. Return the result, or the reason why there is none."""
     number = str(threads)
     environment = {
         **os.environ,
@@ -248,7 +250,7 @@ def measure(part: str, what: object, threads: int, seconds: float) -> dict[str, 
 
 
 def everything(seconds: float) -> list[dict[str, object]]:
-    """All that the page shows."""
+    """Run all measurements of the page."""
     found: list[dict[str, object]] = []
     gone: set[str] = set()  # what is not installed
     for worlds in WORLDS:
@@ -267,7 +269,7 @@ def everything(seconds: float) -> list[dict[str, object]]:
 
 
 def version(package: str) -> str:
-    """Of an installed package."""
+    """Return the version of an installed package."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -280,7 +282,7 @@ def cell(row: dict[str, object], worlds: int) -> str:
 
 
 def page(rows: list[dict[str, object]], load: float) -> str:
-    """docs/performance-policies.md."""
+    """Return the text of docs/performance-policies.md."""
     by = {(r["part"], r["what"], r["threads"]): r for r in rows}
     lines = [
         "# Performance of policies",

@@ -158,7 +158,7 @@ def novaphy_run(args):
 
 
 def newton_run(args):
-    """The same in Newton, on its cpu device."""
+    """Run the scene in Newton on its cpu device."""
     import newton
     import warp as wp
 

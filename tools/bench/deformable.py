@@ -87,16 +87,16 @@ class Scene(Protocol):
     """What an engine's program makes of a scene."""
 
     def iterate(self) -> None:
-        """One training iteration, finished when it returns."""
+        """Run one training iteration, which is finished when the call returns."""
 
     def prepare(self) -> None:
         """Wait for what the engine does beside the first iterations, e.g. compiling."""
 
     def loss_value(self) -> float:
-        """The loss of the last iteration, before its update."""
+        """Return the loss of the last iteration, before its update."""
 
     def positions(self) -> np.ndarray:
-        """The final positions of the last iteration."""
+        """Return the final positions of the last iteration {n, 3} (m)."""
 
     def elements(self) -> int:
         """Return the number of tetrahedra of a soft body, or of triangles of a cloth."""
@@ -134,7 +134,7 @@ def measure(
 def run(
     doc: str, engine: str, modes: tuple[str, ...], make: Callable[..., Scene], facts: Callable
 ) -> None:
-    """The command line of both programs. make(scene, n, mode, steps, device) gives a scene."""
+    """Run the command line of both programs. make(scene, n, mode, steps, device) makes a scene."""
     parser = argparse.ArgumentParser(
         description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -43,7 +43,7 @@ TRAIN_RATE = float(np.float32(0.02))
 
 
 def ball_offsets(n: int) -> np.ndarray:
-    """The x offsets of the balls, shape {n}, float32."""
+    """Return the x offsets of the balls {n} (m, float32)."""
     if n == 1:
         return np.zeros(1, np.float32)
     return (np.arange(n) % 7 - 3).astype(np.float32) * np.float32(0.05)
@@ -85,7 +85,7 @@ class Balls:
         self.step = dr.freeze(self.train) if mode == "frozen" else self.train
 
     def loss_of(self, velocity, scene):
-        """The loss of the rollout."""
+        """Return the loss of the rollout."""
         dr = self.dr
         x, v = scene["position"], velocity
         for _ in range(STEPS):
@@ -102,7 +102,7 @@ class Balls:
         return dr.sum(dr.dot(delta, delta) * scene["counted"])
 
     def train(self, velocity, scene):
-        """The loss, and the updated velocity."""
+        """Return the loss and the updated velocity."""
         dr = self.dr
         velocity = self.vector(velocity)
         dr.enable_grad(velocity)
@@ -114,7 +114,7 @@ class Balls:
         return loss, updated
 
     def iterate(self) -> None:
-        """One training iteration."""
+        """Run one training iteration."""
         self.loss, self.velocity = self.step(self.velocity, self.scene)
         self.dr.eval(self.loss, self.velocity)
         self.dr.sync_thread()

@@ -29,7 +29,7 @@ class Cloth(Task):
         )  # fmt: skip
 
     def mean_of_left(self, state: novaphy.SimState) -> nova.Tensor:
-        """{worlds, 3}: the middle of the free edge."""
+        """Return the mean position of the free edge of each world {worlds, 3} (m)."""
         places = self.model.particle_q.numpy()
         count = len(places) // self.worlds
         pick = np.zeros((self.worlds, len(places)), np.float32)
@@ -71,7 +71,9 @@ class ClothVbd(Cloth):
         return SOLVERS.DiffSolverVBD(self.model, iterations=10, gradient=self.gradient, **more)
 
     def ramps(self) -> nova.Tensor:
-        """{steps, knots}: linear from 0 to the first knot, and from knot to knot."""
+        """Return the weights {steps, knots} of ramps from 0 to the first knot, and from knot to
+        knot.
+        """
         time = np.arange(1, self.steps + 1) / self.steps * self.knots
         hats = np.maximum(0, 1 - np.abs(time[:, None] - np.arange(1, self.knots + 1)))
         return nova.tensor(np.float32(hats))
@@ -106,7 +108,7 @@ class ClothPenalty(Cloth):
     holds = False
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return penalties(4e2, 0.5, 1.0, 0.4)
 
     def make_solver(self) -> novaphy.solvers.SolverBase:

@@ -58,7 +58,9 @@ class Push(Task):
         """Add nothing: each world has a ground of its own."""
 
     def forces(self, theta: nova.Tensor) -> nova.Tensor:
-        """{steps, bodies, 6}: the forces on the ball, which hold it up too."""
+        """Return the wrenches {steps, bodies, 6} on the ball. The wrenches include the lift against
+        gravity.
+        """
         held = np.zeros((1, 12 * self.worlds), np.float32)
         held[0, 8::12] = 0.5 * G
         rows = self.rows(theta, spread([6, 7], 12)) + nova.tensor(held)

@@ -19,34 +19,34 @@ SOLVERS = novaphy.solvers
 
 
 def penalties(ke: float, kd: float, kf: float = 0.0, mu: float = 0.0) -> novaphy.ShapeConfig:
-    """A springy surface."""
+    """Return a surface with penalty contacts."""
     return novaphy.ShapeConfig(ke=ke, kd=kd, kf=kf, mu=mu, density=0)
 
 
 def impulses(mu: float, restitution: float = 0.0) -> novaphy.ShapeConfig:
-    """A hard surface, whose contacts are found two steps ahead."""
+    """Return a surface with impulse contacts, which the search finds two steps ahead."""
     return novaphy.ShapeConfig(mu=mu, restitution=restitution, density=0, gap=0.05)
 
 
 def at(x: float, y: float, z: float) -> tuple:
-    """An upright pose."""
+    """Return an upright pose at a position (m)."""
     return ((x, y, z), UPRIGHT)
 
 
 def squares(difference: nova.Tensor) -> nova.Tensor:
-    """The square of the length of each row."""
+    """Return the squared length of each row."""
     return nova.sum(difference * difference, axis=-1)
 
 
 def spread(columns: list[int], width: int, by: float = 1.0) -> np.ndarray:
-    """The matrix that puts parameters into these columns of a row."""
+    """Return the matrix that spreads parameters to the given columns of a row."""
     matrix = np.zeros((len(columns), width), np.float32)
     matrix[np.arange(len(columns)), columns] = by
     return matrix
 
 
 def stretches(steps: int, knots: int) -> nova.Tensor:
-    """{steps, knots}: each knot holds for one stretch of the steps."""
+    """Return the weights {steps, knots} by which each knot holds for one part of the steps."""
     basis = np.zeros((steps, knots), np.float32)
     basis[np.arange(steps), np.arange(steps) * knots // steps] = 1
     return nova.tensor(basis)
@@ -107,7 +107,7 @@ class Task:
         raise NotImplementedError
 
     def roll(self, controls: object = None, **more: object) -> novaphy.SimState:
-        """Give the last state of a rollout."""
+        """Return the last state of a rollout."""
         self.solver.rollout(self.path, controls, None, self.dt, pipeline=self.pipeline, **more)
         return self.path[self.steps]
 
@@ -126,7 +126,9 @@ class Task:
         return leaf.grad.numpy().astype(np.float64), tape.gradient_info()
 
     def rows(self, theta: nova.Tensor, matrix: np.ndarray) -> nova.Tensor:
-        """{knots, worlds * width}: the parameters of each knot, spread over a row of each world."""
+        """Return the parameters of each knot {knots, worlds * width}, spread to a row of each
+        world.
+        """
         width = matrix.shape[1]
         flat = theta.reshape(self.worlds * self.knots, matrix.shape[0]) @ nova.tensor(matrix)
         flat = flat.reshape(self.worlds, self.knots * width)
@@ -139,7 +141,7 @@ class Task:
         )
 
     def controls(self, theta: nova.Tensor, view: object, columns: list[int]) -> list:
-        """A control for each knot, with parameters in these columns of each world."""
+        """Return a control for each knot, with parameters in the given columns of each world."""
         controls = [self.model.control() for _ in range(self.knots)]
         width = view(controls[0]).size // self.worlds
         rows = self.rows(theta, spread(columns, width))
@@ -148,7 +150,7 @@ class Task:
         return controls
 
     def twists(self, theta: nova.Tensor, more: int) -> nova.Tensor:
-        """{worlds, ...}: the first rates of each world, then `more` zeros."""
+        """Return the first rates of each world, followed by `more` zeros {worlds, ...}."""
         return nova.concat([theta, nova.zeros((self.worlds, more))], axis=1) if more else theta
 
 
@@ -171,7 +173,7 @@ class Penalty(Task):
         return {}
 
     def places(self, state: novaphy.SimState) -> nova.Tensor:
-        """{worlds, bodies, 7}: the poses."""
+        """Return the poses {worlds, bodies, 7}."""
         return diff.state_body_q_tensor(state).reshape(self.worlds, -1, 7)
 
 
@@ -187,7 +189,7 @@ class Impulse(Task):
         )
 
     def coordinates(self, state: novaphy.SimState) -> nova.Tensor:
-        """{worlds, coordinates}."""
+        """Return the coordinates {worlds, coordinates}."""
         return diff.state_joint_q_tensor(state).reshape(self.worlds, -1)
 
     def push_off(self, rates: nova.Tensor) -> None:

@@ -172,7 +172,7 @@ def read(novaphy, path, mutated, chance, outside, collection) -> str:
 
 
 def said(process: subprocess.Popen) -> Iterator[str]:
-    """What the worker prints, until it ends or takes too long."""
+    """Yield the lines of the worker, until the worker ends or takes too long."""
     data, wait = b"", 4 * SECONDS
     while select.select([process.stdout], [], [], wait)[0]:
         more = os.read(process.stdout.fileno(), 65536)

@@ -30,7 +30,7 @@ LEVELS = {"baseline": "", "avx2": "avx2", "avx512": "avx512f"}  # with what a pr
 
 
 def digest(arrays: list[np.ndarray]) -> str:
-    """Of the bits of float32 numbers, which must be numbers."""
+    """Return the hash of the bits of float32 values. All values must be numbers, not NaN."""
     found = hashlib.sha256()
     for array in arrays:
         values = np.ascontiguousarray(array, np.float32)
@@ -53,7 +53,7 @@ def run(names: list[str], device: str) -> None:
 
 
 def in_process(label: str, names: list[str], **environment: str) -> tuple[str, list[str]]:
-    """The lines of scenes, of a process of its own with this environment."""
+    """Hash scenes in an own process with the given environment. Return the lines."""
     device = environment.pop("device", "cpu")
     command = [sys.executable, __file__, "--print", "--device", device, "--scene", *names]
     done = subprocess.run(
@@ -65,7 +65,7 @@ def in_process(label: str, names: list[str], **environment: str) -> tuple[str, l
 
 
 def runs(device: str) -> list[tuple[str, dict[str, str]]]:
-    """Every way to run a scene, with the environment that makes it so."""
+    """Return every way to run a scene, with its environment."""
     if device != "cpu":
         return [(device, {"device": device})]
     flags = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
@@ -78,7 +78,7 @@ def runs(device: str) -> list[tuple[str, dict[str, str]]]:
 
 
 def differences(label: str, lines: list[str], golden: dict[str, str]) -> list[str]:
-    """What a run has otherwise than the file says of its scenes."""
+    """Return the differences between the lines of a run and the golden lines of its scenes."""
     found = dict(line.rsplit(" | ", 1) for line in lines)
     scenes = {name.split(" | ")[0] for name in found}
     wanted = [name for name in golden if name.split(" | ")[0] in scenes]

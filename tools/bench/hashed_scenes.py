@@ -42,13 +42,13 @@ def steps(model, solver, count: int, dt: float, pipeline=None, control=None) -> 
 
 
 def arrays_of(state) -> list[np.ndarray]:
-    """What a state says of positions and velocities."""
+    """Return the positions and velocities of a state."""
     names = ("particle_q", "particle_qd", "body_q", "body_qd", "joint_q", "joint_qd")
     return [getattr(state, name).numpy() for name in names]
 
 
 def gradients(model, solver, count: int, dt: float, pipeline=None, control=None) -> Hashed:
-    """A rollout and the gradient of the squares of its last state by the first."""
+    """Run a rollout. Return the gradient of the squares of its last state by its first."""
     import novaphy
     from novaphy import diff, nova
 
@@ -71,7 +71,7 @@ def gradients(model, solver, count: int, dt: float, pipeline=None, control=None)
 
 @scene("ball", on_devices=True)
 def ball(device: str) -> Hashed:
-    """novaphy_ball.py: balls thrown at a wall, a training iteration."""
+    """Run the scene of novaphy_ball.py: balls thrown at a wall, one training iteration."""
     import novaphy_ball
 
     balls = novaphy_ball.Balls(20, "rollout", device)
@@ -81,13 +81,13 @@ def ball(device: str) -> Hashed:
 
 @scene("soft body", on_devices=True)
 def soft_body(device: str) -> Hashed:
-    """novaphy_deformable.py: tetrahedra, a training iteration of 48 substeps."""
+    """Run novaphy_deformable.py: tetrahedra, one training iteration of 48 substeps."""
     return deformable("soft_body", 2, 48, device)
 
 
 @scene("cloth", on_devices=True)
 def cloth(device: str) -> Hashed:
-    """novaphy_deformable.py: triangles and bending edges."""
+    """Run novaphy_deformable.py: triangles and bending edges."""
     return deformable("cloth", 6, 48, device)
 
 
@@ -114,31 +114,31 @@ def boxes(name: str, n: int, device: str, count: int = 10) -> Hashed:
 
 @scene("columns")
 def columns(device: str) -> Hashed:
-    """novaphy_rigid.py: boxes on each other."""
+    """Run novaphy_rigid.py: boxes on each other."""
     return boxes("columns", 40, device)
 
 
 @scene("pile")
 def pile(device: str) -> Hashed:
-    """novaphy_rigid.py: one pile."""
+    """Run novaphy_rigid.py: one pile."""
     return boxes("pile", 60, device)
 
 
 @scene("few columns", on_devices=True)
 def few_columns(device: str) -> Hashed:
-    """novaphy_rigid.py: as much as a stand-in for a device computes in a second."""
+    """Run novaphy_rigid.py: as much as a stand-in for a device computes in a second."""
     return boxes("columns", 12, device, 3)
 
 
 @scene("mixed")
 def mixed(device: str) -> Hashed:
-    """novaphy_rigid.py: all shapes on a mesh."""
+    """Run novaphy_rigid.py: all shapes on a mesh."""
     return boxes("mixed", 25, device, 40)
 
 
 @scene("dice", on_devices=True)
 def dice(device: str) -> Hashed:
-    """novaphy_rigid.py: a training iteration of dice."""
+    """Run novaphy_rigid.py: one training iteration of dice."""
     import novaphy_rigid
 
     scene = novaphy_rigid.Dice(3, device)
@@ -149,7 +149,7 @@ def dice(device: str) -> Hashed:
 
 @scene("worlds of stacks")
 def stacks(device: str) -> Hashed:
-    """novaphy_rigid_cuda.py: boxes and a ball, contacts found in every step of a rollout."""
+    """Run novaphy_rigid_cuda.py: boxes and a ball, with a search for contacts in every step."""
     import novaphy_rigid_cuda
 
     import novaphy
@@ -183,7 +183,7 @@ def vbd_model(device: str, cells: tuple[int, int], sphere: bool):
 
 @scene("vbd cloth of 2145")
 def vbd_cloth(device: str) -> Hashed:
-    """bench_vbd.py: the cloth at rest on its left side."""
+    """Run bench_vbd.py: the cloth that hangs from its left side."""
     import novaphy
 
     model = vbd_model(device, (64, 32), False)
@@ -192,7 +192,7 @@ def vbd_cloth(device: str) -> Hashed:
 
 @scene("vbd cloth of 200 on a sphere")
 def vbd_sphere(device: str) -> Hashed:
-    """bench_vbd.py: with contacts and friction."""
+    """Run bench_vbd.py: a cloth with contacts and friction."""
     import novaphy
 
     model = vbd_model(device, (24, 7), True)
@@ -203,7 +203,7 @@ def vbd_sphere(device: str) -> Hashed:
 
 @scene("vbd unrolled gradient")
 def vbd_unrolled(device: str) -> Hashed:
-    """bench_vbd.py: through the sweeps."""
+    """Run bench_vbd.py: the gradient through the sweeps."""
     import novaphy
 
     model = vbd_model(device, (24, 7), False)
@@ -212,7 +212,7 @@ def vbd_unrolled(device: str) -> Hashed:
 
 @scene("small vbd cloth on a sphere", on_devices=True)
 def vbd_small(device: str) -> Hashed:
-    """bench_vbd.py: a piece of the cloth that lies on the sphere, with its gradient."""
+    """Run bench_vbd.py: a piece of cloth on the sphere, with its gradient."""
     import novaphy
 
     model = vbd_model(device, (6, 3), True)
@@ -224,7 +224,7 @@ def vbd_small(device: str) -> Hashed:
 
 @scene("vbd implicit gradient")
 def vbd_implicit(device: str) -> Hashed:
-    """bench_vbd.py: of the solution."""
+    """Run bench_vbd.py: the gradient of the solution."""
     import novaphy
 
     model = vbd_model(device, (12, 4), False)
@@ -234,7 +234,7 @@ def vbd_implicit(device: str) -> Hashed:
 
 @scene("cloth of vbd_step_size")
 def step_size(device: str) -> Hashed:
-    """vbd_step_size.py: explicit, and VBD with an adaptive guess."""
+    """Run vbd_step_size.py: explicit steps, and VBD with an adaptive guess."""
     import vbd_step_size
 
     import novaphy
@@ -247,7 +247,7 @@ def step_size(device: str) -> Hashed:
 
 @scene("fr3", on_devices=True)
 def fr3(device: str) -> Hashed:
-    """novaphy_articulation.py: arms that are held by their drives."""
+    """Run novaphy_articulation.py: arms that their drives hold."""
     import novaphy_articulation
 
     import novaphy
@@ -259,7 +259,7 @@ def fr3(device: str) -> Hashed:
 
 @scene("fr3 gradient", on_devices=True)
 def fr3_gradient(device: str) -> Hashed:
-    """novaphy_articulation.py: a rollout of an arm and its adjoint."""
+    """Run novaphy_articulation.py: a rollout of an arm and its adjoint."""
     import novaphy_articulation
 
     import novaphy
@@ -270,7 +270,7 @@ def fr3_gradient(device: str) -> Hashed:
 
 @scene("chain of 30", on_devices=True)
 def chain(device: str) -> Hashed:
-    """novaphy_articulation.py: links on hinges."""
+    """Run novaphy_articulation.py: links on hinges."""
     import novaphy_articulation
 
     import novaphy
@@ -302,7 +302,7 @@ def landed_ants(device: str, worlds: int, requires_grad: bool):
 
 @scene("ant")
 def ant(device: str) -> Hashed:
-    """novaphy_articulation.py: Ants with contacts."""
+    """Run novaphy_articulation.py: Ants with contacts."""
     import novaphy
 
     model, pipeline, control = landed_ants(device, 5, False)
@@ -312,7 +312,7 @@ def ant(device: str) -> Hashed:
 
 @scene("ant gradient")
 def ant_gradient(device: str) -> Hashed:
-    """novaphy_articulation.py: the exact gradient through contacts."""
+    """Run novaphy_articulation.py: the exact gradient through contacts."""
     import novaphy
 
     model, pipeline, control = landed_ants(device, 2, True)
@@ -322,7 +322,7 @@ def ant_gradient(device: str) -> Hashed:
 
 @scene("few steps of an ant", on_devices=True)
 def ant_few(device: str) -> Hashed:
-    """novaphy_articulation.py: as the gradient of two, where a device is slow."""
+    """Run novaphy_articulation.py: two Ants, for slow devices."""
     import novaphy
 
     model, pipeline, control = landed_ants(device, 1, True)
@@ -332,7 +332,7 @@ def ant_few(device: str) -> Hashed:
 
 @scene("ant of the policy")
 def ant_policy(device: str) -> Hashed:
-    """bench_policies.py: frames of the Ant of the file."""
+    """Run bench_policies.py: frames of the Ant of the policy file."""
     import bench_policies
 
     from novaphy.envs import AntWorlds
@@ -345,7 +345,7 @@ def ant_policy(device: str) -> Hashed:
 
 @scene("linear", on_devices=True)
 def linear(device: str) -> Hashed:
-    """novaphy_linear.py: a layer and its gradients."""
+    """Run novaphy_linear.py: a layer and its gradients."""
     from novaphy import nova
 
     rng = np.random.default_rng(0)

@@ -68,14 +68,14 @@ class Scene(NamedTuple):
 
 
 def ball_offsets(n: int) -> np.ndarray:
-    """The x offsets of the balls, shape {n}, float32."""
+    """Return the x offsets of the balls {n} (m, float32)."""
     if n == 1:
         return np.zeros(1, np.float32)
     return (np.arange(n) % 7 - 3).astype(np.float32) * np.float32(0.05)
 
 
 def make_scene(n: int) -> tuple[Scene, Vector]:
-    """The scene, and the initial velocity."""
+    """Return the scene and the initial velocity."""
 
     def vectors(x: np.ndarray | float, y: float, z: float) -> Vector:
         return tuple(jnp.asarray(np.full(n, c, np.float32)) for c in (x, y, z))
@@ -116,7 +116,7 @@ def scale(a: Vector, b: Array) -> Vector:
 
 
 def select(condition: Array, a: Vector, b: Vector) -> Vector:
-    """Of a where the condition holds, of b elsewhere."""
+    """Return the values of a if the condition holds, else those of b."""
     return tuple(jnp.where(condition, p, q) for p, q in zip(a, b))
 
 
@@ -135,7 +135,7 @@ def length_and_unit(a: Vector) -> tuple[Array, Vector]:
 
 
 def full_contact(scene: Scene, k: int, x: Vector, v: Vector) -> Vector:
-    """The force of contact k to be subtracted, every term of it."""
+    """Return the force of contact k to be subtracted, with all its terms."""
     ke, kd, kf, mu = 0.5 * (scene.material + scene.shape_material[k])
     normal = scene.normal[k]
     c = dot(normal, sub(x, scene.point[k])) - scene.radius
@@ -149,7 +149,7 @@ def full_contact(scene: Scene, k: int, x: Vector, v: Vector) -> Vector:
 
 
 def full_step(scene: Scene, x: Vector, v: Vector) -> State:
-    """One substep, every term of it."""
+    """Run one substep with all terms."""
     force = sub(scale(full_contact(scene, 0, x, v), -1.0), full_contact(scene, 1, x, v))
     gravity = scale(scene.gravity, jnp.where(scene.inverse_mass > 0, 1.0, 0.0))
     moved = add(v, scale(add(scale(force, scene.inverse_mass), gravity), DT))
@@ -162,7 +162,7 @@ def full_step(scene: Scene, x: Vector, v: Vector) -> State:
 
 
 def lean_contact(scene: Scene, k: int, x: Vector, v: Vector) -> Vector:
-    """The force of contact k to be subtracted, without what is zero."""
+    """Return the force of contact k to be subtracted, without the terms that are zero."""
     ke, kd = scene.material[0], scene.material[1]
     normal = scene.normal[k]
     c = dot(normal, sub(x, scene.point[k])) - scene.radius
@@ -171,14 +171,14 @@ def lean_contact(scene: Scene, k: int, x: Vector, v: Vector) -> Vector:
 
 
 def lean_step(scene: Scene, x: Vector, v: Vector) -> State:
-    """One substep, without what is zero."""
+    """Run one substep without the terms that are zero."""
     force = add(lean_contact(scene, 0, x, v), lean_contact(scene, 1, x, v))
     v = add(v, scale(sub(scene.gravity, force), DT))
     return add(x, scale(v, DT)), v
 
 
 def make_iteration(mode: str) -> Callable[[Vector, Scene], tuple[Array, Vector]]:
-    """The training iteration: from the initial velocity to the loss and the updated velocity."""
+    """Return a training iteration: from the initial velocity to the loss and the new velocity."""
     step = full_step if mode == "full" else lean_step
 
     def loss_of(velocity: Vector, scene: Scene) -> Array:

@@ -71,7 +71,7 @@ def cubes(n: int, repeats: int) -> dict[str, object]:
 
 
 def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The hills, m."""
+    """Return the height of the hills (m)."""
     return 0.25 * np.sin(1.3 * x) * np.sin(1.1 * y)
 
 

@@ -42,7 +42,7 @@ class Boxes:
         self.data = mujoco.MjData(self.model)
 
     def step(self) -> None:
-        """One step."""
+        """Run one step."""
         mujoco.mj_step(self.model, self.data)
 
     def contacts(self) -> np.ndarray:

@@ -78,13 +78,13 @@ def sum_loss_kernel(pos: wp.array[wp.vec3], target: wp.array[wp.vec3], loss: wp.
 
 @wp.kernel
 def step_kernel(x: wp.array[wp.vec3], grad: wp.array[wp.vec3], alpha: float):
-    """One gradient descent step."""
+    """Take one step of gradient descent."""
     tid = wp.tid()
     x[tid] = x[tid] - grad[tid] * alpha
 
 
 def ball_offsets(n: int) -> np.ndarray:
-    """The x offsets of the balls, shape {n}, float32."""
+    """Return the x offsets of the balls {n} (m, float32)."""
     if n == 1:
         return np.zeros(1, np.float32)
     return (np.arange(n) % 7 - 3).astype(np.float32) * np.float32(0.05)
@@ -158,7 +158,7 @@ class Balls:
         self.tape.backward(self.loss)
 
     def iterate(self) -> None:
-        """One training iteration. The gradients stay readable until the next one."""
+        """Run one training iteration. The gradients stay readable until the next one."""
         if self.tape is not None:
             self.tape.zero()
         if self.graph is not None:

@@ -29,7 +29,7 @@ MODES = ("captured", "captured-lean", "captured-bare")
 
 @wp.kernel
 def assign_kernel(params: wp.array[wp.float32], materials: wp.array2d[wp.float32]):
-    """The Lamé parameters of one tetrahedron."""
+    """Write the Lamé parameters of one tetrahedron."""
     tid = wp.tid()
     materials[tid, 0] = params[2 * tid]
     materials[tid, 1] = params[2 * tid + 1]
@@ -52,7 +52,7 @@ def loss_kernel(centroid: wp.array[wp.vec3], target: wp.vec3, loss: wp.array[flo
 def descend_kernel(
     x: wp.array[float], grad: wp.array[float], rate: float, lower: float, upper: float
 ):
-    """One step of gradient descent within bounds."""
+    """Take one step of gradient descent within bounds."""
     tid = wp.tid()
     x[tid] = wp.clamp(x[tid] - grad[tid] * rate, lower, upper)
 
@@ -141,7 +141,7 @@ class Deformable:
         self.tape.backward(self.loss)
 
     def iterate(self) -> None:
-        """One training iteration."""
+        """Run one training iteration."""
         self.tape.zero()
         wp.capture_launch(self.graph)
         grad = self.params.grad
@@ -159,20 +159,20 @@ class Deformable:
         """Nothing is left to do."""
 
     def loss_value(self) -> float:
-        """The loss of the last iteration, before its update."""
+        """Return the loss of the last iteration, before its update."""
         return float(self.loss.numpy()[0])
 
     def positions(self) -> np.ndarray:
-        """The final positions of the last iteration."""
+        """Return the final positions of the last iteration {n, 3} (m)."""
         return self.states[-1].particle_q.numpy()
 
     def elements(self) -> int:
-        """How many tetrahedra or triangles."""
+        """Return the number of tetrahedra or triangles."""
         return self.model.tet_count if self.scene == "soft_body" else self.model.tri_count
 
 
 def facts() -> dict[str, object]:
-    """What the record says of the engine."""
+    """Return the facts about the engine for the record."""
     return {"version": version("newton"), "warp": wp.__version__, "device": str(wp.get_device())}
 
 

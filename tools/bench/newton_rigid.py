@@ -125,7 +125,7 @@ class Dice:
         self.loss = wp.zeros(1, dtype=wp.float32, requires_grad=True)
 
     def step(self) -> None:
-        """One training iteration."""
+        """Run one training iteration."""
         self.loss.zero_()
         tape = wp.Tape()
         with tape:
@@ -146,7 +146,7 @@ class Dice:
 
 
 def make(scene: str, n: int, turn: float, factor: float, device: str) -> Boxes | Dice:
-    """The scene of a name."""
+    """Make the scene of a name."""
     return Dice(n, device) if scene == "dice" else Boxes(scene, n, turn, factor, device)
 
 

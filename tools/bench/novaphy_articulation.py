@@ -115,13 +115,13 @@ FR3 = (
 
 
 def matrix(inertia: tuple[float, ...]) -> np.ndarray:
-    """The matrix of xx yy zz xy xz yz."""
+    """Return the matrix of (xx, yy, zz, xy, xz, yz)."""
     xx, yy, zz, xy, xz, yz = inertia
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def rolled(roll: int) -> tuple[float, ...]:
-    """The quaternion of a quarter turn about x, times `roll`."""
+    """Return the quaternion of `roll` quarter turns about x."""
     return (np.sin(roll * np.pi / 4), 0.0, 0.0, np.cos(roll * np.pi / 4))
 
 
@@ -137,7 +137,7 @@ def fastest(run: Callable[[], None], units: int, turns: int = TURNS) -> float:
 
 
 def arm() -> novaphy.ModelBuilder:
-    """The FR3 with drives."""
+    """Build the FR3 with drives."""
     builder = novaphy.ModelBuilder()
     parent, joints = -1, []
     for k, (place, roll, mass, com, inertia) in enumerate(FR3):
@@ -191,7 +191,7 @@ def chain(joints: int) -> novaphy.ModelBuilder:
 
 
 def time_steps(builder: novaphy.ModelBuilder, worlds: int, steps: int) -> float:
-    """A step of one world."""
+    """Return the time (s) of a step of one world."""
     model = replicated(builder, worlds)
     solver = novaphy.solvers.SolverFeatherstone(model)
     state, after = model.state(), model.state()
@@ -205,7 +205,7 @@ def time_steps(builder: novaphy.ModelBuilder, worlds: int, steps: int) -> float:
 
 
 def replayed(device: str, pair: Callable[[], None]) -> Callable[[], None]:
-    """Two steps, captured on a device."""
+    """Return a function of two steps, which are captured on a device."""
     if device == "cpu":
         return pair
     from novaphy import nova
@@ -218,7 +218,7 @@ def replayed(device: str, pair: Callable[[], None]) -> Callable[[], None]:
 def time_on(
     device: str, worlds: int, steps: int, reset: Callable[[], None], run: Callable[[], None]
 ) -> dict[str, object]:
-    """What a line says of so many steps behind `reset`, two in a `run`."""
+    """Time steps after `reset`, two in each call of `run`. Return the line of the result."""
     times = []
     for _ in range(TURNS):
         reset()
@@ -236,7 +236,7 @@ def time_on(
 
 
 def hash_of(state: novaphy.State) -> str:
-    """Of the bits of joint_q."""
+    """Return the hash of the bits of joint_q."""
     return hashlib.sha256(state.joint_q.numpy().tobytes()).hexdigest()[:16]
 
 
@@ -271,7 +271,7 @@ def time_device_ants(device: str, worlds: int, steps: int = 100) -> dict[str, ob
 
 
 def time_device_ant_gradients(device: str, worlds: int, steps: int = 20) -> dict[str, object]:
-    """A rollout of Ants that have landed and its adjoint through their contacts, likewise."""
+    """Time a rollout of landed Ants on a device, and its adjoint through contacts."""
     from novaphy import nova
     from novaphy.diff import (
         Trajectory,
@@ -326,7 +326,7 @@ def time_device_ant_gradients(device: str, worlds: int, steps: int = 20) -> dict
 
 
 def planar_arm() -> novaphy.ModelBuilder:
-    """The two-link arm."""
+    """Build the two-link arm."""
     builder = novaphy.ModelBuilder()
     inertia = np.diag((0.0025, 1 / 48, 1 / 48))
     parent, made = -1, []
@@ -348,7 +348,7 @@ def planar_arm() -> novaphy.ModelBuilder:
 
 
 def time_gradient(builder: novaphy.ModelBuilder, steps: int, worlds: int = 1) -> float:
-    """A step of a rollout and its adjoint, per world."""
+    """Return the time (s) of a step of a rollout and its adjoint, per world."""
     from novaphy import nova
     from novaphy.diff import Trajectory, state_joint_q_tensor
 
@@ -370,7 +370,7 @@ def time_gradient(builder: novaphy.ModelBuilder, steps: int, worlds: int = 1) ->
 
 
 def time_ant_gradient(steps: int = 100) -> tuple[float, float]:
-    """A step of a standing Ant, contacts found, with its adjoint through them; that alone."""
+    """Return the times (s) of a step of a standing Ant: with its adjoint, and the adjoint alone."""
     from novaphy import nova
     from novaphy.diff import Trajectory, state_joint_q_tensor
 
@@ -427,7 +427,7 @@ class Ants:
         self.run(steps)
 
     def pair(self) -> None:
-        """Two steps."""
+        """Run two steps."""
         for now, then in ((self.state, self.after), (self.after, self.state)):
             self.pipeline.collide(now, self.contacts)
             self.solver.step(now, then, self.control, self.contacts, DT)
@@ -446,7 +446,7 @@ class Ants:
 
 
 def mujoco_arm() -> str:
-    """The FR3 for MuJoCo."""
+    """Return the FR3 as MJCF."""
     bodies, ends = "", ""
     for k, (place, roll, mass, com, inertia) in enumerate(FR3):
         x, _, _, w = rolled(roll)
@@ -466,7 +466,7 @@ def mujoco_arm() -> str:
 
 
 def mujoco_ant() -> str:
-    """The Ant for MuJoCo: shapes meet the ground only."""
+    """Return the Ant as MJCF. Its shapes touch only the ground."""
     legs = ""
     for (x, y), ankle, (lower, upper) in demo_articulated_scenes.LEGS:
         size = 'type="capsule" size="0.08"'
@@ -486,7 +486,7 @@ def mujoco_ant() -> str:
 
 
 def time_mujoco(text: str, ant: bool, steps: int) -> float:
-    """A step."""
+    """Return the time (s) of a step in MuJoCo."""
     mujoco = importlib.import_module("mujoco")
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
@@ -507,7 +507,7 @@ def time_mujoco(text: str, ant: bool, steps: int) -> float:
 
 
 def pinocchio_arm() -> object:
-    """The FR3 for Pinocchio."""
+    """Return the FR3 as a model of Pinocchio."""
     pin = importlib.import_module("pinocchio")
     model, parent = pin.Model(), 0
     for k, (place, roll, mass, com, inertia) in enumerate(FR3):
@@ -639,7 +639,7 @@ def measure() -> list[tuple[str, float, str, float | None]]:
 
 
 def lanes() -> str:
-    """The instruction set that this process takes."""
+    """Return the instruction set of this process."""
     chosen = os.environ.get("NOVAPHY_CPU_ISA")
     if chosen:
         return chosen
@@ -648,7 +648,7 @@ def lanes() -> str:
 
 
 def curves() -> list[str]:
-    """The lines of the tables of costs over joints and worlds."""
+    """Return the tables of costs over joints and worlds, as lines."""
     lines = [
         "",
         "A step per world, µs, of chains of hinges with drives:",
@@ -674,7 +674,7 @@ def curves() -> list[str]:
 
 
 def write_page(rows: list[tuple[str, float, str, float | None]]) -> None:
-    """The tables of docs/performance-articulations.md; what is written by hand below them stays."""
+    """Write the tables of docs/performance-articulations.md. Text by hand below them stays."""
     page = ROOT / "docs" / "performance-articulations.md"
     by_hand = page.read_text("utf-8").partition(BY_HAND)[1:] if page.exists() else ()
     load = os.getloadavg()[0]

@@ -51,14 +51,14 @@ MATERIAL = {"ke": 1.0e4, "kd": 1.0e1, "kf": 0.0, "mu": 0.2}
 
 
 def ball_offsets(n: int) -> np.ndarray:
-    """The x offsets of the balls, shape {n}, float32."""
+    """Return the x offsets of the balls {n} (m, float32)."""
     if n == 1:
         return np.zeros(1, np.float32)
     return (np.arange(n) % 7 - 3).astype(np.float32) * np.float32(0.05)
 
 
 def resident_bytes() -> int:
-    """The resident set of this process."""
+    """Return the resident memory of this process (bytes)."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
 
@@ -115,7 +115,7 @@ class Balls:
             self.solver.step(before, after, None, self.contacts, DT)
 
     def record(self, update: bool = True) -> nova.Tensor:
-        """One training iteration on a new tape; the loss before the update."""
+        """Record one training iteration on a new tape. Return the loss before the update."""
         with nova.Tape(leaf_gradients_only=self.mode == "leaves") as tape:
             self.simulate()
             final = diff.state_particle_q_tensor(self.last)
@@ -131,7 +131,7 @@ class Balls:
         return loss
 
     def iterate(self) -> None:
-        """One training iteration."""
+        """Run one training iteration."""
         if self.graph is not None:
             self.graph.launch()
         else:
@@ -142,7 +142,7 @@ class Balls:
         self.velocity.assign(self.start)
 
     def gradient(self, velocity: np.ndarray) -> np.ndarray:
-        """The gradient at an initial velocity, outside of the timed iterations."""
+        """Return the gradient at an initial velocity, outside of the timed iterations."""
         self.velocity.assign(velocity)
         self.velocity.zero_grad()
         self.record(update=False)
@@ -215,7 +215,7 @@ def measure(n: int, mode: str, iterations: int, device: str) -> dict[str, object
 
 
 def measure_memory(n: int, mode: str, device: str) -> dict[str, object]:
-    """The memory of the states, and of recording and running backward."""
+    """Measure the memory of the states, and of recording and backward."""
     Balls(1, mode, device, capture=False).record()  # what is made once
     balls = Balls(n, mode, device, capture=False)
     with nova.no_grad():

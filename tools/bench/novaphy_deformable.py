@@ -74,7 +74,7 @@ class Deformable:
             self.graph = capture.graph
 
     def record(self) -> nova.Tensor:
-        """One training iteration on a new tape; the loss before the update."""
+        """Record one training iteration on a new tape. Return the loss before the update."""
         with nova.Tape(leaf_gradients_only=True) as tape:
             if self.scene == "soft_body":
                 count = self.model.tet_count
@@ -97,7 +97,7 @@ class Deformable:
         return loss
 
     def iterate(self) -> None:
-        """One training iteration."""
+        """Run one training iteration."""
         if self.graph is not None:
             self.graph.launch()
         else:
@@ -110,20 +110,20 @@ class Deformable:
             self.graph.prepare()
 
     def loss_value(self) -> float:
-        """The loss of the last iteration, before its update."""
+        """Return the loss of the last iteration, before its update."""
         return self.loss.item()
 
     def positions(self) -> np.ndarray:
-        """The final positions of the last iteration."""
+        """Return the final positions of the last iteration {n, 3} (m)."""
         return self.last.particle_q.numpy()
 
     def elements(self) -> int:
-        """How many tetrahedra or triangles."""
+        """Return the number of tetrahedra or triangles."""
         return self.model.tet_count if self.scene == "soft_body" else self.model.tri_count
 
 
 def facts() -> dict[str, object]:
-    """What the record says of the engine."""
+    """Return the facts about the engine for the record."""
     return {
         "version": novaphy.__version__,
         "threads": novaphy.num_threads(),

@@ -20,7 +20,7 @@ from novaphy import nova
 
 
 def seconds(function: Callable[[], object]) -> float:
-    """The time of one call."""
+    """Return the time (s) of one call."""
     start = time.perf_counter()
     function()
     return time.perf_counter() - start

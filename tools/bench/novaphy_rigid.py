@@ -120,7 +120,7 @@ class Dice:
         self.graph = capture.graph
 
     def step(self) -> None:
-        """One training iteration."""
+        """Run one training iteration."""
         self.graph.launch()
         novaphy.synchronize(self.model.device)
 
@@ -130,7 +130,7 @@ class Dice:
 
 
 def make(scene: str, n: int, turn: float, factor: float, device: str) -> Boxes | Dice:
-    """The scene of a name."""
+    """Make the scene of a name."""
     return Dice(n, device) if scene == "dice" else Boxes(scene, n, turn, factor, device)
 
 

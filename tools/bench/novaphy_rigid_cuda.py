@@ -57,7 +57,7 @@ def median_time(device: str, repeats: int, run: Callable[[], None]) -> float:
 
 
 def captured(record: Callable[[], None]) -> nova.Graph:
-    """What `record` launches, ready to be replayed."""
+    """Return a graph of the launches of `record`, ready for replays."""
     with nova.ScopedCapture() as capture:
         record()
     # Without prepare(), because the fused kernel of dice does not compile.
@@ -65,7 +65,7 @@ def captured(record: Callable[[], None]) -> nova.Graph:
 
 
 def dice(n: int, device: str, repeats: int) -> dict[str, object]:
-    """A training iteration of dice that fall alone."""
+    """Time a training iteration of dice that do not touch each other."""
     surface = novaphy.ShapeConfig(**DIE)
     one = novaphy.ModelBuilder()
     one.add_ground_plane(cfg=surface)
@@ -99,13 +99,13 @@ def dice(n: int, device: str, repeats: int) -> dict[str, object]:
 
 
 def checksum(values: np.ndarray) -> int:
-    """A number that tells bits apart."""
+    """Return a number that differs if bits differ."""
     words = values.astype(np.float32).view(np.uint32).astype(np.uint64).ravel()
     return int((words * (2 * np.arange(words.size, dtype=np.uint64) + 1)).sum() % (1 << 32))
 
 
 def stack() -> novaphy.ModelBuilder:
-    """A plane, three boxes on each other, and a ball that hits the uppermost."""
+    """Build a plane, three boxes on each other, and a ball that hits the uppermost."""
     surface = novaphy.ShapeConfig(ke=2e4, kd=100.0, kf=200.0, mu=0.5)
     one = novaphy.ModelBuilder()
     one.add_ground_plane(cfg=surface)

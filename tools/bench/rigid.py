@@ -71,7 +71,7 @@ def box_poses(scene: str, n: int, turn: float, factor: float = 1.0) -> np.ndarra
 
 
 def hill_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Of the ground of `mixed`."""
+    """Return the height of the ground of the scene `mixed` (m)."""
     return 0.25 * np.sin(1.3 * x) * np.sin(1.1 * y)
 
 
@@ -115,7 +115,7 @@ def stone() -> tuple[np.ndarray, np.ndarray]:
 
 
 def stiffer(surface: dict[str, float], factor: float) -> dict[str, float]:
-    """The surface with `--stiffer`."""
+    """Return the surface with the stiffness of --stiffer."""
     root = factor**0.5
     return surface | {
         "ke": surface["ke"] * factor,
@@ -131,10 +131,10 @@ class Scene(Protocol):
     """Simulated time of a step, s."""
 
     def step(self) -> None:
-        """One step, finished when it returns."""
+        """Run one step, which is finished when the call returns."""
 
     def contacts(self) -> np.ndarray:
-        """Depths of all contacts, {count}; negative where they do not touch."""
+        """Return the depths of all contacts {count} (m); negative: the surfaces are apart."""
 
 
 class PenaltyBoxes:
@@ -203,7 +203,7 @@ def measure(
 
 
 def run(doc: str, engine: str, make: Callable[..., Scene], scenes: tuple[str, ...]) -> None:
-    """The command line of all programs. make(scene, n, turn, factor, device) gives a scene."""
+    """Run the command line of all programs. make(scene, n, turn, factor, device) makes a scene."""
     parser = argparse.ArgumentParser(
         description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -68,7 +68,7 @@ class Worker:
 
 
 def read_options(description: str) -> argparse.Namespace:
-    """The command line of a program that goes through collections, or is its own worker."""
+    """Read the command line of a program that runs over collections, or is its own worker."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--kind", choices=("mjcf", "urdf"), default="mjcf")

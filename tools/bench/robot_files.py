@@ -88,7 +88,7 @@ def work(task: dict) -> dict:
 
 
 def compare(exact, model, robot) -> dict[str, float]:
-    """The largest differences, of the largest entry; pairs: how many only one has."""
+    """Return the largest relative differences, and the number of pairs that only one engine has."""
     import mujoco
     import numpy as np
 
@@ -306,7 +306,7 @@ def worker() -> None:
 
 
 def reason(text: str) -> str:
-    """An error without its names and numbers."""
+    """Return an error message without its names and numbers."""
     text = re.sub(r"^\w+: (add_\w+: )?", "", text)
     text = re.sub(r"^\S*:\d+: ", "", text)
     text = re.sub(r'name="[^"]*"|"[^"]*"|/\S+', "…", text)

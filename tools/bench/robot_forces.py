@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def note_forces(exact, data, model, robot, state, change, coordinates, note) -> None:
-    """The forces of springs, dampers, actuators and gravity compensation."""
+    """Note the forces of springs, dampers, actuators and gravity compensation."""
     import numpy as np
 
     import novaphy
@@ -50,7 +50,7 @@ def note_forces(exact, data, model, robot, state, change, coordinates, note) -> 
 
 
 def dragged(exact, data, model, state, change, dt=0.125):
-    """The forces of the fluid on dofs, by a step with the fluid and a step without."""
+    """Return the forces of the fluid on dofs: the difference of steps with and without fluid."""
     import mujoco
     import numpy as np
 
@@ -79,7 +79,7 @@ def dragged(exact, data, model, state, change, dt=0.125):
 
 
 def note_accelerations(model, state, change, drift, full, bias, draw, note) -> None:
-    """Of random forces, in parts of what float32 and the condition of the mass matrix allow."""
+    """Note accelerations under random forces, relative to the error that float32 allows."""
     import numpy as np
 
     import novaphy
@@ -92,7 +92,9 @@ def note_accelerations(model, state, change, drift, full, bias, draw, note) -> N
 
 
 def turn_between(start, end):
-    """The rotation vector from one quaternion to another, xyzw, at most half a turn long."""
+    """Return the rotation vector (rad) from one quaternion to another (xyzw), at most half a
+    turn.
+    """
     import numpy as np
 
     v, w, a, b = end[:3], end[3], -start[:3], start[3]
@@ -103,7 +105,7 @@ def turn_between(start, end):
 
 
 def moments(model, state):
-    """What a force of 1 of each actuator is for the dofs, {actuators, dofs}: its rates."""
+    """Return the forces on dofs {actuators, dofs} by a force of 1 of each actuator."""
     import numpy as np
 
     import novaphy
@@ -129,7 +131,7 @@ def moments(model, state):
 
 
 def lifted(model, state):
-    """The forces of dofs that gravity compensation is: the bias of masses gravcomp * mass."""
+    """Return the forces of gravity compensation on dofs: the bias of masses gravcomp * mass."""
     import novaphy
 
     mass, rates = model.body_mass.numpy(), state.joint_qd.numpy()

@@ -82,7 +82,7 @@ def worker() -> None:
 
 
 def table(rows: list[dict], kind: str) -> None:
-    """Of the files that NovaPhy and the other engine load."""
+    """Print the table of the files that NovaPhy and the other engine load."""
     print(
         "| engine | files that both load | NovaPhy | the other one | ratio of sums | of medians |"
     )

@@ -66,7 +66,7 @@ def compare_urdf(exact, model, robot) -> dict[str, float]:
 
 
 def moved(pose, inside):
-    """The place of a frame of a body (xyzw)."""
+    """Return the pose of a frame of a body (xyzw)."""
     import numpy as np
 
     v, w, p = pose[3:6], pose[6], inside[:3]

@@ -96,7 +96,7 @@ class Robot:
         self.state, self.after = self.after, self.state
 
     def hinges(self) -> np.ndarray:
-        """The dofs of joints with one degree of freedom."""
+        """Return the dofs of joints with one degree of freedom."""
         starts, dims = self.model.joint_qd_start.numpy(), self.model.joint_dof_dim.numpy()
         return starts[:-1][dims.sum(axis=1) == 1]
 
@@ -105,7 +105,7 @@ class Robot:
 
 
 def overlaps_of(pipeline, state, contacts) -> int:
-    """How many pairs the warning of the first collide counts."""
+    """Return the number of pairs in the warning of the first collide."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         pipeline.collide(state, contacts)
@@ -148,7 +148,7 @@ def in_the_air(path: Path, folder: Path) -> dict[str, float]:
 
 
 def is_arm(robot: Robot) -> bool:
-    """Whether less than two joints hang on what the root is welded to."""
+    """Return whether fewer than two joints have a parent that is welded to the root."""
     model = robot.model
     parent, child = model.joint_parent.numpy(), model.joint_child.numpy()
     fixed = model.joint_type.numpy() == int(novaphy.JointType.FIXED)
@@ -204,7 +204,7 @@ def standing(path: Path, folder: Path) -> dict[str, float]:
 
 
 def lowest_point(robot: Robot) -> float:
-    """Of the boxes of its colliding shapes (m)."""
+    """Return the lowest point of the boxes of colliding shapes (m)."""
     model, poses = robot.model, robot.state.body_q.numpy().astype(float)
     lowest = 0.0
     colliding = model.shape_flags.numpy() & int(novaphy.ShapeFlags.COLLIDE_SHAPES)
@@ -288,7 +288,7 @@ def measure(path: Path, folder: Path, names: list[str]) -> dict[str, object]:
 
 
 def in_a_process(path: Path, folder: Path, names: list[str], seconds: float) -> dict[str, object]:
-    """A robot that takes too long, or ends the process, is a note in its row."""
+    """Measure a robot in an own process. A timeout or crash becomes a note in the row."""
     context = multiprocessing.get_context("fork")
     here, there = context.Pipe(duplex=False)
     worker = context.Process(target=lambda: there.send(measure(path, folder, names)))

@@ -61,7 +61,7 @@ Record = dict[str, object]
 
 
 def measure(column: str, scene: str, n: int, steps: int) -> Record:
-    """One measurement."""
+    """Run one measurement."""
     engine, mode, threads = COLUMNS[column]
     iterations = 9 if engine == "novaphy" else 2
     options = ["--scene", scene, "--n", n, "--mode", mode, "--steps", steps]
@@ -70,7 +70,7 @@ def measure(column: str, scene: str, n: int, steps: int) -> Record:
 
 
 def jobs() -> list[Job]:
-    """All that is timed."""
+    """Return all measurements."""
     return [
         (column, scene, n, steps)
         for scene, sizes in SIZES.items()
@@ -81,7 +81,7 @@ def jobs() -> list[Job]:
 
 
 def fastest() -> dict[Job, Record]:
-    """Of each measurement, the record with the smallest median."""
+    """Return the record with the smallest median of each measurement."""
     best: dict[Job, Record] = {}
     for turn in range(TURNS):
         for job in jobs():
@@ -94,7 +94,7 @@ def fastest() -> dict[Job, Record]:
 
 
 def check_bits() -> str:
-    """The hash of the final positions of the example, which must be one."""
+    """Return the hash of the final positions of the example. All runs must agree."""
     columns = ("Newton, shipped", "NovaPhy")
     steps = STEPS["soft_body"]
     hashes = {c: str(measure(c, "soft_body", 2, steps)["result_hash"]) for c in columns}

@@ -39,7 +39,7 @@ Record = dict[str, object]
 
 
 def run(python: Path | str, script: str, arguments: list[object], limit: float | None) -> Record:
-    """The record of a program's last line; `failed` tells why there is none."""
+    """Return the record of a program's last line. `failed` has the reason if there is none."""
     command = [str(python), str(BENCH / script), *map(str, arguments)]
     threads = 1 if script == "large_worlds.py" else 0
     try:
@@ -57,12 +57,12 @@ def run(python: Path | str, script: str, arguments: list[object], limit: float |
 
 
 def cell(record: Record, key: str) -> str:
-    """A time, or why there is none."""
+    """Return a time as text, or the reason why there is none."""
     return duration(float(record[key])) if key in record else str(record["failed"])
 
 
 def measure(n: int, limit: float) -> dict[str, Record]:
-    """The columns of n boxes, by engine."""
+    """Return the records of n boxes, by engine."""
     options = ["--scene", "columns", "--n", n]
     records = {NOVAPHY: run(sys.executable, "novaphy_rigid_cuda.py", options, limit)}
     for name, phase in PEERS.items():
@@ -117,7 +117,7 @@ def table(results: dict[int, dict[str, Record]], key: str) -> str:
 
 
 def gpu_name() -> str:
-    """The name of the first GPU."""
+    """Return the name of the first GPU."""
     if shutil.which("nvidia-smi") is None:
         return "none"
     query = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]

@@ -85,7 +85,7 @@ COPY_BYTES = 256 << 20
 
 
 def python_of(engine: str) -> Path | str:
-    """The Python that has an engine; a virtual environment of a peer is made once."""
+    """Return an engine's Python. The virtual environment of a peer is made once."""
     if engine not in REQUIREMENTS:
         return sys.executable
     venv, wanted = VENVS / engine, f"{sys.version} {REQUIREMENTS[engine]}"
@@ -131,7 +131,7 @@ def free_memory() -> int:
 
 
 def measure(column: str, n: int, iterations: int) -> dict[str, object]:
-    """One measurement of a column of the table; `skipped` tells why there is none."""
+    """Run one measurement of a column of the table. `skipped` has the reason if there is none."""
     engine, mode, threads = COLUMNS[column]
     needed = NEEDED_BYTES.get(engine, NEEDED_BYTES.get(mode, 0)) * n * SUBSTEPS
     if needed > free_memory():
@@ -141,7 +141,7 @@ def measure(column: str, n: int, iterations: int) -> dict[str, object]:
 
 
 def check_losses() -> tuple[float, dict[str, str]]:
-    """The loss of the first iteration of one ball, which must agree, and the versions by engine."""
+    """Return the first loss of one ball, on which all engines must agree, and the versions."""
     records = {column: measure(column, 1, 1) for column in COLUMNS}
     losses = {c: float(r["loss"]) for c, r in records.items() if "skipped" not in r}
     exact = {loss for c, loss in losses.items() if COLUMNS[c][0] in SAME_BITS}
@@ -153,7 +153,7 @@ def check_losses() -> tuple[float, dict[str, str]]:
 
 
 def check_hashes(records: list[dict[str, object]]) -> bool:
-    """Whether Newton's final positions and gradient are NovaPhy's, which are one in all modes."""
+    """Return whether Newton's final positions and gradient are NovaPhy's in all modes."""
     ran = [r for r in records if "result_hash" in r]
     hashes = {e: {r["result_hash"] for r in ran if r["engine"] == e} for e in SAME_BITS}
     if len(hashes["novaphy"]) > 1:
@@ -198,17 +198,17 @@ class Results:
 
     @staticmethod
     def medians(records: dict[str, list[dict[str, object]]], key: str) -> dict[str, float]:
-        """Of a number over the rounds, by column."""
+        """Return the medians of a number over the rounds, by column."""
         return {c: statistics.median(float(r[key]) for r in rs) for c, rs in records.items() if rs}
 
     def cell(self, n: int, column: str) -> str:
-        """The time of an iteration, or why there is none."""
+        """Return the time of an iteration as text, or the reason why there is none."""
         if column in self.skipped[n]:
             return self.skipped[n][column]
         return duration(self.seconds[n][column])
 
     def ratio(self, n: int, slow: str, fast: str) -> str:
-        """How many times faster one column is than another."""
+        """Return as text how many times faster one column is than another."""
         times = self.seconds[n]
         return f"{times[slow] / times[fast]:.3g}" if slow in times and fast in times else "–"
 
@@ -250,7 +250,7 @@ def instructions(mode: str) -> str:
 
 
 def cpu_name() -> str:
-    """The processor's name."""
+    """Return the name of the processor."""
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         if line.startswith("model name"):
             return line.split(":", 1)[1].strip()
@@ -258,7 +258,7 @@ def cpu_name() -> str:
 
 
 def machine() -> Iterator[tuple[str, str]]:
-    """What the numbers were measured on."""
+    """Yield facts about the machine of the measurements."""
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     yield "processor", f"{cpu_name()}, {len(os.sched_getaffinity(0))} CPUs used"
     yield "memory", f"{memory:.0f} GiB"
@@ -267,12 +267,12 @@ def machine() -> Iterator[tuple[str, str]]:
 
 
 def duration(seconds: float) -> str:
-    """Seconds with three digits."""
+    """Return a duration as text with three digits."""
     return f"{seconds:.3g} s" if seconds >= 1 else f"{seconds * 1e3:.3g} ms"
 
 
 def rows(header: list[str], body: list[list[str]]) -> str:
-    """A Markdown table."""
+    """Return a Markdown table."""
     lines = [header, ["---"] * len(header), *body]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
@@ -295,7 +295,7 @@ def memory_of(record: dict[str, object]) -> tuple[float, float, float]:
 
 
 def bytes_text(count: float) -> str:
-    """A number of bytes with one decimal."""
+    """Return a number of bytes as text with one decimal."""
     return f"{count:.1f}"
 
 
@@ -310,7 +310,7 @@ def page(
     callgrind: dict[str, str],
     rounds: int,
 ) -> str:
-    """docs/performance.md."""
+    """Return the text of docs/performance.md."""
     sizes = list(results.seconds)
     by_size = [f"N = {n:,}" for n in sizes]
     times = [[c, *(results.cell(n, c) for n in sizes)] for c in COLUMNS]

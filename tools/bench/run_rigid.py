@@ -44,7 +44,7 @@ Record = dict[str, object]
 
 
 def race(engines: list[str], arguments: list[object], turns: int = TURNS) -> dict[str, Record]:
-    """Of several turns, in which the engines alternate, the record of each with the least time."""
+    """Run engines in alternating turns. Return the record of each with the least time."""
     records: dict[str, list[Record]] = {engine: [] for engine in engines}
     for _ in range(turns):
         for engine in engines:
@@ -57,12 +57,12 @@ def race(engines: list[str], arguments: list[object], turns: int = TURNS) -> dic
 
 
 def best(engine: str, arguments: list[object], turns: int = TURNS) -> Record:
-    """Of several turns, the record with the least time."""
+    """Run several turns. Return the record with the least time."""
     return race([engine], arguments, turns)[engine]
 
 
 def cells(scene: str, name: str, record: Record) -> list[str]:
-    """A row of the table of forward scenes."""
+    """Return a row of the table of forward scenes."""
     step = float(record["cpu_median_s"])
     return [
         scene,

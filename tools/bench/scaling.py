@@ -34,7 +34,7 @@ FEATURES = 4
 
 
 def boxes() -> novaphy.ModelBuilder:
-    """A plane, three boxes and a ball."""
+    """Build a plane, three boxes and a ball."""
     builder = novaphy.ModelBuilder()
     builder.add_ground_plane()
     for k in range(3):
@@ -45,7 +45,7 @@ def boxes() -> novaphy.ModelBuilder:
 
 
 def cloth() -> novaphy.ModelBuilder:
-    """A sheet of 64 particles that hangs at one edge."""
+    """Build a sheet of 64 particles that hangs from one edge."""
     builder = novaphy.ModelBuilder()
     builder.add_cloth_grid(
         pos=(0, 0, 1), rot=(0, 0, 0, 1), vel=(0, 0, 0), dim_x=7, dim_y=7, cell_x=0.05, cell_y=0.05,
@@ -98,7 +98,7 @@ KINDS = {
 
 
 def solver_of(model: novaphy.Model) -> solvers.DiffSolverBase:
-    """The differentiable solver of a scene."""
+    """Return the differentiable solver of a scene."""
     if model.joint_dof_count:
         # The contacts of a few of thousands of random starts do not converge.
         return solvers.DiffFeatherstoneSolver(
@@ -110,7 +110,7 @@ def solver_of(model: novaphy.Model) -> solvers.DiffSolverBase:
 
 
 def ends_of(model: novaphy.Model, path: diff.Trajectory) -> tuple[nova.Tensor, nova.Tensor]:
-    """The rates at the start, and what the loss reads of the end."""
+    """Return the rates at the start, and the end that the loss reads."""
     first, last = path[0], path[path.steps]
     if model.joint_dof_count:
         return diff.state_joint_qd_tensor(first), diff.state_joint_q_tensor(last)
@@ -120,7 +120,7 @@ def ends_of(model: novaphy.Model, path: diff.Trajectory) -> tuple[nova.Tensor, n
 
 
 def median_of(function, repeats: int) -> float:
-    """The median of the seconds of some calls."""
+    """Return the median time (s) of some calls."""
     times = []
     for _ in range(repeats):
         begin = time.perf_counter()
@@ -130,7 +130,7 @@ def median_of(function, repeats: int) -> float:
 
 
 def devices_of(args: argparse.Namespace, group: dist.Group) -> list[str]:
-    """The devices of this rank."""
+    """Return the devices of this rank."""
     if args.device != ["cuda"]:
         return args.device
     return [f"cuda:{int(os.environ.get('LOCAL_RANK', group.rank))}"]
@@ -189,7 +189,7 @@ def measure(args: argparse.Namespace, group: dist.Group) -> dict[str, object]:
 
 
 def reductions(args: argparse.Namespace, group: dist.Group) -> list[dict[str, object]]:
-    """The time of the sum alone, for 1e3 to 1e7 parameters."""
+    """Time the sum over ranks alone, for 1e3 to 1e7 parameters."""
     lines: list[dict[str, object]] = []
     empty = novaphy.ModelBuilder()
     empty.add_particle((0, 0, 0), (0, 0, 0), 1.0)
@@ -202,7 +202,7 @@ def reductions(args: argparse.Namespace, group: dist.Group) -> list[dict[str, ob
 
 
 def lines_of(args: argparse.Namespace) -> list[dict[str, object]]:
-    """What one rank measured."""
+    """Return the measurements of one rank."""
     group = dist.init()
     lines = reductions(args, group) if args.reduction else [measure(args, group)]
     group.close()

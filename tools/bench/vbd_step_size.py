@@ -27,7 +27,7 @@ CLOTH = {
 
 
 def make_model():
-    """The cloth."""
+    """Build the cloth."""
     builder = novaphy.ModelBuilder()
     builder.add_cloth_grid(pos=(0.0, 0.0, 1.0), **CLOTH)
     builder.color()

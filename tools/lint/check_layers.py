@@ -101,7 +101,7 @@ INCLUDE = re.compile(r'^\s*#\s*include\s*(?:"([^"]+)"|<([^>]+)>)')
 
 
 def by_name(layer: str, name: str) -> str:
-    """The layer of a file of a library, by the name of the file."""
+    """Return the layer of a library's file by its name."""
     if layer in ("collision", "dynamics", "vbd") and name.endswith(("_trace.h", "_law.h")):
         return "formula"
     if layer in ("collision", "dynamics", "vbd") and name.endswith("_kernels.h"):
@@ -116,7 +116,7 @@ def by_name(layer: str, name: str) -> str:
 
 
 def layer_of_file(path: Path, root: Path) -> str | None:
-    """The layer of a file of the repository; None where every include is allowed."""
+    """Return the layer of a file of the repository; None: every include is allowed."""
     relative = path.relative_to(root).as_posix()
     for folder in sorted(FOLDERS, key=len, reverse=True):
         if relative.startswith(folder + "/"):
@@ -125,7 +125,7 @@ def layer_of_file(path: Path, root: Path) -> str | None:
 
 
 def layer_of_include(text: str, quoted: bool, path: Path, root: Path) -> str | None:
-    """The layer an include leads to; None: a system header or a private file of the library."""
+    """Return the layer of an include; None: a system header or a private file of the library."""
     parts = text.split("/")
     if parts[0] == "novaphy" and len(parts) > 2:
         if parts[1:3] in (["collision", "geometry"], ["dynamics", "articulation"]):
@@ -141,7 +141,7 @@ def layer_of_include(text: str, quoted: bool, path: Path, root: Path) -> str | N
 
 
 def check_file(path: Path, root: Path) -> list[str]:
-    """The faults of one file."""
+    """Return the faults of one file."""
     layer = layer_of_file(path, root)
     if layer is None:
         return []
@@ -168,7 +168,7 @@ def check_file(path: Path, root: Path) -> list[str]:
 
 
 def sources(root: Path) -> list[Path]:
-    """All C and C++ files of the layered folders."""
+    """Return all C and C++ files of the layered folders."""
     top = sorted({folder.split("/")[0] for folder in FOLDERS})
     return sorted(p for t in top for p in (root / t).rglob("*") if p.suffix in SUFFIXES)
 

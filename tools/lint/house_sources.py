@@ -47,7 +47,7 @@ class Source:
 
 
 def blank(found: re.Match[str]) -> str:
-    """What stands for a comment or a string."""
+    """Return the replacement of a comment or a string."""
     text = found.group()
     breaks = "\n" * text.count("\n")
     if text.startswith(("//", "/*", "#")):
@@ -56,13 +56,13 @@ def blank(found: re.Match[str]) -> str:
 
 
 def blank_python(found: re.Match[str]) -> str:
-    """What stands for a comment or a string of Python."""
+    """Return the replacement of a comment or a string of Python."""
     text = found.group()
     return ("" if text.startswith("#") else '""') + "\n" * text.count("\n")
 
 
 def without_docstrings(text: str, tree: ast.Module) -> str:
-    """The lines of a Python file, those of docstrings empty."""
+    """Return the lines of a Python file, with empty lines for docstrings."""
     lines = text.split("\n")
     for node in ast.walk(tree):
         if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
@@ -79,7 +79,7 @@ def without_docstrings(text: str, tree: ast.Module) -> str:
 
 
 def read_sources(root: Path) -> list[Source]:
-    """The sources of all rooms."""
+    """Return the sources of all rooms."""
     sources = []
     for path in sorted(
         p for room in ROOMS for p in (root / room).rglob("*") if p.suffix in SUFFIXES
@@ -108,7 +108,7 @@ FUNCTION_NAME = re.compile(r"(operator\s*[^\s\w(]+|operator\(\)|~?\w+)\s*\(")
 
 
 def without_nested(text: str, opening: str, closing: str) -> str:
-    """The text outside of the outermost pairs of brackets; each pair stays, empty."""
+    """Return the text with empty outermost pairs of brackets."""
     kept, depth = [], 0
     for c in text:
         if c == closing and depth:
@@ -121,7 +121,7 @@ def without_nested(text: str, opening: str, closing: str) -> str:
 
 
 def without_template(head: str) -> str:
-    """A declaration without `template <...>` before it."""
+    """Return a declaration without a leading `template <...>`."""
     while found := re.match(r"\s*template\s*(?=<)", head):
         end, depth = found.end(), 0
         while end < len(head):
@@ -134,7 +134,7 @@ def without_template(head: str) -> str:
 
 
 def opens(head: str) -> str:
-    """What the brace behind `head` opens: a scope, a function, a value or another block."""
+    """Return what the brace after `head` opens: a scope, a function, a value or another block."""
     text = without_template(head)
     if text.count("(") > text.count(")"):
         return "value"  # of an argument

@@ -112,7 +112,7 @@ KINDS = {
 
 
 def files_of_kinds(sources: list[Source]) -> Counts:
-    """The number of files that name one kind; demos and benchmarks may."""
+    """Count the files that name each kind, without demos and benchmarks."""
     found = {}
     for kind, pattern in KINDS.items():
         compiled = re.compile(pattern)

@@ -161,7 +161,7 @@ def friction() -> Scene:
 
 
 def tilted_shapes() -> list[Shape]:
-    """A box, a plane, a capsule and a sphere, all rotated, with margins and different materials."""
+    """Return a rotated box, plane, capsule and sphere, with margins and different materials."""
     return [
         Shape(
             BOX,
@@ -234,7 +234,7 @@ def tilted() -> Scene:
 
 
 def tilted_regenerated() -> Scene:
-    """As `tilted`, with fresh contacts in every substep."""
+    """Return the scene `tilted` with contacts that are found in every substep."""
     return replace(tilted(), regenerate=True)
 
 
@@ -280,10 +280,10 @@ def box_interior() -> Scene:
 
 
 def box_interior_regenerated() -> Scene:
-    """As `box_interior`, with fresh contacts in every substep.
+    """Return the scene `box_interior` with contacts that are found in every substep.
 
-    The gradient is that of Newton's rules. At ties and on the surface (particles 6 to 17) it does
-    not agree with finite differences; a length of zero, for one, passes no gradient on.
+    The gradient is that of Newton's rules. At ties and on the surface (particles 6 to 17) the
+    gradient differs from finite differences. For example, a length of zero passes no gradient on.
     """
     return replace(box_interior(), regenerate=True)
 
@@ -436,10 +436,10 @@ def sphere_capsule() -> Scene:
 
 
 def sphere_capsule_regenerated() -> Scene:
-    """As `sphere_capsule`, with fresh contacts in every substep.
+    """Return the scene `sphere_capsule` with contacts that are found in every substep.
 
-    The gradient is that of Newton's rules. At and near the center and axis (particles 0, 2, 7 to 9
-    and 12 to 14) it does not agree with finite differences.
+    The gradient is that of Newton's rules. At and near the center and the axis (particles 0, 2, 7
+    to 9 and 12 to 14) the gradient differs from finite differences.
     """
     return replace(sphere_capsule(), regenerate=True)
 
@@ -471,7 +471,7 @@ def loss_kernel(q: wp.array[wp.vec3], target: wp.vec3, loss: wp.array[float]):
 
 
 def build(scene: Scene) -> newton.Model:
-    """The finalized model of a scene."""
+    """Return the finalized model of a scene."""
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     for p in scene.particles:
         builder.add_particle(p.q, p.qd, p.mass, p.radius, p.flags)
@@ -498,7 +498,7 @@ def build(scene: Scene) -> newton.Model:
 
 
 def model_arrays(model: newton.Model) -> dict[str, np.ndarray]:
-    """The model data that are needed to build the scene again."""
+    """Return the arrays of a model that rebuild its scene."""
     arrays = {"model_gravity": model.gravity.numpy()[0]}
     particle = ["q", "qd", "mass", "inv_mass", "radius", "flags"]
     shape = ["type", "body", "flags", "margin", "transform", "scale"]
@@ -513,7 +513,7 @@ def model_arrays(model: newton.Model) -> dict[str, np.ndarray]:
 
 
 def contact_arrays(contacts: newton.Contacts) -> dict[str, np.ndarray]:
-    """The used rows of the contact buffers."""
+    """Return the used rows of the contact buffers."""
     count = int(contacts.soft_contact_count.numpy()[0])
     arrays = {"contact_count": np.int32([count])}
     for name in ("particle", "shape", "body_pos", "body_vel", "normal"):

@@ -61,13 +61,13 @@ class Types:
 
     @staticmethod
     def found(table: dict[str, Any], key: str) -> Any:
-        """The entry of a name, or of the first pattern that matches the name."""
+        """Return the entry of a name, or of the first pattern that matches the name."""
         if key in table:
             return table[key]
         return next((v for k, v in table.items() if "*" in k and fnmatch.fnmatch(key, k)), None)
 
     def argument(self, key: str, parameter: Parameter, returns: str) -> str:
-        """The type of an argument of the function `key`."""
+        """Return the type of an argument of the function `key`."""
         rule = (self.found(self.functions, key) or {}).get(parameter.name)
         if rule is None and ANYTHING in re.findall(r"\w+", parameter.type):
             rule = self.arguments.get(parameter.name)
@@ -82,12 +82,12 @@ class Types:
         return text
 
     def returned(self, key: str, signature: Signature) -> str:
-        """What a function returns."""
+        """Return the type that a function returns."""
         return (self.found(self.functions, key) or {}).get("return", signature.returns)
 
 
 def doc_lines(doc: str, indent: str) -> list[str]:
-    """A docstring in the width of a stub; nothing for none."""
+    """Return the lines of a docstring in the width of a stub; an empty list for no docstring."""
     if not doc:
         return []
     doc = doc.replace("\\", "\\\\").replace('"""', '\\"\\"\\"')
@@ -123,7 +123,7 @@ class ModuleWriter:
         return ".".join(filter(None, (self.module.name, *names)))
 
     def type(self, text: str) -> str:
-        """A type in the scope of the present class, whose members may hide a class."""
+        """Return a type in the scope of the present class, whose members may hide a class."""
         for name in sorted(self.members & self.homes.keys()):
             # Not the name of an argument, which a colon follows.
             text, count = re.subn(rf"(?<![\w.\"']){name}\b(?!\s*:)", f"_{name}", text)
@@ -132,14 +132,14 @@ class ModuleWriter:
         return self.known(text)
 
     def known(self, text: str) -> str:
-        """A text with Any for classes that this build, or the module, does not have."""
+        """Return a text with Any for classes that this build or the module does not have."""
         for name in set(re.findall(r"(?<![\w.\"'])[A-Z]\w*\b(?!\s*:)", text)):
             if name not in self.homes and name not in OTHERS:
                 text = re.sub(rf"(?<![\w.\"']){name}\b(?!\s*:)", ANYTHING, text)
         return text
 
     def write(self) -> str:
-        """The text of the file."""
+        """Return the text of the file."""
         for item in self.module.content:
             if isinstance(item, Class):
                 self.class_(item)
@@ -153,7 +153,7 @@ class ModuleWriter:
         return self.head() + "\n".join(self.lines) + "\n"
 
     def head(self) -> str:
-        """The docstring, the imports that the text needs, and the aliases."""
+        """Return the docstring, the imports that the text needs, and the aliases."""
         name = ".".join(filter(None, ("novaphy._core", self.module.name)))
         preamble = self.types.preamble.get(self.module.name or "core", "")
         preamble = "\n".join(
@@ -202,7 +202,7 @@ class ModuleWriter:
         return lines
 
     def class_(self, item: Class) -> None:
-        """A class."""
+        """Write a class."""
         self.members = {member.name for member in item.members}
         bases = ", ".join(item.bases or ["_Native"])
         self.lines += ["", f"class {item.name}({bases}):"]
@@ -226,7 +226,7 @@ class ModuleWriter:
         self.members = set()
 
     def attribute(self, member: Attribute) -> None:
-        """A value of a class."""
+        """Write a value of a class."""
         if member.value is None:
             hidden = "  # type: ignore[assignment]" if member.name == "__hash__" else ""
             self.lines.append(f"    {member.name}: None{hidden}")
@@ -236,7 +236,9 @@ class ModuleWriter:
             self.lines.append(f"    {member.name}: {type(member.value).__name__}")
 
     def property_(self, item: Property, owner: Class) -> None:
-        """A property, as an attribute where the same type is read and written."""
+        """Write a property; one that is read and written with the same type becomes an
+        attribute.
+        """
         rule = Types.found(self.types.properties, self.key(owner.name, item.name))
         if isinstance(rule, str):
             rule = {"read": rule}
@@ -264,7 +266,7 @@ class ModuleWriter:
             self.lines.append(f"    def {name}(self, value: {self.type(written)}) -> None: ...")
 
     def function(self, item: Function, indent: str, owner: Class | None) -> None:
-        """A function with its overloads; the first one has the documentation."""
+        """Write a function with its overloads. The first overload has the documentation."""
         if keyword.iskeyword(item.name):
             return
         key = self.key(owner.name if owner else "", item.name)
@@ -291,7 +293,7 @@ class ModuleWriter:
                 self.lines += doc_lines(item.doc, indent + "    ")
 
     def signature(self, name: str, signature: Signature, first: str) -> str:
-        """`(self, x: T) -> R` on one line."""
+        """Return the signature `(self, x: T) -> R` on one line."""
         parts = [first] if first else []
         operator = name.startswith("__") and name != "__init__"
         slash, star = False, False
@@ -318,7 +320,7 @@ class ModuleWriter:
 
     @staticmethod
     def definition(name: str, text: str, indent: int) -> list[str]:
-        """The lines of a `def`, one argument a line where one line is too long."""
+        """Return the lines of a `def`, with one argument a line if one line is too long."""
         line = f"def {name}{text}:"
         if len(line) + indent + 4 <= WIDTH:
             return [line]

@@ -91,7 +91,7 @@ def load(path: Path, package: str = "novaphy") -> types.ModuleType:
 
 
 def read_modules(module: types.ModuleType) -> list[Module]:
-    """A module and its submodules."""
+    """Return a module and its submodules."""
     found = [read_module(module, "")]
     for name in found[0].submodules:
         found.append(read_module(getattr(module, name), name))
@@ -99,7 +99,7 @@ def read_modules(module: types.ModuleType) -> list[Module]:
 
 
 def read_module(module: types.ModuleType, name: str) -> Module:
-    """The content of one module."""
+    """Return the content of one module."""
     found = Module(name, (module.__doc__ or "").strip())
     for key, value in vars(module).items():
         if key.startswith("__"):
@@ -116,7 +116,7 @@ def read_module(module: types.ModuleType, name: str) -> Module:
 
 
 def read_class(name: str, value: type) -> Class:
-    """A class with its own members."""
+    """Return a class with its own members."""
     if issubclass(value, enum.Enum):
         base = next(b for b in (enum.IntFlag, enum.IntEnum, enum.Enum) if issubclass(value, b))
         found = Class(name, [f"enum.{base.__name__}"], (value.__doc__ or "").strip())
@@ -151,7 +151,7 @@ def read_member(owner: Class, key: str, member: Any) -> None:
 
 
 def read_property(key: str, member: property) -> Property:
-    """A property by the signatures of its functions."""
+    """Return a property from the signatures of its functions."""
     read = accessor(member.fget)
     getter = read.overloads[0].returns if read.overloads else ANYTHING
     setter = None
@@ -162,7 +162,7 @@ def read_property(key: str, member: property) -> Property:
 
 
 def accessor(function: Any) -> Function:
-    """The function of a property, whose signature has no name."""
+    """Return the function of a property, whose signature has no name."""
     doc = (getattr(function, "__doc__", None) or "").lstrip()
     return parse_docstring("f", f"f{doc}" if doc.startswith("(") else doc)
 

@@ -60,7 +60,7 @@ class Function:
 
 
 def shortest(value: float) -> str:
-    """The shortest text of a number that is the same float32."""
+    """Return the shortest text of a number with the same float32."""
     try:
         bits = struct.pack("<f", value)
     except OverflowError:  # no float32 at all
@@ -75,7 +75,7 @@ def shortest(value: float) -> str:
 
 
 def default_text(node: ast.expr) -> str:
-    """A default as a stub writes it; `...` for what is no literal."""
+    """Return a default as a stub writes it; `...` for a value that is no literal."""
     if isinstance(node, ast.Tuple | ast.List):
         parts = [default_text(item) for item in node.elts]
         if any(part == "..." for part in parts):
@@ -96,7 +96,7 @@ def default_text(node: ast.expr) -> str:
 
 
 def dotted(node: ast.expr) -> str:
-    """`a.b.c` of a name, else an empty text."""
+    """Return `a.b.c` of a name, else an empty text."""
     if isinstance(node, ast.Name):
         return node.id
     if isinstance(node, ast.Attribute):
@@ -106,7 +106,7 @@ def dotted(node: ast.expr) -> str:
 
 
 def union_members(node: ast.expr) -> list[ast.expr]:
-    """The types that a union joins."""
+    """Return the types that a union joins."""
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitOr):
         return union_members(node.left) + union_members(node.right)
     if isinstance(node, ast.Subscript) and dotted(node.value) in ("typing.Union", "Union"):
@@ -118,7 +118,7 @@ def union_members(node: ast.expr) -> list[ast.expr]:
 
 
 def join_types(types: list[str]) -> str:
-    """The union of types, each once, None last."""
+    """Return the union of types, each once, with None last."""
     found = list(dict.fromkeys(part for text in types for part in split_union(text)))
     if ANYTHING in found:
         return ANYTHING
@@ -130,7 +130,7 @@ def join_types(types: list[str]) -> str:
 
 
 def split_union(text: str) -> list[str]:
-    """The members of a union that stand outside of brackets."""
+    """Return the members of a union outside of brackets."""
     parts, depth, begin = [], 0, 0
     for place, letter in enumerate(text):
         depth += (letter in "[(") - (letter in "])")
@@ -141,7 +141,7 @@ def split_union(text: str) -> list[str]:
 
 
 def stub_type(node: ast.expr | None, argument: bool) -> str:
-    """The type of a stub for one of pybind11."""
+    """Return the type of a stub for a type of pybind11."""
     if node is None:
         return ANYTHING
     return join_types([_one_type(member, argument) for member in union_members(node)])
@@ -189,7 +189,7 @@ def _subscript(node: ast.Subscript, argument: bool) -> str:
 
 
 def parse_signature(text: str) -> Signature | None:
-    """One line of pybind11, `name(self: T, x: T = 0) -> T`; None for another text."""
+    """Parse a line of pybind11, `name(self: T, x: T = 0) -> T`; None: another text."""
     text = re.sub(r"= <[^>]*>+", "= ...", text).replace("::", ".")
     try:
         node = ast.parse(f"def {text}: ...").body[0]
@@ -225,7 +225,7 @@ def _parameter(arg: ast.arg, kind: str, default: ast.expr | None) -> Parameter:
 
 
 def parse_docstring(name: str, doc: str) -> Function:
-    """The signatures and the documentation that pybind11 wrote for a function."""
+    """Return the signatures and the documentation that pybind11 wrote for a function."""
     head, _, rest = doc.partition("\n")
     if rest.startswith("Overloaded function."):
         pieces = re.split(rf"^\d+\. (?={re.escape(name)}\()", rest, flags=re.MULTILINE)[1:]

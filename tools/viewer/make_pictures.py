@@ -85,7 +85,7 @@ def convert(source: Path, target: Path, filters: str, quality: int) -> None:
 
 
 def sentence(path: Path) -> str:
-    """The first line of a demo's text."""
+    """Return the first line of a demo's docstring."""
     return ast.get_docstring(ast.parse(path.read_text("utf-8"))).splitlines()[0]
 
 

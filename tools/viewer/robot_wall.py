@@ -82,7 +82,7 @@ ROBOTS = [
 
 
 def read(folder: Path, package: str, file: str, pose: dict[str, float]) -> novaphy.Model:
-    """The model of a robot on the ground, posed."""
+    """Return the model of a robot in a pose on the ground."""
     builder = novaphy.ModelBuilder()
     path = folder / package / file
     packages = [str(folder / package / "cmeel.prefix" / "share"), str(path.parent.parent)]
@@ -107,7 +107,7 @@ def read(folder: Path, package: str, file: str, pose: dict[str, float]) -> novap
 
 
 def points_of(scene: Scene) -> np.ndarray:
-    """All points {n, 3} of what is shown."""
+    """Return all shown points {n, 3} (m)."""
     found = []
     for item in scene.instances.values():
         mesh = scene.meshes[item.mesh]
@@ -119,7 +119,7 @@ def points_of(scene: Scene) -> np.ndarray:
 
 
 def draw(model: novaphy.Model) -> np.ndarray:
-    """A picture {h, w, 3} of a model on a ground below its lowest point."""
+    """Return a picture {h, w, 3} of a model on a ground below its lowest point."""
     with novaphy.ViewerGL(DRAWN * WIDTH, DRAWN * HEIGHT, headless=True) as viewer:
         viewer.show_text = False
         viewer.set_model(model)

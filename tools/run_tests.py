@@ -412,9 +412,7 @@ def core_only() -> None:
 
 @step
 def io() -> None:
-    """Build and test novaphy::core and novaphy::io, with libraries of the system and of the
-    wheel.
-    """
+    """Build and test novaphy::core and novaphy::io, with libraries of the system and the wheel."""
     build_slice("io")
     build_slice("io-source", folders="io", cases=r"^io\.")
 

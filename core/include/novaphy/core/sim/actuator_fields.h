@@ -27,5 +27,5 @@
   X(actuator_ctrl_range, Vec2f, 1, actuator_count, "1", "", "least and largest control")          \
   X(actuator_force_range, Vec2f, 1, actuator_count, "N or N*m", "", "least and largest force")    \
   X(actuator_act_range, Vec2f, 1, actuator_count, "1", "", "least and largest activation")        \
-  X(ctrl, float, 1, actuator_count, "1", "", "what a control starts from")                        \
+  X(ctrl, float, 1, actuator_count, "1", "", "initial ctrl of a control")                         \
   X(act, float, 1, actuator_state_count, "1", "", "initial activations")

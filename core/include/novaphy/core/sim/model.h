@@ -33,10 +33,10 @@ namespace novaphy {
 // of the same names.
 #define NOVAPHY_MODEL_JOINT_DOF_FIELDS(X)                                                         \
   X(joint_qd, float, 1, joint_dof_count, "m/s or rad/s", "joint", "initial joint velocities")     \
-  X(joint_f, float, 1, joint_dof_count, "N or N*m", "joint", "what a control starts from")        \
+  X(joint_f, float, 1, joint_dof_count, "N or N*m", "joint", "initial forces of a control")       \
   X(joint_target_qd, float, 1, joint_dof_count, "m/s or rad/s", "joint",                          \
-    "velocity targets that a control starts from")                                                \
-  X(joint_act, float, 1, joint_dof_count, "1", "joint", "what a control starts from")             \
+    "initial velocity targets of a control")                                                      \
+  X(joint_act, float, 1, joint_dof_count, "1", "joint", "initial joint_act of a control")         \
   X(joint_armature, float, 1, joint_dof_count, "kg or kg*m^2", "",                                \
     "added to the inertia of the degree of freedom")                                              \
   X(joint_target_ke, float, 1, joint_dof_count, "N/m or N*m/rad", "", "stiffness of the drive")   \
@@ -45,9 +45,9 @@ namespace novaphy {
     "force against the velocity, per velocity")                                                   \
   X(joint_friction, float, 1, joint_dof_count, "N or N*m", "", "largest dry friction")            \
   X(joint_limit_lower, float, 1, joint_dof_count, "m or rad", "joint",                            \
-    "lower limit; -1e10: none. Of the first row of a DISTANCE joint the shortest distance")       \
+    "lower limit; -1e10: none. First row of a DISTANCE joint: the shortest distance")             \
   X(joint_limit_upper, float, 1, joint_dof_count, "m or rad", "joint",                            \
-    "upper limit; 1e10: none. Of the first row of a DISTANCE joint the longest distance")         \
+    "upper limit; 1e10: none. First row of a DISTANCE joint: the longest distance")               \
   X(joint_limit_ke, float, 1, joint_dof_count, "N/m or N*m/rad", "", "stiffness of the limits")   \
   X(joint_limit_kd, float, 1, joint_dof_count, "N*s/m or N*m*s/rad", "", "damping of the limits") \
   X(joint_effort_limit, float, 1, joint_dof_count, "N or N*m", "", "largest force of the drive")  \

@@ -28,8 +28,8 @@ class Model;
   X(body_f, SpatialVectorf, 1, body_count, "N, N*m", "world",                                     \
     "force, then moment about the center of mass", Applied)                                       \
   X(body_sleep, Vec2i, 1, body_count, "", "",                                                     \
-    "of solvers with sleep: us that a body has been slow, or a negative mark of one that "        \
-    "sleeps; then the first body of the island that it fell asleep with", Carried)                \
+    "for solvers with sleep: the time (us) that a body has been slow, negative while it "         \
+    "sleeps; then the first body of the island that fell asleep with it", Carried)                \
   X(joint_q, float, 1, joint_coord_count, "m or rad", "joint", "joint coordinates",               \
     Carried)                                                                                      \
   X(joint_qd, float, 1, joint_dof_count, "m/s or rad/s", "joint", "joint velocities", Carried)    \

@@ -234,8 +234,8 @@ void bind_derived(ModelClass& c, const char* name, DeviceArray<T> ModelFields::*
     return static_cast<Array>(self.*member);
   };
   const auto doc = c.attr(name).attr("__doc__").cast<std::string>() +
-                   " It follows the array that it is computed from; what is assigned here stays "
-                   "until that is written.";
+                   " The values follow the array that they are computed from. An assigned value "
+                   "stays until that array is written.";
   c.def_property(
       name, array,
       [array](Model& self, py::handle source) {

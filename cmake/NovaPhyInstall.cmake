@@ -1,5 +1,5 @@
-# The installed package: NovaPhyConfig.cmake knows every component of this version and what it needs; the components'
-# own target files come from novaphy_add_library. A component may be installed without the others.
+# The installed package. NovaPhyConfig.cmake lists every component of this version with its dependencies. The target file
+# of a component comes from novaphy_add_library. A component may be installed without the others.
 include(CMakePackageConfigHelpers)
 
 set(NOVAPHY_KNOWN_COMPONENTS core io nova collision dynamics vbd diff)

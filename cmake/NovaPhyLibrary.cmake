@@ -45,7 +45,7 @@ function(novaphy_compile_small)
   endif()
 endfunction()
 
-# novaphy_limit_exports(<target> <version script>): the dynamic symbol table holds what the script names, nothing else.
+# novaphy_limit_exports(<target> <version script>): the dynamic symbol table holds only the symbols of the script.
 function(novaphy_limit_exports target script)
   target_link_options(${target} PRIVATE -Wl,--version-script=${script})
   set_property(TARGET ${target} APPEND PROPERTY LINK_DEPENDS ${script})
@@ -88,7 +88,7 @@ function(novaphy_add_library name)
   endif()
   novaphy_limit_exports(${target} ${NOVAPHY_EXPORTS})
   add_dependencies(${target} novaphy_exports)
-  # A missing symbol is found here, not by the user who loads the library.
+  # The linker reports a missing symbol, instead of the loader at the user.
   if(NOT NOVAPHY_SANITIZE)
     target_link_options(${target} PRIVATE -Wl,--no-undefined)
   endif()

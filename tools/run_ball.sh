@@ -15,14 +15,14 @@ install_packages "${BUILD_PACKAGES[@]}"
 find_python
 make_venv .venv "${WHEEL_REQUIREMENTS[@]}"
 
-# Build again only after an edit. A folder's own time tells of files that were removed.
+# Build again only after an edit. The time of a folder shows that files were removed.
 sources=(CMakeLists.txt pyproject.toml backends cmake collision core diff dynamics io nova python/src python/novaphy)
 installed=.venv/novaphy.stamp
 if [ ! -e "$installed" ] || [ -n "$(find "${sources[@]}" -newer "$installed" -not -name __pycache__ -not -name '*.pyc' -print -quit)" ]; then
   echo "building the Python package (the first time takes a few minutes)"
   started=$(mktemp)
-  # For this machine only, and without what the ball has no use for, the reader of meshes and VBD: that halves the time.
-  # The build tree stays, so that an edit builds little.
+  # A build for this machine, without the reader of meshes and without VBD, takes half the time. The build tree stays, so
+  # that an edit builds little.
   .venv/bin/python -m pip install --disable-pip-version-check -q --no-build-isolation '.[demos]' \
     --config-settings=build-dir="$PWD/build/ball" \
     --config-settings=cmake.define.NOVAPHY_CPU_LEVELS=host --config-settings=cmake.define.NOVAPHY_WITH_IO=OFF \

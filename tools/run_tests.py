@@ -162,7 +162,7 @@ def make_venv(name: str, *requirements: str, options: tuple[str, ...] = ()) -> P
 # The steps, in order. A step is named as its function, with - for _.
 
 STEPS: dict[str, Callable[[], None]] = {}
-DEFAULT = ("lint", "tests")  # what runs without --all
+DEFAULT = ("lint", "tests")  # steps without --all
 LIBRARIES = ("core", "io", "nova", "collision", "dynamics", "vbd", "diff")
 # Steps that build and check without a test of their own.
 WITHOUT_TESTS = ("lint", "symbols", "demos", "hashes")

@@ -27,7 +27,7 @@ def _is_number(value: Any) -> bool:
     return hasattr(value, "__float__") or hasattr(value, "__index__")
 
 
-# The annotation that pybind11 writes -> what a message calls it, and whether a value is one.
+# pybind11's annotation -> its name in messages, and a test for values of the type.
 _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "typing.SupportsInt | typing.SupportsIndex": ("an integer", _is_integer),
     "int": ("an integer", _is_integer),
@@ -50,7 +50,7 @@ class _Parameter:
 @dataclass
 class _Complaint:
     place: int  # how many parameters were looked at before
-    text: str  # what is wrong with the call; for an argument: what was expected
+    text: str  # the fault of the call; for an argument: the expected type
     argument: str = ""
     value: Any = None
 

@@ -45,7 +45,7 @@ COMPLETION = """_novaphy() {
 complete -o filenames -F _novaphy novaphy
 """
 VIEWED = (".msh", ".obj", ".stl", ".ply", ".dae", ".glb", ".urdf", ".xml")
-# Package -> the extra of novaphy that brings it, and what for.
+# Package -> the extra of novaphy that installs it, and its use.
 OPTIONAL = {
     "moderngl": ("gl", "ViewerGL"),
     "pyglet": ("gl", "the window of ViewerGL"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from itertools import chain
 
-# Owner -> what its missing names belong to -> the names. They are agreed.
+# Owner -> feature that is planned -> its names.
 PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
     "novaphy": {
         "streams": ("Stream", "ScopedStream", "get_stream"),
@@ -25,7 +25,7 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
     },
 }
 
-# Owner -> what to use -> names, with * for any letters.
+# Owner -> what to use instead -> names, with * for any letters.
 INSTEAD: dict[str, dict[str, str]] = {
     "novaphy": {
         "novaphy.io.Mesh": "Mesh",
@@ -191,7 +191,7 @@ INSTEAD: dict[str, dict[str, str]] = {
     },
 }
 
-# Owner -> what is not built -> names with * for any letters.
+# Owner -> feature that is not supported -> names, with * for any letters.
 NOT_BUILT_IN: dict[str, dict[str, str]] = {
     "SolverVBD": {
         "contacts of particles with each other": (

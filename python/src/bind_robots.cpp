@@ -1,4 +1,4 @@
-// ModelBuilder.add_urdf and add_mjcf, and what they return.
+// ModelBuilder.add_urdf and add_mjcf, and the types of their results.
 #include <pybind11/stl/filesystem.h>
 
 #include "convert.h"

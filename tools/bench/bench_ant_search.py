@@ -13,7 +13,7 @@ took, and as many generations of `polish`; --seconds and --generations say them 
 measured. Each seed is a process of two threads, and a file of JSON in the folder, from which an
 interrupted one goes on behind its last stage. Derivatives draw nothing before `polish`: one seed.
 
-    python tools/bench/bench_ant_search.py results               # what is missing, then the table
+    python tools/bench/bench_ant_search.py results               # the missing runs, then the table
     python tools/bench/bench_ant_search.py results --jobs 8      # 8 processes at once
     python tools/bench/bench_ant_search.py results --page        # the table of the guide
 """

@@ -252,7 +252,7 @@ def measure(part: str, what: object, threads: int, seconds: float) -> dict[str, 
 def everything(seconds: float) -> list[dict[str, object]]:
     """Run all measurements of the page."""
     found: list[dict[str, object]] = []
-    gone: set[str] = set()  # what is not installed
+    gone: set[str] = set()  # a package that is not installed
     for worlds in WORLDS:
         for threads in THREADS:
             for part in ("novaphy", "mujoco", "mjx", "newton"):

@@ -34,7 +34,7 @@ import numpy as np
 HALF, DENSITY, GRAVITY = 0.1, 1000.0, 9.81
 SURFACE = {"ke": 2.0e5, "kd": 300.0, "kf": 200.0, "mu": 0.5}
 SCENES = ("columns", "pile", "mixed", "dice")
-# The hills: squares along a side and their side (m); what lies there is softer.
+# The hills: squares along a side, and the length of a square (m). Contacts on hills are softer.
 HILLS, HILL_CELL = 32, 0.35
 MIXED_SURFACE = {"ke": 2.0e4, "kd": 60.0, "kf": 80.0, "mu": 0.5}
 MIXED_KINDS = ("sphere", "capsule", "cylinder", "box", "hull")

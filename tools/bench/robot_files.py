@@ -257,7 +257,7 @@ def pairs_of_mujoco(m):
     welds = [int(weld[b]) for b in bodies]
     ups = [int(weld[parent[w]]) for w in welds]
     types, affinities = m.geom_contype.tolist(), m.geom_conaffinity.tolist()
-    # Contacts between what has no degree of freedom do nothing.
+    # Contacts between bodies without degrees of freedom have no effect.
     still = {0} | {b for b in range(m.nbody) if m.body_mocapid[b] >= 0}
     some = [g for g in range(m.ngeom) if types[g] or affinities[g]]
     for i, a in enumerate(some):

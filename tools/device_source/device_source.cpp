@@ -52,7 +52,7 @@ void replace_all(std::string& text, std::string_view from, std::string_view to) 
     text.replace(at, from.size(), to);
 }
 
-// Includes and `#pragma once`, with what stands behind them in their line.
+// Matches includes and `#pragma once`, with the rest of their line.
 std::string without_includes(std::string_view text) {
   std::string result;
   while (!text.empty()) {
@@ -124,7 +124,7 @@ void append(const fs::path& path, const std::vector<fs::path>& folders, Source& 
   source.text += device_code(text);
 }
 
-// The name and the words of a kernel, where text begins behind `NOVAPHY_ROW_KERNEL(`.
+// Returns the name and the words of a kernel. `text` begins after `NOVAPHY_ROW_KERNEL(`.
 std::string kernel_line(std::string_view text, std::string_view kind) {
   const auto take = [&text](auto&& belongs) {
     size_t size = 0;
@@ -149,7 +149,7 @@ std::string kernel_line(std::string_view text, std::string_view kind) {
   return "// kernel " + name + " " + words + " NOVAPHY_" + std::string(kind) + "\n";
 }
 
-// Calls `found(text behind the marker, name)` for each piece of code that the build makes.
+// Calls `found(text after the marker, name)` for each piece of code that the build makes.
 template <class Text, class Code>
 void split_at_made_code(std::string_view text, const Text& plain, const Code& code) {
   for (;;) {

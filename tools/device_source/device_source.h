@@ -8,15 +8,15 @@
 
 namespace novaphy::device_source {
 
-// Headers in the place of their includes, each once, behind those that they include.
+// A text with each header once, in place of its first include and after the headers it includes.
 struct Source {
   std::string text;
   std::vector<std::filesystem::path> files;
 };
 
-// Reads `header` and what it includes as "novaphy/...", from the first of the folders that has it.
-// Other includes are left out, but for "<code>.inc", code that the build makes. Throws
-// std::runtime_error, which names file and line, for an include that no folder has.
+// Reads `header` and its includes "novaphy/...", from the first folder that has the file. Leaves
+// other includes out, except "<code>.inc", code that the build makes. Throws std::runtime_error,
+// which names file and line, for an include that no folder has.
 Source read_source(const std::filesystem::path& header,
                    const std::vector<std::filesystem::path>& folders);
 
@@ -31,8 +31,8 @@ std::string kernel_lines(std::string_view text);
 // The text with `#include "<code>.inc"`, for compilers of files.
 std::string with_includes(std::string_view text);
 
-// The text as string literals of lengths that every compiler takes; the code that the build makes
-// comes from `<code>_source.inc`.
+// Returns the text as string literals, of lengths that every compiler accepts. Code that the build
+// makes comes from `<code>_source.inc`.
 std::string as_literals(std::string_view text);
 
 }  // namespace novaphy::device_source

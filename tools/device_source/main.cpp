@@ -1,7 +1,7 @@
 // novaphy_device_source FOLDER HEADER INCLUDE_FOLDER...
 // Writes FOLDER/<name>.cuh, the kernels of a header for compilers of devices, and
-// FOLDER/<name>_source.cpp, the function novaphy::detail::<name>_source() that gives this text; and
-// FOLDER/<name>.d, what both were made from.
+// FOLDER/<name>_source.cpp, the function novaphy::detail::<name>_source() that returns this text;
+// and FOLDER/<name>.d, the dependencies of both.
 #include <cstdio>
 #include <exception>
 #include <fstream>

@@ -53,8 +53,8 @@ std::vector<std::vector<const ir::Program*>> share_out(const std::vector<ir::Pro
   return shares;
 }
 
-// The function for a scan of launches and what describes it; gives the description's address, or
-// null where the Program makes no scan.
+// Writes the function for a scan of launches and its description. Returns the address of the
+// description, or null if the Program has no scan.
 std::string scan_of(const ir::Program& p, const std::vector<ir::Program>& all, std::string& text) {
   const auto scan = ir::find_scan(p);
   if (!scan) return "NULL";
@@ -95,7 +95,7 @@ std::string file_text(const std::vector<const ir::Program*>& programs,
   return text;
 }
 
-// Left alone when it is the same, so that nothing is compiled anew.
+// Writes a file only if its contents change, so that nothing is compiled again.
 void write_if_different(const std::string& path, const std::string& text) {
   {
     std::ifstream old(path, std::ios::binary);

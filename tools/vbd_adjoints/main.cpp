@@ -70,7 +70,7 @@ class Writer {
       if (needed[static_cast<size_t>(k)])
         for (const int32_t o : graph.node(k).operands)
           if (o >= 0) needed[static_cast<size_t>(o)] = true;
-    // A node before all that follows from it; parts of one atan2 with the first of them.
+    // A node comes before its results. The parts of one atan2 come with the first of them.
     for (int32_t k = 0; k < graph.size(); ++k)
       if (needed[static_cast<size_t>(k)]) write_node(k, graph.node(k));
     for (const Result& r : results) out_ << "  " << r.text << " = " << name(r.value.node) << ";\n";
@@ -155,7 +155,7 @@ void write_adjoints(std::ostream& out, const SlotInputs<role, Symbol>& in, const
   std::vector<Result> results;
   const auto result = [&](const std::string& text, const Symbol& input) {
     Symbol value = adjoints.of(input);
-    // Where the element has no directions the derivatives are 0, and not what they are made of.
+    // An element without directions has the derivatives 0, even if their factors are not finite.
     if (const Condition c = is_defined(in); c.node >= 0) value = select(c, value, Symbol());
     results.push_back({text, value});
   };
@@ -300,8 +300,8 @@ void write_blocks(std::ostream& out, bool at_solution) {
   });
 }
 
-// The adjoints of the parameters of an element, from those of the weights of its corners and of its
-// law.
+// Writes the adjoints of the parameters of an element, from the adjoints of the weights of its
+// corners and of its law.
 template <Role role>
 void write_numbers(std::ostream& out) {
   using Element = SlotOf<role>;

@@ -24,13 +24,13 @@ from novaphy._command import demos
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES, PAGES = ROOT / "docs" / "images", ROOT / "docs" / "pages"
 ACTORS = ROOT / "python" / "demos" / "data" / "ant" / "rl_policies"
-# Options that leave out what no picture shows.
+# Options that leave out work that no picture shows.
 OPTIONS = {
     "ant_from_scratch": ["--load", str(ACTORS / "periodic_ant_natural_gait.npz")],
     "ant_walk": ["--headless", "200"],
     "dice": ["--starts", "0"],
 }
-# The demos that have a page, and what makes it small.
+# The demos that have a page, with options that keep the page small.
 WITH_PAGE = {
     "ant_walk": [],
     "ball": [],

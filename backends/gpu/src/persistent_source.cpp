@@ -52,8 +52,8 @@ class RowFunctions {
     std::string name;
     nova::ir::Cut halves{};  // no outputs of `early`: the function is whole
     bool is_cut() const { return !halves.early.outputs.empty(); }
-    // How many words earlier its arguments begin than those of the whole Program. Parameters follow
-    // the words that differ.
+    // The number of words by which its arguments begin earlier than those of the whole Program.
+    // Parameters follow the words that differ.
     int64_t shift = 0, early_shift = 0;
   };
   const Function& of(const Operation& op) {

@@ -141,8 +141,7 @@ void Emitter::hold_items(int32_t l) {
   line("if (csr" + k + ".longest > KEPT_ITEMS) return i;");
   const std::vector<Value> values = held_items(l);
   for (const Value v : values) line(text_.c_type(v) + " held" + str(v) + "[KEPT_ITEMS];");
-  // An out-of-range row may be behind a condition that never holds, so such groups go to the
-  // caller.
+  // A row out of range may belong to a condition that never holds, so the caller runs such groups.
   line("novaphy_error_sink probe" + k + " = {INT64_MAX, 0, 0, 0};");
   loop_ = l;
   probes_ = true;

@@ -232,7 +232,7 @@ def _differences(losses_of: Losses, directions: Numbers) -> tuple[Numbers, Numbe
     steps, signs = np.array(STEPS)[:, None, None, None], np.array([1.0, -1.0])[:, None]
     moves = (steps * signs * directions[:, None, :]).reshape(-1, n)
     losses = losses_of.values(moves).reshape(len(STEPS), m, 2)
-    # Parameters are float32: what they moved is not quite the step.
+    # Parameters are float32, so their actual change differs a little from the step.
     points = losses_of.points(moves).astype(np.float64).reshape(len(STEPS), m, 2, n)
     moved = (points[:, :, 0] - points[:, :, 1]) / losses_of.parameters.sigma
     length = np.einsum("emn,mn->em", moved, directions)

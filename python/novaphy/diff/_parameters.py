@@ -212,7 +212,7 @@ class Losses:
 
     def slopes(self, moves: Numbers) -> Slopes:
         """Return losses and gradients of moves; the info is of the last batch."""
-        # Each batch has a tape of its own, which is gone when f writes its memory again.
+        # Each batch has its own tape, which no longer exists when f writes its memory again.
         parts = [self._slopes(first, points) for first, points in self._parts(moves)]
         losses, gradients = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
         return Slopes(losses, gradients * self.parameters.sigma, parts[-1].info)

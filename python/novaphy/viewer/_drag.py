@@ -11,7 +11,7 @@ from .._core import SimState
 if TYPE_CHECKING:
     from ._scene_viewer import SceneViewer
 
-DRAG_RATE = 6.0  # 1/s: the pull is that of a critically damped spring of this frequency
+DRAG_RATE = 6.0  # 1/s, the frequency of a critically damped spring that pulls
 PICK_PIXELS = 40.0
 
 

@@ -74,7 +74,7 @@ class ViewerGL(SceneViewer):
         self._video: Video | None = None
         self._due = self._frame_at = 0.0
         self._frame_ms: float | None = None
-        self._drawn: tuple[Any, ...] | None = None  # what the last picture depends on besides
+        self._drawn: tuple[Any, ...] | None = None  # further inputs of the last picture
         if headless:
             self._context, samples = _headless_context(), 4
         else:

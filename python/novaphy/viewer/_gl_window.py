@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ._gl import ViewerGL
     from ._gl_renderer import Renderer
 
-NAME_RATE = 10.0  # looks per second for what is under the pointer
+NAME_RATE = 10.0  # searches per second for the object under the pointer
 SLIDER_STEPS = 100.0  # of an arrow key, from end to end
 
 
@@ -54,7 +54,7 @@ class Window:
         self.drag = Drag(viewer)
         self.followed: int | None = None
         self._pointer: tuple[int, int] | None = None
-        self._name: str | None = None  # of what is under it
+        self._name: str | None = None  # the object under the pointer
         self._looked_at = 0.0
         self._held: set[int] = set()
         self._gl = pyglet.gl

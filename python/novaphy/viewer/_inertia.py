@@ -8,7 +8,7 @@ import numpy as np
 
 from ._scene import f32, rotate
 
-# The corners of a box, and the pairs of them that its edges join.
+# The corners of a box, and the pairs of corners that its edges join.
 _CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 _EDGES = np.array([(a, a | b) for b in (1, 2, 4) for a in range(8) if not a & b])
 

@@ -77,15 +77,15 @@ class Stage:
         self.path_width = path_width
         self._screen: Any = None  # a window, or a page that is served
         self._waits = False  # for whoever looks at it
-        self._picture: tuple[Any, str] | None = None  # what draws it, and where it goes
+        self._picture: tuple[Any, str] | None = None  # the viewer that draws the picture, and its path
         self._earlier: dict[str, deque[np.ndarray]] = {}
         self._paths: dict[str, np.ndarray] = {}
-        self._again: Callable[[], None] | None = None  # what replay() repeats
+        self._again: Callable[[], None] | None = None  # the function that replay() repeats
         self._begin_again = False
         self._shown: deque[tuple[float, dict[str, np.ndarray]]] = deque(maxlen=KEPT)
         self._due = 0.0
         self.viewers = list(viewers) if viewers is not None else self._make(args)
-        self._audience = self.viewers  # those that see what is shown
+        self._audience = self.viewers  # the viewers of the shown scene
         for viewer in self.viewers:
             if model is not None:
                 viewer.set_model(model)

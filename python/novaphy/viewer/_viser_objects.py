@@ -88,7 +88,7 @@ class PageObjects:
             )  # fmt: skip
             group.parts.append((grid, None))
             return group
-        # The shift of a capsule is no scale: those of one proportion share a mesh.
+        # The shift of a capsule is no scale, so capsules of one proportion share a mesh.
         shift, scales = mesh.shift.values, item.scales.values
         ratios = scales[:, 3] / scales[:, 0] if shift.any() else np.zeros(item.count)
         for number, ratio in enumerate(np.unique(ratios)):

@@ -13,8 +13,8 @@ struct Cut {
   // is 0 or 1), with the values for `late`. No output: no part of the Program can be computed
   // early.
   Program early;
-  // The rest. Its sources are those of the Program, then the outputs of `early`, read at the own
-  // row.
+  // The rest of the Program. The sources are those of the Program, then the outputs of `early`,
+  // which the rest reads at its own row.
   Program late;
 };
 // When a source is available. Both: both halves may read it, at the own row.

@@ -57,10 +57,10 @@ void bind_counts(py::class_<Object, Options...>& c) {
     return name + "(" + counts_text(self.counts()) + "device='" + self.device().str() + "'" +
            (self.requires_grad ? ", requires_grad=True)" : ")");
   });
-  c.def_property_readonly("device", &Object::device, "Where the arrays are.");
+  c.def_property_readonly("device", &Object::device, "The device of the arrays.");
   c.def_property(
       "requires_grad", [](const Object& self) { return self.requires_grad; },
-      [](Object& self, bool on) { self.requires_grad = on; }, "Whether gradients are wanted.");
+      [](Object& self, bool on) { self.requires_grad = on; }, "Whether gradients are requested.");
 }
 
 }  // namespace novaphy::python

@@ -206,7 +206,7 @@ TEST_F(ArticulationGradientDevices, SingleStepsHaveTheBitsOfTheCpu) {
   expect_same(trained(standing(), Device::cuda(), how), expected, "");
 }
 
-// Two worlds that could have so many contacts that each has room for 16: a stack has more.
+// Each of the two worlds has room for 16 contacts. A stack has more.
 TEST_F(ArticulationGradientDevices, AnIslandWithoutRoomHasNaNAndTheNextStepSaysSo) {
   ModelBuilder all;
   all.add_ground_plane({.cfg = kSurface});

@@ -39,7 +39,7 @@ class Cloth(Task):
         return nova.tensor(pick) @ diff.state_particle_q_tensor(state)
 
     def away(self, state: novaphy.SimState) -> nova.Tensor:
-        """Give the losses of a last state."""
+        """Return the losses of a last state."""
         return squares(self.mean_of_left(state)[:, 0:2] - nova.tensor(np.float32([[0.75, 0.0]])))
 
 
@@ -55,7 +55,7 @@ class ClothVbd(Cloth):
     gradient: ClassVar[str] = "unrolled"
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return novaphy.ShapeConfig(ke=2e3, kd=0.0, mu=0.4)
 
     def finish(self, builder: novaphy.ModelBuilder) -> novaphy.Model:

@@ -67,7 +67,7 @@ class Push(Task):
         return (stretches(self.steps, self.knots) @ rows).reshape(self.steps, 2 * self.worlds, 6)
 
     def away(self, place: nova.Tensor) -> nova.Tensor:
-        """Give the losses of places {worlds, 2} of the box."""
+        """Return the losses of places {worlds, 2} of the box."""
         return squares(place - nova.tensor(np.float32([[0.8, 0.2]])))
 
 
@@ -77,11 +77,11 @@ class PushPenalty(Push, Penalty):
     sink = G / 4 / 4e3
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return penalties(4e3, 60.0, 60.0, 0.4)
 
     def settings(self) -> dict:
-        """Give more settings of the solver."""
+        """Return further options of the solver."""
         return {"friction_smoothing": 0.05}
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
@@ -93,7 +93,7 @@ class PushImpulse(Push, Impulse):
     """The push by impulses."""
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return impulses(0.4)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
@@ -113,7 +113,7 @@ class Hopper(Impulse):
     sigma = 0.1
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return novaphy.ShapeConfig(mu=0.8, density=0, ke=2e4, kd=200, gap=0.05)
 
     def add_world(self, builder: novaphy.ModelBuilder) -> None:
@@ -192,7 +192,7 @@ class Strike(Task):
         builder.joint_q[1] = 0.3
 
     def end(self, theta: nova.Tensor) -> novaphy.SimState:
-        """Give the last state under the torques theta."""
+        """Return the last state under the torques theta."""
         first = self.path[0]
         with nova.no_grad():
             novaphy.eval_fk(self.model, first.joint_q, first.joint_qd, first)
@@ -203,11 +203,11 @@ class StrikeImpulse(Strike, Impulse):
     """The strike by impulses."""
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return impulses(0.3, 0.5)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Give the losses of the ball's way."""
+        """Return the losses of the ball's path."""
         return squares(self.coordinates(self.end(theta))[:, 2:3] - 1.2)
 
 
@@ -221,15 +221,15 @@ class StrikePenalty(Strike, Penalty):
     armature = 0.0
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return penalties(4e3, 10.0, 20.0, 0.3)
 
     def settings(self) -> dict:
-        """Give more settings of the solver."""
+        """Return further options of the solver."""
         return {"joint_attach_ke": 2e4, "joint_attach_kd": 50.0}
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Give the losses of the ball's way."""
+        """Return the losses of the ball's path."""
         return squares(self.places(self.end(theta))[:, 2, 0:1] - 1.2)
 
 
@@ -263,11 +263,11 @@ class Tilt(Task):
         """Add nothing."""
 
     def end(self, theta: nova.Tensor) -> novaphy.SimState:
-        """Give the last state under the targets theta."""
+        """Return the last state under the targets theta."""
         return self.roll(self.controls(theta, diff.control_joint_target_q_tensor, [0, 1]))
 
     def away(self, place: nova.Tensor) -> nova.Tensor:
-        """Give the losses of places {worlds, 2} of the ball."""
+        """Return the losses of places {worlds, 2} of the ball."""
         return squares(place - nova.tensor(np.float32([[0.3, -0.2]])))
 
 
@@ -275,11 +275,11 @@ class TiltImpulse(Tilt, Impulse):
     """The board by impulses."""
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return impulses(0.6)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Give the losses of the ball's place."""
+        """Return the losses of the ball's place."""
         return self.away(self.coordinates(self.end(theta))[:, 2:4])
 
 
@@ -292,15 +292,15 @@ class TiltPenalty(Tilt, Penalty):
     sink = 0.3 * G / 4e3
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return penalties(4e3, 20.0, 40.0, 0.6)
 
     def settings(self) -> dict:
-        """Give more settings of the solver."""
+        """Return further options of the solver."""
         return {"joint_attach_ke": 2e4, "joint_attach_kd": 50.0}
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Give the losses of the ball's place."""
+        """Return the losses of the ball's place."""
         return self.away(self.places(self.end(theta))[:, 2, 0:2])
 
 

@@ -91,7 +91,7 @@ class Task:
         builder.add_ground_plane(cfg=self.surface())
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         raise NotImplementedError
 
     def finish(self, builder: novaphy.ModelBuilder) -> novaphy.Model:
@@ -103,7 +103,7 @@ class Task:
         raise NotImplementedError
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Give the losses {worlds} of parameters {worlds, size}."""
+        """Return the losses {worlds} of parameters {worlds, size}."""
         raise NotImplementedError
 
     def roll(self, controls: object = None, **more: object) -> novaphy.SimState:
@@ -112,12 +112,12 @@ class Task:
         return self.path[self.steps]
 
     def losses(self, theta: np.ndarray) -> np.ndarray:
-        """Give the losses {worlds}."""
+        """Return the losses {worlds}."""
         self.path = diff.Trajectory(self.model, self.steps)
         return self.run(nova.tensor(np.float32(theta))).numpy().astype(np.float64)
 
     def gradients(self, theta: np.ndarray) -> tuple[np.ndarray, novaphy.solvers.GradientInfo]:
-        """Give the gradients {worlds, size}, and what they are."""
+        """Return the gradients {worlds, size} and their label."""
         self.path = diff.Trajectory(self.model, self.steps)
         leaf = nova.tensor(np.float32(theta), requires_grad=True)
         with nova.Tape() as tape:
@@ -169,7 +169,7 @@ class Penalty(Task):
         )
 
     def settings(self) -> dict:
-        """Give more settings of the solver."""
+        """Return further options of the solver."""
         return {}
 
     def places(self, state: novaphy.SimState) -> nova.Tensor:
@@ -217,7 +217,7 @@ class Ball(Task):
         builder.add_shape_plane((0.0, -1.0, 0.0, 1.75), width=0, length=0, cfg=self.surface())
 
     def away(self, place: nova.Tensor) -> nova.Tensor:
-        """Give the losses of places {worlds, 3}."""
+        """Return the losses of places {worlds, 3}."""
         return squares(place - nova.tensor(np.float32(self.target)))
 
 
@@ -231,7 +231,7 @@ class BallParticle(Ball):
         builder.add_particle((0, -0.5, 1), (0, 5, -5), 1.0)
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return penalties(1e4, 10.0, 0.0, 0.2)
 
     def make_solver(self) -> novaphy.solvers.SolverBase:
@@ -252,7 +252,7 @@ class BallPenalty(Ball, Penalty):
     """The ball as a body with penalty contacts."""
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return penalties(1e4, 10.0, 100.0, 0.2)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
@@ -265,7 +265,7 @@ class BallImpulse(Ball, Impulse):
     """The ball as an articulation."""
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return impulses(0.2, 0.8)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
@@ -294,7 +294,7 @@ class Billiard(Task):
         """Add nothing."""
 
     def away(self, place: nova.Tensor) -> nova.Tensor:
-        """Give the losses of places {worlds, 2} of the third ball."""
+        """Return the losses of places {worlds, 2} of the third ball."""
         return squares(place - nova.tensor(np.float32([[1.3, 0.35]])))
 
 
@@ -302,11 +302,11 @@ class BilliardPenalty(Billiard, Penalty):
     """The balls with penalty contacts."""
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return penalties(2e4, 5.0, 20.0, 0.1)
 
     def settings(self) -> dict:
-        """Give more settings of the solver."""
+        """Return further options of the solver."""
         return {"angular_damping": 0.0}
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
@@ -321,7 +321,7 @@ class BilliardImpulse(Billiard, Impulse):
     """The balls as articulations."""
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return impulses(0.1, 0.9)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
@@ -343,7 +343,7 @@ class Toss(Task):
         builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1, cfg=self.surface())
 
     def away(self, place: nova.Tensor) -> nova.Tensor:
-        """Give the losses of places {worlds, 2}."""
+        """Return the losses of places {worlds, 2}."""
         return squares(place - nova.tensor(np.float32([[1.0, 0.2]])))
 
 
@@ -354,11 +354,11 @@ class TossPenalty(Toss, Penalty):
     rate = 960
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return penalties(4e3, 30.0, 50.0, 0.4)
 
     def settings(self) -> dict:
-        """Give more settings of the solver."""
+        """Return further options of the solver."""
         return {"friction_smoothing": 0.1}
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
@@ -374,7 +374,7 @@ class TossMean(TossPenalty):
     modes = ("code",)
 
     def settings(self) -> dict:
-        """Give more settings of the solver."""
+        """Return further options of the solver."""
         return {**super().settings(), "penalty_law": "mean"}
 
 
@@ -382,7 +382,7 @@ class TossImpulse(Toss, Impulse):
     """The box as an articulation."""
 
     def surface(self) -> novaphy.ShapeConfig:
-        """Give the material of all shapes."""
+        """Return the material of all shapes."""
         return impulses(0.4, 0.2)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:

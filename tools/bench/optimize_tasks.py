@@ -54,12 +54,12 @@ class Problem:
         self.first = float(self.losses(np.zeros((1, len(self.start))))[0])
 
     def losses(self, moves: np.ndarray) -> np.ndarray:
-        """Give the losses {rows} of moves {rows, n} in units of sigma."""
+        """Return the losses {rows} of moves {rows, n} in units of sigma."""
         theta = nova.tensor(np.float32(self.start + moves * self.sigma))
         return self.functions["code"](theta).numpy().astype(np.float64)
 
     def slope_of(self, mode: str) -> Slope:
-        """Give the loss and its gradient by a move."""
+        """Return the loss and its gradient by a move."""
 
         def slope(move: np.ndarray) -> tuple[float, np.ndarray]:
             theta = nova.tensor(
@@ -73,7 +73,7 @@ class Problem:
         return slope
 
     def smooth_slope(self, order: Any, mode: str) -> Slope:
-        """Give the mean loss of samples and its gradient; each call has samples of its own."""
+        """Return the mean loss of samples and its gradient; each call draws new samples."""
         calls = iter(range(1 << 30))
 
         def slope(move: np.ndarray) -> tuple[float, np.ndarray]:
@@ -170,7 +170,7 @@ def runs_of(problem: Problem, iterations: int, number: int) -> Iterator[tuple[st
 
 
 def medians(found: list[dict[str, Any]]) -> dict[tuple[str, str], dict[str, tuple[float, float]]]:
-    """Give the median of the last losses and times, by task and solver, and by method."""
+    """Return the median of the last losses and times, by task and solver, and by method."""
     rows: dict[tuple[str, str], dict[str, tuple[float, float]]] = {}
     for of in found:
         mine = [x for x in found if all(x[k] == of[k] for k in ("task", "solver", "method"))]

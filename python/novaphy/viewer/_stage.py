@@ -76,8 +76,8 @@ class Stage:
         self.refresh = args.refresh or refresh
         self.path_width = path_width
         self._screen: Any = None  # a window, or a page that is served
-        self._waits = False  # for whoever looks at it
-        self._picture: tuple[Any, str] | None = None  # the viewer that draws the picture, and its path
+        self._waits = False  # whether the program waits for the user of the screen
+        self._picture: tuple[Any, str] | None = None  # its viewer, and its path
         self._earlier: dict[str, deque[np.ndarray]] = {}
         self._paths: dict[str, np.ndarray] = {}
         self._again: Callable[[], None] | None = None  # the function that replay() repeats

@@ -20,10 +20,10 @@ enum class ArticulationContact {
             // semi_implicit/rigid_contact_trace.h)
 };
 enum class FrictionCone { Cone, Pyramid };
-// How limits of joints with one dof push.
+// The law of position limits of one-dof joints.
 enum class JointLimits {
-  Spring,  // by joint_limit_ke and _kd, where the dof is outside
-  Row      // as the normal of a contact, without compliance (articulation/rate_bounds.h)
+  Spring,  // a spring (joint_limit_ke, _kd) acts while the dof is outside of the limits
+  Row      // a constraint row, as the normal of a contact (articulation/rate_bounds.h)
 };
 
 // All numbers are finite and >= 0. Options of one contact model must have their defaults with the

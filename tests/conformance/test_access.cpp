@@ -98,7 +98,7 @@ ir::Program elements(int32_t corners) {
   return b.p;
 }
 
-// Which elements have a damping: none, a few, or all.
+// The elements that have a damping.
 enum class Damped : uint8_t { None, Some, All };
 
 Inputs element_inputs(int32_t corners, int64_t n, int64_t rows, int32_t first, Damped damped) {

@@ -213,7 +213,7 @@ TEST_P(RandomPrograms, GiveTheSameBitsRowByRowAsTogether) {
     const ir::Program p = g.program(GetParam());
     const Inputs in = g.inputs(p, 4);
     const Result few = run(p, 4, in);  // short path
-    // The same four rows come first, and further rows repeat them.
+    // `many` begins with the four rows of `in`, and further rows repeat them.
     Inputs many = in;
     for (size_t s = 0; s < 3; ++s) {
       for (int k = 0; k < 99; ++k)

@@ -32,7 +32,7 @@ std::vector<Vec3f> cloud(int count, uint32_t seed, Vec3f axes = {1, 1, 1}) {
   return points;
 }
 size_t face_count(const ConvexHull& hull) { return hull.face_normals.size(); }
-// How far p lies above the hull, at most.
+// Returns the largest distance of p above the planes of the hull.
 float height_above(const ConvexHull& hull, const Vec3f& p) {
   float height = -std::numeric_limits<float>::infinity();
   for (size_t f = 0; f < face_count(hull); ++f) {

@@ -109,8 +109,8 @@ TEST_P(Determinism, EveryWayOfRunningGivesTheSameBits) {
   expect_same(run(GetParam(), Way::Captured), rollout);
   for (const Way way : {Way::Rollout, Way::Captured})
     expect_same(run(GetParam(), way, 60, nova::KeepGradients::Leaves), rollout);
-  // Where a particle meets several shapes at once, the gradients of the loop are the sum of the
-  // same terms in another order; here none does.
+  // If a particle met several shapes at once, the loop would sum the terms of its gradient in
+  // another order. No particle of the scene does.
   expect_same(run(GetParam(), Way::StepLoop), rollout);
 }
 

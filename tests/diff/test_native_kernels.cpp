@@ -103,7 +103,7 @@ TEST(NativeKernels, ATrainingIterationOfBallsRunsNothingElse) {
   EXPECT_GE(seen, 5);
 }
 
-// For any part of the declared gradients, and for any outputs with a gradient.
+// The test tries parts of the declared gradients, and parts of the outputs with a gradient.
 TEST(NativeKernels, NoPartOfTheGradientsOfAnOperatorIsInterpreted) {
   std::set<uint64_t> before;
   for (const nova::KernelInfo& info : nova::kernel_info()) before.insert(info.hash);

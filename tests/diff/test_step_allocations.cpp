@@ -150,8 +150,8 @@ TEST(StepAllocations, DifferentiableVbdTakesHandlesOnly) {
   EXPECT_LE(of_a_step(scene, solver), 7);
 }
 
-// For broad phases without a sweep. A thread may allocate when it first gets work, which may happen
-// after the warm calls.
+// The broad phases are those without a sweep. A thread may allocate when it first gets work, which
+// may happen after the warm calls.
 TEST(StepAllocations, CollisionTakesNone) {
   for (const ModelBuilder& builder : {EverythingScene::builder(), trees(3), trees(40)}) {
     Scene scene(builder);

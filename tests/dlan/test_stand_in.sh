@@ -13,7 +13,7 @@ fi
 export NOVAPHY_DLAN_DLCC="$here/dlcc" NOVAPHY_DLAN_ROOT=/nowhere
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-# What it must refuse.
+# Sources that the compiler must refuse.
 echo '__global__ void f() {}' >"$work/f.cu"
 good="-c -x cuda $work/f.cu -o $work/f.o --cuda-path=/nowhere --cuda-gpu-arch=dlgput64 -O2 -std=c++17 -fPIC"
 "$here/dlcc" $good

@@ -537,7 +537,7 @@ TEST(ArticulationStep, DriftsInEnergyInProportionToTheStep) {
 
 double squared(const Vec3<double>& a) { return math::dot(a, a); }
 
-// How much the momentum about the world's origin changes in a second of free flight.
+// Returns the change of the momentum about the world's origin in a second of free flight.
 SpatialVector<double> momentum_change(Scene<double> s, double dt) {
   s.tree.gravity = {};
   s.options.dt = dt;

@@ -89,7 +89,7 @@ void came(unsigned block, unsigned turn, int64_t bytes, bool expected) {
   ++here.turns;
 }
 void expect_bytes(unsigned turn, int64_t bytes) { came(blockIdx.x, turn, bytes, true); }
-// As for an mbarrier: the turn of this parity is the current one or the one before.
+// As with an mbarrier, `turn` is the current turn or the one before, which its parity tells.
 void wait_turn(unsigned turn) {
   const Came& here = g_came_of[{blockIdx.x, turn % 2}];
   while (here.turns % 2 == turn / 2 % 2) give_way();

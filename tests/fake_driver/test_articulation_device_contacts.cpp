@@ -138,7 +138,7 @@ TEST_F(ArticulationContactDevices, StopsBesideContactsHaveTheBitsOfTheCpu) {
   expect_bits_of_the_cpu(kicking(), how, 4);
 }
 
-// Also with one body that belongs to all worlds: then the worlds are one group.
+// A second model has a body that belongs to all worlds, which makes the worlds one group.
 TEST_F(ArticulationContactDevices, SixtyFourWorldsHaveTheBitsOfTheCpu) {
   for (const bool shared : {false, true}) {
     ModelBuilder all, one;
@@ -165,7 +165,7 @@ TEST_F(ArticulationContactDevices, DryFrictionActsWithoutContactsToo) {
   expect_same(stepped(scene, Device::cuda(), how), expected, ", replayed");
 }
 
-// Also of steps that were captured before.
+// Captured steps forget their impulses too.
 TEST_F(ArticulationContactDevices, ANotifiedChangeForgetsImpulses) {
   testing::expect_same_bits([](Device device) {
     const auto model = stack().finalize(device);

@@ -233,7 +233,7 @@ TEST_F(ArticulationGradientDevices, AnIslandWithoutRoomHasNaNAndTheNextStepSaysS
                 [&] { solver.step(a, b, nullptr, &contacts, kDt); });
 }
 
-// The same with a body in all worlds. The worlds are then one group with one large system.
+// A second model has a body in all worlds. The worlds are then one group with one large system.
 TEST_F(ArticulationGradientDevices, WorldsHaveTheBitsOfTheCpu) {
   for (const bool shared : {false, true}) {
     ModelBuilder all, one;

@@ -373,7 +373,7 @@ TEST_F(ArticulationDevices, WhatIsNotThereIsRefusedByName) {
   EXPECT_THROW(scope.graph()->launch(), Error);
 }
 
-// As on the CPU, a use of the step's results raises instead of losing the gradient silently.
+// A use of the step's results raises, as on the CPU, instead of losing the gradient silently.
 TEST_F(ArticulationDevices, AStepOnATapeIsNotRecordedAndSaysSo) {
   const auto model = AllJointsScene::make().finalize(Device::cuda());
   SolverFeatherstone solver(model);

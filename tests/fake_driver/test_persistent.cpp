@@ -244,7 +244,7 @@ TEST_F(PersistentTest, WhatNeedsOnlyEarlyRowsIsDoneBeforeTheWait) {
   expect_compiles(table);
 }
 
-// The same Program with one row and with four for each of the chain: the four are computed late.
+// The Program has one row, or four rows, for each row of the chain. Four rows are computed late.
 TEST_F(PersistentTest, OnlyOneRowOfAChainIsComputedEarly) {
   for (uint32_t t = 0; t < 2; ++t) {
     push_add(t, 0, 0x10000, 0x20000, 0x30000 + 0x1000 * t);

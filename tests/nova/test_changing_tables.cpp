@@ -67,7 +67,7 @@ class Touches {
   void zero() const {
     for (const Tensor& t : {x0, v0, stiffness}) t.zero_grad();
   }
-  // The same in double precision.
+  // Returns the result of the steps in double precision.
   double reference(int steps) const {
     const Floats host[] = {x0.to_host(), v0.to_host()};
     std::vector<double> x(host[0].begin(), host[0].end()), v(host[1].begin(), host[1].end());

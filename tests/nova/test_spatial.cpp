@@ -51,7 +51,7 @@ struct Cloud {  // of points with masses
       at.push_back(draw.vector());
     }
   }
-  // By definition: momentum and moment of momentum of points that move with the motion.
+  // Returns momentum and moment of momentum of points that move with `motion`, by definition.
   Motion momentum(const Motion& motion) const {
     Motion sum;
     for (size_t k = 0; k < mass.size(); ++k) {

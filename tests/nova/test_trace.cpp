@@ -44,7 +44,7 @@ int32_t folded(const nova::ir::Instr& op, const std::vector<nova::ir::Instr>& op
   return result.a;
 }
 
-// The same op in a kernel. Results are compared as float bits or as integers turned into bits.
+// Runs the op in a kernel. The test compares results as bits of floats or of integers.
 template <class Body>
 std::vector<int32_t> run(const std::vector<Tensor>& in, Body body) {
   std::vector<SourceSpec> sources;

@@ -124,7 +124,7 @@ def test_a_cube_rests_on_a_cube_as_boxes_do(at):
 
 
 def test_crossed_bars_meet_where_their_edges_cross():
-    # No corner of one is in the other.
+    # No corner of a box is inside of the other box.
     model = pair(box(0.5, 0.05, 0.05), box(0.03, 0.5, 0.05), ((0, 0, 0.098), UPRIGHT))
     rows = rows_of(model)
     a, b, distance = points_of(model, rows)
@@ -170,7 +170,7 @@ def test_a_ring_rests_in_a_bowl():
 
 
 def test_a_ring_hangs_from_another():
-    # No corner of the inner halves is convex: the edges carry.
+    # The inner halves have no convex corner, so contacts of edges carry the link.
     link = torus(0.1, 0.03)
     cfg = novaphy.ShapeConfig(density=300.0, ke=2e4, kd=50.0, kf=50.0, mu=0.5, gap=0.01)
     upright = about((1, 0, 0), 90)

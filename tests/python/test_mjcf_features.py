@@ -298,7 +298,7 @@ def test_a_site_from_a_point_to_another_is_in_their_middle():
     model, _ = loaded(mjcf(inside))
     x, y, z, *turn = model.select("s").get(model, "shape_transform")[0]
     assert_allclose([x, y, z], [0.5, 0.0, 0.0], atol=1e-7)
-    # As in MuJoCo the z axis goes from the second point to the first.
+    # The z axis goes from the second point to the first, as in MuJoCo.
     assert_allclose(np.abs(turn), [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)], atol=1e-6)
 
 

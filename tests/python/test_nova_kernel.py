@@ -365,7 +365,7 @@ def test_a_kernel_made_while_another_one_is_traced():
 
 
 INF, NAN = float("inf"), float("nan")
-# As docs/coverage.md lists them: x, value, derivative.
+# The edge cases of docs/coverage.md: x, value, derivative.
 EDGES = {
     "sqrt": (nova.sqrt, [(0, 0, 0), (-1, NAN, 0)]),
     "rsqrt": (nova.rsqrt, [(0, INF, 0), (-1, NAN, 0)]),

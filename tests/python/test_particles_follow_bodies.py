@@ -20,7 +20,7 @@ SHAPES = {
     "ellipsoid": {"rx": 0.12, "ry": 0.09, "rz": 0.1},
     "convex_hull": {"vertices": CUBE},
 }
-# Where the particle is, in the frame of the shape: over a side, over an edge or rim, at a corner.
+# The position of the particle in the frame of the shape: over a side, an edge or rim, or a corner.
 PLACES = {
     "side": (0.02, 0.01, 0.13),
     "edge": (0.115, 0.02, 0.12),

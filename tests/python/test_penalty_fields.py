@@ -34,7 +34,7 @@ HAVE_NONE = {
 }
 # The distance below which rows are found. Rows of shapes that do not overlap have no force.
 OF_THE_SEARCH = {"shape_gap"}
-# For "pgs" contacts only. Here the material of a pair is the mean.
+# Arrays of "pgs" contacts only. The penalty law takes the mean of two materials.
 OF_TREES = {"shape_mixing"}
 OF_ACTUATORS = ("actuator_", "act", "ctrl")  # without rows, because actuators are refused
 OF_FLUIDS = ("fluid_wind", "body_fluid_")  # without effect where no fluid is

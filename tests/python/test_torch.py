@@ -77,7 +77,7 @@ def test_arrays_go_across_without_a_copy():
     assert [x.data_ptr(), y.data_ptr()] == seen
     assert not y.requires_grad
     np.testing.assert_array_equal(y.numpy(), 2.0 * x.numpy())
-    # Not contiguous: copied, and right.
+    # A tensor that is not contiguous is copied, and the result is right.
     x.requires_grad_()
     z = novaphy.torch.wrap(double)(x.T)
     z.backward(torch.ones(3, 2))
@@ -106,7 +106,7 @@ def test_a_result_that_no_loss_reads_does_not_count():
     first, _ = both(a)
     first.backward()
     assert a.grad.item() == 2.0
-    # Nor does an argument that no result depends on.
+    # An argument that no result depends on gets no gradient either.
     b = torch.tensor([1.0], requires_grad=True)
     novaphy.torch.wrap(lambda a, b: a * 3.0)(a, b).backward()
     assert a.grad.item() == 5.0

@@ -106,7 +106,7 @@ def test_boxes_have_the_inertia_of_the_bodies():
     inertia = np.einsum("nij,nj,nkj->nik", turn, principal, turn)
     found, axes = inertia_boxes(mass, inertia)
     np.testing.assert_allclose(np.sort(found), np.sort(half), rtol=1e-6)
-    # The same inertia again, about the axes that were found.
+    # The inertia of the boxes about their axes is the given inertia.
     squares = found**2
     again = mass[:, None] / 3.0 * (squares.sum(axis=1, keepdims=True) - squares)
     np.testing.assert_allclose(np.einsum("nij,nj,nkj->nik", axes, again, axes), inertia, rtol=1e-6)

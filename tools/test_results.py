@@ -23,13 +23,13 @@ def case_name(case: ElementTree.Element) -> str:
 
 
 def processor_seconds() -> float:
-    """Seconds of all processors in the processes that this one started and that have ended."""
+    """Return the processor time of ended child processes (s)."""
     times = os.times()
     return times.children_user + times.children_system
 
 
 def reference_work() -> float:
-    """Seconds that this machine takes for a fixed piece of Python, the best of three."""
+    """Return the time of a fixed piece of Python on this machine, the best of three (s)."""
     best = float("inf")
     for _ in range(3):
         start, total = time.perf_counter(), 0
@@ -133,7 +133,7 @@ class Results:
 
 
 def read_slow(listed: Path) -> dict[str, str]:
-    """Case -> reason, of lines `step: case | reason`; empty lines and those with # are left out."""
+    """Return case -> reason from lines `step: case | reason`, without comments and empty lines."""
     reasons = {}
     for line in listed.read_text(encoding="utf-8").splitlines():
         if not line.strip() or line.startswith("#"):

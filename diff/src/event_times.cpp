@@ -35,7 +35,8 @@ nova::Tensor array_of(const SimState& state, const MotionEvent::Slope& slope) {
   }
 }
 
-// The events that begin in one step. each() calls visit(row, input, slope) for all slopes.
+// The events that begin in one step. each() calls visit(event, input, slope) for each derivative
+// (slope) of an event time with respect to an input.
 struct StepEvents {
   MotionEvents events;
   std::vector<const void*> arrays;  // memory of the inputs

@@ -50,7 +50,7 @@ class Watch:
         tuning.search = self.ants
 
     def look(self, substep: int, state: object) -> None:
-        """Behind a step."""
+        """Read the contacts after a step."""
         c = self.ants.contacts
         count = int(c.rigid_contact_count.numpy()[0])
         force, normal = (x.numpy()[:count] for x in (c.rigid_contact_force, c.rigid_contact_normal))
@@ -64,9 +64,10 @@ class Watch:
 
 
 def differences(tuning: demo.Tuning, eps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return differences of simulated rollouts by the biases {starts, 8}, and the valid starts.
+    """Return central differences of simulated rollouts by the biases, and a mask of the starts.
 
-    A start is valid if its contacts stay the same.
+    The differences have the shape {starts, 8}. The mask is true for starts whose contacts stay the
+    same.
     """
     ways = tuning.directions()
     moves = eps * np.concatenate([ways, -ways])
@@ -76,7 +77,7 @@ def differences(tuning: demo.Tuning, eps: float) -> tuple[np.ndarray, np.ndarray
 
 
 def agreement(ad: np.ndarray, fd: np.ndarray) -> str:
-    """Cosine and ratio of norms, of the means over the starts."""
+    """Return the cosine and the ratio of norms of the means over the starts."""
     if not len(ad):
         return "–"
     ad, fd = ad.mean(axis=0), fd.mean(axis=0)
@@ -85,7 +86,7 @@ def agreement(ad: np.ndarray, fd: np.ndarray) -> str:
 
 
 def table(args: argparse.Namespace) -> list[str]:
-    """Rows of the guide."""
+    """Return the rows of the guide."""
     sys.argv = [demo.__file__, "--headless", "0", "--starts", str(args.starts)]
     actor, _ = demo.load_actor(demo.POLICY, "dva")
     tuning = demo.Tuning(actor, demo.arguments())

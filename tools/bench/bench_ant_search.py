@@ -123,7 +123,7 @@ def read(folder: Path, method: str, seed: int) -> dict | None:
 
 
 def budget_of(args: argparse.Namespace, method: str) -> tuple[float, int]:
-    """Seconds of the stages and generations of `polish` of a method."""
+    """Return the seconds of the stages and the generations of `polish` of a method."""
     if method == "derivatives":
         return 0.0, args.generations or demo.GENERATIONS
     first = read(args.folder, "derivatives", 0) or {}
@@ -150,7 +150,7 @@ def start(args: argparse.Namespace, method: str, seed: int) -> None:
 
 
 def spread(values: Iterable[float], digits: int, unit: str = "") -> str:
-    """Median and range."""
+    """Return the median and the range as text."""
     values = list(values)
     text = f"{np.median(values):.{digits}f}{unit}"
     if len(values) > 1:
@@ -159,7 +159,7 @@ def spread(values: Iterable[float], digits: int, unit: str = "") -> str:
 
 
 def table(folder: Path, seeds: int) -> list[str]:
-    """Rows of the guide."""
+    """Return the rows of the guide."""
     lines = [COLUMNS, "|" + "---|" * (COLUMNS.count("|") - 1)]
     for method, name in METHODS.items():
         found = [read(folder, method, seed) for seed in range(seeds)]

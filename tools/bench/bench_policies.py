@@ -40,7 +40,7 @@ START_JOINTS = (0, 1, 0, -1, 0, -1, 0, 1)
 
 
 def fastest(run: Callable[[], object], turns: int) -> float:
-    """Seconds of a call, by the clock."""
+    """Return the least time (s) of a call, by the clock."""
     run()
     times = []
     for _ in range(turns):
@@ -51,7 +51,7 @@ def fastest(run: Callable[[], object], turns: int) -> float:
 
 
 def turns_of(worlds: int) -> int:
-    """Fewer of large batches."""
+    """Return the number of turns: fewer for large batches."""
     return 10 if worlds < 1000 else 3
 
 
@@ -61,7 +61,7 @@ def torques(worlds: int) -> np.ndarray:
 
 
 def novaphy_frames(worlds: int, device: str | None = None) -> dict[str, object]:
-    """AntWorlds: a frame and the observations."""
+    """Time frames of AntWorlds and their observations."""
     from novaphy.envs import AntWorlds
 
     ants, a = AntWorlds(worlds, device=device), torques(worlds)
@@ -73,7 +73,7 @@ def novaphy_frames(worlds: int, device: str | None = None) -> dict[str, object]:
 
 
 def mujoco_frames(worlds: int) -> dict[str, object]:
-    """MuJoCo on the same file, with its own contacts; many worlds by `rollout`, on all threads."""
+    """Time MuJoCo on the same file, with its own contacts; many worlds use all threads."""
     import mujoco
     from mujoco import rollout
 
@@ -99,7 +99,7 @@ def mujoco_frames(worlds: int) -> dict[str, object]:
 
 
 def mjx_frames(worlds: int) -> dict[str, object]:
-    """MJX, compiled by XLA for the CPU."""
+    """Time MJX, compiled by XLA for the CPU."""
     import jax
     import mujoco
     from mujoco import mjx
@@ -127,7 +127,7 @@ def mjx_frames(worlds: int) -> dict[str, object]:
 
 
 def newton_frames(worlds: int) -> dict[str, object]:
-    """Newton's SolverFeatherstone (penalty contacts) on the CPU, on the same file."""
+    """Time Newton's SolverFeatherstone (penalty contacts) on the CPU, on the same file."""
     import newton
     import warp as wp
 
@@ -277,7 +277,7 @@ def version(package: str) -> str:
 
 
 def cell(row: dict[str, object], worlds: int) -> str:
-    """Frames of all worlds per second."""
+    """Return the frames of all worlds per second, as text."""
     return f"{worlds / row['seconds']:,.0f}" if "seconds" in row else "–"
 
 
@@ -361,7 +361,7 @@ def page(rows: list[dict[str, object]], load: float) -> str:
 
 
 def main() -> None:
-    """Measure, and say or write it."""
+    """Measure, then print or write the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--page", action="store_true", help="write the page of the results")
     parser.add_argument("--limit", type=float, default=180.0, help="seconds of a measurement")

@@ -183,7 +183,7 @@ def newton_run(args):
 
 
 def main() -> None:
-    """Measure, and print."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--engine", choices=("novaphy", "newton"), default="novaphy")
     parser.add_argument("--threads", type=int, help="of NovaPhy; Newton's cpu device has one")

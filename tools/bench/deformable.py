@@ -41,7 +41,7 @@ YOUNG, POISSON = 1.5e4, 0.3
 
 
 def soft_grid(n: int) -> dict[str, object]:
-    """Arguments of add_soft_grid, the same in both engines."""
+    """Return the arguments of add_soft_grid, the same in both engines."""
     cell = 0.1
     return {
         "pos": (-0.5 * cell * n, -0.5, 1.0),
@@ -64,7 +64,7 @@ def soft_grid(n: int) -> dict[str, object]:
 
 
 def cloth_grid(n: int) -> dict[str, object]:
-    """Arguments of add_cloth_grid, the same in both engines."""
+    """Return the arguments of add_cloth_grid, the same in both engines."""
     half = -0.75 * np.pi / 2.0
     return {
         "pos": (0.0, 0.0, 0.0),

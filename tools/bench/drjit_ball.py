@@ -158,7 +158,7 @@ def measure(n: int, mode: str, iterations: int) -> dict[str, object]:
 
 
 def parse_arguments() -> argparse.Namespace:
-    """Command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

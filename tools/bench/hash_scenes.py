@@ -90,7 +90,7 @@ def differences(label: str, lines: list[str], golden: dict[str, str]) -> list[st
 
 
 def main() -> int:
-    """Print, write or compare."""
+    """Print, write or compare the hashes. Return 0 if none differs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--write", action="store_true", help="write the file")
     parser.add_argument("--print", action="store_true", help="print the hashes of one run")

@@ -24,7 +24,7 @@ def scene(name: str, on_devices: bool = False) -> Callable:
 
 
 def steps(model, solver, count: int, dt: float, pipeline=None, control=None) -> Hashed:
-    """Steps from the state of a model, contacts found in each of them."""
+    """Run steps from the state of a model, with a search for contacts in each."""
     import novaphy
 
     now, after = model.state(), model.state()
@@ -281,7 +281,7 @@ def chain(device: str) -> Hashed:
 
 
 def landed_ants(device: str, worlds: int, requires_grad: bool):
-    """Ants on their feet, under torques."""
+    """Return Ants that stand on their feet, under torques."""
     import novaphy_articulation
 
     import novaphy

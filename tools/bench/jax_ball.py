@@ -101,17 +101,17 @@ def make_scene(n: int) -> tuple[Scene, Vector]:
 
 
 def add(a: Vector, b: Vector) -> Vector:
-    """Sums of vectors."""
+    """Return the sums of vectors."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 def sub(a: Vector, b: Vector) -> Vector:
-    """Differences of vectors."""
+    """Return the differences of vectors."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
 def scale(a: Vector, b: Array) -> Vector:
-    """Vectors times numbers."""
+    """Return vectors times numbers."""
     return (a[0] * b, a[1] * b, a[2] * b)
 
 
@@ -121,12 +121,12 @@ def select(condition: Array, a: Vector, b: Vector) -> Vector:
 
 
 def dot(a: Vector, b: Vector) -> Array:
-    """Products of vectors, {n}."""
+    """Return the dot products of vectors {n}."""
     return (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
 
 
 def length_and_unit(a: Vector) -> tuple[Array, Vector]:
-    """Lengths and directions; a vector of length zero has the direction zero and no gradient."""
+    """Return lengths and directions. A vector of length 0 has the direction 0 and no gradient."""
     square = dot(a, a)
     there = square > 0
     length = jnp.where(there, jnp.sqrt(jnp.where(there, square, 1.0)), 0.0)
@@ -197,7 +197,7 @@ def make_iteration(mode: str) -> Callable[[Vector, Scene], tuple[Array, Vector]]
 
 
 def free_memory() -> int:
-    """Bytes that a program can still take."""
+    """Return the bytes that a program can still allocate."""
     for line in Path("/proc/meminfo").read_text().splitlines():
         if line.startswith("MemAvailable"):
             return int(line.split()[1]) * 1024
@@ -241,7 +241,7 @@ def measure(n: int, mode: str, iterations: int) -> dict[str, object]:
 
 
 def parse_arguments() -> argparse.Namespace:
-    """Command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

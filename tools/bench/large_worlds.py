@@ -32,7 +32,7 @@ SIDE, DT, CELL, HALF = 0.1, 1.0 / 240, 0.025, 0.25
 
 
 def median_time(repeats: int, run: Callable[[], object]) -> float:
-    """Median CPU time of a run, s."""
+    """Return the median CPU time of a run (s)."""
     times = []
     for _ in range(repeats):
         start = time.process_time()
@@ -42,7 +42,7 @@ def median_time(repeats: int, run: Callable[[], object]) -> float:
 
 
 def cubes(n: int, repeats: int) -> dict[str, object]:
-    """Cubes that rest on each other."""
+    """Time cubes that rest on each other."""
     builder = novaphy.ModelBuilder()
     builder.add_ground_plane()
     for place in np.ndindex(n, n, n):
@@ -76,7 +76,7 @@ def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def terrain(n: int, repeats: int) -> dict[str, object]:
-    """Boxes that touch hills in their highest point below."""
+    """Time boxes that touch hills at their highest point below."""
     line = (np.arange(n + 1) - n / 2) * CELL
     x, y = np.meshgrid(line, line)
     z = height(x, y)
@@ -107,7 +107,7 @@ def terrain(n: int, repeats: int) -> dict[str, object]:
 
 
 def resting(n: int, repeats: int, solver: str, sleeps: bool) -> dict[str, object]:
-    """N boxes in columns of ten, and a ball that is thrown at them."""
+    """Time n boxes in columns of ten, at which a ball is thrown."""
     surface = novaphy.ShapeConfig(ke=2e4, kd=40.0, kf=40.0, mu=0.5, gap=0.002)
     builder = novaphy.ModelBuilder()
     builder.add_ground_plane(cfg=surface)

@@ -46,7 +46,7 @@ class Boxes:
         mujoco.mj_step(self.model, self.data)
 
     def contacts(self) -> np.ndarray:
-        """Depths of the last step."""
+        """Return the depths of the last step (m)."""
         return -np.array(self.data.contact.dist)
 
 

@@ -174,14 +174,14 @@ class Balls:
         self.states[0].particle_qd.assign(self.velocity)
 
     def result_hash(self) -> str:
-        """Digest of the last iteration's final positions and gradient."""
+        """Return the hash of the last iteration's final positions and gradient."""
         digest = hashlib.sha256(self.states[-1].particle_q.numpy().tobytes())
         digest.update(self.states[0].particle_qd.grad.numpy().tobytes())
         return digest.hexdigest()[:16]
 
 
 def timed(function: Callable[[], None]) -> float:
-    """Wall-clock seconds of one call."""
+    """Return the wall-clock time of one call (s)."""
     start = time.perf_counter()
     function()
     return time.perf_counter() - start
@@ -214,7 +214,7 @@ def measure(n: int, mode: str, iterations: int) -> dict[str, object]:
 
 
 def parse_arguments() -> argparse.Namespace:
-    """Command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

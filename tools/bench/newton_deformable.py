@@ -156,7 +156,7 @@ class Deformable:
         wp.synchronize_device()
 
     def prepare(self) -> None:
-        """Nothing is left to do."""
+        """Do nothing, because no preparation is left."""
 
     def loss_value(self) -> float:
         """Return the loss of the last iteration, before its update."""

@@ -67,7 +67,7 @@ class Boxes(PenaltyBoxes):
 
 
 def add_boxes(builder: newton.ModelBuilder, scene: str, n: int, turn: float, factor: float) -> None:
-    """Boxes in columns or in a pile."""
+    """Add boxes in columns or in a pile."""
     surface = newton.ModelBuilder.ShapeConfig(density=DENSITY, **stiffer(SURFACE, factor))
     builder.add_ground_plane(cfg=surface)
     for pose in box_poses(scene, n, turn, factor):
@@ -76,7 +76,7 @@ def add_boxes(builder: newton.ModelBuilder, scene: str, n: int, turn: float, fac
 
 
 def add_mixed(builder: newton.ModelBuilder, n: int, factor: float) -> None:
-    """Shapes of all kinds on a mesh."""
+    """Add shapes of all kinds on a mesh."""
     surface = newton.ModelBuilder.ShapeConfig(
         density=DENSITY, gap=0.02, **stiffer(MIXED_SURFACE, factor)
     )
@@ -141,7 +141,7 @@ class Dice:
         wp.synchronize()
 
     def contacts(self) -> np.ndarray:
-        """None are counted in this scene."""
+        """Return no depths, because this scene counts no contacts."""
         return np.zeros(0)
 
 

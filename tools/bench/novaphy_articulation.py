@@ -126,7 +126,7 @@ def rolled(roll: int) -> tuple[float, ...]:
 
 
 def fastest(run: Callable[[], None], units: int, turns: int = TURNS) -> float:
-    """Microseconds of the processor per unit."""
+    """Return the least processor time per unit (microseconds)."""
     run()
     times = []
     for _ in range(turns):
@@ -159,7 +159,7 @@ def arm() -> novaphy.ModelBuilder:
 
 
 def replicated(builder: novaphy.ModelBuilder, worlds: int, device: str = "cpu") -> novaphy.Model:
-    """So many worlds of it."""
+    """Return a model of `worlds` copies of a builder."""
     if worlds == 1:
         return builder.finalize(device)
     many = novaphy.ModelBuilder()
@@ -168,7 +168,7 @@ def replicated(builder: novaphy.ModelBuilder, worlds: int, device: str = "cpu") 
 
 
 def chain(joints: int) -> novaphy.ModelBuilder:
-    """So many links on hinges, one upon the other."""
+    """Build a chain of links on hinges."""
     builder = novaphy.ModelBuilder()
     parent, made = -1, []
     for k in range(joints):
@@ -241,7 +241,7 @@ def hash_of(state: novaphy.State) -> str:
 
 
 def time_device(device: str, worlds: int, steps: int = 100) -> dict[str, object]:
-    """Steps of arms that swing to their pose, replayed on a device; on the CPU direct."""
+    """Time steps of arms that swing to their pose: replayed on devices, direct on the CPU."""
     model = replicated(arm(), worlds, device)
     solver = novaphy.solvers.SolverFeatherstone(model)
     state, after = model.state(), model.state()
@@ -261,7 +261,7 @@ def time_device(device: str, worlds: int, steps: int = 100) -> dict[str, object]
 
 
 def time_device_ants(device: str, worlds: int, steps: int = 100) -> dict[str, object]:
-    """Collide and step of Ants that have landed, likewise, under the torques of last."""
+    """Time collide and step of landed Ants under torques, as time_device does."""
     ants = Ants(worlds, device)
     line = time_on(device, worlds, steps, ants.land, ants.run_pair)
     ants.solver.check_last_step()
@@ -433,7 +433,7 @@ class Ants:
             self.solver.step(now, then, self.control, self.contacts, DT)
 
     def run(self, steps: int) -> None:
-        """Step, with other torques every 50."""
+        """Step, with new torques every 50 steps."""
         found = 0
         for t in range(0, steps, 2):
             if t % 50 == 0:
@@ -520,7 +520,7 @@ def pinocchio_arm() -> object:
 
 
 def humanoid(pin: object) -> tuple[novaphy.ModelBuilder, object]:
-    """Pinocchio's sample humanoid, a free root and 28 hinges: for NovaPhy and for Pinocchio."""
+    """Return Pinocchio's sample humanoid (28 hinges) for NovaPhy and for Pinocchio."""
     tree = pin.buildSampleModelHumanoid()
     builder = novaphy.ModelBuilder()
     joints = []
@@ -543,7 +543,7 @@ def humanoid(pin: object) -> tuple[novaphy.ModelBuilder, object]:
 def time_functions(
     builder: novaphy.ModelBuilder, tree: object, calls: int = 2000
 ) -> dict[str, tuple[float, float | None]]:
-    """Functions of the dynamics from Python: NovaPhy, Pinocchio (tree None: not there)."""
+    """Time functions of the dynamics from Python, in NovaPhy and Pinocchio (tree None: absent)."""
     model = builder.finalize()
     state = model.state()
     tau = np.zeros(model.joint_dof_count, np.float32)
@@ -585,7 +585,7 @@ def time_functions(
 
 
 def measure_humanoid() -> list[tuple[str, float, str, float | None]]:
-    """Rows, as those of measure; none without Pinocchio, whose model it is."""
+    """Return rows as measure does; no rows without Pinocchio, which has the model."""
     if importlib.util.find_spec("pinocchio") is None:
         return []
     builder, tree = humanoid(importlib.import_module("pinocchio"))
@@ -599,7 +599,7 @@ def measure_humanoid() -> list[tuple[str, float, str, float | None]]:
 
 
 def measure() -> list[tuple[str, float, str, float | None]]:
-    """Rows: what, NovaPhy, the peer, its time; microseconds."""
+    """Return rows (name, NovaPhy, peer, its time); times in microseconds."""
     has_mujoco = importlib.util.find_spec("mujoco") is not None
     mujoco_fr3 = time_mujoco(mujoco_arm(), False, 20_000) if has_mujoco else None
     mujoco = time_mujoco(mujoco_ant(), True, 5_000) if has_mujoco else None
@@ -712,7 +712,7 @@ def write_page(rows: list[tuple[str, float, str, float | None]]) -> None:
 
 
 def main() -> None:
-    """Measure, and say or write it."""
+    """Measure, then print or write the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--page", action="store_true", help="write the page of the results")
     parser.add_argument("--humanoid", action="store_true", help="measure that alone")

@@ -150,7 +150,7 @@ class Balls:
 
 
 def timed(function: Callable[[], None], device: str) -> float:
-    """Wall-clock seconds of one call, until the device has finished."""
+    """Return the wall-clock time of one call until the device has finished (s)."""
     novaphy.synchronize(device)
     start = time.perf_counter()
     function()
@@ -159,7 +159,7 @@ def timed(function: Callable[[], None], device: str) -> float:
 
 
 def timed_on_device(function: Callable[[], None], device: str) -> float:
-    """Seconds between two events of a GPU around one call."""
+    """Return the time between two events of a GPU around one call (s)."""
     start, stop = novaphy.Event(device), novaphy.Event(device)
     start.record()
     function()
@@ -284,7 +284,7 @@ def count_operations(device: str) -> dict[str, object]:
 
 
 def parse_arguments() -> argparse.Namespace:
-    """Command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

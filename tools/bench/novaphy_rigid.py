@@ -57,7 +57,7 @@ class Boxes(PenaltyBoxes):
 def add_boxes(
     builder: novaphy.ModelBuilder, scene: str, n: int, turn: float, factor: float
 ) -> None:
-    """Boxes in columns or in a pile."""
+    """Add boxes in columns or in a pile."""
     surface = novaphy.ShapeConfig(density=DENSITY, **stiffer(SURFACE, factor))
     builder.add_ground_plane(cfg=surface)
     for pose in box_poses(scene, n, turn, factor):
@@ -66,7 +66,7 @@ def add_boxes(
 
 
 def add_mixed(builder: novaphy.ModelBuilder, n: int, factor: float) -> None:
-    """Shapes of all kinds on a mesh."""
+    """Add shapes of all kinds on a mesh."""
     surface = novaphy.ShapeConfig(density=DENSITY, gap=0.02, **stiffer(MIXED_SURFACE, factor))
     builder.add_shape_mesh(-1, mesh=novaphy.io.Mesh(*hills()), cfg=surface)
     corners, _ = stone()
@@ -125,7 +125,7 @@ class Dice:
         novaphy.synchronize(self.model.device)
 
     def contacts(self) -> np.ndarray:
-        """None: the solver finds them inside of its kernel."""
+        """Return no depths, because the solver finds the contacts inside of its kernel."""
         return np.zeros(0)
 
 

@@ -45,7 +45,7 @@ SCENES = ("dice", "worlds", "columns", "pile")
 
 
 def median_time(device: str, repeats: int, run: Callable[[], None]) -> float:
-    """Median wall time of a run until the device has finished, s."""
+    """Return the median wall time of a run until the device has finished (s)."""
     times = []
     for k in range(FIRST + repeats):
         start = time.perf_counter()
@@ -119,7 +119,7 @@ def stack() -> novaphy.ModelBuilder:
 
 
 def worlds(n: int, device: str, repeats: int) -> dict[str, object]:
-    """Rollouts of many small worlds."""
+    """Time rollouts of many small worlds."""
     steps = 96
     builder = novaphy.ModelBuilder()
     builder.replicate(stack(), n)
@@ -155,7 +155,7 @@ def worlds(n: int, device: str, repeats: int) -> dict[str, object]:
 
 
 def boxes(scene: str, n: int, device: str, repeats: int) -> dict[str, object]:
-    """Many boxes in one world."""
+    """Time many boxes in one world."""
     steps = 16
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(density=DENSITY, gap=0.01, **SURFACE)

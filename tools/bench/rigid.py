@@ -76,7 +76,7 @@ def hill_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def hills() -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles, counter-clockwise seen from above."""
+    """Return vertices and triangles, counter-clockwise as seen from above."""
     line = (np.arange(HILLS + 1) - HILLS / 2) * HILL_CELL
     x, y = (grid.ravel() for grid in np.meshgrid(line, line))
     row = HILLS + 1
@@ -89,7 +89,7 @@ def hills() -> tuple[np.ndarray, np.ndarray]:
 
 
 def mixed_poses(n: int) -> np.ndarray:
-    """Positions and quaternions of `mixed`, a little above the ground, {n, 7}."""
+    """Return positions and quaternions of `mixed`, a little above the ground {n, 7}."""
     side = int(np.ceil(n**0.5))
     poses = np.zeros((n, 7))
     poses[:, 6] = 1.0
@@ -99,7 +99,7 @@ def mixed_poses(n: int) -> np.ndarray:
 
 
 def stone() -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of a pyramid with eight sides, its top cut off."""
+    """Return vertices and triangles of a truncated pyramid with eight sides."""
     angles = np.arange(8) * np.pi / 4
     rings = [
         np.stack([r * np.cos(angles), r * np.sin(angles), np.full(8, z)], axis=1)
@@ -153,7 +153,7 @@ class PenaltyBoxes:
         self.now, self.next = self.next, self.now
 
     def contacts(self) -> np.ndarray:
-        """Depths of the present rows."""
+        """Return the depths of the present rows (m)."""
         self.pipeline.collide(self.now, self.found)
         count = int(self.found.rigid_contact_count.numpy()[0])
         rows = {
@@ -167,7 +167,7 @@ class PenaltyBoxes:
 
 
 def in_world(poses: np.ndarray, bodies: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points of bodies in world coordinates; body -1 is the world."""
+    """Return points of bodies in world coordinates. Body -1 is the world."""
     result = points.astype(np.float64)
     own = bodies >= 0
     q = poses[bodies[own]].astype(np.float64)

@@ -16,7 +16,7 @@ SECONDS = 120.0  # a file may take
 
 
 def find_files(root: Path, kind: str) -> list[tuple[str, Path]]:
-    """Collection and path of each different file."""
+    """Return the collection and the path of each different file."""
     seen: set[str] = set()
     found = []
     for collection in sorted(p for p in root.iterdir() if p.is_dir()):
@@ -82,7 +82,7 @@ def read_options(description: str) -> argparse.Namespace:
 
 
 def run_files(args: argparse.Namespace, runner: Worker) -> Iterator[tuple[str, Path, dict]]:
-    """Collection, path and the worker's result of each file."""
+    """Yield the collection, the path and the worker's result of each file."""
     for collection, path in find_files(args.folder, args.kind):
         if args.only and collection not in args.only.split(","):
             continue

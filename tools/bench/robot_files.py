@@ -242,7 +242,7 @@ def draw_controls(exact, data, draw) -> None:
 
 
 def pairs_of_mujoco(m):
-    """Pairs of geoms that MuJoCo's filters let through; None: too many to list."""
+    """Return the pairs of geoms that MuJoCo's filters allow; None: too many to list."""
     if m.ngeom > 1500:
         return None
     import mujoco
@@ -278,7 +278,7 @@ def pairs_of_mujoco(m):
 
 
 def pairs_of(model, bodies, exact):
-    """Ours, as geoms of MuJoCo: by name, or by their place in their body."""
+    """Return NovaPhy's pairs as geoms of MuJoCo, by name or by position in their body."""
     names = {exact.geom(g).name: g for g in range(exact.ngeom) if exact.geom(g).name}
     owner = {b: k for k, b in enumerate(bodies, 1)}
     owner["world"] = 0

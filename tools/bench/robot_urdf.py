@@ -6,7 +6,7 @@ import collections
 
 
 def compare_urdf(exact, model, robot) -> dict[str, float]:
-    """Masses, poses of links, mass matrix, gravity and bias, at random angles and rates."""
+    """Compare masses, link poses, mass matrix, gravity and bias at random angles and rates."""
     import numpy as np
     import pinocchio
 

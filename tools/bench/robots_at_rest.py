@@ -49,7 +49,7 @@ TRIANGLES = "--triangles" in sys.argv
 
 
 def find_files(folder: Path) -> list[Path]:
-    """URDF files, and XML files with an element <mujoco>."""
+    """Return URDF files, and XML files with an element <mujoco>."""
     texts = ((path, path.read_bytes()) for path in folder.rglob("*.xml"))
     mjcf = [path for path, text in texts if b"<mujoco" in text and b"<worldbody" in text]
     return sorted([*folder.rglob("*.urdf"), *mjcf])
@@ -85,7 +85,7 @@ class Robot:
         return self.model
 
     def crouch(self) -> None:
-        """Bends the legs of a quadruped, before finalize."""
+        """Bend the legs of a quadruped, before finalize."""
         for name, coord in self.result.joint_coords.items():
             for end, angle in HOME.items():
                 if name.endswith(end):

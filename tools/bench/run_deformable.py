@@ -104,7 +104,7 @@ def check_bits() -> str:
 
 
 def table(best: dict[Job, Record], scene: str) -> str:
-    """Times per iteration of a scene, and how many times faster NovaPhy is."""
+    """Return the table of times per iteration of a scene, with NovaPhy's speedup."""
     body, ratios = [], []
     for n, (steps, left_out) in SIZES[scene].items():
         records = {c: best[c, scene, n, steps] for c in COLUMNS if c not in left_out}
@@ -140,7 +140,7 @@ def growth(best: dict[Job, Record]) -> str:
 
 
 def memory() -> str:
-    """Bytes of a substep: what a longer rollout takes more, by its resident set."""
+    """Return the bytes of a substep as text, from the resident memory of longer rollouts."""
     body = []
     for n, lengths in MEMORY.items():
         short, long = (measure("NovaPhy", "soft_body", n, steps) for steps in lengths)

@@ -72,7 +72,7 @@ def measure(n: int, limit: float) -> dict[str, Record]:
 
 
 def picture(results: dict[int, dict[str, Record]], key: str) -> str:
-    """Times over sizes as an SVG, both logarithmic."""
+    """Return an SVG of times over sizes, both logarithmic."""
     width, height, left, low = 640, 400, 70, 350
     times = [float(r[key]) for of in results.values() for r in of.values() if key in r]
     if not times:
@@ -104,7 +104,7 @@ def picture(results: dict[int, dict[str, Record]], key: str) -> str:
 
 
 def table(results: dict[int, dict[str, Record]], key: str) -> str:
-    """Times of all engines over the sizes, and how NovaPhy does against the best peer."""
+    """Return the table of times over sizes, with the ratio of NovaPhy and the best peer."""
     body = []
     for name in COLORS:
         body.append([name, *(cell(of[name], key) for of in results.values())])

@@ -100,7 +100,7 @@ def python_of(engine: str) -> Path | str:
 
 
 def environment(threads: int = 0) -> dict[str, str]:
-    """This process's, without settings of NovaPhy but for where its plugin lies."""
+    """Return this process's environment without settings of NovaPhy, except the plugin's path."""
     env = {k: v for k, v in os.environ.items() if not k.startswith(("NOVAPHY_", "NOVA_"))}
     if (
         "NOVAPHY_BACKEND_PATH" in os.environ
@@ -123,7 +123,7 @@ def run(python: Path | str, script: str, *arguments: object, threads: int = 0) -
 
 
 def free_memory() -> int:
-    """Bytes that a program can still take."""
+    """Return the bytes that a program can still allocate."""
     for line in Path("/proc/meminfo").read_text().splitlines():
         if line.startswith("MemAvailable"):
             return int(line.split()[1]) * 1024
@@ -162,7 +162,7 @@ def check_hashes(records: list[dict[str, object]]) -> bool:
 
 
 def iterations_for(n: int) -> int:
-    """Timed iterations per measurement."""
+    """Return the number of timed iterations per measurement."""
     return 30 if n <= 1000 else 5
 
 
@@ -170,7 +170,7 @@ class Results:
     """What was measured, by number of balls and column."""
 
     def __init__(self, sizes: list[int], rounds: int, slow: float) -> None:
-        """Measure; the engines take turns."""
+        """Run the measurements of all engines, in alternating order."""
         self.seconds: dict[int, dict[str, float]] = {}  # medians
         self.first: dict[int, dict[str, float]] = {}  # until the first iteration is done
         self.skipped: dict[int, dict[str, str]] = {}
@@ -214,7 +214,7 @@ class Results:
 
 
 def copy_bandwidth(threads: int) -> float:
-    """Bytes read and written per second by copying an array larger than the caches, best of 5."""
+    """Return the bytes per second of a copy larger than the caches, the best of 5."""
     source = np.ones(COPY_BYTES, np.uint8)
     target = np.empty_like(source)
     parts = list(zip(np.array_split(target, threads), np.array_split(source, threads)))
@@ -228,7 +228,7 @@ def copy_bandwidth(threads: int) -> float:
 
 
 def instructions(mode: str) -> str:
-    """Instructions per iteration of one ball, from callgrind; or why there are none."""
+    """Return the instructions per iteration of one ball by callgrind, or why there are none."""
     valgrind = shutil.which("valgrind")
     if valgrind is None:
         return "not counted: valgrind is not installed"
@@ -278,7 +278,7 @@ def rows(header: list[str], body: list[list[str]]) -> str:
 
 
 def bandwidth_rows(results: Results, operations: float) -> list[list[str]]:
-    """Bytes and operations per second of the rollout."""
+    """Return rows with bytes and operations per second of the rollout."""
     body = []
     for n, seconds in results.seconds.items():
         if BEST in seconds:
@@ -289,7 +289,7 @@ def bandwidth_rows(results: Results, operations: float) -> list[list[str]]:
 
 
 def memory_of(record: dict[str, object]) -> tuple[float, float, float]:
-    """Bytes per particle and substep: states, tape and gradients, both."""
+    """Return the bytes per particle and substep: states; tape and gradients; both."""
     states, tape = float(record["states_bytes"]), float(record["tape_bytes"])
     return states, tape, states + tape
 

@@ -76,7 +76,7 @@ def cells(scene: str, name: str, record: Record) -> list[str]:
 
 
 def forward() -> str:
-    """Steps per second of boxes, with what each engine makes of their contacts."""
+    """Return the table of steps per second of boxes, with the contacts of each engine."""
     body = []
     for scene, arguments in FORWARD.items():
         records = race(list(ENGINES.values()), arguments)
@@ -92,7 +92,7 @@ def forward() -> str:
 
 
 def mixed() -> str:
-    """Shapes of all kinds on a mesh."""
+    """Return the table of shapes of all kinds on a mesh."""
     records = race(["novaphy", "newton"], MIXED)
     body = [cells("", name, records[ENGINES[name]])[1:] for name in ("NovaPhy", "Newton")]
     head = ["engine", "steps/s", "simulated s per s", "contacts", "touching", "mean depth"]
@@ -100,7 +100,7 @@ def mixed() -> str:
 
 
 def dice() -> str:
-    """Training iterations of dice."""
+    """Return the table of training iterations of dice."""
     body = []
     for n, arguments in DICE.items():
         record = best("novaphy", arguments)

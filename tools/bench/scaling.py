@@ -56,7 +56,7 @@ def cloth() -> novaphy.ModelBuilder:
 
 
 def ants(first_world: int, worlds: int, device: str) -> novaphy.Model:
-    """Ants that stand in the air just above the ground."""
+    """Return Ants that hang in the air just above the ground."""
     from novaphy.envs._ant import ANTS, build_ants
 
     del first_world
@@ -72,7 +72,7 @@ class Kind:
     dt: float
 
     def run(self, block: dist.Block, params: dict[str, nova.Tensor]) -> nova.Tensor:
-        """Losses {worlds}: the squared distance of the end from the mean start."""
+        """Return losses {worlds}: the squared distance of the end from the mean start."""
         model, kept = block.model, block.kept
         if not kept:
             kept["path"], kept["solver"] = diff.Trajectory(model, self.steps), solver_of(model)

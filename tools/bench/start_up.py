@@ -64,7 +64,7 @@ print([scene.loss_value(), *scene.params.numpy().ravel()[:3].tolist()], flush=Tr
 
 
 def run_once(scene: str, n: int, device: str) -> tuple[float, str]:
-    """Seconds until the gradient was printed, and the line."""
+    """Return the seconds until the gradient was printed, and the printed line."""
     code = BALL if scene == "ball" else CAPTURED
     folder = str(Path(__file__).resolve().parent)
     start = time.perf_counter()

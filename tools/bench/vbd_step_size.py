@@ -35,7 +35,7 @@ def make_model():
 
 
 def run(model, solver, dt, seconds):
-    """Positions after some seconds, and the CPU time that they took."""
+    """Return the positions after some seconds, and the CPU time (s)."""
     states = [model.state(), model.state()]
     steps = round(seconds / dt)
     start = time.process_time()
@@ -47,12 +47,12 @@ def run(model, solver, dt, seconds):
 
 
 def error(q, reference, start):
-    """Root mean square of the differences, of what the reference moved by."""
+    """Return the root mean square difference, relative to the motion of the reference."""
     return float(np.sqrt(((q - reference) ** 2).sum() / ((reference - start) ** 2).sum()))
 
 
 def main() -> None:
-    """Measure, and print."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=0.5, help="that the cloth swings")
     args = parser.parse_args()

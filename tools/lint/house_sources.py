@@ -149,7 +149,7 @@ def opens(head: str) -> str:
 
 
 def cxx_functions(code: str) -> Iterator[tuple[str, int]]:
-    """Names and lines of functions, of the bodies of kernels too."""
+    """Yield names and lines of functions, and of the bodies of kernels."""
     code = DIRECTIVE.sub(lambda found: "\n" * found.group().count("\n"), code)
     inside = depth = head_at = 0  # depth of blocks within a function or another block
     name, first, is_function, is_value = "", 0, False, False
@@ -181,7 +181,7 @@ def cxx_functions(code: str) -> Iterator[tuple[str, int]]:
 
 
 def python_functions(tree: ast.Module) -> Iterator[tuple[str, int]]:
-    """Names and lines of functions."""
+    """Yield names and lines of functions."""
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             yield node.name, node.end_lineno - node.lineno + 1

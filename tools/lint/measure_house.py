@@ -61,7 +61,7 @@ def long_files(sources: list[Source]) -> Counts:
 
 
 def matches(pattern: str, rooms: tuple[str, ...]) -> Callable[[list[Source]], Counts]:
-    """Counts how often the files of some rooms have a pattern."""
+    """Return a counter of the matches of a pattern in the files of some rooms."""
     compiled = re.compile(pattern, re.MULTILINE)
 
     def count(sources: list[Source]) -> Counts:

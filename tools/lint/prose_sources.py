@@ -40,7 +40,7 @@ class Text:
 
 
 def plain(text: str) -> str:
-    """Prose on one line; a piece of code or a link is its words."""
+    """Return prose on one line. Code and links become their words."""
     text = CODE.sub("code", " ".join(text.split()))
     return LINKED.sub(r"\1", text).replace("**", "").replace("\\", "")
 

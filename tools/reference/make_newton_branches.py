@@ -99,7 +99,7 @@ class Shape:
     collides: bool = True
 
     def world(self, point: Vector) -> Vector:
-        """World position of a point given in the shape's frame."""
+        """Return the world position of a point in the shape's frame."""
         q = np.array(self.rotation[:3])
         p = np.array(point)
         t = 2.0 * np.cross(q, p)
@@ -126,7 +126,7 @@ class Scene:
 
 
 def axis_angle(axis: Vector, degrees: float) -> Quaternion:
-    """Unit quaternion of a rotation about an axis."""
+    """Return the unit quaternion of a rotation about an axis."""
     unit = np.array(axis) / np.linalg.norm(axis)
     half = math.radians(degrees) / 2
     x, y, z = (unit * math.sin(half)).tolist()
@@ -210,7 +210,7 @@ def tilted_shapes() -> list[Shape]:
 
 
 def tilted() -> Scene:
-    """Rotated shapes with margins, approached from several sides."""
+    """Return a scene of rotated shapes with margins, approached from several sides."""
     shapes = tilted_shapes()
     box, plane, capsule, sphere = shapes
     near: list[tuple[Shape, Vector, Vector]] = [
@@ -289,7 +289,7 @@ def box_interior_regenerated() -> Scene:
 
 
 def walls() -> Scene:
-    """Particles in a corner of up to five shapes."""
+    """Return a scene of particles in a corner of up to five shapes."""
     shapes = [
         Shape(PLANE, ORIGIN, kf=20.0),
         Shape(PLANE, ORIGIN, (-0.5, 0.0, 0.0), axis_angle((0.0, 1.0, 0.0), 90.0), ke=7.0e3, mu=0.5),
@@ -308,7 +308,7 @@ def walls() -> Scene:
 
 
 def velocity_clamp() -> Scene:
-    """Particles at, above and below a velocity limit of 3 m/s, with and without contact."""
+    """Return particles at, above and below a velocity limit of 3 m/s, with and without contact."""
     velocities: list[Vector] = [
         (0.0, 0.0, -2.9),
         (4.0, 1.0, -2.0),
@@ -326,7 +326,7 @@ def velocity_clamp() -> Scene:
 
 
 def inactive() -> Scene:
-    """Particles without the active flag or without mass, in and out of contact."""
+    """Return particles without the active flag or without mass, in and out of contact."""
     particles = [
         Particle((0.0, 0.0, 0.08), (0.5, -0.25, -1.0), flags=0),
         Particle((0.5, 0.0, 0.09), (0.5, -0.25, -1.0), mass=0.0),
@@ -381,7 +381,7 @@ def finite_plane() -> Scene:
 
 
 def shape_flags() -> Scene:
-    """Shapes that particles pass through, between others that they meet."""
+    """Return shapes that particles pass through, between shapes that they touch."""
     shapes = [
         Shape(BOX, (1.0, 1.0, 0.25), (0.0, 0.0, 0.5), collides=False),
         Shape(PLANE, ORIGIN, (0.0, 0.0, -0.25), kf=30.0),
@@ -522,7 +522,7 @@ def contact_arrays(contacts: newton.Contacts) -> dict[str, np.ndarray]:
 
 
 def release(package: str) -> np.ndarray:
-    """Version of an installed package, three numbers."""
+    """Return the version of an installed package as three numbers."""
     return np.int32([int(part) for part in version(package).split(".")[:3]])
 
 
@@ -584,7 +584,7 @@ def validate(name: str, arrays: dict[str, np.ndarray]) -> None:
 
 
 def same(path: Path, arrays: dict[str, np.ndarray]) -> bool:
-    """True if a file holds exactly these arrays, bit for bit."""
+    """Return whether a file holds exactly these arrays, bit for bit."""
     with np.load(path) as stored:
         return stored.keys() == arrays.keys() and all(
             stored[key].shape == value.shape and stored[key].tobytes() == value.tobytes()

@@ -180,7 +180,7 @@ class ModuleWriter:
         return "\n".join([*lines, preamble.strip(), *aliases, "", ""])
 
     def imports(self, used: set[str]) -> list[str]:
-        """Imports of the other modules."""
+        """Return the imports of the other modules."""
         own = {item.name for item in self.module.content}
         lines = []
         if self.module.name:

@@ -245,7 +245,7 @@ def parse_docstring(name: str, doc: str) -> Function:
 
 
 def merge_overloads(overloads: list[Signature]) -> list[Signature]:
-    """Overloads that differ in the type of one argument only become one."""
+    """Merge overloads that differ only in the type of one argument."""
     found: list[Signature] = []
     for new in overloads:
         for old in found:

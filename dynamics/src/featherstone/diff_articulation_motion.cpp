@@ -311,7 +311,7 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
   std::vector<Tensor> moved(inputs.begin(), inputs.end());
   moved[kAt.q] = copy_of(s.in(kAt.q), inputs[kAt.q]);
   moved[kAt.qd] = copy_of(s.in(kAt.qd), inputs[kAt.qd]);
-  std::vector<float> delay(trees), jump(dofs);  // jump: of the new coordinates, as tangents
+  std::vector<float> delay(trees), jump(dofs);  // jump: tangents of the new coordinates
   delays_jvp(s, in, moved, delay, jump);
   move_on(s, in.arrays.q, in.arrays.qd, notes.smooth.data(), delay, numbers(moved[kAt.q]),
           numbers(moved[kAt.qd]), nullptr, nullptr);

@@ -38,7 +38,7 @@ class Group:
         return self.all_gather(payload if self.rank == root else b"", call)[root]
 
     def barrier(self) -> None:
-        """Returns when all ranks have called it."""
+        """Wait until all ranks have called barrier."""
         self.all_gather(b"", "barrier")
 
     def close(self) -> None:

@@ -131,7 +131,7 @@ def shard(
 
 
 def _compare(group: Group, model: _core.Model, *, alike: bool) -> None:
-    """Ranks have one model; where worlds differ, their models have the same arrays."""
+    """Check that ranks have one model. If worlds differ, their models have the same arrays."""
     if group.size == 1:
         return
     kept: Any = model.__getstate__()

@@ -206,8 +206,8 @@ bool solve_adjoint(const Island& island, bool cone) {
   return true;
 }
 
-// Adds -y mu d(softness) of a shifting row to the gradients of its trees, after
-// solve_shift_adjoint. Overwrites the motions of their links.
+// Adds the derivative of the softness of a shifting row, times -y mu, to the gradients of its
+// trees. Call after solve_shift_adjoint. Overwrites the motions of the links.
 template <class TreeOf, class MemoryOf>
 void add_softness_gradient(const AdjointContact& row, float dt, const TreeOf& tree_of,
                            const MemoryOf& memory_of) {

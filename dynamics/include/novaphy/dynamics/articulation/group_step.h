@@ -50,7 +50,7 @@ struct LocalIsland {
   alignas(16) unsigned char bytes[kIslandStack];
 };
 
-// The step of a group. `local`: stack memory of its tree.
+// Runs the step of a group with contacts. `local`: stack memory for the tree of a group of one.
 struct GroupStep : ContactGroup {
   const ArticulationContactStepArguments& all;
   const float warm_scale;

@@ -121,7 +121,7 @@ nova::Access to_access(py::handle value) {
        text, "\"");
 }
 
-// (name, dtype, width=1, access="direct") each
+// Reads the sources of a kernel. Each is a tuple (name, dtype, width=1, access="direct").
 std::vector<nova::SourceSpec> to_sources(const py::sequence& sources) {
   std::vector<nova::SourceSpec> specs;
   for (const py::handle item : sources) {

@@ -18,7 +18,7 @@
 
 namespace novaphy::gpu {
 
-// The vendor's file of the host: barriers are those of fibers, the rest is generic.
+// The device code of a vendor for the host: barriers are barriers of fibers, the rest is generic.
 constexpr const char* kHostVendor = R"(
 #define VENDOR_WARP 32
 #define VENDOR_HAS_BLOCK_BARRIERS

@@ -32,7 +32,7 @@ HAVE_NONE = {
     "fluid_density",
     "fluid_viscosity",
 }
-# The distance below which rows are found. Rows of shapes that do not overlap have no force.
+# Arrays of the search only. The gap adds rows of shapes that do not overlap, which have no force.
 OF_THE_SEARCH = {"shape_gap"}
 # Arrays of "pgs" contacts only. The penalty law takes the mean of two materials.
 OF_TREES = {"shape_mixing"}

@@ -89,7 +89,7 @@ class Run:
             Path(path).write_text(json.dumps(self.told, indent=1), "utf-8")
 
     def run(self) -> None:
-        """Do what is missing."""
+        """Run the stages that the file of the run lacks."""
         actor = demo.Actor(np.array(self.told["weights"]))
         trainer, (seconds, generations) = demo.Trainer(actor, "frozen", "dva"), self.budget
         share = seconds / sum(stage[1] * stage[2] for stage in self.stages)

@@ -239,7 +239,7 @@ def tilted_regenerated() -> Scene:
 
 
 def box_interior() -> Scene:
-    """Particles inside a box and on its surface, with ties between the faces; and outside it.
+    """Return particles inside a box, on its surface with ties between faces, and outside.
 
     Positions and half extents are multiples of 1/16, so that ties are exact. The soft material
     keeps the particles inside for some time.

@@ -117,7 +117,11 @@ def _ratio(size: float, slope: float) -> float:
 
 
 def _changes(base: list[Event], slopes: Numbers, steepest: Numbers, along: Numbers) -> Any:
-    """Yield what may change, its event, its distance, the largest slope, and that downhill."""
+    """Yield each change of the list of events that a move of the parameters can cause.
+
+    A change has five values: its name, the event, the distance to the change, the largest slope of
+    the distance, and the slope in the downhill direction.
+    """
     if not len(slopes):
         return
     for i, event in enumerate(base):

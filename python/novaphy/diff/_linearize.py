@@ -124,8 +124,8 @@ class _Rows:
             )
 
         self.q, self.qd = rows_of(q_start), rows_of(qd_start)
-        # Joint by joint: its first coordinate and its first dof in the world, its dofs, and those
-        # before its quaternion.
+        # For each joint: its first coordinate and first dof in the world, its number of dofs, and
+        # the number of dofs before its quaternion.
         self.joints: list[tuple[int, int, int, int]] = []
         at_q = at_qd = 0
         for _kind, coordinates, dofs in shape[0]:

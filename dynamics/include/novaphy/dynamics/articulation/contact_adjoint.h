@@ -80,7 +80,7 @@ bool solve_shift_adjoint(const Island& island) {
   return true;
 }
 
-// Number of values in the system of an island.
+// Returns the number of values in the system of an island.
 inline int64_t adjoint_numbers(int64_t contacts, int64_t held) {
   const int64_t n = 3 * contacts + held;
   return n * (n + 1);
@@ -272,7 +272,7 @@ inline void set_shift_motions(const Tree<float>& tree, const StepInputs<float>& 
   for (int32_t k = 0; k < n; ++k) x[k] = rates[k] + shift[k];
   set_contact_motions(tree, x, ws, memory);
 }
-// add_contact_geometry for a shifting row.
+// Adds the gradients of add_contact_geometry that come from the shift of a row.
 template <class TreeOf, class MemoryOf>
 void add_shift_geometry(const AdjointContact& row, float dt, const TreeOf& tree_of,
                         const MemoryOf& memory_of) {
@@ -281,7 +281,7 @@ void add_shift_geometry(const AdjointContact& row, float dt, const TreeOf& tree_
   of.solver.impulse[1] = of.solver.impulse[2] = 0.0f;
   of.z = of.pull = {row.shift_z, 0.0f, 0.0f};
   of.target.slope = row.target.shift_slope;
-  of.target.bounce = of.target.shift_bounce = 0.0f;  // they belong to the rates
+  of.target.bounce = of.target.shift_bounce = 0.0f;  // these belong to the rates, not to the shifts
   add_contact_geometry(of, dt, tree_of, memory_of);
 }
 // Returns the note of a contact that pushes, after solve_adjoint. tree_of(i): an IslandTree.

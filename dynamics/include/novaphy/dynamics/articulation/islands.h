@@ -127,7 +127,7 @@ inline bool meets_planes_in_points(int32_t shape_type) {
       return false;
   }
 }
-// Returns IslandContact::follows of a contact.
+// Returns IslandContact::follows: whether a point fixed to its shape touches a plane of the world.
 inline bool follows_plane(const ContactRows& c, const int32_t* shape_type, int32_t contact,
                           const ContactSide* sides) {
   const int32_t types[2] = {shape_type[c.shape0[contact]], shape_type[c.shape1[contact]]};
@@ -198,7 +198,7 @@ inline bool may_touch(const ContactRows& c, int32_t contact, const LinkState<flo
   return !(place.gap > (2.0f * math::max(closing, 0.0f) + kMoreSpeed) * dt);
 }
 
-// Computes the place of a contact and its J, in row.numbers.
+// Computes the points and the frame of a contact, and its Jacobian J in row.numbers.
 template <class TreeOf>
 void build_jacobian(const ContactRows& c, const TreeOf& tree_of, IslandContact& row) {
   const int32_t i = row.contact;

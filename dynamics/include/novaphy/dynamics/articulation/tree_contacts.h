@@ -33,7 +33,7 @@ struct TreeContact {
   T start_normal{};  // initial impulses; the tangential one is in the world frame
   Vec3<T> start_tangent{};
 };
-// The pose of the contact's link.
+// Returns the pose of the contact's link.
 template <class T>
 struct TreeContactLink {
   Quat<T> q{};

@@ -1,12 +1,14 @@
 # novaphy_add_device_module(<target> <path>/<name>_kernels.h [WHEN <condition>])
-# The hand-written kernels of a header (NOVAPHY_ROW_KERNEL) for devices: makes the text that their compilers get, and
-# compiles it into the target as
+# Makes the device text of the hand-written kernels of a header (NOVAPHY_ROW_KERNEL), and compiles it into the target as
 #   const char* novaphy::detail::<name>_kernels_source();
-# which gives null without a backend for devices or where the condition is false. A tool that runs in the build makes the
-# text, tools/device_source: headers take the place of their includes, each once. core/device/ holds the twins of those that
-# devices read otherwise. The tool makes the lines "// kernel NAME WORDS NOVAPHY_ROW" (or _BLOCK) that backends look for
-# from the declarations. The text is C++17, which compilers of all vendors know. #include "<code>.inc" stays, for code that
-# the build makes: the .cuh includes it, and the text <code>_source.inc, the same as string literals.
+# The function returns null without a backend for devices, or if the condition is false.
+#
+# tools/device_source makes the text in the build. Each header replaces its first include. core/device/ has twins of the
+# headers that devices must read in another form. From the declarations of kernels the tool makes the lines
+# "// kernel NAME WORDS NOVAPHY_ROW" (or _BLOCK), which backends read. The text is C++17 for the compilers of all vendors.
+# Includes "<code>.inc" of code that the build makes remain: the .cuh includes the code, and the text includes
+# <code>_source.inc, the code as string literals.
+#
 # A target that compiles these files elsewhere depends on novaphy_device_sources.
 set(NOVAPHY_DEVICE_INCLUDES core/device core/include collision/include dynamics/include vbd/include)
 list(TRANSFORM NOVAPHY_DEVICE_INCLUDES PREPEND ${PROJECT_SOURCE_DIR}/)

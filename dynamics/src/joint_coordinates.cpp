@@ -94,7 +94,7 @@ void eval_fk(const Model& m, const DeviceArray<float>& joint_q, const DeviceArra
              SimState& state) {
   constexpr const char* kName = "eval_fk";
   check_arguments(kName, m, state, joint_q, joint_qd);
-  // Only if the values are already on the host.
+  // The check needs values that are already on the host.
   if (runs_at_once(m.device())) check_quaternions(m, joint_q.data());
   DeviceArray<float> places;  // rows of BodyPlace
   {

@@ -190,7 +190,7 @@ void bind_array(py::module_& m) {
             return make_array(to_dtype(dtype), to_shape(shape), to_device(device));
           },
           "shape"_a, "dtype"_a = dtype_object(DType::float32), "device"_a = py::none(),
-          "The same as zeros: memory is always cleared.")
+          "Returns an array of zeros, because memory is always cleared.")
       .def_static(
           "full",
           [](py::handle shape, py::handle value, py::handle dtype, py::handle device) {
@@ -246,7 +246,7 @@ void bind_array(py::module_& m) {
           "read-only unless writable=True. A writable array can change values unnoticed, so tapes "
           "then compare contents. novaphy.Error: inside a capture.")
       .def("assign", &assign_array, "source"_a, doc::kAssign)
-      .def("copy_from", &assign_array, "other"_a, "The same as assign.")
+      .def("copy_from", &assign_array, "other"_a, "Copies values, as assign.")
       .def(
           "fill_",
           [](const py::object& self, py::handle value) {

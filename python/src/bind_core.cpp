@@ -117,7 +117,7 @@ void bind_backends(py::module_& m) {
   py::class_<BackendInfo>(m, "BackendInfo",
                           "A backend that was found: loaded, or refused with a reason.")
       .def_readonly("name", &BackendInfo::name,
-                    "\"cpu\"; the file's name when it could not be loaded.")
+                    "The name, such as \"cpu\"; the name of a file that was not loaded.")
       .def_readonly("version", &BackendInfo::version, "The version of the backend.")
       .def_property_readonly(
           "abi_version",

@@ -1,5 +1,5 @@
-// Rigid bodies on a CUDA device: rows, steps, rollouts and gradients have the bits of the CPU. On a
-// GPU, or on the fake driver (CMakeLists.txt).
+// Rigid bodies on a CUDA device: rows, steps, rollouts and gradients have the bits of the CPU. The
+// device is a GPU or the fake driver (CMakeLists.txt).
 #include <gtest/gtest.h>
 
 #include <algorithm>

@@ -190,7 +190,7 @@ def write_page(lines: list[str]) -> None:
 
 
 def main() -> None:
-    """Run what is missing, and print the table."""
+    """Run the missing runs, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="of the files of JSON")
     parser.add_argument("--seeds", type=int, default=5)

@@ -1,0 +1,192 @@
+"""One run of a method that lowers the loss of a task: Adam with a gradient, or a search."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from certify_tasks import function_of
+from cma_es import CmaEs
+from event_task_scenes import Task
+from event_tasks import start_of
+
+import novaphy
+from novaphy import diff, nova
+
+STEP = 1.0  # of Adam, sigmas; falls to a tenth
+PART = 0.25  # of sigma, of the samples of diff.smoothed
+SPREAD = 2.0  # of random search and of the first generation of CMA-ES, sigmas
+EVERY = 5  # iterations of Adam from one evaluated point to the next
+GRADIENTS = ("motion", "code")
+ORDERS: dict[str, Any] = {"smoothed 0": 0, "smoothed 1": 1, "smoothed mixed": "mixed"}
+SEARCHES = ("random search", "CMA-ES")
+Slope = Callable[[np.ndarray], np.ndarray]
+
+
+def methods_of(kind: type[Task]) -> list[str]:
+    """Give the methods; the searches take the processor time of the first one."""
+    return [mode for mode in GRADIENTS if mode in kind.modes] + [*ORDERS, *SEARCHES]
+
+
+class Problem:
+    """A task in units of sigma around one start."""
+
+    def __init__(self, kind: type[Task], number: int, worlds: int) -> None:
+        self.kind, self.worlds = kind, worlds
+        self.start = start_of(kind, number)
+        self.size = len(self.start)
+        self.sigma = np.broadcast_to(np.float64(kind.sigma), self.start.shape)
+        self.functions = {mode: function_of(kind, mode) for mode in kind.modes}
+        self.first = float(self.losses(np.zeros((1, self.size)))[0])
+
+    def losses(self, moves: np.ndarray) -> np.ndarray:
+        """Give the losses {rows} of moves {rows, n} in units of sigma."""
+        theta = nova.tensor(np.float32(self.start + moves * self.sigma))
+        return self.functions["code"](theta).numpy().astype(np.float64)
+
+    def slope_of(self, mode: str) -> Slope:
+        """Give the gradient by a move."""
+
+        def slope(move: np.ndarray) -> np.ndarray:
+            theta = nova.tensor(
+                np.float32(self.start + move * self.sigma)[None], requires_grad=True
+            )
+            with nova.Tape() as tape:
+                tape.backward(self.functions[mode](theta), nova.ones((1,)))
+            return theta.grad.numpy()[0] * self.sigma
+
+        return slope
+
+    def smooth_slope(self, order: Any, mode: str) -> Slope:
+        """Give the gradient of the mean of samples; each call has samples of its own."""
+        calls = iter(range(1 << 30))
+
+        def slope(move: np.ndarray) -> np.ndarray:
+            info: dict[str, Any] = {}
+            diff.smoothed(
+                self.functions[mode], np.float32(self.start + move * self.sigma),
+                PART * self.sigma, self.worlds, order, seed=next(calls), info=info,
+            )  # fmt: skip
+            return np.float64(info["gradient"]) * self.sigma
+
+        return slope
+
+
+class Run:
+    """The best loss, relative to the start, over processor time (s), within a limit (s)."""
+
+    def __init__(self, first: float, limit: float) -> None:
+        self.first, self.limit = first, limit
+        self.seconds, self.best, self.iterations = [0.0], [1.0], 0
+        self.begin()
+
+    def begin(self) -> None:
+        """Set the clocks to 0."""
+        self.began, self.before, self.outside = time.monotonic(), time.process_time(), 0.0
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the limit is reached."""
+        return time.monotonic() - self.began > self.limit
+
+    @property
+    def spent(self) -> float:
+        """The processor time but for the time outside of the method, s."""
+        return time.process_time() - self.before - self.outside
+
+    def note(self, seconds: float, loss: float) -> None:
+        """Add a point; a loss that is not finite is none."""
+        self.seconds.append(seconds)
+        known = np.isfinite(loss)
+        self.best.append(min(self.best[-1], loss / self.first) if known else self.best[-1])
+
+
+def adam(slope: Slope, size: int, iterations: int) -> Iterator[np.ndarray]:
+    """Yield the points of Adam from 0; its steps fall to a tenth along a cosine."""
+    x, m, v = np.zeros(size), np.zeros(size), np.zeros(size)
+    for k in range(iterations):
+        g = slope(x)
+        m, v = 0.9 * m + 0.1 * g, 0.99 * v + 0.01 * g * g
+        part = 0.55 + 0.45 * np.cos(np.pi * k / iterations)
+        moved = m / (1 - 0.9 ** (k + 1)) / (np.sqrt(v / (1 - 0.99 ** (k + 1))) + 1e-12)
+        x = x - STEP * part * moved
+        yield x
+
+
+def random_search(size: int, population: int, seed: int) -> Iterator[np.ndarray]:
+    """Yield points around the best one, and take their losses."""
+    rng, width, at, best = np.random.default_rng(seed), SPREAD, np.zeros(size), 0.0
+    while True:
+        moves = at + width * rng.normal(size=(population, size))
+        rises = yield moves
+        k = int(np.argmin(rises))
+        if rises[k] < best:
+            best, at = float(rises[k]), moves[k]
+        else:
+            width = max(0.7 * width, 1e-3)
+
+
+def cma_es(size: int, population: int, seed: int) -> Iterator[np.ndarray]:
+    """Yield the generations of CMA-ES, and take their losses."""
+    search = CmaEs(size, 0.5 * SPREAD, population, seed)
+    while True:
+        moves = search.ask()
+        search.tell(moves, (yield moves))
+
+
+def run_adam(run: Run, problem: Problem, slope: Slope, iterations: int) -> None:
+    """Run Adam; the losses of its points are evaluated outside of its time."""
+    slope(np.zeros(problem.size))  # compiles
+    run.begin()
+    for k, move in enumerate(adam(slope, problem.size, iterations), 1):
+        seconds, run.iterations = run.spent, k
+        if k % EVERY == 0 or k == iterations or run.is_over:
+            before = time.process_time()
+            run.note(seconds, float(problem.losses(move[None])[0]))
+            run.outside += time.process_time() - before
+        if run.is_over:
+            return
+
+
+def run_search(run: Run, problem: Problem, search: Iterator[np.ndarray], seconds: float) -> None:
+    """Run a search for a processor time."""
+    problem.losses(np.zeros((problem.worlds, problem.size)))  # compiles
+    run.begin()
+    moves = next(search)
+    while run.spent < seconds and not run.is_over:
+        losses = problem.losses(moves)
+        losses = np.where(np.isfinite(losses), losses, np.inf)
+        run.iterations += 1
+        run.note(run.spent, float(losses.min()))
+        moves = search.send(losses - problem.first)
+
+
+def run_one(
+    kind: type[Task], number: int, method: str, worlds: int, iterations: int, limit: float,
+    seconds: float,
+) -> dict[str, Any]:  # fmt: skip
+    """Give the line of a run. An error of the engine ends the run, and stands in its line.
+
+    seconds: the processor time of a search. limit: the most that any run takes (s).
+    """
+    warnings.simplefilter("ignore", RuntimeWarning)
+    problem = Problem(kind, number, worlds)
+    run, error = Run(problem.first, limit), None
+    try:
+        if method in SEARCHES:
+            search = random_search if method == "random search" else cma_es
+            run_search(run, problem, search(problem.size, worlds, number), seconds)
+        elif method in ORDERS:
+            mode = "motion" if "motion" in kind.modes else "code"
+            run_adam(run, problem, problem.smooth_slope(ORDERS[method], mode), iterations)
+        else:
+            run_adam(run, problem, problem.slope_of(method), iterations)
+    except (novaphy.Error, ValueError) as reason:
+        error = str(reason)
+    return {
+        "task": kind.name, "solver": kind.solver_name, "start": number, "method": method,
+        "iterations": run.iterations, "seconds": run.seconds, "best": run.best, "error": error,
+    }  # fmt: skip

@@ -1,6 +1,7 @@
 #include "novaphy/dynamics/diff_adjoint_record.h"
 
 #include <cmath>
+#include <utility>
 
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/diff_gradient_notes.h"
@@ -22,25 +23,36 @@ std::shared_ptr<AdjointRecord> record_of(const nova::Tape& tape) {
 struct Downhill {
   std::vector<nova::Tensor> leaves, tangents;
 };
-Downhill downhill(const std::vector<nova::Tensor>& leaves) {
+Downhill downhill(const AdjointRecord& record, const std::vector<nova::Tensor>& leaves) {
   Downhill to;
   double squares = 0.0;
   for (const nova::Tensor& leaf : leaves) {
     if (!leaf.has_grad()) continue;
-    to.leaves.push_back(leaf);
+    to.leaves.push_back(leaf);  // jvp names what is no leaf of the tape
     to.tangents.emplace_back(leaf.shape(), nova::DType::F32, leaf.device());
-    for (const float g : leaf.grad().to_host()) squares += double{g} * g;
+    if (const std::vector<float>* const gradient = record.gradient(leaf))
+      for (const float g : *gradient) squares += double{g} * g;
   }
   const double scale = squares > 0.0 ? -1.0 / std::sqrt(squares) : 0.0;
   for (size_t k = 0; k < to.leaves.size(); ++k) {
     auto* x = static_cast<float*>(to.tangents[k].range()->data());
-    for (const float g : to.leaves[k].grad().to_host()) *x++ = static_cast<float>(scale * g);
+    if (const std::vector<float>* const gradient = record.gradient(to.leaves[k]))
+      for (const float g : *gradient) *x++ = static_cast<float>(scale * g);
   }
   return to;
 }
 
+std::vector<float> gradient_of(const nova::Tensor& leaf) {
+  return leaf.has_grad() ? leaf.grad().to_host() : std::vector<float>();
+}
+
 }  // namespace
 
+const std::vector<float>* AdjointRecord::gradient(const nova::Tensor& leaf) const {
+  for (const auto& [of, numbers] : gradients)
+    if (of.range() == leaf.range() && !numbers.empty()) return &numbers;
+  return nullptr;
+}
 AdjointRecord::Step& AdjointRecord::add(const void* of) {
   place_[of] = steps.size();
   return steps.emplace_back();
@@ -73,9 +85,16 @@ void backward_with_record(nova::Tape& tape, const nova::Tensor& loss, const nova
           "the tape, got none");
   AdjointRecord record;
   record.loss = loss;
+  for (const nova::Tensor& leaf : tape.leaves())
+    record.gradients.emplace_back(leaf, gradient_of(leaf));
   {
     const AdjointRecord::Scope scope(record);
     tape.backward(loss, seed);
+  }
+  record.pass = tape.passes();
+  for (auto& [leaf, numbers] : record.gradients) {  // leaves accumulate over passes
+    const std::vector<float> before = std::exchange(numbers, gradient_of(leaf));
+    for (size_t k = 0; k < before.size(); ++k) numbers[k] -= before[k];
   }
   for (const auto& witness : tape.witnesses())
     if (const auto* const of = dynamic_cast<const GradientWitness*>(witness.get()))
@@ -91,12 +110,15 @@ std::shared_ptr<const AdjointRecord> adjoint_record(nova::Tape& tape,
   const std::shared_ptr<AdjointRecord> record = record_of(tape);
   require(record != nullptr, ErrorKind::Runtime,
           "adjoint_record: expected backward(loss, record=True) before, got none");
+  require(record->pass == tape.passes(), ErrorKind::Runtime,
+          "adjoint_record: expected backward(loss, record=True) as the last backward of the tape, "
+          "got one without a record behind it");
   bool all_springs = true;
   for (AdjointRecord::Step& step : record->steps) {
     step.changes.clear();
     all_springs = all_springs && step.of_springs;
   }
-  const Downhill along = downhill(inputs.empty() ? tape.leaves() : inputs);
+  const Downhill along = downhill(*record, inputs.empty() ? tape.leaves() : inputs);
   const AdjointRecord::Scope scope(*record);
   const auto run = [&] { tape.jvp({record->loss}, along.leaves, along.tangents); };
   if (!find_changes_of_springs(*record, run) || !all_springs) run();

@@ -268,7 +268,7 @@ GradientInfo gradient_info(const nova::Tape& tape) {
       all.push_back(of->info());
   require(!all.empty(), ErrorKind::Runtime,
           "Tape.gradient_info: expected steps of a differentiable solver on the tape, got none");
-  require(tape.has_gone_back(), ErrorKind::Runtime,
+  require(tape.passes() > 0, ErrorKind::Runtime,
           "Tape.gradient_info: expected a backward of this tape before, got none");
   return worst_of(all);
 }

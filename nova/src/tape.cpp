@@ -184,7 +184,7 @@ void Tape::Impl::forget() {
   params.clear();
   customs.clear();
   witnesses.clear();
-  has_gone_back = false;
+  passes = 0;
   hand_written.clear();
   nodes.clear();
   values.clear();
@@ -391,7 +391,7 @@ void Tape::backward(const Tensor& loss, const Tensor& seed) {
          shape_str(loss.shape()));
   NoGrad no_grad;
   impl_->backward(*n, seed);
-  impl_->has_gone_back = true;
+  ++impl_->passes;
 }
 
 void Tape::zero() {

@@ -26,6 +26,6 @@ void Tape::add_witness(std::shared_ptr<const Witness> witness) {
 std::span<const std::shared_ptr<const Tape::Witness>> Tape::witnesses() const {
   return impl_->witnesses;
 }
-bool Tape::has_gone_back() const { return impl_->has_gone_back; }
+int64_t Tape::passes() const { return impl_->passes; }
 
 }  // namespace nova

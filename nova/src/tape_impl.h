@@ -165,7 +165,7 @@ struct Tape::Impl {
   std::vector<Group> groups;
   bool in_group = false;  // the last group is still open
   std::vector<std::shared_ptr<const Witness>> witnesses;
-  bool has_gone_back = false;
+  int64_t passes = 0;  // of backward
   int32_t of_step = -1;   // see Tape::StepScope
   novaphy::ExclusiveUses group_memory;
   NodeTable nodes;

@@ -27,12 +27,12 @@ ScopedCapture.
 inline constexpr char kAdjointRecord[] =
     R"(Returns the AdjointRecord of the last backward(loss, record=True): the gradient at each step
 boundary, and the impulse of each contact with its adjoint. The changes of impulses are those along
-the unit vector against the gradient of `inputs`, from one jvp, or from a jvp for each pair of
-penalty contacts.
+the unit vector against the gradient of this loss by `inputs`. They take one jvp, or a jvp for each
+pair of penalty contacts.
 
-inputs: leaves of the tape. Without them, all leaves that have a gradient.
+inputs: leaves of the tape. None: all leaves that have a gradient.
 
-`novaphy.Error`: no backward had a record.
+`novaphy.Error`: no backward had a record, or a backward without one has run behind it.
 ValueError: an input that is no leaf with a gradient, or given twice.
 NotImplementedError: a custom operation that was recorded without a tangent.)";
 

@@ -47,6 +47,7 @@ class Hit:
             end = diff.state_joint_q_tensor(self.path[steps])
             spin = diff.state_joint_qd_tensor(self.path[steps])
             self.loss = end[7] + 0.5 * end[8] + by_spin * (spin[11] + spin[5])
+            self.other = -100.0 * end[0]
             self.tape.backward(self.loss, record=True)
         self.record = self.tape.adjoint_record([self.speed])
 
@@ -79,6 +80,22 @@ def test_a_second_backward_replaces_the_record() -> None:
     assert len(again.boundaries) == len(hit.record.boundaries)
     assert [c["step"] for c in again.contacts] == [c["step"] for c in hit.record.contacts]
     assert again.contacts[0]["carried"] == pytest.approx(hit.record.contacts[0]["carried"])
+
+
+def test_a_record_is_of_one_loss() -> None:
+    """Leaves accumulate the gradients of two losses, here with another sign than the first."""
+    hit = Hit(balls(offset=0.05))
+    slope = hit.speed.grad.item()
+    hit.tape.backward(hit.other)
+    assert hit.speed.grad.item() * slope < 0.0
+    with pytest.raises(novaphy.Error, match="got one without a record behind it"):
+        hit.tape.adjoint_record([hit.speed])
+    hit.tape.backward(hit.loss, record=True)
+    again = hit.tape.adjoint_record([hit.speed])
+    assert again.boundaries[0]["norm"] == pytest.approx(hit.record.boundaries[0]["norm"])
+    assert again.contacts[0]["carried"] == pytest.approx(
+        hit.record.contacts[0]["carried"], rel=1e-4
+    )
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.3])

@@ -49,6 +49,7 @@ class Run:
             )  # fmt: skip
             end = diff.state_body_q_tensor(self.path[STEPS])[count - 1, 0:3]
             self.loss = nova.sum(end * nova.tensor(np.float32(weights)))
+            self.other = -100.0 * diff.state_body_q_tensor(self.path[STEPS])[0, 0]
             self.tape.backward(self.loss, record=True)
         self.slope = self.speed.grad.item()
         self.record = self.tape.adjoint_record([self.speed])
@@ -74,6 +75,19 @@ def test_one_contact_carries_the_whole_derivative(offset: float) -> None:
     assert begins == [True] + [False] * (len(steps) - 1)
     assert not any(c["held"] for c in run.record.contacts)
     assert str(run.record).count("carried") == 1  # the touch as a whole
+
+
+def test_a_record_is_of_one_loss() -> None:
+    """Leaves accumulate the gradients of two losses, here with another sign than the first."""
+    run = Run(balls([(0, 0, 0), (0.23, 0.06, 0)]))
+    run.tape.backward(run.other)
+    assert run.speed.grad.item() * run.slope < 0.0
+    with pytest.raises(novaphy.Error, match="got one without a record behind it"):
+        run.tape.adjoint_record([run.speed])
+    run.tape.backward(run.loss, record=True)
+    first, run.record = run.record, run.tape.adjoint_record([run.speed])
+    assert abs(run.carried(0, 1) + abs(run.slope)) < 0.01 * abs(run.slope)
+    assert run.record.boundaries[0]["norm"] == pytest.approx(first.boundaries[0]["norm"], rel=1e-4)
 
 
 def test_each_pair_of_a_chain_carries_the_derivative() -> None:

@@ -40,10 +40,15 @@ void for_pushes(const Model& model, const NotedStep& step, const F& visit) {
 nova::Tensor tensor_of(const nova::Operand& of) {
   return {of.range, {of.rows * of.width}, nova::DType::F32};
 }
-// Appends the gradient that the tape keeps; zeros if there is none.
-void append_gradient(const nova::Operand& of, std::vector<float>& to) {
+// Appends the gradient that the tape keeps; zeros if there is none. Of a leaf: what the adjoint
+// added.
+void append_gradient(const AdjointRecord& record, const nova::Operand& of, std::vector<float>& to) {
   const nova::Tensor tensor = tensor_of(of);
   const auto size = static_cast<size_t>(tensor.size());
+  if (const std::vector<float>* const own = record.gradient(tensor)) {
+    to.insert(to.end(), own->begin(), own->end());
+    return;
+  }
   if (!tensor.has_grad()) return to.resize(to.size() + size);
   const std::vector<float> gradient = tensor.grad().to_host();
   to.insert(to.end(), gradient.begin(), gradient.end());
@@ -148,17 +153,17 @@ void add_springs(const Model& model, std::span<const NotedStep> steps, AdjointRe
     to.number = numbers[k];
     to.dt = step.dt;
     to.of_springs = true;
-    append_gradient(q, to.start);
-    append_gradient(qd, to.start);
-    append_gradient(step.q_next, to.end);
-    append_gradient(step.qd_next, to.end);
+    append_gradient(record, q, to.start);
+    append_gradient(record, qd, to.start);
+    append_gradient(record, step.q_next, to.end);
+    append_gradient(record, step.qd_next, to.end);
     // The derivative of the motion keeps H over a touch, and not within.
     if (step.body_q.range()->data() == step.start) {
       append_rate(q, step.q_next, step.dt, to.rates);
       append_rate(qd, step.qd_next, step.dt, to.rates);
     }
     std::vector<float> wrench;
-    if (step.wrench.range != nullptr) append_gradient(step.wrench, wrench);
+    if (step.wrench.range != nullptr) append_gradient(record, step.wrench, wrench);
     wrench.resize(6 * step.body_q.rows());
     for_pushes(model, step, [&](const TouchRow& row) {
       to.contacts.push_back(contact_of(model, step, row, wrench));

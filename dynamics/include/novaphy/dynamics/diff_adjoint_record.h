@@ -37,8 +37,13 @@ struct NOVAPHY_DYNAMICS_API AdjointRecord : nova::Tape::Witness {
   };
 
   nova::Tensor loss;
+  int64_t pass = 0;  // of the tape: Tape::passes() behind the adjoint
+  // The leaves of the tape, and what the adjoint added to their gradients; empty: nothing.
+  std::vector<std::pair<nova::Tensor, std::vector<float>>> gradients;
   std::vector<Step> steps;  // in the order of the adjoint: the last one first
 
+  // The gradient of the adjoint by a leaf; null: it is none, or has no gradient.
+  const std::vector<float>* gradient(const nova::Tensor& leaf) const;
   // A new entry; `of` is the identity of the step.
   Step& add(const void* of);
 
@@ -63,10 +68,10 @@ struct NOVAPHY_DYNAMICS_API AdjointRecord : nova::Tape::Witness {
 // without a record.
 NOVAPHY_DYNAMICS_API void backward_with_record(nova::Tape& tape, const nova::Tensor& loss,
                                                const nova::Tensor& seed);
-// The last record of the tape, with the changes of impulses along the unit vector against the
-// gradient of these leaves (empty: of all). The change of a spring leaves out what earlier changes
+// The record of the tape's last backward, with the changes of impulses along the unit vector against
+// the gradient of its loss by these leaves (empty: by all). The change of a spring leaves out what earlier changes
 // of its pair cause, so that the sum over the steps of a pair counts each of them once.
-// ErrorKind::Runtime: there is no record.
+// ErrorKind::Runtime: there is no record, or another backward has run behind it.
 // ErrorKind::NotImplemented: an operation of the tape has no tangent. Errors of Tape::jvp.
 NOVAPHY_DYNAMICS_API std::shared_ptr<const AdjointRecord> adjoint_record(
     nova::Tape& tape, const std::vector<nova::Tensor>& inputs = {});

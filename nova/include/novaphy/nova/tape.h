@@ -77,7 +77,7 @@ class NOVAPHY_NOVA_API Tape {
   };
   void add_witness(std::shared_ptr<const Witness> witness);
   std::span<const std::shared_ptr<const Witness>> witnesses() const;
-  bool has_gone_back() const;  // whether backward has run since the last reset
+  int64_t passes() const;  // calls of backward since the last reset
   std::vector<std::string> op_names() const;
   size_t memory_bytes() const;  // size of the records, without states and gradients
 

@@ -95,6 +95,27 @@ def test_each_verdict_has_its_function(f, theta, verdict, words) -> None:
     assert found.info is None and found.margins == [] and found.trust_radius is None
 
 
+def curved(theta: nova.Tensor, scale: tuple[float, float] = (1.0, 1.0)) -> nova.Tensor:
+    """A cubic whose differences over 0.3 sigma are 22 % from the slopes (-1, 3), times a scale."""
+    factors = nova.tensor(np.float32([scale]))
+    x = theta.detach() + (theta - theta.detach()) * factors
+    return nova.sum(
+        x * x * x * nova.tensor([[-2.2, 10.6]]) + x * nova.tensor([[-1.0, 3.0]]), axis=-1
+    )
+
+
+def test_a_gradient_that_differences_approach_is_local() -> None:
+    found = diff.certify(curved, np.zeros(2), 1.0)
+    assert 0.2 < found.disagreements[1] < 0.3 and found.disagreements[3] < 1e-3
+    assert found.verdict == "local" and "approach it as their step shrinks" in found.sentence
+
+
+@pytest.mark.parametrize("scale", [(1.05, 0.95), (0.95, 0.95), (-1.0, 1.0), (1.0, -1.0)])
+def test_a_wrong_gradient_of_a_curved_loss_is_biased(scale) -> None:
+    found = diff.certify(lambda theta: curved(theta, scale), np.zeros(2), 1.0)
+    assert found.verdict == "biased", str(found)
+
+
 def test_numbers_are_per_sigma() -> None:
     theta, sigma = np.array([1.0, -2.0]), np.array([0.1, 0.4])
     found = diff.certify(bowl, theta, sigma, worlds=256)

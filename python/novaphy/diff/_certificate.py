@@ -14,13 +14,12 @@ from .._core.nova import grad_enabled
 from ._events import Margin, Trust, by_world, trust
 from ._parameters import Losses, Parameters, Slopes, normal_numbers, outside_of_tapes
 from ._smoothing import check_worlds, draw, mean_and_error, tail_of
-from ._verdict import ROUNDING, Evidence, disagreements, judge
+from ._verdict import ROUNDING, STEPS, Evidence, disagreements, judge
 
 if TYPE_CHECKING:
     from .._core.solvers import GradientInfo
     from ._parameters import Function, Numbers, Sigma, Theta
 
-STEPS = (1.0, 0.3, 0.1, 0.01)  # of differences, sigmas
 PART = 0.25  # of sigma, of samples
 EVENT_STEP = 0.1  # sigmas
 MOST_DIRECTIONS = 8
@@ -35,7 +34,7 @@ class Certificate:
       settled differences, or the slope of samples, are within 20 % of it: "of the motion". But no
         component of more than 2 % may have another sign than settled differences.
       differences or samples settle at another slope: "biased".
-      the gradient is right for moves of 0.01 sigma only: "local".
+      the gradient is right for small moves only, as over 0.01 sigma: "local".
       neither differences nor gradients of samples settle: "chaotic".
     info: the GradientInfo of the gradient, or None without a solver.
     loss, worlds: the loss, and the number of samples.

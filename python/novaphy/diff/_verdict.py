@@ -9,9 +9,11 @@ import numpy as np
 if TYPE_CHECKING:
     from ._parameters import Numbers
 
+STEPS = (1.0, 0.3, 0.1, 0.01)  # of differences, sigmas
 AGREES = 0.2  # relative distance of gradient and differences over 0.3 sigma
 SETTLED = 0.25  # relative change of the differences from 0.3 to 0.1 sigma
 AGREES_CLOSELY = 0.05  # over 0.01 sigma
+CONVERGED = 0.02  # over 0.01 sigma, where the distance falls with the step
 KNOWN = 0.15  # standard error of the smoothed gradient, relative
 HEAVY = 10.0  # the longest sample in units of the median length
 APART = 3.0  # steps between two events
@@ -24,7 +26,7 @@ class Evidence(NamedTuple):
     """The numbers behind a verdict. Derivatives are per sigma."""
 
     slopes: Numbers  # {m}: of the gradient along the directions
-    differences: Numbers  # {4, m}, over steps of 1, 0.3, 0.1 and 0.01 sigma
+    differences: Numbers  # {4, m}, over STEPS
     noise: Numbers  # {4}, of differences by rounding
     tail: float
     info: Any  # GradientInfo or None
@@ -55,6 +57,17 @@ def is_settled(of: Evidence) -> bool:
     _, wide, narrow, _ = of.differences
     floor = 3.0 * of.noise[2] * np.sqrt(len(of.slopes))
     return bool(np.linalg.norm(wide - narrow) <= SETTLED * np.linalg.norm(wide) + floor)
+
+
+def is_converging(of: Evidence) -> bool:
+    """Whether the distance of the differences from the gradient vanishes with the step.
+
+    The central differences of a smooth loss approach its gradient with the square of the step. A
+    contact that stays in its time step looks alike, where the gradient leaves its time out.
+    """
+    _, wide, narrow, tiny = disagreements(of)
+    falls = narrow <= wide * (STEPS[2] / STEPS[1]) and tiny <= CONVERGED
+    return bool(falls) and not is_hidden(of, 3, CONVERGED) and not _leaves_times_out(of)
 
 
 def reversed_component(of: Evidence) -> int | None:
@@ -115,6 +128,11 @@ def judge(of: Evidence) -> tuple[str, str]:
         return "of the motion", (
             "Differences of the loss over 0.3 sigma are rough, but the slope of the samples agrees "
             f"with the gradient within {by_samples}."
+        )
+    if settled and is_converging(of):
+        return "local", (
+            "The gradient holds for small moves only: differences approach it as their step "
+            f"shrinks, and over 0.3 sigma they are {100.0 * at_wide:.0f} % from it."
         )
     if settled:
         return "biased", (

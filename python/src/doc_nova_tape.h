@@ -27,8 +27,8 @@ ScopedCapture.
 inline constexpr char kAdjointRecord[] =
     R"(Returns the AdjointRecord of the last backward(loss, record=True): the gradient at each step
 boundary, and the impulse of each contact with its adjoint. The changes of impulses are those along
-the unit vector against the gradient of this loss by `inputs`. They take one jvp, or a jvp for each
-pair of penalty contacts.
+the unit vector against the gradient of this loss by `inputs`. The call runs one jvp, or a jvp for
+each pair of penalty contacts.
 
 inputs: leaves of the tape. None: all leaves that have a gradient.
 

@@ -68,9 +68,10 @@ struct NOVAPHY_DYNAMICS_API AdjointRecord : nova::Tape::Witness {
 // without a record.
 NOVAPHY_DYNAMICS_API void backward_with_record(nova::Tape& tape, const nova::Tensor& loss,
                                                const nova::Tensor& seed);
-// The record of the tape's last backward, with the changes of impulses along the unit vector against
-// the gradient of its loss by these leaves (empty: by all). The change of a spring leaves out what earlier changes
-// of its pair cause, so that the sum over the steps of a pair counts each of them once.
+// The record of the tape's last backward, with the changes of impulses along the unit vector
+// against the gradient of its loss by these leaves (empty: by all). The change of a spring leaves
+// out what earlier changes of its pair cause, so that the sum over the steps of a pair counts each
+// of them once.
 // ErrorKind::Runtime: there is no record, or another backward has run behind it.
 // ErrorKind::NotImplemented: an operation of the tape has no tangent. Errors of Tape::jvp.
 NOVAPHY_DYNAMICS_API std::shared_ptr<const AdjointRecord> adjoint_record(

@@ -149,13 +149,17 @@ void bind_diff_vbd(py::module_& solvers) {
 #endif
 
 void bind_residual(py::module_& solvers) {
-  py::class_<VbdResidual>(solvers, "VbdResidual", "The residual of a step of SolverVBD.")
+  py::class_<VbdResidual>(
+      solvers, "VbdResidual",
+      "The residual of a step of SolverVBD, for the connected component of particles that is "
+      "farthest from its solution. This component has the largest `relative` of all above twice "
+      "their `floor`. Where no component is above, it has the largest of all.")
       .def_readonly("force", &VbdResidual::force,
-                    "The norm of the total force on all particles that move, with inertia (N).")
+                    "The norm of the total force on the particles, with inertia (N).")
       .def_readonly("scale", &VbdResidual::scale,
-                    "The force (N) that the step had to balance, as a norm over all particles that "
-                    "move. Its parts are the forces of contacts and elements, gravity, and the "
-                    "motion relative to the mean motion of a connected component.")
+                    "The force (N) that the step had to balance, as a norm over the particles. Its "
+                    "parts are the forces of contacts and elements, gravity, and the motion "
+                    "relative to the mean motion of the component.")
       .def_readonly("relative", &VbdResidual::relative,
                     "The ratio force / scale; 0 if the force is 0.")
       .def_readonly("floor", &VbdResidual::floor,

@@ -53,7 +53,8 @@ friction_epsilon: m/s; the slip at which friction reaches the Coulomb limit.
 initial_guess: "inertia" (the inertial position), "previous" (the positions before) or "adaptive"
 (the inertial position with the part of gravity that acted in the last step).
 acceleration: the spectral radius of Chebyshev acceleration, in (0, 1).
-tolerance: ends a step when residual().relative is at most this. None: with solve="converged" 1e-4.
+tolerance: a connected component of particles ends its iterations when its relative residual is at
+most this. None: with solve="converged" 1e-4.
 safeguard: halves the step of a particle while its energy rises.
 coarse: "auto": a coarse correction follows each iteration, for errors that span many particles.
 None: iterations alone. Not together with acceleration.

@@ -180,3 +180,51 @@ def test_the_adaptive_guess_with_the_coarse_step_makes_no_energy():
         q, v = (a.numpy().astype(float) for a in (state.particle_q, state.particle_qd))
         highest = max(highest, 9.81 * (mass @ q[:, 2]) + 0.5 * (mass @ (v * v).sum(1)))
     assert highest < 0.02 * (0.2 * 9.81 * mass.sum())  # of what the fall sets free
+
+
+def light_beside_heavy(light=True, heavy=True):
+    """A hanging sheet of 0.5 g beside a swinging soft body of 200 kg, without an element between
+    them, and the rows of the sheet."""
+    builder, rows = novaphy.ModelBuilder(), 0
+    if light:
+        builder.add_cloth_grid(
+            pos=(0, 0, 2), dim_x=5, dim_y=5, cell_x=0.05, cell_y=0.05, mass=5e-4 / 36,
+            fix_left=True, tri_ke=5.0, tri_ka=5.0, tri_kd=1e-3, edge_ke=1e-5, edge_kd=1e-7,
+        )  # fmt: skip
+        rows = builder.particle_count
+    if heavy:
+        builder.add_soft_grid(
+            pos=(2, 0, 0), dim_x=2, dim_y=2, dim_z=2, cell_x=0.3, cell_y=0.3, cell_z=0.3,
+            density=1000.0, k_mu=1e5, k_lambda=1e5, k_damp=1.0, fix_left=True,
+        )  # fmt: skip
+    builder.color()
+    return builder.finalize(), slice(0, rows)
+
+
+@pytest.mark.parametrize("kind", ["converged", "tolerance", "implicit"])
+def test_a_light_sheet_beside_a_heavy_body_ends_at_its_own_solution(kind):
+    def end(model):
+        if kind == "implicit":
+            solver = DiffSolverVBD(model, gradient="implicit", gradient_tolerance=1e-3)
+        elif kind == "converged":
+            solver = SolverVBD(model, solve="converged", tolerance=1e-2)
+        else:
+            solver = SolverVBD(model, iterations=200, tolerance=1e-2)
+        after = model.state()
+        solver.step(model.state(), after, None, None, 1 / 60)
+        if kind != "implicit":
+            residual = solver.residual()
+            assert residual.relative <= max(1e-2, 2 * residual.floor)
+        return after.particle_q.numpy()
+
+    (alone, rows), (beside, _) = light_beside_heavy(heavy=False), light_beside_heavy()
+    both, sheet_alone = end(beside), end(alone)
+    np.testing.assert_array_equal(both[rows], sheet_alone)
+    np.testing.assert_array_equal(both[rows.stop :], end(light_beside_heavy(light=False)[0]))
+    if kind == "tolerance":
+        return  # a small residual leaves smooth errors
+    exact = alone.state()
+    solver = SolverVBD(alone, solve="converged", tolerance=1e-6)
+    solver.step(alone.state(), exact, None, None, 1 / 60)
+    motion = np.linalg.norm(exact.particle_q.numpy() - alone.particle_q.numpy())
+    assert np.linalg.norm(both[rows] - exact.particle_q.numpy()) < 1e-2 * motion

@@ -78,12 +78,11 @@ CoarseTables::CoarseTables(const Model& model, const ColorSlots& slots) {
   aggregate.assign(count, -1);
   field.resize(count);
   function_begin = member_begin = system_begin = {0};
-  // A kinematic particle is a component of its own, which is no system.
   const std::vector<int32_t>& component = slots.components();
   IndexRows particles_of;
-  particles_of.build(component, model.particle_count());
+  particles_of.build(component, slots.component_count());
   std::vector<int32_t> system_of(count, -1);  // for each component
-  for (int32_t c = 0; c < model.particle_count(); ++c) {
+  for (int32_t c = 0; c < slots.component_count(); ++c) {
     const auto of = particles_of.items(c);
     if (of.size() < 2) continue;
     system_of[static_cast<size_t>(c)] = static_cast<int32_t>(system_begin.size()) - 1;

@@ -98,7 +98,15 @@ void ColorSlots::find_components(const Model& model) {
         component_[static_cast<size_t>(std::max(first, second))] = std::min(first, second);
       }
   });
-  for (int32_t p = 0; p < model.particle_count(); ++p) component_[static_cast<size_t>(p)] = root(p);
+  std::vector<int32_t> number(component_.size());  // of the components named by first particles
+  component_count_ = 0;
+  for (int32_t p = 0; p < model.particle_count(); ++p) {
+    const auto first = static_cast<size_t>(root(p)), at = static_cast<size_t>(p);
+    if (first == at && !is_held(p)) number[at] = component_count_++;
+    component_[at] = static_cast<int32_t>(first);
+  }
+  for (size_t p = 0; p < number.size(); ++p)
+    component_[p] = is_held_[p] != 0 ? -1 : number[static_cast<size_t>(component_[p])];
 }
 
 // Collects the slots of every particle, by role, in the order of the elements.

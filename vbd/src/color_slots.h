@@ -35,8 +35,10 @@ class ColorSlots {
   const std::vector<int32_t>& held() const { return held_; }
   const std::vector<int32_t>& held_flags() const { return is_held_; }  // of each particle
   bool is_held(int32_t particle) const { return is_held_[static_cast<size_t>(particle)] != 0; }
-  // The connected component of each particle, named by its first particle.
+  // The connected component of each particle, in the order of their first particles. A kinematic
+  // particle has -1.
   const std::vector<int32_t>& components() const { return component_; }
+  int32_t component_count() const { return component_count_; }
   // The groups of color c are [color_begin()[c], color_begin()[c + 1]).
   const std::vector<int64_t>& color_begin() const { return color_begin_; }
   // Whether an element has two particles of the same color that move.
@@ -72,6 +74,7 @@ class ColorSlots {
   std::vector<int32_t> particle_, filled_;
   std::vector<float> mass_by_h2_;
   Table tables_[kRoles];
+  int32_t component_count_ = 0;
   bool has_conflicts_ = false;
 };
 

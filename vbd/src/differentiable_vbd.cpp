@@ -58,9 +58,7 @@ struct Solved {
                   "iterations or newton_iterations, or allow_unconverged");
   }
   VbdGradientInfo see_linear(const vbd::KrylovResult& linear) const {
-    // Near a singular matrix the rounding of the solution says nothing about the gradient.
-    const auto tolerance = static_cast<double>(gradient.tolerance);
-    const double allowed = std::max(tolerance, std::min(4.0 * linear.floor, 10.0 * tolerance));
+    const double allowed = linear.allowed(static_cast<double>(gradient.tolerance));
     const bool solved = linear.residual <= allowed;
     const bool is_cut = linear.iterations >= gradient.krylov_sweeps;
     require(solved || gradient.allow_unconverged, ErrorKind::Runtime,

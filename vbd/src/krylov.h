@@ -1,7 +1,9 @@
 // Solves a linear system A x = b by the generalized conjugate residual method (Eisenstat, Elman,
-// Schultz 1983) with restarts. A need not be symmetric, and the preconditioner is arbitrary.
+// Schultz 1983) with restarts, for each connected component. A need not be symmetric, and the
+// preconditioner is arbitrary.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <utility>
@@ -17,91 +19,130 @@ constexpr double kMargin = 0.5;
 constexpr int kRefinements = 4;  // rounds of iterative refinement
 
 struct KrylovResult {
-  double residual = 0.0;  // |b - A x| / |b|, from the recurrence
+  double residual = 0.0;  // |b - A x| / |b|
   int32_t iterations = 0;
   double floor = 0.0;  // the part of `residual` that one rounding of x can cause; 0: not asked
+
+  // Near a singular matrix the rounding of the solution says nothing about the solution.
+  double allowed(double tolerance) const {
+    return std::max(tolerance, std::min(4.0 * floor, 10.0 * tolerance));
+  }
 };
 
-// Solves A x = b by rounds of iterative refinement. more(tolerance, sweeps) adds a correction to x
-// and returns its result. left(x) returns b - A x; it is called with the final x last. A residual
-// above the tolerance gets its floor.
+// Solves A x = b by rounds of iterative refinement, for each component. more(tolerances, results)
+// adds a correction to x, and counts iterations. left(x) returns b - A x; it is called with the
+// final x last. A residual above the tolerance gets its floor. Returns the result of the component
+// that is farthest from what is allowed.
 template <class More, class Left>
-KrylovResult refine_solution(const Rows& x, double scale, double tolerance, int32_t sweeps,
-                             const More& more, const Left& left) {
-  KrylovResult result;
-  for (int round = 0; round < kRefinements; ++round) {
-    const double asked = kMargin * tolerance * (round > 0 ? 1.0 / result.residual : 1.0);
-    result.iterations += more(asked, sweeps - result.iterations).iterations;
-    const Rows remains = left(x);
-    result.residual = scale == 0.0 ? 0.0 : std::sqrt(inner(remains, remains)) / scale;
-    if (result.residual <= tolerance || result.iterations >= sweeps) break;
+KrylovResult refine_solution(const Components& of, const Rows& x, const Rows& load,
+                             double tolerance, int32_t sweeps, const More& more, const Left& left) {
+  const Numbers scale = of.norms(load);
+  std::vector<KrylovResult> results(of.count);
+  Flags runs(of.count, 1);
+  for (int round = 0; round < kRefinements && any(runs); ++round) {
+    Numbers asked(of.count, 1.0);  // 1: nothing
+    for (size_t c = 0; c < of.count; ++c)
+      if (runs[c] != 0)
+        asked[c] = kMargin * tolerance * (round > 0 ? 1.0 / results[c].residual : 1.0);
+    more(asked, results);
+    const Numbers remains = of.norms(left(x));
+    for (size_t c = 0; c < of.count; ++c) {
+      results[c].residual = scale[c] == 0.0 ? 0.0 : remains[c] / scale[c];
+      runs[c] = results[c].residual > tolerance && results[c].iterations < sweeps;
+    }
   }
-  if (!(result.residual > tolerance)) return result;
-  Rows rounded = x;
-  uint32_t bits = 1;
-  for (Row& row : rounded) {
-    bits = bits * 1664525u + 1013904223u;
-    row = Vec3f(row) * (1.0f + ((bits >> 31) != 0 ? 0x1p-23f : -0x1p-23f));
+  const auto is_above = [&](const KrylovResult& r) { return r.residual > tolerance; };
+  if (std::any_of(results.begin(), results.end(), is_above)) {
+    Rows rounded = x;
+    uint32_t bits = 1;
+    for (Row& row : rounded) {
+      bits = bits * 1664525u + 1013904223u;
+      row = Vec3f(row) * (1.0f + ((bits >> 31) != 0 ? 0x1p-23f : -0x1p-23f));
+    }
+    Rows change = left(rounded);
+    of.add_scaled(change, Flags(of.count, 1), left(x), -1.0f);
+    const Numbers changes = of.norms(change);
+    for (size_t c = 0; c < of.count; ++c)
+      if (is_above(results[c])) results[c].floor = 0.5 * changes[c] / scale[c];
   }
-  Rows change = left(rounded);
-  add_scaled(change, -1.0f, left(x));
-  result.floor = 0.5 * std::sqrt(inner(change, change)) / scale;
-  return result;
+  KrylovResult worst;
+  for (const KrylovResult& r : results) {
+    const int32_t most = std::max(worst.iterations, r.iterations);
+    const double ratio = r.residual / r.allowed(tolerance);
+    if (!(ratio <= worst.residual / worst.allowed(tolerance))) worst = r;
+    worst.iterations = most;
+    if (std::isnan(ratio)) break;
+  }
+  return worst;
 }
 
 // The last directions of a method and their images.
 struct KeptDirections {
   static constexpr size_t kMost = 24;  // before a restart
+  const Components& components;
   std::vector<Rows> directions, images;
-  std::vector<double> sizes;
+  std::vector<Numbers> sizes;
 
   void make_room() {
-    if (sizes.size() == kMost) *this = {};
+    if (sizes.size() < kMost) return;
+    directions.clear();
+    images.clear();
+    sizes.clear();
   }
   // Orthogonalizes an image against the vectors `of` (the directions or the images), and changes
   // the direction alike. sizes[k] is inner(images[k], of[k]).
   void take_from(Rows& direction, Rows& image, const std::vector<Rows>& of) const {
     for (size_t k = 0; k < sizes.size(); ++k) {
-      const auto part = static_cast<float>(inner(image, of[k]) / sizes[k]);
-      add_scaled(image, -part, images[k]);
-      add_scaled(direction, -part, directions[k]);
+      Numbers part = components.inner(image, of[k]);
+      for (size_t c = 0; c < part.size(); ++c) part[c] /= sizes[k][c];
+      components.add_scaled(image, part, images[k], -1.0f);
+      components.add_scaled(direction, part, directions[k], -1.0f);
     }
   }
-  void keep(Rows direction, Rows image, double size) {
+  void keep(Rows direction, Rows image, Numbers size) {
     directions.push_back(std::move(direction));
     images.push_back(std::move(image));
-    sizes.push_back(size);
+    sizes.push_back(std::move(size));
   }
 };
 
 // Solves for x, which starts at 0; `residual` starts at b. precondition(r, z, az) sets z = M^-1 r
-// and az = A z.
+// and az = A z. A component ends at its tolerance, or when its result has counted `most`
+// iterations.
 template <class Precondition>
-KrylovResult solve_krylov(Rows& x, Rows& residual, double tolerance, int32_t most,
-                          Precondition&& precondition) {
-  KeptDirections kept;
-  const double scale = std::sqrt(inner(residual, residual));
-  KrylovResult result;
+void solve_krylov(const Components& of, Rows& x, Rows& residual, const Numbers& tolerance,
+                  int32_t most, std::vector<KrylovResult>& results, Precondition&& precondition) {
+  KeptDirections kept{of, {}, {}, {}};
+  const Numbers scale = of.norms(residual);
+  Numbers now(of.count, 1.0);
+  Flags runs(of.count);
+  const auto goes_on = [&](size_t c) {
+    return now[c] > tolerance[c] && results[c].iterations < most;
+  };
+  for (size_t c = 0; c < of.count; ++c) runs[c] = scale[c] != 0.0 && goes_on(c);
   x.assign(residual.size(), Row());
-  if (scale == 0.0) return result;
-  result.residual = 1.0;
-  while (result.iterations < most && result.residual > tolerance) {
+  while (any(runs)) {
     kept.make_room();
     Rows z(x.size()), az(x.size());
     precondition(residual, z, az);
-    ++result.iterations;
     kept.take_from(z, az, kept.images);
-    const double square = inner(az, az);
-    if (!(square > 0.0) || !std::isfinite(square)) break;
-    const auto step = static_cast<float>(inner(residual, az) / square);
-    add_scaled(x, step, z);
-    add_scaled(residual, -step, az);
-    kept.keep(std::move(z), std::move(az), square);
-    const double now = std::sqrt(inner(residual, residual)) / scale;
-    if (!(now < result.residual) && kept.sizes.size() == 1) break;  // the iteration stagnates
-    result.residual = now;
+    Numbers square = of.inner(az, az), step = of.inner(residual, az);
+    for (size_t c = 0; c < of.count; ++c) {
+      results[c].iterations += runs[c];
+      runs[c] = runs[c] != 0 && square[c] > 0.0 && std::isfinite(square[c]);
+      step[c] = runs[c] != 0 ? step[c] / square[c] : 0.0;
+    }
+    of.add_scaled(x, step, z);
+    of.add_scaled(residual, step, az, -1.0f);
+    const Numbers left = of.norms(residual);
+    for (size_t c = 0; c < of.count; ++c) {
+      if (runs[c] == 0) continue;
+      const bool stagnates = kept.sizes.empty() && !(left[c] / scale[c] < now[c]);
+      now[c] = left[c] / scale[c];
+      runs[c] = !stagnates && goes_on(c);
+    }
+    kept.keep(std::move(z), std::move(az), std::move(square));
   }
-  return result;
 }
 
 }  // namespace novaphy::vbd

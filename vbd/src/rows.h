@@ -1,6 +1,8 @@
 // Vectors over the particles, as rows of 4 floats, for linear systems.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <span>
 #include <vector>
 
@@ -22,18 +24,46 @@ inline void upload_rows(DeviceArray<Vec4f>& to, const Rows& rows) {
   to.Array::copy_from_host(rows.data(), to.bytes());
 }
 
-// Returns the inner product in double precision, summed in the order of the particles.
-inline double inner(const Rows& a, const Rows& b) {
-  double sum = 0.0;
-  for (size_t p = 0; p < a.size(); ++p)
-    sum += (static_cast<double>(a[p].x) * static_cast<double>(b[p].x) +
-            static_cast<double>(a[p].y) * static_cast<double>(b[p].y)) +
-           static_cast<double>(a[p].z) * static_cast<double>(b[p].z);
-  return sum;
+using Numbers = std::vector<double>;  // one for each connected component
+using Flags = std::vector<char>;      // as Numbers
+inline bool any(const Flags& flags) {
+  return std::any_of(flags.begin(), flags.end(), [](char flag) { return flag != 0; });
 }
-// Adds s b to a.
-inline void add_scaled(Rows& a, float s, const Rows& b) {
-  for (size_t p = 0; p < a.size(); ++p) a[p] = Vec3f(a[p]) + Vec3f(b[p]) * s;
-}
+
+// The connected components of the particles that move. A sum belongs to one component, so that no
+// component has a part in the result of another one.
+struct Components {
+  const std::vector<int32_t>& of;  // each particle; -1: kinematic
+  size_t count;
+
+  // Calls body(particle, component) for each particle that moves.
+  template <class Body>
+  void visit(const Body& body) const {
+    for (size_t p = 0; p < of.size(); ++p)
+      if (of[p] >= 0) body(p, static_cast<size_t>(of[p]));
+  }
+  // Returns the inner products in double precision, summed in the order of the particles.
+  Numbers inner(const Rows& a, const Rows& b) const {
+    Numbers sum(count);
+    visit([&](size_t p, size_t c) {
+      sum[c] += (static_cast<double>(a[p].x) * static_cast<double>(b[p].x) +
+                 static_cast<double>(a[p].y) * static_cast<double>(b[p].y)) +
+                static_cast<double>(a[p].z) * static_cast<double>(b[p].z);
+    });
+    return sum;
+  }
+  Numbers norms(const Rows& a) const {
+    Numbers all = inner(a, a);
+    for (double& number : all) number = std::sqrt(number);
+    return all;
+  }
+  // Adds s b to a.
+  template <class Scale>
+  void add_scaled(Rows& a, const std::vector<Scale>& s, const Rows& b, float sign = 1.0f) const {
+    visit([&](size_t p, size_t c) {
+      if (s[c] != 0) a[p] = Vec3f(a[p]) + Vec3f(b[p]) * (sign * static_cast<float>(s[c]));
+    });
+  }
+};
 
 }  // namespace novaphy::vbd

@@ -19,49 +19,59 @@ namespace novaphy::vbd {
 // sets z to the result of a sweep from 0 for the load r, and image to the tangent of the forces
 // along z.
 template <class Step>
-KrylovResult solve_linear(Step& step, Rows& solution, Rows& load, double tolerance,
-                          int32_t sweeps) {
-  return solve_krylov(solution, load, tolerance, sweeps, [&](const Rows& r, Rows& z, Rows& image) {
-    step.sweep(r, z, image);
-    for (Row& row : image) row = -Vec3f(row);
-  });
+void solve_linear(Step& step, Rows& solution, Rows& load, const Numbers& tolerance, int32_t sweeps,
+                  std::vector<KrylovResult>& results) {
+  solve_krylov(step.components(), solution, load, tolerance, sweeps, results,
+               [&](const Rows& r, Rows& z, Rows& image) {
+                 step.sweep(r, z, image);
+                 for (Row& row : image) row = -Vec3f(row);
+               });
 }
 
 // What conjugate gradients found for J way = load, where the loads of friction are constant.
 struct Descent {
-  Rows way;               // the sum of the steps up to a direction of negative curvature
-  Rows curves_down;       // this direction; without rows: none was met
-  double residual = 1.0;  // what remains of the load, relative
+  Rows way;           // the sum of the steps up to a direction of negative curvature
+  Rows down;          // this direction
+  Flags curves_down;  // whether it was met
 };
 
 // Runs conjugate gradients, preconditioned by sweeps. The energy falls along the way. Where the
 // first direction has negative curvature, the way is this direction (Nocedal and Wright, Numerical
 // Optimization, algorithm 7.1).
 template <class Step>
-Descent find_descent(Step& step, Rows load, double tolerance, int32_t sweeps) {
+Descent find_descent(Step& step, Rows load, const Numbers& tolerance, int32_t sweeps) {
   constexpr double kRounding = 1e-5;  // relative rounding of a curvature
-  const double scale = inner(load, load);
-  Descent found;
-  found.way.assign(load.size(), Row());
-  KeptDirections kept;  // its sizes are the curvatures
-  for (int32_t k = 0; k < sweeps && found.residual > tolerance; ++k) {
+  const Components of = step.components();
+  const Numbers scale = of.inner(load, load);
+  Descent found = {Rows(load.size()), Rows(load.size()), Flags(of.count)};
+  Flags runs(of.count);
+  for (size_t c = 0; c < of.count; ++c) runs[c] = scale[c] > 0.0;
+  KeptDirections kept{of, {}, {}, {}};  // its sizes are the curvatures
+  for (int32_t k = 0; k < sweeps && any(runs); ++k) {
     kept.make_room();
     Rows z(load.size()), image(load.size());
     step.sweep(load, z, image);
     for (Row& row : image) row = -Vec3f(row);
     kept.take_from(z, image, kept.directions);
-    const double curvature = inner(z, image), along = inner(load, z);
-    const double size = std::sqrt(inner(z, z) * inner(image, image));
-    if (!(curvature > kRounding * size)) {
-      if (k == 0 && along > 0.0) found.way = z;
-      if (curvature < -kRounding * size) found.curves_down = std::move(z);
-      break;
+    Numbers curvature = of.inner(z, image), part(of.count), first(of.count);
+    const Numbers along = of.inner(load, z), z2 = of.inner(z, z), image2 = of.inner(image, image);
+    Flags down(of.count);
+    for (size_t c = 0; c < of.count; ++c) {
+      if (runs[c] == 0) continue;
+      const double rounding = kRounding * std::sqrt(z2[c] * image2[c]);
+      runs[c] = curvature[c] > rounding;
+      if (runs[c] != 0) part[c] = along[c] / curvature[c];
+      first[c] = runs[c] != 0 ? part[c] : k == 0 && along[c] > 0.0 ? 1.0 : 0.0;
+      down[c] = curvature[c] < -rounding;
+      found.curves_down[c] |= down[c];
     }
-    const auto part = static_cast<float>(along / curvature);
-    add_scaled(found.way, part, z);
-    add_scaled(load, -part, image);
-    found.residual = std::sqrt(inner(load, load) / scale);
-    kept.keep(std::move(z), std::move(image), curvature);
+    of.add_scaled(found.way, first, z);
+    of.add_scaled(found.down, down, z);
+    of.add_scaled(load, part, image, -1.0f);
+    const Numbers left = of.inner(load, load);
+    for (size_t c = 0; c < of.count; ++c)
+      runs[c] = runs[c] != 0 && std::sqrt(left[c] / scale[c]) > tolerance[c];
+    kept.keep(std::move(z), std::move(image), std::move(curvature));
   }
   return found;
 }
@@ -72,92 +82,120 @@ struct Line {
   Step& step;
   const Rows x = step.positions(), moved = step.moves(), start = step.starts();
 
-  // Kinematic particles stay where they are.
-  void go(const Rows& way, float part) const {
+  // Components with part 0, and kinematic particles, are where they were.
+  template <class Part>
+  void go(const Rows& way, const std::vector<Part>& part) const {
     Rows to = x, now = moved;
-    for (size_t p = 0; p < x.size(); ++p) {
-      if (step.is_held(p)) continue;
-      now[p] = Vec3f(moved[p]) + Vec3f(way[p]) * part;
+    step.components().visit([&](size_t p, size_t c) {
+      if (part[c] == 0) return;
+      now[p] = Vec3f(moved[p]) + Vec3f(way[p]) * static_cast<float>(part[c]);
       to[p] = Vec3f(start[p]) + Vec3f(now[p]);
-    }
+    });
     step.place(to, now);
   }
-  void go_back() const { step.place(x, moved); }
+  // Runs iterations of VBD for some components.
+  void iterate(const Flags& some, int iterations) const {
+    for (int i = 0; i < iterations; ++i) step.iterate_again();
+    Rows to = step.positions(), now = step.moves();
+    step.components().visit([&](size_t p, size_t c) {
+      if (some[c] != 0) return;
+      to[p] = x[p];
+      now[p] = moved[p];
+    });
+    step.place(to, now);
+  }
 };
 
 // Moves the particles along the way, and halves the step until the energy falls enough (Armijo).
 // The loads of friction are constant. The change of the energy is the work of the forces along the
 // step, by Simpson's rule, because rounding hides small changes of the energy. Returns the part of
-// the way, or 0 with the old positions.
+// the way of each component, or 0 with the old positions.
 template <class Step>
-float descend(Step& step, const Rows& way) {
+Numbers descend(Step& step, const Rows& way) {
   constexpr int kHalvings = 12;
   constexpr double kEnough = 1e-3, kOvershoot = 0.5;
-  const double first = inner(step.force(), way);
-  if (!(first >= 0.0)) return 0.0f;
+  const Components of = step.components();
+  const Numbers first = of.inner(step.force(), way), size = of.inner(way, way);
   const Line<Step> line{step};
-  const auto push_at = [&](float part) {
+  const auto push_at = [&](const Numbers& part) {
     line.go(way, part);
-    return inner(step.force(), way);
+    return of.inner(step.force(), way);
   };
-  float part = 1.0f;
-  double end = push_at(part);
-  for (int k = 0; k <= kHalvings; ++k, part *= 0.5f) {
-    const double middle = push_at(0.5f * part);
-    const double work = (first + 4.0 * middle + end) / 6.0;
-    if (end > -kOvershoot * first && work > kEnough * first) {
-      line.go(way, part);
-      return part;
+  Flags runs(of.count);
+  for (size_t c = 0; c < of.count; ++c) runs[c] = first[c] >= 0.0 && size[c] > 0.0;
+  Numbers part(runs.begin(), runs.end()), end = push_at(part);
+  for (int k = 0; k <= kHalvings && any(runs); ++k) {
+    Numbers half = part;
+    for (size_t c = 0; c < of.count; ++c)
+      if (runs[c] != 0) half[c] *= 0.5;
+    const Numbers middle = push_at(half);
+    for (size_t c = 0; c < of.count; ++c) {
+      const double work = (first[c] + 4.0 * middle[c] + end[c]) / 6.0;
+      if (end[c] > -kOvershoot * first[c] && work > kEnough * first[c]) runs[c] = 0;
+      if (runs[c] == 0) continue;
+      end[c] = middle[c];
+      part[c] = k < kHalvings ? half[c] : 0.0;
     }
-    end = middle;
   }
-  line.go_back();
-  return 0.0f;
+  line.go(way, part);
+  return part;
 }
 
-// A step of Newton's method with the whole derivative of the forces, friction included. Returns
-// false, with the old positions, where it does not halve the force.
+// A step of Newton's method with the whole derivative of the forces, friction included, for some
+// components. Keeps those whose force it halves. The others have their old positions.
 template <class Step>
-bool refine(Step& step, const Rows& force, double tolerance, int32_t sweeps) {
-  Rows load = force, newton;
-  solve_linear(step, newton, load, tolerance, sweeps);
+void refine(Step& step, const Rows& force, Flags& some, double tolerance, int32_t sweeps) {
+  const Components of = step.components();
+  Rows load(force.size()), newton;
+  of.add_scaled(load, some, force);
+  std::vector<KrylovResult> results(of.count);
+  solve_linear(step, newton, load, Numbers(of.count, tolerance), sweeps, results);
   const Line<Step> line{step};
-  line.go(newton, 1.0f);
+  line.go(newton, some);
   const Rows left = step.force();
-  const bool halves = inner(left, left) < 0.25 * inner(force, force);
-  if (!halves) line.go_back();
-  return halves;
+  const Numbers after = of.inner(left, left), before = of.inner(force, force);
+  for (size_t c = 0; c < of.count; ++c) some[c] = some[c] != 0 && after[c] < 0.25 * before[c];
+  line.go(newton, some);
 }
 
-// Returns a direction along which the energy has negative curvature. Without rows: conjugate
-// gradients met none on their way to the solution for a pseudorandom load.
-template <class Step>
-Rows find_way_down(Step& step, int32_t sweeps) {
-  constexpr double kSmall = 1e-3;  // the part of the load at which the search ends
-  Rows load(step.positions().size());
-  for (size_t p = 0; p < load.size(); ++p) {
-    const auto scattered = [p](uint32_t axis) {
-      uint32_t h = (static_cast<uint32_t>(p) * 3u + axis + 1u) * 0x9E3779B9u;
+// Returns a pseudorandom load, which is that of each component alone.
+inline Rows scattered_load(const Components& of) {
+  Rows load(of.of.size());
+  std::vector<uint32_t> next(of.count);
+  of.visit([&](size_t p, size_t c) {
+    const uint32_t number = next[c]++;
+    const auto scattered = [number](uint32_t axis) {
+      uint32_t h = (number * 3u + axis + 1u) * 0x9E3779B9u;
       h = (h ^ (h >> 15)) * 0x85EBCA6Bu;
       return static_cast<float>((h ^ (h >> 13)) >> 8) * 0x1p-23f - 1.0f;
     };
-    if (!step.is_held(p)) load[p] = Vec3f{scattered(0), scattered(1), scattered(2)};
-  }
-  return find_descent(step, load, kSmall, sweeps).curves_down;
+    load[p] = Vec3f{scattered(0), scattered(1), scattered(2)};
+  });
+  return load;
 }
 
-// Returns the direction, either way, that the forces push along. Its largest row is as long as the
-// longest motion of the step, if particles moved.
+// Returns the directions `down`, either way, that the forces push along, for some components. The
+// largest row of a component is as long as its longest motion of the step, if particles moved.
 template <class Step>
-Rows way_off_saddle(Step& step, const Rows& down) {
-  const auto longest = [](const Rows& rows) {
-    float most = 0.0f;
-    for (const Row& row : rows) most = std::max(most, math::length(Vec3f(row)));
+Rows way_off_saddle(Step& step, const Flags& some, const Rows& down) {
+  const Components of = step.components();
+  const auto longest = [&](const Rows& rows) {
+    Numbers most(of.count);
+    of.visit([&](size_t p, size_t c) {
+      most[c] = std::max(most[c], static_cast<double>(math::length(Vec3f(rows[p]))));
+    });
     return most;
   };
-  const float motion = longest(step.moves()), size = motion > 0.0f ? motion / longest(down) : 1.0f;
+  const Numbers motion = longest(step.moves()), size = longest(down),
+                push = of.inner(step.force(), down);
+  Numbers part(of.count);
+  for (size_t c = 0; c < of.count; ++c) {
+    if (some[c] == 0) continue;
+    part[c] = motion[c] > 0.0 ? motion[c] / size[c] : 1.0;
+    if (push[c] < 0.0) part[c] = -part[c];
+  }
   Rows way(down.size());
-  add_scaled(way, inner(step.force(), down) < 0.0 ? -size : size, down);
+  of.add_scaled(way, part, down);
   return way;
 }
 
@@ -182,44 +220,66 @@ struct Solution {
   }
 };
 
-// Solves the step until the relative residual is at most the tolerance or twice the rounding floor,
-// or until `iterations` are over, by Newton's method on the energy.
+// Solves the step until the relative residual of each component is at most the tolerance or twice
+// the rounding floor, or until `iterations` are over, by Newton's method on the energy.
 // - An iteration keeps the loads of friction, so that the forces have an energy, and makes this
 //   energy fall. After a whole step without negative curvature the next step uses the whole
 //   derivative of the forces.
 // - Iterations of VBD replace a step that fails. In the first half of the iterations they also
 //   replace a step that meets negative curvature, because that step can lead to another minimum.
-// - A saddle is left along its negative curvature.
+// - Where the residual is small, conjugate gradients for a pseudorandom load look for negative
+//   curvature. A saddle is left along it.
 template <class Step>
 Solution solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32_t sweeps) {
   constexpr int kIterationsInstead = 20;  // they cost less than a step of Newton's method
   constexpr double kForcing = 1e-2;  // tolerance of the linear systems: an inexact Newton method
-  bool is_near = false;
+  constexpr double kSmall = 1e-3;    // the same where the way down from a saddle is looked for
+  const Components of = step.components();
+  const size_t count = of.count;
+  Flags runs(count, 1), is_near(count);
+  bool is_minimum = true;
   for (int32_t k = 0;; ++k) {
-    Solution now = {step.residual()};
-    const bool is_solved = now.is_solved(tolerance);
-    if (!is_solved && k >= iterations) return now;
-    Rows force = step.force();
-    if (!is_solved && is_near && (is_near = refine(step, force, kForcing, sweeps))) continue;
-    step.keep_loads(true);
-    Rows way;
-    if (is_solved) {
-      const Rows down = find_way_down(step, sweeps);
-      if (down.empty() || k >= iterations) {
-        step.keep_loads(false);
-        now.is_minimum = down.empty();
-        return now;
-      }
-      way = way_off_saddle(step, down);
-    } else {
-      Descent found = find_descent(step, std::move(force), kForcing, sweeps);
-      is_near = found.curves_down.empty();
-      if (is_near || k >= iterations / 2) way = std::move(found.way);
+    const Flags solved = step.solved(tolerance);
+    for (size_t c = 0; c < count; ++c) runs[c] = runs[c] != 0 && (solved[c] != 0 || k < iterations);
+    if (!any(runs)) return {step.residual(), is_minimum};
+    const Rows force = step.force();
+    Flags near(count), rest(count);
+    for (size_t c = 0; c < count; ++c) near[c] = runs[c] != 0 && solved[c] == 0 && is_near[c] != 0;
+    if (any(near)) refine(step, force, near, kForcing, sweeps);
+    Rows load(force.size()), scattered = scattered_load(of);
+    Numbers asked(count, kForcing);
+    for (size_t c = 0; c < count; ++c) {
+      rest[c] = runs[c] != 0 && near[c] == 0;
+      if (solved[c] != 0) asked[c] = kSmall;
     }
-    const float part = way.empty() ? 0.0f : descend(step, way);
+    if (!any(rest)) continue;
+    of.visit([&](size_t p, size_t c) {
+      if (rest[c] != 0) load[p] = solved[c] != 0 ? scattered[p] : force[p];
+    });
+    step.keep_loads(true);
+    const Descent found = find_descent(step, std::move(load), asked, sweeps);
+    Flags saddle(count), goes(count);
+    for (size_t c = 0; c < count; ++c) {
+      if (rest[c] == 0) continue;
+      const bool curves_down = found.curves_down[c] != 0;
+      saddle[c] = solved[c] != 0 && curves_down && k < iterations;
+      if (solved[c] != 0) {
+        is_minimum = is_minimum && !(curves_down && k >= iterations);
+        runs[c] = rest[c] = saddle[c];
+      } else {
+        is_near[c] = !curves_down;
+        goes[c] = !curves_down || k >= iterations / 2;
+      }
+    }
+    Rows way = way_off_saddle(step, saddle, found.down);
+    of.add_scaled(way, goes, found.way);
+    const Numbers part = descend(step, way);
     step.keep_loads(false);
-    is_near = is_near && part == 1.0f;
-    for (int i = 0; part == 0.0f && i < kIterationsInstead; ++i) step.iterate_again();
+    for (size_t c = 0; c < count; ++c) {
+      is_near[c] = is_near[c] != 0 && (rest[c] == 0 || part[c] == 1.0);
+      rest[c] = rest[c] != 0 && part[c] == 0.0;
+    }
+    if (any(rest)) Line<Step>{step}.iterate(rest, kIterationsInstead);
   }
 }
 
@@ -230,30 +290,30 @@ Solution solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32
 // f.
 template <class Step>
 KrylovResult solve_transposed(Step& step, const Rows& given, double tolerance, int32_t sweeps) {
-  const auto free_rows = [&step](Rows rows) {
-    for (size_t p = 0; p < rows.size(); ++p)
-      if (step.is_held(p)) rows[p] = Row();
-    return rows;
+  const Components of = step.components();
+  const auto free_rows = [&of](const Rows& rows) {
+    Rows all(rows.size());
+    of.add_scaled(all, Flags(of.count, 1), rows);
+    return all;
   };
-  Rows residual = free_rows(given), solution(given.size());
-  const double scale = std::sqrt(inner(residual, residual));
+  const Rows load = free_rows(given);
+  Rows residual = load, solution(given.size());
   const auto left = [&](const Rows& multipliers) {
     return residual = free_rows(step.balance(given, multipliers));
   };
-  const auto more = [&](double asked, int32_t most) {
+  const auto more = [&](const Numbers& asked, std::vector<KrylovResult>& results) {
     // A sweep in reverse subtracts from r the image J^T z of the multipliers z that it finds.
     Rows part;
-    const KrylovResult found =
-        solve_krylov(part, residual, asked, most, [&](const Rows& r, Rows& z, Rows& image) {
-          Rows remains;
-          step.reverse_sweep(r, z, remains);
-          image = r;
-          add_scaled(image, -1.0f, free_rows(std::move(remains)));
-        });
-    add_scaled(solution, 1.0f, part);
-    return found;
+    solve_krylov(of, part, residual, asked, sweeps, results,
+                 [&](const Rows& r, Rows& z, Rows& image) {
+                   Rows remains;
+                   step.reverse_sweep(r, z, remains);
+                   image = r;
+                   of.add_scaled(image, Flags(of.count, 1), remains, -1.0f);
+                 });
+    of.add_scaled(solution, Flags(of.count, 1), part);
   };
-  return refine_solution(solution, scale, tolerance, sweeps, more, left);
+  return refine_solution(of, solution, load, tolerance, sweeps, more, left);
 }
 
 }  // namespace novaphy::vbd

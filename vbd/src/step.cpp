@@ -347,23 +347,14 @@ void Step::run(const StepInputs& in, const StepResults& out,
   if (in.targets.rows() != 0)
     novaphy::run(kernels().target, kinematic_count(),
                  {.held = held_, .targets = in.targets, .x = x_});
-  iterate(*list_);
+  iterations_run_ = options_.iterations;
+  if (options_.tolerance) {
+    iterate_to(static_cast<double>(*options_.tolerance), *list_);
+  } else {
+    list_->iterate(0, static_cast<size_t>(options_.iterations));
+  }
   if (is_immediate) check_positions();
   list_->finish();
-}
-
-// Runs the iterations. With a tolerance the iteration ends when the residual is small enough.
-void Step::iterate(const StepList& list) {
-  iterations_run_ = options_.iterations;
-  if (!options_.tolerance) return list.iterate(0, static_cast<size_t>(options_.iterations));
-  const double motion = motion_scale();  // iterations do not change it
-  for (iterations_run_ = 0; iterations_run_ < options_.iterations;) {
-    ++iterations_run_;
-    const auto k = static_cast<size_t>(iterations_run_);
-    list.iterate(k - 1, k);
-    find_residuals();
-    if (sum_residuals(motion).relative <= static_cast<double>(*options_.tolerance)) return;
-  }
 }
 
 void Step::iterate_again() {

@@ -62,6 +62,8 @@ class Step {
   void find_residuals();
   VbdResidual last_residual() const;  // of the last find_residuals
   VbdResidual residual();
+  // Returns whether the residual of each component is at most the tolerance or twice its floor.
+  Flags solved(double tolerance);
 
   const Model& model() const { return model_; }
   // Returns the model on the host that the slots were made from: a copy if the model is on a
@@ -74,6 +76,9 @@ class Step {
   // Returns the coarse correction. Null: not wanted, or no two particles that move share an
   // element.
   const Coarse* coarse() const { return coarse_ && coarse_->systems() > 0 ? &*coarse_ : nullptr; }
+  Components components() const {
+    return {slots_.components(), static_cast<size_t>(slots_.component_count())};
+  }
   const std::vector<int64_t>& colors() const { return slots_.color_begin(); }
   uint64_t builds() const { return builds_; }    // count of builds of the slots
   uint64_t version() const { return version_; }  // changes with the memory of launches
@@ -155,8 +160,10 @@ class Step {
   void check_contacts(const Contacts& contacts) const;
   void check_inputs(const StepInputs& in);
   void check_positions() const;
-  double motion_scale() const;  // step_residual.cpp
-  VbdResidual sum_residuals(double motion) const;
+  // step_residual.cpp
+  void find_motion() const;
+  void sum_residuals() const;
+  void iterate_to(double tolerance, const StepList& list);
   void forget_lists();
   void reserve_contacts(int32_t slots);
   void find_contacts(const Contacts& contacts) const;
@@ -170,7 +177,6 @@ class Step {
   size_t stride() const { return coarse() != nullptr ? 2 : 1; }  // kept positions of an iteration
   StepList& list_for(const StepInputs& in, const StepResults& out);
   int64_t find_mover() const;
-  void iterate(const StepList& list);
 
   const Model& model_;
   const VbdOptions options_;
@@ -201,9 +207,16 @@ class Step {
     Rows start, target;
     std::vector<Vec3f> gravities;
     std::vector<Vec3<double>> moments;
-    std::vector<double> masses;
+    Numbers masses, squares;
   };
-  mutable Motion motion_;  // memory of motion_scale, on the host
+  struct Sums {  // squares of VbdResidual::force and scale, and of their product with the floor
+    double force, scale, rounding;
+  };
+  // Memory of find_motion, sum_residuals and iterate_to, on the host.
+  mutable Motion motion_;
+  mutable std::vector<Sums> sums_;
+  Flags ended_;
+  std::vector<Vec4f> ended_x_, ended_moved_;
   std::vector<float> chebyshev_;
   int32_t iterations_run_ = 0;
   bool has_contacts_ = false, damps_ = false, was_recorded_ = false;

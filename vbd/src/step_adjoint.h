@@ -30,7 +30,7 @@ class StepAdjoint {
   // For solution.h.
   void reverse_sweep(const Rows& load, Rows& multipliers, Rows& left);
   Rows balance(const Rows& given, const Rows& multipliers);
-  bool is_held(size_t p) const { return step_.is_held(p); }
+  Components components() const { return step_.components(); }
 
  private:
   using Rows4 = Step::Rows4;

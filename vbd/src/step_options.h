@@ -2,13 +2,11 @@
 #pragma once
 
 #include <cmath>
-#include <span>
 #include <vector>
 
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/vbd/solver_vbd.h"
-#include "sweep.h"
 
 namespace novaphy::vbd {
 
@@ -55,22 +53,6 @@ inline std::vector<float> chebyshev_factors(float radius, int32_t iterations) {
     factors.push_back(static_cast<float>(omega));
   }
   return factors;
-}
-
-// Sums the residuals in double precision, in the order of the particles. `motion`: the square of
-// the part of the scale from the motion and gravity (N^2).
-inline VbdResidual sum_residuals(std::span<const ParticleResidual> of_particles, double motion,
-                                 int32_t iterations) {
-  double force = 0.0, scale = motion, rounding = 0.0;
-  for (const ParticleResidual& r : of_particles) {
-    force += static_cast<double>(r.force);
-    scale += static_cast<double>(r.parts);
-    rounding += static_cast<double>(r.rounding);
-  }
-  const auto relative = [scale](double squared) {
-    return squared == 0.0 ? 0.0 : std::sqrt(squared / scale);
-  };
-  return {std::sqrt(force), std::sqrt(scale), relative(force), relative(rounding), iterations};
 }
 
 }  // namespace novaphy::vbd

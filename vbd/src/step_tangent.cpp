@@ -72,7 +72,7 @@ Rows StepTangent::unrolled(const SweepTangents& along) {
   put(along);
   Rows tangents = along.x;
   for (size_t p = 0; p < tangents.size(); ++p)
-    if (!is_held(p)) tangents[p] = along.guess[p];
+    if (!step_.is_held(p)) tangents[p] = along.guess[p];
   upload_rows(x_, tangents);
   const auto iterations = static_cast<size_t>(step_.options().iterations);
   const bool corrects = step_.coarse() != nullptr && iterations > 0;
@@ -202,16 +202,13 @@ Rows StepTangent::implicit(const SweepTangents& along, double tolerance, int32_t
   // At first the load, with zero tangents of the particles that move. Later what remains of the
   // load.
   Rows load = force_tangent(tangents);
-  const double scale = std::sqrt(inner(load, load));
   const auto left = [&](const Rows& x) { return load = force_tangent(x); };
-  const auto add_more = [&](double asked, int32_t most) {
+  const auto add_more = [&](const Numbers& asked, std::vector<KrylovResult>& results) {
     Rows more;
-    const KrylovResult found = solve_linear(*this, more, load, asked, most);
-    for (size_t p = 0; p < tangents.size(); ++p)
-      if (!is_held(p)) tangents[p] = Vec3f(tangents[p]) + Vec3f(more[p]);
-    return found;
+    solve_linear(*this, more, load, asked, sweeps, results);
+    components().add_scaled(tangents, Flags(results.size(), 1), more);
   };
-  result = refine_solution(tangents, scale, tolerance, sweeps, add_more, left);
+  result = refine_solution(components(), tangents, Rows(load), tolerance, sweeps, add_more, left);
   return tangents;
 }
 

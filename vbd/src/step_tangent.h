@@ -41,10 +41,11 @@ class StepTangent {
   Rows moves() const { return download(step_.moved()); }
   void place(const Rows& x, const Rows& moved) { step_.place(x, moved); }
   VbdResidual residual() { return step_.residual(); }
+  Flags solved(double tolerance) { return step_.solved(tolerance); }
   void iterate_again() { step_.iterate_again(); }
   // Keeps the loads of friction of the present positions, so that the forces have an energy.
   void keep_loads(bool keep);
-  bool is_held(size_t p) const { return step_.is_held(p); }
+  Components components() const { return step_.components(); }
 
  private:
   using Rows4 = Step::Rows4;

@@ -21,8 +21,8 @@ struct VbdOptions {
   // The spectral radius of Chebyshev acceleration, in (0, 1), for the particles without contacts.
   // Above 0.8 the iteration may stall or diverge.
   std::optional<float> acceleration = {};
-  // Ends the iteration when VbdResidual::relative is at most this, > 0. Each iteration then
-  // computes the forces once more. With `converged` the step is solved to this, at first by all
+  // Ends the iterations of a connected component when its VbdResidual::relative is at most this,
+  // > 0. Each iteration then computes the forces once more. With `converged` the step is solved to this, at first by all
   // iterations; none means 1e-4.
   std::optional<float> tolerance = {};
   // Halves the step of a particle while the energy of its elements rises, up to four times. If the
@@ -38,12 +38,13 @@ struct VbdOptions {
   float lhs_regularization = 1e-6f;  // see vbd/block_law.h; finite, >= 0
 };
 
-// The distance of the last step from its solution.
+// The distance of the last step from its solution, for the connected component of particles that is
+// farthest from its own: the largest `relative` of those above twice their `floor`, else of all.
 struct VbdResidual {
-  double force = 0.0;  // N: norm of the total force over all particles that move, with inertia
-  // N: norm over all particles that move of two parts: m (y - xn - h vc)/h^2, with the mean
-  // velocity vc of the particle's connected component, and the sum of the norms of the forces of
-  // its contacts and elements. A uniform motion does not change it.
+  double force = 0.0;  // N: norm of the total force over the particles, with inertia
+  // N: norm over the particles of two parts: m (y - xn - h vc)/h^2, with the mean velocity vc of
+  // the component, and the sum of the norms of the forces of the particle's contacts and elements.
+  // A uniform motion does not change it.
   double scale = 0.0;
   double relative = 0.0;  // force / scale; 0 where the force is 0
   double floor = 0.0;     // the part of `relative` that one rounding of the positions can cause

@@ -1,0 +1,56 @@
+// The pairs of a vertex and a triangle, and of two edges, that come near each other on moving
+// surfaces. A surface is the triangles over some particles.
+//
+// Pairs with a common particle are left out, and so are pairs of two worlds. Particles of world -1
+// belong to all worlds.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "novaphy/collision/export.h"
+#include "novaphy/math/types.h"
+
+namespace novaphy {
+
+// The particles of a pair: a vertex and the corners of a triangle, or the ends of two edges.
+struct SurfacePair {
+  std::array<int32_t, 4> particle{};
+  bool has_edges = false;
+  float radius = 0.0f;  // m: contacts begin at this distance
+
+  // Returns whether the k-th particle belongs to the first side.
+  bool is_first(int k) const { return k < (has_edges ? 2 : 1); }
+};
+
+class NOVAPHY_COLLISION_API SurfacePairs {
+ public:
+  // `world` and `rest` have a row for each particle. A pair that is nearer than `radius` (m) at
+  // rest gets 0.9 of that distance as its radius.
+  SurfacePairs(std::span<const Vec3i> triangles, std::span<const int32_t> world,
+               std::span<const Vec3f> rest, float radius);
+  ~SurfacePairs();
+
+  // Finds the pairs that come nearer than the radius if each particle moves by at most its reach
+  // (m) from x. Pairs of vertices and triangles come first, then pairs of edges. Both are sorted by
+  // their first side, then by the second side. `x`: rows of which three floats count.
+  const std::vector<SurfacePair>& find(std::span<const Vec4f> x, std::span<const float> reach);
+
+  // Returns the ends of an edge that passes through a triangle at x, and the triangle's corners.
+  std::optional<std::array<int32_t, 5>> find_crossing(std::span<const Vec4f> x);
+
+  // Returns whether a particle is a corner of a triangle.
+  bool is_vertex(int32_t particle) const;
+  // Returns the length of the shortest edge at rest (m). 0: no edge.
+  float shortest_edge() const;
+
+ private:
+  struct Work;
+  std::unique_ptr<Work> work_;
+};
+
+}  // namespace novaphy

@@ -195,7 +195,7 @@ INSTEAD: dict[str, dict[str, str]] = {
 NOT_BUILT_IN: dict[str, dict[str, str]] = {
     "SolverVBD": {
         "contacts of particles with each other": (
-            "particle_enable_self_contact particle_self_contact_* particle_topological_* "
+            "particle_self_contact_* particle_topological_* "
             "particle_rest_shape_* particle_conservative_bounds particle_collision_detection_* "
             "dat_* rebuild_bvh trimesh_* truncation_ts pos_prev_collision_detection"
         ),

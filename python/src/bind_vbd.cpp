@@ -1,4 +1,6 @@
 // SolverVBD.
+#include <pybind11/numpy.h>
+
 #include "doc_vbd.h"
 #include "exchange.h"
 #include "novaphy/vbd/solver_vbd.h"
@@ -33,6 +35,32 @@ bool to_converged(const std::string& solve) {
   require(solve == "iterations" || solve == "converged", ErrorKind::Value,
           "SolverVBD: solve: expected \"iterations\" or \"converged\", got \"", solve, "\"");
   return solve == "converged";
+}
+
+// `margin` is Newton's name of the radius.
+std::optional<VbdSelfContact> to_self_contact(bool enable, std::optional<float> radius,
+                                              std::optional<float> margin,
+                                              std::optional<float> gap) {
+  require(!radius || !margin, ErrorKind::Value,
+          "SolverVBD: particle_self_contact_margin: expected None beside "
+          "particle_self_contact_radius, which has the same meaning, got ",
+          margin.value_or(0.0f));
+  const std::pair<const char*, const std::optional<float>&> given[] = {
+      {"radius", radius}, {"margin", margin}, {"gap", gap}};
+  for (const auto& [name, value] : given)
+    require(enable || !value, ErrorKind::Value, "SolverVBD: particle_self_contact_", name,
+            ": expected None without particle_enable_self_contact, got ", value.value_or(0.0f));
+  if (!enable) return {};
+  return VbdSelfContact{.radius = radius ? radius : margin, .gap = gap};
+}
+
+template <class T>
+py::array_t<T> to_column(const T* values, size_t rows, py::ssize_t width = 0) {
+  std::vector<py::ssize_t> shape = {static_cast<py::ssize_t>(rows)};
+  if (width != 0) shape.push_back(width);
+  py::array_t<T> to(shape);
+  std::copy_n(values, to.size(), to.mutable_data());
+  return to;
 }
 
 constexpr char kKinematicCountDoc[] =
@@ -167,6 +195,33 @@ void bind_residual(py::module_& solvers) {
       .def_readonly("iterations", &VbdResidual::iterations, "The number of iterations that ran.");
 }
 
+void bind_self_contacts(py::module_& solvers) {
+  py::class_<VbdSelfContacts>(
+      solvers, "VbdSelfContacts",
+      "The contacts of surfaces with each other at the end of a step of SolverVBD.")
+      .def("__len__", [](const VbdSelfContacts& c) { return c.gaps.size(); })
+      .def_property_readonly(
+          "particles",
+          [](const VbdSelfContacts& c) {
+            return to_column(reinterpret_cast<const int32_t*>(c.particles.data()),
+                             c.particles.size(), 4);
+          },
+          "int32 {n, 4}: a vertex and the corners of a triangle, or the ends of two edges.")
+      .def_property_readonly(
+          "has_edges",
+          [](const VbdSelfContacts& c) {
+            return to_column(reinterpret_cast<const bool*>(c.has_edges.data()), c.has_edges.size());
+          },
+          "bool {n}: whether the contact has two edges.")
+      .def_property_readonly(
+          "gaps", [](const VbdSelfContacts& c) { return to_column(c.gaps.data(), c.gaps.size()); },
+          "float32 {n}: distance of the two features (m).")
+      .def_property_readonly(
+          "forces",
+          [](const VbdSelfContacts& c) { return to_column(c.forces.data(), c.forces.size()); },
+          "float32 {n}: normal force, without damping (N).");
+}
+
 void bind_options(py::class_<SolverVBD, SolverBase>& solver) {
   solver
       .def_property_readonly(
@@ -198,14 +253,40 @@ void bind_options(py::class_<SolverVBD, SolverBase>& solver) {
           [](const SolverVBD& s) { return s.options().converged ? "converged" : "iterations"; },
           "How far a step goes: \"iterations\" or \"converged\".")
       .def_property_readonly(
+          "particle_enable_self_contact",
+          [](const SolverVBD& s) { return s.options().self_contact.has_value(); },
+          "Whether surfaces push each other apart.")
+      .def_property_readonly(
           "lhs_regularization", [](const SolverVBD& s) { return s.options().lhs_regularization; },
           "The relative regularization of nearly singular blocks (1).");
+}
+
+void bind_steps(py::class_<SolverVBD, SolverBase>& solver) {
+  solver
+      .def(
+          "step",
+          [](SolverVBD& s, SimState& state_in, SimState& state_out, const Control* control,
+             const Contacts* contacts, float dt, py::handle targets) {
+            DeviceArray<Vec3f> to;
+            if (!targets.is_none()) to = to_targets(targets, s.device());
+            const ReleasedGil release;
+            s.step(state_in, state_out, control, contacts, dt, targets.is_none() ? nullptr : &to);
+          },
+          "state_in"_a, "state_out"_a, "control"_a.none(true), "contacts"_a.none(true), "dt"_a,
+          py::kw_only(), "targets"_a = py::none(), doc::kVbdStep)
+      .def("residual", &SolverVBD::residual, release_gil(), doc::kVbdResidual)
+      .def("self_contacts", &SolverVBD::self_contacts, release_gil(),
+           "Returns the VbdSelfContacts of the last step. ValueError: a solver without "
+           "particle_enable_self_contact.")
+      .def("reset", &SolverVBD::reset,
+           "Forgets the last step, which the adaptive guess and residual() read.");
 }
 
 }  // namespace
 
 void bind_vbd(py::module_& solvers) {
   bind_residual(solvers);
+  bind_self_contacts(solvers);
   const VbdOptions d;
   py::class_<SolverVBD, SolverBase> solver(
       solvers, "SolverVBD",
@@ -222,7 +303,11 @@ void bind_vbd(py::module_& solvers) {
                        float friction_epsilon, const std::string& initial_guess,
                        std::optional<float> acceleration, std::optional<float> tolerance,
                        bool safeguard, const std::optional<std::string>& coarse,
-                       const std::string& solve, float lhs_regularization) {
+                       const std::string& solve, float lhs_regularization,
+                       bool particle_enable_self_contact,
+                       std::optional<float> particle_self_contact_radius,
+                       std::optional<float> particle_self_contact_margin,
+                       std::optional<float> particle_self_contact_gap) {
              return std::make_unique<SolverVBD>(
                  model, VbdOptions{.iterations = iterations,
                                    .friction_epsilon = friction_epsilon,
@@ -232,29 +317,22 @@ void bind_vbd(py::module_& solvers) {
                                    .safeguard = safeguard,
                                    .coarse = to_coarse(coarse),
                                    .converged = to_converged(solve),
-                                   .lhs_regularization = lhs_regularization});
+                                   .lhs_regularization = lhs_regularization,
+                                   .self_contact = to_self_contact(
+                                       particle_enable_self_contact, particle_self_contact_radius,
+                                       particle_self_contact_margin, particle_self_contact_gap)});
            }),
            py::arg("model").none(false), py::kw_only(), "iterations"_a = d.iterations,
            "friction_epsilon"_a = d.friction_epsilon, "initial_guess"_a = "inertia",
            "acceleration"_a = py::none(), "tolerance"_a = py::none(), "safeguard"_a = d.safeguard,
            "coarse"_a = py::none(), "solve"_a = "iterations",
-           "lhs_regularization"_a = d.lhs_regularization, doc::kVbdInit)
+           "lhs_regularization"_a = d.lhs_regularization, "particle_enable_self_contact"_a = false,
+           "particle_self_contact_radius"_a = py::none(),
+           "particle_self_contact_margin"_a = py::none(),
+           "particle_self_contact_gap"_a = py::none(), doc::kVbdInit)
       .def_property_readonly("kinematic_count", &SolverVBD::kinematic_count, kKinematicCountDoc)
-      .def_property_readonly("held_count", &old_kinematic_count<SolverVBD>, kHeldCountDoc)
-      .def(
-          "step",
-          [](SolverVBD& s, SimState& state_in, SimState& state_out, const Control* control,
-             const Contacts* contacts, float dt, py::handle targets) {
-            DeviceArray<Vec3f> to;
-            if (!targets.is_none()) to = to_targets(targets, s.device());
-            const ReleasedGil release;
-            s.step(state_in, state_out, control, contacts, dt, targets.is_none() ? nullptr : &to);
-          },
-          "state_in"_a, "state_out"_a, "control"_a.none(true), "contacts"_a.none(true), "dt"_a,
-          py::kw_only(), "targets"_a = py::none(), doc::kVbdStep)
-      .def("residual", &SolverVBD::residual, release_gil(), doc::kVbdResidual)
-      .def("reset", &SolverVBD::reset,
-           "Forgets the last step, which the adaptive guess and residual() read.");
+      .def_property_readonly("held_count", &old_kinematic_count<SolverVBD>, kHeldCountDoc);
+  bind_steps(solver);
 #ifdef NOVAPHY_PYTHON_DIFF
   bind_diff_vbd(solvers);
 #endif

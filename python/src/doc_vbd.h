@@ -60,6 +60,12 @@ coarse: "auto": a coarse correction follows each iteration, for errors that span
 None: iterations alone. Not together with acceleration.
 solve: "iterations", or "converged": Newton's method continues after the iterations, until the step
 is at the minimum of its energy. On the CPU, outside of captures.
+particle_enable_self_contact: triangles push each other apart, with the model's soft_contact_ke,
+soft_contact_kd and soft_contact_mu, and never cross. On the CPU, outside of captures, with
+iterations alone.
+particle_self_contact_radius: m; the distance at which contacts begin. None: twice particle_radius.
+particle_self_contact_margin: Newton's name of the radius.
+particle_self_contact_gap: m; how far beyond the radius contacts are known. None: the radius.
 
 ValueError: a bad option, particles without a color, a negative or NaN material.
 NotImplementedError: names what is not supported.)";

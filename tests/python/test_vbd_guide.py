@@ -164,17 +164,6 @@ def bodies(solver: Callable) -> Callable[[], None]:
     return check
 
 
-def self_contact(solver: Callable) -> Callable[[], None]:
-    """It is no argument; the error names it."""
-
-    def check() -> None:
-        with pytest.raises(TypeError, match="particle_enable_self_contact"):
-            solver(finalized(builder()), particle_enable_self_contact=True)
-        raise NotImplementedError
-
-    return check
-
-
 def plain(model, **options):
     return novaphy.solvers.SolverVBD(model, **options)
 
@@ -195,6 +184,9 @@ def option_gradient(**option) -> Callable[[str], None]:
             raise NotImplementedError from error
 
     return check
+
+
+SELF_CONTACT = {"particle_enable_self_contact": True, "particle_self_contact_radius": 0.005}
 
 
 @dataclass
@@ -262,7 +254,9 @@ ROWS = {
     ),
     "drag and lift": Row(each_number(plain), lambda kind: each_number(differentiable)()),
     "bodies, joints": Row(bodies(plain), lambda kind: bodies(differentiable)()),
-    "self-contact": Row(self_contact(plain), lambda kind: self_contact(differentiable)()),
+    "self-contact": Row(
+        forward(**SELF_CONTACT), option_gradient(particle_enable_self_contact=True), SELF_CONTACT
+    ),
 }  # fmt: skip
 
 

@@ -202,6 +202,13 @@ OPTIONS = {
     "solve": "converged",
     "lhs_regularization": 0.1,
 }
+# Tested in test_self_contact.py.
+SELF_CONTACT = {
+    "particle_enable_self_contact",
+    "particle_self_contact_radius",
+    "particle_self_contact_margin",
+    "particle_self_contact_gap",
+}
 
 
 def arrays(model: novaphy.Model) -> dict[str, novaphy.DeviceArray]:
@@ -280,7 +287,7 @@ def test_every_number_acts_or_raises_by_name():
 
 def test_every_option_acts():
     names = re.findall(r"(\w+): [^,]* = ", novaphy.solvers.SolverVBD.__init__.__doc__)
-    assert set(names) == set(OPTIONS)
+    assert set(names) == set(OPTIONS) | SELF_CONTACT
     for name, value in OPTIONS.items():
         model = nearly_singular() if name == "lhs_regularization" else scene()
         assert result(model, **{name: value}) != result(model), name

@@ -39,6 +39,19 @@ void check_options(const VbdOptions& o) {
           name, "lhs_regularization: expected a finite number >= 0, got ", o.lhs_regularization);
 }
 
+// Self-contact runs beside the iterations alone.
+void check_self_contact(const VbdOptions& o) {
+  if (!o.self_contact) return;
+  const std::pair<const char*, bool> others[] = {{"coarse", o.coarse},
+                                                 {"acceleration", o.acceleration.has_value()},
+                                                 {"tolerance", o.tolerance.has_value()},
+                                                 {"safeguard", o.safeguard},
+                                                 {"solve=\"converged\"", o.converged}};
+  for (const auto& [name, is_given] : others)
+    require(!is_given, ErrorKind::NotImplemented, "SolverVBD: ", name,
+            ": not supported together with particle_enable_self_contact");
+}
+
 void check_covered(const Model& model) {
   const auto check = [](const char* name, int32_t count) {
     require(count == 0, ErrorKind::NotImplemented, "SolverVBD: model: expected ", name, " 0, got ",
@@ -81,6 +94,7 @@ struct SolverVBD::Work {
 SolverVBD::SolverVBD(std::shared_ptr<const Model> model, const VbdOptions& options)
     : SolverBase(std::move(model)), options_(options) {
   check_options(options);
+  check_self_contact(options);
   check_covered(*this->model());
   this->model()->update_derived();
   work_ = std::make_unique<Work>(*this->model(), options);
@@ -93,7 +107,7 @@ int32_t SolverVBD::kinematic_count() const { return work_->step.kinematic_count(
 Array SolverVBD::carried() const { return work_->last; }
 
 bool SolverVBD::supports_graph_capture() const {
-  return !options_.tolerance && !options_.converged;
+  return !options_.tolerance && !options_.converged && !options_.self_contact;
 }
 
 void SolverVBD::notify_model_changed(ModelFlags) {
@@ -106,6 +120,14 @@ void SolverVBD::reset() {
   const ExclusiveUse::Scope scope = use("SolverVBD.reset");
   work_->has_stepped = false;
   if (work_->last.rows() != 0) work_->last.zero();
+}
+
+VbdSelfContacts SolverVBD::self_contacts() const {
+  const ExclusiveUse::Scope scope = use("SolverVBD.self_contacts");
+  const vbd::SelfContact* const contact = work_->step.self_contact();
+  require(contact != nullptr, ErrorKind::Value,
+          "SolverVBD.self_contacts: expected particle_enable_self_contact True, got False");
+  return contact->contacts();
 }
 
 VbdResidual SolverVBD::residual() const {

@@ -104,6 +104,7 @@ void Step::build() {
   }
   slots_.build(m, lanes_on(device()));
   if (options_.coarse) coarse_.emplace(m, slots_, device());
+  if (options_.self_contact) self_contact_.emplace(model_, slots_, *options_.self_contact);
   ++builds_;
   is_held_ = upload<int32_t>(slots_.held_flags(), device());
   held_ = upload<int32_t>(slots_.held(), device());
@@ -155,8 +156,12 @@ VbdSweepArguments Step::sweep(int64_t first_group, int64_t end_group) const {
           .begin = t.begin,
           .ints = t.ints,
           .floats = t.floats,
-          .contact_begin = has_contacts_ ? &contact_begin_ : nullptr,
-          .contacts = has_contacts_ ? &contact_numbers_ : nullptr,
+          .contact_begin = self_contact_   ? &self_contact_->begins()
+                           : has_contacts_ ? &contact_begin_
+                                           : nullptr,
+          .contacts = self_contact_   ? &self_contact_->numbers()
+                      : has_contacts_ ? &contact_numbers_
+                                      : nullptr,
           .start = start_,
           .target = target_,
           .moved = moved_,
@@ -348,7 +353,9 @@ void Step::run(const StepInputs& in, const StepResults& out,
     novaphy::run(kernels().target, kinematic_count(),
                  {.held = held_, .targets = in.targets, .x = x_});
   iterations_run_ = options_.iterations;
-  if (options_.tolerance) {
+  if (self_contact_) {
+    iterate_in_contact();
+  } else if (options_.tolerance) {
     iterate_to(static_cast<double>(*options_.tolerance), *list_);
   } else {
     list_->iterate(0, static_cast<size_t>(options_.iterations));

@@ -15,6 +15,7 @@
 #include "novaphy/core/sim/edited_values.h"
 #include "novaphy/core/sim/unsupported_materials.h"
 #include "rows.h"
+#include "self_contact.h"
 #include "step_inputs.h"
 #include "step_list.h"
 
@@ -79,6 +80,8 @@ class Step {
   Components components() const {
     return {slots_.components(), static_cast<size_t>(slots_.component_count())};
   }
+  // Returns the contacts of surfaces with each other. Null: not wanted.
+  const SelfContact* self_contact() const { return self_contact_ ? &*self_contact_ : nullptr; }
   const std::vector<int64_t>& colors() const { return slots_.color_begin(); }
   uint64_t builds() const { return builds_; }    // count of builds of the slots
   uint64_t version() const { return version_; }  // changes with the memory of launches
@@ -177,6 +180,8 @@ class Step {
   size_t stride() const { return coarse() != nullptr ? 2 : 1; }  // kept positions of an iteration
   StepList& list_for(const StepInputs& in, const StepResults& out);
   int64_t find_mover() const;
+  // step_self_contact.cpp
+  void iterate_in_contact();
 
   const Model& model_;
   const VbdOptions options_;
@@ -189,6 +194,7 @@ class Step {
   size_t of_elements_ = 0;          // count of values_ that belong to elements
   ColorSlots slots_;
   std::optional<Coarse> coarse_;
+  std::optional<SelfContact> self_contact_;
   uint64_t builds_ = 0, version_ = 0;
   std::optional<Tables> tables_;
   std::optional<StepList> lists_[2][2][2];  // [with contacts][with damping][keeps iterates]

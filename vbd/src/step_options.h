@@ -40,6 +40,9 @@ inline void check_not_launched(const VbdOptions& o) {
       !o.converged, ErrorKind::NotImplemented,
       "SolverVBD: solve: expected \"iterations\" for a step that is launched (on a device, or in "
       "a capture), got \"converged\", for which the host decides how far to go");
+  require(!o.self_contact, ErrorKind::NotImplemented,
+          "SolverVBD: particle_enable_self_contact: expected False for a step that is launched (on "
+          "a device, or in a capture), got True");
 }
 
 // Returns the factors omega of Chebyshev acceleration: 1 up to the first iteration, 2/(2 - rho^2)

@@ -20,9 +20,9 @@ __all__ = [
 ]
 
 if has_vbd():
-    from .._core.solvers import SolverVBD, VbdResidual
+    from .._core.solvers import SolverVBD, VbdResidual, VbdSelfContacts
 
-    __all__ += ["SolverVBD", "VbdResidual"]
+    __all__ += ["SolverVBD", "VbdResidual", "VbdSelfContacts"]
 
 if has_diff():
     from .._core.solvers import (
@@ -59,6 +59,12 @@ def __getattr__(name: str) -> object:
         "VbdGradientInfo",
     ):
         require_diff(f"novaphy.solvers.{name}")
-    if name in ("SolverVBD", "VbdResidual", "DiffSolverVBD", "VbdGradientInfo"):
+    if name in (
+        "SolverVBD",
+        "VbdResidual",
+        "VbdSelfContacts",
+        "DiffSolverVBD",
+        "VbdGradientInfo",
+    ):
         require_vbd(f"novaphy.solvers.{name}")
     raise missing_from_module("novaphy.solvers", name)

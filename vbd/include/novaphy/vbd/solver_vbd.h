@@ -1,8 +1,10 @@
 // SolverVBD: implicit Euler by Vertex Block Descent.
 #pragma once
 
+#include <array>
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include "novaphy/core/sim/solver_base.h"
 #include "novaphy/vbd/export.h"
@@ -13,6 +15,12 @@ namespace novaphy {
 // or the inertial position with only that part of gravity that acted in the previous step (Chen et
 // al. 2024).
 enum class VbdInitialGuess { Inertia, Previous, Adaptive };
+
+// Contact of the triangles of a model with each other. None: the default.
+struct VbdSelfContact {
+  std::optional<float> radius = {};  // m: contacts begin at this distance; twice particle_radius
+  std::optional<float> gap = {};     // m: how far beyond the radius pairs are known; the radius
+};
 
 struct VbdOptions {
   int32_t iterations = 10;         // number of sweeps over all colors, >= 0
@@ -36,6 +44,18 @@ struct VbdOptions {
   // energy (DifferentiableVbd: implicit). On the CPU, outside of captures.
   bool converged = false;
   float lhs_regularization = 1e-6f;  // see vbd/block_law.h; finite, >= 0
+  // Surfaces push each other apart and never cross (src/self_contact.h). On the CPU, outside of
+  // captures, with iterations alone.
+  std::optional<VbdSelfContact> self_contact = {};
+};
+
+// The contacts of surfaces with each other at the end of a step. Each has a row: its particles, a
+// vertex and the corners of a triangle, or the ends of two edges.
+struct VbdSelfContacts {
+  std::vector<std::array<int32_t, 4>> particles;
+  std::vector<char> has_edges;
+  std::vector<float> gaps;    // m: distance of the features
+  std::vector<float> forces;  // N: normal force
 };
 
 // The distance of the last step from its solution, for the connected component of particles that is
@@ -63,7 +83,7 @@ struct VbdResidual {
 // - restitution;
 // - a particle_spring_control other than 0;
 // - on a device: `tolerance`, `converged`, and a build without NOVAPHY_WITH_VBD_CUDA.
-// Particles have no contacts with each other or with triangles.
+// Particles have no contacts with each other or with triangles, unless with `self_contact`.
 //
 // One step minimizes, over the positions x of the particles that move,
 //   sum m/(2h^2) |x - y|^2 + E(x; xn),  y = xn + h vn + h^2 (g + f/m)
@@ -116,6 +136,8 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   // device or a replay met numbers that are not finite, or contacts that overflowed. The message
   // names the first such particle, and each fault is reported once.
   VbdResidual residual() const;
+  // Returns the self-contacts of the last step. ErrorKind::Value: a solver without self_contact.
+  VbdSelfContacts self_contacts() const;
   // Forgets the last step, which the adaptive guess and residual() read.
   void reset();
   void notify_model_changed(ModelFlags flags) override;

@@ -1,0 +1,136 @@
+// Self-contact in a step of VBD, on the host: pairs of features (collision/surface_pairs.h), their
+// forces (self_contact_law.h), and bounds that keep the surfaces from crossing.
+//
+// A detection takes the present positions as origin. A particle then stays within its reach of the
+// origin. Pairs that are farther apart than both reaches cannot cross. Each other pair has a plane
+// between its sides, and its particles stay on their side. The next iteration places the planes of
+// a particle that met one anew. A world with a particle at the end of its reach is detected again,
+// up to kDetections times in a step.
+#pragma once
+
+#include <cmath>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "color_slots.h"
+#include "novaphy/collision/geometry/nearest_weights.h"
+#include "novaphy/collision/surface_pairs.h"
+#include "novaphy/core/device_array.h"
+#include "novaphy/core/sim/index_rows.h"
+#include "novaphy/vbd/self_contact_law.h"
+#include "novaphy/vbd/solver_vbd.h"
+
+namespace novaphy::vbd {
+
+inline double wide(float v) { return static_cast<double>(v); }
+inline Vec3<double> wide(const Vec4f& v) { return {wide(v.x), wide(v.y), wide(v.z)}; }
+inline float narrow(double v) { return static_cast<float>(v); }
+inline Vec3f narrow(const Vec3<double>& v) { return {narrow(v.x), narrow(v.y), narrow(v.z)}; }
+inline Vec4f narrow_row(const Vec3<double>& v) {
+  return {narrow(v.x), narrow(v.y), narrow(v.z), 0.0f};
+}
+inline double length_of(const Vec3<double>& v) { return std::sqrt(math::dot(v, v)); }
+inline size_t index(int32_t i) { return static_cast<size_t>(i); }
+
+class SelfContact {
+ public:
+  static constexpr int kDetections = 5;
+
+  // The memory of a step, and its numbers. Rows of the particles.
+  struct Rows {
+    std::span<const Vec4f> start;
+    std::span<Vec4f> moved, x;
+    float h = 0.0f;     // s
+    float slip = 0.0f;  // m
+  };
+  // The contacts of particles with shapes, see VbdSweepArguments. Null: none.
+  struct Given {
+    const int32_t* begin = nullptr;
+    const float* numbers = nullptr;
+  };
+
+  // `model`: on the host. ErrorKind::Value: no triangles, particles of several radii without a
+  // radius in the options, a radius above the shortest edge.
+  SelfContact(const Model& model, const ColorSlots& slots, const VbdSelfContact& options);
+
+  // Detects at the start of a step, and takes the first guess of x as far as the bounds allow.
+  // ErrorKind::Value: surfaces that cross at the start, with the pair.
+  void begin(const Rows& rows);
+  // Detects again where particles met a bound.
+  void detect_again();
+  // Finds the contacts of x, with their weights and normals.
+  void find_contacts(const Given& given);
+  // Writes the contacts of the particles of some groups, as they are at x.
+  void put_numbers(int64_t first_group, int64_t end_group);
+  // Moves the particles of some groups back to their bounds.
+  void hold(int64_t first_group, int64_t end_group);
+  // ErrorKind::Runtime: a kinematic particle that would have crossed a surface.
+  void end();
+
+  VbdSelfContacts contacts() const;
+  // The contacts of particles, those of shapes included: see VbdSweepArguments.
+  const DeviceArray<int32_t>& begins() const { return begins_; }
+  const DeviceArray<float>& numbers() const { return numbers_; }
+
+ private:
+  using Vec3d = geometry::Vec3d;
+  // A plane normal.x = offset between the sides of a pair. The first side is above.
+  struct Plane {
+    Vec3d normal{};
+    double offset = 0.0;
+  };
+  struct Contact {
+    size_t pair;
+    Vec3d normal;
+    double weight[4], gap;
+    float factor, load;  // load in N
+  };
+
+  Vec3d at(int32_t p) const;
+  void set_reach(int32_t world);
+  void set_safe(int32_t p);
+  void place_again(std::span<const char> is_new);
+  void detect();
+  // `distance`: of the pair at the references (m).
+  Plane plane_between(const SurfacePair& pair, double& distance) const;
+  double height(const Plane& plane, bool is_first, const Vec3d& x) const;
+  template <class Body>
+  void for_particles(int64_t first_group, int64_t end_group, const Body& body) const;
+  void lay_numbers(const Given& given);
+  void hold_particle(int32_t p);
+  float edge_factor(const SurfacePair& pair) const;
+  SurfaceForce<float> force_of(const Contact& c) const;
+  float corners_together(const Contact& c, int32_t p) const;
+
+  const Model& model_;
+  const ColorSlots& slots_;
+  float radius_ = 0.0f, gap_ = 0.0f;
+  std::unique_ptr<SurfacePairs> surface_;
+  std::vector<int32_t> world_, color_, vertices_;
+  int32_t worlds_ = 1;
+  std::vector<Vec4f> rest_, origin_, reference_, wish_, ended_;
+  std::vector<float> reach_, safe_;
+  std::vector<char> is_cut_, moves_freely_;  // of particles; of worlds
+  std::vector<int> detections_;              // of worlds, in this step
+  double slack_ = 0.0;                       // m: kept distance to planes
+  std::vector<Plane> planes_;
+  std::vector<double> distances_;
+  std::span<const SurfacePair> pairs_;
+  std::vector<Contact> contacts_;
+  DeviceArray<int32_t> begins_;
+  DeviceArray<float> numbers_;
+  IndexRows pairs_of_, contacts_of_;  // of particles: 4 times the pair or contact, plus the corner
+  Rows rows_;
+};
+
+// Calls body(particle) for the particles of some groups.
+template <class Body>
+inline void SelfContact::for_particles(int64_t first_group, int64_t end_group,
+                                       const Body& body) const {
+  for (auto g = static_cast<size_t>(first_group); g < static_cast<size_t>(end_group); ++g)
+    for (int l = 0; l < slots_.filled()[g]; ++l)
+      body(slots_.particles()[g * static_cast<size_t>(slots_.lanes()) + static_cast<size_t>(l)]);
+}
+
+}  // namespace novaphy::vbd

@@ -1,0 +1,206 @@
+// The bounds that keep surfaces from crossing: reaches, planes, and the moves up to them.
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "self_contact.h"
+
+namespace novaphy::vbd {
+namespace {
+
+constexpr double kShare = 0.85;             // of the way to a plane, for a particle that would pass
+constexpr double kLeastRoom = 0.05;         // of a gap, for the side that hardly moves
+constexpr char kByPlane = 1, kByReach = 2;  // what a particle met
+
+}  // namespace
+
+// Sets the reach of the particles of a world.
+void SelfContact::set_reach(int32_t world) {
+  for (const int32_t p : vertices_) {
+    const size_t i = index(p);
+    if (world_[i] != world) continue;
+    reach_[i] = narrow(length_of(wide(wish_[i]) - wide(origin_[i]))) * 1.0001f + 0.5f * gap_;
+  }
+}
+
+void SelfContact::detect() {
+  pairs_ = surface_->find(origin_, reach_);
+  planes_.resize(pairs_.size());
+  distances_.resize(pairs_.size());
+  std::vector<int32_t> corners;
+  corners.reserve(4 * pairs_.size());
+  for (size_t k = 0; k < pairs_.size(); ++k) {
+    planes_[k] = plane_between(pairs_[k], distances_[k]);
+    corners.insert(corners.end(), pairs_[k].particle.begin(), pairs_[k].particle.end());
+  }
+  pairs_of_.build(corners, model_.particle_count());
+  for (const int32_t p : vertices_) set_safe(p);
+}
+
+// Sets how far a particle may move from its reference without a look at its planes.
+void SelfContact::set_safe(int32_t p) {
+  double least = std::numeric_limits<float>::max();
+  const Vec3d x = wide(reference_[index(p)]);
+  for (const int32_t item : pairs_of_.items(p)) {
+    const size_t k = index(item / 4);
+    least = std::min(least, height(planes_[k], pairs_[k].is_first(item % 4), x));
+  }
+  safe_[index(p)] = narrow(std::max(least, 0.0)) * 0.9999f;
+}
+
+SelfContact::Plane SelfContact::plane_between(const SurfacePair& pair, double& distance) const {
+  Vec3d x[4], wish[4];
+  for (size_t k = 0; k < 4; ++k) {
+    x[k] = wide(reference_[index(pair.particle[k])]);
+    wish[k] = wide(wish_[index(pair.particle[k])]) - x[k];
+  }
+  const auto nearest =
+      pair.has_edges ? geometry::nearest_of_edges(x) : geometry::nearest_to_triangle(x);
+  distance = nearest.distance;
+  // Heights above a corner of the second side, which a plane through the origin would round.
+  double best = -std::numeric_limits<double>::infinity(), top = 0.0;
+  Vec3d normal{};
+  const auto try_normal = [&](Vec3d n) {
+    const double size = length_of(n);
+    if (!(size > 0.0)) return;
+    n = n * (1.0 / size);
+    double low = std::numeric_limits<double>::infinity(), high = -low;
+    for (int k = 0; k < 4; ++k) {
+      const double h = math::dot(n, x[k] - x[3]);
+      if (pair.is_first(k)) {
+        low = std::min(low, h);
+      } else {
+        high = std::max(high, h);
+      }
+    }
+    if (!(low - high > best)) return;
+    best = low - high;
+    top = high;
+    normal = n;
+  };
+  try_normal(nearest.apart);
+  if (!(best > 0.99 * nearest.distance)) {
+    const Vec3d n = pair.has_edges ? math::cross(x[1] - x[0], x[3] - x[2])
+                                   : math::cross(x[2] - x[1], x[3] - x[1]);
+    try_normal(n);
+    try_normal(n * -1.0);
+  }
+  double first = 0.0, second = 0.0;  // approach of the sides
+  for (int k = 0; k < 4; ++k) {
+    const double up = math::dot(normal, wish[k]);
+    (pair.is_first(k) ? first : second) =
+        std::max(pair.is_first(k) ? first : second, pair.is_first(k) ? -up : up);
+  }
+  const double both = first + second;
+  const double share = both > 0.0 ? std::clamp(second / both, kLeastRoom, 1.0 - kLeastRoom) : 0.5;
+  return {normal, math::dot(normal, x[3]) + (top + best * share)};
+}
+
+// Returns how far a particle of a side may approach a plane (m).
+double SelfContact::height(const Plane& plane, bool is_first, const Vec3d& x) const {
+  const double h = math::dot(plane.normal, x) - plane.offset;
+  return (is_first ? h : -h) - slack_;
+}
+
+void SelfContact::hold_particle(int32_t p) {
+  const size_t i = index(p);
+  if (!surface_->is_vertex(p)) return;
+  const Vec3d from = wide(reference_[i]), to = wide(rows_.x[i]), d = to - from;
+  const double size = length_of(d), reach = wide(reach_[i]);
+  // The reference is within the reach of the origin. Solves |from + t d - origin| = reach.
+  const Vec3d off = from - wide(origin_[i]);
+  const bool is_far = length_of(off + d) > reach;
+  double t = 1.0;
+  if (is_far) {
+    const double along = math::dot(off, d), room = reach * reach - math::dot(off, off);
+    const double root = std::sqrt(along * along + size * size * std::max(room, 0.0));
+    t = 0.9999 * std::max(root - along, 0.0) / (size * size);
+  }
+  if (size > wide(safe_[i]))
+    for (const int32_t item : pairs_of_.items(p)) {
+      const size_t k = index(item / 4);
+      const bool is_first = pairs_[k].is_first(item % 4);
+      const double before = height(planes_[k], is_first, from);
+      const double after = height(planes_[k], is_first, to);
+      if (before < 0.0) {
+        if (after < before) t = 0.0;
+      } else if (after < 0.0) {
+        t = std::min(t, kShare * before / (before - after));
+      }
+    }
+  if (!(t < 1.0)) {
+    is_cut_[i] = 0;
+    return;
+  }
+  is_cut_[i] = is_far ? kByReach : kByPlane;
+  wish_[i] = rows_.x[i];
+  const Vec4f x = narrow_row(from + d * t);
+  const Vec4f& start = rows_.start[i];
+  rows_.x[i] = x;
+  if (!slots_.is_held(p)) rows_.moved[i] = {x.x - start.x, x.y - start.y, x.z - start.z, 0.0f};
+}
+
+void SelfContact::hold(int64_t first_group, int64_t end_group) {
+  for_particles(first_group, end_group, [&](int32_t p) { hold_particle(p); });
+}
+
+void SelfContact::detect_again() {
+  std::vector<char> is_due(index(worlds_), 0);
+  bool any = false;
+  for (const int32_t p : vertices_) {
+    const size_t w = index(world_[index(p)]);
+    if (is_cut_[index(p)] != kByReach || detections_[w] >= kDetections) continue;
+    is_due[w] = 1;
+    any = true;
+  }
+  if (any) {
+    for (const int32_t p : vertices_) {
+      const size_t i = index(p);
+      if (is_due[index(world_[i])] == 0) continue;
+      origin_[i] = reference_[i] = rows_.x[i];
+      if (is_cut_[i] == 0) wish_[i] = rows_.x[i];
+    }
+    for (int32_t w = 0; w < worlds_; ++w) {
+      if (is_due[index(w)] == 0) continue;
+      ++detections_[index(w)];
+      set_reach(w);
+    }
+    detect();
+  }
+  place_again(is_due);
+  for (const int32_t p : vertices_) {
+    const size_t i = index(p);
+    const bool is_back = is_cut_[i] != 0 && slots_.is_held(p);
+    is_cut_[i] = 0;
+    if (!is_back) continue;
+    rows_.x[i] = wish_[i];
+    hold_particle(p);
+  }
+}
+
+// Places the planes of particles that met a plane anew, at the present positions. `is_new`: of each
+// world, whether the planes are new.
+void SelfContact::place_again(std::span<const char> is_new) {
+  std::vector<size_t> due;
+  std::vector<int32_t> moved;
+  for (const int32_t p : vertices_) {
+    if (is_cut_[index(p)] == 0 || is_new[index(world_[index(p)])] != 0) continue;
+    for (const int32_t item : pairs_of_.items(p)) {
+      due.push_back(index(item / 4));
+      for (const int32_t q : pairs_[due.back()].particle) {
+        reference_[index(q)] = rows_.x[index(q)];
+        if (is_cut_[index(q)] == 0) wish_[index(q)] = rows_.x[index(q)];
+        moved.push_back(q);
+      }
+    }
+  }
+  std::sort(due.begin(), due.end());
+  due.erase(std::unique(due.begin(), due.end()), due.end());
+  double unused = 0.0;
+  for (const size_t k : due) planes_[k] = plane_between(pairs_[k], unused);
+  std::sort(moved.begin(), moved.end());
+  moved.erase(std::unique(moved.begin(), moved.end()), moved.end());
+  for (const int32_t p : moved) set_safe(p);
+}
+
+}  // namespace novaphy::vbd

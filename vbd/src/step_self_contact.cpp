@@ -1,0 +1,35 @@
+// Steps of VBD with self-contact, on the host.
+#include "step.h"
+
+namespace novaphy::vbd {
+
+// Iterates with contacts of surfaces, which are found anew in each iteration. The sweeps read them
+// and the contacts with shapes from one list.
+void Step::iterate_in_contact() {
+  SelfContact& contact = *self_contact_;
+  const SelfContact::Given given =
+      has_contacts_ ? SelfContact::Given{contact_begin_.data(), contact_numbers_.data()}
+                    : SelfContact::Given{};
+  contact.begin({.start = {start_.data(), start_.rows()},
+                 .moved = {moved_.mutable_data(), moved_.rows()},
+                 .x = {x_.mutable_data(), x_.rows()},
+                 .h = tables_->dt,
+                 .slip = options_.friction_epsilon * tables_->dt});
+  for (int32_t k = 0; k < options_.iterations; ++k) {
+    if (k > 0) contact.detect_again();
+    contact.find_contacts(given);
+    for (size_t c = 0; c + 1 < colors().size(); ++c) {
+      const int64_t first = colors()[c], end = colors()[c + 1];
+      const int64_t lanes = (end - first) * slots_.lanes();
+      contact.put_numbers(first, end);
+      novaphy::run(kernels().move, lanes, sweep(first, end));
+      if (slots_.has_conflicts()) novaphy::run(kernels().commit, lanes, commit(first, next_));
+      contact.hold(first, end);
+    }
+  }
+  contact.find_contacts(given);
+  contact.put_numbers(0, colors().back());  // for the residual
+  contact.end();
+}
+
+}  // namespace novaphy::vbd

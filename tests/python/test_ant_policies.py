@@ -185,20 +185,23 @@ def test_the_frozen_gradient_is_that_of_its_linearised_replay(
 def test_gradients_point_where_differences_of_real_rollouts_do(
     demos, monkeypatch, gradient, frames, least
 ):
-    flags = ("--gradient", gradient, "--train-horizon", str(frames), "--seed", "2")
-    _, _, tuning = tuning_of(monkeypatch, *flags)
-    ad, ways = tuning.gradient(tuning.values), tuning.directions()
-    fd, finer = (
-        np.subtract(*tuning.losses(tuning.values + e * np.concatenate([ways, -ways])).reshape(2, 8))
-        / (2.0 * e)
-        for e in (3e-3, 1e-3)
-    )
-    # elsewhere the loss jumps between the points
-    settled = np.abs(fd - finer) <= 0.2 * np.abs(fd).max()
-    assert settled.sum() >= 6, (fd, finer)
-    ad, fd = ad[settled], fd[settled]
-    cosine = ad @ fd / (np.linalg.norm(ad) * np.linalg.norm(fd))
-    assert cosine >= least, (cosine, ad, fd)
+    """The median of five starts: a frozen gradient depends on the contacts of its start."""
+    cosines = []
+    for seed in range(1, 6):
+        flags = ("--gradient", gradient, "--train-horizon", str(frames), "--seed", str(seed))
+        _, _, tuning = tuning_of(monkeypatch, *flags)
+        ad, ways = tuning.gradient(tuning.values), tuning.directions()
+        moves = np.concatenate([ways, -ways])
+        fd, finer = (
+            np.subtract(*tuning.losses(tuning.values + e * moves).reshape(2, 8)) / (2.0 * e)
+            for e in (3e-3, 1e-3)
+        )
+        # elsewhere the loss jumps between the points
+        settled = np.abs(fd - finer) <= 0.2 * np.abs(fd).max()
+        if settled.sum() >= 6:
+            ad, fd = ad[settled], fd[settled]
+            cosines.append(ad @ fd / (np.linalg.norm(ad) * np.linalg.norm(fd)))
+    assert len(cosines) >= 3 and np.median(cosines) >= least, cosines
 
 
 def test_segments_begin_where_the_rollout_of_the_actor_passes(demos, monkeypatch):

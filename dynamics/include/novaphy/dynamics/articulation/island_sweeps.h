@@ -5,6 +5,7 @@
 #pragma once
 
 #include "novaphy/dynamics/articulation/islands.h"
+#include "novaphy/dynamics/articulation/rubbing.h"
 
 namespace novaphy::articulation {
 
@@ -48,7 +49,11 @@ IslandResult sweep_island(bool cone, int32_t most_sweeps, float tolerance,
     });
     for_friction([&](PgsJointFriction<float>& f) { note(sweep(f)); });
     result.residual = worst;
-  } while (++result.sweeps < most_sweeps && !(result.residual < tolerance));
+    if (renews_rubbing(++result.sweeps))
+      for_contacts(false, [](IslandContact& row) {
+        if (row.whole) set_rubbing_step(row.solver);
+      });
+  } while (result.sweeps < most_sweeps && !(result.residual < tolerance));
   const auto note = [&](float size) {
     result.largest = result.largest < size ? size : result.largest;
   };

@@ -17,8 +17,8 @@
 //   beta = erp d / dt, erp = dt k / (dt k + c), and cfm = 1 / (dt (dt k + c)).
 // A sweep processes the contacts one by one: the normal first, then the tangents as a block. The
 // tangents are moved by -w_t / s and projected radially, where s is the largest eigenvalue of their
-// 2 x 2 block of J Y. Sliding does not lift a contact (no De Saxce correction). After these sweeps,
-// if an overlap needs a larger correction than the rates have, positions move at v' + p:
+// 2 x 2 block of J Y. Sliding does not lift a contact (no De Saxce correction). Later sweeps count
+// in friction against normals (rubbing.h). An overlap beyond the rates moves positions at v' + p:
 //   p = M^-1 J_n^T mu,  0 <= mu, J_n (v' + p) + beta + softness mu >= 0, one of both = 0
 // Contacts that the joints of a tree can hardly separate would need unbounded impulses. Two lower
 // bounds prevent this. cfm increases the mobility of a normal to at least kLeastMobility of the J_n

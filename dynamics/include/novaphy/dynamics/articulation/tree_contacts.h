@@ -11,6 +11,7 @@
 
 #include "novaphy/dynamics/articulation/contact_rows.h"
 #include "novaphy/dynamics/articulation/pgs.h"
+#include "novaphy/dynamics/articulation/rubbing.h"
 #include "novaphy/dynamics/articulation/step.h"
 
 namespace novaphy::articulation {
@@ -147,6 +148,15 @@ Coupling<T> coupling(const Tree<T>& tree, const TreeContact<T>* contacts, int32_
 }
 
 template <class T>
+void set_rubbing_steps(const Tree<T>& tree, const TreeContact<T>* contacts, int32_t count,
+                       const TreeContactMemory<T>& m) {
+  for (int32_t c = 0; c < count; ++c) {
+    const Coupling<T> own = coupling(tree, contacts, c, c, m);
+    m.rows[c].normal_step = rubbing_step<T>(m.rows[c], own.a[0][1], own.a[0][2]);
+  }
+}
+
+template <class T>
 struct TreeContactResult {
   T sweeps{}, residual{}, largest{};  // as in IslandResult
 };
@@ -248,7 +258,7 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
           [&](int32_t r, const T& impulse) { push(3 * c + r, impulse); });
       worst = select(moved > worst, moved, worst);
     }
-    ++sweeps;
+    if (renews_rubbing(++sweeps)) set_rubbing_steps(tree, contacts, count, m);
     result.sweeps = select(active, T(static_cast<float>(sweeps)), result.sweeps);
     result.residual = select(active, worst, result.residual);
     active = both(active, negate(worst < tolerance));

@@ -9,6 +9,7 @@ import numpy as np
 from optimize_methods import SEARCHES
 
 Runs = list[dict[str, Any]]  # lines of optimize_methods.run_one
+LEAST = 1e-8  # relative losses below are equal: float32 carries the motion
 
 
 def by_task(runs: Runs) -> dict[tuple[str, str], dict[str, Runs]]:
@@ -30,8 +31,8 @@ def cell(runs: Runs, best: float, starts: int, iterations: int) -> str:
     if not runs:
         return "-"
     loss, seconds = end_of(runs)
-    text = f"{100 * loss:.2g} %"
-    parts = [f"**{text}**" if loss == best else text, f"{seconds:.2g} s"]
+    text = f"{100 * loss:.2g} %" if loss > LEAST else f"< {100 * LEAST:.0e} %"
+    parts = [f"**{text}**" if loss <= max(best, LEAST) else text, f"{seconds:.2g} s"]
     fewest = min(run["iterations"] for run in runs)
     if runs[0]["method"] not in SEARCHES and fewest < iterations:
         parts.append(f"{fewest} iterations")
@@ -75,7 +76,7 @@ def draw(runs: Runs, methods: list[str], path: str) -> None:
             color = f"C{methods.index(method)}"
             median = np.median(each, axis=0)
             (named[method],) = axes.semilogy(grid, median, color=color, linewidth=1.2)
-        axes.set_ylim(1e-8, 2.0)
+        axes.set_ylim(LEAST, 2.0)
         axes.set_title(f"{task}, {solver}", fontsize=8)
         axes.tick_params(labelsize=6)
     drawing.legend(named.values(), named, ncols=len(named), fontsize=8, loc="outside upper center")

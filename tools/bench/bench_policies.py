@@ -322,9 +322,9 @@ def page(rows: list[dict[str, object]], load: float) -> str:
     lines += [
         f"## {FRAMES} frames and their gradient, one world, one thread",
         "",
-        "The first two are a step of the Ant that learns from zero: the rollout, and the",
-        "derivatives of its frames, which are the worlds of one batch, with the Gauss-Newton",
-        "matrices of segments of 4, 8 and 16 frames. The third is one adjoint through all steps.",
+        "The first two rows time a rollout and the derivatives of its frames, as in training from",
+        "zero. The frames are the worlds of one batch. The Gauss-Newton matrices have segments of",
+        "4, 8 and 16 frames. The third row is one adjoint through all steps.",
         "",
         "| part | s | asked |",
         "|---|---|---|",

@@ -45,7 +45,7 @@ import demo_articulated_scenes  # noqa: E402
 DT = 1e-3
 TURNS = 7
 # The line of the page from which on it is written by hand.
-BY_HAND = "## What was asked for"
+BY_HAND = "## Goals"
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 POSE = (0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4)
 KE, KD = (
@@ -615,7 +615,7 @@ def measure() -> list[tuple[str, float, str, float | None]]:
             (f"FR3, {gradient}, per world, 256 worlds", time_gradient(arm(), 20, 256), "", None),
             (f"two-link arm, {gradient} (576 steps)", time_gradient(planar_arm(), 576), "", None),
             (f"Ant, collide and {gradient}", ant, "", None),
-            ("of these, the adjoint through contacts", ant_adjoint, "", None),
+            ("the adjoint through contacts, a part of the row above", ant_adjoint, "", None),
         ]
     has_pinocchio = importlib.util.find_spec("pinocchio") is not None
     tree = pinocchio_arm() if has_pinocchio else None
@@ -634,7 +634,7 @@ def measure() -> list[tuple[str, float, str, float | None]]:
                 ants.pipeline.collide(ants.state, ants.contacts)
 
         found = fastest(search, steps * worlds)
-        rows.append((f"of these, the search for contacts, {many}", found, "", None))
+        rows.append((f"the search for contacts, a part of the row above, {many}", found, "", None))
     return rows
 
 

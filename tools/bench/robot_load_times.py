@@ -84,7 +84,8 @@ def worker() -> None:
 def table(rows: list[dict], kind: str) -> None:
     """Print the table of the files that NovaPhy and the other engine load."""
     print(
-        "| engine | files that both load | NovaPhy | the other one | ratio of sums | of medians |"
+        "| engine | files that both load | NovaPhy | the other one | ratio of sums "
+        "| ratio of medians |"
     )
     print("|---|---|---|---|---|---|")
     lines = []

@@ -1,10 +1,8 @@
-# novaphy_add_library(<name> SOURCES ... [PUBLIC lib ...] [PRIVATE lib ...] [UNITY [APART ...]]
-#                     [INTERNAL <regex> [PUBLIC_HEADERS <header> ...]])
+# novaphy_add_library(<name> SOURCES ... [PUBLIC lib ...] [PRIVATE lib ...] [UNITY [APART ...]])
 # Declares the shared library novaphy_<name> (alias novaphy::<name>) of one layer: headers under include/,
-# hidden visibility, warnings, its install component <name> and its entry in the exported package. With UNITY a quick
-# build compiles its sources several at a time, in a third less time; sources that share a name in unnamed namespaces
-# stand apart. Headers are installed unless their path matches INTERNAL; PUBLIC_HEADERS, which installed headers include,
-# are installed all the same.
+# hidden visibility, warnings, its install component <name> and its entry in the exported package. A quick build compiles
+# the sources of a library with UNITY several at a time, in a third less time. Sources that share a name in unnamed
+# namespaces stand in APART.
 set(NOVAPHY_WARNINGS -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wno-sign-conversion)
 if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU" AND CMAKE_CXX_COMPILER_VERSION VERSION_LESS 13)
   # False positives of GCC 12's optimizer in inlined std::string and std::shared_ptr code.
@@ -51,25 +49,39 @@ function(novaphy_limit_exports target script)
   set_property(TARGET ${target} APPEND PROPERTY LINK_DEPENDS ${script})
 endfunction()
 
-# Exported symbols have a version, NOVAPHY_<version>_<hash of all public headers>, which whoever links asks for. So the
-# dynamic linker refuses libraries that were built with other headers, and names them and the version, instead of
-# leaving it to a crash.
-set(NOVAPHY_EXPORTS ${PROJECT_BINARY_DIR}/exports.map)
+# The public headers, by their paths from the root. A public header is installed, and its code is part of the version of
+# the exported symbols. The internal headers under include/ are those of other libraries of NovaPhy: formulas,
+# hand-written kernels, contact geometry, trees. Public headers include a few of these, which are therefore public.
 set(header_globs "")
 foreach(layer backends/abi core io nova collision dynamics vbd diff)
   list(APPEND header_globs ${PROJECT_SOURCE_DIR}/${layer}/include/*.h)
 endforeach()
-file(GLOB_RECURSE headers CONFIGURE_DEPENDS RELATIVE ${PROJECT_SOURCE_DIR} ${header_globs})
+file(GLOB_RECURSE NOVAPHY_PUBLIC_HEADERS CONFIGURE_DEPENDS RELATIVE ${PROJECT_SOURCE_DIR} ${header_globs})
+list(FILTER NOVAPHY_PUBLIC_HEADERS EXCLUDE REGEX "^core/.*/(lanes|sim/(for_chunks|index_rows|on_host|shape_pair_rule))\\.h$")
+list(FILTER NOVAPHY_PUBLIC_HEADERS EXCLUDE REGEX
+     "^(collision|dynamics|vbd)/.*(/(geometry|articulation|elements)/|_(trace|law|kernels)\\.h$)")
+foreach(header manifold mesh_view shape)
+  list(APPEND NOVAPHY_PUBLIC_HEADERS collision/include/novaphy/collision/geometry/${header}.h)
+endforeach()
+foreach(header articulation/contact_branches articulation/gradient_counts articulation/scalar articulation/tree
+               semi_implicit/rigid_contact_trace)
+  list(APPEND NOVAPHY_PUBLIC_HEADERS dynamics/include/novaphy/dynamics/${header}.h)
+endforeach()
+list(APPEND NOVAPHY_PUBLIC_HEADERS backends/program/include/novaphy/program/ir.h)
+
+# Exported symbols have the version NOVAPHY_<version>_<hash of the public headers>. A program asks for the version that
+# it was linked with. The dynamic linker refuses libraries with another version, and names the library and the version.
+set(NOVAPHY_EXPORTS ${PROJECT_BINARY_DIR}/exports.map)
 add_custom_command(
   OUTPUT ${NOVAPHY_EXPORTS}
-  COMMAND ${CMAKE_COMMAND} -DVERSION=${PROJECT_VERSION} "-DHEADERS=${headers}" -DTEMPLATE=cmake/exports.map.in
-          -DOUTPUT=${NOVAPHY_EXPORTS} -P cmake/WriteExports.cmake
-  DEPENDS ${headers} cmake/exports.map.in cmake/WriteExports.cmake
+  COMMAND ${CMAKE_COMMAND} -DVERSION=${PROJECT_VERSION} "-DHEADERS=${NOVAPHY_PUBLIC_HEADERS}"
+          -DTEMPLATE=cmake/exports.map.in -DOUTPUT=${NOVAPHY_EXPORTS} -P cmake/WriteExports.cmake
+  DEPENDS ${NOVAPHY_PUBLIC_HEADERS} cmake/exports.map.in cmake/WriteExports.cmake
   WORKING_DIRECTORY ${PROJECT_SOURCE_DIR} VERBATIM)
 add_custom_target(novaphy_exports DEPENDS ${NOVAPHY_EXPORTS})
 
 function(novaphy_add_library name)
-  cmake_parse_arguments(ARG "UNITY" "INTERNAL" "SOURCES;PUBLIC;PRIVATE;APART;PUBLIC_HEADERS" ${ARGN})
+  cmake_parse_arguments(ARG "UNITY" "" "SOURCES;PUBLIC;PRIVATE;APART" ${ARGN})
   set(target novaphy_${name})
   add_library(${target} SHARED ${ARG_SOURCES})
   add_library(novaphy::${name} ALIAS ${target})
@@ -93,16 +105,11 @@ function(novaphy_add_library name)
     target_link_options(${target} PRIVATE -Wl,--no-undefined)
   endif()
   install(TARGETS ${target} EXPORT NovaPhy_${name} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT ${name})
-  set(internal "^$")
-  if(ARG_INTERNAL)
-    set(internal "${ARG_INTERNAL}")
-  endif()
-  install(DIRECTORY include/novaphy DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT ${name}
-          FILES_MATCHING PATTERN "*.h" REGEX "${internal}" EXCLUDE)
-  foreach(header ${ARG_PUBLIC_HEADERS})
-    cmake_path(GET header PARENT_PATH folder)
-    install(FILES include/novaphy/${name}/${header} DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/novaphy/${name}/${folder}
-            COMPONENT ${name})
+  foreach(header ${NOVAPHY_PUBLIC_HEADERS})
+    if(header MATCHES "^${name}/include/(.*)/[^/]+$")
+      install(FILES ${PROJECT_SOURCE_DIR}/${header} DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/${CMAKE_MATCH_1}
+              COMPONENT ${name})
+    endif()
   endforeach()
   install(EXPORT NovaPhy_${name} NAMESPACE novaphy:: FILE NovaPhy_${name}.cmake
           DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/NovaPhy COMPONENT ${name})

@@ -1,8 +1,8 @@
 // A hashed grid of boxes, for many small boxes of about the same size.
 //
 // Each box lies in the cell of its lower corner. A cell is as large as the largest box, so a box
-// meets only boxes of its own cell and of the cells next to this one. Cells of a world share no
-// bucket list with cells of another world.
+// meets only boxes of its own cell and of neighboring cells. Each world has cells of its own,
+// unless a box belongs to all worlds.
 #pragma once
 
 #include <algorithm>
@@ -17,8 +17,8 @@ namespace novaphy::detail {
 
 class BoxBuckets {
  public:
-  // `boxes` are kept until the next call. `asked`: the boxes that visit() gets. `worlds`: of each
-  // box. A world of -1 belongs to all worlds.
+  // Makes the grid. `boxes` must stay valid until the next call. `asked` has the boxes that visit()
+  // gets later. `worlds` has the world of each box; -1 means all worlds.
   void build(std::span<const geometry::Box3> boxes, std::span<const geometry::Box3> asked,
              std::span<const int32_t> worlds) {
     boxes_ = boxes;

@@ -12,13 +12,13 @@ namespace {
 using geometry::Box3;
 using geometry::Vec3d;
 
-constexpr float kOfRest = 0.9f;  // of the distance at rest
+constexpr float kOfRest = 0.9f;  // part of the distance at rest
 
 Vec3d wide(const Vec4f& v) {
   return {static_cast<double>(v.x), static_cast<double>(v.y), static_cast<double>(v.z)};
 }
 
-// Features of one kind: vertices, edges or triangles, by their particles.
+// Features of one kind (vertices, edges or triangles), each given by its particles.
 template <size_t n>
 struct Features {
   std::vector<std::array<int32_t, n>> corners;
@@ -29,7 +29,8 @@ struct Features {
   void set_worlds(std::span<const int32_t> world) {
     for (const auto& c : corners) worlds.push_back(world[static_cast<size_t>(c[0])]);
   }
-  // Makes boxes that hold the features and all points nearer than the reach and `around`.
+  // Makes the boxes of the features, enlarged on each side by the largest reach of a corner plus
+  // `around` (m).
   void set_boxes(std::span<const Vec4f> x, std::span<const float> reach, float around) {
     boxes.resize(corners.size());
     reaches.resize(corners.size());
@@ -63,7 +64,8 @@ bool share_corner(const std::array<int32_t, n>& a, const std::array<int32_t, m>&
   return false;
 }
 
-// The corners of an edge or a triangle always have the same order, so they name the feature.
+// Orders pairs by their particles. The corners of a feature always have the same order, so equal
+// particles mean equal features.
 bool before(const SurfacePair& a, const SurfacePair& b) {
   return a.has_edges != b.has_edges ? b.has_edges : a.particle < b.particle;
 }

@@ -13,8 +13,8 @@
 
 namespace novaphy::vbd {
 
-// The recurrence has to reach this part of the tolerance, because its residual drifts from the true
-// one by rounding.
+// The recurrence has to reach this part of the tolerance, because rounding separates its residual
+// from the true residual.
 constexpr double kMargin = 0.5;
 constexpr int kRefinements = 4;  // rounds of iterative refinement
 
@@ -23,16 +23,17 @@ struct KrylovResult {
   int32_t iterations = 0;
   double floor = 0.0;  // the part of `residual` that one rounding of x can cause; 0: not asked
 
-  // Near a singular matrix the rounding of the solution says nothing about the solution.
+  // Near a singular matrix one rounding of x can cause any residual. The floor therefore counts up
+  // to ten tolerances only.
   double allowed(double tolerance) const {
     return std::max(tolerance, std::min(4.0 * floor, 10.0 * tolerance));
   }
 };
 
 // Solves A x = b by rounds of iterative refinement, for each component. more(tolerances, results)
-// adds a correction to x, and counts iterations. left(x) returns b - A x; it is called with the
-// final x last. A residual above the tolerance gets its floor. Returns the result of the component
-// that is farthest from what is allowed.
+// adds a correction to x, and counts iterations. left(x) returns b - A x. The last call of left has
+// the final x. A residual above the tolerance gets its floor. Returns the result of the component
+// with the largest ratio of residual to allowed residual.
 template <class More, class Left>
 KrylovResult refine_solution(const Components& of, const Rows& x, const Rows& load,
                              double tolerance, int32_t sweeps, const More& more, const Left& left) {
@@ -40,7 +41,7 @@ KrylovResult refine_solution(const Components& of, const Rows& x, const Rows& lo
   std::vector<KrylovResult> results(of.count);
   Flags runs(of.count, 1);
   for (int round = 0; round < kRefinements && any(runs); ++round) {
-    Numbers asked(of.count, 1.0);  // 1: nothing
+    Numbers asked(of.count, 1.0);  // 1: asks for no correction
     for (size_t c = 0; c < of.count; ++c)
       if (runs[c] != 0)
         asked[c] = kMargin * tolerance * (round > 0 ? 1.0 / results[c].residual : 1.0);

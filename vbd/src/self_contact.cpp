@@ -12,7 +12,7 @@ constexpr const char* kName = "SolverVBD: ";
 constexpr double kLeastSlack = 1e-6;  // m
 constexpr float kParallel = 1e-3f;    // of |e1|^2 |e2|^2, see self_contact_law.h
 
-// The radius of contacts: given, or twice the radius that all vertices of surfaces have.
+// Returns the radius of contacts: that of the options, or twice the common radius of the vertices.
 float radius_of(const Model& m, const VbdSelfContact& o, std::span<const int32_t> vertices) {
   if (o.radius) return *o.radius;
   const float* const radius = m.particle_radius.data();
@@ -101,8 +101,8 @@ void SelfContact::begin(const Rows& rows) {
   detections_.assign(index(worlds_), 1);
   std::fill(is_cut_.begin(), is_cut_.end(), 0);
   std::copy(rows.x.begin(), rows.x.end(), wish_.begin());
-  // In a world without kinematic particles the reference takes part in the mean motion. A motion of
-  // all particles together makes no crossing.
+  // In a world without kinematic particles the references move by the mean displacement. A common
+  // displacement of all particles causes no crossing.
   std::vector<Vec3d> shift(index(worlds_));
   std::vector<double> count(index(worlds_));
   for (const int32_t p : vertices_) {
@@ -221,7 +221,7 @@ SurfaceForce<float> SelfContact::force_of(const Contact& c) const {
   return s;
 }
 
-// Returns how many corners of a contact have the color of the particle p, with p.
+// Returns how many corners of a contact have the color of its corner p, including p.
 float SelfContact::corners_together(const Contact& c, int32_t p) const {
   float count = 0.0f;
   for (size_t k = 0; k < 4; ++k)

@@ -1,10 +1,12 @@
 // Self-contact in a step of VBD, on the host: pairs of features (collision/surface_pairs.h), their
 // forces (self_contact_law.h), and bounds that keep the surfaces from crossing.
 //
-// A detection takes the present positions as origin. A particle then stays within its reach of the
-// origin. Pairs that are farther apart than both reaches cannot cross. Each other pair has a plane
-// between its sides, and its particles stay on their side. The next iteration places the planes of
-// a particle that met one anew. A world with a particle at the end of its reach is detected again,
+// A detection takes the present positions as origins. A particle then stays within a distance of
+// its origin, its reach. Pairs that are farther apart than both reaches cannot cross. Each other
+// pair has a plane between its two sides, which no particle of the pair passes.
+//
+// If a particle was stopped at a plane, the next iteration computes new planes for the pairs of
+// this particle. If a particle was stopped at the end of its reach, its world gets a new detection,
 // up to kDetections times in a step.
 #pragma once
 
@@ -37,12 +39,12 @@ class SelfContact {
  public:
   static constexpr int kDetections = 5;
 
-  // The memory of a step, and its numbers. Rows of the particles.
+  // The memory of a step with one row for each particle, and the numbers of the step.
   struct Rows {
     std::span<const Vec4f> start;
     std::span<Vec4f> moved, x;
     float h = 0.0f;     // s
-    float slip = 0.0f;  // m
+    float slip = 0.0f;  // m, eps of particle_contact_law.h
   };
   // The contacts of particles with shapes, see VbdSweepArguments. Null: none.
   struct Given {
@@ -50,32 +52,32 @@ class SelfContact {
     const float* numbers = nullptr;
   };
 
-  // `model`: on the host. ErrorKind::Value: no triangles, particles of several radii without a
-  // radius in the options, a radius above the shortest edge.
+  // `model`: on the host. ErrorKind::Value: no triangles; particles of several radii, and no radius
+  // in the options; a radius above the length of the shortest edge.
   SelfContact(const Model& model, const ColorSlots& slots, const VbdSelfContact& options);
 
-  // Detects at the start of a step, and takes the first guess of x as far as the bounds allow.
-  // ErrorKind::Value: surfaces that cross at the start, with the pair.
+  // Detects pairs at the start of a step, and moves the particles towards the initial guess as far
+  // as the bounds allow. ErrorKind::Value, with the pair: surfaces cross at the start.
   void begin(const Rows& rows);
-  // Detects again where particles met a bound.
+  // Computes new bounds for particles that a bound has stopped.
   void detect_again();
   // Finds the contacts of x, with their weights and normals.
   void find_contacts(const Given& given);
-  // Writes the contacts of the particles of some groups, as they are at x.
+  // Writes the numbers of the contacts of the particles of some groups, at the positions x.
   void put_numbers(int64_t first_group, int64_t end_group);
   // Moves the particles of some groups back to their bounds.
   void hold(int64_t first_group, int64_t end_group);
-  // ErrorKind::Runtime: a kinematic particle that would have crossed a surface.
+  // Ends the step. ErrorKind::Runtime: a kinematic particle would cross a surface on its way.
   void end();
 
   VbdSelfContacts contacts() const;
-  // The contacts of particles, those of shapes included: see VbdSweepArguments.
+  // The contacts of particles with surfaces and with shapes: see VbdSweepArguments.
   const DeviceArray<int32_t>& begins() const { return begins_; }
   const DeviceArray<float>& numbers() const { return numbers_; }
 
  private:
   using Vec3d = geometry::Vec3d;
-  // A plane normal.x = offset between the sides of a pair. The first side is above.
+  // The plane normal.x = offset between the sides of a pair. The first side has normal.x > offset.
   struct Plane {
     Vec3d normal{};
     double offset = 0.0;
@@ -84,7 +86,7 @@ class SelfContact {
     size_t pair;
     Vec3d normal;
     double weight[4], gap;
-    float factor, load;  // load in N
+    float factor, load;  // (2 - s) s of self_contact_law.h; N, the load at the iteration's start
   };
 
   Vec3d at(int32_t p) const;
@@ -92,7 +94,7 @@ class SelfContact {
   void set_safe(int32_t p);
   void place_again(std::span<const char> is_new);
   void detect();
-  // `distance`: of the pair at the references (m).
+  // Sets `distance` to the distance of the pair at the reference positions (m).
   Plane plane_between(const SurfacePair& pair, double& distance) const;
   double height(const Plane& plane, bool is_first, const Vec3d& x) const;
   template <class Body>
@@ -111,9 +113,9 @@ class SelfContact {
   int32_t worlds_ = 1;
   std::vector<Vec4f> rest_, origin_, reference_, wish_, ended_;
   std::vector<float> reach_, safe_;
-  std::vector<char> is_cut_, moves_freely_;  // of particles; of worlds
-  std::vector<int> detections_;              // of worlds, in this step
-  double slack_ = 0.0;                       // m: kept distance to planes
+  std::vector<char> is_cut_, moves_freely_;  // by particle: which bound stopped it; by world
+  std::vector<int> detections_;              // by world: the number in this step
+  double slack_ = 0.0;                       // m: distance that particles keep from planes
   std::vector<Plane> planes_;
   std::vector<double> distances_;
   std::span<const SurfacePair> pairs_;

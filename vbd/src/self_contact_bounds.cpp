@@ -8,9 +8,10 @@
 namespace novaphy::vbd {
 namespace {
 
-constexpr double kShare = 0.85;             // of the way to a plane, for a particle that would pass
-constexpr double kLeastRoom = 0.05;         // of a gap, for the side that hardly moves
-constexpr char kByPlane = 1, kByReach = 2;  // what a particle met
+// A particle that would pass a plane goes this part of the way to the plane.
+constexpr double kShare = 0.85;
+constexpr double kLeastRoom = 0.05;         // part of a gap, for the side that hardly moves
+constexpr char kByPlane = 1, kByReach = 2;  // the bound that stopped a particle
 
 }  // namespace
 
@@ -37,7 +38,7 @@ void SelfContact::detect() {
   for (const int32_t p : vertices_) set_safe(p);
 }
 
-// Sets how far a particle may move from its reference without a look at its planes.
+// Sets the distance from its reference that a particle may move before it can meet a plane.
 void SelfContact::set_safe(int32_t p) {
   double least = std::numeric_limits<float>::max();
   const Vec3d x = wide(reference_[index(p)]);
@@ -57,7 +58,8 @@ SelfContact::Plane SelfContact::plane_between(const SurfacePair& pair, double& d
   const auto nearest =
       pair.has_edges ? geometry::nearest_of_edges(x) : geometry::nearest_to_triangle(x);
   distance = nearest.distance;
-  // Heights above a corner of the second side, which a plane through the origin would round.
+  // Heights are measured from a corner of the second side. Heights from the coordinate origin would
+  // lose digits.
   double best = -std::numeric_limits<double>::infinity(), top = 0.0;
   Vec3d normal{};
   const auto try_normal = [&](Vec3d n) {
@@ -107,7 +109,7 @@ void SelfContact::hold_particle(int32_t p) {
   if (!surface_->is_vertex(p)) return;
   const Vec3d from = wide(reference_[i]), to = wide(rows_.x[i]), d = to - from;
   const double size = length_of(d), reach = wide(reach_[i]);
-  // The reference is within the reach of the origin. Solves |from + t d - origin| = reach.
+  // Solves |from + t d - origin| = reach for t. The reference `from` is within the reach.
   const Vec3d off = from - wide(origin_[i]);
   const bool is_far = length_of(off + d) > reach;
   double t = 1.0;
@@ -178,8 +180,8 @@ void SelfContact::detect_again() {
   }
 }
 
-// Places the planes of particles that met a plane anew, at the present positions. `is_new`: of each
-// world, whether the planes are new.
+// Computes new planes, at the present positions, for the pairs of particles that a plane stopped.
+// Worlds with is_new[world] have new planes already.
 void SelfContact::place_again(std::span<const char> is_new) {
   std::vector<size_t> due;
   std::vector<int32_t> moved;

@@ -28,15 +28,15 @@ void solve_linear(Step& step, Rows& solution, Rows& load, const Numbers& toleran
                });
 }
 
-// What conjugate gradients found for J way = load, where the loads of friction are constant.
+// The result of conjugate gradients for J way = load, with constant loads of friction.
 struct Descent {
-  Rows way;           // the sum of the steps up to a direction of negative curvature
-  Rows down;          // this direction
-  Flags curves_down;  // whether it was met
+  Rows way;           // the sum of the steps before the first direction of negative curvature
+  Rows down;          // the direction of negative curvature
+  Flags curves_down;  // whether a component has such a direction
 };
 
-// Runs conjugate gradients, preconditioned by sweeps. The energy falls along the way. Where the
-// first direction has negative curvature, the way is this direction (Nocedal and Wright, Numerical
+// Runs conjugate gradients, preconditioned by sweeps. The energy falls along the way. If the first
+// direction has negative curvature, the way is this direction (Nocedal and Wright, Numerical
 // Optimization, algorithm 7.1).
 template <class Step>
 Descent find_descent(Step& step, Rows load, const Numbers& tolerance, int32_t sweeps) {
@@ -141,8 +141,9 @@ Numbers descend(Step& step, const Rows& way) {
   return part;
 }
 
-// A step of Newton's method with the whole derivative of the forces, friction included, for some
-// components. Keeps those whose force it halves. The others have their old positions.
+// Takes a step of Newton's method with the whole derivative of the forces, friction included, for
+// some components. A component keeps the step if its force falls by half or more. Other components
+// get their old positions back.
 template <class Step>
 void refine(Step& step, const Rows& force, Flags& some, double tolerance, int32_t sweeps) {
   const Components of = step.components();
@@ -158,7 +159,7 @@ void refine(Step& step, const Rows& force, Flags& some, double tolerance, int32_
   line.go(newton, some);
 }
 
-// Returns a pseudorandom load, which is that of each component alone.
+// Returns a pseudorandom load. The load of a component does not depend on other components.
 inline Rows scattered_load(const Components& of) {
   Rows load(of.of.size());
   std::vector<uint32_t> next(of.count);
@@ -174,8 +175,9 @@ inline Rows scattered_load(const Components& of) {
   return load;
 }
 
-// Returns the directions `down`, either way, that the forces push along, for some components. The
-// largest row of a component is as long as its longest motion of the step, if particles moved.
+// Returns the directions `down` of some components, each with the sign along which the forces push.
+// The largest row of a component is as long as the longest displacement of its particles in the
+// step, if particles moved.
 template <class Step>
 Rows way_off_saddle(Step& step, const Flags& some, const Rows& down) {
   const Components of = step.components();
@@ -228,12 +230,12 @@ struct Solution {
 // - Iterations of VBD replace a step that fails. In the first half of the iterations they also
 //   replace a step that meets negative curvature, because that step can lead to another minimum.
 // - Where the residual is small, conjugate gradients for a pseudorandom load look for negative
-//   curvature. A saddle is left along it.
+//   curvature. The step leaves a saddle along a direction of negative curvature.
 template <class Step>
 Solution solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32_t sweeps) {
-  constexpr int kIterationsInstead = 20;  // they cost less than a step of Newton's method
+  constexpr int kIterationsInstead = 20;  // cheaper than a step of Newton's method
   constexpr double kForcing = 1e-2;  // tolerance of the linear systems: an inexact Newton method
-  constexpr double kSmall = 1e-3;    // the same where the way down from a saddle is looked for
+  constexpr double kSmall = 1e-3;    // the same in the search for a way down from a saddle
   const Components of = step.components();
   const size_t count = of.count;
   Flags runs(count, 1), is_near(count);

@@ -110,7 +110,7 @@ struct Kernels {
 #undef NOVAPHY_KERNEL_OF
 #undef NOVAPHY_LEVEL_KERNEL_OF
 };
-// Returns the kernels. They are never destroyed, because recordings refer to them.
+// Returns the kernels, which are never destroyed, because recordings refer to them.
 const Kernels& kernels();
 
 }  // namespace novaphy::vbd

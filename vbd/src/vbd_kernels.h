@@ -14,8 +14,8 @@
 
 namespace novaphy {
 
-// The arrays that the tables of a sweep were made from. The kernel does not read them. They are
-// arguments so that a tape sees an input that carries a gradient.
+// The arrays that the tables of a sweep were made from. The kernel does not read these arrays. As
+// arguments they tell a tape about an input that carries a gradient.
 #define NOVAPHY_VBD_TABLE_ARGUMENT(array, columns, width, use) Optional<Reads<float>> array;
 #define NOVAPHY_VBD_ARGUMENTS(...) NOVAPHY_ARGUMENTS(__VA_ARGS__)  // expands the names of the lists
 struct VbdTableArguments {
@@ -116,7 +116,7 @@ struct VbdMaterialArguments {
   )
 };
 // Checks whether materials still fit the slots, which depend on older materials. A number has to be
-// finite and at least 0. It may differ from 0 only if `allowed` has the bit of its column.
+// finite and at least 0. A number may differ from 0 only if `allowed` has the bit of its column.
 // Otherwise the kernel sets the bit kVbdBadMaterial. kVbdAnyMaterial marks an element without a
 // part in a step.
 constexpr int32_t kVbdBadMaterial = 1 << 30, kVbdAnyMaterial = 1 << 29;

@@ -1,7 +1,7 @@
-// The pairs of a vertex and a triangle, and of two edges, that come near each other on moving
-// surfaces. A surface is the triangles over some particles.
+// Finds pairs of features that come near each other on moving surfaces: a vertex and a triangle, or
+// two edges. A surface is a set of triangles whose corners are particles.
 //
-// Pairs with a common particle are left out, and so are pairs of two worlds. Particles of world -1
+// Features with a common particle, and features of two worlds, are no pair. Particles of world -1
 // belong to all worlds.
 #pragma once
 
@@ -36,8 +36,9 @@ class NOVAPHY_COLLISION_API SurfacePairs {
   ~SurfacePairs();
 
   // Finds the pairs that come nearer than the radius if each particle moves by at most its reach
-  // (m) from x. Pairs of vertices and triangles come first, then pairs of edges. Both are sorted by
-  // their first side, then by the second side. `x`: rows of which three floats count.
+  // (m) from x. Pairs of vertices and triangles come first, then pairs of edges. Both kinds are
+  // sorted by their first side, then by the second side. The fourth float of a row of x is not
+  // read.
   const std::vector<SurfacePair>& find(std::span<const Vec4f> x, std::span<const float> reach);
 
   // Returns the ends of an edge that passes through a triangle at x, and the triangle's corners.
@@ -45,7 +46,7 @@ class NOVAPHY_COLLISION_API SurfacePairs {
 
   // Returns whether a particle is a corner of a triangle.
   bool is_vertex(int32_t particle) const;
-  // Returns the length of the shortest edge at rest (m). 0: no edge.
+  // Returns the length of the shortest edge at rest (m), or 0 without an edge.
   float shortest_edge() const;
 
  private:

@@ -8,8 +8,8 @@
 // With u = sum w (x - xn) and u_t = u - n (n.u) a corner has
 //   f_a = w_a (-E' n - kd/h min(n.u, 0) n - c u_t)
 //   H_a = w_a^2 ((E'' + [n.u < 0] kd/h) n n^T + c (I - n n^T))
-// c is that of particle_contact_law.h at the load -E' of the start of the iteration. The contact
-// acts while d < r. Weights and normal are constant in an iteration.
+// c is the coefficient of friction of particle_contact_law.h, at the load -E' of the start of the
+// iteration. The contact acts while d < r. Weights and normal are constant in an iteration.
 //
 // The normal of parallel edges is not defined. While s < 1 the law of two edges is therefore
 // multiplied by (2 - s) s. The lengths |e1| and |e2| are those at rest, and
@@ -26,7 +26,7 @@
 
 namespace novaphy::vbd {
 
-// E' (N) and E'' (N/m).
+// The slopes E' (N) and E'' (N/m).
 template <class T>
 struct GapSlopes {
   T first{}, second{};
@@ -50,8 +50,9 @@ struct SurfaceForce {
   T along{}, stiffness{}, friction{};
 };
 
-// Returns the contact of a particle that has f_a and `together` times H_a at the position x. The
-// corners of one color that a contact has move together, each as if the others stood still.
+// Returns the contact of a particle whose force at x is f_a and whose stiffness is `together` times
+// H_a. `together` is the number of corners with the color of the particle. These corners move at
+// the same time, and each takes the others as fixed.
 template <class T>
 ParticleContact<T> corner_contact(const SurfaceForce<T>& s, const T& weight, const T& together,
                                   const Vec3<T>& x, const Vec3<T>& start, const T& eps) {
@@ -64,7 +65,7 @@ ParticleContact<T> corner_contact(const SurfaceForce<T>& s, const T& weight, con
   c.point = x;
   c.normal = select(weight < zero, s.normal * T(-1.0f), s.normal);
   c.ke = squared * s.stiffness;
-  // Where the contact does not act, the overlap is negative.
+  // A contact that does not act gets a negative overlap.
   c.radius = select(acts, (abs(weight) * s.along) / select(acts, c.ke, one), T(-1.0f));
   const Vec3<T> u = s.slip / (weight * together);
   c.travel = (x - start) - u;

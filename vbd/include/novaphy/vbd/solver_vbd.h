@@ -16,10 +16,12 @@ namespace novaphy {
 // al. 2024).
 enum class VbdInitialGuess { Inertia, Previous, Adaptive };
 
-// Contact of the triangles of a model with each other. None: the default.
+// Contact of the triangles of a model with each other. An empty value stands for the default.
 struct VbdSelfContact {
-  std::optional<float> radius = {};  // m: contacts begin at this distance; twice particle_radius
-  std::optional<float> gap = {};     // m: how far beyond the radius pairs are known; the radius
+  // m: contacts begin at this distance. Default: twice particle_radius.
+  std::optional<float> radius = {};
+  // m: pairs are known up to this distance beyond the radius. Default: the radius.
+  std::optional<float> gap = {};
 };
 
 struct VbdOptions {
@@ -29,42 +31,43 @@ struct VbdOptions {
   // The spectral radius of Chebyshev acceleration, in (0, 1), for the particles without contacts.
   // Above 0.8 the iteration may stall or diverge.
   std::optional<float> acceleration = {};
-  // Ends the iterations of a connected component when its VbdResidual::relative is at most this,
-  // > 0. Each iteration then computes the forces once more. With `converged` the step is solved to this, at first by all
-  // iterations; none means 1e-4.
+  // Ends the iterations of a connected component when its VbdResidual::relative is at most this
+  // number > 0. Each iteration then computes the forces once more. With `converged` all iterations
+  // run first, and Newton's method then continues to this residual (default 1e-4).
   std::optional<float> tolerance = {};
   // Halves the step of a particle while the energy of its elements rises, up to four times. If the
-  // energy still rises, the particle stays where it is. The total energy therefore never rises. Not
-  // together with acceleration.
+  // energy still rises, the particle stays in place. The total energy therefore never rises. Not
+  // supported together with acceleration.
   bool safeguard = false;
   // Adds a step of Galerkin's method after each iteration (coarse_kernels.h), which removes errors
-  // that are smooth over many particles. Not together with acceleration or safeguard.
+  // that are smooth over many particles. Not supported together with acceleration or safeguard.
   bool coarse = false;
   // Continues after the iterations with Newton's method, until the step is at the minimum of its
-  // energy (DifferentiableVbd: implicit). On the CPU, outside of captures.
+  // energy (DifferentiableVbd: implicit). Supported on the CPU, outside of captures.
   bool converged = false;
   float lhs_regularization = 1e-6f;  // see vbd/block_law.h; finite, >= 0
-  // Surfaces push each other apart and never cross (src/self_contact.h). On the CPU, outside of
-  // captures, with iterations alone.
+  // Surfaces push each other apart and never cross (src/self_contact.h). Supported on the CPU,
+  // outside of captures, and without the options above that end or correct the iterations.
   std::optional<VbdSelfContact> self_contact = {};
 };
 
-// The contacts of surfaces with each other at the end of a step. Each has a row: its particles, a
-// vertex and the corners of a triangle, or the ends of two edges.
+// The contacts of surfaces with each other at the end of a step, one row for each contact.
 struct VbdSelfContacts {
+  // A vertex and the corners of a triangle, or the ends of two edges.
   std::vector<std::array<int32_t, 4>> particles;
-  std::vector<char> has_edges;
-  std::vector<float> gaps;    // m: distance of the features
-  std::vector<float> forces;  // N: normal force
+  std::vector<char> has_edges;  // 1: two edges
+  std::vector<float> gaps;      // m: distance of the features
+  std::vector<float> forces;    // N: normal force
 };
 
-// The distance of the last step from its solution, for the connected component of particles that is
-// farthest from its own: the largest `relative` of those above twice their `floor`, else of all.
+// The distance of the last step from its solution. Each connected component of particles has a
+// residual. The values are those of one component. Components above twice their `floor` come first,
+// and among these the one with the largest `relative` is chosen.
 struct VbdResidual {
   double force = 0.0;  // N: norm of the total force over the particles, with inertia
-  // N: norm over the particles of two parts: m (y - xn - h vc)/h^2, with the mean velocity vc of
-  // the component, and the sum of the norms of the forces of the particle's contacts and elements.
-  // A uniform motion does not change it.
+  // N: norm over the particles of two parts. The first part is m (y - xn - h vc)/h^2, with the mean
+  // velocity vc of the component. The second part is the sum of the norms of the forces of the
+  // particle's contacts and elements. A uniform motion does not change the scale.
   double scale = 0.0;
   double relative = 0.0;  // force / scale; 0 where the force is 0
   double floor = 0.0;     // the part of `relative` that one rounding of the positions can cause
@@ -83,26 +86,26 @@ struct VbdResidual {
 // - restitution;
 // - a particle_spring_control other than 0;
 // - on a device: `tolerance`, `converged`, and a build without NOVAPHY_WITH_VBD_CUDA.
-// Particles have no contacts with each other or with triangles, unless with `self_contact`.
+// Particles touch each other only with `self_contact`, as corners of triangles.
 //
 // One step minimizes, over the positions x of the particles that move,
 //   sum m/(2h^2) |x - y|^2 + E(x; xn),  y = xn + h vn + h^2 (g + f/m)
 // where E is the sum of the energies of the elements (vbd/elements/). The step sets v = (x - xn)/h.
 // An iteration visits the colors of the model (ModelBuilder::color, set_coloring) in order. All
-// particles of a color move together. Each solves the 3x3 system of its own elements, from the
-// positions before the color. Sums run per particle in a fixed order. The result has the same bits
-// for any number of threads, on any processor and on any device.
+// particles of a color move together. Each particle solves the 3x3 system of its own elements, from
+// the positions before the color. Sums run per particle in a fixed order. The result has the same
+// bits for any number of threads, on any processor and on any device.
 //
 // A step can be captured. A graph keeps the recorded dt. A replay throws if a number of the model
 // (soft_contact_ke, ...) has changed since the recording. A replay also throws if arrays behind the
 // solver's tables were edited: materials of elements, rest shapes, masses, flags. A step on a
-// device and a replay cannot throw for values that only the device sees. They note states that are
-// not finite and contacts that overflowed, without a wait. The next residual() throws, and on the
-// CPU so does the next step().
+// device and a replay cannot throw for values that only the device sees. Kernels then note states
+// that are not finite and contacts that overflowed. The next residual() throws, and on the CPU so
+// does the next step().
 //
-// Particles of mass 0 or without ParticleFlags.ACTIVE are kinematic. They stay in place, or move to
-// `targets`. Their new velocity is their displacement divided by dt. A step does not write to
-// state_in. particle_f acts and keeps its values.
+// Particles of mass 0 or without ParticleFlags.ACTIVE are kinematic. A kinematic particle stays in
+// place, or moves to its row of `targets`. Its new velocity is its displacement divided by dt. A
+// step does not write to state_in. particle_f acts and keeps its values.
 class NOVAPHY_VBD_API SolverVBD : public SolverBase {
  public:
   // ErrorKind::Value: a bad option, particles without a color, or a value that EditedValues

@@ -329,7 +329,7 @@ def explain_members(cls: type, owner: str = "", base: str = "") -> None:
             object.__setattr__(self, name, value)
         except AttributeError:
             if hasattr(type(self), name):
-                raise  # it can only be read
+                raise  # a read-only property
             get(self, name)
 
     cls.__getattr__ = get  # type: ignore[attr-defined]

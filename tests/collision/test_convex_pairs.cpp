@@ -175,8 +175,8 @@ TEST(ConvexPairs, AreAsExactAtEveryScale) {
   }
 }
 
-// No point of a manifold is deeper than the pair, none is farther than the gap, features are unique
-// and ascending, and the surface points lie on or in both shapes to the depth.
+// No point of a manifold is deeper than the pair, and none is farther than the gap. Features are
+// unique and ascending. The surface points lie on both shapes, or in them down to the depth.
 TEST(ConvexPairs, KeepTheirPointsWithinTheShapes) {
   for_all_pairs(40, 1.0, [&](const Solid& a, const Solid& b) {
     const float gap = 0.02f;

@@ -24,8 +24,8 @@ namespace {
 TEST(NativeKernels, NoneOfTheEngineIsMissing) {
   const std::vector<ir::Program> programs = engine_programs();
   // Bounds the number of Programs that are compiled ahead: 140 for the first kernels, and at most 5
-  // for each later one (push box, relu, softplus, two of random numbers, held rigid rows, acos,
-  // atan2, cross, four of quaternions).
+  // for each later kernel. Later kernels: push box, relu, softplus, two of random numbers, held
+  // rigid rows, acos, atan2, cross, four of quaternions.
   constexpr size_t kNewKernels = 13;
   EXPECT_LT(programs.size(), 140 + 5 * kNewKernels);
   const std::vector<std::string> built = levels();

@@ -96,7 +96,7 @@ inline ModelBuilder walker() {
   return b;
 }
 
-// Two walkers on each other and among boxes, whose legs meet everything. They form one island of
+// Two walkers on each other and among boxes, whose legs meet everything. All form one island of
 // trees and free bodies, with dry friction. An arm on the world reaches into the island.
 inline ModelBuilder crowd() {
   ModelBuilder b;

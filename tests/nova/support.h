@@ -270,8 +270,9 @@ inline ::testing::AssertionResult directions_agree(const Call& call, Random& ran
                                        << " (sum of sizes " << size << ")";
 }
 
-// <J u, w> = <u, J^T w> for every unit vector u and random seeds w, with J from forward mode and
-// (fd) from differences; and for a random u, with J u from the tape's forward mode.
+// Expects <J u, w> = <u, J^T w> for every unit vector u and random seeds w. J comes from forward
+// mode, and with `fd` also from differences. For a random u, J u comes from the tape's forward
+// mode.
 inline void expect_gradients(const Call& call, Random& random, double rtol = 2e-5, bool fd = true) {
   EXPECT_TRUE(directions_agree(call, random, rtol));
   const Seeds seeds = random_seeds(call, random);

@@ -439,7 +439,7 @@ def test_steps_of_an_ant_are_exact_and_match_differences(monkeypatch, capsys) ->
     compared, spread = 0, np.linalg.norm(weight)
     for t in range(900):
         if t == 300:
-            solver.clear_gradient_info()  # it has landed
+            solver.clear_gradient_info()  # the body has landed
         if t % 50 == 0:
             torques = np.zeros(model.joint_dof_count, np.float32)
             torques[6:] = rng.uniform(-60.0, 60.0, torques.size - 6)

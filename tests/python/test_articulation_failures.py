@@ -103,5 +103,5 @@ def test_a_rollout_tells_of_a_step_in_its_middle_that_fails(solver, checkpoint, 
     with nova.Tape() if recorded else nova.no_grad():
         with pytest.raises(novaphy.Error, match="step 2 of.*joint '.*not finite"):
             made.rollout(trajectory, [good, bad, good], None, 1e-3)
-    made.rollout(trajectory, good, None, 1e-3)  # it can go on
+    made.rollout(trajectory, good, None, 1e-3)  # the solver still works
     assert np.isfinite(trajectory[6].joint_q.numpy()).all()

@@ -172,7 +172,7 @@ def test_by_dry_friction_of_joints(friction: float, child: float) -> None:
     info = found["info"]
     assert info["label"] == "exact of the code" and info["contact_steps"] == 1
     gradient = found["joint_friction"]
-    assert (gradient[2] == 0.0) == (child > 0.0)  # it holds its dof
+    assert (gradient[2] == 0.0) == (child > 0.0)  # stiction holds the dof
     assert abs(gradient[0]) > 1e-3
 
 

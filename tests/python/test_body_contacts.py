@@ -622,7 +622,7 @@ def test_two_bodies_keep_their_momentum():
     end = end_of_collision(model)[250]
     mass = model.body_mass.numpy()[:, None]
     start, v = model.body_qd.numpy(), end.body_qd.numpy()
-    assert np.abs(v[1, :3]).max() > 0.1  # they did meet
+    assert np.abs(v[1, :3]).max() > 0.1  # the bodies did collide
     np.testing.assert_allclose((mass * v[:, :3]).sum(0), (mass * start[:, :3]).sum(0), atol=2e-6)
 
 

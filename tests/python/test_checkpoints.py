@@ -89,7 +89,7 @@ def bodies(contacts, particles=1):
     cfg = novaphy.ShapeConfig(density=125.0, ke=2e3, kd=10.0, kf=50.0, mu=0.5, gap=0.01)
     body = builder.add_body(xform=((0, 0, 0.0995), (0, 0, 0, 1)))
     of_body = cfg.copy()
-    of_body.has_particle_collision = False  # which static contacts do not cover
+    of_body.has_particle_collision = False  # static contacts support no shape of a body
     builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1, cfg=of_body)
     link = builder.add_link(mass=0.5, inertia=np.eye(3) * 1e-2, com=(0.2, 0, 0))
     joint = builder.add_joint_revolute(-1, link, axis=(0, 1, 0), parent_xform=((2, 0, 1), UP))

@@ -169,6 +169,6 @@ def test_collide_for_a_step_leaves_out_what_cannot_touch_in_it():
     for dt in (None, 1 / 240, 1 / 4800):
         pipeline.collide(state, contacts, dt=dt)
         counts.append(int(contacts.rigid_contact_count.numpy()[0]))
-    assert counts[0] > counts[1] > counts[2] >= 9 * 4 + 2 * 9 * 4  # what touches
+    assert counts[0] > counts[1] > counts[2] >= 9 * 4 + 2 * 9 * 4  # rows of touching shapes alone
     with pytest.raises(ValueError, match="dt: expected a finite number > 0"):
         pipeline.collide(state, contacts, dt=0.0)

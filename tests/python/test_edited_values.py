@@ -252,7 +252,7 @@ def test_a_launch_refuses_another_number_of_the_model_than_that_recorded(solver,
     setattr(m, number, good)
     graph.launch()
     np.testing.assert_array_equal(q.numpy(), before)
-    if solver == "DiffSolverVBD":  # which would tell of a replay that failed
+    if solver == "DiffSolverVBD":  # a step raises after a failed replay
         of.step(m.state(), m.state(), None, None, DT)
 
 

@@ -278,7 +278,7 @@ def test_what_is_not_there_is_refused_by_name() -> None:
             diff.event_times(path)
     with nova.Tape() as tape:
         tree(model).rollout(path, None, None, 1e-4, pipeline=pipeline)
-        none = diff.event_times(path)  # it still falls
+        none = diff.event_times(path)  # the body still falls
         assert none.shape == (0,)
         tape.backward(nova.sum(none) + nova.sum(diff.state_joint_q_tensor(path[50])))
     with nova.Tape(), pytest.raises(NotImplementedError, match="got one with checkpoints"):

@@ -138,7 +138,7 @@ def test_springs_of_contacts_are_as_soft_as_those_of_mujoco(name):
     soft = f"{BALL} {SOFT[name]}"
     exact, here = heights(scene(SOFT[name], soft, 0.1), 1500)
     assert 0.1 - exact > 1e-5 and 0.1 - here == pytest.approx(0.1 - exact, rel=0.02)
-    # Of 2 mm, both engines keep the same part after 15 ms, within 25 %.
+    # An overlap of 2 mm shrinks to the same part after 15 ms in both engines, within 25 %.
     exact, here = heights(scene(SOFT[name], soft, 0.098, gravity=0.0), 15)
     assert here == pytest.approx(exact, abs=5e-4)
 

@@ -167,7 +167,7 @@ def test_the_stubs_name_what_is_there(name):
     module = getattr(_core, name) if name else _core
     stub = stub_names(PACKAGE / "_core" / f"{name or '__init__'}.pyi")
     public = {n for n in vars(module) if not n.startswith("_")}
-    if name == "io" and not novaphy.has_io():  # what the readers of robots return
+    if name == "io" and not novaphy.has_io():  # classes that the readers of robots return
         stub[""] -= {n for n in stub[""] if n.startswith("Robot")}
     assert {n for n in stub[""] if not n.startswith("_")} == public
     for class_name in public:

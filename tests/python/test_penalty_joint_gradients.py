@@ -172,7 +172,7 @@ def test_every_gradient_equals_the_differences(kind):
         else:
             gradient = array.grad.numpy().reshape(-1)
         values = array.numpy()
-        limits = np.abs(values) > 1e5  # of what is not limited
+        limits = np.abs(values) > 1e5  # numbers that stand for no limit
         fd = np.zeros(values.size)
         directions = np.eye(values.size, dtype=np.float32).reshape(-1, *values.shape)
         if name == "body_inertia":  # is symmetric

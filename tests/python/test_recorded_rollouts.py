@@ -85,7 +85,7 @@ def check(model, solver, followed, contacts, dt):
             found = pipeline.contacts()
             pipeline.collide(trajectory[0], found)
         if hasattr(solver, "reset"):
-            solver.reset()  # of what the adaptive guess looks at
+            solver.reset()  # forgets the velocity that the adaptive guess reads
         if way == "plain":
             solver.rollout(trajectory, None, found, dt, **options)
             return kept(trajectory), None

@@ -203,7 +203,7 @@ def test_an_oblique_hit_turns_the_normal_and_jvp_is_the_transpose() -> None:
     ("mu", "time", "rate", "label"),
     [
         (0.0, 0.26, 4000, "exact of the motion"),
-        (0.3, 0.28, 1000, "surrogate"),  # it slips, then sticks
+        (0.3, 0.28, 1000, "surrogate"),  # the body slips, then sticks
     ],
 )
 def test_a_box_on_its_corner_agrees_with_differences(

@@ -111,7 +111,7 @@ def test_what_is_mended_counts():
         link("z", f"<visual>{BOX}{red}</visual>"),
         joint("j", "a", "z", kind="fixed"),
     )
-    assert set(loaded(text)[2].shape_colors.values()) == {(1, 0, 0, 1)}  # of a link behind it
+    assert set(loaded(text)[2].shape_colors.values()) == {(1, 0, 0, 1)}  # from a later link
     capsule = '<collision><geometry><capsule radius="0.1" length="0.4"/></geometry></collision>'
     model, _, _ = loaded(robot(link("a", INERTIAL + capsule)) + "\0")
     assert model.shape_type.numpy()[0] == novaphy.GeoType.CAPSULE

@@ -179,7 +179,7 @@ def test_the_adaptive_guess_with_the_coarse_step_makes_no_energy():
         state, after = after, state
         q, v = (a.numpy().astype(float) for a in (state.particle_q, state.particle_qd))
         highest = max(highest, 9.81 * (mass @ q[:, 2]) + 0.5 * (mass @ (v * v).sum(1)))
-    assert highest < 0.02 * (0.2 * 9.81 * mass.sum())  # of what the fall sets free
+    assert highest < 0.02 * (0.2 * 9.81 * mass.sum())  # a part of the released energy
 
 
 def light_beside_heavy(light=True, heavy=True):

@@ -362,7 +362,7 @@ def test_drawings_are_recorded_and_shown_again(ball, tmp_path):
     assert [c[1:] for c in shown.calls if c[1] == "way"] == [
         ("way", 1.0 + k, [1.0, 0.0, 0.0], 0.02) for k in range(21)
     ]
-    assert [c for c in shown.calls if c[1] == "still"] == [(0.0, "still")]  # it never changed
+    assert [c for c in shown.calls if c[1] == "still"] == [(0.0, "still")]  # the log never changed
     states = [c[1] for c in shown.calls if isinstance(c[1], bytes)]
     assert states == [state.particle_q.numpy().tobytes() for state in ball.states]
     shown.calls.clear()

@@ -490,7 +490,7 @@ def test_a_real_window(egl, program, package):
     if reason := x_server.why_not():
         pytest.skip(reason)
     with x_server.x_server("800x600") as environ:
-        environ["MALLOC_MMAP_THRESHOLD_"] = str(1 << 20)  # what is freed leaves the process
+        environ["MALLOC_MMAP_THRESHOLD_"] = str(1 << 20)  # freed memory leaves the process
         done = subprocess.run(
             [sys.executable, "-c", program], capture_output=True, text=True, timeout=300,
             env=environ, cwd=Path(__file__).parent,

@@ -177,7 +177,7 @@ def test_the_text_has_curves_and_images(tmp_path):
     rows = (np.arange(len(curve))[:, None] * curve).sum(axis=0) / curve.sum(axis=0)
     straight = np.linspace(rows[2], rows[-3], len(rows) - 4)
     np.testing.assert_allclose(rows[2:-2], straight, atol=0.8)
-    assert rows[0] < rows[-1]  # it falls
+    assert rows[0] < rows[-1]  # the drawn line falls
     assert text_coverage(["a", "bc"]).shape == (34, 16)
     assert np.array_equal(text_coverage(["²"]), text_coverage(["?"]))
 
@@ -390,7 +390,7 @@ def test_a_reset_begins_a_running_simulation_again(paused):
             stage.show(0.0, state)
             for frame in frames:
                 poses = state.body_q.numpy()
-                poses[0, 0] += frame  # what a reset takes back
+                poses[0, 0] += frame  # a change that a reset undoes
                 state.body_q.assign(poses)
                 state.clear_forces()
                 solver.step(state, after, None, None, 0.1)

@@ -199,7 +199,7 @@ def test_a_strong_checker_is_black_and_white_in_the_page():
             png = io.BytesIO(page.picture())
             grey = np.asarray(image.open(png).convert("L"))[240:, 120:400]
             shares = float(np.mean(grey < 40)), float(np.mean(abs(grey - 242.0) < 4.0))
-        assert min(shares) > 0.35, shares  # what is left are the edges
+        assert min(shares) > 0.35, shares  # the rest are edges
 
 
 def test_a_pointer_in_the_page_pulls_a_body():

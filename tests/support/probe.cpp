@@ -30,9 +30,9 @@ int run(const std::string& command, const std::string& argument) {
   } else if (command == "open") {
     novaphy::require_device(novaphy::Device::parse(argument));
     std::printf("opened\n");
-  } else if (command == "launch") {  // of a builtin
+  } else if (command == "launch") {  // launches a builtin kernel
     const auto in = novaphy::DeviceArray<int32_t>(4), out = novaphy::DeviceArray<int32_t>(4);
-    static const novaphy::DeviceKernel kernel(argument.c_str());  // what it loads stays loaded
+    static const novaphy::DeviceKernel kernel(argument.c_str());  // static: the module stays loaded
     kernel.launch(novaphy::Device::cpu(), 4,
                   {novaphy::reads("in", in), novaphy::writes("out", out)});
     std::printf("launched\n");

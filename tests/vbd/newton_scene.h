@@ -1,8 +1,9 @@
 // The scenes of Newton 1.8.0's SolverVBD (cpu). newton_vbd_cloth.npz is a cloth of 16 x 16
 // particles with one fixed corner, falling on a sphere, a box and the ground. newton_vbd_soft.npz
 // is a block of 5 x 5 x 5 particles with four springs, falling on a box and the ground. The files
-// have Newton's model, its contacts of every substep (from the positions before it), positions at
-// sub_idx, the iterates of three substeps, and forces and Hessians of single elements (unit_*).
+// have Newton's model, and the contacts of every substep from the positions before the substep. The
+// files also have positions at sub_idx, the iterates of three substeps, and forces and Hessians of
+// single elements (unit_*).
 #pragma once
 
 #include <algorithm>

@@ -1,6 +1,6 @@
-// The derivative of a step of VBD: against vbd_gradients.npz, which holds those of the same sweeps
-// in double precision (a program of its own, checked by central differences), and against
-// differences of the step itself.
+// Compares the derivative of a step of VBD with vbd_gradients.npz, and with differences of the
+// step. The file has the derivatives of the same sweeps in double precision. A separate program
+// computed the file, and was checked by central differences.
 #include <gtest/gtest.h>
 
 #include <cmath>

@@ -25,8 +25,8 @@ struct Input {
   std::vector<float> values;
   std::function<void(const std::vector<float>&)> write;
   Array VbdStepDerivatives::*derivative;
-  double step;     // of differences
-  size_t columns;  // of a row; only column `column` is moved, or all (-1)
+  double step;     // step of the differences
+  size_t columns;  // columns of a row; `column` is the one that moves, or -1: all
   int column = -1;
 };
 

@@ -216,7 +216,7 @@ def measure(n: int, mode: str, iterations: int, device: str) -> dict[str, object
 
 def measure_memory(n: int, mode: str, device: str) -> dict[str, object]:
     """Measure the memory of the states, and of recording and backward."""
-    Balls(1, mode, device, capture=False).record()  # what is made once
+    Balls(1, mode, device, capture=False).record()  # makes the parts that all runs share
     balls = Balls(n, mode, device, capture=False)
     with nova.no_grad():
         balls.simulate()

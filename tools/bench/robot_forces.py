@@ -41,7 +41,7 @@ def note_forces(exact, data, model, robot, state, change, coordinates, note) -> 
     )
     if not on_dofs.all():
         total += (moments(model, state)[~on_dofs] * ours[~on_dofs, None]).sum(axis=0)
-    if not exact.jnt_actfrclimited.any():  # those are limits of joints there
+    if not exact.jnt_actfrclimited.any():  # MuJoCo counts these as limits of joints
         note("actuators", [ours[row] for row in forces], list(forces.values()))
     total += lifted(model, state)
     note("forces", change.T @ total, data.qfrc_passive - data.qfrc_fluid + data.qfrc_actuator)

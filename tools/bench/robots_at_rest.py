@@ -127,7 +127,7 @@ def in_the_air(path: Path, folder: Path) -> dict[str, float]:
         overlaps = max(overlaps, overlaps_of(pipeline, robot.state, contacts))
         try:
             robot.step(solver, contacts=contacts)
-        except novaphy.Error:  # of the file, or of a root without mass, which cannot float
+        except novaphy.Error:  # a bad file, or a free root without mass
             if not floating:
                 raise
             break

@@ -2,15 +2,16 @@
 //
 //   novaphy_vbd_adjoints FOLDER
 //
-// writes slot_adjoints.inc, and number_adjoints.inc: from the adjoints of the numbers of slots
-// those of materials and rest shapes. Beside each is a file _source.inc: the same as string
-// literals, for the text that compilers of devices get (cmake/NovaPhyDeviceModule.cmake).
+// writes two files. slot_adjoints.inc has the derivatives of the blocks of slots and contacts.
+// number_adjoints.inc maps the adjoints of the numbers of slots to those of materials and rest
+// shapes. A file _source.inc beside each has the same code as string literals, for device compilers
+// (cmake/NovaPhyDeviceModule.cmake).
 //
-// The laws run once with scalars that are expressions (symbol.h). Of a block f, H with adjoints u
-// and B the derivatives of u.f + B:H by positions and numbers are written, operation by operation,
-// each once; what no derivative needs is left out. For each role and contacts, with and without H
-// ("at_solution": at a solution, where its adjoints are 0) and damping. The same of the stiffness
-// of coarse steps.
+// The laws run once with scalars that are expressions (symbol.h). For a block f, H with adjoints u
+// and B, the program writes the derivatives of u.f + B:H with respect to positions and numbers.
+// Each operation is written once, and operations that no derivative needs are left out. Each role
+// and the contacts have variants with and without H ("at_solution": the adjoints of H are 0) and
+// damping. The stiffness of coarse steps has derivatives of the same kind.
 #include <algorithm>
 #include <cstdio>
 #include <fstream>
@@ -284,9 +285,9 @@ template <bool at_solution, bool damped>
 struct SlotCase {};
 template <bool at_solution>
 struct ContactCase {};
-// Of B:H alone, with H of particle_contact_stiffness.
+// The derivatives of B:H alone, with the H of particle_contact_stiffness.
 struct ContactStiffnessCase {};
-// Of what the slot has of the start.
+// The derivatives of the slot's numbers of the start.
 struct StartCase {};
 
 )";

@@ -42,7 +42,7 @@ WITH_PAGE = {
 }
 # Scenes that have a picture of their own.
 SCENES = {"articulated_scenes": {"chain": ["--headless", "240"], "ants": ["--headless", "60"]}}
-WITHOUT_VIEWER = {"distributed"}  # it draws its results
+WITHOUT_VIEWER = {"distributed"}  # draws its own results
 WALL = """
 ## robots from files
 

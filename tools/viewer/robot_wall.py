@@ -136,7 +136,7 @@ def draw(model: novaphy.Model) -> np.ndarray:
         part = FILLED * np.tan(np.radians(FIELD_OF_VIEW / 2))
         away = points - middle
         across = np.maximum(np.abs(away @ side), np.abs(away @ above))
-        distance = float((across / part - away @ forward).max())  # that all points are seen from
+        distance = float((across / part - away @ forward).max())  # all points are visible from it
         viewer.look_at(middle - distance * forward, middle)
         picture = viewer.get_frame()
     fine = picture.reshape(HEIGHT, DRAWN, WIDTH, DRAWN, 3).astype(np.float32)

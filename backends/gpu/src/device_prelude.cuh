@@ -1,7 +1,7 @@
 // The prelude of device code: the meaning of the names in emitted text for the one row of a thread
 // (see <novaphy/program/emit.h>). The text follows vendors/*.cuh. The build replaces includes by
-// their text. The arithmetic has the bits of backends/cpu/src/lanes.h. It is compiled without
-// contraction, without flush to zero, and with correctly rounded division and square root.
+// their text. The arithmetic has the bits of backends/cpu/src/lanes.h: no
+// contraction, no flush to zero, and correctly rounded division and square root.
 typedef signed char int8_t;
 typedef unsigned char uint8_t;
 typedef int int32_t;

@@ -36,9 +36,9 @@ struct ChainForm {
     std::vector<int32_t> tables;
     int32_t program = 0;  // index into PersistentTable::programs
     struct Source {
-      // Memory: any rows. There: all rows that are read exist. Own: only the own row is read, and
-      // it exists. First: only row 0 is read, it exists, and no operation of the persistent kernel
-      // writes it. Registers: the result of an earlier operation.
+      // The rows that an operation reads. Memory: any rows. There: only rows that exist. Own: only
+      // its own row, which exists. First: only row 0, which exists, and which no operation of the
+      // persistent kernel writes. Registers: the result of an earlier operation.
       enum From : int32_t { Memory, There, Own, First, Registers } from = Memory;
       int32_t op = 0, output = 0;  // Registers: the operation of the chain and its output
       bool aligned = false;        // Own: the words are aligned to 16 bytes

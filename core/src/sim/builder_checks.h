@@ -62,7 +62,7 @@ inline void check_particle_flags(const Where& where, int32_t flags) {
 }
 
 // Objects in all worlds (-1) have the gravity and the fluid of the last world (see Model::gravity).
-// Those of the last world must therefore equal the builder's. `name`: of the setting.
+// The settings of the last world must therefore equal the builder's. `name`: the setting's name.
 template <class T>
 void check_world_setting(const Where& where, int32_t world, std::string_view name,
                          const T& of_builder, const std::vector<T>& of_worlds) {

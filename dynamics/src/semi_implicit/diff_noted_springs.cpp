@@ -40,8 +40,8 @@ void for_pushes(const Model& model, const NotedStep& step, const F& visit) {
 nova::Tensor tensor_of(const nova::Operand& of) {
   return {of.range, {of.rows * of.width}, nova::DType::F32};
 }
-// Appends the gradient that the tape keeps; zeros if there is none. Of a leaf: what the adjoint
-// added.
+// Appends the gradient that the tape keeps, or zeros without one. The gradient of a leaf is the
+// part that this adjoint added.
 void append_gradient(const AdjointRecord& record, const nova::Operand& of, std::vector<float>& to) {
   const nova::Tensor tensor = tensor_of(of);
   const auto size = static_cast<size_t>(tensor.size());

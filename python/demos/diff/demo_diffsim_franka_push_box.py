@@ -378,7 +378,7 @@ def arguments() -> argparse.Namespace:
 def make_scene(args: argparse.Namespace) -> FrankaPush:
     """Make the scene with the contact of the flags."""
     if args.contact == "full":
-        from franka_contact import FullPush  # that module imports this one
+        from franka_contact import FullPush  # here, because franka_contact imports this module
 
         return FullPush(args.device, args.gradient == "exact")
     return FrankaPush(args.device, args.gradient == "exact")

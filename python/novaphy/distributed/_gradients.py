@@ -206,6 +206,6 @@ def step(optimizer: nova.optim.SGD | nova.optim.Adam, grads: Gradients) -> None:
             )
     for param, gradient in zip(optimizer.params, grads.values(), strict=True):
         param.requires_grad = True
-        if param.grad is not None:  # it requires a gradient, so it has one
+        if param.grad is not None:  # requires_grad made it
             param.grad.assign(gradient)
     optimizer.step()

@@ -151,7 +151,7 @@ class AntWorlds:
     def _forget(self) -> None:
         """Make the solver read the model again and clear its contact impulses."""
         self.solver.notify_model_changed(0)
-        self._graphs.clear()  # they would keep the values that they read before
+        self._graphs.clear()  # graphs keep the values that they were recorded with
 
     def _write(self, q: Array, qd: Array, state: SimState) -> None:
         state.joint_q.assign(np.ascontiguousarray(q).ravel())

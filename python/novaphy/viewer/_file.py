@@ -80,7 +80,7 @@ class ViewerFile(Viewer):
         self._calls: list[Call] = []
         self._latest: dict[tuple[str, str], dict[str, Any]] = {}
         self._file: BinaryIO | None = None
-        self._end = 0  # of what is whole in it, bytes
+        self._end = 0  # bytes of complete records
         self._unsaved: list[Frame] = []  # with auto_save
 
     @property
@@ -102,7 +102,7 @@ class ViewerFile(Viewer):
         """Add a model given by its arrays to the recording."""
         self._model_arrays = dict(arrays)
         self._up_axis = int(up_axis)
-        if self._file is not None:  # it begins with the model: write it anew
+        if self._file is not None:  # a file begins with its model: write a new one
             self._close_file()
             self._unsaved = list(self._frames)
 

@@ -31,9 +31,7 @@ class Window:
                 "headless=True draws without one"
             )
         pyglet.options["shadow_window"] = False
-        pyglet.options["debug_gl"] = (
-            False  # it asks for errors, those of moderngl too, in each call
-        )
+        pyglet.options["debug_gl"] = False  # True checks for errors, also of moderngl, in each call
         try:
             config = pyglet.gl.Config(double_buffer=True, major_version=3, minor_version=3)
             self.window = pyglet.window.Window(

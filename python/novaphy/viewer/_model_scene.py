@@ -169,7 +169,7 @@ class ModelScene:
         )
         for geo_type, vertex in np.unique(np.stack([types, first], axis=1)[visible], axis=0):
             rows = np.flatnonzero(visible & (types == geo_type) & (first == vertex))
-            rows = rows[np.argsort(bodies[rows] < 0, kind="stable")]  # those on bodies come first
+            rows = rows[np.argsort(bodies[rows] < 0, kind="stable")]  # shapes of bodies come first
             name = f"model/{GeoType(geo_type).name.lower()}"
             if geo_type in (GeoType.MESH, GeoType.CONVEX_MESH):
                 mesh = name = f"{name}_{vertex}"

@@ -39,7 +39,7 @@ class Video:
             )
         self._messages = tempfile.TemporaryFile()  # noqa: SIM115, closed with the video
         codec = CODECS[ending]
-        if ending in (".mp4", ".webm"):  # which have an even number of pixels
+        if ending in (".mp4", ".webm"):  # these need even numbers of pixels
             codec = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2", *codec]
         self._process = subprocess.Popen(
             [

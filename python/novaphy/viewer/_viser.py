@@ -86,7 +86,7 @@ class ViewerViser(SceneViewer):
 
     def _make_panel(self) -> None:
         gui = self._server.gui
-        gui.configure_theme(control_width="small")  # it lies over the scene
+        gui.configure_theme(control_width="small")  # the panel covers the scene
         self._text = gui.add_markdown("")
         self._pause_box = gui.add_checkbox("pause", False)
         step, reset = gui.add_button("step"), gui.add_button("reset")

@@ -90,7 +90,7 @@ VENDOR_FN unsigned vendor_in_block(unsigned address, unsigned block) {
   asm("mapa.shared::cluster.u32 %0, %1, %2;" : "=r"(there) : "r"(address), "r"(block));
   return there;
 }
-// Initializes two barriers at an address. They count the received bytes.
+// Initializes two barriers at an address. The barriers count the received bytes.
 VENDOR_FN void vendor_begin_bytes(unsigned barriers) {
   asm volatile(
       "mbarrier.init.shared::cta.b64 [%0], 1;\n"

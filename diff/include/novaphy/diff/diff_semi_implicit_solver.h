@@ -29,8 +29,8 @@ struct DiffSolverConfig {
   bool enable_bending = false;
   // Contacts at their true distance in every substep: of particles with world-owned planes, boxes,
   // spheres, capsules, cylinders, cones and ellipsoids, and of bodies with infinite planes of the
-  // world (diff_rigid_bodies.h). They replace those of a Contacts, which must then be null. The
-  // gradient follows the closest point and the normal.
+  // world (diff_rigid_bodies.h). These contacts replace those of a Contacts, which must then be
+  // null. The gradient follows the closest point and the normal.
   bool enable_static_contacts = false;
   // m, >= 0: the distance up to which static contacts are found
   float static_contact_margin = 0.0f;
@@ -163,7 +163,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   ParticleForces particle_forces(bool contacts) const;
   ContactTables::Wanted wanted_tables() const;
   DiffSolverConfig config_;
-  // Under strict: the number of shapes that particles collide with. They need a Contacts to act.
+  // Under strict: the number of shapes that particles collide with. These shapes need a Contacts.
   int32_t uncovered_shapes_ = 0;
   bool needs_pairs_ = false;
   ParticleStep particles_;

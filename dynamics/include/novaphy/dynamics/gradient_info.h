@@ -20,11 +20,11 @@ enum class DerivativeOf : uint8_t {
 };
 }  // namespace diff
 
-// Describes the steps of a solver since the last clear. "Of the code": the derivative of what each
-// step computes, with the contacts that it has. This derivative does not move the times at which
-// contacts begin, end, or change between sticking and slipping. `events` counts these changes. "Of
-// the motion": the times of events move too, so the gradient tends to that of the motion as dt goes
-// to 0.
+// Describes the steps of a solver since the last clear. A derivative "of the code" is that of the
+// computed steps, with the contacts that each step has. This derivative does not move the times at
+// which contacts begin, end, or change between sticking and slipping. `events` counts these
+// changes. A derivative "of the motion" moves these times too, so it tends to that of the motion as
+// dt goes to 0.
 struct GradientInfo {
   // The worst label of the steps: "exact of the motion", "exact of the code", "implicit" (of the
   // solutions of the steps), "frozen" (points or normals of contacts that push are frozen), or

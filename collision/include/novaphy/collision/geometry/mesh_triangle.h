@@ -2,11 +2,11 @@
 // a normal n and a rank (MeshRank).
 //
 // - Counts: the normal is valid. Around the part of the triangle that is farthest along n, the mesh
-//   stays below the plane perpendicular to n (normal_stands). That part is then on the surface. A
+//   stays below the plane perpendicular to n (normal_stands), so the part is on the surface. A
 //   normal within 3 degrees of the triangle's own normal is valid too. The own normal then replaces
 //   it, with the separation along it, for the part of B over the triangle.
-// - Seam: as the second case, but B's deepest point lies over another triangle, and n is valid: a
-//   convex edge of less than 6 degrees.
+// - Seam: n is valid and within 3 degrees of the triangle's own normal, but B's deepest point lies
+//   over another triangle: a convex edge of less than 6 degrees.
 // - WayOut: B overlaps the triangle, and n is not valid: B is deep, or the edge is flat or concave.
 //   The part of B over the triangle has the triangle's own normal.
 // - Beside: B's deepest point, if B overlaps the triangle but nothing over it touches.

@@ -47,7 +47,7 @@ template <class T>
 ArticulatedDof<T>* articulated_dofs(const Tree<T>& tree, const Workspace<T>& ws) {
   return reinterpret_cast<ArticulatedDof<T>*>(articulated_links(ws) + tree.link_count);
 }
-// Returns the corrections, one number per dof. They are stored after the dofs.
+// Returns the corrections, one number per dof, stored after the dofs.
 template <class T>
 T* articulated_corrections(const Tree<T>& tree, const Workspace<T>& ws) {
   return reinterpret_cast<T*>(articulated_dofs(tree, ws) + tree.dof_count);

@@ -140,7 +140,7 @@ class Footprint {
     }
   }
   void clear() { intervals_.clear(); }
-  // Returns the bytes per row of all memory that is accessed at the own row.
+  // Returns the bytes per row of all memory that operations access at their own row.
   uint64_t bytes_per_row() const {
     uint64_t bytes = 0;
     for (const auto& [begin, interval] : intervals_) bytes += interval.row_bytes;

@@ -76,6 +76,6 @@ def check_function(word: str, options: list[str]) -> int:
         return _certify(word, options)
     except (ValueError, OSError, ImportError, NotImplementedError, novaphy.Error) as error:
         print(f"error: {error}", file=sys.stderr)
-    except Exception:  # of the user's file
+    except Exception:  # any error of the user's file
         traceback.print_exc()
     return FAILED

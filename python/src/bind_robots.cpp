@@ -263,7 +263,8 @@ void bind_report(py::module_& io) {
   py::class_<RobotReport>(io, "RobotReport",
                           "The elements of a robot's file that were read, mended and left out; "
                           "str() lists them.")
-      .def_readonly("read", &RobotReport::read, "A dict of kinds of elements to their number.")
+      .def_readonly("read", &RobotReport::read,
+                    "A dict from the kind of an element to the number of such elements.")
       .def_readonly("mended", &RobotReport::mended,
                     "RobotNotes on elements that the reader mended.")
       .def_readonly("left_out", &RobotReport::left_out, doc::kLeftOut)

@@ -23,16 +23,16 @@ inline constexpr char kPipelineInit[] =
 broad_phase: "explicit" takes the pairs of model.shape_contact_pairs, or shape_pairs_filtered
 (n, 2), whatever flags, groups, worlds and filters say. "nxn" takes the pairs that flags, groups and
 worlds of shapes now allow. "sap" takes the same pairs by sweep and prune. All give the same rows.
-In a capture or on a tape "sap" has room for 16 pairs of each shape, or for a quarter more than a
-collide before has found.
-narrow_phase: "auto", or "fcl" in builds with NOVAPHY_WITH_FCL. FCL gives overlap, depth and normal
-of penetrating convex hulls, where its answer holds.
+In a capture or on a tape "sap" has room for 16 pairs of each shape. After an earlier collide with
+more pairs, the room is the number of these pairs plus a quarter.
+narrow_phase: "auto", or "fcl" in builds with NOVAPHY_WITH_FCL. FCL then computes depth and normal
+of overlapping convex hulls. A result of FCL that is not consistent is replaced by that of "auto".
 rigid_contact_max: the number of rows. None: as many as the pairs can have, but at most 1000 or 64
 per shape.
 contacts_per_pair: 8 or 4; the most contacts of two shapes of which none is a plane.
 soft_contact_max: the number of slots. None: as many as candidate pairs.
 soft_contact_margin: m, 0.01 by default; soft_contact_gap is another name for it.
-reduce_contacts: True, of meshes only.)";
+reduce_contacts: True. Contacts of meshes are always reduced, so False is not supported.)";
 
 inline constexpr char kContacts[] =
     R"(Returns empty contacts, which collide fills.

@@ -148,7 +148,7 @@ TEST(Bodies, EveryShapeHasTheMassOfItsIntegral) {
 TEST(Bodies, ATurnedConeAndABaseMassCombine) {
   ModelBuilder builder;
   const Vec3f at = {0.3f, -0.2f, 0.5f};
-  const Quatf q = {0.48f, -0.36f, 0.64f, 0.48f};  // of unit length
+  const Quatf q = {0.48f, -0.36f, 0.64f, 0.48f};  // unit length
   builder.add_body({.com = {-0.1f, 0.2f, 0.0f}, .mass = 3.0f});
   builder.add_shape_cone(0, {.xform = {at, q}, .radius = 0.4f, .half_height = 0.6f});
   const Vec3f half = {0.9f, 0.9f, 0.9f};

@@ -145,7 +145,7 @@ TEST_P(ElementOperator, HasTheSameGradientsWhateverElseIsAskedFor) {
       if ((wanted >> k & 1) != 0) found[k] = in[k].grad().to_host();
     return found;
   };
-  std::set<uint64_t> before;  // of other tests in this process
+  std::set<uint64_t> before;  // made by other tests of this process
   for (const nova::KernelInfo& info : nova::kernel_info()) before.insert(info.hash);
   const uint32_t all = (uint32_t{1} << in.size()) - 1;
   const auto expected = gradients(all, nova::KeepGradients::All);
@@ -376,7 +376,7 @@ TEST(Damping, OfZeroNeedsNoVelocitiesAndHasAGradient) {
     const Operator& op;
     std::function<void(ModelBuilder&)> add;
     std::vector<Vec3f> rest, q;
-    size_t input, column;  // of the damping
+    size_t input, column;  // where the damping is
   };
   std::vector<Vec3f> stretched = kTetrahedron;
   stretched[3].z = 1.4f;

@@ -78,7 +78,7 @@ TEST(NativeKernels, AUsersKernelIsInterpretedAndListed) {
 }
 
 TEST(NativeKernels, ATrainingIterationOfBallsRunsNothingElse) {
-  std::set<uint64_t> before;  // of other tests in this process
+  std::set<uint64_t> before;  // made by other tests of this process
   for (const nova::KernelInfo& info : nova::kernel_info()) before.insert(info.hash);
   for (const int balls : {1, 3000}) {
     auto model = make_ball_model(balls);

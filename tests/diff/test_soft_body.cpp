@@ -161,7 +161,8 @@ std::vector<float> outcome(const Make& make, int threads, bool replay) {
 }
 
 TEST(SoftBodyDiff, ThreadsAndReplayChangeNoBit) {
-  // A block that reaches the ground, and one of so many elements that threads share its replay.
+  // The first block reaches the ground. The second has so many elements that threads share its
+  // replay.
   for (const auto& [steps, cells] : {std::pair{200, 2}, std::pair{60, 4}}) {
     const auto make = [steps = steps, cells = cells] { return SoftBody(steps, cells); };
     const std::vector<float> one = outcome(make, 1, false);

@@ -66,7 +66,7 @@ inline void expect_model_arrays_equal(const Npz& file, const Model& model, size_
 struct GoldenRun {
   std::vector<Vec3f> q, qd, f;          // {steps + 1, n}
   std::vector<SoftContact> contacts;    // made from state 0
-  std::vector<int32_t> contact_counts;  // of every step
+  std::vector<int32_t> contact_counts;  // by step
 };
 
 // Runs the file's steps, with the contacts of state 0 or new ones in every step.

@@ -248,7 +248,7 @@ TEST(ArticulationContacts, NormalsThatJointsHardlyPartAreSoft) {
     set_steps(0.01, c);
     EXPECT_NEAR(1.0 / c.normal_step, 1e-3 * (whole + 1e-3 * mobility), 1e-8);
   }
-  c.normal = 0.01;  // others keep their hardness
+  c.normal = 0.01;  // a mobile normal stays hard
   c.cfm = 0.0;
   set_steps(0.01, c);
   EXPECT_EQ(c.cfm, 0.0);

@@ -50,7 +50,7 @@ ModelBuilder arm(const ArmOptions& options = {}) {
 }
 
 struct Motion {
-  std::vector<float> q, qd;  // of all states
+  std::vector<float> q, qd;  // state after state
 };
 Motion run(const ModelBuilder& builder, const FeatherstoneOptions& options, int steps = 576,
            float dt = 1.0f / 960.0f) {

@@ -92,7 +92,7 @@ ModelBuilder creature(int tail = 0) {
     last = next;
   }
   b.add_articulation(joints);
-  for (size_t k = 8; k < 11; ++k) b.joint_damping[k] = 0.5f;  // of the ball
+  for (size_t k = 8; k < 11; ++k) b.joint_damping[k] = 0.5f;  // the ball joint
   return b;
 }
 
@@ -111,7 +111,7 @@ std::vector<World> random_worlds(const Model& one, size_t count) {
   for (World& w : worlds) {
     w.q = one.joint_q.to_host();
     for (size_t i = 0; i < w.q.size(); ++i) w.q[i] += (i < 3 ? 0.1f : 0.5f) * unit(random);
-    for (const size_t o : {size_t{3}, size_t{9}}) {  // of the root and the ball
+    for (const size_t o : {size_t{3}, size_t{9}}) {  // the root and the ball joint
       float length = 0.0f;
       for (size_t i = o; i < o + 4; ++i) length += w.q[i] * w.q[i];
       for (size_t i = o; i < o + 4; ++i) w.q[i] /= std::sqrt(length);
@@ -125,7 +125,7 @@ std::vector<World> random_worlds(const Model& one, size_t count) {
 }
 
 struct Run {
-  std::vector<std::vector<float>> values;  // of each world, after every step
+  std::vector<std::vector<float>> values;  // by world, after every step
   int32_t most_contacts = 0;
 };
 // All worlds in one model; `spread`: every world has a mass of its own, `place` is the first's.

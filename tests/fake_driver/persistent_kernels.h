@@ -47,7 +47,7 @@ inline novaphy_kernel row_sum_kernel() {
 
 struct RecordedPersistent {
   std::vector<novaphy_persistent_op> ops;
-  std::vector<std::unique_ptr<std::vector<uint64_t>>> words;  // of each launch
+  std::vector<std::unique_ptr<std::vector<uint64_t>>> words;  // by launch
 
   novaphy_persistent_op& add(uint32_t phase, uint32_t chain, int64_t n, int64_t rows) {
     novaphy_persistent_op o{};

@@ -231,7 +231,7 @@ TEST_F(ArticulationContactDevices, AnIslandThatFailsIsNaNAndNamedAndTheOthersMov
     pipeline.collide(a, contacts);
     if (bad) {
       std::vector<float> qd = a.joint_qd.to_host();
-      qd[8] = std::numeric_limits<float>::infinity();  // of the second cube
+      qd[8] = std::numeric_limits<float>::infinity();  // the second cube
       a.joint_qd.copy_from_host(std::span<const float>(qd));
     }
     solver.step(a, b, nullptr, &contacts, kDt);

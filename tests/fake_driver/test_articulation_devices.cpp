@@ -294,7 +294,7 @@ TEST_F(ArticulationDevices, ForwardKinematicsHasTheBitsOfTheCpuDirectAndReplayed
                          .inertia = Mat33f{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}}};
   const int32_t far = builder.add_link(body);
   builder.add_articulation(std::vector<int32_t>{builder.add_joint_distance(-1, far)});
-  builder.add_joint_revolute(-1, builder.add_link(body));  // of no articulation: it stays
+  builder.add_joint_revolute(-1, builder.add_link(body));  // no articulation: it stays
   const auto run = [&](Device device, bool captured) {
     const auto model = builder.finalize(device);
     SimState state = model->state();

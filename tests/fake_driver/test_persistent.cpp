@@ -188,7 +188,7 @@ TEST_F(PersistentTest, PhasesTakeTurnsAmongGroupsOfWarps) {
   EXPECT_EQ(table.counters, table.tasks + 4 * 8);
   for (uint64_t t = 0; t < 4; ++t)
     for (uint64_t block = 0; block < 2; ++block)
-      for (uint64_t warp = 0; warp < 4; ++warp) {  // two of each group in a block
+      for (uint64_t warp = 0; warp < 4; ++warp) {  // two warps of each group
         const Task task = task_at(table, (t * 2 + block) * 4 + warp);
         const bool its_turn = warp / 2 == t % 2;
         EXPECT_EQ(task.rows != 0, its_turn && !(warp % 2 == 1 && block == 1)) << t << block << warp;

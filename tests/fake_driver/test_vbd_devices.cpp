@@ -1,5 +1,5 @@
-// Gradients of DiffSolverVBD on a CUDA device have the bits of the CPU. On a GPU, or on the fake
-// driver (CMakeLists.txt).
+// Gradients of DiffSolverVBD on a CUDA device have the bits of the CPU. The device is a GPU or the
+// fake driver (CMakeLists.txt).
 #include <gtest/gtest.h>
 
 #include <cmath>

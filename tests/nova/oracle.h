@@ -26,7 +26,7 @@ struct OracleInputs {
   std::vector<std::vector<int32_t>> i32;  // per source; empty for a float source
   std::vector<uint32_t> params;           // without the extent
   int32_t extent = 0;
-  std::vector<int32_t> offsets, items;  // of a CSR sum
+  std::vector<int32_t> offsets, items;  // for a CSR sum
 };
 
 class OracleRow {

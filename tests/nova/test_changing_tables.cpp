@@ -43,7 +43,7 @@ class Touches {
     incidence_ = nova::make_incidence(slots(table_), n);
   }
 
-  // A scalar of the last state.
+  // Returns a loss of the state after `steps` steps.
   Tensor loss(int steps) const {
     Tensor x = x0, v = v0;
     const int together = how_.per_checkpoint > 0 ? how_.per_checkpoint : steps;

@@ -191,7 +191,7 @@ TEST(AdamClass, FindsTheMinimumOfAnIllConditionedQuadratic) {
     const Tensor d = nova::sub(x, c);
     tape.backward(nova::sum(nova::mul(nova::mul(d, d), nova::mul(k, 0.5f))));
     adam.step();
-    EXPECT_EQ(tape.size(), 4u);  // of the loss only
+    EXPECT_EQ(tape.size(), 4u);  // the operations of the loss alone
   }
   const Floats found = x.to_host();
   for (size_t j = 0; j < 4; ++j) EXPECT_NEAR(found[j], center[j], 1e-3);

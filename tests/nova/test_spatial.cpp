@@ -41,7 +41,7 @@ void expect_near(const Inertia& a, const Inertia& b) {
     for (int j = 0; j < 6; ++j) EXPECT_NEAR(x.m[i][j], y.m[i][j], 1e-11) << i << ", " << j;
 }
 
-struct Cloud {  // of points with masses
+struct Cloud {  // points with masses
   std::vector<double> mass;
   std::vector<Vec3<double>> at;
 

@@ -337,7 +337,7 @@ TEST_F(TapeReuse, TheNextIterationWithoutZeroAddsAndWithZeroStores) {
   EXPECT_EQ(grad(x), Floats(3, 2.0f));
   tape.reset();
   EXPECT_EQ(tape.size(), 0u);
-  tape.zero();  // knows of nothing any more
+  tape.zero();  // changes nothing, because reset() forgot x
   EXPECT_EQ(grad(x), Floats(3, 2.0f));
 }
 

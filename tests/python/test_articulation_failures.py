@@ -52,7 +52,7 @@ def test_a_failing_step_leaves_the_new_state_as_it_was(fault, count, touching) -
     dofs = model.joint_dof_count // count
     dof = dofs * (count - 1) + 1
     if fault == "pivot":
-        for array in (model.body_mass, model.body_inertia):  # of the lower link
+        for array in (model.body_mass, model.body_inertia):  # the lower link
             numbers = array.numpy()
             numbers[model.body_count // count * (count - 1) + 1] = 0.0
             array.assign(numbers)

@@ -67,7 +67,7 @@ def test_the_rollout_has_the_exact_gradient(
     value, qd, q = tip_loss(model, damping)
     assert value == pytest.approx(loss, abs=1e-4)
     np.testing.assert_allclose(qd, gradient, atol=1e-4)
-    if damping == 0.0:  # of Newton, one solver object per step
+    if damping == 0.0:  # Newton's solver, a new object per step
         reference = np.load(GOLDEN / "newton_2r_strict.npz")
         np.testing.assert_allclose(q, reference["free_adj_q"][0], atol=1e-4)
     kept = tip_loss(model, damping, checkpoint=24)

@@ -810,7 +810,7 @@ def test_the_angular_momentum_changes_by_what_acts_at_two_points(mu, law):
     solver = solvers.SolverSemiImplicit(model, angular_damping=0.0, **chosen)
     contacts, state, after = pipeline.contacts(), model.state(), model.state()
     mass = model.body_mass.numpy().astype(float)
-    inertia = model.body_inertia.numpy().astype(float)[0, 0, 0]  # of a cube, about any axis
+    inertia = model.body_inertia.numpy().astype(float)[0, 0, 0]  # the same about any axis of a cube
 
     def angular(at):
         q, qd = at.body_q.numpy().astype(float), at.body_qd.numpy().astype(float)

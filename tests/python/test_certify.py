@@ -61,7 +61,7 @@ def reversed_part(theta: nova.Tensor, size: float) -> nova.Tensor:
 
 def test_a_small_component_of_wrong_sign_is_found() -> None:
     found = diff.certify(lambda theta: reversed_part(theta, 0.9), [1.0, 2.0], 1.0)
-    assert found.disagreements[1] < 0.2  # of all components together
+    assert found.disagreements[1] < 0.2  # all components together
     assert found.verdict == "biased" and "direction 1: there the slope is 0.9" in found.sentence
     found = diff.certify(lambda theta: reversed_part(theta, 0.05), [1.0, 2.0], 1.0)
     assert found.verdict == "of the motion"  # half a percent is not told from roughness

@@ -98,7 +98,7 @@ def closed_form(springs, dampers):
 
 
 def test_a_ball_has_the_limit_of_its_coefficients_together():
-    mobile = 1 / 2.0 + 0.01 / (0.4 * 2.0 * 0.01)  # of the point that touches, along the ground
+    mobile = 1 / 2.0 + 0.01 / (0.4 * 2.0 * 0.01)  # 1/kg, at the contact point along the ground
     assert limit_of(ball(1e4, kd=100.0)) == pytest.approx(closed_form(1e4 / 2, 2 * 50), rel=1e-4)
     assert limit_of(ball(1e2, kf=500.0)) == pytest.approx(2 / (500.0 * mobile), rel=1e-2)
     assert limit_of(ball(1e2, kd=800.0, kf=500.0)) == pytest.approx(2 / (500.0 * mobile), rel=1e-2)

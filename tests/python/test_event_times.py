@@ -240,7 +240,7 @@ def test_landings_and_their_friction_are_told() -> None:
     assert row["kind"] == "landing" and row["friction"] in ("slides", "sticks")
     assert info.least_approach == pytest.approx(row["approach"]) and row["approach"] > 1.0
     assert info.label == "exact of the motion"
-    # H is the same before and behind the event once the time moves; the code's is not.
+    # The correction by the time of the event is the difference of H before and after the event.
     assert row["h_before"] is not None and abs(row["h_before"] - row["h_after"]) > 0.05
     code = land(disc, [1, 0, -1, 0, 3, 0], "code")
     assert code.event_list == [] and code.landings == 0 and code.least_approach == np.inf

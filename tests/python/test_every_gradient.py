@@ -33,7 +33,7 @@ class Scene:
     control: bool = False
     steps: int = 3
     dt: float = 2e-3
-    follows: tuple[str, ...] = ()  # of a state: arrays that follow from others
+    follows: tuple[str, ...] = ()  # arrays of a state that follow from others
 
 
 def soft() -> novaphy.Model:

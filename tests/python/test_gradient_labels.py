@@ -99,7 +99,7 @@ class Scene:
         self.pipeline = novaphy.CollisionPipeline(self.model)
         self.control = self.model.control()
         n = self.model.joint_dof_count
-        self.directions = [rng.normal(size=n), rng.normal(size=n)]  # of rates and of forces
+        self.directions = [rng.normal(size=n), rng.normal(size=n)]  # for rates and for forces
         self.weights = [rng.normal(size=k) for k in (self.model.joint_coord_count, n)]
         self.rates = self.model.joint_qd.numpy().astype(float)
 

@@ -171,5 +171,7 @@ def test_collapsed_bodies_keep_their_motion():
         turn = 2 * np.arctan2(z, w)  # about z
         along, across = (np.cos(turn), np.sin(turn), 0), (-np.sin(turn), np.cos(turn), 0)
         arm = com[0] * np.array(along) + com[1] * np.array(across)
-        places.append(np.concatenate([velocity - np.cross(spin, arm), spin]))  # of the origin
+        places.append(
+            np.concatenate([velocity - np.cross(spin, arm), spin])
+        )  # velocity and spin at the origin
     np.testing.assert_allclose(places[0], places[1], atol=1e-6)

@@ -79,7 +79,7 @@ def test_materials_color_a_mesh(tmp_path):
     none = [-1.0, -1.0, -1.0]
     assert colors(tmp_path, "part.obj") == none  # without the file of materials
     (tmp_path / "look.mtl").write_text(MTL)
-    assert colors(tmp_path, "part.obj") == [1.0, 0.0, 0.0]  # of the first part
+    assert colors(tmp_path, "part.obj") == [1.0, 0.0, 0.0]  # the color of the first part
     blue = '<material name="blue"><color rgba="0 0 1 1"/></material>'
     assert colors(tmp_path, "part.obj", blue) == [0.0, 0.0, 1.0]  # the file of the robot counts
     (tmp_path / "look.mtl").write_text(MTL + "map_Kd image.png\n")

@@ -367,7 +367,7 @@ def test_mutated_texts_are_read_or_refused():
             builder.finalize()
         except (ValueError, NotImplementedError) as error:
             named = "<text>" in str(error) or "source: expected" in str(error)
-            assert named or builder.body_count  # of finalize
+            assert named or builder.body_count  # an error of finalize
         except OSError:  # its first letter is no <: a path
             assert builder.body_count == 0
 

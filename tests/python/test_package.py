@@ -206,7 +206,7 @@ def parameters_of(node: ast.FunctionDef) -> tuple[Parameter, ...]:
 
 def binding_signatures(function: object) -> set[tuple[Parameter, ...]] | None:
     """Those that pybind11 wrote into a docstring; None where it wrote none."""
-    function = getattr(function, "__func__", function)  # of a static method
+    function = getattr(function, "__func__", function)  # the function of a static method
     doc = getattr(function, "__doc__", None) or ""
     name = getattr(function, "__name__", "")
     lines = doc.splitlines()

@@ -311,7 +311,7 @@ def test_values_that_are_not_finite_are_named(name, bad):
         states[STATES.index(name)] = tensors(given)[0]
     with pytest.raises(ValueError, match=f"generated, {name}: expected .*finite number.*, got "):
         step(states, numbers)
-    for k in (2, 3):  # of a rollout the last row
+    for k in (2, 3):  # the last row of the rollout
         row = states[k].item()
         states[k] = nova.tensor(np.float32([0.1, 0.1, row]))
     with pytest.raises(ValueError, match=f"rollout_generated, {name}: expected .*finite number"):

@@ -131,7 +131,7 @@ def test_worlds_in_one_place_with_joints_filters_and_gravity_of_their_own_equal_
     alone = [moved(arm(gravity).finalize()) for gravity in gravities]
     assert len(together) == 6, "two bodies a world: the tool is part of its base"
     assert_same_bits(together, np.concatenate([state for state, _ in alone]))
-    shapes = 4  # of a world
+    shapes = 4  # in each world
     assert pairs == {(a + shapes * w, b + shapes * w) for w in range(3) for a, b in alone[w][1]}
     assert all({a for a, _ in one} == {0} and len(one) == 3 for _, one in alone), "the ground only"
     assert np.abs(alone[0][0] - alone[1][0]).max() > 1e-2

@@ -55,7 +55,7 @@ def test_a_cylinder_keeps_its_speed(name, radius, half):
 def test_a_cone_rolls_about_its_apex_with_its_energy(name):
     """On its side: the apex stays, and the kinetic energy too."""
     radius, half = 0.1, 0.15
-    side = np.arctan2(radius, 2 * half)  # of the generator to the axis
+    side = np.arctan2(radius, 2 * half)  # angle between the generator and the axis
     # The axis points along -x, the apex is at the origin, the generator on the ground.
     axis = np.array([-np.cos(side), 0, -np.sin(side)])
     up = np.cross([0, 1, 0], axis)

@@ -103,7 +103,7 @@ def test_impulses_and_adjoints_are_those_of_the_motion() -> None:
     gained = run.path[STEPS].body_qd.numpy()[1, 0]
     assert sign * sum(c["impulse"][0] for c in rows) == pytest.approx(gained, rel=1e-4)
     assert gained > 0.9
-    by_wrench = run.forces.grad.numpy()  # of external forces, which contacts do not know
+    by_wrench = run.forces.grad.numpy()  # the gradient by external forces
     for c in rows:
         arms = np.array(c["point"]) - run.path[c["step"]].body_q.numpy()[:, 0:3]
         by_force = by_wrench[c["step"], :, 0:3] + np.cross(by_wrench[c["step"], :, 3:6], arms)

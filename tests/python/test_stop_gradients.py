@@ -250,7 +250,7 @@ def test_limits_of_followers_that_are_written_later_are_refused() -> None:
         solver = getattr(novaphy.solvers, kind)(model, joint_limits="row")
         state, after = model.state(), model.state()
         solver.step(state, after, None, None, DT)
-        model.joint_limit_upper.assign([0.5, 1e30])  # of the leader
+        model.joint_limit_upper.assign([0.5, 1e30])  # the leader's limit
         solver.step(state, after, None, None, DT)
         model.joint_limit_upper.assign([0.5, 0.7])
         with pytest.raises(NotImplementedError, match="limits of joint 1 .*follows joint 0.*0.7"):

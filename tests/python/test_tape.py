@@ -740,7 +740,7 @@ def test_the_step_of_a_rollout_is_named_whose_gradient_is_not_finite(checkpoint,
     model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_kf = 1e3, 0.0, 0.0
     config = novaphy.solvers.DiffSolverConfig(enable_static_contacts=True, particle_kf_bound=np.inf)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the dt
+        warnings.simplefilter("ignore")  # the warning about dt
         solver = novaphy.solvers.DiffSemiImplicitSolver(model, config)
         steps = 60
         trajectory = diff.Trajectory(model, steps, checkpoint=checkpoint)

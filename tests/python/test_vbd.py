@@ -552,7 +552,7 @@ def test_every_array_of_the_model_has_a_gradient_or_raises_by_name():
         and getattr(model, name).numpy().dtype == np.float32
         and getattr(model, name).numpy().size > 0
     ]
-    # Arrays have a second name, that of Newton.
+    # Some arrays also have Newton's name.
     seen, checked = {}, set()
     for name in names:
         array = getattr(model, name)

@@ -10,7 +10,7 @@ namespace novaphy::testing {
 
 struct Outcome {
   int code = -1;       // -1: it was not run, or did not exit by itself
-  std::string output;  // of both streams
+  std::string output;  // both streams
 };
 
 // `line` as in a shell.

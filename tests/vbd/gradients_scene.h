@@ -22,7 +22,7 @@ struct VbdGradientRun {
   int32_t steps = 3;
   int32_t checkpoint = 1;
   int32_t replays = 0;  // 0: direct
-  float kd = 1.0f;      // of contacts
+  float kd = 1.0f;      // damping of contacts
   bool contacts = true, targets = true, conflicts = false;
   std::vector<std::string> only = {};  // gradients; none: all
 };

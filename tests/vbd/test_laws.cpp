@@ -240,7 +240,7 @@ TEST(VbdLaws, ASeparatedContactAndAFlatHingeHaveNoBlock) {
   EXPECT_EQ(math::length(degenerate.f) + degenerate.h00, 0.0f);
 }
 
-// Within its rounding a singular block gets the regularization, and a step that is not NaN.
+// A block that is singular up to rounding is regularized, so its step is finite.
 TEST(VbdLaws, ASingularBlockIsRegularized) {
   Block<float> block;
   add_outer(block, 1e6f, Vec3f{0.6f, 0.0f, 0.8f});

@@ -44,7 +44,7 @@ METHODS = {
     "staged": "random search, the same stages with the servo",
     "plain": "random search without the servo",
 }
-THREADS = 2  # of a process
+THREADS = 2  # per process
 COLUMNS = (
     "| method | seeds | cores, s | loss | checks | way in 30 s | "
     "checks behind `polish` | way behind it |"

@@ -25,7 +25,9 @@ class CmaEs:
         self.rate = (4 + mass / size) / (size + 4 + 2 * mass / size)
         self.rank_one = 2 / ((size + 1.3) ** 2 + mass)
         self.rank_mu = min(1 - self.rank_one, 2 * (mass - 2 + 1 / mass) / ((size + 2) ** 2 + mass))
-        self.length = np.sqrt(size) * (1 - 1 / (4 * size) + 1 / (21 * size**2))  # of a sample
+        self.length = np.sqrt(size) * (
+            1 - 1 / (4 * size) + 1 / (21 * size**2)
+        )  # mean length of a sample
 
     def ask(self) -> np.ndarray:
         """Give the points {population, size} of a generation."""

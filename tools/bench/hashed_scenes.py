@@ -96,7 +96,7 @@ def deformable(name: str, n: int, count: int, device: str) -> Hashed:
 
     scene = novaphy_deformable.Deformable(name, n, "captured", count, device)
     inputs = [scene.model.particle_q.numpy(), scene.model.particle_qd.numpy()]
-    scene.iterate()  # whose update of the parameters is the gradient
+    scene.iterate()  # the update of the parameters is the gradient
     return {
         "inputs": inputs, "states": [scene.positions()], "gradients": [scene.params.numpy()]
     }  # fmt: skip

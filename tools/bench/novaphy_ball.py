@@ -191,7 +191,7 @@ def measure(n: int, mode: str, iterations: int, device: str) -> dict[str, object
         on_device["device_median_s"] = statistics.median(events)
     balls.reset()
     seconds = [timed(balls.iterate, device) for _ in range(iterations - 1)]
-    before = balls.velocity.numpy()  # of the last iteration: its gradient is computed again below
+    before = balls.velocity.numpy()  # computed again below
     seconds.append(timed(balls.iterate, device))
     loss = balls.loss.item()
     digest = hashlib.sha256(balls.last.particle_q.numpy().tobytes())
@@ -267,7 +267,7 @@ def count_operations(device: str) -> dict[str, object]:
     balls.iterate()
     texts = diff.engine_programs()
     counts: dict[str, int] = {}
-    for info in nova.kernel_info():  # of several adjoints, for one substep each, the longest
+    for info in nova.kernel_info():  # the longest adjoint of a substep
         if info.name.split(".")[0] == "step_particles":
             operations = operations_of(texts[info.hash], 2)
             counts[info.name] = max(counts.get(info.name, 0), operations)

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-SECONDS = 120.0  # a file may take
+SECONDS = 120.0  # the most time for a file
 
 
 def find_files(root: Path, kind: str) -> list[tuple[str, Path]]:

@@ -43,7 +43,7 @@ FREE = {
     "joint_limit_lower": -1e9,
     "joint_limit_upper": 1e9,
 }
-LARGEST = {"rate": 50.0, "torque": 1.001}  # of a sound robot
+LARGEST = {"rate": 50.0, "torque": 1.001}  # bounds of a sound robot
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 TRIANGLES = "--triangles" in sys.argv
 

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from prose_sources import GROUPS, Text, read_texts
 from ratchet import check_or_write, read_options
 
-MOST_WORDS = 30  # of a sentence
+MOST_WORDS = 30  # in a sentence
 MOST_PARAGRAPH_WORDS = 90
 LEAST_WORDS = 4  # a shorter piece is a label of a table, no sentence
 

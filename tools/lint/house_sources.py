@@ -36,7 +36,7 @@ class Source:
     room: str
     lines: int
     code: str
-    tree: ast.Module | None = None  # of Python
+    tree: ast.Module | None = None  # of a Python file
 
     @property
     def is_cxx(self) -> bool:
@@ -137,12 +137,12 @@ def opens(head: str) -> str:
     """Return what the brace after `head` opens: a scope, a function, a value or another block."""
     text = without_template(head)
     if text.count("(") > text.count(")"):
-        return "value"  # of an argument
+        return "value"  # the initializer of an argument
     flat = without_nested(re.sub(r"operator\s*\(\)", "operator", text), "(", ")")
     if SCOPE.search(flat) and not ("(" in flat and re.search(r"\)\s*(const\b.*)?$", flat)):
         return "scope"
     if re.search(r"\)\s*(noexcept\s*)?:(?!:)", flat) and re.search(r"[\w>]$", head):
-        return "value"  # of a member, in the list of a constructor
+        return "value"  # the initializer of a member, in a constructor
     if "(" in flat and not re.search(r"(?<![=!<>])=(?!=)", re.sub(r"operator\S+", "", flat)):
         return "function"
     return "block"

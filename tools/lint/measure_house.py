@@ -35,7 +35,7 @@ from ratchet import Counts, check_or_write, read_options
 
 MOST_FUNCTION_LINES = 60
 MOST_FILE_LINES = 400
-MOST_DRIVES = 8  # of the drive arrays of a joint that a file names, of twelve
+MOST_DRIVES = 8  # drive arrays of a joint that a file may name, of 12
 
 # ---- counts ----
 

@@ -22,7 +22,7 @@ from native_module import Attribute, Class, Module, Property, load, read_modules
 from signatures import ANYTHING, Function, Parameter, Signature, join_types, merge_overloads
 
 WIDTH = 100
-MOST = 120  # of a line of documentation
+MOST = 120  # longest line of documentation
 HEAD = {
     "collections.abc": ("Callable", "Iterable", "Iterator", "Sequence"),
     "numpy.typing": ("NDArray",),
@@ -117,7 +117,7 @@ class ModuleWriter:
         self.homes = homes  # native class -> its module
         self.lines: list[str] = []
         self.aliases: set[str] = set()
-        self.members: set[str] = set()  # of the class that is being written
+        self.members: set[str] = set()  # members of the present class
 
     def key(self, *names: str) -> str:
         return ".".join(filter(None, (self.module.name, *names)))

@@ -143,7 +143,7 @@ def read_member(owner: Class, key: str, member: Any) -> None:
         if not isinstance(member, types.GetSetDescriptorType):
             owner.members.append(Attribute(key, member))
         return
-    if isinstance(member, types.WrapperDescriptorType):  # of Python itself
+    if isinstance(member, types.WrapperDescriptorType):  # defined by Python itself
         if key == "__hash__":
             owner.members.append(parse_docstring(key, "__hash__(self) -> int\n\nThe hash."))
         return

@@ -23,7 +23,7 @@ enum class Op : uint8_t {
   Atan2,  // value; the two below are parts of it
   Atan2Dy,
   Atan2Dx,
-  Select,  // of a condition
+  Select,  // by a condition
   Less,    // these give conditions
   Greater,
   AtLeast,

@@ -25,7 +25,7 @@ from novaphy.viewer._camera import FIELD_OF_VIEW
 from novaphy.viewer._png import write_png
 from novaphy.viewer._scene import Scene, rotate
 
-WIDTH, HEIGHT, COLUMNS = 320, 320, 6  # of a picture in pixels, and of the wall in pictures
+WIDTH, HEIGHT, COLUMNS = 320, 320, 6  # pixels of a picture; pictures in a row
 DRAWN = 2  # times finer than the wall, which is averaged from it
 FILLED = 0.86  # of a picture
 DIRECTION = np.float64([1.0, -0.9, 0.6])  # from the robot to the camera

@@ -82,7 +82,8 @@ struct Line {
   Step& step;
   const Rows x = step.positions(), moved = step.moves(), start = step.starts();
 
-  // Components with part 0, and kinematic particles, are where they were.
+  // Moves each component by its part of the way. A part of 0 leaves a component in place, and
+  // kinematic particles stay.
   template <class Part>
   void go(const Rows& way, const std::vector<Part>& part) const {
     Rows to = x, now = moved;

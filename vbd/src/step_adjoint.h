@@ -21,13 +21,13 @@ class StepAdjoint {
  public:
   explicit StepAdjoint(Step& step) : step_(step) {}
 
-  // After a run that kept its iterates.
+  // Computes the derivatives over the iterations of a run that kept its iterates.
   void unrolled(const StepInputs& in, const ResultAdjoints& adjoints, const StepDerivatives& to);
-  // At the solution. Returns the true residual of the linear system.
+  // Computes the derivatives of the solution. Returns the true residual of the linear system.
   KrylovResult implicit(const StepInputs& in, const ResultAdjoints& adjoints,
                         const StepDerivatives& to, double tolerance, int32_t sweeps);
 
-  // For solution.h.
+  // The functions that solution.h calls.
   void reverse_sweep(const Rows& load, Rows& multipliers, Rows& left);
   Rows balance(const Rows& given, const Rows& multipliers);
   Components components() const { return step_.components(); }

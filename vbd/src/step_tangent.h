@@ -25,15 +25,15 @@ class StepTangent {
  public:
   explicit StepTangent(Step& step) : step_(step) {}
 
-  // After a run that kept its iterates. Returns the derivatives of the positions.
+  // Returns the tangents of the positions over the iterations of a run that kept its iterates.
   Rows unrolled(const SweepTangents& along);
-  // At the solution. `found` gets the true residual of the linear system.
+  // Returns the tangents of the solution. `found` gets the true residual of the linear system.
   Rows implicit(const SweepTangents& along, double tolerance, int32_t sweeps, KrylovResult& found);
   // Moves a step that has run to its solution. The iteration ends when the relative residual is at
   // most the tolerance or twice the rounding floor, or after `iterations`.
   Solution solve_step(double tolerance, int32_t iterations, int32_t sweeps);
 
-  // For solution.h.
+  // The functions that solution.h calls.
   void sweep(const Rows& load, Rows& z, Rows& image);
   Rows force();
   Rows starts() const { return download(step_.start()); }

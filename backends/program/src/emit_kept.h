@@ -16,8 +16,8 @@ struct KeptValues {
   std::vector<std::pair<Value, Value>> kept;
 };
 
-// Returns the values that are worth the memory, at most one set per loop. The text decides what the
-// loops have in common; a run-time test decides whether they run over the same rows.
+// Returns the values that are worth the memory, at most one set per loop. The Program tells which
+// values two loops have in common. A run-time test tells whether both loops run over the same rows.
 std::vector<KeptValues> find_kept_values(const Program& program, const EmitPlan& plan);
 
 }  // namespace nova::ir

@@ -70,7 +70,7 @@ bool ContactSteps::take_trees(const FeatherstoneOptions& options, TreeSteps& lan
   return taken_.size() < (sleeping != nullptr ? sleeping->awake.size() : nodes.size());
 }
 
-// Replaces the rows of sleeping trees by ones that do not move.
+// Marks the rows of sleeping trees as rows that do not move.
 void ContactSteps::hold_some(const SleepingTrees& sleeping) {
   const auto* const all = reinterpret_cast<const ArticulationRows*>(articulations_.rows().data());
   rows_.assign(all, all + articulations_.count());

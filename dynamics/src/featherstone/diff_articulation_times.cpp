@@ -11,7 +11,7 @@ namespace art = articulation;
 
 namespace {
 
-// An event that begins in a step, with what the step says of it.
+// Returns an event of a tree that begins in a step, with the fields that the step determines.
 std::shared_ptr<MotionEvent> new_event(const Step& s, int32_t tree) {
   auto event = std::make_shared<MotionEvent>();
   event->chain = s.motion->chain;

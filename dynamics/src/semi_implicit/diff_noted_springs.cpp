@@ -172,8 +172,8 @@ void add_springs(const Model& model, std::span<const NotedStep> steps, AdjointRe
 }
 
 bool find_changes_of_springs(AdjointRecord& record, const std::function<void()>& run) {
-  std::map<PairOfWorld, int32_t> numbers;  // of the pairs of a world
-  std::map<int32_t, int32_t> count;        // of these, by worlds
+  std::map<PairOfWorld, int32_t> numbers;  // number of each pair of a world
+  std::map<int32_t, int32_t> count;        // count of pairs by world
   int32_t most = 0;
   for (AdjointRecord::Step& step : record.steps) {
     if (!step.of_springs) continue;

@@ -77,7 +77,9 @@ def polish(
     mass = 1.0 / (share**2).sum()
     decay = (mass + 2.0) / (n + mass + 5.0)
     damping = 1.0 + 2.0 * max(0.0, np.sqrt((mass - 1.0) / (n + 1.0)) - 1.0) + decay
-    length = np.sqrt(n) * (1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n**2))  # of a normal draw: mean
+    length = np.sqrt(n) * (
+        1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n**2)
+    )  # the mean length of a normal sample
     mean, width, path = weights.ravel(), WIDTH, np.zeros(n)
     best, least, lacks = weights, np.inf, []
     for _ in range(generations):

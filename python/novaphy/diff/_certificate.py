@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .._core.solvers import GradientInfo
     from ._parameters import Function, Numbers, Sigma, Theta
 
-PART = 0.25  # of sigma, of samples
+PART = 0.25  # the spread of samples, in sigmas
 EVENT_STEP = 0.1  # sigmas
 MOST_DIRECTIONS = 8
 
@@ -110,7 +110,7 @@ class _Measured(NamedTuple):
     differences: Numbers
     noise: Numbers
     samples: Slopes
-    w: Numbers  # of the samples
+    w: Numbers  # the offsets of the samples
     events: Trust | None
 
 
@@ -270,7 +270,7 @@ def _events(losses_of: Losses, at: Slopes, directions: Numbers) -> Trust | None:
     moves = (EVENT_STEP * signs * directions[:, None, :]).reshape(-1, directions.shape[1])
     try:
         moved = losses_of.slopes(moves).info
-    except Error as error:  # of a solver, as contacts that have not converged
+    except Error as error:  # such as contacts that have not converged
         return Trust([], None, f"unknown: {error}", None)
     rows = by_world(moved.event_list if moved is not None else [], len(moves))
     slope = at.gradients[0]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 SHOWN = 8  # rows of parameters and of margins
 GOOD, BAD, WEAK = "#1a7f37", "#c62828", "#9a6700"
-SHADES = ("#c6dbef", "#6baed6", "#2171b5", "#08306b")  # of differences, wide to narrow
+SHADES = ("#c6dbef", "#6baed6", "#2171b5", "#08306b")  # colors of the differences, wide to narrow
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 880, 420, 70, 70, 60
 
 

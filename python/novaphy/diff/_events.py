@@ -22,7 +22,7 @@ class Margin(NamedTuple):
     """The least move of the parameters that changes an event."""
 
     what: str
-    step: int  # of the event
+    step: int  # the step of the event
     pair: str
     sigmas: float
 
@@ -74,7 +74,7 @@ def trust(base: list[Event], moved: list[list[Event]], step: float, downhill: Nu
         downhill: the parts {directions} of the unit vector against the gradient.
     """
     signature, changes = _signature(base), []
-    slopes = np.full((len(moved) // 2, 2, len(base)), np.nan)  # of time and approach
+    slopes = np.full((len(moved) // 2, 2, len(base)), np.nan)  # slopes of the time and the approach
     for k in range(len(moved) // 2):
         plus, minus = moved[2 * k], moved[2 * k + 1]
         if _signature(plus) != signature or _signature(minus) != signature:

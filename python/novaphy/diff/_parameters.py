@@ -143,7 +143,7 @@ class Parameters:
 
 
 class Slopes(NamedTuple):
-    """Losses {worlds}, their gradients {worlds, n} per sigma, and what the gradients are."""
+    """Losses {worlds}, their gradients {worlds, n} per sigma, and the label of the gradients."""
 
     losses: Numbers
     gradients: Numbers

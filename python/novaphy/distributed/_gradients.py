@@ -124,9 +124,10 @@ def sums_of(function: Callable[[Block], Vector], shard: Shard) -> list[Node]:
 
 
 def sum_blocks(function: Callable[[Block], Vector], shard: Shard) -> Vector:
-    """Return the sum over all blocks of all ranks of a vector of each block, by the tree of blocks.
+    """Return the sum of the vectors that a function gives for all blocks of all ranks.
 
-    function: block -> float32 {n}, for running means of observations and returns.
+    function: block -> float32 {n}, for example the observations of a running mean. The sum runs up
+    the tree of blocks, so its bits do not depend on the ranks.
 
     ValueError: the sum of finite numbers is too large for float32. RuntimeError: another rank
     failed; the message names it.
@@ -158,7 +159,7 @@ def total_of(blocks: int, nodes: list[Node]) -> Vector:
 def mean_and_gradients(
     total: Vector, worlds: int, shapes: dict[str, tuple[int, ...]]
 ) -> tuple[float, Gradients]:
-    """Divide the sums by the number of worlds, and cut the gradients apart."""
+    """Return the mean loss and the mean gradients from a vector of sums over the worlds."""
     mean = total / np.float32(worlds)
     gradients, at = {}, 1
     for name, shape in shapes.items():

@@ -25,7 +25,7 @@ from ._ray import started
 from ._shard import Block, Shard, counted, part_of
 from ._tree import Node, Vector
 
-_shards: dict[tuple[Any, ...], Shard] = {}  # of a worker, from call to call
+_shards: dict[tuple[Any, ...], Shard] = {}  # kept by a worker from call to call
 
 
 def _work(
@@ -78,12 +78,13 @@ class _RayExecutor:
 
 
 class Pool:
-    """Workers of one process: the parts of a run without a rank of its own.
+    """Workers that compute the blocks of a run for one process.
 
     kind: "processes" (this machine), "ray" (actors), or "mpi" (mpiexec -n N python -m
     mpi4py.futures FILE).
-    workers: how many.
-    devices: of the workers, in turn; "auto": the CUDA devices of this process, else "cpu".
+    workers: the number of workers.
+    devices: devices that the workers get in turn. "auto": the CUDA devices of this process, or
+    "cpu" without one.
 
     A with statement ends the workers. ImportError: the library is missing.
     """

@@ -99,9 +99,9 @@ class AntWorlds:
         self.pipeline = CollisionPipeline(self.model)
         self.contacts, self.control = self.pipeline.contacts(), self.model.control()
         self.state, self._after = self.model.state(), self.model.state()
-        self._starts = self.model.state()  # of a reset
+        self._starts = self.model.state()  # the state after a reset
         self._replays = not self.model.device.is_cpu
-        self._graphs: dict[int, nova.Graph] = {}  # of a frame, by the state that it begins with
+        self._graphs: dict[int, nova.Graph] = {}  # a frame, by the state it begins with
         self._masses = self.model.body_mass.numpy().reshape(num_worlds, -1)
         self._inertias = self.model.body_inertia.numpy().reshape(num_worlds, -1, 3, 3)
         self._gravity = float(np.abs(self.model.gravity.numpy()).max())

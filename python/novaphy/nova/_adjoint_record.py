@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 Numbers = NDArray[np.float64]
-SUSPECT = 0.01  # of the largest H
+SUSPECT = 0.01  # part of the largest H
 
 
 class AdjointRecord:
@@ -133,10 +133,12 @@ def _boundaries(steps: list[Row], contacts: list[Row]) -> list[Row]:
 
 
 def _misses(steps: list[Row], smooth: list[Numbers | None]) -> list[float]:
-    """Return y . f - p . f of each step along its own motion, y = D^T p.
+    """Return the changes of H over each step: start . f_before - end . f_behind.
 
-    Steps that begin a contact are compared together with the next one, along the motions before and
-    behind: the derivative of a landing takes two steps.
+    The gradients by the states before and after the step are start and end. The rate of the state
+    is f_before in this step, and f_behind in the next step. A step that begins a contact counts
+    together with the next step, because the derivative of a landing takes two steps. The rates are
+    then those before both steps and in the second step.
     """
     misses, k = [0.0] * len(steps), 1
     while k + 1 < len(steps):

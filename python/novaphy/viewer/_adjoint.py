@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 KEPT = ("step", "time", "point", "impulse", "adjoint", "carried", "held")
 COLORS = {"impulse": (0.16, 0.44, 0.72), "adjoint": (0.82, 0.26, 0.1)}
-THICKNESS = 0.03  # of the length of the longest arrow
+THICKNESS = 0.03  # part of the longest arrow's length
 
 
 def _pair(row: dict[str, Any]) -> str:

@@ -54,7 +54,7 @@ class ViewerHTML(SceneViewer):
             raise ValueError(f"ViewerHTML, output_path: there is no folder for {output_path}")
         self._times: list[float] = []
         self._takes: list[int] = []
-        self._targets: dict[int, np.ndarray] = {}  # of a camera that goes along, by frame
+        self._targets: dict[int, np.ndarray] = {}  # targets of a moving camera, by frame
         self._scalars: dict[str, list[float | None]] = {}
         self._tracks: dict[tuple[str, str, str], _Track] = {}
         self._data = bytearray()

@@ -6,7 +6,7 @@ import numpy as np
 
 from ._scene import Scene
 
-SEGMENTS, RINGS = 24, 12  # of a sphere and a capsule
+SEGMENTS, RINGS = 24, 12  # for a sphere and a capsule
 SIDES = 48  # of a cylinder and a cone
 AXIS = np.array([0.0, 0.0, 1.0])
 

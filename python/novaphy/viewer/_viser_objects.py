@@ -142,7 +142,7 @@ class _Object:
 
     def __init__(self, parts: Sequence[tuple[Any, np.ndarray | None]] = ()) -> None:
         self.parts = list(parts)
-        self.ratios: list[float] = []  # of the meshes of a part
+        self.ratios: list[float] = []  # by mesh of the part
 
     def reshape(self, mesh: Mesh) -> None:
         """Update the points of a mesh."""

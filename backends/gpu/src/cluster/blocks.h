@@ -96,7 +96,8 @@ struct BlockPlan {
 
 // Reads from the device's memory.
 using ReadWords = std::function<std::vector<int32_t>(uint64_t where, size_t count)>;
-// Returns no plan if there are no such sums, too many rows, or a row that others must know.
+// Returns no plan if no operation is such a sum, if there are too many rows, or if other operations
+// need the items.
 std::optional<BlockPlan> plan_blocks(std::span<const novaphy_persistent_op> ops, uint32_t blocks,
                                      uint32_t most_warps, const ReadWords& read);
 // Adds a halo to a plan. Returns false and keeps the plan if the readers of the rows are not known.

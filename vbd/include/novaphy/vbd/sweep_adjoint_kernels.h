@@ -113,7 +113,7 @@ Vec3<S> reverse_slot(const VbdAdjointArguments& a, const Slot<role, S>& slot, co
       return reverse_slot_of<at_solution, false>(a, slot, x, adjoint);
   return reverse_slot_of<at_solution, true>(a, slot, x, adjoint);
 }
-// Returns whether the block of a slot has another H, see block_of.
+// Returns whether the block of a slot has the H of stiffness_of (`turns` in block_of).
 template <Role role, class S>
 bool turns(const VbdAdjointArguments& a, const Slot<role, S>&) {
   return SlotOf<role>::kResistsTurns && a.sweep.turns != 0;

@@ -23,7 +23,7 @@ inline float tangent_length(float x, float y) { return math::sqrt(x * x + y * y)
 
 struct ContactBranch {
   bool active = false;
-  bool slides[2] = {false, false};  // per tangent; with a cone, both are equal
+  bool slides[2] = {false, false};  // by tangent direction; both are equal with a friction cone
 };
 inline ContactBranch branch_of(const PgsContact<float>& c, bool cone) {
   ContactBranch b;

@@ -133,6 +133,15 @@ def test_every_page_is_listed_in_the_readme() -> None:
     assert pages <= listed
 
 
+def test_every_page_names_its_kind_below_its_title() -> None:
+    kinds = {"*Tutorial*", "*How-to*", "*Reference*", "*Explanation*"}
+    pages = [p for f in ("docs", "docs/guide") for p in sorted((ROOT / f).glob("*.md"))]
+    named = [p for p in pages if not p.name.startswith(("performance", "gallery"))]
+    assert len(named) > 30
+    for page in named:
+        assert page.read_text(encoding="utf-8").split("\n")[2] in kinds, name(page)
+
+
 def test_the_terms_of_the_glossary_stand_there_once() -> None:
     text = (ROOT / "docs/glossary.md").read_text(encoding="utf-8")
     terms = [term.strip() for term in re.findall(r"^\| ([^|]+) \|", text, re.M)]

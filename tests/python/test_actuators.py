@@ -13,7 +13,7 @@ DT = 2e-3
 
 
 def hinge(actuators=(), gravity=0.0, gravcomp=0.0, **joint) -> novaphy.Model:
-    """A wheel of 1 kg m^2 about its centre, or a pendulum where there is gravity."""
+    """A wheel of 1 kg m^2 about its center, or a pendulum where there is gravity."""
     builder = novaphy.ModelBuilder(gravity=gravity)
     com = (0.5, 0, 0) if gravity else (0, 0, 0)
     link = builder.add_link(mass=2.0, inertia=np.eye(3), com=com, gravcomp=gravcomp)

@@ -61,12 +61,12 @@ def test_random_trees_have_the_dynamics_of_pinocchio(seed: int) -> None:
         pin.computeJointJacobians(exact, data, at[0])
         for k in range(1, exact.njoints):
             expected = pin.getJointJacobian(exact, data, k, pin.LOCAL_WORLD_ALIGNED).copy()
-            arm = data.oMi[k].rotation @ exact.inertias[k].lever  # to the centre of mass
+            arm = data.oMi[k].rotation @ exact.inertias[k].lever  # to the center of mass
             expected[:3] += np.cross(expected[3:].T, arm).T
             row = 6 * joints[exact.names[k]]
             close(jacobian[row : row + 6], expected, 1e-5)
-        centre = pin.centerOfMass(exact, data, at[0])
-        base = 1e-5 * max(1.0, np.abs(centre).max())
-        assert_allclose(np.ravel(novaphy.eval_center_of_mass(model, state)), centre, atol=base)
+        center = pin.centerOfMass(exact, data, at[0])
+        base = 1e-5 * max(1.0, np.abs(center).max())
+        assert_allclose(np.ravel(novaphy.eval_center_of_mass(model, state)), center, atol=base)
         kinetic = pin.computeKineticEnergy(exact, data, at[0], at[1])
         assert np.ravel(novaphy.eval_energy(model, state))[0] == pytest.approx(kinetic, rel=1e-5)

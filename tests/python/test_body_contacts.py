@@ -700,9 +700,9 @@ def test_a_particle_and_a_body_exchange_their_momentum(shape, friction):
         x, v = (getattr(state, a).numpy()[0].astype(float) for a in ("particle_q", "particle_qd"))
         turn = rotation(q[3:])
         spin = turn @ inertia @ turn.T @ qd[3:]
-        centre = q[:3] + turn @ model.body_com.numpy()[0]
+        center = q[:3] + turn @ model.body_com.numpy()[0]
         linear = m * qd[:3] + m_p * v
-        return linear, spin + m * np.cross(centre, qd[:3]) + m_p * np.cross(x, v)
+        return linear, spin + m * np.cross(center, qd[:3]) + m_p * np.cross(x, v)
 
     before, after = momenta(trajectory[0]), momenta(trajectory[300])
     assert np.abs(trajectory[300].body_qd.numpy()).max() > 0.05

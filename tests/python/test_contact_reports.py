@@ -58,8 +58,8 @@ def test_the_penetration_of_spheres_is_along_the_normal_with_margins():
     (row,) = found(model, state).rigid_contacts(model, state)
     assert (row["body0"], row["body1"]) == (0, 1)
     assert row["penetration"] == pytest.approx(0.3 + 0.02 - 0.27, abs=1e-6)
-    centre = 0.27 / 2 + 0.02 * 0.28, 0.02 * 0.96, 0.3
-    np.testing.assert_allclose(row["position"], centre, atol=1e-6)
+    center = 0.27 / 2 + 0.02 * 0.28, 0.02 * 0.96, 0.3
+    np.testing.assert_allclose(row["position"], center, atol=1e-6)
 
 
 def test_the_force_carries_the_weight():

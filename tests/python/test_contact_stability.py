@@ -36,7 +36,7 @@ def stack(**material):
     return builder.finalize()
 
 
-# Neighbours in antiphase, eight corners each: 2 dt sum k r^2/I = 2, of springs 2 dt^2 sum ke r^2/I
+# Neighbors in antiphase, eight corners each: 2 dt sum k r^2/I = 2, of springs 2 dt^2 sum ke r^2/I
 # = 4, with r^2 = 0.01 about a horizontal axis, 0.02 of friction about the upright one.
 INERTIA = 8 * 0.04 / 6
 CUBES = {

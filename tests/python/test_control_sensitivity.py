@@ -440,8 +440,8 @@ class ContactRun:
             row = np.zeros(links.shape[2])
             for sign, body, _ in sides:
                 if body >= 0:
-                    centre = poses[body, :3] + quat_matrix(poses[body, 3:]) @ com[body]
-                    at = links[body, :3] + np.cross(links[body, 3:].T, middle - centre).T
+                    center = poses[body, :3] + quat_matrix(poses[body, 3:]) @ com[body]
+                    at = links[body, :3] + np.cross(links[body, 3:].T, middle - center).T
                     row += sign * n @ at
             rows.append(row)
         return np.array(rows).reshape(-1, links.shape[2])

@@ -288,7 +288,7 @@ class Recorder(SceneViewer):
             self.losses.append(value)
 
     def log_lines(self, name, starts, ends, colors, width=0.01, hidden=False):
-        """Keep the way and its colours."""
+        """Keep the way and its colors."""
         super().log_lines(name, starts, ends, colors, width, hidden)
         drawn = (np.array(starts), np.broadcast_to(np.float32(colors), np.shape(starts)))
         self.lines.setdefault(name, []).append(drawn)
@@ -314,7 +314,7 @@ def recorded(monkeypatch, script: Path, options: list[str]) -> Recorder:
 
 
 def check_ways(recorder: Recorder, name: str, shown: int, points: int) -> None:
-    """A way in the present colour for every iteration shown, and before it the earlier ones."""
+    """A way in the present color for every iteration shown, and before it the earlier ones."""
     present, earlier = recorder.lines[name], recorder.lines.get(f"{name}/earlier", [])
     assert len(present) == shown and len(earlier) == shown - 1
     for k, (way, colors) in enumerate(present):

@@ -118,10 +118,10 @@ def test_adam_has_the_bits_of_the_recurrence_in_numpy(options):
 )
 def test_the_classes_agree_with_warp(cls, options, expected, rtol):
     x = leaf([1.0, -2.0, 0.5])
-    optimiser = cls([x], **options)
+    optimizer = cls([x], **options)
     for k in range(6):
         x.grad.assign(x.numpy() * F([1, 10, 100]) + F(k))
-        optimiser.step()
+        optimizer.step()
     np.testing.assert_allclose(x.numpy(), expected, rtol=rtol)
 
 
@@ -135,24 +135,24 @@ def test_the_classes_agree_with_warp(cls, options, expected, rtol):
 )
 def test_a_captured_training_finds_the_minimum_of_a_quadratic(options, steps):
     cls, keywords = options
-    stiffness, centre = nova.tensor([1.0, 10.0]), nova.tensor([3.0, -1.0])
+    stiffness, center = nova.tensor([1.0, 10.0]), nova.tensor([3.0, -1.0])
     x = leaf([0.0, 0.0])
-    optimiser = cls([x], **keywords)
+    optimizer = cls([x], **keywords)
 
     def iteration():
         with nova.Tape() as tape:
-            d = x - centre
+            d = x - center
             tape.backward(nova.sum(d * d * stiffness) * 0.5)
             recorded = tape.size
-            optimiser.step()
+            optimizer.step()
             assert tape.size == recorded
-        optimiser.zero_grad()
+        optimizer.zero_grad()
 
     with nova.ScopedCapture() as capture:
         iteration()
     for _ in range(steps):
         capture.graph.launch()
-    np.testing.assert_allclose(x.numpy(), centre.numpy(), atol=1e-3)
+    np.testing.assert_allclose(x.numpy(), center.numpy(), atol=1e-3)
 
 
 def test_a_replay_has_the_bits_of_the_eager_loop():
@@ -307,29 +307,29 @@ def optimisers(x):
     )
 
 
-def state_of(optimiser):
-    """The memory of a state, read without asking the optimiser."""
-    if isinstance(optimiser, optim.Adam):
-        return [*optimiser.m, *optimiser.v, optimiser.t]
-    return [*optimiser.b] + ([] if optimiser.t is None else [optimiser.t])
+def state_of(optimizer):
+    """The memory of a state, read without asking the optimizer."""
+    if isinstance(optimizer, optim.Adam):
+        return [*optimizer.m, *optimizer.v, optimizer.t]
+    return [*optimizer.b] + ([] if optimizer.t is None else [optimizer.t])
 
 
 @pytest.mark.parametrize("which", range(3))
 @pytest.mark.parametrize("bad", [NAN, INF, -INF])
 def test_a_gradient_that_is_not_finite_is_refused_before_anything_is_written(which, bad):
     good, x = leaf([1.0], [0.5]), leaf([1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
-    optimiser = optimisers(x)[which]
-    optimiser.step()
-    memory = [x, *state_of(optimiser)]
+    optimizer = optimisers(x)[which]
+    optimizer.step()
+    memory = [x, *state_of(optimizer)]
     before = [t.numpy() for t in memory]
     x.grad.assign([0.1, bad, bad])
     message = r"params\[0\]: expected a finite gradient, got 2 of 3 values .* at 1"
     with pytest.raises(Error, match=message):
-        optimiser.step()
+        optimizer.step()
     for one, two in zip(before, memory, strict=True):
         assert_same_bits(one, two.numpy())
     x.grad.assign([0.1, 0.2, 0.3])
-    optimiser.step()
+    optimizer.step()
     assert (x.numpy() != before[0]).all() and good.item() == 1.0
 
 
@@ -338,13 +338,13 @@ def test_a_replay_notes_a_gradient_that_is_not_finite_and_the_next_one_raises(wh
     results = []
     for captured in (False, True):
         x = leaf([1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
-        optimiser = optimisers(x)[which]
-        step = optimiser.step
+        optimizer = optimisers(x)[which]
+        step = optimizer.step
         if captured:
             with nova.ScopedCapture() as capture:
-                optimiser.step()
+                optimizer.step()
             step = capture.graph.launch
-        memory = [x, *state_of(optimiser)]
+        memory = [x, *state_of(optimizer)]
         step()
         step()
         results.append([t.numpy() for t in memory])
@@ -355,15 +355,15 @@ def test_a_replay_notes_a_gradient_that_is_not_finite_and_the_next_one_raises(wh
     for one, two in zip(results[1], memory, strict=True):
         assert_same_bits(one, two.numpy())
     with pytest.raises(Error, match="wrote nothing"):
-        optimiser.check()
-    for read in (step, optimiser.step, optimiser.check, lambda: state_of(optimiser)):
-        if which == 0 and read not in (step, optimiser.step, optimiser.check):
+        optimizer.check()
+    for read in (step, optimizer.step, optimizer.check, lambda: state_of(optimizer)):
+        if which == 0 and read not in (step, optimizer.step, optimizer.check):
             continue  # there is no state
         x.grad.assign([0.1, NAN, 0.3])
         step()
         x.grad.assign([0.1, 0.2, 0.3])
         with pytest.raises(Error, match="expected finite gradients, got one that is not in 1 of"):
             read()
-        optimiser.check()  # said once
+        optimizer.check()  # said once
     step()
     assert (x.numpy() != results[1][0]).all()

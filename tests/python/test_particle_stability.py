@@ -23,7 +23,7 @@ def said_of(run, *arguments):
 
 
 def chain(count, ke=1e3, kd=0.0, mass=0.1):
-    """Particles in a row, a spring between neighbours, at rest."""
+    """Particles in a row, a spring between neighbors, at rest."""
     builder = novaphy.ModelBuilder(gravity=0.0)
     for k in range(count):
         builder.add_particle((k, 0, 0), (0, 0, 0), mass)

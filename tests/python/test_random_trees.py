@@ -35,7 +35,7 @@ class Pair:
     def __init__(self, seed: int, kinds: tuple[str, ...], free: bool) -> None:
         rng = np.random.default_rng(seed)
         b, self.exact = novaphy.ModelBuilder(), pin.Model()
-        self.blocks = []  # (kind, coordinate, dof, centre of mass in the joint's frame)
+        self.blocks = []  # (kind, coordinate, dof, center of mass in the joint's frame)
         self.places = []  # (joint, pose of the body there), of bodies
         self.coms = []
         links, joints, above = [], [], []
@@ -177,7 +177,7 @@ def test_random_trees_have_the_dynamics_of_pinocchio(seed, kinds, free):
 
 @pytest.mark.parametrize(("seed", "kinds", "free"), CASES)
 def test_random_trees_have_the_jacobians_of_pinocchio(seed, kinds, free):
-    """Of the centres of mass, in world axes: as body_qd."""
+    """Of the centers of mass, in world axes: as body_qd."""
     pair = Pair(seed, kinds, free)
     inverse = np.linalg.inv(pair.g())
     pin.computeJointJacobians(pair.exact, pair.data, pair.q)

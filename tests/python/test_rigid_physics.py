@@ -93,7 +93,7 @@ def test_a_compound_rests_on_all_its_shapes_whatever_its_centre_of_mass():
     assert len(rows) == 8
     assert rows["force"][:, 2].sum() == pytest.approx(32 * 9.81, rel=1e-3)
     turn = (rows["point1"][:, 0] - 0.15) @ rows["force"][:, 2]
-    assert abs(turn) < 1e-2 * 32 * 9.81 * 0.3, "no moment about the centre of mass"
+    assert abs(turn) < 1e-2 * 32 * 9.81 * 0.3, "no moment about the center of mass"
     heavy = rows["point1"][:, 0] > 0
     assert rows["force"][heavy, 2].sum() > rows["force"][~heavy, 2].sum() * 1.5
 

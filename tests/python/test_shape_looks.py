@@ -1,4 +1,4 @@
-"""Of shapes: colours, meshes, and which add mass."""
+"""Shapes: colors, meshes, and which add mass."""
 
 from __future__ import annotations
 

@@ -377,8 +377,8 @@ def test_numbers_and_text_of_tensors():
 def everything(x, w, index):
     """One loss through every function of this page."""
     rows = nova.gather(x, index)
-    centred = rows - nova.mean(rows, axis=0)
-    y = nova.concat([centred @ w, x[1:4, ::-1] ** 3], axis=0)
+    centered = rows - nova.mean(rows, axis=0)
+    y = nova.concat([centered @ w, x[1:4, ::-1] ** 3], axis=0)
     y = nova.where(y > 0.25, y, 0.5 * y * y)
     return nova.sum(nova.sum(y, axis=1) * y[:, 0]) + nova.sum(x[-1])
 

@@ -45,7 +45,7 @@ def test_what_has_no_inertia_gets_one():
         masses.append(novaphy.eval_mass_matrix(model, state).ravel()[0])
         assert result.report.mended == []
     assert_allclose(masses[0], masses[1], rtol=1e-6)
-    assert masses[0] > 3  # 3 kg one metre from the axis
+    assert masses[0] > 3  # 3 kg one meter from the axis
     # On a joint that moves: at least the inertia of a ball of water.
     model, _, result = loaded(
         robot(link("a"), link("b", inertial(4, "0 5 5")), joint("j", "a", "b"))

@@ -1,4 +1,4 @@
-"""SolverVBD and the colours of builders and models."""
+"""SolverVBD and the colors of builders and models."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def solver_of(builder, **options):
     return novaphy.solvers.SolverVBD(builder.finalize(), **options)
 
 
-def test_colours_are_arrays_and_groups_and_survive_a_pickle():
+def test_colors_are_arrays_and_groups_and_survive_a_pickle():
     import pickle
 
     builder = cloth()

@@ -52,7 +52,7 @@ def show(viewer: novaphy.ViewerGL, state: novaphy.SimState, t: float = 0.0) -> n
 
 
 def like(picture: np.ndarray, color) -> np.ndarray:
-    """Which pixels have the hue of a colour, in light or shade."""
+    """Which pixels have the hue of a color, in light or shade."""
     rgb = picture.astype(np.float32) + 1.0
     direction = np.float32(color) / np.linalg.norm(color)
     return (rgb @ direction) / np.linalg.norm(rgb, axis=2) > 0.985
@@ -80,18 +80,18 @@ def test_a_body_moves_in_the_picture_as_projected(egl):
         viewer.set_model(model)
         viewer.look_at((1.0, -3.0, 1.5), (0.0, 0.0, 0.5))
         state = model.state()
-        centres, projected = [], []
+        centers, projected = [], []
         for x in (0.0, 0.4):
             pose = np.float32([[x, 0.2 * x, 0.5 + x, 0.0, 0.0, 0.0, 1.0]])
             state.body_q.assign(pose)
             rows, columns = np.nonzero(like(show(viewer, state), BLUE))
-            centres.append((columns.mean() + 0.5, rows.mean() + 0.5))
+            centers.append((columns.mean() + 0.5, rows.mean() + 0.5))
             projected.append(viewer.camera.project(pose[:, :3], 320, 240)[0])
-        moved = np.subtract(centres[1], centres[0])
+        moved = np.subtract(centers[1], centers[0])
         expected = np.subtract(projected[1], projected[0])
         assert np.linalg.norm(expected) > 40
         np.testing.assert_allclose(moved, expected, atol=2.0)
-        np.testing.assert_allclose(centres, projected, atol=3.0)
+        np.testing.assert_allclose(centers, projected, atol=3.0)
 
 
 def test_a_thousand_bodies_are_three_draw_calls(egl):

@@ -257,7 +257,7 @@ def test_a_pointer_picks_the_front_body_anywhere_on_it():
     assert not state.body_f.numpy().any()
 
 
-def test_shapes_are_shown_in_other_colours(tmp_path):
+def test_shapes_are_shown_in_other_colors(tmp_path):
     model = boxes([(0.0, 0.0, 1.0), (2.0, 0.0, 1.0)])
     viewer = SceneViewer()
     with pytest.raises(ValueError, match="set_model"):

@@ -20,7 +20,7 @@ import novaphy
 
 @pytest.fixture
 def served():
-    """A viewer on a free port, with a body and a die of another colour."""
+    """A viewer on a free port, with a body and a die of another color."""
     pytest.importorskip("viser")
     builder = novaphy.ModelBuilder()
     builder.add_ground_plane()
@@ -197,8 +197,8 @@ def test_a_strong_checker_is_black_and_white_in_the_page():
         while min(shares) < 0.35 and time.monotonic() < end:
             time.sleep(0.5)
             png = io.BytesIO(page.picture())
-            grey = np.asarray(image.open(png).convert("L"))[240:, 120:400]
-            shares = float(np.mean(grey < 40)), float(np.mean(abs(grey - 242.0) < 4.0))
+            gray = np.asarray(image.open(png).convert("L"))[240:, 120:400]
+            shares = float(np.mean(gray < 40)), float(np.mean(abs(gray - 242.0) < 4.0))
         assert min(shares) > 0.35, shares  # the rest are edges
 
 

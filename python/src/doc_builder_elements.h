@@ -38,10 +38,10 @@ inline constexpr char kAddParticleGrid[] =
 pos, rot: the pose of the grid's origin (m, xyzw).
 vel: the velocity of all particles (m/s).
 cell_x, cell_y, cell_z: the spacing of the particles (m).
-mass: of one particle (kg).
+mass: the mass of one particle (kg).
 jitter: m; each coordinate moves at random by at most half of this.
 radius_mean, radius_std: the normal distribution of the radii (m).
-seed: of jitter and radii.)";
+seed: the seed of jitter and radii.)";
 
 inline constexpr char kAddClothGrid[] =
     R"(Adds a cloth of dim_x * dim_y cells, two triangles each, in the plane z = 0 of the pose.
@@ -49,7 +49,7 @@ inline constexpr char kAddClothGrid[] =
 pos, rot: the pose of the grid's origin (m, xyzw).
 vel: the velocity of all particles (m/s).
 cell_x, cell_y: the size of a cell (m).
-mass: of every particle (kg).
+mass: the mass of every particle (kg).
 reverse_winding: cuts each cell along the other diagonal.
 fix_left, fix_right: the ends of x get mass 0 and are not active.
 fix_bottom, fix_top: likewise the ends of y.

@@ -11,7 +11,7 @@ bodies, joints joints, all of one articulation; names become labels. Returns a R
 xform: the pose of the root link (m, xyzw) in the world or parent_body.
 floating: True: FREE; None and False: FIXED at the base.
 base_joint: instead of floating, a dict of joint_type, linear_axes and angular_axes.
-scale: of all lengths; masses stay.
+scale: a factor of all lengths; masses stay.
 ignore_inertial_definitions: masses come from the colliders and default_shape_cfg.
 links_to_keep: names of links that collapse_fixed_joints does not merge.
 joint_ordering: "dfs", "bfs" or None (the order of the file).

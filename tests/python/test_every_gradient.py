@@ -221,7 +221,7 @@ class Run:
             and array.size > 0
             and array.numpy().dtype == np.float32
         }
-        self.names: dict[int, list[str]] = {}  # all names of one memory
+        self.names: dict[int, list[str]] = {}  # names of arrays with the same memory
         for name, array in found.items():
             self.names.setdefault(array.ptr, []).append(name)
         self.arrays = {names[0]: found[names[0]] for names in self.names.values()}

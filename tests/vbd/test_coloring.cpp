@@ -17,7 +17,7 @@ ModelBuilder cloth(int size, bool springs = false) {
   return b;
 }
 
-// The largest and smallest color; every pair of corners of the elements differs.
+// Expects that the corners of each element have different colors.
 template <class Row>
 void expect_proper(const std::vector<int32_t>& colors, const std::vector<Row>& rows) {
   const auto* corners = reinterpret_cast<const int32_t*>(rows.data());

@@ -218,8 +218,8 @@ TEST(SolverVbd, TheResidualFallsToItsFloor) {
   EXPECT_LT(solver.residual().iterations, 20);
 }
 
-// A spring at rest length whose end is drawn sideways: the first sweep raises the energy (a spring
-// has no curvature across), the safeguard does not.
+// The end of a spring at its rest length moves sideways. The first sweep raises the energy, because
+// a spring has no curvature across its line. The safeguard prevents the rise.
 TEST(SolverVbd, TheSafeguardKeepsTheEnergyOfASpringFromRising) {
   ModelBuilder b(Axis::Z, Vec3f{});
   b.add_particle({}, {}, 0.0f);

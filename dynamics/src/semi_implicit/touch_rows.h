@@ -17,8 +17,8 @@ using Columns3 = std::array<Vec3d, 3>;
 
 struct TouchOptions {
   bool rigid = false, soft = false;  // which kinds of contacts act
-  float smoothing = 0.0f;            // m/s, of friction between bodies
-  float kf_rate = 0.0f;              // 1/s, of friction of particles
+  float smoothing = 0.0f;            // m/s, smoothing of friction between bodies
+  float kf_rate = 0.0f;              // 1/s, r of diff_soft_contact_trace.h, for particles
   float dt = 0.0f;
 };
 

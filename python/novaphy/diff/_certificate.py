@@ -43,7 +43,7 @@ class Certificate:
     {4} (sigmas).
     disagreements: {4}, the distance of gradient and differences, relative to the longer one.
     smoothed, standard_error: {n}, the zeroth-order gradient of samples at a quarter of sigma.
-    cosine, length: of the gradient, compared with the smoothed gradient.
+    cosine, length: the cosine and the length of the gradient relative to the smoothed gradient.
     tail: the longest gradient of the samples in units of the median length.
     margins: rows (what, step, pair, sigmas): how far the parameters may move until events change.
     trust_radius, limited_by: how far the order of events holds downhill (sigmas), and what ends it;

@@ -37,7 +37,7 @@ class Trust(NamedTuple):
 
 
 def pair_of(event: Event) -> str:
-    """Name what meets in an event."""
+    """Return a name of the shapes, the particle or the joint of an event."""
     if event["kind"] == "limit":
         return f"joint {event['joint']}"
     if event.get("particle", -1) >= 0:

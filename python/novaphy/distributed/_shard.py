@@ -91,7 +91,7 @@ def shard(
 
     scene: a ModelBuilder of one world, of which a block has copies; or a function
     (first_world, worlds, device) -> Model, for worlds that differ.
-    worlds: of the whole run; a multiple of block.
+    worlds: the number of worlds of the whole run; a multiple of block.
     block: worlds of a block. The bits of sums depend on worlds and block, and on nothing else.
     device, devices: where the blocks of this rank live; several devices take them in turn.
     group: None: the group of init.

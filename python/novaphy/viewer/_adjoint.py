@@ -59,7 +59,7 @@ def log_arrows_between(
 ) -> None:
     """Draw the arrows of contacts whose steps start after one time (s), until another.
 
-    length: of the longest impulse, and of the longest adjoint (m).
+    length: the length (m) of the longest impulse, and of the longest adjoint.
     """
     late = [c for c in record.contacts if after + 1e-7 < c["time"] <= until + 1e-7]
     starts = np.array([c["point"] for c in late], np.float32).reshape(-1, 3)

@@ -69,8 +69,8 @@ class ViewerHTML(SceneViewer):
         step and its contacts. Times of frames are those of the record (s).
 
         Args:
-            record: of `tape.adjoint_record()`.
-            length: of the longest impulse (blue) and of the longest adjoint (red), m.
+            record: the result of `tape.adjoint_record()`.
+            length: the length (m) of the longest impulse (blue) and of the longest adjoint (red).
 
         Raises:
             ValueError: a length that is not positive.

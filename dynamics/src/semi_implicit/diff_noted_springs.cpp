@@ -93,7 +93,7 @@ PairOfWorld pair_of(const AdjointRecord::Contact& c) {
   return {c.world, std::min(c.shape0, c.shape1), std::max(c.shape0, c.shape1)};
 }
 
-// Notes the changes of contacts of one pair of each world, and passes on no tangent of their forces.
+// Notes the changes of contacts of one pair of each world. Passes on no tangent of their forces.
 class HeldPairs : public nova::TangentVisitor {
  public:
   HeldPairs(const std::map<PairOfWorld, int32_t>& numbers, int32_t number)

@@ -25,7 +25,7 @@ inertias and contact materials too.
 
 newton_spin: the bits of Newton 1.8, whose rounding makes spins grow by 2e-7 in each step.
 
-NotImplementedError: names two shapes that may meet and are not covered.)";
+NotImplementedError: names two shapes that may meet and are not supported.)";
 
 inline constexpr char kTrajectory[] =
     R"(The states of a rollout, contiguous in memory: steps + 1 states, of which [t] is the SimState
@@ -95,10 +95,10 @@ used again.)";
 
 inline constexpr char kDiffStableDt[] =
     R"(Returns the longest stable dt (s) for the elements of particles and the contacts that touch
-in the state, as SolverSemiImplicit.stable_dt. Without contacts, static contacts count as one of
-each particle with each of its shapes.
+in the state, as SolverSemiImplicit.stable_dt. Without contacts, static contacts
+count as one contact of each particle with each shape that the particle may touch.
 
-A longer step warns (RuntimeWarning, once) where springs or dampers diverge for certain.
+A longer step warns (RuntimeWarning, once) where springs or dampers diverge in any case.
 
 ValueError: a state or contacts of another model.)";
 

@@ -99,7 +99,7 @@ class PageObjects:
                 batched_scales=scales[rows, :3] * _hairs(rows), batched_colors=colors[rows],
                 side="front" if item.culled else "double",
             )  # fmt: skip
-            if name.startswith("/model/"):  # the pointer, with control, pulls it
+            if name.startswith("/model/"):  # a drag with control pulls the body
                 pull = partial(self.pull, name.removeprefix("/"), rows)
                 handle.on_drag("left", modifier="cmd/ctrl")(pull)
             group.parts.append((handle, rows))

@@ -35,7 +35,7 @@ class NOVAPHY_DYNAMICS_API ContactTables {
  public:
   struct Wanted {
     bool particles = false;            // contacts of particles
-    bool particles_on_bodies = false;  // whether some of them may touch bodies
+    bool particles_on_bodies = false;  // whether some contacts may touch bodies
     bool bodies = false;               // contacts of shapes
     // Whether the contacts were found from the state of the step, so that points and normals move
     // with the state; false: they are frozen.

@@ -173,7 +173,7 @@ void WorldRows::update(const Model& model, bool with_shapes) {
             "model.particle_world[", p, "]: expected 0 to ", model.world_count() - 1, ", got ",
             world[p]);
     require(world[p] >= 0, ErrorKind::NotImplemented, "model.particle_world[", p,
-            "]: particles of all worlds (-1) are not covered in models of several worlds");
+            "]: particles of all worlds (-1) are not supported in models of several worlds");
   }
   particle_world_.set(model.particle_world);
   if (!with_shapes) return;

@@ -65,7 +65,7 @@ std::optional<TouchedStep> DiffSemiImplicitSolver::begin_touches(
     const nova::Operand& body_forces, const Control* control, const Contacts* contacts, float dt) {
   if (motion_ == nullptr || nova::Tape::active() == nullptr) return {};
   require(!nova::current_capture(), ErrorKind::NotImplemented,
-          "DiffSemiImplicitSolver: contact_gradient: \"motion\" is not there inside a "
+          "DiffSemiImplicitSolver: contact_gradient: \"motion\" is not supported inside a "
           "ScopedCapture; use \"code\"");
   return motion_->begin(*model(), in, out, forces, body_forces, control, contacts,
                         kf_rate(config_.particle_kf_bound, dt), dt, touches_, witness()->touches);

@@ -119,7 +119,8 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
   constexpr const char* kName = "DiffSemiImplicitSolver: contact_gradient \"motion\"";
   require_cpu(device(), kName);
   require(!config.enable_static_contacts, ErrorKind::NotImplemented, kName,
-          " is not there with enable_static_contacts; give rollout a pipeline, or use \"code\"");
+          " is not supported with enable_static_contacts; give rollout a pipeline, or use "
+          "\"code\"");
   motion_ = std::make_unique<TouchMotion>(
       *this->model(), TouchSettings{.bodies = moves_bodies(),
                                     .particles = moves_particles(),

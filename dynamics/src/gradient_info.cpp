@@ -31,52 +31,53 @@ bool is_of_the_motion(const MotionCounts& m) {
          m.phased == 0 && m.inexact == 0 && m.limits == 0 && are_apart(m) && cut_landings(m) == 0;
 }
 std::string motion_of_springs(const MotionCounts& m) {
-  std::string text = ", and the times at which they begin and end move with the state";
+  std::string text = " The times at which contacts begin and end move with the state.";
   if (m.several + m.unmoved + m.one_sided + m.stiff + m.rough == 0) return text;
-  text += ", but for short touches, which may have any length:";
+  text += " Short touches of these kinds may have a gradient of any length:";
   const auto add = [&text](int64_t count, const char* what) {
-    if (count > 0) text += (text.back() == ':' ? " " : ", ") + std::to_string(count) + what;
+    if (count > 0)
+      text += (text.back() == ':' ? " " : "; ") + (what + (" (" + std::to_string(count) + ")"));
   };
-  add(m.several, " of several contacts at once");
-  add(m.unmoved, " of what joints, elements or adhesion hold");
+  add(m.several, "several contacts at once");
+  add(m.unmoved, "bodies that joints, elements or adhesion hold");
   add(m.stiff,
-      " that turn a body within ten steps or while friction changes between sticking and slipping, "
+      "a body that turns within ten steps or while friction changes between sticking and slipping, "
       "or whose friction takes half of the slip in a step");
-  add(m.rough, " whose speed, with touches before, depends on the phase of the steps by 4 %");
-  add(m.one_sided, " whose begin or end is outside of the steps, or cut by a written state");
-  return text;
+  add(m.rough, "a speed that depends on the phase of the steps by 4 %, earlier touches included");
+  add(m.one_sided, "a begin or end outside of the steps, or cut by a written state");
+  return text + ".";
 }
 // Returns the reasons why the gradient may differ from that of the motion.
 std::string doubts(const MotionCounts& m) {
   std::string text;
   if (m.unmoved > 0)
-    text += ", but for " + std::to_string(m.unmoved) +
-            " limits of joints in what touches something, which may have any length";
+    text += " " + std::to_string(m.unmoved) +
+            " limits of joints, in bodies that touch something, may have a gradient of any length.";
   if (m.several > 0)
-    text += "; in " + std::to_string(m.several) +
-            " steps several pairs hit at once, where the gradient is that of the motion only if "
-            "their impacts do not depend on each other";
+    text += " In " + std::to_string(m.several) +
+            " steps several pairs hit at once. The gradient is then that of the motion only if "
+            "their impacts do not depend on each other.";
   if (m.phased > 0)
-    text += "; the friction of " + std::to_string(m.phased) +
-            " landings turns, whose states depend on where in its step the contact begins";
+    text += " The friction of " + std::to_string(m.phased) +
+            " landings turns. Their states depend on where in its step the contact begins.";
   if (m.several == 0 && !are_apart(m))
-    text += "; two events of one tree are " + std::to_string(m.least_separation) +
-            " steps apart, which may come in the other order";
-  if (cut_landings(m) > 0) text += "; a landing is cut by the end of the steps";
-  if (m.inexact > 0) text += "; overlaps are not of the motion but with pgs_slop=0 and pgs_erp=1";
+    text += " Two events of one tree are " + std::to_string(m.least_separation) +
+            " steps apart, and may come in the other order.";
+  if (cut_landings(m) > 0) text += " A landing is cut by the end of the steps.";
+  if (m.inexact > 0) text += " Overlaps are those of the motion only with pgs_slop=0, pgs_erp=1.";
   return text;
 }
 // Returns a text about limits of joints whose event times do not move with the state.
 std::string held_limits(const MotionCounts* m) {
   const int64_t count = m == nullptr ? 0 : m->of_springs ? m->limits : m->unmoved;
   if (count == 0) return {};
-  return "; limits of joints began or ended to push " + std::to_string(count) +
-         " times, which do not move with the state, so the gradient of the motion may have another "
-         "length and sign";
+  return " The limits of joints began or ended to push " + std::to_string(count) +
+         " times. These times do not move with the state, so the gradient of the motion may have "
+         "another length and sign.";
 }
 std::string motion_of(const MotionCounts& m) {
   if (m.of_springs) return motion_of_springs(m) + held_limits(&m);
-  return ", and the times at which they begin move with the state" + doubts(m);
+  return " The times at which contacts begin move with the state." + doubts(m);
 }
 
 // Returns the number of steps whose gradient is not that of the code, and possibly not that of the
@@ -85,42 +86,44 @@ int64_t unclaimed_steps(const MotionCounts* motion) {
   return motion != nullptr && !is_of_the_motion(*motion) ? motion->moved : 0;
 }
 
+// Returns sentences on the worst steps, without the last stop.
+std::string worst_steps(const GradientCounts& c, bool implicit, bool has_unclaimed) {
+  if (c.surrogate > 0)
+    return some(c.surrogate, c.steps) + " are a surrogate (the first is step " +
+           std::to_string(c.surrogate_step) + "), because " +
+           (c.jumps != 0 ? "a contact law jumps or a step failed"
+                         : "contacts have not converged (" + std::to_string(c.residual) +
+                               " of the largest impulse)") +
+           ". Gradients through these steps may have any length and sign";
+  if (c.frozen > 0)
+    return some(c.frozen, c.steps) +
+           " hold points or normals of contacts that push (first in step " +
+           std::to_string(c.frozen_step) + ", " + pair_text(c.held) +
+           "). Gradients by poses, velocities, masses and materials may be wrong, also in sign";
+  return std::string(has_unclaimed ? "Apart from these events, all steps" : "All steps") +
+         " are differentiated exactly as " + (implicit ? "their solutions" : "the code runs them");
+}
+
 std::string reason_of(const GradientCounts& c, bool implicit, const MotionCounts* motion,
                       int64_t events) {
-  if (c.steps == 0) return "no step has been taken since the last clear_gradient_info";
+  if (c.steps == 0) return "No step has been taken since the last clear_gradient_info.";
   std::string text;
   const int64_t unclaimed = unclaimed_steps(motion);
   if (unclaimed > 0)
     text = some(unclaimed, c.steps) +
-           " have events whose times move with the state, so that the gradient is not that of the "
-           "code, and it may be another than that of the motion; ";
-  if (c.surrogate > 0) {
-    text += some(c.surrogate, c.steps) + " are a surrogate (the first is step " +
-            std::to_string(c.surrogate_step) + "), where ";
-    text += c.jumps != 0 ? "a contact law jumps or a step failed"
-                         : "contacts have not converged (" + std::to_string(c.residual) +
-                               " of the largest impulse)";
-    text += ": gradients through them may have any length and sign";
-  } else if (c.frozen > 0) {
-    text += some(c.frozen, c.steps) +
-            " hold points or normals of contacts that push (first in step " +
-            std::to_string(c.frozen_step) + ", " + pair_text(c.held) +
-            "): gradients by poses, velocities, masses and materials may be off, also in sign";
-  } else {
-    text += std::string(unclaimed > 0 ? "besides, all steps" : "all steps") +
-            " are differentiated exactly as " +
-            (implicit ? "their solutions" : "the code runs them");
-  }
+           " have events whose times move with the state. The gradient is not that of the code, "
+           "and may differ from that of the motion. ";
+  text += worst_steps(c, implicit, unclaimed > 0);
   if (events == 0)
-    return text + (c.surrogate + c.frozen > 0 ? "" : ", and no contact changed") +
+    return text + (c.surrogate + c.frozen > 0 ? "." : ", and no contact changed.") +
            (unclaimed > 0 && !motion->of_springs ? doubts(*motion) : held_limits(motion));
   static constexpr const char* kWhat[] = {"begins", "ends",
                                           "changes between sticking and slipping"};
-  return text + "; contacts changed " + std::to_string(events) + " times (first in step " +
+  return text + ". Contacts changed " + std::to_string(events) + " times (first in step " +
          std::to_string(c.event_step) + ": that of " + pair_text(c.event) + " " +
-         kWhat[c.event.event] +
-         (motion != nullptr ? ")" + motion_of(*motion)
-                            : "), so the gradient of the motion may have another length and sign");
+         kWhat[c.event.event] + ")." +
+         (motion != nullptr ? motion_of(*motion)
+                            : " The gradient of the motion may have another length and sign.");
 }
 
 }  // namespace

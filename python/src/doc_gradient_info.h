@@ -17,7 +17,7 @@ label: the worst label of the steps:
 With contact_gradient="motion" a gradient is a "surrogate" too if times of events move, but the
 gradient may differ from that of the motion.
 
-reason: one sentence on the consequence, with step and pair.
+reason: the cause of the label and its consequence, with step and pair.
 steps: exact_steps + frozen_steps + surrogate_steps. exact_steps includes implicit steps.
 events: began + ended + turned, between two consecutive steps: contacts that began or ended to push,
 or changed between sticking and slipping.

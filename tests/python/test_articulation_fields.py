@@ -363,10 +363,10 @@ def refused(kind: str) -> novaphy.ModelBuilder:
 
 
 REFUSED = {
-    "distance": "DISTANCE joints are not covered",
+    "distance": "DISTANCE joints are not supported",
     "loose": "belongs to no articulation: name it in add_articulation",
     "loop": r"joint 6 \('closing'\) belongs to no articulation: its child has another joint",
-    "disabled": r"joint 5 \('off'\): joints that are not enabled are not covered: give the child",
+    "disabled": r"joint 5 \('off'\): joints that are not enabled are not supported: give the child",
     "particles": "expected particle_count 0",
 }
 

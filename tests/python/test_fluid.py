@@ -155,7 +155,7 @@ def test_bad_fluids_and_solvers_without_one_are_refused_by_name():
     every = novaphy.ModelBuilder()
     every.add_body(mass=1.0, inertia=np.eye(3))
     every.add_world(builder_of_block(gravity=-9.81, density=1.0))
-    with pytest.raises(ValueError, match="a fluid of the builder that the last world has too"):
+    with pytest.raises(ValueError, match="same fluid of the builder and of the last world"):
         every.finalize()
 
 

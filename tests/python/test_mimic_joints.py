@@ -389,7 +389,7 @@ def test_what_cannot_follow_is_refused(arguments, error, message):
 def test_cycles_and_second_leaders_are_refused():
     b, _ = two()
     b.add_constraint_mimic(1, 0)
-    with pytest.raises(ValueError, match="joint 1 .* expected one that follows no other"):
+    with pytest.raises(ValueError, match="joint 1 .* expected one that mimics no other"):
         b.add_constraint_mimic(1, 0)
     with pytest.raises(ValueError, match="expected a joint that does not follow joint 0"):
         b.add_constraint_mimic(0, 1)
@@ -405,11 +405,11 @@ def test_a_leader_of_another_articulation_is_refused():
         b.finalize()
 
 
-def test_who_cannot_follow_says_so():
+def test_solvers_without_mimic_joints_say_so():
     model = tree().finalize()
-    with pytest.raises(NotImplementedError, match="joint 4 .* follows joint 2"):
+    with pytest.raises(NotImplementedError, match="joint 4 .* mimics joint 2: mimic joints"):
         solvers.SolverSemiImplicit(model)
-    with pytest.raises(NotImplementedError, match=r"dof 4 \(joint .*follow others"):
+    with pytest.raises(NotImplementedError, match=r"dof 4 \(joint .*mimic joints are not"):
         solvers.FeatherstoneAnalyticControlSensitivity(
             model, parameter_count=1, point_body=1, point_local=(0, 0, 0), kind="torque",
             solver=solvers.SolverFeatherstone(model),

@@ -109,7 +109,7 @@ def test_a_bounce_turns_the_sign(dt: float) -> None:
     code = Run(model, "code", steps, dt, speed, HEIGHT)
     motion = Run(model, "motion", steps, dt, speed, HEIGHT)
     assert np.array_equal(code.end, motion.end)
-    assert abs(code.of_q[2] - 1.0) < 1e-5  # of the steps
+    assert abs(code.of_q[2] - 1.0) < 1e-5  # the derivative of the steps
     assert abs(motion.of_q[2] + 1.0) < 1e-5 and abs(motion.of_qd[2] + 0.2) < 1e-5
     assert motion.info.label == "exact of the motion" and motion.info.events == 2
     assert "move with the state" in motion.info.reason
@@ -251,14 +251,14 @@ def test_what_is_not_there_is_refused_by_name() -> None:
     model = ball(0.1, 0.5)
     with pytest.raises(ValueError, match='contact_gradient: expected "code" or "motion", got "x"'):
         make_solver(model, "x")
-    with pytest.raises(NotImplementedError, match="motion is not there with compliant_contacts"):
+    with pytest.raises(NotImplementedError, match="not supported with compliant_contacts"):
         novaphy.solvers.DiffFeatherstoneSolver(
             model, contact_gradient="motion", compliant_contacts=True
         )
     solver, path = make_solver(model, "motion"), diff.Trajectory(model, 2)
     pipeline = novaphy.CollisionPipeline(model)
     with (
-        pytest.raises(NotImplementedError, match="motion is not there inside a ScopedCapture"),
+        pytest.raises(NotImplementedError, match="not supported inside a ScopedCapture"),
         nova.ScopedCapture(),
         nova.Tape(),
     ):

@@ -141,7 +141,7 @@ def test_two_balls_pass_the_start_on_at_every_phase(speed: float) -> None:
     code = Run(model, "code", 400, 1 / 400, qd, weight(2, 1, 0))
     motion = Run(model, "motion", 400, 1 / 400, qd, weight(2, 1, 0))
     assert np.array_equal(code.end, motion.end) and np.array_equal(code.end_qd, motion.end_qd)
-    assert code.of_q[0, 0] > 5.0  # of the steps
+    assert code.of_q[0, 0] > 5.0  # the derivative of the steps
     assert abs(motion.of_q[0, 0] - 1.0) < 0.012 and abs(motion.of_q[1, 0]) < 0.012
     assert abs(motion.of_qd[0, 0] - 1.0) < 0.025
     assert motion.info.label == "exact of the motion" and motion.info.events == 2
@@ -242,7 +242,8 @@ def test_a_loss_within_the_touch_is_that_of_the_motion() -> None:
     """z in the middle of a bounce: the spring has moved sin(w t), whatever phase the steps have."""
     model = balls((0, 0, 0.3), of=surface(1e4), planes=FLOOR)
     qd = [[0, 0, -1, 0, 0, 0]]
-    # Touches at 0.2 s, w = 100 / s; read 10 ms later: z = 0.1 - sin(w t) / w, t = T - (z0 - 0.1).
+    # The ball touches at 0.2 s, with w = 100 / s. The loss reads z 10 ms later: with the time
+    # t = T - (z0 - 0.1) since the touch, z = 0.1 - sin(w t) / w.
     run = Run(model, "motion", 600, 1 / 2000, qd, weight(1, 0, 2), read=420)
     assert abs(run.of_q[0, 2] - np.cos(1.0)) < 0.03
     assert run.info.label == "exact of the motion"
@@ -271,7 +272,7 @@ def test_forces_that_change_within_the_touch_keep_their_clock() -> None:
     slope = (height(0.3 + 1e-5) - height(0.3 - 1e-5)) / 2e-5
     assert abs(slope) > 5.0 and abs(run.of_q[0, 2] - slope) < 0.02 * abs(slope)
     late = run.forces.grad.numpy()[780, 0, 2]
-    assert abs(late - 20 / 2000**2) < 1e-8  # of a force, 20 steps before the end
+    assert abs(late - 20 / 2000**2) < 1e-8  # a force that acts 20 steps before the end
 
 
 def test_labels_tell_which_touches_are_not_covered() -> None:
@@ -430,7 +431,7 @@ def test_a_capture_is_refused_by_name() -> None:
     path = diff.Trajectory(model, 4)
     pipeline = novaphy.CollisionPipeline(model)
     with (
-        pytest.raises(NotImplementedError, match='"motion" is not there inside a ScopedCapture'),
+        pytest.raises(NotImplementedError, match='"motion" is not supported inside a Scoped'),
         nova.ScopedCapture(),
         nova.Tape(),
     ):

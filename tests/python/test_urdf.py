@@ -204,7 +204,7 @@ def test_shapes_materials_and_what_is_shown():
 def test_self_collisions():
     a, b, c = (link(n, INERTIAL + f"<collision>{SPHERE}</collision>") for n in "abc")
     text = robot(a, b, c, joint("ab", "a", "b"), joint("bc", "b", "c"))
-    assert loaded(text)[0].shape_contact_pair_count == 1  # not neighbours
+    assert loaded(text)[0].shape_contact_pair_count == 1  # not neighbors
     assert loaded(text, enable_self_collisions=False)[0].shape_contact_pair_count == 0
     fixed = robot(a, b, c, joint("ab", "a", "b", kind="fixed"), joint("bc", "b", "c"))
     for collapse in (False, True):  # a and b are one
@@ -212,7 +212,7 @@ def test_self_collisions():
 
 
 BALL = (
-    '<inertial><mass value="2"/>'  # of moments that the builder raises
+    '<inertial><mass value="2"/>'  # with moments that the builder raises
     '<inertia ixx="0.03" iyy="0.04" izz="0.09" ixy="0" ixz="0" iyz="0"/></inertial>'
     f"<collision>{SPHERE}</collision>"
 )
@@ -220,7 +220,7 @@ BALL = (
 
 def three_balls(options: dict[str, bool], copies: int = 1) -> tuple[novaphy.Model, list[str]]:
     """The model, and what the first collides say. The third ball is 0.03 m in the first one."""
-    at = '<origin xyz="{} 0 0"/>'.format  # neighbours do not meet
+    at = '<origin xyz="{} 0 0"/>'.format  # neighbors do not meet
     text = robot(
         *(link(name, BALL) for name in "abc"),
         joint("i", "a", "b", at(0.1)),
@@ -228,7 +228,7 @@ def three_balls(options: dict[str, bool], copies: int = 1) -> tuple[novaphy.Mode
     )
     builder = novaphy.ModelBuilder()
     builder.add_urdf(text, floating=True, **options)
-    builder.add_shape_sphere(builder.add_body(), radius=0.1)  # of another mechanism
+    builder.add_shape_sphere(builder.add_body(), radius=0.1)  # another mechanism
     all_worlds = novaphy.ModelBuilder()
     for _ in range(copies):
         all_worlds.add_world(builder)
@@ -379,7 +379,7 @@ def test_meshes_are_looked_for_in_packages_and_beside_the_file(tmp_path):
         ("../t.obj", {}),
         ("package://pack/t.obj", {"package_dirs": [tmp_path]}),
         ("package://pack/t.obj", {"package_dirs": [tmp_path / "pack"]}),
-        ("package://pack/t.obj", {}),  # a folder around the file
+        ("package://pack/t.obj", {}),  # found in a parent folder of the file
         ("package:///pack/t.obj", {}),
         ("model://pack/t.obj", {}),
         (str(tmp_path / "pack" / "t.obj"), {}),
@@ -472,7 +472,7 @@ def test_planar_and_floating_joints_have_the_dofs_of_their_names():
         model, _, _ = loaded(robot(link("a"), link("b"), joint("j", "a", "b", axis, kind)))
         assert model.joint_dof_dim.numpy()[1].tolist() == dims
         assert model.joint_dof_count == axes
-        if kind == "planar":  # within the plane, and about its normal
+        if kind == "planar":  # two axes within the plane, and the normal
             assert_allclose(model.joint_axis.numpy() @ [0, 0, 1], [0, 0, 1])
 
 
@@ -542,7 +542,7 @@ BAD = {
                           joint("y", "b", "c")), 'expected one parent of the link "c"'),
     "no such link": (robot(link("a"), joint("x", "a", "b")), 'there is no link "b"'),
     "no such mimic": (robot(*TWO, link("c"), joint("k", "b", "c", '<mimic joint="?"/>')),
-                      "follows one that is not there"),
+                      "mimics a joint that does not exist"),
     "mimic cycle": (robot(*TWO, link("c"), link("d"), joint("k", "b", "c", '<mimic joint="m"/>'),
                           joint("m", "c", "d", '<mimic joint="k"/>')), "that does not follow"),
     "mimics itself": (robot(*TWO, link("c"), joint("k", "b", "c", '<mimic joint="k"/>')),

@@ -176,7 +176,7 @@ class Reader {
         const auto at = rows_.find(raw.nodes[corner]);
         words_.check_at(raw.line, at != rows_.end(), "element ", raw.tag,
                         ": expected nodes of $Nodes, got ", raw.nodes[corner],
-                        ", which is not there");
+                        ", which does not exist");
         tetrahedron.nodes[corner] = at->second;
       }
       file_.tetrahedra.push_back(tetrahedron);

@@ -67,8 +67,8 @@ template <class T>
 void check_world_setting(const Where& where, int32_t world, std::string_view name,
                          const T& of_builder, const std::vector<T>& of_worlds) {
   require(world >= 0 || of_worlds.empty() || of_builder == of_worlds.back(), ErrorKind::Value,
-          where, ": expected a world from 0: what is in all worlds (-1) needs a ", name,
-          " of the builder that the last world has too");
+          where, ": expected a world from 0, because objects in all worlds (-1) need the same ",
+          name, " of the builder and of the last world");
 }
 
 // ErrorKind::Value: a number of a fluid is not finite, or its density or viscosity is negative.

@@ -391,7 +391,7 @@ void ModelBuilder::add_constraint_mimic(int32_t joint0, int32_t joint1, float co
   one_dof("joint1", joint1);
   Joint& joint = joints_[static_cast<size_t>(joint0)];
   require(joint.mimic < 0, ErrorKind::Value, name, ": joint0: joint ", joint0, " (\"", joint.label,
-          "\"): expected one that follows no other, it follows joint ", joint.mimic);
+          "\"): expected one that mimics no other, it mimics joint ", joint.mimic);
   for (int32_t j = joint1; j >= 0; j = joints_[static_cast<size_t>(j)].mimic)
     require(j != joint0, ErrorKind::Value, name,
             ": joint1: expected a joint that does not follow joint ", joint0, " (\"", joint.label,

@@ -104,7 +104,7 @@ void check_featherstone_model(const Model& m, const FeatherstoneOptions& options
   check_joint_limits(m, options, user);
   check_contact_options(options, user);
   require(m.particle_count() == 0, ErrorKind::NotImplemented, user,
-          ": model: expected particle_count 0 (particles are not covered), got ",
+          ": model: expected particle_count 0 (particles are not supported), got ",
           m.particle_count());
 }
 

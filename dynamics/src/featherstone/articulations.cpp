@@ -33,7 +33,7 @@ void check_enabled(const Model& m, int64_t joint, bool enabled, const char* user
   if (enabled) return;
   fail(ErrorKind::NotImplemented, user, ": model.joint_enabled[", joint, "], of ",
        joint_name(m, joint),
-       ": joints that are not enabled are not covered: give the child a FREE joint in another "
+       ": joints that are not enabled are not supported: give the child a FREE joint in another "
        "model, "
        "or use SolverSemiImplicit");
 }
@@ -49,7 +49,7 @@ void check_in_articulation(const Model& m, int32_t joint, const char* user) {
   fail(ErrorKind::NotImplemented, user, ": model: ", joint_name(m, joint),
        " belongs to no articulation: ",
        closes_loop
-           ? "its child has another joint, and loops are not covered: leave one of them out, "
+           ? "its child has another joint, and loops are not supported: leave one of them out, "
              "or use SolverSemiImplicit"
            : "name it in add_articulation");
 }
@@ -93,7 +93,7 @@ class TreeMaker {
     const int32_t child = model_.joint_child.data()[joint];
     if (type == JointType::DISTANCE)
       fail(ErrorKind::NotImplemented, user_, ": model: ", joint_name(model_, joint),
-           ": DISTANCE joints are not covered: SolverSemiImplicit holds the distance by springs");
+           ": DISTANCE joints are not supported: SolverSemiImplicit holds the distance by springs");
     const bool kinematic = has_flag(model_.body_flags.data()[child], BodyFlags::KINEMATIC);
     if (kinematic) check_kinematic(child, type, parent_body);
     int32_t parent = parent_body < 0 ? -1 : link_of_body_[static_cast<size_t>(parent_body)];
@@ -171,7 +171,7 @@ class TreeMaker {
     const std::string name = "body " + std::to_string(body) + " ('" +
                              model_.body_label[static_cast<size_t>(body)] + "')";
     require(has_kinematic_, ErrorKind::NotImplemented, user_, ": model: ", name,
-            ": kinematic bodies are not covered");
+            ": kinematic bodies are not supported");
     require(parent < 0 && (type == JointType::FREE || type == JointType::FIXED),
             ErrorKind::NotImplemented, user_, ": model: ", name,
             ": expected a kinematic body to have a joint FREE or FIXED to the world, got ",
@@ -316,7 +316,7 @@ std::string Articulations::matrix_name(const Model& m, int32_t dof, const SimSta
   if (!(condition > 1e5)) return name;
   std::ostringstream text;
   text << name << ", whose condition is " << std::setprecision(1) << std::scientific << condition
-       << " (joints that follow others need it; float32 holds 1e7),";
+       << " (mimic joints need it; float32 holds 1e7),";
   return text.str();
 }
 
@@ -383,7 +383,7 @@ void Articulations::check_values(const Model& m, const Control* control, bool fr
     check_enabled(m, static_cast<int64_t>(j), enabled[j] != 0, user);
   for (size_t k = 0; k < dry.size(); ++k) {
     require(friction || dry[k] == 0.0f, ErrorKind::NotImplemented, user, ": model.joint_friction[",
-            k, "]: expected 0 (dry friction is not followed here), got ", dry[k]);
+            k, "]: expected 0 (dry friction is not supported here), got ", dry[k]);
     require(act[k] == 0.0f, ErrorKind::NotImplemented, user, ": joint_act[", k,
             "]: expected 0 (there are no actuators; joint_f takes forces), got ", act[k]);
   }

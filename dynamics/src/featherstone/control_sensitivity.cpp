@@ -96,7 +96,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     for (int32_t i = 0; i < tree.link_count; ++i)
       require(!articulation::follows(tree.links[i]), ErrorKind::NotImplemented, kName,
               ": model: ", articulations.dof_name(*m, tree.links[i].dof),
-              ": joints that follow others are not covered");
+              ": mimic joints are not supported");
     dofs = static_cast<size_t>(tree.dof_count);
     first_dof = tree.first_dof;
     for (int32_t i = 0; i < tree.link_count; ++i)

@@ -217,7 +217,7 @@ ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions
     require_cpu(model.device(), user, ": contact_gradient \"motion\"");
   require(contact_gradient == DerivativeOf::Code || !options.compliant_contacts,
           ErrorKind::NotImplemented, user,
-          ": contact_gradient: motion is not there with compliant_contacts");
+          ": contact_gradient: \"motion\" is not supported with compliant_contacts; use \"code\"");
 }
 ArticulationStep::~ArticulationStep() = default;
 ArticulationStep::ArticulationStep(ArticulationStep&&) noexcept = default;
@@ -271,7 +271,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   const bool moves =
       shared_->contact_gradient == DerivativeOf::Motion && nova::Tape::active() != nullptr;
   require(!moves || !nova::current_capture(), ErrorKind::NotImplemented, kName,
-          ": contact_gradient: motion is not there inside a ScopedCapture");
+          ": contact_gradient: \"motion\" is not supported inside a ScopedCapture; use \"code\"");
   const bool touching = contacts != nullptr && contacts->rigid_contact_max() > 0;
   const bool is_actuated = shared_->actuators->acts();
   join = join && !moves && !is_actuated;

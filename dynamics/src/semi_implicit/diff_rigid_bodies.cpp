@@ -220,7 +220,7 @@ void check_worlds(const Model& model) {
     require(world[b] >= -1 && world[b] < model.world_count(), ErrorKind::Index, "model.body_world[",
             b, "]: expected 0 to ", model.world_count() - 1, ", got ", world[b]);
     require(world[b] >= 0, ErrorKind::NotImplemented, "model.body_world[", b,
-            "]: bodies of all worlds (-1) are not covered in models of several worlds");
+            "]: bodies of all worlds (-1) are not supported in models of several worlds");
   }
 }
 

@@ -27,8 +27,8 @@ void check_unused(const Model& m, const char* solver) {
   const std::vector<int32_t> leader = m.joint_mimic.to_host();
   for (size_t j = 0; j < leader.size(); ++j)
     require(leader[j] < 0, ErrorKind::NotImplemented, solver, ": model: joint ", j, " ('",
-            m.joint_label[j], "') follows joint ", leader[j],
-            ": joints that follow others are those of articulations: use SolverFeatherstone");
+            m.joint_label[j], "') mimics joint ", leader[j],
+            ": mimic joints are not supported; use SolverFeatherstone");
   const auto check = [&](const char* name, const DeviceArray<float>& array, float by_default) {
     const std::vector<float> values = array.to_host();
     for (size_t k = 0; k < values.size(); ++k)

@@ -131,7 +131,7 @@ class GeomReader {
   bool read_mesh(const std::string& name) {
     RobotShape& shape = geom_.shape;
     if (!context_.assets.is_there(name)) {
-      const std::string text = "the file of the mesh \"" + name + "\" is not there";
+      const std::string text = "the file of the mesh \"" + name + "\" does not exist";
       if (is_seen_only()) {
         context_.notes.missing(e_, text);
         return false;

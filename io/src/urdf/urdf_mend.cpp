@@ -183,7 +183,7 @@ class Mender {
         drop(*dynamics);
     if (Element* mimic = e.FirstChildElement("mimic"))
       if (const char* leader = mimic->Attribute("joint"); leader && !joints_.contains(leader)) {
-        notes_.left_out(*mimic, "a joint that follows one that is not there");
+        notes_.left_out(*mimic, "it mimics a joint that does not exist");
         drop(*mimic);
       }
     const char* const given = e.Attribute("type");

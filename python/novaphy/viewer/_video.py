@@ -35,7 +35,7 @@ class Video:
         program = shutil.which("ffmpeg")
         if program is None:
             raise MissingPackageError(
-                "a video needs ffmpeg, which is not there: apt-get install ffmpeg"
+                "a video needs ffmpeg, which is not installed: apt-get install ffmpeg"
             )
         self._messages = tempfile.TemporaryFile()  # noqa: SIM115, closed with the video
         codec = CODECS[ending]

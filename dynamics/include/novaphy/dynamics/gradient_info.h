@@ -31,7 +31,7 @@ struct GradientInfo {
   // "surrogate". A gradient is a "surrogate" too if times of events move, but the gradient may
   // differ from that of the motion.
   std::string label;
-  std::string reason;  // one sentence on the cause and the consequence
+  std::string reason;  // sentences on the cause and the consequence
   int64_t steps = 0, exact_steps = 0, frozen_steps = 0, surrogate_steps = 0;
   // Contacts that began, ended, or changed between sticking and slipping, between two consecutive
   // steps. `events` is the sum of `began`, `ended` and `turned`.

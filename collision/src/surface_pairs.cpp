@@ -2,8 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 
-#include "box_buckets.h"
+#include "box_tree.h"
 #include "novaphy/collision/geometry/nearest_weights.h"
 
 namespace novaphy {
@@ -18,40 +19,31 @@ Vec3d wide(const Vec4f& v) {
   return {static_cast<double>(v.x), static_cast<double>(v.y), static_cast<double>(v.z)};
 }
 
-// Features of one kind (vertices, edges or triangles), each given by its particles.
+// Returns the box with all points nearer than `around`. The last term covers the rounding of ends.
+Box3 padded(const Box3& box, float around) {
+  const float size = std::max({std::abs(box.lo.x), std::abs(box.lo.y), std::abs(box.lo.z),
+                               std::abs(box.hi.x), std::abs(box.hi.y), std::abs(box.hi.z)});
+  const float pad = around * 1.000001f + size * 2e-7f;
+  return {box.lo - Vec3f{pad, pad, pad}, box.hi + Vec3f{pad, pad, pad}};
+}
+
+// Features of one kind: vertices, edges or triangles, by their particles.
 template <size_t n>
 struct Features {
   std::vector<std::array<int32_t, n>> corners;
   std::vector<Box3> boxes;
-  std::vector<int32_t> worlds;
   std::vector<float> reaches;
 
-  void set_worlds(std::span<const int32_t> world) {
-    for (const auto& c : corners) worlds.push_back(world[static_cast<size_t>(c[0])]);
-  }
-  // Makes the boxes of the features, enlarged on each side by the largest reach of a corner plus
-  // `around` (m).
-  void set_boxes(std::span<const Vec4f> x, std::span<const float> reach, float around) {
+  // `of`: boxes of the particles.
+  void set_boxes(std::span<const Box3> of, std::span<const float> reach) {
     boxes.resize(corners.size());
-    reaches.resize(corners.size());
+    reaches.assign(corners.size(), 0.0f);
     for (size_t f = 0; f < corners.size(); ++f) {
-      const Vec4f& first = x[static_cast<size_t>(corners[f][0])];
-      Box3 box = {{first.x, first.y, first.z}, {first.x, first.y, first.z}};
-      float most = 0.0f;
+      boxes[f] = of[static_cast<size_t>(corners[f][0])];
       for (const int32_t p : corners[f]) {
-        const Vec4f& v = x[static_cast<size_t>(p)];
-        box.lo = {std::min(box.lo.x, v.x), std::min(box.lo.y, v.y), std::min(box.lo.z, v.z)};
-        box.hi = {std::max(box.hi.x, v.x), std::max(box.hi.y, v.y), std::max(box.hi.z, v.z)};
-        if (!reach.empty()) most = std::max(most, reach[static_cast<size_t>(p)]);
+        boxes[f] = detail::united(boxes[f], of[static_cast<size_t>(p)]);
+        if (!reach.empty()) reaches[f] = std::max(reaches[f], reach[static_cast<size_t>(p)]);
       }
-      // The last factor covers the rounding of the ends.
-      const float size = std::max({std::abs(box.lo.x), std::abs(box.lo.y), std::abs(box.lo.z),
-                                   std::abs(box.hi.x), std::abs(box.hi.y), std::abs(box.hi.z)});
-      const float pad = (most + around) * 1.000001f + size * 2e-7f;
-      box.lo = box.lo - Vec3f{pad, pad, pad};
-      box.hi = box.hi + Vec3f{pad, pad, pad};
-      boxes[f] = box;
-      reaches[f] = most;
     }
   }
 };
@@ -80,43 +72,97 @@ geometry::NearestWeights nearest(const SurfacePair& pair, std::span<const Vec4f>
 }  // namespace
 
 struct SurfacePairs::Work {
+  // The vertices and edges of a triangle that no triangle before has.
+  struct Owned {
+    int32_t vertices[3], edges[3];
+    int vertex_count = 0, edge_count = 0;
+  };
   Features<1> vertices;
   Features<2> edges;
   Features<3> triangles;
+  std::vector<int32_t> worlds;  // of triangles
+  std::vector<Owned> owned;     // of triangles
   float radius = 0.0f, shortest = 0.0f;
   std::vector<bool> is_vertex;
   std::vector<SurfacePair> near_at_rest;  // sorted by `before`
-  std::vector<SurfacePair> pairs;
-  detail::BoxBuckets buckets;
+  std::vector<SurfacePair> pairs, of_edges;
+  detail::BoxTree tree;  // of triangles
+  std::vector<Box3> of_particles;
   std::vector<int32_t> met;
 
-  // Adds the pairs of two kinds of features. Each pair of two edges is added once.
-  template <size_t n, size_t m>
-  void add_pairs(const Features<n>& a, const Features<m>& b, std::span<const Vec4f> x) {
-    buckets.build(b.boxes, a.boxes, b.worlds);
-    for (size_t i = 0; i < a.corners.size(); ++i) {
-      met.clear();
-      buckets.visit(a.boxes[i], a.worlds[i], [&](int32_t j) {
-        if (n == m && static_cast<size_t>(j) <= i) return;
-        if (!share_corner(a.corners[i], b.corners[static_cast<size_t>(j)])) met.push_back(j);
-      });
-      std::sort(met.begin(), met.end());
-      for (const int32_t j : met) {
-        SurfacePair pair = {.has_edges = n == 2, .radius = radius};
-        for (size_t k = 0; k < n; ++k) pair.particle[k] = a.corners[i][k];
-        for (size_t k = 0; k < m; ++k) pair.particle[n + k] = b.corners[static_cast<size_t>(j)][k];
-        const float reach = radius + (a.reaches[i] + b.reaches[static_cast<size_t>(j)]);
-        if (nearest(pair, x).distance < static_cast<double>(reach) * 1.00001) pairs.push_back(pair);
+  void add_triangles(std::span<const Vec3i> of, std::span<const int32_t> world) {
+    std::map<std::array<int32_t, 2>, int32_t> numbers;
+    for (const Vec3i& t : of) {
+      Owned& owns = owned.emplace_back();
+      for (const int32_t p : {t.x, t.y, t.z}) {
+        if (is_vertex[static_cast<size_t>(p)]) continue;
+        is_vertex[static_cast<size_t>(p)] = true;
+        owns.vertices[owns.vertex_count++] = static_cast<int32_t>(vertices.corners.size());
+        vertices.corners.push_back({p});
       }
+      for (const auto& [p, q] :
+           {std::minmax(t.x, t.y), std::minmax(t.y, t.z), std::minmax(t.x, t.z)}) {
+        const auto next = static_cast<int32_t>(edges.corners.size());
+        if (!numbers.try_emplace({p, q}, next).second) continue;
+        owns.edges[owns.edge_count++] = next;
+        edges.corners.push_back({p, q});
+      }
+      triangles.corners.push_back({t.x, t.y, t.z});
+      worlds.push_back(world[static_cast<size_t>(t.x)]);
     }
   }
-  void find(std::span<const Vec4f> x, std::span<const float> reach) {
+  void set_boxes(std::span<const Vec4f> x, std::span<const float> reach,
+                 std::span<const Box3> regions, float around) {
+    of_particles.resize(x.size());
+    for (const auto& [p] : vertices.corners) {
+      const auto i = static_cast<size_t>(p);
+      const Vec3f v = {x[i].x, x[i].y, x[i].z};
+      if (regions.empty()) {
+        of_particles[i] = padded({v, v}, around + (reach.empty() ? 0.0f : reach[i]));
+      } else {
+        of_particles[i] = padded(regions[i], around);
+      }
+    }
+    vertices.set_boxes(of_particles, reach);
+    edges.set_boxes(of_particles, reach);
+    triangles.set_boxes(of_particles, reach);
+  }
+  template <size_t n, size_t m>
+  void try_pair(const Features<n>& of_a, int32_t a, const Features<m>& of_b, int32_t b,
+                std::span<const Vec4f> x) {
+    const auto i = static_cast<size_t>(a), j = static_cast<size_t>(b);
+    if (!geometry::boxes_meet(of_a.boxes[i], of_b.boxes[j])) return;
+    if (share_corner(of_a.corners[i], of_b.corners[j])) return;
+    SurfacePair pair = {.has_edges = n == 2, .radius = radius};
+    for (size_t k = 0; k < n; ++k) pair.particle[k] = of_a.corners[i][k];
+    for (size_t k = 0; k < m; ++k) pair.particle[n + k] = of_b.corners[j][k];
+    const float most = (radius + (of_a.reaches[i] + of_b.reaches[j])) * 1.00001f;
+    pair.distance = static_cast<float>(nearest(pair, x).distance);
+    if (pair.distance < most) (n == 2 ? of_edges : pairs).push_back(pair);
+  }
+  // Two features can meet only where the boxes of the triangles that own them meet. Each pair of
+  // triangles is visited once, so each pair of features is, too.
+  void find(std::span<const Vec4f> x, std::span<const float> reach, std::span<const Box3> regions) {
     pairs.clear();
-    vertices.set_boxes(x, reach, 0.5f * radius);
-    edges.set_boxes(x, reach, 0.5f * radius);
-    triangles.set_boxes(x, reach, 0.5f * radius);
-    add_pairs(vertices, triangles, x);
-    add_pairs(edges, edges, x);
+    of_edges.clear();
+    set_boxes(x, reach, regions, 0.5f * radius);
+    tree.fit(triangles.boxes);
+    for (int32_t s = 0; s < static_cast<int32_t>(owned.size()); ++s) {
+      const auto i = static_cast<size_t>(s);
+      met.clear();
+      tree.visit(triangles.boxes[i], worlds[i], s + 1, [&](int32_t t) {
+        if (t > s) met.push_back(t);
+      });
+      std::sort(met.begin(), met.end());
+      for (const int32_t t : met) {
+        const Owned &a = owned[i], &b = owned[static_cast<size_t>(t)];
+        for (int k = 0; k < a.vertex_count; ++k) try_pair(vertices, a.vertices[k], triangles, t, x);
+        for (int k = 0; k < b.vertex_count; ++k) try_pair(vertices, b.vertices[k], triangles, s, x);
+        for (int k = 0; k < a.edge_count; ++k)
+          for (int l = 0; l < b.edge_count; ++l) try_pair(edges, a.edges[k], edges, b.edges[l], x);
+      }
+    }
+    pairs.insert(pairs.end(), of_edges.begin(), of_edges.end());
   }
 };
 
@@ -126,30 +172,19 @@ SurfacePairs::SurfacePairs(std::span<const Vec3i> triangles, std::span<const int
   Work& w = *work_;
   w.radius = radius;
   w.is_vertex.assign(rest.size(), false);
-  for (const Vec3i& t : triangles) {
-    w.triangles.corners.push_back({t.x, t.y, t.z});
-    for (const auto& [p, q] : {std::minmax(t.x, t.y), std::minmax(t.y, t.z), std::minmax(t.x, t.z)})
-      w.edges.corners.push_back({p, q});
-    for (const int32_t p : {t.x, t.y, t.z}) w.is_vertex[static_cast<size_t>(p)] = true;
-  }
-  auto& edges = w.edges.corners;
-  std::sort(edges.begin(), edges.end());
-  edges.erase(std::unique(edges.begin(), edges.end()), edges.end());
-  for (size_t p = 0; p < rest.size(); ++p)
-    if (w.is_vertex[p]) w.vertices.corners.push_back({static_cast<int32_t>(p)});
-  w.vertices.set_worlds(world);
-  w.edges.set_worlds(world);
-  w.triangles.set_worlds(world);
+  w.add_triangles(triangles, world);
+  std::vector<Vec3f> corners;
+  for (const Vec3i& t : triangles) corners.push_back(rest[static_cast<size_t>(t.x)]);
+  w.tree.build(corners, w.worlds);
 
   std::vector<Vec4f> x;
   for (const Vec3f& v : rest) x.push_back({v.x, v.y, v.z, 0.0f});
-  for (const auto& [p, q] : edges) {
+  for (const auto& [p, q] : w.edges.corners) {
     const float length = math::length(rest[static_cast<size_t>(p)] - rest[static_cast<size_t>(q)]);
     w.shortest = w.shortest == 0.0f ? length : std::min(w.shortest, length);
   }
-  w.find(x, {});
-  for (SurfacePair& pair : w.pairs)
-    pair.radius = kOfRest * static_cast<float>(nearest(pair, x).distance);
+  w.find(x, {}, {});
+  for (SurfacePair& pair : w.pairs) pair.radius = kOfRest * pair.distance;
   w.near_at_rest = w.pairs;
   std::sort(w.near_at_rest.begin(), w.near_at_rest.end(), before);
 }
@@ -157,9 +192,10 @@ SurfacePairs::SurfacePairs(std::span<const Vec3i> triangles, std::span<const int
 SurfacePairs::~SurfacePairs() = default;
 
 const std::vector<SurfacePair>& SurfacePairs::find(std::span<const Vec4f> x,
-                                                   std::span<const float> reach) {
+                                                   std::span<const float> reach,
+                                                   std::span<const Box3> regions) {
   Work& w = *work_;
-  w.find(x, reach);
+  w.find(x, reach, regions);
   if (w.near_at_rest.empty()) return w.pairs;
   for (SurfacePair& pair : w.pairs) {
     const auto at = std::lower_bound(w.near_at_rest.begin(), w.near_at_rest.end(), pair, before);
@@ -170,22 +206,24 @@ const std::vector<SurfacePair>& SurfacePairs::find(std::span<const Vec4f> x,
 
 std::optional<std::array<int32_t, 5>> SurfacePairs::find_crossing(std::span<const Vec4f> x) {
   Work& w = *work_;
-  w.edges.set_boxes(x, {}, 0.0f);
-  w.triangles.set_boxes(x, {}, 0.0f);
-  w.buckets.build(w.triangles.boxes, w.edges.boxes, w.triangles.worlds);
+  w.set_boxes(x, {}, {}, 0.0f);
+  w.tree.fit(w.triangles.boxes);
   const auto at = [&](int32_t p) { return wide(x[static_cast<size_t>(p)]); };
-  for (size_t e = 0; e < w.edges.corners.size(); ++e) {
-    const auto& [p, q] = w.edges.corners[e];
-    int32_t crossed = -1;
-    w.buckets.visit(w.edges.boxes[e], w.edges.worlds[e], [&](int32_t t) {
-      const auto& of = w.triangles.corners[static_cast<size_t>(t)];
-      if (share_corner(w.edges.corners[e], of) || (crossed >= 0 && crossed < t)) return;
-      if (geometry::passes_through(at(p), at(q), at(of[0]), at(of[1]), at(of[2]))) crossed = t;
-    });
-    if (crossed < 0) continue;
-    const auto& of = w.triangles.corners[static_cast<size_t>(crossed)];
-    return std::array<int32_t, 5>{p, q, of[0], of[1], of[2]};
-  }
+  for (size_t of = 0; of < w.owned.size(); ++of)
+    for (int k = 0; k < w.owned[of].edge_count; ++k) {
+      const auto e = static_cast<size_t>(w.owned[of].edges[k]);
+      const auto& [p, q] = w.edges.corners[e];
+      int32_t crossed = -1;
+      w.tree.visit(w.edges.boxes[e], w.worlds[of], 0, [&](int32_t t) {
+        const auto& [a, b, c] = w.triangles.corners[static_cast<size_t>(t)];
+        if (share_corner(w.edges.corners[e], w.triangles.corners[static_cast<size_t>(t)])) return;
+        if (crossed >= 0 && crossed < t) return;
+        if (geometry::passes_through(at(p), at(q), at(a), at(b), at(c))) crossed = t;
+      });
+      if (crossed < 0) continue;
+      const auto& [a, b, c] = w.triangles.corners[static_cast<size_t>(crossed)];
+      return std::array<int32_t, 5>{p, q, a, b, c};
+    }
   return {};
 }
 

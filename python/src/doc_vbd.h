@@ -65,7 +65,7 @@ soft_contact_kd and soft_contact_mu, and never cross. On the CPU, outside of cap
 iterations alone.
 particle_self_contact_radius: m; the distance at which contacts begin. None: twice particle_radius.
 particle_self_contact_margin: Newton's name of the radius.
-particle_self_contact_gap: m; how far beyond the radius contacts are known. None: the radius.
+particle_self_contact_gap: m; how far beyond the radius contacts are known. None: a third of it.
 
 ValueError: a bad option, particles without a color, a negative or NaN material.
 NotImplementedError: names what is not supported.)";

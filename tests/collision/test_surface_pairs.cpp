@@ -100,7 +100,9 @@ TEST(SurfacePairs, AreThoseOfATestOfEveryPair) {
       found.push_back({pair.has_edges, pair.particle});
       EXPECT_EQ(pair.radius, 0.02f);
     }
-    const std::vector<Key> wanted = every_pair(s, 0.02f);
+    std::vector<Key> wanted = every_pair(s, 0.02f);
+    std::sort(found.begin(), found.end());
+    std::sort(wanted.begin(), wanted.end());
     EXPECT_GT(wanted.size(), 100u);
     EXPECT_EQ(found, wanted);
   }
@@ -153,7 +155,10 @@ TEST(SurfacePairs, PairsThatAreNearAtRestGetASmallerRadius) {
   for (const Vec3f& v : rest) x.push_back({v.x, v.y, v.z, 0.0f});
   const auto& pairs = surface.find(x, std::vector<float>(6, 0.0f));
   ASSERT_EQ(pairs.size(), 6u + 9u);
-  for (const SurfacePair& pair : pairs) EXPECT_NEAR(pair.radius, 0.009f, 1e-7f);
+  for (const SurfacePair& pair : pairs) {
+    EXPECT_NEAR(pair.distance, 0.01f, 1e-7f);
+    EXPECT_NEAR(pair.radius, 0.009f, 1e-7f);
+  }
   EXPECT_EQ(surface.shortest_edge(), 1.0f);
 }
 

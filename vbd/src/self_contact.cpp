@@ -42,7 +42,7 @@ SelfContact::SelfContact(const Model& m, const ColorSlots& slots, const VbdSelfC
   for (size_t p = 0; p < n; ++p)
     if (seen[p]) vertices_.push_back(static_cast<int32_t>(p));
   radius_ = radius_of(m, o, vertices_);
-  gap_ = o.gap.value_or(radius_);
+  gap_ = o.gap.value_or(radius_ / 3.0f);
   require(std::isfinite(radius_) && radius_ > 0.0f, ErrorKind::Value, kName,
           "particle_self_contact_radius: expected a finite number > 0 (m), got ", radius_);
   require(std::isfinite(gap_) && gap_ > 0.0f, ErrorKind::Value, kName,
@@ -55,6 +55,8 @@ SelfContact::SelfContact(const Model& m, const ColorSlots& slots, const VbdSelfC
   origin_ = reference_ = wish_ = rest_;
   reach_.assign(n, 0.0f);
   safe_.assign(n, 0.0f);
+  moved_.assign(n, 0.0f);
+  regions_.resize(n);
   is_cut_.assign(n, 0);
   begins_ = DeviceArray<int32_t>(n + 1, m.device());
   numbers_ = DeviceArray<float>(kContactFloats, m.device());
@@ -142,20 +144,19 @@ float SelfContact::edge_factor(const SurfacePair& pair) const {
 
 void SelfContact::find_contacts(const Given& given) {
   contacts_.clear();
-  std::vector<double> moved(rest_.size(), 0.0);
-  for (const int32_t p : vertices_) moved[index(p)] = length_of(at(p) - wide(origin_[index(p)]));
-  std::vector<int32_t> corners;
+  corners_.clear();
+  for (const int32_t p : vertices_)
+    moved_[index(p)] = narrow(length_of(at(p) - wide(origin_[index(p)]))) * 1.0001f;
   for (size_t k = 0; k < pairs_.size(); ++k) {
     const SurfacePair& pair = pairs_[k];
-    double of[2] = {0.0, 0.0};
+    const auto most = [&](size_t a, size_t b) {
+      return std::max(moved_[index(pair.particle[a])], moved_[index(pair.particle[b])]);
+    };
+    const float moved =
+        pair.has_edges ? most(0, 1) + most(2, 3) : most(0, 0) + std::max(most(1, 2), most(3, 3));
+    if (pair.distance * 0.9999f - moved >= pair.radius) continue;
     Vec3d x[4];
-    for (int c = 0; c < 4; ++c) {
-      const int32_t p = pair.particle[static_cast<size_t>(c)];
-      double& most = of[pair.is_first(c) ? 0 : 1];
-      most = std::max(most, moved[index(p)]);
-      x[c] = at(p);
-    }
-    if (distances_[k] - (of[0] + of[1]) >= wide(pair.radius)) continue;
+    for (size_t c = 0; c < 4; ++c) x[c] = at(pair.particle[c]);
     const auto nearest =
         pair.has_edges ? geometry::nearest_of_edges(x) : geometry::nearest_to_triangle(x);
     if (!(nearest.distance < wide(pair.radius))) continue;
@@ -170,11 +171,11 @@ void SelfContact::find_contacts(const Given& given) {
     c.load = -c.factor * gap_slopes(narrow(c.gap), pair.radius, model_.soft_contact_ke).first;
     for (size_t a = 0; a < 4; ++a) {
       c.weight[a] = nearest.weight[a];
-      corners.push_back(c.weight[a] != 0.0 ? pair.particle[a] : -1);
+      corners_.push_back(c.weight[a] != 0.0 ? pair.particle[a] : -1);
     }
     contacts_.push_back(c);
   }
-  contacts_of_.build(corners, model_.particle_count());
+  contacts_of_.build(corners_, model_.particle_count());
   lay_numbers(given);
 }
 

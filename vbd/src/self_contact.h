@@ -81,6 +81,8 @@ class SelfContact {
   struct Plane {
     Vec3d normal{};
     double offset = 0.0;
+    // Returns how far a particle above may approach (m).
+    double height(const Vec3d& x) const { return math::dot(normal, x) - offset; }
   };
   struct Contact {
     size_t pair;
@@ -91,12 +93,10 @@ class SelfContact {
 
   Vec3d at(int32_t p) const;
   void set_reach(int32_t world);
-  void set_safe(int32_t p);
+  void set_planes(int32_t p);
   void place_again(std::span<const char> is_new);
   void detect();
-  // Sets `distance` to the distance of the pair at the reference positions (m).
-  Plane plane_between(const SurfacePair& pair, double& distance) const;
-  double height(const Plane& plane, bool is_first, const Vec3d& x) const;
+  Plane plane_between(const SurfacePair& pair) const;
   template <class Body>
   void for_particles(int64_t first_group, int64_t end_group, const Body& body) const;
   void lay_numbers(const Given& given);
@@ -113,11 +113,14 @@ class SelfContact {
   int32_t worlds_ = 1;
   std::vector<Vec4f> rest_, origin_, reference_, wish_, ended_;
   std::vector<float> reach_, safe_;
-  std::vector<char> is_cut_, moves_freely_;  // by particle: which bound stopped it; by world
-  std::vector<int> detections_;              // by world: the number in this step
-  double slack_ = 0.0;                       // m: distance that particles keep from planes
-  std::vector<Plane> planes_;
-  std::vector<double> distances_;
+  std::vector<geometry::Box3> regions_;      // of particles, around origin_ and wish_
+  std::vector<char> is_cut_, moves_freely_;  // of particles; of worlds
+  std::vector<int> detections_;              // of worlds, in this step
+  double slack_ = 0.0;                       // m: kept distance to planes
+  std::vector<Plane> planes_;                // of pairs
+  std::vector<Plane> planes_of_;             // of the items of pairs_of_, with the particle above
+  std::vector<float> moved_;                 // m: of particles, from origin_
+  std::vector<int32_t> corners_;             // of pairs or contacts
   std::span<const SurfacePair> pairs_;
   std::vector<Contact> contacts_;
   DeviceArray<int32_t> begins_;

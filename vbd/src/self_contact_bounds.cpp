@@ -15,41 +15,47 @@ constexpr char kByPlane = 1, kByReach = 2;  // the bound that stopped a particle
 
 }  // namespace
 
-// Sets the reach of the particles of a world.
+// Sets the reach and the region of the particles of a world.
 void SelfContact::set_reach(int32_t world) {
+  const Vec3f around = Vec3f{gap_, gap_, gap_} * 0.5f;
   for (const int32_t p : vertices_) {
     const size_t i = index(p);
     if (world_[i] != world) continue;
     reach_[i] = narrow(length_of(wide(wish_[i]) - wide(origin_[i]))) * 1.0001f + 0.5f * gap_;
+    const Vec4f &a = origin_[i], &b = wish_[i];
+    regions_[i] = {Vec3f{std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)} - around,
+                   Vec3f{std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)} + around};
   }
 }
 
 void SelfContact::detect() {
-  pairs_ = surface_->find(origin_, reach_);
+  pairs_ = surface_->find(origin_, reach_, regions_);
   planes_.resize(pairs_.size());
-  distances_.resize(pairs_.size());
-  std::vector<int32_t> corners;
-  corners.reserve(4 * pairs_.size());
+  corners_.clear();
   for (size_t k = 0; k < pairs_.size(); ++k) {
-    planes_[k] = plane_between(pairs_[k], distances_[k]);
-    corners.insert(corners.end(), pairs_[k].particle.begin(), pairs_[k].particle.end());
+    planes_[k] = plane_between(pairs_[k]);
+    corners_.insert(corners_.end(), pairs_[k].particle.begin(), pairs_[k].particle.end());
   }
-  pairs_of_.build(corners, model_.particle_count());
-  for (const int32_t p : vertices_) set_safe(p);
+  pairs_of_.build(corners_, model_.particle_count());
+  planes_of_.resize(corners_.size());
+  for (const int32_t p : vertices_) set_planes(p);
 }
 
-// Sets the distance from its reference that a particle may move before it can meet a plane.
-void SelfContact::set_safe(int32_t p) {
+// Sets the planes of a particle, and how far it may move from its reference without a look at them.
+void SelfContact::set_planes(int32_t p) {
   double least = std::numeric_limits<float>::max();
   const Vec3d x = wide(reference_[index(p)]);
+  Plane* to = planes_of_.data() + pairs_of_.begins()[index(p)];
   for (const int32_t item : pairs_of_.items(p)) {
     const size_t k = index(item / 4);
-    least = std::min(least, height(planes_[k], pairs_[k].is_first(item % 4), x));
+    const double side = pairs_[k].is_first(item % 4) ? 1.0 : -1.0;
+    *to = {planes_[k].normal * side, planes_[k].offset * side + slack_};
+    least = std::min(least, (to++)->height(x));
   }
   safe_[index(p)] = narrow(std::max(least, 0.0)) * 0.9999f;
 }
 
-SelfContact::Plane SelfContact::plane_between(const SurfacePair& pair, double& distance) const {
+SelfContact::Plane SelfContact::plane_between(const SurfacePair& pair) const {
   Vec3d x[4], wish[4];
   for (size_t k = 0; k < 4; ++k) {
     x[k] = wide(reference_[index(pair.particle[k])]);
@@ -57,9 +63,7 @@ SelfContact::Plane SelfContact::plane_between(const SurfacePair& pair, double& d
   }
   const auto nearest =
       pair.has_edges ? geometry::nearest_of_edges(x) : geometry::nearest_to_triangle(x);
-  distance = nearest.distance;
-  // Heights are measured from a corner of the second side. Heights from the coordinate origin would
-  // lose digits.
+  // Heights above a corner of the second side, which a plane through the origin would round.
   double best = -std::numeric_limits<double>::infinity(), top = 0.0;
   Vec3d normal{};
   const auto try_normal = [&](Vec3d n) {
@@ -98,36 +102,39 @@ SelfContact::Plane SelfContact::plane_between(const SurfacePair& pair, double& d
   return {normal, math::dot(normal, x[3]) + (top + best * share)};
 }
 
-// Returns how far a particle of a side may approach a plane (m).
-double SelfContact::height(const Plane& plane, bool is_first, const Vec3d& x) const {
-  const double h = math::dot(plane.normal, x) - plane.offset;
-  return (is_first ? h : -h) - slack_;
-}
-
 void SelfContact::hold_particle(int32_t p) {
   const size_t i = index(p);
   if (!surface_->is_vertex(p)) return;
   const Vec3d from = wide(reference_[i]), to = wide(rows_.x[i]), d = to - from;
-  const double size = length_of(d), reach = wide(reach_[i]);
-  // Solves |from + t d - origin| = reach for t. The reference `from` is within the reach.
-  const Vec3d off = from - wide(origin_[i]);
-  const bool is_far = length_of(off + d) > reach;
+  const double squared = math::dot(d, d), reach = wide(reach_[i]), safe = wide(safe_[i]);
+  // The reference is within the reach of the origin. Solves |from + t d - origin| = reach.
+  const Vec3d off = from - wide(origin_[i]), end = off + d;
   double t = 1.0;
-  if (is_far) {
+  if (math::dot(end, end) > reach * reach) {
     const double along = math::dot(off, d), room = reach * reach - math::dot(off, off);
-    const double root = std::sqrt(along * along + size * size * std::max(room, 0.0));
-    t = 0.9999 * std::max(root - along, 0.0) / (size * size);
+    const double root = std::sqrt(along * along + squared * std::max(room, 0.0));
+    t = 0.9999 * std::max(root - along, 0.0) / squared;
   }
-  if (size > wide(safe_[i]))
-    for (const int32_t item : pairs_of_.items(p)) {
-      const size_t k = index(item / 4);
-      const bool is_first = pairs_[k].is_first(item % 4);
-      const double before = height(planes_[k], is_first, from);
-      const double after = height(planes_[k], is_first, to);
-      if (before < 0.0) {
-        if (after < before) t = 0.0;
-      } else if (after < 0.0) {
+  const geometry::Box3& region = regions_[i];
+  const auto stay = [&t](double from_c, double d_c, float lo, float hi) {
+    if (d_c == 0.0) return;
+    const double part = ((d_c < 0.0 ? wide(lo) : wide(hi)) - from_c) / d_c;
+    if (part < 1.0) t = std::min(t, 0.9999 * std::max(part, 0.0));
+  };
+  stay(from.x, d.x, region.lo.x, region.hi.x);
+  stay(from.y, d.y, region.lo.y, region.hi.y);
+  stay(from.z, d.z, region.lo.z, region.hi.z);
+  const bool is_far = t < 1.0;
+  if (squared > safe * safe)
+    for (int32_t k = pairs_of_.begins()[i]; k < pairs_of_.begins()[i + 1]; ++k) {
+      const Plane& plane = planes_of_[index(k)];
+      const double after = plane.height(to);
+      if (after >= 0.0) continue;
+      const double before = plane.height(from);
+      if (before >= 0.0) {
         t = std::min(t, kShare * before / (before - after));
+      } else if (after < before) {
+        t = 0.0;
       }
     }
   if (!(t < 1.0)) {
@@ -198,11 +205,10 @@ void SelfContact::place_again(std::span<const char> is_new) {
   }
   std::sort(due.begin(), due.end());
   due.erase(std::unique(due.begin(), due.end()), due.end());
-  double unused = 0.0;
-  for (const size_t k : due) planes_[k] = plane_between(pairs_[k], unused);
+  for (const size_t k : due) planes_[k] = plane_between(pairs_[k]);
   std::sort(moved.begin(), moved.end());
   moved.erase(std::unique(moved.begin(), moved.end()), moved.end());
-  for (const int32_t p : moved) set_safe(p);
+  for (const int32_t p : moved) set_planes(p);
 }
 
 }  // namespace novaphy::vbd

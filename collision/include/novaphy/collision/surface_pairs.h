@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "novaphy/collision/export.h"
+#include "novaphy/collision/geometry/mesh_view.h"
 #include "novaphy/math/types.h"
 
 namespace novaphy {
@@ -21,7 +22,8 @@ namespace novaphy {
 struct SurfacePair {
   std::array<int32_t, 4> particle{};
   bool has_edges = false;
-  float radius = 0.0f;  // m: contacts begin at this distance
+  float radius = 0.0f;    // m: contacts begin at this distance
+  float distance = 0.0f;  // m: of the sides when the pair was found
 
   // Returns whether the k-th particle belongs to the first side.
   bool is_first(int k) const { return k < (has_edges ? 2 : 1); }
@@ -36,10 +38,11 @@ class NOVAPHY_COLLISION_API SurfacePairs {
   ~SurfacePairs();
 
   // Finds the pairs that come nearer than the radius if each particle moves by at most its reach
-  // (m) from x. Pairs of vertices and triangles come first, then pairs of edges. Both kinds are
-  // sorted by their first side, then by the second side. The fourth float of a row of x is not
-  // read.
-  const std::vector<SurfacePair>& find(std::span<const Vec4f> x, std::span<const float> reach);
+  // (m) from x, and stays in its region, if there are regions. Pairs of vertices and triangles
+  // come first, then pairs of edges, both in the order of the triangles of their sides. `x`: rows
+  // of which three floats count.
+  const std::vector<SurfacePair>& find(std::span<const Vec4f> x, std::span<const float> reach,
+                                       std::span<const geometry::Box3> regions = {});
 
   // Returns the ends of an edge that passes through a triangle at x, and the triangle's corners.
   std::optional<std::array<int32_t, 5>> find_crossing(std::span<const Vec4f> x);

@@ -18,10 +18,8 @@ enum class VbdInitialGuess { Inertia, Previous, Adaptive };
 
 // Contact of the triangles of a model with each other. An empty value stands for the default.
 struct VbdSelfContact {
-  // m: contacts begin at this distance. Default: twice particle_radius.
-  std::optional<float> radius = {};
-  // m: pairs are known up to this distance beyond the radius. Default: the radius.
-  std::optional<float> gap = {};
+  std::optional<float> radius = {};  // m: contacts begin at this distance; twice particle_radius
+  std::optional<float> gap = {};     // m: how far beyond the radius pairs are known; a third
 };
 
 struct VbdOptions {

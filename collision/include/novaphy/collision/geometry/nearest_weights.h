@@ -60,7 +60,8 @@ inline NearestWeights nearest_to_triangle(const Vec3d (&x)[4]) {
 // any pair of nearest points.
 inline NearestWeights nearest_of_edges(const Vec3d (&x)[4]) {
   const auto clamped = [](double along, double square) {
-    return square > 0.0 ? std::fmin(std::fmax(along / square, 0.0), 1.0) : 0.0;
+    if (!(along > 0.0) || !(square > 0.0)) return 0.0;
+    return along < square ? along / square : 1.0;
   };
   const Vec3d u = x[1] - x[0], v = x[3] - x[2], r = x[2] - x[0], n = math::cross(u, v);
   const double uu = math::dot(u, u), vv = math::dot(v, v);

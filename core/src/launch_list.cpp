@@ -102,11 +102,18 @@ void LaunchList::run(size_t first, size_t last) const {
       if (op.n != 0)
         launch_now(*op.made->context, op.made->kernel, op.kernel->name(), op.n, words(op));
   }
-  for (const Op& op : ops)
-    for (size_t k = 0; op.writes_arrays && op.n != 0 && k < op.infos.size(); ++k)
-      if (Range* const range = ranges_[op.first_word + k];
-          range != nullptr && (op.infos[k].access & access::kWrite) != 0)
-        range->mark_written();
+  // Neighbors in the list often write the same arrays. One mark is enough for them.
+  const Op* marked = nullptr;
+  for (const Op& op : ops) {
+    if (!op.writes_arrays || op.n == 0) continue;
+    Range* const* const of = &ranges_[op.first_word];
+    if (marked != nullptr && marked->infos.data() == op.infos.data() &&
+        std::equal(of, of + op.infos.size(), &ranges_[marked->first_word]))
+      continue;
+    marked = &op;
+    for (size_t k = 0; k < op.infos.size(); ++k)
+      if (of[k] != nullptr && (op.infos[k].access & access::kWrite) != 0) of[k]->mark_written();
+  }
 }
 
 }  // namespace novaphy

@@ -79,7 +79,7 @@ TEST(VbdLaws, ASpringsForceIsMinusTheDerivativeOfItsEnergy) {
     // Without the projection H lacks only the second derivative from the damper's rotation.
     in.numbers[1] = Real64(0.0);
     const auto elastic = [&in](const Point& p) { return force_at(in, p); };
-    expect_exact(Spring::block<false>(in, true), elastic, x);
+    expect_exact(Spring::block<Block, false>(in, true), elastic, x);
     if (Spring::length(in) > in.numbers[2]) expect_exact(block_of(in, true), elastic, x);
   }
 }
@@ -121,7 +121,7 @@ TEST(VbdLaws, APressedSpringIsProjected) {
   const SlotInputs<kSpring, Real64> in = {{Real64(0.5), Real64(0.0), Real64(0.0)},
                                           {Point{}},
                                           {Real64(10.0), Real64(0.0), Real64(1.0), Real64(1.0)}};
-  const auto exact = Spring::block<false>(in, true), used = Spring::block(in, true);
+  const auto exact = Spring::block<Block, false>(in, true), used = Spring::block(in, true);
   EXPECT_DOUBLE_EQ(exact.h11.v, -10.0);
   EXPECT_DOUBLE_EQ(used.h11.v, 0.0);
   EXPECT_DOUBLE_EQ(used.h00.v, exact.h00.v);

@@ -164,8 +164,8 @@ TEST(NewtonVbdUnits, SpringsAreNewtons) {
     const auto slot = [&](int c) {
       return testing::slot_of<vbd::kSpring, float>(c, at, before, {ke[e], kd[e], rest[e]}, dt);
     };
-    units.compare(
-        e, {vbd::Spring::block<false>(slot(0), true), vbd::Spring::block<false>(slot(1), true)});
+    const auto block = [&](int c) { return vbd::Spring::block<vbd::Block, false>(slot(c), true); };
+    units.compare(e, {block(0), block(1)});
     if (vbd::Spring::length(slot(0)) < rest[e]) continue;
     ++stretched;
     units.compare(e, {vbd::block_of(slot(0), true), vbd::block_of(slot(1), true)});

@@ -100,7 +100,7 @@ struct Pressed {
     auto sum = vbd::inertia_block(x, target, inertia);
     for (const Point& anchor : anchors)
       sum = sum + (projected ? vbd::Spring::block(slot(x, anchor), true)
-                             : vbd::Spring::block<false>(slot(x, anchor), true));
+                             : vbd::Spring::block<vbd::Block, false>(slot(x, anchor), true));
     return sum;
   }
   double energy(const Point& x) const {

@@ -96,7 +96,7 @@ class DoubleStep {
     SlotOf<role>::put_start(
         before, [&](int k, const Dual& value) { in.numbers[start_begin(role) + k] = value; });
     if constexpr (role == kSpring) {
-      block = block + Spring::block<false>(in, true);
+      block = block + Spring::block<Block, false>(in, true);
     } else {
       block = block + block_of(in, true);
     }

@@ -208,7 +208,7 @@ void write_stiffness(std::ostream& out) {
   const SlotInputs<role, Symbol> in = slot_inputs<role>(inputs);
   Vec3<Symbol> d[kOthers[role] + 1];
   for (int k = 0; k <= kOthers[role]; ++k) d[k] = inputs.add_vector("d[" + std::to_string(k) + "]");
-  const Vec3<Symbol> u = inputs.add_vector("u"), sum = stiffness_times(in, d, true);
+  const Vec3<Symbol> u = inputs.add_vector("u"), sum = stiffness(in, true)(d);
   write_adjoints(out, in, Adjoints({sum.x, sum.y, sum.z}, {u.x, u.y, u.z}), inputs, kFloats[role],
                  "stiffness_adjoint(const Vec3<S>& u", "Vec3<S>* d");
 }

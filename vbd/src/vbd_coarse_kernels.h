@@ -67,6 +67,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_matrix, VbdCoarseArguments) {
 // Factorizes A = L D L^T, with L below the diagonal and 1/D on the diagonal. An unknown whose pivot
 // is at most 1e-6 of its diagonal is left out. `row`: over the systems.
 NOVAPHY_ROW_KERNEL(vbd_coarse_factor, VbdCoarseArguments) {
+  a.search[row].whole = 0.0f;
   const vbd::CoarseSystem s(a, static_cast<int32_t>(row));
   const int64_t size = s.unknowns;
   for (int64_t j = 0; j < size; ++j) {
@@ -114,7 +115,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_solve, VbdCoarseArguments) {
   VbdCoarseSearch& search = a.search[row];
   search.length = 1.0f;
   search.slope = vbd::coarse_dot(load, step, size);
-  search.is_done = 0.0f;
+  search.is_done = search.slope <= kVbdCoarseTrust * search.whole ? 1.0f : 0.0f;
 }
 
 // Ends the line search if the step is short enough, else halves the length. `row`: over the
@@ -126,6 +127,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_test, VbdCoarseArguments) {
   const float slope = vbd::coarse_dot(a.load + 3 * s.first, a.step + 3 * s.first, s.unknowns);
   if (slope >= -0.5f * search.slope) {
     search.is_done = 1.0f;
+    if (search.length == 1.0f) search.whole = search.slope;
   } else {
     search.length = a.tests == kVbdCoarseTests ? 0.0f : 0.5f * search.length;
   }

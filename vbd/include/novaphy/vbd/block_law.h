@@ -32,6 +32,24 @@ Block<T> operator+(const Block<T>& a, const Block<T>& b) {
           a.h01 + b.h01, a.h02 + b.h02, a.h12 + b.h12};
 }
 
+// The force of a block alone. Laws that add to a block take Force for Block to leave out H.
+template <class T>
+struct Force {
+  Vec3<T> f{};
+};
+template <class T>
+Force<T> operator+(const Force<T>& a, const Force<T>& b) {
+  return {a.f + b.f};
+}
+template <class B, class T>
+Force<T> where(const B& c, const Force<T>& a) {
+  return {math::select(c, a.f, Vec3<T>{})};
+}
+template <class T>
+void add_identity(Force<T>&, const T&) {}
+template <class T>
+void add_outer(Force<T>&, const T&, const Vec3<T>&) {}
+
 // Returns the block in the lanes where the condition holds, and 0 in the other lanes.
 template <class B, class T>
 Block<T> where(const B& c, const Block<T>& a) {
@@ -66,9 +84,9 @@ Vec3<T> multiply_stiffness(const Block<T>& b, const Vec3<T>& d) {
           (b.h02 * d.x + b.h12 * d.y) + b.h22 * d.z};
 }
 
-template <class T>
-Block<T> inertia_block(const Vec3<T>& x, const Vec3<T>& target, const T& mass_by_h2) {
-  Block<T> block;
+template <template <class> class B = Block, class T>
+B<T> inertia_block(const Vec3<T>& x, const Vec3<T>& target, const T& mass_by_h2) {
+  B<T> block;
   block.f = (target - x) * mass_by_h2;
   add_identity(block, mass_by_h2);
   return block;

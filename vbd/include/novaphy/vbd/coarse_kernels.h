@@ -8,8 +8,13 @@
 // function times a vector. With the stiffness H of the step (stiffness_law.h, inertia, contacts) at
 // the initial guess:
 //   A = P^T H P,  A a = P^T f,  x += t P a
+//
 // f are the forces at x. The length t starts at 1. The line search halves t while the forces work
 // against the step: while f(x + t P a).(P a) < -f(x).(P a)/2. After kVbdCoarseTests tests t is 0.
+//
+// The slope f(x).(P a) is twice the energy that a step removes. A step is taken whole without a
+// test if its slope is at most kVbdCoarseTrust times that of a step which was tested and taken
+// whole. If an untested step is too long, the next step is large enough for a test.
 #pragma once
 
 #include "novaphy/vbd/sweep_kernels.h"
@@ -17,11 +22,13 @@
 namespace novaphy {
 
 constexpr int kVbdCoarseTests = 4;
+constexpr float kVbdCoarseTrust = 0.1f;
 
-// The line search of a system: the length t, the slope f.(P a), and whether t was found (1 or 0).
+// The line search of a system: the length t, the slope f.(P a), whether t was found (1 or 0), and
+// the slope of the last tested step of this time step that was taken whole.
 struct alignas(16) VbdCoarseSearch {
   using Element = Vec4f;  // the element type of arrays of this struct
-  float length = 0.0f, slope = 0.0f, is_done = 0.0f, unused = 0.0f;
+  float length = 0.0f, slope = 0.0f, is_done = 0.0f, whole = 0.0f;
 };
 
 // Tables named `..._begin` have one more entry behind the last.
@@ -80,11 +87,13 @@ void add_stiffness(const VbdCoarseArguments& a, const LaneGroup<S>& g, const int
   for (int l = 0; l < g.filled; ++l) {
     const int32_t p = g.particle[l], q = others[l], aggregate = a.aggregate[q];
     if (aggregate < 0 || a.aggregate[p] < 0) continue;
+    float of_lane[9];
+    for (int k = 0; k < 9; ++k) of_lane[k] = values[k][l];
     float* to = rows_of(a, p, aggregate);
     const int32_t functions = a.function_begin[aggregate + 1] - a.function_begin[aggregate];
     for (int32_t j = 0; j < functions; ++j, to += 9) {
       const float value = function_at(a, q, j);
-      for (int k = 0; k < 9; ++k) to[k] = to[k] + value * values[k][l];
+      for (int k = 0; k < 9; ++k) to[k] = to[k] + value * of_lane[k];
     }
   }
 }
@@ -129,7 +138,7 @@ bool is_coarse_done(const VbdCoarseArguments& a, const LaneGroup<S>& g) {
 }
 template <class S>
 void coarse_force(const VbdCoarseArguments& a, const LaneGroup<S>& g) {
-  if (!is_coarse_done(a, g)) g.put(a.force, block_at(g, g.at(a.sweep.x)).f);
+  if (!is_coarse_done(a, g)) g.put(a.force, block_at<Force>(g, g.at(a.sweep.x)).f);
 }
 
 // Writes the block of inertia and contacts of each particle. The elements are left out, because

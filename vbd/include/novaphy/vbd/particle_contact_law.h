@@ -38,9 +38,8 @@ struct ParticleContact {
   T radius{}, ke{}, kd_by_h{}, mu{}, slip{}, inside{};
 };
 
-template <class T>
-Block<T> particle_contact_block(const Vec3<T>& x, const Vec3<T>& start,
-                                const ParticleContact<T>& c) {
+template <template <class> class B = Block, class T>
+B<T> particle_contact_block(const Vec3<T>& x, const Vec3<T>& start, const ParticleContact<T>& c) {
   using namespace math;
   const T zero = T(0.0f), one = T(1.0f);
   const Vec3<T>& n = c.normal;
@@ -56,7 +55,7 @@ Block<T> particle_contact_block(const Vec3<T>& x, const Vec3<T>& start,
   const T friction = ((c.mu * c.ke) * depth) * shape;
   const T damping = select(un < zero, c.kd_by_h, zero);
   const T approach = -select(c.inside > zero, max(un, -depth), un);
-  Block<T> block;
+  B<T> block;
   block.f = n * (c.ke * depth + damping * approach) - ut * friction;
   add_identity(block, friction);
   add_outer(block, (c.ke + damping) - friction, n);

@@ -86,7 +86,7 @@ Vec3<S> reverse_slot_of(const VbdAdjointArguments& a, const Slot<role, S>& slot,
   add_numbers(a, slot, to, kFloats[role]);
   return to.own;
 }
-// Computes the adjoints of u.(sum of H_k d[k]), see stiffness_times.
+// Computes the adjoints of u.(sum of H_k d[k]), see stiffness.
 template <Role role, class S>
 NOVAPHY_LANE_FN_APART void stiffness_adjoint_of(const Slot<role, S>& slot, const Vec3<S>& x,
                                                 const VbdRow* rows, const Vec3<S>& u,

@@ -198,44 +198,44 @@ void for_contacts(const LaneGroup<S>& g, const Body& body) {
   }
 }
 // Returns the sum of the contacts' blocks.
-template <class S>
-Block<S> contact_blocks(const LaneGroup<S>& g, const Vec3<S>& x) {
-  Block<S> outer;
+template <template <class> class B = Block, class S>
+B<S> contact_blocks(const LaneGroup<S>& g, const Vec3<S>& x) {
+  B<S> outer;
   if (g.a.contact_begin == nullptr) return outer;
   const Vec3<S> start = g.at(g.a.start);
   for_contacts(g, [&](const LaneContacts<S>& c) {
-    outer = outer + where(c.touching, particle_contact_block(x, start, c.contact));
+    outer = outer + where(c.touching, particle_contact_block<B>(x, start, c.contact));
   });
   return outer;
 }
 
 // Returns the block of the particles of a group at x. The order of the sum is: contacts and outer
 // elements, then inertia and the other elements, then both sums. see(block) gets the blocks of the
-// contacts together and of each element.
-template <class S, class See>
-Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x, const See& see) {
+// contacts together and of each element. B: Block or Force.
+template <template <class> class B = Block, class S, class See>
+B<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x, const See& see) {
   const bool turns = g.a.turns != 0;
   const VbdRow* const q = g.a.x;
-  Block<S> outer = contact_blocks(g, x);
+  B<S> outer = contact_blocks<B>(g, x);
   see(outer);
-  const auto add = [&](auto is, Block<S>& sum) {
+  const auto add = [&](auto is, B<S>& sum) {
     constexpr Role role = decltype(is)::role;
     const bool damped = g.is_damped(role);
     for_slots<role>(g, [&](const auto& s) {
-      const Block<S> block = block_of(inputs_of(s, x, q), damped, turns);
+      const B<S> block = block_of<B>(inputs_of(s, x, q), damped, turns);
       see(block);
       sum = sum + block;
     });
   };
   for_roles_that_are<true>([&](auto is) { add(is, outer); });
-  Block<S> block = inertia_block(x, g.at(g.a.target), g.mass_by_h2());
+  B<S> block = inertia_block<B>(x, g.at(g.a.target), g.mass_by_h2());
   for_roles_that_are<false>([&](auto is) { add(is, block); });
   return block + outer;
 }
 
-template <class S>
-Block<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x) {
-  return block_at(g, x, [](const Block<S>&) {});
+template <template <class> class B = Block, class S>
+B<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x) {
+  return block_at<B>(g, x, [](const B<S>&) {});
 }
 
 // Returns the energy of the elements of particles at x (J). The contacts have the loads of the

@@ -23,11 +23,12 @@ constexpr int kMostArrays = 4, kMostSlots = 2;  // arrays of parameters, and slo
 
 // The base of the struct of an element, with defaults. The struct also has:
 // - kLawFloats and kStartFloats, the numbers of the law and of the start; kDampingParameter;
-// - block(in, damped) and energy(in);
+// - block<B>(in, damped), a Block or a Force, and energy(in);
 // - put_start(in, put) and put_numbers(corner, parameters, h, put), which call put(k, value) for
 // the k-th number of the start and of the slot;
-// - with more than two corners stiffness_times(in, d, damped), the sum of H_k d[k], with the
-// stiffness H_k (stiffness_law.h) between the own corner and itself (k = 0) or another corner.
+// - with more than two corners stiffness(in, damped), a function of d that sums H_k d[k], with the
+// stiffness H_k (stiffness_law.h) between the own corner and itself (k = 0) or another corner. The
+// function may have a member between(k), which returns H_k for k > 0.
 template <int corners>
 struct ElementOf {
   static constexpr int kCorners = corners;

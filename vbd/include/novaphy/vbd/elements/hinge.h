@@ -86,14 +86,14 @@ struct HingeSlot : Hinge {
   static auto is_defined(const In& in) {
     return is_defined_by(Slot::hinge(in));
   }
-  template <class In>
+  template <template <class> class B = Block, class In>
   static auto block(const In& in, bool) {
     using S = typename In::Scalar;
     const S ke = in.numbers[0], kd_by_h = in.numbers[1];
     const math::Hinge<S> h = Slot::hinge(in);
     const Vec3<S> t = Slot::turning(in, h);
     const S moment = ke * (h.angle - in.numbers[2]) + kd_by_h * wrapped(h.angle - in.numbers[3]);
-    Block<S> block;
+    B<S> block;
     block.f = t * (-moment);
     add_outer(block, ke + kd_by_h, t);
     return where(is_defined_by(h), block);
@@ -107,19 +107,34 @@ struct HingeSlot : Hinge {
     const S energy = S(0.5f) * ((in.numbers[0] * bent) * bent + (in.numbers[1] * moved) * moved);
     return select(is_defined_by(h), energy, S(0.0f));
   }
-  // Returns the sum of H_0k d_k, with the H of block() for all corners.
-  template <class In, class V>
-  static V stiffness_times(const In& in, const V* d, bool) {
-    using math::dot, math::select;
+  // The function of d that sums H_0k d_k, with the H of block() for all corners.
+  template <class V, class S>
+  struct Stiffness {
+    ByVertex<V> turning;  // dth/dx
+    V own;                // of the own corner, times the coefficients
+    V operator()(const V* d) const {
+      const ByVertex<V> by = Slot::by_vertex(d);
+      // The sum of all dth/dx is 0, because a translation keeps the angle.
+      return own * ((math::dot(turning.x0, by.x0 - by.x3) + math::dot(turning.x1, by.x1 - by.x3)) +
+                    math::dot(turning.x2, by.x2 - by.x3));
+    }
+    // Returns H_0k.
+    Mat33<S> between(int k) const { return outer_product(own, Slot::of_corner(turning, k)); }
+  };
+  template <class In>
+  static auto stiffness(const In& in, bool) {
+    using math::select;
     using S = typename In::Scalar;
     const math::Hinge<S> h = Slot::hinge(in);
-    const V own = Slot::turning(in, h), of_x2 = Slot::turning_of_x2(in, h);
-    const V of_x0 = turning_of_opposite(h.n1, h.n1_length, h);
-    const V of_x1 = turning_of_opposite(h.n2, h.n2_length, h);
-    const auto& [d0, d1, d2, d3] = Slot::by_vertex(d);
-    // The sum of all dth/dx is 0, because a translation keeps the angle.
-    const S turned = (dot(of_x0, d0 - d3) + dot(of_x1, d1 - d3)) + dot(of_x2, d2 - d3);
-    return select(is_defined_by(h), own * ((in.numbers[0] + in.numbers[1]) * turned), V{});
+    const auto is_defined = is_defined_by(h);
+    const auto kept = [&](const Vec3<S>& v) { return select(is_defined, v, Vec3<S>{}); };
+    ByVertex<Vec3<S>> turning = {kept(turning_of_opposite(h.n1, h.n1_length, h)),
+                                 kept(turning_of_opposite(h.n2, h.n2_length, h)),
+                                 kept(Slot::turning_of_x2(in, h)),
+                                 {}};
+    turning.x3 = -((turning.x0 + turning.x1) + turning.x2);
+    const S stiffness = in.numbers[0] + in.numbers[1];
+    return Stiffness<Vec3<S>, S>{turning, kept(Slot::turning(in, h)) * stiffness};
   }
   template <class In, class Put>
   static void put_start(const In& in, const Put& put) {
@@ -131,6 +146,10 @@ struct HingeOpposite : HingeSlot<HingeOpposite> {
   template <class V>
   static ByVertex<V> by_vertex(const V* d) {
     return {d[0], d[1], d[2], d[3]};
+  }
+  template <class V>
+  static const V& of_corner(const ByVertex<V>& by, int k) {
+    return k == 1 ? by.x1 : k == 2 ? by.x2 : by.x3;
   }
   template <class In>
   static auto hinge(const In& in) {
@@ -151,6 +170,10 @@ struct HingeEnd : HingeSlot<HingeEnd> {
   template <class V>
   static ByVertex<V> by_vertex(const V* d) {
     return {d[1], d[2], d[0], d[3]};
+  }
+  template <class V>
+  static const V& of_corner(const ByVertex<V>& by, int k) {
+    return k == 1 ? by.x0 : k == 2 ? by.x1 : by.x3;
   }
   template <class In>
   static auto hinge(const In& in) {

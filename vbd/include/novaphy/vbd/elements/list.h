@@ -85,42 +85,53 @@ struct SlotInputs {
   Vec3<S> own, others[kOthers[role]];
   Numbers numbers;
 };
-// Returns the block of a slot. `turns`: H is that of stiffness_of.
-template <Role role, class S, class N>
-Block<S> block_of(const SlotInputs<role, S, N>& in, bool damped,
-                  [[maybe_unused]] bool turns = false) {
+// Returns the block of a slot, or with B = Force its force. `turns`: H is that of stiffness_of.
+template <template <class> class B = Block, Role role, class S, class N>
+B<S> block_of(const SlotInputs<role, S, N>& in, bool damped, [[maybe_unused]] bool turns = false) {
   if constexpr (SlotOf<role>::kResistsTurns) {
-    return SlotOf<role>::block(in, damped, turns);
+    return SlotOf<role>::template block<B>(in, damped, turns);
   } else {
-    return SlotOf<role>::block(in, damped);
+    return SlotOf<role>::template block<B>(in, damped);
   }
 }
 
-// Returns the sum of H_k d[k], with the stiffness H_k between the own corner and itself (k = 0) or
-// the k-th other one.
+// Returns the function of d that sums H_k d[k], with the stiffness H_k between the own corner and
+// itself (k = 0) or the k-th other one.
 template <Role role, class S, class N>
-Vec3<S> stiffness_times(const SlotInputs<role, S, N>& in, const Vec3<S>* d, bool damped) {
+auto stiffness(const SlotInputs<role, S, N>& in, bool damped) {
   if constexpr (kOthers[role] == 1) {  // the force is along the line between two points
-    return multiply_stiffness(block_of(in, damped), d[0] - d[1]);
+    const Block<S> block = block_of(in, damped);
+    return [=](const Vec3<S>* d) { return multiply_stiffness(block, d[0] - d[1]); };
   } else {
-    return SlotOf<role>::stiffness_times(in, d, damped);
+    return SlotOf<role>::stiffness(in, damped);
   }
 }
-// Calls put(k, H_k) for these corners.
+// Calls put(k, H_k) for the other corners, then for the own one. The sum of all H_k is 0, because
+// no translation changes the forces.
 template <Role role, class S, class N, class Put>
 void stiffness_of(const SlotInputs<role, S, N>& in, bool damped, const Put& put) {
-  for (int k = 0; k <= kOthers[role]; ++k) {
+  const auto times = stiffness(in, damped);
+  Mat33<S> own;
+  for (int k = 1; k <= kOthers[role]; ++k) {
     Mat33<S> h;
-    for (int c = 0; c < 3; ++c) {
-      Vec3<S> d[kOthers[role] + 1] = {};
-      (c == 0 ? d[k].x : c == 1 ? d[k].y : d[k].z) = S(1.0f);
-      const Vec3<S> column = stiffness_times(in, d, damped);
-      h.m[0][c] = column.x;
-      h.m[1][c] = column.y;
-      h.m[2][c] = column.z;
+    if constexpr (requires { times.between(k); }) {
+      h = times.between(k);
+    } else {
+      for (int c = 0; c < 3; ++c) {
+        Vec3<S> d[kOthers[role] + 1] = {};
+        (c == 0 ? d[k].x : c == 1 ? d[k].y : d[k].z) = S(1.0f);
+        const Vec3<S> column = times(d);
+        h.m[0][c] = column.x;
+        h.m[1][c] = column.y;
+        h.m[2][c] = column.z;
+      }
     }
     put(k, h);
+    add_to(own, h);
   }
+  for (auto& row : own.m)
+    for (S& entry : row) entry = -entry;
+  put(0, own);
 }
 
 // Calls body(parameter, array, index in the array) for the parameters of an element.

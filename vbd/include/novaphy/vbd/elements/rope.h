@@ -30,7 +30,7 @@ struct Rope : Spring {
     const S rest = in.numbers[2];
     return in.numbers[0] * (l - rest) + in.numbers[1] * (l - max(in.numbers[3], rest));
   }
-  template <class In>
+  template <template <class> class B = Block, class In>
   static auto block(const In& in, bool) {
     using math::max, math::select;
     using S = typename In::Scalar;
@@ -38,7 +38,7 @@ struct Rope : Spring {
     const S tension = max(zero, of_law), across = tension / l;
     const S along = select(of_law > zero, in.numbers[0] + in.numbers[1], zero);
     const Vec3<S> u = (in.own - in.others[0]) / l;
-    Block<S> block;
+    B<S> block;
     block.f = u * (-tension);
     add_identity(block, across);
     add_outer(block, along - across, u);

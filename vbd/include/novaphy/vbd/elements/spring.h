@@ -43,7 +43,7 @@ struct Spring : ElementOf<2> {
     using math::max;
     return max(math::length(in.own - in.others[0]), typename In::Scalar(1e-8f));
   }
-  template <bool project = true, class In>
+  template <template <class> class B = Block, bool project = true, class In>
   static auto block(const In& in, bool) {
     using math::max;
     using S = typename In::Scalar;
@@ -53,7 +53,7 @@ struct Spring : ElementOf<2> {
     const S tension = ke * (l - rest) + kd_by_h * (l - in.numbers[3]);
     const S slack = one - rest / l;
     const S across = ke * (project ? max(S(0.0f), slack) : slack);
-    Block<S> block;
+    B<S> block;
     block.f = u * (-tension);
     add_identity(block, across);
     add_outer(block, (ke + kd_by_h) - across, u);

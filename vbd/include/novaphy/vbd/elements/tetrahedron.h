@@ -73,7 +73,7 @@ struct Tetrahedron : ElementOf<4> {
   }
 
   // With `damped` false the terms of kd are left out. The caller then knows that kd is 0.
-  template <class In>
+  template <template <class> class B = Block, class In>
   static auto block(const In& in, bool damped) {
     using namespace math;
     using S = typename In::Scalar;
@@ -87,7 +87,7 @@ struct Tetrahedron : ElementOf<4> {
     const S s = ln * (dot(f[0], c0) - n[11]);
     const Vec3<S> fm = (f[0] * m.x + f[1] * m.y) + f[2] * m.z;
     const Vec3<S> dj = (c0 * m.x + c1 * m.y) + c2 * m.z;
-    Block<S> block;
+    B<S> block;
     block.f = -(fm * mu + dj * s);
     add_identity(block, mu * dot(m, m));
     add_outer(block, ln, dj);
@@ -116,39 +116,44 @@ struct Tetrahedron : ElementOf<4> {
     const S most = mu / sqrt(max(squared, S(1e-12f)));
     return max(min(s, S(0.5f) * most), -min(most, ln * max(j, S(0.0f))));
   }
-  // Returns the sum of H_0k d_k.
-  template <class In, class V>
-  static V stiffness_times(const In& in, const V* d, bool damped) {
+  // Returns the function of d that sums H_0k d_k.
+  template <class In>
+  static auto stiffness(const In& in, bool damped) {
     using namespace math;
     using S = typename In::Scalar;
-    const auto& n = in.numbers;
-    const Columns<S> columns_of_f = columns(in), moved = columns_of(d[0], d + 1, n);
-    const auto& f = columns_of_f.f;
-    const auto& g = moved.f;
-    const S mu = n[9], ln = n[10], two = S(2.0f);
+    using V = Vec3<S>;
+    const auto n = in.numbers;
+    const Columns<S> of = columns(in);
+    const S mu = n[9], ln = n[10], kd2 = S(2.0f) * n[12];
     const V m = -((V{n[0], n[1], n[2]} + V{n[3], n[4], n[5]}) + V{n[6], n[7], n[8]});
-    const V c0 = cross(f[1], f[2]), c1 = cross(f[2], f[0]), c2 = cross(f[0], f[1]);
-    const S j = dot(f[0], c0);
-    const S s = bounded(ln * (j - n[11]), mu, ln, j, strain(columns_of_f));
-    const S grown = (dot(c0, g[0]) + dot(c1, g[1])) + dot(c2, g[2]);
-    V sum = ((g[0] * m.x + g[1] * m.y) + g[2] * m.z) * mu +
-            ((c0 * m.x + c1 * m.y) + c2 * m.z) * (ln * grown);
-    const V turned = (cross(g[2] * m.y - g[1] * m.z, f[0]) + cross(g[0] * m.z - g[2] * m.x, f[1])) +
-                     cross(g[1] * m.x - g[0] * m.y, f[2]);
-    sum = sum + turned * s;
-    if (!damped) return sum;
-    const S kd2 = two * n[12];
-    sum = sum + (f[0] * (m.x * dot(f[0], g[0])) + f[1] * (m.y * dot(f[1], g[1])) +
-                 f[2] * (m.z * dot(f[2], g[2]))) *
-                    (two * kd2);
-    const auto add = [&](const V& fa, const V& fb, const S& ma, const S& mb, const V& ga,
-                         const V& gb) {
-      sum = sum + (fa * mb + fb * ma) * (kd2 * (dot(fa, gb) + dot(fb, ga)));
+    const V c0 = cross(of.f[1], of.f[2]), c1 = cross(of.f[2], of.f[0]);
+    const V c2 = cross(of.f[0], of.f[1]);
+    const S j = dot(of.f[0], c0);
+    const S s = bounded(ln * (j - n[11]), mu, ln, j, strain(of));
+    const V dj = (c0 * m.x + c1 * m.y) + c2 * m.z;
+    return [=](const V* d) {
+      const Columns<S> moved = columns_of(d[0], d + 1, n);
+      const auto& f = of.f;
+      const auto& g = moved.f;
+      const S grown = (dot(c0, g[0]) + dot(c1, g[1])) + dot(c2, g[2]);
+      V sum = ((g[0] * m.x + g[1] * m.y) + g[2] * m.z) * mu + dj * (ln * grown);
+      const V turned =
+          (cross(g[2] * m.y - g[1] * m.z, f[0]) + cross(g[0] * m.z - g[2] * m.x, f[1])) +
+          cross(g[1] * m.x - g[0] * m.y, f[2]);
+      sum = sum + turned * s;
+      if (!damped) return sum;
+      sum = sum + (f[0] * (m.x * dot(f[0], g[0])) + f[1] * (m.y * dot(f[1], g[1])) +
+                   f[2] * (m.z * dot(f[2], g[2]))) *
+                      (S(2.0f) * kd2);
+      const auto add = [&](const V& fa, const V& fb, const S& ma, const S& mb, const V& ga,
+                           const V& gb) {
+        sum = sum + (fa * mb + fb * ma) * (kd2 * (dot(fa, gb) + dot(fb, ga)));
+      };
+      add(f[0], f[1], m.x, m.y, g[0], g[1]);
+      add(f[0], f[2], m.x, m.z, g[0], g[2]);
+      add(f[1], f[2], m.y, m.z, g[1], g[2]);
+      return sum;
     };
-    add(f[0], f[1], m.x, m.y, g[0], g[1]);
-    add(f[0], f[2], m.x, m.z, g[0], g[2]);
-    add(f[1], f[2], m.y, m.z, g[1], g[2]);
-    return sum;
   }
   template <class In>
   static auto energy(const In& in) {

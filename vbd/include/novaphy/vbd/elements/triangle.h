@@ -89,7 +89,7 @@ struct Triangle : ElementOf<3> {
 
   // With `damped` false the terms of kd are left out. The caller then knows that kd is 0. With
   // `turns` H is H_00, with r = max(s/J, -mu/S^2).
-  template <class In>
+  template <template <class> class B = Block, class In>
   static auto block(const In& in, bool damped, bool turns = false) {
     using namespace math;
     using S = typename In::Scalar;
@@ -106,7 +106,7 @@ struct Triangle : ElementOf<3> {
     const Vec3<S> dj = cross(f1, n) * a + cross(n, f0) * b;
     const Vec3<S> w = f1 * a - f0 * b;
     const S r = turns ? across(c, s / j, mu) : max(zero, s) / j;
-    Block<S> block;
+    B<S> block;
     block.f = -((f0 * a + f1 * b) * mu + dj * s);
     add_identity(block, mu * (a * a + b * b) + r * dot(w, w));
     add_outer(block, ln - r, dj);
@@ -123,32 +123,35 @@ struct Triangle : ElementOf<3> {
     add_outer(block, k, e11);
     return block;
   }
-  // Returns the sum of H_0k d_k.
-  template <class In, class V>
-  static V stiffness_times(const In& in, const V* d, bool damped) {
+  // Returns the function of d that sums H_0k d_k.
+  template <class In>
+  static auto stiffness(const In& in, bool damped) {
     using namespace math;
     using S = typename In::Scalar;
+    using V = Vec3<S>;
     const auto& numbers = in.numbers;
+    const S w0 = numbers[0], w1 = numbers[1], w2 = numbers[2], w3 = numbers[3];
     const S mu = numbers[4], ln = numbers[5], two = S(2.0f);
     const Columns<S> c = columns(in);
-    const auto& [f0, f1] = c;
-    const V e1 = d[1] - d[0], e2 = d[2] - d[0];
-    const V d0 = e1 * numbers[0] + e2 * numbers[2], d1 = e1 * numbers[1] + e2 * numbers[3];
-    const V m = cross(f0, f1);
+    const V f0 = c.f0, f1 = c.f1, m = cross(f0, f1);
     const S j = area_ratio(m);
     const V n = m / j, g0 = cross(f1, n), g1 = cross(n, f0);
-    const S a = -(numbers[0] + numbers[2]), b = -(numbers[1] + numbers[3]);
+    const S a = -(w0 + w2), b = -(w1 + w3);
     const S s = ln * (j - numbers[6]);
     const S tension = across(c, s / j, mu);
     const S within = max(min(s, mu), -mu);
-    const V w = f1 * a - f0 * b;
-    V sum = (d0 * a + d1 * b) * mu + (g0 * a + g1 * b) * (ln * (dot(g0, d0) + dot(g1, d1)));
-    sum = sum + n * (tension * (dot(w, f1) * dot(n, d0) - dot(w, f0) * dot(n, d1)));
-    sum = sum + cross(d1 * a - d0 * b, n) * within;
-    if (!damped) return sum;
-    const S kd2 = two * numbers[7];
-    sum = sum + f0 * (((kd2 * two) * a) * dot(f0, d0)) + f1 * (((kd2 * two) * b) * dot(f1, d1));
-    return sum + (f1 * a + f0 * b) * (kd2 * (dot(f1, d0) + dot(f0, d1)));
+    const V w = f1 * a - f0 * b, dj = g0 * a + g1 * b, shear = f1 * a + f0 * b;
+    const S w_f0 = dot(w, f0), w_f1 = dot(w, f1), kd2 = two * numbers[7];
+    return [=](const V* d) {
+      const V e1 = d[1] - d[0], e2 = d[2] - d[0];
+      const V d0 = e1 * w0 + e2 * w2, d1 = e1 * w1 + e2 * w3;
+      V sum = (d0 * a + d1 * b) * mu + dj * (ln * (dot(g0, d0) + dot(g1, d1)));
+      sum = sum + n * (tension * (w_f1 * dot(n, d0) - w_f0 * dot(n, d1)));
+      sum = sum + cross(d1 * a - d0 * b, n) * within;
+      if (!damped) return sum;
+      sum = sum + f0 * (((kd2 * two) * a) * dot(f0, d0)) + f1 * (((kd2 * two) * b) * dot(f1, d1));
+      return sum + shear * (kd2 * (dot(f1, d0) + dot(f0, d1)));
+    };
   }
   template <class In>
   static auto energy(const In& in) {

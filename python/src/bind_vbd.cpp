@@ -115,7 +115,8 @@ VbdGradientOptions to_gradient_options(const std::string& gradient,
 auto to_info(const diff::DiffSolverVBD& s) {
   const diff::DiffVbdGradientInfo i = s.gradient_info();
   return to_fields(i, py::dict("primal"_a = i.primal, "linear_residual"_a = i.linear_residual,
-                               "linear_sweeps"_a = i.linear_sweeps, "converged"_a = i.converged));
+                               "linear_sweeps"_a = i.linear_sweeps, "converged"_a = i.converged,
+                               "halvings"_a = i.halvings));
 }
 
 void bind_diff_vbd(py::module_& solvers) {

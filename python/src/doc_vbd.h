@@ -42,6 +42,8 @@ primal: the VbdResidual of the step of the last backward or jvp.
 linear_residual: with implicit gradients the relative residual of the linear system, else 0.
 linear_sweeps: with implicit gradients the sweeps for the linear system.
 converged: whether both are within the tolerance; True with unrolled gradients.
+halvings: with unrolled gradients the number of coarse steps of the step that were halved. The
+result jumps where this number changes.
 
 `novaphy.Error`: no backward or jvp has run.
 `novaphy.Error`: a replay, or a step on a device, failed since the last call (not finite, not

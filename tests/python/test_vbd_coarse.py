@@ -257,3 +257,31 @@ def test_an_implicit_step_has_the_same_solution():
         solver.step(model.state(), after, None, None, 1 / 240)
         ends.append(after.particle_q.numpy())
     np.testing.assert_allclose(*ends, atol=1e-6)
+
+
+def test_halved_steps_are_counted():
+    nova, diff = pytest.importorskip("novaphy.nova"), pytest.importorskip("novaphy.diff")
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    for k in range(6):
+        builder.add_particle((0.1 * k, 0, 0), (0, 0, 0), 0.01 if k else 0.0)
+    for k in range(5):
+        builder.add_spring(k, k + 1, 1e4, 0.0, 0)
+    builder.color()
+    model = builder.finalize()
+
+    def halvings(speed, coarse):
+        """Push the chain together, which has no stiffness across itself then."""
+        state, after = model.state(), model.state()
+        state.requires_grad = True
+        velocity = np.zeros((6, 3), np.float32)
+        velocity[1:, 0], velocity[1:, 1] = -speed * np.linspace(0.2, 1.0, 5), 0.3 * speed
+        state.particle_qd.assign(velocity)
+        solver = DiffSolverVBD(model, iterations=10, coarse=coarse)
+        with nova.Tape() as tape:
+            solver.step(state, after, None, None, 1 / 60)
+            loss = nova.sum(diff.state_particle_q_tensor(after))
+        tape.backward(loss)
+        return solver.gradient_info().halvings
+
+    assert halvings(0.0, "auto") == halvings(5.0, None) == 0
+    assert 1 <= halvings(5.0, "auto") <= 10

@@ -177,8 +177,12 @@ void DiffSolverVBD::note_step(const RecordedStep& step, const SimState& in, cons
 DiffVbdGradientInfo DiffSolverVBD::gradient_info() const {
   check_replays();
   const VbdGradientInfo of = steps_->info();
-  return {info_of(notes_.counts(*model()), of, options_.gradient.implicit), of.primal,
-          of.linear_residual, of.linear_sweeps, of.converged};
+  return {info_of(notes_.counts(*model()), of, options_.gradient.implicit),
+          of.primal,
+          of.linear_residual,
+          of.linear_sweeps,
+          of.converged,
+          of.halvings};
 }
 
 // A replay cannot throw. This check later throws the reason why the replay's results are NaN.

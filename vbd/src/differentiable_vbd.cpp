@@ -67,7 +67,7 @@ struct Solved {
             allowed, ", got ", linear.residual, " after ", linear.iterations, " sweeps; ",
             is_cut ? "raise gradient_sweeps" : "more sweeps do not help: raise gradient_tolerance",
             ", or allow_unconverged");
-    return {"implicit", primal, linear.residual, linear.iterations, solved && is_solved};
+    return {"implicit", primal, linear.residual, linear.iterations, solved && is_solved, 0};
   }
 
   VbdGradientOptions gradient;
@@ -180,7 +180,7 @@ VbdGradientInfo DifferentiableVbd::info() const {
   require(work_->has_info, ErrorKind::Runtime,
           "DiffSolverVBD.gradient_info: expected a backward before");
   if (work_->gradient.implicit) return work_->info;
-  return {"exact", work_->step.last_residual(), 0.0, 0, true};
+  return {"exact", work_->step.last_residual(), 0.0, 0, true, work_->step.halvings()};
 }
 
 void DifferentiableVbd::forward(const VbdStepInputs& in, const DeviceArray<Vec3f>& q_out,

@@ -110,6 +110,7 @@ class Step {
   // With a coarse correction: the line searches of an iteration, and the positions at the end.
   const Rows4& search(size_t iteration) const { return searches_[iteration]; }
   const Rows4& end() const { return iterates_.back(); }
+  int32_t halvings() const;  // number of kept line searches that did not take the whole step
   const Rows4& start() const { return start_; }
   const Rows4& moved() const { return moved_; }
   const Rows4& x() const { return x_; }

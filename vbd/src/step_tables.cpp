@@ -70,4 +70,14 @@ void Step::reserve_iterates() {
   while (searches_.size() < iterations) searches_.emplace_back(systems, device());
 }
 
+int32_t Step::halvings() const {
+  int64_t count = 0;
+  for (const Rows4& searches : searches_) {
+    const Rows of_systems = download(searches);
+    count += std::count_if(of_systems.begin(), of_systems.end(),
+                           [](const Row& search) { return search.x < 1.0f; });
+  }
+  return static_cast<int32_t>(count);
+}
+
 }  // namespace novaphy::vbd

@@ -23,6 +23,7 @@ struct DiffVbdGradientInfo : GradientInfo {
   double linear_residual = 0;  // implicit: relative residual of the linear system; else 0
   int32_t linear_sweeps = 0;   // implicit: sweeps for the linear system
   bool converged = true;       // implicit: both are within the tolerance
+  int32_t halvings = 0;        // see VbdGradientInfo
 };
 
 struct DiffVbdOptions {

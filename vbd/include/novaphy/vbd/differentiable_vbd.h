@@ -89,6 +89,9 @@ struct VbdGradientInfo {
   double linear_residual = 0;  // implicit: relative residual of the linear system; else 0
   int32_t linear_sweeps = 0;   // implicit: sweeps for the linear system
   bool converged = true;       // implicit: both are within the tolerance
+  // Unrolled: number of coarse steps that were halved. There the result jumps, which a gradient
+  // does not see.
+  int32_t halvings = 0;
 };
 
 // Unrolled gradients are exact for the sweeps that run. The backward pass visits every color of

@@ -28,7 +28,7 @@ constexpr int kMostArrays = 4, kMostSlots = 2;  // arrays of parameters, and slo
 // the k-th number of the start and of the slot;
 // - with more than two corners stiffness(in, damped), a function of d that sums H_k d[k], with the
 // stiffness H_k (stiffness_law.h) between the own corner and itself (k = 0) or another corner. The
-// function may have a member between(k), which returns H_k for k > 0.
+// function may have a member between(k), which returns H_k for k > 0: kHasBetween.
 template <int corners>
 struct ElementOf {
   static constexpr int kCorners = corners;
@@ -39,6 +39,7 @@ struct ElementOf {
   static constexpr bool kIsOuter = false;         // summed with the contacts, before the inertia
   static constexpr bool kIsAlwaysDamped = false;  // false: no damping terms where all kd are 0
   static constexpr bool kResistsTurns = false;    // H of block() is larger than H_0
+  static constexpr bool kHasBetween = false;      // stiffness() has the member between(k)
   static constexpr bool kMayLackCorners = false;
   static constexpr const char* kUnread = "";  // names of the material's columns that no force reads
   // True: the struct has is_defined(in), and derivatives are 0 where it returns false.

@@ -31,7 +31,7 @@ namespace novaphy::vbd {
 struct Hinge : ElementOf<4> {
   static constexpr int kLawFloats = 3, kStartFloats = 1, kDampingParameter = 1;
   static constexpr int kSlots = 2;  // HingeOpposite and HingeEnd
-  static constexpr bool kMayLackCorners = true, kMayBeUndefined = true;
+  static constexpr bool kMayLackCorners = true, kMayBeUndefined = true, kHasBetween = true;
   NOVAPHY_VBD_ELEMENT(particle_edge_indices, NOVAPHY_VBD_HINGE_PARAMETERS)
 
   template <class M>

@@ -114,7 +114,7 @@ void stiffness_of(const SlotInputs<role, S, N>& in, bool damped, const Put& put)
   Mat33<S> own;
   for (int k = 1; k <= kOthers[role]; ++k) {
     Mat33<S> h;
-    if constexpr (requires { times.between(k); }) {
+    if constexpr (SlotOf<role>::kHasBetween) {
       h = times.between(k);
     } else {
       for (int c = 0; c < 3; ++c) {

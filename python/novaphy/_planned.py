@@ -199,7 +199,7 @@ NOT_BUILT_IN: dict[str, dict[str, str]] = {
             "particle_rest_shape_* particle_conservative_bounds particle_collision_detection_* "
             "dat_* rebuild_bvh trimesh_* truncation_ts pos_prev_collision_detection"
         ),
-        "bodies, joints and their contacts": (
+        "the rows of bodies and joints as arrays, and their coupling to other solvers": (
             "rigid_* body_* joint_* JointSlot coupling_* collect_rigid_contact_forces "
             "integrate_with_external_rigid_solver enable_dahl_friction set_joint_constraint_mode "
             "set_rigid_history_update"
@@ -244,7 +244,7 @@ NOT_BUILT: dict[str, str] = {
     "the first row of every world (body_world, joint_world, ... name the world of a row)": (
         "*_world_start articulation_world"
     ),
-    "bodies in SolverVBD": "body_color_groups body_colors",
+    "colors of bodies as arrays (SolverVBD finds them)": "body_color_groups body_colors",
     "XPBD": "*_constraint_lambdas",
     "contacts between particles": (
         "particle_grid particle_ke particle_kd particle_kf particle_mu particle_cohesion "
@@ -287,6 +287,28 @@ ARGUMENTS: dict[str, str] = {
     "collision_frequency": "CollisionPipeline.collide as often as contacts are to be found",
     "joint_mimic_ke": "SolverFeatherstone, whose mimic joints follow exactly",
     "joint_mimic_kd": "SolverFeatherstone, whose mimic joints follow exactly",
+    "rigid_contact_history": "nothing: contacts start from the forces of the step before",
+    "rigid_contact_hard": "ShapeConfig.ke: contacts of bodies are compliant",
+    "rigid_compliant_alm": "nothing: contacts have the compliant form",
+    "integrate_with_external_rigid_solver": "kinematic bodies (add_body(is_kinematic=True))",
+    "rigid_avbd_alpha": "nothing: a step leaves 0.95 of the error of a joint",
+    "rigid_contact_alpha": "nothing: a step leaves 0.95 of the error of a joint",
+    "rigid_joint_alpha": "nothing: a step leaves 0.95 of the error of a joint",
+    "rigid_avbd_beta_linear": "nothing: the iteration takes its stiffness from the masses",
+    "rigid_avbd_beta_angular": "nothing: the iteration takes its stiffness from the masses",
+    "rigid_linear_beta": "nothing: the iteration takes its stiffness from the masses",
+    "rigid_angular_beta": "nothing: the iteration takes its stiffness from the masses",
+    "initial_penalty": "nothing: the iteration takes its stiffness from the masses",
+    "rigid_contact_k_start_value": "nothing: the iteration takes its stiffness from the masses",
+    "rigid_joint_linear_k_start": "nothing: the iteration takes its stiffness from the masses",
+    "rigid_joint_angular_k_start": "nothing: the iteration takes its stiffness from the masses",
+    "rigid_avbd_gamma": "nothing: the next step starts from 0.999 of the forces",
+    "rigid_joint_linear_ke": "nothing: joints are hard",
+    "rigid_joint_linear_kd": "nothing: joints are hard",
+    "rigid_joint_angular_ke": "nothing: joints are hard",
+    "rigid_joint_angular_kd": "nothing: joints are hard",
+    "rigid_body_contact_buffer_size": "nothing: bodies have any number of contacts",
+    "max_contacts_per_pair": "nothing: bodies have any number of contacts",
 }
 
 

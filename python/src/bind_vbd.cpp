@@ -293,7 +293,8 @@ void bind_vbd(py::module_& solvers) {
       solvers, "SolverVBD",
       "Implicit Euler by Vertex Block Descent, stable at large steps and stiffnesses. The solver "
       "supports particles, springs, triangles, bending edges, tetrahedra, external forces, "
-      "gravity, and contacts with world-owned shapes.\n\nParticles need colors: "
+      "gravity, and contacts with world-owned shapes. On the CPU it supports rigid bodies with "
+      "their contacts and joints.\n\nParticles need colors: "
       "ModelBuilder.color(). Particles of mass 0 or without ParticleFlags.ACTIVE are kinematic. A "
       "step does not write to state_in. The bits are the same for any number of threads and on a "
       "CUDA device.\n\nA step can be captured. On a tape the step raises if an input carries a "

@@ -150,18 +150,25 @@ def each_number(solver: Callable) -> Callable[[], None]:
     return check
 
 
-def bodies(solver: Callable) -> Callable[[], None]:
-    """A model with a body, without which there are no joints."""
+def with_body() -> novaphy.Model:
+    b = builder()
+    body = b.add_body(xform=((9, 0, 0), (0, 0, 0, 1)))
+    b.add_shape_sphere(body, radius=0.1)
+    return finalized(b)
 
-    def check() -> None:
-        b = builder()
-        body = b.add_body()
-        b.add_shape_sphere(body, radius=0.1)
-        with pytest.raises(NotImplementedError, match="body_count"):
-            solver(finalized(b))
-        raise NotImplementedError
 
-    return check
+def bodies() -> None:
+    model = with_body()
+    step(plain(model), model)
+
+
+def body_gradient(kind: str) -> None:
+    differentiable(with_body(), gradient=kind)
+
+
+def body_captured() -> None:
+    model = with_body()
+    step(plain(model), model, captured=True)
 
 
 def plain(model, **options):
@@ -196,9 +203,12 @@ class Row:
     cpu: Callable[[], None]
     gradient: Callable[[str], None]
     options: dict | None = None  # options of the solver; None: no test on another device
+    captured: Callable[[], None] | None = None  # replaces the test of a capture
 
     def on(self, device: str, captured: bool) -> None:
-        if self.options is None:
+        if captured and self.captured is not None:
+            self.captured()
+        elif self.options is None:
             self.cpu()
         else:
             both_ways(device, captured, **self.options)
@@ -253,7 +263,7 @@ ROWS = {
         forward(solve="converged"), option_gradient(solve="converged"), {"solve": "converged"}
     ),
     "drag and lift": Row(each_number(plain), lambda kind: each_number(differentiable)()),
-    "bodies, joints": Row(bodies(plain), lambda kind: bodies(differentiable)()),
+    "rigid bodies": Row(bodies, body_gradient, None, body_captured),
     "self-contact": Row(
         forward(**SELF_CONTACT), option_gradient(particle_enable_self_contact=True), SELF_CONTACT
     ),

@@ -181,7 +181,7 @@ NO_PART = {
     "shape_aabb_upper": "found of the shapes when the model is made",
     "fluid_wind": "moves a fluid, and a model with one is refused",
 }
-# Without rows, because a model with bodies, joints, articulations or actuators is refused.
+# Without rows, because the scene has no bodies. test_avbd.py is about bodies.
 OF_BODIES = ("body_", "joint_", "articulation_", "actuator_", "act", "ctrl")
 NUMBERS_THAT_ACT = {"soft_contact_ke", "soft_contact_kd", "soft_contact_mu"}
 NUMBERS_THAT_RAISE = {

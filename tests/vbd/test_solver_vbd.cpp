@@ -474,9 +474,6 @@ TEST(SolverVbd, BadOptionsAndUncoveredPartsAreRefusedByName) {
   drag.add_triangle(0, 1, 14, {.drag = 1.0f});
   drag.color();
   EXPECT_ERROR(SolverVBD(drag.finalize(Device::cpu())), ErrorKind::NotImplemented, "drag");
-  ModelBuilder body;
-  body.add_body({.mass = 1.0f, .inertia = Mat33f{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}}});
-  EXPECT_ERROR(SolverVBD(body.finalize(Device::cpu())), ErrorKind::NotImplemented, "body_count");
 }
 
 TEST(SolverVbd, ContactsOfOthersAndOverflowingOnesAreRefused) {

@@ -167,6 +167,9 @@ DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const V
     : model_(std::move(model)) {
   check_covered(options);
   check_gradient_options(options, gradient_options);
+  require(model_->body_count() == 0, ErrorKind::NotImplemented,
+          "DiffSolverVBD: model: expected body_count 0, got ", model_->body_count(),
+          ", because steps of bodies have no gradient; use SolverVBD");
   SolverVBD(model_, options);  // for its checks of the model and the options
   work_ = std::make_unique<Work>(*model_, options, gradient_options);
 }

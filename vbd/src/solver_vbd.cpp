@@ -3,6 +3,7 @@
 #include <cmath>
 #include <utility>
 
+#include "bodies.h"
 #include "element_arrays.h"
 #include "novaphy/core/error.h"
 #include "step.h"
@@ -52,16 +53,6 @@ void check_self_contact(const VbdOptions& o) {
             ": not supported together with particle_enable_self_contact");
 }
 
-void check_covered(const Model& model) {
-  const auto check = [](const char* name, int32_t count) {
-    require(count == 0, ErrorKind::NotImplemented, "SolverVBD: model: expected ", name, " 0, got ",
-            count, "; use SolverSemiImplicit or SolverFeatherstone");
-  };
-  check("body_count", model.body_count());
-  check("joint_count", model.joint_count());
-  check("articulation_count", model.articulation_count());
-}
-
 // With `converged` all iterations run, because the tolerance is that of the solution.
 VbdOptions options_of_step(VbdOptions o) {
   if (o.converged) o.tolerance.reset();
@@ -72,8 +63,12 @@ VbdOptions options_of_step(VbdOptions o) {
 
 struct SolverVBD::Work {
   Work(const Model& m, const VbdOptions& o) : step(m, options_of_step(o), o.converged) {
-    if (o.initial_guess == VbdInitialGuess::Adaptive)
+    if (m.body_count() > 0) {
+      bodies.emplace(m, o);
+      last = bodies->of_particles();
+    } else if (o.initial_guess == VbdInitialGuess::Adaptive) {
       last = DeviceArray<Vec4f>(static_cast<size_t>(m.particle_count()), m.device());
+    }
   }
   // Moves the step that has run to its solution.
   void solve(const VbdOptions& o) {
@@ -84,8 +79,14 @@ struct SolverVBD::Work {
         .check(kName, tolerance, limits.newton_iterations, "iterations");
   }
 
+  void reserve(int32_t contacts) {
+    bodies->reserve(contacts);
+    last = bodies->of_particles();
+  }
+
   vbd::Step step;
   vbd::StepTangent tangent{step};
+  std::optional<vbd::Bodies> bodies;  // none: the model has no bodies
   // previous velocity, for the adaptive guess (see VbdStepInputs); else without rows
   DeviceArray<Vec4f> last;
   bool has_stepped = false;
@@ -95,7 +96,6 @@ SolverVBD::SolverVBD(std::shared_ptr<const Model> model, const VbdOptions& optio
     : SolverBase(std::move(model)), options_(options) {
   check_options(options);
   check_self_contact(options);
-  check_covered(*this->model());
   this->model()->update_derived();
   work_ = std::make_unique<Work>(*this->model(), options);
 }
@@ -104,10 +104,18 @@ SolverVBD::~SolverVBD() = default;
 
 int32_t SolverVBD::kinematic_count() const { return work_->step.kinematic_count(); }
 
-Array SolverVBD::carried() const { return work_->last; }
+Array SolverVBD::carried() const { return work_->bodies ? work_->bodies->memory() : work_->last; }
+
+void SolverVBD::rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts,
+                        float dt, const RolloutOptions& options) {
+  if (work_->bodies && contacts != nullptr) work_->reserve(contacts->rigid_contact_max());
+  if (work_->bodies && options.pipeline != nullptr)
+    work_->reserve(options.pipeline->contacts().rigid_contact_max());
+  SolverBase::rollout(trajectory, control, contacts, dt, options);
+}
 
 bool SolverVBD::supports_graph_capture() const {
-  return !options_.tolerance && !options_.converged && !options_.self_contact;
+  return !options_.tolerance && !options_.converged && !options_.self_contact && !work_->bodies;
 }
 
 void SolverVBD::notify_model_changed(ModelFlags) {
@@ -120,6 +128,7 @@ void SolverVBD::reset() {
   const ExclusiveUse::Scope scope = use("SolverVBD.reset");
   work_->has_stepped = false;
   if (work_->last.rows() != 0) work_->last.zero();
+  if (work_->bodies) work_->bodies->reset();
 }
 
 VbdSelfContacts SolverVBD::self_contacts() const {
@@ -172,10 +181,19 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
   inputs.dt = dt;
   inputs.last_velocity = w.last;
   w.step.update(dt);
+  if (w.bodies) {
+    require(runs_at_once(m.device()), ErrorKind::NotImplemented, kName,
+            ": expected no capture and no tape for a model with bodies");
+    m.check_structure(kName);
+    if (contacts != nullptr) w.reserve(contacts->rigid_contact_max());
+    inputs.last_velocity = w.last;
+    w.bodies->solve(state_in, control, contacts, dt);
+  }
   w.step.run(
       inputs,
       {.q = state_out.particle_q, .qd = state_out.particle_qd, .updates_last = w.last.rows() != 0},
       in_use());
+  if (w.bodies) w.bodies->finish(state_in, state_out, contacts);
   w.has_stepped = true;
   if (options_.converged) w.solve(options_);
 }

@@ -73,9 +73,12 @@ struct VbdResidual {
 };
 
 // The solver supports particles and elements over them: springs, triangles, bending edges,
-// tetrahedra, external forces, gravity, and soft contacts with shapes of the world. These features
-// raise ErrorKind::NotImplemented, by name:
-// - bodies and joints;
+// tetrahedra, external forces, gravity, and soft contacts with shapes of the world. It supports
+// rigid bodies with their contacts and joints (src/bodies.h) on the CPU. These features raise
+// ErrorKind::NotImplemented, by name:
+// - contacts of particles with shapes of bodies; bodies on a device or in a capture;
+// - D6, PLANAR and mimic joints, actuators, velocity limits, drives of BALL joints;
+// - `tolerance` and `converged` in a model with bodies;
 // - drag and lift of triangles;
 // - particle_adhesion;
 // - a particle_max_velocity below its default;
@@ -120,7 +123,8 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   // Errors besides those of SolverBase::step and of the constructor:
   // ErrorKind::Value: the indices of elements or the colors were edited after the solver was made,
   // or states, activations or arrays of the model are not finite.
-  // ErrorKind::Runtime: contacts overflowed, positions do not stay finite (state_out is then not
+  // ErrorKind::Index: a contact refers to a shape that does not exist.
+  // ErrorKind::Runtime: contacts overflowed, positions or poses do not stay finite (state_out is then not
   // written), an input carries a gradient under a Tape, or `converged` found no solution (state_out
   // then holds the last iterate).
   // ErrorKind::NotImplemented: a contact with a shape of a body, or `converged` in a capture.
@@ -142,10 +146,13 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   // Forgets the last step, which the adaptive guess and residual() read.
   void reset();
   void notify_model_changed(ModelFlags flags) override;
+  void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts, float dt,
+               const RolloutOptions& options = {}) override;
 
  protected:
   int32_t target_count() const override { return kinematic_count(); }
-  Array carried() const override;  // the previous velocity, for the adaptive guess
+  // The previous velocities for the adaptive guess, and the multipliers of bodies.
+  Array carried() const override;
   void step_to_targets(SimState& state_in, SimState& state_out, const Control* control,
                        const Contacts* contacts, float dt,
                        const DeviceArray<Vec3f>& targets) override {

@@ -1,0 +1,156 @@
+// The law of one rigid body in a step of VBD: inertia, the 6x6 block, and its solution.
+//
+//   T(u, q) = m/(2 h^2) |u - u*|^2 + 1/(2 h^2) th . I* th,   th = log(q q*^-1)
+// Symbols:
+//   u, q     displacement of the center of mass and rotation since the start of the step, world
+//   u*, q*   both at the inertial target: u* = h v + h^2 (g + f/m), q* = exp(h w')
+//   w'       the angular velocity after the moment t and the gyroscopic term, in body axes by the
+//            midpoint rule: I (w' - w) + h wm x I wm = h t, wm = (w + w')/2. Without a moment w'
+//            keeps |I w| and the energy.
+//   I*       the inertia in world axes at the target (kg m^2)
+// The gradient for a world increment dw of the rotation is J_l(th)^-T I* th/h^2, which is exact.
+// The block takes I*/h^2, to first order in th.
+//
+// Sources: Chen et al. 2024, Vertex Block Descent; Giles et al. 2025, Augmented VBD.
+// Kinks: a rotation from the target by pi, where the shorter way is taken.
+#pragma once
+
+#include "novaphy/math/functions.h"
+#include "novaphy/math/ldlt.h"
+#include "novaphy/math/matrix.h"
+
+namespace novaphy {
+
+// The motion of a body since the start of the step.
+struct alignas(16) VbdBodyMotion {
+  using Element = Vec4f;
+  Vec3f moved{};  // of the center of mass (m)
+  float unused = 0.0f;
+  Quatf turned = Quatf::identity();
+  Vec3f turn{};  // the rotation vector of `turned` (rad)
+  float unused2 = 0.0f;
+};
+
+// A body in a step. mass_by_h2 is 0 for a body that no force moves.
+struct alignas(16) VbdBody {
+  using Element = Vec4f;
+  Vec3f target{};
+  float mass_by_h2 = 0.0f;
+  Quatf target_turned = Quatf::identity();
+  float xx = 0.0f, yy = 0.0f, zz = 0.0f, xy = 0.0f, xz = 0.0f, yz = 0.0f;  // I*/h^2
+  float unused = 0.0f, unused2 = 0.0f;
+};
+
+namespace vbd {
+
+// Returns the quaternion of a rotation vector.
+inline Quatf exp_rotation(const Vec3f& w) {
+  const float angle = math::length(w), half = 0.5f * angle;
+  const float s = angle > 1e-4f ? math::sin(half) / angle : 0.5f - angle * angle / 48.0f;
+  return {w.x * s, w.y * s, w.z * s, math::cos(half)};
+}
+
+// Returns the rotation vector of a unit quaternion, at most pi long.
+inline Vec3f log_rotation(const Quatf& q) {
+  const float sign = q.w < 0.0f ? -1.0f : 1.0f;
+  const Vec3f v = Vec3f{q.x, q.y, q.z} * sign;
+  const float s = math::length(v), w = q.w * sign;
+  const float factor = s > 1e-4f ? 2.0f * math::atan2(s, w) / s : 2.0f / w;
+  return v * factor;
+}
+
+inline Quatf unit(const Quatf& q) {
+  const float s = 1.0f / math::sqrt(((q.x * q.x + q.y * q.y) + q.z * q.z) + q.w * q.w);
+  return {q.x * s, q.y * s, q.z * s, q.w * s};
+}
+
+// Returns rotate(q, r) - r, without the cancellation for small rotations.
+inline Vec3f rotate_change(const Quatf& q, const Vec3f& r) {
+  const Vec3f v = {q.x, q.y, q.z}, c = math::cross(v, r);
+  return (c * q.w + math::cross(v, c)) * 2.0f;
+}
+
+// Returns J_l(th)^-T v, for th = log(q).
+inline Vec3f inverse_left_jacobian_transposed(const Quatf& q, const Vec3f& th, const Vec3f& v) {
+  const float square = math::dot(th, th);
+  float c = 1.0f / 12.0f + square / 720.0f;
+  if (square > 0.04f) {
+    const float s = math::length(Vec3f{q.x, q.y, q.z});
+    c = (1.0f - 0.5f * math::sqrt(square) * math::abs(q.w) / s) / square;
+  }
+  const Vec3f once = math::cross(th, v);
+  return v + once * 0.5f + math::cross(th, once) * c;
+}
+
+// Returns the angular velocity in body axes after h, by three Newton iterations of the midpoint
+// rule. `moment` in body axes (N m).
+inline Vec3f turn_freely(const Mat33f& inertia, const Vec3f& w, const Vec3f& moment, float h) {
+  using namespace math;
+  Vec3f next = w;
+  for (int k = 0; k < 3; ++k) {
+    const Vec3f mid = (w + next) * 0.5f, momentum = multiply(inertia, mid);
+    const Vec3f rest = multiply(inertia, next - w) + (cross(mid, momentum) - moment) * h;
+    Mat33f jacobian;
+    for (int j = 0; j < 3; ++j) {
+      const Vec3f e = {j == 0 ? 1.0f : 0.0f, j == 1 ? 1.0f : 0.0f, j == 2 ? 1.0f : 0.0f};
+      const Vec3f of = multiply(inertia, e);
+      const Vec3f column = of + (cross(e, momentum) + cross(mid, of)) * (0.5f * h);
+      jacobian.m[0][j] = column.x;
+      jacobian.m[1][j] = column.y;
+      jacobian.m[2][j] = column.z;
+    }
+    const Vec3f a = column(jacobian, 0), b = column(jacobian, 1), c = column(jacobian, 2);
+    const float d = 1.0f / dot(a, cross(b, c));
+    next = next - Vec3f{dot(rest, cross(b, c)), dot(rest, cross(c, a)), dot(rest, cross(a, b))} * d;
+  }
+  return next;
+}
+
+// The force on a body (N, N m) and its block, which is read on and below the diagonal.
+struct BodyBlock {
+  float f[6] = {};
+  float h[6][6] = {};
+};
+
+// Adds a force at the lever r, and a moment.
+inline void add_force(BodyBlock& b, const Vec3f& force, const Vec3f& moment) {
+  const float of[6] = {force.x, force.y, force.z, moment.x, moment.y, moment.z};
+  for (int i = 0; i < 6; ++i) b.f[i] = b.f[i] + of[i];
+}
+
+// Adds k j j^T for the row j = (linear, angular).
+inline void add_row(BodyBlock& b, float k, const Vec3f& linear, const Vec3f& angular) {
+  const float j[6] = {linear.x, linear.y, linear.z, angular.x, angular.y, angular.z};
+  for (int r = 0; r < 6; ++r)
+    for (int c = 0; c <= r; ++c) b.h[r][c] = b.h[r][c] + (k * j[r]) * j[c];
+}
+
+// Returns the block of inertia at a motion.
+inline BodyBlock inertia_block(const VbdBody& body, const VbdBodyMotion& at) {
+  BodyBlock b;
+  const Quatf off = math::multiply(at.turned, math::conjugate(body.target_turned));
+  const Vec3f th = log_rotation(off);
+  const Vec3f moment = {(body.xx * th.x + body.xy * th.y) + body.xz * th.z,
+                        (body.xy * th.x + body.yy * th.y) + body.yz * th.z,
+                        (body.xz * th.x + body.yz * th.y) + body.zz * th.z};
+  add_force(b, (body.target - at.moved) * body.mass_by_h2,
+            -inverse_left_jacobian_transposed(off, th, moment));
+  for (int i = 0; i < 3; ++i) b.h[i][i] = body.mass_by_h2;
+  b.h[3][3] = body.xx;
+  b.h[4][4] = body.yy;
+  b.h[5][5] = body.zz;
+  b.h[4][3] = body.xy;
+  b.h[5][3] = body.xz;
+  b.h[5][4] = body.yz;
+  return b;
+}
+
+// Moves a body by the increment d = (du, dw).
+inline void move_body(VbdBodyMotion& at, const float (&d)[6]) {
+  at.moved = at.moved + Vec3f{d[0], d[1], d[2]};
+  at.turned = unit(math::multiply(exp_rotation({d[3], d[4], d[5]}), at.turned));
+  at.turn = log_rotation(at.turned);
+}
+
+}  // namespace vbd
+}  // namespace novaphy

@@ -1,0 +1,128 @@
+// The law of a rigid contact in VBD: a compliant one-sided row, and Coulomb friction.
+//
+//   C   = -(gap + n . (move_B - move_A)),  move = u + rotate(q, r) - r     depth (m)
+//   F_n = max(0, k C + s lam_n + kd/h max(0, C - C_0)),  s = K/(K + rho), k = K rho/(K + rho)
+//   F_t = the point of the disk of radius mu F_n nearest to lam_t - rho_t slip
+//   slip = the tangential part of (u + turn x arm)_B - (u + turn x arm)_A
+// Symbols:
+//   n        unit normal from A to B at the start of the step; constant in the step
+//   r        lever of the nearest point of the shape's core: the center of a sphere, say
+//   arm      lever of the point halfway between both surfaces: there act all forces, so that
+//            momentum and angular momentum are conserved
+//   gap      distance of the surfaces at the start (m), with margins
+//   K, kd    stiffness (N/m) and damping (N s/m) of the pair, mu its friction
+//   rho      stiffness of the iteration (N/m), which the solution does not depend on
+//   lam      multipliers (N): lam_n <- max(0, s (lam_n + rho C)), then lam_t <- F_t
+// At the solution lam_n = K C. Friction sticks: its own stiffness is infinite.
+// Sources: Giles et al. 2025; the compliant form: Newton 1.8.0.
+// Kinks: F_n = 0, the cone, C = C_0.
+#pragma once
+
+#include "novaphy/vbd/bodies/body_law.h"
+
+namespace novaphy {
+
+struct alignas(16) VbdBodyContact {
+  using Element = Vec4f;
+  int32_t body[2] = {-1, -1};
+  float gap = 0.0f, stiffness = 0.0f;
+  Vec3f normal{};
+  float damping_by_h = 0.0f;
+  Vec3f core[2] = {}, arm[2] = {};
+  float mu = 0.0f, rho = 0.0f, rho_t = 0.0f, lam_n = 0.0f;
+  Vec3f lam_t{};
+  float in_trees = 1.0f;  // the factor of its stiffness in the blocks of trees
+};
+
+namespace vbd {
+
+// The force on B, and the stiffness k_n n n^T + k_t (1 - n n^T - t t^T) + k_s t t^T.
+struct ContactForce {
+  float normal = 0.0f, k_n = 0.0f, k_t = 0.0f, k_s = 0.0f;
+  Vec3f friction{}, slip_direction{};
+};
+
+inline float contact_depth(const VbdBodyContact& c, const VbdBodyMotion& a,
+                           const VbdBodyMotion& b) {
+  const Vec3f move = (b.moved + rotate_change(b.turned, c.core[1])) -
+                     (a.moved + rotate_change(a.turned, c.core[0]));
+  return -(c.gap + math::dot(c.normal, move));
+}
+
+inline Vec3f contact_slip(const VbdBodyContact& c, const VbdBodyMotion& a, const VbdBodyMotion& b) {
+  const Vec3f move =
+      (b.moved + math::cross(b.turn, c.arm[1])) - (a.moved + math::cross(a.turn, c.arm[0]));
+  return move - c.normal * math::dot(c.normal, move);
+}
+
+// Returns the nearest vector that is at most `limit` long.
+inline Vec3f within(const Vec3f& v, float limit) {
+  const float l = math::length(v);
+  return l > limit ? v * (limit / l) : v;
+}
+
+inline ContactForce contact_force(const VbdBodyContact& c, const VbdBodyMotion& a,
+                                  const VbdBodyMotion& b, float slip_bound) {
+  ContactForce f;
+  const float depth = contact_depth(c, a, b), s = c.stiffness / (c.stiffness + c.rho);
+  const float k = s * c.rho, approach = depth + c.gap;
+  const float damping = depth > 0.0f && approach > 0.0f ? c.damping_by_h : 0.0f;
+  f.normal = (k * depth + s * c.lam_n) + damping * approach;
+  if (!(f.normal > 0.0f)) return {};
+  f.k_n = k + damping;
+  const float cone = c.mu * f.normal;
+  if (!(cone > 0.0f)) return f;
+  const Vec3f slip = contact_slip(c, a, b), wanted = c.lam_t - slip * c.rho_t;
+  f.friction = within(wanted, cone);
+  const float l = math::length(wanted);
+  f.k_t = f.k_s = c.rho_t;
+  if (!(l > cone)) return f;
+  f.slip_direction = wanted * (1.0f / l);
+  f.k_t = c.rho_t * (cone / l);
+  f.k_s = math::min(f.k_t, cone / math::max(math::length(slip), slip_bound));
+  return f;
+}
+
+// Updates the multipliers after an iteration.
+inline void update_contact(VbdBodyContact& c, const VbdBodyMotion& a, const VbdBodyMotion& b,
+                           float slip_bound) {
+  const ContactForce f = contact_force(c, a, b, slip_bound);
+  const float s = c.stiffness / (c.stiffness + c.rho);
+  c.lam_n = math::max(0.0f, s * (c.lam_n + c.rho * contact_depth(c, a, b)));
+  c.lam_t = f.friction;
+}
+
+// Calls row(k, linear) for the rows of the stiffness of a contact. Their angular parts are
+// cross(arm, linear).
+template <class Row>
+void for_contact_rows(const VbdBodyContact& c, const ContactForce& f, const Row& row) {
+  using namespace math;
+  row(f.k_n, c.normal);
+  if (f.k_t == 0.0f) return;
+  Vec3f t = f.slip_direction;
+  if (dot(t, t) == 0.0f) {
+    const Vec3f n = c.normal;
+    const Vec3f other = abs(n.x) < 0.6f ? Vec3f{1.0f, 0.0f, 0.0f} : Vec3f{0.0f, 1.0f, 0.0f};
+    t = normalize(cross(n, other));
+  }
+  row(f.k_s, t);
+  row(f.k_t, cross(c.normal, t));
+}
+
+// Adds a contact to the block of its body `side`: 0 is A, 1 is B. `scale`: of the
+// stiffness; 0: the force alone.
+inline void add_contact(BodyBlock& block, const VbdBodyContact& c, int side, const VbdBodyMotion& a,
+                        const VbdBodyMotion& b, float slip_bound, float scale) {
+  const ContactForce f = contact_force(c, a, b, slip_bound);
+  if (f.normal == 0.0f) return;
+  const Vec3f force = (c.normal * f.normal + f.friction) * (side == 0 ? -1.0f : 1.0f);
+  const Vec3f arm = c.arm[side];
+  add_force(block, force, math::cross(arm, force));
+  if (scale == 0.0f) return;
+  for_contact_rows(c, f, [&](float k, const Vec3f& linear) {
+    add_row(block, k * scale, linear, math::cross(arm, linear));
+  });
+}
+
+}  // namespace vbd
+}  // namespace novaphy

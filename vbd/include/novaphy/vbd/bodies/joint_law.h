@@ -1,0 +1,189 @@
+// The law of a joint between two rigid bodies in VBD: hard rows, and compliant rows of the axis.
+//
+//   points      raw = (x + r)_B - (x + r)_A,  C = raw - keep;  PRISMATIC: without the axis
+//   turns       REVOLUTE: a_A x a_B;  FIXED, PRISMATIC: 2 vec(R_B E R_A^-1), less a part at start
+//   force on B  -(rho C + lam) at the anchor of B; A gets the opposite there
+//   axis        clamp(k (rest - q) + s lam, lo, hi),  q = the angle or distance
+// Symbols:
+//   r           levers of the anchors, which turn with their bodies
+//   keep        the part of the error at the start that the step leaves (kVbdKeptError)
+//   a_A, a_B    the axis in both bodies; E the relative rotation at the start
+//   s, k        K/(K + rho) and s rho; 1 and rho for K = infinity: no compliance
+//   lam         multipliers: lam <- lam + rho C; of the axis: s (lam + rho (rest - q)), clamped
+// q is that of the start plus the change along the axis; revolute angles to first order in turns
+// about other axes. DISTANCE has one row along the line between the anchors.
+// Sources: Giles et al. 2025; the geometric stiffness D: section 3.5 there.
+// Kinks: lo, hi; anchors of a DISTANCE joint that coincide.
+#pragma once
+
+#include "novaphy/vbd/bodies/body_law.h"
+
+namespace novaphy {
+
+constexpr float kVbdKeptError = 0.95f;
+constexpr int kVbdAxisRows = 4;  // drive, damping, limit, dry friction
+
+enum class VbdBodyJointKind : int32_t { Ball, Fixed, Revolute, Prismatic, Distance };
+
+// A row along the axis; no row if stiffness is 0.
+struct VbdAxisRow {
+  float stiffness = 0.0f, rest = 0.0f, lower = 0.0f, upper = 0.0f, lam = 0.0f, rho = 0.0f;
+};
+
+struct alignas(16) VbdBodyJoint {
+  using Element = Vec4f;
+  int32_t body[2] = {-1, -1};
+  VbdBodyJointKind kind = VbdBodyJointKind::Ball;
+  float force = 0.0f;  // along the axis
+  Vec3f arm[2] = {}, gap{}, keep{}, axis[2] = {}, keep_turn{};
+  Quatf turned = Quatf::identity();
+  Vec3f lam{}, lam_turn{};
+  float rho = 0.0f, rho_turn = 0.0f, coordinate = 0.0f;
+  VbdAxisRow rows[kVbdAxisRows] = {};
+  float in_trees = 1.0f;  // the factor of its stiffness in the blocks of trees
+};
+
+namespace vbd {
+
+struct JointRow {
+  float k = 0.0f;
+  Vec3f linear{}, angular[2] = {};
+};
+struct JointForce {
+  Vec3f force{}, moment{}, arm[2] = {};
+  JointRow rows[6 + kVbdAxisRows];
+  int count = 0;
+};
+
+struct Perpendicular {
+  Vec3f t[3];  // two unit vectors perpendicular to the third
+};
+inline Perpendicular perpendicular(const Vec3f& axis) {
+  const Vec3f other = math::abs(axis.x) < 0.6f ? Vec3f{1.0f, 0.0f, 0.0f} : Vec3f{0.0f, 1.0f, 0.0f};
+  const Vec3f u = math::normalize(math::cross(axis, other));
+  return {{u, math::cross(axis, u), axis}};
+}
+
+inline Vec3f turned_by(const Quatf& q, const Vec3f& v) { return v + rotate_change(q, v); }
+
+// The errors of a joint at a motion of its bodies.
+struct JointErrors {
+  Vec3f arm[2], axis, raw, turn;
+  float coordinate = 0.0f;
+};
+
+inline JointErrors joint_errors(const VbdBodyJoint& j, const VbdBodyMotion& a,
+                                const VbdBodyMotion& b) {
+  JointErrors e;
+  const Vec3f change[2] = {rotate_change(a.turned, j.arm[0]), rotate_change(b.turned, j.arm[1])};
+  e.raw = j.gap + ((b.moved + change[1]) - (a.moved + change[0]));
+  e.arm[1] = j.arm[1] + change[1];
+  e.arm[0] = (j.arm[0] + change[0]) + e.raw;  // to the anchor of B
+  e.axis = turned_by(a.turned, j.axis[0]);
+  if (j.kind == VbdBodyJointKind::Revolute) {
+    e.turn = math::cross(e.axis, turned_by(b.turned, j.axis[1])) - j.keep_turn;
+    e.coordinate = j.coordinate + math::dot(j.axis[0], b.turn - a.turn);
+  } else if (j.kind == VbdBodyJointKind::Distance) {
+    e.coordinate = math::length(e.raw);
+    e.axis = math::normalize(e.raw);
+  } else if (j.kind != VbdBodyJointKind::Ball) {
+    const Quatf off = math::multiply(math::multiply(b.turned, j.turned), math::conjugate(a.turned));
+    const float sign = off.w < 0.0f ? -2.0f : 2.0f;
+    e.turn = Vec3f{off.x, off.y, off.z} * sign - j.keep_turn;
+    e.coordinate = math::dot(e.axis, e.raw);
+  }
+  return e;
+}
+
+// The number of rows of points and of turns, in the order of Perpendicular.
+inline int point_rows(VbdBodyJointKind kind) {
+  return kind == VbdBodyJointKind::Distance ? 0 : kind == VbdBodyJointKind::Prismatic ? 2 : 3;
+}
+inline int turn_rows(VbdBodyJointKind kind) {
+  return kind == VbdBodyJointKind::Revolute                                       ? 2
+         : kind == VbdBodyJointKind::Fixed || kind == VbdBodyJointKind::Prismatic ? 3
+                                                                                  : 0;
+}
+
+inline float softness(const VbdAxisRow& row) {
+  return row.stiffness - row.stiffness == 0.0f ? row.stiffness / (row.stiffness + row.rho) : 1.0f;
+}
+
+inline JointForce joint_force(const VbdBodyJoint& j, const VbdBodyMotion& a,
+                              const VbdBodyMotion& b) {
+  using namespace math;
+  JointForce f;
+  const JointErrors e = joint_errors(j, a, b);
+  const Perpendicular p = perpendicular(e.axis);
+  for (int side = 0; side < 2; ++side) f.arm[side] = e.arm[side];
+  const Vec3f wanted = (e.raw - j.keep) * j.rho + j.lam;
+  const Vec3f turn = e.turn * j.rho_turn + j.lam_turn;
+  for (int k = 0; k < point_rows(j.kind); ++k) {
+    const Vec3f& t = p.t[k];
+    f.force = f.force - t * dot(t, wanted);
+    f.rows[f.count++] = {j.rho, t, {cross(e.arm[0], t), cross(e.arm[1], t)}};
+  }
+  for (int k = 0; k < turn_rows(j.kind); ++k) {
+    const Vec3f& t = p.t[k];
+    f.moment = f.moment - t * dot(t, turn);
+    f.rows[f.count++] = {j.rho_turn, {}, {t, t}};
+  }
+  const bool turns = j.kind == VbdBodyJointKind::Revolute;
+  float along = j.force;
+  for (const VbdAxisRow& row : j.rows) {
+    if (row.stiffness == 0.0f) continue;
+    const float s = softness(row), k = s * row.rho;
+    const float wants = k * (row.rest - e.coordinate) + s * row.lam;
+    along = along + min(max(wants, row.lower), row.upper);
+    if (!(wants > row.lower && wants < row.upper)) continue;
+    f.rows[f.count++] =
+        turns ? JointRow{k, {}, {e.axis, e.axis}}
+              : JointRow{k, e.axis, {cross(e.arm[0], e.axis), cross(e.arm[1], e.axis)}};
+  }
+  (turns ? f.moment : f.force) = (turns ? f.moment : f.force) + e.axis * along;
+  return f;
+}
+
+// Updates the multipliers after an iteration.
+inline void update_joint(VbdBodyJoint& j, const VbdBodyMotion& a, const VbdBodyMotion& b) {
+  using namespace math;
+  const JointErrors e = joint_errors(j, a, b);
+  Vec3f lam = (e.raw - j.keep) * j.rho + j.lam, turn = e.turn * j.rho_turn + j.lam_turn;
+  if (point_rows(j.kind) == 2) lam = lam - e.axis * dot(e.axis, lam);
+  if (turn_rows(j.kind) == 2) turn = turn - e.axis * dot(e.axis, turn);
+  j.lam = point_rows(j.kind) == 0 ? Vec3f{} : lam;
+  j.lam_turn = turn_rows(j.kind) == 0 ? Vec3f{} : turn;
+  for (VbdAxisRow& row : j.rows) {
+    if (row.stiffness == 0.0f) continue;
+    const float s = softness(row);
+    row.lam = min(max(s * (row.lam + row.rho * (row.rest - e.coordinate)), row.lower), row.upper);
+  }
+}
+
+// Adds a joint to the block of its body `side`: 0 is A, 1 is B. `scale`: of the
+// stiffness; 0: the force alone.
+inline void add_joint(BodyBlock& block, const VbdBodyJoint& j, int side, const VbdBodyMotion& a,
+                      const VbdBodyMotion& b, float scale) {
+  using namespace math;
+  const JointForce f = joint_force(j, a, b);
+  const float sign = side == 0 ? -1.0f : 1.0f;
+  const Vec3f force = f.force * sign, arm = f.arm[side];
+  add_force(block, force, cross(arm, force) + f.moment * sign);
+  if (scale == 0.0f) return;
+  for (int k = 0; k < f.count; ++k)
+    add_row(block, f.rows[k].k * scale, f.rows[k].linear, f.rows[k].angular[side]);
+  // Column norms of the geometric stiffness sym(f r^T) - (f . r) 1 of a point that turns.
+  const float along = dot(force, arm);
+  const float fs[3] = {force.x, force.y, force.z}, rs[3] = {arm.x, arm.y, arm.z};
+  for (int c = 0; c < 3; ++c) {
+    float square = 0.0f;
+    for (int r = 0; r < 3; ++r) {
+      const float g = 0.5f * (fs[r] * rs[c] + rs[r] * fs[c]) - (r == c ? along : 0.0f);
+      square = square + g * g;
+    }
+    block.h[3 + c][3 + c] = block.h[3 + c][3 + c] + sqrt(square);
+  }
+}
+
+}  // namespace vbd
+}  // namespace novaphy

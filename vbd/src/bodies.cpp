@@ -1,0 +1,186 @@
+#include "bodies.h"
+
+#include <algorithm>
+
+#include "novaphy/core/device_kernel.h"
+
+namespace novaphy::vbd {
+namespace {
+
+// The kernels have no code for devices. Each has arguments of its own type.
+template <class A>
+const Kernel<A>& kernel_of(const RowKernel<A>& kernel) {
+  static const auto& made = *new Kernel<A>(kernel, nullptr);
+  return made;
+}
+
+// Its arguments are those of vbd_body_tree.
+const Kernel<VbdBodyTreeArguments>& take() {
+  static const auto& made = *new Kernel<VbdBodyTreeArguments>(vbd_body_take, nullptr);
+  return made;
+}
+
+}  // namespace
+
+Bodies::Bodies(const Model& m, const VbdOptions& o) : model_(m), options_(o) {
+  check_model();
+  const auto bodies = static_cast<size_t>(m.body_count());
+  if (o.initial_guess == VbdInitialGuess::Adaptive) {
+    particle_rows_ = static_cast<size_t>(m.particle_count());
+    body_rows_ = bodies;
+  }
+  joint_count_ = static_cast<size_t>(m.joint_count());
+  body_.resize(bodies);
+  motion_.resize(bodies);
+  is_held_ = DeviceArray<int32_t>(bodies, m.device());
+  memory_ = DeviceArray<Vec4f>(contacts_at(), m.device());
+  graph_.build(m.body_count(), {}, {}, 0);
+}
+
+DeviceArray<Vec4f> Bodies::of_particles() const {
+  if (particle_rows_ == 0) return {};
+  const Range& all = *memory_.range();
+  return DeviceArray<Vec4f>(
+      Array(DType::vec4, particle_rows_, 1,
+            all.storage().range(all.offset(), particle_rows_ * sizeof(Vec4f))));
+}
+
+void Bodies::reserve(int32_t contacts) {
+  const auto rows = static_cast<size_t>(contacts);
+  if (rows <= contact_rows_) return;
+  DeviceArray<Vec4f> memory(contacts_at() + 3 * rows, model_.device());
+  std::copy_n(memory_.data(), memory_.rows(), memory.mutable_data());
+  memory_ = memory;
+  contact_rows_ = rows;
+}
+
+Untyped Bodies::last_velocity() {
+  return Untyped(
+      static_cast<const void*>(body_rows_ == 0 ? nullptr : memory_at<Vec4f>(particle_rows_)));
+}
+
+VbdBodyRows Bodies::rows() {
+  return {.body = direct(body_),
+          .motion = direct(motion_),
+          .contact = direct(contact_),
+          .joint = direct(joint_),
+          .begin = direct(graph_.rows.begin),
+          .items = direct(graph_.rows.items),
+          .slip = options_.friction_epsilon * dt_};
+}
+
+// Runs the colors, the trees and the multipliers of an iteration.
+void Bodies::iterate() {
+  for (size_t c = 0; c + 1 < graph_.colors.begin.size(); ++c) {
+    const std::span<const int32_t> bodies = graph_.colors.of(static_cast<int32_t>(c));
+    run(kernel_of(vbd_body_move), static_cast<int64_t>(bodies.size()),
+        {.rows = rows(), .bodies = direct(bodies.data())});
+  }
+  const auto nodes = static_cast<int64_t>(node_.size());
+  const VbdBodyTreeArguments trees = {.first = direct(graph_.tree_first),
+                                      .parent = direct(graph_.node_parent),
+                                      .bodies = direct(graph_.nodes),
+                                      .nodes = direct(node_),
+                                      .motion = direct(motion_)};
+  run(kernel_of(vbd_body_node), nodes,
+      {.rows = rows(),
+       .bodies = direct(graph_.nodes),
+       .begin = direct(graph_.edges.begin),
+       .items = direct(graph_.edges.items),
+       .nodes = direct(node_)});
+  run(kernel_of(vbd_body_tree), static_cast<int64_t>(graph_.tree_first.size()) - 1, trees);
+  run(kernel_of(vbd_body_slope), nodes,
+      {.rows = rows(), .bodies = direct(graph_.nodes), .nodes = direct(node_)});
+  run(take(), static_cast<int64_t>(graph_.tree_first.size()) - 1, trees);
+  run(kernel_of(vbd_body_update), static_cast<int64_t>(contact_.size() + joint_.size()),
+      {.motion = direct(motion_),
+       .slip = options_.friction_epsilon * dt_,
+       .contacts = static_cast<int64_t>(contact_.size()),
+       .contact = direct(contact_),
+       .joint = direct(joint_)});
+}
+
+// Sets what rows read of the graph. A stiff iteration suits trees, which are solved at once. Sweeps
+// over cycles need a softer one.
+void Bodies::put_graph() {
+  constexpr float kSofter = 0.1f;
+  for (size_t k = 0; k < pairs_.size(); ++k) {
+    const float factor = graph_.is_outside(pairs_[k]) ? 2.0f : 1.0f;
+    const float metric = graph_.has_cycles(pairs_[k]) ? kSofter : 1.0f;
+    const auto row = static_cast<size_t>(numbers_[k] >> 2);
+    if ((numbers_[k] & 2) != 0) {
+      VbdBodyContact& c = contact_[row];
+      c.in_trees = factor;
+      c.rho *= metric;
+      c.rho_t *= metric;
+    } else {
+      VbdBodyJoint& j = joint_[row];
+      j.in_trees = factor;
+      j.rho *= metric;
+      j.rho_turn *= metric;
+      for (VbdAxisRow& of_axis : j.rows) of_axis.rho *= metric;
+    }
+  }
+}
+
+void Bodies::solve(const SimState& in, const Control* control, const Contacts* contacts, float dt) {
+  const Model& m = model_;
+  dt_ = dt;
+  check_step(in, contacts);
+  if (contacts != nullptr) reserve(contacts->rigid_contact_max());
+  int32_t* const is_held = is_held_.mutable_data();
+  for (int32_t b = 0; b < m.body_count(); ++b)
+    is_held[b] = int{has_flag(m.body_flags.data()[b], BodyFlags::KINEMATIC)};
+  run(kernel_of(vbd_body_predict), m.body_count(),
+      {.q = in.body_q,
+       .qd = in.body_qd,
+       .f = in.body_f,
+       .com = m.body_com,
+       .mass = m.body_mass,
+       .inv_mass = m.body_inv_mass,
+       .inertia = m.body_inertia,
+       .is_held = is_held_,
+       .world = m.body_world,
+       .gravity = m.gravity,
+       .last_world = m.world_count() - 1,
+       .h = dt,
+       .guess = static_cast<int64_t>(options_.initial_guess),
+       .last_velocity = last_velocity(),
+       .body = direct(body_),
+       .motion = direct(motion_)});
+  pairs_.clear();
+  numbers_.clear();
+  put_joints(in, control);
+  acting_ = pairs_.size();
+  contact_.clear();
+  contact_slots_.clear();
+  if (contacts != nullptr) put_contacts(in, *contacts);
+  if (pairs_ != built_pairs_ || numbers_ != built_numbers_ || acting_ != built_acting_) {
+    graph_.build(m.body_count(), pairs_, numbers_, acting_);
+    built_pairs_ = pairs_;
+    built_numbers_ = numbers_;
+    built_acting_ = acting_;
+    node_.resize(graph_.nodes.size());
+  }
+  put_graph();
+  for (int32_t k = 0; k < options_.iterations; ++k) iterate();
+  check_result();
+}
+
+void Bodies::finish(const SimState& in, const SimState& out, const Contacts* contacts) {
+  const Model& m = model_;
+  keep_joints(in);
+  keep_contacts(contacts);
+  run(kernel_of(vbd_body_finish), m.body_count(),
+      {.q = in.body_q,
+       .qd = in.body_qd,
+       .com = m.body_com,
+       .is_held = is_held_,
+       .motion = direct(motion_),
+       .h = dt_,
+       .q_out = out.body_q,
+       .qd_out = out.body_qd,
+       .last_velocity = last_velocity()});
+}
+
+}  // namespace novaphy::vbd

@@ -1,0 +1,133 @@
+// The contacts of a step of bodies, and their multipliers from step to step.
+#include <algorithm>
+#include <tuple>
+
+#include "bodies_side.h"
+#include "novaphy/core/error.h"
+
+namespace novaphy::vbd {
+namespace {
+
+constexpr float kLeastCosine = 0.70711f;  // between normals of a contact in successive steps
+
+size_t at(int32_t k) { return static_cast<size_t>(k); }
+
+std::tuple<int32_t, int32_t, int32_t> key_of(const VbdContactMemory& m) {
+  return {m.shape[0], m.shape[1], m.point};
+}
+
+}  // namespace
+
+void Bodies::put_contacts(const SimState& in, const Contacts& contacts) {
+  const auto* const memory = memory_at<VbdContactMemory>(contacts_at());
+  recalled_.clear();
+  for (size_t k = 0; k < contact_rows_ && memory[k].is_used != 0.0f; ++k)
+    recalled_.push_back(static_cast<int32_t>(k));
+  std::sort(recalled_.begin(), recalled_.end(), [memory](int32_t a, int32_t b) {
+    return std::pair(key_of(memory[a]), a) < std::pair(key_of(memory[b]), b);
+  });
+  const auto count = at(*contacts.rigid_contact_count.data());
+  for (size_t slot = 0; slot < count; ++slot) put_contact(in, contacts, slot);
+  // Contacts that push at the first guess stand first, so that trees follow them.
+  for (const bool pushes : {true, false}) {
+    for (size_t k = 0; k < contact_.size(); ++k) {
+      const VbdBodyContact& c = contact_[k];
+      const auto moving = [&](int side) {
+        return c.body[side] < 0 || is_held_.data()[c.body[side]] != 0 ? -1 : c.body[side];
+      };
+      const float depth = contact_depth(c, motion_of(motion_.data(), c.body[0]),
+                                        motion_of(motion_.data(), c.body[1]));
+      if ((depth > 0.0f || c.lam_n > 0.0f) != pushes) continue;
+      pairs_.push_back({moving(0), moving(1)});
+      numbers_.push_back(4 * static_cast<int32_t>(k) + 2);
+    }
+    if (pushes) acting_ = pairs_.size();
+  }
+}
+
+void Bodies::put_contact(const SimState& in, const Contacts& contacts, size_t slot) {
+  const Model& m = model_;
+  const int32_t shapes[2] = {contacts.rigid_contact_shape0.data()[slot],
+                             contacts.rigid_contact_shape1.data()[slot]};
+  VbdBodyContact c;
+  for (int k = 0; k < 2; ++k) {
+    require(shapes[k] >= 0 && shapes[k] < m.shape_count(), ErrorKind::Index,
+            "SolverVBD.step: contacts.rigid_contact_shape", k, "[", slot, "]: expected 0 to ",
+            m.shape_count() - 1, ", got ", shapes[k]);
+    c.body[k] = m.shape_body.data()[shapes[k]];
+  }
+  const BodySide sides[2] = {{m, in, is_held_.data(), c.body[0]},
+                             {m, in, is_held_.data(), c.body[1]}};
+  const auto of_pair = [&](const DeviceArray<float>& of_rows, const DeviceArray<float>& of_shapes) {
+    const float own = of_rows.rows() == 0 ? 0.0f : of_rows.data()[slot];
+    const float mean = 0.5f * (of_shapes.data()[shapes[0]] + of_shapes.data()[shapes[1]]);
+    return own > 0.0f ? own : mean;
+  };
+  c.stiffness = of_pair(contacts.rigid_contact_stiffness, m.shape_material_ke);
+  if (!(sides[0].moves || sides[1].moves) || c.stiffness == 0.0f) return;
+  c.damping_by_h = of_pair(contacts.rigid_contact_damping, m.shape_material_kd) / dt_;
+  c.mu = of_pair(contacts.rigid_contact_friction, m.shape_material_mu);
+  c.normal = contacts.rigid_contact_normal.data()[slot];
+  const float margins[2] = {contacts.rigid_contact_margin0.data()[slot],
+                            -contacts.rigid_contact_margin1.data()[slot]};
+  const Vec3f points[2] = {
+      math::transform_point(sides[0].pose, contacts.rigid_contact_point0.data()[slot]),
+      math::transform_point(sides[1].pose, contacts.rigid_contact_point1.data()[slot])};
+  const Vec3f n = c.normal, surfaces[2] = {points[0] + n * margins[0], points[1] + n * margins[1]};
+  c.gap = math::dot(n, surfaces[1] - surfaces[0]);
+  const Vec3f middle = (surfaces[0] + surfaces[1]) * 0.5f;
+  for (int k = 0; k < 2; ++k) {
+    c.core[k] = points[k] - sides[k].center;
+    c.arm[k] = middle - sides[k].center;
+  }
+  const Perpendicular p = perpendicular(n);
+  float w[3];
+  for (int k = 0; k < 3; ++k)
+    w[k] = sides[0].mobility(c.arm[0], p.t[k]) + sides[1].mobility(c.arm[1], p.t[k]);
+  c.rho = metric(dt_, w[2]);
+  c.rho_t = metric(dt_, std::max(w[0], w[1]));
+  recall_contact(contacts, slot, c);
+  contact_.push_back(c);
+  contact_slots_.push_back(static_cast<int32_t>(slot));
+}
+
+// Starts from the multipliers of the step before, if the normal has hardly turned.
+void Bodies::recall_contact(const Contacts& contacts, size_t slot, VbdBodyContact& to) {
+  const auto* const memory = memory_at<VbdContactMemory>(contacts_at());
+  const std::tuple key(contacts.rigid_contact_shape0.data()[slot],
+                       contacts.rigid_contact_shape1.data()[slot],
+                       contacts.rigid_contact_point_id.data()[slot]);
+  const auto found = std::lower_bound(
+      recalled_.begin(), recalled_.end(), key,
+      [memory](int32_t k, const auto& other) { return key_of(memory[k]) < other; });
+  if (found == recalled_.end() || key_of(memory[*found]) != key) return;
+  const VbdContactMemory& before = memory[*found];
+  if (math::dot(before.normal, to.normal) < kLeastCosine) return;
+  to.lam_n = kRecall * before.lam_n;
+  const Vec3f along = before.lam_t - to.normal * math::dot(to.normal, before.lam_t);
+  to.lam_t = within(along * kRecall, to.mu * to.lam_n);
+}
+
+// Keeps the multipliers, and writes the forces on the shapes B.
+void Bodies::keep_contacts(const Contacts* contacts) {
+  auto* const memory = memory_at<VbdContactMemory>(contacts_at());
+  for (size_t k = 0; k < contact_rows_ && (k < contact_.size() || memory[k].is_used != 0.0f); ++k)
+    memory[k].is_used = 0.0f;
+  if (contacts == nullptr) return;
+  Vec3f* const forces = DeviceArray<Vec3f>(contacts->rigid_contact_force).mutable_data();
+  std::fill_n(forces, contacts->rigid_contact_force.rows(), Vec3f{});
+  for (size_t k = 0; k < contact_.size(); ++k) {
+    const VbdBodyContact& c = contact_[k];
+    const auto slot = at(contact_slots_[k]);
+    memory[k] = {.shape = {contacts->rigid_contact_shape0.data()[slot],
+                           contacts->rigid_contact_shape1.data()[slot]},
+                 .point = contacts->rigid_contact_point_id.data()[slot],
+                 .lam_n = c.lam_n,
+                 .lam_t = c.lam_t,
+                 .is_used = 1.0f,
+                 .normal = c.normal};
+    forces[slot] = c.normal * c.lam_n + c.lam_t;
+  }
+}
+
+}  // namespace novaphy::vbd

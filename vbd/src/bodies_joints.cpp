@@ -1,0 +1,130 @@
+// The joints of a step of bodies, and their multipliers from step to step.
+#include <algorithm>
+#include <cmath>
+
+#include "bodies_side.h"
+#include "novaphy/core/sim/joint_types.h"
+
+namespace novaphy::vbd {
+namespace {
+
+constexpr float kTurn = 6.2831853f;
+
+size_t at(int32_t k) { return static_cast<size_t>(k); }
+
+VbdBodyJointKind kind_of(JointType type) {
+  switch (type) {
+    case JointType::FIXED:
+      return VbdBodyJointKind::Fixed;
+    case JointType::REVOLUTE:
+      return VbdBodyJointKind::Revolute;
+    case JointType::PRISMATIC:
+      return VbdBodyJointKind::Prismatic;
+    case JointType::DISTANCE:
+      return VbdBodyJointKind::Distance;
+    default:
+      return VbdBodyJointKind::Ball;
+  }
+}
+
+// Sets the stiffness of the iteration from the mobility of the bodies.
+void put_metric(const BodySide& a, const BodySide& b, float dt, VbdBodyJoint& to) {
+  float w = 0.0f, turning = 0.0f;
+  for (const Vec3f& e : {Vec3f{1.0f, 0.0f, 0.0f}, {0.0f, 1.0f, 0.0f}, {0.0f, 0.0f, 1.0f}}) {
+    w = std::max(w, a.mobility(to.arm[0], e) + b.mobility(to.arm[1], e));
+    turning = std::max(turning, a.turning(e) + b.turning(e));
+  }
+  to.rho = metric(dt, w);
+  to.rho_turn = metric(dt, turning);
+  const Vec3f along = to.kind == VbdBodyJointKind::Distance ? math::normalize(to.gap) : to.axis[0];
+  const float axial = to.kind == VbdBodyJointKind::Revolute
+                          ? a.turning(along) + b.turning(along)
+                          : a.mobility(to.arm[0], along) + b.mobility(to.arm[1], along);
+  for (VbdAxisRow& row : to.rows) row.rho = metric(dt, axial);
+}
+
+}  // namespace
+
+void Bodies::put_joints(const SimState& in, const Control* control) {
+  const Model& m = model_;
+  const auto* const memory = memory_at<VbdJointMemory>(joints_at());
+  joint_.clear();
+  joints_.clear();
+  for (size_t k = 0; k < joint_count_; ++k) {
+    const auto type = static_cast<JointType>(m.joint_type.data()[k]);
+    if (type == JointType::FREE || m.joint_enabled.data()[k] == 0) continue;
+    VbdBodyJoint j;
+    j.body[0] = m.joint_parent.data()[k];
+    j.body[1] = m.joint_child.data()[k];
+    j.kind = kind_of(type);
+    const BodySide a(m, in, is_held_.data(), j.body[0]), b(m, in, is_held_.data(), j.body[1]);
+    if (!a.moves && !b.moves) continue;
+    const Transformf frames[2] = {math::multiply(a.pose, m.joint_X_p.data()[k]),
+                                  math::multiply(b.pose, m.joint_X_c.data()[k])};
+    j.arm[0] = frames[0].p - a.center;
+    j.arm[1] = frames[1].p - b.center;
+    j.gap = frames[1].p - frames[0].p;
+    j.keep = j.gap * kVbdKeptError;
+    j.turned = math::multiply(frames[1].q, math::conjugate(frames[0].q));
+    const Vec3f axis =
+        has_axes(type) ? m.joint_axis.data()[m.joint_qd_start.data()[k]] : Vec3f{0.0f, 0.0f, 1.0f};
+    for (int s = 0; s < 2; ++s) j.axis[s] = math::normalize(math::rotate(frames[s].q, axis));
+    const float sign = j.turned.w < 0.0f ? -2.0f : 2.0f;
+    j.keep_turn = j.kind == VbdBodyJointKind::Revolute
+                      ? math::cross(j.axis[0], j.axis[1]) * kVbdKeptError
+                      : Vec3f{j.turned.x, j.turned.y, j.turned.z} * (sign * kVbdKeptError);
+    put_metric(a, b, dt_, j);
+    if (memory[k].is_used != 0.0f) {
+      j.lam = math::rotate(a.pose.q, memory[k].lam) * kRecall;
+      j.lam_turn = math::rotate(a.pose.q, memory[k].lam_turn) * kRecall;
+      for (int r = 0; r < kVbdAxisRows; ++r) j.rows[r].lam = memory[k].axis[r] * kRecall;
+    }
+    put_axis(k, in, control, j);
+    pairs_.push_back({a.moves ? j.body[0] : -1, b.moves ? j.body[1] : -1});
+    numbers_.push_back(4 * static_cast<int32_t>(joint_.size()));
+    joint_.push_back(j);
+    joints_.push_back(static_cast<int32_t>(k));
+  }
+}
+
+// Returns the rate of the coordinate at the start of the step.
+float Bodies::joint_rate(const SimState& in, const VbdBodyJoint& j) const {
+  const auto twist = [&](int side) {
+    return j.body[side] < 0 ? SpatialVectorf{} : in.body_qd.data()[j.body[side]];
+  };
+  const SpatialVectorf a = twist(0), b = twist(1);
+  if (j.kind == VbdBodyJointKind::Revolute) return math::dot(j.axis[0], b.angular - a.angular);
+  return math::dot(j.axis[0], (b.linear + math::cross(b.angular, j.arm[1])) -
+                                  (a.linear + math::cross(a.angular, j.arm[0] + j.gap)));
+}
+
+// Returns the coordinate at the start of the step. An angle is that nearest to the last.
+float Bodies::joint_coordinate(size_t joint, const VbdBodyJoint& j) const {
+  if (j.kind == VbdBodyJointKind::Prismatic) return math::dot(j.axis[0], j.gap);
+  const Vec3f v = {j.turned.x, j.turned.y, j.turned.z};
+  const float angle = 2.0f * math::atan2(math::dot(v, j.axis[0]), j.turned.w);
+  const auto& before = reinterpret_cast<const VbdJointMemory*>(memory_.data() + joints_at())[joint];
+  const float last = before.is_used != 0.0f
+                         ? before.coordinate
+                         : model_.joint_q.data()[model_.joint_q_start.data()[joint]];
+  return angle + kTurn * std::round((last - angle) / kTurn);
+}
+
+void Bodies::keep_joints(const SimState& in) {
+  auto* const memory = memory_at<VbdJointMemory>(joints_at());
+  for (size_t k = 0; k < joint_count_; ++k) memory[k].is_used = 0.0f;
+  for (size_t k = 0; k < joint_.size(); ++k) {
+    const VbdBodyJoint& j = joint_[k];
+    const Quatf q = j.body[0] < 0 ? Quatf::identity() : in.body_q.data()[j.body[0]].q;
+    const Quatf turned = j.body[0] < 0 ? q : math::multiply(motion_[at(j.body[0])].turned, q);
+    const VbdBodyMotion a = motion_of(motion_.data(), j.body[0]);
+    VbdJointMemory& to = memory[at(joints_[k])];
+    to.lam = math::rotate_inverse(turned, j.lam);
+    to.lam_turn = math::rotate_inverse(turned, j.lam_turn);
+    to.coordinate = joint_errors(j, a, motion_of(motion_.data(), j.body[1])).coordinate;
+    to.is_used = 1.0f;
+    for (int r = 0; r < kVbdAxisRows; ++r) to.axis[r] = j.rows[r].lam;
+  }
+}
+
+}  // namespace novaphy::vbd

@@ -1,0 +1,298 @@
+// A step of rigid bodies in VBD as kernels (row_kernel.h). The laws are in vbd/bodies/.
+//
+// An iteration solves all bodies of a tree together: vbd_body_tree. The edges of the trees are
+// joints and contacts. Other rows between two bodies count twice in the blocks, which bounds their
+// coupling from above. The kernel vbd_body_take shortens a step whose end lies far behind the
+// minimum of the energy along the step. Where rows close cycles, the iteration first visits the
+// colors of the bodies: vbd_body_move solves the 6x6 block of each body. At last the rows update
+// their multipliers.
+#pragma once
+
+#include "novaphy/core/row_kernel.h"
+#include "novaphy/math/spatial.h"
+#include "novaphy/vbd/bodies/contact_law.h"
+#include "novaphy/vbd/bodies/joint_law.h"
+
+namespace novaphy {
+
+struct VbdBodyPredictArguments {
+  NOVAPHY_ARGUMENTS(ReadsRow<Transformf> q; ReadsRow<SpatialVectorf> qd, f; ReadsRow<Vec3f> com;
+                    ReadsRow<float> mass, inv_mass; ReadsRow<Mat33f> inertia;
+                    ReadsRow<int32_t> is_held, world; Reads<Vec3f> gravity;
+                    Number<int64_t> last_world; Number<float> h;
+                    Number<int64_t> guess;  // VbdInitialGuess
+                    // The velocity before the last step, and the number 1. Null: not needed.
+                    Optional<ReadsRow<Vec4f>> last_velocity; WritesRow<VbdBody> body;
+                    WritesRow<VbdBodyMotion> motion;)
+};
+
+// Kinematic bodies follow their velocity.
+NOVAPHY_ROW_KERNEL(vbd_body_predict, VbdBodyPredictArguments) {
+  using namespace math;
+  const float h = a.h.value;
+  const SpatialVectorf qd = a.qd[row], f = a.f[row];
+  VbdBody body;
+  VbdBodyMotion motion;
+  if (a.is_held[row] != 0) {
+    body.target = motion.moved = qd.linear * h;
+    body.target_turned = motion.turned = vbd::exp_rotation(qd.angular * h);
+    motion.turn = qd.angular * h;
+    a.body[row] = body;
+    a.motion[row] = motion;
+    return;
+  }
+  const Quatf q = a.q[row].q;
+  const int32_t w = a.world[row];
+  const Vec3f g = a.gravity[w < 0 ? a.last_world.value : w];
+  const float by_h2 = 1.0f / (h * h);
+  body.target = qd.linear * h + (g + f.linear * a.inv_mass[row]) * (h * h);
+  body.mass_by_h2 = a.mass[row] * by_h2;
+  const Vec3f turning = rotate(q, vbd::turn_freely(a.inertia[row], rotate_inverse(q, qd.angular),
+                                                   rotate_inverse(q, f.angular), h));
+  body.target_turned = vbd::exp_rotation(turning * h);
+  const SpatialInertiaf of = rotate(multiply(body.target_turned, q),
+                                    spatial_inertia(0.0f, Vec3f{}, scale(a.inertia[row], by_h2)));
+  body.xx = of.xx;
+  body.yy = of.yy;
+  body.zz = of.zz;
+  body.xy = of.xy;
+  body.xz = of.xz;
+  body.yz = of.yz;
+  motion.moved = body.target;
+  motion.turned = body.target_turned;
+  if (a.guess.value == 1) motion = {};
+  if (a.last_velocity != nullptr) {
+    const Vec4f last = a.last_velocity[row];
+    const Vec3f change = (qd.linear - Vec3f{last.x, last.y, last.z}) * (1.0f / h);
+    const float square = dot(g, g);
+    if (last.w != 0.0f && square > 0.0f) {
+      const float part = max(0.0f, min(dot(change, g) / square, 1.0f));
+      motion.moved = body.target - g * ((1.0f - part) * (h * h));
+    }
+  }
+  motion.turn = vbd::log_rotation(motion.turned);
+  a.body[row] = body;
+  a.motion[row] = motion;
+}
+
+// What all kernels of an iteration read. An item is 4 times the row plus 2 for a contact plus the
+// side of the body.
+struct VbdBodyRows {
+  NOVAPHY_ARGUMENTS(Reads<VbdBody> body; Updates<VbdBodyMotion> motion;
+                    Reads<VbdBodyContact> contact; Reads<VbdBodyJoint> joint;
+                    Reads<int32_t> begin, items;  // of each body
+                    Number<float> slip;)          // m: friction of the metric ends here
+};
+
+namespace vbd {
+
+inline VbdBodyMotion motion_of(const VbdBodyMotion* motion, int32_t body) {
+  return body < 0 ? VbdBodyMotion{} : motion[body];
+}
+
+// The parts of a block: all, all for trees, or the force alone.
+enum class BlockPart { All, Trees, Force };
+
+// Returns the block of a body with all its rows.
+template <BlockPart part>
+BodyBlock block_of(const VbdBodyRows& a, int32_t body) {
+  const auto factor = [](float in_trees) {
+    return part == BlockPart::Force ? 0.0f : part == BlockPart::All ? 1.0f : in_trees;
+  };
+  const VbdBodyMotion* const motion = a.motion;
+  BodyBlock b = inertia_block(a.body[body], motion[body]);
+  for (int32_t k = a.begin[body]; k < a.begin[body + 1]; ++k) {
+    const int32_t row = a.items[k] >> 2, side = a.items[k] & 1;
+    if ((a.items[k] & 2) != 0) {
+      const VbdBodyContact& c = a.contact[row];
+      add_contact(b, c, side, motion_of(motion, c.body[0]), motion_of(motion, c.body[1]),
+                  a.slip.value, factor(c.in_trees));
+    } else {
+      const VbdBodyJoint& j = a.joint[row];
+      add_joint(b, j, side, motion_of(motion, j.body[0]), motion_of(motion, j.body[1]),
+                factor(j.in_trees));
+    }
+  }
+  return b;
+}
+
+}  // namespace vbd
+
+struct VbdBodyMoveArguments {
+  NOVAPHY_ARGUMENTS(Part<VbdBodyRows> rows; ReadsRow<int32_t> bodies;)
+};
+// Moves the bodies of a color.
+NOVAPHY_ROW_KERNEL(vbd_body_move, VbdBodyMoveArguments) {
+  const int32_t body = a.bodies[row];
+  const vbd::BodyBlock b = vbd::block_of<vbd::BlockPart::All>(a.rows, body);
+  float d[6];
+  math::solve(math::ldlt(b.h), b.f, d);
+  vbd::move_body(a.rows.motion[body], d);
+}
+
+// The blocks of the bodies of all trees, node by node. A node stands behind its parent.
+struct alignas(16) VbdBodyNode {
+  using Element = Vec4f;
+  vbd::BodyBlock block;
+  float edge[6][6] = {};  // rows: of the parent; columns: of the node
+  math::Ldlt<float, 6> factor;
+  float f[6] = {}, d[6] = {};  // the force before the step, and the step
+  float slope = 0.0f;          // the force behind the step, times the step
+  float unused[3] = {};
+  VbdBodyMotion before;
+};
+
+struct VbdBodyNodeArguments {
+  NOVAPHY_ARGUMENTS(Part<VbdBodyRows> rows; ReadsRow<int32_t> bodies;  // of the nodes
+                    Reads<int32_t> begin, items;  // the rows of the edge to the parent of each node
+                    WritesRow<VbdBodyNode> nodes;)
+};
+
+namespace vbd {
+
+// Subtracts k j j'^T from the edge, where j belongs to the parent and j' to the node.
+inline void add_edge_row(float (&edge)[6][6], float k, const Vec3f& linear, const Vec3f& parent,
+                         const Vec3f& node) {
+  const float p[6] = {linear.x, linear.y, linear.z, parent.x, parent.y, parent.z};
+  const float j[6] = {linear.x, linear.y, linear.z, node.x, node.y, node.z};
+  for (int r = 0; r < 6; ++r)
+    for (int c = 0; c < 6; ++c) edge[r][c] = edge[r][c] - (k * p[r]) * j[c];
+}
+
+}  // namespace vbd
+
+// Writes the block of a node, and its edge to the parent.
+NOVAPHY_ROW_KERNEL(vbd_body_node, VbdBodyNodeArguments) {
+  const VbdBodyMotion* const motion = a.rows.motion;
+  VbdBodyNode& node = a.nodes[row];
+  node.block = vbd::block_of<vbd::BlockPart::Trees>(a.rows, a.bodies[row]);
+  for (int i = 0; i < 6; ++i) node.f[i] = node.block.f[i];
+  for (float(&of_row)[6] : node.edge)
+    for (float& entry : of_row) entry = 0.0f;
+  for (int32_t k = a.begin[row]; k < a.begin[row + 1]; ++k) {
+    const int32_t index = a.items[k] >> 2, side = a.items[k] & 1;
+    if ((a.items[k] & 2) != 0) {
+      const VbdBodyContact& c = a.rows.contact[index];
+      const vbd::ContactForce f =
+          vbd::contact_force(c, vbd::motion_of(motion, c.body[0]),
+                             vbd::motion_of(motion, c.body[1]), a.rows.slip.value);
+      if (f.normal == 0.0f) continue;
+      vbd::for_contact_rows(c, f, [&](float stiffness, const Vec3f& linear) {
+        vbd::add_edge_row(node.edge, stiffness, linear, math::cross(c.arm[1 - side], linear),
+                          math::cross(c.arm[side], linear));
+      });
+    } else {
+      const VbdBodyJoint& j = a.rows.joint[index];
+      const vbd::JointForce f =
+          vbd::joint_force(j, vbd::motion_of(motion, j.body[0]), vbd::motion_of(motion, j.body[1]));
+      for (int r = 0; r < f.count; ++r)
+        vbd::add_edge_row(node.edge, f.rows[r].k, f.rows[r].linear, f.rows[r].angular[1 - side],
+                          f.rows[r].angular[side]);
+    }
+  }
+}
+
+struct VbdBodyTreeArguments {
+  NOVAPHY_ARGUMENTS(Reads<int32_t> first;   // node of each tree, and one more behind the last
+                    Reads<int32_t> parent;  // node of each node; -1: a root
+                    Reads<int32_t> bodies; Updates<VbdBodyNode> nodes;
+                    Updates<VbdBodyMotion> motion;)
+};
+// Solves a tree by block elimination, from its leaves to its root, and moves its bodies.
+NOVAPHY_ROW_KERNEL(vbd_body_tree, VbdBodyTreeArguments) {
+  for (int32_t k = a.first[row + 1]; k-- > a.first[row];) {
+    VbdBodyNode& node = a.nodes[k];
+    node.factor = math::ldlt(node.block.h);
+    if (a.parent[k] < 0) continue;
+    vbd::BodyBlock& parent = a.nodes[a.parent[k]].block;
+    for (int r = 0; r < 6; ++r) {
+      float solved[6];
+      math::solve(node.factor, node.edge[r], solved);
+      for (int c = 0; c <= r; ++c)
+        for (int i = 0; i < 6; ++i) parent.h[r][c] = parent.h[r][c] - solved[i] * node.edge[c][i];
+      for (int i = 0; i < 6; ++i) parent.f[r] = parent.f[r] - solved[i] * node.block.f[i];
+    }
+  }
+  for (int32_t k = a.first[row]; k < a.first[row + 1]; ++k) {
+    VbdBodyNode& node = a.nodes[k];
+    if (a.parent[k] >= 0) {
+      const VbdBodyNode& parent = a.nodes[a.parent[k]];
+      for (int r = 0; r < 6; ++r)
+        for (int i = 0; i < 6; ++i)
+          node.block.f[i] = node.block.f[i] - node.edge[r][i] * parent.d[r];
+    }
+    math::solve(node.factor, node.block.f, node.d);
+    node.before = a.motion[a.bodies[k]];
+    vbd::move_body(a.motion[a.bodies[k]], node.d);
+  }
+}
+
+struct VbdBodySlopeArguments {
+  NOVAPHY_ARGUMENTS(Part<VbdBodyRows> rows; ReadsRow<int32_t> bodies;
+                    UpdatesRow<VbdBodyNode> nodes;)
+};
+NOVAPHY_ROW_KERNEL(vbd_body_slope, VbdBodySlopeArguments) {
+  const vbd::BodyBlock b = vbd::block_of<vbd::BlockPart::Force>(a.rows, a.bodies[row]);
+  VbdBodyNode& node = a.nodes[row];
+  node.slope = 0.0f;
+  for (int i = 0; i < 6; ++i) node.slope = node.slope + b.f[i] * node.d[i];
+}
+
+// Shortens the step of a tree to the secant's minimum, if the force behind the step pushes back by
+// more than half of the force before the step.
+NOVAPHY_ROW_KERNEL(vbd_body_take, VbdBodyTreeArguments) {
+  float before = 0.0f, behind = 0.0f;
+  for (int32_t k = a.first[row]; k < a.first[row + 1]; ++k) {
+    const VbdBodyNode& node = a.nodes[k];
+    for (int i = 0; i < 6; ++i) before = before + node.f[i] * node.d[i];
+    behind = behind + node.slope;
+  }
+  if (!(behind < -0.5f * before)) return;
+  const float t = math::max(0.1f, before / (before - behind));
+  for (int32_t k = a.first[row]; k < a.first[row + 1]; ++k) {
+    VbdBodyNode& node = a.nodes[k];
+    float d[6];
+    for (int i = 0; i < 6; ++i) d[i] = node.d[i] * t;
+    a.motion[a.bodies[k]] = node.before;
+    vbd::move_body(a.motion[a.bodies[k]], d);
+  }
+}
+
+struct VbdBodyUpdateArguments {
+  NOVAPHY_ARGUMENTS(Reads<VbdBodyMotion> motion; Number<float> slip; Number<int64_t> contacts;
+                    Updates<VbdBodyContact> contact; Updates<VbdBodyJoint> joint;)
+};
+// Updates the multipliers of the contacts, and behind them of the joints.
+NOVAPHY_ROW_KERNEL(vbd_body_update, VbdBodyUpdateArguments) {
+  if (row < a.contacts.value) {
+    VbdBodyContact& c = a.contact[row];
+    vbd::update_contact(c, vbd::motion_of(a.motion, c.body[0]), vbd::motion_of(a.motion, c.body[1]),
+                        a.slip.value);
+  } else {
+    VbdBodyJoint& j = a.joint[row - a.contacts.value];
+    vbd::update_joint(j, vbd::motion_of(a.motion, j.body[0]), vbd::motion_of(a.motion, j.body[1]));
+  }
+}
+
+struct VbdBodyFinishArguments {
+  NOVAPHY_ARGUMENTS(ReadsRow<Transformf> q; ReadsRow<SpatialVectorf> qd; ReadsRow<Vec3f> com;
+                    ReadsRow<int32_t> is_held; ReadsRow<VbdBodyMotion> motion; Number<float> h;
+                    WritesRow<Transformf> q_out; WritesRow<SpatialVectorf> qd_out;
+                    Optional<WritesRow<Vec4f>> last_velocity;)
+};
+NOVAPHY_ROW_KERNEL(vbd_body_finish, VbdBodyFinishArguments) {
+  using namespace math;
+  const Transformf q = a.q[row];
+  const VbdBodyMotion m = a.motion[row];
+  const Vec3f center = q.p + rotate(q.q, a.com[row]);
+  const Quatf turned = vbd::unit(multiply(m.turned, q.q));
+  a.q_out[row] = {(center + m.moved) - rotate(turned, a.com[row]), turned};
+  if (a.last_velocity != nullptr) {
+    const Vec3f v = a.qd[row].linear;
+    a.last_velocity[row] = {v.x, v.y, v.z, 1.0f};
+  }
+  const float by_h = 1.0f / a.h.value;
+  a.qd_out[row] = a.is_held[row] != 0 ? a.qd[row] : SpatialVectorf{m.moved * by_h, m.turn * by_h};
+}
+
+}  // namespace novaphy

@@ -1,0 +1,175 @@
+#!/usr/bin/env python3
+"""Scenes of rigid bodies in SolverVBD, with their laws, beside SolverFeatherstone in the same run.
+
+stack: ten boxes (0.2 m, 1,000 kg/m^3) of contact stiffness 1e5 or 1e7 N/m stand for some seconds:
+    sink over its law, fastest speed from 2 s on.
+slide: a box slides to rest: way over v^2/(2 mu g), at steps of 1/120 and 1/240 s.
+chain: 10 or 40 links without contacts hang from the world, start level, and the last may be 100
+    times as heavy: largest gap of a joint, energy above the start.
+
+Prints a JSON line for each scene and solver, with the median time of a step (us), without the
+search for contacts.
+
+    PYTHONPATH=build/tests/python tools/bench/avbd_scenes.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+import novaphy
+from novaphy.solvers import SolverFeatherstone, SolverVBD
+
+G, DENSITY, MU, HALF = 9.81, 1000.0, 0.5, 0.1
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+SOLVERS: dict[str, Callable[[novaphy.Model], Any]] = {
+    "vbd": SolverVBD,
+    "featherstone": SolverFeatherstone,
+}
+
+
+def box_builder(ke: float) -> novaphy.ModelBuilder:
+    """Return a builder with a ground."""
+    builder = novaphy.ModelBuilder()
+    builder.default_shape_cfg = novaphy.ShapeConfig(ke=ke, kd=0.0, mu=MU, density=DENSITY)
+    builder.add_ground_plane()
+    return builder
+
+
+def add_box(builder: novaphy.ModelBuilder, z: float) -> int:
+    """Add a box of 8 kg."""
+    body = builder.add_body(xform=((0.0, 0.0, z), IDENTITY))
+    builder.add_shape_box(body, hx=HALF, hy=HALF, hz=HALF)
+    return body
+
+
+def chain(links: int, heavy: float) -> novaphy.Model:
+    """Build a level chain of links of 0.2 m."""
+    builder, before = novaphy.ModelBuilder(), -1
+    for k in range(links):
+        density = DENSITY * (heavy if k == links - 1 else 1.0)
+        body = builder.add_link(xform=((0.1 + 0.2 * k, 0.0, 0.0), IDENTITY))
+        config = novaphy.ShapeConfig(density=density)
+        builder.add_shape_box(body, hx=0.1, hy=0.02, hz=0.02, cfg=config)
+        builder.add_joint_revolute(
+            before, body, axis=(0, 1, 0), parent_xform=((0.1 if k else 0.0, 0, 0), IDENTITY),
+            child_xform=((-0.1, 0, 0), IDENTITY),
+        )  # fmt: skip
+        before = body
+    builder.add_articulation(list(range(links)))
+    return builder.finalize()
+
+
+def run(
+    solver: Any,
+    steps: int,
+    dt: float,
+    see: Callable[[int, novaphy.State], None],
+    collides: bool = True,
+) -> tuple[novaphy.State, float]:
+    """Return the last state and the median time of a step (us)."""
+    model = solver.model
+    pipeline = novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    state, after = model.state(), model.state()
+    times = []
+    for k in range(steps):
+        if collides:
+            pipeline.collide(state, contacts)
+        before = time.perf_counter()
+        solver.step(state, after, None, contacts, dt)
+        times.append(time.perf_counter() - before)
+        state, after = after, state
+        see(k, state)
+    return state, 1e6 * statistics.median(times)
+
+
+def stack(make: Callable, ke: float, seconds: float) -> dict[str, float]:
+    """Let ten boxes stand."""
+    builder = box_builder(ke)
+    for k in range(10):
+        add_box(builder, HALF * (2 * k + 1))
+    speeds = [0.0]
+
+    def see(k: int, state: novaphy.State) -> None:
+        if k >= 240:
+            speeds.append(float(np.abs(state.body_qd.numpy()[:, :3]).max()))
+
+    state, us = run(make(builder.finalize()), int(120 * seconds), 1 / 120, see)
+    law = 55 * 8 * G / (4 * ke)
+    sink = float(1.9 - state.body_q.numpy()[9, 2])
+    return {"ke": ke, "sink_over_law": sink / law, "speed_from_2_s": max(speeds), "us": us}
+
+
+def slide(make: Callable, rate: int) -> dict[str, float]:
+    """Let a box of 2.58 m/s slide to rest."""
+    builder = box_builder(1e5)
+    body = add_box(builder, HALF - 8 * G / 4e5)
+    builder.body_qd[body] = (2.58, 0, 0, 0, 0, 0)
+    state, us = run(make(builder.finalize()), rate, 1 / rate, lambda k, state: None)
+    way = float(state.body_q.numpy()[0, 0])
+    return {"rate": rate, "way_over_law": way / (2.58**2 / (2 * MU * G)), "us": us}
+
+
+def rotations(q: np.ndarray) -> np.ndarray:
+    """Return the rotation matrices of quaternions {n, 4}."""
+    x, y, z, w = q.T
+    zero = np.zeros_like(x)
+    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+    return np.eye(3) + 2 * w[:, None, None] * cross + 2 * cross @ cross
+
+
+def swing(make: Callable, links: int, heavy: float) -> dict[str, float]:
+    """Let a chain fall from level."""
+    model = chain(links, heavy)
+    mass, inertia = model.body_mass.numpy().astype(float), model.body_inertia.numpy().astype(float)
+    gaps, energies = [], []
+
+    def see(k: int, state: novaphy.State) -> None:
+        if k % 6:
+            return
+        q, v = state.body_q.numpy().astype(float), state.body_qd.numpy().astype(float)
+        turn = rotations(q[:, 3:])
+        half = 0.1 * turn[:, :, 0]
+        ends = np.vstack([np.zeros(3), (q[:, :3] + half)[:-1]])
+        gaps.append(np.linalg.norm(ends - (q[:, :3] - half), axis=1).max())
+        spin = np.einsum("bij,bj->bi", turn @ inertia @ turn.transpose(0, 2, 1), v[:, 3:])
+        squares = mass * (v[:, :3] ** 2).sum(1) + (spin * v[:, 3:]).sum(1)
+        energies.append(0.5 * squares.sum() + G * mass @ q[:, 2])
+
+    _, us = run(make(model), 600, 1 / 120, see, collides=False)
+    return {
+        "links": links, "heavy": heavy, "gap_mm": 1e3 * float(max(gaps)),
+        "energy_above_start_J": float(max(0.0, *energies)), "us": us,
+    }  # fmt: skip
+
+
+def main() -> None:
+    """Print the records."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=10.0, help="how long the stack stands")
+    args = parser.parse_args()
+    for name, make in SOLVERS.items():
+        records = [("stack", lambda make=make, ke=ke: stack(make, ke, args.seconds))
+                   for ke in (1e5, 1e7)]  # fmt: skip
+        records += [
+            ("slide", lambda make=make, rate=rate: slide(make, rate)) for rate in (120, 240)
+        ]
+        records += [
+            ("chain", lambda make=make, n=n, heavy=heavy: swing(make, n, heavy))
+            for n in (10, 40)
+            for heavy in (1.0, 100.0)
+        ]
+        for scene, record in records:
+            print(json.dumps({"scene": scene, "solver": name, **record()}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

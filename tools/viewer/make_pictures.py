@@ -29,6 +29,7 @@ OPTIONS = {
     "ant_from_scratch": ["--load", str(ACTORS / "periodic_ant_natural_gait.npz")],
     "ant_walk": ["--headless", "200"],
     "dice": ["--starts", "0"],
+    "vbd_wrecking_ball": ["--headless", "78"],
 }
 # The demos that have a page, with options that keep the page small.
 WITH_PAGE = {

@@ -431,6 +431,21 @@ def test_a_rollout_with_checkpoints_has_the_bits_of_steps(guess: str) -> None:
     assert np.array_equal(again.body_q.numpy(), run(model, 23, initial_guess=guess).body_q.numpy())
 
 
+def test_the_bits_are_those_of_one_thread() -> None:
+    builder = builder_of()
+    builder.add_ground_plane()
+    for k in range(60):
+        add_box(builder, (0.3 * (k // 3), 0.001 * k, 0.11 + 0.21 * (k % 3)))
+    model = builder.finalize()
+    before = novaphy.num_threads()
+    results = []
+    for threads in (1, 3):
+        novaphy.set_num_threads(threads)
+        results.append(run(model, 12).body_q.numpy())
+    novaphy.set_num_threads(before)
+    assert np.array_equal(results[0], results[1])
+
+
 def test_reset_forgets_the_multipliers() -> None:
     model = stack_of(2)
     solver = SolverVBD(model)

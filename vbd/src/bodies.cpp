@@ -7,6 +7,9 @@
 namespace novaphy::vbd {
 namespace {
 
+// Rows that a thread takes at a time.
+constexpr uint32_t kBodies = 32, kTrees = 4, kRows = 256;
+
 // The kernels have no code for devices. Each has arguments of its own type.
 template <class A>
 const Kernel<A>& kernel_of(const RowKernel<A>& kernel) {
@@ -16,7 +19,8 @@ const Kernel<A>& kernel_of(const RowKernel<A>& kernel) {
 
 // Its arguments are those of vbd_body_tree.
 const Kernel<VbdBodyTreeArguments>& take() {
-  static const auto& made = *new Kernel<VbdBodyTreeArguments>(vbd_body_take, nullptr);
+  static const auto& made =
+      *new Kernel<VbdBodyTreeArguments>(kInChunks<vbd_body_take, kTrees>, nullptr);
   return made;
 }
 
@@ -73,7 +77,7 @@ VbdBodyRows Bodies::rows() {
 void Bodies::iterate() {
   for (size_t c = 0; c + 1 < graph_.colors.begin.size(); ++c) {
     const std::span<const int32_t> bodies = graph_.colors.of(static_cast<int32_t>(c));
-    run(kernel_of(vbd_body_move), static_cast<int64_t>(bodies.size()),
+    run(kernel_of(kInChunks<vbd_body_move, kBodies>), static_cast<int64_t>(bodies.size()),
         {.rows = rows(), .bodies = direct(bodies.data())});
   }
   const auto nodes = static_cast<int64_t>(node_.size());
@@ -82,17 +86,19 @@ void Bodies::iterate() {
                                       .bodies = direct(graph_.nodes),
                                       .nodes = direct(node_),
                                       .motion = direct(motion_)};
-  run(kernel_of(vbd_body_node), nodes,
+  run(kernel_of(kInChunks<vbd_body_node, kBodies>), nodes,
       {.rows = rows(),
        .bodies = direct(graph_.nodes),
        .begin = direct(graph_.edges.begin),
        .items = direct(graph_.edges.items),
        .nodes = direct(node_)});
-  run(kernel_of(vbd_body_tree), static_cast<int64_t>(graph_.tree_first.size()) - 1, trees);
-  run(kernel_of(vbd_body_slope), nodes,
+  run(kernel_of(kInChunks<vbd_body_tree, kTrees>),
+      static_cast<int64_t>(graph_.tree_first.size()) - 1, trees);
+  run(kernel_of(kInChunks<vbd_body_slope, kBodies>), nodes,
       {.rows = rows(), .bodies = direct(graph_.nodes), .nodes = direct(node_)});
   run(take(), static_cast<int64_t>(graph_.tree_first.size()) - 1, trees);
-  run(kernel_of(vbd_body_update), static_cast<int64_t>(contact_.size() + joint_.size()),
+  run(kernel_of(kInChunks<vbd_body_update, kRows>),
+      static_cast<int64_t>(contact_.size() + joint_.size()),
       {.motion = direct(motion_),
        .slip = options_.friction_epsilon * dt_,
        .contacts = static_cast<int64_t>(contact_.size()),

@@ -15,10 +15,29 @@
 #include "novaphy/core/sim/control.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/sim_state.h"
-#include "novaphy/vbd/bodies/memory.h"
 #include "novaphy/vbd/solver_vbd.h"
 
 namespace novaphy::vbd {
+
+// The multipliers of a contact, found again by its shapes and its feature.
+struct alignas(16) ContactMemory {
+  int32_t shape[2] = {-1, -1};
+  int32_t point = -1;
+  float lam_n = 0.0f;
+  Vec3f lam_t{};
+  float is_used = 0.0f;  // 0: no contact
+  Vec3f normal{};
+  float unused = 0.0f;
+};
+
+// The multipliers of a joint in the axes of its parent, and the angle with all turns.
+struct alignas(16) JointMemory {
+  Vec3f lam{};
+  float coordinate = 0.0f;
+  Vec3f lam_turn{};
+  float is_used = 0.0f;  // 0: no step before
+  float axis[4] = {};
+};
 
 // Lists of numbers, one after the other.
 struct BodyLists {

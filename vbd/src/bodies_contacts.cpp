@@ -12,14 +12,14 @@ constexpr float kLeastCosine = 0.70711f;  // between normals of a contact in suc
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 
-std::tuple<int32_t, int32_t, int32_t> key_of(const VbdContactMemory& m) {
+std::tuple<int32_t, int32_t, int32_t> key_of(const ContactMemory& m) {
   return {m.shape[0], m.shape[1], m.point};
 }
 
 }  // namespace
 
 void Bodies::put_contacts(const SimState& in, const Contacts& contacts) {
-  const auto* const memory = memory_at<VbdContactMemory>(contacts_at());
+  const auto* const memory = memory_at<ContactMemory>(contacts_at());
   recalled_.clear();
   for (size_t k = 0; k < contact_rows_ && memory[k].is_used != 0.0f; ++k)
     recalled_.push_back(static_cast<int32_t>(k));
@@ -93,7 +93,7 @@ void Bodies::put_contact(const SimState& in, const Contacts& contacts, size_t sl
 
 // Starts from the multipliers of the step before, if the normal has hardly turned.
 void Bodies::recall_contact(const Contacts& contacts, size_t slot, VbdBodyContact& to) {
-  const auto* const memory = memory_at<VbdContactMemory>(contacts_at());
+  const auto* const memory = memory_at<ContactMemory>(contacts_at());
   const std::tuple key(contacts.rigid_contact_shape0.data()[slot],
                        contacts.rigid_contact_shape1.data()[slot],
                        contacts.rigid_contact_point_id.data()[slot]);
@@ -101,7 +101,7 @@ void Bodies::recall_contact(const Contacts& contacts, size_t slot, VbdBodyContac
       recalled_.begin(), recalled_.end(), key,
       [memory](int32_t k, const auto& other) { return key_of(memory[k]) < other; });
   if (found == recalled_.end() || key_of(memory[*found]) != key) return;
-  const VbdContactMemory& before = memory[*found];
+  const ContactMemory& before = memory[*found];
   if (math::dot(before.normal, to.normal) < kLeastCosine) return;
   to.lam_n = kRecall * before.lam_n;
   const Vec3f along = before.lam_t - to.normal * math::dot(to.normal, before.lam_t);
@@ -110,7 +110,7 @@ void Bodies::recall_contact(const Contacts& contacts, size_t slot, VbdBodyContac
 
 // Keeps the multipliers, and writes the forces on the shapes B.
 void Bodies::keep_contacts(const Contacts* contacts) {
-  auto* const memory = memory_at<VbdContactMemory>(contacts_at());
+  auto* const memory = memory_at<ContactMemory>(contacts_at());
   for (size_t k = 0; k < contact_rows_ && (k < contact_.size() || memory[k].is_used != 0.0f); ++k)
     memory[k].is_used = 0.0f;
   if (contacts == nullptr) return;

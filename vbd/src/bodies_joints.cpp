@@ -47,7 +47,7 @@ void put_metric(const BodySide& a, const BodySide& b, float dt, VbdBodyJoint& to
 
 void Bodies::put_joints(const SimState& in, const Control* control) {
   const Model& m = model_;
-  const auto* const memory = memory_at<VbdJointMemory>(joints_at());
+  const auto* const memory = memory_at<JointMemory>(joints_at());
   joint_.clear();
   joints_.clear();
   for (size_t k = 0; k < joint_count_; ++k) {
@@ -103,7 +103,7 @@ float Bodies::joint_coordinate(size_t joint, const VbdBodyJoint& j) const {
   if (j.kind == VbdBodyJointKind::Prismatic) return math::dot(j.axis[0], j.gap);
   const Vec3f v = {j.turned.x, j.turned.y, j.turned.z};
   const float angle = 2.0f * math::atan2(math::dot(v, j.axis[0]), j.turned.w);
-  const auto& before = reinterpret_cast<const VbdJointMemory*>(memory_.data() + joints_at())[joint];
+  const auto& before = reinterpret_cast<const JointMemory*>(memory_.data() + joints_at())[joint];
   const float last = before.is_used != 0.0f
                          ? before.coordinate
                          : model_.joint_q.data()[model_.joint_q_start.data()[joint]];
@@ -111,14 +111,14 @@ float Bodies::joint_coordinate(size_t joint, const VbdBodyJoint& j) const {
 }
 
 void Bodies::keep_joints(const SimState& in) {
-  auto* const memory = memory_at<VbdJointMemory>(joints_at());
+  auto* const memory = memory_at<JointMemory>(joints_at());
   for (size_t k = 0; k < joint_count_; ++k) memory[k].is_used = 0.0f;
   for (size_t k = 0; k < joint_.size(); ++k) {
     const VbdBodyJoint& j = joint_[k];
     const Quatf q = j.body[0] < 0 ? Quatf::identity() : in.body_q.data()[j.body[0]].q;
     const Quatf turned = j.body[0] < 0 ? q : math::multiply(motion_[at(j.body[0])].turned, q);
     const VbdBodyMotion a = motion_of(motion_.data(), j.body[0]);
-    VbdJointMemory& to = memory[at(joints_[k])];
+    JointMemory& to = memory[at(joints_[k])];
     to.lam = math::rotate_inverse(turned, j.lam);
     to.lam_turn = math::rotate_inverse(turned, j.lam_turn);
     to.coordinate = joint_errors(j, a, motion_of(motion_.data(), j.body[1])).coordinate;

@@ -528,6 +528,31 @@ def test_a_capture_and_gradients_are_refused() -> None:
         novaphy.solvers.DiffSolverVBD(model)
 
 
+def test_edits_that_rows_do_not_have_are_refused_in_the_next_step() -> None:
+    model, _ = wheel_of()
+    solver, state, after = SolverVBD(model), model.state(), model.state()
+    solver.step(state, after, None, None, H)
+    model.joint_velocity_limit.assign(np.array([2.0], np.float32))
+    with pytest.raises(NotImplementedError, match=r"joint_velocity_limit\[0\]"):
+        solver.step(state, after, None, None, H)
+    free = stack_of(1)
+    control = free.control()
+    control.joint_f.assign(np.ones(6, np.float32))
+    with pytest.raises(NotImplementedError, match=r"joint_f\[0\]"):
+        SolverVBD(free).step(free.state(), free.state(), control, None, H)
+
+
+def test_a_step_in_place_has_the_bits_of_one_into_another_state() -> None:
+    model = stack_of(2)
+    expected = run(model, 8).body_q.numpy()
+    solver, pipeline, state = SolverVBD(model), novaphy.CollisionPipeline(model), model.state()
+    contacts = pipeline.contacts()
+    for _ in range(8):
+        pipeline.collide(state, contacts)
+        solver.step(state, state, None, contacts, H)
+    assert np.array_equal(state.body_q.numpy(), expected)
+
+
 def test_a_pose_that_is_not_finite_is_named() -> None:
     model = stack_of(2)
     state = model.state()

@@ -27,7 +27,7 @@ const Kernel<VbdBodyTreeArguments>& take() {
 }  // namespace
 
 Bodies::Bodies(const Model& m, const VbdOptions& o) : model_(m), options_(o) {
-  check_model();
+  check_model(nullptr);
   const auto bodies = static_cast<size_t>(m.body_count());
   if (o.initial_guess == VbdInitialGuess::Adaptive) {
     particle_rows_ = static_cast<size_t>(m.particle_count());
@@ -132,6 +132,7 @@ void Bodies::put_graph() {
 void Bodies::solve(const SimState& in, const Control* control, const Contacts* contacts, float dt) {
   const Model& m = model_;
   dt_ = dt;
+  check_model(control);
   check_step(in, contacts);
   if (contacts != nullptr) reserve(contacts->rigid_contact_max());
   int32_t* const is_held = is_held_.mutable_data();

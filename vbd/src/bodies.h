@@ -116,7 +116,7 @@ class Bodies {
   VbdBodyRows rows();
   Untyped last_velocity();
   // bodies_checks.cpp
-  void check_model() const;
+  void check_model(const Control* control) const;
   void check_step(const SimState& in, const Contacts* contacts) const;
   void check_result() const;
   // bodies_contacts.cpp

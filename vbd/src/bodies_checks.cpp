@@ -25,14 +25,16 @@ void check_joints(const Model& m) {
 }
 
 // Numbers of degrees of freedom that rows do not have.
-void check_dofs(const Model& m) {
+void check_dofs(const Model& m, const Control* control) {
+  const float* const act = (control != nullptr ? control->joint_act : m.joint_act).data();
+  const float* const force = (control != nullptr ? control->joint_f : m.joint_f).data();
   const auto refuse = [](const char* name, int32_t k, float expected, float got) {
-    require(got == expected, ErrorKind::NotImplemented, "SolverVBD: model.", name, "[", k,
-            "]: expected ", expected, ", because rows of VBD do not have it, got ", got);
+    require(got == expected, ErrorKind::NotImplemented, "SolverVBD: ", name, "[", k, "]: expected ",
+            expected, ", because rows of VBD do not have it, got ", got);
   };
   for (int32_t k = 0; k < m.joint_dof_count(); ++k) {
     refuse("joint_velocity_limit", k, 1.0e6f, m.joint_velocity_limit.data()[k]);
-    refuse("joint_act", k, 0.0f, m.joint_act.data()[k]);
+    refuse("joint_act", k, 0.0f, act[k]);
   }
   for (int32_t j = 0; j < m.joint_count(); ++j) {
     if (has_axes(static_cast<JointType>(m.joint_type.data()[j]))) continue;
@@ -42,14 +44,14 @@ void check_dofs(const Model& m) {
       refuse("joint_damping", k, 0.0f, m.joint_damping.data()[k]);
       refuse("joint_friction", k, 0.0f, m.joint_friction.data()[k]);
       refuse("joint_armature", k, 0.0f, m.joint_armature.data()[k]);
-      refuse("joint_f", k, 0.0f, m.joint_f.data()[k]);
+      refuse("joint_f", k, 0.0f, force[k]);
     }
   }
 }
 
 }  // namespace
 
-void Bodies::check_model() const {
+void Bodies::check_model(const Control* control) const {
   const Model& m = model_;
   require_cpu(m.device(), "SolverVBD: model with bodies");
   const std::pair<const char*, bool> others[] = {{"tolerance", options_.tolerance.has_value()},
@@ -61,7 +63,7 @@ void Bodies::check_model() const {
           "SolverVBD: model: expected no actuators, got ", m.actuator_count(),
           "; use SolverFeatherstone");
   check_joints(m);
-  check_dofs(m);
+  check_dofs(m, control);
 }
 
 void Bodies::check_step(const SimState& in, const Contacts* contacts) const {

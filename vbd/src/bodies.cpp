@@ -89,8 +89,7 @@ void Bodies::iterate() {
   run(kernel_of(kInChunks<vbd_body_node, kBodies>), nodes,
       {.rows = rows(),
        .bodies = direct(graph_.nodes),
-       .begin = direct(graph_.edges.begin),
-       .items = direct(graph_.edges.items),
+       .parent = direct(graph_.node_parent),
        .nodes = direct(node_)});
   run(kernel_of(kInChunks<vbd_body_tree, kTrees>),
       static_cast<int64_t>(graph_.tree_first.size()) - 1, trees);

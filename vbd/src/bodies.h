@@ -74,7 +74,6 @@ class BodyGraph {
   BodyLists colors;  // the bodies of each color
   // The nodes of the trees, over all bodies that have rows.
   std::vector<int32_t> nodes, node_parent, tree_first;
-  BodyLists edges;  // the rows of the edge to the parent of each node
 
  private:
   static size_t index(int32_t k) { return static_cast<size_t>(k); }

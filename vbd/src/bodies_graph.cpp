@@ -110,14 +110,6 @@ void BodyGraph::build(int32_t bodies, std::span<const std::array<int32_t, 2>> pa
   find_trees(bodies, pairs);
   find_neighbors(bodies, pairs);
   find_colors(bodies, pairs.first(acting));
-  pairs_.clear();
-  for (size_t k = 0; k < pairs.size(); ++k)
-    for (int32_t side = 0; side < 2; ++side) {
-      const int32_t body = pairs[k][index(side)], other = pairs[k][index(1 - side)];
-      if (body >= 0 && other >= 0 && parent_[index(body)] == other)
-        pairs_.emplace_back(node_of_[index(body)], numbers[k] + side);
-    }
-  edges.build(static_cast<int32_t>(nodes.size()), pairs_);
 }
 
 }  // namespace novaphy::vbd

@@ -93,25 +93,40 @@ inline VbdBodyMotion motion_of(const VbdBodyMotion* motion, int32_t body) {
 // The parts of a block: all, all for trees, or the force alone.
 enum class BlockPart { All, Trees, Force };
 
-// Returns the block of a body with all its rows.
+// Subtracts k j j'^T from the edge, where j belongs to the parent and j' to the node.
+inline void add_edge_row(float (*edge)[6], float k, const Vec3f& linear, const Vec3f& parent,
+                         const Vec3f& node) {
+  const float p[6] = {linear.x, linear.y, linear.z, parent.x, parent.y, parent.z};
+  const float j[6] = {linear.x, linear.y, linear.z, node.x, node.y, node.z};
+  for (int r = 0; r < 6; ++r)
+    for (int c = 0; c < 6; ++c) edge[r][c] = edge[r][c] - (k * p[r]) * j[c];
+}
+
+// Returns the block of a body with all its rows. `edge`: gets the rows shared with `parent`, if >=
+// 0.
 template <BlockPart part>
-BodyBlock block_of(const VbdBodyRows& a, int32_t body) {
-  const auto factor = [](float in_trees) {
-    return part == BlockPart::Force ? 0.0f : part == BlockPart::All ? 1.0f : in_trees;
-  };
-  const VbdBodyMotion* const motion = a.motion;
-  BodyBlock b = inertia_block(a.body[body], motion[body]);
+BodyBlock block_of(const VbdBodyRows& a, int32_t body, float (*edge)[6] = nullptr,
+                   int32_t parent = -1) {
+  constexpr bool with_stiffness = part != BlockPart::Force;
+  BodyBlock b = inertia_block(a.body[body], a.motion[body]);
   for (int32_t k = a.begin[body]; k < a.begin[body + 1]; ++k) {
     const int32_t row = a.items[k] >> 2, side = a.items[k] & 1;
-    if ((a.items[k] & 2) != 0) {
-      const VbdBodyContact& c = a.contact[row];
-      add_contact(b, c, side, motion_of(motion, c.body[0]), motion_of(motion, c.body[1]),
-                  a.slip.value, factor(c.in_trees));
-    } else {
-      const VbdBodyJoint& j = a.joint[row];
-      add_joint(b, j, side, motion_of(motion, j.body[0]), motion_of(motion, j.body[1]),
-                factor(j.in_trees));
-    }
+    const bool touches = (a.items[k] & 2) != 0;
+    const int32_t* const bodies = touches ? a.contact[row].body : a.joint[row].body;
+    const float in_trees = touches ? a.contact[row].in_trees : a.joint[row].in_trees;
+    const float factor = part == BlockPart::Trees ? in_trees : 1.0f;
+    const bool is_edge = parent >= 0 && bodies[1 - side] == parent;
+    const auto add = [&](float stiffness, const Vec3f& linear, const Vec3f& own,
+                         const Vec3f& other) {
+      add_row(b, stiffness * factor, linear, own);
+      if (is_edge) add_edge_row(edge, stiffness, linear, other, own);
+    };
+    const VbdBodyMotion first = motion_of(a.motion, bodies[0]);
+    const VbdBodyMotion second = motion_of(a.motion, bodies[1]);
+    if (touches)
+      add_contact<with_stiffness>(b, a.contact[row], side, first, second, a.slip.value, add);
+    else
+      add_joint<with_stiffness>(b, a.joint[row], side, first, second, add);
   }
   return b;
 }
@@ -143,53 +158,18 @@ struct alignas(16) VbdBodyNode {
 };
 
 struct VbdBodyNodeArguments {
-  NOVAPHY_ARGUMENTS(Part<VbdBodyRows> rows; ReadsRow<int32_t> bodies;  // of the nodes
-                    Reads<int32_t> begin, items;  // the rows of the edge to the parent of each node
+  NOVAPHY_ARGUMENTS(Part<VbdBodyRows> rows; Reads<int32_t> bodies;  // of the nodes
+                    ReadsRow<int32_t> parent;                       // node of each node; -1: a root
                     WritesRow<VbdBodyNode> nodes;)
 };
-
-namespace vbd {
-
-// Subtracts k j j'^T from the edge, where j belongs to the parent and j' to the node.
-inline void add_edge_row(float (&edge)[6][6], float k, const Vec3f& linear, const Vec3f& parent,
-                         const Vec3f& node) {
-  const float p[6] = {linear.x, linear.y, linear.z, parent.x, parent.y, parent.z};
-  const float j[6] = {linear.x, linear.y, linear.z, node.x, node.y, node.z};
-  for (int r = 0; r < 6; ++r)
-    for (int c = 0; c < 6; ++c) edge[r][c] = edge[r][c] - (k * p[r]) * j[c];
-}
-
-}  // namespace vbd
-
 // Writes the block of a node, and its edge to the parent.
 NOVAPHY_ROW_KERNEL(vbd_body_node, VbdBodyNodeArguments) {
-  const VbdBodyMotion* const motion = a.rows.motion;
   VbdBodyNode& node = a.nodes[row];
-  node.block = vbd::block_of<vbd::BlockPart::Trees>(a.rows, a.bodies[row]);
-  for (int i = 0; i < 6; ++i) node.f[i] = node.block.f[i];
   for (float(&of_row)[6] : node.edge)
     for (float& entry : of_row) entry = 0.0f;
-  for (int32_t k = a.begin[row]; k < a.begin[row + 1]; ++k) {
-    const int32_t index = a.items[k] >> 2, side = a.items[k] & 1;
-    if ((a.items[k] & 2) != 0) {
-      const VbdBodyContact& c = a.rows.contact[index];
-      const vbd::ContactForce f =
-          vbd::contact_force(c, vbd::motion_of(motion, c.body[0]),
-                             vbd::motion_of(motion, c.body[1]), a.rows.slip.value);
-      if (f.normal == 0.0f) continue;
-      vbd::for_contact_rows(c, f, [&](float stiffness, const Vec3f& linear) {
-        vbd::add_edge_row(node.edge, stiffness, linear, math::cross(c.arm[1 - side], linear),
-                          math::cross(c.arm[side], linear));
-      });
-    } else {
-      const VbdBodyJoint& j = a.rows.joint[index];
-      const vbd::JointForce f =
-          vbd::joint_force(j, vbd::motion_of(motion, j.body[0]), vbd::motion_of(motion, j.body[1]));
-      for (int r = 0; r < f.count; ++r)
-        vbd::add_edge_row(node.edge, f.rows[r].k, f.rows[r].linear, f.rows[r].angular[1 - side],
-                          f.rows[r].angular[side]);
-    }
-  }
+  const int32_t parent = a.parent[row] < 0 ? -1 : a.bodies[a.parent[row]];
+  node.block = vbd::block_of<vbd::BlockPart::Trees>(a.rows, a.bodies[row], node.edge, parent);
+  for (int i = 0; i < 6; ++i) node.f[i] = node.block.f[i];
 }
 
 struct VbdBodyTreeArguments {

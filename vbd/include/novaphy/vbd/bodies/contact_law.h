@@ -109,18 +109,19 @@ void for_contact_rows(const VbdBodyContact& c, const ContactForce& f, const Row&
   row(f.k_t, cross(c.normal, t));
 }
 
-// Adds a contact to the block of its body `side`: 0 is A, 1 is B. `scale`: of the
-// stiffness; 0: the force alone.
-inline void add_contact(BodyBlock& block, const VbdBodyContact& c, int side, const VbdBodyMotion& a,
-                        const VbdBodyMotion& b, float slip_bound, float scale) {
+// Adds the force of a contact to the block of its body `side`: 0 is A, 1 is B. Calls row(k, linear,
+// angular of the body, angular of the other) for its stiffness.
+template <bool with_stiffness, class Row>
+void add_contact(BodyBlock& block, const VbdBodyContact& c, int side, const VbdBodyMotion& a,
+                 const VbdBodyMotion& b, float slip_bound, const Row& row) {
   const ContactForce f = contact_force(c, a, b, slip_bound);
   if (f.normal == 0.0f) return;
   const Vec3f force = (c.normal * f.normal + f.friction) * (side == 0 ? -1.0f : 1.0f);
-  const Vec3f arm = c.arm[side];
+  const Vec3f arm = c.arm[side], other = c.arm[1 - side];
   add_force(block, force, math::cross(arm, force));
-  if (scale == 0.0f) return;
+  if (!with_stiffness) return;
   for_contact_rows(c, f, [&](float k, const Vec3f& linear) {
-    add_row(block, k * scale, linear, math::cross(arm, linear));
+    row(k, linear, math::cross(arm, linear), math::cross(other, linear));
   });
 }
 

@@ -160,18 +160,19 @@ inline void update_joint(VbdBodyJoint& j, const VbdBodyMotion& a, const VbdBodyM
   }
 }
 
-// Adds a joint to the block of its body `side`: 0 is A, 1 is B. `scale`: of the
-// stiffness; 0: the force alone.
-inline void add_joint(BodyBlock& block, const VbdBodyJoint& j, int side, const VbdBodyMotion& a,
-                      const VbdBodyMotion& b, float scale) {
+// Adds the force of a joint to the block of its body `side`: 0 is A, 1 is B. Calls row as
+// add_contact does.
+template <bool with_stiffness, class Row>
+void add_joint(BodyBlock& block, const VbdBodyJoint& j, int side, const VbdBodyMotion& a,
+               const VbdBodyMotion& b, const Row& row) {
   using namespace math;
   const JointForce f = joint_force(j, a, b);
   const float sign = side == 0 ? -1.0f : 1.0f;
   const Vec3f force = f.force * sign, arm = f.arm[side];
   add_force(block, force, cross(arm, force) + f.moment * sign);
-  if (scale == 0.0f) return;
+  if (!with_stiffness) return;
   for (int k = 0; k < f.count; ++k)
-    add_row(block, f.rows[k].k * scale, f.rows[k].linear, f.rows[k].angular[side]);
+    row(f.rows[k].k, f.rows[k].linear, f.rows[k].angular[side], f.rows[k].angular[1 - side]);
   // Column norms of the geometric stiffness sym(f r^T) - (f . r) 1 of a point that turns.
   const float along = dot(force, arm);
   const float fs[3] = {force.x, force.y, force.z}, rs[3] = {arm.x, arm.y, arm.z};

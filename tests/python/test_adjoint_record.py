@@ -147,7 +147,7 @@ def test_a_missed_event_is_found_with_its_step_and_pair() -> None:
 
 
 def rolling(shape: str) -> novaphy.nova.AdjointRecord:
-    """A body that rolls over a fixed ball from the start on."""
+    """A ball that rolls over a fixed ball, or an ellipsoid over a hull, from the start on."""
     from novaphy import diff, nova
 
     builder = novaphy.ModelBuilder()
@@ -155,9 +155,11 @@ def rolling(shape: str) -> novaphy.nova.AdjointRecord:
     body = builder.add_body(xform=((0.0, 0.0, 0.1499), UPRIGHT))
     if shape == "ellipsoid":
         builder.add_shape_ellipsoid(body, rx=0.1, ry=0.07, rz=0.05, cfg=surface)
+        block = np.float32([[x, y, z] for x in (-3, 3) for y in (-3, 3) for z in (-1, 0.1)])
+        builder.add_shape_convex_hull(-1, vertices=block, cfg=surface)
     else:
         builder.add_shape_sphere(body, radius=0.05, cfg=surface)
-    builder.add_shape_sphere(-1, radius=1.0, xform=((0, 0, -0.9), UPRIGHT), cfg=surface)
+        builder.add_shape_sphere(-1, radius=1.0, xform=((0, 0, -0.9), UPRIGHT), cfg=surface)
     model = builder.finalize(requires_grad=True)
     path = diff.Trajectory(model, 200)
     path[0].joint_qd.assign(np.float32([0.6, 0.1, 0, 0, 2.0, 0]))

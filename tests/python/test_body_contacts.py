@@ -25,6 +25,9 @@ def add_shape(builder, body, shape, cfg):
         builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1, cfg=cfg)
     elif shape == "sphere":
         builder.add_shape_sphere(body, radius=0.1, cfg=cfg)
+    elif shape == "hull":
+        corners = [[x, y, z] for x in (-0.05, 0.07) for y in (-0.06, 0.05) for z in (-0.1, 0.1)]
+        builder.add_shape_convex_hull(body, vertices=np.float32(corners), cfg=cfg)
     else:
         builder.add_shape_capsule(body, radius=0.06, half_height=0.15, cfg=cfg)
 
@@ -105,6 +108,10 @@ TWO_BODIES = {
     "a box on a box": [
         ("box", (0, 0, 0.3, *IDENTITY), (0.1, 0.2, 0.1, 0.3, 0.2, -0.1)),
         ("box", (0.03, 0.05, 0.49, *NEARLY_UP), (-0.3, 0.1, -0.4, 0, 0, 0.5)),
+    ],
+    "a hull on a box": [
+        ("box", (0, 0, 0.3, *IDENTITY), (0.1, 0.2, 0.1, 0.3, 0.2, -0.1)),
+        ("hull", (0.0, -0.02, 0.493, *NEARLY_UP), (-0.3, 0.1, -0.4, 0, 0, 0.5)),
     ],
     "a box on a corner on a box": [
         ("box", (0, 0, 0.3, *NEARLY_UP), (0.1, 0.2, 0.1, 0.3, 0.2, -0.1)),
@@ -358,7 +365,8 @@ def test_rows_without_a_closed_form_are_labelled_frozen():
     for x in (0.0, 2.0):
         below = builder.add_body(xform=(x, 0, -0.3, *IDENTITY))
         builder.add_shape_box(below, hx=0.3, hy=0.3, hz=0.3)
-        body = builder.add_body(xform=(x, 0, 0.1, *NEARLY_UP))
+        turn = IDENTITY if x == 0.0 else NEARLY_UP  # the cylinder stands on its base
+        body = builder.add_body(xform=(x, 0, 0.1, *turn))
         if x == 0.0:
             builder.add_shape_cylinder(body, radius=0.1, half_height=0.1)
         else:

@@ -342,7 +342,7 @@ def test_a_bounce_is_an_event_of_the_semi_implicit_solver(kind: str) -> None:
 
 
 def test_rows_that_are_held_make_steps_of_the_semi_implicit_solver_frozen() -> None:
-    """An ellipsoid against a ball has no closed form."""
+    """A hull against a ball has no closed form."""
     from novaphy import nova
 
     builder = novaphy.ModelBuilder(gravity=0.0)
@@ -352,7 +352,8 @@ def test_rows_that_are_held_make_steps_of_the_semi_implicit_solver_frozen() -> N
             xform=((0.0, 0.0, z), (0.0, 0.0, 0.0, 1.0)), mass=1.0, inertia=np.eye(3) * 0.004
         )
         if z == 0.0:
-            builder.add_shape_ellipsoid(body, rx=0.1, ry=0.15, rz=0.1, cfg=surface)
+            octahedron = np.float32(np.concatenate([np.eye(3), -np.eye(3)]) * 0.1)
+            builder.add_shape_convex_hull(body, vertices=octahedron, cfg=surface)
         else:
             builder.add_shape_sphere(body, radius=0.1, cfg=surface)
     model = builder.finalize(requires_grad=True)

@@ -29,8 +29,12 @@ SHAPES = {
     "capsule": {"radius": 0.06, "half_height": 0.15},
     "box": {"hx": 0.1, "hy": 0.12, "hz": 0.08},
     "cylinder": {"radius": 0.1, "half_height": 0.12},
+    "cone": {"radius": 0.1, "half_height": 0.12},
     "ellipsoid": {"rx": 0.15, "ry": 0.1, "rz": 0.07},
+    "convex_hull": {"vertices": np.float32(np.concatenate([np.eye(3), -np.eye(3)]) * 0.1)},
 }
+# Pairs whose search is exact to rounding, because a step is compared with differences.
+# tests/dynamics/test_witness_points.cpp has all pairs of features.
 # The shapes of two free bodies with their poses, of which the second is above the first; "ground":
 # the plane z = 0 of the world.
 PAIRS = {
@@ -88,6 +92,48 @@ PAIRS = {
         (),
         "cylinder",
         (0, 0, 0.145, *turned(0.6, 0.8, 0, 0.4)),
+    ),
+    "sphere on a cylinder's side": (
+        "cylinder",
+        (0, 0, 0, *turned(0.2, 1, 0, 1.4)),
+        "sphere",
+        (0.03, 0.05, 0.185, *UPRIGHT),
+    ),
+    "sphere on a rim": (
+        "cylinder",
+        (0, 0, 0, *turned(0.3, 1, 0, 0.6)),
+        "sphere",
+        (-0.02, 0.02, 0.254, *UPRIGHT),
+    ),
+    "sphere on a base": (
+        "cylinder",
+        (0, 0, 0, *turned(0.3, 1, 0, 0.2)),
+        "sphere",
+        (0.02, 0.01, 0.22, *UPRIGHT),
+    ),
+    "sphere on a cone": (
+        "cone",
+        (0, 0, 0, *turned(0.2, 1, 0, 1.0)),
+        "sphere",
+        (0.02, 0.02, 0.152, *UPRIGHT),
+    ),
+    "apex on a face": (
+        "box",
+        (0, 0, 0, *turned(1, 2, 0, 0.1)),
+        "cone",
+        (0.02, 0.01, 0.196, *turned(1, 0.2, 0, 2.9)),
+    ),
+    "rim on a face": (
+        "box",
+        (0, 0, 0, *turned(1, 2, 0, 0.1)),
+        "cylinder",
+        (0.02, 0.01, 0.22, *turned(0.6, 0.8, 0, 0.4)),
+    ),
+    "hull on a face": (
+        "box",
+        (0, 0, 0, *turned(1, 2, 0, 0.1)),
+        "convex_hull",
+        (0.02, 0.01, 0.175, *turned(1, -1.3, 0.2, 0.2)),
     ),
     "rolling ellipsoid": ("ground", (), "ellipsoid", (0, 0, 0.077, *turned(0.3, -0.2, 1, 0.5))),
 }
@@ -228,15 +274,24 @@ def collide(start: np.ndarray, time: float) -> np.ndarray:
     return np.concatenate([(x + (time - at) * v).ravel(), v.ravel()])
 
 
-def discs_of_the_engine(mode: str, time: float, steps: int) -> np.ndarray:
-    """{8, 8}: the derivative of the end by the start."""
+DISCS = {
+    "sphere": {"radius": RADIUS},
+    "ellipsoid": {"rx": RADIUS, "ry": RADIUS, "rz": RADIUS},
+    "cylinder": {"radius": RADIUS, "half_height": 0.2, "xform": ((0, 0, 0), turned(1, 0, 0, 1.57))},
+}
+
+
+def discs_of_the_engine(
+    mode: str, time: float, steps: int, shapes: tuple[str, str] = ("sphere", "sphere")
+) -> np.ndarray:
+    """{8, 8}: the derivative of the end by the start, of shapes that are round seen along y."""
     from novaphy import diff, nova
 
     builder = novaphy.ModelBuilder(gravity=0.0)
     of = novaphy.ShapeConfig(mu=0.0, restitution=RESTITUTION, density=0, gap=0.1)
-    for (x, z), mass in zip(START[:4].reshape(2, 2), MASSES, strict=True):
+    for (x, z), mass, shape in zip(START[:4].reshape(2, 2), MASSES, shapes, strict=True):
         body = builder.add_body(xform=((x, 0, z), UPRIGHT), mass=mass, inertia=np.eye(3) * 0.004)
-        builder.add_shape_sphere(body, radius=RADIUS, cfg=of)
+        getattr(builder, f"add_shape_{shape}")(body, cfg=of, **DISCS[shape])
     model = builder.finalize(requires_grad=True)
     solver = novaphy.solvers.DiffFeatherstoneSolver(
         model, angular_damping=0.0, pgs_slop=0.0, pgs_erp=1.0, contact_gradient=mode
@@ -263,11 +318,15 @@ def discs_of_the_engine(mode: str, time: float, steps: int) -> np.ndarray:
     return np.array(rows)
 
 
+def wanted_of_discs(time: float) -> np.ndarray:
+    pairs = [(collide(START + d, time), collide(START - d, time)) for d in 1e-6 * np.eye(8)]
+    return np.transpose([(there - back) / 2e-6 for there, back in pairs])
+
+
 def test_two_discs_that_meet_askew_turn_their_normal() -> None:
     """The error is proportional to dt. The bounds are those of the law in float64, times 1.5."""
     time = 0.8
-    pairs = [(collide(START + d, time), collide(START - d, time)) for d in 1e-6 * np.eye(8)]
-    wanted = np.transpose([(there - back) / 2e-6 for there, back in pairs])
+    wanted = wanted_of_discs(time)
     largest = np.abs(wanted).max()
 
     def error(mode: str, rate: int) -> float:
@@ -280,3 +339,13 @@ def test_two_discs_that_meet_askew_turn_their_normal() -> None:
     errors = [error("motion", rate) for rate in (120, 240, 480)]
     assert np.all(np.array(errors) < 1.5 * np.array([0.030, 0.020, 0.007])), errors
     assert error("code", 480) > 0.3
+
+
+@pytest.mark.parametrize(
+    "shapes", [("sphere", "cylinder"), ("ellipsoid", "ellipsoid"), ("ellipsoid", "cylinder")]
+)
+def test_curved_shapes_that_meet_askew_turn_their_normal(shapes: tuple[str, str]) -> None:
+    time = 0.8
+    wanted = wanted_of_discs(time)
+    error = np.abs(discs_of_the_engine("motion", time, 384, shapes) - wanted).max()
+    assert error < 1.5 * 0.007 * np.abs(wanted).max()

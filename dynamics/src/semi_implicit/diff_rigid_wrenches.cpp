@@ -34,9 +34,9 @@ std::vector<Real> rigid_wrenches(TraceContext& c, const RigidKernel& of) {
   at.b = at_b;
   at.normal = normal;
   if (of.follow)
-    at = moving_contact(contact_feature_of(load_shape(c, shape0), a.pose, a.point, at_b, normal),
-                        contact_feature_of(load_shape(c, shape1), b.pose, b.point, at_a, normal),
-                        normal);
+    at = moving_contact(
+        contact_feature_of(load_shape(c, shape0), a.pose, a.point, at_b, normal, true),
+        contact_feature_of(load_shape(c, shape1), b.pose, b.point, at_a, normal, false), normal);
   RigidContactMaterial<Real> material =
       mean_rigid_contact_material(load_material(c, shape0), load_material(c, shape1));
   if (of.of_rows)

@@ -98,7 +98,8 @@ NOVAPHY_SELDOM MovingContact<bool, T> turn_contact(const TurningShapes& shapes,
     const Transformf& at = shapes.pose[shape];
     const Transform<T> pose = {lift(at.p), {T(at.q.x), T(at.q.y), T(at.q.z), T(at.q.w)}};
     const auto own = contact_shape<GeoType, bool, T>(is, pose, lift(shapes.scale[shape]));
-    return contact_feature_of(own, of.pose[side], lift(of.point[side]), world[1 - side], normal);
+    return contact_feature_of(own, of.pose[side], lift(of.point[side]), world[1 - side], normal,
+                              side == 0);
   };
   return moving_contact(feature(0), feature(1), normal);
 }

@@ -37,7 +37,7 @@ inline bool contact_follows(const FollowedContacts& c, int64_t row) {
     const auto is = [&](GeoType wanted) { return type == static_cast<int32_t>(wanted); };
     const auto of = contact_shape<GeoType, bool, float>(is, c.shape_transform[shape[side]],
                                                         c.shape_scale[shape[side]]);
-    return contact_feature_of(of, pose[side], point[side], world[1 - side], normal);
+    return contact_feature_of(of, pose[side], point[side], world[1 - side], normal, side == 0);
   };
   return moving_contact(feature(0), feature(1), normal).is_exact;
 }

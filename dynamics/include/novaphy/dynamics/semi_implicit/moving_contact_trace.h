@@ -1,6 +1,6 @@
 // Moving contact points: the derivative of the points and the normal of a rigid contact by the
-// poses of its two bodies. A closed form exists for planes with all shapes, and for spheres,
-// capsules and boxes.
+// poses of its two bodies. A closed form exists for planes with all shapes, for spheres, capsules
+// and boxes, and for cylinders, cones and ellipsoids (witness_points_trace.h).
 //
 // The search stores points of the cores in the frames of the bodies, and a normal in the world. The
 // position of a point identifies the feature of its shape:
@@ -9,22 +9,18 @@
 //   plane            a face
 //   box              on three faces: a point (corner), on two: a line (edge), on one: flat
 //   cylinder, cone   on the rim: the deepest point, which moves along the rim, or one of three
-//     fixed
-//                    points; the apex: a point
+//                    fixed points; the apex: a point
 //   ellipsoid        the deepest point, which moves over the surface
-//   hull, mesh       a vertex: a point, for contacts with planes
+//   hull, mesh       a vertex: a point, for contacts with planes, and of a hull with faces of boxes
 // Law. P and Q are points fixed in A and B. U, V are directions of lines and M normals of faces,
 // which rotate with their bodies. The normal n points from A to B:
 //   face      for a plane; for a face of a box along n; or for the leading face if n is
 //             perpendicular to an edge of each of two boxes (or a box and a capsule):
 //             n is M, or along the product of the two edges. The point of the other shape is a
-//               corner,
-//             or the intersection of its line with a side of the box, or of the edge between two
-//               sides
-//             of the box with its face, or the deepest point along n: c + D^2 m/|D m|, m = n in the
-//             frame of the shape, D the half axes of an ellipsoid, or (r, r, 0) of a rim. The
-//               point of
-//             the face is this point, moved along n onto the face
+//             corner, or the intersection of its line with a side of the box, or of the edge
+//             between two sides of the box with its face, or the deepest point along n:
+//             c + D^2 m/|D m|, m = n in the frame of the shape, D the half axes of an ellipsoid,
+//             or (r, r, 0) of a rim. The point of the face is this point, moved along n onto it
 //   points    P, Q,  n along Q - P
 //   point and line    the line's point is the nearest to the other
 //   lines     their nearest points, n along U x V (if at least 0.6 degrees from parallel)
@@ -36,8 +32,10 @@
 //   Examples are a capsule flat on a face of a box, and a corner of a box on the outline of
 //   another's face. Further examples are two corners or ends with the normal perpendicular to an
 //   edge or axis of each, and parallel faces of two boxes.
-// - A rim lies flat on a plane (within 1e-4), so its deepest point is not unique.
-// - A shape other than a plane touches an ellipsoid, a cylinder, a cone, a hull or a mesh.
+// - A rim lies flat on a plane (within 1e-4) or on a face of a box (a cylinder within 0.9 degrees),
+//   so its deepest point is not unique.
+// - A hull or a mesh touches anything but a plane, and but the inside of a face of a box (hulls).
+// - An ellipsoid, a cylinder or a cone touches a shape without faces at further points of an area.
 //
 // The values are the stored points and normal; the law only gives their derivatives. Gradient:
 // exact by poses while the features stay the same; shapes have no gradient.
@@ -46,6 +44,7 @@
 #pragma once
 
 #include "novaphy/dynamics/semi_implicit/rigid_contact_trace.h"
+#include "novaphy/dynamics/semi_implicit/witness_points_trace.h"
 #include "novaphy/math/types.h"
 
 namespace novaphy {
@@ -54,7 +53,7 @@ namespace novaphy {
 template <class B, class T>
 struct ContactShape {
   B is_plane{}, is_sphere{}, is_capsule{}, is_box{}, is_ellipsoid{}, is_cylinder{}, is_cone{},
-      is_polytope{};
+      is_hull{}, is_polytope{};
   Transform<T> pose{};  // in its body
   Vec3<T> scale{};      // see GeoType
 };
@@ -70,6 +69,7 @@ ContactShape<B, T> contact_shape(const Is& is, const Transform<T>& pose, const V
           is(Type::ELLIPSOID),
           is(Type::CYLINDER),
           is(Type::CONE),
+          is(Type::CONVEX_MESH),
           either(is(Type::CONVEX_MESH), is(Type::MESH)),
           pose,
           scale};
@@ -93,15 +93,16 @@ struct ContactFeature {
   B has_across{};
   Vec3<T> across{};
   B is_box{}, is_capsule{}, is_corner{};
-  // For contacts with planes: whether the shape is a plane, whether its feature can touch planes,
-  // and whether the point is fixed to the shape.
-  B is_plane{}, meets_planes{}, is_fixed{};
+  // For contacts with faces: whether the shape is a plane, whether its feature can touch planes or
+  // faces of boxes, and whether the point is fixed to the shape.
+  B is_plane{}, meets_planes{}, meets_faces{}, is_fixed{};
   // A deepest point along a normal, which moves over the shape: its center, half axes, and the side
   // of the normal.
   B is_deepest{};
   Vec3<T> center{}, half_axes{};
   T direction{};
   Quat<T> turn{};
+  WitnessSide<B, T> witness{};
 };
 
 // Returns the deepest point of a shape with f.is_deepest.
@@ -122,11 +123,39 @@ struct MovingContact {
   B is_exact{};
 };
 
+// Sets what contacts with faces need. `x`, `n`: the point and the normal in the frame of the shape.
+template <class B, class T>
+void set_deepest(ContactFeature<B, T>& f, const ContactShape<B, T>& shape, const Vec3<T>& x,
+                 const Vec3<T>& n) {
+  using namespace math;
+  const T zero = T(0.0f);
+  const Vec3<T> h = shape.scale;
+  // Rims: the deepest point lies along the normal that points out.
+  const auto has_rim = either(shape.is_cylinder, shape.is_cone);
+  const T across = sqrt(n.x * n.x + n.y * n.y), reach = across * h.x;
+  const T off_side = abs(x.x * n.y - x.y * n.x), down = f.direction * (x.x * n.x + x.y * n.y);
+  const auto apex = both(shape.is_cone, x.z > zero);
+  const auto flat = both(has_rim, both(negate(apex), across < T(1e-4f)));
+  const auto at_deepest = both(down > zero, off_side <= reach * T(1e-3f));
+  f.is_deepest =
+      either(shape.is_ellipsoid, both(both(has_rim, negate(apex)), both(negate(flat), at_deepest)));
+  f.is_fixed = either(shape.is_polytope, both(has_rim, both(negate(flat), negate(f.is_deepest))));
+  f.is_plane = shape.is_plane;
+  f.meets_planes = either(shape.is_ellipsoid, either(has_rim, shape.is_polytope));
+  // A base that is almost parallel to a face of a box leads (clip_manifold.h). A point inside of a
+  // base is one of a search that has not converged.
+  const auto at_corner = either(apex, both(either(shape.is_cone, across > T(0.015f)),
+                                           x.x * x.x + x.y * x.y >= h.x * h.x * T(1.0f - 2e-4f)));
+  f.meets_faces = either(shape.is_hull, both(has_rim, at_corner));
+  f.half_axes = {h.x, select(shape.is_ellipsoid, h.y, h.x), select(shape.is_ellipsoid, h.z, zero)};
+}
+
 // Finds the feature of a shape's point. `other`: the point of the other shape, in the world.
+// `is_a`: whether the normal points out of the shape.
 template <class B, class T>
 ContactFeature<B, T> contact_feature_of(const ContactShape<B, T>& shape, const Transform<T>& body,
                                         const Vec3<T>& body_point, const Vec3<T>& other,
-                                        const Vec3<T>& normal) {
+                                        const Vec3<T>& normal, bool is_a) {
   using namespace math;
   constexpr float kOn = 1e-4f, kZero = 1e-4f, kNearFace = 20.0f;
   const T zero = T(0.0f), one = T(1.0f), half = T(0.5f);
@@ -188,25 +217,13 @@ ContactFeature<B, T> contact_feature_of(const ContactShape<B, T>& shape, const T
   f.is_box = shape.is_box;
   f.is_capsule = shape.is_capsule;
   f.is_corner = both(shape.is_box, f.is_point);
-  // Rims: the deepest point lies opposite to the normal, which points up from a plane below.
-  const auto has_rim = either(shape.is_cylinder, shape.is_cone);
-  const T across = sqrt(n.x * n.x + n.y * n.y), reach = across * h.x;
-  const T off_side = abs(x.x * n.y - x.y * n.x), down = -(x.x * n.x + x.y * n.y);
-  const auto apex = both(shape.is_cone, x.z > zero);
-  const auto flat = both(has_rim, both(negate(apex), across < T(kZero)));
-  const auto at_deepest = both(down > zero, off_side <= reach * T(1e-3f));
-  f.is_deepest =
-      either(shape.is_ellipsoid, both(both(has_rim, negate(apex)), both(negate(flat), at_deepest)));
-  f.is_fixed = either(shape.is_polytope, both(has_rim, both(negate(flat), negate(f.is_deepest))));
-  f.is_plane = shape.is_plane;
-  f.meets_planes = either(shape.is_ellipsoid, either(has_rim, shape.is_polytope));
+  f.direction = is_a ? one : -one;
+  set_deepest(f, shape, x, n);
   f.turn = turn;
   f.center = transform_point(
       multiply(body, shape.pose),
       select(shape.is_ellipsoid, Vec3<T>{zero, zero, zero}, Vec3<T>{zero, zero, x.z}));
-  f.half_axes = {h.x, select(shape.is_ellipsoid, h.y, h.x), select(shape.is_ellipsoid, h.z, zero)};
-  f.direction = select(dot(x, n) < zero, -one, one);
-  f.direction = select(has_rim, -one, f.direction);
+  f.witness = witness_side(shape, body, body_point, normal, f);
   return f;
 }
 
@@ -274,9 +291,30 @@ FaceContact<B, T> face_contact(const ContactFeature<B, T>& face, const ContactFe
   const T above = select(edges, dot(n, c.of_other - on_edge),
                          dot(face.face, c.of_other - face.point) / nonzero(into_face, least));
   c.of_face = c.of_other - n * above;
-  c.is_exact = either(either(other.is_point, either(at_side, at_corner)),
-                      either(other.is_deepest, both(face.is_plane, other.is_fixed)));
+  c.is_exact = either(
+      either(other.is_point, either(at_side, at_corner)),
+      either(other.is_deepest, both(either(face.is_plane, other.meets_faces), other.is_fixed)));
   return c;
+}
+
+// Returns whether a shape that is not plain touches a plane, or a face of a box off its sides.
+template <class B, class T>
+B stands_on(const ContactFeature<B, T>& face, const ContactFeature<B, T>& other) {
+  using namespace math;
+  const auto inside = both(both(face.is_box, both(face.is_along, face.is_on_face)),
+                           negate(either(face.has_side, face.has_corner)));
+  return either(both(face.is_plane, other.meets_planes), both(inside, other.meets_faces));
+}
+
+// Returns the nearest points of curved shapes, or points and normal that are held.
+template <class B, class T>
+MovingContact<B, T> nearest_or_held(const ContactFeature<B, T>& a, const ContactFeature<B, T>& b,
+                                    const Vec3<T>& normal, const B& other_law) {
+  using namespace math;
+  const auto w = witness_points(a.witness, b.witness, normal);
+  const auto is_exact = both(negate(other_law), w.is_exact);
+  return {select(is_exact, w.a, a.point), select(is_exact, w.b, b.point),
+          select(is_exact, w.normal, normal), is_exact};
 }
 
 }  // namespace moving_contact_detail
@@ -304,9 +342,8 @@ MovingContact<B, T> moving_contact(const ContactFeature<B, T>& a, const ContactF
   using namespace math;
   namespace d = moving_contact_detail;
   const T one = T(1.0f), close = T(0.99999f);
-  const auto known =
-      either(both(both(a.is_known, b.is_known), negate(features_coincide(a, b))),
-             either(both(a.is_plane, b.meets_planes), both(b.is_plane, a.meets_planes)));
+  const auto known = either(both(both(a.is_known, b.is_known), negate(features_coincide(a, b))),
+                            either(d::stands_on(a, b), d::stands_on(b, a)));
   const auto face_leads = [&](const ContactFeature<B, T>& f) {
     return both(known, both(f.is_along, f.is_on_face));
   };
@@ -345,16 +382,17 @@ MovingContact<B, T> moving_contact(const ContactFeature<B, T>& a, const ContactF
   const auto face_a = d::face_contact(a, b, normal_a), face_b = d::face_contact(b, a, normal_b);
   const auto by_a = either(along_a, leads_a), by_b = either(along_b, leads_b);
 
+  const auto rest = d::nearest_or_held(a, b, normal, known);
   const auto choose = [&](const Vec3<T>& with_a, const Vec3<T>& with_b,
-                          const Vec3<T>& with_features, const Vec3<T>& frozen) {
-    return select(by_a, with_a, select(by_b, with_b, select(by_features, with_features, frozen)));
+                          const Vec3<T>& with_features, const Vec3<T>& other) {
+    return select(by_a, with_a, select(by_b, with_b, select(by_features, with_features, other)));
   };
   MovingContact<B, T> c;
-  c.a = d::derivative_of(a.point, choose(face_a.of_face, face_b.of_other, on_a, a.point));
-  c.b = d::derivative_of(b.point, choose(face_a.of_other, face_b.of_face, on_b, b.point));
-  c.normal = d::derivative_of(normal, choose(normal_a, normal_b, n, normal));
-  c.is_exact =
-      either(either(both(by_a, face_a.is_exact), both(by_b, face_b.is_exact)), by_features);
+  c.a = d::derivative_of(a.point, choose(face_a.of_face, face_b.of_other, on_a, rest.a));
+  c.b = d::derivative_of(b.point, choose(face_a.of_other, face_b.of_face, on_b, rest.b));
+  c.normal = d::derivative_of(normal, choose(normal_a, normal_b, n, rest.normal));
+  c.is_exact = either(either(both(by_a, face_a.is_exact), both(by_b, face_b.is_exact)),
+                      either(by_features, rest.is_exact));
   return c;
 }
 

@@ -1,0 +1,244 @@
+// Nearest points of curved shapes: the derivative of the points and the normal of a contact by the
+// poses of its bodies. A cylinder, a cone or an ellipsoid takes part.
+//
+// Law. The nearest points of the cores of A and B are a and b. The normal n points from A to B, and
+// d is the gap between the cores. The law writes p, m for a, n fixed in A, and q, k for b, n fixed
+// in B. The matrix C is the inverse of the shape operator of a side, in the tangent plane (m). This
+// matrix says how far the nearest point of the side moves when the normal turns.
+//     (C_A + C_B + d) dn = (dq - dp) + C_A dm + C_B dk
+//     da = dp + C_A (dn - dm),   db = dq - C_B (dn - dk),   db - da = d dn + n dd
+// C is 0 at a vertex. C is infinite along a straight line of a side and in a face. The normal turns
+// with the body there, and the third equation moves the point. The features have this C:
+//     sphere, end of a capsule, corner of a box, apex of a cone     C = 0
+//     capsule, edge of a box             infinite along the line, 0 across
+//     face of a box, base                infinite
+//     side of a cylinder or a cone       infinite along its line, rho / (n . e) around the axis
+//     rim                                rho / (n . e) along the rim, 0 across
+//     ellipsoid, half axes D             (D^2 - a a^T) / |D n|, a from the center
+//
+// rho is the distance of the point from the axis, and e the direction from the axis to the point.
+// "Infinite" is a large number, in a basis of the tangent plane along the line.
+//
+// The points and the normal are those of the search. Their relative error is that of the derivative
+// too. Points that are not the nearest ones are not exact.
+//
+// Freestanding: T = float tests which contacts are exact, T = nova::Real is traced.
+#pragma once
+
+#include "novaphy/math/types.h"
+
+namespace novaphy {
+
+// The search's error of a normal (rad), and of a point (of the size of its shape).
+inline constexpr float kWitnessNoise = 4e-3f;
+
+// A side of a contact. Only `point` and `normal` have derivatives.
+template <class B, class T>
+struct WitnessSide {
+  B is_known{}, is_curved{};
+  Vec3<T> point{}, normal{};  // fixed in the body
+  B is_line{}, is_face{};     // C is infinite along `line`, or everywhere
+  Vec3<T> line{};
+  // C without what is infinite: turn (diag(squares) - a a^T) turn^-1 / length + around t t^T.
+  Quat<T> turn{};
+  Vec3<T> squares{}, deepest{}, tangent{};
+  T length{}, around{}, size{};
+};
+
+namespace witness_detail {
+
+// A symmetric matrix of the tangent plane.
+template <class T>
+struct Plane2 {
+  T xx{}, xy{}, yy{};
+};
+template <class T>
+Vec2<T> times(const Plane2<T>& m, const Vec2<T>& v) {
+  return {m.xx * v.x + m.xy * v.y, m.xy * v.x + m.yy * v.y};
+}
+template <class T>
+Vec2<T> difference(const Vec2<T>& a, const Vec2<T>& b) {
+  return {a.x - b.x, a.y - b.y};
+}
+template <class T>
+Vec3<T> still(const Vec3<T>& v) {
+  using namespace math;
+  return {detach(v.x), detach(v.y), detach(v.z)};
+}
+
+// The basis of the tangent plane, without derivatives.
+template <class T>
+struct Tangents {
+  Vec3<T> x{}, y{};
+  Vec2<T> of(const Vec3<T>& v) const { return {math::dot(x, v), math::dot(y, v)}; }
+  Vec3<T> world(const Vec2<T>& v) const { return x * v.x + y * v.y; }
+};
+
+template <class B, class T>
+Plane2<T> finite(const WitnessSide<B, T>& s, const Tangents<T>& t) {
+  using namespace math;
+  const Vec3<T> x = rotate_inverse(s.turn, t.x), y = rotate_inverse(s.turn, t.y);
+  const auto product = [&](const Vec3<T>& v, const Vec3<T>& w) {
+    const T squares = (s.squares.x * v.x * w.x + s.squares.y * v.y * w.y) + s.squares.z * v.z * w.z;
+    return (squares - dot(s.deepest, v) * dot(s.deepest, w)) / s.length +
+           s.around * dot(s.tangent, v) * dot(s.tangent, w);
+  };
+  return {product(x, x), product(x, y), product(y, y)};
+}
+
+// `finite`, and `large` in place of what is infinite.
+template <class B, class T>
+Plane2<T> whole(const WitnessSide<B, T>& s, const Tangents<T>& t, const Plane2<T>& c,
+                const T& large) {
+  using namespace math;
+  const T zero = T(0.0f), line = select(s.is_line, large, zero),
+          face = select(s.is_face, large, zero);
+  const Vec2<T> l = t.of(s.line);
+  return {c.xx + line * l.x * l.x + face, c.xy + line * l.x * l.y, c.yy + line * l.y * l.y + face};
+}
+
+}  // namespace witness_detail
+
+// Sets a side whose shape has an axis of revolution: a cylinder or a cone. `x`: the point, `out`:
+// the normal that points out of the shape, in its frame; `half`: radius and half height.
+template <class B, class T>
+void set_revolution(WitnessSide<B, T>& s, const B& is_cone, const Vec3<T>& x, const Vec3<T>& out,
+                    const Vec3<T>& half) {
+  using namespace math;
+  const T zero = T(0.0f), one = T(1.0f), on = s.size * T(1e-4f), near = T(kWitnessNoise);
+  const T rho = sqrt(x.x * x.x + x.y * x.y);
+  const auto at_axis = rho <= on;
+  const T whole = select(at_axis, one, rho);
+  const Vec3<T> e = {x.x / whole, x.y / whole, zero};
+  s.tangent = {-e.y, e.x, zero};
+  const auto at_end = either(x.z <= on - half.y, both(negate(is_cone), x.z >= half.y - on));
+  const auto apex = both(is_cone, both(at_axis, x.z >= half.y - on));
+  const auto base = both(at_end, abs(out.z) >= T(1.0f - 1e-6f));
+  const auto rim = both(both(at_end, negate(base)), rho >= half.x - on);
+  const auto side = negate(either(at_end, either(at_axis, apex)));
+  // The line of the side goes through the apex, or along the axis.
+  const Vec3<T> to_apex = {x.x, x.y, x.z - half.y};
+  const T long_as = sqrt(select(at_axis, one, dot(to_apex, to_apex)));
+  const Vec3<T> line = select(is_cone, to_apex / long_as, Vec3<T>{zero, zero, one});
+  const T outward = dot(out, e), tilt = abs(dot(out, line));
+  const auto is_round = both(outward > near, abs(dot(out, s.tangent)) < near);
+  const auto on_side = both(both(side, is_round), tilt < near);
+  const auto on_rim = both(both(rim, is_round), tilt > near);
+  const auto is_curve = either(on_side, on_rim);
+  s.around = select(is_curve, rho / select(is_curve, outward, one), zero);
+  s.is_line = on_side;
+  s.is_face = base;
+  s.line = line;
+  s.is_known = either(either(apex, base), is_curve);
+}
+
+// The side of a shape at a contact point. `shape`: as for contact_feature_of. `feature`: its
+// feature there, for the side of the normal and for the shapes that are not curved.
+template <template <class, class> class Shape, template <class, class> class Feature, class B,
+          class T>
+WitnessSide<B, T> witness_side(const Shape<B, T>& shape, const Transform<T>& body,
+                               const Vec3<T>& body_point, const Vec3<T>& normal,
+                               const Feature<B, T>& feature) {
+  using namespace math;
+  const T zero = T(0.0f), one = T(1.0f);
+  const Quat<T> body_turn = {detach(body.q.x), detach(body.q.y), detach(body.q.z),
+                             detach(body.q.w)};
+  WitnessSide<B, T> s;
+  s.point = transform_point(body, body_point);
+  s.normal = rotate(body.q, rotate_inverse(body_turn, witness_detail::still(normal)));
+  s.turn = multiply(body_turn, shape.pose.q);
+  const Vec3<T> h = shape.scale, x = transform_point(inverse(shape.pose), body_point);
+  const Vec3<T> n = rotate_inverse(s.turn, witness_detail::still(normal));
+  const Vec3<T> out = n * feature.direction;
+  const auto revolves = either(shape.is_cylinder, shape.is_cone);
+  s.is_curved = either(revolves, shape.is_ellipsoid);
+  s.size = max(h.x, max(h.y, h.z));
+  set_revolution(s, shape.is_cone, x, out, h);
+  // Shapes that are not curved.
+  const auto flat = both(feature.is_flat, feature.is_along);
+  const auto corner = both(feature.is_point, negate(feature.is_along)),
+             edge = both(both(feature.is_line, negate(feature.is_along)),
+                         abs(dot(feature.line, normal)) < T(kWitnessNoise));
+  const auto plain = both(feature.is_known, either(flat, either(corner, edge)));
+  const Vec3<T> line = rotate(s.turn, s.line);
+  s.line = witness_detail::still(select(revolves, line, feature.line));
+  s.is_line = select(revolves, s.is_line, edge);
+  s.is_face = select(revolves, s.is_face, flat);
+  s.around = select(revolves, s.around, zero);
+  // Ellipsoids.
+  const Vec3<T> d = {h.x * out.x, h.y * out.y, h.z * out.z};
+  const T long_as = sqrt(dot(d, d));
+  s.length = select(shape.is_ellipsoid, long_as, one);
+  const T part = select(shape.is_ellipsoid, one, zero);
+  s.squares = Vec3<T>{h.x * h.x, h.y * h.y, h.z * h.z} * part;
+  s.deepest = Vec3<T>{h.x * d.x, h.y * d.y, h.z * d.z} * (part / s.length);
+  const Vec3<T> off = s.deepest - x;
+  const auto nearest =
+      both(shape.is_ellipsoid, dot(off, off) < s.size * s.size * T(kWitnessNoise * kWitnessNoise));
+  s.is_known = select(revolves, s.is_known, select(shape.is_ellipsoid, nearest, plain));
+  return s;
+}
+
+template <class B, class T>
+struct WitnessPoints {
+  Vec3<T> a{}, b{}, normal{};  // with the derivatives; their values mean nothing
+  B is_exact{};
+};
+
+template <class B, class T>
+WitnessPoints<B, T> witness_points(const WitnessSide<B, T>& a, const WitnessSide<B, T>& b,
+                                   const Vec3<T>& contact_normal) {
+  using namespace math;
+  using namespace witness_detail;
+  const T zero = T(0.0f), one = T(1.0f);
+  const Vec3<T> n = still(contact_normal), apart = b.point - a.point;
+  const T d = detach(dot(n, apart));
+  // The basis lies along the line of A, else of B.
+  const Vec3<T> any =
+      select(abs(n.x) < T(0.6f), Vec3<T>{one, zero, zero}, Vec3<T>{zero, one, zero});
+  const Vec3<T> along = select(a.is_line, a.line, select(b.is_line, b.line, cross(n, any)));
+  Tangents<T> t;
+  t.x = along - n * dot(n, along);
+  const T square = dot(t.x, t.x);
+  t.x = t.x / sqrt(select(square > T(1e-6f), square, one));
+  t.y = cross(n, t.x);
+  const T size = a.size + b.size, large = (size + abs(d)) * T(1e6f);
+  const Plane2<T> own_a = finite(a, t), own_b = finite(b, t), all_a = whole(a, t, own_a, large),
+                  all_b = whole(b, t, own_b, large);
+  const T xx = (all_a.xx + all_b.xx) + d, xy = all_a.xy + all_b.xy, yy = (all_a.yy + all_b.yy) + d,
+          det = xx * yy - xy * xy;
+  const auto regular = both(both(xx > zero, yy > zero), det > xx * yy * T(1e-3f));
+  const T by = one / select(regular, det, one);
+  const Vec2<T> p = t.of(apart), m = t.of(a.normal), k = t.of(b.normal);
+  const Vec2<T> from_a = times(all_a, m), from_b = times(all_b, k);
+  const Vec2<T> r = {p.x + (from_a.x + from_b.x), p.y + (from_a.y + from_b.y)};
+  const Vec2<T> turn = {(yy * r.x - xy * r.y) * by, (xx * r.y - xy * r.x) * by};
+  const Vec2<T> move_a = times(own_a, difference(turn, m)),
+                move_b = times(own_b, difference(k, turn));
+  // Two lines: along that of A by what the other equation leaves.
+  const Vec2<T> left = {(p.x + move_b.x) - (move_a.x + d * turn.x),
+                        (p.y + move_b.y) - (move_a.y + d * turn.y)};
+  const Vec2<T> of_b = t.of(b.line);
+  const auto crossing = both(a.is_line, b.is_line);
+  const T slide = select(
+      crossing,
+      left.x - left.y * of_b.x / select(both(crossing, abs(of_b.y) > T(1e-2f)), of_b.y, one), zero);
+  const Vec3<T> at_a = a.point + t.world({move_a.x + slide, move_a.y}),
+                at_b = b.point + t.world(move_b);
+  WitnessPoints<B, T> w;
+  w.normal = t.world(turn);
+  const Vec3<T> across = w.normal * d + n * dot(n, apart);
+  const auto free_a = either(a.is_line, a.is_face), free_b = either(b.is_line, b.is_face);
+  const auto by_b = both(free_a, negate(free_b));
+  w.a = select(by_b, at_b - across, at_a);
+  w.b = select(by_b, at_b, at_a + across);
+  const auto parallel = both(crossing, abs(of_b.y) <= T(1e-2f));
+  const auto flat = either(both(a.is_face, free_b), both(b.is_face, free_a));
+  const T aside = detach(p.x * p.x + p.y * p.y);
+  w.is_exact =
+      both(both(both(a.is_known, b.is_known), either(a.is_curved, b.is_curved)),
+           both(both(regular, negate(either(parallel, flat))), aside < size * size * T(1e-6f)));
+  return w;
+}
+
+}  // namespace novaphy

@@ -149,6 +149,45 @@ def test_two_balls_pass_the_start_on_at_every_phase(speed: float) -> None:
     assert "begin and end move with the state" in motion.info.reason
 
 
+CURVED = {
+    "ellipsoid": {"rx": 0.1, "ry": 0.15, "rz": 0.07},
+    "cylinder": {"radius": 0.1, "half_height": 0.2},
+    "cone": {
+        "radius": 0.15,
+        "half_height": 0.1,
+        "xform": ((0, 0, 0), (0, -(0.5**0.5), 0, 0.5**0.5)),
+    },
+    "sphere": {"radius": 0.1},
+}
+
+
+def curved(*shapes: str, at: tuple[float, float, float], of: novaphy.ShapeConfig) -> novaphy.Model:
+    """A shape at the origin, and one at a place; a cone looks back along x."""
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    for shape, place in zip(shapes, ((0.0, 0.0, 0.0), at), strict=True):
+        body = builder.add_body(xform=(place, UPRIGHT), mass=1.0, inertia=np.eye(3) * 0.01)
+        getattr(builder, f"add_shape_{shape}")(body, cfg=of, **CURVED[shape])
+    return builder.finalize(requires_grad=True)
+
+
+@pytest.mark.parametrize(
+    "shapes",
+    [
+        ("ellipsoid", "ellipsoid"),
+        ("cylinder", "sphere"),
+        ("ellipsoid", "cone"),
+        ("cylinder", "cone"),
+    ],
+)
+def test_two_curved_bodies_pass_the_start_on(shapes: tuple[str, str]) -> None:
+    for speed in (1.9, 2.05):
+        model = curved(*shapes, at=(0.6, 0, 0), of=surface(2e4))
+        qd = [[speed, 0, 0, 0, 0, 0], [0] * 6]
+        run = Run(model, "motion", 400, 1 / 400, qd, weight(2, 1, 0))
+        assert abs(run.of_q[0, 0] - 1.0) < 0.012 and abs(run.of_q[1, 0]) < 0.012
+        assert run.info.frozen_steps == 0 and run.info.events == 2
+
+
 @pytest.mark.parametrize("kd", [0.0, 60.0])
 def test_a_ball_on_a_plane_comes_back_with_its_restitution(kd: float) -> None:
     """A shift of the start comes back as -e of it, with e = speed after / before of the steps."""
@@ -185,8 +224,11 @@ def test_a_ball_in_gravity_agrees_with_differences(name: str) -> None:
         )
 
 
-def test_an_oblique_hit_turns_the_normal_and_jvp_is_the_transpose() -> None:
-    model = balls((0, 0, 0), (0.5, 0.08, 0.03), of=surface(2e4))
+@pytest.mark.parametrize(
+    "shapes", [("sphere", "sphere"), ("ellipsoid", "sphere"), ("cylinder", "ellipsoid")]
+)
+def test_an_oblique_hit_turns_the_normal_and_jvp_is_the_transpose(shapes: tuple[str, str]) -> None:
+    model = curved(*shapes, at=(0.5, 0.08, 0.03), of=surface(2e4))
     qd = [[1.5, 0, 0, 0, 0, 0], [0] * 6]
     weights = weight(2, 1, 1) + 0.5 * weight(2, 0, 0)
     random = np.random.default_rng(3)

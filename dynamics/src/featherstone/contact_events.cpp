@@ -50,26 +50,30 @@ void for_rows(const GroupStep& s, int32_t root, const F& f) {
   for (int32_t n = 0; n < s.a.nodes[root].rows; ++n) f(rows_of(s, root)[n], n);
 }
 
-// Returns which rows of an island hit. `continues`: the step before is known.
+// Returns which rows of an island hit. `continues`: the step before is known. Rows that others hold
+// back (corners of a face) push nothing in the step, so smooth motion is without them, too.
 std::vector<char> find_hits(const GroupStep& s, int32_t root, bool continues,
                             ContactEvents& found) {
   const SeenContact* const seen = s.all.seen_before + s.all.seen_begin[s.group];
   const int32_t before = continues ? s.all.seen_begin[s.group + 1] - s.all.seen_begin[s.group] : 0;
   const std::vector<float> slips = free_slips(s, root);
   std::vector<char> hits(slips.size());
+  std::vector<int32_t> spared;
   int32_t next = 0;
   for_rows(s, root, [&](const art::IslandContact& row, int32_t n) {
     const SeenContact now = art::seen_contact(s.contacts, row, s.law.cone);
     const bool pushed = mode_of(seen, before, next, now) != 0;
-    if (!(row.solver.impulse[0] > 0.0f)) return;
+    const bool pushes = row.solver.impulse[0] > 0.0f;
     for (const art::ContactSide& side : row.sides)
-      if (side.tree >= 0) found.touched[static_cast<size_t>(side.tree)] = 1;
+      if (pushes && side.tree >= 0) found.touched[static_cast<size_t>(side.tree)] = 1;
     const float free = slips[static_cast<size_t>(n)];
     const float rest = std::max(kLeastApproach, std::abs(free - row.before));
     if (!(row.before < -rest && (row.target.bounce > 0.0f || !pushed))) return;
-    hits[static_cast<size_t>(n)] = 1;
-    found.hits.push_back(row.contact);
+    hits[static_cast<size_t>(n)] = pushes ? 1 : 0;
+    (pushes ? found.hits : spared).push_back(row.contact);
   });
+  if (std::find(hits.begin(), hits.end(), 1) != hits.end())
+    found.hits.insert(found.hits.end(), spared.begin(), spared.end());
   return hits;
 }
 

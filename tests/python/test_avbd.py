@@ -559,3 +559,30 @@ def test_a_pose_that_is_not_finite_is_named() -> None:
     state.body_qd.assign(np.full((2, 6), np.nan, np.float32))
     with pytest.raises(ValueError, match=r"body_qd\[0\]"):
         SolverVBD(model).step(state, model.state(), None, None, H)
+
+
+def test_contacts_that_are_not_finite_or_fewer_than_none_are_named() -> None:
+    model = stack_of(1)
+    solver, pipeline, state = SolverVBD(model), novaphy.CollisionPipeline(model), model.state()
+    contacts = pipeline.contacts()
+    state.body_q.assign(np.float32([[0, 0, 0.1, 0, 0, 0, 1]]))
+    pipeline.collide(state, contacts)
+    normals = contacts.rigid_contact_normal.numpy()
+    broken = normals.copy()
+    broken[1] = np.nan
+    contacts.rigid_contact_normal.assign(broken)
+    with pytest.raises(ValueError, match="contact 1: expected finite points"):
+        solver.step(state, model.state(), None, contacts, H)
+    contacts.rigid_contact_normal.assign(normals)
+    contacts.rigid_contact_count.assign(np.int32([-5]))
+    with pytest.raises(ValueError, match="rigid_contact_count: expected at least 0, got -5"):
+        solver.step(state, model.state(), None, contacts, H)
+
+
+@pytest.mark.parametrize("value", [-1.0, np.nan])
+@pytest.mark.parametrize("name", ["joint_friction", "joint_armature"])
+def test_negative_friction_and_armature_are_named(name: str, value: float) -> None:
+    model, _ = wheel_of()
+    getattr(model, name).assign(np.float32([value]))
+    with pytest.raises(ValueError, match=rf"{name}\[0\]: expected a finite number"):
+        SolverVBD(model).step(model.state(), model.state(), None, None, H)

@@ -32,7 +32,13 @@ void check_dofs(const Model& m, const Control* control) {
     require(got == expected, ErrorKind::NotImplemented, "SolverVBD: ", name, "[", k, "]: expected ",
             expected, ", because rows of VBD do not have it, got ", got);
   };
+  const auto check = [](const char* name, int32_t k, float got) {
+    require(got >= 0.0f && std::isfinite(got), ErrorKind::Value, "SolverVBD: ", name, "[", k,
+            "]: expected a finite number of at least 0, got ", got);
+  };
   for (int32_t k = 0; k < m.joint_dof_count(); ++k) {
+    check("joint_friction", k, m.joint_friction.data()[k]);
+    check("joint_armature", k, m.joint_armature.data()[k]);
     refuse("joint_velocity_limit", k, 1.0e6f, m.joint_velocity_limit.data()[k]);
     refuse("joint_act", k, 0.0f, act[k]);
   }
@@ -81,9 +87,18 @@ void Bodies::check_step(const SimState& in, const Contacts* contacts) const {
   }
   if (contacts == nullptr) return;
   const int32_t count = *contacts->rigid_contact_count.data();
+  require(count >= 0, ErrorKind::Value, kName,
+          ": contacts.rigid_contact_count: expected at least 0, got ", count);
   require(count <= contacts->rigid_contact_max(), ErrorKind::Runtime, kName, ": contacts: ", count,
           " rigid contacts were found, but there are rows for ", contacts->rigid_contact_max(),
           "; make a pipeline with a larger rigid_contact_max");
+  for (int32_t k = 0; k < count; ++k) {
+    const Vec3f sum = contacts->rigid_contact_normal.data()[k] +
+                      contacts->rigid_contact_point0.data()[k] +
+                      contacts->rigid_contact_point1.data()[k];
+    require(std::isfinite(math::dot(sum, sum)), ErrorKind::Value, kName, ": contacts: contact ", k,
+            ": expected finite points and a finite normal");
+  }
 }
 
 // Runs before the step writes its results.

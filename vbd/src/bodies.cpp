@@ -133,7 +133,6 @@ void Bodies::solve(const SimState& in, const Control* control, const Contacts* c
   dt_ = dt;
   check_model(control);
   check_step(in, contacts);
-  if (contacts != nullptr) reserve(contacts->rigid_contact_max());
   int32_t* const is_held = is_held_.mutable_data();
   for (int32_t b = 0; b < m.body_count(); ++b)
     is_held[b] = int{has_flag(m.body_flags.data()[b], BodyFlags::KINEMATIC)};

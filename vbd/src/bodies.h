@@ -13,6 +13,7 @@
 #include "novaphy/core/device_array.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/control.h"
+#include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/sim_state.h"
 #include "novaphy/vbd/solver_vbd.h"
@@ -49,6 +50,10 @@ struct BodyLists {
     return std::span(items).subspan(static_cast<size_t>(begin[k]),
                                     static_cast<size_t>(begin[k + 1] - begin[k]));
   }
+
+ private:
+  std::vector<int32_t> keys_;
+  IndexRows places_;  // in `pairs`, of each key
 };
 
 // The order in which an iteration visits the bodies, from the pairs of bodies that share rows.
@@ -95,7 +100,7 @@ class Bodies {
 
   // Makes room for the multipliers of so many contacts.
   void reserve(int32_t contacts);
-  // Solves a step. Errors as for SolverVBD::step.
+  // Solves a step, after reserve(). Errors as for SolverVBD::step.
   void solve(const SimState& in, const Control* control, const Contacts* contacts, float dt);
   // Writes the poses and velocities, the forces of the contacts and the memory of the solver.
   void finish(const SimState& in, const SimState& out, const Contacts* contacts);

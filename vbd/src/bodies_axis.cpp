@@ -3,21 +3,13 @@
 #include <cmath>
 #include <limits>
 
-#include "bodies.h"
+#include "bodies_side.h"
 
 namespace novaphy::vbd {
 namespace {
 
 constexpr float kInf = std::numeric_limits<float>::infinity();
 constexpr float kUnlimited = 1e10f;
-
-void put(VbdAxisRow& row, float stiffness, float rest, float lower, float upper) {
-  row.stiffness = stiffness;
-  row.rest = rest;
-  row.lower = lower;
-  row.upper = upper;
-  row.lam = std::clamp(row.lam, lower, upper);
-}
 
 }  // namespace
 
@@ -36,9 +28,9 @@ void Bodies::put_distance(size_t dof, VbdBodyJoint& to) const {
   const float low = model_.joint_limit_lower.data()[dof];
   const float high = model_.joint_limit_upper.data()[dof], length = math::length(to.gap);
   if (high < kUnlimited)
-    put(to.rows[0], kInf, high + kVbdKeptError * std::max(0.0f, length - high), -kInf, 0.0f);
+    put_row(to.rows[0], kInf, high + kVbdKeptError * std::max(0.0f, length - high), -kInf, 0.0f);
   if (low > 0.0f)
-    put(to.rows[1], kInf, low - kVbdKeptError * std::max(0.0f, low - length), 0.0f, kInf);
+    put_row(to.rows[1], kInf, low - kVbdKeptError * std::max(0.0f, low - length), 0.0f, kInf);
 }
 
 // Puts damping and armature as one row, the nearest limit, and dry friction. A limit damps where
@@ -50,17 +42,19 @@ void Bodies::put_resistance(size_t dof, float rate, VbdBodyJoint& to) const {
   const float damping = m.joint_damping.data()[dof] / h;
   const float inertia = m.joint_armature.data()[dof] / (h * h);
   if (damping + inertia > 0.0f)
-    put(to.rows[1], damping + inertia, q + inertia * rate * h / (damping + inertia), -kInf, kInf);
+    put_row(to.rows[1], damping + inertia, q + inertia * rate * h / (damping + inertia), -kInf,
+            kInf);
   const bool near_low = q - low < high - q;
   const float bound = near_low ? low : high, limit_ke = m.joint_limit_ke.data()[dof];
   if (std::abs(bound) < kUnlimited && limit_ke > 0.0f) {
     const bool is_outside = near_low ? q < low : q > high;
     const float limit_kd = is_outside ? m.joint_limit_kd.data()[dof] / h : 0.0f;
-    put(to.rows[2], limit_ke + limit_kd, (limit_ke * bound + limit_kd * q) / (limit_ke + limit_kd),
-        near_low ? 0.0f : -kInf, near_low ? kInf : 0.0f);
+    put_row(to.rows[2], limit_ke + limit_kd,
+            (limit_ke * bound + limit_kd * q) / (limit_ke + limit_kd), near_low ? 0.0f : -kInf,
+            near_low ? kInf : 0.0f);
   }
   if (const float friction = m.joint_friction.data()[dof]; friction > 0.0f)
-    put(to.rows[3], kInf, q, -friction, friction);
+    put_row(to.rows[3], kInf, q, -friction, friction);
 }
 
 }  // namespace novaphy::vbd

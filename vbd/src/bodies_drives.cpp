@@ -1,7 +1,5 @@
 // The drives of the axes of joints (JointTargetMode).
-#include <algorithm>
-
-#include "bodies.h"
+#include "bodies_side.h"
 
 namespace novaphy::vbd {
 
@@ -22,12 +20,8 @@ void Bodies::put_drive(size_t dof, size_t coordinate, const Control* control,
   const float target = (control ? control->joint_target_q : m.joint_target_q).data()[coordinate];
   const float rate =
       has_rate ? (control ? control->joint_target_qd : m.joint_target_qd).data()[dof] : 0.0f;
-  VbdAxisRow& row = to.rows[0];
-  row.stiffness = k;
-  row.rest = (ke * target + kd * (to.coordinate / dt_ + rate)) / k;
-  row.upper = m.joint_effort_limit.data()[dof];
-  row.lower = -row.upper;
-  row.lam = std::clamp(row.lam, row.lower, row.upper);
+  const float limit = m.joint_effort_limit.data()[dof];
+  put_row(to.rows[0], k, (ke * target + kd * (to.coordinate / dt_ + rate)) / k, -limit, limit);
 }
 
 }  // namespace novaphy::vbd

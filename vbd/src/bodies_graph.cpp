@@ -7,14 +7,13 @@
 namespace novaphy::vbd {
 
 void BodyLists::build(int32_t count, std::span<const std::pair<int32_t, int32_t>> pairs) {
-  begin.assign(static_cast<size_t>(count) + 1, 0);
-  for (const auto& [key, number] : pairs) ++begin[static_cast<size_t>(key) + 1];
-  std::partial_sum(begin.begin(), begin.end(), begin.begin());
-  items.resize(pairs.size());
-  for (const auto& [key, number] : pairs)
-    items[static_cast<size_t>(begin[static_cast<size_t>(key)]++)] = number;
-  std::copy_backward(begin.begin(), begin.end() - 1, begin.end());
-  begin.front() = 0;
+  keys_.clear();
+  for (const auto& [key, number] : pairs) keys_.push_back(key);
+  places_.build(keys_, count);
+  begin.assign(places_.begins().begin(), places_.begins().end());
+  items.clear();
+  for (const int32_t place : places_.all())
+    items.push_back(pairs[static_cast<size_t>(place)].second);
 }
 
 void BodyGraph::find_neighbors(int32_t bodies, std::span<const std::array<int32_t, 2>> pairs) {

@@ -1,6 +1,8 @@
 // A body as the rows of a step see it.
 #pragma once
 
+#include <algorithm>
+
 #include "bodies.h"
 
 namespace novaphy::vbd {
@@ -33,6 +35,15 @@ struct BodySide {
   float inv_mass = 0.0f;
   Mat33f inv_inertia{};
 };
+
+// Puts a row along the axis of a joint.
+inline void put_row(VbdAxisRow& row, float stiffness, float rest, float lower, float upper) {
+  row.stiffness = stiffness;
+  row.rest = rest;
+  row.lower = lower;
+  row.upper = upper;
+  row.lam = std::clamp(row.lam, lower, upper);
+}
 
 inline float metric(float dt, float mobility) { return kMetric / (dt * dt * mobility); }
 

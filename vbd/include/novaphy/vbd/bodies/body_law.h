@@ -64,6 +64,15 @@ inline Quatf unit(const Quatf& q) {
   return {q.x * s, q.y * s, q.z * s, q.w * s};
 }
 
+struct Perpendicular {
+  Vec3f t[3];  // two unit vectors perpendicular to the third
+};
+inline Perpendicular perpendicular(const Vec3f& axis) {
+  const Vec3f other = math::abs(axis.x) < 0.6f ? Vec3f{1.0f, 0.0f, 0.0f} : Vec3f{0.0f, 1.0f, 0.0f};
+  const Vec3f u = math::normalize(math::cross(axis, other));
+  return {{u, math::cross(axis, u), axis}};
+}
+
 // Returns rotate(q, r) - r, without the cancellation for small rotations.
 inline Vec3f rotate_change(const Quatf& q, const Vec3f& r) {
   const Vec3f v = {q.x, q.y, q.z}, c = math::cross(v, r);

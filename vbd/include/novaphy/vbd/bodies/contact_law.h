@@ -100,11 +100,7 @@ void for_contact_rows(const VbdBodyContact& c, const ContactForce& f, const Row&
   row(f.k_n, c.normal);
   if (f.k_t == 0.0f) return;
   Vec3f t = f.slip_direction;
-  if (dot(t, t) == 0.0f) {
-    const Vec3f n = c.normal;
-    const Vec3f other = abs(n.x) < 0.6f ? Vec3f{1.0f, 0.0f, 0.0f} : Vec3f{0.0f, 1.0f, 0.0f};
-    t = normalize(cross(n, other));
-  }
+  if (dot(t, t) == 0.0f) t = perpendicular(c.normal).t[0];
   row(f.k_s, t);
   row(f.k_t, cross(c.normal, t));
 }

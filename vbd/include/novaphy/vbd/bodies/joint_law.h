@@ -55,15 +55,6 @@ struct JointForce {
   int count = 0;
 };
 
-struct Perpendicular {
-  Vec3f t[3];  // two unit vectors perpendicular to the third
-};
-inline Perpendicular perpendicular(const Vec3f& axis) {
-  const Vec3f other = math::abs(axis.x) < 0.6f ? Vec3f{1.0f, 0.0f, 0.0f} : Vec3f{0.0f, 1.0f, 0.0f};
-  const Vec3f u = math::normalize(math::cross(axis, other));
-  return {{u, math::cross(axis, u), axis}};
-}
-
 inline Vec3f turned_by(const Quatf& q, const Vec3f& v) { return v + rotate_change(q, v); }
 
 // The errors of a joint at a motion of its bodies.

@@ -146,9 +146,9 @@ void limits_vjp(const ArticulationStep::Step& step, const ArticulationArguments&
 // Adds the effect of the limits to the tangents `moved` of the inputs.
 void limits_jvp(const ArticulationStep::Step& step, const ArticulationArguments& in,
                 std::span<const nova::Tensor> moved);
-// Adds the effect of the delays of a step's events to the gradients of its coordinates, as tangents,
-// and of limits. mismatch, h_before: {trees}; h_before is H before the step. p_q: {dofs}, of the new
-// coordinates.
+// Adds the effect of the delays of a step's events to the gradients of its coordinates, as
+// tangents, and of limits. mismatch, h_before: {trees}; h_before is H before the step. p_q: {dofs},
+// of the new coordinates.
 void delays_vjp(const ArticulationStep::Step& step, std::span<const float> mismatch,
                 std::span<const double> h_before, std::span<const float> p_q,
                 std::span<float> correction, std::span<const nova::InputGradient> gradients);

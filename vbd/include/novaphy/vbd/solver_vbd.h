@@ -117,16 +117,16 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   const VbdOptions& options() const { return options_; }
   // Number of kinematic particles: the rows of `targets`, in the order of the particles' indices.
   int32_t kinematic_count() const;
-  // True without `tolerance` and `converged`.
+  // True without `tolerance`, `converged`, self-contact and bodies.
   bool supports_graph_capture() const override;
 
   // Errors besides those of SolverBase::step and of the constructor:
   // ErrorKind::Value: the indices of elements or the colors were edited after the solver was made,
   // or states, activations or arrays of the model are not finite.
   // ErrorKind::Index: a contact refers to a shape that does not exist.
-  // ErrorKind::Runtime: contacts overflowed, positions or poses do not stay finite (state_out is then not
-  // written), an input carries a gradient under a Tape, or `converged` found no solution (state_out
-  // then holds the last iterate).
+  // ErrorKind::Runtime: contacts overflowed, positions or poses do not stay finite (state_out is
+  // then not written), an input carries a gradient under a Tape, or `converged` found no solution
+  // (state_out then holds the last iterate).
   // ErrorKind::NotImplemented: a contact with a shape of a body, or `converged` in a capture.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override {

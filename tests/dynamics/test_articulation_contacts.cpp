@@ -45,7 +45,7 @@ struct Scene {
   }
   // A point of a link in the world.
   Vec3<double> world(int32_t link, const Vec3<double>& core) {
-    return ws.links[link].origin + surface_point(&ws.links[link], core, Vec3<double>{}).at;
+    return ws.links[link].origin + surface_point(ws.links[link], core, Vec3<double>{}).at;
   }
 
   std::mt19937 random;
@@ -62,7 +62,7 @@ struct Rows {
 Rows rows_of(Scene& s, int32_t link, const Vec3<double>& core, const ContactFrame<double>& frame) {
   Rows r;
   const Tree<double> tree = s.tree.view();
-  const Vec3<double> at = surface_point(&s.ws.links[link], core, Vec3<double>{}).at;
+  const Vec3<double> at = surface_point(s.ws.links[link], core, Vec3<double>{}).at;
   add_point_rows(tree, s.ws.axes, link, at, frame, 1.0, kWidth, r.jacobian);
   response_rows(tree, s.ws, last_dof(tree, link), kWidth, r.jacobian, r.response);
   return r;
@@ -90,7 +90,7 @@ TEST(ArticulationContacts, RowsAreVelocitiesOfPoints) {
       const Vec3<double> core = s.vector(0.2);
       s.set(s.q);
       Rows r;
-      const Vec3<double> at = surface_point(&s.ws.links[link], core, Vec3<double>{}).at;
+      const Vec3<double> at = surface_point(s.ws.links[link], core, Vec3<double>{}).at;
       add_point_rows(s.tree.view(), s.ws.axes, link, at, frame, 1.0, kWidth, r.jacobian);
       const double h = 1e-6;
       Vec3<double> ends[2];

@@ -104,14 +104,14 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
   const DualTurning turning = trees.turning(row);
   const Vec3<DualFloat> normal = turning.is_exact ? turning.normal : constant(c.normal[at]);
   const ContactFrame<DualFloat> frame = contact_frame(normal);
-  const Vec3f cores[2] = {c.point0[at], c.point1[at]};
-  const float margins[2] = {c.margin0[at], -c.margin1[at]};
   SurfacePoint<DualFloat> points[2];
   for (int side = 0; side < 2; ++side) {
     const ContactSide& on = row.sides[side];
-    points[side] =
-        surface_point<DualFloat>(on.tree < 0 ? nullptr : &trees.workspace(on.tree).links[on.link],
-                                 constant(cores[side]), normal * DualFloat(margins[side]));
+    const Vec3<DualFloat> core = constant(side == 0 ? c.point0[at] : c.point1[at]),
+                          out = normal * DualFloat(side == 0 ? c.margin0[at] : -c.margin1[at]);
+    points[side] = world_point(core, out);
+    if (on.tree >= 0)
+      points[side] = surface_point(trees.workspace(on.tree).links[on.link], core, out);
   }
   for (int side = 0; turning.is_exact && side < 2; ++side)
     set_tangent(turning.moved[side] - tangent(points[side].origin), points[side].at);

@@ -41,13 +41,15 @@ template <class T>
 struct SurfacePoint {
   Vec3<T> at{}, origin{};
 };
-// Returns a surface point. `core` is in the frame of the link's body, or of the world for a null
-// link. `out` leads from the core to the surface.
+// Returns a surface point of the world. `out` leads from the core to the surface.
 template <class T>
-SurfacePoint<T> surface_point(const LinkState<T>* link, const Vec3<T>& core, const Vec3<T>& out) {
-  const Vec3<T> none = {T(0.0f), T(0.0f), T(0.0f)};
-  if (link == nullptr) return {core + out, none};
-  return {(link->p + math::rotate(link->q, core)) + out, link->origin};
+SurfacePoint<T> world_point(const Vec3<T>& core, const Vec3<T>& out) {
+  return {core + out, {T(0.0f), T(0.0f), T(0.0f)}};
+}
+// Returns a surface point of a link. `core` is in the frame of the link's body.
+template <class T>
+SurfacePoint<T> surface_point(const LinkState<T>& link, const Vec3<T>& core, const Vec3<T>& out) {
+  return {(link.p + math::rotate(link.q, core)) + out, link.origin};
 }
 
 template <class T>

@@ -46,16 +46,17 @@ struct DualTurning {
       points[side] =
           math::transform_point(of.pose[side], of.point[side]) + of.normal * margins[side];
     const Vec3f apart = points[1] - points[0], at = points[0] + apart * 0.5f;
-    const ContactTurning turning = contact_turning(shapes, of, margins, at);
+    const SpatialVectorf of_a = twist_of(pose[0], at), of_b = twist_of(pose[1], at);
+    const SpatialVectorf relative[1] = {{of_b.linear - of_a.linear, of_b.angular - of_a.angular}};
+    const Turning<1> turning = turning_along(shapes, of, margins, at, relative);
     is_exact = turning.is_exact;
     if (!is_exact) return;
-    const SpatialVectorf twists[2] = {twist_of(pose[0], at), twist_of(pose[1], at)};
-    const TurningMotion motion =
-        turning_motion(turning, of.normal, 0.5f * math::dot(apart, of.normal), twists);
+    const Vec3f turned = math::cross(of_a.angular, of.normal);
+    const Vec3f half = turned * (0.5f * math::dot(apart, of.normal));
     normal = constant(of.normal);
-    set_tangent(motion.normal, normal);
-    moved[0] = motion.a;
-    moved[1] = motion.b;
+    set_tangent(turned + turning.normal[0], normal);
+    moved[0] = of_a.linear - half + turning.a[0];
+    moved[1] = of_a.linear + half + turning.b[0];
   }
 };
 

@@ -116,14 +116,13 @@ inline void open_and_start(const GroupStep& s, int32_t i) {
 inline bool is_near(const GroupStep& s, int32_t contact) {
   articulation::ContactSide sides[2];
   if (!contact_sides(s.a.shapes, contact, sides)) return true;
-  const articulation::LinkState<float>* links[2] = {};
-  for (int side = 0; side < 2; ++side) {
-    const int32_t tree = sides[side].tree;
-    if (tree < 0) continue;
-    if (s.a.shapes.group_of_tree[tree] != s.group || s.all.step.status[tree] != 0) return true;
-    links[side] = s.tree(tree).ws.links + sides[side].link;
+  for (const articulation::ContactSide& side : sides) {
+    if (side.tree < 0) continue;
+    if (s.a.shapes.group_of_tree[side.tree] != s.group || s.all.step.status[side.tree] != 0)
+      return true;
   }
-  return articulation::may_touch(s.contacts, contact, links, s.how.dt);
+  const auto tree_of = [&](int32_t i) { return s.tree(i); };
+  return articulation::may_touch(s.contacts, contact, sides, tree_of, s.how.dt);
 }
 
 // Joins the trees of a contact that may touch. A contact that leaves this group makes a tree fail.

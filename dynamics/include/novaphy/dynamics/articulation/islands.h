@@ -5,7 +5,7 @@
 #pragma once
 
 #include "novaphy/core/sim/enums.h"
-#include "novaphy/dynamics/articulation/contact_rows.h"
+#include "novaphy/dynamics/articulation/contact_points.h"
 #include "novaphy/dynamics/articulation/pair_material.h"
 #include "novaphy/dynamics/articulation/pgs.h"
 #include "novaphy/dynamics/articulation/tree_contacts.h"
@@ -13,29 +13,6 @@
 namespace novaphy::articulation {
 
 inline constexpr int32_t kMostTreeContacts = 64;
-
-// Rigid contacts (core/sim/contacts.h). `point_id` may be null without a warm start. `found`: a
-// search found the contacts from the state of the step, and derivatives move them with the state.
-struct ContactRows {
-  int32_t count = 0;
-  const int32_t *shape0 = nullptr, *shape1 = nullptr, *point_id = nullptr;
-  const Vec3f *point0 = nullptr, *point1 = nullptr, *normal = nullptr;
-  const float *margin0 = nullptr, *margin1 = nullptr;
-  bool found = false;
-};
-
-// Returns the material of a contact, and the contributions of its shapes.
-inline PairParts contact_parts(const ShapeMaterials& of, const ContactRows& c, int32_t contact) {
-  return pair_parts(of, c.shape0[contact], c.shape1[contact], [](float x) { return x; });
-}
-inline ContactMaterial<float> contact_material(const ShapeMaterials& of, const ContactRows& c,
-                                               int32_t contact) {
-  return pair_material(of, contact_parts(of, c, contact), c.shape0[contact], c.shape1[contact]);
-}
-
-struct ContactSide {
-  int32_t tree = -1, link = -1;  // -1: the world, or a link that no dof moves
-};
 
 // Returns the padded number of dofs in the rates and rows of a tree.
 inline int32_t padded_dofs(int32_t dofs) { return (dofs + 3) / 4 * 4; }
@@ -174,44 +151,17 @@ inline bool pushes(const IslandContact& row) {
   return row.solver.impulse[0] > 0.0f || row.solver.shifted > 0.0f;
 }
 
-inline void contact_points(const ContactRows& c, int32_t contact,
-                           const LinkState<float>* const* links, SurfacePoint<float>* points) {
-  const Vec3f normal = c.normal[contact];
-  points[0] = surface_point(links[0], c.point0[contact], normal * c.margin0[contact]);
-  points[1] = surface_point(links[1], c.point1[contact], normal * -c.margin1[contact]);
-}
-
-// Returns whether a contact may touch in a step of dt. The limit of its gap is twice the approach
-// of its points by the links' motions (null: the world). The term kMoreSpeed (m/s) dt is added for
-// changes in the step. Only such contacts are solved. A NaN gap may touch.
-inline bool may_touch(const ContactRows& c, int32_t contact, const LinkState<float>* const* links,
-                      float dt) {
-  const Vec3f normal = c.normal[contact];
-  SurfacePoint<float> points[2];
-  contact_points(c, contact, links, points);
-  const ContactPlace<float> place = contact_place(points[0], points[1], normal);
-  float closing = 0.0f;
-  if (links[0] != nullptr)
-    closing += math::dot(math::motion_at(links[0]->v, place.a).linear, normal);
-  if (links[1] != nullptr)
-    closing -= math::dot(math::motion_at(links[1]->v, place.b).linear, normal);
-  return !(place.gap > (2.0f * math::max(closing, 0.0f) + kMoreSpeed) * dt);
-}
-
 // Computes the points and the frame of a contact, and its Jacobian J in row.numbers.
 template <class TreeOf>
 void build_jacobian(const ContactRows& c, const TreeOf& tree_of, IslandContact& row) {
   const int32_t i = row.contact;
   const Vec3f normal = c.normal[i];
-  const Vec3f cores[2] = {c.point0[i], c.point1[i]};
-  const LinkState<float>* links[2];
   SurfacePoint<float> points[2];
+  contact_points(c, i, row.sides, tree_of, points);
   for (int side = 0; side < 2; ++side) {
-    const ContactSide& at = row.sides[side];
-    links[side] = at.tree < 0 ? nullptr : tree_of(at.tree).ws.links + at.link;
-    row.cores[side] = surface_point(links[side], cores[side], Vec3f{}).at;
+    const Vec3f core = side == 0 ? c.point0[i] : c.point1[i];
+    row.cores[side] = side_point(tree_of, row.sides[side], core, Vec3f{}).at;
   }
-  contact_points(c, i, links, points);
   const ContactPlace<float> place = contact_place(points[0], points[1], normal);
   row.place = place;
   row.frame = contact_frame(normal);

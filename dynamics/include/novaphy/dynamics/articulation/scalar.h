@@ -54,8 +54,13 @@ inline double angle_of(double sine, double cosine) { return std::atan2(sine, cos
 inline bool is_finite(double x) { return x - x == 0.0; }
 // Not inlined, which keeps callers small: few trees have such joints and contacts.
 #define NOVAPHY_SELDOM __attribute__((noinline, cold))
+#define NOVAPHY_ROLLED
+inline constexpr int kDirectionsAtOnce = 6;
 #else
 #define NOVAPHY_SELDOM
+// A loop that stays a loop. Compilers of devices take minutes for the code of six directions.
+#define NOVAPHY_ROLLED _Pragma("unroll 1")
+inline constexpr int kDirectionsAtOnce = 1;
 #endif
 
 }  // namespace novaphy::articulation

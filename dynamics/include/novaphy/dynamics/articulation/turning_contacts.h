@@ -15,18 +15,19 @@
 // A separate namespace, so that argument-dependent lookup finds no function of articulations.
 namespace novaphy::by_twist {
 
-// A number with its derivatives by a twist.
+// A number with its derivatives along n twists.
+template <int n>
 struct ByTwist {
   float value = 0.0f;
-  float by[6] = {};
+  float by[n] = {};
   ByTwist() = default;
   explicit ByTwist(float v) : value(v) {}
 
-  // f(i): derivative by component i.
+  // f(i): derivative along twist i.
   template <class F>
   static ByTwist make(float value, const F& f) {
     ByTwist to(value);
-    for (int i = 0; i < 6; ++i) to.by[i] = f(i);
+    for (int i = 0; i < n; ++i) to.by[i] = f(i);
     return to;
   }
   friend ByTwist operator+(const ByTwist& a, const ByTwist& b) {
@@ -104,49 +105,78 @@ NOVAPHY_SELDOM MovingContact<bool, T> turn_contact(const TurningShapes& shapes,
   return moving_contact(feature(0), feature(1), normal);
 }
 
-// a_i, b_i and n_i of the head comment.
-struct ContactTurning {
+// The derivatives of a contact along n twists of B relative to A.
+template <int n>
+struct Turning {
   bool is_exact = false;
-  Vec3f a[6] = {}, b[6] = {}, normal[6] = {};
+  Vec3f a[n] = {}, b[n] = {}, normal[n] = {};
 };
+using ContactTurning = Turning<6>;  // a_i, b_i and n_i of the head comment
 
-// Returns the pose of body B with its derivatives by a twist about `at`.
-inline Transform<ByTwist> moving_pose(const Transformf& pose, const Vec3f& at) {
-  const Vec3f arm = pose.p - at;
-  Transform<ByTwist> to;
-  const auto number = [](float value, float x, float y, float z, float rx, float ry, float rz) {
-    const float by[6] = {x, y, z, rx, ry, rz};
-    return ByTwist::make(value, [&](int i) { return by[i]; });
-  };
-  to.p = {number(pose.p.x, 1.0f, 0.0f, 0.0f, 0.0f, arm.z, -arm.y),
-          number(pose.p.y, 0.0f, 1.0f, 0.0f, -arm.z, 0.0f, arm.x),
-          number(pose.p.z, 0.0f, 0.0f, 1.0f, arm.y, -arm.x, 0.0f)};
-  const Quatf h = {0.5f * pose.q.x, 0.5f * pose.q.y, 0.5f * pose.q.z, 0.5f * pose.q.w};
-  const float o = 0.0f;
-  to.q = {number(pose.q.x, o, o, o, h.w, h.z, -h.y), number(pose.q.y, o, o, o, -h.z, h.w, h.x),
-          number(pose.q.z, o, o, o, h.y, -h.x, h.w), number(pose.q.w, o, o, o, -h.x, -h.y, -h.z)};
-  return to;
+// Returns the pose of body B with its derivatives along twists about `at`.
+template <int n>
+Transform<ByTwist<n>> moving_pose(const Transformf& pose, const Vec3f& at,
+                                  const SpatialVectorf (&twists)[n]) {
+  Vec3f moved[n];
+  Quatf turned[n];
+  for (int i = 0; i < n; ++i) {
+    const Vec3f w = twists[i].angular;
+    moved[i] = twists[i].linear + math::cross(w, pose.p - at);
+    turned[i] = math::multiply(Quatf{0.5f * w.x, 0.5f * w.y, 0.5f * w.z, 0.0f}, pose.q);
+  }
+  using To = ByTwist<n>;
+  return {{To::make(pose.p.x, [&](int i) { return moved[i].x; }),
+           To::make(pose.p.y, [&](int i) { return moved[i].y; }),
+           To::make(pose.p.z, [&](int i) { return moved[i].z; })},
+          {To::make(pose.q.x, [&](int i) { return turned[i].x; }),
+           To::make(pose.q.y, [&](int i) { return turned[i].y; }),
+           To::make(pose.q.z, [&](int i) { return turned[i].z; }),
+           To::make(pose.q.w, [&](int i) { return turned[i].w; })}};
 }
-inline Transform<ByTwist> resting_pose(const Transformf& pose) {
-  return {{ByTwist(pose.p.x), ByTwist(pose.p.y), ByTwist(pose.p.z)},
-          {ByTwist(pose.q.x), ByTwist(pose.q.y), ByTwist(pose.q.z), ByTwist(pose.q.w)}};
+template <class T>
+Transform<T> resting_pose(const Transformf& pose) {
+  return {{T(pose.p.x), T(pose.p.y), T(pose.p.z)},
+          {T(pose.q.x), T(pose.q.y), T(pose.q.z), T(pose.q.w)}};
 }
 
 // `margins`: distances from the cores to the surfaces, along the normal. `at`: the midpoint.
-NOVAPHY_SELDOM inline ContactTurning contact_turning(const TurningShapes& shapes,
-                                                     const TurningInput<float>& of,
-                                                     const float* margins, const Vec3f& at) {
-  const TurningInput<ByTwist> moving = {{of.shape[0], of.shape[1]},
-                                        {of.point[0], of.point[1]},
-                                        of.normal,
-                                        {resting_pose(of.pose[0]), moving_pose(of.pose[1], at)}};
-  const MovingContact<bool, ByTwist> c = turn_contact(shapes, moving);
-  ContactTurning to;
+template <int n>
+NOVAPHY_SELDOM Turning<n> turning_along(const TurningShapes& shapes, const TurningInput<float>& of,
+                                        const float* margins, const Vec3f& at,
+                                        const SpatialVectorf (&twists)[n]) {
+  const TurningInput<ByTwist<n>> moving = {
+      {of.shape[0], of.shape[1]},
+      {of.point[0], of.point[1]},
+      of.normal,
+      {resting_pose<ByTwist<n>>(of.pose[0]), moving_pose(of.pose[1], at, twists)}};
+  const MovingContact<bool, ByTwist<n>> c = turn_contact(shapes, moving);
+  Turning<n> to;
   to.is_exact = c.is_exact;
-  for (int i = 0; c.is_exact && i < 6; ++i) {
+  for (int i = 0; c.is_exact && i < n; ++i) {
     to.normal[i] = {c.normal.x.by[i], c.normal.y.by[i], c.normal.z.by[i]};
     to.a[i] = Vec3f{c.a.x.by[i], c.a.y.by[i], c.a.z.by[i]} + to.normal[i] * margins[0];
     to.b[i] = Vec3f{c.b.x.by[i], c.b.y.by[i], c.b.z.by[i]} + to.normal[i] * margins[1];
+  }
+  return to;
+}
+inline ContactTurning contact_turning(const TurningShapes& shapes, const TurningInput<float>& of,
+                                      const float* margins, const Vec3f& at) {
+  const float axes[3][3] = {{1.0f, 0.0f, 0.0f}, {0.0f, 1.0f, 0.0f}, {0.0f, 0.0f, 1.0f}};
+  ContactTurning to;
+  NOVAPHY_ROLLED
+  for (int first = 0; first < 6; first += kDirectionsAtOnce) {
+    SpatialVectorf twists[kDirectionsAtOnce] = {};
+    for (int i = 0; i < kDirectionsAtOnce; ++i) {
+      const float* const axis = axes[(first + i) % 3];
+      (first + i < 3 ? twists[i].linear : twists[i].angular) = {axis[0], axis[1], axis[2]};
+    }
+    const Turning<kDirectionsAtOnce> part = turning_along(shapes, of, margins, at, twists);
+    to.is_exact = part.is_exact;
+    for (int i = 0; i < kDirectionsAtOnce; ++i) {
+      to.a[first + i] = part.a[i];
+      to.b[first + i] = part.b[i];
+      to.normal[first + i] = part.normal[i];
+    }
   }
   return to;
 }
@@ -180,28 +210,6 @@ inline TurningPulls turning_pulls(const ContactTurning& of, const ContactFrame<f
   TurningPulls to;
   to.on[1] = {{relative[0], relative[1], relative[2]}, {relative[3], relative[4], relative[5]}};
   to.on[0] = {by_point - to.on[1].linear, math::cross(n, by_normal) - to.on[1].angular};
-  return to;
-}
-
-// The motion of the surface points and the normal for twists of A and B at the midpoint.
-// `half_gap`: from the midpoint to b along the normal.
-struct TurningMotion {
-  Vec3f a, b, normal;
-};
-inline TurningMotion turning_motion(const ContactTurning& of, const Vec3f& normal, float half_gap,
-                                    const SpatialVectorf (&twists)[2]) {
-  const Vec3f linear = twists[1].linear - twists[0].linear,
-              angular = twists[1].angular - twists[0].angular;
-  const float x[6] = {linear.x, linear.y, linear.z, angular.x, angular.y, angular.z};
-  TurningMotion to;
-  to.normal = math::cross(twists[0].angular, normal);
-  to.a = twists[0].linear - to.normal * half_gap;
-  to.b = twists[0].linear + to.normal * half_gap;
-  for (int i = 0; i < 6; ++i) {
-    to.a = to.a + of.a[i] * x[i];
-    to.b = to.b + of.b[i] * x[i];
-    to.normal = to.normal + of.normal[i] * x[i];
-  }
   return to;
 }
 

@@ -83,3 +83,61 @@ def test_a_click_shows_the_step_the_pair_and_what_it_carried(page_file: Path, ru
 def test_the_length_of_arrows_is_checked(run: Any) -> None:
     with pytest.raises(ValueError, match="log_adjoint_record, length: expected > 0, got 0"):
         novaphy.ViewerHTML(None).log_adjoint_record(run.record, length=0.0)
+
+
+@pytest.fixture
+def window(run: Any) -> Any:
+    """A ViewerGL without a display, with the record and the frames until the hit."""
+    try:
+        viewer = novaphy.ViewerGL(640, 480, headless=True)
+    except ImportError as error:
+        pytest.skip(str(error))
+    with viewer:
+        viewer.set_model(run.model)
+        viewer.look_at((0.3, -1.5, 0.5), (0.1, 0.0, 0.0))
+        viewer.log_adjoint_record(run.record, length=0.2)
+        yield viewer
+
+
+def show(viewer: Any, run: Any, step: int) -> np.ndarray:
+    """The picture of a step."""
+    viewer.begin_frame(run.record.boundaries[step]["time"])
+    viewer.log_state(run.path[step])
+    viewer.end_frame()
+    return viewer.get_frame()
+
+
+def test_the_axis_over_a_picture_marks_the_suspect_and_follows_a_click(
+    window: Any, run: Any
+) -> None:
+    contact = run.record.contacts[0]
+    step, last = contact["step"], run.steps
+    column = round(18 + 503 * step / last)  # of the suspect: the axis begins at 18 pixels
+    picture = show(window, run, 0).astype(int)[18:122]
+    red = (picture[..., 0] - picture[..., 2]).max(axis=0)
+    assert red[column] > 120 and np.all(np.delete(red[18:520], column - 18) < 60)
+
+    starts = lambda: window.scene.lines["adjoint/impulse"].starts.values  # noqa: E731
+    assert len(starts()) == 0
+    assert not window.select_step_at(column, 5) and window.selected_step is None
+    assert window.select_step_at(column + 3, 60)  # a mark is easy to hit
+    assert window.selected_step == step and window.is_paused()
+    selected = show(window, run, step)
+    np.testing.assert_allclose(starts()[0], contact["point"], atol=1e-6)
+    assert np.array_equal(show(window, run, step), selected)  # while paused, too
+    lines = window._axis.lines(step)
+    assert lines[0].startswith(f"step {step} ") and "suspect: missed event" in lines[1]
+    assert f"carried {contact['carried']:.4g}" in lines[3]
+    window.pause(False)
+    assert window.selected_step is None
+
+
+def test_arrows_of_a_picture_are_those_of_the_steps_since_the_last_one(
+    window: Any, run: Any
+) -> None:
+    step = run.record.contacts[0]["step"]
+    counts = []
+    for k in (0, step - 1, step + 2, step + 2, step + 4):
+        show(window, run, k)
+        counts.append(len(window.scene.lines["adjoint/impulse"].starts.values))
+    assert counts == [0, 0, 1, 1, 0]

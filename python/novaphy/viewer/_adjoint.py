@@ -17,7 +17,8 @@ COLORS = {"impulse": (0.16, 0.44, 0.72), "adjoint": (0.82, 0.26, 0.1)}
 THICKNESS = 0.03  # part of the longest arrow's length
 
 
-def _pair(row: dict[str, Any]) -> str:
+def pair_name(row: dict[str, Any]) -> str:
+    """Return the name of a contact's pair, or of the joint of a limit."""
     if row.get("kind") == "limit":
         return f"joint {row['joint']}"
     return f"shapes {row['shape0']} and {row['shape1']}"
@@ -37,11 +38,11 @@ def fragment(record: AdjointRecord) -> str:
         "title": f"{record.info.label}: {record.info.reason}",
         "boundaries": [{n: _plain(v) for n, v in row.items()} for row in record.boundaries],
         "contacts": [
-            {name: _plain(row[name]) for name in KEPT} | {"pair": _pair(row)}
+            {name: _plain(row[name]) for name in KEPT} | {"pair": pair_name(row)}
             for row in record.contacts
         ],
         "events": [
-            {"step": e["step"], "time": _plain(e["time"]), "kind": e["kind"], "pair": _pair(e)}
+            {"step": e["step"], "time": _plain(e["time"]), "kind": e["kind"], "pair": pair_name(e)}
             for e in record.info.event_list
         ],
         "suspects": [
@@ -52,6 +53,12 @@ def fragment(record: AdjointRecord) -> str:
     template = resources.files(__package__).joinpath("assets/adjoint.html").read_text("utf-8")
     text = json.dumps(content, separators=(",", ":")).replace("</", "<\\/")
     return template.replace("/*RECORD*/", text)
+
+
+def check_length(length: float) -> None:
+    """Raise ValueError for a length of arrows that is not positive."""
+    if not length > 0.0:
+        raise ValueError(f"log_adjoint_record, length: expected > 0, got {length}")
 
 
 def log_arrows_between(

@@ -5,19 +5,25 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .._core import SimState
 from ..io import atomic_path
+from ._adjoint import check_length, log_arrows_between
+from ._adjoint_axis import SIZE as AXIS_SIZE
+from ._adjoint_axis import AdjointAxis
 from ._base import Slider
 from ._gl_renderer import Renderer
 from ._needs import MissingPackageError, needs
-from ._overlay import overlay
+from ._overlay import BOX, MARGIN, overlay
 from ._png import write_png
 from ._scene_viewer import SceneViewer
 from ._video import Video
+
+if TYPE_CHECKING:
+    from ..nova import AdjointRecord
 
 DISPLAY_RATE = 60.0  # pictures per second that a window shows at most
 SHARE = 0.25  # of the time that a program gives to its window at most, unless it waits
@@ -70,6 +76,7 @@ class ViewerGL(SceneViewer):
         self.sliders: list[Slider] = []
         self.slider: int | None = None  # the one that keys move
         self._paused = paused
+        self._axis: AdjointAxis | None = None
         self._window: Any = None
         self._video: Video | None = None
         self._due = self._frame_at = 0.0
@@ -96,11 +103,53 @@ class ViewerGL(SceneViewer):
         width, height = self._renderer.target.size
         return int(width), int(height)
 
+    def log_adjoint_record(self, record: AdjointRecord, length: float = 0.3) -> None:
+        """Add a time axis of a gradient above the text, and arrows of the contacts to the frames.
+
+        The axis has the length of the gradient, H, events and suspects over time. A click on the
+        axis selects a step and pauses: see selected_step. Times of frames are those of the record.
+
+        Args:
+            record: the result of `tape.adjoint_record()`.
+            length: the length (m) of the longest impulse (blue) and of the longest adjoint (red).
+
+        Raises:
+            ValueError: a length that is not positive.
+        """
+        check_length(length)
+        self._axis = AdjointAxis(record, length)
+
+    @property
+    def selected_step(self) -> int | None:
+        """The step of the adjoint record that a click on the time axis selected, until resumed."""
+        return None if self._axis is None else self._axis.selected
+
+    def select_step_at(self, x: float, y: float) -> bool:
+        """Select the step of the time axis at a point of the image, and pause.
+
+        Args:
+            x: pixels from the left.
+            y: pixels from the top.
+
+        Returns:
+            whether the axis is shown there.
+        """
+        column, row = x - BOX - MARGIN, y - BOX - MARGIN
+        inside = 0 <= row < AXIS_SIZE[0] and 0 <= column < AXIS_SIZE[1]
+        if self._axis is None or not self.show_text or not inside:
+            return False
+        self._axis.select(column)
+        self.pause()
+        return True
+
     def end_frame(self) -> None:
         """Show the frame: at once without a window, else at most at the rate of the display.
 
         In a window the program continues while the image is drawn, unless `waits` is set.
         """
+        if self._axis is not None:
+            shown = self._axis.times_shown(self.time)
+            log_arrows_between(self, self._axis.record, *shown, self._axis.length)
         now = time.perf_counter()
         if self._frame_at:
             self._frame_ms = 1e3 * (now - self._frame_at)
@@ -146,7 +195,8 @@ class ViewerGL(SceneViewer):
                     f"{'>' if k == self.slider else ' '} {slider.name} {slider.value:.6g}"
                     for k, slider in enumerate(self.sliders)
                 ]
-            box = overlay(self.scene, lines, self.curve)
+            top = [] if self._axis is None else [self._axis.block(self.time)]
+            box = overlay(self.scene, lines, self.curve, top)
         self._renderer.draw(self.scene, self.camera, box)
         self._drawn = self._look()
 
@@ -160,7 +210,8 @@ class ViewerGL(SceneViewer):
 
     def _look(self) -> tuple[Any, ...]:
         camera = self.camera
-        return (self.show_text, self.curve, tuple(camera.pos), tuple(camera.target))
+        looks = (tuple(camera.pos), tuple(camera.target))
+        return (self.show_text, self.curve, self.selected_step, *looks)
 
     def save_picture(self, path: str | os.PathLike[str]) -> None:
         """Write the image to a .png file, atomically."""
@@ -184,6 +235,8 @@ class ViewerGL(SceneViewer):
     def pause(self, paused: bool = True) -> None:
         """Pause or resume."""
         self._paused = paused
+        if not paused and self._axis is not None:
+            self._axis.selected = None
 
     def is_key_down(self, key: str | int) -> bool:
         """Return whether a key is pressed; `key` is a name ("space", "a") or pyglet's number."""

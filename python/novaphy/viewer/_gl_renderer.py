@@ -8,6 +8,7 @@ import numpy as np
 
 from . import _shaders
 from ._camera import FIELD_OF_VIEW, Camera
+from ._overlay import BOX
 from ._scene import Instances, Lines, Mesh, Part, Scene, f32
 
 HAZE = (0.93, 0.945, 0.96)
@@ -143,7 +144,7 @@ class Renderer:
         self.overlay_texture.use(0)
         full_width, full_height = self.target.size
         w, h = 2.0 * width / full_width, 2.0 * height / full_height
-        x, y = -1.0 + 20.0 / full_width, 1.0 - 20.0 / full_height - h
+        x, y = -1.0 + 2.0 * BOX / full_width, 1.0 - 2.0 * BOX / full_height - h
         _set(self.overlay_program, place=(x, y, w, h), image=0)
         context.disable(context.DEPTH_TEST)
         context.enable(context.BLEND)

@@ -194,7 +194,12 @@ class Window:
         self._held.discard(symbol)
 
     def on_mouse_press(self, x: int, y: int, button: int, modifiers: int) -> None:
-        """With control, start dragging the object under the pointer."""
+        """Select a step of the time axis; with control, start dragging an object."""
+        scale = self.window.get_framebuffer_size()[0] / max(self.window.width, 1)
+        if button == self.mouse.LEFT and self.viewer.select_step_at(
+            scale * x, scale * (self.window.height - y)
+        ):
+            return
         if button == self.mouse.LEFT and modifiers & self.key.MOD_CTRL:
             self.drag.start(x, self.window.height - y, self.window.get_size())
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..io import atomic_path
 from . import _shaders
-from ._adjoint import fragment, log_arrows_between
+from ._adjoint import check_length, fragment, log_arrows_between
 from ._camera import FIELD_OF_VIEW
 from ._gl_renderer import HAZE, LIGHT, REACH
 from ._packing import pack, quantum
@@ -75,8 +75,7 @@ class ViewerHTML(SceneViewer):
         Raises:
             ValueError: a length that is not positive.
         """
-        if not length > 0.0:
-            raise ValueError(f"log_adjoint_record, length: expected > 0, got {length}")
+        check_length(length)
         self._record, self._arrow_length = record, length
 
     @property

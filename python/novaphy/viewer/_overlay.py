@@ -15,6 +15,7 @@ from ._scene import Scene, f32
 INK, CURVE = (0.13, 0.15, 0.19), (0.16, 0.44, 0.72)
 PAPER = (1.0, 1.0, 1.0, 0.72)
 MARGIN = 8  # pixels
+BOX = 10  # pixels: from the corner of the image to the box
 CURVE_SIZE = (72, 216)  # pixels: height, width
 
 
@@ -43,18 +44,22 @@ def text_coverage(lines: Sequence[str]) -> np.ndarray:
     return out
 
 
-def curve_coverage(values: ArrayLike) -> np.ndarray:
-    """Return the coverage {h, w} of a curve, on a logarithmic scale if all values are positive."""
-    height, width = CURVE_SIZE
+def curve_coverage(values: ArrayLike, size: tuple[int, int] = CURVE_SIZE) -> np.ndarray:
+    """Return the coverage {h, w} of a curve, on a logarithmic scale if all values are positive.
+
+    NaNs are gaps.
+    """
+    height, width = size
     y = np.asarray(values, np.float64)
     y = np.log(y) if np.all(y > 0.0) else y
-    low, high = float(y.min()), float(y.max())
+    known = y[np.isfinite(y)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
     y = 3.0 + (height - 7.0) * (high - y) / (high - low if high > low else 1.0)
     at = np.interp(np.linspace(0.0, len(y) - 1.0, width + 1), np.arange(len(y)), y)
     top, bottom = np.minimum(at[:-1], at[1:]), np.maximum(at[:-1], at[1:])
     rows = np.arange(height)[:, None]
     away = np.maximum(np.maximum(top - rows, rows - bottom), 0.0)
-    return np.clip(1.6 - away, 0.0, 1.0).astype(np.float32)
+    return np.nan_to_num(np.clip(1.6 - away, 0.0, 1.0)).astype(np.float32)
 
 
 def curve_picture(values: ArrayLike) -> np.ndarray:
@@ -63,9 +68,14 @@ def curve_picture(values: ArrayLike) -> np.ndarray:
     return np.round(255.0 * (1.0 - coverage * (1.0 - f32(CURVE)))).astype(np.uint8)
 
 
-def overlay(scene: Scene, lines: Sequence[str], curve: str | None) -> np.ndarray:
-    """Return a box {h, w, 4}, uint8: lines of text, the curve of a scalar, arrays and images."""
-    blocks = [_inked(text_coverage(lines), INK)]
+def overlay(
+    scene: Scene, lines: Sequence[str], curve: str | None, top: Sequence[np.ndarray] = ()
+) -> np.ndarray:
+    """Return a box {h, w, 4}, uint8: lines of text, the curve of a scalar, arrays and images.
+
+    top: blocks {h, w, 4} above the text, with alpha last.
+    """
+    blocks = [*top, _inked(text_coverage(lines), INK)]
     if curve is not None and len(scene.scalars.get(curve, ())) > 1:
         blocks.append(_inked(curve_coverage(scene.scalars[curve]), CURVE))
     for name, values in scene.curves.items():

@@ -37,9 +37,10 @@ def commands(name: str) -> list[tuple[str, str]]:
 def shortened(name: str, words: list[str]) -> list[str]:
     """The words, and what makes the command short: the last of two flags wins."""
     if name == "ant_from_scratch":
-        fewer = ["--robustness", "3", "--headless", "60"] if "--robustness" in words else []
+        fewer = ["--robustness", "3"] if "--robustness" in words else []
+        fewer += ["--headless", "60"] if "--headless" in words else []
         if not {"--load", "--stages", "--random-search"} & set(words):
-            fewer = ["--stages", "stand,4,24,400,polish"]
+            fewer += ["--stages", "stand,4,24,400,polish"]
         return [*words, "--seconds", "4", *fewer]
     fewer = ["--train", "1", "--train-horizon", "20", "--starts", "8"]
     return [*words, *fewer] if "--adapt" in words else words

@@ -162,7 +162,7 @@ TEST_P(OnWarps, ACapturedIterationOfAnArticulationHasTheBitsOfTheCpu) {
 const std::string kSameVbd =
     "47 particles, cpu replayed same, device same, device replayed same, rollout same\n";
 TEST_P(OnWarps, VbdHasTheBitsOfTheCpuWithAThreadOrATeamOfThreads) {
-  for (const char* way : {"", "thread", "team"})
+  for (const char* way : {"", "thread", "block"})
     EXPECT_EQ(probe(fake() + "NOVAPHY_VBD_SWEEP=" + way, "vbd", SCENES).output, kSameVbd) << way;
 }
 TEST_P(OnWarps, OptionsOfVbdHaveTheBitsOfTheCpu) {

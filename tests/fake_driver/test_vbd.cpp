@@ -22,7 +22,7 @@ class VbdSweeps : public ::testing::TestWithParam<const char*> {};
 TEST_P(VbdSweeps, HaveTheBitsOfTheCpuDirectAndReplayed) {
   EXPECT_EQ(probe(std::string("NOVAPHY_VBD_SWEEP=") + GetParam(), "vbd"), kSame);
 }
-INSTANTIATE_TEST_SUITE_P(Ways, VbdSweeps, ::testing::Values("thread", "team"));
+INSTANTIATE_TEST_SUITE_P(Ways, VbdSweeps, ::testing::Values("thread", "block", "team"));
 
 class VbdDeviceOptions : public ::testing::TestWithParam<const char*> {};
 TEST_P(VbdDeviceOptions, HaveTheBitsOfTheCpu) {

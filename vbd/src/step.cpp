@@ -184,8 +184,9 @@ int64_t Step::find_mover() const {
   if (tables_->block_groups == 0) return 0;
   const char* const variable = std::getenv("NOVAPHY_VBD_SWEEP");
   const std::string_view wanted = variable != nullptr ? variable : "";
-  require(wanted.empty() || wanted == "thread" || wanted == "team", ErrorKind::Value,
-          "NOVAPHY_VBD_SWEEP: expected thread or block_groups, got '", wanted, "'");
+  // "team" is the value of earlier versions for "block".
+  require(wanted.empty() || wanted == "thread" || wanted == "block" || wanted == "team",
+          ErrorKind::Value, "NOVAPHY_VBD_SWEEP: expected thread or block, got '", wanted, "'");
   return options_.safeguard || coarse() != nullptr || wanted == "thread" ? 0
                                                                          : tables_->block_groups;
 }

@@ -1,4 +1,4 @@
-"""Articulations that touch: a stack, a dropped quadruped, a chain, an Ant or 1,024 under torques.
+"""Let articulations touch: a stack, a dropped quadruped, a chain, one Ant or 1,024 with torques.
 
 python demo_articulated_scenes.py
 python demo_articulated_scenes.py stack

@@ -47,13 +47,14 @@ WITHOUT_VIEWER = {"distributed"}  # draws its own results
 WALL = """
 ## robots from files
 
-Read by `add_urdf` and `add_mjcf`, as `novaphy view FILE` shows them ([robots](guide/robots.md)).
+`add_urdf` and `add_mjcf` read the robots. `novaphy view FILE` shows a robot
+([robots](guide/robots.md)).
 
 ![24 robots, each from its own file](images/robots.webp)
 
 The files are in the Python packages example-robot-data, mjlab, roboschool, dm-control, pybullet,
-mani-skill, genesis-world and robosuite; drawn by
-[`tools/viewer/robot_wall.py`](../tools/viewer/robot_wall.py).
+mani-skill, genesis-world and robosuite.
+[`tools/viewer/robot_wall.py`](../tools/viewer/robot_wall.py) draws the picture.
 """
 ANIMATION = ["--headless", "150", "--refresh", "50"]
 STILL, MOVING = "scale=640:-1:flags=area", "fps=20,scale=640:-1:flags=area"
@@ -98,8 +99,8 @@ def write_pages() -> None:
         "  font: 16px/1.5 system-ui, sans-serif; }",
         "iframe { width: 100%; height: 480px; border: 0; }</style>\n</head>\n<body>",
         "<h1>NovaPhy, in motion</h1>",
-        "<p>Drag to turn, with the right button to move, wheel to zoom. Each page is one file,",
-        "written by <code>--record run.html</code>.</p>",
+        "<p>Drag to turn the view, drag with the right button to move it, and zoom by the wheel.",
+        "Each replay is one file, which <code>--record run.html</code> writes.</p>",
     ]
     for name, path in demos().items():
         if (PAGES / f"{name}.html").exists():
@@ -116,10 +117,10 @@ def write_gallery() -> None:
     lines = [
         "# Gallery",
         "",
-        "Written by `tools/viewer/make_pictures.py`; do not edit. Each command opens a window;",
-        "`--record run.html` writes a page that replays the run ([viewers](guide/viewers.md)).",
-        "Pages of some are kept, and are together in [gallery.html](gallery.html), which a browser",
-        "opens from disk.",
+        "Do not edit this page: `tools/viewer/make_pictures.py` writes it. Each command opens a",
+        "window. With `--record run.html` the demo writes a page that replays the run",
+        "([viewers](guide/viewers.md)). [gallery.html](gallery.html) shows the stored replays. A",
+        "browser opens this file from disk.",
     ]
     for name, path in demos().items():
         if not (IMAGES / f"demo_{name}.webp").exists():
@@ -132,13 +133,13 @@ def write_gallery() -> None:
             "",
             sentence(path),
             "",
-            f"![the last picture of the demo {name}](images/demo_{name}.webp)",
+            f"![The last frame of the demo {name}](images/demo_{name}.webp)",
             "",
             f"`novaphy run {name}` · [source](../{source}){page}",
         ]
         for scene in SCENES.get(name, {}):
             picture = f"images/demo_{name}_{scene}.webp"
-            lines += ["", f"![the last picture of its scene {scene}]({picture})", ""]
+            lines += ["", f"![The last frame of the scene {scene}]({picture})", ""]
             lines += [f"`novaphy run {name} {scene}`"]
     text = "\n".join(lines) + "\n" + WALL
     (ROOT / "docs" / "gallery.md").write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Throw a two-link arm so that its tip is at a target.
+"""Throw a two-link arm so that its tip ends at a target.
 
 The arm hangs on two hinges and falls for 0.6 s: 576 substeps of SolverFeatherstone.step.
 record_planar_2r_featherstone_step records each substep after it ran. The initial velocities of the

@@ -1,4 +1,4 @@
-"""Let a Franka push a box to a mark, by the gradient of what its hand does.
+"""Let a Franka push a box to a mark, by the gradient through the push of its hand.
 
 The seven axes of a Franka Research 3 follow four key poses with their drives for 1 s: 1,000 steps
 of SolverFeatherstone. The tip of the hand is a sphere that pushes a box along x, against friction

@@ -1,4 +1,4 @@
-"""Make a soft gripper hold what it dropped before, by gradients through VBD.
+"""Teach a soft gripper to hold a load that slipped before, by gradients through VBD.
 
 A soft gripper with a load of 0.5 kg at its lower end sits in a slot between two walls, as grippers
 do that hold things from inside. Only friction holds the gripper. With its initial expansion the

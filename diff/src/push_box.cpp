@@ -177,7 +177,7 @@ void run_vjp(const Rollout& r, std::span<const Tensor> outputs,
   const nova::NoGrad no_grad;
   const InputArrays in(r.in);
   const DeviceArray<float> x = floats_of(r.x), v = floats_of(r.v);
-  const DeviceArray<float> x_bar = floats_of(outputs[0]), v_bar = floats_of(outputs[1]);
+  const DeviceArray<float> x_adjoint = floats_of(outputs[0]), v_adjoint = floats_of(outputs[1]);
   DeviceArray<float> gradient[kInputs];
   int64_t add = 0;
   for (size_t k = 0; k < kInputs; ++k) {
@@ -188,8 +188,8 @@ void run_vjp(const Rollout& r, std::span<const Tensor> outputs,
       {.in = in.arguments(r.steps),
        .x = x,
        .v = v,
-       .x_bar = x_bar,
-       .v_bar = v_bar,
+       .x_adjoint = x_adjoint,
+       .v_adjoint = v_adjoint,
        .gradient = gradient,
        .add = add});
 }

@@ -44,7 +44,7 @@ NOVAPHY_ROW_KERNEL(push_box_rollout, PushBoxRolloutArguments) {
 struct PushBoxRolloutVjpArguments {
   NOVAPHY_ARGUMENTS(Part<PushBoxArguments> in;
                     Detached<Reads<float>> x, v;                    // the results of the rollout
-                    Optional<Detached<Reads<float>>> x_bar, v_bar;  // their gradients; null: zero
+                    Optional<Detached<Reads<float>>> x_adjoint, v_adjoint;  // null: zero
                     // Gradients of the inputs in the order of PushBoxArguments. Null: not wanted.
                     Each<Optional<Detached<Updates<float>>>, 4 + kPushBoxNumbers> gradient;
                     Number<int64_t> add;  // bit i: add to gradient i instead of overwriting it
@@ -60,8 +60,8 @@ NOVAPHY_ROW_KERNEL(push_box_rollout_vjp, PushBoxRolloutVjpArguments) {
   PushBoxState<float> bar = {0.0f, 0.0f};  // gradient of the state after step t
   float sums[kPushBoxNumbers] = {};
   for (int64_t t = a.in.steps; t-- > 0;) {
-    if (a.x_bar) bar.x += a.x_bar[t];
-    if (a.v_bar) bar.v += a.v_bar[t];
+    if (a.x_adjoint) bar.x += a.x_adjoint[t];
+    if (a.v_adjoint) bar.v += a.v_adjoint[t];
     const PushBoxState<float> before = {t > 0 ? a.x[t - 1] : *a.in.box_x,
                                         t > 0 ? a.v[t - 1] : *a.in.box_v};
     const PushBoxDerivatives<float> d =

@@ -25,7 +25,7 @@ constexpr unsigned kMostInLargeCluster = 16, kFewForLarge = 32;
 constexpr int32_t kClusters = 90;  // the first architecture with clusters
 // Static shared memory of a block, and the part in which threads may keep values beside the
 // records.
-constexpr unsigned kSharedOfText = 48 << 10, kKeptBytes = 38 << 10;
+constexpr unsigned kSharedOfSource = 48 << 10, kKeptBytes = 38 << 10;
 // Shared memory for kept values if blocks have a plan, which requests more memory.
 constexpr unsigned kKeptWithPlan = 100 << 10;
 // Limits on the memory for early results: bytes, and the share of the free memory.
@@ -161,7 +161,7 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_persistent
     OwnList made(new novaphy_list);
     made->device = device;
     const auto fits = [&](const PersistentTable& of) {
-      return of.fits && shared_bytes(of, shape) <= kSharedOfText &&
+      return of.fits && shared_bytes(of, shape) <= kSharedOfSource &&
              (launch_bytes(of, shape) == 0 ||
               shared_bytes(of, shape) + launch_bytes(of, shape) <= most_shared_bytes(device));
     };

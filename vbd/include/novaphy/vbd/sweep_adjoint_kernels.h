@@ -42,7 +42,7 @@ namespace vbd {
 #include "slot_adjoints.inc"
 
 template <Role role, class S>
-float* bars_of_numbers(const VbdAdjointArguments& a, const Slot<role, S>& slot) {
+float* adjoints_of_numbers(const VbdAdjointArguments& a, const Slot<role, S>& slot) {
   return a.numbers + (a.begins[2 * kRoles + role] + (slot.floats - a.sweep.floats[role]));
 }
 // Adds the adjoints of the numbers before `last`, of the weights only where wanted.
@@ -50,7 +50,7 @@ template <Role role, class S>
 void add_numbers(const VbdAdjointArguments& a, const Slot<role, S>& slot,
                  const SlotAdjoints<role, S>& of, int last) {
   using Access = LaneAccess<S>;
-  float* const to = bars_of_numbers(a, slot);
+  float* const to = adjoints_of_numbers(a, slot);
   for (int k = a.weights != 0 ? 0 : law_begin(role); k < last; ++k)
     Access::store(to + k * Access::kStride, Access::load(to + k * Access::kStride) + of.numbers[k]);
 }
@@ -134,7 +134,7 @@ Vec3<S> reverse_turning(const VbdAdjointArguments& a, const Slot<role, S>& slot,
 template <Role role, class S>
 Vec3<S> reverse_start(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x) {
   using Access = LaneAccess<S>;
-  const float* const numbers = bars_of_numbers(a, slot);
+  const float* const numbers = adjoints_of_numbers(a, slot);
   S adjoint[kStartFloats[role]];
   for (int k = 0; k < kStartFloats[role]; ++k)
     adjoint[k] = Access::load(numbers + (start_begin(role) + k) * Access::kStride);

@@ -117,9 +117,9 @@ function(novaphy_add_library name)
 endfunction()
 
 # novaphy_add_lane_levels(<library> CHOOSER file SOURCES file ... [INCLUDES folder ...] [DEPENDS target ...])
-# Compiles sources that use core/lanes.h into a library once for each instruction set, in a namespace of the level each,
-# which keeps the linker from using code of one in another. The chooser, a source of the library, picks one (cpu_level.h).
-# Sanitizers see the code of one level: the levels differ in the number of lanes alone.
+# Compiles sources that use core/lanes.h into a library, once for each level (an instruction set). Each level has its own
+# namespace, so the linker cannot use code of one level in another. The source CHOOSER picks the level at run time
+# (cpu_level.h). With sanitizers only the level "baseline" is built, because levels differ in the number of lanes alone.
 function(novaphy_add_lane_levels library)
   cmake_parse_arguments(ARG "" "CHOOSER" "SOURCES;INCLUDES;DEPENDS" ${ARGN})
   set(levels "baseline 4")

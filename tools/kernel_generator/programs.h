@@ -10,7 +10,7 @@ namespace generator {
 
 // Every kernel that the engine defines, with the adjoints that it declares.
 std::vector<nova::ir::Program> engine_programs();
-// Serialized Programs, one after the other (a conformance test collects them); every one once.
+// Reads a file of serialized Programs that a conformance test collects. Returns each Program once.
 std::vector<nova::ir::Program> read_programs(const std::string& path);
 
 }  // namespace generator

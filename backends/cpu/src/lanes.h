@@ -76,7 +76,7 @@ LANE_FN float ufloor(float a) {
 #if defined(__SSE4_1__) || defined(__aarch64__)
   return __builtin_floorf(a);
 #else
-  /* From 2^23 on, infinities and NaN: their own floor. */
+  /* Floats of at least 2^23 (all are integers), infinities and NaN are returned unchanged. */
   const int small = __builtin_fabsf(a) < 8388608.0f;
   const float t = (float)(int32_t)(small ? a : 0.0f);
   const float down = t > a ? t - 1.0f : t;
@@ -140,7 +140,7 @@ LANE_FN float uloadf(const char* s, int64_t rows, int32_t row, int32_t width, in
 
 #include "lanes_csr.h"
 
-/* Of the rows [i, i + LANES) in `room`, those from `done` on. */
+/* `room` has the rows [i, i + LANES). Copies the rows from `done` on to `out`. */
 LANE_FN void copy_tail(char* out, const char* room, int64_t bytes, int64_t i, int64_t done) {
   memcpy(out + bytes * done, room + bytes * (done - i), (size_t)(bytes * (i + LANES - done)));
 }

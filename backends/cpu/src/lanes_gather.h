@@ -55,8 +55,8 @@ LANE_FN int all_rows_inside(vi row, int64_t limit) {
 }
 
 #if defined(__x86_64__)
-/* Rows of three words, each read with the first word of the next row, four or eight rows at a time.
- * at: where they are, in units of 4 `unit` bytes. */
+/* Reads four or eight rows of three words at a time. A load of four words also reads the first word
+ * of the next row. at: the offset of each row, in units of 4 `unit` bytes. */
 #if LANES == 4
 typedef __m128 row_quads;
 #define QUADS_OF(l) _mm_loadu_ps((const float*)s + unit * (int64_t)at[l])
@@ -97,7 +97,7 @@ LANE_FN void gather3_inside(const char* s, vi row, vi* a, vi* b, vi* c) {
 #endif
 
 #if defined(__x86_64__)
-/* Rows of which some may be absent (negative): those read row 0, and become 0. */
+/* Gathers rows. An absent row (a negative index) gives 0; its lane reads row 0. */
 LANE_FN void gather3_present(const char* s, vi row, vi* a, vi* b, vi* c) {
   const vb absent = vilt(row, splati(0));
   const vi zero = splati(0);

@@ -269,8 +269,8 @@ LANE_FN void store2i(char* p, vi a, vi b) { store_columni(p, 2, a), store_column
 
 /* Rows of nine and of twelve words, which elements write for three and for four corners. */
 #if LANES == 16
-/* Word w of the row-major store is of the packed rows of column block w % 9 / 3: word 3 (w / 9) +
- * w % 3 there. From the parts `z` of all blocks; words in other parts are put over them. */
+/* Nine columns are three blocks of three columns, packed by pack3. Word w of the row-major store is
+ * word 3 (w / 9) + w % 3 of block w % 9 / 3. nine_over() replaces words by those of part z. */
 #define LANES_NINE(w) (3 * ((w) / 9) + (w) % 3)
 #define LANES_NINE_BLOCK(w) ((w) % 9 / 3)
 #define LANES_NINE_WORD(l) \

@@ -453,10 +453,10 @@ class Writer {
   std::vector<std::vector<uint64_t>> columns_;
   std::map<uint64_t, uint64_t> rows_;
   std::map<uint32_t, std::vector<char>> with_items_;  // per function of the body
-  std::vector<std::vector<char>> kept_items_;         // per operation of the body and source
+  std::vector<std::vector<char>> kept_items_;         // for each operation of the body and source
   std::vector<uint64_t> kernels_;                     // words with the operations' kernel numbers
   std::string starts_, steps_;                        // for addresses that grow evenly
-  std::vector<std::vector<uint32_t>> first_stores_;   // per operation of the body and output
+  std::vector<std::vector<uint32_t>> first_stores_;   // {operation of the body, output}: iteration
 };
 
 }  // namespace

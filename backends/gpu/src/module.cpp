@@ -190,7 +190,7 @@ void module_destroy(novaphy_module* module) { destroy(module); }
 novaphy_status kernel_get(novaphy_module* module, const char* name, novaphy_kernel** kernel,
                           novaphy_error* error) {
   for (const auto& own : module->kernels) {
-    // other kernels have a name of their own
+    // The kernel of a Program is named "main". Other kernels have names of their own.
     const bool is_main = own->hash != 0 || own->run != nullptr;
     if (std::strcmp(name, is_main ? "main" : own->name.c_str()) != 0) continue;
     *kernel = own.get();

@@ -199,8 +199,8 @@ class ChainText {
   static std::string crossing_count(const nova::ir::Output& output) {
     return str(static_cast<int64_t>(crossing_words(output)));
   }
-  // When a chain begins, or as soon as the previous phase is over, all own rows and the first items
-  // of its sums are loaded together. A thread then waits once instead of once per operation.
+  // A thread loads its rows and the first items of its sums together, when the chain begins or the
+  // previous phase ends. The thread then waits once, instead of once for each operation.
   std::string own_load(int32_t k, size_t s, int32_t words) {
     const Operation::Source& source = at(k).sources[s];
     code_ += own_words(k, s, words);
@@ -256,14 +256,14 @@ class ChainText {
                "    if (kept != 0) {\n" + begin_kept() + filled + "    }\n  }\n";
       return;
     }
-    // All such data is kept. A separate function for filling keeps the code of each run short.
+    // With layouts all of this data is kept. A function of its own fills the memory once.
     filling_ = "COLD_FN void fill" + number_ +
                "(const uint64_t* words, const int64_t i, int32_t* at) {\n" + declared + fixed +
                items + filled + "}\n";
     code_ += "  if (is_to_be_filled(kept)) fill" + number_ +
              "(words, i, begin_kept(memory, kept));\n  {\n" + begin_kept() + kept + "  }\n";
   }
-  // Loads the rows of the first items of its sums, as many as registers hold.
+  // Loads the rows of the first items of a chain's sums, as many as registers hold.
   void item_loads(size_t first, size_t last) {
     int32_t words = 0;
     for (auto k = static_cast<int32_t>(first); k < static_cast<int32_t>(last); ++k) {
@@ -556,7 +556,7 @@ class ChainText {
   std::set<int32_t> has_items_;  // sums whose first items are loaded before any is added
 };
 
-// The kernel of the early halves.
+// Returns the text of the kernel that runs the early halves of all Programs.
 std::string early_source(const PersistentTable& table, RowFunctions& rows) {
   std::string functions, cases;
   for (size_t k = 0; k < table.forms.size(); ++k) {

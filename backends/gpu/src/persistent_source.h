@@ -105,9 +105,12 @@ struct PersistentTable {
     return *programs[static_cast<size_t>(op.program)];
   }
 };
-// Returns the two halves of a Program in a chain; no outputs of `early`: the Program stays whole.
+// Cuts a Program of a chain into two halves (novaphy/program/cut.h). The early half reads no late
+// source, so a thread can compute it before its wait ends. No outputs of `early`: the Program stays
+// whole.
 nova::ir::Cut halves_of(const PersistentTable& table, const ChainForm::Operation& op);
-// Returns the words of a row of an early half's results, rounded up for loads of four words.
+// Returns the number of 32-bit words that an early half writes for each row. The number is a
+// multiple of four, because the late half loads four words at once.
 inline uint64_t crossing_words(const nova::ir::Output& output) {
   return (output.values.size() + 3) / 4 * 4;
 }

@@ -212,7 +212,8 @@ void Emitter::prefetch_region(int32_t region) {
   if (has(prefetch_regions(), region)) line("took" + str(region) + " = 1;");
 }
 
-// Loads columns of a prefetched group, or of one whose region was not predicted.
+// Writes the code that reads a group of loaded columns from the prefetched memory. If the group
+// belongs to a region that the prefetch did not predict, the code gathers the columns at once.
 void Emitter::prefetch_load(Value v, const LoadGroup& group, int32_t first, const std::string& where) {
   const PrefetchedGather& g = prefetch_.gathers[at(first / 3)];
   const std::string targets = g.region < 0 ? "" : columns(v, group, 0, 0, 3);

@@ -185,8 +185,8 @@ class Emitter {
   const std::vector<char> items_;
   bool in_items_ = false;
   int32_t items_done_ = -1;            // the loop already written for these items
-  std::vector<char> declared_, done_;  // per value: declared before its computation; computed
-  std::vector<char> computed_;         // per value: already written
+  std::vector<char> declared_, done_;  // per value: declared ahead; computed ahead of its step
+  std::vector<char> computed_;         // per value: the text has its computation already
   std::vector<Value> chosen_;          // per unneeded SELECT: the operand that it equals
   std::string out_;
   int32_t depth_ = 0, loop_ = -1;

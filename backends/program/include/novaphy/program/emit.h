@@ -19,20 +19,21 @@
 
 namespace nova::ir {
 
-// `function`: the name of the C function; empty: a name from the Program's name and hash.
+// Returns the C text of a Program. `function`: the name of the C function; empty: a name from the
+// Program's name and hash.
 std::string emit_c(const Program& program, const std::string& function = {});
 // Returns the function that runs many launches, with the name `function`. The function of a
 // `primal` notes, for groups of rows, the launches in which no contact touches and no limit is
 // reached. The function of its adjoint has a short form for such launches.
 std::string emit_c_scan(const Program& program, const Scan& scan, const std::string& function,
                         const Program* primal = nullptr);
-// Whether `adjoint` belongs to `primal` and may use its notes: both compute the conditions of a
-// quiet launch in the same way.
+// Returns whether `adjoint` belongs to `primal` and may use its notes. Both Programs must compute
+// the conditions of a launch without contacts and limits in the same way.
 bool adjoint_of_scan(const Program& adjoint, const Program& primal);
 // Returns the text for a GPU: a C++ function of one row. Its template parameters are the kinds of
 // access to each source and output (s0, o0, ...), which backends/gpu/src/device_prelude.cuh
-// defines. `items` selects the sources that are kept for the first items of each CSR loop, in the
-// parameter `kept` (see backends/gpu/src/kept_items.h).
+// defines. `items` marks sources. The caller loads the first items of each CSR sum from a marked
+// source, and passes them in the parameter `kept` (see backends/gpu/src/kept_items.h).
 std::string emit_device(const Program& program, const std::string& function,
                         const std::vector<char>& items = {});
 // Returns a legal C name such as "step_particles_0123456789abcdef". Equal Programs with equal names

@@ -16,8 +16,8 @@ struct Scan {
   std::vector<int32_t> varying;  // sources that may have a different array in every launch
 };
 
-// Whether rows of this type and width may bypass the caches, with a copy near the launches that
-// need it.
+// Returns whether a scan may write rows of this type and width past the caches. A copy of the rows
+// then stays in fast memory for the next launch.
 inline bool handed_over(Type type, int32_t width) { return type == Type::F32 && width == 3; }
 
 // Returns the bytes per row in the memory where a scan keeps the carried sources of each launch.

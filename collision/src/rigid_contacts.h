@@ -31,8 +31,8 @@ class RigidContacts {
   // Counts so far: overlapping pairs of hulls, and pairs whose FCL result was rejected.
   int64_t fcl_pairs() const;
   int64_t fcl_fallbacks() const;
-  // Finds the contacts; recorded if the thread records. `dt` (s): the step that the rows are for,
-  // which removes rows that cannot touch in it; 0: keeps all.
+  // Finds the contacts. A tape or capture of the thread records the search. `dt` (s): drops
+  // contacts that cannot touch within a step of this length. 0: keeps all contacts.
   void collide(const SimState& state, Contacts& contacts, float dt);
 
  private:

@@ -35,7 +35,7 @@ class RigidLaunches {
   void clear(int64_t pairs, int64_t last, const Contacts& contacts);
 
   const Array& shapes() const { return shapes_; }
-  // Host access; empty before the first move.
+  // The arrays on the host. host_shapes() is empty before the first call of move().
   std::span<const RigidShape> host_shapes() const;
   geometry::Manifold* host_manifolds() const;
   int32_t* host_counts() const;

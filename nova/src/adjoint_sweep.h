@@ -211,7 +211,8 @@ class Sweep {
         reverse(static_cast<Value>(k), section, copy);
   }
 
-  // Returns the adjoint of v with all guards resolved up to `to`, or kNone.
+  // Returns the adjoint of v under the guard `to`, or kNone. Adjoints under deeper guards become
+  // selects with 0 and are added.
   Value gather_adjoint(Value v, int32_t to, int copy) {
     auto found = adjoints_.find(v);
     if (found == adjoints_.end()) return kNone;

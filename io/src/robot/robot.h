@@ -137,10 +137,11 @@ using math::principal_axes;
 using math::PrincipalAxes;
 // Returns R diag(moments) R^T.
 Mat33d from_axes(const PrincipalAxes& axes);
-// Corrects links with a mass and no inertia, or the reverse. On a fixed joint the parent gets both,
-// since it has the same motion. If `moving`, principal moments of other links are raised to those
-// of a ball of water of the same mass, and `mended(link, text)` reports each such correction. If
-// not, a link that is fixed to the world loses its mass, and others stay.
+// Corrects links with a mass and no inertia, or the reverse. The parent of a fixed joint gets mass
+// and inertia of such a link, because both have the same motion. With `moving`, the moments of
+// other such links are raised to those of a ball of water of the same mass, and
+// `mended(link, text)` reports each correction. Without `moving`, a link that is fixed to the world
+// loses its mass, and other links stay unchanged.
 void mend_inertias(Robot& robot, bool moving,
                    const std::function<void(size_t, const std::string&)>& mended);
 

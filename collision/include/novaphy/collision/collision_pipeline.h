@@ -39,7 +39,9 @@ struct CollisionOptions {
   // m, finite and >= 0: largest distance between the surfaces of a soft contact. Newton 1.8 calls
   // this value soft_contact_gap.
   float soft_contact_margin = 0.01f;
-  bool deterministic = true;  // contacts always have the order of the candidates, even with false
+  // Has no effect: contacts have the same order in every run. The option exists for code that is
+  // written for Newton.
+  bool deterministic = true;
   std::optional<bool> requires_grad = {};  // for contacts(); empty: the model's setting
   // Whether the first collide on the CPU that finds contacts warns of initial overlaps
   // (overlaps.h).

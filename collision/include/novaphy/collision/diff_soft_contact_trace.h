@@ -320,7 +320,7 @@ SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
     at[i] = with_derivative(at[i], xs[i], select(both(limited, smooth), side, T(0.0f)));
     u[i] = hs[i] * at[i];
   }
-  s = improve(s, u);  // one more step, whose derivative at the root is the root's
+  s = improve(s, u);  // a last Newton step, whose derivative is that of the root
   T y[3], n[3];
   for (int i = 0; i < 3; ++i) {
     const T share = u[i] / (s + excess[i]);  // y_i / h_i

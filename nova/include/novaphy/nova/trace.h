@@ -126,7 +126,7 @@ NOVA_BINARY(min, MIN, Real, Real)  // a <= b ? a : b; the gradient goes to a if 
 NOVA_BINARY(max, MAX, Real, Real)  // a >= b ? a : b; the gradient goes to a if a > b, else to b
 NOVA_UNARY(abs, ABS, Real, Real)   // derivative -1 for x < 0, else +1
 NOVA_UNARY(sign, SIGN, Real, Real)
-NOVA_UNARY(sqrt, SQRT, Real, Real)  // passes no gradient at 0
+NOVA_UNARY(sqrt, SQRT, Real, Real)  // the gradient at 0 is 0
 NOVA_UNARY(floor, FLOOR, Real, Real)
 NOVA_BINARY(operator<, LT, Real, Bool)
 NOVA_BINARY(operator<=, LE, Real, Bool)

@@ -275,10 +275,10 @@ void collide_meshes(const MeshView& a, const MeshView& b, const Transformf& b_in
                  });
 }
 
-// Drops overlaps near a contact with a shorter way out in another direction. A contact of edges is
-// dropped if the other way is shorter. A contact of a vertex is dropped if the other way is much
-// shorter, for example if a vertex that is flush with one side would be pushed off the far side.
-// Returns the number that stays, in order.
+// Drops an overlap if another contact nearby has a smaller overlap in another direction. For a
+// contact of edges, a smaller overlap is enough. For a contact of a vertex, the other overlap must
+// be much smaller. Otherwise a vertex that is flush with one side would be pushed off the far side.
+// Moves the remaining contacts to the front, in their order, and returns their number.
 inline int32_t drop_long_ways(MeshContact* c, int32_t count) {
   const auto is_long = [&](const MeshContact& contact) {
     const float distance = contact.point.distance;

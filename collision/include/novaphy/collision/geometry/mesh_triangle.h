@@ -138,9 +138,9 @@ inline Proximity face_proximity(const ShapePair& pair, const TriangleHull& t) {
   return {n, distance, on_b - n * distance, on_b};
 }
 
-// Returns the points of B over the face of the triangle. `over` has the triangle's own normal;
-// `front` and `facing` are the features. The deepest point of a round or rotated shape is not a
-// corner of its feature.
+// Returns the contacts of B over the face of the triangle. `over` is the proximity of B and the
+// triangle's plane. `front` and `facing` return the features of the triangle and of B. The deepest
+// point of B is added if no corner of its feature is as deep, as for a round or rotated shape.
 inline ContactCandidates over_face(const ShapePair& pair, const Proximity& over, float gap,
                                    Feature& front, Feature& facing) {
   facing_features(pair, over.normal, front, facing);
@@ -160,7 +160,8 @@ inline bool has_deeper(const ContactCandidates& found, float distance) {
   return false;
 }
 
-// `nearest` is not used for the rank Counts.
+// Makes a contact of a triangle from a point, its proximity and its rank. Contacts of the rank
+// Counts do not use `nearest`, the proximity along the shortest way out.
 inline MeshContact mesh_contact(int32_t triangle, const ContactPoint& point, const Proximity& along,
                                 const Proximity& nearest, MeshRank rank) {
   MeshContact contact;

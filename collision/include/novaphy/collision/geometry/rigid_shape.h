@@ -52,8 +52,9 @@ inline bool is_within(const RigidShape& s0, const RigidShape& s1,
 struct RigidContactLimit {
   int32_t total, part, room;
 };
-// Returns whether a row is kept. `before` counts the earlier rows that are only within the next
-// larger fraction.
+// Returns whether the limit keeps a contact row. The limit keeps all rows within the fraction
+// `part`, and the first `room` rows that are only within the next larger fraction. `before` counts
+// the latter rows.
 inline bool stays(const RigidContactLimit& limit, const RigidShape& s0, const RigidShape& s1,
                   const geometry::ContactPoint& point, int32_t& before) {
   if (is_within(s0, s1, point, limit.part)) return true;

@@ -26,12 +26,12 @@ using StepScratch = std::span<const Array>;  // in the order of the ScratchSpecs
 // Applied arrays (particle_f, body_f) exist once and act in every step of a rollout. Applied arrays
 // can be written through state 0 only; a write through another state throws.
 //
-// Memory: 24 bytes per particle and kept state, and 24 more for the gradients after a backward
-// pass. With elements or with forces that change over time, the sums of forces take 12 more of
-// each.
+// Memory per particle and kept state: 24 bytes for the state, and 24 bytes for its gradients after
+// a backward pass. With elements or with forces that change over time, the sum of forces takes 12
+// bytes more, and its gradient takes another 12 bytes.
 //
 // With a checkpoint interval k only every k-th state and the last state are kept. The k - 1 states
-// between two kept states share one memory. The backward pass recomputes each such stretch with the
+// between two kept states share one memory. The backward pass recomputes these states with the
 // same bits, which costs about the time of one forward rollout. The memory is that of steps / k + k
 // states, which is least near k = sqrt(steps).
 class NOVAPHY_CORE_API Trajectory {

@@ -101,7 +101,7 @@ void SleepStep::wake_forced(std::span<const int32_t> forced) {
   for (const int32_t b : woken_) afloat_[static_cast<size_t>(b)] = 1;
 }
 
-// Null: the solver moves poses, not joint coordinates.
+// Returns the coordinates of the body's free joint. Null: the solver moves poses.
 const float* SleepStep::joint_q(const Model& model, const SimState& state, int32_t body) const {
   if (!in_joints_) return nullptr;
   const int32_t joint = bodies_.free_joint(body);

@@ -65,7 +65,7 @@ class PhasePlanner {
   // An operation that must come before the next one.
   struct Before {
     uint32_t chain = 0;
-    bool own = false;  // only row i of it must come before row i of the next
+    bool own = false;  // only row i of the operation must come before row i of the next one
   };
 
   uint32_t root(uint32_t chain) const {

@@ -33,7 +33,8 @@ VARIABLES = (
     "NOVAPHY_DLAN_FLAGS",
     "DLICC_PATH",
 )
-# How many iterations or frames run: of those that fall, until they have met something.
+# The number of iterations or frames of each demo. In demos with falling objects, the objects then
+# touch something.
 DEMOS = {"ball": 3, "soft_body": 3, "cloth": 5, "dice": 3, "rigid_drop": 30, "vbd": 15}
 DEVICE = """
 import novaphy

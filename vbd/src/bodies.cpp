@@ -105,8 +105,9 @@ void Bodies::iterate() {
        .joint = direct(joint_)});
 }
 
-// Sets what rows read of the graph. A stiff iteration suits trees, which are solved at once. Sweeps
-// over cycles need a softer one.
+// Sets the values of contact rows and joint rows that depend on the graph of bodies. Bodies that
+// form a tree are solved directly, so their rows get a stiff iteration. Bodies that form cycles are
+// solved by sweeps, which need a softer iteration.
 void Bodies::put_graph() {
   constexpr float kSofter = 0.1f;
   for (size_t k = 0; k < pairs_.size(); ++k) {

@@ -17,8 +17,8 @@ namespace novaphy::vbd {
 struct CoarseTables {
   static constexpr int kParticles = 10, kUnknowns = 300;
 
-  // `model`: on the host. The functions are linear in the model's particle_q. A function is left
-  // out if it would be constant over its aggregate.
+  // `model` must be on the host. The linear functions of an aggregate (coarse_kernels.h) are those
+  // of the model's particle_q. A function that is constant over its aggregate is left out.
   CoarseTables(const Model& model, const ColorSlots& slots);
 
   std::vector<int32_t> aggregate, near_begin, near, function_begin, member_begin, members;

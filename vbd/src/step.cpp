@@ -179,7 +179,8 @@ VbdSweepArguments Step::sweep(int64_t first_group, int64_t end_group) const {
           .residual = of_particles_};
 }
 
-// Returns the groups of a block if colors move by blocks, else 0.
+// Returns the number of groups of threads in a block if blocks of threads move the colors. Returns
+// 0 if single threads do.
 int64_t Step::find_mover() const {
   if (tables_->block_groups == 0) return 0;
   const char* const variable = std::getenv("NOVAPHY_VBD_SWEEP");

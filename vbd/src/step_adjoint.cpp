@@ -176,7 +176,8 @@ void StepAdjoint::add_coarse_balance() {
   list_->add(kernels().adjoint_outer, lanes, a);
 }
 
-// The reverse of x += t P A^-1 P^T f with constant A: f has the adjoint t P A^-1 P^T xbar.
+// The adjoint of the coarse step x += t P A^-1 P^T f (coarse_kernels.h), with A held constant. xbar
+// is the adjoint of x. The forces f get the adjoint t P A^-1 P^T xbar.
 void StepAdjoint::add_coarse_step(size_t iteration) {
   const Coarse& coarse = *step_.coarse();
   const int64_t groups = step_.colors().back();

@@ -115,9 +115,10 @@ void for_dofs(const ArticulationStep::Step& s, const ContactEvent& event, const 
     for (int32_t k = 0; k < rows[tree].dof_count; ++k)
       visit(at++, static_cast<size_t>(rows[tree].first_dof + k));
 }
-// Three reports. tell_events gives the times at which the groups of a step hit, and the landings of
-// the step before (null: none). tell_limit gives a dof that reaches its limit. tell_mismatch gives
-// H before an event, by trees, and the mismatch after it.
+// Three functions that fill the event list of GradientInfo. tell_events adds the contacts that
+// begin in a step, with their times, and completes the landings of the step before (null: none).
+// tell_limit adds a dof that reaches its limit. tell_mismatch sets H (the adjoint times the rates)
+// of an event: `h_before` for each tree, and the mismatch, by which H drops at the event.
 void tell_events(const ArticulationStep::Step& step, const ArticulationArguments& in,
                  const ArticulationStep::Step* before);
 void tell_limit(const ArticulationStep::Step& step, int32_t tree, int32_t dof);

@@ -42,7 +42,8 @@ class TreeSteps {
   void step(const ArticulationStepArguments& step, const Model& model,
             std::span<const int32_t> trees, const FeatherstoneOptions& options,
             TreeContacts* contacts, bool keep = false);
-  // Lanes read the constants of the model. A step with other constants takes tree by tree.
+  // SIMD lanes read the constants of the model. A step with other constants runs one tree at a
+  // time: use_lanes(false).
   void use_lanes(bool use) { uses_lanes_ = use; }
   // The adjoint of a step without contacts: for the given trees, the same as articulation_step_vjp.
   void vjp(const ArticulationStepVjpArguments& step, const Model& model,

@@ -64,29 +64,30 @@ constexpr double kMostSpeedOff = 0.04;
 enum class TouchFlaw : uint8_t {
   None,
   Several,   // more contacts at once
-  OneSided,  // its begin or end is outside of the steps, or is cut
+  OneSided,  // the begin or end of the touch is outside of the steps, or is cut
   Held,      // by joints, elements or adhesion
   Long,      // too many steps
-  Rests      // its speed of approach is not above the effect of forces in one step
+  Rests      // the speed of approach is not above the effect of forces in one step
 };
 
 struct TouchEvent {
   int32_t first = 0, second = 0, point = 0;
-  std::array<Tangent, 2> delay_by{};  // derivative of the delay by places and turns of both sides
+  // the derivative of the delay with respect to positions and rotations of both sides
+  std::array<Tangent, 2> delay_by{};
   double stiff_angle = 0.0;           // h w
   bool turns = false;                 // the force has a moment about a center of mass
   // Friction removes most of the slip in a step. Or friction changes between sticking and slipping
-  // in a stiff touch, or in one that turns a body.
+  // in a stiff touch, or in a touch that turns a body.
   bool shakes = false;
   bool rubs = false;  // has friction
-  // error of the speed by the phase, over this touch and earlier ones of its sides
+  // error of the speed that the phase causes, over this touch and earlier touches of both sides
   double speed_off = 0.0;
   bool slides = false;    // friction slid in the last step
   double approach = 0.0;  // m/s
   std::shared_ptr<MotionEvent> told = {};
   int64_t begin = 0;                // the step of the chain in which the touch begins
   int64_t points = 0, changed = 0;  // code of the points that push, and the step of its last change
-  // other contacts of its sides, which rest meanwhile
+  // other contacts of both sides, which rest during this touch
   std::vector<std::weak_ptr<const TouchEvent>> beside;
   int32_t steps = 0;
   TouchFlaw flaw = TouchFlaw::None;

@@ -11,10 +11,11 @@
 
 namespace novaphy::diff {
 
-// The differentiable SolverFeatherstone, with the same bits. With contacts the solve runs more
-// sweeps. An active nova::Tape records each step as one operation with the exact adjoint.
-// diff_articulation_step.h lists the gradients. rollout runs many steps, with the bits of a loop of
-// step. With checkpoints, backward runs the steps between two kept states once more.
+// The differentiable SolverFeatherstone. Without contacts the states have the same bits. With
+// contacts the solve runs more sweeps than that of SolverFeatherstone. An active nova::Tape records
+// each step as one operation with the exact adjoint. diff_articulation_step.h lists the gradients.
+// rollout runs many steps, with the same bits as calls of step in a loop. With checkpoints,
+// backward runs the steps between two kept states once more.
 class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
  public:
   // Errors: as for SolverFeatherstone. `allow_unconverged`: gradients do not throw for steps whose
@@ -35,7 +36,7 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
   // Errors: as for SolverFeatherstone::step. ErrorKind::Runtime: a call inside a ScopedCapture.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override;
-  // Errors: as for step, for the last step that failed.
+  // Errors: those of step, for the last step that failed.
   void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts, float dt,
                const RolloutOptions& options = {}) override;
   void notify_model_changed(ModelFlags flags) override;

@@ -156,7 +156,8 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   void note_step(const SimState& in, const SimState& from, const SimState& out,
                  const Contacts* contacts, const ContactTables& tables, const nova::Operand& wrench,
                  float dt, bool keeps);
-  // The name of the solver with what has no AdjointRecord; null: nothing.
+  // Returns the name of the solver with the setting that AdjointRecord does not support. Null: the
+  // record supports all settings.
   const char* without_record() const;
   bool moves_particles() const;
   bool moves_bodies() const;

@@ -16,7 +16,7 @@ namespace novaphy {
 
 struct NOVAPHY_DYNAMICS_API AdjointRecord : nova::Tape::Witness {
   struct Contact {
-    int32_t row = 0;  // of the contacts of the step
+    int32_t row = 0;  // contact row of the step
     int32_t world = 0, shape0 = 0, shape1 = 0;
     Vec3f point{}, normal{}, impulse{}, adjoint{};  // as ContactNote
     bool held = false;
@@ -37,19 +37,20 @@ struct NOVAPHY_DYNAMICS_API AdjointRecord : nova::Tape::Witness {
   };
 
   nova::Tensor loss;
-  int64_t pass = 0;  // of the tape: Tape::passes() behind the adjoint
+  int64_t pass = 0;  // Tape::passes() after the adjoint
   // The leaves of the tape, and what the adjoint added to their gradients; empty: nothing.
   std::vector<std::pair<nova::Tensor, std::vector<float>>> gradients;
   std::vector<Step> steps;  // in the order of the adjoint: the last one first
 
-  // The gradient of the adjoint by a leaf; null: it is none, or has no gradient.
+  // Returns the gradient that the adjoint computed for a leaf. Null: the tensor is no leaf of the
+  // tape, or the adjoint computed no gradient for it.
   const std::vector<float>* gradient(const nova::Tensor& leaf) const;
-  // A new entry; `of` is the identity of the step.
+  // Adds an entry for a step. `of` is the address that identifies the step.
   Step& add(const void* of);
 
   // The record that adjoints and tangents of this thread fill; null: none.
   static AdjointRecord* current();
-  // The entry of a step in that record; null: there is none.
+  // The entry of a step in the current record; null: the record has no such step.
   static Step* entry_of(const void* step);
   class NOVAPHY_DYNAMICS_API Scope {
    public:

@@ -98,9 +98,9 @@ struct NOVAPHY_DYNAMICS_API GradientWitness : nova::Tape::Witness {
   virtual GradientInfo info() const = 0;
   // Returns the events of the steps whose time moves with the state.
   virtual MotionEvents events() const { return {}; }
-  // Returns whether the solver looks for such events.
+  // Returns whether the solver looks for events whose time moves with the state.
   virtual bool has_events() const { return false; }
-  // The name of a solver whose steps fill no AdjointRecord; null: they do.
+  // Returns the name of a solver whose steps fill no AdjointRecord. Null: the steps fill it.
   virtual const char* without_record() const { return nullptr; }
   // For solvers whose entries of a record come from gradients that the tape keeps: clears these
   // before the adjoint, and adds the entries after it. Other solvers add them in their adjoints.

@@ -33,8 +33,8 @@ struct StepInputs {
   // For a rollout over a trajectory with checkpoints.
   struct Checkpoints {
     int32_t step = 0;               // from state `step` to the next
-    bool next_is_kept = false;      // whether the state after it is kept
-    bool is_recomputed = false;     // whether Trajectory::recompute runs it, after the rollout
+    bool next_is_kept = false;      // whether the state after the step is kept
+    bool is_recomputed = false;     // whether Trajectory::recompute runs the step again
     std::map<int32_t, Array> kept;  // carried memory of a solver at kept states
   };
   std::shared_ptr<Checkpoints> checkpoints;  // null: all states are kept, or no rollout

@@ -50,9 +50,9 @@ struct GradientInfo {
   int64_t h_step = -1, h_skipped = 0;
 };
 
-// The drift of H = p . f of an adjoint in steps without events. Each step is compared with itself
-// along its own motion. With y_k = D_k^T p_k+1, the rates f_k of the state in step k, and the
-// gradient w_k with respect to the forces u_k of step k (targets and wrenches included),
+// A check of an adjoint p: how far H = p . f drifts in steps without events. f_k are the rates of
+// the state in step k, D_k is the derivative of step k, and y_k = D_k^T p_k+1. w_k is the gradient
+// with respect to the forces u_k of step k (targets and wrenches included). For a right adjoint
 //   m_k = y_k . f_k - p_k+1 . f_k+1 + w_k . (u_k+1 - u_k) / dt
 // is 0 up to O(dt). Steps that cannot be compared are skipped: the state after the step was
 // written, the step has not converged, or the next step has another dt.
@@ -94,7 +94,7 @@ struct MotionCounts {
   int64_t one_sided = 0;
   int64_t landings = 0;    // events without a bounce, which take two steps
   int64_t phased = 0;      // landings whose friction turns: the states depend on the phase
-  int64_t stiff = 0;       // with springs: touches of few steps with a lever arm
+  int64_t stiff = 0;       // with springs: touches of few steps whose force turns a body
   int64_t rough = 0;       // with springs: touches whose speed depends on the phase of the steps
   int64_t ramp_steps = 0;  // with springs: steps with contacts within half a step of begin or end
   int64_t moved = 0;       // steps whose gradient has more than that of the code

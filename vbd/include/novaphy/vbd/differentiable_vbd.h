@@ -88,7 +88,7 @@ struct VbdGradientInfo {
   VbdResidual primal;          // residual of the step
   double linear_residual = 0;  // implicit: relative residual of the linear system; else 0
   int32_t linear_sweeps = 0;   // implicit: sweeps for the linear system
-  bool converged = true;       // implicit: both are within the tolerance
+  bool converged = true;       // implicit: both residuals are within the tolerance
   // Unrolled: number of coarse steps that were halved. There the result jumps, which a gradient
   // does not see.
   int32_t halvings = 0;

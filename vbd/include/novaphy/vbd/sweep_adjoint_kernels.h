@@ -29,11 +29,12 @@ struct VbdAdjointArguments {
       Optional<Updates<VbdRow>> multiplier_sum;   // the sum of u; null: not wanted
       // the particle of each lane of each slot of each role; -1: none
       Reads<int32_t> slot_particle;
-      // of slots: 3 rows for each other particle; on devices 3 more for the own particle
-      Updates<float> terms; Updates<float> numbers;  // of slots: the adjoints of all their numbers
-      Reads<int64_t> begins;  // for the three tables above: where each role begins
-      Each<Number<int64_t>, vbd::kRoles> first;  // by role: the first lane of the launch's slots
-      // by role: the threads of the launch up to the end of the role
+      // for each slot: 3 rows for each of the other particles; on devices 3 rows more for the
+      // slot's own particle
+      Updates<float> terms; Updates<float> numbers;  // for each slot: adjoints of all its numbers
+      Reads<int64_t> begins;  // where each role begins in slot_particle, terms and numbers
+      Each<Number<int64_t>, vbd::kRoles> first;  // for each role: the first lane of its slots
+      // for each role: the number of threads of the launch up to the end of the role
       Each<Number<int64_t>, vbd::kRoles> ends;)
 };
 
@@ -45,7 +46,8 @@ template <Role role, class S>
 float* adjoints_of_numbers(const VbdAdjointArguments& a, const Slot<role, S>& slot) {
   return a.numbers + (a.begins[2 * kRoles + role] + (slot.floats - a.sweep.floats[role]));
 }
-// Adds the adjoints of the numbers before `last`, of the weights only where wanted.
+// Adds the adjoints of a slot's numbers before `last`. Adjoints of weights are added only if
+// a.weights is 1.
 template <Role role, class S>
 void add_numbers(const VbdAdjointArguments& a, const Slot<role, S>& slot,
                  const SlotAdjoints<role, S>& of, int last) {

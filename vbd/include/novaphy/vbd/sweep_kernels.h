@@ -163,7 +163,8 @@ void for_slots(const LaneGroup<S>& g, const Body& body) {
   for (int64_t s = begin[g.group]; s < begin[g.group + 1]; ++s) body(Slot<role, S>(g.a, s, g.lane));
 }
 
-// One contact of each particle that has one left, and the number of the contact. -1: none left.
+// One contact for each lane's particle, and its row in the array of contacts. Row -1: the particle
+// has no more contacts. `touching` marks the lanes with a contact.
 template <class S>
 struct LaneContacts {
   MaskOf<S> touching{};

@@ -28,7 +28,8 @@ void sweep_shifts(const ForRows& for_rows, const Whole& whole) {
   }
 }
 
-// for_contacts(back, f) calls f for each contact, and for_friction(f) for each dry friction.
+// Solves the contacts and the dry friction of an island by sweeps. for_contacts(back, f) calls f
+// for each contact, and for_friction(f) for each joint with dry friction.
 // complete(row) completes the data of a contact.
 template <class ForContacts, class ForFriction, class Complete>
 IslandResult sweep_island(bool cone, int32_t most_sweeps, float tolerance,

@@ -123,7 +123,7 @@ struct IslandTree {
   float* rates;         // {2, padded_dofs}: ws.qd_next, which contacts change, and the shifts;
                         // padded with zeros
   const float* qd;      // rates before the step
-  bool moves;           // whether impulses move it
+  bool moves;           // whether impulses move the tree
 };
 
 // A contact of an island. `contact` is its row; the widths come from set_widths.
@@ -141,8 +141,8 @@ struct IslandContact {
   // moves below the other point.
   bool follows = false;
   bool turns = false;        // moving contact point (turning_contacts.h)
-  bool elastic = false;      // whether it has restitution
-  float* numbers = nullptr;  // {6, widths of both sides}: J, followed by Y, of each side
+  bool elastic = false;      // whether the contact has restitution
+  float* numbers = nullptr;  // {6, widths of both sides}: J, then Y = M^-1 J^T, of each side
   bool whole = false;        // whether build_responses was called
 };
 

@@ -58,8 +58,8 @@ inline constexpr float kShiftSoftness = 0.05f;   // 1
 inline constexpr float kMostShift = 0.1f;        // rad or m per dof and step
 inline constexpr int32_t kShiftSweeps = 100;     // largest number of sweeps of shifts
 inline constexpr float kShiftTolerance = 1e-6f;  // m/s
-inline constexpr float kOtherAxes = 1e-3f;       // part of the tangents' J Y in that of the normal
-                                                 // alone
+inline constexpr float kOtherAxes = 1e-3f;       // 1: fraction of the J Y of all three rows that
+                                                 // is added to the J_n Y_n of the sides alone
 template <class T>
 struct ContactMaterial {
   T friction{}, restitution{}, stiffness{}, damping{};

@@ -147,9 +147,10 @@ void step_vjp_end(const Tree<T>& tree, const StepInputs<T>& in, const T* q_next,
   gather_mimics(tree, rate);
 }
 
-// The first of three parts: computes the gradients of q and u, in `tangent` and `rate`, from those
-// of the new state. The second part of `scratch` has the contribution of q' to `rate`. `qdd`,
-// `branch` (as numbers), `q_next` and `qd_next` are those of the step; rows of the arrays.
+// The first of three parts of the adjoint of a step: computes the gradients of q and u from those
+// of the new state, in `tangent` and `rate`. The second part of `scratch` has the contribution of
+// q' to `rate`. `qdd`, `branch` (as numbers), `q_next` and `qd_next` are those of the step; rows of
+// the arrays.
 template <class T>
 void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                     const T* qdd, const T* branch, const T* q_next, const T* qd_next,
@@ -191,7 +192,8 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
   });
 }
 
-// The second part: recomputes the dynamics at the start of the step, with M's factor.
+// The second part of the adjoint of a step: recomputes the dynamics at the start of the step, and
+// the factor of the mass matrix M.
 template <class T>
 void step_vjp_dynamics(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                        Workspace<T>& ws) {
@@ -253,7 +255,8 @@ T bound_vjp(const Link& link, const StepInputs<T>& in, const StepOptions<T>& opt
   return by_velocity;
 }
 
-// The third part: computes the gradients of the inputs from lambda.
+// The third part of the adjoint of a step: computes the gradients of the inputs from lambda, the
+// solution of the adjoint linear system.
 template <class T>
 void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                      const StepGradient<T>& g, Workspace<T>& ws, AdjointMemory<T>& memory) {

@@ -92,7 +92,7 @@ struct LinkState {
   SpatialVector<T> v{};           // motion of the link
   SpatialVector<T> a{};           // acceleration, including that of the world against gravity
   SpatialVector<T> f{};           // force through the joint
-  SpatialVector<T> wrench{};      // external wrench about its center of mass, world axes
+  SpatialVector<T> wrench{};      // external wrench about the link's center of mass, world axes
   // Data of adjoint sweeps: virtual motion, adjoints of acceleration and motion, torque of
   // wrenches. The sweeps of articulated bodies (articulated_body.h) also use them.
   SpatialVector<T> w{}, a_adjoint{}, v_adjoint{};

@@ -47,8 +47,8 @@ class NOVAPHY_DYNAMICS_API ContactTables {
   // rebuilds the tables of bodies. ErrorKind::Index: a contact names a particle that does not
   // exist.
   void update(const Model& model, const Contacts& contacts, const Wanted& wanted);
-  // Rebuilds the tables by launches, from contacts that an earlier launch has written. The memory
-  // is reused for contacts in the same memory.
+  // Rebuilds the tables by launches, from contacts that an earlier launch has written. If the
+  // contacts have the same memory as in the last call, the tables keep their memory, too.
   void rebuild(const Model& model, const Contacts& contacts, const Wanted& wanted);
 
   // Null if not requested, or if the contacts have no rows.

@@ -74,7 +74,7 @@ void for_each_dof_number(const Visit& visit, JointDof<T>& d, Arrays&... a) {
   visit(d.damping, a.damping...);
   visit(d.effort_limit, a.effort_limit...);
 }
-// Sets the parameters of the drive that the target mode does not use to 0.
+// Clears each parameter of the drive that the target mode does not use: the parameter becomes 0.
 template <class T, class Bool>
 void select_drive(const Bool& position, const Bool& velocity, JointDof<T>& d) {
   using math::either;
@@ -210,7 +210,8 @@ JointWrench<T> wrench_at(const Vec3<T>& arm_p, const Vec3<T>& arm_c, const Vec3<
 
 }  // namespace joint_detail
 
-// All types but FREE and DISTANCE: `linear` axes, then `angular` ones (`is_ball`: three).
+// Returns the wrench of a joint of any type except FREE and DISTANCE. `dofs` has the `linear` axes
+// first, then the `angular` axes (`is_ball`: three).
 template <class T>
 JointWrench<T> penalty_joint_wrench(const JointFrames<T>& j, const JointDof<T>* dofs, int linear,
                                     int angular, bool is_ball, const JointAttach<T>& attach) {

@@ -10,9 +10,9 @@
 //
 // Source: the no-compression adjoint of structural analysis, with a Kelvin-Voigt damper that never
 // pushes.
-// Not smooth: T = 0, where the derivatives are those of the slack rope, 0; ln = rest with kd > 0,
-// where they are those of ln > rest.
-// Gradient: exact in x, ke, kd, rest, ln away from these.
+// Kinks: at T = 0 the derivatives are those of the slack rope, 0. At ln = rest with kd > 0 the
+// derivatives are those of ln > rest.
+// Gradient: exact in x, ke, kd, rest, ln away from the kinks.
 #pragma once
 
 #include "novaphy/vbd/elements/spring.h"

@@ -155,7 +155,8 @@ def bench(args: argparse.Namespace) -> int:
         start_demo(path, ["--headless", str(known.count), *options])
     if len(times) < 4:
         raise ValueError(f"bench: the demo stopped early: {said.getvalue().strip()}")
-    each = np.diff(times)[1:]  # the first may record a capture, and the second make kernels
+    # The first two iterations are left out: they may record a capture and compile kernels.
+    each = np.diff(times)[1:]
     result = {
         "demo": args.demo,
         "iterations": len(times),

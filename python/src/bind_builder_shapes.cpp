@@ -142,7 +142,8 @@ void bind_round_solids(py::class_<ModelBuilder>& c) {
        },
        "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f, "half_height"_a = 0.5f,
        "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
-       "Adds a capsule along local z, with the radius and half_height without the caps (m). "
+       "Adds a capsule along local z, with its radius and half_height (m). half_height leaves the "
+       "round caps out. "
        "Returns the index.")
       .def(
           "add_shape_cylinder",
@@ -156,7 +157,8 @@ void bind_round_solids(py::class_<ModelBuilder>& c) {
           },
           "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f,
           "half_height"_a = 0.5f, "cfg"_a = py::none(), "color"_a = py::none(),
-          "label"_a = py::none(), "Adds a cylinder along local z (m). Returns the index.")
+          "label"_a = py::none(),
+          "Adds a cylinder along local z, with its radius and half_height (m). Returns the index.")
       .def(
           "add_shape_cone",
           [](ModelBuilder& b, int32_t body, py::handle xform, float radius, float half_height,
@@ -170,7 +172,8 @@ void bind_round_solids(py::class_<ModelBuilder>& c) {
           "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f,
           "half_height"_a = 0.5f, "cfg"_a = py::none(), "color"_a = py::none(),
           "label"_a = py::none(),
-          "Adds a cone along local z (m), with its apex at +half_height. Returns the index.");
+          "Adds a cone along local z, with its base radius and half_height (m). The apex is at "
+          "z = +half_height. Returns the index.");
 }
 
 }  // namespace

@@ -107,7 +107,7 @@ void bind_devices(py::module_& m) {
            "Waits until the device has reached the mark.")
       .def_static("elapsed", &Event::elapsed, "start"_a, "stop"_a, release_gil(),
                   "Returns the seconds between two marks of one device. Waits for the second.");
-  py::class_<ScopedDevice>(m, "ScopedDevice", "A context manager with another default device.")
+  py::class_<ScopedDevice>(m, "ScopedDevice", "A context manager that sets the default device.")
       .def(py::init([](py::handle spec) { return ScopedDevice(to_device(spec)); }), "spec"_a)
       .def("__enter__", &ScopedDevice::enter)
       .def("__exit__", [](ScopedDevice& s, const py::args&) { s.exit(); });

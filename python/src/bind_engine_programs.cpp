@@ -19,8 +19,8 @@ void bind_engine_programs(py::module_& m) {
         return texts;
       },
       release_gil(),
-      "The Programs of the engine's own kernels and of their adjoints that are built ahead: hash, "
-      "as in KernelInfo, to text.");
+      "Returns a dict of the engine's kernels and adjoints that are compiled at the build. The key "
+      "is the hash, as in KernelInfo. The value is the text of the Program.");
 }
 
 }  // namespace novaphy::python

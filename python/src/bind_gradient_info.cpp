@@ -67,7 +67,7 @@ constexpr std::pair<const char*, const char*> kFields[] = {
     {"frozen_steps",
      "The number of steps with active contacts whose points or normals are frozen."},
     {"surrogate_steps",
-     "The number of steps whose contact solve missed its law, or whose law jumps."},
+     "The number of steps whose contact solve has a large residual, or whose contact law jumps."},
     {"events", "The number of events: began + ended + turned."},
     {"began", "The number of contacts that began to push from one step to the next."},
     {"ended", "The number of contacts that ceased to push from one step to the next."},

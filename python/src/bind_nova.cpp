@@ -239,7 +239,7 @@ void bind_functions(py::module_& m) {
       "div", [](float a, const Tensor& b) { return nova::div(a, b); }, "a"_a, "b"_a, release_gil());
   NOVAPHY_UNARY(neg, "Returns -x.")
   NOVAPHY_UNARY(abs, "Returns |x|. The derivative is -1 below 0, else +1.")
-  NOVAPHY_UNARY(sqrt, "Returns the square root. No gradient at 0.")
+  NOVAPHY_UNARY(sqrt, "Returns the square root. The gradient at 0 is 0.")
   NOVAPHY_UNARY(exp, "Returns e^x.")
   NOVAPHY_UNARY(log, "Returns the natural logarithm.")
   NOVAPHY_UNARY(sin, "Returns the sine of x (rad).")
@@ -274,7 +274,7 @@ void bind_functions(py::module_& m) {
         return nova::where(condition, x, y);
       },
       "condition"_a, "a"_a, "b"_a, doc::kWhere);
-  NOVAPHY_UNARY(norm, "Returns the Euclidean norm of all values {1}. No gradient at 0.")
+  NOVAPHY_UNARY(norm, "Returns the Euclidean norm of all values {1}. The gradient at 0 is 0.")
   NOVAPHY_UNARY(sum_rows, "Returns the sum {1, w} of the rows of a tensor {n, w}.")
   m.def(
       "dot", [](const Tensor& a, const Tensor& b) { return nova::dot(a, b); }, "a"_a, "b"_a,

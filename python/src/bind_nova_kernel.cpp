@@ -45,8 +45,8 @@ size_t source_number(const TraceContext& c, py::handle source) {
 void bind_context(py::module_& m) {
   py::class_<PyContext, std::shared_ptr<PyContext>>(
       m, "TraceContext",
-      "The argument of a traced function. A source is given by its name or index. Without a row it "
-      "is read at the row of its declared access.")
+      "The argument of a traced function. A source is given by its name or index. Without a row, "
+      "a method reads the source at the row that the declared access gives.")
       .def(
           "index", [](const PyContext& c) { return c.get().index(); }, "Returns the output row i.")
       .def(
@@ -60,27 +60,30 @@ void bind_context(py::module_& m) {
           [](const PyContext& c, py::handle source, int32_t column) {
             return c.get().f32(source_number(c.get(), source), column);
           },
-          "source"_a, "column"_a = 0, "Returns a float column at the declared row.")
+          "source"_a, "column"_a = 0,
+          "Returns a float column, at the row that the declared access of the source gives.")
       .def(
           "f32",
           [](const PyContext& c, py::handle source, const Int& row, int32_t column) {
             return c.get().f32(source_number(c.get(), source), row, column);
           },
           "source"_a, "row"_a, "column"_a,
-          "Returns a float column at a row, which has to fit the declared access.")
+          "Returns a float column at a row. The declared access of the source must allow the row.")
       .def(
           "i32",
           [](const PyContext& c, py::handle source, int32_t column) {
             return c.get().i32(source_number(c.get(), source), column);
           },
-          "source"_a, "column"_a = 0, "Returns an integer column at the declared row.")
+          "source"_a, "column"_a = 0,
+          "Returns an integer column, at the row that the declared access of the source gives.")
       .def(
           "i32",
           [](const PyContext& c, py::handle source, const Int& row, int32_t column) {
             return c.get().i32(source_number(c.get(), source), row, column);
           },
           "source"_a, "row"_a, "column"_a,
-          "Returns an integer column at a row, which has to fit the declared access.")
+          "Returns an integer column at a row. The declared access of the source must allow the "
+          "row.")
       .def(
           "param", [](const PyContext& c, int32_t k) { return c.get().param(k); }, "k"_a,
           "Returns launch parameter k as a float.")

@@ -41,7 +41,8 @@ normals of contacts are frozen.
 primal: the VbdResidual of the step of the last backward or jvp.
 linear_residual: with implicit gradients the relative residual of the linear system, else 0.
 linear_sweeps: with implicit gradients the sweeps for the linear system.
-converged: whether both are within the tolerance; True with unrolled gradients.
+converged: whether the step and the linear system are within the tolerance; True with unrolled
+gradients.
 halvings: with unrolled gradients the number of coarse steps of the step that were halved. The
 result jumps where this number changes.
 

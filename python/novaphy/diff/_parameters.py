@@ -160,7 +160,7 @@ class Losses:
         self.user = parameters.user
 
     def of_the_code(self) -> Losses | None:
-        """Return the same with contact_gradient="code"; None where f has no such argument."""
+        """Return these losses with contact_gradient="code"; None: f has no such argument."""
         try:
             known = inspect.signature(self.f).parameters
         except (TypeError, ValueError):

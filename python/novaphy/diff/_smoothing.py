@@ -42,7 +42,7 @@ def check_worlds(user: str, worlds: int, antithetic: bool = True) -> None:
 
 
 def draw(worlds: int, width: int, seed: int, antithetic: bool) -> Numbers:
-    """Return samples {worlds, width} of variance 1; antithetic ones follow each other as ±w."""
+    """Return samples {worlds, width} of variance 1. Antithetic samples come in pairs w, -w."""
     if not antithetic:
         return normal_numbers(worlds, width, seed)
     half = normal_numbers(worlds // 2, width, seed)
@@ -50,15 +50,21 @@ def draw(worlds: int, width: int, seed: int, antithetic: bool) -> Numbers:
 
 
 def zeroth_order(losses: Numbers, w: Numbers, antithetic: bool) -> Numbers:
-    """Return the terms {pairs or worlds, n} whose mean is the gradient, per sigma."""
+    """Return terms {samples, n}. Their mean, divided by sigma, estimates the gradient.
+
+    samples: the number of antithetic pairs, or of worlds.
+    """
     if antithetic:
         return 0.5 * (losses[0::2] - losses[1::2])[:, None] * w[0::2]
-    # The mean of the others is the baseline, so that the estimate has no bias.
+    # The mean loss of the other samples is the baseline, so that the estimate has no bias.
     return ((losses - losses.mean()) * (len(w) / (len(w) - 1)))[:, None] * w
 
 
 def first_order(gradients: Numbers, antithetic: bool) -> Numbers:
-    """Return the terms {pairs or worlds, n} whose mean is the mean gradient."""
+    """Return terms {samples, n}, whose mean is the mean gradient.
+
+    samples: the number of antithetic pairs, or of worlds.
+    """
     return 0.5 * (gradients[0::2] + gradients[1::2]) if antithetic else gradients
 
 

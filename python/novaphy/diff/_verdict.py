@@ -38,7 +38,7 @@ class Evidence(NamedTuple):
 
 
 def disagreements(of: Evidence) -> Numbers:
-    """Return the distance of gradient and differences {4}, beyond rounding, relative."""
+    """Return the relative distance {4} of gradient and differences, less the rounding error."""
     floor = 3.0 * of.noise * np.sqrt(len(of.slopes))
     lengths = np.maximum(np.linalg.norm(of.differences, axis=1), np.linalg.norm(of.slopes))
     apart = np.linalg.norm(of.differences - of.slopes, axis=1)
@@ -60,10 +60,11 @@ def is_settled(of: Evidence) -> bool:
 
 
 def is_converging(of: Evidence) -> bool:
-    """Whether the distance of the differences from the gradient vanishes with the step.
+    """Return whether the differences converge to the gradient as their step shrinks.
 
-    The central differences of a smooth loss approach its gradient with the square of the step. A
-    contact that stays in its time step looks alike, where the gradient leaves its time out.
+    Central differences of a smooth loss converge with the square of the step. The differences also
+    converge if a contact stays in its time step and the gradient omits the contact's time. The
+    result is then False.
     """
     _, wide, narrow, tiny = disagreements(of)
     falls = narrow <= wide * (STEPS[2] / STEPS[1]) and tiny <= CONVERGED
@@ -73,9 +74,9 @@ def is_converging(of: Evidence) -> bool:
 def reversed_component(of: Evidence) -> int | None:
     """Return the direction of the largest component whose sign is wrong, or None.
 
-    The differences over 0.3 and 0.1 sigma agree there, and the slope of the samples is nearer to
-    them than to the gradient. A component below 2 % of the gradient is not told from roughness, as
-    are all directions across the gradient.
+    The differences over 0.3 and 0.1 sigma agree for this component. The slope of the samples is
+    nearer to the differences than to the gradient. Components below 2 % of the gradient are left
+    out, because the roughness of the loss can change their sign.
     """
     _, wide, narrow, _ = of.differences
     apart = np.abs(wide - of.slopes)

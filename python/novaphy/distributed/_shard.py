@@ -87,14 +87,18 @@ def shard(
     devices: Sequence[str] | None = None,
     group: Group | None = None,
 ) -> Shard:
-    """Make the blocks of this rank.
+    """Make the models of the worlds that this process simulates.
 
-    scene: a ModelBuilder of one world, of which a block has copies; or a function
+    All worlds of a run are divided into blocks of equal size. Each block has its own Model. Each
+    rank (process) gets consecutive blocks.
+
+    scene: a ModelBuilder of one world, which every world copies; or a function
     (first_world, worlds, device) -> Model, for worlds that differ.
     worlds: the number of worlds of the whole run; a multiple of block.
-    block: worlds of a block. The bits of sums depend on worlds and block, and on nothing else.
-    device, devices: where the blocks of this rank live; several devices take them in turn.
-    group: None: the group of init.
+    block: the number of worlds in a block. The bits of sums depend on worlds and block alone.
+    device, devices: where the models of this rank live. With several devices, block k of the rank
+    is on devices[k % len(devices)].
+    group: the processes of the run. None: the group that init made.
 
     ValueError: worlds that block does not divide, more ranks than blocks, an unknown device.
     RuntimeError: the ranks do not have the same model; the message names them.

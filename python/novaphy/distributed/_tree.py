@@ -54,7 +54,7 @@ class BlockSums:
         self._nodes[level, index] = values
 
     def nodes(self) -> list[Node]:
-        """Return the largest whole subtrees so far."""
+        """Return the sums so far, one for each of the largest subtrees that are complete."""
         return [(level, index, values) for (level, index), values in sorted(self._nodes.items())]
 
     def total(self) -> Vector:

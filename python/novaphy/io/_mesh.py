@@ -12,19 +12,19 @@ from .. import _core
 
 
 class Mesh(NamedTuple):
-    """Triangles: ``builder.add_cloth_mesh(**mesh._asdict(), density=0.3)``."""
+    """A triangle mesh, for ``builder.add_cloth_mesh(**mesh._asdict(), density=0.3)``."""
 
     vertices: NDArray[np.float32]
-    """(n, 3) positions."""
+    """(n, 3) positions, in the unit of the mesh."""
     indices: NDArray[np.int32]
     """(m, 3) corners of triangles, counter-clockwise from outside."""
 
 
 class TetMesh(NamedTuple):
-    """Tetrahedra: ``builder.add_soft_mesh(mesh=mesh, density=300.0)``."""
+    """A tetrahedral mesh, for ``builder.add_soft_mesh(mesh=mesh, density=300.0)``."""
 
     vertices: NDArray[np.float32]
-    """(n, 3) positions."""
+    """(n, 3) positions, in the unit of the mesh."""
     indices: NDArray[np.int32]
     """(m, 4) corners of tetrahedra, of positive volume."""
 

@@ -154,7 +154,7 @@ def _tensor(value: Any, name: str) -> Tensor:
 def _read(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Return the arrays of an archive by name, all float32 and finite, and its meta."""
     where = os.fspath(path)
-    with open(path, "rb") as file:  # an OSError here is of the file system
+    with open(path, "rb") as file:  # an OSError here means a missing or unreadable file
         try:
             if file.read(2) != b"PK":
                 raise ValueError("it does not begin as one")

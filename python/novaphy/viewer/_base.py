@@ -120,7 +120,7 @@ class Viewer:
         materials: ArrayLike | None = None,
         hidden: bool = False,
     ) -> None:
-        """Show copies of a mesh at transforms {n, 7}."""
+        """Show copies of a mesh at transforms {n, 7} (m, quaternion xyzw)."""
 
     def log_shapes(
         self,

@@ -63,10 +63,11 @@ class ViewerHTML(SceneViewer):
         self._arrow_length = 0.0
 
     def log_adjoint_record(self, record: AdjointRecord, length: float = 0.3) -> None:
-        """Add a time axis of a gradient, and arrows of the contacts to the frames from now on.
+        """Add a plot of a gradient over time, and arrows of its contacts to the next frames.
 
-        The axis has the length of the gradient, H, events and suspects over time. A click shows the
-        step and its contacts. Times of frames are those of the record (s).
+        The plot shows the norm of the gradient, H (the adjoint times the rates), events and
+        suspects. Suspects are steps in which H changes. A click shows the step and its contacts.
+        Times of frames are those of the record (s).
 
         Args:
             record: the result of `tape.adjoint_record()`.

@@ -354,7 +354,7 @@ def _energy_of_points(
 def draw_contacts(
     viewer: Viewer, arrays: Mapping[str, np.ndarray], contacts: Contacts, state: SimState
 ) -> None:
-    """Draw the contacts of a state: a point each, with its force, or its normal without a force."""
+    """Draw each contact of a state as a point and an arrow: the force, or else the normal."""
     q, p = state.body_q.numpy(), state.particle_q.numpy()
     starts, ends = contact_segments(arrays, contacts, q, p)
     viewer.log_points("contacts/points", starts, CONTACT_POINT, CONTACT_COLOR)

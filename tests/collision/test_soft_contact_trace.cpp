@@ -175,8 +175,8 @@ TEST(PlaneDistance, IsInfiniteUnlessBothExtentsArePositive) {
   }
 }
 
-// Newton's finite plane has the unsigned distance |z| below the sheet; ours is signed, so a
-// particle that went through is pushed back.
+// Newton's finite plane has the unsigned distance |z| below the sheet. NovaPhy's distance is
+// signed, so a particle that went through the plane is pushed back.
 TEST(PlaneDistance, IsSignedUnderAFinitePlane) {
   const auto under = plane_distance(Vec3f{0.25f, 0.0f, -0.125f}, 2.0f, 2.0f);
   EXPECT_EQ(under.distance, -0.125f);

@@ -12,7 +12,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Folders of headers, which are gone behind the test.
+// Writes headers to a temporary folder, which the end of the test removes.
 class KernelText : public ::testing::Test {
  protected:
   KernelText()

@@ -21,7 +21,8 @@ class NewtonRigidScene {
   const NpyArray& operator[](const std::string& array) const { return file_[name_ + "_" + array]; }
   float dt() const { return static_cast<float>((*this)["dt"].scalar<double>()); }
 
-  // Mass and inertia come from the file, because Newton adds in float32.
+  // Builds the scene. Mass and inertia come from the file: Newton sums those of the shapes in
+  // float32, with other rounding.
   std::shared_ptr<Model> model(Device device = Device::cpu()) const {
     ModelBuilder builder(Axis::Z, (*this)["model_gravity"].as<Vec3f>()[0]);
     const size_t bodies = (*this)["model_body_mass"].size();

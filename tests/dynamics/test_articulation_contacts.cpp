@@ -43,7 +43,7 @@ struct Scene {
     const Quat<double> r = {number(), number(), number(), number()};
     return scaled(r, 1.0 / quat_length(r));
   }
-  // A point of a link in the world.
+  // Returns the world position of a point of a link.
   Vec3<double> world(int32_t link, const Vec3<double>& core) {
     return ws.links[link].origin + surface_point(ws.links[link], core, Vec3<double>{}).at;
   }

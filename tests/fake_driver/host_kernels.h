@@ -9,8 +9,9 @@ struct HostKernel {
   // One thread, with a copy of the arguments as passed to the driver.
   std::function<void()> (*bind)(void* const* arguments);
 };
-// Null: there is none of this name.
+// Null: no kernel has this name.
 const HostKernel* find_host_kernel(const char* name);
-// One launch at a time. `backwards`: from the last row to the first.
+// Runs a launch. Only one launch may run at a time. `backwards`: threads run from the last row to
+// the first.
 void run_host_kernel(const HostKernel& kernel, unsigned blocks, unsigned threads, bool backwards,
                      const std::function<void()>& thread);

@@ -44,9 +44,9 @@ struct Kind {
   int32_t rows() const { return static_cast<int32_t>(index.size()) / corners; }
 };
 
-// A grid of points with springs along its edges and triangles in its cells, over some substeps.
-// Later substeps pull the points the other way, and elements read states that nobody writes any
-// more.
+// A grid of points with springs along its edges and triangles in its cells. The forward pass runs
+// kSubsteps substeps. The backward pass runs through the same substeps in reverse. Its elements
+// then read states that no operation writes.
 struct Mesh {
   static constexpr uint32_t kSubsteps = 5;
   std::vector<Kind> kinds;

@@ -29,7 +29,7 @@ if(COMPONENT STREQUAL "unknown")
   expect_refused("REQUIRED COMPONENTS core warp_drive" "unknown component 'warp_drive'")
   expect_refused("COMPONENTS warp_drive" "unknown component 'warp_drive'")
   expect_refused("99.0 REQUIRED COMPONENTS core" "version")
-  # A copy without one component's file: other consumers use the prefix at the same time.
+  # The test removes a component's file from a copy of the prefix. Other tests use the prefix at the same time.
   file(COPY ${PREFIX}/ DESTINATION ${WORK_DIR}/prefix)
   file(GLOB installed ${WORK_DIR}/prefix/lib*/cmake/NovaPhy/NovaPhy_core.cmake)
   file(REMOVE ${installed})

@@ -128,8 +128,8 @@ inline double weighted(const std::vector<std::vector<Dual>>& outputs, const Seed
   return total;
 }
 
-// d(sum of seeds * outputs), element by element: forward mode, or (step > 0) central differences in
-// double.
+// Returns the derivative of sum(seeds * outputs) with respect to each input value, in double. step
+// 0: forward mode. step > 0: central differences.
 inline Gradients oracle_gradients(const Call& call, const Seeds& seeds, double step = 0.0) {
   OracleInputs in = oracle_inputs(call);
   Gradients gradients;

@@ -120,7 +120,7 @@ def test_terms_lead_from_the_frozen_gradient_to_the_exact_one(demos, monkeypatch
             found[kind, terms] = tuning.gradient(tuning.values)
     for seen in ((), ("observations",)):
         exact = found["exact", seen]
-        # In flight there are no other terms, except for the rotation of a small rotation.
+        # In flight "frozen" with "dynamics" lacks one small term: the rotation of a small rotation.
         off = [
             np.abs(found["frozen", (*more, *seen)] - exact).max() for more in ((), ("dynamics",))
         ]

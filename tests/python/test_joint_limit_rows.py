@@ -381,7 +381,7 @@ def test_the_tangent_of_a_chain_on_its_stops_is_the_transpose_of_its_adjoint(mod
     start = np.array([[0.1, -0.05, 0.2], [1.0, -2.0, 1.5]])
     _, adjoint, tangent = run(start, gradient=True)
     assert abs(adjoint - tangent) < 1e-4 * max(1.0, abs(adjoint)), (adjoint, tangent)
-    if mode == "code":  # moves that leave the stops in their steps, and are more than rounding
+    if mode == "code":  # MOVES are above the rounding, and do not move a stop to another step
         slopes = [(run(start + e * along)[0] - run(start - e * along)[0]) / (2 * e) for e in MOVES]
         assert np.abs(np.array(slopes) - adjoint).min() < 5e-3 * abs(adjoint), (slopes, adjoint)
 

@@ -342,7 +342,7 @@ def test_labels_tell_which_touches_are_not_covered() -> None:
     with pytest.warns(RuntimeWarning, match="shakes at the cone"):
         slip = Run(rough, "motion", 300, 1 / 1000, [[1, 0, -1, 0, 0, 0]], weight(1, 0, 2)).info
     assert slip.label == "surrogate" and "takes half of the slip in a step" in slip.reason
-    # Nothing happens, so both words hold; a ball that rests has no event either.
+    # No contact begins or ends. Both gradients are then equal, and the label is the stronger one.
     free = Run(stiff, "motion", 20, 1 / 1000, down, weight(1, 0, 2)).info
     assert free.label == "exact of the motion" and free.events == 0
 

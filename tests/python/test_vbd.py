@@ -607,7 +607,7 @@ def test_a_damping_of_zero_has_its_gradient(gradient):
     ):
         array = getattr(model, name)
         assert (array.numpy()[:, column] == 0).all()
-        acts = (array.numpy() != 0).any(1)  # not the surface of the block
+        acts = (array.numpy() != 0).any(1)  # False: surface triangles of the block
         array.requires_grad = True
         before, after = states(True)
         with nova.Tape() as tape:

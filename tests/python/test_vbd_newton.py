@@ -118,7 +118,7 @@ def test_damping_acts_on_the_motion_inside_the_overlap(speed):
     DiffSolverVBD(model, gradient="implicit").step(start, end, None, contacts, h)
     inertia, contact = 0.1 / h**2, 2e3 + 30.0 / h
     expected = (inertia * (0.021 + h * speed) + contact * 0.02) / (inertia + contact)
-    assert expected < 0.02  # inside the overlap, which began in this step
+    assert expected < 0.02  # the particle begins to touch in this step, and ends in the overlap
     assert end.particle_q.numpy()[0, 2] == pytest.approx(expected, abs=2e-7)
 
 

@@ -234,7 +234,7 @@ def test_a_pointer_picks_the_front_body_anywhere_on_it():
     pixels = viewer.camera.project(corners, *size)
     assert [drag.pick(x, y, size)[:2] for x, y in pixels] == [("body", 0), ("body", 0), ("body", 2)]
     x, y = viewer.camera.project(np.float32([[0.0, 0.0, 2.4]]), *size)[0]
-    assert drag.pick(x, y, size) is None  # over the front one and the one behind it
+    assert drag.pick(x, y, size) is None  # the pixel is above both boxes
     assert viewer.body_at((0.0, -8.0, 1.0), (0.0, 1.0, 0.0)) == 0
     assert viewer.body_at((0.0, 2.0, 1.0), (0.0, 1.0, 0.0)) == 1
     assert viewer.body_at((0.0, -8.0, 1.0), (0.0, -1.0, 0.0)) is None

@@ -7,7 +7,8 @@
 
 namespace novaphy::testing {
 
-// `environment` as in a shell: "A=1 B=2"; `folder` becomes the current directory.
+// Runs the probe and returns its exit code and output. `environment` has the variables as in a
+// shell: "A=1 B=2". `folder` becomes the current directory.
 inline Outcome probe(const std::string& environment, const std::string& arguments,
                      const std::string& folder = "/") {
   const std::string clean =

@@ -12,7 +12,7 @@
 
 namespace novaphy::testing {
 
-// Rows on the CPU: a copy, or zeros.
+// rows_of copies values to an array on the CPU. zeros makes an array of zeros on the CPU.
 template <class T>
 DeviceArray<T> rows_of(std::span<const T> values) {
   return DeviceArray<T>::from_host(values, Device::cpu());
@@ -31,7 +31,7 @@ DeviceArray<T> zeros(size_t rows) {
 struct EverythingScene {
   std::shared_ptr<Model> model;
   std::unique_ptr<Contacts> contacts;
-  std::vector<Vec3f> q, qd, f, w_q, w_qd, targets;  // no targets: the kinematic particles stay
+  std::vector<Vec3f> q, qd, f, w_q, w_qd, targets;  // empty targets: kinematic particles stay
   Control control;
   std::vector<Vec4f> last;  // none: there was no step before
 

@@ -283,7 +283,8 @@ def test_a_gradient_through_steps_that_find_their_contacts_is_that_of_the_real_s
     from novaphy.diff import state_joint_q_tensor
 
     model = tumbling_walker().finalize()
-    # Overlaps and gaps have one law, so that a contact at rest is not between two.
+    # With this slop and erp, one law holds for overlaps and gaps. A contact at rest is then at no
+    # kink between two laws.
     solver = novaphy.solvers.DiffFeatherstoneSolver(
         model, pgs_iterations=3000, pgs_slop=0.0, pgs_erp=1.0
     )
@@ -426,7 +427,8 @@ def test_steps_of_an_ant_are_exact_and_match_differences(monkeypatch, capsys) ->
     import demo_articulated_scenes
 
     model, dt = demo_articulated_scenes.build_ant().finalize(), 1e-3
-    # Overlaps and gaps have one law, so that a contact at rest is not between two.
+    # With this slop and erp, one law holds for overlaps and gaps. A contact at rest is then at no
+    # kink between two laws.
     options = {"pgs_slop": 0.0, "pgs_erp": 1.0}
     solver = novaphy.solvers.DiffFeatherstoneSolver(model, **options)
     converged = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_iterations=2000, **options)

@@ -12,7 +12,7 @@ struct KeptValues {
   // Unconditional values of `loop`, in their order, with their equals in `earlier`. The values
   // depend only on values from outside and on each other.
   std::vector<std::pair<Value, Value>> equal;
-  // The values among these that the rest of the loop reads.
+  // The values of `equal` that the rest of the loop reads.
   std::vector<std::pair<Value, Value>> kept;
 };
 

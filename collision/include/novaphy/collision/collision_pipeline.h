@@ -94,16 +94,12 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
  public:
   // Makes a pipeline.
   //   ErrorKind::Value           no model, a bad margin, a negative maximum, too many pairs for
-  //                              int32;
-  //                              shape pairs with another broad phase, or of two shapes of one
-  //                                body or
-  //                              of the world
+  //                              int32; shape pairs with another broad phase, or of two shapes of
+  //                              one body or of the world
   //   ErrorKind::Index           a pair with a shape that does not exist
   //   ErrorKind::NotImplemented  a narrow phase that the build lacks, a pair of shapes that may
-  //                              touch
-  //                              and is not supported, a colliding shape that is not supported, a
-  //                                model
-  //                              on a device without collision in the build
+  //                              touch and is not supported, a colliding shape that is not
+  //                              supported, a model on a device without collision in the build
   explicit CollisionPipeline(std::shared_ptr<const Model> model,
                              const CollisionOptions& options = {});
 
@@ -135,10 +131,10 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
   // distance exceeds 4 m/s dt plus twice the path of their shapes in the step. After an error
   // nothing is written:
   //   ErrorKind::Value           a state or contacts of another model or device; contacts for
-  //                              another
-  //                              number of candidate pairs (after an edit of shape flags, call
-  //                              contacts() again); a bad margin; dt not finite or <= 0; without dt
-  //                              and outside of recordings, check_rotations (input_checks.h)
+  //                              another number of candidate pairs (after an edit of shape flags,
+  //                              call contacts() again); a bad margin; dt not finite or <= 0;
+  //                              without dt and outside of recordings, check_rotations
+  //                              (input_checks.h)
   //   ErrorKind::Index           a world of a particle, body or shape that does not exist
   //   ErrorKind::NotImplemented  a colliding shape that is not supported; recording Sap with meshes
   //   ErrorKind::Runtime         recording NarrowPhase::Fcl

@@ -75,15 +75,13 @@ class NOVAPHY_DYNAMICS_API FeatherstoneAnalyticControlSensitivity {
   // `contacts`, with contact_projection: those of the step, with the forces that it wrote. The
   // step's own code runs again, with the solver's bits. After an error nothing has changed.
   //   ErrorKind::Value           another size, a number that is not finite, a change of a target
-  //                              without
-  //                              a drive, contacts without contact_projection
+  //                              without a drive, contacts without contact_projection
   //   ErrorKind::Index           contacts of shapes that do not exist
   //   ErrorKind::NotImplemented  a contact with another articulation that moves
   //   ErrorKind::Runtime         no reset, a state_in that is not the last state_out, a state_out
-  //                              that
-  //                              the step does not reproduce (another solver, control, dt or
-  //                                contacts;
-  //                              with pushing contacts, rates are compared to 1e-5 of their terms)
+  //                              that the step does not reproduce (another solver, control, dt or
+  //                              contacts; with pushing contacts, rates are compared to 1e-5 of
+  //                              their terms)
   void step(const SimState& state_in, const SimState& state_out, const Control* control, float dt,
             std::span<const float> dcontrol, std::span<const float> dtarget_qd = {},
             const Contacts* contacts = nullptr);

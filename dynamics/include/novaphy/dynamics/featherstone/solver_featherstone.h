@@ -90,13 +90,11 @@ class NOVAPHY_DYNAMICS_API SolverFeatherstone : public SolverBase {
 
   // Errors besides those of SolverBase::step:
   //   ErrorKind::Value           contacts with contact model None
-  //   ErrorKind::NotImplemented  a value without effect (joint_enabled, joint_act, rolling friction
-  //                              of
-  //                              shapes that may touch and so on)
+  //   ErrorKind::NotImplemented  a value without effect, for example joint_enabled, joint_act, or
+  //                              rolling friction of shapes that may touch
   //   ErrorKind::Index           contacts of shapes that do not exist
-  //   ErrorKind::Runtime         with the dof: the mass matrix is singular or an acceleration is
-  //                              not
-  //                              finite; the articulation's rows of state_out are unchanged
+  //   ErrorKind::Runtime         with the dof: the mass matrix is singular, or an acceleration is
+  //                              not finite; the articulation's rows of state_out are unchanged
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override;
   // False on the CPU.

@@ -81,8 +81,7 @@ class NOVAPHY_DYNAMICS_API SolverSemiImplicit : public SolverBase {
 
   // Errors besides those of SolverBase::step:
   //   ErrorKind::Value           a dt at which the attachment of a joint diverges by itself; an
-  //                              invalid
-  //                              number of the model (Model::check_numbers)
+  //                              invalid number of the model (Model::check_numbers)
   //   ErrorKind::Index           a contact or element of a particle or shape that does not exist
   //   ErrorKind::NotImplemented  a contact with a shape of a body
   // Warns once of a dt at which ke or kd of touching contacts diverges even if all other bodies are

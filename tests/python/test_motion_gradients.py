@@ -263,3 +263,43 @@ def test_what_is_not_there_is_refused_by_name() -> None:
         nova.Tape(),
     ):
         solver.rollout(path, None, None, 1e-3, pipeline=pipeline)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.4])
+def test_hits_on_a_kinematic_body_move_with_it(speed: float) -> None:
+    """Two balls hit one moving box: z = (1 + e) (z_box + v_box T) - e (z + v T) + constant."""
+    from novaphy import diff, nova
+
+    restitution, steps, dt = 0.6, 120, 1 / 240
+    of = novaphy.ShapeConfig(mu=0.0, restitution=restitution, density=0, gap=0.05)
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    inertia = np.eye(3) * 0.01
+    box = builder.add_body(mass=1.0, inertia=inertia, is_kinematic=True)
+    builder.add_shape_box(box, hx=0.5, hy=0.5, hz=0.1, cfg=of)
+    for place in ((-0.2, 0.0, 0.35), (0.2, 0.1, 0.3)):
+        body = builder.add_body(xform=(place, (0, 0, 0, 1)), mass=1.0, inertia=inertia)
+        builder.add_shape_sphere(body, radius=0.1, cfg=of)
+    model = builder.finalize(requires_grad=True)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, angular_damping=0.0, pgs_slop=0.0, pgs_erp=1.0, contact_gradient="motion"
+    )
+    path = diff.Trajectory(model, steps)
+    rates = np.zeros((3, 6), np.float32)
+    rates[:, 2] = [speed, -1.0, -1.0]
+    path[0].joint_qd.assign(rates.ravel())
+    along = np.linspace(-1.0, 1.0, 18).astype(np.float32)
+    with nova.Tape() as tape:
+        solver.rollout(path, None, None, dt, pipeline=novaphy.CollisionPipeline(model))
+        loss = nova.sum(diff.state_joint_q_tensor(path[steps]).reshape(3, 7)[1:3, 2])
+        tape.backward(loss)
+        tangent = tape.jvp(
+            [loss], [diff.state_joint_qd_tensor(path[0])], [nova.tensor(along)]
+        )[0].item()  # fmt: skip
+        info = tape.gradient_info()
+    by_q = path[0].joint_q.grad.numpy().reshape(3, 7)[:, 2]
+    by_qd = path[0].joint_qd.grad.numpy()
+    end = steps * dt
+    np.testing.assert_allclose(by_q, [2 * (1 + restitution), -restitution, -restitution], rtol=1e-4)
+    np.testing.assert_allclose(by_qd.reshape(3, 6)[:, 2], end * by_q, rtol=1e-4)
+    np.testing.assert_allclose(tangent, along @ by_qd, rtol=1e-4)
+    assert info.label == "exact of the motion" and len(info.event_list) == 2

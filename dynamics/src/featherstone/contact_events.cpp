@@ -94,7 +94,7 @@ LandedRow landed_row(const art::ContactRows& c, const art::IslandContact& row) {
 }
 
 // Adds the groups of an island's rows that hit to the event. `begin`: the first dof of each tree of
-// the island. `number`: of the event.
+// the event. `number`: of the event.
 void add_groups(const GroupStep& s, int32_t root, const std::vector<char>& hits,
                 const std::vector<int32_t>& begin, size_t dofs, size_t number, ContactEvent& event,
                 std::vector<LandedRow>& landed) {
@@ -173,11 +173,19 @@ ContactEvents ContactSteps::events(const float* qd, bool continues,
       ContactEvent event;
       std::vector<int32_t> begin(count, -1);
       int32_t dofs = 0;
-      for (int32_t i = root; i >= 0; i = s.a.nodes[i].next) {
+      const auto add_tree = [&](int32_t i) {
         begin[static_cast<size_t>(i)] = dofs;
         dofs += s.rows(i).dof_count;
         event.trees.push_back(i);
-      }
+      };
+      for (int32_t i = root; i >= 0; i = s.a.nodes[i].next) add_tree(i);
+      // Kinematic trees belong to no island, and the time of a hit depends on their motion.
+      for_rows(s, root, [&](const art::IslandContact& row, int32_t n) {
+        for (int side = 0; hits[static_cast<size_t>(n)] != 0 && side < 2; ++side) {
+          const int32_t i = row.sides[side].tree;
+          if (row.solver.sides[side].width != 0 && begin[static_cast<size_t>(i)] < 0) add_tree(i);
+        }
+      });
       add_groups(s, root, hits, begin, static_cast<size_t>(dofs), found.events.size(), event,
                  found.landed);
       for (ContactEvent::Group& of : event.groups) {

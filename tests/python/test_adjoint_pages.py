@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import re
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import novaphy
+from novaphy.viewer._adjoint import log_arrows_between
 
 pytestmark = pytest.mark.skipif(not novaphy.has_diff(), reason="needs NOVAPHY_WITH_DIFF")
 
@@ -80,9 +82,24 @@ def test_a_click_shows_the_step_the_pair_and_what_it_carried(page_file: Path, ru
         assert len(page.picture()) > 5_000
 
 
-def test_the_length_of_arrows_is_checked(run: Any) -> None:
-    with pytest.raises(ValueError, match="log_adjoint_record, length: expected > 0, got 0"):
-        novaphy.ViewerHTML(None).log_adjoint_record(run.record, length=0.0)
+@pytest.mark.parametrize("length", [0.0, float("inf"), float("nan")])
+def test_the_record_and_the_length_of_arrows_are_checked(run: Any, length: float) -> None:
+    expected = "log_adjoint_record, length: expected > 0 and finite, got"
+    with pytest.raises(ValueError, match=expected):
+        novaphy.ViewerHTML(None).log_adjoint_record(run.record, length=length)
+    with pytest.raises(TypeError, match="record: expected an AdjointRecord .*, got int"):
+        novaphy.ViewerHTML(None).log_adjoint_record(3)
+
+
+def test_a_gradient_that_is_not_finite_has_no_arrow_and_the_others_keep_theirs(run: Any) -> None:
+    record, good = copy.copy(run.record), run.record.contacts[0]
+    record.contacts = [dict(good, adjoint=[np.nan, 0.0, 0.0]), good]
+    viewer = novaphy.ViewerHTML(None)
+    viewer.set_model(run.model)
+    log_arrows_between(viewer, record, -np.inf, np.inf, 0.2)
+    lines = viewer.scene.lines["adjoint/adjoint"]
+    along = np.asarray(lines.ends.values)[:2] - np.asarray(lines.starts.values)[:2]
+    np.testing.assert_allclose(np.linalg.norm(along, axis=1), [0.0, 0.2], atol=1e-6)
 
 
 @pytest.fixture

@@ -55,10 +55,22 @@ def fragment(record: AdjointRecord) -> str:
     return template.replace("/*RECORD*/", text)
 
 
-def check_length(length: float) -> None:
-    """Raise ValueError for a length of arrows that is not positive."""
-    if not length > 0.0:
-        raise ValueError(f"log_adjoint_record, length: expected > 0, got {length}")
+def check_record(record: AdjointRecord, length: float) -> None:
+    """Raise TypeError for another type, and ValueError for no steps or a wrong length."""
+    if not hasattr(record, "boundaries"):
+        raise TypeError(
+            "log_adjoint_record, record: expected an AdjointRecord (tape.adjoint_record()), got "
+            f"{type(record).__name__}"
+        )
+    if not record.boundaries:
+        raise ValueError("log_adjoint_record, record: expected at least one step, got none")
+    if not 0.0 < length < np.inf:
+        raise ValueError(f"log_adjoint_record, length: expected > 0 and finite, got {length}")
+
+
+def _later(time: float) -> float:
+    """Return a time (s) with the rounding of a float32 step added."""
+    return time + 1e-7 + 1.2e-7 * abs(time) if np.isfinite(time) else time
 
 
 def log_arrows_between(
@@ -68,9 +80,12 @@ def log_arrows_between(
 
     length: the length (m) of the longest impulse, and of the longest adjoint.
     """
-    late = [c for c in record.contacts if after + 1e-7 < c["time"] <= until + 1e-7]
+    late = [c for c in record.contacts if _later(after) < c["time"] <= _later(until)]
     starts = np.array([c["point"] for c in late], np.float32).reshape(-1, 3)
     for name, color in COLORS.items():
-        longest = max((np.linalg.norm(c[name]) for c in record.contacts), default=0.0) or 1.0
-        along = np.array([c[name] for c in late], np.float32).reshape(-1, 3) * (length / longest)
+        lengths = np.array([np.linalg.norm(c[name]) for c in record.contacts])
+        longest = max(lengths[np.isfinite(lengths)], default=0.0) or 1.0
+        vectors = np.array([c[name] for c in late], np.float64).reshape(-1, 3)
+        vectors[~np.isfinite(vectors).all(axis=1)] = 0.0  # no arrow
+        along = (vectors * (length / longest)).astype(np.float32)
         viewer.log_arrows(f"adjoint/{name}", starts, starts + along, color, THICKNESS * length)

@@ -11,7 +11,7 @@ import numpy as np
 
 from .._core import SimState
 from ..io import atomic_path
-from ._adjoint import check_length, log_arrows_between
+from ._adjoint import check_record, log_arrows_between
 from ._adjoint_axis import SIZE as AXIS_SIZE
 from ._adjoint_axis import AdjointAxis
 from ._base import Slider
@@ -114,9 +114,10 @@ class ViewerGL(SceneViewer):
             length: the length (m) of the longest impulse (blue) and of the longest adjoint (red).
 
         Raises:
-            ValueError: a length that is not positive.
+            TypeError: `record` is no AdjointRecord.
+            ValueError: a record without steps; a length that is not positive and finite.
         """
-        check_length(length)
+        check_record(record, length)
         self._axis = AdjointAxis(record, length)
 
     @property
@@ -136,7 +137,7 @@ class ViewerGL(SceneViewer):
         """
         column, row = x - BOX - MARGIN, y - BOX - MARGIN
         inside = 0 <= row < AXIS_SIZE[0] and 0 <= column < AXIS_SIZE[1]
-        if self._axis is None or not self.show_text or not inside:
+        if self._axis is None or not (self._running and self.show_text and inside):
             return False
         self._axis.select(column)
         self.pause()

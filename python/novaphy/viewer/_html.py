@@ -15,7 +15,7 @@ import numpy as np
 
 from ..io import atomic_path
 from . import _shaders
-from ._adjoint import check_length, fragment, log_arrows_between
+from ._adjoint import check_record, fragment, log_arrows_between
 from ._camera import FIELD_OF_VIEW
 from ._gl_renderer import HAZE, LIGHT, REACH
 from ._packing import pack, quantum
@@ -74,9 +74,10 @@ class ViewerHTML(SceneViewer):
             length: the length (m) of the longest impulse (blue) and of the longest adjoint (red).
 
         Raises:
-            ValueError: a length that is not positive.
+            TypeError: `record` is no AdjointRecord.
+            ValueError: a record without steps; a length that is not positive and finite.
         """
-        check_length(length)
+        check_record(record, length)
         self._record, self._arrow_length = record, length
 
     @property

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ._adjoint import pair_name
-from ._overlay import CURVE, INK, curve_coverage, text_coverage
-from ._scene import f32
+from ._overlay import CURVE, INK, curve_coverage, inked, paint, text_coverage
 
 if TYPE_CHECKING:
     from ..nova import AdjointRecord
@@ -38,16 +37,16 @@ class AdjointAxis:
         base = np.zeros((*SIZE, 4), np.float32)
         for contact in record.contacts:
             color = SUSPECT if contact["held"] else CONTACT
-            _ink(base, self._line(contact["time"], *TICKS), color)
+            paint(base, inked(self._line(contact["time"], *TICKS), color))
         for marks, color in ((record.info.event_list, EVENT), (record.suspects, SUSPECT)):
             for mark in marks:
-                _ink(base, self._line(self._time_of(mark), 0, SIZE[0]), color)
+                paint(base, inked(self._line(self._time_of(mark), 0, SIZE[0]), color))
         for name, (top, bottom, color) in CURVES.items():
             values = [np.nan if row[name] is None else row[name] for row in record.boundaries]
             even = np.interp(self._even(), self._times, values)
             coverage = np.zeros(SIZE, np.float32)
             coverage[top:bottom] = curve_coverage(even, (bottom - top, SIZE[1]))
-            _ink(base, coverage, color)
+            paint(base, inked(coverage, color))
         self._base = base
 
     def _even(self) -> np.ndarray:
@@ -100,12 +99,11 @@ class AdjointAxis:
         axis = self._base.copy()
         cursor = self._line(float(self._times[row]), 0, SIZE[0])
         cursor[::4] = cursor[1::4] = 0.0
-        _ink(axis, cursor, INK)
-        text = text_coverage(self.lines(row))
+        paint(axis, inked(cursor, INK))
+        text = inked(text_coverage(self.lines(row)), INK)
         out = np.zeros((SIZE[0] + text.shape[0], max(SIZE[1], text.shape[1]), 4), np.float32)
         out[: SIZE[0], : SIZE[1]] = axis
-        out[SIZE[0] :, : text.shape[1], :3] = f32(INK)
-        out[SIZE[0] :, : text.shape[1], 3] = text
+        out[SIZE[0] :, : text.shape[1]] = text
         return out
 
     def lines(self, row: int) -> list[str]:
@@ -131,10 +129,3 @@ class AdjointAxis:
 
 def _vector(values: Any) -> str:
     return f"({', '.join(f'{v:.4g}' for v in values)})"
-
-
-def _ink(base: np.ndarray, coverage: np.ndarray, color: tuple[float, float, float]) -> None:
-    """Paint a color over an image {h, w, 4} where the coverage {h, w} says."""
-    a = coverage[..., None]
-    base[..., :3] += a * (f32(color) - base[..., :3])
-    base[..., 3:] += a * (1.0 - base[..., 3:])

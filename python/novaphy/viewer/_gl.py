@@ -104,10 +104,11 @@ class ViewerGL(SceneViewer):
         return int(width), int(height)
 
     def log_adjoint_record(self, record: AdjointRecord, length: float = 0.3) -> None:
-        """Add a time axis of a gradient above the text, and arrows of the contacts to the frames.
+        """Add a plot of a gradient over time above the text, and arrows of its contacts.
 
-        The axis has the length of the gradient, H, events and suspects over time. A click on the
-        axis selects a step and pauses: see selected_step. Times of frames are those of the record.
+        The plot shows the norm of the gradient, H (the adjoint times the rates), events and
+        suspects. Suspects are steps in which H changes. A click selects a step and pauses: see
+        selected_step. Times of frames are those of the record (s).
 
         Args:
             record: the result of `tape.adjoint_record()`.

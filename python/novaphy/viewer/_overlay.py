@@ -75,16 +75,16 @@ def overlay(
 
     top: blocks {h, w, 4} above the text, with alpha last.
     """
-    blocks = [*top, _inked(text_coverage(lines), INK)]
+    blocks = [*top, inked(text_coverage(lines), INK)]
     if curve is not None and len(scene.scalars.get(curve, ())) > 1:
-        blocks.append(_inked(curve_coverage(scene.scalars[curve]), CURVE))
+        blocks.append(inked(curve_coverage(scene.scalars[curve]), CURVE))
     for name, values in scene.curves.items():
         blocks += [
-            _inked(text_coverage([name]), INK),
-            _inked(curve_coverage(values), CURVE),
+            inked(text_coverage([name]), INK),
+            inked(curve_coverage(values), CURVE),
         ]
     for name, pixels in scene.images.items():
-        blocks.append(_inked(text_coverage([name]), INK))
+        blocks.append(inked(text_coverage([name]), INK))
         opaque = np.ones((*pixels.shape[:2], 1), np.float32)
         blocks.append(np.dstack([pixels / 255.0, opaque]))
     width = max(block.shape[1] for block in blocks)
@@ -94,13 +94,18 @@ def overlay(
     y = MARGIN
     for block in blocks:
         h, w, _ = block.shape
-        part, a = box[y : y + h, MARGIN : MARGIN + w], block[..., 3:]
-        part[..., :3] = part[..., :3] * (1.0 - a) + block[..., :3] * a
-        part[..., 3:] = part[..., 3:] * (1.0 - a) + a
+        paint(box[y : y + h, MARGIN : MARGIN + w], block)
         y += h + MARGIN
     return np.ascontiguousarray(np.round(255.0 * box).astype(np.uint8))
 
 
-def _inked(coverage: np.ndarray, color: Sequence[float]) -> np.ndarray:
+def paint(base: np.ndarray, block: np.ndarray) -> None:
+    """Paint a block over a part of an image; both are {h, w, 4} with alpha last."""
+    a = block[..., 3:]
+    base[..., :3] = base[..., :3] * (1.0 - a) + block[..., :3] * a
+    base[..., 3:] = base[..., 3:] * (1.0 - a) + a
+
+
+def inked(coverage: np.ndarray, color: Sequence[float]) -> np.ndarray:
     """Return a color with the coverage as alpha, {h, w, 4}."""
     return np.dstack([np.broadcast_to(f32(color), (*coverage.shape, 3)), coverage])

@@ -1,2 +1,2 @@
-// The twin of <novaphy/core/export.h> for device code, which exports no symbols.
+// Device code has no exported symbols. This file replaces <novaphy/core/export.h> there.
 #define NOVAPHY_CORE_API

@@ -1,8 +1,8 @@
-// The twin of <novaphy/core/row_kernel.h> for device code. Each thread of a kernel calls the row
+// Replaces <novaphy/core/row_kernel.h> in device code. Each thread of a kernel calls the row
 // function with its row.
 namespace novaphy {
-// The access types of <novaphy/core/launch_arguments.h> as plain pointers. Only the host needs to
-// know the access of a launch.
+// The access types of <novaphy/core/launch_arguments.h> as plain pointers. Device code does not
+// need to know which arrays a launch reads or writes.
 template <class T>
 using Reads = const T*;
 template <class T>

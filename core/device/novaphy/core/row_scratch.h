@@ -1,4 +1,4 @@
-// The twin of <novaphy/core/row_scratch.h> for device code.
+// Replaces <novaphy/core/row_scratch.h> in device code.
 #include "novaphy/core/row_stack.h"
 
 #define NOVAPHY_ROW_SCRATCH(TYPE, NAME, MEMORY) TYPE& NAME = *(MEMORY)

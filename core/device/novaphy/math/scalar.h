@@ -1,5 +1,5 @@
-// The twin of <novaphy/math/scalar.h> for device code, which has no library headers. The formulas
-// themselves are the same files on host and device.
+// Replaces <novaphy/math/scalar.h> in device code, where standard headers do not exist. The
+// formulas themselves are the same files on host and device.
 #ifdef __CUDACC_RTC__  // NVRTC lacks these builtins
 template <class A, class B>
 constexpr bool novaphy_is_same = false;

@@ -11,9 +11,9 @@ namespace novaphy {
 
 class ArrayStamp {
  public:
-  // Return whether the array is the stamped one and has not been written since. The answer is false
-  // for an array with a writable export now, or with one since the stamp: such an array can change
-  // without a new version.
+  // Returns whether `array` is the stamped array and nothing has written to it since the stamp. An
+  // array with a writable export, now or at any time since the stamp, gives false: another library
+  // can change such an array without a new version.
   bool matches(const Array& array) const {
     const std::shared_ptr<Range>& range = array.range();
     // owner_before compares the owners without touching the reference count.
@@ -36,7 +36,7 @@ class ArrayStamp {
 
  private:
   const Range* at_ = nullptr;
-  std::weak_ptr<Range> storage_;  // held weakly; keeps the address from being reused
+  std::weak_ptr<Range> storage_;  // weak, but keeps the address from being reused
   uint64_t version_ = 0, exports_ = 0;
 };
 

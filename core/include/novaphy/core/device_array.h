@@ -97,8 +97,7 @@ NOVAPHY_DTYPE_OF(uint32_t, uint32) NOVAPHY_DTYPE_OF(uint8_t, uint8)
   void copy_from_host(const void* source, size_t bytes);
   void copy_to_host(void* target, size_t bytes) const;
   void zero();
-  void fill_bytes(const void* element, size_t element_bytes);  // repeats one element over the whole
-                                                               // array
+  void fill_bytes(const void* element, size_t element_bytes);  // fills with copies of one element
   // Copies the values of an array of the same dtype, rows and width (ErrorKind::Value otherwise). A
   // copy from another device goes through the host.
   void assign(const Array& source);

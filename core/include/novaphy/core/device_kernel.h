@@ -4,11 +4,12 @@
 //   const Kernel<ScaleArguments> kScale(scale, scale_kernels_source);
 //   run(kScale, n, {.x = x, .y = y, .factor = 2.0f});
 //
-// DeviceKernel: the same for the builtins of backends, and for kernels without an argument struct.
+// DeviceKernel: the same for builtin kernels of backends, and for kernels without an argument
+// struct.
 //
 //   kScan.launch(device, n, {reads("in", in), writes("out", out)});
 //
-// A launch names the ranges that it reads and writes. From these names follow the order among
+// A launch names the ranges of memory that it reads and writes. These names determine the order of
 // recorded launches, the versions of the arrays, and the lifetime of their memory.
 #pragma once
 
@@ -38,7 +39,8 @@ NOVAPHY_CORE_API LaunchArgument updates(const char* name, const Array& array);
 NOVAPHY_CORE_API LaunchArgument updates_row(const char* name, const Array& array);
 NOVAPHY_CORE_API LaunchArgument number(int64_t value);
 
-// Returns the source of a *_kernels.h for device compilers. Null: the build has no device source.
+// Returns the source of a *_kernels.h for device compilers, or null if the build has no such
+// source.
 using DeviceText = const char* (*)();
 
 // A kernel is compiled or loaded for a device at its first launch there. A DeviceKernel must live
@@ -46,7 +48,7 @@ using DeviceText = const char* (*)();
 class NOVAPHY_CORE_API DeviceKernel {
  public:
   DeviceKernel(const novaphy_row_function& function, DeviceText text);
-  explicit DeviceKernel(const char* builtin);  // see <novaphy/abi/program.h>
+  explicit DeviceKernel(const char* builtin);  // name of a builtin, see <novaphy/abi/program.h>
   ~DeviceKernel();
   DeviceKernel(const DeviceKernel&) = delete;
   DeviceKernel& operator=(const DeviceKernel&) = delete;

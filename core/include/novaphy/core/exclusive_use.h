@@ -15,8 +15,9 @@ namespace novaphy {
 
 class ExclusiveUse {
  public:
-  // Holds the use of one call for its lifetime. Throws ErrorKind::Runtime while another call holds
-  // the use. The message names `call` and `owner`, the owner of the memory.
+  // Claims the memory for one call, from the constructor to the destructor. Throws
+  // ErrorKind::Runtime if another call has the memory already. The message names `call` and
+  // `owner`, the owner of the memory.
   class Scope {
    public:
     Scope(ExclusiveUse& use, const char* call, const char* owner) : use_(&use) {
@@ -38,7 +39,7 @@ class ExclusiveUse {
   std::atomic<bool> taken_{false};
 };
 
-// The guards of all memory that recorded work uses when the work runs later.
+// The guards of all memory that recorded launches use. A replay claims all of them with take().
 class ExclusiveUses {
  public:
   void add(const std::shared_ptr<ExclusiveUse>& use) {

@@ -1,10 +1,10 @@
-// Lanes: LANES floats that formulas treat as one scalar. Every operation acts on each lane and
-// rounds like the operation on a float (math/scalar.h). Each lane therefore has the same bits as
-// the formula in float.
+// Lanes: a SIMD vector of LANES floats that formulas treat as one scalar. Every operation acts on
+// each lane and rounds like the operation on a float (math/scalar.h). Each lane therefore has the
+// same bits as the formula in float.
 //
 // This header is compiled once for each instruction set. Its content lies in the namespace
-// NOVAPHY_LANES of the user's instruction set, so that the linker never merges code of two sets. A
-// function with a single user lies in that user's header.
+// NOVAPHY_LANES, which differs between instruction sets, so that the linker never merges code of
+// two sets. An operation that only one header needs is defined in that header.
 #pragma once
 
 #include <cstdint>

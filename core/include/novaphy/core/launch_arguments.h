@@ -36,7 +36,8 @@ constexpr uint64_t kArrayBit = 1;  // marks the word of a range before a launch 
 inline uint64_t word_of(const std::shared_ptr<Range>& range) {
   return range == nullptr ? 0 : reinterpret_cast<uint64_t>(range.get()) | kArrayBit;
 }
-// Returns the range of a word. Null: the word is a number, an address, or an array without rows.
+// Returns the range of an argument word. Returns null if the word is a number, an address, or an
+// array without rows.
 inline Range* range_of(uint64_t word) {
   return (word & kArrayBit) == 0 ? nullptr : reinterpret_cast<Range*>(word - kArrayBit);
 }
@@ -58,7 +59,7 @@ struct Untyped {
   uint64_t word;
 };
 
-// Returns the values of(0), ..., of(n - 1) as arguments.
+// Returns the array {of(0), ..., of(n - 1)} as arguments.
 template <size_t n, class Of>
 std::array<Untyped, n> each(const Of& of) {
   return [&]<size_t... k>(std::index_sequence<k...>) { return std::array<Untyped, n>{of(k)...}; }
@@ -86,8 +87,8 @@ Direct<T> direct(std::vector<T>& rows) {
 
 namespace detail {
 
-// Collects the argument words of a struct, in the order of its members. Each member takes one
-// Probe.
+// Collects the argument words of a struct, in the order of its members. Each member is constructed
+// from a Probe, which adds the words of the member.
 struct ArgumentCollector {
   std::array<ArgumentInfo, 128> words = {};
   std::array<size_t, 128> member = {};  // index of the member that each word belongs to
@@ -102,7 +103,7 @@ struct Probe {
   }
 };
 
-// The element type of the arrays that a kernel accesses as T.
+// The element type of an array whose rows a kernel sees as T.
 template <class T>
 struct ElementOf {
   using type = T;
@@ -130,9 +131,9 @@ inline constexpr bool kIsFloat<Vec3i> = false;
 template <>
 inline constexpr bool kIsFloat<Vec4i> = false;
 
-// One argument word. For the caller the word is the address of the array's range with kArrayBit, or
-// 0. For the kernel the word is the address of the memory. A launch replaces the first by the
-// second.
+// One argument word. In the caller the word is the address of the array's range plus kArrayBit, or
+// 0. In the kernel the word is the address of the memory. A launch replaces the address of the
+// range by the address of the memory.
 template <class T, uint8_t kAccess, bool kOwnRow>
 class Argument {
  public:
@@ -154,14 +155,14 @@ class Argument {
   template <class U>
   requires std::convertible_to<U*, T*> Argument(const Direct<U>& memory)
       : word_(reinterpret_cast<uint64_t>(memory.rows)) {}
-  // Passes the array of another argument on, with another access.
+  // Passes the array of another argument on, with a different access.
   template <class U, uint8_t kOther, bool kOtherRow>
   requires std::convertible_to<U*, T*> Argument(const Argument<U, kOther, kOtherRow>& other)
       : word_(other.word()) {}
   constexpr Argument(const Probe& probe) : word_(0) {
     probe.add({"", kOwnRow ? static_cast<uint32_t>(sizeof(T)) : 0, kAccess});
   }
-  // Pointers to the rows, for the kernel.
+  // Returns the pointer to the rows, for the kernel.
   T* rows() const { return reinterpret_cast<T*>(word_); }
   operator T*() const { return rows(); }
   T* operator->() const { return rows(); }

@@ -31,7 +31,7 @@ namespace novaphy {
 
 class NOVAPHY_CORE_API LaunchList {
  public:
-  // The handle of a launch in the list, for `set`.
+  // The handle of a launch in the list, which `set` takes.
   template <class A>
   struct Place {
     size_t number = 0;

@@ -59,15 +59,15 @@ class NOVAPHY_CORE_API LaunchRecorder {
   // Says that later launches are valid only for the present values of the range, because the host
   // has read them. A replay throws if the range was written since.
   virtual void depends_on(const std::shared_ptr<Range>& range) = 0;
-  // Says the same of a number of a model. `name` is the field of the number and lives as long as
-  // the process.
+  // Says that later launches are valid only for the present value of a number of a model. `name` is
+  // the field of the number and lives as long as the process.
   virtual void depends_on(const std::shared_ptr<const float>& number, std::string_view name) = 0;
   // Registers a check that runs at the start of every replay, once per owner. An error of the check
   // becomes an error of the replay.
   virtual void before_replay(const std::shared_ptr<const void>& owner,
                              const std::function<void()>& check) = 0;
-  // Says that later launches use this memory besides their arguments. A replay holds the guard
-  // while it runs.
+  // Says that later launches use the memory of this guard, although it is not among their
+  // arguments. A replay claims the guard while it runs.
   virtual void uses(const std::shared_ptr<ExclusiveUse>& memory) = 0;
 };
 NOVAPHY_CORE_API LaunchRecorder* launch_recorder();  // this thread's recorder, or null
@@ -79,7 +79,7 @@ NOVAPHY_CORE_API LaunchRecorder* set_launch_recorder(
 inline bool runs_at_once(Device device) { return device.is_cpu() && launch_recorder() == nullptr; }
 
 // Removes the recorder of this thread for the lifetime of the object, so that launches run at once.
-// With `here` false the object does nothing.
+// If `here` is false, the object does nothing.
 class Unrecorded {
  public:
   explicit Unrecorded(bool here = true) : before_(launch_recorder()) {

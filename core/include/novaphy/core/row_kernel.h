@@ -42,14 +42,14 @@ template <const auto& kernel, uint32_t rows>
 inline constexpr auto kInChunks = in_chunks(kernel, rows);
 }  // namespace novaphy
 
-// Kernels for devices only, as functions of a block of 128 threads. The threads of a block may
-// share memory and wait for each other. The body follows within #ifdef NOVAPHY_KERNEL:
+// Declares a kernel for devices only, as a function of a block of 128 threads. The threads of a
+// block may share memory and wait for each other. The body follows within #ifdef NOVAPHY_KERNEL:
 //
 //   NOVAPHY_BLOCK_KERNEL(team, ScaleArguments);
 //   NOVAPHY_BLOCK_BODY(team, ScaleArguments) { ... }
 //
-// In the body, `a` holds the arguments, `block` is the block and `blocks` the number of blocks. A
-// launch over n rows has one block for every 128 rows. A launch on the CPU throws
+// In the body, `a` holds the arguments, `block` is the index of the block and `blocks` the number
+// of blocks. A launch over n rows has one block for every 128 rows. A launch on the CPU throws
 // ErrorKind::NotImplemented.
 #define NOVAPHY_BLOCK_KERNEL(NAME, ARGUMENTS)    \
   inline constexpr RowKernel<ARGUMENTS> NAME = { \

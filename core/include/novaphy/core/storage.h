@@ -1,6 +1,6 @@
-// Storage: one allocation on a device, shared by all of its views. Range: a viewed byte range of an
-// allocation. Every write to a range raises the version of each overlapping range. A tape uses the
-// version to detect an overwritten input.
+// Storage: one allocation on a device, shared by all of its views. Range: a byte range of an
+// allocation that a view uses. Every write to a range raises the version of each overlapping range.
+// A tape uses the version to detect an overwritten input.
 #pragma once
 
 #include <atomic>
@@ -29,17 +29,18 @@ class NOVAPHY_CORE_API Range {
   // Records a write: raises the version of this range and of every overlapping range.
   void mark_written();
   bool overlaps(const Range& other) const;
-  // Returns the first other range of the allocation that overlaps this one and passes the test, or
+  // Returns the first other range of the allocation that overlaps this range and passes `test`, or
   // null.
   const Range* find_overlap(bool (*test)(const Range&, void* context), void* context) const;
 
-  // The gradient of this range, attached by the tensor runtime. Core does not use it.
+  // The gradient of this range. The tensor runtime (nova) sets the pointer; core does not read it.
   std::shared_ptr<void> attachment;
 
-  // Records a writable export (NumPy, DLPack). The holder of an export can change the bytes without
-  // a new version, so readers compare checksums while one lives. An export counts for every
-  // overlapping range, also for ranges that are made later. mark_writable_export lasts forever.
-  // writable_export_scope lasts as long as the returned handle, which keeps the memory alive.
+  // Records a writable export: memory that NumPy or DLPack may write. The holder of an export can
+  // change the bytes without a new version, so readers compare checksums while an export lives. An
+  // export counts for every overlapping range, also for ranges that are made later. The export of
+  // mark_writable_export never ends. The export of writable_export_scope ends with the returned
+  // handle, which keeps the memory alive.
   void mark_writable_export();
   std::shared_ptr<void> writable_export_scope();
   // Returns whether a writable export exists.
@@ -50,7 +51,7 @@ class NOVAPHY_CORE_API Range {
     return writable_export() || exported_version() == now ||
            export_end_.load(std::memory_order_acquire) == now;
   }
-  // number of exports so far
+  // number of exports so far, ended ones included
   uint64_t exports() const { return exports_.load(std::memory_order_relaxed); }
   // The version of the range when the first export of that version began; exported_checksum() is
   // the checksum at that time.
@@ -85,7 +86,7 @@ class NOVAPHY_CORE_API Storage : public std::enable_shared_from_this<Storage> {
   // release_cached_memory). `zeroed` false leaves the contents undefined, for memory that the next
   // launch overwrites completely.
   static std::shared_ptr<Storage> allocate(size_t bytes, Device device, bool zeroed = true);
-  // Wraps memory that `owner` keeps alive.
+  // Makes a Storage of existing memory, which `owner` keeps alive.
   static std::shared_ptr<Storage> external(void* data, size_t bytes, Device device,
                                            std::shared_ptr<void> owner);
   ~Storage();
@@ -96,8 +97,8 @@ class NOVAPHY_CORE_API Storage : public std::enable_shared_from_this<Storage> {
   size_t bytes() const { return bytes_; }
   Device device() const { return device_; }
   bool is_external() const { return external_; }
-  // Returns the Range [offset, offset + bytes), made at its first use. The handle keeps the storage
-  // alive. ErrorKind::Index: the range does not lie inside.
+  // Returns the Range [offset, offset + bytes). The first call makes the Range. The handle keeps
+  // the storage alive. ErrorKind::Index: the range does not lie inside the allocation.
   std::shared_ptr<Range> range(size_t offset, size_t bytes);
   std::shared_ptr<Range> range() { return range(0, bytes_); }
 

@@ -9,8 +9,8 @@
 
 namespace novaphy {
 
-// warn() calls the handler on its own thread. An exception of the handler passes through the caller
-// of warn(). Null: warnings are dropped.
+// warn() calls the handler on the calling thread. An exception of the handler passes to the caller
+// of warn(). Without a handler (null), warnings are dropped.
 using WarningHandler = void (*)(const std::string& text);
 NOVAPHY_CORE_API void set_warning_handler(WarningHandler handler);
 NOVAPHY_CORE_API void warn(const std::string& text);

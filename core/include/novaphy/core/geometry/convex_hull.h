@@ -14,7 +14,7 @@ inline constexpr int32_t kMaxHullVertices = 64;
 
 // Faces are convex polygons, counter-clockwise seen from outside. Each face begins with its
 // smallest vertex index, and faces are sorted by their vertices. Vertices keep the order of the
-// input. Two vertices are neighbors if an edge of the hull before the merging of faces joins them.
+// input. Two vertices are neighbors if an edge connects them before coplanar faces are merged.
 // Neighbors are sorted ascending.
 struct ConvexHull {
   std::vector<Vec3f> vertices;       // m, unchanged points of the input
@@ -31,16 +31,17 @@ struct ConvexHull {
 //
 // Points that lie within 1e-6 of the extent of a face, or inside of the hull, are left out.
 // Duplicates therefore have no effect. A face within 0.1 degrees of a larger neighbor is merged
-// with the neighbor, unless the merge removes a vertex that makes the hull 1 % thicker.
+// with the neighbor. A merge that would reduce the thickness of the hull by more than 1 % is
+// skipped.
 //
-// At most max_vertices (4 .. kMaxHullVertices) vertices are kept. The farthest points form the kept
-// hull, which lies within the hull of all points (hull_of_all.h).
+// At most max_vertices (4 .. kMaxHullVertices) vertices are kept. The hull grows by the farthest
+// point at a time, and so a limited hull lies within the hull of all points (hull_of_all.h).
 //
 // Source: Barber, Dobkin, Huhdanpaa, The Quickhull Algorithm for Convex Hulls (1996).
 //
 // Throws ErrorKind::Value for fewer than 4 points, a point that is not finite (the message has its
-// index), and max_vertices out of range. The same error reports points in a plane, on a line or in
-// one place (to 1e-6 of their extent).
+// index), and max_vertices out of range. The same error reports points in a plane, on a line or at
+// one position (to 1e-6 of their extent).
 NOVAPHY_CORE_API ConvexHull convex_hull(std::span<const Vec3f> points,
                                         int32_t max_vertices = kMaxHullVertices);
 

@@ -33,9 +33,9 @@ NOVAPHY_CORE_API SolidProperties mesh_properties(std::span<const Vec3f> vertices
 
 // Mass properties of a wall of `thickness` (m) inside of the surface. The hollow has the same
 // triangles as the mesh. Each vertex of the hollow lies `thickness` below the planes of its
-// triangles. More than three planes are met in the least squares sense, weighted by the angles at
-// the vertex. The result is exact for a box. For round surfaces the error is second order in edge
-// length over thickness.
+// triangles. A vertex of more than three planes has this depth in the least squares sense, weighted
+// by the angles at the vertex. The result is exact for a box. For round surfaces the error is
+// second order in edge length over thickness.
 //
 // Throws ErrorKind::Value as mesh_properties does. Also throws for a thickness that is not > 0, and
 // for one that leaves a hollow without a volume or with an inverted triangle.

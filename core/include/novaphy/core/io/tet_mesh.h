@@ -19,9 +19,9 @@ struct TetMesh {
 };
 
 struct TetMeshOptions {
-  // Meshers also write nodes that no tetrahedron uses, for example the center of a circle. Such a
-  // node would have no mass. False: the reader throws an error. True: the reader drops these nodes
-  // and keeps the order of the others.
+  // Whether the reader drops nodes that no tetrahedron uses, and keeps the order of the others. If
+  // false, such nodes are an error, because a particle without a tetrahedron has no mass. Meshers
+  // write them, for example, for the center of a circle.
   bool drop_loose_vertices = false;
 };
 
@@ -30,7 +30,7 @@ struct TetMeshOptions {
 //
 // Throws ErrorKind::Value with the path, and with the line where one is known:
 //   the file is missing or cannot be read
-//   the format is another one, of another version, or binary
+//   the file is not in MSH format, not of version 4.1, or binary
 //   a section is missing or broken
 //   a position is not finite, or an element names an unknown node
 //   a solid element is not a 4-node tetrahedron, or the file has no tetrahedron

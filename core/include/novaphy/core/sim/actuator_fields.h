@@ -1,4 +1,4 @@
-// The arrays of a model that describe its actuators; the columns are those of model.h.
+// The arrays of a model that describe its actuators. model.h explains the arguments of X.
 #pragma once
 
 // novaphy/dynamics/articulation/actuation.h has the law of actuators. A range is (lower, upper);

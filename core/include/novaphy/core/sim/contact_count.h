@@ -5,9 +5,10 @@
 
 namespace novaphy {
 
-// Returns the number of filled rows. `count` is the number of contacts found, and `most` the number
-// of slots. A recorded search whose list of pairs is full counts pairs that have no rows, and
-// leaves the last slots empty. `shape0` {most} is negative in an empty slot.
+// Returns the number of filled rows of contacts. `count` is the number of contacts that the search
+// found, and `most` the number of rows. `shape0` {most} is negative in an empty row. If count
+// exceeds most, the first row with a negative shape0 ends the filled rows: a recorded search also
+// counts pairs that did not fit into its list and fills no rows for them.
 template <class Column>
 int32_t filled_rows(int32_t count, int64_t most, const Column& shape0) {
   if (count <= most) return count < 0 ? 0 : count;

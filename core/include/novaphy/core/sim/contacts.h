@@ -113,7 +113,7 @@ class NOVAPHY_CORE_API Contacts : public ContactFields {
   int32_t soft_contact_max() const { return counts_.soft_contact_max; }
   int32_t soft_contact_pair_count() const { return counts_.soft_contact_pair_count; }
   int32_t rigid_contact_max() const { return counts_.rigid_contact_max; }
-  // Returns whether rows may have materials of their own. The materials belong to the present rows:
+  // Returns whether each row may have its own material. The materials belong to the present rows:
   // collide and clear() set them to 0, and 0 selects the material of the shapes.
   bool per_contact_shape_properties() const { return counts_.rigid_contact_materials > 0; }
   Device device() const { return device_; }
@@ -143,8 +143,8 @@ class NOVAPHY_CORE_API Contacts : public ContactFields {
   // Records that the rows of rigid contacts belong to these poses and to the present shapes of the
   // model. A pipeline calls this function after its search.
   void set_rigid_contacts_found_from(const Model& model, const Array& body_q);
-  // Returns whether the rows belong to these poses: neither poses nor shapes nor rows have been
-  // written since, and no writable export could have changed them. The answer is false for rows
+  // Returns whether the rows belong to these poses. Since the search, nothing may have written to
+  // poses, shapes or rows, and no writable export may have existed. The answer is false for rows
   // that a captured graph found and for rows that assign() copied.
   bool rigid_contacts_found_from(const Model& model, const Array& body_q) const;
 

@@ -28,8 +28,8 @@ struct InverseOrZero {
   }
 };
 
-// Returns the inverse of a symmetric positive definite 3x3 matrix. Only the diagonal and the part
-// below are read. A matrix whose diagonal is 0 gives 0.
+// Returns the inverse of a symmetric positive definite 3x3 matrix. Only the lower triangle with the
+// diagonal is read. A matrix whose diagonal is 0 gives 0.
 struct InverseInertia {
   static constexpr const char* name = "inverse_inertia";
   static constexpr int32_t source_width = 9, derived_width = 9;
@@ -56,8 +56,8 @@ struct InverseInertia {
 class NOVAPHY_CORE_API DerivedStamp {
  public:
   // Returns whether the source has not changed since `set`. For a source with a writable export,
-  // the checksum decides. No lock is taken: while another thread sets the stamp, the answer is
-  // false for the new source.
+  // the checksums are compared. The function takes no lock: while another thread sets the stamp to
+  // a new source, the answer for this source is false.
   bool matches(const Array& source) const;
   void set(const Array& source);
 

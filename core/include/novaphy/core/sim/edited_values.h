@@ -18,8 +18,8 @@ namespace novaphy {
 //   Mass         0, or with a finite inverse
 //   Unread       0, because the solver does not read the array
 //   UnitPose     quaternion of length 1
-//   NotZero      an axis or quaternion with a length > 0; those of joints have a gradient and may
-//                leave length 1
+//   NotZero      an axis or quaternion of length > 0; an optimizer may change the length of a
+//                joint's axis or quaternion, because these have a gradient
 //   RestPose     determinant > 0
 #define NOVAPHY_EDITED_ARRAYS(X)              \
   X(gravity, Finite)                          \
@@ -71,17 +71,17 @@ class NOVAPHY_CORE_API EditedValues {
   explicit EditedValues(const char* solver) : solver_(solver) {}
 
   // Checks the arrays of NOVAPHY_EDITED_ARRAYS. A call is cheap if no array was written since the
-  // last call. ErrorKind::NotImplemented: the model has actuators. ErrorKind::Value names the array
-  // and the row. Besides the rules of the list:
+  // last call. Throws ErrorKind::NotImplemented if the model has actuators. ErrorKind::Value names
+  // the array and the row. Besides the rules of the list:
   //   joint_limit_lower <= joint_limit_upper; body_com is finite
   //   dynamic bodies have body_mass > 0 and finite inverses; their body_inertia is positive
   //     definite and symmetric (to 1e-5 of its largest number)
   //   derived arrays agree with their sources
-  // On other devices than the CPU, arrays that another library may write are not read. The host
-  // reads here are not recorded, because no kernel depends on them. While a capture records on the
-  // CPU, every replay repeats the check.
+  // On devices other than the CPU, arrays with a writable export are not read. The recorder is not
+  // told that the host reads the arrays, because no kernel depends on the result. While a capture
+  // records on the CPU, every replay repeats the check.
   void check(const Model& model);
-  // Checks the arrays that articulations read, likewise.
+  // Checks the arrays that articulations read, with the same cost and errors as check():
   //   finite and >= 0: joint_armature, _damping, _friction, _target_ke, _kd, _limit_ke, _kd,
   //     _effort_limit, _velocity_limit, body_mass (a link may have 0), the diagonal of
   //     body_inertia, shape_material_*, shape_scale and _gap; restitution <= 1
@@ -107,8 +107,8 @@ class NOVAPHY_CORE_API EditedValues {
   std::shared_ptr<const int> id_ = std::make_shared<const int>(0);
   std::array<ArrayStamp, kBodyArrays> bodies_;
   std::array<ArrayStamp, kArrays> arrays_;
-  std::vector<ArrayStamp> joints_;  // of the arrays of check_joints, in their order
-  ArrayStamp limits_[2];            // lower, upper
+  std::vector<ArrayStamp> joints_;  // stamps of the arrays that check_joints reads
+  ArrayStamp limits_[2];            // stamps of joint_limit_lower and _upper
 };
 
 }  // namespace novaphy

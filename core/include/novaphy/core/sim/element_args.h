@@ -30,8 +30,8 @@ struct Placement {
   Vec3f vel{};                    // m/s, initial velocity of every particle
 };
 
-// A grid of dim_x * dim_y * dim_z particles. Particles have Newton's order: y slowest, then x, then
-// z.
+// A grid of dim_x * dim_y * dim_z particles. The order of particles is that of the engine Newton: y
+// varies slowest, then x, then z.
 struct ParticleGridArgs {
   Placement placement = {};
   int32_t dim_x = 1, dim_y = 1, dim_z = 1;          // particles, >= 0
@@ -58,7 +58,7 @@ struct ClothGridArgs {
   bool fix_left = false, fix_right = false, fix_top = false, fix_bottom = false;
   TriMaterial tri = {};
   EdgeMaterial edge = {};
-  bool add_springs = false;  // along the edges and across them
+  bool add_springs = false;  // springs on edges, and across each edge between the opposite corners
   std::optional<float> spring_ke = {}, spring_kd = {};
   std::optional<float> particle_radius = {};
 };

@@ -52,8 +52,8 @@ enum class JointType : int32_t;  // joint_types.h
 // Returns "PRISMATIC" and so on, or "unknown" for any other value.
 NOVAPHY_CORE_API const char* joint_type_name(JointType type);
 
-// The modes of a drive. The modes select the spring target_ke (target_q - q) and the damper
-// target_kd (target_qd - qd) of a dof:
+// The modes of a drive. A drive has a spring target_ke (target_q - q) and a damper target_kd
+// (target_qd - qd) for each dof. The modes select its forces:
 //   NONE, EFFORT        no force
 //   POSITION            the spring, and the damper -target_kd qd
 //   VELOCITY            the damper

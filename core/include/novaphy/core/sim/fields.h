@@ -2,8 +2,8 @@
 //
 //   #define NOVAPHY_..._FIELDS(X)  X(name, element type, width, count, unit, frame, doc) ...
 //
-// The members, their allocation, clone, assign and every loop over the arrays (views, dumps, the
-// documentation table) follow from the list. `count` is the member of the counts structure with the
+// The list generates the members, their allocation, clone, assign and every loop over the arrays
+// (views, dumps, the documentation table). `count` is the member of the counts structure with the
 // number of rows. A new array is one line in its list. A line of SimState also has the role of the
 // array.
 #pragma once
@@ -19,9 +19,9 @@
 
 namespace novaphy {
 
-// The role of an array of a state in a step. Carried: a step reads the array and writes the next
-// value. Applied: an input of the step that starts from the state. Arrays of other classes have no
-// role.
+// The role of an array of SimState in a step. Carried: a step reads the array and writes the next
+// value. Applied: an input of the step that starts from the state. None: the array belongs to
+// another class than SimState.
 enum class FieldRole : uint8_t { None, Carried, Applied };
 
 // The properties of a field that do not need an object.

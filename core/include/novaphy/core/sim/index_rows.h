@@ -26,7 +26,8 @@ class IndexRows {
     items_.resize(present);
     for (size_t place = 0; place < entries.size(); ++place) {
       if (entries[place] < 0) continue;
-      // begin_[k] advances to the end of row k here. The loop below restores the starts.
+      // begin_[k] is a cursor in this loop and ends at the end of row k. The next loop restores the
+      // starts.
       items_[static_cast<size_t>(begin_[static_cast<size_t>(entries[place])]++)] =
           static_cast<int32_t>(place);
     }

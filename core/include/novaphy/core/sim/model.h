@@ -300,7 +300,7 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   SimState state(std::optional<bool> requires_grad = {}) const;
   Control control(std::optional<bool> requires_grad = {}) const;
 
-  // Returns the shape pairs that may touch. The first call makes the list; the values may be
+  // Returns the shape pairs that may touch. The first call computes the list; the values may be
   // edited. Errors as for ShapePairList::get.
   const DeviceArray<Vec2i>& shape_contact_pairs() const {
     return shape_pair_list_.get(shape_collision_filter_pairs, device_);
@@ -322,8 +322,8 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   // written.
   void update_derived() const;
   // Computes the derived arrays by derive(rule, source, derived). The function `derive` returns
-  // whether the values exist now: a capture only records the computation. Several threads may call
-  // update_derived.
+  // false if the values do not exist yet, because a capture only records the computation. Several
+  // threads may call update_derived.
   template <class Derive>
   void update_derived(const Derive& derive) const {
     const auto update = [&](const auto& rule, const Array& source, const Array& derived,
@@ -338,10 +338,10 @@ class NOVAPHY_CORE_API Model : public ModelFields,
     NOVAPHY_DERIVED_MODEL_FIELDS(NOVAPHY_UPDATE_DERIVED)
 #undef NOVAPHY_UPDATE_DERIVED
   }
-  // Accepts the present values of the derived arrays. The values stay until their source is
-  // written.
+  // Marks the present values of the derived arrays as up to date. The values stay until their
+  // source is written.
   void accept_derived() const;
-  // Records the present joints as the reference of check_structure.
+  // Stores copies of the joints, with which check_structure compares later values.
   void keep_structure();
   // Checks the worlds and the arrays of NOVAPHY_MODEL_STRUCTURE. ErrorKind::Value names the array
   // and the row that changed. A call is cheap if no array was written. Later launches depend on the
@@ -352,14 +352,14 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   void check_worlds(std::string_view function) const;
   // Calls check_number for all numbers. Messages begin with `function`.
   void check_numbers(std::string_view function) const;
-  // Says that later launches of this thread have the present numbers as arguments. A replay throws
-  // ErrorKind::Runtime if a number has changed since.
+  // Says that later launches of this thread have the present numbers of the model as arguments. A
+  // replay throws ErrorKind::Runtime if a number has changed since.
   void depend_on_numbers() const;
 
   std::shared_ptr<Model> clone() const { return to(device_); }
   std::shared_ptr<Model> to(Device device) const;  // a copy with its own id
-  // Returns a model that the host can read: this model without ownership if it is on the CPU, else
-  // a copy.
+  // Returns a model that the host can read: a non-owning pointer to this model if it is on the CPU,
+  // else a copy.
   std::shared_ptr<const Model> on_host() const;
 
  private:

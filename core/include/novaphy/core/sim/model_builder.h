@@ -28,18 +28,18 @@ namespace detail {
 struct MassProperties;
 }
 
-// A rigid body. The mass and inertia here are the base, without shapes. Each shape with a density
-// adds its mass and inertia, in the order of the calls, and moves the center of mass.
+// A rigid body. `mass` and `inertia` exclude shapes. Each shape with a density adds its mass and
+// inertia, in the order of the calls, and moves the center of mass.
 struct BodyArgs {
   Transformf xform = Transformf::identity();  // pose of the body's origin in the world
-  Vec3f com{};                                // m, body frame: center of mass of the base
+  Vec3f com{};                                // m, body frame: center of mass without shapes
   float mass = 0.0f;                          // kg
-  // kg m^2, about `com`, along the axes of the body. Empty: a point mass.
+  // kg m^2, about `com`, along the axes of the body. An empty value means a point mass.
   std::optional<Mat33f> inertia = {};
   bool lock_inertia = false;  // shapes add no mass and no inertia
   bool is_kinematic = false;  // keeps moving with its velocity without forces; needs no mass
   float gravcomp = 0.0f;      // fraction of the weight that gravity compensation cancels
-  // Axes of the box that a fluid acts on, in the body. Empty: the principal axes of the inertia.
+  // Axes of the box that a fluid acts on, in the body frame. Empty: the inertia's principal axes.
   std::optional<Quatf> fluid_frame = {};
   std::string label = {};  // "body_<index>" when empty
 };
@@ -106,8 +106,8 @@ struct ShapeEllipsoidArgs {
   std::optional<ShapeConfig> cfg = {};
   std::string label = {};
 };
-// A surface of triangles, counter-clockwise seen from outside. Vertices with exactly the same
-// position count as one. Vertices without a triangle are left out.
+// A triangle mesh, counter-clockwise seen from outside. Vertices with exactly the same position are
+// joined to one. Vertices without a triangle are left out.
 struct ShapeMeshArgs {
   Transformf xform = Transformf::identity();
   std::span<const Vec3f> vertices = {};   // m, before `scale`
@@ -136,7 +136,7 @@ struct ColorArgs {
 
 struct FinalizeOptions {
   bool requires_grad = false;
-  bool skip_validation = false;  // skips the second check of values, but not of sizes
+  bool skip_validation = false;  // skips finalize's check of values; sizes are still checked
 };
 
 // Every add_* function checks its arguments first. After an error the builder is unchanged.
@@ -144,8 +144,8 @@ struct FinalizeOptions {
 //                              not positive, a quaternion without unit length and so on
 //   ErrorKind::Index           a body, shape or vertex that does not exist
 //   ErrorKind::NotImplemented  a shape type that is not supported
-// A quaternion may miss unit length by 1e-3 and is then normalized. A quaternion of unit length to
-// float rounding keeps its bits.
+// The length of a quaternion may differ from 1 by up to 1e-3; the builder then normalizes the
+// quaternion. A quaternion whose length is 1 up to float rounding keeps its bits.
 class NOVAPHY_CORE_API ModelBuilder {
  public:
   explicit ModelBuilder(Axis up_axis = Axis::Z, const GravitySpec& gravity = {});
@@ -153,17 +153,17 @@ class NOVAPHY_CORE_API ModelBuilder {
   Axis up_axis() const { return up_axis_; }
   Vec3f up_vector() const { return axis_vector(up_axis_); }
 
-  // Settings. A change affects what is added afterwards. Gravity (m/s^2, world frame): begin_world
-  // reads the value for a world without its own gravity, and finalize for a builder without worlds.
+  // Settings for objects that are added later. `gravity` (m/s^2, world frame) is for worlds without
+  // a gravity of their own. begin_world reads it, or finalize if the builder has no worlds.
   Vec3f gravity;
-  Fluid fluid;  // read as gravity is
+  Fluid fluid;  // read at the same times as gravity
   float default_particle_radius = 0.1f;  // m
   ShapeConfig default_shape_cfg;
   JointDofConfig default_joint_cfg;
   float rigid_gap = 0.1f;  // m, gap of shapes whose ShapeConfig has no gap
-  // Corrections of dynamic bodies with a mass. The function finalize applies them and warns.
-  // Corrections add a multiple of the identity to the inertia. balance_inertia: acts if one
-  // principal moment exceeds the sum of the other two. False: such an inertia is an error.
+  // Corrections of dynamic bodies with a mass, which finalize applies with a warning. A correction
+  // adds a multiple of the identity to the inertia. balance_inertia corrects an inertia with one
+  // principal moment that exceeds the sum of the other two. If false, such an inertia is an error.
   bool balance_inertia = true;
   std::optional<float> bound_mass = {};     // kg, > 0: smallest mass
   std::optional<float> bound_inertia = {};  // kg m^2, > 0: smallest principal moment
@@ -187,8 +187,8 @@ class NOVAPHY_CORE_API ModelBuilder {
   std::vector<SpatialVectorf> body_qd;
 
   // Values of the joints (see Model), which may be edited. joint_q and joint_target_q have a row
-  // per coordinate, the others a row per degree of freedom. The initial coordinates of a body from
-  // add_body follow body_q and body_qd until the coordinates are edited.
+  // per coordinate, the others a row per degree of freedom. Until joint_q and joint_qd of a body
+  // from add_body are edited, they follow edits of body_q and body_qd.
   std::vector<float> joint_q, joint_target_q;
   std::vector<int32_t> joint_target_mode;
 #define NOVAPHY_BUILDER_LIST(name, ...) std::vector<float> name;
@@ -210,22 +210,22 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t edge_count() const { return static_cast<int32_t>(edges_.indices.size()); }
   int32_t tet_count() const { return static_cast<int32_t>(tetrahedra_.indices.size()); }
 
-  // Adds a particle and returns its index. `mass` 0: kinematic, so the particle keeps its velocity.
+  // Adds a particle and returns its index. With `mass` 0 it is kinematic and keeps its velocity.
   int32_t add_particle(const Vec3f& pos, const Vec3f& vel, float mass,
                        std::optional<float> radius = {},
                        int32_t flags = static_cast<int32_t>(ParticleFlags::ACTIVE));
-  // Adds particles by lists of equal length (ErrorKind::Value). Empty `radius`, `flags`: defaults.
+  // Adds particles from equally long lists (ErrorKind::Value). An empty list selects the defaults.
   void add_particles(std::span<const Vec3f> pos, std::span<const Vec3f> vel,
                      std::span<const float> mass, std::span<const float> radius = {},
                      std::span<const int32_t> flags = {});
 
-  // Elements of particles. The particles must exist (ErrorKind::Index). The present positions are
-  // the rest shape. A degenerate rest shape throws ErrorKind::Value and names the element: an area
-  // up to 1e-7 of the longest edge squared, a volume up to 1e-7 of the longest edge cubed, or an
-  // inverted tetrahedron. Materials are finite and >= 0.
+  // Functions that add elements between existing particles (ErrorKind::Index). The present
+  // positions are the rest shape. A degenerate rest shape throws ErrorKind::Value and names the
+  // element: an area up to 1e-7 of the longest edge squared, a volume up to 1e-7 of the longest
+  // edge cubed, or an inverted tetrahedron. Materials are finite and >= 0.
   //
   // Adds a spring and returns its index. The rest length is the present distance. `control` is only
-  // stored. `tension_only`: the spring is a rope, which pulls beyond its rest length, never pushes.
+  // stored. `tension_only` makes a rope: it pulls beyond its rest length and never pushes.
   int32_t add_spring(int32_t i, int32_t j, float ke, float kd, float control = 0.0f,
                      bool tension_only = false);
   // Adds a triangle, counter-clockwise. Returns its area (m^2).
@@ -233,7 +233,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   // Adds several triangles. `materials`: empty, one for all, or one each. Returns the areas (m^2).
   std::vector<float> add_triangles(std::span<const Vec3i> indices,
                                    std::span<const TriMaterial> materials = {});
-  // Adds a tetrahedron. The right-hand normal of (i, j, k) points to l. Returns a volume > 0 (m^3).
+  // Adds a tetrahedron. The right-hand normal of (i, j, k) points to l. Returns the volume (m^3).
   float add_tetrahedron(int32_t i, int32_t j, int32_t k, int32_t l, std::optional<float> k_mu = {},
                         std::optional<float> k_lambda = {}, std::optional<float> k_damp = {});
   // Adds tetrahedra. Each material: empty, one for all, or one each. Returns the volumes (m^3).
@@ -241,7 +241,7 @@ class NOVAPHY_CORE_API ModelBuilder {
                                     std::span<const float> k_mu = {},
                                     std::span<const float> k_lambda = {},
                                     std::span<const float> k_damp = {});
-  // Adds a bending edge from k to l between triangles (i, k, l) and (j, l, k). i or j = -1: a
+  // Adds a bending edge from k to l between triangles (i, k, l) and (j, l, k). i or j = -1 makes a
   // border edge, which has no force. Empty `rest` (rad): the present angle. Returns the index.
   int32_t add_edge(int32_t i, int32_t j, int32_t k, int32_t l, std::optional<float> rest = {},
                    const EdgeMaterial& material = {});
@@ -259,7 +259,7 @@ class NOVAPHY_CORE_API ModelBuilder {
 
   // Adds a rigid body that moves freely: a link, its FREE joint to the world, and an articulation
   // of the joint. Returns the index. ErrorKind::Value: the mass or inertia is not physical.
-  // finalize makes the same check of the body with its shapes.
+  // finalize repeats this check with the mass of the shapes included.
   int32_t add_body(const BodyArgs& args = {});
   // Adds a body without a joint; the mass may be 0. finalize refuses a link without a parent joint.
   int32_t add_link(const BodyArgs& args = {});
@@ -280,16 +280,16 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t add_joint_planar(int32_t parent, int32_t child, const Vec3f& axis, JointArgs args = {});
   // Adds a tree of joints and returns the index of the articulation. The indices of `joints` are
   // contiguous and increasing, with the root first and every parent before its children.
-  // ErrorKind::Value: another order (a cycle has none), two joints with one child, a second root, a
+  // ErrorKind::Value: another order, a cycle, two joints with the same child, a second root, a
   // joint of another articulation or world, or a kinematic body that is not the child of the root.
   int32_t add_articulation(std::span<const int32_t> joints, std::string label = {});
   // Adds a mimic joint: q0 = coef0 + coef1 q1, in every step of an articulation. Both joints are
   // REVOLUTE or PRISMATIC and belong to the same articulation. Drives, limits, forces and inertia
-  // of joint0 act on joint1; the velocity limit of joint0 has no effect. A mimic joint may lead
-  // other mimic joints. The initial joint_q and joint_qd of joint0 follow from those of joint1.
+  // of joint0 act on joint1; the velocity limit of joint0 has no effect. joint1 may itself be a
+  // mimic joint. The initial joint_q and joint_qd of joint0 are computed from those of joint1.
   //   ErrorKind::Index  a joint that does not exist
-  //   ErrorKind::Value  a joint of another type or one that mimics already, a cycle, a number that
-  //                     is not finite; from finalize: joints of different articulations
+  //   ErrorKind::Value  a joint of another type, a joint0 that is a mimic joint already, a cycle, a
+  //                     number that is not finite; from finalize: joints of different articulations
   void add_constraint_mimic(int32_t joint0, int32_t joint1, float coef0 = 0.0f, float coef1 = 1.0f);
   // Adds an actuator of a joint with axes (joint_types.h), or of a body (-1: the world). Returns
   // the index, which is the row of Control::ctrl.
@@ -301,8 +301,8 @@ class NOVAPHY_CORE_API ModelBuilder {
   // Makes finalize throw ErrorKind::NotImplemented. `why` names the feature that solvers lack.
   void refuse_at_finalize(std::string why) { refused_.push_back(std::move(why)); }
   // Merges the child of each enabled FIXED joint into the parent: mass, shapes and joints. A joint
-  // stays if its label is in `keep`, if it is a root with several children in its articulation, or
-  // if its child has another joint to a parent, is kinematic under a body or has another gravcomp.
+  // is kept if its label is in `keep` or it is a root with several child joints. It is also kept if
+  // its child has another parent joint or gravcomp, or is kinematic and its parent is a body.
   CollapsedJoints collapse_fixed_joints(std::span<const std::string> keep = {});
 
   // Shapes. All functions return the index of the shape. `body` -1 is the world. A plane belongs to
@@ -322,7 +322,7 @@ class NOVAPHY_CORE_API ModelBuilder {
   int32_t add_shape_mesh(int32_t body, const ShapeMeshArgs& args);
   // Adds the convex hull of points. ErrorKind::Value: an error of convex_hull, or a scale <= 0.
   int32_t add_shape_convex_hull(int32_t body, const ShapeConvexHullArgs& args);
-  // A named frame: a shape with ShapeFlags::SITE, which meets nothing and has no mass.
+  // Adds a named frame: a shape with ShapeFlags::SITE, which collides with nothing and has no mass.
   int32_t add_site(const ShapeArgs& args);
 
   // Makes two shapes never collide. ErrorKind::Index: no such shape. ErrorKind::Value: a == b.
@@ -336,9 +336,9 @@ class NOVAPHY_CORE_API ModelBuilder {
   // ErrorKind::Value: a number is not finite.
   int32_t begin_world(std::optional<Vec3f> gravity = {});
   void end_world();
-  // Adds all of another builder to the current world, moved by `xform`. The other builder's worlds
-  // do not count. Its gravity and fluid become those of this world, or of this builder outside.
-  // ErrorKind::Value: another up axis, this builder itself, a bad pose, or too many particles.
+  // Adds the objects of another builder to the current world, moved by `xform`. Worlds of the other
+  // builder are ignored. Its gravity and fluid become those of this world, or of this builder if no
+  // world is open. ErrorKind::Value: another up axis, this builder, a bad pose, too many particles.
   void add_builder(const ModelBuilder& builder, const Transformf& xform = Transformf::identity());
   // Calls begin_world, add_builder and end_world. Returns the index of the world.
   int32_t add_world(const ModelBuilder& builder, const Transformf& xform = Transformf::identity());
@@ -351,18 +351,18 @@ class NOVAPHY_CORE_API ModelBuilder {
   // all particles of a color together. The algorithm is greedy in smallest-last order with ties by
   // index, so the same elements give the same colors. Particles that are added later have no color.
   void color(const ColorArgs& args = {});
-  // Sets the particles of each color instead. ErrorKind::Value: an empty group, a particle in two
-  // groups or in none, or, unless `allow_conflicts`, an element with two corners of one color.
+  // Sets the colors to given groups of particles. ErrorKind::Value: an empty group, a particle in
+  // two groups or in none, or, unless `allow_conflicts`, an element with two corners of one color.
   // ErrorKind::Index: a particle that does not exist.
   void set_coloring(std::span<const std::vector<int32_t>> groups, bool allow_conflicts = false);
 
-  // Checks everything and makes a model. The builder is unchanged and may be used again.
+  // Checks all objects and makes a model. The builder is unchanged and may be used again.
   // ErrorKind::Runtime: `device` does not exist.
   std::shared_ptr<Model> finalize(Device device = default_device(),
                                   const FinalizeOptions& options = {}) const;
 
  private:
-  // A body without its shapes, pose and velocity.
+  // The properties of a body without its shapes, pose and velocity.
   struct Body {
     Vec3f com;
     float mass;
@@ -374,8 +374,8 @@ class NOVAPHY_CORE_API ModelBuilder {
     std::string label = {};
     float gravcomp = 0.0f;
     std::optional<Quatf> fluid_frame = {};
-    int32_t mover = -1;        // joint of an articulation with this body as child
-    Transformf added_at = {};  // for add_body: the pose that its joint coordinates started from
+    int32_t mover = -1;        // joint of an articulation with this body as child; -1: none
+    Transformf added_at = {};  // for add_body: the pose that gave the initial joint coordinates
   };
   struct Joint {
     JointType type;

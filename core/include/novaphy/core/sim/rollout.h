@@ -14,14 +14,15 @@ namespace novaphy {
 
 inline constexpr float kLongestStep = 1.0e3f;  // s
 
-// The interface of an object that finds the contacts of a state, such as CollisionPipeline. Core
-// uses the interface because core does not know the collision library.
+// The interface of an object that finds the contacts of a state, such as CollisionPipeline. This
+// library cannot use that class directly, because the collision library depends on this one.
 class ContactFinder {
  public:
   virtual ~ContactFinder() = default;
   virtual Contacts contacts() const = 0;  // empty buffers for `collide`
-  // `dt` (s): the step that the contacts are for. Rigid contacts that cannot touch within dt may be
-  // left out. Empty: the contacts are valid for a step of any length.
+  // `dt` (s) is the length of the step that the contacts are for. The search may leave out rigid
+  // contacts that cannot touch within dt. If empty, the contacts are valid for a step of any
+  // length.
   virtual void collide(const SimState& state, Contacts& contacts,
                        std::optional<float> soft_contact_margin = {},
                        std::optional<float> dt = {}) = 0;
@@ -31,8 +32,8 @@ struct RolloutOptions {
   // Forces on the particles (N, world frame), added to the trajectory's particle_f. Either n rows
   // for all steps, or n rows for each step of this call, time-major.
   const DeviceArray<Vec3f>* forces = nullptr;
-  // Replaces `control`: m controls, of which each acts in an equal share of the steps. Null: the
-  // model's defaults. The number of steps must be a multiple of m.
+  // Replaces `control` by m controls, each of which acts in an equal share of the steps. A null
+  // pointer selects the model's defaults. The number of steps must be a multiple of m.
   std::vector<const Control*> controls = {};
   // Wrenches on the bodies (N, N m, world frame, about the center of mass), added to the
   // trajectory's body_f. Either b rows for all steps, or b rows for each step, time-major.
@@ -43,18 +44,19 @@ struct RolloutOptions {
   const DeviceArray<Vec3f>* targets = nullptr;
   // Finds new contacts for every step from its state. Replaces the `contacts` of the call.
   ContactFinder* pipeline = nullptr;
-  // Steps [start, stop) of the trajectory. stop = -1: to the end. States `start` and `stop` must be
-  // kept.
+  // The rollout runs the steps [start, stop) of the trajectory; a `stop` of -1 means the last step.
+  // The states `start` and `stop` must be kept.
   int32_t start = 0, stop = -1;
 };
 
-// The checked arguments of a rollout, accessed by step.
+// The checked arguments of a rollout, with access by step.
 class NOVAPHY_CORE_API RolloutInputs {
  public:
   // Throws ErrorKind::Value and names the argument: objects of another model, dt not in (0,
   // kLongestStep], forces of another size or device, a number of controls that does not divide the
-  // steps, states that do not exist or are not kept, contacts together with a pipeline. `held`: the
-  // number of kinematic particles that targets move; -1: the solver has no targets.
+  // steps, states that do not exist or are not kept, contacts together with a pipeline. `held` is
+  // the number of kinematic particles that targets move; -1 means that the solver supports no
+  // targets.
   RolloutInputs(const Model& model, const Trajectory& trajectory, const Control* control,
                 const Contacts* contacts, float dt, const RolloutOptions& options,
                 int32_t held = -1);

@@ -9,16 +9,16 @@
 
 namespace novaphy {
 
-// Rules that combine the materials of two shapes. If either weight is 0, each coefficient is the
-// mean of both. Otherwise the rules are MuJoCo's: the shape with the higher priority decides mu, ke
-// and kd. With equal priorities, mu is the larger one, and ke and kd are means by weight. ke and kd
-// are then per kg of 1 / (sum of the inverse masses). Only the pgs contacts of SolverFeatherstone
-// read these settings; other solvers take means.
+// Rules that combine the materials of two shapes in a contact. If either weight is 0, each
+// coefficient is the mean of the two values. Otherwise the rules are MuJoCo's: the shape with the
+// higher priority decides mu, ke and kd. With equal priorities, mu is the larger value, and ke and
+// kd are means by weight. ke and kd are then per kg of 1 / (sum of the inverse masses). Only the
+// pgs contacts of SolverFeatherstone read these settings; other solvers take means.
 struct ShapeMixing {
   float priority = 0.0f;
   float weight = 0.0f;        // 1
   float inverse_mass = 0.0f;  // 1/kg
-  float mu = 0.0f;            // replaces a mu of 0 if the other shape's mu is not 0
+  float mu = 0.0f;            // replaces mu = 0 if the other shape's mu is not 0
 };
 
 // All numbers must be finite. All but `margin`, `collision_group` and the priority must be >= 0.
@@ -30,7 +30,8 @@ struct ShapeConfig {
   float ka = 0.0f;           // m, adhesion distance (rigid contacts)
   float mu = 1.0f;           // 1, Coulomb friction
   float restitution = 0.0f;  // 1, only in pgs contacts of SolverFeatherstone
-  // Stored in the model. No solver supports them, and every solver refuses other values than these.
+  // Stored in the model. No solver supports these coefficients, and every solver refuses values
+  // other than these defaults.
   float mu_torsional = 0.005f, mu_rolling = 1e-4f;
   // m, thickness of the surface against other shapes. For particles the margin only widens the
   // detection; the force of a soft contact ignores the margin. A shell (is_solid false) has walls
@@ -47,7 +48,8 @@ struct ShapeConfig {
   bool has_shape_collision = true;
   bool has_particle_collision = true;
   bool is_visible = true;
-  // A site: a frame of its body without mass and without contacts, whatever the other fields say.
+  // Whether the shape is a site: a frame of its body without mass and without contacts. The values
+  // of the other fields then do not matter.
   bool is_site = false;
   // Red, green and blue (0 to 1) in viewers. Empty: the viewer chooses.
   std::optional<Vec3f> color = {};

@@ -1,6 +1,6 @@
-// ShapePairList: the shape pairs (i < j) of a model that may touch, in lexicographic order. Bodies,
-// flags, groups, worlds and filters count as at the time of finalize. The list is made at its first
-// use, because its length grows with the square of the number of shapes.
+// ShapePairList: the shape pairs (i < j) of a model that may touch, in lexicographic order. The
+// list uses the bodies, flags, groups, worlds and filters at the time of finalize. The first use
+// computes the list, because its length grows with the square of the number of shapes.
 #pragma once
 
 #include <atomic>
@@ -29,7 +29,7 @@ class NOVAPHY_CORE_API ShapePairList {
 
   void follow(std::shared_ptr<const Columns> columns) { columns_ = std::move(columns); }
   const std::shared_ptr<const Columns>& columns() const { return columns_; }
-  // Replaces the list. The columns are then ignored.
+  // Replaces the list. The columns are no longer used then.
   void set(DeviceArray<Vec2i> pairs);
   bool is_made() const { return made_.load(std::memory_order_acquire); }
 

@@ -1,5 +1,5 @@
-// The rule whether two shapes may touch, whatever their poses, shared by host and device. Filtered
-// pairs have their own check (shape_pair_rules.h). Freestanding.
+// The rule whether two shapes may touch, whatever their poses, shared by host and device.
+// shape_pair_rules.h also checks the filtered pairs. The header includes no standard library.
 #pragma once
 
 #include "novaphy/core/sim/enums.h"

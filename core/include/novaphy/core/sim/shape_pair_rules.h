@@ -10,8 +10,8 @@
 
 namespace novaphy {
 
-// One row per shape. `body` -1 is the world, `world` -1 all worlds. The caller owns the arrays and
-// the set of filtered pairs (i < j).
+// The input of the rules, with one row per shape. `body` -1 is the world, `world` -1 means all
+// worlds. The caller owns the arrays and the set of filtered pairs (i < j).
 struct ShapePairRules {
   std::span<const int32_t> body, flags, collision_group, world;
   const std::set<std::pair<int32_t, int32_t>>* filter_pairs = nullptr;  // null: none

@@ -1,12 +1,12 @@
 // Sleeping bodies. An island of bodies that has been slow for some time falls asleep: its state
 // keeps its bits until something wakes the island. SimState::body_sleep marks the sleeping bodies,
-// so a copy of a state sleeps too. Solvers put bodies to sleep, and contact searches skip sleeping
-// bodies.
+// so a copy of a state has the same sleeping bodies. Solvers put bodies to sleep, and contact
+// searches skip sleeping bodies.
 //
 // The mark of a sleeping body is a hash of its pose and of the versions of the model's arrays. A
 // body sleeps while its mark is valid, its velocity is zero, and no force of the state acts on it.
-// A write to any of these wakes the body. In a solver with joint coordinates the mark includes the
-// coordinates of the body's FREE joint.
+// A write to any of these values wakes the body. In a solver with joint coordinates the hash
+// includes the coordinates of the body's FREE joint.
 #pragma once
 
 #include <cstdint>
@@ -33,11 +33,11 @@ struct SleepConfig {
 inline constexpr float kLongestRest = 1000.0f;  // s
 NOVAPHY_CORE_API void check_sleep(const char* solver, const SleepConfig& config);
 
-// Returns the part of the mark that depends on the model: a hash of the versions of its arrays. 0:
-// an array may change without a new version, so no body may sleep.
+// Returns the part of the mark that depends on the model: a hash of the versions of its arrays.
+// Returns 0 if an array may change without a new version; no body may sleep then.
 NOVAPHY_CORE_API uint64_t sleep_stamp(const Model& model);
-// Returns the mark (< 0) of a body that sleeps at this pose. `joint_q` {7}: the coordinates of its
-// FREE joint, for a solver in joint coordinates; null for other solvers.
+// Returns the mark (< 0) of a body that sleeps at this pose. `joint_q` {7} are the coordinates of
+// its FREE joint, for a solver in joint coordinates. Other solvers pass null.
 inline constexpr uint32_t kSleeps = 0x80000000u, kSleepsInJoints = 0x40000000u;
 inline int32_t sleep_mark(uint64_t stamp, const Transformf& pose, const float* joint_q = nullptr) {
   uint32_t words[7];
@@ -61,9 +61,9 @@ inline bool sleeps_in_joints(int32_t mark) {
 
 enum class BodyActivity : uint8_t {
   Awake,   // moves under forces
-  Asleep,  // keeps its bits
-  Driven,  // kinematic, with a velocity or a rewritten pose
-  Still,   // kinematic, at rest
+  Asleep,  // sleeps: its state keeps its bits
+  Driven,  // kinematic, with a velocity or a newly written pose
+  Still,   // kinematic, without velocity
 };
 
 // Finds the sleeping bodies of a state. States on other devices than the CPU are not read.
@@ -73,7 +73,7 @@ class NOVAPHY_CORE_API SleepingBodies {
   bool find(const Model& model, const SimState& state);
   BodyActivity motion(int32_t body) const { return motion_[static_cast<size_t>(body)]; }
   bool is_asleep(int32_t body) const { return body >= 0 && motion(body) == BodyActivity::Asleep; }
-  // Returns whether a body wakes the bodies that it touches.
+  // Returns whether a body wakes the sleeping bodies that it touches.
   bool stirs(int32_t body) const {
     return body >= 0 &&
            (motion(body) == BodyActivity::Awake || motion(body) == BodyActivity::Driven);
@@ -98,8 +98,8 @@ class NOVAPHY_CORE_API SleepingBodies {
   std::vector<BodyActivity> motion_;
   uint64_t joints_stamp_ = 0;
   std::vector<int32_t> free_joint_;  // one per body
-  std::vector<uint8_t> written_;     // one per body: its mark is no longer valid
-  std::vector<uint8_t> woken_;       // one per first body of an island
+  std::vector<uint8_t> written_;     // one per body: whether its mark is no longer valid
+  std::vector<uint8_t> woken_;       // one per island, at the index of its first body
   bool any_woken_ = false;
 };
 

@@ -40,31 +40,31 @@ class NOVAPHY_CORE_API SolverBase {
   //                       the same state twice on an active tape, which needs the values of both
   virtual void step(SimState& state_in, SimState& state_out, const Control* control,
                     const Contacts* contacts, float dt) = 0;
-  // Runs the steps of a trajectory. The result has the bits of a loop over step in which every step
-  // starts from the forces in trajectory.particle_f plus those of the options. The forces are only
-  // read. Errors: those of RolloutInputs and of step.
+  // Runs the steps of a trajectory. The result has the same bits as a loop of calls of step, where
+  // the forces of each step are trajectory.particle_f plus those of the options. The forces are not
+  // written. Errors: those of RolloutInputs and of step.
   virtual void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts,
                        float dt, const RolloutOptions& options = {});
   // Returns whether a capture can record step.
   virtual bool supports_graph_capture() const { return false; }
-  // Reports edits of the model that did not go through its arrays.
+  // Reports edits of the model that change no array.
   virtual void notify_model_changed(ModelFlags flags);
 
  protected:
-  // Makes the checks that every step needs. Messages begin with `name`. Also watches for contact
-  // overflow.
+  // Makes the checks that every step needs, and warns of contact overflow. Messages begin with
+  // `name`.
   void check_step(const char* name, const SimState& state_in, const SimState& state_out,
                   const Control* control, const Contacts* contacts, float dt) const;
-  // For a step whose input and output are the same state: next_state returns a state of the solver
-  // to step into, and take_next copies the result. ErrorKind::Runtime, with `name`, on an active
-  // tape.
+  // For a step whose input and output are the same state: next_state returns an internal state for
+  // the result, and take_next copies this result to `state`. ErrorKind::Runtime, with `name`, on an
+  // active tape.
   SimState& next_state(const char* name);
   void take_next(SimState& state);
   // Warns once if the search found more contacts than slots; the message begins with `name`. The
-  // check waits for a device, so on devices it runs only at steps 1, 2, 4, 8, and so on. The check
-  // is skipped while a tape or a capture records.
+  // check waits for a device, so on devices it runs only at steps 1, 2, 4, 8, and so on. While a
+  // tape or a capture records, the check is skipped.
   void watch_overflow(const char* name, const Contacts& contacts) const;
-  // Holds the solver's memory for the duration of a call.
+  // Claims the solver's memory for the duration of a call (ExclusiveUse).
   ExclusiveUse::Scope use(const char* call) const { return {*in_use_, call, "the solver"}; }
   const std::shared_ptr<ExclusiveUse>& in_use() const { return in_use_; }
   // Kinematic targets: the number of particles that targets move (-1: not supported), and a step
@@ -75,14 +75,15 @@ class NOVAPHY_CORE_API SolverBase {
                                const DeviceArray<Vec3f>& targets);
 
   // Returns the memory that the solver carries from step to step besides the state. The next step
-  // reads and overwrites it. An array without rows means none. Rollouts keep a copy with each kept
-  // state.
+  // reads and overwrites this memory. An array without rows means that the solver has none.
+  // Rollouts store a copy of the memory with each kept state.
   virtual Array carried() const { return {}; }
 
  private:
   std::shared_ptr<const Model> model_;
   std::shared_ptr<ExclusiveUse> in_use_ = std::make_shared<ExclusiveUse>();
-  std::unique_ptr<SimState> next_;  // made by the first step with the same state twice
+  std::unique_ptr<SimState> next_;  // made by the first step whose input and output are the same
+                                    // state
   std::array<uint64_t, StateFields::kFieldCount> next_versions_{};
   mutable bool warned_of_overflow_ = false;
   mutable uint64_t overflow_looks_ = 0;

@@ -13,7 +13,8 @@
 
 namespace novaphy {
 
-// The type and size of an array that a solver needs for each step of a rollout besides the states.
+// The element type and size of an array that a solver needs for each step of a rollout besides the
+// states.
 struct ScratchSpec {
   DType dtype = DType::float32;
   size_t rows = 0, width = 1;
@@ -67,11 +68,11 @@ class NOVAPHY_CORE_API Trajectory {
   const DeviceArray<Vec3f>& particle_qd() const { return kept_.whole.particle_qd; }
   const DeviceArray<Vec3f>& particle_f() const { return kept_.whole.particle_f; }
 
-  // For solvers: returns state t even if it is not kept. The values stay until the next stretch is
-  // computed.
+  // For solvers: returns state t even if it is not kept. The values stay until the states between
+  // another two kept states are computed.
   SimState& any_state(int32_t t);
-  // For solvers: makes one set of arrays for each step that the backward pass runs at a time. Other
-  // specs replace the arrays.
+  // For solvers: allocates the arrays of `specs` for each step between two kept states. A call with
+  // other specs replaces the arrays.
   void reserve_scratch(const std::vector<ScratchSpec>& specs);
   StepScratch scratch(int32_t t) const { return scratch_.sets[static_cast<size_t>(slot(t))]; }
   // Runs step t of the last rollout without recording it.
@@ -99,7 +100,8 @@ class NOVAPHY_CORE_API Trajectory {
   StepFn step_;
 };
 
-// Makes the arrays of the specs, one set for each of `count` steps, contiguous in time.
+// Allocates the arrays of the specs for each of `count` steps. The arrays of one spec are
+// contiguous in memory, ordered by step.
 NOVAPHY_CORE_API std::vector<std::vector<Array>> make_scratch(const std::vector<ScratchSpec>& specs,
                                                               int32_t count, Device device);
 

@@ -1,5 +1,5 @@
 // Checks for settings of shapes and springs that a solver does not support. A value other than the
-// default is refused. A 0 that switches the force off is accepted. No setting is ignored silently.
+// default is refused; 0, which switches the force off, is accepted. No setting is ignored silently.
 #pragma once
 
 #include <array>
@@ -16,13 +16,13 @@ class NOVAPHY_CORE_API UnsupportedMaterials {
   // mu_rolling.
   struct Reads {
     bool kf = true, ka = true, restitution = false;
-    bool ropes = true;  // particle_spring_tension_only; also true without particles
+    bool ropes = true;  // particle_spring_tension_only; true also without particles
   };
   UnsupportedMaterials(const char* solver, Reads reads) : solver_(solver), reads_(reads) {}
 
   // Checks the arrays. A call is cheap if no array was written since the last call.
-  // ErrorKind::NotImplemented names the shape or the spring, and the setting. The host reads here
-  // are not recorded, because no kernel depends on them.
+  // ErrorKind::NotImplemented names the shape or the spring, and the setting. The recorder is not
+  // told that the host reads the arrays, because no kernel depends on the result.
   void check(const Model& model);
 
  private:

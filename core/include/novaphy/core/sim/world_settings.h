@@ -1,4 +1,5 @@
-// Gravity and the fluid of a world, as builders take them, and the arrays of a model for the fluid.
+// Gravity and the fluid of a world, as arguments of builders, and the arrays of a model for the
+// fluid.
 #pragma once
 
 #include <optional>

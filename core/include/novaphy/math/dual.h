@@ -1,7 +1,7 @@
-// Dual: a scalar (a float or lanes of floats) with its derivative along one direction. A formula
-// template runs with Dual unchanged. Comparisons use the values, so the branches are those of the
-// values. Conventions, as in tools/vbd_adjoints/symbol.h: sqrt has the derivative 0 at 0. For equal
-// arguments, max and min have the derivative of the first.
+// Dual: a scalar (a float or SIMD lanes of floats) with its derivative along one direction. A
+// formula template runs with Dual unchanged. Comparisons use the values alone, so the formula takes
+// the same branches. Conventions, as in tools/vbd_adjoints/symbol.h: sqrt has the derivative 0 at
+// 0. For equal arguments, max and min have the derivative of the first argument.
 #pragma once
 
 #include "novaphy/math/functions.h"

@@ -1,6 +1,6 @@
 // Elementary functions as branch-free templates over the scalar T. T = float runs in the forward
-// engine, T = nova::Real is traced. All operations round the same on every device: + - * / sqrt
-// floor fma, comparisons, selects, casts and bit patterns, no libm. So all devices give equal bits.
+// engine, T = nova::Real is traced. The formulas avoid libm and use only + - * / sqrt floor fma,
+// comparisons, selects, casts and bit patterns, which every device rounds to the same bits.
 //
 //   function    worst error  where        special values (NaN in gives NaN out)
 //   sin, cos    1.6 ulp      |x| <= 1e5   sin(-0) = -0, +-inf gives NaN
@@ -23,7 +23,7 @@
 //   log         1/x everywhere, so +-inf at +-0
 //   pow         d/dx = y pow(x, y - 1), and 0 for y = 0: at x = 0 that is 0 for y > 1, 1 for y = 1,
 //               and infinite for other y. d/dy = pow(x, y) log(x); 0 where x or the value is 0; NaN
-//               for x < 0 (a whole y has no neighbors)
+//               for x < 0, where pow is NaN between whole y
 //   asin, acos  0 at +-1 and beyond
 //   atan2       0 for both arguments at the origin
 //   rsqrt       0 for x <= 0, as sqrt
@@ -34,7 +34,7 @@
 // The coefficients are minimax fits of the relative error. Lawson's iteration (reweighted least
 // squares until the error is level) runs on 1500 Chebyshev nodes against 50-digit values. Rounding
 // to binary32 goes from the lowest degree up, with a new fit of the other coefficients each time. A
-// search over neighboring floats comes last. Each use states its interval and relative error.
+// last search tries neighboring floats. The comment at each use has the interval and the error.
 #pragma once
 
 #include "novaphy/math/scalar.h"
@@ -69,7 +69,7 @@ inline constexpr float kHalfPi3 = 0x1.84698ap-48f;
 // pi/2 as the nearest float plus the rounding error.
 inline constexpr float kHalfPiHi = 0x1.921fb6p+0f, kHalfPiLo = -0x1.777a5cp-25f;
 
-// c + rest[0] u + rest[1] u^2 + ..., by Horner's rule.
+// Returns c + rest[0] u + rest[1] u^2 + ..., by Horner's rule.
 template <class T, class... Rest>
 T polynomial(const T& u, float c, Rest... rest) {
   if constexpr (sizeof...(rest) == 0) {
@@ -100,8 +100,8 @@ struct SinCos {
   T sin{}, cos{};
 };
 // Returns sine and cosine together, because each is the derivative of the other up to sign. The
-// argument is x = k pi/2 + r (Cody and Waite), followed by polynomials in r. For |x| <= 1e5, x 2/pi
-// is known to 2^-8, so |r| exceeds pi/4 = 0.7854 only slightly.
+// reduction x = k pi/2 + r (Cody and Waite) comes first, then polynomials in r. For |x| <= 1e5 the
+// error of x 2/pi is at most 2^-8, so |r| exceeds pi/4 = 0.7854 only slightly.
 template <class T>
 SinCos<T> sin_cos(const T& x) {
   const T k = floor(fma(x, T(kTwoOverPi), T(0.5f)));
@@ -111,7 +111,7 @@ SinCos<T> sin_cos(const T& x) {
   const T reduced = fma(k, T(-kHalfPi3), fma(k, T(-kHalfPi2), exact));
   const T r = clamp_to(reduced, -1.0f, 1.0f);  // bounds the result if k is wrong
   const T u = r * r;
-  // sin(r) to 2^-27.7 and cos(r) to 2^-32.6 for |r| <= 0.80
+  // The polynomials give sin(r) to 2^-27.7 and cos(r) to 2^-32.6 for |r| <= 0.80.
   const T s = fma(r * u, polynomial(u, -0.166666538f, 0.00833209511f, -0.0001950554f), r);
   const T c = polynomial(u, 1.0f, -0.5f, 0.0416666418f, -0.00138871302f, 2.44120856e-05f);
   const auto quadrant = to_int(k);
@@ -124,7 +124,7 @@ SinCos<T> sin_cos(const T& x) {
   return {select(x == T(0.0f), x, sine), cosine};  // the polynomial would lose the sign of -0
 }
 
-// Exponent n and remainder r: x = n ln 2 + r, |r| <= 0.3471, exp(x) = 2^n (1 + exp_minus_1(r)).
+// Returns the exponent n of x = n ln 2 + r with |r| <= 0.3471. exp(x) = 2^n (1 + exp_minus_1(r)).
 template <class T>
 T nearest_exponent(const T& x) {
   return floor(fma(x, T(kLog2e), T(0.5f)));
@@ -134,7 +134,7 @@ T without_exponent(const T& x, const T& n) {
   return fma(n, T(-kLn2Lo), fma(n, T(-kLn2Hi), x));
 }
 template <class T>
-T exp_minus_1(const T& r) {  // to 2^-28.2 of exp(r)
+T exp_minus_1(const T& r) {  // error: 2^-28.2 of exp(r)
   const T p =
       polynomial(r, 0.49999994f, 0.166665211f, 0.0416682847f, 0.00836869422f, 0.0013819189f);
   return fma(r * r, p, r);
@@ -149,7 +149,7 @@ T scale(const T& x, const T& n) {
 
 template <class T>
 T exp_value(const T& x) {
-  const T clamped = clamp_to(x, -104.0f, 89.0f);  // beyond, exp is 0 or inf in float
+  const T clamped = clamp_to(x, -104.0f, 89.0f);  // beyond these bounds, exp is 0 or inf in float
   const T n = nearest_exponent(clamped);
   return scale(T(1.0f) + exp_minus_1(without_exponent(clamped, n)), n);
 }
@@ -158,8 +158,8 @@ template <class T>
 struct Scientific {
   T mantissa{}, exponent{};
 };
-// Splits a finite a > 0 into mantissa 2^exponent, with the mantissa in [sqrt(1/2), sqrt(2)). Other
-// inputs give arbitrary numbers.
+// Splits a finite a > 0 into mantissa * 2^exponent, with the mantissa in [sqrt(1/2), sqrt(2)).
+// Other inputs give meaningless numbers.
 template <class T>
 Scientific<T> split(const T& a) {
   const auto denormal = a < T(kSmallestNormal);
@@ -173,7 +173,7 @@ template <class T>
 T log_value(const T& x) {
   const Scientific<T> part = split(abs(x));
   const T f = part.mantissa - T(1.0f);
-  // Polynomial of (log(1 + f) - f) / f^2 on [sqrt(1/2) - 1, sqrt(2) - 1], to 2^-27.8 of log(1 + f).
+  // (log(1 + f) - f) / f^2 for sqrt(1/2) <= 1 + f < sqrt(2). The error is 2^-27.8 of log(1 + f).
   const T p = polynomial(f, -0.499999881f, 0.333333254f, -0.250016093f, 0.200020134f, -0.166084543f,
                          0.141806036f, -0.132470503f, 0.129145741f, -0.0762491301f);
   const T small = f + fma(part.exponent, T(kLn2Lo), (f * f) * p);
@@ -186,8 +186,8 @@ template <class T>
 struct Pair {  // the unevaluated sum hi + lo, hi = fl(hi + lo)
   T hi{}, lo{};
 };
-// Returns log(a) for finite a > 0 as a pair. pow multiplies the relative error, about 2^-31, by up
-// to 88. Formula: exponent ln 2 + 2 atanh(s), s = (m - 1) / (m + 1), |s| <= 0.1716. s, s^3: pairs.
+// Returns log(a) for finite a > 0 as a pair. The relative error is 2^-31; pow multiplies it by up
+// to 88. With the mantissa m: exponent ln 2 + 2 atanh(s), s = (m - 1) / (m + 1), |s| <= 0.1716.
 template <class T>
 Pair<T> log_pair(const T& a) {
   const Scientific<T> part = split(a);
@@ -199,8 +199,8 @@ Pair<T> log_pair(const T& a) {
   const T s_lo = fma(-s, d_lo, fma(-s, d, f)) * inverse;
   const T u = s * s, cube = s * u;
   const T cube_lo = fma(s, fma(s, s, -u), fma(s, u, -cube));
-  // Polynomial of (atanh(s) / s - 1) / s^2 without its first coefficient 1/3, to 2^-35.5 of
-  // atanh(s). The term s_lo has the factor 1 + s^2, the derivative of atanh.
+  // Polynomial for (atanh(s) / s - 1) / s^2 without its first coefficient 1/3. The error is 2^-35.5
+  // of atanh(s). The term s_lo has the factor 1 + s^2, the derivative of atanh to first order.
   const T p = polynomial(u, 0.199998766f, 0.142850175f, 0.115100279f);
   const T tail = fma(cube, third, fma(cube * u, p, fma(cube_lo, third, fma(s_lo, u, s_lo))));
   const T exponent_hi = part.exponent * T(kLn2Hi), s2 = s + s;
@@ -221,12 +221,12 @@ Pow<T> pow_value(const T& x, const T& y) {
   const T a = abs(x);
   const Pair<T> log_a = log_pair(a);
   const T l = select(a < infinity, select(a == zero, -infinity, log_a.hi), a);
-  // The product y log(a) as a pair. y is clamped to avoid overflow. The result is the same, 0, 1 or
-  // inf, because |log(a)| > 2^-25 for a != 1.
+  // The product y log(a) as a pair. The clamp of y avoids overflow and does not change the result:
+  // for larger |y| the result is 0, 1 or inf, because |log(a)| > 2^-25 for a != 1.
   const T yc = clamp_to(y, -0x1p40f, 0x1p40f);
   const T hi = yc * l;
   const T lo = select(abs(hi) < T(128.0f), fma(yc, log_a.lo, fma(yc, l, -hi)), zero);
-  const T e = clamp_to(hi, -128.0f, 128.0f);  // beyond, the result is 0 or inf
+  const T e = clamp_to(hi, -128.0f, 128.0f);  // beyond these bounds, the result is 0 or inf
   const T n = nearest_exponent(e);
   const T magnitude = scale(one + exp_minus_1(without_exponent(e, n) + lo), n);
 
@@ -276,7 +276,7 @@ Asin<T> asin_parts(const T& x) {
   const auto large = a > T(0.5f);
   const T u = select(large, fma(a, T(-0.5f), T(0.5f)), a * a);
   const T s = select(large, sqrt(u), a);
-  // Polynomial of (asin(s) / s - 1) / s^2 for s <= 1/2, to 2^-27.6.
+  // Polynomial for (asin(s) / s - 1) / s^2 for s <= 1/2. The error is 2^-27.6 of asin(s).
   const T p =
       polynomial(u, 0.166667521f, 0.0749530941f, 0.0454691499f, 0.0241847783f, 0.0421583056f);
   const T derivative = select(a == one, T(0.0f), one / sqrt((one - a) * (one + a)));
@@ -287,7 +287,7 @@ template <class T>
 struct Atan2 {
   T value{}, dy{}, dx{};
 };
-// atan of the quotient q <= 1 of the smaller and larger argument, in the octant of (x, y).
+// Returns the angle of (x, y) from atan(q), where q <= 1 is the ratio of the smaller to the larger.
 template <class T>
 Atan2<T> atan2_value(const T& y, const T& x) {
   const T zero = T(0.0f), one = T(1.0f);
@@ -298,7 +298,7 @@ Atan2<T> atan2_value(const T& y, const T& x) {
   const auto both_infinite = both(smaller == T(kInfinity), larger == T(kInfinity));
   const T q = select(both_infinite, one, smaller / d);
   const T u = q * q;
-  // Polynomial of (atan(q) / q - 1) / q^2 for q <= 1, to 2^-28.5.
+  // Polynomial for (atan(q) / q - 1) / q^2 for q <= 1. The error is 2^-28.5 of atan(q).
   const T p =
       polynomial(u, -0.333332986f, 0.199985296f, -0.142640159f, 0.109508805f, -0.0839930624f,
                  0.0578813925f, -0.0310970023f, 0.0108687095f, -0.00178283197f);
@@ -366,7 +366,7 @@ T tanh(const T& x) {
   return with_derivative(detach(v.value), x, v.derivative);
 }
 
-// asin(clamp(x, -1, 1)), in [-pi/2, pi/2].
+// Returns asin(clamp(x, -1, 1)), in [-pi/2, pi/2].
 template <FormulaScalar T>
 T asin(const T& x) {
   using namespace functions_detail;
@@ -375,7 +375,7 @@ T asin(const T& x) {
   return with_derivative(detach(with_sign_of(x, select(v.large, rest, v.small))), x, v.derivative);
 }
 
-// acos(clamp(x, -1, 1)), in [0, pi].
+// Returns acos(clamp(x, -1, 1)), in [0, pi].
 template <FormulaScalar T>
 T acos(const T& x) {
   using namespace functions_detail;
@@ -387,7 +387,7 @@ T acos(const T& x) {
   return with_derivative(detach(angle), x, -v.derivative);
 }
 
-// The angle of (x, y) from the x axis, in [-pi, pi].
+// Returns the angle of (x, y) from the x axis, in [-pi, pi].
 template <FormulaScalar T>
 T atan2(const T& y, const T& x) {
   const auto v = functions_detail::atan2_value(y, x);

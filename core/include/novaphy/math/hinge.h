@@ -1,5 +1,5 @@
-// The builder measures rest angles with the same function as the bending force. A hinge at its rest
-// angle therefore has exactly no force.
+// The geometry of a hinge: two triangles with a common edge. The builder measures rest angles with
+// the same function as the bending force, so a hinge at its rest angle has exactly no force.
 #pragma once
 
 #include "novaphy/math/functions.h"
@@ -15,7 +15,7 @@ struct Hinge {
   T angle{};                               // rad
 };
 
-// Directions and the angle are undefined if a length is 0. Check the lengths before using them.
+// Returns directions and the angle, which are undefined if a length is 0. Check the lengths first.
 template <class T>
 Hinge<T> make_hinge(const Vec3<T>& x1, const Vec3<T>& x2, const Vec3<T>& x3, const Vec3<T>& x4) {
   Hinge<T> h;

@@ -10,13 +10,12 @@ namespace novaphy::math {
 template <class T, int N>
 struct Ldlt {
   T l[N][N]{};  // L below the diagonal; the diagonal of L is 1
-  T d[N]{};     // all > 0 if and only if A is positive definite; otherwise `solve` gives no
-                // solution
+  T d[N]{};     // all > 0 if and only if A is positive definite, which `solve` needs
   T reciprocal[N]{};  // 1 / d
 };
 
-// Factors A, which is read on and below its diagonal. Rows are computed in order; each entry
-// subtracts its terms in ascending order.
+// Factors A. Only its entries on and below the diagonal are read. Rows are computed in order; each
+// entry subtracts its terms in ascending order.
 template <int N, class T>
 Ldlt<T, N> ldlt(const T (&a)[N][N]) {
   Ldlt<T, N> f;

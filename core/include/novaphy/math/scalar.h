@@ -1,7 +1,7 @@
-// The scalar functions that formulas use. A formula is a template over its scalar T. With T = float
-// it runs in the forward engine, and with T = nova::Real it is traced into a Program. Every
-// function here has a twin for nova::Real with the same rounding and the same ties, found by
-// argument-dependent lookup.
+// The scalar functions that formulas use. A formula is a template over its scalar T. T = float runs
+// in the forward engine, and T = nova::Real is traced into a Program. Every function here also
+// exists for nova::Real, with the same rounding and the same result at ties. Argument-dependent
+// lookup finds it.
 //
 // Freestanding: the only library headers are <cstdint>, and <cmath> for correctly rounded
 // operations.
@@ -40,8 +40,8 @@ inline float to_real(int32_t a) { return static_cast<float>(a); }  // rounds to 
 inline int32_t float_bits(float a) { return __builtin_bit_cast(int32_t, a); }
 inline float bits_float(int32_t a) { return __builtin_bit_cast(float, a); }
 
-// Declarations about derivatives, without effect on floats. detach(a) is a as a constant.
-// with_derivative(y, x, dy_dx) is y with the declared derivative dy_dx with respect to x.
+// Declarations about derivatives, which change no value. detach(a) returns a with the derivative 0.
+// with_derivative(y, x, dy_dx) returns y with the derivative dy_dx with respect to x.
 inline float detach(float a) { return a; }
 inline float with_derivative(float y, float, float) { return y; }
 

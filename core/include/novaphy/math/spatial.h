@@ -61,15 +61,15 @@ SpatialVector<T> cross_motion(const SpatialVector<T>& m, const SpatialVector<T>&
   return {cross(m.angular, motion.linear) + cross(m.linear, motion.angular),
           cross(m.angular, motion.angular)};
 }
-// Returns m x* f: the rate of a force f that moves with m (2.32). This map is minus the transpose
-// of m x.
+// Returns m x* f: the rate of a force f that moves with m (2.32). As a matrix, m x* is minus the
+// transpose of m x.
 template <class T>
 SpatialVector<T> cross_force(const SpatialVector<T>& m, const SpatialVector<T>& force) {
   return {cross(m.angular, force.linear),
           cross(m.angular, force.angular) + cross(m.linear, force.linear)};
 }
 
-// Shifts a motion or force to another point at r from the origin. The axes stay.
+// Shifts a motion or force to another reference point at r from the origin. The axes stay.
 template <class T>
 SpatialVector<T> motion_at(const SpatialVector<T>& motion, const Vec3<T>& r) {
   return {motion.linear + cross(motion.angular, r), motion.angular};
@@ -130,8 +130,7 @@ SpatialVector<T> apply(const SpatialInertia<T>& y, const SpatialVector<T>& motio
   return {motion.linear * y.mass - cross(y.moment, motion.angular),
           cross(y.moment, motion.linear) + rotational(y, motion.angular)};
 }
-// Returns m x* Y m: the bias force, which has the gyroscopic term and the term of the moving
-// origin.
+// Returns the bias force m x* Y m: the gyroscopic term and the term of the moving origin.
 template <class T>
 SpatialVector<T> bias_force(const SpatialInertia<T>& y, const SpatialVector<T>& motion) {
   return cross_force(motion, apply(y, motion));
@@ -140,8 +139,8 @@ SpatialVector<T> bias_force(const SpatialInertia<T>& y, const SpatialVector<T>& 
 template <class T>
 SpatialInertia<T> inertia_at(const SpatialInertia<T>& y, const Vec3<T>& r) {
   const Vec3<T> h = y.moment - r * y.mass;
-  // Parallel axis theorem: subtracts the terms of r (h + moment), where h is the first moment about
-  // the new point.
+  // Parallel axis theorem: subtracts the terms of r and h + moment, where h is the first moment
+  // about the new point.
   const Vec3<T> s = y.moment + h;
   const T half = T(0.5f);
   const T rx = r.x * s.x, ry = r.y * s.y, rz = r.z * s.z;

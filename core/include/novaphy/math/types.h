@@ -1,10 +1,10 @@
 // Vectors, matrices, quaternions and transforms, as templates over the scalar (float or
 // nova::Real).
 //
-// Every operator rounds once, from left to right as written, without contraction. The formulas of
-// the forces are exact to the bit in this arithmetic. Conventions: quaternions are (x, y, z, w)
-// with the Hamilton product and rotate actively. Matrices are row-major. A transform is p' = p +
-// rotate(q, v). Spatial vectors are linear first.
+// Every operator rounds once, from left to right as written, and is not contracted to a fused
+// multiply-add. Force formulas therefore have the same bits everywhere. Conventions: quaternions
+// are (x, y, z, w) with the Hamilton product and rotate actively. Matrices are row-major. A
+// transform is p' = p + rotate(q, v). Spatial vectors have their linear part first.
 #pragma once
 
 #include <cstdint>

@@ -51,8 +51,8 @@ int read_v1(const fs::path& folder) {
   return to_cpus(take_number(first), take_number(second));
 }
 
-// Returns the smallest limit of `group` and of the groups above it. In a container the path of the
-// group may not exist under the mount. The root of the mount is then the group.
+// Returns the smallest limit of `group` and of its parent groups. In a container the path of the
+// group may not exist under the mount. The root of the mount is then the group of this process.
 int smallest(const fs::path& mount, fs::path group, int (*read)(const fs::path&)) {
   int limit = 0;
   group = group.relative_path();

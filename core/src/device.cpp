@@ -11,8 +11,8 @@
 namespace novaphy {
 namespace {
 
-// The default device in one atomic word, so that reading it needs no lock. 0: not set. Otherwise 1
-// + type * 2^32 + ordinal.
+// The default device in one atomic word, so that reading it needs no lock: 0 if not set, otherwise
+// 1 + type * 2^32 + ordinal.
 std::atomic<uint64_t> g_default{0};
 
 uint64_t pack(Device device) {
@@ -85,7 +85,7 @@ Device default_device() {
       fail(ErrorKind::Value, "NOVAPHY_DEVICE: ", error.what());
     }
   }
-  uint64_t unset = 0;  // a device that another thread set meanwhile stays
+  uint64_t unset = 0;  // keeps a device that another thread has set meanwhile
   g_default.compare_exchange_strong(unset, pack(device));
   return unpack(g_default.load());
 }

@@ -129,7 +129,7 @@ void DeviceKernel::launch(Device device, int64_t n,
               " rows, got none");
       continue;
     }
-    // A device that follows a pointer of another device fails for good, so the devices are compared
+    // A device that uses a pointer of another device fails permanently, so the devices are compared
     // here.
     const Device own = a.range->device();
     if (own != device) [[unlikely]]
@@ -206,7 +206,7 @@ void DeviceKernel::launch_arrays(int64_t n, std::span<const ArgumentInfo> infos,
         fits &= info.row_bytes == 0 || (info.access & access::kOptional) != 0;
         word = 0;
       } else {
-        // A device that follows a pointer of another device fails for good, so the devices are
+        // A device that uses a pointer of another device fails permanently, so the devices are
         // compared here.
         fits &= static_cast<int>(bits(range->device()) == device_bits) &
                 static_cast<int>(range->bytes() >= rows * info.row_bytes);

@@ -102,7 +102,7 @@ void LaunchList::run(size_t first, size_t last) const {
       if (op.n != 0)
         launch_now(*op.made->context, op.made->kernel, op.kernel->name(), op.n, words(op));
   }
-  // Neighbors in the list often write the same arrays. One mark is enough for them.
+  // Launches that follow each other often write the same arrays. One mark is enough for them.
   const Op* marked = nullptr;
   for (const Op& op : ops) {
     if (!op.writes_arrays || op.n == 0) continue;

@@ -13,7 +13,7 @@ namespace {
 
 thread_local ArrayObserver* t_observer = nullptr;
 
-// The pattern in memory with undefined contents. 0: the memory is not filled.
+// The pattern that fills memory with undefined contents. 0 means that the memory is not filled.
 #ifdef NOVAPHY_DEBUG
 constexpr uint64_t kPoison = 0x7fa0'0000'7fa0'0000;  // two signaling NaNs
 #else

@@ -18,7 +18,7 @@ namespace {
 
 constexpr auto kWatch = std::chrono::microseconds(100);  // how long helpers wait for the next job
 constexpr auto kLeave = std::chrono::seconds(1);
-constexpr int kSpins = 256;     // between two looks at the clock
+constexpr int kSpins = 256;     // spins between two reads of the clock
 constexpr int kPatience = 16;   // spins before stealing, some tenths of a microsecond
 constexpr size_t kApart = 128;  // bytes; processors fetch cache lines in pairs
 
@@ -40,10 +40,10 @@ int64_t most_chunks(int64_t first, std::span<const int64_t> ends) {
 }  // namespace
 
 struct ThreadTeam::Shared {
-  // Each member starts with its own part, which is the same in every phase with the same number of
-  // chunks. Data that the member wrote is then still in its cache. Afterwards the member steals
-  // chunks from other parts. The word has the phase of the part and the number of chunks taken in
-  // it.
+  // The chunks of one member in the current phase. Each member starts with its own part, which is
+  // the same in every phase with the same number of chunks: data that the member wrote is then
+  // still in its cache. Afterwards the member steals chunks from other parts. `taken` packs the
+  // phase and the number of chunks taken in this phase into one word.
   struct alignas(kApart) Part {
     std::atomic<uint64_t> taken{0};
     // Takes the next of the part's `count` chunks in the phase, if one is left. A member enters a
@@ -59,8 +59,9 @@ struct ThreadTeam::Shared {
     }
   };
 
-  // A seat for every member of the team; the caller has the first. The number of finished chunks is
-  // the sum over all seats. One shared counter would move between caches at the end of every phase.
+  // The state of one thread in the team; the calling thread has the first seat. The number of
+  // finished chunks is the sum over all seats. One shared counter would move between caches at the
+  // end of every phase.
   struct alignas(kApart) Seat {
     std::atomic<int64_t> done{0};  // written by its member only
     std::atomic<bool> held{false};
@@ -71,8 +72,8 @@ struct ThreadTeam::Shared {
 
   const int threads;
   std::atomic_flag taken = ATOMIC_FLAG_INIT;  // held by the thread that owns the job
-  // The job, which is written while `number` is even, and read by members that entered while
-  // `number` was odd.
+  // The job and its number. The caller writes the job while `number` is even. Members that enter
+  // while `number` is odd read the job.
   alignas(64) std::atomic<uint64_t> number{0};
   void (*work)(void*, int64_t) = nullptr;
   void* context = nullptr;
@@ -83,13 +84,13 @@ struct ThreadTeam::Shared {
   std::vector<Seat> seats;
   std::mutex mutex;
   std::exception_ptr failure;
-  std::atomic<bool> failed{false};         // the remaining chunks are skipped
-  alignas(64) std::atomic<int> inside{0};  // helpers inside of the job
+  std::atomic<bool> failed{false};         // whether the remaining chunks are skipped
+  alignas(64) std::atomic<int> inside{0};  // number of helper threads inside of the job
   std::atomic<int> helpers{0};             // helpers that wait for jobs or have been called
   std::atomic<bool> stop{false};
 
-  // Returns the number of finished chunks, counted from `first`. A phase begins when all chunks
-  // before its first are done.
+  // Returns the number of finished chunks, counted from `first`. A phase begins when all chunks of
+  // the phases before it are done.
   int64_t done() const {
     int64_t sum = first;
     for (const Seat& seat : seats) sum += seat.done.load(std::memory_order_acquire);
@@ -105,10 +106,10 @@ struct ThreadTeam::Shared {
       failed = true;
     }
   }
-  // Runs the remaining chunks of one part in the phase with the chunks [begin, end).
+  // Runs the remaining chunks of part `part` in phase `phase`, which has the chunks [begin, end).
   void do_part(size_t member, size_t part, uint64_t phase, int64_t begin, int64_t end) {
     const auto parts_count = static_cast<int64_t>(used_parts);
-    const auto share = [&](size_t k) {  // the first parts are larger if the division has a rest
+    const auto share = [&](size_t k) {  // the first parts get the remainder of the division
       return begin + (static_cast<int64_t>(k) * (end - begin) + parts_count - 1) / parts_count;
     };
     const int64_t from = share(part), chunks = share(part + 1) - from;
@@ -142,7 +143,7 @@ struct ThreadTeam::Shared {
     if (number == job) do_share(member);
     --inside;
   }
-  // Takes a free seat and returns its index. Returns the number of seats if none is free.
+  // Takes a free seat and returns its index. Returns the number of seats if all are taken.
   size_t take_seat() {
     size_t k = 1;
     while (k < seats.size() && seats[k].held.exchange(true)) ++k;

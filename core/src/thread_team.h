@@ -1,7 +1,7 @@
-// ThreadTeam: threads that share the chunks of one job after another. Between two jobs in quick
-// succession, a hand-over costs one write and one read, without a system call. Helpers wait for the
-// next job for a while before they return their thread to oneTBB. Within a job, threads enter the
-// next phase on their own when all chunks of the phase are done.
+// ThreadTeam: threads that share the chunks of one job after another. A job is a call of run(). If
+// jobs follow each other quickly, starting a job costs one write and one read, without a system
+// call. Helper threads wait for the next job for a while before they return to oneTBB. Within a
+// job, threads enter the next phase on their own when all chunks of the phase before it are done.
 #pragma once
 
 #include <oneapi/tbb/global_control.h>

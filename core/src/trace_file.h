@@ -8,8 +8,8 @@
 
 namespace novaphy {
 
-// The file is valid JSON at any time, even if the process ends early: each write replaces the
-// closing bracket. Events are buffered.
+// The file is valid JSON at any time, even if the process ends early, because each write replaces
+// the closing bracket. Events are buffered.
 class TraceFile {
  public:
   explicit TraceFile(const char* path);  // throws ErrorKind::Value if the file cannot be written
@@ -27,7 +27,7 @@ class TraceFile {
   std::mutex mutex_;
   int file_ = -1;
   int64_t offset_ = 0;  // end of the array in the file
-  std::string kept_;    // events in the buffer
+  std::string kept_;    // buffered events, not yet in the file
   const int32_t process_;
 };
 

@@ -21,10 +21,10 @@ namespace {
 using detail::Edge;
 using detail::Vec3d;
 
-constexpr double kFlat = 1e-6;                    // of the extent: smaller heights count as flat
-constexpr double kVisible = 1e-9;                 // of the extent: a point this high sees a face
+constexpr double kFlat = 1e-6;                    // times the extent: smaller heights are flat
+constexpr double kVisible = 1e-9;                 // times the extent: least height above a face
 constexpr double kCoplanarCosine = 1 - 1.523e-6;  // 0.1 deg
-constexpr double kLost = 0.01;                    // of the thickness: height a merge may remove
+constexpr double kLost = 0.01;                    // times the thickness: largest loss by a merge
 
 struct Triangle {
   std::array<int32_t, 3> v;
@@ -44,8 +44,7 @@ class Quickhull {
   double extent = 0.0;
 
  private:
-  // A triangle with a point above it. The queue takes the highest point first; among equal heights,
-  // the smallest point index.
+  // A triangle with a point above it. The queue takes the highest point, on ties the lowest index.
   struct Candidate {
     double height;
     int32_t point;
@@ -185,7 +184,7 @@ void Quickhull::distribute(const std::vector<int32_t>& candidates, size_t first)
       candidates_.push({triangles[t].height, triangles[t].farthest, t});
 }
 
-// Returns in ascending order the triangles that see p and are connected to `start`, which sees p.
+// Returns, ascending, the triangles visible from p and connected to `start`, which is visible too.
 std::vector<size_t> Quickhull::seen_by(size_t start, const Vec3d& p) {
   std::vector<size_t> seen = {start};
   triangles[start].is_seen = true;
@@ -262,8 +261,8 @@ Vec3d vector_area(const std::vector<Vec3d>& points, const std::vector<int32_t>& 
   return sum;
 }
 
-// Merges coplanar neighbors, from the largest triangle on. A merge removes the corners inside of
-// the outline. A merge is refused if a removed corner would make the hull thinner, or flat.
+// Merges coplanar neighbors, beginning with the largest triangle. A merge removes the corners
+// inside of the outline. A merge that would make the hull thinner by kLost, or flat, is refused.
 std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
   const std::vector<Triangle>& triangles = hull.triangles;
   detail::EdgeOwners owner;
@@ -293,7 +292,7 @@ std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
     for (const Triangle& t : triangles)
       for (const int32_t i : t.v)
         thickness = std::max(thickness, s.offset - math::dot(s.normal, hull.points[i]));
-    // Returns whether a merge to the outline `loop` removes only corners within the tolerance.
+    // Returns whether a merge with the outline `loop` removes only corners within the tolerance.
     const auto keeps_corners = [&](const std::vector<int32_t>& loop, std::span<const size_t> of) {
       if (loop.empty()) return false;
       const Vec3d up = detail::unit(vector_area(hull.points, loop));
@@ -324,8 +323,9 @@ std::vector<Polygon> merge_coplanar(const Quickhull& hull) {
   return polygons;
 }
 
-// Makes the tables of the hull. Triangle edges inside merged faces remain neighbors: such faces are
-// flat only to 0.1 degrees, and a hill climb without these edges could stop at a face's low side.
+// Makes the tables of the hull. Triangle edges inside merged faces still connect neighbors, because
+// a merged face is flat only to 0.1 degrees. Without these edges, a hill climb to the farthest
+// vertex in a direction could stop at the lower side of a face.
 ConvexHull tables(std::span<const Vec3f> points, const std::vector<Triangle>& triangles,
                   std::vector<Polygon> polygons) {
   std::set<int32_t> used;

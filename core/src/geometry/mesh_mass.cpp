@@ -126,8 +126,8 @@ std::vector<Vec3d> moved_inwards(const std::vector<Vec3d>& vertices,
     }
   }
   std::vector<Vec3d> inner = vertices;
-  constexpr double kShortest = 1e-10;  // fraction of the trace; regularization selects the shortest
-                                       // of several solutions
+  constexpr double kShortest = 1e-10;  // regularization as a fraction of the trace; selects the
+                                       // shortest of several solutions
   for (size_t i = 0; i < inner.size(); ++i) {
     Equations& e = equations[i];
     const double trace = e.a[0][0] + e.a[1][1] + e.a[2][2];

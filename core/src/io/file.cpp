@@ -25,7 +25,7 @@ std::string read_file(std::string_view function, const std::filesystem::path& pa
     file.read(bytes.data(), static_cast<std::streamsize>(size));
     bytes.resize(static_cast<size_t>(file.gcount()));
   }
-  // The rest of a file without a known size, such as a pipe, or of a file that has grown.
+  // Reads the rest of a file without a known size, such as a pipe, or of a file that has grown.
   if (!file.eof()) bytes.append(std::istreambuf_iterator<char>(file), {});
   require(!file.bad(), ErrorKind::Value, function, ": ", path.string(), ": reading it failed");
   return bytes;

@@ -167,7 +167,7 @@ class Reader {
     }
   }
 
-  // Replaces tags by rows. This comes last, because the sections may come in any order.
+  // Replaces tags by rows. All sections must have been read, because they may come in any order.
   void resolve() {
     file_.tetrahedra.reserve(raw_.size());
     for (const RawTetrahedron& raw : raw_) {

@@ -24,7 +24,7 @@ class Words {
   // Reads the number of items that follow. The number must be >= 0 and fit into the rest of the
   // text, so that a corrupt number cannot request huge memory.
   size_t count(std::string_view expected);
-  // Skips the rest of this line and `lines` more lines; blank lines are not counted.
+  // Skips the rest of this line and `lines` more lines. Blank lines are not counted.
   void skip_lines(size_t lines, std::string_view expected);
 
   bool at_end();

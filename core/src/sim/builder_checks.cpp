@@ -146,7 +146,7 @@ ShapeBounds shape_bounds(GeoType type, const Vec3f& scale) {
     default:
       break;
   }
-  // PLANE: the bounds of the face; the block below the face is unbounded.
+  // Bounds of the face of a PLANE. The half-space below the face is solid and unbounded.
   if (scale.x > 0.0f && scale.y > 0.0f) {
     const Vec3f half = {scale.x * 0.5f, scale.y * 0.5f, 0.0f};
     return {math::length(half), {-half.x, -half.y, 0.0f}, half};

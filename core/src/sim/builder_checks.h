@@ -74,7 +74,8 @@ void check_world_setting(const Where& where, int32_t world, std::string_view nam
 // ErrorKind::Value: a number of a fluid is not finite, or its density or viscosity is negative.
 void check_fluid(std::string_view function, const Fluid& fluid);
 
-// A list is empty (the default), has one value for all elements, or one value per element.
+// Checks that a list is empty (the default), has one value for all elements, or has one value per
+// element.
 inline void check_one_or_each(std::string_view function, std::string_view argument, size_t size,
                               size_t elements) {
   require(size <= 1 || size == elements, ErrorKind::Value, function, ": ", argument,

@@ -20,7 +20,7 @@ void keep_rows(std::vector<T>& values, const std::vector<char>& keep) {
   values.resize(to);
 }
 
-// Maps old indices to new ones; -1 for a removed item.
+// Returns the new index of each old index; -1 for a removed item.
 std::vector<int32_t> remap_of(const std::vector<char>& keep) {
   std::vector<int32_t> remap(keep.size(), -1);
   int32_t next = 0;
@@ -31,7 +31,7 @@ std::vector<int32_t> remap_of(const std::vector<char>& keep) {
 
 }  // namespace
 
-// Returns 1 for each joint that stays.
+// Returns for each joint 1 if collapse_fixed_joints keeps the joint, else 0.
 std::vector<char> ModelBuilder::joints_that_stay(std::span<const std::string> keep) const {
   std::vector<int32_t> held(bodies_.size()), children(bodies_.size());
   for (const Joint& joint : joints_) {
@@ -58,8 +58,8 @@ CollapsedJoints ModelBuilder::collapse_fixed_joints(std::span<const std::string>
   check_sizes();
   const std::vector<char> stays = joints_that_stay(keep);
   const size_t bodies = bodies_.size();
-  // For each body, the body that it is merged into and its pose there. A body that stays has
-  // itself.
+  // For each body, the body that it is merged into and its pose in that body. A body that stays is
+  // merged into itself.
   std::vector<int32_t> into(bodies);
   std::vector<Transformf> pose(bodies, Transformf::identity());
   for (size_t b = 0; b < bodies; ++b) into[b] = static_cast<int32_t>(b);
@@ -69,8 +69,9 @@ CollapsedJoints ModelBuilder::collapse_fixed_joints(std::span<const std::string>
     into[child] = joints_[j].parent;
     pose[child] = math::multiply(joints_[j].parent_xform, math::inverse(joints_[j].child_xform));
   }
-  // Follows the chain up to a body that stays, or to the world. The check finds cycles: each child
-  // has one such joint, so a cycle of FIXED joints has no other connection.
+  // Follows the chain of merged bodies to a body that stays, or to the world. A cycle of FIXED
+  // joints is an error: each child has a single parent joint, so a cycle is connected to nothing
+  // else.
   for (size_t b = 0; b < bodies; ++b) {
     for (size_t steps = 0; into[b] >= 0 && into[static_cast<size_t>(into[b])] != into[b]; ++steps) {
       const auto next = static_cast<size_t>(into[b]);

@@ -29,11 +29,12 @@ struct Neighbors {
   }
 };
 
-// Returns the order of the greedy coloring (smallest last). Among a particle and those before it,
-// the particle has the fewest neighbors. On a tie the largest index comes last.
+// Returns the order in which the greedy coloring visits the particles (smallest last). Each
+// particle has the fewest neighbors among itself and the particles before it. On a tie the largest
+// index comes last.
 std::vector<int32_t> smallest_last_order(const Neighbors& neighbors) {
   const size_t count = neighbors.begin.size() - 1;
-  using Entry = std::pair<size_t, int32_t>;  // degree, minus index
+  using Entry = std::pair<size_t, int32_t>;  // degree and negative index
   std::priority_queue<Entry, std::vector<Entry>, std::greater<>> queue;
   std::vector<size_t> degree(count);
   for (size_t p = 0; p < count; ++p) {

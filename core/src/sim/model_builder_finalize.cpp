@@ -86,7 +86,7 @@ std::shared_ptr<Model> ModelBuilder::finalize(Device device, const FinalizeOptio
   }
 
   const size_t shapes = shapes_.size();
-  const auto column = [&](auto get) {  // a property of all shapes, on the host
+  const auto column = [&](auto get) {  // returns a property of all shapes, one row per shape
     std::vector<decltype(get(shapes_[0]))> values(shapes);
     std::transform(shapes_.begin(), shapes_.end(), values.begin(), get);
     return values;

@@ -13,7 +13,8 @@ namespace {
 
 using Axes = std::array<Vec3<double>, 3>;
 
-// Returns a quaternion of the rotation with the columns `a`. The largest component comes first.
+// Returns a quaternion of the rotation matrix with the columns `a`. Its largest component is
+// computed first.
 Quatf quaternion_of(const Axes& a) {
   const double trace = a[0].x + a[1].y + a[2].z;
   const double squares[4] = {1.0 + 2.0 * a[0].x - trace, 1.0 + 2.0 * a[1].y - trace,

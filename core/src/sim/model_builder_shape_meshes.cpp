@@ -130,7 +130,7 @@ int32_t ModelBuilder::add_shape_mesh(int32_t body, const ShapeMeshArgs& args) {
             t, " has two corners in one place");
   }
   const ShapeConfig& cfg = args.cfg ? *args.cfg : default_shape_cfg;
-  // A mesh that gives a mass is checked elsewhere, and refused.
+  // A mesh that gives its body a mass needs no warning: mesh_properties refuses it if inside out.
   if ((body < 0 || !(cfg.density > 0.0f)) &&
       (cfg.has_shape_collision || cfg.has_particle_collision)) {
     const double volume = inside_out_volume(mesh.vertices, mesh.triangles);

@@ -63,7 +63,7 @@ Vec3<double> exact(const Vec3f& a) {
 }
 double squared(const Vec3<double>& a) { return math::dot(a, a); }
 
-// Returns a dot b as a chain of fused multiply-adds, in the order of a small matrix product.
+// Returns dot(a, b) as a chain of fused multiply-adds, in the order of a small matrix product.
 float fused_dot(const Vec3f& a, const Vec3f& b) {
   return std::fma(a.z, b.z, std::fma(a.y, b.y, a.x * b.x));
 }

@@ -88,7 +88,7 @@ class ForwardSteps {
       targets_ = DeviceArray<Vec3f>(inputs.targets().count, solver.device());
     if (inputs.pipeline() != nullptr) found_.emplace(inputs.pipeline()->contacts());
   }
-  ForwardSteps(const ForwardSteps&) = delete;  // the fields point into it
+  ForwardSteps(const ForwardSteps&) = delete;  // fields_ points to members
   ForwardSteps& operator=(const ForwardSteps&) = delete;
 
   void run(int32_t t, const SimState& from, SimState& to) {
@@ -134,13 +134,13 @@ class ForwardSteps {
   std::vector<detail::MutableField> fields_;
   std::vector<detail::ConstField> shared_fields_;
   std::vector<detail::MutableField> own_fields_;
-  DeviceArray<Vec3f> targets_;     // targets of one step
+  DeviceArray<Vec3f> targets_;     // kinematic targets of one step
   std::optional<Contacts> found_;  // contacts that the pipeline finds in each step
 };
 
-// Copies of the memory that a solver carries besides the state. A trajectory with checkpoints keeps
-// a copy with each kept state. Trajectory::recompute uses the copies, and leaves the solver's own
-// memory unchanged.
+// Copies of the memory that a solver carries from step to step besides the state. A trajectory with
+// checkpoints keeps a copy with each kept state. Trajectory::recompute steps from these copies and
+// leaves the solver's memory unchanged.
 class KeptCarried {
  public:
   KeptCarried(Array carried, int32_t interval) : now_(std::move(carried)), interval_(interval) {}

@@ -9,7 +9,7 @@ namespace novaphy {
 
 namespace {
 
-// Returns rows [k*n, (k + 1)*n) of an array as an array.
+// Returns the rows [k*n, (k + 1)*n) of an array as a view.
 Array part(const Array& whole, size_t k, size_t n) {
   const size_t bytes = n * whole.width() * dtype_info(whole.dtype()).bytes;
   return {whole.dtype(), n, whole.width(), whole.range()->storage().range(k * bytes, bytes)};
@@ -31,7 +31,7 @@ void for_each_pair(FieldRole role, const StateFields& a, StateFields& b, F&& f) 
     if (from[k].info.role == role) f(*from[k].array, *to[k].array);
 }
 
-// Returns the versions of the carried arrays.
+// Returns the versions of the arrays with FieldRole::Carried.
 std::vector<uint64_t> versions(const StateFields& fields) {
   std::vector<uint64_t> found;
   for (const auto& [info, array] : detail::const_fields(fields))
@@ -159,7 +159,7 @@ SimState Trajectory::recompute(int32_t t) const {
   require(first >= ran_from_ && last <= ran_to_, ErrorKind::Runtime, "Trajectory.recompute: state ",
           t, " was not computed by the last rollout, which ran the steps from state ", ran_from_,
           " to state ", ran_to_);
-  // Copies start from zeros, as the states of a rollout do: rows that steps do not write are 0.
+  // The states begin with zeros, as the states of a rollout do: rows that steps do not write are 0.
   const SimState start = state(first).clone();
   SimState now = start.clone(), next = start.clone(), wanted = start.clone();
   for (SimState* made : {&now, &next})

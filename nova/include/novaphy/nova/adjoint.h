@@ -1,15 +1,14 @@
-// Generates adjoints. From the Program of a kernel follow the Programs that propagate gradients of
-// the outputs back to the sources.
+// Generates adjoints: from the Program of a kernel, the Programs that propagate gradients of the
+// outputs back to the sources.
 //
 // The adjoint of every instruction is expressed in the same instruction set. The adjoint of a
 // gather is a row sum over the inverse of the index table. The adjoint of a row sum is a gather,
 // and the adjoint of a uniform read is a row sum with one row. No atomics are used, so the order of
 // every sum is fixed. An adjoint has up to two Programs:
-//   rows   one lane per output row: gradients of direct sources, and each row's contribution to
-//          uniform and indexed sources
-//   items  one lane per loop item (CSR slot, or (row, r) pair of a fixed loop): gradients of
-//          sources
-//          that the loop reads at the item
+//   rows   runs once per output row: gradients of sources that are read at this row, and the row's
+//          contributions to uniform and indexed sources
+//   items  runs once per loop item (CSR slot, or pair of row and r of a fixed loop): gradients of
+//          the sources that the loop reads at the item
 // Each Program recomputes the primal values that it needs and runs one reverse sweep.
 #pragma once
 
@@ -22,20 +21,21 @@
 
 namespace nova {
 
-// Selects the gradients that an adjoint computes, and those that are given.
+// Selects the gradients that an adjoint computes, and says which output gradients are given.
 struct AdjointMask {
   std::vector<bool> wrt;         // per source: whether its gradient is computed
   std::vector<bool> accumulate;  // per source: adds to the present gradient (else stores)
   std::vector<bool> seeded;      // per output: whether its gradient is given
-  // The source that is an index table through which the output is summed afterwards, one part of
-  // the output per column; -1: none. The given gradient is the gradient of the sums, and the
-  // adjoint reads it through the table.
+  // The index table (a source) by which the caller sums the output after the kernel; -1: none. Each
+  // column of the table takes an equal part of the output's columns. The given gradient belongs to
+  // the sums, so the adjoint gathers its rows by the table.
   int32_t table = -1;
-  // The source with gradient columns that nobody reads (`unread`, as bits); -1: none. The adjoint
-  // stores 0 in these columns or leaves them unchanged.
+  // The source with gradient columns that no later operation reads; -1: none. The bits of `unread`
+  // select the columns. The adjoint stores 0 in these columns or leaves them unchanged.
   int32_t narrowed = -1;
   uint32_t unread = 0;
-  // Whether each launch selects the gradients by AdjointStage::gates. `accumulate` is then ignored.
+  // Whether each launch chooses the gradients by the parameters AdjointStage::gates. `accumulate`
+  // is then ignored.
   bool gated = false;
   auto operator<=>(const AdjointMask&) const = default;
 };
@@ -58,9 +58,9 @@ struct AdjointStage {
   ir::Program program;
   std::vector<AdjointBinding> sources, outputs;
   bool takes_row_count =
-      false;  // whether one more i32 parameter at the end has the number of rows n (fixed loops)
-  // For a gated adjoint: the sources with a further parameter each, which has the bits of
-  // AdjointGate.
+      false;  // whether the last i32 parameter is the number of rows n, as fixed loops need
+  // For a gated adjoint: the sources whose gradients the launch chooses. Each of them has a further
+  // parameter with bits of AdjointGate.
   std::vector<int32_t> gates;
 };
 
@@ -73,14 +73,15 @@ enum AdjointGate : uint32_t {
 
 // A row sum that runs after the stages: gradient of `source` (+)= row sum of a contribution.
 struct AdjointRowSum {
-  // Row: an indexed source at the row (or item) itself. Other reads of the same source have their
-  // own sums.
+  // How the rows of the sum depend on the contributions. Uniform: all add to row 0. Table: an index
+  // table has the row. Reduced: row r of a fixed loop. Row: the row (or item) itself, for a source
+  // that is also read at other rows, whose sums are separate entries.
   enum class Kind : uint8_t { Uniform, Table, Reduced, Row } kind;
   int32_t source = 0;
   int32_t table = -1;  // Table: the i32 source whose Incidence gives the rows
   bool per_item =
-      false;  // whether the contribution has a row per loop item (times the table's width) instead
-              // of per row
+      false;  // whether there is a contribution per loop item (times the table's width) instead of
+              // per row
   int32_t width = 1;
 };
 

@@ -24,27 +24,28 @@ struct NOVAPHY_NOVA_API InputGradient {
 
 // The functions must submit the same launches, copies and fills in every call, must not allocate,
 // and must not read values on the host. The operation can then be captured and replayed, deferred,
-// and recomputed between checkpoints. The functions keep the objects that they use alive.
+// and recomputed between checkpoints. The functions must keep the objects alive that they use.
 struct CustomOp {
   std::string name;
-  // float32 tensors: at most 64 inputs and `reads` together, and 32 outputs. An output may not
-  // overlap an input.
+  // float32 tensors. `inputs` and `reads` together have at most 64 entries, and `outputs` has at
+  // most 32. An output may not overlap an input.
   std::vector<Tensor> inputs, outputs;
   // Computes the gradients of the inputs from those of the outputs. An output without a gradient is
   // undefined.
   std::function<void(std::span<const Tensor>, std::span<const InputGradient>)> vjp;
-  // Recomputes the outputs. Null: the operation cannot be recorded between checkpoints.
+  // Recomputes the outputs. If null, the operation cannot be recorded between checkpoints.
   std::function<void()> forward = nullptr;
-  // Computes the tangents of the outputs, which it overwrites, from those of the inputs (undefined:
-  // zero). Null: the operation has no forward derivative.
+  // Computes the tangents of the outputs from those of the inputs. The tangents of the outputs are
+  // overwritten; an undefined tangent of an input is zero. If null, the operation has no forward
+  // derivative.
   std::function<void(std::span<const Tensor>, std::span<const Tensor>)> jvp = nullptr;
-  // Values that vjp reads: inputs, outputs, and other memory, which `forward` may read too.
-  // backward throws if one of them has changed since.
+  // The tensors whose values vjp reads: inputs, outputs, and other memory, which `forward` may read
+  // too. backward throws if a value has changed since the forward pass.
   std::vector<Tensor> reads = {};
   // Scratch memory that the functions write besides the outputs.
   std::vector<Tensor> writes = {};
-  // False: the functions read values on the host, so earlier submissions must run first. Such an
-  // operation throws in a capture.
+  // If false, the functions read values on the host, so operations submitted before must run first.
+  // Such an operation throws in a capture.
   bool submits_only = true;
 };
 

@@ -1,7 +1,7 @@
-// The elementary functions of traced values, such as nova::sin(Real). Each appends the formula of
-// <novaphy/math/functions.h> to the Program. The same header states accuracy, special values and
-// derivatives. The bits equal those of the same function of a float. sqrt, abs, floor, min, max and
-// fma are instructions (trace.h).
+// The elementary functions of traced values, such as nova::sin(Real). Each function appends the
+// formula of <novaphy/math/functions.h> to the Program. The header of the formulas states accuracy,
+// special values and derivatives. The results have the same bits as the same function of a float.
+// sqrt, abs, floor, min, max and fma are instructions (trace.h).
 #pragma once
 
 #include "novaphy/math/functions.h"

@@ -12,7 +12,8 @@ namespace nova {
 
 struct GradcheckOptions {
   float epsilon = 1e-3f;  // step of the central difference, relative to max(1, |x|)
-  float rtol = 2e-2f;     // |ad - fd| <= atol + rtol * max|fd|; differences of float32 are noisy
+  float rtol = 2e-2f;     // a derivative passes if |ad - fd| <= atol + rtol * max|fd|; float32 is
+                          // noisy
   float atol = 1e-4f;
   float dot_product_tolerance = 1e-3f;
 };
@@ -23,9 +24,9 @@ struct GradcheckResult {
   float max_rel_error = 0.0f;  // relative to the input's largest difference quotient
   std::string worst;           // "input 1, value 4: ad 0.5, fd 0.4"
   // The dot product test. For a random direction u, the directional derivative J u from Tape::jvp
-  // is compared with <u, gradient>. Both agree to rounding, whatever the step of the differences.
+  // is compared with <u, gradient>. The two agree to rounding, because neither uses differences.
   // The error is relative to the sum of |u_i gradient_i|.
-  bool has_tangent = true;  // false: an operation has no tangent, and the error is 0
+  bool has_tangent = true;  // false: an operation has no tangent; the error is then 0
   float dot_product_error = 0.0f;
 };
 

@@ -13,7 +13,7 @@ struct IncidenceData {
   uint64_t version = 0;   // version of the table at that time
   uint64_t checksum = 0;  // checksum of the table at that time, for a table with a writable export
   bool has_checksum = false;
-  uint64_t capture = 0;  // the capture whose launches build the arrays; 0: they are built
+  uint64_t capture = 0;  // the capture whose replay fills the arrays; 0: they are filled already
   int64_t rows = 0;
   std::shared_ptr<Range> offsets;  // i32 {rows + 1}
   std::shared_ptr<Range> items;    // i32 {slots}

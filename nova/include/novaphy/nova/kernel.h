@@ -76,8 +76,8 @@ class NOVAPHY_NOVA_API TraceContext {
   Int i32(size_t source, const Int& row, int32_t column) const;
   size_t source(const std::string& name) const;  // the number of a source
 
-  Real param(int32_t k) const;     // launch parameter k as float
-  Int param_i32(int32_t k) const;  // launch parameter k as int
+  Real param(int32_t k) const;     // launch parameter k as a float
+  Int param_i32(int32_t k) const;  // launch parameter k as an int
 
  private:
   Int implied_row(size_t source) const;
@@ -90,7 +90,7 @@ class NOVAPHY_NOVA_API TraceContext {
 };
 
 using TraceFn = std::function<std::vector<Real>(TraceContext&)>;
-// epilogue(context, sums) returns the outputs.
+// The last stage of a sum: epilogue(context, sums) returns the outputs.
 using EpilogueFn = std::function<std::vector<Real>(TraceContext&, std::span<const Real>)>;
 
 struct ReduceFns {
@@ -109,9 +109,9 @@ struct LaunchOptions {
   std::span<const Param> params = {};
   int32_t extent = -1;             // number of items of a fixed sum; -1: not given
   const Incidence* csr = nullptr;  // rows of a CSR sum, one per output row
-  // int32 {1}: the number of leading rows to compute, read when the launch runs. The other rows
-  // stay unchanged. Only for kernels without a sum. On a tape, outputs must be memory that the tape
-  // has not written yet.
+  // int32 {1}: the number of leading rows to compute, which a device reads when the launch runs.
+  // The other rows stay unchanged. Only for kernels without a sum. On a tape, outputs must be
+  // memory that the tape has not written yet.
   const Operand* active = nullptr;
 };
 
@@ -134,8 +134,8 @@ class NOVAPHY_NOVA_API Kernel {
                                  const LaunchOptions& options = {}) const {
     return (*this)(dim, std::span<const Tensor>(inputs.begin(), inputs.size()), options);
   }
-  // Runs the kernel into given memory. The engine's own operators use this form. The launch is
-  // recorded like the form above.
+  // Runs the kernel into given memory, as the engine's own operators do. The launch is recorded
+  // like that of operator().
   void launch(int64_t dim, Operands inputs, Operands outputs,
               const LaunchOptions& options = {}) const;
 
@@ -148,7 +148,7 @@ class NOVAPHY_NOVA_API Kernel {
   // Returns the kernel as text. "c": the source for the compiler. "program": the Program.
   // ErrorKind::Value: another form.
   std::string source(const std::string& form = "c") const;
-  // Returns the plan of a set of gradients, which is made once and cached.
+  // Returns the plan for a set of gradients. Plans are cached.
   const AdjointPlan& adjoint(const AdjointMask& mask) const;
   // Returns the sets of gradients whose adjoints are compiled ahead of time (see with_gradients).
   const std::vector<AdjointMask>& gradients() const;

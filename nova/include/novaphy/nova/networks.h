@@ -20,7 +20,7 @@ NOVAPHY_NOVA_API Tensor linear(const Tensor& x, const Tensor& weight, const Tens
 // lane j % 4 of Philox4x32-10 with the key `seed` and the counter (j / 4, w, step, stream). World w
 // therefore has the same numbers for any number of worlds, threads and any device. `step` is int32
 // {1} and is read when the launch runs, so a captured graph that advances the step draws new
-// numbers. No gradient.
+// numbers. The numbers have no gradient.
 struct RandomKey {
   uint64_t seed = 0;
   int32_t stream = 0;  // separates several draws of the same step
@@ -33,7 +33,7 @@ NOVAPHY_NOVA_API Tensor random_uniform(int64_t worlds, int64_t width, const Rand
 // pairs.
 NOVAPHY_NOVA_API Tensor random_normal(int64_t worlds, int64_t width, const RandomKey& key,
                                       const Tensor& step);
-// Returns the four random words of a counter.
+// Returns the four random words of Philox4x32-10 for a counter and a key.
 NOVAPHY_NOVA_API std::array<uint32_t, 4> philox4x32(const std::array<uint32_t, 4>& counter,
                                                     const std::array<uint32_t, 2>& key);
 

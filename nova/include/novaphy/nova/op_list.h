@@ -27,8 +27,8 @@ enum class GradState : uint8_t;  // tensor.h
 namespace detail {
 struct RowLayout;
 class HostPlan;
-// Memory that an operation reads or writes. `row_bytes`: bytes per row, if row i accesses only its
-// own row; 0: any row.
+// Memory that an operation reads or writes. `row_bytes` is the number of bytes per row if row i of
+// the launch accesses only row i of the memory. With 0, a row may access all bytes.
 struct MemoryAccess {
   uint64_t begin = 0, bytes = 0;
   uint32_t row_bytes = 0;
@@ -37,8 +37,8 @@ struct MemoryAccess {
 class DeviceReplay;
 }  // namespace detail
 
-// Scratch memory that few operations use, one after the other. Requests with the same number and
-// size share memory. With `turns` above 1, they alternate between that many buffers.
+// Scratch memory that a few operations use, one after the other. Requests with the same number and
+// size share memory. With `turns` above 1, such requests alternate between that many buffers.
 class NOVAPHY_NOVA_API ScratchMemory {
  public:
   const std::shared_ptr<Range>& take(size_t number, size_t bytes, size_t turns,
@@ -73,8 +73,8 @@ class NOVAPHY_NOVA_API OpList {
                                  // reads
   };
 
-  // Appends an operation. Without accesses and layout its memory is unknown, and the operation
-  // keeps its place in the order.
+  // Appends an operation. If accesses and layout are missing, the memory of the operation is
+  // unknown, and no operation may move across it.
   void add(Op op, std::span<const uint64_t> words,
            std::span<const detail::MemoryAccess> accesses = {});
   // Keeps a range or a kernel alive as long as the list.
@@ -92,8 +92,9 @@ class NOVAPHY_NOVA_API OpList {
   // if the value has changed. `arrays`: arrays that were computed from the range and that the
   // recording uses. The dependence ends if the list computes the arrays itself.
   void freeze(const std::shared_ptr<Range>& range, const std::shared_ptr<Range>& arrays = nullptr);
-  // Says the same of a number of a model that is an argument of launches. The list keeps the number
-  // alive. `name`, the field of the model, must outlive the list.
+  // Says that the recording depends on the present value of a number of a model, which is an
+  // argument of launches. The list keeps the number alive. `name`, the field of the model, must
+  // outlive the list.
   void freeze(const std::shared_ptr<const float>& number, std::string_view name);
   // Registers a function that runs at the start of every launch, once per owner. The function
   // updates data that the list only reads. The list keeps the owner alive.
@@ -101,7 +102,8 @@ class NOVAPHY_NOVA_API OpList {
   void end_recording();
   // Records the state of a range's gradient after this point of the list.
   void gradient(const std::shared_ptr<Range>& range, GradState state) { gradients_[range] = state; }
-  // Says that operations use this memory besides their arguments. A launch holds the guard.
+  // Says that operations use the memory of this guard besides their arguments. A launch of the list
+  // claims the guard.
   void uses(const std::shared_ptr<novaphy::ExclusiveUse>& memory) { memory_.add(memory); }
   size_t size() const { return ops_.size(); }
   const std::vector<Op>& ops() const { return ops_; }
@@ -129,11 +131,12 @@ class NOVAPHY_NOVA_API OpList {
   ~OpList();
   OpList(const OpList&) = delete;
   OpList& operator=(const OpList&) = delete;
-  const novaphy::DeviceContext* context = nullptr;  // of the first operation; all operations must
-                                                    // agree
+  const novaphy::DeviceContext* context = nullptr;  // context of the first operation, which all
+                                                    // operations share
 
  private:
-  void run(bool again) const;  // again: the list runs repeatedly, so a plan pays off
+  void run(bool again) const;  // again: the list runs repeatedly, so that making a plan is worth
+                               // its time
   detail::HostPlan& host_plan(bool again) const;
   detail::DeviceReplay* device_replay() const;  // null: the device cannot replay graphs
   uint64_t id_;
@@ -175,7 +178,8 @@ class NOVAPHY_NOVA_API OpList {
 NOVAPHY_NOVA_API void wait_for_compilers();
 
 // Records launches, copies and fills of this thread, instead of running them, for the lifetime of
-// the object. Host reads and other work that cannot be recorded throw, with the name of the call.
+// the object. Host reads and other operations that cannot be recorded throw an error with the name
+// of the call.
 class NOVAPHY_NOVA_API ScopedCapture {
  public:
   ScopedCapture();
@@ -232,13 +236,13 @@ NOVAPHY_NOVA_API void submit_copy(const std::shared_ptr<Range>& target,
 NOVAPHY_NOVA_API void submit_fill(const std::shared_ptr<Range>& target, float value);
 // Says that a submitted operation writes the range: raises its version, now and at every replay.
 NOVAPHY_NOVA_API void note_write(const std::shared_ptr<Range>& range);
-// Runs a launch now even while a capture records. Used for data derived from index tables, whose
-// values a capture freezes.
+// Runs a launch now even while a capture records. Used for data that is computed from index tables,
+// whose values a capture freezes.
 using novaphy::launch_now;
 // Returns the capture or the deferred list of this thread, or null.
 NOVAPHY_NOVA_API OpList* recording();
-// Keeps the owner alive as long as that list, if one exists. `bytes`: memory that only the list
-// needs.
+// Keeps the owner alive as long as the list of recording(), if one records. `bytes` is memory that
+// only this list needs.
 template <class T>
 void hold_in_capture(const std::shared_ptr<T>& owner, size_t bytes = 0) {
   if (OpList* list = recording()) list->hold(owner, bytes);

@@ -60,8 +60,8 @@ NOVAPHY_NOVA_API Tensor mean(const Tensor& x);
 // with size 1 for keepdims. axis: -ndim to ndim - 1 (ErrorKind::Index).
 NOVAPHY_NOVA_API Tensor sum(const Tensor& x, int64_t axis, bool keepdims = false);
 NOVAPHY_NOVA_API Tensor mean(const Tensor& x, int64_t axis, bool keepdims = false);
-// The largest and the smallest value, of all values or along a dimension. One of several equal
-// values gets the gradient. ErrorKind::Value: no values.
+// Returns the largest or the smallest value of all values, or along a dimension. If several values
+// are equal, only one of them gets the gradient. ErrorKind::Value: no values.
 NOVAPHY_NOVA_API Tensor max(const Tensor& x);
 NOVAPHY_NOVA_API Tensor min(const Tensor& x);
 NOVAPHY_NOVA_API Tensor max(const Tensor& x, int64_t axis, bool keepdims = false);

@@ -1,5 +1,5 @@
-// Optimizers and gradient clipping as kernels. All update in place and are never recorded on a
-// tape. Only the checks of direct steps on the CPU read values on the host. All functions may
+// Optimizers and gradient clipping as kernels. All functions update in place and are never recorded
+// on a tape. Only the checks of direct steps on the CPU read values on the host. All functions may
 // therefore be captured, and a replay gives the bits of direct calls. Numbers such as rates and
 // limits keep their value at capture time. Values that change from step to step (moments, step
 // counters) live on the device.
@@ -8,9 +8,9 @@
 // counts as zero after zero_grad(). Units: a gradient has the unit of loss / param. A learning rate
 // has the unit of param^2 / loss for SGD and of param for Adam.
 //
-// Errors name the call and the argument, and come before any write. ErrorKind::Type: a tensor that
-// is undefined or not float32. ErrorKind::Value: a parameter without a gradient, a wrong shape,
-// another device, no parameters, memory that is given twice, or a number out of range.
+// Errors name the call and the argument, and are thrown before the first write. ErrorKind::Type: a
+// tensor that is undefined or not float32. ErrorKind::Value: a parameter without a gradient, a
+// wrong shape, another device, no parameters, memory that is given twice, or a number out of range.
 #pragma once
 
 #include <vector>
@@ -86,8 +86,9 @@ namespace optim {
 // no memory.
 //
 // A step needs finite gradients. A direct step on the CPU throws otherwise. On a device and in
-// replays such a step changes nothing and sets a flag. The next check() then throws. Direct steps
-// and replays on the CPU, and the accessors of the state, call check().
+// replays, a step with gradients that are not finite changes nothing and sets a flag, and the next
+// check() throws. Direct steps and replays on the CPU, and the accessors of the state, call
+// check().
 class NOVAPHY_NOVA_API Optimizer {
  public:
   Optimizer(const Optimizer&) = delete;  // a copy would share the state
@@ -103,20 +104,21 @@ class NOVAPHY_NOVA_API Optimizer {
  protected:
   Optimizer(const char* name, std::vector<Tensor> params, float lr);
   ~Optimizer() = default;
-  // Checks the gradients before a step. Throws if one is not finite, or sets unfit_ to NaN when the
-  // step runs.
+  // Checks the gradients before a step. A direct step on the CPU throws if a gradient is not
+  // finite. Any other step computes unfit_ when it runs.
   void begin_step() const;
   const char* name_;
   std::vector<Tensor> params_;
   float lr_;
-  Tensor unfit_, refused_;  // {1} each: 0, or NaN for a step that changes nothing; the number of
-                            // such steps
+  Tensor unfit_, refused_;  // {1}: unfit_ is 0, or NaN for a step that changes nothing; refused_ is
+                            // the number of such steps
 };
 
 // Stochastic gradient descent with momentum, in the form of PyTorch and Warp:
 //   g += weight_decay * p;  b = momentum * b + (1 - dampening) * g, in the first step b = g;
 //   g = nesterov ? g + momentum * b : b;  p -= lr * g
-// Without momentum b does not exist. Without weight decay too, a step is sgd_update_f32.
+// The buffer b exists only with momentum. Without momentum and weight decay a step is
+// sgd_update_f32.
 class NOVAPHY_NOVA_API SGD : public Optimizer {
  public:
   explicit SGD(std::vector<Tensor> params, const SGDOptions& options = {});

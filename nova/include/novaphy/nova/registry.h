@@ -28,20 +28,20 @@ NOVAPHY_NOVA_API std::vector<ir::Program> programs_of(const std::vector<EngineKe
 // gradients that were not requested go to scratch memory. The sign of a zero may therefore differ
 // from that of an adjoint of exactly the requested gradients.
 NOVAPHY_NOVA_API Kernel with_gradients(Kernel kernel, std::vector<AdjointMask> gradients);
-// Returns two sets with the gradients of all outputs given. The first set stores the gradients of
-// `state`, which the steps of a rollout need. The second set is gated and has every float source,
-// for all other requests.
+// Returns two sets of gradients, both for given gradients of all outputs. The first set stores the
+// gradients of `state`, which the steps of a rollout need. The second set is gated
+// (AdjointMask::gated) and has every float source, for all other requests.
 NOVAPHY_NOVA_API std::vector<AdjointMask> gradient_sets(const Kernel& kernel,
                                                         const std::vector<std::string>& state);
-// Returns the gated set alone.
+// Returns only the gated set of gradient_sets.
 NOVAPHY_NOVA_API std::vector<AdjointMask> one_gradient_set(const Kernel& kernel);
-// Return the kernel with one_gradient_set(kernel), or with gradient_sets(kernel, state).
+// Return the kernel with the sets of one_gradient_set or of gradient_sets.
 NOVAPHY_NOVA_API Kernel with_one_gradient_set(const Kernel& kernel);
 NOVAPHY_NOVA_API Kernel with_gradient_sets(const Kernel& kernel,
                                            const std::vector<std::string>& state);
 
-// Makes a mask from the names of sources and outputs. `accumulate`: the sources of `wrt` whose
-// gradients are added to.
+// Makes a mask from the names of sources and outputs. The gradients of the sources in `accumulate`,
+// a part of `wrt`, are added to the present values.
 NOVAPHY_NOVA_API AdjointMask gradient_mask(const Kernel& kernel,
                                            const std::vector<std::string>& wrt,
                                            const std::vector<std::string>& accumulate,

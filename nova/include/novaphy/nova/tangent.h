@@ -1,7 +1,7 @@
-// Generates tangents (forward mode). From the Program of a kernel follows the Program that
-// propagates tangents of the sources to the outputs, in the same instruction set. The tangent of a
-// gather is a gather, and the tangent of an ordered sum is the ordered sum of the tangents.
-// Tangents and adjoints share the derivative rules, so <J u, w> = <u, J^T w> up to rounding.
+// Generates tangents (forward mode): from the Program of a kernel, the Program that propagates
+// tangents of the sources to the outputs, in the same instruction set. The tangent of a gather is a
+// gather, and the tangent of an ordered sum is the ordered sum of the tangents. Tangents and
+// adjoints share the derivative rules, so <J u, w> = <u, J^T w> up to rounding.
 #pragma once
 
 #include <vector>

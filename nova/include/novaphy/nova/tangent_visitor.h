@@ -1,4 +1,5 @@
-// TangentVisitor: sees the tangents of kernels while Tape::jvp runs, and may change them.
+// TangentVisitor: an observer that sees the tangents of kernels while Tape::jvp runs, and may
+// change them.
 #pragma once
 
 #include <memory>
@@ -10,8 +11,9 @@
 
 namespace nova {
 
-// Tape::jvp of this thread calls the visitor between construction and destruction. Visitors do not
-// nest. On the CPU, outside of captures, the tangents are computed when visit is called.
+// Tape::jvp of this thread calls the visitor that exists, between its construction and destruction.
+// Visitors do not nest. On the CPU, outside of captures, the tangents are computed when visit is
+// called.
 class NOVAPHY_NOVA_API TangentVisitor {
  public:
   TangentVisitor();
@@ -22,7 +24,7 @@ class NOVAPHY_NOVA_API TangentVisitor {
   // `inputs`: operands of the launch. `tangents`: memory of the tangents of each output.
   virtual void visit(std::string_view kernel, std::span<const Operand> inputs,
                      std::span<const std::shared_ptr<novaphy::Range>> tangents) = 0;
-  static TangentVisitor* current();  // null: none
+  static TangentVisitor* current();  // null: no visitor exists
 };
 
 }  // namespace nova

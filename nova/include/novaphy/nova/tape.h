@@ -2,16 +2,16 @@
 // order.
 //
 // Rules:
-//   - A leaf is a range that no operation of the tape writes. Only leaves accumulate gradients over
-//     several calls of backward. Every other gradient is unset at its start: the first contribution
-//     stores, and later ones add in a fixed order.
-//   - Operands are held by reference, with their version. If an adjoint would read a value that was
-//     overwritten, backward throws and names the operation and the input. Nothing is copied.
-//   - backward throws for a leaf that was read with different values.
-//   - Reading a value that another living tape recorded throws.
-//   - A tape with KeepGradients::Leaves gives the same bits. Reading another gradient afterwards
-//     throws.
-//   - Kernels are recorded on the thread on which the tape is active.
+// - A leaf is a range that no operation of the tape writes. Only leaves accumulate gradients over
+//   several calls of backward. Every other gradient is unset when backward starts: the first
+//   contribution stores, and later contributions add in a fixed order.
+// - Operands are held by reference, with their version. If an adjoint would read a value that was
+//   overwritten, backward throws and names the operation and the input. Nothing is copied.
+// - backward throws for a leaf that was read with different values.
+// - Reading a value that another living tape recorded throws.
+// - KeepGradients::Leaves does not change the bits of the gradients of leaves. Reading another
+//   gradient after backward throws.
+// - Kernels are recorded on the thread on which the tape is active.
 #pragma once
 
 #include <cstdint>
@@ -57,15 +57,14 @@ class NOVAPHY_NOVA_API Tape {
   void backward(const Tensor& loss, const Tensor& seed = {});
   // Propagates tangents of leaves forward. Returns for each of `outputs` its derivative in the
   // direction of `tangents`, which has one tangent per input. The tape may be used for backward
-  // before and after. Values that a tangent needs must still be as recorded. ErrorKind::Value: an
-  // input that is not a leaf with a gradient, or an output that this tape did not write.
-  // ErrorKind::NotImplemented: a custom operation without a tangent.
+  // before and after. Values that a tangent needs must not have changed since they were recorded.
+  // ErrorKind::Value: an input that is not a leaf with a gradient, or an output that this tape did
+  // not write. ErrorKind::NotImplemented: a custom operation without a tangent.
   std::vector<Tensor> jvp(const std::vector<Tensor>& outputs, const std::vector<Tensor>& inputs,
                           const std::vector<Tensor>& tangents);
   // The leaves that carry a gradient, each as one row of numbers, in the order of their first use.
   std::vector<Tensor> leaves() const;
-  bool has_leaf(const Tensor& tensor) const;  // whether the tape read this leaf and it carries a
-                                              // gradient
+  bool has_leaf(const Tensor& tensor) const;  // whether this leaf was read and carries a gradient
   bool has_tangents() const;                  // whether every operation has a tangent
   void zero();                                // sets all gradients of this tape to zero
   void reset();                               // drops all operations
@@ -82,9 +81,9 @@ class NOVAPHY_NOVA_API Tape {
   size_t memory_bytes() const;  // size of the records, without states and gradients
 
   // Records a differentiable operation that is not a kernel, after its outputs were computed.
-  // ErrorKind::Type, ErrorKind::Value: see CustomOp. ErrorKind::NotImplemented: recorded between
-  // checkpoints without `forward`. ErrorKind::Runtime: the operation reads a value that carries a
-  // gradient and is not an input.
+  // ErrorKind::Type, ErrorKind::Value: see CustomOp. ErrorKind::NotImplemented: an operation
+  // without `forward` is recorded between checkpoints. ErrorKind::Runtime: the operation reads a
+  // value that carries a gradient and is not an input.
   void record_custom(CustomOp op);
   void record_custom(std::string name, std::vector<Tensor> inputs, std::vector<Tensor> outputs,
                      BackwardFn backward) {
@@ -92,9 +91,9 @@ class NOVAPHY_NOVA_API Tape {
                                  std::move(backward)));
   }
 
-  // Marks a range whose recorded history ends: it was written by an operation that the tape does
-  // not follow, such as a copy or a step of a forward solver. Using the range as an input throws
-  // until a recorded operation writes it. `why` completes the message "input of op: ".
+  // Marks a range that was written by an operation that the tape does not record, such as a copy or
+  // a step of a forward solver. Using the range as an input throws until a recorded operation
+  // writes it. `why` completes the message "input of op: ".
   void mark_untracked(const std::shared_ptr<Range>& range, const char* why);
 
   // Starts a group of operations that backward recomputes before their adjoints. Values inside of
@@ -118,8 +117,8 @@ class NOVAPHY_NOVA_API Tape {
     Tape* tape_;
   };
 
-  // For Kernel::launch: whether an input carries a gradient, the checks before the first write, and
-  // the recording.
+  // Functions for Kernel::launch. must_record returns whether an input carries a gradient.
+  // check_launch makes the checks before the first write. record_launch records the launch.
   bool must_record(std::span<const Operand> inputs) const;
   // `partly`: outputs of which only some rows are written.
   void check_launch(const detail::KernelImpl& kernel, std::span<const Operand> inputs,
@@ -128,16 +127,17 @@ class NOVAPHY_NOVA_API Tape {
                      std::span<const Operand> inputs, std::span<const Operand> outputs,
                      const LaunchOptions& options, bool recorded);
   void record_rebuild(const Incidence& incidence);  // records rebuild()
-  // For launches of hand-written kernels, called before the writes are noted: a group of recomputed
-  // operations repeats them.
+  // Called for launches of hand-written kernels, before the launch raises versions. A group of
+  // recomputed operations repeats these launches.
   void record_launch(const novaphy::Launch& launch, std::span<const detail::MemoryAccess> accesses);
 
-  // For launches of hand-written kernels: whether the range or an overlapping one carries a
-  // gradient, and marking the range as a constant.
+  // Functions for launches of hand-written kernels. carries_gradient returns whether the range or
+  // an overlapping range carries a gradient. mark_constant marks the value of the range as a
+  // constant.
   bool carries_gradient(const Range& range) const;
   void mark_constant(const Range& range);
   // Throws ErrorKind::Runtime if another living tape recorded the value of the range or of an
-  // overlapping one, because its gradient would be lost. `input` and `op` are for the message.
+  // overlapping range, because its gradient would be lost. `input` and `op` are for the message.
   void check_not_of_another(const Range& range, const std::string& op,
                             const std::string& input) const;
 

@@ -1,6 +1,6 @@
-// Tensor: a typed view of a byte range, with a gradient. The version, the alias check and the
-// gradient belong to the range. All views of the same bytes therefore share them, and a view of an
-// engine array copies nothing.
+// Tensor: a typed view of a byte range, with a gradient. Version, alias check and gradient belong
+// to the range, so all views of the same bytes share them. A view of an engine array copies
+// nothing.
 #pragma once
 
 #include <cstdint>
@@ -57,9 +57,9 @@ class NOVAPHY_NOVA_API Tensor {
   static Tensor from_host(std::span<const int32_t> values, Shape shape,
                           Device device = novaphy::default_device());
   static Tensor full(Shape shape, float value, Device device = novaphy::default_device());
-  // Views an engine array without a copy; vec3 rows give {n, 3}. The same array gives the same
-  // Tensor as long as one exists. requires_grad = true switches the gradient on; false leaves it
-  // unchanged.
+  // Views an engine array without a copy; vec3 rows give {n, 3}. While a view of an array exists,
+  // another call for the array returns the same Tensor. requires_grad = true switches the gradient
+  // on; false leaves it unchanged.
   static Tensor view(const novaphy::Array& array, bool requires_grad = false);
   // Wraps external memory, which `owner` keeps alive.
   static Tensor external(void* data, Shape shape, DType dtype, Device device,
@@ -99,7 +99,7 @@ class NOVAPHY_NOVA_API Tensor {
   void copy_from_host(const void* source, size_t bytes) const;
 
   Tensor reshape(Shape shape) const;  // a view of the same bytes
-  Tensor detach() const;  // a view of the same bytes; its readers are not recorded
+  Tensor detach() const;  // a view of the same bytes; operations that read it are not recorded
   Tensor clone() const;   // recorded on an active tape
   void copy_(const Tensor& source) const;  // recorded on an active tape
   void fill_(float value) const;

@@ -1,6 +1,7 @@
-// Tracing. Real, Int and Bool are small handles of values in the Program that is being built. An
-// arithmetic operation appends an instruction, after bit-exact constant folding and value
-// numbering. A formula template runs with float in the forward engine and with Real here.
+// Tracing. Real, Int and Bool are handles of values in the Program that is being built. An
+// arithmetic operation appends an instruction, unless the result is a constant or already exists.
+// Constant folding is exact to the bit. A formula template runs with float in the forward engine,
+// and builds a Program with Real.
 //
 // Bool does not convert to bool, so a data-dependent `if` fails to compile. Write select(c, a, b)
 // instead.

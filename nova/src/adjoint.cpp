@@ -24,7 +24,8 @@ using detail::Value;
                 p.sources[source].name, "': no gradient, because it is read at ", why);
 }
 
-// How a load finds its row.
+// Which row a load reads: the row or loop item itself, row 0, an entry of an index table at the row
+// or item, or any other computed row.
 struct RowPattern {
   enum class Kind : uint8_t { Row, Uniform, Item, TableAtRow, TableAtItem, Computed } kind;
   int32_t table = -1, column = 0;
@@ -63,8 +64,8 @@ class Outputs {
     columns_.emplace_back(static_cast<size_t>(width));
     return columns_.back();
   }
-  // Writes the outputs into the Program. Missing columns are 0, and accumulated gradients start
-  // from the present values.
+  // Writes the outputs into the Program. Missing columns are 0. Accumulated gradients start from
+  // the present values.
   AdjointStage finish(const AdjointMask& mask, const AdjointPlan& plan) {
     Trace& t = sweep_.trace();
     for (size_t k = 0; k < columns_.size(); ++k) {
@@ -77,7 +78,8 @@ class Outputs {
       Value previous = kNone;
       if (at_its_row && (gated || mask.accumulate[source]))
         previous = sweep_.add_source(names_[k] + "_before", width, binding, ir::Access::Direct);
-      // A mask with one source always requests it, so only several sources need the check.
+      // If a single source is requested, every call requests it. Only several sources need the
+      // check.
       const bool may_be_unwanted = gated && std::ranges::count(mask.wrt, true) > 1;
       std::vector<Value> totals;
       for (int32_t c = 0; c < width; ++c) {
@@ -120,7 +122,7 @@ int32_t row_sum_entry(AdjointPlan& plan, const AdjointRowSum& wanted) {
   return static_cast<int32_t>(plan.row_sums.size()) - 1;
 }
 
-// Adds the adjoint of one load to the output of its source.
+// Adds the adjoint `value` of one load to the output for the gradient of its source.
 void route(const ir::Program& p, AdjointPlan& plan, Outputs& outputs, const Instr& load,
            Value value, bool at_item) {
   const int32_t s = load.a, width = p.sources[s].width;
@@ -175,7 +177,7 @@ bool wanted_at_item(const Primal& primal) {
   return false;
 }
 
-// `summed`, if not null, gets for each sum of the loop whether it has a gradient.
+// `summed`, if not null, receives for each sum of the loop whether the sum has a gradient.
 AdjointStage make_rows(const Primal& primal, AdjointPlan& plan, std::vector<bool>* summed) {
   const ir::Program& p = primal.p;
   Sweep sweep(primal, Sweep::Domain::Rows, ".adjoint");
@@ -248,9 +250,10 @@ AdjointStage make_items(const Primal& primal, AdjointPlan& plan, const std::vect
   return outputs.empty() ? AdjointStage{} : outputs.finish(primal.mask, plan);
 }
 
-// If launches of the primal carry outputs to sources, launches of the adjoint carry gradients in
-// the opposite order. The gradient of a carried source is the output gradient of the next adjoint
-// launch. This is marked only if all gradients are of this kind.
+// A kernel may carry outputs to sources of the next launch (OutputSpec::carried_to). The launches
+// of its adjoint then carry gradients in the opposite order: the gradient of a carried source is
+// the output gradient of the next adjoint launch. The stage is marked only if all gradients are of
+// this kind.
 void carry_gradients(const ir::Program& p, AdjointStage& stage) {
   const auto gradient_of_output = [&](int32_t source) -> int32_t {
     for (size_t k = 0; k < stage.sources.size(); ++k)

@@ -16,12 +16,12 @@ Operand temporary(int64_t rows, int32_t width, const novaphy::Device& device) {
 
 namespace {
 
-// The memory that the stages of one adjoint call share.
+// The memory that all stages of one adjoint call share.
 struct Scratch {
   std::vector<Operand> contributions;  // one per row sum of the plan
   Operand loop_gradient;
-  // Substitutes for gradients that the plan uses and the call lacks: zeros per output, and scratch
-  // per source.
+  // Replacements for gradients that the plan uses and the call lacks: zeros per output, and scratch
+  // memory per source.
   std::vector<Operand> zeros, unwanted;
 };
 
@@ -111,7 +111,8 @@ void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scrat
                   int64_t items) {
   const std::vector<AdjointRowSum>& sums = plan.plan.row_sums;
   const auto wanted = [&](const AdjointRowSum& r) { return (call.asked.wrt >> r.source & 1) != 0; };
-  uint64_t stored = call.asked.accumulate;  // sources whose gradient already has a contribution
+  uint64_t stored = call.asked.accumulate;  // bits of sources whose gradient already has a value to
+                                            // add to
   const auto target = [&](const AdjointRowSum& r) {
     Operand out = *call.inputs[r.source];
     out.range = *call.input_gradients[r.source];
@@ -159,7 +160,7 @@ void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scrat
   }
 }
 
-// Provides zeros and scratch for gradients that the call lacks.
+// Provides memory for gradients that the call lacks: zeros for outputs, scratch for sources.
 template <class Memory>
 void make_up(const KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall& call,
              const Memory& memory, Scratch& scratch) {

@@ -8,11 +8,11 @@ namespace nova::detail {
 
 struct AdjointCall {
   int64_t dim = 0;
-  AdjointKey asked = {};  // requested gradients: all or a part of the plan
+  AdjointKey asked = {};  // requested gradients, which may be a part of the plan's
   std::span<const Operand* const> inputs = {};
   // one per requested source
   std::span<const std::shared_ptr<Range>* const> input_gradients = {};
-  // null: zeros
+  // null: the gradient is zero
   std::span<const std::shared_ptr<Range>* const> output_gradients = {};
   int64_t output_gradient_rows = 0;
   std::span<const Param> params = {};

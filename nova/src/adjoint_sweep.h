@@ -24,7 +24,7 @@ using Kind = AdjointBinding::Kind;
 
 inline bool is_item(const Instr& in) { return in.op == Op::SLOT || in.op == Op::REDUCE_INDEX; }
 
-// Properties of the primal Program that both stages use.
+// Properties of the primal Program that all stages use.
 struct Primal {
   const ir::Program& p;
   const AdjointMask& mask;
@@ -32,14 +32,14 @@ struct Primal {
   std::vector<char>
       active;  // per value: a requested source is reachable through differentiable operands
   mutable ir::Guards guards;  // the sweep adds sides of selects that guard no instruction
-  // Values outside of the loop that only one side of a select in the loop needs. Their gradient is
-  // a sum over items that no guard covers. The gradient may be 0 where the value is NaN.
+  // Values outside of the loop that only one side of a select in the loop uses. Their gradient is a
+  // sum over items, which no guard covers. The gradient may be 0 where the value is NaN.
   std::vector<char> perhaps_unneeded;
 
   Primal(const ir::Program& program, const AdjointMask& m)
       : p(program), mask(m), section(ir::sections(program)) {
-    // Guards are found for the whole adjoint first, so that contributions are added in the same
-    // order for every mask.
+    // Guards are found with all gradient columns, before `narrowed` removes some, so that
+    // contributions are added in the same order for every mask.
     find_active(-1);
     find_guards();
     if (mask.narrowed >= 0 && !mask.gated) find_active(mask.narrowed);
@@ -63,10 +63,10 @@ struct Primal {
     return on;
   }
 
-  // Finds guards as ir::guards does, but ignores uses in conditions, because conditions carry no
-  // gradient. A value that one side of a select uses thus has its gradient on that side only, even
-  // if a condition also uses it. Guards also apply across sections, except from inside of the loop
-  // to outside.
+  // Finds the guard of each value: the sides of selects that all its uses lie on. Works as
+  // ir::guards does, but ignores uses in conditions, because conditions carry no gradient. A value
+  // that one side of a select uses thus has its gradient on that side only, even if a condition
+  // also uses it. Guards also apply across sections, except from inside of the loop to outside.
   void find_guards() {
     constexpr int32_t kUnused = -1;
     guards.nodes.push_back({});
@@ -140,7 +140,7 @@ class Sweep {
   Value index() { return trace_.emit({Op::INDEX}); }
   Trace& trace() { return trace_; }
 
-  // Returns a gate bit of a source's gradient. Call this after the sweep.
+  // Returns a bit of AdjointGate for a source, as a value in the Program. Call after the sweep.
   Value gate(int32_t source, AdjointGate bit) {
     const auto at = std::find(stage.gates.begin(), stage.gates.end(), source);
     const auto number = static_cast<int32_t>(at - stage.gates.begin());
@@ -152,7 +152,7 @@ class Sweep {
     return trace_.emit({Op::INE, one, trace_.constant(int32_t{0})});
   }
 
-  // Returns the row of the primal that the lane belongs to.
+  // Returns the row of the primal that the present row or item belongs to.
   Value primal_row() {
     if (domain_ == Domain::Rows) return index();
     if (domain_ == Domain::FixedItems) return trace_.emit({Op::IMOD, index(), row_count()});
@@ -167,8 +167,8 @@ class Sweep {
     return domain_ == Domain::CsrItems ? index() : trace_.emit({Op::IDIV, index(), row_count()});
   }
 
-  // Returns the clone of a primal value. copy 0: as in the primal; copy 1: inside of the loop that
-  // sums adjoints.
+  // Returns the copy of a primal value in this Program. copy 0: in the loop of the primal or
+  // outside; copy 1: in the loop that sums adjoints.
   Value clone(Value v, int copy) {
     if (primal_.section[v] % 2 == 0) copy = 0;
     Value& mapped = clones_[copy][v];
@@ -187,7 +187,7 @@ class Sweep {
     return mapped = trace_.emit(in);
   }
 
-  // Adds `value` to the adjoint of v, under guard g of the primal.
+  // Adds `value` to the part of v's adjoint that holds under guard g of the primal.
   void contribute(Value v, int32_t g, Value value) {
     if (!primal_.active[v]) return;
     auto [entry, fresh] = adjoints_[v].try_emplace(g, value);
@@ -204,15 +204,15 @@ class Sweep {
     }
   }
 
-  // Sweeps the values of one section in reverse order.
+  // Differentiates the values of one section in reverse order.
   void sweep(int32_t section, int copy) {
     for (size_t k = p_.instrs.size(); k-- > 0;)
       if (primal_.section[k] == section && primal_.active[k])
         reverse(static_cast<Value>(k), section, copy);
   }
 
-  // Returns the adjoint of v under the guard `to`, or kNone. Adjoints under deeper guards become
-  // selects with 0 and are added.
+  // Returns the adjoint of v under the guard `to`, or kNone. An adjoint under a deeper guard is
+  // replaced by a select between the adjoint and 0, and then added.
   Value gather_adjoint(Value v, int32_t to, int copy) {
     auto found = adjoints_.find(v);
     if (found == adjoints_.end()) return kNone;
@@ -235,16 +235,16 @@ class Sweep {
     return kNone;
   }
 
-  // The adjoint of a load outside and inside of the loop, without guards; kNone: none. The two stay
-  // separate, because they are added to the gradient one after the other, as two kernels would do.
+  // The adjoint of a load outside and inside of the loop, without guards; kNone means no adjoint.
+  // The two stay separate, because they are added to the gradient one after the other.
   struct LoadAdjoint {
     Value outside = kNone, loop = kNone;
   };
   std::map<Value, LoadAdjoint> load_adjoints;  // keyed by the load in the primal
 
-  // Called after the sweep over the loop's section. Turns the contributions of the body to outer
-  // values into sums of a new loop. The sum for a load starts from 0, other sums start from the
-  // present adjoint.
+  // Called after the sweep over the loop's section. Turns the contributions of the loop's body to
+  // values outside into sums of a new loop. The sum for a load starts from 0, other sums start from
+  // the present adjoint.
   void close_adjoint_loop() {
     ir::Program& out = trace_.program();
     for (auto& [v, value] : from_body_) {
@@ -271,7 +271,7 @@ class Sweep {
   }
 
  private:
-  Value row_count() {  // one more parameter after those of the primal
+  Value row_count() {  // the row count is one more parameter after those of the primal
     stage.takes_row_count = true;
     trace_.program().param_count = p_.param_count + 1;
     return trace_.emit({Op::PARAM_I, p_.param_count});
@@ -333,8 +333,8 @@ class Sweep {
   void differentiate(Value v, const Instr& in, Value g, int32_t guard, int copy, const Give& give) {
     switch (in.op) {
       case Op::SELECT_F:
-        // Each side gets its gradient under its own guard. gather_adjoint makes a select when the
-        // guard ends.
+        // Each side gets its gradient under its own guard. Where the guard ends, gather_adjoint
+        // replaces it by a select.
         give(in.b, primal_.guards.find_or_add(guard, in.a, true), g);
         give(in.c, primal_.guards.find_or_add(guard, in.a, false), g);
         break;
@@ -353,8 +353,8 @@ class Sweep {
     }
   }
 
-  // Contributes to a value outside of the loop. Inside of the loop the value collects one term per
-  // item, after all guards are resolved.
+  // Contributes to a value outside of the loop. Inside of the loop, all guards are first replaced
+  // by selects, and the value then collects one term per item.
   void give_outward(Value operand, int32_t guard, Value value, int copy) {
     // from the epilogue to an earlier section
     if (!in_body_) return contribute(operand, guard, value);

@@ -47,8 +47,8 @@ template <class F>
 void run_functions(const CustomOp& op, DeferredScope& deferred, F&& functions) {
   if (!op.submits_only) deferred.pause();
   functions();
-  // Hand-written launches of the functions raise no versions and keep no memory alive, so both
-  // happen here.
+  // Hand-written launches of the functions raise no versions and keep no memory alive. This
+  // function does both for them.
   for (const Tensor& scratch : op.writes) note_write(scratch.range());
   for (const auto* list : {&op.inputs, &op.outputs, &op.reads, &op.writes})
     for (const Tensor& tensor : *list) hold_in_capture(tensor.range());

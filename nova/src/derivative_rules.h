@@ -41,9 +41,9 @@ void for_each_differentiable(const ir::Instr& in, const F& f) {
   }
 }
 
-// The derivative rules. The partial derivative by one operand is a number, so one rule serves both
-// directions. The rule maps a gradient of the result to the operand, or a tangent of the operand to
-// the result.
+// The derivative rules. The partial derivative with respect to one operand is a factor, so one rule
+// serves both directions. The rule maps a gradient of the result to the operand, or a tangent of
+// the operand to the result.
 class DerivativeRules {
  public:
   using Value = ir::Value;
@@ -54,9 +54,9 @@ class DerivativeRules {
   Value choose(Value c, Value a, Value b) { return trace_.emit({ir::Op::SELECT_F, c, a, b}); }
   Value zero() { return trace_.constant(0.0f); }
 
-  // Returns x times the derivative of instruction v of `p` by the operand at `position`. `at`
-  // returns the trace's copy of a value of p. `zero_safe_products`: 0 times infinity or NaN is 0.
-  // The caller handles SELECT_F, whose derivative depends on the chosen side.
+  // Returns x times the derivative of instruction v of `p` with respect to the operand at
+  // `position`. `at` returns the trace's copy of a value of p. With `zero_safe_products`, 0 times
+  // infinity or NaN is 0. The caller handles SELECT_F, whose derivative depends on the chosen side.
   template <class At>
   Value apply(const ir::Program& p, Value v, int position, Value x, const At& at,
               bool zero_safe_products = false) {
@@ -102,9 +102,9 @@ class DerivativeRules {
  private:
   Value mul(Value a, Value b) { return trace_.emit({ir::Op::MUL, a, b}); }
   Value neg(Value a) { return trace_.emit({ir::Op::NEG, a}); }
-  // Division by a square root, as in normalizing a vector, multiplies by the reciprocal. The
-  // components and their gradients then share one division. The reciprocal of a root is never
-  // infinite or denormal.
+  // Divides a by b. If b is a square root, as in normalizing a vector, the result is a product with
+  // the reciprocal, so that components and their gradients share one division. The reciprocal of a
+  // root is never infinite or denormal.
   Value quotient(Value a, Value b) {
     if (trace_.program().instrs[b].op != ir::Op::SQRT) return trace_.emit({ir::Op::DIV, a, b});
     return mul(a, trace_.emit({ir::Op::DIV, trace_.constant(1.0f), b}));

@@ -15,8 +15,8 @@ using ir::kNone;
 using ir::Op;
 using ir::Value;
 
-// Generates a tangent in one pass over the primal: a copy of every value, and its tangent if it has
-// one.
+// Generates a tangent in one pass over the primal. Every value is copied, and gets a tangent if it
+// depends on a source that has one.
 class Push {
  public:
   Push(const ir::Program& primal, const std::vector<bool>& wrt)

@@ -100,13 +100,13 @@ void Tape::Impl::check_not_of_another(const Range& range, const std::string& op,
          "here. Record both on one tape, take detach(), or reset() the other tape");
 }
 
-// Checks that an input is not a value of the tape that was overwritten outside of the tape. Its
-// gradient would be wrong.
+// Checks that an input is not a value of the tape that code outside of the tape overwrote. The
+// gradient of such an input would be wrong.
 void Tape::Impl::check_not_overwritten(const Operand& in, const std::string& op,
                                        const std::string& input) {
   if (in.type == ir::Type::F32) {
     check_not_of_another(*in.range, op, input);
-    // Gradients belong to ranges, so a gradient of an overlapping range would be lost.
+    // Gradients belong to ranges, so the gradient of a range that overlaps the input would be lost.
     const auto has_gradient = [](const Range& other, void* self) {
       return static_cast<Impl*>(self)->carries(other) ||
              static_cast<Impl*>(self)->is_of_another(other);
@@ -198,7 +198,7 @@ void Tape::mark_untracked(const std::shared_ptr<Range>& range, const char* why) 
   n.untracked = why;
 }
 
-// A loop that makes one tape per iteration reuses the memory of the last tape.
+// Memory of a destroyed tape, which the next tape reuses. A loop may make one tape per iteration.
 std::unique_ptr<Tape::Impl>& Tape::spare() {
   thread_local std::unique_ptr<Impl> impl;
   return impl;
@@ -300,7 +300,7 @@ void Tape::record_launch(const std::shared_ptr<KernelImpl>& kernel, int64_t dim,
   t.append(std::move(op), recorded);
 }
 
-// Records a rebuild for a group, because a recomputed group needs its rows again.
+// Records a rebuild for a recomputed group, whose operations need the rebuilt rows again.
 void Tape::record_rebuild(const Incidence& incidence) {
   Impl& t = *impl_;
   if (!t.in_group) return;
@@ -345,7 +345,7 @@ void Tape::record_launch(const novaphy::Launch& launch,
   t.append(std::move(op), false);
 }
 
-// Records the rows of a CSR sum, and the table that they were built from.
+// Records the use of the rows of a CSR sum, and of the table that the rows were built from.
 void Tape::Impl::add_csr(const Op& op) {
   const IncidenceData& csr = *op.csr;
   const bool current = is_current(csr, *csr.table.range);
@@ -397,12 +397,12 @@ void Tape::backward(const Tensor& loss, const Tensor& seed) {
 void Tape::zero() {
   for (Impl::Node& n : impl_->nodes) {
     GradInfo& info = grad_info(*n.range);
-    info.state = GradState::Zero;  // the next contribution stores
+    info.state = GradState::Zero;  // so that the next contribution stores
     if (OpList* graph = current_capture()) {
       info.zeroed_in_capture = graph->id();
       graph->gradient(n.range, info.state);
     }
-    // A holder of a leaf's gradient must see the zero now. Other gradients are set later.
+    // Code that holds a leaf's gradient must read 0 now. Other gradients are set by backward.
     if (!n.ever_written && info.grad) submit_fill(info.grad, 0.0f);
   }
 }

@@ -76,7 +76,7 @@ bool Tape::Impl::begin_contribution(Node& n) {
   const bool kept = leaf || !leaves_only;
   n.place = kept ? &grad_storage(*n.range) : pool.take(*n.range);
   if (leaf && graph && info.state != GradState::Held && info.zeroed_in_capture != graph->id()) {
-    // Every replay adds to the gradient of its time, so the first replay needs real zeros.
+    // Every replay adds to the gradient in memory, so the memory needs zeros for the first replay.
     fill_zero_now(*info.grad);
     info.state = GradState::Held;
   }
@@ -108,7 +108,7 @@ void Tape::Impl::GradientPool::clear() {
 }
 
 // Checks that the rows of a CSR sum are unchanged. The items Program also needs the unchanged table
-// behind the rows.
+// from which the rows were built.
 void Tape::Impl::check_csr(const Op& op, std::initializer_list<CsrUse> needed) {
   for (const CsrUse which : needed) {
     const Use& use = csr_use(op, which);
@@ -123,8 +123,8 @@ void Tape::Impl::check_csr(const Op& op, std::initializer_list<CsrUse> needed) {
   }
 }
 
-// Checks that a value that an adjoint reads is as recorded, or will be after its group is
-// recomputed.
+// Checks that a value that an adjoint reads equals the recorded value, or will equal it after its
+// group is recomputed.
 void Tape::Impl::check_needed(const Use& use, const Op& op, uint32_t input) {
   if (use.producer < 0) {
     check_value(use, op, input);
@@ -181,7 +181,7 @@ void Tape::Impl::run_again(const Op& op, DeferredScope& deferred) {
   }
 }
 
-// Returns the values that a group leaves, except those that were overwritten afterwards.
+// Returns the last writes of a group whose values were not overwritten after the group.
 std::vector<const Tape::Impl::Use*> Tape::Impl::last_written(const Group& group) const {
   std::vector<const Use*> found;
   for (uint32_t k = group.first; k < group.last; ++k) {
@@ -223,9 +223,9 @@ void Tape::Impl::run_group(const Group& group, DeferredScope& deferred) {
   }
 }
 
-// Returns the source of the previous operation that is the index table through which operation k
-// sums its output, or -1. The previous adjoint then reads the gradient of the sums through the
-// table. The gradient of the terms is needed only by a tape that keeps all gradients.
+// Returns a source of operation k - 1, or -1: the index table through which operation k sums the
+// output of k - 1. The adjoint of k - 1 can then read the gradient of the sums through the table
+// (AdjointMask::table). Only a tape that keeps all gradients needs the gradient of the terms.
 int32_t Tape::Impl::summed_through(size_t k, uint32_t s) {
   const Op& sum = ops[k];
   if (k == 0 || !sum.kernel || !sum.csr || sum.kernel->summed_source != static_cast<int32_t>(s))
@@ -238,7 +238,7 @@ int32_t Tape::Impl::summed_through(size_t k, uint32_t s) {
   if (input(sum, s).operand.range != terms.range || find(*terms.range)->set) return -1;
   const Operand& table = sum.csr->table;
   for (uint32_t t = 0; t < giver.inputs; ++t)
-    // both would share one gradient
+    // the gradients of this input and of the sums would share memory
     if (input(giver, t).operand.range == output(sum, 0).range) return -1;
   for (uint32_t t = 0; t < giver.inputs; ++t) {
     const Operand& in = input(giver, t).operand;
@@ -250,12 +250,12 @@ int32_t Tape::Impl::summed_through(size_t k, uint32_t s) {
   return -1;
 }
 
-// Returns, as bits, the columns of an input's gradient that the adjoint of the writing operation
-// does not read. This is only valid for a tape that keeps the gradients of leaves alone.
+// Returns, as bits, the columns of an input's gradient that the adjoint of the last operation that
+// wrote the input does not read. Only valid for a tape that keeps only the gradients of leaves.
 uint32_t Tape::Impl::unread_columns(size_t k, const Operand& in) {
   const Range* range = in.range.get();
   while (k-- > 0) {
-    // In most cases no operation has written the range since.
+    // In most cases the last writer of the range came before k, and the search can jump to it.
     if (const int32_t writer = find(*range)->writer; writer < static_cast<int32_t>(k)) {
       if (writer < 0) return 0;
       k = static_cast<size_t>(writer);
@@ -282,8 +282,8 @@ void Tape::Impl::plan_steps() {
   steps.clear();
   places.clear();
   int32_t open_group = -1;
-  // For the next operation, see summed_through: the number of rows of the sums, and the place of
-  // their gradient.
+  // For the operation that the next iteration handles, see summed_through: the index table, the
+  // number of rows of the sums, and the memory of their gradient.
   int32_t table = -1;
   int64_t sums = 0;
   const std::shared_ptr<Range>* of_sums = nullptr;
@@ -302,7 +302,7 @@ void Tape::Impl::plan_steps() {
       if (!n.set) continue;
       key.seeded |= uint32_t{1} << o;
       output_places[o] = key.table < 0 ? n.place : of_sums;
-      n.set = false;  // an earlier value of the same range starts without a gradient
+      n.set = false;  // an earlier value of the same range begins without a gradient
     }
     if (!key.seeded) {
       places.resize(first_place);
@@ -451,8 +451,8 @@ void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Te
 void Tape::Impl::run_kernel(const Step& step) {
   const Op& op = *step.op;
   constexpr size_t kMaxSources = 64;
-  // The place of each source's gradient. A range that is bound to two sources is written once and
-  // added to once.
+  // The memory of each source's gradient. If a range is bound to two sources, the first
+  // contribution is stored, and the second is added afterwards.
   std::array<const std::shared_ptr<Range>*, kMaxSources> gradients;
   std::vector<std::pair<uint32_t, Operand>> added_later;
   for (uint32_t s = 0; s < op.inputs; ++s) {

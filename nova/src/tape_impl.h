@@ -16,7 +16,7 @@
 namespace nova {
 
 namespace detail {
-// Computes into += from over all values.
+// Computes into += from for all values.
 void accumulate(const Operand& into, const Operand& from);
 }  // namespace detail
 
@@ -33,7 +33,7 @@ struct Tape::Impl {
     uint64_t checksum = 0;
     bool has_checksum = false;  // for memory with a writable export
     bool carries = false;       // whether a gradient flows through it
-    int32_t producer = -1;      // in a group: the use that writes the value; -1: none
+    int32_t producer = -1;      // in a group: index of the use that writes the value; -1: none
     bool overwritten = false;   // in a group: a later operation overwrites the output
     bool read = false;          // whether the adjoint of a custom operation reads it
   };
@@ -51,8 +51,8 @@ struct Tape::Impl {
     int32_t step = -1;                // step of the rollout; -1: none
     bool replayed = false;    // in a group: another operation of the group reads its output
     bool constant = false;    // in a group: no gradient flows through it
-    bool has_active = false;  // its use follows those of the outputs, see active_use
-    Incidence csr;            // its uses follow those of the outputs, see csr_use
+    bool has_active = false;  // the use of `active` follows those of the outputs, see active_use
+    Incidence csr;            // the uses of its arrays follow those of the outputs, see csr_use
   };
   enum CsrUse : uint32_t { kOffsets, kItems, kTable };
   // version of a table that the rows do not belong to
@@ -67,12 +67,12 @@ struct Tape::Impl {
     std::vector<detail::MemoryAccess> accesses;
   };
   struct Group {
-    uint32_t first = 0, last = 0;  // operations
+    uint32_t first = 0, last = 0;  // operations [first, last)
   };
-  // The tape's record of a range.
+  // The tape's data of one range.
   struct Node {
     std::shared_ptr<Range> range;
-    int32_t writer = -1;            // last operation that wrote it
+    int32_t writer = -1;            // last operation that wrote the range; -1: none
     int32_t group = -1;             // group of that operation
     int32_t written_use = -1;       // in a group: the use that wrote it
     uint64_t written_version = 0;   // version after that write
@@ -81,14 +81,15 @@ struct Tape::Impl {
     bool has_checksum = false;
     bool ever_written = false;        // an operation of this tape wrote it, so it is not a leaf
     bool carries = false;             // a gradient flows through its present value
-    uint64_t untracked_version = 0;   // version of a value that the tape does not follow
+    uint64_t untracked_version = 0;   // version of a value that the tape did not record
     const char* untracked = nullptr;  // reason why that value may not be an input
     bool set = false;                 // in backward: its gradient has a contribution
-    const std::shared_ptr<Range>* place = nullptr;  // in backward: memory of its gradient
-    uint32_t unread = 0;       // in backward: gradient columns that nobody reads, as bits
+    const std::shared_ptr<Range>* place = nullptr;  // in backward: the memory of its gradient
+    uint32_t unread = 0;       // in backward: columns of the gradient that no adjoint reads, as
+                               // bits
     int32_t unread_width = 0;  // in backward: number of columns that `unread` refers to
     uint64_t read_version =
-        0;  // in backward: version of the leaf's value at its first contribution
+        0;  // in backward: version of the leaf's value at the first contribution
   };
   // The nodes in the order of their creation, with an open-addressing index keyed by range.
   class NodeTable {
@@ -137,7 +138,7 @@ struct Tape::Impl {
   };
   // One operation of the backward pass, planned before any runs.
   struct Step {
-    const Op* op;  // null: recompute a group
+    const Op* op;  // null: the step recomputes a group
     detail::AdjointKey key;
     const detail::CompiledPlan* plan;
     size_t first_place;         // index in `places`: gradients of the outputs, then of the inputs
@@ -163,9 +164,9 @@ struct Tape::Impl {
   std::vector<CustomOp> customs;
   std::vector<HandWritten> hand_written;
   std::vector<Group> groups;
-  bool in_group = false;  // the last group is still open
+  bool in_group = false;  // whether the last group is still open
   std::vector<std::shared_ptr<const Witness>> witnesses;
-  int64_t passes = 0;  // of backward
+  int64_t passes = 0;  // calls of backward
   int32_t of_step = -1;   // see Tape::StepScope
   novaphy::ExclusiveUses group_memory;
   NodeTable nodes;
@@ -177,12 +178,12 @@ struct Tape::Impl {
   // Data of the last backward pass, kept to reuse its memory.
   std::vector<Step> steps;
   std::vector<const std::shared_ptr<Range>*> places;
-  std::vector<GradState> before;  // state of every node
+  std::vector<GradState> before;  // state of the gradient of every node before the call
   GradientPool pool;
   ScratchMemory scratch;          // scratch of the adjoints
   std::vector<Operand> operands;  // operands of a recomputed operation
   // Ranges that a recomputed group has rewritten with the same bits: the recorded version and the
-  // present one.
+  // version after that write.
   struct WrittenAgain {
     uint64_t recorded, now;
   };
@@ -256,12 +257,13 @@ struct Tape::Impl {
   // Functions of tape_backward.cpp.
   void backward(Node& loss, const Tensor& seed);
   void plan_steps();
-  // `stop`, if given, is called after every step; steps are then not deferred.
+  // `stop`, if given, is called after every step and ends the pass if it returns true. Steps are
+  // then not deferred.
   void run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
                  const std::function<bool(const Step&)>& stop = nullptr);
   using Copies = std::vector<std::pair<std::shared_ptr<Range>, std::shared_ptr<Range>>>;
-  // Called after a backward pass on the CPU. `earlier`: copies of the leaf gradients that it added
-  // to.
+  // Called after a backward pass on the CPU. `earlier` has copies of the leaf gradients to which
+  // the pass added.
   static bool is_finite_where_read(const Range& gradient, const Node& n);
   void tell_not_finite(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
                        const Copies& earlier);
@@ -297,7 +299,7 @@ struct Tape::Impl {
 
   class Forward;  // tape_jvp.cpp
 
-  novaphy::ExclusiveUse in_use;  // guards the data of a pass
+  novaphy::ExclusiveUse in_use;  // guards the data of a backward pass
 };
 
 }  // namespace nova

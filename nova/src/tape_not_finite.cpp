@@ -1,4 +1,4 @@
-// Finds the operation from which the first gradient that is not finite comes.
+// Finds the operation where the first gradient that is not finite arises.
 #include "checks.h"
 #include "novaphy/core/warning.h"
 #include "novaphy/nova/op_list.h"
@@ -17,7 +17,7 @@ bool is_finite(const Range& gradient) { return detail::first_not_finite(values_o
 
 }  // namespace
 
-// Checks the columns that are read; other columns may never have been written.
+// Checks only the columns that adjoints read; other columns may never have been written.
 bool Tape::Impl::is_finite_where_read(const Range& gradient, const Node& n) {
   const std::span<const float> values = values_of(gradient);
   if (detail::first_not_finite(values) < 0) return true;

@@ -34,7 +34,7 @@ inline void check_f32(const Tensor& x, const Argument& argument) {
 
 // Returns the index of the first value that is not finite, or -1.
 inline int64_t first_not_finite(std::span<const float> values) {
-  uint32_t found = 0;  // the first pass has no branches
+  uint32_t found = 0;  // the first pass, over all values, has no branches
   constexpr uint32_t kExponent = 0x7F800000;
   for (const float v : values) found |= (std::bit_cast<uint32_t>(v) & kExponent) == kExponent;
   if (found == 0) return -1;

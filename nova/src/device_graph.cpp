@@ -64,12 +64,12 @@ void issue_in_order(const DeviceContext& context, std::span<const OpList::Op> op
 
 namespace {
 
-// A shorter list is not worth compiling a kernel.
+// Lists with fewer operations are not worth compiling a kernel.
 constexpr uint32_t kMinListOps = 8;
 
 constexpr uint32_t kMinPersistentOps = 16;
-// A kernel with fewer occurrences costs more to compile into a persistent kernel than its launches
-// cost.
+// Compiling a kernel into a persistent kernel pays off only if the recording has this many launches
+// of it.
 constexpr uint32_t kMinOccurrences = 4;
 
 bool switched_off(const char* value) { return value != nullptr && std::strcmp(value, "0") == 0; }
@@ -79,7 +79,8 @@ bool lists_wanted(const novaphy_backend_api& api) {
          !switched_off(std::getenv("NOVAPHY_DEVICE_LISTS"));
 }
 bool persistent_wanted(const novaphy_backend_api& api) {
-  constexpr uint32_t kOperationsHaveBytes = 9;  // minimum ABI minor version
+  constexpr uint32_t kOperationsHaveBytes = 9;  // ABI minor version from which operations have
+                                                // sizes
   return has_entry(api, &novaphy_backend_api::persistent_create) &&
          api.abi_minor >= kOperationsHaveBytes &&
          !switched_off(std::getenv("NOVAPHY_DEVICE_PHASES"));
@@ -133,7 +134,7 @@ void DeviceGraph::make_lists(const RunPlan& plan, std::span<const uint64_t> word
   }
 }
 
-// Makes persistent kernels of the operations outside of lists, as far as the backend supports them.
+// Makes persistent kernels of the operations between lists, as far as the backend supports them.
 void DeviceGraph::make_persistent_kernels(std::span<const OpList::Op> ops,
                                           std::span<const uint64_t> words,
                                           std::span<const MemoryAccess> accesses) {
@@ -247,9 +248,9 @@ std::unique_ptr<DeviceGraph> DeviceGraph::fused(const DeviceContext& context,
   std::unique_ptr<DeviceGraph> made(new DeviceGraph(context));
   RunPlan plan = plan_run(ops, words, accesses, {.min_rows = 1, .multiples = false});
   made->make_lists(plan, words);
-  // The order of the plan groups the rows of lists. Without lists that order would only move single
-  // operations, such as the first fill of a gradient, between the substeps of a persistent kernel.
-  // The recorded order is used instead.
+  // The order of the plan groups operations into lists. Without lists that order would only move
+  // single operations, such as the first fill of a gradient, between the substeps of a persistent
+  // kernel. The recorded order is then used instead.
   if (made->lists_.empty()) plan.ops.assign(ops.begin(), ops.end());
   mark_changing_tables(plan.ops, words, accesses);
   made->make_persistent_kernels(plan.ops, words, accesses);

@@ -1,9 +1,10 @@
 // Internal: a recorded list as a graph of the device, so that a replay is one call. A plain graph
 // has one launch per operation. A fused graph has fewer launches and the same results.
 //
-// Fusion makes one launch of consecutive operations that access written memory only at their own
-// row, if the backend supports it (NOVAPHY_DEVICE_LISTS=0 switches this off). The operations
-// between become one launch with barriers (NOVAPHY_DEVICE_PHASES=0 switches this off).
+// Fusion makes one launch (a list) of consecutive operations that access written memory only at
+// their own row, if the backend supports this (NOVAPHY_DEVICE_LISTS=0 switches it off). The
+// operations between lists become one launch with barriers, a persistent kernel
+// (NOVAPHY_DEVICE_PHASES=0 switches it off).
 #pragma once
 
 #include <cstdint>
@@ -60,7 +61,7 @@ class DeviceGraph {
                            std::span<const uint64_t> words, novaphy_error& error,
                            const char*& name) const;
 
-  // Consecutive operations that the backend runs as one launch.
+  // Consecutive operations that the backend runs as one launch, each thread with its own rows.
   struct List {
     uint32_t first, last;
     novaphy_list* list;

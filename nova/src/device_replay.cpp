@@ -13,9 +13,9 @@ namespace {
 
 using std::chrono::seconds;
 
-// The number of compiling threads. A list that is never destroyed may leave its thread running at
-// the exit of the process. The exit destroys objects that the thread uses, so the exit waits for
-// it.
+// The number of threads that compile. A list that is never destroyed may leave its thread running
+// at the exit of the process. The exit destroys objects that the thread uses, so the exit waits
+// until the number is 0.
 std::atomic<int>& working() {
   static std::atomic<int> count{0};
   static const struct Exit {
@@ -33,8 +33,9 @@ struct Work {
   Work& operator=(const Work&) = delete;
 };
 
-// Returns whether the bits may depend on fusion, because a kernel allows contraction. The bits must
-// not depend on the time at which the fused graph is ready.
+// Returns whether the bits may depend on fusion, because a kernel allows contraction to fused
+// multiply-adds. Such a list is not fused in the background, because the bits must not depend on
+// the time at which the fused graph is ready.
 bool contracted(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops) {
   const novaphy_backend_api& api = *context.api;
   if (!has_entry(api, &novaphy_backend_api::kernel_info)) return false;
@@ -56,7 +57,7 @@ DeviceReplay::DeviceReplay(const novaphy::DeviceContext& context, std::span<cons
                            std::span<const uint64_t> words, std::span<const MemoryAccess> accesses)
     : context_(context), ops_(ops), words_(words) {
   auto make = [=, &context, work = std::make_shared<Work>()]() mutable {
-    // the future may live longer than the work
+    // the future may live longer than the data of the work
     const std::shared_ptr<Work> until_done = std::move(work);
     return DeviceGraph::fused(context, ops, words, accesses);
   };

@@ -28,7 +28,8 @@ struct FusedRun {
   std::span<const OpList::Op> ops;  // all operations of the plan
   std::span<const uint64_t> words;
   const Segment& segment;
-  std::span<const HostPlan::Scan> scan;  // scans from the segment on
+  std::span<const HostPlan::Scan> scan;  // the scans (launches of one kernel as one call) of this
+                                         // segment
   int64_t first_block;
   std::atomic<bool> failed{false};
   std::mutex mutex = {};
@@ -36,7 +37,7 @@ struct FusedRun {
   novaphy_status status = NOVAPHY_OK;
   novaphy_error error = novaphy::make_error();
   const OpList::Op* failed_op = nullptr;
-  bool by_scan = false;  // messages of a scan count rows from 0
+  bool by_scan = false;  // error messages of a scan count rows from 0 of the whole launch
 
   void note(int64_t block, novaphy_status s, const novaphy_error& e, const OpList::Op& op,
             bool many) {
@@ -102,8 +103,8 @@ bool makes_scan(const novaphy_backend_api& api) {
          has_entry(api, &novaphy_backend_api::scan_destroy);
 }
 
-// Returns whether an operation between a scan and `last` may write memory that the scan's
-// operations accessed.
+// Returns whether an operation between a scan and `last` may write memory that the operations of
+// the scan accessed. A scan is a row of launches of one kernel that run as one call.
 bool written_since(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
                    std::span<const MemoryAccess> accesses, const HostPlan::Scan& scan,
                    uint32_t last) {
@@ -224,8 +225,8 @@ void HostPlan::make_scan(std::span<const MemoryAccess> accesses) {
   }
 }
 
-// Cuts the operations into phases. Short segments become parts of phases, because they would
-// otherwise split them; inside of phases the operations share rows too.
+// Divides the operations outside of long segments into phases. Short segments become parts of
+// phases too, because a short segment would otherwise end a run of phases.
 void HostPlan::make_phases(std::span<const MemoryAccess> accesses) {
   const auto is_short = [](const Segment& s) { return s.n == 0 || s.last - s.first < kShort; };
   std::vector<Segment> cut;

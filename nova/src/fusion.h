@@ -32,8 +32,8 @@ struct RowLayout {
 };
 RowLayout row_layout(const ir::Program& program);
 
-// Consecutive operations. n > 0: they run block by block over n rows, `block_rows` at a time. An
-// operation over m * n rows has m rows for each of the n.
+// Consecutive operations. If n > 0, they run block by block over n rows, `block_rows` at a time. An
+// operation over m * n rows has m rows for each of the n rows.
 struct Segment {
   uint32_t first = 0, last = 0;
   int64_t n = 0;
@@ -50,9 +50,9 @@ bool is_table(const OpList::Op& op, std::span<const uint64_t> words, uint64_t ad
 bool touched_by(const OpList::Op& op, std::span<const uint64_t> words,
                 std::span<const MemoryAccess> accesses, std::vector<MemoryAccess>& touched);
 
-// The operations in an order with the same results, cut into segments. An operation that would
-// split a segment moves before or after the segment if the data allows it. For example, a loss that
-// sums over all rows does not separate the forward rollout of a block from its backward pass.
+// The operations in an order with the same results, divided into segments. An operation that would
+// split a segment moves before or after the segment if the data flow allows it. For example, a loss
+// that sums over all rows does not separate the forward rollout of a block from its backward pass.
 struct RunPlan {
   std::vector<OpList::Op> ops;
   std::vector<Segment> segments;
@@ -63,7 +63,8 @@ inline constexpr uint32_t kMaxFusedWords = 192;  // largest number of argument w
 struct PlanLimits {
   int64_t min_rows = 2048;
   bool multiples = true;  // allow operations with several rows per row of the segment
-  // Consecutive launches of one kernel that form a segment for any number of rows; 0: none.
+  // Consecutive launches of one kernel make a segment for any number of rows if the list has at
+  // least this many of them; 0: never.
   uint32_t min_scan = 0;
 };
 // Sets Op::tables_change. Plans that depend on the contents of tables need the flag, because the
@@ -73,15 +74,15 @@ void mark_changing_tables(std::span<OpList::Op> ops, std::span<const uint64_t> w
 RunPlan plan_run(std::span<const OpList::Op> ops, std::span<const uint64_t> words,
                  std::span<const MemoryAccess> accesses, const PlanLimits& limits = {});
 
-// Runs the rows [begin, begin + rows) of n of an operation. A launch over m * n rows has m rows for
-// each of the n. Returns OK, or the status and message of the backend.
+// Runs the part [begin, begin + rows) of n rows of an operation. A launch over m * n rows has m
+// rows for each of the n rows. Returns OK, or the status and message of the backend.
 novaphy_status run_rows(const novaphy::DeviceContext& context, const OpList::Op& op,
                         const uint64_t* words, int64_t n, int64_t begin, int64_t rows,
                         novaphy_error& error);
 
-// Throws the error of an operation. The message about a part of the rows counts from its first row,
-// so the whole operation runs once more to get the right message. `error` is the message of the
-// part.
+// Throws the error of an operation. An error message about a part of the rows counts from the first
+// row of the part, so the whole operation runs once more to get the right message. `error` is the
+// message of the part.
 void fail_as_a_whole(const novaphy::DeviceContext& context, const OpList::Op& op,
                      const uint64_t* words, novaphy_status status, const novaphy_error& error);
 

@@ -75,8 +75,8 @@ bool touched_by(const OpList::Op& op, std::span<const uint64_t> words,
 
 namespace {
 
-// A scan over few rows is distributed over threads in blocks of kFewRows if all its launches
-// together have kSharedOut rows.
+// A scan (launches of one kernel as one call) over few rows is distributed over threads in blocks
+// of kFewRows if all its launches together have kSharedOut rows.
 constexpr int64_t kSharedOut = 32768, kFewRows = 128;
 // Number of launches between two checks for an interrupt.
 constexpr size_t kMostLaunches = 65536;
@@ -106,8 +106,8 @@ class Footprint {
                        [this](const MemoryAccess& a) { return conflicts(a); });
   }
 
-  // Adds the accesses of an operation that is to run block by block with the others. Returns false,
-  // without a change, if the operation may access data of another row.
+  // Adds the accesses of an operation to run block by block with the operations so far. Returns
+  // false, without a change, if the operation may access data of another row.
   bool add_fused(std::span<const MemoryAccess> accesses) {
     undo_.clear();
     for (const MemoryAccess& access : accesses) {
@@ -218,8 +218,8 @@ class Planner {
 
   const OpList::Op& op(size_t k) const { return ops_[order_[k]]; }
 
-  // Returns the number of rows for a segment that starts at k: those of its first launch, or of a
-  // launch soon after that has fewer rows per element.
+  // Returns the number of rows of a segment that starts at operation k. The number is that of the
+  // first launch, or of a launch soon after if this has fewer rows per element.
   int64_t rows_from(size_t k) const {
     constexpr size_t kLookAhead = 32;
     int64_t n = 0;
@@ -232,8 +232,8 @@ class Planner {
     return n;
   }
 
-  // Finds the accesses of an operation. Returns false if they are unknown. `own_row`: whether all
-  // memory that it writes is accessed only at its own one of n rows.
+  // Finds the accesses of an operation. Returns false if they are unknown. Sets `own_row` to
+  // whether, with n rows, row i accesses all written memory only at row i.
   bool look_at(const OpList::Op& o, int64_t n, bool& own_row) {
     touched_.clear();
     const bool launch = o.kind == OpList::Op::Kind::Launch;
@@ -281,8 +281,8 @@ class Planner {
     return true;
   }
 
-  // Returns the end of a scan that begins at k, or k if none does. All launches of a scan run the
-  // same kernel and access written memory at their own row only.
+  // Returns the end of a scan that begins at k, or k if none begins there. All launches of a scan
+  // run the same kernel and access written memory at their own row only.
   size_t end_of_scan(size_t k) {
     if (limits_.min_scan == 0 || op(k).n == 0) return k;
     segment_.clear();
@@ -317,7 +317,7 @@ class Planner {
   std::vector<uint32_t> order_;
   Footprint segment_, late_;
   std::vector<uint32_t> before_, fused_, after_;
-  std::vector<MemoryAccess> touched_;  // by the operation under inspection
+  std::vector<MemoryAccess> touched_;  // accesses of the operation under inspection
 };
 
 }  // namespace

@@ -84,7 +84,7 @@ AdjointKey key_of(const AdjointMask& mask) {
 
 AdjointKey KernelImpl::declared_key(const AdjointKey& asked) const {
   const AdjointKey* best = nullptr;
-  uint64_t at_their_row = 0;  // sources whose gradients the plan adds up itself
+  uint64_t at_their_row = 0;  // bits of sources whose gradients the plan stores or adds itself
   for (size_t s = 0; s < sources.size(); ++s)
     if (sources[s].access == Access::Direct || sources[s].access == Access::CsrRow)
       at_their_row |= uint64_t{1} << s;

@@ -42,11 +42,11 @@ class Executable {
 void remember_executable(Executable* executable);
 void forget_executable(Executable* executable);
 
-// The sources and outputs of an adjoint, as bits.
+// AdjointMask with one bit per source or output.
 struct AdjointKey {
   uint64_t wrt = 0, accumulate = 0;
   uint32_t seeded = 0;
-  int32_t table = -1;  // from here on as in AdjointMask
+  int32_t table = -1;  // these members are as in AdjointMask
   int32_t narrowed = -1;
   uint32_t unread = 0;
   bool gated = false;
@@ -76,15 +76,16 @@ struct KernelImpl {
   std::unique_ptr<Executable> forward;
   uint64_t hash = 0;
   bool has_fixed_loop = false, has_csr_loop = false;
-  int32_t summed_source = -1;  // see ir.h
+  int32_t summed_source = -1;  // see ir::Program in ir.h
   bool is_copy = false;        // the kernel only copies its source
   // Sets of gradients that are compiled ahead of time (see with_gradients).
   std::vector<AdjointMask> gradients;
   std::vector<AdjointKey> gradient_keys;
 
   const CompiledPlan& adjoint(const AdjointKey& key);
-  // Returns the plan of the smallest declared set with all requested gradients, if one exists. The
-  // caller provides zeros and scratch for the rest of the plan.
+  // Returns the plan of the smallest declared set (with_gradients) that has all requested
+  // gradients, if one exists. The caller provides zeros and scratch memory for the other gradients
+  // of the plan.
   const CompiledPlan& declared_adjoint(const AdjointKey& asked);
   CompiledTangent& tangent(uint64_t wrt);  // wrt: sources with a tangent, as bits
   // Returns the columns of an output's gradient that are not read if gradients of these sources are
@@ -127,7 +128,7 @@ class Words {
   std::vector<uint64_t> heap_;
 };
 
-// Returns the accesses of a launch with a CSR loop besides its sources.
+// Returns the accesses of a launch with a CSR loop to offsets and items.
 std::array<MemoryAccess, 2> table_accesses(const IncidenceData& csr);
 
 // Runs or captures a kernel with checked operands, and raises the versions of the outputs.

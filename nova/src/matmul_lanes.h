@@ -17,7 +17,7 @@ struct ProductWords {
 
 struct ProductLevel {
   const char* name;
-  // for rows [begin, end) of the result
+  // computes the rows [begin, end) of the result
   void (*multiply)(const ProductWords& product, int64_t begin, int64_t end);
 };
 

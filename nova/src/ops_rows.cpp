@@ -23,9 +23,9 @@ using novaphy::require;
 
 namespace {
 
-// Maps entries of a dimension: entry k of the target is entry (k * times + plus) / over of the
-// source, if that is an integer in range. A slice is such a map, and its adjoint is the inverse
-// map.
+// A map between the entries of a dimension. Entry k of the target is entry (k * times + plus) /
+// over of the source, if that is an integer in range. A slice is such a map, and its adjoint is the
+// inverse map.
 struct EntryMap {
   int64_t times = 1, plus = 0, over = 1;
 };

@@ -1,4 +1,5 @@
-// Sums and their adjoint, repetition, over `count` of a tensor viewed as {outer, count, inner}.
+// Sums over a dimension, and their adjoint, which repeats values. The tensor is viewed as {outer,
+// count, inner}, and `count` is the dimension.
 #include <algorithm>
 
 #include "checks.h"
@@ -52,7 +53,7 @@ Tensor sum_along(const Tensor& x, const Along& along, const Shape& shape) {
           "sum: expected rows of less than 2^31 values, got shape ", shape_str(x.shape()));
   const Tensor out(shape, DType::F32, x.device());
   const auto width = static_cast<int32_t>(along.inner);
-  if (width != 0)  // rows of width 0 have no sum
+  if (width != 0)  // rows of width 0 have nothing to sum
     row_sum({x.range(), along.outer * along.count, width}, along.outer, along.count, nullptr,
             {out.range(), along.outer, width});
   detail::record(

@@ -33,7 +33,7 @@ Quaternion exponential(const Vector& r) {
   const Real s = select(a2 < Real(1e-2f), series, sin(a) / a);
   return {half.x * s, half.y * s, half.z * s, cos(a)};
 }
-// Returns r = 2 atan2(|v|, w) v/|v| for the one of q and -q with w >= 0. Below |v|/w = 0.03 the arc
+// Returns r = 2 atan2(|v|, w) v/|v| of q or -q, whichever has w >= 0. Below |v|/w = 0.03 the arc
 // tangent is replaced by its series.
 Vector logarithm(const Quaternion& q) {
   const Real side = select(q.w < Real(0.0f), Real(-1.0f), Real(1.0f)), w = q.w * side;

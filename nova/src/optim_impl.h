@@ -27,9 +27,9 @@ void sum_over_grads(std::span<const Tensor> params, const Kernel& f, const Opera
 // Returns the gradient as single values. A gradient that no backward pass has filled is zero.
 Operand grad_operand(const Tensor& param);
 
-// Returns the number of the current update from the number of earlier ones, a float32 with an
+// Returns the number of the current update from the number of earlier updates, a float32 with an
 // integer value. A value that is negative or NaN counts as 0. The number stops at 2^24 - 1, the
-// largest step that float32 can count; bias corrections are 1 long before.
+// largest count in float32. The bias corrections are 1 long before.
 inline constexpr int kCountBits = 24;
 Int next_count(const Real& t);
 

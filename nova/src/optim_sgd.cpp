@@ -57,8 +57,8 @@ const Kernel& count_refused_kernel() {
   return kernel;
 }
 
-// Adds the gradient of weight_decay / 2 * p^2. Without decay the gradient keeps its bits: the sum
-// would turn -0 into +0, and would fail for a p that is not finite.
+// Adds the gradient of weight_decay / 2 * p^2. Without decay the gradient keeps its bits: a sum
+// would turn -0 into +0, and would be NaN for a p that is not finite.
 Real decayed(const Real& grad, const Real& p, const Real& weight_decay) {
   return select(weight_decay == Real(0.0f), grad, grad + weight_decay * p);
 }

@@ -7,8 +7,8 @@
 
 namespace nova::detail {
 
-// Returns whether a backend's table has an optional entry. The table of an older backend ends
-// earlier.
+// Returns whether a backend's table has an optional entry. The table of an older backend is
+// shorter.
 template <class Entry>
 bool has_entry(const novaphy_backend_api& api, Entry novaphy_backend_api::*entry) {
   const auto begin = reinterpret_cast<uintptr_t>(&api);

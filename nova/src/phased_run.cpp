@@ -18,10 +18,10 @@ constexpr uint64_t kSmallBytes = 1 << 15;
 // A phase with fewer operations (rows times operations per row) is faster on one thread. Compiled
 // code runs this many in about three microseconds.
 constexpr int64_t kWorthSharing = 1 << 17;
-// Every thread has the same part of each chain in every phase, so that it reads mostly data that it
-// wrote. Chains with many rows are split further, so that threads can take over parts from each
-// other. A quarter of these rows per call costs up to 10 % more, because compiled code has a
-// start-up cost.
+// Limits of the parts of a chain. Every thread has the same part of each chain in every phase, so
+// that it reads mostly data that it wrote. Chains with many rows are split further, so that threads
+// can take over parts from each other. Smaller parts cost more, because compiled code has a
+// start-up cost: a quarter of these rows per call costs up to 10 %.
 constexpr int64_t kRowsPerPart = 1024, kMostEach = 32;
 constexpr int64_t kGroupRows = 16;  // largest number of rows that compiled code computes together
 // Number of phases between two checks for an interrupt.
@@ -31,7 +31,7 @@ bool can_be_cut(const OpList::Op& op) {
                                              : op.n % 4 == 0;
 }
 
-// Returns the number of threads that these phases can keep busy.
+// Returns the number of threads that can share the work of these phases.
 int64_t threads_for(std::span<const Phased> placed, std::span<const OpList::Op> ops) {
   int64_t operations = 0;
   for (const Phased& p : placed) {
@@ -97,8 +97,8 @@ void PhasedRun::make_chunks() {
     const auto begin = static_cast<ptrdiff_t>(chunks_.size());
     for (; c < end; ++c)
       for (uint32_t part = 0; part < chains_[c].parts; ++part) chunks_.push_back({c, part});
-    // Sorts the same parts of all chains together. A thread then gets a part of each chain, and
-    // elements near the particles that it moves.
+    // Sorts the same parts of all chains together. A thread then gets a part of each chain, and in
+    // VBD the elements near the particles that it moves.
     const auto place = [this](const Chunk& chunk) {
       return static_cast<double>(chunk.part) / static_cast<double>(chains_[chunk.chain].parts);
     };
@@ -130,7 +130,7 @@ void PhasedRun::run_chunk(int64_t number, Failure& failure) const {
     if (status == NOVAPHY_OK) [[likely]]
       continue;
     const std::lock_guard lock(failure.mutex);
-    // Other threads read `phase` without the lock. The phase is written once, before `any`.
+    // The phase is written once, before `any`. Other threads read `phase` without the lock.
     if (!failure.any) failure.phase = chain.phase;
     if (!failure.any || order_[k] < order_[failure.op]) {
       failure.op = k;

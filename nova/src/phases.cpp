@@ -12,9 +12,9 @@ namespace nova::detail {
 
 namespace {
 
-// Largest number of rows of an operation per row of its chain; more would leave threads idle.
+// Largest number of rows of an operation per row of its chain. More rows would leave threads idle.
 constexpr int64_t kMaxRowsEach = 8;
-// Limits of the data that a device caches for a phase.
+// Limits of the argument words and chains that a device caches for a phase.
 constexpr size_t kMaxWords = 448, kMaxChains = 24;
 
 class PhasePlanner {
@@ -46,8 +46,8 @@ class PhasePlanner {
 
  private:
   struct Chain {
-    uint32_t phase = 0, joined = 0;  // joined: itself, or the chain that absorbed it
-    int64_t rows = 0, most = 0;      // most: largest number of rows of one operation
+    uint32_t phase = 0, joined = 0;  // index of itself, or of the chain that absorbed it
+    int64_t rows = 0, most = 0;      // largest number of rows of one operation
   };
   struct Phase {
     size_t words = 0, chains = 0;
@@ -62,10 +62,10 @@ class PhasePlanner {
     std::optional<User> writer;
     std::vector<User> readers;
   };
-  // An operation that must come before the next one.
+  // An operation that must run before the operation that is being placed.
   struct Before {
     uint32_t chain = 0;
-    bool own = false;  // only row i of the operation must come before row i of the next one
+    bool own = false;  // only row i of it must run before row i of the placed operation
   };
 
   uint32_t root(uint32_t chain) const {
@@ -147,7 +147,7 @@ class PhasePlanner {
         if (mixed(a, b)) a.row_bytes = 0;
   }
 
-  // Returns the chain for operation k, which comes after the operations placed so far.
+  // Returns the chain for operation k, after the operations placed so far.
   uint32_t place(uint32_t k) {
     touched_.clear();
     before_.clear();
@@ -208,7 +208,7 @@ class PhasePlanner {
   std::vector<Chain> chains_;
   std::vector<Phase> phases_;
   std::map<uint64_t, Interval> intervals_;
-  std::vector<MemoryAccess> touched_;  // by the operation under inspection
+  std::vector<MemoryAccess> touched_;  // accesses of the operation under inspection
   std::vector<Before> before_;
 };
 

@@ -10,10 +10,10 @@
 
 namespace nova::detail {
 
-// The place of an operation. Operations of a phase are independent, except within a chain. In a
-// chain, each operation accesses the data of the others at its own row only, and one thread runs
-// all operations of row i in order. An operation over m * rows rows has m rows for each row of the
-// chain.
+// The position of an operation in the plan. Operations of a phase are independent, except within a
+// chain. In a chain, each operation accesses the data of the others at its own row only, and one
+// thread runs all operations of row i in order. An operation over m * rows rows has m rows for each
+// row of the chain.
 struct Phased {
   uint32_t op = 0;
   uint32_t phase = 0, chain = 0;  // the chain within the phase

@@ -1,4 +1,4 @@
-// Internal: prints how a capture runs on a device whose memory the host can access, and why
+// Internal: prints how a recorded list runs on a device whose memory the host can access, and why
 // operations do not run block by block.
 #pragma once
 

@@ -65,7 +65,8 @@ class Recorder : public novaphy::LaunchRecorder {
   }
 
  private:
-  std::vector<MemoryAccess> accesses_;  // of the current launch; a member to reuse its memory
+  std::vector<MemoryAccess> accesses_;  // accesses of the current launch, a member to reuse the
+                                        // memory
 };
 
 thread_local Recorder recorder;

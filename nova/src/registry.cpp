@@ -25,8 +25,8 @@ std::vector<EngineKernel> engine_kernels() {
 
 std::vector<ir::Program> programs_of(const std::vector<EngineKernel>& kernels) {
   std::map<uint64_t, ir::Program> programs;
-  // Equal Programs may have several names. The smallest name is taken, so that the choice does not
-  // depend on the order.
+  // Equal Programs may have several names. The alphabetically first name is taken, so that the
+  // choice does not depend on the order of the list.
   const auto add = [&](const ir::Program& p) {
     const auto [entry, fresh] = programs.try_emplace(ir::hash(p), p);
     if (!fresh && p.name < entry->second.name) entry->second = p;

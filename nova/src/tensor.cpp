@@ -67,7 +67,7 @@ GradInfo& grad_info(Range& range) {
 
 const std::shared_ptr<Range>& grad_storage(Range& range) {
   GradInfo& info = grad_info(range);
-  // A captured operation fills the gradient later; until then it is zero.
+  // A captured operation will fill the gradient. Until then the gradient is zero.
   if (!info.grad)
     info.grad =
         Storage::allocate(range.bytes(), range.storage().device(), current_capture() != nullptr)

@@ -166,8 +166,8 @@ ir::Value Trace::constant(float value) {
 ir::Value Trace::constant(int32_t value) { return emit({ir::Op::CONST_I, value}); }
 ir::Value Trace::constant(bool value) { return emit({ir::Op::CONST_B, value ? 1 : 0}); }
 
-// Returns the value that the instruction is known to equal in all bits, or kNone. Identities that
-// change a signed zero (x + 0, x * 0) are not used.
+// Returns a value that equals the instruction in all bits, or kNone. Identities that change a
+// signed zero (x + 0, x * 0) are not used.
 ir::Value Trace::fold(const ir::Instr& in) {
   if (!foldable(in.op)) return ir::kNone;
   bool all_const = true;

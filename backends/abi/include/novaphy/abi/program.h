@@ -1,16 +1,17 @@
 /* The serialized form of a Program: the SSA of one kernel, a pure function of an index.
  *
- * out[i] = f(i) for i in [0, n). A Program has sources (read only), outputs (written at row i only), loops
- * (ordered sums, nothing else) and instructions in an order in which operands precede their users.
+ * out[i] = f(i) for i in [0, n). A Program has sources (read only), outputs (written at row i
+ * only), loops (only for ordered sums) and instructions in an order in which operands precede their
+ * users.
  *
  * Words are 32 bit, little endian:
  *   header      NOVAPHY_PROGRAM_HEADER_WORDS words, see the enum
  *   name        header[NAME_BYTES] bytes, padded with zeros to a whole word
  *   sources     per source:  type, width, access, varies (0 or 1), name bytes, name (padded)
- *   outputs     per output:  type, width, carried (a source, or -1), name bytes, name (padded), then `width`
- *               value ids
- *   loops       per loop:    kind, extent parameter (FIXED only, else 0), number of sums, then per sum
- *               the value ids of its initial value and of its term
+ *   outputs     per output:  type, width, carried (a source, or -1), name bytes, name (padded),
+ *               then `width` value ids
+ *   loops       per loop:    kind, extent parameter (FIXED only, else 0), number of sums, then per
+ *               sum the value ids of its initial value and of its term
  *   instructions  per instruction: op, a, b, c
  *
  * Launch arguments, 8 bytes each, in this order:
@@ -18,22 +19,24 @@
  *   per CSR loop: pointer to offsets[n + 1], pointer to items (null: item = position)
  *   per parameter: the 32-bit value in the low half
  *
- * Reading: LOAD takes (source, row value, column). A negative row reads 0 (an absent neighbor); a row at or
- * past the end fails the launch with INDEX_OUT_OF_RANGE. Rows are tightly packed.
+ * Reading: LOAD takes (source, row value, column). A negative row reads 0 (an absent neighbor). A
+ * row at or past the end fails the launch with INDEX_OUT_OF_RANGE. Rows are tightly packed.
  *
- * Loops: loop l runs r = 0 .. extent-1 (FIXED: the i32 parameter; CSR: the length of row i, with the item as
- * SLOT), and its sums are left folds: acc = init; acc = acc + term(r). SUM yields the final value. A value
- * that depends on REDUCE_INDEX or SLOT of loop l exists inside loop l only.
+ * Loops: loop l runs r = 0 .. extent-1. The extent is an i32 parameter (FIXED) or the length of row
+ * i (CSR, where SLOT is the item). The sums of a loop are left folds: acc = init; acc = acc +
+ * term(r). SUM gives the final value. A value that depends on REDUCE_INDEX or SLOT of loop l exists
+ * inside loop l only.
  *
- * Scan: where launches follow each other, the next one reads a `carried` output at its own row as that source,
- * and may have another array of each source that `varies`. Names are for people: nothing follows from them. An
- * adjoint that carries gradients so names its primal by that Program's hash, and has the primal's sources first.
+ * Scan: in a row of successive launches, the next launch reads a `carried` output at its own row as
+ * the given source. A source that `varies` may have another array in each launch. Names are for
+ * people and have no effect. An adjoint that carries gradients in this way has the hash of its
+ * primal, and begins with the primal's sources.
  *
- * Arithmetic: IEEE binary32, round to nearest even, no contraction, no flush to zero. FMA rounds once.
- * i32 arithmetic wraps. Shifts use the low five bits of the count. IDIV and IMOD truncate and give 0 for a
- * zero divisor. F_TO_I truncates, saturates, and maps NaN to 0. MIN is a <= b ? a : b, MAX is a >= b ? a : b,
- * SIGN is a < 0 ? -1 : +1. SELECT reads b when a is true, else c; a side that no lane takes may be skipped.
- */
+ * Arithmetic: IEEE binary32, round to nearest even, no contraction, no flush to zero. FMA rounds
+ * once. i32 arithmetic wraps. Shifts use the low five bits of the count. IDIV and IMOD truncate and
+ * give 0 for a zero divisor. F_TO_I truncates, saturates, and maps NaN to 0. MIN is a <= b ? a : b,
+ * MAX is a >= b ? a : b, SIGN is a < 0 ? -1 : +1. SELECT reads b if a is true, else c. Code of a
+ * side that no row of a group takes may be skipped. */
 #ifndef NOVAPHY_ABI_PROGRAM_H
 #define NOVAPHY_ABI_PROGRAM_H
 
@@ -43,14 +46,14 @@
 enum {
   NOVAPHY_PROGRAM_HEADER_MAGIC = 0,
   NOVAPHY_PROGRAM_HEADER_VERSION = 1,
-  NOVAPHY_PROGRAM_HEADER_WORD_COUNT = 2, /* of the whole Program */
+  NOVAPHY_PROGRAM_HEADER_WORD_COUNT = 2, /* words of the whole Program */
   NOVAPHY_PROGRAM_HEADER_NAME_BYTES = 3,
   NOVAPHY_PROGRAM_HEADER_SOURCES = 4,
   NOVAPHY_PROGRAM_HEADER_OUTPUTS = 5,
   NOVAPHY_PROGRAM_HEADER_LOOPS = 6,
   NOVAPHY_PROGRAM_HEADER_PARAMETERS = 7,
   NOVAPHY_PROGRAM_HEADER_INSTRUCTIONS = 8,
-  NOVAPHY_PROGRAM_HEADER_FLAGS = 9, /* bit 0: contraction allowed */
+  NOVAPHY_PROGRAM_HEADER_FLAGS = 9, /* bit 0: contraction to fused multiply-adds allowed */
   NOVAPHY_PROGRAM_HEADER_PRIMAL_LOW = 10,
   NOVAPHY_PROGRAM_HEADER_PRIMAL_HIGH = 11,
   NOVAPHY_PROGRAM_HEADER_WORDS = 12
@@ -72,7 +75,7 @@ enum {
   X(IADD, "iii-") X(ISUB, "iii-") X(IMUL, "iii-") X(IDIV, "iii-") X(IMOD, "iii-") \
   X(IMIN, "iii-") X(IMAX, "iii-") X(IAND, "iii-") X(IOR, "iii-") X(IXOR, "iii-")  \
   X(ISHL, "iii-") X(ISHR, "iii-") X(IUSHR, "iii-")                                \
-  /* comparisons; every one with a NaN is false, but NE is true */                \
+  /* comparisons; with a NaN all are false except NE */                \
   X(LT, "bff-") X(LE, "bff-") X(EQ, "bff-") X(NE, "bff-")                         \
   X(ILT, "bii-") X(ILE, "bii-") X(IEQ, "bii-") X(INE, "bii-")                     \
   X(AND, "bbb-") X(OR, "bbb-") X(NOT, "bb--")                                     \
@@ -87,23 +90,25 @@ enum {
 /* BUILTIN modules: data = name, one kernel "main", launch arguments as listed (8-byte words).
  *
  * row_sum_f32          n = rows; source, offsets, items, init, out, width, stride
- *   out[r, :] = init[r, :] (or +0 when init is null) + the sum of source[items[k], :] for k in
- *   [offsets[r], offsets[r + 1]). Null items: item = k. Null offsets: row r is [r * stride, (r + 1) * stride).
- *   Order of additions, part of the contract on every device: a row of up to 256 items is a left fold that
- *   starts from init; a longer row is cut into consecutive chunks of 256, each folded from +0, the chunk sums
- *   are folded by the same rule from +0, and the result is added to init. out may equal init.
- * row_sum_pair_f32     n = rows; the words of row_sum_f32, then source, init, out of a second sum of the same
- *   items, width and rule. A backend may lack it: then two sums are launched.
+ *   out[r, :] = init[r, :] (or +0 if init is null) + the sum of source[items[k], :] for k in
+ *   [offsets[r], offsets[r + 1]). Null items: item = k. Null offsets: row r has the items
+ *   [r * stride, (r + 1) * stride).
+ *   The row-sum rule, the same on every device, fixes the order of additions. A row of up to 256
+ *   items is a left fold that starts from init. A longer row is cut into consecutive chunks of 256,
+ *   each folded from +0. The chunk sums are folded from +0 by the same rule, and the result is
+ *   added to init. out may equal init.
+ * row_sum_pair_f32     n = rows; the words of row_sum_f32, then source, init, out of a second sum
+ *   of the same items, width and rule. A backend may lack this builtin: then two sums are launched.
  * exclusive_scan_i32   n = length; in, out (out may equal in)
  * sort_by_key_i32      n = length; keys, order: the permutation that sorts keys ascending, stable
  * incidence_i32        n = rows; table, slots, offsets[n + 1], items[slots]
- *   The inverse of an index table: row r lists, ascending, the slots s with table[s] == r. Negative entries
- *   belong to no row; an entry >= n fails with INDEX_OUT_OF_RANGE.
+ *   The inverse of an index table: row r lists, ascending, the slots s with table[s] == r. Negative
+ *   entries belong to no row; an entry >= n fails with INDEX_OUT_OF_RANGE.
  * checksum_u64         n = ceil(bytes / 8), at least 1; data (at any address), bytes, out (8 bytes)
- *   The sum modulo 2^64 of mix(mix(w[k] + k * 0x9E3779B97F4A7C15)) over k < n, where w[k] are the bytes as
- *   little-endian words, the last one filled up with zeros, and mix(x) = y ^ (y >> 32) of
- *   y = (x ^ (x >> 32)) * 0xD6E8FEB86659FD93. A backend may lack it: then the bytes are copied to the host.
- */
+ *   The sum modulo 2^64 of mix(mix(w[k] + k * 0x9E3779B97F4A7C15)) over k < n. w[k] are the bytes
+ *   as little-endian words, the last word padded with zeros, and mix(x) = y ^ (y >> 32) with
+ *   y = (x ^ (x >> 32)) * 0xD6E8FEB86659FD93. A backend may lack this builtin: then the bytes are
+ *   copied to the host. */
 #define NOVAPHY_ROW_SUM_CHUNK 256
 
 #endif

@@ -35,7 +35,7 @@ struct novaphy_event {
 struct novaphy_kernel {
   const novaphy::cpu::IsaTable* isa = nullptr;
   const novaphy::cpu::Builtin* builtin = nullptr;
-  novaphy_row_function function = {};  // not a function over rows if `rows` is null
+  novaphy_row_function function = {};  // a function over rows, unless its `rows` is null
   std::unique_ptr<const novaphy::cpu::Executable> executable;
   uint32_t argument_count = 0;
 

@@ -134,8 +134,8 @@ class BlockBuilder {
     out_.loads.push_back(load);
   }
 
-  // Sets the relative jumps: a skip jumps past its region, a loop's begin past its end, and its end
-  // back to its body.
+  // Sets the relative jumps. A skip jumps past its region. The begin of a loop jumps past the
+  // loop's end, and the end jumps back to the body.
   void set_jumps(const std::vector<int32_t>& at) {
     for (size_t k = 0; k < l_.items.size(); ++k) {
       const Item& item = l_.items[k];

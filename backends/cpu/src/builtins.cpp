@@ -77,8 +77,8 @@ void fold_any(const RowSum& s, int64_t begin, int64_t end, float* acc) {
   }
 }
 
-// Computes the sum of contiguous rows of `width` floats, starting from +0, by the rule for long
-// rows. Overwrites the rows with the sums of chunks.
+// Sums contiguous rows of `width` floats from +0, by the row-sum rule for long rows (program.h).
+// Overwrites the rows with the sums of chunks.
 void fold_chunks(float* sums, int64_t count, int64_t width, float* result) {
   const auto fold_rows = [&](int64_t begin, int64_t end) {
     std::fill(result, result + width, 0.0f);
@@ -98,8 +98,9 @@ void fold_chunks(float* sums, int64_t count, int64_t width, float* result) {
   fold_rows(0, count);
 }
 
-// The partial sums of a long row. Each thread keeps the memory, so a replay allocates none. A sum
-// takes the vector out of the thread, because a waiting thread may start another row meanwhile.
+// Memory for the partial sums of a long row. Each thread keeps its memory, so that a replay
+// allocates none. A sum moves the vector out of the thread variable, because the thread may start
+// another row while it waits.
 thread_local std::vector<float> t_partial;
 
 struct LongRow {
@@ -120,7 +121,7 @@ void sum_long_row(const novaphy_host_api& host, const RowSum& s, int64_t begin, 
                   float* acc) {
   const int64_t chunks = (end - begin + kSumChunk - 1) / kSumChunk;
   std::vector<float> partial = std::move(t_partial);
-  partial.assign(static_cast<size_t>((chunks + 1) * s.width), 0.0f);  // the last row is the total
+  partial.assign(static_cast<size_t>((chunks + 1) * s.width), 0.0f);  // plus one row for the total
   LongRow row{&s, begin, end, partial.data()};
   if (chunks >= 8) {
     host.parallel_for(chunks, sum_one_chunk, &row);  // serial if the rows already run in parallel
@@ -304,7 +305,7 @@ novaphy_status incidence(const novaphy_host_api&, const IsaTable&, int64_t n, co
 struct Checksum {
   const unsigned char* data;
   int64_t bytes;
-  std::atomic<uint64_t> sum{0};  // the order does not matter, because the sum wraps
+  std::atomic<uint64_t> sum{0};  // the order of threads does not matter, because the sum wraps
 };
 constexpr int64_t kChecksumChunk = 8192;  // words
 

@@ -18,7 +18,7 @@ constexpr int32_t kLaneGroup = 16;  // the lanes of a block are rounded up to a 
 constexpr int32_t kMaxLoadColumns = 4;
 
 // The names of all arithmetic operations; ops.h has the expressions. MUL_ADD, MUL_SUB and SUB_MUL
-// round twice, exactly as the two instructions that they replace.
+// round twice, exactly like the two instructions that they replace.
 enum CpuOp : uint16_t {
 #define NOVAPHY_CPU_NAME1(name, r, a, expr) name,
 #define NOVAPHY_CPU_NAME2(name, r, a, b, expr) name,
@@ -29,11 +29,11 @@ enum CpuOp : uint16_t {
   kSkipIf,
   kLoopBegin,  // a = loop
   kLoopEnd,
-  kLoadRow1,  // consecutive columns of row i: a = source, c = column, d, e, f, g = targets
+  kLoadRow1,  // consecutive columns of row i; a = source, c = column, d, e, f, g = targets
   kLoadRow2,
   kLoadRow3,
   kLoadRow4,
-  kLoadAt1,  // the same for row b
+  kLoadAt1,  // the same columns of row b
   kLoadAt2,
   kLoadAt3,
   kLoadAt4,
@@ -71,10 +71,10 @@ struct LoopCode {
 };
 
 struct LoadCode {
-  int32_t source, width, column, count;  // consecutive columns
+  int32_t source, width, column, count;  // number of consecutive columns
   int32_t row;  // register or scalar; unused for the lane's own row
   int32_t target[kMaxLoadColumns];
-  int32_t guards_begin, guards_end;  // a lane needs the value only if all of these guards hold
+  int32_t guards_begin, guards_end;  // only lanes for which all these guards hold need the value
 };
 
 struct GuardCode {
@@ -105,9 +105,9 @@ struct BlockTables {
 };
 
 struct BlockContext {
-  uint32_t* registers;  // kLanes words each
+  uint32_t* registers;  // kLanes words per register
   uint32_t* scalars;
-  int32_t lanes;  // rounded up; the results of lanes past `count` are ignored
+  int32_t lanes;  // rounded up to a group; results of lanes past `count` are ignored
   int32_t count;
   int64_t base;  // row of lane 0
   const uint64_t* arguments;
@@ -130,9 +130,9 @@ struct ScalarCode {
   int32_t index;         // the scalar that holds the row number
 };
 
-// Sums rows of three floats. A row starts from its `init` (null: +0) and adds its items in order.
-// Two arrays may be summed over the same items. Without offsets a row has `stride` items; without
-// items they are consecutive.
+// Sums of rows of three floats. A row starts from its `init` (null: +0) and adds its items in
+// order. Two arrays may be summed over the same items. Without offsets a row has `stride` items.
+// Without `items` these are consecutive rows.
 struct ThreeSum {
   const float *source, *init;
   float* out;  // null: no second sum
@@ -143,8 +143,9 @@ struct ThreeSums {
   int64_t stride, longest;
 };
 
-// The functions for one instruction set. The first index of `ops` is the operation. The second is
-// the set of scalar operands (bit k: operand k); if all operands are scalar, so is the result.
+// The functions for one instruction set. The first index of `ops` is the operation. The second
+// index says which operands are scalars (bit k: operand k). If all operands are scalars, so is the
+// result.
 struct IsaTable {
   const char* name;
   int32_t lanes;        // lanes of a vector register
@@ -152,10 +153,10 @@ struct IsaTable {
   BlockFn ops[kArithmeticOps][8];
   BlockFn index, store, end, loop_begin, loop_end;
   BlockFn load_row, load_at, load_scalar;
-  BlockFn skip[2];  // [1]: the condition is a scalar
+  BlockFn skip[2];  // [1]: for a condition that is a scalar
   void (*run_scalar)(const ScalarCode& code, const uint64_t* arguments, int64_t begin, int64_t end,
                      uint32_t* scalars, ErrorSink* sink);
-  // Returns the first row that was not summed, because it has more items than `longest`.
+  // Returns the first row that was not summed, because it has more than `longest` items.
   int64_t (*sum_threes)(const ThreeSums& sums, int64_t row, int64_t last);
 };
 

@@ -1,10 +1,10 @@
-/* The prelude of compiled kernels: what the names in emitted text mean for LANES rows at a time.
- * See <novaphy/program/emit.h>; the arithmetic is that of ops.h, to the bit.
+/* The definitions of the types and functions in emitted text (<novaphy/program/emit.h>), for LANES
+ * rows at a time. The arithmetic is that of ops.h, to the bit.
  *
- * vf, vi, vb: a float, an int32_t, a truth value per lane. u...: on scalars, v...: on lanes. LANES
- * is 1, 4, 8 or 16; more than one needs the vector extensions of GCC and Clang. Everything has
- * internal linkage: the same text is compiled for several instruction sets.
- */
+ * Types: vf, vi and vb have a float, an int32_t and a truth value per lane. Functions u... take
+ * scalars, functions v... take lanes. LANES is 1, 4, 8 or 16; more than one lane needs the vector
+ * extensions of GCC and Clang. Everything has internal linkage, because the same text is compiled
+ * for several instruction sets. */
 #ifndef NOVAPHY_CPU_LANES_H
 #define NOVAPHY_CPU_LANES_H
 
@@ -17,16 +17,16 @@
 #define LANE_FN static inline __attribute__((always_inline, unused))
 #define COLD_FN static __attribute__((noinline, cold, unused))
 
-/* For the compiler's layout of the code only. */
+/* Only a hint for the compiler's layout of the code. */
 #define rarely(a) __builtin_expect((a), 0)
 
-/* A sum over rows of up to so many items keeps what a later sum over the same rows needs again. One
- * row alone has that in less time than it takes to ask. */
+/* A sum over rows of up to KEPT_ITEMS items keeps values that a later sum over the same rows needs
+ * again. With one lane, recomputing the values costs less than this check. */
 #define KEPT_ITEMS 4
 #define CAN_KEEP(csr) (LANES > 1 && (csr).longest <= KEPT_ITEMS)
 
-/* Fetches the rows of an array that a later launch is going to read or write: the arrays of a
- * scan lie too far apart for the processor to guess. */
+/* Prefetches the rows of an array that a later launch will read or write. The arrays of a scan lie
+ * too far apart for the processor's own prefetching. */
 LANE_FN void prefetch_rows(uint64_t array, int64_t row_bytes, int64_t i, int write) {
   for (int64_t byte = 0; byte < row_bytes * LANES; byte += 64) {
     const char* const p = (const char*)array + row_bytes * i + byte;
@@ -37,14 +37,14 @@ LANE_FN void prefetch_rows(uint64_t array, int64_t row_bytes, int64_t i, int wri
   }
 }
 
-/* The notes on the group of rows from i on, and its part of the room. */
+/* Returns the notes (novaphy_native_launches) on the group of rows that begins at i, or null. */
 LANE_FN char* group_notes(const novaphy_native_launches* all, int64_t i) {
   return all->notes == NULL ? NULL : all->notes + (i - all->first) * all->note_row_bytes;
 }
 LANE_FN char* group_room(const novaphy_native_launches* all, int64_t i) {
   return all->room == NULL ? NULL : all->room + (i - all->first) * all->room_row_bytes;
 }
-/* What a launch has there, of `row_bytes` for each row. */
+/* Returns the part of a group's room for launch `number`, with `row_bytes` per row, or null. */
 LANE_FN char* launch_room(char* room, uint64_t number, int64_t row_bytes) {
   return room == NULL ? NULL : room + (int64_t)number * row_bytes * LANES;
 }
@@ -65,10 +65,10 @@ LANE_FN int32_t uf_bits(float a) {
 
 LANE_FN float uabs(float a) { return __builtin_fabsf(a); }
 LANE_FN float usqrt(float a) { return __builtin_sqrtf(a); }
-LANE_FN float ufma(float a, float b, float c) { /* exact everywhere */
+LANE_FN float ufma(float a, float b, float c) { /* rounds once on every processor */
   float d = __builtin_fmaf(a, b, c);
 #if defined(__aarch64__)
-  __asm__("" : "+w"(d)); /* GCC makes one operation of its negative, whose zeros have another sign */
+  __asm__("" : "+w"(d)); /* stops GCC from computing -fma, whose zeros have another sign */
 #endif
   return d;
 }
@@ -86,14 +86,16 @@ LANE_FN float ufloor(float a) {
 LANE_FN int32_t uf_to_i(float a) {
   const int fits = a >= -2147483648.0f && a < 2147483648.0f;
   int32_t inside = (int32_t)(fits ? a : 0.0f);
-  /* GCC makes one rounding of (float)(int)a where the processor has it, and -0 of the +0. */
+  /* Stops GCC from computing (float)(int)a as one rounding instruction, which gives -0 instead of
+   * +0. */
   __asm__("" : "+r"(inside));
   const int32_t outside = a > 0.0f ? INT32_MAX : a < 0.0f ? INT32_MIN : 0;
   return fits ? inside : outside;
 }
 LANE_FN float ui_to_f(int32_t a) { return (float)a; }
 
-/* The first failing read in the order of rows wins. Rare, so a spinning lock is good enough. */
+/* Records a failing read. The read of the smallest row wins. Failures are rare, so a spin lock is
+ * good enough. */
 COLD_FN void report_row(novaphy_error_sink* sink, int64_t index, int32_t source, int64_t row) {
   while (__atomic_exchange_n(&sink->lock, 1, __ATOMIC_ACQUIRE) != 0) {
   }
@@ -118,7 +120,8 @@ LANE_FN int32_t word_at(const char* source, int64_t word) {
 #include "lanes_memory.h"
 #endif
 
-/* Lane 0 is row i; reads past the end are reported for the first lane that needs them. */
+/* Records failing reads of a group of lanes, where lane 0 is row i. The first lane counts whose
+ * read lies past the end and is needed. */
 COLD_FN void report_lanes(vb need, int32_t source, int64_t row, int64_t i,
                           novaphy_error_sink* sink) {
   for (int l = 0; l < LANES; ++l) {
@@ -140,7 +143,7 @@ LANE_FN float uloadf(const char* s, int64_t rows, int32_t row, int32_t width, in
 
 #include "lanes_csr.h"
 
-/* `room` has the rows [i, i + LANES). Copies the rows from `done` on to `out`. */
+/* `room` has the rows [i, i + LANES). Copies those from row `done` on to `out`. */
 LANE_FN void copy_tail(char* out, const char* room, int64_t bytes, int64_t i, int64_t done) {
   memcpy(out + bytes * done, room + bytes * (done - i), (size_t)(bytes * (i + LANES - done)));
 }

@@ -1,24 +1,25 @@
-/* A row of one source and then rows of another, those of its items in their order: row by row, all
- * columns at once, so that rows of different length cost no more than they have items. */
+/* Ordered sums per row: a row of one source plus rows of another source, given by CSR items in
+ * their order. The sums run row by row, with all columns of a row in one vector, so that rows of
+ * different length cost no more than their items. */
 
 typedef float four_floats __attribute__((vector_size(16)));
 typedef four_floats four_floats_unaligned __attribute__((aligned(4), may_alias));
-/* A source of rows of up to four words. */
+/* A source with rows of up to four words. */
 typedef struct narrow_rows {
   const char* s;
   int64_t rows;
-  uint64_t whole; /* rows that have four words from their first one on */
+  uint64_t whole; /* number of rows from which four words can be read */
   int32_t width, source;
 } narrow_rows;
 LANE_FN narrow_rows narrow(const char* s, int64_t rows, int32_t width, int32_t source) {
-#if LANES == 16 /* words that a mask leaves out may lie anywhere */
+#if LANES == 16 /* a masked load may pass the end of the array */
   const int64_t whole = rows;
 #else
   const int64_t whole = rows + 1 - (width + 3) / width;
 #endif
   return (narrow_rows){s, rows, whole > 0 ? (uint64_t)whole : 0, width, source};
 }
-/* The last rows have no four words, absent ones (negative) none. */
+/* Reads a row of which four words cannot be read. A negative row has no words and reads 0. */
 COLD_FN four_floats part_of_row(const narrow_rows* r, int64_t row, int64_t i,
                                 novaphy_error_sink* sink) {
   float words[4] = {0.0f, 0.0f, 0.0f, 0.0f};
@@ -44,12 +45,13 @@ LANE_FN void store_row_of_four(char* out, int32_t width, four_floats sum) {
 #if LANES == 16
   _mm_mask_storeu_ps(out, (__mmask8)((1 << width) - 1), (__m128)sum);
 #else
-  const four_floats stored = sum; /* the sum itself stays in a register */
+  const four_floats stored = sum; /* a copy, so that the sum itself stays in a register */
   memcpy(out, &stored, 4 * (size_t)width);
 #endif
 }
 
-/* Rows [i, last) of `out`, two side by side: an addition waits for the one before it. */
+/* Computes the rows [i, last) of `out`, two at the same time, because each addition waits for the
+ * previous addition of its row. */
 #define CSR_ITEM(k, i) row_of_four(&terms, listed ? items[k] : (k), i, sink)
 LANE_FN int64_t csr_sums_of(narrow_rows init, narrow_rows terms, const int32_t* offsets, int listed,
                             const int32_t* items, int64_t i, int64_t last, novaphy_error_sink* sink,
@@ -78,7 +80,7 @@ LANE_FN int64_t csr_sums_of(narrow_rows init, narrow_rows terms, const int32_t* 
   return i;
 }
 #undef CSR_ITEM
-/* Returns last, or i behind it. */
+/* Returns the first row that was not computed: last, or i if i >= last. */
 LANE_FN int64_t csr_sums(narrow_rows init, narrow_rows terms, const int32_t* offsets,
                          const int32_t* items, int64_t i, int64_t last, novaphy_error_sink* sink,
                          char* out) {

@@ -1,7 +1,7 @@
-/* Several lanes: rows through a table, and CSR rows. */
+/* Vectors of several lanes: reading rows through an index table, and CSR rows. */
 
-/* How the rows of the lanes lie. Tables often hold the same row for all lanes, or rows in order:
- * both are far cheaper than a gather. */
+/* How the rows of the lanes lie in memory. Tables often hold the same row for all lanes, or
+ * consecutive rows. Loading these is much cheaper than a gather. */
 enum { ROWS_SAME, ROWS_CONSECUTIVE, ROWS_ANY };
 typedef struct row_lanes {
   vi row;
@@ -23,8 +23,8 @@ LANE_FN int consecutive_rows_inside(const row_lanes* r, int64_t rows) {
   return r->kind == ROWS_CONSECUTIVE && r->first >= 0 && r->first + LANES <= rows;
 }
 
-/* Any rows, `columns` neighboring columns of each: a negative row reads 0, one past the end fails
- * if it is needed. */
+/* Gathers `columns` neighboring columns of any rows. A negative row reads 0. A row past the end
+ * fails if its lane needs it. */
 static __attribute__((noinline, unused)) void gather_lanes(vi* target, const char* s, int64_t rows,
                                                            const vi* row, int32_t width,
                                                            int32_t columns, vb need, int32_t source,
@@ -43,12 +43,12 @@ static __attribute__((noinline, unused)) void gather_lanes(vi* target, const cha
   for (int32_t k = 0; k < columns; ++k) memcpy(&target[k], word[k], sizeof(vi));
 }
 
-/* Whether no row lies at the limit or past it, where there is a row. */
+/* Returns whether all rows are below the limit. Negative rows count as below. */
 LANE_FN int none_past(vi row, int64_t limit) {
   const int32_t end = limit < 0 ? 0 : limit > INT32_MAX ? INT32_MAX : (int32_t)limit;
   return end > 0 && !any(vile(splati(end), row));
 }
-/* Whether every row lies in [0, limit). */
+/* Returns whether every row lies in [0, limit). */
 LANE_FN int all_rows_inside(vi row, int64_t limit) {
   const int32_t end = limit < 0 ? 0 : limit > INT32_MAX ? INT32_MAX : (int32_t)limit;
   return !any(vor(vilt(row, splati(0)), vile(splati(end), row)));
@@ -56,7 +56,7 @@ LANE_FN int all_rows_inside(vi row, int64_t limit) {
 
 #if defined(__x86_64__)
 /* Reads four or eight rows of three words at a time. A load of four words also reads the first word
- * of the next row. at: the offset of each row, in units of 4 `unit` bytes. */
+ * of the next row. `at` has the offset of each row, in units of 4 * unit bytes. */
 #if LANES == 4
 typedef __m128 row_quads;
 #define QUADS_OF(l) _mm_loadu_ps((const float*)s + unit * (int64_t)at[l])
@@ -105,7 +105,7 @@ LANE_FN void gather3_present(const char* s, vi row, vi* a, vi* b, vi* c) {
   *a = vselecti(absent, zero, *a), *b = vselecti(absent, zero, *b);
   *c = vselecti(absent, zero, *c);
 }
-/* Some are the last row, which has no next one. */
+/* Gathers rows of which some are the last row, which has no next row to read a word of. */
 COLD_FN void gather3_last(const char* s, int64_t rows, vi row, vi* a, vi* b, vi* c) {
   const vi end = splati((int32_t)(rows - 1));
   const vb last = vieq(row, end);
@@ -116,31 +116,31 @@ COLD_FN void gather3_last(const char* s, int64_t rows, vi row, vi* a, vi* b, vi*
 }
 #endif
 
-/* Rows of three words that are gathered before they are needed: any address that is legal will do,
- * and what is wrong with a row is put right when its group begins. */
+/* Rows of three words that are gathered before they are needed. Until then any legal address will
+ * do; gather3f_again corrects invalid rows when the group begins. */
 typedef struct rows_prefetched {
-  int32_t word[LANES]; /* where they begin */
+  int32_t word[LANES]; /* index of the first word of each row */
   vb present;
 } rows_prefetched;
-/* The last row that is read like the others, or -1. */
+/* Returns the last row that can be read with a load of four words, or -1. */
 LANE_FN int32_t prefetch_limit(int64_t rows) {
 #if defined(__x86_64__)
-  rows -= 1; /* see transpose_rows3 */
+  rows -= 1; /* the load reads a word of the next row, see transpose_rows3 */
 #endif
   return rows > INT32_MAX / 3 ? INT32_MAX / 3 - 1 : rows < 1 ? -1 : (int32_t)rows - 1;
 }
-/* Whether a row is past the limit. */
+/* Computes the addresses of the rows. Returns whether a row is past the limit. */
 LANE_FN int prefetch_look(rows_prefetched* r, vi row, int32_t limit) {
   const vi zero = splati(0), end = splati(limit);
   const vi word = 3 * vimin(vimax(row, zero), end);
   memcpy(r->word, &word, sizeof(word));
-  /* Addresses are computed from memory: taken out of a vector, each costs three instructions. */
+  /* Forces the words to memory: extracting an address from a vector costs three instructions. */
   __asm__("" : "+m"(r->word));
   r->present = vile(zero, row);
   return any(vilt(end, row));
 }
 #if LANES == 16
-/* The processor stores half a vector in half the time. */
+/* Gathers half of the lanes. The processor stores half a vector in half the time. */
 LANE_FN void gather3_half(const char* s, const int32_t* word, vb present, float* to) {
   row_quads a, b, c;
   transpose_rows3(s, word, 1, &a, &b, &c);
@@ -150,7 +150,8 @@ LANE_FN void gather3_half(const char* s, const int32_t* word, vb present, float*
 }
 #endif
 LANE_FN void gather3f_prefetched(const char* s, rows_prefetched* r, vf* to) {
-  /* Read again by each gather: kept for the next one, they would be written to memory once more. */
+  /* Makes each gather read the words again. Otherwise the compiler would store a copy for the next
+   * gather. */
   __asm__("" : "+m"(r->word));
 #if LANES == 16
   gather3_half(s, r->word, r->present, (float*)to);
@@ -167,13 +168,13 @@ LANE_FN void gather3f_prefetched(const char* s, rows_prefetched* r, vf* to) {
   for (int k = 0; k < 3; ++k) to[k] = vselectf(r->present, (vf)column[k], splatf(0.0f));
 #endif
 }
-/* Puts right the rows past the limit. Zero: a row is past the end. */
+/* Reads the rows past the limit again. Returns 0 if a row is past the end of the array. */
 COLD_FN int gather3f_again(vf* to, const char* s, int64_t rows, int32_t limit, vi row) {
   if (!none_past(row, rows)) return 0;
   const vb past = vilt(splati(limit), row);
   if (any(vilt(splati(limit + 1), row))) {
     gather_lanes((vi*)to, s, rows, &row, 3, 3, splatb(0), 0, 0, NULL);
-  } else if (any(past)) { /* mostly it is the last row, which has no next one */
+  } else if (any(past)) { /* usually only the last row, which has no next row */
     for (int k = 0; k < 3; ++k)
       to[k] = vselectf(past, splatf(ubits_f(word_at(s, 3 * ((int64_t)limit + 1) + k))), to[k]);
   }
@@ -258,12 +259,12 @@ LANE_FN void gather4f(GATHER_ARGUMENTS, GATHER_ERROR, vf* a, vf* b, vf* c, vf* d
   gather4i(s, rows, r, need, source, i, sink, (vi*)a, (vi*)b, (vi*)c, (vi*)d);
 }
 
-/* CSR rows. Most groups have rows of one length: then the items of the group are a packed table of
- * that width. */
+/* CSR rows of a group of lanes. Most groups have rows of equal length. Their items then form a
+ * packed table of that width. */
 typedef struct csr_rows {
   vi start, length;
   int32_t longest;
-  int32_t width; /* the common length, or -1 */
+  int32_t width; /* length of all rows, or -1 if lengths differ */
 } csr_rows;
 LANE_FN csr_rows csr_begin(const int32_t* offsets, int64_t i) {
   const vi start = load_lanes((const char*)(offsets + i));

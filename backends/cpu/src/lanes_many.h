@@ -1,6 +1,6 @@
-/* Several lanes: values and arithmetic. Where the vector extensions have no word for an operation,
- * or compilers do not find the instruction, it is written per instruction set; else lane by lane.
- */
+/* Vectors of several lanes: values and arithmetic. An operation that the vector extensions lack, or
+ * for which compilers do not find the instruction, is written per instruction set, or else lane by
+ * lane. */
 #if defined(__x86_64__)
 #include <immintrin.h>
 #elif defined(__aarch64__)
@@ -33,8 +33,8 @@ LANE_FN vi index_lanes(int64_t i) { return lane_numbers() + (int32_t)i; }
 LANE_FN vi vf_bits(vf a) { return (vi)a; }
 LANE_FN vf vbits_f(vi a) { return (vf)a; }
 
-/* Truth values: a bit per lane where the processor has mask registers, else a word with all bits or
- * none. */
+/* A truth value per lane: one bit where the processor has mask registers, otherwise a word with all
+ * bits 1 or all 0. */
 #if LANES == 16
 typedef __mmask16 vb;
 LANE_FN vb splatb(int a) { return (vb)(a ? 0xFFFF : 0); }
@@ -124,7 +124,8 @@ LANE_FN vf vi_to_f(vi a) { return __builtin_convertvector(a, vf); }
 #define LANES_IN_REGISTER(a) "+m"(a)
 #endif
 
-/* Out of range: the processor's answer is not the contract's, so it is not asked. */
+/* The processor's conversion is only used in range, because the required result out of range
+ * differs. */
 LANE_FN vi vf_to_i(vf a) {
   const vb fits = vand(vge(a, splatf(-2147483648.0f)), vlt(a, splatf(2147483648.0f)));
   vi inside = __builtin_convertvector(vselectf(fits, a, splatf(0.0f)), vi);

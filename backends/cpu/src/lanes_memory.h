@@ -1,12 +1,12 @@
-/* Several lanes: rows in memory. Rows are tightly packed, so {n, 3} is loaded whole and taken apart
- * in registers. */
+/* Vectors of several lanes: rows in memory. Rows are tightly packed. A group of rows {n, 3} is
+ * loaded as a whole and split into columns in registers. */
 
 LANE_FN vi load_lanes(const char* p) { return *(const vi_unaligned*)p; }
 LANE_FN void store_lanes(char* p, vi a) { *(vi_unaligned*)p = a; }
 
 #if defined(__x86_64__)
-/* One word of each of four rows, `stride` words apart. Compilers that are given the words one by
- * one put them together in memory. */
+/* Loads one word of each of four rows, `stride` words apart, in registers. Compilers would collect
+ * single words in memory. */
 LANE_FN __m128i load_four(const char* p, int64_t stride) {
 #define LANES_WORD(l) _mm_cvtsi32_si128(word_at(p, (l)*stride))
   const __m128i low = _mm_unpacklo_epi32(LANES_WORD(0), LANES_WORD(1));
@@ -92,7 +92,7 @@ LANE_FN void load2i(const char* p, vi* a, vi* b) {
 }
 
 #if LANES == 16
-/* Word 3 l + k of three vectors: the words below 32 from the first two, the rest put over them. */
+/* Word 3 l + k of three vectors: below 32 from the first two vectors, else from the third. */
 #define LANES_TAKE3_0(l) (3 * (l)) & 31
 #define LANES_TAKE3_1(l) (3 * (l) + 1) & 31
 #define LANES_TAKE3_2(l) (3 * (l) + 2) & 31
@@ -189,7 +189,7 @@ LANE_FN void store3i(char* p, vi a, vi b, vi c) {
 }
 #endif
 
-/* Four neighboring columns of rows of `width` words. */
+/* Loads four neighboring columns of rows of `width` words. */
 #if defined(__x86_64__)
 /* A 4 x 4 transpose in every quarter. Quarter k of vector r is row 4 k + r. */
 #if LANES == 4
@@ -267,10 +267,10 @@ LANE_FN void store_columns4i(char* p, int32_t width, vi a, vi b, vi c, vi d) {
 LANE_FN void load4i(const char* p, vi* a, vi* b, vi* c, vi* d) { load_columns4i(p, 4, a, b, c, d); }
 LANE_FN void store2i(char* p, vi a, vi b) { store_columni(p, 2, a), store_columni(p + 4, 2, b); }
 
-/* Rows of nine and of twelve words, which elements write for three and for four corners. */
+/* Stores rows of nine and of twelve words, which elements write for three and for four corners. */
 #if LANES == 16
 /* Nine columns are three blocks of three columns, packed by pack3. Word w of the row-major store is
- * word 3 (w / 9) + w % 3 of block w % 9 / 3. nine_over() replaces words by those of part z. */
+ * word 3 (w / 9) + w % 3 of block w % 9 / 3. nine_over() inserts the words of part z. */
 #define LANES_NINE(w) (3 * ((w) / 9) + (w) % 3)
 #define LANES_NINE_BLOCK(w) ((w) % 9 / 3)
 #define LANES_NINE_WORD(l) \
@@ -305,7 +305,7 @@ LANE_FN void store9i(char* p, vi a, vi b, vi c, vi d, vi e, vi f, vi g, vi h, vi
   store_lanes(p + 384, (vi)nine_over(nine(6, blocks, 2), 6, blocks, 2, 1));
   store_lanes(p + 448, (vi)nine(7, blocks, 2)), store_lanes(p + 512, (vi)nine(8, blocks, 2));
 }
-/* Quarter k of a, b, c and d side by side, for each k: every third vector of the store. */
+/* Stores quarter k of a, b, c and d side by side, for each k, at every third vector of the rows. */
 LANE_FN void store_quarter_rows(char* p, vi a, vi b, vi c, vi d) {
   const __m512i ab0 = _mm512_shuffle_i32x4((__m512i)a, (__m512i)b, 0x44),
                 ab2 = _mm512_shuffle_i32x4((__m512i)a, (__m512i)b, 0xEE),
@@ -318,7 +318,7 @@ LANE_FN void store_quarter_rows(char* p, vi a, vi b, vi c, vi d) {
 }
 LANE_FN void store12i(char* p, vi a, vi b, vi c, vi d, vi e, vi f, vi g, vi h, vi i, vi j, vi k,
                       vi l) {
-  vi x[4], y[4], z[4]; /* quarter q of number r: row 4 q + r */
+  vi x[4], y[4], z[4]; /* quarter q of vector r: row 4 q + r */
   transpose4((quarters)a, (quarters)b, (quarters)c, (quarters)d, &x[0], &x[1], &x[2], &x[3]);
   transpose4((quarters)e, (quarters)f, (quarters)g, (quarters)h, &y[0], &y[1], &y[2], &y[3]);
   transpose4((quarters)i, (quarters)j, (quarters)k, (quarters)l, &z[0], &z[1], &z[2], &z[3]);
@@ -337,10 +337,10 @@ LANE_FN void store12i(char* p, vi a, vi b, vi c, vi d, vi e, vi f, vi g, vi h, v
   store_columns4i(p + 32, 12, i, j, k, l);
 }
 #endif
-/* A group of rows of so many words. */
+/* Sets a group of rows of `words` words to zero. */
 LANE_FN void store_zeros(char* p, int32_t words) {
   vi zero = splati(0);
-  __asm__("" : LANES_IN_REGISTER(zero)); /* compilers would fill the memory word by word */
+  __asm__("" : LANES_IN_REGISTER(zero)); /* otherwise compilers fill the memory word by word */
   for (int32_t k = 0; k < words; ++k) store_lanes(p + 4 * LANES * k, zero);
 }
 LANE_FN void store9f(char* p, vf a, vf b, vf c, vf d, vf e, vf f, vf g, vf h, vf i) {
@@ -365,8 +365,8 @@ LANE_FN void store_columnf(char* p, int32_t width, vf a) { store_columni(p, widt
 LANE_FN void store2f(char* p, vf a, vf b) { store2i(p, (vi)a, (vi)b); }
 LANE_FN void store3f(char* p, vf a, vf b, vf c) { store3i(p, (vi)a, (vi)b, (vi)c); }
 
-/* Rows of three that the primal of a scan keeps for its adjoint, one column after the other: at
- * near + at, if `near` is not null, is the group of rows that begins at `rows`. */
+/* Three columns that the primal of a scan keeps for its adjoint, column by column in `near`. take3f
+ * reads them at near + at, or, if `near` is null, from the group of rows at `rows`. */
 LANE_FN void keep3f(char* near, vf a, vf b, vf c) {
   store_lanes(near, (vi)a), store_lanes(near + 4 * LANES, (vi)b);
   store_lanes(near + 8 * LANES, (vi)c);
@@ -380,7 +380,7 @@ LANE_FN void take3f(const char* rows, const char* near, int64_t at, vf* a, vf* b
   *a = (vf)load_lanes(near), *b = (vf)load_lanes(near + 4 * LANES);
   *c = (vf)load_lanes(near + 8 * LANES);
 }
-/* Past the caches, if it streams. */
+/* Stores three columns. If `streams`, the stores bypass the caches. */
 LANE_FN void put3f(char* rows, int streams, vf a, vf b, vf c) {
 #if LANES == 16
   const rows3 packed = pack3((vi)a, (vi)b, (vi)c);

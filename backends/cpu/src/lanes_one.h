@@ -1,5 +1,5 @@
-/* One lane: the scalars themselves. For launches of few rows, and for the rows behind the last
- * whole group. */
+/* Vectors of one lane, as scalars, for launches of few rows and for the rows after the last whole
+ * group. */
 #include "novaphy/program/one_lane.h"
 LANE_FN int lane_of(vb b, int l) {
   (void)l;
@@ -71,7 +71,7 @@ LANE_FN void store_columns4f(char* p, int32_t width, vf a, vf b, vf c, vf d) {
   (void)width;
   store4f(p, a, b, c, d);
 }
-/* A group of rows of so many words. */
+/* Sets a row of `words` words to zero. */
 LANE_FN void store_zeros(char* p, int32_t words) { memset(p, 0, 4 * (size_t)words); }
 LANE_FN void store9f(char* p, vf a, vf b, vf c, vf d, vf e, vf f, vf g, vf h, vf i) {
   store4f(p, a, b, c, d), store4f(p + 16, e, f, g, h), memcpy(p + 32, &i, 4);
@@ -81,7 +81,8 @@ LANE_FN void store12f(char* p, vf a, vf b, vf c, vf d, vf e, vf f, vf g, vf h, v
   store4f(p, a, b, c, d), store4f(p + 16, e, f, g, h), store4f(p + 32, i, j, k, l);
 }
 
-/* Rows of a table: the row itself, or zeros. */
+/* Returns a row of a table, or zeros for a negative row. A row past the end fails if it is needed.
+ */
 static const int32_t kZeroRow[4] = {0, 0, 0, 0};
 LANE_FN const char* row_or_zeros(const char* s, int64_t rows, int32_t row, int32_t width, vb need,
                                  int32_t source, int64_t i, novaphy_error_sink* sink) {
@@ -120,7 +121,7 @@ LANES_GATHER(f, vf)
 LANES_GATHER(i, vi)
 #undef LANES_GATHER
 
-/* Gathered before they are needed; see lanes_gather.h. */
+/* Rows that are gathered before they are needed; see lanes_gather.h. */
 typedef struct rows_prefetched {
   int32_t row, at;
 } rows_prefetched;

@@ -56,7 +56,7 @@ CpuOp cpu_op(Op op) {
       return IMAX;
     case Op::IAND:
     case Op::AND:
-      return IAND;  // bools are masks
+      return IAND;  // bools are masks of all 0 or all 1 bits
     case Op::IOR:
     case Op::OR:
       return IOR;
@@ -90,8 +90,8 @@ CpuOp cpu_op(Op op) {
     case Op::SELECT_I:
     case Op::SELECT_B:
       return SELECT;
-    // No default, so that the compiler reports a missing new operation. The cases below are leaves,
-    // loads, aliases and trace operations.
+    // The switch has no default, so that the compiler reports a missing new operation. The cases
+    // below are leaves, loads, aliases and trace operations.
     case Op::CONST_F:
     case Op::CONST_I:
     case Op::CONST_B:
@@ -223,7 +223,7 @@ class Lowerer {
       if (step.kind != ir::Step::Kind::Compute) continue;
       const ir::Instr& in = p_.instrs[static_cast<size_t>(step.value)];
       if (in.op == Op::F_BITS || in.op == Op::BITS_F)
-        continue;  // the uses of an alias count for its operand
+        continue;  // the uses of an alias count as uses of its operand
       ir::for_each_operand(in, [&](ir::Value o) { use(resolve(o)); });
     }
     for (const LoopValues& loop : out_.loops) {
@@ -236,8 +236,7 @@ class Lowerer {
   }
 
   // Merges a * b into an addition next to it, if the addition is its only use. The merged operation
-  // rounds twice, as before. A product never moves into a region, where it would be computed for
-  // other lanes.
+  // rounds twice, as before. A product never moves into a skip region, whose lanes differ.
   void join_multiply_add() {
     joined_.assign(p_.instrs.size(), kNoValue);
     absorbed_.assign(p_.instrs.size(), false);
@@ -258,8 +257,8 @@ class Lowerer {
     }
   }
 
-  // Merges loads of consecutive columns of a row, in the same loop and region, into one item at the
-  // place of the first load.
+  // Merges loads of consecutive columns of a row, in the same loop and skip region, into one item
+  // at the position of the first load.
   void group_loads() {
     using Key = std::tuple<int32_t, ValueId, int32_t, int32_t>;  // source, row, loop, region
     std::map<Key, std::vector<std::pair<int32_t, ValueId>>> columns;
@@ -273,7 +272,7 @@ class Lowerer {
     }
     groups_at_.resize(p_.instrs.size());
     for (auto& [key, loads] : columns) {
-      const ValueId leader = loads.front().second;  // the first load in the order of steps
+      const ValueId leader = loads.front().second;  // first load in the order of steps
       std::sort(loads.begin(), loads.end());
       for (size_t k = 0; k < loads.size();) {
         LoadGroup group{std::get<0>(key), loads[k].first, std::get<1>(key), {}};
@@ -352,7 +351,7 @@ class Lowerer {
     item.kind = Item::Kind::Op;
     item.d = value;
     ValueId* const operands[3] = {&item.a, &item.b, &item.c};
-    size_t count = 0;  // counted by signature, because the words of absent operands are arbitrary
+    size_t count = 0;  // operands are counted by signature; words of absent operands are arbitrary
     ir::for_each_operand(in, [&](ir::Value o) { *operands[count++] = resolve(o); });
     if (joined_[v] != kNoValue) {
       const ir::Instr& product = p_.instrs[static_cast<size_t>(joined_[v])];

@@ -17,8 +17,8 @@ namespace novaphy::cpu {
 
 struct BlockForm {
   std::vector<uint32_t> constants;
-  std::vector<uint32_t> parameter_words;  // launch argument words, for the scalars after the
-                                          // constants
+  std::vector<uint32_t> parameter_words;  // argument words of the parameters, in the scalars after
+                                          // the constants
   int32_t register_count = 0, scalar_count = 0;
   std::vector<BlockInstr> prologue, code;
   std::vector<LoadCode> loads;
@@ -60,7 +60,7 @@ class Executable {
   const uint32_t first_output;
   const IsaTable& isa;
   const NativeCode native;
-  const double operations;  // operations per row, without its sums; a load counts as several
+  const double operations;  // operations per row without sums; a load counts as several
   // Built immediately if there is no native code, or else when a launch first needs it.
   const Interpreted& interpreted() const;
 
@@ -84,13 +84,13 @@ constexpr int64_t kChunkRows = 8 * kLanes;
 
 novaphy_status run_executable(const Executable& executable, const novaphy_host_api& host, int64_t n,
                               const uint64_t* arguments, novaphy_error* error);
-// Runs the native code. Rows that it does not support go to the interpreter.
+// Runs the native code. Rows that the native code does not support go to the interpreter.
 void run_native(const Executable& executable, const novaphy_host_api& host, int64_t n,
                 const uint64_t* arguments, ErrorSink& sink);
 // Runs some rows of a launch on the calling thread.
 void run_native_rows(const Executable& executable, const uint64_t* arguments, int64_t begin,
                      int64_t end, ErrorSink& sink);
-// Writes the message about the out-of-range read in the sink.
+// Writes an error message about the out-of-range read in the sink.
 novaphy_status out_of_range(const Executable& executable, const ErrorSink& sink,
                             const uint64_t* arguments, novaphy_error* error);
 // Runs the interpreter on the calling thread.

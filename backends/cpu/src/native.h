@@ -1,4 +1,5 @@
-/* What compiled kernels and the backend agree on. C, because the generated files are C. */
+/* The interface between compiled kernels and the backend, in C because the generated files are C.
+ */
 #ifndef NOVAPHY_CPU_NATIVE_H
 #define NOVAPHY_CPU_NATIVE_H
 
@@ -7,57 +8,60 @@
 /* Collects the out-of-range read of the smallest row, so that the message does not depend on
  * timing. */
 typedef struct novaphy_error_sink {
-  int64_t index; /* INT64_MAX: none */
+  int64_t index; /* INT64_MAX: no read failed */
   int64_t row;
   int32_t source;
   int32_t lock;
 } novaphy_error_sink;
 
-/* Runs the rows [begin, end) in whole groups of lanes, and returns the first row that it left: it
- * stops where a group is not whole, or where a source that is read at the own row ends. */
+/* Runs the rows [begin, end) in whole groups of lanes, and returns the first row that it did not
+ * run. It stops at a group that is not whole, or where a source ends that is read at the own row.
+ */
 typedef int64_t (*novaphy_native_fn)(const uint64_t* args, int64_t begin, int64_t end,
                                      novaphy_error_sink* sink);
 
-/* Launches of one kernel, one after the other; see <novaphy/program/scan.h>. */
+/* The launches of a scan (<novaphy/program/scan.h>): launches of one kernel, one after the other.
+ */
 typedef struct novaphy_native_launches {
-  const uint64_t* args;  /* the words of the first launch */
-  const uint64_t* table; /* per launch: see novaphy_native_scan */
+  const uint64_t* args;  /* the argument words of the first launch */
+  const uint64_t* table; /* per launch a row of words, see novaphy_native_scan_fn */
   int64_t count;
-  /* Null, or for rows from `first` on and each launch, whether anything acted in its group: a
-   * contact that touches, a limit that is met. Written by the scan of a primal, read by its
-   * adjoint's. */
+  /* Null, or one byte for each group of rows and each launch: whether a contact touched or a limit
+   * was reached in the group. The first group begins at row `first`. The scan of a primal writes
+   * the notes, and the scan of its adjoint reads them. */
   char* notes;
   int64_t note_row_bytes, first;
-  /* The outputs are more than caches hold: they are written past them, which spares the memory the
-   * reading of lines that are overwritten whole. */
+  /* Whether stores of outputs bypass the caches, because the outputs are larger than the caches.
+   * Memory then does not read the lines that are overwritten. */
   int32_t streams;
-  /* Null, or where the primal keeps for the adjoint the rows that launches read in which something
-   * acted. */
+  /* Null, or memory where the primal keeps rows for its adjoint: the rows that a launch read in a
+   * group in which a contact touched or a limit was reached. */
   char* room;
   int64_t room_row_bytes;
 } novaphy_native_launches;
 
 /* Runs the rows [begin, end) of all launches in whole groups of lanes, and returns the first row
- * that it left: it also stops at rows that it cannot do. A row of the table has the arrays of the
- * varying sources, then those of the outputs, null where nothing has to be written, and the number
- * of the launch in notes and room. The arrays of the launch PREFETCH_LAUNCHES later are prefetched,
- * so as many rows follow the last, of any arrays. */
+ * that it did not run. It also stops at rows that it does not support. A row of the table has the
+ * arrays of the varying sources, the arrays of the outputs (null if nothing has to be written), and
+ * the number of the launch in notes and room. The arrays of the launch that follows
+ * PREFETCH_LAUNCHES later are prefetched, so the table ends with as many extra rows of any arrays.
+ */
 #define PREFETCH_LAUNCHES 8
 typedef int64_t (*novaphy_native_scan_fn)(const novaphy_native_launches* launches, int64_t begin,
                                           int64_t end, novaphy_error_sink* sink);
 typedef struct novaphy_native_scan {
   novaphy_native_scan_fn run;
   int32_t outputs, varying;
-  const int32_t* sources; /* per output the carried one, then the varying ones */
-  uint64_t primal;        /* the hash of the Program whose notes it reads; 0: it writes notes */
+  const int32_t* sources; /* the carried source of each output, then the varying sources */
+  uint64_t primal;        /* hash of the Program whose notes it reads; 0: it writes notes */
 } novaphy_native_scan;
 
 typedef struct novaphy_native_kernel {
-  uint64_t hash;         /* of the Program; tables are sorted by it */
-  uint32_t instructions; /* two more facts about the Program, in case two have one hash */
+  uint64_t hash;         /* hash of the Program, the key of sorted tables */
+  uint32_t instructions; /* two facts about the Program, in case two Programs have the same hash */
   uint32_t arguments;
   novaphy_native_fn run;
-  const novaphy_native_scan* scan; /* or null */
+  const novaphy_native_scan* scan; /* null: no scan */
 } novaphy_native_kernel;
 
 typedef struct novaphy_native_table {
@@ -66,7 +70,7 @@ typedef struct novaphy_native_table {
   int32_t lanes;
 } novaphy_native_table;
 
-/* The name of the table of one generated file, compiled for one level. */
+/* The name of the table of one generated file, compiled for one instruction set (level). */
 #define NOVAPHY_NATIVE_NAME_(level, part) novaphy_native_##level##_##part
 #define NOVAPHY_NATIVE_NAME(level, part) NOVAPHY_NATIVE_NAME_(level, part)
 #define NOVAPHY_NATIVE_TABLE(part) NOVAPHY_NATIVE_NAME(NOVAPHY_NATIVE_LEVEL, part)

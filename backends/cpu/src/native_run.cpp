@@ -59,8 +59,8 @@ void run_native_rows(const Executable& executable, const uint64_t* arguments, in
   int64_t done = begin;
   if (end - begin >= code.lanes) done = code.rows(arguments, begin, end, &sink);
   if (done < end) done = code.scalar(arguments, done, end, &sink);
-  // Rows are left only if a source has fewer rows than the launch. The interpreter knows which
-  // lanes read such a row.
+  // The native code leaves rows only if a source has fewer rows than the launch. The interpreter
+  // decides which lanes read such a row.
   if (done < end) [[unlikely]]
     interpret_rows(executable, done, end, arguments, sink);
 }

@@ -43,7 +43,7 @@ NativeCode find_native(const nova::ir::Program& program, const char* isa) {
   const novaphy_native_kernel* const scalar = find_level("scalar", program, hash, one);
   if (scalar == nullptr) return {};
   const novaphy_native_kernel* rows = find_level(isa, program, hash, lanes);
-  if (rows == nullptr) rows = scalar;  // not compiled for this instruction set
+  if (rows == nullptr) rows = scalar;  // no code was compiled for this instruction set
   return {rows->run, scalar->run, lanes, rows->scan, scalar->scan};
 }
 

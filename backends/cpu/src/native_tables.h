@@ -1,5 +1,5 @@
-// Kernels compiled ahead of time, found by the hash of their Program. The objects that core links
-// have none; the plugin has tables.
+// Kernels compiled ahead of time, found by the hash of their Program. Only the plugin has such
+// kernels; the objects that are linked into core have none.
 #pragma once
 
 #include <span>
@@ -14,19 +14,19 @@ struct NativeLevel {
   std::span<const novaphy_native_table* const> parts;
 };
 
-// The native code of a Program; all null: there is none.
+// The native code of a Program. All members are null if none was compiled.
 struct NativeCode {
   novaphy_native_fn rows = nullptr;    // groups of `lanes` rows
   novaphy_native_fn scalar = nullptr;  // single rows
   int32_t lanes = 1;
-  // Native code of the Program as scans of launches. Either both are set, or neither.
+  // Native code of the Program as scans of launches. Both are set, or both are null.
   const novaphy_native_scan* scan_rows = nullptr;
   const novaphy_native_scan* scan_scalar = nullptr;
 };
 
-// The plugin calls this before any device is opened.
+// The plugin calls this function before any device is opened.
 void set_native_levels(std::span<const NativeLevel> levels);
-// Returns both forms, or neither.
+// Returns the native code for groups of rows and for single rows, or neither.
 NativeCode find_native(const nova::ir::Program& program, const char* isa);
 
 }  // namespace novaphy::cpu

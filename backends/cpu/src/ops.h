@@ -1,6 +1,7 @@
 // The arithmetic of the CPU backend, shared by the block form and the scalar form: OPk(name, result
-// type, operand types, expression). F float, I int32, U uint32; bools are I with all bits 0 or all
-// bits 1. Reinterpreting bits needs no operation, because registers hold words.
+// type, operand types, expression). The types are F for float, I for int32 and U for uint32. A bool
+// is an I with all bits 0 or all bits 1. Registers hold words, so reinterpreting bits needs no
+// operation.
 
 #ifndef NOVAPHY_CPU_OPS
 #define NOVAPHY_CPU_OPS(OP1, OP2, OP3)                  \

@@ -1,5 +1,5 @@
-// Linear scan: values whose lifetimes do not overlap share a register. The registers of a block
-// then fit into the cache.
+// Register allocation by linear scan: values whose lifetimes do not overlap share a register. The
+// registers of a block then fit into the cache.
 #include <algorithm>
 #include <functional>
 
@@ -29,8 +29,8 @@ class Placer {
     }
     // Slot 0 of both lists stands for "before the first item", where the row number is set.
     for (size_t at = 0; at <= l_.items.size(); ++at) {
-      // Only a plain operation reads all operands lane by lane before it writes. Its result may
-      // therefore replace an operand.
+      // Only a plain operation reads its operands of a lane before it writes the lane. Its result
+      // may therefore replace an operand.
       const bool in_place = at > 0 && l_.items[at - 1].kind == Item::Kind::Op;
       if (in_place) {
         release(dying[at], static_cast<int32_t>(at) - 1, false);
@@ -48,12 +48,12 @@ class Placer {
   static constexpr int32_t kNever = -2;
   static constexpr int32_t kBefore = -1;  // defined before the first item
 
-  // Scalars of the block form do not share places: a scalar takes only four bytes.
+  // Scalars of the block form do not share memory, because a scalar takes only four bytes.
   bool shares(ValueId v) const {
     return scalar_form_ || l_.place[static_cast<size_t>(v)].uniform == 0;
   }
 
-  // Finds the uniform items outside of loops and regions that read only such items. These items run
+  // Finds the uniform items outside of loops and regions that depend only on such items. They run
   // once per launch.
   void find_prologue() {
     std::vector<char> early(l_.place.size(), 0);
@@ -138,7 +138,7 @@ class Placer {
       for (const ValueId v : values) use(v, static_cast<int32_t>(l_.items.size()));
     }
     if (scalar_form_)
-      // the loop over rows sets the index
+      // the interpreter's loop over rows sets the index
       use(l_.index_value, static_cast<int32_t>(l_.items.size()));
   }
 

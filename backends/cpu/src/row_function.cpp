@@ -27,7 +27,7 @@ novaphy_status read_row_function(const void* data, uint64_t bytes, novaphy_row_f
 
 void run_row_function(const novaphy_row_function& function, const novaphy_host_api& host, int64_t n,
                       const uint64_t* arguments) {
-  // The chunks of rows do not depend on the number of threads.
+  // Chunks of rows must not depend on the number of threads.
   const int64_t size = function.chunk == 0 ? 256 : function.chunk;
   struct Work {
     const novaphy_row_function& function;

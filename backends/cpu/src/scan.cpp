@@ -22,7 +22,7 @@ struct Interval {
   bool overlaps(const Interval& other) const { return begin < other.end && other.begin < end; }
 };
 
-// Returns the memory that a launch may read through a source.
+// Returns the range of memory that a launch may read through a source.
 Interval read_by(const Program& p, const uint64_t* arguments, int32_t source) {
   const auto s = static_cast<size_t>(source);
   const uint64_t begin = arguments[p.source_argument(s)];
@@ -30,8 +30,8 @@ Interval read_by(const Program& p, const uint64_t* arguments, int32_t source) {
   return {begin, begin + rows * static_cast<uint64_t>(p.sources[s].width) * 4};
 }
 
-// Returns the memory that an output writes. The output has as many rows as the source to which it
-// is carried.
+// Returns the range of memory that an output writes. The output has as many rows as the source to
+// which it is carried.
 Interval written_by(const Program& p, const uint64_t* arguments, size_t output, int32_t carried) {
   const Interval like = read_by(p, arguments, carried);
   const uint64_t begin = arguments[p.output_argument(output)];
@@ -40,16 +40,16 @@ Interval written_by(const Program& p, const uint64_t* arguments, size_t output, 
 
 // The number of later launches that are searched for a second write to the same array.
 constexpr size_t kLookForward = 8;
-// From this size on, outputs are streamed past the caches, because no cache holds them until they
-// are read.
+// From this number of bytes on, stores of outputs bypass the caches, which could not hold the
+// outputs until they are read.
 constexpr uint64_t kStreamedBytes = 32 << 20;
 constexpr int32_t kLine = 64;
-// Launches touch only as much of this memory as they need.
+// The size of a Room. Only the pages that launches use take memory.
 constexpr int64_t kRoomBytes = 4 << 20;
 
 }  // namespace
 
-// The data that a scan passes to the next one on this thread: notes, followed by rows.
+// Memory of a thread in which a scan passes data to the next scan: notes, followed by rows.
 struct novaphy_scan::Room {
   char* bytes = nullptr;
   const novaphy_scan* from = nullptr;
@@ -64,7 +64,7 @@ struct novaphy_scan::Room {
     begin = b;
     end = e;
   }
-  // Gives a part of the room to a scan that writes it, or to the scan that follows.
+  // Gives the memory to the scan that writes it, or to the scan that follows and reads it.
   void give(const novaphy_scan& writer, int64_t rows, novaphy_native_launches& all) {
     if (bytes == nullptr) [[unlikely]] {
       bytes = static_cast<char*>(std::aligned_alloc(4096, kRoomBytes));
@@ -108,8 +108,8 @@ std::span<const int32_t> novaphy_scan::varying() const {
   return {form.sources + form.outputs, static_cast<size_t>(form.varying)};
 }
 
-// Whether every launch reads the outputs of the one before, and has the other argument words of the
-// first.
+// Returns whether every launch reads the outputs of the previous launch, and otherwise has the
+// argument words of the first launch.
 bool novaphy_scan::same_but_for_arrays() const {
   const Program& p = executable_->program;
   std::vector<char> free(executable_->argument_count, 0);
@@ -127,7 +127,7 @@ bool novaphy_scan::same_but_for_arrays() const {
   return true;
 }
 
-// Whether a launch writes an array that the scan reads only once, before all launches.
+// Returns whether a launch writes an array that the scan reads only once, before all launches.
 bool novaphy_scan::writes_what_all_read() const {
   const Program& p = executable_->program;
   const auto once = [&](int32_t source) {
@@ -147,8 +147,8 @@ bool novaphy_scan::writes_what_all_read() const {
   return false;
 }
 
-// Whether the output of a launch is read, after the scan or in it, by anything but the next launch,
-// which has it in registers.
+// Returns whether the output of a launch is read after the scan, or by a launch of the scan other
+// than the next launch, which has the output in registers.
 bool novaphy_scan::read_again(size_t k, size_t output) const {
   const Program& p = executable_->program;
   const Interval written = written_by(p, launches_[k], output, carried()[output]);
@@ -177,8 +177,8 @@ void novaphy_scan::make_table() {
   large_ = is_large();
 }
 
-// Whether the outputs exceed the caches, and can be streamed by the compiled form: rows of three
-// numbers, where a group of rows fills whole cache lines.
+// Returns whether the outputs exceed the caches and the compiled form can store them past the
+// caches: rows of three numbers, where a group of rows fills whole cache lines.
 bool novaphy_scan::is_large() const {
   const Program& p = executable_->program;
   if (executable_->native.lanes * 12 % kLine != 0) return false;
@@ -204,8 +204,8 @@ void novaphy_scan::follow(novaphy_scan& first) {
                           static_cast<int64_t>(first.launches_.size());
 }
 
-// Whether an array that a launch of `first` carried is written again before this scan begins, or
-// later.
+// Returns whether an array that a launch of `first` read or wrote as a carried array is written
+// again, by `first` or by this scan. Its rows at a note would then differ from those in memory.
 bool novaphy_scan::overwrites(const novaphy_scan& first) const {
   std::map<uint64_t, uint64_t> taken;
   const auto apart = [&](const Interval& i) {
@@ -230,8 +230,8 @@ bool novaphy_scan::overwrites(const novaphy_scan& first) const {
   return !written(first, take) || !written(*this, apart);
 }
 
-// Whether every launch evaluates the conditions of a launch of `first` with the same values. Stores
-// the matching launches.
+// Returns whether every launch evaluates its conditions with the same values as a launch of
+// `first`. Stores the numbers of the matching launches in the table.
 bool novaphy_scan::asks_like(const novaphy_scan& first) {
   const Program &asks = executable_->program, &asked = first.executable_->program;
   const uint64_t primal = executable_->native.scan_rows->primal;
@@ -282,7 +282,7 @@ novaphy_status novaphy_scan::run(int64_t begin, int64_t end, novaphy_error* erro
   all.streams = large_ && all.room != nullptr && begin * 12 % kLine == 0 ? 1 : 0;
   if (writes) room.from = nullptr;
   ErrorSink sink;
-  bool whole = true;  // the compiled form did all rows
+  bool whole = true;  // whether the compiled form ran all rows
   for (int64_t i = begin; i < end;) {
     const novaphy_native_scan& form =
         end - i >= code.lanes ? *code.scan_rows : *code.scan_scalar;
@@ -291,7 +291,7 @@ novaphy_status novaphy_scan::run(int64_t begin, int64_t end, novaphy_error* erro
       i = left;
       continue;
     }
-    // Rows that this form does not support run launch by launch.
+    // Rows that the compiled form does not support run launch by launch.
     const int64_t stop = std::min(end, i + (end - i >= code.lanes ? code.lanes : 1));
     for (size_t k = 0; k < launches_.size(); ++k)
       run_native_rows(*executable_, launches_[k], i, stop, sink);

@@ -12,11 +12,11 @@
 struct novaphy_scan {
  public:
   // Returns null if the kernel has no compiled form for a scan, or if the launches differ in more
-  // than that form allows. `first` (may be null) is a scan that always runs just before this one,
-  // on the same rows and thread. No work in between writes the arrays that `first` read or wrote.
-  // If both scans evaluate the same conditions, `first` notes for this scan which launches had no
-  // effect. The scan `first` also stores the rows that the other launches read, so that large
-  // outputs may bypass the caches.
+  // than that form allows. `first` is null, or a scan that always runs just before this scan, on
+  // the same rows and thread. No work in between writes the arrays that `first` read or wrote. If
+  // both scans evaluate the same conditions, `first` records for this scan in which launches no
+  // contact touched and no limit was reached. `first` also keeps the rows that the other launches
+  // read, so that large outputs may bypass the caches.
   static std::unique_ptr<novaphy_scan> make(const novaphy::cpu::Executable& executable,
                                             std::span<const uint64_t* const> launches,
                                             novaphy_scan* first);
@@ -26,7 +26,7 @@ struct novaphy_scan {
  private:
   struct Room;
   explicit novaphy_scan(const novaphy::cpu::Executable& executable) : executable_(&executable) {}
-  std::span<const int32_t> carried() const;  // the source of each output
+  std::span<const int32_t> carried() const;  // the source to which each output is carried
   std::span<const int32_t> varying() const;
   bool same_but_for_arrays() const;
   bool writes_what_all_read() const;
@@ -40,9 +40,9 @@ struct novaphy_scan {
 
   const novaphy::cpu::Executable* executable_;
   std::vector<const uint64_t*> launches_;  // the argument words of each launch
-  std::vector<uint64_t> table_;            // the words of each launch that the compiled form reads
-  bool large_ = false;                     // streams the outputs
-  bool notes_ = false;                     // writes notes for a following scan
+  std::vector<uint64_t> table_;            // the table of launches that the compiled form reads
+  bool large_ = false;                     // whether stores of outputs bypass the caches
+  bool notes_ = false;                     // whether the scan writes notes for a following scan
   int64_t room_row_bytes_ = 0;             // bytes of the room per row
-  const novaphy_scan* follows_ = nullptr;  // the scan whose notes this one reads
+  const novaphy_scan* follows_ = nullptr;  // the scan whose notes this scan reads
 };

@@ -1,4 +1,4 @@
-// The entry of the CPU backend if it is linked in. As a plugin, the same objects export
+// The entry point of the CPU backend where it is linked in. In the plugin, the same objects export
 // novaphy_backend_query.
 #pragma once
 

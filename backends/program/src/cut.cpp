@@ -66,8 +66,8 @@ class Cutter {
       if (needed_[k]) for_each_operand(p_.instrs[k], need);
   }
 
-  // A value is early if it depends only on early sources, and all its conditions are early too.
-  // Reading a row before its condition is known could read past the end.
+  // Finds early values: values that depend only on early sources and lie under early conditions
+  // only. Reading a row before its condition is known could read past the end.
   void find_early() {
     const std::vector<int32_t> section = sections(p_);
     early_.assign(p_.instrs.size(), 1);
@@ -93,7 +93,7 @@ class Cutter {
     }
   }
 
-  // Gives each early value that the late half uses its place among the outputs of the early half.
+  // Makes each early value that the late half uses an output of the early half.
   void find_crossing() {
     Output floats{"floats", Type::F32, {}}, ints{"ints", Type::I32, {}};
     const auto use = [&](Value v) {
@@ -114,7 +114,7 @@ class Cutter {
       halves_.early.outputs.push_back(std::move(*output));
     }
   }
-  // Whether the late half loads the value as well.
+  // Returns whether the late half can load the value itself, at its own row.
   bool is_at_hand(Value v) const {
     const Instr& in = p_.instrs[at(v)];
     return (in.op == Op::LOAD_F || in.op == Op::LOAD_I) && sources_[at(in.a)] == Available::Both &&
@@ -122,7 +122,7 @@ class Cutter {
   }
   Type type_of(Value v) const { return result_type(p_.instrs[at(v)].op); }
 
-  // Returns the value in lanes that need it, and 0 in the others.
+  // Returns an early value with 0 in lanes that do not need it.
   Value where_needed(Value v) {
     Value value = clone(v, Early);
     const bool is_float = type_of(v) == Type::F32;
@@ -138,8 +138,8 @@ class Cutter {
     return value;
   }
 
-  // In the late half, an early value that crosses is a load. A value without sources is computed
-  // again.
+  // Returns an early value for use in the late half: a load of an output of the early half. A value
+  // that depends on no source is computed again.
   Value in_late(Value v) {
     const int32_t column = column_[at(v)];
     Value& mapped = clones_[Late][at(v)];
@@ -169,10 +169,10 @@ class Cutter {
   const Program& p_;
   const std::vector<Available>& sources_;
   const Guards guards_;
-  std::vector<char> needed_, early_;  // per value
-  std::vector<char> reads_;           // per value: whether it reads a row
-  std::vector<int32_t> column_;       // per early value: column among the outputs of its type, or
-                                      // -1
+  std::vector<char> needed_, early_;  // per value: whether it is needed, and whether it is early
+  std::vector<char> reads_;           // per value: whether it depends on a row of a source
+  std::vector<int32_t> column_;       // per early value: its column among the outputs of its type,
+                                      // or -1
   std::vector<Value> clones_[2];
   int32_t float_source_ = -1, int_source_ = -1;
   Cut halves_;

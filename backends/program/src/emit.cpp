@@ -18,14 +18,14 @@ const char* access_name(Access access) {
 }
 const char* type_name(Type t) { return t == Type::F32 ? "f32" : "i32"; }
 
-// Keeps a name from ending a comment or starting another line.
+// Replaces characters that could end a comment or begin another line.
 std::string one_line(const std::string& s) {
   std::string out;
   for (const char c : s) out += c == '\n' || c == '\r' || c == '\\' ? ' ' : c;
   return out;
 }
 
-// Elements have long formulas with prefetched rows. Regions split lines, and most are taken.
+// Elements have long formulas with prefetched rows. Regions split the code, and most are taken.
 constexpr int32_t kMinElementRegion = 20;
 EmitPlan plan_for(const Program& p, bool device, bool scan) {
   EmitPlan plan = make_emit_plan(p, device);
@@ -42,7 +42,7 @@ Emitter::Emitter(const Program& program, bool device, const Scan* scan, std::vec
       text_(p_, plan_, device),
       device_(device),
       scan_(scan),
-      // A GPU thread has one row and few registers, so computing again is cheaper.
+      // A GPU thread has one row and few registers, so computing values again costs less.
       held_(scan ? find_held_values(p_, plan_, *scan) : std::vector<char>{}),
       kept_(device ? std::vector<KeptValues>{} : find_kept_values(p_, plan_)),
       items_(std::move(items)),
@@ -57,7 +57,7 @@ Emitter::Emitter(const Program& program, bool device, const Scan* scan, std::vec
   if (!device_ && !scan_)
     for (FollowedItem& item : find_followed_items(p_, plan_))
       if (adds_nothing(item.idle)) followed_.push_back(std::move(item));
-  // Prefetching reads the next group before this one is written.
+  // Prefetching reads rows of the next group before the results of this group are written.
   if (!device_ && !scan_ && may_run_again()) prefetch_ = find_prefetched_gathers(p_, plan_);
 }
 
@@ -181,8 +181,8 @@ void Emitter::arguments() {
          " == items" + b + ";");
   }
   line("int64_t i = begin, last = end;");
-  // The caller computes rows that a source lacks. Such a launch is an error, unless no lane needs
-  // the missing rows.
+  // The function stops at rows that a source lacks, and the caller computes these rows. Such a
+  // launch is an error, unless no lane needs the missing rows.
   for (size_t s = 0; s < p_.sources.size(); ++s)
     if (own[s]) {
       const std::string n = "n" + str(static_cast<int64_t>(s));
@@ -242,7 +242,7 @@ void Emitter::steps() {
     const Step& step = plan_.steps[s];
     switch (step.kind) {
       case Step::Kind::LoopBegin:
-        if (quiet_) {  // all items are idle
+        if (quiet_) {  // in a quiet launch (emit_fast_path.cpp) all items are idle
           begin_sums(step.value);
           while (plan_.steps[s].kind != Step::Kind::LoopEnd) ++s;
           break;
@@ -253,7 +253,7 @@ void Emitter::steps() {
       case Step::Kind::LoopEnd:
         loop_end(step.value);
         if (!in_items_) break;
-        in_items_ = false;  // again, for the items that are not in registers
+        in_items_ = false;  // now for items that are not in registers
         looked_ = looked_before_;
         for (size_t v = 0; v < p_.instrs.size(); ++v)
           if (plan_.loop[v] == step.value) computed_[v] = 0, chosen_[v] = kNone;
@@ -329,7 +329,7 @@ std::string Emitter::need(Value v) const {
 
 void Emitter::load(Value v, const Instr& in) {
   const int32_t number = plan_.group[at(v)];
-  if (number < 0) {  // a column loaded with the first value of its group, or the same load again
+  if (number < 0) {  // a column loaded with the first value of its group, or a repeated load
     const Value first = column_owner(v, in);
     if (first != v) line(declaration(v) + " = " + text_.name(first) + ";");
     return;
@@ -347,7 +347,7 @@ void Emitter::load(Value v, const Instr& in) {
   int32_t wanted = 0;
   for (const Value c : group.columns) wanted += c != kNone ? 1 : 0;
   const std::string s = "s" + str(group.source);
-  // On a device, a source knows its number of rows.
+  // On a device, the type of a source has the number of its rows.
   const std::string table = is_item(group.source) ? "source_item{kept." + s + " + r" + str(loop_) +
                                                         " * " + str(width) + "}"
                             : device_ ? s

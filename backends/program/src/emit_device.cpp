@@ -1,4 +1,4 @@
-// The text of the emitter for a device, where a thread has one row and one lane.
+// The text of the emitter for a device, where a thread has one row in one lane.
 #include "emitter.h"
 
 namespace nova::ir {
@@ -21,7 +21,7 @@ void Emitter::device_items(int32_t l) {
   } else if (!again) {
     csr_rows(l);
   }
-  std::string on = "splatb(1)";  // inactive lanes have already returned
+  std::string on = "splatb(1)";  // inactive threads have already returned
   if (again) {
     line("for (int32_t " + r + " = kept.count; " + r + " < csr" + k + ".longest; ++" + r + ") {");
   } else if (!items_.empty()) {
@@ -68,7 +68,7 @@ bool Emitter::is_quotient(Value v) const {
 
 bool Emitter::can_be_there(Value v, int32_t region) const {
   const Instr& in = p_.instrs[at(v)];
-  if (in.op == Op::SUM) return false;  // its loop may come later
+  if (in.op == Op::SUM) return false;  // the loop of the sum may come later
   if (is_leaf(in.op) || computed_[at(v)]) return true;
   if (is_load(in.op) || is_quotient(v) || plan_.root[at(v)] != kNone || chosen_[at(v)] != kNone ||
       plan_.once[at(v)] || plan_.loop[at(v)] >= 0 ||
@@ -87,7 +87,7 @@ void Emitter::make_it_there(Value v) {
 }
 
 void Emitter::quotients_together(Value v) {
-  constexpr size_t kMost = 12;  // more would take registers from other values
+  constexpr size_t kMost = 12;  // more values would take registers from other values
   if (!device_ || loop_ >= 0 || p_.contract || !is_quotient(v)) return;
   const int32_t region = plan_.printed_region(plan_.region[at(v)]);
   std::vector<Value> together = {v};

@@ -1,6 +1,7 @@
-// Quiet launches: no contact touches, and no limit is reached. A primal notes the quiet launches of
-// each group of rows, and stores nearby the rows that the other launches read. Its adjoint has the
-// same conditions on the same values, and therefore a short form for quiet launches.
+// Quiet launches: launches of a scan in which, for a group of rows, no contact touches and no limit
+// is reached. A primal notes the quiet launches of each group of rows. It also stores nearby the
+// rows that the other launches read. Its adjoint has the same conditions on the same values, and
+// therefore a short form for quiet launches.
 #include <algorithm>
 
 #include "emitter.h"
@@ -8,8 +9,9 @@
 namespace nova::ir {
 namespace {
 
-// Returns equal numbers for values that are computed alike from the same sources. An adjoint has
-// the sources of its primal at the same places. All CSR loops count as loops over the same rows.
+// A hash of a value's formula. Values with equal hashes are computed in the same way from the same
+// sources. An adjoint has the sources of its primal at the same positions. All CSR loops count as
+// loops over the same rows.
 class Alike {
  public:
   explicit Alike(const Program& program) : p_(program), known_(program.instrs.size(), 0) {}

@@ -1,4 +1,4 @@
-// Groups of rows in the emitter, especially the last group, and the columns of wide rows.
+// The groups of rows in the text, especially the last group, and the columns of wide rows.
 #include <algorithm>
 
 #include "emitter.h"

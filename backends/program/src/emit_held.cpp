@@ -24,7 +24,8 @@ std::vector<char> find_held_values(const Program& program, const EmitPlan& plan,
     const Instr& in = program.instrs[v];
     const int32_t loop = plan.loop[v];
     if (!plan.used[v] || plan.once[v] || is_leaf(in.op)) continue;
-    // Conditional item data is not held: the active launches would load it each time.
+    // Data of items under a condition is not held, because launches with the condition would load
+    // it anyway.
     if (plan.region[v] >= 0 && (loop < 0 || plan.escapes[v])) continue;
     if (loop >= 0 && program.loops[static_cast<size_t>(loop)].kind != LoopKind::Csr) continue;
     if (is_load(in.op) && (contains(scan.carried, in.a) || contains(scan.varying, in.a))) continue;

@@ -1,4 +1,4 @@
-// Internal to the emitter: values that all launches of a scan share.
+// Internal to the emitter: held values, which are the same in all launches of a scan.
 #pragma once
 
 #include <vector>
@@ -10,7 +10,7 @@ namespace nova::ir {
 
 // Returns, per value, whether it is the same in every launch and is computed regardless of
 // conditions. Such a value depends on parameters, tables, and sources that are neither carried nor
-// varying. In a CSR loop there is one for each item.
+// varying. In a CSR loop such a value exists once per item.
 std::vector<char> find_held_values(const Program& program, const EmitPlan& plan, const Scan& scan);
 
 }  // namespace nova::ir

@@ -10,7 +10,7 @@ namespace {
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 
-// Returns the steps that open the unconditional regions of a loop.
+// Returns the steps that open the regions of a loop that lie in no other printed region.
 std::vector<size_t> top_regions(const EmitPlan& plan, int32_t wanted) {
   std::vector<size_t> found;
   int32_t loop = -1;
@@ -45,7 +45,8 @@ class Finder {
   }
 
  private:
-  // Finds the unconditional region of the loop, if there is exactly one.
+  // Finds the single region of the loop that lies in no other region. Returns false for any other
+  // number.
   bool find_region() {
     const std::vector<size_t> steps = top_regions(plan_, loop_);
     if (steps.size() != 1) return false;
@@ -53,7 +54,7 @@ class Finder {
     region_ = plan_.region_of_step[begin_];
     return !plan_.uniform[at(plan_.regions[at(region_)].cond)];
   }
-  // Whether values for a later loop are computed even if the region is skipped.
+  // Returns whether values for a later loop are computed even if the region is skipped.
   bool kept_before(const std::vector<KeptValues>& all) const {
     const auto before = [&](Value v) {
       return std::any_of(
@@ -66,7 +67,7 @@ class Finder {
     return true;
   }
 
-  // Returns the value in every lane with the item, if no lane takes the region.
+  // Returns the constant that the value has for every item if no lane takes the region, or nothing.
   std::optional<float> constant(Value v) {
     const auto known = known_.find(v);
     if (known != known_.end()) return known->second;
@@ -102,10 +103,11 @@ class Finder {
   const int32_t loop_;
   int32_t region_ = -1;
   std::map<Value, std::optional<float>> known_;
-  size_t begin_ = 0;  // its step
+  size_t begin_ = 0;  // step that opens the region
 };
 
-// Whether two values are the same function of values outside of their loops and of the iteration.
+// Compares values of two loops: whether they are the same function of the iteration and of values
+// outside of their loops.
 class SameValue {
  public:
   SameValue(const Program& program, int32_t loop, int32_t earlier)
@@ -135,7 +137,7 @@ class SameValue {
 }  // namespace
 
 std::vector<FollowedItem> find_followed_items(const Program& program, const EmitPlan& plan) {
-  // The regions that lanes may skip.
+  // per loop, the regions that lanes may skip
   std::vector<std::vector<int32_t>> regions(program.loops.size());
   for (size_t l = 0; l < regions.size(); ++l)
     for (const size_t s : top_regions(plan, static_cast<int32_t>(l)))

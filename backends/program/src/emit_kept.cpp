@@ -9,7 +9,7 @@ namespace {
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 
-// With fewer operations per kept value, computing again is cheaper.
+// With fewer operations per kept value, computing the values again costs less.
 constexpr size_t kMinOperationsPerValue = 3;
 
 class Finder {
@@ -31,13 +31,14 @@ class Finder {
   }
 
  private:
-  // Whether the value is computed for every item of the loop, without a condition.
+  // Returns whether the value is computed for every item of the loop, without a condition.
   bool in(int32_t loop, size_t v) const {
     return plan_.is_line(v, p_.instrs[v].op) && plan_.loop[v] == loop && plan_.region[v] == -1;
   }
   static auto key(Op op, Value a, Value b, Value c) { return std::make_tuple(op, a, b, c); }
 
-  // Value numbering: operands of the later loop are replaced by their equals in the earlier loop.
+  // Finds equal values by value numbering: in a formula of the later loop, operands are replaced by
+  // their equals in the earlier loop.
   void find_equal() {
     std::map<std::tuple<Op, Value, Value, Value>, Value> earlier;
     for (size_t v = 0; v < p_.instrs.size(); ++v) {
@@ -46,7 +47,7 @@ class Finder {
     }
     for (size_t v = 0; v < p_.instrs.size(); ++v) {
       const Instr& i = p_.instrs[v];
-      if (i.op == Op::SLOT || i.op == Op::REDUCE_INDEX) {  // of the same item
+      if (i.op == Op::SLOT || i.op == Op::REDUCE_INDEX) {  // both loops are at the same item
         if (i.a == found_.loop) equal_[v] = counter(i.op);
         continue;
       }
@@ -69,8 +70,8 @@ class Finder {
     return key(r.op, r.a, r.b, r.c);
   }
 
-  // Columns of a row are loaded together, so either all have equals or none. Values computed from a
-  // column without an equal have none either.
+  // Columns of a row are loaded together, so either all columns have equals or no column has one. A
+  // value that depends on a column without an equal then has no equal either.
   void drop_split_loads() {
     for (bool changed = true; changed;) {
       changed = false;
@@ -110,7 +111,8 @@ class Finder {
 
   const Program& p_;
   const EmitPlan& plan_;
-  std::vector<Value> equal_;  // in the later loop: the equal in the earlier one, or kNone
+  std::vector<Value> equal_;  // per value of the later loop: its equal in the earlier loop, or
+                              // kNone
   KeptValues found_;
 };
 

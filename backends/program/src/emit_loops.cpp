@@ -1,4 +1,4 @@
-// The loops and conditional regions of the emitter.
+// The text of loops and conditional regions.
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -23,7 +23,8 @@ bool Emitter::region_begin(int32_t number) {
     if (!region.polarity) question = "vnot(" + question + ")";
     if (in_csr_loop(loop_)) question = "vand(" + question + ", on" + str(loop_) + ")";
     question = "any(" + question + ")";
-    // Most items in a CSR loop are inactive, and limits are rarely reached.
+    // The compiler expects rare conditions to be false. Most items of a CSR loop are inactive, and
+    // limits are rarely reached.
     const bool rare = !device_ && (in_csr_loop(loop_) || plan_.root[at(region.cond)] != kNone);
     line("if (" + (rare ? "rarely(" + question + ")" : question) + ") {");
   }

@@ -8,12 +8,12 @@ namespace {
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 
-// The largest distance that a line may move forward. A larger one would keep too many values in
+// The largest distance that a line may move forward. Longer moves would keep too many values in
 // registers.
 constexpr size_t kReach = 110;
 
-// The model of a processor that starts two operations per cycle, at most one product and one sum,
-// as processors with vectors of 16 lanes do.
+// The units of a processor model that starts two operations per cycle, at most one product and one
+// sum, as processors with vectors of 16 lanes do.
 enum class Unit { None, Product, Sum, Any };
 Unit unit_of(Op op) {
   switch (op) {
@@ -32,7 +32,7 @@ Unit unit_of(Op op) {
       return Unit::Any;
   }
 }
-// Cycles until the result is available.
+// Returns the cycles until the result of an operation is available.
 int32_t latency(Op op) {
   switch (op) {
     case Op::MUL:
@@ -60,7 +60,7 @@ int32_t latency(Op op) {
 }
 constexpr int32_t kRegionLatency = 15;
 
-// The unit that is moved: a value, or a printed region with its contents.
+// An item that is moved as a whole: a value, or a printed region with its contents.
 struct Item {
   Step step;  // computes the value, or opens the region
   std::vector<Item> inside;
@@ -92,7 +92,7 @@ class Orderer {
         items.push_back({step, {}, -1});
       } else if (plan_.regions[at(region)].printed) {
         items.push_back({step, items_until(s, at(step.target)), region});
-      }  // unprinted values need no step
+      }  // values that are not printed need no step
     }
     return items;
   }
@@ -109,7 +109,7 @@ class Orderer {
   }
 
   // Calls f for the values that a line reads: its operands, the comparison before a conditional
-  // root, the load of its columns, and the conditions of a load's lanes.
+  // square root, the load of its columns, and the conditions of a load's lanes.
   template <class F>
   void for_each_read(Value v, const F& f) const {
     const Instr& in = p_.instrs[at(v)];
@@ -164,7 +164,8 @@ class Orderer {
     return is_line(item) ? unit_of(op_of(item)) : Unit::None;
   }
 
-  // List scheduling: each cycle takes the ready items with the longest remaining chain first.
+  // Orders items by list scheduling: each cycle takes the ready items with the longest remaining
+  // chain.
   std::vector<Item> taken_in_turn(std::vector<Item> items,
                                   const std::vector<std::vector<size_t>>& before,
                                   const std::vector<std::vector<size_t>>& after) const {
@@ -178,7 +179,7 @@ class Orderer {
     }
     std::vector<char> taken(count, 0);
     std::vector<Item> result;
-    size_t first = 0;  // the first item not taken
+    size_t first = 0;  // first item that is not taken yet
     for (int32_t cycle = 0; result.size() < count; ++cycle) {
       int32_t any = 2, products = 1, sums = 1;
       for (bool found = true; found;) {

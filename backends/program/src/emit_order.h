@@ -6,7 +6,7 @@
 namespace nova::ir {
 
 // Reorders lines without sums for the processor, which looks ahead only a limited distance.
-// Independent lines are interleaved, because the lines of a formula depend on each other.
+// Independent lines are interleaved, because consecutive lines of a formula depend on each other.
 EmitPlan ordered(const Program& program, EmitPlan plan);
 
 }  // namespace nova::ir

@@ -75,8 +75,8 @@ class Planner {
     }
   }
 
-  // Operands precede their users, so one pass suffices. Only loads are bound to their place: a row
-  // may be valid only under a condition.
+  // Finds values that are uniform or computed once. Operands precede their users, so one pass
+  // suffices. A load cannot move, because its row may be valid only under a condition.
   void find_uniform() {
     for (size_t v = 0; v < p_.instrs.size(); ++v) {
       const Instr& in = p_.instrs[v];
@@ -104,13 +104,14 @@ class Planner {
     for (const Region& r : out_.regions) use(r.cond);
     for (size_t v = p_.instrs.size(); v-- > 0;) {
       const Instr& in = p_.instrs[v];
-      // written as i
+      // the own row is written as i
       const bool own_row = is_load(in.op) && p_.instrs[at(in.b)].op == Op::INDEX;
       if (out_.used[v] && !own_row) for_each_operand(in, use);
     }
   }
 
-  // Merges the columns of a row in the same place into one load, at the first of them.
+  // Merges loads of columns of one row, in the same loop and region, into one load at the first of
+  // them.
   void group_loads() {
     std::map<std::tuple<int32_t, Value, int32_t, int32_t, bool>, int32_t> known;
     for (const Step& step : out_.steps) {
@@ -139,8 +140,8 @@ class Planner {
       for (int32_t r = out_.region[v]; r >= 0; r = out_.regions[at(r)].parent)
         out_.regions[at(r)].weight += through_table ? kTableLoadWeight : weight(op);
     }
-    // A compiler contracts a product and a sum within one block. If contraction is allowed, the
-    // text therefore has no other blocks.
+    // A compiler contracts a product and a sum only within one block of code. If contraction is
+    // allowed, the text therefore has no conditional regions.
     for (Region& r : out_.regions) r.printed = !p_.contract && r.weight >= min_printed_;
   }
 
@@ -150,7 +151,7 @@ class Planner {
   }
 
   void find_escapes() {
-    // Per value: the innermost printed region that contains it and all its uses.
+    // For each value, finds the innermost printed region that contains the value and all its uses.
     constexpr int32_t kUnseen = -2;
     std::vector<int32_t> scope(p_.instrs.size(), kUnseen);
     const auto common = [&](int32_t a, int32_t b) {
@@ -200,8 +201,8 @@ class Planner {
     }
   }
   static bool is_constant(Op op) { return op == Op::CONST_F || op == Op::PARAM_F; }
-  // Whether the value is used only by the comparison, and by values that need the comparison to
-  // hold.
+  // Returns whether the value is used only by the comparison, and by values that are only needed if
+  // the comparison holds.
   bool only_under(Value value, Value comparison) const {
     for (const Output& o : p_.outputs)
       for (const Value v : o.values)

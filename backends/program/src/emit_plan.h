@@ -11,22 +11,24 @@ namespace nova::ir {
 struct LoadGroup {
   int32_t source = 0;
   Value row = kNone;
-  std::vector<Value> columns;  // per column of the source: the value loaded from it, or kNone
+  std::vector<Value> columns;  // per column of the source: the value that is loaded from it, or
+                               // kNone
 };
 
-// A skippable region of the schedule. A region that is too small for a test, or that would prevent
-// contraction, is written without an `if`. Its condition still determines the lanes of a load.
+// A region of the schedule that lanes may skip. A region that is too small for a test, or that
+// would prevent contraction, is written without an `if` (not printed). Its condition still
+// determines the lanes of a load.
 struct Region {
   int32_t parent = -1;
   Value cond = kNone;
   bool polarity = true;
   bool printed = true;
-  int32_t weight = 0;         // of the operations inside
-  std::vector<Value> escape;  // values computed inside and read outside: declared before the `if`
+  int32_t weight = 0;         // weight of the operations inside
+  std::vector<Value> escape;  // values computed inside and read outside, declared before the `if`
 };
 
-// Returns whether the emitter writes the operation at each use of its value, without a variable.
-// This holds for constants, parameters, loop indices and finished sums.
+// Returns whether the emitter writes the operation wherever its value is used, without a variable,
+// as for constants, parameters, loop indices and finished sums.
 bool is_leaf(Op op);
 // Returns the approximate cost of an operation, in cycles per vector.
 int32_t weight(Op op);
@@ -39,13 +41,13 @@ struct EmitPlan {
   std::vector<char> uniform;  // the same in every lane
   std::vector<char> once;     // computed once, before the loop over rows
   std::vector<char> used;
-  std::vector<char> escapes;    // declared before the region that computes it
+  std::vector<char> escapes;    // whether it is declared before the region that computes it
   std::vector<int32_t> loop;    // the enclosing loop, or -1
   std::vector<int32_t> region;  // the innermost enclosing region, or -1
   std::vector<int32_t> group;   // loads: the group led by this value, or -1
-  // Pairs of a comparison LT(c, SQRT(x)) and its SQRT, where c is known before the loop over rows
-  // and only the comparison, and values under its condition, use the SQRT. Lanes whose x is far
-  // below the limit then skip the root.
+  // Pairs of a comparison LT(c, SQRT(x)) and its SQRT. c is known before the loop over rows, and
+  // only the comparison, and values under its condition, use the SQRT. Lanes whose x is far below
+  // the limit then skip the square root.
   std::vector<Value> root;  // per comparison: its SQRT; per SQRT: its comparison; or kNone
   std::vector<LoadGroup> groups;
 
@@ -59,9 +61,9 @@ struct EmitPlan {
   }
 };
 
-// Below this weight, a region costs less than the test whether any lane needs it.
+// A region with less weight costs less than the test whether any lane needs it.
 inline constexpr int32_t kMinPrintedRegion = 12;
-// Makes the plan of a Program. `device`: for a device, where a thread computes one row.
+// Makes the plan of a Program. `device`: the text is for a device, where a thread computes one row.
 EmitPlan make_emit_plan(const Program& program, bool device,
                         int32_t min_printed = kMinPrintedRegion);
 

@@ -9,14 +9,15 @@
 namespace nova::ir {
 namespace {
 
-// A single gather does not pay off.
+// A single gather per group does not pay off.
 constexpr int64_t kFewestGathers = 2;
 
 bool has(const auto& list, const auto& item) {
   return std::find(list.begin(), list.end(), item) != list.end();
 }
 
-// Returns the group of unconditional loads at the own row with this value as a column; -1: none.
+// Returns the group of unconditional loads at the own row that has this value as a column; -1:
+// none.
 int32_t table_of(const Program& p, const EmitPlan& plan, Value v) {
   for (size_t g = 0; g < plan.groups.size(); ++g) {
     const LoadGroup& group = plan.groups[g];
@@ -28,7 +29,7 @@ int32_t table_of(const Program& p, const EmitPlan& plan, Value v) {
   return -1;
 }
 
-// Finds the printed region (or -1) with most of the arithmetic, and its weight.
+// Finds the printed region that has most of the arithmetic, and its weight. -1 means no region.
 void find_scope(const Program& p, const EmitPlan& plan, PrefetchedGathers& out) {
   std::map<int32_t, int32_t> weights;
   for (size_t v = 0; v < p.instrs.size(); ++v)
@@ -40,8 +41,8 @@ void find_scope(const Program& p, const EmitPlan& plan, PrefetchedGathers& out) 
     if (total > out.weight) out.scope = region, out.weight = total;
 }
 
-// Returns the only printed region that needs the group, or -1 if it is loaded wherever the scope is
-// computed.
+// Returns the only printed region inside of the scope that needs the group. Returns -1 if the group
+// is loaded wherever the scope is computed.
 int32_t only_region(const EmitPlan& plan, const LoadGroup& group, int32_t scope) {
   const Value first =
       *std::find_if(group.columns.begin(), group.columns.end(), [](Value v) { return v != kNone; });
@@ -98,7 +99,7 @@ std::string Emitter::prefetch_gather(const PrefetchedGather& g, int32_t column) 
          ");";
 }
 
-// Row k is the first row of the next group.
+// Row k is the first row of the next group of lanes.
 void Emitter::prefetch_begin() {
   if (prefetch_.table < 0) return;
   const LoadGroup& table = plan_.groups[at(prefetch_.table)];
@@ -182,13 +183,13 @@ void Emitter::prefetch_line(Value v) {
   while (prefetch_written_ < due) line(prefetch_text_[prefetch_written_++]);
 }
 
-// Gradients by velocities are zero without damping.
+// For example, gradients with respect to velocities are zero without damping.
 int32_t Emitter::zero_without(const Output& output) const {
   const auto scope_of = [&](int32_t r) {
     return plan_.printed_region(plan_.regions[at(r)].parent);
   };
   for (const int32_t taken : prefetch_regions()) {
-    // Regions of one scope with the same condition are taken together.
+    // Regions with the same parent and condition are taken together.
     const auto taken_too = [&](int32_t r) {
       const Region &a = plan_.regions[at(r)], &b = plan_.regions[at(taken)];
       return a.cond == b.cond && a.polarity == b.polarity && scope_of(r) == scope_of(taken);
@@ -212,8 +213,8 @@ void Emitter::prefetch_region(int32_t region) {
   if (has(prefetch_regions(), region)) line("took" + str(region) + " = 1;");
 }
 
-// Writes the code that reads a group of loaded columns from the prefetched memory. If the group
-// belongs to a region that the prefetch did not predict, the code gathers the columns at once.
+// Writes the code that reads a group of loaded columns from the prefetched memory. If the columns
+// belong to a region that the prefetch did not predict, the code gathers the columns now.
 void Emitter::prefetch_load(Value v, const LoadGroup& group, int32_t first, const std::string& where) {
   const PrefetchedGather& g = prefetch_.gathers[at(first / 3)];
   const std::string targets = g.region < 0 ? "" : columns(v, group, 0, 0, 3);
@@ -238,7 +239,8 @@ void Emitter::prefetch_load(Value v, const LoadGroup& group, int32_t first, cons
 void Emitter::prefetch_end(int32_t scope) {
   if (prefetch_.table < 0 || scope != prefetch_.scope) return;
   while (prefetch_written_ < prefetch_text_.size()) line(prefetch_text_[prefetch_written_++]);
-  // All in one place: a branch between the lines would split the block for the compiler.
+  // All prefetches come in one place, because a branch between the lines would split the block of
+  // code for the compiler.
   for (const int32_t region : prefetch_regions()) {
     line("if (fetch" + str(region) + ") {");
     ++depth_;

@@ -1,4 +1,4 @@
-// The functions of the emitter for scans of launches.
+// The text of scans of launches.
 #include <algorithm>
 
 #include "emitter.h"
@@ -141,7 +141,8 @@ void Emitter::hold_items(int32_t l) {
   line("if (csr" + k + ".longest > KEPT_ITEMS) return i;");
   const std::vector<Value> values = held_items(l);
   for (const Value v : values) line(text_.c_type(v) + " held" + str(v) + "[KEPT_ITEMS];");
-  // A row out of range may belong to a condition that never holds, so the caller runs such groups.
+  // A row out of range may belong to a condition that never holds. The caller therefore runs groups
+  // with such rows.
   line("novaphy_error_sink probe" + k + " = {INT64_MAX, 0, 0, 0};");
   loop_ = l;
   probes_ = true;

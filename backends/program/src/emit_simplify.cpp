@@ -53,8 +53,9 @@ class NegationFolder {
 
  private:
   static bool is_product(const Instr& in) { return in.op == Op::MUL || in.op == Op::DIV; }
-  // Whether all users can take the negative of the value without an additional operation. At most
-  // one product may use it, because two could meet in one sum.
+  // Returns whether all users can take the negative of the value without an additional operation.
+  // If a product uses the value, it must be the only user, because two products could meet in one
+  // sum.
   bool flips(Value v) const {
     const std::vector<Value>& users = users_[at(v)];
     return kept_[at(v)] == 0 && std::all_of(users.begin(), users.end(), [&](Value user) {
@@ -97,7 +98,7 @@ class NegationFolder {
 
   Program& p_;
   std::vector<std::vector<Value>> users_;
-  std::vector<char> kept_;  // read by an output
+  std::vector<char> kept_;  // per value: whether an output reads it
 };
 
 }  // namespace
@@ -107,7 +108,7 @@ Program simplified(Program p) {
   const std::vector<int32_t> uses = count_uses(p);
   for (Instr& in : p.instrs) {
     if (in.op != Op::ADD) continue;
-    Value first = in.a, second = in.b;  // c ? 0 : a, and c ? b : 0
+    Value first = in.a, second = in.b;  // the two selects are (c ? 0 : a) and (c ? b : 0)
     const auto halves = [&] {
       const Instr &x = p.instrs[at(first)], &y = p.instrs[at(second)];
       return x.op == Op::SELECT_F && y.op == Op::SELECT_F && x.a == y.a && is_zero(p, x.b) &&

@@ -6,12 +6,12 @@
 namespace nova::ir {
 
 // Adjoints of selects consist of halves: (c ? 0 : a) + (c ? b : 0) becomes (c ? b : a) + 0. The
-// last 0 stays, because -0 + 0 is 0. Negations of factors become subtractions in Programs without
-// sums. Programs with sums stay as written, because the conditions of primals and adjoints are
-// compared by their form.
+// last 0 stays, because -0 + 0 is 0. In Programs without sums, negations of factors become
+// subtractions. Programs with sums stay as written, because the conditions of primals and adjoints
+// are compared by their form.
 Program simplified(Program program);
 
-// Whether the value is known not to be -0, so that adding 0 has no effect.
+// Returns whether the value is known not to be -0, so that adding 0 has no effect.
 bool is_no_negative_zero(const Program& program, Value value);
 
 }  // namespace nova::ir

@@ -21,14 +21,15 @@ class Sinker {
   std::vector<Step> run() {
     locate();
     find_users();
-    // Users follow their operands.
+    // Users come after their operands, so the loop runs backward.
     for (size_t v = p_.instrs.size(); v-- > 0;)
       if (can_sink(v)) region_[v] = user_[v];
     return rebuilt();
   }
 
  private:
-  // Finds, per value, the outermost region of a CSR loop that computes it, as the region's step.
+  // Finds for each value the outermost region of a CSR loop that computes it, as the step of the
+  // region.
   void locate() {
     region_.assign(p_.instrs.size(), kNone);
     before_loops_.assign(p_.instrs.size(), 0);
@@ -67,7 +68,7 @@ class Sinker {
       for (const Sum& s : l.sums) use(s.init, kNone), use(s.term, kNone);
     for (const Value v : conditions_) use(v, kNone);
   }
-  // Also passes the place on to the operands.
+  // Returns whether the value can move into the region. Then passes the region on to its operands.
   bool can_sink(size_t v) {
     const Instr& in = p_.instrs[v];
     const bool can = before_loops_[v] != 0 && is_cheap(in.op) && user_[v] >= 0;

@@ -1,4 +1,4 @@
-// Internal to the emitter: work that only a rarely taken region of a CSR loop needs.
+// Internal to the emitter: moves work that only a rarely taken region of a CSR loop needs.
 #pragma once
 
 #include <vector>
@@ -8,7 +8,7 @@
 namespace nova::ir {
 
 // Returns the schedule with arithmetic before a CSR loop moved into the only region that needs it.
-// The region then repeats it for every active item, but most items are inactive.
+// The region then repeats the arithmetic for every active item, but most items are inactive.
 std::vector<Step> sunk(const Program& program, std::vector<Step> steps);
 
 }  // namespace nova::ir

@@ -32,8 +32,8 @@ const char* infix(Op op) {
   }
 }
 
-// Returns the prelude's function for the other operations, without its first letter: v for lanes, u
-// for scalars.
+// Returns the prelude's function for an operation without infix operator, without its first letter:
+// v for lanes, u for scalars.
 const char* function(Op op) {
   switch (op) {
     case Op::IADD:
@@ -121,7 +121,7 @@ std::string float_literal(int32_t bits) {
     std::snprintf(text, sizeof(text), "ubits_f((int32_t)0x%08Xu)", static_cast<uint32_t>(bits));
     return text;
   }
-  // nine digits are exact
+  // nine digits determine a float exactly
   std::snprintf(text, sizeof(text), "%.9g", static_cast<double>(value));
   std::string s = text;
   if (s.find_first_of(".e") == std::string::npos) s += ".0";
@@ -183,7 +183,7 @@ std::string ValueText::expression(Value v) const {
   const Instr& in = p_.instrs[static_cast<size_t>(v)];
   if (in.op == Op::INDEX) return "index_lanes(i)";
   if (in.op == Op::NEG) return "-" + name(in.a);
-  const bool own =  // a device's prelude has its own function
+  const bool own =  // the prelude of a device has its own function
       in.op == Op::IADD || in.op == Op::ISUB || in.op == Op::IMUL || in.op == Op::DIV;
   if (const char* sign = infix(in.op); sign != nullptr && !(device_ && own))
     return name(in.a) + " " + sign + " " + name(in.b);

@@ -36,8 +36,8 @@ class Reader {
     return words_[next_++];
   }
   int32_t signed_word() { return static_cast<int32_t>(word()); }
-  // A count must leave at least `words_each` words for every item, so that corrupt data cannot
-  // cause a large allocation.
+  // Reads a count. There must be at least `words_each` words for every item, so that corrupt data
+  // cannot cause a large allocation.
   uint32_t count(uint32_t n, uint32_t words_each) {
     if (static_cast<uint64_t>(n) * words_each > words_.size() - next_) ok_ = false;
     return ok_ ? n : 0;
@@ -181,7 +181,7 @@ std::string validate(const Program& p, bool allow_trace_ops) {
         is_carried[o.carried]++ != 0)
       return message("output '", o.name, "': cannot be carried to source '", s.name, "'");
   }
-  // Sections: a loop's inner value stays inside, and a sum's initial value exists before its loop.
+  // An inner value of a loop stays inside, and a sum's initial value exists before its loop.
   const std::vector<int32_t> section = sections(p);
   for (int32_t v = 0; v < count; ++v)
     if (section[v] < 0) return message("value ", v, " leaves its loop");
@@ -202,8 +202,8 @@ std::string validate(const Program& p, bool allow_trace_ops) {
 
 namespace {
 
-// Returns the source whose row provides the initial values (or the terms) of a loop's sums, as all
-// its columns in order; `row` is the operation of the row index. -1: none.
+// Returns the source whose row gives the initial values (or the terms) of a loop's sums, with all
+// its columns in order. `row` is the operation that gives the row index. -1: no such source.
 int32_t row_source(const Program& p, const Loop& loop, Value Sum::*value, Op row) {
   if (loop.sums.empty()) return -1;
   const auto instr = [&](Value v) -> const Instr& { return p.instrs[static_cast<size_t>(v)]; };
@@ -230,7 +230,7 @@ int32_t summed_source(const Program& p) {
     const Instr& value = p.instrs[out[c]];
     if (value.op != Op::SUM || value.b != static_cast<int32_t>(c)) return -1;
   }
-  // One slot, and a load and a sum for each column.
+  // The Program has one slot, and a load and a sum for each column.
   const auto uses = std::count_if(p.instrs.begin(), p.instrs.end(), [&](const Instr& in) {
     return (in.op == Op::LOAD_F && in.a == source) || in.op == Op::SLOT || in.op == Op::SUM;
   });

@@ -7,7 +7,7 @@ namespace {
 
 constexpr size_t kMinInstructions = 40;
 
-// Whether every read is at the row of the launch.
+// Returns whether every read of the source is at the row of the launch.
 bool read_at_own_row(const Program& p, int32_t source) {
   return std::all_of(p.instrs.begin(), p.instrs.end(), [&](const Instr& in) {
     const bool load = in.op == Op::LOAD_F || in.op == Op::LOAD_I;

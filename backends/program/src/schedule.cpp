@@ -1,5 +1,5 @@
-// The orders in which a Program is read: canonical order, guards, and the schedule with skippable
-// regions.
+// Orders of a Program: its canonical order, its guards, and the schedule with regions that lanes
+// may skip.
 #include <algorithm>
 #include <functional>
 #include <utility>
@@ -36,7 +36,7 @@ class Canonicaliser {
   }
 
  private:
-  // Loops keep their order of execution. Unneeded loops are dropped.
+  // Loops keep their order. Loops that are not needed are removed.
   void number_loops() {
     std::vector<char> needed(from_.instrs.size(), 0);
     std::vector<char> loop_needed(from_.loops.size(), 0);
@@ -102,7 +102,7 @@ class Canonicaliser {
 
 bool is_select(Op op) { return op == Op::SELECT_F || op == Op::SELECT_I || op == Op::SELECT_B; }
 
-// A shorter region costs less than the test whether it can be skipped.
+// A region with fewer steps costs less than the test whether it can be skipped.
 constexpr int kMinRegion = 4;
 
 class Scheduler {
@@ -159,7 +159,8 @@ class Scheduler {
     push({Step::Kind::Compute, v, true, -1});
   }
 
-  // The value o is in a region below `guard`. Opens the child region of `guard` that contains it.
+  // The value o is in a region inside of `guard`. Opens the child region of `guard` that contains
+  // o.
   void emit_child_of(Value o, int32_t section, int32_t guard) {
     int32_t child = guards_.guard[o];
     while (guards_.nodes[child].parent != guard) child = guards_.nodes[child].parent;
@@ -173,9 +174,9 @@ class Scheduler {
     steps_[skip].target = static_cast<int32_t>(steps_.size());
   }
 
-  // Whether v can be computed now, if all values inside `guard` may be emitted with it.
+  // Returns whether v can be computed now, if all values inside of `guard` may be emitted with it.
   bool ready(Value v, int32_t section, int32_t guard) {
-    ++stamp_;  // results are cached for one call only, because emitted values change between calls
+    ++stamp_;  // invalidates cached results, because emitted values change between calls
     return ready_inside(v, section, guard);
   }
 
@@ -192,7 +193,7 @@ class Scheduler {
     return result;
   }
 
-  // A deeper region needs its conditions, which are between `guard` and that region.
+  // Returns whether the conditions of a deeper region, which lie between `guard` and it, are ready.
   bool cond_ready(Value o, int32_t section, int32_t guard) {
     for (int32_t g = guards_.guard[o]; g != guard; g = guards_.nodes[g].parent) {
       const Value cond = guards_.nodes[g].cond;
@@ -226,7 +227,7 @@ int32_t Guards::find_or_add(int32_t parent, Value cond, bool polarity) {
 }
 
 int32_t Guards::common(int32_t g, int32_t h) const {
-  // A child is always added after its parent, so the larger number is never the ancestor.
+  // A child has a larger number than its parent, so the larger number is never the ancestor.
   while (g != h) (g > h ? g : h) = nodes[std::max(g, h)].parent;
   return g;
 }
@@ -252,7 +253,7 @@ Guards guards(const Program& p) {
     const Instr& in = p.instrs[k];
     int32_t& mine = result.guard[k];
     if (mine == kUnused) mine = 0;
-    // Sums are computed by their loop. Leaves are free, so they never need a region of their own.
+    // Sums are computed by their loop. Leaves cost nothing, so they never need a region.
     if (in.op == Op::SUM) mine = 0;
     const int32_t guard = mine;
     auto use_here = [&](Value v, int32_t g) { use(v, section[v] == section[k] ? g : 0); };

@@ -1,4 +1,4 @@
-// Splits a Program in two, for a thread that waits only for some of its sources.
+// Splits a Program in two parts, for a thread that waits only for some of its sources.
 #pragma once
 
 #include <cstdint>
@@ -9,18 +9,18 @@
 namespace nova::ir {
 
 struct Cut {
-  // The part that needs no late source. This part has one output of floats and one of ints (a bool
-  // is 0 or 1), with the values for `late`. No output: no part of the Program can be computed
-  // early.
+  // The part that reads no late source. It has one output of floats and one of ints, with the
+  // values that `late` needs (a bool is 0 or 1). Without outputs, no part of the Program can be
+  // computed early.
   Program early;
-  // The rest of the Program. The sources are those of the Program, then the outputs of `early`,
-  // which the rest reads at its own row.
+  // The rest of the Program. Its sources are those of the Program, followed by the outputs of
+  // `early`, which are read at the own row.
   Program late;
 };
-// When a source is available. Both: both halves may read it, at the own row.
+// When a source is available. With Both, both parts may read it, at their own row only.
 enum class Available : uint8_t { Early, Late, Both };
-// `sources`: for each source. The two halves in sequence give the same bits as the Program, and
-// read no other rows. All loops are in `late`.
+// `sources` says when each source is available. The two parts in sequence give the same bits as the
+// Program, and read no other rows. All loops are in `late`.
 Cut cut(const Program& program, const std::vector<Available>& sources);
 
 }  // namespace nova::ir

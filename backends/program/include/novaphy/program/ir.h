@@ -37,7 +37,7 @@ enum class Type : uint8_t { F32 = 0, I32 = 1, Bool = 2 };
 enum class Access : uint8_t { Direct = 0, Uniform = 1, Indexed = 2, CsrRow = 3, Reduced = 4 };
 enum class LoopKind : uint8_t { Fixed = 0, Csr = 1 };
 
-using Value = int32_t;  // index of the instruction that defines it
+using Value = int32_t;  // index of the instruction that computes the value
 inline constexpr Value kNone = -1;
 
 struct Instr {
@@ -51,14 +51,14 @@ struct Source {
   Type type = Type::F32;
   int32_t width = 1;
   Access access = Access::Direct;
-  bool varies = false;  // launches of a scan may have different arrays: see scan.h
+  bool varies = false;  // each launch of a scan may have another array, see scan.h
 };
 
 struct Output {
   std::string name;
   Type type = Type::F32;
   std::vector<Value> values;  // one per column
-  int32_t carried = kNone;    // the source through which the next launch of a scan reads it
+  int32_t carried = kNone;    // source through which the next launch of a scan reads the output
 };
 
 struct Sum {
@@ -79,7 +79,7 @@ struct Program {
   std::vector<Loop> loops;
   int32_t param_count = 0;
   bool contract = false;
-  // For the adjoint of a scan: the hash of its primal, whose sources come first. Else 0.
+  // For the adjoint of a scan: the hash of its primal, whose sources come first. Otherwise 0.
   uint64_t primal = 0;
   std::vector<Instr> instrs;
 
@@ -87,7 +87,7 @@ struct Program {
   uint32_t argument_count() const;
   uint32_t source_argument(size_t source) const { return static_cast<uint32_t>(2 * source); }
   uint32_t output_argument(size_t output) const;
-  uint32_t loop_argument(size_t loop) const;  // of a Csr loop
+  uint32_t loop_argument(size_t loop) const;  // argument of a Csr loop
   uint32_t param_argument(size_t param) const;
 };
 
@@ -121,19 +121,19 @@ Program canonicalise(const Program& program, bool strip_trace_ops);
 
 // Returns the section of each value: 2l outside of loops and after loop l-1, 2l+1 inside of loop l.
 std::vector<int32_t> sections(const Program& program);
-// Returns the source whose rows a Program only sums over CSR items. The gradient at an item then
-// equals that of the output at the item's row. -1: none.
+// Returns the source whose rows a Program only sums over CSR items, or -1. The gradient of such a
+// source at an item equals the gradient of the output at the item's row.
 int32_t summed_source(const Program& program);
-// Finds the sources if a Program only adds rows of CSR items to its own row of another source. {-1,
-// -1}: the Program does something else.
+// The two sources of a Program that only adds rows of CSR items (`source`) to its own row (`init`).
+// added_rows returns {-1, -1} for any other Program.
 struct AddedRows {
   int32_t init = -1, source = -1;
 };
 AddedRows added_rows(const Program& program);
 
-// Guards: if all uses of a value are on one side of the same select, lanes that take the other side
-// do not need the value. Guard 0 is "always". Guard g holds if its parent holds and cond ==
-// polarity.
+// Guards. If all uses of a value are on one side of the same select, rows that take the other side
+// do not need the value: it has a guard. Guard 0 always holds. Guard g holds if its parent holds
+// and cond == polarity.
 struct Guard {
   int32_t parent = -1;
   Value cond = kNone;
@@ -147,8 +147,9 @@ struct Guards {
 };
 Guards guards(const Program& program);
 
-// The order in which a reader runs a Program. SkipIfNone jumps to `target` if no lane of a group
-// has value (a bool) == polarity. LoopBegin and LoopEnd enclose loop `value`.
+// One step of the order in which an interpreter or compiler runs a Program. SkipIfNone jumps to
+// `target` unless some lane of a group has value (a bool) == polarity. LoopBegin and LoopEnd
+// enclose loop `value`.
 struct Step {
   enum class Kind : uint8_t { Compute, SkipIfNone, LoopBegin, LoopEnd } kind;
   int32_t value = kNone;

@@ -1,4 +1,5 @@
-/* Names of emitted text (emit.h) where a vector has one lane: those of scalars. Needs no header. */
+/* The lane types and functions of emitted text (emit.h) for vectors of one lane, as scalars. Needs
+ * no other header. */
 typedef float vf;
 typedef int32_t vi;
 typedef int vb;

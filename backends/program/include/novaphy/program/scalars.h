@@ -1,20 +1,20 @@
-/* Names of emitted text (emit.h) whose meaning is plain arithmetic on scalars: one text for the
- * compilers of C and for those of devices. Needs no header; whoever includes it has the sized
- * integers, LANE_FN, and ubits_f, which reads the bits of a float. What processors do by
- * instructions of their own is theirs: roots, fused products, floor, conversions.
- */
+/* The functions of emitted text (emit.h) that are plain arithmetic on scalars, for C compilers and
+ * device compilers. Needs no other header. The including file defines the sized integers, LANE_FN,
+ * and ubits_f, which reads bits as a float. Functions for which processors have special
+ * instructions (roots, fused products, floor, conversions) are defined elsewhere. */
 LANE_FN int32_t uparam_i(uint64_t word) { return (int32_t)(uint32_t)word; }
 LANE_FN float uparam_f(uint64_t word) { return ubits_f(uparam_i(word)); }
 
 LANE_FN float usign(float a) { return a < 0.0f ? -1.0f : 1.0f; }
 LANE_FN float umin(float a, float b) { return a <= b ? a : b; }
 LANE_FN float umax(float a, float b) { return a >= b ? a : b; }
-/* No x up to this has a root above c. */
+/* Returns a bound: no x up to the result has a square root above c. */
 LANE_FN float square_below(float c) {
   const float below = c * c * 0.999f, most = 3.40282347e38f;
   return !(c >= 1e-18f) ? ubits_f((int32_t)0xFF800000u) : below < most ? below : most;
 }
-/* Unsigned where a compiler has no option which makes integers wrap. */
+/* Computed with unsigned integers, because some compilers have no option that makes signed integers
+ * wrap. */
 LANE_FN int32_t uiadd(int32_t a, int32_t b) { return (int32_t)((uint32_t)a + (uint32_t)b); }
 LANE_FN int32_t uisub(int32_t a, int32_t b) { return (int32_t)((uint32_t)a - (uint32_t)b); }
 LANE_FN int32_t uimul(int32_t a, int32_t b) { return (int32_t)((uint32_t)a * (uint32_t)b); }

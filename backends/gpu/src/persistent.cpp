@@ -16,24 +16,24 @@ namespace {
 
 using Form = PersistentShape::Form;
 
-// Warps of a block with rows of a phase, and all warps of a block. The limits leave enough
-// registers for the adjoints of elements.
+// Warps of a block with rows of a phase, and the limit on all warps of a block. The limits leave
+// enough registers for the adjoints of elements.
 constexpr unsigned kFewWarps = 4, kMostWarps = 8, kMostWarpsAtAll = 12;
-// The blocks of a large cluster, if the driver finds the units for it, and the number of warps up
-// to which it does not pay off.
+// The blocks of a large cluster, which is used if the driver finds enough units, and the number of
+// warps up to which a large cluster does not pay off.
 constexpr unsigned kMostInLargeCluster = 16, kFewForLarge = 32;
 constexpr int32_t kClusters = 90;  // the first architecture with clusters
-// Static shared memory of a block, and the part in which threads may keep values beside the
-// records.
+// Static shared memory of a block, and its part for values that threads keep between phases. The
+// rest holds the records.
 constexpr unsigned kSharedOfSource = 48 << 10, kKeptBytes = 38 << 10;
-// Shared memory for kept values if blocks have a plan, which requests more memory.
+// Shared memory for kept values if there is a BlockPlan, whose launch requests more memory.
 constexpr unsigned kKeptWithPlan = 100 << 10;
-// Limits on the memory for early results: bytes, and the share of the free memory.
+// Limits on the memory for results of early halves: bytes, and the divisor of the free memory.
 constexpr uint64_t kEarlyBytes = uint64_t{4} << 30, kEarlyPart = 4;
 // Rows from this size on are summed faster by the builtin, where a whole block works on a row.
 constexpr uint64_t kLongRow = 1024, kWideRow = 16;
 
-// NOVAPHY_DEVICE_PHASES=BLOCKSxTHREADS.
+// Reads the shape in NOVAPHY_DEVICE_PHASES=BLOCKSxTHREADS, if there is one.
 bool asked_for(unsigned& blocks, unsigned& threads) {
   const char* text = std::getenv("NOVAPHY_DEVICE_PHASES");
   unsigned b = 0, t = 0;
@@ -46,13 +46,13 @@ bool asked_for(unsigned& blocks, unsigned& threads) {
 
 unsigned rounded_up(unsigned a, unsigned b) { return (a + b - 1) / b; }
 
-// Few rows stay on one unit, where a barrier is almost free. More rows use a cluster with its
-// hardware barrier, and many rows the whole device.
+// Chooses the shape. Few rows stay on one unit, where a barrier costs almost nothing. More rows use
+// a cluster with its hardware barrier, and many rows the whole device.
 PersistentShape choose(const novaphy_device& device, unsigned warps, unsigned in_cluster) {
   const bool clusters = device.arch >= kClusters;
   PersistentShape shape;
   if (!asked_for(shape.blocks, shape.threads)) {
-    unsigned each = 0;  // warps of a block
+    unsigned each = 0;  // warps of each block
     if (warps <= kMostWarps) {
       shape.blocks = 1;
       each = std::max(warps, kFewWarps);
@@ -101,7 +101,7 @@ novaphy_status fit_together(novaphy_list& list, novaphy_error* error) {
   return status;
 }
 
-// Reads device memory, after all work launched on the device is done.
+// Reads device memory, after all work that was launched on the device.
 std::vector<int32_t> words_at(const novaphy_device* device, uint64_t where, size_t count) {
   std::vector<int32_t> words(count);
   const Use use(device);
@@ -119,7 +119,7 @@ uint64_t early_bytes(const novaphy_device* device) {
   return std::min<uint64_t>(kEarlyBytes, free / kEarlyPart);
 }
 
-// Whether the compiler supports sends between blocks of a cluster.
+// Returns whether the compiler supports sends between blocks of a cluster.
 bool knows_sends() {
   const Compiler& c = compiler(driver().version);
   return c.major > 12 || (c.major == 12 && c.minor >= 1);
@@ -149,7 +149,7 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_persistent
     for (size_t s = 0; s < p.sources.size(); ++s)
       if (o.op.arguments[p.source_argument(s) + 1] > INT32_MAX) return refuse("too many rows");
   }
-  // The whole text has one rounding policy.
+  // All kernels of one text allow contraction, or none does.
   if (plain && contract) return refuse("kernels with and without contraction");
   const uint32_t warps = most_warps(ops);
   for (const unsigned in_cluster : {kMostInLargeCluster, kMostInCluster}) {

@@ -1,11 +1,11 @@
-// A persistent kernel: phases of chains as one launch, with a barrier after each phase. The text
-// follows device_prelude.cuh. The Programs, and run_chain with the forms of the chains, follow this
-// text. A table has a record for each phase:
-//   words of the next record << 32 | its first word      warps << 32 | rows of a warp << 16 | chains
-//   per chain: its first warp << 32 | rows               form << 32 | the first word of its arguments
+// A persistent kernel: phases of chains as one launch, with a barrier after each phase. This text
+// follows device_prelude.cuh. The Programs, and run_chain with the forms of the chains, come later.
+// A table has a record for each phase:
+//   words of the next record << 32 | its first word   warps << 32 | rows of a warp << 16 | chains
+//   per chain: its first warp << 32 | rows       form << 32 | the first word of its arguments
 //   the arguments; before those of a Program, the number of the kernel
-// A warp takes rows of one chain. Records are loaded two phases ahead. If no warp has two chains of
-// a phase, the table has the task of each warp, so that no search follows a barrier:
+// A warp computes rows of one chain. Records are loaded two phases ahead. If no warp has two chains
+// of a phase, the table also has the task of each warp, so that no search follows a barrier:
 //   form << 48 | the first word of the arguments << 32 | rows << 24 | the first row
 #define kWordsPerThread ((PERSISTENT_WORDS + PERSISTENT_THREADS - 1) / PERSISTENT_THREADS)
 
@@ -21,13 +21,13 @@ LANE_FN void copy_word(const S from, const O to, int64_t row) {
 
 struct no_source {};  // a source that is not read
 
-// The items that sums of the next phase add, in the shared memory of the block with these sums.
-// From `base` on there are rows of four words, PERSISTENT_CORNERS for each thread, and one row of
+// The memory of a block for the items that its sums add in the next phase (see cluster/blocks.h).
+// From `base` on there are rows of four words, PERSISTENT_CORNERS for each thread, and a row of
 // zeros for sums of few items. Rows of the halo and the threads' kept values follow all arrays.
 //
 // A register holds the address of this memory. In a cluster, compilers would otherwise read the
-// number of the block for each address, which takes dozens of cycles. `turn`: the last turn of the
-// halo.
+// number of the block for each address, which takes dozens of cycles. `turn` is the last turn
+// (exchange) of the halo.
 struct block_memory {
   four_words* rows;
   uint32_t turn;
@@ -85,7 +85,7 @@ LANE_FN void fold_items(const float* source, const int32_t* items, int64_t begin
     }
   }
 }
-// The rule for long rows: chunks of kChunk are summed from +0, then their sums by the same rule.
+// The row-sum rule for long rows: sums of chunks of kChunk from +0, then their sum by this rule.
 #define kChunk 256
 template <int width>
 static __device__ __noinline__ void fold_long(const float* source, const int32_t* items,
@@ -112,8 +112,8 @@ static __device__ __noinline__ void fold_long(const float* source, const int32_t
     }
   }
 }
-// Rows of a batch of items, loaded together. A condition on the items that short rows lack would
-// make compilers run out of registers.
+// Rows of a batch of items, loaded together. Loads are unconditional: a condition for the items
+// that short rows lack would make compilers run out of registers.
 template <int width, int count = CSR_BATCH>
 struct batch_rows {
   float columns[count][width];
@@ -157,7 +157,7 @@ LANE_FN void csr_load_items(csr_batch* c, const int32_t* items) {
 }
 #endif
 // Computes one sum per source over the same items. All rows of a batch are loaded before the first
-// one is added. `loaded`: the rows of the first batch are already loaded. `chunks`: use the rule
+// row is added. `loaded`: the rows of the first batch are already loaded. `chunks`: use the rule
 // for long rows.
 template <bool loaded, bool chunks, int width, int count, int sums>
 LANE_FN void fold_batches(const memory_items* sources, const int32_t* items, csr_batch csr,
@@ -189,8 +189,8 @@ LANE_FN void fold_batches(const memory_items* sources, const int32_t* items, csr
   }
 }
 #if PERSISTENT_LAYOUTS != 0
-// If `count` is less than a batch, no row has more items than `count`. Few rows have more items
-// than a batch. Their further items come one by one, in little code.
+// If `count` is less than a batch, no row has more items than `count`. Otherwise a few rows may
+// have more items than a batch, which are added one by one, to keep the code small.
 template <bool loaded, bool chunks, int width, int count, int sums>
 LANE_FN void fold_batches(const block_items* sources, const int32_t* items, const csr_batch& csr,
                           batch_rows<width, count>* rows, float (*sum)[width]) {
@@ -268,7 +268,7 @@ LANE_FN void sum_even_row(const uint64_t* w, const S init, const O out, int64_t 
   for (int c = 0; c < width; ++c) put_columnf(out, width, c, row, sum[c]);
 }
 
-// The arguments of an operation, with the tables of its loops that the chain has loaded.
+// The arguments of an operation, with the CSR tables of its loops that the chain has loaded.
 template <int loops>
 struct words_and_tables {
   const uint64_t* words;
@@ -331,8 +331,8 @@ LANE_FN void own_words(uint64_t p, int64_t i, int32_t* words) {
   }
 }
 
-// If a plan gives the row of each thread, no search for chains is needed. The header of a record
-// then has the address and the bytes of the record two phases later, which all blocks prefetch.
+// With a plan of the row of each thread, no search for chains is needed. The header of a record
+// then has the address and size of the early results two phases later, which all blocks prefetch.
 constexpr uint32_t kHeader = 4;
 #if PERSISTENT_EARLY != 0 && PERSISTENT_HALO != 0
 LANE_FN void fetch_early(const uint64_t* record) {
@@ -343,7 +343,7 @@ LANE_FN void fetch_early(const uint64_t* record) {
 }
 #endif
 // The memory layout of the results of an early half: the first four words of all threads, block
-// after block, then the next four words. A warp then loads whole lines for any rows.
+// after block, then the next four words. A warp then loads whole cache lines for any rows.
 template <int width>
 LANE_FN void store_early(uint64_t p, uint64_t slots, uint32_t slot, const int32_t* words) {
   four_words* at = in_memory((four_words*)p + slot);
@@ -351,7 +351,7 @@ LANE_FN void store_early(uint64_t p, uint64_t slots, uint32_t slot, const int32_
   for (int c = 0; c < width; c += 4, at += (uint32_t)slots)
     *at = {{words[c], words[c + 1], words[c + 2], words[c + 3]}};
 }
-// `slots`: its first thread of a block << 48 | threads of a block << 32 | threads
+// `slots` is: first thread of the chain in a block << 48 | threads of a block << 32 | all threads
 LANE_FN uint32_t own_slot(uint64_t slots) {
   return blockIdx.x * (high_half(slots) & 0xffff) + threadIdx.x - (high_half(slots) >> 16);
 }
@@ -366,10 +366,10 @@ LANE_FN void load_early(uint64_t p, uint64_t slots, uint32_t slot, int32_t* word
   }
 }
 
-// A barrier in two halves. A thread that has arrived has finished its phase. A thread that has
-// waited sees all writes of all threads of all blocks before they arrived. Between the halves a
-// thread may do work that does not depend on these writes. `wrote`: the warp wrote to memory, which
-// needs a fence of hundreds of cycles. `count`: the number of earlier barriers.
+// A barrier in two parts. When a thread arrives, it has finished its phase. When its wait ends, the
+// thread sees all writes that threads of all blocks made before they arrived. Between the two parts
+// a thread may do work that does not depend on these writes. `wrote`: the warp wrote to memory,
+// which needs a fence of hundreds of cycles. `count`: the number of earlier barriers.
 #if PERSISTENT_FORM == 0  // one block
 LANE_FN void phase_arrive(bool) {}
 LANE_FN void phase_wait(uint32_t* = 0, uint32_t = 0) {
@@ -387,7 +387,7 @@ LANE_FN void phase_wait(uint32_t* counter, uint32_t count) {
   if (threadIdx.x == 0) vendor_grid_barrier(counter, gridDim.x * (count + 1));
   __syncthreads();
 }
-// The last block that leaves resets the counters for the next launch.
+// The last block to leave resets the counters for the next launch.
 LANE_FN void last_barrier(uint32_t* counter) {
   __syncthreads();
   if (threadIdx.x != 0 || atomicAdd(counter + 1, 1u) != gridDim.x - 1) return;
@@ -396,7 +396,7 @@ LANE_FN void last_barrier(uint32_t* counter) {
 }
 #endif
 
-// For sums of items that the same block made in the phase before. The warps that make the items
+// For sums of items that the same block made in the previous phase. The warps that make the items
 // hand them over to the warps that add them. The adding warps wait only for this handover, and for
 // the other blocks before they store.
 #if PERSISTENT_LAYOUTS != 0
@@ -406,11 +406,11 @@ LANE_FN void take_over() { vendor_take_over<PERSISTENT_THREADS>(); }
 #endif
 
 // The halo: rows that sums of one block compute and elements of another block read. The owner of a
-// row sends it to the memory of each block that needs it. A barrier there counts the received
-// bytes. This needs no fence, and nobody waits for later stores.
+// row sends the row to the memory of each block that needs it. A barrier in that block counts the
+// received bytes. Sending needs no fence, and no thread waits for later stores.
 #if PERSISTENT_HALO != 0
 constexpr uint32_t kSenders = PERSISTENT_THREADS - VENDOR_WARP * PERSISTENT_MAKERS;
-__shared__ uint64_t g_came[2];  // the barriers
+__shared__ uint64_t g_came[2];  // barriers of even and odd turns
 __shared__ uint32_t g_halo_bytes;
 __shared__ uint32_t g_sends[PERSISTENT_ROUNDS * kSenders];
 LANE_FN uint32_t in_shared(const void* p) {
@@ -423,7 +423,7 @@ LANE_FN void begin_barrier() {
   vendor_begin_bytes(in_shared(g_came));
 }
 // Turns are counted from 0, modulo four. Even and odd turns have separate barriers and rows. The
-// parity of a barrier alternates from one of its turns to the next.
+// parity of a barrier alternates between its own turns.
 LANE_FN void expect_rows(const uint32_t turn) {
   vendor_expect_bytes(in_shared(g_came + turn % 2), g_halo_bytes);
 }
@@ -446,8 +446,8 @@ LANE_FN four_words* halo_of(const block_memory memory, const uint32_t turn) {
 struct halo_sends {
   halo_send rounds[PERSISTENT_ROUNDS];
 };
-// A send is lane << 24 | block << 16 | row, and a flag. Few lanes have a row, which goes to several
-// blocks, so all lanes of the warp send.
+// A send is lane << 24 | block << 16 | row, and a flag. Few lanes have a row, but each row goes to
+// several blocks, so all lanes of the warp send.
 LANE_FN halo_sends begin_sends(const block_memory memory) {
   const uint32_t turn = memory.turn + 1;
   halo_sends sends;
@@ -483,7 +483,7 @@ LANE_FN halo_row row_of(const halo_rows s, int32_t row, int32_t, vb, int32_t, ro
   return {s.array[at]};
 }
 LANE_FN int32_t column_of(const halo_row r, int32_t column) { return r.words.word[column]; }
-// `sends`: the sends of all blocks, then the bytes that each block receives.
+// `sends` has the sends of all blocks, followed by the bytes that each block receives.
 LANE_FN void begin_halo(const block_memory memory, const uint32_t* sends) {
   for (uint32_t k = threadIdx.x; k < 2 * PERSISTENT_HALO; k += PERSISTENT_THREADS)
     memory.rows[PERSISTENT_ITEMS + k] = {};
@@ -494,7 +494,7 @@ LANE_FN void begin_halo(const block_memory memory, const uint32_t* sends) {
   g_halo_bytes = __ldg(sends + gridDim.x * words + blockIdx.x);
   begin_barrier();
 }
-// Loads rows of the halo from memory. A record has for each array: from, base << 32 | rows, width.
+// Loads rows of the halo from memory. A record has per array: from, base << 32 | rows, width.
 LANE_FN void fill_halo(const block_memory memory, const uint64_t* record) {
   four_words* const halo = halo_of(memory, memory.turn);
   for (uint32_t k = 0; k < (uint32_t)record[1]; ++k) {
@@ -509,21 +509,21 @@ LANE_FN void fill_halo(const block_memory memory, const uint64_t* record) {
 }
 #endif
 
-// `on`: the thread has the row; else it only takes part. `owns`: the thread stores the row, which
-// other blocks may compute too.
+// `on`: the thread has the row; otherwise it only takes part in the work of its warp. `owns`: the
+// thread stores the row, which other blocks may compute too.
 LANE_FN void run_chain(uint32_t form, const uint64_t* words, const int64_t i, const bool on,
                        const bool owns, const block_memory memory, const device_sink sink);
 
 constexpr uint32_t kWarps = PERSISTENT_THREADS / VENDOR_WARP;
 #if PERSISTENT_LAYOUTS != 0
-// The layout of the phase gives the row of each thread: see BlockPlan. A task is
+// The layout of the phase has the row of each thread: see BlockPlan in cluster/blocks.h. A task is
 //   form << 48 | the first word of the arguments << 32 | layout << 16 | what the warp does
 constexpr uint32_t kWorks = 1, kStores = 2, kHandsOver = 4, kTakesOver = 8, kKeeps = 16;
 constexpr uint32_t kSends = 32, kTurnShift = 6, kFills = 256, kLayoutShift = 16;
 constexpr uint32_t kOn = 1u << 30, kOwns = 1u << 31;
-// Early halves of all phases, as a separate launch: job after job, kEarlyThreads slots for a block.
-// A job is the early half of a chain in a phase:
-//   slots << 32 | form      the first word of its arguments      bytes before the layout of its phase
+// Early halves of all phases, as a separate launch. An early half is the part of a Program that can
+// run before its phase. A block has kEarlyThreads slots of a job, the early half of a chain:
+//   slots << 32 | form     the first word of its arguments     bytes before the layout of its phase
 //   its first thread of a block << 32 | threads of a block
 #if PERSISTENT_EARLY != 0
 constexpr uint32_t kEarlyThreads = 128, kJobWords = 4;
@@ -534,7 +534,7 @@ LANE_FN void run_job(const uint64_t* table, const uint64_t* job, const uint32_t 
   if (slot >= high_half(job[0])) return;
   const uint32_t threads = low_half(job[3]), thread = high_half(job[3]) + slot % threads;
   const uint32_t* const rows = (const uint32_t*)((const char*)table + job[2]);
-  // Lanes that only take part write too, because lines with gaps take longer to write.
+  // Lanes without a row of their own write too, because cache lines with gaps take longer to write.
   const uint32_t row = rows[slot / threads * PERSISTENT_THREADS + thread] & (kOn - 1);
   run_early(low_half(job[0]), table + job[1], row, slot, sink);
 }
@@ -568,7 +568,7 @@ LANE_FN void run_task(const uint64_t* record, uint64_t task, block_memory memory
   }
 #endif
   if ((how & kWorks) == 0) {
-    // The order of working warps: an earlier handover could happen twice within one phase.
+    // As in working warps. In another order, two handovers could fall in one phase.
     if ((how & kTakesOver) != 0) take_over();
     phase_wait();
     if ((how & kHandsOver) != 0) hand_over();
@@ -581,7 +581,7 @@ LANE_FN void run_task(const uint64_t* record, uint64_t task, block_memory memory
 }
 LANE_FN bool stores(uint64_t task) { return (low_half(task) & kStores) != 0; }
 #elif PERSISTENT_TASKS != 0
-// Runs a task. The wait for the phase before comes after the early part of the chain.
+// Runs a task. The wait for the previous phase comes after the early part of the chain.
 LANE_FN void run_task(const uint64_t* record, uint64_t task, const block_memory memory,
                       const device_sink sink) {
   const uint32_t lane = threadIdx.x % VENDOR_WARP, rows = low_half(task) >> 24;
@@ -599,7 +599,7 @@ LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
   const uint64_t* const chain = record + 2;
   const uint32_t chains = low_half(record[1]) & 0xffff, lanes = low_half(record[1]) >> 16;
   const uint32_t warps = high_half(record[1]), lane = threadIdx.x % VENDOR_WARP;
-  // Neighboring warps go to different blocks, so that few warps use many units.
+  // Neighboring warps run in different blocks, so that few warps use many units.
 #pragma unroll 1
   for (uint32_t warp = threadIdx.x / VENDOR_WARP * gridDim.x + blockIdx.x; warp < warps;
        warp += gridDim.x * kWarps) {
@@ -618,19 +618,19 @@ LANE_FN void run_phase(const uint64_t* record, const device_sink sink) {
 #else
 #define PERSISTENT_CLUSTER
 #endif
-// Keeps an address in shared memory in a register. Compilers would compute it anew for each use. In
-// a cluster this takes longer, because the number of the block is part of the address.
+// Keeps an address in shared memory in a register. Otherwise compilers compute it anew for each
+// use, which takes longer in a cluster, where the address depends on the number of the block.
 #define stay(p) vendor_stays_shared(p)
 struct persistent_start {
-  uint64_t words;  // of the first record
-  uint64_t tasks;  // the first task of a warp
-  uint64_t rows;  // the first row of a thread
-  uint64_t turns;  // turns of the halo
+  uint64_t words;  // size of the first record
+  uint64_t tasks;  // position of the first task
+  uint64_t rows;  // position of the rows of threads
+  uint64_t turns;  // number of turns of the halo
 };
 VENDOR_ENTRY PERSISTENT_CLUSTER __launch_bounds__(PERSISTENT_THREADS, 1) novaphy_main(
     const __grid_constant__ persistent_start start, uint64_t* table, const int64_t counters,
     const device_sink sink) {
-  // The records of this phase, of the next, and of the one after it, which is loaded meanwhile.
+  // The records of this phase, of the next phase, and of the phase after it, which is being loaded.
   __shared__ uint64_t records[3][PERSISTENT_WORDS];
   uint64_t *record = stay(records[0]), *next = stay(records[1]), *later = stay(records[2]);
 #if PERSISTENT_LAYOUTS != 0
@@ -638,7 +638,7 @@ VENDOR_ENTRY PERSISTENT_CLUSTER __launch_bounds__(PERSISTENT_THREADS, 1) novaphy
 #else
   const block_memory memory = {0, 0};
 #endif
-  uint64_t head = __ldg(table);  // header of the record after `record`, then of the one after that
+  uint64_t head = __ldg(table);  // header of the next record, then of the record after it
   bool is_last = high_half(head) == 0;
   for (uint32_t k = threadIdx.x; k < start.words; k += PERSISTENT_THREADS)
     record[k] = __ldg(table + k);
@@ -689,7 +689,7 @@ VENDOR_ENTRY PERSISTENT_CLUSTER __launch_bounds__(PERSISTENT_THREADS, 1) novaphy
     if (is_last) break;
     is_last = words == 0;
     head = next_head;
-    // No thread reads the record of the last phase: all have passed a barrier since.
+    // No thread reads the record of the previous phase: all have passed a barrier since.
 #pragma unroll
     for (int k = 0; k < kWordsPerThread; ++k) {
       const uint32_t at = threadIdx.x + k * PERSISTENT_THREADS;

@@ -54,13 +54,14 @@ class Pieces {
 };
 
 inline uint64_t address(const void* p) { return reinterpret_cast<uint64_t>(p); }
-// Whether a launch is a builtin. Operations that are not launches are copies and fills.
+// Returns whether a launch runs a builtin. Operations without a kernel are copies and fills.
 inline bool is_builtin(const novaphy_persistent_op& o) {
   return o.op.kernel->program.instrs.empty();
 }
 
-// A sum of rows of CSR items: the builtin, or a Program that adds such rows to its own row, which
-// must exist. The members are argument words; the word of the items follows that of the offsets.
+// A sum of rows of CSR items: the builtin, or a Program that adds such rows to its own row. The own
+// row must exist. The members are indices of argument words. The word of the items follows that of
+// the offsets.
 struct CsrSum {
   int32_t source = -1;  // -1: the operation is not such a sum
   int32_t offsets = 1, init = 3, out = 4;
@@ -93,7 +94,7 @@ inline CsrSum csr_sum(const novaphy_persistent_op& o) {
           true};
 }
 
-// Calls f(offsets) for each CSR table.
+// Calls f(address of the offsets) for each CSR table of an operation.
 template <class F>
 void for_each_table(const novaphy_persistent_op& o, const F& f) {
   if (o.op.kernel == nullptr) return;
@@ -106,7 +107,7 @@ void for_each_table(const novaphy_persistent_op& o, const F& f) {
     if (p.loops[l].kind == nova::ir::LoopKind::Csr) f(o.op.arguments[p.loop_argument(l)]);
 }
 
-// Calls f(begin, bytes, output) for each range written.
+// Calls f(begin, bytes, output) for each range of memory that an operation writes.
 template <class F>
 void for_each_written(const novaphy_persistent_op& o, const F& f) {
   const auto rows = static_cast<uint64_t>(o.n) * sizeof(int32_t);
@@ -123,7 +124,7 @@ void for_each_written(const novaphy_persistent_op& o, const F& f) {
 inline void add_written(Pieces& written, const novaphy_persistent_op& o) {
   for_each_written(o, [&](uint64_t begin, uint64_t bytes, size_t) { written.add(begin, bytes); });
 }
-// Calls f(begin, bytes, argument word) for each range read.
+// Calls f(begin, bytes, argument word) for each range of memory that an operation reads.
 template <class F>
 void for_each_read(const novaphy_persistent_op& o, const F& f) {
   const auto rows = static_cast<uint64_t>(o.n) * sizeof(int32_t);

@@ -1,4 +1,4 @@
-// The text of a persistent kernel: a function per form of a chain, and the dispatch among them.
+// Writes the text of a persistent kernel: a function for each form of a chain, and their dispatch.
 #include "persistent_source.h"
 
 #include <algorithm>
@@ -18,20 +18,20 @@ constexpr int32_t kMostItemWords = 72;  // words of item rows that a thread hold
 std::string str(int64_t k) { return std::to_string(k); }
 std::string registers(int32_t op, int32_t output) { return "r" + str(op) + "_" + str(output); }
 
-// If an operation has several rows for each of the chain, they run one after another, not early.
+// If an operation has several rows for each row of the chain, no row is computed early.
 std::vector<nova::ir::Available> available(const Operation& op) {
   using nova::ir::Available;
   std::vector<Available> sources;
   for (const Operation::Source& source : op.sources) {
     const bool early = source.early && op.each == 1;
-    // Values kept by a thread need no second load from memory.
+    // The thread keeps such values, so both halves may read them without another load.
     const bool both = source.fixed && op.early_word >= 0;
     sources.push_back(!early ? Available::Late : both ? Available::Both : Available::Early);
   }
   return sources;
 }
 
-// Whether a Program does more than load own rows, which the chain has already loaded.
+// Returns whether a Program computes more than loads of own rows, which the chain has already made.
 bool is_work(const nova::ir::Program& p) {
   using nova::ir::Op;
   for (const nova::ir::Instr& in : p.instrs) {
@@ -42,18 +42,18 @@ bool is_work(const nova::ir::Program& p) {
   return false;
 }
 
-// The functions of the Programs in a persistent kernel, without duplicates: whole, or split into an
-// early half and the rest.
+// The functions of the Programs of a persistent kernel, without duplicates. A Program is one
+// function, or two: its early half and its late half.
 class RowFunctions {
  public:
   explicit RowFunctions(const PersistentTable& table) : table_(table) {}
 
   struct Function {
     std::string name;
-    nova::ir::Cut halves{};  // no outputs of `early`: the function is whole
+    nova::ir::Cut halves{};  // if `early` has no outputs, the Program is one function
     bool is_cut() const { return !halves.early.outputs.empty(); }
-    // The number of words by which its arguments begin earlier than those of the whole Program.
-    // Parameters follow the words that differ.
+    // The number of words by which the arguments begin before those of the whole Program, because
+    // the parameters must follow the words that differ.
     int64_t shift = 0, early_shift = 0;
   };
   const Function& of(const Operation& op) {
@@ -127,7 +127,7 @@ class ChainText {
       hand_over();
       code_ += leave;
     }
-    // With a plan, a row that no thread stores may have failed too.
+    // With a plan, a row that no thread stores may also have a failing read.
     if (table_.layouts != 0) {
       report();
       code_ += "  if (!owns) return;\n";
@@ -140,7 +140,7 @@ class ChainText {
            code_ + "}\n";
   }
 
-  // Returns the function of the early halves, which run before the persistent kernel; empty: none.
+  // Returns the function of the early halves, which run before this kernel, or an empty text.
   std::string run_early(size_t number) {
     for (size_t k = 0; k < form_.operations.size(); ++k) early_half(static_cast<int32_t>(k));
     if (code_.empty()) return code_;
@@ -168,7 +168,7 @@ class ChainText {
         if (output.halo >= 0) return true;
     return false;
   }
-  // Whether the chain reads the halo, and nothing else that waits for the previous phase.
+  // Returns whether the halo is all that the chain waits for of the previous phase.
   bool reads_halo_alone() const {
     if (!reads_halo() || form_.sums_items || stores_at_once()) return false;
     for (const Operation& op : form_.operations) {
@@ -191,7 +191,7 @@ class ChainText {
   static std::string own_words(int32_t op, size_t source, int32_t words) {
     return "  int32_t " + own(op, source) + "[" + str(words) + "];\n";
   }
-  // Whether the items of a table are in the memory of the block.
+  // Returns whether the items of a table are in the memory of the block.
   bool in_block(int32_t t) const {
     return std::any_of(form_.operations.begin(), form_.operations.end(),
                        [&](const Operation& op) { return op.sum.items >= 0 && op.tables[0] == t; });
@@ -200,7 +200,7 @@ class ChainText {
     return str(static_cast<int64_t>(crossing_words(output)));
   }
   // A thread loads its rows and the first items of its sums together, when the chain begins or the
-  // previous phase ends. The thread then waits once, instead of once for each operation.
+  // previous phase ends. The thread then waits once instead of once per operation.
   std::string own_load(int32_t k, size_t s, int32_t words) {
     const Operation::Source& source = at(k).sources[s];
     code_ += own_words(k, s, words);
@@ -220,7 +220,7 @@ class ChainText {
       if (!source.fixed && source.early == early) code_ += "  " + own_load(k, s, words);
     });
   }
-  // A thread keeps data that no operation of the persistent kernel writes.
+  // Writes the loads of data that a thread keeps, because no operation of the kernel writes it.
   void kept_loads() {
     std::string declared, fixed, filled, kept;
     const auto keep = [&](const std::string& words) {
@@ -256,21 +256,21 @@ class ChainText {
                "    if (kept != 0) {\n" + begin_kept() + filled + "    }\n  }\n";
       return;
     }
-    // With layouts all of this data is kept. A function of its own fills the memory once.
+    // With layouts all of this data is kept. A separate function fills the memory once.
     filling_ = "COLD_FN void fill" + number_ +
                "(const uint64_t* words, const int64_t i, int32_t* at) {\n" + declared + fixed +
                items + filled + "}\n";
     code_ += "  if (is_to_be_filled(kept)) fill" + number_ +
              "(words, i, begin_kept(memory, kept));\n  {\n" + begin_kept() + kept + "  }\n";
   }
-  // Loads the rows of the first items of a chain's sums, as many as registers hold.
+  // Writes the loads of the first items of a chain's sums, as many as fit into registers.
   void item_loads(size_t first, size_t last) {
     int32_t words = 0;
     for (auto k = static_cast<int32_t>(first); k < static_cast<int32_t>(last); ++k) {
       const Operation& op = at(k);
       if (op.kind != Operation::RowSum || !op.sum.offsets || op.tables[0] < 0) continue;
       const bool joined = is_joined(k);
-      if (op.sum.joins) continue;  // loaded with the previous operation
+      if (op.sum.joins) continue;  // loaded with the previous operation, which has the same items
       words += (joined ? 2 : 1) * op.sum.width * (op.sum.batch != 0 ? op.sum.batch : kBatch);
       if (words > kMostItemWords) return;
       has_items_.insert(k);
@@ -286,7 +286,7 @@ class ChainText {
   static std::string batch(const Operation& op) {
     return "batch_rows<" + str(op.sum.width) + ", " + batch_size(op) + ">";
   }
-  // Returns where the items of a sum are stored.
+  // Returns the text for the memory where the items of a sum are.
   static std::string summed(const Operation& op) {
     return op.sum.items >= 0
                ? "block_items{memory.rows + " + str(op.sum.items) + "}"
@@ -316,7 +316,7 @@ class ChainText {
     if (!puts.empty()) code_ += "  if (on) {\n" + puts + "  }\n  hand_over();\n";
   }
   static std::string items(int32_t op) { return "items" + str(op); }
-  // Whether the operation runs with the next one.
+  // Returns whether the operation is computed together with the next operation.
   bool is_joined(int32_t k) const {
     return static_cast<size_t>(k) + 1 < form_.operations.size() && at(k + 1).sum.joins;
   }
@@ -382,13 +382,13 @@ class ChainText {
              str(op.first_word - 1) + "];\n    end_row(failure, sink, i);\n  }\n  }\n";
   }
 
-  // The number of leading operations that add items of the block.
+  // Returns the number of leading operations that add items in the memory of the block.
   size_t sums_of_block() const {
     size_t k = 0;
     while (k < form_.operations.size() && form_.operations[k].sum.items >= 0 &&
            form_.operations[k].outputs[0].store != Operation::Output::Now)
       ++k;
-    if (k > 0 && is_joined(static_cast<int32_t>(k) - 1)) --k;  // both or neither
+    if (k > 0 && is_joined(static_cast<int32_t>(k) - 1)) --k;  // both sums or none
     return k;
   }
   void declare_registers(int32_t k, const std::string& value = "") {
@@ -410,7 +410,7 @@ class ChainText {
     code_ += ";\n" + call(k, loop) + (loop ? "    }\n" : "") + "  }\n";
   }
 
-  // Returns the words of row j of an operation within the chain's row.
+  // Returns the text for the words of row j of an operation, within the row of the chain.
   static std::string of_row(const std::string& name, int32_t width, bool loop) {
     return loop ? name + " + j * " + str(width) : name;
   }
@@ -471,7 +471,7 @@ class ChainText {
           ", " + output(k, static_cast<int32_t>(o), loop, "w[" + str(p.output_argument(o)) + "]");
     return text + ", row, failure);\n";
   }
-  // Returns the arguments, with the tables if the chain has loaded all of them.
+  // Returns the text of the arguments, with the CSR tables if the chain has loaded all of them.
   std::string arguments(const Operation& op, int64_t shift) const {
     const std::string words = shift == 0 ? "w" : "w - " + str(shift);
     std::string tables;
@@ -509,14 +509,14 @@ class ChainText {
     return text + ", row);\n";
   }
 
-  // The number of rows of earlier operations for one row of the chain, so that a failure names the
-  // operation and the row.
+  // The number of rows of earlier operations for one row of the chain. With this number a failure
+  // identifies the operation and the row.
   int64_t first_row(int32_t k) const {
     int64_t rows = 0;
     for (int32_t before = 0; before < k; ++before) rows += at(before).each;
     return rows;
   }
-  // Once per chain: a branch after each row would delay the loads of the next row.
+  // The report comes once per chain: a branch after each row would delay the loads of the next row.
   void report() {
     code_ +=
         "  if (failure.source >= 0) {\n    const int32_t at = failure.source / kSources;\n"
@@ -552,8 +552,8 @@ class ChainText {
   const ChainForm& form_;
   RowFunctions& rows_;
   std::string number_, code_;
-  std::string filling_;          // a separate function
-  std::set<int32_t> has_items_;  // sums whose first items are loaded before any is added
+  std::string filling_;          // text of the function that fills kept data
+  std::set<int32_t> has_items_;  // sums whose first items are loaded before any item is added
 };
 
 // Returns the text of the kernel that runs the early halves of all Programs.
@@ -575,7 +575,7 @@ std::string early_source(const PersistentTable& table, RowFunctions& rows) {
 }
 
 uint64_t record_words(const PersistentTable& table) {
-  constexpr uint64_t kStep = 64;  // tables of similar size share their code
+  constexpr uint64_t kStep = 64;  // rounded up, so that tables of similar size share their code
   return (table.most_words + kStep - 1) / kStep * kStep;
 }
 
@@ -591,7 +591,7 @@ nova::ir::Cut halves_of(const PersistentTable& table, const Operation& op) {
 uint64_t shared_bytes(const PersistentTable& table, const PersistentShape& shape) {
   constexpr uint64_t kRecords = 3;
   const uint64_t words = table.layouts != 0 ? table.layouts : table.kept_words;
-  constexpr uint64_t kHaloBytes = 24;  // its barriers, and the byte count they wait for
+  constexpr uint64_t kHaloBytes = 24;  // the barriers, and the byte count for which they wait
   return kRecords * record_words(table) * sizeof(uint64_t) +
          words * shape.threads * sizeof(int32_t) +
          uint64_t{table.halo_rounds} * shape.threads * sizeof(int32_t) + kHaloBytes;

@@ -1,4 +1,4 @@
-// Converts operations to records and forms of chains.
+// Converts the operations of a persistent kernel to records and forms of chains.
 #include <algorithm>
 #include <cstring>
 #include <map>
@@ -15,27 +15,27 @@ namespace {
 
 using Operation = ChainForm::Operation;
 
-constexpr int32_t kMaxRegisters = 24;  // words of an output that stays in registers
-constexpr int32_t kMaxOwn = 12;        // words of a source that are loaded when a chain begins
-constexpr int32_t kMaxTables = 3;      // CSR tables that are loaded then
+constexpr int32_t kMaxRegisters = 24;  // largest output that stays in registers, in words
+constexpr int32_t kMaxOwn = 12;        // largest source that is loaded when a chain begins
+constexpr int32_t kMaxTables = 3;      // most CSR tables that are loaded when a chain begins
 constexpr uint64_t kAlignment = 16;
 constexpr uint32_t kMinUses = 4;  // uses from which keeping a value pays off
-// The bits of a task, if a plan assigns rows to threads; as in persistent.cuh.
+// The bits of a task if a plan assigns rows to threads, as in persistent.cuh.
 constexpr uint64_t kWorks = 1, kStores = 2, kHandsOver = 4, kTakesOver = 8, kKeeps = 16,
                    kSends = 32, kFills = 256;
 constexpr uint64_t kTurnShift = 6, kLayoutShift = 16;
-constexpr uint64_t kHeader = 4;       // words of a record's header, with a plan
+constexpr uint64_t kHeader = 4;       // words of the header of a record, with a plan
 constexpr uint64_t kJobWords = 4;     // as in persistent.cuh
-constexpr size_t kFetchedBefore = 2;  // records; loads then hit the cache
+constexpr size_t kFetchedBefore = 2;  // records between a prefetch and the load
 
 // The memory that an operation of a chain accesses at its own row.
 struct Touch {
   uint64_t where = 0;
-  int32_t words = 0;  // per row of the chain
-  int32_t slot = 0;   // the source or output; source 0 of a row_sum is `init`
+  int32_t words = 0;  // words per row of the chain
+  int32_t slot = 0;   // source or output; source 0 of a row_sum is `init`
 };
 
-using Warps = std::pair<uint64_t, uint64_t>;  // [first, last)
+using Warps = std::pair<uint64_t, uint64_t>;  // warps [first, last)
 
 // The words in which threads keep data that chains would load again in every substep. Chains of
 // different warps share the words.
@@ -83,7 +83,7 @@ uint64_t warps_of(std::span<const novaphy_persistent_op> phase, int64_t lanes) {
 
 class Writer {
  public:
-  // Bytes of a row of an early half's results, per operation and output. Empty: not computed early.
+  // Bytes per row of early results, by operation and output. Empty: not computed early.
   using EarlyWords = std::vector<std::vector<uint64_t>>;
   Writer(const PersistentRoom& room, EarlyWords early)
       : kept_(room.kept_words), room_(room), early_halves_(std::move(early)) {}
@@ -148,7 +148,7 @@ class Writer {
     out_.fits = out_.fits && out_.words.size() < UINT32_MAX;
     return std::move(out_);
   }
-  // For each operation: the index of its form, and its index there.
+  // For each operation, the index of its form and the index of the operation in the form.
   const std::vector<std::pair<uint32_t, uint32_t>>& form_of() const { return form_of_; }
 
  private:
@@ -175,7 +175,7 @@ class Writer {
   void add_record(std::span<const novaphy_persistent_op> ops) {
     std::vector<uint64_t> chains, body;
     const uint64_t first_early = out_.early_bytes;
-    uint64_t number = 0;  // of chains
+    uint64_t number = 0;  // number of chains
     for (size_t k = 0; k < ops.size(); ++k) number += k == 0 || begins_chain(ops, k) ? 1 : 0;
     const int64_t lanes = lanes_of(ops);
     uint64_t warps = 0;
@@ -243,7 +243,7 @@ class Writer {
   const BlockPlan::Phase* planned() const {
     return room_.plan ? &room_.plan->phases[phase_] : nullptr;
   }
-  // The bits of all warps in a phase: the last turn of the halo, modulo four.
+  // Returns the bits for all warps of a phase: kSends, and the last turn of the halo modulo four.
   static uint64_t halo_task(const BlockPlan::Phase& phase) {
     return (phase.sends ? kSends : 0) | uint64_t{(phase.turns + 3) % 4} << kTurnShift;
   }
@@ -297,7 +297,7 @@ class Writer {
     for (const auto& layout : plan.layouts) words.insert(words.end(), layout.begin(), layout.end());
     for (const auto* halo : {&plan.halo.sends, &plan.halo.bytes})
       words.insert(words.end(), halo->begin(), halo->end());
-    std::vector<uint64_t> first;  // of the items of each table
+    std::vector<uint64_t> first;  // position of the items of each table
     for (const auto& items : plan.items) {
       first.push_back(out_.rows * sizeof(uint64_t) + words.size() * sizeof(int32_t));
       words.insert(words.end(), items.begin(), items.end());
@@ -308,15 +308,15 @@ class Writer {
     for (const uint64_t at : out_.relative) out_.words[at] = first[out_.words[at]];
   }
 
-  // Returns the rows per warp. Fewer rows use otherwise idle warps, because a load waits for all
-  // cache lines of its lanes.
+  // Returns the rows per warp. With few rows, more warps get fewer rows each, because a load waits
+  // for all cache lines of its lanes.
   int64_t lanes_of(std::span<const novaphy_persistent_op> phase) const {
     int64_t lanes = kWarp;
     while (lanes > 1 && warps_of(phase, lanes / 2) <= room_.warps) lanes /= 2;
     return lanes;
   }
 
-  // Adds the arguments to the record. Returns the chain's form. `at`: position of the arguments.
+  // Adds the arguments, at position `at`, to the record. Returns the number of the chain's form.
   uint32_t add_chain(std::span<const novaphy_persistent_op> chain, Warps warps, uint64_t at,
                      std::vector<uint64_t>& body) {
     ChainForm form;
@@ -359,7 +359,7 @@ class Writer {
     return first_op_ + static_cast<size_t>(&o - phase_ops_.data());
   }
 
-  // The threads of a chain in all blocks.
+  // Numbers of threads of a chain: in all blocks, per block, and the first thread in a block.
   struct Slots {
     uint64_t all, of_block, first;
   };
@@ -367,7 +367,7 @@ class Writer {
     const uint64_t of_block = (warps.second - warps.first) * kWarp;
     return {of_block * room_.blocks, of_block, warps.first * kWarp};
   }
-  // Sets the place of an early half's results.
+  // Sets the memory for the results of an early half.
   void add_early(const novaphy_persistent_op& o, Operation& op, Warps warps, size_t start,
                  uint64_t at, std::vector<uint64_t>& body) {
     const std::vector<uint64_t>* const row_bytes =
@@ -390,7 +390,7 @@ class Writer {
     for (size_t k = 0; k < chain.size(); ++k) {
       const BlockPlan::Operation& planned = room_.plan->operations[number_of(chain[k])];
       Operation& op = form.operations[k];
-      // Rows are handed over or sent when the chain is done, so they are not stored at once.
+      // Rows are handed over or sent when the chain is done, so results must not be stored at once.
       if (!planned.outputs.empty() || !planned.sends.empty())
         for (const Operation& any : form.operations)
           for (const Operation::Output& stored : any.outputs)
@@ -414,10 +414,9 @@ class Writer {
         op.sources[source].halo_rows = static_cast<int32_t>(rows);
       }
       if (!planned.sum) continue;
-      out_.fits = out_.fits && op.tables[0] >= 0;  // missing items would not read as zeros
-                                                   // otherwise
+      out_.fits = out_.fits && op.tables[0] >= 0;  // otherwise missing items would not be zeros
       op.sum.items = static_cast<int32_t>(planned.sum->base);
-      op.sum.chunks = false;  // no row is that long
+      op.sum.chunks = false;  // no row is long enough for the rule
       if (planned.sum->longest < kBatch) op.sum.batch = std::max(planned.sum->longest, 1);
       const int32_t word = op.first_word + op.sum.offsets_word + 1;
       const auto own = static_cast<uint64_t>(word);
@@ -450,7 +449,7 @@ class Writer {
       for (size_t k = 0; k < early.size(); ++k) early_[number][k] &= early[k];
     }
   }
-  // Whether the same thread wrote the rows that the source reads.
+  // Returns whether the thread that reads the rows of the source also wrote them.
   bool is_mine(const novaphy_persistent_op& o, const Operation& op, size_t source) const {
     return room_.plan != nullptr && op.kind != Operation::Copy &&
            op.sources[source].from == Operation::Source::Own &&
@@ -469,7 +468,7 @@ class Writer {
   }
 
   // Records the loads of memory that no operation of the persistent kernel writes. Chains that load
-  // the same memory for the same threads count as one user.
+  // the same memory for the same threads count as one user of kept words.
   void note_kept(const ChainForm& form, uint32_t number, int64_t rows, Warps warps,
                  const uint64_t* words, uint64_t at) {
     User user{0, warps, {at}};
@@ -493,7 +492,7 @@ class Writer {
       users_[known->second].chains.push_back(at);
     }
   }
-  // Writes into the chains' words twice the position, plus one if it must be filled.
+  // Writes into words of chains twice the position of kept data, plus one if the chain fills it.
   void place_kept() {
     std::stable_sort(users_.begin(), users_.end(),
                      [](const User& a, const User& b) { return a.words > b.words; });
@@ -507,7 +506,7 @@ class Writer {
     if (room_.plan != nullptr) place_rare();
   }
 
-  // A plan keeps all such loads. Loads that do not pay off share a place, filled each time.
+  // With a plan all such loads are kept. Those that do not pay off share words, filled each time.
   void place_rare() {
     User all{0, {0, UINT64_MAX}, {}};
     for (const User& user : users_) {
@@ -592,7 +591,7 @@ class Writer {
           {words[p.output_argument(k)], op.each * op.outputs[k].width, static_cast<int32_t>(k)});
   }
 
-  // Finds the CSR tables of the chain with the same rows as the chain, without duplicates.
+  // Finds the CSR tables that have the same rows as the chain, without duplicates.
   static void find_tables(std::span<const novaphy_persistent_op> chain, ChainForm& form) {
     std::vector<const uint64_t*> known;
     for (size_t k = 0; k < chain.size(); ++k) {
@@ -716,8 +715,8 @@ class Writer {
   PersistentTable out_;
   Pieces written_, phase_written_;  // by the persistent kernel, by the previous phase
   uint64_t phase_ = 0;
-  uint64_t record_ = 0, record_before_ = 0;  // positions of their first words
-  size_t first_op_ = 0;                      // of the phase
+  uint64_t record_ = 0, record_before_ = 0;  // positions of the first words of records
+  size_t first_op_ = 0;                      // first operation of the phase
   std::span<const novaphy_persistent_op> phase_ops_;
   Kept kept_;
   const PersistentRoom room_;
@@ -728,11 +727,11 @@ class Writer {
   std::map<const novaphy_kernel*, int32_t> programs_;
   std::map<ChainForm, uint32_t> forms_;
   static constexpr char kEarly = 1, kUnwritten = 2;
-  std::vector<std::vector<char>> early_;                // per form and source of its operations
-  // per operation: its form, and its index there
+  std::vector<std::vector<char>> early_;                // by form and source of its operations
+  // by operation: its form, and its index in the form
   std::vector<std::pair<uint32_t, uint32_t>> form_of_;
   const EarlyWords early_halves_;
-  // Early results that a record loads, and the place in its header that names them for prefetching.
+  // Early results that a record loads, and the position in a header with their address.
   struct EarlyOf {
     uint64_t header, first, bytes;
   };
@@ -763,9 +762,9 @@ int64_t PersistentTable::source_word(const Operation& op, size_t source) const {
 
 namespace {
 
-// Returns the bytes of a row of the results, for an operation whose early half is worth a separate
-// launch. No operation of the persistent kernel writes the sources of such a half, and the half
-// computes much more than it stores.
+// Returns the bytes per row of the results, or nothing unless the early half is worth a separate
+// launch: no operation of the persistent kernel writes its sources, and the half computes much more
+// than it stores.
 std::vector<uint64_t> worth_early(const PersistentTable& table, Operation op) {
   constexpr size_t kInstructionsOfWord = 3;
   if (op.kind != Operation::Program) return {};

@@ -11,21 +11,21 @@ namespace novaphy::gpu {
 namespace {
 
 constexpr int32_t kItemWords = 4;      // words of an item in the memory of a block
-constexpr int32_t kMostOutput = 24;    // largest row of items, in words
-constexpr int32_t kLongSum = 256;      // number of items; longer sums follow another rule
-constexpr uint32_t kRowsOfWarp = 8;    // rows per warp of sums; few lanes wait for few cache lines
-constexpr uint32_t kMostSumWarps = 2;  // warps of sums per block, if more are not needed
+constexpr int32_t kMostOutput = 24;    // largest row of items that a maker computes, in words
+constexpr int32_t kLongSum = 256;      // most items of a sum that is computed from block memory
+constexpr uint32_t kRowsOfWarp = 8;    // rows per warp of sums; few lanes wait for few lines
+constexpr uint32_t kMostSumWarps = 2;  // warps of sums per block, unless more are needed
 constexpr size_t kMostLayouts = 8;
-// Limits on rows computed more than once. Above, redundant work costs more than an exchange.
+// At most 8 computed rows for 5 rows. More redundant work would cost more than an exchange.
 constexpr size_t kMostComputed = 8, kOfRows = 5;
 
 struct Table {
   std::vector<int32_t> offsets, items;
 };
-// A sum over items that the previous phase makes.
+// A sum whose items an operation of the previous phase (the maker) computes.
 struct Link {
   size_t sum, maker;  // indices of operations
-  size_t output;      // of the maker
+  size_t output;      // output of the maker
   int32_t width, corners;
   const Table* table;
 };
@@ -38,7 +38,7 @@ class Planner {
 
   std::optional<BlockPlan> run() {
     links_.resize(phases_.size());
-    std::optional<int64_t> rows;  // common to all sums
+    std::optional<int64_t> rows;  // number of rows, the same for all sums
     for (size_t k = 0; k + 1 < phases_.size(); ++k) {
       if (k > 0 && !links_[k - 1].empty()) continue;
       links_[k] = links_between(phases_[k], phases_[k + 1]);
@@ -80,7 +80,7 @@ class Planner {
         made[begin] = {k, output};
         written.add(begin, bytes);
       });
-    // A row that is computed twice must not read its own result.
+    // A row that two blocks compute must not read its own result.
     bool fits = true;
     for (size_t k = makers.first; k < makers.last; ++k)
       for_each_read(ops_[k], [&](uint64_t begin, uint64_t bytes, int32_t) {
@@ -110,7 +110,7 @@ class Planner {
       const novaphy_persistent_op& o = ops_[link.sum];
       const uint64_t offsets = o.op.arguments[csr_sum(o).offsets];
       ++linked[offsets];
-      // The memory of an item depends on the thread that makes the item.
+      // The position of an item depends on the thread that computes the item.
       const std::pair maker{ops_[link.maker].chain, link.corners};
       if (makers.try_emplace(offsets, maker).first->second != maker) return false;
     }
@@ -137,7 +137,7 @@ class Planner {
     return link.table != nullptr;
   }
 
-  // Returns null if an item is missing or a sum is long.
+  // Returns null if an item is missing or a sum is longer than kLongSum.
   const Table* table_of(const novaphy_persistent_op& o, const CsrSum& sum, int64_t item_count) {
     const uint64_t offsets = o.op.arguments[sum.offsets], items = o.op.arguments[sum.offsets + 1];
     const auto [known, fresh] = tables_.try_emplace({offsets, items, o.n});
@@ -166,7 +166,7 @@ class Planner {
     return true;
   }
 
-  // Whether the items of a phase are read and written only by their makers and sums.
+  // Returns whether only makers and sums access the items of a phase.
   bool nobody_else_needs_items() {
     Pieces items;
     std::vector<std::vector<size_t>> made(ops_.size());
@@ -193,7 +193,7 @@ class Planner {
     return alone;
   }
 
-  // Assigns the sums to blocks.
+  // Assigns the rows of sums to blocks.
   void make_parts(size_t n) {
     const auto pair = std::find_if(links_.begin(), links_.end(),
                                    [](const std::vector<Link>& links) { return !links.empty(); });
@@ -252,7 +252,7 @@ class Planner {
         of_block.erase(std::unique(of_block.begin(), of_block.end()), of_block.end());
         for (const uint32_t row : of_block) there[row] = 1;
       }
-      // Items that no sum needs are computed too.
+      // Rows whose items no sum needs are computed too.
       for (uint32_t row = 0; row < there.size(); ++row)
         if (there[row] == 0) rows[uint64_t{row} * blocks_ / there.size()].push_back(row);
     }
@@ -284,7 +284,7 @@ class Planner {
     return static_cast<uint32_t>(most);
   }
 
-  // Puts makers on the first warps of a block and sums on others. The two work at different times.
+  // The first warps of a block are makers, the others sum. The two work at different times.
   bool place_warps() {
     std::vector<uint32_t> of_part(blocks_, 0);
     for (const uint32_t part : part_) ++of_part[part];
@@ -355,7 +355,7 @@ class Planner {
       room += maker_warps_;
     }
     if (others() > room || plan_.layouts.size() == kMostLayouts) return false;
-    // If there are more warps, each takes fewer rows.
+    // Warps that are left over are distributed, so that each warp takes fewer rows.
     for (bool more = true; more;) {
       more = false;
       for (size_t c = 0; c < warps.size(); ++c)
@@ -397,11 +397,11 @@ class Planner {
       if (words[k] == 0) words[k] = words[0] & ~(BlockPlan::kOn | BlockPlan::kOwns);
   }
 
-  // Finds where the items of a phase are stored, and where its sums find them.
+  // Finds where the makers of a phase store items, and where the sums find the items.
   void link_operations(size_t k) {
     const BlockPlan::Phase& phase = plan_.phases[k];
-    const uint32_t rows_of_array = plan_.threads * corners_ + 1;  // one more row for zeros
-    std::map<uint32_t, uint32_t> arrays;                          // per chain
+    const uint32_t rows_of_array = plan_.threads * corners_ + 1;  // plus one row of zeros
+    std::map<uint32_t, uint32_t> arrays;                          // number of arrays per chain
     std::map<std::pair<size_t, size_t>, uint32_t> base;
     for (const Link& link : links_[k]) {
       const auto [at, fresh] = base.try_emplace({link.maker, link.output});
@@ -448,7 +448,7 @@ class Planner {
     return known->second;
   }
 
-  // Whether the same thread stores an item each time, so that its stores stay in order.
+  // Returns whether an item is always stored by the same thread, so that stores stay in order.
   bool items_have_one_place() {
     struct Place {
       BlockPlan::Chain warps;
@@ -474,7 +474,7 @@ class Planner {
     }
     return one;
   }
-  // Items that are rewritten later and read only by sums of their block need not go to memory.
+  // Only the last maker of an item stores it to global memory. Sums read items from block memory.
   void keep_last_items() {
     std::map<uint64_t, size_t> last;
     const auto each = [&](const auto& f) {
@@ -511,11 +511,11 @@ class Planner {
   const std::vector<PhaseSpan> phases_;
   std::vector<std::vector<Link>> links_;  // from the items of a phase to the sums of the next phase
   std::map<std::tuple<uint64_t, uint64_t, int64_t>, Table> tables_;
-  std::vector<uint32_t> part_;  // the block of each row of sums
+  std::vector<uint32_t> part_;  // the block of each row of the sums
   std::map<Key, Shares> shares_;
   std::map<Key, Layout> layout_of_;
   std::map<std::tuple<uint64_t, uint32_t, uint32_t, uint64_t>, uint32_t> items_;
-  std::map<std::tuple<uint32_t, uint32_t, uint32_t>, bool> same_;  // by layouts and chain
+  std::map<std::tuple<uint32_t, uint32_t, uint32_t>, bool> same_;  // keyed by layouts and chain
   uint32_t maker_warps_ = 0, sum_warps_ = 0, corners_ = 0;
   BlockPlan plan_;
 };

@@ -1,5 +1,5 @@
-// Plans the halo: which rows of sums go to which blocks, and which results need not reach global
-// memory before other blocks continue.
+// Plans the halo (blocks.h): which rows of sums go to which blocks, and which results must reach
+// global memory before other blocks continue.
 #include <algorithm>
 #include <set>
 #include <tuple>
@@ -12,7 +12,7 @@ namespace {
 
 constexpr int32_t kRowWords = 4;  // words of a row of the halo
 constexpr size_t kRowBytes = 16;
-constexpr uint64_t kMostRows = 1 << 16;  // the most rows that a send can address
+constexpr uint64_t kMostRows = 1 << 16;  // a send addresses rows with 16 bits
 constexpr uint32_t kMostBlocks = 32;
 
 class HaloPlanner {
@@ -49,7 +49,7 @@ class HaloPlanner {
     int32_t width;
     uint32_t rows, base = 0;
   };
-  // A source or output of an operation at all its occurrences: chain, place there, kernel, slot.
+  // A source or output of an operation, whenever it runs: chain, position in it, kernel, slot.
   using Slot = std::tuple<uint32_t, size_t, const novaphy_kernel*, size_t>;
   struct Written {
     size_t op;
@@ -59,7 +59,7 @@ class HaloPlanner {
   static Slot slot_of(const novaphy_persistent_op& o, size_t place, size_t slot) {
     return {o.chain, place, o.op.kernel, slot};
   }
-  // Calls f(operation, its place in its chain).
+  // Calls f(operation, its position in its chain).
   template <class F>
   void for_each_op(size_t phase, const F& f) const {
     size_t first = spans_[phase].first;
@@ -68,7 +68,7 @@ class HaloPlanner {
       f(k, k - first);
     }
   }
-  // Calls f(source, address of its rows, their count) for each source with rows chosen by indices.
+  // Calls f(source, address of its rows, number of rows) for sources that are read by indices.
   template <class F>
   static void for_each_gathered(const novaphy_persistent_op& o, const F& f) {
     if (o.op.kernel == nullptr || is_builtin(o)) return;
@@ -133,7 +133,7 @@ class HaloPlanner {
   bool receive(size_t k) {
     const std::map<uint64_t, Written> written =
         k > 0 && plan_.phases[k - 1].sends ? written_in(k - 1) : std::map<uint64_t, Written>{};
-    std::map<size_t, uint64_t> memory;  // of each array
+    std::map<size_t, uint64_t> memory;  // address of each array
     bool fits = true;
     for_each_op(k, [&](size_t o, size_t place) {
       for_each_gathered(ops_[o], [&](size_t s, uint64_t begin, uint64_t rows) {
@@ -166,8 +166,8 @@ class HaloPlanner {
     if (sent.empty()) return true;
     plan_.phases[k].sends = true;
     ++plan_.halo.turns;
-    // All rows are sent together, each time by the same threads. Before sending, a block waits for
-    // the rows that others sent.
+    // All rows are sent in one turn, each time by the same threads. Before sending, a block waits
+    // for the rows that other blocks sent.
     return once && sent.size() == arrays_.size() &&
            std::all_of(senders_.begin(), senders_.end(),
                        [&](const auto& s) { return s.first == senders_.begin()->first; }) &&
@@ -188,9 +188,9 @@ class HaloPlanner {
       }
   }
 
-  // Finds the blocks that read each row. The readers must be the same after each turn, and a change
-  // of indices between two runs would stay unnoticed. The indices must therefore be those of the
-  // elements at each point, which the sums know and which do not change: see persistent_create.
+  // Finds the blocks that read each row. The readers must be the same in each turn, and a change of
+  // indices between two runs would stay unnoticed. The indices must therefore be the elements'
+  // points, which the tables of the sums also have and which do not change: see persistent_create.
   bool find_readers() {
     using Named = std::vector<std::pair<uint64_t, int32_t>>;  // tables of indices, and columns
     std::set<std::vector<uint64_t>> known;
@@ -214,7 +214,7 @@ class HaloPlanner {
       if (!known.insert(std::move(key)).second) continue;
       const Touching touching = elements_at_points(k);
       std::vector<std::set<uint32_t>> readers(arrays_[0].rows);
-      bool inside = true;  // reads of other rows would have to be reported
+      bool inside = true;  // a read of a row that does not exist must be reported
       for (const auto& [o, by] : named)
         for (const auto& [table, column] : by) {
           const int32_t width = table_width_.at(table);
@@ -303,7 +303,7 @@ class HaloPlanner {
                                          [](const BlockPlan::Phase& p) { return p.sends; }) -
                             plan_.phases.begin());
     if (plan_.phases[sender].layout != senders_.begin()->first) return false;
-    std::map<uint32_t, std::vector<uint32_t>> of_warp;  // sends
+    std::map<uint32_t, std::vector<uint32_t>> of_warp;  // sends of each warp
     bool fits = true;
     halo.bytes.assign(blocks_, 0);
     for (const auto& [layout, chain] : senders_) {
@@ -336,7 +336,7 @@ class HaloPlanner {
                                [&](const Array& a) { return a.rows == readers_.size(); });
   }
 
-  // Finds the phases whose results no other block reads from memory.
+  // Finds the phases whose results no other block reads from global memory.
   void find_fences() {
     struct Left {
       uint64_t bytes;
@@ -347,7 +347,7 @@ class HaloPlanner {
     std::map<uint64_t, Left> left;
     uint64_t longest = 0;
     for (BlockPlan::Phase& phase : plan_.phases) phase.fences = !phase.sends;
-    // Results of other phases there need a fence, unless the access is safe.
+    // Marks earlier phases that wrote this memory as in need of a fence, unless is_safe(access).
     const auto touch = [&](uint64_t begin, uint64_t bytes, const auto& is_safe) {
       for (auto at = left.lower_bound(begin + bytes); at != left.begin();) {
         --at;
@@ -376,7 +376,7 @@ class HaloPlanner {
       for (size_t o = spans_[k].first; o < spans_[k].last; ++o)
         for_each_written(ops_[o], [&](uint64_t begin, uint64_t bytes, size_t) {
           const Left here{bytes, ops_[o].n, k, ops_[o].chain};
-          // The results of other threads are also stored in order.
+          // Writes of other threads to the same memory must also stay in order.
           touch(begin, bytes, [&](uint64_t at, const Left& l) {
             return at == begin && l.bytes == bytes && l.rows == here.rows &&
                    ops_[o].n == ops_[o].rows && same_blocks(l.phase, l.chain, k, here.chain);
@@ -390,9 +390,9 @@ class HaloPlanner {
     const int32_t source = source_at(ops_[o], word);
     return source >= 0 && plan_.operations[o].receives.contains(static_cast<size_t>(source));
   }
-  // Whether blocks may sum their items while other blocks still make items. No array that elements
-  // read or write may be touched by the sums. (Sums begin when the elements of their block are
-  // done; those elements have waited for the phase before.)
+  // Returns whether blocks may sum their items while other blocks still make items. The sums must
+  // not access an array that elements read or write. (Sums begin when the elements of their block
+  // are done, and these elements have waited for the previous phase.)
   bool may_join(size_t k) const {
     if (!plan_.phases[k].makes_items || !plan_.phases[k + 1].sums_items) return false;
     for (const BlockPlan::Chain& chain : plan_.phases[k].chains)
@@ -416,7 +416,7 @@ class HaloPlanner {
     }
     return fits;
   }
-  // Returns the source of a Program that an argument word belongs to; -1: none.
+  // Returns the source of a Program to which an argument word belongs; -1: none.
   static int32_t source_at(const novaphy_persistent_op& o, int32_t word) {
     if (o.op.kernel == nullptr || is_builtin(o)) return -1;
     const nova::ir::Program& p = o.op.kernel->program;
@@ -424,7 +424,7 @@ class HaloPlanner {
       if (static_cast<int32_t>(p.source_argument(s)) == word) return static_cast<int32_t>(s);
     return -1;
   }
-  // Whether an operation reads a source only at its own row, with one row for each of the chain.
+  // Returns whether an operation reads a source only at its own row, and has one row per chain row.
   static bool reads_own(const novaphy_persistent_op& o, int32_t word) {
     if (o.n != o.rows || o.op.kernel == nullptr) return false;
     if (is_builtin(o)) return word == CsrSum{}.init;
@@ -458,12 +458,12 @@ class HaloPlanner {
   const std::vector<PhaseSpan> spans_;
   Pieces written_;
   std::vector<Array> arrays_;
-  std::map<Slot, size_t> sources_, outputs_;         // indices of arrays
-  std::vector<char> receivers_;                      // phases
-  std::set<std::pair<uint32_t, uint32_t>> senders_;  // layouts and chains
+  std::map<Slot, size_t> sources_, outputs_;         // indices into arrays_
+  std::vector<char> receivers_;                      // one per phase
+  std::set<std::pair<uint32_t, uint32_t>> senders_;  // pairs of layout and chain
   std::map<uint64_t, std::vector<int32_t>> tables_;
   std::map<uint64_t, int32_t> table_width_;
-  std::vector<std::set<uint32_t>> readers_;  // for each row
+  std::vector<std::set<uint32_t>> readers_;  // reading blocks of each row
   std::map<std::tuple<uint32_t, uint32_t, uint32_t, uint32_t>, bool> same_;
 };
 

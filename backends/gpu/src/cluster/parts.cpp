@@ -34,9 +34,9 @@ class Cutter {
  private:
   bool is_free(uint32_t row) const { return part_[row] == parts_; }
 
-  // Fills part after part. The next row is the one that adds the least to what the part needs.
+  // Fills one part after the other. The next row is the row that adds the fewest needs to the part.
   void grow() {
-    RowList last_part(needed_by_.size(), parts_);  // the last part that has each
+    RowList last_part(needed_by_.size(), parts_);  // the last part that has each need
     size_t left = part_.size();
     for (uint32_t part = 0; part < parts_; ++part) {
       RowList edge;  // rows that share a need with the part
@@ -53,7 +53,7 @@ class Cutter {
       }
     }
   }
-  // Begins a part with the row that has the fewest free neighbors, which lies at the border.
+  // Begins a part with the row that has the fewest unassigned neighbors, which lies at the border.
   uint32_t next_row(const RowList& edge, const RowList& last_part, uint32_t part) const {
     uint32_t best = UINT32_MAX;
     std::pair<size_t, size_t> least;
@@ -129,9 +129,9 @@ class Cutter {
 
   const uint32_t parts_;
   std::vector<RowList> needs_, needed_by_;
-  RowList part_;                                    // for each row; parts_: not assigned
-  std::vector<std::map<uint32_t, uint32_t>> uses_;  // for each part: each need, and the number of
-                                                    // rows that have it
+  RowList part_;                                    // part of each row; parts_: not assigned
+  std::vector<std::map<uint32_t, uint32_t>> uses_;  // for each part: its needs, and the number of
+                                                    // rows that have each
 };
 
 }  // namespace

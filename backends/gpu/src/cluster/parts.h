@@ -1,5 +1,6 @@
-// Partitions rows so that the parts need little in common, if neighboring rows have needs in
-// common: points of a mesh, and the elements that touch them.
+// Divides rows into parts that have few needs in common. A need is a number, such as an element
+// that a row of sums adds. The rows are points of a mesh: neighboring points have elements in
+// common.
 #pragma once
 
 #include <cstdint>
@@ -9,7 +10,7 @@ namespace novaphy::gpu {
 
 using RowList = std::vector<uint32_t>;
 
-// Returns the part of each row. `needs`: for each row, numbers below `count`, possibly repeated.
+// Returns the part of each row. `needs` has for each row numbers below `count`, possibly repeated.
 // Equal arguments give equal parts.
 RowList parts_of(std::vector<RowList> needs, uint32_t count, uint32_t parts);
 

@@ -1,4 +1,4 @@
-// Compiled into plugins without ahead-of-time device code.
+// Compiled into plugins that have no ahead-of-time device code.
 #include "ahead.h"
 
 namespace novaphy::gpu {

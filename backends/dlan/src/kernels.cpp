@@ -20,17 +20,17 @@
 namespace novaphy::gpu {
 namespace {
 
-// Takes the place of a code image.
+// Replaces a code image: a pointer to stubs, or a shared library in memory.
 struct Code {
   char magic[8];
-  uint64_t value;  // kStubs: the address of the stubs; kLibrary: the number of bytes that follow
+  uint64_t value;  // kStubs: address of the stubs; kLibrary: number of bytes that follow
 };
 constexpr char kStubs[8] = "NVPSTUB", kLibrary[8] = "NVPLIBR";
 
-// A loaded module.
+// A loaded module: its stubs, and the shared library that has them.
 struct StubLibrary {
   const Stub* stubs;
-  void* library;  // null: the library of all modules
+  void* library;  // null: the stubs are in the library of all modules
 };
 
 struct Kernels {
@@ -67,7 +67,7 @@ void list_modules(const StubModule* modules, Kernels& kernels) {
   put(kernels.ahead, header);
   uint64_t offset = sizeof(header) + all.size() * sizeof(AheadEntry);
   for (const StubModule& m : all) {
-    // Marked as text for the oldest device, so that every device accepts it.
+    // Marked as text for the oldest device, so that every device accepts the code.
     put(kernels.ahead, AheadEntry{{m.key[0], m.key[1]}, 0, 1, offset, sizeof(Code)});
     offset += sizeof(Code);
   }
@@ -123,7 +123,8 @@ void* open_bytes(const char* bytes, uint64_t count) {
   return library;
 }
 
-// Returns the kernels declared after the prelude, by "// kernel NAME WORDS" or VENDOR_ENTRY.
+// Returns the names of the kernels after the prelude, from lines "// kernel NAME WORDS" and uses of
+// VENDOR_ENTRY.
 std::set<std::string> kernel_names(std::string source) {
   source.erase(0, prelude_text().size() - 1);  // the last line of the prelude ends there
   std::set<std::string> names;
@@ -181,7 +182,7 @@ Result load_stubs(Module* module, const void* code) {
   return kSuccess;
 }
 
-// Libraries stay open, because run-time libraries keep addresses of registered kernels.
+// Libraries are never closed, because run-time libraries keep addresses of registered kernels.
 Result unload_stubs(Module module) {
   delete reinterpret_cast<StubLibrary*>(module);
   return kSuccess;
@@ -207,7 +208,7 @@ std::string stub_table(const std::string& source) {
   return text + "    {0, 0}};\n";
 }
 
-// The options do not depend on the command, so code built ahead of time stays valid.
+// The options do not depend on the compiler command, so code compiled ahead of time stays valid.
 const CompilerHook kDlanCompiler = {
     [](Compiler& found, int) {
       const char* command = compiler_command();

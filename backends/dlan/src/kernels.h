@@ -1,5 +1,6 @@
-// Device code as host stubs. Kernels are compiled into a shared library, where a kernel is the
-// address of a function. The run-time library launches the kernel by that address.
+// Device code as host stubs: a vendor's compiler puts kernels into a shared library, where a kernel
+// is the address of a host function (its stub). The run-time library launches the kernel by this
+// address.
 #pragma once
 
 #include <cstdint>
@@ -10,7 +11,8 @@
 
 namespace novaphy::gpu {
 
-// The contents of a library of kernels. stub_table() writes them as text.
+// An entry of a library of kernels: a kernel's name and stub. stub_table() writes the entries as
+// text.
 struct Stub {
   const char* name;  // null ends the list
   const void* function;
@@ -20,10 +22,12 @@ struct StubModule {
   const Stub* stubs;  // null ends the list of modules
 };
 
-// Opens the library novaphy_dlan_kernels.so beside the plugin, or NOVAPHY_DLAN_KERNELS. Returns why
-// the library cannot be used, or an empty text. ahead_data() returns its modules.
+// Opens the library novaphy_dlan_kernels.so beside the plugin, or the file NOVAPHY_DLAN_KERNELS.
+// Returns the reason why the library cannot be used, or an empty text. ahead_data() returns its
+// modules.
 const std::string& kernels_problem();
-// Fills `count` rows, `pitch` bytes apart, with the first `bytes` (1, 2 or 4) of the pattern.
+// Returns the stub of a kernel that fills `count` rows, `pitch` bytes apart, with the first `bytes`
+// (1, 2 or 4) of a pattern.
 const void* fill_stub();
 
 // Entries of the driver's table. The code comes from ahead_data() or from kDlanCompiler.
@@ -34,7 +38,7 @@ Result find_stub(Function* function, Module module, const char* name);
 // Returns the lines that list the kernels of a module, as `static const ... stubs[]`. These lines
 // follow the text of the module.
 std::string stub_table(const std::string& source);
-// The command NOVAPHY_DLAN_COMPILER, or none.
+// The compiler named by NOVAPHY_DLAN_COMPILER, or none.
 extern const CompilerHook kDlanCompiler;
 
 }  // namespace novaphy::gpu

@@ -81,7 +81,7 @@ class On {
   int before_ = 0;
 };
 
-// The properties begin with the name. Their total size is not known.
+// Device properties begin with the name. Their total size is unknown, so the buffer is large.
 Result name_of(char* name, int size, DeviceId device) {
   constexpr size_t kMost = 64 << 10, kName = 256;
   std::snprintf(name, static_cast<size_t>(size), "%s", vendor().toolkit);
@@ -94,7 +94,7 @@ Result name_of(char* name, int size, DeviceId device) {
   return result;
 }
 
-// The library fills with equal bytes; a kernel fills with other patterns.
+// The library's fill only repeats one byte. A kernel fills with other patterns.
 Result fill_rows(DevicePointer target, size_t pitch, uint32_t pattern, uint32_t bytes, size_t count,
                  Stream stream) {
   const uint32_t byte = pattern & 0xffu;
@@ -157,7 +157,7 @@ void fit(Driver& d) {
   d.memory_info = r.memory_info;
   d.alloc = r.alloc;
   d.free = r.free;
-  // If the library has no stream-ordered memory, freeing waits for the stream.
+  // If the library has no stream-ordered allocation, freeing memory waits for the stream.
   d.alloc_async = r.alloc_async;
   d.free_async = r.free_async;
   if (r.alloc_async == nullptr || r.free_async == nullptr) {
@@ -209,7 +209,7 @@ void fit(Driver& d) {
     return g_runtime.launch(function, {bx, by, bz}, {tx, ty, tz}, arguments, shared, stream);
   };
   d.blocks_per_unit = r.blocks_per_unit;
-  // VendorInfo says that there are no persistent kernels and graphs.
+  // VendorInfo says that persistent kernels and graphs are not supported.
   d.launch_together = [](Function, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned,
                          unsigned, Stream, void**) { return kNotSupported; };
 }
@@ -229,7 +229,8 @@ bool load_runtime(Driver& d, void* library) {
 #undef NOVAPHY_DLAN_LOAD
   fit(d);
   if (!missing.empty()) return lacks_symbol(d, missing.c_str());
-  // Kernels find the library by its symbols when they register.
+  // Opens the library's symbols to all libraries, because kernels register themselves by these
+  // symbols.
   Dl_info info{};
   if (dladdr(reinterpret_cast<const void*>(g_runtime.launch), &info) != 0)
     dlopen(info.dli_fname, RTLD_NOW | RTLD_GLOBAL | RTLD_NOLOAD);

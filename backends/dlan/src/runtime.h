@@ -1,6 +1,6 @@
-// Fits a run-time library with CUDA's interface to the driver table (driver.h).
+// Adapts a run-time library with CUDA's interface to the driver table (driver.h).
 //
-// The names in the list are CUDA's, because Denglin's library has not been tested. A file can
+// The list has CUDA's names of functions, because Denglin's library has not been tested. A file can
 // replace the names.
 #pragma once
 

@@ -12,8 +12,8 @@ namespace novaphy::gpu {
 struct AheadEntry {
   CodeKey key;  // ahead_key
   int32_t arch = 0;
-  int32_t is_text = 0;  // assembler text for this and newer devices; else an image for this one
-                        // and newer ones of its major version
+  int32_t is_text = 0;  // whether the code is assembler text for this and newer devices, or else an
+                        // image for this device and newer ones of the same major version
   uint64_t offset = 0;  // offset of the code in the whole data; 64-byte aligned
   uint64_t bytes = 0;
 };
@@ -31,7 +31,7 @@ struct AheadCode {
 // Returns the newest image that runs on the device, or else the newest text, or else null.
 AheadCode find_ahead(const CodeKey& key, int arch);
 
-// The data defined by the plugin; no bytes: nothing was built ahead of time.
+// The data that the plugin defines. No bytes mean that nothing was compiled ahead of time.
 struct AheadData {
   const unsigned char* data;
   uint64_t bytes;

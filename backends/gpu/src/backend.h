@@ -5,7 +5,7 @@
 
 namespace novaphy::gpu {
 
-// The answer to novaphy_backend_query.
+// Returns the function table, as novaphy_backend_query of the plugin does.
 const novaphy_backend_api* query(uint32_t host_abi_major, const novaphy_host_api* host,
                                  novaphy_error* error);
 

@@ -1,5 +1,5 @@
 // The host side of the builtins: their modules, launches and scratch memory. Scratch memory is
-// allocated and freed in stream order, so a captured builtin contains its own.
+// allocated and freed in stream order, so a captured builtin also captures its scratch memory.
 #include <algorithm>
 #include <bit>
 #include <limits>
@@ -18,7 +18,8 @@ struct Functions {
            checksum = nullptr;
 };
 
-// Compiled at the first use on a device, and kept until the process ends.
+// The kernels of the builtins, compiled at the first use on a device and kept until the process
+// ends.
 std::mutex g_mutex;
 std::map<const novaphy_device*, Functions> g_functions;
 
@@ -155,13 +156,13 @@ int64_t sort_blocks(int64_t n) {
 }
 uint64_t sort_counts(int64_t n) { return static_cast<uint64_t>(sort_blocks(n) * kDigits); }
 
-// Sorts the numbers 0 .. n-1 by the lowest `bits` of their keys into `result`. `other`: memory of
-// the same size. `size`: the address of the number of items below the limit, or null.
+// Sorts the indices 0 .. n-1 by the lowest `bits` bits of their keys into `result`. `other` is
+// memory of the same size. `size` is the address of the number of items below the limit, or null.
 novaphy_status sort(novaphy_stream* stream, const Functions& f, SortArguments arguments,
                     int32_t bits, uint64_t result, uint64_t other, const char* name,
                     novaphy_error* error) {
   const int64_t blocks = sort_blocks(arguments.n);
-  // the first pass drops the items above the limit
+  // the first pass removes the items above the limit
   const uint64_t size = std::exchange(arguments.size, 0);
   void* pointers[] = {&arguments};
   if ((bits + kDigitBits - 1) / kDigitBits % 2 == 0) std::swap(result, other);
@@ -232,7 +233,7 @@ novaphy_status incidence(novaphy_stream* stream, const novaphy_kernel& kernel, i
                .size = offsets + 4 * static_cast<uint64_t>(n),
                .n = slots,
                .limit = n,
-               .flipped = 0,  // a negative key is above the limit
+               .flipped = 0,  // as an unsigned number, a negative key is above the limit
                .shift = 0},
               std::max(1, static_cast<int32_t>(std::bit_width(static_cast<uint64_t>(n - 1)))),
               items, scratch.words(0), "incidence_i32", error);

@@ -1,9 +1,9 @@
 // The builtins of <novaphy/abi/program.h>. The text follows device_prelude.cuh.
 #define BUILTIN VENDOR_ENTRY
 
-// Sums the rows of one column from +0, by the rule for long rows: chunks of kChunk are folded from
-// +0 each, then the chunk sums by the same rule. One block works on the sum. Thread 0 has the
-// result.
+// Sums the rows of one column from +0, by the row-sum rule of program.h for long rows: chunks of
+// kChunk are folded from +0 each, then the chunk sums by the same rule. One block computes the sum.
+// Thread 0 has the result.
 #define kChunk 256
 struct row_sum_arguments {
   const float* source;
@@ -70,7 +70,7 @@ BUILTIN __launch_bounds__(kChunk) row_sum_f32(const row_sum_arguments a) {
         a.out[row * a.width + c] = fold_items(a, begin, end, c, start);
       }
     } else {
-      long_rows[atomicAdd(&long_count, 1)] = (int32_t)threadIdx.x;  // the order does not matter
+      long_rows[atomicAdd(&long_count, 1)] = (int32_t)threadIdx.x;  // in any order
     }
   }
   __syncthreads();
@@ -89,8 +89,9 @@ BUILTIN __launch_bounds__(kChunk) row_sum_f32(const row_sum_arguments a) {
   }
 }
 
-// Sums one very long row. A thread sums each chunk, which the block reads in tiles. The chunk sums
-// are a shorter row. The same pass repeats until one thread can fold the rest.
+// Sums one very long row. Each thread sums one chunk. The block reads the chunks in tiles. The
+// chunk sums are a shorter row, to which the same pass is applied until one thread can fold the
+// rest.
 #define kSumThreads 128
 #define kTile 32
 LANE_FN void tile_barrier() {
@@ -105,7 +106,7 @@ BUILTIN __launch_bounds__(kSumThreads) row_sum_chunks(const float* source, float
   __shared__ float tiles[kSumThreads / kTile][kTile][kTile + 1];
   float(*const tile)[kTile + 1] = tiles[threadIdx.x / kTile];
   const int64_t lane = threadIdx.x % kTile, column = blockIdx.x % width;
-  // the first chunk
+  // the first chunk of this warp's tile
   const int64_t first = (blockIdx.x / width * kSumThreads + threadIdx.x) / kTile * kTile;
   float sum = 0.0f;
   for (int64_t t = 0; t < kChunk; t += kTile) {
@@ -130,8 +131,8 @@ BUILTIN __launch_bounds__(kSumThreads) row_sum_last(const float* sums, const flo
   }
 }
 
-// One block. A thread takes kScanItems neighboring items at a time. Integers wrap around, so the
-// order of additions does not matter.
+// Exclusive prefix sum by one block. A thread takes kScanItems neighboring items at a time.
+// Integers wrap around, so the order of additions does not matter.
 #define kScanThreads 1024
 #define kScanItems 4
 // Returns the sum of the words of the block's threads up to and including this one.
@@ -195,18 +196,18 @@ BUILTIN __launch_bounds__(kScanThreads) exclusive_scan_i32(const uint32_t* in, u
   }
 }
 
-// One pass of a stable radix sort. Every thread counts, and later places, a contiguous piece of the
-// items in their order. counts {blocks, digits} has the counts of each block.
+// One pass of a stable radix sort. Every thread counts a contiguous part of the items and later
+// places them, in order. counts {blocks, digits} has the counts of each block.
 #define kDigits 64
 #define kSortThreads 128
 struct sort_arguments {
   const int32_t* keys;
-  const int32_t* from;  // null: 0, 1, 2, ...
+  const int32_t* from;  // null: the items are 0, 1, 2, ...
   int32_t* to;
   uint32_t* counts;
   const int32_t* size;  // null: n items
-  int64_t n, limit;  // items whose key is not below the limit are left out
-  uint32_t flipped;     // bits of the key
+  int64_t n, limit;  // items whose key is not below the limit are removed
+  uint32_t flipped;     // bits of the key to flip
   int32_t shift;
 };
 struct sort_piece {

@@ -168,7 +168,7 @@ void CodeCache::make_room() {
   uint64_t total = 0;
   std::error_code failed;
   for (const auto& entry : fs::directory_iterator(folder_, failed)) {
-    std::error_code gone;  // another process may remove the file meanwhile
+    std::error_code gone;  // another process may remove the file at the same time
     const std::string name = entry.path().filename().string();
     if (name.find(".code") == std::string::npos) continue;
     const uint64_t bytes = entry.file_size(gone);

@@ -26,7 +26,7 @@ CodeKey disk_key(const std::string& source, Dialect dialect, int arch);
 
 class CodeCache {
  public:
-  // The folder is NOVAPHY_CACHE_DIR ("off": no cache), or XDG_CACHE_HOME/novaphy, or
+  // The folder is NOVAPHY_CACHE_DIR ("off" for no cache), or XDG_CACHE_HOME/novaphy, or
   // ~/.cache/novaphy. NOVAPHY_CACHE_MB limits its size.
   static CodeCache& get();
   CodeCache(std::string folder, uint64_t limit_bytes);

@@ -145,7 +145,8 @@ std::string log_of(Program program) {
   return log;
 }
 
-// Returns "--gpu-architecture=sm_90", or compute_XX for a device newer than the compiler.
+// Returns "--gpu-architecture=sm_90". For a device newer than the compiler, returns compute_XX and
+// sets `is_text`.
 std::string architecture_option(int arch, bool& is_text) {
   if (is_text) return "--gpu-architecture=compute_" + std::to_string(arch);
   int count = 0;
@@ -162,11 +163,11 @@ std::string architecture_option(int arch, bool& is_text) {
   return "--gpu-architecture=compute_" + std::to_string(nearest);
 }
 
-// Compilations of other threads hold this mutex, and the exit of the process waits for it. The exit
-// destroys static objects of the compiler, so a running compilation would crash or hang. The wait
-// must precede that destruction, so the mutex is made after those objects; the compiler makes most
-// of them at its first compilation. (The host prevents an exit meanwhile: wait_for_compilers in
-// <novaphy/nova/op_list.h>.)
+// A mutex that compilations hold and that delays the exit of the process. The exit destroys static
+// objects of the compiler, so a running compilation would crash or hang. The delay must come before
+// this destruction. The mutex is therefore made after the compiler's objects, most of which the
+// compiler makes in its first compilation. (The host prevents an exit before that:
+// wait_for_compilers in <novaphy/nova/op_list.h>.)
 std::shared_mutex& before_exit() {
   static std::shared_mutex& mutex = [&]() -> std::shared_mutex& {
     Program program = nullptr;

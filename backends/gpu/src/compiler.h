@@ -1,5 +1,5 @@
-// Compilers at run time: a library of the vendor (NVRTC), opened like the driver, or a command, or
-// none.
+// Compilers at run time: a library of the vendor (NVRTC) that is opened like the driver, a command,
+// or no compiler.
 #pragma once
 
 #include <cstdint>
@@ -10,18 +10,18 @@ namespace novaphy::gpu {
 
 struct Compiler {
   int major = 0, minor = 0;
-  std::string name;  // name with version, which affects the code besides its text and options
+  std::string name;  // name with version: code depends on them besides text and options
   std::string path;  // path of the library, or how it was found
-  std::string problem;  // not empty: why there is no compiler
+  std::string problem;  // reason why there is no compiler, or empty
   bool available() const { return problem.empty(); }
 };
-// Found at the first call and kept. `driver_version` 12080: skips a compiler with a later major
-// version than the driver's, because the driver could not load its code. 0 accepts any.
+// Finds the compiler at the first call. `driver_version` 12080 skips a compiler with a later major
+// version than 12, because the driver could not load its code. 0 accepts any compiler.
 const Compiler& compiler(int driver_version);
 
 struct CompiledCode {
   std::vector<char> bytes;  // an image for the driver, or assembler text with a final zero
-  std::string problem;      // not empty: the compiler's messages
+  std::string problem;      // messages of the compiler after an error, or empty
 };
 // The kind of text: a Program or a SOURCE module, with or without contraction.
 enum class Dialect { Program, Contracted, Source, ContractedSource };

@@ -30,7 +30,7 @@ bool is_fatal(Result result) {
     case 717:  // invalid address space
     case 718:  // invalid program counter
     case 719:  // launch failure
-    case 999:  // unknown, for example after a card lost its bus
+    case 999:  // unknown error, for example of a card that lost its bus
       return true;
     default:
       return false;
@@ -57,8 +57,8 @@ novaphy_status make_sink(novaphy_device& device, novaphy_error* error) {
   status =
       check(&device, d.host_device_pointer(&device.flag_on_device, flag, 0), "device_open", error);
   if (status != NOVAPHY_OK) return status;
-  // The record is followed by zeros. A load reads them in place of a row that does not exist, up to
-  // the widest row of a Program.
+  // Zeros follow the record. A load reads zeros in place of a row that does not exist, so there are
+  // as many zeros as the widest row of a Program has.
   constexpr size_t kBytes = 128 + 4 * 4096;
   status = check(&device, d.alloc(&device.record, kBytes), "device_open", error);
   if (status != NOVAPHY_OK) return status;

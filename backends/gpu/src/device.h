@@ -60,7 +60,7 @@ struct novaphy_device {
   int32_t units = 0;
   uint64_t total_memory = 0;
   novaphy::gpu::Module interpreter = nullptr;  // null until a Program needs it
-  // Failing reads.
+  // The record of failing reads, and the flag that signals a record.
   novaphy::gpu::DevicePointer record = 0, flag_on_device = 0;
   volatile uint32_t* flag = nullptr;
   std::atomic<bool> lost{false};
@@ -87,7 +87,7 @@ struct novaphy_graph {
 
 namespace novaphy::gpu {
 
-// Makes the device's context current for a scope, and then restores the caller's.
+// Makes the device's context current, and restores the caller's context at the end of the scope.
 class Use {
  public:
   explicit Use(const novaphy_device* device) {
@@ -110,7 +110,8 @@ class Use {
 // unusable marks the device as lost. Every later call then reports it.
 novaphy_status check(novaphy_device* device, Result result, const char* what, novaphy_error* error);
 novaphy_status check_lost(novaphy_device* device, const char* what, novaphy_error* error);
-// Call after the host has waited for a stream. Reports a kernel that read past the end of a source.
+// Reports a kernel that read past the end of a source. Must follow a wait of the host for the
+// stream.
 novaphy_status check_reads(novaphy_device* device, novaphy_stream* stream, novaphy_error* error);
 // Frees what the builtins keep for a device. The context of the device must be current.
 void forget_builtins(const novaphy_device* device);

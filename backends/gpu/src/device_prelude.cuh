@@ -1,7 +1,7 @@
-// The prelude of device code: the meaning of the names in emitted text for the one row of a thread
-// (see <novaphy/program/emit.h>). The text follows vendors/*.cuh. The build replaces includes by
-// their text. The arithmetic has the bits of backends/cpu/src/lanes.h: no
-// contraction, no flush to zero, and correctly rounded division and square root.
+// The prelude of device code. It defines the names in emitted text (<novaphy/program/emit.h>) for
+// one row per thread. This text follows vendors/*.cuh. The build replaces includes by their text.
+// The arithmetic has the bits of backends/cpu/src/lanes.h: no contraction, no flush to zero, and
+// correctly rounded division and square root.
 typedef signed char int8_t;
 typedef unsigned char uint8_t;
 typedef int int32_t;
@@ -27,9 +27,9 @@ struct device_error {
 };
 struct device_sink {
   device_error* record;  // device memory; kZeros words after its start are zeros
-  uint32_t* flag;        // host memory: 1 once there is a record
+  uint32_t* flag;        // host memory: set to 1 with the first record
   uint32_t kernel;
-  const int32_t* active;  // null: all rows of a launch are computed; else this many first rows
+  const int32_t* active;  // null: all rows are computed; else address of the number of rows
 };
 LANE_FN int64_t active_rows(const device_sink sink, const int64_t n) {
   if (sink.active == 0) return n;
@@ -59,15 +59,15 @@ COLD_FN void report_row(const device_sink sink, int64_t index, int32_t source, i
   }
 }
 
-// The first failing read of a row. Loads never branch. An invalid load reads a zero, and the
-// failure is kept here until the row is done.
+// The first failing read of a row. Loads have no branches. An invalid load reads a zero, and this
+// struct keeps the failure until the row is done.
 #define kZeros 32
 struct row_failure {
   const int32_t* zeros;
-  int32_t source;  // -1: none; in a fused text: kSources times the operation, plus the source
+  int32_t source;  // -1: no failure; in a fused text: kSources * operation + source
   int32_t row;
   uint32_t rows;
-  int32_t operation;  // in a fused text: the operation that runs
+  int32_t operation;  // in a fused text: the operation that is running
 };
 #define kSources 256
 LANE_FN row_failure begin_row(const device_sink sink) {
@@ -94,10 +94,10 @@ LANE_FN float ubits_f(int32_t a) { return __int_as_float(a); }
 LANE_FN int32_t uf_bits(float a) { return __float_as_int(a); }
 #include "novaphy/program/scalars.h"
 LANE_FN float uabs(float a) { return ubits_f(uf_bits(a) & 0x7fffffff); }
-// The steps of a compiler's division, used if an early test shows that all intermediate values are
-// normal numbers. The compiler's own test comes late, and sends zeros to the slow path, a call. The
-// early test has no branches: it collects the extreme magnitudes of all quotients and roots that a
-// thread computes. A magnitude is twice the bits without the sign.
+// Division with the compiler's steps, used if an early test shows that all intermediate values are
+// normal numbers. The compiler's own test comes late and calls a slow function for zeros. The early
+// test has no branches: it collects the extreme magnitudes of all quotients and roots that a thread
+// computes. A magnitude is the bits without the sign, times two.
 struct magnitudes {
   uint32_t most, least;
 };
@@ -106,7 +106,7 @@ LANE_FN void note(magnitudes& m, uint32_t most, uint32_t least) {
   m.least = m.least < least ? m.least : least;
 }
 LANE_FN uint32_t magnitude(float a) { return (uint32_t)uf_bits(a) << 1; }
-// Whether all |a| are in [2^-60, 2^60), or 0 if noted minus 1: that wraps. Magnitudes are even.
+// Returns whether all |a| are in [2^-60, 2^60) or 0, which is noted as 0 - 1. Magnitudes are even.
 LANE_FN bool are_moderate(const magnitudes m) {
   return m.most < 187u << 24 && m.least >= (67u << 24) - 1;
 }
@@ -126,8 +126,8 @@ LANE_FN float udiv(float a, float b) {
   const float quotient = quick_div(a, b, m);
   return are_moderate(m) ? quotient : divided(a, b);
 }
-// Square roots, as the quotients above. Independent quotients and roots share one test, so that a
-// thread computes them side by side. A branch after each would delay the next one.
+// Square roots, like the quotients above. Independent quotients and roots share one test, so that a
+// thread computes them side by side. A branch after each root would delay the next root.
 COLD_FN float rooted(float a) { return __fsqrt_rn(a); }
 LANE_FN float quick_sqrt(float a, magnitudes& m) {
   const uint32_t bits = (uint32_t)uf_bits(a);
@@ -146,13 +146,13 @@ LANE_FN int32_t uf_to_i(float a) {
 }
 LANE_FN float ui_to_f(int32_t a) { return __int2float_rn(a); }
 
-// One lane: the vector functions are those of scalars.
+// One lane per thread: the vector functions are the scalar functions.
 #include "novaphy/program/one_lane.h"
 #define vdiv udiv
 
-// The place of a source: its own row, or its rows as a table. The type says what is known about it.
+// How a kernel reads a source. The type says what is known about its rows.
 //
-// Rows that may be missing. No operation of a fused list writes `source_constants`.
+// Any rows, which may be missing. No operation of a fused list writes `source_constants`.
 struct source_rows {
   const char* p;
   int64_t rows;
@@ -168,16 +168,16 @@ struct trusted_rows {
 struct trusted_constants {
   const char* p;
 };
-// The own row in registers, where an earlier operation of a fused list left it.
+// The own row, which an earlier operation of a fused list left in registers.
 struct source_registers {
   const int32_t* words;
 };
 
 // Rows of a table. No kernel writes the table that it gathers from, so these loads may use the
-// read-only path. In a persistent kernel an operation may gather rows that another one has written.
+// read-only path. In a persistent kernel another operation may have written the gathered rows.
 #ifdef NOVAPHY_PERSISTENT
-// Addresses come from a table. Without this conversion the device tests each address for shared
-// memory.
+// The addresses come from a table. Without this conversion the device would test each address for
+// shared memory.
 #define in_memory(p) vendor_global(p)
 #define load_table(p) (*in_memory(p))
 #else
@@ -186,15 +186,15 @@ struct source_registers {
 #endif
 typedef int32_t row_lanes;
 #define look_at_rows(row) (row)
-// One row, looked up once for all of its columns and without a branch: zeros replace a row that may
-// not be read. The compiler hoists the parts that do not depend on the row.
+// One row, looked up once for all of its columns, without a branch: a row that may not be read is
+// replaced by zeros. The compiler moves the parts that do not depend on the row out of loops.
 struct table_row {
   const int32_t* p;
 };
 template <class S>
 LANE_FN table_row row_of(const S s, int32_t row, int32_t width, vb need, int32_t source,
                          row_failure& sink) {
-  // A negative row is a large unsigned one.
+  // As an unsigned number, a negative row is large.
 #ifdef NOVAPHY_PERSISTENT
   const bool outside = (uint32_t)row >= (uint32_t)s.rows;  // persistent kernels: < 2^32 rows
 #else
@@ -235,7 +235,7 @@ LANE_FN source_item row_of(const source_item s, int32_t, int32_t, vb, int32_t, r
 }
 LANE_FN int32_t column_of(const source_item r, int32_t column) { return r.words[column]; }
 
-// The own row. The pointers may alias, because an output may be the same rows as an input.
+// The own row. The pointers may alias, because an output and an input may be the same rows.
 struct own_row {
   const int32_t* p;
 };
@@ -278,7 +278,7 @@ LANE_FN own_constant_row own_of(const trusted_constants s, int64_t i, int32_t wi
 }
 LANE_FN int32_t own_column_of(const own_constant_row r, int32_t column) { return __ldg(r.p + column); }
 
-// An output in memory, and one in registers that is stored later or not at all.
+// An output in memory, and an output in registers that is stored later or not at all.
 struct output_rows {
   char* p;
 };
@@ -294,7 +294,7 @@ LANE_FN void put_columni(const output_registers o, int32_t, int32_t column, int6
 struct alignas(16) four_words {
   int32_t word[4];
 };
-// Aligned: rows begin at multiples of four words.
+// If `aligned`, rows begin at multiples of four words.
 template <int width, bool aligned = false>
 LANE_FN void store_row(char* p, int64_t i, const int32_t* words) {
   int32_t* const row = in_memory((int32_t*)p + i * width);
@@ -396,7 +396,7 @@ LANE_FN csr_rows csr_begin(const int32_t* offsets, int64_t i) {
   c.longest = __ldg(offsets + i + 1) - c.start;
   return c;
 }
-// Short sums add items in batches. The last batch may reach past the end.
+// Short sums add items in batches of CSR_BATCH. The last batch may reach past the end of the row.
 #ifndef CSR_BATCH
 #define CSR_BATCH 8
 #endif
@@ -406,7 +406,7 @@ LANE_FN vi csr_slot(const csr_rows* c, const int32_t* items, int32_t r, vb on) {
   return items != 0 ? __ldg(items + k) : k;
 }
 // The slots of a batch, loaded together. The load of the next batch does not wait for the sums of
-// this one. Past the end of a row the slots are 0, which all lanes share.
+// this batch. Slots past the end of a row are 0, an address that all lanes share.
 struct csr_batch : csr_rows {
   int32_t slots[CSR_BATCH];
 };
@@ -430,7 +430,7 @@ LANE_FN csr_batch csr_begin_batch(const int32_t* offsets, int64_t i) {
   (csr_rows&)c = csr_begin(offsets, i);
   return c;
 }
-// Loads the first batch of a loop. The table is two words of the arguments.
+// Loads the first batch of a loop. Two argument words are the addresses of offsets and items.
 LANE_FN csr_batch csr_first(const uint64_t* args, int32_t word, int32_t, int64_t i) {
   csr_batch c = csr_begin_batch((const int32_t*)args[word], i);
   csr_load(&c, (const int32_t*)args[word + 1], 0);

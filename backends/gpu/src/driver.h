@@ -31,10 +31,10 @@ enum DeviceAttribute : int {
   kMultiprocessors = 16,
   kComputeMajor = 75,
   kComputeMinor = 76,
-  kMostSharedBytes = 97,  // per block, if the function requests it
+  kMostSharedBytes = 97,  // per block, if the function requests this size
 };
 enum FunctionAttribute : int {
-  kSharedBytes = 8,     // added by a launch
+  kSharedBytes = 8,     // bytes that a launch adds
   kLargeClusters = 14,  // cluster sizes that not every device supports
 };
 enum : unsigned {
@@ -54,8 +54,8 @@ struct LaunchShape {
 };
 
 // X(member, result, arguments, symbol). A vendor with a different library assigns its own functions
-// to the members (VendorInfo::load). The first three come first, so that every later failure can
-// report a version and a text.
+// to the members (VendorInfo::load). The first three members are loaded first, so that every later
+// failure can report a version and a text.
 #define NOVAPHY_GPU_DRIVER_FUNCTIONS(X)                                                           \
   X(driver_version, Result, (int*), "cuDriverGetVersion")                                         \
   X(error_name, Result, (Result, const char**), "cuGetErrorName")                                 \
@@ -127,13 +127,14 @@ struct Driver {
 #undef NOVAPHY_GPU_MEMBER
   int version = 0;  // 13000: CUDA 13.0
   int devices = 0;
-  std::string problem;  // not empty: why no device can be used
+  std::string problem;  // reason why no device can be used, or empty
 
   // Returns a text such as "CUDA_ERROR_OUT_OF_MEMORY: out of memory".
   std::string describe(Result result) const;
 };
 
-// Opened at the first call and kept until the process ends. Never throws.
+// Returns the driver, which the first call opens. The driver stays open until the process ends.
+// Never throws.
 const Driver& driver();
 // Loads the functions by the symbols above. Returns false and sets d.problem if one is missing.
 bool load_driver(Driver& d, void* library);

@@ -16,8 +16,7 @@ namespace {
 
 constexpr unsigned kThreads = 64;             // per block
 constexpr int64_t kSharedOfBlock = 48 << 10;  // every device has this much shared memory per block
-constexpr int64_t kBlocksPerUnit = 16;        // further blocks wait, or a block takes several rows
-                                              // in turn
+constexpr int64_t kBlocksPerUnit = 16;        // with more rows, a block takes several rows in turn
 
 // Loaded at the first use on a device, and kept until the device is closed.
 novaphy_status load_interpreter(novaphy_device* device, Function* function, novaphy_error* error) {
@@ -49,7 +48,7 @@ novaphy_status run_interpreted(novaphy_stream* stream, const novaphy_kernel& ker
         stream->device, d.alloc_async(&scratch, bytes, stream->stream), kernel.name.c_str(), error);
     if (status != NOVAPHY_OK) return status;
   }
-  // The driver copies as many words as the kernel declares.
+  // The driver copies as many words as the kernel declares, so the array has all of them.
   uint64_t words[kMaxArgumentWords];
   std::memcpy(words, arguments, kernel.argument_count * sizeof(uint64_t));
   DevicePointer code = kernel.interpreted.code;

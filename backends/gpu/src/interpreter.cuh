@@ -8,7 +8,7 @@ struct interpreter_arguments {
 struct interpreter_instruction {
   int32_t op, d, a, b, c, e;
 };
-// A value of this thread. Neighboring threads have neighboring words.
+// Value k of this thread. Neighboring threads have neighboring words.
 #define VALUE(k) values[(int64_t)(k)*threads]
 #define FLOAT(k) ubits_f(VALUE(k))
 #define RUN(name, result) \
@@ -17,7 +17,8 @@ struct interpreter_instruction {
     break
 #define RUN_F(name, result) RUN(name, uf_bits(result))
 
-// `scratch`: the values of all threads. Null: the values fit into the shared memory of the block.
+// `scratch` is memory for the values of all threads. If null, the values fit into the shared memory
+// of the block.
 VENDOR_ENTRY __launch_bounds__(64) novaphy_interpreter(
     const __grid_constant__ interpreter_arguments args,
     const interpreter_instruction* const code, int32_t* const scratch, const int64_t n,
@@ -30,7 +31,7 @@ VENDOR_ENTRY __launch_bounds__(64) novaphy_interpreter(
   const int64_t rows = active_rows(sink, n);
   for (int64_t i = first; i < rows; i += all) {
     row_failure failure = begin_row(sink);
-    int32_t counter = 0, extent = 0, start = 0;  // of the running loop; loops do not nest
+    int32_t counter = 0, extent = 0, start = 0;  // state of the running loop; loops do not nest
     const int32_t* items = 0;
     for (int32_t pc = 0; pc >= 0;) {
       const interpreter_instruction in = code[pc++];
@@ -83,7 +84,7 @@ VENDOR_ENTRY __launch_bounds__(64) novaphy_interpreter(
         RUN(SELECT, VALUE(VALUE(in.a) != 0 ? in.b : in.c));
         RUN(F_TO_I, uf_to_i(FLOAT(in.a)));
         RUN_F(I_TO_F, ui_to_f(VALUE(in.a)));
-        case OP_LOAD: {  // column c of row b of source a, whose rows have e words
+        case OP_LOAD: {  // loads column c of row b of source a, whose rows have e words
           const source_rows table = {(const char*)args.word[2 * in.a],
                                      (int64_t)args.word[2 * in.a + 1]};
           VALUE(in.d) = uloadi(table, VALUE(in.b), in.e, in.c, 1, in.a, i, failure);
@@ -95,15 +96,15 @@ VENDOR_ENTRY __launch_bounds__(64) novaphy_interpreter(
           VALUE(in.d) = own_columni(own, in.e, in.c, 1, in.a, i, failure);
           break;
         }
-        case OP_STORE: {  // value b into column c of the output whose pointer is word a
+        case OP_STORE: {  // stores value b into column c of the output whose pointer is word a
           const output_rows own = {(char*)args.word[in.a]};
           put_columni(own, in.e, in.c, i, VALUE(in.b));
           break;
         }
-        case OP_SKIP:  // jump to c, unless a == b
+        case OP_SKIP:  // jumps to c unless a == b
           if ((VALUE(in.a) != 0) != (in.b != 0)) pc = in.c;
           break;
-        case OP_LOOP:  // jump to c if there are no steps; b: steps over a CSR row, else word a
+        case OP_LOOP:  // jumps to c if there are no steps; b: steps over a CSR row, else word a
           counter = 0;
           if (in.b != 0) {
             const csr_rows row = csr_begin((const int32_t*)args.word[in.a], i);
@@ -115,7 +116,7 @@ VENDOR_ENTRY __launch_bounds__(64) novaphy_interpreter(
           }
           if (extent <= 0) pc = in.c;
           break;
-        case OP_AGAIN:  // jump to c for the next step
+        case OP_AGAIN:  // jumps to c for the next step
           if (++counter < extent) pc = in.c;
           break;
         default:  // OP_END

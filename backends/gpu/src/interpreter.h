@@ -1,5 +1,5 @@
-// Programs for the interpreter on the device (interpreter.cuh), if no run-time compiler is
-// available and the code was not built ahead of time.
+// Programs for the interpreter on the device (interpreter.cuh), which runs them if no run-time
+// compiler is available and no ahead-of-time code exists.
 #pragma once
 
 #include <cstdint>
@@ -24,8 +24,8 @@ enum class InterpreterOp : int32_t {
 #undef NOVAPHY_INTERPRETER_OP
 };
 
-// interpreter_instruction: operands and results are numbers of values. interpreter.cuh describes
-// the operations.
+// The struct interpreter_instruction of interpreter.cuh, which describes the operations. Operands
+// and results are numbers of values.
 struct InterpreterInstruction {
   int32_t op, d = 0, a = 0, b = 0, c = 0, e = 0;
 };
@@ -38,14 +38,16 @@ struct InterpreterCode {
 // a word.
 InterpreterCode interpreter_code(const nova::ir::Program& program);
 
-// Whether NOVAPHY_DEVICE_INTERPRETER=1 requests the interpreter even if Programs can be compiled.
+// Returns whether NOVAPHY_DEVICE_INTERPRETER=1 requests the interpreter although Programs can be
+// compiled.
 bool interpreter_is_forced();
 // Prints once per process that kernels are interpreted, and why.
 void say_interpreted(const char* why);
 // Makes an interpreted kernel of the Program.
 novaphy_status make_interpreted(novaphy_device* device, const nova::ir::Program& program,
                                 novaphy_kernel& kernel, novaphy_error* error);
-// Launches an interpreted kernel. `active`: see novaphy_backend_api::launch_active, or 0.
+// Launches an interpreted kernel. `active` is the address of novaphy_backend_api::launch_active, or
+// 0.
 novaphy_status run_interpreted(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
                                DevicePointer active, const uint64_t* arguments,
                                novaphy_error* error);

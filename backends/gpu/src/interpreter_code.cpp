@@ -26,7 +26,7 @@ class Encoder {
 
   InterpreterCode run() {
     const std::vector<ir::Step> steps = ir::schedule(p_);
-    std::vector<int32_t> first_of_step;  // instruction
+    std::vector<int32_t> first_of_step;  // first instruction of each step
     std::vector<std::pair<size_t, int32_t>> skips;
     for (const ir::Step& step : steps) {
       first_of_step.push_back(here());
@@ -59,7 +59,7 @@ class Encoder {
 
  private:
   struct Life {
-    int32_t first = -1, last = -1;  // instructions
+    int32_t first = -1, last = -1;  // first and last instruction that uses the value
   };
   struct Operands {
     int32_t d = ir::kNone, used[3] = {ir::kNone, ir::kNone, ir::kNone};
@@ -67,7 +67,7 @@ class Encoder {
 
   int32_t here() const { return static_cast<int32_t>(out_.instructions.size()); }
 
-  // `used`: the values of the operands a, b and c, as far as these are values.
+  // Appends an instruction. `used` are those of the operands a, b and c that are values.
   void add(InterpreterInstruction in, std::initializer_list<ir::Value> used, ir::Value made) {
     Operands operands;
     operands.d = made;
@@ -176,8 +176,8 @@ class Encoder {
     }
   }
 
-  // An instruction reads its operands before it writes its result, so the result may take their
-  // place.
+  // Assigns a word to each value. An instruction reads its operands before it writes its result, so
+  // the result may take the word of an operand.
   void place() {
     find_lives();
     std::vector<std::vector<ir::Value>> dying(out_.instructions.size());
@@ -198,7 +198,7 @@ class Encoder {
         if (free.empty()) free.push_back(out_.values++);
         mine = free.back();
         free.pop_back();
-        if (lives_[at(operands.d)].last == k) free.push_back(mine);  // unused
+        if (lives_[at(operands.d)].last == k) free.push_back(mine);  // the result is never used
       }
       in.d = mine;
     }
@@ -206,11 +206,11 @@ class Encoder {
 
   const ir::Program& p_;
   int32_t next_;
-  std::vector<int32_t> accumulators_;  // per loop: its first sum
+  std::vector<int32_t> accumulators_;  // first accumulator of each loop
   InterpreterCode out_;
-  std::vector<Operands> operands_;                  // per instruction
-  std::vector<Life> lives_;                         // per value
-  std::vector<std::pair<int32_t, int32_t>> loops_;  // per loop: its instructions LOOP and AGAIN
+  std::vector<Operands> operands_;                  // operands of each instruction
+  std::vector<Life> lives_;                         // lifetime of each value
+  std::vector<std::pair<int32_t, int32_t>> loops_;  // instructions LOOP and AGAIN of each loop
   int32_t begin_ = 0;
 };
 

@@ -1,6 +1,6 @@
-// Sources that a fused list can load before its loop over the items of a CSR sum (the contacts of a
-// particle). Such a source is read at the item, or at a row whose index comes from a source read at
-// the item.
+// Sources that a fused list can load before its loop over the items of a CSR sum, such as the
+// contacts of a particle. The source must be read at the item, or at a row whose index is read at
+// the item from another source.
 #pragma once
 
 #include <cstdint>

@@ -24,7 +24,7 @@ novaphy_status create(novaphy_device* device, int64_t n, std::span<const novaphy
                   "kernel '%s': expected %u argument words, got %u", op.kernel->name.c_str(),
                   op.kernel->argument_count, op.argument_count);
   }
-  // The whole text has one rounding policy.
+  // All kernels of one text allow contraction, or none does.
   for (const novaphy_list_op& op : ops)
     if (op.kernel != nullptr && op.kernel->program.contract != contract)
       return refuse("kernels with and without contraction");

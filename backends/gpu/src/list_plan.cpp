@@ -17,7 +17,7 @@ bool same_kind(const novaphy_list_op& a, const novaphy_list_op& b) {
   return a.row_bytes == b.row_bytes && (a.source == nullptr) == (b.source == nullptr);
 }
 
-// Finds the repeating stretch that leaves the fewest operations outside.
+// Finds the repeated sequence of operations that leaves the fewest operations outside of it.
 void find_body(ListPlan& plan, std::span<const novaphy_list_op> ops) {
   const auto count = static_cast<uint32_t>(ops.size());
   uint32_t best = 0;
@@ -35,7 +35,7 @@ void find_body(ListPlan& plan, std::span<const novaphy_list_op> ops) {
   }
 }
 
-// The operation that wrote the memory which another operation reads at its own row.
+// The operation that wrote the memory that another operation reads at its own row.
 struct Producer {
   int64_t op = -1;  // -1: no earlier operation of the list
   uint32_t output = 0;
@@ -84,8 +84,8 @@ class Planner {
 
   ListPlan run() {
     find_body(plan_, ops_);
-    // The start of the loop decides which results an iteration passes to the next one. The rotation
-    // that keeps the most results in registers is chosen.
+    // The start of the loop determines which results an iteration passes to the next iteration. The
+    // rotation that keeps the most results in registers is chosen.
     const uint32_t first = plan_.first;
     uint32_t best = first;
     size_t most = 0;
@@ -156,8 +156,8 @@ class Planner {
       source.from = ListPlan::Source::From::Constant;
       return source;
     }
-    // In every iteration but the first, the same operation at the same distance must have made the
-    // value.
+    // In every iteration but the first, the same operation must have written the value, at the same
+    // distance.
     const auto place = [&](uint32_t k, int64_t& distance, uint32_t& j, uint32_t& output) {
       const Producer& made = flow_.producer(op + k * plan_.period, s);
       if (made.op < plan_.first || !made.kernel) return false;
@@ -174,7 +174,7 @@ class Planner {
       if (!place(k, d, other_j, other_output) || d != distance || other_j != j ||
           other_output != output)
         return source;
-    // A register holds the value of the previous iteration only until its operation runs again.
+    // A register keeps the value of the previous iteration only until its operation runs again.
     if (distance == 1 && j < op - plan_.first) return source;
     const nova::ir::Program& p = ops_[op].kernel->program;
     const nova::ir::Program& maker = ops_[plan_.first + j].kernel->program;
@@ -188,8 +188,8 @@ class Planner {
     return source;
   }
 
-  // Registers that the first iteration reads are loaded before the loop. All sources that read such
-  // a register must therefore refer to the same memory.
+  // Registers that the first iteration reads are loaded before the loop. All sources that read the
+  // same register must therefore refer to the same memory.
   void agree_on_starts() {
     std::map<std::pair<uint32_t, uint32_t>, uint64_t> start;
     for (ListPlan::Site& s : plan_.body)

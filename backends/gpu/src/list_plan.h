@@ -17,18 +17,19 @@ struct ListPlan {
     enum class From : uint8_t {
       Memory,    // as in a separate launch
       Constant,  // memory that no operation of the list writes
-      Registers  // the result `output` of body operation `op`
+      Registers  // output `output` of operation `op` of the loop's body
     } from = From::Memory;
     uint32_t op = 0, output = 0;
-    bool carried = false;  // from the previous iteration; the first iteration loads from memory
+    bool carried = false;  // from the previous iteration; the first iteration loads the row
   };
-  struct Site {             // an operation in the text
+  struct Site {             // an operation in the text of the kernel
     uint32_t op = 0;        // index in the list: of the operation, or of its first iteration
     uint32_t function = 0;  // index of the Program, for kernels only
     std::vector<Source> sources;
   };
   std::vector<const nova::ir::Program*> programs;  // without duplicates
-  uint32_t first = 0, period = 0, repeats = 0;     // of the body; period 0: no body
+  uint32_t first = 0, period = 0, repeats = 0;     // the loop's body and its repetitions; period 0:
+                                                   // no loop
   std::vector<Site> before, body, after;
   bool worth_it = false;
 };
@@ -40,7 +41,7 @@ struct ListSource {
   std::string text;
   std::vector<uint64_t> words, table;
   uint32_t table_width = 0;
-  bool fits = true;  // the words fit into an argument
+  bool fits = true;  // whether the words fit into an argument
 };
 ListSource list_source(const ListPlan& plan, std::span<const novaphy_list_op> ops, int64_t n);
 

@@ -1,4 +1,4 @@
-// The text of a list as one kernel: a thread runs all operations for its row.
+// The text of a list as one kernel, where a thread runs all operations for its row.
 #include <map>
 #include <set>
 
@@ -12,9 +12,9 @@ namespace {
 
 constexpr size_t kMaxWords = 480;       // a kernel takes 4 KiB of arguments
 constexpr int32_t kMaxItemWords = 24;   // registers for an item of a CSR loop
-constexpr uint64_t kManyRows = 4096;    // from this count on, the registers of a thread are limited
-constexpr uint64_t kBlocksPerUnit = 5;  // blocks that run at the same time, for many rows
-constexpr uint64_t kMaxRegisters = 16;  // words of a row that is stored after its operation
+constexpr uint64_t kManyRows = 4096;    // from here on, the registers of a thread are limited
+constexpr uint64_t kBlocksPerUnit = 5;  // blocks of a unit at the same time, for many rows
+constexpr uint64_t kMaxRegisters = 16;  // largest row to be stored after its operation, in words
 
 std::string str(uint64_t k) { return std::to_string(k); }
 
@@ -48,7 +48,7 @@ class Writer {
     out_.words.push_back(value);
     return out_.words.size() - 1;
   }
-  // Equal words that are constant over the iterations share a place, so that the compiler sees the
+  // Equal words that are constant over the iterations share a word, so that the compiler sees the
   // equality. Only row counts do this, because the equality of two addresses depends on the list.
   uint64_t rows_word(uint64_t rows) {
     const auto [known, fresh] = rows_.emplace(rows, 0);
@@ -56,7 +56,7 @@ class Writer {
     return known->second;
   }
 
-  // Returns the text of word w of an operation, in this iteration or a later one.
+  // Returns the text for word w of an operation, in this iteration or `later` iterations after it.
   std::string word_text(uint32_t op, uint32_t w, bool in_body, uint32_t later = 0) {
     const uint64_t value = ops_[op].arguments[w];
     const size_t sources = ops_[op].kernel->program.sources.size();
@@ -122,8 +122,8 @@ class Writer {
     }
     return code;
   }
-  // Whether a source is loaded before the loop. Its rows must be the same in every iteration, and
-  // no operation may write them. Only one row may be read, the own or the first.
+  // Returns whether a source is loaded before the loop. Its rows must be the same in every
+  // iteration, and no operation may write them. Only one row may be read, the own row or row 0.
   bool is_loaded_once(const ListPlan::Site& site, size_t s) const {
     const nova::ir::Program& p = ops_[site.op].kernel->program;
     const Rows rows = rows_read(p, s);
@@ -131,7 +131,7 @@ class Writer {
            (rows == Rows::Own || rows == Rows::First) && p.sources[s].width <= kMaxItemWords &&
            is_fixed(site.op, static_cast<uint32_t>(2 * s)) && is_trusted(site, s, true);
   }
-  // Whether the source has every row that is read, in all iterations.
+  // Returns whether the source has every row that is read, in all iterations.
   bool is_trusted(const ListPlan::Site& site, size_t s, bool in_body) const {
     for (uint32_t k = 0; k < (in_body ? plan_.repeats : 1); ++k) {
       const novaphy_list_op& op = ops_[site.op + k * plan_.period];
@@ -158,9 +158,9 @@ class Writer {
     }
     return code;
   }
-  // Whether a source is prefetched: its own row differs in every iteration, and no operation writes
-  // the row. An iteration loads the row of the next. If rows exceed caches, the row after that is
-  // prefetched into the cache. Adds the row of the first iteration to `before`.
+  // Returns whether a source is prefetched: no operation writes its own row, which differs in every
+  // iteration. An iteration loads the row of the next iteration. If rows exceed caches, the row
+  // after that is prefetched into the cache. Adds the row of the first iteration to `before`.
   bool is_prefetched(const ListPlan::Site& site, size_t s) const {
     return ops_[site.op].kernel != nullptr &&
            site.sources[s].from == ListPlan::Source::From::Constant && !is_loaded_once(site, s) &&
@@ -192,7 +192,7 @@ class Writer {
     return code;
   }
 
-  // Whether the word refers to the same memory in all iterations.
+  // Returns whether the word refers to the same memory in all iterations.
   bool is_fixed(uint32_t op, uint32_t w) const {
     for (uint32_t k = 1; k < plan_.repeats; ++k)
       if (ops_[op + k * plan_.period].arguments[w] != ops_[op].arguments[w]) return false;
@@ -228,7 +228,7 @@ class Writer {
       }
     return total == 0 || total > kMaxItemWords ? std::vector<char>{} : kept;
   }
-  // Loads the kept sources: item r if the row has one and the indexed rows exist.
+  // Writes the loads of kept sources: item r if the CSR row has one and the indexed rows exist.
   std::string items(const ListPlan::Site& site) {
     const std::vector<char>& kept = kept_items_[site.op - plan_.first];
     if (kept.empty()) return {};
@@ -268,7 +268,7 @@ class Writer {
            ".csr, (const int32_t*)" + pointer(table + 1) + ", r, 1);\n" + at_slot + at_index +
            "      if (fine) " + name + ".count = r + 1;\n    }\n  }\n";
   }
-  // Operations of one Program share its function, so they keep the same sources, or none.
+  // Operations of one Program share its function, so all of them keep the same sources.
   std::string all_items() {
     std::string code;
     for (const ListPlan::Site& site : plan_.body) {
@@ -284,7 +284,7 @@ class Writer {
   // Finds the first iteration from which each output of the body must be stored. Earlier results
   // are overwritten before they are read from memory. The search runs backward.
   void find_first_stores() {
-    std::map<uint64_t, size_t> overwritten;  // memory, with the words of a row
+    std::map<uint64_t, size_t> overwritten;  // address; words of a row
     const auto read = [&](uint64_t where) { overwritten.erase(where); };
     for (const ListPlan::Site& site : plan_.body)
       first_stores_.emplace_back(
@@ -376,7 +376,7 @@ class Writer {
     return code + (kept ? ", kept" + str(j) : "") + ", i, failure);\n" + stores + indent + "}\n";
   }
 
-  // Once per thread: a branch after each operation would delay the loads of the next one.
+  // The report comes once per thread: a branch after each operation would delay the next loads.
   std::string report() const {
     std::string code = "  if (failure.source >= 0) {\n    uint64_t kernel = 0;\n";
     for (size_t k = 0; k < kernels_.size(); ++k)
@@ -452,11 +452,11 @@ class Writer {
   ListSource out_;
   std::vector<std::vector<uint64_t>> columns_;
   std::map<uint64_t, uint64_t> rows_;
-  std::map<uint32_t, std::vector<char>> with_items_;  // per function of the body
-  std::vector<std::vector<char>> kept_items_;         // for each operation of the body and source
-  std::vector<uint64_t> kernels_;                     // words with the operations' kernel numbers
-  std::string starts_, steps_;                        // for addresses that grow evenly
-  std::vector<std::vector<uint32_t>> first_stores_;   // {operation of the body, output}: iteration
+  std::map<uint32_t, std::vector<char>> with_items_;  // kept sources of each function
+  std::vector<std::vector<char>> kept_items_;         // by body operation and source
+  std::vector<uint64_t> kernels_;                     // words with kernel numbers
+  std::string starts_, steps_;                        // addresses that grow evenly
+  std::vector<std::vector<uint32_t>> first_stores_;   // iteration, by {body operation, output}
 };
 
 }  // namespace

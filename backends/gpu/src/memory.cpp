@@ -37,7 +37,7 @@ novaphy_status memory_alloc(novaphy_device* device, int32_t kind, uint64_t bytes
   return check(device, result, "memory_alloc", error);
 }
 
-// The function cannot report errors. The memory of a lost device was freed with its context.
+// memory_free cannot report errors. The memory of a lost device was freed with its context.
 void memory_free(novaphy_device* device, int32_t kind, void* pointer) {
   if (pointer == nullptr || device->lost) return;
   const Use use(device);
@@ -57,7 +57,7 @@ novaphy_status memory_copy(novaphy_stream* stream, int32_t kind, void* target, c
     return status;
   const Driver& d = driver();
   const Use use(stream->device);
-  // With pageable memory these calls return after the host's part of the copy.
+  // With pageable host memory these calls return when the host memory is no longer needed.
   switch (kind) {
     case NOVAPHY_COPY_HOST_TO_DEVICE:
       return check(stream->device,
@@ -104,7 +104,7 @@ novaphy_status memory_fill(novaphy_stream* stream, void* target, uint64_t patter
     result = d.fill_32(at, low, count, stream->stream);
   } else if (low == high) {
     result = d.fill_32(at, low, 2 * count, stream->stream);
-  } else {  // the two halves, as columns of one word in rows of eight bytes
+  } else {  // a pattern of eight bytes: its halves as columns of one word in rows of eight bytes
     result = d.fill_2d_32(at, 8, low, 1, count, stream->stream);
     if (result == kSuccess) result = d.fill_2d_32(at + 4, 8, high, 1, count, stream->stream);
   }

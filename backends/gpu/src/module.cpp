@@ -1,4 +1,4 @@
-// Modules: from serialized Programs to launches.
+// Modules: from serialized Programs to kernels that can be launched.
 #include "module.h"
 
 #include <cstdio>
@@ -15,8 +15,8 @@
 namespace novaphy::gpu {
 namespace {
 
-// NOVAPHY_CUDA_CONTRACT=on lets compilers contract products and sums of all kernels to one
-// rounding, as is common on GPUs.
+// NOVAPHY_CUDA_CONTRACT=on lets compilers contract products and sums of all kernels to fused
+// multiply-adds, as is common on GPUs.
 novaphy_status contraction_is_on(bool* on, novaphy_error* error) {
   const char* text = std::getenv("NOVAPHY_CUDA_CONTRACT");
   const std::string_view value = text != nullptr ? text : "";
@@ -130,7 +130,7 @@ novaphy_status load_code(novaphy_device* device, const std::string& source, cons
   std::vector<char> code;
   if (CodeCache::get().find(key, code)) {
     if (d.module_load(module, code.data()) == kSuccess) return NOVAPHY_OK;
-    code.clear();  // for example built for another driver: compiled again
+    code.clear();  // code of another driver, for example, is compiled again
   }
   if (!c.available())
     return fail(error, NOVAPHY_NOT_SUPPORTED, "kernel '%s' cannot be compiled: %s", name.c_str(),

@@ -1,4 +1,4 @@
-// Modules: a Program or a builtin as code on the device.
+// Modules: a Program, a builtin or a source module as code on the device.
 #pragma once
 
 #include <memory>
@@ -11,19 +11,19 @@
 
 struct novaphy_kernel {
   novaphy_device* device = nullptr;
-  // A Program launches `function` or the interpreter once. Other kernels call `run`.
+  // A Program runs `function` or the interpreter in one launch. Other kernels call `run`.
   novaphy::gpu::Function function = nullptr;
   novaphy_status (*run)(novaphy_stream* stream, const novaphy_kernel& kernel, int64_t n,
                         const uint64_t* arguments, novaphy_error* error) = nullptr;
-  bool is_block = false;  // its threads depend on the block size
+  bool is_block = false;  // blocks of kBlock threads, because threads use their block index
   uint32_t argument_count = 0;
-  uint32_t number = 0;  // the number by which a failing read names the kernel
+  uint32_t number = 0;  // number that identifies the kernel in the record of a failing read
   uint64_t hash = 0;
   std::string name;
-  nova::ir::Program program;  // of a compiled Program, for fused lists
+  nova::ir::Program program;  // the compiled Program, for fused lists
   struct {
     novaphy::gpu::DevicePointer code = 0;
-    int32_t values = 0;  // words per thread
+    int32_t values = 0;  // interpreter: words per thread
   } interpreted;
 };
 struct novaphy_module {

@@ -13,8 +13,8 @@ novaphy_status stream_create(novaphy_device* device, novaphy_stream** stream,
   return guarded(error, [&] {
     const Use use(device);
     Stream made = nullptr;
-    // Ordered with the driver's default stream, which other libraries use by default. Memory shared
-    // with them then needs no events.
+    // The stream is ordered with the driver's default stream, which other libraries use by default.
+    // Memory shared with them then needs no events.
     const novaphy_status status =
         check(device, driver().stream_create(&made, kStreamDefault), "stream_create", error);
     if (status == NOVAPHY_OK) *stream = new novaphy_stream{device, made};
@@ -114,8 +114,8 @@ novaphy_status capture_begin(novaphy_stream* stream, novaphy_error* error) {
   if (stream->capturing)
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "capture_begin: the stream is being captured");
   const Use use(stream->device);
-  // Recorded on a stream that is not ordered with the default stream. Otherwise work of another
-  // thread on the default stream would break the capture.
+  // The capture uses a stream that is not ordered with the default stream. Otherwise work of
+  // another thread on the default stream would break the capture.
   Stream recording = nullptr;
   novaphy_status status =
       check(stream->device, driver().stream_create(&recording, kStreamNonBlocking), "capture_begin",

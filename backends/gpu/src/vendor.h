@@ -1,4 +1,4 @@
-// The differences between vendors whose devices run CUDA-like code; defined by the plugin.
+// The differences between vendors whose devices run CUDA-like code. Each plugin defines them.
 #pragma once
 
 #include "compiler.h"
@@ -7,23 +7,25 @@
 namespace novaphy::gpu {
 
 struct VendorInfo {
-  const char* name;              // of the backend and its devices: "cuda"
+  const char* name;              // name of the backend and its devices: "cuda"
   int32_t device_type;           // novaphy_device_type
   const char* toolkit;           // for messages: "CUDA"
   const char* architecture;      // prefix of an architecture's number: "sm_"
   const char* (*device_text)();  // vendors/<name>.cuh, before all device code
-  // The library with the driver functions (driver.h).
+  // How to find the library with the driver functions (driver.h).
   const char* driver_variable;           // environment variable with the library's file
   const char* (*driver_file)();          // value of the variable, or null
   const char* driver_libraries[4];       // tried in order; null ends the list
-  bool (*load)(Driver&, void* library);  // load_driver, or a function that fits other functions to
-                                         // the table
+  bool (*load)(Driver&, void* library);  // load_driver, or a function that puts other functions
+                                         // into the table
   int oldest_driver;                     // 12000: 12.0
-  const CompilerHook* compiler;          // its options also affect code built ahead of time
-  const char* no_compiler;               // null: found at run time; else why there is none
-  bool graphs;  // captures become graphs; else they replay launches
-  // Threads per warp that persistent kernels assume. 0: no persistent kernels, and no other kernels
-  // whose blocks wait for each other.
+  const CompilerHook* compiler;          // its options also affect code that is compiled ahead of
+                                         // time
+  const char* no_compiler;               // reason why there is no compiler; null: find one at run
+                                         // time
+  bool graphs;  // captures become graphs; otherwise they replay launches
+  // Threads per warp that persistent kernels assume. 0 means that this vendor supports no kernels
+  // whose blocks wait for each other, such as persistent kernels.
   unsigned warp;
 };
 const VendorInfo& vendor();

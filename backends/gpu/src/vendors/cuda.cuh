@@ -1,5 +1,5 @@
-// CUDA's own part of device code, and the only file with PTX. This file comes first in every text.
-// generic.cuh follows, and describes the functions.
+// CUDA's part of device code, and the only file with PTX. This file comes first in every device
+// text. generic.cuh follows and describes the functions.
 #define VENDOR_FN static __device__ __forceinline__
 #define VENDOR_ENTRY extern "C" __global__ void
 #define VENDOR_HAS_GRID_CONSTANT
@@ -62,12 +62,12 @@ VENDOR_FN void vendor_grid_barrier(unsigned* counter, unsigned all) {
   } while (seen < all);
 }
 
-// Clusters have no generic version. Texts that need clusters are for vendors that have them.
+// Barriers of clusters have no generic version. Only texts for vendors with clusters use them.
 VENDOR_FN void vendor_cluster_arrive(bool wrote) {
   if (wrote) {
     asm volatile("barrier.cluster.arrive.release;" ::: "memory");
   } else {
-    __threadfence_block();  // for its part of a record, which only this block reads
+    __threadfence_block();  // orders the writes to a record, which only this block reads
     asm volatile("barrier.cluster.arrive.relaxed;" ::: "memory");
   }
 }
@@ -90,7 +90,7 @@ VENDOR_FN unsigned vendor_in_block(unsigned address, unsigned block) {
   asm("mapa.shared::cluster.u32 %0, %1, %2;" : "=r"(there) : "r"(address), "r"(block));
   return there;
 }
-// Initializes two barriers at an address. The barriers count the received bytes.
+// Initializes the two barriers at an address. A barrier counts received bytes.
 VENDOR_FN void vendor_begin_bytes(unsigned barriers) {
   asm volatile(
       "mbarrier.init.shared::cta.b64 [%0], 1;\n"
@@ -116,7 +116,7 @@ VENDOR_FN void vendor_wait_bytes(unsigned barrier, unsigned parity) {
         : "memory");
   } while (came == 0);
 }
-// Sends four words to another block, whose barrier counts them. Sends nothing if `on` is 0.
+// Sends four words to another block, whose barrier counts their bytes. Sends nothing if `on` is 0.
 VENDOR_FN void vendor_send_words(unsigned to, unsigned barrier, unsigned on, const int* words) {
   asm volatile(
       "{\n"

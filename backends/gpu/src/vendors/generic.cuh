@@ -1,35 +1,38 @@
-// The defaults for a vendor's file, in plain CUDA C++, with the same bits. A vendor with own
-// functions for a group defines VENDOR_HAS_... and the functions of the group.
+// The defaults of vendor-specific functions, in plain CUDA C++, with the same bits. A vendor's file
+// that defines a group of functions itself also defines the group's macro VENDOR_HAS_....
 #ifndef VENDOR_FN
 #define VENDOR_FN static __device__ __forceinline__
 #endif
-// The begin of a kernel. Kernels that are looked up by name need C linkage.
+// The beginning of a kernel's declaration. Kernels that are looked up by name need C linkage.
 #ifndef VENDOR_ENTRY
 #define VENDOR_ENTRY __global__ void
 #endif
-// Enclose the text of a module, whose functions are device functions without an annotation.
+// These macros enclose the text of a module, whose functions are device functions without an
+// annotation.
 #ifndef VENDOR_SOURCE_BEGIN
 #define VENDOR_SOURCE_BEGIN
 #define VENDOR_SOURCE_END
 #endif
-// Shared memory whose size the launch sets.
+// Declares shared memory whose size the launch sets.
 #ifndef VENDOR_SHARED
 #define VENDOR_SHARED(type, name) extern __shared__ type name[]
 #endif
-// Kernels read their arguments in place. Otherwise the compiler may copy them.
+// With __grid_constant__, kernels read their arguments in place. Otherwise the compiler may copy
+// them.
 #ifndef VENDOR_HAS_GRID_CONSTANT
 #undef __grid_constant__
 #define __grid_constant__
 #endif
 
-// The number of threads that run together and may exchange words: vendor_warp_barrier,
-// vendor_shuffle_up. 1: unknown, and threads synchronize at the barriers of their block only.
+// The number of threads of a warp, which run together and may exchange words: vendor_warp_barrier,
+// vendor_shuffle_up. 1 means an unknown number. Threads then synchronize only at barriers of their
+// block.
 #ifndef VENDOR_WARP
 #define VENDOR_WARP 1
 #endif
 
-// Approximations of 1 / a and 1 / sqrt(a), from which correctly rounded quotients and roots are
-// made.
+// Approximations of 1 / a and 1 / sqrt(a), which are refined to correctly rounded quotients and
+// roots.
 #ifndef VENDOR_HAS_SEEDS
 VENDOR_FN float vendor_rcp_seed(float a) { return 1.0f / a; }
 VENDOR_FN float vendor_rsqrt_seed(float a) { return 1.0f / __fsqrt_rn(a); }
@@ -41,8 +44,8 @@ VENDOR_FN void vendor_prefetch(const void*) {}
 #endif
 
 #ifdef NOVAPHY_PERSISTENT
-// Forces the load of a word before the next branch. Converts a pointer to global memory. Keeps a
-// pointer to shared memory in a register.
+// vendor_is_loaded forces the load of a word before the next branch. vendor_global converts a
+// pointer to global memory. vendor_stays_shared keeps a pointer to shared memory in a register.
 #ifndef VENDOR_HAS_PLACES
 VENDOR_FN void vendor_is_loaded(int&) {}
 template <class T>
@@ -55,8 +58,8 @@ VENDOR_FN T* vendor_stays_shared(T* p) {
 }
 #endif
 
-// A barrier for all threads of a block, in any warp. Then a second barrier: some threads leave a
-// message and go on, and others wait for them.
+// A barrier for all threads of a block, in any warp. A vendor with clusters also has a handover,
+// where some threads signal and go on, and others wait for the signal.
 #ifndef VENDOR_HAS_BLOCK_BARRIERS
 VENDOR_FN void vendor_block_barrier() { __syncthreads(); }
 #endif

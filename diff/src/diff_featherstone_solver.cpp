@@ -166,7 +166,7 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
   check_contacts(kRollout, inputs.contacts(), touching);
   rollout_contacts_ = most_contacts(inputs.contacts());
   if (inputs.pipeline() != nullptr) {
-    const UntrackedScope untracked;  // no capture records this memory
+    const UntrackedScope untracked;  // a capture does not record this memory
     const Contacts contacts = inputs.pipeline()->contacts();
     rollout_contacts_ = most_contacts(&contacts);
   }

@@ -1,5 +1,5 @@
-// The record of the gradients of DiffSemiImplicitSolver's steps, and of the events that move in
-// time.
+// The records of the gradients of DiffSemiImplicitSolver's steps, and of contacts that begin and
+// end.
 #include <utility>
 
 #include "novaphy/collision/diff_soft_contact_trace.h"
@@ -71,7 +71,7 @@ std::optional<TouchedStep> DiffSemiImplicitSolver::begin_touches(
                         kf_rate(config_.particle_kf_bound, dt), dt, touches_, witness()->touches);
 }
 
-// Notes a step on a tape for gradient_info.
+// Records a step on a tape for gradient_info.
 void DiffSemiImplicitSolver::note_step(const SimState& in, const SimState& from,
                                        const SimState& out, const Contacts* contacts,
                                        const ContactTables& tables, const nova::Operand& wrench,

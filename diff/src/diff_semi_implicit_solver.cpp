@@ -19,7 +19,7 @@ namespace novaphy::diff {
 
 namespace {
 constexpr std::string_view kSemiImplicitGradients[] = {
-    // of the model
+    // arrays of the model
     "particle_mass", "particle_radius", "particle_spring_rest_length", "particle_spring_stiffness",
     "particle_spring_damping", "particle_tri_pose", "particle_tri_activation",
     "particle_tri_material", "particle_edge_rest_angle", "particle_edge_material",
@@ -29,7 +29,7 @@ constexpr std::string_view kSemiImplicitGradients[] = {
     "joint_target_qd", "joint_target_ke", "joint_target_kd", "joint_limit_lower",
     "joint_limit_upper", "joint_limit_ke", "joint_limit_kd", "joint_damping", "joint_effort_limit",
     "gravity",
-    // of contacts
+    // arrays of contacts
     "soft_contact_body_pos", "soft_contact_body_vel", "soft_contact_normal", "rigid_contact_point0",
     "rigid_contact_point1", "rigid_contact_normal", "rigid_contact_margin0",
     "rigid_contact_margin1", "rigid_contact_stiffness", "rigid_contact_damping",
@@ -42,7 +42,7 @@ int32_t shapes_for_particles(const Model& model) {
   }));
 }
 
-// Returns the smoothing of the law huber. With 0 the law has the bits of viscous.
+// Returns the smoothing (m/s) of the law Huber. With 0 the law has the bits of Viscous.
 float huber_smoothing(const DiffSolverConfig& config) {
   require(!is_of_newton(config.friction_law), ErrorKind::NotImplemented,
           "DiffSemiImplicitSolver: friction_law: expected \"viscous\" or \"huber\", got \"newton",
@@ -201,7 +201,7 @@ void DiffSemiImplicitSolver::check_contacts(const char* function, const Contacts
         " pair(s) of shapes of the model may meet", "enable_rigid_contacts");
 }
 
-// Given contacts do not change while a capture records, so a capture allows this host read.
+// A given Contacts does not change while a capture records, so a capture allows this host read.
 void DiffSemiImplicitSolver::check_overflow(const Contacts& contacts) {
   const UntrackedScope untracked;
   require(!contacts.overflowed(), ErrorKind::Runtime,
@@ -259,7 +259,7 @@ void DiffSemiImplicitSolver::step(SimState& state_in, SimState& state_out, const
                     nova::operand_of(state_in.body_f), control, contacts, dt);
   SimState& from = touched && touched->moved_in ? *touched->moved_in : state_in;
   SimState& to = touched ? touched->to() : state_out;
-  // A tape keeps the old memory.
+  // A tape keeps the present memory, so the step needs new memory.
   if (moves_bodies() && (body_f_.rows() == 0 || nova::Tape::active() != nullptr))
     body_f_ = DeviceArray<SpatialVectorf>(state_in.body_f.rows(), device());
   const nova::Operand wrench = moves_bodies() ? nova::operand_of(body_f_) : nova::Operand{};
@@ -320,7 +320,7 @@ bool DiffSemiImplicitSolver::step_writes_kept_memory() const {
 
 bool DiffSemiImplicitSolver::begin_rollout(const RolloutInputs& inputs) {
   if (!moves_particles() && !moves_bodies()) return false;
-  // The control of any step may give a force to joints without one.
+  // The control of any step may apply a force to a joint that has no force in the model.
   const Control* acting = inputs.control(inputs.start());
   for (int32_t t = inputs.start(); t < inputs.stop(); ++t) {
     if (t > inputs.start() && inputs.control(t) == acting) continue;
@@ -336,12 +336,12 @@ void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
                                          const StepInputs& inputs, StepScratch scratch) {
   if (inputs.tables != nullptr) {
     if (config_.strict && nova::current_capture() == nullptr) {
-      nova::flush_deferred();  // runs the search for contacts
+      nova::flush_deferred();  // runs the launches of the search for contacts
       check_overflow(*inputs.contacts);
     }
     ContactTables::Wanted wanted = wanted_tables();
-    // The search has just found the contacts. Contacts of particles are frozen unless particles
-    // meet bodies.
+    // The search has just found the contacts in this state. Contacts of particles are frozen unless
+    // particles touch bodies.
     wanted.particles_follow = wanted.particles_on_bodies;
     inputs.tables->rebuild(*model(), *inputs.contacts, wanted);
   }

@@ -21,7 +21,7 @@ using Run = std::span<const std::shared_ptr<MotionEvent>>;
 
 float* numbers(const nova::Tensor& of) { return static_cast<float*>(of.range()->data()); }
 
-// Returns the array that an event's time depends on: one of a state or of the model.
+// Returns the array on which an event's time depends: an array of a state or of the model.
 nova::Tensor array_of(const SimState& state, const MotionEvent::Slope& slope) {
   const auto tensor_of = [](const auto& array) {
     const nova::Operand o = nova::operand_of(array);
@@ -36,11 +36,11 @@ nova::Tensor array_of(const SimState& state, const MotionEvent::Slope& slope) {
 }
 
 // The events that begin in one step. each() calls visit(event, input, slope) for each derivative
-// (slope) of an event time with respect to an input.
+// (slope) of an event's time with respect to an input.
 struct StepEvents {
   MotionEvents events;
   std::vector<const void*> arrays;  // memory of the inputs
-  std::vector<size_t> inputs;       // of the slopes of all events, one after the other
+  std::vector<size_t> inputs;       // input of each slope, for the events one after the other
 
   template <class F>
   void each(const F& visit) const {
@@ -68,8 +68,8 @@ struct StepEvents {
   }
 };
 
-// Returns the times of the events of one step, as a function of the state that the step starts
-// from and of the limits of joints.
+// Returns the times of the events of one step, as a function of the state from which the step
+// starts and of the limits of joints.
 nova::Tensor times_of(const SimState& state, Run run, nova::Tape& tape) {
   const auto step = std::make_shared<StepEvents>();
   step->events.assign(run.begin(), run.end());
@@ -113,8 +113,8 @@ MotionEvents events_on(const nova::Tape& tape) {
   return all;
 }
 
-// Finds the state that the step of an event starts from. The search begins at `at`, which gets the
-// result. Returns false if the trajectory does not have the state.
+// Finds the state from which the step of an event starts. The search begins at index `at` and
+// writes the result to `at`. Returns false if the trajectory does not have the state.
 bool find_state(const Trajectory& trajectory, const MotionEvent& event, int32_t& at) {
   for (int32_t k = 0; k <= trajectory.steps(); ++k) {
     const int32_t t = (at + k) % (trajectory.steps() + 1);
@@ -140,7 +140,7 @@ nova::Tensor event_times(const Trajectory& trajectory) {
   nova::flush_deferred();
   const MotionEvents all = events_on(*tape);
   std::vector<nova::Tensor> parts;
-  int32_t known = 0;  // the state of the last event, because the next one is near
+  int32_t known = 0;  // index of the state of the last event, because the next state is near
   for (size_t first = 0, end = 0; first < all.size(); first = end) {
     const MotionEvent& of = *all[first];
     while (end < all.size() && all[end]->start == of.start && all[end]->version == of.version)

@@ -16,7 +16,7 @@ using nova::Tensor;
 
 constexpr const char* kRecorder = "record_planar_2r_featherstone_step";
 
-// The force t of a limit, its part of M's diagonal, and its derivatives.
+// The force of a limit (N m), the limit's part of M's diagonal, and the derivatives by q and v.
 struct Limit {
   float force = 0.0f, diagonal = 0.0f, by_q = 0.0f, by_v = 0.0f;
 };
@@ -25,7 +25,7 @@ struct Limit {
 struct Arm {
   float c1, l, tip, base_x, base_z;  // m
   float k, a, b;                     // kg m^2, N m, N m
-  float i11, i12, i22;               // of M, without cos q2
+  float i11, i12, i22;               // constant terms of M, without cos q2
   float lower[2], upper[2], ke[2], kd[2];
 };
 
@@ -116,7 +116,8 @@ void step_arm_vjp(const Arm& arm, const float* q, const float* v, float dt, floa
 
 bool is_identity(const Quatf& q) { return q.x == 0.0f && q.y == 0.0f && q.z == 0.0f; }
 
-// ErrorKind::Runtime, with the first condition of the domain that the model does not meet.
+// Throws ErrorKind::Runtime with the first condition of record_planar_2r_featherstone_step that the
+// model does not meet.
 void check_arm(const Model& m, const char* function) {
   const auto need = [&](bool met, const char* condition) {
     require(met, ErrorKind::Runtime, function, ": expected ", condition);
@@ -169,7 +170,8 @@ void check_forces(const Model& m, const SimState& state, const Control* control)
             " at body ", i / 6);
 }
 
-// Refuses other gradients: the closed form has derivatives with respect to q and qd alone.
+// Refuses gradients of other inputs: the closed form has derivatives with respect to q and qd
+// alone.
 void check_gradients(const Model& m, const SimState& state, const Control* control) {
   check_no_gradient(kRecorder, {{"gravity", m.gravity},
                                 {"body_mass", m.body_mass},
@@ -257,7 +259,8 @@ Tensor planar_2r_tip_loss(const Model& model, const Tensor& q, float target_x, f
           ": expected a finite target, got (", target_x, ", ", target_z, ")");
   const Arm arm = read_arm(model);
   struct Tip {
-    float dx, dz, x12, z12, x1, z1;  // tip minus target; the second link; the first link
+    float dx, dz, x12, z12, x1, z1;  // tip minus target; vector of the second link; of the first
+                                     // link
   };
   const auto tip = [=](const float* x) {
     const float q12 = x[0] + x[1];
@@ -273,7 +276,7 @@ Tensor planar_2r_tip_loss(const Model& model, const Tensor& q, float target_x, f
     tape->record_custom("planar_2r_tip_loss", {q}, {loss}, [=](const std::vector<Tensor>& g) {
       const Tip at = tip(q.data<float>());
       const float seed = g[0].data<float>()[0];
-      // The derivative of a link's end (x, z) with respect to its angle is (z, -x).
+      // The derivative of a vector (x, z) with respect to a rotation about +Y is (z, -x).
       const float second = at.dx * at.z12 - at.dz * at.x12;
       const float first = second + (at.dx * at.z1 - at.dz * at.x1);
       const float back[2] = {2.0f * seed * first, 2.0f * seed * second};

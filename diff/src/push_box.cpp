@@ -52,7 +52,7 @@ void check_rows(const Tensor& tensor, int64_t rows, const char* op, const char* 
           ": expected {", rows, "}, got ", nova::shape_str(tensor.shape()));
 }
 
-// The values that the host can read now.
+// Returns the values if the host can read them now, else nothing.
 std::span<const float> values_of(const Tensor& tensor) {
   if (!nova::host_can_read(tensor.device())) return {};
   return {tensor.data<float>(), static_cast<size_t>(tensor.size())};
@@ -147,7 +147,7 @@ DeviceArray<float> floats_of(const Tensor& tensor) {
   return DeviceArray<float>(Array(novaphy::DType::float32, size, 1, tensor.range()));
 }
 
-// The inputs as arrays that outlive a launch.
+// The inputs as arrays that stay alive as long as a launch.
 struct InputArrays {
   DeviceArray<float> states[4], numbers[kPushBoxNumbers];
 

@@ -10,8 +10,8 @@ inline constexpr int kPushBoxNumbers = 10;
 
 struct PushBoxArguments {
   NOVAPHY_ARGUMENTS(
-      Detached<Reads<float>> pusher_x, pusher_v;              // a row per step
-      Detached<Reads<float>> box_x, box_v;                    // the start
+      Detached<Reads<float>> pusher_x, pusher_v;              // one row per step
+      Detached<Reads<float>> box_x, box_v;                    // initial state
       Each<Detached<Reads<float>>, kPushBoxNumbers> numbers;  // the members of PushBoxNumbers
       Number<int64_t> steps;)
 };
@@ -28,7 +28,7 @@ inline void push_box_list(const PushBoxNumbers<float>& n, float (&to)[kPushBoxNu
 }
 
 struct PushBoxRolloutArguments {
-  NOVAPHY_ARGUMENTS(Part<PushBoxArguments> in; Writes<float> x, v;  // after every step
+  NOVAPHY_ARGUMENTS(Part<PushBoxArguments> in; Writes<float> x, v;  // values after every step
   )
 };
 NOVAPHY_ROW_KERNEL(push_box_rollout, PushBoxRolloutArguments) {
@@ -44,8 +44,9 @@ NOVAPHY_ROW_KERNEL(push_box_rollout, PushBoxRolloutArguments) {
 struct PushBoxRolloutVjpArguments {
   NOVAPHY_ARGUMENTS(Part<PushBoxArguments> in;
                     Detached<Reads<float>> x, v;                    // the results of the rollout
-                    Optional<Detached<Reads<float>>> x_adjoint, v_adjoint;  // null: zero
-                    // Gradients of the inputs in the order of PushBoxArguments. Null: not wanted.
+                    Optional<Detached<Reads<float>>> x_adjoint, v_adjoint;  // null: zeros
+                    // Gradients of the inputs in the order of PushBoxArguments. A null gradient is
+                    // not wanted.
                     Each<Optional<Detached<Updates<float>>>, 4 + kPushBoxNumbers> gradient;
                     Number<int64_t> add;  // bit i: add to gradient i instead of overwriting it
   )

@@ -47,7 +47,8 @@ const nova::Kernel& twist_kernel() {
   return kernel;
 }
 
-// Parameters: a, ta, b, tb (3 each), wa, wb, h, wh, wv, ww.
+// Parameters of the kernel: a, ta, b, tb (3 numbers each), wa, wb, h, wh, wv, ww. rigid_losses.h
+// explains them.
 const nova::Kernel& orientation_kernel() {
   static const nova::Kernel kernel = nova::with_one_gradient_set(nova::make_kernel(
       "rigid_orientation_velocity_loss",

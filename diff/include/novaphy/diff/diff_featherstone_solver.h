@@ -18,31 +18,33 @@ namespace novaphy::diff {
 // backward runs the steps between two kept states once more.
 class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
  public:
-  // Errors: as for SolverFeatherstone. `allow_unconverged`: gradients do not throw for steps whose
-  // sweeps ended far from convergence. `contact_gradient`: see ArticulationStep.
+  // Errors are those of SolverFeatherstone. With `allow_unconverged`, gradients do not throw for
+  // steps whose contact solve ended far from convergence. `contact_gradient`: see ArticulationStep.
   explicit DiffFeatherstoneSolver(std::shared_ptr<const Model> model,
                                   const FeatherstoneOptions& options = {},
                                   bool allow_unconverged = false,
                                   DerivativeOf contact_gradient = DerivativeOf::Code);
 
   const FeatherstoneOptions& options() const { return options_; }
-  // Describes the gradients of all steps since the last clear, and their contacts and dry friction.
+  // Describes the gradients of all steps since the last clear, with their contacts and dry
+  // friction.
   GradientInfo gradient_info() const {
     return novaphy::gradient_info(branches().all, false, step_.motion_counts());
   }
   ContactBranches branches() const { return step_.branches(); }
   void clear_gradient_info() { step_.clear_branches(); }
 
-  // Errors: as for SolverFeatherstone::step. ErrorKind::Runtime: a call inside a ScopedCapture.
+  // Errors are those of SolverFeatherstone::step. ErrorKind::Runtime: a call inside a
+  // ScopedCapture.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override;
-  // Errors: those of step, for the last step that failed.
+  // Errors are those of step, for the last step that failed.
   void rollout(Trajectory& trajectory, const Control* control, const Contacts* contacts, float dt,
                const RolloutOptions& options = {}) override;
   void notify_model_changed(ModelFlags flags) override;
   bool supports_graph_capture() const override {
     return false;
-  }  // of step; rollout may be captured
+  }  // step cannot be captured; rollout can
 
  protected:
   std::vector<ScratchSpec> step_scratch() const override;
@@ -58,8 +60,8 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
   bool allow_unconverged_;
   DerivativeOf contact_gradient_;
   ArticulationStep step_;
-  std::shared_ptr<SimState> poses_;  // memory for poses_follow
-  int32_t rollout_contacts_ = 0;     // the most contacts in a step of the present rollout
+  std::shared_ptr<SimState> poses_;  // memory of poses_follow
+  int32_t rollout_contacts_ = 0;     // largest number of contacts in a step of the present rollout
 };
 
 }  // namespace novaphy::diff

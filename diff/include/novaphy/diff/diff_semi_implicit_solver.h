@@ -27,29 +27,30 @@ struct DiffSolverConfig {
   bool enable_triangles = false;
   bool enable_springs = false;
   bool enable_bending = false;
-  // Contacts at their true distance in every substep: of particles with world-owned planes, boxes,
-  // spheres, capsules, cylinders, cones and ellipsoids, and of bodies with infinite planes of the
-  // world (diff_rigid_bodies.h). These contacts replace those of a Contacts, which must then be
-  // null. The gradient follows the closest point and the normal.
+  // Whether each substep finds static contacts itself. These are contacts of particles with planes,
+  // boxes, spheres, capsules, cylinders, cones and ellipsoids of the world, and contacts of bodies
+  // with infinite planes of the world (diff_rigid_bodies.h). They replace a Contacts, which must
+  // then be null. The gradient follows the closest point and the normal.
   bool enable_static_contacts = false;
   // m, >= 0: the distance up to which static contacts are found
   float static_contact_margin = 0.0f;
-  // The largest kf dt/m of contacts of particles, as SemiImplicitOptions::particle_kf_bound.
+  // The largest kf dt/m of contacts of particles, as in SemiImplicitOptions::particle_kf_bound.
   float particle_kf_bound = 1.0f;
-  bool enable_rigid = true;                         // bodies move
-  bool enable_rigid_contacts = true;                // contacts of bodies act
-  float angular_damping = 0.05f;                    // 1/s, of bodies
-  FrictionLaw friction_law = FrictionLaw::Viscous;  // of contacts of bodies; Viscous or Huber
+  bool enable_rigid = true;                         // whether bodies move
+  bool enable_rigid_contacts = true;                // whether contacts of bodies act
+  float angular_damping = 0.05f;                    // 1/s, for bodies
+  FrictionLaw friction_law = FrictionLaw::Viscous;  // for contacts of bodies; Viscous or Huber
   // The slip below which the law huber is smooth (m/s); 0.1 if empty. ErrorKind::Value with
   // viscous.
   std::optional<float> friction_smoothing = {};
-  // The law of contacts of bodies. The gradient of Mean is that of the motion.
+  // The law of contacts of bodies. With Mean, the gradient is that of the motion.
   PenaltyLaw penalty_law = PenaltyLaw::Sampled;
-  bool enable_joints = true;  // joints act on bodies
+  bool enable_joints = true;  // whether joints act on bodies
   // Stiffness (N/m and N*m/rad) and damping (N*s/m, and 0.01 of it N*m*s/rad) of joints.
   float joint_attach_ke = 1.0e4f, joint_attach_kd = 1.0e2f;
-  bool strict = true;  // refuse unsupported parts of a model instead of leaving them out
-  // The gradient of contacts that begin and end (diff_touches.h). The states are the same.
+  bool strict = true;  // refuses unsupported parts of a model instead of leaving them out
+  // Whether the gradient includes the times at which contacts begin and end (diff_touches.h). The
+  // states do not depend on this option.
   DerivativeOf contact_gradient = DerivativeOf::Code;
 };
 
@@ -102,9 +103,9 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
                                   const DiffSolverConfig& config = {});
 
   const DiffSolverConfig& config() const { return config_; }
-  // Describes the gradients of the last consecutive steps on a tape: each of them started where the
-  // one before ended. For a capture it describes the last replay. ErrorKind::Runtime: a call inside
-  // a capture.
+  // Describes the gradients of the last consecutive steps on a tape, where each step started from
+  // the state in which the previous step ended. For a capture, describes the last replay.
+  // ErrorKind::Runtime: a call inside a capture.
   GradientInfo gradient_info() const;
   void clear_gradient_info() {
     notes_.clear();
@@ -123,7 +124,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   float stable_dt(const SimState& state) const;
   bool supports_graph_capture() const override {
     return false;
-  }  // of step; rollout may be captured
+  }  // step cannot be captured; rollout can
 
   // In a rollout, contacts and integration are one kernel per step, after the kernels of the
   // elements.
@@ -146,39 +147,39 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
              bool of_this_state, float dt);
   struct Witness;
   std::shared_ptr<Witness> witness();
-  // Returns nothing without a tape, or if gradients are those of the code.
+  // Returns nothing without a tape, or if gradients do not include the times of contacts.
   std::optional<TouchedStep> begin_touches(const SimState& in, SimState& out,
                                            const nova::Operand& forces,
                                            const nova::Operand& body_forces, const Control* control,
                                            const Contacts* contacts, float dt);
-  // The kernels of the step read `from`: `in`, or its copy. `wrench`: memory of the sum of
-  // wrenches.
+  // Records a step for gradient_info. The kernels of the step read `from`, which is `in` or its
+  // copy. `wrench` is the memory of the sum of wrenches.
   void note_step(const SimState& in, const SimState& from, const SimState& out,
                  const Contacts* contacts, const ContactTables& tables, const nova::Operand& wrench,
                  float dt, bool keeps);
-  // Returns the name of the solver with the setting that AdjointRecord does not support. Null: the
-  // record supports all settings.
+  // Returns the name of the solver with the setting that AdjointRecord does not support, or null if
+  // the record supports all settings.
   const char* without_record() const;
   bool moves_particles() const;
   bool moves_bodies() const;
   ParticleForces particle_forces(bool contacts) const;
   ContactTables::Wanted wanted_tables() const;
   DiffSolverConfig config_;
-  // Under strict: the number of shapes that particles collide with. These shapes need a Contacts.
+  // With `strict`: the number of shapes with which particles collide and which need a Contacts.
   int32_t uncovered_shapes_ = 0;
   bool needs_pairs_ = false;
   ParticleStep particles_;
   ParticleWatch particle_watch_{"DiffSemiImplicitSolver"};
   BodyStep bodies_;
   std::optional<DiffJoints> joints_;  // empty: joints are left out
-  UnsupportedMaterials materials_;    // adhesion acts between bodies only
-  float friction_smoothing_;          // m/s; 0 with the law viscous
+  UnsupportedMaterials materials_;    // adhesion is supported between bodies only
+  float friction_smoothing_;          // m/s; 0 for the law Viscous
   EditedValues values_{"DiffSemiImplicitSolver"};
   GradientNotes notes_;
   std::weak_ptr<Witness> witness_;
   TouchList touches_;
-  std::unique_ptr<TouchMotion> motion_;  // null: gradients of the code
-  ContactTables tables_;                 // for contacts that are given
+  std::unique_ptr<TouchMotion> motion_;  // null: gradients do not include times of contacts
+  ContactTables tables_;                 // tables of a given Contacts
   DeviceArray<SpatialVectorf> body_f_;   // for step: body_f plus the wrenches of contacts
 };
 

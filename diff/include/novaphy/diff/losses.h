@@ -12,8 +12,8 @@ namespace novaphy::diff {
 NOVAPHY_DIFF_API nova::Tensor particle_point_loss_generated(const nova::Tensor& particle_q,
                                                             int64_t particle_index, float target_x,
                                                             float target_y, float target_z);
-// Returns the mean position {1, 3} (m), without weights. Each position is divided by n, then summed
-// in order.
+// Returns the mean position {1, 3} (m), not weighted by mass. Each position is divided by n, and
+// the quotients are summed in order.
 NOVAPHY_DIFF_API nova::Tensor particle_centroid_generated(const nova::Tensor& particle_q);
 // Returns |point - target|^2 {1} (m^2) for a point {1, 3} or {3}.
 NOVAPHY_DIFF_API nova::Tensor vec3_point_loss_generated(const nova::Tensor& point, float target_x,

@@ -13,15 +13,15 @@
 
 namespace novaphy::diff {
 
-// A number, or a tensor {1} with the device of the box, whose gradient is wanted.
+// A number, or a tensor {1} on the device of the box, which may have a gradient.
 using PushBoxNumber = std::variant<float, nova::Tensor>;
 
-// mass, dt, softness and friction_velocity are > 0, the others >= 0. All are finite. Values of
-// tensors are checked on the cpu outside of captures. Elsewhere a value that is not finite enters
-// the results.
+// mass, dt, softness and friction_velocity are > 0, the other numbers >= 0. All are finite. Values
+// of tensors are checked on the CPU outside of captures. In other cases a value that is not finite
+// enters the results.
 struct PushBoxParameters {
   PushBoxNumber mass;                       // kg
-  PushBoxNumber half_extent;                // m, of the box along the axis
+  PushBoxNumber half_extent;                // m, half the size of the box along the axis
   PushBoxNumber pusher_radius;              // m
   PushBoxNumber ke;                         // N/m
   PushBoxNumber kd;                         // N s/m
@@ -33,16 +33,16 @@ struct PushBoxParameters {
 };
 
 // Returns (box_x', box_v') {1}: position (m) and velocity (m/s) of the box's center after dt. The
-// inputs {1} are those of the box and of the pusher's center. ErrorKind::Type: not a float32
-// tensor. ErrorKind::Value, with the argument's name: another shape or device, a number out of its
-// range, or a state that is not finite.
+// inputs {1} are position and velocity of the box's and the pusher's center. ErrorKind::Type: not a
+// float32 tensor. ErrorKind::Value, with the argument's name: another shape or device, a number out
+// of its range, or a state that is not finite.
 NOVAPHY_DIFF_API std::pair<nova::Tensor, nova::Tensor> integrate_push_box_generated(
     const nova::Tensor& box_x, const nova::Tensor& box_v, const nova::Tensor& pusher_x,
     const nova::Tensor& pusher_v, const PushBoxParameters& parameters);
 
-// Runs n > 0 steps as one operation, with the bits of n calls of the function above. pusher_x and
-// pusher_v {n} have a row per step. Returns (box_x, box_v) {n} after every step.
-// ErrorKind::NotImplemented: another device than the cpu.
+// Runs n > 0 steps as one operation, with the bits of n calls of integrate_push_box_generated.
+// pusher_x and pusher_v {n} have a row per step. Returns (box_x, box_v) {n} after every step.
+// ErrorKind::NotImplemented: a device other than the CPU.
 NOVAPHY_DIFF_API std::pair<nova::Tensor, nova::Tensor> integrate_push_box_rollout_generated(
     const nova::Tensor& box_x, const nova::Tensor& box_v, const nova::Tensor& pusher_x,
     const nova::Tensor& pusher_v, const PushBoxParameters& parameters);

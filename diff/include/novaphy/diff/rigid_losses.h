@@ -1,5 +1,5 @@
 // Losses and small operators of rigid bodies. All inputs and results are float32. All gradients are
-// exact. A quaternion counts as four free numbers.
+// exact. The four numbers of a quaternion count as independent.
 #pragma once
 
 #include <cstdint>
@@ -18,17 +18,18 @@ NOVAPHY_DIFF_API nova::Tensor body_twist_from_omega_generated(const nova::Tensor
 
 struct OrientationLossOptions {
   float axis_weight_a = 1.0f, axis_weight_b = 1.0f;
-  float target_height = 0.0f;            // m, of the body's origin along z
+  float target_height = 0.0f;            // m, target of the z coordinate of the body's origin
   float height_weight = 0.0f;            // 1/m^2
   float linear_velocity_weight = 0.0f;   // s^2/m^2
   float angular_velocity_weight = 0.0f;  // s^2
 };
 
-// Returns the loss {1} of one body: wa (1 - dot(R a, ta)) + wb (1 - dot(R b, tb)) + wh (z - h)^2 +
-// wv
-// v|^2 + ww |w|^2, for body_q {b, 7} and body_qd {b, 6}. The axes a, b (body frame) and ta, tb
-// (world frame) are normalized. ErrorKind::Index: no such body. ErrorKind::Value: an axis of length
-// 0, or numbers that are not finite.
+// Returns the loss {1} of one body, for body_q {b, 7} and body_qd {b, 6}:
+//   wa (1 - dot(R a, ta)) + wb (1 - dot(R b, tb)) + wh (z - h)^2 + wv |v|^2 + ww |w|^2
+// R is the rotation of the body, z the height of its origin (m), v its linear velocity (m/s) and w
+// its angular velocity (rad/s). wa to ww and h are the weights and the height of the options, in
+// order. The axes a, b (body frame) and ta, tb (world frame) are normalized. ErrorKind::Index: no
+// such body. ErrorKind::Value: an axis of length 0, or numbers that are not finite.
 NOVAPHY_DIFF_API nova::Tensor rigid_orientation_velocity_loss_generated(
     const nova::Tensor& body_q, const nova::Tensor& body_qd, int64_t body_index,
     const Vec3f& local_axis_a, const Vec3f& target_axis_a, const Vec3f& local_axis_b,

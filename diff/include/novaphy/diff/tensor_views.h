@@ -10,7 +10,7 @@
 #include "novaphy/dynamics/diff_solver_base.h"
 #include "novaphy/nova/tensor.h"
 
-// X(field) for each view, which is one function.
+// X(field) for each view of an array of a state.
 #define NOVAPHY_STATE_VIEWS(X) \
   X(particle_q)                \
   X(particle_qd) X(particle_f) X(body_q) X(body_qd) X(body_f) X(joint_q) X(joint_qd) X(act)
@@ -43,7 +43,7 @@
   X(shape_material_kf)         \
   X(shape_material_mu)         \
   X(shape_material_restitution)
-// X(name, field): views of arrays over elements, without the prefix of the field.
+// X(name, field) for views of arrays of elements. `name` is the field without its prefix.
 #define NOVAPHY_ELEMENT_VIEWS(X)                     \
   X(tet_activation, particle_tet_activation)         \
   X(tet_material, particle_tet_material)             \
@@ -64,23 +64,25 @@
 
 namespace novaphy::diff {
 
-// state_particle_q_tensor(state): {n, 3}, m; and so on, with the shapes of the state's fields.
+// For example, state_particle_q_tensor(state) returns {n, 3} (m). Shapes are those of the state's
+// fields.
 #define NOVAPHY_DECLARE_STATE_VIEW(field)                                     \
   NOVAPHY_DIFF_API nova::Tensor state_##field##_tensor(const SimState& state, \
                                                        bool requires_grad = false);
 NOVAPHY_STATE_VIEWS(NOVAPHY_DECLARE_STATE_VIEW)
 #undef NOVAPHY_DECLARE_STATE_VIEW
 
-// model_particle_mass_tensor(model): {n}, kg; and so on. Integrators read the inverses of masses
-// and inertias, which follow these arrays (Model::update_derived). Gradients reach the arrays
-// nevertheless.
+// For example, model_particle_mass_tensor(model) returns {n} (kg). Integrators read the inverses of
+// masses and inertias, which are derived from these arrays (Model::update_derived). Gradients reach
+// the arrays nevertheless.
 #define NOVAPHY_DECLARE_MODEL_VIEW(field)                                  \
   NOVAPHY_DIFF_API nova::Tensor model_##field##_tensor(const Model& model, \
                                                        bool requires_grad = false);
 NOVAPHY_MODEL_VIEWS(NOVAPHY_DECLARE_MODEL_VIEW)
 #undef NOVAPHY_DECLARE_MODEL_VIEW
 
-// model_tet_material_tensor(model): {tet_count, 3}, Pa; and so on, with the shapes of the fields.
+// For example, model_tet_material_tensor(model) returns {tet_count, 3} (Pa). Shapes are those of
+// the fields.
 #define NOVAPHY_DECLARE_ELEMENT_VIEW(name, field)                         \
   NOVAPHY_DIFF_API nova::Tensor model_##name##_tensor(const Model& model, \
                                                       bool requires_grad = false);

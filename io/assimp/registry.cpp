@@ -1,5 +1,6 @@
 // Registers the importers and processing steps of assimp that load_mesh needs. This file replaces
-// assimp's Common/ImporterRegistry.cpp and Common/PostStepRegistry.cpp, which register all of them.
+// assimp's Common/ImporterRegistry.cpp and Common/PostStepRegistry.cpp, which register all
+// importers and steps.
 #include <vector>
 
 #include "AssetLib/Collada/ColladaLoader.h"
@@ -18,7 +19,7 @@ void DeleteImporterInstanceList(std::vector<BaseImporter*>& importers) {
   for (const BaseImporter* importer : importers) delete importer;
 }
 
-// assimp runs its validation before the steps of this list.
+// assimp validates a scene before it runs the steps of this list.
 void GetPostProcessingStepInstanceList(std::vector<BaseProcess*>& out) {
   out = {new TriangulateProcess};
 }

@@ -15,8 +15,8 @@
 namespace novaphy::detail {
 namespace {
 
-// Removes all importers but the wanted one. The extension decides the format; assimp must not guess
-// it from the contents.
+// Removes all importers but the importer of the extension, so that assimp does not guess the format
+// from the contents.
 void keep_one_importer(Assimp::Importer& importer, std::string_view extension) {
   const Assimp::BaseImporter* const wanted = importer.GetImporter(std::string(extension).c_str());
   for (size_t n = importer.GetImporterCount(); n-- > 0;) {
@@ -27,7 +27,7 @@ void keep_one_importer(Assimp::Importer& importer, std::string_view extension) {
   }
 }
 
-// Checks the corners of polygons, because cutting them into triangles does not. assimp's own
+// Checks the indices of polygon corners, because the triangulation does not. assimp's own
 // validation would also refuse files for their cameras, lights, materials, bones and animations.
 void check_faces(const std::string& where, const aiScene& scene) {
   constexpr unsigned kMostCorners = AI_MAX_FACE_INDICES;
@@ -51,8 +51,8 @@ void check_faces(const std::string& where, const aiScene& scene) {
 
 Vec3f to_vec3(const aiVector3D& v) { return {v.x, v.y, v.z}; }
 
-// Returns the color of a material. The result is empty for an image and for assimp's default
-// material.
+// Returns the color of a material. Returns nothing for a material with an image, and for assimp's
+// default material.
 std::optional<Vec3f> color_of(const aiMaterial& material, const Colors* colors) {
   aiString name;
   const bool has_name = material.Get(AI_MATKEY_NAME, name) == AI_SUCCESS;
@@ -73,7 +73,7 @@ void append_mesh(const aiMesh& mesh, const aiMatrix4x4& to_world, const std::opt
   const bool mirrored = to_world.Determinant() < 0;
   for (unsigned f = 0; f < mesh.mNumFaces; ++f) {
     const aiFace& face = mesh.mFaces[f];
-    if (face.mNumIndices != 3) continue;  // skip points and lines
+    if (face.mNumIndices != 3) continue;  // points and lines are skipped
     Triangle triangle;
     for (size_t corner = 0; corner < 3; ++corner)
       triangle[corner] = to_vec3(to_world * mesh.mVertices[face.mIndices[corner]]);
@@ -116,7 +116,7 @@ Soup read_triangles(const std::string& where, std::string_view bytes, std::strin
   check_faces(where, *scene);
   scene = importer.ApplyPostProcessing(aiProcess_Triangulate);
   check_read();
-  // assimp converts COLLADA to y up, and NovaPhy uses z up.
+  // The rotation from y up to z up: assimp converts COLLADA to y up, and NovaPhy uses z up.
   aiMatrix4x4 to_z_up;
   if (extension == ".dae") to_z_up = aiMatrix4x4(1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1);
   std::vector<std::optional<Vec3f>> of_materials;

@@ -1,4 +1,5 @@
-// Reads a file with assimp into unconnected triangles. Only assimp_scene.cpp includes assimp.
+// Reads a file with assimp into triangles that share no vertices. Only assimp_scene.cpp includes
+// assimp.
 #pragma once
 
 #include <array>
@@ -23,8 +24,9 @@ struct Soup {
 };
 
 // Returns all triangles of the scene in a file's `bytes`, placed by its nodes. A COLLADA scene is
-// in meters with z up. `where` begins every error message. `colors` replace those of the file.
-// ErrorKind::Value: assimp refuses the file, or a face has a corner that does not exist.
+// in meters with z up. Every error message begins with `where`. `colors`, if given, replace the
+// material colors of the file. ErrorKind::Value: assimp refuses the file, or a face has a corner
+// that does not exist.
 Soup read_triangles(const std::string& where, std::string_view bytes, std::string_view extension,
                     const Colors* colors);
 

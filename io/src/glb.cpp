@@ -12,7 +12,7 @@
 namespace novaphy::detail {
 namespace {
 
-// A JSON value; null, false and true are stored as null.
+// A JSON value. The values null, false and true are all stored as null.
 struct Json {
   std::variant<std::monostate, double, std::string, std::vector<Json>, std::map<std::string, Json>>
       value = {};
@@ -46,7 +46,7 @@ class JsonReader {
     expect(take('"'));
     std::string text;
     while (at_ < text_.size() && text_[at_] != '"') {
-      if (text_[at_] == '\\') ++at_;  // no name that the reader needs has an escape
+      if (text_[at_] == '\\') ++at_;  // names that the reader needs have no escapes
       expect(at_ < text_.size());
       text.push_back(text_[at_++]);
     }
@@ -215,8 +215,8 @@ class GlbReader {
       for (const Json& child : list(*children)) add_node(index(child), pose, depth + 1);
   }
 
-  // Returns a material's color, or nothing for an image. The color of the file is linear and is
-  // converted to sRGB, which viewers show.
+  // Returns the color of a primitive's material, or nothing if the material has an image. The file
+  // has linear colors, which are converted to sRGB, as viewers show them.
   std::optional<Vec3f> color_of(const Json& primitive) const {
     const Json* const number = member(primitive, "material");
     if (number == nullptr) return std::nullopt;
@@ -233,7 +233,7 @@ class GlbReader {
     const char* first;
     size_t count, stride;
   };
-  // `width`: numbers per row.
+  // Returns the rows of an accessor. `width`: numbers per row.
   Rows rows(const Json& accessor, size_t bytes) const {
     const Json* const view = member(accessor, "bufferView");
     require(view != nullptr && member(accessor, "sparse") == nullptr, ErrorKind::NotImplemented,

@@ -1,4 +1,4 @@
-// Reads binary glTF files (.glb) into unconnected triangles.
+// Reads binary glTF files (.glb) into triangles that share no vertices.
 #pragma once
 
 #include "assimp_scene.h"
@@ -6,9 +6,9 @@
 namespace novaphy::detail {
 
 // Returns all triangles of the scene in a file's `bytes`, placed by its nodes. Numbers are
-// unchanged, which means meters with y up by the format's definition. `where` begins every error
-// message. ErrorKind::Value: the file is truncated or inconsistent. ErrorKind::NotImplemented: data
-// outside of the file, compressed or sparse data, primitives other than triangles.
+// unchanged, which means meters with y up by the format's definition. Every error message begins
+// with `where`. ErrorKind::Value: the file is truncated or inconsistent. ErrorKind::NotImplemented:
+// data outside of the file, compressed or sparse data, primitives other than triangles.
 Soup read_glb(const std::string& where, std::string_view bytes);
 
 }  // namespace novaphy::detail

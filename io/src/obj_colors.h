@@ -1,4 +1,4 @@
-// Reads the colors of materials of OBJ files.
+// Reads the colors of the materials of OBJ files.
 #pragma once
 
 #include <filesystem>

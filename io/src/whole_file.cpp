@@ -11,7 +11,7 @@ namespace {
 
 struct Property {
   bool is_list = false;
-  size_t count_size = 0;  // bytes of a list's length
+  size_t count_size = 0;  // bytes of the length of a list; 0: not a list
   size_t size = 0;        // bytes of a value
 };
 struct Element {
@@ -24,7 +24,7 @@ struct PlyHeader {
   std::string_view body;
 };
 
-// Removes and returns the first line, without its end.
+// Removes the first line from the text and returns it without its end.
 std::string_view take_line(std::string_view& text) {
   const size_t end = std::min(text.find('\n'), text.size());
   std::string_view line = text.substr(0, end);
@@ -33,7 +33,7 @@ std::string_view take_line(std::string_view& text) {
   return line;
 }
 
-// Splits a line into words, and reuses the memory of `words`.
+// Splits a line into words. The memory of `words` is reused.
 void split(std::string_view line, std::vector<std::string_view>& words) {
   const auto is_blank = [](char c) { return c == ' ' || c == '\t' || c == '\r'; };
   words.clear();
@@ -110,7 +110,7 @@ size_t read_length(std::string_view bytes, bool big_endian) {
   return value;
 }
 
-// Removes `count` values of `size` bytes. Returns false if there are fewer.
+// Removes `count` values of `size` bytes from the body. Returns false if there are fewer.
 bool take(std::string_view& body, size_t count, size_t size) {
   if (count > body.size() / size) return false;
   body.remove_prefix(count * size);
@@ -164,7 +164,7 @@ void check_stl(const std::string& where, std::string_view bytes) {
   constexpr size_t kHeader = 84, kTriangle = 50;
   if (bytes.size() >= kHeader) {
     const size_t count = read_length(bytes.substr(kHeader - 4, 4), false);
-    if (bytes.size() == kHeader + count * kTriangle) return;  // binary and complete
+    if (bytes.size() == kHeader + count * kTriangle) return;  // a binary file that is complete
   }
   require(!bytes.starts_with("solid") || bytes.find("endsolid") != std::string_view::npos,
           ErrorKind::Value, where, ": expected endsolid, got the end of the file");
@@ -178,7 +178,7 @@ bool is_of_integers(char c) {
 void check_dae(const std::string& where, std::string_view bytes) {
   for (size_t at = bytes.find("<p"); at != std::string_view::npos; at = bytes.find("<p", at)) {
     at += 2;
-    if (bytes.substr(at, 1).find_first_of("> \t\r\n") != 0) continue;  // a tag with a longer name
+    if (bytes.substr(at, 1).find_first_of("> \t\r\n") != 0) continue;  // a longer name
     at = std::min(bytes.find('>', at), bytes.size() - 1) + 1;
     const std::string_view text = bytes.substr(at, bytes.find('<', at) - at);
     const auto bad = std::ranges::find_if_not(text, is_of_integers);
@@ -207,7 +207,7 @@ std::string obj_for_assimp(const std::string& where, std::string_view bytes) {
   size_t next = 1;
   while (!bytes.empty()) {
     const size_t number = next;
-    for (line.clear(); !bytes.empty();) {  // read a line; a backslash at its end continues it
+    for (line.clear(); !bytes.empty();) {  // a line goes on after a backslash at its end
       size_t end = 0;
       while (end < bytes.size() && bytes[end] != '\n' && bytes[end] != '\r') ++end;
       line.append(bytes.substr(0, end));
@@ -223,7 +223,7 @@ std::string obj_for_assimp(const std::string& where, std::string_view bytes) {
       continue;
     }
     if (line.size() > 1 && (line[1] == 'n' || line[1] == 't'))
-      continue;  // skip normals and texture coordinates
+      continue;  // normals and texture coordinates are skipped
     split(std::string_view(line).substr(0, line.find('#')), words);
     if (words.empty() || words[0] != "v") continue;
     const size_t numbers = words.size() - 1;

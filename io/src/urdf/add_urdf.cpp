@@ -144,7 +144,7 @@ class Reader {
     return Vec4f{c.r, c.g, c.b, c.a};
   }
 
-  // Adds a shape. Returns false if the shape is left out.
+  // Adds a shape to a link. Returns false if the shape is left out.
   bool add_shape(RobotLink& to, const urdf::GeometrySharedPtr& geometry, const urdf::Pose& origin,
                  const Element& e, const std::string& label, bool is_collider, bool is_visible,
                  std::optional<Vec4f> color) {
@@ -191,7 +191,7 @@ class Reader {
     return true;
   }
 
-  // Adds a mesh. A display mesh that cannot be read is left out without an error.
+  // Adds a mesh to a link. A display mesh that cannot be read is left out without an error.
   bool add_mesh(const urdf::Mesh& mesh, const Element& e, bool is_collider, RobotShape& to) {
     to.type = GeoType::MESH;
     to.scale = to_vec(mesh.scale) * scale_;
@@ -213,7 +213,8 @@ class Reader {
     return true;
   }
 
-  // Returns the mesh of a file, read once. A mirrored mesh has its own vertices; `scale` becomes 1.
+  // Returns the mesh of a file, which is read only once. For a mirrored scale, returns mirrored
+  // vertices and sets `scale` to 1.
   std::shared_ptr<const Mesh> surface(const std::filesystem::path& path, Vec3d& scale) {
     auto& read = meshes_[path.string()];
     if (read == nullptr)
@@ -269,7 +270,7 @@ class Reader {
         result.linear = {dof(joint, axis, scale_)};
         return result;
       case urdf::Joint::PLANAR: {
-        // Two translations in the plane, and a rotation about its normal `axis`.
+        // A planar joint has two translations in the plane, and a rotation about its normal `axis`.
         const Quatd q = turn_from_z(axis);
         result.type = JointType::PLANAR;
         result.linear = {dof(joint, math::rotate(q, Vec3d{1.0, 0.0, 0.0}), scale_),
@@ -323,7 +324,7 @@ class Reader {
       dof.velocity_limit = static_cast<float>(joint.limits->velocity * scale);
     }
     if (joint.mimic != nullptr && options_.mimic == MimicMode::Follow)
-      dof.target_ke = dof.target_kd = 0.0f;  // the leader's drive moves both
+      dof.target_ke = dof.target_kd = 0.0f;  // the drive of the leader moves both joints
     if (joint.dynamics != nullptr) {
       const auto damping = static_cast<float>(joint.dynamics->damping);
       (options_.joint_damping_mode == JointDampingMode::Passive ? dof.damping : dof.target_kd) =
@@ -346,7 +347,7 @@ class Reader {
   Robot robot_;
 };
 
-// Returns the rotation from the up axis of the file to that of the builder.
+// Returns the rotation from the up axis of the file to the up axis of the builder.
 Quatd turn_up(Axis from, Axis to) {
   if (from == to) return {0.0, 0.0, 0.0, 1.0};
   const Vec3f a = axis_vector(from), b = axis_vector(to);

@@ -9,9 +9,9 @@ namespace {
 
 constexpr size_t kMostLinks = 10000;
 
-enum class Sign { Any, NotNegative, Positive, Unit };  // Unit: 0 to 1
+enum class Sign { Any, NotNegative, Positive, Unit };  // Unit: in [0, 1]
 
-// An element with an attribute, the number of its values and their sign.
+// An attribute of an element, with the number of its values and their allowed signs.
 struct Rule {
   const char* element;
   const char* attribute;
@@ -80,7 +80,7 @@ class Checker {
 
  private:
   void passed_over(const Element& e) {
-    // Each kind is noted once.
+    // Each unknown tag is noted once.
     if (seen_.insert(e.Name()).second)
       notes_.ignored(e, std::string("not read: <") + e.Name() + "> is no part of it");
   }
@@ -101,7 +101,8 @@ class Checker {
     order.push_back(name);
   }
 
-  // Checks the numbers of an element, and that it has no attributes besides those and `texts`.
+  // Checks the numbers of an element, and that all its attributes are numbers of kRules or in
+  // `texts`.
   void check_numbers(const Element& e, std::initializer_list<std::string_view> texts = {}) {
     for (const Rule& rule : kRules) {
       if (std::string_view(e.Name()) != rule.element) continue;
@@ -133,7 +134,8 @@ class Checker {
     }
   }
 
-  // Calls visit(child) for each child element. Elements of `single` may occur once.
+  // Calls visit(child) for each child element. Elements with a name in `single` may occur only
+  // once.
   template <class Visit>
   void children(const Element& e, std::initializer_list<const char*> single, Visit&& visit) {
     for (const char* name : single) file_.only(e, name);
@@ -249,7 +251,7 @@ class Checker {
   }
 
   void check_tree() {
-    std::map<std::string, const Element*> parent;  // joint above each link
+    std::map<std::string, const Element*> parent;  // joint whose child is the link
     std::map<std::string, std::vector<std::string>> below;
     for (const std::string& name : found_.joint_order) {
       const Element& joint = *found_.joints.at(name);

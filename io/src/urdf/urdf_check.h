@@ -1,4 +1,4 @@
-// Refuses faults of URDF files that urdfdom accepts.
+// Refuses errors in URDF files that urdfdom accepts.
 #pragma once
 
 #include <map>
@@ -12,7 +12,7 @@ namespace novaphy::detail {
 struct UrdfElements {
   // The <link> and <joint> elements, by name. A link and a joint may have the same name.
   std::map<std::string, const Element*> links, joints;
-  std::vector<std::string> link_order, joint_order;  // order of the file
+  std::vector<std::string> link_order, joint_order;  // names in the order of the file
   std::string root;                                  // the link without a parent
 };
 

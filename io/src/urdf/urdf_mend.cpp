@@ -39,7 +39,7 @@ class Mender {
     e.SetAttribute("name", by_default);
     notes_.mended(e, "it had no name");
   }
-  // Keeps the first of several elements with one name, as urdfdom does.
+  // Removes all but the first of several elements with one name, as urdfdom does.
   void keep_first(Element& parent, std::initializer_list<const char*> names) {
     for (const char* each : names)
       if (Element* first = parent.FirstChildElement(each))
@@ -55,7 +55,7 @@ class Mender {
       }
   }
 
-  // Returns an attribute of a child; null: missing.
+  // Returns an attribute of a child element, or null if it is missing.
   static const char* of_child(const Element& e, const char* child, const char* attribute) {
     const Element* const found = e.FirstChildElement(child);
     return found == nullptr ? nullptr : found->Attribute(attribute);
@@ -64,8 +64,8 @@ class Mender {
     return of_child(material, "color", "rgba") != nullptr ||
            of_child(material, "texture", "filename") != nullptr;
   }
-  // Collects the materials of the whole file by name. Materials of links are valid for other links
-  // too.
+  // Collects the materials of the whole file by name. A material of a link may be used by other
+  // links too.
   void collect_materials(const Element& robot) {
     const auto add = [&](const Element* e) {
       const char* const given = e->Attribute("name");
@@ -94,7 +94,8 @@ class Mender {
     if (Element* texture = e.FirstChildElement("texture"))
       if (texture->Attribute("filename") == nullptr) drop(*texture, "it has no filename");
     if (is_global) {
-      // Each material is kept once; a material without a definition is removed.
+      // Only the first definition of a material is kept. A material without a definition is
+      // removed.
       if (!is_defined(e)) return drop(e);
       if (!global_.insert(own).second) drop(e, "there is one of that name, which counts");
       return;
@@ -221,7 +222,7 @@ class Mender {
   XmlFile& file_;
   Notes& notes_;
   MendedUrdf mended_;
-  // rgba and texture, by name
+  // rgba and texture of each material
   std::map<std::string, std::pair<std::string, std::string>> materials_;
   std::set<std::string> global_, joints_;
   int unnamed_ = 0;

@@ -8,10 +8,10 @@
 namespace novaphy::detail {
 
 struct MendedUrdf {
-  std::set<const Element*> capsules;  // <cylinder> elements that were <capsule>
+  std::set<const Element*> capsules;  // <cylinder> elements that were <capsule> elements
 };
 
-// Changes the elements of the file, and notes each change.
+// Corrects the elements of the file, and notes each correction.
 MendedUrdf mend_urdf(XmlFile& file, Notes& notes);
 
 }  // namespace novaphy::detail

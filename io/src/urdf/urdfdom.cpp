@@ -10,7 +10,7 @@
 namespace novaphy::detail {
 namespace {
 
-// Stores the first error instead of printing it.
+// Stores the first error message instead of printing messages.
 class Listener : public console_bridge::OutputHandler {
  public:
   void log(const std::string& text, console_bridge::LogLevel level, const char*, int) override {
@@ -19,8 +19,8 @@ class Listener : public console_bridge::OutputHandler {
   std::string error;
 };
 
-// Directs messages of urdfdom to a Listener for the lifetime of the object. The process has a
-// single handler, so a lock is held.
+// Sends messages of urdfdom to a Listener for the lifetime of the object. The process has only one
+// message handler, so the object holds a lock.
 class Listening {
  public:
   explicit Listening(Listener& listener) : lock_(mutex()) {

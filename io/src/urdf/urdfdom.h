@@ -8,11 +8,12 @@
 
 namespace novaphy::detail {
 
-// Parses a file that check_urdf has accepted. `where` begins every error message. ErrorKind::Value:
-// urdfdom refuses the file, or reports that it left out a part.
+// Parses a file that check_urdf has accepted. Every error message begins with `where`.
+// ErrorKind::Value: urdfdom refuses the file, or reports that it left out a part.
 std::shared_ptr<urdf::ModelInterface> parse_urdf(const std::string& where, const std::string& text);
 
-// Disconnects the links of a model, so that destroying a long chain does not recurse too deep.
+// Disconnects the links of a model. Otherwise the destruction of a long chain would recurse too
+// deep.
 void take_apart(urdf::ModelInterface& model);
 
 }  // namespace novaphy::detail

@@ -1,5 +1,5 @@
-// Replaces the header that console_bridge's own build writes. The library is linked in and exports
-// no symbols.
+// Replaces the header that console_bridge's own build generates. The library is linked in and
+// exports no symbols.
 #pragma once
 
 #define CONSOLE_BRIDGE_DLLAPI

@@ -1,5 +1,5 @@
-// Replaces assimp's reader of ZIP archives, so that the build needs no zlib. load_mesh reads .dae
-// files, which are never archives, and does not read .zae files.
+// Replaces assimp's reader of ZIP archives, so that the build needs no zlib. A .dae file is never
+// an archive, and load_mesh does not read .zae archives.
 #pragma once
 
 #include <assimp/IOSystem.hpp>

@@ -21,9 +21,9 @@ struct BaseJoint {
 };
 
 enum class JointOrdering {
-  DepthFirst,    // children in the order of the file, each followed by its subtree
-  BreadthFirst,  // all joints of one depth before the next depth
-  File           // order of the file, in which parents must come before children
+  DepthFirst,    // depth first: each child, in the order of the file, with its subtree
+  BreadthFirst,  // breadth first: all joints of one depth before the next depth
+  File           // order of the file, where parents must come before children
 };
 
 // The treatment of <mimic> elements of URDF.
@@ -31,10 +31,10 @@ enum class MimicMode {
   Follow,      // a mimic joint (add_constraint_mimic) without its own drive
   Refuse,      // ErrorKind::NotImplemented
   Fixed,       // a fixed joint at the mimic offset
-  Independent  // a joint of its own, without the constraint
+  Independent  // a joint without the mimic constraint
 };
 
-// The destination of <dynamics damping="..."/> of URDF.
+// The builder's setting that receives <dynamics damping="..."/> of URDF.
 enum class JointDampingMode {
   Passive,  // JointDofConfig::damping
   Drive     // JointDofConfig::target_kd
@@ -49,12 +49,14 @@ enum class Unsupported {
 struct UrdfOptions {
   Transformf xform = Transformf::identity();  // pose of the root link, in the world or
                                               // `parent_body`
-  std::optional<bool> floating = {};          // true: a FREE base joint; false or empty: FIXED
+  std::optional<bool> floating = {};          // true: a FREE base joint; false or empty: a FIXED
+                                              // base joint
   std::optional<BaseJoint> base_joint = {};   // replaces `floating`
-  // The body that carries the root link; -1: the world. With a body the joints belong to no
+  // The body to which the root link is attached; -1: the world. With a body the joints belong to no
   // articulation, because an articulation starts at the world.
   int32_t parent_body = -1;
-  float scale = 1.0f;         // scales all lengths; masses stay, inertias scale with its square
+  float scale = 1.0f;         // factor of all lengths; masses stay, inertias are scaled by its
+                              // square
   bool hide_visuals = false;  // skips <visual> elements, whose meshes may then be missing
   bool parse_visuals_as_colliders = false;  // reads <visual> in place of <collision>
   Axis up_axis = Axis::Z;                   // up axis of the file, rotated to that of the builder
@@ -66,16 +68,17 @@ struct UrdfOptions {
   bool bodies_follow_joint_ordering = true;     // false: bodies in the order of the file
   bool collapse_fixed_joints = false;           // merges a link on a fixed joint into its parent
   std::vector<std::string> links_to_keep = {};  // links that collapse_fixed_joints does not merge
-  // Replaces meshes of colliders by their convex hull with at most this many vertices. Empty:
-  // meshes stay.
+  // Replaces meshes of colliders by their convex hull with at most this many vertices. If empty,
+  // colliders keep their meshes.
   std::optional<int32_t> mesh_maxhullvert = {};
   JointDampingMode joint_damping_mode = JointDampingMode::Passive;
-  // Folders for package://NAME/... : a folder that contains a folder NAME, or that is named NAME.
+  // Folders for package://NAME/...: a listed folder contains a folder NAME, or is itself named
+  // NAME.
   std::vector<std::filesystem::path> package_dirs = {};
   MimicMode mimic = MimicMode::Follow;
-  // Corrects a mass whose inertia is missing or not physical. A link on a fixed joint adds its mass
-  // to the parent. For other links the principal moments are raised to those of a ball of water.
-  // False: ModelBuilder::finalize throws an error.
+  // Whether a mass without inertia, or with an unphysical inertia, is corrected. A link on a fixed
+  // joint adds its mass to the parent. For other links the principal moments are raised to those of
+  // a ball of water. If false, ModelBuilder::finalize throws an error for such a mass.
   bool mend_inertias = true;
   bool ignore_zero_effort = false;  // <limit> with effort="0" means no limit
   Unsupported unsupported = Unsupported::Error;
@@ -86,7 +89,7 @@ struct MjcfOptions {
   bool collapse_fixed_joints = false;  // merges a body without a joint into its parent
   std::vector<std::string> links_to_keep = {};
   bool enable_self_collisions = true;
-  // Further folders from which files may be read, besides the folder of the file and its parent.
+  // Folders from which files may be read, besides the folder of the file and its parent folder.
   std::vector<std::filesystem::path> package_dirs = {};
   Unsupported unsupported = Unsupported::Error;
 };
@@ -103,14 +106,14 @@ struct RobotCamera {
   float fovy;  // rad, vertical field of view
 };
 
-// A keyframe of an MJCF file: values of joint_q from row `coord` on.
+// A keyframe of an MJCF file: values of joint_q, beginning at row `coord`.
 struct RobotKeyframe {
   float time;
   int32_t coord;
   std::vector<float> joint_q;
 };
 
-// A remark of the reader about an element.
+// A remark of the reader about an element of the file.
 struct RobotNote {
   std::string file;
   int32_t line;
@@ -118,17 +121,18 @@ struct RobotNote {
   std::string text;
 };
 
-// A report of what the reader read, corrected and left out.
+// The report of what the reader read, corrected and left out.
 struct RobotReport {
   std::map<std::string, int32_t> read;  // number of supported elements, by kind
   std::vector<RobotNote> mended;        // corrected elements
   std::vector<RobotNote> left_out;      // unsupported elements that affect the motion
-  std::vector<RobotNote> ignored;       // elements that do not affect the motion, or that the
-                                        // simulation decides
+  std::vector<RobotNote> ignored;       // elements that do not affect the motion, or settings that
+                                        // the simulation chooses
 };
 
-// An equality, tendon, height field or sensor of an MJCF file, unchanged, with the defaults of its
-// class. Attributes with names and with lists of numbers are kept separately. A tendon has parts.
+// An equality, tendon, height field or sensor of an MJCF file, not interpreted, with the defaults
+// of its class. Attributes with names and with lists of numbers are stored separately. A tendon has
+// parts.
 struct RobotPart {
   std::string kind, name = {};
   std::map<std::string, std::string> names = {};
@@ -136,22 +140,25 @@ struct RobotPart {
   std::vector<RobotPart> parts = {};
 };
 
-// The added objects, by their names in the file.
+// The objects that the reader added, by their names in the file.
 struct RobotImport {
-  std::map<std::string, int32_t> links;   // body index; for a merged link, the body it belongs to
-  std::map<std::string, int32_t> joints;  // -1: merged
-  // First row of each joint in joint_qd and similar arrays, and in joint_q; -1: merged.
+  std::map<std::string, int32_t> links;   // body index; for a merged link, the body into which it
+                                          // was merged
+  std::map<std::string, int32_t> joints;  // joint index; -1: merged
+  // First row of each joint in arrays of degrees of freedom, such as joint_qd, and first row in
+  // joint_q; -1: merged.
   std::map<std::string, int32_t> joint_dofs, joint_coords;
   // Pose of each link in its body: the identity unless the link was merged.
   std::map<std::string, Transformf> link_poses;
   std::map<int32_t, Vec4f> shape_colors;  // r, g, b, a of shapes with a color
   std::vector<int32_t> shapes, articulations;
   std::map<std::string, int32_t> actuators;        // rows of Control::ctrl
-  std::map<std::string, RobotSite> sites, lights;  // a light shines along -z
+  std::map<std::string, RobotSite> sites, lights;  // a light points along -z of its frame
   std::map<std::string, RobotCamera> cameras;
   std::map<std::string, RobotKeyframe> keyframes;
   std::optional<float> timestep;  // s, time step of the file
-  // ModelBuilder::finalize refuses active ones unless they are left out.
+  // ModelBuilder::finalize refuses active equalities, tendons and height fields, unless unsupported
+  // parts are left out.
   std::vector<RobotPart> equalities, tendons, height_fields;
   std::vector<RobotPart> sensors;
   RobotReport report;
@@ -167,8 +174,8 @@ NOVAPHY_IO_API RobotImport add_urdf(ModelBuilder& builder, std::string_view sour
                                     const UrdfOptions& options = {});
 
 // Adds the contents of an MJCF file. docs/guide/robots.md lists the supported subset. An
-// unsupported element that affects the physics throws ErrorKind::NotImplemented with its name.
-// Otherwise like add_urdf.
+// unsupported element that affects the physics throws ErrorKind::NotImplemented with its name. In
+// other respects add_mjcf is like add_urdf.
 NOVAPHY_IO_API RobotImport add_mjcf(ModelBuilder& builder, std::string_view source,
                                     const MjcfOptions& options = {});
 

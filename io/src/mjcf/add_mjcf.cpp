@@ -7,7 +7,7 @@ namespace novaphy {
 namespace detail {
 namespace {
 
-// Visits the children `name` of all sections `section`.
+// Calls visit(element) for the children with a name in all sections with a name.
 template <class Visit>
 void each(const XmlFile& file, const char* section, const char* name, Visit&& visit) {
   for (const Element* all = file.root().FirstChildElement(section); all != nullptr;
@@ -40,8 +40,8 @@ void set_start(MjcfContext& context) {
   });
 }
 
-// Returns a value of <option> that replaces the builder's: an empty builder with the default has
-// none of its own.
+// Returns a value of <option> that replaces the value of the builder, or nothing. The value of the
+// builder is replaced only if the builder is empty and has the default value.
 template <class T>
 std::optional<T> replaced(MjcfContext& context, const char* what, const T& of_file,
                           const T& of_builder, const T& by_default) {
@@ -102,7 +102,7 @@ void add_keyframes(const MjcfContext& context, const Posed& xform, int32_t coord
   });
 }
 
-// Returns a frame of a link of the file as a frame of its body.
+// Returns a frame of the file, given in a link, as a frame in the body of this link.
 RobotSite site_of(const MjcfContext& context, const Posed& xform, const RobotImport& added,
                   const std::pair<int32_t, Posed>& at) {
   if (at.first < 0) return {-1, to_float(math::multiply(xform, at.second))};
@@ -174,7 +174,7 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
 
   const detail::Posed xform = detail::to_double(options.xform);
   const int32_t coord = builder.joint_coord_count();
-  RobotImport result;  // keyframes may fail, so they come first
+  RobotImport result;  // keyframes are read first, because they may throw
   detail::add_keyframes(context, xform, coord, result);
   RobotImport added = detail::emit_robot(builder, context.robot,
                                          {.function = name,
@@ -188,7 +188,7 @@ RobotImport add_mjcf(ModelBuilder& builder, std::string_view source, const MjcfO
                                           .links_to_keep = options.links_to_keep,
                                           .filter_parent = context.settings.option.parent_filter});
   added.keyframes = std::move(result.keyframes);
-  // The hinges and slides of one body are one joint with several degrees of freedom.
+  // The hinges and slides of one body become one joint with several degrees of freedom.
   for (const auto& [joint, at] : context.joints) {
     const std::string& whole = context.robot.joints[static_cast<size_t>(at.joint)].name;
     added.joints[joint] = added.joints.at(whole);

@@ -1,4 +1,4 @@
-// Reads <actuator> of MJCF files into ModelBuilder::add_actuator.
+// Reads <actuator> of MJCF files and calls ModelBuilder::add_actuator.
 #include <algorithm>
 #include <cmath>
 
@@ -25,7 +25,7 @@ struct Law {
   std::string gain_type = "fixed", bias_type = "none", dynamics = "none";
   double gain[3] = {1.0, 0.0, 0.0}, bias[3] = {0.0, 0.0, 0.0}, time = 1.0;
   double inherit_range = 0.0;
-  std::string kind = {};  // kind of the last element that set the law
+  std::string kind = {};  // tag of the last element that set the law
 };
 
 using Range = std::pair<double, double>;
@@ -38,7 +38,7 @@ struct Actuator {
   Law law;
   double gear[6] = {1.0, 0.0, 0.0, 0.0, 0.0, 0.0};
   Range control = kNoRange, force = kNoRange, activation = kNoRange;
-  // Whether the law is a spring or damper and so part of the drive of its dof, not a force alone.
+  // Returns whether the law has a spring or damper, which becomes part of the drive of its dof.
   bool is_servo() const {
     return law.gain[1] != 0.0 || law.gain[2] != 0.0 || law.bias[1] != 0.0 || law.bias[2] != 0.0;
   }
@@ -61,7 +61,7 @@ class ActuatorReader {
       for (const Element* e = all->FirstChildElement(); e != nullptr; e = e->NextSiblingElement())
         read(*e);
     for (const std::string& joint : context_.joint_order) set_joint(joint);
-    // In the order of the file.
+    // Actuators are added in the order of the file.
     for (const Actuator& a : found_) add(a);
   }
 
@@ -93,7 +93,7 @@ class ActuatorReader {
     }
     if (e.Attribute("inheritrange") != nullptr && kind != "position" && kind != "intvelocity")
       file_.refuse(e, "inheritrange: expected <position> or <intvelocity>");
-    // Other attributes continue from the last law of the same kind or of <general>.
+    // Attributes that are missing continue from the last law of the same kind or of <general>.
     Law from;
     const auto goes_on = [&](const Law& l) { return l.kind == kind || l.kind == "general"; };
     if (goes_on(law)) {
@@ -224,7 +224,7 @@ class ActuatorReader {
     return true;
   }
 
-  // `always`: reads the range even if the flag is off.
+  // Returns a range. If `always`, the flag that enables the range is not needed.
   std::optional<Range> range(const Element& e, const char* name, const char* flag,
                              bool always = false) const {
     const std::vector<double> values = list(e, name);
@@ -242,7 +242,7 @@ class ActuatorReader {
     return std::pair(values[0], values[1]);
   }
 
-  // Reads the law. Returns false if NovaPhy lacks it. Null `joint`: the actuator acts on bodies.
+  // Reads the law. Returns false if NovaPhy lacks it. If `joint` is null, it acts on bodies.
   bool read_law(Actuator& a, const MjcfJoint* joint) {
     const Element& e = *a.element;
     Law& law = a.law;
@@ -390,7 +390,7 @@ class ActuatorReader {
   const MjcfDefaults& defaults_;
   std::vector<Actuator> found_;
   std::set<std::string> names_;
-  std::vector<std::vector<double>> inertias_;  // per joint and dof, computed on demand
+  std::vector<std::vector<double>> inertias_;  // inertia of each joint and dof, computed on demand
 };
 
 }  // namespace

@@ -13,8 +13,8 @@ namespace fs = std::filesystem;
 constexpr int32_t kMostModels = 1000;
 constexpr size_t kMostBytes = size_t{256} << 20;  // for all attached models together
 
-// Prepares an attached file: only the options of the main file count, so other option sections are
-// removed.
+// Prepares an attached file. Only the options of the main file count, so the option sections of the
+// attached file are removed.
 const XmlFile& prepared(XmlFile& file, std::span<const fs::path> package_dirs) {
   include_files(file, package_dirs);
   for (const char* section : {"option", "keyframe", "custom", "size", "visual", "statistic"})
@@ -28,8 +28,8 @@ const char* needed(const MjcfContext& context, const Element& e, const char* nam
   return given;
 }
 
-// Reads a file that <model> names. The file must lie in the folder of this file or in a folder
-// beside it, so that its own references cannot reach further.
+// Reads a file that <model> names. The file must lie in the folder of this file or in a folder next
+// to it, so that references of the model cannot reach files elsewhere.
 XmlSource read_model(MjcfContext& context, const Element& e) {
   const XmlFile& file = context.file;
   const char* const given = needed(context, e, "file");
@@ -61,7 +61,7 @@ XmlSource read_model(MjcfContext& context, const Element& e) {
   return source;
 }
 
-// Notes models with a duplicate name. The first one counts, as in MuJoCo.
+// Notes further models with a duplicate name. The first model counts, as in MuJoCo.
 void note_others(MjcfContext& context, const Element& first, const std::string& name) {
   for (const Element* m = first.NextSiblingElement("model"); m != nullptr;
        m = m->NextSiblingElement("model"))

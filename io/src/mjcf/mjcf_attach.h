@@ -5,7 +5,7 @@
 
 namespace novaphy::detail {
 
-// The other file, kept as long as its elements are used.
+// An attached file, which stays in memory as long as its elements are used.
 struct MjcfAttached {
   MjcfAttached(const MjcfContext& parent, XmlSource source);
   XmlFile file;

@@ -105,8 +105,8 @@ class BodiesReader {
     }
   }
 
-  // Reads copies. Each copy is moved by `offset` and rotated by `euler` in the frame of the
-  // previous one.
+  // Reads the copies of <replicate>. Each copy is moved by `offset` and rotated by `euler` in the
+  // frame of the previous copy.
   void replicate(const Element& e, BodyPart& part) {
     double n[1] = {0.0}, offset[3] = {0.0, 0.0, 0.0}, angles[3] = {0.0, 0.0, 0.0};
     if (!file_.numbers(e, "count", n) || n[0] < 1.0 || n[0] > kMostElements ||
@@ -152,7 +152,7 @@ class BodiesReader {
       return;
     }
     if (geom->shape.type == GeoType::PLANE && part.is_static) {
-      // A static plane belongs to the world.
+      // The plane is static, so it becomes a shape of the world.
       geom->shape.pose = math::multiply(part.in_world, geom->shape.pose);
       geom->shape.link = part.link;
       robot.world_shapes.push_back(std::move(geom->shape));

@@ -5,7 +5,7 @@
 
 namespace novaphy::detail {
 
-// The place to which the children of an element are added.
+// The object to which the children of an element are added.
 struct BodyPart {
   int32_t link = kWorldLink;
   Posed frame = identity_pose();  // frame of the element in the link
@@ -17,18 +17,19 @@ struct BodyPart {
   bool with_mass = false;   // whether geoms add mass
   size_t geoms = 0;         // number of geoms so far
 
-  // Returns the name with prefix and suffix; empty: the element has no name.
+  // Returns the name with prefix and suffix, or an empty text if the element has no name.
   std::string name_of(const Element& e) const {
     const char* const given = e.Attribute("name");
     return given == nullptr || *given == '\0' ? std::string() : prefix + given + suffix;
   }
 };
 
-// The joints of one body. The joints become one joint with several degrees of freedom if that is
-// equivalent, else a chain of joints with massless links between them.
+// The joints of one body. They become one joint with several degrees of freedom if that is
+// equivalent, otherwise a chain of joints with massless links between them.
 class BodyJoints {
  public:
-  // `outer`: the place of the body. `childclass`: the default class of its children.
+  // `outer`: the object to which the body is added. `childclass`: the default class of its
+  // children.
   BodyJoints(MjcfContext& context, const Element& body, const BodyPart& outer,
              std::string childclass, std::string name);
   // Adds links and joints. `pose` is the pose of the body in the outer link. Returns the link of

@@ -7,38 +7,38 @@
 
 namespace novaphy::detail {
 
-// A hinge, slide, ball or free joint of the file.
+// A hinge, slide, ball or free joint of an MJCF file.
 struct MjcfJoint {
   const Element* element = nullptr;
   int32_t joint = 0, dof = 0;  // joint of the Robot, and index of the dof in it
   bool is_scalar = false;      // hinge or slide
   bool is_ball = false;
   double stiffness = 0.0, spring_ref = 0.0;
-  double spring_damper[2] = {0.0, 0.0};  // time constant (s) and damping ratio, both > 0; zeros:
+  double spring_damper[2] = {0.0, 0.0};  // time constant (s) and damping ratio, both > 0; zeros if
                                          // not given
   double range[2] = {0.0, 0.0};
   bool is_limited = false;
-  // force limit for all actuators together
+  // bounds of the sum of the forces of all actuators
   std::optional<std::pair<double, double>> force_range = {};
 };
 
-// The object that an actuator acts on: a joint, or two sites with their links and poses.
+// The objects on which an actuator acts: a joint, or two sites with their links and poses.
 struct MjcfActuator {
-  std::string joint;  // empty: acts on links
+  std::string joint;  // empty: the actuator acts on links
   std::pair<int32_t, Posed> site = {}, reference = {};
-  BodyActuatorArgs args;  // law.axis: dof of the Robot's joint
+  BodyActuatorArgs args;  // law.axis is the dof of the Robot's joint
 };
 
 struct MjcfCamera {
-  std::pair<int32_t, Posed> at;  // link and pose in it
+  std::pair<int32_t, Posed> at;  // link, and pose in the link
   double fovy;                   // rad
 };
 
 struct MjcfAttached;  // mjcf_attach.h
-// State of a file with all files that it attaches.
+// The state that a file shares with all files that it attaches.
 struct MjcfAttaching {
-  std::filesystem::path top = {};  // folder from which models may be read; empty: the XML was given
-                                   // as text
+  std::filesystem::path top = {};  // folder from which models may be read; empty if the XML was
+                                   // given as text
   int32_t models = 0;
   size_t bytes = 0;
 };
@@ -73,18 +73,18 @@ struct MjcfContext {
   MjcfDefaults defaults;
   MjcfAssets assets;
   Robot robot = {};
-  std::map<std::string, int32_t> bodies = {};  // link indices
+  std::map<std::string, int32_t> bodies = {};  // index of the link of each body
   std::map<std::string, MjcfJoint> joints = {};
-  std::vector<std::string> joint_order = {};  // order of qpos
+  std::vector<std::string> joint_order = {};  // joints in the order of qpos
   std::set<std::string> geoms = {};
-  // link and pose in it
+  // link, and pose in the link
   std::map<std::string, std::pair<int32_t, Posed>> sites = {}, lights = {};
   std::map<std::string, MjcfCamera> cameras = {};
   std::vector<MjcfActuator> actuators = {};
   std::vector<RobotPart> equalities = {}, tendons = {}, height_fields = {}, sensors = {};
   std::vector<std::string> refused = {};  // reasons for finalize to throw
-  // For an attached model: additions to its names, the parent, and whether only a part is attached,
-  // in which case names may be missing.
+  // For an attached model: additions to its names, the context of its parent, and whether only a
+  // part is attached. Names may be missing if only a part is attached.
   std::string prefix = {}, suffix = {};
   bool is_part = false;
   const MjcfContext* parent = nullptr;
@@ -101,21 +101,21 @@ RobotPart read_height_field(const MjcfContext& context, const Element& e);
 struct MjcfGeom {
   RobotShape shape;
   double mass = 0.0;
-  Vec3d com{};  // in the frame of the geom
+  Vec3d com{};  // m, in the frame of the geom
   Mat33d inertia{};
 };
-// `with_mass` false: the mass stays 0.
+// Reads a geom. If `with_mass` is false, the mass stays 0.
 std::optional<MjcfGeom> read_geom(MjcfContext& context, const Element& e,
                                   const std::string& childclass, const std::string& label,
                                   bool with_mass);
 // Reads <contact>: pairs and excluded bodies.
 void read_contacts(MjcfContext& context);
-// Reads <actuator>. Call this after the masses are known, which damping ratios need.
+// Reads <actuator>. Damping ratios depend on masses, so call this after the masses are known.
 void read_actuators(MjcfContext& context);
 // Reads <equality>, <tendon>, <sensor> and other unsupported sections.
 void read_others(MjcfContext& context);
-// Returns the coordinates of the Robot's joints, in its order, from qpos. Mocap bodies have the
-// poses `mocap` (position and quaternion each), or those of the file.
+// Returns the coordinates of the Robot's joints, in the Robot's order, from MuJoCo's qpos. Mocap
+// bodies have the poses `mocap` (position and quaternion for each body), or the poses of the file.
 std::vector<double> coordinates_of(const MjcfContext& context, const Element& e,
                                    std::span<const double> qpos);
 

@@ -37,7 +37,7 @@ MjcfDefaults::MjcfDefaults(const XmlFile& file) : file_(file) {
 void MjcfDefaults::read(const Element& e, const std::string& parent) {
   const char* given = e.Attribute("class");
   if (given == nullptr && !parent.empty()) file_.refuse(e, "class: expected a name, got none");
-  // The outermost class is the default of all elements, whatever its name.
+  // The outermost class has the defaults of all elements, whatever its name is.
   const std::string name = parent.empty() ? "main" : given;
   if (!parent.empty() && !classes_.emplace(name, classes_.at(parent)).second)
     file_.refuse(e, "class: expected different names, got \"" + name + "\" twice");

@@ -1,4 +1,4 @@
-// Attributes of MJCF elements: the element's own value, else that of its default class.
+// Attributes of MJCF elements: an element's own value, or else that of its default class.
 #pragma once
 
 #include <map>
@@ -17,8 +17,8 @@ class MjcfDefaults {
   explicit MjcfDefaults(const XmlFile& file);
 
   // Returns an attribute of an element: its own value, else that of its class, else that of
-  // `childclass`. The class has defaults of all equalities under `equality`, and those of <spatial>
-  // and <fixed> under `tendon`.
+  // `childclass`. The element name for class defaults is `equality` for all equalities, and
+  // `tendon` for <spatial> and <fixed>.
   std::optional<std::string> text(const Element& e, const char* attribute,
                                   const std::string& childclass) const;
   // Reads an attribute as exactly out.size() finite numbers. Returns false if the attribute is
@@ -30,19 +30,19 @@ class MjcfDefaults {
                            const std::string& childclass) const;
   double number(const Element& e, const char* attribute, const std::string& childclass,
                 double by_default) const;
-  // Throws NotImplemented for an attribute of an element or its class that is neither in `read` nor
-  // in `passed_over`.
+  // Throws ErrorKind::NotImplemented for an attribute of an element or its class that is neither in
+  // `read` nor in `passed_over`.
   void check_known(const Element& e, const std::string& childclass,
                    std::span<const std::string_view> read,
                    std::span<const std::string_view> passed_over) const;
-  // The actuator elements (<general>, <motor> and so on) of the classes around an actuator's class,
-  // outermost first, and of its own class.
+  // The actuator elements (<general>, <motor> and so on) in the default classes of an actuator:
+  // those of the enclosing classes, outermost first, then those of its own class.
   using ActuatorClasses = std::vector<std::vector<const Element*>>;
   const ActuatorClasses& actuators(const Element& e) const;
-  // Returns the attribute, or that of the last actuator element of the class.
+  // Returns an attribute of an actuator, or else that of the last actuator element of its class.
   std::optional<std::string> actuator_text(const Element& e, const char* attribute) const;
-  // Returns the orientation of an element from axisangle, euler, zaxis, xyaxes or quat; the
-  // identity without any.
+  // Returns the orientation of an element from axisangle, euler, zaxis, xyaxes or quat. Returns the
+  // identity if the element has none of these attributes.
   Quatd orientation(const Element& e, const std::string& childclass,
                     const MjcfCompiler& compiler) const;
 
@@ -61,7 +61,7 @@ class MjcfDefaults {
   std::map<std::string, Class> classes_;
 };
 
-// Returns the rotation of three Euler angles of the file, in the order of `eulerseq`.
+// Returns the rotation by three Euler angles (in the unit of the file), in the order of `eulerseq`.
 Quatd euler_turn(const Vec3d& angles, const MjcfCompiler& compiler);
 
 }  // namespace novaphy::detail

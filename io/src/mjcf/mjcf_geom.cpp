@@ -12,8 +12,8 @@ constexpr std::string_view kRead[] = {
     "zaxis",  "xyaxes",  "fromto",       "size",   "mass",   "density",   "friction",
     "margin", "contype", "conaffinity",  "condim", "rgba",   "mesh",      "material",
     "group",  "hfield",  "shellinertia", "solref", "solimp", "solmix",    "priority"};
-// Attributes without effect here. `fluidcoef` acts on ellipsoids only, and `gap` does not affect the
-// motion.
+// Attributes that the reader skips. `fluidcoef` acts on ellipsoids only, and `gap` does not affect
+// the motion.
 constexpr std::string_view kPassedOver[] = {"user", "fluidshape", "fluidcoef",
                                             "gap",  "fitscale",   "surfacevel"};
 
@@ -114,7 +114,7 @@ class GeomReader {
     } else if (e_.Attribute("fromto") != nullptr) {
       file_.refuse(e_, "fromto: expected none of a " + type);
     }
-    // Planes of MuJoCo are finite only in rendering, and collide everywhere.
+    // In MuJoCo, the size of a plane only affects rendering. The plane collides everywhere.
     if (kind.type == GeoType::PLANE) size.resize(2);
     if (size.size() < kind.sizes)
       file_.refuse(e_, "size: expected " + std::to_string(kind.sizes) + " numbers of a " + type +
@@ -182,8 +182,7 @@ class GeomReader {
     geom_.shape.conaffinity = static_cast<uint32_t>(bits[1]);
     if (is_seen_only() || !context_.settings.option.contact)
       cfg.has_shape_collision = cfg.has_particle_collision = false;
-    cfg.is_visible = number("group", 0.0) <= 2.0;  // the groups that MuJoCo's viewers show by
-                                                   // default
+    cfg.is_visible = number("group", 0.0) <= 2.0;  // groups that MuJoCo's viewers show by default
     const double margin = number("margin", 0.0);
     if (margin < 0.0) file_.refuse(e_, "margin: expected >= 0");
     cfg.margin = static_cast<float>(margin);

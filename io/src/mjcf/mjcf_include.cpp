@@ -10,7 +10,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr size_t kMostFiles = 1000;
-constexpr size_t kMostBytes = size_t{64} << 20;  // for all files together
+constexpr size_t kMostBytes = size_t{64} << 20;  // limit for all included files together
 constexpr int kDeepest = 100;                    // largest depth of nested elements
 
 int depth_of(const Element& element) {
@@ -34,7 +34,8 @@ class Includer {
   }
 
  private:
-  // Returns the next element after `e` in document order; `inside`: also a child.
+  // Returns the next element after `e` in document order. If `inside` is false, children are
+  // skipped.
   static Element* next(Element& e, bool inside) {
     if (inside && e.FirstChildElement() != nullptr) return e.FirstChildElement();
     for (Element* at = &e; at != nullptr;) {
@@ -44,7 +45,7 @@ class Includer {
     return nullptr;
   }
 
-  // Returns the element to continue with.
+  // Replaces an <include> element, and returns the element with which the search continues.
   Element* include(Element& e) {
     const char* const given = e.Attribute("file");
     if (given == nullptr) file_.refuse(e, "file: missing");

@@ -103,7 +103,7 @@ int32_t BodyJoints::add(const Posed& pose, bool is_mocap) {
     group.push_back(std::move(next));
   }
   end_group();
-  // The child of the last joint is the body.
+  // The link of the last joint becomes the link of the body.
   RobotLink& link = context_.robot.links[static_cast<size_t>(parent_)];
   link.name = name_;
   link.is_between = false;
@@ -199,7 +199,7 @@ void BodyJoints::add_ball(const Found& found, const std::string& type) {
   if (!limits.is_limited) return;
   if (limits.range[0] != 0.0 || limits.range[1] < 0.0)
     file.refuse(e, "range: expected 0 and the largest angle of a ball joint");
-  constexpr double kLeast = 1e-3;  // rad; a rotation by 0 has no axis
+  constexpr double kLeast = 1e-3;  // rad; below this angle a rotation has no reliable axis
   if (limits.range[1] < kLeast) context_.notes.mended(e, "its range is 0.001 rad");
   if (option.limit) joint.limit_angle = std::max(limits.range[1], kLeast);
 }
@@ -316,7 +316,7 @@ void BodyJoints::add_group(std::span<const Scalar> group) {
     joint.start.push_back(s.ref);
   }
   joint.child_pose = place;
-  // The coordinates of the joint are those of the file: at `ref` the body has its pose in the file.
+  // Coordinates of the joint are those of the file: at `ref` the body has its pose in the file.
   Posed back = place;
   for (const Scalar& s : group) {
     if (s.is_hinge)

@@ -7,7 +7,7 @@ namespace novaphy::detail {
 
 // Mass properties for density 1 in the frame of a geom. The inertia is about `com`.
 struct SolidMass {
-  double volume = 0.0;  // for a shell, its area
+  double volume = 0.0;  // m^3; for a shell, the area (m^2)
   Vec3d com{};
   Mat33d inertia{};
 };
@@ -18,7 +18,7 @@ enum class MeshInertia { Legacy, Exact, Convex, Shell };
 // GeoType.
 SolidMass primitive_mass(GeoType type, const Vec3d& scale);
 // Returns the mass properties of a mesh as MuJoCo computes them. Exact and Legacy sum the pyramids
-// between the triangles and the center of the surface, with signed or absolute volumes. Shell sums
+// between the triangles and the center of the surface, with signed and absolute volumes. Shell sums
 // the triangles themselves.
 SolidMass mesh_mass(const Mesh& surface, MeshInertia how);
 

@@ -14,7 +14,7 @@ namespace fs = std::filesystem;
 constexpr std::string_view kRead[] = {"name",    "class",       "file",        "vertex",
                                       "face",    "scale",       "refpos",      "refquat",
                                       "inertia", "maxhullvert", "content_type"};
-// Attributes of rendering, or of data that the reader computes itself.
+// Attributes that only affect rendering, or whose data the reader computes itself.
 constexpr std::string_view kPassedOver[] = {"smoothnormal", "texcoord", "normal", "material",
                                             "user"};
 constexpr uintmax_t kLargest = uintmax_t{256} << 20;  // bytes
@@ -23,7 +23,7 @@ constexpr uintmax_t kLargest = uintmax_t{256} << 20;  // bytes
 // float32, and corners as int32.
 Mesh read_msh(std::string_view function, const fs::path& path) {
   const std::string bytes = read_file(function, path);
-  int32_t counts[4] = {};  // positions, normals, texture coordinates, triangles
+  int32_t counts[4] = {};  // numbers of positions, normals, texture coordinates, triangles
   const bool has_header = bytes.size() >= sizeof counts;
   if (has_header) std::memcpy(counts, bytes.data(), sizeof counts);
   const auto n = [&](int k) { return static_cast<uint64_t>(counts[k]); };
@@ -174,7 +174,7 @@ MjcfMesh MjcfAssets::load(const Asset& asset) {
     const Vec3d at = math::rotate(back, Vec3d{v.x - place[0], v.y - place[1], v.z - place[2]});
     v = to_float(Vec3d{at.x * scale[0], at.y * scale[1], at.z * scale[2]});
   }
-  if (scale[0] * scale[1] * scale[2] < 0.0)  // mirrored: flip the orientation
+  if (scale[0] * scale[1] * scale[2] < 0.0)  // a mirrored mesh: flip the orientation of triangles
     for (size_t k = 0; k + 2 < mesh.indices.size(); k += 3)
       std::swap(mesh.indices[k + 1], mesh.indices[k + 2]);
   drop_degenerate(mesh);

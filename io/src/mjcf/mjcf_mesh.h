@@ -1,4 +1,4 @@
-// Meshes and materials in the assets of MJCF files.
+// The meshes and materials in the <asset> sections of MJCF files.
 #pragma once
 
 #include <map>
@@ -20,14 +20,15 @@ struct MjcfMesh {
 
 class MjcfAssets {
  public:
-  // Reads the names. A mesh file is read at its first use.
+  // Reads the names of meshes and materials. The file of a mesh is read when the mesh is first
+  // used.
   MjcfAssets(const XmlFile& file, const MjcfDefaults& defaults, const MjcfSettings& settings,
              std::span<const std::filesystem::path> package_dirs, Notes& notes);
 
-  // Returns the mesh of an element, read once. ErrorKind::Value: the name does not exist, or the
-  // file is refused.
+  // Returns the mesh that an element uses. ErrorKind::Value: the name does not exist, or the file
+  // of the mesh is refused.
   const MjcfMesh& mesh(const Element& user, const std::string& name);
-  // Returns whether the file of a mesh exists; true for a mesh without a file.
+  // Returns whether the file of a mesh exists. A mesh without a file counts as existing.
   bool is_there(const std::string& name) const;
   std::optional<Vec4f> color(const std::string& material) const;
 

@@ -51,7 +51,7 @@ void read_pair(MjcfContext& context, const Element& e) {
       return context.notes.ignored(e, "numbers of a pair: its geoms have those of their own");
 }
 
-// Returns whether a tendon has its own forces.
+// Returns whether a tendon exerts forces of its own.
 bool acts(const MjcfContext& context, const Element& e) {
   const MjcfDefaults& d = context.defaults;
   const auto has = [&](const char* name) {

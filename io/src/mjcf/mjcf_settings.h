@@ -1,4 +1,5 @@
-// <compiler> and <option> of MJCF files: conventions of the file, and switched-off features.
+// <compiler> and <option> of MJCF files: conventions of the file, and features that are switched
+// off.
 #pragma once
 
 #include <array>
@@ -12,11 +13,11 @@
 namespace novaphy::detail {
 
 struct MjcfCompiler {
-  double angle = 3.14159265358979323846 / 180.0;  // radians per unit
+  double angle = 3.14159265358979323846 / 180.0;  // radians per angle unit of the file
   bool auto_limits = true;
   enum class Inertia { Auto, Always, Never } inertia_from_geom = Inertia::Auto;
   double groups[2] = {0.0, 5.0};  // range of geom groups that have a mass
-  std::string euler = "xyz";      // capital letters: axes fixed in space
+  std::string euler = "xyz";      // order of Euler angles; capital letters mean axes fixed in space
   std::filesystem::path mesh_folder = {};
   bool strip_path = false, balance_inertia = false, fit_aabb = false;
   double bound_mass = 0.0, bound_inertia = 0.0, total_mass = -1.0;

@@ -5,7 +5,8 @@
 namespace novaphy::detail {
 namespace {
 
-// A unit rate motion; `linear` is the velocity of the point at the origin.
+// The motion of links for a unit rate of a dof. `linear` is the velocity of the point at the
+// origin.
 struct Screw {
   Vec3d angular{}, linear{};
 };
@@ -46,13 +47,13 @@ Inertia inertia_of(const RobotLink& link, const Posed& pose) {
 constexpr Vec3d kAxes[] = {{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}};
 
 struct Dof {
-  size_t joint, place;  // joint, and index of the dof in it
+  size_t joint, place;  // joint, and index of the dof in the joint
   Screw screw;
   double armature;
   int32_t parent;  // previous dof on the path to the root; -1: none
 };
 
-// The mass matrix M at the initial pose, where all dofs may move, factored as L^T D L.
+// The mass matrix M at the initial pose, factored as L^T D L. All dofs count as free to move.
 class StartDynamics {
  public:
   explicit StartDynamics(const Robot& robot)
@@ -80,8 +81,8 @@ class StartDynamics {
     }
     return result;
   }
-  // Returns the mean over three directions of the acceleration of a link's center of mass per unit
-  // force there.
+  // Returns the inverse of the mass that a force at a link's center of mass accelerates, as the
+  // mean over three directions.
   double inverse_mass(size_t link) const {
     if (last_[link] < 0 || !is_definite_) return 0.0;
     const auto k = static_cast<size_t>(last_[link]);
@@ -121,8 +122,8 @@ class StartDynamics {
       for (const Vec3d& axis : kAxes) add(axis, false, joint.armature);
     if (is_free || quaternion_at(joint.type) == 0)
       for (const Vec3d& axis : kAxes) add(axis, true, joint.armature);
-    // At the initial pose the earlier angles of a joint are 0. Only a hinge with a ref differs, and
-    // such a hinge has no other axes.
+    // At the initial pose the earlier angles of a joint are 0, so the axes are those of the joint
+    // frame. A hinge with a ref has another angle, but such a hinge has no other axes.
     for (const auto* axes : {&joint.linear, &joint.angular})
       for (const JointDofConfig& dof : *axes)
         add(math::rotate(frame.q, Vec3d{dof.axis.x, dof.axis.y, dof.axis.z}),
@@ -130,7 +131,8 @@ class StartDynamics {
     last_[child] = before;
   }
 
-  // Factors M. The factor is sparse: the row of a dof has entries for its ancestors only.
+  // Factors M. The factor is sparse: the row of a dof has entries only for the dof and its
+  // ancestors.
   void factor(const std::vector<Inertia>& sum) {
     rows_.resize(dofs_.size());  // entries from the dof to the root
     for (size_t k = 0; k < dofs_.size(); ++k) {
@@ -157,8 +159,8 @@ class StartDynamics {
     }
   }
 
-  // Returns x . M^-1 x = |D^-1/2 L^-T x|^2 for x along the branch of dof k. L^T couples a dof with
-  // its ancestors.
+  // Returns x . M^-1 x = |D^-1/2 L^-T x|^2 for a vector x that is 0 except for dof k and its
+  // ancestors. L^T couples a dof only with its ancestors.
   double answer(size_t k, std::vector<double> x) const {
     double sum = 0.0;
     for (size_t a = 0; a < rows_[k].size(); ++a) {

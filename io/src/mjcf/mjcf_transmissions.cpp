@@ -46,8 +46,8 @@ class TransmissionFinder {
       to_.joint = name;
       return name;
     }
-    // The gear of a ball joint is a moment between its bodies. The gear of a free joint is a force
-    // in world axes and a moment.
+    // The gear of a ball joint is a moment between the two bodies. The gear of a free joint is a
+    // force and a moment in world axes.
     const auto* joint = &context_.robot.joints[static_cast<size_t>(found->second.joint)];
     const bool is_ball = found->second.is_ball;
     if (joint->type == JointType::D6) ++joint;  // a free joint may be slides and a ball

@@ -1,4 +1,4 @@
-// Sets the properties of BALL and FREE joints.
+// Sets the properties of the BALL and FREE joints of a Robot.
 #include <algorithm>
 
 #include "robot.h"

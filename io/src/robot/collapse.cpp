@@ -1,4 +1,4 @@
-// Merges links that fixed joints connect.
+// Merges links that FIXED joints connect.
 #include "robot.h"
 
 namespace novaphy::detail {
@@ -102,7 +102,7 @@ std::vector<std::pair<int32_t, Posed>> collapse_links(Robot& robot,
                                                       std::span<const std::string> to_keep,
                                                       std::vector<int32_t>& joints_out) {
   const auto count = static_cast<int32_t>(robot.links.size());
-  std::vector<int32_t> mover(robot.links.size(), -1), renamed = mover;  // joint above; new index
+  std::vector<int32_t> mover(robot.links.size(), -1), renamed = mover;  // parent joint; new index
   for (size_t j = 0; j < robot.joints.size(); ++j)
     mover[static_cast<size_t>(robot.joints[j].child)] = static_cast<int32_t>(j);
   const auto joint_of = [&](int32_t link) -> const RobotJoint& {

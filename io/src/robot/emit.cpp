@@ -10,7 +10,7 @@
 namespace novaphy::detail {
 namespace {
 
-// Runs `add`. An error of the builder gets the place in the file prepended.
+// Calls `add`. If the builder throws an error, its message gets the line of the file as a prefix.
 template <class Add>
 auto at(std::string_view function, const std::string& where, Add&& add) {
   try {
@@ -20,13 +20,13 @@ auto at(std::string_view function, const std::string& where, Add&& add) {
   }
 }
 
-// Returns the displayed color of an rgba color; alpha is dropped.
+// Returns an rgba color as the color for display, without alpha.
 Vec3f shown(const Vec4f& color) {
   const auto in_range = [](float x) { return x > 0.0f ? std::min(x, 1.0f) : 0.0f; };
   return {in_range(color.x), in_range(color.y), in_range(color.z)};
 }
 
-using Children = std::vector<std::vector<int32_t>>;  // joints below each link; last: the world
+using Children = std::vector<std::vector<int32_t>>;  // child joints of each link; last: the world's
 
 Children children_of(const Robot& robot) {
   Children children(robot.links.size() + 1);
@@ -38,7 +38,7 @@ Children children_of(const Robot& robot) {
   return children;
 }
 
-// Returns the joints of the tree below a joint of the world, in the requested order.
+// Returns the joints of the tree below `root`, a joint of the world, in the requested order.
 std::vector<int32_t> tree_order(const Robot& robot, const Children& children, int32_t root,
                                 JointOrdering ordering) {
   std::vector<int32_t> order;
@@ -58,7 +58,7 @@ std::vector<int32_t> tree_order(const Robot& robot, const Children& children, in
   return order;
 }
 
-// Sets the initial coordinates: those of the file, or 0, moved into the limits.
+// Sets the initial coordinates of a joint: those of the file, or 0, clamped to the limits.
 void start_within_limits(RobotJoint& joint) {
   if (!has_axes(joint.type)) return;
   joint.start.resize(joint.linear.size() + joint.angular.size(), 0.0);
@@ -128,7 +128,7 @@ class Emitter {
       trees_.push_back(tree_order(robot_, children, root, options_.ordering));
   }
 
-  // Returns the frame of the roots: that of the world or of the parent body.
+  // Returns the frame in which the roots are placed: that of the world or of the parent body.
   Posed base() const {
     if (options_.parent_body < 0) return options_.xform;
     return math::multiply(to_double(builder_.body_q[static_cast<size_t>(options_.parent_body)]),
@@ -140,7 +140,7 @@ class Emitter {
     std::vector<Posed> pose(count);
     std::vector<int32_t> links;
     for (const auto& tree : trees_) {
-      // Parents first, whatever the order of the joints in the model.
+      // Parents come first, whatever the order of the joints in the model is.
       std::vector<int32_t> sorted = tree;
       if (options_.ordering == JointOrdering::File)
         sorted = tree_order(robot_, children_of(robot_), tree.front(), JointOrdering::DepthFirst);
@@ -218,7 +218,7 @@ class Emitter {
     }
   }
 
-  // Adds the visible surface of a mesh whose convex hull collides.
+  // Adds the visible surface of a mesh of which only the convex hull collides.
   void show_mesh(int32_t body, const Posed& pose, const RobotShape& shape, ShapeConfig cfg) {
     cfg.has_shape_collision = cfg.has_particle_collision = false;
     cfg.density = 0.0f;
@@ -248,7 +248,7 @@ class Emitter {
     }
   }
 
-  // Returns the joint that a mimic joint follows; null: none.
+  // Returns the joint that `joint` mimics (its leader), or null.
   const RobotJoint* leader_of(const RobotJoint& joint) const {
     const auto found = std::find_if(robot_.joints.begin(), robot_.joints.end(),
                                     [&](const RobotJoint& j) { return j.name == joint.leader; });
@@ -260,7 +260,7 @@ class Emitter {
     for (RobotJoint& joint : robot_.joints) {
       double offset = 0.0, ratio = 1.0;
       const RobotJoint* end = &joint;
-      // a later check refuses cycles
+      // a loop that is too long means a cycle, which is refused later
       for (size_t steps = 0; steps <= robot_.joints.size(); ++steps) {
         const RobotJoint* const next = leader_of(*end);
         if (next == nullptr) break;
@@ -273,7 +273,7 @@ class Emitter {
     }
   }
 
-  // Adds the mimic constraints. The velocity limit of a mimic joint limits its leader instead.
+  // Adds the mimic constraints. The velocity limit of a mimic joint becomes a limit of its leader.
   void add_mimics() {
     for (size_t j = 0; j < robot_.joints.size(); ++j) {
       const RobotJoint& joint = robot_.joints[j];
@@ -327,13 +327,13 @@ class Emitter {
     return index;
   }
 
-  // Returns the row of a link of the file, or of the world.
+  // Returns the row of a link of the file, or the last row for the world.
   size_t row_of(int32_t link) const {
     return link < 0 ? shapes_of_.size() - 1 : static_cast<size_t>(link);
   }
 
-  // Groups links that fixed joints connect into parts. Finds the parts that joints connect, and the
-  // joints below parts of the world.
+  // Groups links that fixed joints connect into parts, which move as one body. Finds pairs of parts
+  // that joints connect, and joints whose parent part is the world.
   void find_parts() {
     const size_t world = row_of(kWorldLink);
     part_.resize(world + 1);
@@ -346,7 +346,7 @@ class Emitter {
     };
     for (const RobotJoint& joint : robot_.joints)
       if (is_one_part(joint)) {
-        // The world keeps its number, whatever the order of the joints.
+        // The world keeps the largest number, whatever the order of the joints is.
         const size_t to = part_of(joint.parent), from = part_of(joint.child);
         std::replace(part_.begin(), part_.end(), std::min(to, from), std::max(to, from));
       }
@@ -383,7 +383,7 @@ class Emitter {
       if (members[a].size() > 1) meet(a, a);
     for (const auto& [a, b] : neighbors_)
       if (a != b) meet(a, b);
-    // Kinematic parts collide neither with each other nor with the world.
+    // Kinematic parts never collide with each other, and in MJCF not with the world.
     for (size_t k = 0; k < kinematic_.size(); ++k) {
       if (options_.pairs_of_mujoco) meet(kinematic_[k], row_of(kWorldLink));
       for (size_t l = 0; l < k; ++l) meet(kinematic_[l], kinematic_[k]);
@@ -409,7 +409,7 @@ class Emitter {
       }
   }
 
-  ModelBuilder builder_;  // a copy, used until no error is possible
+  ModelBuilder builder_;  // a copy of the builder, which replaces it when no error is possible
   Robot robot_;
   const EmitOptions& options_;
   RobotImport result_;
@@ -422,8 +422,8 @@ class Emitter {
   // Shapes of each link of the file, and of the world (last).
   std::vector<std::vector<std::pair<int32_t, const RobotShape*>>> shapes_of_;
   std::set<std::string> in_pairs_;                         // labels of shapes in explicit pairs
-  std::unordered_map<std::string, int32_t> named_shapes_;  // index of those shapes
-  std::set<std::pair<int32_t, int32_t>> kept_;             // pairs that no filter removes
+  std::unordered_map<std::string, int32_t> named_shapes_;  // index of these shapes
+  std::set<std::pair<int32_t, int32_t>> kept_;             // pairs of shapes that must collide
 };
 
 }  // namespace

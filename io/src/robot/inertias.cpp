@@ -46,7 +46,7 @@ void mend_inertias(Robot& robot, bool moving,
   const auto is_zero = [](const Mat33d& m) {
     return std::all_of(&m.m[0][0], &m.m[0][0] + 9, [](double v) { return v == 0.0; });
   };
-  for (const RobotJoint* joint : joints) {  // children first
+  for (const RobotJoint* joint : joints) {  // children come before their parents
     RobotLink& link = robot.links[static_cast<size_t>(joint->child)];
     if (link.is_kinematic || (link.mass == 0.0 && is_zero(link.inertia))) continue;
     if (link.mass > 0.0 && has_extent(link.inertia)) continue;

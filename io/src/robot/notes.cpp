@@ -8,7 +8,7 @@ void set_report(RobotImport& result, RobotReport report) {
     size_t count;
   };
   std::vector<Group> groups;
-  std::map<std::string, size_t> known;  // index of the group by text
+  std::map<std::string, size_t> known;  // index of the group with this text
   const auto add = [&](const RobotNote& note, const char* prefix) {
     const std::string text = prefix + note.text;
     const auto [at, is_new] = known.emplace(text, groups.size());

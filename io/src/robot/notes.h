@@ -16,8 +16,8 @@ class Notes {
   void ignored(const Element& e, std::string text) {
     report_.ignored.push_back(file_.note(e, std::move(text)));
   }
-  // Notes an element that is left out although it is supported, because a file is missing that only
-  // the display needs.
+  // Notes an element that is left out because its file is missing, although the element is
+  // supported. Only the display needs the file.
   void missing(const Element& e, std::string text) {
     report_.left_out.push_back(file_.note(e, std::move(text)));
   }
@@ -44,7 +44,7 @@ class Notes {
   RobotReport report_;
 };
 
-// Sets the report, and the warnings that follow from it.
+// Sets the report of a result, and its warnings, which are the combined notes of the report.
 void set_report(RobotImport& result, RobotReport report);
 
 }  // namespace novaphy::detail

@@ -51,8 +51,8 @@ bool is_package(const fs::path& folder, std::string_view name) {
   return text.find("<name>" + std::string(name) + "</name>") != std::string::npos;
 }
 
-// Returns the folders that may contain a package, most likely first: the given ones, those of ROS,
-// and the folders above the robot's file with their neighbors.
+// Returns the folders that may contain a package, the most likely first: `package_dirs`, the
+// folders of ROS, then the folders above the robot's file with the folders next to them.
 std::vector<fs::path> package_roots(std::string_view package, const fs::path& folder,
                                     std::span<const fs::path> package_dirs) {
   std::vector<fs::path> roots, dirs(package_dirs.begin(), package_dirs.end());
@@ -62,7 +62,7 @@ std::vector<fs::path> package_roots(std::string_view package, const fs::path& fo
     roots.push_back(each / package);
     if (resolved(each).filename() == package) roots.push_back(each);
   }
-  // Folders that may be read in any case.
+  // Files in these two folders may always be read.
   for (const fs::path& each : {folder, folder.parent_path()})
     if (!folder.empty()) roots.push_back(each / package);
   int levels = 0;
@@ -137,7 +137,7 @@ XmlSource read_source(std::string_view function, std::string_view source,
   while (first < source.size() && is_space(source[first])) ++first;
   require(first < source.size(), ErrorKind::Value, function,
           ": source: expected a path or XML, got nothing");
-  // Some programs append a 0 byte.
+  // Some programs append a zero byte to a file.
   const auto text_of = [](std::string_view all) {
     return std::string(all.substr(0, all.find_last_not_of('\0') + 1));
   };
@@ -207,7 +207,8 @@ XmlFile::XmlFile(std::string_view function, XmlSource source, const char* root)
 }
 
 void XmlFile::check_elements() const {
-  // Not recursive: tinyxml2 itself stops at a depth that is too large for recursion.
+  // A loop instead of a recursion, because files may be nested too deep for recursion. tinyxml2
+  // stops at such a depth too.
   int depth = 0;
   for (const tinyxml2::XMLNode* node = root_; node != nullptr;) {
     if (const Element* element = node->ToElement()) {

@@ -72,7 +72,7 @@ void Registry::accept(Entry& entry,
                            : "novaphy_backend_query returned null without a reason";
     return;
   }
-  // Only the version may be read before it is known to match.
+  // Until the version is known to match, only the version may be read.
   entry.info.abi_major = api->abi_major;
   entry.info.abi_minor = api->abi_minor;
   entry.info.error = check_backend_table(api);

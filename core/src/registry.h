@@ -30,10 +30,10 @@ std::vector<std::filesystem::path> backend_search_path(std::vector<BackendCandid
 std::vector<BackendCandidate> find_backends();
 std::string backend_name_of(const std::filesystem::path& path);
 
-// Returns an empty text if dlopen may open the file, else the reason against it.
+// Returns an empty text if dlopen may open the file, else the reason why not.
 std::string plugin_file_problem(const std::filesystem::path& path);
 
-// Returns an empty text if the table obeys the rules of the ABI, else the broken rule.
+// Returns an empty text if the table obeys the rules of the ABI, else the rule that it breaks.
 std::string check_backend_table(const novaphy_backend_api* api);
 
 const novaphy_host_api* host_api();

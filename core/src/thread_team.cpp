@@ -189,7 +189,7 @@ void ThreadTeam::help(Shared& s, size_t member) {
     }
     for (int k = 0; k < kSpins && s.number == job; ++k) relax();
     if (s.number != job || Clock::now() < until) continue;
-    // A job that began meanwhile may have counted this helper.
+    // A job that began in the meantime may still count this helper.
     --s.helpers;
     if (!s.open(s.number, done)) return;
     ++s.helpers;

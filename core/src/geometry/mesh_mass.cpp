@@ -105,7 +105,9 @@ void add_parallel_axis(Mat33<double>& inertia, double volume, const Vec3d& d) {
 // Returns the vertices moved inwards to a depth t below the planes of their triangles.
 std::vector<Vec3d> moved_inwards(const std::vector<Vec3d>& vertices,
                                  std::span<const int32_t> indices, double t) {
-  // The normal equations of each vertex for the least squares problem sum of w (n . d + t)^2.
+  // The normal equations of each vertex for its displacement d. The displacement minimizes the sum
+  // of w (n . d + t)^2 over the triangles at the vertex: n is the unit normal, w the angle, t the
+  // depth.
   struct Equations {
     double a[3][3] = {}, b[3] = {};
   };

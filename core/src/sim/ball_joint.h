@@ -1,4 +1,4 @@
-// The settings of ModelBuilder::add_joint_ball.
+// Writes the settings of ModelBuilder::add_joint_ball.
 #pragma once
 
 #include <string_view>
@@ -9,7 +9,7 @@
 namespace novaphy::detail {
 
 void check_ball(std::string_view name, const BallJointArgs& args);
-// Writes the settings of the joint that was added last.
+// Writes the settings to the joint that was added last.
 void set_ball(ModelBuilder& builder, const BallJointArgs& args);
 
 }  // namespace novaphy::detail

@@ -40,7 +40,7 @@ Transformf checked_pose(const Where& where, const Transformf& xform) {
   const Quatf& q = xform.q;
   const double x = q.x, y = q.y, z = q.z, w = q.w;
   const double norm = std::sqrt(x * x + y * y + z * z + w * w);
-  // The comparison is written so that NaN fails.
+  // The comparison is false for NaN.
   require(std::abs(norm - 1.0) <= 1e-3, ErrorKind::Value, where,
           ".q: expected a quaternion of length 1 (to 1e-3), got (", q.x, ", ", q.y, ", ", q.z, ", ",
           q.w, ") of length ", norm);

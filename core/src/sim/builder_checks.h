@@ -50,7 +50,7 @@ inline void check_positive(const Where& where, float value) {
           ": expected a finite number > 0, got ", value);
 }
 
-// A mass must be 0 or have a finite inverse.
+// Checks that a mass is 0 or has a finite inverse.
 inline void check_mass(const Where& where, float mass) {
   check_not_negative(where, mass);
   require(mass == 0.0f || std::isfinite(1.0f / mass), ErrorKind::Value, where,
@@ -61,8 +61,9 @@ inline void check_particle_flags(const Where& where, int32_t flags) {
           ": expected 0 or ParticleFlags.ACTIVE (1), got ", flags);
 }
 
-// Objects in all worlds (-1) have the gravity and the fluid of the last world (see Model::gravity).
-// The settings of the last world must therefore equal the builder's. `name`: the setting's name.
+// Checks that a setting of the last world equals that of the builder, because objects in all worlds
+// (-1) have the gravity and the fluid of the last world (see Model::gravity). `name`: the setting's
+// name.
 template <class T>
 void check_world_setting(const Where& where, int32_t world, std::string_view name,
                          const T& of_builder, const std::vector<T>& of_worlds) {
@@ -71,7 +72,8 @@ void check_world_setting(const Where& where, int32_t world, std::string_view nam
           name, " of the builder and of the last world");
 }
 
-// ErrorKind::Value: a number of a fluid is not finite, or its density or viscosity is negative.
+// Throws ErrorKind::Value if a number of a fluid is not finite, or its density or viscosity
+// negative.
 void check_fluid(std::string_view function, const Fluid& fluid);
 
 // Checks that a list is empty (the default), has one value for all elements, or has one value per
@@ -88,9 +90,9 @@ T one_or_each(std::span<const T> values, size_t element, const T& by_default) {
 
 // Checks the material and the gap of a shape.
 void check_shape_config(std::string_view function, const ShapeConfig& cfg);
-// Checks a pose and returns it with a unit quaternion. A quaternion of unit length to float
-// rounding keeps its bits, so normalizing twice changes nothing. A quaternion whose length is off
-// by more than 1e-3 is refused.
+// Checks a pose and returns it with a unit quaternion. If the length of the quaternion is 1 up to
+// float rounding, the quaternion keeps its bits, so normalizing twice changes nothing. A length
+// that differs from 1 by more than 1e-3 is refused.
 Transformf checked_pose(const Where& where, const Transformf& xform);
 inline Transformf checked_pose(std::string_view function, const Transformf& xform) {
   return checked_pose({function, "xform"}, xform);

@@ -28,7 +28,7 @@ ContactCounts checked_counts(const ContactsOptions& options) {
               options.per_contact_shape_properties ? options.rigid_contact_max : 0};
 }
 
-// The arrays that the rows of rigid contacts were computed from.
+// Returns the arrays from which the rows of rigid contacts were computed.
 std::array<const Array*, 5> sources(const Model& model, const Array& body_q) {
   return {&body_q, &model.shape_body, &model.shape_type, &model.shape_transform,
           &model.shape_scale};

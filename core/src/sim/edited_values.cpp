@@ -35,7 +35,7 @@ struct Numbers {
   Rule rule;
 };
 
-// Gives the numbers of an array on the host. An array on the CPU is not copied.
+// Provides the numbers of an array on the host. An array on the CPU is not copied.
 class NumbersOnHost {
  public:
   explicit NumbersOnHost(const Array& array) {
@@ -140,7 +140,7 @@ void check_numbers(const char* solver, const Numbers& numbers) {
   }
 }
 
-// Checks shape_scale by the rules of the builder.
+// Checks shape_scale by the same rules as ModelBuilder.
 void check_sizes(const char* solver, const Model& m) {
   const std::vector<int32_t> type = m.shape_type.to_host();
   const std::vector<Vec3f> scale = m.shape_scale.to_host();
@@ -150,7 +150,7 @@ void check_sizes(const char* solver, const Model& m) {
                             of, scale[k]);
 }
 
-// Checks symmetry by the rule of the builder.
+// Checks symmetry by the same rule as ModelBuilder.
 bool is_symmetric(const float* m) {
   double largest = 0.0;
   for (size_t k = 0; k < 9; ++k) largest = std::max(largest, std::abs(double{m[k]}));

@@ -19,7 +19,7 @@ Mat33d diagonal(double x, double y, double z) {
   return {{{x, 0.0, 0.0}, {0.0, y, 0.0}, {0.0, 0.0, z}}};
 }
 
-// Returns the inertia that a mass gains when it moves by p from its center (parallel axis theorem).
+// Returns the increase of a mass's inertia if its center moves by p (parallel axis theorem).
 Mat33d parallel_axis(double mass, const Vec3d& p) {
   const double xx = p.x * p.x, yy = p.y * p.y, zz = p.z * p.z;
   const double xy = -p.x * p.y * mass, xz = -p.x * p.z * mass, yz = -p.y * p.z * mass;
@@ -33,7 +33,7 @@ Mat33d sum(const Mat33d& a, const Mat33d& b, double factor_b = 1.0) {
   return result;
 }
 
-// Mass properties of solids in closed form; h is the full height.
+// Returns the mass properties of a solid in closed form, for scale s. h is the full height.
 MassProperties solid_mass(GeoType type, const Vec3d& s, double density) {
   const double r = s.x, h = 2.0 * s.y;
   switch (type) {
@@ -72,7 +72,7 @@ MassProperties solid_mass(GeoType type, const Vec3d& s, double density) {
   }
 }
 
-// Returns the size of the hollow of a shell with wall thickness t.
+// Returns the scale of the hollow inside of a shell with wall thickness t.
 Vec3d hollow(GeoType type, const Vec3d& s, double t) {
   if (type == GeoType::BOX || type == GeoType::ELLIPSOID) return {s.x - t, s.y - t, s.z - t};
   if (type == GeoType::CYLINDER || type == GeoType::CONE) return {s.x - t, s.y - t, 0.0};

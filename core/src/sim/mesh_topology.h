@@ -15,10 +15,11 @@ namespace novaphy::detail {
 // ErrorKind::Value, with `function` and the face: more than two tetrahedra share a face.
 std::vector<Vec3i> surface_of(std::span<const Vec4i> tetrahedra, std::string_view function);
 
-// Returns every edge once, in the order of the triangles. A triangle (a, b, c) has the edges (a,
-// b), (b, c) and (c, a). A row is a row of edge_indices: the vertices opposite to the edge in its
-// first and second triangle (-1: none), then the edge as in its first triangle. ErrorKind::Value,
-// with `function` and the edge: more than two triangles share an edge. `advice` ends the message.
+// Returns every edge of a triangle mesh once, in the order of the triangles. A triangle (a, b, c)
+// has the edges (a, b), (b, c) and (c, a). The result is in the form of edge_indices: the vertices
+// opposite to the edge in its first and second triangle (-1: none), then the edge as in its first
+// triangle. ErrorKind::Value, with `function` and the edge: more than two triangles share an edge.
+// `advice` ends the message.
 std::vector<Vec4i> edges_of(std::span<const Vec3i> triangles, std::string_view function,
                             std::string_view advice);
 

@@ -135,7 +135,7 @@ void ModelBuilder::check_bodies(const BodyMasses& masses) const {
 }
 
 void ModelBuilder::append_bodies(const ModelBuilder& b, const Transformf& xform) {
-  // An identity transform keeps the bits.
+  // The identity transform is skipped, so that it keeps the bits.
   const Transformf identity = Transformf::identity();
   const bool moves = xform != identity, turns = xform.q != identity.q;
   for (size_t i = 0; i < b.bodies_.size(); ++i) {

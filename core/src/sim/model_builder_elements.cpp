@@ -45,8 +45,7 @@ void check_material(const Element& e, const char* name, float value) {
   require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, e, ": ", name,
           ": expected a finite number >= 0, got ", value);
 }
-// Checks the size of an element. `relative` is the size relative to the longest edge. The
-// comparison is written so that NaN fails.
+// Checks the size of an element. `relative` is the size relative to the longest edge. NaN fails.
 void check_size(const Element& e, const char* what, double relative, double size) {
   require(relative > detail::kSmallestRelativeSize, ErrorKind::Value, e, ": expected ", what,
           " above ", detail::kSmallestRelativeSize, " relative to its longest edge, got ", relative,

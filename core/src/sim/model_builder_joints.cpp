@@ -80,7 +80,7 @@ int32_t ModelBuilder::next_dof() const {
                          : joints_.back().qd_start + joints_.back().linear + joints_.back().angular;
 }
 
-// Returns the pose of the child's joint frame in the parent's, from the poses of the bodies.
+// Returns the pose of the child's joint frame in the parent's joint frame, from the bodies' poses.
 Transformf ModelBuilder::relative_pose(const Joint& joint) const {
   Transformf anchor = joint.parent_xform;
   if (joint.parent >= 0) anchor = math::multiply(body_q[static_cast<size_t>(joint.parent)], anchor);
@@ -246,7 +246,7 @@ int32_t ModelBuilder::add_joint_d6(int32_t parent, int32_t child, const JointArg
   return append_joint("add_joint_d6", JointType::D6, parent, child, args);
 }
 
-// `axis`: the normal of the plane. The axis vectors in `args` are ignored.
+// `axis` is the normal of the plane. The axis vectors in `args` are ignored.
 int32_t ModelBuilder::add_joint_planar(int32_t parent, int32_t child, const Vec3f& axis,
                                        JointArgs args) {
   constexpr std::string_view name = "add_joint_planar";
@@ -333,7 +333,7 @@ void ModelBuilder::append_joints(const ModelBuilder& b, int32_t first_body,
     if (joint.parent >= 0) {
       joint.parent += first_body;
     } else if (moves && joint.type == JointType::FREE && joint.parent_xform == identity) {
-      // A FREE joint to the world without an anchor has the world pose as coordinates.
+      // A FREE joint to the world without a frame of its own there has a world pose as coordinates.
       float* const q = &joint_q[static_cast<size_t>(joint.q_start)];
       float* const qd = &joint_qd[static_cast<size_t>(joint.qd_start)];
       const Transformf x = math::multiply(xform, {{q[0], q[1], q[2]}, {q[3], q[4], q[5], q[6]}});

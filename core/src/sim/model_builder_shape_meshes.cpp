@@ -62,7 +62,7 @@ double inside_out_volume(const std::vector<Vec3f>& vertices, const std::vector<V
     area += detail::norm(twice);
     volume += math::dot(a, math::cross(b, c)) / 6.0;
   }
-  // The area vectors of a closed mesh sum to 0; those of an open terrain do not.
+  // The area vectors of a closed mesh sum to 0. The area vectors of an open terrain do not.
   if (!(volume < -1e-12 * area * std::sqrt(area)) || detail::norm(sum) > 1e-6 * area) return 0.0;
   for (const Vec3i& t : triangles) edges.insert(edges.end(), {{t.x, t.y}, {t.y, t.z}, {t.z, t.x}});
   std::sort(edges.begin(), edges.end());
@@ -167,7 +167,7 @@ int32_t ModelBuilder::add_shape_convex_hull(int32_t body, const ShapeConvexHullA
   Mesh mesh;
   mesh.triangles = rows_of_three(hull_of_all(hull.vertices));
   mesh.vertices = std::move(hull.vertices);
-  // If vertices were left out, the mass is that of the hull of all points.
+  // If vertices were left out, the mass is still that of the hull of all points.
   std::optional<SolidProperties> solid;
   const ShapeConfig cfg = args.cfg.value_or(default_shape_cfg);
   if (left_out && body >= 0 && cfg.density > 0.0f)

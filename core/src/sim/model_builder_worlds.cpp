@@ -31,7 +31,7 @@ void append_indices(std::vector<Row>& to, const std::vector<Row>& rows, int32_t 
   }
 }
 
-// Returns the positions of the copies of ModelBuilder::replicate, on Newton's grid.
+// Returns the positions of the copies of ModelBuilder::replicate, on the same grid as in Newton.
 std::vector<Vec3f> world_offsets(int32_t count, const Vec3f& spacing, Axis up_axis) {
   const float step[3] = {spacing.x, spacing.y, spacing.z};
   std::vector<int> axes;
@@ -136,7 +136,7 @@ void ModelBuilder::add_builder(const ModelBuilder& b, const Transformf& given) {
   constexpr std::string_view name = "add_builder";
   check_addable(name, b, 1);
   const Transformf xform = detail::checked_pose(name, given);
-  // An identity transform keeps the bits.
+  // The identity transform is skipped, so that it keeps the bits.
   const Transformf identity = Transformf::identity();
   const bool moves = xform != identity, turns = xform.q != identity.q;
 

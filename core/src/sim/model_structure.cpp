@@ -18,7 +18,8 @@ std::vector<int32_t> numbers_of(const Array& array) {
   return numbers;
 }
 
-// `real`: whether the integers are the bits of floats.
+// Checks that an array has its original values. `real`: whether the integers are the bits of
+// floats.
 void check_same(std::string_view function, const char* name, const Array& array,
                 const std::vector<int32_t>& made, bool real) {
   const std::vector<int32_t> now = numbers_of(array);

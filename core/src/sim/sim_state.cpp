@@ -13,7 +13,7 @@ SimState::SimState(const Model& model) : SimState(model.counts(), model.device()
 SimState::SimState(const ModelCounts& counts, Device device, uint64_t model_id)
     : counts_(counts), device_(device), model_id_(model_id) {
   allocate(counts_, device_);
-  // A pose of zeros is invalid, so poses start at the identity.
+  // A pose of zeros is no valid transform, so poses start at the identity.
   body_q.fill(Transformf::identity());
 }
 

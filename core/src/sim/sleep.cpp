@@ -14,7 +14,7 @@ namespace {
 
 constexpr int64_t kChunk = 4096;  // bodies
 
-// NaN does not count as zero.
+// Returns false for NaN.
 bool is_zero(const SpatialVectorf& v) {
   const Vec3f &a = v.linear, &b = v.angular;
   return a.x == 0.0f && a.y == 0.0f && a.z == 0.0f && b.x == 0.0f && b.y == 0.0f && b.z == 0.0f;

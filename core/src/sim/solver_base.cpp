@@ -20,7 +20,7 @@
 namespace novaphy {
 namespace {
 
-// The arrays of a state that have rows.
+// A list of the arrays of a state that have rows.
 struct StateArrays {
   struct Item {
     std::string_view name;
@@ -66,8 +66,8 @@ void check_apart(const char* name, const SimState& state_in, const SimState& sta
   }
 }
 
-// Runs `step` over the states of a trajectory. The step adds to its forces, so it works on copies
-// of them.
+// Runs the solver's step over the states of a trajectory. A step adds to the forces of its state,
+// so the step works on copies of the forces.
 class ForwardSteps {
  public:
   using StepToTargets = std::function<void(SimState&, SimState&, const Control*, const Contacts*,

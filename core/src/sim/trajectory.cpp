@@ -22,7 +22,7 @@ int32_t shared_states(int32_t steps, int32_t interval) {
   return steps == 0 ? 0 : std::min(interval, steps) - 1;
 }
 
-// Calls f(a, b) for the arrays of a role in two states.
+// Calls f(a, b) for each pair of arrays of two states that have the given role.
 template <class F>
 void for_each_pair(FieldRole role, const StateFields& a, StateFields& b, F&& f) {
   const auto from = detail::const_fields(a);

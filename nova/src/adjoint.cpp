@@ -49,7 +49,7 @@ RowPattern row_pattern(const ir::Program& p, const Instr& load) {
   return {RowPattern::Kind::Computed};
 }
 
-// Collects the columns of each output of a stage. A column is the ordered sum of its values.
+// Collects the columns of the outputs of a stage. The values of a column are summed in order.
 class Outputs {
  public:
   using Column = std::vector<Value>;

@@ -118,7 +118,8 @@ void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scrat
     out.range = *call.input_gradients[r.source];
     return out;
   };
-  // Whether the sum adds to the present gradient. Rows beyond the sum are set to zero.
+  // Returns whether the sum adds to the present gradient. If not, rows after those of the sum are
+  // set to zero.
   const auto adds = [&](const AdjointRowSum& r, const Operand& out, int64_t rows) {
     const uint64_t bit = uint64_t{1} << r.source;
     const bool add = stored & bit, partly = !add && rows < out.rows;
@@ -134,7 +135,7 @@ void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scrat
       const Operand* init = adds(r, out, out.rows) ? &out : nullptr;
       const Incidence incidence = cached_incidence(*call.inputs[r.table], out.rows);
       hold_in_capture(incidence);
-      // Two sums over the same table run as one launch. Position and velocity are such a pair.
+      // Two sums over the same table run as one launch, for example those of position and velocity.
       if (k + 1 < sums.size() && wanted(sums[k + 1]) && sums[k + 1].kind == r.kind &&
           sums[k + 1].table == r.table && sums[k + 1].source != r.source &&
           sums[k + 1].per_item == r.per_item && sums[k + 1].width == r.width &&
@@ -202,7 +203,8 @@ void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall
     const int32_t table_width = r.table < 0 ? 1 : call.inputs[r.table]->width;
     scratch.contributions.push_back(memory((r.per_item ? items : call.dim) * table_width, r.width));
   }
-  // The adjoints of different kinds of elements of one step may run at the same time.
+  // Number of scratch buffers on a device, because the adjoints of up to four kinds of elements may
+  // run at the same time.
   constexpr size_t kKinds = 4;
   if (plan.items)
     scratch.loop_gradient =

@@ -10,7 +10,7 @@ struct AdjointCall {
   int64_t dim = 0;
   AdjointKey asked = {};  // requested gradients, which may be a part of the plan's
   std::span<const Operand* const> inputs = {};
-  // one per requested source
+  // one gradient for each requested source
   std::span<const std::shared_ptr<Range>* const> input_gradients = {};
   // null: the gradient is zero
   std::span<const std::shared_ptr<Range>* const> output_gradients = {};

@@ -104,7 +104,7 @@ struct Primal {
   }
 };
 
-// One stage of the adjoint: clones of primal values in a new Program, and the reverse sweep over
+// One stage of the adjoint: copies of primal values in a new Program, and the reverse sweep over
 // them.
 class Sweep {
  public:
@@ -356,7 +356,7 @@ class Sweep {
   // Contributes to a value outside of the loop. Inside of the loop, all guards are first replaced
   // by selects, and the value then collects one term per item.
   void give_outward(Value operand, int32_t guard, Value value, int copy) {
-    // from the epilogue to an earlier section
+    // in the epilogue of a loop
     if (!in_body_) return contribute(operand, guard, value);
     for (int32_t g = guard; g != 0; g = primal_.guards.nodes[g].parent)
       value = wrap(g, value, copy);

@@ -212,7 +212,7 @@ novaphy_status DeviceGraph::issue_all(novaphy_stream* stream, std::span<const Op
 void DeviceGraph::capture(std::span<const OpList::Op> ops, std::span<const uint64_t> words) {
   const novaphy_backend_api& api = *context_.api;
   novaphy_error error = novaphy::make_error();
-  // A separate stream, because other threads may use the device's stream.
+  // A separate stream, because other threads may use the device's own stream.
   novaphy_stream* stream = nullptr;
   novaphy::check(api.stream_create(context_.device, &stream, &error), error, "graph");
   const char* name = "graph";

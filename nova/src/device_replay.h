@@ -16,7 +16,8 @@ class DeviceReplay {
   // The arguments must outlive this object.
   DeviceReplay(const novaphy::DeviceContext& context, std::span<const OpList::Op> ops,
                std::span<const uint64_t> words, std::span<const MemoryAccess> accesses);
-  // Throws an error of the other thread once. The plain graph runs afterwards.
+  // Launches the list. Throws an error of the compiling thread once, and runs the plain graph
+  // afterwards.
   void launch();
   void prepare();  // waits for the other thread and throws its error
 

@@ -19,7 +19,7 @@ namespace nova::detail {
 
 namespace {
 
-// Planning phases does not pay off for fewer operations.
+// With fewer operations, planning phases costs more than it saves.
 constexpr uint32_t kMinPhasedOps = 16;
 constexpr uint32_t kShort = 8;  // fewer operations make a short segment
 

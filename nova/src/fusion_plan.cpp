@@ -78,7 +78,7 @@ namespace {
 // A scan (launches of one kernel as one call) over few rows is distributed over threads in blocks
 // of kFewRows if all its launches together have kSharedOut rows.
 constexpr int64_t kSharedOut = 32768, kFewRows = 128;
-// Number of launches between two checks for an interrupt.
+// Largest number of launches in a scan, after which the caller checks for an interrupt.
 constexpr size_t kMostLaunches = 65536;
 
 // The memory that some operations access, as disjoint intervals keyed by their start.

@@ -80,7 +80,7 @@ const detail::RowLayout* row_sum_layout(uint32_t row_bytes, int64_t stride, bool
   return &layout;
 }
 
-// Runs one row sum, or two over the same items.
+// Runs one row sum, or two row sums over the same items.
 void run_row_sums(std::span<const RowSumTerm> terms, const IncidenceData* csr, int64_t rows,
                   int64_t stride) {
   const Operand& first = *terms[0].out;
@@ -155,7 +155,7 @@ std::array<detail::MemoryAccess, 2> detail::table_accesses(const IncidenceData& 
 
 namespace {
 
-// Records the value of the table that the arrays were built from.
+// Records the value of the table from which the arrays were built.
 void note_value(IncidenceData& made, const Range& table, uint64_t capture) {
   made.version = table.version();
   made.capture = capture;

@@ -89,7 +89,7 @@ AdjointKey KernelImpl::declared_key(const AdjointKey& asked) const {
     if (sources[s].access == Access::Direct || sources[s].access == Access::CsrRow)
       at_their_row |= uint64_t{1} << s;
   const auto has_all = [&](const AdjointKey& key) {
-    // Gradients that were not requested may be stored or added, with any columns.
+    // Gradients that were not requested may be stored or added, and may have any columns.
     const bool stores_so = ((key.accumulate ^ asked.accumulate) & at_their_row & asked.wrt) == 0;
     const bool has_columns = key.narrowed < 0 || !(asked.wrt >> key.narrowed & 1) ||
                              (key.narrowed == asked.narrowed && key.unread == asked.unread);
@@ -214,7 +214,7 @@ void check_inputs(const detail::KernelImpl& k, int64_t dim, std::span<const Oper
   }
 }
 
-// A device that follows a pointer of another device fails for good, so devices are compared here.
+// A device that uses a pointer of another device fails permanently, so devices are compared here.
 void check_devices(const detail::KernelImpl& k, std::span<const Operand> inputs,
                    std::span<const Operand> outputs) {
   const Device device = outputs[0].range->storage().device();
@@ -237,7 +237,7 @@ void check_params(const detail::KernelImpl& k, const LaunchOptions& options) {
             k.param_types[p] == 1 ? "float" : "int");
 }
 
-// Checks that the call gives the items of the kernel's sum, and no others.
+// Checks that the call gives items of a sum if and only if the kernel has a sum.
 void check_sum(const detail::KernelImpl& k, int64_t dim, const LaunchOptions& options) {
   constexpr int32_t kNone = -1;
   const bool has_csr = options.csr && *options.csr, has_extent = options.extent != kNone;

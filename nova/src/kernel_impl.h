@@ -38,7 +38,7 @@ class Executable {
   std::vector<std::unique_ptr<Compiled>> all_;
 };
 
-// The list of Programs for kernel_info(): those that were prepared for a device.
+// Add a Program to, and remove it from, the list of Programs for kernel_info().
 void remember_executable(Executable* executable);
 void forget_executable(Executable* executable);
 
@@ -88,8 +88,8 @@ struct KernelImpl {
   // of the plan.
   const CompiledPlan& declared_adjoint(const AdjointKey& asked);
   CompiledTangent& tangent(uint64_t wrt);  // wrt: sources with a tangent, as bits
-  // Returns the columns of an output's gradient that are not read if gradients of these sources are
-  // requested.
+  // Returns, as bits, the columns of an output's gradient that are not read if the gradients of the
+  // sources `wrt` are requested.
   uint32_t unread_columns(uint32_t output, uint64_t wrt);
 
  private:

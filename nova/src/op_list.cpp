@@ -25,7 +25,7 @@ thread_local OpList* capture = nullptr;                // list of the active Sco
 thread_local OpList* deferred = nullptr;               // list of the active DeferredScope
 thread_local DeferredScope* deferred_scope = nullptr;  // the scope that owns `deferred`
 
-// Finding scans does not pay off for fewer launches of one kernel.
+// With fewer launches of one kernel, finding scans costs more than it saves.
 constexpr uint32_t kMinScan = 8;
 
 void run_copy(const DeviceContext& c, void* target, const void* source, int64_t bytes) {

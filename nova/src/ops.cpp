@@ -105,8 +105,8 @@ NOVA_UNARY_OP(tanh, tanh(v))
 NOVA_UNARY_OP(acos, acos(v))
 NOVA_BINARY_OP(atan2, atan2(x, y))
 
-// The outcomes of comparing two numbers, as bits of a launch parameter: those for which the result
-// is 1.
+// The possible relations of two numbers, as bits of a launch parameter. The result is 1 for the
+// relations whose bits are set.
 enum Holds : int32_t { kLess = 1, kEqual = 2, kGreater = 4, kUnordered = 8 };
 int32_t holds(Comparison what) {
   constexpr int32_t kHolds[] = {
@@ -126,8 +126,8 @@ const Kernel& compare_kernel() {
   return kernel;
 }
 
-// Parameter 0 masks the bits that decide. A float is 0 if all bits except the sign are 0, so one
-// kernel serves conditions of both types.
+// Parameter 0 masks the bits of the condition that count. A float is 0 if all bits except the sign
+// are 0, so one kernel serves conditions of both types.
 const Kernel& where_kernel() {
   static const Kernel kernel =
       with_one_gradient_set(make_kernel("where",

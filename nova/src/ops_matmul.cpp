@@ -1,5 +1,5 @@
-// The matrix product. Its two gradients are products with transposed matrices. One kernel with
-// strides as parameters computes all three.
+// The matrix product. The two gradients of a product are products with transposed matrices. One
+// kernel with strides as parameters computes all three.
 #include <algorithm>
 #include <array>
 #include <cstring>

@@ -1,5 +1,5 @@
-// Functions that read parts of a tensor and join parts: slice, gather, concat. All move 32-bit
-// words, so int32 tensors use the same code, without a gradient.
+// Functions that read parts of a tensor and join parts: slice, gather, concat. All of them move
+// 32-bit words, so the same code serves int32 tensors, without a gradient.
 #include <algorithm>
 #include <string>
 
@@ -30,9 +30,9 @@ struct EntryMap {
   int64_t times = 1, plus = 0, over = 1;
 };
 
-// Copies mapped entries; other entries of the target stay unchanged. Parameters: words of the inner
-// dimensions; words from the mapped dimension on, in the target and in the source; entries of the
-// source; the map.
+// Copies mapped entries; other entries of the target stay unchanged. Parameters: number of words of
+// the inner dimensions; numbers of words from the mapped dimension on, in the target and in the
+// source; number of entries of the source; the numbers of the map.
 const Kernel& copy_entries_kernel() {
   static const Kernel kernel = make_kernel(
       "copy_entries",

@@ -20,7 +20,7 @@ using novaphy::require;
 
 namespace {
 
-// Parameters: inner, count * inner.
+// Repeats values. Parameters: inner, count * inner.
 const Kernel& broadcast_kernel() {
   static const Kernel kernel = make_kernel(
       "broadcast", {{"x", DType::F32, 1, Access::Indexed}}, {{"out", 1}}, [](TraceContext& c) {
@@ -146,7 +146,7 @@ Tensor broadcast_to(const Tensor& x, const Shape& shape) {
   Shape now(shape.size() - x.ndim(), 1);
   now.insert(now.end(), x.shape().begin(), x.shape().end());
   Tensor t = x;
-  // Neighboring dimensions are repeated together.
+  // Consecutive dimensions that are repeated are repeated together.
   for (size_t first = 0, end; first < shape.size(); first = end) {
     for (end = first; end < shape.size() && now[end] != shape[end]; ++end) now[end] = shape[end];
     if (end == first) {

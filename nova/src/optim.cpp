@@ -1,4 +1,4 @@
-// The updates of plain gradient descent.
+// The updates of plain gradient descent, without moments.
 #include "novaphy/nova/optim.h"
 
 #include <cmath>

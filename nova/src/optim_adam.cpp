@@ -1,4 +1,4 @@
-// Adam: the function and the class.
+// The function adam_update_f32 and the class Adam.
 #include <cmath>
 
 #include "engine_kernels.h"

@@ -21,8 +21,8 @@ class PhasedRun {
   // recorded list must outlive this object unchanged.
   PhasedRun(const novaphy::DeviceContext& context, std::span<OpList::Op> ops,
             std::span<const uint64_t> words, std::span<const MemoryAccess> accesses);
-  // Throws like a launch. The error is that of the first phase with a failure, and there of the
-  // operation that was recorded first.
+  // Throws like a launch. The error is that of the first phase with a failure. In this phase, it is
+  // that of the operation that was recorded first.
   void run() const;
   size_t phases() const { return ends_.size(); }
 

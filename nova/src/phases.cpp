@@ -104,8 +104,8 @@ class PhasePlanner {
       add_reader(at->second, user);
     }
   }
-  // Merges intervals for an access through another view of the same bytes. The next operation then
-  // comes after all operations that accessed them.
+  // Merges intervals for an access through another view of the same bytes. The next operation that
+  // accesses the bytes then comes after all earlier operations that accessed them.
   void merge(std::map<uint64_t, Interval>::iterator at, const MemoryAccess& access,
              uint32_t chain) {
     uint64_t begin = access.begin, end = access.begin + access.bytes;
@@ -137,7 +137,7 @@ class PhasePlanner {
     interval.readers.push_back(user);
   }
 
-  // Memory that an operation accesses in two ways counts as accessed at any row.
+  // If an operation accesses memory in two ways, the memory counts as accessed at any row.
   void forget_rows_of_mixed_access() {
     const auto mixed = [](const MemoryAccess& a, const MemoryAccess& b) {
       return share_bytes(a, b) && (b.row_bytes == 0 || a.begin != b.begin || a.bytes != b.bytes);

@@ -1,4 +1,4 @@
-// The runtime's recorder of launches by libraries that do not depend on the runtime.
+// The runtime's recorder of launches of libraries that do not depend on the runtime.
 #include "recorder.h"
 
 #include <vector>

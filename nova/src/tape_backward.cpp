@@ -38,8 +38,8 @@ void fill_zero_now(Range& range) {
 
 uint64_t bit(uint32_t k) { return uint64_t{1} << k; }
 
-// Returns whether a gradient is stored at its own row. Gradients of other sources are row sums with
-// all columns.
+// Returns whether the adjoint stores the gradient of a source at its own row. Gradients of other
+// sources are row sums with all columns.
 bool is_stored_at_its_row(Access access) {
   return access == Access::Direct || access == Access::CsrRow;
 }

@@ -55,9 +55,9 @@ struct Tape::Impl {
     Incidence csr;            // the uses of its arrays follow those of the outputs, see csr_use
   };
   enum CsrUse : uint32_t { kOffsets, kItems, kTable };
-  // version of a table that the rows do not belong to
+  // marks a table to whose version the rows do not belong
   static constexpr uint64_t kOutdated = UINT64_MAX;
-  // A launch of a hand-written kernel.
+  // The launch of a hand-written kernel in a recomputed group.
   struct HandWritten {
     const novaphy::DeviceContext* context;
     novaphy_kernel* kernel;
@@ -136,7 +136,7 @@ struct Tape::Impl {
   struct Value {
     uint64_t version = UINT64_MAX, checksum = 0;
   };
-  // One operation of the backward pass, planned before any runs.
+  // One operation of the backward pass. All steps are planned before the first step runs.
   struct Step {
     const Op* op;  // null: the step recomputes a group
     detail::AdjointKey key;
@@ -188,7 +188,7 @@ struct Tape::Impl {
     uint64_t recorded, now;
   };
   std::unordered_map<const Range*, WrittenAgain> written_again;
-  // Returns the version by which uses identify the present value of a range.
+  // Returns the version under which the tape records the present value of a range.
   uint64_t version_of(const Range& range) const {
     const uint64_t now = range.version();
     if (written_again.empty()) return now;
@@ -254,7 +254,7 @@ struct Tape::Impl {
   void mark_constant(const Range& range);
   void forget();
 
-  // Functions of tape_backward.cpp.
+  // Functions that tape_backward.cpp defines.
   void backward(Node& loss, const Tensor& seed);
   void plan_steps();
   // `stop`, if given, is called after every step and ends the pass if it returns true. Steps are
@@ -290,7 +290,7 @@ struct Tape::Impl {
   bool bound_before(const Op& op, uint32_t s) const;
   void run_kernel(const Step& step);
 
-  // Functions of custom_op.cpp.
+  // Functions that custom_op.cpp defines.
   void check_read_values(const Op& op);
   void run_custom(const Step& step, DeferredScope& deferred);
   void run_custom_forward(const CustomOp& op, DeferredScope& deferred);

@@ -40,7 +40,7 @@ class Tape::Impl::Forward {
  public:
   explicit Forward(Impl& tape) : t_(tape) {}
 
-  // Sets the tangent of an input. Returns false if the input already has one.
+  // Sets the tangent of an input. Returns false if the input has a tangent already.
   bool seed(const Tensor& input, const Tensor& tangent) {
     return moving_.try_emplace(input.range().get(), Moving{tangent.range(), 0, true}).second;
   }

@@ -8,8 +8,8 @@
 
 namespace nova {
 
-// Returns, as bits, the columns of an output's gradient that contribute nothing to the requested
-// sources.
+// Returns, as bits, the columns of an output's gradient on which the gradients of the requested
+// sources do not depend.
 uint32_t unread_columns(const ir::Program& program, size_t output, const AdjointMask& mask);
 
 }  // namespace nova

@@ -71,7 +71,8 @@ enum AdjointGate : uint32_t {
   kGateColumns = 4,  // the columns AdjointMask::unread are computed; otherwise 0
 };
 
-// A row sum that runs after the stages: gradient of `source` (+)= row sum of a contribution.
+// A row sum that runs after the stages. The row sum of a contribution is stored in, or added to,
+// the gradient of `source`.
 struct AdjointRowSum {
   // How the rows of the sum depend on the contributions. Uniform: all add to row 0. Table: an index
   // table has the row. Reduced: row r of a fixed loop. Row: the row (or item) itself, for a source

@@ -11,13 +11,13 @@
 
 namespace nova {
 
-// The destination of an input's gradient.
+// The memory that receives the gradient of an input, or a part of it.
 struct NOVAPHY_NOVA_API InputGradient {
   Tensor grad;       // shape of the input; undefined: not requested
   bool add = false;  // true: add to the present values; false: the memory must be overwritten
 
   bool wanted() const { return grad.defined(); }
-  // Stores or adds the contribution as requested. An undefined contribution is zero.
+  // Stores the contribution, or adds it if `add` is true. An undefined contribution is zero.
   // ErrorKind::Value: another size.
   void put(const Tensor& contribution) const;
 };

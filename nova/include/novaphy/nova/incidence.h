@@ -40,7 +40,7 @@ NOVAPHY_NOVA_API Incidence cached_incidence(const Operand& table, int64_t rows);
 // row-sum rule (see <novaphy/abi/program.h>). A null `init` starts from +0. `out` may be `init`.
 NOVAPHY_NOVA_API void row_sum(const Operand& source, const IncidenceData& rows, const Operand* init,
                               const Operand& out);
-// Computes two row sums over the same rows, in one launch if the device supports it.
+// Computes two row sums over the same rows, in one launch if the device supports that.
 struct RowSumTerm {
   const Operand* source;
   const Operand* init;

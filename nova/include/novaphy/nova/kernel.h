@@ -115,7 +115,7 @@ struct LaunchOptions {
   const Operand* active = nullptr;
 };
 
-// The arguments of one call in the kernel's order: several operands or a single one.
+// The arguments of one call, in the order of the kernel: a list of operands, or a single operand.
 class Operands : public std::span<const Operand> {
  public:
   using span::span;
@@ -145,8 +145,8 @@ class NOVAPHY_NOVA_API Kernel {
   const ir::Program& program() const;  // the Program that runs: canonical, without tracing marks
   const ir::Program& traced() const;   // the Program with tracing marks
   uint64_t hash() const;
-  // Returns the kernel as text. "c": the source for the compiler. "program": the Program.
-  // ErrorKind::Value: another form.
+  // Returns the kernel as text: for form "c" its C source, for form "program" a listing of the
+  // Program. ErrorKind::Value: another form.
   std::string source(const std::string& form = "c") const;
   // Returns the plan for a set of gradients. Plans are cached.
   const AdjointPlan& adjoint(const AdjointMask& mask) const;
@@ -160,14 +160,14 @@ class NOVAPHY_NOVA_API Kernel {
 };
 using IndexedKernel = Kernel;
 
-// Makes a kernel with one output: out[i, 0..n_out) = f(i).
+// Makes a kernel with one output of n_out columns: out[i, 0..n_out) = f(i).
 NOVAPHY_NOVA_API Kernel make_indexed_expr_kernel_typed_access_n(std::string name,
                                                                 std::vector<SourceSpec> sources,
                                                                 int32_t n_out,
                                                                 const TraceFn& trace);
-// Makes a kernel with a sum: out[i, 0..n_out) = epilogue(i, ordered sum over r < extent of body(i,
-// r), starting from init(i)). The sum runs over a CSR row if a source is CsrRow, else over `extent`
-// items.
+// Makes a kernel with a sum over r: out[i, 0..n_out) = epilogue(i, init(i) + body(i, 0) + body(i,
+// 1) + ...), added in this order. If a source is CsrRow, r runs over a CSR row, otherwise over
+// `extent` items.
 NOVAPHY_NOVA_API Kernel make_indexed_fixed_reduce_expr_kernel_typed_access_n(
     std::string name, std::vector<SourceSpec> sources, int32_t n_out, const ReduceFns& fns);
 // Makes a kernel, or a kernel with a sum, with several named outputs. The functions return the

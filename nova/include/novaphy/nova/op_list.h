@@ -66,7 +66,7 @@ class NOVAPHY_NOVA_API OpList {
     uint32_t pattern = 0;
     const detail::RowLayout* layout =
         nullptr;  // Launch: how the arguments depend on the row; null: unknown
-    // Launch: memory accesses that the layout does not describe.
+    // Launch: its memory accesses besides those of the layout.
     uint32_t first_access = 0, access_count = 0;
     const int32_t* active = nullptr;  // Launch: number of leading rows to run; null: all rows
     bool tables_change = false;  // in a plan: whether the list writes index tables that the launch
@@ -172,9 +172,9 @@ class NOVAPHY_NOVA_API OpList {
   mutable std::unique_ptr<detail::DeviceReplay> device_replay_;
 };
 
-// Waits for compilations on other threads. A list waits in its destructor, so this function serves
+// Waits for compilations on other threads. A list waits in its destructor, so this function is for
 // lists that still exist at the end of the process. The exit destroys static objects of compilers,
-// and no compilation may run then. Python calls this function at its exit.
+// so no compilation may run then. Python calls this function at its exit.
 NOVAPHY_NOVA_API void wait_for_compilers();
 
 // Records launches, copies and fills of this thread, instead of running them, for the lifetime of
@@ -220,10 +220,10 @@ class NOVAPHY_NOVA_API DeferredScope {
 };
 
 // Runs the operations that a DeferredScope of this thread has collected. Code that is about to read
-// the memory calls this function.
+// memory that these operations write calls this function.
 NOVAPHY_NOVA_API void flush_deferred();
 
-// Submits a launch of this library's own kernels over n rows. Other libraries use
+// Submits a launch of a kernel of this library over n rows. Other libraries use
 // novaphy::submit_launch. `words` are the argument words. `name` is for messages and must outlive
 // the list.
 NOVAPHY_NOVA_API void submit_launch(const novaphy::DeviceContext& context, novaphy_kernel* kernel,

@@ -24,10 +24,10 @@ namespace nova {
 // Computes param -= learning_rate * param.grad. The learning rate is finite.
 NOVAPHY_NOVA_API void sgd_update_f32(const Tensor& param, float learning_rate);
 
-// Updates each row of param {n, 3} with clipping. A row whose gradient is not finite stays
-// unchanged. A gradient longer than max_gradient_norm is scaled to that length, then p -=
-// learning_rate * g. A result longer than max_parameter_norm is scaled to that length. A norm <= 0
-// switches the clip off.
+// Updates each row p of param {n, 3} with its gradient g and with clipping. A row whose gradient is
+// not finite stays unchanged. If g is longer than max_gradient_norm, g is scaled to that length.
+// Then p -= learning_rate * g. If p is longer than max_parameter_norm, p is scaled to that length.
+// A norm <= 0 switches its clip off.
 NOVAPHY_NOVA_API void sgd_update_vec3_clipped_f32(const Tensor& param, float learning_rate,
                                                   float max_parameter_norm,
                                                   float max_gradient_norm);
@@ -122,7 +122,8 @@ class NOVAPHY_NOVA_API Optimizer {
 class NOVAPHY_NOVA_API SGD : public Optimizer {
  public:
   explicit SGD(std::vector<Tensor> params, const SGDOptions& options = {});
-  // ErrorKind::Value: a parameter has no gradient. ErrorKind::Runtime: a gradient is not finite.
+  // Updates the parameters. ErrorKind::Value: a parameter has no gradient. ErrorKind::Runtime: a
+  // gradient is not finite.
   void step() const;
   // The state, which is zero before the first step. Without momentum, b() is empty and t() is
   // undefined.

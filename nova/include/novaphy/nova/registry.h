@@ -20,7 +20,7 @@ struct EngineKernel {
 // operators.
 NOVAPHY_NOVA_API std::vector<EngineKernel> engine_kernels();
 
-// Returns each Program of a list once, in the order of hashes.
+// Returns the Programs of a list without duplicates, ordered by their hashes.
 NOVAPHY_NOVA_API std::vector<ir::Program> programs_of(const std::vector<EngineKernel>& kernels);
 
 // Returns the kernel with sets of gradients that are compiled ahead of time. A backward pass that

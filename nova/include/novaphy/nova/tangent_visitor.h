@@ -21,7 +21,8 @@ class NOVAPHY_NOVA_API TangentVisitor {
   TangentVisitor(const TangentVisitor&) = delete;
   TangentVisitor& operator=(const TangentVisitor&) = delete;
 
-  // `inputs`: operands of the launch. `tangents`: memory of the tangents of each output.
+  // Called for each launch of a kernel. `inputs` are the operands of the launch, and `tangents` is
+  // the memory of the tangents of each output.
   virtual void visit(std::string_view kernel, std::span<const Operand> inputs,
                      std::span<const std::shared_ptr<novaphy::Range>> tangents) = 0;
   static TangentVisitor* current();  // null: no visitor exists

@@ -62,15 +62,16 @@ class NOVAPHY_NOVA_API Tape {
   // not write. ErrorKind::NotImplemented: a custom operation without a tangent.
   std::vector<Tensor> jvp(const std::vector<Tensor>& outputs, const std::vector<Tensor>& inputs,
                           const std::vector<Tensor>& tangents);
-  // The leaves that carry a gradient, each as one row of numbers, in the order of their first use.
+  // Returns the leaves that carry a gradient, each as one row of numbers, in the order of first
+  // use.
   std::vector<Tensor> leaves() const;
   bool has_leaf(const Tensor& tensor) const;  // whether this leaf was read and carries a gradient
   bool has_tangents() const;                  // whether every operation has a tangent
   void zero();                                // sets all gradients of this tape to zero
   void reset();                               // drops all operations
   size_t size() const;
-  // Information about the gradients of recorded operations, added by the code that records them.
-  // reset() drops witnesses with the operations.
+  // Data about the gradients of recorded operations, which the code that records them adds to the
+  // tape. reset() also drops the witnesses.
   struct NOVAPHY_NOVA_API Witness {
     virtual ~Witness();
   };
@@ -120,7 +121,7 @@ class NOVAPHY_NOVA_API Tape {
   // Functions for Kernel::launch. must_record returns whether an input carries a gradient.
   // check_launch makes the checks before the first write. record_launch records the launch.
   bool must_record(std::span<const Operand> inputs) const;
-  // `partly`: outputs of which only some rows are written.
+  // `partly` are the outputs of which the launch writes only some rows.
   void check_launch(const detail::KernelImpl& kernel, std::span<const Operand> inputs,
                     std::span<const Operand> partly) const;
   void record_launch(const std::shared_ptr<detail::KernelImpl>& kernel, int64_t dim,

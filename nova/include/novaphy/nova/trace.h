@@ -25,7 +25,7 @@ class NOVAPHY_NOVA_API Trace {
   Trace& operator=(const Trace&) = delete;
   static Trace& current();  // throws if this thread builds no trace
 
-  // Appends an instruction, or returns an existing value that equals it.
+  // Appends an instruction, or returns an existing value that is equal.
   ir::Value emit(ir::Instr instr);
   ir::Value constant(float value);
   ir::Value constant(int32_t value);

@@ -83,7 +83,7 @@ novaphy_status guarded(novaphy_error* error, Body&& body) noexcept {
   }
 }
 
-// Chooses the instruction set: NOVAPHY_CPU_ISA, or the best one of the processor.
+// Chooses the instruction set: the set named by NOVAPHY_CPU_ISA, or the best set of the processor.
 novaphy_status choose_isa(const IsaTable** isa, novaphy_error* error) {
   struct Level {
     const IsaTable* table;
@@ -187,8 +187,8 @@ novaphy_status memory_alloc(novaphy_device*, int32_t kind, uint64_t bytes, void*
   *pointer =
       rounded >= bytes ? std::aligned_alloc(large ? kHugePage : kAlignment, rounded) : nullptr;
 #if defined(MADV_HUGEPAGE)
-  // A rollout reads many arrays at the same time, a page of each. Small pages would cause misses in
-  // the translation lookaside buffer. This is only a hint to the kernel.
+  // A rollout reads many arrays at the same time, one page of each. Small pages would cause misses
+  // in the translation lookaside buffer. The call is only a hint to the operating system.
   if (large && *pointer != nullptr) (void)madvise(*pointer, rounded, MADV_HUGEPAGE);
 #endif
   if (*pointer != nullptr) return NOVAPHY_OK;

@@ -293,7 +293,7 @@ novaphy_status incidence(const novaphy_host_api&, const IsaTable&, int64_t n, co
     if (table[s] >= 0) ++offsets[table[s] + 1];
   }
   std::partial_sum(offsets, offsets + n + 1, offsets);
-  // The loop advances each offset to the end of its row; the offsets are shifted back afterwards.
+  // This loop advances each offset to the end of its row. The code below shifts the offsets back.
   for (int64_t s = 0; s < slots; ++s) {
     if (table[s] >= 0) items[offsets[table[s]]++] = static_cast<int32_t>(s);
   }

@@ -49,7 +49,7 @@ LANE_FN char* launch_room(char* room, uint64_t number, int64_t row_bytes) {
   return room == NULL ? NULL : room + (int64_t)number * row_bytes * LANES;
 }
 
-/* Scalars. */
+/* Functions of scalars. */
 
 LANE_FN float ubits_f(int32_t a) {
   float f;

@@ -131,7 +131,7 @@ LANE_FN void store3i(char* p, vi a, vi b, vi c) {
   store_rows3(p, &rows);
 }
 #elif defined(__x86_64__)
-/* Both halves of a vector of 8 do what a vector of 4 does: rows 0 to 3, and rows 4 to 7. */
+/* The two halves of a vector of 8 work like a vector of 4: rows 0 to 3, and rows 4 to 7. */
 #if LANES == 8
 typedef __m256 quad;
 #define QUAD_SHUFFLE(a, b, d, c, e, f) _mm256_shuffle_ps(a, b, _MM_SHUFFLE(d, c, e, f))

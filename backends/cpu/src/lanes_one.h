@@ -6,7 +6,7 @@ LANE_FN int lane_of(vb b, int l) {
   return b;
 }
 
-/* Rows. */
+/* How the rows of a group lie in memory, see lanes_gather.h. A single lane has one row. */
 typedef struct row_lanes {
   int32_t row;
 } row_lanes;
@@ -144,7 +144,7 @@ LANE_FN int gather3f_again(float* to, const char* s, int64_t rows, int32_t limit
   return 1;
 }
 
-/* CSR rows. */
+/* The items of one CSR row. */
 typedef struct csr_rows {
   int32_t start, longest;
 } csr_rows;

@@ -45,7 +45,7 @@ struct ScalarForm {
   std::vector<int32_t> source_widths, output_widths;
 };
 
-// The two forms of the interpreter.
+// The Program in the two forms that the interpreter runs.
 struct Interpreted {
   BlockForm block;
   ScalarForm scalar;

@@ -14,7 +14,8 @@ struct Launch {
   int64_t n, chunk_rows;
 };
 
-// Returns the operations per row. Each item of a sum adds the same number again.
+// Returns the number of operations per row. Each item of a sum adds the operations of the row
+// again.
 double operations_per_row(const Executable& executable, int64_t n, const uint64_t* arguments) {
   const nova::ir::Program& p = executable.program;
   double times = 1.0;

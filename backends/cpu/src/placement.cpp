@@ -27,7 +27,8 @@ class Placer {
       if (end < static_cast<int32_t>(l_.items.size()))
         dying[static_cast<size_t>(end) + 1].push_back(static_cast<ValueId>(v));
     }
-    // Slot 0 of both lists stands for "before the first item", where the row number is set.
+    // Position 0 in the lists of starts and ends means "before the first item", where the row
+    // number is set.
     for (size_t at = 0; at <= l_.items.size(); ++at) {
       // Only a plain operation reads its operands of a lane before it writes the lane. Its result
       // may therefore replace an operand.

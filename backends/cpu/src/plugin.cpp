@@ -3,7 +3,7 @@
 #include "novaphy/cpu/query.h"
 
 namespace novaphy::cpu {
-// Defined in the file that cmake/NovaPhyNative.cmake generates.
+// The file that cmake/NovaPhyNative.cmake generates defines this function.
 std::span<const NativeLevel> compiled_levels();
 }  // namespace novaphy::cpu
 

@@ -30,7 +30,7 @@ const std::string& kernels_problem();
 // (1, 2 or 4) of a pattern.
 const void* fill_stub();
 
-// Entries of the driver's table. The code comes from ahead_data() or from kDlanCompiler.
+// Functions for the driver's table. The code comes from ahead_data() or from kDlanCompiler.
 Result load_stubs(Module* module, const void* code);
 Result unload_stubs(Module module);
 Result find_stub(Function* function, Module module, const char* name);

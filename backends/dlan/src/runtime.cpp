@@ -66,7 +66,7 @@ Context context_of(int device) {
 }
 int device_of(Context context) { return static_cast<int>(reinterpret_cast<intptr_t>(context) - 1); }
 
-// Makes another device current for a scope.
+// Makes another device current for the lifetime of the object.
 class On {
  public:
   explicit On(int device) {

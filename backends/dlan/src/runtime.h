@@ -14,7 +14,8 @@ struct Dim3 {
   unsigned x, y, z;
 };
 
-// X(member, result, arguments, symbol, needed). A function that is not needed has a replacement.
+// X(member, result, arguments, symbol, needed). If `needed` is false, a missing function has a
+// replacement.
 #define NOVAPHY_DLAN_FUNCTIONS(X)                                                                \
   X(version, Result, (int*), "cudaRuntimeGetVersion", false)                                     \
   X(error_name, const char*, (Result), "cudaGetErrorName", true)                                 \
@@ -48,7 +49,8 @@ struct Dim3 {
   X(blocks_per_unit, Result, (int*, Function, int, size_t),                                      \
     "cudaOccupancyMaxActiveBlocksPerMultiprocessor", false)
 
-// VendorInfo::load: fills the table from the library and opens the kernels (kernels.h).
+// The function VendorInfo::load: fills the driver table from the library and opens the kernels
+// (kernels.h).
 bool load_runtime(Driver& d, void* library);
 
 }  // namespace novaphy::gpu

@@ -20,7 +20,7 @@ AheadCode find_ahead(const CodeKey& key, int arch) {
       });
   const AheadEntry* best = nullptr;
   for (const AheadEntry* entry = first; entry != last && entry->key == key; ++entry) {
-    // An image runs on devices of the same major version that are at least as new.
+    // An image runs on devices of the same major version that are not older.
     const bool fits = entry->arch <= arch && (entry->is_text != 0 || entry->arch / 10 == arch / 10);
     if (!fits || (best != nullptr && best->is_text < entry->is_text)) continue;
     best = entry;

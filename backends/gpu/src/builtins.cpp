@@ -53,7 +53,7 @@ novaphy_status load_functions(novaphy_device* device, const Functions** result,
   return NOVAPHY_OK;
 }
 
-// Returns the functions of a kernel that exists, which are therefore loaded.
+// Returns the functions of the builtins for a device. They are loaded, because a kernel exists.
 const Functions& functions_of(const novaphy_device* device) {
   const std::lock_guard lock(g_mutex);
   return g_functions.find(device)->second;

@@ -153,7 +153,8 @@ void CodeCache::store(const CodeKey& key, const std::vector<char>& code) {
     ::unlink(draft.c_str());
     return;
   }
-  // Only from time to time: scanning the folder is slow, and the limit is approximate.
+  // The folder is cleaned only sometimes: a scan of the folder is slow, and the limit is
+  // approximate.
   static std::atomic<uint32_t> stored{0};
   if (stored.fetch_add(1) % 64 == 0) make_room();
 }

@@ -1,4 +1,4 @@
-// A compiler that is a separate program.
+// Runs a compiler that is a separate program.
 #include <fcntl.h>
 #include <spawn.h>
 #include <sys/wait.h>
@@ -35,7 +35,7 @@ std::vector<char> read_file(const std::string& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-// Runs the command. Returns its exit code; its output goes to `log`.
+// Runs the command and returns its exit code. The output of the command goes to the file `log`.
 int run(std::string command, std::string code, std::string source, const std::string& log) {
   char* const words[] = {command.data(), code.data(), source.data(), nullptr};
   posix_spawn_file_actions_t files;

@@ -13,7 +13,7 @@ namespace {
 
 constexpr ErrorRecord kNoError = {std::numeric_limits<int64_t>::max(), 0, 0, 0, -1, 0, 0};
 
-// Returns whether the device is unusable in this process after an error.
+// Returns whether the device can no longer be used in this process after an error.
 bool is_fatal(Result result) {
   switch (result) {
     case 4:    // the driver is shutting down
@@ -200,7 +200,7 @@ novaphy_status device_info(int32_t ordinal, novaphy_device_info* info, novaphy_e
   if (result == kSuccess) result = d.device_attribute(&minor, kComputeMinor, id);
   if (result == kSuccess) result = d.device_attribute(&units, kMultiprocessors, id);
   if (result == kSuccess) result = d.device_memory(&total, id);
-  // The free memory is known only to a context. Without a context it is reported as zero.
+  // Only a context knows the free memory. Without a context the free memory is reported as zero.
   Context context = nullptr;
   if (result == kSuccess && d.context_retain(&context, id) == kSuccess) {
     novaphy_device here;

@@ -15,7 +15,7 @@
 
 namespace novaphy::gpu {
 
-// The record of a failing read: device_error of device_prelude.cuh.
+// The record of a failing read, with the layout of device_error in device_prelude.cuh.
 struct ErrorRecord {
   int64_t index;  // INT64_MAX: none
   int64_t row;
@@ -26,7 +26,7 @@ struct ErrorRecord {
   uint32_t unused;
 };
 static_assert(sizeof(ErrorRecord) == 40);
-// device_sink: the last argument of every kernel.
+// The last argument of every kernel, with the layout of device_sink in device_prelude.cuh.
 struct SinkArgument {
   DevicePointer record;
   DevicePointer flag;
@@ -113,9 +113,9 @@ novaphy_status check_lost(novaphy_device* device, const char* what, novaphy_erro
 // Reports a kernel that read past the end of a source. Must follow a wait of the host for the
 // stream.
 novaphy_status check_reads(novaphy_device* device, novaphy_stream* stream, novaphy_error* error);
-// Frees what the builtins keep for a device. The context of the device must be current.
+// Frees the modules that the builtins keep for a device. The context of the device must be current.
 void forget_builtins(const novaphy_device* device);
-// Returns a number for the kernel, by which a failing read names it.
+// Returns a number that identifies the kernel in the record of a failing read.
 uint32_t remember_kernel(novaphy_device* device, KernelNames names);
 void forget_kernel(novaphy_device* device, uint32_t kernel);
 inline SinkArgument sink_of(const novaphy_device* device, uint32_t kernel,
@@ -123,7 +123,7 @@ inline SinkArgument sink_of(const novaphy_device* device, uint32_t kernel,
   return {device->record, device->flag_on_device, kernel, 0, active};
 }
 
-// The functions of the ABI's table, by file.
+// The functions of the ABI's table, ordered by the files that define them.
 novaphy_status device_count(int32_t* count, novaphy_error* error);
 novaphy_status device_info(int32_t ordinal, novaphy_device_info* info, novaphy_error* error);
 novaphy_status device_open(int32_t ordinal, novaphy_device** device, novaphy_error* error);

@@ -89,7 +89,7 @@ LANE_FN void end_row(const row_failure& f, const device_sink sink, int64_t i) {
   if (f.source >= 0) report_row(sink, i, f.source % kSources, f.row, f.rows);
 }
 
-// Scalars.
+// Functions of scalars.
 LANE_FN float ubits_f(int32_t a) { return __int_as_float(a); }
 LANE_FN int32_t uf_bits(float a) { return __float_as_int(a); }
 #include "novaphy/program/scalars.h"
@@ -386,7 +386,7 @@ LANES_ROWS(f, vf, ubits_f)
 LANES_ROWS(i, vi, )
 #undef LANES_ROWS
 
-// CSR rows.
+// The rows of a CSR loop.
 struct csr_rows {
   int32_t start, longest;
 };

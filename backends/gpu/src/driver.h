@@ -45,7 +45,7 @@ enum : unsigned {
   kCaptureRelaxed = 2,
 };
 
-// The shape of a launch, for queries.
+// The shape of a launch, for queries about it.
 struct LaunchShape {
   unsigned blocks[3], threads[3], shared_bytes;
   Stream stream;

@@ -14,7 +14,7 @@ namespace novaphy::gpu {
 
 inline constexpr uint32_t kMaxArgumentWords = 500;  // a kernel takes 4 KiB of arguments
 
-// The operations of Programs, and additional ones for a flat list.
+// The operations of the flat list, besides the operations of Programs.
 #define NOVAPHY_INTERPRETER_OPS(X) \
   X(MOVE) X(SELECT) X(LOAD) X(LOAD_OWN) X(STORE) X(SKIP) X(LOOP) X(AGAIN) X(END)
 enum class InterpreterOp : int32_t {

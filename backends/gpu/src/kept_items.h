@@ -14,7 +14,7 @@ struct ItemSource {
   enum How : uint8_t { Not, AtSlot, AtIndex } how = Not;
   int32_t index = 0, column = 0;  // AtIndex: the source with the row index, read at the item
 };
-// Classifies the sources of a Program. A source with any other read is `Not`.
+// Classifies the sources of a Program. A source with reads of any other kind is `Not`.
 std::vector<ItemSource> item_sources(const nova::ir::Program& program);
 
 }  // namespace novaphy::gpu

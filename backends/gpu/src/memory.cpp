@@ -18,7 +18,7 @@ novaphy_status memory_alloc(novaphy_device* device, int32_t kind, uint64_t bytes
     return fail(error, NOVAPHY_INVALID_ARGUMENT, "memory_alloc: unknown kind %d", kind);
   if (const novaphy_status status = check_lost(device, "memory_alloc", error); status != NOVAPHY_OK)
     return status;
-  // The driver aligns device memory to 256 bytes, and pinned memory to pages.
+  // The driver aligns device memory to 256 bytes, and pinned memory to pages, as the ABI requires.
   const uint64_t size = bytes == 0 ? 256 : bytes;
   const Use use(device);
   Result result = kOutOfMemory;

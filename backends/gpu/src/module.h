@@ -29,7 +29,7 @@ struct novaphy_kernel {
 struct novaphy_module {
   novaphy_device* device = nullptr;
   novaphy::gpu::Module module = nullptr;  // null for builtins, whose module the device keeps
-  // One kernel "main", or the kernels of a SOURCE module.
+  // The kernel "main", or the kernels of a SOURCE module.
   std::vector<std::unique_ptr<novaphy_kernel>> kernels;
 };
 
@@ -43,7 +43,8 @@ inline unsigned threads_of_block(int64_t rows, int32_t units) {
   return threads;
 }
 
-// Loads code for the device: built ahead of time, from the cache on disk, or compiled now.
+// Loads code for the device: code that was compiled in the build, code from the cache on disk, or
+// code that is compiled now.
 novaphy_status load_code(novaphy_device* device, const std::string& source, const std::string& name,
                          Dialect dialect, Module* module, novaphy_error* error);
 novaphy_status make_builtin(novaphy_device* device, std::string_view name, novaphy_kernel& kernel,

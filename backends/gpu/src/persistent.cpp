@@ -75,7 +75,7 @@ PersistentShape choose(const novaphy_device& device, unsigned warps, unsigned in
   return shape;
 }
 
-// Whether the device has enough adjacent units for a large cluster.
+// Returns whether the device has enough adjacent units for a large cluster.
 bool runs_as_cluster(const novaphy_list& list) {
   const Use use(list.device);
   const Driver& d = driver();
@@ -90,7 +90,7 @@ bool runs_as_cluster(const novaphy_list& list) {
          d.clusters_at_once(&clusters, list.function, &launch) == kSuccess && clusters > 0;
 }
 
-// Limits the blocks to those that run at the same time.
+// Limits the number of blocks to those that can run at the same time.
 novaphy_status fit_together(novaphy_list& list, novaphy_error* error) {
   int fit = 0;
   const Use use(list.device);

@@ -60,7 +60,7 @@ struct memory_items {
   uint64_t source;
 };
 
-// The initial value of a row of the builtin row_sum_f32.
+// The initial value of a row of the builtin row_sum_f32, if there is none.
 struct no_init {};
 LANE_FN float init_of(const no_init, int32_t, int32_t, int64_t) { return 0.0f; }
 template <class S>
@@ -400,7 +400,7 @@ LANE_FN void last_barrier(uint32_t* counter) {
 // hand them over to the warps that add them. The adding warps wait only for this handover, and for
 // the other blocks before they store.
 #if PERSISTENT_LAYOUTS != 0
-// The handover orders earlier stores, as a barrier does.
+// The handover also orders earlier stores, as a barrier does.
 LANE_FN void hand_over() { vendor_hand_over<PERSISTENT_THREADS>(); }
 LANE_FN void take_over() { vendor_take_over<PERSISTENT_THREADS>(); }
 #endif
@@ -430,7 +430,7 @@ LANE_FN void expect_rows(const uint32_t turn) {
 LANE_FN void wait_halo(const uint32_t turn) {
   vendor_wait_bytes(in_shared(g_came + turn % 2), turn / 2 % 2);
 }
-// The destination of a row, the lane that has the row, and whether the thread sends one.
+// The destination of a row, the lane that has the row, and whether this thread sends a row.
 struct halo_send {
   uint32_t to, came, lane, on;
 };
@@ -477,7 +477,7 @@ struct halo_rows {
 struct halo_row {
   four_words words;
 };
-// A row of zeros follows the last row of an array. No element names a row after it: see plan_halo.
+// A row of zeros follows the last row of an array. No element reads a row after it: see plan_halo.
 LANE_FN halo_row row_of(const halo_rows s, int32_t row, int32_t, vb, int32_t, row_failure&) {
   const uint32_t at = (uint32_t)row < s.rows ? (uint32_t)row : s.rows;
   return {s.array[at]};

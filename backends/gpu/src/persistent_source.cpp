@@ -120,7 +120,7 @@ class ChainText {
       operation(static_cast<int32_t>(k), k < sums);
     }
     if (sums == form_.operations.size()) code_ += "  }\n";
-    // Other blocks may still read the data of the previous phase.
+    // Stores wait for the end of the previous phase, because other blocks may still read its data.
     if (!stores_at_once()) {
       if (form_.sums_items || waits_late) code_ += wait;
       sends();

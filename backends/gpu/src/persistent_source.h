@@ -21,7 +21,8 @@ struct ChainForm {
   struct Operation {
     enum Kind : int32_t { Copy, Fill, RowSum, Program } kind = Program;
     int32_t each = 1;  // rows for each row of the chain
-    // RowSum: the builtin, or a Program with the same effect (see added_rows in ir.h).
+    // The sum of a RowSum, which is the builtin or a Program with the same effect (added_rows in
+    // ir.h).
     struct Sum {
       int32_t width = 1;
       bool offsets = false, init = false;  // whether these arguments exist
@@ -57,8 +58,8 @@ struct ChainForm {
     };
     std::vector<Source> sources;
     struct Output {
-      // Now: stored at once. Later: stored when the chain is done. Never: overwritten by a later
-      // operation.
+      // When a result is stored. Now: at once. Later: when the chain is done. Never: a later
+      // operation overwrites the result.
       enum Store : int32_t { Now, Later, Never } store = Now;
       int32_t width = 1;
       bool aligned = false;                // as for a source
@@ -131,7 +132,7 @@ struct PersistentRoom {
 };
 PersistentTable persistent_table(std::span<const novaphy_persistent_op> ops,
                                  const PersistentRoom& room = {});
-// Returns the warps of the largest phase, with a row for each thread.
+// Returns the number of warps of the largest phase, if each thread has one row.
 uint32_t most_warps(std::span<const novaphy_persistent_op> ops);
 
 constexpr unsigned kMostInCluster = 8;  // blocks of a cluster; all devices with clusters support

@@ -73,7 +73,7 @@ uint64_t warps_of(int64_t rows, int64_t lanes) {
   return static_cast<uint64_t>((rows + lanes - 1) / lanes);
 }
 
-// Returns the warps of a phase, with `lanes` rows per warp.
+// Returns the number of warps of a phase, with `lanes` rows per warp.
 uint64_t warps_of(std::span<const novaphy_persistent_op> phase, int64_t lanes) {
   uint64_t warps = 0;
   for (size_t k = 0; k < phase.size(); ++k)
@@ -160,7 +160,7 @@ class Writer {
   // kernel, source, rows
   using SourceUse = std::tuple<const novaphy_kernel*, int32_t, uint64_t>;
 
-  // Ends a record at the current word. The header of the previous record tells its size.
+  // Ends a record at the current word. Writes its size into the header of the previous record.
   void end_record() {
     const uint64_t size = out_.words.size() - record_;
     out_.most_words = std::max(out_.most_words, size);
@@ -225,8 +225,8 @@ class Writer {
     return ops[k].chain != ops[k - 1].chain || ops[k].phase != ops[k - 1].phase;
   }
   // Assigns rows of a chain to the warps from `warp` on. Neighboring warps are in different blocks,
-  // so that few warps use many units. In a large cluster that uses all blocks, they share a block:
-  // the code of few chains fits its instruction cache.
+  // so that few warps use many units. In a large cluster that uses all blocks, neighboring warps
+  // share a block: the code of few chains fits into its instruction cache.
   void add_tasks(uint64_t chain, int64_t rows, int64_t lanes, uint64_t warp) {
     const uint64_t of_block = room_.warps / room_.blocks, group = phase_ % room_.groups;
     uint64_t* const phase = tasks_.data() + tasks_.size() - room_.warps * room_.groups;
@@ -456,7 +456,7 @@ class Writer {
            room_.plan->operations[number_of(o)].mine.contains(
                static_cast<int32_t>(out_.source_word(op, source)));
   }
-  // Returns the memory that an operation may read of a source: its begin and its bytes.
+  // Returns the memory that an operation may read through a source: its address and its bytes.
   std::pair<uint64_t, uint64_t> memory_of(const novaphy_persistent_op& o, const Operation& op,
                                           size_t source) const {
     const uint64_t row = static_cast<uint64_t>(out_.source_width(op, source)) * sizeof(int32_t);

@@ -12,7 +12,7 @@ struct KeptValues {
   // Unconditional values of `loop`, in their order, with the equal values of `earlier`. They depend
   // only on each other and on values from outside of the loops.
   std::vector<std::pair<Value, Value>> equal;
-  // The values of `equal` that the rest of the loop reads.
+  // Those values of `equal` that the rest of the loop reads.
   std::vector<std::pair<Value, Value>> kept;
 };
 

@@ -135,7 +135,7 @@ class Orderer {
   std::vector<Item> order(std::vector<Item> items) {
     for (Item& item : items) item.inside = order(std::move(item.inside));
     const size_t count = items.size();
-    // Each value is computed once, so only the definition of each operand matters.
+    // Each value is computed only once, so an operand needs only the item that defines it.
     for (size_t k = 0; k < count; ++k)
       for_each_value(items[k], [&](Value v) { maker_[at(v)] = static_cast<int32_t>(k); });
     std::vector<std::vector<size_t>> before(count), after(count);

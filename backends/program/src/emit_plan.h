@@ -37,7 +37,7 @@ struct EmitPlan {
   std::vector<Step> steps;
   std::vector<Region> regions;
   std::vector<int32_t> region_of_step;  // per step: the region that a SkipIfNone step opens
-  // The members below are per value.
+  // The members below have one entry per value.
   std::vector<char> uniform;  // the same in every lane
   std::vector<char> once;     // computed once, before the loop over rows
   std::vector<char> used;

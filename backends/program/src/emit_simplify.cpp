@@ -32,7 +32,7 @@ void drop_unused(Program& p) {
   }
 }
 
-// Moves the sign of a factor into the sum of its product: c + (-a) b becomes c - a b.
+// Moves the sign of a factor into the sum that uses its product: c + (-a) b becomes c - a b.
 class NegationFolder {
  public:
   explicit NegationFolder(Program& p) : p_(p), users_(p.instrs.size()), kept_(p.instrs.size(), 0) {

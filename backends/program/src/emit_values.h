@@ -24,7 +24,7 @@ class ValueText {
   std::string c_type(Value v) const;
   // Returns the right side of the assignment to the value's variable. Not for loads and leaves.
   std::string expression(Value v) const;
-  // Returns the text of a leaf.
+  // Returns the text for a leaf, such as a constant.
   std::string literal(const Instr& in) const;
 
  private:

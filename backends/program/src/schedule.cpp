@@ -193,7 +193,7 @@ class Scheduler {
     return result;
   }
 
-  // Returns whether the conditions of a deeper region, which lie between `guard` and it, are ready.
+  // Returns whether the conditions of the region of `o` inside of `guard` can be computed now.
   bool cond_ready(Value o, int32_t section, int32_t guard) {
     for (int32_t g = guards_.guard[o]; g != guard; g = guards_.nodes[g].parent) {
       const Value cond = guards_.nodes[g].cond;

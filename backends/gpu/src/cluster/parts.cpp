@@ -75,7 +75,8 @@ class Cutter {
     return best;
   }
 
-  // Moves rows to other parts while that reduces the sum of the squares of the parts' needs.
+  // Moves rows to other parts while that reduces the sum of the squared numbers of the parts'
+  // needs.
   void even_out() {
     uses_.resize(parts_);
     std::vector<size_t> size(parts_, 0);

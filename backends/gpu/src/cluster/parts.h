@@ -1,6 +1,5 @@
-// Divides rows into parts that have few needs in common. A need is a number, such as an element
-// that a row of sums adds. The rows are points of a mesh: neighboring points have elements in
-// common.
+// Divides rows into parts that have few needs in common. The rows are points of a mesh, and their
+// needs are the elements that touch them. Neighboring points have needs in common.
 #pragma once
 
 #include <cstdint>

@@ -38,7 +38,7 @@ VENDOR_FN float vendor_rcp_seed(float a) { return 1.0f / a; }
 VENDOR_FN float vendor_rsqrt_seed(float a) { return 1.0f / __fsqrt_rn(a); }
 #endif
 
-// Prefetches memory that will be read.
+// Prefetches memory that will be read soon.
 #ifndef VENDOR_HAS_PREFETCH
 VENDOR_FN void vendor_prefetch(const void*) {}
 #endif

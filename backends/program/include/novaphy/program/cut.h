@@ -1,4 +1,5 @@
-// Splits a Program in two parts, for a thread that waits only for some of its sources.
+// Splits a Program into a part that reads only early sources, and the rest. A thread can run the
+// first part before it waits for the other sources.
 #pragma once
 
 #include <cstdint>

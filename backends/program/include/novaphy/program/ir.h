@@ -112,14 +112,15 @@ bool deserialize(std::span<const uint32_t> words, Program& program, std::string&
 std::string to_string(const Program& program);
 
 // Returns a 64-bit hash of a canonical Program without its names. Equal computations have equal
-// hashes, regardless of the order in which the compiler evaluated operands during tracing.
+// hashes, although C++ compilers evaluate operands in different orders during tracing.
 uint64_t hash(const Program& program);
 
 // Rebuilds the Program depth first from its outputs. This removes dead code and makes the order
 // canonical. With strip_trace_ops, PARTIAL and DETACH are replaced by their value.
 Program canonicalise(const Program& program, bool strip_trace_ops);
 
-// Returns the section of each value: 2l outside of loops and after loop l-1, 2l+1 inside of loop l.
+// Returns the section of each value: 2l for values before loop l that come after loop l-1, and 2l+1
+// for values inside of loop l.
 std::vector<int32_t> sections(const Program& program);
 // Returns the source whose rows a Program only sums over CSR items, or -1. The gradient of such a
 // source at an item equals the gradient of the output at the item's row.

@@ -94,7 +94,7 @@ ArmStep step_arm(const Arm& arm, const float* q, const float* v, float dt, float
   return s;
 }
 
-// Computes the gradients of q and v from those of q' and v'.
+// Computes the gradients of q and v from the gradients of q' and v' (planar_arm.h).
 void step_arm_vjp(const Arm& arm, const float* q, const float* v, float dt, float damping,
                   const float* q_out, const float* v_out, float* q_in, float* v_in) {
   const ArmStep s = step_arm(arm, q, v, dt, damping);

@@ -194,7 +194,7 @@ void run_vjp(const Rollout& r, std::span<const Tensor> outputs,
        .add = add});
 }
 
-// Runs the tangent on the host.
+// Computes the tangents on the host.
 void run_jvp(const Rollout& r, std::span<const Tensor> t, std::span<const Tensor> tangents) {
   const auto tangent = [&](size_t k, int64_t row) {
     return t[k].defined() ? t[k].data<float>()[row] : 0.0f;
@@ -221,7 +221,7 @@ void run_jvp(const Rollout& r, std::span<const Tensor> t, std::span<const Tensor
   }
 }
 
-// Runs the tangent now, or in the replays of a capture.
+// Computes the tangents now, or in the replays of a capture.
 void submit_jvp(const std::shared_ptr<const Rollout>& rollout, std::span<const Tensor> inputs,
                 std::span<const Tensor> outputs) {
   if (!nova::current_capture()) return run_jvp(*rollout, inputs, outputs);

@@ -1,4 +1,4 @@
-// Many steps of a pushed box as one row, and their adjoint.
+// Many steps of a pushed box as one kernel row, and their adjoint.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"

@@ -10,7 +10,7 @@ namespace {
 
 constexpr std::uintmax_t kLargest = 1 << 20;  // bytes
 
-// Returns the rest of the line without surrounding blanks.
+// Returns the rest of the line without blanks at its beginning and end.
 std::string rest_of(std::istream& line) {
   std::string text;
   std::getline(line >> std::ws, text);

@@ -101,7 +101,8 @@ PlyHeader read_ply_header(const std::string& where, std::string_view bytes) {
   fail(ErrorKind::Value, where, ": expected end_header, got the end of the file");
 }
 
-// Reads a length of 1, 2 or 4 bytes. A negative length becomes larger than any file.
+// Reads the length of a list, a number of 1, 2 or 4 bytes. A negative length becomes larger than
+// any file.
 size_t read_length(std::string_view bytes, bool big_endian) {
   size_t value = 0;
   for (size_t n = 0; n < bytes.size(); ++n)
@@ -110,14 +111,14 @@ size_t read_length(std::string_view bytes, bool big_endian) {
   return value;
 }
 
-// Removes `count` values of `size` bytes from the body. Returns false if there are fewer.
+// Removes `count` values of `size` bytes from the body. Returns false if the body has fewer bytes.
 bool take(std::string_view& body, size_t count, size_t size) {
   if (count > body.size() / size) return false;
   body.remove_prefix(count * size);
   return true;
 }
 
-// Removes the rows of an element from a binary body. Returns false if there are fewer.
+// Removes the rows of an element from a binary body. Returns false if the body has fewer rows.
 bool take_rows(std::string_view& body, const Element& element, bool big_endian) {
   const bool has_list = std::any_of(element.properties.begin(), element.properties.end(),
                                     [](const Property& p) { return p.is_list; });
@@ -137,7 +138,7 @@ bool take_rows(std::string_view& body, const Element& element, bool big_endian) 
   return true;
 }
 
-// Removes `rows` lines from a text body. Returns false if there are fewer.
+// Removes `rows` lines from a text body. Returns false if the body has fewer lines.
 bool take_lines(std::string_view& body, size_t rows) {
   for (; rows > 0; --rows) {
     while (!body.empty() && split(body.substr(0, body.find('\n'))).empty()) take_line(body);

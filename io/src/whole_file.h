@@ -11,7 +11,8 @@
 
 namespace novaphy::detail {
 
-// `bytes`: contents of the file. Throws ErrorKind::Value with a message that begins with `where`.
+// Checks the contents `bytes` of a file. Throws ErrorKind::Value with a message that begins with
+// `where`.
 void check_whole(const std::string& where, std::string_view extension, std::string_view bytes);
 
 // Returns the lines of an OBJ file that define triangles, in a form that assimp reads completely:

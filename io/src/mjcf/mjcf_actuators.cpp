@@ -302,7 +302,7 @@ class ActuatorReader {
     return k < in.linear.size() ? in.linear[k] : in.angular[k - in.linear.size()];
   }
 
-  // Returns the inertia of a dof at the initial pose if all other dofs may move.
+  // Returns the inertia of a dof at the initial pose, where all other dofs may move.
   double dof_inertia(const MjcfJoint& joint) {
     if (inertias_.empty()) inertias_ = free_inertias(context_.robot);
     return inertias_[static_cast<size_t>(joint.joint)][static_cast<size_t>(joint.dof)];

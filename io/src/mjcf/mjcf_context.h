@@ -1,4 +1,4 @@
-// The state that the parts of the MJCF reader share.
+// The state that all parts of the MJCF reader share.
 #pragma once
 
 #include <set>

@@ -204,8 +204,8 @@ class GeomReader {
     if (condim != 1.0 && condim != 3.0 && condim != 4.0 && condim != 6.0)
       file_.refuse(e_, "condim: expected 1, 3, 4 or 6");
     if (condim == 1.0) cfg.mixing.mu = std::exchange(cfg.mu, 0.0f);
-    // As in MuJoCo, contacts with fewer than 4 dimensions have no torsional and rolling friction,
-    // and those with 4 no rolling friction.
+    // As in MuJoCo, contacts with condim < 4 have no torsional friction, and contacts with condim <
+    // 6 have no rolling friction.
     if (condim < 4.0) cfg.mu_torsional = 0.0f;
     if (condim < 6.0) cfg.mu_rolling = 0.0f;
     if (condim >= 4.0 && !is_seen_only())

@@ -11,7 +11,7 @@ struct Screw {
   Vec3d angular{}, linear{};
 };
 
-// Inertia of a link and its subtree, about the origin.
+// The inertia of a link and its subtree, about the origin of the world.
 struct Inertia {
   double mass = 0.0;
   Vec3d moment{};  // mass times the center of mass
@@ -70,7 +70,7 @@ class StartDynamics {
     factor(sum);
   }
 
-  // Returns 1 / (M^-1)_kk for each joint's dofs, or 0 if M is not positive definite.
+  // Returns 1 / (M^-1)_kk for the dofs k of each joint, or 0 if M is not positive definite.
   std::vector<std::vector<double>> inertias() const {
     std::vector<std::vector<double>> result;
     for (const size_t count : places_) result.emplace_back(count, 0.0);

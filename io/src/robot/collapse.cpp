@@ -55,7 +55,8 @@ void add_mass(RobotLink& to, double mass, const Vec3d& com, const Mat33d& inerti
   to.com = center;
 }
 
-// Returns the pose of the child's joint frame in the parent's at the initial coordinates.
+// Returns the pose of the child's joint frame in the parent's joint frame at the initial
+// coordinates.
 Posed start_pose(const RobotJoint& joint) {
   Posed pose = identity_pose();
   if (quaternion_at(joint.type) == 0 && joint.start.size() == 4)

@@ -81,7 +81,7 @@ void mend_inertias(Robot& robot, bool moving,
            "water of its mass");
   }
   if (!moving) return;
-  // A subtree without mass does not move, so it needs no inertia.
+  // A link whose subtree has no mass does not move under forces, so it needs no inertia.
   std::vector<double> below(robot.links.size());
   for (const RobotJoint* joint : joints) {
     const auto child = static_cast<size_t>(joint->child);

@@ -131,14 +131,15 @@ void add_parts(const RobotShape& whole, MeshParts& known, std::vector<RobotShape
 // Sets the properties of the BALL or FREE joint that was added last, except its frames.
 void set_ball(const RobotJoint& joint, ModelBuilder& builder);
 
-// Adds a mass with its center and its inertia about the center, in the frame of the link.
+// Adds a mass to a link, with its center and its inertia about the center, in the frame of the
+// link.
 void add_mass(RobotLink& to, double mass, const Vec3d& com, const Mat33d& inertia);
 
 // Returns whether an inertia is physical: positive definite, even after rounding to float32.
 bool has_extent(const Mat33d& inertia);
 using math::principal_axes;
 using math::PrincipalAxes;
-// Returns R diag(moments) R^T.
+// Returns R diag(moments) R^T, the inertia with these principal axes and moments.
 Mat33d from_axes(const PrincipalAxes& axes);
 // Corrects links that have a mass and no inertia, or an inertia and no mass. The parent of a fixed
 // joint gets mass and inertia of such a link, because the two links have the same motion. If
@@ -148,7 +149,8 @@ Mat33d from_axes(const PrincipalAxes& axes);
 void mend_inertias(Robot& robot, bool moving,
                    const std::function<void(size_t, const std::string&)>& mended);
 
-// Returns the pose of the child's joint frame in the parent's at the initial coordinates.
+// Returns the pose of the child's joint frame in the parent's joint frame at the initial
+// coordinates.
 Posed start_pose(const RobotJoint& joint);
 
 // Throws ErrorKind::Value if a name belongs to no link.

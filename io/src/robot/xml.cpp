@@ -29,7 +29,7 @@ fs::path resolved(const fs::path& path) {
   return error ? path.lexically_normal() : result;
 }
 
-// Returns the folders in an environment variable.
+// Returns the folders that an environment variable lists.
 std::vector<fs::path> listed(const char* variable) {
   std::vector<fs::path> folders;
   const char* const given = std::getenv(variable);
@@ -191,7 +191,7 @@ XmlFile::XmlFile(std::string_view function, XmlSource source, const char* root)
   };
   if (source_.text.size() > kLargest) broken(0, "expected at most 64 MiB");
   if (source_.text.find('\0') != std::string::npos) broken(0, "expected text, got a 0 byte");
-  // The parser would silently skip these declarations and their effect.
+  // The parser would skip these declarations silently, and with them their effect.
   for (const std::string_view word : {"<!DOCTYPE", "<!ENTITY", "<!doctype"})
     if (source_.text.find(word) != std::string::npos)
       broken(0, std::string(word) + ": a document type and entities are not read");
@@ -207,8 +207,7 @@ XmlFile::XmlFile(std::string_view function, XmlSource source, const char* root)
 }
 
 void XmlFile::check_elements() const {
-  // A loop instead of a recursion, because files may be nested too deep for recursion. tinyxml2
-  // stops at such a depth too.
+  // A loop instead of a recursion, because a document may be nested too deep for recursion.
   int depth = 0;
   for (const tinyxml2::XMLNode* node = root_; node != nullptr;) {
     if (const Element* element = node->ToElement()) {

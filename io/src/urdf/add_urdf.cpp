@@ -1,4 +1,4 @@
-// Converts the model that urdfdom has read to a Robot.
+// Converts the model of urdfdom to a Robot.
 #include <cmath>
 
 #include "urdf_check.h"

@@ -10,7 +10,7 @@
 namespace novaphy::detail {
 
 struct UrdfElements {
-  // The <link> and <joint> elements, by name. A link and a joint may have the same name.
+  // The <link> and <joint> elements of a file, by name. A link and a joint may have the same name.
   std::map<std::string, const Element*> links, joints;
   std::vector<std::string> link_order, joint_order;  // names in the order of the file
   std::string root;                                  // the link without a parent

@@ -1,4 +1,4 @@
-// DiffSemiImplicitSolver: the semi-implicit step as generated kernels, recorded on a tape.
+// DiffSemiImplicitSolver: the step of SolverSemiImplicit as generated kernels, recorded on a tape.
 #pragma once
 
 #include <memory>
@@ -40,13 +40,14 @@ struct DiffSolverConfig {
   bool enable_rigid_contacts = true;                // whether contacts of bodies act
   float angular_damping = 0.05f;                    // 1/s, for bodies
   FrictionLaw friction_law = FrictionLaw::Viscous;  // for contacts of bodies; Viscous or Huber
-  // The slip below which the law huber is smooth (m/s); 0.1 if empty. ErrorKind::Value with
-  // viscous.
+  // The slip speed (m/s) below which the friction law Huber is smooth; 0.1 if empty. With the law
+  // Viscous a value is an error (ErrorKind::Value).
   std::optional<float> friction_smoothing = {};
   // The law of contacts of bodies. With Mean, the gradient is that of the motion.
   PenaltyLaw penalty_law = PenaltyLaw::Sampled;
   bool enable_joints = true;  // whether joints act on bodies
-  // Stiffness (N/m and N*m/rad) and damping (N*s/m, and 0.01 of it N*m*s/rad) of joints.
+  // Stiffness of joints (N/m, and the same number in N*m/rad) and damping (N*s/m, and 0.01 times
+  // the number in N*m*s/rad).
   float joint_attach_ke = 1.0e4f, joint_attach_kd = 1.0e2f;
   bool strict = true;  // refuses unsupported parts of a model instead of leaving them out
   // Whether the gradient includes the times at which contacts begin and end (diff_touches.h). The
@@ -97,8 +98,8 @@ struct DiffSolverConfig {
 class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
  public:
   // ErrorKind::NotImplemented: the friction laws newton17 and newton18, which have no gradient
-  // here. ErrorKind::NotImplemented: DerivativeOf::Motion for a model on a device, or with
-  // enable_static_contacts. Steps with DerivativeOf::Motion raise inside a ScopedCapture.
+  // here, or DerivativeOf::Motion for a model on a device or with enable_static_contacts. Inside a
+  // ScopedCapture, steps with DerivativeOf::Motion throw.
   explicit DiffSemiImplicitSolver(std::shared_ptr<const Model> model,
                                   const DiffSolverConfig& config = {});
 
@@ -126,8 +127,8 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
     return false;
   }  // step cannot be captured; rollout can
 
-  // In a rollout, contacts and integration are one kernel per step, after the kernels of the
-  // elements.
+  // Functions that DiffSolverBase calls. In a rollout, contacts and integration are one kernel per
+  // step, after the kernels of the elements.
 
  protected:
   std::vector<ScratchSpec> step_scratch() const override;
@@ -140,7 +141,7 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
  private:
   void check_elements() const;
   void check_bodies() const;
-  // `found`: a pipeline finds the contacts of every step.
+  // `found`: whether a pipeline finds the contacts of every step.
   void check_contacts(const char* function, const Contacts* contacts, bool found) const;
   static void check_overflow(const Contacts& contacts);
   void begin(const char* function, const Control* control, const Contacts* contacts, bool found,

@@ -1,4 +1,4 @@
-// The times at which contacts of a trajectory begin, as values of a tape.
+// The times at which contacts of a trajectory begin, as differentiable values on a tape.
 #pragma once
 
 #include "novaphy/diff/export.h"

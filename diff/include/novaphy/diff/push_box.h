@@ -1,8 +1,8 @@
-// A box on a line that a sphere pushes, as differentiable operators: one step, and many as one
-// operation. The law: dynamics/semi_implicit/push_box_law.h.
+// A box on a line that a sphere pushes, as differentiable operators: one step, and many steps as
+// one operation. dynamics/semi_implicit/push_box_law.h has the law.
 //
-// Gradients: those of the law are exact, in all inputs. The law itself is a surrogate of contact:
-// it is smooth, acts at a distance of a few `softness`, and does not push back on the pusher.
+// The gradients of the law are exact, in all inputs. The law itself is a surrogate of contact: it
+// is smooth, acts at a distance of a few `softness`, and does not push back on the pusher.
 #pragma once
 
 #include <utility>

@@ -10,8 +10,9 @@
 
 namespace novaphy::diff {
 
-// Returns rows (linear_x, linear_y, linear_z, omega) {b, 6}, for the start of SimState::body_qd.
-// omega is {b, 3} (rad/s). All bodies have the same linear velocity (m/s), which has no gradient.
+// Returns rows (linear_x, linear_y, linear_z, omega) {b, 6}, as initial values of
+// SimState::body_qd. omega is {b, 3} (rad/s). All bodies have the same linear velocity (m/s), which
+// has no gradient.
 NOVAPHY_DIFF_API nova::Tensor body_twist_from_omega_generated(const nova::Tensor& omega,
                                                               float linear_x, float linear_y,
                                                               float linear_z);

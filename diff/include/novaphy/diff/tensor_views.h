@@ -89,10 +89,10 @@ NOVAPHY_MODEL_VIEWS(NOVAPHY_DECLARE_MODEL_VIEW)
 NOVAPHY_ELEMENT_VIEWS(NOVAPHY_DECLARE_ELEMENT_VIEW)
 #undef NOVAPHY_DECLARE_ELEMENT_VIEW
 
-// control_tet_activation_tensor(control): {tet_count}, control_tri_activation_tensor: {tri_count};
-// control_joint_f_tensor, control_joint_target_qd_tensor: {joint_dof_count},
-// control_joint_target_q_tensor: {joint_coord_count}. A step reads these arrays from its control,
-// or from the model without one.
+// Returns control_tet_activation_tensor {tet_count}, control_tri_activation_tensor {tri_count},
+// control_joint_f_tensor and control_joint_target_qd_tensor {joint_dof_count}, and
+// control_joint_target_q_tensor {joint_coord_count}. A step reads these arrays from its control,
+// or, without a control, from the model.
 #define NOVAPHY_DECLARE_CONTROL_VIEW(name, field)                               \
   NOVAPHY_DIFF_API nova::Tensor control_##name##_tensor(const Control& control, \
                                                         bool requires_grad = false);

@@ -1,4 +1,4 @@
-// The trajectory of core under a name in novaphy::diff.
+// core's Trajectory under a name in novaphy::diff.
 #pragma once
 
 #include "novaphy/core/sim/trajectory.h"

@@ -26,7 +26,7 @@ enum class JointOrdering {
   File           // order of the file, where parents must come before children
 };
 
-// The treatment of <mimic> elements of URDF.
+// What the reader does with <mimic> elements of URDF.
 enum class MimicMode {
   Follow,      // a mimic joint (add_constraint_mimic) without its own drive
   Refuse,      // ErrorKind::NotImplemented
@@ -40,7 +40,7 @@ enum class JointDampingMode {
   Drive     // JointDofConfig::target_kd
 };
 
-// The treatment of parts of a file that NovaPhy does not support.
+// What the reader does with parts of a file that NovaPhy does not support.
 enum class Unsupported {
   Error,  // ErrorKind::NotImplemented
   Warn    // left out and listed in RobotReport::left_out

@@ -92,7 +92,7 @@ int cgroup_cpu_limit(const fs::path& root) {
   for (size_t begin = 0, end; begin < text.size(); begin = end + 1) {
     end = std::min(text.find('\n', begin), text.size());
     const std::string line = text.substr(begin, end - begin);
-    // "0::/path" for v2, "4:cpu,cpuacct:/path" for v1
+    // A line is "0::/path" for v2, and "4:cpu,cpuacct:/path" for v1.
     const size_t first = line.find(':');
     const size_t second = first == std::string::npos ? first : line.find(':', first + 1);
     if (second == std::string::npos) continue;

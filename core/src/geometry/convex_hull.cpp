@@ -157,7 +157,7 @@ void Quickhull::drop_gone() {
   }
 }
 
-// Assigns each point to the triangle, from index `first` on, that the point is highest above.
+// Assigns each point to the triangle above which the point is highest, from index `first` on.
 void Quickhull::distribute(const std::vector<int32_t>& candidates, size_t first) {
   std::vector<std::pair<Vec3d, double>> planes;
   for (size_t t = first; t < triangles.size(); ++t)

@@ -16,7 +16,7 @@ class ArrayStamp {
   // can change such an array without a new version.
   bool matches(const Array& array) const {
     const std::shared_ptr<Range>& range = array.range();
-    // owner_before compares the owners without touching the reference count.
+    // owner_before compares the owners of two pointers and changes no reference count.
     return at_ != nullptr && at_ == range.get() && !storage_.owner_before(range) &&
            !range.owner_before(storage_) && version_ == array.version() &&
            exports_ == range->exports() && !range->writable_export();

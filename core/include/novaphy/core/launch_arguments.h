@@ -9,7 +9,7 @@
 //
 // Access types have no default constructor. Three mistakes therefore fail to compile: a missing
 // argument, an array of another element type, and a kernel that writes an argument declared as
-// read. The folder core/device/ has twins of these types for device code, which are plain pointers.
+// read. The folder core/device/ has versions of these types for device code: plain pointers.
 #pragma once
 
 #include <array>

@@ -1,6 +1,6 @@
 // Hand-written kernels as functions of one row. A header with kernels is compiled twice. The C++
 // compiler makes each kernel a function over rows that the CPU backend runs. Device compilers read
-// the header as source, with the twin of this header in core/device/.
+// the header as source, with the version of this header in core/device/.
 //
 //   struct ScaleArguments {
 //     NOVAPHY_ARGUMENTS(ReadsRow<float> x; WritesRow<float> y; Number<float> factor;)

@@ -23,8 +23,8 @@ T sigmoid(const T& x) {
 template <FormulaScalar T>
 T softplus(const T& x) {
   const T one = T(1.0f), power = exp(-abs(x));
-  // log1p(u) = log(w) u / (w - 1), where w is 1 + u after rounding. The rounding error of w
-  // cancels.
+  // log1p(u) is log(w) u / (w - 1), where w is 1 + u after rounding. The rounding error of w
+  // cancels in the quotient.
   const T w = one + power, rounded = w - one;
   const T log1p = select(rounded == T(0.0f), power, log(w) * (power / rounded));
   return with_derivative(detach(max(x, T(0.0f)) + log1p), x, detach(sigmoid(x)));

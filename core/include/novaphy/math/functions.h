@@ -79,7 +79,7 @@ T polynomial(const T& u, float c, Rest... rest) {
   }
 }
 
-// min and max return the second operand if the first is NaN. The order here passes a NaN x through.
+// Returns x limited to [lo, hi]. NaN stays NaN, because min and max return the second operand then.
 template <class T>
 T clamp_to(const T& x, float lo, float hi) {
   return max(T(lo), min(T(hi), x));

@@ -49,7 +49,7 @@ Mat33<T> multiply(const Mat33<T>& a, const Mat33<T>& b) {
   return product;
 }
 
-// Returns (column 0 * x + column 1 * y) + column 2 * z.
+// Returns the product of a and v, rounded as (column 0 * x + column 1 * y) + column 2 * z.
 template <class T>
 Vec3<T> multiply(const Mat33<T>& a, const Vec3<T>& v) {
   return {(a.m[0][0] * v.x + a.m[0][1] * v.y) + a.m[0][2] * v.z,

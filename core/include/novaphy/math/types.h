@@ -138,8 +138,8 @@ Quat<T> multiply(const Quat<T>& a, const Quat<T>& b) {
       a.w * b.x + b.w * a.x + a.y * b.z - b.y * a.z, a.w * b.y + b.w * a.y + a.z * b.x - b.z * a.x,
       a.w * b.z + b.w * a.z + a.x * b.y - b.x * a.y, a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z};
 }
-// Returns p*c + q*d + cross(q, p)*w*2 with c = 2ww - 1 and d = 2 dot(q, p). The identity rotates
-// exactly.
+// Returns p rotated by the unit quaternion (q, w), as p*c + q*d + cross(q, p)*w*2 with c = 2ww - 1
+// and d = 2 dot(q, p). The identity rotates exactly.
 template <class T>
 Vec3<T> rotate(const Quat<T>& q, const Vec3<T>& p) {
   const T c = (T(2.0f) * q.w) * q.w - T(1.0f);

@@ -24,7 +24,7 @@ namespace novaphy {
 // another class than SimState.
 enum class FieldRole : uint8_t { None, Carried, Applied };
 
-// The properties of a field that do not need an object.
+// The properties of a field that are known without an object.
 struct FieldInfo {
   std::string_view name;  // "particle_q"
   DType dtype = DType::float32;

@@ -40,7 +40,7 @@ struct JointArgs {
   bool enabled = true;
   std::string label = {};  // "joint_<index>" when empty
 };
-// REVOLUTE and PRISMATIC.
+// Arguments of REVOLUTE and PRISMATIC joints, which have one axis.
 struct AxisJointArgs {
   Transformf parent_xform = Transformf::identity();
   Transformf child_xform = Transformf::identity();
@@ -114,8 +114,8 @@ struct BodyActuatorArgs {
 // call.
 struct CollapsedJoints {
   std::vector<int32_t> body_remap = {}, joint_remap = {};  // new index; -1: removed
-  // For a removed body: the new index of the body that it was merged into (-1: the world), and its
-  // pose there. For other bodies: -1 and the identity.
+  // For a removed body: the new index of the body into which it was merged (-1: the world), and its
+  // pose in that body. For other bodies: -1 and the identity.
   std::vector<int32_t> body_merged_parent = {};
   std::vector<Transformf> body_merged_transform = {};
 };

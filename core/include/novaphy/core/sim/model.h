@@ -239,7 +239,7 @@ NOVAPHY_DECLARE_FIELDS(ModelFields, NOVAPHY_MODEL_FIELDS, ModelCounts)
   X(particle_max_radius, 0.0f, false, "m", "the largest particle_radius when the model was made")
 // clang-format on
 
-// The properties of a number that do not need an object.
+// The properties of a number that are known without a model.
 struct NumberInfo {
   std::string_view name;
   bool may_be_infinite = false;
@@ -317,9 +317,9 @@ class NOVAPHY_CORE_API Model : public ModelFields,
   // number is not finite. ErrorKind::Index: the world does not exist.
   void set_gravity(const Vec3f& value, std::optional<int32_t> world = {});
 
-  // Computes the derived arrays whose source was written since. Solvers call this function at the
-  // start of a step. A value that a caller assigns to a derived array stays until the source is
-  // written.
+  // Computes the derived arrays whose source was written since they were computed last. Solvers
+  // call this function at the start of a step. A value that a caller assigns to a derived array
+  // stays until the source is written.
   void update_derived() const;
   // Computes the derived arrays by derive(rule, source, derived). The function `derive` returns
   // false if the values do not exist yet, because a capture only records the computation. Several

@@ -8,7 +8,7 @@
 
 namespace novaphy {
 
-// The values of an array on the host: the array itself on the CPU, else a copy.
+// Provides the values of an array on the host: the array itself on the CPU, else a copy.
 template <class T>
 class OnHost {
  public:

@@ -29,18 +29,19 @@ class ContactFinder {
 };
 
 struct RolloutOptions {
-  // Forces on the particles (N, world frame), added to the trajectory's particle_f. Either n rows
-  // for all steps, or n rows for each step of this call, time-major.
+  // Forces on the n particles (N, world frame), added to the trajectory's particle_f. The array has
+  // n rows for all steps, or n rows for each step of this call, time-major.
   const DeviceArray<Vec3f>* forces = nullptr;
   // Replaces `control` by m controls, each of which acts in an equal share of the steps. A null
   // pointer selects the model's defaults. The number of steps must be a multiple of m.
   std::vector<const Control*> controls = {};
-  // Wrenches on the bodies (N, N m, world frame, about the center of mass), added to the
-  // trajectory's body_f. Either b rows for all steps, or b rows for each step, time-major.
+  // Wrenches on the b bodies (N, N m, world frame, about the center of mass), added to the
+  // trajectory's body_f. The array has b rows for all steps, or b rows for each step of this call,
+  // time-major.
   const DeviceArray<SpatialVectorf>* body_forces = nullptr;
-  // Kinematic targets: positions of the kinematic particles at the end of a step (m, world frame),
-  // in the order of their indices. Either k rows for all steps, or k rows for each step of this
-  // call, time-major. ErrorKind::NotImplemented: the solver has no kinematic targets.
+  // Kinematic targets: positions of the k kinematic particles at the end of a step (m, world
+  // frame), in the order of their indices. The array has k rows for all steps, or k rows for each
+  // step of this call, time-major. ErrorKind::NotImplemented: the solver has no kinematic targets.
   const DeviceArray<Vec3f>* targets = nullptr;
   // Finds new contacts for every step from its state. Replaces the `contacts` of the call.
   ContactFinder* pipeline = nullptr;

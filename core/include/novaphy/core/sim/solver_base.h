@@ -67,8 +67,8 @@ class NOVAPHY_CORE_API SolverBase {
   // Claims the solver's memory for the duration of a call (ExclusiveUse).
   ExclusiveUse::Scope use(const char* call) const { return {*in_use_, call, "the solver"}; }
   const std::shared_ptr<ExclusiveUse>& in_use() const { return in_use_; }
-  // Kinematic targets: the number of particles that targets move (-1: not supported), and a step
-  // that moves them to the targets.
+  // Kinematic targets: target_count returns the number of particles that targets move (-1: not
+  // supported), and step_to_targets is a step that moves these particles to the targets.
   virtual int32_t target_count() const { return -1; }
   virtual void step_to_targets(SimState& state_in, SimState& state_out, const Control* control,
                                const Contacts* contacts, float dt,

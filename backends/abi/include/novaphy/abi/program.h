@@ -75,7 +75,7 @@ enum {
   X(IADD, "iii-") X(ISUB, "iii-") X(IMUL, "iii-") X(IDIV, "iii-") X(IMOD, "iii-") \
   X(IMIN, "iii-") X(IMAX, "iii-") X(IAND, "iii-") X(IOR, "iii-") X(IXOR, "iii-")  \
   X(ISHL, "iii-") X(ISHR, "iii-") X(IUSHR, "iii-")                                \
-  /* comparisons; with a NaN all are false except NE */                \
+  /* comparisons; with a NaN all are false except NE */                           \
   X(LT, "bff-") X(LE, "bff-") X(EQ, "bff-") X(NE, "bff-")                         \
   X(ILT, "bii-") X(ILE, "bii-") X(IEQ, "bii-") X(INE, "bii-")                     \
   X(AND, "bbb-") X(OR, "bbb-") X(NOT, "bb--")                                     \

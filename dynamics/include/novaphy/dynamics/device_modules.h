@@ -1,4 +1,4 @@
-// The device sources of this library, for compilation ahead of time.
+// The device sources of this library, which the build compiles ahead of time.
 #pragma once
 
 #include <string>

@@ -1,4 +1,4 @@
-// The kernels of the operators, with the gradients whose adjoints are compiled ahead of time; see
+// The list of all operator kernels of this library whose adjoints are compiled ahead of time. See
 // <novaphy/nova/registry.h>.
 #pragma once
 
@@ -12,7 +12,7 @@ namespace novaphy::diff {
 NOVAPHY_DYNAMICS_API std::vector<nova::EngineKernel> operator_kernels();
 
 namespace detail {
-// Each file that defines kernels adds them to the list.
+// Each function adds the kernels of the file that is named on the right.
 void add_body_contact_kernels(std::vector<nova::EngineKernel>& list);  // diff_body_contacts.cpp
 void add_contact_kernels(std::vector<nova::EngineKernel>& list);       // diff_soft_contacts.cpp
 void add_element_kernels(std::vector<nova::EngineKernel>& list);       // diff_elements.cpp

@@ -1,4 +1,4 @@
-// GradientInfo: how exact the gradient of a differentiable solver is.
+// GradientInfo: a report on how exact the gradient of a differentiable solver is.
 #pragma once
 
 #include <limits>
@@ -13,48 +13,51 @@
 namespace novaphy {
 
 namespace diff {
-// The derivative that is computed where contacts begin.
+// Selects the derivative that is computed where contacts begin.
 enum class DerivativeOf : uint8_t {
-  Code,   // the derivative of the steps as they ran: a contact begins in the same step
-  Motion  // the time of the begin moves with the state (on the CPU, outside of captures)
+  Code,   // of the steps as they ran: a contact begins in the same step
+  Motion  // the time of the begin moves with the state (CPU only, not in captures)
 };
 }  // namespace diff
 
-// Describes the steps of a solver since the last clear. A derivative "of the code" is that of the
-// computed steps, with the contacts that each step has. This derivative does not move the times at
-// which contacts begin, end, or change between sticking and slipping. `events` counts these
-// changes. A derivative "of the motion" moves these times too, so it tends to that of the motion as
-// dt goes to 0.
+// Describes the gradient over the steps of a solver since the last clear.
+//
+// A derivative "of the code" is that of the computed steps, each with the contacts that it has. The
+// times at which contacts begin, end, or change between sticking and slipping stay constant.
+// `events` counts these changes. A derivative "of the motion" moves these times with the state, so
+// it tends to the derivative of the exact motion as dt goes to 0.
 struct GradientInfo {
-  // The worst label of the steps: "exact of the motion", "exact of the code", "implicit" (of the
-  // solutions of the steps), "frozen" (points or normals of contacts that push are frozen), or
-  // "surrogate". A gradient is a "surrogate" too if times of events move, but the gradient may
-  // differ from that of the motion.
+  // The worst label of the steps: "exact of the motion", "exact of the code", "implicit"
+  // (derivative of the solution of a step), "frozen" (points or normals of active contacts are
+  // constant), or "surrogate". The label is also "surrogate" if times of events move but the
+  // gradient may differ from that of the motion.
   std::string label;
   std::string reason;  // sentences on the cause and the consequence
   int64_t steps = 0, exact_steps = 0, frozen_steps = 0, surrogate_steps = 0;
-  // Contacts that began, ended, or changed between sticking and slipping, between two consecutive
-  // steps. `events` is the sum of `began`, `ended` and `turned`.
+  // Contacts that began, ended, or changed between sticking and slipping (`turned`) between two
+  // consecutive steps. `events` is the sum of all three.
   int64_t events = 0, began = 0, ended = 0, turned = 0;
-  // See MotionCounts.
+  // Members of MotionCounts with the same names.
   int64_t several = 0, one_sided = 0, ramp_steps = 0, landings = 0, phased = 0;
-  int64_t lost_events = 0;  // events for which a device had no room
+  int64_t lost_events = 0;  // events that found no space in a device buffer
   float least_approach = std::numeric_limits<float>::infinity();
   double least_separation = std::numeric_limits<double>::infinity();
-  // Steps of a touch of the stiffest penalty contact, pi / (dt w): see diff_noted_springs.h.
+  // Duration of a touch of the stiffest penalty contact, in steps: pi / (dt w), with w as in
+  // diff_noted_springs.h.
   float steps_per_contact = std::numeric_limits<float>::infinity();
   MotionEvents event_list;  // in the order of time
   float residual = 0.0f;    // the largest residual, relative to the impulses
-  // AdjointDrift of the last adjoint. NaN: no adjoint has measured the drift.
+  // Members of AdjointDrift of the last adjoint. NaN: no adjoint has measured the drift.
   double h_drift = std::numeric_limits<double>::quiet_NaN();
   int64_t h_step = -1, h_skipped = 0;
 };
 
-// A check of an adjoint p: how far H = p . f drifts in steps without events. f_k are the rates of
-// the state in step k, D_k is the derivative of step k, and y_k = D_k^T p_k+1. w_k is the gradient
-// with respect to the forces u_k of step k (targets and wrenches included). For a right adjoint
+// A check of an adjoint p: H = p . f should stay constant over steps without events. f_k are the
+// rates of the state in step k, D_k is the derivative of step k, and y_k = D_k^T p_k+1. w_k is the
+// gradient by the forces u_k of step k (targets and wrenches included). A correct adjoint has a
+// drift
 //   m_k = y_k . f_k - p_k+1 . f_k+1 + w_k . (u_k+1 - u_k) / dt
-// is 0 up to O(dt). Steps that cannot be compared are skipped: the state after the step was
+// of 0 up to O(dt). Steps that cannot be compared are skipped: the state after the step was
 // written, the step has not converged, or the next step has another dt.
 struct AdjointDrift {
   double most = 0.0;     // the largest |m_k|
@@ -64,7 +67,7 @@ struct AdjointDrift {
   int64_t skipped = 0;   // number of skipped steps that have a next step
   int64_t next = -1;     // order of the step that was visited last
 
-  // An adjoint visits steps in reverse. A step that is not before the last visited one begins a new
+  // Adjoints visit steps in reverse order. A step at or after the last visited one begins a new
   // adjoint.
   void visit(int64_t order) {
     if (order >= next) *this = {};
@@ -83,26 +86,27 @@ struct AdjointDrift {
 // Sorts events by time. Events at the same time are ordered by world, shapes, particle and joint.
 NOVAPHY_DYNAMICS_API void sort_by_time(MotionEvents& events);
 
-// Counts over steps whose events move in time.
+// Counts over steps for which DerivativeOf::Motion moves the times of events. "With springs" means
+// with penalty contacts.
 struct MotionCounts {
-  // Steps in which several pairs hit at once. With springs: touches of more than one point or pair.
+  // Steps in which several pairs hit at once. With springs: touches of several points or pairs.
   int64_t several = 0;
-  // Limits of joints that begin or end to push in a tree that touches something. With springs:
-  // touches of bodies or particles that joints, elements or adhesion hold.
+  // Joint limits that begin or end to push, in a tree that also has contacts. With springs: touches
+  // of bodies or particles that are also subject to joints, elements or adhesion.
   int64_t unmoved = 0;
-  // With springs: touches whose begin or end is outside of the steps, or is cut.
+  // With springs: touches whose begin or end is not among the steps, or is cut by a written state.
   int64_t one_sided = 0;
-  int64_t landings = 0;    // events without a bounce, which take two steps
-  int64_t phased = 0;      // landings whose friction turns: the states depend on the phase
-  int64_t stiff = 0;       // with springs: touches of few steps whose force turns a body
+  int64_t landings = 0;    // impacts without a bounce, which take two steps
+  int64_t phased = 0;      // landings whose friction changes direction; results depend on the phase
+  int64_t stiff = 0;       // with springs: touches of few steps whose force rotates a body
   int64_t rough = 0;       // with springs: touches whose speed depends on the phase of the steps
   int64_t ramp_steps = 0;  // with springs: steps with contacts within half a step of begin or end
-  int64_t moved = 0;       // steps whose gradient has more than that of the code
+  int64_t moved = 0;       // steps whose gradient includes a term from moved times
   bool of_springs = false;
-  int64_t limits = 0;  // limits of joints between bodies that begin or end to push; times are held
-  // steps with contacts that correct overlaps otherwise than with pgs_slop 0 and pgs_erp 1
+  int64_t limits = 0;  // joint limits that begin or end to push; their times stay constant
+  // Steps with contacts that correct overlaps, unless pgs_slop = 0 and pgs_erp = 1.
   int64_t inexact = 0;
-  float least_approach = std::numeric_limits<float>::infinity();      // m/s, rad/s
+  float least_approach = std::numeric_limits<float>::infinity();      // m/s or rad/s
   double least_separation = std::numeric_limits<double>::infinity();  // steps, of one tree or body
   MotionEvents events = {};
   std::shared_ptr<AdjointDrift> drift = {};  // null: not measured
@@ -110,9 +114,9 @@ struct MotionCounts {
   NOVAPHY_DYNAMICS_API void add(const std::shared_ptr<MotionEvent>& event);
 };
 
-// Makes the info of counts. `implicit`: steps that are neither frozen nor a surrogate are those of
-// the solutions, and `exact_steps` counts them. `motion`: the counts of events that move in time;
-// null: gradients of the code.
+// Makes the report from counts. `implicit`: a step that is neither frozen nor a surrogate has the
+// derivative of its solution; `exact_steps` counts these steps. `motion`: the counts of events
+// whose times move; null for gradients of the code.
 NOVAPHY_DYNAMICS_API GradientInfo gradient_info(const GradientCounts& counts, bool implicit = false,
                                                 const MotionCounts* motion = nullptr);
 

@@ -1,25 +1,25 @@
-// Joint coordinates from the pose and motion of the child. The inverse, poses from coordinates, is
-// in articulation/kinematics.h.
+// Joint coordinates from the pose and motion of the child body. The inverse, poses from
+// coordinates, is in articulation/kinematics.h.
 //
 // Symbols, in the world frame unless stated otherwise:
-//   X_p, X_c     pose of the joint frame in the parent and in the child
-//   J(q)         pose of the child's joint frame in the parent's; q and qd have its axes:
-//     linear axes a_i     translation sum a_i q_i
-//     angular axes        then R(a_0, q_0) R(a_1, q_1) R(a_2, q_2): each axis rotates with the axes
-//                         before it
-//     BALL, FREE          a quaternion; FREE: the translation too
-//   qd           the rates of q. BALL: the angular velocity of the child relative to the parent.
-//                FREE: the velocity of the center of mass, then the angular velocity, relative to
-//                the parent
+//   X_p, X_c     pose of the joint frame in the parent body and in the child body
+//   J(q)         pose of the child's joint frame in the parent's joint frame:
+//     linear axes a_i     translation by the sum of a_i q_i
+//     angular axes        then R(a_0, q_0) R(a_1, q_1) R(a_2, q_2): each axis rotates with the
+//                         axes before it
+//     BALL, FREE          a quaternion; FREE: also a translation
+//   qd           rates of q. BALL: angular velocity of the child relative to the parent.
+//                FREE: velocity of the center of mass, then angular velocity, relative to the
+//                parent
 //   twists       (velocity of the center of mass, angular velocity), m/s, rad/s
-// Law: X_child = X_parent X_p J(q) X_c^-1. In the inverse, the angle of a single angular axis is in
-// [-pi, pi]. For two and three perpendicular axes the second angle is in [-pi/2, pi/2]. At the ends
-// of that interval the axes lie in a plane, and the rates are those of a determinant of 1e-4.
-// Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 4.4; coordinates of Newton
-// 1.8.0.
+// Law: X_child = X_parent X_p J(q) X_c^-1. The functions here solve it for q. A single angle is in
+// [-pi, pi]. With two or three perpendicular axes the second angle is in [-pi/2, pi/2]. At the ends
+// of that interval the axes lie in a plane (gimbal lock), and the rates use a determinant of 1e-4
+// instead of 0. Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 4.4;
+// coordinates of Newton 1.8.0.
 //
 // Freestanding: templates over the scalar. No gradient is used. The formulas are smooth except
-// where angles jump or axes lie in a plane.
+// where angles jump or the axes lie in a plane.
 #pragma once
 
 #include "novaphy/math/functions.h"
@@ -28,8 +28,8 @@
 
 namespace novaphy {
 
-// The axes of a joint that is not FREE: `linear` axes, then `angular` ones; unit vectors in the
-// joint frame of the parent.
+// The axes of a joint that is not FREE: first `linear` axes, then `angular` axes. Unit vectors in
+// the joint frame of the parent.
 template <class T>
 struct JointAxes {
   const Vec3<T>* axis = nullptr;
@@ -40,14 +40,14 @@ struct JointAxes {
 template <class T>
 struct JointMotion {
   Transform<T> pose = Transform<T>::identity();  // J(q)
-  // Rate of the child's joint frame relative to the parent's, at its own origin, in the parent
-  // frame's axes.
+  // Velocity of the child's joint frame relative to the parent's, at the origin of the child's
+  // joint frame, in the axes of the parent's joint frame.
   SpatialVector<T> rate{};
 };
 
-// The angles of a rotation about perpendicular axes, and the dual basis of the rotated axes: rate i
-// is dual[i] . w. Two axes are completed by a third direction, whose angle has the rest of the
-// rotation.
+// The angles of a rotation about perpendicular axes, and the dual basis of the rotated axes.
+// dual[i] . w is the rate of angle i at the angular velocity w. For two axes a third perpendicular
+// axis is added, whose angle takes the remaining rotation.
 template <class T>
 struct JointAngles {
   T q[3]{};
@@ -84,8 +84,8 @@ JointAngles<T> joint_angles(const Quat<T>& r, const Vec3<T>* axis, int count) {
   return a;
 }
 
-// Computes the coordinates of a motion. The `angular` axes are perpendicular, and so are the linear
-// ones.
+// Computes the coordinates q and rates qd of a relative motion. The angular axes are perpendicular
+// to each other, and so are the linear axes.
 template <class T>
 void joint_coordinates(const JointAxes<T>& joint, const JointMotion<T>& motion, T* q, T* qd) {
   using namespace math;

@@ -1,4 +1,4 @@
-// MotionEvent: an event of steps whose time moves with the state.
+// MotionEvent: the begin or end of a contact or joint limit, whose time moves with the state.
 #pragma once
 
 #include <cmath>
@@ -15,28 +15,30 @@ namespace novaphy {
 
 enum class MotionEventKind : uint8_t { Bounce, Landing, Spring, Limit };
 enum class MotionFriction : uint8_t { None, Sticks, Slides, Turns };
-// The array of the state or the model by which the time of an event has a derivative.
+// The array of the state or the model by whose entries the time of an event is differentiated.
 enum class MotionArray : uint8_t { JointQ, BodyQ, ParticleQ, JointLimit };
 
 struct MotionEvent {
-  // A chain is a run of consecutive steps. Step numbers and times start at its first step.
+  // A chain is a run of consecutive steps. `step` and `time` count from the chain's first step.
   int64_t chain = 0;
   int64_t step = 0;   // the step in which the event begins
   double time = 0.0;  // s
   int32_t world = 0;
-  // -1: none. A limit has a joint. Other events have two shapes, or a shape and a particle.
+  // -1: none. An event of a limit names a joint. Other events name two shapes, or a shape and a
+  // particle.
   int32_t shape0 = -1, shape1 = -1, particle = -1, joint = -1;
   MotionEventKind kind = MotionEventKind::Bounce;
   MotionFriction friction = MotionFriction::None;
-  float approach = 0.0f;  // speed of approach: m/s, or rad/s for an angle
-  float phase = 0.0f;     // the part of the step before the event, 0 to 1
-  bool whole = true;      // the last step of the event has run
-  // p . f before and after the event, from the last adjoint. NaN: no adjoint has run.
+  float approach = 0.0f;  // approach speed: m/s, or rad/s for an angle
+  float phase = 0.0f;     // fraction of the step that precedes the event, 0 to 1
+  bool whole = true;      // whether the last step of the event has run
+  // H = p . f (AdjointDrift) before and after the event, from the last adjoint. NaN: no adjoint has
+  // run.
   double h_before = std::numeric_limits<double>::quiet_NaN();
   double h_after = std::numeric_limits<double>::quiet_NaN();
 
-  // The derivative of the time with respect to rows of the state at the start of the event's step,
-  // or of `limit`, the limits that a joint reaches. The array has the version `version`.
+  // The derivative of the event's time by rows of the state at the start of the event's step, or by
+  // `limit`, the position limits of a joint. The array must still have the version `version`.
   struct Slope {
     MotionArray of = MotionArray::JointQ;
     int64_t first = 0;
@@ -47,7 +49,7 @@ struct MotionEvent {
   uint64_t version = 0;
   std::vector<Slope> slopes;
 
-  // Sets time (s) and phase from the gap at the start of the step.
+  // Sets time (s) and phase from the gap (m or rad) at the start of the step.
   void set_time(double start_time, double dt, double gap) {
     const double delay = gap / static_cast<double>(approach);
     time = start_time + delay;

@@ -1,15 +1,16 @@
-// Articulated bodies: applies M^-1 of a tree link by link, without forming M.
+// Articulated-body algorithm: applies M^-1 of a tree link by link, without forming the mass matrix
+// M.
 //
 //   M^-1 = (1 - H psi K)^T D^-1 (1 - H psi K)
-// P is the articulated inertia of a link: the inertia of the link with its descendants and their
-// free joints. P is the inertia of the link plus P - K D K^T of each child, where D = S^T P S +
-// diagonal and K = P S D^-1 of the child's joint. The dofs of a joint are eliminated one by one, as
-// if massless links were between them.
+// The articulated inertia P of a link is the inertia that the link shows with its descendants and
+// their free joints. P is the inertia of the link plus P - K D K^T of each child, where D = S^T P S
+// + diagonal and K = P S D^-1 of the child's joint. The dofs of a joint are eliminated one by one,
+// as if massless links were between them.
 //
-// Motions and forces of a link refer to a point of the link, in the axes of its body. The point is
-// the joint, or the center of mass for FREE. Accelerations are those of the point. No large terms
-// cancel, so float32 reaches 1e-6 at 200 links. The errors of a mass matrix grow with the fourth
-// power of the number of links in a row.
+// Motions and forces of a link refer to a reference point of the link, in the axes of its body.
+// This point is the joint, or the center of mass for FREE joints. Accelerations are those of this
+// point. No large terms cancel, so float32 reaches 1e-6 at 200 links. The errors of a mass matrix
+// grow with the fourth power of the number of links in a row.
 //
 // Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 7; Rodriguez, Jain and
 // Kreutz-Delgado, A spatial operator algebra for manipulator modeling and control (IJRR 1991).
@@ -18,7 +19,7 @@
 #include "novaphy/dynamics/articulation/kinematics.h"
 #include "novaphy/math/matrix.h"
 
-// The functions for long trees are not inlined, which keeps device kernels and their callers small.
+// Functions for long trees are not inlined. This keeps device kernels and their callers small.
 #ifdef NOVAPHY_KERNEL
 #define NOVAPHY_LONG_TREES __attribute__((noinline))
 #else
@@ -27,11 +28,11 @@
 
 namespace novaphy::articulation {
 
-// Data of a link and of a dof, stored in the memory of the workspace's matrix.
+// Data of a link and of a dof. Both are stored in the memory of the workspace's matrix.
 template <class T>
 struct ArticulatedLink {
-  Mat33<T> turn{};  // rotation from its axes to its parent's
-  Vec3<T> at{};     // its point relative to the parent's, parent axes; 0 for a root
+  Mat33<T> turn{};  // rotation from the link's axes to its parent's
+  Vec3<T> at{};     // the link's reference point from the parent's, parent axes; 0: root
 };
 template <class T>
 struct ArticulatedDof {
@@ -47,7 +48,7 @@ template <class T>
 ArticulatedDof<T>* articulated_dofs(const Tree<T>& tree, const Workspace<T>& ws) {
   return reinterpret_cast<ArticulatedDof<T>*>(articulated_links(ws) + tree.link_count);
 }
-// Returns the corrections, one number per dof, stored after the dofs.
+// Returns the corrections of accelerate_links, one number per dof, stored behind the dofs.
 template <class T>
 T* articulated_corrections(const Tree<T>& tree, const Workspace<T>& ws) {
   return reinterpret_cast<T*>(articulated_dofs(tree, ws) + tree.dof_count);
@@ -65,7 +66,7 @@ Vec3<T> link_point(const Tree<T>& tree, const Link& link) {
   return link.frame_c < 0 ? Vec3<T>{} : tree.X_c[link.frame_c].p;
 }
 
-// Sets a link's frame relative to its parent's, and the axes of its joint.
+// Sets a link's frame relative to its parent's frame, and the axes of the link's joint.
 template <class T>
 void set_articulated_frame(const Tree<T>& tree, const Link& link, const T* q, ArticulatedLink<T>& s,
                            ArticulatedDof<T>* dofs) {
@@ -122,7 +123,7 @@ SpatialVector<T> motion_from_parent(const ArticulatedLink<T>& s, const SpatialVe
   return {turned_back(s, m.linear + math::cross(m.angular, s.at)), turned_back(s, m.angular)};
 }
 
-// The articulated inertia P as blocks {linear, coupling; coupling^T, angular}; the diagonal blocks
+// The articulated inertia P as blocks {linear, coupling; coupling^T, angular}. Both diagonal blocks
 // are symmetric.
 template <class T>
 struct ArticulatedInertia {
@@ -140,7 +141,7 @@ ArticulatedInertia<T> articulated_inertia(const SpatialInertia<T>& y) {
           cross_matrix(-y.moment),
           {{{y.xx, y.xy, y.xz}, {y.xy, y.yy, y.yz}, {y.xz, y.yz, y.zz}}}};
 }
-// Stores the 21 numbers of P in a link's state, in the memory that adjoint sweeps use.
+// Stores the 21 independent entries of P in a link's state, in the memory that adjoint sweeps use.
 template <class T>
 void keep_inertia(const ArticulatedInertia<T>& p, LinkState<T>& s) {
   const auto &a = p.linear.m, &c = p.angular.m;
@@ -160,8 +161,8 @@ ArticulatedInertia<T> kept_inertia(const LinkState<T>& s) {
           symmetric(s.v_adjoint.angular, s.wrench_torque)};
 }
 
-// Returns P of a link without the part that its joint absorbs, about the parent's point in the
-// parent's axes.
+// Returns what a child adds to its parent's P: the child's P without the part that its joint takes
+// up, about the parent's reference point in the parent's axes.
 template <class T>
 ArticulatedInertia<T> at_parent(const ArticulatedLink<T>& s, const ArticulatedInertia<T>& p) {
   const auto from_rows = [](const Vec3<T>& x, const Vec3<T>& y, const Vec3<T>& z) {
@@ -179,7 +180,8 @@ ArticulatedInertia<T> at_parent(const ArticulatedLink<T>& s, const ArticulatedIn
       for (int j = 0; j < 3; ++j) c.m[i][j] = a.m[i][j] - b.m[i][j];
     return c;
   };
-  // Shifts the reference point by r: B - A [r], and C - B^T [r] + [r] (B - A [r]).
+  // Moves the reference point by r: B - A [r], and C - B^T [r] + [r] (B - A [r]), with the blocks
+  // {A, B; B^T, C} of P.
   const Mat33<T> linear = turned(p.linear), coupling = turned(p.coupling);
   const auto row = [&](int i) { return math::cross(math::row(linear, i), s.at); };
   const Mat33<T> moved = minus(coupling, from_rows(row(0), row(1), row(2)));
@@ -190,9 +192,9 @@ ArticulatedInertia<T> at_parent(const ArticulatedLink<T>& s, const ArticulatedIn
                     math::from_columns(behind(0), behind(1), behind(2)))};
 }
 
-// Factors M = H + diag(ws.diagonal) at q (rows of the arrays). Returns the first dof, counted from
-// the leaves, whose pivot is not positive (in any lane), or -1. The factorization stops at that
-// dof.
+// Factors M = H + diag(ws.diagonal) at q (indexed as in the model's arrays). Returns the first dof,
+// counted from the leaves, whose pivot is not positive (in any lane), or -1. The factorization
+// stops at that dof.
 template <class T>
 NOVAPHY_LONG_TREES int32_t factor_links(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
   ArticulatedLink<T>* const links = articulated_links(ws);
@@ -238,7 +240,8 @@ NOVAPHY_LONG_TREES int32_t factor_links(const Tree<T>& tree, const T* q, Workspa
   return -1;
 }
 
-// Solves M x = x - S^T f in place. f are the forces in the links' `w`, summed over all descendants.
+// Solves M y = x - S^T f for y, in place in x. f: the forces in the `w` of the links, summed over
+// all descendants.
 template <class T>
 void sweep_links(const Tree<T>& tree, const Workspace<T>& ws, T* x) {
   const ArticulatedLink<T>* const links = articulated_links(ws);
@@ -277,8 +280,9 @@ NOVAPHY_LONG_TREES void solve_links(const Tree<T>& tree, const Workspace<T>& ws,
   sweep_links(tree, ws, x);
 }
 
-// Computes in the links' `w` the forces that their motions need at the rates qd and accelerations
-// ws.qdd (rows of the tree), minus their wrenches. Newton's and Euler's laws.
+// Computes forces in the `w` of the links by the Newton-Euler equations, minus external wrenches.
+// The motions come from the rates qd and the accelerations ws.qdd (indexed by the dofs of the
+// tree).
 template <class T>
 void link_forces(const Tree<T>& tree, const T* qd, const Workspace<T>& ws) {
   const ArticulatedLink<T>* const links = articulated_links(ws);
@@ -320,9 +324,9 @@ void link_forces(const Tree<T>& tree, const T* qd, const Workspace<T>& ws) {
   }
 }
 
-// Solves ID(q, qd, qdd) + diagonal qdd = ws.rhs for ws.qdd: a first solution from qdd = 0, and one
-// correction by the residual of inverse dynamics. A dof with infinite diagonal keeps its qdd; dofs
-// of KINEMATIC joints have none.
+// Solves ID(q, qd, qdd) + diagonal qdd = ws.rhs for ws.qdd, where ID is inverse dynamics. The first
+// solution starts from qdd = 0; the residual of inverse dynamics gives one correction. A dof with
+// infinite diagonal keeps its qdd. Dofs of KINEMATIC joints have no acceleration.
 template <class T>
 NOVAPHY_LONG_TREES void accelerate_links(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
   const T o = T(0.0f), endless = T(math::bits_float(0x7f800000));

@@ -1,5 +1,4 @@
-// The adjoint of a step with contacts, for the set of active constraint rows (pgs.h,
-// active_rows.h).
+// The adjoint of a step with contacts, for the active constraint rows (pgs.h, active_rows.h).
 //
 // With the converged impulses lambda, v' solves M (v' - v) = J^T lambda together with one row per
 // active direction:
@@ -8,15 +7,15 @@
 //   sticking                            J_t v' = 0
 //   sliding                             lambda_t + mu lambda_n t = 0, t = w_t / |w_t|, w_t = J_t v'
 //   sliding of a pyramid's tangent      lambda_t -+ mu lambda_n = 0
-//   dry friction that holds its dof     v'_k = 0; else a constant: lambda -+ friction dt = 0
+//   dry friction of a dof that sticks   v'_k = 0; a dof that slides: lambda -+ friction dt = 0
 // The derivative of the rows is B J by the velocities and R by the impulses. B is 3 x 3 per
 // contact: the identity, or mu lambda_n (1 - t t^T)/|w_t| for a sliding cone. With the gradient g
-// of v':
+// of v', the multipliers z of the rows solve
 //   (J M^-1 J^T B^T + R^T) z = J M^-1 g,   gradient of M v:  p = M^-1 (g - J^T B^T z)
-// B^T z, as impulses at the contacts, is thus subtracted from g, and the adjoint without contacts
-// does the rest. The gradient by a material parameter p is -z . d(rows)/dp, and by dry friction
-// +-dt p_k. contact_geometry.h has the gradient of the geometry. Source: the implicit function
-// theorem.
+// B^T z acts like impulses at the contacts: J^T B^T z is subtracted from g, and the adjoint without
+// contacts does the remaining work. The gradient by a material parameter a is -z . d(rows)/da, and
+// by dry friction +-dt p_k. contact_geometry.h has the gradient by the contact geometry. Source:
+// the implicit function theorem.
 #pragma once
 
 #include "novaphy/dynamics/articulation/contact_geometry.h"
@@ -24,19 +23,19 @@
 
 namespace novaphy::articulation {
 
-// Shifts (pgs.h) come first in the adjoint, because they are the last part of the step. With the
-// gradient h of the displacement of coordinates, the shifting rows satisfy (J M^-1 J^T + softness)
-// y = J M^-1 h, and J^T y is subtracted from h and so from g. With p_h = M^-1 (h - J^T y) and the
-// shift p, the geometry contributes
+// Shifts (position corrections, pgs.h) are the last part of the step, so the adjoint treats them
+// first. With the gradient h of the displacement of coordinates, the multipliers y of the shifting
+// rows solve (J M^-1 J^T + softness) y = J M^-1 h, and J^T y is subtracted from h and thus from g.
+// With p_h = M^-1 (h - J^T y), the shift p and its multipliers mu, the geometry contributes
 //   -p_h . dM p + mu . (dJ of p_h) - y . (dJ of (v' + p) + d beta + d(softness) mu)
 // The softness has one part from j . M^-1 j of each side, with the derivative 2 x . dj - x . dM x,
 // x = M^-1 j, and one part from the mass m of the trees. Its small part along other axes, 5e-5 of
 // the shift, is neglected.
 
-// Solves for y of an island; call this before solve_adjoint. Members of `island`, besides those of
-// solve_adjoint:
+// Solves for the multipliers y of an island. Call this before solve_adjoint. Members of `island`,
+// besides those of solve_adjoint:
 //   for_shifted(f)       calls f(contact) for the shifting rows, in their order
-//   move_gradient(tree)  h
+//   move_gradient(tree)  returns h
 template <class Island>
 bool solve_shift_adjoint(const Island& island) {
   int64_t n = 0;
@@ -80,16 +79,17 @@ bool solve_shift_adjoint(const Island& island) {
   return true;
 }
 
-// Returns the number of values in the system of an island.
+// Returns the number of values in the linear system of an island. `held`: dofs that stick by dry
+// friction.
 inline int64_t adjoint_numbers(int64_t contacts, int64_t held) {
   const int64_t n = 3 * contacts + held;
   return n * (n + 1);
 }
 
-// Solves for z of an island, and subtracts the impulses of contacts and dry friction from the
-// gradients of the rates. Members of `island`:
+// Solves for the multipliers z of an island, and subtracts the impulses of contacts and dry
+// friction from the gradients of the rates. Members of `island`:
 //   for_contacts(f)     calls f(contact) for rows with impulses, in their order
-//   for_held(f)         calls f(friction, tree) for dry friction that holds its dof
+//   for_held(f)         calls f(friction, tree) for dofs that stick by dry friction
 //   system(numbers)     returns memory, or null; with null the result is false
 //   rate_gradient(tree), dofs(tree)
 template <class Island>
@@ -207,7 +207,7 @@ bool solve_adjoint(const Island& island, bool cone) {
 }
 
 // Adds the derivative of the softness of a shifting row, times -y mu, to the gradients of its
-// trees. Call after solve_shift_adjoint. Overwrites the motions of the links.
+// trees. Call this after solve_shift_adjoint. Overwrites the motions of the links.
 template <class TreeOf, class MemoryOf>
 void add_softness_gradient(const AdjointContact& row, float dt, const TreeOf& tree_of,
                            const MemoryOf& memory_of) {
@@ -254,8 +254,9 @@ void add_softness_gradient(const AdjointContact& row, float dt, const TreeOf& tr
     add_contact_geometry(of, dt, tree_of, memory_of, signs);
   }
 }
-// Adds the effect of a tree's shifts on its mass matrix, and sets the motions for
-// add_shift_geometry. Call this after the softness. `rates`: followed by the shifts.
+// Adds the effect of a tree's shifts on the gradient through its mass matrix, and sets the motions
+// for add_shift_geometry. Call this after add_softness_gradient. `rates`: the rates with the shifts
+// behind them.
 inline void set_shift_motions(const Tree<float>& tree, const StepInputs<float>& in,
                               const StepOptions<float>& options, const float* rates,
                               Workspace<float>& ws, AdjointMemory<float>& memory) {
@@ -281,10 +282,10 @@ void add_shift_geometry(const AdjointContact& row, float dt, const TreeOf& tree_
   of.solver.impulse[1] = of.solver.impulse[2] = 0.0f;
   of.z = of.pull = {row.shift_z, 0.0f, 0.0f};
   of.target.slope = row.target.shift_slope;
-  of.target.bounce = of.target.shift_bounce = 0.0f;  // these belong to the rates, not to the shifts
+  of.target.bounce = of.target.shift_bounce = 0.0f;  // terms of the rates, not of the shifts
   add_contact_geometry(of, dt, tree_of, memory_of);
 }
-// Returns the note of a contact that pushes, after solve_adjoint. tree_of(i): an IslandTree.
+// Returns the ContactNote of a contact that pushes, after solve_adjoint. tree_of(i): an IslandTree.
 template <class TreeOf>
 ContactNote contact_note(const AdjointContact& row, const TreeOf& tree_of) {
   const int side = row.sides[0].tree >= 0 ? 0 : 1;
@@ -297,13 +298,14 @@ ContactNote contact_note(const AdjointContact& row, const TreeOf& tree_of) {
   return {origin + (side == 0 ? row.place.a : row.place.b), axes[0], world(row.solver.impulse),
           world(row.by_impulse), row.follows || row.turning.is_exact ? 0 : 1};
 }
-// Returns whether a row contributes in add_contact_geometry after the adjoint of the rates.
+// Returns whether add_contact_geometry has a contribution of the row after the adjoint of the
+// rates.
 inline bool has_geometry(const AdjointContact& row) {
   return row.solver.impulse[0] > 0.0f ||
          (row.solver.shifted > 0.0f && row.target.shift_bounce > 0.0f);
 }
 
-// Returns -z . d(rows)/dp of a contact for its material parameters.
+// Returns the gradients -z . d(rows)/da of a contact by its material parameters a.
 inline MaterialGradient material_gradient(const ContactLaw<float>& law,
                                           const ContactMaterial<float>& of, const PairParts& parts,
                                           const AdjointContact& row) {
@@ -333,9 +335,9 @@ inline MaterialGradient material_gradient(const ContactLaw<float>& law,
   return to;
 }
 
-// Returns the derivative of a dof's dry friction impulse by the friction: the sign against the
-// slip, or 0 if the friction holds the dof. A dof without friction gets the derivative of adding
-// friction. `has`: the dof has friction with `impulse` and the bound `limit`.
+// Returns the derivative of a dof's dry-friction impulse by the friction: the sign against the
+// slip, or 0 if the dof sticks. `has`: the dof has friction with `impulse` and the bound `limit`.
+// Otherwise the result is the derivative for friction that grows from 0.
 inline float friction_push(bool has, float impulse, float limit, float rate) {
   if (has) return holds(impulse, limit) ? 0.0f : (impulse < 0.0f ? -1.0f : 1.0f);
   return rate > kLeastSlip ? -1.0f : (rate < -kLeastSlip ? 1.0f : 0.0f);

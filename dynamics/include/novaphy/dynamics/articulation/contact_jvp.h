@@ -1,9 +1,10 @@
-// Tangents of contacts and dry friction for the set of active rows: the transpose of
-// contact_adjoint.h. Dual numbers carry the step with constant impulses. The rows then have the
-// derivatives r, and the tangents of the impulses solve (B J M^-1 J^T + R) lambda' = -r.
-// Freestanding: shared by the host and device kernels. Members of `trees`:
+// Tangents of contacts and dry friction for the active constraint rows: the transpose of
+// contact_adjoint.h. First, dual numbers carry the step with constant impulses, which gives the
+// derivatives r of the rows. Then the tangents lambda' of the impulses solve (B J M^-1 J^T + R)
+// lambda' = -r, with B and R of contact_adjoint.h. Freestanding: shared by host and device kernels.
+// Members of the template argument `trees`:
 //   tree(i), workspace(i)   tree i with dual numbers, after free_rates
-//   turning(contact)        DualTurning
+//   turning(contact)        the DualTurning of a contact (moving contact point)
 #pragma once
 
 #include "novaphy/dynamics/articulation/active_rows.h"
@@ -11,19 +12,19 @@
 
 namespace novaphy::articulation {
 
-// A tree's part of a row: J and Y {3, dofs}. A missing part has no tree.
+// A tree's part of a contact row: J and Y = M^-1 J^T, {3, dofs} each. tree -1: no tree.
 struct DualSide {
   int32_t tree = -1, dofs = 0;
   DualFloat *jacobian = nullptr, *response = nullptr;
 };
-// A contact with dual rows. Only some members of IslandContact are used: the contact, its sides,
-// `follows`, and the widths and impulses of `solver`.
+// A contact with dual rows. The base class IslandContact has only these members set: the contact,
+// its sides, `follows`, and the widths and impulses of `solver`.
 struct DualContact : IslandContact {
   DualSide moved[2];
   NormalTarget<DualFloat> goal;
   DualFloat mu;
   float softness_tangent = 0.0f;
-  Vec3f change{};  // the tangent of its impulse, in the world
+  Vec3f change{};  // tangent of the contact's impulse, world axes
 };
 inline int64_t dual_contact_numbers(int32_t dofs) { return 12 * static_cast<int64_t>(dofs); }
 
@@ -40,7 +41,7 @@ inline ContactLaw<DualFloat> dual_law(const ContactLaw<float>& f) {
           f.cone};
 }
 
-// Returns J qd for `qd` (rows of the arrays); null: J times the new rates.
+// Returns J qd for `qd` (indexed as in the model's arrays). Null qd: J times the new rates.
 template <class Trees>
 DualFloat dual_slip(const DualContact& row, int r, const Trees& trees, const DualFloat* qd) {
   DualFloat sum(0.0f);
@@ -77,7 +78,8 @@ void dual_push(const DualContact& row, int r, const DualFloat& impulse, const Tr
   }
 }
 
-// Sets the impulse along the axes of the frame, and its tangent as far as the axes turn.
+// Sets the impulse along the axes of the contact frame, and its tangent due to the rotation of the
+// axes.
 inline void set_impulse(const Vec3f& impulse, const ContactFrame<DualFloat>& frame,
                         DualContact& row) {
   const float along[3] = {impulse.x, impulse.y, impulse.z};
@@ -87,15 +89,15 @@ inline void set_impulse(const Vec3f& impulse, const ContactFrame<DualFloat>& fra
     row.change = row.change + tangent(frame.axes[r]) * along[r];
   }
 }
-// Applies the tangent of the impulse along an axis.
+// Applies the tangent of the impulse along axis r.
 template <class Trees>
 void change_impulse(DualContact& row, int r, float change, const Trees& trees) {
   dual_push(row, r, DualFloat(0.0f, change), trees);
   row.change = row.change + row.frame.axes[r] * change;
 }
 
-// Builds the rows of a contact in `numbers` {dual_contact_numbers of the largest dof count}, at the
-// rates without impulses.
+// Builds the rows of a contact at the rates without impulses. `numbers`: memory of
+// dual_contact_numbers(largest dof count).
 template <class Trees>
 void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloat* qd,
                         const ContactLaw<DualFloat>& law, const DualMaterials& of,
@@ -184,7 +186,7 @@ void build_dual_contact(const ContactRows& c, const Trees& trees, const DualFloa
 }
 
 // Applies the impulse of a dof's dry friction, with the bound `limit` = friction dt, and computes
-// its response. Returns whether the friction holds the dof.
+// the response of the rates. Returns whether the dof sticks.
 inline bool push_dual_friction(const Tree<DualFloat>& tree, Workspace<DualFloat>& w, int32_t dof,
                                const DualFloat& limit, float value, DualFloat* response) {
   for (int32_t k = 0; k < tree.dof_count; ++k) response[k] = DualFloat(k == dof ? 1.0f : 0.0f);
@@ -195,7 +197,8 @@ inline bool push_dual_friction(const Tree<DualFloat>& tree, Workspace<DualFloat>
   for (int32_t k = 0; k < tree.dof_count; ++k) w.qd_next[k] = w.qd_next[k] + response[k] * impulse;
   return held;
 }
-// Applies the tangent of dry friction to dofs without friction; `friction`: rows of the arrays.
+// Applies the tangent of dry friction to dofs whose friction is 0. `friction`: per dof of the
+// model.
 inline void push_absent_friction(const Tree<DualFloat>& tree, Workspace<DualFloat>& w,
                                  const DualFloat* friction, float dt) {
   DualFloat* const answer = w.rhs;
@@ -212,7 +215,7 @@ inline void push_absent_friction(const Tree<DualFloat>& tree, Workspace<DualFloa
 
 // Computes the tangents of an island's impulses, after all functions above. Members of `island`:
 //   for_contacts(f)  calls f(DualContact) for contacts that push, in their order
-//   for_held(f)      calls f(tree, dof, response) for dofs that dry friction holds
+//   for_held(f)      calls f(tree, dof, response) for dofs that stick by dry friction
 //   system(n)        returns memory for n numbers, or null
 // Returns false without memory; then nothing has changed.
 template <class Trees, class Island>
@@ -294,8 +297,9 @@ bool solve_dual_island(const Trees& trees, const Island& island, bool cone) {
   return true;
 }
 
-// Adds the tangents of an island's shifts (pgs.h) to the workspaces' `bias`, which must be zero
-// before. Call this after solve_dual_island. Members of `island`, besides those above:
+// Adds the tangents of an island's shifts (position corrections, pgs.h) to the `bias` of the
+// workspaces, which must be zero before. Call this after solve_dual_island. Further members of
+// `island`:
 //   for_rows(f), for_shifted(f)  call f(DualContact) for all contacts, and for those that shift
 template <class Trees, class Island>
 bool add_dual_shifts(const Trees& trees, const Island& island) {

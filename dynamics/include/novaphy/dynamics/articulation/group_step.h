@@ -1,4 +1,4 @@
-// The step of a group of articulations with contacts, for articulation_contact_kernels.h.
+// The step of a group of trees with contacts, for the kernels of articulation_contact_kernels.h.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -7,15 +7,16 @@
 
 namespace novaphy {
 
-// Arguments of the step:
-//   step.status     also -1 - a contact that the group cannot have
-//   moved_by        per link: its dofs, as bits
+// Arguments of the step. A place is an entry of a group's list of contacts.
+//   step.status     per tree: also -1 - a contact with another group
+//   moved_by        per link: the dofs that move it, as bits
 //   most_alone      largest number of contacts of an island that tree_contacts.h solves
-//   kept_begin      per group: its first kept contact; kept_friction, now_friction: impulses {dofs}
-//   now             a row per place in the lists; lanes: TreeSteps steps the trees marked `taken`
-//   continues       whether the step starts where the one before ended
-// For derivatives, null if not requested: impulses along n, t1, t2 and of dry friction, branches,
-// `seen` (a row per place in the lists), and `seen` of the step before with the groups' starts.
+//   kept, now       contact impulses of the step before, from kept_begin on, and of this step by
+//                   place; kept_friction, now_friction: of dry friction {dofs}
+//   lanes           TreeSteps steps the trees marked `taken`
+//   continues       the step starts where the one before ended
+// Null without derivatives: impulses along n, t1, t2 and of dry friction, branches, `seen` by
+// place, and `seen` of the step before with the first row of each group.
 struct ArticulationContactStepArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationStepArguments> step; Part<ContactGroupArguments> of;
                     Optional<Given<int32_t>> point_id; Given<int32_t> moved_by;
@@ -31,7 +32,7 @@ struct ArticulationContactStepArguments {
                     Number<int64_t> by_restitution, continues, lanes;)
 };
 
-// Size of the memory of a contact for trees with `dofs` dofs, for any method of solution.
+// Returns the memory of a contact of trees with `dofs` dofs, enough for any method of solution.
 inline int64_t island_contact_bytes(int32_t dofs) {
   namespace art = articulation;
   const int64_t joined = static_cast<int64_t>(sizeof(art::IslandContact)) + contact_row_bytes(dofs);
@@ -43,14 +44,14 @@ inline int64_t island_contact_bytes(int32_t dofs) {
   return ((joined > alone ? joined : alone) + 7) / 8 * 8;
 }
 
-// A group with one tree works on the stack if the tree fits, and its contacts if they also fit. The
-// stacks of threads are interleaved, so that the threads of a warp read neighboring memory.
+// A group with one tree keeps the tree on the stack if it fits, and also its contacts if they fit.
+// The stacks of GPU threads are interleaved, so that a warp reads neighboring memory.
 inline constexpr int64_t kIslandStack = 12288;
 struct LocalIsland {
   alignas(16) unsigned char bytes[kIslandStack];
 };
 
-// Runs the step of a group with contacts. `local`: stack memory for the tree of a group of one.
+// The step of a group with contacts. `local`: stack memory for the tree of a group with one tree.
 struct GroupStep : ContactGroup {
   const ArticulationContactStepArguments& all;
   const float warm_scale;
@@ -67,15 +68,15 @@ struct GroupStep : ContactGroup {
     const float before = a.warm_start.value != 0 ? *a.kept_dt : 0.0f;
     return before > 0.0f ? a.step.in.dt.value / before : 1.0f;
   }
-  // Memory of an island's contacts.
+  // Returns the memory of an island's contacts.
   unsigned char* rows_memory(int32_t root) const {
     return island_memory() + a.nodes[root].begin * a.contact_stride.value * int64_t{sizeof(float)};
   }
-  // Memory of `bytes` bytes for an island, after the `used` bytes of its tree on the stack.
+  // Returns memory for an island: after the `used` bytes of its tree on the stack if possible.
   unsigned char* memory_behind(int32_t root, int64_t used, int64_t bytes) const {
     return stride == 0 && used + bytes <= kIslandStack ? memory(0) + used : rows_memory(root);
   }
-  // The places of an island's contacts, in their order.
+  // Returns the places of an island's contacts, in their order.
   const int32_t* places(int32_t root) const {
     return all.places + (first_place() + a.nodes[root].begin);
   }
@@ -88,7 +89,7 @@ struct GroupStep : ContactGroup {
   }
 };
 
-// Computes the frames and motions of a tree's links, and makes the tree an island.
+// Computes the frames and motions of a tree's links, and makes the tree an island of its own.
 inline void open_tree(const GroupStep& s, int32_t i) {
   articulation::IslandTree of = s.tree(i);
   articulation::link_frames(of.tree, s.in.q, of.ws);
@@ -96,7 +97,7 @@ inline void open_tree(const GroupStep& s, int32_t i) {
   s.all.step.status[i] = 0;
   start_node(s, i);
 }
-// Computes the rates of a tree without impulses.
+// Computes the rates of a tree after the step without contact impulses.
 inline void start_tree(const GroupStep& s, int32_t i) {
   articulation::IslandTree of = s.tree(i);
   const ArticulationRows& rows = s.rows(i);
@@ -112,7 +113,7 @@ inline void open_and_start(const GroupStep& s, int32_t i) {
   start_node(s, i);
 }
 
-// Returns whether a contact may touch in the step, or its trees fail or are not all in this group.
+// Returns whether a contact may touch in the step, or a tree of it failed or is in another group.
 inline bool is_near(const GroupStep& s, int32_t contact) {
   articulation::ContactSide sides[2];
   if (!contact_sides(s.a.shapes, contact, sides)) return true;
@@ -125,7 +126,7 @@ inline bool is_near(const GroupStep& s, int32_t contact) {
   return articulation::may_touch(s.contacts, contact, sides, tree_of, s.how.dt);
 }
 
-// Joins the trees of a contact that may touch. A contact that leaves this group makes a tree fail.
+// Joins the trees of a contact that may touch. A contact with another group makes a tree fail.
 inline void join_step_contact(const GroupStep& s, int32_t place) {
   const int32_t contact = s.a.contacts[place];
   if (is_near(s, contact)) {
@@ -150,7 +151,7 @@ inline void list_step_contact(const GroupStep& s, int32_t place, int32_t& next_k
   s.a.chain[place].kept = kept < 0 ? -1 : begin + kept;
 }
 
-// Assigns places to an island's contacts, after the `used` places of earlier islands.
+// Orders the contacts of an island in the list, behind the `used` contacts of earlier islands.
 inline void close_island(const GroupStep& s, int32_t root, int32_t& used) {
   IslandNode& node = s.a.nodes[root];
   node.begin = used;
@@ -195,7 +196,7 @@ inline void hold_rates(const GroupStep& s, int32_t i) {
   if (failed < 0) articulation::free_rates(of.tree, s.in, s.how, ws);
 }
 
-// Returns the contact of a tree with the world, and its link.
+// Returns the data of a contact between a tree and the world, and the index of its link.
 inline articulation::TreeContact<float> contact_of_tree(const GroupStep& s, int32_t tree,
                                                         int32_t place, int32_t& link) {
   const int32_t contact = s.a.contacts[place];
@@ -208,7 +209,7 @@ inline articulation::TreeContact<float> contact_of_tree(const GroupStep& s, int3
                                     s.material(contact), s.kept(place), s.warm_scale);
 }
 
-// Solves an isolated island: one tree that touches the world.
+// Solves an isolated island: one tree that touches only the world.
 inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) {
   const IslandNode& node = s.a.nodes[root];
   const articulation::IslandTree of = s.tree(root);
@@ -255,19 +256,19 @@ inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) 
   return {static_cast<int32_t>(result.sweeps), result.residual, result.largest};
 }
 
-// Calls f(row, dof of the arrays) for the dry friction of an island.
+// Calls f(row, dof in the model's arrays) for each dof with dry friction of an island.
 template <class F>
 void for_friction(const GroupStep& s, int32_t root, const F& f) {
   for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
     for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
       if (s.has_friction(i, k)) f(s.friction(i)[k], s.rows(i).first_dof + k);
 }
-// The rows of a coupled island.
+// Returns the contact rows of a coupled island.
 inline articulation::IslandContact* rows_of(const GroupStep& s, int32_t root) {
   return reinterpret_cast<articulation::IslandContact*>(s.rows_memory(root));
 }
 
-// Solves any island.
+// Solves a coupled island, or any other island.
 inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root) {
   const ContactGroupArguments& a = s.a;
   const IslandNode& node = a.nodes[root];

@@ -1,7 +1,8 @@
 // Islands: trees that touch each other, directly or through other trees, with their contacts and
-// the dry friction of their joints, which are solved together (pgs.h). The solver on the host and
-// the device kernel (articulation_contact_kernels.h) share this source. Each has its own memory and
-// lists of rows. tree_contacts.h solves a tree that touches only the world and has no dry friction.
+// the dry friction of their joints. The contacts of an island are solved together (pgs.h). The
+// solver on the host and the device kernel (articulation_contact_kernels.h) share this source, each
+// with its own memory and lists of rows. The code of tree_contacts.h solves a tree that touches
+// only the world and has no dry friction.
 #pragma once
 
 #include "novaphy/core/sim/enums.h"
@@ -14,20 +15,21 @@ namespace novaphy::articulation {
 
 inline constexpr int32_t kMostTreeContacts = 64;
 
-// Returns the padded number of dofs in the rates and rows of a tree.
+// Returns the padded number of dofs that rates and rows of a tree have.
 inline int32_t padded_dofs(int32_t dofs) { return (dofs + 3) / 4 * 4; }
 
-// Returns whether impulses move the tree of a side; `trees`: rows with `moves` and `dof_count`.
+// Returns whether impulses move the tree of a side. `trees`: rows with `moves` and `dof_count`.
 template <class TreeRows>
 bool moves(const TreeRows* trees, const ContactSide& side) {
   return side.tree >= 0 && trees[side.tree].moves != 0;
 }
-// Returns the first tree of a contact that impulses move. The contact belongs to its island.
+// Returns the first of a contact's trees that impulses move. The contact belongs to the island of
+// that tree.
 template <class TreeRows>
 int32_t moved_tree(const TreeRows* trees, const ContactSide* sides) {
   return sides[moves(trees, sides[0]) ? 0 : 1].tree;
 }
-// Sets the widths of a contact's rows. Returns false if the contact moves nothing.
+// Sets the widths of a contact's rows (padded dofs). Returns false if the contact moves nothing.
 template <class TreeRows>
 bool set_widths(const TreeRows* trees, const ContactSide* sides, int32_t* widths) {
   for (int side = 0; side < 2; ++side)
@@ -36,15 +38,15 @@ bool set_widths(const TreeRows* trees, const ContactSide* sides, int32_t* widths
   return moves(trees, sides[0]) || moves(trees, sides[1]);
 }
 
-// Returns whether the island of a contact is more than one tree with the world, or has too many
-// `dofs` for tree_contacts.h. More than kMostTreeContacts contacts, and dry friction, also make an
-// island coupled.
+// Returns whether a contact makes its island coupled: it connects two trees, or a tree with too
+// many `dofs` for tree_contacts.h. An island is also coupled with more than kMostTreeContacts
+// contacts, or with dry friction.
 inline bool joins_more(const ContactSide* sides, int32_t dofs) {
   return (sides[0].tree >= 0 && sides[1].tree >= 0) || dofs > kTreeContactDofs;
 }
 
-// Returns the root of a tree's island, the touching tree with the smallest index. root_of(tree) is
-// a tree nearer to the root.
+// Returns the root of a tree's island: the tree with the smallest index in the island.
+// root_of(tree) is a tree nearer to the root (union-find).
 template <class RootOf>
 int32_t find_root(const RootOf& root_of, int32_t tree) {
   while (root_of(tree) != tree) {
@@ -60,7 +62,7 @@ void join_trees(const RootOf& root_of, int32_t tree, int32_t other) {
   root_of(a < b ? b : a) = a < b ? a : b;
 }
 
-// The impulses of a contact point, for the warm start of the next step.
+// The impulses of a contact point (N s), for the warm start of the next step.
 struct KeptContact {
   int32_t shape0 = 0, shape1 = 0, point = 0;
   float normal = 0.0f;  // 0: not used for a warm start
@@ -72,13 +74,13 @@ inline KeptContact kept_contact(const ContactRows& c, int32_t contact,
   return {c.shape0[contact], c.shape1[contact], c.point_id == nullptr ? -1 : c.point_id[contact],
           impulse[0], tangent};
 }
-// Returns the mean force of a step on B (N).
+// Returns the mean force of a step on side B (N).
 inline Vec3f contact_force(const ContactFrame<float>& frame, const KeptContact& of, float dt) {
   return (frame.axes[0] * of.normal + of.tangent) * (1.0f / dt);
 }
 
-// Returns the index of the same point in the impulses of the step before, or -1. `next`: index of
-// the last found pair, initially 0; both lists are sorted by shapes.
+// Returns the index of the same contact point in the impulses of the step before, or -1. Both lists
+// are sorted by shapes. `next`: search position, initially 0, then the last found pair.
 inline int32_t find_kept(const KeptContact* kept, int32_t count, int32_t& next,
                          const ContactRows& c, int32_t contact) {
   const int32_t a = c.shape0[contact], b = c.shape1[contact];
@@ -90,8 +92,8 @@ inline int32_t find_kept(const KeptContact* kept, int32_t count, int32_t& next,
   return -1;
 }
 
-// Returns whether the point of a shape that touches a plane is fixed to the shape: a center, an end
-// or a corner.
+// Returns whether the point of a shape that touches a plane is fixed to the shape: a sphere's
+// center, a capsule's end or a corner.
 inline bool meets_planes_in_points(int32_t shape_type) {
   switch (static_cast<GeoType>(shape_type)) {
     case GeoType::SPHERE:
@@ -116,7 +118,7 @@ inline bool follows_plane(const ContactRows& c, const int32_t* shape_type, int32
   return follows;
 }
 
-// The data of a tree that the rows of an island read and change.
+// The data of a tree that the contact rows of an island read and change.
 struct IslandTree {
   Tree<float> tree;
   Workspace<float> ws;  // after free_rates
@@ -126,7 +128,7 @@ struct IslandTree {
   bool moves;           // whether impulses move the tree
 };
 
-// A contact of an island. `contact` is its row; the widths come from set_widths.
+// A contact of an island. `contact`: its row in Contacts. The widths come from set_widths.
 struct IslandContact {
   int32_t contact = 0;
   ContactSide sides[2] = {};
@@ -136,17 +138,17 @@ struct IslandContact {
   float before = 0.0f;  // J_n qd
   NormalTarget<float> target = {};
   PgsContact<float> solver = {};
-  // For derivatives (active_rows.h): the contact was found from the state, between a point fixed to
-  // its shape and a plane of the world. The normal is then constant, and the point on the plane
-  // moves below the other point.
+  // Used for derivatives (active_rows.h): the contact was found from the state of the step, between
+  // a point fixed to its shape and a plane of the world. The normal is then constant, and the point
+  // on the plane is the projection of the other point.
   bool follows = false;
   bool turns = false;        // moving contact point (turning_contacts.h)
   bool elastic = false;      // whether the contact has restitution
-  float* numbers = nullptr;  // {6, widths of both sides}: J, then Y = M^-1 J^T, of each side
+  float* numbers = nullptr;  // {6, widths of both sides}: per side J, then Y = M^-1 J^T
   bool whole = false;        // whether build_responses was called
 };
 
-// Returns whether a contact pushes or shifts.
+// Returns whether a contact has an impulse or a shift.
 inline bool pushes(const IslandContact& row) {
   return row.solver.impulse[0] > 0.0f || row.solver.shifted > 0.0f;
 }
@@ -186,7 +188,7 @@ void build_jacobian(const ContactRows& c, const TreeOf& tree_of, IslandContact& 
   row.before = before;
 }
 
-// Computes the responses of a contact, after build_jacobian.
+// Computes the responses Y of a contact, after build_jacobian.
 template <class TreeOf>
 void build_responses(const ContactRows& c, const TreeOf& tree_of, IslandContact& row) {
   row.whole = true;
@@ -220,8 +222,7 @@ void build_contact(const ContactRows& c, const TreeOf& tree_of, float* numbers,
   build_responses(c, tree_of, row);
 }
 
-// Sets the target of a contact's normal row, after build_jacobian and at the rates without
-// impulses.
+// Sets beta of a contact's normal row, after build_jacobian and at the rates without impulses.
 inline void aim(const ContactLaw<float>& law, const ContactMaterial<float>& material,
                 IslandContact& row) {
   row.target = normal_target(law, material, row.place.gap, row.before, slip(row.solver, 0));
@@ -231,21 +232,21 @@ inline void aim(const ContactLaw<float>& law, const ContactMaterial<float>& mate
   row.solver.friction = material.friction;
   row.elastic = material.restitution > 0.0f;
 }
-// Sets the target after build_contact.
+// Sets beta of a contact's normal row, after build_contact.
 inline void set_target(const ContactLaw<float>& law, const ContactMaterial<float>& material,
                        IslandContact& row) {
   aim(law, material, row);
   set_steps<float>(law.dt, row.solver);
 }
 
-// Starts from the impulses of the step before, times `scale`.
+// Starts from the impulses of the step before, times `scale` (a change of dt).
 inline void start_from_kept(const KeptContact& kept, float scale, bool cone, IslandContact& row) {
   const Vec3f tangent = kept.tangent * scale;
   warm_start(row.solver, cone, kept.normal * scale, math::dot(tangent, row.frame.axes[1]),
              math::dot(tangent, row.frame.axes[2]));
 }
 
-// Builds the row of a dof's dry friction, with its `response` {padded_dofs}; `limit`: friction dt.
+// Builds the row of a dof's dry friction, with its `response` {padded_dofs}. `limit`: friction dt.
 inline void build_friction(const IslandTree& of, int32_t dof, float limit, float* response,
                            PgsJointFriction<float>& row) {
   const int32_t width = padded_dofs(of.tree.dof_count);
@@ -258,7 +259,7 @@ inline void build_friction(const IslandTree& of, int32_t dof, float limit, float
   row.dof = dof;
   row.limit = limit;
   row.impulse = 0.0f;
-  // For a dof at its velocity limit, only the force of the limit depends on the friction.
+  // At a velocity limit the rate is fixed, and friction only changes the force of that limit.
   if (response[dof] == 0.0f && of.rates[dof] != 0.0f)
     row.impulse = of.rates[dof] > 0.0f ? -limit : limit;
 }
@@ -268,8 +269,8 @@ struct IslandResult {
   float residual = 0.0f;  // m/s, largest change of velocity in the last sweep
   float largest = 0.0f;   // m/s, largest impulse as a velocity
 };
-// Stores the rates of an island in qd_next and qdd, and its shifts. Returns the first dof whose
-// rate is not finite, or -1. The function stops at that dof.
+// Stores the rates of a tree in qd_next and qdd, and sets its shifts. Returns the first dof whose
+// rate or shift is not finite, or -1. The function stops at that dof.
 inline int32_t take_rates(float* rates, const float* qd, float dt, int32_t dofs,
                           Workspace<float>& ws) {
   ws.shift = rates + padded_dofs(dofs);
@@ -282,13 +283,15 @@ inline int32_t take_rates(float* rates, const float* qd, float dt, int32_t dofs,
   return -1;
 }
 
-// Adds the impulse of a contact on the dofs of a tree (N s or N m s). `rates`: those of the tree.
+// Adds the impulses of a contact on the dofs of a tree (N s or N m s) to `to`. `rates` identifies
+// the tree.
 inline void add_impulses(const PgsContact<float>& c, const float* rates, int32_t dofs, float* to) {
   for (const RowSide<float>& s : c.sides)
     for (int32_t r = 0; s.width > 0 && s.rates == rates && r < 3; ++r)
       for (int32_t k = 0; k < dofs; ++k) to[k] += s.jacobian[r * s.width + k] * c.impulse[r];
 }
-// Computes the accelerations of a tree after sweep_island, and calls renew_branches.
+// Computes the accelerations of a tree after sweep_island, and calls renew_branches. Returns its
+// result.
 template <class ForContacts, class ForFriction>
 bool renew_tree(const IslandTree& of, const StepInputs<float>& in, const StepOptions<float>& how,
                 int32_t round, const ForContacts& for_contacts, const ForFriction& for_friction) {
@@ -326,8 +329,8 @@ int32_t moving_dofs(const Tree<T>& tree, int32_t link) {
     if (d < kTreeContactDofs) bits |= 1u << d;
   return static_cast<int32_t>(bits);
 }
-// Returns the contact of a tree with the world for tree_contacts.h. `moved_by`: dofs that move its
-// link, as bits. `kept`: impulses for the warm start, or zeros.
+// Returns the data of a contact between a tree and the world for tree_contacts.h. `moved_by`: dofs
+// that move the link, as bits. `kept`: impulses for the warm start, or zeros.
 inline TreeContact<float> tree_contact(const ContactRows& c, int32_t i, int32_t side,
                                        int32_t moved_by, const ContactMaterial<float>& material,
                                        const KeptContact& kept, float scale) {

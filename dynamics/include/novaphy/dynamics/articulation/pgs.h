@@ -1,37 +1,39 @@
 // Contacts and dry friction of joints by projected Gauss-Seidel, at the velocity level.
 //
 //   v' = v + M^-1 J^T lambda,  lambda: impulses (N s), v: rates of the step without impulses
-//   normal     0 <= lambda_n, J_n v' + beta + cfm lambda_n >= 0, one of both = 0
+//   normal     0 <= lambda_n, J_n v' + beta + cfm lambda_n >= 0, at least one of them 0
 //   friction   |lambda_t| <= mu lambda_n, against the slip J_t v' (cone); or each of the two
 //              tangents by itself (pyramid: up to sqrt 2 too strong along the diagonals)
 //   joints     |lambda| <= friction dt, against the rate of the dof
-// where d is the gap:
+// beta depends on the gap d:
 //   d > 0      beta = d / dt: the gap may close, but not more
 //   d <= 0     beta = erp min(0, d + slop) / dt, at least -max_depenetration: the correction of an
-//              overlap. The rates get the part of it that fits into kRestSpeed without a slop, so
-//              that resting contacts are at d = 0 up to rounding. The rest only shifts positions,
-//              so that an overlap does not become speed
+//              overlap. Rates get the part of it (without the slop) that fits into kRestSpeed, so
+//              resting contacts are at d = 0 up to rounding. The remaining correction is a shift:
+//              it moves positions without changing rates
 //   an approach faster than the restitution threshold that touches within the step:
 //              beta = min(beta, restitution J_n qd), qd: the rates before the step
 // A contact with stiffness k and damping c instead has, for d <= 0,
 //   beta = erp d / dt, erp = dt k / (dt k + c), and cfm = 1 / (dt (dt k + c)).
-// A sweep processes the contacts one by one: the normal first, then the tangents as a block. The
-// tangents are moved by -w_t / s and projected radially, where s is the largest eigenvalue of their
-// 2 x 2 block of J Y. Sliding does not lift a contact (no De Saxce correction). Later sweeps count
-// in friction against normals (rubbing.h). An overlap beyond the rates moves positions at v' + p:
-//   p = M^-1 J_n^T mu,  0 <= mu, J_n (v' + p) + beta + softness mu >= 0, one of both = 0
+//
+// A sweep processes the contacts one by one: the normal first, then the tangents as a block. With Y
+// = M^-1 J^T, s is the largest eigenvalue of the tangents' 2 x 2 block of J Y. Tangential impulses
+// change by -J_t v' / s and are projected radially. Sliding does not lift a contact (no De Saxce
+// correction). After some sweeps, normals include the effect of their friction (rubbing.h). Shifts
+// p solve the same law for positions, which move at v' + p:
+//   p = M^-1 J_n^T mu,  0 <= mu, J_n (v' + p) + beta + softness mu >= 0, at least one of them 0
 // Contacts that the joints of a tree can hardly separate would need unbounded impulses. Two lower
-// bounds prevent this. cfm increases the mobility of a normal to at least kLeastMobility of the J_n
-// Y_n of its sides alone, and to at least kLeastOfMass / m. In shifts a normal has the softness
-// kShiftSoftness of the first bound plus kLeastOfMass / m.
+// bounds prevent this. First, cfm increases the mobility of a normal to at least kLeastMobility of
+// the J_n Y_n that its two sides have without coupling, and to at least kLeastOfMass / m. For
+// shifts a normal has a softness of kShiftSoftness of the first bound plus kLeastOfMass / m.
 //
 // The mass m is that of all moving bodies in the trees of the contact. If a tree touches itself, m
 // is the mass that joints can separate, on the lighter side. A tree that is not fixed to the world
 // has a J_n Y_n of at least 1 / m against other trees.
 //
 // A joint cannot resolve an overlap deeper than its lever arm, so no contact shifts a dof by more
-// than kMostShift. A contact without an impulse that only a speed above kMoreSpeed would close in
-// the step does not limit shifts, because steps may leave out such contacts.
+// than kMostShift. Shifts ignore a contact without an impulse that only a speed above kMoreSpeed
+// would close in the step, because steps may leave it out.
 // Sources: Guendelman, Bridson, Fedkiw, Nonconvex Rigid Bodies with Stacking (2003), section 7, for
 // shifts. Preclik, Models and Algorithms for Ultrascale Simulations of Non-smooth Granular Dynamics
 // (2014), section 4. Catto, Iterative Dynamics with Temporal Coherence (2005).
@@ -65,14 +67,13 @@ struct ContactMaterial {
   T friction{}, restitution{}, stiffness{}, damping{};
 };
 
-// The target of a normal row. `bias`: beta of the rates; `shift`: beta of positions. `slope`,
-// `shift_slope`: their derivatives by the gap in the active branch. `bounce`, `shift_bounce`: their
-// derivatives by J_n qd.
+// beta of a normal row: `bias` for rates, `shift` for positions. `slope` and `shift_slope`: their
+// derivatives by the gap in the active branch. `bounce`, `shift_bounce`: those by J_n qd.
 template <class T>
 struct NormalTarget {
   T bias{}, cfm{}, slope{}, bounce{}, shift{}, shift_slope{}, shift_bounce{};
 };
-// `before`: J_n qd at the start of the step. `after`: J_n v without impulses.
+// Returns beta. `before`: J_n qd at the start of the step. `after`: J_n v without impulses.
 template <class T>
 NormalTarget<T> normal_target(const ContactLaw<T>& law, const ContactMaterial<T>& material,
                               const T& gap, const T& before, const T& after) {
@@ -116,8 +117,8 @@ NormalTarget<T> normal_target(const ContactLaw<T>& law, const ContactMaterial<T>
   return to;
 }
 
-// A tree's part of a row: its rates, followed by the shifts p, J and Y (null: the tree is not
-// moved). `width` is a multiple of 4, padded with zeros.
+// A tree's part of a contact row: the tree's rates with the shifts p behind them, J and Y (null:
+// the tree does not move). `width`: number of dofs, padded with zeros to a multiple of 4.
 template <class T>
 struct RowSide {
   T* rates = nullptr;  // {2 width}
@@ -125,7 +126,7 @@ struct RowSide {
   int32_t width = 0;
 };
 
-// Four numbers of a row, which the compiler processes as one SIMD vector.
+// Four entries of a row, which the compiler processes as one SIMD vector.
 template <class T>
 struct Four {
   T v[4];
@@ -141,7 +142,7 @@ Four<T> add_product(const Four<T>& to, const Four<T>& x, const Four<T>& y) {
   for (int32_t i = 0; i < 4; ++i) sum.v[i] = to.v[i] + x.v[i] * y.v[i];
   return sum;
 }
-// Returns a . b in four partial sums, for any width.
+// Returns the dot product a . b, summed in four partial sums. `width` may be any number.
 template <class T>
 T row_dot(const T* a, const T* b, int32_t width) {
   const T o = T(0.0f);
@@ -149,7 +150,7 @@ T row_dot(const T* a, const T* b, int32_t width) {
   for (int32_t k = 0; k < width; k += 4) s = add_product(s, four(a + k), four(b + k));
   return (s.v[0] + s.v[1]) + (s.v[2] + s.v[3]);
 }
-// Adds y impulse to the rates.
+// Adds `impulse` times the response y to the rates.
 template <class T>
 void add_row(const T* y, const T& impulse, int32_t width, T* rates) {
   const Four<T> by = {{impulse, impulse, impulse, impulse}};
@@ -241,8 +242,7 @@ T softness_of_mass(const T& mass) {
   return select(some, T(kLeastOfMass) / select(some, mass, T(1.0f)), T(0.0f));
 }
 
-// Computes the divisors of sweeps, after set_diagonals and with cfm and shift. A divisor is 0 if
-// nothing moves.
+// Computes the divisors of sweeps from the diagonals, cfm and shift. 0: nothing moves.
 template <class T>
 void set_steps(const T& dt, PgsNumbers<T>& c) {
   const T o = T(0.0f);
@@ -277,7 +277,7 @@ void project_friction(const T& limit, bool cone, T& x, T& y) {
   y = clamped(y, limit);
 }
 
-// Sets initial impulses from an earlier step, along n, t1, t2, projected into the friction cone.
+// Sets initial impulses along n, t1, t2 from an earlier step, projected into the friction cone.
 template <class T>
 void start_from(PgsNumbers<T>& c, bool cone, const T& n, const T& t1, const T& t2) {
   c.impulse[0] = select(n > T(0.0f), n, T(0.0f));
@@ -285,15 +285,15 @@ void start_from(PgsNumbers<T>& c, bool cone, const T& n, const T& t1, const T& t
   c.impulse[2] = t2;
   project_friction(c.friction * c.impulse[0], cone, c.impulse[1], c.impulse[2]);
 }
-// Sets initial impulses and applies them.
+// Sets initial impulses and applies them to the rates.
 template <class T>
 void warm_start(PgsContact<T>& c, bool cone, const T& n, const T& t1, const T& t2) {
   start_from<T>(c, cone, n, t1, t2);
   for (int32_t r = 0; r < 3; ++r) push(c, r, c.impulse[r]);
 }
 
-// Processes one contact of a sweep, if `active`. slip_of(row) returns its velocity, and
-// push_row(row, impulse) applies an impulse. Returns the largest change of velocity along a row
+// Updates the impulses of one contact in a sweep, in the lanes `active`. slip_of(row) returns J v,
+// and push_row(row, impulse) applies an impulse. Returns the largest change of velocity along a row
 // (m/s).
 template <class T, class Active, class Slip, class Push>
 T sweep_contact(PgsNumbers<T>& c, bool cone, const Active& active, const Slip& slip_of,
@@ -330,7 +330,7 @@ T sweep_contact(PgsNumbers<T>& c, bool cone, const Active& active, const Slip& s
   }
   return worst;
 }
-// Processes the normal of a contact in a sweep of shifts, after the sweeps of rates.
+// Updates the normal of one contact in a sweep of shifts, which follow the sweeps of rates.
 template <class T, class Active, class Slip, class Push>
 T sweep_shift(PgsNumbers<T>& c, const Active& active, const Slip& slip_of, const Push& push_row) {
   const T o = T(0.0f), soft = c.normal + c.softness;
@@ -367,7 +367,7 @@ inline bool far_from_converged(float residual, float largest, float tolerance) {
   return !(residual < tolerance) && !(residual <= kFarPart * largest);
 }
 
-// Dry friction of a dof; the row is the dof itself.
+// Dry friction of a dof, a constraint row along the dof itself.
 template <class T>
 struct PgsJointFriction {
   T* rates = nullptr;           // of the tree
@@ -379,7 +379,7 @@ template <class T>
 void push(const PgsJointFriction<T>& f, const T& impulse) {
   add_row(f.response, impulse, f.width, f.rates);
 }
-// Starts from the impulse of an earlier step, clamped to its limit.
+// Starts from an impulse of an earlier step, clamped to the limit, and applies it.
 template <class T>
 void warm_start(PgsJointFriction<T>& f, const T& impulse) {
   f.impulse = clamped(impulse, f.limit);

@@ -2,15 +2,15 @@
 //
 //   M = H(q) + diag(armature + terms of drives),  M qdd = f - bias(q, qd) + drives (drives.h) + r
 //   v  = qd + dt qdd, |v| <= velocity_limit for joints with one dof. r is the force of a dof at its
-//        velocity limit; it only acts inwards, and the rest of the tree feels it
-//   q' = q moved by v over dt (quaternions by the Cayley map; overlaps add shifts, pgs.h, which
-//        stay within the limits of joints)
+//        velocity limit, which only acts inwards, and which the rest of the tree feels
+//   q' = q moved by v over dt (quaternions by the Cayley map), plus shifts that correct overlaps
+//        (pgs.h) and stay within the limits of joints
 //   qd' = v, times 1 - angular_damping dt for angular dofs
-//   q' and qd' of mimic joints follow from their leaders (mimic.h); body_q, body_qd of (q', qd')
-// Kinematic dofs have infinite inertia: their qdd is 0 for any force, nothing damps them, and their
-// descendants move with them. Contacts (pgs.h) change v between the first and the second line; qdd
-// then includes their effect. Wrenches on bodies, and joint_f of FREE joints, are world wrenches
-// about the center of mass. All results except positions have the same bits wherever the roots are.
+//   q', qd' of mimic joints follow from their leaders (mimic.h); body_q, body_qd from (q', qd')
+// Kinematic dofs have infinite inertia: their qdd is 0 for any force, without damping, and their
+// descendants move with them. Contacts (pgs.h) change v after the first line; qdd then includes
+// their effect. Wrenches on bodies, and joint_f of FREE joints, are world wrenches about the center
+// of mass. All results except positions have the same bits at any position of the roots.
 #pragma once
 
 #include "novaphy/dynamics/articulation/ball_drives.h"
@@ -31,21 +31,21 @@ void set_wrenches(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& ws
   }
 }
 
-// Calls f(link, k) for the one-dof joints, which have drives and limits; k: the dof in the tree.
+// Calls f(link, k) for the one-dof joints, which have drives and limits. k: dof in the tree.
 template <class T, class F>
 void for_drives(const Tree<T>& tree, const F& f) {
   for (int32_t i = 0; i < tree.link_count; ++i)
     if (has_one_dof(tree.links[i])) f(tree.links[i], local_dof(tree, tree.links[i]));
 }
 
-// Returns a mask of the lanes in which a dof is at its velocity limit.
+// Returns a mask of the SIMD lanes (a tree each) in which any dof is at its velocity limit.
 template <class T>
 auto holds_rates(const Tree<T>& tree, const Workspace<T>& ws) {
   Branches<T> all{};
   for (int32_t k = 0; k < tree.dof_count; ++k) all = all | ws.branch[k];
   return has(all, kVelocityClamped);
 }
-// Sets the accelerations of dofs at bounds of their rates, and of their mimic joints.
+// Sets the accelerations of dofs at a rate bound (rate_bounds.h), and of their mimic joints.
 template <class T>
 void hold_accelerations(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                         Workspace<T>& ws) {
@@ -58,7 +58,7 @@ void hold_accelerations(const Tree<T>& tree, const StepInputs<T>& in, const Step
 }
 
 // Computes rhs = joint_f - bias + drives, and the terms of armature and drives on M's diagonal.
-// Dofs with prescribed accelerations have infinite inertia.
+// Dofs with prescribed accelerations get infinite inertia.
 template <class T>
 void add_drives(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                 const T* bias, Workspace<T>& ws) {
@@ -96,7 +96,7 @@ int32_t solve_accelerations(const Tree<T>& tree, const StepInputs<T>& in,
     for (int32_t k = 0; k < tree.dof_count; ++k) ws.qdd[k] = T(0.0f);
     hold_accelerations(tree, in, options, ws);
   }
-  if (any(holds) && has_matrix(tree)) {  // with the prescribed accelerations
+  if (any(holds) && has_matrix(tree)) {  // forces that the prescribed accelerations need
     inverse_dynamics<T>(tree, in.qd + tree.first_dof, ws.qdd, ws, ws.rhs);
     for (int32_t k = 0; k < tree.dof_count; ++k) ws.rhs[k] = select(holds, ws.rhs[k], ws.bias[k]);
     bias = ws.rhs;
@@ -123,7 +123,7 @@ struct StepDrives {
     return given_force(branch, asked(link, branch, qdd), in.effort_limit[link.dof],
                        options.implicit_drives);
   }
-  // Returns the force that a solve with the given branch assumes.
+  // Returns the force of drive and limit that a solve with the given branch assumes.
   T assumed(const Link& link, const Branches<T>& branch, const T& qdd) const {
     const DriveTerm<T> term = branch_term(in, link.dof, link.coord, branch, in.q[link.coord],
                                           in.qd[link.dof], options.dt, options.implicit_drives);
@@ -136,9 +136,10 @@ struct StepDrives {
 };
 
 // Line search. The forces t of drives and limits decrease with qdd, so the solution of M qdd = f -
-// bias + t(qdd) minimizes a convex function. A solve with the branches of a point is a Newton step.
-// Full steps may cycle, so the best point so far (qdd in qd_next, t in given) moves towards the
-// solution only as far as the function decreases. The slope along p is p . (M qdd - f + bias - t).
+// bias + t(qdd) minimizes a convex function. A solve with the branches of a point is a Newton step,
+// and full Newton steps may cycle. So the best point so far (qdd in qd_next, t in `given`) moves
+// towards the solution only as far as the function decreases. Its slope along p is p . (M qdd - f +
+// bias - t).
 template <class T>
 T slope_towards(const Tree<T>& tree, const StepDrives<T>& drives, const Workspace<T>& ws,
                 const T& s) {
@@ -151,7 +152,7 @@ T slope_towards(const Tree<T>& tree, const StepDrives<T>& drives, const Workspac
   return sum;
 }
 
-inline constexpr int32_t kFreeRounds = 32;  // afterwards, clamped drives stay clamped
+inline constexpr int32_t kFreeRounds = 32;  // later rounds keep clamped drives clamped
 inline constexpr int32_t kHalvings = 16;
 
 // Computes the next round's branches. Returns false if all lanes fit the branches of the solve.
@@ -192,7 +193,7 @@ bool next_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   return true;
 }
 
-// Solves until the branches are consistent, or some rounds after kFreeRounds. Drives obey limits.
+// Solves for qdd until the branches are consistent. Returns a failed dof or -1.
 template <class T>
 int32_t settle(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                Workspace<T>& ws) {
@@ -202,16 +203,16 @@ int32_t settle(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T
   }
 }
 
-// After a solve, moves dofs of some lanes that are beyond a bound of their rates to the bound.
-// Releases dofs whose force r would pull outwards, unless `keep`. A dof whose bounds leave no room
-// stays: the sign of r selects the bound. Returns false if no dof changed. given: impulses of
-// contacts and dry friction on dofs at a bound (N s or N m s).
+// After a solve, moves dofs beyond a rate bound to that bound. Releases dofs whose force r would
+// pull outwards, unless `keep`. A dof with equal bounds stays: the sign of r selects the bound.
+// Only changes `lanes`. Returns false if no dof changed. ws.given: impulses of contacts and dry
+// friction on dofs at a bound (N s or N m s).
 template <class T, class Mask>
 bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                      const Mask& lanes, bool keep, Workspace<T>& ws) {
   const T o = T(0.0f);
   const auto holds = holds_rates(tree, ws);
-  if (any(holds)) {  // compute r in rhs
+  if (any(holds)) {  // compute the bound's force r in rhs
     inverse_dynamics<T>(tree, in.qd + tree.first_dof, ws.qdd, ws, ws.rhs);
     for_drives(tree, [&](const Link& link, int32_t k) {
       const int32_t row = link.dof;
@@ -261,7 +262,7 @@ void free_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<
 }
 
 // Prepares the workspace for a step. Returns the first dof whose coordinate is not finite, counted
-// from the tree's first; -1: none.
+// from the tree's first dof; -1: none.
 template <class T>
 int32_t begin_step(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& ws) {
   // Accelerations do not depend on the position of a tree, so coordinates are checked separately.
@@ -277,7 +278,7 @@ int32_t begin_step(const Tree<T>& tree, const StepInputs<T>& in, Workspace<T>& w
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.branch[k] = {};
   return -1;
 }
-// Squares of rates and accelerations must be finite, because new coordinates and body_qd use them.
+// Returns whether x^2 is finite. Coordinates and body_qd use squares of rates and accelerations.
 template <class T>
 auto has_finite_square(const T& x) {
   return is_finite(x * x);
@@ -289,7 +290,7 @@ int32_t find_infinite(const Tree<T>& tree, const Workspace<T>& ws) {
   return -1;
 }
 
-// Repeats the solve with the velocity limits of some lanes until no dof changes.
+// Repeats the solve until no dof changes at its velocity limits, in lanes of the mask `lanes`.
 template <class T, class Mask>
 int32_t hold_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                    const Mask& lanes, Workspace<T>& ws) {
@@ -301,11 +302,11 @@ int32_t hold_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   }
 }
 
-// Computes qdd and the branches in the workspace, with M's factor. Returns the dof whose pivot is
-// not positive or whose acceleration is not finite (in any lane), counted from the tree's first;
-// -1: none. Velocity limits act in lanes that are `alone`. In other lanes they act after contacts,
-// which may push dofs off their limits (renew_branches). Dofs with the limit 0 are held from the
-// first solve on, so they need no inertia.
+// Computes qdd, branches and M's factor in the workspace. Returns a dof whose pivot is not positive
+// or whose acceleration is not finite (in any lane), counted from the tree's first; -1: none.
+// Velocity limits act in lanes that are `alone`. In other lanes they act after contacts, which may
+// push dofs off their limits (renew_branches). Dofs with the limit 0 are at it from the first solve
+// on, so they need no inertia.
 template <class T, class Mask>
 int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                    const Mask& alone, Workspace<T>& ws) {
@@ -327,7 +328,7 @@ int32_t accelerate(const Tree<T>& tree, const StepInputs<T>& in, const StepOptio
   return failed >= 0 ? failed : find_infinite(tree, ws);
 }
 
-// Runs accelerate with the branches of an earlier step {dofs of the arrays}.
+// Runs accelerate with the branches of an earlier step, indexed by dof of the model.
 template <class T>
 int32_t accelerate_again(const Tree<T>& tree, const StepInputs<T>& in,
                          const StepOptions<T>& options, const float* branch, Workspace<T>& ws) {
@@ -341,9 +342,9 @@ int32_t accelerate_again(const Tree<T>& tree, const StepInputs<T>& in,
 
 inline constexpr int32_t kContactRounds = 8;
 
-// Updates the branches of effort and velocity limits of some lanes from the accelerations after
-// contacts. The release of position limits stays as without contacts. Returns true if
-// solve_accelerations and contacts must run again. `given` as above.
+// Updates the branches of effort and velocity limits from the accelerations after contacts, in
+// lanes of the mask `lanes`. The release of position limits stays as without contacts. Returns true
+// if solve_accelerations and contacts must run again. ws.given: as for next_held_rates.
 template <class T, class Mask>
 bool renew_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                     const Mask& lanes, int32_t round, Workspace<T>& ws) {
@@ -367,8 +368,8 @@ int32_t forward_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
   return failed;
 }
 
-// Returns the part of a dof's shift that does not move the dof, with its rate v, out of its limits
-// or farther out.
+// Returns the part of a dof's shift (pgs.h) that, with the rate v, moves the dof neither out of its
+// limits nor farther out.
 template <class T>
 T kept_shift(const Link& link, const StepInputs<T>& in, const StepOptions<T>& options, const T& v,
              const T& shift) {
@@ -378,8 +379,7 @@ T kept_shift(const Link& link, const StepInputs<T>& in, const StepOptions<T>& op
   const T most = select(up > o, up, o), least = select(down < o, down, o);
   return select(shift > most, most, select(shift < least, least, shift));
 }
-// Returns the rates that move the coordinates: the new rates plus the shifts of contacts within the
-// limits.
+// Returns the rates that move the coordinates: new rates plus contact shifts within the limits.
 template <class T>
 const T* moving_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                       Workspace<T>& ws) {
@@ -400,7 +400,7 @@ int32_t first_not_finite(const Workspace<T>& ws, int32_t dofs) {
   return -1;
 }
 
-// Writes the new state to the tree's rows, after forward_step. Overwrites the links' states.
+// Writes the new state to the tree's rows of the arrays, after forward_step. Overwrites ws.links.
 template <class T>
 void finish_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                  Workspace<T>& ws, T* q_next, T* qd_next, Transform<T>* body_q,

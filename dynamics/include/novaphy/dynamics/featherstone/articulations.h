@@ -1,5 +1,5 @@
-// Articulations: the articulations of a model as trees (articulation/tree.h), for solvers and
-// functions.
+// Articulations: the articulations of a model as trees of links (articulation/tree.h), for solvers
+// and dynamics functions.
 #pragma once
 
 #include <string>
@@ -15,38 +15,41 @@
 
 namespace novaphy {
 
-// The structure of the joints (joint_type, joint_parent, joint_child, articulation_start and so on)
-// is read once, in the constructor. All other values are read at every use.
+// The constructor reads the structure of the joints once (joint_type, joint_parent, joint_child,
+// articulation_start and so on). All other values are read at every use.
 class NOVAPHY_DYNAMICS_API Articulations {
  public:
-  // Steps: supports kinematic bodies.
+  // `Steps` also supports kinematic bodies.
   enum class For { Functions, Steps };
   // Messages begin with `user`. ErrorKind::NotImplemented: a joint without an articulation, a
-  // DISTANCE joint, or a kinematic body (for steps: one whose joint is not FREE or FIXED to the
-  // world). ErrorKind::Value: an error of Model::check_structure.
+  // DISTANCE joint, or a kinematic body. For steps, only kinematic bodies whose joint is not FREE
+  // or FIXED to the world are an error. ErrorKind::Value: an error of Model::check_structure.
   Articulations(const Model& model, const char* user, For purpose = For::Functions);
 
   int64_t count() const { return static_cast<int64_t>(rows_.rows()); }
   int32_t max_links() const { return max_links_; }
   int32_t max_dofs() const { return max_dofs_; }
-  // The next three arrays are on the model's device. rows: {count} ArticulationRows of
-  // articulation/arguments.h.
+  // The next three arrays are on the model's device. rows {count}: the ArticulationRows of each
+  // tree (articulation/arguments.h).
   const DeviceArray<int32_t>& rows() const { return rows_; }
   const DeviceArray<int32_t>& links() const { return links_; }  // rows of articulation::Link
   const DeviceArray<int32_t>& dof_parent() const { return dof_parent_; }
-  // Returns tree i over the arrays of the model, which must outlive the tree. CPU only.
+  // Returns tree i, which refers to the arrays of the model. The model must outlive the tree. CPU
+  // only.
   articulation::Tree<float> tree(const Model& model, int64_t i) const;
 
-  // Checks for values that the solver does not support. ErrorKind::NotImplemented, with the array:
-  // joint_friction without `friction`, a joint that is not enabled, an actuator input; gains,
-  // damping or limits of dofs without a drive; body_flags that make other bodies kinematic. Null
-  // `control`: the model's. ErrorKind::Value: an error of EditedValues::check_joints. Arrays are
-  // checked again when they were written.
+  // Checks for values that the solver does not support. Null `control`: the model's default
+  // control. Only arrays that were written since the last check are read.
+  //
+  // ErrorKind::NotImplemented, with the array: joint_friction unless `friction`; a joint that is
+  // not enabled; an actuator input; gains, damping or limits of dofs without a drive; body_flags
+  // that make other bodies kinematic than at the start. ErrorKind::Value: an error of
+  // EditedValues::check_joints.
   void check_values(const Model& model, const Control* control, bool friction, const char* user);
   // Returns a text such as "dof 3 (joint 'elbow')".
   std::string dof_name(const Model& model, int32_t dof) const;
-  // Returns the text "the mass matrix" for the dof's articulation. With mimic joints the text has
-  // the condition number at the state (null: without), if it is above 1e5.
+  // Returns the text "the mass matrix" for the dof's articulation. With mimic joints and a state
+  // (not null), a condition number above 1e5 is added.
   std::string matrix_name(const Model& model, int32_t dof, const SimState* state) const;
 
  private:

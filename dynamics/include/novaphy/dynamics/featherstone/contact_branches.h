@@ -1,4 +1,4 @@
-// Forwards to ContactBranches, for solvers and their users.
+// Includes ContactBranches from articulation/ for solvers and their users.
 #pragma once
 
 #include "novaphy/dynamics/articulation/contact_branches.h"

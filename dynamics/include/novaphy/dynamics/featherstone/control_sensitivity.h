@@ -1,5 +1,5 @@
-// FeatherstoneAnalyticControlSensitivity: the sensitivity of an articulation in SolverFeatherstone,
-// and of one of its points, to parameters of its control.
+// FeatherstoneAnalyticControlSensitivity: derivatives of the state of an articulation in
+// SolverFeatherstone, and of a point on it, by parameters of its control.
 #pragma once
 
 #include <memory>
@@ -15,7 +15,7 @@
 
 namespace novaphy {
 
-// The controlled quantity.
+// The array of the control that depends on the parameters.
 enum class ControlKind : uint8_t {
   Position,  // joint_target_q
   Torque,    // joint_f
@@ -28,33 +28,36 @@ struct ControlSensitivityOptions {
   Vec3f point_local = {};  // m, point in the body's frame
   ControlKind kind = ControlKind::Position;
   bool exact = true;
-  // For a solver with contact "pgs": projects changes of rates to the null space of the pushing
-  // normals. Not allowed with `exact`.
+  // Removes changes of rates along the normals of active contacts. For a solver with contact "pgs".
+  // Not allowed with `exact`.
   bool contact_projection = false;
   FeatherstoneOptions solver = {};  // options of the stepping solver
 };
 
-// Parameters of any kind (key poses, a spline, gains, a network) enter by the derivative dcontrol
-// {dofs, parameters} of the control, given for every step. If the control depends on the state,
-// dcontrol must include this part, by dq and dqd. The changes dq and dqd of the state start at 0 in
-// reset. Every step propagates them through the mass matrix, the implicit response of drives and
-// the branches (articulation/control_sensitivity.h).
+// Propagates the derivatives dq and dqd of the state by the parameters through the steps of a
+// rollout. The parameters may be of any kind (key poses, a spline, gains, a network). For every
+// step the caller gives the derivative dcontrol {dofs, parameters} of the control. If the control
+// depends on the state, dcontrol must include that dependence, through dq and dqd. reset sets dq
+// and dqd to 0. Each step uses the mass matrix, the implicit response of drives and the active
+// branches (articulation/control_sensitivity.h).
 //
 // Gradient. "frozen": the mass matrix, the bias (including the stiffness of gravity), wrenches and
-// the rotation of the point's Jacobian are not differentiated. "exact": they are, by tangents of
-// the step; exact where no limit or clamp is just reached. On a chain of prismatic joints both
-// agree. With contact_projection: "frozen" with dv' <- (1 - M^-1 N^T (N M^-1 N^T)^-1 N) dv' after
-// the drives and before the velocity clamp. N are the rows of the pushing normals, held constant.
-// The set of pushing contacts, their points and friction are not differentiated, and soft contacts
-// count as hard.
+// the rotation of the point's Jacobian are not differentiated. "exact": all of these are
+// differentiated by tangents of the step. The result is exact where no limit or clamp is just
+// reached. On a chain of prismatic joints both labels give the same result.
 //
-// Supported joints: FIXED, PRISMATIC and REVOLUTE, and for torques a FREE root joint (whose
-// dcontrol is a world wrench about the center of mass). Other joints throw
+// contact_projection is "frozen" with one more step between the drives and the velocity clamp: the
+// change dv' of the new rates becomes (1 - M^-1 N^T (N M^-1 N^T)^-1 N) dv'. N has the rows of the
+// active normals, which are constant. The set of active contacts, their points and friction are not
+// differentiated, and compliant contacts count as rigid.
+//
+// Supported joints: FIXED, PRISMATIC and REVOLUTE. Torques also support a FREE root joint; its part
+// of dcontrol is a wrench about the center of mass in world axes. Other joints throw
 // ErrorKind::NotImplemented.
 class NOVAPHY_DYNAMICS_API FeatherstoneAnalyticControlSensitivity {
  public:
   // ErrorKind::Value, ErrorKind::Index: an argument is out of range. ErrorKind::NotImplemented: an
-  // unsupported joint or device, or contact_projection with `exact`.
+  // unsupported joint or device, or contact_projection together with `exact`.
   FeatherstoneAnalyticControlSensitivity(std::shared_ptr<const Model> model,
                                          const ControlSensitivityOptions& options);
   ~FeatherstoneAnalyticControlSensitivity();
@@ -67,27 +70,28 @@ class NOVAPHY_DYNAMICS_API FeatherstoneAnalyticControlSensitivity {
   int32_t dof_count() const;  // dofs of the articulation
   const char* label() const { return options().exact ? "exact" : "frozen"; }
 
-  // Sets the initial state, which does not depend on the parameters.
+  // Sets the initial state, which does not depend on the parameters. Sets dq and dqd to 0.
   void reset(const SimState& state);
-  // Propagates the changes over a step of the solver from state_in to state_out with this control
+  // Propagates dq and dqd over a step of the solver from state_in to state_out with this control
   // and dt. dcontrol: row-major {dofs, parameters}, change of joint_target_q (rad, m) or joint_f (N
   // m, N) per unit of the parameter. dtarget_qd: the same for joint_target_qd, or empty.
-  // `contacts`, with contact_projection: those of the step, with the forces that it wrote. The
-  // step's own code runs again, with the solver's bits. After an error nothing has changed.
-  //   ErrorKind::Value           another size, a number that is not finite, a change of a target
+  // `contacts`, only with contact_projection: the step's contacts with the forces that the step
+  // wrote. The function repeats the solver's step with the same bits. After an error nothing has
+  // changed.
+  //   ErrorKind::Value           a wrong size, a number that is not finite, a change of a target
   //                              without a drive, contacts without contact_projection
   //   ErrorKind::Index           contacts of shapes that do not exist
   //   ErrorKind::NotImplemented  a contact with another articulation that moves
   //   ErrorKind::Runtime         no reset, a state_in that is not the last state_out, a state_out
   //                              that the step does not reproduce (another solver, control, dt or
-  //                              contacts; with pushing contacts, rates are compared to 1e-5 of
-  //                              their terms)
+  //                              contacts; with active contacts, rates must agree to 1e-5 of their
+  //                              terms)
   void step(const SimState& state_in, const SimState& state_out, const Control* control, float dt,
             std::span<const float> dcontrol, std::span<const float> dtarget_qd = {},
             const Contacts* contacts = nullptr);
 
-  // Results, row-major. Tangents of dofs; for a FREE joint, those of the center of mass and of the
-  // rotation about it.
+  // Results, row-major. The changes of dofs are tangents; a FREE joint has the displacement of the
+  // center of mass and the rotation about it.
   std::vector<float> dq() const;                       // {dofs, parameters}
   std::vector<float> dqd() const;                      // {dofs, parameters}
   std::vector<float> point_jacobian() const;           // {3, parameters}, m per unit, world

@@ -1,10 +1,11 @@
-// The active constraint rows of converged contacts, as derivatives use them, and the distance of a
-// step to other branches. Freestanding: shared by the host and device kernels.
+// The active constraint rows of converged contacts, for derivatives, and the distance of a step
+// from other branches. A branch says which contacts push, stick or slide. Freestanding: shared by
+// host and device kernels.
 //
-// Systems are solved in double precision. The contacts of a face depend on each other. The
-// regularization that makes the system regular is 1e-5 of the diagonal. The rows have the rounding
-// of float32, 6e-8: less regularization amplifies that rounding along undetermined directions.
-// Only products, sums and quotients are used, which round the same on every device.
+// Linear systems of contacts are solved in double precision. The contacts of a face depend on each
+// other, so 1e-5 of the diagonal is added as regularization. Rows have the rounding of float32,
+// 6e-8, and less regularization amplifies that rounding along undetermined directions. Only
+// products, sums and quotients are used, because they round the same on every device.
 #pragma once
 
 #include "novaphy/dynamics/articulation/contact_branches.h"
@@ -17,7 +18,7 @@ inline constexpr float kSlides = 1e-5f;      // relative: this close to the fric
 inline constexpr double kRegularity = 1e-5;  // regularization of redundant rows, relative to their
                                              // diagonal
 inline constexpr float kLeastSlip = 1e-6f;   // m/s
-inline constexpr float kConverged = 1e-5f;   // m/s, tolerance of shifts
+inline constexpr float kConverged = 1e-5f;   // m/s, convergence of shifts (pgs.h)
 
 inline float tangent_length(float x, float y) { return math::sqrt(x * x + y * y); }
 
@@ -36,19 +37,19 @@ inline ContactBranch branch_of(const PgsContact<float>& c, bool cone) {
   }
   return b;
 }
-// Returns whether dry friction holds its dof.
+// Returns whether a dof sticks by dry friction.
 inline bool holds(float impulse, float limit) {
   return math::abs(impulse) < limit * (1.0f - kSlides);
 }
 
-// Finds the slip along the tangents; zeros if neither tangent slides.
+// Computes the slip along the two tangents (m/s). Zeros if neither tangent slides.
 inline void slip_along(const PgsContact<float>& c, const ContactBranch& branch, float* along) {
   const bool slides = branch.slides[0] || branch.slides[1];
   for (int i = 0; i < 2; ++i) along[i] = slides ? slip(c, i + 1) : 0.0f;
 }
 
-// The blocks B and R of a contact (contact_adjoint.h). Rows are equations, and columns are n, t1,
-// t2. `slip` {2}: slip along the tangents.
+// The 3 x 3 blocks B and R of a contact (contact_adjoint.h). Rows are the equations of n, t1 and
+// t2, columns are n, t1 and t2. `slip` {2}: slip along the tangents.
 struct ContactBlocks {
   double b[3][3] = {}, r[3][3] = {};
 };
@@ -79,8 +80,8 @@ inline void set_blocks(const PgsContact<float>& c, const ContactBranch& branch, 
     for (int j = 0; j < 2; ++j) k.b[i + 1][j + 1] = push * ((i == j ? 1.0 : 0.0) - t[i] * t[j]);
   }
 }
-// Derivative of the rows by the friction coefficient: for a sliding tangent, the impulse along n
-// times the direction of the slip.
+// Returns the derivative of the tangential rows by the friction coefficient: for a sliding tangent,
+// the impulse along n times the direction of the slip.
 inline void rows_by_friction(const PgsContact<float>& c, const ContactBranch& branch, bool cone,
                              const float* slip, double* to) {
   float direction[2] = {-c.impulse[1], -c.impulse[2]};
@@ -95,8 +96,8 @@ inline void rows_by_friction(const PgsContact<float>& c, const ContactBranch& br
   }
 }
 
-// Solves A x = b for A {n, n + 1} with b as the last column, which is replaced by x. Gaussian
-// elimination with row pivoting.
+// Solves A x = b by Gaussian elimination with row pivoting. a {n, n + 1}: A with b as the last
+// column, which x replaces.
 inline void solve_dense(double* a, int64_t n) {
   const int64_t width = n + 1;
   const auto size = [](double x) { return x < 0.0 ? -x : x; };
@@ -123,7 +124,7 @@ inline void solve_dense(double* a, int64_t n) {
   }
 }
 
-// Returns the coupling of two contact rows: J_i of a times Y_j of b.
+// Returns the coupling of two contact rows: J_i of contact a times Y_j of contact b.
 inline double coupling(const PgsContact<float>& a, int i, const PgsContact<float>& b, int j) {
   double sum = 0.0;
   for (const RowSide<float>& s : a.sides)
@@ -133,7 +134,8 @@ inline double coupling(const PgsContact<float>& a, int i, const PgsContact<float
   return sum;
 }
 
-// The branches of the rows of a step or a part of it, for ContactBranches.
+// Counts and margins of the branches of a step, or of a part of it, for ContactBranches. `held`:
+// contacts with a frozen point or normal.
 struct BranchNotes {
   int32_t rows = 0, held = 0, breaking = 0, sticking = 0, sliding = 0;
   int32_t far = 0;  // whether an island is far from convergence
@@ -156,7 +158,7 @@ inline void note_all(const BranchNotes& of, BranchNotes& to) {
   lower(to.slip_margin, of.slip_margin);
   note_all(of.all, to.all);
 }
-// Adds the branches of a whole step.
+// Adds the counts and margins of a whole step.
 inline void note_step(const BranchNotes& of, ContactBranches& to) {
   note_step(of.all, to.all);
   if (of.rows == 0) return;
@@ -172,7 +174,7 @@ inline void note_step(const BranchNotes& of, ContactBranches& to) {
   lower(to.slip_margin, of.slip_margin);
 }
 
-// Returns the state of a contact for the event detection of the next step (gradient_counts.h).
+// Returns the state of a contact, by which the next step detects events (gradient_counts.h).
 inline SeenContact seen_contact(const ContactRows& c, const IslandContact& row, bool cone) {
   const ContactBranch branch = branch_of(row.solver, cone);
   const int32_t mode = 1 + (branch.slides[0] ? 1 : 0) + (branch.slides[1] ? 2 : 0);
@@ -180,23 +182,23 @@ inline SeenContact seen_contact(const ContactRows& c, const IslandContact& row, 
           c.point_id == nullptr ? -1 : c.point_id[row.contact], branch.active ? mode : 0};
 }
 
-// Returns the residual of an island: the last change of velocity relative to the largest impulse
-// (IslandResult), or 0 within the tolerance of the sweeps.
+// Returns the residual of an island: the last change of velocity relative to the largest impulse,
+// both from IslandResult. 0 if the sweeps met their tolerance.
 inline float relative_residual(float residual, float largest, float tolerance) {
   return residual < tolerance ? 0.0f : residual / largest;
 }
 
-// `by_restitution`: whether gradients by restitution are requested. Such gradients do not exist for
-// an approach without restitution, where the law jumps.
+// Adds a contact to the counts. `by_restitution`: whether gradients by restitution are requested.
+// For an approach with restitution 0 the law jumps, so this gradient does not exist.
 inline void note_contact(const ContactRows& of, const ContactLaw<float>& law, bool by_restitution,
                          const IslandContact& row, BranchNotes& to) {
   const PgsContact<float>& c = row.solver;
-  // Whether the derivative of beta differs on the other side of the contact, or of the slop.
+  // Whether the derivative of beta changes where the gap is 0, or where the overlap is the slop.
   const bool at_contact = law.compliant || law.slop > 0.0f || law.erp < 1.0f;
   const bool at_slop = !law.compliant && law.slop > 0.0f && law.erp > 0.0f;
   const ContactBranch branch = branch_of(c, law.cone);
   const bool jumps = !row.elastic && row.before < -law.restitution_threshold;
-  // Whether the row has a part that changes with q.
+  // Whether the contact shifts, and whether its softness or its shift changes with q.
   const bool shifts = c.shifted > 0.0f;
   const bool softened = (branch.active && c.cfm > row.target.cfm) || (shifts && c.lack > 0.0f);
   const bool shifting =
@@ -219,7 +221,7 @@ inline void note_contact(const ContactRows& of, const ContactLaw<float>& law, bo
     const float limit = c.friction * c.impulse[0];
     const float t1 = math::abs(c.impulse[1]), t2 = math::abs(c.impulse[2]);
     const float most = law.cone ? tangent_length(t1, t2) : (t1 < t2 ? t2 : t1);
-    if (!(limit > 0.0f)) {  // without friction the cone does not exist
+    if (!(limit > 0.0f)) {  // no friction, no cone
     } else if (slides) {
       lower(to.slip_margin, tangent_length(slip(c, 1), slip(c, 2)));
     } else {

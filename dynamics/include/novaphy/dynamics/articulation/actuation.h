@@ -4,10 +4,10 @@
 //   c      the control, clipped to ctrl_range, or the activation if the actuator has dynamics
 //   force  (gain0 + gain1 l + gain2 v) c + bias0 + bias1 l + bias2 v, clipped to force_range
 // The force on the degree of freedom is gear times this force. The coefficients of l and v must not
-// be positive. These coefficients are a stiffness and a damping of the drive (drives.h), so a step
-// is as stable as with drives. The other coefficients give the drive's target, or a plain force if
-// nothing depends on l and v. The force range of a servo is the effort limit of the drive about the
-// middle of the range. Dynamics:
+// be positive. These coefficients become a stiffness and a damping of the drive (drives.h), so a
+// step is as stable as with drives. The remaining coefficients give the drive's target, or a plain
+// force if nothing depends on l and v. The force range of a servo becomes the effort limit of the
+// drive about the middle of the range. Dynamics:
 //   integrator   act' = c
 //   filter       act' = (c - act) / time, explicit; filter_exact: its solution over the step
 // Afterwards act is clipped to act_range. Source: MuJoCo, "Computation", actuation model.
@@ -18,8 +18,8 @@
 
 namespace novaphy::articulation {
 
-// The inputs of actuators in a step. The first six are also outputs, because actuators modify the
-// inputs of drives.
+// The arrays that actuators read in a step. The first six are inputs of drives, which actuators
+// modify and write as outputs.
 enum ActuationInput : int32_t {
   kJointForce,
   kTarget,
@@ -48,10 +48,11 @@ inline int32_t numbers_of_input(int32_t input) {
   return input < kControlRange ? 3 : 2;
 }
 
-// The actuators of dof d are order[first[d]] to order[first[d + 1] - 1]. `coord` is the coordinate
-// of each dof. A negative value marks a dof of a BALL, FREE or DISTANCE joint. The first dof of a
-// BALL joint has -2 - its first coordinate, since its four targets are copied. Actuators on bodies
-// (`dof` -1) are listed with some dof, for their activations.
+// The arguments of an actuation kernel, with one row per dof. The actuators of dof d are
+// order[first[d]] to order[first[d + 1] - 1]. `coord` is the coordinate of each dof. A negative
+// value marks a dof of a BALL, FREE or DISTANCE joint. The first dof of a BALL joint has -2 - its
+// first coordinate, since its four targets are copied. Actuators on bodies (`dof` -1) are listed
+// with an arbitrary dof, for their activations.
 struct Actuation {
   NOVAPHY_ARGUMENTS(Reads<int32_t> first, order, coord, dof, state, dynamics;
                     novaphy::Each<Detached<Reads<float>>, kActuationInputs> in; Number<float> dt;)
@@ -61,7 +62,8 @@ inline DualFloat clipped(const DualFloat& x, const DualFloat& lower, const DualF
   if (x < lower) return lower;
   return x > upper ? upper : x;
 }
-// Returns 1 - exp(-x) for x >= 0, accurate for small x.
+// Returns 1 - exp(-x) for x >= 0, accurate for small x. This is the part of a filter's step that
+// the activation covers.
 inline DualFloat part_reached(const DualFloat& x) {
   const float left = math::exp(-x.value), v = x.value;
   const float small =
@@ -69,8 +71,8 @@ inline DualFloat part_reached(const DualFloat& x) {
   return {v < 0.1f ? small : 1.0f - left, left * x.tangent};
 }
 
-// number(input, row, k) returns number k of a row of an input. put(output, row, value) writes an
-// output.
+// Computes the activation after the step. number(input, row, k) returns number k of a row of an
+// input. put(output, row, value) writes an output.
 template <class Number, class Put>
 void next_activation(const Actuation& a, int32_t actuator, const DualFloat& control,
                      const Number& number, const Put& put) {
@@ -87,7 +89,8 @@ void next_activation(const Actuation& a, int32_t actuator, const DualFloat& cont
       clipped(next, number(kActivationRange, actuator, 0), number(kActivationRange, actuator, 1)));
 }
 
-// The force of one actuator at its control or activation: part + by_length l + by_rate v.
+// The force of one actuator at its control or activation: part + by_length l + by_rate v (before
+// the clip).
 struct ActuatorForce {
   DualFloat gear, part, by_length, by_rate, lower, upper;
   bool is_servo, is_limited;
@@ -113,13 +116,13 @@ DualFloat clipped_control(int32_t actuator, const Number& number) {
   return clipped(number(kControl, actuator, 0), number(kControlRange, actuator, 0),
                  number(kControlRange, actuator, 1));
 }
-// `state`: row of the actuator's activation; -1: none.
+// Returns the control or the activation of an actuator. `state`: row of its activation; -1: none.
 template <class Number>
 DualFloat actuator_input(int32_t actuator, int32_t state, const Number& number) {
   return state < 0 ? clipped_control(actuator, number) : number(kActivation, state, 0);
 }
 
-// Writes the target of a coordinate, or copies the targets of a BALL joint, which no actuator
+// Writes the target of a coordinate, or copies the four targets of a BALL joint, which no actuator
 // changes.
 template <class Number, class Put>
 void put_targets(int32_t coord, const DualFloat& target, const Number& number, const Put& put) {
@@ -128,7 +131,7 @@ void put_targets(int32_t coord, const DualFloat& target, const Number& number, c
     put(kTarget, c, number(kTarget, c, 0));
 }
 
-// Computes the drive and force of a degree of freedom, and the activations of its actuators.
+// Computes the drive and the force of a degree of freedom, and the activations of its actuators.
 template <class Number, class Put>
 void actuate(const Actuation& a, int32_t dof, const Number& number, const Put& put) {
   const DualFloat none = 0.0f, half = 0.5f;

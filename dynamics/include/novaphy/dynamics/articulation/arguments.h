@@ -1,5 +1,5 @@
-// The arguments of the kernels that step articulations (core/row_kernel.h), with one row per
-// articulation, over the arrays of models and states.
+// The arguments of the kernels that step articulations (core/row_kernel.h), over the arrays of
+// models and states. A kernel row is an articulation.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -7,8 +7,8 @@
 
 namespace novaphy {
 
-// Arguments without a gradient: the tape operations that launch the kernels handle gradients
-// themselves.
+// Arguments without a gradient in the kernel: the tape operations that launch the kernels compute
+// the gradients.
 template <class T>
 using Given = Detached<Reads<T>>;
 template <class T>
@@ -20,14 +20,15 @@ struct GivenArrays {
   template <articulation::RowOf, class Value>
   using Array = Given<Value>;
 };
-// Gradient outputs; null: the gradient is not requested.
+// Field types for gradient outputs. Null: the gradient is not requested.
 struct WantedArrays {
   using Scalar = float;
   template <articulation::RowOf, class Value>
   using Array = Optional<Changed<Value>>;
 };
 
-// The rows of an articulation in the arrays.
+// The place of an articulation in the arrays: its first links and dofs, their numbers, and its
+// world.
 struct ArticulationRows {
   int32_t first_link, link_count, first_dof, dof_count, world;
   int32_t moves;   // 0: impulses move none of its dofs
@@ -36,7 +37,7 @@ struct ArticulationRows {
 };
 
 // The inputs of a step: arrays of a model, state and control. The links and dof_parent come from
-// Articulations. With dual numbers as T the arrays are copies with tangents.
+// Articulations. With dual numbers as T, the arrays are copies of these arrays with tangents.
 template <class T>
 struct ArticulationArgumentsOf {
   NOVAPHY_ARGUMENTS(Part<articulation::GradientArrays<GivenArrays<T>>> arrays;
@@ -77,9 +78,8 @@ articulation::Tree<T> articulation_tree(const ArticulationArgumentsOf<T>& a,
   return tree;
 }
 
-// qdd and branch: per dof, needed by the adjoint. status: per articulation, 0, or 1 + the dof that
-// failed. stride: size of the workspace of an articulation in numbers; 0: the workspace is on the
-// stack.
+// The arguments of a step. qdd, branch: per dof, for the adjoint. status: per articulation, 0, or 1
+// + the dof that failed. stride: size of an articulation's workspace in floats; 0: on the stack.
 struct ArticulationStepArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationArguments> in; Writes<float> q_next, qd_next;
                     Writes<Transformf> body_q; Writes<SpatialVectorf> body_qd;
@@ -105,7 +105,7 @@ inline void write_failure(const ArticulationStepArguments& a, const Articulation
   }
 }
 
-// Computes the new state of an articulation from the new rates.
+// Computes the new state of an articulation from its new rates.
 template <class Arguments, class T>
 void finish_step(const Arguments& a, const articulation::Tree<T>& tree,
                  const articulation::StepInputs<T>& in, const articulation::StepOptions<T>& options,
@@ -115,7 +115,7 @@ void finish_step(const Arguments& a, const articulation::Tree<T>& tree,
   SpatialVector<T>* const body_qd = a.body_qd;
   articulation::finish_step(tree, in, options, ws, q, qd, body_q, body_qd);
 }
-// Writes the results that the adjoint needs.
+// Writes qdd and the branches, which the adjoint needs.
 inline void write_rates(const ArticulationStepArguments& a, const ArticulationRows& rows,
                         const articulation::Workspace<float>& ws) {
   for (int32_t k = 0; k < rows.dof_count; ++k) {
@@ -123,7 +123,7 @@ inline void write_rates(const ArticulationStepArguments& a, const ArticulationRo
     a.branch[rows.first_dof + k] = static_cast<float>(ws.branch[k]);
   }
 }
-// Writes the new state and the results for the adjoint.
+// Writes the new state, qdd and the branches.
 inline void write_step(const ArticulationStepArguments& a, const ArticulationRows& rows,
                        const articulation::Tree<float>& tree,
                        const articulation::StepInputs<float>& in,

@@ -4,8 +4,8 @@
 //           from q to the target, in the anchor's axes, at most half a turn long
 //   limit   for the rotation angle a of q about the axis n: if a > limit_upper of the first dof,
 //           t = n (limit_ke (limit_upper - a) - limit_kd n . v), which pushes inwards only
-// Implicit: phi - dt v and a + dt n . v, with v at the end of the step, approximate the values at
-// the end of the step. A drive then adds to the mass matrix's diagonal, and a limit adds w n n^T
+// Implicit drives use the values at the end of the step, approximately phi - dt v and a + dt n . v,
+// with the rate v at the end. A drive then adds to the mass matrix's diagonal. A limit adds w n n^T
 // with w = dt (limit_kd + dt limit_ke). The rates at the start of the step decide whether a limit
 // would pull. Drives of BALL joints have no effort limits.
 #pragma once
@@ -21,7 +21,7 @@ Vec3<T> three(const T* x) {
   return {x[0], x[1], x[2]};
 }
 
-// Returns phi, or 0 without a drive.
+// Returns the rotation vector phi to the target (rad), or 0 without a drive.
 template <class T>
 Vec3<T> target_rotation(const Link& link, const StepInputs<T>& in) {
   const T o = T(0.0f), *const ke = in.target_ke + link.dof;
@@ -29,7 +29,7 @@ Vec3<T> target_rotation(const Link& link, const StepInputs<T>& in) {
   return rotation_vector(math::multiply(unit_quaternion(in.target_q + link.coord),
                                         math::conjugate(unit_quaternion(in.q + link.coord))));
 }
-// The drive law of dof j, with the dof's own position taken as 0.
+// Returns the drive law of dof j, in which the dof's position counts as 0 and the target as phi_j.
 template <class T>
 DriveLaw<T> ball_law(const Link& link, int32_t j, const StepInputs<T>& in,
                      const Branches<T>& branch, const Vec3<T>& phi, bool implicit) {
@@ -39,10 +39,10 @@ DriveLaw<T> ball_law(const Link& link, int32_t j, const StepInputs<T>& in,
   return law;
 }
 
-// The limit of a joint. The branch of the joint's first dof says whether the joint may be outside.
+// The limit of a BALL joint. The branch of the joint's first dof says whether the limit acts.
 template <class T>
 struct BallLimit {
-  Vec3<T> turn{}, axis{};  // rotation vector of q; n if the limit acts
+  Vec3<T> turn{}, axis{};  // rotation vector of q; the axis n if the limit acts
   T angle{};
   DriveLaw<T> law{};  // zero stiffness and damping if the limit does not act
 };
@@ -81,7 +81,7 @@ void set_ball_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepO
       ws.branch[local_dof(tree, tree.links[i])] = ball_branch(tree.links[i], in, options);
 }
 
-// Computes the terms of the joint's dofs, damping included; `cone`: sqrt(w) n.
+// Computes the terms of the joint's three dofs, including damping. `cone`: sqrt(w) n of the limit.
 template <class T>
 NOVAPHY_SELDOM void ball_terms(const Link& link, const StepInputs<T>& in,
                                const StepOptions<T>& options, const Branches<T>& branch,
@@ -105,7 +105,7 @@ NOVAPHY_SELDOM void ball_terms(const Link& link, const StepInputs<T>& in,
   }
 }
 
-// Adds the gradient of lambda . (c c^T) x by the cone vectors c of all joints.
+// Adds the gradient of lambda . (c c^T) x by the vectors c (`cone`, sqrt(w) n) of all joints.
 template <class T>
 NOVAPHY_SELDOM void cones_vjp(const Tree<T>& tree, const T* cone, const T* lambda, const T* x,
                               T* gradient) {
@@ -126,9 +126,9 @@ void add_vector(const Vec3<T>& v, T* to) {
   to[2] = to[2] + v.z;
 }
 
-// Adds the gradients of a step, with accelerations qdd and the joint's adjoint lambda, by the
-// limit's parameters, q and qd. Pointers are to the first of the joint's three dofs. `of_cone`: the
-// gradient of `cone` from sources other than lambda and qdd.
+// Adds the gradients of a step by the limit's parameters, q and qd. `qdd`: accelerations. `lambda`:
+// the joint's adjoint. Pointers are to the first of the joint's three dofs. `of_cone`: the gradient
+// by `cone` from sources other than lambda and qdd.
 template <class T>
 void ball_limit_gradient(const Link& link, const StepInputs<T>& in, const StepOptions<T>& options,
                          const Branches<T>& branch, const T* qdd, const T* lambda, const T* of_cone,
@@ -143,7 +143,7 @@ void ball_limit_gradient(const Link& link, const StepInputs<T>& in, const StepOp
   const T push = math::dot(along, n), rate = math::dot(n, v_end);
   const T stiffness = limit.law.stiffness, damped = limit.law.rate + dt * stiffness;
   const T depth = limit.law.target - limit.angle, force = stiffness * depth - damped * rate;
-  // Contacts see w through its root in the mass matrix.
+  // Contacts depend on w through sqrt(w) in the mass matrix.
   const auto stiff = both(acts, dt * damped > o);
   const T root = select(stiff, square_root(select(stiff, dt * damped, one)), o);
   const T by_w = select(stiff, math::dot(n, cone) / (select(stiff, root, one) * T(2.0f)), o);
@@ -158,7 +158,7 @@ void ball_limit_gradient(const Link& link, const StepInputs<T>& in, const StepOp
   add_vector(n * -(damped * push), qd_gradient);
 }
 
-// drive_gradient for the joint's three dofs, and the gradient of the limit.
+// Adds the gradients of drive_gradient for the joint's three dofs, and those of the limit.
 template <class T>
 NOVAPHY_SELDOM void ball_gradient(const Link& link, const StepInputs<T>& in,
                                   const StepOptions<T>& options, const Branches<T>& branch,
@@ -168,7 +168,7 @@ NOVAPHY_SELDOM void ball_gradient(const Link& link, const StepInputs<T>& in,
   const T o = T(0.0f);
   const Vec3<T> phi = target_rotation(link, in);
   const T turn[3] = {phi.x, phi.y, phi.z};
-  T back[3] = {o, o, o};  // gradient of a dof's position: minus that by phi
+  T back[3] = {o, o, o};  // gradient by a dof's position: minus that by phi
   for (int32_t j = 0; j < 3; ++j)
     drive_gradient(link, j, in, options, branch, turn + j, qdd[j], lambda[j], diagonal[j], o, o,
                    back[j], qd_gradient[j], g);

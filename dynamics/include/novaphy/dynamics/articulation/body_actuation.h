@@ -1,18 +1,19 @@
-// Actuators on bodies: they apply a wrench to a frame of one body and the opposite wrench to a
+// Actuators on bodies: each applies a wrench to a frame of one body, and the opposite wrench to a
 // frame of a reference body.
 //
-//   F, M     force (1) and moment (m) per newton of actuator force, rotated into world axes by the
-//            frame or by the reference (ActuatorAxes)
-//   l        0, or F . (x - x_ref) + M . log(R_ref^T R) in the axes of the reference
-//   v        F . (x' - x_ref') + M . (w - w_ref) - w_common . ((x - x_ref) x F)
-// x are the origins of the frames and w the angular velocities. The actuator force f is that of an
-// actuator with l and v (actuation.h).
+//   F, M     force (1) and moment (m) per newton of actuator force, in world axes: rotated with the
+//            actuator's frame or with the reference frame (ActuatorAxes)
+//   l        length: 0, or F . (x - x_ref) + M . log(R_ref^T R) in the axes of the reference
+//   v        rate: F . (x' - x_ref') + M . (w - w_ref) - w_common . ((x - x_ref) x F)
+// x are the origins of the frames, w the angular velocities, and w_common belongs to the nearest
+// common ancestor of both bodies. The actuator force f is that of an actuator with l and v
+// (actuation.h).
 //
-// The body gets the force f F at x and the moment f M. The reference gets the opposite at x_ref.
-// The unbalanced moment f (x - x_ref) x F acts on the nearest common ancestor of both bodies, so
-// that no joint above both bodies feels the pair. All forces are taken at the start of the step.
+// The body gets the force f F at x and the moment f M. The reference body gets the opposite at
+// x_ref. The unbalanced moment f (x - x_ref) x F acts on the common ancestor, so that no joint
+// above both bodies feels the pair. All forces are taken at the start of the step.
 //
-// Source: MuJoCo, "Computation", transmission of sites. log is not smooth at half a turn.
+// Source: MuJoCo, "Computation", transmission of sites. Kink: log is not smooth at half a turn.
 #pragma once
 
 #include "novaphy/dynamics/articulation/actuation.h"
@@ -21,13 +22,13 @@
 
 namespace novaphy::articulation {
 
-// The bodies of an actuator: its body, the reference, and the common ancestor.
+// Number of bodies of an actuator: its body, the reference body, and the common ancestor.
 inline constexpr int32_t kPushed = 3;
 
-// A body at the start of a step; the default is the world.
+// Pose and motion of a body at the start of a step. The default is the world.
 struct PushedBody {
   Transform<DualFloat> pose = Transform<DualFloat>::identity();
-  SpatialVector<DualFloat> motion = zero_spatial<DualFloat>();  // of the center of mass
+  SpatialVector<DualFloat> motion = zero_spatial<DualFloat>();  // velocity of the center of mass
   Vec3<DualFloat> com = {0.0f, 0.0f, 0.0f};                     // body frame
 };
 // Number of values of a body: position, quaternion, velocity, angular velocity, center of mass.
@@ -61,7 +62,7 @@ PushedBody pushed_body(const Transform<T>& x, const SpatialVector<T>& v, const V
   return b;
 }
 
-// The frame of an actuator, in the world.
+// The frame of an actuator, in world axes.
 struct PushedFrame {
   Vec3<DualFloat> arm, position, velocity;  // arm: from the center of mass
   Quat<DualFloat> q;
@@ -75,8 +76,8 @@ struct PushedFrame {
 };
 
 // Calls put(which, wrench) with the wrench on each of the three bodies: the force, and the moment
-// about the center of mass. Returns the force of the actuator. `input`: its control or activation.
-// number(input, row, k) is as in actuate.
+// about the center of mass. Returns the actuator force. `input`: control or activation of the
+// actuator. number(input, row, k): as for actuate.
 template <class Number, class Put>
 DualFloat push_bodies(const PushedBody (&bodies)[kPushed], const Transformf& frame,
                       const Transformf& reference, int32_t axes, int32_t actuator,

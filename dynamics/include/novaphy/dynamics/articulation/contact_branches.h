@@ -1,4 +1,5 @@
-// ContactBranches: the branches of contacts on which a gradient depends.
+// ContactBranches: counts of the branches (which contacts push, stick or slide) that a gradient
+// assumes.
 #pragma once
 
 #include <cstdint>
@@ -7,12 +8,11 @@
 
 namespace novaphy {
 
-// Counts of branches, and the distances of a step's contacts to other branches. Steps are
-// accumulated.
+// Counts of branches, and the distances of a step's contacts from other branches, over all steps.
 struct ContactBranches {
   int64_t steps = 0;  // steps with contacts or dry friction
-  int64_t held = 0;         // contacts that push and have frozen points and normals
-  int64_t unconverged = 0;  // contacts far from convergence (pgs.h)
+  int64_t held = 0;         // contacts that push or shift, with frozen points or normals
+  int64_t unconverged = 0;  // steps with an island far from convergence (pgs.h)
   int64_t breaking = 0, sticking = 0, sliding = 0;
   float normal_margin = kNone;  // m/s, smallest impulse or separation speed
   float gap_margin = kNone;     // m, smallest distance of a pushing contact to another branch of

@@ -1,11 +1,11 @@
 // The gradient of a contact's rows by q, for the adjoint (contact_adjoint.h):
 //   -lambda . (J of p) + (B^T z) . (J of v')
-// Rotating all descendants of link i by S_k changes a motion T of link b by S_k x (T_b - T_i). In
-// addition, the midpoint, the axes and the gap move with the two bodies:
-//   held       core points are fixed in their bodies and axes in the world; the midpoint moves with
-//              the mean of both
+// A rotation of all descendants of link i by S_k changes a motion T of link b by S_k x (T_b - T_i).
+// In addition, the midpoint, the axes and the gap move with the two bodies:
+//   held       ("frozen") core points are fixed in their bodies and axes in the world; the midpoint
+//              moves with the mean of both points
 //   follows    the point on the plane moves along the plane below the other point
-//   turns      turning_contacts.h
+//   turns      moving contact point, turning_contacts.h
 // Source: Featherstone (2008), section 3.3, for motions.
 #pragma once
 
@@ -18,13 +18,13 @@ namespace novaphy::articulation {
 struct AdjointContact : IslandContact {
   Vec3f z{};             // multipliers of the contact's equations
   Vec3f pull{};          // B^T z, along n, t1, t2
-  float shift_z = 0.0f;  // multiplier of its shift
+  float shift_z = 0.0f;  // multiplier y of its shift (contact_adjoint.h)
   float by_impulse[3] = {};  // J M^-1 g: the gradient by its impulses, along n, t1, t2
   ContactTurning turning{};
 };
 
-// Sets the motions of links after step_vjp_solve: w becomes the motion of lambda = dt p, a_adjoint
-// the motion of `rates` (after the impulses), and v the motion of qd.
+// Sets the motions of links after step_vjp_solve: `w` is the motion of lambda = dt p, `a_adjoint`
+// the motion of `rates` (after the impulses), and `v` the motion of qd.
 inline void set_contact_motions(const Tree<float>& tree, const float* rates, Workspace<float>& ws,
                                 const AdjointMemory<float>& memory) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
@@ -38,13 +38,14 @@ inline void set_contact_motions(const Tree<float>& tree, const float* rates, Wor
   }
 }
 
-// Signs of the two sides in a row. 0: the side is not in the row, but moves the midpoint.
+// Signs of the two sides in a row. 0: the side is not in the row, but its motion moves the
+// midpoint.
 struct RowSigns {
   float of[2] = {-1.0f, 1.0f};
 };
-// The inputs of a row's derivative. The first are forces along the motions w, a_adjoint and v of
-// its links. The others are the derivative by the contact's place, as a force (`linear` at `at`)
-// and a torque on the pose of each side.
+// The inputs of a row's derivative. forces: along the motions w, a_adjoint and v of the row's
+// links. The remaining members are the derivative by the position of the contact: a force (`linear`
+// at `at`) and a torque on the pose of each side.
 struct RowGeometry {
   Vec3f forces[3] = {};
   SpatialVectorf motions[2][3] = {};
@@ -57,7 +58,7 @@ template <class Geometry>
 void turn_row(const AdjointContact& row, float dt, const RowSigns& signs, const Vec3f& by_point,
               Geometry& g) {
   const Vec3f points[2] = {row.place.a, row.place.b};
-  Vec3f moved[3] = {};  // motions of J
+  Vec3f moved[3] = {};  // the motions that J acts on
   for (int side = 0; side < 2; ++side)
     for (int f = 0; f < 3; ++f)
       moved[f] =
@@ -113,8 +114,8 @@ RowGeometry row_geometry(const AdjointContact& row, float dt, const TreeOf& tree
   return g;
 }
 
-// Adds a row's own derivative by q, and a bounce's by qd, to the gradients of its trees. tree_of(i)
-// is an IslandTree and memory_of(i) an AdjointMemory.
+// Adds a row's derivative by q at constant multipliers, and a bounce's by qd, to the gradients of
+// its trees. tree_of(i): an IslandTree. memory_of(i): an AdjointMemory.
 template <class TreeOf, class MemoryOf>
 void add_contact_geometry(const AdjointContact& row, float dt, const TreeOf& tree_of,
                           const MemoryOf& memory_of, const RowSigns& signs = {}) {

@@ -1,6 +1,6 @@
-// Groups of articulations that may touch each other, those of one world, with their contacts. The
-// kernels of a step with contacts and of its adjoint share this file. A kernel row is a group,
-// which splits into islands (islands.h).
+// Groups of articulations with their contacts. A group has the trees of one world, which may touch
+// each other. The kernels of a step with contacts and of its adjoint share this file. A kernel row
+// is a group, which splits into islands (islands.h).
 #pragma once
 
 #include "novaphy/core/row_scratch.h"
@@ -11,18 +11,18 @@
 
 namespace novaphy {
 
-// The arrays of contacts.
+// The arrays of rigid contacts (core/sim/contacts.h).
 struct ContactPlaces {
   NOVAPHY_ARGUMENTS(Given<int32_t> shape0, shape1; Given<Vec3f> point0, point1, normal;
                     Given<float> margin0, margin1;)
 };
-// The tables that give the sides of contacts. shape_body: {shapes}.
+// The tables that give the two sides of a contact. shape_body {shapes}: the body of each shape.
 struct ContactShapes {
   NOVAPHY_ARGUMENTS(Part<ContactPlaces> at; Given<int32_t> shape_body;
                     Given<articulation::ContactSide> side_of_body; Given<int32_t> group_of_tree;
                     Number<int64_t> shapes, bodies;)
 };
-// Finds the sides of a contact. Returns false if a shape or body does not exist.
+// Finds the two sides of a contact. Returns false if a shape or body does not exist.
 inline bool contact_sides(const ContactShapes& s, int32_t contact,
                           articulation::ContactSide* sides) {
   bool there = true;
@@ -37,10 +37,11 @@ inline bool contact_sides(const ContactShapes& s, int32_t contact,
   return there;
 }
 
-// Data of a tree during a step. Lists end with -1.
+// Data of a tree during a step. Values are tree indices or places; -1 ends a list. A place is an
+// entry of the group's list of contacts.
 struct IslandNode {
-  int32_t root;                       // root of its island
-  int32_t next;                       // next tree of the island, ascending
+  int32_t root;                       // root tree of its island
+  int32_t next;                       // next tree of the island in ascending order
   int32_t met;                        // whether a contact touches it although impulses do not move
                                       // it
   int32_t taken;                      // whether TreeSteps steps it
@@ -52,14 +53,14 @@ struct IslandNode {
   int32_t solved, failed;
   articulation::IslandResult result;
 };
-// Data of a place in the list of a group.
+// Data of a place, an entry of the group's list of contacts.
 struct ContactLink {
-  int32_t next;  // place of the island's next contact; -2: the group lacks the contact
-  int32_t kept;  // result of find_kept
+  int32_t next;  // the island's next place; -2: the group cannot have the contact
+  int32_t kept;  // find_kept: index of the impulses for the warm start
 };
 
-// The trees of each group are in ascending order, and so are its contacts. found:
-// ContactRows::found. contact_stride: size of the memory of a contact, in numbers.
+// The arguments of kernels over groups. The trees of each group are in ascending order, and so are
+// its contacts. found: as ContactRows::found. contact_stride: memory of a contact, in floats.
 struct ContactGroupArguments {
   NOVAPHY_ARGUMENTS(Part<ContactShapes> shapes; Given<float> mu, restitution, ke, kd, mixing;
                     Given<float> joint_friction; Given<int32_t> tree_begin, trees;
@@ -70,12 +71,12 @@ struct ContactGroupArguments {
                     Writes<IslandNode> nodes; Writes<float> memory; Number<int64_t> contact_stride;)
 };
 
-// Offsets in the memory of a tree: its workspace, its rates, the dry friction of its joints, and
-// data of the adjoint.
+// The following functions give offsets and sizes (bytes) in the memory of a tree, in this order:
+// workspace, rates with shifts, dry friction of the joints, and data of the adjoint.
 inline int64_t tree_rates_offset(int32_t links, int32_t dofs) {
   return articulation::workspace_bytes<float>(links, dofs);
 }
-// Size of rates and shifts.
+// Returns the size of the rates and the shifts of a tree.
 inline int64_t tree_rates_bytes(int32_t dofs) {
   return 2 * articulation::padded_dofs(dofs) * static_cast<int64_t>(sizeof(float));
 }
@@ -87,12 +88,12 @@ inline int64_t island_tree_bytes(int32_t links, int32_t dofs) {
 inline int64_t island_adjoint_bytes(int32_t links, int32_t dofs) {
   return island_tree_bytes(links, dofs) + articulation::adjoint_bytes<float>(links, dofs);
 }
-// Size of a contact's rows for trees with `dofs` dofs.
+// Returns the size of J and Y of a contact, for trees with `dofs` dofs.
 inline int64_t contact_row_bytes(int32_t dofs) {
   return 12 * articulation::padded_dofs(dofs) * static_cast<int64_t>(sizeof(float));
 }
 
-// The lists of a group.
+// The lists of trees and contacts of a group.
 struct GroupLists {
   const ArticulationRows* const all_rows;
   const ContactGroupArguments& a;
@@ -136,7 +137,7 @@ struct GroupLists {
   int32_t find_root(int32_t i) const {
     return articulation::find_root([&](int32_t t) -> int32_t& { return root(t); }, i);
   }
-  // Memory of the first place of the group.
+  // Returns the memory of the contacts of the group.
   unsigned char* island_memory() const {
     return reinterpret_cast<unsigned char*>(a.memory +
                                             a.contact_begin[group] * a.contact_stride.value);
@@ -147,7 +148,7 @@ struct GroupLists {
   articulation::TurningShapes turning_shapes() const {
     return {a.shape_type, a.shape_transform, a.shape_scale};
   }
-  // pose_of(side): pose of a side's body.
+  // Returns the data for the contact's moving contact point. pose_of(side): pose of a side's body.
   template <class PoseOf>
   articulation::TurningInput<float> turning_input(int32_t contact, const PoseOf& pose_of) const {
     return {{contacts.shape0[contact], contacts.shape1[contact]},
@@ -157,7 +158,7 @@ struct GroupLists {
   }
 };
 
-// A group with the dynamics of its trees.
+// A group with the workspaces and the dynamics of its trees.
 struct ContactGroup : GroupLists {
   const ArticulationArguments& step;
   float* const workspace;
@@ -194,7 +195,7 @@ struct ContactGroup : GroupLists {
     return articulation::make_adjoint_memory<float>(
         memory(i) + island_tree_bytes(r.link_count, r.dof_count), r.link_count, r.dof_count);
   }
-  // Pose of a side's body, relative to the origin of the contact's first tree.
+  // Returns the pose of a side's body, relative to the root's origin of the contact's first tree.
   Transformf pose(const articulation::ContactSide* sides, int side) const {
     const auto link = [&](int of) -> const articulation::LinkState<float>& {
       return tree(sides[of].tree).ws.links[sides[of].link];
@@ -206,8 +207,8 @@ struct ContactGroup : GroupLists {
   articulation::TurningInput<float> turning_input(const articulation::IslandContact& row) const {
     return GroupLists::turning_input(row.contact, [&](int side) { return pose(row.sides, side); });
   }
-  // Returns whether a contact has a moving contact point, while its trees are in the pose of the
-  // step's start.
+  // Returns whether a contact has a moving contact point. The trees must have the poses at the
+  // start of the step.
   bool turns(const articulation::IslandContact& row) const {
     return contacts.found && !row.follows && articulation::pushes(row) &&
            articulation::turn_contact(turning_shapes(), turning_input(row)).is_exact;
@@ -228,8 +229,8 @@ inline void start_node(const GroupLists& s, int32_t i) {
   s.a.nodes[i] = node;
 }
 
-// Joins the trees of a contact. Returns -1, or a tree of the group whose contact has an object
-// outside of the group.
+// Merges the islands of the two trees of a contact. If the contact involves a tree outside of the
+// group, returns a tree of the group. Else -1.
 inline int32_t join_contact(const GroupLists& s, int32_t place) {
   const ContactGroupArguments& a = s.a;
   articulation::ContactSide sides[2];
@@ -250,7 +251,8 @@ inline int32_t join_contact(const GroupLists& s, int32_t place) {
   return here ? -1 : mine;
 }
 
-// Lists the trees of each island, after all joins; `root` is then the root of the island.
+// Lists the trees of each island after all merges, and sets `root` of each tree to its island's
+// root.
 inline void list_trees(const GroupLists& s) {
   const ContactGroupArguments& a = s.a;
   for (int32_t k = s.first_tree(); k < s.end_tree(); ++k) {
@@ -262,7 +264,7 @@ inline void list_trees(const GroupLists& s) {
   }
 }
 
-// Appends a contact to the list of its island and returns the island's root; -1: none.
+// Appends a contact to the list of its island, and returns the root of the island. -1: no island.
 inline int32_t list_contact(const GroupLists& s, int32_t place) {
   const ContactGroupArguments& a = s.a;
   if (a.chain[place].next == -2) return -1;
@@ -279,7 +281,7 @@ inline int32_t list_contact(const GroupLists& s, int32_t place) {
   return root;
 }
 
-// Places a contact in the memory `numbers`, which is advanced.
+// Sets a contact's sides and widths, and takes its memory from `numbers`, which advances.
 inline void place_row(const ContactGroup& s, int32_t contact, float*& numbers,
                       articulation::IslandContact& row) {
   row.contact = contact;
@@ -291,7 +293,7 @@ inline void place_row(const ContactGroup& s, int32_t contact, float*& numbers,
   row.numbers = numbers;
   numbers += 6 * (widths[0] + widths[1]);
 }
-// Builds all rows of a contact.
+// Computes J, Y and the divisors of a contact.
 inline void build_row(const ContactGroup& s, int32_t contact, float*& numbers,
                       articulation::IslandContact& row) {
   place_row(s, contact, numbers, row);
@@ -309,9 +311,9 @@ inline void build_dry(const ContactGroup& s, int32_t i) {
                                    responses + k * width, dry[k]);
 }
 
-// The contacts of an island that push, and memory for their system, for an adjoint or a tangent.
-// `Group`: GroupLists with a row for each contact. Its arguments (`all`) have the memory, as a size
-// per contact and a size per group.
+// The contacts of an island that push, and the memory for their linear system, for an adjoint or a
+// tangent. `Group`: a GroupLists with a row for each contact. Its arguments (`all`) give the size
+// of this memory per contact and per group.
 template <class Group>
 struct ActiveIsland {
   const Group& s;
@@ -334,8 +336,8 @@ struct ActiveIsland {
       if (row.solver.shifted > 0.0f) f(row);
     });
   }
-  // Returns memory for a system. Null: the memory is too small, and the group's status has the
-  // required size.
+  // Returns the memory of a linear system with `numbers` numbers. Null: the memory is too small,
+  // and the group's status gets the required size.
   double* system(int64_t numbers) const {
     const int64_t contacts = s.end_place() - s.first_place();
     const int64_t of_contact = s.all.system_of_contact, of_group = s.all.system_of_group;

@@ -1,4 +1,5 @@
-// ContactNote: what a record of an adjoint tells of a contact that pushes. Freestanding.
+// ContactNote: the record of a contact that pushed, with the adjoint of its impulse, in a backward
+// pass. Freestanding.
 #pragma once
 
 #include <cstdint>
@@ -7,11 +8,11 @@
 
 namespace novaphy::articulation {
 
-// In the world. `impulse` (N s) acts on B. `adjoint`: the gradient by that impulse, with the shifts
-// of the step held.
+// All vectors are in the world. `impulse` (N s) acts on side B. `adjoint`: the gradient by that
+// impulse, with the shifts of the step (pgs.h) constant.
 struct ContactNote {
   Vec3f point, normal, impulse, adjoint;
-  int32_t held;  // 1: the derivative holds the point and the normal
+  int32_t held;  // 1: point and normal are constant in the derivative
 };
 
 }  // namespace novaphy::articulation

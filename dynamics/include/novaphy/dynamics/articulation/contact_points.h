@@ -1,4 +1,5 @@
-// Contacts between trees as a search found them, and their surface points (contact_rows.h).
+// Contacts between trees as the collision search found them, and their surface points
+// (contact_rows.h).
 #pragma once
 
 #include "novaphy/dynamics/articulation/contact_rows.h"
@@ -7,8 +8,8 @@
 
 namespace novaphy::articulation {
 
-// Rigid contacts (core/sim/contacts.h). `point_id` may be null without a warm start. `found`: a
-// search found the contacts from the state of the step, and derivatives move them with the state.
+// Rigid contacts (core/sim/contacts.h). `point_id` may be null if no warm start uses it. `found`:
+// the contacts were found from the state of the step, and derivatives move them with the state.
 struct ContactRows {
   int32_t count = 0;
   const int32_t *shape0 = nullptr, *shape1 = nullptr, *point_id = nullptr;
@@ -17,7 +18,7 @@ struct ContactRows {
   bool found = false;
 };
 
-// Returns the material of a contact, and the contributions of its shapes.
+// Returns the material of a contact, with the fractions of its two shapes.
 inline PairParts contact_parts(const ShapeMaterials& of, const ContactRows& c, int32_t contact) {
   return pair_parts(of, c.shape0[contact], c.shape1[contact], [](float x) { return x; });
 }
@@ -30,8 +31,8 @@ struct ContactSide {
   int32_t tree = -1, link = -1;  // -1: the world, or a link that no dof moves
 };
 
-// Returns a surface point of a side; `tree_of`: the tree of an index. On GPUs a null pointer to the
-// link of the world fails (note 0023).
+// Returns the surface point of a side. tree_of(i): tree i. On GPUs a null pointer to the link of
+// the world fails (note 0023), so the world has its own branch.
 template <class TreeOf>
 SurfacePoint<float> side_point(const TreeOf& tree_of, const ContactSide& side, const Vec3f& core,
                                const Vec3f& out) {
@@ -47,9 +48,9 @@ void contact_points(const ContactRows& c, int32_t contact, const ContactSide* si
   points[1] = side_point(tree_of, sides[1], c.point1[contact], normal * -c.margin1[contact]);
 }
 
-// Returns whether a contact may touch in a step of dt. The limit of its gap is twice the approach
-// of its points by the links' motions. The term kMoreSpeed (m/s) dt is added for changes in the
-// step. Only such contacts are solved. A NaN gap may touch.
+// Returns whether a contact may touch in a step of dt; only such contacts are solved. The gap may
+// be up to dt times the sum of kMoreSpeed and twice the approach speed of the points by the links'
+// motions. The margin is for velocity changes in the step. A contact with a NaN gap may touch.
 template <class TreeOf>
 bool may_touch(const ContactRows& c, int32_t contact, const ContactSide* sides,
                const TreeOf& tree_of, float dt) {

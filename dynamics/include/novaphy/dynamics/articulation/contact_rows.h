@@ -1,11 +1,11 @@
-// Constraint rows of contacts between trees and with the world: the place of a contact, the
-// Jacobian of its points by the rates of dofs, and the response to impulses.
+// Constraint rows of contacts between trees and with the world. A row has the Jacobian J of the
+// contact's points by the rates of dofs, and the response Y to impulses.
 //
-// A contact has the unit normal n from side A to side B and one point P of each surface, moved by
-// its margin. The gap is d = n . (P_B - P_A). Both sides push at the midpoint of the two points.
-// Rows are along n, t1 and t2: J qd = (velocity of B - velocity of A) at the midpoint. Each row has
-// J and the response Y = M^-1 J^T for each tree on a side, computed by the tree's factor
-// (factor.h).
+// A contact has the unit normal n from side A to side B, and a point P on each surface: the core
+// point moved by the margin. The gap is d = n . (P_B - P_A). The impulses on both sides act at the
+// midpoint of the two points. Rows are along n, t1 and t2: J qd = (velocity of B - velocity of A)
+// at the midpoint. Each row has J and the response Y = M^-1 J^T for the tree of each side, computed
+// by the tree's factor (factor.h).
 //
 // The tangent t1 is n x e normalized, where e is the axis along which n is smallest (the first on a
 // tie), and t2 = n x t1. Points are relative to the origins of the trees' roots, so contacts
@@ -35,18 +35,17 @@ ContactFrame<T> contact_frame(const Vec3<T>& n) {
   return {{n, t1, math::cross(n, t1)}};
 }
 
-// A surface point relative to the origin of the tree's root. `origin`: the root's origin in the
-// world (m).
+// A surface point relative to the origin of a tree's root. `origin`: that origin in the world (m).
 template <class T>
 struct SurfacePoint {
   Vec3<T> at{}, origin{};
 };
-// Returns a surface point of the world. `out` leads from the core to the surface.
+// Returns a surface point of the world. `out`: vector from the core to the surface (m).
 template <class T>
 SurfacePoint<T> world_point(const Vec3<T>& core, const Vec3<T>& out) {
   return {core + out, {T(0.0f), T(0.0f), T(0.0f)}};
 }
-// Returns a surface point of a link. `core` is in the frame of the link's body.
+// Returns a surface point of a link. `core`: core point in the frame of the link's body (m).
 template <class T>
 SurfacePoint<T> surface_point(const LinkState<T>& link, const Vec3<T>& core, const Vec3<T>& out) {
   return {(link.p + math::rotate(link.q, core)) + out, link.origin};
@@ -65,7 +64,7 @@ ContactPlace<T> contact_place(const SurfacePoint<T>& a, const SurfacePoint<T>& b
   return {math::dot(apart, normal), a.at + half, b.at - half};
 }
 
-// Returns the last dof that moves a link, as an index in the tree; -1: none.
+// Returns the last dof that moves a link, counted from the tree's first dof; -1: none.
 template <class T>
 int32_t last_dof(const Tree<T>& tree, int32_t link) {
   for (int32_t i = link; i >= 0; i = tree.links[i].parent)
@@ -75,14 +74,14 @@ int32_t last_dof(const Tree<T>& tree, int32_t link) {
 
 // Returns whether impulses may move the joint of a link.
 inline bool is_moved(const Link& link) { return link.dofs > 0 && !is_kinematic(link); }
-// Returns whether a link is `above` or its descendant. `above` -1: whether the link is below any
-// joint that impulses may move.
+// Returns whether a link is the link `above` or its descendant. With `above` -1: whether any joint
+// on the way to the root is one that impulses may move.
 template <class T>
 bool hangs_on(const Tree<T>& tree, int32_t link, int32_t above) {
   while (link > above && !(above < 0 && is_moved(tree.links[link]))) link = tree.links[link].parent;
   return above < 0 ? link >= 0 : link == above;
 }
-// Returns the mass of such links (kg).
+// Returns the mass of the links that hang on `above` (kg); see hangs_on.
 template <class T>
 T hanging_mass(const Tree<T>& tree, const Workspace<T>& ws, int32_t above) {
   T sum = T(0.0f);
@@ -90,9 +89,9 @@ T hanging_mass(const Tree<T>& tree, const Workspace<T>& ws, int32_t above) {
     if (hangs_on(tree, i, above)) sum = sum + ws.links[i].inertia.mass;
   return sum;
 }
-// For a contact of a tree with itself: finds the joint nearest to the root that is above one side
-// only. Returns the link below it, on the side with the smaller mass; -1: none, or sides of two
-// trees.
+// For a contact of a tree with itself: finds the joint nearest to the root that moves only one of
+// the two sides. Returns the link below it, on the side with the smaller mass. -1: no such joint,
+// or sides of two trees.
 template <class T, class Side>
 int32_t parted_link(const Tree<T>& tree, const Workspace<T>& ws, const Side (&sides)[2]) {
   if (sides[0].tree != sides[1].tree) return -1;
@@ -106,14 +105,14 @@ int32_t parted_link(const Tree<T>& tree, const Workspace<T>& ws, const Side (&si
   if (of_a < 0 || of_b < 0) return of_a < 0 ? of_b : of_a;
   return hanging_mass(tree, ws, of_b) < hanging_mass(tree, ws, of_a) ? of_b : of_a;
 }
-// Returns the mass (kg) of the links of a tree that a self contact separates.
+// Returns the mass (kg) of the links that a contact of a tree with itself pushes apart.
 template <class T, class Side>
 T parted_mass(const Tree<T>& tree, const Workspace<T>& ws, const Side (&sides)[2]) {
   return hanging_mass(tree, ws, parted_link(tree, ws, sides));
 }
 
-// Adds the velocity of a link's point along the three axes, times `sign`, to the rows of J {3,
-// stride}.
+// Adds the velocity of a link's point along the three axes of the frame, times `sign`, to the rows
+// J {3, stride}.
 template <class T>
 void add_point_rows(const Tree<T>& tree, const SpatialVector<T>* axes, int32_t link,
                     const Vec3<T>& point, const ContactFrame<T>& frame, const T& sign,
@@ -128,8 +127,8 @@ void add_point_rows(const Tree<T>& tree, const SpatialVector<T>* axes, int32_t l
 }
 
 // For a contact of a tree with itself: returns the coupling of the two sides, the part of J_n Y_n
-// that the sides alone lack. `link`, `point`: those of side A. `response`: Y_n of both sides. Uses
-// ws.rhs.
+// that is missing if each side is taken alone. `link`, `point`: those of side A. `response`: Y_n of
+// both sides. Overwrites ws.rhs.
 template <class T>
 T shared_in_tree(const Tree<T>& tree, const Workspace<T>& ws, int32_t link, const Vec3<T>& point,
                  const Vec3<T>& normal, const T* response) {
@@ -146,8 +145,9 @@ T shared_in_tree(const Tree<T>& tree, const Workspace<T>& ws, int32_t link, cons
   return T(2.0f) * (alone - of_both);
 }
 
-// Computes the responses Y {3, stride} of rows J by the factor. J is zero except for `last` and the
-// dofs above it; -1: J may be anything.
+// Computes the responses Y {3, stride} of the rows J by the factor. Only entries of the dof `last`
+// and of the dofs between it and the root may be nonzero in J. `last` -1: all entries may be
+// nonzero.
 template <class T>
 void response_rows(const Tree<T>& tree, const Workspace<T>& ws, int32_t last, int64_t stride,
                    const T* jacobian, T* response) {

@@ -1,21 +1,21 @@
-// The sensitivity of a tree's state to parameters of its control, propagated step by step.
+// The derivative of a tree's state by parameters of its control, propagated step by step.
 //
-// Let x be the change of the dof forces by a parameter. The change x contains that of the target or
-// torque, and those of drives and damping by the changes dq and dv of the state. M, branches and
+// Let x be the change of the dof forces by a parameter. The change x has parts through the target
+// or torque, and through drives and damping by the changes dq and dv of the state. M, branches and
 // new rates are those of the step (step.h):
 //   dv' = dv + dt M^-1 x, 0 for dofs at their velocity limits
 //   dq' = dq + dt dv' (FREE: angular tangents by the derivative of the Cayley map)
 //   then dv' of angular dofs times 1 - angular_damping dt
-// Frozen: the changes of the mass matrix, bias and wrenches with the state are left out of x. dq
-// and dv are tangents (tree.h). Supports trees of FIXED and one-dof joints, with an optional FREE
-// joint at the root.
+// Label "frozen": x leaves out the changes of the mass matrix, the bias and the wrenches with the
+// state. dq and dv are tangents (tree.h). Supports trees of FIXED and one-dof joints, with an
+// optional FREE joint at the root.
 #pragma once
 
 #include "novaphy/dynamics/articulation/step.h"
 
 namespace novaphy::articulation {
 
-// The derivative of a control by one parameter, in rows of the tree's dofs; null: zero.
+// The derivative of a control by a parameter, indexed by the tree's dofs. Null: zero.
 template <class T>
 struct ControlTangent {
   const T* target_q = nullptr;
@@ -23,7 +23,7 @@ struct ControlTangent {
   const T* force = nullptr;  // for a FREE joint, a world wrench about the center of mass
 };
 
-// Computes x after forward_step, in rows of the tree.
+// Computes x after forward_step, indexed by the tree's dofs.
 template <class T>
 void frozen_force_change(const Tree<T>& tree, const StepInputs<T>& in,
                          const StepOptions<T>& options, const Workspace<T>& ws,
@@ -62,7 +62,8 @@ void frozen_force_change(const Tree<T>& tree, const StepInputs<T>& in,
   }
 }
 
-// Converts dv of the undamped new rates to dq' and dv', in place. `rates`: the undamped new rates.
+// Converts dv of the new rates before angular damping to dq' and dv', in place. `rates`: the new
+// rates before damping.
 template <class T>
 void integrate_changes(const Tree<T>& tree, const StepOptions<T>& options, const T* rates, T* dq,
                        T* dv) {
@@ -87,8 +88,8 @@ void integrate_changes(const Tree<T>& tree, const StepOptions<T>& options, const
   }
 }
 
-// Returns position and velocity in the world of a link's point, `local` in the frame of its body
-// (m). Call this after link_frames and link_motions.
+// Position and velocity in the world of a link's point (m, m/s). `local`: the point in the frame of
+// the link's body (m). Call this after link_frames and link_motions.
 template <class T>
 struct PointState {
   Vec3<T> position{}, velocity{};
@@ -99,7 +100,8 @@ PointState<T> point_state(const Workspace<T>& ws, int32_t link, const Vec3<T>& l
   const Vec3<T> p = s.p + math::rotate(s.q, local);
   return {s.origin + p, math::motion_at(s.v, p).linear};
 }
-// Computes the Jacobian of the point: calls column(k, velocity) for the dofs that move it.
+// Computes the Jacobian of the point: calls column(k, velocity) for each dof k that moves the
+// point.
 template <class T, class Column>
 void point_jacobian(const Tree<T>& tree, const Workspace<T>& ws, int32_t link, const Vec3<T>& local,
                     Column&& column) {
@@ -112,7 +114,8 @@ void point_jacobian(const Tree<T>& tree, const Workspace<T>& ws, int32_t link, c
   }
 }
 
-// Converts a tangent (rows of the tree) to a change of q (rows of the arrays).
+// Converts a tangent (indexed by the tree's dofs) to a change of q. put(row, value): row of the
+// model's coordinates.
 template <class T, class Put>
 void tangent_to_coordinates(const Tree<T>& tree, const T* q, const T* tangent, Put&& put) {
   for (int32_t i = 0; i < tree.link_count; ++i) {

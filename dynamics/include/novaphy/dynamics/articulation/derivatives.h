@@ -1,19 +1,21 @@
 // Analytic derivative matrices of inverse and forward dynamics.
 //
-// All quantities are about O, in world axes. Y, B and F are sums over a link and its descendants; v
-// and a belong to link i, v_p to its parent. For a dof k of joint i
+// All quantities are about the origin O, in world axes. Y (inertia), B and F (force) are sums over
+// a link and its descendants. The vectors v and a are the motion and acceleration of link i, v_p is
+// the motion of its parent. For a dof k of joint i
 //   psi = v x S_k,   psi' = a x S_k + v x psi,   sigma = v_p x S_k + v x S_k
 // (for a FREE joint, sigma has the additional term (R e_k x omega, 0) for linear dofs and (v_rel x
 // R e_k, 0) for angular dofs):
 //   d tau_r / d q_k  = S_r . (Y psi' + B psi + S_k x* F)   for r of joint i or nearer to the root
 //                    = S_r . (Y_j psi' + B_j psi)          for r of a descendant joint j
-//   d tau_r / d qd_k = S_r . (Y sigma + B S_k), and with Y_j, B_j likewise.
+//   d tau_r / d qd_k = S_r . (Y sigma + B S_k), and with Y_j, B_j for a descendant joint j.
 // B m = v x* Y m - Y (v x m) + m x* Y v does not depend on the linear part of m:
 //   (-2 P x m_w,  (2 (v.h) 1 - 2 v h^T + 2 [w] I - tr(I) [w]) m_w)
-// with P = m v + w x h of the link, so B has 12 numbers and can be summed. Rows of descendant
-// joints are (Y_j S_r) . psi' + (B_j^T S_r) . psi, whose factors serve all columns. Source:
-// Carpentier and Mansard, Analytical derivatives of rigid body dynamics algorithms (RSS 2018), for
-// columns of S that are fixed in the parent.
+// with the momentum P = m v + w x h of the link. B has 12 numbers, which can be summed over links.
+// The row of a descendant joint is (Y_j S_r) . psi' + (B_j^T S_r) . psi, whose factors are the same
+// for all columns k.
+// Source: Carpentier and Mansard, Analytical derivatives of rigid body dynamics algorithms (RSS
+// 2018), for columns of S that are fixed in the parent.
 #pragma once
 
 #include "novaphy/dynamics/articulation/factor.h"
@@ -53,7 +55,7 @@ template <class T>
 SpatialVector<T> apply(const MotionBias<T>& b, const SpatialVector<T>& m) {
   return {math::cross(b.momentum, m.angular) * T(-2.0f), math::multiply(b.angular, m.angular)};
 }
-// Returns the angular part of B^T m; the linear part is 0.
+// Returns the angular part of B^T m. The linear part is 0.
 template <class T>
 Vec3<T> apply_transposed(const MotionBias<T>& b, const SpatialVector<T>& m) {
   return math::multiply(math::transpose(b.angular), m.angular) -
@@ -61,8 +63,8 @@ Vec3<T> apply_transposed(const MotionBias<T>& b, const SpatialVector<T>& m) {
 }
 
 // The quantities psi, psi' and sigma of dof k. For linear dofs of a FREE root, psi and psi' are 0,
-// because nothing depends on the root's position. For a FREE joint below a body, they have the
-// change of the joint's twist with its position.
+// because nothing depends on the root's position. For a FREE joint below a body, psi and psi'
+// include the change of the joint's twist with its position.
 template <class T>
 struct DofMotion {
   SpatialVector<T> psi{}, psi_rate{}, sigma{};
@@ -105,9 +107,9 @@ DofMotion<T> dof_motion(const Tree<T>& tree, const Link& link, int32_t k, const 
   return m;
 }
 
-// Computes the matrices d tau / d q (by tangents of q) and d tau / d qd of tau = ID(q, qd, qdd),
-// {dofs, dofs} each, full and row-major. Call this after inverse_dynamics at (q, qd, qdd) without
-// wrenches, and after composite_inertias.
+// Computes the full row-major matrices d tau / d q (by tangents of q) and d tau / d qd {dofs, dofs}
+// of tau = ID(q, qd, qdd). Call this after composite_inertias, and after inverse_dynamics at (q,
+// qd, qdd) without wrenches.
 template <class T>
 void inverse_dynamics_derivatives(const Tree<T>& tree, const T* qd, const T* qdd, Workspace<T>& ws,
                                   DerivativeWorkspace<T>& memory, T* dq, T* dqd) {
@@ -158,7 +160,7 @@ void inverse_dynamics_derivatives(const Tree<T>& tree, const T* qd, const T* qdd
   }
 }
 
-// Solves M X = B, {dofs, dofs} row-major, in place, by the factor of M (solve of factor.h for all
+// Solves M X = B in place, {dofs, dofs} row-major, by the factor of M (`solve` of factor.h for all
 // columns). `upper`: B is the identity and the factor is sparse. X is then symmetric, and only the
 // columns from k on are computed in row k.
 template <class T>
@@ -194,12 +196,12 @@ void solve_columns(const Tree<T>& tree, const Workspace<T>& ws, T* x, bool upper
     }
   });
   for_mimics(tree, [&](int32_t mimic, int32_t leader, const T& multiplier) {
-    subtract(mimic, leader, -multiplier, 0);  // the mimic joint's row is 0
+    subtract(mimic, leader, -multiplier, 0);  // the row of the mimic joint is 0
   });
 }
 
 // Converts the derivatives of inverse dynamics at qdd = M^-1 (tau - ID(q, qd, 0)) to d qdd / d q
-// and d qdd / d qd, in place. Uses the factor of M, and also computes M^-1 = d qdd / d tau.
+// and d qdd / d qd, in place, by the factor of M. Also computes M^-1 = d qdd / d tau.
 template <class T>
 void forward_dynamics_derivatives(const Tree<T>& tree, const Workspace<T>& ws, T* dq, T* dqd,
                                   T* inverse) {

@@ -1,15 +1,17 @@
-// Drives and damping of joints with one dof, with their limits (limits.h). ball_drives.h has the
-// drives of BALL joints.
+// Drives and damping of joints with one dof, together with their limits (limits.h). ball_drives.h
+// has the drives of BALL joints.
 //
 // The force on a dof with position q and rate v:
 //   drive      t = ke (q* - q) + kd (qd* - v) by the target mode, |t| <= effort_limit
 //   limit      if q is outside: the law of limits.h, which pushes inwards only
 //   damping    t = -damping v
-// Implicit (the default): q and v are those at the end of the step, which adds dt D + dt^2 K to the
-// mass matrix. K and D depend on the branch: a drive at its effort limit, and a limit that would
-// pull, have none. The branches that a solve assumes are consistent with its solution (step.h).
-// Explicit: t at the start of the step, with limits that may pull and no drive outside of the
-// limits, as in Newton 1.8.
+// Implicit (the default): q and v are those at the end of the step. The mass matrix then gets dt D
+// + dt^2 K, with the damping D and the stiffness K of the branch. A drive at its effort limit, and
+// a limit that would pull, have K = D = 0. The branches that a solve assumes are consistent with
+// its solution (step.h).
+//
+// Explicit: q and v are those at the start of the step, limits may pull, and drives do not act
+// outside of the limits, as in Newton 1.8.
 #pragma once
 
 #include "novaphy/dynamics/articulation/joints/joints.h"
@@ -24,7 +26,8 @@ T damping_factor(const Link& link, int32_t dof_of_link, const StepOptions<T>& op
   return is_angular(link, dof_of_link) ? T(1.0f) - options.angular_damping * options.dt : T(1.0f);
 }
 
-// `row` is the row of the dof, `coord` the row of its coordinate.
+// Returns the law of a drive. `row`: the dof, `coord`: its coordinate, both as indices of the
+// model's arrays.
 template <class T>
 DriveLaw<T> drive_law(const StepInputs<T>& in, int32_t row, int32_t coord,
                       const Branches<T>& branch, bool implicit) {
@@ -38,7 +41,7 @@ DriveLaw<T> drive_law(const StepInputs<T>& in, int32_t row, int32_t coord,
   return {select(outside, o, ke), in.target_q[coord], select(outside, o, kd), qd};
 }
 
-// A force at the start of a step, and its derivative by the acceleration.
+// A dof's force for the acceleration 0, and minus the force's derivative by the acceleration.
 template <class T>
 struct DriveTerm {
   T force{}, diagonal{};
@@ -52,7 +55,7 @@ DriveTerm<T> drive_term(const DriveLaw<T>& law, const T& q, const T& v, const T&
   return {force - damped * v, dt * (law.rate + damped)};
 }
 
-// Returns the terms of the drive and the limit of a one-dof joint, in its branch.
+// Returns the terms of the drive and the limit of a one-dof joint, in the given branch.
 template <class T>
 DriveTerm<T> branch_term(const StepInputs<T>& in, int32_t row, int32_t coord,
                          const Branches<T>& branch, const T& q, const T& v, const T& dt,
@@ -81,7 +84,7 @@ DriveTerm<T> dof_term(const StepInputs<T>& in, int32_t row, int32_t coord,
   return term;
 }
 
-// The unclipped forces of a dof's drive and limit in a step with the acceleration qdd.
+// The forces of a dof's drive and limit in a step with the acceleration qdd, before clipping.
 template <class T>
 struct AskedForces {
   T drive{}, stop{};
@@ -100,7 +103,8 @@ AskedForces<T> asked_forces(const StepInputs<T>& in, int32_t row, int32_t coord,
   asked.stop = select(outside, stop.force - stop.diagonal * qdd, o);
   return asked;
 }
-// Returns the clipped force.
+// Returns the force of the drive, clipped to its effort limit, plus that of the limit. Implicit: a
+// limit that would pull has no force.
 template <class T>
 T given_force(const Branches<T>& branch, const AskedForces<T>& asked, const T& effort_limit,
               bool implicit) {
@@ -109,7 +113,7 @@ T given_force(const Branches<T>& branch, const AskedForces<T>& asked, const T& e
   if (!implicit) return given + asked.stop;
   return given + select(limit_pulls<T>(branch, asked.stop), T(0.0f), asked.stop);
 }
-// Returns the branch that matches the unclipped forces. `keep`: a drive or limit that is inactive
+// Returns the branch that matches the unclipped forces. `keep`: a drive or limit that does not act
 // in `branch` stays inactive.
 template <class T>
 Branches<T> next_branch(const Branches<T>& branch, const AskedForces<T>& asked,
@@ -127,10 +131,10 @@ Branches<T> next_branch(const Branches<T>& branch, const AskedForces<T>& asked,
   return with(with(next, upper, kEffortAtUpper), lower, kEffortAtLower);
 }
 
-// Adds the gradients of a dof's drive, limits and damping, and their contributions to q and qd.
-// `turn`: rotation of a dof of a BALL to its target (ball_drives.h), with its own position taken as
-// 0; null for other joints. `diagonal`: gradient of M's diagonal from sources other than lambda
-// qdd. `at_upper`, `at_lower`: AdjointMemory stops (step_vjp.h).
+// Adds the gradients by a dof's drive, limits and damping, and their contributions to q and qd.
+// `turn`: the rotation phi of a BALL dof to its target (ball_drives.h), with the dof's position
+// taken as 0; null for other joints. `diagonal`: gradient by M's diagonal from sources other than
+// lambda qdd. `at_upper`, `at_lower`: AdjointMemory::stops (step_vjp.h).
 template <class T>
 void drive_gradient(const Link& link, int32_t dof_of_link, const StepInputs<T>& in,
                     const StepOptions<T>& options, const Branches<T>& branch, const T* turn,

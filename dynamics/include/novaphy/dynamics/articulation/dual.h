@@ -1,6 +1,6 @@
-// Dual numbers: a value and its derivative along one direction. The tree algorithms (tree.h) with
-// dual numbers as scalar give tangents. Comparisons use the values, so the branches are those of
-// the values.
+// Dual numbers: a value and its derivative along one direction. With dual numbers as scalar, the
+// tree algorithms (tree.h) compute tangents. Comparisons use the values, so the branches are those
+// of the computation without tangents.
 #pragma once
 
 #include "novaphy/dynamics/articulation/scalar.h"
@@ -12,7 +12,7 @@ template <class T>
 struct Dual {
   T value{}, tangent{};
   Dual() = default;
-  constexpr Dual(T v) : value(v) {}  // a constant
+  constexpr Dual(T v) : value(v) {}  // constant: tangent 0
   constexpr Dual(T v, T t) : value(v), tangent(t) {}
 };
 

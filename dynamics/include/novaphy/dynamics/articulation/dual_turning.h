@@ -1,4 +1,4 @@
-// The tangent of a moving contact point of trees, from the tangents of its bodies' poses
+// The tangent of a moving contact point of trees, from the tangents of the two bodies' poses
 // (turning_contacts.h).
 #pragma once
 
@@ -18,7 +18,7 @@ inline Transformf value_of(const Transform<DualFloat>& x) {
   return {value_of(x.p), {x.q.x.value, x.q.y.value, x.q.z.value, x.q.w.value}};
 }
 
-// Returns the tangent of a pose as a twist at a point.
+// Returns the tangent of a pose as a twist at the point `at`.
 inline SpatialVectorf twist_of(const Transform<DualFloat>& pose, const Vec3f& at) {
   const Transformf x = value_of(pose);
   const Quatf speed = {pose.q.x.tangent, pose.q.y.tangent, pose.q.z.tangent, pose.q.w.tangent};
@@ -29,7 +29,7 @@ inline SpatialVectorf twist_of(const Transform<DualFloat>& pose, const Vec3f& at
   return to;
 }
 
-// The normal of a contact, and the motion of its surface points in the world.
+// The normal of a contact, and the motion of its surface points in the world, as dual numbers.
 struct DualTurning {
   bool is_exact = false;
   Vec3<DualFloat> normal{};
@@ -37,7 +37,7 @@ struct DualTurning {
   Vec3f about{};
   Transform<DualFloat> pose[2] = {};  // of the bodies, relative to `about`
 
-  // `of`: the contact at the values of the poses.
+  // Finds the normal and the motion. `of`: the contact at the values of the poses. Margins in m.
   void find(const TurningShapes& shapes, const TurningInput<float>& of, float margin0,
             float margin1) {
     const float margins[2] = {margin0, -margin1};

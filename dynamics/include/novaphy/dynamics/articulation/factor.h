@@ -1,14 +1,14 @@
 // The inverse of a tree's mass matrix M = H(q) + diag(ws.diagonal) + c c^T for each BALL joint,
-// where c are its rows of ws.cone. Two factorizations exist, and the tree alone selects one:
+// where c are the joint's entries of ws.cone. Two factorizations exist. The tree alone selects one
+// of them:
 //
 //   M = L^T D L of a matrix with a tree's sparsity (Featherstone 2008, section 6.5). Rows are
 //   eliminated from the leaves, so L has entries only where M has entries, without fill-in. With
 //   mimic joints (mimic.h), M stands for T^T M T and M^-1 for T (T^T M T)^-1 T^T, and rows are
-//     full.
+//   full.
 //
 //   Articulated bodies (articulated_body.h), for trees with more than kMatrixJoints joints in a
-//     row,
-//   because float cannot represent the mass matrix of a long chain. c is then 0.
+//   row, because float cannot represent the mass matrix of a long chain. c is then 0.
 #pragma once
 
 #include "novaphy/dynamics/articulation/articulated_body.h"
@@ -25,13 +25,13 @@ bool has_matrix([[maybe_unused]] const Tree<T>& tree) {
   return tree.mimics > 0 || tree.joints_in_a_row <= kMatrixJoints;
 #endif
 }
-// Returns whether a solve may skip uncoupled dofs.
+// Returns whether a solve may skip dofs that the sparse factor does not couple.
 template <class T>
 bool is_sparse(const Tree<T>& tree) {
   return tree.mimics == 0 && has_matrix(tree);
 }
-// Calls f(above): above(k) is the next row towards the root in which row k of L has an entry; -1:
-// none.
+// Calls f(above), where above(k) is the next row towards the root in which row k of L has an entry;
+// -1: none.
 template <class T, class F>
 auto with_rows_above(const Tree<T>& tree, const F& f) {
   if (tree.mimics > 0) return f([](int32_t k) { return k - 1; });
@@ -52,10 +52,10 @@ void add_cones(const Tree<T>& tree, Workspace<T>& ws) {
   }
 }
 
-// Factors M in the workspace's matrix, after kinematics at q (rows of the arrays): L below the
-// diagonal (its diagonal is 1) and D on it, or the rows of articulated bodies. Returns the first
-// dof, counted from the leaves, whose pivot is not positive (in any lane), or -1. The factorization
-// stops at that dof.
+// Factors M after kinematics at q (indexed as in the model's arrays). ws.matrix gets L below the
+// diagonal (its diagonal is 1) and D on the diagonal, or the data of articulated bodies. Returns
+// the first dof, counted from the leaves, whose pivot is not positive (in any lane), or -1. The
+// factorization stops at that dof.
 template <class T>
 int32_t factor(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
   if (!has_matrix(tree)) return factor_links(tree, q, ws);
@@ -98,16 +98,16 @@ void solve(const Tree<T>& tree, const Workspace<T>& ws, T* x) {
   spread_leaders(tree, x);
 }
 
-// Computes ws.bias = ID(q, qd, 0), in rows of the tree, and the links' motions. For articulated
-// bodies the bias is 0, because find_accelerations includes it.
+// Computes ws.bias = ID(q, qd, 0), indexed by the tree's dofs, and the links' motions. For
+// articulated bodies the bias is 0, because find_accelerations includes it.
 template <class T>
 void bias_forces(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
   if (has_matrix(tree)) return inverse_dynamics<T>(tree, qd, nullptr, ws, ws.bias);
   link_motions(tree, qd, ws);
   for (int32_t k = 0; k < tree.dof_count; ++k) ws.bias[k] = T(0.0f);
 }
-// Computes ws.qdd from the forces ws.rhs minus ws.bias, after `factor`. With articulated bodies, a
-// dof with infinite diagonal keeps its qdd, and its descendants move with it.
+// Computes ws.qdd = M^-1 (ws.rhs - ws.bias), after `factor`. With articulated bodies, a dof with
+// infinite diagonal keeps its qdd, and its descendants move with it.
 template <class T>
 void find_accelerations(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
   if (!has_matrix(tree)) return accelerate_links(tree, qd, ws);

@@ -1,14 +1,15 @@
-// The force of a fluid on a body: the force on a box of uniform density with the mass and the
-// principal inertia of the body.
+// The force of a fluid on a body: the force on a box of uniform density that has the body's mass
+// and principal inertia.
 //
 //   v, w     velocity of the center of mass relative to the fluid, angular velocity; box axes
 //   b        side lengths of the box (m);  d = (bx + by + bz) / 3
-//   force    -3 pi d viscosity v - density / 2 by bz |vx| vx, and so on in y and z
-//   moment   -pi d^3 viscosity w - density / 64 bx (by^4 + bz^4) |wx| wx, and so on
-// The force acts at the center of mass. The first terms are those of a sphere of diameter d.
+//   force    -3 pi d viscosity v - density / 2 by bz |vx| vx, and likewise in y and z
+//   moment   -pi d^3 viscosity w - density / 64 bx (by^4 + bz^4) |wx| wx, and likewise in y and z
+// The force acts at the center of mass. The terms with the viscosity are those of a sphere of
+// diameter d.
 //
-// Source: MuJoCo, "Computation", inertia-based model of fluid forces. Gradients: pose, velocity,
-// density, viscosity, wind and box. The rotation of the box in the body has none.
+// Source: MuJoCo, "Computation", inertia-based model of fluid forces. Gradients: by pose, velocity,
+// density, viscosity, wind and box. The rotation of the box in the body has no gradient.
 #pragma once
 
 #include "novaphy/dynamics/articulation/dual.h"
@@ -28,8 +29,9 @@ inline FluidPlace fluid_place(int32_t number, int32_t world, int32_t body) {
   return {3, 3 * body + number - 5};
 }
 
-// Returns the force, and the moment about the center of mass. q: rotation of the body. motion:
-// velocity of the center of mass. frame: rotation of the box in the body.
+// Returns the force, and the moment about the center of mass, in world axes. q: rotation of the
+// body. motion: velocity of the center of mass. numbers: the body's eight numbers. frame: rotation
+// of the box in the body.
 template <class T>
 SpatialVector<T> fluid_wrench(const Quat<T>& q, const SpatialVector<T>& motion,
                               const T (&numbers)[kFluidNumbers], const Quatf& frame) {

@@ -1,19 +1,20 @@
-// Labels and counts of the gradients of steps, accumulated over steps (gradient_info.h), and the
-// events of contacts between two steps. Freestanding: shared by the host and device kernels.
+// Labels and counts of the gradients of steps, summed over steps (gradient_info.h), and the events
+// of contacts between two steps. Freestanding: shared by host and device kernels.
 #pragma once
 
 #include <cstdint>
 
 namespace novaphy {
 
-// If contacts violate their law by more than this fraction of the largest impulse, the gradient of
-// a step is a surrogate.
+// If the contact solve misses its law by more than this fraction of the largest impulse, the
+// gradient of the step is a surrogate.
 inline constexpr float kSurrogateResidual = 1e-3f;
 
 inline constexpr int32_t kContactBegan = 0, kContactEnded = 1, kContactTurned = 2;
 
-// A pair of shapes, or a shape and kParticle plus a particle, with the event of its contact. The
-// smallest of several pairs counts, so that the result does not depend on the order of processing.
+// A pair of shapes, or a shape and a particle (as kParticle plus its index), with the event of its
+// contact. The smallest pair is kept, so that the result does not depend on the order of
+// processing.
 struct ContactPair {
   static constexpr int32_t kNone = 0x7fffffff, kParticle = 0x40000000;
   int32_t first = kNone, second = kNone, event = kNone;
@@ -26,7 +27,7 @@ inline void take_first(const ContactPair& of, ContactPair& to) {
   if (before) to = of;
 }
 
-// Notes of a step, or of a part of a step.
+// Counts of a step, or of a part of a step.
 struct StepNotes {
   int32_t began = 0, ended = 0, turned = 0;  // counts of contacts; turned: between sticking and
                                              // slipping
@@ -49,9 +50,9 @@ struct GradientCounts {
   int64_t steps = 0, exact = 0, frozen = 0, surrogate = 0;
   int64_t began = 0, ended = 0, turned = 0;
   int64_t event_step = -1, frozen_step = -1, surrogate_step = -1;  // first step of each kind
-  ContactPair event, held;                                         // pairs of those steps
+  ContactPair event, held;                                         // of event_step and frozen_step
   float residual = 0.0f;                                           // largest residual
-  int32_t jumps = 0;                                               // of a surrogate step
+  int32_t jumps = 0;                                               // of any surrogate step
 };
 inline void note_step(const StepNotes& of, GradientCounts& to) {
   const bool surrogate = of.jumps != 0 || !(of.residual <= kSurrogateResidual);
@@ -79,7 +80,7 @@ inline void note_step(const StepNotes& of, GradientCounts& to) {
   ++to.steps;
 }
 
-// Adds steps that come after those of `to`.
+// Adds the counts of steps that come after the steps of `to`.
 inline void note_steps(const GradientCounts& of, GradientCounts& to) {
   const auto first = [&](int64_t step, int64_t& of_all) {
     const bool is_first = step >= 0 && of_all < 0;
@@ -100,14 +101,14 @@ inline void note_steps(const GradientCounts& of, GradientCounts& to) {
   to.steps += of.steps;
 }
 
-// A contact of a step. `mode`: 0: no push, 1: sticks, larger: slips. `held`: whether its point or
+// A contact of a step. `mode`: 0 no impulse, 1 sticks, larger: slips. `held`: whether its point or
 // normal is frozen.
 struct SeenContact {
   int32_t first = ContactPair::kNone, second = 0, point = 0, mode = 0, held = 0;
 };
 
-// Returns the mode of the same contact in a list sorted by pairs. `next`: start of its pair in the
-// list, initially 0; contacts in another order also restart at 0.
+// Returns the mode of the same contact in a list that is sorted by pairs. `next`: search position,
+// initially 0. For contacts in another order the search restarts at 0.
 inline int32_t mode_of(const SeenContact* list, int32_t count, int32_t& next,
                        const SeenContact& of) {
   while (next < count && (list[next].first < of.first ||
@@ -117,7 +118,7 @@ inline int32_t mode_of(const SeenContact* list, int32_t count, int32_t& next,
     if (list[i].point == of.point && list[i].mode != 0) return list[i].mode;
   return 0;
 }
-// Notes the change of a pushing contact's mode since the last step, or the end of a contact.
+// Counts the change of a pushing contact's mode since the last step, or the end of a contact.
 inline void note_change(const SeenContact& c, int32_t mode, StepNotes& to) {
   if (mode == c.mode) return;
   ++(mode == 0 ? to.began : to.turned);
@@ -127,7 +128,7 @@ inline void note_end(const SeenContact& c, StepNotes& to) {
   ++to.ended;
   take_first({c.first, c.second, kContactEnded}, to.event);
 }
-// Notes the events between two consecutive steps; both lists are sorted by pairs.
+// Counts the events between two consecutive steps. Both lists are sorted by pairs.
 inline void note_events(const SeenContact* before, int32_t before_count, const SeenContact* now,
                         int32_t now_count, StepNotes& to) {
   int32_t next = 0;

@@ -8,8 +8,8 @@
 
 namespace novaphy::articulation {
 
-// The change of S contributes to a FREE joint's acceleration in its public coordinates: (v x w, 0)
-// of the joint's own motion in world axes.
+// Returns the acceleration of a FREE joint that comes from the change of S: (v x w, 0) for the
+// joint's own velocities v and w, in world axes.
 template <class T>
 SpatialVector<T> free_joint_acceleration(const Quat<T>& anchor_q, const T* qd) {
   SpatialVector<T> a = zero_spatial<T>();
@@ -17,7 +17,7 @@ SpatialVector<T> free_joint_acceleration(const Quat<T>& anchor_q, const T* qd) {
   return a;
 }
 
-// Returns a wrench (force, torque about the center of mass) about O.
+// Converts a wrench (force, torque about the center of mass) to one about the origin O.
 template <class T>
 SpatialVector<T> wrench_at_origin(const SpatialVector<T>& wrench, const Vec3<T>& com) {
   return {wrench.linear, wrench.angular + math::cross(com, wrench.linear)};
@@ -28,8 +28,8 @@ void clear_wrenches(const Tree<T>& tree, Workspace<T>& ws) {
   for (int32_t i = 0; i < tree.link_count; ++i) ws.links[i].wrench = zero_spatial<T>();
 }
 
-// Computes tau (rows of the tree), and v, a and f in the workspace. Null qdd: 0. The links'
-// wrenches act.
+// Computes the forces tau of dofs (indexed by the tree's dofs), and v, a and f in the workspace.
+// Null qdd: 0. External wrenches of the links are included.
 template <class T>
 void inverse_dynamics(const Tree<T>& tree, const T* qd, const T* qdd, Workspace<T>& ws, T* tau) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
@@ -68,8 +68,8 @@ void composite_inertias(const Tree<T>& tree, Workspace<T>& ws) {
   }
 }
 
-// Computes H in the workspace's matrix, on and below the diagonal: H[k n + j] for j an ancestor of
-// k. Entries of dofs on different branches are 0 and are not written.
+// Computes the mass matrix H in ws.matrix, on and below the diagonal: H[k n + j], where dof j is an
+// ancestor of dof k. Entries of dofs on different branches of the tree are 0 and are not written.
 template <class T>
 void mass_matrix(const Tree<T>& tree, Workspace<T>& ws) {
   composite_inertias(tree, ws);
@@ -90,7 +90,7 @@ struct TreeMass {
   T mass{};
   Vec3<T> com{};  // m, world
 };
-// Returns the mass and the center of mass of all links. Without mass, com is 0.
+// Returns the mass (kg) and the center of mass of all links. Without mass, com is 0.
 template <class T>
 TreeMass<T> center_of_mass(const Tree<T>& tree, const Workspace<T>& ws) {
   TreeMass<T> sum{T(0.0f), {T(0.0f), T(0.0f), T(0.0f)}};
@@ -110,7 +110,7 @@ template <class T>
 struct TreeEnergy {
   T kinetic{}, potential{};  // J; potential relative to the world's origin
 };
-// Returns the energy, without armature. Call link_motions first.
+// Returns the energy without armature. Call link_motions first.
 template <class T>
 TreeEnergy<T> energy(const Tree<T>& tree, const Workspace<T>& ws) {
   TreeEnergy<T> sum{T(0.0f), T(0.0f)};

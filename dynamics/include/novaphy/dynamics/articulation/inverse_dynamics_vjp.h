@@ -4,31 +4,32 @@
 // With the virtual motion w_i = w_parent + S_i lambda_i, Phi is the sum over the links of w_i .
 // f_i, where f_i = Y_i a_i + v_i x* Y_i v_i - wrench_i. The adjoints of a, v and w are
 //   A_i = Y_i w_i,  V_i = -w_i x* Y_i v_i + Y_i (w_i x v_i),  F_i = f_i
-// summed over the descendants of the link. Rotating all descendants by the motion S_k, with their
-// motions, leaves Phi unchanged. But link i's own v, a and w do not rotate with its q, so
+// summed over the descendants of the link. A rotation of all descendants with their motions by S_k
+// leaves Phi unchanged. But v, a and w of link i itself do not rotate with its q:
 //   dPhi/dq_k = -S_k . (v_i x* V_i + a_i x* A_i + w_i x* F_i) + (angular S_k) . torque_i
-// where torque_i is f x w_c + t x w_w of the wrenches, which are constant in the world. The rates
-// of a FREE joint refer to its center of mass, so its angular columns move with the center of mass.
+// where torque_i is f x w_c + t x w_w of the wrenches (f, t), which are constant in the world. The
+// rates of a FREE joint refer to its center of mass, so its angular columns move with the center of
+// mass.
 #pragma once
 
 #include "novaphy/dynamics/articulation/inverse_dynamics.h"
 
 namespace novaphy::articulation {
 
-// Gradients of Phi. Rows of q, qd and qdd are the tree's dofs (tangents of q); other rows are its
-// links. Gradients are stored, not added. A null gradient is skipped.
+// Gradients of Phi. q (by tangents), qd and qdd are indexed by the tree's dofs, other arrays by its
+// links. Gradients are stored, not added. Null: not computed.
 template <class T>
 struct InverseDynamicsGradient {
   T *q = nullptr, *qd = nullptr, *qdd = nullptr;
   SpatialVector<T>* wrench = nullptr;  // about the center of mass, world axes
-  T* mass = nullptr;                   // at constant center of mass and inertia about it
+  T* mass = nullptr;                   // at constant com and inertia about com
   Vec3<T>* com = nullptr;              // body frame; at constant q
   Mat33<T>* inertia = nullptr;         // body axes, symmetric
   Vec3<T> gravity = {};
 };
 
-// Returns a link's own dPhi/d(com), in world axes, at constant v_com and frames: the derivative of
-// m w_c . a_c - w_c . f.
+// Returns the part of dPhi/d(com) of the link alone, in world axes, at constant v_com and frames:
+// the derivative of m w_c . a_c - w_c . f.
 template <class T>
 Vec3<T> com_gradient(const LinkState<T>& s) {
   const Vec3<T> a_com = math::motion_at(s.a, s.com).linear +
@@ -58,8 +59,8 @@ Mat33<T> inertia_gradient(const LinkState<T>& s) {
            {xz, yz, w.z * alpha.z + u.z * omega.z}}};
 }
 
-// Returns the change of Phi if the angular columns of a FREE joint move by d, as they do with its
-// center of mass: by its own a, v and w, and by its descendants.
+// Returns the change of Phi if the angular columns of a FREE joint move by d together with its
+// center of mass: through the joint's a, v and w, and through its descendants.
 template <class T>
 T moved_columns(const LinkState<T>& s, const SpatialVector<T>& v_parent, const Vec3<T>& d,
                 const Vec3<T>& omega, const Vec3<T>& alpha, const Vec3<T>& lambda) {
@@ -71,8 +72,8 @@ T moved_columns(const LinkState<T>& s, const SpatialVector<T>& v_parent, const V
          math::dot(math::cross(d, lambda), s.f.linear);
 }
 
-// Computes a link's gradients for its own joint from its summed adjoints, and a FREE joint's
-// contribution to the gradient of `com`.
+// Computes the gradients by a joint's q, qd and qdd from the summed adjoints of its link, and a
+// FREE joint's contribution to the gradient by `com`.
 template <class T>
 void joint_gradient(const Tree<T>& tree, const Link& link, const T* qd, const T* qdd,
                     const T* lambda, const SpatialVector<T>& v_parent, const Workspace<T>& ws,
@@ -111,7 +112,8 @@ void joint_gradient(const Tree<T>& tree, const Link& link, const T* qd, const T*
   }
 }
 
-// Computes the gradients of Phi, after inverse_dynamics at (q, qd, qdd). lambda: rows of the tree.
+// Computes the gradients of Phi, after inverse_dynamics at (q, qd, qdd). `lambda` is indexed by the
+// tree's dofs.
 template <class T>
 void inverse_dynamics_vjp(const Tree<T>& tree, const T* qd, const T* qdd, const T* lambda,
                           Workspace<T>& ws, InverseDynamicsGradient<T>& g) {

@@ -1,7 +1,8 @@
-// The sweeps of an island (islands.h): sweeps of rates, followed by sweeps of shifts.
+// The PGS sweeps of an island (islands.h): sweeps of rates, then sweeps of shifts (position
+// corrections, pgs.h).
 //
 // A contact that does not push needs neither Y nor the divisors of a sweep. Both are computed when
-// a sweep finds that the contact is about to push. The impulses have the same bits.
+// a sweep finds that the contact is about to push. The bits of the impulses do not depend on this.
 #pragma once
 
 #include "novaphy/dynamics/articulation/islands.h"
@@ -9,8 +10,8 @@
 
 namespace novaphy::articulation {
 
-// for_rows(f) calls f for each contact. whole(row, speed) returns whether a contact that separates
-// at `speed` pushes, and then completes its data.
+// Sweeps shifts. for_rows(f) calls f for each contact. whole(row, speed) returns whether a contact
+// that separates at `speed` pushes, and if so completes its data.
 template <class ForRows, class Whole>
 void sweep_shifts(const ForRows& for_rows, const Whole& whole) {
   bool overlap = false;
@@ -29,8 +30,8 @@ void sweep_shifts(const ForRows& for_rows, const Whole& whole) {
 }
 
 // Solves the contacts and the dry friction of an island by sweeps. for_contacts(back, f) calls f
-// for each contact, and for_friction(f) for each joint with dry friction.
-// complete(row) completes the data of a contact.
+// for each contact, in reverse order if `back`. for_friction(f) calls f for each joint with dry
+// friction. complete(row) computes Y and the divisors of a contact.
 template <class ForContacts, class ForFriction, class Complete>
 IslandResult sweep_island(bool cone, int32_t most_sweeps, float tolerance,
                           const ForContacts& for_contacts, const ForFriction& for_friction,

@@ -6,7 +6,7 @@
 
 namespace novaphy::articulation {
 
-// Rows of the arrays, and numbers of dofs: all dofs, and linear dofs.
+// A joint's rows in the model's arrays, and its numbers of dofs: all dofs, and linear dofs.
 struct JointRows {
   JointType type = JointType::FIXED;
   int32_t joint = 0, child = 0, coord = 0, dof = 0, dofs = 0, linear = 0;
@@ -16,8 +16,7 @@ inline int32_t link_count(const JointRows& j) {
   return joint_traits(j.type).is_chain && j.dofs > 1 ? j.dofs : 1;
 }
 
-// Returns link k of a joint. `parent`: the link before it. A DISTANCE joint moves like a FREE
-// joint.
+// Returns link k of a joint. `parent`: the previous link. A DISTANCE joint moves like a FREE joint.
 inline Link joint_link(const JointRows& j, int32_t k, int32_t parent) {
   const bool chain = joint_traits(j.type).is_chain, last = k == link_count(j) - 1;
   const LinkJoint whole =

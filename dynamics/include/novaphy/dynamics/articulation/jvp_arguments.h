@@ -1,4 +1,5 @@
-// The arguments of the kernels for the tangent of a step of articulations, over arguments.h.
+// The arguments of the kernels for the tangent of a step of articulations. The file extends
+// arguments.h.
 #pragma once
 
 #include "novaphy/dynamics/articulation/arguments.h"
@@ -8,8 +9,8 @@ namespace novaphy {
 
 using articulation::DualFloat;
 
-// If a step fails, its results stay unchanged. branch: branches of the step, per dof. stride: size
-// of the workspace of an articulation in numbers.
+// If a step fails, its results stay unchanged. branch: the branches of the step, per dof. stride:
+// size of an articulation's workspace in numbers.
 struct ArticulationJvpArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationArgumentsOf<DualFloat>> in; Changed<DualFloat> q_next, qd_next;
                     Changed<Transform<DualFloat>> body_q; Changed<SpatialVector<DualFloat>> body_qd;

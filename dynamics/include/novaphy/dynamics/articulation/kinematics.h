@@ -1,12 +1,13 @@
-// Forward kinematics: frames and motions of the links, the update of q, and the adjoint of both.
-// tree.h has the conventions.
+// Forward kinematics: frames and motions of the links, and the update of q over a step. tree.h has
+// the conventions.
 #pragma once
 
 #include "novaphy/dynamics/articulation/joints/joints.h"
 
 namespace novaphy::articulation {
 
-// Returns X_j(q) with a normalized quaternion, and its `length` before.
+// Returns the joint's transform X_j(q) with a normalized quaternion. `length`: the quaternion's
+// length before.
 template <class T>
 Transform<T> joint_transform(const Tree<T>& tree, const Link& link, const T* q, T& length) {
   Transform<T> x;
@@ -14,7 +15,8 @@ Transform<T> joint_transform(const Tree<T>& tree, const Link& link, const T* q, 
   return x;
 }
 
-// Returns the inertia R I R^T about O of a body with the center of mass c.
+// Returns the inertia of a link about O, in world axes (R I R^T for the body's rotation R). c: the
+// body's center of mass about O.
 template <class T>
 SpatialInertia<T> world_inertia(const Tree<T>& tree, const Link& link, const Quat<T>& q,
                                 const Vec3<T>& c) {
@@ -38,7 +40,7 @@ SpatialInertia<T> world_inertia(const Tree<T>& tree, const Link& link, const Qua
       -c);
 }
 
-// Sets the columns of S of a link whose frames are set.
+// Computes the columns of S for a link. The frames of the link must be up to date.
 template <class T>
 void set_axes(const Tree<T>& tree, const Link& link, const LinkState<T>& s,
               SpatialVector<T>* axes) {
@@ -46,7 +48,8 @@ void set_axes(const Tree<T>& tree, const Link& link, const LinkState<T>& s,
   Joints::visit(link.joint, [&](auto joint) { joint.set_axes(tree, link, s, column); });
 }
 
-// Computes a link's frames from its parent's (null: the world) and q (rows of the arrays).
+// Computes a link's frames from its parent's (null: the world) and q (indexed as in the model's
+// arrays).
 template <class T>
 void link_frame(const Tree<T>& tree, const Link& link, const LinkState<T>* parent, const T* q,
                 LinkState<T>& s) {
@@ -88,7 +91,7 @@ void link_frames(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
   }
 }
 
-// Calls link_frames, and computes the inertias of all links.
+// Computes the frames, the axes and the inertias of all links.
 template <class T>
 void kinematics(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
   link_frames(tree, q, ws);
@@ -96,7 +99,7 @@ void kinematics(const Tree<T>& tree, const T* q, Workspace<T>& ws) {
     ws.links[i].inertia = world_inertia(tree, tree.links[i], ws.links[i].q, ws.links[i].com);
 }
 
-// Computes the motions of the links from qd (rows of the tree).
+// Computes the motions of all links from qd (indexed by the tree's dofs).
 template <class T>
 void link_motions(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
@@ -106,7 +109,7 @@ void link_motions(const Tree<T>& tree, const T* qd, Workspace<T>& ws) {
   }
 }
 
-// Writes body_q and body_qd (rows of the bodies), after link_frames and link_motions.
+// Writes body_q and body_qd of a body, after link_frames and link_motions.
 template <class T>
 void write_body(int32_t body, const LinkState<T>& s, Transform<T>* body_q,
                 SpatialVector<T>* body_qd) {
@@ -122,7 +125,8 @@ void write_bodies(const Tree<T>& tree, const Workspace<T>& ws, Transform<T>* bod
   }
 }
 
-// Computes q after dt with the rates qd (rows of the tree). Quaternions are normalized.
+// Computes q_next from q after a time dt with the rates qd (indexed by the tree's dofs).
+// Quaternions are normalized.
 template <class T>
 void integrate_coordinates(const Tree<T>& tree, const T* q, const T* qd, const T& dt, T* q_next) {
   for (int32_t i = 0; i < tree.link_count; ++i) {

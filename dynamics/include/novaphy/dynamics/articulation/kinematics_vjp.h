@@ -1,9 +1,10 @@
-// The adjoint of forward kinematics: from gradients of body_q and body_qd to those of q (tangents),
-// qd and centers of mass.
+// The adjoint of forward kinematics: converts gradients by body_q and body_qd to gradients by q
+// (tangents), qd and centers of mass.
 //
-// The velocity of a link's center of mass c is v + w x c. For its gradient (u, t), V = (u, t + c x
-// u) is the gradient of the motion about O. Rotating all descendants of link i by S_k moves poses
-// and centers of mass and rotates motions, except link i's own (inverse_dynamics_vjp.h).
+// The velocity of a link's center of mass c is v + w x c. If it has the gradient (u, t), then V =
+// (u, t + c x u) is the gradient by the motion about O. A rotation of all descendants of link i by
+// S_k moves poses and centers of mass, and rotates all motions except link i's own
+// (inverse_dynamics_vjp.h).
 #pragma once
 
 #include "novaphy/dynamics/articulation/inverse_dynamics.h"
@@ -17,13 +18,13 @@ struct KinematicsGradient {
   Vec3<T>* com = nullptr;         // rows of links, body frame; stored, not added
 };
 
-// Returns the gradient of a pose (by its seven numbers) as a force about O.
+// Converts the gradient g by the seven numbers of a link's pose to a force about O.
 template <class T>
 SpatialVector<T> pose_force(const LinkState<T>& s, const Transform<T>& g) {
   return {g.p, quat_to_tangent(s.q, g.q) + math::cross(s.p, g.p)};
 }
 
-// Computes the gradients. Call link_frames and link_motions first. A null gradient is zero.
+// Computes the gradients. Call link_frames and link_motions first. A null input gradient is zero.
 // Overwrites v_adjoint and f of the links.
 template <class T>
 void kinematics_vjp(const Tree<T>& tree, const T* qd, const Transform<T>* body_q,
@@ -52,7 +53,7 @@ void kinematics_vjp(const Tree<T>& tree, const T* qd, const Transform<T>* body_q
       g.q[k] = math::dot(ws.axes[k], turn);
       g.qd[k] = math::dot(ws.axes[k], s.v_adjoint);
     }
-    if (is_free(link)) {  // the columns of its angular rates move with the center of mass
+    if (is_free(link)) {  // the columns of the angular rates move with the center of mass
       const Vec3<T> columns = math::cross(turned(s.anchor_q, qd + first + 3), s.v_adjoint.linear);
       for (int k = 0; k < 3; ++k)
         g.q[first + k] = g.q[first + k] + math::dot(ws.axes[first + k].linear, columns);

@@ -1,11 +1,13 @@
-// Mimic joints (URDF): q_f = multiplier q_l + offset for joints with one dof, where q_l belongs to
-// the leader. With the constant matrix T of qd = T qd_reduced, a step solves
+// Mimic joints (URDF): q_m = multiplier q_l + offset for joints with one dof, where q_m belongs to
+// the mimic joint and q_l to its leader. With the constant matrix T of qd = T qd_reduced, a step
+// solves
 //   T^T M T qdd_reduced = T^T f,   qdd = T qdd_reduced
 // so M^-1 becomes the symmetric matrix T (T^T M T)^-1 T^T in every formula (contacts, adjoints,
 // derivatives), and nothing else changes. At the end of a step the coordinates of mimic joints are
-// written from their leaders. At the start of a step they are read unchanged. Mimic joints couple
-// branches, so the matrix is factored without the tree's sparsity. Source: Featherstone, Rigid Body
-// Dynamics Algorithms (2008), section 3.4 (explicit form of implicit constraints).
+// computed from their leaders. At the start of a step they are read unchanged. Mimic joints couple
+// branches of the tree, so the matrix is factored without the tree's sparsity.
+// Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 3.4 (explicit form of
+// implicit constraints).
 #pragma once
 
 #include "novaphy/dynamics/articulation/tree.h"
@@ -14,8 +16,8 @@ namespace novaphy::articulation {
 
 inline bool follows(const Link& link) { return link.leader >= 0; }
 
-// Calls f(mimic joint's dof, leader's dof, multiplier) for each mimic joint, with dofs as indices
-// in the tree.
+// Calls f(mimic joint's dof, leader's dof, multiplier) for each mimic joint. Dofs are counted from
+// the tree's first dof.
 template <class T, class F>
 void for_mimics(const Tree<T>& tree, F&& f) {
   if (tree.mimics == 0) return;
@@ -26,7 +28,7 @@ void for_mimics(const Tree<T>& tree, F&& f) {
   }
 }
 
-// Computes x = T^T x for dual quantities (forces, gradients).
+// Computes T^T x in place, for forces and gradients.
 template <class T>
 void gather_mimics(const Tree<T>& tree, T* x) {
   for_mimics(tree, [x](int32_t mimic, int32_t leader, const T& multiplier) {
@@ -34,7 +36,7 @@ void gather_mimics(const Tree<T>& tree, T* x) {
     x[mimic] = T(0.0f);
   });
 }
-// Computes x = T x for motions (rates, accelerations).
+// Computes T x in place, for rates and accelerations.
 template <class T>
 void spread_leaders(const Tree<T>& tree, T* x) {
   for_mimics(tree, [x](int32_t mimic, int32_t leader, const T& multiplier) {
@@ -42,7 +44,8 @@ void spread_leaders(const Tree<T>& tree, T* x) {
   });
 }
 
-// Writes the coordinates and rates of mimic joints in a new state; rows of the arrays.
+// Writes the coordinates and rates of mimic joints in a new state (indexed as in the model's
+// arrays).
 template <class T>
 void follow(const Tree<T>& tree, T* q, T* qd) {
   if (tree.mimics == 0) return;
@@ -55,7 +58,7 @@ void follow(const Tree<T>& tree, T* q, T* qd) {
   }
 }
 
-// Replaces the result of mass_matrix by T^T M T, with 1 on the diagonal of mimic joints.
+// Replaces the mass matrix m by T^T M T, with 1 on the diagonal of mimic joints.
 template <class T>
 void reduce_matrix(const Tree<T>& tree, T* m) {
   const int64_t n = tree.dof_count;

@@ -1,9 +1,9 @@
 // The material of two touching shapes (core/sim/shape_config.h, ShapeMixing).
 //
-// A coefficient of the pair is a times that of shape A plus b times that of shape B (plus a
-// constant), with the fractions a and b below. The fractions are constant in derivatives. Steps,
-// adjoints and tangents share them. If both mu are equal, each shape has the fraction 1/2. Source:
-// MuJoCo documentation, Computation, contact parameters.
+// A coefficient of the pair is a x_A + b x_B (plus a constant). x_A and x_B are the coefficients of
+// the shapes A and B. The fractions a and b are below. The fractions are constant in derivatives.
+// Steps, adjoints and tangents share them. If both mu are equal, each shape has the fraction 1/2.
+// Source: MuJoCo documentation, Computation, contact parameters.
 #pragma once
 
 #include "novaphy/dynamics/articulation/pgs.h"
@@ -16,12 +16,13 @@ struct PairParts {
   float softness[2] = {0.5f, 0.5f};  // fractions for ke and kd
   float more_friction = 0.0f;
 };
-// The gradients of both shapes, by their fractions.
+// The gradients by the coefficients of both shapes, with the fractions applied.
 struct MaterialGradient {
   float mu[2] = {}, restitution[2] = {}, ke[2] = {}, kd[2] = {};
 };
 
-// `mixing`: the four numbers of ShapeMixing of each shape. `mu`: of each shape.
+// Returns the fractions of a pair. `mixing`: the four numbers of ShapeMixing of each shape. `mu`:
+// friction of each shape.
 inline PairParts pair_parts(const float* mixing_a, const float* mixing_b, float mu_a, float mu_b) {
   PairParts to;
   const float *const mixing[2] = {mixing_a, mixing_b}, mu[2] = {mu_a, mu_b};
@@ -35,7 +36,7 @@ inline PairParts pair_parts(const float* mixing_a, const float* mixing_b, float 
     const float ahead = mixing[i][0] - mixing[1 - i][0];
     const float over = ahead != 0.0f ? ahead : has[i] - has[1 - i];
     const float part = over > 0.0f ? 1.0f : over < 0.0f ? 0.0f : 0.5f;
-    // The mu of a shape that decides alone is used as it is.
+    // A missing mu is a default number of the shape, without a gradient.
     const bool constant = ahead == 0.0f && !slips && !(mu[i] > 0.0f);
     to.friction[i] = constant ? 0.0f : part;
     to.more_friction += constant ? part * has[i] : 0.0f;
@@ -44,7 +45,7 @@ inline PairParts pair_parts(const float* mixing_a, const float* mixing_b, float 
   return to;
 }
 
-// Arrays with one row per shape; mixing has four numbers per row.
+// Arrays of materials with one row per shape. `mixing` has four numbers per row.
 template <class T>
 struct MaterialsOf {
   const T *mu, *restitution, *ke, *kd;

@@ -1,7 +1,8 @@
-// Bounds of the rate of a one-dof joint at the end of a step, and the rate at a bound.
+// Bounds of the rate of a one-dof joint at the end of a step, and the rate of a dof that is at a
+// bound.
 //
-// Velocity limits: |v| <= velocity_limit (m/s or rad/s). StepOptions::limit_rows adds a constraint
-// row for each limit of the position:
+// Velocity limits: |v| <= velocity_limit (m/s or rad/s). With StepOptions::limit_rows, each
+// position limit is a constraint row too:
 //
 //   r >= 0,  w' <= d / dt,  and one of the two holds with equality
 //   d      gap to the limit (m or rad)
@@ -11,8 +12,8 @@
 // A dof that would hit a limit faster than the restitution threshold gets w' = -restitution w,
 // clipped to its other bounds. A dof outside of its limits returns with the rate d / dt, clipped to
 // kMostReturn and velocity_limit. A step treats a dof at a bound as one with infinite inertia
-// (step.h). At a change from one bound to another, or to none, the derivative is that of the branch
-// of the step. Source: the law of a contact along its normal (pgs.h).
+// (step.h). Where the active bound changes, the derivative is that of the step's branch. Source:
+// the law of a contact along its normal (pgs.h).
 #pragma once
 
 #include "novaphy/dynamics/articulation/limits.h"
@@ -34,8 +35,8 @@ HeldRate<T> select_rate(const Mask& first, const HeldRate<T>& a, const HeldRate<
           select(first, a.lower, b.lower), select(first, a.velocity_limit, b.velocity_limit)};
 }
 
-// Returns the rate with which a dof reaches a limit: the upper one (`side` 1) or the lower one
-// (-1).
+// Returns the rate with which a dof just reaches a position limit: the upper limit (`side` 1) or
+// the lower limit (-1).
 template <class T>
 HeldRate<T> stop_rate(const StepInputs<T>& in, const StepOptions<T>& options, int32_t row,
                       int32_t coord, float side) {
@@ -77,8 +78,8 @@ HeldRate<T> held_rate(const StepInputs<T>& in, const StepOptions<T>& options, in
   return select_rate(has(branch, kStopBounces), back, bound);
 }
 
-// Returns the branch of a dof that moves from the branch `from` to its upper bound, its lower bound
-// or neither.
+// Returns the branch of a dof that was in the branch `from`, and is now at its upper bound, its
+// lower bound or neither. `upper`, `lower`: masks.
 template <class T, class Mask>
 Branches<T> bound_branch(const StepInputs<T>& in, const StepOptions<T>& options, int32_t row,
                          int32_t coord, const Branches<T>& from, const Mask& upper,
@@ -94,7 +95,7 @@ Branches<T> bound_branch(const StepInputs<T>& in, const StepOptions<T>& options,
   const auto elastic = options.limit_restitution > o;
   const auto fast = either(both(at_upper, v > options.restitution_threshold),
                            both(at_lower, v < -options.restitution_threshold));
-  // A dof that is at a bound already bounces only if it did so before.
+  // A dof that already was at a bound bounces only if it bounced before.
   const auto held = has(from, kVelocityClamped);
   const auto bounces = either(has(from, kStopBounces), both(negate(held), both(elastic, fast)));
   return with(to, both(either(at_upper, at_lower), bounces), kStopBounces);

@@ -6,10 +6,10 @@
 
 namespace novaphy::articulation {
 
-// The series are used below this squared sine of half the angle.
+// Power series are used if the squared sine of half the angle is below this value.
 inline constexpr float kSmallSine2 = 0.01f;
 
-// Returns phi with r = exp(phi), at most half a turn long.
+// Returns the rotation vector phi of the unit quaternion r = exp(phi), at most half a turn long.
 template <class T>
 Vec3<T> rotation_vector(Quat<T> r) {
   const T one = T(1.0f);
@@ -18,7 +18,7 @@ Vec3<T> rotation_vector(Quat<T> r) {
   const T square = (v.x * v.x + v.y * v.y) + v.z * v.z;
   const auto small = square < T(kSmallSine2);
   const T sine = square_root(select(small, one, square));
-  // The angle divided by the sine of its half: 2 asin(s) / s.
+  // The angle divided by the sine s of its half: 2 asin(s) / s.
   const T series =
       T(2.0f) + square * (T(1.0f / 3.0f) + square * (T(3.0f / 20.0f) + square * T(5.0f / 56.0f)));
   const T exact = T(2.0f) * angle_of(sine, r.w * side) / sine;

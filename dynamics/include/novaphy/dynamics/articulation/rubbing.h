@@ -1,8 +1,9 @@
-// Steps of normals whose friction acts against them.
+// Step sizes of PGS for a contact normal whose friction pushes against it, so that sweeps converge.
 //
-// With friction lambda_t = mu lambda_n d that slides along d, a sweep multiplies the error of a
-// normal by -mu (J_n Y_t d) / (J_n Y_n). Below a leg that leans backward the factor is beyond -1,
-// and sweeps never converge. The block of both rows has the divisor J_n Y_n + mu J_n Y_t d.
+// Let friction lambda_t = mu lambda_n d slide along the direction d. A sweep then multiplies the
+// error of the normal impulse by -mu (J_n Y_t d) / (J_n Y_n). Below a leg that leans backward the
+// factor is below -1, and sweeps never converge. Sweeps converge with the divisor J_n Y_n + mu J_n
+// Y_t d of both rows together.
 #pragma once
 
 #include "novaphy/dynamics/articulation/pgs.h"
@@ -11,9 +12,9 @@ namespace novaphy::articulation {
 
 inline constexpr int32_t kRubbingSweeps = 16;  // sweeps before the first rubbing_step
 
-// Returns the step of the normal for friction that grows with the normal, if friction acts against
-// the normal. The friction may stick in one sweep and slide in the next one. A contact without an
-// impulse keeps its step: its friction has no direction. t1, t2: J_n Y of the tangents.
+// Returns the step of the normal (inverse divisor), which includes friction that acts against the
+// normal. The friction may stick in one sweep and slide in the next one. A contact without an
+// impulse keeps its step, because its friction has no direction. t1, t2: J_n Y of the tangents.
 template <class T>
 T rubbing_step(const PgsNumbers<T>& c, const T& t1, const T& t2) {
   const T o = T(0.0f), whole = c.normal + c.cfm;
@@ -22,8 +23,8 @@ T rubbing_step(const PgsNumbers<T>& c, const T& t1, const T& t2) {
   const T divisor = select(against > o, whole + against, whole);
   return select(rubs, T(1.0f) / select(rubs, divisor, T(1.0f)), c.normal_step);
 }
-// Whether steps of normals are renewed after so many sweeps. A contact may push in every second
-// sweep only, so two sweeps in a row renew.
+// Returns whether the steps of normals are computed again after `sweeps` sweeps. A contact may push
+// in every second sweep only, so two consecutive sweeps recompute.
 constexpr bool renews_rubbing(int32_t sweeps) {
   return sweeps >= kRubbingSweeps && sweeps % kRubbingSweeps < 2;
 }

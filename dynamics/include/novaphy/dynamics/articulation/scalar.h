@@ -1,15 +1,16 @@
 // The scalar functions of articulations for float and double. dual.h has them for dual numbers, and
 // src/featherstone/lanes.h for SIMD lanes.
 //
-// Code never branches on a number, but only on all or any of its lanes. Comparisons return masks,
-// and select chooses by mask. A float has one lane, and its masks are bool.
+// A scalar may have several SIMD lanes. The algorithms therefore never branch on one number, but
+// only on whether all or any of the lanes meet a condition. Comparisons return masks, and `select`
+// chooses by mask. A float has one lane, and its masks are bool.
 #pragma once
 
 #include "novaphy/math/functions.h"
 
 namespace novaphy::articulation {
 
-// The branches of a step, as bits for each lane.
+// The type of branch bits (limits.h), per lane.
 template <class T>
 struct BranchesOf {
   using Type = int32_t;
@@ -42,7 +43,7 @@ inline SinCos<float> sin_cos(float x) {
   return {v.sin, v.cos};
 }
 inline float square_root(float x) { return math::sqrt(x); }
-// Returns the angle of (cosine, sine) from the x axis.
+// Returns the angle of the direction (cosine, sine) from the x axis (rad).
 inline float angle_of(float sine, float cosine) { return math::atan2(sine, cosine); }
 inline bool is_finite(float x) { return x - x == 0.0f; }
 
@@ -52,13 +53,13 @@ inline SinCos<double> sin_cos(double x) { return {std::sin(x), std::cos(x)}; }
 inline double square_root(double x) { return std::sqrt(x); }
 inline double angle_of(double sine, double cosine) { return std::atan2(sine, cosine); }
 inline bool is_finite(double x) { return x - x == 0.0; }
-// Not inlined, which keeps callers small: few trees have such joints and contacts.
+// For functions that few trees need: not inlined, which keeps their callers small.
 #define NOVAPHY_SELDOM __attribute__((noinline, cold))
 #define NOVAPHY_ROLLED
 inline constexpr int kDirectionsAtOnce = 6;
 #else
 #define NOVAPHY_SELDOM
-// A loop that stays a loop. Compilers of devices take minutes for the code of six directions.
+// Keeps a loop rolled. Device compilers take minutes for the unrolled code of six directions.
 #define NOVAPHY_ROLLED _Pragma("unroll 1")
 inline constexpr int kDirectionsAtOnce = 1;
 #endif

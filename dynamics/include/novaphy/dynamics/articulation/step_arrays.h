@@ -1,5 +1,5 @@
-// The list of the arrays that a step of trees reads. Kernel arguments, gradients, lanes, dual
-// numbers, launches and names in error messages all follow from this list.
+// The list of the arrays that a step of trees reads. Kernel arguments, gradients, SIMD lanes, dual
+// numbers, launches and the names in error messages all follow this list.
 //
 // The template argument A selects the type of each field. ReadPointers, WritePointers: a pointer to
 // the array. GivenArrays, WantedArrays (arguments.h): a kernel argument. Each: the same type for
@@ -12,7 +12,7 @@
 
 namespace novaphy::articulation {
 
-// The kind of the rows of an array.
+// The kind of objects that the rows of an array belong to.
 enum class RowOf : int32_t { Coord, Dof, Body, World, Joint };
 
 // Arrays with a gradient.
@@ -30,7 +30,7 @@ struct GradientArrays {
                     Array<RowOf::Body, T> mass; Array<RowOf::Body, Vec3<T>> com;
                     Array<RowOf::Body, Mat33<T>> inertia; Array<RowOf::World, Vec3<T>> gravity;)
 };
-// Calls visit(field of each of `a`...) for every array, in the order of the members.
+// Calls visit(field of each of `a`...) once per array, in the order of the members.
 template <class Visit, class... Arrays>
 constexpr void for_each_gradient_array(const Visit& visit, Arrays&... a) {
   visit(a.q...);
@@ -104,7 +104,7 @@ struct StepShape {
   };
 };
 
-// The inputs of a step; null if an algorithm does not need an array.
+// The inputs of a step. An array is null if an algorithm does not need it.
 template <class T>
 struct StepInputs : StepArrays<ReadPointers<T>> {
   const int32_t* target_mode;  // JointTargetMode
@@ -114,7 +114,7 @@ struct StepOptions {
   T dt{};               // s
   T angular_damping{};  // 1/s
   bool implicit_drives = true;
-  bool limit_rows = false;                         // limits of joints: rate_bounds.h
+  bool limit_rows = false;                         // limits are rows of rate_bounds.h
   T limit_restitution{}, restitution_threshold{};  // 1, m/s or rad/s
 };
 
@@ -124,7 +124,8 @@ StepOptions<To> options_as(const StepOptions<From>& o) {
           o.limit_rows, To(o.limit_restitution), To(o.restitution_threshold)};
 }
 
-// The gradient arrays; null: not requested. `add`: bit i adds to the i-th array instead of storing.
+// Gradients by the arrays. Null: not requested. `add`: bit i says that the i-th gradient is added
+// to instead of stored.
 template <class T>
 struct StepGradient : GradientArrays<WritePointers<T>> {
   int32_t add;

@@ -1,4 +1,4 @@
-// The arrays of step_arrays.h by index, for loops over the arrays of a step.
+// Index-based access to the arrays of step_arrays.h, for loops over the arrays of a step.
 #pragma once
 
 #include <type_traits>
@@ -8,7 +8,7 @@
 
 namespace novaphy {
 
-// The index of each array in the list.
+// Returns the index of each array in the list.
 constexpr articulation::StepArrays<articulation::Each<int32_t>> places_of_step_arrays() {
   articulation::StepArrays<articulation::Each<int32_t>> places = {};
   int32_t next = 0;
@@ -38,7 +38,8 @@ constexpr StepRows rows_of_step_arrays() {
 }
 inline constexpr StepRows kStepRows = rows_of_step_arrays();
 
-// Sets the pointers of the arrays with a gradient, or of all arrays, to `to`.
+// Sets the pointers of the arrays with a gradient, or of all arrays, from `to`, in the order of the
+// list.
 template <class Arrays, class T>
 void point_gradient_arrays(Arrays& arrays, T* const* to) {
   articulation::for_each_gradient_array(
@@ -56,7 +57,7 @@ void point_arrays(Arrays& arrays, T* const* to) {
       arrays);
 }
 
-// Returns the arrays from argument(index), in the order of the list.
+// Makes the arrays from argument(index), in the order of the list.
 template <class Arrays, int32_t first, class Argument, size_t... k>
 Arrays step_arguments(const Argument& argument, std::index_sequence<k...>) {
   return {argument(first + static_cast<int32_t>(k))...};

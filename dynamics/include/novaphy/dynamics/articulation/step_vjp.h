@@ -1,14 +1,15 @@
-// The exact adjoint of a step (step.h), from its start, its accelerations and its branches.
+// The exact adjoint of a step (step.h), from its inputs, its accelerations and its branches.
 //
-// With the gradients h of q' (tangents) and g of qd', and u = qd + dt qdd:
+// With the gradients h of q' (by tangents) and g of qd', and u = qd + dt qdd:
 //   gu = dt h (BALL and FREE: through the Cayley map) + g (1 - angular_damping dt)
-//   lambda = M^-1 dt gu, and 0 for dofs at their velocity limits. Those have gu = (H lambda) /
-//     dt, and
-//   the difference to the former gu is the gradient of the limit
-//   gradient of joint_f = lambda, of q = h - dPhi/dq - K lambda, of qd = gu - dPhi/dqd - (D + dt K)
-//   lambda, with Phi of inverse_dynamics_vjp.h at (q, qd, qdd)
-// Gradients of drives and masses follow likewise. The adjoint needs only (q, qd, qdd, branches) of
-// a step. The branches are constant: the gradient is exact where no branch changes.
+//   lambda = M^-1 dt gu, and 0 for dofs at their velocity limits. These dofs get
+//     gu = (H lambda) / dt instead; the difference to the former gu is the gradient by the limit
+//   gradients: by joint_f lambda, by q h - dPhi/dq - K lambda,
+//     by qd gu - dPhi/dqd - (D + dt K) lambda, with the stiffness K and damping D of drives, and
+//     Phi of inverse_dynamics_vjp.h at (q, qd, qdd)
+// Gradients by drives and masses follow in the same way. The adjoint needs only (q, qd, qdd,
+// branches) of a step. The branches (which limits and clamps act) are constant, so the gradient is
+// exact where no branch changes.
 #pragma once
 
 #include "novaphy/dynamics/articulation/inverse_dynamics_vjp.h"
@@ -18,7 +19,7 @@
 
 namespace novaphy::articulation {
 
-// Gradients of the results of a step; null: zero.
+// Gradients by the results of a step. Null: zero.
 template <class T>
 struct StepOutputGradient {
   const T *q, *qd;
@@ -26,15 +27,15 @@ struct StepOutputGradient {
   const SpatialVector<T>* body_qd;
 };
 
-// Memory besides the workspace: `tangent` and `rate` {dofs}, `scratch` {3 dofs}; other arrays have
-// a row per link.
+// The adjoint's memory besides the workspace. `tangent` and `rate` {dofs}: gradients by q and u;
+// `scratch` {3 dofs}. Arrays without a shape comment have a row per link.
 template <class T>
 struct AdjointMemory {
   T *tangent = nullptr, *rate = nullptr, *scratch = nullptr;
-  T* diagonal = nullptr;  // {dofs}: matrix_vjp, gradient of the diagonal added to H
-  T* cone = nullptr;      // {dofs}: the same for ws.cone
-  T* stops = nullptr;     // {2 dofs}: gradient of the upper and lower limits that stop shifts
-  T* bounce = nullptr;    // {dofs}: gradient of qd by bouncing contacts, for dofs at a rate bound
+  T* diagonal = nullptr;  // {dofs}: gradient by the diagonal added to H, from matrix_vjp
+  T* cone = nullptr;      // {dofs}: gradient by ws.cone, from matrix_vjp
+  T* stops = nullptr;     // {2 dofs}: gradient by the upper and lower limits that stop shifts
+  T* bounce = nullptr;    // {dofs}: gradient by qd from contacts that bounce, of dofs at a bound
   SpatialVector<T>* wrench = nullptr;
   T *mass = nullptr, *moved_mass = nullptr;
   Vec3<T>*com = nullptr, *moved_com = nullptr;
@@ -66,8 +67,8 @@ AdjointMemory<T> make_adjoint_memory(void* memory, int32_t links, int32_t dofs) 
   return m;
 }
 
-// Returns the contribution of the gradient g of a FREE joint's p' to its center of mass: p' =
-// x_com' - R(r') rc.
+// Returns the contribution of the gradient g by a FREE joint's new position p' to the gradient by
+// its body's center of mass: p' = x_com' - R(r') rc.
 template <class T>
 Vec3<T> free_com_gradient(const Tree<T>& tree, const Link& link, const T* q, const T* q_next,
                           const Vec3<T>& g) {
@@ -78,8 +79,8 @@ Vec3<T> free_com_gradient(const Tree<T>& tree, const Link& link, const T* q, con
   return link.frame_c < 0 ? in_joint : math::rotate(tree.X_c[link.frame_c].q, in_joint);
 }
 
-// The adjoint of the coordinate update: computes the gradients of u (`rate`) and q (`tangent`) from
-// those of the new state.
+// The adjoint of the coordinate update: converts gradients by the new state to gradients by u
+// (`rate`) and q (`tangent`).
 template <class T>
 void integrate_coordinates_vjp(const Tree<T>& tree, const T* qd, const T& dt, T* tangent, T* rate) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
@@ -105,8 +106,8 @@ void add_mass_gradients(const Tree<T>& tree, const StepGradient<T>& g,
   }
 }
 
-// Computes the gradients of the new coordinates (tangents) and rates, including those of the poses,
-// in `tangent` and `rate`; rows of the arrays.
+// Computes the gradients by the new coordinates (tangents) and rates, including those through the
+// body poses, in `tangent` and `rate`. q_next and qd_next are indexed as in the model's arrays.
 template <class T>
 void step_vjp_end(const Tree<T>& tree, const StepInputs<T>& in, const T* q_next, const T* qd_next,
                   const StepOutputGradient<T>& out, Workspace<T>& ws, AdjointMemory<T>& memory) {
@@ -147,10 +148,10 @@ void step_vjp_end(const Tree<T>& tree, const StepInputs<T>& in, const T* q_next,
   gather_mimics(tree, rate);
 }
 
-// The first of three parts of the adjoint of a step: computes the gradients of q and u from those
-// of the new state, in `tangent` and `rate`. The second part of `scratch` has the contribution of
-// q' to `rate`. `qdd`, `branch` (as numbers), `q_next` and `qd_next` are those of the step; rows of
-// the arrays.
+// First of three parts of the adjoint of a step: computes the gradients by q and u from those of
+// the new state, in `tangent` and `rate`. scratch[dofs..] gets the contribution of q' to `rate`.
+// `qdd`, `branch` (as numbers), `q_next` and `qd_next` are results of the step, indexed as in the
+// model's arrays.
 template <class T>
 void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                     const T* qdd, const T* branch, const T* q_next, const T* qd_next,
@@ -192,8 +193,8 @@ void step_vjp_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
   });
 }
 
-// The second part of the adjoint of a step: recomputes the dynamics at the start of the step, and
-// the factor of the mass matrix M.
+// Second part of the adjoint of a step: recomputes the dynamics at the start of the step, and the
+// factor of the mass matrix M.
 template <class T>
 void step_vjp_dynamics(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                        Workspace<T>& ws) {
@@ -203,8 +204,8 @@ void step_vjp_dynamics(const Tree<T>& tree, const StepInputs<T>& in, const StepO
   add_drives(tree, in, options, ws.bias, ws);
   factor(tree, in.q, ws);
 }
-// Optional between the parts: subtracts the gradient of lambda . dM x. lambda is the first part of
-// `scratch` and x the third. Call step_vjp_dynamics afterwards.
+// Optional, between the parts: subtracts the gradient of lambda . dM x. The first third of
+// `scratch` is lambda, the last third is x. Call step_vjp_dynamics again afterwards.
 template <class T>
 void matrix_vjp(const Tree<T>& tree, Workspace<T>& ws, AdjointMemory<T>& memory) {
   const T o = T(0.0f);
@@ -237,7 +238,8 @@ void step_vjp_solve(const Tree<T>& tree, const StepOptions<T>& options, Workspac
   solve(tree, ws, memory.scratch);
 }
 
-// Adds the gradients of the bound that a dof may be at. Returns the gradient of its velocity limit.
+// Adds the gradients by the rate bound (rate_bounds.h) that a dof is at, if any. Returns the
+// gradient by its velocity limit.
 template <class T>
 T bound_vjp(const Link& link, const StepInputs<T>& in, const StepOptions<T>& options, int32_t k,
             const Branches<T>& branch, const T& h_lambda, int32_t dofs, AdjointMemory<T>& memory) {
@@ -255,7 +257,7 @@ T bound_vjp(const Link& link, const StepInputs<T>& in, const StepOptions<T>& opt
   return by_velocity;
 }
 
-// The third part of the adjoint of a step: computes the gradients of the inputs from lambda, the
+// Third part of the adjoint of a step: computes the gradients by the inputs from lambda, the
 // solution of the adjoint linear system.
 template <class T>
 void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
@@ -311,7 +313,7 @@ void step_vjp_inputs(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
                         [&](int32_t row, const T& value) { put(g, &G::q, row, value); });
 }
 
-// Runs all parts.
+// Runs all three parts.
 template <class T>
 void step_vjp(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
               const T* qdd, const T* branch, const T* q_next, const T* qd_next,

@@ -1,12 +1,12 @@
-// Conversion between gradients by the coordinates q and by their tangents (tree.h).
+// Conversion between gradients by the coordinates q and gradients by their tangents (tree.h).
 #pragma once
 
 #include "novaphy/dynamics/articulation/kinematics.h"
 
 namespace novaphy::articulation {
 
-// Converts a gradient g by coordinates (rows of the arrays) at q to one by tangents (rows of the
-// tree).
+// Converts a gradient g by coordinates (indexed as in the model's arrays) at q to one by tangents
+// (indexed by the tree's dofs).
 template <class T>
 void gradient_to_tangent(const Tree<T>& tree, const T* q, const T* g, T* tangent) {
   for (int32_t i = 0; i < tree.link_count; ++i) {
@@ -17,8 +17,8 @@ void gradient_to_tangent(const Tree<T>& tree, const T* q, const T* g, T* tangent
   }
 }
 
-// The inverse conversion. `put(row, value)` receives the gradient by the coordinate `row` of the
-// arrays.
+// Converts a gradient by tangents to one by coordinates. put(row, value) receives the gradient by
+// the coordinate `row` of the model's arrays.
 template <class T, class Put>
 void tangent_to_gradient(const Tree<T>& tree, const T* q, const T* tangent, Put&& put) {
   for (int32_t i = 0; i < tree.link_count; ++i) {

@@ -1,15 +1,16 @@
 // Articulated trees: the description of a tree, and the memory of its algorithms. Templates over
-// the scalar (float, double, Dual<float>, SIMD lanes of floats), freestanding, without allocation.
+// the scalar (float, double, Dual<float>, SIMD lanes of floats with a tree per lane), freestanding,
+// without allocation.
 //
-// A tree has links. Link i is connected by one joint to its parent link, which has a smaller index
-// (parent -1: the world). A joint of type D6 is a chain of links, all massless except the last:
+// A tree has links. One joint connects link i to its parent link, which has a smaller index (parent
+// -1: the world). A joint of type D6 becomes a chain of links, all massless except the last:
 // prismatic along its linear axes, then revolute about its angular axes. Several links may have the
-// parent -1.
+// parent -1 (roots).
 //
-// Frames. X_wpj = X_parent X_p is the joint's frame in the parent (the anchor), and X = X_wpj
-// X_j(q) X_c^-1 the body's frame. Every root has its own origin O: the anchor, or the center of
-// mass of a FREE root. All positions, motions (v, w) and forces (f, t) of the tree are relative to
-// O, in world axes. Only O depends on the world's origin.
+// Frames. The anchor X_wpj = X_parent X_p is the joint's frame in the parent. The body's frame is X
+// = X_wpj X_j(q) X_c^-1. Every root has its own origin O: the anchor, or the center of mass of a
+// FREE root. All positions, motions (v, w) and forces (f, t) of the tree are relative to O, in
+// world axes. Only O depends on the world's origin.
 //
 // Velocities. The joint's motion is S qd. The columns of S do not rotate with the joint's own q:
 //   PRISMATIC  (R a, 0)                REVOLUTE  (p x R a, R a)        BALL  (p x R e_k, R e_k)
@@ -19,9 +20,9 @@
 // velocity of the center of mass and the angular velocity, relative to the anchor, in the anchor's
 // axes.
 //
-// Tangents of q have one number per dof. A BALL joint rotates by exp(e) on the left. A FREE joint
-// moves the center of mass by e_linear and rotates the body by exp(e_angular) about it. For all
-// joints, dX = S e.
+// Tangents of q have one number per dof. For a tangent e, a BALL joint rotates by exp(e) on the
+// left. A FREE joint moves the center of mass by e_linear and rotates the body by exp(e_angular)
+// about it. For all joints, dX = S e.
 // Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapters 4 to 6.
 #pragma once
 
@@ -30,7 +31,8 @@
 
 namespace novaphy::articulation {
 
-// The values are those of JointType, except Kinematic: a FREE joint with prescribed rates.
+// The joint type of a link. The values are those of JointType. Kinematic: a FREE joint with
+// prescribed rates.
 enum class LinkJoint : int32_t {
   Prismatic = 0,
   Revolute = 1,
@@ -55,8 +57,8 @@ struct Link {
   bool operator==(const Link&) const = default;
 };
 
-// Rows are those of the arrays, which several trees may share. Quaternions of X_p and X_c have unit
-// length.
+// A tree. Rows are those of the model's arrays, which several trees may share. Quaternions of X_p
+// and X_c have unit length.
 template <class T>
 struct Tree {
   int32_t link_count = 0, dof_count = 0;
@@ -74,7 +76,7 @@ struct Tree {
   int32_t mimics = 0;                 // number of mimic links
   int32_t joints_in_a_row = 0;        // largest number of moving joints from a root to a leaf
 };
-// Trees with more joints in a row have no mass matrix (factor.h).
+// Trees with more moving joints in a row than this have no mass matrix (factor.h).
 inline constexpr int32_t kMatrixJoints = 9;
 
 // The results of kinematics, inverse_dynamics and mass_matrix for a link.
@@ -82,43 +84,44 @@ template <class T>
 struct LinkState {
   Quat<T> anchor_q{};             // rotation of X_wpj
   Vec3<T> anchor_p{};             // m, about O
-  Quat<T> q{};                    // rotation of the body
-  Vec3<T> p{};                    // m, body's origin about O
+  Quat<T> q{};                    // rotation of the body's frame
+  Vec3<T> p{};                    // m, origin of the body's frame, about O
   Vec3<T> com{};                  // m, about O
   Vec3<T> origin{};               // O in the world frame
   T quat_length = T(1.0f);        // length of the joint's quaternion coordinates; BALL and FREE
   SpatialInertia<T> inertia{};    // about O
   SpatialInertia<T> composite{};  // of the link with its descendants
   SpatialVector<T> v{};           // motion of the link
-  SpatialVector<T> a{};           // acceleration, including that of the world against gravity
+  SpatialVector<T> a{};           // acceleration of the link, minus gravity
   SpatialVector<T> f{};           // force through the joint
   SpatialVector<T> wrench{};      // external wrench about the link's center of mass, world axes
   // Data of adjoint sweeps: virtual motion, adjoints of acceleration and motion, torque of
-  // wrenches. The sweeps of articulated bodies (articulated_body.h) also use them.
+  // wrenches. The sweeps of articulated_body.h also use this memory.
   SpatialVector<T> w{}, a_adjoint{}, v_adjoint{};
   Vec3<T> wrench_torque{};
 };
 
-// The memory of a tree with n dofs. `links` has link_count rows, other arrays n rows. matrix: {n,
-// n}.
+// The memory of the algorithms for a tree with n dofs. `links` has link_count rows, and `matrix`
+// has {n, n} entries. Other arrays have n rows.
 template <class T>
 struct Workspace {
   LinkState<T>* links = nullptr;
   SpatialVector<T>* axes = nullptr;  // S
   T* matrix = nullptr;               // lower triangle: H, or a factor (factor.h)
   T* diagonal = nullptr;             // terms added to H's diagonal
-  T* cone = nullptr;  // for BALL joints: c of the term c c^T in H
+  T* cone = nullptr;  // for BALL limits: c of the term c c^T in H
   T *bias = nullptr, *qdd = nullptr, *qd_next = nullptr, *rhs = nullptr, *given = nullptr;
-  T* shift = nullptr;             // shifts of contacts (pgs.h), added to qd_next; null: none
-  Branches<T>* branch = nullptr;  // Branch bits (drives.h)
+  T* shift = nullptr;             // shifts of contacts (pgs.h), added to qd_next; null: no shifts
+  Branches<T>* branch = nullptr;  // bits of Branch (limits.h)
 };
 
-// Returns the size of the matrix, or of the rows of articulated bodies, in numbers.
+// Returns the size of the matrix, or of the data of articulated_body.h in its place, in numbers.
 inline int64_t matrix_numbers(int32_t links, int32_t dofs) {
   const int64_t n = dofs, matrix = n * n, rows = int64_t{12} * links + 11 * n;
   return dofs > kMatrixJoints && matrix < rows ? rows : matrix;
 }
-// Returns a multiple of 8 bytes. The memory is aligned to 8 bytes, or to the lane type.
+// Returns the size of a workspace, a multiple of 8 bytes. The memory must be aligned to 8 bytes, or
+// to the SIMD lane type.
 template <class T>
 int64_t workspace_bytes(int32_t links, int32_t dofs) {
   const int64_t n = dofs, ints = (n * static_cast<int64_t>(sizeof(Branches<T>)) + 7) / 8 * 8;
@@ -145,7 +148,7 @@ Workspace<T> make_workspace(void* memory, int32_t links, int32_t dofs) {
   return ws;
 }
 
-// Returns the first dof of a link as an index in the tree.
+// Returns the first dof of a link, counted from the tree's first dof.
 template <class T>
 int32_t local_dof(const Tree<T>& tree, const Link& link) {
   return link.dof - tree.first_dof;
@@ -171,7 +174,7 @@ SpatialVector<T> joint_motion(const Tree<T>& tree, const Link& link, const Spati
   for (int32_t k = first; k < first + link.dofs; ++k) sum = sum + axes[k] * x[k];
   return sum;
 }
-// Returns three numbers of an anchor's axes as a vector in world axes.
+// Returns the world axes' components of a vector x {3} given in an anchor's axes.
 template <class T>
 Vec3<T> turned(const Quat<T>& q, const T* x) {
   return math::rotate(q, Vec3<T>{x[0], x[1], x[2]});

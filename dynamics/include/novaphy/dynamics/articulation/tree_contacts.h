@@ -1,12 +1,12 @@
 // Contacts of one tree with the world, by projected Gauss-Seidel (pgs.h).
 //
-// With A = J M^-1 J^T the velocities of the rows are w = J v + A lambda. For a few contacts, a
-// sweep updates w, and v is computed once after the sweeps. For more contacts, a sweep updates v,
-// as in contact_rows.h. The iterates are the same up to rounding.
+// The velocities along the contact rows are w = J v + A lambda, with A = J M^-1 J^T. For a few
+// contacts a sweep updates w, and the rates v are computed once after the sweeps. For more contacts
+// a sweep updates v, as in contact_rows.h. The iterates are the same up to rounding.
 //
 // Every contact has rows over all dofs of the tree, with zeros for dofs that do not move its link.
-// SIMD lanes may therefore be trees that touch with different links. A lane with fewer contacts is
-// filled with contacts that move no link and have an arbitrary normal.
+// SIMD lanes can therefore be trees that touch with different links. A lane with fewer contacts
+// than the others gets contacts that move no link and have an arbitrary normal.
 #pragma once
 
 #include "novaphy/dynamics/articulation/contact_rows.h"
@@ -17,24 +17,24 @@
 namespace novaphy::articulation {
 
 inline constexpr int32_t kTreeContactDofs = 32;  // largest number of dofs: bits of a branch
-// Largest number of contacts for which A is computed. The number of each lane counts, so lanes that
-// are solved together must all exceed it, or none.
+// Largest number of contacts for which A is computed. Lanes that are solved together must all have
+// more contacts than this, or none of them.
 inline constexpr int32_t kCoupledContacts = 8;
 
-// The data of a contact before the step; plain numbers in a row.
+// The data of a contact before the step, without pointers.
 template <class T>
 struct TreeContact {
   Branches<T> moved_by{};      // bit k: dof k moves the link
-  T sign{};                    // 1: the tree is side B, -1: side A
+  T sign{};                    // 1: the tree is side B of the contact, -1: side A
   Vec3<T> normal{};            // from A to B
-  Vec3<T> core{};              // in the frame of the link's body
-  Vec3<T> world{};             // point on the world's side
-  T margin{}, world_margin{};  // along the normal, signed
+  Vec3<T> core{};              // m, core point in the frame of the link's body
+  Vec3<T> world{};             // m, surface point of the world's side
+  T margin{}, world_margin{};  // m, core to surface, along the normal and signed
   ContactMaterial<T> material{};
-  T start_normal{};  // initial impulses; the tangential one is in the world frame
+  T start_normal{};  // N s, initial impulses; the tangential part is in the world frame
   Vec3<T> start_tangent{};
 };
-// Returns the pose of the contact's link.
+// The pose and the origin of the contact's link.
 template <class T>
 struct TreeContactLink {
   Quat<T> q{};
@@ -126,7 +126,7 @@ void tree_contact_rows(const Tree<T>& tree, const Workspace<T>& ws, const TreeCo
   }
 }
 
-// The block J_c Y_d of A.
+// The 3 x 3 block J_c Y_d of A, for two contacts c and d.
 template <class T>
 struct Coupling {
   T a[3][3];
@@ -158,11 +158,12 @@ void set_rubbing_steps(const Tree<T>& tree, const TreeContact<T>* contacts, int3
 
 template <class T>
 struct TreeContactResult {
-  T sweeps{}, residual{}, largest{};  // as in IslandResult
+  T sweeps{}, residual{}, largest{};  // as for IslandResult
 };
 
-// Computes the rates v of the tree in place, from those without impulses. `contacts` and `links`:
-// {count}. `qd`: the tree's rates before the step. Impulses and shifts stay in the memory.
+// Computes the rates v of the tree in place, from the rates without impulses. `contacts` and
+// `links`: {count}. `qd`: the tree's rates before the step. Impulses and shifts remain in the
+// memory.
 template <class T>
 TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>& ws,
                                          const ContactLaw<T>& law, int32_t most_sweeps,
@@ -181,7 +182,7 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
     const Vec3<T> mine =
         (link.p + math::rotate(link.q, contact.core)) + contact.normal * contact.margin;
     const Vec3<T> other = contact.world + contact.normal * contact.world_margin;
-    // From the tree to the world; the sign then gives A to B.
+    // Points from the tree's side to the world's side; the sign turns this into A to B.
     const Vec3<T> apart = (none - link.origin) + (other - mine);
     const T gap = math::dot(apart, contact.normal) * (o - contact.sign);
     row.frame = contact_frame(contact.normal);
@@ -271,7 +272,7 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
   };
   for (int32_t c = 0; coupled && c < count; ++c)
     for (int32_t r = 0; r < 3; ++r) add(3 * c + r, m.rows[c].impulse[r], v);
-  for (int64_t k = 0; k < n; ++k) v[k] = v[k] + o;  // -0 becomes +0, as with skipped terms
+  for (int64_t k = 0; k < n; ++k) v[k] = v[k] + o;  // -0 becomes +0, as in sums over several terms
 
   for (int32_t c = 0; c < count; ++c) {
     const T size = m.rows[c].normal * m.rows[c].impulse[0];
@@ -305,15 +306,15 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
   return result;
 }
 
-// Returns a mask of the lanes with contacts.
+// Returns a mask of the SIMD lanes that have contacts.
 template <class T>
 auto touching(const TreeContact<T>* contacts, int32_t count) {
   auto touches = T(1.0f) < T(0.0f);
   for (int32_t c = 0; c < count; ++c) touches = either(touches, has(contacts[c].moved_by, -1));
   return touches;
 }
-// After the contacts, with the rates v in qd_next: computes accelerations and calls renew_branches
-// for lanes with contacts.
+// Computes accelerations from the rates after the contacts, in qd_next, and calls renew_branches
+// for the lanes with contacts.
 template <class T>
 bool renew_tree(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                 const TreeContact<T>* contacts, int32_t count, const TreeContactMemory<T>& m,

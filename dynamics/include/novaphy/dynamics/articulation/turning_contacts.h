@@ -1,11 +1,11 @@
 // Moving contact points of trees: the derivative of the surface points and the normal by the poses
-// of the two bodies, by the closed forms of moving_contact_trace.h.
+// of the two bodies, from the closed forms of moving_contact_trace.h.
 //
-// A common motion of both bodies carries points and normal along. The law is therefore
-// differentiated by the motion of B relative to A only (six directions):
+// A common motion of both bodies also moves points and normal. So the contact law is differentiated
+// only by the motion of B relative to A, along six twists x_i:
 //   da = motion of A at a + sum_i a_i x_i,   x = twist of B - twist of A at the midpoint
-// and likewise db, and dn with the rotation of A. The gap d = n . (b - a) has dd = n . (db - da).
-// Freestanding: shared by the host and device kernels.
+// The formulas for db, and for dn with the rotation of A, are alike. The gap d = n . (b - a) has dd
+// = n . (db - da). Freestanding: shared by host and device kernels.
 #pragma once
 
 #include "novaphy/core/sim/enums.h"
@@ -15,7 +15,7 @@
 // A separate namespace, so that argument-dependent lookup finds no function of articulations.
 namespace novaphy::by_twist {
 
-// A number with its derivatives along n twists.
+// A number with its derivatives along n twists (forward-mode automatic differentiation).
 template <int n>
 struct ByTwist {
   float value = 0.0f;
@@ -23,7 +23,7 @@ struct ByTwist {
   ByTwist() = default;
   explicit ByTwist(float v) : value(v) {}
 
-  // f(i): derivative along twist i.
+  // Makes a number. f(i): its derivative along twist i.
   template <class F>
   static ByTwist make(float value, const F& f) {
     ByTwist to(value);
@@ -72,10 +72,10 @@ using by_twist::ByTwist;
 // The shape arrays of a model.
 struct TurningShapes {
   const int32_t* type;
-  const Transformf* pose;  // pose in the body
+  const Transformf* pose;  // in the frame of the body
   const Vec3f* scale;
 };
-// A contact as it was found, and the poses of its bodies relative to one origin.
+// A contact as the search found it, and the poses of its bodies relative to a common origin.
 template <class T>
 struct TurningInput {
   int32_t shape[2];
@@ -105,15 +105,15 @@ NOVAPHY_SELDOM MovingContact<bool, T> turn_contact(const TurningShapes& shapes,
   return moving_contact(feature(0), feature(1), normal);
 }
 
-// The derivatives of a contact along n twists of B relative to A.
+// The derivatives of a contact's points and normal along n twists of B relative to A.
 template <int n>
 struct Turning {
   bool is_exact = false;
   Vec3f a[n] = {}, b[n] = {}, normal[n] = {};
 };
-using ContactTurning = Turning<6>;  // a_i, b_i and n_i of the head comment
+using ContactTurning = Turning<6>;  // a_i, b_i and n_i of the comment at the top
 
-// Returns the pose of body B with its derivatives along twists about `at`.
+// Returns the pose of body B with its derivatives along twists about the point `at`.
 template <int n>
 Transform<ByTwist<n>> moving_pose(const Transformf& pose, const Vec3f& at,
                                   const SpatialVectorf (&twists)[n]) {
@@ -139,7 +139,8 @@ Transform<T> resting_pose(const Transformf& pose) {
           {T(pose.q.x), T(pose.q.y), T(pose.q.z), T(pose.q.w)}};
 }
 
-// `margins`: distances from the cores to the surfaces, along the normal. `at`: the midpoint.
+// Returns the derivatives of a contact along the twists. `margins`: distances from the cores to the
+// surfaces, along the normal (m). `at`: the midpoint.
 template <int n>
 NOVAPHY_SELDOM Turning<n> turning_along(const TurningShapes& shapes, const TurningInput<float>& of,
                                         const float* margins, const Vec3f& at,
@@ -181,7 +182,7 @@ inline ContactTurning contact_turning(const TurningShapes& shapes, const Turning
   return to;
 }
 
-// Returns the rotation of contact_frame about the normal, per change of the normal.
+// Returns the rotation of the tangents of contact_frame about the normal, per change of the normal.
 inline Vec3f frame_spin(const ContactFrame<float>& frame) {
   const Vec3f n = frame.axes[0];
   const float x = math::abs(n.x), y = math::abs(n.y), z = math::abs(n.z);
@@ -190,9 +191,9 @@ inline Vec3f frame_spin(const ContactFrame<float>& frame) {
   return frame.axes[1] * (-part / math::sqrt(1.0f - part * part));
 }
 
-// Converts gradients by the points and the normal of a contact to forces and torques at the
-// midpoint on the poses of A and B. `by_point`: gradient by the midpoint. `by_axes`: by the axes of
-// the frame. `by_gap`: by the gap.
+// Gradients by the points and the normal of a contact, as a force and a torque at the midpoint on
+// the poses of A and B. Inputs: the gradients by the midpoint (`by_point`), by the axes of the
+// frame (`by_axes`) and by the gap (`by_gap`).
 struct TurningPulls {
   SpatialVectorf on[2] = {};
 };

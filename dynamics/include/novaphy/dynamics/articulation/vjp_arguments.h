@@ -1,4 +1,5 @@
-// The arguments of the kernels for the adjoint of a step of articulations, over arguments.h.
+// The arguments of the kernels for the adjoint of a step of articulations. The file extends
+// arguments.h.
 #pragma once
 
 #include "novaphy/dynamics/articulation/arguments.h"
@@ -6,8 +7,8 @@
 
 namespace novaphy {
 
-// q_next, qd_next, qdd and branch: results of the step. out_q to out_body_qd: gradients of its
-// results; null: zero. add: StepGradient::add.
+// q_next, qd_next, qdd and branch: results of the step. out_q to out_body_qd: gradients by results
+// of the step; null: zero. add: StepGradient::add.
 struct ArticulationStepVjpArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationArguments> in; Given<float> q_next, qd_next, qdd, branch;
                     Given<float> out_q, out_qd; Given<Transformf> out_body_q;
@@ -16,7 +17,7 @@ struct ArticulationStepVjpArguments {
                     Changed<float> workspace; Number<int64_t> stride;)
 };
 
-// Computes the gradients of the rates of a step.
+// Computes the gradients by the rates of a step (first part of the adjoint in step_vjp.h).
 inline void step_vjp_rates(const ArticulationStepVjpArguments& a,
                            const articulation::Tree<float>& tree,
                            const articulation::StepInputs<float>& in,

@@ -1,8 +1,9 @@
-// BALL: a rotation by the unit quaternion q. The rates are the angular velocity in the anchor's
-// axes.
+// BALL joint: a rotation by the unit quaternion q. The rates are the angular velocity in the
+// anchor's axes.
 //   X_j = (0, q)      S_k = (p x R e_k, R e_k)      q' = cayley(dt qd / 2) q
-// A tangent step e rotates by exp(e) on the left, which is E(q) e in the numbers of q. Gradients by
-// the numbers of q are tangent to the unit sphere: those of a function of q / |q|.
+// A tangent e rotates by exp(e) on the left, which changes the numbers of q by E(q) e
+// (joint_tools.h). Gradients by q are tangent to the unit sphere, as those of a function of q /
+// |q|.
 #pragma once
 
 #include "novaphy/dynamics/articulation/joints/joint_tools.h"

@@ -1,4 +1,4 @@
-// FIXED: X_j = 1, without degrees of freedom.
+// FIXED joint: X_j is the identity. The joint has no degrees of freedom.
 #pragma once
 
 #include "novaphy/dynamics/articulation/joints/joint_tools.h"

@@ -1,12 +1,13 @@
-// FREE: the position x (m) of the joint's frame in the anchor and the unit quaternion r of its
-// rotation. The rates are the velocity v of the center of mass and the angular velocity w, in the
-// anchor's axes.
+// FREE joint: the position x (m) of the joint's frame in the anchor and the unit quaternion r of
+// its rotation. The rates are the velocity v of the center of mass and the angular velocity w, in
+// the anchor's axes.
 //   X_j = (x, r)      S = (R e_k, 0), then (c x R e_k, R e_k)
 //   r' = cayley(dt w / 2) r      x' = x + dt v + (R(r) - R(r')) rc
-// The center of mass is at c about O, and at rc in the joint's frame. A tangent step (e, f) moves
-// the center of mass by e and rotates the body by exp(f) about it. In the coordinates the step is
-// (e - f x R(r) rc, E(r) f). S moves with the center of mass, so the algorithms have additional
-// terms for is_free links. The rates of a kinematic joint are prescribed.
+// R is the anchor's rotation. The center of mass is at c about O, and at rc in the joint's frame. A
+// tangent (e, f) moves the center of mass by e and rotates the body by exp(f) about it. In the
+// coordinates (x, r) this is the change (e - f x R(r) rc, E(r) f), with E of joint_tools.h. S moves
+// with the center of mass, so the algorithms have additional terms for is_free links. The rates of
+// a kinematic joint are prescribed.
 #pragma once
 
 #include "novaphy/dynamics/articulation/joints/joint_tools.h"

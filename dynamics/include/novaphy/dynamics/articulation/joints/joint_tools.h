@@ -1,18 +1,19 @@
-// Tools for the joints of links: columns of S, quaternions and their tangents.
+// Functions for the joint types of links: columns of S, quaternions and their tangents.
 #pragma once
 
 #include "novaphy/dynamics/articulation/tree.h"
 
 namespace novaphy::articulation {
 
-// Returns the column of S for a rotation about `axis` of the anchor at the point `at` (m), about O.
+// Returns the column of S for a rotation about an axis of the anchor through the point `at` (m,
+// about O).
 template <class T>
 SpatialVector<T> turning_column(const LinkState<T>& s, const Vec3<T>& axis, const Vec3<T>& at) {
   const Vec3<T> w = math::rotate(s.anchor_q, axis);
   return {math::cross(at, w), w};
 }
 
-// Returns a link's center of mass in its joint's frame: X_c^-1 (com).
+// Returns a link's center of mass in its joint's frame (m): X_c^-1 (com).
 template <class T>
 Vec3<T> com_in_joint(const Tree<T>& tree, const Link& link) {
   const Vec3<T> com = link.body < 0 ? Vec3<T>{} : tree.com[link.body];
@@ -29,7 +30,7 @@ template <class T>
 Quat<T> scaled(const Quat<T>& q, const T& s) {
   return {q.x * s, q.y * s, q.z * s, q.w * s};
 }
-// Returns a normalized quaternion from four coordinates, and their `length`.
+// Returns the normalized quaternion of four coordinates. `length`: their length before.
 template <class T>
 Quat<T> unit_quaternion(const T* x, T& length) {
   const Quat<T> raw = {x[0], x[1], x[2], x[3]};
@@ -42,7 +43,8 @@ Quat<T> unit_quaternion(const T* x) {
   return unit_quaternion(x, length);
 }
 
-// Returns E(r)^T g, where E(r) e = (e, 0) r / 2.
+// Converts a gradient g by the quaternion r to one by its tangent: E(r)^T g, where E(r) e = (e, 0)
+// r / 2.
 template <class T>
 Vec3<T> quat_to_tangent(const Quat<T>& r, const Quat<T>& g) {
   const T half = T(0.5f);
@@ -50,20 +52,21 @@ Vec3<T> quat_to_tangent(const Quat<T>& r, const Quat<T>& g) {
           (((r.z * g.x + r.w * g.y) - r.x * g.z) - r.y * g.w) * half,
           (((r.x * g.y - r.y * g.x) + r.w * g.z) - r.z * g.w) * half};
 }
-// Returns 4 E(r) h.
+// Returns 4 E(r) h for a tangent h, with E(r) e = (e, 0) r / 2.
 template <class T>
 Quat<T> quat_from_tangent(const Quat<T>& r, const Vec3<T>& h) {
   const Quat<T> turned = math::multiply(Quat<T>{h.x, h.y, h.z, T(0.0f)}, r);
   return scaled(turned, T(2.0f));
 }
 
-// Returns the normalized quaternion (y, 1), the rotation of a step with y = dt w / 2.
+// Returns the normalized quaternion (y, 1): the Cayley map, the rotation of a step with y = dt w /
+// 2.
 template <class T>
 Quat<T> cayley(const Vec3<T>& y) {
   const T s = T(1.0f) / square_root(T(1.0f) + math::dot(y, y));
   return {y.x * s, y.y * s, y.z * s, s};
 }
-// Returns the unit quaternion r after a time dt with the rates u.
+// Returns the unit quaternion r after a time dt with the angular velocity u {3}.
 template <class T>
 Quat<T> turned_quaternion(const Quat<T>& r, const T* u, const T& dt) {
   const T h = T(0.5f) * dt;
@@ -83,8 +86,8 @@ void store(const Vec3<T>& v, T* to) {
   to[1] = v.y;
   to[2] = v.z;
 }
-// The adjoint of turned_quaternion. Converts the gradient h of the new tangent to that of the old
-// tangent in place, and adds the gradient of u to g.
+// The adjoint of turned_quaternion. Converts the gradient h by the new tangent to that by the old
+// tangent in place, and adds the gradient by u to g.
 template <class T>
 void turned_quaternion_vjp(const T* u, const T& dt, T* h, T* g) {
   const T half = T(0.5f) * dt;

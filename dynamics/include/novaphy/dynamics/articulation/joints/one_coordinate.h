@@ -1,4 +1,4 @@
-// Joints with one coordinate: q' = q + dt qd, and the tangent is the change of q.
+// Common code of joints with one coordinate: q' = q + dt qd, and the tangent is the change of q.
 #pragma once
 
 #include "novaphy/dynamics/articulation/joints/joint_tools.h"

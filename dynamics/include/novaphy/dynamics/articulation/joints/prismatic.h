@@ -1,4 +1,4 @@
-// PRISMATIC: a translation by q (m) along the axis a of the anchor.
+// PRISMATIC joint: a translation by q (m) along the axis a of the anchor.
 //   X_j = (q a, 1)      S = (R a, 0)
 #pragma once
 

@@ -1,4 +1,4 @@
-// REVOLUTE: a rotation by q (rad) about the axis a of the anchor. q is not wrapped.
+// REVOLUTE joint: a rotation by q (rad) about the axis a of the anchor. q is not wrapped.
 //   X_j = (0, exp(q a))      S = (p x R a, R a)
 #pragma once
 

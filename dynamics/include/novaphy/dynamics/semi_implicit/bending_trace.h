@@ -13,7 +13,7 @@
 //   results    N, world frame
 // Source: the bending element of Bridson, Marino, Fedkiw, "Simulation of Clothing with Folds and
 // Wrinkles" (2003), section 4, in the simplified form of Newton 1.8.0, SolverSemiImplicit. For ke =
-// 0 its output on the CPU has the same bits; otherwise atan2 differs by up to 1.6 ulp.
+// 0 the result has the same bits as Newton's on the CPU; otherwise atan2 differs by up to 1.6 ulp.
 //
 // For kd = 0 velocities are not read.
 //
@@ -21,7 +21,7 @@
 // height over the edge. The reason is that the directions d are not divided by the heights, unlike
 // the gradient of theta.
 //
-// A border edge, whose opposite vertex is missing, has no force and no gradient. Neither has a
+// A border edge, which lacks an opposite vertex, has no force and no gradient. The same holds for a
 // hinge with a triangle or edge smaller than 1e-6 (|n| in m^2, |e| in m). At a full fold theta
 // jumps by 2 pi, and the force jumps too. Gradient: exact in x, v, ke, kd, rest elsewhere,
 // including a straight hinge.
@@ -39,7 +39,8 @@ struct BendingForces {
   Vec3<T> f1{}, f2{}, f3{}, f4{};
 };
 
-// `complete`: whether no vertex is missing; bool, or nova::Bool in a trace.
+// Returns the forces. `complete`: whether both opposite vertices exist; bool, or nova::Bool in a
+// trace.
 template <class B, class T>
 BendingForces<T> bending_forces(const B& complete, const Vec3<T> (&x)[4], const Vec3<T> (&v)[4],
                                 const T& stiffness, const T& damping, const T& rest_angle) {

@@ -1,5 +1,5 @@
-// Finds the contacts with moving contact points (moving_contact_trace.h), row by row. Freestanding:
-// shared by the host and device kernels.
+// Finds which rigid contacts have moving contact points (moving_contact_trace.h), one contact row
+// per kernel row. Freestanding: shared by host and device kernels.
 #pragma once
 
 #include "novaphy/collision/diff_soft_contact_trace.h"
@@ -20,8 +20,8 @@ struct FollowedContacts {
                     Detached<Reads<Transformf>> shape_transform;
                     Detached<Reads<Vec3f>> shape_scale;)
 };
-// Returns whether the points and the normal of a row move with the state. The row must have been
-// found from the state.
+// Returns whether the points and the normal of a contact row move with the state. The contact must
+// have been found from the state.
 inline bool contact_follows(const FollowedContacts& c, int64_t row) {
   const int32_t shape[2] = {c.shape0[row], c.shape1[row]};
   const Vec3f point[2] = {c.point0[row], c.point1[row]}, normal = c.normal[row];

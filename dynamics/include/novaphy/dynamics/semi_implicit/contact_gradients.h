@@ -1,4 +1,4 @@
-// Finds the rows of rigid contacts with an exact gradient by the poses of their bodies.
+// Finds which rigid contacts have an exact gradient by the poses of their bodies.
 #pragma once
 
 #include <vector>
@@ -10,18 +10,18 @@
 
 namespace novaphy {
 
-// Returns whether the gradient of each row of rigid_contact_* is exact, in a step of
+// Returns for each row of rigid_contact_* whether its gradient is exact in a step of
 // DiffSemiImplicitSolver from `state`. true: points and normal move with both bodies
-// (moving_contact_trace.h). false: the points are frozen in the frames of their bodies, and the
-// normal in the world. Rows that were not found from the present `state` are frozen
+// (moving_contact_trace.h). false ("frozen"): the points are constant in the frames of their
+// bodies, and the normal in the world. Rows that were not found from the present `state` are frozen
 // (Contacts::rigid_contacts_found_from). A rollout with given contacts freezes all rows. Waits for
 // a device. ErrorKind::Value: a state or contacts of another model.
 NOVAPHY_DYNAMICS_API std::vector<bool> exact_contact_gradients(const Model& model,
                                                                const SimState& state,
                                                                const Contacts& contacts);
 
-// Returns whether the gradient of one row is exact. The row was found from the poses {bodies}, and
-// all arrays are on the host.
+// Returns whether the gradient of one row is exact. The row must have been found from the poses
+// body_q {bodies}, and all arrays must be on the host.
 bool has_exact_gradient(const Model& model, const DeviceArray<Transformf>& body_q,
                         const ContactFields& contacts, int32_t row);
 

@@ -1,9 +1,10 @@
 // Differentiable contacts of bodies stored in a Contacts: of shapes with each other, and of
 // particles with shapes of bodies. Compiled into novaphy::dynamics if nova is built.
 //
-// Each evaluation has two steps. A kernel over the contacts writes the forces of each contact. A
-// sum over the bodies (or particles) adds them in the order of the contacts. The sums need no
-// atomics, forward or backward, and the bits are those of SolverSemiImplicit.
+// Each evaluation has two steps. First, a kernel over the contacts writes the forces of each
+// contact. Then a sum over the bodies (or particles) adds these forces in the order of the
+// contacts. The sums need no atomics, forward or backward, and the bits are those of
+// SolverSemiImplicit.
 //
 // The gradient of each input:
 //   body_q, body_qd, body_f; particle_q, particle_qd, particle_f    through the forces: exact. The
@@ -29,18 +30,18 @@
 
 namespace novaphy::diff {
 
-// The tables by which bodies and particles sum the forces of a Contacts. A tape needs one object
-// per Contacts.
+// The tables by which bodies and particles sum the forces of a Contacts. Each Contacts needs its
+// own object on a tape.
 class NOVAPHY_DYNAMICS_API ContactTables {
  public:
   struct Wanted {
     bool particles = false;            // contacts of particles
     bool particles_on_bodies = false;  // whether some contacts may touch bodies
     bool bodies = false;               // contacts of shapes
-    // Whether the contacts were found from the state of the step, so that points and normals move
-    // with the state; false: they are frozen.
+    // Whether contacts of shapes were found from the state of the step, so that points and normals
+    // move with the state. false: points and normals are frozen.
     bool of_this_state = true;
-    // Whether contacts of particles were found from the state of the step.
+    // The same for contacts of particles.
     bool particles_follow = false;
   };
   // Updates the tables from the contacts, unless they are up to date. In a capture each replay
@@ -51,7 +52,8 @@ class NOVAPHY_DYNAMICS_API ContactTables {
   // contacts have the same memory as in the last call, the tables keep their memory, too.
   void rebuild(const Model& model, const Contacts& contacts, const Wanted& wanted);
 
-  // Null if not requested, or if the contacts have no rows.
+  // Null: not requested, or the contacts have no rows. A slot is a row of soft_contact_*; a side is
+  // a body of a row of rigid_contact_*.
   const nova::Incidence& slots_of_particles() const { return slots_of_particles_; }
   const nova::Incidence& slots_of_bodies() const { return slots_of_bodies_; }
   const nova::Incidence& sides_of_bodies() const { return sides_of_bodies_; }
@@ -65,13 +67,12 @@ class NOVAPHY_DYNAMICS_API ContactTables {
   nova::Incidence slots_of_particles_, slots_of_bodies_, sides_of_bodies_;
   DeviceArray<int32_t> soft_bodies_, rigid_bodies_;
   bool of_this_state_ = true, particles_follow_ = false;
-  // stamps of the arrays behind the tables of bodies
+  // stamps of the arrays from which the tables of bodies were made
   ArrayStamp soft_shape_, shape0_, shape1_, shape_body_;
 };
 
-// Computes wrenches {rows, 12}: the contribution of each row of rigid_contact_* to the wrench of
-// its body A, then of body B. law.smoothing (m/s) is used by the laws with smoothing; huber with 0
-// is viscous.
+// Computes wrenches {rows, 12}: the wrench of each row of rigid_contact_* on its body A, then on
+// its body B. Only friction laws with smoothing use law.smoothing (m/s); huber with 0 is viscous.
 NOVAPHY_DYNAMICS_API void eval_rigid_contacts(const Model& model, const Contacts& contacts,
                                               const ContactTables& tables,
                                               const nova::Operand& body_q,
@@ -80,19 +81,20 @@ NOVAPHY_DYNAMICS_API void eval_rigid_contacts(const Model& model, const Contacts
                                               const nova::Operand& wrenches);
 
 // Writes Contacts::rigid_contact_force of the valid rows from the result of eval_rigid_contacts.
-// Not recorded.
+// Not recorded on a tape.
 NOVAPHY_DYNAMICS_API void write_rigid_contact_forces(const Contacts& contacts,
                                                      const nova::Operand& wrenches);
 
-// Computes forces {slots, 3} and wrenches {slots, 6}: the contribution of each slot of
-// soft_contact_* to the force on its particle and to the wrench of its body.
+// Computes forces {slots, 3} and wrenches {slots, 6}: the force of each slot of soft_contact_* on
+// its particle, and its wrench on its body.
 NOVAPHY_DYNAMICS_API void eval_soft_contacts(
     const Model& model, const Contacts& contacts, const ContactTables& tables,
     const nova::Operand& particle_q, const nova::Operand& particle_qd, const nova::Operand& body_q,
     const nova::Operand& body_qd, float kf_rate, const nova::Operand& forces,
     const nova::Operand& wrenches);
 
-// Computes sum {b, 6} = body_f plus the wrenches {n, 6} of each body, in their order.
+// Computes sum {b, 6} = body_f plus the rows of `wrenches` {n, 6} that belong to each body, in
+// order.
 NOVAPHY_DYNAMICS_API void add_wrenches(const nova::Operand& body_f, const nova::Operand& wrenches,
                                        const nova::Incidence& of_bodies, const nova::Operand& sum);
 

@@ -1,7 +1,7 @@
-// Differentiable penalty joints, in two steps. A kernel over the joints writes the wrenches of each
-// joint on its two bodies (penalty_joint_trace.h). A sum over the bodies adds them in the order of
-// the joints, with the parent's side before the child's. Compiled into novaphy::dynamics if nova is
-// built.
+// Differentiable penalty joints, in two steps. First, a kernel over the joints writes the wrenches
+// of each joint on its two bodies (penalty_joint_trace.h). Then a sum over the bodies adds these
+// wrenches in the order of the joints, with the parent's side before the child's. Compiled into
+// novaphy::dynamics if nova is built.
 //
 // The gradient of each input:
 //   body_q, body_qd                                                     exact
@@ -27,23 +27,24 @@ class JointForces;
 
 namespace novaphy::diff {
 
-// Keeps tables between calls; only one thread at a time may use it.
+// Keeps tables between calls. Only one thread at a time may use an object.
 class NOVAPHY_DYNAMICS_API DiffJoints {
  public:
-  // Stiffness (N/m and N*m/rad). Damping: kd (N*s/m), and 0.01 of its value in N*m*s/rad.
+  // The spring and damper that hold the bodies of a joint together. ke: N/m and N*m/rad. kd: N*s/m
+  // for positions, and 0.01 kd in N*m*s/rad for rotations.
   struct Attach {
     float ke = 1.0e4f, kd = 1.0e2f;
   };
-  // ErrorKind::NotImplemented: a feature that penalty joints do not support. ErrorKind::Value: a
-  // bad attachment. Both name the array.
+  // ErrorKind::NotImplemented: a feature that penalty joints do not support. ErrorKind::Value: an
+  // invalid stiffness or damping. Messages name the array.
   DiffJoints(const Model& model, const Attach& attach);
   ~DiffJoints();
   DiffJoints(DiffJoints&&) noexcept;
   DiffJoints& operator=(DiffJoints&&) noexcept;
 
-  // Makes the preparations that all steps of a call share. A FREE joint counts only if a force acts
-  // along it, in the model or in `control` (null: none). ErrorKind::Value: dt is above the stable
-  // step of a joint. ErrorKind::NotImplemented: as for the constructor, for values written since.
+  // Prepares all steps of a solver call. A FREE joint counts only if the model or `control` (null:
+  // none) has a force along it. ErrorKind::Value: dt is above the stable step of a joint.
+  // ErrorKind::NotImplemented: as for the constructor, for values written since.
   void begin(const Model& model, const Control* control, float dt);
   // Returns whether a joint exerts a force.
   bool act() const { return act_; }

@@ -5,7 +5,7 @@
 //   gravity of each world                 exact
 //   particle_mass                         exact (through particle_inv_mass = 1/mass; 0 for mass 0)
 //   particle_radius, shape_material_*     exact, if static contacts are part of the operator
-//   particle_flags, particle_max_velocity, dt   none (they select, or are constants of the launch)
+//   particle_flags, particle_max_velocity, dt   none (flags select; dt and the limit are constants)
 #pragma once
 
 #include <utility>
@@ -19,14 +19,14 @@
 namespace novaphy::diff {
 
 // Returns positions {n, 3} (m) and velocities {n, 3} (m/s) after dt (s) by symplectic Euler
-// (particle_integrator_trace.h). Inputs are {n, 3} packed float32 on the model's device; dt is
-// finite and > 0 (ErrorKind::Type, ErrorKind::Value).
+// (particle_integrator_trace.h). Inputs are {n, 3} packed float32 on the model's device. dt is
+// finite and > 0. ErrorKind::Type, ErrorKind::Value: other inputs.
 NOVAPHY_DYNAMICS_API std::pair<nova::Tensor, nova::Tensor> integrate_particles_generated(
     const Model& model, const nova::Tensor& particle_q, const nova::Tensor& particle_qd,
     const nova::Tensor& particle_f, float dt);
 
 // Computes the forces of all static shapes (eval_static_particle_shape_contact_forces_generated)
-// and the integration in one kernel, with the same bits as two calls.
+// and the integration in one kernel. The bits are those of two separate calls.
 NOVAPHY_DYNAMICS_API std::pair<nova::Tensor, nova::Tensor>
 integrate_particles_with_static_contacts_generated(const Model& model,
                                                    const nova::Tensor& particle_q,
@@ -42,15 +42,15 @@ NOVAPHY_DYNAMICS_API void integrate_particles(const Model& model, const nova::Op
                                               const nova::Operand& q_out,
                                               const nova::Operand& qd_out);
 
-// Computes the forces of all static shapes and the integration into given memory. kf_rate is r of
-// diff_soft_contact_trace.h; the operators above use none.
+// Computes the forces of all static shapes and the integration into given memory. kf_rate: the
+// symbol r of diff_soft_contact_trace.h, which the functions above leave out.
 NOVAPHY_DYNAMICS_API void step_particles_with_static_contacts(
     const Model& model, const WorldRows& rows, const nova::Operand& particle_q,
     const nova::Operand& particle_qd, const nova::Operand& particle_f, float kf_rate,
     float soft_contact_margin, float dt, const nova::Operand& q_out, const nova::Operand& qd_out);
 
-// Computes the forces of recorded contacts (eval_soft_contact_forces) and the integration in one
-// kernel, with the same bits as two calls. `particle_f` is only read.
+// Computes the forces of stored contacts (eval_soft_contact_forces) and the integration in one
+// kernel. The bits are those of two separate calls. `particle_f` is only read.
 NOVAPHY_DYNAMICS_API void step_particles(const Model& model, const Contacts& contacts,
                                          const nova::Incidence& contacts_of,
                                          const nova::Operand& particle_q,

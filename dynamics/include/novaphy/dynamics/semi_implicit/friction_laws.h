@@ -1,4 +1,4 @@
-// Checks of the contact laws that the options of a solver select (rigid_contact_trace.h).
+// Checks of the friction and penalty laws that a solver's options select (rigid_contact_trace.h).
 #pragma once
 
 #include <optional>
@@ -8,13 +8,14 @@
 
 namespace novaphy {
 
-// Returns the slip (m/s) up to which the friction law is smooth: that of the options, or 0.1 when
+// Returns the slip speed (m/s) below which the friction law is smoothed: `smoothing`, or 0.1 if
 // empty. ErrorKind::Value, with `solver`: an unknown law; a smoothing that is negative or not
-// finite; a smoothing for viscous or newton18, which do not use it; or 0 with newton17.
+// finite; any smoothing with viscous or newton18, which do not use it; or 0 with newton17.
 NOVAPHY_DYNAMICS_API float checked_friction_smoothing(const char* solver, FrictionLaw law,
                                                       std::optional<float> smoothing);
-// ErrorKind::Value: an unknown law. ErrorKind::NotImplemented: PenaltyLaw::Mean with newton17 or
-// newton18, or for a model with particles, whose contacts support only Sampled.
+// Checks a penalty law. ErrorKind::Value: an unknown law. ErrorKind::NotImplemented:
+// PenaltyLaw::Mean with newton17 or newton18, or for a model with particles, whose contacts support
+// only Sampled.
 NOVAPHY_DYNAMICS_API void check_penalty_law(const char* solver, PenaltyLaw law,
                                             FrictionLaw friction, bool has_particles);
 

@@ -1,4 +1,5 @@
-// The limits of a degree of freedom that springs and dampers hold together, and of a distance.
+// The force of the limits of a degree of freedom of a penalty joint, and of the limits of a
+// DISTANCE joint.
 //
 //   force at q with the rate qd:
 //     ke (lower - q) - kd qd below lower, ke (upper - q) - kd qd above upper, else 0
@@ -18,8 +19,8 @@ struct JointLimit {
   T lower{}, upper{}, ke{}, kd{};
 };
 
-// Calls visit(member of d, field of each of `a`...) for each parameter. `a`: structs with the
-// fields of StepArrays (articulation/step_arrays.h).
+// Calls visit(member of d, field of each of `a`...) for each parameter of a limit. `a`: structs
+// with the fields of StepArrays (articulation/step_arrays.h).
 template <class Visit, class T, class... Arrays>
 void for_each_limit_number(const Visit& visit, JointLimit<T>& d, Arrays&... a) {
   visit(d.lower, a.limit_lower...);
@@ -45,7 +46,7 @@ T within_limits(const JointLimit<T>& d, const T& q, const T& x) {
   return select(q < d.lower, zero, select(q > d.upper, zero, x));
 }
 
-// Returns the force along a distance l with the rate l_rate. kd acts only if ke does.
+// Returns the force along a distance l (m) with the rate l_rate (m/s). kd acts only if ke does.
 template <class T>
 T distance_force(const JointLimit<T>& d, const T& l, const T& l_rate) {
   using math::select;

@@ -19,26 +19,27 @@
 //             n is M, or along the product of the two edges. The point of the other shape is a
 //             corner, or the intersection of its line with a side of the box, or of the edge
 //             between two sides of the box with its face, or the deepest point along n:
-//             c + D^2 m/|D m|, m = n in the frame of the shape, D the half axes of an ellipsoid,
-//             or (r, r, 0) of a rim. The point of the face is this point, moved along n onto it
+//             c + D^2 m/|D m|, m = n in the frame of the shape, c its center, D the half axes of
+//             an ellipsoid, or (r, r, 0) of a rim. The face's point is this point moved along n
 //   points    P, Q,  n along Q - P
-//   point and line    the line's point is the nearest to the other
+//   point and line    the line's point is the nearest to the other shape's point
 //   lines     their nearest points, n along U x V (if at least 0.6 degrees from parallel)
-// All other contacts are frozen: points stay fixed in their bodies and the normal in the world.
-// Four kinds of contacts are frozen:
+// All other contacts are frozen: points are constant in their bodies and the normal in the world.
+// These contacts are frozen:
 //
 // - The normal is not that of this law (within 0.3 degrees).
 // - The search chooses among features that coincide (within 1e-4 of a size or a direction).
 //   Examples are a capsule flat on a face of a box, and a corner of a box on the outline of
-//   another's face. Further examples are two corners or ends with the normal perpendicular to an
-//   edge or axis of each, and parallel faces of two boxes.
+//   another box's face. Further examples are two corners or ends with the normal perpendicular to
+//   an edge or axis of each, and parallel faces of two boxes.
 // - A rim lies flat on a plane (within 1e-4) or on a face of a box (a cylinder within 0.9 degrees),
 //   so its deepest point is not unique.
-// - A hull or a mesh touches anything but a plane, and but the inside of a face of a box (hulls).
-// - An ellipsoid, a cylinder or a cone touches a shape without faces at further points of an area.
+// - A mesh touches anything but a plane; a hull anything but a plane or the inside of a box's face.
+// - An ellipsoid, a cylinder or a cone touches a shape without faces in an area, at points that are
+//   not the nearest ones.
 //
 // The values are the stored points and normal; the law only gives their derivatives. Gradient:
-// exact by poses while the features stay the same; shapes have no gradient.
+// exact by poses while the features stay the same. Shapes have no gradient.
 //
 // Freestanding: T = float tests which contacts are exact, T = nova::Real is traced.
 #pragma once
@@ -49,16 +50,16 @@
 
 namespace novaphy {
 
-// The type, pose and scale of a shape. B is bool or nova::Bool. No flag means another type.
+// The type, pose and scale of a shape. B is bool or nova::Bool. No flag set: another type.
 template <class B, class T>
 struct ContactShape {
   B is_plane{}, is_sphere{}, is_capsule{}, is_box{}, is_ellipsoid{}, is_cylinder{}, is_cone{},
       is_hull{}, is_polytope{};
-  Transform<T> pose{};  // in its body
+  Transform<T> pose{};  // in the body's frame
   Vec3<T> scale{};      // see GeoType
 };
-// `is(type)`: whether the shape has this type. Type is GeoType as a template argument, because
-// formulas do not include its header.
+// Makes a shape. is(type): whether the shape has this type. Type is GeoType as a template argument,
+// because files of formulas do not include its header.
 template <class Type, class B, class T, class Is>
 ContactShape<B, T> contact_shape(const Is& is, const Transform<T>& pose, const Vec3<T>& scale) {
   using math::either;
@@ -81,15 +82,15 @@ struct ContactFeature {
   Vec3<T> point{};
   B is_known{}, is_point{}, is_line{}, is_flat{};
   Vec3<T> line{}, flat{};
-  // The face that is closest to the normal: whether the normal is along it and the point on it, its
-  // normal, and the cosine to the normal.
+  // The face that is closest to the normal: whether the normal is along it, whether the point is on
+  // it, the face's normal, and the cosine between that and the contact normal.
   B is_along{}, is_on_face{};
   Vec3<T> face{};
   T cosine{};
-  // The other shape's point as a point of this shape, and the sides of that face that it is on.
+  // The other shape's point, fixed in this shape, and the sides of that face that it is on.
   Vec3<T> held{}, side{};
   B has_side{}, has_corner{};
-  // The edge (or axis of a capsule) that the normal is perpendicular to.
+  // The edge (or the axis of a capsule) that the normal is perpendicular to.
   B has_across{};
   Vec3<T> across{};
   B is_box{}, is_capsule{}, is_corner{};
@@ -123,14 +124,14 @@ struct MovingContact {
   B is_exact{};
 };
 
-// Sets what contacts with faces need. `x`, `n`: the point and the normal in the frame of the shape.
+// Sets the members for contacts with faces. `x`, `n`: point and normal in the frame of the shape.
 template <class B, class T>
 void set_deepest(ContactFeature<B, T>& f, const ContactShape<B, T>& shape, const Vec3<T>& x,
                  const Vec3<T>& n) {
   using namespace math;
   const T zero = T(0.0f);
   const Vec3<T> h = shape.scale;
-  // Rims: the deepest point lies along the normal that points out.
+  // Rims: the deepest point lies in the direction of the normal that points out.
   const auto has_rim = either(shape.is_cylinder, shape.is_cone);
   const T across = sqrt(n.x * n.x + n.y * n.y), reach = across * h.x;
   const T off_side = abs(x.x * n.y - x.y * n.x), down = f.direction * (x.x * n.x + x.y * n.y);
@@ -142,16 +143,16 @@ void set_deepest(ContactFeature<B, T>& f, const ContactShape<B, T>& shape, const
   f.is_fixed = either(shape.is_polytope, both(has_rim, both(negate(flat), negate(f.is_deepest))));
   f.is_plane = shape.is_plane;
   f.meets_planes = either(shape.is_ellipsoid, either(has_rim, shape.is_polytope));
-  // A base that is almost parallel to a face of a box leads (clip_manifold.h). A point inside of a
-  // base is one of a search that has not converged.
+  // The face of a box decides the normal if a base is almost parallel to it (clip_manifold.h). A
+  // point inside of a base comes from a search that has not converged.
   const auto at_corner = either(apex, both(either(shape.is_cone, across > T(0.015f)),
                                            x.x * x.x + x.y * x.y >= h.x * h.x * T(1.0f - 2e-4f)));
   f.meets_faces = either(shape.is_hull, both(has_rim, at_corner));
   f.half_axes = {h.x, select(shape.is_ellipsoid, h.y, h.x), select(shape.is_ellipsoid, h.z, zero)};
 }
 
-// Finds the feature of a shape's point. `other`: the point of the other shape, in the world.
-// `is_a`: whether the normal points out of the shape.
+// Finds the feature of a shape's contact point. `other`: the other shape's point, in the world.
+// `is_a`: whether the normal points out of this shape.
 template <class B, class T>
 ContactFeature<B, T> contact_feature_of(const ContactShape<B, T>& shape, const Transform<T>& body,
                                         const Vec3<T>& body_point, const Vec3<T>& other,
@@ -282,7 +283,7 @@ FaceContact<B, T> face_contact(const ContactFeature<B, T>& face, const ContactFe
   c.of_other = select(
       at_side, on_line,
       select(at_corner, on_flat, select(other.is_deepest, deepest_point(other, n), other.point)));
-  // The two edges perpendicular to n are closer to each other than the line is to the face.
+  // Whether the two edges perpendicular to n are the nearest features, instead of line and face.
   const T own = dot(cross(face.face, face.side), face.across),
           theirs = dot(other.line, other.across);
   const auto edges = both(both(at_side, both(face.has_across, other.has_across)),
@@ -297,7 +298,7 @@ FaceContact<B, T> face_contact(const ContactFeature<B, T>& face, const ContactFe
   return c;
 }
 
-// Returns whether a shape that is not plain touches a plane, or a face of a box off its sides.
+// Returns whether a hull, a mesh or a curved shape touches a plane, or the inside of a box's face.
 template <class B, class T>
 B stands_on(const ContactFeature<B, T>& face, const ContactFeature<B, T>& other) {
   using namespace math;
@@ -306,7 +307,7 @@ B stands_on(const ContactFeature<B, T>& face, const ContactFeature<B, T>& other)
   return either(both(face.is_plane, other.meets_planes), both(inside, other.meets_faces));
 }
 
-// Returns the nearest points of curved shapes, or points and normal that are held.
+// Returns the nearest points of curved shapes if exact, else points and normal as constants.
 template <class B, class T>
 MovingContact<B, T> nearest_or_held(const ContactFeature<B, T>& a, const ContactFeature<B, T>& b,
                                     const Vec3<T>& normal, const B& other_law) {
@@ -319,8 +320,8 @@ MovingContact<B, T> nearest_or_held(const ContactFeature<B, T>& a, const Contact
 
 }  // namespace moving_contact_detail
 
-// Returns whether features of the two shapes coincide, so that the points do not identify the
-// search's choice.
+// Returns whether features of the two shapes coincide, so that the points do not show which feature
+// the search chose.
 template <class B, class T>
 B features_coincide(const ContactFeature<B, T>& a, const ContactFeature<B, T>& b) {
   using namespace math;

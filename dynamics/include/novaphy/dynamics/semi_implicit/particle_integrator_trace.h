@@ -13,11 +13,11 @@
 //
 // A particle that is not active keeps position and velocity.
 //
-// Source: Newton 1.8.0, SolverSemiImplicit. Its output on the CPU has the same bits, except that
+// Source: Newton 1.8.0, SolverSemiImplicit. The bits are those of Newton on the CPU, except that
 // Newton does not write the velocity of an inactive particle.
 //
-// Gradient: exact for x0, v0, f, w, g, dt. Not smooth at |v1| = v_max, where the branch without the
-// limit is used. s has no gradient.
+// Gradient: exact for x0, v0, f, w, g, dt. Kink at |v1| = v_max, where the gradient is that of the
+// branch without the limit. s has no gradient.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
 #pragma once
@@ -42,7 +42,8 @@ ParticleState<T> integrate_particle(const Vec3<T>& x0, const Vec3<T>& v0, const 
   return {x0 + v1 * dt, v1};
 }
 
-// Integrates a particle if it is active, else returns x0 and v0. B: bool, or nova::Bool in a trace.
+// Returns the new state of a particle, or x0 and v0 if it is not active. B: bool, or nova::Bool in
+// a trace.
 template <class B, class T>
 ParticleState<T> integrate_particle(const B& active, const Vec3<T>& x0, const Vec3<T>& v0,
                                     const Vec3<T>& f, const T& w, const Vec3<T>& g, const T& v_max,

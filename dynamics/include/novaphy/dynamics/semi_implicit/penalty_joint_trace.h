@@ -1,7 +1,7 @@
-// The wrenches of a joint that springs and dampers hold together.
+// The wrenches of a penalty joint: springs and dampers hold its two bodies together.
 //
-// Symbols, world frame unless said:
-//   X_p, X_c      the joint frame as the parent and as the child carry it, m
+// Symbols, world frame unless stated otherwise:
+//   X_p, X_c      the joint frame as it moves with the parent and with the child, m
 //   x, v, w       position of the child's anchor from the parent's, velocities of the child
 //                 relative to the parent: at the child's anchor (m/s), and angular (rad/s)
 //   r             rotation of X_c in X_p
@@ -13,25 +13,25 @@
 //     limit: see joint_limit_trace.h
 //     drive = target_ke (target_q - q) + target_kd (target_qd - qd), at most effort_limit, and none
 //             outside of the limits
-//   linear axes: q_i = x . a_i; what is left of x and v is held by k and c. The parent's anchor
-//     moves along with the child in the slot, so the two forces act in one line.
+//   linear axes: q_i = x . a_i. The parts of x and v across the axes get the spring k and the
+//     damper c. The parent's force acts at the child's anchor, so the two forces act in one line.
 //   angular axes, of r:
-//     none    t = 2 atan2(|vec r|, w) unit(vec r) k + 0.01 c w, of the two r of a rotation the
-//             shorter one
+//     none    t = 2 atan2(|vec r|, w) unit(vec r) k + 0.01 c w. The sign of r is chosen for the
+//             shorter rotation
 //     one     q = 2 atan2(a . vec r, w) in [-pi, pi]; t = (a_p x a_c) k + 0.01 c (w - a qd)
 //     two, three   perpendicular: q are the angles of r = R(a_0, q_0) R(a_1, q_1) R(a_2, q_2), with
-//             forces along the dual basis of the turned axes (determinant at least 1e-4: at q_1 =
-//             +-pi/2 the axes lie in a plane); a third one that is none is held by k and 0.01 c
+//             forces along the dual basis of the rotated axes (determinant at least 1e-4: at q_1 =
+//             +-pi/2 the axes lie in a plane). With two axes, k and 0.01 c act about the third
 //     BALL    only damping and joint_f, about the axes of the parent's joint frame
 //   DISTANCE: l = |x|; f = unit(x) (ke (l - upper) + kd dl/dt) where l > upper, likewise where
 //     l < lower, 0 between, and 0 where l = 0
 // Source: Newton 1.8.0, SolverSemiImplicit. Newton differs: it keeps no distance, its angles wrap
-// at a full turn, and FIXED takes the long way round for w < 0. The anchor of a displaced slide
-// stays behind in Newton, which makes momentum. Revolute joints agree with it to rounding.
+// at a full turn, and FIXED takes the longer rotation for w < 0. The anchor of a displaced slide
+// stays behind in Newton, which creates momentum. Revolute joints agree with Newton to rounding.
 //
 // Gradient: exact in all inputs but the modes, away from the kinks. At limits and at effort_limit
-// the gradient is that of the side on which the value is. At r = identity and l = 0 it is the
-// finite limit.
+// the gradient is that of the side on which the value is. At r = identity and l = 0 the gradient is
+// the finite limit.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real can be traced.
 #pragma once
@@ -51,7 +51,8 @@ struct JointBody {
   Vec3<T> com{};  // body frame
 };
 
-// The parameters of a degree of freedom. select_drive applies the target mode to the drive.
+// The parameters of a degree of freedom. select_drive applies the target mode to the drive's
+// members.
 template <class T>
 struct JointDof {
   Vec3<T> axis{};  // unit vector, joint frame of the parent
@@ -61,8 +62,8 @@ struct JointDof {
   T damping{}, effort_limit{};
 };
 
-// Calls visit(member of d, field of each of `a`...) for each parameter. `a`: structs with the
-// fields of StepArrays (articulation/step_arrays.h).
+// Calls visit(member of d, field of each of `a`...) for each parameter of a degree of freedom. `a`:
+// structs with the fields of StepArrays (articulation/step_arrays.h).
 template <class Visit, class T, class... Arrays>
 void for_each_dof_number(const Visit& visit, JointDof<T>& d, Arrays&... a) {
   visit(d.force, a.joint_f...);
@@ -74,7 +75,7 @@ void for_each_dof_number(const Visit& visit, JointDof<T>& d, Arrays&... a) {
   visit(d.damping, a.damping...);
   visit(d.effort_limit, a.effort_limit...);
 }
-// Clears each parameter of the drive that the target mode does not use: the parameter becomes 0.
+// Sets each parameter of the drive that the target mode does not use to 0.
 template <class T, class Bool>
 void select_drive(const Bool& position, const Bool& velocity, JointDof<T>& d) {
   using math::either;
@@ -124,7 +125,7 @@ JointFrames<T> joint_frames(const JointBody<T>& parent, const JointBody<T>& chil
   return j;
 }
 
-// tau.
+// Returns the force tau of a degree of freedom.
 template <class T>
 T joint_dof_force(const JointDof<T>& d, const T& q, const T& qd) {
   const T limit = limit_force(d.limit, q, qd);
@@ -140,14 +141,14 @@ Vec3<T> no_vector() {
   return {T(0.0f), T(0.0f), T(0.0f)};
 }
 
-// The rotation vector of r, rad: the shorter way.
+// Returns the rotation vector of r (rad), of the shorter rotation.
 template <class T>
 Vec3<T> rotation_vector(const Quat<T>& r) {
   using namespace math;
   const T one = T(1.0f), two = T(2.0f);
   const T side = select(r.w < T(0.0f), -one, one);
   const T square = (r.x * r.x + r.y * r.y) + r.z * r.z;
-  // Below, 2 atan2(s, w) = 2 s up to s^3.
+  // For small s = |vec r|, 2 atan2(s, w) = 2 s up to s^3.
   const auto small = square < T(1e-8f);
   const T s = sqrt(select(small, one, square));
   const T scale = side * select(small, two, (two * atan2(s, r.w * side)) / s);
@@ -156,7 +157,7 @@ Vec3<T> rotation_vector(const Quat<T>& r) {
 
 constexpr float kAngularDamping = 0.01f;  // of c
 
-// Two or three perpendicular angular axes: the moment on the parent.
+// Returns the moment on the parent for two or three perpendicular angular axes.
 template <class T>
 Vec3<T> euler_moment(const JointFrames<T>& j, const JointDof<T>* dofs, int count,
                      const JointAttach<T>& attach) {
@@ -211,7 +212,7 @@ JointWrench<T> wrench_at(const Vec3<T>& arm_p, const Vec3<T>& arm_c, const Vec3<
 }  // namespace joint_detail
 
 // Returns the wrench of a joint of any type except FREE and DISTANCE. `dofs` has the `linear` axes
-// first, then the `angular` axes (`is_ball`: three).
+// first, then the `angular` axes (three if `is_ball`).
 template <class T>
 JointWrench<T> penalty_joint_wrench(const JointFrames<T>& j, const JointDof<T>* dofs, int linear,
                                     int angular, bool is_ball, const JointAttach<T>& attach) {
@@ -241,7 +242,7 @@ JointWrench<T> penalty_joint_wrench(const JointFrames<T>& j, const JointDof<T>* 
   return joint_detail::wrench_at(arm_p, j.arm_c, f, t);
 }
 
-// DISTANCE: the limits are those of the first degree of freedom.
+// Returns the wrench of a DISTANCE joint. `limits`: those of its first degree of freedom.
 template <class T>
 JointWrench<T> distance_joint_wrench(const JointFrames<T>& j, const JointLimit<T>& limits) {
   using namespace math;

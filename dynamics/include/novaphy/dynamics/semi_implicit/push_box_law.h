@@ -7,7 +7,7 @@
 //   x, v       position (m) and velocity (m/s) of the box's center along the axis
 //   x_p, v_p   those of the pusher's center, which is on the side of smaller x
 //   m, h, r    mass (kg) and half extent (m) of the box, radius of the pusher (m)
-//   ke, kd     stiffness (N/m) and damping (N s/m) of the contact
+//   N          contact force (N); ke, kd: its stiffness (N/m) and damping (N s/m)
 //   mu, g      coefficient of friction under the box, gravity (m/s^2)
 //   s, v_s     softness of the contact (m), velocity at which friction is fully developed (m/s)
 // The damping acts only on approach. The step is stable for dt mu g / v_s < 1 and dt^2 ke / m < 1.
@@ -68,7 +68,7 @@ PushBoxState<T> push_box_step(const PushBoxState<T>& box, const PushBoxState<T>&
   return {box.x + n.dt * v, v};
 }
 
-// The derivatives of v' by the inputs of a step; x' = x + dt v'.
+// The derivatives of v' by the inputs of a step. Those of x' follow from x' = x + dt v'.
 template <class T>
 struct PushBoxDerivatives {
   PushBoxState<T> box{}, pusher{};
@@ -87,7 +87,7 @@ PushBoxDerivatives<T> push_box_derivatives(const PushBoxState<T>& box,
   const T by_gap = -(per_force * normal_by_z) / n.softness;
   const T by_closing = per_force * normal_by_ratio / vs;  // by v_p - v
   const T weight = n.dt * n.friction * n.gravity;
-  const T by_slide = weight * (one - t.slide * t.slide) / vs;  // of the friction, by v
+  const T by_slide = weight * (one - t.slide * t.slide) / vs;  // derivative of friction by v
   PushBoxDerivatives<T> d;
   d.box = {by_gap, one - by_closing - by_slide};
   d.pusher = {-by_gap, by_closing};

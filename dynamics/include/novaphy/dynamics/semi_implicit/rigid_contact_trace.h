@@ -1,4 +1,4 @@
-// The force of a rigid contact: penalty spring, damper that acts only on approach, friction.
+// The force of a rigid penalty contact: spring, damper that acts only on approach, and friction.
 //
 // Law, for the shapes A and B, N = -normal (from B to A):
 //   P_A = X_A(p_A) - N m_A,  P_B = X_B(p_B) + N m_B     surface points including the margins
@@ -16,24 +16,24 @@
 //   newton17  ut/h min(kf h, c),  h = s^2/2 for s <= e, else e (s - e/2). May exceed the cone
 //   newton18  viscous
 // With newton17 and newton18 A gets -F at P_A and B gets F at P_B, each with the velocity there, as
-// in Newton. Friction then makes a couple |ut part of F| |d|. Both laws are for comparison only. No
-// law sticks: a contact creeps under a load below the cone.
+// in Newton. Friction then creates a couple |ut part of F| |d|. Both laws are for comparison only.
+// No law has sticking friction: a contact creeps under a load below the cone.
 //
 // With PenaltyLaw::Mean the force near the surface, |d| < w = h |un|/2 (h: the step), is its mean
 // over [t - h/2, t + h/2] at the velocities of time t. The fraction of that time in contact is r =
 // 1/2 - d/(2 w):
 //   fn = -ke (w - d)^2/(4 w),  fd = r kd min(un, 0),  friction with r kf and c = -mu (fn + fd)
-// The force is then continuous in d, and a touch depends little on the phase of its begin in a
-// step. The laws of Newton do not support the mean. Symbols:
+// The force is then continuous in d, and the result of a touch depends little on where in a step it
+// begins. The laws of Newton do not support the mean. Symbols:
 //   X, v, w, c   pose, velocity, angular velocity and center of mass of a body (Model::body_q and
 //                others); the world: identity, 0
 //   p, m, normal Contacts::rigid_contact_point0, margin0 and so on
-//   ke, kd, kf   N/m, N*s/m, N*s/m; mu 1; ka m: each the mean of the two shapes', except for ke, kd
-//                and mu of a row with its own values (Contacts::rigid_contact_stiffness and others)
+//   ke, kd, kf   N/m, N*s/m, N*s/m; mu 1; ka m: each the mean over the two shapes, except for ke,
+//                kd and mu of a row with its own values (Contacts::rigid_contact_stiffness, ...)
 //   e            friction_smoothing (m/s), e > 0 for newton17
 //   F            N, world frame
 // Source: Newton 1.8.0 for newton18, with the same bits on the CPU, except that margins act on
-// world-owned shapes too; viscous has these bits if one side is the world. Newton 1.7 for newton17.
+// world-owned shapes too. viscous has these bits if one side is the world. Newton 1.7 for newton17.
 // huber is the Huber norm, scaled to stay within the cone.
 //
 // Points where the law is not smooth, and the value there (the derivative makes the same choice):
@@ -43,7 +43,7 @@
 //   un = 0          min takes the constant 0: damping has no gradient.
 //   at the cone     viscous: kf ut.
 // Gradient: exact in poses, velocities, centers of mass, p, m, normal, ke, kd, kf, mu away from
-// these points, including at rest. `ka` only selects and has no gradient.
+// these points, including zero slip. `ka` only selects and has no gradient.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
 #pragma once
@@ -53,11 +53,12 @@
 namespace novaphy {
 
 enum class FrictionLaw { Viscous, Huber, Newton17, Newton18 };
-// Sampled: the force at the start of a step. Mean: its mean around that time.
+// How the force is taken. Sampled: at the start of a step. Mean: as the mean over a step around
+// that time.
 enum class PenaltyLaw { Sampled, Mean };
 
-// Returns whether a law is Newton's: each side gets the force at its own point, and bodies have
-// Newton's spin (rigid_integrator_trace.h).
+// Returns whether a law is Newton's. Then each side gets the force at its own surface point, and
+// bodies rotate with Newton's rounding (rigid_integrator_trace.h, "Newton's spin").
 inline bool is_of_newton(FrictionLaw law) {
   return law == FrictionLaw::Newton17 || law == FrictionLaw::Newton18;
 }
@@ -74,8 +75,8 @@ RigidContactMaterial<T> mean_rigid_contact_material(const RigidContactMaterial<T
           (a.mu + b.mu) * half};
 }
 
-// Returns the material with the stiffness, damping and friction coefficient of the row, where they
-// are > 0.
+// Returns the material of a contact: the shapes' mean, with the row's own stiffness, damping and
+// friction coefficient where these are > 0.
 template <class T>
 RigidContactMaterial<T> rigid_contact_material_of_row(const RigidContactMaterial<T>& of_shapes,
                                                       const T& ke, const T& kd, const T& mu) {
@@ -91,12 +92,12 @@ struct RigidContactSide {
   Transform<T> pose{};  // pose of the body; the identity for the world
   SpatialVector<T> twist{};
   Vec3<T> com{};
-  Vec3<T> point{};  // point of the core, body frame
+  Vec3<T> point{};  // core point, body frame (m)
   T margin{};
   T is_body{};  // 1 for a body, 0 for the world
 };
 
-// The force on B, and the arms from the centers of mass to its points of application.
+// The force on B, and the arms from both centers of mass to the points where the force acts.
 template <class T>
 struct RigidContactForce {
   Vec3<T> force{}, arm_a{}, arm_b{};
@@ -134,7 +135,7 @@ Vec3<T> rigid_friction(FrictionLaw law, const Vec3<T>& ut, const T& limit, const
   return ut * select(acts, slope, zero);
 }
 
-// The options of the law. half_step: h/2, used by the mean only.
+// The options of the law. half_step: h/2 (s), used by the mean only.
 template <class T>
 struct RigidContactLaw {
   FrictionLaw friction = FrictionLaw::Viscous;
@@ -143,7 +144,7 @@ struct RigidContactLaw {
   T half_step{};
 };
 
-// Returns the mean force at the gap d.
+// Returns the mean force on B over a step, for the gap d.
 template <class T>
 Vec3<T> mean_contact_force(const RigidContactLaw<T>& law, const Vec3<T>& n, const T& d, const T& un,
                            const Vec3<T>& ut, const RigidContactMaterial<T>& material) {
@@ -158,11 +159,10 @@ Vec3<T> mean_contact_force(const RigidContactLaw<T>& law, const Vec3<T>& n, cons
   const T limit = select(d < w, (-material.mu) * (fn + fd), zero);
   const Vec3<T> force = n * (fn + fd) + rigid_friction(law.friction, ut, limit,
                                                        material.kf * in_contact, law.smoothing);
-  return select(d >= w, Vec3<T>{zero, zero, zero}, force);  // NaN reaches the force, as below
+  return select(d >= w, Vec3<T>{zero, zero, zero}, force);  // NaN gives a NaN force
 }
 
-// Returns the force on B for two surface points p_a, p_b including the margins, n = N, u = v_A -
-// v_B.
+// Returns the force on B (N). p_a, p_b: surface points including the margins, n = N, u = v_A - v_B.
 template <class T>
 Vec3<T> rigid_contact_law(const RigidContactLaw<T>& law, const Vec3<T>& n, const Vec3<T>& p_a,
                           const Vec3<T>& p_b, const Vec3<T>& u,
@@ -178,11 +178,11 @@ Vec3<T> rigid_contact_law(const RigidContactLaw<T>& law, const Vec3<T>& n, const
   const T limit = select(d < zero, (-material.mu) * (fn + fd), zero);
   const Vec3<T> force =
       n * (fn + fd) + rigid_friction(law.friction, ut, limit, material.kf, law.smoothing);
-  // The test is d >= ka, so that a NaN reaches the force instead of switching the contact off.
+  // The test is d >= ka, so that a NaN gives a NaN force instead of switching the contact off.
   return select(d >= material.ka, Vec3<T>{zero, zero, zero}, force);
 }
 
-// Returns the force at two points of the cores, world frame.
+// Returns the force for two core points in the world frame.
 template <class T>
 RigidContactForce<T> rigid_contact_force_at(const RigidContactLaw<T>& law,
                                             const RigidContactSide<T>& a,

@@ -12,18 +12,19 @@
 //   x, q      pose of the body's origin in the world (m, quaternion)
 //   v, w      velocity of the center of mass and angular velocity, world frame (m/s, rad/s)
 //   f, t      force and moment about the center of mass, world frame (N, N m)
-//   c         center of mass (m), I inertia about it (kg m^2), body frame
+//   c, I      center of mass (m), inertia about it (kg m^2), body frame
+//   m         mass (kg)
 //   g         gravity (m/s^2), world frame
 //   a         angular damping (1/s)
 // A kinematic body keeps its velocity and moves with it: x_c1 = x_c + v0 dt, q1 from w0.
 //
-// Newton's spin is w1 = rotate(q, w_b + (I^-1 t_b) dt), which differs only by rounding: |q| is not
-// exactly 1, so |w| grows by about 2e-7 in each step.
+// "Newton's spin" is w1 = rotate(q, w_b + (I^-1 t_b) dt), which differs only by rounding: |q| is
+// not exactly 1, so |w| grows by about 2e-7 in each step.
 //
-// Source: Newton 1.8.0, SolverSemiImplicit. With Newton's spin the output on the CPU has its bits,
-// except that Newton's kinematic bodies do not move. The gyroscopic term gains energy of the order
-// of (|w| dt)^2 per step. The rotation angle of a step is 2 atan(|w| dt / 2). Gradient: exact in x,
-// q, v, w, f, t, c, I, I^-1, 1/m, g, dt, with q as four free numbers; s has no gradient.
+// Source: Newton 1.8.0, SolverSemiImplicit. With Newton's spin the bits are those of Newton on the
+// CPU, except that Newton's kinematic bodies do not move. The gyroscopic term gains energy of the
+// order of (|w| dt)^2 per step. The rotation angle of a step is 2 atan(|w| dt / 2). Gradient: exact
+// in x, q, v, w, f, t, c, I, I^-1, 1/m, g, dt, with q as four free numbers; s has no gradient.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
 #pragma once

@@ -1,16 +1,17 @@
-// The contacts of a box, sphere or capsule of a body with a plane of the world, as one formula.
-// Points of the shape are selected, each gets the force of rigid_contact_trace.h, and their
-// wrenches are added in order.
+// The contacts of a box, sphere or capsule of a body with a plane of the world, as one formula. The
+// formula selects points of the shape, computes the force of rigid_contact_trace.h at each point,
+// and adds the wrenches in order.
 //
 // Points: the center of a sphere, the ends of a capsule (+z first), and the four deepest corners of
-// a box. Corners have the slots and the comparisons of geometry::plane_box
-// (collision/geometry/plane_pairs.h). A contact is at P = X p - n (radius + margin), and
+// a box. Order and selection of corners are those of geometry::plane_box
+// (collision/geometry/plane_pairs.h). X is the pose of the shape and n the normal of the plane. The
+// contact of a point p of the shape is at P = X p - n (radius + margin), with the gap
 //   d = dot(n, P - p_plane) - margin_plane
 // With five or more corners below the plane the fifth deepest has no force.
 //
 // Gradient: exact for the selected points, in the pose, twist and center of mass of the body and in
-// the materials. The comparisons that select corners have no gradient. The size, the pose in the
-// body and the margins of shapes have none either, nor has the plane.
+// the materials. The comparisons that select corners have no gradient. The plane, and the size, the
+// pose in the body and the margins of shapes, have no gradient either.
 //
 // Freestanding: T = float for tests, T = nova::Real is traced. No branch depends on a value.
 #pragma once
@@ -40,7 +41,7 @@ struct BodyMotion {
   Vec3<T> com{};
 };
 
-// Up to four corners of a box, in its own frame.
+// Up to four corners of a box, in the box's frame.
 template <class T>
 struct CornerSlots {
   Vec3<T> corner[4];
@@ -48,8 +49,8 @@ struct CornerSlots {
   T count{};
 };
 
-// Returns the four deepest of the corners up to `reach` above the plane. `box` is the pose in the
-// world.
+// Returns the four deepest of the corners that are at most `reach` (m) above the plane. `box`: pose
+// in the world.
 template <class T>
 CornerSlots<T> deepest_corners(const WorldPlane<T>& plane, const Transform<T>& box,
                                const Vec3<T>& half, const T& reach) {
@@ -65,7 +66,7 @@ CornerSlots<T> deepest_corners(const WorldPlane<T>& plane, const Transform<T>& b
     kept.distance[j] = zero;
   }
   kept.count = zero;
-  T highest = zero, highest_distance = zero;  // the slot that a deeper corner replaces
+  T highest = zero, highest_distance = zero;  // the entry that a deeper corner replaces
   for (int k = 0; k < 8; ++k) {
     const Vec3<T> corner = {(k & 1) != 0 ? half.x : -half.x, (k & 2) != 0 ? half.y : -half.y,
                             (k & 4) != 0 ? half.z : -half.z};
@@ -98,8 +99,8 @@ CornerSlots<T> deepest_corners(const WorldPlane<T>& plane, const Transform<T>& b
   return kept;
 }
 
-// Returns the wrench on the body about its center of mass. `material` is the mean and `gap` the sum
-// of both shapes'.
+// Returns the wrench on the body about its center of mass. `material`: mean over both shapes.
+// `gap`: sum over both shapes (m).
 template <class B, class T>
 SpatialVector<T> plane_contact_wrench(FrictionLaw law, const WorldPlane<T>& plane,
                                       const BodyShape<B, T>& shape, const BodyMotion<T>& body,
@@ -123,7 +124,8 @@ SpatialVector<T> plane_contact_wrench(FrictionLaw law, const WorldPlane<T>& plan
     const Vec3<T> local = select(shape.is_box, corners.corner[j], Vec3<T>{zero, zero, end});
     const Vec3<T> point =
         transform_point(body.pose, transform_point(shape.xform, local)) + n * beyond;
-    // An end of a capsule is a contact within the gap, as in the search; selected corners are too.
+    // An end of a capsule is a contact if it is within the gap, as in the search. Selected corners
+    // are always contacts.
     const auto near = negate(gap < dot(n, on_plane - point));
     auto present = both(shape.is_box, corners.count > T(static_cast<float>(j)));
     if (j == 0) present = either(present, both(near, negate(shape.is_box)));

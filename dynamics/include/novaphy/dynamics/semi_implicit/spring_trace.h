@@ -8,12 +8,12 @@
 //   ke, kd     stiffness (N/m) and damping (N*s/m)
 //   rest       length without a force (m)
 //   f          N, world frame
-// Source: Newton 1.8.0, SolverSemiImplicit; its output on the CPU has the same bits.
+// Source: Newton 1.8.0, SolverSemiImplicit. The bits are those of Newton on the CPU.
 //
 // For kd = 0 velocities are not read.
 //
-// If both ends are in one point, u = 0, so the force and the gradient are 0 (Newton gives NaN). The
-// force jumps there. Gradient: exact in x, v, ke, kd, rest elsewhere.
+// If both ends coincide, u = 0, so the force and the gradient are 0 (Newton gives NaN). The force
+// jumps there. Gradient: exact in x, v, ke, kd, rest elsewhere.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
 #pragma once
@@ -36,7 +36,7 @@ SpringForces<T> spring_forces(const Vec3<T>& x_i, const Vec3<T>& x_j, const Vec3
   const Vec3<T> x = x_i - x_j, v = v_i - v_j;
   const T l = length(x);
   const T zero = T(0.0f);
-  // The test is l == 0, so that a NaN reaches the force.
+  // The test is l == 0, so that a NaN gives a NaN force.
   const Vec3<T> u = x * select(l == zero, zero, T(1.0f) / l);
   const Vec3<T> f = u * (stiffness * (l - rest_length) + optional_product(damping, dot(u, v)));
   return {-f, f};

@@ -15,21 +15,21 @@
 //   act        activation, added to the relative volume (1)
 //   results    N, world frame
 // alpha makes the rest shape free of force: at F = 1 the deviatoric stress is 3/4 mu and the
-// volumetric one -3/4 mu.
+// volumetric stress is -3/4 mu.
 //
-// lam = 0: the volumetric stiffness is off. Its part of the force and the derivative with respect
-// to lam are exactly 0 (alpha is not asked); deviatoric part and damping stay. Newton divides 0 by
-// 0 there. mu = lam = damp = 0 is no force.
+// lam = 0 switches the volumetric stiffness off. Its part of the force, and the derivative by lam,
+// are exactly 0 (alpha is not computed). The deviatoric part and the damping remain. Newton divides
+// 0 by 0 there. With mu = lam = damp = 0 there is no force.
 //
 // If damp = 0, the velocities are not read.
 //
 // The velocities in the volumetric damping are those of the corners in the world, not relative to
-// corner 0, as in Newton. With damp > 0, a pure translation therefore makes forces on the corners,
-// whose sum is zero.
+// corner 0, as in Newton. With damp > 0, a pure translation therefore causes forces on the corners.
+// Their sum is zero.
 //
 // Source: Smith, de Goes, Kim, "Stable Neo-Hookean Flesh Simulation" (2018), equations 13 and 18,
-// as Newton 1.8.0's SolverSemiImplicit evaluates it. Newton's output on the cpu is the same bits
-// (without damping). Matrix products are fused chains, see math/matrix.h.
+// as Newton 1.8.0's SolverSemiImplicit evaluates it. Without damping the bits are those of Newton
+// on the CPU. Matrix products are chains of fused multiply-adds, see math/matrix.h.
 //
 // The force is smooth for flat and inverted tetrahedra too. The gradient is exact in x, v, act, mu,
 // lam and damp (for lam = 0 see above). Dm has no gradient.

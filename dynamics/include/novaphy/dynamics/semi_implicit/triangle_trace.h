@@ -20,17 +20,18 @@
 //   results           N, world frame
 // The mean velocity is the sum times 0.3333, not a third; asin(s) is pi/2 - acos(s).
 //
-// Source: Newton 1.8.0, SolverSemiImplicit, whose output on the cpu is the same bits wherever
-// lift = 0 (acos differs by up to 1.2 ulp). The membrane is the energy of Smith, de Goes, Kim
-// (2018) in two dimensions without its volume terms.
+// Source: Newton 1.8.0, SolverSemiImplicit. The bits are those of Newton on the CPU wherever lift =
+// 0 (acos differs by up to 1.2 ulp). The membrane is the energy of Smith, de Goes, Kim (2018) in
+// two dimensions without its volume terms.
 //
-// Not smooth, and what is returned there:
-//   A = 0         no normal: n = 0, no area force, drag or lift; length and unit pass nothing.
+// Points where the law is not smooth, and the values there:
+//   A = 0         no normal: n = 0, no area force, drag or lift, and no gradient through n and A.
 //   vm = 0        drag and lift are 0, and so are their derivatives.
 //   n . vm = 0    |.| has derivative +1 at 0; the factor makes drag smooth in the direction of vm.
-//   s = +-1       acos passes nothing: the lift's direction is taken as constant there.
+//   s = +-1       acos has no gradient: the lift's direction is taken as constant there.
 //   ka = 0        the area force is off. ka < 0 counts as 0.
-// Gradient: exact in x, v, act and all columns of the material away from these; Dm carries none.
+// Gradient: exact in x, v, act and all columns of the material away from these points. Dm has no
+// gradient.
 //
 // Freestanding: T = float runs in the forward solver, T = nova::Real is traced.
 #pragma once

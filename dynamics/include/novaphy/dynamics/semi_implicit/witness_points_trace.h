@@ -1,10 +1,10 @@
 // Nearest points of curved shapes: the derivative of the points and the normal of a contact by the
-// poses of its bodies. A cylinder, a cone or an ellipsoid takes part.
+// poses of its bodies. At least one shape is a cylinder, a cone or an ellipsoid.
 //
 // Law. The nearest points of the cores of A and B are a and b. The normal n points from A to B, and
-// d is the gap between the cores. The law writes p, m for a, n fixed in A, and q, k for b, n fixed
-// in B. The matrix C is the inverse of the shape operator of a side, in the tangent plane (m). This
-// matrix says how far the nearest point of the side moves when the normal turns.
+// d is the gap between the cores. The symbols p and m stand for a and n fixed in A, and q and k for
+// b and n fixed in B. The matrix C of a side is the inverse of its shape operator in the tangent
+// plane (m). C gives the displacement of the side's nearest point per rotation of the normal.
 //     (C_A + C_B + d) dn = (dq - dp) + C_A dm + C_B dk
 //     da = dp + C_A (dn - dm),   db = dq - C_B (dn - dk),   db - da = d dn + n dd
 // C is 0 at a vertex. C is infinite along a straight line of a side and in a face. The normal turns
@@ -17,7 +17,7 @@
 //     ellipsoid, half axes D             (D^2 - a a^T) / |D n|, a from the center
 //
 // rho is the distance of the point from the axis, and e the direction from the axis to the point.
-// "Infinite" is a large number, in a basis of the tangent plane along the line.
+// In the code "infinite" is a large number, in a basis of the tangent plane along the line.
 //
 // The points and the normal are those of the search. Their relative error is that of the derivative
 // too. Points that are not the nearest ones are not exact.
@@ -29,17 +29,18 @@
 
 namespace novaphy {
 
-// The search's error of a normal (rad), and of a point (of the size of its shape).
+// The search's error of a normal (rad), and of a point (relative to the size of its shape).
 inline constexpr float kWitnessNoise = 4e-3f;
 
-// A side of a contact. Only `point` and `normal` have derivatives.
+// One side of a contact. Only `point` and `normal` have derivatives.
 template <class B, class T>
 struct WitnessSide {
   B is_known{}, is_curved{};
   Vec3<T> point{}, normal{};  // fixed in the body
   B is_line{}, is_face{};     // C is infinite along `line`, or everywhere
   Vec3<T> line{};
-  // C without what is infinite: turn (diag(squares) - a a^T) turn^-1 / length + around t t^T.
+  // The finite part of C: turn (diag(squares) - a a^T) turn^-1 / length + around t t^T, with a in
+  // `deepest` and t in `tangent`.
   Quat<T> turn{};
   Vec3<T> squares{}, deepest{}, tangent{};
   T length{}, around{}, size{};
@@ -66,7 +67,7 @@ Vec3<T> still(const Vec3<T>& v) {
   return {detach(v.x), detach(v.y), detach(v.z)};
 }
 
-// The basis of the tangent plane, without derivatives.
+// A basis of the tangent plane, without derivatives.
 template <class T>
 struct Tangents {
   Vec3<T> x{}, y{};
@@ -86,7 +87,7 @@ Plane2<T> finite(const WitnessSide<B, T>& s, const Tangents<T>& t) {
   return {product(x, x), product(x, y), product(y, y)};
 }
 
-// `finite`, and `large` in place of what is infinite.
+// Returns the whole C of a side: c, its finite part, plus a large number where C is infinite.
 template <class B, class T>
 Plane2<T> whole(const WitnessSide<B, T>& s, const Tangents<T>& t, const Plane2<T>& c,
                 const T& large) {
@@ -99,8 +100,9 @@ Plane2<T> whole(const WitnessSide<B, T>& s, const Tangents<T>& t, const Plane2<T
 
 }  // namespace witness_detail
 
-// Sets a side whose shape has an axis of revolution: a cylinder or a cone. `x`: the point, `out`:
-// the normal that points out of the shape, in its frame; `half`: radius and half height.
+// Sets a side whose shape has an axis of revolution: a cylinder or a cone. In the shape's frame:
+// `x`: the point, `out`: the normal that points out of the shape, `half`: radius and half height
+// (m).
 template <class B, class T>
 void set_revolution(WitnessSide<B, T>& s, const B& is_cone, const Vec3<T>& x, const Vec3<T>& out,
                     const Vec3<T>& half) {
@@ -116,7 +118,7 @@ void set_revolution(WitnessSide<B, T>& s, const B& is_cone, const Vec3<T>& x, co
   const auto base = both(at_end, abs(out.z) >= T(1.0f - 1e-6f));
   const auto rim = both(both(at_end, negate(base)), rho >= half.x - on);
   const auto side = negate(either(at_end, either(at_axis, apex)));
-  // The line of the side goes through the apex, or along the axis.
+  // The straight line of the lateral surface goes through the apex, or along the axis.
   const Vec3<T> to_apex = {x.x, x.y, x.z - half.y};
   const T long_as = sqrt(select(at_axis, one, dot(to_apex, to_apex)));
   const Vec3<T> line = select(is_cone, to_apex / long_as, Vec3<T>{zero, zero, one});
@@ -132,8 +134,8 @@ void set_revolution(WitnessSide<B, T>& s, const B& is_cone, const Vec3<T>& x, co
   s.is_known = either(either(apex, base), is_curve);
 }
 
-// The side of a shape at a contact point. `shape`: as for contact_feature_of. `feature`: its
-// feature there, for the side of the normal and for the shapes that are not curved.
+// Returns the side of a shape at a contact point. `shape`: as for contact_feature_of. `feature`:
+// the shape's feature there, used for the side of the normal and for shapes that are not curved.
 template <template <class, class> class Shape, template <class, class> class Feature, class B,
           class T>
 WitnessSide<B, T> witness_side(const Shape<B, T>& shape, const Transform<T>& body,
@@ -154,7 +156,7 @@ WitnessSide<B, T> witness_side(const Shape<B, T>& shape, const Transform<T>& bod
   s.is_curved = either(revolves, shape.is_ellipsoid);
   s.size = max(h.x, max(h.y, h.z));
   set_revolution(s, shape.is_cone, x, out, h);
-  // Shapes that are not curved.
+  // Shapes without curvature.
   const auto flat = both(feature.is_flat, feature.is_along);
   const auto corner = both(feature.is_point, negate(feature.is_along)),
              edge = both(both(feature.is_line, negate(feature.is_along)),
@@ -181,7 +183,7 @@ WitnessSide<B, T> witness_side(const Shape<B, T>& shape, const Transform<T>& bod
 
 template <class B, class T>
 struct WitnessPoints {
-  Vec3<T> a{}, b{}, normal{};  // with the derivatives; their values mean nothing
+  Vec3<T> a{}, b{}, normal{};  // use their derivatives only, not their values
   B is_exact{};
 };
 
@@ -193,7 +195,7 @@ WitnessPoints<B, T> witness_points(const WitnessSide<B, T>& a, const WitnessSide
   const T zero = T(0.0f), one = T(1.0f);
   const Vec3<T> n = still(contact_normal), apart = b.point - a.point;
   const T d = detach(dot(n, apart));
-  // The basis lies along the line of A, else of B.
+  // The basis lies along the line of A; without such a line, along that of B.
   const Vec3<T> any =
       select(abs(n.x) < T(0.6f), Vec3<T>{one, zero, zero}, Vec3<T>{zero, one, zero});
   const Vec3<T> along = select(a.is_line, a.line, select(b.is_line, b.line, cross(n, any)));
@@ -215,7 +217,7 @@ WitnessPoints<B, T> witness_points(const WitnessSide<B, T>& a, const WitnessSide
   const Vec2<T> turn = {(yy * r.x - xy * r.y) * by, (xx * r.y - xy * r.x) * by};
   const Vec2<T> move_a = times(own_a, difference(turn, m)),
                 move_b = times(own_b, difference(k, turn));
-  // Two lines: along that of A by what the other equation leaves.
+  // With lines on both sides, the remaining equation gives the motion along the line of A.
   const Vec2<T> left = {(p.x + move_b.x) - (move_a.x + d * turn.x),
                         (p.y + move_b.y) - (move_a.y + d * turn.y)};
   const Vec2<T> of_b = t.of(b.line);
